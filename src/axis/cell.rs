@@ -1,0 +1,137 @@
+//! The newest value for any number of readers: a sequence lock over atomic words, without `unsafe`.
+//!
+//! The one writer (the loop) never waits. A reader retries while a write is going on; it copies words that may be
+//! torn, and looks at the sequence before and after, so that it only ever unpacks a whole value.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering, fence};
+
+/// A plain value as a fixed number of 64-bit words.
+pub trait Packed: Copy {
+    /// How many words.
+    const WORDS: usize;
+    /// Writes itself into exactly [`WORDS`](Self::WORDS) words.
+    fn pack(&self, words: &mut [u64]);
+    /// The value of words that [`pack`](Self::pack) wrote.
+    fn unpack(words: &[u64]) -> Self;
+}
+
+/// The largest [`Packed::WORDS`].
+const MOST_WORDS: usize = 32;
+
+#[derive(Debug)]
+struct Shared {
+    /// Odd while a write is going on.
+    sequence: AtomicU64,
+    words: Box<[AtomicU64]>,
+}
+
+/// The writing end: exactly one.
+#[derive(Debug)]
+pub struct Writer<T> {
+    shared: Arc<Shared>,
+    _value: std::marker::PhantomData<fn(T)>,
+}
+
+/// A reading end; clone it for as many threads as needed.
+#[derive(Debug)]
+pub struct Reader<T> {
+    shared: Arc<Shared>,
+    _value: std::marker::PhantomData<fn() -> T>,
+}
+
+/// A cell that holds `value`, as its two ends.
+pub fn cell<T: Packed>(value: T) -> (Writer<T>, Reader<T>) {
+    const { assert!(T::WORDS <= MOST_WORDS) };
+    let words = (0..T::WORDS).map(|_| AtomicU64::new(0)).collect();
+    let shared = Arc::new(Shared { sequence: AtomicU64::new(0), words });
+    let mut writer = Writer { shared: Arc::clone(&shared), _value: std::marker::PhantomData };
+    writer.write(&value);
+    (writer, Reader { shared, _value: std::marker::PhantomData })
+}
+
+impl<T: Packed> Writer<T> {
+    /// Publishes `value`. Wait-free.
+    pub fn write(&mut self, value: &T) {
+        let mut words = [0; MOST_WORDS];
+        value.pack(&mut words[..T::WORDS]);
+        let sequence = self.shared.sequence.load(Ordering::Relaxed);
+        self.shared.sequence.store(sequence.wrapping_add(1), Ordering::Relaxed);
+        // The odd sequence is visible before any of the words.
+        fence(Ordering::Release);
+        for (shared, word) in self.shared.words.iter().zip(words) {
+            shared.store(word, Ordering::Relaxed);
+        }
+        self.shared.sequence.store(sequence.wrapping_add(2), Ordering::Release);
+    }
+}
+
+impl<T: Packed> Reader<T> {
+    /// The newest whole value.
+    pub fn read(&self) -> T {
+        let mut words = [0; MOST_WORDS];
+        loop {
+            let before = self.shared.sequence.load(Ordering::Acquire);
+            if before & 1 == 0 {
+                for (word, shared) in words.iter_mut().zip(&self.shared.words) {
+                    *word = shared.load(Ordering::Relaxed);
+                }
+                // The words are read before the sequence is looked at again.
+                fence(Ordering::Acquire);
+                if self.shared.sequence.load(Ordering::Relaxed) == before {
+                    return T::unpack(&words[..T::WORDS]);
+                }
+            }
+            std::hint::spin_loop();
+        }
+    }
+}
+
+impl<T> Clone for Reader<T> {
+    fn clone(&self) -> Self {
+        Reader { shared: Arc::clone(&self.shared), _value: std::marker::PhantomData }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    struct Many([u64; 8]);
+
+    impl Packed for Many {
+        const WORDS: usize = 8;
+        fn pack(&self, words: &mut [u64]) {
+            words.copy_from_slice(&self.0);
+        }
+        fn unpack(words: &[u64]) -> Self {
+            Many(std::array::from_fn(|index| words[index]))
+        }
+    }
+
+    #[test]
+    fn readers_never_see_half_a_value_and_never_an_older_one() {
+        let (mut writer, reader) = cell(Many([0; 8]));
+        let readers: Vec<_> = (0..3)
+            .map(|_| {
+                let reader = reader.clone();
+                std::thread::spawn(move || {
+                    let mut last = 0;
+                    while last < 20_000 {
+                        let Many(words) = reader.read();
+                        assert!(words.iter().all(|word| *word == words[0]), "torn: {words:?}");
+                        assert!(words[0] >= last, "went back from {last} to {}", words[0]);
+                        last = words[0];
+                    }
+                })
+            })
+            .collect();
+        for value in 1..=20_000 {
+            writer.write(&Many([value; 8]));
+        }
+        for reader in readers {
+            reader.join().unwrap();
+        }
+    }
+}

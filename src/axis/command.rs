@@ -1,0 +1,226 @@
+//! Verbs an application gives to an axis, their ids, and how they end.
+//!
+//! Every accepted command ends in exactly one of Done, Failed or Aborted, told by an
+//! [`Event`](crate::axis::Event). The order is simple: a command waits until the one before it has ended, except that
+//! a motion replaces a running motion at once (PLCopen's "aborting" mode), and that Stop, QuickStop and Disable act at
+//! once and abort everything queued before them.
+
+use std::fmt;
+
+use thiserror::Error;
+
+use super::feedback::{State, StopCause};
+use super::units::RangeError;
+
+/// Names one accepted command of one axis. Ids grow by one; 0 is never given.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct CommandId(pub u64);
+
+/// One command on its way to the loop.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Command {
+    /// Its id, given when it was accepted.
+    pub id: CommandId,
+    /// What to do.
+    pub verb: Verb,
+}
+
+/// What an axis can be asked to do.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Verb {
+    /// Power on, up to `OperationEnabled`. Refused while the axis is latched as stopped.
+    Enable,
+    /// Power off at once. Ends a motion without a ramp; use [`Verb::Stop`] first where the load matters.
+    Disable,
+    /// Run the drive's own homing.
+    Home,
+    /// A profile move.
+    Move(Move),
+    /// Constant velocity until something replaces it.
+    Jog(Jog),
+    /// Follow the rows of the axis' stream (or of the in-loop task), one an exchange.
+    Follow,
+    /// Ramp down and stay enabled.
+    Stop {
+        /// Deceleration in user units/s²; `None` takes the axis' profile.
+        deceleration: Option<f64>,
+    },
+    /// The drive's fastest controlled stop; stays enabled where the drive can.
+    QuickStop,
+    /// Acknowledge a fault of the drive. Ends powered off.
+    ResetFault,
+    /// Clear the stop latch of the axis, so that Enable is taken again. Moves nothing.
+    Reset,
+    /// Hand the drive's native process data to the application; see the protocol's own types.
+    Native(NativeOwner),
+}
+
+/// Who owns the control word in native mode.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum NativeOwner {
+    /// The master keeps the drive enabled; the application writes motion data only.
+    Master,
+    /// The application writes everything; the master only stops the axis.
+    Application,
+}
+
+/// A move along a profile.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Move {
+    /// Where to.
+    pub target: Target,
+    /// How.
+    pub profile: Profile,
+}
+
+/// Where a move goes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Target {
+    /// To a position, user units.
+    Absolute(f64),
+    /// By a distance from the demand position at the moment the move starts, user units.
+    Relative(f64),
+}
+
+/// A constant velocity.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Jog {
+    /// Signed, user units/s.
+    pub velocity: f64,
+    /// User units/s², also used to brake.
+    pub acceleration: f64,
+}
+
+/// Velocity, acceleration and deceleration of a move, in user units and seconds. All positive.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Profile {
+    /// User units/s.
+    pub velocity: f64,
+    /// User units/s².
+    pub acceleration: f64,
+    /// User units/s².
+    pub deceleration: f64,
+}
+
+/// One row of a stream: the demand at one exchange.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Row {
+    /// User units.
+    pub position: f64,
+    /// User units/s. Used where the drive's streaming command carries it.
+    pub velocity: f64,
+    /// User units/s². Used where the drive's streaming command carries it.
+    pub acceleration: f64,
+    /// The last row: after it the stream ends and the command is Done at standstill.
+    pub last: bool,
+}
+
+/// How a command ended.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Outcome {
+    /// It did what it said.
+    Done,
+    /// It could not.
+    Failed(Failure),
+    /// Something took precedence.
+    Aborted(Abort),
+}
+
+/// Why a command was aborted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Abort {
+    /// A later command of the application took its place.
+    Replaced(CommandId),
+    /// The axis was stopped.
+    Stopped(StopCause),
+}
+
+/// Why a command failed.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+pub enum Failure {
+    /// The drive is in a state in which this cannot start.
+    #[error("the drive is in state {0}: bring it to OperationEnabled first (enable)")]
+    WrongState(State),
+    /// The drive reports a fault.
+    #[error("the drive reports fault {0:#06x}: mend its cause, then reset_fault")]
+    DriveFault(u32),
+    /// The drive did not get there in time.
+    #[error(
+        "the drive did not finish in time (state {0}): look at its state and enables, or raise the time-out"
+    )]
+    TimedOut(State),
+    /// The drive took none of the repeated motion commands.
+    #[error("the drive did not take the motion command: look at its run mode (motion command interface?)")]
+    NotTaken,
+    /// The axis is latched as stopped.
+    #[error("the axis is stopped ({0}): reset, then enable")]
+    Latched(StopCause),
+    /// The link is not up.
+    #[error("the drive is not online: look at its address and cable, then wait_online")]
+    NotOnline,
+    /// A value outside the configured limits.
+    #[error("{value} is outside the configured limit ({low} ... {high}): change the command or [limits]")]
+    Limit {
+        /// What was asked.
+        value: f64,
+        /// The lower limit.
+        low: f64,
+        /// The upper limit.
+        high: f64,
+    },
+    /// A value that the wire cannot carry.
+    #[error(transparent)]
+    Range(#[from] RangeError),
+    /// A number that is no number.
+    #[error("a value is not a finite number: look at the computation that made it")]
+    NotFinite,
+    /// This drive or its configuration cannot do it.
+    #[error("this drive cannot do that: {0}")]
+    Unsupported(&'static str),
+    /// The stream ran out of rows and its policy is to stop.
+    #[error("the stream ran empty: feed it deeper or choose another underrun policy")]
+    Underrun,
+    /// The drive left the state that the command needs while it ran.
+    #[error("the drive left operation (state {0})")]
+    Dropped(State),
+}
+
+impl fmt::Display for Outcome {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Outcome::Done => f.write_str("done"),
+            Outcome::Failed(why) => write!(f, "failed: {why}"),
+            Outcome::Aborted(Abort::Replaced(by)) => write!(f, "aborted: replaced by command {}", by.0),
+            Outcome::Aborted(Abort::Stopped(cause)) => write!(f, "aborted: {cause}"),
+        }
+    }
+}
+
+impl Verb {
+    /// Acts at once and aborts everything before it.
+    pub fn is_urgent(&self) -> bool {
+        matches!(self, Verb::Disable | Verb::Stop { .. } | Verb::QuickStop)
+    }
+
+    /// A motion: it may replace a running motion.
+    pub fn is_motion(&self) -> bool {
+        matches!(self, Verb::Move(_) | Verb::Jog(_) | Verb::Follow | Verb::Native(_))
+    }
+
+    /// Its name in events and messages.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Verb::Enable => "enable",
+            Verb::Disable => "disable",
+            Verb::Home => "home",
+            Verb::Move(_) => "move",
+            Verb::Jog(_) => "jog",
+            Verb::Follow => "follow",
+            Verb::Stop { .. } => "stop",
+            Verb::QuickStop => "quick stop",
+            Verb::ResetFault => "reset fault",
+            Verb::Reset => "reset",
+            Verb::Native(_) => "native",
+        }
+    }
+}

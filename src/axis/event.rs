@@ -1,0 +1,61 @@
+//! What happened to an axis, told once each, in order.
+
+use std::fmt;
+
+use super::command::{CommandId, Outcome};
+use super::feedback::{Link, State, StopCause};
+use crate::time::Time;
+
+/// One event of one axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Event {
+    /// The cycle in which it happened.
+    pub cycle: u64,
+    /// When the loop noticed it.
+    pub at: Time,
+    /// What.
+    pub kind: EventKind,
+}
+
+/// What can happen to an axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum EventKind {
+    /// A command ended.
+    Ended {
+        /// Which.
+        id: CommandId,
+        /// The verb's name.
+        verb: &'static str,
+        /// How.
+        outcome: Outcome,
+    },
+    /// The link changed.
+    Link(Link),
+    /// The drive changed its state.
+    State(State),
+    /// The drive reports this fault (0 = no longer).
+    Fault(u32),
+    /// The drive's warning word changed.
+    Warning(u32),
+    /// The master stopped the axis; latched until reset.
+    Stopped(StopCause),
+    /// The drive was restarted or replaced: what was known of it was forgotten.
+    Restarted,
+}
+
+impl fmt::Display for Event {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "cycle {}: ", self.cycle)?;
+        match self.kind {
+            EventKind::Ended { id, verb, outcome } => write!(f, "{verb} (command {}) {outcome}", id.0),
+            EventKind::Link(link) => write!(f, "link {link}"),
+            EventKind::State(state) => write!(f, "state {state}"),
+            EventKind::Fault(0) => write!(f, "fault gone"),
+            EventKind::Fault(code) => write!(f, "fault {code:#06x}"),
+            EventKind::Warning(0) => write!(f, "warnings gone"),
+            EventKind::Warning(word) => write!(f, "warnings {word:#06x}"),
+            EventKind::Stopped(cause) => write!(f, "stopped: {cause}"),
+            EventKind::Restarted => write!(f, "drive restarted"),
+        }
+    }
+}

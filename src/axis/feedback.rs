@@ -1,0 +1,281 @@
+//! What a drive last said, in user units.
+
+use std::fmt;
+
+use super::cell::Packed;
+use crate::time::Time;
+
+/// State of the CiA 402 power drive system, onto which every protocol maps its own state words.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[repr(u8)]
+pub enum State {
+    /// Nothing known yet.
+    #[default]
+    Unknown = 0,
+    /// Booting, or the motion software is stopped.
+    NotReadyToSwitchOn = 1,
+    /// Power off; switching on is locked until the control word was low once.
+    SwitchOnDisabled = 2,
+    /// Power off, ready.
+    ReadyToSwitchOn = 3,
+    /// Powered or powering, operation not enabled.
+    SwitchedOn = 4,
+    /// Powered and following commands.
+    OperationEnabled = 5,
+    /// A quick stop is running or holding.
+    QuickStopActive = 6,
+    /// The drive reacts to a fault.
+    FaultReactionActive = 7,
+    /// Stopped by a fault, power off.
+    Fault = 8,
+}
+
+impl State {
+    const ALL: [State; 9] = [
+        State::Unknown,
+        State::NotReadyToSwitchOn,
+        State::SwitchOnDisabled,
+        State::ReadyToSwitchOn,
+        State::SwitchedOn,
+        State::OperationEnabled,
+        State::QuickStopActive,
+        State::FaultReactionActive,
+        State::Fault,
+    ];
+
+    /// Whether the power stage may be on.
+    pub fn is_powered(self) -> bool {
+        matches!(
+            self,
+            State::SwitchedOn | State::OperationEnabled | State::QuickStopActive | State::FaultReactionActive
+        )
+    }
+}
+
+impl fmt::Display for State {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Debug::fmt(self, f)
+    }
+}
+
+/// How the loop judges the link to a drive.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[repr(u8)]
+pub enum Link {
+    /// Never answered since the start; probed slowly.
+    #[default]
+    Unseen = 0,
+    /// Answers, but not yet often enough in a row (quality gate).
+    Qualifying = 1,
+    /// Up.
+    Online = 2,
+    /// Was up and went silent; probed slowly.
+    Lost = 3,
+}
+
+impl Link {
+    const ALL: [Link; 4] = [Link::Unseen, Link::Qualifying, Link::Online, Link::Lost];
+}
+
+impl fmt::Display for Link {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Link::Unseen => "unseen",
+            Link::Qualifying => "qualifying",
+            Link::Online => "online",
+            Link::Lost => "lost",
+        })
+    }
+}
+
+/// Why an axis was stopped by the master. It stays latched until `reset`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[repr(u8)]
+pub enum StopCause {
+    /// The program or the application ended the master.
+    Shutdown = 1,
+    /// The link to the drive was lost.
+    LinkLost = 2,
+    /// The drive reported a fault.
+    DriveFault = 3,
+    /// The loop overran and its policy is to stop.
+    Overrun = 4,
+    /// The stream ran empty and its policy is to stop.
+    Underrun = 5,
+    /// A setpoint was outside the limits.
+    Limit = 6,
+    /// The in-loop task panicked or overran its budget.
+    Task = 7,
+    /// The drive was found enabled or moving when the master came.
+    FoundRunning = 8,
+    /// Another axis of its stop group was stopped.
+    Group = 9,
+    /// The drive left operation by itself (hardware enable, STO, another master).
+    DriveDropped = 10,
+}
+
+impl StopCause {
+    const ALL: [StopCause; 10] = [
+        StopCause::Shutdown,
+        StopCause::LinkLost,
+        StopCause::DriveFault,
+        StopCause::Overrun,
+        StopCause::Underrun,
+        StopCause::Limit,
+        StopCause::Task,
+        StopCause::FoundRunning,
+        StopCause::Group,
+        StopCause::DriveDropped,
+    ];
+}
+
+impl fmt::Display for StopCause {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            StopCause::Shutdown => "shutdown",
+            StopCause::LinkLost => "link lost",
+            StopCause::DriveFault => "drive fault",
+            StopCause::Overrun => "overrun",
+            StopCause::Underrun => "stream underrun",
+            StopCause::Limit => "limit",
+            StopCause::Task => "in-loop task",
+            StopCause::FoundRunning => "found running",
+            StopCause::Group => "stop group",
+            StopCause::DriveDropped => "drive left operation",
+        })
+    }
+}
+
+/// The newest feedback of one axis.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Feedback {
+    /// The cycle that published it.
+    pub cycle: u64,
+    /// Cycles since the values below left the drive: 0 = from this cycle. A missed exchange holds the values.
+    pub age: u32,
+    /// When the values were taken in.
+    pub at: Time,
+    /// Link health.
+    pub link: Link,
+    /// The drive's state.
+    pub state: State,
+    /// The latch: why the master stopped this axis.
+    pub stopped: Option<StopCause>,
+    /// Homed, as the drive says.
+    pub homed: bool,
+    /// The drive's setpoint generator is running.
+    pub moving: bool,
+    /// In the target window, as the drive says.
+    pub in_target: bool,
+    /// The reply could be that of an earlier request (no sequence number on this wire).
+    pub suspect: bool,
+    /// Actual position, user units.
+    pub position: f64,
+    /// Demand position as the drive reports it, user units.
+    pub demand: f64,
+    /// Actual velocity, user units/s (from the drive, or the difference of the last two fresh positions).
+    pub velocity: f64,
+    /// Motor current, A.
+    pub current: f64,
+    /// The drive's warning word, 0 = none.
+    pub warning: u32,
+    /// The drive's fault code, 0 = none.
+    pub fault: u32,
+    /// Round trip of the last clean exchange, ns.
+    pub rtt_ns: Option<u32>,
+}
+
+impl Feedback {
+    /// Ready for motion commands.
+    pub fn is_operational(&self) -> bool {
+        self.link == Link::Online && self.state == State::OperationEnabled
+    }
+}
+
+impl Packed for Feedback {
+    const WORDS: usize = 9;
+
+    fn pack(&self, words: &mut [u64]) {
+        let flags = u64::from(self.homed)
+            | u64::from(self.moving) << 1
+            | u64::from(self.in_target) << 2
+            | u64::from(self.suspect) << 3
+            | u64::from(self.rtt_ns.is_some()) << 4
+            | (self.link as u64) << 8
+            | (self.state as u64) << 16
+            | self.stopped.map_or(0, |cause| cause as u64) << 24
+            | u64::from(self.age) << 32;
+        words.copy_from_slice(&[
+            self.cycle,
+            flags,
+            self.at.0,
+            self.position.to_bits(),
+            self.demand.to_bits(),
+            self.velocity.to_bits(),
+            self.current.to_bits(),
+            u64::from(self.warning) | u64::from(self.fault) << 32,
+            u64::from(self.rtt_ns.unwrap_or(0)),
+        ]);
+    }
+
+    fn unpack(words: &[u64]) -> Feedback {
+        let flags = words[1];
+        let byte = |shift: u32| usize::from((flags >> shift) as u8);
+        Feedback {
+            cycle: words[0],
+            age: (flags >> 32) as u32,
+            at: Time(words[2]),
+            link: Link::ALL.get(byte(8)).copied().unwrap_or_default(),
+            state: State::ALL.get(byte(16)).copied().unwrap_or_default(),
+            stopped: byte(24).checked_sub(1).and_then(|index| StopCause::ALL.get(index).copied()),
+            homed: flags & 1 != 0,
+            moving: flags & 2 != 0,
+            in_target: flags & 4 != 0,
+            suspect: flags & 8 != 0,
+            position: f64::from_bits(words[3]),
+            demand: f64::from_bits(words[4]),
+            velocity: f64::from_bits(words[5]),
+            current: f64::from_bits(words[6]),
+            warning: words[7] as u32,
+            fault: (words[7] >> 32) as u32,
+            rtt_ns: (flags & 16 != 0).then_some(words[8] as u32),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn packs_and_unpacks_to_itself() {
+        for (link, state, stopped) in [
+            (Link::Online, State::OperationEnabled, None),
+            (Link::Lost, State::Fault, Some(StopCause::Shutdown)),
+            (Link::Unseen, State::Unknown, Some(StopCause::DriveDropped)),
+        ] {
+            let feedback = Feedback {
+                cycle: u64::MAX,
+                age: 77,
+                at: Time(12),
+                link,
+                state,
+                stopped,
+                homed: true,
+                moving: false,
+                in_target: true,
+                suspect: true,
+                position: -1.25,
+                demand: 3.5,
+                velocity: f64::MIN,
+                current: 0.1,
+                warning: 0x80,
+                fault: 0xFFFF_FFFF,
+                rtt_ns: Some(4_000_000_000),
+            };
+            let mut words = [0; Feedback::WORDS];
+            feedback.pack(&mut words);
+            assert_eq!(Feedback::unpack(&words), feedback);
+        }
+    }
+}

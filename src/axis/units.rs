@@ -1,0 +1,160 @@
+//! User units <-> wire counts. Every conversion to the wire rounds to nearest and checks its range.
+
+use std::fmt;
+
+use thiserror::Error;
+
+/// The user unit of an axis.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Unit {
+    /// Millimetres.
+    #[default]
+    Millimetre,
+    /// Revolutions.
+    Revolution,
+}
+
+impl fmt::Display for Unit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Unit::Millimetre => "mm",
+            Unit::Revolution => "rev",
+        })
+    }
+}
+
+/// How user units map onto the drive's position counts: `count = (position - offset) * counts_per_unit`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Units {
+    /// The name of the unit.
+    pub unit: Unit,
+    /// Drive counts in one user unit; negative inverts the direction. Never zero or non-finite (checked by the plan).
+    pub counts_per_unit: f64,
+    /// The user position of the drive's count zero.
+    pub offset: f64,
+    /// Length of one turn of a rotary axis in user units; positions are then shown in `[0, modulo)`.
+    pub modulo: Option<f64>,
+}
+
+/// A value that the wire cannot carry.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+#[error("{value} {unit} is outside what the drive can be told ({low} ... {high}): give a value inside")]
+pub struct RangeError {
+    /// The value asked for, in `unit`.
+    pub value: f64,
+    /// The unit of all three numbers.
+    pub unit: &'static str,
+    /// The smallest value that fits.
+    pub low: f64,
+    /// The largest value that fits.
+    pub high: f64,
+}
+
+impl Units {
+    /// Millimetres on a drive that counts so many per millimetre.
+    pub fn millimetres(counts_per_unit: f64) -> Units {
+        Units { unit: Unit::Millimetre, counts_per_unit, offset: 0.0, modulo: None }
+    }
+
+    /// Wire counts (unwrapped) to a user position.
+    pub fn position(&self, counts: i64) -> f64 {
+        let raw = counts as f64 / self.counts_per_unit + self.offset;
+        match self.modulo {
+            Some(turn) => raw.rem_euclid(turn),
+            None => raw,
+        }
+    }
+
+    /// A wire distance or speed in counts to user units; no offset, no modulo.
+    pub fn distance(&self, counts: f64) -> f64 {
+        counts / self.counts_per_unit
+    }
+
+    /// A user position to wire counts, rounded to nearest, still unbounded.
+    pub fn counts(&self, position: f64) -> f64 {
+        ((position - self.offset) * self.counts_per_unit).round()
+    }
+}
+
+/// Rounds `value` to nearest and fits it into an `i32`; the error speaks in user units (`value / scale`).
+pub fn to_i32(value: f64, scale: f64, unit: &'static str) -> Result<i32, RangeError> {
+    let rounded = value.round();
+    if rounded >= f64::from(i32::MIN) && rounded <= f64::from(i32::MAX) {
+        Ok(rounded as i32)
+    } else {
+        let ends = (f64::from(i32::MIN) / scale, f64::from(i32::MAX) / scale);
+        Err(RangeError { value: value / scale, unit, low: ends.0.min(ends.1), high: ends.0.max(ends.1) })
+    }
+}
+
+/// Rounds `value` to nearest and fits it into a `u32`; the error speaks in user units (`value / scale`).
+pub fn to_u32(value: f64, scale: f64, unit: &'static str) -> Result<u32, RangeError> {
+    let rounded = value.round();
+    if rounded >= 0.0 && rounded <= f64::from(u32::MAX) {
+        Ok(rounded as u32)
+    } else {
+        Err(RangeError { value: value / scale, unit, low: 0.0, high: f64::from(u32::MAX) / scale.abs() })
+    }
+}
+
+/// Follows a 32-bit wire count over its wrap-around.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Unwrap {
+    last: Option<i64>,
+}
+
+impl Unwrap {
+    /// The unwrapped count: the value congruent to `raw` nearest to the last one.
+    pub fn next(&mut self, raw: i32) -> i64 {
+        let next = match self.last {
+            None => i64::from(raw),
+            Some(last) => last + i64::from(raw.wrapping_sub(last as i32)),
+        };
+        self.last = Some(next);
+        next
+    }
+
+    /// Forgets the history: the next count stands for itself (after a restart of the drive).
+    pub fn reset(&mut self) {
+        self.last = None;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rounds_instead_of_truncating() {
+        // LinUDP sheet 7.2: peers truncate, 0.57 mm became 5699 and 2.01 m/s became 2009999.
+        let mm = Units::millimetres(10_000.0);
+        assert_eq!(to_i32(mm.counts(0.57), 10_000.0, "mm"), Ok(5_700));
+        assert_eq!(to_u32(2.01 * 1e6, 1e6, "m/s"), Ok(2_010_000));
+    }
+
+    #[test]
+    fn refuses_what_does_not_fit_and_says_what_would() {
+        let error = to_i32(3e9, 10_000.0, "mm").unwrap_err();
+        assert_eq!((error.value, error.low, error.high), (300_000.0, -214_748.364_8, 214_748.364_7));
+        assert!(to_i32(f64::NAN, 1.0, "mm").is_err() && to_u32(-1.0, 1.0, "mm/s").is_err());
+        assert!(to_i32(f64::INFINITY, 1.0, "mm").is_err());
+    }
+
+    #[test]
+    fn unwraps_in_both_directions() {
+        let mut count = Unwrap::default();
+        assert_eq!(count.next(i32::MAX), i64::from(i32::MAX));
+        assert_eq!(count.next(i32::MIN), i64::from(i32::MAX) + 1);
+        assert_eq!(count.next(i32::MAX), i64::from(i32::MAX));
+        count.reset();
+        assert_eq!(count.next(-5), -5);
+    }
+
+    #[test]
+    fn rotary_positions_stay_inside_one_turn() {
+        let rotary =
+            Units { unit: Unit::Revolution, counts_per_unit: 1_000.0, offset: 0.25, modulo: Some(1.0) };
+        assert_eq!(rotary.position(-500), 0.75);
+        assert_eq!(rotary.counts(0.75), 500.0);
+    }
+}

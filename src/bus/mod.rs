@@ -1,0 +1,244 @@
+//! The contract between the loop and a protocol, and one folder a protocol.
+//!
+//! All of [`Bus`] runs on the real-time thread: bounded work, no allocation, no lock, no wait, and no panic on any
+//! bytes. No protocol knows another. A protocol has these rooms:
+//!
+//! | file | what | must not know |
+//! |---|---|---|
+//! | `wire` | bytes <-> values | state, clock, socket, allocation |
+//! | `station` | the master's view of one drive: a machine of state and time | sockets |
+//! | `bus` | stations + sockets = one [`Bus`] | the loop |
+//! | `sim` | the simulated drive: the same wire from the other end | the master's station |
+
+pub mod linudp;
+
+use std::any::Any;
+use std::fmt::Debug;
+
+use thiserror::Error;
+
+use crate::axis::{AxisPlan, Failure, Link, Row, State, Verb};
+use crate::net::{Carriers, PollSet};
+use crate::sim::DatagramDrive;
+use crate::time::Time;
+
+/// A bus as configured and checked, before any socket is open.
+pub trait BusPlan: Debug + Send + Sync {
+    /// Its name in messages.
+    fn name(&self) -> &str;
+
+    /// The protocol's name, as in the configuration.
+    fn protocol(&self) -> &'static str;
+
+    /// Its axes, in slot order.
+    fn axes(&self) -> Vec<&AxisPlan>;
+
+    /// What `check` says of each drive: address, modes, what happens if the master dies. One sentence a line.
+    fn describe(&self, period_ns: u64) -> Vec<String>;
+
+    /// Opens the sockets and builds the bus for a cycle of `period_ns`. Sends nothing.
+    fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError>;
+
+    /// The drives of this bus, simulated.
+    fn simulate(&self) -> Vec<Box<dyn DatagramDrive>>;
+}
+
+/// Why a bus could not be opened. The message ends with the remedy.
+#[derive(Debug, Error)]
+pub enum OpenError {
+    /// A socket could not be opened.
+    #[error("bus {bus}: cannot bind {address}: {source}; {remedy}")]
+    Bind {
+        /// The bus.
+        bus: String,
+        /// Where it wanted to listen.
+        address: std::net::SocketAddrV4,
+        /// What the operating system said.
+        source: std::io::Error,
+        /// What to do about it.
+        remedy: &'static str,
+    },
+}
+
+/// One open bus on the real-time thread. `slots` are those of its own drives, in the order of its plan.
+pub trait Bus: Send {
+    /// Adds the descriptors to wait on. Asked once, after the bus was opened.
+    fn poll_set(&mut self, set: &mut PollSet);
+
+    /// Empties the sockets of what came too late, then hands the prepared requests of the due slots to the kernel and
+    /// opens their exchanges.
+    fn send(&mut self, cycle: &Cycle, slots: &mut [Slot]);
+
+    /// Takes in what has arrived. Never waits. True once every exchange that this window owes is closed.
+    fn receive(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool;
+
+    /// Builds the requests of the slots that are due at the next send, in place, from the orders that now stand in
+    /// them. May be called more than once for the same send.
+    fn prepare(&mut self, cycle: &Cycle, slots: &mut [Slot]);
+
+    /// Starts or continues the orderly end; true once nothing more is owed to the wire.
+    fn shut_down(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool;
+
+    /// What was received and belongs to no drive.
+    fn strangers(&self) -> Strangers;
+
+    /// The application's end of the native process data of drive `index`, taken once before the start.
+    fn native(&mut self, index: usize) -> Option<Box<dyn Any + Send>>;
+}
+
+/// What a bus is told of the cycle it works in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Cycle {
+    /// The slot of the grid, counted from the start. Skipped slots count.
+    pub index: u64,
+    /// The instant of this slot on the grid.
+    pub grid: Time,
+    /// The period, ns.
+    pub period_ns: u64,
+    /// Until when replies are taken in this cycle.
+    pub deadline: Time,
+}
+
+/// One drive between the loop and its bus.
+#[derive(Clone, Debug, Default)]
+pub struct Slot {
+    // Written by the loop.
+    /// An exchange is due at the next send.
+    pub due: bool,
+    /// The link as judged; a bus sends probes and reads only until the link is online.
+    pub link: Link,
+    /// What the drive shall do.
+    pub order: Order,
+    /// The row to follow at the next send, while the order is to follow.
+    pub row: Option<NumberedRow>,
+
+    // Written by the bus.
+    /// The exchange of this drive.
+    pub exchange: Exchange,
+    /// How far the order is.
+    pub progress: Progress,
+    /// What the drive last said.
+    pub report: Report,
+    /// What was sent and what came of it.
+    pub counters: Counters,
+}
+
+/// What a drive shall do. A new serial is a new order and replaces the one before it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Order {
+    /// 0 = none yet.
+    pub serial: u64,
+    /// What; `None` = keep the state the drive is in.
+    pub verb: Option<Verb>,
+}
+
+/// A row and its number: the same number is the same row, not to be run twice.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct NumberedRow {
+    /// Grows by one a row.
+    pub number: u64,
+    /// The row.
+    pub row: Row,
+}
+
+/// How far the station is with the order of this serial.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Progress {
+    /// Of which order.
+    pub serial: u64,
+    /// `None` = still working on it.
+    pub end: Option<Result<(), Failure>>,
+}
+
+/// The state of a drive's exchange.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Exchange {
+    /// None.
+    #[default]
+    Idle,
+    /// Sent, and owed.
+    Owed {
+        /// When it was sent.
+        sent_at: Time,
+        /// Until when the reply counts.
+        reply_by: Time,
+    },
+    /// Answered.
+    Answered {
+        /// When it was sent.
+        sent_at: Time,
+        /// When the reply was taken in.
+        at: Time,
+        /// The reply may be that of an earlier request; it makes no round-trip sample.
+        suspect: bool,
+    },
+    /// `reply_by` passed. The loop says so.
+    Missed,
+    /// The operating system refused to send.
+    Unsent,
+}
+
+/// What a drive last said, in user units.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Report {
+    /// New since the loop last looked; the loop clears it.
+    pub fresh: bool,
+    /// The drive was found restarted; the loop clears it.
+    pub restarted: bool,
+    /// When it was taken in.
+    pub at: Time,
+    /// State of the drive.
+    pub state: State,
+    /// Homed, as the drive says.
+    pub homed: bool,
+    /// The drive's setpoint generator is running.
+    pub moving: bool,
+    /// In the target window, as the drive says.
+    pub in_target: bool,
+    /// It may be one request old.
+    pub suspect: bool,
+    /// Actual position, user units.
+    pub position: f64,
+    /// Demand position, user units.
+    pub demand: f64,
+    /// Actual velocity, user units/s.
+    pub velocity: f64,
+    /// Motor current, A.
+    pub current: f64,
+    /// Warning word, 0 = none.
+    pub warning: u32,
+    /// Fault code, 0 = none.
+    pub fault: u32,
+}
+
+/// Exact counts of one drive's exchanges. `sent = answered + missed + owed`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counters {
+    /// Requests handed to the wire.
+    pub sent: u64,
+    /// Requests that the operating system refused to send.
+    pub unsent: u64,
+    /// Exchanges answered in time.
+    pub answered: u64,
+    /// Exchanges not answered in time.
+    pub missed: u64,
+    /// Replies that came after their window.
+    pub late: u64,
+    /// Second replies to one request.
+    pub duplicate: u64,
+    /// Answered exchanges whose reply may be that of an earlier request.
+    pub suspect: u64,
+    /// Datagrams from the drive's address that are no reply of this protocol.
+    pub malformed: u64,
+    /// Well-formed replies to something that was not asked, or from the wrong port.
+    pub foreign: u64,
+}
+
+/// Exact counts of what arrived at a bus and belongs to none of its drives.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Strangers {
+    /// Datagrams from an address that is no drive's.
+    pub datagrams: u64,
+    /// Errors of the receiving socket.
+    pub errors: u64,
+}

@@ -1,0 +1,1 @@
+//! Batched UDP on real sockets.

@@ -1,0 +1,64 @@
+//! Now, absolute sleep, and waiting for descriptors: the seam between the machine's clock and virtual time.
+
+use crate::net::PollSet;
+use crate::time::{S, Time};
+
+/// What the loop needs of a clock.
+pub trait Clock: Send {
+    /// The current instant.
+    fn now(&mut self) -> Time;
+
+    /// Sleeps until `at`, returns at once if it has passed. May return late, never early.
+    fn sleep_until(&mut self, at: Time);
+
+    /// Waits until a descriptor of `set` is readable (true) or `until` has passed (false).
+    fn wait(&mut self, set: &mut PollSet, until: Time) -> bool;
+
+    /// One turn of a spinning wait: keeps the processor, lets nobody else run.
+    fn spin(&mut self);
+}
+
+/// CLOCK_MONOTONIC of this machine.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct MonotonicClock;
+
+impl MonotonicClock {
+    /// The current instant, for whoever has no `&mut Clock` at hand.
+    pub fn read() -> Time {
+        let mut ts = libc::timespec { tv_sec: 0, tv_nsec: 0 };
+        // SAFETY: `ts` is a valid timespec; CLOCK_MONOTONIC exists on every Linux, so the call cannot fail.
+        unsafe { libc::clock_gettime(libc::CLOCK_MONOTONIC, &mut ts) };
+        Time(ts.tv_sec as u64 * S + ts.tv_nsec as u64)
+    }
+}
+
+impl Clock for MonotonicClock {
+    fn now(&mut self) -> Time {
+        MonotonicClock::read()
+    }
+
+    fn sleep_until(&mut self, at: Time) {
+        let ts = libc::timespec { tv_sec: (at.0 / S) as libc::time_t, tv_nsec: (at.0 % S) as libc::c_long };
+        // An absolute sleep may be repeated as it stands when a signal interrupts it.
+        // SAFETY: `ts` is a valid timespec and the remainder is not asked for.
+        while unsafe {
+            libc::clock_nanosleep(libc::CLOCK_MONOTONIC, libc::TIMER_ABSTIME, &ts, std::ptr::null_mut())
+        } == libc::EINTR
+        {}
+    }
+
+    fn wait(&mut self, set: &mut PollSet, until: Time) -> bool {
+        let left = until.since(self.now());
+        let ts = libc::timespec { tv_sec: (left / S) as libc::time_t, tv_nsec: (left % S) as libc::c_long };
+        // ppoll and not a socket time-out: those have the resolution of a scheduler tick.
+        // SAFETY: `fds` is a live slice of pollfd and `ts` a valid timespec; no signal mask is given.
+        let ready = unsafe {
+            libc::ppoll(set.fds.as_mut_ptr(), set.fds.len() as libc::nfds_t, &ts, std::ptr::null())
+        };
+        ready > 0
+    }
+
+    fn spin(&mut self) {
+        std::hint::spin_loop();
+    }
+}

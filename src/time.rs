@@ -1,0 +1,53 @@
+//! The one clock of the whole program: nanoseconds of CLOCK_MONOTONIC as a plain value.
+//!
+//! A `Time` is only ever taken from a [`Clock`](crate::rt::Clock) or a carrier, so the same code runs on the
+//! machine's clock and in virtual time.
+
+use std::fmt;
+use std::ops::{Add, Sub};
+use std::time::Duration;
+
+/// One microsecond in nanoseconds.
+pub const US: u64 = 1_000;
+/// One millisecond in nanoseconds.
+pub const MS: u64 = 1_000_000;
+/// One second in nanoseconds.
+pub const S: u64 = 1_000_000_000;
+
+/// An instant: nanoseconds of CLOCK_MONOTONIC (or of the virtual clock).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Time(pub u64);
+
+impl Time {
+    /// Nanoseconds from `earlier` to `self`; 0 if `earlier` is the later one.
+    pub fn since(self, earlier: Time) -> u64 {
+        self.0.saturating_sub(earlier.0)
+    }
+}
+
+/// Later by so many nanoseconds, saturating at the end of time.
+impl Add<u64> for Time {
+    type Output = Time;
+    fn add(self, ns: u64) -> Time {
+        Time(self.0.saturating_add(ns))
+    }
+}
+
+/// Earlier by so many nanoseconds, saturating at zero.
+impl Sub<u64> for Time {
+    type Output = Time;
+    fn sub(self, ns: u64) -> Time {
+        Time(self.0.saturating_sub(ns))
+    }
+}
+
+impl fmt::Display for Time {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}.{:09} s", self.0 / S, self.0 % S)
+    }
+}
+
+/// Nanoseconds of a `Duration`, saturating: 584 years are enough for every setting.
+pub fn nanos(duration: Duration) -> u64 {
+    u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX)
+}
