@@ -51,3 +51,44 @@ impl fmt::Display for Time {
 pub fn nanos(duration: Duration) -> u64 {
     u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX)
 }
+
+/// A time span in nanoseconds as a person reads it: `1 ms`, `250 us`, `1.5 s`, at most three decimals.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Ns(pub u64);
+
+impl fmt::Display for Ns {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (unit, name) = match self.0 {
+            S.. => (S, "s"),
+            MS.. => (MS, "ms"),
+            US.. => (US, "us"),
+            0 => return f.write_str("0"),
+            ns => return write!(f, "{ns} ns"),
+        };
+        let text = format!("{:.3}", self.0 as f64 / unit as f64);
+        write!(f, "{} {name}", text.trim_end_matches('0').trim_end_matches('.'))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn spans_read_naturally() {
+        let cases = [
+            (0, "0"),
+            (999, "999 ns"),
+            (US, "1 us"),
+            (250 * US, "250 us"),
+            (MS, "1 ms"),
+            (1_234_567, "1.235 ms"),
+            (10 * MS, "10 ms"),
+            (3 * S / 2, "1.5 s"),
+            (100 * S, "100 s"),
+        ];
+        for (ns, text) in cases {
+            assert_eq!(Ns(ns).to_string(), text);
+        }
+    }
+}

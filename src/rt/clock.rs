@@ -1,7 +1,22 @@
 //! Now, absolute sleep, and waiting for descriptors: the seam between the machine's clock and virtual time.
 
-use crate::net::PollSet;
+use std::os::fd::RawFd;
+
 use crate::time::{S, Time};
+
+/// The descriptors that a window waits on.
+#[derive(Debug, Default)]
+pub struct PollSet {
+    /// In the kernel's own form, so that waiting copies nothing.
+    pub fds: Vec<libc::pollfd>,
+}
+
+impl PollSet {
+    /// Adds a descriptor to wait on for reading.
+    pub fn add(&mut self, fd: RawFd) {
+        self.fds.push(libc::pollfd { fd, events: libc::POLLIN, revents: 0 });
+    }
+}
 
 /// What the loop needs of a clock.
 pub trait Clock: Send {
@@ -38,7 +53,7 @@ impl Clock for MonotonicClock {
     }
 
     fn sleep_until(&mut self, at: Time) {
-        let ts = libc::timespec { tv_sec: (at.0 / S) as libc::time_t, tv_nsec: (at.0 % S) as libc::c_long };
+        let ts = libc::timespec { tv_sec: (at.0 / S) as _, tv_nsec: (at.0 % S) as libc::c_long };
         // An absolute sleep may be repeated as it stands when a signal interrupts it.
         // SAFETY: `ts` is a valid timespec and the remainder is not asked for.
         while unsafe {
@@ -49,7 +64,7 @@ impl Clock for MonotonicClock {
 
     fn wait(&mut self, set: &mut PollSet, until: Time) -> bool {
         let left = until.since(self.now());
-        let ts = libc::timespec { tv_sec: (left / S) as libc::time_t, tv_nsec: (left % S) as libc::c_long };
+        let ts = libc::timespec { tv_sec: (left / S) as _, tv_nsec: (left % S) as libc::c_long };
         // ppoll and not a socket time-out: those have the resolution of a scheduler tick.
         // SAFETY: `fds` is a live slice of pollfd and `ts` a valid timespec; no signal mask is given.
         let ready = unsafe {

@@ -3,10 +3,29 @@
 //! | file | what |
 //! |---|---|
 //! | `clock` | now, absolute sleep, wait for descriptors; the seam to virtual time |
+//! | `guard` | how long before a grid point the loop wakes to spin up to it |
+//! | `host` | facts about this host, for the summary |
+//! | `memory` | memory that is present before the loop starts and locked while it runs |
+//! | `rights` | limits and capabilities, and the words for those that are missing |
+//! | `thread` | what the loop's thread does to itself at the start |
+//! | `usage` | page faults and context switches of a thread |
 
 pub mod clock;
+pub mod guard;
+pub mod host;
+pub mod memory;
+mod rights;
+#[cfg(test)]
+mod testing;
+pub mod thread;
+pub mod usage;
 
-pub use clock::{Clock, MonotonicClock};
+pub use clock::{Clock, MonotonicClock, PollSet};
+pub use guard::GuardTuner;
+pub use memory::{Regions, ring};
+pub use rights::Denied;
+pub use thread::{Granted, RealtimeError, RealtimePlan};
+pub use usage::Usage;
 
 /// How badly real-time scheduling is wanted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
