@@ -17,6 +17,7 @@ pub mod udp;
 
 pub use outbox::{Outbox, Sent};
 
+use crate::rt::Regions;
 use crate::time::Time;
 
 /// A carrier of datagrams on the real-time thread: never waits, never allocates.
@@ -34,6 +35,9 @@ pub trait Datagrams: Send {
 
     /// The most datagrams that one `receive` takes.
     fn batch(&self) -> usize;
+
+    /// Adds the memory that it touches, to be locked with `memory = "own"`.
+    fn memory(&self, regions: &mut Regions);
 }
 
 /// Opens carriers: the operating system's ([`Os`]), or those of a virtual world.
@@ -79,18 +83,4 @@ pub struct Received<'a> {
     pub bytes: &'a [u8],
     /// The datagram was longer than the room for it.
     pub truncated: bool,
-}
-
-/// The descriptors that a window waits on.
-#[derive(Debug, Default)]
-pub struct PollSet {
-    /// In the kernel's own form, so that waiting copies nothing.
-    pub fds: Vec<libc::pollfd>,
-}
-
-impl PollSet {
-    /// Adds a descriptor to wait on for reading.
-    pub fn add(&mut self, fd: RawFd) {
-        self.fds.push(libc::pollfd { fd, events: libc::POLLIN, revents: 0 });
-    }
 }

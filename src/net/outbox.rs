@@ -2,6 +2,7 @@
 
 use std::net::SocketAddrV4;
 
+use crate::rt::Regions;
 use crate::time::Time;
 
 /// How the last posting of a message fared.
@@ -41,6 +42,12 @@ impl Outbox {
             bytes: vec![0; peers.len() * room].into(),
             messages: peers.iter().map(|peer| Message { peer: *peer, length: 0, sent: Sent::Idle }).collect(),
         }
+    }
+
+    /// Adds its memory, to be locked.
+    pub fn memory(&self, regions: &mut Regions) {
+        regions.add(&*self.bytes);
+        regions.add(&*self.messages);
     }
 
     /// How many messages there are room for.
