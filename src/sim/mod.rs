@@ -7,6 +7,11 @@
 //! | `server` | the threads that serve simulated drives on real sockets |
 //! | `world` | virtual time, and an in-memory network with the same drives |
 
+pub mod fault;
+pub mod physics;
+pub mod server;
+pub mod world;
+
 use std::net::SocketAddrV4;
 
 use crate::time::Time;
@@ -33,7 +38,8 @@ pub trait DatagramDrive: Send {
     fn restart(&mut self, now: Time);
 }
 
-/// Seeded faults between a master and a simulated drive. All rates are probabilities a datagram, 0 ... 1.
+/// Seeded faults between a master and a simulated drive. All rates are probabilities a datagram, 0 ... 1, each way
+/// unless it says otherwise.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FaultPlan {
     /// Seed of the random numbers; the same seed gives the same faults.
@@ -48,15 +54,15 @@ pub struct FaultPlan {
     pub delay: f64,
     /// How much later.
     pub delay_ns: u64,
-    /// A datagram is held until the next one has passed.
+    /// A datagram is held until the next one of its direction has passed.
     pub reorder: f64,
-    /// The drive answers nothing for `stall_ns`.
+    /// A request meets a drive that hears nothing for `stall_ns`, this request included.
     pub stall: f64,
     /// How long.
     pub stall_ns: u64,
-    /// The drive restarts.
+    /// A request meets a drive that restarts, and is lost.
     pub restart: f64,
-    /// The reply comes from a wrong port.
+    /// A reply comes from a wrong port.
     pub wrong_id: f64,
     /// Time from a request's arrival to its answer, ns.
     pub answer_ns: u64,

@@ -1,0 +1,434 @@
+//! Seeded faults between a master and one simulated drive, and the queue of what is under way.
+//!
+//! The n-th datagram of a direction meets the same fault whenever it comes: decisions depend on the seed and the count
+//! alone. Knows no socket, no protocol and no clock: instants come as arguments.
+
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+use std::net::SocketAddrV4;
+
+use super::FaultPlan;
+use crate::time::Time;
+
+/// Which way a datagram goes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Way {
+    /// From the master to the drive.
+    Request,
+    /// From the drive to the master.
+    Reply,
+}
+
+/// One datagram under way.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Datagram<'a> {
+    /// Who sent it.
+    pub from: SocketAddrV4,
+    /// Where it goes.
+    pub to: SocketAddrV4,
+    /// Its payload.
+    pub bytes: &'a [u8],
+}
+
+/// Exact counts of the faults that one drive's wire made, both ways together.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Injected {
+    /// Datagrams lost.
+    pub dropped: u64,
+    /// Datagrams that came twice.
+    pub duplicated: u64,
+    /// Datagrams with one flipped bit.
+    pub corrupted: u64,
+    /// Datagrams that came later by `delay_ns`.
+    pub delayed: u64,
+    /// Datagrams held back until the next one of their direction had passed.
+    pub reordered: u64,
+    /// Stalls begun.
+    pub stalls: u64,
+    /// Requests lost in a stall.
+    pub stalled: u64,
+    /// Restarts; the request at which one happens is lost with it.
+    pub restarts: u64,
+    /// Replies from a wrong port.
+    pub wrong_id: u64,
+}
+
+/// Makes the faults of one drive's wire, both ways.
+#[derive(Debug)]
+pub struct Injector {
+    plan: FaultPlan,
+    requests: Lane,
+    replies: Lane,
+    stalled_until: Time,
+    injected: Injected,
+}
+
+/// One direction: its own random numbers, so that the order in which the two directions are asked does not matter.
+#[derive(Debug)]
+struct Lane {
+    random: fastrand::Rng,
+    held: Option<Parcel>,
+}
+
+impl Lane {
+    /// Draws whether a fault of this rate happens. Always draws, so that one rate does not shift another's decisions.
+    fn strikes(&mut self, rate: f64) -> bool {
+        self.random.f64() < rate
+    }
+}
+
+impl Injector {
+    /// The faults of `plan`.
+    pub fn new(plan: FaultPlan) -> Injector {
+        let lane = |seed| Lane { random: fastrand::Rng::with_seed(seed), held: None };
+        Injector {
+            requests: lane(plan.seed),
+            replies: lane(!plan.seed),
+            plan,
+            stalled_until: Time::default(),
+            injected: Injected::default(),
+        }
+    }
+
+    /// What it has done so far.
+    pub fn injected(&self) -> Injected {
+        self.injected
+    }
+
+    /// Sends `datagram` on its way at `now`, to arrive at `due` if nothing befalls it: puts what becomes of it into
+    /// `queue`. True if the drive shall restart now; such a request is lost.
+    pub fn pass(
+        &mut self,
+        way: Way,
+        now: Time,
+        mut due: Time,
+        mut datagram: Datagram<'_>,
+        queue: &mut Queue,
+    ) -> bool {
+        let (plan, injected) = (&self.plan, &mut self.injected);
+        let request = way == Way::Request;
+        let lane = if request { &mut self.requests } else { &mut self.replies };
+
+        let drop = lane.strikes(plan.drop);
+        let duplicate = lane.strikes(plan.duplicate);
+        let corrupt = lane.strikes(plan.corrupt);
+        let bit = lane.random.u64(..);
+        let delay = lane.strikes(plan.delay);
+        let reorder = lane.strikes(plan.reorder);
+        if request {
+            let stall = lane.strikes(plan.stall);
+            let restart = lane.strikes(plan.restart);
+            if now < self.stalled_until {
+                injected.stalled += 1;
+                return false;
+            }
+            if restart {
+                injected.restarts += 1;
+                return true;
+            }
+            if stall {
+                injected.stalls += 1;
+                injected.stalled += 1;
+                self.stalled_until = now + plan.stall_ns;
+                return false;
+            }
+        }
+        let wrong_id = !request && lane.strikes(plan.wrong_id);
+        if drop {
+            injected.dropped += 1;
+            return false;
+        }
+        if wrong_id {
+            injected.wrong_id += 1;
+            datagram.from = wrong_port(datagram.from);
+        }
+        if !request {
+            due = due + plan.answer_ns;
+        }
+        if delay {
+            injected.delayed += 1;
+            due = due + plan.delay_ns;
+        }
+
+        let mut parcel = queue.parcel(datagram);
+        if corrupt && !parcel.bytes.is_empty() {
+            injected.corrupted += 1;
+            let bit = bit % (parcel.bytes.len() as u64 * 8);
+            parcel.bytes[(bit / 8) as usize] ^= 1 << (bit % 8);
+        }
+        if reorder && lane.held.is_none() {
+            injected.reordered += 1;
+            lane.held = Some(parcel);
+            return false;
+        }
+        if duplicate {
+            injected.duplicated += 1;
+            let twin = queue.parcel(parcel.datagram());
+            queue.push(due, twin);
+        }
+        queue.push(due, parcel);
+        if let Some(held) = lane.held.take() {
+            queue.push(due, held);
+        }
+        false
+    }
+}
+
+/// Where the replies of the drive at `address` come from when they carry a wrong identity.
+pub(super) fn wrong_port(address: SocketAddrV4) -> SocketAddrV4 {
+    SocketAddrV4::new(*address.ip(), address.port() ^ 1)
+}
+
+/// One datagram with its own bytes.
+#[derive(Debug)]
+pub struct Parcel {
+    /// Who sent it.
+    pub from: SocketAddrV4,
+    /// Where it goes.
+    pub to: SocketAddrV4,
+    /// Its payload.
+    pub bytes: Vec<u8>,
+}
+
+impl Parcel {
+    /// As a view.
+    pub fn datagram(&self) -> Datagram<'_> {
+        Datagram { from: self.from, to: self.to, bytes: &self.bytes }
+    }
+}
+
+/// What is under way, in the order of arrival; of two that arrive at the same instant, the one that left first.
+///
+/// Bounded: what finds no room is lost and counted, as in a switch. Buffers are used again, so that a queue in steady
+/// state does not allocate.
+#[derive(Debug)]
+pub struct Queue {
+    room: usize,
+    order: BinaryHeap<Reverse<Ticket>>,
+    slots: Vec<Option<Parcel>>,
+    free: Vec<usize>,
+    spare: Vec<Vec<u8>>,
+    pushed: u64,
+    overflowed: u64,
+}
+
+#[derive(Debug, PartialEq, Eq, PartialOrd, Ord)]
+struct Ticket {
+    due: Time,
+    number: u64,
+    slot: usize,
+}
+
+impl Queue {
+    /// Room for `room` datagrams.
+    pub fn new(room: usize) -> Queue {
+        Queue {
+            room,
+            order: BinaryHeap::with_capacity(room),
+            slots: (0..room).map(|_| None).collect(),
+            free: (0..room).rev().collect(),
+            spare: Vec::with_capacity(room),
+            pushed: 0,
+            overflowed: 0,
+        }
+    }
+
+    /// A parcel with the datagram's content, in a buffer that was used before if there is one.
+    pub fn parcel(&mut self, datagram: Datagram<'_>) -> Parcel {
+        let mut bytes = self.spare.pop().unwrap_or_default();
+        bytes.clear();
+        bytes.extend_from_slice(datagram.bytes);
+        Parcel { from: datagram.from, to: datagram.to, bytes }
+    }
+
+    /// Gives a parcel's buffer back.
+    pub fn recycle(&mut self, parcel: Parcel) {
+        if self.spare.len() < self.room {
+            self.spare.push(parcel.bytes);
+        }
+    }
+
+    /// Puts `parcel` on its way, to arrive at `due`.
+    pub fn push(&mut self, due: Time, parcel: Parcel) {
+        let Some(slot) = self.free.pop() else {
+            self.overflowed += 1;
+            return self.recycle(parcel);
+        };
+        self.slots[slot] = Some(parcel);
+        self.order.push(Reverse(Ticket { due, number: self.pushed, slot }));
+        self.pushed += 1;
+    }
+
+    /// When the next one arrives.
+    pub fn next_due(&self) -> Option<Time> {
+        self.order.peek().map(|Reverse(ticket)| ticket.due)
+    }
+
+    /// Takes out the next one that has arrived by `now`, with the instant of its arrival.
+    pub fn pop(&mut self, now: Time) -> Option<(Time, Parcel)> {
+        if self.next_due()? > now {
+            return None;
+        }
+        let Reverse(ticket) = self.order.pop()?;
+        self.free.push(ticket.slot);
+        Some((ticket.due, self.slots[ticket.slot].take()?))
+    }
+
+    /// How many found no room.
+    pub fn overflowed(&self) -> u64 {
+        self.overflowed
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::net::Ipv4Addr;
+
+    const MASTER: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::new(10, 0, 0, 1), 41136);
+    const DRIVE: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::new(10, 0, 0, 2), 49360);
+
+    fn stormy() -> FaultPlan {
+        FaultPlan {
+            seed: 7,
+            drop: 0.1,
+            duplicate: 0.1,
+            corrupt: 0.1,
+            delay: 0.1,
+            delay_ns: 900,
+            reorder: 0.1,
+            stall: 0.01,
+            stall_ns: 5_000,
+            restart: 0.01,
+            wrong_id: 0.1,
+            answer_ns: 100,
+        }
+    }
+
+    type Arrived = Vec<(u64, SocketAddrV4, Vec<u8>)>;
+
+    /// What arrives of `count` numbered datagrams, one each microsecond.
+    fn run(plan: FaultPlan, way: Way, count: u32) -> (Arrived, Injected, u64) {
+        let mut injector = Injector::new(plan);
+        let mut queue = Queue::new(64);
+        let (mut arrived, mut restarts) = (Vec::new(), 0);
+        for n in 0..u64::from(count) + 100 {
+            let now = Time(n * 1_000);
+            if n < u64::from(count) {
+                let (from, to) = if way == Way::Request { (MASTER, DRIVE) } else { (DRIVE, MASTER) };
+                let bytes = &n.to_le_bytes();
+                restarts += u64::from(injector.pass(way, now, now, Datagram { from, to, bytes }, &mut queue));
+            }
+            while let Some((due, parcel)) = queue.pop(now) {
+                arrived.push((due.0, parcel.from, parcel.bytes.clone()));
+                queue.recycle(parcel);
+            }
+        }
+        assert_eq!((queue.next_due(), queue.overflowed()), (None, 0));
+        (arrived, injector.injected(), restarts)
+    }
+
+    #[test]
+    fn no_fault_is_no_fault() {
+        let (arrived, injected, restarts) = run(FaultPlan::default(), Way::Request, 1_000);
+        assert_eq!((injected, restarts), (Injected::default(), 0));
+        let numbers: Vec<_> = (0..1_000u64).map(|n| (n * 1_000, MASTER, n.to_le_bytes().to_vec())).collect();
+        assert_eq!(arrived, numbers);
+    }
+
+    #[test]
+    fn the_same_seed_makes_the_same_faults_and_another_seed_others() {
+        let (first, counts, _) = run(stormy(), Way::Reply, 5_000);
+        assert_eq!((&first, counts), (&run(stormy(), Way::Reply, 5_000).0, counts));
+        assert_ne!(first, run(FaultPlan { seed: 8, ..stormy() }, Way::Reply, 5_000).0);
+    }
+
+    #[test]
+    fn the_two_directions_do_not_disturb_each_other() {
+        let reply = Datagram { from: DRIVE, to: MASTER, bytes: &[1, 2, 3] };
+        let drain = |queue: &mut Queue| {
+            std::iter::from_fn(|| queue.pop(Time(u64::MAX))).map(|(due, p)| (due, p.from, p.bytes)).collect()
+        };
+        let (mut alone, mut mixed) = (Injector::new(stormy()), Injector::new(stormy()));
+        let mut queue = Queue::new(8);
+        for n in 0..1_000 {
+            alone.pass(Way::Reply, Time(n), Time(n), reply, &mut queue);
+            let expected: Vec<_> = drain(&mut queue);
+            for _ in 0..n % 3 {
+                let request = Datagram { from: MASTER, to: DRIVE, bytes: &[4] };
+                mixed.pass(Way::Request, Time(n), Time(n), request, &mut queue);
+                let _: Vec<_> = drain(&mut queue);
+            }
+            mixed.pass(Way::Reply, Time(n), Time(n), reply, &mut queue);
+            let got: Vec<_> = drain(&mut queue);
+            assert_eq!(got, expected);
+        }
+    }
+
+    #[test]
+    fn the_counters_account_for_every_request() {
+        let (arrived, i, restarts) = run(stormy(), Way::Request, 20_000);
+        assert_eq!(restarts, i.restarts);
+        let lost = i.dropped + i.stalled + i.restarts;
+        // One may still be held back at the end.
+        let missing = 20_000 + i.duplicated - lost - arrived.len() as u64;
+        assert!(missing <= 1, "{missing}");
+        for (name, count) in [
+            ("drop", i.dropped),
+            ("duplicate", i.duplicated),
+            ("corrupt", i.corrupted),
+            ("delay", i.delayed),
+            ("reorder", i.reordered),
+        ] {
+            assert!((1_000..2_500).contains(&count), "{name}: {count}");
+        }
+        assert!(i.stalls > 50 && i.stalled >= 4 * i.stalls && i.restarts > 50, "{i:?}");
+        assert_eq!(i.wrong_id, 0);
+    }
+
+    #[test]
+    fn each_fault_does_what_its_name_says() {
+        let number = |bytes: &[u8]| u64::from_le_bytes(bytes.try_into().unwrap());
+        let only = |f: fn(&mut FaultPlan)| {
+            let mut plan = FaultPlan { seed: 1, delay_ns: 1_500, answer_ns: 100, ..FaultPlan::default() };
+            f(&mut plan);
+            run(plan, Way::Reply, 1_000)
+        };
+        let sent = |n: usize| n as u64;
+
+        let (arrived, i, _) = only(|plan| plan.drop = 0.5);
+        assert_eq!(arrived.len() as u64, 1_000 - i.dropped);
+
+        let (arrived, i, _) = only(|plan| plan.corrupt = 1.0);
+        assert_eq!(i.corrupted, 1_000);
+        assert!(arrived.iter().enumerate().all(|(n, a)| (number(&a.2) ^ sent(n)).count_ones() == 1));
+
+        let (arrived, i, _) = only(|plan| plan.delay = 1.0);
+        assert_eq!(i.delayed, 1_000);
+        assert!(arrived.iter().enumerate().all(|(n, a)| a.0 == sent(n) * 1_000 + 1_600));
+
+        let (arrived, i, _) = only(|plan| plan.duplicate = 1.0);
+        assert_eq!((i.duplicated, arrived.len()), (1_000, 2_000));
+
+        let (arrived, i, _) = only(|plan| plan.reorder = 1.0);
+        assert_eq!(i.reordered, 500);
+        assert!(arrived.iter().enumerate().all(|(n, a)| number(&a.2) == sent(n) ^ 1));
+
+        let (arrived, i, _) = only(|plan| plan.wrong_id = 0.5);
+        let wrong = arrived.iter().filter(|a| a.1 == wrong_port(DRIVE)).count() as u64;
+        assert!(wrong == i.wrong_id && (400..600).contains(&wrong));
+    }
+
+    #[test]
+    fn the_queue_is_ordered_bounded_and_uses_its_buffers_again() {
+        let mut queue = Queue::new(3);
+        for (due, byte) in [(30, 1), (10, 2), (30, 3), (20, 4)] {
+            let parcel = queue.parcel(Datagram { from: MASTER, to: DRIVE, bytes: &[byte] });
+            queue.push(Time(due), parcel);
+        }
+        assert_eq!((queue.overflowed(), queue.next_due()), (1, Some(Time(10))));
+        assert!(queue.pop(Time(9)).is_none());
+        let order: Vec<_> = std::iter::from_fn(|| queue.pop(Time(99))).map(|(_, p)| p.bytes[0]).collect();
+        assert_eq!(order, [2, 1, 3]);
+    }
+}

@@ -1,0 +1,613 @@
+//! An axis without its electronics: a trapezoidal setpoint generator and the mass that follows it.
+//!
+//! Knows no protocol, no clock and no wire unit: positions are f64 in any consistent units, time comes as steps in
+//! nanoseconds.
+
+use crate::time::S;
+
+/// Limits outside this span are clamped into it, so that no wire value makes a division by zero or an infinity.
+const LIMIT_SPAN: (f64, f64) = (1e-9, 1e12);
+
+/// A position or velocity that the generator can work with: a number, and small enough for its squares.
+fn usable(value: f64) -> bool {
+    value.abs() <= LIMIT_SPAN.1
+}
+
+/// A stopping distance this close (relative) to the way left counts as equal: a motion replaced by itself while it
+/// brakes goes on braking.
+const SAME: f64 = 1e-9;
+
+/// The magnitude of a limit; what is not a number counts as the smallest.
+fn limit(value: f64) -> f64 {
+    value.abs().max(LIMIT_SPAN.0).min(LIMIT_SPAN.1)
+}
+
+/// Constant acceleration from `start_s` on, until the next segment starts.
+#[derive(Clone, Copy, Debug, Default)]
+struct Segment {
+    start_s: f64,
+    position: f64,
+    velocity: f64,
+    acceleration: f64,
+}
+
+/// The longest motion: brake, accelerate back, cruise, decelerate, stand.
+const SEGMENTS: usize = 5;
+
+/// A trapezoidal setpoint generator: acceleration is piecewise constant, velocity has no step.
+///
+/// It evaluates its motion in closed form from the instant at which the motion began, so the demand does not depend
+/// on how that time is cut into steps, and the target is hit exactly.
+///
+/// Limits are magnitudes (the sign is ignored), clamped into 1e-9 ... 1e12. An order with a position or a signed
+/// velocity that is no number, or beyond 1e12, is ignored.
+#[derive(Clone, Debug)]
+pub struct Generator {
+    segments: [Segment; SEGMENTS],
+    count: usize,
+    current: usize,
+    /// Since the motion was planned: whole nanoseconds, so that steps add up without rounding.
+    elapsed_ns: u64,
+    /// The last segment is one of motion, not of standing.
+    endless: bool,
+    position: f64,
+    velocity: f64,
+    acceleration: f64,
+}
+
+impl Generator {
+    /// Stands at `position`.
+    pub fn at(position: f64) -> Generator {
+        let mut generator = Generator {
+            segments: [Segment::default(); SEGMENTS],
+            count: 0,
+            current: 0,
+            elapsed_ns: 0,
+            endless: false,
+            position: 0.0,
+            velocity: 0.0,
+            acceleration: 0.0,
+        };
+        generator.set(position, 0.0, 0.0);
+        generator.halt();
+        generator
+    }
+
+    /// Demand position.
+    pub fn position(&self) -> f64 {
+        self.position
+    }
+
+    /// Demand velocity, units/s.
+    pub fn velocity(&self) -> f64 {
+        self.velocity
+    }
+
+    /// Demand acceleration, units/s^2.
+    pub fn acceleration(&self) -> f64 {
+        self.acceleration
+    }
+
+    /// A motion is under way: before the end of a planned one, always in an endless one and under a given demand.
+    pub fn is_moving(&self) -> bool {
+        self.endless || self.current + 1 < self.count
+    }
+
+    /// Moves to `target` with at most `velocity` (units/s), `acceleration` and `deceleration` (units/s^2), from the
+    /// present demand position and velocity. If the deceleration cannot reach the target in time, the motion passes
+    /// it and comes back.
+    pub fn go_to(&mut self, target: f64, velocity: f64, acceleration: f64, deceleration: f64) {
+        if !usable(target) {
+            return;
+        }
+        let (cruise, a, d) = (limit(velocity), limit(acceleration), limit(deceleration));
+        let mut plan = Plan::from(self);
+
+        let way = target - plan.position;
+        let stop = plan.velocity * plan.velocity / (2.0 * d);
+        let braking = plan.velocity * way > 0.0 && (stop - way.abs()).abs() <= SAME * stop;
+        if !braking && (plan.velocity * way < 0.0 || stop > way.abs()) {
+            plan.ramp(0.0, d);
+        }
+
+        let way = target - plan.position;
+        let (side, way) = (if way < 0.0 { -1.0 } else { 1.0 }, way.abs());
+        let speed = plan.velocity * side;
+        if braking {
+            // Already on the braking curve, but for rounding: bend it by that much.
+            plan.ramp(0.0, speed * speed / (2.0 * way));
+        } else if way > 0.0 {
+            // The peak of a motion that only speeds up and slows down; cut off at the cruising speed.
+            let peak = ((way + speed * speed / (2.0 * a)) * 2.0 * a * d / (a + d)).sqrt().max(speed);
+            let top = peak.min(cruise);
+            plan.ramp(side * top, if speed > top { d } else { a });
+            let left = (target - plan.position) * side - top * top / (2.0 * d);
+            plan.hold(left.max(0.0) / top);
+            plan.ramp(0.0, d);
+        }
+        (plan.position, plan.velocity) = (target, 0.0);
+        plan.stand();
+        self.begin(plan, false);
+    }
+
+    /// Runs on at `velocity` (units/s, signed), reached with `acceleration` (units/s^2), without an end.
+    pub fn run(&mut self, velocity: f64, acceleration: f64) {
+        if !usable(velocity) {
+            return;
+        }
+        let mut plan = Plan::from(self);
+        plan.ramp(velocity, limit(acceleration));
+        plan.stand();
+        self.begin(plan, velocity != 0.0);
+    }
+
+    /// Slows down to standstill with `deceleration`, units/s^2.
+    pub fn brake(&mut self, deceleration: f64) {
+        self.run(0.0, deceleration);
+    }
+
+    /// Takes a demand given from outside. It stays as it is, and counts as moving, until the next call that is not
+    /// [`advance`](Self::advance).
+    pub fn set(&mut self, position: f64, velocity: f64, acceleration: f64) {
+        if usable(position) && usable(velocity) && usable(acceleration) {
+            (self.position, self.velocity, self.acceleration) = (position, velocity, acceleration);
+            (self.count, self.current, self.endless) = (0, 0, true);
+        }
+    }
+
+    /// Stands still at once at the present demand position.
+    pub fn halt(&mut self) {
+        (self.velocity, self.acceleration) = (0.0, 0.0);
+        (self.count, self.current, self.endless) = (0, 0, false);
+    }
+
+    /// Lets `dt_ns` nanoseconds pass.
+    pub fn advance(&mut self, dt_ns: u64) {
+        if self.count == 0 {
+            return;
+        }
+        self.elapsed_ns = self.elapsed_ns.saturating_add(dt_ns);
+        self.evaluate();
+    }
+
+    fn begin(&mut self, plan: Plan, endless: bool) {
+        self.segments = plan.segments;
+        self.count = plan.count;
+        self.current = 0;
+        self.elapsed_ns = 0;
+        self.endless = endless;
+        self.evaluate();
+    }
+
+    fn evaluate(&mut self) {
+        let now_s = self.elapsed_ns as f64 / S as f64;
+        while self.current + 1 < self.count && self.segments[self.current + 1].start_s <= now_s {
+            self.current += 1;
+        }
+        let segment = self.segments[self.current];
+        let t = now_s - segment.start_s;
+        self.acceleration = segment.acceleration;
+        self.velocity = segment.velocity + segment.acceleration * t;
+        self.position = segment.position + (segment.velocity + segment.acceleration * t / 2.0) * t;
+    }
+}
+
+/// A motion while it is being laid out, segment by segment.
+struct Plan {
+    segments: [Segment; SEGMENTS],
+    count: usize,
+    end_s: f64,
+    position: f64,
+    velocity: f64,
+}
+
+impl Plan {
+    fn from(generator: &Generator) -> Plan {
+        Plan {
+            segments: [Segment::default(); SEGMENTS],
+            count: 0,
+            end_s: 0.0,
+            position: generator.position,
+            velocity: generator.velocity,
+        }
+    }
+
+    /// Reaches `velocity` with the magnitude `acceleration`.
+    fn ramp(&mut self, velocity: f64, acceleration: f64) {
+        let change = velocity - self.velocity;
+        if change != 0.0 {
+            let duration_s = change.abs() / acceleration;
+            self.push(acceleration.copysign(change));
+            self.end_s += duration_s;
+            self.position += (self.velocity + velocity) / 2.0 * duration_s;
+            self.velocity = velocity;
+        }
+    }
+
+    /// Goes on as it is for `duration_s`.
+    fn hold(&mut self, duration_s: f64) {
+        if duration_s > 0.0 {
+            self.push(0.0);
+            self.end_s += duration_s;
+            self.position += self.velocity * duration_s;
+        }
+    }
+
+    /// Goes on as it is for ever.
+    fn stand(&mut self) {
+        self.push(0.0);
+    }
+
+    fn push(&mut self, acceleration: f64) {
+        self.segments[self.count] =
+            Segment { start_s: self.end_s, position: self.position, velocity: self.velocity, acceleration };
+        self.count += 1;
+    }
+}
+
+/// A mass on a position controller. SI units: m, kg, N; for a rotary axis rad, kg m^2, N m.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PlantPlan {
+    /// Moving mass, kg, over 0. Default 1.
+    pub mass_kg: f64,
+    /// Mechanical range between the hard stops, m, in rising order. Default -1 ... 1.
+    pub range: (f64, f64),
+    /// Bandwidth of the position controller, Hz: the stiffness is `mass * (2 pi bandwidth)^2`. Default 30.
+    pub bandwidth_hz: f64,
+    /// Damping ratio of the position controller. Default 0.7.
+    pub damping: f64,
+    /// How much of the demand acceleration is fed forward, 0 ... 1; the rest becomes following error. Default 0.9.
+    pub feed_forward: f64,
+    /// Most that the motor pushes, N. Default 200.
+    pub peak_force_n: f64,
+    /// Dry friction, N, which ends the run-out without power. With power the controller makes up for it. Default 5.
+    pub friction_n: f64,
+}
+
+impl Default for PlantPlan {
+    fn default() -> PlantPlan {
+        PlantPlan {
+            mass_kg: 1.0,
+            range: (-1.0, 1.0),
+            bandwidth_hz: 30.0,
+            damping: 0.7,
+            feed_forward: 0.9,
+            peak_force_n: 200.0,
+            friction_n: 5.0,
+        }
+    }
+}
+
+/// The longest substep: a fiftieth of the default controller's period.
+const SUBSTEP_NS: u64 = 500_000;
+/// The most substeps of one step. A longer step takes coarser ones; they stay stable.
+const SUBSTEPS: u64 = 64;
+
+/// The moving mass between its hard stops.
+#[derive(Clone, Debug)]
+pub struct Plant {
+    plan: PlantPlan,
+    position: f64,
+    velocity: f64,
+    force: f64,
+}
+
+impl Plant {
+    /// Stands at 0, or at the end of the range next to it.
+    pub fn new(plan: PlantPlan) -> Plant {
+        let mut plant = Plant { plan, position: 0.0, velocity: 0.0, force: 0.0 };
+        plant.set_position(0.0);
+        plant
+    }
+
+    /// Actual position, m.
+    pub fn position(&self) -> f64 {
+        self.position
+    }
+
+    /// Actual velocity, m/s.
+    pub fn velocity(&self) -> f64 {
+        self.velocity
+    }
+
+    /// What the motor pushes, N, signed.
+    pub fn force(&self) -> f64 {
+        self.force
+    }
+
+    /// Stands against a hard stop.
+    pub fn at_stop(&self) -> bool {
+        self.position <= self.plan.range.0 || self.position >= self.plan.range.1
+    }
+
+    /// Puts the mass to `position`, standing; clamped into the range.
+    pub fn set_position(&mut self, position: f64) {
+        (self.velocity, self.force) = (0.0, 0.0);
+        self.position = position;
+        self.stops();
+    }
+
+    /// Lets `dt_ns` nanoseconds pass, at whose end the demand is the given one (m, m/s, m/s^2). Without power the
+    /// mass runs out freely and the demand does not matter.
+    ///
+    /// Meant for steps of up to 10 ms; longer ones stay stable and cost no more than 64 substeps, but are coarse.
+    pub fn advance(
+        &mut self,
+        demand_position: f64,
+        demand_velocity: f64,
+        demand_acceleration: f64,
+        dt_ns: u64,
+        powered: bool,
+    ) {
+        let count = dt_ns.div_ceil(SUBSTEP_NS).clamp(1, SUBSTEPS);
+        let h = dt_ns as f64 / count as f64 / S as f64;
+        if h == 0.0 {
+            return;
+        }
+        for left in (0..count).rev() {
+            if powered {
+                // The demand at the end of this substep, followed back from that at the end of the step.
+                let back = left as f64 * h;
+                let velocity = demand_velocity - demand_acceleration * back;
+                let position = demand_position - (demand_velocity + velocity) / 2.0 * back;
+                self.push(position, velocity, demand_acceleration, h);
+            } else {
+                self.run_out(h);
+            }
+            self.position += self.velocity * h;
+            self.stops();
+        }
+    }
+
+    /// One implicit Euler step of the controlled mass: stable at any `h`.
+    fn push(&mut self, position: f64, velocity: f64, acceleration: f64, h: f64) {
+        let plan = &self.plan;
+        let omega = 2.0 * std::f64::consts::PI * plan.bandwidth_hz;
+        let (stiffness, damping) = (omega * omega, 2.0 * plan.damping * omega);
+        // Per mass: a = ff + damping (v_d - v') + stiffness (x_d - x - h v'), v' = v + h a, solved for a.
+        let a = (plan.feed_forward * acceleration
+            + damping * (velocity - self.velocity)
+            + stiffness * (position - self.position - h * self.velocity))
+            / (1.0 + damping * h + stiffness * h * h);
+        self.force = (a * plan.mass_kg).clamp(-plan.peak_force_n, plan.peak_force_n);
+        self.velocity += self.force / plan.mass_kg * h;
+    }
+
+    fn run_out(&mut self, h: f64) {
+        self.force = 0.0;
+        let slower = self.plan.friction_n / self.plan.mass_kg * h;
+        self.velocity -= self.velocity.clamp(-slower, slower);
+    }
+
+    /// The hard stops take all speed that goes into them.
+    fn stops(&mut self) {
+        let (low, high) = self.plan.range;
+        if self.position <= low {
+            (self.position, self.velocity) = (low, self.velocity.max(0.0));
+        } else if self.position >= high {
+            (self.position, self.velocity) = (high, self.velocity.min(0.0));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::time::MS;
+    use proptest::prelude::*;
+
+    /// More than any motion of the ranges below lasts.
+    const LONG: u64 = 100_000 * S;
+
+    fn limits() -> impl Strategy<Value = (f64, f64, f64)> {
+        (1.0..2_000.0, 10.0..50_000.0, 10.0..50_000.0)
+    }
+
+    #[test]
+    fn a_trapezoid_takes_its_textbook_time() {
+        // 100 at v 100, a 1000, d 500: 0.1 s up over 5, 0.2 s down over 10, 85 between.
+        let mut g = Generator::at(0.0);
+        g.go_to(100.0, 100.0, 1000.0, 500.0);
+        g.advance(100 * MS);
+        assert!((g.position() - 5.0).abs() < 1e-9 && (g.velocity() - 100.0).abs() < 1e-9);
+        g.advance(850 * MS);
+        assert!((g.position() - 90.0).abs() < 1e-9 && (g.velocity() - 100.0).abs() < 1e-9);
+        g.advance(199 * MS);
+        assert!(g.is_moving());
+        g.advance(MS + 1);
+        assert!(!g.is_moving());
+        assert_eq!((g.position(), g.velocity(), g.acceleration()), (100.0, 0.0, 0.0));
+    }
+
+    #[test]
+    fn what_cannot_be_reached_in_time_is_passed_and_come_back_to() {
+        let mut g = Generator::at(0.0);
+        g.run(100.0, 1000.0);
+        g.advance(S);
+        let target = g.position() + 1.0;
+        g.go_to(target, 100.0, 1000.0, 1000.0); // stops only after 5
+        g.advance(100 * MS);
+        assert!((g.position() - target - 4.0).abs() < 1e-6);
+        assert!(g.is_moving());
+        g.advance(LONG);
+        assert_eq!((g.position(), g.is_moving()), (target, false));
+    }
+
+    #[test]
+    fn running_has_no_end_until_it_is_braked() {
+        let mut g = Generator::at(5.0);
+        g.run(-10.0, 100.0);
+        g.advance(3600 * S);
+        assert!(g.is_moving());
+        assert!((g.position() - (5.0 - 0.5 - 10.0 * 3599.9)).abs() < 1e-6);
+        g.brake(100.0);
+        g.advance(101 * MS);
+        assert_eq!((g.velocity(), g.is_moving()), (0.0, false));
+    }
+
+    #[test]
+    fn a_given_demand_stands_until_halt() {
+        let mut g = Generator::at(0.0);
+        g.set(3.0, 4.0, 5.0);
+        g.advance(S);
+        assert_eq!((g.position(), g.velocity(), g.acceleration(), g.is_moving()), (3.0, 4.0, 5.0, true));
+        g.set(f64::NAN, 0.0, 0.0);
+        g.go_to(f64::INFINITY, 1.0, 1.0, 1.0);
+        assert_eq!(g.position(), 3.0);
+        g.halt();
+        assert_eq!((g.position(), g.velocity(), g.acceleration(), g.is_moving()), (3.0, 0.0, 0.0, false));
+    }
+
+    #[test]
+    fn degenerate_limits_make_no_infinity() {
+        for bad in [0.0, -0.0, f64::NAN, f64::INFINITY, f64::MAX, f64::MIN_POSITIVE] {
+            let mut g = Generator::at(0.0);
+            for target in [1.0, 1.0, -1e12, 0.0] {
+                g.go_to(target, bad, bad, bad);
+                g.advance(S);
+                assert!(g.position().is_finite() && g.velocity().is_finite(), "{bad} to {target}: {g:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_same_target_again_while_braking_changes_nothing() {
+        let mut g = Generator::at(0.0);
+        g.go_to(100.0, 100.0, 1000.0, 500.0);
+        g.advance(1_000 * MS);
+        for _ in 0..150 {
+            g.go_to(100.0, 100.0, 1000.0, 500.0);
+            g.advance(MS);
+            assert!((g.acceleration() + 500.0).abs() < 1e-3 || !g.is_moving(), "{g:?}");
+            assert!(g.position() <= 100.0);
+        }
+        assert_eq!((g.position(), g.is_moving()), (100.0, false));
+    }
+
+    proptest! {
+        #[test]
+        fn hits_its_target_within_its_limits(
+            target in -1e4..1e4f64, (v, a, d) in limits(), step in 1_000..20_000_000u64,
+        ) {
+            let mut g = Generator::at(0.0);
+            g.go_to(target, v, a, d);
+            for _ in 0..2_000 {
+                g.advance(step);
+                prop_assert!(g.velocity().abs() <= v * (1.0 + 1e-12));
+                prop_assert!(g.acceleration().abs() <= a.max(d));
+                prop_assert!(g.position() * target.signum() <= target.abs() * (1.0 + 1e-12));
+            }
+            g.advance(LONG);
+            prop_assert_eq!((g.position(), g.velocity(), g.is_moving()), (target, 0.0, false));
+        }
+
+        #[test]
+        fn does_not_depend_on_how_time_is_cut(
+            target in -1e4..1e4f64, (v, a, d) in limits(), cuts in prop::collection::vec(1..1_000_000_000u64, 1..50),
+        ) {
+            let (mut one, mut many) = (Generator::at(0.0), Generator::at(0.0));
+            one.go_to(target, v, a, d);
+            many.go_to(target, v, a, d);
+            cuts.iter().for_each(|dt| many.advance(*dt));
+            one.advance(cuts.iter().sum());
+            prop_assert_eq!(one.position(), many.position());
+            prop_assert_eq!(one.velocity(), many.velocity());
+        }
+
+        #[test]
+        fn stays_continuous_when_replaced_in_motion(
+            moves in prop::collection::vec((0..4u8, -100.0..100.0f64, limits(), 1..500u64), 1..30),
+        ) {
+            let mut g = Generator::at(0.0);
+            let (mut fastest, mut hardest) = (0.0f64, 0.0f64);
+            for (kind, target, (v, a, d), ms) in moves {
+                let before = (g.position(), g.velocity());
+                match kind {
+                    0 => g.run(v.copysign(target), a),
+                    1 => g.brake(d),
+                    _ => g.go_to(target, v, a, d),
+                }
+                prop_assert_eq!((g.position(), g.velocity()), before);
+                fastest = fastest.max(v);
+                hardest = hardest.max(a).max(d);
+                for _ in 0..ms {
+                    let from = g.clone();
+                    g.advance(MS);
+                    let (slack, dt) = (1.0 + 1e-6, 1e-3);
+                    prop_assert!(g.velocity().abs() <= fastest * slack);
+                    prop_assert!((g.velocity() - from.velocity()).abs() <= hardest * dt * slack);
+                    let mean = (g.velocity() + from.velocity()) / 2.0 * dt;
+                    // At most a triangle of acceleration between the two ends differs from the mean.
+                    prop_assert!((g.position() - from.position() - mean).abs() <= hardest * dt * dt / 2.0 + 1e-9);
+                }
+            }
+            g.go_to(7.0, 100.0, 1000.0, 1000.0);
+            g.advance(LONG);
+            prop_assert_eq!((g.position(), g.velocity(), g.is_moving()), (7.0, 0.0, false));
+        }
+
+        #[test]
+        fn the_mass_follows_and_settles_at_any_step(
+            target in -0.9..0.9f64, step_us in 100..10_000u64, mass in 0.1..20.0f64,
+        ) {
+            let mut g = Generator::at(0.0);
+            let mut plant = Plant::new(PlantPlan { mass_kg: mass, peak_force_n: 100.0 * mass, ..PlantPlan::default() });
+            g.go_to(target, 1.0, 10.0, 10.0);
+            let mut lag = 0.0f64;
+            for _ in 0..4_000_000 / step_us {
+                g.advance(step_us * 1_000);
+                plant.advance(g.position(), g.velocity(), g.acceleration(), step_us * 1_000, true);
+                lag = lag.max((plant.position() - g.position()).abs());
+            }
+            prop_assert!(lag < 2e-3, "lag {lag}");
+            prop_assert!(lag > 1e-6 || target.abs() < 1e-2, "lag {lag}");
+            prop_assert!((plant.position() - target).abs() < 1e-9);
+            prop_assert!(plant.velocity().abs() < 1e-9 && plant.force().abs() < 1e-6 * mass);
+        }
+
+        #[test]
+        fn the_mass_stays_finite_and_in_range_whatever_is_asked(
+            steps in prop::collection::vec(
+                (-1e6..1e6f64, -1e6..1e6f64, -1e6..1e6f64, 0..10_000_000_000u64, any::<bool>()), 1..50),
+        ) {
+            let mut plant = Plant::new(PlantPlan { range: (0.2, 0.3), ..PlantPlan::default() });
+            prop_assert_eq!(plant.position(), 0.2);
+            for (x, v, a, dt, powered) in steps {
+                plant.advance(x, v, a, dt, powered);
+                prop_assert!((0.2..=0.3).contains(&plant.position()));
+                prop_assert!(plant.velocity().is_finite() && plant.force().abs() <= 200.0);
+            }
+        }
+    }
+
+    #[test]
+    fn without_power_it_runs_out() {
+        let mut plant = Plant::new(PlantPlan::default());
+        for k in 1..=100u32 {
+            plant.advance(1e-3 * f64::from(k) * 0.5, 0.5, 0.0, MS, true);
+        }
+        assert!((plant.velocity() - 0.5).abs() < 1e-3);
+        let from = plant.position();
+        for _ in 0..200 {
+            plant.advance(0.0, 0.0, 0.0, MS, false);
+        }
+        // v^2 / (2 F / m) = 0.25 / 10
+        assert!((plant.position() - from - 0.025).abs() < 1e-3, "{}", plant.position() - from);
+        assert_eq!((plant.velocity(), plant.force()), (0.0, 0.0));
+    }
+
+    #[test]
+    fn the_hard_stop_holds_against_the_peak_force() {
+        let mut plant = Plant::new(PlantPlan { range: (-0.1, 0.1), ..PlantPlan::default() });
+        assert!(!plant.at_stop());
+        for _ in 0..1_000 {
+            plant.advance(0.5, 0.0, 0.0, MS, true);
+        }
+        assert!(plant.at_stop());
+        assert_eq!((plant.position(), plant.velocity(), plant.force()), (0.1, 0.0, 200.0));
+        for _ in 0..1_000 {
+            plant.advance(0.0, 0.0, 0.0, MS, true);
+        }
+        assert!(!plant.at_stop() && plant.position().abs() < 1e-9);
+    }
+}
