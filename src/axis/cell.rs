@@ -6,18 +6,17 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering, fence};
 
+use crate::rt::Regions;
+
 /// A plain value as a fixed number of 64-bit words.
 pub trait Packed: Copy {
-    /// How many words.
-    const WORDS: usize;
-    /// Writes itself into exactly [`WORDS`](Self::WORDS) words.
-    fn pack(&self, words: &mut [u64]);
-    /// The value of words that [`pack`](Self::pack) wrote.
-    fn unpack(words: &[u64]) -> Self;
+    /// The words, `[u64; N]`.
+    type Words: Default + AsRef<[u64]> + AsMut<[u64]>;
+    /// The words of this value.
+    fn pack(&self) -> Self::Words;
+    /// The value of words that [`pack`](Self::pack) made.
+    fn unpack(words: &Self::Words) -> Self;
 }
-
-/// The largest [`Packed::WORDS`].
-const MOST_WORDS: usize = 32;
 
 #[derive(Debug)]
 struct Shared {
@@ -42,8 +41,7 @@ pub struct Reader<T> {
 
 /// A cell that holds `value`, as its two ends.
 pub fn cell<T: Packed>(value: T) -> (Writer<T>, Reader<T>) {
-    const { assert!(T::WORDS <= MOST_WORDS) };
-    let words = (0..T::WORDS).map(|_| AtomicU64::new(0)).collect();
+    let words = T::Words::default().as_ref().iter().map(|_| AtomicU64::new(0)).collect();
     let shared = Arc::new(Shared { sequence: AtomicU64::new(0), words });
     let mut writer = Writer { shared: Arc::clone(&shared), _value: std::marker::PhantomData };
     writer.write(&value);
@@ -53,14 +51,13 @@ pub fn cell<T: Packed>(value: T) -> (Writer<T>, Reader<T>) {
 impl<T: Packed> Writer<T> {
     /// Publishes `value`. Wait-free.
     pub fn write(&mut self, value: &T) {
-        let mut words = [0; MOST_WORDS];
-        value.pack(&mut words[..T::WORDS]);
+        let words = value.pack();
         let sequence = self.shared.sequence.load(Ordering::Relaxed);
         self.shared.sequence.store(sequence.wrapping_add(1), Ordering::Relaxed);
         // The odd sequence is visible before any of the words.
         fence(Ordering::Release);
-        for (shared, word) in self.shared.words.iter().zip(words) {
-            shared.store(word, Ordering::Relaxed);
+        for (shared, word) in self.shared.words.iter().zip(words.as_ref()) {
+            shared.store(*word, Ordering::Relaxed);
         }
         self.shared.sequence.store(sequence.wrapping_add(2), Ordering::Release);
     }
@@ -69,21 +66,29 @@ impl<T: Packed> Writer<T> {
 impl<T: Packed> Reader<T> {
     /// The newest whole value.
     pub fn read(&self) -> T {
-        let mut words = [0; MOST_WORDS];
+        let mut words = T::Words::default();
         loop {
             let before = self.shared.sequence.load(Ordering::Acquire);
             if before & 1 == 0 {
-                for (word, shared) in words.iter_mut().zip(&self.shared.words) {
+                for (word, shared) in words.as_mut().iter_mut().zip(&self.shared.words) {
                     *word = shared.load(Ordering::Relaxed);
                 }
                 // The words are read before the sequence is looked at again.
                 fence(Ordering::Acquire);
                 if self.shared.sequence.load(Ordering::Relaxed) == before {
-                    return T::unpack(&words[..T::WORDS]);
+                    return T::unpack(&words);
                 }
             }
             std::hint::spin_loop();
         }
+    }
+}
+
+impl<T> Writer<T> {
+    /// Adds the memory that a write touches, to be locked.
+    pub fn memory(&self, regions: &mut Regions) {
+        regions.add(&*self.shared);
+        regions.add(&*self.shared.words);
     }
 }
 
@@ -101,12 +106,12 @@ mod tests {
     struct Many([u64; 8]);
 
     impl Packed for Many {
-        const WORDS: usize = 8;
-        fn pack(&self, words: &mut [u64]) {
-            words.copy_from_slice(&self.0);
+        type Words = [u64; 8];
+        fn pack(&self) -> [u64; 8] {
+            self.0
         }
-        fn unpack(words: &[u64]) -> Self {
-            Many(std::array::from_fn(|index| words[index]))
+        fn unpack(words: &[u64; 8]) -> Self {
+            Many(*words)
         }
     }
 

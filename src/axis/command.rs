@@ -23,6 +23,18 @@ pub struct Command {
     pub id: CommandId,
     /// What to do.
     pub verb: Verb,
+    /// For [`Verb::Follow`]: which stream.
+    pub stream: u32,
+}
+
+/// A row on its way to the loop, and the stream that it belongs to: a follow runs the rows of its own stream only, whatever
+/// an earlier one has left behind.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StreamRow {
+    /// Streams are counted up.
+    pub stream: u32,
+    /// The row.
+    pub row: Row,
 }
 
 /// What an axis can be asked to do.
@@ -141,6 +153,9 @@ pub enum Failure {
     /// The drive is in a state in which this cannot start.
     #[error("the drive is in state {0}: bring it to OperationEnabled first (enable)")]
     WrongState(State),
+    /// The axis was not enabled since it was stopped or taken over, whatever state its drive is in.
+    #[error("the axis was not enabled since its last stop: enable it first")]
+    NotEnabled,
     /// The drive reports a fault.
     #[error("the drive reports fault {0:#06x}: mend its cause, then reset_fault")]
     DriveFault(u32),
@@ -159,8 +174,12 @@ pub enum Failure {
     #[error("the drive is not online: look at its address and cable, then wait_online")]
     NotOnline,
     /// A value outside the configured limits.
-    #[error("{value} is outside the configured limit ({low} ... {high}): change the command or [limits]")]
+    #[error(
+        "{what} {value} is outside its limit ({low} ... {high}): change the command or limits in the configuration"
+    )]
     Limit {
+        /// Of what.
+        what: &'static str,
         /// What was asked.
         value: f64,
         /// The lower limit.
@@ -168,6 +187,17 @@ pub enum Failure {
         /// The upper limit.
         high: f64,
     },
+    /// What has to be above zero is not.
+    #[error("{what} {value} has to be above 0")]
+    NotPositive {
+        /// What.
+        what: &'static str,
+        /// What was asked.
+        value: f64,
+    },
+    /// Position limits mean nothing before homing.
+    #[error("the axis has position limits and is not homed: home it first")]
+    NotHomed,
     /// A value that the wire cannot carry.
     #[error(transparent)]
     Range(#[from] RangeError),

@@ -39,6 +39,8 @@ pub enum EventKind {
     Warning(u32),
     /// The master stopped the axis; latched until reset.
     Stopped(StopCause),
+    /// A stream has run empty; its policy says what follows. Told once, until rows come again.
+    Underrun,
     /// The drive was restarted or replaced: what was known of it was forgotten.
     Restarted,
 }
@@ -55,6 +57,7 @@ impl fmt::Display for Event {
             EventKind::Warning(0) => write!(f, "warnings gone"),
             EventKind::Warning(word) => write!(f, "warnings {word:#06x}"),
             EventKind::Stopped(cause) => write!(f, "stopped: {cause}"),
+            EventKind::Underrun => write!(f, "stream ran empty"),
             EventKind::Restarted => write!(f, "drive restarted"),
         }
     }

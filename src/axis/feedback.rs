@@ -193,9 +193,9 @@ impl Feedback {
 }
 
 impl Packed for Feedback {
-    const WORDS: usize = 9;
+    type Words = [u64; 9];
 
-    fn pack(&self, words: &mut [u64]) {
+    fn pack(&self) -> [u64; 9] {
         let flags = u64::from(self.homed)
             | u64::from(self.moving) << 1
             | u64::from(self.in_target) << 2
@@ -205,7 +205,7 @@ impl Packed for Feedback {
             | (self.state as u64) << 16
             | self.stopped.map_or(0, |cause| cause as u64) << 24
             | u64::from(self.age) << 32;
-        words.copy_from_slice(&[
+        [
             self.cycle,
             flags,
             self.at.0,
@@ -215,10 +215,10 @@ impl Packed for Feedback {
             self.current.to_bits(),
             u64::from(self.warning) | u64::from(self.fault) << 32,
             u64::from(self.rtt_ns.unwrap_or(0)),
-        ]);
+        ]
     }
 
-    fn unpack(words: &[u64]) -> Feedback {
+    fn unpack(words: &[u64; 9]) -> Feedback {
         let flags = words[1];
         let byte = |shift: u32| usize::from((flags >> shift) as u8);
         Feedback {
@@ -273,9 +273,7 @@ mod tests {
                 fault: 0xFFFF_FFFF,
                 rtt_ns: Some(4_000_000_000),
             };
-            let mut words = [0; Feedback::WORDS];
-            feedback.pack(&mut words);
-            assert_eq!(Feedback::unpack(&words), feedback);
+            assert_eq!(Feedback::unpack(&feedback.pack()), feedback);
         }
     }
 }

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use super::command::Profile;
-use super::units::Units;
+use super::units::{Unit, Units};
 
 /// What the loop and the application need to know of one axis; what only its protocol needs stands in the protocol's
 /// own drive plan.
@@ -39,6 +39,46 @@ pub struct AxisPlan {
     pub stream_queue: usize,
     /// Room in the event queue.
     pub event_queue: usize,
+    /// Room for the feedback of every cycle; 0 = only the newest is kept.
+    pub sample_queue: usize,
+}
+
+impl AxisPlan {
+    /// An axis of this name and unit with everything else as it is when a configuration says nothing of it.
+    pub fn new(name: impl Into<String>, units: Units) -> AxisPlan {
+        // What is usual in a unit: speed, acceleration, and the speed that counts as standstill.
+        let (velocity, acceleration, standstill) = match units.unit {
+            Unit::Millimetre => (100.0, 1000.0, 5.0),
+            Unit::Revolution => (1.0, 10.0, 0.05),
+        };
+        AxisPlan {
+            name: name.into(),
+            units,
+            limits: Limits::default(),
+            profile: Profile { velocity, acceleration, deceleration: acceleration },
+            divisor: 1,
+            phase: 0,
+            health: Health::default(),
+            stop: StopPlan {
+                how: StopHow::Ramp,
+                deceleration: acceleration,
+                then: StopThen::Disable,
+                timeout: Duration::from_secs(3),
+                on_timeout: StopTimeout::Disable,
+                standstill,
+                standstill_for: 20,
+                group: None,
+            },
+            underrun: Underrun::Stop,
+            on_found_running: FoundRunning::Stop,
+            enable_timeout: Duration::from_secs(5),
+            home_timeout: Duration::from_secs(60),
+            command_queue: 64,
+            stream_queue: 1024,
+            event_queue: 256,
+            sample_queue: 0,
+        }
+    }
 }
 
 /// Limits of an axis in user units; `None` = the drive's own limit only.

@@ -70,6 +70,17 @@ impl Units {
         counts / self.counts_per_unit
     }
 
+    /// The way from one user position to another: on a rotary axis the shorter one, at most half a turn.
+    pub fn way(&self, from: f64, to: f64) -> f64 {
+        match self.modulo {
+            Some(turn) => {
+                let ahead = (to - from).rem_euclid(turn);
+                if ahead > turn / 2.0 { ahead - turn } else { ahead }
+            }
+            None => to - from,
+        }
+    }
+
     /// A user position to wire counts, rounded to nearest, still unbounded.
     pub fn counts(&self, position: f64) -> f64 {
         ((position - self.offset) * self.counts_per_unit).round()

@@ -1,0 +1,383 @@
+//! The application's end of one axis.
+//!
+//! An [`Axis`] is `Send` and not `Clone`: it is the one producer of its queues. Nothing here makes the loop wait; the
+//! blocking conveniences sleep on the application's own thread.
+
+use std::any::Any;
+use std::collections::VecDeque;
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+use rtrb::{Consumer, Producer};
+use thiserror::Error;
+
+use super::cell::Reader;
+use super::command::{
+    Command, CommandId, Failure, Jog, Move, Outcome, Profile, Row, StreamRow, Target, Verb,
+};
+use super::event::{Event, EventKind};
+use super::feedback::{Feedback, Link};
+use super::limits::{check_row, check_verb};
+use super::plan::AxisPlan;
+use super::streams::Streams;
+
+/// How often the blocking conveniences look for news.
+const LOOK_EVERY: Duration = Duration::from_micros(500);
+
+/// One axis of a running master.
+#[derive(Debug)]
+pub struct Axis {
+    plan: AxisPlan,
+    ends: AxisEnds,
+    next_id: u64,
+    /// Events taken from the queue while waiting for another one.
+    kept: VecDeque<Event>,
+    /// Kept events that nobody asked for and that had to make room.
+    dropped: u64,
+    streams: Streams,
+}
+
+/// The application's ends of the queues of one axis.
+#[derive(Debug)]
+pub struct AxisEnds {
+    /// Commands to the loop.
+    pub commands: Producer<Command>,
+    /// Rows to the loop.
+    pub rows: Producer<StreamRow>,
+    /// Events from the loop.
+    pub events: Consumer<Event>,
+    /// The newest feedback.
+    pub feedback: Reader<Feedback>,
+    /// Every cycle's feedback, where the plan asks for it.
+    pub samples: Option<Consumer<Feedback>>,
+    /// The protocol's own process data.
+    pub native: Option<Box<dyn Any + Send>>,
+}
+
+/// Why something asked of an axis did not come about.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum AxisError {
+    /// Refused at the door.
+    #[error("axis {axis}: {verb} refused: {failure}")]
+    Refused {
+        /// The axis.
+        axis: String,
+        /// The verb.
+        verb: &'static str,
+        /// Why.
+        failure: Failure,
+    },
+    /// The queue has no room: the loop does not take commands, or they come faster than they can be executed.
+    #[error("axis {axis}: {verb} refused: its queue of {capacity} is full; wait for earlier commands to end")]
+    Full {
+        /// The axis.
+        axis: String,
+        /// The verb.
+        verb: &'static str,
+        /// Room of the queue.
+        capacity: usize,
+    },
+    /// It ended otherwise than done.
+    #[error("axis {axis}: {verb} {outcome}")]
+    Ended {
+        /// The axis.
+        axis: String,
+        /// The verb.
+        verb: &'static str,
+        /// How it ended.
+        outcome: Outcome,
+    },
+    /// It did not end in the time given. It goes on: stop it, or wait longer.
+    #[error("axis {axis}: {verb} has not ended after {waited:?} (state {state}): stop it, or wait longer")]
+    TimedOut {
+        /// The axis.
+        axis: String,
+        /// The verb.
+        verb: &'static str,
+        /// How long was waited.
+        waited: Duration,
+        /// The drive's state.
+        state: super::State,
+    },
+    /// The master has ended.
+    #[error("axis {axis}: the master has ended: start it again")]
+    Gone {
+        /// The axis.
+        axis: String,
+    },
+}
+
+impl Axis {
+    /// An axis over its ends of the queues.
+    pub(crate) fn new(plan: AxisPlan, ends: AxisEnds) -> Axis {
+        Axis { plan, ends, next_id: 1, kept: VecDeque::new(), dropped: 0, streams: Streams::default() }
+    }
+
+    /// Its name.
+    pub fn name(&self) -> &str {
+        &self.plan.name
+    }
+
+    /// Its plan.
+    pub fn plan(&self) -> &AxisPlan {
+        &self.plan
+    }
+
+    /// The profile that moves take when they name none.
+    pub fn profile(&self) -> Profile {
+        self.plan.profile
+    }
+
+    /// The newest feedback, with its cycle and age.
+    pub fn feedback(&self) -> Feedback {
+        self.ends.feedback.read()
+    }
+
+    /// A reader of the newest feedback, for any number of threads.
+    pub fn observer(&self) -> Observer {
+        Observer(self.ends.feedback.clone())
+    }
+
+    /// The feedback of every cycle, if the plan gave the axis a sample queue; taken once.
+    pub fn samples(&mut self) -> Option<Consumer<Feedback>> {
+        self.ends.samples.take()
+    }
+
+    /// The protocol's own process data, unscaled and complete, by the protocol's own type; taken once.
+    ///
+    /// `None` if it was taken before or is of another protocol.
+    pub fn native<T: 'static>(&mut self) -> Option<Box<T>> {
+        if !self.ends.native.as_ref()?.is::<T>() {
+            return None;
+        }
+        self.ends.native.take()?.downcast().ok()
+    }
+
+    /// The next event, if there is one.
+    pub fn event(&mut self) -> Option<Event> {
+        self.kept.pop_front().or_else(|| self.take_event())
+    }
+
+    /// Events that were kept while waiting for another one, never asked for, and had to make room for newer ones.
+    pub fn events_dropped(&self) -> u64 {
+        self.dropped
+    }
+
+    /// Gives a command to the loop and returns at once. Its end is an [`EventKind::Ended`] with this id.
+    pub fn post(&mut self, verb: Verb) -> Result<CommandId, AxisError> {
+        let refused =
+            |failure| AxisError::Refused { axis: self.plan.name.clone(), verb: verb.name(), failure };
+        check_verb(&self.plan, &verb).map_err(refused)?;
+        if self.ends.commands.is_abandoned() {
+            return Err(AxisError::Gone { axis: self.plan.name.clone() });
+        }
+        let id = CommandId(self.next_id);
+        let stream = self.streams.to_follow();
+        self.ends.commands.push(Command { id, verb, stream }).map_err(|_| AxisError::Full {
+            axis: self.plan.name.clone(),
+            verb: verb.name(),
+            capacity: self.plan.command_queue,
+        })?;
+        self.next_id += 1;
+        if verb == Verb::Follow {
+            self.streams.followed(id);
+        }
+        Ok(id)
+    }
+
+    /// How many rows the stream has room for.
+    pub fn stream_room(&self) -> usize {
+        self.ends.rows.slots()
+    }
+
+    /// Queues a row for [`Verb::Follow`], one an exchange. Row by row it is checked against the limits.
+    ///
+    /// After a row marked `last`, and after the application has seen (by [`event`](Self::event) or while waiting) that the
+    /// stream ended or the axis was stopped, rows belong to the next stream.
+    pub fn push_row(&mut self, row: Row) -> Result<(), AxisError> {
+        check_row(&self.plan, &row, self.streams.before()).map_err(|failure| AxisError::Refused {
+            axis: self.plan.name.clone(),
+            verb: "row",
+            failure,
+        })?;
+        if self.ends.rows.is_abandoned() {
+            return Err(AxisError::Gone { axis: self.plan.name.clone() });
+        }
+        let row_of_stream = StreamRow { stream: self.streams.pushing(), row };
+        self.ends.rows.push(row_of_stream).map_err(|_| AxisError::Full {
+            axis: self.plan.name.clone(),
+            verb: "row",
+            capacity: self.plan.stream_queue,
+        })?;
+        self.streams.pushed(row);
+        Ok(())
+    }
+
+    /// Starts to follow the stream, whose first rows should be queued already. Ends with the row marked `last`.
+    pub fn follow(&mut self) -> Result<CommandId, AxisError> {
+        self.post(Verb::Follow)
+    }
+
+    /// Enables the drive and waits until it is in operation.
+    pub fn enable(&mut self) -> Result<(), AxisError> {
+        let limit = self.plan.enable_timeout;
+        self.run(Verb::Enable, limit)
+    }
+
+    /// Powers the drive off and waits until it is.
+    pub fn disable(&mut self) -> Result<(), AxisError> {
+        let limit = self.plan.enable_timeout;
+        self.run(Verb::Disable, limit)
+    }
+
+    /// Homes the axis and waits until it is done.
+    pub fn home(&mut self) -> Result<(), AxisError> {
+        let limit = self.plan.home_timeout;
+        self.run(Verb::Home, limit)
+    }
+
+    /// Moves to `position` (user units) and waits until the motion has ended.
+    pub fn move_to(&mut self, position: f64, profile: Profile) -> Result<(), AxisError> {
+        let distance = (position - self.feedback().demand).abs();
+        self.run(
+            Verb::Move(Move { target: Target::Absolute(position), profile }),
+            longest(distance, &profile),
+        )
+    }
+
+    /// Moves by `distance` (user units) and waits until the motion has ended.
+    pub fn move_by(&mut self, distance: f64, profile: Profile) -> Result<(), AxisError> {
+        let verb = Verb::Move(Move { target: Target::Relative(distance), profile });
+        self.run(verb, longest(distance.abs(), &profile))
+    }
+
+    /// Starts a constant velocity (user units/s); `stop` ends it.
+    pub fn jog(&mut self, velocity: f64) -> Result<CommandId, AxisError> {
+        self.post(Verb::Jog(Jog { velocity, acceleration: self.plan.profile.acceleration }))
+    }
+
+    /// Ramps down and waits for standstill; the drive stays enabled.
+    pub fn stop(&mut self) -> Result<(), AxisError> {
+        let limit = self.plan.stop.timeout + GRACE;
+        self.run(Verb::Stop { deceleration: None }, limit)
+    }
+
+    /// The drive's fastest controlled stop; waits for standstill. The drive stays enabled where it can.
+    pub fn quick_stop(&mut self) -> Result<(), AxisError> {
+        let limit = self.plan.stop.timeout + GRACE;
+        self.run(Verb::QuickStop, limit)
+    }
+
+    /// Acknowledges a fault of the drive and waits until it is gone. The drive is off then.
+    pub fn reset_fault(&mut self) -> Result<(), AxisError> {
+        let limit = self.plan.enable_timeout;
+        self.run(Verb::ResetFault, limit)
+    }
+
+    /// Opens the latch of a stopped axis; waits for a ladder that is still running.
+    pub fn reset(&mut self) -> Result<(), AxisError> {
+        let limit = self.plan.stop.timeout * 2;
+        self.run(Verb::Reset, limit)
+    }
+
+    /// Waits until the link is up.
+    pub fn wait_online(&mut self, limit: Duration) -> Result<(), AxisError> {
+        let begun = Instant::now();
+        while self.feedback().link != Link::Online {
+            if begun.elapsed() > limit {
+                return Err(self.timed_out("wait_online", limit));
+            }
+            sleep(LOOK_EVERY);
+        }
+        Ok(())
+    }
+
+    /// Posts `verb` and waits for its end.
+    pub fn run(&mut self, verb: Verb, limit: Duration) -> Result<(), AxisError> {
+        let id = self.post(verb)?;
+        self.wait(id, verb.name(), limit + GRACE)
+    }
+
+    /// Waits for the end of a posted command. Events of other things are kept for [`event`](Self::event).
+    pub fn wait(&mut self, id: CommandId, verb: &'static str, limit: Duration) -> Result<(), AxisError> {
+        let begun = Instant::now();
+        // Its end may have come while another command was waited for.
+        if let Some(place) = self.kept.iter().position(|event| ended(event, id).is_some())
+            && let Some(outcome) = self.kept.remove(place).and_then(|event| ended(&event, id))
+        {
+            return self.verdict(verb, outcome);
+        }
+        loop {
+            let gone = self.ends.events.is_abandoned();
+            while let Some(event) = self.take_event() {
+                match ended(&event, id) {
+                    Some(outcome) => return self.verdict(verb, outcome),
+                    None => self.keep(event),
+                }
+            }
+            if gone {
+                return Err(AxisError::Gone { axis: self.plan.name.clone() });
+            }
+            if begun.elapsed() > limit {
+                return Err(self.timed_out(verb, limit));
+            }
+            sleep(LOOK_EVERY);
+        }
+    }
+
+    fn verdict(&self, verb: &'static str, outcome: Outcome) -> Result<(), AxisError> {
+        match outcome {
+            Outcome::Done => Ok(()),
+            outcome => Err(AxisError::Ended { axis: self.plan.name.clone(), verb, outcome }),
+        }
+    }
+
+    fn take_event(&mut self) -> Option<Event> {
+        let event = self.ends.events.pop().ok()?;
+        self.streams.saw(&event);
+        Some(event)
+    }
+
+    /// Bounded like the queue itself: whoever never asks for events loses the oldest.
+    fn keep(&mut self, event: Event) {
+        if self.kept.len() >= self.plan.event_queue {
+            self.kept.pop_front();
+            self.dropped += 1;
+        }
+        self.kept.push_back(event);
+    }
+
+    fn timed_out(&self, verb: &'static str, waited: Duration) -> AxisError {
+        AxisError::TimedOut { axis: self.plan.name.clone(), verb, waited, state: self.feedback().state }
+    }
+}
+
+/// How command `id` ended, if `event` says so.
+fn ended(event: &Event, id: CommandId) -> Option<Outcome> {
+    match event.kind {
+        EventKind::Ended { id: ended, outcome, .. } if ended == id => Some(outcome),
+        _ => None,
+    }
+}
+
+/// What the loop's own time-out is given on top before the application stops waiting for its verdict.
+const GRACE: Duration = Duration::from_millis(500);
+
+/// Twice the time that a move should take, for the wait only.
+fn longest(distance: f64, profile: &Profile) -> Duration {
+    let seconds = distance / profile.velocity
+        + profile.velocity / profile.acceleration
+        + profile.velocity / profile.deceleration;
+    Duration::try_from_secs_f64(2.0 * seconds).unwrap_or(Duration::MAX / 4).saturating_add(GRACE)
+}
+
+/// A reader of one axis' newest feedback.
+#[derive(Clone, Debug)]
+pub struct Observer(Reader<Feedback>);
+
+impl Observer {
+    /// The newest feedback.
+    pub fn feedback(&self) -> Feedback {
+        self.0.read()
+    }
+}

@@ -1,0 +1,107 @@
+//! The limits of an axis at the door: a command or row that breaks one is refused before it reaches the loop.
+
+use super::command::{Failure, Jog, Move, Profile, Row, Target, Verb};
+use super::plan::{AxisPlan, Limits};
+
+/// `Ok` if `verb` keeps to what the plan allows, as far as that can be told without knowing where the axis is.
+pub fn check_verb(plan: &AxisPlan, verb: &Verb) -> Result<(), Failure> {
+    match verb {
+        Verb::Move(Move { target, profile }) => {
+            check_profile(plan, profile)?;
+            match *target {
+                Target::Absolute(position) => check_position(&plan.limits, position),
+                Target::Relative(distance) => finite(distance),
+            }
+        }
+        Verb::Jog(Jog { velocity, acceleration }) => {
+            finite(*velocity)?;
+            within("velocity", velocity.abs(), 0.0, plan.limits.velocity)?;
+            positive("acceleration", *acceleration, plan.limits.acceleration)
+        }
+        Verb::Stop { deceleration: Some(deceleration) } => positive("deceleration", *deceleration, None),
+        Verb::Enable
+        | Verb::Disable
+        | Verb::Home
+        | Verb::Follow
+        | Verb::Stop { deceleration: None }
+        | Verb::QuickStop
+        | Verb::ResetFault
+        | Verb::Reset
+        | Verb::Native(_) => Ok(()),
+    }
+}
+
+/// `Ok` if `row` is finite, inside the position and velocity limits, and at most a step away from `from`, the row before.
+pub fn check_row(plan: &AxisPlan, row: &Row, from: Option<f64>) -> Result<(), Failure> {
+    finite(row.velocity)?;
+    finite(row.acceleration)?;
+    check_position(&plan.limits, row.position)?;
+    within("velocity", row.velocity.abs(), 0.0, plan.limits.velocity)?;
+    within("acceleration", row.acceleration.abs(), 0.0, plan.limits.acceleration)?;
+    match (from, plan.limits.step) {
+        (Some(from), Some(step)) if plan.units.way(from, row.position).abs() > step * EXACT => {
+            Err(Failure::Limit { what: "step", value: row.position, low: from - step, high: from + step })
+        }
+        _ => Ok(()),
+    }
+}
+
+/// A step of just the largest size is not refused for its last binary digit.
+const EXACT: f64 = 1.0 + 1e-9;
+
+/// `Ok` if the axis may go from one position to the next in `seconds`.
+pub fn check_speed(plan: &AxisPlan, from: f64, to: f64, seconds: f64) -> Result<(), Failure> {
+    let reach = plan.limits.velocity.unwrap_or(f64::INFINITY) * seconds;
+    match plan.units.way(from, to).abs() > reach * EXACT {
+        true => Err(Failure::Limit {
+            what: "speed between rows",
+            value: to,
+            low: from - reach,
+            high: from + reach,
+        }),
+        false => Ok(()),
+    }
+}
+
+/// `Ok` if an axis that goes from one position to the next in `seconds` could still come to a stop inside its range, had it
+/// begun to brake at the first of them.
+pub fn check_braking(plan: &AxisPlan, from: f64, to: f64, seconds: f64) -> Result<(), Failure> {
+    let Some((low, high)) = plan.limits.position else { return Ok(()) };
+    let velocity = (to - from) / seconds;
+    let end = from + velocity * velocity.abs() / (2.0 * plan.stop.deceleration);
+    match end < low.min(from) || end > high.max(from) {
+        true => Err(Failure::Limit { what: "braking distance", value: end, low, high }),
+        false => Ok(()),
+    }
+}
+
+/// `Ok` if `position` is finite and inside the position limits.
+pub fn check_position(limits: &Limits, position: f64) -> Result<(), Failure> {
+    finite(position)?;
+    match limits.position {
+        Some((low, high)) => within("position", position, low, Some(high)),
+        None => Ok(()),
+    }
+}
+
+fn check_profile(plan: &AxisPlan, profile: &Profile) -> Result<(), Failure> {
+    positive("velocity", profile.velocity, plan.limits.velocity)?;
+    positive("acceleration", profile.acceleration, plan.limits.acceleration)?;
+    positive("deceleration", profile.deceleration, plan.limits.acceleration)
+}
+
+fn finite(value: f64) -> Result<(), Failure> {
+    if value.is_finite() { Ok(()) } else { Err(Failure::NotFinite) }
+}
+
+fn positive(what: &'static str, value: f64, most: Option<f64>) -> Result<(), Failure> {
+    finite(value)?;
+    if value > 0.0 { within(what, value, 0.0, most) } else { Err(Failure::NotPositive { what, value }) }
+}
+
+fn within(what: &'static str, value: f64, low: f64, high: Option<f64>) -> Result<(), Failure> {
+    match high {
+        Some(high) if value < low || value > high => Err(Failure::Limit { what, value, low, high }),
+        _ => Ok(()),
+    }
+}
