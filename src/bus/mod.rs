@@ -18,7 +18,8 @@ use std::fmt::Debug;
 use thiserror::Error;
 
 use crate::axis::{AxisPlan, Failure, Link, Row, State, Verb};
-use crate::net::{Carriers, PollSet};
+use crate::net::Carriers;
+use crate::rt::{PollSet, Regions};
 use crate::sim::DatagramDrive;
 use crate::time::Time;
 
@@ -33,7 +34,8 @@ pub trait BusPlan: Debug + Send + Sync {
     /// Its axes, in slot order.
     fn axes(&self) -> Vec<&AxisPlan>;
 
-    /// What `check` says of each drive: address, modes, what happens if the master dies. One sentence a line.
+    /// What `check` says of each drive beyond its [`AxisPlan`]: address, modes, what happens if the master dies. A
+    /// paragraph a drive, in slot order, a sentence a line; the address is its first line.
     fn describe(&self, period_ns: u64) -> Vec<String>;
 
     /// Opens the sockets and builds the bus for a cycle of `period_ns`. Sends nothing.
@@ -62,6 +64,12 @@ pub enum OpenError {
 
 /// One open bus on the real-time thread. `slots` are those of its own drives, in the order of its plan.
 pub trait Bus: Send {
+    /// Its name in messages.
+    fn name(&self) -> &str;
+
+    /// Adds the memory that it touches on the real-time thread, to be locked with `memory = "own"`.
+    fn memory(&self, regions: &mut Regions);
+
     /// Adds the descriptors to wait on. Asked once, after the bus was opened.
     fn poll_set(&mut self, set: &mut PollSet);
 

@@ -1,15 +1,19 @@
 //! A LinUDP bus as configured and checked.
 
-use std::net::SocketAddrV4;
+use std::net::{Ipv4Addr, SocketAddrV4};
 
-use crate::axis::AxisPlan;
+use crate::axis::{AxisPlan, Units};
 use crate::net::SendMode;
 use crate::sim::FaultPlan;
+use crate::time::{MS, Ns, US};
 
 /// The master's port, source and destination of everything (manual, 4.3).
 pub const MASTER_PORT: u16 = 41136;
 /// The drives' port (manual, 4.3).
 pub const DRIVE_PORT: u16 = 49360;
+
+/// Positions on the wire are 0.1 um (SG5 manual, units of the motion command interface).
+pub const COUNTS_PER_MM: f64 = 10_000.0;
 
 /// One master socket and its drives.
 #[derive(Clone, Debug, PartialEq)]
@@ -31,8 +35,8 @@ pub struct LinUdpDrive {
     pub axis: AxisPlan,
     /// Where the drive listens.
     pub address: SocketAddrV4,
-    /// The streaming command that Follow uses.
-    pub stream: StreamCommand,
+    /// The streaming command that Follow uses; `None`: Follow is refused.
+    pub stream: Option<StreamCommand>,
     /// Ask for the four monitoring channels too.
     pub monitor: bool,
     /// Carry a real-time-config NOP with a new count in each request: its echo tells which request a reply answers.
@@ -42,6 +46,29 @@ pub struct LinUdpDrive {
     pub leash: Option<f64>,
     /// The drive when it is simulated.
     pub simulate: SimPlan,
+}
+
+impl LinUdpPlan {
+    /// A bus of these drives, with the master on the usual port of `bind`.
+    pub fn new(bind: Ipv4Addr, drives: Vec<LinUdpDrive>) -> LinUdpPlan {
+        let bind = SocketAddrV4::new(bind, MASTER_PORT);
+        LinUdpPlan { name: "linudp-v2".into(), bind, send: SendMode::default(), drives }
+    }
+}
+
+impl LinUdpDrive {
+    /// A drive at this address, in millimetres, with everything else as it is when a configuration says nothing of it.
+    pub fn new(name: impl Into<String>, address: Ipv4Addr) -> LinUdpDrive {
+        LinUdpDrive {
+            axis: AxisPlan::new(name, Units::millimetres(COUNTS_PER_MM)),
+            address: SocketAddrV4::new(address, DRIVE_PORT),
+            stream: Some(StreamCommand::Pva),
+            monitor: false,
+            reply_tag: false,
+            leash: None,
+            simulate: SimPlan::default(),
+        }
+    }
 }
 
 /// The streaming commands of the motion command interface (SG5 manual, 030x ... 035x).
@@ -59,6 +86,82 @@ pub enum StreamCommand {
     Pva,
     /// 035x: position, velocity, acceleration; configured period. 0.4 ... 10 ms.
     PvaConfigured,
+}
+
+impl StreamCommand {
+    /// All of them, in the order of their headers.
+    pub const ALL: [StreamCommand; 6] = [
+        StreamCommand::P,
+        StreamCommand::Pv,
+        StreamCommand::PConfigured,
+        StreamCommand::PvConfigured,
+        StreamCommand::Pva,
+        StreamCommand::PvaConfigured,
+    ];
+
+    /// Its word in the configuration.
+    pub const fn name(self) -> &'static str {
+        match self {
+            StreamCommand::P => "p",
+            StreamCommand::Pv => "pv",
+            StreamCommand::PConfigured => "p-configured",
+            StreamCommand::PvConfigured => "pv-configured",
+            StreamCommand::Pva => "pva",
+            StreamCommand::PvaConfigured => "pva-configured",
+        }
+    }
+
+    /// The shortest and the longest time between two setpoints that the drive takes, ns (SG5 manual, 030x ... 035x).
+    pub const fn period_range_ns(self) -> (u64, u64) {
+        match self {
+            StreamCommand::P | StreamCommand::Pv | StreamCommand::PConfigured => (2 * MS, 5 * MS),
+            StreamCommand::PvConfigured | StreamCommand::Pva | StreamCommand::PvaConfigured => {
+                (400 * US, 10 * MS)
+            }
+        }
+    }
+
+    /// Whether the drive takes a setpoint every `period_ns`.
+    pub fn takes(self, period_ns: u64) -> bool {
+        let (shortest, longest) = self.period_range_ns();
+        (shortest..=longest).contains(&period_ns)
+    }
+}
+
+impl LinUdpDrive {
+    /// What `check` says of it beyond its axis; the first line is its address.
+    pub fn describe(&self, bind: SocketAddrV4, period_ns: u64) -> String {
+        let unit = self.axis.units.unit;
+        let setpoints = Ns(period_ns.saturating_mul(self.axis.divisor.into()));
+        let mut lines = vec![format!("{bind} -> {}", self.address)];
+        lines.push(match self.stream {
+            Some(command) => {
+                let (shortest, longest) = command.period_range_ns();
+                format!(
+                    "streams \"{}\", a setpoint every {setpoints} (the drive takes {} ... {})",
+                    command.name(),
+                    Ns(shortest),
+                    Ns(longest)
+                )
+            }
+            None if StreamCommand::ALL.iter().any(|command| command.takes(setpoints.0)) => {
+                "no streams (stream = \"off\")".to_owned()
+            }
+            None => format!("no streams: no streaming command takes a setpoint every {setpoints}"),
+        });
+        let jog = match self.leash {
+            Some(leash) => format!("a jog runs at most {leash} {unit} further"),
+            None => "jogs are refused".to_owned(),
+        };
+        let stream = match self.stream {
+            Some(_) => ", a stream ends in the drive's own underflow error",
+            None => "",
+        };
+        lines.push(format!(
+            "if the master dies: no watchdog in a LinUDP drive, a move runs to its target, {jog}{stream}"
+        ));
+        lines.join("\n")
+    }
 }
 
 /// A simulated LinMot drive.
@@ -80,10 +183,35 @@ pub struct SimPlan {
     pub home_position: i32,
     /// Period expected by the commands with configured period (UPID 14E6h), ns.
     pub stream_period_ns: u64,
+    /// A stream without a setpoint for so many periods ends in error 0083h. How patient a real drive is, is not documented;
+    /// 2.5 is a strict guess.
+    pub stream_patience: f64,
+    /// Setpoints that a stream holds ahead of its output; one more ends in error 0082h. Not documented either.
+    pub stream_depth: usize,
     /// Bits 1-5 of the control word are forced to 1, as commonly parameterised.
     pub force_enable_bits: bool,
     /// Comes up with its motor enabled and a motion running, as if another master had died.
     pub start_running: bool,
+}
+
+impl Default for SimPlan {
+    /// A kilogram on two metres of track with the home switch in its middle, answering any master, 1 ms streams.
+    fn default() -> SimPlan {
+        SimPlan {
+            faults: FaultPlan::default(),
+            padding: 14,
+            filter: MasterFilter::None,
+            start_position: 0,
+            range: (-10_000_000, 10_000_000),
+            mass_kg: 1.0,
+            home_position: 0,
+            stream_period_ns: MS,
+            stream_patience: 2.5,
+            stream_depth: 8,
+            force_enable_bits: false,
+            start_running: false,
+        }
+    }
 }
 
 /// The drive's master configuration (manual, 5).

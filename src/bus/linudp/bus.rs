@@ -1,0 +1,205 @@
+//! All drives of one LinUDP bus on one socket: stations and their carrier, as a [`Bus`].
+
+use std::any::Any;
+use std::net::Ipv4Addr;
+
+use super::native::Native;
+use super::plan::LinUdpPlan;
+use super::sim::LinMotSim;
+use super::station::Station;
+use super::wire::{REQUEST_MAX, RESPONSE_MAX};
+use crate::axis::AxisPlan;
+use crate::bus::{Bus, BusPlan, Cycle, Exchange, OpenError, Slot, Strangers};
+use crate::net::{Carriers, Datagrams, Outbox, Sent, UdpOptions};
+use crate::rt::{PollSet, Regions};
+use crate::sim::DatagramDrive;
+
+/// Room for one datagram: the longest telegram is 50 bytes, padding makes it 64 at most, and whatever is longer is not
+/// one of ours.
+const ROOM: usize = if RESPONSE_MAX > 128 { RESPONSE_MAX } else { 128 };
+
+/// Batches taken from the socket at most in one call: what does not fit waits for the next one, so that a flood of
+/// datagrams never holds the cycle.
+const MOST_BATCHES: usize = 4;
+
+/// One socket and its drives.
+pub struct LinUdpBus {
+    name: String,
+    net: Box<dyn Datagrams>,
+    outbox: Outbox,
+    stations: Vec<Station>,
+    /// Addresses of the drives in order, each with the place of its station and its port.
+    by_address: Vec<(Ipv4Addr, u16, usize)>,
+    natives: Vec<Option<Native>>,
+    strangers: Strangers,
+}
+
+impl std::fmt::Debug for LinUdpBus {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("LinUdpBus").field("name", &self.name).field("drives", &self.stations.len()).finish()
+    }
+}
+
+impl LinUdpBus {
+    /// Opens the socket of `plan`.
+    pub fn open(plan: &LinUdpPlan, carriers: &dyn Carriers) -> Result<LinUdpBus, OpenError> {
+        let options = UdpOptions { peers: plan.drives.len(), room: ROOM, send: plan.send };
+        let net = carriers.datagrams(plan.bind, &options).map_err(|source| OpenError::Bind {
+            bus: plan.name.clone(),
+            address: plan.bind,
+            remedy: remedy(&source),
+            source,
+        })?;
+        let peers: Vec<_> = plan.drives.iter().map(|drive| drive.address).collect();
+        let (stations, natives): (Vec<_>, Vec<_>) = plan.drives.iter().map(Station::new).unzip();
+        let mut by_address: Vec<_> =
+            peers.iter().enumerate().map(|(index, peer)| (*peer.ip(), peer.port(), index)).collect();
+        by_address.sort_unstable();
+        Ok(LinUdpBus {
+            name: plan.name.clone(),
+            net,
+            outbox: Outbox::new(&peers, REQUEST_MAX),
+            stations,
+            by_address,
+            natives: natives.into_iter().map(Some).collect(),
+            strangers: Strangers::default(),
+        })
+    }
+
+    /// Takes in what lies in the socket and hands each datagram to the station of its sender.
+    fn take_in(&mut self, in_window: bool, slots: &mut [Slot]) {
+        let LinUdpBus { net, stations, by_address, strangers, .. } = self;
+        for _ in 0..MOST_BATCHES {
+            let taken = net.receive(&mut |datagram| {
+                let found = by_address.binary_search_by_key(datagram.from.ip(), |(ip, _, _)| *ip);
+                let Some((_, port, index)) = found.ok().and_then(|place| by_address.get(place)) else {
+                    strangers.datagrams += 1;
+                    return;
+                };
+                let (Some(station), Some(slot)) = (stations.get_mut(*index), slots.get_mut(*index)) else {
+                    return;
+                };
+                if datagram.from.port() != *port {
+                    slot.counters.foreign += 1;
+                } else if datagram.truncated {
+                    slot.counters.malformed += 1;
+                } else {
+                    station.take(datagram.at, datagram.bytes, in_window, slot);
+                }
+            });
+            match taken {
+                Ok(count) if count < net.batch() => break,
+                Ok(_) => {}
+                Err(_) => {
+                    strangers.errors += 1;
+                    break;
+                }
+            }
+        }
+    }
+}
+
+fn remedy(error: &std::io::Error) -> &'static str {
+    match error.kind() {
+        std::io::ErrorKind::AddrInUse => {
+            "another master holds this port: end it (ss -ulpn shows which), or give this bus another bind address"
+        }
+        std::io::ErrorKind::AddrNotAvailable => {
+            "this host has no such address: `ip -4 addr` lists those it has; put one of them into bind"
+        }
+        std::io::ErrorKind::PermissionDenied => "ports below 1024 need CAP_NET_BIND_SERVICE",
+        _ => "look at the address in bind",
+    }
+}
+
+impl Bus for LinUdpBus {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn memory(&self, regions: &mut Regions) {
+        regions.add(self);
+        self.net.memory(regions);
+        self.outbox.memory(regions);
+        regions.add(&*self.stations);
+        regions.add(&*self.by_address);
+        for station in &self.stations {
+            station.memory(regions);
+        }
+    }
+
+    fn poll_set(&mut self, set: &mut PollSet) {
+        if let Some(fd) = self.net.fd() {
+            set.add(fd);
+        }
+    }
+
+    fn send(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
+        self.take_in(false, slots);
+        for (index, slot) in slots.iter().enumerate() {
+            self.outbox.post(index, slot.due);
+        }
+        self.net.send(&mut self.outbox);
+        for (index, (station, slot)) in self.stations.iter_mut().zip(slots).enumerate() {
+            match self.outbox.sent(index) {
+                Sent::At(at) => station.sent(at, cycle.deadline, slot),
+                Sent::Failed(_) | Sent::Posted => station.unsent(slot),
+                Sent::Idle => {}
+            }
+        }
+    }
+
+    fn receive(&mut self, _cycle: &Cycle, slots: &mut [Slot]) -> bool {
+        self.take_in(true, slots);
+        !slots.iter().any(|slot| matches!(slot.exchange, Exchange::Owed { .. }))
+    }
+
+    fn prepare(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
+        for (index, (station, slot)) in self.stations.iter_mut().zip(slots).enumerate() {
+            if slot.due {
+                let length = station.prepare(cycle, slot, self.outbox.room(index));
+                self.outbox.set_length(index, length);
+            }
+        }
+    }
+
+    fn shut_down(&mut self, _cycle: &Cycle, _slots: &mut [Slot]) -> bool {
+        // The drives keep no connection: once the axes are down, nothing is owed.
+        true
+    }
+
+    fn strangers(&self) -> Strangers {
+        self.strangers
+    }
+
+    fn native(&mut self, index: usize) -> Option<Box<dyn Any + Send>> {
+        let native = self.natives.get_mut(index)?.take()?;
+        Some(Box::new(native))
+    }
+}
+
+impl BusPlan for LinUdpPlan {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn protocol(&self) -> &'static str {
+        "linudp-v2"
+    }
+
+    fn axes(&self) -> Vec<&AxisPlan> {
+        self.drives.iter().map(|drive| &drive.axis).collect()
+    }
+
+    fn describe(&self, period_ns: u64) -> Vec<String> {
+        self.drives.iter().map(|drive| drive.describe(self.bind, period_ns)).collect()
+    }
+
+    fn open(&self, _period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
+        Ok(Box::new(LinUdpBus::open(self, carriers)?))
+    }
+
+    fn simulate(&self) -> Vec<Box<dyn DatagramDrive>> {
+        self.drives.iter().map(|drive| Box::new(LinMotSim::new(drive)) as Box<dyn DatagramDrive>).collect()
+    }
+}

@@ -1,0 +1,199 @@
+//! The native process data of a LinUDP drive: unscaled and complete, for the application.
+
+use rtrb::{Consumer, Producer};
+
+use super::motion::MotionCommand;
+use super::wire::{ControlWord, RESPONSE_MAX, Response, RtcBlock};
+use crate::axis::cell::{self, Packed, Reader, Writer};
+use crate::rt::{self, Regions};
+use crate::time::Time;
+
+/// How many outputs the application may queue.
+const OUTPUTS: usize = 16;
+
+/// The application's end: [`Axis::native`](crate::axis::Axis::native) with this type.
+#[derive(Debug)]
+pub struct Native {
+    inputs: Reader<Telegram>,
+    outputs: Producer<NativeOutput>,
+}
+
+/// Everything that the drive's last accepted reply carried.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct NativeInputs {
+    /// When it was taken in.
+    pub at: Time,
+    /// The telegram. Blocks that were not asked for are `None`.
+    pub response: Response,
+}
+
+/// What the application writes in native mode: one an exchange at most, in order. Each goes out: where an exchange is passed
+/// over or the system refuses to send it, with the next one.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct NativeOutput {
+    /// The control word, from here on; taken only with `NativeOwner::Application`.
+    pub control: Option<ControlWord>,
+    /// A motion command. It is sent with the next count and repeated until its echo comes, with another count where that
+    /// stays out; after 4 counts the native mode fails. The next output with a motion waits until then, and so does what is
+    /// behind it. Outside of operation a drive echoes nothing: there the next motion replaces it.
+    pub motion: Option<MotionCommand>,
+    /// A real-time-config block, count included, sent in one exchange only.
+    pub config: Option<RtcBlock>,
+}
+
+/// The station's end.
+#[derive(Debug)]
+pub(super) struct NativePort {
+    inputs: Writer<Telegram>,
+    outputs: Consumer<NativeOutput>,
+    /// Those of the queue.
+    regions: Regions,
+}
+
+/// Both ends.
+pub(super) fn native() -> (Native, NativePort) {
+    let (writer, reader) = cell::cell(Telegram::of(Time(0), &[]));
+    let mut regions = Regions::new();
+    let (producer, consumer) = rt::ring(OUTPUTS, &mut regions);
+    (Native { inputs: reader, outputs: producer }, NativePort { inputs: writer, outputs: consumer, regions })
+}
+
+impl Native {
+    /// The newest inputs.
+    pub fn inputs(&self) -> NativeInputs {
+        let Telegram { at, length, bytes } = self.inputs.read();
+        // Only what the station has accepted is published, so this fails before the first reply only.
+        NativeInputs { at, response: Response::parse(&bytes[..length.min(ROOM)]).unwrap_or_default() }
+    }
+
+    /// Queues an output for the axis in native mode; gives it back if the queue is full.
+    pub fn write(&mut self, output: NativeOutput) -> Result<(), NativeOutput> {
+        self.outputs.push(output).map_err(|rtrb::PushError::Full(output)| output)
+    }
+}
+
+impl NativePort {
+    /// Adds what both directions touch, to be locked.
+    pub(super) fn memory(&self, regions: &mut Regions) {
+        self.inputs.memory(regions);
+        regions.extend(&self.regions);
+    }
+
+    pub(super) fn publish(&mut self, at: Time, telegram: &[u8]) {
+        self.inputs.write(&Telegram::of(at, telegram));
+    }
+
+    /// The next output; one with a motion only if the motion channel is `free`.
+    pub(super) fn next(&mut self, free: bool) -> Option<NativeOutput> {
+        if !free && self.outputs.peek().ok()?.motion.is_some() {
+            return None;
+        }
+        self.outputs.pop().ok()
+    }
+
+    /// Drops what was written for a native mode that is over; not what the application writes meanwhile, which would have
+    /// no end.
+    pub(super) fn flush(&mut self) {
+        for _ in 0..self.outputs.slots().min(OUTPUTS) {
+            let _ = self.outputs.pop();
+        }
+    }
+}
+
+/// A reply as it came: the station publishes it whole, and whoever reads it takes it apart.
+#[derive(Clone, Copy, Debug)]
+struct Telegram {
+    at: Time,
+    length: usize,
+    bytes: [u8; ROOM],
+}
+
+/// Room for the longest telegram, in whole words. What lies behind its blocks is never read.
+const ROOM: usize = RESPONSE_MAX.next_multiple_of(8);
+
+impl Telegram {
+    fn of(at: Time, telegram: &[u8]) -> Telegram {
+        let mut bytes = [0; ROOM];
+        let length = telegram.len().min(ROOM);
+        bytes[..length].copy_from_slice(&telegram[..length]);
+        Telegram { at, length, bytes }
+    }
+}
+
+impl Packed for Telegram {
+    type Words = [u64; 2 + ROOM / 8];
+
+    fn pack(&self) -> Self::Words {
+        let mut words = Self::Words::default();
+        (words[0], words[1]) = (self.at.0, self.length as u64);
+        for (word, bytes) in words[2..].iter_mut().zip(self.bytes.as_chunks().0) {
+            *word = u64::from_le_bytes(*bytes);
+        }
+        words
+    }
+
+    fn unpack(words: &Self::Words) -> Telegram {
+        let mut bytes = [0; ROOM];
+        for (bytes, word) in bytes.as_chunks_mut().0.iter_mut().zip(&words[2..]) {
+            *bytes = word.to_le_bytes();
+        }
+        Telegram { at: Time(words[0]), length: words[1] as usize, bytes }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+
+    use super::*;
+
+    #[test]
+    fn a_flush_ends_however_fast_the_application_writes() {
+        let (mut native, mut port) = native();
+        let (pushed, over) = (AtomicUsize::new(0), AtomicBool::new(false));
+        let most = std::thread::scope(|scope| {
+            scope.spawn(|| {
+                while !over.load(Ordering::Relaxed) {
+                    if native.write(NativeOutput::default()).is_ok() {
+                        pushed.fetch_add(1, Ordering::SeqCst);
+                    }
+                }
+            });
+            let flush = |_| {
+                let before = pushed.load(Ordering::SeqCst);
+                port.flush();
+                pushed.load(Ordering::SeqCst) - before
+            };
+            let most = (0..20_000).map(flush).max();
+            over.store(true, Ordering::Relaxed);
+            most
+        });
+        // What was free before, what a flush made free, and one that was not counted yet.
+        assert!(most <= Some(2 * OUTPUTS + 1), "{most:?}");
+    }
+
+    #[test]
+    fn the_queue_is_locked_with_the_rest() {
+        let (mut native, port) = native();
+        let mut regions = Regions::new();
+        port.memory(&mut regions);
+        let mut chunk = native.outputs.write_chunk_uninit(OUTPUTS).unwrap();
+        assert!(regions.covers(chunk.as_mut_slices().0));
+    }
+
+    #[test]
+    fn whatever_was_received_can_be_read() {
+        let mut random = fastrand::Rng::with_seed(7);
+        let (native, mut port) = native();
+        assert_eq!(native.inputs(), NativeInputs::default());
+        for definition in 0..0x200_u32 {
+            let mut bytes = [0; 64];
+            random.fill(&mut bytes);
+            bytes[..4].copy_from_slice(&(definition >> 6 & 7).to_le_bytes());
+            bytes[4..8].copy_from_slice(&definition.to_le_bytes());
+            let response = Response::parse(&bytes).unwrap();
+            port.publish(Time(5), &bytes[..response.size()]);
+            assert_eq!(native.inputs(), NativeInputs { at: Time(5), response });
+        }
+    }
+}

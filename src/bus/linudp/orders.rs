@@ -1,0 +1,670 @@
+//! What an order does to a LinMot drive, step by step: edges, counts, hold times.
+//!
+//! Every step waits for what the drive says in a reply to a request that was sent after the step began, never for a time.
+//! The control word stays what the last step left behind. Nothing is written before the first order.
+//!
+//! Sources: SG5 manual 4.3.4, state machine and motion command interface (sheet, 3.5 and 4.1).
+
+use super::channel::MotionChannel;
+use super::motion::{MotionCommand, Vad};
+use super::native::{NativeOutput, NativePort};
+use super::plan::{LinUdpDrive, StreamCommand};
+use super::wire::{ControlWord, ErrorCode, MainState, MotionBlock, RtcBlock, StateVar, StatusWord};
+use crate::axis::command::NativeOwner;
+use crate::axis::limits::check_position;
+use crate::axis::units::{to_i32, to_u32};
+use crate::axis::{Failure, Jog, Limits, Move, Profile, RangeError, Row, State, Target, Units, Verb};
+use crate::bus::{Progress, Slot};
+use crate::time::{Time, nanos};
+
+/// A stream ends with at least so many rows that stand still and that the drive has taken: its output runs 1.5 of its periods
+/// behind, and what it has not reached when it leaves streaming it never reaches ...
+const LAST_ROWS: u32 = 3;
+/// ... and with at most so many, should its demand never be said to have arrived.
+const MOST_LAST_ROWS: u32 = 50;
+
+/// What the drive last said, as far as orders need it.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Inputs {
+    /// There was a reply at all.
+    pub seen: bool,
+    /// New since the last request was built.
+    pub fresh: bool,
+    /// Not suspect.
+    pub clean: bool,
+    /// Status word and state var are 0: booting, or the motion software is stopped.
+    pub booting: bool,
+    /// When it came in.
+    pub at: Time,
+    pub status: StatusWord,
+    pub state: StateVar,
+    /// Unwrapped, 0.1 um.
+    pub demand: i64,
+    /// Of the demand, user units/s.
+    pub velocity: f64,
+    pub fault: ErrorCode,
+}
+
+impl Inputs {
+    /// In error, or in the quick stop that an error began.
+    fn failed(&self) -> bool {
+        self.settled_error() || (self.state.main() == MainState::QUICK_STOP && self.status.error())
+    }
+
+    /// In error and braking no more: the only states in which an error can be acknowledged.
+    fn settled_error(&self) -> bool {
+        matches!(self.state.main(), MainState::ERROR | MainState::SETUP_ERROR)
+    }
+}
+
+/// The blocks of the next request.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Outputs {
+    pub control: Option<ControlWord>,
+    pub motion: Option<MotionBlock>,
+    pub config: Option<RtcBlock>,
+}
+
+/// The orders of one drive.
+#[derive(Debug)]
+pub(super) struct Orders {
+    units: Units,
+    limits: Limits,
+    profile: Profile,
+    stream: Option<StreamCommand>,
+    leash: Option<f64>,
+    enable_timeout_ns: u64,
+    home_timeout_ns: u64,
+    serial: u64,
+    step: Step,
+    since: Time,
+    /// Clean replies since the step began whose request was sent in it.
+    answers: u32,
+    /// Requests sent since the step began.
+    sent: u32,
+    control: Option<ControlWord>,
+    channel: MotionChannel,
+    /// The native output that the next request carries. It stays until that has gone out: a request may be built more than
+    /// once for one send, and a send may fail.
+    native: Option<NativeOutput>,
+    end: Option<Result<(), Failure>>,
+}
+
+/// Where an order is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Step {
+    Idle,
+    /// Control word low until the drive is ready to switch on.
+    EnableLow,
+    /// Control word on until the drive is in operation.
+    EnableHigh,
+    Disabling,
+    /// The home bit is held until the drive says finished.
+    Homing,
+    /// The home bit is released until the drive is back in operation.
+    HomeDone,
+    /// A motion command is on its way; the drive's setpoint generator runs it then.
+    Moving,
+    Jogging(Rolling),
+    /// The first row has not come yet.
+    FollowWaiting,
+    Following {
+        row: u64,
+    },
+    /// The last row has been sent, and standing ones follow it; so many of all these were taken.
+    FollowEnding {
+        taken: u32,
+        last: Row,
+    },
+    /// /Abort is low until the drive stands.
+    Aborting,
+    /// /Abort is high again until the drive is back in operation.
+    AbortDone,
+    /// The drive brakes on its own with the control word as found: bit 0 low would let the axis coast.
+    AcknowledgeWaiting,
+    /// Control word low, so that the acknowledge has an edge and the drive cannot switch on with it.
+    AcknowledgeLow,
+    Acknowledging,
+    AcknowledgeDone,
+    Native(NativeOwner),
+}
+
+/// A velocity as a target that rolls ahead.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Rolling {
+    jog: Jog,
+    leash: f64,
+    /// The last target sent, user units.
+    target: f64,
+    /// The target is the position limit: it rolls no further.
+    at_limit: bool,
+}
+
+impl Orders {
+    pub(super) fn new(drive: &LinUdpDrive) -> Orders {
+        Orders {
+            units: drive.axis.units,
+            limits: drive.axis.limits,
+            profile: drive.axis.profile,
+            stream: drive.stream,
+            leash: drive.leash,
+            enable_timeout_ns: nanos(drive.axis.enable_timeout),
+            home_timeout_ns: nanos(drive.axis.home_timeout),
+            serial: 0,
+            step: Step::Idle,
+            since: Time(0),
+            answers: 0,
+            sent: 0,
+            control: None,
+            channel: MotionChannel::default(),
+            native: None,
+            end: None,
+        }
+    }
+
+    /// The request that was built last has gone out.
+    pub(super) fn sent(&mut self) {
+        self.sent = self.sent.saturating_add(1);
+        self.native = None;
+    }
+
+    /// The drive came back from a restart: its counts start anew, and so does what it was told.
+    pub(super) fn drive_restarted(&mut self) {
+        self.channel = MotionChannel::default();
+        if self.control.is_some() {
+            self.control = Some(ControlWord::BASE);
+        }
+        if matches!(self.step, Step::EnableLow | Step::EnableHigh) {
+            self.finish(Err(Failure::Dropped(State::NotReadyToSwitchOn)));
+        }
+    }
+
+    /// Works on the order in `slot` with what the drive last said, and gives the blocks of the next request.
+    pub(super) fn advance(
+        &mut self,
+        now: Time,
+        inputs: &Inputs,
+        slot: &mut Slot,
+        native: &mut NativePort,
+    ) -> Outputs {
+        let fresh = inputs.seen && inputs.fresh;
+        if fresh {
+            if inputs.clean && self.sent > 0 {
+                // A step may last for ever: at 1 kHz the count is full after 50 days.
+                self.answers = self.answers.saturating_add(1);
+            }
+            if let Some(echo) = inputs.state.count()
+                && let Err(failure) = self.channel.take(echo, inputs.clean)
+            {
+                self.finish(Err(failure));
+            }
+        }
+        if slot.order.serial != self.serial {
+            self.serial = slot.order.serial;
+            self.end = None;
+            self.begin(now, inputs, slot, native);
+        } else if self.end.is_none() || matches!(self.step, Step::Aborting | Step::AbortDone) {
+            self.go_on(now, fresh, inputs, slot);
+        }
+        if self.serial != 0 {
+            slot.progress = Progress { serial: self.serial, end: self.end };
+        }
+        if let Step::Native(owner) = self.step {
+            self.take_native(owner, inputs, native);
+        }
+        Outputs {
+            control: self.control,
+            motion: self.channel.block(),
+            config: self.native.and_then(|output| output.config),
+        }
+    }
+
+    /// Takes the next native output once the one before it has gone out, and the motion before it was echoed.
+    fn take_native(&mut self, owner: NativeOwner, inputs: &Inputs, native: &mut NativePort) {
+        if self.native.is_some() {
+            return;
+        }
+        let free = self.channel.command.is_none() || inputs.state.count().is_none();
+        let Some(output) = native.next(free) else { return };
+        if owner == NativeOwner::Application && output.control.is_some() {
+            self.control = output.control;
+        }
+        if let Some(command) = output.motion {
+            self.channel.send(command);
+        }
+        self.native = Some(output);
+    }
+
+    fn enter(&mut self, now: Time, step: Step) {
+        (self.step, self.since, self.answers, self.sent) = (step, now, 0, 0);
+    }
+
+    fn finish(&mut self, end: Result<(), Failure>) {
+        self.native = None;
+        self.end = Some(end);
+        self.step = Step::Idle;
+    }
+
+    fn begin(&mut self, now: Time, inputs: &Inputs, slot: &Slot, native: &mut NativePort) {
+        self.channel.clear();
+        self.native = None;
+        native.flush();
+        let state = inputs.state.main();
+        let operating = state == MainState::OPERATION_ENABLED;
+        let failed = inputs.failed();
+        match slot.order.verb {
+            None => {
+                self.control = Some(as_found(inputs));
+                self.finish(Ok(()));
+            }
+            Some(Verb::Enable) if failed => self.finish(Err(Failure::DriveFault(u32::from(inputs.fault.0)))),
+            Some(Verb::Enable) if operating => {
+                self.control = Some(ControlWord::ON);
+                self.finish(Ok(()));
+            }
+            Some(Verb::Enable) if state == MainState::QUICK_STOP => {
+                self.finish(Err(Failure::WrongState(slot.report.state)));
+            }
+            Some(Verb::Enable) => {
+                // A drive that is switched on already, but not in operation, is not switched off first.
+                let on = state >= MainState::HW_TESTS;
+                self.control = Some(if on { ControlWord::ON } else { ControlWord::BASE });
+                self.enter(now, if on { Step::EnableHigh } else { Step::EnableLow });
+            }
+            Some(Verb::Disable) => {
+                self.control = Some(ControlWord::BASE);
+                self.enter(now, Step::Disabling);
+            }
+            Some(Verb::Home) => {
+                self.control = Some(ControlWord::HOME);
+                self.enter(now, Step::Homing);
+            }
+            Some(Verb::Move(motion)) => match self.motion(now, &motion, inputs) {
+                Ok(command) => self.command(now, command, Step::Moving),
+                Err(failure) => self.refuse(now, failure, inputs),
+            },
+            Some(Verb::Jog(jog)) => self.begin_jog(now, jog, inputs),
+            Some(Verb::Follow) if self.stream.is_none() => {
+                let why = "no streaming command fits its cycle (stream = \"off\")";
+                self.refuse(now, Failure::Unsupported(why), inputs);
+            }
+            Some(Verb::Follow) => {
+                self.enter(now, Step::FollowWaiting);
+                // The first row may have come with the order.
+                self.follow(now, inputs, slot);
+            }
+            Some(Verb::Stop { deceleration }) => self.begin_stop(now, deceleration, inputs),
+            Some(Verb::QuickStop) => self.begin_abort(now, inputs),
+            Some(Verb::ResetFault) if !failed => self.finish(Ok(())),
+            Some(Verb::ResetFault) if inputs.settled_error() => self.begin_acknowledge(now, inputs),
+            Some(Verb::ResetFault) => {
+                self.control = Some(as_found(inputs));
+                self.enter(now, Step::AcknowledgeWaiting);
+            }
+            Some(Verb::Native(owner)) => {
+                if owner == NativeOwner::Application {
+                    self.control = Some(as_found(inputs));
+                }
+                self.enter(now, Step::Native(owner));
+            }
+            Some(Verb::Reset) => self.finish(Ok(())),
+        }
+    }
+
+    fn begin_acknowledge(&mut self, now: Time, inputs: &Inputs) {
+        self.control = Some(ControlWord::BASE);
+        if inputs.status.fatal() {
+            self.finish(Err(Failure::DriveFault(u32::from(inputs.fault.0))));
+        } else {
+            self.enter(now, Step::AcknowledgeLow);
+        }
+    }
+
+    fn go_on(&mut self, now: Time, fresh: bool, inputs: &Inputs, slot: &mut Slot) {
+        let state = inputs.state.main();
+        let answered = fresh && self.answers > 0;
+        let operating = state == MainState::OPERATION_ENABLED;
+        let failed = inputs.failed();
+        let drive_fault = Failure::DriveFault(u32::from(inputs.fault.0));
+        let timed_out = |limit_ns: u64| now.since(self.since) > limit_ns;
+        match self.step {
+            Step::Idle => {}
+            Step::EnableLow | Step::EnableHigh if answered && failed => self.finish(Err(drive_fault)),
+            Step::EnableLow if answered && state == MainState::READY_TO_SWITCH_ON => {
+                self.control = Some(ControlWord::ON);
+                let begun = self.since;
+                self.enter(now, Step::EnableHigh);
+                self.since = begun;
+            }
+            Step::EnableHigh if answered && operating => self.finish(Ok(())),
+            Step::EnableLow | Step::EnableHigh if timed_out(self.enable_timeout_ns) => {
+                self.control = Some(ControlWord::BASE);
+                self.finish(Err(Failure::TimedOut(slot.report.state)));
+            }
+            Step::EnableLow | Step::EnableHigh => {}
+
+            Step::Disabling if answered && !slot.report.state.is_powered() => self.finish(Ok(())),
+            Step::Disabling if timed_out(self.enable_timeout_ns) => {
+                self.finish(Err(Failure::TimedOut(slot.report.state)));
+            }
+            Step::Disabling => {}
+
+            Step::Homing if answered && state == MainState::HOMING && inputs.state.finished() => {
+                self.control = Some(ControlWord::ON);
+                self.enter(now, Step::HomeDone);
+            }
+            Step::HomeDone if answered && operating => self.finish(Ok(())),
+            Step::Homing | Step::HomeDone if answered && failed => self.finish(Err(drive_fault)),
+            Step::Homing | Step::HomeDone if answered && !slot.report.state.is_powered() => {
+                self.finish(Err(Failure::Dropped(slot.report.state)));
+            }
+            Step::Homing | Step::HomeDone if timed_out(self.home_timeout_ns) => {
+                self.control = Some(ControlWord::ON);
+                self.finish(Err(Failure::TimedOut(slot.report.state)));
+            }
+            Step::Homing | Step::HomeDone => {}
+
+            Step::Aborting => {
+                let standing = !slot.report.moving && self.answers >= 2;
+                if answered && (standing || !slot.report.state.is_powered()) {
+                    self.control = Some(as_found(inputs));
+                    self.enter(now, Step::AbortDone);
+                }
+            }
+            Step::AbortDone if answered && (operating || !slot.report.state.is_powered()) => {
+                self.control = Some(as_found(inputs));
+                self.finish(Ok(()));
+            }
+            Step::AbortDone => {}
+
+            Step::AcknowledgeWaiting if answered && inputs.settled_error() => {
+                let begun = self.since;
+                self.begin_acknowledge(now, inputs);
+                self.since = begun;
+            }
+            Step::AcknowledgeWaiting if answered && !failed => self.finish(Ok(())),
+            Step::AcknowledgeWaiting if timed_out(self.enable_timeout_ns) => self.finish(Err(drive_fault)),
+            Step::AcknowledgeWaiting => {}
+            Step::AcknowledgeLow if answered => {
+                self.control = Some(ControlWord::ACKNOWLEDGE);
+                let begun = self.since;
+                self.enter(now, Step::Acknowledging);
+                self.since = begun;
+            }
+            Step::Acknowledging if answered && !failed => {
+                self.control = Some(ControlWord::BASE);
+                self.enter(now, Step::AcknowledgeDone);
+            }
+            Step::AcknowledgeDone if answered && !failed => self.finish(Ok(())),
+            Step::AcknowledgeLow | Step::Acknowledging | Step::AcknowledgeDone
+                if timed_out(self.enable_timeout_ns) =>
+            {
+                self.control = Some(ControlWord::BASE);
+                self.finish(Err(drive_fault));
+            }
+            Step::AcknowledgeLow | Step::Acknowledging | Step::AcknowledgeDone => {}
+
+            // All that follows needs the drive in operation.
+            _ if answered && failed => self.finish(Err(drive_fault)),
+            Step::Native(NativeOwner::Application) => {}
+            _ if answered && !operating => self.finish(Err(Failure::Dropped(slot.report.state))),
+
+            Step::Moving => {
+                if answered && self.channel.command.is_none() && !slot.report.moving {
+                    self.finish(Ok(()));
+                }
+            }
+            Step::Jogging(rolling) => self.roll(now, answered, rolling, inputs, slot),
+            Step::FollowWaiting | Step::Following { .. } => self.follow(now, inputs, slot),
+            Step::FollowEnding { taken, last } => self.end_stream(now, taken, last, fresh, inputs),
+            Step::Native(NativeOwner::Master) => {}
+        }
+    }
+
+    fn command(&mut self, now: Time, command: MotionCommand, step: Step) {
+        self.channel.send(command);
+        self.enter(now, step);
+    }
+
+    /// A motion that cannot go on. The one before it has ended for the application, so nothing shall move on behind its back.
+    fn refuse(&mut self, now: Time, failure: Failure, inputs: &Inputs) {
+        self.finish(Err(failure));
+        if inputs.state.motion_active() == Some(true)
+            && let Ok(deceleration) = self.acceleration(self.braking(now, self.profile.deceleration, inputs))
+        {
+            self.channel.send(MotionCommand::stop(deceleration));
+        }
+    }
+
+    /// The demand position, not folded into one turn.
+    fn demand(&self, inputs: &Inputs) -> f64 {
+        self.units.distance(inputs.demand as f64) + self.units.offset
+    }
+
+    /// A move as "VAI go to position". A relative one is made absolute here: were its reply lost and the command repeated, an
+    /// increment would run twice.
+    fn motion(&self, now: Time, motion: &Move, inputs: &Inputs) -> Result<MotionCommand, Failure> {
+        let position = match motion.target {
+            Target::Absolute(position) => self.near(position, inputs),
+            Target::Relative(distance) => self.demand(inputs) + distance,
+        };
+        check_position(&self.limits, position)?;
+        Ok(self.go_to(now, position, &motion.profile, inputs)?)
+    }
+
+    /// On a rotary axis, the place of `position` that is nearest to the demand.
+    fn near(&self, position: f64, inputs: &Inputs) -> f64 {
+        match self.units.modulo {
+            Some(_) => self.demand(inputs) + self.units.way(self.demand(inputs), position),
+            None => position,
+        }
+    }
+
+    fn go_to(
+        &self,
+        now: Time,
+        position: f64,
+        profile: &Profile,
+        inputs: &Inputs,
+    ) -> Result<MotionCommand, RangeError> {
+        Ok(MotionCommand::go_to(
+            self.position(position)?,
+            Vad {
+                velocity: self.velocity(profile.velocity)?,
+                acceleration: self.acceleration(profile.acceleration)?,
+                deceleration: self.acceleration(self.braking(now, profile.deceleration, inputs))?,
+            },
+        ))
+    }
+
+    /// The deceleration asked for, or what it takes to brake within the limits from where the axis will be at the next send:
+    /// what replaces a fast motion may be too weak for the way that is left. Never more than the limit of acceleration, or than
+    /// the axis' own profile where there is none.
+    fn braking(&self, now: Time, asked: f64, inputs: &Inputs) -> f64 {
+        let velocity = inputs.velocity;
+        let Some((low, high)) = self.limits.position else { return asked };
+        // Standing at the very end is no reason to brake, and before homing positions say nothing.
+        if velocity == 0.0 || !inputs.status.homed() {
+            return asked;
+        }
+        let demand = self.demand(inputs);
+        let room = if velocity > 0.0 { high - demand } else { demand - low };
+        // Twice the way until then: the telegram may have to be repeated.
+        let left = room - 2.0 * velocity.abs() * now.since(inputs.at) as f64 * 1e-9;
+        let most = self.limits.acceleration.unwrap_or(self.profile.deceleration);
+        let needed = if left > 0.0 { velocity * velocity / (2.0 * left) } else { most };
+        asked.max(needed.min(most))
+    }
+
+    fn position(&self, position: f64) -> Result<i32, RangeError> {
+        to_i32(self.units.counts(position), self.units.counts_per_unit, "units")
+    }
+
+    /// 1 um/s: ten times coarser than a count of 0.1 um.
+    fn velocity(&self, velocity: f64) -> Result<u32, RangeError> {
+        let scale = self.units.counts_per_unit.abs() * 0.1;
+        at_least_one(velocity, to_u32(velocity * scale, scale, "units/s")?, scale, "units/s")
+    }
+
+    /// 1e-5 m/s2: a hundred times coarser than a count of 0.1 um.
+    fn acceleration(&self, acceleration: f64) -> Result<u32, RangeError> {
+        let scale = self.units.counts_per_unit.abs() * 0.01;
+        at_least_one(acceleration, to_u32(acceleration * scale, scale, "units/s2")?, scale, "units/s2")
+    }
+
+    fn begin_jog(&mut self, now: Time, jog: Jog, inputs: &Inputs) {
+        let Some(leash) = self.leash else {
+            let why =
+                "a LinUDP drive has no watchdog; allow jogs with no_drive_watchdog = \"accept\" and a leash";
+            return self.refuse(now, Failure::Unsupported(why), inputs);
+        };
+        if jog.velocity == 0.0 {
+            return self.begin_stop(now, Some(jog.acceleration), inputs);
+        }
+        // Half of the leash is always ahead; the axis must be able to brake within it, or it would never get that fast.
+        let most = (jog.acceleration * leash).sqrt();
+        if jog.velocity.abs() > most {
+            let failure =
+                Failure::Limit { what: "jog within its leash", value: jog.velocity, low: -most, high: most };
+            return self.refuse(now, failure, inputs);
+        }
+        self.roll_on(now, Rolling { jog, leash, target: 0.0, at_limit: false }, inputs);
+    }
+
+    fn roll(&mut self, now: Time, answered: bool, rolling: Rolling, inputs: &Inputs, slot: &Slot) {
+        if self.channel.command.is_some() || !answered {
+            return;
+        }
+        let left = (rolling.target - self.demand(inputs)).abs();
+        if rolling.at_limit {
+            if !slot.report.moving {
+                let (low, high) = self.limits.position.unwrap_or((rolling.target, rolling.target));
+                self.finish(Err(Failure::Limit { what: "position", value: rolling.target, low, high }));
+            }
+        } else if left <= rolling.leash * 0.75 {
+            self.roll_on(now, rolling, inputs);
+        }
+    }
+
+    /// Sends the next target, a leash ahead of the demand.
+    fn roll_on(&mut self, now: Time, mut rolling: Rolling, inputs: &Inputs) {
+        let demand = self.demand(inputs);
+        rolling.target = demand + rolling.leash.copysign(rolling.jog.velocity);
+        if let Some((low, high)) = self.limits.position {
+            // Only the limit ahead ends it: from outside the range a jog leads back in.
+            let (ahead, beyond) = match rolling.jog.velocity > 0.0 {
+                true => (high, rolling.target > high),
+                false => (low, rolling.target < low),
+            };
+            if beyond && (ahead - demand) * rolling.jog.velocity <= 0.0 {
+                return self.refuse(
+                    now,
+                    Failure::Limit { what: "position", value: rolling.target, low, high },
+                    inputs,
+                );
+            }
+            rolling.at_limit = beyond;
+            rolling.target = if beyond { ahead } else { rolling.target };
+        }
+        let profile = Profile {
+            velocity: rolling.jog.velocity.abs(),
+            acceleration: rolling.jog.acceleration,
+            deceleration: rolling.jog.acceleration,
+        };
+        match self.go_to(now, rolling.target, &profile, inputs) {
+            Ok(command) => self.command(now, command, Step::Jogging(rolling)),
+            Err(range) => self.refuse(now, range.into(), inputs),
+        }
+    }
+
+    /// One row an exchange. A row that came before (its slot was passed over) is not counted twice.
+    fn follow(&mut self, now: Time, inputs: &Inputs, slot: &Slot) {
+        let Some(next) = slot.row else { return };
+        if matches!(self.step, Step::Following { row, .. } if row == next.number) {
+            return;
+        }
+        let row = Row { position: self.near(next.row.position, inputs), ..next.row };
+        if let Err(range) = self.stream_row(&row) {
+            return self.refuse(now, range.into(), inputs);
+        }
+        self.step = if next.row.last {
+            Step::FollowEnding { taken: 0, last: row }
+        } else {
+            Step::Following { row: next.number }
+        };
+        (self.since, self.sent) = (now, 0);
+    }
+
+    fn stream_row(&mut self, row: &Row) -> Result<(), RangeError> {
+        let Some(command) = self.stream else { return Ok(()) };
+        let scale = self.units.counts_per_unit;
+        let position = self.position(row.position)?;
+        let velocity = to_i32(row.velocity * scale * 0.1, scale * 0.1, "units/s")?;
+        let acceleration = to_i32(row.acceleration * scale * 0.01, scale * 0.01, "units/s2")?;
+        self.channel.stream(MotionCommand::stream(command, position, velocity, acceleration));
+        Ok(())
+    }
+
+    fn end_stream(&mut self, now: Time, taken: u32, last: Row, fresh: bool, inputs: &Inputs) {
+        if self.sent == 0 {
+            return;
+        }
+        self.sent = 0;
+        let taken = taken + u32::from(fresh && inputs.state.count() == self.channel.count);
+        let arrived = self.position(last.position) == Ok(inputs.demand as i32);
+        if taken > LAST_ROWS && arrived || taken > MOST_LAST_ROWS {
+            return self.command(now, MotionCommand::END_STREAM, Step::Moving);
+        }
+        // The last row was in range, so is this one.
+        let standing = Row { velocity: 0.0, acceleration: 0.0, ..last };
+        if self.stream_row(&standing).is_ok() {
+            self.step = Step::FollowEnding { taken, last };
+        }
+    }
+
+    /// A ramp. Where the drive does not take motion commands (homing, jogging by bits ...), /Abort stops it.
+    fn begin_stop(&mut self, now: Time, deceleration: Option<f64>, inputs: &Inputs) {
+        if inputs.seen && inputs.state.main() != MainState::OPERATION_ENABLED {
+            return self.begin_abort(now, inputs);
+        }
+        self.control = Some(as_found(inputs));
+        let deceleration = deceleration.unwrap_or(self.profile.deceleration);
+        match self.acceleration(self.braking(now, deceleration, inputs)) {
+            Ok(deceleration) => self.command(now, MotionCommand::stop(deceleration.max(1)), Step::Moving),
+            Err(_) => self.begin_abort(now, inputs),
+        }
+    }
+
+    /// The drive's quick stop that stays controlled: /Abort low, never /Freeze (it would run on) and never OFF3 (it ends in
+    /// power off, and the load drops).
+    fn begin_abort(&mut self, now: Time, inputs: &Inputs) {
+        if inputs.seen && inputs.state.main() < MainState::OPERATION_ENABLED {
+            // An enable that is stopped half-way does not go on by itself.
+            let enabling = matches!(self.step, Step::EnableLow | Step::EnableHigh);
+            self.control = Some(if enabling { ControlWord::BASE } else { as_found(inputs) });
+            return self.finish(Ok(()));
+        }
+        self.control = Some(ControlWord(as_found(inputs).0 & !ControlWord::NO_ABORT));
+        self.enter(now, Step::Aborting);
+    }
+}
+
+/// Not zero: a drive that is told so would never arrive.
+fn at_least_one(value: f64, rounded: u32, scale: f64, unit: &'static str) -> Result<u32, RangeError> {
+    if rounded > 0 {
+        return Ok(rounded);
+    }
+    Err(RangeError { value, unit, low: 1.0 / scale, high: f64::from(u32::MAX) / scale })
+}
+
+/// The control word that changes nothing of a drive: on if it says that it is switched on and powered, else off.
+///
+/// A drive that dropped out is never switched on again by it. One in its own quick stop (state 14) keeps its power until it
+/// stands; the way back into operation leads over a control word with bit 0 low all the same.
+fn as_found(inputs: &Inputs) -> ControlWord {
+    let on = inputs.status.has(StatusWord::SWITCH_ON_ACTIVE) && inputs.state.main() >= MainState::HW_TESTS;
+    if on { ControlWord::ON } else { ControlWord::BASE }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,161 @@
+//! Orders, step by step, without a wire.
+
+use std::net::Ipv4Addr;
+
+use super::super::native::{Native, native};
+use super::*;
+use crate::bus::Order;
+
+/// What a drive in `state` says.
+fn says(state: MainState, sub: u8) -> Inputs {
+    let (state, status) = (StateVar::new(state, sub), StatusWord::default());
+    Inputs { seen: true, fresh: true, clean: true, status, state, ..Inputs::default() }
+}
+
+/// Orders that are about `verb`, told by a drive in operation whose count is 3.
+fn about(verb: Verb) -> (Orders, Slot, Native, NativePort) {
+    let mut orders = Orders::new(&LinUdpDrive::new("x", Ipv4Addr::LOCALHOST));
+    let (native, mut port) = native();
+    let mut slot = Slot { order: Order { serial: 1, verb: Some(verb) }, ..Slot::default() };
+    orders.advance(Time(0), &says(MainState::OPERATION_ENABLED, 3), &mut slot, &mut port);
+    orders.sent();
+    (orders, slot, native, port)
+}
+
+/// What a drive with an error says.
+fn fails(state: MainState, status: u16) -> Inputs {
+    let status = StatusWord(StatusWord::ERROR | StatusWord::SWITCH_ON_ACTIVE | status);
+    Inputs { status, fault: ErrorCode(0x0B), ..says(state, 0) }
+}
+
+#[test]
+fn an_error_is_acknowledged_only_when_the_drive_has_braked() {
+    let (mut orders, mut slot, _native, mut port) = about(Verb::Native(NativeOwner::Master));
+    slot.order = Order { serial: 2, verb: Some(Verb::ResetFault) };
+    let mut exchange = |inputs: Inputs| {
+        let control = orders.advance(Time(0), &inputs, &mut slot, &mut port).control;
+        orders.sent();
+        (control, slot.progress.end)
+    };
+    // It brakes on its own: bit 0 low would cut its power.
+    for _ in 0..3 {
+        assert_eq!(exchange(fails(MainState::QUICK_STOP, 0)), (Some(ControlWord::ON), None));
+    }
+    let error = fails(MainState::ERROR, 0);
+    assert_eq!(exchange(error), (Some(ControlWord::BASE), None));
+    assert_eq!(exchange(error), (Some(ControlWord::ACKNOWLEDGE), None));
+    let off = says(MainState::NOT_READY, 0);
+    assert_eq!(exchange(off), (Some(ControlWord::BASE), None));
+    assert_eq!(exchange(off), (Some(ControlWord::BASE), Some(Ok(()))));
+}
+
+#[test]
+fn a_fatal_error_is_told_when_the_drive_has_braked() {
+    let (mut orders, mut slot, _native, mut port) = about(Verb::Native(NativeOwner::Master));
+    slot.order = Order { serial: 2, verb: Some(Verb::ResetFault) };
+    for (state, control, end) in [
+        (MainState::QUICK_STOP, ControlWord::ON, None),
+        (MainState::ERROR, ControlWord::BASE, Some(Err(Failure::DriveFault(0x0B)))),
+    ] {
+        let inputs = fails(state, StatusWord::FATAL_ERROR);
+        assert_eq!(orders.advance(Time(0), &inputs, &mut slot, &mut port).control, Some(control));
+        orders.sent();
+        assert_eq!(slot.progress.end, end);
+    }
+}
+
+#[test]
+fn a_step_may_last_for_more_than_fifty_days() {
+    let (mut orders, mut slot, _native, mut port) = about(Verb::Native(NativeOwner::Master));
+    (orders.answers, orders.sent) = (u32::MAX, u32::MAX);
+    orders.advance(Time(0), &says(MainState::OPERATION_ENABLED, 3), &mut slot, &mut port);
+    orders.sent();
+    assert_eq!((orders.answers, orders.sent, slot.progress.end), (u32::MAX, u32::MAX, None));
+}
+
+#[test]
+fn a_suspect_reply_teaches_no_count() {
+    let (mut orders, mut slot, mut native, mut port) = about(Verb::Native(NativeOwner::Master));
+    let older = Inputs { clean: false, ..says(MainState::OPERATION_ENABLED, 2) };
+    orders.advance(Time(0), &older, &mut slot, &mut port);
+    let motion = Some(MotionCommand::stop(1));
+    native.write(NativeOutput { motion, ..NativeOutput::default() }).unwrap();
+    orders.sent();
+    // After 2 it would have been 3, which the drive has stored: it would not have run it.
+    let outputs = orders.advance(Time(0), &older, &mut slot, &mut port);
+    assert_eq!(outputs.motion, Some(MotionCommand::stop(1).block(4)));
+}
+
+#[test]
+fn a_native_output_stays_until_it_has_gone_out() {
+    let (mut orders, mut slot, mut native, mut port) = about(Verb::Native(NativeOwner::Application));
+    for count in 1..=3 {
+        let control = Some(ControlWord(u16::from(count)));
+        let config = Some(RtcBlock::command(count, RtcBlock::NO_OPERATION));
+        native.write(NativeOutput { control, motion: None, config }).unwrap();
+    }
+    let inputs = says(MainState::OPERATION_ENABLED, 3);
+    for count in 1..=3 {
+        // Two slots are passed over, and a send fails.
+        for _ in 0..4 {
+            let outputs = orders.advance(Time(0), &inputs, &mut slot, &mut port);
+            assert_eq!(outputs.config.map(|config| config.count()), Some(count));
+            assert_eq!(outputs.control, Some(ControlWord(u16::from(count))));
+        }
+        orders.sent();
+    }
+    let outputs = orders.advance(Time(0), &inputs, &mut slot, &mut port);
+    assert_eq!((outputs.control, outputs.config), (Some(ControlWord(3)), None));
+}
+
+#[test]
+fn a_native_motion_waits_for_the_echo_of_the_one_before_it() {
+    let (mut orders, mut slot, mut native, mut port) = about(Verb::Native(NativeOwner::Master));
+    for increment in [1, 2] {
+        let motion = Some(MotionCommand::stop(increment));
+        native.write(NativeOutput { motion, ..NativeOutput::default() }).unwrap();
+    }
+    let mut exchange = |state, sub| {
+        let outputs = orders.advance(Time(0), &says(state, sub), &mut slot, &mut port);
+        orders.sent();
+        (outputs.motion, slot.progress.end)
+    };
+    let block = |increment, count| Some(MotionCommand::stop(increment).block(count));
+    for _ in 0..3 {
+        assert_eq!(exchange(MainState::OPERATION_ENABLED, 3), (block(1, 4), None));
+    }
+    assert_eq!(exchange(MainState::OPERATION_ENABLED, 4), (block(2, 5), None));
+    assert_eq!(exchange(MainState::OPERATION_ENABLED, 5), (None, None));
+}
+
+#[test]
+fn a_native_motion_is_given_up_after_four_counts() {
+    let (mut orders, mut slot, mut native, mut port) = about(Verb::Native(NativeOwner::Master));
+    let motion = Some(MotionCommand::stop(1));
+    native.write(NativeOutput { motion, ..NativeOutput::default() }).unwrap();
+    let mut counts = Vec::new();
+    while slot.progress.end.is_none() && counts.len() < 100 {
+        let inputs = says(MainState::OPERATION_ENABLED, 3);
+        let outputs = orders.advance(Time(0), &inputs, &mut slot, &mut port);
+        orders.sent();
+        counts.extend(outputs.motion.map(|block| block.header & 0xF));
+    }
+    assert_eq!(slot.progress.end, Some(Err(Failure::NotTaken)));
+    counts.dedup();
+    assert_eq!(counts, [4, 5, 6, 7]);
+}
+
+#[test]
+fn a_native_motion_outside_of_operation_holds_nothing_up() {
+    let (mut orders, mut slot, mut native, mut port) = about(Verb::Native(NativeOwner::Application));
+    for increment in [1, 2] {
+        let motion = Some(MotionCommand::stop(increment));
+        native.write(NativeOutput { motion, ..NativeOutput::default() }).unwrap();
+    }
+    for increment in [1, 2] {
+        let inputs = says(MainState::READY_TO_SWITCH_ON, 0);
+        let motion = orders.advance(Time(0), &inputs, &mut slot, &mut port).motion.unwrap();
+        assert_eq!(motion.parameters, MotionCommand::stop(increment).block(0).parameters);
+        orders.sent();
+    }
+}

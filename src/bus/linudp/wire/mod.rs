@@ -1,0 +1,630 @@
+//! The LinUDP V2 telegram, both directions: bytes <-> values.
+//!
+//! Knows no state, clock, socket or allocation, and does not judge what a telegram means: which reply belongs to which
+//! request is the station's business, what the drive does with a request is the drive's.
+//!
+//! Both directions begin with the same eight bytes, the *request definition* and the *response definition*, both
+//! little-endian like everything else. One bit a block; the blocks follow in bit order, only those whose bit is set
+//! (LinUDP V2 manual, 4.4).
+//!
+//! | bit | request: master to drive | bytes | | bit | response: drive to master | bytes |
+//! |---|---|---|---|---|---|---|
+//! | 0 | control word | 2 | | 0 | status word | 2 |
+//! | 1 | motion command: header, 15 words | 32 | | 1 | state variable | 2 |
+//! | 2 | real-time config, 4 words | 8 | | 2 | actual position, 0.1 um | 4 |
+//! | | | | | 3 | demand position, 0.1 um | 4 |
+//! | | | | | 4 | current, mA | 2 |
+//! | | | | | 5 | warn word | 2 |
+//! | | | | | 6 | error code | 2 |
+//! | | | | | 7 | four monitoring channels | 16 |
+//! | | | | | 8 | real-time config, 4 words | 8 |
+//!
+//! One exception: the real-time-config block of a response is there if the *request* carried one, whatever bit 8 says
+//! (met by two independent masters on real drives).
+//!
+//! [`RequestView`] and [`ResponseView`] check a datagram's length once and read single blocks; [`Request`] and
+//! [`Response`] are the plain values.
+
+mod words;
+
+use std::fmt;
+
+use thiserror::Error;
+
+pub use words::{ControlWord, ErrorCode, MainState, StateVar, StatusWord, WarnWord};
+
+/// Where things are inside the telegram and inside its blocks. The blocks themselves have no fixed place.
+mod field {
+    use std::ops::Range;
+
+    pub const REQUEST_DEFINITION: Range<usize> = 0..4;
+    pub const RESPONSE_DEFINITION: Range<usize> = 4..8;
+    /// Both definitions; the first block follows.
+    pub const HEADER: usize = 8;
+
+    pub const CONTROL: usize = 2;
+    pub const MOTION: usize = 32;
+    pub const CONFIG: usize = 8;
+    pub const PARAMETERS: usize = 30;
+
+    /// Bytes of response blocks 0 ... 7, in bit order.
+    pub const RESPONSE: [u8; 8] = [2, 2, 4, 4, 2, 2, 2, 16];
+
+    /// Bytes of each combination of response blocks 0 ... 7: the place of a block is one look-up.
+    pub const RESPONSE_SUM: [u8; 256] = {
+        let mut sums = [0; 256];
+        let mut definition = 0;
+        while definition < 256 {
+            let mut bit = 0;
+            while bit < 8 {
+                if definition >> bit & 1 == 1 {
+                    sums[definition] += RESPONSE[bit];
+                }
+                bit += 1;
+            }
+            definition += 1;
+        }
+        sums
+    };
+}
+
+/// The longest request that the definitions can ask for, bytes.
+pub const REQUEST_MAX: usize = field::HEADER + field::CONTROL + field::MOTION + field::CONFIG;
+/// The longest response that the definitions can ask for, bytes, without padding.
+pub const RESPONSE_MAX: usize = field::HEADER + field::RESPONSE_SUM[0xFF] as usize + field::CONFIG;
+
+/// Which blocks a request carries (LinUDP V2 manual, 4.4.1). The reserved bits 3 ... 31 are kept as they come.
+#[derive(Clone, Copy, Default, PartialEq, Eq, Hash)]
+pub struct RequestDef(pub u32);
+
+impl RequestDef {
+    /// No block: a status request.
+    pub const NONE: RequestDef = RequestDef(0);
+    /// Control word.
+    pub const CONTROL: RequestDef = RequestDef(1 << 0);
+    /// Motion command.
+    pub const MOTION: RequestDef = RequestDef(1 << 1);
+    /// Real-time config.
+    pub const CONFIG: RequestDef = RequestDef(1 << 2);
+    /// What no block is known for; a master sends 0.
+    pub const RESERVED: RequestDef = RequestDef(!0b111);
+
+    /// All blocks of `other` are in `self`.
+    pub const fn contains(self, other: RequestDef) -> bool {
+        self.0 & other.0 == other.0
+    }
+
+    /// The blocks of both.
+    pub const fn with(self, other: RequestDef) -> RequestDef {
+        RequestDef(self.0 | other.0)
+    }
+
+    /// Bytes of a whole request, both definitions included. Reserved bits count nothing.
+    pub const fn size(self) -> usize {
+        self.config_at() + if self.contains(RequestDef::CONFIG) { field::CONFIG } else { 0 }
+    }
+
+    const fn motion_at(self) -> usize {
+        field::HEADER + if self.contains(RequestDef::CONTROL) { field::CONTROL } else { 0 }
+    }
+
+    const fn config_at(self) -> usize {
+        self.motion_at() + if self.contains(RequestDef::MOTION) { field::MOTION } else { 0 }
+    }
+}
+
+impl fmt::Debug for RequestDef {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "RequestDef({:#x})", self.0)
+    }
+}
+
+/// Which blocks a response carries (LinUDP V2 manual, 4.4.2). The reserved bits 9 ... 31 are kept as they come.
+#[derive(Clone, Copy, Default, PartialEq, Eq, Hash)]
+pub struct ResponseDef(pub u32);
+
+impl ResponseDef {
+    /// No block at all.
+    pub const NONE: ResponseDef = ResponseDef(0);
+    /// Status word.
+    pub const STATUS: ResponseDef = ResponseDef(1 << 0);
+    /// State variable.
+    pub const STATE: ResponseDef = ResponseDef(1 << 1);
+    /// Actual position.
+    pub const ACTUAL: ResponseDef = ResponseDef(1 << 2);
+    /// Demand position.
+    pub const DEMAND: ResponseDef = ResponseDef(1 << 3);
+    /// Current.
+    pub const CURRENT: ResponseDef = ResponseDef(1 << 4);
+    /// Warn word.
+    pub const WARN: ResponseDef = ResponseDef(1 << 5);
+    /// Error code.
+    pub const ERROR: ResponseDef = ResponseDef(1 << 6);
+    /// The four monitoring channels.
+    pub const MONITOR: ResponseDef = ResponseDef(1 << 7);
+    /// Real-time config. Set it together with [`RequestDef::CONFIG`], and the exception above is never met.
+    pub const CONFIG: ResponseDef = ResponseDef(1 << 8);
+    /// Status, state, positions, current, warnings and error: all that a cycle needs.
+    pub const CYCLIC: ResponseDef = ResponseDef(0x7F);
+
+    /// All blocks of `other` are in `self`.
+    pub const fn contains(self, other: ResponseDef) -> bool {
+        self.0 & other.0 == other.0
+    }
+
+    /// The blocks of both.
+    pub const fn with(self, other: ResponseDef) -> ResponseDef {
+        ResponseDef(self.0 | other.0)
+    }
+
+    /// Bytes of a whole response to `request`, both definitions included, padding not.
+    pub const fn size(self, request: RequestDef) -> usize {
+        self.config_at() + if request.contains(RequestDef::CONFIG) { field::CONFIG } else { 0 }
+    }
+
+    /// The place of one of the blocks 0 ... 7, behind those of the lower bits.
+    const fn at(self, block: ResponseDef) -> usize {
+        field::HEADER + field::RESPONSE_SUM[(self.0 & (block.0 - 1) & 0xFF) as usize] as usize
+    }
+
+    const fn config_at(self) -> usize {
+        field::HEADER + field::RESPONSE_SUM[(self.0 & 0xFF) as usize] as usize
+    }
+}
+
+impl fmt::Debug for ResponseDef {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "ResponseDef({:#x})", self.0)
+    }
+}
+
+/// Why a datagram is no telegram.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum ParseError {
+    /// Its definitions ask for more than it has.
+    #[error(
+        "{have} bytes where the definitions ask for {need}: not a LinUDP V2 telegram, or cut off on its way"
+    )]
+    TooShort {
+        /// The fewest bytes that would have done.
+        need: usize,
+        /// The bytes there are.
+        have: usize,
+    },
+}
+
+/// The motion command block: a header word and 15 parameter words, raw. See
+/// [`motion`](super::motion) for what they say.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct MotionBlock {
+    /// Master id (bits 15-8), sub id (7-4), command count (3-0).
+    pub header: u16,
+    /// The parameters, unused bytes 0.
+    pub parameters: [u8; field::PARAMETERS],
+}
+
+impl MotionBlock {
+    fn from_bytes(bytes: [u8; field::MOTION]) -> MotionBlock {
+        let [low, high, parameters @ ..] = bytes;
+        MotionBlock { header: u16::from_le_bytes([low, high]), parameters }
+    }
+}
+
+/// The real-time-config block, both directions (LinUDP V2 manual, chapter 7).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct RtcBlock {
+    /// Bits 0-3: command count, echoed by the drive. Bits 4-7 are reserved and kept as they come.
+    pub tag: u8,
+    /// To the drive: the command. From the drive: the parameter status, not the command.
+    pub code: u8,
+    /// Words 2, 3 and 4: most commands take and give an index, then a value, low word first.
+    pub words: [u16; 3],
+}
+
+impl RtcBlock {
+    /// The command that does nothing. Its count is echoed all the same.
+    pub const NO_OPERATION: u8 = 0x00;
+    /// Status: done.
+    pub const DONE: u8 = 0x00;
+    /// Status: no such parameter.
+    pub const UPID_ERROR: u8 = 0xC0;
+
+    /// A command without parameters.
+    pub const fn command(count: u8, code: u8) -> RtcBlock {
+        RtcBlock { tag: count & 0xF, code, words: [0; 3] }
+    }
+
+    /// The command count or its echo, 0 ... 15.
+    pub const fn count(&self) -> u8 {
+        self.tag & 0xF
+    }
+
+    /// Words 3 and 4 as one value.
+    pub const fn value(&self) -> u32 {
+        (self.words[2] as u32) << 16 | self.words[1] as u32
+    }
+
+    fn from_bytes(bytes: [u8; field::CONFIG]) -> RtcBlock {
+        let [tag, code, a, b, c, d, e, f] = bytes;
+        let word = |low, high| u16::from_le_bytes([low, high]);
+        RtcBlock { tag, code, words: [word(a, b), word(c, d), word(e, f)] }
+    }
+
+    fn to_bytes(self) -> [u8; field::CONFIG] {
+        let [[a, b], [c, d], [e, f]] = self.words.map(u16::to_le_bytes);
+        [self.tag, self.code, a, b, c, d, e, f]
+    }
+}
+
+/// Fills a slice from its front. Every length was checked before; what would not fit is left out.
+struct Fill<'a>(&'a mut [u8]);
+
+impl Fill<'_> {
+    #[inline]
+    fn put<const N: usize>(&mut self, bytes: [u8; N]) {
+        if let Some((head, rest)) = std::mem::take(&mut self.0).split_first_chunk_mut() {
+            *head = bytes;
+            self.0 = rest;
+        }
+    }
+}
+
+/// `N` bytes from `at` on.
+#[inline]
+fn chunk<const N: usize>(bytes: &[u8], at: usize) -> Option<[u8; N]> {
+    bytes.get(at..)?.first_chunk().copied()
+}
+
+/// Both definitions, raw.
+fn definitions(bytes: &[u8]) -> Result<(u32, u32), ParseError> {
+    let Some(header) = bytes.first_chunk::<{ field::HEADER }>() else {
+        return Err(ParseError::TooShort { need: field::HEADER, have: bytes.len() });
+    };
+    let mut words = [[0; 4]; 2];
+    words[0].copy_from_slice(&header[field::REQUEST_DEFINITION]);
+    words[1].copy_from_slice(&header[field::RESPONSE_DEFINITION]);
+    Ok((u32::from_le_bytes(words[0]), u32::from_le_bytes(words[1])))
+}
+
+/// A response in a datagram, as the master sees it: long enough for its definitions. What lies behind its blocks is
+/// padding, possibly left over from an earlier response, and is never read.
+#[derive(Clone, Copy, Debug)]
+pub struct ResponseView<'a> {
+    bytes: &'a [u8],
+    request: RequestDef,
+    response: ResponseDef,
+}
+
+impl<'a> ResponseView<'a> {
+    /// The datagram, padding included.
+    #[inline]
+    pub fn bytes(&self) -> &'a [u8] {
+        self.bytes
+    }
+
+    /// Checks the length of `bytes` against its own definitions.
+    #[inline]
+    pub fn new(bytes: &'a [u8]) -> Result<ResponseView<'a>, ParseError> {
+        let (request, response) = definitions(bytes)?;
+        let (request, response) = (RequestDef(request), ResponseDef(response));
+        // Without the config block: a drive that leaves it out although it was asked is eight bytes short, not wrong.
+        let need = response.config_at();
+        if bytes.len() < need {
+            return Err(ParseError::TooShort { need, have: bytes.len() });
+        }
+        Ok(ResponseView { bytes, request, response })
+    }
+
+    /// The echo of the request definition.
+    pub fn request_def(&self) -> RequestDef {
+        self.request
+    }
+
+    /// The echo of the response definition.
+    pub fn response_def(&self) -> ResponseDef {
+        self.response
+    }
+
+    #[inline]
+    fn block<const N: usize>(&self, block: ResponseDef) -> Option<[u8; N]> {
+        if !self.response.contains(block) {
+            return None;
+        }
+        chunk(self.bytes, self.response.at(block))
+    }
+
+    /// Status word.
+    #[inline]
+    pub fn status(&self) -> Option<StatusWord> {
+        self.block(ResponseDef::STATUS).map(|bytes| StatusWord(u16::from_le_bytes(bytes)))
+    }
+
+    /// State variable.
+    #[inline]
+    pub fn state(&self) -> Option<StateVar> {
+        self.block(ResponseDef::STATE).map(|bytes| StateVar(u16::from_le_bytes(bytes)))
+    }
+
+    /// Actual position, 0.1 um.
+    #[inline]
+    pub fn actual(&self) -> Option<i32> {
+        self.block(ResponseDef::ACTUAL).map(i32::from_le_bytes)
+    }
+
+    /// Demand position, 0.1 um.
+    #[inline]
+    pub fn demand(&self) -> Option<i32> {
+        self.block(ResponseDef::DEMAND).map(i32::from_le_bytes)
+    }
+
+    /// Set current, mA.
+    #[inline]
+    pub fn current(&self) -> Option<i16> {
+        self.block(ResponseDef::CURRENT).map(i16::from_le_bytes)
+    }
+
+    /// Warn word.
+    #[inline]
+    pub fn warn(&self) -> Option<WarnWord> {
+        self.block(ResponseDef::WARN).map(|bytes| WarnWord(u16::from_le_bytes(bytes)))
+    }
+
+    /// Error code.
+    #[inline]
+    pub fn error(&self) -> Option<ErrorCode> {
+        self.block(ResponseDef::ERROR).map(|bytes| ErrorCode(u16::from_le_bytes(bytes)))
+    }
+
+    /// The monitoring channels 1 ... 4, raw: what they show is configured in the drive (UPIDs 20A8h-20ABh).
+    #[inline]
+    pub fn monitor(&self) -> Option<[u32; 4]> {
+        self.block::<16>(ResponseDef::MONITOR).map(|bytes| {
+            let mut channels = [0; 4];
+            for (channel, word) in channels.iter_mut().zip(bytes.as_chunks::<4>().0) {
+                *channel = u32::from_le_bytes(*word);
+            }
+            channels
+        })
+    }
+
+    /// The answer on the real-time-config channel: there if the request asked, and if the datagram has it.
+    #[inline]
+    pub fn config(&self) -> Option<RtcBlock> {
+        if !self.request.contains(RequestDef::CONFIG) {
+            return None;
+        }
+        chunk(self.bytes, self.response.config_at()).map(RtcBlock::from_bytes)
+    }
+}
+
+/// A response as a plain value.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Response {
+    /// The echo of the request definition.
+    pub request_def: RequestDef,
+    /// The echo of the response definition.
+    pub response_def: ResponseDef,
+    /// Status word.
+    pub status: Option<StatusWord>,
+    /// State variable.
+    pub state: Option<StateVar>,
+    /// Actual position, 0.1 um.
+    pub actual: Option<i32>,
+    /// Demand position, 0.1 um.
+    pub demand: Option<i32>,
+    /// Set current, mA.
+    pub current: Option<i16>,
+    /// Warn word.
+    pub warn: Option<WarnWord>,
+    /// Error code.
+    pub error: Option<ErrorCode>,
+    /// Monitoring channels 1 ... 4, raw.
+    pub monitor: Option<[u32; 4]>,
+    /// Real-time config.
+    pub config: Option<RtcBlock>,
+}
+
+impl Response {
+    /// The blocks that the datagram's own definitions name.
+    #[inline]
+    pub fn parse(bytes: &[u8]) -> Result<Response, ParseError> {
+        let view = ResponseView::new(bytes)?;
+        Ok(Response {
+            request_def: view.request,
+            response_def: view.response,
+            status: view.status(),
+            state: view.state(),
+            actual: view.actual(),
+            demand: view.demand(),
+            current: view.current(),
+            warn: view.warn(),
+            error: view.error(),
+            monitor: view.monitor(),
+            config: view.config(),
+        })
+    }
+
+    /// Bytes that [`emit`](Self::emit) writes, 8 ... [`RESPONSE_MAX`].
+    pub fn size(&self) -> usize {
+        self.response_def.size(self.request_def)
+    }
+
+    /// Writes the blocks that the two definitions ask for and returns their size; 0, and nothing written, if `out` is
+    /// too short. A block that is asked for and missing is written as 0; one that is not asked for is left out.
+    pub fn emit(&self, out: &mut [u8]) -> usize {
+        let size = self.size();
+        let Some(out) = out.get_mut(..size) else { return 0 };
+        let mut out = Fill(out);
+        out.put(self.request_def.0.to_le_bytes());
+        out.put(self.response_def.0.to_le_bytes());
+        let asked = |block| self.response_def.contains(block);
+        if asked(ResponseDef::STATUS) {
+            out.put(self.status.unwrap_or_default().0.to_le_bytes());
+        }
+        if asked(ResponseDef::STATE) {
+            out.put(self.state.unwrap_or_default().0.to_le_bytes());
+        }
+        if asked(ResponseDef::ACTUAL) {
+            out.put(self.actual.unwrap_or_default().to_le_bytes());
+        }
+        if asked(ResponseDef::DEMAND) {
+            out.put(self.demand.unwrap_or_default().to_le_bytes());
+        }
+        if asked(ResponseDef::CURRENT) {
+            out.put(self.current.unwrap_or_default().to_le_bytes());
+        }
+        if asked(ResponseDef::WARN) {
+            out.put(self.warn.unwrap_or_default().0.to_le_bytes());
+        }
+        if asked(ResponseDef::ERROR) {
+            out.put(self.error.unwrap_or_default().0.to_le_bytes());
+        }
+        if asked(ResponseDef::MONITOR) {
+            for channel in self.monitor.unwrap_or_default() {
+                out.put(channel.to_le_bytes());
+            }
+        }
+        if self.request_def.contains(RequestDef::CONFIG) {
+            out.put(self.config.unwrap_or_default().to_bytes());
+        }
+        size
+    }
+}
+
+/// A request in a datagram, as the drive sees it.
+///
+/// The drive is more lenient than the manual says, and masters in the field rely on it: the last block may be cut short
+/// (a motion command down to its header, a config block down to its first word), the missing bytes are 0, and
+/// whatever comes behind the last block is ignored.
+#[derive(Clone, Copy, Debug)]
+pub struct RequestView<'a> {
+    bytes: &'a [u8],
+    request: RequestDef,
+    response: ResponseDef,
+}
+
+impl<'a> RequestView<'a> {
+    /// Checks the length of `bytes` against its own definitions.
+    pub fn new(bytes: &'a [u8]) -> Result<RequestView<'a>, ParseError> {
+        let (request, response) = definitions(bytes)?;
+        let request = RequestDef(request);
+        // Both kinds of block that may be cut short need their first word.
+        let need = if request.contains(RequestDef::CONFIG) {
+            request.config_at() + 2
+        } else if request.contains(RequestDef::MOTION) {
+            request.motion_at() + 2
+        } else {
+            request.size()
+        };
+        if bytes.len() < need {
+            return Err(ParseError::TooShort { need, have: bytes.len() });
+        }
+        Ok(RequestView { bytes, request, response: ResponseDef(response) })
+    }
+
+    /// The request definition.
+    pub fn request_def(&self) -> RequestDef {
+        self.request
+    }
+
+    /// The response definition.
+    pub fn response_def(&self) -> ResponseDef {
+        self.response
+    }
+
+    /// `N` bytes from `at` on, those that the datagram does not have as 0.
+    fn padded<const N: usize>(&self, at: usize) -> [u8; N] {
+        let mut block = [0; N];
+        let tail = self.bytes.get(at..).unwrap_or_default();
+        for (byte, sent) in block.iter_mut().zip(tail) {
+            *byte = *sent;
+        }
+        block
+    }
+
+    /// Control word.
+    pub fn control(&self) -> Option<ControlWord> {
+        let asked = self.request.contains(RequestDef::CONTROL);
+        asked.then(|| ControlWord(u16::from_le_bytes(self.padded(field::HEADER))))
+    }
+
+    /// Motion command.
+    pub fn motion(&self) -> Option<MotionBlock> {
+        let asked = self.request.contains(RequestDef::MOTION);
+        asked.then(|| MotionBlock::from_bytes(self.padded(self.request.motion_at())))
+    }
+
+    /// Real-time config.
+    pub fn config(&self) -> Option<RtcBlock> {
+        let asked = self.request.contains(RequestDef::CONFIG);
+        asked.then(|| RtcBlock::from_bytes(self.padded(self.request.config_at())))
+    }
+}
+
+/// A request as a plain value. Its definition follows from the blocks it has.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Request {
+    /// Reserved bits of the request definition; a master sends none.
+    pub reserved: RequestDef,
+    /// What the drive shall answer.
+    pub response_def: ResponseDef,
+    /// Control word.
+    pub control: Option<ControlWord>,
+    /// Motion command.
+    pub motion: Option<MotionBlock>,
+    /// Real-time config.
+    pub config: Option<RtcBlock>,
+}
+
+impl Request {
+    /// The request definition.
+    #[inline]
+    pub const fn definition(&self) -> RequestDef {
+        let control = if self.control.is_some() { RequestDef::CONTROL } else { RequestDef::NONE };
+        let motion = if self.motion.is_some() { RequestDef::MOTION } else { RequestDef::NONE };
+        let config = if self.config.is_some() { RequestDef::CONFIG } else { RequestDef::NONE };
+        RequestDef(self.reserved.0 & RequestDef::RESERVED.0).with(control).with(motion).with(config)
+    }
+
+    /// Reads a request as leniently as a drive does; see [`RequestView`].
+    pub fn parse(bytes: &[u8]) -> Result<Request, ParseError> {
+        let view = RequestView::new(bytes)?;
+        Ok(Request {
+            reserved: RequestDef(view.request.0 & RequestDef::RESERVED.0),
+            response_def: view.response,
+            control: view.control(),
+            motion: view.motion(),
+            config: view.config(),
+        })
+    }
+
+    /// Bytes that [`emit`](Self::emit) writes, 8 ... [`REQUEST_MAX`].
+    pub const fn size(&self) -> usize {
+        self.definition().size()
+    }
+
+    /// Writes the whole request in place and returns its size; 0, and nothing written, if `out` is too short.
+    #[inline]
+    pub fn emit(&self, out: &mut [u8]) -> usize {
+        let definition = self.definition();
+        let size = definition.size();
+        let Some(out) = out.get_mut(..size) else { return 0 };
+        let mut out = Fill(out);
+        out.put(definition.0.to_le_bytes());
+        out.put(self.response_def.0.to_le_bytes());
+        if let Some(control) = self.control {
+            out.put(control.0.to_le_bytes());
+        }
+        if let Some(motion) = &self.motion {
+            out.put(motion.header.to_le_bytes());
+            out.put(motion.parameters);
+        }
+        if let Some(config) = self.config {
+            out.put(config.to_bytes());
+        }
+        size
+    }
+}
+
+#[cfg(test)]
+mod tests;

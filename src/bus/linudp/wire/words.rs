@@ -1,0 +1,528 @@
+//! The words inside a telegram: bits and numbers with their names, nothing more.
+//!
+//! Facts: "User Manual Motion Control SW" (SG5) 4.3.4, sections Control Word, Status Word, State Machine, Warn Word and
+//! Error Codes.
+
+use std::fmt;
+
+/// The control word (SG5 manual).
+#[derive(Clone, Copy, Default, PartialEq, Eq, Hash)]
+pub struct ControlWord(pub u16);
+
+impl ControlWord {
+    /// Bit 0: 0 = current off, power stage off; 0 -> 1 switches on.
+    pub const SWITCH_ON: u16 = 1 << 0;
+    /// Bit 1: 0 = power stage off at once.
+    pub const VOLTAGE_ENABLE: u16 = 1 << 1;
+    /// Bit 2: 0 = quick stop, then power off.
+    pub const NO_QUICK_STOP: u16 = 1 << 2;
+    /// Bit 3: 0 = position controlled, motion commands refused.
+    pub const ENABLE_OPERATION: u16 = 1 << 3;
+    /// Bit 4: 0 = quick stop, stay controlled, motion command dropped.
+    pub const NO_ABORT: u16 = 1 << 4;
+    /// Bit 5: 0 = quick stop, stay controlled; back to 1 resumes the target of a profile move. Not for a master's stop:
+    /// what resumes by itself is not stopped.
+    pub const NO_FREEZE: u16 = 1 << 5;
+    /// Bit 6: 1 = go to the parameterised position.
+    pub const GO_TO_POSITION: u16 = 1 << 6;
+    /// Bit 7: rising edge acknowledges an error.
+    pub const ERROR_ACKNOWLEDGE: u16 = 1 << 7;
+    /// Bit 8: 1 = jog in positive direction.
+    pub const JOG_PLUS: u16 = 1 << 8;
+    /// Bit 9: 1 = jog in negative direction.
+    pub const JOG_MINUS: u16 = 1 << 9;
+    /// Bit 11: 1 = run homing; hold until finished, then clear.
+    pub const HOMING: u16 = 1 << 11;
+    /// Bit 12: 1 = run the clearance check.
+    pub const CLEARANCE_CHECK: u16 = 1 << 12;
+    /// Bit 13: rising edge goes to the initial position.
+    pub const GO_TO_INITIAL: u16 = 1 << 13;
+    /// Bit 15: 1 = run the phase search.
+    pub const PHASE_SEARCH: u16 = 1 << 15;
+    /// The enabling bits 1 ... 5, which many drives force to 1 by parameter. A master sends them as 1 itself.
+    pub const ENABLES: u16 = 0x003E;
+
+    /// 003Eh: power off, everything else allowed.
+    pub const BASE: ControlWord = ControlWord(Self::ENABLES);
+    /// 003Fh: switched on, operation enabled.
+    pub const ON: ControlWord = ControlWord(0x003F);
+    /// 083Fh: on and homing.
+    pub const HOME: ControlWord = ControlWord(0x083F);
+    /// 00BEh: off and acknowledging; the edge counts, so [`BASE`](Self::BASE) stands before and after it.
+    pub const ACKNOWLEDGE: ControlWord = ControlWord(0x00BE);
+    /// 002Fh: on, aborting: stop and stay in position.
+    pub const ABORT: ControlWord = ControlWord(0x002F);
+    /// 003Bh: quick stop, then power off.
+    pub const QUICK_STOP: ControlWord = ControlWord(0x003B);
+
+    /// All of `bits` are 1.
+    pub const fn has(self, bits: u16) -> bool {
+        self.0 & bits == bits
+    }
+}
+
+impl fmt::Debug for ControlWord {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "ControlWord({:#06x})", self.0)
+    }
+}
+
+/// The status word (SG5 manual).
+#[derive(Clone, Copy, Default, PartialEq, Eq, Hash)]
+pub struct StatusWord(pub u16);
+
+impl StatusWord {
+    /// Bit 0: main state 8 or higher.
+    pub const OPERATION_ENABLED: u16 = 1 << 0;
+    /// Bit 1: control word bit 0 as the drive sees it, forced bits included; so are bits 2, 4 and 5.
+    pub const SWITCH_ON_ACTIVE: u16 = 1 << 1;
+    /// Bit 2: control word bit 3 as the drive sees it.
+    pub const ENABLE_OPERATION: u16 = 1 << 2;
+    /// Bit 3: an error stands or is being reacted to.
+    pub const ERROR: u16 = 1 << 3;
+    /// Bit 4: control word bit 1 as the drive sees it.
+    pub const VOLTAGE_ENABLE: u16 = 1 << 4;
+    /// Bit 5: control word bit 2 as the drive sees it.
+    pub const NO_QUICK_STOP: u16 = 1 << 5;
+    /// Bit 6: switching on is locked until control word bit 0 was 0.
+    pub const SWITCH_ON_LOCKED: u16 = 1 << 6;
+    /// Bit 7: the warn word is not 0.
+    pub const WARNING: u16 = 1 << 7;
+    /// Bit 8: a trigger or after-actual command is armed.
+    pub const EVENT_HANDLER: u16 = 1 << 8;
+    /// Bit 9: homing, jogging or another motion of the drive's own.
+    pub const SPECIAL_MOTION: u16 = 1 << 9;
+    /// Bit 10: setpoint done and actual position inside the window.
+    pub const IN_TARGET: u16 = 1 << 10;
+    /// Bit 11: the reference is valid.
+    pub const HOMED: u16 = 1 << 11;
+    /// Bit 12: the error cannot be acknowledged.
+    pub const FATAL_ERROR: u16 = 1 << 12;
+    /// Bit 13: the setpoint generator is running.
+    pub const MOTION_ACTIVE: u16 = 1 << 13;
+    /// Bits 14 and 15: range indicators 1 and 2, as configured in the drive.
+    pub const RANGE_INDICATORS: u16 = 0b11 << 14;
+
+    /// All of `bits` are 1.
+    pub const fn has(self, bits: u16) -> bool {
+        self.0 & bits == bits
+    }
+
+    /// Main state 8 or higher.
+    pub const fn operation_enabled(self) -> bool {
+        self.has(Self::OPERATION_ENABLED)
+    }
+
+    /// An error stands or is being reacted to.
+    pub const fn error(self) -> bool {
+        self.has(Self::ERROR)
+    }
+
+    /// Switching on is locked until control word bit 0 was 0.
+    pub const fn switch_on_locked(self) -> bool {
+        self.has(Self::SWITCH_ON_LOCKED)
+    }
+
+    /// The warn word is not 0.
+    pub const fn warning(self) -> bool {
+        self.has(Self::WARNING)
+    }
+
+    /// Setpoint done and actual position inside the window.
+    pub const fn in_target(self) -> bool {
+        self.has(Self::IN_TARGET)
+    }
+
+    /// The reference is valid.
+    pub const fn homed(self) -> bool {
+        self.has(Self::HOMED)
+    }
+
+    /// The error cannot be acknowledged: restart the drive.
+    pub const fn fatal(self) -> bool {
+        self.has(Self::FATAL_ERROR)
+    }
+
+    /// The setpoint generator is running.
+    pub const fn motion_active(self) -> bool {
+        self.has(Self::MOTION_ACTIVE)
+    }
+}
+
+impl fmt::Debug for StatusWord {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "StatusWord({:#06x})", self.0)
+    }
+}
+
+/// The state variable: main state in the high byte, sub state in the low byte (SG5 manual).
+///
+/// In state 8 the sub state carries the motion command count and three status bits, sampled together: alone a
+/// consistent handshake.
+#[derive(Clone, Copy, Default, PartialEq, Eq, Hash)]
+pub struct StateVar(pub u16);
+
+impl StateVar {
+    /// Sub state of homing and of the drive's other own motions: finished.
+    pub const FINISHED: u8 = 0x0F;
+    /// Sub state bit in state 8: an event command is armed.
+    pub const EVENT_HANDLER: u8 = 1 << 4;
+    /// Sub state bit in state 8: the setpoint generator is running.
+    pub const MOTION_ACTIVE: u8 = 1 << 5;
+    /// Sub state bit in state 8: in target.
+    pub const IN_TARGET: u8 = 1 << 6;
+    /// Sub state bit in state 8: homed.
+    pub const HOMED: u8 = 1 << 7;
+
+    /// From main and sub state.
+    pub const fn new(main: MainState, sub: u8) -> StateVar {
+        StateVar((main.0 as u16) << 8 | sub as u16)
+    }
+
+    /// Main state.
+    pub const fn main(self) -> MainState {
+        MainState((self.0 >> 8) as u8)
+    }
+
+    /// Sub state; its meaning depends on the main state.
+    pub const fn sub(self) -> u8 {
+        self.0 as u8
+    }
+
+    /// The count of the last motion command that the drive took. Only state 8 carries it.
+    pub const fn count(self) -> Option<u8> {
+        if self.operating() { Some(self.sub() & 0xF) } else { None }
+    }
+
+    /// The setpoint generator is running, sampled with the count. Only state 8 carries it.
+    pub const fn motion_active(self) -> Option<bool> {
+        self.bit(Self::MOTION_ACTIVE)
+    }
+
+    /// In target, sampled with the count. Only state 8 carries it.
+    pub const fn in_target(self) -> Option<bool> {
+        self.bit(Self::IN_TARGET)
+    }
+
+    /// Homed, sampled with the count. Only state 8 carries it.
+    pub const fn homed(self) -> Option<bool> {
+        self.bit(Self::HOMED)
+    }
+
+    /// Homing or another motion of the drive's own is finished, and waits for its control bit to be released.
+    pub const fn finished(self) -> bool {
+        matches!(self.main().0, 9..=11 | 15..=17) && self.sub() == Self::FINISHED
+    }
+
+    const fn operating(self) -> bool {
+        self.main().0 == MainState::OPERATION_ENABLED.0
+    }
+
+    const fn bit(self, bit: u8) -> Option<bool> {
+        if self.operating() { Some(self.sub() & bit != 0) } else { None }
+    }
+}
+
+impl fmt::Debug for StateVar {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "StateVar({:#06x})", self.0)
+    }
+}
+
+/// The main state of the drive (SG5 manual). Newer firmware may have more: unknown states stay numbers.
+#[derive(Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct MainState(pub u8);
+
+impl MainState {
+    /// Not ready to switch on: until control word bit 0 was 0.
+    pub const NOT_READY: MainState = MainState(0);
+    /// Switch on disabled: until control word bits 0 ... 2 are 0, 1, 1.
+    pub const SWITCH_ON_DISABLED: MainState = MainState(1);
+    /// Ready to switch on.
+    pub const READY_TO_SWITCH_ON: MainState = MainState(2);
+    /// Setup error; the sub state is the code about to be logged.
+    pub const SETUP_ERROR: MainState = MainState(3);
+    /// Error; the sub state is the low byte of the logged code.
+    pub const ERROR: MainState = MainState(4);
+    /// Hardware tests, about 300 ms.
+    pub const HW_TESTS: MainState = MainState(5);
+    /// Ready to operate: powered, position controlled, no motion commands.
+    pub const READY_TO_OPERATE: MainState = MainState(6);
+    /// Operation enabled: takes motion commands. The only state whose sub state carries their count.
+    pub const OPERATION_ENABLED: MainState = MainState(8);
+    /// Homing.
+    pub const HOMING: MainState = MainState(9);
+    /// Clearance check.
+    pub const CLEARANCE_CHECK: MainState = MainState(10);
+    /// Going to the initial position.
+    pub const GOING_TO_INITIAL: MainState = MainState(11);
+    /// Aborting.
+    pub const ABORTING: MainState = MainState(12);
+    /// Freezing.
+    pub const FREEZING: MainState = MainState(13);
+    /// Quick stop, commanded or in reaction to an error.
+    pub const QUICK_STOP: MainState = MainState(14);
+    /// Going to the parameterised position.
+    pub const GOING_TO_POSITION: MainState = MainState(15);
+    /// Jogging in positive direction.
+    pub const JOGGING_PLUS: MainState = MainState(16);
+    /// Jogging in negative direction.
+    pub const JOGGING_MINUS: MainState = MainState(17);
+    /// Linearizing.
+    pub const LINEARIZING: MainState = MainState(18);
+    /// Phase search.
+    pub const PHASE_SEARCH: MainState = MainState(19);
+    /// Special mode.
+    pub const SPECIAL_MODE: MainState = MainState(20);
+    /// Brake delay (newer firmware).
+    pub const BRAKE_DELAY: MainState = MainState(21);
+
+    /// Its name, if known.
+    pub const fn name(self) -> Option<&'static str> {
+        Some(match self.0 {
+            0 => "not ready to switch on",
+            1 => "switch on disabled",
+            2 => "ready to switch on",
+            3 => "setup error",
+            4 => "error",
+            5 => "hardware tests",
+            6 => "ready to operate",
+            7 => "brake release",
+            8 => "operation enabled",
+            9 => "homing",
+            10 => "clearance check",
+            11 => "going to initial position",
+            12 => "aborting",
+            13 => "freezing",
+            14 => "quick stop",
+            15 => "going to position",
+            16 => "jogging +",
+            17 => "jogging -",
+            18 => "linearizing",
+            19 => "phase search",
+            20 => "special mode",
+            21 => "brake delay",
+            _ => return None,
+        })
+    }
+}
+
+impl fmt::Debug for MainState {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} ({})", self.0, self.name().unwrap_or("unknown"))
+    }
+}
+
+/// The warn word (SG5 manual).
+#[derive(Clone, Copy, Default, PartialEq, Eq, Hash)]
+pub struct WarnWord(pub u16);
+
+impl WarnWord {
+    /// Bit 4: the following error is large.
+    pub const POSITION_LAG: u16 = 1 << 4;
+    /// Bit 7: the motor is not homed.
+    pub const NOT_HOMED: u16 = 1 << 7;
+
+    /// The name of a warning, `bit` 0 ... 15; `None` for a reserved bit.
+    pub const fn name(bit: u32) -> Option<&'static str> {
+        Some(match bit {
+            0 => "motor hot (sensor)",
+            1 => "motor short-time overload (I2t)",
+            2 => "supply voltage low",
+            3 => "supply voltage high",
+            4 => "position lag",
+            6 => "drive hot",
+            7 => "motor not homed",
+            8 => "PTC 1 hot",
+            9 => "PTC 2 hot",
+            10 => "regeneration resistor hot",
+            11 => "speed lag",
+            12 => "position sensor",
+            14 => "interface",
+            15 => "application",
+            _ => return None,
+        })
+    }
+
+    /// The names of the warnings that stand. Reserved bits have none.
+    pub fn names(self) -> impl Iterator<Item = &'static str> {
+        (0..16).filter(move |bit| self.0 >> bit & 1 == 1).filter_map(WarnWord::name)
+    }
+}
+
+impl fmt::Debug for WarnWord {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "WarnWord({:#06x})", self.0)
+    }
+}
+
+/// An error code (SG5 manual). Newer firmware has more: unknown codes stay numbers.
+#[derive(Clone, Copy, Default, PartialEq, Eq, Hash)]
+pub struct ErrorCode(pub u16);
+
+impl ErrorCode {
+    /// 0000h: no error.
+    pub const NONE: ErrorCode = ErrorCode(0x0000);
+    /// 0007h: minimum position undershot.
+    pub const MIN_POSITION: ErrorCode = ErrorCode(0x0007);
+    /// 0008h: maximum position overshot.
+    pub const MAX_POSITION: ErrorCode = ErrorCode(0x0008);
+    /// 000Bh: position lag.
+    pub const POSITION_LAG: ErrorCode = ErrorCode(0x000B);
+    /// 0062h: the curve is not defined.
+    pub const CURVE_NOT_DEFINED: ErrorCode = ErrorCode(0x0062);
+    /// 0080h: the motor is not homed.
+    pub const NOT_HOMED: ErrorCode = ErrorCode(0x0080);
+    /// 0081h: unknown motion command.
+    pub const UNKNOWN_COMMAND: ErrorCode = ErrorCode(0x0081);
+    /// 0082h: the buffer of streamed setpoints overflowed.
+    pub const STREAM_OVERFLOW: ErrorCode = ErrorCode(0x0082);
+    /// 0083h: streamed setpoints stayed away.
+    pub const STREAM_UNDERFLOW: ErrorCode = ErrorCode(0x0083);
+    /// 0084h: streamed setpoints come too fast.
+    pub const STREAM_TOO_FAST: ErrorCode = ErrorCode(0x0084);
+    /// 0085h: streamed setpoints come too slowly.
+    pub const STREAM_TOO_SLOW: ErrorCode = ErrorCode(0x0085);
+    /// 0086h: motion command in a state that takes none.
+    pub const WRONG_STATE: ErrorCode = ErrorCode(0x0086);
+    /// 008Ah: the command table has no such entry.
+    pub const ENTRY_MISSING: ErrorCode = ErrorCode(0x008A);
+
+    /// What it says, if known.
+    pub const fn name(self) -> Option<&'static str> {
+        Some(match self.0 {
+            0x0000 => "no error",
+            0x0001 => "logic supply voltage low",
+            0x0002 => "logic supply voltage high",
+            0x0003 => "motor supply voltage low",
+            0x0004 => "motor supply voltage high",
+            0x0005 => "regeneration resistor not connected",
+            0x0006 => "PTC 1 too hot",
+            0x0007 => "minimum position undershot",
+            0x0008 => "maximum position overshot",
+            0x0009 => "difference between position sensors",
+            0x000A => "external sensor signals missing (X12)",
+            0x000B => "position lag",
+            0x000C => "position lag at standstill",
+            0x000D => "over-current (X1)",
+            0x000E => "digital output supply missing",
+            0x000F => "PTC 2 too hot",
+            0x0010 => "bridge hot, phase 1+",
+            0x0011 => "bridge hot, phase 1-",
+            0x0012 => "bridge hot, phase 2+",
+            0x0013 => "bridge hot, phase 2-",
+            0x0014 => "power stage hot",
+            0x0015 => "regeneration resistor driver hot",
+            0x0016 => "X3 hot",
+            0x0017 => "core hot",
+            0x0018..=0x001B => "bridge defective",
+            0x001C => "fuse X6",
+            0x001D => "fuse X3.3",
+            0x001E => "fuse X3.8",
+            0x0020 => "motor too hot",
+            0x0021 => "motor hall signals missing",
+            0x0022 => "motor slider missing",
+            0x0023 => "motor short-time overload",
+            0x0024 => "regeneration resistor hot (calculated)",
+            0x0025 => "sensor alarm",
+            0x0028..=0x002B => "phase short to ground",
+            0x002C => "short between phase 1 and phase 2",
+            0x0030..=0x0039 => "motor wiring",
+            0x003A => "phase U broken",
+            0x003B => "phase V broken",
+            0x003C => "phase W broken",
+            0x0040 => "brake driver",
+            0x0041 => "X4 output",
+            0x0042 => "X6 output",
+            0x0044 => "X4 ground fuse",
+            0x0045 => "motor communication lost",
+            0x0046 => "PTC 1 broken",
+            0x0047 => "PTC 1 short circuit",
+            0x0050 => "hardware not supported",
+            0x0051 => "software key missing",
+            0x0058 => "ROM write failed",
+            0x0060 => "regeneration resistor voltage too low",
+            0x0061 => "regeneration resistor hysteresis",
+            0x0062 => "curve not defined",
+            0x0063 => "maximum current setting",
+            0x0064 => "no motor defined",
+            0x0065 => "no trigger mode defined",
+            0x0067 => "wrong stator",
+            0x0068 => "no motor communication",
+            0x0069 => "wrong slider",
+            0x0080 => "motor not homed",
+            0x0081 => "unknown motion command",
+            0x0082 => "stream buffer overflow",
+            0x0083 => "stream buffer underflow",
+            0x0084 => "stream master too fast",
+            0x0085 => "stream master too slow",
+            0x0086 => "motion command in wrong state",
+            0x0087 => "limit switch in",
+            0x0088 => "limit switch out",
+            0x0089 => "curve amplitude scale",
+            0x008A => "command table entry missing",
+            0x0090..=0x0093 => "not enough calculation time",
+            0x00CD => "CANopen guard time-out",
+            _ => return None,
+        })
+    }
+
+    /// The error cannot be acknowledged: the drive has to be restarted.
+    pub const fn is_fatal(self) -> bool {
+        matches!(self.0, 0x000A | 0x000D | 0x0021 | 0x0022 | 0x0045 | 0x0064 | 0x0065 | 0x0067 | 0x0068)
+    }
+}
+
+impl fmt::Debug for ErrorCode {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "ErrorCode({:#06x})", self.0)
+    }
+}
+
+impl fmt::Display for ErrorCode {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:04X}h {}", self.0, self.name().unwrap_or("(not in the manual of 2014)"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_named_control_words_are_made_of_their_bits() {
+        use ControlWord as C;
+        assert_eq!(C::BASE.0, 0x003E);
+        assert_eq!(C::ON.0, C::BASE.0 | C::SWITCH_ON);
+        assert_eq!(C::HOME.0, C::ON.0 | C::HOMING);
+        assert_eq!(C::ACKNOWLEDGE.0, C::BASE.0 | C::ERROR_ACKNOWLEDGE);
+        assert_eq!(C::ABORT.0, C::ON.0 & !C::NO_ABORT);
+        assert_eq!(C::QUICK_STOP.0, C::ON.0 & !C::NO_QUICK_STOP);
+    }
+
+    #[test]
+    fn only_state_8_carries_a_count() {
+        // SG5 manual, state machine: in every other state the low nibble is no count.
+        let operating = StateVar(0x08C3);
+        assert_eq!(operating.main(), MainState::OPERATION_ENABLED);
+        assert_eq!(operating.count(), Some(3));
+        assert_eq!((operating.homed(), operating.in_target()), (Some(true), Some(true)));
+        assert_eq!(operating.motion_active(), Some(false));
+        let homed = StateVar::new(MainState::HOMING, StateVar::FINISHED);
+        assert_eq!(homed, StateVar(0x090F));
+        assert!(homed.finished() && homed.count().is_none() && homed.motion_active().is_none());
+        // In state 8 the sub state 0Fh is a count.
+        assert!(!StateVar(0x080F).finished());
+    }
+
+    #[test]
+    fn warnings_and_errors_have_their_names() {
+        assert_eq!(WarnWord(0x2090).names().collect::<Vec<_>>(), ["position lag", "motor not homed"]);
+        assert_eq!(ErrorCode::WRONG_STATE.name(), Some("motion command in wrong state"));
+        assert_eq!(ErrorCode(0x0084).to_string(), "0084h stream master too fast");
+        assert_eq!(ErrorCode(0xABCD).name(), None);
+        let fatal: Vec<_> = (0..=u16::MAX).filter(|code| ErrorCode(*code).is_fatal()).collect();
+        assert_eq!(fatal, [0x0A, 0x0D, 0x21, 0x22, 0x45, 0x64, 0x65, 0x67, 0x68]);
+        assert!(fatal.iter().all(|code| ErrorCode(*code).name().is_some()));
+    }
+}
