@@ -1,0 +1,314 @@
+//! Telegrams as they should not be, filters, padding, real-time config, restarts, and arbitrary bytes.
+
+use proptest::prelude::*;
+
+use super::*;
+use crate::bus::linudp::wire::RequestDef;
+
+const OTHER: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::new(127, 1, 1, 2), MASTER_PORT);
+
+const STATUS: [u8; 8] = [0, 0, 0, 0, 0x7F, 0, 0, 0];
+
+#[test]
+fn a_status_request_is_answered_as_in_the_manual() {
+    let mut bench = Bench::homed();
+    bench.command(MotionCommand::go_to(123_456, VAD));
+    bench.until_standing();
+    let reply = bench.raw(MASTER, &STATUS).unwrap();
+    let golden = [
+        0x00, 0x00, 0x00, 0x00, 0x7F, 0x00, 0x00, 0x00, // echoes
+        0x37, 0x0C, 0xC1, 0x08, // on, in target, homed; count 1
+        0x40, 0xE2, 0x01, 0x00, 0x40, 0xE2, 0x01, 0x00, // 12.3456 mm
+        0x00, 0x00, 0x00, 0x00, 0x00, 0x00, // no current, no warning, no error
+    ];
+    assert_eq!(reply, golden);
+}
+
+#[test]
+fn what_is_no_telegram_is_not_answered() {
+    let mut bench = Bench::homed();
+    let go_to = MotionCommand::go_to(CM, VAD).block(5);
+    assert_eq!(bench.raw(MASTER, &[]), None);
+    assert_eq!(bench.raw(MASTER, &STATUS[..7]), None);
+    // Control word asked for and missing; motion command in front of a config block cut short.
+    assert_eq!(bench.raw(MASTER, &[1, 0, 0, 0, 0x7F, 0, 0, 0]), None);
+    let whole = Request {
+        response_def: ResponseDef::CYCLIC,
+        motion: Some(go_to),
+        config: Some(RtcBlock::default()),
+        ..Request::default()
+    };
+    let mut bytes = [0; 64];
+    let size = whole.emit(&mut bytes);
+    assert_eq!(bench.raw(MASTER, &bytes[..size - 7]), None);
+    assert_eq!(bench.sim.ignored(), Ignored { malformed: 4, ..Ignored::default() });
+    // None of them moved anything.
+    let response = bench.exchange(None);
+    assert_eq!(response.state.unwrap().count(), Some(0));
+    assert!(!response.status.unwrap().motion_active());
+}
+
+#[test]
+fn a_cut_motion_command_and_a_cut_config_block_are_taken() {
+    let mut bench = Bench::homed();
+    let go_to = Request {
+        response_def: ResponseDef::CYCLIC,
+        motion: Some(MotionCommand::go_to(CM, VAD).block(5)),
+        ..Request::default()
+    };
+    let mut bytes = [0; 64];
+    go_to.emit(&mut bytes);
+    // Header and the 16 bytes that are not 0.
+    assert!(bench.raw(MASTER, &bytes[..8 + 18]).is_some());
+    assert_eq!(bench.until_standing().actual, Some(CM));
+    // Control and UPID of a parameter read.
+    let reply = bench.raw(MASTER, &[4, 0, 0, 0, 0, 1, 0, 0, 0x01, 0x11, 0xA8, 0x20]).unwrap();
+    assert_eq!(reply[8..], [0x01, 0xC0, 0xA8, 0x20, 0, 0, 0, 0]);
+}
+
+#[test]
+fn longer_telegrams_and_reserved_bits_do_no_harm() {
+    let mut bench = Bench::homed();
+    let mut long = [0xA5; 300];
+    long[..8].copy_from_slice(&[0xF8, 0xFF, 0xFF, 0xFF, 0x7F, 0xFE, 0xFF, 0xFF]);
+    let reply = bench.raw(MASTER, &long).unwrap();
+    assert_eq!((reply.len(), &reply[..8]), (26, &long[..8]));
+    assert_eq!(bench.exchange(None).state.unwrap().count(), Some(0));
+}
+
+#[test]
+fn a_duplicate_is_answered_and_not_run() {
+    let mut bench = Bench::homed();
+    let step = MotionCommand::increment_target(CM, VAD).block(5);
+    bench.exchange(Some(step));
+    bench.now = bench.now - MS;
+    let again = bench.exchange(Some(step));
+    assert_eq!(again.state.unwrap().count(), Some(5));
+    assert_eq!(bench.until_standing().actual, Some(CM));
+}
+
+#[test]
+fn only_the_masters_port_is_heard() {
+    let mut bench = Bench::new(|plan| plan.filter = MasterFilter::Single);
+    let stranger = SocketAddrV4::new(*OTHER.ip(), MASTER_PORT + 1);
+    assert_eq!(bench.raw(stranger, &STATUS), None);
+    assert_eq!(bench.sim.ignored().wrong_port, 1);
+    // It did not become the single master.
+    assert!(bench.raw(MASTER, &STATUS).is_some());
+}
+
+#[test]
+fn a_single_master_is_the_first_one_after_start() {
+    let mut bench = Bench::new(|plan| plan.filter = MasterFilter::Single);
+    assert_eq!(bench.raw(OTHER, &STATUS[..5]), None);
+    assert!(bench.raw(MASTER, &STATUS).is_some());
+    assert_eq!(bench.raw(OTHER, &STATUS), None);
+    assert!(bench.raw(MASTER, &STATUS).is_some());
+    assert_eq!(bench.sim.ignored(), Ignored { malformed: 1, filtered: 1, wrong_port: 0 });
+    bench.sim.restart(bench.now);
+    assert!(bench.raw(OTHER, &STATUS).is_some());
+    assert_eq!(bench.raw(MASTER, &STATUS), None);
+}
+
+#[test]
+fn a_fixed_master_is_the_only_one() {
+    let mut bench = Bench::new(|plan| plan.filter = MasterFilter::Fixed(*OTHER.ip()));
+    assert_eq!(bench.raw(MASTER, &STATUS), None);
+    assert!(bench.raw(OTHER, &STATUS).is_some());
+    let mut bench = Bench::new(|_| {});
+    assert!(bench.raw(MASTER, &STATUS).is_some() && bench.raw(OTHER, &STATUS).is_some());
+}
+
+#[test]
+fn short_answers_are_padded_with_what_is_left_of_earlier_ones() {
+    for (padding, expected) in [(0, 10), (14, 14), (64, 64), (1_000, 64)] {
+        let mut bench = Bench::new(|plan| plan.padding = padding);
+        // A long answer first: its bytes are what the padding shows.
+        let long = bench.raw(MASTER, &[0, 0, 0, 0, 0xFF, 0, 0, 0]).unwrap();
+        assert_eq!(long.len(), 42_usize.max(expected));
+        let short = bench.raw(MASTER, &[0, 0, 0, 0, 1, 0, 0, 0]).unwrap();
+        assert_eq!(short.len(), expected);
+        assert_eq!(short[10..], long[10..expected]);
+        assert_eq!(padding == 0, short[10..].iter().all(|byte| *byte == 0));
+        // The master's parser does not see it.
+        let response = Response::parse(&short).unwrap();
+        assert!(response.status.is_some() && response.state.is_none() && response.config.is_none());
+    }
+}
+
+#[test]
+fn monitoring_channels_show_velocity_acceleration_temperature_and_status() {
+    let mut bench = Bench::homed();
+    bench.command(MotionCommand::go_to(-10 * CM, VAD));
+    bench.now = bench.now + 20 * MS;
+    let request = Request { response_def: ResponseDef(0xFF), ..Request::default() };
+    let response = bench.ask(&request);
+    let monitor = response.monitor.unwrap();
+    assert_eq!(monitor[0] as i32, -200_000);
+    assert_eq!(monitor[1] as i32, -1_000_000);
+    assert_eq!((monitor[2], monitor[3]), (400, u32::from(response.status.unwrap().0)));
+    assert!(response.current.unwrap() < 0);
+}
+
+impl Bench {
+    fn configure(&mut self, block: RtcBlock) -> RtcBlock {
+        let request = Request {
+            response_def: ResponseDef::CYCLIC.with(ResponseDef::CONFIG),
+            config: Some(block),
+            ..Request::default()
+        };
+        self.ask(&request).config.unwrap()
+    }
+}
+
+#[test]
+fn the_config_channel_echoes_counts_and_has_no_parameters() {
+    let mut bench = Bench::new(|_| {});
+    for count in [1, 2, 15, 0, 3] {
+        assert_eq!(bench.configure(RtcBlock::command(count, 0)), RtcBlock::command(count, 0));
+    }
+    let read = RtcBlock { words: [0x20A8, 7, 7], ..RtcBlock::command(4, 0x11) };
+    let refused = RtcBlock { words: [0x20A8, 0, 0], ..RtcBlock::command(4, RtcBlock::UPID_ERROR) };
+    assert_eq!(bench.configure(read), refused);
+    // The same count again is answered and not run.
+    assert_eq!(bench.configure(RtcBlock::command(4, 0)), refused);
+    // The block is there because the request had one, not because of response bit 8.
+    let without = Request { response_def: ResponseDef(0x1FF), ..Request::default() };
+    assert_eq!(bench.ask(&without).config, None);
+    let with = Request { response_def: ResponseDef(1), config: Some(read), ..Request::default() };
+    let response = bench.ask(&with);
+    assert_eq!((response.config, response.request_def), (Some(refused), RequestDef::CONFIG));
+}
+
+#[test]
+fn a_restart_forgets_all_but_where_the_motor_is() {
+    let mut bench = Bench::homed();
+    bench.command(MotionCommand::go_to(10 * CM, VAD));
+    bench.until_standing();
+    bench.configure(RtcBlock::command(3, 0x11));
+    bench.sim.restart(bench.now);
+    assert_eq!(bench.configure(RtcBlock::command(0, 0x11)), RtcBlock::default());
+    // Booting: both words are 0 and nothing is taken.
+    for _ in 0..99 {
+        let response = bench.exchange(Some(MotionCommand::go_to(0, VAD).block(7)));
+        assert_eq!((response.status, response.state), (Some(StatusWord(0)), Some(StateVar(0))));
+    }
+    bench.now = bench.now + MS;
+    bench.enable();
+    assert_eq!(bench.count, 0);
+    let response = bench.exchange(None);
+    assert!(!response.status.unwrap().homed() && response.warn.unwrap().0 != 0);
+    // The sensor begins anew, wherever the motor is; homing finds the truth.
+    assert_eq!(response.actual, Some(2 * CM));
+    bench.control = ControlWord::HOME;
+    let took = bench.until(|response| response.state.unwrap().finished());
+    assert!(took > 1_000, "100 mm at 100 mm/s, in {took} ms");
+    bench.control = ControlWord::ON;
+    assert_eq!(bench.until_standing().actual, Some(0));
+}
+
+#[test]
+fn a_drive_can_be_found_running() {
+    let mut bench = Bench::new(|plan| plan.start_running = true);
+    let first = Response::parse(&bench.raw(MASTER, &STATUS).unwrap()).unwrap();
+    assert!(first.status.unwrap().has(StatusWord::MOTION_ACTIVE | StatusWord::HOMED));
+    assert_eq!(first.state, Some(StateVar(0x08A5)));
+    // It goes on for as long as nobody takes over, and turns round.
+    let (mut low, mut high) = (i32::MAX, i32::MIN);
+    for _ in 0..100 {
+        bench.now = bench.now + S;
+        let response = Response::parse(&bench.raw(MASTER, &STATUS).unwrap()).unwrap();
+        assert_eq!(response.error, Some(ErrorCode::NONE));
+        (low, high) = (low.min(response.actual.unwrap()), high.max(response.actual.unwrap()));
+    }
+    assert!(low < -15 * CM && high > 15 * CM, "{low} ... {high}");
+    // A count that it already has does nothing, the next one stops it.
+    bench.control = ControlWord::ON;
+    let stop = MotionCommand::stop(100_000);
+    assert!(bench.exchange(Some(stop.block(5))).status.unwrap().motion_active());
+    bench.exchange(Some(stop.block(6)));
+    let stood = bench.until_standing();
+    bench.now = bench.now + S;
+    assert_eq!(bench.exchange(None).demand, stood.demand);
+    // A power cycle ends it for good.
+    bench.sim.restart(bench.now);
+    bench.now = bench.now + S;
+    assert!(!bench.exchange(None).status.unwrap().operation_enabled());
+}
+
+#[test]
+fn a_long_silence_costs_a_bounded_number_of_steps() {
+    let mut bench = Bench::new(|plan| plan.start_running = true);
+    bench.raw(MASTER, &STATUS).unwrap();
+    bench.now = Time(u64::MAX);
+    assert!(bench.raw(MASTER, &STATUS).is_some());
+    // Time that goes backwards is no time.
+    bench.now = Time(0);
+    assert!(bench.raw(MASTER, &STATUS).is_some());
+}
+
+/// What a careless master does in one exchange.
+fn exchange() -> impl Strategy<Value = (u64, Option<u16>, Option<MotionBlock>, Option<RtcBlock>)> {
+    let wait = prop_oneof![4 => 0..5 * MS, 1 => 0..2 * S];
+    let control = prop_oneof![
+        4 => Just(ControlWord::ON.0),
+        2 => Just(ControlWord::BASE.0),
+        1 => Just(ControlWord::HOME.0),
+        1 => Just(ControlWord::ACKNOWLEDGE.0),
+        1 => any::<u16>(),
+    ];
+    let id = prop_oneof![Just(0x01_u16), Just(0x02), Just(0x03), Just(0x0C), Just(0x0E), 0..0x40_u16];
+    let motion = (id, 0..256_u16, any::<[u8; 30]>())
+        .prop_map(|(id, sub, parameters)| MotionBlock { header: id << 8 | sub, parameters });
+    let config = any::<(u8, u8, [u16; 3])>().prop_map(|(tag, code, words)| RtcBlock { tag, code, words });
+    (wait, proptest::option::of(control), proptest::option::of(motion), proptest::option::of(config))
+}
+
+proptest! {
+    #[test]
+    fn no_bytes_make_the_drive_panic(datagrams in proptest::collection::vec(
+        proptest::collection::vec(any::<u8>(), 0..70), 0..20,
+    )) {
+        let mut bench = Bench::new(|plan| plan.start_running = true);
+        for bytes in datagrams {
+            bench.now = bench.now + MS;
+            bench.raw(MASTER, &bytes);
+        }
+    }
+
+    #[test]
+    fn no_careless_master_gets_an_inconsistent_answer(exchanges in proptest::collection::vec(exchange(), 1..120)) {
+        let mut bench = Bench::homed();
+        for (wait_ns, control, motion, config) in exchanges {
+            bench.now = bench.now + wait_ns;
+            let request = Request {
+                response_def: ResponseDef(0x1FF),
+                control: control.map(ControlWord),
+                motion,
+                config,
+                ..Request::default()
+            };
+            let response = bench.ask(&request);
+            let (status, state) = (response.status.unwrap(), response.state.unwrap());
+            if status.0 == 0 {
+                prop_assert_eq!(state.0, 0);
+                continue;
+            }
+            prop_assert_eq!(status.operation_enabled(), state.main() >= MainState::OPERATION_ENABLED);
+            // The handshake of the state variable says what the status word says.
+            if state.main() == MainState::OPERATION_ENABLED {
+                prop_assert_eq!(state.motion_active(), Some(status.motion_active()));
+                prop_assert_eq!(state.in_target(), Some(status.in_target()));
+                prop_assert_eq!(state.homed(), Some(status.homed()));
+                prop_assert!(!status.error());
+            }
+            prop_assert_eq!(state.main() == MainState::ERROR, status.error() && !status.operation_enabled());
+            prop_assert_eq!(status.error(), response.error.unwrap() != ErrorCode::NONE);
+            prop_assert_eq!(status.warning(), response.warn.unwrap().0 != 0);
+            prop_assert!(!(status.in_target() && status.motion_active()));
+            if let Some(config) = config {
+                prop_assert_eq!(response.config.unwrap().count(), config.count());
+            }
+        }
+    }
+}
