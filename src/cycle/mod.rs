@@ -1,9 +1,28 @@
-//! The loop.
+//! The loop: one thread, one absolute time grid, all buses.
 //!
 //! | file | what |
 //! |---|---|
-//! | `plan` | the cycle as configured |
+//! | `plan` | the machine as configured |
+//! | `engine` | one cycle after the other: send, receive, judge, exchange, prepare, publish |
+//! | `grid` | slots and their instants |
+//! | `window` | waiting for replies until the deadline |
+//! | `seat` | the loop's side of one axis |
+//! | `health` | the link to one drive: leaky bucket, schedule, probes |
+//! | `ladder` | the way down after a stop |
+//! | `task` | the application's code inside the cycle |
+//! | `status`, `record` | what the loop counts, and what it tells the telemetry |
+//!
+//! The loop knows the [`Bus`](crate::bus::Bus) contract, no protocol.
 
+pub mod engine;
+mod grid;
+mod health;
+mod ladder;
 pub mod plan;
+pub mod record;
+pub mod seat;
+pub mod status;
+pub mod task;
+pub mod window;
 
 pub use plan::{CyclePlan, Guard, Overrun, Plan, Wait};

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use crate::axis::AxisPlan;
 use crate::bus::BusPlan;
 use crate::rt::{Memory, Realtime};
+use crate::sim::DatagramDrive;
 use crate::time::MS;
 
 /// A whole machine.
@@ -22,6 +23,11 @@ impl Plan {
     /// All axes in slot order: bus after bus, drive after drive.
     pub fn axes(&self) -> Vec<&AxisPlan> {
         self.buses.iter().flat_map(|bus| bus.axes()).collect()
+    }
+
+    /// The drives of all buses, simulated.
+    pub fn simulate(&self) -> Vec<Box<dyn DatagramDrive>> {
+        self.buses.iter().flat_map(|bus| bus.simulate()).collect()
     }
 }
 
@@ -48,6 +54,13 @@ pub struct CyclePlan {
     pub memory: Memory,
     /// Longest the in-loop task may run, ns; over it is a stop. `None` = no budget.
     pub task_budget_ns: Option<u64>,
+}
+
+impl CyclePlan {
+    /// Until when replies are taken, ns after the grid point.
+    pub fn deadline_ns(&self) -> u64 {
+        (self.period_ns as f64 * self.receive_deadline).round() as u64
+    }
 }
 
 impl Default for CyclePlan {

@@ -1,0 +1,435 @@
+//! One cycle after the other: send, receive, judge, exchange, prepare, publish.
+//!
+//! The engine is generic over its clock, and its buses bring their carriers, so that the same code runs on a pinned
+//! SCHED_FIFO thread and in virtual time.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU8, Ordering};
+
+use rtrb::Producer;
+
+use super::grid::Grid;
+use super::plan::{CyclePlan, Guard, Overrun};
+use super::record::Record;
+use super::seat::Seat;
+use super::status::{DriveEnd, RunEnd, Status};
+use super::task::{Axes, Task};
+use super::window::{BusSeat, Window};
+use crate::axis::cell::Writer;
+use crate::axis::{Link, StopCause};
+use crate::bus::{Cycle, Slot};
+use crate::rt::{Clock, GuardTuner, Regions};
+use crate::time::{MS, Time, nanos};
+
+/// What the outside asks of the loop.
+#[derive(Clone, Debug, Default)]
+pub struct Control(Arc<AtomicU8>);
+
+const RUN: u8 = 0;
+const STOP: u8 = 1;
+const HURRY: u8 = 2;
+
+impl Control {
+    /// Asks for the orderly end: all axes ramp down and are powered off. Asked again, the waits are shortened.
+    pub fn stop(&self) {
+        let _ =
+            self.0.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |asked| Some((asked + 1).min(HURRY)));
+    }
+
+    /// Whether the end was asked for.
+    pub fn is_stopping(&self) -> bool {
+        self.0.load(Ordering::Relaxed) != RUN
+    }
+
+    fn asked(&self) -> u8 {
+        self.0.load(Ordering::Relaxed)
+    }
+}
+
+/// The queues of the loop itself.
+#[derive(Debug)]
+pub struct Outlets {
+    /// Records to the telemetry thread.
+    pub records: Producer<Record>,
+    /// The numbers of the loop, newest only.
+    pub status: Writer<Status>,
+}
+
+/// The loop.
+pub struct Engine<C> {
+    clock: C,
+    plan: CyclePlan,
+    deadline_ns: u64,
+    longest_end_ns: u64,
+    grid: Grid,
+    guard: GuardTuner,
+    window: Window,
+    buses: Vec<BusSeat>,
+    slots: Vec<Slot>,
+    seats: Vec<Seat>,
+    names: Vec<(String, &'static str)>,
+    rtt_max: Vec<Option<(u64, u32)>>,
+    task: Option<Task>,
+    task_id: u64,
+    control: Control,
+    outlets: Outlets,
+    status: Status,
+    /// Slots passed over since the last executed one.
+    skipped_in_a_row: u64,
+    /// The shutdown has begun: since when, and how much of it was asked for.
+    ending: Option<(Time, u8)>,
+    buses_down: bool,
+}
+
+impl<C> std::fmt::Debug for Engine<C> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Engine")
+            .field("grid", &self.grid)
+            .field("status", &self.status)
+            .finish_non_exhaustive()
+    }
+}
+
+/// Whether the loop goes on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Flow {
+    /// It does.
+    Continue,
+    /// The shutdown is complete.
+    End,
+}
+
+/// Wake-ups measured before the first cycle to choose the guard.
+const CALIBRATION_SLEEPS: u32 = 200;
+
+/// What a shutdown is given beyond the time-outs of its axes.
+const END_MARGIN_NS: u64 = 1_000 * MS;
+
+impl<C: Clock> Engine<C> {
+    /// An engine over open buses. `names` are those of the axes and their protocols, in slot order.
+    #[expect(clippy::too_many_arguments, reason = "the parts of the loop, put together in one place only")]
+    pub fn new(
+        clock: C,
+        plan: CyclePlan,
+        mut buses: Vec<BusSeat>,
+        seats: Vec<Seat>,
+        names: Vec<(String, &'static str)>,
+        task: Option<Task>,
+        control: Control,
+        outlets: Outlets,
+    ) -> Engine<C> {
+        let window = Window::new(plan.wait, &mut buses);
+        // Standstill and power off have their time-out each, and a hold may have to be left first.
+        let stops = seats.iter().map(|seat| nanos(seat.plan().stop.timeout)).max().unwrap_or(0);
+        Engine {
+            longest_end_ns: stops.saturating_mul(3).saturating_add(END_MARGIN_NS),
+            deadline_ns: plan.deadline_ns(),
+            grid: Grid::new(Time(0), plan.period_ns),
+            guard: match plan.guard {
+                Guard::Off => GuardTuner::fixed(0),
+                Guard::Fixed(ns) => GuardTuner::fixed(ns),
+                Guard::Auto => GuardTuner::auto(plan.period_ns),
+            },
+            window,
+            buses,
+            slots: vec![Slot::default(); seats.len()],
+            rtt_max: vec![None; seats.len()],
+            seats,
+            names,
+            task,
+            task_id: 1,
+            control,
+            outlets,
+            status: Status::default(),
+            skipped_in_a_row: 0,
+            ending: None,
+            buses_down: false,
+            clock,
+            plan,
+        }
+    }
+
+    /// Adds the memory that the loop touches besides its rings and the engine itself, to be locked. What the in-loop task
+    /// has captured is its owner's to lock.
+    pub fn memory(&self, regions: &mut Regions) {
+        regions.add(&*self.slots);
+        regions.add(&*self.seats);
+        regions.add(&*self.rtt_max);
+        regions.add(&*self.buses);
+        self.outlets.status.memory(regions);
+        for seat in &self.seats {
+            seat.memory(regions);
+        }
+        for seat in &self.buses {
+            seat.bus.memory(regions);
+        }
+    }
+
+    /// Lays the grid: the first slot is two periods from now. Calibrates the guard before.
+    pub fn begin(&mut self) {
+        self.guard.calibrate(&mut self.clock, CALIBRATION_SLEEPS);
+        let now = self.clock.now();
+        self.grid = Grid::new(now + 2 * self.plan.period_ns, self.plan.period_ns);
+        let cycle = self.cycle_at(self.grid.index(), self.grid.at());
+        self.arm(&cycle, now);
+    }
+
+    /// Runs until the shutdown is complete.
+    pub fn run(&mut self) {
+        self.begin();
+        while self.step() == Flow::Continue {}
+    }
+
+    /// One slot of the grid: waits for it and executes it, or passes over what came too late.
+    pub fn step(&mut self) -> Flow {
+        let guard_ns = self.guard.guard_ns();
+        self.clock.sleep_until(self.grid.at() - guard_ns);
+        let mut now = self.clock.now();
+        self.guard.observe(now.since(self.grid.at() - guard_ns));
+        // The final spin, bounded by the guard.
+        while now < self.grid.at() {
+            self.clock.spin();
+            now = self.clock.now();
+        }
+        // A slot may begin late by half of its receive window. Later, and the drives would be charged for what is our own.
+        let late = self.grid.passed(now, self.deadline_ns / 2);
+        if late > 0 {
+            self.pass_over(now, late);
+            return Flow::Continue;
+        }
+        let cycle = self.cycle_at(self.grid.index(), self.grid.at());
+        let flow = self.execute(&cycle, now);
+
+        self.grid.advance(1);
+        let now = self.clock.now();
+        let passed = self.grid.passed(now, 0);
+        if passed > 0 {
+            self.pass_over(now, passed);
+        }
+        flow
+    }
+
+    fn cycle_at(&self, index: u64, grid: Time) -> Cycle {
+        Cycle { index, grid, period_ns: self.plan.period_ns, deadline: grid + self.deadline_ns }
+    }
+
+    fn execute(&mut self, cycle: &Cycle, woke: Time) -> Flow {
+        let wake_ns = woke.since(cycle.grid);
+        if wake_ns > self.status.wake_max_ns {
+            (self.status.wake_max_ns, self.status.wake_max_index) = (wake_ns, cycle.index);
+        }
+
+        // 1 send
+        for seat in &mut self.buses {
+            seat.bus.send(cycle, &mut self.slots[seat.first..seat.end]);
+        }
+        self.status.executed += 1;
+        self.skipped_in_a_row = 0;
+        for (seat, slot) in self.seats.iter_mut().zip(&self.slots) {
+            if slot.due {
+                seat.sent(cycle.index, slot);
+            }
+        }
+        let sent = self.clock.now();
+
+        // 2 receive
+        self.window.run(&mut self.clock, cycle, &mut self.buses, &mut self.slots);
+        let received = self.clock.now();
+
+        // 3 judge
+        self.judge(cycle, received);
+
+        // 4 exchange. The task comes first: what it asks for leaves with the next send.
+        let ended = self.end(cycle, received);
+        if self.ending.is_none() {
+            self.run_task(cycle, received);
+            for (seat, slot) in self.seats.iter_mut().zip(&mut self.slots) {
+                seat.exchange(cycle, received, slot);
+            }
+        }
+
+        // 5 prepare
+        let next = self.cycle_at(cycle.index + 1, cycle.grid + cycle.period_ns);
+        self.arm(&next, received);
+
+        // 6 publish
+        let done = self.clock.now();
+        let short = |ns: u64| u32::try_from(ns).unwrap_or(u32::MAX);
+        self.record(Record::Cycle {
+            index: cycle.index,
+            wake_ns: short(wake_ns),
+            send_ns: short(sent.since(woke)),
+            receive_ns: short(received.since(sent)),
+            work_ns: short(done.since(received)),
+        });
+        self.publish();
+        if ended { Flow::End } else { Flow::Continue }
+    }
+
+    fn judge(&mut self, cycle: &Cycle, now: Time) {
+        let mut stopped = false;
+        for (index, (seat, slot)) in self.seats.iter_mut().zip(&mut self.slots).enumerate() {
+            if let Some(rtt_ns) = seat.judge(cycle, now, slot) {
+                if self.rtt_max[index].is_none_or(|(_, most)| rtt_ns > most) {
+                    self.rtt_max[index] = Some((cycle.index, rtt_ns));
+                }
+                let record = Record::RoundTrip { index: cycle.index, axis: index as u32, rtt_ns };
+                if self.outlets.records.push(record).is_err() {
+                    self.status.lost_records += 1;
+                }
+            }
+            seat.watch(cycle, now, slot);
+            stopped |= seat.just_stopped();
+        }
+        if stopped {
+            while let Some(group) = self.seats.iter_mut().find_map(Seat::take_group_stop) {
+                self.stop_axes(cycle, now, StopCause::Group, |other| other == Some(group));
+            }
+        }
+    }
+
+    /// Stops every axis whose stop group is `chosen`.
+    fn stop_axes(
+        &mut self,
+        cycle: &Cycle,
+        now: Time,
+        cause: StopCause,
+        chosen: impl Fn(Option<u16>) -> bool,
+    ) {
+        for (seat, slot) in self.seats.iter_mut().zip(&mut self.slots) {
+            if chosen(seat.plan().stop.group) {
+                seat.stop(cycle, now, cause, slot);
+                seat.take_group_stop();
+            }
+        }
+    }
+
+    /// The orderly end, once asked for. True when nothing more is to be done.
+    fn end(&mut self, cycle: &Cycle, now: Time) -> bool {
+        let asked = self.control.asked();
+        if asked == RUN {
+            return false;
+        }
+        let (since, before) = *self.ending.get_or_insert((now, STOP));
+        let hurry = asked == HURRY && before == STOP;
+        self.ending = Some((since, asked));
+        let mut down = true;
+        for (seat, slot) in self.seats.iter_mut().zip(&mut self.slots) {
+            down &= seat.shut_down(cycle, now, slot, hurry);
+        }
+        if down || now.since(since) > self.longest_end_ns {
+            self.buses_down = true;
+            for seat in &mut self.buses {
+                self.buses_down &= seat.bus.shut_down(cycle, &mut self.slots[seat.first..seat.end]);
+            }
+        }
+        self.buses_down
+    }
+
+    fn run_task(&mut self, cycle: &Cycle, before: Time) {
+        let Some(task) = &mut self.task else { return };
+        let mut axes = Axes::new(&mut self.seats, &mut self.task_id);
+        let result = catch_unwind(AssertUnwindSafe(|| task(cycle, &mut axes)));
+        let panicked = result.is_err();
+        // Neither the panic's payload nor the task is dropped: freeing memory is not for this thread.
+        std::mem::forget(result);
+        let over = match self.plan.task_budget_ns {
+            Some(budget) => self.clock.now().since(before) > budget,
+            None => false,
+        };
+        if panicked {
+            std::mem::forget(self.task.take());
+        }
+        if panicked || over {
+            self.stop_axes(cycle, before, StopCause::Task, |_| true);
+        }
+    }
+
+    /// Makes everything ready for the send of `next`: who is due, what row it follows, and its bytes.
+    fn arm(&mut self, next: &Cycle, now: Time) {
+        for (seat, slot) in self.seats.iter_mut().zip(&mut self.slots) {
+            slot.due = seat.is_due(next.index);
+            seat.feed(next, now, slot);
+        }
+        for seat in &mut self.buses {
+            seat.bus.prepare(next, &mut self.slots[seat.first..seat.end]);
+        }
+    }
+
+    /// Passes over slots that cannot be executed any more.
+    fn pass_over(&mut self, now: Time, count: u64) {
+        // What a skipped slot owed comes with the next one that is executed, at the earliest.
+        let next_ns = count.saturating_mul(self.plan.period_ns);
+        let (first, late_ns) = (self.grid.index(), now.since(self.grid.at()).max(next_ns));
+        self.status.overruns += 1;
+        self.status.skipped += count;
+        self.skipped_in_a_row += count;
+        self.status.longest_skip = self.status.longest_skip.max(self.skipped_in_a_row);
+        if late_ns > self.status.wake_max_ns {
+            (self.status.wake_max_ns, self.status.wake_max_index) = (late_ns, first);
+        }
+        self.record(Record::Skipped { first, count, late_ns });
+        self.grid.advance(count);
+        self.status.planned = self.grid.planned();
+        let cycle = self.cycle_at(self.grid.index(), self.grid.at());
+        let stop = match self.plan.overrun {
+            Overrun::Stop => true,
+            Overrun::Skip { max_skip } => self.skipped_in_a_row > max_skip,
+        };
+        if stop {
+            self.stop_axes(&cycle, now, StopCause::Overrun, |_| true);
+        }
+        // The requests were built for another slot: who is due may have changed, and a stop may have come.
+        self.arm(&cycle, now);
+    }
+
+    fn publish(&mut self) {
+        let (mut operational, mut online, mut lost) = (0, 0, 0);
+        self.status.missed = 0;
+        for (seat, slot) in self.seats.iter_mut().zip(&self.slots) {
+            self.status.missed += slot.counters.missed + slot.counters.unsent;
+            seat.publish();
+            operational += u32::from(seat.feedback().is_operational());
+            online += u32::from(seat.feedback().link == Link::Online);
+            lost += seat.lost_events + seat.lost_samples;
+        }
+        self.status.planned = self.grid.planned() + 1;
+        (self.status.operational, self.status.online, self.status.lost_events) = (operational, online, lost);
+        self.outlets.status.write(&self.status);
+    }
+
+    fn record(&mut self, record: Record) {
+        if self.outlets.records.push(record).is_err() {
+            self.status.lost_records += 1;
+        }
+    }
+
+    /// The clock, for whoever drives the engine by hand.
+    pub fn clock(&mut self) -> &mut C {
+        &mut self.clock
+    }
+
+    /// The numbers of the loop so far.
+    pub fn status(&self) -> &Status {
+        &self.status
+    }
+
+    /// The exact end of the run.
+    pub fn finish(self) -> RunEnd {
+        let status = Status { planned: self.grid.planned(), ..self.status };
+        let drives = (self.names.into_iter().zip(&self.seats).zip(&self.slots).zip(&self.rtt_max))
+            .map(|((((name, protocol), seat), slot), rtt_max)| DriveEnd {
+                name,
+                protocol,
+                feedback: *seat.feedback(),
+                counters: slot.counters,
+                losses: seat.losses,
+                rtt_max: *rtt_max,
+            })
+            .collect();
+        let buses =
+            self.buses.iter().map(|seat| (seat.bus.name().to_owned(), seat.bus.strangers())).collect();
+        RunEnd { status, drives, buses, page_faults: None, involuntary_switches: None }
+    }
+}

@@ -1,0 +1,153 @@
+//! Link health of one drive: a leaky bucket over its exchanges, and when to ask it.
+
+use crate::axis::{Health, Link};
+use crate::time::nanos;
+
+/// The link to one drive as the loop judges it.
+#[derive(Clone, Copy, Debug)]
+pub struct LinkHealth {
+    rules: Health,
+    divisor: u64,
+    phase: u64,
+    /// Cycles between two probes of a drive that does not answer.
+    probe_every: u64,
+    next_probe: u64,
+    link: Link,
+    /// Misses in the bucket.
+    level: u32,
+    /// Good exchanges since the last miss or leak.
+    good: u32,
+}
+
+impl LinkHealth {
+    /// A drive not seen yet. Its first probe goes out in slot `first_probe`.
+    pub fn new(rules: Health, divisor: u32, phase: u32, period_ns: u64, first_probe: u64) -> LinkHealth {
+        let probe_every = nanos(rules.probe_interval).div_ceil(period_ns).max(1);
+        LinkHealth {
+            rules,
+            divisor: u64::from(divisor.max(1)),
+            phase: u64::from(phase),
+            probe_every,
+            next_probe: first_probe,
+            link: Link::Unseen,
+            level: 0,
+            good: 0,
+        }
+    }
+
+    /// The link now.
+    pub fn link(&self) -> Link {
+        self.link
+    }
+
+    /// Whether an exchange is due in slot `index`: each of its own slots while it answers, one probe an interval while it
+    /// does not. A dead address would otherwise fill the shared socket's send buffer and starve the living.
+    pub fn is_due(&self, index: u64) -> bool {
+        match self.link {
+            Link::Unseen | Link::Lost => index >= self.next_probe,
+            Link::Qualifying | Link::Online => index % self.divisor == self.phase,
+        }
+    }
+
+    /// Notes that an exchange was sent (or tried) in slot `index`.
+    pub fn asked(&mut self, index: u64) {
+        if matches!(self.link, Link::Unseen | Link::Lost) {
+            self.next_probe = index + self.probe_every;
+        }
+    }
+
+    /// An exchange was answered.
+    pub fn answered(&mut self) {
+        self.good += 1;
+        match self.link {
+            Link::Unseen | Link::Lost => {
+                self.link = Link::Qualifying;
+                self.good = 1;
+            }
+            Link::Qualifying | Link::Online => {}
+        }
+        if self.link == Link::Qualifying && self.good >= self.rules.gate {
+            self.link = Link::Online;
+            self.level = 0;
+            self.good = 0;
+        } else if self.link == Link::Online && self.good >= self.rules.leak {
+            self.level = self.level.saturating_sub(1);
+            self.good = 0;
+        }
+    }
+
+    /// An exchange was missed in slot `index`.
+    pub fn missed(&mut self, index: u64, seen_before: bool) {
+        self.good = 0;
+        match self.link {
+            Link::Unseen | Link::Lost => {}
+            Link::Qualifying => {
+                self.link = if seen_before { Link::Lost } else { Link::Unseen };
+                self.next_probe = index + self.probe_every;
+            }
+            Link::Online => {
+                self.level += 1;
+                if self.level >= self.rules.bucket {
+                    self.link = Link::Lost;
+                    // The stop request goes out with the very next slot, as the first probe.
+                    self.next_probe = index + 1;
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::time::MS;
+
+    fn online() -> LinkHealth {
+        let mut health = LinkHealth::new(Health::default(), 1, 0, MS, 0);
+        for _ in 0..10 {
+            health.answered();
+        }
+        assert_eq!(health.link(), Link::Online);
+        health
+    }
+
+    #[test]
+    fn ten_good_exchanges_bring_it_up_and_one_miss_starts_over() {
+        let mut health = LinkHealth::new(Health::default(), 1, 0, MS, 3);
+        assert!(!health.is_due(2) && health.is_due(3));
+        health.asked(3);
+        assert!(!health.is_due(4) && !health.is_due(102) && health.is_due(103));
+        for _ in 0..9 {
+            health.answered();
+        }
+        assert_eq!(health.link(), Link::Qualifying);
+        health.missed(120, false);
+        assert_eq!(health.link(), Link::Unseen);
+        assert!(!health.is_due(219) && health.is_due(220));
+    }
+
+    #[test]
+    fn the_bucket_fills_by_misses_and_leaks_by_good_exchanges() {
+        let mut health = online();
+        for index in 0..4 {
+            health.missed(index, true);
+        }
+        assert_eq!(health.link(), Link::Online);
+        (0..20).for_each(|_| health.answered());
+        health.missed(30, true);
+        assert_eq!(health.link(), Link::Online, "one miss has leaked away");
+        health.missed(31, true);
+        assert_eq!(health.link(), Link::Lost);
+        assert!(health.is_due(32), "the stop request leaves with the next slot");
+        health.asked(32);
+        assert!(!health.is_due(33) && health.is_due(132));
+    }
+
+    #[test]
+    fn divisor_and_phase_choose_the_slots() {
+        let mut health = LinkHealth::new(Health::default(), 4, 3, MS, 0);
+        (0..10).for_each(|_| health.answered());
+        let due: Vec<u64> = (0..12).filter(|index| health.is_due(*index)).collect();
+        assert_eq!(due, [3, 7, 11]);
+    }
+}

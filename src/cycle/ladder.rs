@@ -1,0 +1,293 @@
+//! The way down: what the loop asks of a drive after it stopped the axis, one rung after the other.
+//!
+//! Ramp (or the drive's quick stop) -> standstill -> hold or power off. Each rung is an order to the station and has an
+//! end; the ladder never climbs up again by itself.
+
+use std::time::Duration;
+
+use crate::axis::{StopHow, StopPlan, StopThen, StopTimeout, Verb};
+use crate::time::{Time, nanos};
+
+/// What is left for each rung after [`Ladder::hurry`], and for power off where nobody has answered for long: a probe or two.
+const HURRIED: Duration = Duration::from_millis(250);
+
+/// Where on the way down an axis is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Rung {
+    /// Braking; `still` good exchanges in a row were below the standstill window.
+    Braking {
+        /// When it began.
+        since: Time,
+        /// Exchanges at standstill in a row.
+        still: u32,
+    },
+    /// Powering off.
+    Disabling {
+        /// When it began.
+        since: Time,
+    },
+    /// At the end, with power on: at standstill, or by the time-out's policy.
+    Holding,
+    /// At the end: power off was asked for, and the drive said so or had its time.
+    Off,
+}
+
+/// The ladder of one axis.
+#[derive(Clone, Copy, Debug)]
+pub struct Ladder {
+    plan: StopPlan,
+    rung: Rung,
+    /// The master is shutting down.
+    ending: bool,
+    /// Since when the drive is not heard.
+    unheard: Option<Time>,
+    /// The ramp failed, and the quick stop was ordered in its place.
+    escalated: bool,
+}
+
+/// What the loop saw of the drive in this cycle.
+#[derive(Clone, Copy, Debug)]
+pub struct Sight {
+    /// New values came in.
+    pub fresh: bool,
+    /// The link carries replies, so that what is asked for reaches the drive.
+    pub heard: bool,
+    /// The drive could not do what the ladder last asked for.
+    pub failed: bool,
+    /// The power stage may be on.
+    pub powered: bool,
+    /// The drive's setpoint generator is running.
+    pub moving: bool,
+    /// User units/s.
+    pub velocity: f64,
+}
+
+impl Ladder {
+    /// Steps onto the ladder; the second value is the first order for the drive.
+    pub fn start(plan: StopPlan, now: Time) -> (Ladder, Verb) {
+        let (rung, verb) = match plan.how {
+            StopHow::Ramp => {
+                (Rung::Braking { since: now, still: 0 }, Verb::Stop { deceleration: Some(plan.deceleration) })
+            }
+            StopHow::Quick => (Rung::Braking { since: now, still: 0 }, Verb::QuickStop),
+            StopHow::Coast => (Rung::Disabling { since: now }, Verb::Disable),
+        };
+        (Ladder { plan, rung, ending: false, unheard: None, escalated: plan.how != StopHow::Ramp }, verb)
+    }
+
+    /// The order of the first rung.
+    fn brake(&self) -> Verb {
+        if self.escalated {
+            Verb::QuickStop
+        } else {
+            Verb::Stop { deceleration: Some(self.plan.deceleration) }
+        }
+    }
+
+    /// Whether the last rung is reached.
+    pub fn is_down(&self) -> bool {
+        matches!(self.rung, Rung::Holding | Rung::Off)
+    }
+
+    /// A shutdown powers off whatever `then` says, since nobody will be there to hold the axis; but not before standstill.
+    pub fn shut_down(&mut self, now: Time, powered: bool) {
+        self.plan.then = StopThen::Disable;
+        if !std::mem::replace(&mut self.ending, true) && self.rung == Rung::Holding && powered {
+            self.rung = Rung::Braking { since: now, still: 0 };
+        }
+    }
+
+    /// The application asked for the quick stop of an axis that is braking already; it goes on waiting for standstill.
+    pub fn quicken(&mut self) {
+        self.escalated = true;
+    }
+
+    /// Whether it brakes, and a quick stop would be sooner.
+    pub fn is_braking(&self) -> bool {
+        matches!(self.rung, Rung::Braking { .. })
+    }
+
+    /// One cycle on the ladder; returns the order to give when a new rung is reached.
+    ///
+    /// While the drive is not heard, its time does not run: the probes carry the stop, and the first thing that it hears must
+    /// not be power off in mid-motion. Only a shutdown does not wait for ever.
+    pub fn step(&mut self, now: Time, sight: Sight) -> Option<Verb> {
+        let back = self.unheard.is_some() && sight.heard;
+        self.unheard = if sight.heard { None } else { self.unheard.or(Some(now)) };
+        let late = |since: Time| now.since(since) >= nanos(self.plan.timeout);
+        // Both rungs had their time while nobody was there.
+        let gone =
+            self.ending && self.unheard.is_some_and(|since| now.since(since) >= 2 * nanos(self.plan.timeout));
+        match self.rung {
+            Rung::Holding | Rung::Off => None,
+            Rung::Braking { since, still } => {
+                let standing = !sight.moving && sight.velocity.abs() <= self.plan.standstill;
+                let still = match (sight.fresh, standing) {
+                    (false, _) => still,
+                    (true, true) => still + 1,
+                    (true, false) => 0,
+                };
+                let since = if back { now } else { since };
+                self.rung = Rung::Braking { since, still };
+                if sight.failed && !self.escalated {
+                    self.escalated = true;
+                    return Some(Verb::QuickStop);
+                }
+                if back {
+                    // What was asked while nobody heard it is asked again.
+                    return Some(self.brake());
+                }
+                let power_off = if sight.fresh && !sight.powered {
+                    // Nothing to brake any more; the control word still has to say so.
+                    true
+                } else if still >= self.plan.standstill_for {
+                    self.plan.then == StopThen::Disable
+                } else if late(since) && (sight.heard || self.ending) {
+                    self.plan.on_timeout == StopTimeout::Disable
+                } else {
+                    return None;
+                };
+                self.rung = if power_off { Rung::Disabling { since: now } } else { Rung::Holding };
+                power_off.then_some(Verb::Disable)
+            }
+            Rung::Disabling { since } => {
+                if (sight.fresh && !sight.powered)
+                    || late(since)
+                    || (gone && now.since(since) >= nanos(HURRIED))
+                {
+                    self.rung = Rung::Off;
+                }
+                None
+            }
+        }
+    }
+
+    /// Shortens the waits (a second Ctrl-C): the fastest controlled stop, and little time left for it. Never skips it.
+    pub fn hurry(&mut self, now: Time) -> Option<Verb> {
+        match self.rung {
+            Rung::Braking { .. } => {
+                self.plan.timeout = HURRIED;
+                self.plan.on_timeout = StopTimeout::Disable;
+                self.escalated = true;
+                self.rung = Rung::Braking { since: now, still: 0 };
+                Some(Verb::QuickStop)
+            }
+            Rung::Disabling { .. } => {
+                self.plan.timeout = HURRIED;
+                None
+            }
+            Rung::Holding | Rung::Off => None,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn plan(how: StopHow, then: StopThen) -> StopPlan {
+        StopPlan {
+            how,
+            deceleration: 100.0,
+            then,
+            timeout: Duration::from_nanos(1_000),
+            on_timeout: StopTimeout::Disable,
+            standstill: 1.0,
+            standstill_for: 3,
+            group: None,
+        }
+    }
+
+    const MOVING: Sight =
+        Sight { fresh: true, heard: true, failed: false, powered: true, moving: true, velocity: 50.0 };
+    const STANDING: Sight = Sight { moving: false, velocity: 0.5, ..MOVING };
+    const OFF: Sight = Sight { powered: false, moving: false, velocity: 0.0, ..MOVING };
+
+    #[test]
+    fn power_goes_off_only_after_standstill() {
+        let (mut ladder, verb) = Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Time(0));
+        assert_eq!(verb, Verb::Stop { deceleration: Some(100.0) });
+        assert_eq!(ladder.step(Time(1), MOVING), None);
+        assert_eq!(ladder.step(Time(2), STANDING), None);
+        assert_eq!(ladder.step(Time(3), STANDING), None);
+        assert_eq!(
+            ladder.step(Time(4), Sight { fresh: false, ..STANDING }),
+            None,
+            "held values prove nothing"
+        );
+        assert_eq!(ladder.step(Time(5), STANDING), Some(Verb::Disable));
+        assert!(!ladder.is_down());
+        assert_eq!(ladder.step(Time(6), OFF), None);
+        assert!(ladder.is_down());
+    }
+
+    #[test]
+    fn a_movement_in_between_starts_the_count_again() {
+        let (mut ladder, _) = Ladder::start(plan(StopHow::Quick, StopThen::Disable), Time(0));
+        for sight in [STANDING, STANDING, MOVING, STANDING, STANDING] {
+            assert_eq!(ladder.step(Time(1), sight), None);
+        }
+        assert_eq!(ladder.step(Time(1), STANDING), Some(Verb::Disable));
+    }
+
+    #[test]
+    fn hold_stays_powered_but_a_shutdown_does_not() {
+        let (mut ladder, _) = Ladder::start(plan(StopHow::Ramp, StopThen::Hold), Time(0));
+        (0..3).for_each(|_| assert_eq!(ladder.step(Time(1), STANDING), None));
+        assert!(ladder.is_down());
+        ladder.shut_down(Time(2), true);
+        assert!(!ladder.is_down());
+        assert_eq!(ladder.step(Time(3), STANDING), None, "power goes off only after standstill here, too");
+        assert_eq!(ladder.step(Time(3), STANDING), None);
+        assert_eq!(ladder.step(Time(3), STANDING), Some(Verb::Disable));
+    }
+
+    #[test]
+    fn a_hurry_brakes_faster_and_still_waits_for_standstill() {
+        let (mut ladder, _) = Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Time(0));
+        assert_eq!(ladder.hurry(Time(500)), Some(Verb::QuickStop));
+        assert_eq!(ladder.step(Time(1_500), MOVING), None);
+        assert_eq!(ladder.step(Time(500 + 250_000_000), MOVING), Some(Verb::Disable));
+    }
+
+    #[test]
+    fn nothing_is_switched_off_blindly() {
+        let (mut ladder, _) = Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Time(0));
+        let lost = Sight { fresh: false, heard: false, ..MOVING };
+        assert_eq!(ladder.step(Time(5_000), lost), None, "its time does not run");
+        let stop = Verb::Stop { deceleration: Some(100.0) };
+        assert_eq!(ladder.step(Time(6_000), MOVING), Some(stop), "asked again when it is heard again");
+        assert_eq!(ladder.step(Time(6_500), MOVING), None);
+        assert_eq!(ladder.step(Time(7_000), MOVING), Some(Verb::Disable), "and from then on its time runs");
+        let (mut ladder, _) = Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Time(0));
+        ladder.step(Time(500), lost);
+        ladder.shut_down(Time(500), true);
+        assert_eq!(ladder.step(Time(1_600), lost), Some(Verb::Disable), "a shutdown does not wait for ever");
+    }
+
+    #[test]
+    fn a_ramp_that_the_drive_does_not_take_becomes_its_quick_stop() {
+        let (mut ladder, _) = Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Time(0));
+        let failed = Sight { failed: true, ..MOVING };
+        assert_eq!(ladder.step(Time(1), failed), Some(Verb::QuickStop));
+        assert_eq!(ladder.step(Time(2), failed), None, "once");
+    }
+
+    #[test]
+    fn a_time_out_ends_by_its_policy() {
+        let (mut ladder, _) = Ladder::start(plan(StopHow::Ramp, StopThen::Hold), Time(0));
+        assert_eq!(ladder.step(Time(999), MOVING), None);
+        assert_eq!(ladder.step(Time(1_000), MOVING), Some(Verb::Disable));
+        let mut hold = plan(StopHow::Ramp, StopThen::Disable);
+        hold.on_timeout = StopTimeout::Hold;
+        let (mut ladder, _) = Ladder::start(hold, Time(0));
+        assert_eq!(ladder.step(Time(1_000), MOVING), None);
+        assert!(ladder.is_down());
+        // A shutdown gives it the time once more, and only once.
+        ladder.shut_down(Time(1_100), true);
+        assert!(!ladder.is_down());
+        assert_eq!(ladder.step(Time(2_100), MOVING), None);
+        ladder.shut_down(Time(2_100), true);
+        assert!(ladder.is_down());
+    }
+}

@@ -1,0 +1,62 @@
+//! The in-loop task: the application's own code inside the cycle.
+
+use super::seat::Seat;
+use crate::axis::{Command, CommandId, Failure, Feedback, Row, Verb};
+use crate::bus::Cycle;
+
+/// Runs on the real-time thread once a cycle, between judging the replies and building the next requests: it sees the
+/// feedback of cycle k, and what it asks for leaves in cycle k + 1. It must not allocate, lock or wait.
+pub type Task = Box<dyn FnMut(&Cycle, &mut Axes<'_>) + Send>;
+
+/// Ids of commands from the in-loop task have this bit, so that they never meet those of an [`Axis`](crate::Axis).
+pub const TASK_ID: u64 = 1 << 63;
+
+/// All axes of the machine, as the in-loop task sees them, in the order of the plan.
+#[derive(Debug)]
+pub struct Axes<'a> {
+    seats: &'a mut [Seat],
+    next_id: &'a mut u64,
+}
+
+impl<'a> Axes<'a> {
+    pub(super) fn new(seats: &'a mut [Seat], next_id: &'a mut u64) -> Axes<'a> {
+        Axes { seats, next_id }
+    }
+
+    /// How many axes there are.
+    pub fn len(&self) -> usize {
+        self.seats.len()
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.seats.is_empty()
+    }
+
+    /// The place of the axis of this name.
+    pub fn find(&self, name: &str) -> Option<usize> {
+        self.seats.iter().position(|seat| seat.plan().name == name)
+    }
+
+    /// The feedback of axis `index` in this cycle; `None` beyond the last.
+    pub fn feedback(&self, index: usize) -> Option<&Feedback> {
+        self.seats.get(index).map(Seat::feedback)
+    }
+
+    /// Gives a command to axis `index`, at most one a cycle. Its end is an event of the axis.
+    pub fn command(&mut self, index: usize, verb: Verb) -> Result<CommandId, Failure> {
+        let seat = self.seats.get_mut(index).ok_or(Failure::Unsupported("there is no such axis"))?;
+        let id = CommandId(*self.next_id | TASK_ID);
+        seat.command_from_task(Command { id, verb, stream: 0 })?;
+        *self.next_id += 1;
+        Ok(id)
+    }
+
+    /// The row that axis `index` follows at its next exchange, while it runs [`Verb::Follow`]. It is checked against the
+    /// limits like a streamed one.
+    pub fn follow(&mut self, index: usize, row: Row) {
+        if let Some(seat) = self.seats.get_mut(index) {
+            seat.row_from_task(row);
+        }
+    }
+}

@@ -1,0 +1,102 @@
+//! The receive window: takes replies in until every owed exchange is closed or the deadline has passed.
+//!
+//! Waiting by poll costs two system calls a look. A look for every reply would be far too many with 64 drives, so after the
+//! first replies came in, the window sleeps once for as long as the rest usually takes, and then looks again.
+
+use super::plan::Wait;
+use crate::bus::{Bus, Cycle, Exchange, Slot};
+use crate::rt::{Clock, PollSet};
+use crate::time::US;
+
+/// The shortest nap, ns; a shorter one is not worth its system call.
+const SHORTEST_NAP_NS: u64 = 5 * US;
+
+/// How this loop waits for replies.
+#[derive(Debug)]
+pub struct Window {
+    wait: Wait,
+    poll_set: PollSet,
+    /// From the first look that brought something to the last reply, ns, as learned: a nap that was enough makes it a
+    /// sixteenth shorter, one that was not makes it a quarter longer.
+    nap_ns: u64,
+}
+
+/// One bus and the slots that are its own.
+pub struct BusSeat {
+    /// The bus.
+    pub bus: Box<dyn Bus>,
+    /// Its first slot.
+    pub first: usize,
+    /// One behind its last slot.
+    pub end: usize,
+}
+
+impl std::fmt::Debug for BusSeat {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("BusSeat").field("first", &self.first).field("end", &self.end).finish_non_exhaustive()
+    }
+}
+
+impl Window {
+    /// A window over the descriptors of `buses`.
+    pub fn new(wait: Wait, buses: &mut [BusSeat]) -> Window {
+        let mut poll_set = PollSet::default();
+        for seat in buses {
+            seat.bus.poll_set(&mut poll_set);
+        }
+        Window { wait, poll_set, nap_ns: 4 * SHORTEST_NAP_NS }
+    }
+
+    /// Runs the window of `cycle`.
+    pub fn run<C: Clock>(&mut self, clock: &mut C, cycle: &Cycle, buses: &mut [BusSeat], slots: &mut [Slot]) {
+        let owed = missing(cycle, slots);
+        if owed == 0 {
+            return;
+        }
+        let mut napped = false;
+        // Bounded by the deadline: each turn waits towards it.
+        loop {
+            let now = clock.now();
+            let over = now >= cycle.deadline;
+            let left = missing(cycle, slots);
+            // One nap a window, once the first replies are in and more than one is missing.
+            let nap = !over && self.wait == Wait::Poll && !napped && left < owed && left > 1;
+            match self.wait {
+                _ if over => {}
+                Wait::Spin => clock.spin(),
+                Wait::Poll if nap => {
+                    napped = true;
+                    clock.sleep_until((now + self.nap_ns).min(cycle.deadline));
+                }
+                Wait::Poll => {
+                    clock.wait(&mut self.poll_set, cycle.deadline);
+                }
+            }
+            // What lies in the sockets at the deadline still counts.
+            let mut closed = true;
+            for seat in buses.iter_mut() {
+                closed &= seat.bus.receive(cycle, &mut slots[seat.first..seat.end]);
+            }
+            if nap {
+                self.learn(closed, cycle);
+            }
+            if closed || over {
+                return;
+            }
+        }
+    }
+
+    fn learn(&mut self, enough: bool, cycle: &Cycle) {
+        let longest = (cycle.deadline.since(cycle.grid) / 4).max(SHORTEST_NAP_NS);
+        let nap = if enough { self.nap_ns - self.nap_ns / 16 } else { self.nap_ns + self.nap_ns / 4 };
+        self.nap_ns = nap.clamp(SHORTEST_NAP_NS, longest);
+    }
+}
+
+/// How many exchanges this window still owes.
+fn missing(cycle: &Cycle, slots: &[Slot]) -> usize {
+    slots
+        .iter()
+        .filter(|slot| matches!(slot.exchange, Exchange::Owed { reply_by, .. } if reply_by <= cycle.deadline))
+        .count()
+}
