@@ -1,0 +1,419 @@
+//! A run in numbers: the object that `--json` prints, and the same as text.
+
+use std::fmt::{self, Write as _};
+
+use serde::Serialize;
+
+use super::recorder::{Histograms, Quantiles};
+use crate::axis::{Link, StopCause, Units};
+use crate::cycle::Plan;
+use crate::cycle::status::RunEnd;
+use crate::rt::{Granted, host};
+use crate::time::{Ns, S, US};
+
+/// The end of a run: the loop's exact counts, what the telemetry measured, and how it was run.
+#[derive(Debug)]
+pub struct Run {
+    /// Exact counts and maxima.
+    pub end: RunEnd,
+    /// Quantiles.
+    pub histograms: Histograms,
+    /// What the operating system granted.
+    pub granted: Granted,
+    /// The machine as planned.
+    pub plan: Plan,
+}
+
+/// The whole run. Keys are stable; values are in ns unless the key says otherwise; what is not known is null.
+#[derive(Clone, Debug, Serialize)]
+pub struct Summary {
+    /// The cycle.
+    pub cycle: CycleNumbers,
+    /// Begin of the cycles after their grid points; skipped slots are in it as late ones.
+    pub wake_ns: Quantiles,
+    /// Time of the send, receive and work stages.
+    pub stages_ns: Stages,
+    /// The drives, in the order of the plan.
+    pub drives: Vec<Drive>,
+    /// The buses: what arrived and belongs to no drive.
+    pub buses: Vec<Bus>,
+    /// How real-time the run was.
+    pub realtime: RealtimeNumbers,
+    /// The machine.
+    pub host: Host,
+    /// The histogram of the wake-ups, drawn by the text form only.
+    #[serde(skip)]
+    wake_bars: Vec<(u64, u64)>,
+    /// User units of the axes, for the text form only.
+    #[serde(skip)]
+    units: Vec<Units>,
+}
+
+/// Counts of the loop. `planned = executed + skipped`, each counted on its own.
+#[derive(Clone, Debug, Serialize)]
+pub struct CycleNumbers {
+    /// The period.
+    pub period_ns: u64,
+    /// Slots that the grid laid out.
+    pub planned: u64,
+    /// Cycles executed.
+    pub executed: u64,
+    /// Slots passed over.
+    pub skipped: u64,
+    /// Times that a cycle was too late for the next slot.
+    pub overruns: u64,
+}
+
+/// Times of the stages of a cycle.
+#[derive(Clone, Debug, Serialize)]
+pub struct Stages {
+    /// Draining the sockets and handing the requests to the kernel.
+    pub send: Quantiles,
+    /// Taking in replies.
+    pub receive: Quantiles,
+    /// Judging, exchanging, preparing.
+    pub work: Quantiles,
+}
+
+/// One drive.
+#[derive(Clone, Debug, Serialize)]
+pub struct Drive {
+    /// Its name.
+    pub name: String,
+    /// Its protocol.
+    pub protocol: &'static str,
+    /// Link at the end.
+    pub link: String,
+    /// State at the end.
+    pub state: String,
+    /// Times that the link was lost.
+    pub losses: u64,
+    /// Requests sent.
+    pub sent: u64,
+    /// Answered in time.
+    pub answered: u64,
+    /// Not answered in time.
+    pub missed: u64,
+    /// Replies after their window.
+    pub late: u64,
+    /// Second replies.
+    pub duplicate: u64,
+    /// Malformed and foreign datagrams from its address.
+    pub rejected: u64,
+    /// Answered, but possibly by the reply to an earlier request.
+    pub suspect: u64,
+    /// Refused by the operating system.
+    pub unsent: u64,
+    /// Round trips.
+    pub rtt_ns: Quantiles,
+    /// Cycles since the last values at the end.
+    pub age_cycles: u32,
+    /// Actual position at the end, user units.
+    pub position: f64,
+    /// Why the axis stands stopped.
+    pub stopped: Option<String>,
+    /// Fault code, null = none.
+    pub fault: Option<u32>,
+}
+
+/// One bus.
+#[derive(Clone, Debug, Serialize)]
+pub struct Bus {
+    /// Its name.
+    pub name: String,
+    /// Datagrams from addresses that are no drive's.
+    pub strangers: u64,
+    /// Errors of the receiving socket.
+    pub receive_errors: u64,
+}
+
+/// How real-time the run was.
+#[derive(Clone, Debug, Serialize)]
+pub struct RealtimeNumbers {
+    /// Scheduling policy of the loop.
+    pub policy: &'static str,
+    /// Its priority.
+    pub priority: u8,
+    /// Its core.
+    pub core: Option<usize>,
+    /// Memory was locked.
+    pub memory_locked: bool,
+    /// Page faults of the loop's thread while it ran.
+    pub page_faults: Option<u64>,
+    /// Times that the loop's thread was preempted while it ran.
+    pub involuntary_switches: Option<u64>,
+    /// Records lost on the way to the histograms; counts and maxima are exact all the same.
+    pub telemetry_lost: u64,
+    /// Events and samples for which the application's queues had no room.
+    pub events_lost: u64,
+    /// What could not be had, one line each, with its remedy.
+    pub missing: Vec<String>,
+}
+
+/// The machine.
+#[derive(Clone, Debug, Serialize)]
+pub struct Host {
+    /// Kernel release.
+    pub kernel: Option<String>,
+    /// Preemption model.
+    pub preemption: Option<String>,
+    /// Processor.
+    pub cpu: Option<String>,
+    /// Time that the hypervisor took from this machine during the run, ms.
+    pub steal_ms: Option<u64>,
+}
+
+impl Summary {
+    /// The summary of `run`. `steal_before` is [`host::steal_ms`] of all cores at its start.
+    pub fn of(run: &Run, steal_before: Option<u64>) -> Summary {
+        let status = &run.end.status;
+        let drives = (run.end.drives.iter().zip(&run.histograms.round_trip))
+            .map(|(drive, round_trip)| {
+                let (counters, feedback) = (&drive.counters, &drive.feedback);
+                Drive {
+                    name: drive.name.clone(),
+                    protocol: drive.protocol,
+                    link: feedback.link.to_string(),
+                    state: feedback.state.to_string(),
+                    losses: drive.losses,
+                    sent: counters.sent,
+                    answered: counters.answered,
+                    missed: counters.missed,
+                    late: counters.late,
+                    duplicate: counters.duplicate,
+                    rejected: counters.malformed + counters.foreign,
+                    suspect: counters.suspect,
+                    unsent: counters.unsent,
+                    rtt_ns: Quantiles::of(round_trip, drive.rtt_max.map(|(_, ns)| u64::from(ns))),
+                    age_cycles: feedback.age,
+                    position: feedback.position,
+                    stopped: feedback.stopped.map(|cause| cause.to_string()),
+                    fault: (feedback.fault != 0).then_some(feedback.fault),
+                }
+            })
+            .collect();
+        let buses = (run.end.buses.iter())
+            .map(|(name, strangers)| Bus {
+                name: name.clone(),
+                strangers: strangers.datagrams,
+                receive_errors: strangers.errors,
+            })
+            .collect();
+        let steal = host::steal_ms(None);
+        Summary {
+            cycle: CycleNumbers {
+                period_ns: run.plan.cycle.period_ns,
+                planned: status.planned,
+                executed: status.executed,
+                skipped: status.skipped,
+                overruns: status.overruns,
+            },
+            wake_ns: Quantiles::of(&run.histograms.wake, Some(status.wake_max_ns)),
+            stages_ns: Stages {
+                send: Quantiles::of(&run.histograms.send, Some(run.histograms.send.max())),
+                receive: Quantiles::of(&run.histograms.receive, Some(run.histograms.receive.max())),
+                work: Quantiles::of(&run.histograms.work, Some(run.histograms.work.max())),
+            },
+            drives,
+            buses,
+            realtime: RealtimeNumbers {
+                policy: run.granted.policy,
+                priority: run.granted.priority,
+                core: run.granted.core,
+                memory_locked: run.granted.memory_locked,
+                page_faults: run.end.page_faults,
+                involuntary_switches: run.end.involuntary_switches,
+                telemetry_lost: status.lost_records,
+                events_lost: status.lost_events,
+                missing: run.granted.missing.clone(),
+            },
+            host: Host {
+                kernel: host::kernel(),
+                preemption: host::preemption(),
+                cpu: host::cpu(),
+                steal_ms: steal.zip(steal_before).map(|(after, before)| after.saturating_sub(before)),
+            },
+            wake_bars: bars(run),
+            units: run.plan.axes().iter().map(|axis| axis.units).collect(),
+        }
+    }
+
+    /// Whether a drive was lost, or the loop came too late: a failure however the run was ended.
+    pub fn has_failed(&self) -> bool {
+        self.drives.iter().any(|drive| drive.losses > 0 || drive.was_overrun())
+    }
+
+    /// Whether every drive answered, none was lost on the way, and none was stopped because the loop came too late.
+    pub fn is_whole(&self) -> bool {
+        self.drives.iter().all(|drive| drive.losses == 0 && drive.is_online() && !drive.was_overrun())
+    }
+}
+
+impl Drive {
+    /// Whether the link was up at the end.
+    pub fn is_online(&self) -> bool {
+        self.link == Link::Online.to_string()
+    }
+
+    /// Whether most of what was missed came after all, only after its window.
+    pub fn is_late(&self) -> bool {
+        self.missed > 0 && 2 * self.late > self.missed
+    }
+
+    /// Whether the axis was stopped by an overrun of the loop.
+    pub fn was_overrun(&self) -> bool {
+        self.stopped.as_ref().is_some_and(|cause| *cause == StopCause::Overrun.to_string())
+    }
+}
+
+/// The wake-ups in bins that double: each bin's upper end, ns, and its count.
+fn bars(run: &Run) -> Vec<(u64, u64)> {
+    let wake = &run.histograms.wake;
+    let mut bars = Vec::new();
+    let (mut low, mut high) = (0, US / 4);
+    while low <= wake.max() && low < S {
+        let count = if wake.is_empty() { 0 } else { wake.count_between(low, high - 1) };
+        bars.push((high, count));
+        (low, high) = (high, high * 2);
+    }
+    while bars.first().is_some_and(|(_, count)| *count == 0) {
+        bars.remove(0);
+    }
+    bars
+}
+
+/// `None` as a dash.
+struct Or(Option<u64>);
+
+impl fmt::Display for Or {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.0 {
+            Some(ns) => f.pad(&Ns(ns).to_string()),
+            None => f.pad("-"),
+        }
+    }
+}
+
+impl fmt::Display for Summary {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let cycle = &self.cycle;
+        writeln!(
+            f,
+            "{} cycles of {}: planned {} = executed {} + skipped {}, {} overruns",
+            cycle.executed,
+            Ns(cycle.period_ns),
+            cycle.planned,
+            cycle.executed,
+            cycle.skipped,
+            cycle.overruns
+        )?;
+        let quantiles = |q: &Quantiles| {
+            format!("p50 {}  p99 {}  p99.9 {}  max {}", Or(q.p50), Or(q.p99), Or(q.p99_9), Or(q.max))
+        };
+        writeln!(f, "wake-up latency  {}", quantiles(&self.wake_ns))?;
+        let most = self.wake_bars.iter().map(|(_, count)| *count).max().unwrap_or(0);
+        for (end, count) in &self.wake_bars {
+            // Logarithmic: the rare late ones are what a reader looks for.
+            let width = if *count == 0 {
+                0
+            } else {
+                (40.0 * (*count as f64).ln_1p() / (most as f64).ln_1p()).ceil() as usize
+            };
+            let bin = format!("< {}", Ns(*end));
+            writeln!(f, "{}", format!("  {bin:>11} {count:>9} {}", "#".repeat(width)).trim_end())?;
+        }
+        writeln!(
+            f,
+            "stages, p50 / p99  send {} / {}  receive {} / {}  work {} / {}",
+            Or(self.stages_ns.send.p50),
+            Or(self.stages_ns.send.p99),
+            Or(self.stages_ns.receive.p50),
+            Or(self.stages_ns.receive.p99),
+            Or(self.stages_ns.work.p50),
+            Or(self.stages_ns.work.p99)
+        )?;
+        writeln!(f)?;
+        let wide = self.drives.iter().map(|drive| drive.name.len()).max().unwrap_or(0).max(5);
+        writeln!(
+            f,
+            "{:wide$} {:18} {:>8} {:>8} {:>6} {:>5} {:>5} {:>6} {:>10} {:>10} {:>10} {:>12}",
+            "drive",
+            "state",
+            "sent",
+            "answered",
+            "missed",
+            "late",
+            "dupl.",
+            "reject",
+            "RTT p50",
+            "RTT p99",
+            "RTT max",
+            "position"
+        )?;
+        for (drive, units) in self.drives.iter().zip(&self.units) {
+            let state = if drive.is_online() { &drive.state } else { &drive.link };
+            let mut notes = String::new();
+            if let Some(cause) = drive.stopped.as_ref().filter(|cause| *cause != "shutdown") {
+                let _ = write!(notes, "  stopped: {cause}");
+            }
+            if let Some(fault) = drive.fault {
+                let _ = write!(notes, "  fault {fault:#06x}");
+            }
+            if drive.unsent > 0 {
+                let _ = write!(notes, "  {} unsent", drive.unsent);
+            }
+            writeln!(
+                f,
+                "{:wide$} {state:18} {:>8} {:>8} {:>6} {:>5} {:>5} {:>6} {:>10} {:>10} {:>10} {:>9.3} {:<2}{notes}",
+                drive.name,
+                drive.sent,
+                drive.answered,
+                drive.missed,
+                drive.late,
+                drive.duplicate,
+                drive.rejected,
+                Or(drive.rtt_ns.p50).to_string(),
+                Or(drive.rtt_ns.p99).to_string(),
+                Or(drive.rtt_ns.max).to_string(),
+                drive.position,
+                units.unit,
+            )?;
+        }
+        for bus in self.buses.iter().filter(|bus| bus.strangers + bus.receive_errors > 0) {
+            writeln!(
+                f,
+                "bus {}: {} datagrams from strangers dropped, {} receive errors",
+                bus.name, bus.strangers, bus.receive_errors
+            )?;
+        }
+        writeln!(f)?;
+        let real = &self.realtime;
+        let core = real.core.map_or(String::from("any core"), |core| format!("core {core}"));
+        let priority = if real.priority > 0 { format!(" {}", real.priority) } else { String::new() };
+        let locked = if real.memory_locked { "memory locked" } else { "memory not locked" };
+        let faults = real.page_faults.map_or(String::from("-"), |faults| faults.to_string());
+        let switches = real.involuntary_switches.map_or(String::from("-"), |switches| switches.to_string());
+        writeln!(
+            f,
+            "loop: {}{priority} on {core}, {locked}; {faults} page faults, {switches} involuntary switches, {} telemetry records lost, {} events lost",
+            real.policy, real.telemetry_lost, real.events_lost
+        )?;
+        let host = &self.host;
+        let or = |text: &Option<String>| text.clone().unwrap_or_else(|| String::from("?"));
+        let steal = host.steal_ms.map_or(String::from("?"), |steal| steal.to_string());
+        writeln!(
+            f,
+            "host: {}, {}, {}; steal {steal} ms",
+            or(&host.kernel),
+            or(&host.preemption),
+            or(&host.cpu)
+        )?;
+        if !real.missing.is_empty() {
+            writeln!(f, "These numbers are not real-time:")?;
+            for line in &real.missing {
+                writeln!(f, "  {line}")?;
+            }
+        }
+        Ok(())
+    }
+}
