@@ -1,0 +1,144 @@
+//! `[cycle]`, and what of it cannot work.
+
+use super::reader::{Table, time};
+use crate::cycle::{CyclePlan, Guard, Overrun, Wait};
+use crate::rt::host::Throttling;
+use crate::rt::{Memory, Realtime};
+use crate::time::{Ns, S, US};
+
+/// Reads `[cycle]`; every key has its default in [`CyclePlan`].
+pub(super) fn cycle(table: &mut Table<'_>) -> CyclePlan {
+    let default = CyclePlan::default();
+    let period_ns =
+        table.time("period", 50 * US..=S, "1ms is 1000 cycles a second").unwrap_or(default.period_ns);
+    CyclePlan {
+        period_ns,
+        core: table.integer("core", 0..=1023, "cores are counted from 0; leave it out for the last one"),
+        priority: table
+            .integer("priority", 1..=99, "80 is above interrupt threads and below the kernel's own")
+            .unwrap_or(default.priority),
+        guard: guard(table).unwrap_or(default.guard),
+        receive_deadline: table
+            .number("receive_deadline", 0.05..=0.95, "a share of the period, 0.5 is half of it")
+            .unwrap_or(default.receive_deadline),
+        wait: table.word("wait", &[("poll", Wait::Poll), ("spin", Wait::Spin)]).unwrap_or(default.wait),
+        overrun: overrun(table).unwrap_or(default.overrun),
+        realtime: table
+            .word(
+                "realtime",
+                &[("require", Realtime::Require), ("prefer", Realtime::Prefer), ("off", Realtime::Off)],
+            )
+            .unwrap_or(default.realtime),
+        memory: table
+            .word("memory", &[("process", Memory::Process), ("own", Memory::Own)])
+            .unwrap_or(default.memory),
+        task_budget_ns: table.time("task_budget", US..=period_ns, "the in-loop task runs once a cycle"),
+    }
+}
+
+fn guard(table: &mut Table<'_>) -> Option<Guard> {
+    table.read("guard", |value| match value.as_str() {
+        Some("off") => Ok(Guard::Off),
+        Some("auto") => Ok(Guard::Auto),
+        _ => time(value, &(US..), "or \"auto\", or \"off\"").map(Guard::Fixed),
+    })
+}
+
+fn overrun(table: &mut Table<'_>) -> Option<Overrun> {
+    let skips = table.word("overrun", &[("skip", true), ("stop", false)]);
+    let max_skip = table.integer("max_skip", 1..=1_000_000, "so many slots in a row may be skipped");
+    match (skips, max_skip) {
+        (Some(false), Some(_)) => {
+            table.fault(
+                "max_skip",
+                "goes with overrun = \"skip\"; \"stop\" skips nothing, leave max_skip out",
+            );
+            None
+        }
+        (Some(false), None) => Some(Overrun::Stop),
+        (_, Some(max_skip)) => Some(Overrun::Skip { max_skip }),
+        (_, None) => None,
+    }
+}
+
+/// The loop's own work between the deadline and the next grid point: twice what the `scale` bench allows it, so that a
+/// plan at the edge is refused and not found out by overruns.
+fn preparation_ns(drives: usize) -> u64 {
+    5 * US + drives as u64 * 500
+}
+
+/// The guard and the work that lies between the deadline and the next grid point must fit into the rest of the period.
+pub(super) fn check_period(root: &Table<'_>, cycle: &CyclePlan, drives: usize) {
+    let guard_ns = match cycle.guard {
+        Guard::Fixed(ns) => ns,
+        // Calibrated at the start, and bounded there.
+        Guard::Off | Guard::Auto => 0,
+    };
+    let deadline_ns = cycle.deadline_ns();
+    let task_ns = cycle.task_budget_ns.unwrap_or(0);
+    let preparation_ns = preparation_ns(drives);
+    let rest = guard_ns.saturating_add(task_ns).saturating_add(preparation_ns);
+    if deadline_ns.saturating_add(rest) <= cycle.period_ns {
+        return;
+    }
+    let mut parts = vec![format!("replies until {}", Ns(deadline_ns))];
+    let mut key = "cycle.receive_deadline";
+    if task_ns > 0 {
+        parts.push(format!("the in-loop task's {}", Ns(task_ns)));
+        key = "cycle.task_budget";
+    }
+    if guard_ns > 0 {
+        parts.push(format!("the guard's {}", Ns(guard_ns)));
+        key = "cycle.guard";
+    }
+    // Whole per cents, downwards, so that the advice itself fits.
+    let fitting = cycle.period_ns.saturating_sub(rest) * 100 / cycle.period_ns;
+    let remedy = match fitting {
+        0..5 => "lengthen the period".to_owned(),
+        share => format!("receive_deadline = {} would fit", share.min(95) as f64 / 100.0),
+    };
+    root.fault(
+        key,
+        format!(
+            "{} and {} to prepare {drives} drive{} are more than the period of {}; {remedy}",
+            parts.join(", "),
+            Ns(preparation_ns),
+            if drives == 1 { "" } else { "s" },
+            Ns(cycle.period_ns)
+        ),
+    );
+}
+
+/// Why this cycle would starve the host it runs on, and what to do about it; `None` if it does not.
+///
+/// A loop that spins for most of its period never lets its core go. With real-time throttling on, the kernel then takes
+/// the core away, for tens of milliseconds at a stretch.
+pub fn starvation(cycle: &CyclePlan, host: &Throttling) -> Option<String> {
+    let runtime_us = host.runtime_us.filter(|runtime_us| *runtime_us < host.period_us)?;
+    if cycle.realtime == Realtime::Off {
+        return None;
+    }
+    let guard_ns = match cycle.guard {
+        Guard::Off => 0,
+        Guard::Fixed(ns) => ns,
+        Guard::Auto => cycle.period_ns / 4,
+    };
+    let receive_ns = match cycle.wait {
+        Wait::Poll => 0,
+        Wait::Spin => cycle.deadline_ns(),
+    };
+    let busy_ns = guard_ns.saturating_add(receive_ns);
+    (busy_ns > cycle.period_ns / 2).then(|| {
+        format!(
+            "cycle: guard ({}) and spinning receive ({}) would hold the core for {} of every {}, and this kernel takes \
+             it away from real-time threads after {} of every {}; take wait = \"poll\" or a shorter guard, or on a core \
+             of its own: sysctl kernel.sched_rt_runtime_us=-1",
+            Ns(guard_ns),
+            Ns(receive_ns),
+            Ns(busy_ns),
+            Ns(cycle.period_ns),
+            Ns(runtime_us.saturating_mul(US)),
+            Ns(host.period_us.saturating_mul(US)),
+        )
+    })
+}

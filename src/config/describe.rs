@@ -1,0 +1,179 @@
+//! A plan in words: what `check` prints.
+
+use crate::axis::{AxisPlan, StopHow, StopThen, StopTimeout};
+use crate::cycle::{CyclePlan, Guard, Overrun, Plan, Wait};
+use crate::rt::{Memory, Realtime};
+use crate::time::{Ns, nanos};
+
+/// What this plan will do, line by line: the cycle, then each bus and each drive, with the bound of its stop and with
+/// what happens if the master dies. A drive that differs from the one before it only in its first line refers to it.
+pub fn describe(plan: &Plan) -> Vec<String> {
+    let axes = plan.axes();
+    let source = plan.source.as_ref().map_or("built in code".to_owned(), |path| path.display().to_string());
+    let mut lines =
+        vec![format!("{source}: {}, {}", count(axes.len(), "drive"), count(plan.buses.len(), "bus"))];
+    lines.extend(cycle(&plan.cycle));
+    for bus in &plan.buses {
+        let mut own = bus.describe(plan.cycle.period_ns).into_iter();
+        lines.push(format!("bus {}: {}, {}", bus.name(), bus.protocol(), count(bus.axes().len(), "drive")));
+        let mut before: Option<(&str, Vec<String>)> = None;
+        for drive in bus.axes() {
+            let paragraph = own.next().unwrap_or_default();
+            let mut told = paragraph.lines().map(str::to_owned);
+            let first = told.next().unwrap_or_default();
+            let rest: Vec<String> = told.chain(axis(drive, &axes, plan.cycle.period_ns)).collect();
+            match &before {
+                Some((like, same)) if *same == rest => {
+                    lines.push(format!("  drive {}: {first}; else as {like}", drive.name));
+                }
+                _ => {
+                    lines.push(format!("  drive {}: {first}", drive.name));
+                    lines.extend(rest.iter().map(|line| format!("    {line}")));
+                    before = Some((&drive.name, rest));
+                }
+            }
+        }
+        lines.extend(own);
+    }
+    lines.push("Fieldbeat is not a safety function: the machine needs its own STO / emergency stop.".into());
+    lines
+}
+
+fn count(number: usize, what: &str) -> String {
+    let plural = match what {
+        _ if number == 1 => "",
+        what if what.ends_with('s') => "es",
+        _ => "s",
+    };
+    format!("{number} {what}{plural}")
+}
+
+fn cycle(cycle: &CyclePlan) -> Vec<String> {
+    let core = cycle.core.map_or("the last core".to_owned(), |core| format!("core {core}"));
+    let memory = match cycle.memory {
+        Memory::Process => "all memory of the process locked",
+        Memory::Own => "the loop's own memory locked",
+    };
+    let realtime = match cycle.realtime {
+        Realtime::Require => format!("SCHED_FIFO {} required, {memory}", cycle.priority),
+        Realtime::Prefer => format!("SCHED_FIFO {} and {memory} if this host grants it", cycle.priority),
+        Realtime::Off => "an ordinary thread, not real-time".to_owned(),
+    };
+    let guard = match cycle.guard {
+        Guard::Off => "without a final spin".to_owned(),
+        Guard::Fixed(ns) => format!("with a final spin of {}", Ns(ns)),
+        Guard::Auto => "with a calibrated final spin".to_owned(),
+    };
+    let wait = match cycle.wait {
+        Wait::Poll => "poll",
+        Wait::Spin => "spin",
+    };
+    let overrun = match cycle.overrun {
+        Overrun::Skip { max_skip } => {
+            format!("skips slots and keeps the grid, more than {max_skip} in a row stop all axes")
+        }
+        Overrun::Stop => "stops all axes".to_owned(),
+    };
+    let mut lines = vec![
+        format!(
+            "cycle: every {} ({}), on {core}, {realtime}",
+            Ns(cycle.period_ns),
+            frequency(cycle.period_ns)
+        ),
+        format!("  wakes {guard}, takes replies by {wait} until {} into the cycle", Ns(cycle.deadline_ns())),
+        format!("  an overrun {overrun}"),
+    ];
+    if let Some(budget) = cycle.task_budget_ns {
+        lines.push(format!("  the in-loop task has {} a cycle, more stops all axes", Ns(budget)));
+    }
+    lines
+}
+
+fn frequency(period_ns: u64) -> String {
+    let hertz = 1e9 / period_ns as f64;
+    let (value, unit) = if hertz < 1000.0 { (hertz, "Hz") } else { (hertz / 1000.0, "kHz") };
+    let text = format!("{value:.3}");
+    format!("{} {unit}", text.trim_end_matches('0').trim_end_matches('.'))
+}
+
+/// What every protocol's axis has: schedule, link, stop, limits.
+fn axis(axis: &AxisPlan, all: &[&AxisPlan], period_ns: u64) -> Vec<String> {
+    vec![schedule(axis, period_ns), link(axis, all, period_ns), stop(axis), limits(axis)]
+}
+
+fn schedule(axis: &AxisPlan, period_ns: u64) -> String {
+    let period = Ns(period_ns.saturating_mul(axis.divisor.into()));
+    match axis.divisor {
+        1 => format!("an exchange every cycle ({period})"),
+        divisor => format!("an exchange every {divisor} cycles ({period}), phase {}", axis.phase),
+    }
+}
+
+/// The drives that stop when `axis` does, itself included.
+fn group<'a>(axis: &'a AxisPlan, all: &'a [&AxisPlan]) -> impl Iterator<Item = &'a AxisPlan> {
+    let group = axis.stop.group;
+    all.iter().filter(move |one| one.name == axis.name || group.is_some() && one.stop.group == group).copied()
+}
+
+/// A dead link stops `axis` and its group: at most so many cycles lie between the cycle of its last good exchange and the
+/// one that has sent every stop request. `all` are the axes of the plan.
+///
+/// `bucket` exchanges are missed first, one every `divisor` cycles, and the last of them is judged in its own cycle. The
+/// lost drive is then asked in the very next one, and each other member of the group in its own next one.
+pub fn stop_bound_cycles(axis: &AxisPlan, all: &[&AxisPlan]) -> u64 {
+    let others = group(axis, all).filter(|one| one.name != axis.name);
+    let slowest = others.map(|one| one.divisor).max().unwrap_or(1).max(1);
+    u64::from(axis.health.bucket) * u64::from(axis.divisor) + u64::from(slowest)
+}
+
+fn link(axis: &AxisPlan, all: &[&AxisPlan], period_ns: u64) -> String {
+    let cycles = stop_bound_cycles(axis, all);
+    let names: Vec<&str> = group(axis, all).map(|one| one.name.as_str()).collect();
+    let together = match names.len() {
+        0 | 1 => String::new(),
+        _ => format!("; stop together: {}", names.join(", ")),
+    };
+    format!(
+        "link up after {} good exchanges in a row, lost after {} misses in a row: the stop request is on the wire within \
+         {cycles} cycles ({}) of the last good one{together}",
+        axis.health.gate,
+        axis.health.bucket,
+        Ns(cycles.saturating_mul(period_ns)),
+    )
+}
+
+fn stop(axis: &AxisPlan) -> String {
+    let (stop, unit) = (&axis.stop, axis.units.unit);
+    let then = match stop.then {
+        StopThen::Hold => "stays powered and in position",
+        StopThen::Disable => "power off",
+    };
+    let late = match stop.on_timeout {
+        StopTimeout::Hold => "stays powered",
+        StopTimeout::Disable => "power off",
+    };
+    let how = match stop.how {
+        StopHow::Coast => return "stop: power off at once".into(),
+        StopHow::Ramp => format!("ramp at {} {unit}/s²", stop.deceleration),
+        StopHow::Quick => "the drive's quick stop".into(),
+    };
+    format!(
+        "stop: {how}; at standstill (below {} {unit}/s for {} exchanges) {then}; without it after {} {late}",
+        stop.standstill,
+        stop.standstill_for,
+        Ns(nanos(stop.timeout)),
+    )
+}
+
+fn limits(axis: &AxisPlan) -> String {
+    let (limits, unit) = (&axis.limits, axis.units.unit);
+    let mut set = Vec::new();
+    set.extend(limits.position.map(|(low, high)| format!("{low} ... {high} {unit}")));
+    set.extend(limits.velocity.map(|velocity| format!("{velocity} {unit}/s")));
+    set.extend(limits.acceleration.map(|acceleration| format!("{acceleration} {unit}/s²")));
+    set.extend(limits.step.map(|step| format!("{step} {unit} between two rows")));
+    match set.is_empty() {
+        true => "limits: only the drive's own".into(),
+        false => format!("limits: {}", set.join(", ")),
+    }
+}

@@ -1,0 +1,244 @@
+//! The keys that a drive of every protocol has: an [`AxisPlan`].
+
+use std::time::Duration;
+
+use super::Machine;
+use super::reader::{POSITIVE, Table, integer};
+use crate::axis::{
+    AxisPlan, FoundRunning, Health, Limits, Profile, StopHow, StopPlan, StopThen, StopTimeout, Underrun,
+    Unit, Units,
+};
+use crate::time::{MS, Ns, S};
+
+/// Reads the common keys. `counts_per_mm` is the protocol's own resolution, if it has one.
+pub(super) fn axis(table: &mut Table<'_>, machine: &mut Machine, counts_per_mm: Option<f64>) -> AxisPlan {
+    let name = name(table, machine);
+    let units = units(table, counts_per_mm);
+    let default = AxisPlan::new(name, units);
+    let limits = limits(table, &units);
+    let profile = profile(table, &default.profile, &limits);
+    let stop = stop(table, machine, &default.stop, &profile);
+    check_ramp(table, &stop, limits.velocity.unwrap_or(profile.velocity), units.unit);
+    let divisor = table.integer("divisor", 1..=1000, "1 exchanges every cycle").unwrap_or(1);
+    let phase = table
+        .integer("phase", 0..=999, "it says in which of its divisor cycles a drive exchanges")
+        .unwrap_or(0);
+    if phase >= divisor {
+        table.fault("phase", format!("must be below divisor = {divisor}; 0 is the first of its cycles"));
+    }
+    let queue = |table: &mut Table<'_>, key, least, default| {
+        table.integer(key, least..=1_000_000, "room in entries").unwrap_or(default)
+    };
+    AxisPlan {
+        limits,
+        profile,
+        divisor,
+        phase,
+        health: health(table),
+        stop,
+        underrun: underrun(table).unwrap_or(default.underrun),
+        on_found_running: table
+            .word("on_found_running", &[("stop", FoundRunning::Stop), ("refuse", FoundRunning::Refuse)])
+            .unwrap_or(default.on_found_running),
+        enable_timeout: time(
+            table,
+            "enable_timeout",
+            600,
+            "the longest that power on may take",
+            default.enable_timeout,
+        ),
+        home_timeout: time(
+            table,
+            "home_timeout",
+            3600,
+            "the longest that homing may take",
+            default.home_timeout,
+        ),
+        command_queue: queue(table, "command_queue", 1, default.command_queue),
+        stream_queue: queue(table, "stream_queue", 1, default.stream_queue),
+        event_queue: queue(table, "event_queue", 1, default.event_queue),
+        sample_queue: queue(table, "sample_queue", 0, default.sample_queue),
+        ..default
+    }
+}
+
+fn time(table: &mut Table<'_>, key: &'static str, most_s: u64, hint: &str, default: Duration) -> Duration {
+    table.time(key, MS..=most_s * S, hint).map_or(default, Duration::from_nanos)
+}
+
+fn name(table: &mut Table<'_>, machine: &mut Machine) -> String {
+    table.require("name", "every drive needs one, it is how programs and messages call it");
+    let name = table.text("name", "1 to 32 letters, digits, - _ or .", plain_name).unwrap_or_default();
+    machine.claim_name(table, &name);
+    name
+}
+
+/// Names stand in messages, file names and arguments, so they are kept plain.
+pub(super) fn plain_name(text: &str) -> Option<String> {
+    let plain = |c: char| c.is_alphanumeric() || matches!(c, '-' | '_' | '.');
+    ((1..=32).contains(&text.chars().count()) && text.chars().all(plain)).then(|| text.to_owned())
+}
+
+fn units(table: &mut Table<'_>, counts_per_mm: Option<f64>) -> Units {
+    let unit =
+        table.word("units", &[("mm", Unit::Millimetre), ("rev", Unit::Revolution)]).unwrap_or_default();
+    let given =
+        table.number("scale", 1e-6..=1e12, "drive counts in one unit; invert = true turns the direction");
+    let usual = match unit {
+        Unit::Millimetre => counts_per_mm,
+        Unit::Revolution => None,
+    };
+    if given.or(usual).is_none() && !table.gives("scale") {
+        table.fault("scale", format!("missing; say how many drive counts are one {unit}"));
+    }
+    // Where it is missing, something usual stands in: one mistake, one message.
+    let scale = given.or(usual).unwrap_or(10_000.0);
+    let inverted = table.flag("invert").unwrap_or(false);
+    Units {
+        unit,
+        counts_per_unit: if inverted { -scale } else { scale },
+        offset: table.number("offset", .., "the position of the drive's count zero").unwrap_or(0.0),
+        modulo: table.number("modulo", POSITIVE, "the length of one turn"),
+    }
+}
+
+fn limits(table: &mut Table<'_>, units: &Units) -> Limits {
+    let limits = table.table("limits", |table| Limits {
+        position: table.interval("position", "in user units"),
+        velocity: table.number("velocity", POSITIVE, "units/s; leave it out for the drive's own limit"),
+        acceleration: table.number(
+            "acceleration",
+            POSITIVE,
+            "units/s²; leave it out for the drive's own limit",
+        ),
+        step: table.number("step", POSITIVE, "units between two streamed rows; leave it out for no limit"),
+    });
+    if let Some((low, high)) = limits.position {
+        let counts = |end: i32| f64::from(end) / units.counts_per_unit + units.offset;
+        let ends = (counts(i32::MIN), counts(i32::MAX));
+        let reach = (ends.0.min(ends.1), ends.0.max(ends.1));
+        if low < reach.0 || high > reach.1 {
+            table.fault(
+                "limits.position",
+                format!(
+                    "goes beyond the drive's 32-bit counts, {} ... {} {}; narrow it or check scale and offset",
+                    reach.0, reach.1, units.unit
+                ),
+            );
+        }
+        if units.modulo.is_some() {
+            table.fault("limits.position", "a modulo axis turns without end; leave out one of the two");
+        }
+    }
+    limits
+}
+
+fn profile(table: &mut Table<'_>, default: &Profile, limits: &Limits) -> Profile {
+    let [most_speed, most_ramp] =
+        [limits.velocity, limits.acceleration].map(|limit| limit.unwrap_or(f64::INFINITY));
+    let given = table.table("profile", |table| {
+        [("velocity", "units/s"), ("acceleration", "units/s²"), ("deceleration", "units/s²")]
+            .map(|(key, unit)| table.number(key, POSITIVE, unit))
+    });
+    let most = [("velocity", most_speed), ("acceleration", most_ramp), ("acceleration", most_ramp)];
+    for ((value, (limit, most)), key) in
+        given.iter().zip(most).zip(["profile.velocity", "profile.acceleration", "profile.deceleration"])
+    {
+        if value.is_some_and(|value| value > most) {
+            table.fault(key, format!("is over limits.{limit} = {most}; lower it or raise the limit"));
+        }
+    }
+    let [velocity, acceleration, deceleration] = given;
+    let acceleration = acceleration.unwrap_or(default.acceleration.min(most_ramp));
+    Profile {
+        velocity: velocity.unwrap_or(default.velocity.min(most_speed)),
+        acceleration,
+        deceleration: deceleration.unwrap_or(acceleration),
+    }
+}
+
+fn health(table: &mut Table<'_>) -> Health {
+    let default = Health::default();
+    table.table("health", |table| Health {
+        bucket: table
+            .integer("bucket", 1..=10_000, "so many misses in a row are a lost link")
+            .unwrap_or(default.bucket),
+        leak: table
+            .integer("leak", 1..=1_000_000, "so many good exchanges in a row outweigh one miss")
+            .unwrap_or(default.leak),
+        gate: table
+            .integer("gate", 1..=1_000_000, "so many good exchanges in a row bring a link up")
+            .unwrap_or(default.gate),
+        // Faster, and the requests to an absent drive can fill the send buffer of the living.
+        probe_interval: table
+            .time("probe_interval", 10 * MS..=10 * S, "an absent drive is asked this often")
+            .map_or(default.probe_interval, Duration::from_nanos),
+    })
+}
+
+fn stop(table: &mut Table<'_>, machine: &mut Machine, default: &StopPlan, profile: &Profile) -> StopPlan {
+    table.table("stop", |table| StopPlan {
+        how: table
+            .word("how", &[("ramp", StopHow::Ramp), ("quick", StopHow::Quick), ("coast", StopHow::Coast)])
+            .unwrap_or(default.how),
+        deceleration: table
+            .number("deceleration", POSITIVE, "units/s²; leave it out for profile.deceleration")
+            .unwrap_or(profile.deceleration),
+        then: table
+            .word("then", &[("hold", StopThen::Hold), ("disable", StopThen::Disable)])
+            .unwrap_or(default.then),
+        timeout: time(table, "timeout", 600, "the longest time to standstill", default.timeout),
+        on_timeout: table
+            .word("on_timeout", &[("hold", StopTimeout::Hold), ("disable", StopTimeout::Disable)])
+            .unwrap_or(default.on_timeout),
+        standstill: table
+            .number("standstill", POSITIVE, "units/s; slower than this is standstill")
+            .unwrap_or(default.standstill),
+        standstill_for: table
+            .integer("standstill_for", 1..=100_000, "good exchanges in a row below the standstill speed")
+            .unwrap_or(default.standstill_for),
+        group: table
+            .text(
+                "group",
+                "a name of 1 to 32 letters, digits, - _ or .; leave it out to stop alone",
+                plain_name,
+            )
+            .map(|group| machine.group(table, group)),
+    })
+}
+
+/// A ramp that cannot end in time would end in `on_timeout` every time.
+fn check_ramp(table: &Table<'_>, stop: &StopPlan, velocity: f64, unit: Unit) {
+    let needed = velocity / stop.deceleration;
+    if stop.how == StopHow::Ramp && needed > stop.timeout.as_secs_f64() {
+        let needed_ns = Ns((needed.min(1e9) * S as f64) as u64);
+        table.fault(
+            "stop.timeout",
+            format!(
+                "the ramp from {velocity} {unit}/s at {} {unit}/s² takes {needed_ns}, longer than {}; allow more, or \
+                 raise stop.deceleration",
+                stop.deceleration,
+                Ns(crate::time::nanos(stop.timeout)),
+            ),
+        );
+    }
+}
+
+fn underrun(table: &mut Table<'_>) -> Option<Underrun> {
+    const FORMS: &str = "must be \"stop\", \"hold\" or { extrapolate = 3 } (exchanges)";
+    table.read("underrun", |value| match value.as_str() {
+        Some("stop") => Ok(Underrun::Stop),
+        Some("hold") => Ok(Underrun::Hold),
+        Some(_) => Err(FORMS.into()),
+        None => {
+            let count = value
+                .as_table()
+                .filter(|table| table.len() == 1)
+                .and_then(|table| table.get("extrapolate"))
+                .and_then(|count| integer(count.get_ref()))
+                .filter(|count| (1..=1000).contains(count))
+                .and_then(|count| u32::try_from(count).ok());
+            count.map(Underrun::Extrapolate).ok_or(FORMS.into())
+        }
+    })
+}

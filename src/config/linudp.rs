@@ -1,0 +1,266 @@
+//! `protocol = "linudp-v2"`.
+
+use std::net::{Ipv4Addr, SocketAddrV4};
+
+use super::Machine;
+use super::drive::axis;
+use super::reader::{POSITIVE, Table};
+use super::value::endpoint;
+use crate::axis::{AxisPlan, Units};
+use crate::bus::linudp::{
+    COUNTS_PER_MM, DRIVE_PORT, LinUdpDrive, LinUdpPlan, MASTER_PORT, MasterFilter, SimPlan, StreamCommand,
+};
+use crate::cycle::CyclePlan;
+use crate::net::SendMode;
+use crate::sim::FaultPlan;
+use crate::time::{MS, Ns, S};
+
+/// Its word in the configuration.
+pub(super) const PROTOCOL: &str = "linudp-v2";
+
+/// Reads a `[[bus]]`.
+pub(super) fn bus(table: &mut Table<'_>, machine: &mut Machine, cycle: &CyclePlan) -> LinUdpPlan {
+    let name = machine.bus_name(table, PROTOCOL);
+    let bind = bind(table, machine);
+    let send =
+        table.word("send", &[("batch", SendMode::Batch), ("each", SendMode::Each)]).unwrap_or_default();
+    let defaults = table.sub_table("defaults");
+    if !table.gives("drive") {
+        table.fault("drive", "missing; a bus needs at least one [[bus.drive]]");
+    }
+    let mut drives = Vec::new();
+    for (index, own) in table.tables("drive").into_iter().enumerate() {
+        let mut table = own.over(&defaults, &["name", "address"]);
+        drives.push(drive(&mut table, machine, cycle, bind, index));
+        table.finish();
+    }
+    LinUdpPlan { name, bind: bind.unwrap_or(NOWHERE), send, drives }
+}
+
+/// Stands in for an address that was refused: the plan is not handed out then.
+const NOWHERE: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, 0);
+
+/// An address that a packet can be sent to or from.
+fn station(text: &str, port: u16) -> Option<SocketAddrV4> {
+    endpoint(text, port).filter(|e| !e.ip().is_multicast() && !e.ip().is_broadcast() && e.port() != 0)
+}
+
+fn bind(table: &mut Table<'_>, machine: &mut Machine) -> Option<SocketAddrV4> {
+    table.require("bind", "the address of the adapter that the drives are on, like \"192.168.1.1\"");
+    let hint = "the IPv4 address of an adapter, like \"192.168.1.1\", or with a port other than 41136";
+    let bind = table.text("bind", hint, |text| station(text, MASTER_PORT))?;
+    machine.claim_bind(table, bind);
+    Some(bind)
+}
+
+fn address(table: &mut Table<'_>, machine: &mut Machine, bind: Option<SocketAddrV4>) -> Option<SocketAddrV4> {
+    table.require("address", "where the drive listens, like \"192.168.1.10\"");
+    let hint = "the IPv4 address of a drive, like \"192.168.1.10\", or with a port other than 49360";
+    let address = table.text("address", hint, |text| {
+        station(text, DRIVE_PORT).filter(|address| !address.ip().is_unspecified())
+    })?;
+    machine.claim_address(table, address);
+    // The kernel sends nothing between a loopback address and the world, and says so only when it is too late.
+    if let Some(bind) = bind.filter(|bind| !bind.ip().is_unspecified()) {
+        let (near, far) = (bind.ip().is_loopback(), address.ip().is_loopback());
+        if near != far {
+            let adapter = if near { "bind to the adapter that the drive is on" } else { "bind to 127.0.0.1" };
+            table.fault("address", format!("cannot be reached from bind = \"{}\"; {adapter}", bind.ip()));
+        }
+    }
+    Some(address)
+}
+
+fn drive(
+    table: &mut Table<'_>,
+    machine: &mut Machine,
+    cycle: &CyclePlan,
+    bind: Option<SocketAddrV4>,
+    index: usize,
+) -> LinUdpDrive {
+    let axis = axis(table, machine, Some(COUNTS_PER_MM));
+    let address = address(table, machine, bind).unwrap_or(NOWHERE);
+    let period_ns = cycle.period_ns.saturating_mul(u64::from(axis.divisor));
+    check_wire_units(table, &axis);
+    LinUdpDrive {
+        address,
+        stream: stream(table, &axis, period_ns),
+        monitor: table.flag("monitor").unwrap_or(false),
+        reply_tag: table.flag("reply_tag").unwrap_or(false),
+        leash: leash(table),
+        simulate: table.table("simulate", |table| simulate(table, &axis, period_ns, index)),
+        axis,
+    }
+}
+
+/// Speed goes over the wire in 1 um/s = 10 counts/s and acceleration in 10 um/s² = 100 counts/s² (manual, 4.2): a value
+/// must be at least one of them, and fit into the signed 32 bits of the streaming commands.
+fn check_wire_units(table: &Table<'_>, axis: &AxisPlan) {
+    let scale = axis.units.counts_per_unit.abs();
+    let unit = axis.units.unit;
+    let mut reported = None;
+    for (key, value, counts, per) in [
+        ("profile.velocity", axis.profile.velocity, 10.0, "s"),
+        ("profile.acceleration", axis.profile.acceleration, 100.0, "s²"),
+        ("profile.deceleration", axis.profile.deceleration, 100.0, "s²"),
+        ("stop.deceleration", axis.stop.deceleration, 100.0, "s²"),
+    ] {
+        let step = counts / scale;
+        let most = step * f64::from(i32::MAX);
+        // One acceleration may stand in for all three of them.
+        if (step..=most).contains(&value) || reported == Some((value, per)) {
+            continue;
+        }
+        let range = format!("{step} ... {most} {unit}/{per}");
+        table.fault(
+            key,
+            format!("{value} is outside what the drive can be told, {range}; change it or check scale"),
+        );
+        reported = Some((value, per));
+    }
+}
+
+/// Which streaming command Follow uses. One that is named must fit the drive's period; where none is named it is the
+/// richest one with the drive's own time base, if that fits, else none, and Follow is refused.
+fn stream(table: &mut Table<'_>, axis: &AxisPlan, period_ns: u64) -> Option<StreamCommand> {
+    let mut words: Vec<(&str, Option<StreamCommand>)> =
+        StreamCommand::ALL.iter().map(|command| (command.name(), Some(*command))).collect();
+    words.push(("off", None));
+    let Some(named) = table.word("stream", &words) else {
+        return Some(StreamCommand::Pva).filter(|command| command.takes(period_ns));
+    };
+    if let Some(command) = named.filter(|command| !command.takes(period_ns)) {
+        let fitting: Vec<&str> = StreamCommand::ALL
+            .iter()
+            .filter(|other| other.takes(period_ns))
+            .map(|other| other.name())
+            .collect();
+        let remedy = match fitting.is_empty() {
+            true => "no streaming command fits, take \"off\" or another period".to_owned(),
+            false => format!("take {}", super::value::alternatives(fitting.into_iter().chain(["off"]))),
+        };
+        let (low, high) = command.period_range_ns();
+        table.fault(
+            "stream",
+            format!(
+                "takes a setpoint every {} ... {}, this drive gets one every {} (period x divisor {}); {remedy}",
+                Ns(low),
+                Ns(high),
+                Ns(period_ns),
+                axis.divisor
+            ),
+        );
+    }
+    named
+}
+
+fn leash(table: &mut Table<'_>) -> Option<f64> {
+    let accepted = table.word("no_drive_watchdog", &[("accept", true), ("refuse", false)]);
+    let leash = table.number("leash", POSITIVE, "how far a jog runs ahead, in user units");
+    match accepted {
+        Some(true) => {
+            if !table.gives("leash") {
+                table.fault(
+                    "leash",
+                    "missing; \"accept\" needs the distance that a jog may run on if the master dies",
+                );
+            }
+            leash
+        }
+        // Said for one drive against the defaults of its bus: no mistake.
+        Some(false) => None,
+        None => {
+            if leash.is_some() {
+                table
+                    .fault("leash", "goes with no_drive_watchdog = \"accept\"; add that, or leave leash out");
+            }
+            None
+        }
+    }
+}
+
+fn simulate(table: &mut Table<'_>, axis: &AxisPlan, period_ns: u64, index: usize) -> SimPlan {
+    let counts = |position: f64| counts(&axis.units, position);
+    let (low, high) = table.interval("range", "mechanical, in user units").unwrap_or({
+        match axis.limits.position {
+            Some((low, high)) => (low - 5.0, high + 5.0),
+            None => (-1000.0, 1000.0),
+        }
+    });
+    let inside = |table: &mut Table<'_>, key| {
+        table.number(key, low..=high, "inside the range of the simulated axis, in user units")
+    };
+    let home = inside(table, "home").unwrap_or(if low <= 0.0 && high >= 0.0 { 0.0 } else { low });
+    let start = inside(table, "start").unwrap_or((low + high) / 2.0);
+    let ends = (counts(low), counts(high));
+    let default = SimPlan::default();
+    SimPlan {
+        faults: faults(table, period_ns, index),
+        padding: table
+            .read("padding", |value| {
+                let padding = super::reader::integer(value).and_then(|padding| usize::try_from(padding).ok());
+                padding
+                    .filter(|padding| [0, 14, 64].contains(padding))
+                    .ok_or("must be 0, 14 or 64 bytes".into())
+            })
+            .unwrap_or(default.padding),
+        filter: filter(table).unwrap_or_default(),
+        start_position: counts(start),
+        range: (ends.0.min(ends.1), ends.0.max(ends.1)),
+        mass_kg: table.number("mass", 0.001..=10_000.0, "moving mass in kg").unwrap_or(default.mass_kg),
+        home_position: counts(home),
+        stream_period_ns: table
+            .time("stream_period", 100_000..=S, "the period set in the drive for the configured commands")
+            .unwrap_or(period_ns),
+        stream_patience: table
+            .number("stream_patience", 1.0..=1_000.0, "periods without a setpoint before error 0083h")
+            .unwrap_or(default.stream_patience),
+        stream_depth: table
+            .integer("stream_depth", 1..=10_000, "setpoints that a stream holds ahead of its output")
+            .unwrap_or(default.stream_depth),
+        force_enable_bits: table.flag("force_enable_bits").unwrap_or(false),
+        start_running: table.flag("running").unwrap_or(false),
+    }
+}
+
+/// A simulated position in counts, at the end of the wire's range where it does not fit.
+fn counts(units: &Units, position: f64) -> i32 {
+    units.counts(position).clamp(f64::from(i32::MIN), f64::from(i32::MAX)) as i32
+}
+
+fn faults(table: &mut Table<'_>, period_ns: u64, index: usize) -> FaultPlan {
+    let rate = |table: &mut Table<'_>, key| {
+        table.number(key, 0.0..=1.0, "a probability for each datagram").unwrap_or(0.0)
+    };
+    let seed: u64 =
+        table.integer("seed", 0..=i128::from(u32::MAX), "the same seed gives the same faults").unwrap_or(0);
+    FaultPlan {
+        // Drives with one seed in common would lose the same datagrams.
+        seed: seed + index as u64,
+        drop: rate(table, "drop"),
+        duplicate: rate(table, "duplicate"),
+        corrupt: rate(table, "corrupt"),
+        delay: rate(table, "delay"),
+        delay_ns: table
+            .time("delay_by", ..=10 * S, "how much later a delayed datagram comes")
+            .unwrap_or(period_ns),
+        reorder: rate(table, "reorder"),
+        stall: rate(table, "stall"),
+        stall_ns: table
+            .time("stall_for", ..=600 * S, "how long a stalled drive is silent")
+            .unwrap_or(100 * MS),
+        restart: rate(table, "restart"),
+        wrong_id: rate(table, "wrong_id"),
+        answer_ns: table.time("answer_time", ..=S, "from a request to its answer").unwrap_or(0),
+    }
+}
+
+fn filter(table: &mut Table<'_>) -> Option<MasterFilter> {
+    table.text("filter", "\"none\", \"single\" or the one master's address, like \"192.168.1.1\"", |text| {
+        match text {
+            "none" => Some(MasterFilter::None),
+            "single" => Some(MasterFilter::Single),
+            _ => text.parse().ok().map(MasterFilter::Fixed),
+        }
+    })
+}

@@ -1,0 +1,464 @@
+//! A table of a TOML file, read key by key, so that every mistake names its line and what would be right.
+//!
+//! A getter returns `None` for a key that is absent, and for one that is wrong after noting the mistake on the
+//! [`Page`]: reading goes on with the default, and all mistakes are found in one pass. The keys that were asked for are
+//! the keys that exist; [`Table::finish`] reports all others. Knows nothing of drives.
+
+use std::cell::RefCell;
+use std::fmt::{self, Display};
+use std::ops::{Bound, Range, RangeBounds};
+
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
+
+use super::error::{ConfigError, ConfigErrors};
+use super::value;
+use crate::time::Ns;
+
+/// Everything above zero.
+pub(super) const POSITIVE: (Bound<f64>, Bound<f64>) = (Bound::Excluded(0.0), Bound::Unbounded);
+
+/// One file while it is read: its text, and the mistakes found so far.
+#[derive(Debug)]
+pub(super) struct Page<'a> {
+    file: &'a str,
+    text: &'a str,
+    /// Offsets of the line ends.
+    line_ends: Vec<usize>,
+    mistakes: RefCell<Vec<ConfigError>>,
+}
+
+/// Where something stands, for a message.
+#[derive(Clone, Debug)]
+pub(super) struct Place {
+    pub(super) line: usize,
+    key: String,
+    value: Option<String>,
+}
+
+impl<'a> Page<'a> {
+    pub(super) fn new(file: &'a str, text: &'a str) -> Page<'a> {
+        let line_ends =
+            text.bytes().enumerate().filter(|(_, byte)| *byte == b'\n').map(|(at, _)| at).collect();
+        Page { file, text, line_ends, mistakes: RefCell::default() }
+    }
+
+    /// Parses the text. With a mistake of syntax nothing behind it can be trusted, so the first one of each line is
+    /// reported, and nothing else.
+    pub(super) fn parse(&self) -> Result<DeTable<'a>, ConfigErrors> {
+        let (root, errors) = DeTable::parse_recoverable(self.text);
+        if errors.is_empty() {
+            return Ok(root.into_inner());
+        }
+        let mut mistakes: Vec<(bool, ConfigError)> = errors
+            .iter()
+            // A second key of one name may only be the echo of a broken line.
+            .map(|error| (error.message() == "duplicate key", self.syntax(error)))
+            .collect();
+        mistakes.sort_by_key(|(echo, mistake)| (mistake.line, *echo));
+        mistakes.dedup_by_key(|(_, mistake)| mistake.line);
+        Err(ConfigErrors::new(mistakes.into_iter().map(|(_, mistake)| mistake).collect()))
+    }
+
+    /// In the words of `toml`, but for the slips that happen to everybody.
+    fn syntax(&self, error: &toml::de::Error) -> ConfigError {
+        let span = error.span().unwrap_or(0..0);
+        let line = self.line(span.start);
+        let reason = error.message().split(", expected").next().unwrap_or_default();
+        let message = match (reason, self.snippet(span)) {
+            ("duplicate key", Some(found)) => format!("{found} is set twice; keep one"),
+            ("key with no value", _) => "a key needs a value: key = value".into(),
+            ("string values must be quoted", None) => "a value is missing after =".into(),
+            ("string values must be quoted", Some(found)) => {
+                format!("{found} is no value; text stands in quotes")
+            }
+            (_, Some(found)) => format!("{found}: {}", error.message()),
+            (_, None) => error.message().to_owned(),
+        };
+        ConfigError { file: self.file.to_owned(), line: Some(line), key: None, value: None, message }
+    }
+
+    pub(super) fn report(&self, place: Place, message: impl Into<String>) {
+        self.mistakes.borrow_mut().push(ConfigError {
+            file: self.file.to_owned(),
+            line: Some(place.line),
+            key: Some(place.key),
+            value: place.value,
+            message: message.into(),
+        });
+    }
+
+    /// `Err` with all mistakes, if there are any.
+    pub(super) fn verdict(self) -> Result<(), ConfigErrors> {
+        let mistakes = self.mistakes.into_inner();
+        if mistakes.is_empty() { Ok(()) } else { Err(ConfigErrors::new(mistakes)) }
+    }
+
+    fn line(&self, offset: usize) -> usize {
+        self.line_ends.partition_point(|end| *end < offset) + 1
+    }
+
+    /// A piece of the file as one short printable line.
+    fn snippet(&self, span: Range<usize>) -> Option<String> {
+        let words: Vec<&str> = self.text.get(span)?.split_whitespace().collect();
+        shorten(&words.join(" "))
+    }
+}
+
+/// At most 40 characters on one line, none of them able to play with a terminal; `None` if nothing is left.
+fn shorten(text: &str) -> Option<String> {
+    let mut short: String = text.chars().take(40).flat_map(printable).collect();
+    if text.chars().nth(40).is_some() {
+        short.push_str("...");
+    }
+    (!short.is_empty()).then_some(short)
+}
+
+fn printable(c: char) -> impl Iterator<Item = char> {
+    // The quotes that `escape_debug` also escapes are harmless here.
+    let keep = matches!(c, '"' | '\'' | '\\');
+    let escaped = (!keep).then(|| c.escape_debug());
+    keep.then_some(c).into_iter().chain(escaped.into_iter().flatten())
+}
+
+/// A table, and behind it the tables that fill in what it leaves out, key by key.
+#[derive(Debug)]
+pub(super) struct Table<'a> {
+    page: &'a Page<'a>,
+    /// The first one is the table itself, present or not.
+    layers: Vec<Layer<'a>>,
+    /// Keys that no layer behind the first may give.
+    own: &'static [&'static str],
+    known: Vec<&'static str>,
+}
+
+#[derive(Clone, Debug)]
+struct Layer<'a> {
+    path: String,
+    line: usize,
+    entries: Option<&'a DeTable<'a>>,
+}
+
+/// A key that was found, and its value.
+#[derive(Clone, Copy, Debug)]
+struct Entry<'a> {
+    /// Offset of the key in the text.
+    at: usize,
+    value: &'a Spanned<DeValue<'a>>,
+}
+
+impl<'a> Layer<'a> {
+    fn get(&self, key: &str) -> Option<Entry<'a>> {
+        let (key, value) = self.entries?.get_key_value(key)?;
+        Some(Entry { at: key.span().start, value })
+    }
+
+    /// Like `get`; dots lead into sub-tables.
+    fn descend(&self, key: &str) -> Option<Entry<'a>> {
+        let (tables, key) = key.rsplit_once('.').unwrap_or(("", key));
+        let mut entries = self.entries?;
+        for table in tables.split('.').filter(|table| !table.is_empty()) {
+            entries = entries.get(table)?.get_ref().as_table()?;
+        }
+        let (key, value) = entries.get_key_value(key)?;
+        Some(Entry { at: key.span().start, value })
+    }
+
+    fn path_to(&self, key: &str) -> String {
+        let plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '_' | '-' | '.');
+        let key = match !key.is_empty() && key.chars().all(plain) {
+            true => key.to_owned(),
+            false => format!("\"{}\"", shorten(key).unwrap_or_default()),
+        };
+        if self.path.is_empty() { key } else { format!("{}.{key}", self.path) }
+    }
+}
+
+impl<'a> Table<'a> {
+    /// The file as a whole.
+    pub(super) fn root(page: &'a Page<'a>, entries: &'a DeTable<'a>) -> Table<'a> {
+        Table::new(page, Layer { path: String::new(), line: 1, entries: Some(entries) })
+    }
+
+    fn new(page: &'a Page<'a>, layer: Layer<'a>) -> Table<'a> {
+        Table { page, layers: vec![layer], own: &[], known: Vec::new() }
+    }
+
+    /// Lets `defaults` fill in what this table leaves out, sub-tables key by key, all but the keys in `own`.
+    pub(super) fn over(mut self, defaults: &Table<'a>, own: &'static [&'static str]) -> Table<'a> {
+        self.layers.extend(defaults.layers.iter().cloned());
+        self.own = own;
+        self
+    }
+
+    /// Where `key` (dots lead into sub-tables) has its value from, or would have to stand.
+    pub(super) fn place(&self, key: &str) -> Place {
+        let found = self.layers.iter().find_map(|layer| Some(self.place_in(layer, key, layer.descend(key)?)));
+        found.unwrap_or_else(|| self.place_without(key))
+    }
+
+    fn place_in(&self, layer: &Layer<'a>, key: &str, entry: Entry<'a>) -> Place {
+        let span = entry.value.span();
+        // The span of a table with a header of its own is that header, which says nothing new.
+        let header = entry.value.get_ref().is_table()
+            && self.page.text.get(span.clone()).is_none_or(|text| !text.starts_with('{'));
+        Place {
+            line: self.page.line(entry.at),
+            key: layer.path_to(key),
+            value: if header { None } else { self.page.snippet(span) },
+        }
+    }
+
+    fn place_without(&self, key: &str) -> Place {
+        let layer = &self.layers[0];
+        Place { line: layer.line, key: layer.path_to(key), value: None }
+    }
+
+    /// Notes a mistake at `key` (dots lead into sub-tables).
+    pub(super) fn fault(&self, key: &str, message: impl Into<String>) {
+        self.page.report(self.place(key), message);
+    }
+
+    /// Notes a mistake at a place found earlier.
+    pub(super) fn report(&self, place: &Place, message: impl Into<String>) {
+        self.page.report(place.clone(), message);
+    }
+
+    /// Whether any layer gives `key`, right or wrong.
+    pub(super) fn gives(&self, key: &str) -> bool {
+        self.layers.iter().any(|layer| layer.get(key).is_some())
+    }
+
+    /// Notes a mistake if `key` is absent.
+    pub(super) fn require(&mut self, key: &'static str, why: &str) {
+        if self.find(key).is_none() {
+            self.page.report(self.place_without(key), format!("missing; {why}"));
+        }
+    }
+
+    fn find(&mut self, key: &'static str) -> Option<(usize, Entry<'a>)> {
+        if !self.known.contains(&key) {
+            self.known.push(key);
+        }
+        let layers = if self.own.contains(&key) { 1 } else { self.layers.len() };
+        self.layers[..layers].iter().enumerate().find_map(|(index, layer)| Some((index, layer.get(key)?)))
+    }
+
+    /// A value of any form; `Err` says what it must be.
+    pub(super) fn read<T>(
+        &mut self,
+        key: &'static str,
+        read: impl FnOnce(&DeValue<'a>) -> Result<T, String>,
+    ) -> Option<T> {
+        let (layer, entry) = self.find(key)?;
+        match read(entry.value.get_ref()) {
+            Ok(value) => Some(value),
+            Err(message) => {
+                self.page.report(self.place_in(&self.layers[layer], key, entry), message);
+                None
+            }
+        }
+    }
+
+    /// `true` or `false`.
+    pub(super) fn flag(&mut self, key: &'static str) -> Option<bool> {
+        self.read(key, |value| value.as_bool().ok_or("must be true or false".into()))
+    }
+
+    /// Text that passes `check`.
+    pub(super) fn text<T>(
+        &mut self,
+        key: &'static str,
+        hint: &str,
+        check: impl FnOnce(&str) -> Option<T>,
+    ) -> Option<T> {
+        self.read(key, |value| value.as_str().and_then(check).ok_or_else(|| format!("must be {hint}")))
+    }
+
+    /// One of a few words.
+    pub(super) fn word<T: Copy>(&mut self, key: &'static str, words: &[(&str, T)]) -> Option<T> {
+        let list = value::alternatives(words.iter().map(|(word, _)| *word));
+        self.text(key, &list, |text| {
+            words.iter().find(|(word, _)| *word == text).map(|(_, meaning)| *meaning)
+        })
+    }
+
+    /// A whole number.
+    pub(super) fn integer<T: TryFrom<i128>>(
+        &mut self,
+        key: &'static str,
+        range: impl RangeBounds<i128>,
+        hint: &str,
+    ) -> Option<T> {
+        self.read(key, |value| {
+            let number = integer(value).ok_or_else(|| format!("must be a whole number; {hint}"))?;
+            inside(number, &range, hint, |bound| bound)?;
+            T::try_from(number).map_err(|_| format!("is out of reach; {hint}"))
+        })
+    }
+
+    /// A finite number, with or without a decimal point.
+    pub(super) fn number(
+        &mut self,
+        key: &'static str,
+        range: impl RangeBounds<f64>,
+        hint: &str,
+    ) -> Option<f64> {
+        self.read(key, |value| {
+            let number = number(value).ok_or_else(|| format!("must be a number; {hint}"))?;
+            inside(number, &range, hint, |bound| bound)
+        })
+    }
+
+    /// Two rising numbers, `[lowest, highest]`.
+    pub(super) fn interval(&mut self, key: &'static str, hint: &str) -> Option<(f64, f64)> {
+        self.read(key, |value| {
+            let pair = value.as_array().and_then(|array| match (array.first(), array.get(1), array.len()) {
+                (Some(low), Some(high), 2) => Some((number(low.get_ref())?, number(high.get_ref())?)),
+                _ => None,
+            });
+            match pair {
+                Some((low, high)) if low < high => Ok((low, high)),
+                Some(_) => Err(format!("must rise: [lowest, highest]; {hint}")),
+                None => Err(format!("must be two numbers, [lowest, highest]; {hint}")),
+            }
+        })
+    }
+
+    /// A time in ns.
+    pub(super) fn time(
+        &mut self,
+        key: &'static str,
+        range: impl RangeBounds<u64>,
+        hint: &str,
+    ) -> Option<u64> {
+        self.read(key, |value| time(value, &range, hint))
+    }
+
+    /// What `read` makes of a sub-table, which is empty if it is absent. Unknown keys in it are mistakes.
+    pub(super) fn table<T>(&mut self, key: &'static str, read: impl FnOnce(&mut Table<'a>) -> T) -> T {
+        let mut table = self.sub_table(key);
+        let result = read(&mut table);
+        table.finish();
+        result
+    }
+
+    /// A sub-table whose keys are read elsewhere.
+    pub(super) fn sub_table(&mut self, key: &'static str) -> Table<'a> {
+        self.find(key);
+        let mut layers = Vec::new();
+        for layer in &self.layers {
+            let Some(entry) = layer.get(key) else { continue };
+            match entry.value.get_ref() {
+                DeValue::Table(entries) => layers.push(Layer {
+                    path: layer.path_to(key),
+                    line: self.page.line(entry.at),
+                    entries: Some(entries),
+                }),
+                _ => {
+                    let message = format!("must be a table: {key} = {{ ... }}");
+                    self.page.report(self.place_in(layer, key, entry), message);
+                }
+            }
+        }
+        if layers.is_empty() {
+            let own = &self.layers[0];
+            layers.push(Layer { path: own.path_to(key), line: own.line, entries: None });
+        }
+        Table { page: self.page, layers, own: &[], known: Vec::new() }
+    }
+
+    /// The tables under `[[key]]`, in order.
+    pub(super) fn tables(&mut self, key: &'static str) -> Vec<Table<'a>> {
+        let Some((layer, entry)) = self.find(key) else { return Vec::new() };
+        let path = self.layers[layer].path_to(key);
+        let elements = entry.value.get_ref().as_array().map_or(&[][..], |array| array);
+        let tables: Vec<Table<'a>> = elements
+            .iter()
+            .filter_map(|element| {
+                let line = self.page.line(element.span().start);
+                let entries = Some(element.get_ref().as_table()?);
+                Some(Table::new(self.page, Layer { path: path.clone(), line, entries }))
+            })
+            .collect();
+        if tables.is_empty() || tables.len() != elements.len() {
+            let place = self.place_in(&self.layers[layer], key, entry);
+            self.page.report(place, format!("must be a list of tables: write [[{path}]]"));
+        }
+        tables
+    }
+
+    /// Reports every key that nobody asked for.
+    pub(super) fn finish(self) {
+        for (index, layer) in self.layers.iter().enumerate() {
+            for (key, _) in layer.entries.into_iter().flat_map(|entries| entries.iter()) {
+                let place = Place {
+                    line: self.page.line(key.span().start),
+                    key: layer.path_to(key.get_ref()),
+                    value: None,
+                };
+                let key: &str = key.get_ref();
+                if index > 0 && self.own.contains(&key) {
+                    let home = &self.layers[0].path;
+                    self.page.report(place, format!("cannot be shared; write it in each [[{home}]]"));
+                } else if !self.known.contains(&key) {
+                    let valid = self.known.iter().filter(|known| index == 0 || !self.own.contains(known));
+                    self.page.report(place, unknown(key, valid.copied().collect()));
+                }
+            }
+        }
+    }
+}
+
+fn unknown(key: &str, valid: Vec<&str>) -> String {
+    let meant = match value::closest(key, valid.iter().copied()) {
+        Some(meant) => format!("did you mean {meant}? "),
+        None => String::new(),
+    };
+    format!("no such key; {meant}valid here: {}", valid.join(", "))
+}
+
+/// A time in ns within `range`.
+pub(super) fn time(value: &DeValue<'_>, range: &impl RangeBounds<u64>, hint: &str) -> Result<u64, String> {
+    let ns = value
+        .as_str()
+        .and_then(value::duration)
+        .ok_or_else(|| format!("must be a time like \"250us\", \"1ms\" or \"0.5s\"; {hint}"))?;
+    inside(ns, range, hint, |bound| Ns(bound).to_string())
+}
+
+/// A whole number within `range`.
+pub(super) fn integer(value: &DeValue<'_>) -> Option<i128> {
+    let integer = value.as_integer()?;
+    i128::from_str_radix(integer.as_str(), integer.radix()).ok()
+}
+
+fn number(value: &DeValue<'_>) -> Option<f64> {
+    let number = match value {
+        DeValue::Float(float) => float.as_str().parse().ok()?,
+        _ => integer(value)? as f64,
+    };
+    number.is_finite().then_some(number)
+}
+
+fn inside<T: PartialOrd + Copy, D: fmt::Display>(
+    value: T,
+    range: &impl RangeBounds<T>,
+    hint: &str,
+    show: impl Fn(T) -> D,
+) -> Result<T, String> {
+    let wrong = match (range.start_bound(), range.end_bound()) {
+        (Bound::Included(&low), _) if value < low => format!("must be at least {}", show(low)),
+        (Bound::Excluded(&low), _) if value <= low => format!("must be above {}", show(low)),
+        (_, Bound::Included(&high)) if value > high => format!("must be at most {}", show(high)),
+        (_, Bound::Excluded(&high)) if value >= high => format!("must be below {}", show(high)),
+        _ => return Ok(value),
+    };
+    Err(format!("{wrong}; {hint}"))
+}
+
+impl Display for Place {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "line {}", self.line)
+    }
+}

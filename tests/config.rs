@@ -1,0 +1,599 @@
+//! The configuration as a user meets it: every mistake on a line of its own, the samples, and the defaults.
+
+use std::net::Ipv4Addr;
+use std::time::Duration;
+
+use fieldbeat::axis::{FoundRunning, Health, StopHow, StopThen, StopTimeout, Underrun, Unit};
+use fieldbeat::config::{demo_plan, describe, load, parse, starvation, stop_bound_cycles};
+use fieldbeat::cycle::{CyclePlan, Guard, Overrun, Plan, Wait};
+use fieldbeat::rt::Realtime;
+use fieldbeat::rt::host::Throttling;
+use fieldbeat::time::{MS, US};
+use proptest::prelude::*;
+
+/// One drive with a fragment in one of its sections. The fragment begins in line 2, 6 or 10.
+fn machine(section: &str, fragment: &str) -> String {
+    let part = |name: &str| if name == section { fragment } else { "" };
+    format!(
+        "[cycle]\n{}\n[[bus]]\nprotocol = \"linudp-v2\"\nbind = \"127.0.0.1\"\n{}\n\
+         [[bus.drive]]\nname = \"x\"\naddress = \"127.0.0.11\"\n{}\n",
+        part("cycle"),
+        part("bus"),
+        part("drive"),
+    )
+}
+
+fn read(text: &str) -> Plan {
+    parse(text, "m.toml").unwrap_or_else(|errors| panic!("{errors}"))
+}
+
+fn mistakes(text: &str) -> Vec<String> {
+    match parse(text, "m.toml") {
+        Ok(plan) => panic!("accepted: {plan:?}"),
+        Err(errors) => errors.iter().map(ToString::to_string).collect(),
+    }
+}
+
+/// Section and fragment (`;;` is a line end), then the lines expected, without the file's name.
+const MISTAKES: &str = include_str!("config/mistakes.txt");
+
+#[test]
+fn every_mistake_says_where_it_is_and_what_would_be_right() {
+    let mut cases: Vec<(&str, String, Vec<String>)> = Vec::new();
+    for line in MISTAKES.lines().filter(|line| !line.is_empty()) {
+        match (line.strip_prefix("  "), cases.last_mut()) {
+            (Some(expected), Some((_, _, lines))) => lines.push(format!("m.toml:{expected}")),
+            _ => {
+                let (section, fragment) = line.split_once(" | ").unwrap();
+                cases.push((section, fragment.replace(" ;; ", "\n"), Vec::new()));
+            }
+        }
+    }
+    assert!(cases.len() > 100);
+    for (section, fragment, expected) in cases {
+        assert!(!expected.is_empty(), "{fragment} expects nothing");
+        assert_eq!(mistakes(&machine(section, &fragment)), expected, "in {section}: {fragment}");
+    }
+}
+
+#[test]
+fn what_must_be_unique_is() {
+    let text = r#"
+[[bus]]
+protocol = "linudp-v2"
+bind = "127.0.0.1"
+[[bus.drive]]
+name = "x"
+address = "127.0.0.11"
+[[bus.drive]]
+name = "x"
+address = "127.0.0.11:50000"
+[[bus.drive]]
+name = "y"
+address = "127.0.0.1:41136"
+
+[[bus]]
+protocol = "linudp-v2"
+name = "second"
+bind = "0.0.0.0"
+[[bus.drive]]
+name = "y"
+address = "127.0.0.11"
+
+[[bus]]
+protocol = "linudp-v2"
+bind = "127.0.0.11:49360"
+[[bus.drive]]
+name = "z"
+address = "127.0.0.12"
+"#;
+    assert_eq!(
+        mistakes(text),
+        [
+            "m.toml:9: bus.drive.name = \"x\": is the drive of line 6 already; names are unique in the machine",
+            "m.toml:10: bus.drive.address = \"127.0.0.11:50000\": is the drive of line 7 already; one drive an IP address",
+            "m.toml:13: bus.drive.address = \"127.0.0.1:41136\": is the master's own, bind of line 4; give the drive's",
+            "m.toml:18: bus.bind = \"0.0.0.0\": is taken by the bus of line 4; one bus an address, put its drives there",
+            "m.toml:20: bus.drive.name = \"y\": is the drive of line 12 already; names are unique in the machine",
+            "m.toml:21: bus.drive.address = \"127.0.0.11\": is the drive of line 7 already; one drive an IP address",
+            "m.toml:23: bus.name: missing; the bus of line 2 is called linudp-v2 already",
+            "m.toml:25: bus.bind = \"127.0.0.11:49360\": is the drive of line 7; give the master's own address",
+        ]
+    );
+}
+
+#[test]
+fn addresses_are_ipv4_and_within_reach() {
+    let wrong = |bind: &str, address: &str| {
+        let text =
+            machine("", "").replace("127.0.0.11", address).replace("\"127.0.0.1\"", &format!("\"{bind}\""));
+        mistakes(&text)
+    };
+    let hint = |key, what| {
+        let port = if what == "an adapter" { ("192.168.1.1", 41136) } else { ("192.168.1.10", 49360) };
+        format!(
+            "{key}: must be the IPv4 address of {what}, like \"{}\", or with a port other than {}",
+            port.0, port.1
+        )
+    };
+    for address in ["::1", "drive.local", "0.0.0.0", "255.255.255.255", "224.0.0.1", "10.0.0.2:0", "10.0.0"] {
+        let expected = hint(format!("m.toml:9: bus.drive.address = \"{address}\""), "a drive");
+        assert_eq!(wrong("10.0.0.1", address), [expected]);
+    }
+    for bind in ["::1", "eth0", "255.255.255.255", "10.0.0.1:0"] {
+        let expected = hint(format!("m.toml:5: bus.bind = \"{bind}\""), "an adapter");
+        assert_eq!(wrong(bind, "10.0.0.2"), [expected]);
+    }
+    assert_eq!(
+        wrong("127.0.0.1", "10.0.0.2"),
+        [
+            "m.toml:9: bus.drive.address = \"10.0.0.2\": cannot be reached from bind = \"127.0.0.1\"; bind to the adapter that \
+          the drive is on"
+        ]
+    );
+    assert_eq!(
+        wrong("10.0.0.1", "127.0.0.2"),
+        [
+            "m.toml:9: bus.drive.address = \"127.0.0.2\": cannot be reached from bind = \"10.0.0.1\"; bind to 127.0.0.1"
+        ]
+    );
+}
+
+#[test]
+fn what_is_missing_is_asked_for() {
+    assert_eq!(
+        mistakes(""),
+        ["m.toml:1: bus: missing; a machine needs a [[bus]] with at least one [[bus.drive]]"]
+    );
+    assert_eq!(mistakes("bus = []"), ["m.toml:1: bus = []: must be a list of tables: write [[bus]]"]);
+    assert_eq!(mistakes("\n[bus]\n"), ["m.toml:2: bus: must be a list of tables: write [[bus]]"]);
+    assert_eq!(
+        mistakes("\n[[bus]]\n"),
+        ["m.toml:2: bus.protocol: missing; \"linudp-v2\" is LinMot LinUDP V2"]
+    );
+    assert_eq!(
+        mistakes("[[bus]]\nprotocol = \"ethercat\"\nwhatever = 1"),
+        ["m.toml:2: bus.protocol = \"ethercat\": must be \"linudp-v2\""]
+    );
+    assert_eq!(
+        mistakes("[[bus]]\nprotocol = \"linudp-v2\""),
+        [
+            "m.toml:1: bus.bind: missing; the address of the adapter that the drives are on, like \"192.168.1.1\"",
+            "m.toml:1: bus.drive: missing; a bus needs at least one [[bus.drive]]",
+        ]
+    );
+    assert_eq!(
+        mistakes("[[bus]]\nprotocol = \"linudp-v2\"\nbind = \"127.0.0.1\"\n\n[[bus.drive]]"),
+        [
+            "m.toml:5: bus.drive.name: missing; every drive needs one, it is how programs and messages call it",
+            "m.toml:5: bus.drive.address: missing; where the drive listens, like \"192.168.1.10\"",
+        ]
+    );
+}
+
+#[test]
+fn a_lonely_group_that_looks_like_another_is_named() {
+    let drive = |name: &str, last: u8, group: &str| {
+        format!("[[bus.drive]]\nname = \"{name}\"\naddress = \"127.0.0.{last}\"\nstop.group = \"{group}\"\n")
+    };
+    let text =
+        machine("", "") + &drive("y", 12, "gantry") + &drive("z", 13, "gantry") + &drive("w", 14, "gantyr");
+    assert_eq!(
+        mistakes(&text),
+        [
+            "m.toml:22: bus.drive.stop.group = \"gantyr\": no other drive is in this group; did you mean \"gantry\"? leave it \
+          out to stop alone"
+        ]
+    );
+}
+
+#[test]
+fn files_that_cannot_be_read_say_so() {
+    let error = |path: &str| load(path).unwrap_err().to_string();
+    let remedy = "name an existing configuration, for example rt-config/demo.toml";
+    assert_eq!(
+        error("no/such.toml"),
+        format!("cannot read no/such.toml: No such file or directory; {remedy}")
+    );
+    assert_eq!(error("src"), format!("cannot read src: Is a directory; {remedy}"));
+    let path = std::env::temp_dir().join(format!("fieldbeat-latin1-{}.toml", std::process::id()));
+    std::fs::write(&path, b"[cycle]\n# \xb5s\n").unwrap();
+    let latin1 = error(&path.display().to_string());
+    std::fs::remove_file(&path).unwrap();
+    assert_eq!(latin1, format!("{}:2: not UTF-8; save the file as UTF-8 text", path.display()));
+}
+
+#[test]
+fn defaults_are_what_the_documentation_says() {
+    let spelled = r#"
+[cycle]
+period = "1ms"
+priority = 80
+guard = "off"
+receive_deadline = 0.5
+wait = "poll"
+overrun = "skip"
+max_skip = 10
+realtime = "prefer"
+memory = "process"
+[[bus]]
+protocol = "linudp-v2"
+name = "linudp-v2"
+bind = "127.0.0.1:41136"
+send = "batch"
+[[bus.drive]]
+name = "x"
+address = "127.0.0.11:49360"
+units = "mm"
+scale = 10000
+invert = false
+offset = 0
+profile = { velocity = 100, acceleration = 1000, deceleration = 1000 }
+divisor = 1
+phase = 0
+health = { bucket = 5, leak = 20, gate = 10, probe_interval = "100ms" }
+underrun = "stop"
+on_found_running = "stop"
+enable_timeout = "5s"
+home_timeout = "60s"
+command_queue = 64
+stream_queue = 1024
+event_queue = 256
+sample_queue = 0
+stream = "pva"
+monitor = false
+reply_tag = false
+no_drive_watchdog = "refuse"
+[bus.drive.stop]
+how = "ramp"
+deceleration = 1000
+then = "disable"
+timeout = "3s"
+on_timeout = "disable"
+standstill = 5
+standstill_for = 20
+[bus.drive.simulate]
+seed = 0
+drop = 0
+duplicate = 0
+corrupt = 0
+delay = 0
+delay_by = "1ms"
+reorder = 0
+stall = 0
+stall_for = "100ms"
+restart = 0
+wrong_id = 0
+answer_time = "0us"
+padding = 14
+filter = "none"
+range = [-1000, 1000]
+home = 0
+start = 0
+mass = 1
+stream_period = "1ms"
+force_enable_bits = false
+running = false
+"#;
+    let plan = read(&machine("", ""));
+    assert_eq!(format!("{plan:#?}"), format!("{:#?}", read(spelled)));
+    assert_eq!(plan.cycle, CyclePlan::default());
+    assert_eq!(plan.axes()[0].health, Health::default());
+}
+
+#[test]
+fn values_arrive_where_they_belong() {
+    let plan = read(&machine(
+        "cycle",
+        "period = \"2ms\"\ncore = 3\nguard = \"150us\"\nwait = \"spin\"\noverrun = \"stop\"\nrealtime = \"require\"\n\
+         task_budget = \"0.2ms\"\nreceive_deadline = 0.4",
+    ));
+    let cycle = &plan.cycle;
+    assert_eq!((cycle.period_ns, cycle.core, cycle.guard), (2 * MS, Some(3), Guard::Fixed(150 * US)));
+    assert_eq!((cycle.wait, cycle.overrun, cycle.realtime), (Wait::Spin, Overrun::Stop, Realtime::Require));
+    assert_eq!((cycle.task_budget_ns, cycle.receive_deadline), (Some(200 * US), 0.4));
+
+    let plan = read(&machine(
+        "drive",
+        "units = \"rev\"\nscale = 1000\ninvert = true\noffset = 0.5\nmodulo = 1\ndivisor = 4\nphase = 3\n\
+         limits = { velocity = 0.5, acceleration = 5, step = 0.1 }\n\
+         stop = { how = \"quick\", then = \"hold\", on_timeout = \"hold\", timeout = \"250ms\" }\n\
+         underrun = { extrapolate = 3 }\non_found_running = \"refuse\"\nno_drive_watchdog = \"accept\"\nleash = 0.25",
+    ));
+    let axis = plan.axes()[0];
+    assert_eq!((axis.units.unit, axis.units.counts_per_unit), (Unit::Revolution, -1000.0));
+    assert_eq!((axis.units.offset, axis.units.modulo), (0.5, Some(1.0)));
+    assert_eq!((axis.divisor, axis.phase), (4, 3));
+    // A default profile keeps inside the limits, and the stop takes its deceleration.
+    assert_eq!(
+        (axis.profile.velocity, axis.profile.acceleration, axis.profile.deceleration),
+        (0.5, 5.0, 5.0)
+    );
+    assert_eq!((axis.stop.deceleration, axis.stop.standstill), (5.0, 0.05));
+    assert_eq!((axis.stop.how, axis.stop.then), (StopHow::Quick, StopThen::Hold));
+    assert_eq!((axis.stop.on_timeout, axis.stop.timeout), (StopTimeout::Hold, Duration::from_millis(250)));
+    assert_eq!((axis.underrun, axis.on_found_running), (Underrun::Extrapolate(3), FoundRunning::Refuse));
+    assert!(format!("{plan:?}").contains("leash: Some(0.25)"));
+}
+
+#[test]
+fn a_simulated_drive_speaks_user_units() {
+    let plan = read(&machine(
+        "drive",
+        "invert = true\noffset = 10\nlimits.position = [0, 100]\n\
+         simulate = { seed = 7, start = 10, home = 30, filter = \"10.0.0.1\", padding = 64, delay_by = \"3ms\" }",
+    ));
+    let text = format!("{plan:?}");
+    for part in [
+        "start_position: 0,",
+        "home_position: -200000,",
+        // 5 mm more than the limits on both sides.
+        "range: (-950000, 150000)",
+        &format!("filter: Fixed({})", Ipv4Addr::new(10, 0, 0, 1)),
+        "padding: 64",
+        "seed: 7",
+        "delay_ns: 3000000",
+    ] {
+        assert!(text.contains(part), "{part} in {text}");
+    }
+}
+
+#[test]
+fn bus_defaults_fill_in_key_by_key() {
+    let plan = read(
+        r#"
+[[bus]]
+protocol = "linudp-v2"
+bind = "127.0.0.1"
+[bus.defaults]
+limits = { velocity = 300, acceleration = 3000 }
+stop = { deceleration = 9000, group = "all" }
+no_drive_watchdog = "accept"
+leash = 20
+simulate.seed = 5
+[[bus.drive]]
+name = "x"
+address = "127.0.0.11"
+[[bus.drive]]
+name = "y"
+address = "127.0.0.12"
+limits.velocity = 200
+stop = { then = "hold", group = "other" }
+no_drive_watchdog = "refuse"
+[[bus.drive]]
+name = "z"
+address = "127.0.0.13"
+[[bus.drive]]
+name = "w"
+address = "127.0.0.14"
+stop.group = "other"
+"#,
+    );
+    let axes = plan.axes();
+    assert_eq!((axes[0].limits.velocity, axes[1].limits.velocity), (Some(300.0), Some(200.0)));
+    assert_eq!(axes[1].limits.acceleration, Some(3000.0));
+    assert_eq!((axes[1].stop.deceleration, axes[1].stop.then), (9000.0, StopThen::Hold));
+    let groups: Vec<_> = axes.iter().map(|axis| axis.stop.group).collect();
+    assert_eq!(groups, [Some(0), Some(1), Some(0), Some(1)]);
+    let text = format!("{plan:?}");
+    // One seed for all would lose the same datagrams everywhere.
+    for seed in 5..=8 {
+        assert_eq!(text.matches(&format!("seed: {seed},")).count(), 1);
+    }
+    assert_eq!((text.matches("leash: Some(20.0)").count(), text.matches("leash: None").count()), (3, 1));
+}
+
+#[test]
+fn a_stream_command_is_chosen_only_where_it_fits() {
+    let chosen = |period: &str, drive: &str| {
+        let text = machine("drive", drive).replace("[cycle]", &format!("[cycle]\nperiod = \"{period}\""));
+        format!("{:?}", read(&text))
+    };
+    assert!(chosen("400us", "").contains("stream: Some(Pva)"));
+    assert!(chosen("399us", "").contains("stream: None"));
+    assert!(chosen("10ms", "").contains("stream: Some(Pva)"));
+    assert!(chosen("10.001ms", "").contains("stream: None"));
+    assert!(chosen("1ms", "divisor = 11").contains("stream: None"));
+    assert!(chosen("1ms", "divisor = 2\nstream = \"p\"").contains("stream: Some(P)"));
+    assert!(chosen("1ms", "stream = \"off\"").contains("stream: None"));
+}
+
+#[test]
+fn the_demo_has_as_many_drives_as_wanted() {
+    for (drives, period_ns, divisor) in [(1, 250 * US, 2), (8, MS, 1), (128, MS, 1)] {
+        let plan = demo_plan(drives, period_ns).unwrap();
+        assert_eq!((plan.axes().len(), plan.cycle.period_ns), (drives, period_ns));
+        // Its streaming command takes a setpoint every 0.4 ms at most.
+        assert!(plan.axes().iter().all(|axis| axis.divisor == divisor));
+        assert_eq!(plan.cycle.realtime, Realtime::Prefer);
+    }
+    assert_eq!(demo_plan(0, MS).unwrap_err().to_string(), "0 drives: the demo has 1 to 128");
+    assert_eq!(demo_plan(129, MS).unwrap_err().to_string(), "129 drives: the demo has 1 to 128");
+    let error = demo_plan(8, 10 * US).unwrap_err().to_string();
+    assert!(
+        error.ends_with("cycle.period = \"10000ns\": must be at least 50 us; 1ms is 1000 cycles a second"),
+        "{error}"
+    );
+}
+
+/// The commented keys of the sample are said to show the defaults: taking away the "# " must change nothing.
+#[test]
+fn the_linmot_sample_tells_the_truth() {
+    let sample = std::fs::read_to_string("rt-config/linmot.toml").unwrap();
+    let is_key = |line: &str| {
+        let key = line.split(" = ").next().unwrap_or_default();
+        line.contains(" = ") && key.chars().all(|c| c.is_ascii_lowercase() || c == '_' || c == '.')
+    };
+    let spelled: String = sample
+        .lines()
+        .map(|line| match line.strip_prefix("# ").filter(|rest| is_key(rest)) {
+            Some(default) => format!("{default}\n"),
+            None => format!("{line}\n"),
+        })
+        .collect();
+    assert!(spelled.lines().filter(|line| is_key(line)).count() > 50);
+    assert_eq!(format!("{:#?}", read(&sample).buses), format!("{:#?}", read(&spelled).buses));
+    assert_eq!(read(&sample).cycle, read(&spelled).cycle);
+    // ... and no key is left out: the reader's own list of them is in the sample.
+    for section in ["cycle", "bus", "drive"] {
+        let error = mistakes(&machine(section, "no_such_key = 1")).concat();
+        let (_, keys) = error.rsplit_once("valid here: ").unwrap();
+        for key in keys.split(", ") {
+            assert!(sample.contains(key), "{key}");
+        }
+    }
+}
+
+#[test]
+fn the_plan_in_words() {
+    let text = r#"
+[cycle]
+period = "2ms"
+guard = "auto"
+[[bus]]
+protocol = "linudp-v2"
+name = "portal"
+bind = "192.168.1.1"
+[[bus.drive]]
+name = "x"
+address = "192.168.1.11"
+limits = { position = [-10, 10.5], velocity = 100 }
+stop = { group = "xy", deceleration = 500 }
+[[bus.drive]]
+name = "y"
+address = "192.168.1.12"
+divisor = 3
+phase = 1
+health.bucket = 4
+stop = { group = "xy", how = "coast" }
+stream = "off"
+no_drive_watchdog = "accept"
+leash = 7.5
+[[bus.drive]]
+name = "z"
+address = "192.168.1.13"
+[[bus.drive]]
+name = "w"
+address = "192.168.1.14"
+"#;
+    let plan = read(text);
+    assert_eq!(describe(&plan).join("\n"), DESCRIPTION.trim());
+    // x: 5 misses, then y's turn within 3 cycles. y: 4 misses every 3 cycles, then x and y in the next.
+    let axes = plan.axes();
+    assert_eq!([0, 1, 2].map(|index| stop_bound_cycles(axes[index], &axes)), [8, 13, 6]);
+}
+
+const DESCRIPTION: &str = r#"
+m.toml: 4 drives, 1 bus
+cycle: every 2 ms (500 Hz), on the last core, SCHED_FIFO 80 and all memory of the process locked if this host grants it
+  wakes with a calibrated final spin, takes replies by poll until 1 ms into the cycle
+  an overrun skips slots and keeps the grid, more than 10 in a row stop all axes
+bus portal: linudp-v2, 4 drives
+  drive x: 192.168.1.1:41136 -> 192.168.1.11:49360
+    streams "pva", a setpoint every 2 ms (the drive takes 400 us ... 10 ms)
+    if the master dies: no watchdog in a LinUDP drive, a move runs to its target, jogs are refused, a stream ends in the drive's own underflow error
+    an exchange every cycle (2 ms)
+    link up after 10 good exchanges in a row, lost after 5 misses in a row: the stop request is on the wire within 8 cycles (16 ms) of the last good one; stop together: x, y
+    stop: ramp at 500 mm/s²; at standstill (below 5 mm/s for 20 exchanges) power off; without it after 3 s power off
+    limits: -10 ... 10.5 mm, 100 mm/s
+  drive y: 192.168.1.1:41136 -> 192.168.1.12:49360
+    no streams (stream = "off")
+    if the master dies: no watchdog in a LinUDP drive, a move runs to its target, a jog runs at most 7.5 mm further
+    an exchange every 3 cycles (6 ms), phase 1
+    link up after 10 good exchanges in a row, lost after 4 misses in a row: the stop request is on the wire within 13 cycles (26 ms) of the last good one; stop together: x, y
+    stop: power off at once
+    limits: only the drive's own
+  drive z: 192.168.1.1:41136 -> 192.168.1.13:49360
+    streams "pva", a setpoint every 2 ms (the drive takes 400 us ... 10 ms)
+    if the master dies: no watchdog in a LinUDP drive, a move runs to its target, jogs are refused, a stream ends in the drive's own underflow error
+    an exchange every cycle (2 ms)
+    link up after 10 good exchanges in a row, lost after 5 misses in a row: the stop request is on the wire within 6 cycles (12 ms) of the last good one
+    stop: ramp at 1000 mm/s²; at standstill (below 5 mm/s for 20 exchanges) power off; without it after 3 s power off
+    limits: only the drive's own
+  drive w: 192.168.1.1:41136 -> 192.168.1.14:49360; else as z
+Fieldbeat is not a safety function: the machine needs its own STO / emergency stop.
+"#;
+
+#[test]
+fn spinning_under_throttling_starves_the_host() {
+    let throttled = Throttling { runtime_us: Some(950_000), period_us: 1_000_000 };
+    let free = Throttling { runtime_us: None, ..throttled };
+    let plan =
+        |guard, wait, receive_deadline| CyclePlan { guard, wait, receive_deadline, ..CyclePlan::default() };
+    let harmless = [
+        plan(Guard::Off, Wait::Spin, 0.5),
+        plan(Guard::Fixed(500 * US), Wait::Poll, 0.5),
+        plan(Guard::Auto, Wait::Spin, 0.25),
+    ];
+    for cycle in &harmless {
+        assert_eq!(starvation(cycle, &throttled), None, "{cycle:?}");
+    }
+    let starving = [
+        plan(Guard::Off, Wait::Spin, 0.6),
+        plan(Guard::Fixed(501 * US), Wait::Poll, 0.4),
+        plan(Guard::Auto, Wait::Spin, 0.5),
+    ];
+    for cycle in &starving {
+        assert!(starvation(cycle, &throttled).is_some(), "{cycle:?}");
+        assert_eq!(starvation(cycle, &free), None);
+        assert_eq!(starvation(&CyclePlan { realtime: Realtime::Off, ..cycle.clone() }, &throttled), None);
+    }
+    assert_eq!(
+        starvation(&starving[2], &throttled).unwrap(),
+        "cycle: guard (250 us) and spinning receive (500 us) would hold the core for 750 us of every 1 ms, and this kernel \
+         takes it away from real-time threads after 950 ms of every 1 s; take wait = \"poll\" or a shorter guard, or on a \
+         core of its own: sysctl kernel.sched_rt_runtime_us=-1"
+    );
+}
+
+/// Whatever stands in the file: a plan that can be put into words, or mistakes of one printable line each.
+fn never_panics(text: &str) {
+    match parse(text, "m.toml") {
+        Ok(plan) => assert!(describe(&plan).len() > 3),
+        Err(errors) => {
+            assert!(errors.iter().count() > 0);
+            for line in errors.iter().map(ToString::to_string) {
+                assert!(!line.contains(char::is_control), "{line:?}");
+            }
+        }
+    }
+}
+
+proptest! {
+    #[test]
+    fn arbitrary_text_never_panics(text in "(?s).{0,200}") {
+        never_panics(&text);
+    }
+
+    #[test]
+    fn arbitrary_toml_never_panics(lines in prop::collection::vec("(\\[{0,2}|[a-z\"_.]{1,8} ?= ?)[\\PC\n]{0,20}\\]{0,2}", 0..20)) {
+        never_panics(&lines.join("\n"));
+    }
+
+    /// A sample with values, keys and headers replaced, so that every reader meets what it does not expect.
+    #[test]
+    fn a_mangled_sample_never_panics(
+        changes in prop::collection::vec(
+            (
+                any::<prop::sample::Index>(),
+                prop::sample::select(vec![
+                    "", "0", "-1", "1e308", "-1e308", "5e-324", "9223372036854775807", "0xffff_ffff", "nan", "inf", "true",
+                    "[]", "[[]]", "[0, 1]", "[-1e300, 1e300]", "{}", "{ extrapolate = 1 }", "{ velocity = 1e300 }",
+                    "\"\"", "\"x\"", "\"1ms\"", "\"18446744073s\"", "\"0.0.0.0\"", "\"127.77.0.1:41136\"", "\"off\"",
+                    "1979-05-27", "\"\"\"\n\u{1b}[2J\"\"\"", "\"\u{202e}\"",
+                ]),
+            ),
+            1..6,
+        )
+    ) {
+        let sample = include_str!("../rt-config/linmot.toml").replace("\n# stop", "\nstop").replace("\n# sim", "\nsim");
+        let mut lines: Vec<String> = sample.lines().map(str::to_owned).collect();
+        for (line, value) in changes {
+            let line = line.index(lines.len());
+            if let Some((key, _)) = lines[line].clone().split_once('=') {
+                lines[line] = format!("{}= {value}", key.trim_start_matches("# "));
+            }
+        }
+        never_panics(&lines.join("\n"));
+    }
+}
