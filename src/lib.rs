@@ -1,9 +1,79 @@
 //! Fieldbeat: a hard-real-time cyclic master for servo drives.
+//!
+//! One thread, SCHED_FIFO and pinned to a core, wakes on an absolute time grid. In every cycle it sends one preallocated
+//! request to every drive that is due, takes in the replies until a deadline, judges them, and publishes feedback.
+//! Application threads talk to it through wait-free queues and never make it wait.
+//!
+//! **It is not a safety function.** A machine needs its own STO / emergency stop.
+//!
+//! # A tour
+//!
+//! - [`Master`] brings a machine up from a file or from a [`Plan`] built in code, and gives out its [`Axis`] handles.
+//! - [`Axis`] is the application's end of one drive: verbs ([`Verb`]) that each end in Done, Failed or Aborted, streamed
+//!   rows ([`Row`]), the newest [`Feedback`], events ([`Event`]).
+//! - An in-loop task ([`Setup::with_task`]) runs inside the cycle: it sees the feedback of cycle k, and what it asks for leaves in
+//!   cycle k + 1.
+//! - [`Setup::simulate`] builds the same machine in virtual time, with simulated drives and seeded faults: hours pass in
+//!   seconds, and the same seed gives the same bytes.
+//! - [`bus`] holds the contract between loop and protocol, and a folder for each protocol.
+//!
+//! # A complete program
+//!
+//! It starts the simulated drives of the sample configuration, so that it runs anywhere. Leave that line out, and it moves
+//! real ones.
+//!
+//! ```no_run
+//! use std::time::Duration;
+//!
+//! use fieldbeat::sim::server::{ServerOptions, SimServer};
+//! use fieldbeat::{Master, Profile};
+//!
+//! fn main() -> Result<(), Box<dyn std::error::Error>> {
+//!     let setup = Master::from_file("rt-config/demo.toml")?;
+//!     let _drives = SimServer::start(setup.plan().simulate(), ServerOptions::default())?;
+//!
+//!     let master = setup.start()?;
+//!     master.wait_online(Duration::from_secs(5))?;
+//!
+//!     let mut x = master.axis("a1")?;
+//!     x.enable()?;
+//!     x.home()?;
+//!     x.move_to(120.0, Profile { velocity: 200.0, ..x.profile() })?;
+//!     let feedback = x.feedback();
+//!     println!("{:.3} mm, {} cycles old", feedback.position, feedback.age);
+//!     x.disable()?;
+//!
+//!     let run = master.finish();
+//!     let status = run.end.status;
+//!     println!("{} cycles executed, {} skipped", status.executed, status.skipped);
+//!     Ok(())
+//! }
+//! ```
+//!
+//! # The house
+//!
+//! Arrows point down only: `cli` -> [`config`], [`telemetry`], [`master`] -> [`cycle`] -> [`axis`], [`rt`], [`bus`] (the trait);
+//! `bus/x` -> [`axis`], [`net`]; a `wire` module knows nothing at all.
 
 pub mod axis;
 pub mod bus;
+pub mod config;
 pub mod cycle;
+pub mod master;
 pub mod net;
 pub mod rt;
 pub mod sim;
+pub mod simulation;
+pub mod telemetry;
 pub mod time;
+
+pub use axis::{Axis, Event, EventKind, Feedback, Profile, Row, Verb};
+pub use cycle::Plan;
+pub use master::{Master, Setup};
+pub use simulation::Simulation;
+pub use time::Time;
+
+/// The README's program compiles, or the doctests fail.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

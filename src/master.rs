@@ -1,0 +1,396 @@
+//! A machine: the checked plan, the open buses, the loop's thread and the application's handles, put together.
+
+use std::path::Path;
+use std::sync::mpsc;
+use std::sync::{Mutex, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use thiserror::Error;
+
+use crate::axis::cell::{self, Reader};
+use crate::axis::{Axis, AxisEnds, Feedback, Link, Observer};
+use crate::bus::{Cycle, OpenError};
+use crate::config::{self, ConfigErrors};
+use crate::cycle::engine::{Control, Engine, Outlets};
+use crate::cycle::record::Record;
+use crate::cycle::seat::{Queues, Seat};
+use crate::cycle::status::{RunEnd, Status};
+use crate::cycle::task::{Axes, Task};
+use crate::cycle::window::BusSeat;
+use crate::cycle::{CyclePlan, Plan};
+use crate::net::{Carriers, Os};
+use crate::rt::{
+    self, Clock, Granted, Memory, MonotonicClock, Realtime, RealtimeError, RealtimePlan, Regions, Usage,
+};
+use crate::telemetry::{Histograms, Recorder, Run};
+
+/// A machine that has not started yet.
+pub struct Setup {
+    plan: Plan,
+    task: Option<Task>,
+}
+
+impl std::fmt::Debug for Setup {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Setup").field("plan", &self.plan).field("task", &self.task.is_some()).finish()
+    }
+}
+
+/// A running machine. Dropping it stops all axes, powers them off and ends the loop.
+#[derive(Debug)]
+pub struct Master {
+    plan: Plan,
+    axes: Mutex<Vec<Option<Axis>>>,
+    observers: Vec<(String, Observer)>,
+    status: Reader<Status>,
+    control: Control,
+    granted: Granted,
+    recorder: Option<Recorder>,
+    thread: Option<JoinHandle<RunEnd>>,
+}
+
+/// Why a machine did not start. Nothing was sent. The message ends with the remedy.
+#[derive(Debug, Error)]
+pub enum StartError {
+    /// A bus could not be opened.
+    #[error(transparent)]
+    Open(#[from] OpenError),
+    /// Real-time scheduling was required and is not to be had.
+    #[error(transparent)]
+    Realtime(#[from] RealtimeError),
+    /// The cycle would hold its core until the kernel takes it away.
+    #[error("{0}")]
+    Starving(String),
+    /// A thread could not be started.
+    #[error("cannot start a thread: {0}; look at the limits of processes and memory (ulimit -u, ulimit -v)")]
+    Thread(std::io::Error),
+    /// The loop's thread ended before it began.
+    #[error("the loop's thread ended at its start; its own message stands above")]
+    Ended,
+}
+
+/// Why the application got no axis, or not in time.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum MasterError {
+    /// No such axis.
+    #[error("there is no axis {name}; there are {known}")]
+    NoAxis {
+        /// What was asked for.
+        name: String,
+        /// What there is.
+        known: String,
+    },
+    /// The axis was taken already.
+    #[error("axis {0} was taken already: an axis has one owner; observers are for everybody else")]
+    Taken(String),
+    /// Not all axes came online.
+    #[error("not online after {waited:?}: {missing}; look at their power, cables and addresses")]
+    NotOnline {
+        /// How long was waited.
+        waited: Duration,
+        /// Who is missing.
+        missing: String,
+    },
+    /// The end was asked for meanwhile.
+    #[error("the master has ended: start it again")]
+    Ended,
+}
+
+/// Ends the machine from another thread, or from a signal's handler thread.
+#[derive(Clone, Debug)]
+pub struct StopHandle(Control);
+
+impl StopHandle {
+    /// Asks for the orderly end: all axes ramp down and are powered off. Asked again, the waits are shortened.
+    pub fn stop(&self) {
+        self.0.stop();
+    }
+}
+
+/// An engine, the axes it moves, and the rest of what hangs on it.
+#[derive(Debug)]
+pub struct Assembly<C> {
+    /// The loop: [`begin`](Engine::begin), then [`step`](Engine::step).
+    pub engine: Engine<C>,
+    /// The application's ends, in the order of the plan.
+    pub axes: Vec<Axis>,
+    /// The numbers of the loop, newest.
+    pub status: Reader<Status>,
+    /// What the loop tells the telemetry; to be emptied by whoever steps the engine, or records are lost.
+    pub records: rtrb::Consumer<Record>,
+    /// Memory that the loop touches, for [`rt::thread::enter`].
+    pub regions: Regions,
+}
+
+/// Opens the buses of `plan` over `carriers` and builds the loop, for whoever steps it by hand on a thread, clock and
+/// carriers of their own: virtual time and the benches. Sends nothing.
+pub fn assemble<C: Clock>(
+    plan: &Plan,
+    clock: C,
+    carriers: &dyn Carriers,
+    task: Option<Task>,
+    control: Control,
+) -> Result<Assembly<C>, OpenError> {
+    let period_ns = plan.cycle.period_ns;
+    let mut regions = Regions::default();
+    let (mut buses, mut seats, mut axes, mut names) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    for bus_plan in &plan.buses {
+        let mut bus = bus_plan.open(period_ns, carriers)?;
+        let first = seats.len();
+        for (index, axis) in bus_plan.axes().into_iter().enumerate() {
+            let (command_in, command_out) = rt::ring(axis.command_queue, &mut regions);
+            let (row_in, row_out) = rt::ring(axis.stream_queue, &mut regions);
+            let (event_in, event_out) = rt::ring(axis.event_queue, &mut regions);
+            let (writer, reader) = cell::cell(Feedback::default());
+            let (sample_in, sample_out) = match axis.sample_queue {
+                0 => (None, None),
+                depth => {
+                    let (producer, consumer) = rt::ring(depth, &mut regions);
+                    (Some(producer), Some(consumer))
+                }
+            };
+            let queues = Queues {
+                commands: command_out,
+                rows: row_out,
+                events: event_in,
+                feedback: writer,
+                samples: sample_in,
+            };
+            // First probes are spread over a few cycles: so many at once would be a burst that no cycle has later.
+            let first_probe = (seats.len() / PROBES_A_CYCLE) as u64;
+            seats.push(Seat::new(axis.clone(), queues, period_ns, first_probe));
+            names.push((axis.name.clone(), bus_plan.protocol()));
+            axes.push(Axis::new(
+                axis.clone(),
+                AxisEnds {
+                    commands: command_in,
+                    rows: row_in,
+                    events: event_out,
+                    feedback: reader,
+                    samples: sample_out,
+                    native: bus.native(index),
+                },
+            ));
+        }
+        buses.push(BusSeat { bus, first, end: seats.len() });
+    }
+    let (record_in, records) = rt::ring(Recorder::ring_size(seats.len(), period_ns), &mut regions);
+    let (status_in, status) = cell::cell(Status::default());
+    let outlets = Outlets { records: record_in, status: status_in };
+    let engine = Engine::new(clock, plan.cycle.clone(), buses, seats, names, task, control, outlets);
+    engine.memory(&mut regions);
+    Ok(Assembly { engine, axes, status, records, regions })
+}
+
+/// How many drives are probed for the first time in one cycle.
+const PROBES_A_CYCLE: usize = 16;
+
+/// Stack that the loop is given; the part that it uses is touched before the first cycle.
+const STACK_BYTES: usize = 1024 * 1024;
+
+impl Master {
+    /// Reads and checks a configuration.
+    pub fn from_file(path: impl AsRef<Path>) -> Result<Setup, ConfigErrors> {
+        Ok(Master::from_plan(config::load(path.as_ref())?))
+    }
+
+    /// A machine from a plan built in code.
+    pub fn from_plan(plan: Plan) -> Setup {
+        Setup { plan, task: None }
+    }
+
+    /// The plan it runs.
+    pub fn plan(&self) -> &Plan {
+        &self.plan
+    }
+
+    /// What the operating system granted.
+    pub fn granted(&self) -> &Granted {
+        &self.granted
+    }
+
+    /// Takes an axis; once, because an axis has one producer of commands.
+    pub fn axis(&self, name: &str) -> Result<Axis, MasterError> {
+        let mut axes = self.axes.lock().unwrap_or_else(PoisonError::into_inner);
+        let Some(index) = self.observers.iter().position(|(known, _)| known == name) else {
+            let known: Vec<&str> = self.observers.iter().map(|(name, _)| name.as_str()).collect();
+            return Err(MasterError::NoAxis { name: name.to_owned(), known: known.join(", ") });
+        };
+        axes[index].take().ok_or_else(|| MasterError::Taken(name.to_owned()))
+    }
+
+    /// Readers of all axes' newest feedback, in the order of the plan.
+    pub fn observers(&self) -> &[(String, Observer)] {
+        &self.observers
+    }
+
+    /// The numbers of the loop, newest.
+    pub fn status(&self) -> Status {
+        self.status.read()
+    }
+
+    /// Looks at what the telemetry measured so far. The telemetry waits meanwhile, the loop does not.
+    pub fn measured<R>(&self, look: impl FnOnce(&Histograms) -> R) -> Option<R> {
+        self.recorder.as_ref().map(|recorder| look(&recorder.read()))
+    }
+
+    /// Waits until every axis is online.
+    pub fn wait_online(&self, limit: Duration) -> Result<(), MasterError> {
+        let begun = Instant::now();
+        loop {
+            let missing: Vec<&str> = (self.observers.iter())
+                .filter(|(_, observer)| observer.feedback().link != Link::Online)
+                .map(|(name, _)| name.as_str())
+                .collect();
+            if missing.is_empty() {
+                return Ok(());
+            }
+            if !self.is_running() {
+                return Err(MasterError::Ended);
+            }
+            if begun.elapsed() > limit {
+                return Err(MasterError::NotOnline { waited: limit, missing: missing.join(", ") });
+            }
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    }
+
+    /// Asks for the orderly end if nobody has: asking again would shorten the waits.
+    fn end(&self) {
+        if !self.control.is_stopping() {
+            self.control.stop();
+        }
+    }
+
+    /// A handle that ends the machine from elsewhere.
+    pub fn stop_handle(&self) -> StopHandle {
+        StopHandle(self.control.clone())
+    }
+
+    /// Whether the loop still runs.
+    pub fn is_running(&self) -> bool {
+        self.thread.as_ref().is_some_and(|thread| !thread.is_finished())
+    }
+
+    /// Stops all axes, powers them off, ends the loop and tells what was measured.
+    ///
+    /// # Panics
+    ///
+    /// If the loop's thread panicked, with its panic.
+    pub fn finish(mut self) -> Run {
+        self.end();
+        let end = match self.thread.take().map(JoinHandle::join) {
+            Some(Ok(end)) => end,
+            Some(Err(panic)) => std::panic::resume_unwind(panic),
+            None => RunEnd::default(),
+        };
+        let histograms = match self.recorder.take() {
+            Some(recorder) => recorder.finish(),
+            None => Histograms::new(0),
+        };
+        let granted = self.granted.clone();
+        let plan = std::mem::replace(
+            &mut self.plan,
+            Plan { source: None, cycle: CyclePlan::default(), buses: Vec::new() },
+        );
+        Run { end, histograms, granted, plan }
+    }
+}
+
+impl Drop for Master {
+    fn drop(&mut self) {
+        if let Some(thread) = self.thread.take() {
+            self.end();
+            let _ = thread.join();
+        }
+    }
+}
+
+impl Setup {
+    /// The plan, to look at.
+    pub fn plan(&self) -> &Plan {
+        &self.plan
+    }
+
+    /// The application's code inside the cycle.
+    pub fn with_task(mut self, task: impl FnMut(&Cycle, &mut Axes<'_>) + Send + 'static) -> Setup {
+        self.task = Some(Box::new(task));
+        self
+    }
+
+    /// The plan and the task, for the virtual twin.
+    pub(crate) fn into_parts(self) -> (Plan, Option<Task>) {
+        (self.plan, self.task)
+    }
+
+    /// Opens the buses and starts the loop. Until it returns, nothing has been sent but the first probes.
+    pub fn start(self) -> Result<Master, StartError> {
+        let (plan, task) = self.into_parts();
+        let realtime = RealtimePlan {
+            realtime: plan.cycle.realtime,
+            memory: plan.cycle.memory,
+            priority: plan.cycle.priority,
+            core: plan.cycle.core,
+        };
+        let throttling = rt::host::rt_throttling();
+        if let Some(why) = throttling.and_then(|throttling| config::starvation(&plan.cycle, &throttling)) {
+            return Err(StartError::Starving(why));
+        }
+        if plan.cycle.realtime != Realtime::Off && plan.cycle.memory == Memory::Process {
+            rt::memory::prepare_heap();
+        }
+        let control = Control::default();
+        let Assembly { mut engine, axes, status, records, regions } =
+            assemble(&plan, MonotonicClock, &Os, task, control.clone())?;
+        let observers: Vec<_> = axes.iter().map(|axis| (axis.name().to_owned(), axis.observer())).collect();
+
+        let (tell, told) = mpsc::channel();
+        let thread = std::thread::Builder::new()
+            .name("fb-loop".into())
+            .stack_size(STACK_BYTES)
+            .spawn(move || {
+                let entered = rt::thread::enter(&realtime, &regions);
+                let go = entered.is_ok();
+                let _ = tell.send(entered);
+                if !go {
+                    return engine.finish();
+                }
+                engine.begin();
+                let before = Usage::of_thread();
+                while engine.step() == crate::cycle::engine::Flow::Continue {}
+                let used = Usage::of_thread().since(before);
+                let mut end = engine.finish();
+                end.page_faults = Some(used.page_faults());
+                end.involuntary_switches = Some(used.involuntary_switches);
+                end
+            })
+            .map_err(StartError::Thread)?;
+        let granted = match told.recv() {
+            Ok(Ok(granted)) => granted,
+            Ok(Err(error)) => {
+                let _ = thread.join();
+                return Err(error.into());
+            }
+            Err(_) => return Err(StartError::Ended),
+        };
+        let core = granted.core;
+        let recorder = Recorder::start(records, axes.len(), plan.cycle.period_ns, move || {
+            rt::thread::helper_thread(core)
+        })
+        .map_err(StartError::Thread);
+        let mut master = Master {
+            axes: Mutex::new(axes.into_iter().map(Some).collect()),
+            observers,
+            status,
+            control,
+            granted,
+            recorder: None,
+            thread: Some(thread),
+            plan,
+        };
+        // If it cannot start, dropping the master ends the loop in order.
+        master.recorder = Some(recorder?);
+        Ok(master)
+    }
+}

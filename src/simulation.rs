@@ -1,0 +1,172 @@
+//! The whole machine in virtual time: the same loop, buses and stations as on the real clock, with simulated drives on a
+//! network in memory. Hours pass in seconds, and the same seed gives the same bytes.
+//!
+//! For an application it is the place to test its own motion logic: post commands, let cycles pass, look at events. The
+//! blocking conveniences of [`Axis`] would wait for ever, since time passes only here.
+//!
+//! ```
+//! use fieldbeat::axis::{Link, Outcome, Verb};
+//! use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan};
+//! use fieldbeat::cycle::{CyclePlan, Plan};
+//! use fieldbeat::sim::world::WorldOptions;
+//! use fieldbeat::Master;
+//!
+//! // A plan built in code: one drive on one bus, 1 kHz.
+//! let drive = LinUdpDrive::new("x", [192, 168, 1, 10].into());
+//! let bus = LinUdpPlan::new([192, 168, 1, 1].into(), vec![drive]);
+//! let plan = Plan { source: None, cycle: CyclePlan::default(), buses: vec![Box::new(bus)] };
+//!
+//! let mut machine = Master::from_plan(plan).simulate(WorldOptions::default())?;
+//! assert!(machine.run_until(100, |machine| machine.feedback(0).link == Link::Online));
+//! assert_eq!(machine.run_verb(0, Verb::Enable, 1_000)?, Some(Outcome::Done));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+use rtrb::Consumer;
+
+use crate::axis::{Axis, Event, EventKind, Feedback, Observer, Outcome, Verb};
+use crate::axis::{AxisError, CommandId};
+use crate::bus::OpenError;
+use crate::cycle::engine::{Control, Engine, Flow};
+use crate::cycle::record::Record;
+use crate::cycle::status::{RunEnd, Status};
+use crate::master::{Assembly, Setup, assemble};
+use crate::sim::world::{World, WorldClock, WorldOptions};
+use crate::telemetry::Histograms;
+
+/// A machine in virtual time.
+#[derive(Debug)]
+pub struct Simulation {
+    world: World,
+    engine: Engine<WorldClock>,
+    axes: Vec<Axis>,
+    observers: Vec<Observer>,
+    control: Control,
+    records: Consumer<Record>,
+    histograms: Histograms,
+    period_ns: u64,
+    /// Events seen by [`run_verb`](Simulation::run_verb) while it waited for another one.
+    pub events: Vec<(usize, Event)>,
+}
+
+/// Why a simulation could not be built.
+#[derive(Debug, thiserror::Error)]
+pub enum SimulateError {
+    /// A bus could not be opened.
+    #[error(transparent)]
+    Open(#[from] OpenError),
+    /// The drives do not fit into one network.
+    #[error("cannot simulate the drives: {0}")]
+    World(#[from] std::io::Error),
+}
+
+impl Setup {
+    /// Builds the machine in virtual time, with all its drives simulated as their plans say.
+    pub fn simulate(self, options: WorldOptions) -> Result<Simulation, SimulateError> {
+        let drives = self.plan().simulate();
+        let world = World::new(drives, options)?;
+        let (plan, task) = self.into_parts();
+        let control = Control::default();
+        let Assembly { mut engine, axes, records, .. } =
+            assemble(&plan, world.clock(), &world, task, control.clone())?;
+        engine.begin();
+        Ok(Simulation {
+            world,
+            engine,
+            observers: axes.iter().map(Axis::observer).collect(),
+            histograms: Histograms::new(axes.len()),
+            axes,
+            control,
+            records,
+            period_ns: plan.cycle.period_ns,
+            events: Vec::new(),
+        })
+    }
+}
+
+impl Simulation {
+    /// The world, to pull plugs and inject faults.
+    pub fn world(&self) -> &World {
+        &self.world
+    }
+
+    /// Axis `index`, in the order of the plan.
+    pub fn axis(&mut self, index: usize) -> &mut Axis {
+        &mut self.axes[index]
+    }
+
+    /// The newest feedback of axis `index`.
+    pub fn feedback(&self, index: usize) -> Feedback {
+        self.observers[index].feedback()
+    }
+
+    /// The numbers of the loop so far.
+    pub fn status(&self) -> &Status {
+        self.engine.status()
+    }
+
+    /// What the telemetry has measured so far.
+    pub fn histograms(&self) -> &Histograms {
+        &self.histograms
+    }
+
+    /// One turn of the loop: one executed cycle, or slots passed over.
+    pub fn step(&mut self) -> Flow {
+        let flow = self.engine.step();
+        while let Ok(record) = self.records.pop() {
+            self.histograms.enter(record, self.period_ns);
+        }
+        flow
+    }
+
+    /// So many turns.
+    pub fn run(&mut self, turns: u64) {
+        for _ in 0..turns {
+            self.step();
+        }
+    }
+
+    /// Turns until `done` holds, at most `most`. Says whether it came to hold.
+    pub fn run_until(&mut self, most: u64, mut done: impl FnMut(&Simulation) -> bool) -> bool {
+        for _ in 0..most {
+            if done(self) {
+                return true;
+            }
+            self.step();
+        }
+        done(self)
+    }
+
+    /// Posts `verb` to axis `index` and lets the loop turn until it has ended, at most `most` turns. `None`: it has not
+    /// ended. Other events are appended to [`events`](Simulation::events).
+    pub fn run_verb(&mut self, index: usize, verb: Verb, most: u64) -> Result<Option<Outcome>, AxisError> {
+        let id = self.axes[index].post(verb)?;
+        Ok(self.run_command(index, id, most))
+    }
+
+    /// Lets the loop turn until command `id` of axis `index` has ended, at most `most` turns.
+    pub fn run_command(&mut self, index: usize, id: CommandId, most: u64) -> Option<Outcome> {
+        for _ in 0..most {
+            self.step();
+            while let Some(event) = self.axes[index].event() {
+                if let EventKind::Ended { id: ended, outcome, .. } = event.kind
+                    && ended == id
+                {
+                    return Some(outcome);
+                }
+                self.events.push((index, event));
+            }
+        }
+        None
+    }
+
+    /// Asks for the orderly end.
+    pub fn stop(&self) {
+        self.control.stop();
+    }
+
+    /// The exact numbers of the run.
+    pub fn finish(self) -> RunEnd {
+        self.engine.finish()
+    }
+}
