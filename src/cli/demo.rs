@@ -1,0 +1,212 @@
+//! `fieldbeat demo`: master and simulated drives in one process. The axes are homed, follow a travelling wave as streamed
+//! setpoints, make one profile move each, stop and are powered off.
+
+use std::f64::consts::TAU;
+use std::time::{Duration, Instant};
+
+use clap::Args;
+use fieldbeat::axis::{Abort, Axis, AxisError, CommandId, Move, Outcome, Row, StopCause, Target, Verb};
+use fieldbeat::config::demo_plan;
+use fieldbeat::master::Master;
+use fieldbeat::sim::server::SimServer;
+use fieldbeat::time::{S, nanos};
+
+use super::interrupt::Interrupt;
+use super::live::Live;
+use super::run::{finish, not_whole, start};
+use super::sim::serving;
+use super::{Stop, span};
+
+/// Amplitude of the wave, mm.
+const AMPLITUDE: f64 = 40.0;
+/// Where the wave swings around, mm.
+const CENTRE: f64 = 200.0;
+/// Time of one swing, s.
+const SWING_S: f64 = 2.0;
+/// The wave grows and dies away within this time, s.
+const FADE_S: f64 = 1.0;
+/// Axes on one wave length.
+const WAVE_LENGTH: f64 = 8.0;
+/// How deep the streams are queued, s.
+const DEPTH_S: f64 = 0.25;
+
+/// Arguments of `demo`.
+#[derive(Debug, Args)]
+pub struct Demo {
+    /// Length of the travelling wave.
+    #[arg(long = "for", value_name = "TIME", value_parser = span, default_value = "10s")]
+    duration: Duration,
+    /// How many drives.
+    #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u16).range(1..=128))]
+    drives: u16,
+    /// The period of the cycle.
+    #[arg(long, value_name = "TIME", value_parser = span, default_value = "1ms")]
+    period: Duration,
+    /// Print the summary as one JSON object.
+    #[arg(long)]
+    json: bool,
+}
+
+/// The master, its axes and what is shown of them meanwhile.
+struct Show {
+    master: Master,
+    axes: Vec<Axis>,
+    live: Live,
+    /// Time between two rows, s.
+    row_s: f64,
+}
+
+impl Demo {
+    /// Runs it.
+    pub fn run(self) -> Result<(), Stop> {
+        let plan = demo_plan(usize::from(self.drives), nanos(self.period)).map_err(Stop::usage)?;
+        let interrupt = Interrupt::catch().map_err(Stop::failed)?;
+        let drives = plan.simulate();
+        let divisor = plan.axes().first().map_or(1, |axis| axis.divisor);
+        let row_s = plan.cycle.period_ns as f64 * f64::from(divisor) / S as f64;
+        let server = SimServer::start(drives, serving(&plan, None))
+            .map_err(|error| Stop::usage(format!("cannot simulate the drives: {error}")))?;
+        let (master, steal) = start(Master::from_plan(plan), &interrupt)?;
+
+        let names: Vec<String> = master.observers().iter().map(|(name, _)| name.clone()).collect();
+        let axes =
+            names.iter().map(|name| master.axis(name)).collect::<Result<_, _>>().map_err(Stop::failed)?;
+        let mut show = Show { master, axes, live: Live::new(), row_s };
+        let result = show.play(self.duration);
+        show.live.end();
+        let summary = finish(show.master, steal, self.json)?;
+        server.stop();
+        match result {
+            _ if summary.has_failed() => Err(not_whole(&summary)),
+            Ok(()) if interrupt.is_set() || summary.is_whole() => Ok(()),
+            Ok(()) => Err(not_whole(&summary)),
+            Err(error) if interrupt.is_set() && was_stopped(&error) => Ok(()),
+            Err(error) => Err(Stop::failed(error)),
+        }
+    }
+}
+
+/// Whether the command ended because somebody asked for the end.
+fn was_stopped(error: &Error) -> bool {
+    match error {
+        Error::Axis(AxisError::Ended {
+            outcome: Outcome::Aborted(Abort::Stopped(StopCause::Shutdown)),
+            ..
+        })
+        | Error::Axis(AxisError::Refused { .. } | AxisError::Gone { .. }) => true,
+        // The latch of the shutdown answers whatever came after it.
+        Error::Axis(AxisError::Ended { outcome: Outcome::Failed(_), .. }) => true,
+        Error::Axis(AxisError::Full { .. } | AxisError::TimedOut { .. } | AxisError::Ended { .. }) => false,
+        Error::Master(_) => true,
+    }
+}
+
+/// What can go wrong in the show.
+#[derive(Debug, thiserror::Error)]
+enum Error {
+    #[error(transparent)]
+    Axis(#[from] AxisError),
+    #[error(transparent)]
+    Master(#[from] fieldbeat::master::MasterError),
+}
+
+impl Show {
+    fn play(&mut self, duration: Duration) -> Result<(), Error> {
+        self.master.wait_online(Duration::from_secs(5))?;
+        self.together("enable", |_| Verb::Enable)?;
+        self.together("home", |_| Verb::Home)?;
+        self.together("to the start", |axis| to(CENTRE, axis))?;
+        self.wave(duration)?;
+        self.together("profile move", |axis| to(CENTRE - AMPLITUDE, axis))?;
+        self.together("stop", |_| Verb::Stop { deceleration: None })?;
+        self.together("disable", |_| Verb::Disable)
+    }
+
+    /// One verb for all axes at once, and the wait for the last of them.
+    fn together(&mut self, what: &'static str, verb: impl Fn(&Axis) -> Verb) -> Result<(), Error> {
+        let ids: Vec<CommandId> =
+            self.axes.iter_mut().map(|axis| axis.post(verb(axis))).collect::<Result<_, _>>()?;
+        self.wait_all(what, &ids)
+    }
+
+    fn wait_all(&mut self, what: &'static str, ids: &[CommandId]) -> Result<(), Error> {
+        let begun = Instant::now();
+        for (axis, id) in self.axes.iter_mut().zip(ids) {
+            let limit = axis.plan().home_timeout;
+            loop {
+                match axis.wait(*id, what, Duration::from_millis(50)) {
+                    Err(AxisError::TimedOut { .. }) if begun.elapsed() < limit => {
+                        self.live.show(&self.master, what);
+                    }
+                    ended => break ended?,
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// The travelling wave, streamed row by row, a quarter of a second deep.
+    fn wave(&mut self, duration: Duration) -> Result<(), Error> {
+        let length_s = duration.as_secs_f64().max(2.0 * FADE_S);
+        let rows = (length_s / self.row_s).round() as u64;
+        let depth = ((DEPTH_S / self.row_s) as usize).max(16);
+        let mut queued = vec![0_u64; self.axes.len()];
+        let mut ids = Vec::new();
+        while queued.iter().any(|queued| *queued < rows) {
+            for (place, (axis, next)) in self.axes.iter_mut().zip(&mut queued).enumerate() {
+                let waiting = axis.plan().stream_queue - axis.stream_room();
+                for _ in waiting..depth.min(axis.plan().stream_queue) {
+                    if *next == rows {
+                        break;
+                    }
+                    axis.push_row(row(*next, rows, self.row_s, place))?;
+                    *next += 1;
+                }
+            }
+            if ids.is_empty() {
+                ids = self.axes.iter_mut().map(Axis::follow).collect::<Result<_, _>>()?;
+            }
+            self.live.show(&self.master, "wave");
+            // A stopped axis takes no more rows; how its command ended says why.
+            if self.axes.iter().any(|axis| axis.feedback().stopped.is_some()) {
+                break;
+            }
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        self.wait_all("wave", &ids)
+    }
+}
+
+fn to(position: f64, axis: &Axis) -> Verb {
+    Verb::Move(Move { target: Target::Absolute(position), profile: axis.profile() })
+}
+
+/// Row `index` of `rows` of the axis at `place`: a sine whose amplitude grows from 0 and dies away to 0, so that the wave
+/// begins and ends at standstill.
+fn row(index: u64, rows: u64, period_s: f64, place: usize) -> Row {
+    let t = index as f64 * period_s;
+    let end = (rows - 1) as f64 * period_s;
+    let (fade, fade_v, fade_a) = fade(t, end);
+    let w = TAU / SWING_S;
+    let (sin, cos) = (w * t - TAU * place as f64 / WAVE_LENGTH).sin_cos();
+    Row {
+        position: CENTRE + AMPLITUDE * fade * sin,
+        velocity: AMPLITUDE * (fade_v * sin + fade * w * cos),
+        acceleration: AMPLITUDE * (fade_a * sin + 2.0 * fade_v * w * cos - fade * w * w * sin),
+        last: index + 1 == rows,
+    }
+}
+
+/// A smooth step up within [`FADE_S`] from the begin and down before the end, with its first and second derivative.
+fn fade(t: f64, end: f64) -> (f64, f64, f64) {
+    let (x, sign) = if t < end / 2.0 { (t / FADE_S, 1.0) } else { ((end - t) / FADE_S, -1.0) };
+    if x >= 1.0 {
+        return (1.0, 0.0, 0.0);
+    }
+    let x = x.max(0.0);
+    // 6x^5 - 15x^4 + 10x^3: position, velocity and acceleration are 0 at both ends.
+    let value = x * x * x * (10.0 + x * (6.0 * x - 15.0));
+    let slope = 30.0 * x * x * (1.0 - x) * (1.0 - x) / FADE_S;
+    let bend = 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / (FADE_S * FADE_S);
+    (value, sign * slope, bend)
+}

@@ -1,0 +1,136 @@
+//! The command line: one file a command, no logic that a user of the library would want. Signals are handled here.
+//!
+//! Exit codes: 0 done, 1 the run failed or a drive was lost, 2 bad arguments or configuration.
+
+mod check;
+mod demo;
+mod interrupt;
+mod live;
+mod run;
+mod sim;
+
+use std::io::Write;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::Duration;
+
+use clap::error::ErrorKind;
+use clap::{Parser, Subcommand};
+
+/// A hard-real-time cyclic master for servo drives.
+///
+/// Not a safety function: a machine needs its own STO / emergency stop.
+#[derive(Debug, Parser)]
+#[command(version, about, max_term_width = 100)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Master and simulated drives in one process: homes the axes and moves them in a travelling wave.
+    Demo(demo::Demo),
+    /// The drives of CONFIG, simulated, in this process.
+    Sim(sim::Sim),
+    /// The master of CONFIG: brings the drives online and exchanges with them every cycle.
+    Run(run::Run),
+    /// The plan of CONFIG in words; refuses what cannot work, with the reason.
+    Check(check::Check),
+}
+
+/// Why a command ended otherwise than well: what to print, and the exit code.
+#[derive(Debug)]
+struct Stop {
+    code: u8,
+    message: String,
+}
+
+impl Stop {
+    /// Bad arguments or configuration: nothing was sent.
+    fn usage(message: impl ToString) -> Stop {
+        Stop { code: 2, message: message.to_string() }
+    }
+
+    /// The run failed.
+    fn failed(message: impl ToString) -> Stop {
+        Stop { code: 1, message: message.to_string() }
+    }
+}
+
+/// Parses the arguments and runs the command.
+pub fn main() -> ExitCode {
+    let result = arguments().and_then(|arguments| match arguments.command {
+        Command::Demo(demo) => demo.run(),
+        Command::Sim(sim) => sim.run(),
+        Command::Run(run) => run.run(),
+        Command::Check(check) => check.run(),
+    });
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(stop) => {
+            stop.message.lines().for_each(complain);
+            ExitCode::from(stop.code)
+        }
+    }
+}
+
+/// The arguments; a mistake in them is one line, like every other. Help is printed and ends the program.
+fn arguments() -> Result<Arguments, Stop> {
+    Arguments::try_parse().map_err(|error| {
+        if !matches!(
+            error.kind(),
+            ErrorKind::DisplayHelp
+                | ErrorKind::DisplayVersion
+                | ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand
+        ) {
+            return Stop::usage(one_line(&error.render().to_string()));
+        }
+        error.exit()
+    })
+}
+
+/// clap's message up to its usage, whose command then is the one to ask for help.
+fn one_line(message: &str) -> String {
+    let (what, usage) = message.split_once("Usage:").unwrap_or((message, ""));
+    let what = what.split("For more information").next().unwrap_or_default();
+    let mut line = String::new();
+    for part in what.lines().map(str::trim).filter(|part| !part.is_empty()) {
+        let between = match line.as_bytes().last() {
+            None => "",
+            Some(b':') => " ",
+            Some(_) => "; ",
+        };
+        line = line + between + part.trim_start_matches("error: ").trim_start_matches("tip: ");
+    }
+    let words = usage.split_whitespace().take_while(|word| !word.starts_with(['[', '<', '-']));
+    let command = words.fold(String::new(), |command, word| command + word + " ");
+    format!("{line}; see `{}--help`", if command.is_empty() { "fieldbeat " } else { &command })
+}
+
+/// Prints to standard output. A reader that has gone away (`| head`) is no error; a full disk is, since what was asked
+/// for is lost.
+fn print(text: impl std::fmt::Display) -> Result<(), Stop> {
+    let mut out = std::io::stdout().lock();
+    match writeln!(out, "{text}").and_then(|()| out.flush()) {
+        Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => {
+            Err(Stop::failed(format!("cannot write to standard output: {error}; look at where it leads")))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// A line of its own on standard error. `eprintln!` would panic where nobody reads it.
+fn complain(line: &str) {
+    let _ = writeln!(std::io::stderr().lock(), "fieldbeat: {line}");
+}
+
+/// A configuration file, or the reasons why it is none.
+fn load(path: &PathBuf) -> Result<fieldbeat::cycle::Plan, Stop> {
+    fieldbeat::config::load(path).map_err(Stop::usage)
+}
+
+/// A span on the command line: a number and its unit, as in the configuration.
+fn span(text: &str) -> Result<Duration, String> {
+    fieldbeat::config::duration(text).map_err(|why| why.to_string())
+}

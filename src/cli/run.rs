@@ -1,0 +1,104 @@
+//! `fieldbeat run`: the master of a configuration.
+
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use clap::Args;
+use fieldbeat::master::{Master, Setup};
+use fieldbeat::rt::host;
+use fieldbeat::rt::thread::helper_thread;
+use fieldbeat::telemetry::summary::{Drive, Summary};
+
+use super::interrupt::{Interrupt, LOOK_EVERY};
+use super::live::{LinkWatch, Live};
+use super::{Stop, complain, load, print, span};
+
+/// Arguments of `run`.
+#[derive(Debug, Args)]
+pub struct Run {
+    /// The configuration.
+    config: PathBuf,
+    /// End after this time; without it, at Ctrl-C.
+    #[arg(long = "for", value_name = "TIME", value_parser = span)]
+    duration: Option<Duration>,
+    /// Print the summary as one JSON object.
+    #[arg(long)]
+    json: bool,
+}
+
+impl Run {
+    /// Runs it.
+    pub fn run(self) -> Result<(), Stop> {
+        let setup = Master::from_plan(load(&self.config)?);
+        let interrupt = Interrupt::catch().map_err(Stop::failed)?;
+        let (master, steal) = start(setup, &interrupt)?;
+        let mut live = Live::new();
+        let mut links = LinkWatch::new(master.observers());
+        let begun = Instant::now();
+        while master.is_running() && self.duration.is_none_or(|duration| begun.elapsed() < duration) {
+            live.show(&master, "run");
+            links.look(&master, &mut live);
+            std::thread::sleep(LOOK_EVERY);
+        }
+        live.end();
+        let summary = finish(master, steal, self.json)?;
+        // Asked to end before the drives were there, it is not the run that failed.
+        let whole = summary.is_whole() || (interrupt.is_set() && !summary.has_failed());
+        if whole { Ok(()) } else { Err(not_whole(&summary)) }
+    }
+}
+
+/// Starts the machine; a signal from here on stops it in order.
+pub fn start(setup: Setup, interrupt: &Interrupt) -> Result<(Master, Option<u64>), Stop> {
+    let master = setup.start().map_err(Stop::usage)?;
+    // This thread, and those it starts from here on, wake often enough to be felt on the loop's core.
+    helper_thread(master.granted().core);
+    interrupt.stops(master.stop_handle()).map_err(Stop::failed)?;
+    for line in &master.granted().missing {
+        complain(&format!("not real-time: {line}"));
+    }
+    Ok((master, host::steal_ms(None)))
+}
+
+/// Ends the machine and prints its summary.
+pub fn finish(master: Master, steal: Option<u64>, json: bool) -> Result<Summary, Stop> {
+    let summary = Summary::of(&master.finish(), steal);
+    if json {
+        print(serde_json::to_string(&summary).map_err(Stop::failed)?)?;
+    } else {
+        print(&summary)?;
+    }
+    Ok(summary)
+}
+
+/// One line that names the drives which made the run a failure, and what to look at.
+pub fn not_whole(summary: &Summary) -> Stop {
+    let of = |what: &str, chosen: &dyn Fn(&Drive) -> bool, remedy: &str| {
+        let chosen = summary.drives.iter().filter(|drive| chosen(drive));
+        let names: Vec<&str> = chosen.map(|drive| drive.name.as_str()).collect();
+        (!names.is_empty()).then(|| format!("{what}: {}{remedy}", names.join(", ")))
+    };
+    let lines: Vec<String> = [
+        of(
+            "never answered",
+            &|drive| drive.answered == 0 && !drive.is_late(),
+            "; look at their power, cables and addresses",
+        ),
+        of("lost on the way", &|drive| drive.losses > 0 && !drive.is_late(), "; look at their power and cables"),
+        of(
+            "answered after the receive deadline",
+            &|drive| (drive.answered == 0 || drive.losses > 0) && drive.is_late(),
+            "; raise receive_deadline or the period, or look at what holds them or this computer up",
+        ),
+        of("not online at the end", &|drive| drive.answered > 0 && drive.losses == 0 && !drive.is_online(), ""),
+        of(
+            "stopped by an overrun",
+            &|drive| drive.was_overrun(),
+            "; this computer was too late for more than max_skip slots: give the loop its rights and a core of its own",
+        ),
+    ]
+    .into_iter()
+    .flatten()
+    .collect();
+    Stop::failed(lines.join("; "))
+}

@@ -1,0 +1,62 @@
+//! `fieldbeat sim`: the drives of a configuration, simulated, behind real sockets.
+
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use clap::Args;
+use fieldbeat::cycle::Plan;
+use fieldbeat::rt::Realtime;
+use fieldbeat::rt::host;
+use fieldbeat::rt::thread::{default_core, spare_core};
+use fieldbeat::sim::server::{ServerOptions, SimServer};
+
+use super::interrupt::{Interrupt, LOOK_EVERY};
+use super::{Stop, load, print, span};
+
+/// Arguments of `sim`.
+#[derive(Debug, Args)]
+pub struct Sim {
+    /// The configuration.
+    config: PathBuf,
+    /// End after this time; without it, at Ctrl-C.
+    #[arg(long = "for", value_name = "TIME", value_parser = span)]
+    duration: Option<Duration>,
+    /// The core to serve on; without it, wherever the kernel likes.
+    #[arg(long)]
+    core: Option<usize>,
+}
+
+impl Sim {
+    /// Runs it.
+    pub fn run(self) -> Result<(), Stop> {
+        let plan = load(&self.config)?;
+        let cores = host::online_cores().unwrap_or_default();
+        if let Some(core) = self.core.filter(|core| !cores.is_empty() && !cores.contains(core)) {
+            return Err(Stop::usage(format!("--core {core}: there is no such core; there are {cores:?}")));
+        }
+        let interrupt = Interrupt::catch().map_err(Stop::failed)?;
+        let drives = plan.simulate();
+        let count = drives.len();
+        let server = SimServer::start(drives, serving(&plan, self.core))
+            .map_err(|error| Stop::usage(format!("cannot simulate the drives: {error}")))?;
+        print(format_args!("{count} simulated drives are listening; Ctrl-C ends them"))?;
+        let begun = Instant::now();
+        while !interrupt.is_set() && self.duration.is_none_or(|duration| begun.elapsed() < duration) {
+            std::thread::sleep(LOOK_EVERY);
+        }
+        let stats = server.stop();
+        let received: u64 = stats.iter().map(|drive| drive.received).sum();
+        let answered: u64 = stats.iter().map(|drive| drive.answered).sum();
+        print(format_args!("{received} requests received, {answered} answered"))
+    }
+}
+
+/// How the simulated drives of `plan` are served: below the loop, but above whatever else this computer does, and off the
+/// loop's core. No real drive waits for a compiler. Without the right it is an ordinary thread.
+pub fn serving(plan: &Plan, core: Option<usize>) -> ServerOptions {
+    let below = plan.cycle.priority.saturating_sub(10).max(1);
+    ServerOptions {
+        core: core.or_else(|| spare_core(plan.cycle.core.or_else(default_core))),
+        priority: (plan.cycle.realtime != Realtime::Off).then_some(below),
+    }
+}
