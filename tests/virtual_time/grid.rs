@@ -1,0 +1,358 @@
+//! The time grid, overruns, and the order of a cycle.
+
+use std::sync::{Arc, Mutex};
+
+use fieldbeat::axis::{Outcome, Row, StopCause, Target, Verb};
+use fieldbeat::bus::Cycle;
+use fieldbeat::bus::linudp::StreamCommand;
+use fieldbeat::cycle::{Guard, Overrun, Wait};
+use fieldbeat::time::{MS, Time, US};
+
+use crate::support::*;
+
+/// A task that writes down the cycles it sees, and the cell to read them from.
+fn watched(rig: Rig) -> (Rig, Arc<Mutex<Vec<Cycle>>>) {
+    let seen = Arc::new(Mutex::new(Vec::new()));
+    let task = Arc::clone(&seen);
+    (rig.task(move |cycle, _| task.lock().unwrap().push(*cycle)), seen)
+}
+
+/// Every cycle stands on the grid of the first one, at its index.
+fn assert_on_grid(cycles: &[Cycle]) {
+    let first = cycles[0];
+    for pair in cycles.windows(2) {
+        assert!(pair[1].index > pair[0].index);
+    }
+    for cycle in cycles {
+        assert_eq!(cycle.grid, first.grid + (cycle.index - first.index) * first.period_ns, "{cycle:?}");
+        assert_eq!(cycle.deadline, cycle.grid + first.period_ns / 2);
+    }
+}
+
+#[test]
+fn undisturbed_every_slot_is_executed() {
+    let (rig, seen) = watched(Rig::new(1));
+    let mut b = rig.start();
+    b.run(1_000);
+    b.assert_grid();
+    let status = b.status();
+    assert_eq!((status.executed, status.skipped, status.overruns), (1_000, 0, 0));
+    let cycles = seen.lock().unwrap();
+    assert_on_grid(&cycles);
+    assert_eq!(cycles.iter().map(|cycle| cycle.index).collect::<Vec<_>>(), (0..1_000).collect::<Vec<_>>());
+}
+
+#[test]
+fn a_late_wake_up_skips_slots_and_keeps_the_grid() {
+    // Late by so much, and so many slots can no longer begin within half of their receive window.
+    for (late_ns, skipped) in
+        [(240 * US, 0), (251 * US, 1), (1_240 * US, 1), (3_600 * US, 4), (10_200 * US, 10)]
+    {
+        let (rig, seen) = watched(Rig::new(1));
+        let mut b = rig.start();
+        b.run(100);
+        b.world().delay_next_wake(late_ns);
+        b.run(100);
+        b.assert_grid();
+        let status = b.status();
+        assert_eq!(status.skipped, skipped, "late by {late_ns}");
+        assert_eq!(status.overruns, u64::from(skipped > 0));
+        assert_eq!(status.longest_skip, skipped);
+        // What the first skipped slot owed came with the next one at the earliest.
+        assert_near(status.wake_max_ns as f64, late_ns.max(skipped * MS) as f64, 200.0);
+        assert_eq!(status.wake_max_index, 100);
+        assert_eq!(b.feedback(0).stopped, None);
+        assert_on_grid(&seen.lock().unwrap());
+    }
+}
+
+#[test]
+fn own_work_that_takes_too_long_is_an_overrun() {
+    // The task of cycle 50 takes so long; slots up to its end are gone, and none is made up for.
+    for (work_ns, skipped) in [(900 * US, 0), (1_000 * US, 1), (4_200 * US, 4)] {
+        let world = Arc::new(Mutex::new(None::<fieldbeat::sim::world::World>));
+        let seen = Arc::new(Mutex::new(Vec::new()));
+        let (inside, log) = (Arc::clone(&world), Arc::clone(&seen));
+        let mut b = Rig::new(1)
+            .task(move |cycle, _| {
+                log.lock().unwrap().push(*cycle);
+                if cycle.index == 50 {
+                    inside.lock().unwrap().as_ref().unwrap().advance(work_ns);
+                }
+            })
+            .start();
+        *world.lock().unwrap() = Some(b.world());
+        b.run(50);
+        assert_eq!(b.status().skipped, 0);
+        b.step();
+        // At once, not only with the next executed cycle.
+        b.assert_grid();
+        assert_eq!(b.status().skipped, skipped, "{work_ns}");
+        b.run(50);
+        b.assert_grid();
+        assert_eq!((b.status().skipped, b.status().overruns), (skipped, u64::from(skipped > 0)));
+        let seen = seen.lock().unwrap();
+        assert_on_grid(&seen);
+        assert_eq!(seen[51].index, 51 + skipped);
+    }
+}
+
+#[test]
+fn skipped_slots_are_late_ones_in_the_histogram() {
+    let mut b = Rig::new(1).start();
+    b.run(100);
+    b.world().delay_next_wake(4_700 * US);
+    b.run(100);
+    b.assert_grid();
+    let wake = &b.sim.histograms().wake;
+    // So much later came the next slot that was executed, and was not late itself.
+    for (slot, late_ns) in [5_000, 4_000, 3_000, 2_000, 1_000].into_iter().enumerate() {
+        let most = (late_ns + 5) * US;
+        assert_eq!(wake.count_between((late_ns - 5) * US, most), 1, "slot {slot}");
+    }
+    assert_eq!(wake.count_between(0, 10 * US), b.status().planned - 5);
+}
+
+#[test]
+fn more_than_max_skip_in_one_hold_up_stops_every_axis() {
+    for (slots, stop) in [(10, None), (11, Some(StopCause::Overrun))] {
+        let mut b = Rig::new(3).start();
+        b.ready();
+        let moves: Vec<_> = (0..3).map(|index| b.post(index, slowly_to(100.0))).collect();
+        b.run(200);
+        b.world().delay_next_wake(slots * MS + 200 * US);
+        b.run(2);
+        assert_eq!(b.status().skipped, slots);
+        b.assert_grid();
+        for (index, id) in moves.into_iter().enumerate() {
+            assert_eq!(b.feedback(index).stopped, stop, "{slots} slots");
+            if let Some(cause) = stop {
+                assert_eq!(b.aborted(index, id), fieldbeat::axis::Abort::Stopped(cause));
+                b.until("power off", 500, |b| !b.feedback(index).state.is_powered());
+            } else {
+                assert_eq!(b.outcome(index, id), None);
+            }
+        }
+    }
+}
+
+#[test]
+fn hold_ups_in_a_row_add_up_until_a_cycle_is_executed() {
+    let hold_ups = |between: &[u64], executed_between: u64| {
+        let mut b = Rig::new(1).start();
+        b.ready();
+        for slots in between {
+            // It ends before the next slot, so that hold-ups do not run into each other.
+            b.world().delay_next_wake(slots * MS - 400 * US);
+            b.step();
+            b.run(executed_between);
+        }
+        b.run(2);
+        b.assert_grid();
+        assert_eq!(b.status().skipped, between.iter().sum::<u64>());
+        b.feedback(0).stopped
+    };
+    assert_eq!(hold_ups(&[6, 4], 0), None);
+    assert_eq!(hold_ups(&[6, 5], 0), Some(StopCause::Overrun));
+    assert_eq!(hold_ups(&[4, 4, 3], 0), Some(StopCause::Overrun));
+    assert_eq!(hold_ups(&[10, 10, 10], 1), None);
+}
+
+#[test]
+fn the_stop_policy_stops_at_the_first_slot() {
+    let mut b = Rig::new(2).cycle(|cycle| cycle.overrun = Overrun::Stop).start();
+    b.ready();
+    b.world().delay_next_wake(200 * US);
+    b.run(10);
+    assert_eq!(b.feedback(0).stopped, None, "late, but not too late to begin");
+    b.world().delay_next_wake(600 * US);
+    b.run(2);
+    assert_eq!(b.status().skipped, 1);
+    for index in 0..2 {
+        assert_eq!(b.feedback(index).stopped, Some(StopCause::Overrun));
+    }
+}
+
+#[test]
+fn there_are_no_bursts_to_catch_up() {
+    for seed in 0..4 {
+        let mut random = fastrand::Rng::with_seed(seed);
+        let mut b = Rig::new(2).cycle(|cycle| cycle.overrun = Overrun::Skip { max_skip: 1_000 }).start();
+        b.online();
+        for _ in 0..600 {
+            if random.u8(..4) == 0 {
+                b.world().delay_next_wake(random.u64(0..6 * MS));
+            }
+            b.step();
+        }
+        b.assert_grid();
+        assert!(b.status().skipped > 100);
+        let tape = b.tape(0);
+        let least = tape.heard.windows(2).map(|pair| pair[1].at.since(pair[0].at)).min().unwrap();
+        // A period less the latest begin of the first and the readings of the clock.
+        assert!(least >= MS / 2 - US, "seed {seed}: {least} ns between two requests");
+        // The loop was held up: some came late in their slots, or the bound above proves nothing.
+        assert!(least < MS * 9 / 10, "seed {seed}");
+    }
+}
+
+/// The positions of the streamed rows that the drive heard, in order.
+fn rows_heard(b: &Bench, index: usize) -> Vec<i32> {
+    let mut rows: Vec<(u16, i32)> = Vec::new();
+    for heard in &b.tape(index).heard {
+        let Some(motion) = heard.request.motion else { continue };
+        if StreamCommand::from_id(motion.header >> 4).is_none() {
+            continue;
+        }
+        // The same count is the same row, sent again because its slot had nothing new.
+        if rows.last().is_none_or(|(header, _)| *header != motion.header) {
+            let bytes = motion.parameters[..4].try_into().unwrap();
+            rows.push((motion.header, i32::from_le_bytes(bytes)));
+        }
+    }
+    rows.into_iter().map(|(_, position)| position).collect()
+}
+
+#[test]
+fn streamed_rows_are_never_jumped_over_when_slots_are_skipped() {
+    for (divisor, seed) in [(1, 1), (1, 2), (4, 1), (4, 2)] {
+        let mut random = fastrand::Rng::with_seed(seed);
+        let mut b = Rig::new(4)
+            .cycle(|cycle| cycle.overrun = Overrun::Skip { max_skip: 1_000 })
+            .each(|index, drive| {
+                (drive.axis.divisor, drive.axis.phase) = (divisor, index as u32 % divisor);
+                drive.simulate.stream_period_ns = u64::from(divisor) * MS;
+                drive.simulate.stream_patience = 100.0;
+            })
+            .start();
+        b.ready();
+        const ROWS: i32 = 300;
+        let mut follows = Vec::new();
+        for index in 0..4 {
+            b.done(index, to(50.0));
+            for n in 0..=ROWS {
+                let position = 50.0 + f64::from(n) * 0.01;
+                b.sim.axis(index).push_row(Row { last: n == ROWS, ..row(position) }).unwrap();
+            }
+            b.tape(index).heard.clear();
+            follows.push(b.post(index, Verb::Follow));
+        }
+        for _ in 0..ROWS * divisor as i32 * 2 {
+            if random.u8(..8) == 0 {
+                b.world().delay_next_wake(random.u64(0..5 * MS));
+            }
+            b.step();
+        }
+        assert!(b.status().skipped > 50);
+        b.assert_grid();
+        for (index, follow) in follows.into_iter().enumerate() {
+            assert_eq!(b.ended(index, follow), Outcome::Done, "divisor {divisor} seed {seed} axis {index}");
+            let expected: Vec<i32> = (0..=ROWS).map(|n| 500_000 + n * 100).collect();
+            let rows = rows_heard(&b, index);
+            let (streamed, standing) = rows.split_at(expected.len());
+            assert_eq!(streamed, expected, "divisor {divisor} seed {seed} axis {index}");
+            // Behind the last one some that stand still, so that the drive's delay runs out.
+            assert!(standing.len() >= 3 && standing.iter().all(|row| *row == expected[ROWS as usize]));
+        }
+    }
+}
+
+#[test]
+fn the_task_sees_this_cycle_and_its_orders_leave_with_the_next() {
+    const K: u64 = 700;
+    let grids = Arc::new(Mutex::new(Vec::new()));
+    let log = Arc::clone(&grids);
+    let mut b = Rig::new(2)
+        .each(|index, drive| {
+            drive.simulate.start_running = true;
+            drive.axis.on_found_running = fieldbeat::axis::FoundRunning::Stop;
+            drive.axis.stop.then = fieldbeat::axis::StopThen::Hold;
+            drive.axis.name = format!("a{index}");
+        })
+        .task(move |cycle, axes| {
+            log.lock().unwrap().push(cycle.grid);
+            let feedback = axes.feedback(0).unwrap();
+            assert_eq!(feedback.cycle, cycle.index);
+            if cycle.index > 100 {
+                assert_eq!(feedback.age, 0, "the reply of this cycle");
+                assert!(feedback.at >= cycle.grid && feedback.at <= cycle.deadline);
+            }
+            if cycle.index == K {
+                axes.command(0, to(20.0)).unwrap();
+            }
+        })
+        .start();
+    b.until("standstill", 400, |b| (0..2).all(|i| b.feedback(i).stopped.is_some() && !b.feedback(i).moving));
+    for index in 0..2 {
+        b.done(index, Verb::Reset);
+        b.done(index, Verb::Enable);
+        b.tape(index).heard.clear();
+    }
+    b.run(K - b.feedback(0).cycle - 1);
+    // Posted before cycle K begins: taken in its exchange, as the task's is.
+    b.post(1, to(20.0));
+    b.run(10);
+    let next: Time = grids.lock().unwrap()[K as usize + 1];
+    for index in 0..2 {
+        let tape = b.tape(index);
+        let first = tape.heard.iter().find(|heard| heard.request.motion.is_some()).unwrap();
+        let late_ns = first.at.since(next);
+        assert!(
+            first.at > next && late_ns < 30 * US,
+            "axis {index}: {late_ns} ns, {} before",
+            next.since(first.at)
+        );
+    }
+}
+
+#[test]
+fn a_guard_spins_up_to_the_grid_and_a_spinning_window_hears_as_much() {
+    for (guard, wait, most_ns) in [
+        (Guard::Off, Wait::Poll, 30_100),
+        (Guard::Fixed(40_000), Wait::Poll, 150),
+        (Guard::Auto, Wait::Poll, 5_000),
+        (Guard::Fixed(40_000), Wait::Spin, 150),
+    ] {
+        let mut rig = Rig::new(3).cycle(|cycle| (cycle.guard, cycle.wait) = (guard, wait));
+        rig.options.wake_ns = 30_000;
+        let mut b = rig.start();
+        b.ready();
+        b.run(500);
+        b.assert_grid();
+        let status = b.status();
+        assert!(status.wake_max_ns <= most_ns, "{guard:?}: {}", status.wake_max_ns);
+        assert!(guard != Guard::Off || status.wake_max_ns > 20_000);
+        assert_eq!((status.skipped, status.missed), (0, 0));
+    }
+}
+
+#[test]
+fn phases_of_one_divisor_share_the_slots() {
+    let mut b =
+        Rig::new(4).each(|index, drive| (drive.axis.divisor, drive.axis.phase) = (4, index as u32)).start();
+    b.online();
+    let begin = b.world().now();
+    b.run(400);
+    for index in 0..4 {
+        let tape = b.tape(index);
+        let at: Vec<_> = tape.heard.iter().filter(|heard| heard.at > begin).map(|heard| heard.at).collect();
+        assert!((99..=101).contains(&at.len()), "{}", at.len());
+        assert!(at.windows(2).all(|pair| pair[1].since(pair[0]).abs_diff(4 * MS) < 10 * US));
+    }
+    let begins: Vec<_> = (0..4).map(|i| b.tape(i).heard.last().unwrap().at.0 / MS % 4).collect();
+    let mut sorted = begins.clone();
+    sorted.sort_unstable();
+    assert_eq!(sorted, [0, 1, 2, 3], "{begins:?}");
+}
+
+#[test]
+fn moves_to_a_target_and_back() {
+    let mut b = Rig::new(1).start();
+    b.ready();
+    for target in [150.0, 0.0, 33.3333] {
+        b.done(0, to(target));
+        assert_eq!(b.tape(0).last().demand, Some((target * PER_MM).round() as i32));
+    }
+    b.done(0, with(Target::Relative(-3.3333), 100.0, 1_000.0));
+    assert_eq!(b.tape(0).last().demand, Some(300_000));
+}

@@ -1,0 +1,310 @@
+//! How far and how fast: limits at the door and in the loop, jogs on their leash, turning and inverted axes.
+
+use fieldbeat::axis::{Abort, Failure, Jog, Move, Outcome, Profile, Target, Unit, Units, Verb};
+
+use crate::support::*;
+
+const STOP: Verb = Verb::Stop { deceleration: None };
+
+#[test]
+fn numbers_that_are_none_and_those_beyond_the_limits_are_refused_at_the_door() {
+    let mut b = Rig::new(1).start();
+    b.ready();
+    let before = b.tape(0).heard.len();
+    let refused = |b: &mut Bench, verb: Verb| b.sim.axis(0).post(verb).expect_err("refused").to_string();
+    for value in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+        for verb in [
+            to(value),
+            by(value),
+            with(Target::Absolute(10.0), value, 1_000.0),
+            with(Target::Absolute(10.0), 10.0, value),
+            jog(value),
+            Verb::Jog(Jog { velocity: 1.0, acceleration: value }),
+            Verb::Stop { deceleration: Some(value) },
+        ] {
+            let told = refused(&mut b, verb);
+            assert!(told.contains("finite"), "{verb:?}: {told}");
+        }
+        let rows = [
+            row(value),
+            fieldbeat::axis::Row { velocity: value, ..row(1.0) },
+            fieldbeat::axis::Row { acceleration: value, ..row(1.0) },
+        ];
+        for row in rows {
+            assert!(b.sim.axis(0).push_row(row).unwrap_err().to_string().contains("finite"));
+        }
+    }
+    let slow = Profile { velocity: 10.0, acceleration: 10.0, deceleration: 10.0 };
+    let in_range = Target::Absolute(10.0);
+    for verb in [
+        to(-0.001),
+        to(200.001),
+        with(in_range, 1_000.1, 10.0),
+        with(in_range, 10.0, 20_001.0),
+        with(in_range, 0.0, 10.0),
+        with(in_range, -1.0, 10.0),
+        Verb::Move(Move { target: in_range, profile: Profile { deceleration: 0.0, ..slow } }),
+        Verb::Move(Move { target: in_range, profile: Profile { deceleration: 20_001.0, ..slow } }),
+        jog(1_001.0),
+        jog(-1_001.0),
+        Verb::Jog(Jog { velocity: 1.0, acceleration: 0.0 }),
+        Verb::Jog(Jog { velocity: 1.0, acceleration: 20_001.0 }),
+        Verb::Stop { deceleration: Some(0.0) },
+        Verb::Stop { deceleration: Some(-5.0) },
+    ] {
+        let told = refused(&mut b, verb);
+        let named = told.contains("outside its limit") || told.contains("has to be above 0");
+        assert!(named, "{verb:?}: {told}");
+    }
+    for row in [row(-0.001), row(200.1), fieldbeat::axis::Row { velocity: -1_000.1, ..row(5.0) }] {
+        assert!(b.sim.axis(0).push_row(row).is_err());
+    }
+    b.run(10);
+    assert!(b.tape(0).heard[before..].iter().all(|heard| heard.request.motion.is_none()));
+    b.done(0, with(Target::Absolute(200.0), 1_000.0, 20_000.0));
+    b.done(0, to(0.0));
+}
+
+#[test]
+fn a_relative_move_beyond_the_limits_is_refused_in_the_loop() {
+    let mut b = Rig::new(1).start();
+    b.ready();
+    b.done(0, to(150.0));
+    for distance in [50.1, -150.1, 1e9, -1e9] {
+        match b.failed(0, by(distance)) {
+            Failure::Limit { value, low, high, .. } => {
+                assert_eq!((value, (low, high)), (150.0 + distance, RANGE));
+            }
+            other => panic!("{other}"),
+        }
+    }
+    b.done(0, by(50.0));
+    b.done(0, by(-200.0));
+    assert_eq!(b.feedback(0).demand, 0.0);
+}
+
+#[test]
+fn what_the_wire_cannot_carry_is_refused_in_the_loop() {
+    let mut b = Rig::new(1).each(|_, drive| drive.axis.limits = Default::default()).start();
+    b.ready();
+    for verb in [
+        to(214_749.0),
+        by(-214_750.0),
+        with(Target::Absolute(1.0), 4_294_968.0, 1.0),
+        with(Target::Absolute(1.0), 1.0, 43_000_000.0),
+    ] {
+        assert!(matches!(b.failed(0, verb), Failure::Range(_)), "{verb:?}");
+    }
+    b.done(0, to(1.0));
+}
+
+#[test]
+fn a_jog_reaches_its_speed_and_never_runs_further_ahead_than_its_leash() {
+    const LEASH: f64 = 20.0;
+    for velocity in [5.0, 100.0, -100.0, 300.0] {
+        let mut b = Rig::new(1)
+            .each(|_, drive| {
+                drive.axis.limits.position = Some((-1_000.0, 1_000.0));
+                drive.simulate.range = (-10_100_000, 10_100_000);
+            })
+            .start();
+        b.ready();
+        b.tape(0).heard.clear();
+        let id = b.post(0, jog(velocity));
+        b.run(100);
+        for _ in 0..20 {
+            b.run(100);
+            assert_near(b.feedback(0).velocity, velocity, velocity.abs() * 0.02 + 0.2);
+            assert!(b.feedback(0).moving);
+        }
+        assert_eq!(b.outcome(0, id), None);
+        for heard in b.tape(0).heard.iter() {
+            let Some(motion) = heard.request.motion else { continue };
+            assert_eq!(motion.header >> 4, 0x010, "go to position");
+            let target = f64::from(i32::from_le_bytes(motion.parameters[..4].try_into().unwrap())) / PER_MM;
+            let demand = f64::from(heard.reply.unwrap().demand.unwrap()) / PER_MM;
+            assert!((target - demand).abs() <= LEASH, "{target} is more than a leash from {demand}");
+        }
+        // The master dies: the drive hears nothing any more.
+        let demand = b.feedback(0).demand;
+        b.world().unplug(address(0));
+        b.run(3_000);
+        b.world().plug(address(0));
+        b.until("seen", 500, |b| b.feedback(0).age == 0);
+        assert!((b.feedback(0).demand - demand).abs() <= LEASH + velocity.abs() * 0.005);
+    }
+}
+
+#[test]
+fn a_stop_ends_a_jog_and_a_jog_of_zero_is_a_stop() {
+    let mut b = Rig::new(1).start();
+    b.ready();
+    let id = b.post(0, jog(50.0));
+    b.run(500);
+    let stop = b.post(0, STOP);
+    assert_eq!(b.aborted(0, id), Abort::Replaced(stop));
+    assert_eq!(b.ended(0, stop), Outcome::Done);
+    let id = b.post(0, jog(50.0));
+    b.run(500);
+    let zero = b.post(0, jog(0.0));
+    assert_eq!(b.aborted(0, id), Abort::Replaced(zero));
+    assert_eq!(b.ended(0, zero), Outcome::Done);
+    assert!(!b.feedback(0).moving);
+}
+
+#[test]
+fn a_jog_stops_at_the_limit_and_says_so() {
+    let mut b = Rig::new(1).start();
+    b.ready();
+    for (velocity, end) in [(150.0, 200.0), (-150.0, 0.0)] {
+        assert!(matches!(b.failed(0, jog(velocity)), Failure::Limit { .. }));
+        assert_eq!(b.feedback(0).demand, end);
+        assert_eq!(b.feedback(0).stopped, None);
+        // There already: it does not move at all.
+        assert!(matches!(b.failed(0, jog(velocity)), Failure::Limit { .. }));
+        assert_eq!(b.feedback(0).demand, end);
+    }
+    let (low, high) = b.tape(0).demand.unwrap();
+    assert!(low >= RANGE.0 && high <= RANGE.1, "{low} ... {high}");
+    let id = b.post(0, jog(50.0));
+    b.run(100);
+    assert_eq!(b.outcome(0, id), None);
+}
+
+#[test]
+fn a_jog_from_outside_the_limits_only_goes_in() {
+    let mut b = Rig::new(1).each(|_, drive| drive.axis.limits.position = Some((20.0, 180.0))).start();
+    b.ready();
+    // Home is at 0, outside.
+    assert!(matches!(b.failed(0, jog(-10.0)), Failure::Limit { .. }));
+    assert_eq!(b.feedback(0).demand, 0.0);
+    let id = b.post(0, jog(100.0));
+    b.run(600);
+    assert_eq!(b.outcome(0, id), None);
+    assert_near(b.feedback(0).velocity, 100.0, 3.0);
+}
+
+#[test]
+fn jogs_are_refused_without_a_leash_and_beyond_what_it_can_hold() {
+    let mut b = Rig::new(2).each(|index, drive| drive.leash = (index == 1).then_some(2.0)).start();
+    b.ready();
+    assert!(matches!(b.failed(0, jog(10.0)), Failure::Unsupported(why) if why.contains("leash")));
+    // Half of the leash must be enough to brake: v² <= 2 a leash / 2.
+    assert!(matches!(b.failed(1, jog(101.0)), Failure::Limit { .. }));
+    let id = b.post(1, jog(99.0));
+    b.run(300);
+    assert_eq!(b.outcome(1, id), None);
+    assert_near(b.feedback(1).velocity, 99.0, 3.0);
+}
+
+#[test]
+fn an_axis_in_motion_brakes_before_its_limit_whatever_replaces_its_motion() {
+    // Each of these would need far more way than there is, with the deceleration asked for.
+    let weak = 500.0;
+    let slow = Profile { velocity: 10.0, acceleration: weak, deceleration: weak };
+    for replacement in [
+        Verb::Stop { deceleration: Some(weak) },
+        Verb::Move(Move { target: Target::Absolute(100.0), profile: slow }),
+        Verb::Move(Move { target: Target::Absolute(199.0), profile: slow }),
+        Verb::Jog(Jog { velocity: -20.0, acceleration: weak }),
+        Verb::Jog(Jog { velocity: 20.0, acceleration: weak }),
+    ] {
+        let mut b = Rig::new(1).start();
+        b.ready();
+        b.post(0, with(Target::Absolute(199.9), 500.0, 10_000.0));
+        b.until("near the end", 1_000, |b| b.feedback(0).demand > 180.0);
+        assert!(b.feedback(0).velocity > 400.0);
+        b.post(0, replacement);
+        b.run(1_500);
+        let (_, high) = b.tape(0).demand.unwrap();
+        assert!(high <= RANGE.1, "{replacement:?} went to {high}");
+        assert_eq!(b.feedback(0).stopped, None);
+    }
+}
+
+#[test]
+fn a_motion_that_cannot_start_leaves_no_other_running_behind_its_back() {
+    let mut b = Rig::new(1).start();
+    b.ready();
+    // Refused by the station, when the move before it has ended as replaced: the axis stops.
+    let id = b.post(0, slowly_to(100.0));
+    b.run(100);
+    let beyond = b.post(0, by(500.0));
+    assert_eq!(b.aborted(0, id), Abort::Replaced(beyond));
+    assert!(matches!(b.ended(0, beyond), Outcome::Failed(Failure::Limit { .. })));
+    b.until("standstill", 100, |b| !b.feedback(0).moving);
+    b.run(10);
+    assert!(b.feedback(0).demand < 10.0 && b.feedback(0).stopped.is_none());
+    b.done(0, to(20.0));
+}
+
+#[test]
+fn a_rotary_axis_turns_on_over_its_modulo() {
+    let mut b = Rig::new(1)
+        .each(|_, drive| {
+            drive.axis.units =
+                Units { unit: Unit::Millimetre, modulo: Some(20.0), ..Units::millimetres(PER_MM) };
+            drive.axis.limits.position = None;
+        })
+        .start();
+    b.ready();
+    let wire = |b: &Bench| f64::from(b.tape(0).last().demand.unwrap()) / PER_MM;
+    for turns in 1..=4 {
+        b.done(0, by(15.0));
+        assert_near(wire(&b), 15.0 * f64::from(turns), 1e-3);
+    }
+    assert_near(b.feedback(0).demand, 0.0, 1e-3);
+    // The nearest way: from turn 3 at 0 forwards to 4, and backwards to 17.
+    b.done(0, to(4.0));
+    assert_near(wire(&b), 64.0, 1e-3);
+    b.done(0, to(17.0));
+    assert_near(wire(&b), 57.0, 1e-3);
+    b.done(0, by(-20.0));
+    assert_near(wire(&b), 37.0, 1e-3);
+    let id = b.post(0, jog(100.0));
+    b.run(1_000);
+    assert_eq!(b.outcome(0, id), None);
+    assert_near(b.feedback(0).velocity, 100.0, 3.0);
+    assert!(wire(&b) > 120.0);
+}
+
+#[test]
+fn an_inverted_axis_moves_the_other_way() {
+    let mut b = Rig::new(1)
+        .each(|_, drive| {
+            drive.axis.units = Units { offset: 100.0, ..Units::millimetres(-PER_MM) };
+            drive.axis.limits.position = Some((-100.0, 100.0));
+        })
+        .start();
+    b.ready();
+    assert_near(b.feedback(0).position, 100.0, 0.01);
+    b.done(0, to(70.0));
+    assert_eq!(b.tape(0).last().demand, Some(300_000));
+    b.done(0, by(-10.0));
+    assert_eq!(b.tape(0).last().demand, Some(400_000));
+    let id = b.post(0, jog(-20.0));
+    b.run(1_000);
+    assert_near(b.feedback(0).velocity, -20.0, 0.5);
+    let stop = b.post(0, STOP);
+    assert_eq!(b.aborted(0, id), Abort::Replaced(stop));
+}
+
+#[test]
+fn an_axis_with_position_limits_moves_only_when_it_is_homed() {
+    let mut b = Rig::new(1).start();
+    b.online();
+    b.done(0, Verb::Enable);
+    for verb in [to(10.0), jog(5.0), Verb::Follow] {
+        assert_eq!(b.failed(0, verb), Failure::NotHomed);
+    }
+    assert_eq!(b.feedback(0).fault, 0, "nothing of it reached the drive");
+    b.done(0, Verb::Home);
+    b.done(0, to(10.0));
+}
+
+#[test]
+fn a_velocity_that_the_wire_rounds_to_nothing_is_refused() {
+    let mut b = Rig::new(1).start();
+    b.ready();
+    assert!(matches!(b.failed(0, with(Target::Absolute(10.0), 1e-9, 100.0)), Failure::Range(_)));
+}

@@ -1,0 +1,15 @@
+//! The whole machine in virtual time: loop, buses, stations and simulated drives, without a socket or a clock.
+//!
+//! Everything is deterministic: a test that fails, fails again. Where seeds are drawn they stand in the message.
+
+mod bring_up;
+mod faults;
+mod grid;
+mod limits;
+mod queues;
+mod replies;
+mod shutdown;
+mod storm;
+mod streams;
+mod support;
+mod verbs;

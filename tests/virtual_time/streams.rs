@@ -1,0 +1,404 @@
+//! Follow: rows of a stream, one an exchange, to the last one; and what happens when there are none.
+
+use fieldbeat::axis::{Abort, EventKind, Failure, Outcome, Row, StopCause, Underrun, Unit, Units, Verb};
+use fieldbeat::bus::linudp::StreamCommand;
+use fieldbeat::time::{MS, US};
+
+use crate::support::*;
+
+/// A smooth way from `begin` by `way` in `rows` rows of `period_s`: position, velocity and acceleration of half a cosine.
+fn smooth(begin: f64, way: f64, rows: u32, period_s: f64) -> impl Iterator<Item = Row> {
+    let span = f64::from(rows) * period_s;
+    (1..=rows).map(move |n| {
+        let phase = std::f64::consts::PI * f64::from(n) / f64::from(rows);
+        let omega = std::f64::consts::PI / span;
+        Row {
+            position: begin + way * (1.0 - phase.cos()) / 2.0,
+            velocity: way * omega * phase.sin() / 2.0,
+            acceleration: way * omega * omega * phase.cos() / 2.0,
+            last: n == rows,
+        }
+    })
+}
+
+#[test]
+fn every_streaming_command_carries_its_axis_to_the_last_row() {
+    for (command, period_ns, divisor) in [
+        (StreamCommand::P, 2 * MS, 1),
+        (StreamCommand::P, MS, 4),
+        (StreamCommand::Pv, 2 * MS, 1),
+        (StreamCommand::PConfigured, 5 * MS, 1),
+        (StreamCommand::PvConfigured, MS, 1),
+        (StreamCommand::PvConfigured, 500 * US, 1),
+        (StreamCommand::Pva, MS, 1),
+        (StreamCommand::Pva, 2 * MS, 5),
+        (StreamCommand::PvaConfigured, MS, 2),
+    ] {
+        let mut b = Rig::new(1)
+            .cycle(|cycle| cycle.period_ns = period_ns)
+            .each(|_, drive| {
+                drive.axis.divisor = divisor;
+                drive.axis.stream_queue = 4_096;
+                drive.stream = Some(command);
+                drive.simulate.stream_period_ns = period_ns * u64::from(divisor);
+            })
+            .start();
+        b.ready();
+        b.done(0, to(20.0));
+        let period_s = (period_ns * u64::from(divisor)) as f64 * 1e-9;
+        let rows = (1.0 / period_s) as u32;
+        for row in smooth(20.0, 100.0, rows, period_s) {
+            b.sim.axis(0).push_row(row).unwrap();
+        }
+        b.tape(0).demand = None;
+        b.done(0, Verb::Follow);
+        let what = format!("{command:?} every {period_ns} ns x {divisor}");
+        assert_eq!(b.tape(0).last().demand, Some(1_200_000), "{what}");
+        assert!(!b.feedback(0).moving && b.feedback(0).is_operational());
+        // No overshoot on the way, whatever the command leaves out.
+        let (low, high) = b.tape(0).demand.unwrap();
+        assert!(low >= 19.999 && high <= 120.001, "{what}: {low} ... {high}");
+        b.done(0, to(10.0));
+    }
+}
+
+#[test]
+fn a_stream_without_a_command_that_fits_is_refused() {
+    let mut b = Rig::new(1).each(|_, drive| drive.stream = None).start();
+    b.ready();
+    let id = b.post(0, slowly_to(100.0));
+    b.run(50);
+    let follow = b.post(0, Verb::Follow);
+    assert_eq!(b.aborted(0, id), Abort::Replaced(follow));
+    assert!(matches!(b.ended(0, follow), Outcome::Failed(Failure::Unsupported(_))));
+    b.until("standstill", 100, |b| !b.feedback(0).moving);
+}
+
+#[test]
+fn rows_may_come_after_the_order() {
+    let mut b = Rig::new(1).start();
+    b.ready();
+    b.done(0, to(20.0));
+    let id = b.post(0, Verb::Follow);
+    b.run(100);
+    assert_eq!((b.outcome(0, id), b.feedback(0).moving), (None, false));
+    for row in smooth(20.0, 10.0, 200, 0.001) {
+        b.sim.axis(0).push_row(row).unwrap();
+    }
+    assert_eq!(b.ended(0, id), Outcome::Done);
+    assert_eq!(b.feedback(0).demand, 30.0);
+}
+
+/// A stream at a constant 50 mm/s that runs empty after 100 rows.
+fn runs_empty(underrun: Underrun) -> (Bench, fieldbeat::axis::CommandId) {
+    let mut b = Rig::new(1).each(|_, drive| drive.axis.underrun = underrun).start();
+    b.ready();
+    b.done(0, to(20.0));
+    for n in 0..100 {
+        let velocity = 50.0;
+        b.sim.axis(0).push_row(Row { velocity, ..row(20.0 + f64::from(n) * velocity * 0.001) }).unwrap();
+    }
+    let id = b.post(0, Verb::Follow);
+    b.run(99);
+    assert!(!b.kinds(0).contains(&EventKind::Underrun));
+    (b, id)
+}
+
+#[test]
+fn an_empty_stream_holds() {
+    let (mut b, id) = runs_empty(Underrun::Hold);
+    b.run(500);
+    assert_eq!((b.outcome(0, id), b.feedback(0).stopped), (None, None));
+    assert_near(b.feedback(0).demand, 24.95, 1e-3);
+    assert_near(b.feedback(0).velocity, 0.0, 0.5);
+    assert_eq!(b.kinds(0).iter().filter(|kind| **kind == EventKind::Underrun).count(), 1, "told once");
+    // And goes on from there when rows come again.
+    for n in 0..=50 {
+        b.sim.axis(0).push_row(Row { last: n == 50, ..row(24.95 + f64::from(n) * 0.01) }).unwrap();
+    }
+    assert_eq!(b.ended(0, id), Outcome::Done);
+    assert_near(b.feedback(0).demand, 25.45, 1e-4);
+}
+
+#[test]
+fn an_empty_stream_is_extrapolated_for_a_while_and_then_stops() {
+    let (mut b, id) = runs_empty(Underrun::Extrapolate(20));
+    b.run(15);
+    assert_eq!(b.outcome(0, id), None);
+    assert_near(b.feedback(0).velocity, 50.0, 3.0);
+    assert_eq!(b.stopped(0, 20), StopCause::Underrun);
+    assert_eq!(b.outcome(0, id), Some(Outcome::Failed(Failure::Underrun)));
+    b.until("off", 200, |b| !b.feedback(0).state.is_powered());
+    // 20 rows of 0.05 mm further, and the ramp.
+    let (_, high) = b.tape(0).demand.unwrap();
+    assert!((25.9..=26.4).contains(&high), "{high}");
+}
+
+#[test]
+fn rows_that_come_in_time_end_the_extrapolation() {
+    let (mut b, id) = runs_empty(Underrun::Extrapolate(20));
+    b.run(10);
+    for n in 1..=300 {
+        let at = b.feedback(0).demand;
+        assert!(at < 60.0);
+        let row = Row { velocity: 50.0, last: n == 300, ..row(25.45 + f64::from(n) * 0.05) };
+        b.sim.axis(0).push_row(row).unwrap();
+    }
+    assert_eq!(b.ended(0, id), Outcome::Done);
+    assert_eq!(b.feedback(0).stopped, None);
+}
+
+#[test]
+fn an_extrapolation_ends_at_the_limit() {
+    let mut b = Rig::new(1)
+        .each(|_, drive| {
+            drive.axis.underrun = Underrun::Extrapolate(500);
+            drive.axis.limits.position = Some((0.0, 25.0));
+        })
+        .start();
+    b.ready();
+    b.done(0, to(20.0));
+    for n in 0..60 {
+        b.sim.axis(0).push_row(Row { velocity: 50.0, ..row(20.0 + f64::from(n) * 0.05) }).unwrap();
+    }
+    b.post(0, Verb::Follow);
+    b.run(800);
+    let (_, high) = b.tape(0).demand.unwrap();
+    assert!((24.5..=25.0).contains(&high), "{high}");
+}
+
+#[test]
+fn an_empty_stream_stops() {
+    let (mut b, id) = runs_empty(Underrun::Stop);
+    assert_eq!(b.stopped(0, 10), StopCause::Underrun);
+    assert_eq!(b.outcome(0, id), Some(Outcome::Failed(Failure::Underrun)));
+    assert!(b.kinds(0).contains(&EventKind::Underrun));
+    b.until("off", 200, |b| !b.feedback(0).state.is_powered());
+    assert_eq!(b.feedback(0).fault, 0, "the master's stop came before the drive's own underflow");
+    b.recover(0);
+    b.done(0, to(5.0));
+}
+
+#[test]
+fn the_first_row_is_near_the_axis_and_the_next_ones_near_each_other() {
+    // (first, second, accepted) with a largest step of 0.5 mm, from 100 mm.
+    for (first, second, accepted) in
+        [(100.5, 101.0, true), (99.5, 99.0, true), (100.51, 100.6, false), (99.49, 99.5, false)]
+    {
+        let mut b = Rig::new(1).each(|_, drive| drive.axis.limits.step = Some(0.5)).start();
+        b.ready();
+        b.done(0, to(100.0));
+        b.sim.axis(0).push_row(row(first)).unwrap();
+        b.sim.axis(0).push_row(Row { last: true, ..row(second) }).unwrap();
+        // Row to row it is refused at the door.
+        let mut door = b.sim.axis(0).push_row(row(second));
+        assert!(door.is_ok());
+        door = b.sim.axis(0).push_row(row(second + 0.51));
+        assert!(door.unwrap_err().to_string().contains("limit"));
+        let id = b.post(0, Verb::Follow);
+        if accepted {
+            assert_eq!(b.ended(0, id), Outcome::Done, "{first}");
+        } else {
+            assert!(matches!(b.ended(0, id), Outcome::Failed(Failure::Limit { .. })), "{first}");
+            assert_eq!(b.feedback(0).stopped, Some(StopCause::Limit));
+            assert_eq!(b.tape(0).last().demand, Some(1_000_000), "it has not moved");
+        }
+    }
+}
+
+#[test]
+fn without_a_step_the_limit_of_velocity_holds_between_rows() {
+    // 1000 mm/s are 1 mm a row. The row's own velocity says nothing of it.
+    for (step, accepted) in [(0.99, true), (1.01, false), (50.0, false)] {
+        let mut b = Rig::new(1).each(|_, drive| drive.axis.underrun = Underrun::Hold).start();
+        b.ready();
+        b.done(0, to(20.0));
+        b.sim.axis(0).push_row(row(20.0)).unwrap();
+        b.sim.axis(0).push_row(row(20.0 + step)).unwrap();
+        let id = b.post(0, Verb::Follow);
+        b.run(20);
+        assert_eq!(b.outcome(0, id).is_none(), accepted, "{step}");
+        if !accepted {
+            assert_eq!(b.feedback(0).stopped, Some(StopCause::Limit));
+            let (_, high) = b.tape(0).demand.unwrap();
+            assert!(high < 20.01, "{high}");
+        }
+    }
+    // Nor may the first row be where the axis cannot be by then.
+    let mut b = Rig::new(1).start();
+    b.ready();
+    b.done(0, to(20.0));
+    b.sim.axis(0).push_row(row(100.0)).unwrap();
+    let id = b.post(0, Verb::Follow);
+    assert!(matches!(b.ended(0, id), Outcome::Failed(Failure::Limit { .. })));
+}
+
+#[test]
+fn a_stream_must_be_able_to_brake_within_the_range() {
+    // At 500 mm/s the stop plan's 5000 mm/s² take 25 mm; the stream is cut 10 mm before the end.
+    for underrun in [Underrun::Stop, Underrun::Extrapolate(3), Underrun::Hold] {
+        let mut b = Rig::new(1).each(|_, drive| drive.axis.underrun = underrun).start();
+        b.ready();
+        b.done(0, to(100.0));
+        // 2 mm/s faster each row, then constant.
+        let (mut position, mut velocity) = (100.0, 0.0_f64);
+        while position < 190.0 {
+            velocity = (velocity + 2.0).min(500.0);
+            position += velocity * 0.001;
+            b.sim.axis(0).push_row(Row { velocity, ..row(position) }).unwrap();
+        }
+        let id = b.post(0, Verb::Follow);
+        assert!(matches!(b.ended(0, id), Outcome::Failed(Failure::Limit { .. })), "{underrun:?}");
+        assert_eq!(b.feedback(0).stopped, Some(StopCause::Limit));
+        b.run(300);
+        let (_, high) = b.tape(0).demand.unwrap();
+        assert!((190.0..=RANGE.1).contains(&high), "{underrun:?} went to {high}");
+    }
+}
+
+#[test]
+fn a_stream_may_brake_right_at_the_limit() {
+    // With exactly the deceleration of the stop plan, down to 200 mm.
+    let mut b = Rig::new(1).start();
+    b.ready();
+    b.done(0, to(100.0));
+    let (a, t) = (4_999.0_f64, 0.1_f64);
+    let way = a * t * t;
+    let begin = 200.0 - way;
+    b.done(0, to(begin));
+    for n in 1..=200 {
+        let s = f64::from(n) * 0.001;
+        let (position, velocity) = match s < t {
+            true => (begin + a * s * s / 2.0, a * s),
+            false => (200.0 - a * (2.0 * t - s).powi(2) / 2.0, a * (2.0 * t - s)),
+        };
+        let position = position.min(200.0);
+        b.sim.axis(0).push_row(Row { velocity, last: n == 200, ..row(position) }).unwrap();
+    }
+    b.done(0, Verb::Follow);
+    assert_eq!(b.tape(0).last().demand, Some(2_000_000));
+}
+
+#[test]
+fn a_stream_replaces_a_move_and_a_move_a_stream() {
+    let mut b = Rig::new(1).start();
+    b.ready();
+    b.done(0, to(20.0));
+    for n in 0..500 {
+        b.sim.axis(0).push_row(row(20.0 + f64::from(n) * 0.02)).unwrap();
+    }
+    let follow = b.post(0, Verb::Follow);
+    b.run(100);
+    let away = b.post(0, to(50.0));
+    assert_eq!(b.aborted(0, follow), Abort::Replaced(away));
+    assert_eq!(b.ended(0, away), Outcome::Done);
+    assert_eq!(b.feedback(0).demand, 50.0);
+    assert_eq!(b.sim.axis(0).stream_room(), 1024, "what was left of the stream is gone");
+    let stop = b.post(0, Verb::Stop { deceleration: None });
+    assert_eq!(b.ended(0, stop), Outcome::Done);
+}
+
+#[test]
+fn streams_run_one_after_the_other() {
+    let mut b = Rig::new(1).start();
+    b.ready();
+    b.done(0, to(20.0));
+    let at = |n: i32| row(20.0 + f64::from(n) * 0.02);
+    (0..100).for_each(|n| b.sim.axis(0).push_row(Row { last: n == 99, ..at(n) }).unwrap());
+    let first = b.post(0, Verb::Follow);
+    b.run(50);
+    // The rows of the next one are queued first, as always; they are its own.
+    (100..200).for_each(|n| b.sim.axis(0).push_row(Row { last: n == 199, ..at(n) }).unwrap());
+    let second = b.post(0, Verb::Follow);
+    assert_eq!(b.ended(0, first), Outcome::Done);
+    assert_near(b.feedback(0).demand, at(99).position, 1e-4);
+    assert_eq!(b.ended(0, second), Outcome::Done);
+    assert_near(b.feedback(0).demand, at(199).position, 1e-4);
+    assert!(!b.kinds(0).contains(&EventKind::Underrun));
+}
+
+#[test]
+fn rows_pushed_for_a_stream_that_has_ended_are_never_run() {
+    let mut b = Rig::new(1).start();
+    b.ready();
+    b.done(0, to(20.0));
+    let at = |n: i32| row(20.0 + f64::from(n) * 0.02);
+    (0..100).for_each(|n| b.sim.axis(0).push_row(at(n)).unwrap());
+    b.post(0, Verb::Follow);
+    b.run(50);
+    b.world().unplug(address(0));
+    // The producer looks at no event, and has not noticed yet.
+    b.sim.run(20);
+    assert_eq!(b.sim.feedback(0).stopped, Some(StopCause::LinkLost));
+    (100..130).for_each(|n| drop(b.sim.axis(0).push_row(at(n))));
+    b.world().plug(address(0));
+    b.recover(0);
+    b.done(0, to(20.0));
+    let before = b.feedback(0).demand;
+    for n in 0..10 {
+        b.sim.axis(0).push_row(Row { last: n == 9, ..row(before) }).unwrap();
+    }
+    b.done(0, Verb::Follow);
+    assert_near(b.feedback(0).demand, before, 1e-4);
+}
+
+#[test]
+fn a_rotary_axis_streams_over_its_modulo() {
+    let mut b = Rig::new(1)
+        .each(|_, drive| {
+            drive.axis.units =
+                Units { unit: Unit::Millimetre, modulo: Some(20.0), ..Units::millimetres(PER_MM) };
+            drive.axis.limits.position = None;
+            drive.axis.limits.step = Some(0.1);
+        })
+        .start();
+    b.ready();
+    for n in 0..=600 {
+        let position = (f64::from(n) * 0.08).rem_euclid(20.0);
+        b.sim.axis(0).push_row(Row { velocity: 80.0, last: n == 600, ..row(position) }).unwrap();
+    }
+    b.done(0, Verb::Follow);
+    assert_eq!(b.tape(0).last().demand, Some(480_000));
+    assert_near(b.feedback(0).demand, 8.0, 1e-3);
+}
+
+#[test]
+fn lost_telegrams_lose_rows_but_not_the_place() {
+    // A drive that is patient enough: what it gets is interpolated, and the end is exact.
+    // In seed 1169 the last row and all that stood still behind it were lost.
+    for seed in (0..8).chain([1_169]) {
+        let mut b = Rig::new(1)
+            .each(|_, drive| {
+                drive.simulate.stream_patience = 30.0;
+                drive.axis.health.bucket = 10_000;
+            })
+            .start();
+        b.ready();
+        b.done(0, to(20.0));
+        smooth(20.0, 50.0, 500, 0.001).for_each(|row| b.sim.axis(0).push_row(row).unwrap());
+        let faults = fieldbeat::sim::FaultPlan { seed, drop: 0.1, ..Default::default() };
+        b.world().set_faults(address(0), faults);
+        b.done(0, Verb::Follow);
+        assert_eq!(b.tape(0).last().demand, Some(700_000), "seed {seed}");
+    }
+}
+
+#[test]
+fn rows_of_a_stream_that_was_stopped_do_not_wait_for_the_next_one() {
+    let mut b = Rig::new(1).start();
+    b.ready();
+    b.done(0, to(20.0));
+    (0..500).for_each(|n| b.sim.axis(0).push_row(row(20.0 + f64::from(n) * 0.02)).unwrap());
+    let id = b.post(0, Verb::Follow);
+    b.run(100);
+    b.world().unplug(address(0));
+    assert_eq!(b.stopped(0, 10), StopCause::LinkLost);
+    assert_eq!(b.aborted(0, id), Abort::Stopped(StopCause::LinkLost));
+    assert_eq!(b.sim.axis(0).stream_room(), 1024);
+    b.world().plug(address(0));
+    b.run(300);
+    b.recover(0);
+    let id = b.post(0, Verb::Follow);
+    b.run(50);
+    assert_eq!((b.outcome(0, id), b.feedback(0).moving), (None, false));
+}

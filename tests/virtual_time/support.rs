@@ -1,0 +1,567 @@
+//! A machine in virtual time with drives that write down what they hear and say.
+
+use std::collections::BTreeMap;
+use std::io;
+use std::net::{Ipv4Addr, SocketAddrV4};
+use std::os::fd::RawFd;
+use std::sync::{Arc, Mutex, MutexGuard};
+use std::time::Duration;
+
+use fieldbeat::axis::{
+    Abort, AxisPlan, CommandId, Event, EventKind, Failure, Feedback, FoundRunning, Health, Jog, Limits, Link,
+    Move, Outcome, Profile, Row, StopCause, StopHow, StopPlan, StopThen, StopTimeout, Target, Underrun,
+    Units, Verb,
+};
+use fieldbeat::bus::linudp::sim::LinMotSim;
+use fieldbeat::bus::linudp::wire::{ErrorCode, Request, Response};
+use fieldbeat::bus::linudp::{
+    DRIVE_PORT, LinUdpDrive, LinUdpPlan, MASTER_PORT, MasterFilter, SimPlan, StreamCommand,
+};
+use fieldbeat::bus::{Bus, BusPlan, Cycle, OpenError};
+use fieldbeat::cycle::engine::Flow;
+use fieldbeat::cycle::status::{RunEnd, Status};
+use fieldbeat::cycle::task::Axes;
+use fieldbeat::cycle::{CyclePlan, Plan};
+use fieldbeat::master::Master;
+use fieldbeat::net::{Carriers, Datagrams, Outbox, Received, SendMode, Sent, UdpOptions};
+use fieldbeat::rt::Regions;
+use fieldbeat::sim::world::{World, WorldOptions};
+use fieldbeat::sim::{DatagramDrive, FaultPlan};
+use fieldbeat::simulation::Simulation;
+use fieldbeat::time::{MS, Time};
+
+pub const MASTER: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::new(10, 0, 0, 1), MASTER_PORT);
+
+/// 10 000 counts of 0.1 um are a millimetre.
+pub const PER_MM: f64 = 10_000.0;
+
+/// The range that every axis is allowed, mm.
+pub const RANGE: (f64, f64) = (0.0, 200.0);
+
+pub fn address(index: usize) -> SocketAddrV4 {
+    SocketAddrV4::new(Ipv4Addr::new(10, 0, 1 + (index / 200) as u8, 1 + (index % 200) as u8), DRIVE_PORT)
+}
+
+/// One exchange as the drive saw it.
+#[derive(Clone, Copy, Debug)]
+pub struct Heard {
+    pub at: Time,
+    pub request: Request,
+    pub reply: Option<Response>,
+}
+
+type Tamper = Box<dyn FnMut(&mut Vec<u8>) + Send>;
+
+/// What one drive heard and said, and what is to befall it.
+#[derive(Default)]
+pub struct Tape {
+    pub heard: Vec<Heard>,
+    /// Write nothing down, only follow the extremes.
+    pub paused: bool,
+    /// Hears and acts, but its answers are lost.
+    pub mute: bool,
+    /// The operating system refuses to send to it.
+    pub jammed: bool,
+    /// An error of the drive, to be raised with the next request.
+    pub provoke: Option<ErrorCode>,
+    /// Changes the next answers.
+    pub tamper: Option<Tamper>,
+    /// The largest and smallest demand position while homed and powered, mm.
+    pub demand: Option<(f64, f64)>,
+}
+
+impl Tape {
+    /// The last answer that the drive gave.
+    pub fn last(&self) -> Response {
+        self.heard.iter().rev().find_map(|heard| heard.reply).expect("the drive has answered")
+    }
+}
+
+struct Taped {
+    drive: LinMotSim,
+    tape: Arc<Mutex<Tape>>,
+}
+
+impl DatagramDrive for Taped {
+    fn address(&self) -> SocketAddrV4 {
+        self.drive.address()
+    }
+
+    fn faults(&self) -> FaultPlan {
+        self.drive.faults()
+    }
+
+    fn receive(
+        &mut self,
+        now: Time,
+        from: SocketAddrV4,
+        bytes: &[u8],
+        reply: &mut Vec<u8>,
+    ) -> Option<SocketAddrV4> {
+        let mut tape = self.tape.lock().unwrap();
+        if let Some(code) = tape.provoke.take() {
+            self.drive.provoke(code);
+        }
+        let to = self.drive.receive(now, from, bytes, reply);
+        let answer = to.and_then(|_| Response::parse(reply).ok());
+        if let Some(answer) = &answer
+            && let (Some(status), Some(demand)) = (answer.status, answer.demand)
+            && status.homed()
+            && status.operation_enabled()
+        {
+            let demand = f64::from(demand) / PER_MM;
+            let (low, high) = tape.demand.unwrap_or((demand, demand));
+            tape.demand = Some((low.min(demand), high.max(demand)));
+        }
+        if !tape.paused
+            && let Ok(request) = Request::parse(bytes)
+        {
+            tape.heard.push(Heard { at: now, request, reply: answer });
+        }
+        if let (Some(tamper), Some(_)) = (&mut tape.tamper, to) {
+            tamper(reply);
+        }
+        to.filter(|_| !tape.mute)
+    }
+
+    fn restart(&mut self, now: Time) {
+        self.drive.restart(now);
+    }
+}
+
+/// The plan of a LinUDP bus whose simulated drives are taped.
+#[derive(Debug)]
+struct TapedBus {
+    plan: LinUdpPlan,
+    tapes: Vec<SharedTape>,
+}
+
+#[derive(Clone)]
+struct SharedTape(Arc<Mutex<Tape>>);
+
+impl std::fmt::Debug for SharedTape {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("SharedTape")
+    }
+}
+
+impl BusPlan for TapedBus {
+    fn name(&self) -> &str {
+        self.plan.name()
+    }
+
+    fn protocol(&self) -> &'static str {
+        self.plan.protocol()
+    }
+
+    fn axes(&self) -> Vec<&AxisPlan> {
+        self.plan.axes()
+    }
+
+    fn describe(&self, period_ns: u64) -> Vec<String> {
+        self.plan.describe(period_ns)
+    }
+
+    fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
+        let tapes = self.tapes.clone();
+        self.plan.open(period_ns, &Jammable { carriers, tapes })
+    }
+
+    fn simulate(&self) -> Vec<Box<dyn DatagramDrive>> {
+        (self.plan.drives.iter().zip(&self.tapes))
+            .map(|(drive, tape)| {
+                let drive = Taped { drive: LinMotSim::new(drive), tape: Arc::clone(&tape.0) };
+                Box::new(drive) as Box<dyn DatagramDrive>
+            })
+            .collect()
+    }
+}
+
+/// Carriers that refuse to send to some drives.
+struct Jammable<'a> {
+    carriers: &'a dyn Carriers,
+    tapes: Vec<SharedTape>,
+}
+
+impl Carriers for Jammable<'_> {
+    fn datagrams(&self, bind: SocketAddrV4, options: &UdpOptions) -> io::Result<Box<dyn Datagrams>> {
+        let inner = self.carriers.datagrams(bind, options)?;
+        Ok(Box::new(JammableCarrier { inner, tapes: self.tapes.clone() }))
+    }
+}
+
+struct JammableCarrier {
+    inner: Box<dyn Datagrams>,
+    tapes: Vec<SharedTape>,
+}
+
+impl Datagrams for JammableCarrier {
+    fn fd(&self) -> Option<RawFd> {
+        self.inner.fd()
+    }
+
+    fn send(&mut self, outbox: &mut Outbox) {
+        for (index, tape) in self.tapes.iter().enumerate() {
+            if outbox.sent(index) == Sent::Posted && tape.0.lock().unwrap().jammed {
+                // No buffer space available.
+                outbox.note(index, Sent::Failed(105));
+            }
+        }
+        self.inner.send(outbox);
+    }
+
+    fn receive(&mut self, take: &mut dyn FnMut(Received<'_>)) -> io::Result<usize> {
+        self.inner.receive(take)
+    }
+
+    fn batch(&self) -> usize {
+        self.inner.batch()
+    }
+
+    fn memory(&self, _regions: &mut Regions) {}
+}
+
+/// A drive as most tests want it: 1 kHz, 0 ... 200 mm, homes to 0, starts 10 mm away from it.
+pub fn drive(index: usize) -> LinUdpDrive {
+    LinUdpDrive {
+        axis: AxisPlan {
+            name: format!("x{index}"),
+            units: Units::millimetres(PER_MM),
+            limits: Limits {
+                position: Some(RANGE),
+                velocity: Some(1_000.0),
+                acceleration: Some(20_000.0),
+                step: None,
+            },
+            profile: Profile { velocity: 200.0, acceleration: 5_000.0, deceleration: 5_000.0 },
+            divisor: 1,
+            phase: 0,
+            health: Health::default(),
+            stop: StopPlan {
+                how: StopHow::Ramp,
+                deceleration: 5_000.0,
+                then: StopThen::Disable,
+                timeout: Duration::from_secs(2),
+                on_timeout: StopTimeout::Disable,
+                standstill: 5.0,
+                standstill_for: 20,
+                group: None,
+            },
+            underrun: Underrun::Stop,
+            on_found_running: FoundRunning::Stop,
+            enable_timeout: Duration::from_secs(5),
+            home_timeout: Duration::from_secs(30),
+            command_queue: 64,
+            stream_queue: 1024,
+            event_queue: 256,
+            sample_queue: 0,
+        },
+        address: address(index),
+        stream: Some(StreamCommand::Pva),
+        monitor: false,
+        reply_tag: false,
+        leash: Some(20.0),
+        simulate: SimPlan {
+            faults: FaultPlan::default(),
+            padding: 14,
+            filter: MasterFilter::None,
+            start_position: 100_000,
+            range: (-50_000, 2_050_000),
+            mass_kg: 1.0,
+            home_position: 0,
+            stream_period_ns: MS,
+            stream_patience: 2.5,
+            stream_depth: 8,
+            force_enable_bits: false,
+            start_running: false,
+        },
+    }
+}
+
+type TaskFn = Box<dyn FnMut(&Cycle, &mut Axes<'_>) + Send>;
+
+/// A machine to be built.
+pub struct Rig {
+    pub cycle: CyclePlan,
+    pub drives: Vec<LinUdpDrive>,
+    pub options: WorldOptions,
+    task: Option<TaskFn>,
+}
+
+impl Rig {
+    pub fn new(count: usize) -> Rig {
+        Rig {
+            cycle: CyclePlan::default(),
+            drives: (0..count).map(drive).collect(),
+            options: WorldOptions::default(),
+            task: None,
+        }
+    }
+
+    pub fn cycle(mut self, change: impl FnOnce(&mut CyclePlan)) -> Rig {
+        change(&mut self.cycle);
+        self
+    }
+
+    pub fn each(mut self, change: impl Fn(usize, &mut LinUdpDrive)) -> Rig {
+        self.drives.iter_mut().enumerate().for_each(|(index, drive)| change(index, drive));
+        self
+    }
+
+    pub fn faults(self, plan: FaultPlan) -> Rig {
+        self.each(|index, drive| {
+            drive.simulate.faults = FaultPlan { seed: plan.seed * 1_000 + index as u64, ..plan.clone() };
+        })
+    }
+
+    pub fn task(mut self, task: impl FnMut(&Cycle, &mut Axes<'_>) + Send + 'static) -> Rig {
+        self.task = Some(Box::new(task));
+        self
+    }
+
+    pub fn start(self) -> Bench {
+        let tapes: Vec<_> = self.drives.iter().map(|_| SharedTape(Arc::default())).collect();
+        let plan = LinUdpPlan {
+            name: "linudp".into(),
+            bind: MASTER,
+            send: SendMode::Batch,
+            drives: self.drives.clone(),
+        };
+        let period_ns = self.cycle.period_ns;
+        let bus = TapedBus { plan, tapes: tapes.clone() };
+        let plan = Plan { source: None, cycle: self.cycle, buses: vec![Box::new(bus)] };
+        let mut setup = Master::from_plan(plan);
+        if let Some(task) = self.task {
+            setup = setup.with_task(task);
+        }
+        // The grid begins two periods after the first look at the clock.
+        let origin = self.options.start + self.options.read_ns + 2 * period_ns;
+        Bench {
+            sim: setup.simulate(self.options).expect("the machine can be built"),
+            origin,
+            drives: self.drives,
+            tapes,
+            events: Vec::new(),
+            ends: BTreeMap::new(),
+            period_ns,
+        }
+    }
+}
+
+/// A machine that runs.
+pub struct Bench {
+    pub sim: Simulation,
+    pub drives: Vec<LinUdpDrive>,
+    tapes: Vec<SharedTape>,
+    /// All events, with their axis.
+    pub events: Vec<(usize, Event)>,
+    /// How each command ended, by axis and id; more than one end is a defect that every test would see.
+    pub ends: BTreeMap<(usize, u64), Outcome>,
+    pub period_ns: u64,
+    origin: Time,
+}
+
+impl Bench {
+    pub fn step(&mut self) -> Flow {
+        let flow = self.sim.step();
+        for index in 0..self.drives.len() {
+            while let Some(event) = self.sim.axis(index).event() {
+                if let EventKind::Ended { id, outcome, .. } = event.kind {
+                    let before = self.ends.insert((index, id.0), outcome);
+                    assert_eq!(before, None, "command {} of axis {index} ended twice: {outcome}", id.0);
+                }
+                self.events.push((index, event));
+            }
+        }
+        flow
+    }
+
+    pub fn run(&mut self, turns: u64) {
+        for _ in 0..turns {
+            self.step();
+        }
+    }
+
+    /// Turns until `done`; fails after `most`.
+    pub fn until(&mut self, what: &str, most: u64, mut done: impl FnMut(&mut Bench) -> bool) -> u64 {
+        for turn in 0..most {
+            if done(self) {
+                return turn;
+            }
+            self.step();
+        }
+        let told: Vec<_> =
+            self.events.iter().rev().take(12).map(|(axis, e)| format!("{axis}: {e}")).collect();
+        panic!("not within {most} turns: {what}; the last events, newest first: {told:#?}");
+    }
+
+    pub fn world(&self) -> World {
+        self.sim.world().clone()
+    }
+
+    pub fn tape(&self, index: usize) -> MutexGuard<'_, Tape> {
+        self.tapes[index].0.lock().unwrap()
+    }
+
+    pub fn feedback(&self, index: usize) -> Feedback {
+        self.sim.feedback(index)
+    }
+
+    pub fn status(&self) -> Status {
+        *self.sim.status()
+    }
+
+    pub fn online(&mut self) -> &mut Bench {
+        let count = self.drives.len();
+        self.until("all online", 2_000, |b| (0..count).all(|index| b.feedback(index).link == Link::Online));
+        self
+    }
+
+    /// All online, enabled and homed.
+    pub fn ready(&mut self) -> &mut Bench {
+        self.online();
+        for verb in [Verb::Enable, Verb::Home] {
+            let ids: Vec<_> = (0..self.drives.len()).map(|index| self.post(index, verb)).collect();
+            for (index, id) in ids.into_iter().enumerate() {
+                assert_eq!(self.ended(index, id), Outcome::Done, "{verb:?} of axis {index}");
+            }
+        }
+        self
+    }
+
+    pub fn post(&mut self, index: usize, verb: Verb) -> CommandId {
+        self.sim.axis(index).post(verb).unwrap_or_else(|error| panic!("{error}"))
+    }
+
+    pub fn outcome(&self, index: usize, id: CommandId) -> Option<Outcome> {
+        self.ends.get(&(index, id.0)).copied()
+    }
+
+    /// Turns until the command has ended.
+    pub fn ended(&mut self, index: usize, id: CommandId) -> Outcome {
+        self.until(&format!("end of command {} of axis {index}", id.0), 40_000, |b| {
+            b.outcome(index, id).is_some()
+        });
+        self.outcome(index, id).unwrap()
+    }
+
+    /// Posts and turns until the end.
+    pub fn run_verb(&mut self, index: usize, verb: Verb) -> Outcome {
+        let id = self.post(index, verb);
+        self.ended(index, id)
+    }
+
+    pub fn done(&mut self, index: usize, verb: Verb) {
+        assert_eq!(self.run_verb(index, verb), Outcome::Done, "{verb:?} of axis {index}");
+    }
+
+    pub fn failed(&mut self, index: usize, verb: Verb) -> Failure {
+        match self.run_verb(index, verb) {
+            Outcome::Failed(failure) => failure,
+            other => panic!("{verb:?} of axis {index} should have failed: {other}"),
+        }
+    }
+
+    pub fn aborted(&mut self, index: usize, id: CommandId) -> Abort {
+        match self.ended(index, id) {
+            Outcome::Aborted(abort) => abort,
+            other => panic!("command {} of axis {index} should have been aborted: {other}", id.0),
+        }
+    }
+
+    /// Turns until the axis is latched.
+    pub fn stopped(&mut self, index: usize, most: u64) -> StopCause {
+        self.until("a stop", most, |b| b.feedback(index).stopped.is_some());
+        self.feedback(index).stopped.unwrap()
+    }
+
+    /// Out of the latch, enabled again, homed if need be.
+    pub fn recover(&mut self, index: usize) {
+        self.online();
+        self.done(index, Verb::ResetFault);
+        self.done(index, Verb::Reset);
+        self.done(index, Verb::Enable);
+        if !self.feedback(index).homed {
+            self.done(index, Verb::Home);
+        }
+    }
+
+    pub fn kinds(&self, index: usize) -> Vec<EventKind> {
+        self.events.iter().filter(|(axis, _)| *axis == index).map(|(_, event)| event.kind).collect()
+    }
+
+    /// The grid point of the cycle executed last.
+    pub fn grid(&self) -> Time {
+        let now = self.world().now();
+        now - now.since(self.origin) % self.period_ns
+    }
+
+    /// The newest values are as old as they say: the drive gave them in the cycle that the age names, or later.
+    pub fn assert_honest(&self, index: usize) {
+        let feedback = self.feedback(index);
+        let since = self.grid() - u64::from(feedback.age) * self.period_ns;
+        let tape = self.tape(index);
+        let given = |heard: &Heard| {
+            let reply = heard.reply?;
+            let demand = f64::from(reply.demand?) / PER_MM;
+            (demand == feedback.demand).then_some(heard.at)
+        };
+        let at = tape.heard.iter().rev().find_map(given).expect("no value that the drive did not give");
+        assert!(at >= since, "age {} in {}, but given {} ns before", feedback.age, since, since.since(at));
+    }
+
+    /// Asks for the end and turns until it is there.
+    pub fn shut_down(&mut self, most: u64) -> u64 {
+        self.sim.stop();
+        for turn in 1..=most {
+            if self.step() == Flow::End {
+                return turn;
+            }
+        }
+        panic!("no end within {most} turns");
+    }
+
+    pub fn finish(self) -> RunEnd {
+        self.sim.finish()
+    }
+
+    /// `planned = executed + skipped`, and the histogram holds them all.
+    pub fn assert_grid(&self) {
+        let status = self.status();
+        assert_eq!(status.planned, status.executed + status.skipped, "{status:?}");
+        assert_eq!(self.sim.histograms().wake.len(), status.planned, "{status:?}");
+    }
+}
+
+pub fn to(position: f64) -> Verb {
+    fast(Target::Absolute(position))
+}
+
+pub fn by(distance: f64) -> Verb {
+    fast(Target::Relative(distance))
+}
+
+fn fast(target: Target) -> Verb {
+    with(target, 500.0, 10_000.0)
+}
+
+pub fn with(target: Target, velocity: f64, acceleration: f64) -> Verb {
+    Verb::Move(Move { target, profile: Profile { velocity, acceleration, deceleration: acceleration } })
+}
+
+/// Slow enough to be in the middle of it for seconds.
+pub fn slowly_to(position: f64) -> Verb {
+    with(Target::Absolute(position), 20.0, 1_000.0)
+}
+
+pub fn jog(velocity: f64) -> Verb {
+    Verb::Jog(Jog { velocity, acceleration: 5_000.0 })
+}
+
+pub fn row(position: f64) -> Row {
+    Row { position, ..Row::default() }
+}
+
+pub fn assert_near(value: f64, expected: f64, within: f64) {
+    assert!((value - expected).abs() <= within, "{value} is not within {within} of {expected}");
+}
