@@ -1,0 +1,480 @@
+//! What the whole-system tests share: configurations in a directory of their own, the built program as a child that
+//! never outlives its test, and a lock for the addresses that the demo has to itself.
+#![allow(dead_code, reason = "every test program uses its own part")]
+
+use std::io::Read;
+use std::net::{Ipv4Addr, SocketAddrV4, UdpSocket};
+use std::os::unix::fs::PermissionsExt;
+use std::os::unix::process::{CommandExt, ExitStatusExt};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::{Arc, Mutex};
+use std::thread::{JoinHandle, sleep};
+use std::time::{Duration, Instant};
+
+use fieldbeat::cycle::Plan;
+
+/// Nothing takes this long, however busy the machine; whatever does is killed, and its test fails.
+pub const LONG: Duration = Duration::from_secs(60);
+
+/// The program as a user has it.
+pub const PROGRAM: &str = env!("CARGO_BIN_EXE_fieldbeat");
+
+/// `nobody` on every distribution.
+pub const NOBODY: u32 = 65534;
+
+/// A file of the checkout.
+pub fn checkout(file: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join(file)
+}
+
+pub fn is_root() -> bool {
+    nix::unistd::geteuid().is_root()
+}
+
+/// Waits until `done` holds. False if it does not within `limit`.
+pub fn until(limit: Duration, mut done: impl FnMut() -> bool) -> bool {
+    let begun = Instant::now();
+    while !done() {
+        if begun.elapsed() > limit {
+            return false;
+        }
+        sleep(Duration::from_millis(5));
+    }
+    true
+}
+
+/// A network of its own on loopback, and a directory for its configurations that goes with it.
+///
+/// The second byte of its addresses comes from the process, so that two runs of the tests on one computer do not meet.
+pub struct Machine {
+    directory: PathBuf,
+    net: [u8; 3],
+}
+
+impl Machine {
+    /// `test` is unique in its test program: the addresses are 127.p.`test`.0/24.
+    pub fn new(test: u8) -> Machine {
+        let id = std::process::id();
+        let directory = std::env::temp_dir().join(format!("fieldbeat-{id}-{test}"));
+        std::fs::create_dir_all(&directory).unwrap();
+        std::fs::set_permissions(&directory, PermissionsExt::from_mode(0o755)).unwrap();
+        Machine { directory, net: [127, 100 + (id % 128) as u8, test] }
+    }
+
+    /// The same in another network, for a namespace of its own.
+    pub fn on(mut self, net: [u8; 3]) -> Machine {
+        self.net = net;
+        self
+    }
+
+    pub fn ip(&self, host: u8) -> Ipv4Addr {
+        let [a, b, c] = self.net;
+        Ipv4Addr::new(a, b, c, host)
+    }
+
+    /// Where the master listens.
+    pub fn master(&self) -> SocketAddrV4 {
+        SocketAddrV4::new(self.ip(1), 41136)
+    }
+
+    /// Where drive `index` listens.
+    pub fn drive(&self, index: usize) -> SocketAddrV4 {
+        SocketAddrV4::new(self.ip(11 + index as u8), 49360)
+    }
+
+    pub fn path(&self, file: &str) -> PathBuf {
+        self.directory.join(file)
+    }
+
+    /// A configuration of drives `d0`, `d1` ...; `cycle` and `defaults` are lines of `[cycle]` and `[bus.defaults]`.
+    ///
+    /// It is made for a busy computer: slow, patient with the drives, and no stop for being late.
+    pub fn config(&self, file: &str, drives: usize, cycle: &str, defaults: &str) -> PathBuf {
+        const CYCLE: &[(&str, &str)] = &[
+            ("period", "\"2ms\""),
+            ("receive_deadline", "0.8"),
+            ("max_skip", "2000"),
+            ("realtime", "\"off\""),
+        ];
+        const DEFAULTS: &[(&str, &str)] = &[
+            ("limits", "{ position = [0, 400], velocity = 2000, acceleration = 20000 }"),
+            ("health", "{ bucket = 1000 }"),
+        ];
+        // Ours where the test gives no other value.
+        let section = |lines: &str, usual: &[(&str, &str)]| {
+            let missing =
+                usual.iter().filter(|(key, _)| !lines.lines().any(|line| line.trim_start().starts_with(key)));
+            missing.map(|(key, value)| format!("{key} = {value}\n")).collect::<String>() + lines + "\n"
+        };
+        let mut text = format!(
+            "[cycle]\n{}[[bus]]\nprotocol = \"linudp-v2\"\nbind = \"{}\"\n[bus.defaults]\n{}",
+            section(cycle, CYCLE),
+            self.ip(1),
+            section(defaults, DEFAULTS)
+        );
+        for index in 0..drives {
+            text +=
+                &format!("[[bus.drive]]\nname = \"d{index}\"\naddress = \"{}\"\n", self.drive(index).ip());
+        }
+        self.write(file, &text)
+    }
+
+    /// The configuration that most tests want.
+    pub fn plain(&self, drives: usize) -> PathBuf {
+        self.config("plain.toml", drives, "", "")
+    }
+
+    pub fn write(&self, file: &str, bytes: impl AsRef<[u8]>) -> PathBuf {
+        let path = self.path(file);
+        std::fs::write(&path, bytes).unwrap();
+        std::fs::set_permissions(&path, PermissionsExt::from_mode(0o644)).unwrap();
+        path
+    }
+}
+
+impl Drop for Machine {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.directory);
+    }
+}
+
+/// The plan of a configuration.
+pub fn plan(path: &Path) -> Plan {
+    fieldbeat::config::load(path).unwrap_or_else(|errors| panic!("{errors}"))
+}
+
+/// A child whose output is collected while it runs. Dropped = killed.
+pub struct Program {
+    child: Child,
+    out: Text,
+    err: Text,
+    readers: Vec<JoinHandle<()>>,
+}
+
+type Text = Arc<Mutex<String>>;
+
+/// How a child ended.
+#[derive(Debug)]
+pub struct Ended {
+    pub code: Option<i32>,
+    pub signal: Option<i32>,
+    pub out: String,
+    pub err: String,
+    pub took: Duration,
+}
+
+impl Program {
+    /// The built program with `arguments`.
+    pub fn start<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>) -> Program {
+        let mut command = Command::new(PROGRAM);
+        command.args(arguments);
+        // Whoever runs the tests may ignore SIGHUP (nohup); the program is told of it all the same.
+        // SAFETY: between fork and exec only signal(2) is called, which is async-signal-safe.
+        unsafe {
+            command.pre_exec(|| {
+                libc::signal(libc::SIGHUP, libc::SIG_DFL);
+                Ok(())
+            });
+        }
+        Program::spawn(&mut command)
+    }
+
+    pub fn spawn(command: &mut Command) -> Program {
+        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        let mut child = loop {
+            match command.spawn() {
+                Ok(child) => break child,
+                // A thread that forked just now still holds the freshly written file, until it executes its own.
+                Err(error) if error.kind() == std::io::ErrorKind::ExecutableFileBusy => {
+                    sleep(Duration::from_millis(10));
+                }
+                Err(error) => panic!("cannot start {command:?}: {error}"),
+            }
+        };
+        let (out, err) = (Text::default(), Text::default());
+        let readers = vec![
+            collect(child.stdout.take().unwrap(), Arc::clone(&out)),
+            collect(child.stderr.take().unwrap(), Arc::clone(&err)),
+        ];
+        Program { child, out, err, readers }
+    }
+
+    pub fn pid(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// What it has written to standard output so far.
+    pub fn out(&self) -> String {
+        self.out.lock().unwrap().clone()
+    }
+
+    /// What it has written to standard error so far.
+    pub fn err(&self) -> String {
+        self.err.lock().unwrap().clone()
+    }
+
+    pub fn is_running(&mut self) -> bool {
+        self.child.try_wait().unwrap().is_none()
+    }
+
+    pub fn signal(&self, signal: i32) {
+        // SAFETY: takes two numbers; the child has not been waited for, so that its id is its own.
+        assert_eq!(unsafe { libc::kill(self.pid() as i32, signal) }, 0, "signal {signal}");
+    }
+
+    /// Waits until a signal of this kind is caught and no longer the end of the process.
+    pub fn await_handler(&self, signal: i32) {
+        let caught = || {
+            let status = std::fs::read_to_string(format!("/proc/{}/status", self.pid())).unwrap_or_default();
+            let mask = status.lines().find_map(|line| line.strip_prefix("SigCgt:")).map(str::trim);
+            let mask = mask.and_then(|mask| u64::from_str_radix(mask, 16).ok()).unwrap_or(0);
+            mask & 1 << (signal - 1) != 0
+        };
+        assert!(until(LONG, caught), "signal {signal} is not caught: {}", self.err());
+    }
+
+    /// Waits until `text` stands in its standard output or error.
+    pub fn await_text(&mut self, text: &str) {
+        let begun = Instant::now();
+        loop {
+            // In this order: what it wrote before it ended is still looked at.
+            let running = self.is_running();
+            let found = self.out().contains(text) || self.err().contains(text);
+            if found {
+                return;
+            }
+            assert!(
+                running && begun.elapsed() < LONG,
+                "no \"{text}\" from the program (running: {running}):\n{}{}",
+                self.out(),
+                self.err()
+            );
+            sleep(Duration::from_millis(5));
+        }
+    }
+
+    /// Waits for its end; kills it and fails after `limit`.
+    pub fn end_within(mut self, limit: Duration) -> Ended {
+        let begun = Instant::now();
+        let status = loop {
+            if let Some(status) = self.child.try_wait().unwrap() {
+                break status;
+            }
+            if begun.elapsed() > limit {
+                let _ = self.child.kill();
+                panic!("still running after {limit:?}:\n{}{}", self.out(), self.err());
+            }
+            sleep(Duration::from_millis(2));
+        };
+        for reader in self.readers.drain(..) {
+            reader.join().unwrap();
+        }
+        Ended {
+            code: status.code(),
+            signal: status.signal(),
+            out: self.out(),
+            err: self.err(),
+            took: begun.elapsed(),
+        }
+    }
+
+    pub fn end(self) -> Ended {
+        self.end_within(LONG)
+    }
+
+    /// kill -9, and waits until it is gone.
+    pub fn kill(mut self) {
+        self.child.kill().unwrap();
+        self.child.wait().unwrap();
+    }
+}
+
+impl Drop for Program {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+fn collect(mut from: impl Read + Send + 'static, into: Text) -> JoinHandle<()> {
+    std::thread::spawn(move || {
+        let mut bytes = [0; 4096];
+        while let Ok(count @ 1..) = from.read(&mut bytes) {
+            into.lock().unwrap().push_str(&String::from_utf8_lossy(&bytes[..count]));
+        }
+    })
+}
+
+/// Runs the program to its end.
+pub fn run<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>) -> Ended {
+    Program::start(arguments).end()
+}
+
+impl Ended {
+    /// Standard output as the one JSON object that `--json` promises.
+    pub fn json(&self) -> serde_json::Value {
+        assert_eq!(self.out.lines().count(), 1, "one object, one line: {self:?}");
+        serde_json::from_str(&self.out).unwrap_or_else(|error| panic!("{error}: {self:?}"))
+    }
+
+    #[track_caller]
+    pub fn expect(&self, code: i32) -> &Ended {
+        assert_eq!((self.code, self.signal), (Some(code), None), "{}{}", self.out, self.err);
+        self
+    }
+
+    /// Exit code 2 and one line on standard error that says `parts`; nothing on standard output.
+    #[track_caller]
+    pub fn refused(&self, parts: &[&str]) {
+        self.expect(2);
+        assert_eq!(self.err.lines().count(), 1, "{}", self.err);
+        assert!(self.err.starts_with("fieldbeat: ") && self.err.ends_with('\n'), "{}", self.err);
+        for part in parts {
+            assert!(self.err.contains(part), "no \"{part}\": {}", self.err);
+        }
+        assert_eq!(self.out, "");
+    }
+}
+
+/// The copy of the program that an ordinary user may execute: the build may lie where only its owner looks.
+pub fn public_program(machine: &Machine) -> PathBuf {
+    let copy = machine.path("fieldbeat");
+    if !copy.exists() {
+        std::fs::copy(PROGRAM, &copy).unwrap();
+        std::fs::set_permissions(&copy, PermissionsExt::from_mode(0o755)).unwrap();
+    }
+    copy
+}
+
+/// The program as a user without any right to real time has it.
+pub fn as_ordinary_user(machine: &Machine) -> Command {
+    let root = is_root();
+    let mut command = Command::new(if root { public_program(machine) } else { PathBuf::from(PROGRAM) });
+    // SAFETY: between fork and exec, system calls only.
+    unsafe {
+        command.pre_exec(move || {
+            let no_priority = libc::rlimit { rlim_cur: 0, rlim_max: 0 };
+            let little = libc::rlimit { rlim_cur: 64 << 10, rlim_max: 64 << 10 };
+            let mut refused = libc::setrlimit(libc::RLIMIT_RTPRIO, &no_priority)
+                | libc::setrlimit(libc::RLIMIT_MEMLOCK, &little);
+            if root {
+                refused |= libc::setgroups(0, std::ptr::null()) | libc::setgid(NOBODY) | libc::setuid(NOBODY);
+            }
+            if refused == 0 { Ok(()) } else { Err(std::io::Error::last_os_error()) }
+        });
+    }
+    command
+}
+
+/// The demo's addresses are the same for everybody: whoever holds this may run it.
+pub struct DemoLock(#[expect(dead_code, reason = "held, not looked at")] UdpSocket);
+
+impl DemoLock {
+    pub fn take() -> DemoLock {
+        let mut lock = None;
+        // Longer than all that others may want to do with it.
+        assert!(
+            until(10 * LONG, || {
+                lock = UdpSocket::bind("127.77.0.250:41136").ok();
+                lock.is_some()
+            }),
+            "another test holds the demo's addresses"
+        );
+        let free = |address: &str| until(LONG, || UdpSocket::bind(address).is_ok());
+        assert!(
+            free("127.77.0.1:41136") && free("127.77.0.11:49360"),
+            "somebody runs a demo on this computer: end it (ss -ulpn shows which)"
+        );
+        DemoLock(lock.unwrap())
+    }
+}
+
+/// `planned = executed + skipped`, each counted on its own, and `sent = answered + missed` of each drive.
+#[track_caller]
+pub fn assert_sums(summary: &serde_json::Value) {
+    let cycle = |key: &str| summary["cycle"][key].as_u64().unwrap();
+    assert_eq!(cycle("planned"), cycle("executed") + cycle("skipped"), "{summary}");
+    for drive in summary["drives"].as_array().unwrap() {
+        let count = |key: &str| drive[key].as_u64().unwrap();
+        assert_eq!(count("sent"), count("answered") + count("missed"), "{drive}");
+    }
+}
+
+/// The drive of that name.
+pub fn drive<'a>(summary: &'a serde_json::Value, name: &str) -> &'a serde_json::Value {
+    let drives = summary["drives"].as_array().unwrap();
+    drives.iter().find(|drive| drive["name"] == name).unwrap_or_else(|| panic!("no drive {name}: {summary}"))
+}
+
+/// Two network namespaces with one cable between them; removed with this. Needs root and iproute2.
+///
+/// The addresses are those of TEST-NET-2 (RFC 5737), which lead nowhere else.
+pub struct Cable {
+    pub master: String,
+    pub drives: String,
+}
+
+/// The network of a [`Cable`].
+pub const CABLE_NET: [u8; 3] = [198, 51, 100];
+
+impl Cable {
+    /// The master's end has host number 1, the other end those of `hosts`.
+    pub fn new(test: u8, hosts: &[u8]) -> Cable {
+        let id = std::process::id();
+        let cable = Cable { master: format!("fb{id}-{test}-m"), drives: format!("fb{id}-{test}-d") };
+        let [a, b, c] = CABLE_NET;
+        for name in [&cable.master, &cable.drives] {
+            command(&["ip", "netns", "add", name]);
+            command(&["ip", "-n", name, "link", "set", "lo", "up"]);
+        }
+        let Cable { master, drives } = &cable;
+        command(&[
+            "ip", "-n", master, "link", "add", "wire", "type", "veth", "peer", "name", "wire", "netns",
+            drives,
+        ]);
+        command(&["ip", "-n", master, "address", "add", &format!("{a}.{b}.{c}.1/24"), "dev", "wire"]);
+        for host in hosts {
+            command(&[
+                "ip",
+                "-n",
+                drives,
+                "address",
+                "add",
+                &format!("{a}.{b}.{c}.{host}/24"),
+                "dev",
+                "wire",
+            ]);
+        }
+        cable.plug("up");
+        command(&["ip", "-n", master, "link", "set", "wire", "up"]);
+        cable
+    }
+
+    /// `up` or `down`: the drives' end of the cable.
+    pub fn plug(&self, state: &str) {
+        command(&["ip", "-n", &self.drives, "link", "set", "wire", state]);
+    }
+
+    /// `program` inside one of the namespaces.
+    pub fn command(namespace: &str, program: &str) -> Command {
+        let mut command = Command::new("ip");
+        command.args(["netns", "exec", namespace, program]);
+        command
+    }
+}
+
+impl Drop for Cable {
+    fn drop(&mut self) {
+        for name in [&self.master, &self.drives] {
+            let _ = Command::new("ip").args(["netns", "delete", name]).stderr(Stdio::null()).status();
+        }
+    }
+}
+
+/// Runs a tool that has to succeed.
+pub fn command(words: &[&str]) {
+    let output = Command::new(words[0]).args(&words[1..]).output();
+    let output = output.unwrap_or_else(|error| panic!("{} is missing: {error}", words[0]));
+    assert!(output.status.success(), "{words:?}: {}", String::from_utf8_lossy(&output.stderr));
+}
