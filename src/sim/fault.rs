@@ -4,10 +4,10 @@
 //! alone. Knows no socket, no protocol and no clock: instants come as arguments.
 
 use std::cmp::Reverse;
-use std::collections::BinaryHeap;
+use std::collections::{BinaryHeap, VecDeque};
 use std::net::SocketAddrV4;
 
-use super::FaultPlan;
+use super::{DatagramDrive, FaultPlan};
 use crate::time::Time;
 
 /// Which way a datagram goes.
@@ -49,8 +49,29 @@ pub struct Injected {
     pub stalled: u64,
     /// Restarts; the request at which one happens is lost with it.
     pub restarts: u64,
+    /// Times that the hardware enable was opened.
+    pub inhibits: u64,
     /// Replies from a wrong port.
     pub wrong_id: u64,
+}
+
+/// What befalls the drive itself when a datagram passes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Blow {
+    /// It is switched off and on again; the request is lost.
+    Restart,
+    /// Its hardware enable is open until then.
+    Inhibit(Time),
+}
+
+impl Blow {
+    /// Lets it happen to `drive`.
+    pub(super) fn strike(self, now: Time, drive: &mut dyn DatagramDrive) {
+        match self {
+            Blow::Restart => drive.restart(now),
+            Blow::Inhibit(until) => drive.inhibit(until),
+        }
+    }
 }
 
 /// Makes the faults of one drive's wire, both ways.
@@ -96,7 +117,7 @@ impl Injector {
     }
 
     /// Sends `datagram` on its way at `now`, to arrive at `due` if nothing befalls it: puts what becomes of it into
-    /// `queue`. True if the drive shall restart now; such a request is lost.
+    /// `queue`. Returns what befalls the drive meanwhile.
     pub fn pass(
         &mut self,
         way: Way,
@@ -104,11 +125,12 @@ impl Injector {
         mut due: Time,
         mut datagram: Datagram<'_>,
         queue: &mut Queue,
-    ) -> bool {
+    ) -> Option<Blow> {
         let (plan, injected) = (&self.plan, &mut self.injected);
         let request = way == Way::Request;
         let lane = if request { &mut self.requests } else { &mut self.replies };
 
+        let mut blow = None;
         let drop = lane.strikes(plan.drop);
         let duplicate = lane.strikes(plan.duplicate);
         let corrupt = lane.strikes(plan.corrupt);
@@ -118,25 +140,30 @@ impl Injector {
         if request {
             let stall = lane.strikes(plan.stall);
             let restart = lane.strikes(plan.restart);
+            let inhibit = lane.strikes(plan.inhibit);
             if now < self.stalled_until {
                 injected.stalled += 1;
-                return false;
+                return None;
             }
             if restart {
                 injected.restarts += 1;
-                return true;
+                return Some(Blow::Restart);
             }
             if stall {
                 injected.stalls += 1;
                 injected.stalled += 1;
                 self.stalled_until = now + plan.stall_ns;
-                return false;
+                return None;
+            }
+            if inhibit {
+                injected.inhibits += 1;
+                blow = Some(Blow::Inhibit(now + plan.inhibit_ns));
             }
         }
         let wrong_id = !request && lane.strikes(plan.wrong_id);
         if drop {
             injected.dropped += 1;
-            return false;
+            return blow;
         }
         if wrong_id {
             injected.wrong_id += 1;
@@ -159,7 +186,7 @@ impl Injector {
         if reorder && lane.held.is_none() {
             injected.reordered += 1;
             lane.held = Some(parcel);
-            return false;
+            return blow;
         }
         if duplicate {
             injected.duplicated += 1;
@@ -170,7 +197,7 @@ impl Injector {
         if let Some(held) = lane.held.take() {
             queue.push(due, held);
         }
-        false
+        blow
     }
 }
 
@@ -204,7 +231,10 @@ impl Parcel {
 #[derive(Debug)]
 pub struct Queue {
     room: usize,
-    order: BinaryHeap<Reverse<Ticket>>,
+    /// What arrives in the order in which it left, as most does ...
+    line: VecDeque<Ticket>,
+    /// ... and what was overtaken.
+    overtaken: BinaryHeap<Reverse<Ticket>>,
     slots: Vec<Option<Parcel>>,
     free: Vec<usize>,
     spare: Vec<Vec<u8>>,
@@ -224,7 +254,8 @@ impl Queue {
     pub fn new(room: usize) -> Queue {
         Queue {
             room,
-            order: BinaryHeap::with_capacity(room),
+            line: VecDeque::with_capacity(room),
+            overtaken: BinaryHeap::with_capacity(room),
             slots: (0..room).map(|_| None).collect(),
             free: (0..room).rev().collect(),
             spare: Vec::with_capacity(room),
@@ -255,21 +286,33 @@ impl Queue {
             return self.recycle(parcel);
         };
         self.slots[slot] = Some(parcel);
-        self.order.push(Reverse(Ticket { due, number: self.pushed, slot }));
+        let ticket = Ticket { due, number: self.pushed, slot };
+        while self.line.back().is_some_and(|last| last.due > due) {
+            self.overtaken.extend(self.line.pop_back().map(Reverse));
+        }
+        self.line.push_back(ticket);
         self.pushed += 1;
     }
 
     /// When the next one arrives.
     pub fn next_due(&self) -> Option<Time> {
-        self.order.peek().map(|Reverse(ticket)| ticket.due)
+        self.next().map(|ticket| ticket.due)
+    }
+
+    fn next(&self) -> Option<&Ticket> {
+        match (self.line.front(), self.overtaken.peek()) {
+            (Some(ticket), Some(Reverse(other))) => Some(ticket.min(other)),
+            (ticket, other) => ticket.or(other.map(|Reverse(other)| other)),
+        }
     }
 
     /// Takes out the next one that has arrived by `now`, with the instant of its arrival.
     pub fn pop(&mut self, now: Time) -> Option<(Time, Parcel)> {
-        if self.next_due()? > now {
-            return None;
-        }
-        let Reverse(ticket) = self.order.pop()?;
+        let next = self.next().filter(|ticket| ticket.due <= now)?;
+        let ticket = match self.line.front() {
+            Some(front) if front == next => self.line.pop_front()?,
+            _ => self.overtaken.pop()?.0,
+        };
         self.free.push(ticket.slot);
         Some((ticket.due, self.slots[ticket.slot].take()?))
     }
@@ -300,6 +343,8 @@ mod tests {
             stall: 0.01,
             stall_ns: 5_000,
             restart: 0.01,
+            inhibit: 0.01,
+            inhibit_ns: 3,
             wrong_id: 0.1,
             answer_ns: 100,
         }
@@ -317,7 +362,8 @@ mod tests {
             if n < u64::from(count) {
                 let (from, to) = if way == Way::Request { (MASTER, DRIVE) } else { (DRIVE, MASTER) };
                 let bytes = &n.to_le_bytes();
-                restarts += u64::from(injector.pass(way, now, now, Datagram { from, to, bytes }, &mut queue));
+                let blow = injector.pass(way, now, now, Datagram { from, to, bytes }, &mut queue);
+                restarts += u64::from(blow == Some(Blow::Restart));
             }
             while let Some((due, parcel)) = queue.pop(now) {
                 arrived.push((due.0, parcel.from, parcel.bytes.clone()));
@@ -430,5 +476,29 @@ mod tests {
         assert!(queue.pop(Time(9)).is_none());
         let order: Vec<_> = std::iter::from_fn(|| queue.pop(Time(99))).map(|(_, p)| p.bytes[0]).collect();
         assert_eq!(order, [2, 1, 3]);
+    }
+
+    #[test]
+    fn whatever_overtakes_whatever_arrives_in_its_order() {
+        let mut random = fastrand::Rng::with_seed(3);
+        let (mut queue, mut model) = (Queue::new(1_000), Vec::new());
+        for n in 0..5_000_u64 {
+            let due = n + if random.u8(..4) == 0 { random.u64(..50) } else { 10 };
+            let bytes = n.to_le_bytes();
+            let parcel = queue.parcel(Datagram { from: MASTER, to: DRIVE, bytes: &bytes });
+            queue.push(Time(due), parcel);
+            model.push((due, n));
+            if random.u8(..8) == 0 {
+                model.sort_unstable();
+                let (come, left) = model.split_at(model.partition_point(|(due, _)| *due <= n));
+                for (due, number) in come {
+                    let (at, parcel) = queue.pop(Time(n)).unwrap();
+                    assert_eq!((at, &parcel.bytes[..]), (Time(*due), &number.to_le_bytes()[..]));
+                    queue.recycle(parcel);
+                }
+                assert_eq!(queue.next_due(), left.first().map(|(due, _)| Time(*due)));
+                model = left.to_vec();
+            }
+        }
     }
 }

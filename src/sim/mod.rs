@@ -36,6 +36,9 @@ pub trait DatagramDrive: Send {
 
     /// Power cycle: everything volatile is lost.
     fn restart(&mut self, now: Time);
+
+    /// Its hardware enable (STO) is open until then: power goes off, and does not come on.
+    fn inhibit(&mut self, until: Time);
 }
 
 /// Seeded faults between a master and a simulated drive. All rates are probabilities a datagram, 0 ... 1, each way
@@ -62,6 +65,10 @@ pub struct FaultPlan {
     pub stall_ns: u64,
     /// A request meets a drive that restarts, and is lost.
     pub restart: f64,
+    /// A request meets a drive whose hardware enable (STO) is open from now on for `inhibit_ns`.
+    pub inhibit: f64,
+    /// How long.
+    pub inhibit_ns: u64,
     /// A reply comes from a wrong port.
     pub wrong_id: f64,
     /// Time from a request's arrival to its answer, ns.

@@ -236,8 +236,8 @@ impl Service {
         let Ok((length, SocketAddr::V4(from))) = station.socket.recv_from(bytes) else { return };
         let now = MonotonicClock::read();
         let request = Datagram { from, to: station.address, bytes: &bytes[..length] };
-        if station.injector.pass(Way::Request, now, now, request, &mut self.queue) {
-            station.drive.restart(now);
+        if let Some(blow) = station.injector.pass(Way::Request, now, now, request, &mut self.queue) {
+            blow.strike(now, &mut *station.drive);
         }
         let mut stats = lock(&self.stats[index]);
         stats.received += 1;
@@ -330,6 +330,8 @@ mod tests {
             reply.push(self.2);
             Some(from)
         }
+
+        fn inhibit(&mut self, _until: Time) {}
 
         fn restart(&mut self, _now: Time) {
             self.2 = 0;

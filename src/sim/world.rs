@@ -74,6 +74,7 @@ impl World {
             hold_up_ns: 0,
             options,
             stations,
+            next_station: 0,
             ports: Vec::new(),
             under_way: Queue::new(UNDER_WAY),
             reply: Vec::new(),
@@ -125,6 +126,11 @@ impl World {
     /// Switches the drive at `address` off and on again. False if there is no such drive.
     pub fn restart(&self, address: SocketAddrV4) -> bool {
         self.with(address, |station, now| station.drive.restart(now)).is_some()
+    }
+
+    /// Opens the hardware enable (STO) of the drive at `address` for `ns`. False if there is no such drive.
+    pub fn inhibit(&self, address: SocketAddrV4, ns: u64) -> bool {
+        self.with(address, |station, now| station.drive.inhibit(now + ns)).is_some()
     }
 
     /// From now on the wire of the drive at `address` has the faults of `plan`; its counters begin anew. False if there
@@ -232,6 +238,8 @@ struct Inner {
     options: WorldOptions,
     /// By address.
     stations: Vec<Station>,
+    /// The one behind the one that was found last.
+    next_station: usize,
     ports: Vec<Port>,
     under_way: Queue,
     reply: Vec<u8>,
@@ -271,8 +279,18 @@ struct Port {
 }
 
 impl Inner {
-    fn station(&self, address: SocketAddrV4) -> Option<usize> {
-        self.stations.binary_search_by_key(&address, |station| station.address).ok()
+    /// A master asks its drives in order, so that it mostly is the next one.
+    fn station(&mut self, address: SocketAddrV4) -> Option<usize> {
+        let index = match self.stations.get(self.next_station) {
+            Some(station) if station.address == address => self.next_station,
+            _ => self.stations.binary_search_by_key(&address, |station| station.address).ok()?,
+        };
+        self.next_station = index + 1;
+        Some(index)
+    }
+
+    fn port(&self, address: SocketAddrV4) -> Option<usize> {
+        self.ports.iter().position(|port| port.address == address)
     }
 
     /// One reading of the clock.
@@ -299,7 +317,13 @@ impl Inner {
     }
 
     fn deliver(&mut self, parcel: Parcel) {
-        if let Some(index) = self.station(parcel.to) {
+        if let Some(index) = self.port(parcel.to) {
+            if self.ports[index].inbox.len() < INBOX {
+                record(&mut self.digest, self.now, &parcel);
+                self.delivered += 1;
+                return self.ports[index].inbox.push_back(parcel);
+            }
+        } else if let Some(index) = self.station(parcel.to) {
             let now = self.now;
             let station = &mut self.stations[index];
             if station.plugged {
@@ -308,19 +332,13 @@ impl Inner {
                 self.reply.clear();
                 let to = station.drive.receive(now, parcel.from, &parcel.bytes, &mut self.reply);
                 // No drive answers a drive: with a forged source two of them would go on for ever.
-                if let Some(to) = to.filter(|to| self.station(*to).is_none()) {
+                if let Some(to) = to.filter(|to| self.port(*to).is_some() || self.station(*to).is_none()) {
                     let station = &mut self.stations[index];
                     let reply = Datagram { from: station.address, to, bytes: &self.reply };
                     let due = now + self.options.latency_ns;
                     station.injector.pass(Way::Reply, now, due, reply, &mut self.under_way);
                 }
             }
-        } else if let Some(port) = self.ports.iter_mut().find(|port| port.address == parcel.to)
-            && port.inbox.len() < INBOX
-        {
-            record(&mut self.digest, self.now, &parcel);
-            self.delivered += 1;
-            return port.inbox.push_back(parcel);
         }
         self.under_way.recycle(parcel);
     }
@@ -330,9 +348,11 @@ impl Inner {
         let (now, due) = (self.now, self.now + self.options.latency_ns);
         if let Some(index) = self.station(datagram.to) {
             let station = &mut self.stations[index];
-            if station.plugged && station.injector.pass(Way::Request, now, due, datagram, &mut self.under_way)
+            if station.plugged
+                && let Some(blow) =
+                    station.injector.pass(Way::Request, now, due, datagram, &mut self.under_way)
             {
-                station.drive.restart(now);
+                blow.strike(now, &mut *station.drive);
             }
         } else {
             let parcel = self.under_way.parcel(datagram);
@@ -468,6 +488,8 @@ mod tests {
             Some(from)
         }
 
+        fn inhibit(&mut self, _until: Time) {}
+
         fn restart(&mut self, _now: Time) {
             self.asked = 0;
         }
@@ -490,7 +512,7 @@ mod tests {
 
     impl Master {
         fn new(world: &World, count: u8, send: SendMode) -> Master {
-            let options = UdpOptions { peers: usize::from(count), room: 16, send };
+            let options = UdpOptions { peers: usize::from(count), waiting: 0, room: 16, send };
             let carrier = world.datagrams(MASTER, &options).unwrap();
             let outbox = Outbox::new(&(0..count).map(drive).collect::<Vec<_>>(), 16);
             Master { world: world.clone(), carrier, outbox }
@@ -581,6 +603,8 @@ mod tests {
             stall: 0.01,
             stall_ns: 3 * MS,
             restart: 0.01,
+            inhibit: 0.01,
+            inhibit_ns: 1_000_000,
             wrong_id: 0.05,
             answer_ns: 30 * US,
         };
@@ -663,7 +687,7 @@ mod tests {
     #[test]
     fn an_address_has_one_owner_until_it_is_dropped() {
         let world = world(1, FaultPlan::default(), WorldOptions::default());
-        let options = UdpOptions { peers: 1, room: 16, send: SendMode::Batch };
+        let options = UdpOptions { peers: 1, waiting: 0, room: 16, send: SendMode::Batch };
         let refused = |at| world.datagrams(at, &options).map(|_| ()).unwrap_err().kind();
         let first = world.datagrams(MASTER, &options).unwrap();
         assert_eq!(refused(MASTER), io::ErrorKind::AddrInUse);

@@ -87,6 +87,9 @@ pub(super) struct Machine {
     offset: f64,
     /// Where a drive that was found running turns round, until somebody takes over.
     shuttle: Option<(f64, f64)>,
+    /// The hardware enable (STO) is open until then, whatever happens to the drive.
+    inhibited_until: Time,
+    inhibited: bool,
 }
 
 impl Machine {
@@ -107,6 +110,8 @@ impl Machine {
             plant,
             offset: 0.0,
             shuttle: None,
+            inhibited_until: Time(0),
+            inhibited: false,
         };
         machine.power_up();
         if plan.start_running {
@@ -211,6 +216,7 @@ impl Machine {
 
     /// Lets `dt_ns` pass, which end at `now`; then one transition.
     pub(super) fn step(&mut self, now: Time, dt_ns: u64) {
+        self.inhibited = now < self.inhibited_until;
         let actual = self.actual();
         if self.powered()
             && let Err(code) = self.setpoints.advance(now, dt_ns, actual)
@@ -395,16 +401,22 @@ impl Machine {
         }
     }
 
+    /// Opens the hardware enable until then.
+    pub(super) fn inhibit(&mut self, until: Time) {
+        self.inhibited_until = until;
+    }
+
     fn power_off(&mut self, mode: Mode) {
         self.shuttle = None;
         self.setpoints.stand_at(self.actual().position);
         self.mode = mode;
     }
 
-    /// The control word after the forced bits.
+    /// The control word after the forced bits and the hardware enable.
     fn effective(&self) -> ControlWord {
         let forced = if self.plan.force_enable_bits { ControlWord::ENABLES } else { 0 };
-        ControlWord(self.control.0 | forced)
+        let taken = if self.inhibited { ControlWord::VOLTAGE_ENABLE } else { 0 };
+        ControlWord((self.control.0 | forced) & !taken)
     }
 
     fn powered(&self) -> bool {

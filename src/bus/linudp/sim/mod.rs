@@ -217,6 +217,10 @@ impl DatagramDrive for LinMotSim {
         Some(from)
     }
 
+    fn inhibit(&mut self, until: Time) {
+        self.machine.inhibit(until);
+    }
+
     fn restart(&mut self, now: Time) {
         self.live(now);
         self.machine.power_up();

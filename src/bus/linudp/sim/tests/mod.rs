@@ -4,13 +4,8 @@
 mod stream;
 mod telegram;
 
-use std::time::Duration;
-
 use super::*;
-use crate::axis::{
-    AxisPlan, FoundRunning, Health, Limits, Profile, StopHow, StopPlan, StopThen, StopTimeout, Underrun,
-    Units,
-};
+use crate::axis::{AxisPlan, Units};
 use crate::bus::linudp::motion::{MotionCommand, Vad};
 use crate::bus::linudp::plan::{DRIVE_PORT, SimPlan, StreamCommand};
 use crate::bus::linudp::wire::{ControlWord, MainState, MotionBlock, ResponseDef};
@@ -24,33 +19,7 @@ const VAD: Vad = Vad { velocity: 500_000, acceleration: 1_000_000, deceleration:
 
 fn drive() -> LinUdpDrive {
     LinUdpDrive {
-        axis: AxisPlan {
-            name: "x".into(),
-            units: Units::millimetres(10_000.0),
-            limits: Limits::default(),
-            profile: Profile { velocity: 100.0, acceleration: 1_000.0, deceleration: 1_000.0 },
-            divisor: 1,
-            phase: 0,
-            health: Health::default(),
-            stop: StopPlan {
-                how: StopHow::Ramp,
-                deceleration: 1_000.0,
-                then: StopThen::Hold,
-                timeout: Duration::from_secs(2),
-                on_timeout: StopTimeout::Hold,
-                standstill: 1.0,
-                standstill_for: 3,
-                group: None,
-            },
-            underrun: Underrun::Hold,
-            on_found_running: FoundRunning::Stop,
-            enable_timeout: Duration::from_secs(5),
-            home_timeout: Duration::from_secs(30),
-            command_queue: 8,
-            stream_queue: 8,
-            event_queue: 8,
-            sample_queue: 0,
-        },
+        axis: AxisPlan::new("x", Units::millimetres(10_000.0)),
         address: SocketAddrV4::new(Ipv4Addr::new(127, 1, 1, 10), DRIVE_PORT),
         stream: Some(StreamCommand::P),
         monitor: false,
