@@ -51,6 +51,9 @@ pub trait Carriers {
 pub struct UdpOptions {
     /// How many peers it serves; sizes the batches.
     pub peers: usize,
+    /// How many datagrams to one peer that is gone are sent before it is given up. They wait in the kernel, which asks
+    /// for its hardware address in vain, and take their room from the send buffer of all.
+    pub waiting: usize,
     /// The longest datagram that has to fit.
     pub room: usize,
     /// One system call for all requests, or one each with its own stamp.

@@ -45,7 +45,8 @@ pub struct Udp {
 impl Udp {
     /// A socket bound to `bind`.
     ///
-    /// Its buffers are sized from `options`; the kernel silently clamps them to `net.core.wmem_max` and `rmem_max`.
+    /// Its buffers are sized from `options`; the kernel silently clamps them to `net.core.wmem_max` and `rmem_max`. With the
+    /// usual 208 KiB, some 500 datagrams may wait.
     ///
     /// # Errors
     ///
@@ -53,9 +54,13 @@ impl Udp {
     pub fn bind(bind: SocketAddrV4, options: &UdpOptions) -> io::Result<Udp> {
         let socket = UdpSocket::bind(bind)?;
         socket.set_nonblocking(true)?;
-        let space = options.peers.max(1) * DEPTH * (options.room + OVERHEAD);
-        setsockopt(&socket, sockopt::SndBuf, &space)?;
-        setsockopt(&socket, sockopt::RcvBuf, &space)?;
+        let space = |depth: usize| {
+            // The kernel takes an int, and clamps it.
+            let each = depth.saturating_mul(options.room + OVERHEAD);
+            options.peers.max(1).saturating_mul(each).min(i32::MAX as usize)
+        };
+        setsockopt(&socket, sockopt::SndBuf, &space(options.waiting.max(DEPTH)))?;
+        setsockopt(&socket, sockopt::RcvBuf, &space(DEPTH))?;
         // Twice the peers: the reply of each, and one that is late, without a second call. Few peers need few headers;
         // what a stranger sends is still taken in by the handful.
         let batch = (options.peers * 2).clamp(8, RECEIVE_BATCH);
@@ -254,7 +259,7 @@ mod tests {
     }
 
     fn options(peers: usize, send: SendMode) -> UdpOptions {
-        UdpOptions { peers, room: 64, send }
+        UdpOptions { peers, waiting: 0, room: 64, send }
     }
 
     fn peer(x: u8, host: u8) -> UdpSocket {
