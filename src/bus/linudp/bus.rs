@@ -8,7 +8,7 @@ use super::plan::LinUdpPlan;
 use super::sim::LinMotSim;
 use super::station::Station;
 use super::wire::{REQUEST_MAX, RESPONSE_MAX};
-use crate::axis::AxisPlan;
+use crate::axis::{AxisPlan, PlanFault};
 use crate::bus::{Bus, BusPlan, Cycle, Exchange, OpenError, Slot, Strangers};
 use crate::net::{Carriers, Datagrams, Outbox, Sent, UdpOptions};
 use crate::rt::{PollSet, Regions};
@@ -43,7 +43,9 @@ impl std::fmt::Debug for LinUdpBus {
 impl LinUdpBus {
     /// Opens the socket of `plan`.
     pub fn open(plan: &LinUdpPlan, carriers: &dyn Carriers) -> Result<LinUdpBus, OpenError> {
-        let options = UdpOptions { peers: plan.drives.len(), room: ROOM, send: plan.send };
+        // Until its bucket is full, a drive that is gone is asked like any other.
+        let waiting = plan.drives.iter().map(|drive| drive.axis.health.bucket as usize).max().unwrap_or(0);
+        let options = UdpOptions { peers: plan.drives.len(), waiting, room: ROOM, send: plan.send };
         let net = carriers.datagrams(plan.bind, &options).map_err(|source| OpenError::Bind {
             bus: plan.name.clone(),
             address: plan.bind,
@@ -189,6 +191,20 @@ impl BusPlan for LinUdpPlan {
 
     fn axes(&self) -> Vec<&AxisPlan> {
         self.drives.iter().map(|drive| &drive.axis).collect()
+    }
+
+    fn faults(&self, period_ns: u64) -> Vec<(usize, PlanFault)> {
+        let mut faults = Vec::new();
+        for (index, drive) in self.drives.iter().enumerate() {
+            let own = period_ns.saturating_mul(u64::from(drive.axis.divisor));
+            let all = drive.axis.faults().into_iter().chain(drive.faults(own));
+            faults.extend(all.map(|fault| (index, fault)));
+            if self.drives[..index].iter().any(|other| other.address.ip() == drive.address.ip()) {
+                let taken = PlanFault::new("address", "is taken by another drive; one drive an IP address");
+                faults.push((index, taken));
+            }
+        }
+        faults
     }
 
     fn describe(&self, period_ns: u64) -> Vec<String> {

@@ -13,7 +13,7 @@ use super::wire::{ControlWord, ErrorCode, MainState, MotionBlock, RtcBlock, Stat
 use crate::axis::command::NativeOwner;
 use crate::axis::limits::check_position;
 use crate::axis::units::{to_i32, to_u32};
-use crate::axis::{Failure, Jog, Limits, Move, Profile, RangeError, Row, State, Target, Units, Verb};
+use crate::axis::{Failure, Limits, Move, Profile, RangeError, Row, State, Target, Units, Verb};
 use crate::bus::{Progress, Slot};
 use crate::time::{Time, nanos};
 
@@ -22,6 +22,9 @@ use crate::time::{Time, nanos};
 const LAST_ROWS: u32 = 3;
 /// ... and with at most so many, should its demand never be said to have arrived.
 const MOST_LAST_ROWS: u32 = 50;
+
+/// Powered and holding, out of operation.
+const HELD: ControlWord = ControlWord(ControlWord::ON.0 & !ControlWord::ENABLE_OPERATION);
 
 /// What the drive last said, as far as orders need it.
 #[derive(Clone, Copy, Debug, Default)]
@@ -83,6 +86,11 @@ pub(super) struct Orders {
     /// Requests sent since the step began.
     sent: u32,
     control: Option<ControlWord>,
+    /// The control words of the last request that went out, and of the one before.
+    control_sent: Option<ControlWord>,
+    control_before: Option<ControlWord>,
+    /// What the running enable falls back to: off, or powered and out of operation, as it was found.
+    rest: ControlWord,
     channel: MotionChannel,
     /// The native output that the next request carries. It stays until that has gone out: a request may be built more than
     /// once for one send, and a send may fail.
@@ -105,7 +113,8 @@ enum Step {
     HomeDone,
     /// A motion command is on its way; the drive's setpoint generator runs it then.
     Moving,
-    Jogging(Rolling),
+    /// A velocity as a target that rolls ahead.
+    Rolling(Rolling),
     /// The first row has not come yet.
     FollowWaiting,
     Following {
@@ -129,10 +138,12 @@ enum Step {
     Native(NativeOwner),
 }
 
-/// A velocity as a target that rolls ahead.
+/// A velocity as a target that rolls ahead of the axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Rolling {
-    jog: Jog,
+    /// Signed, user units/s; 0 = braking, or standing.
+    velocity: f64,
+    acceleration: f64,
     leash: f64,
     /// The last target sent, user units.
     target: f64,
@@ -156,6 +167,9 @@ impl Orders {
             answers: 0,
             sent: 0,
             control: None,
+            control_sent: None,
+            control_before: None,
+            rest: ControlWord::BASE,
             channel: MotionChannel::default(),
             native: None,
             end: None,
@@ -165,7 +179,18 @@ impl Orders {
     /// The request that was built last has gone out.
     pub(super) fn sent(&mut self) {
         self.sent = self.sent.saturating_add(1);
+        self.control_before = std::mem::replace(&mut self.control_sent, self.control);
         self.native = None;
+    }
+
+    /// The drive says that its power stage may not come on although the last requests allowed it: an input of its own, such as
+    /// the hardware enable (STO), forbids it. The sheet calls the bit the control word's as the drive sees it, its own inputs
+    /// included; that a missing STO shows in it was not seen on hardware.
+    pub(super) fn is_inhibited(&self, status: StatusWord) -> bool {
+        let allowed =
+            |word: Option<ControlWord>| word.is_some_and(|word| word.has(ControlWord::VOLTAGE_ENABLE));
+        // Almost always told by the first of them.
+        !status.has(StatusWord::VOLTAGE_ENABLE) && allowed(self.control_sent) && allowed(self.control_before)
     }
 
     /// The drive came back from a restart: its counts start anew, and so does what it was told.
@@ -240,6 +265,10 @@ impl Orders {
     }
 
     fn finish(&mut self, end: Result<(), Failure>) {
+        if end.is_err() {
+            // What has failed for the application must not run once the drive can take it.
+            self.channel.clear();
+        }
         self.native = None;
         self.end = Some(end);
         self.step = Step::Idle;
@@ -254,11 +283,11 @@ impl Orders {
         let failed = inputs.failed();
         match slot.order.verb {
             None => {
-                self.control = Some(as_found(inputs));
+                self.control = Some(self.as_found(inputs));
                 self.finish(Ok(()));
             }
             Some(Verb::Enable) if failed => self.finish(Err(Failure::DriveFault(u32::from(inputs.fault.0)))),
-            Some(Verb::Enable) if operating => {
+            Some(Verb::Enable) if operating && !self.told_off() => {
                 self.control = Some(ControlWord::ON);
                 self.finish(Ok(()));
             }
@@ -267,8 +296,9 @@ impl Orders {
             }
             Some(Verb::Enable) => {
                 // A drive that is switched on already, but not in operation, is not switched off first.
-                let on = state >= MainState::HW_TESTS;
+                let on = state >= MainState::HW_TESTS && !self.told_off();
                 self.control = Some(if on { ControlWord::ON } else { ControlWord::BASE });
+                self.rest = if on && state > MainState::HW_TESTS { HELD } else { ControlWord::BASE };
                 self.enter(now, if on { Step::EnableHigh } else { Step::EnableLow });
             }
             Some(Verb::Disable) => {
@@ -283,7 +313,10 @@ impl Orders {
                 Ok(command) => self.command(now, command, Step::Moving),
                 Err(failure) => self.refuse(now, failure, inputs),
             },
-            Some(Verb::Jog(jog)) => self.begin_jog(now, jog, inputs),
+            Some(Verb::Jog(jog)) => self.begin_rolling(now, jog.velocity, jog.acceleration, inputs),
+            Some(Verb::Velocity { acceleration }) => {
+                self.begin_rolling(now, slot.velocity, acceleration, inputs);
+            }
             Some(Verb::Follow) if self.stream.is_none() => {
                 let why = "no streaming command fits its cycle (stream = \"off\")";
                 self.refuse(now, Failure::Unsupported(why), inputs);
@@ -293,17 +326,22 @@ impl Orders {
                 // The first row may have come with the order.
                 self.follow(now, inputs, slot);
             }
+            // It may go on saying that it is in operation for as long as its replies are lost.
+            Some(Verb::Stop { .. } | Verb::QuickStop) if self.told_off() => {
+                self.control = Some(ControlWord::BASE);
+                self.enter(now, Step::Disabling);
+            }
             Some(Verb::Stop { deceleration }) => self.begin_stop(now, deceleration, inputs),
             Some(Verb::QuickStop) => self.begin_abort(now, inputs),
             Some(Verb::ResetFault) if !failed => self.finish(Ok(())),
             Some(Verb::ResetFault) if inputs.settled_error() => self.begin_acknowledge(now, inputs),
             Some(Verb::ResetFault) => {
-                self.control = Some(as_found(inputs));
+                self.control = Some(self.as_found(inputs));
                 self.enter(now, Step::AcknowledgeWaiting);
             }
             Some(Verb::Native(owner)) => {
                 if owner == NativeOwner::Application {
-                    self.control = Some(as_found(inputs));
+                    self.control = Some(self.as_found(inputs));
                 }
                 self.enter(now, Step::Native(owner));
             }
@@ -330,6 +368,10 @@ impl Orders {
         match self.step {
             Step::Idle => {}
             Step::EnableLow | Step::EnableHigh if answered && failed => self.finish(Err(drive_fault)),
+            Step::EnableLow | Step::EnableHigh if answered && self.is_inhibited(inputs.status) => {
+                self.control = Some(ControlWord::BASE);
+                self.finish(Err(Failure::Inhibited));
+            }
             Step::EnableLow if answered && state == MainState::READY_TO_SWITCH_ON => {
                 self.control = Some(ControlWord::ON);
                 let begun = self.since;
@@ -338,7 +380,7 @@ impl Orders {
             }
             Step::EnableHigh if answered && operating => self.finish(Ok(())),
             Step::EnableLow | Step::EnableHigh if timed_out(self.enable_timeout_ns) => {
-                self.control = Some(ControlWord::BASE);
+                self.control = Some(self.rest);
                 self.finish(Err(Failure::TimedOut(slot.report.state)));
             }
             Step::EnableLow | Step::EnableHigh => {}
@@ -367,12 +409,12 @@ impl Orders {
             Step::Aborting => {
                 let standing = !slot.report.moving && self.answers >= 2;
                 if answered && (standing || !slot.report.state.is_powered()) {
-                    self.control = Some(as_found(inputs));
+                    self.control = Some(self.as_found(inputs));
                     self.enter(now, Step::AbortDone);
                 }
             }
             Step::AbortDone if answered && (operating || !slot.report.state.is_powered()) => {
-                self.control = Some(as_found(inputs));
+                self.control = Some(self.as_found(inputs));
                 self.finish(Ok(()));
             }
             Step::AbortDone => {}
@@ -414,7 +456,7 @@ impl Orders {
                     self.finish(Ok(()));
                 }
             }
-            Step::Jogging(rolling) => self.roll(now, answered, rolling, inputs, slot),
+            Step::Rolling(rolling) => self.roll(now, answered, rolling, inputs, slot),
             Step::FollowWaiting | Step::Following { .. } => self.follow(now, inputs, slot),
             Step::FollowEnding { taken, last } => self.end_stream(now, taken, last, fresh, inputs),
             Step::Native(NativeOwner::Master) => {}
@@ -512,23 +554,12 @@ impl Orders {
         at_least_one(acceleration, to_u32(acceleration * scale, scale, "units/s2")?, scale, "units/s2")
     }
 
-    fn begin_jog(&mut self, now: Time, jog: Jog, inputs: &Inputs) {
+    fn begin_rolling(&mut self, now: Time, velocity: f64, acceleration: f64, inputs: &Inputs) {
         let Some(leash) = self.leash else {
-            let why =
-                "a LinUDP drive has no watchdog; allow jogs with no_drive_watchdog = \"accept\" and a leash";
+            let why = "a LinUDP drive has no watchdog; allow jogs and velocities with no_drive_watchdog = \"accept\" and a leash";
             return self.refuse(now, Failure::Unsupported(why), inputs);
         };
-        if jog.velocity == 0.0 {
-            return self.begin_stop(now, Some(jog.acceleration), inputs);
-        }
-        // Half of the leash is always ahead; the axis must be able to brake within it, or it would never get that fast.
-        let most = (jog.acceleration * leash).sqrt();
-        if jog.velocity.abs() > most {
-            let failure =
-                Failure::Limit { what: "jog within its leash", value: jog.velocity, low: -most, high: most };
-            return self.refuse(now, failure, inputs);
-        }
-        self.roll_on(now, Rolling { jog, leash, target: 0.0, at_limit: false }, inputs);
+        self.roll_on(now, Rolling { velocity, acceleration, leash, target: 0.0, at_limit: false }, inputs);
     }
 
     fn roll(&mut self, now: Time, answered: bool, rolling: Rolling, inputs: &Inputs, slot: &Slot) {
@@ -536,27 +567,42 @@ impl Orders {
             return;
         }
         let left = (rolling.target - self.demand(inputs)).abs();
-        if rolling.at_limit {
+        if slot.velocity != rolling.velocity {
+            self.roll_on(now, Rolling { velocity: slot.velocity, ..rolling }, inputs);
+        } else if rolling.at_limit {
             if !slot.report.moving {
                 let (low, high) = self.limits.position.unwrap_or((rolling.target, rolling.target));
                 self.finish(Err(Failure::Limit { what: "position", value: rolling.target, low, high }));
             }
-        } else if left <= rolling.leash * 0.75 {
+        } else if rolling.velocity != 0.0 && left <= rolling.leash * 0.75 {
             self.roll_on(now, rolling, inputs);
         }
     }
 
-    /// Sends the next target, a leash ahead of the demand.
+    /// Sends the next target, a leash ahead of the demand; for no velocity a ramp.
     fn roll_on(&mut self, now: Time, mut rolling: Rolling, inputs: &Inputs) {
+        rolling.at_limit = false;
+        if rolling.velocity == 0.0 {
+            return match self.acceleration(self.braking(now, rolling.acceleration, inputs)) {
+                Ok(ramp) => self.command(now, MotionCommand::stop(ramp.max(1)), Step::Rolling(rolling)),
+                Err(range) => self.refuse(now, range.into(), inputs),
+            };
+        }
+        // Half of the leash is always ahead; the axis must be able to brake within it, or it would never get that fast.
+        let most = (rolling.acceleration * rolling.leash).sqrt();
+        if rolling.velocity.abs() > most {
+            let (what, value) = ("velocity within the leash", rolling.velocity);
+            return self.refuse(now, Failure::Limit { what, value, low: -most, high: most }, inputs);
+        }
         let demand = self.demand(inputs);
-        rolling.target = demand + rolling.leash.copysign(rolling.jog.velocity);
+        rolling.target = demand + rolling.leash.copysign(rolling.velocity);
         if let Some((low, high)) = self.limits.position {
-            // Only the limit ahead ends it: from outside the range a jog leads back in.
-            let (ahead, beyond) = match rolling.jog.velocity > 0.0 {
+            // Only the limit ahead ends it: from outside the range it leads back in.
+            let (ahead, beyond) = match rolling.velocity > 0.0 {
                 true => (high, rolling.target > high),
                 false => (low, rolling.target < low),
             };
-            if beyond && (ahead - demand) * rolling.jog.velocity <= 0.0 {
+            if beyond && (ahead - demand) * rolling.velocity <= 0.0 {
                 return self.refuse(
                     now,
                     Failure::Limit { what: "position", value: rolling.target, low, high },
@@ -567,12 +613,12 @@ impl Orders {
             rolling.target = if beyond { ahead } else { rolling.target };
         }
         let profile = Profile {
-            velocity: rolling.jog.velocity.abs(),
-            acceleration: rolling.jog.acceleration,
-            deceleration: rolling.jog.acceleration,
+            velocity: rolling.velocity.abs(),
+            acceleration: rolling.acceleration,
+            deceleration: rolling.acceleration,
         };
         match self.go_to(now, rolling.target, &profile, inputs) {
-            Ok(command) => self.command(now, command, Step::Jogging(rolling)),
+            Ok(command) => self.command(now, command, Step::Rolling(rolling)),
             Err(range) => self.refuse(now, range.into(), inputs),
         }
     }
@@ -627,7 +673,7 @@ impl Orders {
         if inputs.seen && inputs.state.main() != MainState::OPERATION_ENABLED {
             return self.begin_abort(now, inputs);
         }
-        self.control = Some(as_found(inputs));
+        self.control = Some(self.as_found(inputs));
         let deceleration = deceleration.unwrap_or(self.profile.deceleration);
         match self.acceleration(self.braking(now, deceleration, inputs)) {
             Ok(deceleration) => self.command(now, MotionCommand::stop(deceleration.max(1)), Step::Moving),
@@ -638,14 +684,38 @@ impl Orders {
     /// The drive's quick stop that stays controlled: /Abort low, never /Freeze (it would run on) and never OFF3 (it ends in
     /// power off, and the load drops).
     fn begin_abort(&mut self, now: Time, inputs: &Inputs) {
-        if inputs.seen && inputs.state.main() < MainState::OPERATION_ENABLED {
-            // An enable that is stopped half-way does not go on by itself.
-            let enabling = matches!(self.step, Step::EnableLow | Step::EnableHigh);
-            self.control = Some(if enabling { ControlWord::BASE } else { as_found(inputs) });
+        let state = inputs.state.main();
+        if inputs.seen && (state < MainState::OPERATION_ENABLED || state == MainState::BRAKE_DELAY) {
+            // Whatever is on its way up does not get there by itself: neither an enable that is stopped half-way, nor a drive
+            // that somebody has switched off and that the standing word switches on again. One that already holds its load
+            // goes on holding it, out of operation.
+            let holds = state > MainState::HW_TESTS && self.as_found(inputs).has(ControlWord::SWITCH_ON);
+            let rising = matches!(self.step, Step::EnableLow | Step::EnableHigh);
+            self.control = Some(match rising {
+                true => self.rest,
+                false if holds => HELD,
+                false => ControlWord::BASE,
+            });
             return self.finish(Ok(()));
         }
-        self.control = Some(ControlWord(as_found(inputs).0 & !ControlWord::NO_ABORT));
+        self.control = Some(ControlWord(self.as_found(inputs).0 & !ControlWord::NO_ABORT));
         self.enter(now, Step::Aborting);
+    }
+
+    /// Power off was the last that went out to the drive. What it says may be from before that.
+    fn told_off(&self) -> bool {
+        self.control_sent.is_some_and(|word| !word.has(ControlWord::SWITCH_ON))
+    }
+
+    /// The control word that changes nothing of a drive: on if it says that it is switched on and powered, else off.
+    ///
+    /// A drive that dropped out is never switched on again by it, and neither is one that was told to switch off, whatever it
+    /// has said since: that may be no more than what it was before it heard so. One in its own quick stop (state 14) keeps its
+    /// power until it stands; the way back into operation leads over a control word with bit 0 low all the same.
+    fn as_found(&self, inputs: &Inputs) -> ControlWord {
+        let on =
+            inputs.status.has(StatusWord::SWITCH_ON_ACTIVE) && inputs.state.main() >= MainState::HW_TESTS;
+        if on && !self.told_off() { ControlWord::ON } else { ControlWord::BASE }
     }
 }
 
@@ -655,15 +725,6 @@ fn at_least_one(value: f64, rounded: u32, scale: f64, unit: &'static str) -> Res
         return Ok(rounded);
     }
     Err(RangeError { value, unit, low: 1.0 / scale, high: f64::from(u32::MAX) / scale })
-}
-
-/// The control word that changes nothing of a drive: on if it says that it is switched on and powered, else off.
-///
-/// A drive that dropped out is never switched on again by it. One in its own quick stop (state 14) keeps its power until it
-/// stands; the way back into operation leads over a control word with bit 0 low all the same.
-fn as_found(inputs: &Inputs) -> ControlWord {
-    let on = inputs.status.has(StatusWord::SWITCH_ON_ACTIVE) && inputs.state.main() >= MainState::HW_TESTS;
-    if on { ControlWord::ON } else { ControlWord::BASE }
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 
-use crate::axis::{AxisPlan, Units};
+use crate::axis::{AxisPlan, PlanFault, Units};
 use crate::net::SendMode;
 use crate::sim::FaultPlan;
 use crate::time::{MS, Ns, US};
@@ -129,6 +129,82 @@ impl StreamCommand {
 }
 
 impl LinUdpDrive {
+    /// What contradicts itself, or would not work with an exchange every `period_ns`; what every axis has left out.
+    pub fn faults(&self, period_ns: u64) -> Vec<PlanFault> {
+        let mut faults = self.wire_faults();
+        faults.extend(self.stream.and_then(|command| self.stream_fault(command, period_ns)));
+        let unit = self.axis.units.unit;
+        match (self.leash, self.axis.limits.position) {
+            (Some(leash), _) if !(leash > 0.0 && leash.is_finite()) => {
+                faults.push(PlanFault::new("leash", "has to be above 0"));
+            }
+            (Some(leash), Some((low, high))) if leash > high - low => {
+                let range = high - low;
+                let why = format!(
+                    "is longer than the range of {range} {unit}; a jog runs that far if the master dies"
+                );
+                faults.push(PlanFault::new("leash", why));
+            }
+            _ => {}
+        }
+        faults
+    }
+
+    /// Speed goes over the wire in 1 um/s = 10 counts/s and acceleration in 10 um/s² = 100 counts/s² (manual, 4.2): a value
+    /// must be at least one of them, and fit into the signed 32 bits of the streaming commands.
+    fn wire_faults(&self) -> Vec<PlanFault> {
+        let (profile, unit) = (&self.axis.profile, self.axis.units.unit);
+        let scale = self.axis.units.counts_per_unit.abs();
+        let mut faults = Vec::new();
+        if scale == 0.0 || !scale.is_finite() {
+            return faults; // Reported for every axis.
+        }
+        let mut reported = None;
+        for (key, value, counts, per) in [
+            ("profile.velocity", profile.velocity, 10.0, "s"),
+            ("profile.acceleration", profile.acceleration, 100.0, "s²"),
+            ("profile.deceleration", profile.deceleration, 100.0, "s²"),
+            ("stop.deceleration", self.axis.stop.deceleration, 100.0, "s²"),
+        ] {
+            let step = counts / scale;
+            let most = step * f64::from(i32::MAX);
+            // One acceleration may stand in for all three of them.
+            if (step..=most).contains(&value) || reported == Some((value, per)) {
+                continue;
+            }
+            let range = format!("{step} ... {most} {unit}/{per}");
+            let why =
+                format!("{value} is outside what the drive can be told, {range}; change it or check scale");
+            faults.push(PlanFault::new(key, why));
+            reported = Some((value, per));
+        }
+        faults
+    }
+
+    fn stream_fault(&self, command: StreamCommand, period_ns: u64) -> Option<PlanFault> {
+        if command.takes(period_ns) {
+            return None;
+        }
+        let fitting: Vec<String> = StreamCommand::ALL
+            .iter()
+            .filter(|other| other.takes(period_ns))
+            .map(|other| format!("\"{}\"", other.name()))
+            .collect();
+        let remedy = match fitting.is_empty() {
+            true => "no streaming command fits, take \"off\" or another period".to_owned(),
+            false => format!("take {} or \"off\"", fitting.join(", ")),
+        };
+        let (low, high) = command.period_range_ns();
+        let why = format!(
+            "takes a setpoint every {} ... {}, this drive gets one every {} (period x divisor {}); {remedy}",
+            Ns(low),
+            Ns(high),
+            Ns(period_ns),
+            self.axis.divisor
+        );
+        Some(PlanFault::new("stream", why))
+    }
+
     /// What `check` says of it beyond its axis; the first line is its address.
     pub fn describe(&self, bind: SocketAddrV4, period_ns: u64) -> String {
         let unit = self.axis.units.unit;
@@ -150,8 +226,8 @@ impl LinUdpDrive {
             None => format!("no streams: no streaming command takes a setpoint every {setpoints}"),
         });
         let jog = match self.leash {
-            Some(leash) => format!("a jog runs at most {leash} {unit} further"),
-            None => "jogs are refused".to_owned(),
+            Some(leash) => format!("a jog or cyclic velocity runs at most {leash} {unit} further"),
+            None => "jogs and cyclic velocities are refused".to_owned(),
         };
         let stream = match self.stream {
             Some(_) => ", a stream ends in the drive's own underflow error",

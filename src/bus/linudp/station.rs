@@ -319,6 +319,10 @@ impl Station {
         report.state = drive_state(status, state, booting);
         report.homed = status.homed();
         // In state 8 the sub state is sampled together with the count echo; elsewhere the status word has to do.
+        if !suspect {
+            // A reply to an earlier request may answer another control word.
+            report.inhibited = !booting && self.orders.is_inhibited(status);
+        }
         report.moving = state.motion_active().unwrap_or(status.motion_active());
         report.in_target = status.in_target();
         report.position = self.units.position(actual);
@@ -350,7 +354,8 @@ fn drive_state(status: StatusWord, state: StateVar, booting: bool) -> State {
         MainState::QUICK_STOP if status.error() => State::FaultReactionActive,
         MainState::QUICK_STOP | MainState::ABORTING | MainState::FREEZING => State::QuickStopActive,
         MainState(8..=20) => State::OperationEnabled,
-        _ => State::Unknown,
+        // A state of newer firmware: taken for powered, so that nothing is powered off because of it.
+        _ => State::SwitchedOn,
     }
 }
 

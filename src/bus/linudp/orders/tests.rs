@@ -29,6 +29,25 @@ fn fails(state: MainState, status: u16) -> Inputs {
 }
 
 #[test]
+fn a_stop_lets_no_drive_rise_into_operation() {
+    let held = ControlWord(ControlWord::ON.0 & !ControlWord::ENABLE_OPERATION);
+    for (state, control) in [
+        // Somebody has switched the drive off, and the word of the motion has switched it on again.
+        (MainState::READY_TO_SWITCH_ON, ControlWord::BASE),
+        (MainState::HW_TESTS, ControlWord::BASE),
+        (MainState::READY_TO_OPERATE, held),
+        (MainState::OPERATION_ENABLED, ControlWord::ON),
+    ] {
+        let (mut orders, mut slot, _native, mut port) = about(Verb::Native(NativeOwner::Master));
+        slot.order = Order { serial: 2, verb: Some(Verb::Stop { deceleration: None }) };
+        let status = StatusWord(StatusWord::SWITCH_ON_ACTIVE | StatusWord::ENABLE_OPERATION);
+        let inputs = Inputs { status, ..says(state, 0) };
+        let outputs = orders.advance(Time(0), &inputs, &mut slot, &mut port);
+        assert_eq!(outputs.control, Some(control), "{state:?}");
+    }
+}
+
+#[test]
 fn an_error_is_acknowledged_only_when_the_drive_has_braked() {
     let (mut orders, mut slot, _native, mut port) = about(Verb::Native(NativeOwner::Master));
     slot.order = Order { serial: 2, verb: Some(Verb::ResetFault) };
@@ -62,6 +81,38 @@ fn a_fatal_error_is_told_when_the_drive_has_braked() {
         orders.sent();
         assert_eq!(slot.progress.end, end);
     }
+}
+
+#[test]
+fn a_stop_takes_no_power_off_back() {
+    for verb in [Verb::Stop { deceleration: None }, Verb::QuickStop] {
+        let (mut orders, mut slot, _native, mut port) = about(Verb::Disable);
+        slot.order = Order { serial: 2, verb: Some(verb) };
+        let on = StatusWord(StatusWord::SWITCH_ON_ACTIVE);
+        // What it said before it was told, what may be as old as that, and what it said before it did as told.
+        let on = Inputs { status: on, ..says(MainState::OPERATION_ENABLED, 3) };
+        for inputs in [Inputs { fresh: false, ..on }, Inputs { clean: false, ..on }, on] {
+            let control = orders.advance(Time(0), &inputs, &mut slot, &mut port).control.unwrap();
+            assert!(!control.has(ControlWord::SWITCH_ON), "{verb:?}: {control:?}");
+            orders.sent();
+        }
+    }
+}
+
+#[test]
+fn a_motion_that_has_failed_is_not_sent_any_more() {
+    // The drive has begun a motion of its own before it heard the command.
+    let profile = Profile { velocity: 1.0, acceleration: 1.0, deceleration: 1.0 };
+    let verb = Verb::Move(Move { target: Target::Absolute(1.0), profile });
+    let (mut orders, mut slot, _native, mut port) = about(verb);
+    let mut exchange = || {
+        let inputs = says(MainState::CLEARANCE_CHECK, 0);
+        let motion = orders.advance(Time(0), &inputs, &mut slot, &mut port).motion;
+        orders.sent();
+        (motion, slot.progress.end)
+    };
+    let failed = Some(Err(Failure::Dropped(State::Unknown)));
+    assert_eq!([exchange(), exchange()], [(None, failed); 2]);
 }
 
 #[test]
