@@ -11,6 +11,7 @@
 //! - [`Master`] brings a machine up from a file or from a [`Plan`] built in code, and gives out its [`Axis`] handles.
 //! - [`Axis`] is the application's end of one drive: verbs ([`Verb`]) that each end in Done, Failed or Aborted, streamed
 //!   rows ([`Row`]), the newest [`Feedback`], events ([`Event`]).
+//! - [`Group`] takes several axes: verbs and rows of all of them take effect in the same cycle's send, all or none.
 //! - An in-loop task ([`Setup::with_task`]) runs inside the cycle: it sees the feedback of cycle k, and what it asks for leaves in
 //!   cycle k + 1.
 //! - [`Setup::simulate`] builds the same machine in virtual time, with simulated drives and seeded faults: hours pass in
@@ -67,7 +68,7 @@ pub mod simulation;
 pub mod telemetry;
 pub mod time;
 
-pub use axis::{Axis, Event, EventKind, Feedback, Profile, Row, Verb};
+pub use axis::{Axis, Event, EventKind, Feedback, Group, Profile, Row, Verb};
 pub use cycle::Plan;
 pub use master::{Master, Setup};
 pub use simulation::Simulation;

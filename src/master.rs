@@ -9,7 +9,8 @@ use std::time::{Duration, Instant};
 use thiserror::Error;
 
 use crate::axis::cell::{self, Reader};
-use crate::axis::{Axis, AxisEnds, Feedback, Link, Observer};
+use crate::axis::handle::{URGENT_ROOM, VELOCITY_QUEUE};
+use crate::axis::{Axis, AxisEnds, Feedback, Group, GroupError, Link, Observer, Pulse};
 use crate::bus::{Cycle, OpenError};
 use crate::config::{self, ConfigErrors};
 use crate::cycle::engine::{Control, Engine, Outlets};
@@ -18,7 +19,7 @@ use crate::cycle::seat::{Queues, Seat};
 use crate::cycle::status::{RunEnd, Status};
 use crate::cycle::task::{Axes, Task};
 use crate::cycle::window::BusSeat;
-use crate::cycle::{CyclePlan, Plan};
+use crate::cycle::{CyclePlan, Plan, PlanErrors};
 use crate::net::{Carriers, Os};
 use crate::rt::{
     self, Clock, Granted, Memory, MonotonicClock, Realtime, RealtimeError, RealtimePlan, Regions, Usage,
@@ -44,6 +45,7 @@ pub struct Master {
     axes: Mutex<Vec<Option<Axis>>>,
     observers: Vec<(String, Observer)>,
     status: Reader<Status>,
+    pulse: Pulse,
     control: Control,
     granted: Granted,
     recorder: Option<Recorder>,
@@ -53,6 +55,9 @@ pub struct Master {
 /// Why a machine did not start. Nothing was sent. The message ends with the remedy.
 #[derive(Debug, Error)]
 pub enum StartError {
+    /// The plan contradicts itself.
+    #[error(transparent)]
+    Plan(#[from] PlanErrors),
     /// A bus could not be opened.
     #[error(transparent)]
     Open(#[from] OpenError),
@@ -71,7 +76,7 @@ pub enum StartError {
 }
 
 /// Why the application got no axis, or not in time.
-#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[derive(Clone, Debug, PartialEq, Error)]
 pub enum MasterError {
     /// No such axis.
     #[error("there is no axis {name}; there are {known}")]
@@ -84,6 +89,17 @@ pub enum MasterError {
     /// The axis was taken already.
     #[error("axis {0} was taken already: an axis has one owner; observers are for everybody else")]
     Taken(String),
+    /// No such group.
+    #[error("there is no group {name}; there are: {known}")]
+    NoGroup {
+        /// What was asked for.
+        name: String,
+        /// What there is.
+        known: String,
+    },
+    /// The axes of the group do not act together.
+    #[error(transparent)]
+    NotAGroup(GroupError),
     /// Not all axes came online.
     #[error("not online after {waited:?}: {missing}; look at their power, cables and addresses")]
     NotOnline {
@@ -119,6 +135,8 @@ pub struct Assembly<C> {
     pub status: Reader<Status>,
     /// What the loop tells the telemetry; to be emptied by whoever steps the engine, or records are lost.
     pub records: rtrb::Consumer<Record>,
+    /// The application's sign of life.
+    pub pulse: Pulse,
     /// Memory that the loop touches, for [`rt::thread::enter`].
     pub regions: Regions,
 }
@@ -133,13 +151,15 @@ pub fn assemble<C: Clock>(
     control: Control,
 ) -> Result<Assembly<C>, OpenError> {
     let period_ns = plan.cycle.period_ns;
+    let pulse = Pulse::default();
     let mut regions = Regions::default();
     let (mut buses, mut seats, mut axes, mut names) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     for bus_plan in &plan.buses {
         let mut bus = bus_plan.open(period_ns, carriers)?;
         let first = seats.len();
         for (index, axis) in bus_plan.axes().into_iter().enumerate() {
-            let (command_in, command_out) = rt::ring(axis.command_queue, &mut regions);
+            let (command_in, command_out) = rt::ring(axis.command_queue + URGENT_ROOM, &mut regions);
+            let (velocity_in, velocity_out) = rt::ring(VELOCITY_QUEUE, &mut regions);
             let (row_in, row_out) = rt::ring(axis.stream_queue, &mut regions);
             let (event_in, event_out) = rt::ring(axis.event_queue, &mut regions);
             let (writer, reader) = cell::cell(Feedback::default());
@@ -153,6 +173,7 @@ pub fn assemble<C: Clock>(
             let queues = Queues {
                 commands: command_out,
                 rows: row_out,
+                velocities: velocity_out,
                 events: event_in,
                 feedback: writer,
                 samples: sample_in,
@@ -163,9 +184,12 @@ pub fn assemble<C: Clock>(
             names.push((axis.name.clone(), bus_plan.protocol()));
             axes.push(Axis::new(
                 axis.clone(),
+                axes.len(),
+                pulse.clone(),
                 AxisEnds {
                     commands: command_in,
                     rows: row_in,
+                    velocities: velocity_in,
                     events: event_out,
                     feedback: reader,
                     samples: sample_out,
@@ -178,9 +202,10 @@ pub fn assemble<C: Clock>(
     let (record_in, records) = rt::ring(Recorder::ring_size(seats.len(), period_ns), &mut regions);
     let (status_in, status) = cell::cell(Status::default());
     let outlets = Outlets { records: record_in, status: status_in };
-    let engine = Engine::new(clock, plan.cycle.clone(), buses, seats, names, task, control, outlets);
+    let engine =
+        Engine::new(clock, plan.cycle.clone(), buses, seats, names, task, pulse.clone(), control, outlets);
     engine.memory(&mut regions);
-    Ok(Assembly { engine, axes, status, records, regions })
+    Ok(Assembly { engine, axes, status, records, pulse, regions })
 }
 
 /// How many drives are probed for the first time in one cycle.
@@ -220,6 +245,24 @@ impl Master {
         axes[index].take().ok_or_else(|| MasterError::Taken(name.to_owned()))
     }
 
+    /// Takes the axes of a `[[group]]` of the plan, together.
+    pub fn group(&self, name: &str) -> Result<Group, MasterError> {
+        let Some(group) = self.plan.groups.iter().find(|group| group.name == name) else {
+            let known: Vec<&str> = self.plan.groups.iter().map(|group| group.name.as_str()).collect();
+            return Err(MasterError::NoGroup { name: name.to_owned(), known: known.join(", ") });
+        };
+        let mut axes = self.axes.lock().unwrap_or_else(PoisonError::into_inner);
+        let index = |name: &String| self.observers.iter().position(|(known, _)| known == name);
+        let places: Vec<usize> = group.axes.iter().filter_map(index).collect();
+        // All or none of them.
+        if let Some(place) = places.iter().find(|place| axes[**place].is_none()) {
+            return Err(MasterError::Taken(self.observers[*place].0.clone()));
+        }
+        let members: Vec<Axis> = places.iter().filter_map(|place| axes[*place].take()).collect();
+        drop(axes);
+        Group::new(members).map_err(|refused| MasterError::NotAGroup(refused.reason))
+    }
+
     /// Readers of all axes' newest feedback, in the order of the plan.
     pub fn observers(&self) -> &[(String, Observer)] {
         &self.observers
@@ -252,8 +295,15 @@ impl Master {
             if begun.elapsed() > limit {
                 return Err(MasterError::NotOnline { waited: limit, missing: missing.join(", ") });
             }
+            self.alive();
             std::thread::sleep(Duration::from_millis(1));
         }
+    }
+
+    /// A sign of life for the heartbeat of the plan, where there is one. Accepted commands, rows and setpoints are such a sign
+    /// too, and so are the blocking calls while they wait.
+    pub fn alive(&self) {
+        self.pulse.beat();
     }
 
     /// Asks for the orderly end if nobody has: asking again would shorten the waits.
@@ -292,7 +342,7 @@ impl Master {
         let granted = self.granted.clone();
         let plan = std::mem::replace(
             &mut self.plan,
-            Plan { source: None, cycle: CyclePlan::default(), buses: Vec::new() },
+            Plan { source: None, cycle: CyclePlan::default(), buses: Vec::new(), groups: Vec::new() },
         );
         Run { end, histograms, granted, plan }
     }
@@ -327,6 +377,7 @@ impl Setup {
     /// Opens the buses and starts the loop. Until it returns, nothing has been sent but the first probes.
     pub fn start(self) -> Result<Master, StartError> {
         let (plan, task) = self.into_parts();
+        plan.check()?;
         let realtime = RealtimePlan {
             realtime: plan.cycle.realtime,
             memory: plan.cycle.memory,
@@ -341,7 +392,7 @@ impl Setup {
             rt::memory::prepare_heap();
         }
         let control = Control::default();
-        let Assembly { mut engine, axes, status, records, regions } =
+        let Assembly { mut engine, axes, status, records, pulse, regions } =
             assemble(&plan, MonotonicClock, &Os, task, control.clone())?;
         let observers: Vec<_> = axes.iter().map(|axis| (axis.name().to_owned(), axis.observer())).collect();
 
@@ -383,6 +434,7 @@ impl Setup {
             axes: Mutex::new(axes.into_iter().map(Some).collect()),
             observers,
             status,
+            pulse,
             control,
             granted,
             recorder: None,

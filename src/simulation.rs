@@ -14,7 +14,7 @@
 //! // A plan built in code: one drive on one bus, 1 kHz.
 //! let drive = LinUdpDrive::new("x", [192, 168, 1, 10].into());
 //! let bus = LinUdpPlan::new([192, 168, 1, 1].into(), vec![drive]);
-//! let plan = Plan { source: None, cycle: CyclePlan::default(), buses: vec![Box::new(bus)] };
+//! let plan = Plan { source: None, cycle: CyclePlan::default(), buses: vec![Box::new(bus)], groups: Vec::new() };
 //!
 //! let mut machine = Master::from_plan(plan).simulate(WorldOptions::default())?;
 //! assert!(machine.run_until(100, |machine| machine.feedback(0).link == Link::Online));
@@ -24,9 +24,10 @@
 
 use rtrb::Consumer;
 
-use crate::axis::{Axis, Event, EventKind, Feedback, Observer, Outcome, Verb};
+use crate::axis::{Axis, Event, EventKind, Feedback, Observer, Outcome, Pulse, Verb};
 use crate::axis::{AxisError, CommandId};
 use crate::bus::OpenError;
+use crate::cycle::PlanErrors;
 use crate::cycle::engine::{Control, Engine, Flow};
 use crate::cycle::record::Record;
 use crate::cycle::status::{RunEnd, Status};
@@ -39,8 +40,9 @@ use crate::telemetry::Histograms;
 pub struct Simulation {
     world: World,
     engine: Engine<WorldClock>,
-    axes: Vec<Axis>,
+    axes: Vec<Option<Axis>>,
     observers: Vec<Observer>,
+    pulse: Pulse,
     control: Control,
     records: Consumer<Record>,
     histograms: Histograms,
@@ -52,6 +54,9 @@ pub struct Simulation {
 /// Why a simulation could not be built.
 #[derive(Debug, thiserror::Error)]
 pub enum SimulateError {
+    /// The plan contradicts itself.
+    #[error(transparent)]
+    Plan(#[from] PlanErrors),
     /// A bus could not be opened.
     #[error(transparent)]
     Open(#[from] OpenError),
@@ -63,11 +68,12 @@ pub enum SimulateError {
 impl Setup {
     /// Builds the machine in virtual time, with all its drives simulated as their plans say.
     pub fn simulate(self, options: WorldOptions) -> Result<Simulation, SimulateError> {
+        self.plan().check()?;
         let drives = self.plan().simulate();
         let world = World::new(drives, options)?;
         let (plan, task) = self.into_parts();
         let control = Control::default();
-        let Assembly { mut engine, axes, records, .. } =
+        let Assembly { mut engine, axes, records, pulse, .. } =
             assemble(&plan, world.clock(), &world, task, control.clone())?;
         engine.begin();
         Ok(Simulation {
@@ -75,7 +81,8 @@ impl Setup {
             engine,
             observers: axes.iter().map(Axis::observer).collect(),
             histograms: Histograms::new(axes.len()),
-            axes,
+            axes: axes.into_iter().map(Some).collect(),
+            pulse,
             control,
             records,
             period_ns: plan.cycle.period_ns,
@@ -91,8 +98,26 @@ impl Simulation {
     }
 
     /// Axis `index`, in the order of the plan.
+    ///
+    /// # Panics
+    ///
+    /// If there is no such axis, or if it was taken.
     pub fn axis(&mut self, index: usize) -> &mut Axis {
-        &mut self.axes[index]
+        self.axes[index].as_mut().expect("the axis was taken")
+    }
+
+    /// Takes axis `index` out, for a [`Group`](crate::Group).
+    ///
+    /// # Panics
+    ///
+    /// If there is no such axis, or if it was taken.
+    pub fn take_axis(&mut self, index: usize) -> Axis {
+        self.axes[index].take().expect("the axis was taken")
+    }
+
+    /// A sign of life of the application, as [`Master::alive`](crate::Master::alive).
+    pub fn alive(&self) {
+        self.pulse.beat();
     }
 
     /// The newest feedback of axis `index`.
@@ -140,7 +165,7 @@ impl Simulation {
     /// Posts `verb` to axis `index` and lets the loop turn until it has ended, at most `most` turns. `None`: it has not
     /// ended. Other events are appended to [`events`](Simulation::events).
     pub fn run_verb(&mut self, index: usize, verb: Verb, most: u64) -> Result<Option<Outcome>, AxisError> {
-        let id = self.axes[index].post(verb)?;
+        let id = self.axis(index).post(verb)?;
         Ok(self.run_command(index, id, most))
     }
 
@@ -148,7 +173,7 @@ impl Simulation {
     pub fn run_command(&mut self, index: usize, id: CommandId, most: u64) -> Option<Outcome> {
         for _ in 0..most {
             self.step();
-            while let Some(event) = self.axes[index].event() {
+            while let Some(event) = self.axis(index).event() {
                 if let EventKind::Ended { id: ended, outcome, .. } = event.kind
                     && ended == id
                 {

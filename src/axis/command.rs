@@ -25,6 +25,19 @@ pub struct Command {
     pub verb: Verb,
     /// For [`Verb::Follow`]: which stream.
     pub stream: u32,
+    /// For a command to a [`Group`](crate::axis::Group): it takes effect together with those of the other members.
+    pub ticket: Option<Ticket>,
+}
+
+/// What the commands of one call to a group have in common.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Ticket {
+    /// The first member's place in the machine: it stands for the group.
+    pub lead: u32,
+    /// How many members there are.
+    pub members: u32,
+    /// Grows by one a call.
+    pub number: u64,
 }
 
 /// A row on its way to the loop, and the stream that it belongs to: a follow runs the rows of its own stream only, whatever
@@ -33,8 +46,19 @@ pub struct Command {
 pub struct StreamRow {
     /// Streams are counted up.
     pub stream: u32,
+    /// Rows that were pushed to a group together have one number, which grows; 0 = pushed to the axis alone.
+    pub number: u64,
     /// The row.
     pub row: Row,
+}
+
+/// One velocity setpoint on its way to the loop.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Velocity {
+    /// The [`Verb::Jog`] or [`Verb::Velocity`] that it was given for.
+    pub of: CommandId,
+    /// User units/s.
+    pub value: f64,
 }
 
 /// What an axis can be asked to do.
@@ -48,8 +72,13 @@ pub enum Verb {
     Home,
     /// A profile move.
     Move(Move),
-    /// Constant velocity until something replaces it.
+    /// Constant velocity until something replaces it, or until it is not renewed within the axis' dead-man time.
     Jog(Jog),
+    /// Follow the axis' cyclic velocity setpoints. One that is older than the axis allows stops it.
+    Velocity {
+        /// User units/s², towards each new setpoint.
+        acceleration: f64,
+    },
     /// Follow the rows of the axis' stream (or of the in-loop task), one an exchange.
     Follow,
     /// Ramp down and stay enabled.
@@ -94,7 +123,7 @@ pub enum Target {
     Relative(f64),
 }
 
-/// A constant velocity.
+/// A constant velocity, to be renewed by new velocity setpoints.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Jog {
     /// Signed, user units/s.
@@ -195,6 +224,15 @@ pub enum Failure {
         /// What was asked.
         value: f64,
     },
+    /// Power cannot come on.
+    #[error("the drive's hardware enable (STO) is missing: close it, then enable")]
+    Inhibited,
+    /// Power off in motion would let the load drop.
+    #[error("the axis moves a vertical load: stop it first, power goes off at standstill")]
+    LoadInMotion,
+    /// Another member of the group could not, so that none of them does.
+    #[error("another axis of the group could not: look at its outcome")]
+    GroupRefused,
     /// Position limits mean nothing before homing.
     #[error("the axis has position limits and is not homed: home it first")]
     NotHomed,
@@ -234,7 +272,7 @@ impl Verb {
 
     /// A motion: it may replace a running motion.
     pub fn is_motion(&self) -> bool {
-        matches!(self, Verb::Move(_) | Verb::Jog(_) | Verb::Follow | Verb::Native(_))
+        matches!(self, Verb::Move(_) | Verb::Jog(_) | Verb::Velocity { .. } | Verb::Follow | Verb::Native(_))
     }
 
     /// Its name in events and messages.
@@ -245,6 +283,7 @@ impl Verb {
             Verb::Home => "home",
             Verb::Move(_) => "move",
             Verb::Jog(_) => "jog",
+            Verb::Velocity { .. } => "velocity",
             Verb::Follow => "follow",
             Verb::Stop { .. } => "stop",
             Verb::QuickStop => "quick stop",

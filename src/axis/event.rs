@@ -39,6 +39,10 @@ pub enum EventKind {
     Warning(u32),
     /// The master stopped the axis; latched until reset.
     Stopped(StopCause),
+    /// The drive's hardware enable (STO) is there, or is missing.
+    HardwareEnable(bool),
+    /// An exchange of this axis was missed while its group was in motion: the other members went on.
+    MissedInGroup,
     /// A stream has run empty; its policy says what follows. Told once, until rows come again.
     Underrun,
     /// The drive was restarted or replaced: what was known of it was forgotten.
@@ -57,6 +61,9 @@ impl fmt::Display for Event {
             EventKind::Warning(0) => write!(f, "warnings gone"),
             EventKind::Warning(word) => write!(f, "warnings {word:#06x}"),
             EventKind::Stopped(cause) => write!(f, "stopped: {cause}"),
+            EventKind::HardwareEnable(true) => write!(f, "hardware enable (STO) closed"),
+            EventKind::HardwareEnable(false) => write!(f, "hardware enable (STO) missing"),
+            EventKind::MissedInGroup => write!(f, "missed an exchange while its group was in motion"),
             EventKind::Underrun => write!(f, "stream ran empty"),
             EventKind::Restarted => write!(f, "drive restarted"),
         }

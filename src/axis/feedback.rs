@@ -110,12 +110,24 @@ pub enum StopCause {
     FoundRunning = 8,
     /// Another axis of its stop group was stopped.
     Group = 9,
-    /// The drive left operation by itself (hardware enable, STO, another master).
+    /// The drive left operation by itself (another master, its own panel).
     DriveDropped = 10,
+    /// The drive's hardware enable (STO) went away.
+    HardwareEnable = 11,
+    /// The application gave no sign of life within the heartbeat time.
+    Heartbeat = 12,
+    /// A velocity setpoint grew older than the axis allows.
+    StaleSetpoint = 13,
+    /// A jog was not renewed within its dead-man time.
+    DeadMan = 14,
+    /// The members of its group missed too many exchanges together.
+    GroupLink = 15,
+    /// A motion of its group failed at this axis.
+    GroupFailed = 16,
 }
 
 impl StopCause {
-    const ALL: [StopCause; 10] = [
+    const ALL: [StopCause; 16] = [
         StopCause::Shutdown,
         StopCause::LinkLost,
         StopCause::DriveFault,
@@ -126,6 +138,12 @@ impl StopCause {
         StopCause::FoundRunning,
         StopCause::Group,
         StopCause::DriveDropped,
+        StopCause::HardwareEnable,
+        StopCause::Heartbeat,
+        StopCause::StaleSetpoint,
+        StopCause::DeadMan,
+        StopCause::GroupLink,
+        StopCause::GroupFailed,
     ];
 }
 
@@ -142,6 +160,12 @@ impl fmt::Display for StopCause {
             StopCause::FoundRunning => "found running",
             StopCause::Group => "stop group",
             StopCause::DriveDropped => "drive left operation",
+            StopCause::HardwareEnable => "hardware enable (STO) missing",
+            StopCause::Heartbeat => "application silent",
+            StopCause::StaleSetpoint => "velocity setpoint too old",
+            StopCause::DeadMan => "jog not renewed",
+            StopCause::GroupLink => "too many misses in its group",
+            StopCause::GroupFailed => "motion of its group failed",
         })
     }
 }
@@ -167,6 +191,8 @@ pub struct Feedback {
     pub moving: bool,
     /// In the target window, as the drive says.
     pub in_target: bool,
+    /// The drive's hardware enable (STO) is missing: power cannot come on.
+    pub inhibited: bool,
     /// The reply could be that of an earlier request (no sequence number on this wire).
     pub suspect: bool,
     /// Actual position, user units.
@@ -201,6 +227,7 @@ impl Packed for Feedback {
             | u64::from(self.in_target) << 2
             | u64::from(self.suspect) << 3
             | u64::from(self.rtt_ns.is_some()) << 4
+            | u64::from(self.inhibited) << 5
             | (self.link as u64) << 8
             | (self.state as u64) << 16
             | self.stopped.map_or(0, |cause| cause as u64) << 24
@@ -232,6 +259,7 @@ impl Packed for Feedback {
             moving: flags & 2 != 0,
             in_target: flags & 4 != 0,
             suspect: flags & 8 != 0,
+            inhibited: flags & 32 != 0,
             position: f64::from_bits(words[3]),
             demand: f64::from_bits(words[4]),
             velocity: f64::from_bits(words[5]),
@@ -252,7 +280,7 @@ mod tests {
         for (link, state, stopped) in [
             (Link::Online, State::OperationEnabled, None),
             (Link::Lost, State::Fault, Some(StopCause::Shutdown)),
-            (Link::Unseen, State::Unknown, Some(StopCause::DriveDropped)),
+            (Link::Unseen, State::Unknown, Some(StopCause::GroupFailed)),
         ] {
             let feedback = Feedback {
                 cycle: u64::MAX,
@@ -265,6 +293,7 @@ mod tests {
                 moving: false,
                 in_target: true,
                 suspect: true,
+                inhibited: true,
                 position: -1.25,
                 demand: 3.5,
                 velocity: f64::MIN,

@@ -13,23 +13,36 @@ use thiserror::Error;
 
 use super::cell::Reader;
 use super::command::{
-    Command, CommandId, Failure, Jog, Move, Outcome, Profile, Row, StreamRow, Target, Verb,
+    Abort, Command, CommandId, Failure, Jog, Move, Outcome, Profile, Row, StreamRow, Target, Ticket,
+    Velocity, Verb,
 };
 use super::event::{Event, EventKind};
-use super::feedback::{Feedback, Link};
-use super::limits::{check_row, check_verb};
+use super::feedback::{Feedback, Link, StopCause};
+use super::limits::{check_row, check_velocity, check_verb};
 use super::plan::AxisPlan;
+use super::pulse::Pulse;
 use super::streams::Streams;
 
 /// How often the blocking conveniences look for news.
 const LOOK_EVERY: Duration = Duration::from_micros(500);
 
+/// Places in each command queue that only a stop, quick stop or power off takes.
+pub(crate) const URGENT_ROOM: usize = 4;
+
+/// Room for velocity setpoints between two cycles; only the newest counts.
+pub(crate) const VELOCITY_QUEUE: usize = 64;
+
 /// One axis of a running master.
 #[derive(Debug)]
 pub struct Axis {
     plan: AxisPlan,
+    /// Its place in the machine.
+    index: usize,
+    pulse: Pulse,
     ends: AxisEnds,
     next_id: u64,
+    /// The last jog or cyclic velocity.
+    rolling: CommandId,
     /// Events taken from the queue while waiting for another one.
     kept: VecDeque<Event>,
     /// Kept events that nobody asked for and that had to make room.
@@ -44,6 +57,8 @@ pub struct AxisEnds {
     pub commands: Producer<Command>,
     /// Rows to the loop.
     pub rows: Producer<StreamRow>,
+    /// Velocity setpoints to the loop.
+    pub velocities: Producer<Velocity>,
     /// Events from the loop.
     pub events: Consumer<Event>,
     /// The newest feedback.
@@ -107,10 +122,41 @@ pub enum AxisError {
     },
 }
 
+impl AxisError {
+    /// It ended so only because another axis of its group did.
+    pub(super) fn is_of_group(&self) -> bool {
+        let AxisError::Ended { outcome, .. } = self else { return false };
+        matches!(
+            outcome,
+            Outcome::Failed(Failure::GroupRefused) | Outcome::Aborted(Abort::Stopped(StopCause::Group))
+        )
+    }
+}
+
 impl Axis {
-    /// An axis over its ends of the queues.
-    pub(crate) fn new(plan: AxisPlan, ends: AxisEnds) -> Axis {
-        Axis { plan, ends, next_id: 1, kept: VecDeque::new(), dropped: 0, streams: Streams::default() }
+    /// Axis `index` of the machine with this pulse, over its ends of the queues.
+    pub(crate) fn new(plan: AxisPlan, index: usize, pulse: Pulse, ends: AxisEnds) -> Axis {
+        Axis {
+            plan,
+            index,
+            pulse,
+            ends,
+            next_id: 1,
+            rolling: CommandId(0),
+            kept: VecDeque::new(),
+            dropped: 0,
+            streams: Streams::default(),
+        }
+    }
+
+    /// Its place in the machine, in the order of the plan.
+    pub fn index(&self) -> usize {
+        self.index
+    }
+
+    /// Whether both belong to one machine.
+    pub(super) fn shares_machine(&self, other: &Axis) -> bool {
+        self.pulse.is_same(&other.pulse)
     }
 
     /// Its name.
@@ -165,24 +211,59 @@ impl Axis {
 
     /// Gives a command to the loop and returns at once. Its end is an [`EventKind::Ended`] with this id.
     pub fn post(&mut self, verb: Verb) -> Result<CommandId, AxisError> {
-        let refused =
-            |failure| AxisError::Refused { axis: self.plan.name.clone(), verb: verb.name(), failure };
-        check_verb(&self.plan, &verb).map_err(refused)?;
+        self.accepts(&verb)?;
+        self.enqueue(verb, None)
+    }
+
+    /// Whether `verb` would be taken now: its numbers, and room in the queue. The last places are kept for what stops the
+    /// axis.
+    pub(super) fn accepts(&self, verb: &Verb) -> Result<(), AxisError> {
+        check_verb(&self.plan, verb).map_err(|failure| self.refused(verb.name(), failure))?;
+        let kept = if verb.is_urgent() { 0 } else { URGENT_ROOM };
+        if self.ends.commands.slots() <= kept {
+            Err(self.full(verb.name(), self.plan.command_queue))
+        } else {
+            Ok(())
+        }
+    }
+
+    /// Queues a verb that was accepted.
+    pub(super) fn enqueue(&mut self, verb: Verb, ticket: Option<Ticket>) -> Result<CommandId, AxisError> {
         if self.ends.commands.is_abandoned() {
-            return Err(AxisError::Gone { axis: self.plan.name.clone() });
+            return Err(self.gone());
         }
         let id = CommandId(self.next_id);
-        let stream = self.streams.to_follow();
-        self.ends.commands.push(Command { id, verb, stream }).map_err(|_| AxisError::Full {
-            axis: self.plan.name.clone(),
-            verb: verb.name(),
-            capacity: self.plan.command_queue,
-        })?;
+        let command = Command { id, verb, stream: self.streams.to_follow(), ticket };
+        if self.ends.commands.push(command).is_err() {
+            return Err(self.full(verb.name(), self.plan.command_queue));
+        }
+        self.pulse.beat();
         self.next_id += 1;
+        if matches!(verb, Verb::Jog(_) | Verb::Velocity { .. }) {
+            self.rolling = id;
+        }
         if verb == Verb::Follow {
             self.streams.followed(id);
         }
         Ok(id)
+    }
+
+    /// The velocity setpoint of a running [`Verb::Velocity`] or [`Verb::Jog`], user units/s. The newest counts; it has to be
+    /// given again before it is older than `setpoint_age` or the dead-man time of the axis.
+    pub fn set_velocity(&mut self, velocity: f64) -> Result<(), AxisError> {
+        self.accepts_velocity(velocity)?;
+        let setpoint = Velocity { of: self.rolling, value: velocity };
+        if self.ends.velocities.push(setpoint).is_err() {
+            return Err(self.full("velocity", VELOCITY_QUEUE));
+        }
+        self.pulse.beat();
+        Ok(())
+    }
+
+    /// Whether `velocity` would be taken now.
+    pub(super) fn accepts_velocity(&self, velocity: f64) -> Result<(), AxisError> {
+        check_velocity(&self.plan, velocity).map_err(|failure| self.refused("velocity", failure))?;
+        if self.ends.velocities.is_abandoned() { Err(self.gone()) } else { Ok(()) }
     }
 
     /// How many rows the stream has room for.
@@ -195,22 +276,26 @@ impl Axis {
     /// After a row marked `last`, and after the application has seen (by [`event`](Self::event) or while waiting) that the
     /// stream ended or the axis was stopped, rows belong to the next stream.
     pub fn push_row(&mut self, row: Row) -> Result<(), AxisError> {
-        check_row(&self.plan, &row, self.streams.before()).map_err(|failure| AxisError::Refused {
-            axis: self.plan.name.clone(),
-            verb: "row",
-            failure,
-        })?;
-        if self.ends.rows.is_abandoned() {
-            return Err(AxisError::Gone { axis: self.plan.name.clone() });
-        }
-        let row_of_stream = StreamRow { stream: self.streams.pushing(), row };
-        self.ends.rows.push(row_of_stream).map_err(|_| AxisError::Full {
-            axis: self.plan.name.clone(),
-            verb: "row",
-            capacity: self.plan.stream_queue,
-        })?;
-        self.streams.pushed(row);
+        self.accepts_row(&row)?;
+        self.enqueue_row(row, 0);
         Ok(())
+    }
+
+    /// Whether `row` would be taken now: its numbers, and room in the queue.
+    pub(super) fn accepts_row(&self, row: &Row) -> Result<(), AxisError> {
+        check_row(&self.plan, row, self.streams.before()).map_err(|failure| self.refused("row", failure))?;
+        if self.ends.rows.is_abandoned() {
+            return Err(self.gone());
+        }
+        if self.ends.rows.slots() == 0 { Err(self.full("row", self.plan.stream_queue)) } else { Ok(()) }
+    }
+
+    /// Queues a row that was accepted. This is the one producer, so that the room is still there.
+    pub(super) fn enqueue_row(&mut self, row: Row, number: u64) {
+        if self.ends.rows.push(StreamRow { stream: self.streams.pushing(), number, row }).is_ok() {
+            self.pulse.beat();
+            self.streams.pushed(row);
+        }
     }
 
     /// Starts to follow the stream, whose first rows should be queued already. Ends with the row marked `last`.
@@ -251,7 +336,8 @@ impl Axis {
         self.run(verb, longest(distance.abs(), &profile))
     }
 
-    /// Starts a constant velocity (user units/s); `stop` ends it.
+    /// Starts a constant velocity (user units/s); `stop` ends it. It has to be renewed by [`set_velocity`](Self::set_velocity)
+    /// within the dead-man time of the axis, as long as the operator holds the button.
     pub fn jog(&mut self, velocity: f64) -> Result<CommandId, AxisError> {
         self.post(Verb::Jog(Jog { velocity, acceleration: self.plan.profile.acceleration }))
     }
@@ -287,6 +373,7 @@ impl Axis {
             if begun.elapsed() > limit {
                 return Err(self.timed_out("wait_online", limit));
             }
+            self.pulse.beat();
             sleep(LOOK_EVERY);
         }
         Ok(())
@@ -316,11 +403,12 @@ impl Axis {
                 }
             }
             if gone {
-                return Err(AxisError::Gone { axis: self.plan.name.clone() });
+                return Err(self.gone());
             }
             if begun.elapsed() > limit {
                 return Err(self.timed_out(verb, limit));
             }
+            self.pulse.beat();
             sleep(LOOK_EVERY);
         }
     }
@@ -347,6 +435,18 @@ impl Axis {
         self.kept.push_back(event);
     }
 
+    fn refused(&self, verb: &'static str, failure: Failure) -> AxisError {
+        AxisError::Refused { axis: self.plan.name.clone(), verb, failure }
+    }
+
+    fn full(&self, verb: &'static str, capacity: usize) -> AxisError {
+        AxisError::Full { axis: self.plan.name.clone(), verb, capacity }
+    }
+
+    fn gone(&self) -> AxisError {
+        AxisError::Gone { axis: self.plan.name.clone() }
+    }
+
     fn timed_out(&self, verb: &'static str, waited: Duration) -> AxisError {
         AxisError::TimedOut { axis: self.plan.name.clone(), verb, waited, state: self.feedback().state }
     }
@@ -361,10 +461,10 @@ fn ended(event: &Event, id: CommandId) -> Option<Outcome> {
 }
 
 /// What the loop's own time-out is given on top before the application stops waiting for its verdict.
-const GRACE: Duration = Duration::from_millis(500);
+pub(super) const GRACE: Duration = Duration::from_millis(500);
 
 /// Twice the time that a move should take, for the wait only.
-fn longest(distance: f64, profile: &Profile) -> Duration {
+pub(super) fn longest(distance: f64, profile: &Profile) -> Duration {
     let seconds = distance / profile.velocity
         + profile.velocity / profile.acceleration
         + profile.velocity / profile.deceleration;

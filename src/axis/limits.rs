@@ -1,4 +1,4 @@
-//! The limits of an axis at the door: a command or row that breaks one is refused before it reaches the loop.
+//! The limits of an axis: a command, setpoint or row that breaks one is refused, at the door where that can be told there.
 
 use super::command::{Failure, Jog, Move, Profile, Row, Target, Verb};
 use super::plan::{AxisPlan, Limits};
@@ -14,10 +14,10 @@ pub fn check_verb(plan: &AxisPlan, verb: &Verb) -> Result<(), Failure> {
             }
         }
         Verb::Jog(Jog { velocity, acceleration }) => {
-            finite(*velocity)?;
-            within("velocity", velocity.abs(), 0.0, plan.limits.velocity)?;
+            check_velocity(plan, *velocity)?;
             positive("acceleration", *acceleration, plan.limits.acceleration)
         }
+        Verb::Velocity { acceleration } => positive("acceleration", *acceleration, plan.limits.acceleration),
         Verb::Stop { deceleration: Some(deceleration) } => positive("deceleration", *deceleration, None),
         Verb::Enable
         | Verb::Disable
@@ -31,12 +31,17 @@ pub fn check_verb(plan: &AxisPlan, verb: &Verb) -> Result<(), Failure> {
     }
 }
 
+/// `Ok` if `velocity` is finite and within its limit, in either direction.
+pub fn check_velocity(plan: &AxisPlan, velocity: f64) -> Result<(), Failure> {
+    finite(velocity)?;
+    within("velocity", velocity.abs(), 0.0, plan.limits.velocity)
+}
+
 /// `Ok` if `row` is finite, inside the position and velocity limits, and at most a step away from `from`, the row before.
 pub fn check_row(plan: &AxisPlan, row: &Row, from: Option<f64>) -> Result<(), Failure> {
-    finite(row.velocity)?;
+    check_velocity(plan, row.velocity)?;
     finite(row.acceleration)?;
     check_position(&plan.limits, row.position)?;
-    within("velocity", row.velocity.abs(), 0.0, plan.limits.velocity)?;
     within("acceleration", row.acceleration.abs(), 0.0, plan.limits.acceleration)?;
     match (from, plan.limits.step) {
         (Some(from), Some(step)) if plan.units.way(from, row.position).abs() > step * EXACT => {
@@ -51,7 +56,11 @@ const EXACT: f64 = 1.0 + 1e-9;
 
 /// `Ok` if the axis may go from one position to the next in `seconds`.
 pub fn check_speed(plan: &AxisPlan, from: f64, to: f64, seconds: f64) -> Result<(), Failure> {
-    let reach = plan.limits.velocity.unwrap_or(f64::INFINITY) * seconds;
+    check_reach(plan, from, to, plan.limits.velocity.unwrap_or(f64::INFINITY) * seconds)
+}
+
+/// `Ok` if the axis may go from one position to the next when it gets `reach` far.
+pub fn check_reach(plan: &AxisPlan, from: f64, to: f64, reach: f64) -> Result<(), Failure> {
     match plan.units.way(from, to).abs() > reach * EXACT {
         true => Err(Failure::Limit {
             what: "speed between rows",

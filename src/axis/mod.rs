@@ -10,7 +10,9 @@
 //! | `cell` | the newest value for any number of readers, without a lock |
 //! | `limits` | what is refused at the door |
 //! | `streams` | which stream a row belongs to |
+//! | `pulse` | the application's sign of life |
 //! | `handle` | `Axis`: the application's end of one axis, with the blocking conveniences |
+//! | `group` | `Group`: several axes with one queue, in step |
 //!
 //! Nothing here knows a protocol, a socket or the loop.
 
@@ -18,18 +20,25 @@ pub mod cell;
 pub mod command;
 pub mod event;
 pub mod feedback;
+pub mod group;
 pub mod handle;
 pub mod limits;
 pub mod plan;
+mod pulse;
 mod streams;
 pub mod units;
 
 pub use command::{
     Abort, Command, CommandId, Failure, Jog, Move, NativeOwner, Outcome, Profile, Row, StreamRow, Target,
-    Verb,
+    Ticket, Velocity, Verb,
 };
 pub use event::{Event, EventKind};
 pub use feedback::{Feedback, Link, State, StopCause};
+pub use group::{Group, GroupCommand, GroupError, GroupRefused};
 pub use handle::{Axis, AxisEnds, AxisError, Observer};
-pub use plan::{AxisPlan, FoundRunning, Health, Limits, StopHow, StopPlan, StopThen, StopTimeout, Underrun};
+pub use plan::{
+    AxisPlan, FoundRunning, Health, HeldBy, Limits, Load, PlanFault, StopHow, StopPlan, StopThen,
+    StopTimeout, Underrun,
+};
+pub use pulse::Pulse;
 pub use units::{RangeError, Unit, Units};

@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use super::command::Profile;
 use super::units::{Unit, Units};
+use crate::time::{Ns, S, nanos};
 
 /// What the loop and the application need to know of one axis; what only its protocol needs stands in the protocol's
 /// own drive plan.
@@ -29,6 +30,12 @@ pub struct AxisPlan {
     pub underrun: Underrun,
     /// What to do with a drive that is found enabled or moving.
     pub on_found_running: FoundRunning,
+    /// What its load does when nothing holds it.
+    pub load: Load,
+    /// A cyclic velocity setpoint that is older than so many cycles stops the axis.
+    pub setpoint_age: u32,
+    /// A jog that is not renewed within this time stops the axis; `None`: it runs until something replaces it.
+    pub jog_deadman: Option<Duration>,
     /// Longest time for Enable, Disable and ResetFault.
     pub enable_timeout: Duration,
     /// Longest time for Home.
@@ -71,6 +78,9 @@ impl AxisPlan {
             },
             underrun: Underrun::Stop,
             on_found_running: FoundRunning::Stop,
+            load: Load::Level,
+            setpoint_age: 10,
+            jog_deadman: Some(Duration::from_millis(500)),
             enable_timeout: Duration::from_secs(5),
             home_timeout: Duration::from_secs(60),
             command_queue: 64,
@@ -79,6 +89,170 @@ impl AxisPlan {
             sample_queue: 0,
         }
     }
+}
+
+/// What is wrong with a plan: the key as the configuration calls it, and what would be right.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PlanFault {
+    /// The key below the axis, like `stop.then`.
+    pub key: &'static str,
+    /// What is wrong, and the remedy.
+    pub message: String,
+}
+
+impl PlanFault {
+    /// `key` is wrong for this reason.
+    pub fn new(key: &'static str, message: impl Into<String>) -> PlanFault {
+        PlanFault { key, message: message.into() }
+    }
+}
+
+impl AxisPlan {
+    /// What contradicts itself in this plan, or would not work: the same for a file and for a plan built in code.
+    pub fn faults(&self) -> Vec<PlanFault> {
+        let mut faults = Vec::new();
+        self.check_numbers(&mut faults);
+        self.check_schedule(&mut faults);
+        self.check_stop(&mut faults);
+        self.check_load(&mut faults);
+        faults
+    }
+
+    fn check_numbers(&self, faults: &mut Vec<PlanFault>) {
+        let positive = |value: f64| value.is_finite() && value > 0.0;
+        let mut wrong = |key, message: String| faults.push(PlanFault::new(key, message));
+        let units = &self.units;
+        if !positive(units.counts_per_unit.abs()) || !units.offset.is_finite() {
+            wrong("scale", "has to be a finite number other than 0, and so has offset".into());
+        }
+        if units.modulo.is_some_and(|turn| !positive(turn)) {
+            wrong("modulo", "has to be above 0: the length of one turn".into());
+        }
+        if let Some((low, high)) = self.limits.position {
+            // NaN is no limit either.
+            if low.partial_cmp(&high) != Some(std::cmp::Ordering::Less) {
+                wrong("limits.position", "must rise: [lowest, highest]".into());
+            }
+            if units.modulo.is_some() {
+                wrong("limits.position", "a modulo axis turns without end; leave out one of the two".into());
+            }
+        }
+        let most = [
+            ("limits.velocity", self.limits.velocity),
+            ("limits.acceleration", self.limits.acceleration),
+            ("limits.step", self.limits.step),
+        ];
+        for (key, limit) in most {
+            if limit.is_some_and(|limit| !positive(limit)) {
+                wrong(key, "has to be above 0; leave it out for no limit".into());
+            }
+        }
+        let profile = [
+            ("profile.velocity", self.profile.velocity, "velocity", self.limits.velocity),
+            ("profile.acceleration", self.profile.acceleration, "acceleration", self.limits.acceleration),
+            ("profile.deceleration", self.profile.deceleration, "acceleration", self.limits.acceleration),
+        ];
+        for (key, value, limit, most) in profile {
+            match most {
+                _ if !positive(value) => wrong(key, "has to be above 0".into()),
+                Some(most) if value > most => {
+                    wrong(key, format!("is over limits.{limit} = {most}; lower it or raise the limit"));
+                }
+                _ => {}
+            }
+        }
+    }
+
+    fn check_schedule(&self, faults: &mut Vec<PlanFault>) {
+        if self.phase >= self.divisor {
+            faults.push(PlanFault::new(
+                "phase",
+                format!("must be below divisor = {}; 0 is the first of its cycles", self.divisor),
+            ));
+        }
+        for (key, value) in [
+            ("health.bucket", self.health.bucket),
+            ("health.leak", self.health.leak),
+            ("health.gate", self.health.gate),
+            ("stop.standstill_for", self.stop.standstill_for),
+            ("setpoint_age", self.setpoint_age),
+        ] {
+            if value == 0 {
+                faults.push(PlanFault::new(key, "must be at least 1"));
+            }
+        }
+        for (key, room) in [
+            ("command_queue", self.command_queue),
+            ("stream_queue", self.stream_queue),
+            ("event_queue", self.event_queue),
+        ] {
+            if room == 0 {
+                faults.push(PlanFault::new(key, "must have room for one entry at least"));
+            }
+        }
+    }
+
+    /// A ramp that cannot end in time would end in `on_timeout` every time.
+    fn check_stop(&self, faults: &mut Vec<PlanFault>) {
+        let (stop, unit) = (&self.stop, self.units.unit);
+        if !(stop.deceleration > 0.0 && stop.deceleration.is_finite()) {
+            return faults.push(PlanFault::new("stop.deceleration", "has to be above 0"));
+        }
+        if !(stop.standstill > 0.0 && stop.standstill.is_finite()) {
+            faults.push(PlanFault::new("stop.standstill", "has to be above 0"));
+        }
+        let velocity = self.limits.velocity.unwrap_or(self.profile.velocity);
+        let needed = velocity / stop.deceleration;
+        if stop.how == StopHow::Ramp && needed > stop.timeout.as_secs_f64() {
+            let needed_ns = Ns((needed.min(1e9) * S as f64) as u64);
+            faults.push(PlanFault::new(
+                "stop.timeout",
+                format!(
+                    "the ramp from {velocity} {unit}/s at {} {unit}/s² takes {needed_ns}, longer than {}; allow more, or \
+                     raise stop.deceleration",
+                    stop.deceleration,
+                    Ns(nanos(stop.timeout)),
+                ),
+            ));
+        }
+    }
+
+    /// What would let a vertical load drop.
+    fn check_load(&self, faults: &mut Vec<PlanFault>) {
+        let Load::Vertical(held_by) = self.load else { return };
+        let mut wrong = |key, message| faults.push(PlanFault::new(key, message));
+        if self.stop.how == StopHow::Coast {
+            wrong("stop.how", "would let a vertical load drop; take \"ramp\" or \"quick\"");
+        }
+        if held_by == HeldBy::Drive {
+            let remedy = "would drop a load that only the drive holds; take \"hold\", or name a brake: held_by = \"brake\"";
+            if self.stop.then == StopThen::Disable {
+                wrong("stop.then", remedy);
+            }
+            if self.stop.on_timeout == StopTimeout::Disable {
+                wrong("stop.on_timeout", remedy);
+            }
+        }
+    }
+}
+
+/// What the load of an axis does when nothing holds it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Load {
+    /// It stays where it is.
+    #[default]
+    Level,
+    /// It drops.
+    Vertical(HeldBy),
+}
+
+/// What holds a vertical load while the axis stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum HeldBy {
+    /// A brake that the drive is set to close before it powers off. Power goes off at standstill, or by the stop's time-out.
+    Brake,
+    /// The powered drive alone. The master never powers it off by itself, not at its own end either.
+    Drive,
 }
 
 /// Limits of an axis in user units; `None` = the drive's own limit only.

@@ -9,6 +9,8 @@
 //! | `station` | the master's view of one drive: a machine of state and time | sockets |
 //! | `bus` | stations + sockets = one [`Bus`] | the loop |
 //! | `sim` | the simulated drive: the same wire from the other end | the master's station |
+//!
+//! What a bus owes the loop is put to the test clause by clause in `tests/conformance`, which every protocol runs.
 
 pub mod linudp;
 
@@ -17,7 +19,7 @@ use std::fmt::Debug;
 
 use thiserror::Error;
 
-use crate::axis::{AxisPlan, Failure, Link, Row, State, Verb};
+use crate::axis::{AxisPlan, Failure, Link, PlanFault, Row, State, Verb};
 use crate::net::Carriers;
 use crate::rt::{PollSet, Regions};
 use crate::sim::DatagramDrive;
@@ -34,6 +36,9 @@ pub trait BusPlan: Debug + Send + Sync {
     /// Its axes, in slot order.
     fn axes(&self) -> Vec<&AxisPlan>;
 
+    /// What contradicts itself or would not work in a cycle of `period_ns`, each with the place of its axis.
+    fn faults(&self, period_ns: u64) -> Vec<(usize, PlanFault)>;
+
     /// What `check` says of each drive beyond its [`AxisPlan`]: address, modes, what happens if the master dies. A
     /// paragraph a drive, in slot order, a sentence a line; the address is its first line.
     fn describe(&self, period_ns: u64) -> Vec<String>;
@@ -41,7 +46,7 @@ pub trait BusPlan: Debug + Send + Sync {
     /// Opens the sockets and builds the bus for a cycle of `period_ns`. Sends nothing.
     fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError>;
 
-    /// The drives of this bus, simulated.
+    /// The drives of this bus, simulated, in slot order.
     fn simulate(&self) -> Vec<Box<dyn DatagramDrive>>;
 }
 
@@ -74,17 +79,21 @@ pub trait Bus: Send {
     fn poll_set(&mut self, set: &mut PollSet);
 
     /// Empties the sockets of what came too late, then hands the prepared requests of the due slots to the kernel and
-    /// opens their exchanges.
+    /// opens their exchanges, one each. Where replies may come cycles later, one that came since the last window still
+    /// closes an owed exchange here, and a due slot whose exchange is still owed is passed over.
     fn send(&mut self, cycle: &Cycle, slots: &mut [Slot]);
 
-    /// Takes in what has arrived. Never waits. True once every exchange that this window owes is closed.
+    /// Takes in what has arrived, a bounded part of a flood. Never waits, sends nothing. True once every exchange that
+    /// this window owes is closed: those owed by its deadline. Not called in a cycle that owes nothing.
     fn receive(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool;
 
     /// Builds the requests of the slots that are due at the next send, in place, from the orders that now stand in
-    /// them. May be called more than once for the same send.
+    /// them. May be called more than once for the same send, with the same bytes as the result, and again for a later
+    /// slot if the first was passed over. An order that was replaced before its request went out is never carried out.
     fn prepare(&mut self, cycle: &Cycle, slots: &mut [Slot]);
 
-    /// Starts or continues the orderly end; true once nothing more is owed to the wire.
+    /// Starts or continues the orderly end; true once nothing more is owed to the wire. Called behind the window of a
+    /// cycle, until it is true.
     fn shut_down(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool;
 
     /// What was received and belongs to no drive.
@@ -113,12 +122,16 @@ pub struct Slot {
     // Written by the loop.
     /// An exchange is due at the next send.
     pub due: bool,
-    /// The link as judged; a bus sends probes and reads only until the link is online.
+    /// The link as judged. A drive without an order is only read, whatever its link; an order that stands goes out with
+    /// every request, with the probes of a lost link too: it may be the stop.
     pub link: Link,
     /// What the drive shall do.
     pub order: Order,
     /// The row to follow at the next send, while the order is to follow.
     pub row: Option<NumberedRow>,
+    /// The velocity to go at from the next send on, user units/s, while the order is a jog or cyclic velocity. A jog begins
+    /// with its own.
+    pub velocity: f64,
 
     // Written by the bus.
     /// The exchange of this drive.
@@ -131,7 +144,9 @@ pub struct Slot {
     pub counters: Counters,
 }
 
-/// What a drive shall do. A new serial is a new order and replaces the one before it.
+/// What a drive shall do. A new serial is a new order and replaces the one before it; the same one is carried out once.
+/// It outlives missed exchanges and refused sends. What the drive cannot do ends as unsupported in the first `prepare`.
+/// A relative move and a jog keep to the position limits of the axis: only the bus knows where they lead.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Order {
     /// 0 = none yet.
@@ -168,7 +183,7 @@ pub enum Exchange {
     Owed {
         /// When it was sent.
         sent_at: Time,
-        /// Until when the reply counts.
+        /// Until when the reply counts: the deadline of this cycle, or of a later one.
         reply_by: Time,
     },
     /// Answered.
@@ -177,7 +192,8 @@ pub enum Exchange {
         sent_at: Time,
         /// When the reply was taken in.
         at: Time,
-        /// The reply may be that of an earlier request; it makes no round-trip sample.
+        /// The reply may be that of an earlier request; it makes no round-trip sample. Always set by a bus that cannot
+        /// measure one.
         suspect: bool,
     },
     /// `reply_by` passed. The loop says so.
@@ -203,6 +219,8 @@ pub struct Report {
     pub moving: bool,
     /// In the target window, as the drive says.
     pub in_target: bool,
+    /// The drive's hardware enable (STO) is missing.
+    pub inhibited: bool,
     /// It may be one request old.
     pub suspect: bool,
     /// Actual position, user units.

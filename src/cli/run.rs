@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use clap::Args;
+use fieldbeat::axis::{HeldBy, Load};
 use fieldbeat::master::{Master, Setup};
 use fieldbeat::rt::host;
 use fieldbeat::rt::thread::helper_thread;
@@ -36,6 +37,8 @@ impl Run {
         let mut links = LinkWatch::new(master.observers());
         let begun = Instant::now();
         while master.is_running() && self.duration.is_none_or(|duration| begun.elapsed() < duration) {
+            // Here this program is the application.
+            master.alive();
             live.show(&master, "run");
             links.look(&master, &mut live);
             std::thread::sleep(LOOK_EVERY);
@@ -62,7 +65,14 @@ pub fn start(setup: Setup, interrupt: &Interrupt) -> Result<(Master, Option<u64>
 
 /// Ends the machine and prints its summary.
 pub fn finish(master: Master, steal: Option<u64>, json: bool) -> Result<Summary, Stop> {
-    let summary = Summary::of(&master.finish(), steal);
+    let run = master.finish();
+    let summary = Summary::of(&run, steal);
+    let loads = run.plan.axes().into_iter().zip(&run.end.drives);
+    for (axis, drive) in loads {
+        if axis.load == Load::Vertical(HeldBy::Drive) && drive.feedback.state.is_powered() {
+            complain(&format!("drive {} stays powered: only the drive holds its vertical load", axis.name));
+        }
+    }
     if json {
         print(serde_json::to_string(&summary).map_err(Stop::failed)?)?;
     } else {

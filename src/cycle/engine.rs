@@ -9,7 +9,9 @@ use std::sync::atomic::{AtomicU8, Ordering};
 
 use rtrb::Producer;
 
+use super::gates::Gates;
 use super::grid::Grid;
+use super::heartbeat::Heartbeat;
 use super::plan::{CyclePlan, Guard, Overrun};
 use super::record::Record;
 use super::seat::Seat;
@@ -17,7 +19,7 @@ use super::status::{DriveEnd, RunEnd, Status};
 use super::task::{Axes, Task};
 use super::window::{BusSeat, Window};
 use crate::axis::cell::Writer;
-use crate::axis::{Link, StopCause};
+use crate::axis::{Link, Pulse, StopCause};
 use crate::bus::{Cycle, Slot};
 use crate::rt::{Clock, GuardTuner, Regions};
 use crate::time::{MS, Time, nanos};
@@ -72,6 +74,8 @@ pub struct Engine<C> {
     rtt_max: Vec<Option<(u64, u32)>>,
     task: Option<Task>,
     task_id: u64,
+    gates: Gates,
+    heartbeat: Heartbeat,
     control: Control,
     outlets: Outlets,
     status: Status,
@@ -116,6 +120,7 @@ impl<C: Clock> Engine<C> {
         seats: Vec<Seat>,
         names: Vec<(String, &'static str)>,
         task: Option<Task>,
+        pulse: Pulse,
         control: Control,
         outlets: Outlets,
     ) -> Engine<C> {
@@ -135,10 +140,12 @@ impl<C: Clock> Engine<C> {
             buses,
             slots: vec![Slot::default(); seats.len()],
             rtt_max: vec![None; seats.len()],
-            seats,
             names,
             task,
             task_id: 1,
+            gates: Gates::new(seats.len()),
+            heartbeat: Heartbeat::new(pulse, plan.heartbeat_ns, plan.period_ns),
+            seats,
             control,
             outlets,
             status: Status::default(),
@@ -156,6 +163,9 @@ impl<C: Clock> Engine<C> {
         regions.add(&*self.slots);
         regions.add(&*self.seats);
         regions.add(&*self.rtt_max);
+        self.gates.memory(regions);
+        self.heartbeat.memory(regions);
+        regions.add(&*self.control.0);
         regions.add(&*self.buses);
         self.outlets.status.memory(regions);
         for seat in &self.seats {
@@ -247,6 +257,7 @@ impl<C: Clock> Engine<C> {
             for (seat, slot) in self.seats.iter_mut().zip(&mut self.slots) {
                 seat.exchange(cycle, received, slot);
             }
+            self.gates.open(cycle, received, &mut self.seats, &mut self.slots);
         }
 
         // 5 prepare
@@ -268,7 +279,6 @@ impl<C: Clock> Engine<C> {
     }
 
     fn judge(&mut self, cycle: &Cycle, now: Time) {
-        let mut stopped = false;
         for (index, (seat, slot)) in self.seats.iter_mut().zip(&mut self.slots).enumerate() {
             if let Some(rtt_ns) = seat.judge(cycle, now, slot) {
                 if self.rtt_max[index].is_none_or(|(_, most)| rtt_ns > most) {
@@ -280,12 +290,30 @@ impl<C: Clock> Engine<C> {
                 }
             }
             seat.watch(cycle, now, slot);
-            stopped |= seat.just_stopped();
         }
-        if stopped {
-            while let Some(group) = self.seats.iter_mut().find_map(Seat::take_group_stop) {
-                self.stop_axes(cycle, now, StopCause::Group, |other| other == Some(group));
+        if self.heartbeat.is_silent(cycle) {
+            for (seat, slot) in self.seats.iter_mut().zip(&mut self.slots) {
+                seat.stop_if_armed(cycle, now, StopCause::Heartbeat, slot);
             }
+        }
+        self.gates.judge(&mut self.seats);
+        while let Some(lead) = self.gates.take_full() {
+            for (seat, slot) in self.seats.iter_mut().zip(&mut self.slots) {
+                if seat.moves_in_group().is_some_and(|ticket| ticket.lead as usize == lead) {
+                    seat.stop(cycle, now, StopCause::GroupLink, slot);
+                }
+            }
+        }
+        self.take_groups_along(cycle, now);
+    }
+
+    /// An axis that was stopped takes its stop group along.
+    fn take_groups_along(&mut self, cycle: &Cycle, now: Time) {
+        if !self.seats.iter().any(Seat::just_stopped) {
+            return;
+        }
+        while let Some(group) = self.seats.iter_mut().find_map(Seat::take_group_stop) {
+            self.stop_axes(cycle, now, StopCause::Group, |other| other == Some(group));
         }
     }
 
@@ -329,7 +357,7 @@ impl<C: Clock> Engine<C> {
 
     fn run_task(&mut self, cycle: &Cycle, before: Time) {
         let Some(task) = &mut self.task else { return };
-        let mut axes = Axes::new(&mut self.seats, &mut self.task_id);
+        let mut axes = Axes::new(&mut self.seats, &mut self.task_id, cycle, before);
         let result = catch_unwind(AssertUnwindSafe(|| task(cycle, &mut axes)));
         let panicked = result.is_err();
         // Neither the panic's payload nor the task is dropped: freeing memory is not for this thread.
@@ -350,8 +378,13 @@ impl<C: Clock> Engine<C> {
     fn arm(&mut self, next: &Cycle, now: Time) {
         for (seat, slot) in self.seats.iter_mut().zip(&mut self.slots) {
             slot.due = seat.is_due(next.index);
-            seat.feed(next, now, slot);
         }
+        self.gates.count_rows(&mut self.seats, &self.slots);
+        for (seat, slot) in self.seats.iter_mut().zip(&mut self.slots) {
+            seat.feed(next, now, slot, &self.gates);
+        }
+        // What stopped since it was judged leaves with the same send.
+        self.take_groups_along(next, now);
         for seat in &mut self.buses {
             seat.bus.prepare(next, &mut self.slots[seat.first..seat.end]);
         }

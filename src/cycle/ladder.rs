@@ -5,7 +5,7 @@
 
 use std::time::Duration;
 
-use crate::axis::{StopHow, StopPlan, StopThen, StopTimeout, Verb};
+use crate::axis::{HeldBy, Load, StopHow, StopPlan, StopThen, StopTimeout, Verb};
 use crate::time::{Time, nanos};
 
 /// What is left for each rung after [`Ladder::hurry`], and for power off where nobody has answered for long: a probe or two.
@@ -36,11 +36,15 @@ pub enum Rung {
 #[derive(Clone, Copy, Debug)]
 pub struct Ladder {
     plan: StopPlan,
+    /// Nothing but the drive holds the load: it is never powered off from here.
+    keeps_power: bool,
     rung: Rung,
     /// The master is shutting down.
     ending: bool,
     /// Since when the drive is not heard.
     unheard: Option<Time>,
+    /// It was heard again in the shutdown: what is left of its time runs on from there.
+    returned: bool,
     /// The ramp failed, and the quick stop was ordered in its place.
     escalated: bool,
 }
@@ -64,7 +68,7 @@ pub struct Sight {
 
 impl Ladder {
     /// Steps onto the ladder; the second value is the first order for the drive.
-    pub fn start(plan: StopPlan, now: Time) -> (Ladder, Verb) {
+    pub fn start(plan: StopPlan, load: Load, now: Time) -> (Ladder, Verb) {
         let (rung, verb) = match plan.how {
             StopHow::Ramp => {
                 (Rung::Braking { since: now, still: 0 }, Verb::Stop { deceleration: Some(plan.deceleration) })
@@ -72,7 +76,16 @@ impl Ladder {
             StopHow::Quick => (Rung::Braking { since: now, still: 0 }, Verb::QuickStop),
             StopHow::Coast => (Rung::Disabling { since: now }, Verb::Disable),
         };
-        (Ladder { plan, rung, ending: false, unheard: None, escalated: plan.how != StopHow::Ramp }, verb)
+        let ladder = Ladder {
+            plan,
+            keeps_power: load == Load::Vertical(HeldBy::Drive),
+            rung,
+            ending: false,
+            unheard: None,
+            returned: false,
+            escalated: plan.how != StopHow::Ramp,
+        };
+        (ladder, verb)
     }
 
     /// The order of the first rung.
@@ -89,10 +102,16 @@ impl Ladder {
         matches!(self.rung, Rung::Holding | Rung::Off)
     }
 
-    /// A shutdown powers off whatever `then` says, since nobody will be there to hold the axis; but not before standstill.
+    /// A shutdown powers off whatever `then` says, since nobody will be there to hold the axis; but not before standstill,
+    /// and not a drive that alone holds its load. A drive that is off already is told so all the same: its control word would
+    /// stay high for good.
     pub fn shut_down(&mut self, now: Time, powered: bool) {
+        if self.keeps_power && powered {
+            self.ending = true;
+            return;
+        }
         self.plan.then = StopThen::Disable;
-        if !std::mem::replace(&mut self.ending, true) && self.rung == Rung::Holding && powered {
+        if !std::mem::replace(&mut self.ending, true) && self.rung == Rung::Holding {
             self.rung = Rung::Braking { since: now, still: 0 };
         }
     }
@@ -127,7 +146,9 @@ impl Ladder {
                     (true, true) => still + 1,
                     (true, false) => 0,
                 };
-                let since = if back { now } else { since };
+                // A link that comes and goes may put off the end of the braking, but once only that of the master.
+                let again = back && !(self.ending && std::mem::replace(&mut self.returned, true));
+                let since = if again { now } else { since };
                 self.rung = Rung::Braking { since, still };
                 if sight.failed && !self.escalated {
                     self.escalated = true;
@@ -151,7 +172,8 @@ impl Ladder {
                 power_off.then_some(Verb::Disable)
             }
             Rung::Disabling { since } => {
-                if (sight.fresh && !sight.powered)
+                // What the drive said before it was asked is no answer.
+                if (sight.fresh && !sight.powered && now > since)
                     || late(since)
                     || (gone && now.since(since) >= nanos(HURRIED))
                 {
@@ -164,16 +186,19 @@ impl Ladder {
 
     /// Shortens the waits (a second Ctrl-C): the fastest controlled stop, and little time left for it. Never skips it.
     pub fn hurry(&mut self, now: Time) -> Option<Verb> {
+        let timeout = self.plan.timeout.min(HURRIED);
         match self.rung {
             Rung::Braking { .. } => {
-                self.plan.timeout = HURRIED;
-                self.plan.on_timeout = StopTimeout::Disable;
+                self.plan.timeout = timeout;
+                if !self.keeps_power {
+                    self.plan.on_timeout = StopTimeout::Disable;
+                }
                 self.escalated = true;
                 self.rung = Rung::Braking { since: now, still: 0 };
                 Some(Verb::QuickStop)
             }
             Rung::Disabling { .. } => {
-                self.plan.timeout = HURRIED;
+                self.plan.timeout = timeout;
                 None
             }
             Rung::Holding | Rung::Off => None,
@@ -205,7 +230,7 @@ mod tests {
 
     #[test]
     fn power_goes_off_only_after_standstill() {
-        let (mut ladder, verb) = Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Time(0));
+        let (mut ladder, verb) = Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0));
         assert_eq!(verb, Verb::Stop { deceleration: Some(100.0) });
         assert_eq!(ladder.step(Time(1), MOVING), None);
         assert_eq!(ladder.step(Time(2), STANDING), None);
@@ -223,7 +248,7 @@ mod tests {
 
     #[test]
     fn a_movement_in_between_starts_the_count_again() {
-        let (mut ladder, _) = Ladder::start(plan(StopHow::Quick, StopThen::Disable), Time(0));
+        let (mut ladder, _) = Ladder::start(plan(StopHow::Quick, StopThen::Disable), Load::Level, Time(0));
         for sight in [STANDING, STANDING, MOVING, STANDING, STANDING] {
             assert_eq!(ladder.step(Time(1), sight), None);
         }
@@ -232,7 +257,7 @@ mod tests {
 
     #[test]
     fn hold_stays_powered_but_a_shutdown_does_not() {
-        let (mut ladder, _) = Ladder::start(plan(StopHow::Ramp, StopThen::Hold), Time(0));
+        let (mut ladder, _) = Ladder::start(plan(StopHow::Ramp, StopThen::Hold), Load::Level, Time(0));
         (0..3).for_each(|_| assert_eq!(ladder.step(Time(1), STANDING), None));
         assert!(ladder.is_down());
         ladder.shut_down(Time(2), true);
@@ -244,30 +269,61 @@ mod tests {
 
     #[test]
     fn a_hurry_brakes_faster_and_still_waits_for_standstill() {
-        let (mut ladder, _) = Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Time(0));
-        assert_eq!(ladder.hurry(Time(500)), Some(Verb::QuickStop));
-        assert_eq!(ladder.step(Time(1_500), MOVING), None);
-        assert_eq!(ladder.step(Time(500 + 250_000_000), MOVING), Some(Verb::Disable));
+        // Its own time-out may be shorter still.
+        for (timeout, left) in [(Duration::from_secs(20), 250_000_000), (Duration::from_nanos(1_000), 1_000)]
+        {
+            let plan = StopPlan { timeout, ..plan(StopHow::Ramp, StopThen::Disable) };
+            let (mut ladder, _) = Ladder::start(plan, Load::Level, Time(0));
+            assert_eq!(ladder.hurry(Time(500)), Some(Verb::QuickStop));
+            assert_eq!(ladder.step(Time(499 + left), MOVING), None);
+            assert_eq!(ladder.step(Time(500 + left), MOVING), Some(Verb::Disable));
+        }
     }
 
     #[test]
     fn nothing_is_switched_off_blindly() {
-        let (mut ladder, _) = Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Time(0));
+        let (mut ladder, _) = Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0));
         let lost = Sight { fresh: false, heard: false, ..MOVING };
         assert_eq!(ladder.step(Time(5_000), lost), None, "its time does not run");
         let stop = Verb::Stop { deceleration: Some(100.0) };
         assert_eq!(ladder.step(Time(6_000), MOVING), Some(stop), "asked again when it is heard again");
         assert_eq!(ladder.step(Time(6_500), MOVING), None);
         assert_eq!(ladder.step(Time(7_000), MOVING), Some(Verb::Disable), "and from then on its time runs");
-        let (mut ladder, _) = Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Time(0));
+        let (mut ladder, _) = Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0));
         ladder.step(Time(500), lost);
         ladder.shut_down(Time(500), true);
         assert_eq!(ladder.step(Time(1_600), lost), Some(Verb::Disable), "a shutdown does not wait for ever");
     }
 
     #[test]
+    fn a_link_that_comes_and_goes_holds_no_shutdown_up() {
+        let (mut ladder, _) = Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0));
+        ladder.shut_down(Time(0), true);
+        let lost = Sight { fresh: false, heard: false, ..MOVING };
+        let off = (1..).find(|n| {
+            let sight = if n % 2 == 0 { MOVING } else { lost };
+            ladder.step(Time(300 * n), sight) == Some(Verb::Disable)
+        });
+        assert_eq!(off, Some(7), "its time runs once more from where it came back first");
+    }
+
+    #[test]
+    fn a_drive_that_is_off_already_is_told_so_all_the_same() {
+        let (mut ladder, verb) = Ladder::start(plan(StopHow::Coast, StopThen::Disable), Load::Level, Time(5));
+        assert_eq!((verb, ladder.step(Time(5), OFF)), (Verb::Disable, None));
+        assert!(!ladder.is_down(), "its reply is older than the order");
+        assert_eq!(ladder.step(Time(6), OFF), None);
+        assert!(ladder.is_down());
+        // Held until now, and then it dropped out by itself.
+        let (mut ladder, _) = Ladder::start(plan(StopHow::Quick, StopThen::Hold), Load::Level, Time(0));
+        (0..3).for_each(|_| assert_eq!(ladder.step(Time(1), STANDING), None));
+        ladder.shut_down(Time(2), true);
+        assert_eq!(ladder.step(Time(3), OFF), Some(Verb::Disable));
+    }
+
+    #[test]
     fn a_ramp_that_the_drive_does_not_take_becomes_its_quick_stop() {
-        let (mut ladder, _) = Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Time(0));
+        let (mut ladder, _) = Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0));
         let failed = Sight { failed: true, ..MOVING };
         assert_eq!(ladder.step(Time(1), failed), Some(Verb::QuickStop));
         assert_eq!(ladder.step(Time(2), failed), None, "once");
@@ -275,12 +331,12 @@ mod tests {
 
     #[test]
     fn a_time_out_ends_by_its_policy() {
-        let (mut ladder, _) = Ladder::start(plan(StopHow::Ramp, StopThen::Hold), Time(0));
+        let (mut ladder, _) = Ladder::start(plan(StopHow::Ramp, StopThen::Hold), Load::Level, Time(0));
         assert_eq!(ladder.step(Time(999), MOVING), None);
         assert_eq!(ladder.step(Time(1_000), MOVING), Some(Verb::Disable));
         let mut hold = plan(StopHow::Ramp, StopThen::Disable);
         hold.on_timeout = StopTimeout::Hold;
-        let (mut ladder, _) = Ladder::start(hold, Time(0));
+        let (mut ladder, _) = Ladder::start(hold, Load::Level, Time(0));
         assert_eq!(ladder.step(Time(1_000), MOVING), None);
         assert!(ladder.is_down());
         // A shutdown gives it the time once more, and only once.
@@ -288,6 +344,21 @@ mod tests {
         assert!(!ladder.is_down());
         assert_eq!(ladder.step(Time(2_100), MOVING), None);
         ladder.shut_down(Time(2_100), true);
+        assert!(ladder.is_down());
+    }
+
+    #[test]
+    fn a_load_that_only_the_drive_holds_keeps_its_power_to_the_very_end() {
+        let hold = StopPlan { on_timeout: StopTimeout::Hold, ..plan(StopHow::Ramp, StopThen::Hold) };
+        let load = Load::Vertical(HeldBy::Drive);
+        let (mut ladder, _) = Ladder::start(hold, load, Time(0));
+        ladder.shut_down(Time(1), true);
+        assert_eq!(ladder.hurry(Time(1)), Some(Verb::QuickStop));
+        assert_eq!(ladder.step(Time(400_000_000), MOVING), None, "not by its time-out, however short");
+        assert!(ladder.is_down());
+        let (mut ladder, _) = Ladder::start(hold, load, Time(0));
+        (0..3).for_each(|_| assert_eq!(ladder.step(Time(1), STANDING), None));
+        ladder.shut_down(Time(2), true);
         assert!(ladder.is_down());
     }
 }

@@ -9,14 +9,18 @@
 //! | `seat` | the loop's side of one axis |
 //! | `health` | the link to one drive: leaky bucket, schedule, probes |
 //! | `ladder` | the way down after a stop |
+//! | `gates` | what keeps the members of a group together |
+//! | `heartbeat` | the watch over the application's sign of life |
 //! | `task` | the application's code inside the cycle |
 //! | `status`, `record` | what the loop counts, and what it tells the telemetry |
 //!
 //! The loop knows the [`Bus`](crate::bus::Bus) contract, no protocol.
 
 pub mod engine;
+mod gates;
 mod grid;
 mod health;
+mod heartbeat;
 mod ladder;
 pub mod plan;
 pub mod record;
@@ -25,4 +29,4 @@ pub mod status;
 pub mod task;
 pub mod window;
 
-pub use plan::{CyclePlan, Guard, Overrun, Plan, Wait};
+pub use plan::{CyclePlan, GroupPlan, Guard, Overrun, Plan, PlanErrors, Wait};

@@ -2,11 +2,12 @@
 
 use std::path::PathBuf;
 
-use crate::axis::AxisPlan;
+use crate::axis::group::out_of_step;
+use crate::axis::{AxisPlan, GroupError, PlanFault};
 use crate::bus::BusPlan;
 use crate::rt::{Memory, Realtime};
 use crate::sim::DatagramDrive;
-use crate::time::MS;
+use crate::time::{MS, Ns, S, US};
 
 /// A whole machine.
 #[derive(Debug)]
@@ -17,7 +18,23 @@ pub struct Plan {
     pub cycle: CyclePlan,
     /// The buses.
     pub buses: Vec<Box<dyn BusPlan>>,
+    /// Axes that act together, by name.
+    pub groups: Vec<GroupPlan>,
 }
+
+/// Axes that act together.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct GroupPlan {
+    /// Its name, unique among groups.
+    pub name: String,
+    /// Its members' names, two or more, in the order of its rows.
+    pub axes: Vec<String>,
+}
+
+/// What is wrong with a plan that was built in code: one line each.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{}", .0.join("\n"))]
+pub struct PlanErrors(pub Vec<String>);
 
 impl Plan {
     /// All axes in slot order: bus after bus, drive after drive.
@@ -25,9 +42,66 @@ impl Plan {
         self.buses.iter().flat_map(|bus| bus.axes()).collect()
     }
 
+    /// Whether this plan can work: contradictions, and what would be found out only by a machine that does not stop. A file is
+    /// held to more than that while it is read.
+    pub fn check(&self) -> Result<(), PlanErrors> {
+        let mut errors = Vec::new();
+        if !(50 * US..=S).contains(&self.cycle.period_ns) {
+            errors.push(format!("cycle: a period of {} is outside 50 us ... 1 s", Ns(self.cycle.period_ns)));
+        }
+        let share = self.cycle.receive_deadline;
+        if !(share > 0.0 && share < 1.0) {
+            errors.push(format!("cycle: a receive deadline of {share} is no share of the period, 0 ... 1"));
+        }
+        for (index, group) in self.groups.iter().enumerate() {
+            if self.groups[..index].iter().any(|other| other.name == group.name) {
+                errors.push(format!("group {}: its name is taken by another group", group.name));
+            }
+        }
+        let axes = self.axes();
+        for (index, axis) in axes.iter().enumerate() {
+            if axes[..index].iter().any(|other| other.name == axis.name) {
+                errors
+                    .push(format!("drive {}: its name is taken; names are unique in the machine", axis.name));
+            }
+        }
+        for bus in &self.buses {
+            let (faults, axes) = (bus.faults(self.cycle.period_ns), bus.axes());
+            errors.extend(faults.into_iter().map(|(index, PlanFault { key, message })| {
+                let name = axes.get(index).map_or("", |axis| axis.name.as_str());
+                format!("bus {}: drive {name}: {key}: {message}", bus.name())
+            }));
+        }
+        for group in &self.groups {
+            errors.extend(group.fault(&axes).map(|why| format!("group {}: {why}", group.name)));
+        }
+        if errors.is_empty() { Ok(()) } else { Err(PlanErrors(errors)) }
+    }
+
     /// The drives of all buses, simulated.
     pub fn simulate(&self) -> Vec<Box<dyn DatagramDrive>> {
         self.buses.iter().flat_map(|bus| bus.simulate()).collect()
+    }
+}
+
+impl GroupPlan {
+    /// What keeps its members, found by name among `axes`, from acting together.
+    pub fn fault(&self, axes: &[&AxisPlan]) -> Option<String> {
+        let mut members: Vec<&AxisPlan> = Vec::with_capacity(self.axes.len());
+        for name in &self.axes {
+            let Some(axis) = axes.iter().find(|axis| axis.name == *name) else {
+                return Some(format!("there is no drive {name}"));
+            };
+            if members.iter().any(|member| member.name == *name) {
+                return Some(format!("{name} is in it twice"));
+            }
+            members.push(axis);
+        }
+        let [first, others @ ..] = members.as_slice() else { return Some(GroupError::TooFew(0).to_string()) };
+        if others.is_empty() {
+            return Some(GroupError::TooFew(1).to_string());
+        }
+        others.iter().find_map(|other| out_of_step(first, other)).map(|error| error.to_string())
     }
 }
 
@@ -54,6 +128,9 @@ pub struct CyclePlan {
     pub memory: Memory,
     /// Longest the in-loop task may run, ns; over it is a stop. `None` = no budget.
     pub task_budget_ns: Option<u64>,
+    /// Longest the application may be silent while an axis is enabled, ns; longer is a stop of all axes that are. `None` =
+    /// nobody watches.
+    pub heartbeat_ns: Option<u64>,
 }
 
 impl CyclePlan {
@@ -78,6 +155,7 @@ impl Default for CyclePlan {
             realtime: Realtime::Prefer,
             memory: Memory::Process,
             task_budget_ns: None,
+            heartbeat_ns: None,
         }
     }
 }

@@ -3,6 +3,7 @@
 use super::seat::Seat;
 use crate::axis::{Command, CommandId, Failure, Feedback, Row, Verb};
 use crate::bus::Cycle;
+use crate::time::Time;
 
 /// Runs on the real-time thread once a cycle, between judging the replies and building the next requests: it sees the
 /// feedback of cycle k, and what it asks for leaves in cycle k + 1. It must not allocate, lock or wait.
@@ -16,11 +17,13 @@ pub const TASK_ID: u64 = 1 << 63;
 pub struct Axes<'a> {
     seats: &'a mut [Seat],
     next_id: &'a mut u64,
+    cycle: &'a Cycle,
+    now: Time,
 }
 
 impl<'a> Axes<'a> {
-    pub(super) fn new(seats: &'a mut [Seat], next_id: &'a mut u64) -> Axes<'a> {
-        Axes { seats, next_id }
+    pub(super) fn new(seats: &'a mut [Seat], next_id: &'a mut u64, cycle: &'a Cycle, now: Time) -> Axes<'a> {
+        Axes { seats, next_id, cycle, now }
     }
 
     /// How many axes there are.
@@ -47,13 +50,20 @@ impl<'a> Axes<'a> {
     pub fn command(&mut self, index: usize, verb: Verb) -> Result<CommandId, Failure> {
         let seat = self.seats.get_mut(index).ok_or(Failure::Unsupported("there is no such axis"))?;
         let id = CommandId(*self.next_id | TASK_ID);
-        seat.command_from_task(Command { id, verb, stream: 0 })?;
+        seat.command_from_task(self.cycle, self.now, Command { id, verb, stream: 0, ticket: None })?;
         *self.next_id += 1;
         Ok(id)
     }
 
-    /// The row that axis `index` follows at its next exchange, while it runs [`Verb::Follow`]. It is checked against the
-    /// limits like a streamed one.
+    /// The velocity of axis `index` at its next exchange, user units/s, while it runs [`Verb::Velocity`] or [`Verb::Jog`]; to be
+    /// given again before it is too old.
+    pub fn set_velocity(&mut self, index: usize, velocity: f64) -> Result<(), Failure> {
+        let seat = self.seats.get_mut(index).ok_or(Failure::Unsupported("there is no such axis"))?;
+        seat.velocity_from_task(self.cycle.index, velocity)
+    }
+
+    /// The row that axis `index` follows at its next exchange, while it runs [`Verb::Follow`] outside of a group. It is
+    /// checked against the limits like a streamed one.
     pub fn follow(&mut self, index: usize, row: Row) {
         if let Some(seat) = self.seats.get_mut(index) {
             seat.row_from_task(row);

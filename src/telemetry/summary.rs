@@ -110,6 +110,8 @@ pub struct Drive {
     pub age_cycles: u32,
     /// Actual position at the end, user units.
     pub position: f64,
+    /// The drive's hardware enable (STO) is missing.
+    pub inhibited: bool,
     /// Why the axis stands stopped.
     pub stopped: Option<String>,
     /// Fault code, null = none.
@@ -187,6 +189,7 @@ impl Summary {
                     rtt_ns: Quantiles::of(round_trip, drive.rtt_max.map(|(_, ns)| u64::from(ns))),
                     age_cycles: feedback.age,
                     position: feedback.position,
+                    inhibited: feedback.inhibited,
                     stopped: feedback.stopped.map(|cause| cause.to_string()),
                     fault: (feedback.fault != 0).then_some(feedback.fault),
                 }
@@ -355,6 +358,9 @@ impl fmt::Display for Summary {
             let mut notes = String::new();
             if let Some(cause) = drive.stopped.as_ref().filter(|cause| *cause != "shutdown") {
                 let _ = write!(notes, "  stopped: {cause}");
+            }
+            if drive.inhibited {
+                notes.push_str("  hardware enable (STO) missing");
             }
             if let Some(fault) = drive.fault {
                 let _ = write!(notes, "  fault {fault:#06x}");

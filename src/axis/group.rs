@@ -1,0 +1,298 @@
+//! Several axes with one queue: verbs and rows of all members take effect in the same cycle's send, all or none.
+//!
+//! A group takes its axes by value, so that nobody else commands them. Each member's command has its own id and its own
+//! end. What one member refuses is refused to all; a motion or homing that fails at one of them, a member that is stopped or
+//! taken out of a motion of the group takes the others along by their stop group. After a failed enable those that came up stay
+//! up. A stop is never refused to one member because of another, and waits for the others' no longer than two cycles.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+use thiserror::Error;
+
+use super::command::{CommandId, Move, Profile, Row, Target, Ticket, Verb};
+use super::event::Event;
+use super::feedback::Feedback;
+use super::handle::{Axis, AxisError, GRACE, longest};
+use super::plan::AxisPlan;
+
+/// Axes that act together.
+///
+/// ```no_run
+/// # use std::time::Duration;
+/// # use fieldbeat::{Group, Master, Row};
+/// # let master = Master::from_file("machine.toml")?.start()?;
+/// let mut gantry = Group::new([master.axis("x")?, master.axis("y")?])?;
+/// gantry.enable()?;
+/// gantry.home()?;
+/// gantry.move_to(&[100.0, 50.0])?;
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug)]
+pub struct Group {
+    axes: Vec<Axis>,
+}
+
+/// Calls to all groups of this process, rows included. Axes may go from one group to another, and no two calls shall be taken for one.
+static CALLS: AtomicU64 = AtomicU64::new(1);
+
+/// One command to each member, in the order of the group.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct GroupCommand {
+    /// Its name in messages.
+    verb: &'static str,
+    ids: Vec<CommandId>,
+}
+
+impl GroupCommand {
+    /// The ids under which the members' events tell its end.
+    pub fn ids(&self) -> &[CommandId] {
+        &self.ids
+    }
+}
+
+/// Why something asked of a group did not come about.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum GroupError {
+    /// A group of fewer than two.
+    #[error("a group of {0}: it takes two axes or more")]
+    TooFew(usize),
+    /// Axes of two machines have no cycle in common.
+    #[error("axes {0} and {1} belong to two masters: a group has one")]
+    TwoMachines(String, String),
+    /// The members do not exchange in the same cycles.
+    #[error("axes {0} and {1} exchange in different cycles: give them one divisor and phase")]
+    OutOfStep(String, String),
+    /// One member would be stopped without the other.
+    #[error("axes {0} and {1} do not stop together: put them into one stop.group")]
+    TwoStopGroups(String, String),
+    /// Not one value a member.
+    #[error("{given} values for a group of {members}: give one for each axis")]
+    Count {
+        /// How many there were.
+        given: usize,
+        /// How many members there are.
+        members: usize,
+    },
+    /// Rows are for all members.
+    #[error("some members follow and some do not: give follow to all of them")]
+    MixedFollow,
+    /// An empty stream would lead the members apart.
+    #[error("axes {0} and {1} do different things when their streams run empty: give them one underrun")]
+    TwoUnderruns(String, String),
+    /// A stream ends for all members or for none.
+    #[error("some rows are the last one and some are not: mark all of them or none")]
+    MixedEnd,
+    /// A member refused, or did not do it. Of what was refused no member has anything.
+    #[error(transparent)]
+    Axis(#[from] AxisError),
+}
+
+/// Axes that make no group, given back.
+#[derive(Debug, Error)]
+#[error("{reason}")]
+pub struct GroupRefused {
+    /// Why.
+    pub reason: GroupError,
+    /// The axes.
+    pub axes: Vec<Axis>,
+}
+
+impl Group {
+    /// A group of these axes, two or more, of one machine, with one divisor, phase and stop group.
+    pub fn new(axes: impl IntoIterator<Item = Axis>) -> Result<Group, GroupRefused> {
+        let axes: Vec<Axis> = axes.into_iter().collect();
+        match mismatch(&axes) {
+            None => Ok(Group { axes }),
+            Some(reason) => Err(GroupRefused { reason, axes }),
+        }
+    }
+
+    /// The members, to look at.
+    pub fn axes(&self) -> &[Axis] {
+        &self.axes
+    }
+
+    /// Ends the group and gives its axes back. What they do goes on.
+    pub fn into_axes(self) -> Vec<Axis> {
+        self.axes
+    }
+
+    /// The newest feedback of every member.
+    pub fn feedback(&self) -> Vec<Feedback> {
+        self.axes.iter().map(Axis::feedback).collect()
+    }
+
+    /// The next event of member `index`, if there is one.
+    pub fn event(&mut self, index: usize) -> Option<Event> {
+        self.axes.get_mut(index)?.event()
+    }
+
+    /// Gives one verb to each member and returns at once. They begin in one cycle, as soon as each member may; if one of them
+    /// cannot, all of them fail.
+    pub fn post(&mut self, verbs: &[Verb]) -> Result<GroupCommand, GroupError> {
+        self.count(verbs.len())?;
+        if verbs.contains(&Verb::Follow) && verbs.iter().any(|verb| *verb != Verb::Follow) {
+            return Err(GroupError::MixedFollow);
+        }
+        for (axis, verb) in self.axes.iter().zip(verbs) {
+            axis.accepts(verb)?;
+        }
+        let ticket = Ticket {
+            lead: self.axes.first().map_or(0, |axis| axis.index() as u32),
+            members: self.axes.len() as u32,
+            number: CALLS.fetch_add(1, Ordering::Relaxed),
+        };
+        let mut ids = Vec::with_capacity(verbs.len());
+        for (axis, verb) in self.axes.iter_mut().zip(verbs) {
+            ids.push(axis.enqueue(*verb, Some(ticket))?);
+        }
+        Ok(GroupCommand { verb: verbs.first().map_or("", Verb::name), ids })
+    }
+
+    /// Gives the same verb to each member.
+    pub fn post_all(&mut self, verb: Verb) -> Result<GroupCommand, GroupError> {
+        self.post(&vec![verb; self.axes.len()])
+    }
+
+    /// The velocity setpoints of all members, user units/s, while they run [`Verb::Velocity`] or [`Verb::Jog`].
+    pub fn set_velocities(&mut self, velocities: &[f64]) -> Result<(), GroupError> {
+        self.count(velocities.len())?;
+        for (axis, velocity) in self.axes.iter().zip(velocities) {
+            axis.accepts_velocity(*velocity)?;
+        }
+        for (axis, velocity) in self.axes.iter_mut().zip(velocities) {
+            axis.set_velocity(*velocity)?;
+        }
+        Ok(())
+    }
+
+    /// How many rows the streams have room for.
+    pub fn stream_room(&self) -> usize {
+        self.axes.iter().map(Axis::stream_room).min().unwrap_or(0)
+    }
+
+    /// Queues one row for each member, all or none of them. The loop takes them together.
+    pub fn push_rows(&mut self, rows: &[Row]) -> Result<(), GroupError> {
+        self.count(rows.len())?;
+        if rows.iter().any(|row| row.last) && rows.iter().any(|row| !row.last) {
+            return Err(GroupError::MixedEnd);
+        }
+        for (axis, row) in self.axes.iter().zip(rows) {
+            axis.accepts_row(row)?;
+        }
+        let number = CALLS.fetch_add(1, Ordering::Relaxed);
+        for (axis, row) in self.axes.iter_mut().zip(rows) {
+            axis.enqueue_row(*row, number);
+        }
+        Ok(())
+    }
+
+    /// Starts to follow the streams, whose first rows should be queued already. Ends with the rows marked `last`.
+    pub fn follow(&mut self) -> Result<GroupCommand, GroupError> {
+        self.post_all(Verb::Follow)
+    }
+
+    /// Enables all members and waits until they are in operation.
+    pub fn enable(&mut self) -> Result<(), GroupError> {
+        self.run_all(Verb::Enable, |axis| axis.plan().enable_timeout)
+    }
+
+    /// Powers all members off and waits until they are.
+    pub fn disable(&mut self) -> Result<(), GroupError> {
+        self.run_all(Verb::Disable, |axis| axis.plan().enable_timeout)
+    }
+
+    /// Homes all members and waits until they are done.
+    pub fn home(&mut self) -> Result<(), GroupError> {
+        self.run_all(Verb::Home, |axis| axis.plan().home_timeout)
+    }
+
+    /// Moves each member to its position (user units) along its own profile and waits until all have arrived. They start in
+    /// one cycle; each takes its own time.
+    pub fn move_to(&mut self, positions: &[f64]) -> Result<(), GroupError> {
+        let profiles: Vec<Profile> = self.axes.iter().map(Axis::profile).collect();
+        self.count(positions.len())?;
+        let verbs: Vec<Verb> = (positions.iter().zip(profiles))
+            .map(|(position, profile)| Verb::Move(Move { target: Target::Absolute(*position), profile }))
+            .collect();
+        let limit = (self.axes.iter().zip(positions))
+            .map(|(axis, position)| longest((position - axis.feedback().demand).abs(), &axis.profile()))
+            .max();
+        let command = self.post(&verbs)?;
+        self.wait(&command, limit.unwrap_or_default() + GRACE)
+    }
+
+    /// Ramps all members down and waits for standstill; the drives stay enabled.
+    pub fn stop(&mut self) -> Result<(), GroupError> {
+        self.run_all(Verb::Stop { deceleration: None }, |axis| axis.plan().stop.timeout)
+    }
+
+    /// The fastest controlled stop of all members; waits for standstill.
+    pub fn quick_stop(&mut self) -> Result<(), GroupError> {
+        self.run_all(Verb::QuickStop, |axis| axis.plan().stop.timeout)
+    }
+
+    /// Acknowledges the faults of all members.
+    pub fn reset_fault(&mut self) -> Result<(), GroupError> {
+        self.run_all(Verb::ResetFault, |axis| axis.plan().enable_timeout)
+    }
+
+    /// Opens the latches of all members.
+    pub fn reset(&mut self) -> Result<(), GroupError> {
+        self.run_all(Verb::Reset, |axis| axis.plan().stop.timeout * 2)
+    }
+
+    /// Waits until `command` has ended at all members. The error is that of the member which caused it, if one did.
+    pub fn wait(&mut self, command: &GroupCommand, limit: Duration) -> Result<(), GroupError> {
+        let begun = Instant::now();
+        let mut errors = Vec::new();
+        for (axis, id) in self.axes.iter_mut().zip(&command.ids) {
+            let left = limit.saturating_sub(begun.elapsed());
+            errors.extend(axis.wait(*id, command.verb, left).err());
+        }
+        match errors.iter().position(|error| !error.is_of_group()) {
+            Some(cause) => Err(errors.swap_remove(cause).into()),
+            None => errors.into_iter().next().map_or(Ok(()), |error| Err(error.into())),
+        }
+    }
+
+    fn run_all(&mut self, verb: Verb, limit: impl Fn(&Axis) -> Duration) -> Result<(), GroupError> {
+        let limit = self.axes.iter().map(limit).max().unwrap_or_default();
+        let command = self.post_all(verb)?;
+        self.wait(&command, limit + GRACE)
+    }
+
+    fn count(&self, given: usize) -> Result<(), GroupError> {
+        let members = self.axes.len();
+        if given == members { Ok(()) } else { Err(GroupError::Count { given, members }) }
+    }
+}
+
+/// What keeps `axes` from being a group.
+fn mismatch(axes: &[Axis]) -> Option<GroupError> {
+    let [first, others @ ..] = axes else { return Some(GroupError::TooFew(0)) };
+    if others.is_empty() {
+        return Some(GroupError::TooFew(1));
+    }
+    others.iter().find_map(|other| {
+        if !first.shares_machine(other) {
+            return Some(GroupError::TwoMachines(first.name().to_owned(), other.name().to_owned()));
+        }
+        out_of_step(first.plan(), other.plan())
+    })
+}
+
+/// What keeps two axes from acting together.
+pub(crate) fn out_of_step(first: &AxisPlan, other: &AxisPlan) -> Option<GroupError> {
+    let names = (first.name.clone(), other.name.clone());
+    if (first.divisor, first.phase) != (other.divisor, other.phase) {
+        Some(GroupError::OutOfStep(names.0, names.1))
+    } else if first.stop.group.is_none() || first.stop.group != other.stop.group {
+        Some(GroupError::TwoStopGroups(names.0, names.1))
+    } else if first.underrun != other.underrun {
+        Some(GroupError::TwoUnderruns(names.0, names.1))
+    } else {
+        None
+    }
+}

@@ -1,0 +1,32 @@
+//! The application's sign of life.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use crate::rt::Regions;
+
+/// A counter that the application moves and the loop watches. Clones are the same pulse; each machine has its own.
+#[derive(Clone, Debug, Default)]
+pub struct Pulse(Arc<AtomicU64>);
+
+impl Pulse {
+    /// The application is alive.
+    pub fn beat(&self) {
+        self.0.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// How often it has beaten.
+    pub fn count(&self) -> u64 {
+        self.0.load(Ordering::Relaxed)
+    }
+
+    /// What it points to, to be locked.
+    pub(crate) fn memory(&self, regions: &mut Regions) {
+        regions.add(&*self.0);
+    }
+
+    /// Whether both are the pulse of one machine.
+    pub fn is_same(&self, other: &Pulse) -> bool {
+        Arc::ptr_eq(&self.0, &other.0)
+    }
+}

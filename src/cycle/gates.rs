@@ -1,0 +1,272 @@
+//! What keeps the members of a group together: a command of all waits at its gate until each member has it and may begin,
+//! and rows are taken by all members or by none.
+//!
+//! The application pushes one command into each member's queue. The loop may look between two pushes, so what it finds is
+//! held back until it is complete.
+
+use super::seat::{Closed, Seat};
+use crate::axis::{Failure, Outcome, Ticket};
+use crate::bus::{Cycle, Slot};
+use crate::time::Time;
+
+/// The gates of all groups, each at the place of its first member.
+#[derive(Debug)]
+pub struct Gates {
+    gates: Vec<Gate>,
+    /// A group has been commanded at all; until then nothing here costs anything.
+    used: bool,
+}
+
+/// One group in this cycle, and its misses.
+#[derive(Clone, Copy, Debug, Default)]
+struct Gate {
+    /// The call whose commands are counted.
+    number: u64,
+    /// Commands up to this call have ended at some member before they began.
+    dropped: u64,
+    /// Members that have its command and may begin.
+    waiting: u32,
+    /// The call that the members follow rows by ...
+    following: u64,
+    /// ... the foremost of their next rows ...
+    front: u64,
+    /// ... and how many have it next.
+    rows: u32,
+    /// Members in motion.
+    moving: u32,
+    /// Their exchanges that were answered or missed in this cycle ...
+    closed: u32,
+    /// ... and whether one of them was missed.
+    missed: bool,
+    /// The rules of the most sensitive member.
+    bucket: u32,
+    leak: u32,
+    /// The leaky bucket of the group.
+    level: u32,
+    /// Rounds of exchanges without a miss in a row.
+    good: u32,
+}
+
+impl Gates {
+    /// Gates for a machine of so many axes.
+    pub fn new(axes: usize) -> Gates {
+        Gates { gates: vec![Gate::default(); axes], used: false }
+    }
+
+    /// What it touches besides itself.
+    pub fn memory(&self, regions: &mut crate::rt::Regions) {
+        regions.add(&*self.gates);
+    }
+
+    /// Lets the commands begin that all members have. One member that cannot keeps all others from it.
+    pub fn open(&mut self, cycle: &Cycle, now: Time, seats: &mut [Seat], slots: &mut [Slot]) {
+        let mut complete = false;
+        for seat in seats.iter_mut() {
+            if let Some(ticket) = seat.take_dropped()
+                && let Some(gate) = self.gates.get_mut(ticket.lead as usize)
+            {
+                (self.used, gate.dropped) = (true, gate.dropped.max(ticket.number));
+            }
+        }
+        for seat in seats.iter_mut() {
+            let Some(ticket) = seat.waiting() else { continue };
+            self.used = true;
+            let Some(gate) = self.gates.get_mut(ticket.lead as usize) else { continue };
+            if ticket.number <= gate.dropped {
+                // A stop, or a later command, came while it was pushed to one member after the other.
+                seat.end_waiting(cycle, now, Outcome::Failed(Failure::GroupRefused));
+                continue;
+            }
+            if gate.number != ticket.number {
+                (gate.number, gate.waiting) = (ticket.number, 0);
+            }
+            gate.waiting += 1;
+            complete |= gate.waiting == ticket.members;
+        }
+        for lead in 0..self.gates.len() {
+            if complete && self.gates[lead].waiting > 0 {
+                self.pass(lead, cycle, now, seats, slots);
+            }
+        }
+        if self.used {
+            self.gates.iter_mut().for_each(|gate| gate.waiting = 0);
+        }
+    }
+
+    fn pass(&mut self, lead: usize, cycle: &Cycle, now: Time, seats: &mut [Seat], slots: &mut [Slot]) {
+        let gate = self.gates[lead];
+        let of_gate = |ticket: Ticket| {
+            ticket.lead as usize == lead && ticket.number == gate.number && ticket.members == gate.waiting
+        };
+        let members = |seat: &Seat| seat.waiting().is_some_and(of_gate);
+        let refused =
+            seats.iter().any(|seat| members(seat) && seat.waits_for_all() && seat.admits_waiting().is_err());
+        for (seat, slot) in seats.iter_mut().zip(slots) {
+            if !members(seat) {
+                continue;
+            }
+            match seat.admits_waiting() {
+                Ok(()) if !refused => seat.begin_waiting(cycle, now, slot),
+                Ok(()) => seat.end_waiting(cycle, now, Outcome::Failed(Failure::GroupRefused)),
+                Err(failure) => seat.end_waiting(cycle, now, Outcome::Failed(failure)),
+            }
+        }
+    }
+
+    /// Finds the row that all members have next, and counts who has it.
+    pub fn count_rows(&mut self, seats: &mut [Seat], slots: &[Slot]) {
+        if !self.used {
+            return;
+        }
+        for gate in &mut self.gates {
+            (gate.following, gate.front, gate.rows) = (0, 0, 0);
+        }
+        // What one member has come to is the least that can be next: the others' rows before it belong to nothing.
+        for find in [true, false] {
+            for (seat, _) in seats.iter_mut().zip(slots).filter(|(_, slot)| slot.due) {
+                let lead = seat.moves_in_group().map(|ticket| ticket.lead as usize);
+                let Some(gate) = lead.and_then(|lead| self.gates.get_mut(lead)) else { continue };
+                let from = if find { 0 } else { gate.front };
+                let Some((ticket, number)) = seat.offers_row(from) else { continue };
+                if find {
+                    gate.following = gate.following.max(ticket.number);
+                    gate.front = gate.front.max(number);
+                } else if ticket.number == gate.following && number == gate.front {
+                    gate.rows += 1;
+                }
+            }
+        }
+    }
+
+    /// Whether each member of the group of `ticket` has the same row next, as counted last.
+    pub fn have_rows(&self, ticket: Ticket) -> bool {
+        let gate = self.gates.get(ticket.lead as usize);
+        gate.is_some_and(|gate| gate.following == ticket.number && gate.rows == ticket.members)
+    }
+
+    /// Fills the buckets of the groups in motion with the misses of their members.
+    pub fn judge(&mut self, seats: &mut [Seat]) {
+        if !self.used {
+            return;
+        }
+        for gate in &mut self.gates {
+            (gate.moving, gate.closed, gate.missed) = (0, 0, false);
+        }
+        for seat in seats {
+            let closed = seat.take_closed();
+            let Some(ticket) = seat.moves_in_group() else { continue };
+            let Some(gate) = self.gates.get_mut(ticket.lead as usize) else { continue };
+            let health = seat.plan().health;
+            let first = gate.moving == 0;
+            gate.bucket = if first { health.bucket } else { gate.bucket.min(health.bucket) };
+            gate.leak = if first { health.leak } else { gate.leak.max(health.leak) };
+            gate.moving += 1;
+            gate.closed += u32::from(closed.is_some());
+            gate.missed |= closed == Some(Closed::Missed);
+        }
+        self.gates.iter_mut().for_each(Gate::fill);
+    }
+
+    /// The first member of a group whose bucket is full; empties it.
+    pub fn take_full(&mut self) -> Option<usize> {
+        if !self.used {
+            return None;
+        }
+        let lead = self.gates.iter().position(|gate| gate.moving > 0 && gate.level >= gate.bucket)?;
+        (self.gates[lead].level, self.gates[lead].moving) = (0, 0);
+        Some(lead)
+    }
+}
+
+impl Gate {
+    /// One cycle of the bucket.
+    fn fill(&mut self) {
+        if self.moving == 0 {
+            (self.level, self.good) = (0, 0);
+        } else if self.missed {
+            // A round counts once: what holds all of them up at once is no worse for the group than for each of them.
+            self.good = 0;
+            self.level += 1;
+        } else if self.closed > 0 {
+            self.good += 1;
+            if self.good >= self.leak {
+                self.good = 0;
+                self.level = self.level.saturating_sub(1);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::axis::cell;
+    use crate::axis::{AxisPlan, Command, CommandId, Event, EventKind, Feedback, StopCause, Units, Verb};
+    use crate::cycle::seat::Queues;
+    use crate::rt::{Regions, ring};
+    use crate::time::MS;
+
+    /// A member, and the application's ends of its queues.
+    fn member(name: &str) -> (Seat, rtrb::Producer<Command>, rtrb::Consumer<Event>) {
+        let mut regions = Regions::default();
+        let (commands, command_out) = ring(8, &mut regions);
+        let (_, rows) = ring(8, &mut regions);
+        let (_, velocities) = ring(8, &mut regions);
+        let (event_in, events) = ring(32, &mut regions);
+        let (feedback, _) = cell::cell(Feedback::default());
+        let queues =
+            Queues { commands: command_out, rows, velocities, events: event_in, feedback, samples: None };
+        (Seat::new(AxisPlan::new(name, Units::millimetres(1.0)), queues, MS, 0), commands, events)
+    }
+
+    /// A reset: it may begin at any time and is done at once.
+    fn call(number: u64) -> Command {
+        let ticket = Some(Ticket { lead: 0, members: 2, number });
+        Command { id: CommandId(number), verb: Verb::Reset, stream: 0, ticket }
+    }
+
+    fn outcomes(events: &mut rtrb::Consumer<Event>) -> Vec<(u64, Outcome)> {
+        std::iter::from_fn(|| events.pop().ok())
+            .filter_map(|event| match event.kind {
+                EventKind::Ended { id, outcome, .. } => Some((id.0, outcome)),
+                _ => None,
+            })
+            .collect()
+    }
+
+    #[test]
+    fn a_call_that_is_half_pushed_waits_and_one_that_was_flushed_at_a_member_is_waited_for_by_none() {
+        let ((x, mut to_x, mut of_x), (y, mut to_y, mut of_y)) = (member("x"), member("y"));
+        let (mut seats, mut slots) = ([x, y], [Slot::default(), Slot::default()]);
+        let mut gates = Gates::new(2);
+        let cycle = Cycle { index: 0, grid: Time(0), period_ns: MS, deadline: Time(0) };
+        let mut turn = |seats: &mut [Seat; 2]| {
+            for (seat, slot) in seats.iter_mut().zip(&mut slots) {
+                seat.exchange(&cycle, Time(0), slot);
+            }
+            gates.open(&cycle, Time(0), seats, &mut slots);
+        };
+        to_x.push(call(1)).unwrap();
+        (0..5).for_each(|_| turn(&mut seats));
+        assert_eq!(outcomes(&mut of_x), []);
+        to_y.push(call(1)).unwrap();
+        turn(&mut seats);
+        assert_eq!([outcomes(&mut of_x), outcomes(&mut of_y)], [[(1, Outcome::Done)], [(1, Outcome::Done)]]);
+
+        // The loop stops both between two pushes: what comes to y later has nobody to wait for.
+        to_x.push(call(2)).unwrap();
+        turn(&mut seats);
+        for seat in &mut seats {
+            seat.stop(&cycle, Time(0), StopCause::Overrun, &mut Slot::default());
+        }
+        to_y.push(call(2)).unwrap();
+        (0..2).for_each(|_| turn(&mut seats));
+        assert!(matches!(outcomes(&mut of_x)[..], [(2, Outcome::Aborted(_))]));
+        assert_eq!(outcomes(&mut of_y), [(2, Outcome::Failed(Failure::GroupRefused))]);
+        // The next call finds the gate as it was.
+        to_x.push(call(3)).unwrap();
+        to_y.push(call(3)).unwrap();
+        turn(&mut seats);
+        assert_eq!([outcomes(&mut of_x), outcomes(&mut of_y)], [[(3, Outcome::Done)], [(3, Outcome::Done)]]);
+    }
+}

@@ -1,0 +1,57 @@
+//! The watch over the application's sign of life.
+
+use crate::axis::Pulse;
+use crate::bus::Cycle;
+use crate::rt::Regions;
+
+/// Counts the slots since the application was heard of.
+#[derive(Debug)]
+pub struct Heartbeat {
+    pulse: Pulse,
+    /// The most slots without a beat; `None`: nobody watches.
+    most: Option<u64>,
+    beats: u64,
+    /// The slot in which the last beat was seen.
+    heard_at: u64,
+}
+
+impl Heartbeat {
+    /// A watch over `pulse` that allows `limit_ns` without a beat.
+    pub fn new(pulse: Pulse, limit_ns: Option<u64>, period_ns: u64) -> Heartbeat {
+        let most = limit_ns.map(|limit| limit.div_ceil(period_ns.max(1)));
+        Heartbeat { beats: pulse.count(), pulse, most, heard_at: 0 }
+    }
+
+    /// What it touches besides itself.
+    pub fn memory(&self, regions: &mut Regions) {
+        self.pulse.memory(regions);
+    }
+
+    /// Whether the application was silent for too long, to be asked once a cycle.
+    pub fn is_silent(&mut self, cycle: &Cycle) -> bool {
+        let Some(most) = self.most else { return false };
+        let beats = self.pulse.count();
+        if beats != self.beats {
+            (self.beats, self.heard_at) = (beats, cycle.index);
+        }
+        cycle.index - self.heard_at > most
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::time::{MS, Time};
+
+    #[test]
+    fn silence_is_counted_in_slots_and_ends_with_a_beat() {
+        let pulse = Pulse::default();
+        let mut watch = Heartbeat::new(pulse.clone(), Some(5 * MS), 2 * MS);
+        let at = |index| Cycle { index, grid: Time(0), period_ns: 2 * MS, deadline: Time(0) };
+        assert!(!watch.is_silent(&at(3)));
+        assert!(watch.is_silent(&at(4)));
+        pulse.beat();
+        assert!(!watch.is_silent(&at(5)) && !watch.is_silent(&at(8)) && watch.is_silent(&at(9)));
+        assert!(!Heartbeat::new(pulse, None, MS).is_silent(&at(u64::MAX)));
+    }
+}

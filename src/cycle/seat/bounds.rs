@@ -1,0 +1,158 @@
+//! What the drive's demand may do while the axis is enabled, whatever commands it: the drive's own programs, its panel, or an
+//! application that writes the native process data.
+//!
+//! Moves, jogs and rows are checked before they are sent, so that this finds nothing wrong with them.
+
+use crate::axis::AxisPlan;
+use crate::time::Time;
+
+/// One clean report of the drive.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Sample {
+    /// When the request was sent.
+    pub(super) sent_at: Time,
+    /// When the report was taken in.
+    pub(super) at: Time,
+    /// Positions are counted from the reference.
+    pub(super) homed: bool,
+    /// User units.
+    pub(super) demand: f64,
+}
+
+/// The watch over one axis.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Bounds {
+    last: Option<Sample>,
+    /// Of the demand between the last two reports, user units/s.
+    velocity: f64,
+    /// Reports in a row that were out of bounds in one direction.
+    broken: u32,
+    /// That direction.
+    forward: bool,
+    /// The last report is new since it was judged.
+    fresh: bool,
+}
+
+/// So many reports in a row make sure of it: one that a disturbance has made leads there and back again.
+const REPORTS: u32 = 3;
+
+/// A speed just at its limit is not refused for the rounding of positions and instants.
+const SPEED_MARGIN: f64 = 1.05;
+
+/// How many counts of the drive may be due to rounding.
+const COUNTS: f64 = 2.0;
+
+impl Bounds {
+    /// A report came in.
+    pub(super) fn take(&mut self, sample: Sample, plan: &AxisPlan) {
+        self.velocity = match self.last {
+            Some(last) if last.homed == sample.homed => {
+                // Which of the two ways a telegram was held up on is not known: the longer time is the sure one.
+                let ns = sample.at.since(last.at).max(sample.sent_at.since(last.sent_at)).max(1);
+                let way = plan.units.way(last.demand, sample.demand);
+                let rounding = (COUNTS / plan.units.counts_per_unit).abs();
+                (way.abs() - rounding).max(0.0).copysign(way) * 1e9 / ns as f64
+            }
+            // Homing gave the positions another origin: no way was made by that.
+            _ => 0.0,
+        };
+        (self.last, self.fresh) = (Some(sample), true);
+    }
+
+    /// Whether the drive does what the plan forbids. With `braking` it must also be able to stop inside its range, from
+    /// where it will be when a stop reaches it: after [`REPORTS`], and two exchanges `seconds` apart.
+    pub(super) fn are_broken(&mut self, plan: &AxisPlan, braking: bool, seconds: f64) -> bool {
+        let Some(sample) = self.last.filter(|_| std::mem::take(&mut self.fresh)) else { return false };
+        let velocity = self.velocity;
+        let too_fast = plan.limits.velocity.is_some_and(|most| velocity.abs() > most * SPEED_MARGIN);
+        let outside = plan.limits.position.filter(|_| sample.homed).is_some_and(|(low, high)| {
+            let reaction = f64::from(REPORTS + 2) * seconds;
+            let time = if braking { velocity.abs() / (2.0 * plan.stop.deceleration) + reaction } else { 0.0 };
+            let end = sample.demand + velocity * time;
+            let rounding = (COUNTS / plan.units.counts_per_unit).abs();
+            // From outside, a motion may lead back in.
+            velocity > 0.0 && end > high + rounding || velocity < 0.0 && end < low - rounding
+        });
+        let forward = velocity > 0.0;
+        let before = if forward == self.forward { self.broken } else { 0 };
+        self.broken = if too_fast || outside { before + 1 } else { 0 };
+        self.forward = forward;
+        self.broken >= REPORTS
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::axis::{Limits, Unit, Units};
+    use crate::time::MS;
+
+    fn plan() -> AxisPlan {
+        let mut plan = AxisPlan::new("x", Units::millimetres(10_000.0));
+        plan.limits = Limits { position: Some((0.0, 100.0)), velocity: Some(500.0), ..Limits::default() };
+        plan.stop.deceleration = 1_000.0;
+        plan
+    }
+
+    /// Demands at 1 kHz; in which report the watch strikes.
+    fn strikes(plan: &AxisPlan, braking: bool, homed: bool, demands: &[f64]) -> Option<usize> {
+        let mut bounds = Bounds::default();
+        demands.iter().enumerate().position(|(index, demand)| {
+            let at = Time(MS * index as u64);
+            bounds.take(Sample { sent_at: at, at, homed, demand: *demand }, plan);
+            bounds.are_broken(plan, braking, 0.001)
+        })
+    }
+
+    #[test]
+    fn a_speed_over_its_limit_is_found_in_the_third_report_homed_or_not() {
+        let fast: Vec<f64> = (0..9).map(|index| f64::from(index) * 0.6).collect();
+        assert_eq!(strikes(&plan(), false, true, &fast), Some(3));
+        assert_eq!(strikes(&plan(), false, false, &fast), Some(3));
+        let just: Vec<f64> = (0..9).map(|index| f64::from(index) * 0.5).collect();
+        assert_eq!(strikes(&plan(), false, true, &just), None);
+        assert_eq!(
+            strikes(&plan(), false, true, &[10.0, 20.0, 10.0, 20.0, 10.0]),
+            None,
+            "jumps are no speed"
+        );
+    }
+
+    #[test]
+    fn the_range_holds_outward_only_and_only_when_homed() {
+        let out = [99.9, 100.1, 100.2, 100.3];
+        assert_eq!(strikes(&plan(), false, true, &out), Some(3));
+        assert_eq!(strikes(&plan(), false, false, &out), None);
+        assert_eq!(strikes(&plan(), false, true, &[103.0, 102.8, 102.6, 102.4]), None);
+        assert_eq!(strikes(&plan(), false, true, &[0.0, -0.2, -0.4, -0.6]), Some(3));
+    }
+
+    #[test]
+    fn with_braking_it_strikes_while_there_is_still_room() {
+        // 400 mm/s needs 80 mm at 1000 mm/s².
+        let demands: Vec<f64> = (0..250).map(|index| f64::from(index) * 0.4).collect();
+        let struck = strikes(&plan(), true, true, &demands).unwrap();
+        let end = demands[struck] + 400.0 * 0.002 + 400.0 * 400.0 / 2_000.0;
+        assert!((98.0..=100.0).contains(&end), "{end}");
+        assert_eq!(strikes(&plan(), false, true, &demands), None);
+    }
+
+    #[test]
+    fn a_report_that_was_held_up_makes_no_speed() {
+        let (plan, mut bounds) = (plan(), Bounds::default());
+        for (sent_ms, at_ms, demand) in [(0, 0, 0.0), (1, 4, 0.4), (2, 4, 0.8), (9, 9, 3.6), (10, 10, 4.0)] {
+            let sample = Sample { sent_at: Time(sent_ms * MS), at: Time(at_ms * MS), homed: true, demand };
+            bounds.take(sample, &plan);
+            assert!(!bounds.are_broken(&plan, false, 0.001), "sent after {sent_ms} ms");
+        }
+    }
+
+    #[test]
+    fn a_turn_over_the_end_of_a_rotary_axis_is_a_short_way() {
+        let mut rotary = plan();
+        rotary.units.modulo = Some(1.0);
+        rotary.units.unit = Unit::Revolution;
+        rotary.limits = Limits { velocity: Some(500.0), ..Limits::default() };
+        assert_eq!(strikes(&rotary, true, true, &[0.8, 0.2, 0.6, 0.0]), None);
+    }
+}

@@ -1,0 +1,279 @@
+//! What the application wants: commands in their order, and what each of them waits for or replaces.
+
+use super::bounds::Bounds;
+use super::{Claim, Latch, Seat};
+use crate::axis::command::NativeOwner;
+use crate::axis::limits::{check_position, check_velocity, check_verb};
+use crate::axis::{
+    Abort, Command, CommandId, Failure, Link, Load, Move, Outcome, Row, State, StopCause, Target, Ticket,
+    Velocity, Verb,
+};
+use crate::bus::{Cycle, Slot};
+use crate::time::Time;
+
+impl Seat {
+    /// Drains what the application wants: ends the command that is done, aborts what an urgent one overtakes, starts the
+    /// next. The command of a group is left to its gate.
+    pub fn exchange(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
+        self.waiting = None;
+        self.take_velocities(cycle);
+        self.end_active(cycle, now, slot);
+        self.overtake(cycle, now);
+        // Bounded by what stands there now: the application may go on filling the queue.
+        for _ in 0..=self.queues.commands.slots() {
+            let next = self.task_command.or_else(|| self.queues.commands.peek().ok().copied());
+            let Some(next) = next else { break };
+            if self.active.is_some_and(|active| !replaces(&next, &active)) {
+                break;
+            }
+            if next.ticket.is_some() && self.waits_at_gate(cycle, &next) {
+                break;
+            }
+            if next.ticket.is_none() && self.moves_in_group().is_some() && self.admit(&next).is_ok() {
+                // Whoever takes a member out of a motion of its group stops the group: the others would go on without it.
+                self.stop(cycle, now, StopCause::GroupFailed, slot);
+                break;
+            }
+            if self.task_command.take().is_none() {
+                let _ = self.queues.commands.pop();
+            }
+            match self.admit(&next) {
+                Ok(()) => self.begin(cycle, now, next, slot),
+                // Refused, it replaces nothing: what runs goes on, and is still told of.
+                Err(failure) => self.end(cycle, now, next, Outcome::Failed(failure)),
+            }
+        }
+        self.age_setpoint(cycle, now, slot);
+    }
+
+    /// Whether the command of a group has to be left to its gate. What stops is not held up for long: the application may be
+    /// held up itself, between one member and the next.
+    fn waits_at_gate(&mut self, cycle: &Cycle, next: &Command) -> bool {
+        if self.at_gate.is_none_or(|(id, _)| id != next.id) {
+            self.at_gate = Some((next.id, cycle.index));
+        }
+        let since = self.at_gate.map_or(cycle.index, |(_, since)| since);
+        let waits = !next.verb.is_urgent() || cycle.index - since < URGENT_WAIT;
+        self.waiting = waits.then_some(*next);
+        waits
+    }
+
+    /// The command of a group that all other members have to be ready for.
+    pub fn waiting(&self) -> Option<Ticket> {
+        self.waiting.and_then(|command| command.ticket)
+    }
+
+    /// The last command of a group that ended here before it began, once.
+    pub fn take_dropped(&mut self) -> Option<Ticket> {
+        self.dropped.take()
+    }
+
+    /// Whether the waiting command is refused to all members if one of them cannot.
+    pub fn waits_for_all(&self) -> bool {
+        self.waiting.is_some_and(|command| !command.verb.is_urgent())
+    }
+
+    /// Whether the waiting command may begin.
+    pub fn admits_waiting(&self) -> Result<(), Failure> {
+        self.waiting.map_or(Ok(()), |command| self.admit(&command))
+    }
+
+    /// Begins the waiting command, which was admitted.
+    pub fn begin_waiting(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
+        let Some(command) = self.waiting.take() else { return };
+        let _ = self.queues.commands.pop();
+        self.begin(cycle, now, command, slot);
+    }
+
+    /// Ends the waiting command before it began.
+    pub fn end_waiting(&mut self, cycle: &Cycle, now: Time, outcome: Outcome) {
+        let Some(command) = self.waiting.take() else { return };
+        let _ = self.queues.commands.pop();
+        self.end(cycle, now, command, outcome);
+    }
+
+    /// The running command, as the station sees it.
+    fn end_active(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
+        let Some(active) = self.active else { return };
+        if active.verb == Verb::Reset {
+            self.try_reset(cycle, now, active, slot);
+            return;
+        }
+        if slot.progress.serial != self.serial {
+            return;
+        }
+        match slot.progress.end {
+            None => {}
+            Some(Ok(())) => {
+                if active.verb == Verb::Enable {
+                    self.claim = Claim::Armed;
+                    self.bounds = Bounds::default();
+                }
+                self.end(cycle, now, active, Outcome::Done);
+            }
+            Some(Err(failure)) => {
+                let grouped = self.moves_in_group().is_some();
+                self.end(cycle, now, active, Outcome::Failed(failure));
+                if matches!(active.verb, Verb::Stop { .. }) && self.latch.is_open() {
+                    // A ramp that the drive does not take becomes its quick stop, as on the ladder.
+                    self.order(slot, Some(Verb::QuickStop));
+                }
+                if matches!(failure, Failure::DriveFault(_)) {
+                    self.stop_if_armed(cycle, now, StopCause::DriveFault, slot);
+                } else if grouped {
+                    // The others would go on without it.
+                    self.stop(cycle, now, StopCause::GroupFailed, slot);
+                }
+            }
+        }
+    }
+
+    /// An urgent command aborts everything that stands before it in the queue.
+    fn overtake(&mut self, cycle: &Cycle, now: Time) {
+        let waiting = self.queues.commands.slots();
+        let Ok(chunk) = self.queues.commands.read_chunk(waiting) else { return };
+        let (first, second) = chunk.as_slices();
+        let last = last_urgent(first.iter().chain(second));
+        let Some((ahead, urgent)) = last else { return };
+        if let Some(command) = self.task_command.take() {
+            self.end(cycle, now, command, Outcome::Aborted(Abort::Replaced(urgent)));
+        }
+        for _ in 0..ahead {
+            if let Ok(command) = self.queues.commands.pop() {
+                self.end(cycle, now, command, Outcome::Aborted(Abort::Replaced(urgent)));
+            }
+        }
+    }
+
+    fn begin(&mut self, cycle: &Cycle, now: Time, command: Command, slot: &mut Slot) {
+        if let Some(active) = self.active {
+            self.end(cycle, now, active, Outcome::Aborted(Abort::Replaced(command.id)));
+        }
+        self.active = Some(command);
+        match command.verb {
+            Verb::Reset => self.try_reset(cycle, now, command, slot),
+            Verb::Disable => {
+                self.disarm();
+                self.order(slot, Some(Verb::Disable));
+            }
+            verb => {
+                if let (Verb::QuickStop, Latch::Down(_, ladder)) = (verb, &mut self.latch) {
+                    ladder.quicken();
+                }
+                self.begin_setpoints(cycle, &command);
+                self.homing |= verb == Verb::Home;
+                self.order(slot, Some(verb));
+            }
+        }
+    }
+
+    /// Whether the command may start now. The door has looked at its numbers; here it is the axis that decides.
+    fn admit(&self, command: &Command) -> Result<(), Failure> {
+        check_verb(&self.plan, &command.verb)?;
+        match (command.verb, &self.latch) {
+            (Verb::Reset, _) | (_, Latch::Open) => {}
+            (Verb::ResetFault | Verb::Disable | Verb::Stop { .. } | Verb::QuickStop, latch)
+                if latch.is_settled() => {}
+            // Sooner than the ladder would.
+            (Verb::QuickStop, Latch::Down(_, ladder)) if ladder.is_braking() => {}
+            (_, Latch::Kept(cause) | Latch::Down(cause, _)) => return Err(Failure::Latched(*cause)),
+        }
+        let state = self.feedback.state;
+        let motion = command.verb.is_motion() || command.verb == Verb::Home;
+        let native = |owner| command.verb == Verb::Native(owner);
+        match command.verb {
+            Verb::Reset if !self.latch.is_settled() && !self.is_heard() => Err(Failure::NotOnline),
+            Verb::Reset => Ok(()),
+            _ if self.feedback.link != Link::Online => Err(Failure::NotOnline),
+            Verb::Enable if self.feedback.inhibited => Err(Failure::Inhibited),
+            Verb::Disable if self.plan.load != Load::Level && state.is_powered() && !self.stands() => {
+                Err(Failure::LoadInMotion)
+            }
+            _ if !motion || native(NativeOwner::Application) => Ok(()),
+            _ if state != State::OperationEnabled && !native(NativeOwner::Master) => {
+                Err(Failure::WrongState(state))
+            }
+            _ if self.claim != Claim::Armed => Err(Failure::NotEnabled),
+            Verb::Home | Verb::Native(_) => Ok(()),
+            _ if self.plan.limits.position.is_some() && !self.feedback.homed => Err(Failure::NotHomed),
+            Verb::Move(Move { target: Target::Relative(distance), .. }) => {
+                check_position(&self.plan.limits, self.feedback.demand + distance)
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// The axis stands, as far as can be known: nothing moves it, and what the drive says of it is of now.
+    fn stands(&self) -> bool {
+        let moved = self.active.is_some_and(|active| active.verb.is_motion() || active.verb == Verb::Home);
+        let slow = self.feedback.velocity.abs() <= self.plan.stop.standstill;
+        !moved && !self.feedback.moving && slow && self.feedback.age < self.plan.divisor
+    }
+
+    /// The latch opens once the ladder is down.
+    fn try_reset(&mut self, cycle: &Cycle, now: Time, command: Command, slot: &mut Slot) {
+        if !self.latch.is_settled() {
+            if !self.is_heard() {
+                // The ladder waits for the drive; so would the reset.
+                self.end(cycle, now, command, Outcome::Failed(Failure::NotOnline));
+            }
+            return;
+        }
+        let found = matches!(self.latch, Latch::Kept(_));
+        if found && self.feedback.link == Link::Online && self.feedback.state.is_powered() {
+            // A drive that was only read until now: from here on it is ours, in the state that it is in. It moves only
+            // after an Enable, which changes nothing of a drive in operation.
+            self.order(slot, None);
+        }
+        self.latch = Latch::Open;
+        self.feedback.stopped = None;
+        self.end(cycle, now, command, Outcome::Done);
+    }
+
+    /// For the in-loop task: a command to be taken in this cycle, before the queue.
+    pub fn command_from_task(&mut self, cycle: &Cycle, now: Time, command: Command) -> Result<(), Failure> {
+        if self.task_command.is_some_and(|waiting| !command.verb.is_urgent() || waiting.verb.is_urgent()) {
+            return Err(Failure::Unsupported("one command an axis and cycle from the in-loop task"));
+        }
+        check_verb(&self.plan, &command.verb)?;
+        if self.moves_in_group().is_some() && !command.verb.is_urgent() {
+            return Err(Failure::Unsupported("the axis moves in a group: only a stop reaches it alone"));
+        }
+        // A stop does not wait for what stands before it.
+        if let Some(waiting) = self.task_command.replace(command) {
+            self.end(cycle, now, waiting, Outcome::Aborted(Abort::Replaced(command.id)));
+        }
+        Ok(())
+    }
+
+    /// For the in-loop task: the row of the next send.
+    pub fn row_from_task(&mut self, row: Row) {
+        self.task_row = Some(row);
+    }
+
+    /// For the in-loop task: the velocity of the next send.
+    pub fn velocity_from_task(&mut self, cycle: u64, velocity: f64) -> Result<(), Failure> {
+        check_velocity(&self.plan, velocity)?;
+        let of = self.task_command.or(self.active).map_or(CommandId(0), |command| command.id);
+        self.take_velocity(cycle, Velocity { of, value: velocity });
+        Ok(())
+    }
+}
+
+/// Cycles that a stop of a group waits for those of the other members.
+const URGENT_WAIT: u64 = 2;
+
+/// Whether `next` takes the place of the running `active` at once. Streams run one after the other.
+fn replaces(next: &Command, active: &Command) -> bool {
+    let streams = active.verb == Verb::Follow && next.verb == Verb::Follow;
+    next.verb.is_urgent() || active.verb.is_motion() && next.verb.is_motion() && !streams
+}
+
+/// The last urgent command of a queue: how many stand before it, and its id.
+fn last_urgent<'a>(queue: impl Iterator<Item = &'a Command>) -> Option<(usize, CommandId)> {
+    queue
+        .enumerate()
+        .filter(|(_, command)| command.verb.is_urgent())
+        .last()
+        .map(|(at, command)| (at, command.id))
+}

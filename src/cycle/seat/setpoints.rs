@@ -1,0 +1,211 @@
+//! Rows and velocities for the next send: which one, how old it may be, and what follows when there is none.
+
+use super::Seat;
+use crate::axis::limits::{check_braking, check_reach, check_row, check_speed};
+use crate::axis::{
+    Command, CommandId, EventKind, Failure, Outcome, Row, StopCause, Ticket, Underrun, Velocity, Verb,
+};
+use crate::bus::{Cycle, NumberedRow, Slot};
+use crate::cycle::gates::Gates;
+use crate::time::{Time, nanos};
+
+/// The first row may be so many rows' ways ahead of the demand: the reply is one old, and a drive's output runs behind its
+/// setpoints.
+const FIRST_ROW_AHEAD: f64 = 4.0;
+
+/// Where an axis is in its stream.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Follow {
+    /// Number of the last row given to the station.
+    number: u64,
+    /// The last row; `None` before the first.
+    last: Option<Row>,
+    /// Exchanges in a row for which the stream had nothing.
+    empty: u32,
+    /// The row given has not been sent yet (its slot was passed over): it must not be replaced.
+    pub(super) held: bool,
+}
+
+/// The velocity that was asked for last.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Level {
+    /// The command that it is for.
+    pub(super) of: CommandId,
+    /// User units/s.
+    pub(super) value: f64,
+    /// The slot in which it came.
+    pub(super) at: u64,
+}
+
+impl Seat {
+    /// The newest velocities of the application.
+    pub(super) fn take_velocities(&mut self, cycle: &Cycle) {
+        for _ in 0..self.queues.velocities.slots() {
+            if let Ok(velocity) = self.queues.velocities.pop() {
+                self.take_velocity(cycle.index, velocity);
+            }
+        }
+    }
+
+    /// One that is not for the command that runs waits for its own.
+    pub(super) fn take_velocity(&mut self, cycle: u64, velocity: Velocity) {
+        let level = Level { of: velocity.of, value: velocity.value, at: cycle };
+        match self.active {
+            Some(active) if active.id == velocity.of => self.level = level,
+            _ => self.ahead = level,
+        }
+    }
+
+    /// What a command that begins makes of the velocity.
+    pub(super) fn begin_setpoints(&mut self, cycle: &Cycle, command: &Command) {
+        let value = match command.verb {
+            _ if self.ahead.of == command.id => self.ahead.value,
+            Verb::Jog(jog) => jog.velocity,
+            // It stands until the first setpoint comes, and has the whole age for that.
+            _ => 0.0,
+        };
+        self.level = Level { of: command.id, value, at: cycle.index };
+    }
+
+    /// Stops an axis whose velocity is older than it may be.
+    pub(super) fn age_setpoint(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
+        let (most, cause) = match self.active.map(|active| active.verb) {
+            Some(Verb::Velocity { .. }) => (u64::from(self.plan.setpoint_age), StopCause::StaleSetpoint),
+            Some(Verb::Jog(_)) => match self.plan.jog_deadman {
+                Some(limit) => (nanos(limit).div_ceil(cycle.period_ns), StopCause::DeadMan),
+                None => return,
+            },
+            _ => return,
+        };
+        if cycle.index - self.level.at > most {
+            self.stop(cycle, now, cause, slot);
+        }
+    }
+
+    /// The group that it follows rows with, and the number of its next one. Rows before `from` are dropped: a member that has
+    /// come to that one has done with them, or never had them.
+    pub fn offers_row(&mut self, from: u64) -> Option<(Ticket, u64)> {
+        let active = self.active.filter(|active| active.verb == Verb::Follow)?;
+        let ticket = active.ticket?;
+        for _ in 0..self.queues.rows.slots() {
+            self.next_row(active.stream)?;
+            let number = self.queues.rows.peek().ok()?.number;
+            if number >= from.max(1) {
+                return Some((ticket, number));
+            }
+            let _ = self.queues.rows.pop();
+        }
+        None
+    }
+
+    /// Chooses the setpoint of the next send, if one is due. In a group a row is taken only if `gates` says that each
+    /// member has one.
+    pub fn feed(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot, gates: &Gates) {
+        slot.velocity = self.level.value;
+        let Some(active) = self.active.filter(|_| slot.due && slot.order.verb == Some(Verb::Follow)) else {
+            // A row of the task is for the send that it was given for.
+            if slot.order.verb != Some(Verb::Follow) {
+                self.task_row = None;
+            }
+            return;
+        };
+        if self.follow.held || self.follow.last.is_some_and(|row| row.last) {
+            return;
+        }
+        let row = match active.ticket {
+            Some(ticket) if !gates.have_rows(ticket) => None,
+            Some(_) => self.take_row(active.stream),
+            None => self.task_row.take().or_else(|| self.take_row(active.stream)),
+        };
+        let chosen = match (row, self.follow.last) {
+            (None, None) => return,
+            (Some(row), last) => {
+                self.follow.empty = 0;
+                if let Err(failure) = self.check_row(cycle, &row, last) {
+                    self.fail_follow(cycle, now, failure, StopCause::Limit, slot);
+                    return;
+                }
+                row
+            }
+            (None, Some(last)) => {
+                self.follow.empty = self.follow.empty.saturating_add(1);
+                if self.follow.empty == 1 {
+                    self.tell(cycle, now, EventKind::Underrun);
+                }
+                let position = last.position + last.velocity * self.row_seconds(cycle);
+                let ahead = Row { position, acceleration: 0.0, ..last };
+                match self.plan.underrun {
+                    Underrun::Hold => Row { velocity: 0.0, acceleration: 0.0, ..last },
+                    Underrun::Extrapolate(most)
+                        if self.follow.empty <= most && self.check_row(cycle, &ahead, Some(last)).is_ok() =>
+                    {
+                        ahead
+                    }
+                    Underrun::Extrapolate(_) | Underrun::Stop => {
+                        self.fail_follow(cycle, now, Failure::Underrun, StopCause::Underrun, slot);
+                        return;
+                    }
+                }
+            }
+        };
+        self.follow.number += 1;
+        self.follow.last = Some(chosen);
+        self.follow.held = true;
+        slot.row = Some(NumberedRow { number: self.follow.number, row: chosen });
+    }
+
+    /// The time from one row to the next.
+    pub(super) fn row_seconds(&self, cycle: &Cycle) -> f64 {
+        cycle.period_ns as f64 * f64::from(self.plan.divisor) * 1e-9
+    }
+
+    /// The first row starts near where the drive stands; later ones near the row before, and so that the axis can still stop
+    /// inside its range.
+    fn check_row(&self, cycle: &Cycle, row: &Row, last: Option<Row>) -> Result<(), Failure> {
+        let from = last.map_or(self.feedback.demand, |last| last.position);
+        let seconds = self.row_seconds(cycle);
+        check_row(&self.plan, row, Some(from))?;
+        match last {
+            None => {
+                let velocity = self.plan.limits.velocity.unwrap_or(self.plan.profile.velocity);
+                check_reach(&self.plan, from, row.position, velocity * FIRST_ROW_AHEAD * seconds)
+            }
+            Some(_) => {
+                check_speed(&self.plan, from, row.position, seconds)?;
+                check_braking(&self.plan, from, row.position, seconds)
+            }
+        }
+    }
+
+    fn fail_follow(&mut self, cycle: &Cycle, now: Time, failure: Failure, cause: StopCause, slot: &mut Slot) {
+        if let Some(active) = self.active {
+            self.end(cycle, now, active, Outcome::Failed(failure));
+        }
+        self.stop(cycle, now, cause, slot);
+    }
+
+    /// Drops what is left of the streams up to `stream`.
+    pub(super) fn drop_rows(&mut self, stream: u32) {
+        self.task_row = None;
+        self.follow = Follow { number: self.follow.number, ..Follow::default() };
+        self.next_row(stream + 1);
+    }
+
+    /// The first row of `stream`, left in the queue; rows of earlier streams before it are dropped.
+    fn next_row(&mut self, stream: u32) -> Option<Row> {
+        for _ in 0..self.queues.rows.slots() {
+            match self.queues.rows.peek() {
+                Ok(row) if row.stream < stream => drop(self.queues.rows.pop()),
+                Ok(row) if row.stream == stream => return Some(row.row),
+                _ => break,
+            }
+        }
+        None
+    }
+
+    /// The next row of `stream`, out of the queue.
+    fn take_row(&mut self, stream: u32) -> Option<Row> {
+        let row = self.next_row(stream)?;
+        self.queues.rows.pop().ok().map(|_| row)
+    }
+}
