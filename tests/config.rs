@@ -491,28 +491,149 @@ cycle: every 2 ms (500 Hz), on the last core, SCHED_FIFO 80 and all memory of th
 bus portal: linudp-v2, 4 drives
   drive x: 192.168.1.1:41136 -> 192.168.1.11:49360
     streams "pva", a setpoint every 2 ms (the drive takes 400 us ... 10 ms)
-    if the master dies: no watchdog in a LinUDP drive, a move runs to its target, jogs are refused, a stream ends in the drive's own underflow error
+    if the master dies: no watchdog in a LinUDP drive, a move runs to its target, jogs and cyclic velocities are refused, a stream ends in the drive's own underflow error
     an exchange every cycle (2 ms)
     link up after 10 good exchanges in a row, lost after 5 misses in a row: the stop request is on the wire within 8 cycles (16 ms) of the last good one; stop together: x, y
     stop: ramp at 500 mm/s²; at standstill (below 5 mm/s for 20 exchanges) power off; without it after 3 s power off
+    stopped by a velocity setpoint older than 10 cycles (20 ms) and by a jog not renewed for 500 ms
     limits: -10 ... 10.5 mm, 100 mm/s
   drive y: 192.168.1.1:41136 -> 192.168.1.12:49360
     no streams (stream = "off")
-    if the master dies: no watchdog in a LinUDP drive, a move runs to its target, a jog runs at most 7.5 mm further
+    if the master dies: no watchdog in a LinUDP drive, a move runs to its target, a jog or cyclic velocity runs at most 7.5 mm further
     an exchange every 3 cycles (6 ms), phase 1
     link up after 10 good exchanges in a row, lost after 4 misses in a row: the stop request is on the wire within 13 cycles (26 ms) of the last good one; stop together: x, y
     stop: power off at once
+    stopped by a velocity setpoint older than 10 cycles (20 ms) and by a jog not renewed for 500 ms
     limits: only the drive's own
   drive z: 192.168.1.1:41136 -> 192.168.1.13:49360
     streams "pva", a setpoint every 2 ms (the drive takes 400 us ... 10 ms)
-    if the master dies: no watchdog in a LinUDP drive, a move runs to its target, jogs are refused, a stream ends in the drive's own underflow error
+    if the master dies: no watchdog in a LinUDP drive, a move runs to its target, jogs and cyclic velocities are refused, a stream ends in the drive's own underflow error
     an exchange every cycle (2 ms)
     link up after 10 good exchanges in a row, lost after 5 misses in a row: the stop request is on the wire within 6 cycles (12 ms) of the last good one
     stop: ramp at 1000 mm/s²; at standstill (below 5 mm/s for 20 exchanges) power off; without it after 3 s power off
+    stopped by a velocity setpoint older than 10 cycles (20 ms) and by a jog not renewed for 500 ms
     limits: only the drive's own
   drive w: 192.168.1.1:41136 -> 192.168.1.14:49360; else as z
 Fieldbeat is not a safety function: the machine needs its own STO / emergency stop.
 "#;
+
+/// Three drives: x and y stop together and exchange together, z does neither.
+const THREE: &str = r#"
+[cycle]
+heartbeat = "250ms"
+[[bus]]
+protocol = "linudp-v2"
+bind = "127.0.0.1"
+[[bus.drive]]
+name = "x"
+address = "127.0.0.11"
+stop.group = "xy"
+load = "vertical"
+held_by = "brake"
+jog_deadman = "off"
+health.bucket = 3
+[[bus.drive]]
+name = "y"
+address = "127.0.0.12"
+stop.group = "xy"
+load = "vertical"
+held_by = "drive"
+[[bus.drive]]
+name = "z"
+address = "127.0.0.13"
+divisor = 2
+"#;
+
+#[test]
+fn a_group_that_cannot_act_together_is_refused_with_the_reason() {
+    for (group, expected) in [
+        ("axes = [\"x\", \"y\"]", "25: group.name: missing; how programs ask for it"),
+        ("name = \"g\"", "25: group.axes: missing; the names of its drives, like [\"x\", \"y\"]"),
+        (
+            "name = \"g\"\naxes = \"x\"",
+            "27: group.axes = \"x\": must be the names of drives, like [\"x\", \"y\"]",
+        ),
+        (
+            "name = \"g\"\naxes = [1]",
+            "27: group.axes = [1]: must be the names of drives, like [\"x\", \"y\"]",
+        ),
+        ("name = \"g\"\naxes = [\"x\"]", "27: group.axes = [\"x\"]: a group of 1: it takes two axes or more"),
+        ("name = \"g\"\naxes = [\"x\", \"x\"]", "27: group.axes = [\"x\", \"x\"]: x is in it twice"),
+        ("name = \"g\"\naxes = [\"x\", \"w\"]", "27: group.axes = [\"x\", \"w\"]: there is no drive w"),
+        (
+            "name = \"g\"\naxes = [\"x\", \"z\"]",
+            "27: group.axes = [\"x\", \"z\"]: axes x and z exchange in different cycles: give them one divisor and phase",
+        ),
+        (
+            "name = \"g\"\naxes = [\"x\", \"y\"]\nspeed = 1",
+            "28: group.speed: no such key; valid here: name, axes",
+        ),
+    ] {
+        assert_eq!(
+            mistakes(&format!("{THREE}[[group]]\n{group}\n")),
+            [format!("m.toml:{expected}")],
+            "{group}"
+        );
+    }
+    let apart = THREE.replace("divisor = 2", "");
+    assert_eq!(
+        mistakes(&format!("{apart}\n[[group]]\nname = \"g\"\naxes = [\"y\", \"z\"]\n")),
+        [
+            "m.toml:28: group.axes = [\"y\", \"z\"]: axes y and z do not stop together: put them into one stop.group"
+        ]
+    );
+    let twice = "[[group]]\nname = \"g\"\naxes = [\"x\", \"y\"]\n".repeat(2);
+    assert_eq!(
+        mistakes(&format!("{THREE}{twice}")),
+        ["m.toml:29: group.name = \"g\": is taken by another group; names are unique"]
+    );
+}
+
+#[test]
+fn who_holds_the_load_and_who_watches_the_application_is_said() {
+    let plan = read(&format!("{THREE}[[group]]\nname = \"g\"\naxes = [\"y\", \"x\"]\n"));
+    let told = describe(&plan).join("\n");
+    for line in [
+        "  an application that is silent for 250 ms stops all enabled axes",
+        "    vertical load: power goes off at standstill, or by the time-out; set the drive to close its brake before it lets go",
+        "    vertical load: only the powered drive holds it, so the master never powers it off",
+        "    stopped by a velocity setpoint older than 10 cycles (10 ms); a jog runs until something replaces it",
+        "group g: y, x act in the same cycle, all or none; 3 rounds in which any of them missed an exchange stop them in motion",
+    ] {
+        assert!(told.contains(line), "{line}\n{told}");
+    }
+    // What only the drive holds stays on unless the file says otherwise, and that would be refused.
+    assert_eq!(plan.axes()[1].stop.then, fieldbeat::axis::StopThen::Hold);
+}
+
+#[test]
+fn a_plan_built_in_code_is_checked_by_the_same_rules() {
+    use fieldbeat::axis::{HeldBy, Load, StopHow};
+    use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan};
+    use fieldbeat::cycle::{GroupPlan, Plan};
+    let mut drive = LinUdpDrive::new("x", [127, 0, 0, 11].into());
+    drive.axis.load = Load::Vertical(HeldBy::Brake);
+    drive.axis.stop.how = StopHow::Coast;
+    (drive.axis.units.counts_per_unit, drive.axis.phase) = (0.0, 1);
+    let bus = LinUdpPlan::new([127, 0, 0, 1].into(), vec![drive.clone(), drive]);
+    let groups = vec![GroupPlan { name: "g".into(), axes: vec!["x".into(), "w".into()] }];
+    let cycle = CyclePlan { period_ns: 0, ..CyclePlan::default() };
+    let plan = Plan { source: None, cycle, buses: vec![Box::new(bus)], groups };
+    let told = plan.check().unwrap_err().to_string();
+    for part in [
+        "cycle: a period of 0 is outside",
+        "drive x: its name is taken",
+        "drive x: scale: has to be a finite number",
+        "drive x: phase: must be below divisor = 1",
+        "drive x: stop.how: would let a vertical load drop",
+        "drive x: address: is taken by another drive",
+        "group g: there is no drive w",
+    ] {
+        assert!(told.contains(part), "{part}\n{told}");
+    }
+    let refused = fieldbeat::Master::from_plan(plan).start().unwrap_err().to_string();
+    assert_eq!(refused, told, "and nothing was opened");
+}
 
 #[test]
 fn spinning_under_throttling_starves_the_host() {

@@ -33,6 +33,11 @@ pub(super) fn cycle(table: &mut Table<'_>) -> CyclePlan {
             .word("memory", &[("process", Memory::Process), ("own", Memory::Own)])
             .unwrap_or(default.memory),
         task_budget_ns: table.time("task_budget", US..=period_ns, "the in-loop task runs once a cycle"),
+        heartbeat_ns: table.time(
+            "heartbeat",
+            period_ns..=3600 * S,
+            "the application may be silent for so long while an axis is enabled; leave it out, and nobody watches",
+        ),
     }
 }
 

@@ -1,6 +1,6 @@
 //! A plan in words: what `check` prints.
 
-use crate::axis::{AxisPlan, StopHow, StopThen, StopTimeout};
+use crate::axis::{AxisPlan, HeldBy, Load, StopHow, StopThen, StopTimeout};
 use crate::cycle::{CyclePlan, Guard, Overrun, Plan, Wait};
 use crate::rt::{Memory, Realtime};
 use crate::time::{Ns, nanos};
@@ -34,6 +34,15 @@ pub fn describe(plan: &Plan) -> Vec<String> {
             }
         }
         lines.extend(own);
+    }
+    for group in &plan.groups {
+        let members = axes.iter().filter(|axis| group.axes.contains(&axis.name));
+        let bucket = members.map(|axis| axis.health.bucket).min().unwrap_or(0);
+        lines.push(format!(
+            "group {}: {} act in the same cycle, all or none; {bucket} rounds in which any of them missed an exchange stop them in motion",
+            group.name,
+            group.axes.join(", "),
+        ));
     }
     lines.push("Fieldbeat is not a safety function: the machine needs its own STO / emergency stop.".into());
     lines
@@ -86,6 +95,9 @@ fn cycle(cycle: &CyclePlan) -> Vec<String> {
     if let Some(budget) = cycle.task_budget_ns {
         lines.push(format!("  the in-loop task has {} a cycle, more stops all axes", Ns(budget)));
     }
+    if let Some(limit) = cycle.heartbeat_ns {
+        lines.push(format!("  an application that is silent for {} stops all enabled axes", Ns(limit)));
+    }
     lines
 }
 
@@ -98,7 +110,10 @@ fn frequency(period_ns: u64) -> String {
 
 /// What every protocol's axis has: schedule, link, stop, limits.
 fn axis(axis: &AxisPlan, all: &[&AxisPlan], period_ns: u64) -> Vec<String> {
-    vec![schedule(axis, period_ns), link(axis, all, period_ns), stop(axis), limits(axis)]
+    let mut lines = vec![schedule(axis, period_ns), link(axis, all, period_ns), stop(axis)];
+    lines.extend(load(axis));
+    lines.extend([setpoints(axis, period_ns), limits(axis)]);
+    lines
 }
 
 fn schedule(axis: &AxisPlan, period_ns: u64) -> String {
@@ -163,6 +178,38 @@ fn stop(axis: &AxisPlan) -> String {
         stop.standstill_for,
         Ns(nanos(stop.timeout)),
     )
+}
+
+fn load(axis: &AxisPlan) -> Option<String> {
+    let Load::Vertical(held_by) = axis.load else { return None };
+    Some(match held_by {
+        HeldBy::Brake => {
+            let late = if axis.stop.on_timeout == StopTimeout::Disable { ", or by the time-out" } else { "" };
+            format!(
+                "vertical load: power goes off at standstill{late}; set the drive to close its brake before it lets go"
+            )
+        }
+        HeldBy::Drive => {
+            "vertical load: only the powered drive holds it, so the master never powers it off".into()
+        }
+    })
+}
+
+fn setpoints(axis: &AxisPlan, period_ns: u64) -> String {
+    let age = u64::from(axis.setpoint_age);
+    let jog = match axis.jog_deadman {
+        Some(limit) => format!("a jog not renewed for {}", Ns(nanos(limit))),
+        None => "a jog runs until something replaces it".into(),
+    };
+    let velocity = format!(
+        "a velocity setpoint older than {} ({})",
+        count(axis.setpoint_age as usize, "cycle"),
+        Ns(age.saturating_mul(period_ns)),
+    );
+    match axis.jog_deadman {
+        Some(_) => format!("stopped by {velocity} and by {jog}"),
+        None => format!("stopped by {velocity}; {jog}"),
+    }
 }
 
 fn limits(axis: &AxisPlan) -> String {

@@ -3,12 +3,12 @@
 use std::time::Duration;
 
 use super::Machine;
-use super::reader::{POSITIVE, Table, integer};
+use super::reader::{POSITIVE, Table, integer, time as time_of};
 use crate::axis::{
-    AxisPlan, FoundRunning, Health, Limits, Profile, StopHow, StopPlan, StopThen, StopTimeout, Underrun,
-    Unit, Units,
+    AxisPlan, FoundRunning, Health, HeldBy, Limits, Load, Profile, StopHow, StopPlan, StopThen, StopTimeout,
+    Underrun, Unit, Units,
 };
-use crate::time::{MS, Ns, S};
+use crate::time::{MS, S};
 
 /// Reads the common keys. `counts_per_mm` is the protocol's own resolution, if it has one.
 pub(super) fn axis(table: &mut Table<'_>, machine: &mut Machine, counts_per_mm: Option<f64>) -> AxisPlan {
@@ -17,19 +17,16 @@ pub(super) fn axis(table: &mut Table<'_>, machine: &mut Machine, counts_per_mm: 
     let default = AxisPlan::new(name, units);
     let limits = limits(table, &units);
     let profile = profile(table, &default.profile, &limits);
-    let stop = stop(table, machine, &default.stop, &profile);
-    check_ramp(table, &stop, limits.velocity.unwrap_or(profile.velocity), units.unit);
+    let load = load(table);
+    let stop = stop(table, machine, &default.stop, load, &profile);
     let divisor = table.integer("divisor", 1..=1000, "1 exchanges every cycle").unwrap_or(1);
     let phase = table
         .integer("phase", 0..=999, "it says in which of its divisor cycles a drive exchanges")
         .unwrap_or(0);
-    if phase >= divisor {
-        table.fault("phase", format!("must be below divisor = {divisor}; 0 is the first of its cycles"));
-    }
     let queue = |table: &mut Table<'_>, key, least, default| {
         table.integer(key, least..=1_000_000, "room in entries").unwrap_or(default)
     };
-    AxisPlan {
+    let plan = AxisPlan {
         limits,
         profile,
         divisor,
@@ -40,6 +37,11 @@ pub(super) fn axis(table: &mut Table<'_>, machine: &mut Machine, counts_per_mm: 
         on_found_running: table
             .word("on_found_running", &[("stop", FoundRunning::Stop), ("refuse", FoundRunning::Refuse)])
             .unwrap_or(default.on_found_running),
+        load,
+        setpoint_age: table
+            .integer("setpoint_age", 1..=1_000_000, "cycles that a velocity setpoint counts")
+            .unwrap_or(default.setpoint_age),
+        jog_deadman: jog_deadman(table).unwrap_or(default.jog_deadman),
         enable_timeout: time(
             table,
             "enable_timeout",
@@ -59,7 +61,40 @@ pub(super) fn axis(table: &mut Table<'_>, machine: &mut Machine, counts_per_mm: 
         event_queue: queue(table, "event_queue", 1, default.event_queue),
         sample_queue: queue(table, "sample_queue", 0, default.sample_queue),
         ..default
+    };
+    for fault in plan.faults() {
+        table.fault(fault.key, fault.message);
     }
+    plan
+}
+
+/// What the load does when nothing holds it; a vertical one names what does.
+fn load(table: &mut Table<'_>) -> Load {
+    let vertical = table.word("load", &[("level", false), ("vertical", true)]).unwrap_or(false);
+    let held_by = table.word("held_by", &[("brake", HeldBy::Brake), ("drive", HeldBy::Drive)]);
+    match held_by {
+        Some(held_by) if vertical => Load::Vertical(held_by),
+        _ => {
+            if vertical && !table.gives("held_by") {
+                table.fault(
+                    "held_by",
+                    "missing; a vertical load drops when nothing holds it: name its \"brake\", or the \"drive\" that stays on",
+                );
+            } else if held_by.is_some() && !table.gives("load") {
+                table.fault("held_by", "goes with load = \"vertical\"; add that, or leave held_by out");
+            }
+            Load::Level
+        }
+    }
+}
+
+/// A time, or "off": the jog then runs until something replaces it.
+fn jog_deadman(table: &mut Table<'_>) -> Option<Option<Duration>> {
+    let hint = "a jog that is not renewed for so long is stopped; or \"off\"";
+    table.read("jog_deadman", |value| match value.as_str() {
+        Some("off") => Ok(None),
+        _ => time_of(value, &(MS..=60 * S), hint).map(|ns| Some(Duration::from_nanos(ns))),
+    })
 }
 
 fn time(table: &mut Table<'_>, key: &'static str, most_s: u64, hint: &str, default: Duration) -> Duration {
@@ -126,9 +161,6 @@ fn limits(table: &mut Table<'_>, units: &Units) -> Limits {
                 ),
             );
         }
-        if units.modulo.is_some() {
-            table.fault("limits.position", "a modulo axis turns without end; leave out one of the two");
-        }
     }
     limits
 }
@@ -140,14 +172,6 @@ fn profile(table: &mut Table<'_>, default: &Profile, limits: &Limits) -> Profile
         [("velocity", "units/s"), ("acceleration", "units/s²"), ("deceleration", "units/s²")]
             .map(|(key, unit)| table.number(key, POSITIVE, unit))
     });
-    let most = [("velocity", most_speed), ("acceleration", most_ramp), ("acceleration", most_ramp)];
-    for ((value, (limit, most)), key) in
-        given.iter().zip(most).zip(["profile.velocity", "profile.acceleration", "profile.deceleration"])
-    {
-        if value.is_some_and(|value| value > most) {
-            table.fault(key, format!("is over limits.{limit} = {most}; lower it or raise the limit"));
-        }
-    }
     let [velocity, acceleration, deceleration] = given;
     let acceleration = acceleration.unwrap_or(default.acceleration.min(most_ramp));
     Profile {
@@ -176,7 +200,18 @@ fn health(table: &mut Table<'_>) -> Health {
     })
 }
 
-fn stop(table: &mut Table<'_>, machine: &mut Machine, default: &StopPlan, profile: &Profile) -> StopPlan {
+fn stop(
+    table: &mut Table<'_>,
+    machine: &mut Machine,
+    default: &StopPlan,
+    load: Load,
+    profile: &Profile,
+) -> StopPlan {
+    // Where only the drive holds the load, it stays on unless the file says otherwise, and is told what that means.
+    let (then, on_timeout) = match load {
+        Load::Vertical(HeldBy::Drive) => (StopThen::Hold, StopTimeout::Hold),
+        Load::Level | Load::Vertical(HeldBy::Brake) => (default.then, default.on_timeout),
+    };
     table.table("stop", |table| StopPlan {
         how: table
             .word("how", &[("ramp", StopHow::Ramp), ("quick", StopHow::Quick), ("coast", StopHow::Coast)])
@@ -184,13 +219,11 @@ fn stop(table: &mut Table<'_>, machine: &mut Machine, default: &StopPlan, profil
         deceleration: table
             .number("deceleration", POSITIVE, "units/s²; leave it out for profile.deceleration")
             .unwrap_or(profile.deceleration),
-        then: table
-            .word("then", &[("hold", StopThen::Hold), ("disable", StopThen::Disable)])
-            .unwrap_or(default.then),
+        then: table.word("then", &[("hold", StopThen::Hold), ("disable", StopThen::Disable)]).unwrap_or(then),
         timeout: time(table, "timeout", 600, "the longest time to standstill", default.timeout),
         on_timeout: table
             .word("on_timeout", &[("hold", StopTimeout::Hold), ("disable", StopTimeout::Disable)])
-            .unwrap_or(default.on_timeout),
+            .unwrap_or(on_timeout),
         standstill: table
             .number("standstill", POSITIVE, "units/s; slower than this is standstill")
             .unwrap_or(default.standstill),
@@ -205,23 +238,6 @@ fn stop(table: &mut Table<'_>, machine: &mut Machine, default: &StopPlan, profil
             )
             .map(|group| machine.group(table, group)),
     })
-}
-
-/// A ramp that cannot end in time would end in `on_timeout` every time.
-fn check_ramp(table: &Table<'_>, stop: &StopPlan, velocity: f64, unit: Unit) {
-    let needed = velocity / stop.deceleration;
-    if stop.how == StopHow::Ramp && needed > stop.timeout.as_secs_f64() {
-        let needed_ns = Ns((needed.min(1e9) * S as f64) as u64);
-        table.fault(
-            "stop.timeout",
-            format!(
-                "the ramp from {velocity} {unit}/s at {} {unit}/s² takes {needed_ns}, longer than {}; allow more, or \
-                 raise stop.deceleration",
-                stop.deceleration,
-                Ns(crate::time::nanos(stop.timeout)),
-            ),
-        );
-    }
 }
 
 fn underrun(table: &mut Table<'_>) -> Option<Underrun> {

@@ -13,7 +13,7 @@ use crate::bus::linudp::{
 use crate::cycle::CyclePlan;
 use crate::net::SendMode;
 use crate::sim::FaultPlan;
-use crate::time::{MS, Ns, S};
+use crate::time::{MS, S};
 
 /// Its word in the configuration.
 pub(super) const PROTOCOL: &str = "linudp-v2";
@@ -81,82 +81,34 @@ fn drive(
     let axis = axis(table, machine, Some(COUNTS_PER_MM));
     let address = address(table, machine, bind).unwrap_or(NOWHERE);
     let period_ns = cycle.period_ns.saturating_mul(u64::from(axis.divisor));
-    check_wire_units(table, &axis);
-    LinUdpDrive {
+    let drive = LinUdpDrive {
         address,
-        stream: stream(table, &axis, period_ns),
+        stream: stream(table, period_ns),
         monitor: table.flag("monitor").unwrap_or(false),
         reply_tag: table.flag("reply_tag").unwrap_or(false),
         leash: leash(table),
         simulate: table.table("simulate", |table| simulate(table, &axis, period_ns, index)),
         axis,
+    };
+    for fault in drive.faults(period_ns) {
+        table.fault(fault.key, fault.message);
     }
-}
-
-/// Speed goes over the wire in 1 um/s = 10 counts/s and acceleration in 10 um/s² = 100 counts/s² (manual, 4.2): a value
-/// must be at least one of them, and fit into the signed 32 bits of the streaming commands.
-fn check_wire_units(table: &Table<'_>, axis: &AxisPlan) {
-    let scale = axis.units.counts_per_unit.abs();
-    let unit = axis.units.unit;
-    let mut reported = None;
-    for (key, value, counts, per) in [
-        ("profile.velocity", axis.profile.velocity, 10.0, "s"),
-        ("profile.acceleration", axis.profile.acceleration, 100.0, "s²"),
-        ("profile.deceleration", axis.profile.deceleration, 100.0, "s²"),
-        ("stop.deceleration", axis.stop.deceleration, 100.0, "s²"),
-    ] {
-        let step = counts / scale;
-        let most = step * f64::from(i32::MAX);
-        // One acceleration may stand in for all three of them.
-        if (step..=most).contains(&value) || reported == Some((value, per)) {
-            continue;
-        }
-        let range = format!("{step} ... {most} {unit}/{per}");
-        table.fault(
-            key,
-            format!("{value} is outside what the drive can be told, {range}; change it or check scale"),
-        );
-        reported = Some((value, per));
-    }
+    drive
 }
 
 /// Which streaming command Follow uses. One that is named must fit the drive's period; where none is named it is the
 /// richest one with the drive's own time base, if that fits, else none, and Follow is refused.
-fn stream(table: &mut Table<'_>, axis: &AxisPlan, period_ns: u64) -> Option<StreamCommand> {
+fn stream(table: &mut Table<'_>, period_ns: u64) -> Option<StreamCommand> {
     let mut words: Vec<(&str, Option<StreamCommand>)> =
         StreamCommand::ALL.iter().map(|command| (command.name(), Some(*command))).collect();
     words.push(("off", None));
-    let Some(named) = table.word("stream", &words) else {
-        return Some(StreamCommand::Pva).filter(|command| command.takes(period_ns));
-    };
-    if let Some(command) = named.filter(|command| !command.takes(period_ns)) {
-        let fitting: Vec<&str> = StreamCommand::ALL
-            .iter()
-            .filter(|other| other.takes(period_ns))
-            .map(|other| other.name())
-            .collect();
-        let remedy = match fitting.is_empty() {
-            true => "no streaming command fits, take \"off\" or another period".to_owned(),
-            false => format!("take {}", super::value::alternatives(fitting.into_iter().chain(["off"]))),
-        };
-        let (low, high) = command.period_range_ns();
-        table.fault(
-            "stream",
-            format!(
-                "takes a setpoint every {} ... {}, this drive gets one every {} (period x divisor {}); {remedy}",
-                Ns(low),
-                Ns(high),
-                Ns(period_ns),
-                axis.divisor
-            ),
-        );
-    }
-    named
+    let usual = Some(StreamCommand::Pva).filter(|command| command.takes(period_ns));
+    table.word("stream", &words).unwrap_or(usual)
 }
 
 fn leash(table: &mut Table<'_>) -> Option<f64> {
     let accepted = table.word("no_drive_watchdog", &[("accept", true), ("refuse", false)]);
-    let leash = table.number("leash", POSITIVE, "how far a jog runs ahead, in user units");
+    let leash = table.number("leash", POSITIVE, "how far a jog or cyclic velocity runs ahead, in user units");
     match accepted {
         Some(true) => {
             if !table.gives("leash") {
@@ -250,6 +202,10 @@ fn faults(table: &mut Table<'_>, period_ns: u64, index: usize) -> FaultPlan {
             .time("stall_for", ..=600 * S, "how long a stalled drive is silent")
             .unwrap_or(100 * MS),
         restart: rate(table, "restart"),
+        inhibit: rate(table, "inhibit"),
+        inhibit_ns: table
+            .time("inhibit_for", ..=600 * S, "how long the hardware enable (STO) stays open")
+            .unwrap_or(100 * MS),
         wrong_id: rate(table, "wrong_id"),
         answer_ns: table.time("answer_time", ..=S, "from a request to its answer").unwrap_or(0),
     }

@@ -28,6 +28,7 @@
 //! | `realtime` | `"prefer"` | `"require"` refuses to start without the rights, `"off"` is an ordinary thread |
 //! | `memory` | `"process"` | what is locked: the whole process, or the loop's `"own"` |
 //! | `task_budget` | none | longest the in-loop task may run |
+//! | `heartbeat` | none | longest the application may be silent while an axis is enabled; longer stops all that are |
 //!
 //! `[[bus]]`: `protocol`, `name` (default: the protocol), the keys of the protocol, `[bus.defaults]`, and one
 //! `[[bus.drive]]` a drive. **What stands in `[bus.defaults]` holds for every drive of this bus that does not say
@@ -57,18 +58,25 @@
 //! | `health.probe_interval` | `"100ms"` | how often an absent drive is asked |
 //! | `stop.how` | `"ramp"` | or the drive's own `"quick"` stop, or `"coast"` |
 //! | `stop.deceleration` | `profile.deceleration` | of the ramp; may be more than the limit |
-//! | `stop.then` | `"disable"` | power off at standstill, or `"hold"` |
+//! | `stop.then` | `"disable"` | power off at standstill, or `"hold"` (default where `held_by = "drive"`) |
 //! | `stop.timeout` | `"3s"` | longest time to standstill |
-//! | `stop.on_timeout` | `"disable"` | without standstill by then: power off, or `"hold"` |
+//! | `stop.on_timeout` | `"disable"` | without standstill by then: power off, or `"hold"` (default as above) |
 //! | `stop.standstill` | `5` mm/s, `0.05` rev/s | slower than this ... |
 //! | `stop.standstill_for` | `20` | ... for so many good exchanges |
 //! | `stop.group` | none | drives that name the same group stop together |
+//! | `load` | `"level"` | `"vertical"`: the load drops when nothing holds it |
+//! | `held_by` | - | what holds a vertical load: the drive's `"brake"`, or the powered `"drive"` alone, which is then never powered off |
+//! | `setpoint_age` | `10` | cycles; a cyclic velocity setpoint that is older stops the axis |
+//! | `jog_deadman` | `"500ms"` | a jog that is not renewed for so long is stopped; `"off"`: it runs until replaced |
 //! | `underrun` | `"stop"` | what an empty stream does: or `"hold"`, or `{ extrapolate = n }` exchanges |
 //! | `on_found_running` | `"stop"` | a drive found enabled: stop it, or `"refuse"` to touch it |
 //! | `enable_timeout` | `"5s"` | longest time for Enable, Disable, ResetFault |
 //! | `home_timeout` | `"60s"` | longest time for Home |
 //! | `command_queue`, `stream_queue`, `event_queue` | `64`, `1024`, `256` | room in entries |
 //! | `sample_queue` | `0` | room for the feedback of every cycle; 0 keeps only the newest |
+//!
+//! `[[group]]`, axes that act together: `name`, and `axes`, the names of its drives in the order of its rows. They share divisor,
+//! phase and stop group.
 //!
 //! `protocol = "linudp-v2"`:
 //!
@@ -80,8 +88,8 @@
 //! | `stream` | `"pva"` if the period fits, else `"off"` | [command](crate::bus::linudp::StreamCommand) of streamed motion |
 //! | `monitor` | `false` | ask for the four monitoring channels too |
 //! | `reply_tag` | `false` | number the requests through the parameter channel |
-//! | `no_drive_watchdog` | `"refuse"` | jogs are refused, or `"accept"`ed with a `leash` |
-//! | `leash` | - | how far a jog runs ahead, and on if the master dies |
+//! | `no_drive_watchdog` | `"refuse"` | jogs and cyclic velocities are refused, or `"accept"`ed with a `leash` |
+//! | `leash` | - | how far these run ahead, and on if the master dies; at most the range |
 //! | `simulate` | below | the drive when it is simulated |
 //!
 //! `simulate`:
@@ -89,9 +97,10 @@
 //! | key | default | meaning |
 //! |---|---|---|
 //! | `seed` | `0` | of the random faults; each drive adds its place in the file |
-//! | `drop`, `duplicate`, `corrupt`, `delay`, `reorder`, `stall`, `restart`, `wrong_id` | `0` | how likely a datagram meets this fault, 0 ... 1 |
+//! | `drop`, `duplicate`, `corrupt`, `delay`, `reorder`, `stall`, `restart`, `inhibit`, `wrong_id` | `0` | how likely a datagram meets this fault, 0 ... 1; `inhibit` opens the hardware enable (STO) |
 //! | `delay_by` | one period of the drive | how much later a delayed datagram comes |
 //! | `stall_for` | `"100ms"` | how long a stalled drive is silent |
+//! | `inhibit_for` | `"100ms"` | how long the hardware enable stays open |
 //! | `answer_time` | `"0us"` | from a request to its answer |
 //! | `padding` | `14` | shortest payload, bytes: `0`, `14` or `64` |
 //! | `filter` | `"none"` | which masters it answers: all, a `"single"` one, or the one with this address |
@@ -124,7 +133,7 @@ pub use describe::{describe, stop_bound_cycles};
 pub use error::{ConfigError, ConfigErrors};
 
 use crate::bus::BusPlan;
-use crate::cycle::{CyclePlan, Plan};
+use crate::cycle::{GroupPlan, Plan};
 use crate::time::US;
 use reader::{Page, Place, Table};
 
@@ -151,9 +160,9 @@ pub fn load(path: impl AsRef<Path>) -> Result<Plan, ConfigErrors> {
 pub fn parse(text: &str, file: &str) -> Result<Plan, ConfigErrors> {
     let page = Page::new(file, text);
     let entries = page.parse()?;
-    let (cycle, buses) = machine(Table::root(&page, &entries));
+    let plan = machine(Table::root(&page, &entries));
     page.verdict()?;
-    Ok(Plan { source: Some(PathBuf::from(file)), cycle, buses })
+    Ok(Plan { source: Some(PathBuf::from(file)), ..plan })
 }
 
 /// A time as people write it, on the command line as in a file: `"250us"`, `"0.5s"`, `"8h"`.
@@ -201,7 +210,7 @@ fn whole_file(file: &str, line: Option<usize>, message: String) -> ConfigErrors 
     ConfigError { file: file.to_owned(), line, key: None, value: None, message }.into()
 }
 
-fn machine(mut root: Table<'_>) -> (CyclePlan, Vec<Box<dyn BusPlan>>) {
+fn machine(mut root: Table<'_>) -> Plan {
     let cycle = root.table("cycle", cycle::cycle);
     let mut machine = Machine::default();
     if !root.gives("bus") {
@@ -220,8 +229,36 @@ fn machine(mut root: Table<'_>) -> (CyclePlan, Vec<Box<dyn BusPlan>>) {
     machine.check_groups(&root);
     let drives = buses.iter().map(|bus| bus.axes().len()).sum();
     cycle::check_period(&root, &cycle, drives);
+    let mut plan = Plan { source: None, cycle, buses, groups: Vec::new() };
+    for mut table in root.tables("group") {
+        let group = group(&mut table, &plan);
+        plan.groups.extend(group);
+        table.finish();
+    }
     root.finish();
-    (cycle, buses)
+    plan
+}
+
+/// A `[[group]]`: axes that act together.
+fn group(table: &mut Table<'_>, plan: &Plan) -> Option<GroupPlan> {
+    table.require("name", "how programs ask for it");
+    table.require("axes", "the names of its drives, like [\"x\", \"y\"]");
+    let name = table.text("name", "1 to 32 letters, digits, - _ or .", drive::plain_name);
+    let axes = table.read("axes", |value| {
+        let names = value.as_array().map(|array| array.iter().map(|name| name.get_ref().as_str()));
+        let names: Option<Vec<&str>> = names.and_then(Iterator::collect);
+        names
+            .ok_or("must be the names of drives, like [\"x\", \"y\"]".into())
+            .map(|names| names.into_iter().map(str::to_owned).collect::<Vec<_>>())
+    });
+    let group = GroupPlan { name: name?, axes: axes? };
+    if plan.groups.iter().any(|other| other.name == group.name) {
+        table.fault("name", "is taken by another group; names are unique");
+    }
+    if let Some(why) = group.fault(&plan.axes()) {
+        table.fault("axes", why);
+    }
+    Some(group)
 }
 
 /// What must be unique in the whole machine, and where it was seen first.
