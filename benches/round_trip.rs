@@ -196,4 +196,6 @@ impl DatagramDrive for SockperfServer {
     }
 
     fn restart(&mut self, _now: Time) {}
+
+    fn inhibit(&mut self, _until: Time) {}
 }

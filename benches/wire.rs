@@ -103,7 +103,10 @@ fn reply(request_def: RequestDef, state: MainState) -> Response {
     Response {
         request_def,
         response_def: ResponseDef::CYCLIC,
-        status: Some(StatusWord(StatusWord::HOMED | if operating { on } else { 0 })),
+        // The hardware enable is there.
+        status: Some(StatusWord(
+            StatusWord::HOMED | StatusWord::VOLTAGE_ENABLE | if operating { on } else { 0 },
+        )),
         state: Some(StateVar::new(state, sub)),
         actual: Some(123_456),
         demand: Some(123_500),

@@ -231,7 +231,7 @@ impl Rig {
         calls: Calls,
     ) -> Rig {
         let buses = bus.into_iter().map(|bus| Box::new(bus) as Box<dyn BusPlan>).collect();
-        let plan = Plan { source: None, cycle, buses };
+        let plan = Plan { source: None, cycle, buses, groups: Vec::new() };
         let clock = Meter { pace, ahead_ns: 0, grid: Time(0), woke: None, calls: Arc::clone(&calls) };
         let assembly = match assemble(&plan, clock, carriers, None, Control::default()) {
             Ok(assembly) => assembly,
