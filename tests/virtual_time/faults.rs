@@ -115,6 +115,26 @@ fn a_link_lost_in_mid_motion_latches_and_comes_back_by_the_application_only() {
 }
 
 #[test]
+fn a_link_lost_behind_a_power_off_switches_nothing_on_again() {
+    // The drive has heard the power off, its answer is lost. The stop that follows must not take what the drive said before
+    // for what it finds.
+    let mut b = Rig::new(1).each(|_, drive| drive.axis.stop.then = StopThen::Hold).start();
+    b.ready();
+    b.tape(0).mute = true;
+    b.post(0, Verb::Disable);
+    assert_eq!(b.stopped(0, 10), StopCause::LinkLost);
+    b.run(1_000);
+    b.tape(0).mute = false;
+    b.online().run(1_000);
+    let on = |heard: &Heard| heard.request.control.is_some_and(|word| word.has(ControlWord::SWITCH_ON));
+    let tape = b.tape(0);
+    let off = tape.heard.iter().rposition(on).unwrap() + 1;
+    let state = |heard: &Heard| heard.reply.unwrap().state.unwrap().main();
+    assert!(state(&tape.heard[off - 1]) == MainState::OPERATION_ENABLED, "it was switched on again");
+    assert_eq!(state(tape.heard.last().unwrap()), MainState::READY_TO_SWITCH_ON);
+}
+
+#[test]
 fn a_drive_that_only_its_replies_are_lost_from_is_stopped_and_held_until_it_is_heard() {
     let mut b = Rig::new(1).start();
     b.ready();
@@ -440,7 +460,7 @@ fn a_stop_that_reaches_a_limit_of_time_follows_its_policy() {
             .each(|_, drive| {
                 drive.axis.stop.on_timeout = on_timeout;
                 drive.axis.stop.timeout = std::time::Duration::from_millis(100);
-                drive.axis.stop.deceleration = 100.0;
+                weak_ramp(drive, 100.0);
                 drive.axis.stop.group = Some(1);
             })
             .start();

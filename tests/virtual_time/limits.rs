@@ -136,7 +136,7 @@ fn a_jog_reaches_its_speed_and_never_runs_further_ahead_than_its_leash() {
 }
 
 #[test]
-fn a_stop_ends_a_jog_and_a_jog_of_zero_is_a_stop() {
+fn a_stop_ends_a_jog_and_a_jog_of_zero_stands() {
     let mut b = Rig::new(1).start();
     b.ready();
     let id = b.post(0, jog(50.0));
@@ -148,8 +148,9 @@ fn a_stop_ends_a_jog_and_a_jog_of_zero_is_a_stop() {
     b.run(500);
     let zero = b.post(0, jog(0.0));
     assert_eq!(b.aborted(0, id), Abort::Replaced(zero));
-    assert_eq!(b.ended(0, zero), Outcome::Done);
-    assert!(!b.feedback(0).moving);
+    b.until("standstill", 100, |b| !b.feedback(0).moving);
+    assert_eq!(b.outcome(0, zero), None, "it waits for a velocity");
+    b.done(0, STOP);
 }
 
 #[test]
@@ -226,10 +227,13 @@ fn an_axis_in_motion_brakes_before_its_limit_whatever_replaces_its_motion() {
 fn a_motion_that_cannot_start_leaves_no_other_running_behind_its_back() {
     let mut b = Rig::new(1).start();
     b.ready();
-    // Refused by the station, when the move before it has ended as replaced: the axis stops.
+    // Refused in the loop, it replaces nothing.
     let id = b.post(0, slowly_to(100.0));
     b.run(100);
-    let beyond = b.post(0, by(500.0));
+    assert!(matches!(b.failed(0, by(500.0)), Failure::Limit { .. }));
+    assert!(b.feedback(0).moving && b.outcome(0, id).is_none());
+    // Refused by the station, when the move before it has ended as replaced: the axis stops.
+    let beyond = b.post(0, Verb::Jog(Jog { velocity: 900.0, acceleration: 100.0 }));
     assert_eq!(b.aborted(0, id), Abort::Replaced(beyond));
     assert!(matches!(b.ended(0, beyond), Outcome::Failed(Failure::Limit { .. })));
     b.until("standstill", 100, |b| !b.feedback(0).moving);

@@ -3,13 +3,20 @@
 //! Everything is deterministic: a test that fails, fails again. Where seeds are drawn they stand in the message.
 
 mod bring_up;
+mod counters;
 mod faults;
 mod grid;
+mod groups;
+mod latches;
 mod limits;
+mod loads;
 mod queues;
 mod replies;
+mod restarts;
 mod shutdown;
+mod stop_bound;
 mod storm;
 mod streams;
 mod support;
 mod verbs;
+mod watchdogs;

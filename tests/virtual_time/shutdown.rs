@@ -4,7 +4,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use fieldbeat::axis::{Abort, Failure, Link, Outcome, State, StopCause, StopHow, StopThen, Target, Verb};
+use fieldbeat::axis::{
+    Abort, Failure, FoundRunning, Link, Outcome, State, StopCause, StopHow, StopThen, Target, Verb,
+};
 use fieldbeat::bus::linudp::wire::{ControlWord, ErrorCode, MainState, StatusWord};
 use fieldbeat::cycle::engine::Flow;
 
@@ -146,6 +148,42 @@ fn an_axis_that_a_stop_left_holding_is_powered_off_at_the_end() {
 }
 
 #[test]
+fn the_last_word_is_power_off_even_to_a_drive_that_is_off_already() {
+    // An error has powered it off while it held after a stop, or after it was found running and told nothing but to stop.
+    type Prepare = fn(&mut Bench);
+    let cases: [(FoundRunning, Prepare); 2] = [
+        (FoundRunning::Stop, |b| {
+            b.ready();
+            b.tape(0).mute = true;
+            b.stopped(0, 10);
+            b.tape(0).mute = false;
+            b.online().run(100);
+        }),
+        (FoundRunning::Refuse, |b| {
+            b.online();
+            b.done(0, Verb::QuickStop);
+        }),
+    ];
+    for (found, prepare) in cases {
+        let mut b = Rig::new(1)
+            .each(|_, drive| {
+                drive.axis.stop.then = StopThen::Hold;
+                drive.axis.on_found_running = found;
+                drive.simulate.start_running = found == FoundRunning::Refuse;
+            })
+            .start();
+        prepare(&mut b);
+        let last = |b: &Bench| b.tape(0).heard.last().unwrap().request.control;
+        assert_eq!(last(&b), Some(ControlWord::ON), "{found:?}");
+        b.tape(0).provoke = Some(ErrorCode(0x0B));
+        b.run(10);
+        assert_eq!(b.feedback(0).state, State::Fault);
+        assert!(b.shut_down(100) <= 5);
+        assert_eq!(last(&b), Some(ControlWord::BASE), "{found:?}");
+    }
+}
+
+#[test]
 fn an_unseen_drive_does_not_delay_the_end() {
     let mut b = Rig::new(2).start();
     b.world().unplug(address(0));
@@ -193,7 +231,7 @@ fn a_second_stop_shortens_the_way_and_still_goes_it() {
         b.post(0, with(Target::Absolute(190.0), 100.0, 1_000.0));
         b.run(200);
     };
-    let rig = || Rig::new(1).each(|_, drive| drive.axis.stop.deceleration = 50.0);
+    let rig = || Rig::new(1).each(|_, drive| weak_ramp(drive, 50.0));
     let mut slow = rig().start();
     weak(&mut slow);
     assert!(slow.shut_down(5_000) > 1_000);
@@ -227,7 +265,7 @@ fn a_hurry_gives_little_time_to_a_drive_that_does_not_answer() {
 
 #[test]
 fn nothing_new_begins_once_the_end_was_asked_for() {
-    let mut b = Rig::new(1).each(|_, drive| drive.axis.stop.deceleration = 100.0).start();
+    let mut b = Rig::new(1).each(|_, drive| weak_ramp(drive, 100.0)).start();
     b.ready();
     let id = b.post(0, with(Target::Absolute(190.0), 100.0, 1_000.0));
     b.run(200);

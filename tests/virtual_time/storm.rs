@@ -179,6 +179,7 @@ fn whatever_is_asked_in_whatever_weather_every_command_ends_once() {
             restart: 0.000_05,
             wrong_id: 0.002,
             answer_ns: 10 * US,
+            ..FaultPlan::default()
         };
         let underruns = [Underrun::Hold, Underrun::Extrapolate(5), Underrun::Stop, Underrun::Hold];
         let mut b = Rig::new(AXES)

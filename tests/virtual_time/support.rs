@@ -8,8 +8,8 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
 use fieldbeat::axis::{
-    Abort, AxisPlan, CommandId, Event, EventKind, Failure, Feedback, FoundRunning, Health, Jog, Limits, Link,
-    Move, Outcome, Profile, Row, StopCause, StopHow, StopPlan, StopThen, StopTimeout, Target, Underrun,
+    Abort, AxisPlan, CommandId, Event, EventKind, Failure, Feedback, Group, GroupCommand, Jog, Limits, Link,
+    Move, Outcome, PlanFault, Profile, Row, StopCause, StopHow, StopPlan, StopThen, StopTimeout, Target,
     Units, Verb,
 };
 use fieldbeat::bus::linudp::sim::LinMotSim;
@@ -50,6 +50,13 @@ pub struct Heard {
     pub reply: Option<Response>,
 }
 
+/// One request as it left the master, whether or not the drive heard it.
+#[derive(Clone, Copy, Debug)]
+pub struct Spoken {
+    pub at: Time,
+    pub request: Request,
+}
+
 type Tamper = Box<dyn FnMut(&mut Vec<u8>) + Send>;
 
 /// What one drive heard and said, and what is to befall it.
@@ -58,10 +65,14 @@ pub struct Tape {
     pub heard: Vec<Heard>,
     /// Write nothing down, only follow the extremes.
     pub paused: bool,
+    /// What went out to it since somebody asked for it, by `Some`.
+    pub wire: Option<Vec<Spoken>>,
     /// Hears and acts, but its answers are lost.
     pub mute: bool,
     /// The operating system refuses to send to it.
     pub jammed: bool,
+    /// The next look into the socket of its bus is an error. Only on the tape of the first drive.
+    pub deaf_once: bool,
     /// An error of the drive, to be raised with the next request.
     pub provoke: Option<ErrorCode>,
     /// Changes the next answers.
@@ -127,6 +138,10 @@ impl DatagramDrive for Taped {
     fn restart(&mut self, now: Time) {
         self.drive.restart(now);
     }
+
+    fn inhibit(&mut self, until: Time) {
+        self.drive.inhibit(until);
+    }
 }
 
 /// The plan of a LinUDP bus whose simulated drives are taped.
@@ -158,6 +173,10 @@ impl BusPlan for TapedBus {
         self.plan.axes()
     }
 
+    fn faults(&self, period_ns: u64) -> Vec<(usize, PlanFault)> {
+        self.plan.faults(period_ns)
+    }
+
     fn describe(&self, period_ns: u64) -> Vec<String> {
         self.plan.describe(period_ns)
     }
@@ -177,7 +196,7 @@ impl BusPlan for TapedBus {
     }
 }
 
-/// Carriers that refuse to send to some drives.
+/// Carriers that fail where a tape says so, and write down what they send.
 struct Jammable<'a> {
     carriers: &'a dyn Carriers,
     tapes: Vec<SharedTape>,
@@ -208,9 +227,21 @@ impl Datagrams for JammableCarrier {
             }
         }
         self.inner.send(outbox);
+        for (index, tape) in self.tapes.iter().enumerate() {
+            if let Sent::At(at) = outbox.sent(index)
+                && let Some(wire) = &mut tape.0.lock().unwrap().wire
+            {
+                let request = Request::parse(outbox.bytes(index)).expect("the master's own telegram");
+                wire.push(Spoken { at, request });
+            }
+        }
     }
 
     fn receive(&mut self, take: &mut dyn FnMut(Received<'_>)) -> io::Result<usize> {
+        if std::mem::take(&mut self.tapes[0].0.lock().unwrap().deaf_once) {
+            // Connection refused, as an ICMP message leaves behind.
+            return Err(io::Error::from_raw_os_error(111));
+        }
         self.inner.receive(take)
     }
 
@@ -225,8 +256,6 @@ impl Datagrams for JammableCarrier {
 pub fn drive(index: usize) -> LinUdpDrive {
     LinUdpDrive {
         axis: AxisPlan {
-            name: format!("x{index}"),
-            units: Units::millimetres(PER_MM),
             limits: Limits {
                 position: Some(RANGE),
                 velocity: Some(1_000.0),
@@ -234,9 +263,6 @@ pub fn drive(index: usize) -> LinUdpDrive {
                 step: None,
             },
             profile: Profile { velocity: 200.0, acceleration: 5_000.0, deceleration: 5_000.0 },
-            divisor: 1,
-            phase: 0,
-            health: Health::default(),
             stop: StopPlan {
                 how: StopHow::Ramp,
                 deceleration: 5_000.0,
@@ -247,14 +273,10 @@ pub fn drive(index: usize) -> LinUdpDrive {
                 standstill_for: 20,
                 group: None,
             },
-            underrun: Underrun::Stop,
-            on_found_running: FoundRunning::Stop,
-            enable_timeout: Duration::from_secs(5),
             home_timeout: Duration::from_secs(30),
-            command_queue: 64,
-            stream_queue: 1024,
-            event_queue: 256,
-            sample_queue: 0,
+            // Jogs without a button to hold.
+            jog_deadman: None,
+            ..AxisPlan::new(format!("x{index}"), Units::millimetres(PER_MM))
         },
         address: address(index),
         stream: Some(StreamCommand::Pva),
@@ -276,6 +298,13 @@ pub fn drive(index: usize) -> LinUdpDrive {
             start_running: false,
         },
     }
+}
+
+/// A ramp that takes its time. The plan of the others, which promises an end within the time-out, would be refused.
+pub fn weak_ramp(drive: &mut LinUdpDrive, deceleration: f64) {
+    drive.axis.stop.deceleration = deceleration;
+    drive.axis.limits.velocity = None;
+    drive.axis.profile.velocity = deceleration * drive.axis.stop.timeout.as_secs_f64();
 }
 
 type TaskFn = Box<dyn FnMut(&Cycle, &mut Axes<'_>) + Send>;
@@ -329,7 +358,7 @@ impl Rig {
         };
         let period_ns = self.cycle.period_ns;
         let bus = TapedBus { plan, tapes: tapes.clone() };
-        let plan = Plan { source: None, cycle: self.cycle, buses: vec![Box::new(bus)] };
+        let plan = Plan { source: None, cycle: self.cycle, buses: vec![Box::new(bus)], groups: Vec::new() };
         let mut setup = Master::from_plan(plan);
         if let Some(task) = self.task {
             setup = setup.with_task(task);
@@ -341,6 +370,8 @@ impl Rig {
             origin,
             drives: self.drives,
             tapes,
+            group: None,
+            members: Vec::new(),
             events: Vec::new(),
             ends: BTreeMap::new(),
             period_ns,
@@ -353,6 +384,9 @@ pub struct Bench {
     pub sim: Simulation,
     pub drives: Vec<LinUdpDrive>,
     tapes: Vec<SharedTape>,
+    /// The axes of `members`, once they have joined.
+    group: Option<Group>,
+    members: Vec<usize>,
     /// All events, with their axis.
     pub events: Vec<(usize, Event)>,
     /// How each command ended, by axis and id; more than one end is a defect that every test would see.
@@ -365,7 +399,7 @@ impl Bench {
     pub fn step(&mut self) -> Flow {
         let flow = self.sim.step();
         for index in 0..self.drives.len() {
-            while let Some(event) = self.sim.axis(index).event() {
+            while let Some(event) = self.event(index) {
                 if let EventKind::Ended { id, outcome, .. } = event.kind {
                     let before = self.ends.insert((index, id.0), outcome);
                     assert_eq!(before, None, "command {} of axis {index} ended twice: {outcome}", id.0);
@@ -374,6 +408,36 @@ impl Bench {
             }
         }
         flow
+    }
+
+    fn event(&mut self, index: usize) -> Option<Event> {
+        match self.members.iter().position(|member| *member == index) {
+            Some(place) => self.group.as_mut()?.event(place),
+            None => self.sim.axis(index).event(),
+        }
+    }
+
+    /// These axes are a group from now on.
+    pub fn join(&mut self, members: &[usize]) -> &mut Group {
+        let axes: Vec<_> = members.iter().map(|index| self.sim.take_axis(*index)).collect();
+        self.members = members.to_vec();
+        self.group.insert(Group::new(axes).unwrap_or_else(|refused| panic!("{refused}")))
+    }
+
+    pub fn group(&mut self) -> &mut Group {
+        self.group.as_mut().expect("axes have joined")
+    }
+
+    /// Turns until the command has ended at every member, and tells how.
+    pub fn group_ended(&mut self, command: &GroupCommand) -> Vec<Outcome> {
+        let members = self.members.clone();
+        members.iter().zip(command.ids()).map(|(index, id)| self.ended(*index, *id)).collect()
+    }
+
+    pub fn group_done(&mut self, verbs: &[Verb]) {
+        let command = self.group().post(verbs).unwrap_or_else(|error| panic!("{error}"));
+        let outcomes = self.group_ended(&command);
+        assert!(outcomes.iter().all(|outcome| *outcome == Outcome::Done), "{verbs:?}: {outcomes:?}");
     }
 
     pub fn run(&mut self, turns: u64) {
@@ -494,6 +558,11 @@ impl Bench {
     pub fn grid(&self) -> Time {
         let now = self.world().now();
         now - now.since(self.origin) % self.period_ns
+    }
+
+    /// The slot of the grid in which `at` lies.
+    pub fn slot(&self, at: Time) -> u64 {
+        at.since(self.origin) / self.period_ns
     }
 
     /// The newest values are as old as they say: the drive gave them in the cycle that the age names, or later.

@@ -525,6 +525,25 @@ fn count(reply: &mut [u8]) -> Option<&mut u8> {
 }
 
 #[test]
+fn a_motion_that_is_refused_replaces_nothing() {
+    let mut b = Rig::new(1).start();
+    b.ready();
+    let running = b.post(0, jog(20.0));
+    b.run(100);
+    // The drive says that it is not homed any more.
+    b.tape(0).tamper = Some(Box::new(|reply| reply[9] &= !(StatusWord::HOMED >> 8) as u8));
+    b.run(5);
+    assert_eq!(b.failed(0, to(1.0)), Failure::NotHomed);
+    b.run(100);
+    // The jog goes on, so it is not told as ended.
+    assert_eq!((b.outcome(0, running), b.feedback(0).moving), (None, true));
+    b.done(0, STOP);
+    assert!(matches!(b.outcome(0, running), Some(Outcome::Aborted(Abort::Replaced(_)))));
+    b.run(100);
+    assert!(!b.feedback(0).moving);
+}
+
+#[test]
 fn a_drive_that_takes_no_count_is_given_up() {
     let mut b = Rig::new(1).start();
     b.ready();

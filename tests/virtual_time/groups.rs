@@ -1,0 +1,532 @@
+//! Groups: what takes effect for all members in one cycle's send, or for none; and what takes the whole group along.
+
+use fieldbeat::axis::{
+    Abort, EventKind, Failure, Group, GroupError, Health, Outcome, Row, StopCause, Target, Underrun, Verb,
+};
+use fieldbeat::bus::linudp::LinUdpDrive;
+use fieldbeat::bus::linudp::wire::{ControlWord, MotionBlock};
+use fieldbeat::sim::FaultPlan;
+use fieldbeat::time::Time;
+
+use crate::support::*;
+
+/// Machines of so many axes that stop together; those of `members` have joined and are in operation.
+fn rig(count: usize) -> Rig {
+    Rig::new(count).each(|_, drive| drive.axis.stop.group = Some(1))
+}
+
+fn joined(count: usize, members: &[usize]) -> Bench {
+    let mut b = rig(count).start();
+    b.ready();
+    b.join(members);
+    b
+}
+
+/// When the drive heard each new motion command, by its header without the count.
+fn motions(b: &Bench, index: usize, from: usize) -> Vec<(Time, u16)> {
+    let mut last: Option<MotionBlock> = None;
+    let mut motions = Vec::new();
+    for heard in &b.tape(index).heard[from..] {
+        if let Some(motion) = heard.request.motion
+            && last != Some(motion)
+        {
+            motions.push((heard.at, motion.header & 0xFFF0));
+            last = Some(motion);
+        }
+    }
+    motions
+}
+
+#[test]
+fn a_verb_reaches_all_members_in_one_send_whatever_each_was_doing() {
+    let mut b = joined(4, &[2, 0, 3]);
+    let from: Vec<usize> = (0..4).map(|index| b.tape(index).heard.len()).collect();
+    b.group_done(&[to(10.0), to(20.0), to(30.0)]);
+    let sent: Vec<Time> = [2, 0, 3].map(|index| motions(&b, index, from[index])[0].0).to_vec();
+    assert!(sent.iter().all(|at| *at == sent[0]), "{sent:?}");
+    assert!(motions(&b, 1, from[1]).is_empty(), "no member");
+    for (index, position) in [(2, 10.0), (0, 20.0), (3, 30.0)] {
+        assert_near(b.feedback(index).demand, position, 0.001);
+    }
+    // Members that are ready at different times begin together all the same: one has a longer way.
+    let first = b.group().post(&[to(11.0), slowly_to(25.0), to(31.0)]).unwrap();
+    let second = b.group().post_all(Verb::Home).unwrap();
+    assert!(b.group_ended(&first).iter().all(|outcome| *outcome == Outcome::Done));
+    assert!(b.group_ended(&second).iter().all(|outcome| *outcome == Outcome::Done));
+    let begun: Vec<Time> = [2, 0, 3]
+        .map(|index| {
+            let homes = |heard: &&Heard| heard.request.control == Some(ControlWord::HOME);
+            b.tape(index).heard[from[index]..].iter().find(homes).unwrap().at
+        })
+        .to_vec();
+    assert!(begun.iter().all(|at| *at == begun[0]), "{begun:?}");
+}
+
+#[test]
+fn a_command_that_the_loop_finds_half_pushed_waits_for_the_rest() {
+    // The same as the group does it, one member after the other with cycles in between.
+    let mut b = rig(2).start();
+    b.ready();
+    let group = b.join(&[0, 1]);
+    let command = group.post(&[to(10.0), to(10.0)]).unwrap();
+    assert_eq!(b.group_ended(&command), [Outcome::Done; 2]);
+    // Member 1 goes lost and comes back: its command fails alone, and so does that of member 0, in the same cycle.
+    let before = b.tape(0).heard.len();
+    b.world().unplug(address(1));
+    b.stopped(1, 20);
+    assert_eq!(b.stopped(0, 1), StopCause::Group);
+    let command = b.group().post(&[to(20.0), to(20.0)]).unwrap();
+    let outcomes = b.group_ended(&command);
+    assert!(outcomes.iter().all(|outcome| matches!(outcome, Outcome::Failed(_))), "{outcomes:?}");
+    let went = motions(&b, 0, before).iter().filter(|(_, header)| *header == 0x0100).count();
+    assert_eq!(went, 0, "nothing of a refused move was sent");
+}
+
+#[test]
+fn one_member_that_cannot_keeps_all_others_from_it() {
+    let mut b = joined(3, &[0, 1, 2]);
+    b.group_done(&[to(100.0), to(100.0), to(100.0)]);
+    let heard: Vec<usize> = (0..3).map(|index| b.tape(index).heard.len()).collect();
+    // Refused in the loop: member 1 would leave its range. The others are told why they stay.
+    let command = b.group().post(&[Verb::Disable, Verb::Disable, Verb::Disable]).unwrap();
+    assert_eq!(b.group_ended(&command), [Outcome::Done; 3]);
+    let command = b.group().post(&[to(10.0), to(10.0), to(10.0)]).unwrap();
+    let outcomes = b.group_ended(&command);
+    assert!(
+        outcomes.iter().all(|outcome| matches!(outcome, Outcome::Failed(Failure::WrongState(_)))),
+        "{outcomes:?}"
+    );
+    // Member 1 alone is not in operation.
+    let on = b.group().post(&[Verb::Enable, Verb::Reset, Verb::Enable]).unwrap();
+    assert_eq!(b.group_ended(&on), [Outcome::Done; 3]);
+    let command = b.group().post(&[to(10.0), to(10.0), to(10.0)]).unwrap();
+    let outcomes = b.group_ended(&command);
+    assert_eq!(outcomes[0], Outcome::Failed(Failure::GroupRefused));
+    assert!(matches!(outcomes[1], Outcome::Failed(Failure::WrongState(_))), "{outcomes:?}");
+    assert_eq!(outcomes[2], Outcome::Failed(Failure::GroupRefused));
+    b.run(5);
+    for (index, from) in heard.into_iter().enumerate() {
+        let moved = motions(&b, index, from).iter().any(|(_, header)| *header == 0x0100);
+        assert!(!moved, "axis {index}");
+    }
+}
+
+#[test]
+fn numbers_are_checked_for_all_members_before_one_has_anything() {
+    let mut b = joined(2, &[0, 1]);
+    let refused = b.group().post(&[to(10.0), to(1_000.0)]).unwrap_err().to_string();
+    assert!(refused.contains("x1") && refused.contains("outside its limit"), "{refused}");
+    assert_eq!(b.group().post(&[to(10.0)]), Err(GroupError::Count { given: 1, members: 2 }));
+    let refused = b.group().push_rows(&[row(10.0), row(500.0)]).unwrap_err().to_string();
+    assert!(refused.contains("x1"), "{refused}");
+    let mixed = [Row { last: true, ..row(1.0) }, row(1.0)];
+    assert_eq!(b.group().push_rows(&mixed), Err(GroupError::MixedEnd));
+    b.run(20);
+    assert!(!b.feedback(0).moving && !b.feedback(1).moving);
+    assert_eq!(b.group().stream_room(), 1024, "no row of a refused call stays behind");
+    // A queue that is full at one member takes nothing at the other.
+    b.group_done(&[to(10.0), to(10.0)]);
+}
+
+#[test]
+fn axes_that_cannot_act_together_make_no_group_and_are_given_back() {
+    type Change = fn(usize, &mut LinUdpDrive);
+    let cases: [(Change, &str); 4] = [
+        (|_, drive| drive.axis.stop.group = None, "stop.group"),
+        (|index, drive| drive.axis.stop.group = Some(index as u16), "stop.group"),
+        (|index, drive| drive.axis.divisor = index as u32 + 1, "divisor"),
+        (|index, drive| (drive.axis.divisor, drive.axis.phase) = (2, index as u32), "different cycles"),
+    ];
+    for (change, named) in cases {
+        let mut b = rig(2).each(change).start();
+        let refused = Group::new([b.sim.take_axis(0), b.sim.take_axis(1)]).unwrap_err();
+        assert!(refused.to_string().contains(named), "{refused}");
+        assert_eq!(refused.axes.len(), 2);
+    }
+    let mut b = rig(2).start();
+    let one = Group::new([b.sim.take_axis(0)]).unwrap_err();
+    assert!(matches!(one.reason, GroupError::TooFew(1)));
+    let mut other = rig(1).start();
+    let two = Group::new([b.sim.take_axis(1), other.sim.take_axis(0)]).unwrap_err();
+    assert!(matches!(two.reason, GroupError::TwoMachines(..)), "{two}");
+    assert!(Group::new([]).is_err());
+}
+
+/// An arc around 100 mm, in both axes at once; no position of either comes twice.
+fn circle(step: u32) -> [Row; 2] {
+    let angle = 0.3 + f64::from(step) * 0.001;
+    let row = |position: f64, velocity: f64| Row { position, velocity, ..Row::default() };
+    let speed = 0.001 * 1_000.0 * 20.0;
+    [
+        row(100.0 + 20.0 * angle.cos(), -speed * angle.sin()),
+        row(100.0 + 20.0 * angle.sin(), speed * angle.cos()),
+    ]
+}
+
+fn streaming(b: &mut Bench, steps: u32) -> fieldbeat::axis::GroupCommand {
+    let start = circle(0).map(|row| to(row.position));
+    b.group_done(&start);
+    for step in 0..steps {
+        b.group().push_rows(&circle(step)).unwrap();
+    }
+    b.group().follow().unwrap()
+}
+
+/// The rows that the drive heard, in 0.1 um, with their instants; repeated ones once.
+fn rows(b: &Bench, index: usize, from: usize) -> Vec<(Time, i32)> {
+    let mut rows = Vec::new();
+    let mut count = None;
+    for heard in &b.tape(index).heard[from..] {
+        if let Some(motion) = heard.request.motion.filter(|motion| motion.header & 0xFF00 == 0x0300)
+            && count.replace(motion.header & 0xF) != Some(motion.header & 0xF)
+        {
+            let bytes = motion.parameters[..4].try_into().unwrap();
+            rows.push((heard.at, i32::from_le_bytes(bytes)));
+        }
+    }
+    rows
+}
+
+#[test]
+fn rows_are_taken_by_all_members_or_by_none() {
+    let mut b = joined(2, &[0, 1]);
+    let command = streaming(&mut b, 50);
+    let from: Vec<usize> = (0..2).map(|index| b.tape(index).heard.len()).collect();
+    b.run(30);
+    for step in 50..200 {
+        // Rows come in bursts with gaps, but never run out.
+        b.group().push_rows(&circle(step)).unwrap();
+        b.run(u64::from(step % 7 == 0) * 7);
+    }
+    let last = circle(200).map(|row| Row { last: true, velocity: 0.0, ..row });
+    b.group().push_rows(&last).unwrap();
+    assert_eq!(b.group_ended(&command), [Outcome::Done; 2]);
+    let (x, y) = (rows(&b, 0, from[0]), rows(&b, 1, from[1]));
+    let positions = |rows: &[(Time, i32)]| rows.iter().map(|(_, position)| *position).collect::<Vec<_>>();
+    for step in 0..200 {
+        let at = step as usize;
+        assert_eq!(x[at].0, y[at].0, "row {step} of both left in one send");
+        let expected = circle(step).map(|row| (row.position * PER_MM).round() as i32);
+        assert_eq!([positions(&x)[at], positions(&y)[at]], expected, "row {step}");
+    }
+}
+
+#[test]
+fn a_stream_that_runs_empty_at_one_member_is_empty_for_all() {
+    for (underrun, held) in [(Underrun::Hold, true), (Underrun::Stop, false)] {
+        let mut b = rig(2).each(|_, drive| drive.axis.underrun = underrun).start();
+        b.ready();
+        let start = circle(0);
+        for (index, row) in start.iter().enumerate() {
+            b.done(index, to(row.position));
+        }
+        // Rows from before it joined belong to no path of the group.
+        for _ in 0..3 {
+            b.sim.axis(0).push_row(start[0]).unwrap();
+        }
+        let from: Vec<usize> = (0..2).map(|index| b.tape(index).heard.len()).collect();
+        b.join(&[0, 1]);
+        for step in 0..40 {
+            b.group().push_rows(&circle(step)).unwrap();
+        }
+        let command = b.group().follow().unwrap();
+        b.run(60);
+        let told =
+            |b: &Bench, index| b.kinds(index).iter().filter(|kind| **kind == EventKind::Underrun).count();
+        assert_eq!((told(&b, 0), told(&b, 1)), (1, 1));
+        let heard = |b: &Bench, index: usize| {
+            let mut rows: Vec<i32> = rows(b, index, from[index]).into_iter().map(|(_, row)| row).collect();
+            rows.dedup();
+            rows
+        };
+        for index in 0..2 {
+            let path: Vec<i32> =
+                (0..40).map(|step| (circle(step)[index].position * PER_MM).round() as i32).collect();
+            assert_eq!(heard(&b, index), path, "axis {index}");
+        }
+        if held {
+            for step in 40..80 {
+                b.group().push_rows(&circle(step)).unwrap();
+            }
+            b.run(30);
+            assert!(b.feedback(0).stopped.is_none() && b.outcome(0, command.ids()[0]).is_none());
+            assert!(heard(&b, 1).len() > 40, "it goes on when both have rows again");
+        } else {
+            assert!((0..2).all(|index| b.feedback(index).stopped.is_some()));
+        }
+    }
+}
+
+#[test]
+fn a_row_that_one_member_may_not_take_is_sent_to_none() {
+    // The first row is far from the demand of member 1: only the loop can know.
+    let mut b = joined(2, &[0, 1]);
+    b.group_done(&[to(120.0), to(50.0)]);
+    let from: Vec<usize> = (0..2).map(|index| b.tape(index).heard.len()).collect();
+    for step in 0..10 {
+        b.group().push_rows(&circle(step)).unwrap();
+    }
+    let command = b.group().follow().unwrap();
+    let outcomes = b.group_ended(&command);
+    assert!(matches!(outcomes[1], Outcome::Failed(Failure::Limit { .. })), "{outcomes:?}");
+    assert_eq!(outcomes[0], Outcome::Aborted(Abort::Stopped(StopCause::Group)));
+    b.run(20);
+    assert!(rows(&b, 0, from[0]).is_empty() && rows(&b, 1, from[1]).is_empty());
+    assert_eq!(b.feedback(1).stopped, Some(StopCause::Limit));
+}
+
+#[test]
+fn a_member_that_is_stopped_takes_the_group_along_and_it_comes_back_together() {
+    let mut b = joined(3, &[0, 1]);
+    let command = b.group().post(&[slowly_to(150.0), slowly_to(160.0)]).unwrap();
+    b.run(200);
+    b.tape(0).provoke = Some(fieldbeat::bus::linudp::wire::ErrorCode(0x0B));
+    assert_eq!(b.stopped(0, 10), StopCause::DriveFault);
+    assert_eq!(b.feedback(1).stopped, Some(StopCause::Group), "in the same cycle");
+    assert_eq!(b.feedback(2).stopped, Some(StopCause::Group), "by their stop group, a member or not");
+    for (index, cause) in [(0, StopCause::DriveFault), (1, StopCause::Group)] {
+        assert_eq!(b.outcome(index, command.ids()[index]), Some(Outcome::Aborted(Abort::Stopped(cause))));
+    }
+    b.run(1_000);
+    for verb in [Verb::ResetFault, Verb::Reset, Verb::Enable] {
+        b.group_done(&[verb; 2]);
+    }
+    b.group_done(&[to(10.0), to(20.0)]);
+}
+
+#[test]
+fn an_urgent_command_overtakes_what_waits_at_the_gate() {
+    let mut b = joined(2, &[0, 1]);
+    let moving = b.group().post(&[slowly_to(150.0), slowly_to(150.0)]).unwrap();
+    let homing = b.group().post_all(Verb::Home).unwrap();
+    b.run(100);
+    let from: Vec<usize> = (0..2).map(|index| b.tape(index).heard.len()).collect();
+    let stop = b.group().post_all(Verb::Stop { deceleration: None }).unwrap();
+    assert_eq!(b.group_ended(&stop), [Outcome::Done; 2]);
+    for (command, index) in [(&moving, 0), (&moving, 1), (&homing, 0), (&homing, 1)] {
+        let outcome = b.outcome(index, command.ids()[index]);
+        assert_eq!(outcome, Some(Outcome::Aborted(Abort::Replaced(stop.ids()[index]))));
+    }
+    let sent =
+        [0, 1].map(|index| motions(&b, index, from[index]).iter().find(|(_, id)| *id == 0x0170).unwrap().0);
+    assert_eq!(sent[0], sent[1]);
+}
+
+#[test]
+fn misses_of_all_members_together_stop_the_group() {
+    // No member alone loses its link: a bucket holds 8, and three lose 3 each.
+    let health = Health { bucket: 8, leak: 1_000, ..Health::default() };
+    let mut b = rig(3).each(|_, drive| drive.axis.health = health).start();
+    b.ready();
+    b.join(&[0, 1, 2]);
+    let command = b.group().post(&[slowly_to(150.0); 3]).unwrap();
+    b.run(50);
+    for index in 0..3 {
+        b.tape(index).mute = true;
+        b.run(3);
+        b.tape(index).mute = false;
+        b.run(2);
+        let stopped = b.feedback(0).stopped;
+        assert_eq!(stopped.is_some(), index == 2, "after {} misses", 3 * (index + 1));
+    }
+    for index in 0..3 {
+        assert_eq!(b.feedback(index).stopped, Some(StopCause::GroupLink));
+        let missed = b.kinds(index).iter().filter(|kind| **kind == EventKind::MissedInGroup).count();
+        assert!((2..=3).contains(&missed), "axis {index} was told of {missed}");
+        let outcome = b.outcome(index, command.ids()[index]);
+        assert_eq!(outcome, Some(Outcome::Aborted(Abort::Stopped(StopCause::GroupLink))));
+    }
+    // Standing, or each for itself, nothing is counted together.
+    let mut b = rig(3).each(|_, drive| drive.axis.health = health).start();
+    b.ready();
+    b.join(&[0, 1, 2]);
+    for index in 0..3 {
+        b.tape(index).mute = true;
+        b.run(4);
+        b.tape(index).mute = false;
+        b.run(2);
+    }
+    assert!((0..3).all(|index| b.feedback(index).stopped.is_none()));
+}
+
+#[test]
+fn a_row_that_could_not_be_sent_to_one_member_leaves_the_others_in_step() {
+    let mut b = joined(2, &[0, 1]);
+    let command = streaming(&mut b, 400);
+    b.run(20);
+    let from: Vec<usize> = (0..2).map(|index| b.tape(index).heard.len()).collect();
+    b.tape(1).jammed = true;
+    b.run(1);
+    b.tape(1).jammed = false;
+    b.run(50);
+    assert_eq!(b.outcome(1, command.ids()[1]), None);
+    assert!(b.kinds(1).contains(&EventKind::MissedInGroup));
+    let (x, y) = (rows(&b, 0, from[0]), rows(&b, 1, from[1]));
+    // What was sent in one instant belongs to one step of the circle.
+    let mut together = 0;
+    for (at, position) in &x {
+        if let Some((_, other)) = y.iter().find(|(time, _)| time == at) {
+            let step = (0..400).find(|step| (circle(*step)[0].position * PER_MM).round() as i32 == *position);
+            let expected = (circle(step.unwrap())[1].position * PER_MM).round() as i32;
+            assert_eq!(*other, expected, "at {at:?}");
+            together += 1;
+        }
+    }
+    assert!(together >= 45, "{together}");
+}
+
+/// Two drives, and a master, that bear a long row of misses in a stream.
+fn patient() -> Rig {
+    rig(2).each(|_, drive| {
+        drive.axis.health = Health { bucket: 200, ..Health::default() };
+        drive.simulate.stream_patience = 1_000.0;
+        drive.simulate.stream_depth = 1_000;
+    })
+}
+
+#[test]
+fn slots_that_are_passed_over_keep_the_members_in_step() {
+    let mut b = patient().start();
+    b.ready();
+    b.join(&[0, 1]);
+    streaming(&mut b, 600);
+    let from: Vec<usize> = (0..2).map(|index| b.tape(index).heard.len()).collect();
+    for turn in 0..200 {
+        if turn % 20 == 5 {
+            b.world().delay_next_wake(1_000_000 + turn * 10_000);
+        }
+        b.step();
+    }
+    let (x, y) = (rows(&b, 0, from[0]), rows(&b, 1, from[1]));
+    assert!(x.len() > 150 && b.status().skipped > 5);
+    for ((at, position), (time, other)) in x.iter().zip(&y) {
+        assert_eq!(at, time);
+        let step =
+            (0..600).find(|step| (circle(*step)[0].position * PER_MM).round() as i32 == *position).unwrap();
+        assert_eq!(*other, (circle(step)[1].position * PER_MM).round() as i32);
+    }
+}
+
+#[test]
+fn in_bad_weather_members_never_take_rows_of_two_steps_in_one_send() {
+    for seed in 0..10 {
+        let weather = FaultPlan { drop: 0.05, duplicate: 0.05, ..FaultPlan::default() };
+        let mut b = patient().start();
+        b.ready();
+        b.join(&[0, 1]);
+        streaming(&mut b, 900);
+        for index in 0..2 {
+            b.world()
+                .set_faults(address(index), FaultPlan { seed: seed * 2 + index as u64, ..weather.clone() });
+        }
+        b.run(600);
+        // What both drives heard of one step was sent in one slot, whatever the others have lost.
+        let slot_of = |rows: Vec<(Time, i32)>, axis: usize| {
+            let mut slots = std::collections::BTreeMap::new();
+            for (at, position) in rows {
+                let found =
+                    (0..900).find(|step| (circle(*step)[axis].position * PER_MM).round() as i32 == position);
+                slots.entry(found.unwrap()).or_insert(at);
+            }
+            slots
+        };
+        let (x, y) = (slot_of(rows(&b, 0, 0), 0), slot_of(rows(&b, 1, 0), 1));
+        let mut compared = 0;
+        for (step, slot) in &x {
+            if let Some(other) = y.get(step) {
+                assert_eq!(slot, other, "seed {seed}, step {step}");
+                compared += 1;
+            }
+        }
+        assert!(compared > 400, "seed {seed}: {compared}");
+        assert!(b.feedback(0).stopped.is_none(), "seed {seed}");
+    }
+}
+
+#[test]
+fn a_move_of_a_group_ends_where_each_member_was_told() {
+    let mut b = joined(2, &[1, 0]);
+    let command = b.group().post(&[by(5.0), with(Target::Absolute(77.0), 300.0, 5_000.0)]).unwrap();
+    assert_eq!(b.group_ended(&command), [Outcome::Done; 2]);
+    assert_near(b.feedback(0).demand, 77.0, 0.001);
+    let axes = b.group().axes().iter().map(|axis| axis.name().to_owned()).collect::<Vec<_>>();
+    assert_eq!(axes, ["x1", "x0"]);
+}
+
+#[test]
+fn a_motion_that_fails_at_one_member_stops_all() {
+    // Member 0 jogs into its limit; the protocol ends its command there.
+    let mut b = joined(2, &[0, 1]);
+    b.group_done(&[to(190.0), to(50.0)]);
+    let command = b.group().post(&[jog(30.0), jog(30.0)]).unwrap();
+    assert_eq!(b.stopped(0, 2_000), StopCause::GroupFailed);
+    assert_eq!(b.feedback(1).stopped, Some(StopCause::Group), "in the same cycle");
+    let outcomes = b.group_ended(&command);
+    assert!(matches!(outcomes[0], Outcome::Failed(Failure::Limit { .. })), "{outcomes:?}");
+    assert_eq!(outcomes[1], Outcome::Aborted(Abort::Stopped(StopCause::Group)));
+}
+
+#[test]
+fn the_task_reaches_a_member_in_motion_with_a_stop_only() {
+    let mut b = rig(2)
+        .task(|cycle, axes| match cycle.index {
+            6_000..6_100 => assert!(axes.command(0, to(1.0)).is_err()),
+            6_100 => drop(axes.command(0, Verb::Stop { deceleration: None }).unwrap()),
+            _ => {}
+        })
+        .start();
+    b.ready();
+    b.join(&[0, 1]);
+    b.until("cycle 5900", 5_900, |b| b.status().planned >= 5_900);
+    let command = b.group().post(&[slowly_to(150.0), slowly_to(150.0)]).unwrap();
+    b.until("the stop of the task", 300, |b| b.outcome(0, command.ids()[0]).is_some());
+    // Taken out of the motion of its group, it takes the others along.
+    assert_eq!(
+        b.outcome(0, command.ids()[0]),
+        Some(Outcome::Aborted(Abort::Stopped(StopCause::GroupFailed)))
+    );
+    b.run(1);
+    assert_eq!(b.outcome(1, command.ids()[1]), Some(Outcome::Aborted(Abort::Stopped(StopCause::Group))));
+}
+
+#[test]
+fn a_stop_is_refused_to_no_member_because_of_another() {
+    // Member 1 is lost and latched; member 0 was brought back by the task, alone, and moves.
+    let mut b = rig(2)
+        .task(|cycle, axes| match cycle.index {
+            9_000 => drop(axes.command(0, Verb::Reset)),
+            9_010 => drop(axes.command(0, Verb::Enable)),
+            9_600 => drop(axes.command(0, slowly_to(150.0))),
+            _ => {}
+        })
+        .start();
+    b.ready();
+    b.join(&[0, 1]);
+    b.world().unplug(address(1));
+    b.stopped(1, 50);
+    b.until("the task moves member 0", 9_700, |b| b.status().planned > 9_650);
+    assert!(b.feedback(0).moving);
+    let stop = b.group().post_all(Verb::QuickStop).unwrap();
+    assert_eq!(b.ended(0, stop.ids()[0]), Outcome::Done);
+    assert_eq!(b.ended(1, stop.ids()[1]), Outcome::Failed(Failure::NotOnline));
+    assert!(!b.feedback(0).moving);
+}
+
+#[test]
+fn velocities_of_all_members_are_set_together_and_refused_together() {
+    let mut b = joined(2, &[0, 1]);
+    b.group_done(&[to(50.0), to(50.0)]);
+    let command = b.group().post_all(Verb::Velocity { acceleration: 2_000.0 }).unwrap();
+    for _ in 0..300 {
+        b.group().set_velocities(&[20.0, 40.0]).unwrap();
+        b.step();
+    }
+    assert_near(b.feedback(0).velocity, 20.0, 1.0);
+    assert_near(b.feedback(1).velocity, 40.0, 1.0);
+    assert!(b.group().set_velocities(&[1.0, 5_000.0]).is_err());
+    let mixed = b.group().post(&[Verb::Follow, Verb::Home]);
+    assert_eq!(mixed, Err(GroupError::MixedFollow));
+    b.run(12);
+    assert!((0..2).all(|index| b.feedback(index).stopped.is_some()), "nobody sets them any more");
+    assert!(matches!(b.outcome(0, command.ids()[0]), Some(Outcome::Aborted(_))));
+}

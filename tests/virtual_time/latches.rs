@@ -1,0 +1,233 @@
+//! Every cause of a master's stop, alone: what is told, in which order, how the latch holds, and how it opens.
+
+use std::time::Duration;
+
+use fieldbeat::axis::{Abort, CommandId, EventKind, Failure, Link, Outcome, StopCause, Verb};
+use fieldbeat::bus::linudp::wire::ErrorCode;
+use fieldbeat::cycle::engine::Flow;
+use fieldbeat::time::MS;
+
+use crate::support::*;
+
+/// How one cause comes about in a machine of three axes: 0 is the one that is looked at, 1 is of its group, 2 is alone.
+struct Case {
+    rig: fn(Rig) -> Rig,
+    /// Up to the motion that it cuts off; the command of that.
+    lead: fn(&mut Bench) -> CommandId,
+    /// The cause itself.
+    strike: fn(&mut Bench),
+    /// Where the running command is what the stop is for, it fails by itself; or else it is aborted like all others.
+    fails: fn(&Failure) -> bool,
+    /// What stops the others.
+    others: [Option<StopCause>; 2],
+}
+
+/// A move, and a stop that takes the group along.
+const CASE: Case = Case {
+    rig: |rig| rig,
+    lead: |b| {
+        b.ready();
+        b.post(0, slowly_to(100.0))
+    },
+    strike: |_| {},
+    fails: |_| false,
+    others: [Some(StopCause::Group), None],
+};
+
+/// One line a cause. A new one breaks the build until it has its own.
+macro_rules! causes {
+    ($($cause:ident => $case:expr),+ $(,)?) => {
+        const CAUSES: &[(StopCause, Case)] = &[$((StopCause::$cause, $case)),+];
+        const _: fn(StopCause) = |cause| match cause {
+            $(StopCause::$cause => {})+
+            // Only members of a `Group` know them: see `groups`.
+            StopCause::GroupLink | StopCause::GroupFailed => {}
+        };
+    };
+}
+
+causes! {
+    Shutdown => Case { strike: |b| b.sim.stop(), others: [Some(StopCause::Shutdown); 2], ..CASE },
+    LinkLost => Case { strike: |b| b.tape(0).mute = true, ..CASE },
+    DriveFault => Case { strike: |b| b.tape(0).provoke = Some(ErrorCode(0x0B)), ..CASE },
+    DriveDropped => Case { strike: |b| assert!(b.world().restart(address(0))), ..CASE },
+    Overrun => Case {
+        // Ten slots in a row may be passed over.
+        strike: |b| b.world().delay_next_wake(11 * MS),
+        others: [Some(StopCause::Overrun); 2],
+        ..CASE
+    },
+    Underrun => Case {
+        lead: |b| follow(b, 0.01),
+        fails: |failure| *failure == Failure::Underrun,
+        ..CASE
+    },
+    Limit => Case {
+        // A step that the door lets pass: how long it may take, only the loop knows.
+        lead: |b| follow(b, 1.5),
+        fails: |failure| matches!(failure, Failure::Limit { what: "speed between rows", .. }),
+        ..CASE
+    },
+    Task => Case {
+        rig: |rig| {
+            rig.task(|cycle, _| {
+                if cycle.index == 1_500 {
+                    // Quietly: the message of a panic is not this test's.
+                    std::panic::resume_unwind(Box::new("on purpose"));
+                }
+            })
+        },
+        others: [Some(StopCause::Task); 2],
+        ..CASE
+    },
+    FoundRunning => Case {
+        rig: |rig| rig.each(|index, drive| drive.simulate.start_running = index == 0),
+        lead: |b| {
+            b.until("the first answer", 20, |b| b.feedback(0).link == Link::Qualifying);
+            // The next one passes the quality gate; what is asked now waits for the end of that cycle.
+            b.run(8);
+            b.post(0, Verb::Enable)
+        },
+        ..CASE
+    },
+    HardwareEnable => Case { strike: |b| assert!(b.world().inhibit(address(0), 50 * MS)), ..CASE },
+    Heartbeat => Case {
+        rig: |rig| rig.cycle(|cycle| cycle.heartbeat_ns = Some(1_500 * MS)),
+        // The application does nothing any more.
+        others: [Some(StopCause::Heartbeat); 2],
+        ..CASE
+    },
+    StaleSetpoint => Case {
+        lead: |b| {
+            b.ready();
+            let id = b.post(0, Verb::Velocity { acceleration: 1_000.0 });
+            b.sim.axis(0).set_velocity(5.0).unwrap();
+            b.run(5);
+            id
+        },
+        ..CASE
+    },
+    DeadMan => Case {
+        rig: |rig| rig.each(|_, drive| drive.axis.jog_deadman = Some(Duration::from_millis(50))),
+        lead: |b| {
+            b.ready();
+            b.post(0, jog(5.0))
+        },
+        ..CASE
+    },
+    Group => Case {
+        strike: |b| b.tape(1).provoke = Some(ErrorCode(0x0B)),
+        others: [Some(StopCause::DriveFault), None],
+        ..CASE
+    },
+}
+
+/// Follows a few rows, the last of which is `step` further than the others are.
+fn follow(b: &mut Bench, step: f64) -> CommandId {
+    b.ready();
+    for n in 0..50 {
+        let position = 0.01 * f64::from(n) + if n == 49 { step } else { 0.0 };
+        b.sim.axis(0).push_row(row(position)).unwrap();
+    }
+    b.post(0, Verb::Follow)
+}
+
+fn try_cause(cause: StopCause, case: &Case) {
+    let mut b =
+        (case.rig)(Rig::new(3).each(|index, drive| drive.axis.stop.group = (index < 2).then_some(1))).start();
+    let running = (case.lead)(&mut b);
+    // Home waits for a motion, and a motion for Home.
+    let waiting = [Verb::Home, to(5.0)].map(|verb| b.post(0, verb));
+    assert!((0..3).all(|index| b.feedback(index).stopped.is_none()), "{cause}: alone");
+    let before = b.events.len();
+    (case.strike)(&mut b);
+    assert_eq!(b.stopped(0, 2_000), cause);
+
+    // What runs may fail, then comes the stop, then the end of everything else, in order and in the same cycle.
+    let told: Vec<_> = (b.events[before..].iter().filter(|(axis, _)| *axis == 0).map(|(_, event)| *event))
+        .filter(|event| matches!(event.kind, EventKind::Stopped(_) | EventKind::Ended { .. }))
+        .collect();
+    assert!(told.iter().all(|event| event.cycle == told[0].cycle), "{cause}: {told:?}");
+    let mut told = told.into_iter().map(|event| match event.kind {
+        EventKind::Ended { id, outcome, .. } => (Some(id), outcome),
+        _ => (None, Outcome::Aborted(Abort::Stopped(cause))),
+    });
+    let aborted = Outcome::Aborted(Abort::Stopped(cause));
+    let mut expected = vec![(None, aborted)];
+    match b.outcome(0, running) {
+        Some(Outcome::Failed(failure)) if (case.fails)(&failure) => {
+            assert_eq!(told.next(), Some((Some(running), Outcome::Failed(failure))), "{cause}");
+        }
+        _ => expected.push((Some(running), aborted)),
+    }
+    expected.extend(waiting.map(|id| (Some(id), aborted)));
+    assert!(told.eq(expected), "{cause}: {:?}", &b.events[before..]);
+    // A stop for a row comes after the judging; the group is told in the next one.
+    b.step();
+    assert_eq!([1, 2].map(|index| b.feedback(index).stopped), case.others, "{cause}");
+
+    if cause == StopCause::Shutdown {
+        return assert_ends(b, cause);
+    }
+    assert_holds(&mut b, cause);
+    assert_opens(&mut b, cause);
+    // The others have kept their first cause, whatever came after it, and keep it to the end.
+    let others = [1, 2].map(|index| b.feedback(index).stopped);
+    assert_eq!(others[0], case.others[0], "{cause}");
+    b.shut_down(10_000);
+    let kept = |index: usize| others[index - 1].unwrap_or(StopCause::Shutdown);
+    assert_eq!(
+        [1, 2].map(|index| b.feedback(index).stopped),
+        [1, 2].map(|index| Some(kept(index))),
+        "{cause}"
+    );
+}
+
+/// No motion is taken, and no other cause takes the place of the first one.
+fn assert_holds(b: &mut Bench, cause: StopCause) {
+    for verb in [Verb::Enable, Verb::Home, to(5.0), jog(5.0), Verb::Follow] {
+        assert_eq!(b.failed(0, verb), Failure::Latched(cause), "{cause}: {verb:?}");
+    }
+    b.tape(0).mute = true;
+    b.until("a lost link", 100, |b| b.feedback(0).link == Link::Lost);
+    b.world().delay_next_wake(12 * MS);
+    b.run(20);
+    b.world().restart(address(0));
+    b.tape(0).mute = false;
+    b.online().run(200);
+    let stops = b.kinds(0).into_iter().filter(|kind| matches!(kind, EventKind::Stopped(_)));
+    assert_eq!(stops.collect::<Vec<_>>(), [EventKind::Stopped(cause)]);
+    assert_eq!(b.feedback(0).stopped, Some(cause));
+}
+
+/// Only reset opens it, and only enable after that lets it move.
+fn assert_opens(b: &mut Bench, cause: StopCause) {
+    b.done(0, Verb::ResetFault);
+    assert_eq!(b.failed(0, to(5.0)), Failure::Latched(cause));
+    b.done(0, Verb::Reset);
+    assert_eq!(b.feedback(0).stopped, None, "{cause}");
+    let failure = b.failed(0, Verb::Home);
+    assert!(matches!(failure, Failure::WrongState(_) | Failure::NotEnabled), "{cause}: {failure}");
+    b.done(0, Verb::Enable);
+    b.done(0, Verb::Home);
+    b.done(0, to(5.0));
+    assert_eq!(b.feedback(0).stopped, None, "{cause}");
+}
+
+/// The end of the master: nothing is taken any more.
+fn assert_ends(mut b: Bench, cause: StopCause) {
+    let asked = [Verb::Reset, Verb::Enable, to(5.0)].map(|verb| b.post(0, verb));
+    let ended = (0..1_000).any(|_| b.step() == Flow::End);
+    assert!(ended, "{cause}");
+    for id in asked {
+        assert_eq!(b.outcome(0, id), Some(Outcome::Aborted(Abort::Stopped(cause))));
+    }
+    assert!((0..3).all(|index| b.feedback(index).stopped == Some(cause)));
+}
+
+#[test]
+fn every_cause_latches_tells_in_order_and_opens_by_reset_and_enable() {
+    for (cause, case) in CAUSES {
+        try_cause(*cause, case);
+    }
+}

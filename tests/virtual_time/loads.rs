@@ -1,0 +1,133 @@
+//! Loads that drop when nothing holds them, and the hardware enable (STO) that takes the power away.
+
+use fieldbeat::axis::{
+    Abort, EventKind, Failure, HeldBy, Load, Outcome, State, StopCause, StopThen, StopTimeout, Verb,
+};
+use fieldbeat::bus::linudp::wire::ControlWord;
+use fieldbeat::time::MS;
+
+use crate::support::*;
+
+fn vertical(held_by: HeldBy) -> Rig {
+    Rig::new(1).each(move |_, drive| {
+        drive.axis.load = Load::Vertical(held_by);
+        if held_by == HeldBy::Drive {
+            (drive.axis.stop.then, drive.axis.stop.on_timeout) = (StopThen::Hold, StopTimeout::Hold);
+        }
+    })
+}
+
+/// The drive was never told to take the power off while its demand moved.
+fn assert_never_dropped(b: &Bench) {
+    for pair in b.tape(0).heard.windows(2) {
+        let off = pair[1].request.control.is_some_and(|control| !control.has(ControlWord::SWITCH_ON));
+        let moving =
+            pair[0].reply.and_then(|reply| reply.status).is_some_and(|status| status.motion_active());
+        assert!(!(off && moving), "power off in motion at {:?}", pair[1].at);
+    }
+}
+
+#[test]
+fn a_load_that_only_the_drive_holds_is_never_powered_off_by_the_master() {
+    // By the loss of its link, by the end of the master, and by an impatient end.
+    for (lose, asked) in [(false, 1), (true, 1), (false, 2), (true, 2)] {
+        let mut b = vertical(HeldBy::Drive).start();
+        b.ready();
+        let from = b.tape(0).heard.len();
+        b.post(0, slowly_to(150.0));
+        b.run(200);
+        if lose {
+            b.world().unplug(address(0));
+            assert_eq!(b.stopped(0, 20), StopCause::LinkLost);
+            b.run(300);
+            b.world().plug(address(0));
+            b.online();
+            b.until("standstill", 1_000, |b| !b.feedback(0).moving);
+        }
+        (1..asked).for_each(|_| b.sim.stop());
+        b.shut_down(10_000);
+        let off =
+            |heard: &Heard| heard.request.control.is_some_and(|control| !control.has(ControlWord::SWITCH_ON));
+        assert!(!b.tape(0).heard[from..].iter().any(off), "lost {lose}, asked {asked} times");
+        assert_eq!(b.feedback(0).state, State::OperationEnabled);
+        assert!(b.feedback(0).velocity.abs() < 1.0);
+    }
+}
+
+#[test]
+fn a_load_with_a_brake_is_powered_off_at_standstill() {
+    let mut b = vertical(HeldBy::Brake).start();
+    b.ready();
+    b.post(0, slowly_to(150.0));
+    b.run(200);
+    b.shut_down(10_000);
+    assert!(!b.feedback(0).state.is_powered());
+    assert_never_dropped(&b);
+}
+
+#[test]
+fn the_application_cannot_drop_a_load_in_motion() {
+    for held_by in [HeldBy::Brake, HeldBy::Drive] {
+        let mut b = vertical(held_by).start();
+        b.ready();
+        b.post(0, slowly_to(150.0));
+        b.run(200);
+        assert_eq!(b.failed(0, Verb::Disable), Failure::LoadInMotion);
+        assert!(b.feedback(0).moving, "refused, it has replaced nothing");
+        b.done(0, Verb::Stop { deceleration: None });
+        // At standstill it is the application's to decide: the load may be on its block.
+        b.done(0, Verb::Disable);
+        assert_never_dropped(&b);
+    }
+}
+
+#[test]
+fn the_hardware_enable_is_seen_as_a_state_and_a_stop_of_its_own_name() {
+    let mut b = Rig::new(2).each(|_, drive| drive.axis.stop.group = Some(1)).start();
+    b.ready();
+    let id = b.post(0, slowly_to(150.0));
+    b.run(200);
+    assert!(!b.feedback(0).inhibited);
+    b.world().inhibit(address(0), 300 * MS);
+    assert_eq!(b.stopped(0, 10), StopCause::HardwareEnable);
+    assert_eq!(b.feedback(1).stopped, Some(StopCause::Group));
+    assert!(b.feedback(0).inhibited && !b.feedback(0).state.is_powered());
+    assert_eq!(b.outcome(0, id), Some(Outcome::Aborted(Abort::Stopped(StopCause::HardwareEnable))));
+    b.run(50);
+    b.done(0, Verb::Reset);
+    assert_eq!(b.failed(0, Verb::Enable), Failure::Inhibited, "named before anything is tried");
+    b.until("the hardware enable is back", 400, |b| !b.feedback(0).inhibited);
+    b.run(100);
+    assert!(!b.feedback(0).state.is_powered(), "and nothing comes on by itself");
+    let told: Vec<EventKind> =
+        b.kinds(0).into_iter().filter(|kind| matches!(kind, EventKind::HardwareEnable(_))).collect();
+    assert_eq!(told, [EventKind::HardwareEnable(false), EventKind::HardwareEnable(true)]);
+    b.done(0, Verb::Enable);
+    b.done(0, to(20.0));
+}
+
+#[test]
+fn an_enable_without_the_hardware_enable_fails_at_once_and_powers_nothing_on_later() {
+    let mut b = Rig::new(1).start();
+    b.world().inhibit(address(0), 2_000 * MS);
+    b.online();
+    b.run(50);
+    // The drive shows the control word of whoever wrote last: before anything is written, its bit says nothing.
+    assert!(!b.feedback(0).inhibited);
+    let id = b.post(0, Verb::Enable);
+    b.until("the end of the enable", 20, |b| b.outcome(0, id).is_some());
+    assert_eq!(b.outcome(0, id), Some(Outcome::Failed(Failure::Inhibited)));
+    b.run(3_000);
+    assert!(!b.feedback(0).inhibited && !b.feedback(0).state.is_powered());
+    b.done(0, Verb::Enable);
+}
+
+#[test]
+fn a_drive_that_boots_has_not_lost_its_hardware_enable() {
+    let mut b = Rig::new(1).start();
+    b.ready();
+    b.world().restart(address(0));
+    b.run(400);
+    assert!(b.kinds(0).contains(&EventKind::Restarted));
+    assert!(!b.kinds(0).iter().any(|kind| matches!(kind, EventKind::HardwareEnable(_))));
+}

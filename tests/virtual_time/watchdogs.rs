@@ -1,0 +1,339 @@
+//! When the application grows silent: velocities too old, jogs that nobody holds, and its heartbeat; and what the drive does
+//! behind everybody's back.
+
+use fieldbeat::axis::{Abort, Axis, Failure, Outcome, StopCause, Verb};
+use fieldbeat::bus::linudp::motion::MotionCommand;
+use fieldbeat::bus::linudp::motion::Vad;
+use fieldbeat::bus::linudp::native::{Native, NativeOutput};
+use fieldbeat::time::MS;
+
+use crate::support::*;
+
+const VELOCITY: Verb = Verb::Velocity { acceleration: 5_000.0 };
+
+fn set(b: &mut Bench, velocity: f64) {
+    b.sim.axis(0).set_velocity(velocity).unwrap();
+}
+
+#[test]
+fn cyclic_velocities_are_followed_in_both_directions() {
+    let mut b = Rig::new(1).start();
+    b.ready();
+    b.done(0, to(100.0));
+    let id = b.post(0, VELOCITY);
+    let mut low = f64::INFINITY;
+    for turn in 0..600 {
+        let velocity = if turn < 300 { 80.0 } else { -60.0 };
+        set(&mut b, velocity);
+        b.step();
+        if turn == 280 {
+            assert_near(b.feedback(0).velocity, 80.0, 1.0);
+        }
+        low = low.min(b.feedback(0).velocity);
+    }
+    assert_near(low, -60.0, 2.0);
+    assert_eq!(b.outcome(0, id), None);
+    // Zero stands, and goes on from there.
+    for _ in 0..200 {
+        set(&mut b, 0.0);
+        b.step();
+    }
+    assert!(!b.feedback(0).moving);
+    for _ in 0..200 {
+        set(&mut b, 30.0);
+        b.step();
+    }
+    assert_near(b.feedback(0).velocity, 30.0, 1.0);
+    b.done(0, Verb::Stop { deceleration: None });
+    assert!(matches!(b.outcome(0, id), Some(Outcome::Aborted(Abort::Replaced(_)))));
+}
+
+#[test]
+fn a_velocity_that_is_too_old_stops_the_axis_in_the_cycle_that_was_said() {
+    for age in [1, 10, 50] {
+        let mut b = Rig::new(1).each(|_, drive| drive.axis.setpoint_age = age).start();
+        b.ready();
+        let id = b.post(0, VELOCITY);
+        for _ in 0..100 {
+            set(&mut b, 50.0);
+            b.step();
+        }
+        // The last one was taken in the last step; it counts for `age` cycles.
+        b.run(u64::from(age));
+        assert_eq!(b.feedback(0).stopped, None, "age {age}");
+        b.run(1);
+        assert_eq!(b.feedback(0).stopped, Some(StopCause::StaleSetpoint), "age {age}");
+        assert_eq!(b.outcome(0, id), Some(Outcome::Aborted(Abort::Stopped(StopCause::StaleSetpoint))));
+        b.run(200);
+        assert!(!b.feedback(0).state.is_powered());
+    }
+}
+
+#[test]
+fn a_velocity_mode_without_a_first_setpoint_stands_and_is_stopped() {
+    let mut b = Rig::new(1).start();
+    b.ready();
+    b.post(0, VELOCITY);
+    b.run(11);
+    assert!(!b.feedback(0).moving && b.feedback(0).stopped.is_none());
+    assert_eq!(b.stopped(0, 2), StopCause::StaleSetpoint);
+    // One that was left from long before is none.
+    b.run(300);
+    b.recover(0);
+    set(&mut b, 100.0);
+    b.run(50);
+    let demand = b.feedback(0).demand;
+    b.post(0, VELOCITY);
+    b.run(10);
+    assert_eq!(b.feedback(0).demand, demand);
+}
+
+#[test]
+fn velocities_beyond_the_limits_are_refused_at_the_door() {
+    let mut b = Rig::new(1).start();
+    b.ready();
+    for value in [f64::NAN, f64::INFINITY, 1_000.1, -1_000.1] {
+        assert!(b.sim.axis(0).set_velocity(value).is_err(), "{value}");
+    }
+    assert!(b.sim.axis(0).post(Verb::Velocity { acceleration: 0.0 }).is_err());
+    assert!(b.sim.axis(0).post(Verb::Velocity { acceleration: 20_001.0 }).is_err());
+    // Faster than the leash lets it brake: only the drive's protocol knows.
+    let id = b.post(0, VELOCITY);
+    for _ in 0..10 {
+        b.sim.axis(0).set_velocity(900.0).unwrap();
+        b.step();
+    }
+    assert!(matches!(b.outcome(0, id), Some(Outcome::Failed(Failure::Limit { .. }))));
+    // The queue is bounded, and says so.
+    let full = (0..1_000).find_map(|_| b.sim.axis(0).set_velocity(1.0).err()).unwrap().to_string();
+    assert!(full.contains("full"), "{full}");
+}
+
+#[test]
+fn a_jog_that_nobody_holds_stops() {
+    let mut b = Rig::new(1)
+        .each(|_, drive| drive.axis.jog_deadman = Some(std::time::Duration::from_millis(50)))
+        .start();
+    b.ready();
+    // Held for as long as it is renewed, at whatever velocity.
+    let id = b.post(0, jog(40.0));
+    for turn in 0..20 {
+        b.run(40);
+        set(&mut b, 40.0 + f64::from(turn % 3));
+    }
+    assert_eq!((b.outcome(0, id), b.feedback(0).stopped), (None, None));
+    b.run(1 + 50);
+    assert_eq!(b.feedback(0).stopped, None);
+    b.run(1);
+    assert_eq!(b.feedback(0).stopped, Some(StopCause::DeadMan));
+    assert_eq!(b.outcome(0, id), Some(Outcome::Aborted(Abort::Stopped(StopCause::DeadMan))));
+    // A button that is released stops without a latch.
+    b.run(300);
+    b.recover(0);
+    b.post(0, jog(-40.0));
+    b.run(20);
+    b.done(0, Verb::Stop { deceleration: None });
+    b.run(200);
+    assert_eq!(b.feedback(0).stopped, None);
+}
+
+#[test]
+fn the_task_may_set_velocities_and_is_watched_like_anybody() {
+    let mut b = Rig::new(1)
+        .task(|cycle, axes| {
+            let set = if cycle.index < 3_000 { axes.set_velocity(0, 25.0) } else { Ok(()) };
+            assert_eq!(set, Ok(()));
+            assert!(axes.set_velocity(7, 1.0).is_err());
+            if cycle.index == 1 {
+                assert!(axes.set_velocity(0, 5_000.0).is_err());
+            }
+        })
+        .start();
+    b.ready();
+    b.done(0, to(50.0));
+    b.post(0, VELOCITY);
+    b.until("cycle 3000", 3_000, |b| b.status().planned >= 3_000);
+    assert_near(b.feedback(0).velocity, 25.0, 1.0);
+    assert_eq!(b.stopped(0, 15), StopCause::StaleSetpoint);
+}
+
+#[test]
+fn a_silent_application_stops_what_is_enabled_and_nothing_else() {
+    let beat = 30;
+    let mut b = Rig::new(2).cycle(|cycle| cycle.heartbeat_ns = Some(beat * MS)).start();
+    b.online();
+    b.run(200);
+    assert_eq!(b.feedback(0).stopped, None, "nothing is enabled, so that nothing can happen");
+    // Blocking calls feed it while they wait; here somebody has to.
+    let enabled = b.post(0, Verb::Enable);
+    b.until("enabled", 1_000, |b| {
+        b.sim.alive();
+        b.outcome(0, enabled).is_some()
+    });
+    for _ in 0..20 {
+        b.run(25);
+        b.sim.alive();
+    }
+    assert_eq!(b.feedback(0).stopped, None);
+    // Any accepted command, row or velocity is a sign of life.
+    for turn in 0..30 {
+        b.run(25);
+        match turn % 2 {
+            0 => drop(b.post(0, Verb::Stop { deceleration: None })),
+            _ => set(&mut b, 1.0),
+        }
+    }
+    assert_eq!(b.feedback(0).stopped, None);
+    b.run(1 + beat);
+    assert_eq!(b.feedback(0).stopped, None);
+    b.run(1);
+    assert_eq!(b.feedback(0).stopped, Some(StopCause::Heartbeat));
+    assert_eq!(b.feedback(1).stopped, None, "it was not enabled");
+    b.run(300);
+    assert!(!b.feedback(0).state.is_powered());
+}
+
+#[test]
+fn without_a_heartbeat_in_the_plan_nobody_watches() {
+    let mut b = Rig::new(1).start();
+    b.ready();
+    b.run(20_000);
+    assert_eq!(b.feedback(0).stopped, None);
+}
+
+fn native(b: &mut Bench) -> Box<Native> {
+    let axis: &mut Axis = b.sim.axis(0);
+    axis.native::<Native>().expect("a LinUDP drive has its own process data")
+}
+
+fn go(native: &mut Native, position_mm: f64, velocity_mm_s: f64) {
+    let vad =
+        Vad { velocity: (velocity_mm_s * 1_000.0) as u32, acceleration: 2_000_000, deceleration: 2_000_000 };
+    let motion = MotionCommand::go_to((position_mm * PER_MM) as i32, vad);
+    native.write(NativeOutput { motion: Some(motion), ..NativeOutput::default() }).unwrap();
+}
+
+#[test]
+fn limits_hold_for_native_process_data_too() {
+    use fieldbeat::axis::NativeOwner;
+    // Too fast.
+    let mut b = Rig::new(1).start();
+    b.ready();
+    let mut raw = native(&mut b);
+    b.post(0, Verb::Native(NativeOwner::Master));
+    b.run(10);
+    go(&mut raw, 190.0, 1_500.0);
+    assert_eq!(b.stopped(0, 400), StopCause::Limit);
+    assert!(b.feedback(0).velocity < 1_200.0, "{}", b.feedback(0).velocity);
+    // Beyond the range, with room to brake.
+    let mut b = Rig::new(1).start();
+    b.ready();
+    let mut raw = native(&mut b);
+    b.post(0, Verb::Native(NativeOwner::Master));
+    b.run(10);
+    go(&mut raw, 204.0, 400.0);
+    assert_eq!(b.stopped(0, 2_000), StopCause::Limit);
+    b.run(500);
+    let (_, high) = b.tape(0).demand.unwrap();
+    assert!((185.0..=RANGE.1).contains(&high), "it braked at {high}");
+    // Within the limits it is let alone, up to the very end where it brakes early enough.
+    let mut b = Rig::new(1).start();
+    b.ready();
+    let mut raw = native(&mut b);
+    b.post(0, Verb::Native(NativeOwner::Master));
+    b.run(10);
+    go(&mut raw, 150.0, 400.0);
+    b.run(2_000);
+    assert_eq!(b.feedback(0).stopped, None);
+    assert_near(b.feedback(0).demand, 150.0, 0.01);
+}
+
+#[test]
+fn room_for_a_stop_is_kept_in_a_full_queue() {
+    let mut b = Rig::new(1).each(|_, drive| drive.axis.command_queue = 4).start();
+    b.ready();
+    let moving = b.post(0, slowly_to(150.0));
+    b.run(50);
+    let queued: Vec<_> = (0..4).map(|_| b.post(0, Verb::Home)).collect();
+    let full = b.sim.axis(0).post(Verb::Home).unwrap_err().to_string();
+    assert!(full.contains("its queue of 4 is full"), "{full}");
+    let stop = b.post(0, Verb::Stop { deceleration: None });
+    assert_eq!(b.ended(0, stop), Outcome::Done);
+    for id in queued.into_iter().chain([moving]) {
+        assert_eq!(b.outcome(0, id), Some(Outcome::Aborted(Abort::Replaced(stop))));
+    }
+}
+
+#[test]
+fn a_velocity_that_is_newer_than_its_jog_counts() {
+    let mut b = Rig::new(1).start();
+    b.ready();
+    b.done(0, to(100.0));
+    // Pressed and released within one cycle.
+    b.post(0, jog(40.0));
+    set(&mut b, 0.0);
+    b.run(300);
+    assert!(!b.feedback(0).moving);
+    // While it waits for its turn, too.
+    b.done(0, Verb::Stop { deceleration: None });
+    let homing = b.post(0, Verb::Home);
+    b.post(0, jog(40.0));
+    set(&mut b, 25.0);
+    b.ended(0, homing);
+    b.run(300);
+    assert_near(b.feedback(0).velocity, 25.0, 1.0);
+}
+
+#[test]
+fn an_application_that_dies_while_it_enables_moves_nothing() {
+    let beat = 50;
+    let mut b = Rig::new(1).cycle(|cycle| cycle.heartbeat_ns = Some(beat * MS)).start();
+    b.online();
+    b.post(0, Verb::Enable);
+    let home = b.post(0, Verb::Home);
+    assert_eq!(b.stopped(0, beat + 3), StopCause::Heartbeat);
+    assert_eq!(b.outcome(0, home), Some(Outcome::Aborted(Abort::Stopped(StopCause::Heartbeat))));
+    b.run(1_000);
+    assert!(!b.feedback(0).state.is_powered());
+    assert!(b.tape(0).heard.iter().all(|heard| {
+        heard.reply.is_none_or(|reply| reply.status.is_none_or(|status| !status.operation_enabled()))
+    }));
+}
+
+#[test]
+fn limits_hold_where_the_application_owns_the_control_word() {
+    use fieldbeat::axis::NativeOwner;
+    use fieldbeat::bus::linudp::wire::ControlWord;
+    let mut b = Rig::new(1).start();
+    b.ready();
+    b.done(0, Verb::Disable);
+    let mut raw = native(&mut b);
+    b.post(0, Verb::Native(NativeOwner::Application));
+    b.run(10);
+    let word = |control| NativeOutput { control: Some(control), ..NativeOutput::default() };
+    raw.write(word(ControlWord::BASE)).unwrap();
+    raw.write(word(ControlWord::ON)).unwrap();
+    b.until("in operation", 1_000, |b| b.feedback(0).is_operational());
+    assert_eq!(b.feedback(0).stopped, None, "its state is the application's affair");
+    go(&mut raw, 190.0, 1_500.0);
+    assert_eq!(b.stopped(0, 400), StopCause::Limit);
+}
+
+#[test]
+fn a_command_of_the_task_that_waits_holds_up_no_stop() {
+    let mut b = Rig::new(1)
+        .task(|cycle, axes| {
+            if cycle.index == 3_000 {
+                axes.command(0, to(1.0)).unwrap();
+            }
+        })
+        .start();
+    b.ready();
+    b.until("cycle 2990", 3_000, |b| b.status().planned >= 2_990);
+    // Far away, so that homing takes its time; the move of the task waits for it.
+    let homing = b.post(0, Verb::Home);
+    b.run(12);
+    let stop = b.post(0, Verb::QuickStop);
+    assert_eq!(b.ended(0, stop), Outcome::Done);
+    assert!(matches!(b.outcome(0, homing), Some(Outcome::Aborted(_)) | Some(Outcome::Done)));
+}
