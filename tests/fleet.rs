@@ -1,0 +1,393 @@
+//! A fleet in bad weather: hundreds of drives, every fault on every wire, an application that never gives up. It holds what it
+//! has to hold in every cycle, and the same seed is the same run to the last byte.
+//!
+//! The big one is marked ignored: it is meant for a release build, and prints how fast the simulation is.
+
+use std::fmt::Write;
+use std::hash::{DefaultHasher, Hasher};
+use std::net::Ipv4Addr;
+use std::time::{Duration, Instant};
+
+use fastrand::Rng;
+use fieldbeat::axis::{
+    Event, EventKind, Feedback, FoundRunning, Jog, Limits, Link, Move, Outcome, Profile, Row, StopCause,
+    StopHow, StopPlan, StopThen, Target, Underrun, Verb,
+};
+use fieldbeat::bus::Counters;
+use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan, SimPlan, StreamCommand};
+use fieldbeat::cycle::engine::Flow;
+use fieldbeat::cycle::status::RunEnd;
+use fieldbeat::cycle::{CyclePlan, Overrun, Plan};
+use fieldbeat::sim::FaultPlan;
+use fieldbeat::sim::world::WorldOptions;
+use fieldbeat::time::{MS, S, US};
+use fieldbeat::{Master, Simulation};
+use nix::time::{ClockId, clock_gettime};
+
+/// 256 LinUDP drives on one socket need a few milliseconds (a send on loopback takes 3.5 to 5 us).
+const PERIOD_NS: u64 = 4 * MS;
+
+/// Cycles.
+const MINUTE: u64 = 60 * S / PERIOD_NS;
+/// Where another seed is another run already.
+const EARLY: u64 = MINUTE / 10;
+
+/// Latched and heard for so many cycles, an axis has braked, whatever it did.
+const BRAKED_AFTER: u32 = 100;
+
+/// Everything that can befall a wire. A flipped bit may tell a drive anything, and nothing can be promised of it then; every
+/// fourth has such a wire.
+fn weather(seed: u64, flips: bool) -> FaultPlan {
+    FaultPlan {
+        seed,
+        drop: 0.003,
+        duplicate: 0.003,
+        corrupt: if flips { 0.000_1 } else { 0.0 },
+        delay: 0.003,
+        delay_ns: 3 * MS + 500 * US,
+        reorder: 0.001,
+        stall: 0.000_01,
+        stall_ns: 60 * MS,
+        restart: 0.000_005,
+        inhibit: 0.000_005,
+        inhibit_ns: 300 * MS,
+        wrong_id: 0.001,
+        answer_ns: 30 * US,
+    }
+}
+
+fn flips(index: usize) -> bool {
+    index % 4 == 3
+}
+
+/// Drives of every kind of plan.
+fn drive(index: usize, seed: u64) -> LinUdpDrive {
+    let [high, low] = (index as u16).to_be_bytes();
+    let mut drive = LinUdpDrive::new(format!("x{index}"), Ipv4Addr::new(10, 1, high, low));
+    let axis = &mut drive.axis;
+    axis.limits = Limits {
+        position: Some((0.0, 200.0)),
+        velocity: Some(1_000.0),
+        acceleration: Some(20_000.0),
+        ..Limits::default()
+    };
+    axis.profile = Profile { velocity: 200.0, acceleration: 5_000.0, deceleration: 5_000.0 };
+    axis.stop = StopPlan {
+        how: [StopHow::Ramp, StopHow::Quick, StopHow::Ramp, StopHow::Coast][index / 4 % 4],
+        then: [StopThen::Disable, StopThen::Hold][index / 2 % 2],
+        deceleration: 5_000.0,
+        // Every second four stop together.
+        group: (index / 4).is_multiple_of(2).then_some(index as u16 / 4),
+        ..axis.stop
+    };
+    axis.underrun = [Underrun::Stop, Underrun::Hold, Underrun::Extrapolate(3)][index % 3];
+    axis.on_found_running = [FoundRunning::Stop, FoundRunning::Refuse][usize::from(index.is_multiple_of(5))];
+    axis.stream_queue = 64;
+    // Some jogs are let go of, the others run until something replaces them.
+    axis.jog_deadman = [None, Some(Duration::from_millis(200))][usize::from(index.is_multiple_of(8))];
+    drive.leash = Some(20.0);
+    drive.reply_tag = index % 3 == 1;
+    drive.monitor = index.is_multiple_of(7);
+    drive.stream = Some([StreamCommand::Pva, StreamCommand::PvConfigured][index % 2]);
+    drive.simulate = SimPlan {
+        faults: weather(seed * 1_000 + index as u64, flips(index)),
+        start_position: 100_000,
+        range: (-50_000, 2_050_000),
+        stream_period_ns: PERIOD_NS,
+        start_running: index.is_multiple_of(6),
+        ..SimPlan::default()
+    };
+    drive
+}
+
+fn fleet(drives: usize, seed: u64) -> Simulation {
+    let drives = (0..drives).map(|index| drive(index, seed)).collect();
+    let cycle =
+        CyclePlan { period_ns: PERIOD_NS, overrun: Overrun::Skip { max_skip: 3 }, ..CyclePlan::default() };
+    let bus = LinUdpPlan::new(Ipv4Addr::new(10, 0, 0, 1), drives);
+    let plan = Plan { source: None, cycle, buses: vec![Box::new(bus)], groups: Vec::new() };
+    let options = WorldOptions { seed, wake_ns: 50 * US, ..WorldOptions::default() };
+    Master::from_plan(plan).simulate(options).expect("the fleet can be built")
+}
+
+/// What the application knows of one axis.
+struct Axis {
+    random: Rng,
+    posted: u64,
+    /// Commands without an end.
+    open: Vec<u64>,
+    enabled: bool,
+    /// Rows of the stream that are still to be pushed.
+    rows: u32,
+    next: Row,
+    /// For so many cycles it has been latched and heard.
+    latched: u32,
+    /// Motions that came to their end.
+    done: u64,
+}
+
+impl Axis {
+    fn new(seed: u64) -> Axis {
+        Axis {
+            random: Rng::with_seed(seed),
+            posted: 0,
+            open: Vec::new(),
+            enabled: false,
+            rows: 0,
+            next: Row::default(),
+            latched: 0,
+            done: 0,
+        }
+    }
+
+    fn saw(&mut self, event: &Event) -> Result<(), String> {
+        match event.kind {
+            EventKind::Ended { id, verb, outcome } => {
+                let place = self.open.iter().position(|open| *open == id.0);
+                let place =
+                    place.ok_or_else(|| format!("{event}, though it had ended or was never posted"))?;
+                self.open.swap_remove(place);
+                self.enabled |= verb == Verb::Enable.name() && outcome == Outcome::Done;
+                self.done +=
+                    u64::from(["move", "follow", "home"].contains(&verb) && outcome == Outcome::Done);
+            }
+            EventKind::Stopped(_) => (self.enabled, self.rows) = (false, 0),
+            _ => {}
+        }
+        Ok(())
+    }
+
+    /// What always holds.
+    fn check(&mut self, feedback: &Feedback) -> Result<(), String> {
+        // What was found running and is refused was never ours to stop.
+        let ours = feedback.stopped.is_some_and(|cause| cause != StopCause::FoundRunning);
+        let latched = ours && feedback.link == Link::Online;
+        self.latched = if latched { self.latched + 1 } else { 0 };
+        match feedback.moving && self.latched > BRAKED_AFTER {
+            true => Err(format!("latched, and moves: {feedback:?}")),
+            false => Ok(()),
+        }
+    }
+
+    /// What the application asks for in this cycle, and the rows that it pushes.
+    fn act(&mut self, axis: &mut fieldbeat::Axis, feedback: &Feedback) {
+        if let Some(verb) = self.wants(feedback)
+            && let Ok(id) = axis.post(verb)
+        {
+            self.posted += 1;
+            assert_eq!(id.0, self.posted);
+            self.open.push(id.0);
+        }
+        while self.rows > 0 && axis.stream_room() > 0 {
+            self.rows -= 1;
+            let row = Row { last: self.rows == 0, ..self.next };
+            // Out of its range, or the axis has been stopped: whatever is left of the stream runs empty.
+            if axis.push_row(row).is_err() {
+                self.rows = 0;
+            }
+            self.next.position += self.next.velocity * PERIOD_NS as f64 * 1e-9;
+        }
+    }
+
+    /// What the application asks for next, if it asks for anything.
+    fn wants(&mut self, feedback: &Feedback) -> Option<Verb> {
+        if feedback.link != Link::Online {
+            return None;
+        }
+        if !self.open.is_empty() {
+            // Now and then it changes its mind.
+            return (self.random.u16(..500) == 0).then(|| self.motion(feedback));
+        }
+        match feedback.stopped {
+            _ if self.random.u8(..20) != 0 => None,
+            // Not every application knows that its axis is stopped.
+            Some(_) if self.random.u8(..3) == 0 => Some(self.motion(feedback)),
+            Some(_) if feedback.fault != 0 => Some(Verb::ResetFault),
+            Some(_) => Some(Verb::Reset),
+            None if feedback.fault != 0 => Some(Verb::ResetFault),
+            None if !self.enabled => Some(Verb::Enable),
+            None if !feedback.homed => Some(Verb::Home),
+            None => Some(self.motion(feedback)),
+        }
+    }
+
+    fn motion(&mut self, feedback: &Feedback) -> Verb {
+        let random = &mut self.random;
+        let acceleration = random.f64() * 9_000.0 + 1_000.0;
+        let velocity = random.f64() * 280.0 + 20.0;
+        let profile = Profile { velocity, acceleration, deceleration: acceleration };
+        match random.u8(..40) {
+            0 => Verb::Home,
+            1 => Verb::Disable,
+            2 => Verb::QuickStop,
+            3 | 4 => Verb::Stop { deceleration: None },
+            5..12 => Verb::Jog(Jog { velocity: [-0.25, 0.25][random.usize(..2)] * velocity, acceleration }),
+            12..20 => {
+                let velocity = if feedback.demand > 100.0 { -velocity / 4.0 } else { velocity / 4.0 };
+                self.rows = random.u32(20..400);
+                self.next = Row { position: feedback.demand, velocity, ..Row::default() };
+                Verb::Follow
+            }
+            20..26 => Verb::Move(Move { target: Target::Relative(random.f64() * 80.0 - 40.0), profile }),
+            _ => Verb::Move(Move { target: Target::Absolute(random.f64() * 200.0), profile }),
+        }
+    }
+}
+
+/// What is left of a run: the same seed leaves the same.
+#[derive(Debug, PartialEq)]
+struct Left {
+    /// Of all that was delivered: until [`EARLY`], and to the end.
+    digests: [u64; 2],
+    delivered: u64,
+    /// How many events there were, and a hash of them.
+    events: (u64, u64),
+    /// Moves, streams and homings that were done.
+    done: u64,
+    end: RunEnd,
+}
+
+/// Lets a fleet live for so many cycles and shuts it down.
+fn live(drives: usize, seed: u64, cycles: u64) -> Left {
+    let mut sim = fleet(drives, seed);
+    let mut random = Rng::with_seed(seed);
+    let mut axes: Vec<_> = (0..drives).map(|_| Axis::new(random.u64(..))).collect();
+    let (mut told, mut hasher, mut line) = (0, DefaultHasher::new(), String::new());
+    let mut stopping = false;
+    let (mut early, mut flow) = (None, Flow::Continue);
+    while flow == Flow::Continue {
+        if random.u16(..5_000) == 0 {
+            sim.world().delay_next_wake(random.u64(..6 * PERIOD_NS));
+        }
+        flow = sim.step();
+        let status = *sim.status();
+        assert_eq!(status.planned, status.executed + status.skipped, "seed {seed}: {status:?}");
+        if status.planned >= EARLY {
+            early.get_or_insert_with(|| sim.world().digest());
+        }
+        let over = status.planned >= cycles;
+        if over && !std::mem::replace(&mut stopping, over) {
+            sim.stop();
+        }
+        for (index, axis) in axes.iter_mut().enumerate() {
+            let wrong = |what| panic!("seed {seed}, cycle {}, axis {index}: {what}", status.planned);
+            while let Some(event) = sim.axis(index).event() {
+                axis.saw(&event).unwrap_or_else(wrong);
+                told += 1;
+                line.clear();
+                write!(line, "{index} {event:?}").expect("a string takes everything");
+                hasher.write(line.as_bytes());
+            }
+            let feedback = sim.feedback(index);
+            if !flips(index) {
+                axis.check(&feedback).unwrap_or_else(wrong);
+            }
+            if !over {
+                axis.act(sim.axis(index), &feedback);
+            }
+        }
+    }
+    for (index, axis) in axes.iter().enumerate() {
+        assert!(axis.open.is_empty(), "seed {seed}, axis {index}: no end of {:?}", axis.open);
+    }
+    let samples: Vec<u64> = sim.histograms().round_trip.iter().map(|histogram| histogram.len()).collect();
+    assert_eq!(sim.histograms().wake.len(), sim.status().planned, "seed {seed}");
+    let (world, end) = (sim.world().clone(), sim.finish());
+    assert_accounts(&end, &samples, seed);
+    Left {
+        digests: [early.expect("it was long enough"), world.digest()],
+        delivered: world.delivered(),
+        events: (told, hasher.finish()),
+        done: axes.iter().map(|axis| axis.done).sum(),
+        end,
+    }
+}
+
+/// Every exchange came to one end, and nothing was lost on the way to the application.
+fn assert_accounts(end: &RunEnd, samples: &[u64], seed: u64) {
+    for (drive, samples) in end.drives.iter().zip(samples) {
+        let c = drive.counters;
+        // The last one may have been sent in the last cycle but one of a divisor.
+        assert_eq!(c.sent, c.answered + c.missed, "seed {seed}, {}: {c:?}", drive.name);
+        assert!(
+            c.suspect <= c.answered && *samples <= c.answered - c.suspect,
+            "seed {seed}, {}: {c:?}",
+            drive.name
+        );
+        assert!(
+            !drive.feedback.state.is_powered() || drive.feedback.link != Link::Online,
+            "seed {seed}: {drive:?}"
+        );
+    }
+    let missed: u64 = end.drives.iter().map(|drive| drive.counters.missed + drive.counters.unsent).sum();
+    assert_eq!(end.status.missed, missed, "seed {seed}");
+    assert_eq!((end.status.lost_events, end.status.lost_records), (0, 0), "seed {seed}");
+}
+
+/// A run, and the processor time that it took: on a shared machine the only time that means something.
+fn timed(drives: usize, seed: u64, cycles: u64) -> (Left, Duration) {
+    let clock =
+        || Duration::from(clock_gettime(ClockId::CLOCK_THREAD_CPUTIME_ID).expect("every Linux has it"));
+    let begun = clock();
+    (live(drives, seed, cycles), clock() - begun)
+}
+
+/// The same seed twice at once, and another seed; says what came of it, and how fast.
+fn twice(drives: usize, cycles: u64) -> Left {
+    let begun = Instant::now();
+    let ((first, took), (second, also)) = std::thread::scope(|scope| {
+        let second = scope.spawn(|| timed(drives, 1, cycles));
+        let first = timed(drives, 1, cycles);
+        (first, second.join().expect("the same run fails in the same way"))
+    });
+    let wall = begun.elapsed();
+    assert_eq!(first, second);
+    assert_ne!(first.digests[0], live(drives, 2, EARLY).digests[0], "another seed is another run");
+
+    let status = first.end.status;
+    let mut sum = Counters::default();
+    for one in first.end.drives.iter().map(|drive| drive.counters) {
+        sum.sent += one.sent;
+        sum.answered += one.answered;
+        sum.missed += one.missed;
+        sum.late += one.late;
+        sum.duplicate += one.duplicate;
+        sum.suspect += one.suspect;
+        sum.malformed += one.malformed;
+        sum.foreign += one.foreign;
+    }
+    println!(
+        "{drives} drives, {} cycles of {} ms, {} skipped",
+        status.planned,
+        PERIOD_NS / MS,
+        status.skipped
+    );
+    println!("{sum:?}, lost links: {}", first.end.drives.iter().map(|drive| drive.losses).sum::<u64>());
+    println!("{} datagrams, {} events, {} motions done", first.delivered, first.events.0, first.done);
+    println!("digest {:016x}", first.digests[1]);
+    for (what, took) in
+        [("processor time", took), ("processor time", also), ("wall time, both at once", wall)]
+    {
+        let seconds = took.as_secs_f64();
+        println!(
+            "{seconds:.1} s {what}: {:.2} million drive-cycles a second, {:.1} times real time",
+            (status.planned * drives as u64) as f64 * 1e-6 / seconds,
+            (status.planned * PERIOD_NS) as f64 * 1e-9 / seconds
+        );
+    }
+    first
+}
+
+#[test]
+fn sixteen_drives_for_a_minute_twice() {
+    let left = twice(16, MINUTE);
+    assert!(left.done > 500, "{} motions", left.done);
+}
+
+#[test]
+#[cfg(not(debug_assertions))]
+#[ignore = "an hour of 256 drives, twice: minutes, and only in a release build"]
+fn a_fleet_for_an_hour_twice() {
+    let left = twice(256, 60 * MINUTE);
+    assert!(left.done > 200_000, "{} motions", left.done);
+}

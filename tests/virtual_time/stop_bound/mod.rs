@@ -1,0 +1,176 @@
+//! The bound of every stop: seeded faults of every kind, in machines of every shape, in every kind of motion.
+//!
+//! From the cycle of its cause to the cycle whose send carries the last stop request that it has to cause; and what goes out
+//! to each drive from its latch until it is enabled again. All of it is looked at on the wire, at the master's end.
+//!
+//! | file | what |
+//! |---|---|
+//! | `mod` | the kinds of faults, their bounds, and the count of what came of them |
+//! | `machine` | a machine of any shape, brought into motion, struck, and brought back |
+//! | `watch` | what one drive is told |
+
+mod machine;
+mod watch;
+
+use std::collections::BTreeMap;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Instant;
+
+use fieldbeat::axis::{AxisPlan, StopCause};
+
+use self::machine::Machine;
+
+/// What happens.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Fault {
+    // To the link of one drive.
+    Unplugged,
+    Muted,
+    Dropping,
+    WrongPort,
+    Late,
+    // To one drive, which says so.
+    FoundRunning,
+    DriveError,
+    PowerCut,
+    Restarted,
+    // To one stream.
+    Starved,
+    BadRow,
+    // To the whole machine.
+    SlowTask,
+    PanickingTask,
+    HeldUp,
+    Shutdown,
+}
+
+use Fault::*;
+
+const LINK: [Fault; 5] = [Unplugged, Muted, Dropping, WrongPort, Late];
+const DRIVE: [Fault; 3] = [DriveError, PowerCut, Restarted];
+const STREAM: [Fault; 2] = [Starved, BadRow];
+const MACHINE: [Fault; 2] = [SlowTask, HeldUp];
+const KINDS: usize = Shutdown as usize + 1;
+
+impl Fault {
+    fn cause(self) -> StopCause {
+        match self {
+            Unplugged | Muted | Dropping | WrongPort | Late => StopCause::LinkLost,
+            FoundRunning => StopCause::FoundRunning,
+            DriveError => StopCause::DriveFault,
+            PowerCut | Restarted => StopCause::DriveDropped,
+            Starved => StopCause::Underrun,
+            BadRow => StopCause::Limit,
+            SlowTask | PanickingTask => StopCause::Task,
+            HeldUp => StopCause::Overrun,
+            Shutdown => StopCause::Shutdown,
+        }
+    }
+
+    /// The most cycles from the cause to the stop request: of the axis that it befell, or of another one of its group.
+    fn bound(self, own: bool, axis: &AxisPlan, stated: u64) -> u64 {
+        let next_own_slot = u64::from(axis.divisor);
+        match self {
+            // From the last good exchange, as `check` states it.
+            Unplugged | Muted | Dropping | WrongPort | Late => stated,
+            // From the exchange that tells it, from the task's run, from the last slot passed over.
+            FoundRunning | DriveError | PowerCut | Restarted => next_own_slot,
+            SlowTask | PanickingTask | HeldUp | Shutdown => next_own_slot,
+            // From the cycle that looks for the row of the next slot. That slot has the stop in the row's place, and the group
+            // goes with the same send.
+            Starved | BadRow if own => 1,
+            Starved | BadRow => next_own_slot,
+        }
+    }
+}
+
+/// What came of the faults of one kind.
+#[derive(Clone, Copy, Debug, Default)]
+struct Tally {
+    faults: u64,
+    /// Drives that had to be told.
+    stops: u64,
+    /// The longest way from the cause to the wire, cycles.
+    longest: u64,
+    /// Stops that would have broken their bound one cycle later.
+    just_in_time: u64,
+}
+
+impl Tally {
+    fn note(&mut self, cycles: u64, bound: u64) {
+        self.stops += 1;
+        self.longest = self.longest.max(cycles);
+        self.just_in_time += u64::from(cycles == bound);
+    }
+
+    fn add(&mut self, other: Tally) {
+        self.faults += other.faults;
+        self.stops += other.stops;
+        self.longest = self.longest.max(other.longest);
+        self.just_in_time += other.just_in_time;
+    }
+}
+
+type Table = BTreeMap<Fault, Tally>;
+
+/// Machines of these seeds, so many faults in each, on all cores. Panics with the seed of the first machine that broke a bound.
+fn campaign(machines: u64, faults_each: u64) -> Table {
+    let begun = Instant::now();
+    let next = AtomicU64::new(0);
+    let work = || {
+        let mut table = Table::new();
+        loop {
+            let seed = next.fetch_add(1, Ordering::Relaxed);
+            if seed >= machines {
+                return table;
+            }
+            let mut machine = Machine::new(seed);
+            if let Err(panic) = catch_unwind(AssertUnwindSafe(|| machine.run(faults_each))) {
+                eprintln!("the machine of seed {seed}, in cycle {}", machine.now());
+                std::panic::resume_unwind(panic);
+            }
+            for (fault, tally) in machine.table {
+                table.entry(fault).or_default().add(tally);
+            }
+        }
+    };
+    let workers = std::thread::available_parallelism().map_or(1, usize::from);
+    let table = std::thread::scope(|scope| {
+        let workers: Vec<_> = (0..workers).map(|_| scope.spawn(work)).collect();
+        workers.into_iter().fold(Table::new(), |mut sum, worker| {
+            let table = worker.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+            table.into_iter().for_each(|(fault, tally)| sum.entry(fault).or_default().add(tally));
+            sum
+        })
+    });
+    println!("seeds 0 ... {}, {:.1?}", machines - 1, begun.elapsed());
+    println!("{:14} {:>8} {:>8} {:>8} {:>13}", "fault", "faults", "stops", "longest", "just in time");
+    for (fault, tally) in &table {
+        let Tally { faults, stops, longest, just_in_time } = tally;
+        println!("{:14} {faults:8} {stops:8} {longest:8} {just_in_time:13}", format!("{fault:?}"));
+    }
+    table
+}
+
+/// No bound was broken, or there would be no table; and each was met, so that it would have been by a stop one cycle late.
+fn assert_proved(table: &Table, least: u64) {
+    let faults: u64 = table.values().map(|tally| tally.faults).sum();
+    assert!(faults >= least, "{faults} faults");
+    assert_eq!(table.len(), KINDS, "{:?}", table.keys());
+    for (fault, tally) in table {
+        assert!(tally.just_in_time > 0, "{fault:?}: no stop came as late as its bound, so that is no bound");
+    }
+}
+
+#[test]
+fn ten_thousand_faults_and_no_stop_is_late() {
+    assert_proved(&campaign(100, 100), 10_000);
+}
+
+#[test]
+#[cfg(not(debug_assertions))]
+#[ignore = "two hundred thousand faults: a minute, and only in a release build"]
+fn two_hundred_thousand_faults_and_no_stop_is_late() {
+    assert_proved(&campaign(2_000, 100), 200_000);
+}
