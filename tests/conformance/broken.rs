@@ -1,0 +1,38 @@
+//! The clauses can fail: each defect of the toy is caught by the clause that is about it.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+use crate::subject::Subject;
+use crate::subjects::toy::{Defect, Toy};
+use crate::{exchanges, neighbours, orders, replies, reports, whole};
+
+type Clause = fn(&'static dyn Subject);
+
+const CAUGHT: [(Defect, Clause); 14] = [
+    (Defect::SendsWhatIsNotDue, exchanges::nothing_is_sent_for_a_slot_that_is_not_due),
+    (Defect::ForgetsARefusedSend, exchanges::a_refused_send_opens_nothing_and_is_made_up_for),
+    (
+        Defect::MatchesAnyReply,
+        replies::a_late_reply_that_comes_first_in_the_next_window_is_not_taken_for_the_newest,
+    ),
+    (Defect::CountsLateTwice, replies::a_reply_between_two_windows_is_late_and_its_exchange_a_miss),
+    (Defect::ReadsDuplicates, replies::a_reply_of_before_that_comes_again_moves_nothing),
+    (Defect::OpensTheWindowForEver, exchanges::a_window_is_open_for_what_it_owes_and_for_nothing_else),
+    (Defect::SharesItsMisses, neighbours::the_silence_of_one_troubles_no_other),
+    (Defect::WritesBeforeTheFirstOrder, orders::a_drive_found_running_runs_on_until_the_first_order),
+    (Defect::IgnoresStops, whole::the_stop_request_is_on_the_wire_within_its_bound),
+    (Defect::NeverTimesOut, orders::orders_with_a_time_limit_end_even_if_nobody_answers),
+    (Defect::ForgetsRestarts, reports::a_restart_is_noticed_once_and_what_was_known_is_forgotten),
+    (Defect::ScalesWrongly, reports::velocity_is_the_way_made_in_user_units_a_second),
+    (Defect::SwitchesOnAgain, orders::a_motion_whose_drive_restarts_fails_and_is_not_taken_up_again),
+    (Defect::BuildsAnewEachTime, exchanges::a_request_that_is_built_again_is_the_same_to_the_byte),
+];
+
+#[test]
+fn each_defect_of_the_toy_is_caught_by_the_clause_that_is_about_it() {
+    for (defect, clause) in CAUGHT {
+        let subject: &'static Toy = Box::leak(Box::new(Toy(Some(defect))));
+        let caught = catch_unwind(AssertUnwindSafe(|| clause(subject))).is_err();
+        assert!(caught, "{defect:?} went unnoticed");
+    }
+}

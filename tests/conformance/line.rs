@@ -1,0 +1,591 @@
+//! One bus alone, with its drives in a virtual world: a clause plays the loop by hand, and every call is refereed.
+
+use std::collections::VecDeque;
+use std::f64::consts::TAU;
+use std::net::SocketAddrV4;
+
+use fieldbeat::axis::command::NativeOwner;
+use fieldbeat::axis::{Failure, Jog, Link, Move, Profile, Row, State, Target, Verb};
+use fieldbeat::bus::{Bus, BusPlan, Cycle, Exchange, NumberedRow, Order, Slot, Strangers};
+use fieldbeat::rt::{Clock, PollSet};
+use fieldbeat::sim::FaultPlan;
+use fieldbeat::sim::world::{World, WorldClock, WorldOptions};
+use fieldbeat::time::{MS, Time, US};
+
+use crate::rules::{self, Around};
+use crate::subject::{Can, Drive, Said, Subject};
+use crate::wire::Wire;
+
+pub const PERIOD: u64 = MS;
+/// Replies are taken in until here.
+pub const WINDOW: u64 = 500 * US;
+/// From one end of the wire to the other.
+pub const LATENCY: u64 = 20 * US;
+/// Good exchanges in a row that bring a link up, and misses in a row that lose it, as the loop's defaults.
+const GATE: u32 = 10;
+const BUCKET: u32 = 5;
+/// The most readings of the clock in one call of a bus.
+const READINGS: u64 = 64;
+/// The longest that any order takes here, cycles.
+const LONG: u64 = 20_000;
+
+/// What the last cycle brought to one drive, as the loop found it when it judged.
+#[derive(Clone, Copy, Debug)]
+pub struct Seen {
+    /// `Idle`: nothing was closed in this cycle.
+    pub exchange: Exchange,
+    pub fresh: bool,
+    pub suspect: bool,
+    pub restarted: bool,
+}
+
+impl Seen {
+    pub fn answered(&self) -> bool {
+        matches!(self.exchange, Exchange::Answered { .. })
+    }
+
+    pub fn missed(&self) -> bool {
+        self.exchange == Exchange::Missed
+    }
+
+    /// Answered, and a round-trip sample: the time from the send to the taking in, ns.
+    pub fn round_trip(&self) -> Option<u64> {
+        match self.exchange {
+            Exchange::Answered { sent_at, at, suspect: false } => Some(at.since(sent_at)),
+            _ => None,
+        }
+    }
+}
+
+pub struct Line {
+    pub can: Can,
+    pub drives: Vec<Drive>,
+    pub wire: Wire,
+    pub world: World,
+    pub bus: Box<dyn Bus>,
+    pub slots: Vec<Slot>,
+    /// What the last cycle brought to each drive.
+    pub seen: Vec<Seen>,
+    /// Drives that are never due, whatever their schedule says.
+    pub asleep: Vec<bool>,
+    /// What a drive that follows is fed with, a row an exchange.
+    pub rows: Vec<VecDeque<Row>>,
+    /// The cycle that is next.
+    pub index: u64,
+    /// What reports say is held against what the drives said. Off where bits are flipped on the way.
+    pub honest: bool,
+    /// How often each request is built.
+    pub builds: u32,
+    clock: WorldClock,
+    poll_set: PollSet,
+    origin: Time,
+    /// When each drive's last request left.
+    sent_at: Vec<Time>,
+    row_number: u64,
+    /// The row given has not gone out yet: it must not be replaced.
+    held: Vec<bool>,
+    in_a_row: Vec<(u32, u32)>,
+}
+
+impl Line {
+    /// So many drives as usual.
+    pub fn new(subject: &'static dyn Subject, count: usize) -> Line {
+        Line::with(subject, count, |_, _| {})
+    }
+
+    /// So many drives, each changed.
+    pub fn with(subject: &'static dyn Subject, count: usize, change: impl Fn(usize, &mut Drive)) -> Line {
+        let drives = drives(subject, count, change);
+        let wire = Wire::new(subject, &drives);
+        let options = WorldOptions { latency_ns: LATENCY, ..WorldOptions::default() };
+        let world = World::new(wire.simulate(), options).expect("each drive has its own address");
+        let mut bus = wire.open(PERIOD, &world).expect("the bus can be opened");
+        let mut poll_set = PollSet::default();
+        bus.poll_set(&mut poll_set);
+        let idle = Seen { exchange: Exchange::Idle, fresh: false, suspect: false, restarted: false };
+        Line {
+            can: subject.can(),
+            clock: world.clock(),
+            origin: world.now() + 2 * PERIOD,
+            world,
+            wire,
+            bus,
+            slots: vec![Slot::default(); count],
+            seen: vec![idle; count],
+            asleep: vec![false; count],
+            rows: vec![VecDeque::new(); count],
+            index: 0,
+            honest: true,
+            builds: 1,
+            poll_set,
+            sent_at: vec![Time(0); count],
+            row_number: 0,
+            held: vec![false; count],
+            in_a_row: vec![(0, 0); count],
+            drives,
+        }
+    }
+
+    // The calls of a bus, refereed.
+
+    /// The cycle that is next.
+    pub fn cycle(&self) -> Cycle {
+        let grid = self.origin + self.index * PERIOD;
+        Cycle { index: self.index, grid, period_ns: PERIOD, deadline: grid + WINDOW }
+    }
+
+    /// Chooses who is due and what they follow, and has the requests built.
+    pub fn prepare(&mut self) {
+        let cycle = self.cycle();
+        for index in 0..self.slots.len() {
+            let (axis, slot) = (&self.drives[index].axis, &mut self.slots[index]);
+            let scheduled = cycle.index % u64::from(axis.divisor) == u64::from(axis.phase);
+            slot.due = scheduled && !self.asleep[index] && !matches!(slot.exchange, Exchange::Owed { .. });
+            let following = slot.due && slot.order.verb == Some(Verb::Follow) && !self.held[index];
+            if following && let Some(row) = self.rows[index].pop_front() {
+                self.row_number += 1;
+                self.held[index] = true;
+                slot.row = Some(NumberedRow { number: self.row_number, row });
+            }
+        }
+        for _ in 0..self.builds {
+            self.build(&cycle);
+        }
+    }
+
+    /// Has the requests built, for `cycle`.
+    pub fn build(&mut self, cycle: &Cycle) {
+        let (sends, before) = (self.wire.log().sends, self.slots.clone());
+        let begin = self.world.now();
+        self.bus.prepare(cycle, &mut self.slots);
+        let span = (begin, self.world.now());
+        assert_eq!(self.wire.log().sends, sends, "nothing is sent while preparing");
+        assert!(span.1.since(span.0) <= self.readings(), "preparing does not wait");
+        for (before, after) in before.iter().zip(&self.slots) {
+            Around { before, after, span }.prepare();
+        }
+    }
+
+    /// Hands over what was built.
+    pub fn send(&mut self) {
+        let (cycle, before) = (self.cycle(), self.slots.clone());
+        let begin = self.world.now();
+        self.bus.send(&cycle, &mut self.slots);
+        let span = (begin, self.world.now());
+        assert!(span.1.since(span.0) <= self.readings(), "sending does not wait");
+        for (index, (before, after)) in before.iter().zip(&self.slots).enumerate() {
+            Around { before, after, span }.send(&cycle, &self.can);
+            if let Exchange::Owed { sent_at, .. } = after.exchange
+                && before.due
+            {
+                self.sent_at[index] = sent_at;
+                self.held[index] = false;
+            }
+        }
+        self.accounts();
+    }
+
+    /// Takes in what has come.
+    pub fn receive(&mut self) -> bool {
+        let (cycle, before) = (self.cycle(), self.slots.clone());
+        let (begin, sends) = (self.world.now(), self.wire.log().sends);
+        let closed = self.bus.receive(&cycle, &mut self.slots);
+        let span = (begin, self.world.now());
+        assert!(span.1.since(span.0) <= self.readings(), "receiving does not wait");
+        assert_eq!(self.wire.log().sends, sends, "nothing is sent while receiving");
+        for (before, after) in before.iter().zip(&self.slots) {
+            Around { before, after, span }.receive();
+        }
+        assert_eq!(closed, !self.owes(), "true once all that this window owes is closed, and only then");
+        self.accounts();
+        closed
+    }
+
+    fn readings(&self) -> u64 {
+        // A bus that stamps each request on its own reads once for each.
+        (READINGS + self.slots.len() as u64) * WorldOptions::default().read_ns
+    }
+
+    /// Whether an exchange is owed in the window of the present cycle.
+    pub fn owes(&self) -> bool {
+        let deadline = self.cycle().deadline;
+        let owed =
+            |slot: &Slot| matches!(slot.exchange, Exchange::Owed { reply_by, .. } if reply_by <= deadline);
+        self.slots.iter().any(owed)
+    }
+
+    fn accounts(&self) {
+        let log = self.wire.log();
+        for (slot, tape) in self.slots.iter().zip(&log.drives) {
+            rules::accounts(slot, tape);
+        }
+        let Strangers { datagrams, errors } = self.bus.strangers();
+        assert_eq!((datagrams, errors), (log.strangers, 0), "strangers");
+    }
+
+    // The loop.
+
+    /// One cycle.
+    pub fn turn(&mut self) {
+        self.prepare();
+        self.clock.sleep_until(self.cycle().grid);
+        self.send();
+        self.window();
+        self.judge();
+    }
+
+    /// Takes in until all is closed or the deadline has passed. As in the loop, a window that owes nothing is none.
+    pub fn window(&mut self) {
+        let deadline = self.cycle().deadline;
+        let mut open = self.owes();
+        while open {
+            let over = self.clock.now() >= deadline;
+            if !over {
+                self.clock.wait(&mut self.poll_set, deadline);
+            }
+            open = !self.receive() && !over;
+        }
+    }
+
+    /// What the loop makes of the cycle; then the next one is next.
+    pub fn judge(&mut self) {
+        let deadline = self.cycle().deadline;
+        for index in 0..self.slots.len() {
+            let slot = &mut self.slots[index];
+            if self.honest && slot.report.fresh && !slot.report.suspect {
+                let tape = &self.wire.log().drives[index];
+                rules::honest(slot, tape, &self.drives[index], self.sent_at[index]);
+            }
+            let (good, missed) = &mut self.in_a_row[index];
+            let exchange = match slot.exchange {
+                Exchange::Idle | Exchange::Missed => Exchange::Idle,
+                Exchange::Owed { reply_by, .. } if reply_by > deadline => slot.exchange,
+                Exchange::Owed { .. } => {
+                    slot.counters.missed += 1;
+                    slot.exchange = Exchange::Missed;
+                    (*good, *missed) = (0, *missed + 1);
+                    Exchange::Missed
+                }
+                closed => {
+                    let answered = closed != Exchange::Unsent;
+                    (*good, *missed) = if answered { (*good + 1, 0) } else { (0, *missed + 1) };
+                    slot.exchange = Exchange::Idle;
+                    closed
+                }
+            };
+            slot.link = match slot.link {
+                Link::Unseen | Link::Lost if *good > 0 => Link::Qualifying,
+                Link::Qualifying if *good >= GATE => Link::Online,
+                Link::Qualifying if *missed > 0 => Link::Lost,
+                Link::Online if *missed >= BUCKET => Link::Lost,
+                same => same,
+            };
+            self.seen[index] = Seen {
+                exchange,
+                fresh: std::mem::take(&mut slot.report.fresh),
+                suspect: slot.report.suspect,
+                restarted: std::mem::take(&mut slot.report.restarted),
+            };
+        }
+        self.accounts();
+        self.index += 1;
+    }
+
+    pub fn turns(&mut self, count: u64) {
+        for _ in 0..count {
+            self.turn();
+        }
+    }
+
+    /// Turns until `done`; fails after `most`.
+    pub fn until(&mut self, what: &str, most: u64, mut done: impl FnMut(&Line) -> bool) -> u64 {
+        for turn in 0..most {
+            if done(self) {
+                return turn;
+            }
+            self.turn();
+        }
+        panic!("not within {most} cycles: {what}; {:?}", self.slots);
+    }
+
+    /// Turns until nothing is owed and all drives are due next, where they share a schedule.
+    pub fn settle(&mut self) {
+        self.until("a cycle to begin with", 1_000, |line| {
+            let owed = |slot: &Slot| matches!(slot.exchange, Exchange::Owed { .. });
+            let due =
+                |drive: &Drive| line.index % u64::from(drive.axis.divisor) == u64::from(drive.axis.phase);
+            line.drives.iter().all(due) && !line.slots.iter().any(owed)
+        });
+    }
+
+    /// One cycle, and long enough after it for what was sent to be heard.
+    pub fn turn_and_hear(&mut self) {
+        self.turn();
+        self.world.advance(2 * LATENCY);
+    }
+
+    pub fn online(&mut self) {
+        self.until("all online", 1_000, |line| line.slots.iter().all(|slot| slot.link == Link::Online));
+    }
+
+    /// All online, in operation, and homed.
+    pub fn ready(&mut self) {
+        self.online();
+        for verb in [Verb::Enable, Verb::Home] {
+            if verb == Verb::Home && !self.can.home {
+                continue;
+            }
+            for index in 0..self.slots.len() {
+                self.order(index, verb);
+            }
+            for index in 0..self.slots.len() {
+                assert_eq!(self.ended(index), Ok(()), "{verb:?} of drive {index}");
+            }
+        }
+    }
+
+    /// A line of so many drives that are ready.
+    pub fn made_ready(subject: &'static dyn Subject, count: usize) -> Line {
+        let mut line = Line::new(subject, count);
+        line.ready();
+        line
+    }
+
+    // Orders.
+
+    /// Gives an order.
+    pub fn order(&mut self, index: usize, verb: impl Into<Option<Verb>>) {
+        let (slot, verb) = (&mut self.slots[index], verb.into());
+        if let Some(Verb::Jog(jog)) = verb {
+            slot.velocity = jog.velocity;
+        }
+        slot.order = Order { serial: slot.order.serial + 1, verb };
+        slot.row = None;
+        self.held[index] = false;
+    }
+
+    /// How the order that stands has ended.
+    pub fn end(&self, index: usize) -> Option<Result<(), Failure>> {
+        let slot = &self.slots[index];
+        slot.progress.end.filter(|_| slot.progress.serial == slot.order.serial)
+    }
+
+    /// Turns until the order that stands has ended.
+    pub fn ended(&mut self, index: usize) -> Result<(), Failure> {
+        let what = format!("the end of {:?}", self.slots[index].order);
+        self.until(&what, LONG, |line| line.end(index).is_some());
+        self.end(index).expect("it has ended")
+    }
+
+    pub fn run(&mut self, index: usize, verb: Verb) -> Result<(), Failure> {
+        self.order(index, verb);
+        self.ended(index)
+    }
+
+    pub fn done(&mut self, index: usize, verb: Verb) {
+        assert_eq!(self.run(index, verb), Ok(()), "{verb:?} of drive {index}");
+    }
+
+    // Motions, in parts of the way that the profile's velocity makes in a second.
+
+    pub fn profile(&self, index: usize) -> Profile {
+        self.drives[index].axis.profile
+    }
+
+    pub fn way(&self, index: usize, seconds: f64) -> f64 {
+        self.profile(index).velocity * seconds
+    }
+
+    pub fn by(&self, index: usize, seconds: f64) -> Verb {
+        by(&self.drives[index], seconds)
+    }
+
+    pub fn jog(&self, index: usize, seconds: f64) -> Verb {
+        let acceleration = self.profile(index).acceleration;
+        Verb::Jog(Jog { velocity: self.way(index, seconds), acceleration })
+    }
+
+    /// Rows for so many exchanges, from where the drive stands to `seconds` of way beyond, gentle at both ends.
+    pub fn stream(&mut self, index: usize, seconds: f64, count: u32) -> Vec<Row> {
+        self.rows_of(index, seconds, count, |x| {
+            let angle = x * TAU;
+            (x - angle.sin() / TAU, 1.0 - angle.cos(), TAU * angle.sin())
+        })
+    }
+
+    /// The same way at one speed up to the last row.
+    pub fn straight(&mut self, index: usize, seconds: f64, count: u32) -> Vec<Row> {
+        self.rows_of(index, seconds, count, |x| (x, 1.0, 0.0))
+    }
+
+    /// `shape`: way and its derivatives over the time, all of the way and of the time being 1.
+    fn rows_of(
+        &mut self,
+        index: usize,
+        seconds: f64,
+        count: u32,
+        shape: impl Fn(f64) -> (f64, f64, f64),
+    ) -> Vec<Row> {
+        let (begin, way) = (self.slots[index].report.demand, self.way(index, seconds));
+        let all = f64::from(count) * (PERIOD * u64::from(self.drives[index].axis.divisor)) as f64 * 1e-9;
+        let row = |n| {
+            let (position, velocity, acceleration) = shape(f64::from(n) / f64::from(count));
+            Row {
+                position: begin + way * position,
+                velocity: way * velocity / all,
+                acceleration: way * acceleration / (all * all),
+                last: n == count,
+            }
+        };
+        let rows: Vec<Row> = (1..=count).map(row).collect();
+        self.rows[index] = rows.iter().copied().collect();
+        rows
+    }
+
+    /// Every way of being in motion that the subject knows.
+    pub fn motions(&self) -> Vec<Motion> {
+        let all = [
+            (Motion::Move, true),
+            (Motion::Jog, self.can.jog),
+            (Motion::Follow, self.can.follow),
+            (Motion::Home, self.can.home),
+        ];
+        all.into_iter().filter(|(_, can)| *can).map(|(motion, _)| motion).collect()
+    }
+
+    /// Turns until the drive is in the middle of `motion`.
+    pub fn set_going(&mut self, index: usize, motion: Motion) {
+        if motion == Motion::Home {
+            // Away from where the homing ends.
+            self.done(index, self.by(index, 0.4));
+        }
+        let verb = match motion {
+            Motion::Move => self.by(index, 2.0),
+            Motion::Jog => self.jog(index, 0.5),
+            Motion::Follow => {
+                self.stream(index, 0.1, 600);
+                Verb::Follow
+            }
+            Motion::Home => Verb::Home,
+        };
+        self.order(index, verb);
+        self.until("a motion", 1_000, |line| line.slots[index].report.moving);
+        self.turns(50);
+        assert!(self.said(index).moving && self.end(index).is_none(), "in the middle of {motion:?}");
+    }
+
+    // What befalls the wire.
+
+    /// From here on the drive's wire has these faults.
+    pub fn faults(&self, index: usize, plan: FaultPlan) {
+        let usual = self.usual_answer_ns(index);
+        let plan = FaultPlan { answer_ns: usual + plan.answer_ns, ..plan };
+        assert!(self.world.set_faults(self.wire.address(index), plan));
+    }
+
+    pub fn usual_answer_ns(&self, index: usize) -> u64 {
+        self.wire.log().drives[index].usual.answer_ns
+    }
+
+    /// From here on a reply comes so long after the begin of the last window in which it counts. Below `WINDOW` it is
+    /// in time, up to a period it comes between two windows, and beyond in the window of the next exchange.
+    pub fn answer_at(&self, index: usize, ns: u64) {
+        let answer_ns = u64::from(self.can.answers_after) * PERIOD + ns - 2 * LATENCY;
+        let plan = FaultPlan { answer_ns, ..FaultPlan::default() };
+        assert!(self.world.set_faults(self.wire.address(index), plan));
+    }
+
+    /// From here on the drive answers as usual.
+    pub fn answer_as_usual(&self, index: usize) {
+        self.faults(index, FaultPlan::default());
+    }
+
+    /// A datagram from `from` reaches the bus so long after the begin of the next cycle.
+    pub fn inject(&self, from: SocketAddrV4, bytes: &[u8], ns: u64) {
+        self.world.inject(self.wire.master(), from, bytes, self.cycle().grid + ns);
+    }
+
+    /// Turns until the next exchange of this drive is closed.
+    pub fn exchange(&mut self, index: usize) -> Seen {
+        let closed = |seen: &Seen| !matches!(seen.exchange, Exchange::Idle | Exchange::Owed { .. });
+        for _ in 0..1_000 {
+            self.turn();
+            if closed(&self.seen[index]) {
+                return self.seen[index];
+            }
+        }
+        panic!("drive {index} is not due");
+    }
+
+    pub fn mute(&self, index: usize, mute: bool) {
+        self.wire.log().drives[index].mute = mute;
+    }
+
+    pub fn said(&self, index: usize) -> Said {
+        self.wire.log().drives[index].said()
+    }
+
+    /// The last answer that the drive gave, as it left.
+    pub fn reply(&self, index: usize) -> Vec<u8> {
+        self.wire.log().drives[index].reply()
+    }
+
+    /// How many requests the drive has heard.
+    pub fn heard(&self, index: usize) -> usize {
+        self.wire.log().drives[index].heard.len()
+    }
+
+    /// The requests that the drive has heard, byte for byte.
+    pub fn requests(&self, index: usize) -> Vec<Vec<u8>> {
+        self.wire.log().drives[index].heard.iter().map(|heard| heard.request.clone()).collect()
+    }
+
+    pub fn state(&self, index: usize) -> State {
+        self.slots[index].report.state
+    }
+}
+
+/// A way of being in motion.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Motion {
+    Move,
+    Jog,
+    Follow,
+    Home,
+}
+
+/// A move by the way that the profile's velocity makes in so many seconds.
+pub fn by(drive: &Drive, seconds: f64) -> Verb {
+    let profile = drive.axis.profile;
+    Verb::Move(Move { target: Target::Relative(profile.velocity * seconds), profile })
+}
+
+/// Verbs of each kind, as they may be asked of a drive that is ready.
+pub fn verbs(line: &Line, index: usize) -> Vec<Verb> {
+    vec![
+        Verb::Enable,
+        Verb::Disable,
+        Verb::Home,
+        line.by(index, 0.1),
+        line.jog(index, 0.1),
+        Verb::Follow,
+        Verb::Stop { deceleration: None },
+        Verb::QuickStop,
+        Verb::ResetFault,
+        Verb::Native(NativeOwner::Master),
+        Verb::Native(NativeOwner::Application),
+    ]
+}
+
+/// So many drives as a clause wants them, due as often as the protocol can.
+pub fn drives(subject: &dyn Subject, count: usize, change: impl Fn(usize, &mut Drive)) -> Vec<Drive> {
+    let drive = |index| {
+        let mut axis = subject.axis(&format!("x{index}"));
+        axis.divisor = 1 + subject.can().answers_after;
+        let start = axis.profile.velocity * 0.1;
+        let mut drive = Drive { axis, start, running: false, jog: true, follow: true };
+        change(index, &mut drive);
+        drive
+    };
+    (0..count).map(drive).collect()
+}

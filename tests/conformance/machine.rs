@@ -1,0 +1,227 @@
+//! The whole loop over the subject's bus, in virtual time.
+
+use std::collections::BTreeMap;
+use std::sync::MutexGuard;
+
+use fieldbeat::Master;
+use fieldbeat::axis::{CommandId, EventKind, Failure, Feedback, Link, Outcome, StopCause, Verb};
+use fieldbeat::bus::BusPlan;
+use fieldbeat::cycle::engine::Flow;
+use fieldbeat::cycle::{CyclePlan, Plan};
+use fieldbeat::sim::FaultPlan;
+use fieldbeat::sim::world::{World, WorldOptions};
+use fieldbeat::simulation::Simulation;
+use fieldbeat::time::Time;
+
+use crate::line::{self, PERIOD};
+use crate::subject::{Can, Drive, Subject};
+use crate::wire::{Tape, Wire};
+
+pub struct Machine {
+    pub can: Can,
+    pub drives: Vec<Drive>,
+    pub sim: Simulation,
+    wire: Wire,
+    origin: Time,
+    /// How each command ended, by axis and id.
+    ends: BTreeMap<(usize, CommandId), Outcome>,
+    pub restarts: u32,
+}
+
+impl Machine {
+    /// A machine of so many drives, each changed.
+    pub fn new(subject: &'static dyn Subject, count: usize, change: impl Fn(usize, &mut Drive)) -> Machine {
+        Machine::of(subject, count, change, CyclePlan::default(), WorldOptions::default())
+    }
+
+    pub fn of(
+        subject: &'static dyn Subject,
+        count: usize,
+        change: impl Fn(usize, &mut Drive),
+        cycle: CyclePlan,
+        options: WorldOptions,
+    ) -> Machine {
+        assert_eq!(cycle.period_ns, PERIOD);
+        let drives = line::drives(subject, count, change);
+        let wire = Wire::new(subject, &drives);
+        // The grid begins two periods after the first look at the clock.
+        let origin = options.start + options.read_ns + 2 * PERIOD;
+        let plan = Plan { source: None, cycle, buses: vec![Box::new(wire.clone())], groups: Vec::new() };
+        let sim = Master::from_plan(plan).simulate(options).expect("the machine can be built");
+        Machine { can: subject.can(), drives, sim, wire, origin, ends: BTreeMap::new(), restarts: 0 }
+    }
+
+    pub fn step(&mut self) -> Flow {
+        let flow = self.sim.step();
+        for index in 0..self.drives.len() {
+            while let Some(event) = self.sim.axis(index).event() {
+                match event.kind {
+                    EventKind::Ended { id, outcome, .. } => {
+                        assert_eq!(
+                            self.ends.insert((index, id), outcome),
+                            None,
+                            "command {} ended twice",
+                            id.0
+                        );
+                    }
+                    EventKind::Restarted => self.restarts += 1,
+                    _ => {}
+                }
+            }
+        }
+        flow
+    }
+
+    pub fn run(&mut self, cycles: u64) {
+        for _ in 0..cycles {
+            self.step();
+        }
+    }
+
+    pub fn until(&mut self, what: &str, most: u64, mut done: impl FnMut(&Machine) -> bool) -> u64 {
+        for cycle in 0..most {
+            if done(self) {
+                return cycle;
+            }
+            self.step();
+        }
+        let all: Vec<_> = (0..self.drives.len()).map(|index| self.feedback(index)).collect();
+        panic!("not within {most} cycles: {what}; {all:#?}");
+    }
+
+    pub fn feedback(&self, index: usize) -> Feedback {
+        self.sim.feedback(index)
+    }
+
+    pub fn online(&mut self) {
+        let count = self.drives.len();
+        self.until("all online", 2_000, |m| (0..count).all(|index| m.feedback(index).link == Link::Online));
+    }
+
+    /// All online, enabled and homed.
+    pub fn ready(&mut self) {
+        self.online();
+        for index in 0..self.drives.len() {
+            self.done(index, Verb::Enable);
+            if self.can.home {
+                self.done(index, Verb::Home);
+            }
+        }
+    }
+
+    /// Every axis on a move of many seconds.
+    pub fn moving(&mut self) -> Vec<CommandId> {
+        self.ready();
+        let ids = (0..self.drives.len()).map(|index| self.post(index, self.by(index, 20.0))).collect();
+        self.run(200);
+        assert!((0..self.drives.len()).all(|index| self.feedback(index).moving));
+        ids
+    }
+
+    /// A move by the way of so many seconds.
+    pub fn by(&self, index: usize, seconds: f64) -> Verb {
+        line::by(&self.drives[index], seconds)
+    }
+
+    pub fn post(&mut self, index: usize, verb: Verb) -> CommandId {
+        self.sim.axis(index).post(verb).unwrap_or_else(|error| panic!("{error}"))
+    }
+
+    pub fn outcome(&self, index: usize, id: CommandId) -> Option<Outcome> {
+        self.ends.get(&(index, id)).copied()
+    }
+
+    pub fn ended(&mut self, index: usize, id: CommandId) -> Outcome {
+        self.until("the end of a command", 40_000, |m| m.outcome(index, id).is_some());
+        self.ends[&(index, id)]
+    }
+
+    pub fn done(&mut self, index: usize, verb: Verb) {
+        let id = self.post(index, verb);
+        assert_eq!(self.ended(index, id), Outcome::Done, "{verb:?} of axis {index}");
+    }
+
+    pub fn failed(&mut self, index: usize, verb: Verb) -> Failure {
+        let id = self.post(index, verb);
+        match self.ended(index, id) {
+            Outcome::Failed(failure) => failure,
+            other => panic!("{verb:?} of axis {index}: {other}"),
+        }
+    }
+
+    /// Turns until the axis is latched.
+    pub fn stopped(&mut self, index: usize, most: u64) -> StopCause {
+        self.until("a stop", most, |m| m.feedback(index).stopped.is_some());
+        self.feedback(index).stopped.expect("it is stopped")
+    }
+
+    /// Out of the latch and enabled again.
+    pub fn recover(&mut self, index: usize) {
+        for verb in [Verb::ResetFault, Verb::Reset, Verb::Enable] {
+            self.done(index, verb);
+        }
+        if self.can.home {
+            self.done(index, Verb::Home);
+        }
+    }
+
+    pub fn world(&self) -> &World {
+        self.sim.world()
+    }
+
+    pub fn tape<R>(&self, index: usize, look: impl FnOnce(&mut Tape) -> R) -> R {
+        let mut log: MutexGuard<'_, _> = self.wire.log();
+        look(&mut log.drives[index])
+    }
+
+    pub fn mute(&self, index: usize, mute: bool) {
+        self.tape(index, |tape| tape.mute = mute);
+    }
+
+    pub fn plug(&self, index: usize, plugged: bool) {
+        let address = self.wire.address(index);
+        assert!(if plugged { self.world().plug(address) } else { self.world().unplug(address) });
+    }
+
+    pub fn restart(&self, index: usize) {
+        assert!(self.world().restart(self.wire.address(index)));
+    }
+
+    /// What another master sends reaches the drive now.
+    pub fn inject_to(&self, index: usize, bytes: &[u8]) {
+        self.world().inject(self.wire.address(index), self.wire.master(), bytes, Time(0));
+    }
+
+    pub fn faults(&self, index: usize, plan: FaultPlan) {
+        let (address, usual) = self.tape(index, |tape| (tape.address, tape.usual.answer_ns));
+        let plan = FaultPlan { answer_ns: usual + plan.answer_ns, ..plan };
+        assert!(self.world().set_faults(address, plan));
+    }
+
+    /// The slots of the grid in which the drive was sent something, from `first` on.
+    pub fn asked_in(&self, index: usize, first: usize) -> Vec<u64> {
+        let slot = |at: Time| at.since(self.origin) / PERIOD;
+        self.tape(index, |tape| tape.heard[first..].iter().map(|heard| slot(heard.at)).collect())
+    }
+
+    pub fn heard(&self, index: usize) -> usize {
+        self.tape(index, |tape| tape.heard.len())
+    }
+
+    /// The stop bound that `check` states for an axis, and the cycles that a late answer of this protocol adds.
+    pub fn stop_bound(&self, index: usize) -> u64 {
+        let axes = self.wire.axes();
+        fieldbeat::config::stop_bound_cycles(axes[index], &axes) + u64::from(self.can.answers_after)
+    }
+
+    /// Turns until the loop has ended.
+    pub fn until_end(&mut self, most: u64) {
+        assert!((0..most).any(|_| self.step() == Flow::End), "no end within {most} cycles");
+    }
+
+    /// `planned = executed + skipped`, each counted on its own.
+    pub fn assert_grid(&self) {
+        let status = self.sim.status();
+        assert_eq!(status.planned, status.executed + status.skipped, "{status:?}");
+    }
+}

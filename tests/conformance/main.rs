@@ -1,0 +1,164 @@
+//! What every `Bus` must do, whatever its protocol: the contract of `src/bus/mod.rs`, clause by clause.
+//!
+//! | file | what |
+//! |---|---|
+//! | `subject` | what a protocol brings along; nothing else in here knows one |
+//! | `subjects/` | the protocols, a file each |
+//! | `line`, `rules` | one bus alone: the clause plays the loop by hand, the referee looks at every call |
+//! | `machine` | the whole loop over the same bus |
+//! | `wire` | what goes over the wire, written down |
+//! | `opening`, `exchanges`, `replies`, `neighbours`, `orders`, `reports` | clauses of a bus alone |
+//! | `whole` | clauses of a bus under the loop |
+//! | `broken` | the clauses can fail |
+//!
+//! A new protocol is one file in `subjects/` and one line in `subjects!` below. A failure reads
+//! `linudp::replies::a_duplicate_is_counted_and_answers_nothing`: subject, chapter, clause. What means nothing for a
+//! subject is said on standard error and never passed over in silence.
+
+mod broken;
+mod exchanges;
+mod line;
+mod machine;
+mod neighbours;
+mod opening;
+mod orders;
+mod replies;
+mod reports;
+mod rules;
+mod subject;
+mod subjects;
+mod whole;
+mod wire;
+
+/// The clauses by chapter, each as a test of the subject at hand.
+macro_rules! clauses {
+    () => {
+        clauses! {
+            opening::{
+                a_plan_tells_of_its_drives_in_slot_order,
+                open_sends_nothing,
+                a_bus_that_cannot_be_opened_is_an_error_with_its_name_and_a_remedy,
+                the_native_end_of_each_drive_is_given_once,
+                the_memory_that_it_names_stays_where_it_is,
+            },
+            exchanges::{
+                nothing_is_sent_for_a_slot_that_is_not_due,
+                each_due_slot_is_one_request_and_one_exchange,
+                a_request_that_is_built_again_is_the_same_to_the_byte,
+                only_the_order_that_stands_at_the_last_build_is_carried_out,
+                receive_never_waits,
+                a_window_is_open_for_what_it_owes_and_for_nothing_else,
+                what_is_still_owed_is_not_asked_again,
+                what_is_not_answered_in_its_window_is_open_until_the_loop_calls_it_missed,
+                a_flood_is_taken_in_by_bounded_bites,
+                a_cycle_that_begins_late_ends_when_it_always_does,
+                a_refused_send_opens_nothing_and_is_made_up_for,
+                the_end_comes_and_leaves_nothing_owed,
+            },
+            replies::{
+                a_clean_wire_answers_everything,
+                the_reply_after_a_miss_is_suspect_unless_it_names_its_request,
+                a_reply_between_two_windows_is_late_and_its_exchange_a_miss,
+                a_late_reply_that_comes_first_in_the_next_window_is_not_taken_for_the_newest,
+                a_late_reply_that_comes_with_the_one_asked_for_leaves_the_newer_values,
+                replies_that_are_always_one_exchange_behind_are_never_taken_for_fresh_ones,
+                a_duplicate_is_counted_and_answers_nothing,
+                a_reply_of_before_that_comes_again_moves_nothing,
+                a_reply_that_was_overtaken_is_late,
+                what_is_no_answer_of_this_protocol_is_malformed,
+                the_answer_to_something_that_was_not_asked_is_foreign,
+                a_true_answer_from_a_wrong_port_is_foreign,
+                what_comes_from_no_drive_of_its_own_is_a_strangers,
+                no_bytes_whatever_upset_it,
+                the_accounts_hold_in_any_weather,
+            },
+            neighbours::{
+                the_silence_of_one_troubles_no_other,
+                the_absence_of_one_troubles_no_other,
+                the_garbage_of_one_troubles_no_other,
+                replies_of_one_that_come_twice_or_late_trouble_no_other,
+                refused_sends_to_one_trouble_no_other,
+                restarts_of_one_trouble_no_other,
+                orders_to_one_trouble_no_other,
+            },
+            orders::{
+                a_drive_that_got_no_order_stays_as_it_was_found,
+                a_drive_found_running_runs_on_until_the_first_order,
+                an_order_without_a_verb_keeps_the_state_of_the_drive,
+                a_drive_found_running_is_taken_over_and_stopped_with_its_power_on,
+                each_verb_ends_in_what_it_says,
+                an_order_is_carried_out_once_and_its_end_stays_told,
+                a_move_keeps_to_its_profile_in_user_units,
+                a_new_order_replaces_the_one_before_it,
+                what_it_cannot_do_is_refused_by_name_at_once,
+                native_mode_is_refused_by_name_or_moves_nothing_by_itself,
+                a_stop_from_every_motion_brings_standstill_with_power_on,
+                a_stop_ends_at_standstill_however_fast_the_motion_was,
+                a_stop_ramps_down_as_fast_as_it_was_told,
+                a_stop_at_standstill_or_without_power_changes_nothing,
+                an_enable_that_is_stopped_half_way_does_not_go_on_by_itself,
+                an_order_is_not_done_by_what_was_heard_before_the_one_it_replaces,
+                a_stop_behind_a_disable_that_never_arrived_ends_at_standstill,
+                disable_powers_off_from_every_motion,
+                rows_are_followed_in_order_to_the_last,
+                a_jog_goes_on_until_it_is_replaced,
+                a_velocity_is_followed_wherever_it_goes,
+                what_the_door_cannot_see_keeps_to_the_position_limits_all_the_same,
+                orders_survive_exchanges_that_are_missed,
+                a_stop_reaches_a_drive_that_is_not_heard,
+                the_request_after_an_order_carries_it,
+                orders_with_a_time_limit_end_even_if_nobody_answers,
+                an_enable_that_timed_out_does_not_come_up_later,
+                a_motion_whose_drive_restarts_fails_and_is_not_taken_up_again,
+                a_fault_of_the_drive_ends_its_orders_and_is_reset_to_power_off,
+                slots_that_are_passed_over_lose_no_order_and_no_row,
+                whatever_is_asked_in_whatever_state_ends_or_goes_on,
+            },
+            reports::{
+                a_report_is_what_the_drive_said_in_user_units,
+                velocity_is_the_way_made_in_user_units_a_second,
+                each_answer_is_fresh_once_and_silence_is_not,
+                a_restart_is_noticed_once_and_what_was_known_is_forgotten,
+                homed_is_what_the_drive_says_after_a_restart_too,
+            },
+            whole::{
+                good_exchanges_in_a_row_bring_the_link_up,
+                the_unseen_and_the_lost_are_asked_once_a_probe_interval,
+                the_stop_request_is_on_the_wire_within_its_bound,
+                divisor_and_phase_choose_the_slots,
+                one_lost_drive_leaves_the_others_untouched,
+                a_lost_drive_comes_back_by_the_application_only_and_homed_is_read_again,
+                a_restart_in_mid_motion_ends_latched_and_nothing_moves_by_itself,
+                found_running_is_stopped_or_left_alone_as_its_plan_says,
+                a_fault_of_the_drive_latches_its_axis,
+                the_same_seed_is_the_same_run_to_the_byte,
+                the_end_of_the_master_leaves_every_drive_at_standstill_and_off,
+                a_grid_with_skipped_slots_owes_nothing_for_them,
+            },
+        }
+    };
+    ($($chapter:ident::{$($clause:ident),* $(,)?}),* $(,)?) => {
+        $(mod $chapter {
+            $(#[test]
+            fn $clause() {
+                crate::$chapter::$clause(super::SUBJECT);
+            })*
+        })*
+    };
+}
+
+/// A module of tests for each subject.
+macro_rules! subjects {
+    ($($name:ident: $subject:expr,)*) => {
+        $(mod $name {
+            const SUBJECT: &dyn crate::subject::Subject = &$subject;
+            clauses!();
+        })*
+    };
+}
+
+subjects! {
+    linudp: crate::subjects::linudp::LinUdp { reply_tag: false },
+    linudp_tagged: crate::subjects::linudp::LinUdp { reply_tag: true },
+    toy: crate::subjects::toy::Toy(None),
+}

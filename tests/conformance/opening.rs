@@ -1,0 +1,61 @@
+//! The plan, and the bus before its first cycle.
+
+use fieldbeat::bus::BusPlan;
+use fieldbeat::rt::Regions;
+use fieldbeat::time::S;
+
+use crate::line::{Line, PERIOD, drives};
+use crate::subject::Subject;
+
+pub fn a_plan_tells_of_its_drives_in_slot_order(subject: &'static dyn Subject) {
+    let plan = subject.plan(&drives(subject, 3, |index, drive| drive.axis.name = format!("n{}", 7 - index)));
+    let names: Vec<&str> = plan.axes().iter().map(|axis| axis.name.as_str()).collect();
+    assert_eq!(names, ["n7", "n6", "n5"]);
+    let told = plan.describe(PERIOD);
+    assert_eq!(told.len(), 3, "a paragraph a drive");
+    assert!(told.iter().all(|paragraph| paragraph.lines().next().is_some_and(|line| !line.is_empty())));
+    assert_eq!(plan.simulate().len(), 3);
+    assert!(!plan.protocol().is_empty() && !plan.name().is_empty());
+}
+
+pub fn open_sends_nothing(subject: &'static dyn Subject) {
+    let line = Line::new(subject, 3);
+    line.world.advance(S);
+    assert_eq!((line.world.delivered(), line.wire.log().sends), (0, 0));
+    assert_eq!(line.bus.name(), line.wire.name());
+}
+
+pub fn a_bus_that_cannot_be_opened_is_an_error_with_its_name_and_a_remedy(subject: &'static dyn Subject) {
+    let line = Line::new(subject, 1);
+    let error =
+        line.wire.open(PERIOD, &line.world).err().expect("its place on the wire is taken").to_string();
+    assert!(error.contains(line.wire.name()), "{error}");
+    let remedy = error.rsplit(';').next().unwrap_or_default();
+    assert!(error.contains(';') && remedy.trim().len() > 10, "no remedy: {error}");
+}
+
+pub fn the_native_end_of_each_drive_is_given_once(subject: &'static dyn Subject) {
+    let mut line = Line::new(subject, 2);
+    for index in [1, 0] {
+        assert!(line.bus.native(index).is_some(), "drive {index}");
+        assert!(line.bus.native(index).is_none(), "drive {index}, again");
+    }
+    assert!(line.bus.native(2).is_none(), "there is no such drive");
+    // Nobody needs to hold it.
+    line.ready();
+}
+
+pub fn the_memory_that_it_names_stays_where_it_is(subject: &'static dyn Subject) {
+    let mut line = Line::new(subject, 3);
+    let named = |line: &Line| {
+        let mut regions = Regions::new();
+        line.bus.memory(&mut regions);
+        format!("{regions:?}")
+    };
+    let before = named(&line);
+    assert_ne!(before, format!("{:?}", Regions::new()), "at least the bus itself");
+    line.ready();
+    let verb = line.by(0, 0.1);
+    line.done(0, verb);
+    assert_eq!(named(&line), before, "locked memory was left for other memory");
+}

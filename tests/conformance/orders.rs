@@ -1,0 +1,718 @@
+//! Orders: each ends, for its own serial, in what it asked for or by the name of what stood against it.
+
+use std::time::Duration;
+
+use fieldbeat::axis::command::NativeOwner;
+use fieldbeat::axis::{Failure, Move, Profile, State, Target, Verb};
+use fieldbeat::sim::FaultPlan;
+use fieldbeat::time::S;
+
+use crate::line::{Line, Motion, PERIOD, verbs};
+use crate::rules::near;
+use crate::subject::{Drive, Subject, not_applicable};
+
+const STOP: Verb = Verb::Stop { deceleration: None };
+
+/// An untouched drive is found as `running` says, and whatever the link does, it stays so until the first order.
+fn stays_as_found(subject: &'static dyn Subject, running: bool) {
+    let mut line = Line::with(subject, 1, |_, drive| drive.running = running);
+    let address = line.wire.address(0);
+    line.turns(40);
+    let (found, state) = (line.said(0), line.state(0));
+    assert_eq!((found.powered, found.moving), (running, running));
+    assert_eq!(state == State::OperationEnabled, running, "{state:?}");
+    for turn in 0..1_200 {
+        match turn {
+            200 => assert!(line.world.unplug(address)),
+            400 => assert!(line.world.plug(address)),
+            600..620 => line.mute(0, true),
+            620 => line.mute(0, false),
+            700 => line.faults(0, FaultPlan { drop: 0.3, duplicate: 0.3, ..FaultPlan::default() }),
+            900 => line.answer_as_usual(0),
+            _ => {}
+        }
+        line.turn();
+        let said = line.said(0);
+        let told = (said.powered, said.moving, said.homed, line.state(0));
+        assert_eq!(told, (found.powered, found.moving, found.homed, state), "in cycle {turn}");
+        assert!(running || said.position == found.position, "in cycle {turn}");
+    }
+    assert!(!running || line.said(0).position != found.position, "it went on by itself");
+}
+
+pub fn a_drive_that_got_no_order_stays_as_it_was_found(subject: &'static dyn Subject) {
+    stays_as_found(subject, false);
+}
+
+pub fn a_drive_found_running_runs_on_until_the_first_order(subject: &'static dyn Subject) {
+    stays_as_found(subject, true);
+}
+
+pub fn an_order_without_a_verb_keeps_the_state_of_the_drive(subject: &'static dyn Subject) {
+    for running in [false, true] {
+        let mut line = Line::with(subject, 1, |_, drive| drive.running = running);
+        line.online();
+        let state = line.state(0);
+        line.order(0, None);
+        assert_eq!(line.ended(0), Ok(()));
+        for _ in 0..200 {
+            line.turn();
+            assert_eq!(line.state(0).is_powered(), state.is_powered(), "{:?}", line.state(0));
+        }
+        assert_eq!(line.said(0).moving, running);
+    }
+}
+
+pub fn a_drive_found_running_is_taken_over_and_stopped_with_its_power_on(subject: &'static dyn Subject) {
+    for stop in [STOP, Verb::QuickStop] {
+        let mut line = Line::with(subject, 1, |_, drive| drive.running = true);
+        line.online();
+        line.done(0, stop);
+        assert_standing(&mut line, 0, true);
+        line.done(0, Verb::Disable);
+        assert!(!line.said(0).powered);
+    }
+}
+
+pub fn each_verb_ends_in_what_it_says(subject: &'static dyn Subject) {
+    let mut line = Line::new(subject, 2);
+    line.online();
+    line.done(0, Verb::Enable);
+    assert_eq!((line.state(0), line.said(0).powered), (State::OperationEnabled, true));
+    assert!(!line.said(1).powered, "its neighbour was not asked");
+    if line.can.home {
+        line.done(0, Verb::Home);
+        assert!(line.slots[0].report.homed && line.said(0).homed);
+    }
+    let (at, way) = (line.slots[0].report.demand, line.way(0, 0.1));
+    for (target, expected) in [
+        (Target::Relative(way), at + way),
+        (Target::Absolute(at), at),
+        (Target::Absolute(at + way), at + way),
+        (Target::Relative(-2.0 * way), at - way),
+        (Target::Relative(0.0), at - way),
+    ] {
+        let profile = line.profile(0);
+        line.done(0, Verb::Move(Move { target, profile }));
+        let demand = line.slots[0].report.demand;
+        assert!((demand - expected).abs() < way * 1e-3, "{target:?}: at {demand} instead of {expected}");
+        assert!(!line.said(0).moving);
+    }
+    line.done(0, STOP);
+    line.done(0, Verb::QuickStop);
+    assert_eq!(line.state(0), State::OperationEnabled, "it stays enabled");
+    line.done(0, Verb::ResetFault);
+    line.order(0, Verb::Enable);
+    line.until("the end of a second enable", 1_000, |line| {
+        assert!(line.said(0).powered, "it is on already, and stays so");
+        line.end(0) == Some(Ok(()))
+    });
+    line.done(0, Verb::Disable);
+    assert!(!line.said(0).powered && !line.state(0).is_powered());
+    line.done(0, Verb::Disable);
+}
+
+pub fn an_order_is_carried_out_once_and_its_end_stays_told(subject: &'static dyn Subject) {
+    let mut line = Line::made_ready(subject, 1);
+    let (at, way, verb) = (line.slots[0].report.demand, line.way(0, 0.05), line.by(0, 0.05));
+    for n in 1..=20 {
+        // The same again under a new serial is a new order.
+        line.done(0, verb);
+        let demand = line.slots[0].report.demand;
+        assert!((demand - at - f64::from(n) * way).abs() < way * 1e-2, "after {n}: {demand}");
+    }
+    let before = line.slots[0].report.demand;
+    for _ in 0..300 {
+        line.turn();
+        assert_eq!(line.end(0), Some(Ok(())));
+        assert_eq!(line.slots[0].report.demand, before, "it moves after its end");
+    }
+}
+
+pub fn a_move_keeps_to_its_profile_in_user_units(subject: &'static dyn Subject) {
+    // Way, velocity, acceleration, deceleration, as parts of the usual profile.
+    for (way, v, a, d) in
+        [(0.3, 1.0, 1.0, 1.0), (0.3, 0.5, 1.0, 1.0), (0.2, 1.0, 0.5, 1.0), (0.2, 1.0, 1.0, 0.5)]
+    {
+        let mut line = Line::made_ready(subject, 1);
+        let usual = line.profile(0);
+        let profile = Profile {
+            velocity: usual.velocity * v,
+            acceleration: usual.acceleration * a,
+            deceleration: usual.deceleration * d,
+        };
+        let way = line.way(0, way);
+        line.order(0, Verb::Move(Move { target: Target::Relative(way), profile }));
+        let seconds = |cycles: u64| (cycles * PERIOD) as f64 / S as f64;
+        let begin = line.index;
+        line.until("its velocity", 5_000, |line| line.slots[0].report.velocity > profile.velocity * 0.98);
+        let speeding = seconds(line.index - begin);
+        assert_eq!(line.ended(0), Ok(()));
+        let whole = seconds(line.index - begin);
+        // Times of a trapezoid; the way is long enough for the velocity.
+        let up = profile.velocity / profile.acceleration;
+        let ramps = up + profile.velocity / profile.deceleration;
+        let should = way / profile.velocity + ramps / 2.0;
+        assert!((speeding - up).abs() < 0.03, "{speeding} s to its velocity instead of {up} s: {profile:?}");
+        assert!(
+            (whole - should).abs() < 0.03 + should * 0.02,
+            "{whole} s instead of {should} s: {profile:?}"
+        );
+    }
+}
+
+pub fn a_new_order_replaces_the_one_before_it(subject: &'static dyn Subject) {
+    let mut line = Line::made_ready(subject, 1);
+    let (at, way) = (line.slots[0].report.demand, line.way(0, 0.2));
+    line.set_going(0, Motion::Move);
+    let profile = line.profile(0);
+    line.done(0, Verb::Move(Move { target: Target::Absolute(at + way), profile }));
+    // Here and not where the first one would have gone; and its end never comes up again (the referee sees to that).
+    let standing = line.slots[0].report.demand;
+    assert!((standing - at - way).abs() < way * 1e-3, "at {standing}");
+    line.turns(500);
+    assert_eq!(line.slots[0].report.demand, standing);
+    // Orders in every cycle: the last one counts.
+    for n in 0..30 {
+        let target = Target::Absolute(at + way * f64::from(n) / 29.0);
+        line.order(0, Verb::Move(Move { target, profile }));
+        line.turn();
+    }
+    assert_eq!(line.ended(0), Ok(()));
+    let standing = line.slots[0].report.demand;
+    assert!((standing - at - way).abs() < way * 1e-3, "at {standing}");
+}
+
+pub fn what_it_cannot_do_is_refused_by_name_at_once(subject: &'static dyn Subject) {
+    let mut line = Line::with(subject, 1, |_, drive| (drive.jog, drive.follow) = (false, false));
+    line.ready();
+    let acceleration = line.profile(0).acceleration;
+    let mut asked = vec![line.jog(0, 0.1), Verb::Velocity { acceleration }, Verb::Follow];
+    asked.extend((!line.can.home).then_some(Verb::Home));
+    for verb in asked {
+        let at = line.slots[0].report.demand;
+        line.stream(0, 0.1, 100);
+        line.settle();
+        line.order(0, verb);
+        line.prepare();
+        let Some(Err(Failure::Unsupported(why))) = line.end(0) else {
+            panic!("{verb:?} is refused before anything is sent: {:?}", line.end(0));
+        };
+        assert!(why.len() > 10, "{why}");
+        line.turns(100);
+        assert!(matches!(line.end(0), Some(Err(Failure::Unsupported(_)))));
+        assert_eq!((line.slots[0].report.demand, line.state(0)), (at, State::OperationEnabled));
+    }
+    // Those that it names as its own are not.
+    let mut able = Line::made_ready(subject, 1);
+    for motion in able.motions() {
+        able.set_going(0, motion);
+        able.done(0, STOP);
+    }
+}
+
+pub fn native_mode_is_refused_by_name_or_moves_nothing_by_itself(subject: &'static dyn Subject) {
+    for owner in [NativeOwner::Master, NativeOwner::Application] {
+        let mut line = Line::made_ready(subject, 1);
+        line.order(0, Verb::Native(owner));
+        line.turns(50);
+        match line.end(0) {
+            Some(Err(Failure::Unsupported(why))) => assert!(why.len() > 10, "{why}"),
+            end => assert_eq!(end, None, "native mode has no end of its own"),
+        }
+        assert_standing(&mut line, 0, true);
+        line.done(0, STOP);
+        line.done(0, Verb::Disable);
+    }
+}
+
+/// It stands, and goes on standing.
+fn assert_standing(line: &mut Line, index: usize, powered: bool) {
+    let standing = line.slots[index].report.demand;
+    let slow = line.profile(index).velocity * 0.01;
+    line.turns(60);
+    for _ in 0..150 {
+        line.turn();
+        let (report, said) = (&line.slots[index].report, line.said(index));
+        assert!(!report.moving && !said.moving && report.velocity.abs() < slow, "{report:?}");
+        assert!(!powered || near(report.demand, standing), "{report:?}");
+        assert_eq!(said.powered, powered, "{report:?}");
+    }
+}
+
+pub fn a_stop_from_every_motion_brings_standstill_with_power_on(subject: &'static dyn Subject) {
+    let stops = [
+        vec![STOP],
+        vec![Verb::QuickStop],
+        // Sooner, after all.
+        vec![STOP, Verb::QuickStop],
+        vec![STOP, STOP],
+    ];
+    for motion in Line::new(subject, 1).motions() {
+        for stop in &stops {
+            let mut line = Line::made_ready(subject, 1);
+            line.set_going(0, motion);
+            for verb in stop {
+                line.order(0, *verb);
+                line.turns(3);
+            }
+            assert_eq!(line.ended(0), Ok(()), "{stop:?} of {motion:?}");
+            assert!(!line.slots[0].report.moving, "it ends at standstill");
+            assert_standing(&mut line, 0, true);
+            assert_eq!(line.state(0), State::OperationEnabled);
+            // The next motion goes as if nothing had been.
+            if motion != Motion::Home {
+                let verb = line.by(0, 0.02);
+                line.done(0, verb);
+            }
+        }
+    }
+}
+
+pub fn a_stop_ends_at_standstill_however_fast_the_motion_was(subject: &'static dyn Subject) {
+    for stop in [STOP, Verb::QuickStop] {
+        let mut line = Line::made_ready(subject, 1);
+        let usual = line.profile(0);
+        let profile = Profile {
+            velocity: usual.velocity * 5.0,
+            acceleration: usual.acceleration * 10.0,
+            deceleration: usual.deceleration * 10.0,
+        };
+        let target = Target::Relative(line.way(0, 5.0));
+        line.order(0, Verb::Move(Move { target, profile }));
+        line.until("its velocity", 500, |line| line.slots[0].report.velocity > profile.velocity * 0.98);
+        line.done(0, stop);
+        let (report, said) = (line.slots[0].report, line.said(0));
+        assert!(!report.moving && !said.moving, "{stop:?} ended too soon: {report:?}");
+        assert!(report.velocity < usual.velocity * 0.2, "{stop:?} ended too soon: {report:?}");
+        assert_standing(&mut line, 0, true);
+    }
+}
+
+pub fn a_stop_ramps_down_as_fast_as_it_was_told(subject: &'static dyn Subject) {
+    for part in [1.0, 0.5, 4.0] {
+        let mut line = Line::made_ready(subject, 1);
+        line.set_going(0, Motion::Move);
+        line.turns(150);
+        let Profile { velocity, deceleration, .. } = line.profile(0);
+        line.order(0, Verb::Stop { deceleration: Some(deceleration * part) });
+        let braking = line.until("standstill", 5_000, |line| !line.slots[0].report.moving);
+        let (took, should) = ((braking * PERIOD) as f64 * 1e-9, velocity / (deceleration * part));
+        assert!((took - should).abs() < 0.01 + should * 0.05, "{took} s instead of {should} s");
+        assert_eq!(line.ended(0), Ok(()));
+    }
+}
+
+pub fn a_stop_at_standstill_or_without_power_changes_nothing(subject: &'static dyn Subject) {
+    for stop in [STOP, Verb::QuickStop] {
+        let mut line = Line::new(subject, 1);
+        line.online();
+        line.run(0, stop).expect("a drive without power stands");
+        assert_standing(&mut line, 0, false);
+        line.ready();
+        line.done(0, stop);
+        assert_standing(&mut line, 0, true);
+    }
+}
+
+pub fn an_enable_that_is_stopped_half_way_does_not_go_on_by_itself(subject: &'static dyn Subject) {
+    for stop in [STOP, Verb::QuickStop, Verb::Disable] {
+        for after in [0, 1, 2, 5, 20, 100] {
+            let mut line = Line::new(subject, 1);
+            line.online();
+            line.order(0, Verb::Enable);
+            line.turns(after);
+            if line.end(0).is_some() {
+                continue;
+            }
+            line.done(0, stop);
+            let was_on = line.state(0) == State::OperationEnabled;
+            line.turns(600);
+            let on = line.state(0) == State::OperationEnabled;
+            assert!(was_on || !on, "{stop:?} {after} cycles after the enable: up by itself");
+        }
+    }
+}
+
+pub fn an_order_is_not_done_by_what_was_heard_before_the_one_it_replaces(subject: &'static dyn Subject) {
+    // The drive did the first, but its answer was lost: what is known of it is of before.
+    for (first, second, powered) in [
+        (Verb::Disable, Verb::Enable, true),
+        (Verb::Enable, Verb::Disable, false),
+        (Verb::Disable, STOP, false),
+        (Verb::Disable, Verb::QuickStop, false),
+    ] {
+        let mut line = Line::made_ready(subject, 1);
+        if first == Verb::Enable {
+            line.done(0, Verb::Disable);
+        }
+        line.settle();
+        line.mute(0, true);
+        line.order(0, first);
+        line.turns(u64::from(1 + line.can.answers_after));
+        line.order(0, second);
+        line.settle();
+        line.mute(0, false);
+        assert_eq!(line.ended(0), Ok(()), "{second:?} behind {first:?}");
+        assert_eq!(line.said(0).powered, powered, "{second:?} behind {first:?} is done");
+        if second == Verb::Enable {
+            let verb = line.by(0, 0.05);
+            line.done(0, verb);
+        }
+        line.turns(600);
+        assert_eq!(line.said(0).powered, powered, "{second:?} behind {first:?} was done");
+    }
+}
+
+pub fn a_stop_behind_a_disable_that_never_arrived_ends_at_standstill(subject: &'static dyn Subject) {
+    for stop in [STOP, Verb::QuickStop] {
+        let mut line = Line::made_ready(subject, 1);
+        let address = line.wire.address(0);
+        line.set_going(0, Motion::Move);
+        line.world.unplug(address);
+        line.order(0, Verb::Disable);
+        line.turns(4);
+        line.order(0, stop);
+        line.turns(4);
+        assert!(line.said(0).moving && line.end(0) != Some(Ok(())), "nothing of it was heard");
+        line.world.plug(address);
+        assert_eq!(line.ended(0), Ok(()), "{stop:?}");
+        assert!(!line.said(0).moving, "{stop:?} is done");
+    }
+}
+
+pub fn disable_powers_off_from_every_motion(subject: &'static dyn Subject) {
+    for motion in Line::new(subject, 1).motions() {
+        let mut line = Line::made_ready(subject, 1);
+        line.set_going(0, motion);
+        line.done(0, Verb::Disable);
+        assert!(!line.said(0).powered && !line.state(0).is_powered());
+        line.turns(300);
+        assert!(!line.said(0).powered, "and it stays off");
+    }
+}
+
+/// The second of two drives counts backwards.
+fn backwards(index: usize, drive: &mut Drive) {
+    drive.axis.units.counts_per_unit *= [1.0, -1.0][index];
+}
+
+pub fn rows_are_followed_in_order_to_the_last(subject: &'static dyn Subject) {
+    let mut line = Line::with(subject, 2, backwards);
+    line.ready();
+    if !line.can.follow {
+        return not_applicable(subject, "rows", "it follows none; see what is refused by name");
+    }
+    for (index, jammed, straight) in
+        [(0, false, false), (0, true, false), (1, false, false), (0, false, true)]
+    {
+        let rows = match straight {
+            false => line.stream(index, 0.1, 300),
+            true => line.straight(index, 0.1, 300),
+        };
+        let steepest = rows.windows(2).map(|pair| pair[1].position - pair[0].position).fold(0.0, f64::max);
+        line.order(index, Verb::Follow);
+        let mut before = line.slots[index].report.demand;
+        for turn in 0..2_000 {
+            // A row that was refused is sent with the next request, and none is jumped over.
+            line.wire.log().drives[index].jammed = jammed && turn % 50 == 25;
+            line.turn();
+            let demand = line.slots[index].report.demand;
+            let step = demand - before;
+            // A drive that interpolates may overshoot where a straight stream stops dead.
+            let back = if straight { steepest } else { 1e-9 };
+            assert!(step > -back && step < steepest * 2.5, "a step of {step}, rows make {steepest}");
+            before = demand;
+            if line.end(index).is_some() {
+                break;
+            }
+        }
+        line.wire.log().drives[index].jammed = false;
+        assert_eq!(line.ended(index), Ok(()));
+        let (demand, last) = (line.slots[index].report.demand, rows[rows.len() - 1].position);
+        assert!((demand - last).abs() < steepest * 1e-2, "at {demand}, the last row is {last}");
+        assert!(line.rows[index].is_empty());
+        assert_standing(&mut line, index, true);
+    }
+}
+
+pub fn a_jog_goes_on_until_it_is_replaced(subject: &'static dyn Subject) {
+    let mut line = Line::with(subject, 2, backwards);
+    line.ready();
+    if !line.can.jog {
+        return not_applicable(subject, "jogs", "it takes none; see what is refused by name");
+    }
+    for direction in [1.0, -1.0] {
+        let at = [0, 1].map(|index| line.slots[index].report.demand);
+        for index in 0..2 {
+            let verb = line.jog(index, 0.5 * direction);
+            line.order(index, verb);
+        }
+        line.turns(2_000);
+        for (index, at) in at.into_iter().enumerate() {
+            assert_eq!(line.end(index), None, "a jog has no end of its own");
+            let (moved, should) = (line.slots[index].report.demand - at, line.way(index, direction));
+            assert!(
+                (moved - should).abs() < should.abs() * 0.1,
+                "{moved} in two seconds instead of {should}"
+            );
+            line.done(index, STOP);
+        }
+    }
+}
+
+pub fn a_velocity_is_followed_wherever_it_goes(subject: &'static dyn Subject) {
+    let mut line = Line::with(subject, 1, backwards);
+    line.ready();
+    if !line.can.jog {
+        return not_applicable(subject, "cyclic velocities", "it takes none; see what is refused by name");
+    }
+    let acceleration = line.profile(0).acceleration;
+    line.order(0, Verb::Velocity { acceleration });
+    for seconds in [0.4, 0.2, -0.3, 0.0, 0.3] {
+        let velocity = line.way(0, seconds);
+        line.slots[0].velocity = velocity;
+        line.turns(400);
+        let at = line.slots[0].report.demand;
+        line.turns(1_000);
+        let (moved, should) = (line.slots[0].report.demand - at, velocity * 1_000.0 * PERIOD as f64 * 1e-9);
+        assert!((moved - should).abs() <= should.abs() * 0.1 + 1e-9, "{moved} instead of {should}");
+    }
+    assert_eq!(line.end(0), None, "it has no end of its own");
+    line.done(0, STOP);
+}
+
+pub fn what_the_door_cannot_see_keeps_to_the_position_limits_all_the_same(subject: &'static dyn Subject) {
+    // Where a relative move or a jog leads, only the bus knows.
+    let mut line = Line::with(subject, 2, |index, drive| {
+        backwards(index, drive);
+        drive.axis.limits.position = Some((-2.0 * drive.start, 2.0 * drive.start));
+    });
+    line.ready();
+    for index in 0..2 {
+        let reach = line.way(index, 0.2);
+        let at = line.slots[index].report.demand;
+        for seconds in [0.5, -0.5] {
+            let end = line.run(index, line.by(index, seconds));
+            assert!(matches!(end, Err(Failure::Limit { .. })), "{end:?}");
+            line.turns(100);
+            assert_eq!(line.slots[index].report.demand, at, "a move that is refused moves nothing");
+        }
+        for direction in [0.5, -0.5].into_iter().filter(|_| subject.can().jog) {
+            let end = line.run(index, line.jog(index, direction));
+            assert!(matches!(end, Err(Failure::Limit { .. })), "{end:?}");
+            let demand = line.slots[index].report.demand;
+            let over = demand.abs() - reach;
+            assert!(over < reach * 1e-6 && over > -reach * 0.1, "it ends at {demand}, the limit is {reach}");
+            assert_standing(&mut line, index, true);
+        }
+    }
+}
+
+pub fn orders_survive_exchanges_that_are_missed(subject: &'static dyn Subject) {
+    for seed in 0..3 {
+        let mut line = Line::new(subject, 1);
+        line.online();
+        // Lost, doubled, or late by an exchange.
+        let (drop, duplicate, delay) = (0.3, 0.1, 0.1);
+        let delay_ns = PERIOD * u64::from(line.drives[0].axis.divisor);
+        line.faults(0, FaultPlan { seed, drop, duplicate, delay, delay_ns, ..FaultPlan::default() });
+        line.honest = line.can.identified;
+        line.done(0, Verb::Enable);
+        if line.can.home {
+            line.done(0, Verb::Home);
+        }
+        let (at, way, verb) = (line.said(0).demand, line.way(0, 0.02), line.by(0, 0.02));
+        let counts = way * line.drives[0].axis.units.counts_per_unit;
+        for n in 1..=20 {
+            line.done(0, verb);
+            let moved = (line.said(0).demand - at) as f64;
+            let should = counts * f64::from(n);
+            assert!(
+                (moved - should).abs() < counts * 0.01,
+                "seed {seed}: after {n} moves {moved} of {should}"
+            );
+        }
+        line.set_going(0, Motion::Move);
+        line.done(0, STOP);
+        assert!(!line.said(0).moving);
+        line.done(0, Verb::Disable);
+        assert!(!line.said(0).powered);
+    }
+}
+
+pub fn a_stop_reaches_a_drive_that_is_not_heard(subject: &'static dyn Subject) {
+    // Only its replies are lost. The link is lost by then, and what is asked carries the order all the same.
+    for stop in [STOP, Verb::QuickStop] {
+        let mut line = Line::made_ready(subject, 1);
+        line.set_going(0, Motion::Move);
+        line.mute(0, true);
+        line.until("a lost link", 100, |line| line.slots[0].link == fieldbeat::axis::Link::Lost);
+        line.order(0, stop);
+        let heard = line.heard(0);
+        line.turns(4);
+        let asked = line.requests(0).split_off(heard).iter().filter(|r| subject.asks_to_stop(r)).count();
+        assert!(asked > 0, "{stop:?} is not on the wire");
+        line.turns(400);
+        assert!(!line.said(0).moving, "{stop:?}");
+        line.mute(0, false);
+        assert_eq!(line.ended(0), Ok(()), "{stop:?}");
+    }
+}
+
+pub fn the_request_after_an_order_carries_it(subject: &'static dyn Subject) {
+    // The bound of the stop counts on this: no cycle passes between the order and its request.
+    for stop in [STOP, Verb::QuickStop] {
+        let mut line = Line::made_ready(subject, 1);
+        line.set_going(0, Motion::Move);
+        line.settle();
+        let heard = line.heard(0);
+        line.order(0, stop);
+        line.turn_and_hear();
+        let requests = line.requests(0).split_off(heard);
+        assert!(requests.len() == 1 && subject.asks_to_stop(&requests[0]), "{stop:?}: {requests:02x?}");
+    }
+}
+
+pub fn orders_with_a_time_limit_end_even_if_nobody_answers(subject: &'static dyn Subject) {
+    for verb in [Verb::Enable, Verb::Disable, Verb::Home, Verb::ResetFault] {
+        if verb == Verb::Home && !subject.can().home {
+            continue;
+        }
+        let mut line = Line::with(subject, 1, |_, drive| {
+            drive.axis.enable_timeout = Duration::from_millis(200);
+            drive.axis.home_timeout = Duration::from_millis(200);
+        });
+        line.online();
+        line.mute(0, true);
+        line.order(0, verb);
+        line.until("an end", 300, |line| line.end(0).is_some());
+        let end = line.end(0);
+        let known = verb == Verb::ResetFault && end == Some(Ok(()));
+        assert!(known || matches!(end, Some(Err(Failure::TimedOut(_)))), "{verb:?}: {end:?}");
+    }
+}
+
+pub fn an_enable_that_timed_out_does_not_come_up_later(subject: &'static dyn Subject) {
+    let mut line = Line::with(subject, 1, |_, drive| drive.axis.enable_timeout = Duration::from_millis(2));
+    line.online();
+    match line.run(0, Verb::Enable) {
+        Ok(()) => not_applicable(subject, "an enable that times out", "it comes up within 2 ms"),
+        Err(failure) => {
+            assert!(matches!(failure, Failure::TimedOut(_)), "{failure:?}");
+            for _ in 0..1_000 {
+                line.turn();
+                assert_ne!(line.state(0), State::OperationEnabled);
+            }
+        }
+    }
+}
+
+pub fn a_motion_whose_drive_restarts_fails_and_is_not_taken_up_again(subject: &'static dyn Subject) {
+    for motion in Line::new(subject, 1).motions() {
+        let mut line = Line::made_ready(subject, 1);
+        line.set_going(0, motion);
+        assert!(line.world.restart(line.wire.address(0)));
+        line.turns(1_000);
+        assert!(matches!(line.end(0), Some(Err(_))), "{motion:?}: {:?}", line.end(0));
+        for _ in 0..300 {
+            line.turn();
+            let said = line.said(0);
+            assert!(!said.powered && !said.moving, "{motion:?}: by itself {said:?}");
+        }
+    }
+}
+
+pub fn a_fault_of_the_drive_ends_its_orders_and_is_reset_to_power_off(subject: &'static dyn Subject) {
+    for motion in [None, Some(Motion::Move)] {
+        let mut line = Line::made_ready(subject, 2);
+        let Some(telegram) = subject.fault(&line.reply(0)) else {
+            return not_applicable(subject, "a fault of the drive", "nothing on its wire brings it about");
+        };
+        if let Some(motion) = motion {
+            line.set_going(0, motion);
+        }
+        let telegram = subject.fault(&line.reply(0)).unwrap_or(telegram);
+        line.world.inject(line.wire.address(0), line.wire.master(), &telegram, line.cycle().grid);
+        line.until("the fault", 200, |line| line.slots[0].report.fault != 0);
+        if motion.is_some() {
+            let fault = line.slots[0].report.fault;
+            assert_eq!(line.ended(0), Err(Failure::DriveFault(fault)));
+        }
+        line.until("its end", 500, |line| line.state(0) == State::Fault);
+        assert_eq!(
+            (line.state(1), line.slots[1].report.fault),
+            (State::OperationEnabled, 0),
+            "its neighbour"
+        );
+        let fault = line.slots[0].report.fault;
+        assert_eq!(line.run(0, Verb::Enable), Err(Failure::DriveFault(fault)), "not before it is reset");
+        line.done(0, Verb::ResetFault);
+        let (report, said) = (line.slots[0].report, line.said(0));
+        assert_eq!((report.fault, said.powered, said.moving), (0, false, false), "{report:?}");
+        line.turns(300);
+        assert!(!line.said(0).powered, "a reset never switches on");
+        line.done(0, Verb::Enable);
+        let verb = line.by(0, 0.05);
+        line.done(0, verb);
+    }
+}
+
+pub fn slots_that_are_passed_over_lose_no_order_and_no_row(subject: &'static dyn Subject) {
+    let mut line = Line::made_ready(subject, 1);
+    let every = u64::from(line.drives[0].axis.divisor);
+    let mut random = fastrand::Rng::with_seed(2);
+    // The requests are built for one slot, and then for the next one in its schedule.
+    let mut to_the_end = |line: &mut Line| {
+        for _ in 0..5_000 {
+            if line.end(0).is_some() {
+                break;
+            }
+            if random.u8(..4) == 0 {
+                line.prepare();
+                line.index += every;
+            }
+            line.turn();
+        }
+        assert_eq!(line.end(0), Some(Ok(())));
+    };
+    let (at, way, verb) = (line.slots[0].report.demand, line.way(0, 0.02), line.by(0, 0.02));
+    for _ in 0..10 {
+        line.order(0, verb);
+        to_the_end(&mut line);
+    }
+    let moved = line.slots[0].report.demand - at;
+    assert!((moved - 10.0 * way).abs() < way * 0.01, "moved by {moved} instead of {}", 10.0 * way);
+    if line.can.follow {
+        let rows = line.stream(0, 0.1, 200);
+        line.order(0, Verb::Follow);
+        to_the_end(&mut line);
+        assert!(line.rows[0].is_empty(), "a row an exchange");
+        let (demand, last) = (line.slots[0].report.demand, rows[rows.len() - 1].position);
+        assert!((demand - last).abs() < way * 0.01, "at {demand}, the last row is {last}");
+    }
+}
+
+pub fn whatever_is_asked_in_whatever_state_ends_or_goes_on(subject: &'static dyn Subject) {
+    // From each state and motion, each verb: an end, or a motion that a stop ends.
+    for seed in 0..2 {
+        let mut line = Line::new(subject, 2);
+        line.online();
+        let mut random = fastrand::Rng::with_seed(seed);
+        for _ in 0..50 {
+            let all = verbs(&line, 0);
+            let verb = all[random.usize(..all.len())];
+            line.stream(0, 0.01, 30);
+            line.order(0, verb);
+            line.turns(random.u64(..200));
+        }
+        line.run(0, STOP).ok();
+        line.done(0, Verb::Disable);
+        if line.state(0) == State::Fault || line.slots[0].report.fault != 0 {
+            line.done(0, Verb::ResetFault);
+        }
+        line.ready();
+        let verb = line.by(0, 0.05);
+        line.done(0, verb);
+    }
+}

@@ -1,0 +1,410 @@
+//! Which reply answers which request. Whatever comes besides is counted under its own name, and moves nothing.
+
+use std::net::SocketAddrV4;
+
+use fieldbeat::bus::Counters;
+use fieldbeat::sim::FaultPlan;
+use fieldbeat::time::US;
+
+use crate::line::{LATENCY, Line, PERIOD, Seen, WINDOW};
+use crate::rules;
+use crate::subject::{Subject, not_applicable};
+
+/// Between two windows.
+const BETWEEN: u64 = WINDOW + 140 * US;
+/// In the window of the next exchange, before its own reply.
+const FIRST: u64 = PERIOD + LATENCY;
+
+/// Drives in motion, so that each reply has positions of its own.
+fn moving(subject: &'static dyn Subject, count: usize) -> Line {
+    let mut line = Line::made_ready(subject, count);
+    for index in 0..count {
+        let verb = line.by(index, 20.0);
+        line.order(index, verb);
+    }
+    line.turns(200);
+    line.settle();
+    assert!((0..count).all(|index| line.said(index).moving));
+    line
+}
+
+/// A reply that can be no other's, as clean as the protocol knows.
+fn is_clean(line: &Line, seen: &Seen) -> bool {
+    seen.answered() && seen.fresh && !seen.suspect && seen.round_trip().is_some() == line.can.round_trip
+}
+
+fn expect_clean(line: &mut Line, index: usize) {
+    let seen = line.exchange(index);
+    assert!(is_clean(line, &seen), "{seen:?}");
+}
+
+/// What changed in the counts.
+fn since(before: &Counters, after: &Counters) -> Counters {
+    Counters {
+        sent: after.sent - before.sent,
+        unsent: after.unsent - before.unsent,
+        answered: after.answered - before.answered,
+        missed: after.missed - before.missed,
+        late: after.late - before.late,
+        duplicate: after.duplicate - before.duplicate,
+        suspect: after.suspect - before.suspect,
+        malformed: after.malformed - before.malformed,
+        foreign: after.foreign - before.foreign,
+    }
+}
+
+pub fn a_clean_wire_answers_everything(subject: &'static dyn Subject) {
+    let mut line = moving(subject, 2);
+    let before = [0, 1].map(|index| line.slots[index].counters);
+    for _ in 0..200 {
+        let seen = line.exchange(0);
+        assert!(is_clean(&line, &seen), "{seen:?}");
+        if let Some(ns) = seen.round_trip() {
+            let wire = 2 * LATENCY + line.usual_answer_ns(0);
+            assert!((wire..wire + 10 * US).contains(&ns), "round trip of {ns} ns on a wire of {wire} ns");
+        }
+    }
+    for (index, before) in before.iter().enumerate() {
+        let c = since(before, &line.slots[index].counters);
+        let owed = c.sent - c.answered;
+        assert!(owed <= 1);
+        let only = Counters { sent: c.sent, answered: c.answered, ..Counters::default() };
+        assert_eq!(c, only, "drive {index}");
+    }
+}
+
+pub fn the_reply_after_a_miss_is_suspect_unless_it_names_its_request(subject: &'static dyn Subject) {
+    let mut line = moving(subject, 1);
+    let before = line.slots[0].counters;
+    line.mute(0, true);
+    for _ in 0..3 {
+        let seen = line.exchange(0);
+        assert!(seen.missed() && !seen.fresh);
+    }
+    line.mute(0, false);
+    let seen = line.exchange(0);
+    if line.can.identified {
+        assert!(is_clean(&line, &seen), "{seen:?}");
+    } else {
+        assert!(seen.answered() && seen.fresh, "{seen:?}");
+        assert!(seen.suspect && seen.round_trip().is_none(), "it may be a late one: {seen:?}");
+    }
+    for _ in 0..5 {
+        expect_clean(&mut line, 0);
+    }
+    let c = since(&before, &line.slots[0].counters);
+    assert_eq!((c.missed, c.late, c.duplicate, c.foreign), (3, 0, 0, 0));
+    assert_eq!(c.suspect, u64::from(!line.can.identified), "once");
+}
+
+pub fn a_reply_between_two_windows_is_late_and_its_exchange_a_miss(subject: &'static dyn Subject) {
+    let mut line = moving(subject, 1);
+    let before = line.slots[0].counters;
+    line.answer_at(0, BETWEEN);
+    for _ in 0..3 {
+        assert!(line.exchange(0).missed());
+    }
+    line.answer_as_usual(0);
+    line.exchange(0);
+    for _ in 0..5 {
+        expect_clean(&mut line, 0);
+    }
+    let c = since(&before, &line.slots[0].counters);
+    assert_eq!((c.missed, c.late, c.duplicate, c.foreign), (3, 3, 0, 0));
+}
+
+pub fn a_late_reply_that_comes_first_in_the_next_window_is_not_taken_for_the_newest(
+    subject: &'static dyn Subject,
+) {
+    let mut line = moving(subject, 1);
+    let before = line.slots[0].counters;
+    line.answer_at(0, FIRST);
+    let asked = line.cycle().grid;
+    assert!(line.exchange(0).missed());
+    line.answer_as_usual(0);
+    let seen = line.exchange(0);
+    // That what is not suspect was said in answer to this very request is the referee's.
+    assert_eq!(seen.suspect, !line.can.identified, "{seen:?}");
+    rules::honest(&line.slots[0], &line.wire.log().drives[0], &line.drives[0], asked);
+    for _ in 0..5 {
+        expect_clean(&mut line, 0);
+    }
+    let c = since(&before, &line.slots[0].counters);
+    assert_eq!((c.missed, c.late, c.duplicate, c.foreign), (1, 1, 0, 0));
+    // By then nothing is under way any more, and what comes again is no late one.
+    line.settle();
+    let old = line.reply(0);
+    line.inject(line.wire.address(0), &old, u64::from(line.can.answers_after) * PERIOD + BETWEEN);
+    for _ in 0..3 {
+        expect_clean(&mut line, 0);
+    }
+    let c = since(&before, &line.slots[0].counters);
+    let again = u64::from(!subject.malformed(&old).is_empty());
+    assert_eq!((c.missed, c.late, c.duplicate, c.foreign), (1, 1, again, 0));
+}
+
+pub fn a_late_reply_that_comes_with_the_one_asked_for_leaves_the_newer_values(subject: &'static dyn Subject) {
+    // Another drive keeps the window open for both.
+    let mut line = moving(subject, 2);
+    line.answer_at(1, 200 * US);
+    let before = line.slots[0].counters;
+    line.answer_at(0, FIRST);
+    assert!(line.exchange(0).missed());
+    line.answer_as_usual(0);
+    let seen = line.exchange(0);
+    assert!(seen.answered() && seen.fresh && !seen.suspect, "{seen:?}");
+    for _ in 0..5 {
+        expect_clean(&mut line, 0);
+    }
+    let c = since(&before, &line.slots[0].counters);
+    assert_eq!((c.missed, c.late, c.duplicate, c.foreign), (1, 1, 0, 0));
+}
+
+pub fn replies_that_are_always_one_exchange_behind_are_never_taken_for_fresh_ones(
+    subject: &'static dyn Subject,
+) {
+    for ns in [FIRST, PERIOD + 5 * LATENCY, PERIOD + WINDOW - LATENCY] {
+        let mut line = moving(subject, 1);
+        let before = line.slots[0].counters;
+        line.answer_at(0, ns);
+        let mut missed = 0;
+        for _ in 0..30 {
+            let seen = line.exchange(0);
+            assert!(!seen.fresh || seen.suspect, "{ns} ns: {seen:?}");
+            assert_eq!(seen.round_trip(), None, "{ns} ns: {seen:?}");
+            missed += u64::from(seen.missed());
+        }
+        let least = if line.can.identified { 30 } else { 10 };
+        assert!(missed >= least, "{ns} ns: only {missed} of 30 missed");
+        line.answer_as_usual(0);
+        line.exchange(0);
+        line.exchange(0);
+        for _ in 0..5 {
+            expect_clean(&mut line, 0);
+        }
+        // Each request was answered once, sooner or later.
+        let c = since(&before, &line.slots[0].counters);
+        assert_eq!((c.late, c.duplicate, c.foreign), (c.missed, 0, 0), "{ns} ns");
+    }
+}
+
+pub fn a_duplicate_is_counted_and_answers_nothing(subject: &'static dyn Subject) {
+    let mut line = moving(subject, 1);
+    let before = line.slots[0].counters;
+    line.faults(0, FaultPlan { duplicate: 1.0, ..FaultPlan::default() });
+    for _ in 0..50 {
+        expect_clean(&mut line, 0);
+    }
+    line.answer_as_usual(0);
+    for _ in 0..5 {
+        expect_clean(&mut line, 0);
+    }
+    // Each request came twice, and each of its two replies.
+    let c = since(&before, &line.slots[0].counters);
+    assert_eq!((c.missed, c.late, c.foreign, c.malformed), (0, 0, 0, 0));
+    assert!((147..=150).contains(&c.duplicate), "{c:?}");
+}
+
+pub fn a_reply_of_before_that_comes_again_moves_nothing(subject: &'static dyn Subject) {
+    let mut line = moving(subject, 2);
+    if subject.malformed(&line.reply(0)).is_empty() {
+        return not_applicable(subject, "a reply that comes again", "no datagrams on its carrier");
+    }
+    // Another drive keeps the window open. Before the true reply, only what names its request can be told from it.
+    line.answer_at(1, 200 * US);
+    let window = u64::from(line.can.answers_after) * PERIOD;
+    let first = line.can.identified.then_some(LATENCY / 2);
+    for ns in first.into_iter().chain([window + 150 * US, window + BETWEEN]) {
+        line.settle();
+        let old = line.reply(0);
+        expect_clean(&mut line, 0);
+        line.settle();
+        let before = line.slots[0].counters;
+        line.inject(line.wire.address(0), &old, ns);
+        for _ in 0..3 {
+            // That the values are those of the request's own reply is the referee's.
+            expect_clean(&mut line, 0);
+        }
+        line.settle();
+        let c = since(&before, &line.slots[0].counters);
+        let only = Counters { sent: c.sent, answered: c.answered, duplicate: 1, ..Counters::default() };
+        assert_eq!(c, only, "at {ns} ns");
+    }
+}
+
+pub fn a_reply_that_was_overtaken_is_late(subject: &'static dyn Subject) {
+    let mut line = moving(subject, 1);
+    let before = line.slots[0].counters;
+    // Every second reply is held back until the next one has passed it.
+    line.faults(0, FaultPlan { reorder: 0.5, seed: 3, ..FaultPlan::default() });
+    // Where replies do not name their requests, they are taken to come in order: nothing shows that they do not.
+    line.honest = line.can.identified;
+    for _ in 0..200 {
+        line.exchange(0);
+    }
+    line.answer_as_usual(0);
+    line.exchange(0);
+    line.exchange(0);
+    line.honest = true;
+    for _ in 0..5 {
+        expect_clean(&mut line, 0);
+    }
+    let c = since(&before, &line.slots[0].counters);
+    assert!(c.late > 20 && c.missed > 20, "{c:?}");
+    assert_eq!((c.foreign, c.malformed), (0, 0));
+}
+
+/// Injects each of `telegrams` from `from` before the true reply, and between two windows: it is counted, and no more.
+fn only_counted(
+    subject: &'static dyn Subject,
+    telegrams: impl Fn(&Line) -> Vec<Vec<u8>>,
+    from: impl Fn(SocketAddrV4) -> SocketAddrV4,
+    as_what: Counters,
+    strangers: u64,
+) -> bool {
+    let mut line = moving(subject, 2);
+    let telegrams = telegrams(&line);
+    for telegram in &telegrams {
+        for ns in [LATENCY / 2, BETWEEN] {
+            let before = [0, 1].map(|index| line.slots[index].counters);
+            let of_nobody = line.bus.strangers().datagrams;
+            line.inject(from(line.wire.address(0)), telegram, ns);
+            for _ in 0..2 {
+                for index in 0..2 {
+                    expect_clean(&mut line, index);
+                }
+            }
+            let got = [0, 1].map(|index| {
+                let c = since(&before[index], &line.slots[index].counters);
+                Counters {
+                    sent: 0,
+                    answered: 0,
+                    suspect: if line.can.round_trip { c.suspect } else { 0 },
+                    ..c
+                }
+            });
+            let what = format!("{} bytes at {ns}: {telegram:02x?}", telegram.len());
+            assert_eq!(got, [as_what, Counters::default()], "{what}");
+            assert_eq!(line.bus.strangers().datagrams - of_nobody, strangers, "{what}");
+        }
+    }
+    !telegrams.is_empty()
+}
+
+pub fn what_is_no_answer_of_this_protocol_is_malformed(subject: &'static dyn Subject) {
+    let telegrams = |line: &Line| subject.malformed(&line.reply(0));
+    let malformed = Counters { malformed: 1, ..Counters::default() };
+    if !only_counted(subject, telegrams, |drive| drive, malformed, 0) {
+        not_applicable(subject, "malformed telegrams", "no datagrams on its carrier");
+    }
+}
+
+pub fn the_answer_to_something_that_was_not_asked_is_foreign(subject: &'static dyn Subject) {
+    let telegrams = |line: &Line| subject.foreign(&line.reply(0));
+    let foreign = Counters { foreign: 1, ..Counters::default() };
+    if !only_counted(subject, telegrams, |drive| drive, foreign, 0) {
+        not_applicable(subject, "foreign telegrams", "no datagrams on its carrier");
+    }
+}
+
+pub fn a_true_answer_from_a_wrong_port_is_foreign(subject: &'static dyn Subject) {
+    let mut line = moving(subject, 1);
+    let before = line.slots[0].counters;
+    line.faults(0, FaultPlan { wrong_id: 1.0, ..FaultPlan::default() });
+    for _ in 0..5 {
+        let seen = line.exchange(0);
+        assert!(seen.missed() && !seen.fresh, "{seen:?}");
+    }
+    line.answer_as_usual(0);
+    line.exchange(0);
+    expect_clean(&mut line, 0);
+    let c = since(&before, &line.slots[0].counters);
+    assert_eq!((c.missed, c.foreign, c.late, c.duplicate, c.malformed), (5, 5, 0, 0, 0));
+}
+
+pub fn what_comes_from_no_drive_of_its_own_is_a_strangers(subject: &'static dyn Subject) {
+    // Even if it is the very reply that is waited for.
+    let telegrams = |line: &Line| match subject.malformed(&line.reply(0)).is_empty() {
+        true => Vec::new(),
+        false => vec![line.reply(0), Vec::new()],
+    };
+    let stranger = |drive: SocketAddrV4| SocketAddrV4::new([10, 9, 9, 9].into(), drive.port());
+    if !only_counted(subject, telegrams, stranger, Counters::default(), 1) {
+        not_applicable(subject, "strangers", "no datagrams on its carrier");
+    }
+}
+
+pub fn no_bytes_whatever_upset_it(subject: &'static dyn Subject) {
+    let mut line = moving(subject, 2);
+    if subject.malformed(&line.reply(0)).is_empty() {
+        return not_applicable(subject, "arbitrary bytes", "no datagrams on its carrier");
+    }
+    // What is broken in its values only cannot be told from a true one.
+    line.honest = false;
+    let mut random = fastrand::Rng::with_seed(11);
+    let from = line.wire.address(0);
+    for n in 0..2_000 {
+        let reply = line.reply(0);
+        let mut bytes = match n % 3 {
+            0 => (0..random.usize(..200)).map(|_| random.u8(..)).collect(),
+            1 => reply[..random.usize(..=reply.len())].to_vec(),
+            _ => reply,
+        };
+        if n % 3 == 2 {
+            let bit = random.usize(..bytes.len() * 8);
+            bytes[bit / 8] ^= 1 << (bit % 8);
+        }
+        line.inject(from, &bytes, random.u64(..PERIOD));
+        line.turn();
+        assert!(!line.seen[0].missed() && !line.seen[1].missed(), "{n}: {bytes:02x?}");
+    }
+    assert!(line.slots[0].counters.malformed > 300, "{:?}", line.slots[0].counters);
+    line.turns(4);
+    line.honest = true;
+    expect_clean(&mut line, 0);
+}
+
+pub fn the_accounts_hold_in_any_weather(subject: &'static dyn Subject) {
+    // The referee counts after every call: telegrams, exchanges, strangers.
+    for seed in 0..4 {
+        let mut line = Line::made_ready(subject, 3);
+        line.honest = false;
+        let mut random = fastrand::Rng::with_seed(seed);
+        for index in 0..3 {
+            let plan = FaultPlan {
+                seed: seed * 3 + index as u64,
+                drop: 0.05,
+                duplicate: 0.05,
+                corrupt: 0.02,
+                delay: 0.1,
+                delay_ns: 900 * US,
+                reorder: 0.05,
+                stall: 0.001,
+                stall_ns: 20 * PERIOD,
+                restart: 0.001,
+                inhibit: 0.001,
+                inhibit_ns: 20 * PERIOD,
+                wrong_id: 0.02,
+                answer_ns: 10 * US,
+            };
+            line.faults(index, plan);
+        }
+        for _ in 0..800 {
+            let index = random.usize(..3);
+            if random.u8(..20) == 0 {
+                let verbs = crate::line::verbs(&line, index);
+                line.order(index, verbs[random.usize(..verbs.len())]);
+            }
+            line.wire.log().drives[index].jammed = random.u8(..20) == 0;
+            line.turn();
+        }
+        for index in 0..3 {
+            line.answer_as_usual(index);
+            line.wire.log().drives[index].jammed = false;
+        }
+        line.until("all up again", 2_000, |line| (0..3).all(|index| is_clean(line, &line.seen[index])));
+        let c = line.slots[0].counters;
+        assert!(c.missed > 50 && c.late + c.duplicate > 50 && c.foreign > 0 && c.unsent > 0, "{c:?}");
+        assert!(!line.can.identified || c.suspect == 0, "{c:?}");
+    }
+}

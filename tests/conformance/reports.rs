@@ -1,0 +1,155 @@
+//! What a drive says, in user units: only what it said, only when it said it.
+
+use fieldbeat::axis::{Units, Verb};
+use fieldbeat::bus::Slot;
+
+use crate::line::Line;
+use crate::rules::near;
+use crate::subject::{Drive, Subject, not_applicable};
+
+/// The drive's own units, another scale, another zero, another direction.
+fn various(index: usize, drive: &mut Drive) {
+    let units = drive.axis.units;
+    drive.axis.units = [
+        units,
+        Units { counts_per_unit: -units.counts_per_unit, ..units },
+        Units { offset: 7.0 * drive.start, ..units },
+        Units { counts_per_unit: -units.counts_per_unit, offset: -3.0 * drive.start, ..units },
+    ][index];
+}
+
+fn assert_as_said(line: &Line, index: usize) {
+    let (report, said) = (&line.slots[index].report, line.said(index));
+    let units = line.drives[index].axis.units;
+    assert!(near(report.position, units.position(said.position)), "drive {index}: {report:?}, {said:?}");
+    assert!(near(report.demand, units.position(said.demand)), "drive {index}: {report:?}, {said:?}");
+    let told = (report.state.is_powered(), report.moving, report.homed);
+    assert_eq!(told, (said.powered, said.moving, said.homed), "drive {index}: {:?}", report.state);
+}
+
+pub fn a_report_is_what_the_drive_said_in_user_units(subject: &'static dyn Subject) {
+    let mut line = Line::with(subject, 4, various);
+    let at_power_on = line.drives.iter().map(|drive| drive.start).collect::<Vec<_>>();
+    line.online();
+    for (index, start) in at_power_on.into_iter().enumerate() {
+        let units = line.drives[index].axis.units;
+        let counts = (start * units.counts_per_unit).round() as i64;
+        assert!(near(line.slots[index].report.position, units.position(counts)), "drive {index}");
+    }
+    // All the way up, through a move, and down again.
+    for verb in [Verb::Enable, Verb::Home, line.by(0, 0.2), Verb::Stop { deceleration: None }, Verb::Disable]
+    {
+        if verb == Verb::Home && !line.can.home {
+            continue;
+        }
+        for index in 0..4 {
+            line.order(index, verb);
+        }
+        line.until("the end of all", 5_000, |line| {
+            for index in (0..4).filter(|index| line.seen[*index].fresh) {
+                assert_as_said(line, index);
+            }
+            (0..4).all(|index| line.end(index) == Some(Ok(())))
+        });
+    }
+}
+
+pub fn velocity_is_the_way_made_in_user_units_a_second(subject: &'static dyn Subject) {
+    let mut line = Line::with(subject, 4, various);
+    line.ready();
+    for seconds in [0.5, -0.5] {
+        for index in 0..4 {
+            let verb = line.by(index, seconds);
+            line.order(index, verb);
+        }
+        line.turns(300);
+        for index in 0..4 {
+            let (report, cruise) = (line.slots[index].report, line.profile(index).velocity);
+            let off = (report.velocity - cruise * seconds.signum()).abs();
+            assert!(off < cruise * 0.02 && !report.in_target, "drive {index}: {report:?}, profile {cruise}");
+        }
+        for index in 0..4 {
+            assert_eq!(line.ended(index), Ok(()));
+        }
+        line.turns(100);
+        for index in 0..4 {
+            let (report, cruise) = (line.slots[index].report, line.profile(index).velocity);
+            assert!(report.velocity.abs() < cruise * 0.01 && report.in_target, "standing: {report:?}");
+        }
+    }
+}
+
+pub fn each_answer_is_fresh_once_and_silence_is_not(subject: &'static dyn Subject) {
+    let mut line = Line::made_ready(subject, 1);
+    let mut before = line.slots[0].report;
+    for turn in 0..200 {
+        line.mute(0, turn % 7 > 4);
+        line.turn();
+        let seen = line.seen[0];
+        assert_eq!(seen.fresh, seen.answered(), "{seen:?}");
+        let report = line.slots[0].report;
+        assert_eq!(report.at > before.at, seen.fresh, "{report:?}");
+        assert!(seen.fresh || report == before, "held as it was");
+        before = report;
+    }
+}
+
+pub fn a_restart_is_noticed_once_and_what_was_known_is_forgotten(subject: &'static dyn Subject) {
+    let mut line = Line::made_ready(subject, 2);
+    let verb = line.by(0, 20.0);
+    line.order(0, verb);
+    line.turns(300);
+    let cruise = line.profile(0).velocity;
+    for silent in [0, 20] {
+        assert!(line.world.restart(line.wire.address(0)));
+        // Heard of at once, or in the middle of its start.
+        line.mute(0, true);
+        line.turns(silent);
+        line.mute(0, false);
+        let mut noticed = 0;
+        for _ in 0..1_000 {
+            line.turn();
+            noticed += u32::from(line.seen[0].restarted);
+            assert!(!line.seen[1].restarted, "its neighbour");
+            if line.seen[0].fresh {
+                assert_as_said(&line, 0);
+                let velocity = line.slots[0].report.velocity;
+                assert!(
+                    noticed == 0 || velocity.abs() < cruise,
+                    "a jump of the position is no velocity: {velocity}"
+                );
+            }
+        }
+        assert_eq!(noticed, 1, "silent for {silent} cycles");
+        let Slot { report, .. } = &line.slots[0];
+        assert!(!report.state.is_powered() && !report.moving, "{report:?}");
+    }
+    // It can be brought up as ever; that its positions begin anew with a homing is no velocity either.
+    line.done(0, Verb::Enable);
+    if line.can.home {
+        line.order(0, Verb::Home);
+        line.until("the end of a homing", 20_000, |line| {
+            let velocity = line.slots[0].report.velocity;
+            assert!(velocity.abs() < cruise * 2.0, "{velocity} while homing");
+            line.end(0) == Some(Ok(()))
+        });
+    }
+    let verb = line.by(0, 0.05);
+    line.done(0, verb);
+}
+
+pub fn homed_is_what_the_drive_says_after_a_restart_too(subject: &'static dyn Subject) {
+    let mut line = Line::made_ready(subject, 1);
+    if !line.can.home {
+        return not_applicable(subject, "homed after a restart", "its drives are referenced by nature");
+    }
+    assert!(line.slots[0].report.homed);
+    let address = line.wire.address(0);
+    line.world.unplug(address);
+    line.turns(100);
+    line.world.restart(address);
+    line.turns(500);
+    line.world.plug(address);
+    line.online();
+    assert!(!line.slots[0].report.homed);
+}

@@ -1,0 +1,151 @@
+//! What holds after every call, whatever a clause is about: the referee of a line.
+
+use fieldbeat::bus::{Counters, Cycle, Exchange, Slot};
+use fieldbeat::time::Time;
+
+use crate::subject::{Can, Drive};
+use crate::wire::Tape;
+
+/// One drive's slot around a call: the slot before it and behind it.
+pub struct Around<'a> {
+    pub before: &'a Slot,
+    pub after: &'a Slot,
+    /// Virtual time before the call and behind it.
+    pub span: (Time, Time),
+}
+
+impl Around<'_> {
+    /// What the loop writes is the loop's.
+    fn keeps_the_loops(&self) {
+        let loops = |slot: &Slot| (slot.due, slot.link, slot.order, slot.row);
+        assert_eq!(loops(self.before), loops(self.after), "what the loop writes is not the bus's to change");
+    }
+
+    /// What the drive last said stays as it was.
+    fn keeps_the_report(&self) {
+        assert_eq!(self.before.report, self.after.report, "the report changed without an accepted reply");
+    }
+
+    /// Counts only grow, and `missed` is the loop's.
+    fn counts_on(&self) {
+        let all = |c: &Counters| {
+            [c.sent, c.unsent, c.answered, c.late, c.duplicate, c.suspect, c.malformed, c.foreign]
+        };
+        let (before, after) = (&self.before.counters, &self.after.counters);
+        assert!(all(before).iter().zip(all(after)).all(|(b, a)| a >= *b), "{before:?} -> {after:?}");
+        assert_eq!(before.missed, after.missed, "a miss is for the loop to say");
+    }
+
+    /// The exchange was closed by a reply, or stayed as it was. True if it was closed.
+    fn answers_or_keeps(&self) -> bool {
+        let (before, after) = (self.before, self.after);
+        let answered = after.counters.answered - before.counters.answered;
+        match (before.exchange, after.exchange) {
+            (Exchange::Owed { sent_at, .. }, Exchange::Answered { sent_at: same, at, .. }) => {
+                assert_eq!(sent_at, same, "the reply closes the exchange that was open");
+                assert!(self.span.0 <= at && at <= self.span.1, "taken in at {at}, in {:?}", self.span);
+                assert_eq!(answered, 1, "one exchange, answered once");
+                let fresh = after.report.fresh && !before.report.fresh;
+                assert!(!fresh || after.report.at == at, "what is new came with it: {:?}", after.report);
+                true
+            }
+            // A second reply in the same window may tell that the first was an earlier one.
+            (
+                Exchange::Answered { sent_at, at, suspect },
+                Exchange::Answered { sent_at: a, at: b, suspect: now },
+            ) => {
+                assert!((sent_at, at) == (a, b) && now >= suspect, "an answered exchange stays answered");
+                assert_eq!(answered, 0, "answered once");
+                true
+            }
+            (kept, now) => {
+                assert_eq!(kept, now, "only an owed exchange is answered");
+                assert_eq!(answered, 0, "nothing was owed");
+                self.keeps_the_report();
+                false
+            }
+        }
+    }
+
+    /// After `send`.
+    pub fn send(&self, cycle: &Cycle, can: &Can) {
+        self.keeps_the_loops();
+        self.counts_on();
+        let (before, after) = (self.before, self.after);
+        let sent = after.counters.sent - before.counters.sent;
+        let unsent = after.counters.unsent - before.counters.unsent;
+        if !before.due || matches!(before.exchange, Exchange::Owed { .. }) {
+            assert_eq!((sent, unsent), (0, 0), "no exchange was due, or one was still owed");
+            // Where answers may come cycles later, one between two windows counts, until the loop calls it missed.
+            let closed = self.answers_or_keeps() && before.exchange != after.exchange;
+            assert!(!closed || can.answers_after > 0, "answered after {:?}", before.exchange);
+            return;
+        }
+        assert_eq!(after.counters.answered, before.counters.answered, "what came before the send is late");
+        self.keeps_the_report();
+        match after.exchange {
+            Exchange::Owed { sent_at, reply_by } => {
+                assert_eq!((sent, unsent), (1, 0), "one due slot, one exchange");
+                assert!(self.span.0 <= sent_at && sent_at <= self.span.1, "{sent_at} in {:?}", self.span);
+                let last = cycle.deadline + u64::from(can.answers_after) * cycle.period_ns;
+                assert!(sent_at < reply_by && reply_by <= last, "owed by {reply_by}, sent at {sent_at}");
+            }
+            Exchange::Unsent => assert_eq!((sent, unsent), (0, 1), "one due slot, one refusal"),
+            other => panic!("after the send of a due slot its exchange is {other:?}"),
+        }
+    }
+
+    /// After `receive`.
+    pub fn receive(&self) {
+        self.keeps_the_loops();
+        self.counts_on();
+        let sent = |slot: &Slot| (slot.counters.sent, slot.counters.unsent);
+        assert_eq!(sent(self.before), sent(self.after), "nothing is sent while receiving");
+        let was_fresh = self.before.report.fresh;
+        let closed = self.answers_or_keeps();
+        assert!(closed || self.after.report.fresh == was_fresh, "fresh without an answer");
+    }
+
+    /// After `prepare`.
+    pub fn prepare(&self) {
+        self.keeps_the_loops();
+        self.keeps_the_report();
+        assert_eq!(self.before.counters, self.after.counters, "nothing is sent or received while preparing");
+        assert_eq!(self.before.exchange, self.after.exchange, "the exchange is not opened before the send");
+        let (before, after) = (self.before.progress, self.after.progress);
+        let order = self.after.order.serial;
+        assert!(after.serial == before.serial || after.serial == order, "progress of no order: {after:?}");
+        assert!(
+            before.serial != after.serial || before.end.is_none() || before.end == after.end,
+            "ended once"
+        );
+    }
+}
+
+/// Every request is answered, missed or owed, and each telegram that was taken in is counted in one place.
+pub fn accounts(slot: &Slot, tape: &Tape) {
+    let c = &slot.counters;
+    let owed = u64::from(matches!(slot.exchange, Exchange::Owed { .. }));
+    assert_eq!(c.sent, c.answered + c.missed + owed, "sent = answered + missed + owed: {c:?}");
+    let told = c.answered + c.late + c.duplicate + c.malformed + c.foreign;
+    assert_eq!(tape.taken, told, "telegrams from the drive = all they are counted as: {c:?}");
+    assert!(c.suspect <= c.answered, "{c:?}");
+}
+
+/// What is reported as new is what the drive said in answer to a request that left at `since` or later.
+pub fn honest(slot: &Slot, tape: &Tape, drive: &Drive, since: Time) {
+    let units = drive.axis.units;
+    let told = |said: crate::subject::Said| {
+        near(units.position(said.position), slot.report.position)
+            && near(units.position(said.demand), slot.report.demand)
+    };
+    let recent = tape.heard.iter().rev().take_while(|heard| heard.at >= since);
+    let mut given = recent.filter_map(|heard| heard.said);
+    let given = given.any(told) || tape.heard.iter().all(|heard| heard.said.is_none());
+    assert!(given, "reported as new, but not said since {since}: {:?}", slot.report);
+}
+
+/// Equal but for the last digits.
+pub fn near(a: f64, b: f64) -> bool {
+    (a - b).abs() <= 1e-9 * (1.0 + a.abs())
+}

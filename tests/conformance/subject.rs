@@ -1,0 +1,96 @@
+//! What a protocol brings to the suite: everything else is the contract's.
+
+use std::io::Write;
+
+use fieldbeat::axis::AxisPlan;
+use fieldbeat::bus::BusPlan;
+
+/// One protocol, in one way of configuring it.
+///
+/// The clauses look at the wire only through this: bytes mean nothing to them. The simulated drives come from
+/// [`BusPlan::simulate`], and what befalls their wire from the shared `FaultPlan` and the world.
+pub trait Subject: Sync {
+    /// Its name in messages.
+    fn name(&self) -> &'static str;
+
+    /// What it can do by nature.
+    fn can(&self) -> Can;
+
+    /// An axis as usual in this protocol: units and profile; the clauses change what they are about.
+    fn axis(&self, name: &str) -> AxisPlan;
+
+    /// A bus of these drives. The addresses are the protocol's choice, the wire is clean.
+    fn plan(&self, drives: &[Drive]) -> Box<dyn BusPlan>;
+
+    /// What a drive's answer says, in the drive's own counts: the truth that reports are held against. `None`: this
+    /// one says nothing of the drive.
+    fn said(&self, reply: &[u8]) -> Option<Said>;
+
+    /// Whether this request tells the drive to stop: along a ramp, or by its quick stop.
+    fn asks_to_stop(&self, request: &[u8]) -> bool;
+
+    /// What another master could send to a drive in operation, whose last answer is `reply`, so that it goes into a
+    /// fault that can be acknowledged. `None`: nothing that comes over the wire does that.
+    fn fault(&self, reply: &[u8]) -> Option<Vec<u8>>;
+
+    /// Datagrams that are no answer of this protocol. None: the carrier has no datagrams.
+    fn malformed(&self, reply: &[u8]) -> Vec<Vec<u8>>;
+
+    /// Well-formed answers to something that was not asked, made from a true one. None: the carrier has no datagrams.
+    fn foreign(&self, reply: &[u8]) -> Vec<Vec<u8>>;
+}
+
+/// What a protocol can do by nature. What it cannot do, the clauses want refused by name.
+#[derive(Clone, Copy, Debug)]
+pub struct Can {
+    /// `Verb::Home`; without it the drive knows where it is from the start.
+    pub home: bool,
+    /// `Verb::Jog`.
+    pub jog: bool,
+    /// `Verb::Follow`.
+    pub follow: bool,
+    /// Each reply names the request that it answers. Without that, the reply after a miss is suspect.
+    pub identified: bool,
+    /// A clean exchange makes a round-trip sample. Without that, every answered exchange is marked suspect.
+    pub round_trip: bool,
+    /// So many cycles after that of its request a reply may come, and counts. No drive is due sooner again.
+    pub answers_after: u32,
+}
+
+/// A drive that a clause wants.
+#[derive(Clone, Debug)]
+pub struct Drive {
+    /// What every protocol's axis has.
+    pub axis: AxisPlan,
+    /// Where it stands at power-on, in user units from the drive's own zero.
+    pub start: f64,
+    /// Comes up in operation with a motion running, as if another master had died.
+    pub running: bool,
+    /// Configured so that it takes jogs, if the protocol does.
+    pub jog: bool,
+    /// Configured so that it follows rows, if the protocol does.
+    pub follow: bool,
+}
+
+/// What a drive says of itself.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Said {
+    /// The power stage may be on.
+    pub powered: bool,
+    /// Its setpoint generator is running.
+    pub moving: bool,
+    /// Its position is referenced.
+    pub homed: bool,
+    /// Actual position, counts.
+    pub position: i64,
+    /// Demand position, counts.
+    pub demand: i64,
+}
+
+/// Says that a clause, or a part of it, means nothing for this subject. Written past the test harness, which would keep
+/// it to itself.
+pub fn not_applicable(subject: &dyn Subject, clause: &str, why: &str) {
+    // In one piece: the harness writes its own lines meanwhile.
+    let line = format!("not applicable to {}: {clause}: {why}\n", subject.name());
+    let _ = std::io::stderr().write_all(line.as_bytes());
+}

@@ -1,0 +1,97 @@
+//! LinUDP V2, with and without a tag in its requests.
+
+use std::net::Ipv4Addr;
+
+use fieldbeat::axis::{AxisPlan, Units};
+use fieldbeat::bus::BusPlan;
+use fieldbeat::bus::linudp::motion::MotionCommand;
+use fieldbeat::bus::linudp::wire::{ControlWord, MainState, Request, Response, ResponseDef};
+use fieldbeat::bus::linudp::{COUNTS_PER_MM, LinUdpDrive, LinUdpPlan};
+
+use crate::subject::{Can, Drive, Said, Subject};
+
+/// With a tag each reply names its request; without it the protocol has nothing of the kind.
+pub struct LinUdp {
+    pub reply_tag: bool,
+}
+
+/// "Stop" of the motion command interface, 017xh.
+const STOP: u16 = 0x017;
+/// A curve that the drive does not have: error 0062h in state 8 (SG5 manual, 04Fx "run curve").
+const NO_SUCH_CURVE: u16 = 0x040;
+
+impl Subject for LinUdp {
+    fn name(&self) -> &'static str {
+        if self.reply_tag { "linudp with reply_tag" } else { "linudp" }
+    }
+
+    fn can(&self) -> Can {
+        Can {
+            home: true,
+            jog: true,
+            follow: true,
+            identified: self.reply_tag,
+            round_trip: true,
+            answers_after: 0,
+        }
+    }
+
+    fn axis(&self, name: &str) -> AxisPlan {
+        AxisPlan::new(name, Units::millimetres(COUNTS_PER_MM))
+    }
+
+    fn plan(&self, drives: &[Drive]) -> Box<dyn BusPlan> {
+        let drive = |(index, drive): (usize, &Drive)| {
+            let mut plan = LinUdpDrive::new(&drive.axis.name, Ipv4Addr::new(10, 0, 1, 1 + index as u8));
+            plan.axis = drive.axis.clone();
+            plan.reply_tag = self.reply_tag;
+            plan.leash = drive.jog.then_some(20.0);
+            plan.stream = plan.stream.filter(|_| drive.follow);
+            plan.simulate.start_position = (drive.start * drive.axis.units.counts_per_unit).round() as i32;
+            plan.simulate.start_running = drive.running;
+            plan
+        };
+        let drives = drives.iter().enumerate().map(drive).collect();
+        Box::new(LinUdpPlan::new(Ipv4Addr::new(10, 0, 0, 1), drives))
+    }
+
+    fn said(&self, reply: &[u8]) -> Option<Said> {
+        let response = Response::parse(reply).ok()?;
+        let (status, state) = (response.status?, response.state?);
+        Some(Said {
+            powered: state.main() >= MainState::HW_TESTS,
+            moving: state.motion_active().unwrap_or(status.motion_active()),
+            homed: status.homed(),
+            position: response.actual?.into(),
+            demand: response.demand?.into(),
+        })
+    }
+
+    fn asks_to_stop(&self, request: &[u8]) -> bool {
+        let Ok(request) = Request::parse(request) else { return false };
+        let aborts = |word: ControlWord| word.has(ControlWord::SWITCH_ON) && !word.has(ControlWord::NO_ABORT);
+        request.motion.is_some_and(|motion| motion.header >> 4 == STOP) || request.control.is_some_and(aborts)
+    }
+
+    fn fault(&self, reply: &[u8]) -> Option<Vec<u8>> {
+        let count = Response::parse(reply).ok()?.state?.count()?;
+        let motion = MotionCommand::new(NO_SUCH_CURVE).block(count.wrapping_add(1) & 0xF);
+        let request =
+            Request { response_def: ResponseDef::CYCLIC, motion: Some(motion), ..Request::default() };
+        let mut bytes = vec![0; request.size()];
+        request.emit(&mut bytes);
+        Some(bytes)
+    }
+
+    fn malformed(&self, reply: &[u8]) -> Vec<Vec<u8>> {
+        // Shorter than any telegram, than its own definition, and longer than any.
+        let mut cases: Vec<Vec<u8>> = [0, 1, 7, 8, 25].map(|length| reply[..length].to_vec()).into();
+        cases.extend([vec![0; 129], vec![0; 1_400]]);
+        cases
+    }
+
+    fn foreign(&self, reply: &[u8]) -> Vec<Vec<u8>> {
+        // Echoes of definitions that were never sent: a reserved bit of each.
+        [3, 7].map(|byte| [&reply[..byte], &[reply[byte] ^ 0x80], &reply[byte + 1..]].concat()).into()
+    }
+}

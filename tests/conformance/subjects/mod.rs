@@ -1,0 +1,4 @@
+//! The protocols, a file each.
+
+pub mod linudp;
+pub mod toy;

@@ -1,0 +1,598 @@
+//! A protocol that nobody sells, and everything that LinUDP is not: revolutions, a number in each request, answers that
+//! come a cycle later and make no round trip, no homing, no jogs, no rows. It keeps the contract's other branches alive
+//! until a real protocol needs them, and with one [`Defect`] at a time it shows that the clauses can fail.
+
+use std::any::Any;
+use std::net::{Ipv4Addr, SocketAddrV4};
+
+use fieldbeat::axis::limits::check_position;
+use fieldbeat::axis::{AxisPlan, Failure, Move, PlanFault, State, Target, Unit, Units, Verb};
+use fieldbeat::bus::{Bus, BusPlan, Cycle, Exchange, OpenError, Progress, Slot, Strangers};
+use fieldbeat::net::{Carriers, Datagrams, Outbox, SendMode, Sent, UdpOptions};
+use fieldbeat::rt::{PollSet, Regions};
+use fieldbeat::sim::physics::Generator;
+use fieldbeat::sim::{DatagramDrive, FaultPlan};
+use fieldbeat::time::{Time, US, nanos};
+
+use crate::line::PERIOD;
+use crate::subject::{Can, Drive, Said, Subject};
+
+/// The toy, sound or with one thing wrong.
+pub struct Toy(pub Option<Defect>);
+
+/// What a bus can get wrong, one of each kind.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Defect {
+    SendsWhatIsNotDue,
+    ForgetsARefusedSend,
+    MatchesAnyReply,
+    CountsLateTwice,
+    ReadsDuplicates,
+    OpensTheWindowForEver,
+    SharesItsMisses,
+    WritesBeforeTheFirstOrder,
+    IgnoresStops,
+    NeverTimesOut,
+    ForgetsRestarts,
+    ScalesWrongly,
+    SwitchesOnAgain,
+    BuildsAnewEachTime,
+}
+
+const REQUEST: usize = 36;
+const REPLY: usize = 22;
+
+// What a request tells the drive to do, and its states.
+const READ: u8 = 0;
+const ENABLE: u8 = 1;
+const DISABLE: u8 = 2;
+const MOVE: u8 = 3;
+const STOP: u8 = 4;
+const RESET: u8 = 5;
+const BREAK: u8 = 6;
+const OFF: u8 = 0;
+const ON: u8 = 1;
+const FAULT: u8 = 2;
+
+/// What the drive is told: done once for each new number. Its values are in counts and seconds.
+#[derive(Clone, Copy, Debug, Default)]
+struct Told {
+    number: u8,
+    what: u8,
+    values: [f64; 4],
+}
+
+fn request(sequence: u8, told: Told) -> [u8; REQUEST] {
+    let mut bytes = [0; REQUEST];
+    bytes[..4].copy_from_slice(&[b'?', sequence, told.number, told.what]);
+    for (at, value) in bytes[4..].chunks_exact_mut(8).zip(told.values) {
+        at.copy_from_slice(&value.to_le_bytes());
+    }
+    bytes
+}
+
+fn word(bytes: &[u8], index: usize) -> [u8; 8] {
+    bytes[index * 8..][..8].try_into().expect("eight bytes")
+}
+
+/// What the drive answers.
+#[derive(Clone, Copy, Debug, Default)]
+struct Answer {
+    sequence: u8,
+    /// Number of what it was told last.
+    number: u8,
+    /// Grows by one with each start.
+    boot: u8,
+    state: u8,
+    moving: bool,
+    position: i64,
+    velocity: f64,
+}
+
+impl Answer {
+    fn emit(&self, out: &mut Vec<u8>) {
+        out.extend([b'!', self.sequence, self.number, self.boot, self.state, self.moving.into()]);
+        out.extend(self.position.to_le_bytes());
+        out.extend(self.velocity.to_le_bytes());
+    }
+
+    fn parse(bytes: &[u8]) -> Option<Answer> {
+        let [b'!', sequence, number, boot, state, moving, rest @ ..] = bytes else { return None };
+        (bytes.len() == REPLY && *state <= FAULT && *moving <= 1).then(|| Answer {
+            sequence: *sequence,
+            number: *number,
+            boot: *boot,
+            state: *state,
+            moving: *moving == 1,
+            position: i64::from_le_bytes(word(rest, 0)),
+            velocity: f64::from_le_bytes(word(rest, 1)),
+        })
+    }
+}
+
+impl Subject for Toy {
+    fn name(&self) -> &'static str {
+        "the toy protocol"
+    }
+
+    fn can(&self) -> Can {
+        Can { home: false, jog: false, follow: false, identified: true, round_trip: false, answers_after: 1 }
+    }
+
+    fn axis(&self, name: &str) -> AxisPlan {
+        let units = Units { unit: Unit::Revolution, ..Units::millimetres(65_536.0) };
+        AxisPlan::new(name, units)
+    }
+
+    fn plan(&self, drives: &[Drive]) -> Box<dyn BusPlan> {
+        Box::new(ToyPlan { drives: drives.to_vec(), defect: self.0 })
+    }
+
+    fn said(&self, reply: &[u8]) -> Option<Said> {
+        let Answer { state, moving, position, .. } = Answer::parse(reply)?;
+        Some(Said { powered: state == ON, moving, homed: true, position, demand: position })
+    }
+
+    fn asks_to_stop(&self, request: &[u8]) -> bool {
+        request.get(3) == Some(&STOP)
+    }
+
+    fn fault(&self, reply: &[u8]) -> Option<Vec<u8>> {
+        let number = Answer::parse(reply)?.number.wrapping_add(1);
+        Some(request(0, Told { number, what: BREAK, ..Told::default() }).into())
+    }
+
+    fn malformed(&self, reply: &[u8]) -> Vec<Vec<u8>> {
+        vec![Vec::new(), reply[1..].to_vec(), reply[..REPLY - 1].to_vec(), vec![b'!'; 600]]
+    }
+
+    fn foreign(&self, reply: &[u8]) -> Vec<Vec<u8>> {
+        // The number of a request that is a hundred exchanges away.
+        vec![[&[reply[0], reply[1].wrapping_add(100)], &reply[2..]].concat()]
+    }
+}
+
+#[derive(Debug)]
+struct ToyPlan {
+    drives: Vec<Drive>,
+    defect: Option<Defect>,
+}
+
+fn address(index: usize) -> SocketAddrV4 {
+    SocketAddrV4::new(Ipv4Addr::new(10, 7, 0, 2 + index as u8), 7)
+}
+
+impl BusPlan for ToyPlan {
+    fn name(&self) -> &str {
+        "toys"
+    }
+
+    fn protocol(&self) -> &'static str {
+        "toy"
+    }
+
+    fn axes(&self) -> Vec<&AxisPlan> {
+        self.drives.iter().map(|drive| &drive.axis).collect()
+    }
+
+    fn faults(&self, _period_ns: u64) -> Vec<(usize, PlanFault)> {
+        let of = |(index, drive): (usize, &Drive)| {
+            drive.axis.faults().into_iter().map(move |fault| (index, fault))
+        };
+        self.drives.iter().enumerate().flat_map(of).collect()
+    }
+
+    fn describe(&self, _period_ns: u64) -> Vec<String> {
+        (0..self.drives.len()).map(|index| address(index).to_string()).collect()
+    }
+
+    fn open(&self, _period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
+        let bind = SocketAddrV4::new(Ipv4Addr::new(10, 7, 0, 1), 7);
+        let options = UdpOptions { peers: self.drives.len(), waiting: 0, room: 64, send: SendMode::Batch };
+        let net = carriers.datagrams(bind, &options).map_err(|source| OpenError::Bind {
+            bus: self.name().into(),
+            address: bind,
+            source,
+            remedy: "put the other toy away",
+        })?;
+        let peers: Vec<_> = (0..self.drives.len()).map(address).collect();
+        let station = |drive: &Drive| Station::new(drive.axis.clone(), self.defect);
+        Ok(Box::new(ToyBus {
+            net,
+            outbox: Outbox::new(&peers, REQUEST),
+            stations: self.drives.iter().map(station).collect(),
+            strangers: Strangers::default(),
+            defect: self.defect,
+        }))
+    }
+
+    fn simulate(&self) -> Vec<Box<dyn DatagramDrive>> {
+        let drive = |(index, drive): (usize, &Drive)| {
+            let counts = drive.axis.units.counts_per_unit;
+            let mut toy = ToyDrive {
+                address: address(index),
+                generator: Generator::at((drive.start * counts).round()),
+                lived: None,
+                answer: Answer::default(),
+            };
+            if drive.running {
+                toy.answer.state = ON;
+                toy.generator.run(0.01 * counts, counts);
+            }
+            Box::new(toy) as Box<dyn DatagramDrive>
+        };
+        self.drives.iter().enumerate().map(drive).collect()
+    }
+}
+
+/// The drive: it does what it is told, at once.
+struct ToyDrive {
+    address: SocketAddrV4,
+    generator: Generator,
+    lived: Option<Time>,
+    answer: Answer,
+}
+
+impl DatagramDrive for ToyDrive {
+    fn address(&self) -> SocketAddrV4 {
+        self.address
+    }
+
+    fn faults(&self) -> FaultPlan {
+        FaultPlan { answer_ns: PERIOD + 100 * US, ..FaultPlan::default() }
+    }
+
+    fn receive(
+        &mut self,
+        now: Time,
+        from: SocketAddrV4,
+        bytes: &[u8],
+        reply: &mut Vec<u8>,
+    ) -> Option<SocketAddrV4> {
+        self.generator.advance(now.since(self.lived.replace(now).unwrap_or(now)));
+        let [b'?', sequence, number, what, values @ ..] = bytes else { return None };
+        if bytes.len() != REQUEST {
+            return None;
+        }
+        if std::mem::replace(&mut self.answer.number, *number) != *number {
+            let [a, b, c, d] = [0, 1, 2, 3].map(|index| f64::from_le_bytes(word(values, index)));
+            let generator = &mut self.generator;
+            match (*what, self.answer.state) {
+                (ENABLE, OFF) => self.answer.state = ON,
+                (DISABLE, ON) | (RESET, FAULT) => self.answer.state = OFF,
+                (BREAK, ON) => self.answer.state = FAULT,
+                (MOVE, ON) => generator.go_to(a, b, c, d),
+                (STOP, ON) => generator.brake(a),
+                _ => {}
+            }
+        }
+        if self.answer.state != ON {
+            self.generator.halt();
+        }
+        self.answer.sequence = *sequence;
+        self.answer.moving = self.generator.is_moving();
+        self.answer.position = self.generator.position().round() as i64;
+        self.answer.velocity = self.generator.velocity();
+        self.answer.emit(reply);
+        Some(from)
+    }
+
+    fn restart(&mut self, now: Time) {
+        self.generator.advance(now.since(self.lived.replace(now).unwrap_or(now)));
+        self.generator.halt();
+        self.answer = Answer { boot: self.answer.boot.wrapping_add(1), ..Answer::default() };
+    }
+
+    /// A toy has no hardware enable.
+    fn inhibit(&mut self, _until: Time) {}
+}
+
+struct ToyBus {
+    net: Box<dyn Datagrams>,
+    outbox: Outbox,
+    stations: Vec<Station>,
+    strangers: Strangers,
+    defect: Option<Defect>,
+}
+
+impl ToyBus {
+    fn take_in(&mut self, slots: &mut [Slot]) {
+        let ToyBus { net, outbox, stations, strangers, .. } = self;
+        for _ in 0..4 {
+            let taken = net.receive(&mut |datagram| {
+                let index = (0..outbox.len()).find(|index| outbox.peer(*index).ip() == datagram.from.ip());
+                let Some(index) = index else {
+                    strangers.datagrams += 1;
+                    return;
+                };
+                let slot = &mut slots[index];
+                match Answer::parse(datagram.bytes) {
+                    _ if datagram.from != outbox.peer(index) => slot.counters.foreign += 1,
+                    Some(answer) if !datagram.truncated => stations[index].take(datagram.at, &answer, slot),
+                    _ => slot.counters.malformed += 1,
+                }
+            });
+            if !taken.is_ok_and(|count| count == net.batch()) {
+                break;
+            }
+        }
+    }
+}
+
+impl Bus for ToyBus {
+    fn name(&self) -> &str {
+        "toys"
+    }
+
+    fn memory(&self, regions: &mut Regions) {
+        regions.add(self);
+        regions.add(&*self.stations);
+        self.outbox.memory(regions);
+        self.net.memory(regions);
+    }
+
+    fn poll_set(&mut self, set: &mut PollSet) {
+        if let Some(fd) = self.net.fd() {
+            set.add(fd);
+        }
+    }
+
+    fn send(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
+        // The answers of the cycle before may come between two windows, and count.
+        self.take_in(slots);
+        for (index, slot) in slots.iter().enumerate() {
+            let open = matches!(slot.exchange, Exchange::Owed { .. });
+            let always = self.defect == Some(Defect::SendsWhatIsNotDue);
+            self.outbox.post(index, (slot.due || always) && !open);
+        }
+        self.net.send(&mut self.outbox);
+        for (index, (station, slot)) in self.stations.iter_mut().zip(slots).enumerate() {
+            match self.outbox.sent(index) {
+                Sent::At(sent_at) => {
+                    station.sent();
+                    slot.counters.sent += 1;
+                    slot.exchange = Exchange::Owed { sent_at, reply_by: cycle.deadline + cycle.period_ns };
+                }
+                Sent::Idle => {}
+                Sent::Failed(_) | Sent::Posted => {
+                    slot.counters.unsent += 1;
+                    slot.exchange = Exchange::Unsent;
+                    if self.defect == Some(Defect::ForgetsARefusedSend) {
+                        station.told.what = READ;
+                    }
+                }
+            }
+        }
+    }
+
+    fn receive(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool {
+        self.take_in(slots);
+        let open = |slot: &Slot| match slot.exchange {
+            Exchange::Owed { reply_by, .. } => {
+                reply_by <= cycle.deadline || self.defect == Some(Defect::OpensTheWindowForEver)
+            }
+            _ => false,
+        };
+        !slots.iter().any(open)
+    }
+
+    fn prepare(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
+        let missed = slots.iter().any(|slot| slot.exchange == Exchange::Missed);
+        for (index, (station, slot)) in self.stations.iter_mut().zip(slots).enumerate() {
+            if slot.due && !(missed && station.is(Defect::SharesItsMisses)) {
+                station.told.number += u8::from(station.is(Defect::BuildsAnewEachTime));
+                station.advance(cycle.grid, slot);
+                self.outbox
+                    .room(index)
+                    .copy_from_slice(&request(station.sequence.wrapping_add(1), station.told));
+                self.outbox.set_length(index, REQUEST);
+            }
+        }
+    }
+
+    fn shut_down(&mut self, _cycle: &Cycle, slots: &mut [Slot]) -> bool {
+        !slots.iter().any(|slot| matches!(slot.exchange, Exchange::Owed { .. }))
+    }
+
+    fn strangers(&self) -> Strangers {
+        self.strangers
+    }
+
+    fn native(&mut self, index: usize) -> Option<Box<dyn Any + Send>> {
+        let station = self.stations.get_mut(index)?;
+        std::mem::take(&mut station.native).then(|| Box::new(()) as Box<dyn Any + Send>)
+    }
+}
+
+/// The master's view of one toy.
+struct Station {
+    axis: AxisPlan,
+    defect: Option<Defect>,
+    native: bool,
+    /// Of the last request.
+    sequence: u8,
+    /// Bit n: the n-th request before the last one is not answered.
+    unanswered: u64,
+    sent: u64,
+    seen: bool,
+    answer: Answer,
+    told: Told,
+    /// The drive has what it was told.
+    taken: bool,
+    serial: u64,
+    begun: Time,
+    end: Option<Result<(), Failure>>,
+}
+
+impl Station {
+    fn new(axis: AxisPlan, defect: Option<Defect>) -> Station {
+        Station {
+            axis,
+            defect,
+            native: true,
+            sequence: 0,
+            unanswered: 0,
+            sent: 0,
+            seen: false,
+            answer: Answer::default(),
+            told: Told::default(),
+            taken: true,
+            serial: 0,
+            begun: Time(0),
+            end: None,
+        }
+    }
+
+    fn is(&self, defect: Defect) -> bool {
+        self.defect == Some(defect)
+    }
+
+    fn sent(&mut self) {
+        self.sequence = self.sequence.wrapping_add(1);
+        self.unanswered = self.unanswered << 1 | 1;
+        self.sent += 1;
+    }
+
+    fn take(&mut self, at: Time, answer: &Answer, slot: &mut Slot) {
+        let ago = u64::from(self.sequence.wrapping_sub(answer.sequence));
+        if ago >= self.sent.min(64) {
+            slot.counters.foreign += 1;
+            return;
+        }
+        let first = self.unanswered & 1 << ago != 0;
+        self.unanswered &= !(1 << ago);
+        match slot.exchange {
+            Exchange::Owed { sent_at, .. } if ago == 0 || self.is(Defect::MatchesAnyReply) => {
+                // Whatever the wire takes, no round trip is to be made of it.
+                slot.exchange = Exchange::Answered { sent_at, at, suspect: true };
+                slot.counters.answered += 1;
+                self.read(at, answer, slot);
+            }
+            _ if first => slot.counters.late += 1 + u64::from(self.is(Defect::CountsLateTwice)),
+            _ => {
+                slot.counters.duplicate += 1;
+                if self.is(Defect::ReadsDuplicates) {
+                    self.read(at, answer, slot);
+                }
+            }
+        }
+    }
+
+    fn read(&mut self, at: Time, answer: &Answer, slot: &mut Slot) {
+        let report = &mut slot.report;
+        if self.seen && answer.boot != self.answer.boot {
+            report.restarted = !self.is(Defect::ForgetsRestarts);
+            // What it was told before is over.
+            (self.taken, self.end) =
+                (true, self.end.or(Some(Err(Failure::Dropped(State::SwitchOnDisabled)))));
+        }
+        let restarted = answer.boot != self.answer.boot;
+        (self.seen, self.answer) = (true, *answer);
+        self.taken |= answer.number == self.told.number;
+        if self.taken {
+            self.told = Told { number: answer.number, ..Told::default() };
+        }
+        if restarted && self.is(Defect::SwitchesOnAgain) {
+            self.tell(ENABLE, [0.0; 4]);
+        }
+        report.fresh = true;
+        report.at = at;
+        report.state = match answer.state {
+            ON => State::OperationEnabled,
+            FAULT => State::Fault,
+            _ => State::SwitchOnDisabled,
+        };
+        report.fault = u32::from(answer.state == FAULT);
+        (report.homed, report.moving, report.in_target) = (true, answer.moving, !answer.moving);
+        let units = &self.axis.units;
+        report.position = units.position(answer.position);
+        report.demand = report.position;
+        report.velocity = match self.is(Defect::ScalesWrongly) {
+            false => units.distance(answer.velocity),
+            true => units.distance(answer.velocity).abs(),
+        };
+    }
+
+    /// From here on the drive is told this.
+    fn tell(&mut self, what: u8, values: [f64; 4]) {
+        let last = if self.taken { self.answer.number } else { self.told.number };
+        self.told = Told { number: last.wrapping_add(1), what, values };
+        self.taken = false;
+    }
+
+    /// Works on the order in the slot.
+    fn advance(&mut self, now: Time, slot: &mut Slot) {
+        if self.serial != slot.order.serial {
+            (self.serial, self.begun, self.end) = (slot.order.serial, now, None);
+            self.begin(slot.order.verb);
+        } else if self.end.is_none() {
+            self.end = slot.order.verb.and_then(|verb| self.go_on(now, verb, slot));
+        }
+        if self.serial != 0 {
+            slot.progress = Progress { serial: self.serial, end: self.end };
+        } else if self.is(Defect::WritesBeforeTheFirstOrder) && self.seen && self.taken {
+            self.tell(DISABLE, [0.0; 4]);
+        }
+    }
+
+    fn begin(&mut self, verb: Option<Verb>) {
+        let counts = self.axis.units.counts_per_unit;
+        let scale = |value: f64| (value * counts).abs();
+        let usual = self.axis.profile.deceleration;
+        let standing = self.answer.state != ON && self.taken;
+        // Of the order before only what is under way goes on.
+        self.told.what = READ;
+        match verb {
+            Some(Verb::Stop { .. } | Verb::QuickStop) if standing || self.is(Defect::IgnoresStops) => {
+                self.end = Some(Ok(()));
+            }
+            Some(Verb::Enable) if self.answer.state == FAULT => {
+                self.end = Some(Err(Failure::DriveFault(1)));
+            }
+            Some(Verb::Enable) => self.tell(ENABLE, [0.0; 4]),
+            Some(Verb::Disable) => self.tell(DISABLE, [0.0; 4]),
+            Some(Verb::ResetFault) => self.tell(RESET, [0.0; 4]),
+            Some(Verb::Move(Move { target, profile })) => {
+                let units = self.axis.units;
+                let target = match target {
+                    Target::Absolute(position) => position,
+                    Target::Relative(way) => units.position(self.answer.position) + way,
+                };
+                let [v, a, d] = [profile.velocity, profile.acceleration, profile.deceleration].map(scale);
+                match check_position(&self.axis.limits, target) {
+                    Ok(()) => self.tell(MOVE, [units.counts(target), v, a, d]),
+                    Err(failure) => self.end = Some(Err(failure)),
+                }
+            }
+            Some(Verb::Stop { deceleration }) => {
+                self.tell(STOP, [scale(deceleration.unwrap_or(usual)), 0.0, 0.0, 0.0]);
+            }
+            Some(Verb::QuickStop) => self.tell(STOP, [scale(4.0 * usual), 0.0, 0.0, 0.0]),
+            Some(Verb::Home | Verb::Jog(_) | Verb::Velocity { .. } | Verb::Follow | Verb::Native(_)) => {
+                self.end = Some(Err(Failure::Unsupported("a toy can move and stop, no more")));
+            }
+            None | Some(Verb::Reset) => self.end = Some(Ok(())),
+        }
+    }
+
+    fn go_on(&mut self, now: Time, verb: Verb, slot: &Slot) -> Option<Result<(), Failure>> {
+        let Answer { state, moving, .. } = self.answer;
+        let limited = matches!(verb, Verb::Enable | Verb::Disable | Verb::ResetFault);
+        let late = now.since(self.begun) > nanos(self.axis.enable_timeout);
+        if !self.taken {
+            if limited && late && !self.is(Defect::NeverTimesOut) {
+                self.tell(DISABLE, [0.0; 4]);
+                return Some(Err(Failure::TimedOut(slot.report.state)));
+            }
+            return None;
+        }
+        if limited {
+            return Some(Ok(()));
+        }
+        match (state, moving) {
+            (FAULT, _) => Some(Err(Failure::DriveFault(1))),
+            (OFF, _) if matches!(verb, Verb::Move(_)) => Some(Err(Failure::Dropped(slot.report.state))),
+            (_, moving) => (!moving).then_some(Ok(())),
+        }
+    }
+}

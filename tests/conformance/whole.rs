@@ -1,0 +1,362 @@
+//! The bus under the whole loop: link health, the ladder, and what the loop may count on.
+
+use std::time::Duration;
+
+use fieldbeat::axis::{
+    Abort, Failure, FoundRunning, Health, Link, Outcome, State, StopCause, StopHow, StopThen, Verb,
+};
+use fieldbeat::cycle::CyclePlan;
+use fieldbeat::sim::FaultPlan;
+use fieldbeat::sim::world::WorldOptions;
+use fieldbeat::time::{MS, US};
+
+use crate::line::PERIOD;
+use crate::machine::Machine;
+use crate::subject::{Subject, not_applicable};
+
+pub fn good_exchanges_in_a_row_bring_the_link_up(subject: &'static dyn Subject) {
+    let gate = 6;
+    let mut m = Machine::new(subject, 1, |_, drive| drive.axis.health = Health { gate, ..Health::default() });
+    let answered = |m: &Machine| m.tape(0, |tape| tape.taken);
+    // All but one, then a miss: they have to begin again.
+    m.until("almost up", 100, |m| answered(m) == u64::from(gate) - 1);
+    assert_eq!(m.feedback(0).link, Link::Qualifying);
+    m.mute(0, true);
+    m.until("not up after all", 10, |m| m.feedback(0).link == Link::Unseen);
+    m.mute(0, false);
+    let before = answered(&m);
+    m.until("up", 1_000, |m| m.feedback(0).link == Link::Online);
+    assert_eq!(answered(&m) - before, u64::from(gate));
+}
+
+pub fn the_unseen_and_the_lost_are_asked_once_a_probe_interval(subject: &'static dyn Subject) {
+    let interval = 40;
+    let health = Health { probe_interval: Duration::from_millis(interval), ..Health::default() };
+    let mut m = Machine::new(subject, 3, |_, drive| drive.axis.health = health);
+    m.plug(0, false);
+    m.mute(1, true);
+    m.until("the third online", 100, |m| m.feedback(2).link == Link::Online);
+    m.run(1_000);
+    assert_eq!((m.feedback(1).link, m.heard(0)), (Link::Unseen, 0));
+    let rarely = |m: &Machine, from: usize| {
+        let asked = m.asked_in(1, from);
+        assert!(asked.windows(2).all(|pair| pair[1] - pair[0] >= interval), "{asked:?}");
+        asked.len()
+    };
+    assert!((24..=26).contains(&rarely(&m, 0)));
+    m.mute(1, false);
+    m.until("it online", 1_000, |m| m.feedback(1).link == Link::Online);
+    m.mute(1, true);
+    m.until("it lost", 100, |m| m.feedback(1).link == Link::Lost);
+    m.run(2);
+    let heard = m.heard(1);
+    m.run(1_000);
+    assert!((24..=26).contains(&rarely(&m, heard)));
+    // Who answers lost nothing by it.
+    let end = m.sim.finish();
+    let living = end.drives[2].counters;
+    assert!(living.missed == 0 && living.sent > 900, "{living:?}");
+    for drive in &end.drives[..2] {
+        let c = drive.counters;
+        assert!(c.sent < 150 && c.sent - c.answered - c.missed <= 1, "{c:?}");
+    }
+}
+
+pub fn the_stop_request_is_on_the_wire_within_its_bound(subject: &'static dyn Subject) {
+    for (divisor, phase, bucket, how) in [
+        (1, 0, 5, StopHow::Ramp),
+        (1, 0, 1, StopHow::Quick),
+        (3, 2, 3, StopHow::Ramp),
+        (4, 1, 2, StopHow::Quick),
+    ] {
+        let every = divisor * (1 + subject.can().answers_after);
+        let mut m = Machine::new(subject, 2, |index, drive| {
+            drive.axis.health.bucket = bucket;
+            drive.axis.stop.how = how;
+            if index == 0 {
+                (drive.axis.divisor, drive.axis.phase) = (every, phase);
+            }
+        });
+        let ids = m.moving();
+        // The last good exchange is that of the request before the silence.
+        let heard = m.heard(0);
+        m.until("one more exchange", 20, |m| m.heard(0) > heard && m.feedback(0).age == 0);
+        let heard = m.heard(0);
+        let last_good = m.asked_in(0, heard - 1)[0];
+        m.mute(0, true);
+        let bound = m.stop_bound(0);
+        m.run(bound + 50);
+        let stop = m.tape(0, |tape| {
+            tape.heard[heard..].iter().position(|heard| subject.asks_to_stop(&heard.request))
+        });
+        let stop = stop.unwrap_or_else(|| panic!("no stop request: {how:?}"));
+        let lost = m.asked_in(0, heard)[stop] - last_good;
+        let what = format!("divisor {every}, bucket {bucket}, {how:?}: after {lost} cycles, bound {bound}");
+        assert!(lost <= bound, "{what}");
+        assert!(stop as u64 >= u64::from(bucket), "too soon: {what}");
+        assert_eq!(m.feedback(0).stopped, Some(StopCause::LinkLost));
+        assert_eq!(m.outcome(0, ids[0]), Some(Outcome::Aborted(Abort::Stopped(StopCause::LinkLost))));
+        // It heard the stop, and stands.
+        m.until("standstill", 1_000, |m| m.tape(0, |tape| !tape.said().moving));
+        assert_eq!((m.feedback(1).stopped, m.feedback(1).moving), (None, true), "its neighbour goes on");
+    }
+}
+
+pub fn divisor_and_phase_choose_the_slots(subject: &'static dyn Subject) {
+    let schedule = [(1, 0), (2, 1), (5, 3)];
+    let least = 1 + subject.can().answers_after;
+    let mut m = Machine::new(subject, 3, |index, drive| {
+        let (divisor, phase) = schedule[index];
+        (drive.axis.divisor, drive.axis.phase) = (divisor * least, phase);
+    });
+    m.ready();
+    let heard = [0, 1, 2].map(|index| m.heard(index));
+    m.run(500);
+    for (index, (divisor, phase)) in schedule.into_iter().enumerate() {
+        let asked = m.asked_in(index, heard[index]);
+        let every = u64::from(divisor * least);
+        assert!(asked.iter().all(|slot| slot % every == u64::from(phase)), "drive {index}: {asked:?}");
+        assert!(asked.len() as u64 >= 500 / every, "drive {index}: {} requests", asked.len());
+    }
+}
+
+pub fn one_lost_drive_leaves_the_others_untouched(subject: &'static dyn Subject) {
+    let mut m = Machine::new(subject, 3, |_, _| {});
+    let ids = m.moving();
+    m.plug(1, false);
+    assert_eq!(m.stopped(1, 100), StopCause::LinkLost);
+    for _ in 0..1_000 {
+        m.step();
+        for index in [0, 2] {
+            let feedback = m.feedback(index);
+            let oldest = 2 * m.drives[index].axis.divisor - 1;
+            assert!(feedback.age < oldest && feedback.stopped.is_none(), "axis {index}: {feedback:?}");
+        }
+    }
+    assert!([0, 2].iter().all(|index| m.outcome(*index, ids[*index]).is_none()), "they go on");
+    for index in [0, 2] {
+        m.done(index, Verb::Stop { deceleration: None });
+    }
+    let end = m.sim.finish();
+    for index in [0, 2] {
+        let c = end.drives[index].counters;
+        let troubled = (c.missed, c.unsent, c.late, c.duplicate, c.malformed, c.foreign);
+        assert_eq!((troubled, end.drives[index].losses), ((0, 0, 0, 0, 0, 0), 0), "axis {index}");
+        assert_eq!(end.drives[index].rtt_max.is_some(), m.can.round_trip, "axis {index}");
+    }
+}
+
+pub fn a_lost_drive_comes_back_by_the_application_only_and_homed_is_read_again(
+    subject: &'static dyn Subject,
+) {
+    // What comes back is the same drive, or one that was switched off meanwhile and knows nothing any more.
+    for restarted in [false, true] {
+        let mut m = Machine::new(subject, 1, |_, drive| {
+            drive.axis.limits.position = Some((-1e3 * drive.start, 1e3 * drive.start));
+        });
+        m.moving();
+        m.plug(0, false);
+        assert_eq!(m.stopped(0, 100), StopCause::LinkLost);
+        m.run(300);
+        if restarted {
+            m.restart(0);
+            m.run(500);
+        }
+        m.plug(0, true);
+        m.until("off", 5_000, |m| m.feedback(0).link == Link::Online && !m.feedback(0).state.is_powered());
+        m.run(500);
+        let feedback = m.feedback(0);
+        assert_eq!(feedback.stopped, Some(StopCause::LinkLost), "it stays latched");
+        assert!(!feedback.state.is_powered() && !feedback.moving, "{feedback:?}");
+        let verb = m.by(0, 0.05);
+        for verb in [Verb::Enable, verb] {
+            assert_eq!(m.failed(0, verb), Failure::Latched(StopCause::LinkLost));
+        }
+        m.done(0, Verb::Reset);
+        m.done(0, Verb::Enable);
+        assert_eq!(m.feedback(0).homed, m.tape(0, |tape| tape.said().homed));
+        if restarted && m.can.home {
+            assert_eq!(m.failed(0, verb), Failure::NotHomed);
+            m.done(0, Verb::Home);
+        }
+        m.done(0, verb);
+    }
+}
+
+pub fn a_restart_in_mid_motion_ends_latched_and_nothing_moves_by_itself(subject: &'static dyn Subject) {
+    let mut m = Machine::new(subject, 2, |_, _| {});
+    let ids = m.moving();
+    m.restart(0);
+    m.stopped(0, 1_000);
+    assert!(matches!(m.outcome(0, ids[0]), Some(Outcome::Aborted(_) | Outcome::Failed(_))));
+    m.until("it is online", 5_000, |m| m.feedback(0).link == Link::Online);
+    m.run(200);
+    for _ in 0..1_000 {
+        m.step();
+        let (feedback, said) = (m.feedback(0), m.tape(0, |tape| tape.said()));
+        assert!(feedback.stopped.is_some() && !said.powered && !said.moving, "{feedback:?}, {said:?}");
+    }
+    assert_eq!(m.restarts, 1, "told once");
+    m.recover(0);
+    let verb = m.by(0, 0.05);
+    m.done(0, verb);
+    assert_eq!((m.feedback(1).stopped, m.outcome(1, ids[1])), (None, None), "its neighbour goes on");
+}
+
+pub fn found_running_is_stopped_or_left_alone_as_its_plan_says(subject: &'static dyn Subject) {
+    let mut m = Machine::new(subject, 2, |index, drive| {
+        drive.running = true;
+        drive.axis.on_found_running = [FoundRunning::Stop, FoundRunning::Refuse][index];
+    });
+    m.online();
+    for index in 0..2 {
+        assert_eq!(m.feedback(index).stopped, Some(StopCause::FoundRunning));
+    }
+    m.until("power off", 2_000, |m| !m.feedback(0).state.is_powered());
+    let (heard, still) = m.tape(0, |tape| {
+        let standing = tape.heard.iter().rev().filter_map(|heard| heard.said);
+        let standing = standing.skip_while(|said| !said.powered);
+        (tape.heard.len(), standing.take_while(|said| said.powered && !said.moving).count())
+    });
+    assert!(still >= 20, "of {heard} requests only {still} between standstill and power off");
+    m.run(500);
+    let (feedback, said) = (m.feedback(1), m.tape(1, |tape| tape.said()));
+    assert!(said.powered && said.moving && feedback.moving, "only read: {feedback:?}");
+    let verb = m.by(1, 0.05);
+    for verb in [Verb::Enable, verb] {
+        assert_eq!(m.failed(1, verb), Failure::Latched(StopCause::FoundRunning));
+    }
+    assert!(m.tape(1, |tape| tape.said().moving));
+    // It is the application that decides.
+    m.done(1, Verb::Stop { deceleration: None });
+    assert!(m.tape(1, |tape| tape.said().powered && !tape.said().moving));
+    for index in 0..2 {
+        m.done(index, Verb::Reset);
+        m.done(index, Verb::Enable);
+        let verb = m.by(index, 0.05);
+        m.done(index, verb);
+    }
+}
+
+pub fn a_fault_of_the_drive_latches_its_axis(subject: &'static dyn Subject) {
+    let mut m = Machine::new(subject, 2, |_, _| {});
+    let ids = m.moving();
+    let Some(telegram) = subject.fault(&m.tape(0, |tape| tape.reply())) else {
+        return not_applicable(subject, "a fault of the drive", "nothing on its wire brings it about");
+    };
+    m.inject_to(0, &telegram);
+    assert_eq!(m.stopped(0, 50), StopCause::DriveFault);
+    assert_eq!(m.ended(0, ids[0]), Outcome::Aborted(Abort::Stopped(StopCause::DriveFault)));
+    m.until("the fault", 500, |m| m.feedback(0).state == State::Fault);
+    assert_ne!(m.feedback(0).fault, 0);
+    // Down the ladder, before anything else is taken.
+    m.run(100);
+    m.recover(0);
+    assert_eq!(m.feedback(0).fault, 0);
+    assert_eq!((m.feedback(1).stopped, m.outcome(1, ids[1])), (None, None), "its neighbour goes on");
+}
+
+/// A stormy run in numbers: what went over the wire, and how it ended.
+fn storm(subject: &'static dyn Subject, seed: u64) -> (u64, u64, String) {
+    let options = WorldOptions { seed, wake_ns: 60_000, ..WorldOptions::default() };
+    let mut m = Machine::of(subject, 3, |_, _| {}, CyclePlan::default(), options);
+    for index in 0..3 {
+        let plan = FaultPlan {
+            seed: seed + index as u64,
+            drop: 0.03,
+            duplicate: 0.05,
+            corrupt: 0.005,
+            delay: 0.05,
+            delay_ns: MS,
+            restart: 0.000_3,
+            ..FaultPlan::default()
+        };
+        m.faults(index, plan);
+    }
+    for cycle in 0..3_000_u64 {
+        if cycle % 1_000 == 700 {
+            m.world().delay_next_wake(3 * MS + 100 * US);
+        }
+        let index = (cycle / 50 % 3) as usize;
+        if cycle % 50 == 0 {
+            let verbs = [Verb::Reset, Verb::ResetFault, Verb::Enable, Verb::Home, m.by(index, 0.05)];
+            let verb = verbs[(cycle / 150 % 5) as usize];
+            m.post(index, verb);
+        }
+        m.step();
+        m.assert_grid();
+    }
+    let numbers = (m.world().digest(), m.world().delivered());
+    for index in 0..3 {
+        m.faults(index, FaultPlan::default());
+    }
+    m.sim.stop();
+    m.until_end(20_000);
+    let end = m.sim.finish();
+    for drive in &end.drives {
+        let c = drive.counters;
+        assert_eq!(c.sent, c.answered + c.missed, "nothing is owed at the end: {c:?}");
+        assert!(!drive.feedback.state.is_powered(), "{:?}", drive.feedback);
+    }
+    assert_eq!(end.status.planned, end.status.executed + end.status.skipped);
+    assert!(end.status.skipped > 0 && end.status.missed > 0, "{:?}", end.status);
+    (numbers.0, numbers.1, format!("{end:?}"))
+}
+
+pub fn the_same_seed_is_the_same_run_to_the_byte(subject: &'static dyn Subject) {
+    let one = storm(subject, 1);
+    assert!(one == storm(subject, 1), "the same seed, another run");
+    assert_ne!(one.0, storm(subject, 2).0, "the digest sees what goes over the wire");
+}
+
+pub fn the_end_of_the_master_leaves_every_drive_at_standstill_and_off(subject: &'static dyn Subject) {
+    // One moves, one is held in a stop, one was only ever read, one is gone.
+    let mut m = Machine::new(subject, 4, |index, drive| {
+        drive.axis.stop.then = if index == 1 { StopThen::Hold } else { StopThen::Disable };
+        drive.running = index == 2;
+        drive.axis.on_found_running = FoundRunning::Refuse;
+    });
+    m.online();
+    for index in [0, 1, 3] {
+        m.done(index, Verb::Enable);
+        if m.can.home {
+            m.done(index, Verb::Home);
+        }
+        let verb = m.by(index, 20.0);
+        m.post(index, verb);
+    }
+    m.run(200);
+    m.mute(1, true);
+    m.stopped(1, 100);
+    m.mute(1, false);
+    m.plug(3, false);
+    m.run(300);
+    m.sim.stop();
+    m.until_end(20_000);
+    let said = |index| m.tape(index, |tape| tape.said());
+    assert!([0, 1].iter().all(|index| !said(*index).powered));
+    assert!(said(2).powered && said(2).moving, "not ours to stop");
+    let before_off =
+        m.tape(0, |tape| tape.heard.iter().rev().filter_map(|heard| heard.said).find(|said| said.powered));
+    assert!(before_off.is_some_and(|said| !said.moving), "power went off in mid-motion");
+    m.assert_grid();
+    let end = m.sim.finish();
+    assert!(
+        end.drives.iter().all(|drive| drive.counters.sent == drive.counters.answered + drive.counters.missed)
+    );
+}
+
+pub fn a_grid_with_skipped_slots_owes_nothing_for_them(subject: &'static dyn Subject) {
+    let mut m = Machine::new(subject, 2, |_, _| {});
+    m.moving();
+    let before = *m.sim.status();
+    for late in 1..=5 {
+        m.world().delay_next_wake(late * PERIOD + 300 * US);
+        m.run(20);
+        m.assert_grid();
+    }
+    let status = *m.sim.status();
+    assert!(status.skipped - before.skipped >= 15, "{status:?}");
+    assert_eq!(status.missed, before.missed, "the drives are not charged for the loop's lateness");
+    assert!((0..2).all(|index| m.feedback(index).stopped.is_none()));
+}
