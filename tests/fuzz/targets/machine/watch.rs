@@ -1,0 +1,332 @@
+//! What has to hold of one axis, whatever its drive says and whatever the application asks for.
+//!
+//! It sees what anybody could see: requests on the wire, datagrams that came, events, feedback. It keeps no books of how the
+//! loop works.
+
+use std::collections::BTreeMap;
+
+use fieldbeat::axis::{
+    Abort, Event, EventKind, Feedback, FoundRunning, NativeOwner, Outcome, StopCause, Verb,
+};
+use fieldbeat::bus::linudp::LinUdpDrive;
+use fieldbeat::bus::linudp::motion::Decoded;
+use fieldbeat::bus::linudp::wire::{ControlWord, Request, Response, RtcBlock, StatusWord};
+use fieldbeat::cycle::status::DriveEnd;
+use fieldbeat::time::Time;
+
+use super::hostile::{Asked, Came};
+
+#[derive(Debug)]
+pub struct Watch {
+    drive: LinUdpDrive,
+    /// Commands that were accepted and have not ended.
+    alive: BTreeMap<u64, Verb>,
+    pub accepted: u64,
+    pub ended: u64,
+    /// Stopped, and not reset since.
+    latched: Option<StopCause>,
+    /// So many cycles had been executed when it was stopped last, and when it was reset last.
+    stopped_at: u64,
+    reset_at: u64,
+    /// Enabled, and neither stopped nor disabled since.
+    armed: bool,
+    /// The last request that went out.
+    asked: Option<Request>,
+    asked_at: Time,
+    /// The last control word that went out.
+    word: Option<ControlWord>,
+    /// The control word may be the application's own.
+    wild: bool,
+    /// The end of the master has overtaken the reset of a fault, which it lets the drive go through.
+    acknowledging: bool,
+    /// Before this step.
+    feedback: Feedback,
+    /// The reply that the feedback is from.
+    reply: Option<Response>,
+    event: Option<Event>,
+    sent: u64,
+    datagrams: u64,
+    /// Events were lost: what they would have told is not known.
+    deaf: bool,
+}
+
+impl Watch {
+    pub fn new(drive: LinUdpDrive) -> Watch {
+        Watch {
+            drive,
+            alive: BTreeMap::new(),
+            accepted: 0,
+            ended: 0,
+            latched: None,
+            stopped_at: 0,
+            reset_at: 0,
+            armed: false,
+            asked: None,
+            asked_at: Time(0),
+            word: None,
+            wild: false,
+            acknowledging: false,
+            feedback: Feedback::default(),
+            reply: None,
+            event: None,
+            sent: 0,
+            datagrams: 0,
+            deaf: false,
+        }
+    }
+
+    pub fn accepted(&mut self, id: u64, verb: Verb) {
+        assert_eq!(self.alive.insert(id, verb), None, "the id {id} was given twice");
+        self.accepted += 1;
+    }
+
+    pub fn lost_events(&mut self) {
+        self.deaf = true;
+    }
+
+    fn runs(&self, chosen: impl Fn(&Verb) -> bool) -> bool {
+        self.alive.values().any(chosen)
+    }
+
+    /// A request went out. It was built from what was known before this step.
+    pub fn asked(&mut self, asked: &Asked) {
+        self.sent += 1;
+        let request = Request::parse(&asked.bytes).expect("what the master sends is a request");
+        let said = self.word;
+        (self.asked, self.asked_at) = (Some(request), asked.at);
+        self.word = request.control.or(said);
+        let on = |word: Option<ControlWord>| word.is_some_and(|word| word.has(ControlWord::SWITCH_ON));
+        if self.deaf {
+            return;
+        }
+        let native = self.runs(|verb| matches!(verb, Verb::Native(_)));
+        self.wild |= self.runs(|verb| *verb == Verb::Native(NativeOwner::Application));
+        if on(self.word) && !on(said) && !self.wild {
+            self.check_switch_on(asked.at, said);
+        }
+        let only_read = self.accepted == 0 && self.drive.axis.on_found_running == FoundRunning::Refuse;
+        assert!(!only_read || request.control.is_none(), "nobody has asked for anything: {request:?}");
+        if let Some(word) = request.control {
+            self.check_control(word, native);
+        }
+        if let Some(motion) = &request.motion {
+            self.check_motion(Decoded::of(motion), native);
+        }
+    }
+
+    /// Only an Enable switches a drive on. One that was never told anything may be left on as it was found.
+    fn check_switch_on(&self, at: Time, said: Option<ControlWord>) {
+        let status = self.reply.and_then(|reply| reply.status).unwrap_or_default();
+        let as_found = said.is_none() && status.has(StatusWord::SWITCH_ON_ACTIVE);
+        // An Enable of a drive that says that it is in operation is done before the next request.
+        let enabling = self.armed || self.latched.is_none() && self.runs(|verb| *verb == Verb::Enable);
+        let (latched, feedback) = (self.latched, &self.feedback);
+        assert!(
+            enabling || as_found,
+            "switched on at {at} without an Enable: stopped {latched:?}, {feedback:?}"
+        );
+    }
+
+    fn check_control(&mut self, word: ControlWord, native: bool) {
+        use ControlWord as C;
+        let abort = |word: C| C(word.0 & !C::NO_ABORT);
+        // Powered, and kept out of operation.
+        let held = C(C::ON.0 & !C::ENABLE_OPERATION);
+        let usual = [C::BASE, C::ON, C::HOME, C::ACKNOWLEDGE, abort(C::ON), abort(C::BASE), held];
+        if !usual.contains(&word) {
+            assert!(self.wild, "a master does not write {word:?}");
+            return;
+        }
+        self.wild &= native;
+        if !self.wild {
+            let homes = self.latched.is_none() && self.runs(|verb| *verb == Verb::Home);
+            assert!(homes || word != C::HOME, "homing that nobody asked for: {:?}", self.alive);
+            let resets = self.acknowledging || self.runs(|verb| *verb == Verb::ResetFault);
+            assert!(
+                resets || word != C::ACKNOWLEDGE,
+                "an acknowledge that nobody asked for: {:?}",
+                self.alive
+            );
+        }
+    }
+
+    fn check_motion(&self, motion: Decoded, native: bool) {
+        match motion {
+            Decoded::NoOperation | Decoded::Stop(Some(1..)) => return,
+            _ => assert_eq!(self.latched, None, "{motion:?} to a stopped axis"),
+        }
+        if native {
+            return;
+        }
+        assert!(self.armed, "{motion:?} to an axis that is not enabled");
+        let limits = self.drive.axis.limits.position;
+        let inside = |low: f64, high: f64, count: i32| {
+            let position = self.drive.axis.units.position(count.into());
+            // Rounded to a count.
+            assert!((low - 1e-4..=high + 1e-4).contains(&position), "{position} is not in {low} ... {high}");
+        };
+        match motion {
+            Decoded::Move(to) => {
+                // From outside the range a jog leads back in.
+                let jogs = self.runs(|verb| matches!(verb, Verb::Jog(_) | Verb::Velocity { .. }));
+                let moves = self.runs(|verb| matches!(verb, Verb::Move(_)));
+                assert!(moves || jogs, "{to:?} belongs to none of {:?}", self.alive);
+                if let (Some((low, high)), false) = (limits, jogs) {
+                    inside(low, high, to.value);
+                }
+            }
+            Decoded::Stream { position, .. } => {
+                assert!(
+                    self.runs(|verb| *verb == Verb::Follow),
+                    "{motion:?} belongs to none of {:?}",
+                    self.alive
+                );
+                if let Some((low, high)) = limits {
+                    inside(low, high, position);
+                }
+            }
+            Decoded::EndStream => {
+                assert!(
+                    self.runs(|verb| *verb == Verb::Follow),
+                    "{motion:?} belongs to none of {:?}",
+                    self.alive
+                );
+            }
+            other => panic!("a master does not send {other:?}"),
+        }
+    }
+
+    /// An event, told in the turn after which so many cycles were executed.
+    pub fn event(&mut self, event: Event, executed: u64) {
+        if let Some(before) = self.event.replace(event) {
+            assert!(before.cycle <= event.cycle && before.at <= event.at, "{before} before {event}");
+        }
+        match event.kind {
+            EventKind::Ended { id, verb, outcome } => {
+                let ended = self.alive.remove(&id.0);
+                assert_eq!(
+                    ended.map(|verb| verb.name()),
+                    Some(verb),
+                    "{event}: not accepted, or ended before"
+                );
+                self.ended += 1;
+                match (ended, outcome) {
+                    (Some(Verb::Reset), Outcome::Done) => (self.latched, self.reset_at) = (None, executed),
+                    (Some(Verb::Enable), Outcome::Done) => {
+                        assert_eq!(self.latched, None, "{event} of a stopped axis");
+                        self.armed = true;
+                    }
+                    // One that was replaced may never have begun.
+                    (Some(Verb::Disable), Outcome::Done) => self.armed = false,
+                    (Some(Verb::ResetFault), Outcome::Aborted(Abort::Stopped(StopCause::Shutdown))) => {
+                        self.acknowledging = true;
+                    }
+                    _ => {}
+                }
+            }
+            EventKind::Stopped(cause) => {
+                assert!(
+                    self.latched.is_none() || self.deaf,
+                    "{event}: stopped twice, {:?} before",
+                    self.latched
+                );
+                (self.latched, self.armed, self.stopped_at) = (Some(cause), false, executed);
+            }
+            _ => {}
+        }
+    }
+
+    /// What stops this axis stops its group, in the next cycle at the latest.
+    pub fn check_group(&self, other: &Watch, executed: u64) {
+        let group = self.drive.axis.stop.group;
+        let together = group.is_some() && group == other.drive.axis.stop.group && !self.deaf && !other.deaf;
+        if together && self.latched.is_some() && self.stopped_at < executed {
+            let stopped = other.latched.is_some() || other.reset_at >= self.stopped_at;
+            assert!(stopped, "{:?} stopped {} alone", self.latched, self.drive.axis.name);
+        }
+    }
+
+    /// The feedback behind an executed cycle, all datagrams that came in it from this drive's address, and whether all that
+    /// happened in this turn is in the feedback.
+    pub fn feedback(&mut self, feedback: Feedback, came: &[Came], whole: bool) {
+        let before = std::mem::replace(&mut self.feedback, feedback);
+        if self.deaf {
+            self.latched = feedback.stopped;
+        }
+        assert!(feedback.stopped == self.latched || !whole, "events tell {:?}, {feedback:?}", self.latched);
+        assert!(feedback.cycle > before.cycle || before.cycle == 0);
+        if feedback.at == before.at {
+            let values = |f: &Feedback| {
+                let numbers = [f.position, f.demand, f.velocity, f.current].map(f64::to_bits);
+                (numbers, f.state, f.homed, f.moving, f.in_target, f.warning, f.fault)
+            };
+            assert_eq!(values(&feedback), values(&before), "no reply, no news");
+            let cycles = feedback.cycle - before.cycle;
+            assert_eq!(u64::from(feedback.age - before.age), cycles, "{feedback:?} after {before:?}");
+            return;
+        }
+        let said = |came: &Came| {
+            let reply = Response::parse(&came.bytes).ok()?;
+            (came.at == feedback.at && came.in_window && !came.truncated && self.is_echo(&reply))
+                .then_some(reply)
+        };
+        let replies: Vec<Response> = came.iter().filter_map(said).collect();
+        self.reply = replies.iter().find(|reply| self.is_told(&feedback, reply)).copied();
+        assert!(
+            self.reply.is_some(),
+            "{feedback:?} is in none of {replies:?}, the replies to {:?}",
+            self.asked
+        );
+        assert!(
+            [feedback.position, feedback.demand, feedback.velocity].iter().all(|value| value.is_finite())
+        );
+    }
+
+    pub fn datagrams(&mut self, came: usize) {
+        self.datagrams += came as u64;
+    }
+
+    fn is_echo(&self, reply: &Response) -> bool {
+        let tag =
+            |config: Option<RtcBlock>| config.filter(|_| self.drive.reply_tag).map(|block| block.count());
+        self.asked.is_some_and(|asked| {
+            (asked.definition(), asked.response_def, tag(asked.config))
+                == (reply.request_def, reply.response_def, tag(reply.config))
+        })
+    }
+
+    fn is_told(&self, feedback: &Feedback, reply: &Response) -> bool {
+        let units = &self.drive.axis.units;
+        let position = |count: Option<i32>, value: f64| match units.modulo {
+            None => value == units.position(count.unwrap_or_default().into()),
+            Some(turn) => (0.0..=turn).contains(&value),
+        };
+        let (status, state) = (reply.status.unwrap_or_default(), reply.state.unwrap_or_default());
+        let moving = state.motion_active().unwrap_or(status.motion_active());
+        let fault = if status.error() { u32::from(reply.error.unwrap_or_default().0) } else { 0 };
+        position(reply.actual, feedback.position)
+            && position(reply.demand, feedback.demand)
+            && feedback.current == f64::from(reply.current.unwrap_or_default()) * 1e-3
+            && feedback.warning == u32::from(reply.warn.unwrap_or_default().0)
+            && (feedback.fault, feedback.homed) == (fault, status.homed())
+            && (feedback.moving, feedback.in_target) == (moving, status.in_target())
+            && feedback.state.is_powered() == matches!(state.main().0, 3 | 5..)
+    }
+
+    /// The machine has ended.
+    pub fn end(&self, end: &DriveEnd, refused: u64) {
+        let c = end.counters;
+        assert_eq!((c.sent, c.unsent), (self.sent, refused), "{c:?}");
+        assert_eq!(c.sent, c.answered + c.missed, "{c:?}");
+        assert_eq!(self.datagrams, c.answered + c.late + c.duplicate + c.malformed + c.foreign, "{c:?}");
+        assert!(c.suspect <= c.answered && c.late <= c.missed + c.suspect, "{c:?}");
+        assert!(self.deaf || self.alive.is_empty(), "without an end: {:?}", self.alive);
+        assert!(self.latched.is_some(), "an axis is stopped at the end");
+    }
+
+    /// Whether the last word to the drive has left it switched on, although it could be told something since `since`.
+    pub fn is_left_on(&self, since: Time) -> bool {
+        let on = self.word.is_some_and(|word| word.has(ControlWord::SWITCH_ON));
+        on && !self.wild && self.asked_at >= since
+    }
+}

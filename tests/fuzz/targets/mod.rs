@@ -1,0 +1,24 @@
+//! The fuzz targets: plain functions of bytes that panic when something does not hold.
+//!
+//! | target | what the bytes are |
+//! |---|---|
+//! | `telegram` | a datagram, for every parser of what comes from a wire |
+//! | `station` | a program for one station: orders, sends, replies good and bad |
+//! | `config` | the text of a configuration |
+//! | `config_keys` | a program that changes the sample configurations key by key |
+//! | `machine` | a program for a whole machine in virtual time: a hostile drive, and an application in a hurry |
+//!
+//! Two drivers run them: `main.rs`, a plain test, and libFuzzer (`libfuzzer/`). A program is read by [`input::Input`], which
+//! makes sense of any bytes, so that whatever a fuzzer changes is a program again.
+
+mod config;
+mod input;
+mod machine;
+mod station;
+mod telegram;
+mod verbs;
+
+pub use config::{config, config_keys};
+pub use machine::machine;
+pub use station::station;
+pub use telegram::telegram;

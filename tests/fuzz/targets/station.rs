@@ -1,0 +1,416 @@
+//! One station, and a wire that brings whatever it likes.
+//!
+//! The rig does what the loop does: it prepares, sends, takes in, judges. The bytes choose orders and rows, what the drive
+//! says, and which replies come to which request. What has to hold stands in the checks behind each step; they know the
+//! telegram, and nothing of how the station keeps its books.
+
+use std::net::Ipv4Addr;
+
+use fieldbeat::axis::{Limits, Link, Row, State, Units, Verb};
+use fieldbeat::bus::linudp::motion::Decoded;
+use fieldbeat::bus::linudp::native::Native;
+use fieldbeat::bus::linudp::station::Station;
+use fieldbeat::bus::linudp::wire::{
+    ControlWord, ErrorCode, REQUEST_MAX, RESPONSE_MAX, Request, RequestDef, Response, ResponseDef, RtcBlock,
+    StateVar, StatusWord, WarnWord,
+};
+use fieldbeat::bus::linudp::{COUNTS_PER_MM, LinUdpDrive, StreamCommand};
+use fieldbeat::bus::{Cycle, Exchange, NumberedRow, Order, Progress, Slot};
+use fieldbeat::time::{MS, Time};
+
+use super::input::Input;
+use super::verbs::{output, row, verb};
+
+const PERIOD_NS: u64 = MS;
+const RANGE: (f64, f64) = (-100.0, 200.0);
+
+/// Requests that a reply may still belong to.
+const REMEMBERED: usize = 20;
+
+pub fn station(data: &[u8]) {
+    let mut input = Input(data);
+    let mut rig = Rig::new(&mut input);
+    while !input.is_over() {
+        rig.step(&mut input);
+        rig.check();
+    }
+}
+
+struct Rig {
+    drive: LinUdpDrive,
+    station: Station,
+    native: Native,
+    slot: Slot,
+    before: Slot,
+    now: Time,
+    index: u64,
+    request: [u8; REQUEST_MAX],
+    length: usize,
+    /// The requests that went out, newest first.
+    asked: Vec<Request>,
+    /// What the drive says, but for its echoes.
+    says: Response,
+    /// The count of the last motion command that the drive heard.
+    count: u8,
+    /// Its state has the count that it heard.
+    counts: bool,
+    /// The verb of the present order.
+    verb: Option<Verb>,
+    /// The control word may be the application's own.
+    wild: bool,
+}
+
+impl Rig {
+    fn new(input: &mut Input<'_>) -> Rig {
+        let features = input.byte();
+        let has = |bit: u8| features >> bit & 1 == 1;
+        let mut drive = LinUdpDrive::new("x", Ipv4Addr::LOCALHOST);
+        drive.reply_tag = has(0);
+        drive.monitor = has(1);
+        drive.leash = has(2).then_some(20.0);
+        drive.stream = input.of(&[Some(StreamCommand::Pva), Some(StreamCommand::P), None]);
+        let inverted = if has(3) { -1.0 } else { 1.0 };
+        drive.axis.units = Units {
+            offset: if has(4) { -12.5 } else { 0.0 },
+            ..Units::millimetres(inverted * COUNTS_PER_MM)
+        };
+        if has(5) {
+            drive.axis.units.modulo = Some(360.0);
+        } else if has(6) {
+            drive.axis.limits = Limits {
+                position: Some(RANGE),
+                velocity: Some(1_000.0),
+                acceleration: Some(20_000.0),
+                step: None,
+            };
+        }
+        let (station, native) = Station::new(&drive);
+        let slot = Slot { due: true, ..Slot::default() };
+        Rig {
+            drive,
+            station,
+            native,
+            before: slot.clone(),
+            slot,
+            now: Time(1_000 * PERIOD_NS),
+            index: 0,
+            request: [0; REQUEST_MAX],
+            length: 0,
+            asked: Vec::new(),
+            says: Response {
+                status: Some(StatusWord(0x0032)),
+                state: Some(StateVar(0x0100)),
+                ..Response::default()
+            },
+            count: 0,
+            counts: true,
+            verb: None,
+            wild: false,
+        }
+    }
+
+    fn step(&mut self, input: &mut Input<'_>) {
+        match input.byte() % 16 {
+            0..=2 => self.exchange(|rig| rig.answer(0)),
+            3 => self.exchange(|_| {}),
+            4 | 5 => {
+                let replies = input.below(4);
+                self.exchange(|rig| (0..replies).for_each(|_| rig.reply(input, true)));
+            }
+            6 => {
+                self.prepare();
+                self.station.unsent(&mut self.slot);
+                self.judge();
+            }
+            // What lay in the socket before the send, or what comes in a cycle in which nothing was asked.
+            7 => {
+                let in_window = input.flag();
+                self.reply(input, in_window);
+            }
+            8 => {
+                self.says.state = Some(StateVar(input.word()));
+                self.counts = input.flag();
+            }
+            // As a drive in operation says it: standing or moving, homed or not.
+            9 => {
+                let sub = input.byte() & 0xF0;
+                self.says.state = Some(StateVar(0x0800 | u16::from(sub)));
+                self.says.status = Some(StatusWord(0x0037 | (u16::from(sub & 0x80) << 4)));
+                self.counts = true;
+            }
+            10 => self.says.status = Some(StatusWord(input.word())),
+            11 => {
+                (self.says.actual, self.says.demand) = (Some(input.long() as i32), Some(input.long() as i32))
+            }
+            12 => {
+                self.says.current = Some(input.word() as i16);
+                self.says.warn = Some(WarnWord(input.word()));
+                self.says.error = Some(ErrorCode(input.word()));
+            }
+            13 => self.order(Some(verb(input))),
+            14 => self.row(row(input)),
+            _ => match input.byte() % 8 {
+                link @ 0..4 => {
+                    self.slot.link =
+                        [Link::Unseen, Link::Qualifying, Link::Online, Link::Lost][usize::from(link)];
+                }
+                4 => self.order(None),
+                5 => {
+                    let _ = self.native.write(output(input));
+                }
+                6 => self.now = self.now + u64::from(input.word()) * PERIOD_NS,
+                _ => (self.says.status, self.says.state) = (Some(StatusWord(0)), Some(StateVar(0))),
+            },
+        }
+    }
+
+    /// One cycle in which a request is due.
+    fn exchange(&mut self, replies: impl FnOnce(&mut Rig)) {
+        self.prepare();
+        let sent_at = self.now;
+        self.station.sent(sent_at, sent_at + PERIOD_NS / 2, &mut self.slot);
+        self.before.counters.sent += 1;
+        let request = Request::parse(&self.request[..self.length]).unwrap();
+        if let Some(motion) = &request.motion {
+            self.count = (motion.header & 0xF) as u8;
+        }
+        self.asked.insert(0, request);
+        self.asked.truncate(REMEMBERED);
+        self.now = self.now + PERIOD_NS / 4;
+        replies(self);
+        self.judge();
+        self.now = self.now + PERIOD_NS / 4 * 3;
+        self.index += 1;
+    }
+
+    fn prepare(&mut self) {
+        let cycle = Cycle {
+            index: self.index,
+            grid: self.now,
+            period_ns: PERIOD_NS,
+            deadline: self.now + PERIOD_NS / 2,
+        };
+        let progress = self.slot.progress;
+        let length = self.station.prepare(&cycle, &mut self.slot, &mut self.request);
+        let (first, begun) = (self.request, self.slot.progress.end);
+        self.length = self.station.prepare(&cycle, &mut self.slot, &mut self.request);
+        // An answer may have come together with the end of its time: the first of both is told, then the other.
+        if begun == self.slot.progress.end {
+            assert_eq!(first[..length], self.request[..self.length], "built again, it is the same");
+        }
+        self.check_request();
+        let Progress { serial, end } = self.slot.progress;
+        assert_eq!(serial, self.slot.order.serial, "the station works on the newest order");
+        if progress.serial == serial && progress.end.is_some() {
+            assert!(end.is_some(), "what has ended has ended: {progress:?}, {end:?}");
+        }
+    }
+
+    fn judge(&mut self) {
+        match self.slot.exchange {
+            Exchange::Owed { .. } => {
+                self.slot.counters.missed += 1;
+                self.slot.exchange = Exchange::Missed;
+            }
+            Exchange::Answered { .. } | Exchange::Unsent => self.slot.exchange = Exchange::Idle,
+            Exchange::Idle | Exchange::Missed => {}
+        }
+        self.slot.report.fresh = false;
+        self.slot.report.restarted = false;
+    }
+
+    /// A reply that is somehow wrong, or comes to something else, or is right.
+    fn reply(&mut self, input: &mut Input<'_>, in_window: bool) {
+        let age = input.below(REMEMBERED);
+        let mut bytes = self.telegram(age.min(self.asked.len().saturating_sub(1)));
+        match input.byte() % 8 {
+            0..=2 => {}
+            3 => bytes[input.below(8)] ^= 1 << input.below(8),
+            4 => bytes.truncate(input.below(bytes.len())),
+            5 => bytes.extend_from_slice(input.bytes(14)),
+            6 => bytes = input.bytes(64).to_vec(),
+            // Another count on the real-time-config channel, where there is one.
+            _ => {
+                if let Some(tag) = bytes.len().checked_sub(8) {
+                    bytes[tag] ^= 1 + input.byte() % 15;
+                }
+            }
+        }
+        self.take(&bytes, in_window);
+    }
+
+    fn answer(&mut self, age: usize) {
+        let bytes = self.telegram(age);
+        self.take(&bytes, true);
+    }
+
+    /// What the drive says now, as the reply to the request of so many requests ago.
+    fn telegram(&self, age: usize) -> Vec<u8> {
+        let asked = self.asked.get(age).copied().unwrap_or_default();
+        let state = self.says.state.unwrap_or_default();
+        let counted = StateVar(state.0 & !0xF | u16::from(self.count));
+        let response = Response {
+            request_def: asked.definition(),
+            response_def: asked.response_def,
+            state: Some(if self.counts && state.count().is_some() { counted } else { state }),
+            config: asked.config,
+            ..self.says
+        };
+        let mut bytes = vec![0; RESPONSE_MAX];
+        let size = response.emit(&mut bytes);
+        bytes.truncate(size);
+        bytes
+    }
+
+    fn order(&mut self, verb: Option<Verb>) {
+        self.slot.order = Order { serial: self.slot.order.serial + 1, verb };
+        self.slot.row = None;
+        self.verb = verb;
+    }
+
+    fn row(&mut self, row: Row) {
+        let number = self.slot.row.map_or(0, |row| row.number) + 1;
+        self.slot.row = Some(NumberedRow { number, row });
+    }
+
+    /// Hands a datagram over, and looks at what became of it.
+    fn take(&mut self, bytes: &[u8], in_window: bool) {
+        let before = self.slot.clone();
+        let owed = matches!(before.exchange, Exchange::Owed { .. });
+        let in_window = in_window || owed;
+        self.station.take(self.now, bytes, in_window, &mut self.slot);
+
+        let (c, b) = (self.slot.counters, before.counters);
+        let seen = |c: &fieldbeat::bus::Counters| {
+            [c.answered, c.late, c.duplicate, c.malformed, c.foreign].iter().sum::<u64>()
+        };
+        assert_eq!(seen(&c), seen(&b) + 1, "a datagram is counted once: {b:?}, {c:?}");
+        assert_eq!((c.sent, c.unsent, c.missed), (b.sent, b.unsent, b.missed));
+
+        let Ok(response) = Response::parse(bytes) else {
+            assert_eq!(c.malformed, b.malformed + 1);
+            assert_eq!((self.slot.exchange, self.slot.report), (before.exchange, before.report));
+            return;
+        };
+        let tag =
+            |config: Option<RtcBlock>| config.filter(|_| self.drive.reply_tag).map(|block| block.count());
+        let echoes = self.asked.first().is_some_and(|asked| {
+            (asked.definition(), asked.response_def, tag(asked.config))
+                == (response.request_def, response.response_def, tag(response.config))
+        });
+        // Before the first request nothing is echoed but by chance: of two empty definitions.
+        let echoes = echoes || self.asked.is_empty() && response.request_def == RequestDef::NONE;
+        assert_eq!(
+            c.answered - b.answered,
+            u64::from(owed && echoes),
+            "{response:?} to {:?}",
+            self.asked.first()
+        );
+        if self.slot.report == before.report {
+            assert!(c.answered == b.answered || !self.slot.report.fresh);
+        } else {
+            assert!(echoes && in_window, "only what was asked for is read: {response:?}");
+            self.check_report(&response);
+        }
+        if c.answered == b.answered && self.slot.exchange != before.exchange {
+            // The second of two replies in one window.
+            assert!(matches!(before.exchange, Exchange::Answered { .. }));
+        }
+    }
+
+    /// The report is what this telegram says.
+    fn check_report(&self, response: &Response) {
+        let report = &self.slot.report;
+        assert_eq!((report.fresh, report.at), (true, self.now));
+        let units = &self.drive.axis.units;
+        for (value, raw) in [(report.position, response.actual), (report.demand, response.demand)] {
+            let raw = raw.unwrap_or_default();
+            match units.modulo {
+                None => assert_eq!(value, f64::from(raw) / units.counts_per_unit + units.offset),
+                Some(turn) => assert!((0.0..=turn).contains(&value), "{value}"),
+            }
+        }
+        assert!(report.velocity.is_finite());
+        assert_eq!(report.current, f64::from(response.current.unwrap_or_default()) * 1e-3);
+        assert_eq!(report.warning, u32::from(response.warn.unwrap_or_default().0));
+        let (status, state) = (response.status.unwrap_or_default(), response.state.unwrap_or_default());
+        let fault = if status.error() { response.error.unwrap_or_default().0 } else { 0 };
+        assert_eq!((report.fault, report.homed), (u32::from(fault), status.homed()));
+        let main = state.main().0;
+        // Of a state that it cannot name it says nothing good.
+        let booting = report.state == State::NotReadyToSwitchOn;
+        let powered = main == 3 || main >= 5;
+        assert_eq!(report.state.is_powered(), powered && !booting, "{state:?} is {}", report.state);
+        assert_eq!(self.native.inputs().response, *response, "the application sees the same telegram");
+    }
+
+    /// What the request says, whatever the drive said.
+    fn check_request(&mut self) {
+        let request = Request::parse(&self.request[..self.length]).unwrap();
+        assert_eq!((request.size(), request.reserved), (self.length, RequestDef::NONE));
+        assert!(request.response_def.contains(ResponseDef::CYCLIC));
+        assert_eq!(request.config.is_some(), request.response_def.contains(ResponseDef::CONFIG));
+        assert!(request.config.is_some() || !self.drive.reply_tag);
+        let decoded = request.motion.as_ref().map(Decoded::of);
+        if self.slot.order.serial == 0 {
+            assert_eq!(request.control, None, "nothing is written before the first order");
+            assert!(matches!(decoded, None | Some(Decoded::NoOperation)), "{decoded:?}");
+            return;
+        }
+        if let Some(Verb::Native(_)) = self.verb {
+            self.wild = true;
+            return;
+        }
+        use ControlWord as C;
+        let abort = |word: C| C(word.0 & !C::NO_ABORT);
+        // Powered, and kept out of operation.
+        let held = C(C::ON.0 & !C::ENABLE_OPERATION);
+        let usual = [C::BASE, C::ON, C::HOME, C::ACKNOWLEDGE, abort(C::ON), abort(C::BASE), held];
+        // What the application wrote in native mode stays until an order writes another.
+        self.wild &= request.control.is_some_and(|word| !usual.contains(&word));
+        assert!(self.wild || request.control.is_none_or(|word| usual.contains(&word)), "{request:?}");
+        let limits = self.drive.axis.limits.position;
+        match decoded {
+            None | Some(Decoded::NoOperation | Decoded::Stop(Some(_)) | Decoded::EndStream) => {}
+            Some(Decoded::Stream { command, .. }) => {
+                assert_eq!((Some(command), self.verb), (self.drive.stream, Some(Verb::Follow)));
+            }
+            Some(Decoded::Move(to)) => {
+                let position = self.drive.axis.units.position(to.value.into());
+                let (low, high) = match (limits, self.verb) {
+                    (Some((low, high)), Some(Verb::Move(_))) => (low, high),
+                    // From outside the range a jog leads back in.
+                    (Some((low, _)), Some(Verb::Jog(jog))) if jog.velocity < 0.0 => (low, f64::INFINITY),
+                    (Some((_, high)), Some(Verb::Jog(_))) => (f64::NEG_INFINITY, high),
+                    (None, Some(Verb::Move(_) | Verb::Jog(_) | Verb::Velocity { .. })) => {
+                        (f64::NEG_INFINITY, f64::INFINITY)
+                    }
+                    (_, other) => panic!("{to:?} in {other:?}"),
+                };
+                // Rounded to a count.
+                assert!(
+                    (low - 1e-4..=high + 1e-4).contains(&position),
+                    "a move to {position} in {:?}",
+                    self.verb
+                );
+                let vad = [to.velocity, to.acceleration, to.deceleration];
+                assert!(vad.iter().all(|value| value.is_some_and(|value| value > 0)), "{to:?} never arrives");
+            }
+            other => panic!("a master does not send {other:?}"),
+        }
+    }
+
+    fn check(&mut self) {
+        let c = self.slot.counters;
+        let owed = u64::from(matches!(self.slot.exchange, Exchange::Owed { .. }));
+        assert_eq!(c.sent, c.answered + c.missed + owed, "{c:?}");
+        assert_eq!(c.sent, self.before.counters.sent, "{c:?}");
+        assert!(c.suspect <= c.answered && c.late <= c.missed + c.suspect, "{c:?}");
+        let b = self.before.counters;
+        let fields = |c: &fieldbeat::bus::Counters| {
+            [c.unsent, c.answered, c.missed, c.late, c.duplicate, c.suspect, c.malformed, c.foreign]
+        };
+        assert!(fields(&c).iter().zip(fields(&b)).all(|(now, before)| *now >= before), "{b:?}, {c:?}");
+        self.before = self.slot.clone();
+    }
+}

@@ -1,0 +1,204 @@
+//! Every parser of what comes from a wire: no bytes make it panic, and what it has understood it says again in the same
+//! bytes.
+
+use std::net::{Ipv4Addr, SocketAddrV4};
+
+use fieldbeat::bus::linudp::motion::{Decoded, MotionCommand, Move, Origin, Shape, Start, Vad, When};
+use fieldbeat::bus::linudp::sim::LinMotSim;
+use fieldbeat::bus::linudp::wire::{
+    MotionBlock, REQUEST_MAX, RESPONSE_MAX, Request, RequestDef, RequestView, Response, ResponseView,
+    RtcBlock, StateVar, WarnWord,
+};
+use fieldbeat::bus::linudp::{LinUdpDrive, MASTER_PORT, StreamCommand};
+use fieldbeat::sim::DatagramDrive;
+use fieldbeat::time::Time;
+
+pub fn telegram(data: &[u8]) {
+    request(data);
+    response(data);
+    motion(data);
+    config(data);
+    drive(data);
+}
+
+/// The first bytes of `data`, zeros behind its end.
+fn padded<const N: usize>(data: &[u8]) -> [u8; N] {
+    let mut bytes = [0; N];
+    let length = data.len().min(N);
+    bytes[..length].copy_from_slice(&data[..length]);
+    bytes
+}
+
+fn request(data: &[u8]) {
+    let Ok(request) = Request::parse(data) else {
+        assert!(RequestView::new(data).is_err());
+        return;
+    };
+    let view = RequestView::new(data).unwrap();
+    assert_eq!((view.request_def(), view.response_def()), (request.definition(), request.response_def));
+    assert_eq!((view.control(), view.motion()), (request.control, request.motion));
+    assert_eq!(view.config(), request.config);
+
+    // Nothing is lost: what was cut short is filled up with zeros.
+    let mut bytes = [0xEE; REQUEST_MAX];
+    let size = request.emit(&mut bytes);
+    assert_eq!(size, request.size());
+    assert_eq!(bytes[..size], padded::<REQUEST_MAX>(data)[..size]);
+    assert!(bytes[size..].iter().all(|byte| *byte == 0xEE), "nothing is written behind the telegram");
+    assert_eq!(Request::parse(&bytes[..size]), Ok(request));
+    let mut short = [0xEE; REQUEST_MAX];
+    assert_eq!(request.emit(&mut short[..size - 1]), 0);
+    assert_eq!(short, [0xEE; REQUEST_MAX]);
+    let _ = format!("{request:?}");
+}
+
+fn response(data: &[u8]) {
+    let Ok(response) = Response::parse(data) else {
+        assert!(ResponseView::new(data).is_err());
+        return;
+    };
+    let view = ResponseView::new(data).unwrap();
+    assert_eq!(view.bytes(), data);
+    let viewed = Response {
+        request_def: view.request_def(),
+        response_def: view.response_def(),
+        status: view.status(),
+        state: view.state(),
+        actual: view.actual(),
+        demand: view.demand(),
+        current: view.current(),
+        warn: view.warn(),
+        error: view.error(),
+        monitor: view.monitor(),
+        config: view.config(),
+    };
+    assert_eq!(viewed, response);
+
+    let mut bytes = [0xEE; RESPONSE_MAX];
+    let size = response.emit(&mut bytes);
+    assert_eq!(size, response.size());
+    // A drive may leave the block out that it was asked for; here it is written as zeros.
+    let asked = response.request_def.contains(RequestDef::CONFIG);
+    let whole = Response { config: response.config.or(asked.then(RtcBlock::default)), ..response };
+    let said = if whole == response { size } else { size - 8 };
+    assert_eq!(bytes[..said], data[..said]);
+    assert!(bytes[size..].iter().all(|byte| *byte == 0xEE), "nothing is written behind the telegram");
+    assert_eq!(Response::parse(&bytes[..size]), Ok(whole));
+    // Padding changes nothing, whatever it is.
+    let mut long = [0xFF; RESPONSE_MAX + 14];
+    long[..size].copy_from_slice(&bytes[..size]);
+    assert_eq!(Response::parse(&long), Ok(whole));
+    let _ = format!("{response:?}");
+
+    if let Some(state) = response.state {
+        let carries = [state.count().is_some(), state.motion_active().is_some(), state.homed().is_some()];
+        assert_eq!(carries, [state.main().0 == 8; 3], "only state 8 has a count");
+        assert!(state.count().is_none_or(|count| count < 16));
+        assert!(!state.finished() || state.sub() == StateVar::FINISHED);
+    }
+    let names = response.warn.map_or(0, |warn| warn.names().count());
+    assert!(names <= response.warn.map_or(0, |WarnWord(word)| word.count_ones() as usize));
+    if let Some(error) = response.error {
+        assert!(error.to_string().starts_with(&format!("{:04X}h ", error.0)));
+        assert!(!error.is_fatal() || error.name().is_some());
+    }
+}
+
+fn motion(data: &[u8]) {
+    let bytes = padded::<32>(data);
+    let mut block = MotionBlock { header: u16::from_le_bytes([bytes[0], bytes[1]]), parameters: [0; 30] };
+    block.parameters.copy_from_slice(&bytes[2..]);
+    let decoded = Decoded::of(&block);
+    let counted = MotionBlock { header: block.header ^ 0xF, ..block };
+    assert_eq!(Decoded::of(&counted), decoded, "a count says nothing of what to do");
+    assert_eq!(
+        StreamCommand::from_id(block.header >> 4).map(StreamCommand::id),
+        matches!(decoded, Decoded::Stream { .. }).then_some(block.header >> 4)
+    );
+    if let Decoded::Stream { command, position, velocity, acceleration } = decoded {
+        let long = |at: usize| i32::from_le_bytes(padded(&bytes[2 + at..]));
+        // SG5 manual, 030x ... 035x: what the setpoints of each carry.
+        let (speed, ramp) =
+            [(0, 0), (1, 0), (0, 0), (1, 0), (1, 1), (1, 1)][usize::from(command.id() - 0x030)];
+        assert_eq!([position, velocity, acceleration], [long(0), long(4) * speed, long(8) * ramp]);
+    }
+    if let Some(command) = spoken(&decoded) {
+        assert_eq!(Decoded::of(&command.block(bytes[1])), decoded, "{command:?}");
+        assert_eq!(command.header(bytes[1]) & 0xF, u16::from(bytes[1] & 0xF));
+    }
+}
+
+/// The command that says this, if the master has one for it.
+fn spoken(decoded: &Decoded) -> Option<MotionCommand> {
+    Some(match *decoded {
+        Decoded::NoOperation => MotionCommand::NO_OPERATION,
+        Decoded::ControlWord(word) => MotionCommand::control_word(word),
+        Decoded::LiveParameter { upid, value } => MotionCommand::live_parameter(upid, value),
+        Decoded::ClearEvents => MotionCommand::CLEAR_EVENTS,
+        Decoded::MasterHoming(position) => MotionCommand::master_homing(position),
+        Decoded::ResetFirmware => MotionCommand::RESET_FIRMWARE,
+        Decoded::Stop(None) => MotionCommand::STOP_PREDEFINED,
+        Decoded::Stop(Some(deceleration)) => MotionCommand::stop(deceleration),
+        Decoded::Run { positive, velocity: None, acceleration: None } => {
+            MotionCommand::run_predefined(positive)
+        }
+        Decoded::Run { positive, velocity: Some(velocity), acceleration: Some(acceleration) } => {
+            MotionCommand::run(positive, velocity, acceleration)
+        }
+        Decoded::Stream { command, position, velocity, acceleration } => {
+            MotionCommand::stream(command, position, velocity, acceleration)
+        }
+        Decoded::EndStream => MotionCommand::END_STREAM,
+        Decoded::Move(Move {
+            value,
+            origin,
+            start,
+            when: When::Now,
+            shape: Shape::Trapezoid,
+            velocity: Some(velocity),
+            acceleration: Some(acceleration),
+            deceleration: Some(deceleration),
+        }) => {
+            let vad = Vad { velocity, acceleration, deceleration };
+            match (origin, start) {
+                (Origin::Zero, Start::Demand) => MotionCommand::go_to(value, vad),
+                (Origin::Zero, Start::Actual) => MotionCommand::go_to_from_actual(value, vad),
+                (Origin::Zero, Start::Standstill) => MotionCommand::go_to_from_standstill(value, vad),
+                (Origin::Demand, Start::Demand) => MotionCommand::increment_demand(value, vad),
+                (Origin::Target, Start::Demand) => MotionCommand::increment_target(value, vad),
+                (Origin::Actual, Start::Actual) => MotionCommand::increment_actual(value, vad),
+                _ => return None,
+            }
+        }
+        _ => return None,
+    })
+}
+
+fn config(data: &[u8]) {
+    let bytes = padded::<8>(data);
+    let command = RtcBlock::command(bytes[0], bytes[1]);
+    assert_eq!((command.count(), command.code), (bytes[0] & 0xF, bytes[1]));
+    let mut telegram = [0; REQUEST_MAX];
+    telegram[..4].copy_from_slice(&RequestDef::CONFIG.0.to_le_bytes());
+    telegram[8..16].copy_from_slice(&bytes);
+    let block = Request::parse(&telegram[..16]).unwrap().config.unwrap();
+    assert_eq!((block.tag, block.code), (bytes[0], bytes[1]));
+    assert_eq!(block.value(), u32::from_le_bytes([bytes[4], bytes[5], bytes[6], bytes[7]]));
+}
+
+/// A drive answers what it can read, with the echo of both definitions, and nothing else.
+fn drive(data: &[u8]) {
+    let mut drive = LinMotSim::new(&LinUdpDrive::new("x", Ipv4Addr::LOCALHOST));
+    let master = SocketAddrV4::new(Ipv4Addr::LOCALHOST, MASTER_PORT);
+    let mut reply = Vec::new();
+    let answered = drive.receive(Time(0), master, data, &mut reply);
+    match Request::parse(data) {
+        Err(_) => assert!(answered.is_none() && reply.is_empty()),
+        Ok(request) => {
+            assert_eq!(answered, Some(master));
+            let response = Response::parse(&reply).unwrap();
+            assert_eq!(response.request_def, request.definition());
+            assert_eq!(response.response_def, request.response_def);
+        }
+    }
+}

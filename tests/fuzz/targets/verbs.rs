@@ -1,0 +1,58 @@
+//! What an application can ask for, wise or not.
+
+use fieldbeat::axis::{Jog, Move, NativeOwner, Profile, Row, Target, Verb};
+use fieldbeat::bus::linudp::motion::MotionCommand;
+use fieldbeat::bus::linudp::native::NativeOutput;
+use fieldbeat::bus::linudp::wire::{ControlWord, RtcBlock};
+
+use super::input::Input;
+
+/// Any verb.
+pub fn verb(input: &mut Input<'_>) -> Verb {
+    match input.below(16) {
+        0 | 1 => Verb::Enable,
+        2 => Verb::Disable,
+        3 => Verb::Home,
+        4 => Verb::Velocity { acceleration: speed(input) },
+        5 | 6 => Verb::Move(Move { target: Target::Absolute(input.number()), profile: profile(input) }),
+        7 => Verb::Move(Move { target: Target::Relative(input.number()), profile: profile(input) }),
+        8 => Verb::Jog(Jog { velocity: input.number(), acceleration: speed(input) }),
+        9 | 10 => Verb::Follow,
+        11 => Verb::Stop { deceleration: input.flag().then(|| speed(input)) },
+        12 => Verb::QuickStop,
+        13 => Verb::ResetFault,
+        14 => Verb::Reset,
+        _ => Verb::Native(input.of(&[NativeOwner::Master, NativeOwner::Application])),
+    }
+}
+
+/// Any row.
+pub fn row(input: &mut Input<'_>) -> Row {
+    Row {
+        position: input.number(),
+        velocity: input.number(),
+        acceleration: input.number(),
+        last: input.below(8) == 0,
+    }
+}
+
+/// Anything that an application may write in native mode.
+pub fn output(input: &mut Input<'_>) -> NativeOutput {
+    NativeOutput {
+        control: input.flag().then(|| ControlWord(input.word())),
+        motion: input.flag().then(|| MotionCommand::new(input.word() & 0xFFF)),
+        config: input.flag().then(|| RtcBlock::command(input.byte(), input.byte())),
+    }
+}
+
+fn profile(input: &mut Input<'_>) -> Profile {
+    Profile { velocity: speed(input), acceleration: speed(input), deceleration: speed(input) }
+}
+
+/// A speed or an acceleration: most are usual.
+fn speed(input: &mut Input<'_>) -> f64 {
+    match input.byte() {
+        255 => input.number(),
+        usual => (f64::from(usual) + 1.0) * 40.0,
+    }
+}
