@@ -9,7 +9,20 @@ use std::process::Command;
 use std::thread::sleep;
 use std::time::Duration;
 
-use support::{CABLE_NET, Cable, DemoLock, Machine, PROGRAM, Program, assert_sums, drive};
+use fieldbeat::master::Master;
+use fieldbeat::rt::thread::{helper_thread, spare_core};
+use fieldbeat::rt::{Memory, Realtime};
+use fieldbeat::sim::server::ServerOptions;
+use support::adventures::{Adventures, VICTIM, drives_and_errors};
+use support::controller::{self, RAMP, TARGET, Way};
+use support::counting::{Counting, count, watch};
+use support::onlooker::Onlooker;
+use support::{
+    CABLE_NET, Cable, DemoLock, LONG, Machine, PROGRAM, Program, again, assert_sums, drive, plan, role, until,
+};
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
 
 /// One thread of another process.
 #[derive(Debug)]
@@ -120,6 +133,55 @@ fn homing_streams_and_moves_do_not_fault_either() {
     assert_eq!(real["page_faults"], 0, "{real}");
 }
 
+/// In a process of its own, since all its memory is locked. The task counts for whole cycles: it runs on the loop's
+/// thread.
+#[test]
+#[ignore = "needs root: SCHED_FIFO and locked memory"]
+fn a_million_cycles_neither_fault_nor_allocate_whatever_happens() {
+    let name = "a_million_cycles_neither_fault_nor_allocate_whatever_happens";
+    if role().is_none() {
+        let ended = Program::spawn(&mut again(name, "million")).end_within(10 * LONG);
+        ended.expect(0);
+        return print!("{}", ended.out);
+    }
+    let machine = Machine::new(4);
+    let config = drives_and_errors(&machine, "100us", 10_000, 2_000);
+    let mut plan = plan(&config);
+    (plan.cycle.realtime, plan.cycle.memory) = (Realtime::Require, Memory::Process);
+    let setup = Master::from_plan(plan).with_task(|_, _| {
+        watch(true);
+    });
+    let master = setup.start().unwrap();
+    // The drives are threads of this process: out of the way of the loop, and not in that of anybody else.
+    let core = master.granted().core;
+    helper_thread(core);
+    let options = ServerOptions { core: spare_core(core), priority: Some(70) };
+    let axes = master.plan().axes().into_iter().map(|axis| master.axis(&axis.name).unwrap()).collect();
+    let mut adventures = Adventures::begin(&machine, &config, axes, options);
+    let goal = master.status().executed + 1_000_000;
+    while master.status().executed < goal {
+        adventures.round();
+    }
+    adventures.set_out();
+    master.stop_handle().stop();
+    let moving = || adventures.axes()[1].feedback();
+    assert!(until(LONG, || moving().stopped.is_some() && moving().velocity.abs() < 250.0));
+    let (allocations, granted) = (count(), master.granted().clone());
+    assert!(master.is_running() && locked_kib(std::process::id()) > 10_000);
+    let end = master.finish().end;
+    let (status, victim) = (end.status, &end.drives[VICTIM]);
+    assert_eq!((granted.policy, granted.memory_locked), ("SCHED_FIFO", true));
+    assert_eq!((end.page_faults, allocations), (Some(0), 0), "in {} cycles", status.executed);
+    assert_eq!(status.planned, status.executed + status.skipped);
+    assert!(victim.losses > 0, "{victim:?}");
+    // Whoever takes the processor from SCHED_FIFO: the kernel's own threads, or its throttling.
+    let taken = end.involuntary_switches.unwrap();
+    println!(
+        "{} cycles executed, {} skipped, {} losses, {taken} involuntary switches",
+        status.executed, status.skipped, victim.losses
+    );
+}
+
 /// A drive that is switched off on a real network: the kernel queues what is sent to it, while it asks for its hardware
 /// address in vain, and the queue takes its room from the socket that all drives share.
 #[test]
@@ -176,4 +238,54 @@ fn a_cable_that_was_pulled_and_put_back_brings_all_drives_back() {
     let summary = ended.json();
     assert_sums(&summary);
     assert_eq!(drive(&summary, "d0")["losses"], 1, "{summary}");
+}
+
+/// The kernel of the master asks for its hardware address in vain, as if its plug was pulled; the drive itself runs on.
+#[test]
+#[ignore = "needs root: network namespaces (iproute2)"]
+fn a_neighbour_that_dies_in_mid_motion_takes_its_group_along_and_nobody_else() {
+    let name = "a_neighbour_that_dies_in_mid_motion_takes_its_group_along_and_nobody_else";
+    if let Some(role) = role() {
+        return controller::play(&role);
+    }
+    let machine = Machine::new(5).on(CABLE_NET);
+    let cable = Cable::new(5, &[11, 12, 13, 250]);
+    let config = controller::config(&machine, "m.toml", 3, "", "health = { bucket = 200 }");
+    let mut text = std::fs::read_to_string(config).unwrap();
+    for drive in ["d0", "d1"] {
+        let name = format!("name = \"{drive}\"");
+        text = text.replace(&name, &format!("{name}\nstop.group = \"pair\""));
+    }
+    let config = machine.write("m.toml", text);
+    let mut sim = Program::spawn(Cable::command(&cable.drives, PROGRAM).arg("sim").arg(&config));
+    sim.await_text("listening");
+    let onlooker = cable.among_drives(|| Onlooker::new(&machine));
+    let child = controller::child(name, Way::Move, &config);
+    let mut controller = controller::start(&mut Cable::enter(&cable.master, &child));
+
+    let before = onlooker.look(machine.drive(1));
+    cable.address("del", &machine, 12);
+    controller.await_text("axis d1: enable failed: the axis is stopped (link lost)");
+    controller.await_text("axis d0: enable failed: the axis is stopped (stop group)");
+    let partner = onlooker.await_sight(machine.drive(0), |sight| !sight.powered);
+    assert!(!partner.moving && partner.position < TARGET, "{partner:?}");
+    let other = onlooker.look(machine.drive(2));
+    assert!(other.operating && other.moving && other.position > partner.position, "{other:?}");
+    // What it is asked for reaches it now.
+    cable.address("add", &machine, 12);
+    let dead = onlooker.await_sight(machine.drive(1), |sight| !sight.powered);
+    assert!(!dead.moving && dead.position < TARGET, "{dead:?}");
+    assert!(dead.position > before.position + 0.9 * RAMP, "{before:?} {dead:?}");
+    assert!(onlooker.look(machine.drive(2)).moving);
+    controller.signal(libc::SIGTERM);
+    let summary = controller::summary(&controller.end());
+    assert_sums(&summary);
+    for (index, (stopped, losses)) in
+        [("stop group", 0), ("link lost", 1), ("shutdown", 0)].into_iter().enumerate()
+    {
+        let drive = drive(&summary, &format!("d{index}"));
+        assert_eq!((&drive["stopped"], &drive["losses"]), (&stopped.into(), &losses.into()), "{drive}");
+        assert!(drive["unsent"] == 0 || index == 1, "{drive}");
+        assert!(!onlooker.look(machine.drive(index)).powered);
+    }
 }

@@ -2,6 +2,11 @@
 //! never outlives its test, and a lock for the addresses that the demo has to itself.
 #![allow(dead_code, reason = "every test program uses its own part")]
 
+pub mod adventures;
+pub mod controller;
+pub mod counting;
+pub mod onlooker;
+
 use std::io::Read;
 use std::net::{Ipv4Addr, SocketAddrV4, UdpSocket};
 use std::os::unix::fs::PermissionsExt;
@@ -30,6 +35,23 @@ pub fn checkout(file: &str) -> PathBuf {
 
 pub fn is_root() -> bool {
     nix::unistd::geteuid().is_root()
+}
+
+/// Set in a child of [`again`].
+const ROLE: &str = "FIELDBEAT_TEST_ROLE";
+
+/// This test program once more, for its one test `name` and to play `role` in it: what must not happen to the process
+/// that runs all the other tests.
+pub fn again(name: &str, role: &str) -> Command {
+    let mut command = Command::new(std::env::current_exe().unwrap());
+    // With one thread its harness would write the name of the test before our first line.
+    command.args([name, "--exact", "--include-ignored", "--nocapture", "--test-threads=2"]).env(ROLE, role);
+    command
+}
+
+/// What this process shall play, if [`again`] started it.
+pub fn role() -> Option<String> {
+    std::env::var(ROLE).ok()
 }
 
 /// Waits until `done` holds. False if it does not within `limit`.
@@ -454,6 +476,34 @@ impl Cable {
     /// `up` or `down`: the drives' end of the cable.
     pub fn plug(&self, state: &str) {
         command(&["ip", "-n", &self.drives, "link", "set", "wire", state]);
+    }
+
+    /// `add` or `del`: the address of the drive with this host number, at the drives' end. A master that knew it has to
+    /// ask for it anew.
+    pub fn address(&self, action: &str, machine: &Machine, host: u8) {
+        let address = machine.ip(host).to_string();
+        command(&["ip", "-n", &self.drives, "address", action, &format!("{address}/24"), "dev", "wire"]);
+        command(&["ip", "-n", &self.master, "neighbour", "flush", "to", &address, "dev", "wire"]);
+    }
+
+    /// What `open` opens at the drives' end: a thread may live in another namespace, and its sockets stay there.
+    pub fn among_drives<T: Send>(&self, open: impl FnOnce() -> T + Send) -> T {
+        let namespace = std::fs::File::open(Path::new("/run/netns").join(&self.drives)).unwrap();
+        std::thread::scope(|scope| {
+            let inside = scope.spawn(|| {
+                nix::sched::setns(namespace, nix::sched::CloneFlags::CLONE_NEWNET).unwrap();
+                open()
+            });
+            inside.join().unwrap()
+        })
+    }
+
+    /// `child` inside one of the namespaces.
+    pub fn enter(namespace: &str, child: &Command) -> Command {
+        let mut command = Cable::command(namespace, &child.get_program().to_string_lossy());
+        command.args(child.get_args());
+        command.envs(child.get_envs().filter_map(|(key, value)| Some((key, value?))));
+        command
     }
 
     /// `program` inside one of the namespaces.

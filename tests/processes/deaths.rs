@@ -1,0 +1,264 @@
+//! When somebody dies in mid-motion: a controller that is told to end, killed, or held up; its drives, killed or cut
+//! off; and the master that comes after. What became of the axes is asked of the drives themselves.
+
+use std::path::Path;
+use std::thread::sleep;
+use std::time::Instant;
+
+use fieldbeat::axis::{AxisError, Failure, Link, Outcome, StopCause};
+use fieldbeat::master::Master;
+use libc::{SIGCONT, SIGINT, SIGSTOP, SIGTERM};
+
+use super::support::controller::{self, LEASH, RAMP, TARGET, VELOCITY, Way, config, set_out, summary};
+use super::support::onlooker::Onlooker;
+use super::support::{LONG, Machine, Program, drive, role, until};
+use super::{MS, master, simulation};
+
+/// The test that plays the controllers of all others.
+const CONTROLLER: &str = "deaths::a_controller_that_is_told_to_end_ramps_down_and_powers_off";
+
+fn controller(way: Way, config: &Path) -> Program {
+    controller::start(&mut controller::child(CONTROLLER, way, config))
+}
+
+/// How a command ended that did not end well.
+fn outcome(result: Result<(), AxisError>) -> Outcome {
+    match result {
+        Err(AxisError::Ended { outcome, .. }) => outcome,
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn a_controller_that_is_told_to_end_ramps_down_and_powers_off() {
+    if let Some(role) = role() {
+        return controller::play(&role);
+    }
+    let machine = Machine::new(24);
+    let config = config(&machine, "m.toml", 2, "", "");
+    let _sim = simulation(&config);
+    let onlooker = Onlooker::new(&machine);
+    for (signal, way) in [(SIGINT, Way::Move), (SIGTERM, Way::Jog)] {
+        let controller = controller(way, &config);
+        let before = [0, 1].map(|index| onlooker.look(machine.drive(index)));
+        controller.signal(signal);
+        let summary = summary(&controller.end());
+        for (index, before) in before.into_iter().enumerate() {
+            let after = onlooker.look(machine.drive(index));
+            assert!(before.moving && before.operating && !after.moving && !after.powered, "{after:?}");
+            // The whole ramp, and not to the end of the move.
+            let way = after.position - before.position;
+            assert!(way > 0.9 * RAMP && after.position < TARGET, "{way} mm: {before:?} {after:?}");
+            assert_eq!(drive(&summary, &format!("d{index}"))["stopped"], "shutdown");
+        }
+    }
+}
+
+#[test]
+fn what_a_killed_controller_left_moving_the_next_master_stops_even_if_it_is_ended_meanwhile() {
+    let machine = Machine::new(25);
+    let config = config(&machine, "m.toml", 2, "", "");
+    let _sim = simulation(&config);
+    let onlooker = Onlooker::new(&machine);
+    controller(Way::Move, &config).kill();
+    let left = [0, 1].map(|index| onlooker.look(machine.drive(index)));
+    sleep(200 * MS);
+    let mut next = master(&config, &["--json"]);
+    next.await_text("all drives online");
+    // Down its ramp, most likely.
+    let found = [0, 1].map(|index| onlooker.look(machine.drive(index)));
+    next.signal(SIGINT);
+    let ended = next.end();
+    ended.expect(0);
+    for index in 0..2 {
+        let (left, found) = (left[index], found[index]);
+        assert!(left.operating && left.moving && found.position > left.position + 5.0, "{left:?} {found:?}");
+        let after = onlooker.look(machine.drive(index));
+        assert!(!after.moving && !after.powered, "{after:?}");
+        assert!(after.position > left.position + 0.9 * RAMP && after.position < TARGET, "{left:?} {after:?}");
+        assert_eq!(drive(&ended.json(), &format!("d{index}"))["stopped"], "found running");
+    }
+}
+
+#[test]
+fn a_jog_of_a_killed_controller_ends_with_its_leash_and_the_next_master_powers_it_off_and_latches() {
+    let machine = Machine::new(26);
+    let config = config(&machine, "m.toml", 1, "", "");
+    let _sim = simulation(&config);
+    let onlooker = Onlooker::new(&machine);
+    controller(Way::Jog, &config).kill();
+    let left = onlooker.look(machine.drive(0));
+    let end = onlooker.await_sight(machine.drive(0), |sight| !sight.moving);
+    // The actual position is behind the demand, from which the leash is measured.
+    assert!(end.operating && end.position <= left.position + LEASH + 1.0, "{left:?} {end:?}");
+
+    let next = Master::from_file(&config).unwrap().start().unwrap();
+    next.wait_online(LONG).unwrap();
+    let mut axis = next.axis("d0").unwrap();
+    let latched = Outcome::Failed(Failure::Latched(StopCause::FoundRunning));
+    assert_eq!(axis.feedback().stopped, Some(StopCause::FoundRunning));
+    assert_eq!(outcome(axis.enable()), latched);
+    onlooker.await_sight(machine.drive(0), |sight| !sight.powered);
+    assert_eq!(outcome(axis.enable()), latched, "also when it is down");
+    assert!(!onlooker.look(machine.drive(0)).powered);
+    // Then it is an axis like any other; the drive has kept its reference.
+    axis.reset().unwrap();
+    axis.enable().unwrap();
+    assert!(axis.feedback().homed);
+    axis.move_to(end.position + 1.0, axis.profile()).unwrap();
+}
+
+#[test]
+fn what_a_killed_controller_left_moving_can_be_left_alone_until_somebody_decides() {
+    let machine = Machine::new(27);
+    let config = config(&machine, "m.toml", 2, "", "on_found_running = \"refuse\"");
+    let _sim = simulation(&config);
+    let onlooker = Onlooker::new(&machine);
+    controller(Way::Move, &config).kill();
+    let left = onlooker.look(machine.drive(0));
+
+    // A master that comes and goes.
+    let mut next = master(&config, &["--json"]);
+    next.await_text("all drives online");
+    let found = onlooker.look(machine.drive(0));
+    next.signal(SIGINT);
+    let ended = next.end();
+    ended.expect(0);
+    let alone = onlooker.look(machine.drive(0));
+    for sight in [left, found, alone] {
+        assert!(sight.operating && sight.moving, "{sight:?}");
+    }
+    assert!(
+        left.position < found.position && found.position < alone.position,
+        "{left:?} {found:?} {alone:?}"
+    );
+    let summary = ended.json();
+    assert_eq!(
+        (&drive(&summary, "d0")["stopped"], &drive(&summary, "d0")["link"]),
+        (&"found running".into(), &"online".into())
+    );
+
+    // One whose application decides, for one of the two.
+    let next = Master::from_file(&config).unwrap().start().unwrap();
+    next.wait_online(LONG).unwrap();
+    let mut axes = ["d0", "d1"].map(|name| next.axis(name).unwrap());
+    let latched = Outcome::Failed(Failure::Latched(StopCause::FoundRunning));
+    for axis in &mut axes {
+        assert_eq!(outcome(axis.enable()), latched);
+    }
+    assert!(onlooker.look(machine.drive(0)).moving);
+    axes[0].stop().unwrap();
+    let stopped = onlooker.look(machine.drive(0));
+    assert!(stopped.operating && !stopped.moving && stopped.position < TARGET, "{stopped:?}");
+    axes[0].disable().unwrap();
+    assert!(!onlooker.look(machine.drive(0)).powered);
+    drop(next);
+    let other = onlooker.look(machine.drive(1));
+    assert!(other.operating && other.moving, "{other:?}");
+}
+
+#[test]
+fn a_drive_that_lost_its_power_in_mid_motion_comes_back_off_and_not_homed() {
+    let machine = Machine::new(28);
+    // Lost after 400 ms of silence.
+    let config = config(&machine, "m.toml", 1, "", "health = { bucket = 200 }");
+    let sim = simulation(&config);
+    let onlooker = Onlooker::new(&machine);
+    let master = Master::from_file(&config).unwrap().start().unwrap();
+    master.wait_online(LONG).unwrap();
+    let mut axis = master.axis("d0").unwrap();
+    axis.enable().unwrap();
+    axis.home().unwrap();
+    set_out(&mut axis, false).unwrap();
+    onlooker.await_sight(machine.drive(0), |sight| sight.position > 10.0);
+    sim.kill();
+    assert!(until(LONG, || axis.feedback().link == Link::Lost));
+    assert_eq!(axis.feedback().stopped, Some(StopCause::LinkLost));
+    let _sim = simulation(&config);
+    assert!(until(LONG, || axis.feedback().link == Link::Online));
+
+    let latched = Outcome::Failed(Failure::Latched(StopCause::LinkLost));
+    assert_eq!(outcome(axis.enable()), latched);
+    let back = onlooker.look(machine.drive(0));
+    assert!(!back.powered && !axis.feedback().homed, "{back:?}");
+    axis.reset().unwrap();
+    axis.enable().unwrap();
+    assert_eq!(outcome(axis.move_to(20.0, axis.profile())), Outcome::Failed(Failure::NotHomed));
+    axis.home().unwrap();
+    axis.move_to(20.0, axis.profile()).unwrap();
+    drop(master);
+    assert!(!onlooker.look(machine.drive(0)).powered);
+}
+
+/// A cable that is pulled: the drive runs on, and nobody can tell it to stop until it is heard again.
+#[test]
+fn a_drive_that_was_cut_off_in_mid_motion_is_stopped_when_it_is_heard_again() {
+    let machine = Machine::new(29);
+    let config = config(&machine, "m.toml", 1, "", "health = { bucket = 200 }");
+    let sim = simulation(&config);
+    let onlooker = Onlooker::new(&machine);
+    let master = Master::from_file(&config).unwrap().start().unwrap();
+    master.wait_online(LONG).unwrap();
+    let mut axis = master.axis("d0").unwrap();
+    axis.enable().unwrap();
+    axis.home().unwrap();
+    set_out(&mut axis, false).unwrap();
+    let before = onlooker.await_sight(machine.drive(0), |sight| sight.position > 10.0);
+    let begun = Instant::now();
+    sim.signal(SIGSTOP);
+    assert!(until(LONG, || axis.feedback().link == Link::Lost));
+    sleep(500 * MS);
+    let alone = VELOCITY * begun.elapsed().as_secs_f64();
+    sim.signal(SIGCONT);
+    let after = onlooker.await_sight(machine.drive(0), |sight| !sight.powered);
+    assert!(!after.moving, "{after:?}");
+    let way = after.position - before.position;
+    // How long it brakes depends on how it is heard again: behind hundreds of late replies the ramp may become a quick stop.
+    assert!(way > alone && after.position < TARGET, "{way} mm, {alone} of them alone");
+    sleep(300 * MS);
+    let later = onlooker.look(machine.drive(0));
+    assert!(
+        (later.position - after.position).abs() < 1.0,
+        "it stood when its power went: {after:?}, {later:?}"
+    );
+    assert!(until(LONG, || axis.feedback().link == Link::Online));
+    assert_eq!(axis.feedback().stopped, Some(StopCause::LinkLost));
+    assert_eq!(outcome(axis.enable()), Outcome::Failed(Failure::Latched(StopCause::LinkLost)));
+}
+
+/// Ctrl-Z, a debugger, a virtual machine that is moved: the drives run on meanwhile.
+#[test]
+fn a_controller_that_was_held_up_in_mid_motion_stops_its_axes_as_each_of_them_shall() {
+    let machine = Machine::new(30);
+    // Half a second.
+    let config = config(&machine, "m.toml", 2, "max_skip = 250", "");
+    let text = std::fs::read_to_string(&config).unwrap();
+    let config =
+        machine.write("m.toml", text.replace("name = \"d1\"", "name = \"d1\"\nstop.then = \"hold\""));
+    let _sim = simulation(&config);
+    let onlooker = Onlooker::new(&machine);
+    let mut controller = controller(Way::Move, &config);
+    controller.signal(SIGSTOP);
+    let before = [0, 1].map(|index| onlooker.look(machine.drive(index)));
+    sleep(1000 * MS);
+    let meanwhile = [0, 1].map(|index| onlooker.look(machine.drive(index)));
+    controller.signal(SIGCONT);
+    for name in ["d0", "d1"] {
+        controller.await_text(&format!("axis {name}: enable failed: the axis is stopped (overrun)"));
+    }
+    for index in 0..2 {
+        let (before, meanwhile) = (before[index], meanwhile[index]);
+        assert!(meanwhile.moving && meanwhile.position > before.position + 20.0, "{before:?} {meanwhile:?}");
+        let after = onlooker
+            .await_sight(machine.drive(index), |sight| !sight.moving && sight.powered == (index == 1));
+        assert!(after.operating == (index == 1) && after.position < TARGET, "{after:?}");
+        assert!(after.position > meanwhile.position + 0.9 * RAMP, "{meanwhile:?} {after:?}");
+    }
+    // Its end powers off what it held.
+    controller.signal(SIGTERM);
+    let summary = summary(&controller.end());
+    for index in 0..2 {
+        assert!(!onlooker.look(machine.drive(index)).powered);
+        assert_eq!(drive(&summary, &format!("d{index}"))["stopped"], "overrun");
+    }
+}

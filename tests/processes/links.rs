@@ -1,0 +1,109 @@
+//! Drives that are lost, come back, or were never there.
+
+use libc::SIGTERM;
+
+use super::support::{Machine, assert_sums, drive};
+use super::{master, serve, simulation};
+
+#[test]
+fn drives_that_die_are_lost_and_come_back() {
+    let machine = Machine::new(3);
+    // Lost after 100 ms of silence.
+    let config = machine.config("m.toml", 2, "", "health = { bucket = 50 }");
+    let sim = simulation(&config);
+    let mut master = master(&config, &["--json"]);
+    master.await_text("all drives online: 2");
+    sim.kill();
+    master.await_text("drive d0: lost");
+    master.await_text("drive d1: lost");
+    let sim = simulation(&config);
+    master.await_text("drive d0: back online");
+    master.await_text("drive d1: back online");
+    drop(sim);
+    master.signal(SIGTERM);
+    let ended = master.end();
+    // Asked to end or not: drives were lost.
+    ended.expect(1);
+    let last = ended.err.lines().last().unwrap();
+    assert!(last.starts_with("fieldbeat: lost on the way: d0, d1;"), "{}", ended.err);
+    let summary = ended.json();
+    assert_sums(&summary);
+    assert!(["d0", "d1"].iter().all(|name| drive(&summary, name)["losses"].as_u64() >= Some(1)), "{summary}");
+}
+
+#[test]
+fn a_run_with_a_lost_drive_has_failed_and_names_it() {
+    let machine = Machine::new(4);
+    // 200 ms of silence for d0, ten seconds for d1.
+    let config = machine.config("m.toml", 2, "", "health = { bucket = 100 }");
+    let text = std::fs::read_to_string(&config).unwrap();
+    let text = text.replace("name = \"d1\"", "name = \"d1\"\nhealth.bucket = 5000");
+    machine.write("m.toml", &text);
+    // Only d0 is killed: each has its own simulation.
+    let one = machine.config("one.toml", 1, "", "");
+    let (head, first) = text.split_once("[[bus.drive]]").unwrap();
+    let second = first.split_once("[[bus.drive]]").unwrap().1;
+    let other = machine.write("other.toml", format!("{head}[[bus.drive]]{second}"));
+    let (victim, _survivor) = (simulation(&one), simulation(&other));
+    let mut master = master(&config, &["--for", "4s", "--json"]);
+    master.await_text("all drives online: 2");
+    victim.kill();
+    master.await_text("drive d0: lost");
+    let _again = simulation(&one);
+    let ended = master.end();
+    ended.expect(1);
+    let last = ended.err.lines().last().unwrap();
+    assert!(last.starts_with("fieldbeat: lost on the way: d0;"), "{}", ended.err);
+    let summary = ended.json();
+    assert_sums(&summary);
+    assert!(drive(&summary, "d0")["losses"].as_u64() >= Some(1), "{summary}");
+    assert_eq!(drive(&summary, "d0")["stopped"], "link lost");
+    assert_eq!(
+        (&drive(&summary, "d1")["losses"], &drive(&summary, "d1")["link"]),
+        (&0.into(), &"online".into())
+    );
+}
+
+#[test]
+fn without_drives_a_run_fails_and_names_them() {
+    let machine = Machine::new(5);
+    let config = machine.plain(2);
+    let ended = master(&config, &["--for", "500ms", "--json"]).end();
+    ended.expect(1);
+    assert_eq!(ended.err, "fieldbeat: never answered: d0, d1; look at their power, cables and addresses\n");
+    let summary = ended.json();
+    assert_sums(&summary);
+    for name in ["d0", "d1"] {
+        let drive = drive(&summary, name);
+        assert_eq!((&drive["link"], &drive["answered"]), (&"unseen".into(), &0.into()));
+        assert!(drive["rtt_ns"]["p50"].is_null() && drive["rtt_ns"]["max"].is_null(), "{drive}");
+        // One probe in 100 ms, not one in each of the cycles.
+        let cycles = summary["cycle"]["planned"].as_u64().unwrap();
+        assert!((1..=cycles / 50 + 1).contains(&drive["sent"].as_u64().unwrap()), "{summary}");
+    }
+}
+
+/// 127.x.y.13 is nobody's: its requests vanish, or come back as an ICMP error that belongs to no other drive.
+#[test]
+fn a_dead_address_costs_the_living_nothing() {
+    let machine = Machine::new(14);
+    let config = machine.plain(3);
+    let _sim = serve(&machine.config("living.toml", 2, "", ""));
+    let ended = master(&config, &["--for", "2s", "--json"]).end();
+    ended.expect(1);
+    assert_eq!(ended.err, "fieldbeat: never answered: d2; look at their power, cables and addresses\n");
+    let summary = ended.json();
+    assert_sums(&summary);
+    for name in ["d0", "d1"] {
+        let drive = drive(&summary, name);
+        assert_eq!(
+            (&drive["link"], &drive["losses"], &drive["unsent"]),
+            (&"online".into(), &0.into(), &0.into())
+        );
+        assert!(drive["answered"].as_u64().unwrap() > 100, "{drive}");
+    }
+    let (dead, cycles) = (drive(&summary, "d2"), summary["cycle"]["planned"].as_u64().unwrap());
+    assert_eq!(dead["unsent"], 0);
+    // A probe every 100 ms, of cycles of 2 ms.
+    assert!(dead["sent"].as_u64().unwrap() <= cycles / 50 + 1, "{summary}");
+}

@@ -1,0 +1,89 @@
+//! The built program as a user runs it: its own processes, real UDP sockets on loopback, signals, and all the ways to
+//! hold it wrong. Nothing here needs a privilege, and nothing asserts how fast anything is.
+//!
+//! | file | what |
+//! |---|---|
+//! | `program` | what a user runs, and what it prints |
+//! | `signals` | Ctrl-C and its like, at any moment; Ctrl-Z |
+//! | `links` | drives that are lost, come back, or were never there |
+//! | `deaths` | controllers and drives that die in mid-motion, and who comes after them |
+//! | `mistakes` | wrong input: configurations, arguments, addresses that are taken |
+//! | `strangers` | datagrams of people who have no business here |
+//! | `rights` | what an ordinary user may not do, and is told |
+//!
+//! Each test owns 127.x.n.0/24, by the number n of its machine, which is unique in all of these files.
+
+mod deaths;
+mod links;
+mod mistakes;
+mod program;
+mod rights;
+mod signals;
+mod strangers;
+#[path = "../support/mod.rs"]
+mod support;
+
+use std::ffi::OsStr;
+use std::net::{SocketAddrV4, UdpSocket};
+use std::process::Command;
+use std::time::Duration;
+
+use fieldbeat::sim::server::{ServerOptions, SimServer};
+use serde_json::Value;
+use support::{DemoLock, Ended, PROGRAM, Program, assert_sums, plan};
+
+const MS: Duration = Duration::from_millis(1);
+
+fn serve(config: &std::path::Path) -> SimServer {
+    SimServer::start(plan(config).simulate(), ServerOptions::default()).unwrap()
+}
+
+fn master(config: &std::path::Path, arguments: &[&str]) -> Program {
+    let own = [OsStr::new("run"), config.as_os_str()];
+    Program::start(own.into_iter().chain(arguments.iter().map(OsStr::new)))
+}
+
+fn simulation(config: &std::path::Path) -> Program {
+    let mut program = Program::spawn(Command::new(PROGRAM).arg("sim").arg(config));
+    program.await_text("listening");
+    program
+}
+
+/// What a busy computer does to a demo whose simulated drives are threads like any other: they were silent for 50 ms, or
+/// waited in vain for setpoints. It says so.
+fn was_disturbed(ended: &Ended) -> bool {
+    let mistakes: Vec<_> = ended.err.lines().filter(|line| line.starts_with("fieldbeat: ")).collect();
+    let why = ["link lost", "lost on the way", "overrun", "underrun", "not online", "drive fault"];
+    let last = mistakes.last().copied().unwrap_or_default();
+    ended.code == Some(1) && why.iter().any(|why| last.contains(why))
+}
+
+/// Runs a demo until one was left in peace; each of them has to keep its books.
+fn demo(arguments: &[&str], meanwhile: impl Fn(&Program)) -> Ended {
+    let _lock = DemoLock::take();
+    let mut attempts = 0;
+    loop {
+        let program = Program::start(["demo", "--drives", "2", "--json"].iter().chain(arguments));
+        meanwhile(&program);
+        let ended = program.end();
+        assert_sums(&ended.json());
+        attempts += 1;
+        if !was_disturbed(&ended) || attempts == 6 {
+            return ended;
+        }
+    }
+}
+
+fn assert_powered_off(summary: &Value) {
+    for drive in summary["drives"].as_array().unwrap() {
+        let state = drive["state"].as_str().unwrap();
+        let off = ["NotReadyToSwitchOn", "SwitchOnDisabled", "ReadyToSwitchOn"];
+        // Unknown: ended before the first answer, so that nothing was ever asked of the drive.
+        let never_asked = state == "Unknown" && drive["answered"] == 0;
+        assert!(off.contains(&state) || never_asked, "{drive}");
+    }
+}
+
+fn socket(address: SocketAddrV4) -> UdpSocket {
+    UdpSocket::bind(address).unwrap_or_else(|error| panic!("{address}: {error}"))
+}

@@ -1,0 +1,172 @@
+//! What a user runs, and what it prints.
+
+use std::io::Write;
+use std::process::{Command, Stdio};
+
+use fieldbeat::axis::Link;
+use fieldbeat::master::Master;
+use libc::SIGTERM;
+use serde_json::Value;
+
+use super::support::{self, LONG, Machine, PROGRAM, assert_sums, checkout, drive, run};
+use super::{assert_powered_off, demo, master, serve, simulation};
+
+/// All keys of an object, `a.b` for those inside, of the first element in lists.
+fn keys(value: &Value, path: &str, into: &mut Vec<String>) {
+    match value {
+        Value::Object(map) => {
+            for (key, value) in map {
+                let path = if path.is_empty() { key.clone() } else { format!("{path}.{key}") };
+                keys(value, &path, into);
+                into.push(path);
+            }
+        }
+        Value::Array(list) => list.first().into_iter().for_each(|first| keys(first, path, into)),
+        _ => {}
+    }
+}
+
+#[test]
+fn the_demo_runs_by_itself_and_its_json_has_every_key() {
+    let ended = demo(&["--for", "2s"], |_| {});
+    ended.expect(0);
+    let summary = ended.json();
+    assert_powered_off(&summary);
+    assert!(summary["cycle"]["executed"].as_u64().unwrap() > 2000, "{summary}");
+    for drive in summary["drives"].as_array().unwrap() {
+        assert_eq!((&drive["link"], &drive["losses"]), (&"online".into(), &0.into()), "{drive}");
+        assert_eq!(drive["protocol"], "linudp-v2");
+        assert!(drive["rtt_ns"]["p50"].as_u64().unwrap() > 0, "{drive}");
+        // The last move ends at 160 mm; the simulated axis follows its setpoint within its own window.
+        let position = drive["position"].as_f64().unwrap();
+        assert!((159.0..161.0).contains(&position), "{drive}");
+    }
+
+    let mut have = Vec::new();
+    keys(&summary, "", &mut have);
+    let quantiles =
+        |of: &str| ["count", "p50", "p90", "p99", "p99_9", "max"].map(|key| format!("{of}.{key}"));
+    let mut want: Vec<String> = [
+        "cycle cycle.period_ns cycle.planned cycle.executed cycle.skipped cycle.overruns wake_ns stages_ns \
+         stages_ns.send stages_ns.receive stages_ns.work drives drives.name drives.protocol drives.link drives.state \
+         drives.losses drives.sent drives.answered drives.missed drives.late drives.duplicate drives.rejected \
+         drives.suspect drives.unsent drives.rtt_ns drives.age_cycles drives.position drives.inhibited drives.stopped drives.fault buses \
+         buses.name buses.strangers buses.receive_errors realtime realtime.policy realtime.priority realtime.core \
+         realtime.memory_locked realtime.page_faults realtime.involuntary_switches realtime.telemetry_lost \
+         realtime.events_lost realtime.missing host host.kernel host.preemption host.cpu host.steal_ms",
+    ]
+    .iter()
+    .flat_map(|keys| keys.split_whitespace().map(str::to_owned))
+    .collect();
+    for of in ["wake_ns", "stages_ns.send", "stages_ns.receive", "stages_ns.work", "drives.rtt_ns"] {
+        want.extend(quantiles(of));
+    }
+    have.sort();
+    want.sort();
+    assert_eq!(have, want, "keys are stable: programs read them");
+}
+
+#[test]
+fn simulation_and_master_are_two_processes() {
+    let machine = Machine::new(2);
+    let config = machine.plain(3);
+    let sim = simulation(&config);
+    let ended = master(&config, &["--for", "2s", "--json"]).end();
+    ended.expect(0);
+    assert_eq!(ended.err, "all drives online: 3\n");
+    let summary = ended.json();
+    assert_sums(&summary);
+    for name in ["d0", "d1", "d2"] {
+        let drive = drive(&summary, name);
+        assert!(drive["answered"].as_u64().unwrap() > 100, "{drive}");
+        assert_eq!((&drive["link"], &drive["rejected"]), (&"online".into(), &0.into()));
+    }
+    // The text form, with a table of the same drives.
+    let ended = master(&config, &["--for", "300ms"]).end();
+    ended.expect(0);
+    for part in ["planned", "wake-up latency", "d0 ", "d2 ", "host: "] {
+        assert!(ended.out.contains(part), "no {part}: {}", ended.out);
+    }
+    sim.signal(SIGTERM);
+    let ended = sim.end();
+    ended.expect(0);
+    assert!(ended.out.lines().last().unwrap().ends_with("answered"), "{ended:?}");
+}
+
+#[test]
+fn check_says_the_plan_and_what_it_is_not() {
+    for file in ["rt-config/demo.toml", "rt-config/linmot.toml"] {
+        let ended = run(["check".into(), checkout(file)]);
+        ended.expect(0);
+        assert_eq!(ended.err, "");
+        for part in ["if the master dies", "stop: ", "not a safety function"] {
+            assert!(ended.out.contains(part), "{file}: no {part}: {}", ended.out);
+        }
+    }
+}
+
+/// What goes in by a pipe is a configuration like any other.
+#[test]
+fn a_configuration_may_come_through_a_pipe() {
+    let machine = Machine::new(22);
+    let text = std::fs::read_to_string(machine.plain(1)).unwrap();
+    let mut child = Command::new(PROGRAM)
+        .args(["check", "/dev/stdin"])
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    child.stdin.take().unwrap().write_all(text.as_bytes()).unwrap();
+    let output = child.wait_with_output().unwrap();
+    assert!(output.status.success(), "{output:?}");
+}
+
+/// `| head -1`, a full disk, and nobody at all.
+#[test]
+fn an_output_that_nobody_takes_is_no_panic() {
+    let machine = Machine::new(19);
+    let config = machine.plain(1);
+    let full = || Stdio::from(std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap());
+    let gone = || Stdio::from(std::io::pipe().unwrap().1);
+    let run = |command: &str, out: Stdio, err: Stdio| {
+        let mut child = Command::new(PROGRAM);
+        child.arg(command).arg(&config).stdin(Stdio::null()).stdout(out).stderr(err);
+        if command != "check" {
+            child.args(["--for", "200ms"]);
+        }
+        child.spawn().unwrap().wait().unwrap().code()
+    };
+    // Nobody reads on: what the reader wanted, it got.
+    assert_eq!(run("check", gone(), Stdio::null()), Some(0));
+    assert_eq!(run("sim", gone(), gone()), Some(0));
+    // Lost to a full disk: an error.
+    assert_eq!(run("check", full(), Stdio::null()), Some(1));
+    assert_eq!(run("check", full(), full()), Some(1));
+    // The code of the run itself, with nobody to tell: no drive answers.
+    assert_eq!(run("run", gone(), gone()), Some(1));
+    assert_eq!(run("run", Stdio::null(), full()), Some(1));
+    // And of a refusal.
+    machine.write("plain.toml", "");
+    assert_eq!(run("run", Stdio::null(), gone()), Some(2));
+    assert_eq!(run("check", Stdio::null(), full()), Some(2));
+}
+
+/// The links as an application sees them, to compare with what the program says.
+#[test]
+fn the_library_sees_the_same_as_the_program() {
+    let machine = Machine::new(23);
+    let config = machine.plain(2);
+    let sim = serve(&config);
+    let master = Master::from_file(&config).unwrap().start().unwrap();
+    master.wait_online(LONG).unwrap();
+    sim.stop();
+    let lost = || master.observers().iter().all(|(_, observer)| observer.feedback().link == Link::Lost);
+    assert!(support::until(LONG, lost));
+    let run = master.finish();
+    let status = run.end.status;
+    assert_eq!(status.planned, status.executed + status.skipped);
+    for drive in &run.end.drives {
+        assert_eq!((drive.losses, drive.counters.unsent), (1, 0));
+        assert_eq!(drive.counters.sent, drive.counters.answered + drive.counters.missed);
+    }
+}

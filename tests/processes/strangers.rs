@@ -1,0 +1,98 @@
+//! Datagrams of people who have no business here.
+
+use std::net::{SocketAddrV4, UdpSocket};
+use std::thread::sleep;
+
+use libc::SIGINT;
+
+use super::support::{self, LONG, Machine, assert_sums, drive};
+use super::{MS, master, serve, simulation, socket};
+
+/// Datagrams of every kind that the master never asked for, a few a cycle.
+fn pester(from: &[UdpSocket], to: SocketAddrV4, rounds: usize) -> u64 {
+    let longest = [0x5a; 65_507];
+    // A request as a master sends it, a reply as a drive sends it, their beginnings, and noise.
+    let mut reply = [0_u8; 26];
+    (reply[0], reply[4]) = (0, 0xff);
+    let mut sent = 0;
+    for round in 0..rounds {
+        for socket in from {
+            let length = [0, 1, 8, 10, 26, 42, 50, 64, 128, 129, 1472, 9000, 65_507][round % 13];
+            let bytes = if round % 2 == 0 { &longest[..length] } else { &reply[..length.min(26)] };
+            // Only a full buffer of our own socket can refuse it.
+            sent += u64::from(socket.send_to(bytes, to).is_ok());
+        }
+        sleep(MS);
+    }
+    sent
+}
+
+#[test]
+fn strangers_are_counted_and_change_nothing() {
+    let machine = Machine::new(15);
+    let config = machine.plain(2);
+    let sim = serve(&config);
+    let mut master = master(&config, &["--json"]);
+    master.await_text("all drives online");
+    let strangers =
+        [socket(SocketAddrV4::new(machine.ip(200), 49360)), socket(SocketAddrV4::new(machine.ip(1), 0))];
+    let wrong_port = [socket(SocketAddrV4::new(*machine.drive(0).ip(), 49361))];
+    let by_strangers = pester(&strangers, machine.master(), 300);
+    let by_port = pester(&wrong_port, machine.master(), 300);
+    let before = sim.stats()[1].received;
+    assert!(support::until(LONG, || sim.stats()[1].received > before + 100));
+    master.signal(SIGINT);
+    let ended = master.end();
+    ended.expect(0);
+    let summary = ended.json();
+    assert_sums(&summary);
+    // Some may have been dropped by the kernel, while the loop was held up.
+    let counted = summary["buses"][0]["strangers"].as_u64().unwrap();
+    assert!((by_strangers / 2..=by_strangers).contains(&counted), "{by_strangers}: {summary}");
+    let rejected = drive(&summary, "d0")["rejected"].as_u64().unwrap();
+    assert!((by_port / 2..=by_port).contains(&rejected), "{by_port}: {summary}");
+    for name in ["d0", "d1"] {
+        let drive = drive(&summary, name);
+        assert_eq!((&drive["link"], &drive["losses"]), (&"online".into(), &0.into()), "{drive}");
+    }
+    assert_eq!(drive(&summary, "d1")["rejected"], 0);
+    assert_eq!(summary["buses"][0]["receive_errors"], 0);
+}
+
+#[test]
+fn whoever_sits_at_the_address_of_a_dead_drive_does_not_become_it() {
+    let machine = Machine::new(16);
+    let config = machine.config("m.toml", 2, "", "health = { bucket = 300 }");
+    let sim = serve(&config);
+    let mut master = master(&config, &["--for", "5s", "--json"]);
+    master.await_text("all drives online");
+    sim.stop();
+    let impostor = [socket(machine.drive(0))];
+    master.await_text("drive d0: lost");
+    pester(&impostor, machine.master(), 300);
+    let ended = master.end();
+    ended.expect(1);
+    assert!(!ended.err.contains("back online"), "{}", ended.err);
+    let summary = ended.json();
+    assert_sums(&summary);
+    let (first, second) = (drive(&summary, "d0"), drive(&summary, "d1"));
+    assert!(first["rejected"].as_u64().unwrap() > 100, "{first}");
+    assert_eq!((&first["link"], &second["link"]), (&"lost".into(), &"lost".into()));
+    assert_eq!(second["rejected"], 0);
+}
+
+#[test]
+fn a_request_to_a_simulated_drive_that_is_none_stops_nothing() {
+    let machine = Machine::new(17);
+    let config = machine.plain(2);
+    let sim = simulation(&config);
+    let somebody =
+        [socket(SocketAddrV4::new(machine.ip(99), 41136)), socket(SocketAddrV4::new(machine.ip(99), 0))];
+    for index in 0..2 {
+        pester(&somebody, machine.drive(index), 100);
+    }
+    let ended = master(&config, &["--for", "1s"]).end();
+    ended.expect(0);
+    sim.signal(SIGINT);
+    sim.end().expect(0);
+}
