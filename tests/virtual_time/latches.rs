@@ -40,8 +40,6 @@ macro_rules! causes {
         const CAUSES: &[(StopCause, Case)] = &[$((StopCause::$cause, $case)),+];
         const _: fn(StopCause) = |cause| match cause {
             $(StopCause::$cause => {})+
-            // Only members of a `Group` know them: see `groups`.
-            StopCause::GroupLink | StopCause::GroupFailed => {}
         };
     };
 }
@@ -120,6 +118,58 @@ causes! {
         others: [Some(StopCause::DriveFault), None],
         ..CASE
     },
+    GroupLink => Case {
+        rig: |rig| rig.each(|_, drive| (drive.axis.health.bucket, drive.axis.health.leak) = (8, 1_000)),
+        lead: |b| {
+            b.ready();
+            b.join(&[0, 1]);
+            let id = ask(b, slowly_to(100.0));
+            b.run(50);
+            id
+        },
+        strike: |b| {
+            // No member alone loses its link.
+            for index in [0, 1] {
+                b.tape(index).mute = true;
+                b.run(4);
+                b.tape(index).mute = false;
+            }
+        },
+        others: [Some(StopCause::GroupLink), None],
+        ..CASE
+    },
+    GroupFailed => Case {
+        // One of them into its limit, where the protocol ends the jog.
+        lead: |b| {
+            b.ready();
+            b.join(&[0, 1]);
+            b.group_done(&[to(190.0), to(50.0)]);
+            ask(b, jog(30.0))
+        },
+        fails: |failure| matches!(failure, Failure::Limit { what: "position", .. }),
+        ..CASE
+    },
+}
+
+/// Asks axis 0, and its whole group where it has joined one.
+fn ask(b: &mut Bench, verb: Verb) -> CommandId {
+    match b.joined() {
+        true => b.group().post_all(verb).unwrap_or_else(|error| panic!("{error}")).ids()[0],
+        false => b.post(0, verb),
+    }
+}
+
+fn failed(b: &mut Bench, verb: Verb) -> Failure {
+    let id = ask(b, verb);
+    match b.ended(0, id) {
+        Outcome::Failed(failure) => failure,
+        other => panic!("{verb:?} should have failed: {other}"),
+    }
+}
+
+fn done(b: &mut Bench, verb: Verb) {
+    let id = ask(b, verb);
+    assert_eq!(b.ended(0, id), Outcome::Done, "{verb:?}");
 }
 
 /// Follows a few rows, the last of which is `step` further than the others are.
@@ -137,7 +187,7 @@ fn try_cause(cause: StopCause, case: &Case) {
         (case.rig)(Rig::new(3).each(|index, drive| drive.axis.stop.group = (index < 2).then_some(1))).start();
     let running = (case.lead)(&mut b);
     // Home waits for a motion, and a motion for Home.
-    let waiting = [Verb::Home, to(5.0)].map(|verb| b.post(0, verb));
+    let waiting = [Verb::Home, to(5.0)].map(|verb| ask(&mut b, verb));
     assert!((0..3).all(|index| b.feedback(index).stopped.is_none()), "{cause}: alone");
     let before = b.events.len();
     (case.strike)(&mut b);
@@ -171,9 +221,9 @@ fn try_cause(cause: StopCause, case: &Case) {
     }
     assert_holds(&mut b, cause);
     assert_opens(&mut b, cause);
-    // The others have kept their first cause, whatever came after it, and keep it to the end.
+    // The others have kept their first cause, whatever came after it, and keep it to the end; but for a reset of the group.
     let others = [1, 2].map(|index| b.feedback(index).stopped);
-    assert_eq!(others[0], case.others[0], "{cause}");
+    assert_eq!(others[0], case.others[0].filter(|_| !b.joined()), "{cause}");
     b.shut_down(10_000);
     let kept = |index: usize| others[index - 1].unwrap_or(StopCause::Shutdown);
     assert_eq!(
@@ -186,7 +236,7 @@ fn try_cause(cause: StopCause, case: &Case) {
 /// No motion is taken, and no other cause takes the place of the first one.
 fn assert_holds(b: &mut Bench, cause: StopCause) {
     for verb in [Verb::Enable, Verb::Home, to(5.0), jog(5.0), Verb::Follow] {
-        assert_eq!(b.failed(0, verb), Failure::Latched(cause), "{cause}: {verb:?}");
+        assert_eq!(failed(b, verb), Failure::Latched(cause), "{cause}: {verb:?}");
     }
     b.tape(0).mute = true;
     b.until("a lost link", 100, |b| b.feedback(0).link == Link::Lost);
@@ -202,15 +252,15 @@ fn assert_holds(b: &mut Bench, cause: StopCause) {
 
 /// Only reset opens it, and only enable after that lets it move.
 fn assert_opens(b: &mut Bench, cause: StopCause) {
-    b.done(0, Verb::ResetFault);
-    assert_eq!(b.failed(0, to(5.0)), Failure::Latched(cause));
-    b.done(0, Verb::Reset);
+    done(b, Verb::ResetFault);
+    assert_eq!(failed(b, to(5.0)), Failure::Latched(cause));
+    done(b, Verb::Reset);
     assert_eq!(b.feedback(0).stopped, None, "{cause}");
-    let failure = b.failed(0, Verb::Home);
+    let failure = failed(b, Verb::Home);
     assert!(matches!(failure, Failure::WrongState(_) | Failure::NotEnabled), "{cause}: {failure}");
-    b.done(0, Verb::Enable);
-    b.done(0, Verb::Home);
-    b.done(0, to(5.0));
+    done(b, Verb::Enable);
+    done(b, Verb::Home);
+    done(b, to(5.0));
     assert_eq!(b.feedback(0).stopped, None, "{cause}");
 }
 

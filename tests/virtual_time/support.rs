@@ -424,6 +424,11 @@ impl Bench {
         self.group.insert(Group::new(axes).unwrap_or_else(|refused| panic!("{refused}")))
     }
 
+    /// Whether some axes have.
+    pub fn joined(&self) -> bool {
+        self.group.is_some()
+    }
+
     pub fn group(&mut self) -> &mut Group {
         self.group.as_mut().expect("axes have joined")
     }
