@@ -366,7 +366,9 @@ impl Machine {
     /// Any motion, to and fro in the first centimetres.
     fn set_off(&mut self, axis: usize, stream: bool) {
         let Feedback { demand, moving, .. } = self.b.feedback(axis);
-        let still = !moving && !self.watches[axis].pending;
+        let Watch { enabled, pending, .. } = self.watches[axis];
+        let can_stream =
+            self.b.drives[axis].stream.is_some() && enabled && !pending && !moving && demand >= 0.0;
         let velocity = self.random.f64() * 55.0 + 5.0;
         let signed = if demand > 20.0 { -velocity } else { velocity };
         match self.random.u8(..8) {
@@ -379,7 +381,7 @@ impl Machine {
                 self.post(axis, with(target, velocity, 2_000.0));
             }
             4..6 => self.post(axis, jog(signed)),
-            _ if still && self.b.drives[axis].stream.is_some() => self.stream(axis, demand, signed),
+            _ if can_stream => self.stream(axis, demand, signed),
             _ => {}
         }
     }
