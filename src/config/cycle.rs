@@ -38,6 +38,10 @@ pub(super) fn cycle(table: &mut Table<'_>) -> CyclePlan {
             period_ns..=3600 * S,
             "the application may be silent for so long while an axis is enabled; leave it out, and nobody watches",
         ),
+        late_ns: table.time("late", US..=period_ns, "a cycle later than this is counted as late, with its cause"),
+        black_box_ns: table
+            .time("black_box", 0..=60 * S, "so much of the past is kept for when something fails; 0s keeps none")
+            .unwrap_or(default.black_box_ns),
     }
 }
 

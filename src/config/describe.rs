@@ -1,7 +1,9 @@
 //! A plan in words: what `check` prints.
 
 use crate::axis::{AxisPlan, HeldBy, Load, StopHow, StopThen, StopTimeout};
+use crate::cycle::record::Record;
 use crate::cycle::{CyclePlan, Guard, Overrun, Plan, Wait};
+
 use crate::rt::{Memory, Realtime};
 use crate::time::{Ns, nanos};
 
@@ -35,6 +37,7 @@ pub fn describe(plan: &Plan) -> Vec<String> {
         }
         lines.extend(own);
     }
+    lines.push(black_box(plan));
     for group in &plan.groups {
         let members = axes.iter().filter(|axis| group.axes.contains(&axis.name));
         let bucket = members.map(|axis| axis.health.bucket).min().unwrap_or(0);
@@ -98,7 +101,22 @@ fn cycle(cycle: &CyclePlan) -> Vec<String> {
     if let Some(limit) = cycle.heartbeat_ns {
         lines.push(format!("  an application that is silent for {} stops all enabled axes", Ns(limit)));
     }
+    lines.push(format!(
+        "  a cycle that is late by more than {} is counted, with its cause",
+        Ns(cycle.late_ns())
+    ));
     lines
+}
+
+fn black_box(plan: &Plan) -> String {
+    match plan.black_box_records() {
+        0 => "no black box".to_owned(),
+        records => format!(
+            "the black box holds the last {} in {:.1} MB, written to a file at a fault, a lost drive, another stop, and SIGUSR1",
+            Ns(plan.cycle.black_box_ns),
+            (records * size_of::<Record>()) as f64 / 1e6
+        ),
+    }
 }
 
 fn frequency(period_ns: u64) -> String {

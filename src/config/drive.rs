@@ -8,6 +8,7 @@ use crate::axis::{
     AxisPlan, FoundRunning, Health, HeldBy, Limits, Load, Profile, StopHow, StopPlan, StopThen, StopTimeout,
     Underrun, Unit, Units,
 };
+use crate::cycle::plan::is_plain_name;
 use crate::time::{MS, S};
 
 /// Reads the common keys. `counts_per_mm` is the protocol's own resolution, if it has one.
@@ -108,10 +109,8 @@ fn name(table: &mut Table<'_>, machine: &mut Machine) -> String {
     name
 }
 
-/// Names stand in messages, file names and arguments, so they are kept plain.
 pub(super) fn plain_name(text: &str) -> Option<String> {
-    let plain = |c: char| c.is_alphanumeric() || matches!(c, '-' | '_' | '.');
-    ((1..=32).contains(&text.chars().count()) && text.chars().all(plain)).then(|| text.to_owned())
+    is_plain_name(text).then(|| text.to_owned())
 }
 
 fn units(table: &mut Table<'_>, counts_per_mm: Option<f64>) -> Units {

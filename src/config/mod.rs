@@ -29,6 +29,8 @@
 //! | `memory` | `"process"` | what is locked: the whole process, or the loop's `"own"` |
 //! | `task_budget` | none | longest the in-loop task may run |
 //! | `heartbeat` | none | longest the application may be silent while an axis is enabled; longer stops all that are |
+//! | `late` | a tenth of the period | a cycle that begins later than this after its grid point, or spends longer in a stage, is counted as late, with its cause |
+//! | `black_box` | `"2s"` | how much of the past is kept, and written to a file at a fault or a lost drive |
 //!
 //! `[[bus]]`: `protocol`, `name` (default: the protocol), the keys of the protocol, `[bus.defaults]`, and one
 //! `[[bus.drive]]` a drive. **What stands in `[bus.defaults]` holds for every drive of this bus that does not say
@@ -230,6 +232,9 @@ fn machine(mut root: Table<'_>) -> Plan {
     let drives = buses.iter().map(|bus| bus.axes().len()).sum();
     cycle::check_period(&root, &cycle, drives);
     let mut plan = Plan { source: None, cycle, buses, groups: Vec::new() };
+    if let Some(why) = plan.black_box_fault() {
+        root.fault("cycle.black_box", why);
+    }
     for mut table in root.tables("group") {
         let group = group(&mut table, &plan);
         plan.groups.extend(group);

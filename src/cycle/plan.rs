@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use super::record::Record;
 use crate::axis::group::out_of_step;
 use crate::axis::{AxisPlan, GroupError, PlanFault};
 use crate::bus::BusPlan;
@@ -31,10 +32,19 @@ pub struct GroupPlan {
     pub axes: Vec<String>,
 }
 
+/// Names stand in messages, file names and arguments, so they are kept plain.
+pub fn is_plain_name(name: &str) -> bool {
+    let plain = |c: char| c.is_alphanumeric() || matches!(c, '-' | '_' | '.');
+    (1..=32).contains(&name.chars().count()) && name.chars().all(plain)
+}
+
 /// What is wrong with a plan that was built in code: one line each.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{}", .0.join("\n"))]
 pub struct PlanErrors(pub Vec<String>);
+
+/// The most that a black box may take, bytes.
+const MOST_BLACK_BOX: usize = 150_000_000;
 
 impl Plan {
     /// All axes in slot order: bus after bus, drive after drive.
@@ -53,6 +63,9 @@ impl Plan {
         if !(share > 0.0 && share < 1.0) {
             errors.push(format!("cycle: a receive deadline of {share} is no share of the period, 0 ... 1"));
         }
+        if let Some(why) = self.black_box_fault() {
+            errors.push(format!("cycle: {why}"));
+        }
         for (index, group) in self.groups.iter().enumerate() {
             if self.groups[..index].iter().any(|other| other.name == group.name) {
                 errors.push(format!("group {}: its name is taken by another group", group.name));
@@ -60,6 +73,12 @@ impl Plan {
         }
         let axes = self.axes();
         for (index, axis) in axes.iter().enumerate() {
+            if !is_plain_name(&axis.name) {
+                errors.push(format!(
+                    "drive {:?}: its name must be 1 to 32 letters, digits, - _ or .",
+                    axis.name
+                ));
+            }
             if axes[..index].iter().any(|other| other.name == axis.name) {
                 errors
                     .push(format!("drive {}: its name is taken; names are unique in the machine", axis.name));
@@ -76,6 +95,25 @@ impl Plan {
             errors.extend(group.fault(&axes).map(|why| format!("group {}: {why}", group.name)));
         }
         if errors.is_empty() { Ok(()) } else { Err(PlanErrors(errors)) }
+    }
+
+    /// How many records the black box holds: one a drive and one for the loop in each of its cycles.
+    pub fn black_box_records(&self) -> usize {
+        let cycles = self.cycle.black_box_ns / self.cycle.period_ns.max(1);
+        usize::try_from(cycles).unwrap_or(0).saturating_mul(self.axes().len() + 1)
+    }
+
+    /// Why the black box is too large. Its memory is locked with all the rest.
+    pub(crate) fn black_box_fault(&self) -> Option<String> {
+        let bytes = self.black_box_records().saturating_mul(size_of::<Record>());
+        (bytes > MOST_BLACK_BOX).then(|| {
+            format!(
+                "a black box of {} would take {} MB, at most {} MB; shorten black_box",
+                Ns(self.cycle.black_box_ns),
+                bytes / 1_000_000,
+                MOST_BLACK_BOX / 1_000_000
+            )
+        })
     }
 
     /// The drives of all buses, simulated.
@@ -131,12 +169,21 @@ pub struct CyclePlan {
     /// Longest the application may be silent while an axis is enabled, ns; longer is a stop of all axes that are. `None` =
     /// nobody watches.
     pub heartbeat_ns: Option<u64>,
+    /// A cycle is late that begins, or spends in a stage, more than this, ns. `None` = a tenth of the period.
+    pub late_ns: Option<u64>,
+    /// How far back the black box reaches, ns.
+    pub black_box_ns: u64,
 }
 
 impl CyclePlan {
     /// Until when replies are taken, ns after the grid point.
     pub fn deadline_ns(&self) -> u64 {
         (self.period_ns as f64 * self.receive_deadline).round() as u64
+    }
+
+    /// From when on a cycle is late, ns.
+    pub fn late_ns(&self) -> u64 {
+        self.late_ns.unwrap_or(self.period_ns / 10)
     }
 }
 
@@ -156,6 +203,8 @@ impl Default for CyclePlan {
             memory: Memory::Process,
             task_budget_ns: None,
             heartbeat_ns: None,
+            late_ns: None,
+            black_box_ns: 2 * S,
         }
     }
 }
