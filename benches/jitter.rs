@@ -12,7 +12,7 @@ mod support;
 use std::fs::File;
 use std::process::{Command, ExitCode, Stdio};
 
-use fieldbeat::cycle::record::Record;
+use fieldbeat::cycle::record::{CycleRecord, Record, SkippedRecord};
 use fieldbeat::cycle::{CyclePlan, Guard};
 use fieldbeat::net::Os;
 use fieldbeat::rt::Granted;
@@ -126,11 +126,11 @@ fn ours(period_ns: u64, guard: Guard, slots: u64, counted: &mut Slots) -> Vec<u6
         let mut rig = Rig::new(cycle, None, Pace::Grid, &Os, Calls::default());
         while rig.status().executed + rig.status().skipped < slots {
             rig.turn(|record| match record {
-                Record::Cycle { wake_ns, .. } => latencies.push(u64::from(wake_ns)),
-                Record::Skipped { count, late_ns, .. } => {
+                Record::Cycle(CycleRecord { wake_ns, .. }) => latencies.push(u64::from(wake_ns)),
+                Record::Skipped(SkippedRecord { count, late_ns, .. }) => {
                     latencies.extend((0..count).map(|slot| late_ns.saturating_sub(slot * period_ns)));
                 }
-                Record::RoundTrip { .. } => {}
+                Record::Drive(_) => {}
             });
         }
         (latencies, rig.end())

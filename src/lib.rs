@@ -14,8 +14,12 @@
 //! - [`Group`] takes several axes: verbs and rows of all of them take effect in the same cycle's send, all or none.
 //! - An in-loop task ([`Setup::with_task`]) runs inside the cycle: it sees the feedback of cycle k, and what it asks for leaves in
 //!   cycle k + 1.
+//! - [`Monitor`] reads a running machine from any thread: its numbers, histograms, and why cycles were late ([`telemetry`]);
+//!   [`telemetry::metrics`] serves them to Prometheus, [`control`] to other processes of its owner, and [`telemetry::report`]
+//!   writes what a run came to.
 //! - [`Setup::simulate`] builds the same machine in virtual time, with simulated drives and seeded faults: hours pass in
 //!   seconds, and the same seed gives the same bytes.
+//! - [`doctor`] tells what a host is worth for real time, and how to mend it.
 //! - [`bus`] holds the contract between loop and protocol, and a folder for each protocol.
 //!
 //! # A complete program
@@ -53,13 +57,15 @@
 //!
 //! # The house
 //!
-//! Arrows point down only: `cli` -> [`config`], [`telemetry`], [`master`] -> [`cycle`] -> [`axis`], [`rt`], [`bus`] (the trait);
+//! Arrows point down only: `cli` -> [`control`], [`doctor`], [`config`], [`master`] -> [`telemetry`] -> [`cycle`] -> [`axis`], [`rt`], [`bus`] (the trait);
 //! `bus/x` -> [`axis`], [`net`]; a `wire` module knows nothing at all.
 
 pub mod axis;
 pub mod bus;
 pub mod config;
+pub mod control;
 pub mod cycle;
+pub mod doctor;
 pub mod master;
 pub mod net;
 pub mod rt;
@@ -72,6 +78,7 @@ pub use axis::{Axis, Event, EventKind, Feedback, Group, Profile, Row, Verb};
 pub use cycle::Plan;
 pub use master::{Master, Setup};
 pub use simulation::Simulation;
+pub use telemetry::Monitor;
 pub use time::Time;
 
 /// The README's program compiles, or the doctests fail.

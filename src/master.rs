@@ -1,35 +1,39 @@
 //! A machine: the checked plan, the open buses, the loop's thread and the application's handles, put together.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::mpsc;
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use thiserror::Error;
 
-use crate::axis::cell::{self, Reader};
+use crate::axis::cell;
 use crate::axis::handle::{URGENT_ROOM, VELOCITY_QUEUE};
 use crate::axis::{Axis, AxisEnds, Feedback, Group, GroupError, Link, Observer, Pulse};
-use crate::bus::{Cycle, OpenError};
+use crate::bus::{Cycle, OpenError, Strangers};
 use crate::config::{self, ConfigErrors};
 use crate::cycle::engine::{Control, Engine, Outlets};
 use crate::cycle::record::Record;
 use crate::cycle::seat::{Queues, Seat};
-use crate::cycle::status::{RunEnd, Status};
+use crate::cycle::status::{DriveNumbers, Gauges, Numbers, Status};
 use crate::cycle::task::{Axes, Task};
 use crate::cycle::window::BusSeat;
-use crate::cycle::{CyclePlan, Plan, PlanErrors};
+use crate::cycle::{Plan, PlanErrors};
 use crate::net::{Carriers, Os};
+use crate::rt::watch::ThreadWatch;
 use crate::rt::{
     self, Clock, Granted, Memory, MonotonicClock, Realtime, RealtimeError, RealtimePlan, Regions, Usage,
 };
-use crate::telemetry::{Histograms, Recorder, Run};
+use crate::telemetry::blackbox::BlackBox;
+use crate::telemetry::summary::Run;
+use crate::telemetry::{Measured, Monitor, Recorder, Summary};
 
 /// A machine that has not started yet.
 pub struct Setup {
     plan: Plan,
     task: Option<Task>,
+    black_box: Option<PathBuf>,
 }
 
 impl std::fmt::Debug for Setup {
@@ -41,15 +45,12 @@ impl std::fmt::Debug for Setup {
 /// A running machine. Dropping it stops all axes, powers them off and ends the loop.
 #[derive(Debug)]
 pub struct Master {
-    plan: Plan,
     axes: Mutex<Vec<Option<Axis>>>,
-    observers: Vec<(String, Observer)>,
-    status: Reader<Status>,
+    monitor: Monitor,
     pulse: Pulse,
     control: Control,
-    granted: Granted,
-    recorder: Option<Recorder>,
-    thread: Option<JoinHandle<RunEnd>>,
+    recorder: Recorder,
+    thread: Option<JoinHandle<Numbers>>,
 }
 
 /// Why a machine did not start. Nothing was sent. The message ends with the remedy.
@@ -131,8 +132,8 @@ pub struct Assembly<C> {
     pub engine: Engine<C>,
     /// The application's ends, in the order of the plan.
     pub axes: Vec<Axis>,
-    /// The numbers of the loop, newest.
-    pub status: Reader<Status>,
+    /// What the loop counts.
+    pub gauges: Gauges,
     /// What the loop tells the telemetry; to be emptied by whoever steps the engine, or records are lost.
     pub records: rtrb::Consumer<Record>,
     /// The application's sign of life.
@@ -201,11 +202,15 @@ pub fn assemble<C: Clock>(
     }
     let (record_in, records) = rt::ring(Recorder::ring_size(seats.len(), period_ns), &mut regions);
     let (status_in, status) = cell::cell(Status::default());
-    let outlets = Outlets { records: record_in, status: status_in };
+    let (drives_in, drives) = seats.iter().map(|_| cell::cell(DriveNumbers::default())).unzip();
+    let (strangers_in, strangers) = buses.iter().map(|_| cell::cell(Strangers::default())).unzip();
+    let outlets =
+        Outlets { records: record_in, status: status_in, drives: drives_in, strangers: strangers_in };
     let engine =
         Engine::new(clock, plan.cycle.clone(), buses, seats, names, task, pulse.clone(), control, outlets);
     engine.memory(&mut regions);
-    Ok(Assembly { engine, axes, status, records, pulse, regions })
+    let gauges = Gauges { status, drives, strangers };
+    Ok(Assembly { engine, axes, gauges, records, pulse, regions })
 }
 
 /// How many drives are probed for the first time in one cycle.
@@ -222,24 +227,30 @@ impl Master {
 
     /// A machine from a plan built in code.
     pub fn from_plan(plan: Plan) -> Setup {
-        Setup { plan, task: None }
+        Setup { plan, task: None, black_box: None }
+    }
+
+    /// A reader of this machine for another thread.
+    pub fn monitor(&self) -> Monitor {
+        self.monitor.clone()
     }
 
     /// The plan it runs.
     pub fn plan(&self) -> &Plan {
-        &self.plan
+        self.monitor.plan()
     }
 
     /// What the operating system granted.
     pub fn granted(&self) -> &Granted {
-        &self.granted
+        self.monitor.granted()
     }
 
     /// Takes an axis; once, because an axis has one producer of commands.
     pub fn axis(&self, name: &str) -> Result<Axis, MasterError> {
         let mut axes = self.axes.lock().unwrap_or_else(PoisonError::into_inner);
-        let Some(index) = self.observers.iter().position(|(known, _)| known == name) else {
-            let known: Vec<&str> = self.observers.iter().map(|(name, _)| name.as_str()).collect();
+        let observers = self.observers();
+        let Some(index) = observers.iter().position(|(known, _)| known == name) else {
+            let known: Vec<&str> = observers.iter().map(|(name, _)| name.as_str()).collect();
             return Err(MasterError::NoAxis { name: name.to_owned(), known: known.join(", ") });
         };
         axes[index].take().ok_or_else(|| MasterError::Taken(name.to_owned()))
@@ -247,16 +258,17 @@ impl Master {
 
     /// Takes the axes of a `[[group]]` of the plan, together.
     pub fn group(&self, name: &str) -> Result<Group, MasterError> {
-        let Some(group) = self.plan.groups.iter().find(|group| group.name == name) else {
-            let known: Vec<&str> = self.plan.groups.iter().map(|group| group.name.as_str()).collect();
+        let groups = &self.plan().groups;
+        let Some(group) = groups.iter().find(|group| group.name == name) else {
+            let known: Vec<&str> = groups.iter().map(|group| group.name.as_str()).collect();
             return Err(MasterError::NoGroup { name: name.to_owned(), known: known.join(", ") });
         };
         let mut axes = self.axes.lock().unwrap_or_else(PoisonError::into_inner);
-        let index = |name: &String| self.observers.iter().position(|(known, _)| known == name);
+        let index = |name: &String| self.observers().iter().position(|(known, _)| known == name);
         let places: Vec<usize> = group.axes.iter().filter_map(index).collect();
         // All or none of them.
         if let Some(place) = places.iter().find(|place| axes[**place].is_none()) {
-            return Err(MasterError::Taken(self.observers[*place].0.clone()));
+            return Err(MasterError::Taken(self.observers()[*place].0.clone()));
         }
         let members: Vec<Axis> = places.iter().filter_map(|place| axes[*place].take()).collect();
         drop(axes);
@@ -265,24 +277,39 @@ impl Master {
 
     /// Readers of all axes' newest feedback, in the order of the plan.
     pub fn observers(&self) -> &[(String, Observer)] {
-        &self.observers
+        self.monitor.observers()
     }
 
-    /// The numbers of the loop, newest.
+    /// See [`Monitor::status`].
     pub fn status(&self) -> Status {
-        self.status.read()
+        self.monitor.status()
     }
 
-    /// Looks at what the telemetry measured so far. The telemetry waits meanwhile, the loop does not.
-    pub fn measured<R>(&self, look: impl FnOnce(&Histograms) -> R) -> Option<R> {
-        self.recorder.as_ref().map(|recorder| look(&recorder.read()))
+    /// See [`Monitor::numbers`].
+    pub fn numbers(&self) -> Numbers {
+        self.monitor.numbers()
+    }
+
+    /// See [`Monitor::measured`].
+    pub fn measured<R>(&self, look: impl FnOnce(&Measured) -> R) -> R {
+        self.monitor.measured(look)
+    }
+
+    /// See [`Monitor::summary`].
+    pub fn summary(&self) -> Summary {
+        self.monitor.summary()
+    }
+
+    /// See [`Monitor::write_black_box`].
+    pub fn write_black_box(&self) {
+        self.monitor.write_black_box();
     }
 
     /// Waits until every axis is online.
     pub fn wait_online(&self, limit: Duration) -> Result<(), MasterError> {
         let begun = Instant::now();
         loop {
-            let missing: Vec<&str> = (self.observers.iter())
+            let missing: Vec<&str> = (self.observers().iter())
                 .filter(|(_, observer)| observer.feedback().link != Link::Online)
                 .map(|(name, _)| name.as_str())
                 .collect();
@@ -306,8 +333,8 @@ impl Master {
         self.pulse.beat();
     }
 
-    /// Asks for the orderly end if nobody has: asking again would shorten the waits.
-    fn end(&self) {
+    /// Asks for the orderly end if nobody has: asking again would shorten the waits. [`finish`](Master::finish) waits for it.
+    pub fn stop(&self) {
         if !self.control.is_stopping() {
             self.control.stop();
         }
@@ -329,29 +356,22 @@ impl Master {
     ///
     /// If the loop's thread panicked, with its panic.
     pub fn finish(mut self) -> Run {
-        self.end();
+        self.stop();
         let end = match self.thread.take().map(JoinHandle::join) {
             Some(Ok(end)) => end,
             Some(Err(panic)) => std::panic::resume_unwind(panic),
-            None => RunEnd::default(),
+            None => Numbers::default(),
         };
-        let histograms = match self.recorder.take() {
-            Some(recorder) => recorder.finish(),
-            None => Histograms::new(0),
-        };
-        let granted = self.granted.clone();
-        let plan = std::mem::replace(
-            &mut self.plan,
-            Plan { source: None, cycle: CyclePlan::default(), buses: Vec::new(), groups: Vec::new() },
-        );
-        Run { end, histograms, granted, plan }
+        let measured = self.recorder.finish(end.status.late);
+        let (plan, granted) = (self.monitor.shared_plan(), self.granted().clone());
+        Run { end, measured, granted, plan, steal_ms: self.monitor.steal_ms() }
     }
 }
 
 impl Drop for Master {
     fn drop(&mut self) {
         if let Some(thread) = self.thread.take() {
-            self.end();
+            self.stop();
             let _ = thread.join();
         }
     }
@@ -369,6 +389,12 @@ impl Setup {
         self
     }
 
+    /// Where the black box writes its files. Without it there is none.
+    pub fn with_black_box(mut self, directory: impl Into<PathBuf>) -> Setup {
+        self.black_box = Some(directory.into());
+        self
+    }
+
     /// The plan and the task, for the virtual twin.
     pub(crate) fn into_parts(self) -> (Plan, Option<Task>) {
         (self.plan, self.task)
@@ -376,7 +402,9 @@ impl Setup {
 
     /// Opens the buses and starts the loop. Until it returns, nothing has been sent but the first probes.
     pub fn start(self) -> Result<Master, StartError> {
+        let black_box = self.black_box.as_ref().and_then(|directory| BlackBox::new(&self.plan, directory));
         let (plan, task) = self.into_parts();
+        let has_task = task.is_some();
         plan.check()?;
         let realtime = RealtimePlan {
             realtime: plan.cycle.realtime,
@@ -392,7 +420,8 @@ impl Setup {
             rt::memory::prepare_heap();
         }
         let control = Control::default();
-        let Assembly { mut engine, axes, status, records, pulse, regions } =
+        let steal_before_ms = rt::host::steal_ms(None);
+        let Assembly { mut engine, axes, gauges, records, pulse, regions } =
             assemble(&plan, MonotonicClock, &Os, task, control.clone())?;
         let observers: Vec<_> = axes.iter().map(|axis| (axis.name().to_owned(), axis.observer())).collect();
 
@@ -403,7 +432,7 @@ impl Setup {
             .spawn(move || {
                 let entered = rt::thread::enter(&realtime, &regions);
                 let go = entered.is_ok();
-                let _ = tell.send(entered);
+                let _ = tell.send((entered, nix::unistd::gettid().as_raw()));
                 if !go {
                     return engine.finish();
                 }
@@ -417,32 +446,30 @@ impl Setup {
                 end
             })
             .map_err(StartError::Thread)?;
-        let granted = match told.recv() {
-            Ok(Ok(granted)) => granted,
-            Ok(Err(error)) => {
+        let (granted, tid) = match told.recv() {
+            Ok((Ok(granted), tid)) => (granted, tid),
+            Ok((Err(error), _)) => {
                 let _ = thread.join();
                 return Err(error.into());
             }
             Err(_) => return Err(StartError::Ended),
         };
         let core = granted.core;
-        let recorder = Recorder::start(records, axes.len(), plan.cycle.period_ns, move || {
-            rt::thread::helper_thread(core)
-        })
-        .map_err(StartError::Thread);
-        let mut master = Master {
-            axes: Mutex::new(axes.into_iter().map(Some).collect()),
-            observers,
-            status,
-            pulse,
-            control,
-            granted,
-            recorder: None,
-            thread: Some(thread),
-            plan,
+        // A kernel that tells nothing of it leaves more cycles without a cause.
+        let watch = ThreadWatch::open(tid, core).ok();
+        let measured = Measured::new(axes.len(), &plan.cycle, has_task);
+        let aside = move || rt::thread::helper_thread(core);
+        let recorder = match Recorder::start(records, measured, watch, black_box, aside) {
+            Ok(recorder) => recorder,
+            Err(error) => {
+                control.stop();
+                let _ = thread.join();
+                return Err(StartError::Thread(error));
+            }
         };
-        // If it cannot start, dropping the master ends the loop in order.
-        master.recorder = Some(recorder?);
-        Ok(master)
+        let monitor =
+            Monitor::new(plan, granted, observers, gauges, Arc::clone(recorder.recording()), steal_before_ms);
+        let axes = Mutex::new(axes.into_iter().map(Some).collect());
+        Ok(Master { axes, monitor, pulse, control, recorder, thread: Some(thread) })
     }
 }

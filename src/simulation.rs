@@ -30,10 +30,10 @@ use crate::bus::OpenError;
 use crate::cycle::PlanErrors;
 use crate::cycle::engine::{Control, Engine, Flow};
 use crate::cycle::record::Record;
-use crate::cycle::status::{RunEnd, Status};
+use crate::cycle::status::{Numbers, Status};
 use crate::master::{Assembly, Setup, assemble};
 use crate::sim::world::{World, WorldClock, WorldOptions};
-use crate::telemetry::Histograms;
+use crate::telemetry::Measured;
 
 /// A machine in virtual time.
 #[derive(Debug)]
@@ -45,8 +45,7 @@ pub struct Simulation {
     pulse: Pulse,
     control: Control,
     records: Consumer<Record>,
-    histograms: Histograms,
-    period_ns: u64,
+    measured: Measured,
     /// Events seen by [`run_verb`](Simulation::run_verb) while it waited for another one.
     pub events: Vec<(usize, Event)>,
 }
@@ -72,6 +71,7 @@ impl Setup {
         let drives = self.plan().simulate();
         let world = World::new(drives, options)?;
         let (plan, task) = self.into_parts();
+        let has_task = task.is_some();
         let control = Control::default();
         let Assembly { mut engine, axes, records, pulse, .. } =
             assemble(&plan, world.clock(), &world, task, control.clone())?;
@@ -80,12 +80,11 @@ impl Setup {
             world,
             engine,
             observers: axes.iter().map(Axis::observer).collect(),
-            histograms: Histograms::new(axes.len()),
+            measured: Measured::new(axes.len(), &plan.cycle, has_task),
             axes: axes.into_iter().map(Some).collect(),
             pulse,
             control,
             records,
-            period_ns: plan.cycle.period_ns,
             events: Vec::new(),
         })
     }
@@ -130,16 +129,16 @@ impl Simulation {
         self.engine.status()
     }
 
-    /// What the telemetry has measured so far.
-    pub fn histograms(&self) -> &Histograms {
-        &self.histograms
+    /// What the telemetry has measured so far. Without a kernel to ask, causes other than the drives are unknown.
+    pub fn measured(&self) -> &Measured {
+        &self.measured
     }
 
     /// One turn of the loop: one executed cycle, or slots passed over.
     pub fn step(&mut self) -> Flow {
         let flow = self.engine.step();
         while let Ok(record) = self.records.pop() {
-            self.histograms.enter(record, self.period_ns);
+            self.measured.enter(&record);
         }
         flow
     }
@@ -191,7 +190,7 @@ impl Simulation {
     }
 
     /// The exact numbers of the run.
-    pub fn finish(self) -> RunEnd {
+    pub fn finish(self) -> Numbers {
         self.engine.finish()
     }
 }

@@ -16,7 +16,7 @@ use fieldbeat::axis::{
 use fieldbeat::bus::Counters;
 use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan, SimPlan, StreamCommand};
 use fieldbeat::cycle::engine::Flow;
-use fieldbeat::cycle::status::RunEnd;
+use fieldbeat::cycle::status::Numbers;
 use fieldbeat::cycle::{CyclePlan, Overrun, Plan};
 use fieldbeat::sim::FaultPlan;
 use fieldbeat::sim::world::WorldOptions;
@@ -244,7 +244,7 @@ struct Left {
     events: (u64, u64),
     /// Moves, streams and homings that were done.
     done: u64,
-    end: RunEnd,
+    end: Numbers,
 }
 
 /// Lets a fleet live for so many cycles and shuts it down.
@@ -290,8 +290,8 @@ fn live(drives: usize, seed: u64, cycles: u64) -> Left {
     for (index, axis) in axes.iter().enumerate() {
         assert!(axis.open.is_empty(), "seed {seed}, axis {index}: no end of {:?}", axis.open);
     }
-    let samples: Vec<u64> = sim.histograms().round_trip.iter().map(|histogram| histogram.len()).collect();
-    assert_eq!(sim.histograms().wake.len(), sim.status().planned, "seed {seed}");
+    let samples: Vec<u64> = sim.measured().histograms.drives.iter().map(|drive| drive.rtt.len()).collect();
+    assert_eq!(sim.measured().histograms.wake.len(), sim.status().planned, "seed {seed}");
     let (world, end) = (sim.world().clone(), sim.finish());
     assert_accounts(&end, &samples, seed);
     Left {
@@ -304,7 +304,7 @@ fn live(drives: usize, seed: u64, cycles: u64) -> Left {
 }
 
 /// Every exchange came to one end, and nothing was lost on the way to the application.
-fn assert_accounts(end: &RunEnd, samples: &[u64], seed: u64) {
+fn assert_accounts(end: &Numbers, samples: &[u64], seed: u64) {
     for (drive, samples) in end.drives.iter().zip(samples) {
         let c = drive.counters;
         // The last one may have been sent in the last cycle but one of a divisor.

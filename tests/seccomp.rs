@@ -12,17 +12,16 @@ use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 
-use fieldbeat::axis::cell::Reader;
 use fieldbeat::axis::{Axis, Link};
 use fieldbeat::bus::Cycle;
 use fieldbeat::cycle::engine::{Control, Engine, Flow};
-use fieldbeat::cycle::status::{RunEnd, Status};
+use fieldbeat::cycle::status::{Gauges, Numbers};
 use fieldbeat::cycle::task::{Axes, Task};
 use fieldbeat::master::{Assembly, assemble};
 use fieldbeat::net::Os;
 use fieldbeat::rt::MonotonicClock;
 use fieldbeat::sim::server::ServerOptions;
-use fieldbeat::telemetry::Recorder;
+use fieldbeat::telemetry::{Measured, Recorder};
 use libc::{c_int, c_long, sock_filter};
 use support::adventures::{Adventures, VICTIM, drives_and_errors};
 use support::counting::{Counting, count, watch};
@@ -39,7 +38,7 @@ struct Allowed {
 }
 
 /// All that the loop may ask of the kernel.
-const ALLOWED: [Allowed; 7] = [
+const ALLOWED: [Allowed; 8] = [
     // The sleep until the next grid point, and the nap for the rest of the replies: absolute, so that nothing drifts.
     Allowed { call: libc::SYS_clock_nanosleep, with: Some((1, libc::TIMER_ABSTIME)) },
     // The wait for the first reply, until the deadline at the latest: in nanoseconds, unlike the time-out of a socket.
@@ -50,6 +49,8 @@ const ALLOWED: [Allowed; 7] = [
     Allowed { call: libc::SYS_sendto, with: None },
     // All replies that are there; none is no reason to wait.
     Allowed { call: libc::SYS_recvmmsg, with: Some((3, libc::MSG_DONTWAIT)) },
+    // After a late cycle, once: what the kernel has counted against this thread.
+    Allowed { call: libc::SYS_getrusage, with: None },
     // The clock is read in user space (vdso(7)), but for a machine whose clock source the vDSO cannot read (Xen, some
     // virtual machines without a stable TSC).
     Allowed { call: libc::SYS_clock_gettime, with: None },
@@ -116,16 +117,17 @@ struct Confined {
     /// Locked by that thread until the loop has ended.
     engine: Arc<Mutex<Option<Engine<MonotonicClock>>>>,
     control: Control,
-    status: Reader<Status>,
+    gauges: Gauges,
     _recorder: Recorder,
 }
 
 impl Confined {
     fn start(config: &Path, task: Task) -> (Confined, Vec<Axis>) {
         let (plan, control) = (plan(config), Control::default());
-        let Assembly { engine, axes, status, records, .. } =
+        let Assembly { engine, axes, gauges, records, .. } =
             assemble(&plan, MonotonicClock, &Os, Some(task), control.clone()).unwrap();
-        let recorder = Recorder::start(records, axes.len(), plan.cycle.period_ns, || {}).unwrap();
+        let measured = Measured::new(axes.len(), &plan.cycle, true);
+        let recorder = Recorder::start(records, measured, None, None, || {}).unwrap();
         let engine = Arc::new(Mutex::new(Some(engine)));
         let of_thread = Arc::clone(&engine);
         // Not to be waited for: it leaves without telling its handle.
@@ -142,15 +144,15 @@ impl Confined {
             // SAFETY: ends this thread only, and what stands on its stack is needed by nobody and never freed.
             unsafe { libc::syscall(libc::SYS_exit, 0) };
         }));
-        (Confined { engine, control, status, _recorder: recorder }, axes)
+        (Confined { engine, control, gauges, _recorder: recorder }, axes)
     }
 
     fn executed(&self) -> u64 {
-        self.status.read().executed
+        self.gauges.status.read().executed
     }
 
     /// Waits for the end of the loop.
-    fn end(self) -> RunEnd {
+    fn end(self) -> Numbers {
         let mut end = None;
         assert!(until(LONG, || {
             end = self.engine.try_lock().ok().and_then(|mut engine| engine.take());

@@ -13,8 +13,8 @@ use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::linudp::wire::{ControlWord, REQUEST_MAX, Request, ResponseDef, ResponseView};
 use fieldbeat::bus::linudp::{DRIVE_PORT, LinUdpDrive, LinUdpPlan, MASTER_PORT};
 use fieldbeat::cycle::engine::Control;
-use fieldbeat::cycle::record::Record;
-use fieldbeat::cycle::status::{RunEnd, Status};
+use fieldbeat::cycle::record::{DriveRecord, Record};
+use fieldbeat::cycle::status::{Numbers, Status};
 use fieldbeat::cycle::{CyclePlan, Guard, Overrun, Plan, Wait};
 use fieldbeat::master::{Assembly, assemble};
 use fieldbeat::net::Carriers;
@@ -253,7 +253,7 @@ impl Rig {
     }
 
     /// The exact end of the run.
-    pub fn end(self) -> RunEnd {
+    pub fn end(self) -> Numbers {
         self.assembly.engine.finish()
     }
 
@@ -318,7 +318,7 @@ pub struct Duel {
     /// The bare loop.
     pub bare: Measured,
     /// The end of our loop.
-    pub end: RunEnd,
+    pub end: Numbers,
 }
 
 /// Lets our loop and the bare loop run in turns: each has its own grid of `period_ns`, one half a period behind the other,
@@ -345,8 +345,8 @@ pub fn duel(
         for _ in 0..cycles {
             let (before, executed) = (thread_cpu_ns(), rig.status().executed);
             let turn = rig.turn(|record| {
-                if let Record::RoundTrip { rtt_ns, .. } = record {
-                    ours.round_trips.push(u64::from(rtt_ns));
+                if let Record::Drive(DriveRecord { rtt_ns: Some(rtt_ns), .. }) = record {
+                    ours.round_trips.push(u64::from(rtt_ns.get()));
                 }
             });
             let between = thread_cpu_ns();

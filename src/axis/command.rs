@@ -275,21 +275,43 @@ impl Verb {
         matches!(self, Verb::Move(_) | Verb::Jog(_) | Verb::Velocity { .. } | Verb::Follow | Verb::Native(_))
     }
 
+    /// The names, by [`code`](Verb::code); 0 is none of them.
+    pub const NAMES: [&str; 13] = [
+        "-",
+        "enable",
+        "disable",
+        "home",
+        "move",
+        "jog",
+        "velocity",
+        "follow",
+        "stop",
+        "quick stop",
+        "reset fault",
+        "reset",
+        "native",
+    ];
+
+    /// Its number in records, from 1.
+    pub fn code(&self) -> u8 {
+        match self {
+            Verb::Enable => 1,
+            Verb::Disable => 2,
+            Verb::Home => 3,
+            Verb::Move(_) => 4,
+            Verb::Jog(_) => 5,
+            Verb::Velocity { .. } => 6,
+            Verb::Follow => 7,
+            Verb::Stop { .. } => 8,
+            Verb::QuickStop => 9,
+            Verb::ResetFault => 10,
+            Verb::Reset => 11,
+            Verb::Native(_) => 12,
+        }
+    }
+
     /// Its name in events and messages.
     pub fn name(&self) -> &'static str {
-        match self {
-            Verb::Enable => "enable",
-            Verb::Disable => "disable",
-            Verb::Home => "home",
-            Verb::Move(_) => "move",
-            Verb::Jog(_) => "jog",
-            Verb::Velocity { .. } => "velocity",
-            Verb::Follow => "follow",
-            Verb::Stop { .. } => "stop",
-            Verb::QuickStop => "quick stop",
-            Verb::ResetFault => "reset fault",
-            Verb::Reset => "reset",
-            Verb::Native(_) => "native",
-        }
+        Verb::NAMES[usize::from(self.code())]
     }
 }

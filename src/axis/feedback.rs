@@ -31,7 +31,7 @@ pub enum State {
 }
 
 impl State {
-    const ALL: [State; 9] = [
+    pub(crate) const ALL: [State; 9] = [
         State::Unknown,
         State::NotReadyToSwitchOn,
         State::SwitchOnDisabled,
@@ -74,7 +74,7 @@ pub enum Link {
 }
 
 impl Link {
-    const ALL: [Link; 4] = [Link::Unseen, Link::Qualifying, Link::Online, Link::Lost];
+    pub(crate) const ALL: [Link; 4] = [Link::Unseen, Link::Qualifying, Link::Online, Link::Lost];
 }
 
 impl fmt::Display for Link {
@@ -127,7 +127,7 @@ pub enum StopCause {
 }
 
 impl StopCause {
-    const ALL: [StopCause; 16] = [
+    pub(crate) const ALL: [StopCause; 16] = [
         StopCause::Shutdown,
         StopCause::LinkLost,
         StopCause::DriveFault,

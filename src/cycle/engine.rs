@@ -13,14 +13,14 @@ use super::gates::Gates;
 use super::grid::Grid;
 use super::heartbeat::Heartbeat;
 use super::plan::{CyclePlan, Guard, Overrun};
-use super::record::Record;
+use super::record::{CycleRecord, Look, Record, Reply, SkippedRecord, short};
 use super::seat::Seat;
-use super::status::{DriveEnd, RunEnd, Status};
+use super::status::{DriveEnd, DriveNumbers, Numbers, Status};
 use super::task::{Axes, Task};
 use super::window::{BusSeat, Window};
 use crate::axis::cell::Writer;
 use crate::axis::{Link, Pulse, StopCause};
-use crate::bus::{Cycle, Slot};
+use crate::bus::{Cycle, Slot, Strangers};
 use crate::rt::{Clock, GuardTuner, Regions};
 use crate::time::{MS, Time, nanos};
 
@@ -56,6 +56,10 @@ pub struct Outlets {
     pub records: Producer<Record>,
     /// The numbers of the loop, newest only.
     pub status: Writer<Status>,
+    /// Those of each drive, in the order of the plan.
+    pub drives: Vec<Writer<DriveNumbers>>,
+    /// Those of each bus.
+    pub strangers: Vec<Writer<Strangers>>,
 }
 
 /// The loop.
@@ -63,6 +67,8 @@ pub struct Engine<C> {
     clock: C,
     plan: CyclePlan,
     deadline_ns: u64,
+    late_ns: u64,
+    numbers_every: u64,
     longest_end_ns: u64,
     grid: Grid,
     guard: GuardTuner,
@@ -71,7 +77,6 @@ pub struct Engine<C> {
     slots: Vec<Slot>,
     seats: Vec<Seat>,
     names: Vec<(String, &'static str)>,
-    rtt_max: Vec<Option<(u64, u32)>>,
     task: Option<Task>,
     task_id: u64,
     gates: Gates,
@@ -79,6 +84,12 @@ pub struct Engine<C> {
     control: Control,
     outlets: Outlets,
     status: Status,
+    /// The loop was awake before the grid point of this slot.
+    spun: bool,
+    /// The executed cycle before was late.
+    was_late: bool,
+    /// How late the executed cycle before began.
+    wake_before_ns: Option<u64>,
     /// Slots passed over since the last executed one.
     skipped_in_a_row: u64,
     /// The shutdown has begun: since when, and how much of it was asked for.
@@ -107,6 +118,11 @@ pub enum Flow {
 /// Wake-ups measured before the first cycle to choose the guard.
 const CALIBRATION_SLEEPS: u32 = 200;
 
+/// The numbers of a drive and of a bus are published once in so many executed cycles, the drives in turns: nobody reads them
+/// faster. At long periods once in so much time.
+const NUMBERS_EVERY: u64 = 64;
+const NUMBERS_EVERY_NS: u64 = 100 * MS;
+
 /// What a shutdown is given beyond the time-outs of its axes.
 const END_MARGIN_NS: u64 = 1_000 * MS;
 
@@ -130,6 +146,8 @@ impl<C: Clock> Engine<C> {
         Engine {
             longest_end_ns: stops.saturating_mul(3).saturating_add(END_MARGIN_NS),
             deadline_ns: plan.deadline_ns(),
+            late_ns: plan.late_ns(),
+            numbers_every: (NUMBERS_EVERY_NS / plan.period_ns.max(1)).clamp(1, NUMBERS_EVERY),
             grid: Grid::new(Time(0), plan.period_ns),
             guard: match plan.guard {
                 Guard::Off => GuardTuner::fixed(0),
@@ -139,7 +157,6 @@ impl<C: Clock> Engine<C> {
             window,
             buses,
             slots: vec![Slot::default(); seats.len()],
-            rtt_max: vec![None; seats.len()],
             names,
             task,
             task_id: 1,
@@ -149,6 +166,9 @@ impl<C: Clock> Engine<C> {
             control,
             outlets,
             status: Status::default(),
+            spun: false,
+            was_late: false,
+            wake_before_ns: None,
             skipped_in_a_row: 0,
             ending: None,
             buses_down: false,
@@ -162,12 +182,15 @@ impl<C: Clock> Engine<C> {
     pub fn memory(&self, regions: &mut Regions) {
         regions.add(&*self.slots);
         regions.add(&*self.seats);
-        regions.add(&*self.rtt_max);
         self.gates.memory(regions);
         self.heartbeat.memory(regions);
         regions.add(&*self.control.0);
         regions.add(&*self.buses);
         self.outlets.status.memory(regions);
+        regions.add(&*self.outlets.drives);
+        self.outlets.drives.iter().for_each(|drive| drive.memory(regions));
+        regions.add(&*self.outlets.strangers);
+        self.outlets.strangers.iter().for_each(|strangers| strangers.memory(regions));
         for seat in &self.seats {
             seat.memory(regions);
         }
@@ -197,6 +220,7 @@ impl<C: Clock> Engine<C> {
         self.clock.sleep_until(self.grid.at() - guard_ns);
         let mut now = self.clock.now();
         self.guard.observe(now.since(self.grid.at() - guard_ns));
+        self.spun = now < self.grid.at();
         // The final spin, bounded by the guard.
         while now < self.grid.at() {
             self.clock.spin();
@@ -205,7 +229,7 @@ impl<C: Clock> Engine<C> {
         // A slot may begin late by half of its receive window. Later, and the drives would be charged for what is our own.
         let late = self.grid.passed(now, self.deadline_ns / 2);
         if late > 0 {
-            self.pass_over(now, late);
+            self.pass_over(now, late, true);
             return Flow::Continue;
         }
         let cycle = self.cycle_at(self.grid.index(), self.grid.at());
@@ -215,7 +239,7 @@ impl<C: Clock> Engine<C> {
         let now = self.clock.now();
         let passed = self.grid.passed(now, 0);
         if passed > 0 {
-            self.pass_over(now, passed);
+            self.pass_over(now, passed, false);
         }
         flow
     }
@@ -226,9 +250,9 @@ impl<C: Clock> Engine<C> {
 
     fn execute(&mut self, cycle: &Cycle, woke: Time) -> Flow {
         let wake_ns = woke.since(cycle.grid);
-        if wake_ns > self.status.wake_max_ns {
-            (self.status.wake_max_ns, self.status.wake_max_index) = (wake_ns, cycle.index);
-        }
+        self.status.wake_max.see(wake_ns, cycle.index);
+        let jitter_ns = self.wake_before_ns.replace(wake_ns).map_or(0, |before| wake_ns.abs_diff(before));
+        self.status.jitter_max.see(jitter_ns, cycle.index);
 
         // 1 send
         for seat in &mut self.buses {
@@ -238,7 +262,7 @@ impl<C: Clock> Engine<C> {
         self.skipped_in_a_row = 0;
         for (seat, slot) in self.seats.iter_mut().zip(&self.slots) {
             if slot.due {
-                seat.sent(cycle.index, slot);
+                seat.sent(cycle, slot);
             }
         }
         let sent = self.clock.now();
@@ -248,7 +272,8 @@ impl<C: Clock> Engine<C> {
         let received = self.clock.now();
 
         // 3 judge
-        self.judge(cycle, received);
+        let missed = self.judge(cycle, received);
+        let judged = self.clock.now();
 
         // 4 exchange. The task comes first: what it asks for leaves with the next send.
         let ended = self.end(cycle, received);
@@ -260,35 +285,59 @@ impl<C: Clock> Engine<C> {
             self.gates.open(cycle, received, &mut self.seats, &mut self.slots);
         }
 
+        let exchanged = self.clock.now();
+
         // 5 prepare
         let next = self.cycle_at(cycle.index + 1, cycle.grid + cycle.period_ns);
         self.arm(&next, received);
 
+        let prepared = self.clock.now();
+
         // 6 publish
-        let done = self.clock.now();
-        let short = |ns: u64| u32::try_from(ns).unwrap_or(u32::MAX);
-        self.record(Record::Cycle {
-            index: cycle.index,
-            wake_ns: short(wake_ns),
-            send_ns: short(sent.since(woke)),
-            receive_ns: short(received.since(sent)),
-            work_ns: short(done.since(received)),
-        });
         self.publish();
+        let published = self.clock.now();
+        let ends = [woke, sent, received, judged, exchanged, prepared, published];
+        let stages_ns: [u64; 6] = std::array::from_fn(|stage| ends[stage + 1].since(ends[stage]));
+        for (peak, ns) in self.status.stage_max.iter_mut().zip(stages_ns) {
+            peak.see(ns, cycle.index);
+        }
+        let record = CycleRecord {
+            index: cycle.index,
+            grid: cycle.grid,
+            wake_ns: short(wake_ns),
+            spun: self.spun,
+            jitter_ns: short(jitter_ns),
+            stages_ns: stages_ns.map(short),
+            missed,
+            look: None,
+        };
+        self.account(record);
         if ended { Flow::End } else { Flow::Continue }
     }
 
-    fn judge(&mut self, cycle: &Cycle, now: Time) {
-        for (index, (seat, slot)) in self.seats.iter_mut().zip(&mut self.slots).enumerate() {
-            if let Some(rtt_ns) = seat.judge(cycle, now, slot) {
-                if self.rtt_max[index].is_none_or(|(_, most)| rtt_ns > most) {
-                    self.rtt_max[index] = Some((cycle.index, rtt_ns));
-                }
-                let record = Record::RoundTrip { index: cycle.index, axis: index as u32, rtt_ns };
-                if self.outlets.records.push(record).is_err() {
-                    self.status.lost_records += 1;
-                }
-            }
+    /// Tells of an executed cycle. If it was late it is looked at, at the cost of a system call, what the kernel has counted
+    /// against this thread.
+    fn account(&mut self, mut record: CycleRecord) {
+        self.was_late = record.lateness(self.late_ns, self.deadline_ns).is_some();
+        if self.was_late {
+            self.status.late += 1;
+            record.look = Some(self.look());
+        }
+        self.record(Record::Cycle(record));
+    }
+
+    fn look(&mut self) -> Look {
+        let usage = self.clock.usage();
+        Look { faults: usage.page_faults() as u32, switches: usage.involuntary_switches as u32 }
+    }
+
+    /// Judges all exchanges. Returns how many drives that were online have not answered.
+    fn judge(&mut self, cycle: &Cycle, now: Time) -> u16 {
+        let mut missed = 0_u16;
+        for (seat, slot) in self.seats.iter_mut().zip(&mut self.slots) {
+            let online = seat.feedback().link == Link::Online;
+            let reply = seat.judge(cycle, now, slot);
+            missed += u16::from(online && reply == Reply::Missed);
             seat.watch(cycle, now, slot);
         }
         if self.heartbeat.is_silent(cycle) {
@@ -305,6 +354,7 @@ impl<C: Clock> Engine<C> {
             }
         }
         self.take_groups_along(cycle, now);
+        missed
     }
 
     /// An axis that was stopped takes its stop group along.
@@ -390,21 +440,36 @@ impl<C: Clock> Engine<C> {
         }
     }
 
-    /// Passes over slots that cannot be executed any more.
-    fn pass_over(&mut self, now: Time, count: u64) {
+    /// Passes over slots that cannot be executed any more: the loop woke too late for them, or the cycle before took too long.
+    fn pass_over(&mut self, now: Time, count: u64, woke_late: bool) {
         // What a skipped slot owed comes with the next one that is executed, at the earliest.
         let next_ns = count.saturating_mul(self.plan.period_ns);
-        let (first, late_ns) = (self.grid.index(), now.since(self.grid.at()).max(next_ns));
+        let (first, given_up_ns) = (self.grid.index(), now.since(self.grid.at()));
+        let late_ns = given_up_ns.max(next_ns);
         self.status.overruns += 1;
         self.status.skipped += count;
         self.skipped_in_a_row += count;
         self.status.longest_skip = self.status.longest_skip.max(self.skipped_in_a_row);
-        if late_ns > self.status.wake_max_ns {
-            (self.status.wake_max_ns, self.status.wake_max_index) = (late_ns, first);
-        }
-        self.record(Record::Skipped { first, count, late_ns });
+        self.status.wake_max.see(late_ns, first);
+        // An overrun is late, but the cycle before may have been counted for it already.
+        let late = woke_late || !self.was_late;
+        self.status.late += u64::from(late);
+        let look = late.then(|| self.look());
+        let grid = self.grid.at();
+        self.record(Record::Skipped(SkippedRecord {
+            first,
+            grid,
+            count,
+            late_ns,
+            given_up_ns,
+            woke_late,
+            late,
+            spun: self.spun,
+            look,
+        }));
         self.grid.advance(count);
         self.status.planned = self.grid.planned();
+        self.outlets.status.write(&self.status);
         let cycle = self.cycle_at(self.grid.index(), self.grid.at());
         let stop = match self.plan.overrun {
             Overrun::Stop => true,
@@ -418,14 +483,27 @@ impl<C: Clock> Engine<C> {
     }
 
     fn publish(&mut self) {
+        let turn = self.status.executed;
         let (mut operational, mut online, mut lost) = (0, 0, 0);
         self.status.missed = 0;
-        for (seat, slot) in self.seats.iter_mut().zip(&self.slots) {
+        for (axis, (seat, slot)) in self.seats.iter_mut().zip(&self.slots).enumerate() {
             self.status.missed += slot.counters.missed + slot.counters.unsent;
-            seat.publish();
+            let record = seat.publish(axis as u16);
+            if self.outlets.records.push(Record::Drive(record)).is_err() {
+                self.status.lost_records += 1;
+            }
+            if (turn + axis as u64).is_multiple_of(self.numbers_every) {
+                let (counters, losses, peaks) = (slot.counters, seat.losses, seat.peaks);
+                self.outlets.drives[axis].write(&DriveNumbers { counters, losses, peaks });
+            }
             operational += u32::from(seat.feedback().is_operational());
             online += u32::from(seat.feedback().link == Link::Online);
             lost += seat.lost_events + seat.lost_samples;
+        }
+        if turn.is_multiple_of(self.numbers_every) {
+            for (seat, strangers) in self.buses.iter().zip(&mut self.outlets.strangers) {
+                strangers.write(&seat.bus.strangers());
+            }
         }
         self.status.planned = self.grid.planned() + 1;
         (self.status.operational, self.status.online, self.status.lost_events) = (operational, online, lost);
@@ -449,20 +527,20 @@ impl<C: Clock> Engine<C> {
     }
 
     /// The exact end of the run.
-    pub fn finish(self) -> RunEnd {
+    pub fn finish(self) -> Numbers {
         let status = Status { planned: self.grid.planned(), ..self.status };
-        let drives = (self.names.into_iter().zip(&self.seats).zip(&self.slots).zip(&self.rtt_max))
-            .map(|((((name, protocol), seat), slot), rtt_max)| DriveEnd {
+        let drives = (self.names.into_iter().zip(&self.seats).zip(&self.slots))
+            .map(|(((name, protocol), seat), slot)| DriveEnd {
                 name,
                 protocol,
                 feedback: *seat.feedback(),
                 counters: slot.counters,
                 losses: seat.losses,
-                rtt_max: *rtt_max,
+                peaks: seat.peaks,
             })
             .collect();
         let buses =
             self.buses.iter().map(|seat| (seat.bus.name().to_owned(), seat.bus.strangers())).collect();
-        RunEnd { status, drives, buses, page_faults: None, involuntary_switches: None }
+        Numbers { status, drives, buses, page_faults: None, involuntary_switches: None }
     }
 }

@@ -1,38 +1,260 @@
-//! What the loop tells the telemetry thread: fixed-size records through a ring. A full ring loses records, never truth:
-//! the counts and maxima that the loop keeps itself are exact, and the loss is counted.
+//! What the loop tells the telemetry thread: fixed-size records through a ring, one a drive and one a cycle. A full ring
+//! loses records, never truth: the counts and maxima that the loop keeps itself are exact, and the loss is counted.
 
-/// One record.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+use std::num::NonZeroU32;
+
+use crate::axis::{Link, State, StopCause};
+use crate::time::Time;
+
+/// One record. Those of the drives come before that of their cycle.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Record {
+    /// One drive in an executed cycle.
+    Drive(DriveRecord),
     /// One executed cycle.
-    Cycle {
-        /// Its slot.
-        index: u64,
-        /// Begin of the cycle after its grid point, ns.
-        wake_ns: u32,
-        /// How long the send stage took, ns.
-        send_ns: u32,
-        /// How long the receive stage took, ns.
-        receive_ns: u32,
-        /// Everything after it, ns.
-        work_ns: u32,
-    },
+    Cycle(CycleRecord),
     /// Slots passed over.
-    Skipped {
-        /// The first of them.
-        first: u64,
-        /// How many.
-        count: u64,
-        /// How late the first of them was when it was given up, ns; each further one is a period less.
-        late_ns: u64,
-    },
-    /// One exchange with a round-trip time.
-    RoundTrip {
-        /// The slot.
-        index: u64,
-        /// The axis.
-        axis: u32,
-        /// From the send stamp to the taking in, ns.
-        rtt_ns: u32,
-    },
+    Skipped(SkippedRecord),
+}
+
+/// The stages of a cycle, in their order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[repr(u8)]
+pub enum Stage {
+    /// Draining the sockets and handing the requests to the kernel.
+    Send = 0,
+    /// Taking in replies until the window closes.
+    Receive = 1,
+    /// Link health, limits, stop ladders.
+    Judge = 2,
+    /// Command queues and the in-loop task.
+    Exchange = 3,
+    /// Building the next requests.
+    Prepare = 4,
+    /// Feedback, events, records.
+    Publish = 5,
+}
+
+impl Stage {
+    /// All of them, in their order.
+    pub const ALL: [Stage; 6] =
+        [Stage::Send, Stage::Receive, Stage::Judge, Stage::Exchange, Stage::Prepare, Stage::Publish];
+
+    /// As in reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            Stage::Send => "send",
+            Stage::Receive => "receive",
+            Stage::Judge => "judge",
+            Stage::Exchange => "exchange",
+            Stage::Prepare => "prepare",
+            Stage::Publish => "publish",
+        }
+    }
+}
+
+/// One executed cycle.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct CycleRecord {
+    /// Its slot.
+    pub index: u64,
+    /// The instant of its slot on the grid.
+    pub grid: Time,
+    /// Begin of the cycle after its grid point, ns.
+    pub wake_ns: u32,
+    /// The loop was awake before the grid point and spun up to it.
+    pub spun: bool,
+    /// By how much the distance to the begin of the cycle before differs from that of their grid points, ns.
+    pub jitter_ns: u32,
+    /// How long each [`Stage`] took, ns.
+    pub stages_ns: [u32; 6],
+    /// Exchanges with drives that are online, not answered in this window.
+    pub missed: u16,
+    /// What the kernel had counted against the loop's thread; looked at only after a late cycle.
+    pub look: Option<Look>,
+}
+
+/// Slots passed over.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SkippedRecord {
+    /// The first of them.
+    pub first: u64,
+    /// The instant of the first on the grid.
+    pub grid: Time,
+    /// How many.
+    pub count: u64,
+    /// How late the first of them is when the next one begins, ns; each further one is a period less.
+    pub late_ns: u64,
+    /// How late it was when it was given up, ns.
+    pub given_up_ns: u64,
+    /// The loop woke too late to begin; otherwise the cycle before took too long.
+    pub woke_late: bool,
+    /// A late cycle of its own: the cycle before was not late itself.
+    pub late: bool,
+    /// It was awake before the grid point of the first.
+    pub spun: bool,
+    /// As of a cycle.
+    pub look: Option<Look>,
+}
+
+/// What the kernel counted against the loop's thread since it began, modulo 2^32.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Look {
+    /// Page faults.
+    pub faults: u32,
+    /// Involuntary context switches.
+    pub switches: u32,
+}
+
+/// What became of a drive's exchange in a cycle.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[repr(u8)]
+pub enum Reply {
+    /// None was under way.
+    #[default]
+    None = 0,
+    /// Owed in a later window.
+    Owed = 1,
+    /// Answered.
+    Answered = 2,
+    /// Answered, but possibly by the reply to an earlier request.
+    Suspect = 3,
+    /// Not answered in time.
+    Missed = 4,
+    /// Refused by the operating system.
+    Unsent = 5,
+}
+
+impl Reply {
+    /// All of them, in the order of their numbers.
+    pub const ALL: [Reply; 6] =
+        [Reply::None, Reply::Owed, Reply::Answered, Reply::Suspect, Reply::Missed, Reply::Unsent];
+}
+
+/// One drive in an executed cycle, as it was published.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct DriveRecord {
+    /// The slot.
+    pub index: u64,
+    /// The axis, in the order of the plan.
+    pub axis: u16,
+    /// The exchange.
+    pub reply: Reply,
+    /// The link as judged.
+    pub link: Link,
+    /// The link was up before that.
+    pub was_online: bool,
+    /// State of the drive.
+    pub state: State,
+    /// The latch.
+    pub stopped: Option<StopCause>,
+    /// The command that runs, as [`Verb::code`](crate::Verb::code); 0 = none.
+    pub verb: u8,
+    /// Moving, as the drive says.
+    pub moving: bool,
+    /// The drive's hardware enable (STO) is missing.
+    pub inhibited: bool,
+    /// The request left so long after the grid point, ns; `None` = none left in this cycle.
+    pub phase_ns: Option<NonZeroU32>,
+    /// By how much the distance to its request before differs from that of their grid points, ns.
+    pub jitter_ns: Option<NonZeroU32>,
+    /// From the send stamp to the taking in, ns; not of a suspect reply.
+    pub rtt_ns: Option<NonZeroU32>,
+    /// How old the values were when the window closed, ns; `None` before the first, and while the link is down.
+    pub age_ns: Option<NonZeroU32>,
+    /// Fault code, 0 = none.
+    pub fault: u32,
+    /// Warning word, 0 = none.
+    pub warning: u32,
+    /// Motor current, A.
+    pub current: f32,
+    /// Actual velocity, user units/s.
+    pub velocity: f32,
+    /// Actual position, user units.
+    pub position: f64,
+    /// Demand position, user units.
+    pub demand: f64,
+}
+
+/// Nanoseconds in a record: beyond 4.29 s they stay there.
+pub fn short(ns: u64) -> u32 {
+    u32::try_from(ns).unwrap_or(u32::MAX)
+}
+
+/// A measured time in a record, at least 1 ns.
+pub fn measured(ns: u64) -> Option<NonZeroU32> {
+    NonZeroU32::new(short(ns.max(1)))
+}
+
+/// Why a cycle counts as late.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Lateness {
+    /// It began so long after its grid point, ns.
+    Wake(u64),
+    /// A stage took so long, ns. Of the receive stage: so long beyond the deadline.
+    Stage(Stage, u64),
+    /// A drive that is online had not answered at the deadline.
+    Reply,
+}
+
+impl Lateness {
+    /// How long, ns.
+    pub fn ns(self) -> u64 {
+        match self {
+            Lateness::Wake(ns) | Lateness::Stage(_, ns) => ns,
+            Lateness::Reply => 0,
+        }
+    }
+}
+
+impl CycleRecord {
+    /// Whether this cycle is late, by more than `late_ns`, with replies taken until `deadline_ns` after the grid point. The
+    /// longest of its delays is named: the others follow from it.
+    pub fn lateness(&self, late_ns: u64, deadline_ns: u64) -> Option<Lateness> {
+        let wake_ns = u64::from(self.wake_ns);
+        let mut worst = (wake_ns > late_ns).then_some(Lateness::Wake(wake_ns));
+        for (stage, ns) in Stage::ALL.into_iter().zip(self.stages_ns) {
+            let ns = match stage {
+                Stage::Receive => {
+                    let begin = wake_ns + u64::from(self.stages_ns[Stage::Send as usize]);
+                    (begin + u64::from(ns)).saturating_sub(deadline_ns.max(begin))
+                }
+                _ => u64::from(ns),
+            };
+            if ns > late_ns && worst.is_none_or(|worst| ns > worst.ns()) {
+                worst = Some(Lateness::Stage(stage, ns));
+            }
+        }
+        worst.or((self.missed > 0).then_some(Lateness::Reply))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::time::US;
+
+    #[test]
+    fn a_record_fits_into_72_bytes() {
+        assert!(size_of::<Record>() <= 72, "{}", size_of::<Record>());
+    }
+
+    #[test]
+    fn the_longest_delay_makes_a_cycle_late() {
+        let us = |us: u64| short(us * US);
+        let late = |wake, stages: [u64; 6], missed| {
+            let record =
+                CycleRecord { wake_ns: us(wake), stages_ns: stages.map(us), missed, ..Default::default() };
+            record.lateness(100 * US, 500 * US)
+        };
+        assert_eq!(late(100, [40, 360, 100, 1, 1, 1], 0), None);
+        assert_eq!(late(101, [40, 360, 1, 1, 1, 1], 1), Some(Lateness::Wake(101 * US)));
+        assert_eq!(late(101, [140, 260, 1, 1, 1, 1], 0), Some(Lateness::Stage(Stage::Send, 140 * US)));
+        assert_eq!(late(9, [40, 1, 1, 900, 1, 1], 0), Some(Lateness::Stage(Stage::Exchange, 900 * US)));
+        // The window may last until its deadline; a drive that is missing then is a cause of its own.
+        assert_eq!(late(9, [40, 451, 1, 1, 1, 1], 1), Some(Lateness::Reply));
+        assert_eq!(late(0, [50, 551, 1, 1, 1, 1], 1), Some(Lateness::Stage(Stage::Receive, 101 * US)));
+        // A window that began beyond its deadline is not charged for what came before it.
+        assert_eq!(late(90, [450, 99, 1, 1, 1, 1], 0), Some(Lateness::Stage(Stage::Send, 450 * US)));
+    }
 }

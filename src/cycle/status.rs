@@ -1,7 +1,7 @@
 //! What the loop counts of itself, exactly.
 
 use crate::axis::Feedback;
-use crate::axis::cell::Packed;
+use crate::axis::cell::{Packed, Reader};
 use crate::bus::{Counters, Strangers};
 
 /// The loop in numbers, published every cycle.
@@ -17,10 +17,14 @@ pub struct Status {
     pub overruns: u64,
     /// The longest row of skipped slots.
     pub longest_skip: u64,
-    /// Latest begin of a cycle after its grid point, ns, skipped slots included.
-    pub wake_max_ns: u64,
-    /// In which slot that was.
-    pub wake_max_index: u64,
+    /// Cycles that were late, by the plan's threshold; slots that passed while the loop woke up count once.
+    pub late: u64,
+    /// Latest begin of a cycle after its grid point, skipped slots included.
+    pub wake_max: Peak,
+    /// Largest difference between the distance of two begins and that of their grid points.
+    pub jitter_max: Peak,
+    /// The longest time of each stage.
+    pub stage_max: [Peak; 6],
     /// Axes in operation now.
     pub operational: u32,
     /// Axes online now.
@@ -33,44 +37,175 @@ pub struct Status {
     pub lost_events: u64,
 }
 
-impl Packed for Status {
-    type Words = [u64; 11];
+/// The largest value seen, and the slot it was seen in. All zero: none was.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Peak {
+    /// ns.
+    pub ns: u64,
+    /// The slot.
+    pub index: u64,
+}
 
-    fn pack(&self) -> [u64; 11] {
-        [
+impl Peak {
+    /// Takes one more value in.
+    pub fn see(&mut self, ns: u64, index: u64) {
+        if ns > self.ns {
+            *self = Peak { ns, index };
+        }
+    }
+}
+
+impl Packed for Status {
+    type Words = [u64; 28];
+
+    fn pack(&self) -> [u64; 28] {
+        let mut words = [0; 28];
+        words[..12].copy_from_slice(&[
             self.planned,
             self.executed,
             self.skipped,
             self.overruns,
             self.longest_skip,
-            self.wake_max_ns,
-            self.wake_max_index,
+            self.late,
             u64::from(self.operational) | u64::from(self.online) << 32,
             self.missed,
             self.lost_records,
             self.lost_events,
-        ]
+            self.wake_max.ns,
+            self.wake_max.index,
+        ]);
+        let peaks = [self.jitter_max].into_iter().chain(self.stage_max);
+        for (pair, peak) in words[12..].chunks_exact_mut(2).zip(peaks) {
+            pair.copy_from_slice(&[peak.ns, peak.index]);
+        }
+        words
     }
 
-    fn unpack(words: &[u64; 11]) -> Status {
+    fn unpack(words: &[u64; 28]) -> Status {
+        let peak = |at: usize| Peak { ns: words[at], index: words[at + 1] };
         Status {
             planned: words[0],
             executed: words[1],
             skipped: words[2],
             overruns: words[3],
             longest_skip: words[4],
-            wake_max_ns: words[5],
-            wake_max_index: words[6],
-            operational: words[7] as u32,
-            online: (words[7] >> 32) as u32,
-            missed: words[8],
-            lost_records: words[9],
-            lost_events: words[10],
+            late: words[5],
+            operational: words[6] as u32,
+            online: (words[6] >> 32) as u32,
+            missed: words[7],
+            lost_records: words[8],
+            lost_events: words[9],
+            wake_max: peak(10),
+            jitter_max: peak(12),
+            stage_max: std::array::from_fn(|stage| peak(14 + 2 * stage)),
         }
     }
 }
 
-/// One drive at the end of a run.
+/// The largest times of one drive.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Peaks {
+    /// Of its round trips.
+    pub rtt: Peak,
+    /// Largest difference between the distance of two requests and that of their grid points.
+    pub send_jitter: Peak,
+    /// Age of its values when a window closed.
+    pub age: Peak,
+}
+
+/// What the loop counts of one drive, published in turns.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct DriveNumbers {
+    /// What was sent and what came of it.
+    pub counters: Counters,
+    /// Times that the link was lost.
+    pub losses: u64,
+    /// Its largest times.
+    pub peaks: Peaks,
+}
+
+impl Packed for DriveNumbers {
+    type Words = [u64; 16];
+
+    fn pack(&self) -> [u64; 16] {
+        let (c, Peaks { rtt, send_jitter, age }) = (&self.counters, self.peaks);
+        [
+            c.sent,
+            c.unsent,
+            c.answered,
+            c.missed,
+            c.late,
+            c.duplicate,
+            c.suspect,
+            c.malformed,
+            c.foreign,
+            self.losses,
+            rtt.ns,
+            rtt.index,
+            send_jitter.ns,
+            send_jitter.index,
+            age.ns,
+            age.index,
+        ]
+    }
+
+    fn unpack(words: &[u64; 16]) -> DriveNumbers {
+        let &[
+            sent,
+            unsent,
+            answered,
+            missed,
+            late,
+            duplicate,
+            suspect,
+            malformed,
+            foreign,
+            losses,
+            ref peaks @ ..,
+        ] = words;
+        let peak = |at: usize| Peak { ns: peaks[at], index: peaks[at + 1] };
+        DriveNumbers {
+            counters: Counters {
+                sent,
+                unsent,
+                answered,
+                missed,
+                late,
+                duplicate,
+                suspect,
+                malformed,
+                foreign,
+            },
+            losses,
+            peaks: Peaks { rtt: peak(0), send_jitter: peak(2), age: peak(4) },
+        }
+    }
+}
+
+impl Packed for Strangers {
+    type Words = [u64; 2];
+
+    fn pack(&self) -> [u64; 2] {
+        [self.datagrams, self.errors]
+    }
+
+    fn unpack(words: &[u64; 2]) -> Strangers {
+        Strangers { datagrams: words[0], errors: words[1] }
+    }
+}
+
+/// Readers of what the loop counts, for any thread.
+#[derive(Debug)]
+pub struct Gauges {
+    /// The numbers of the loop, newest.
+    pub status: Reader<Status>,
+    /// Those of each drive, in the order of the plan; at most 64 cycles or 100 ms old.
+    pub drives: Vec<Reader<DriveNumbers>>,
+    /// Those of each bus; at most 64 cycles or 100 ms old.
+    pub strangers: Vec<Reader<Strangers>>,
+}
+
+/// One drive in numbers.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DriveEnd {
     /// Its axis' name.
@@ -83,21 +218,73 @@ pub struct DriveEnd {
     pub counters: Counters,
     /// Times that the link was lost.
     pub losses: u64,
-    /// The largest round trip: its slot, and ns.
-    pub rtt_max: Option<(u64, u32)>,
+    /// Its largest times.
+    pub peaks: Peaks,
 }
 
-/// The end of a run: exact, whatever the rings lost.
+/// A run in numbers, at its end or meanwhile: exact, whatever the rings lost.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct RunEnd {
+pub struct Numbers {
     /// The loop.
     pub status: Status,
     /// The drives, in the order of the plan.
     pub drives: Vec<DriveEnd>,
     /// The buses: name, and what belonged to none of their drives.
     pub buses: Vec<(String, Strangers)>,
-    /// Page faults and involuntary switches of the loop's thread while it ran; `None` in virtual time.
+    /// Page faults and involuntary switches of the loop's thread while it ran; `None` before its end, and in virtual time.
     pub page_faults: Option<u64>,
     /// See `page_faults`.
     pub involuntary_switches: Option<u64>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_published_is_what_was_counted() {
+        let peak = |n: u64| Peak { ns: n, index: n + 1 };
+        let status = Status {
+            planned: 1,
+            executed: 2,
+            skipped: 3,
+            overruns: 4,
+            longest_skip: 5,
+            late: 6,
+            wake_max: peak(7),
+            jitter_max: peak(9),
+            stage_max: [11, 13, 15, 17, 19, 21].map(peak),
+            operational: 23,
+            online: 24,
+            missed: 25,
+            lost_records: 26,
+            lost_events: 27,
+        };
+        assert_eq!(Status::unpack(&status.pack()), status);
+        let counters = Counters {
+            sent: 1,
+            unsent: 2,
+            answered: 3,
+            missed: 4,
+            late: 5,
+            duplicate: 6,
+            suspect: 7,
+            malformed: 8,
+            foreign: 9,
+        };
+        let peaks = Peaks { rtt: peak(11), send_jitter: peak(13), age: peak(15) };
+        let drive = DriveNumbers { counters, losses: 10, peaks };
+        assert_eq!(DriveNumbers::unpack(&drive.pack()), drive);
+        let strangers = Strangers { datagrams: 3, errors: 4 };
+        assert_eq!(Strangers::unpack(&strangers.pack()), strangers);
+    }
+
+    #[test]
+    fn a_peak_is_the_first_of_the_largest() {
+        let mut peak = Peak::default();
+        for (index, ns) in [(3, 10), (4, 12), (5, 12), (6, 1)] {
+            peak.see(ns, index);
+        }
+        assert_eq!(peak, Peak { ns: 12, index: 4 });
+    }
 }

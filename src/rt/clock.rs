@@ -2,6 +2,7 @@
 
 use std::os::fd::RawFd;
 
+use super::Usage;
 use crate::time::{S, Time};
 
 /// The descriptors that a window waits on.
@@ -31,6 +32,11 @@ pub trait Clock: Send {
 
     /// One turn of a spinning wait: keeps the processor, lets nobody else run.
     fn spin(&mut self);
+
+    /// What the kernel counts against the calling thread; nothing in virtual time.
+    fn usage(&mut self) -> Usage {
+        Usage::default()
+    }
 }
 
 /// CLOCK_MONOTONIC of this machine.
@@ -75,5 +81,9 @@ impl Clock for MonotonicClock {
 
     fn spin(&mut self) {
         std::hint::spin_loop();
+    }
+
+    fn usage(&mut self) -> Usage {
+        Usage::of_thread()
     }
 }

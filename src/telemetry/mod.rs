@@ -1,14 +1,37 @@
-//! Histograms of what the loop measures. A normal thread, fed by a ring; the loop never waits for it.
+//! What the loop tells of itself: histograms, causes, a black box, and their reports. A normal thread, fed by a ring; the
+//! loop never waits for it.
 //!
 //! | file | what |
 //! |---|---|
-//! | `recorder` | the thread that empties the ring into histograms |
+//! | `recorder` | the thread that empties the ring |
+//! | `histograms` | every quantity, and the quantiles that its sample supports |
+//! | `timeline` | the largest values over time |
+//! | `hgrm` | a histogram as the tools of HdrHistogram read it |
+//! | `causes` | why a cycle was late |
+//! | `blackbox` | the last cycles, written to a file when something fails |
+//! | `monitor` | a reader of a machine, for any thread |
+//! | `metrics` | the numbers of a running machine, over HTTP |
+//! | `plots` | the pictures of a run |
+//! | `report` | a directory with all of it |
+//! | `file` | files that are whole or not there |
 //! | `summary` | the `--json` object and the table of a run |
 //!
 //! Counts and maxima come from the loop itself and are exact; quantiles come from here.
 
+pub mod blackbox;
+pub mod causes;
+mod file;
+pub mod hgrm;
+pub mod histograms;
+pub mod metrics;
+mod monitor;
+pub mod plots;
 mod recorder;
+pub mod report;
 pub mod summary;
+pub mod timeline;
 
-pub use recorder::{Histograms, Quantiles, Recorder};
-pub use summary::{Run, Summary};
+pub use histograms::{Histograms, Quantiles};
+pub use monitor::Monitor;
+pub use recorder::{Measured, Recorder, Recording};
+pub use summary::Summary;

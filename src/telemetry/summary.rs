@@ -1,13 +1,18 @@
 //! A run in numbers: the object that `--json` prints, and the same as text.
 
 use std::fmt::{self, Write as _};
+use std::sync::Arc;
 
 use serde::Serialize;
 
-use super::recorder::{Histograms, Quantiles};
+use super::blackbox::Written;
+use super::causes::{Cause, Judged, Tally};
+use super::histograms::{Quantiles, Quantity};
+use super::recorder::Measured;
 use crate::axis::{Link, StopCause, Units};
 use crate::cycle::Plan;
-use crate::cycle::status::RunEnd;
+use crate::cycle::record::Stage;
+use crate::cycle::status::Numbers;
 use crate::rt::{Granted, host};
 use crate::time::{Ns, S, US};
 
@@ -15,13 +20,22 @@ use crate::time::{Ns, S, US};
 #[derive(Debug)]
 pub struct Run {
     /// Exact counts and maxima.
-    pub end: RunEnd,
-    /// Quantiles.
-    pub histograms: Histograms,
+    pub end: Numbers,
+    /// Histograms, causes, the course of the run.
+    pub measured: Measured,
     /// What the operating system granted.
     pub granted: Granted,
     /// The machine as planned.
-    pub plan: Plan,
+    pub plan: Arc<Plan>,
+    /// Time that the hypervisor took from all cores meanwhile, ms.
+    pub steal_ms: Option<u64>,
+}
+
+impl Run {
+    /// The summary of the run.
+    pub fn summary(&self) -> Summary {
+        Summary::of(&self.plan, &self.end, &self.measured, &self.granted, self.steal_ms)
+    }
 }
 
 /// The whole run. Keys are stable; values are in ns unless the key says otherwise; what is not known is null.
@@ -31,8 +45,12 @@ pub struct Summary {
     pub cycle: CycleNumbers,
     /// Begin of the cycles after their grid points; skipped slots are in it as late ones.
     pub wake_ns: Quantiles,
-    /// Time of the send, receive and work stages.
+    /// Differences between the distance of two successive begins and that of their grid points.
+    pub jitter_ns: Quantiles,
+    /// Time of each stage.
     pub stages_ns: Stages,
+    /// Late cycles, and why they were.
+    pub late: Late,
     /// The drives, in the order of the plan.
     pub drives: Vec<Drive>,
     /// The buses: what arrived and belongs to no drive.
@@ -41,6 +59,8 @@ pub struct Summary {
     pub realtime: RealtimeNumbers,
     /// The machine.
     pub host: Host,
+    /// What the black box wrote.
+    pub black_boxes: Vec<Written>,
     /// The histogram of the wake-ups, drawn by the text form only.
     #[serde(skip)]
     wake_bars: Vec<(u64, u64)>,
@@ -71,8 +91,113 @@ pub struct Stages {
     pub send: Quantiles,
     /// Taking in replies.
     pub receive: Quantiles,
-    /// Judging, exchanging, preparing.
-    pub work: Quantiles,
+    /// Link health, limits, stop ladders.
+    pub judge: Quantiles,
+    /// Command queues and the in-loop task.
+    pub exchange: Quantiles,
+    /// Building the next requests.
+    pub prepare: Quantiles,
+    /// Feedback, events, records.
+    pub publish: Quantiles,
+}
+
+/// Late cycles.
+#[derive(Clone, Debug, Serialize)]
+pub struct Late {
+    /// A cycle is late that began, or spent in a stage, more than this.
+    pub threshold_ns: u64,
+    /// Cycles that were; exact.
+    pub count: u64,
+    /// Why, the most frequent first. While the loop runs the newest are not judged yet.
+    pub causes: Vec<Found>,
+    /// The newest of them one by one.
+    pub newest: Vec<LateCycle>,
+}
+
+/// One late cycle.
+#[derive(Clone, Debug, Serialize)]
+pub struct LateCycle {
+    /// Which.
+    pub cycle: u64,
+    /// How long its delay was, ns; null for a drive.
+    pub delay_ns: Option<u64>,
+    /// As of the causes.
+    pub cause: &'static str,
+    /// As of the causes.
+    pub stage: Option<&'static str>,
+    /// As of the causes.
+    pub drive: Option<String>,
+}
+
+/// So many late cycles are told one by one.
+const NEWEST: usize = 20;
+
+/// A cause of late cycles.
+#[derive(Clone, Debug, Serialize)]
+pub struct Found {
+    /// `host`, `preempted`, `page_fault`, `work`, `drive`, `drives`, `timer` or `unknown`.
+    pub cause: &'static str,
+    /// The stage, of the loop's own work.
+    pub stage: Option<&'static str>,
+    /// The drive that had not answered.
+    pub drive: Option<String>,
+    /// Cycles.
+    pub count: u64,
+    /// The longest delay, ns; null for a drive.
+    pub worst_ns: Option<u64>,
+    /// The cycle of that.
+    pub worst_cycle: u64,
+}
+
+impl Found {
+    pub(super) fn of(tally: &Tally, plan: &Plan) -> Found {
+        let Tally { cause, count, worst_ns, worst_cycle } = *tally;
+        let (cause, stage, drive) = named(cause, plan);
+        let worst_ns = (worst_ns > 0).then_some(worst_ns);
+        Found { cause, stage, drive, count, worst_ns, worst_cycle }
+    }
+}
+
+impl LateCycle {
+    fn of(judged: &Judged, plan: &Plan) -> LateCycle {
+        let (cause, stage, drive) = named(judged.cause, plan);
+        let delay_ns = Some(judged.lateness.ns()).filter(|ns| *ns > 0);
+        LateCycle { cycle: judged.index, delay_ns, cause, stage, drive }
+    }
+}
+
+/// The words of the `--json` object for `cause`, and the stage or drive that it names.
+fn named(cause: Cause, plan: &Plan) -> (&'static str, Option<&'static str>, Option<String>) {
+    match cause {
+        Cause::Host => ("host", None, None),
+        Cause::Preempted => ("preempted", None, None),
+        Cause::PageFault => ("page_fault", None, None),
+        Cause::Work(stage) => ("work", Some(stage.name()), None),
+        Cause::Drive(axis) => {
+            let name = plan.axes().get(usize::from(axis)).map(|axis| axis.name.clone());
+            ("drive", None, name)
+        }
+        Cause::Drives => ("drives", None, None),
+        Cause::Timer => ("timer", None, None),
+        Cause::Unknown => ("unknown", None, None),
+    }
+}
+
+impl fmt::Display for Found {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match (self.cause, &self.drive, self.stage) {
+            ("host", ..) => f.write_str("the host took the core"),
+            ("preempted", ..) => f.write_str("preempted or throttled: another thread had the core"),
+            ("page_fault", ..) => f.write_str("page fault"),
+            ("work", _, Some(stage)) => write!(f, "own work, or an interrupt within it, in stage {stage}"),
+            (_, Some(drive), _) => write!(f, "drive {drive} had not answered at the deadline"),
+            ("drives", ..) => f.write_str("several drives had not answered at the deadline"),
+            ("timer", ..) => {
+                f.write_str("its timer came late: idle state, interrupts off, firmware, or hypervisor")
+            }
+            _ => f.write_str("unknown: nothing was seen"),
+        }
+    }
 }
 
 /// One drive.
@@ -106,6 +231,10 @@ pub struct Drive {
     pub unsent: u64,
     /// Round trips.
     pub rtt_ns: Quantiles,
+    /// Differences between the distance of two successive requests and that of their grid points.
+    pub send_jitter_ns: Quantiles,
+    /// Age of its values whenever a window closed, while its link was up.
+    pub age_ns: Quantiles,
     /// Cycles since the last values at the end.
     pub age_cycles: u32,
     /// Actual position at the end, user units.
@@ -155,6 +284,8 @@ pub struct RealtimeNumbers {
 /// The machine.
 #[derive(Clone, Debug, Serialize)]
 pub struct Host {
+    /// Its name.
+    pub name: Option<String>,
     /// Kernel release.
     pub kernel: Option<String>,
     /// Preemption model.
@@ -166,12 +297,18 @@ pub struct Host {
 }
 
 impl Summary {
-    /// The summary of `run`. `steal_before` is [`host::steal_ms`] of all cores at its start.
-    pub fn of(run: &Run, steal_before: Option<u64>) -> Summary {
-        let status = &run.end.status;
-        let drives = (run.end.drives.iter().zip(&run.histograms.round_trip))
-            .map(|(drive, round_trip)| {
-                let (counters, feedback) = (&drive.counters, &drive.feedback);
+    /// A run in numbers, ended or not.
+    pub fn of(
+        plan: &Plan,
+        numbers: &Numbers,
+        measured: &Measured,
+        granted: &Granted,
+        steal_ms: Option<u64>,
+    ) -> Summary {
+        let (status, histograms) = (&numbers.status, &measured.histograms);
+        let drives = (numbers.drives.iter().zip(&histograms.drives))
+            .map(|(drive, measured)| {
+                let (counters, feedback, peaks) = (&drive.counters, &drive.feedback, &drive.peaks);
                 Drive {
                     name: drive.name.clone(),
                     protocol: drive.protocol,
@@ -186,7 +323,9 @@ impl Summary {
                     rejected: counters.malformed + counters.foreign,
                     suspect: counters.suspect,
                     unsent: counters.unsent,
-                    rtt_ns: Quantiles::of(round_trip, drive.rtt_max.map(|(_, ns)| u64::from(ns))),
+                    rtt_ns: Quantiles::of(&measured.rtt, peaks.rtt),
+                    send_jitter_ns: Quantiles::of(&measured.send_jitter, peaks.send_jitter),
+                    age_ns: Quantiles::of(&measured.age, peaks.age),
                     age_cycles: feedback.age,
                     position: feedback.position,
                     inhibited: feedback.inhibited,
@@ -195,49 +334,61 @@ impl Summary {
                 }
             })
             .collect();
-        let buses = (run.end.buses.iter())
+        let buses = (numbers.buses.iter())
             .map(|(name, strangers)| Bus {
                 name: name.clone(),
                 strangers: strangers.datagrams,
                 receive_errors: strangers.errors,
             })
             .collect();
-        let steal = host::steal_ms(None);
+        let stage = |stage: Stage| Quantiles::of(histograms.stage(stage), status.stage_max[stage as usize]);
         Summary {
             cycle: CycleNumbers {
-                period_ns: run.plan.cycle.period_ns,
+                period_ns: plan.cycle.period_ns,
                 planned: status.planned,
                 executed: status.executed,
                 skipped: status.skipped,
                 overruns: status.overruns,
             },
-            wake_ns: Quantiles::of(&run.histograms.wake, Some(status.wake_max_ns)),
+            wake_ns: Quantiles::of(&histograms.wake, status.wake_max),
+            jitter_ns: Quantiles::of(&histograms.jitter, status.jitter_max),
             stages_ns: Stages {
-                send: Quantiles::of(&run.histograms.send, Some(run.histograms.send.max())),
-                receive: Quantiles::of(&run.histograms.receive, Some(run.histograms.receive.max())),
-                work: Quantiles::of(&run.histograms.work, Some(run.histograms.work.max())),
+                send: stage(Stage::Send),
+                receive: stage(Stage::Receive),
+                judge: stage(Stage::Judge),
+                exchange: stage(Stage::Exchange),
+                prepare: stage(Stage::Prepare),
+                publish: stage(Stage::Publish),
+            },
+            late: Late {
+                threshold_ns: plan.cycle.late_ns(),
+                count: status.late,
+                causes: measured.causes.ranked().iter().map(|tally| Found::of(tally, plan)).collect(),
+                newest: (measured.causes.newest(NEWEST)).map(|late| LateCycle::of(late, plan)).collect(),
             },
             drives,
             buses,
             realtime: RealtimeNumbers {
-                policy: run.granted.policy,
-                priority: run.granted.priority,
-                core: run.granted.core,
-                memory_locked: run.granted.memory_locked,
-                page_faults: run.end.page_faults,
-                involuntary_switches: run.end.involuntary_switches,
+                policy: granted.policy,
+                priority: granted.priority,
+                core: granted.core,
+                memory_locked: granted.memory_locked,
+                page_faults: numbers.page_faults,
+                involuntary_switches: numbers.involuntary_switches,
                 telemetry_lost: status.lost_records,
                 events_lost: status.lost_events,
-                missing: run.granted.missing.clone(),
+                missing: granted.missing.clone(),
             },
             host: Host {
+                name: host::name(),
                 kernel: host::kernel(),
                 preemption: host::preemption(),
                 cpu: host::cpu(),
-                steal_ms: steal.zip(steal_before).map(|(after, before)| after.saturating_sub(before)),
+                steal_ms,
             },
-            wake_bars: bars(run),
-            units: run.plan.axes().iter().map(|axis| axis.units).collect(),
+            black_boxes: measured.black_boxes.clone(),
+            wake_bars: bars(&histograms.wake),
+            units: plan.axes().iter().map(|axis| axis.units).collect(),
         }
     }
 
@@ -270,8 +421,7 @@ impl Drive {
 }
 
 /// The wake-ups in bins that double: each bin's upper end, ns, and its count.
-fn bars(run: &Run) -> Vec<(u64, u64)> {
-    let wake = &run.histograms.wake;
+fn bars(wake: &Quantity) -> Vec<(u64, u64)> {
     let mut bars = Vec::new();
     let (mut low, mut high) = (0, US / 4);
     while low <= wake.max() && low < S {
@@ -283,6 +433,10 @@ fn bars(run: &Run) -> Vec<(u64, u64)> {
         bars.remove(0);
     }
     bars
+}
+
+fn plural(count: u64, what: &str) -> String {
+    format!("{count} {what}{}", if count == 1 { "" } else { "s" })
 }
 
 /// `None` as a dash.
@@ -325,16 +479,24 @@ impl fmt::Display for Summary {
             let bin = format!("< {}", Ns(*end));
             writeln!(f, "{}", format!("  {bin:>11} {count:>9} {}", "#".repeat(width)).trim_end())?;
         }
-        writeln!(
-            f,
-            "stages, p50 / p99  send {} / {}  receive {} / {}  work {} / {}",
-            Or(self.stages_ns.send.p50),
-            Or(self.stages_ns.send.p99),
-            Or(self.stages_ns.receive.p50),
-            Or(self.stages_ns.receive.p99),
-            Or(self.stages_ns.work.p50),
-            Or(self.stages_ns.work.p99)
-        )?;
+        writeln!(f, "cycle jitter     {}", quantiles(&self.jitter_ns))?;
+        let stages = &self.stages_ns;
+        for (name, stage) in [
+            ("send", &stages.send),
+            ("receive", &stages.receive),
+            ("judge", &stages.judge),
+            ("exchange", &stages.exchange),
+            ("prepare", &stages.prepare),
+            ("publish", &stages.publish),
+        ] {
+            writeln!(f, "stage {name:10} {}", quantiles(stage))?;
+        }
+        let late = &self.late;
+        writeln!(f, "{} late by more than {}", plural(late.count, "cycle"), Ns(late.threshold_ns))?;
+        for found in &late.causes {
+            let worst = found.worst_ns.map_or(String::new(), |ns| format!(", at most {}", Ns(ns)));
+            writeln!(f, "  {:>9}  {found}{worst} (cycle {})", found.count, found.worst_cycle)?;
+        }
         writeln!(f)?;
         let wide = self.drives.iter().map(|drive| drive.name.len()).max().unwrap_or(0).max(5);
         writeln!(
@@ -414,6 +576,9 @@ impl fmt::Display for Summary {
             or(&host.preemption),
             or(&host.cpu)
         )?;
+        for written in &self.black_boxes {
+            writeln!(f, "{written}")?;
+        }
         if !real.missing.is_empty() {
             writeln!(f, "These numbers are not real-time:")?;
             for line in &real.missing {

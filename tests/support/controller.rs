@@ -10,7 +10,6 @@ use std::time::Duration;
 
 use fieldbeat::axis::{Axis, AxisError, Move, Profile, Target, Verb};
 use fieldbeat::master::Master;
-use fieldbeat::telemetry::Summary;
 use serde_json::Value;
 
 use super::{Ended, LONG, Machine, Program, again, until};
@@ -91,7 +90,7 @@ pub fn play(role: &str) {
         }
         sleep(Duration::from_millis(5));
     }
-    println!("{}", serde_json::to_string(&Summary::of(&master.finish(), None)).unwrap());
+    println!("{}", serde_json::to_string(&master.finish().summary()).unwrap());
 }
 
 /// Sends `axis` on its long way.

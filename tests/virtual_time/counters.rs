@@ -5,7 +5,7 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 
 use fieldbeat::bus::linudp::wire::{RequestDef, Response};
 use fieldbeat::bus::{Counters, Strangers};
-use fieldbeat::cycle::status::RunEnd;
+use fieldbeat::cycle::status::Numbers;
 use fieldbeat::sim::FaultPlan;
 use fieldbeat::time::US;
 
@@ -171,7 +171,7 @@ fn inject(b: &mut Bench, from: SocketAddrV4, change: fn(Response) -> Response) {
 }
 
 /// Three cycles with it, among as many without as it takes for all to be told.
-fn run(tagged: bool, provoke: fn(&mut Bench)) -> RunEnd {
+fn run(tagged: bool, provoke: fn(&mut Bench)) -> Numbers {
     let mut b = Rig::new(2).each(|_, drive| drive.reply_tag = tagged).start();
     b.ready();
     for index in 0..2 {
@@ -190,8 +190,8 @@ fn run(tagged: bool, provoke: fn(&mut Bench)) -> RunEnd {
 
 #[test]
 fn every_counter_counts_its_own_cause_and_nothing_else() {
-    let differences = |run: &RunEnd, plain: &RunEnd, drive: usize| -> Vec<(&'static str, i64)> {
-        let of = |end: &RunEnd| named(end.drives[drive].counters, end.buses[0].1);
+    let differences = |run: &Numbers, plain: &Numbers, drive: usize| -> Vec<(&'static str, i64)> {
+        let of = |end: &Numbers| named(end.drives[drive].counters, end.buses[0].1);
         let more =
             of(run).into_iter().zip(of(plain)).map(|((name, count), (_, before))| (name, count - before));
         more.filter(|(_, more)| *more != 0).collect()

@@ -59,8 +59,8 @@ fn a_late_wake_up_skips_slots_and_keeps_the_grid() {
         assert_eq!(status.overruns, u64::from(skipped > 0));
         assert_eq!(status.longest_skip, skipped);
         // What the first skipped slot owed came with the next one at the earliest.
-        assert_near(status.wake_max_ns as f64, late_ns.max(skipped * MS) as f64, 200.0);
-        assert_eq!(status.wake_max_index, 100);
+        assert_near(status.wake_max.ns as f64, late_ns.max(skipped * MS) as f64, 200.0);
+        assert_eq!(status.wake_max.index, 100);
         assert_eq!(b.feedback(0).stopped, None);
         assert_on_grid(&seen.lock().unwrap());
     }
@@ -104,7 +104,7 @@ fn skipped_slots_are_late_ones_in_the_histogram() {
     b.world().delay_next_wake(4_700 * US);
     b.run(100);
     b.assert_grid();
-    let wake = &b.sim.histograms().wake;
+    let wake = &b.sim.measured().histograms.wake;
     // So much later came the next slot that was executed, and was not late itself.
     for (slot, late_ns) in [5_000, 4_000, 3_000, 2_000, 1_000].into_iter().enumerate() {
         let most = (late_ns + 5) * US;
@@ -320,8 +320,8 @@ fn a_guard_spins_up_to_the_grid_and_a_spinning_window_hears_as_much() {
         b.run(500);
         b.assert_grid();
         let status = b.status();
-        assert!(status.wake_max_ns <= most_ns, "{guard:?}: {}", status.wake_max_ns);
-        assert!(guard != Guard::Off || status.wake_max_ns > 20_000);
+        assert!(status.wake_max.ns <= most_ns, "{guard:?}: {}", status.wake_max.ns);
+        assert!(guard != Guard::Off || status.wake_max.ns > 20_000);
         assert_eq!((status.skipped, status.missed), (0, 0));
     }
 }

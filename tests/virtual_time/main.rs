@@ -18,5 +18,6 @@ mod stop_bound;
 mod storm;
 mod streams;
 mod support;
+mod telemetry;
 mod verbs;
 mod watchdogs;

@@ -5,7 +5,7 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use fieldbeat::axis::Link;
 use fieldbeat::bus::Counters;
 use fieldbeat::bus::linudp::wire::{Request, RequestDef, Response, ResponseDef};
-use fieldbeat::cycle::status::RunEnd;
+use fieldbeat::cycle::status::Numbers;
 use fieldbeat::sim::FaultPlan;
 use fieldbeat::time::{MS, US};
 
@@ -31,7 +31,7 @@ fn answer_after(b: &Bench, ns: u64) {
 /// The counters of the first drive. Everything that was sent has come to an end.
 fn counters(b: Bench) -> Counters {
     b.assert_grid();
-    let end: RunEnd = b.finish();
+    let end: Numbers = b.finish();
     let counters = end.drives[0].counters;
     assert_eq!(counters.sent, counters.answered + counters.missed, "{counters:?}");
     let missed: u64 = end.drives.iter().map(|drive| drive.counters.missed + drive.counters.unsent).sum();
@@ -49,7 +49,7 @@ fn a_clean_wire_answers_everything() {
         // Twice the latency, and a few readings of the clock.
         assert_near(f64::from(b.feedback(0).rtt_ns.unwrap()), 40e3, 500.0);
     }
-    let round_trips = b.sim.histograms().round_trip[0].len();
+    let round_trips = b.sim.measured().histograms.drives[0].rtt.len();
     let c = counters(b);
     assert_eq!(c, Counters { sent: c.sent, answered: c.sent, ..Counters::default() });
     assert_eq!(round_trips, c.sent);
@@ -58,7 +58,7 @@ fn a_clean_wire_answers_everything() {
 #[test]
 fn a_missed_exchange_holds_the_values_and_the_next_reply_is_suspect_once() {
     let mut b = moving(Rig::new(1));
-    let samples = b.sim.histograms().round_trip[0].len();
+    let samples = b.sim.measured().histograms.drives[0].rtt.len();
     let held = b.feedback(0).demand;
     b.tape(0).mute = true;
     for age in 1..=3 {
@@ -70,10 +70,10 @@ fn a_missed_exchange_holds_the_values_and_the_next_reply_is_suspect_once() {
     b.step();
     // It could be a late one: older by one, and no sample of the round trip.
     assert_eq!((b.feedback(0).age, b.feedback(0).suspect), (1, true));
-    assert_eq!(b.sim.histograms().round_trip[0].len(), samples);
+    assert_eq!(b.sim.measured().histograms.drives[0].rtt.len(), samples);
     b.step();
     assert_eq!((b.feedback(0).age, b.feedback(0).suspect), (0, false));
-    assert_eq!(b.sim.histograms().round_trip[0].len(), samples + 1);
+    assert_eq!(b.sim.measured().histograms.drives[0].rtt.len(), samples + 1);
     b.run(10);
     let c = counters(b);
     assert_eq!((c.missed, c.suspect, c.late, c.duplicate), (3, 1, 0, 0));
@@ -82,7 +82,7 @@ fn a_missed_exchange_holds_the_values_and_the_next_reply_is_suspect_once() {
 #[test]
 fn a_reply_behind_its_deadline_is_late_and_a_miss() {
     let mut b = moving(Rig::new(1));
-    let samples = b.sim.histograms().round_trip[0].len();
+    let samples = b.sim.measured().histograms.drives[0].rtt.len();
     answer_after(&b, 600 * US);
     for _ in 0..3 {
         b.step();
@@ -92,7 +92,7 @@ fn a_reply_behind_its_deadline_is_late_and_a_miss() {
     b.step();
     // All the late ones came before this send, so this reply is its own.
     assert_eq!((b.feedback(0).age, b.feedback(0).suspect), (0, false));
-    assert_eq!(b.sim.histograms().round_trip[0].len(), samples + 1);
+    assert_eq!(b.sim.measured().histograms.drives[0].rtt.len(), samples + 1);
     b.run(10);
     let c = counters(b);
     assert_eq!((c.missed, c.late, c.suspect, c.duplicate), (3, 3, 0, 0));
@@ -122,14 +122,14 @@ fn two_replies_in_one_window_make_the_second_the_newest() {
     let mut b = moving(Rig::new(2));
     b.world().set_faults(address(1), FaultPlan { answer_ns: 200 * US, ..FaultPlan::default() });
     b.step();
-    let samples = b.sim.histograms().round_trip[0].len();
+    let samples = b.sim.measured().histograms.drives[0].rtt.len();
     answer_after(&b, 980 * US);
     b.step();
     answer_after(&b, 0);
     b.step();
     assert_eq!((b.feedback(0).age, b.feedback(0).suspect), (0, false));
     b.assert_honest(0);
-    assert_eq!(b.sim.histograms().round_trip[0].len(), samples, "which was which stays open");
+    assert_eq!(b.sim.measured().histograms.drives[0].rtt.len(), samples, "which was which stays open");
     b.run(10);
     let c = counters(b);
     assert_eq!((c.missed, c.late, c.duplicate), (1, 1, 0));
@@ -139,7 +139,7 @@ fn two_replies_in_one_window_make_the_second_the_newest() {
 fn replies_that_are_always_one_cycle_behind_are_never_taken_for_fresh_ones() {
     for (answer_us, reply_tag) in [(980, false), (1_100, false), (1_400, false), (980, true), (1_400, true)] {
         let mut b = moving(Rig::new(1).each(|_, drive| drive.reply_tag = reply_tag));
-        let samples = b.sim.histograms().round_trip[0].len();
+        let samples = b.sim.measured().histograms.drives[0].rtt.len();
         answer_after(&b, answer_us * US);
         for _ in 0..30 {
             b.step();
@@ -147,7 +147,7 @@ fn replies_that_are_always_one_cycle_behind_are_never_taken_for_fresh_ones() {
         }
         // No exchange is answered in its own window: that is a lost link, not a short round trip.
         assert_eq!(b.feedback(0).link, Link::Lost, "{answer_us} us, tag {reply_tag}");
-        assert_eq!(b.sim.histograms().round_trip[0].len(), samples);
+        assert_eq!(b.sim.measured().histograms.drives[0].rtt.len(), samples);
     }
 }
 

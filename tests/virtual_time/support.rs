@@ -19,7 +19,7 @@ use fieldbeat::bus::linudp::{
 };
 use fieldbeat::bus::{Bus, BusPlan, Cycle, OpenError};
 use fieldbeat::cycle::engine::Flow;
-use fieldbeat::cycle::status::{RunEnd, Status};
+use fieldbeat::cycle::status::{Numbers, Status};
 use fieldbeat::cycle::task::Axes;
 use fieldbeat::cycle::{CyclePlan, Plan};
 use fieldbeat::master::Master;
@@ -595,7 +595,7 @@ impl Bench {
         panic!("no end within {most} turns");
     }
 
-    pub fn finish(self) -> RunEnd {
+    pub fn finish(self) -> Numbers {
         self.sim.finish()
     }
 
@@ -603,7 +603,7 @@ impl Bench {
     pub fn assert_grid(&self) {
         let status = self.status();
         assert_eq!(status.planned, status.executed + status.skipped, "{status:?}");
-        assert_eq!(self.sim.histograms().wake.len(), status.planned, "{status:?}");
+        assert_eq!(self.sim.measured().histograms.wake.len(), status.planned, "{status:?}");
     }
 }
 

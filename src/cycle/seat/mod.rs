@@ -17,6 +17,8 @@ use self::bounds::{Bounds, Sample};
 use self::setpoints::{Follow, Level};
 use super::health::LinkHealth;
 use super::ladder::{Ladder, Sight};
+use super::record::{DriveRecord, Reply, measured, short};
+use super::status::Peaks;
 use crate::axis::cell::Writer;
 use crate::axis::command::NativeOwner;
 use crate::axis::{
@@ -83,8 +85,14 @@ pub struct Seat {
     seen: bool,
     /// Stopped since the loop last asked: its group goes with it.
     just_stopped: bool,
+    /// What the telemetry is told of this cycle.
+    record: DriveRecord,
+    /// How long after its grid point the request before left.
+    phase_ns: Option<u64>,
     /// Times that the link was lost.
     pub losses: u64,
+    /// The largest times.
+    pub peaks: Peaks,
     /// Events that found their queue full.
     pub lost_events: u64,
     /// Samples that found their queue full.
@@ -170,7 +178,10 @@ impl Seat {
             fresh_at: 0,
             seen: false,
             just_stopped: false,
+            record: DriveRecord::default(),
+            phase_ns: None,
             losses: 0,
+            peaks: Peaks::default(),
             lost_events: 0,
             lost_samples: 0,
         }
@@ -196,41 +207,62 @@ impl Seat {
         self.health.is_due(index)
     }
 
-    /// After the send stage: the request of slot `index` went out, or was tried.
-    pub fn sent(&mut self, index: u64, slot: &Slot) {
-        self.health.asked(index);
+    /// After the send stage: the request of `cycle` went out, or was tried.
+    pub fn sent(&mut self, cycle: &Cycle, slot: &Slot) {
+        self.health.asked(cycle.index);
+        if let Exchange::Owed { sent_at, .. } = slot.exchange
+            && sent_at >= cycle.grid
+        {
+            let phase_ns = sent_at.since(cycle.grid);
+            self.record.phase_ns = measured(phase_ns);
+            if let Some(before) = self.phase_ns.replace(phase_ns) {
+                let jitter_ns = phase_ns.abs_diff(before);
+                self.record.jitter_ns = measured(jitter_ns);
+                self.peaks.send_jitter.see(jitter_ns, cycle.index);
+            }
+        }
         // A row that the operating system refused is sent with the next request; in a group it is lost like any telegram,
         // or this axis would be a row behind from then on.
         self.follow.held &= slot.exchange == Exchange::Unsent && self.moves_in_group().is_none();
     }
 
-    /// Judges this cycle's exchange, updates the feedback, and notices what changed. Returns a round-trip time to record.
-    pub fn judge(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) -> Option<u32> {
+    /// Judges this cycle's exchange, updates the feedback, and notices what changed. Says what became of it.
+    pub fn judge(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) -> Reply {
         let mut rtt = None;
         let mut sent = None;
         self.closed = None;
-        match slot.exchange {
-            Exchange::Idle | Exchange::Missed => {}
-            Exchange::Owed { reply_by, .. } if reply_by > cycle.deadline => {}
+        self.record.was_online = self.feedback.link == Link::Online;
+        let reply = match slot.exchange {
+            Exchange::Idle | Exchange::Missed => Reply::None,
+            Exchange::Owed { reply_by, .. } if reply_by > cycle.deadline => Reply::Owed,
             Exchange::Owed { .. } => {
                 slot.counters.missed += 1;
                 slot.exchange = Exchange::Missed;
                 self.missed(cycle, now);
+                Reply::Missed
             }
             Exchange::Unsent => {
                 slot.exchange = Exchange::Idle;
                 self.missed(cycle, now);
+                Reply::Unsent
             }
             Exchange::Answered { sent_at, at, suspect } => {
                 slot.exchange = Exchange::Idle;
                 self.closed = Some(Closed::Answered);
                 self.health.answered();
-                if !suspect {
-                    rtt = Some(u32::try_from(at.since(sent_at)).unwrap_or(u32::MAX));
+                if suspect {
+                    Reply::Suspect
+                } else {
+                    let rtt_ns = at.since(sent_at);
+                    self.peaks.rtt.see(rtt_ns, cycle.index);
+                    self.record.rtt_ns = measured(rtt_ns);
+                    rtt = Some(short(rtt_ns));
                     sent = Some(sent_at);
+                    Reply::Answered
                 }
             }
-        }
+        };
+        self.record.reply = reply;
         if slot.report.restarted {
             self.bounds = Bounds::default();
         } else if let Some(sent_at) = sent.filter(|_| slot.report.fresh) {
@@ -242,7 +274,12 @@ impl Seat {
         }
         self.take_report(cycle, now, slot, rtt);
         self.take_link(cycle, now, slot);
-        rtt
+        if matches!(self.feedback.link, Link::Online | Link::Qualifying) {
+            let age_ns = now.since(self.feedback.at);
+            self.record.age_ns = measured(age_ns);
+            self.peaks.age.see(age_ns, cycle.index);
+        }
+        reply
     }
 
     fn missed(&mut self, cycle: &Cycle, now: Time) {
@@ -470,13 +507,32 @@ impl Seat {
         down
     }
 
-    /// Publishes the feedback.
-    pub fn publish(&mut self) {
+    /// Publishes the feedback; returns what the telemetry is told of this cycle, as that of axis `axis`.
+    pub fn publish(&mut self, axis: u16) -> DriveRecord {
         self.queues.feedback.write(&self.feedback);
         if let Some(samples) = &mut self.queues.samples
             && samples.push(self.feedback).is_err()
         {
             self.lost_samples += 1;
+        }
+        let feedback = &self.feedback;
+        DriveRecord {
+            index: feedback.cycle,
+            axis,
+            link: feedback.link,
+            state: feedback.state,
+            stopped: feedback.stopped,
+            verb: self.active.map_or(0, |active| active.verb.code()),
+            moving: feedback.moving,
+            inhibited: feedback.inhibited,
+            fault: feedback.fault,
+            warning: feedback.warning,
+            current: feedback.current as f32,
+            velocity: feedback.velocity as f32,
+            position: feedback.position,
+            demand: feedback.demand,
+            // What sending and judging found out.
+            ..std::mem::take(&mut self.record)
         }
     }
 

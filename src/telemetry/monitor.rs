@@ -1,0 +1,112 @@
+//! Looks at a machine from any thread, while it runs and after: for a display, a control socket, metrics. Reading never
+//! makes the loop wait.
+
+use std::sync::Arc;
+
+use super::{Measured, Recording, Summary};
+use crate::axis::Observer;
+use crate::axis::cell::Reader;
+use crate::cycle::Plan;
+use crate::cycle::status::{DriveEnd, DriveNumbers, Gauges, Numbers, Status};
+use crate::rt::{self, Granted};
+
+/// A reader of a machine; see [`Master::monitor`](crate::Master::monitor). Cheap to clone.
+#[derive(Clone, Debug)]
+pub struct Monitor(Arc<Watched>);
+
+#[derive(Debug)]
+struct Watched {
+    plan: Arc<Plan>,
+    granted: Granted,
+    observers: Vec<(String, Observer)>,
+    gauges: Gauges,
+    recording: Arc<Recording>,
+    steal_before_ms: Option<u64>,
+}
+
+impl Monitor {
+    pub(crate) fn new(
+        plan: Plan,
+        granted: Granted,
+        observers: Vec<(String, Observer)>,
+        gauges: Gauges,
+        recording: Arc<Recording>,
+        steal_before_ms: Option<u64>,
+    ) -> Monitor {
+        let plan = Arc::new(plan);
+        Monitor(Arc::new(Watched { plan, granted, observers, gauges, recording, steal_before_ms }))
+    }
+
+    /// The plan it runs.
+    pub fn plan(&self) -> &Plan {
+        &self.0.plan
+    }
+
+    /// The same, to keep.
+    pub(crate) fn shared_plan(&self) -> Arc<Plan> {
+        Arc::clone(&self.0.plan)
+    }
+
+    /// What the operating system granted.
+    pub fn granted(&self) -> &Granted {
+        &self.0.granted
+    }
+
+    /// Readers of all axes' newest feedback, in the order of the plan.
+    pub fn observers(&self) -> &[(String, Observer)] {
+        &self.0.observers
+    }
+
+    /// The numbers of the loop, newest.
+    pub fn status(&self) -> Status {
+        self.0.gauges.status.read()
+    }
+
+    /// The loop and all drives in numbers. Those of a drive are at most 64 cycles or 100 ms old.
+    pub fn numbers(&self) -> Numbers {
+        let Watched { plan, observers, gauges, .. } = &*self.0;
+        let protocols = plan.buses.iter().flat_map(|bus| bus.axes().into_iter().map(|_| bus.protocol()));
+        let drives = (observers.iter().zip(protocols).zip(&gauges.drives))
+            .map(|(((name, observer), protocol), numbers)| {
+                let DriveNumbers { counters, losses, peaks } = numbers.read();
+                let (name, feedback) = (name.clone(), observer.feedback());
+                DriveEnd { name, protocol, feedback, counters, losses, peaks }
+            })
+            .collect();
+        let strangers = gauges.strangers.iter().map(Reader::read);
+        let buses = plan.buses.iter().map(|bus| bus.name().to_owned()).zip(strangers).collect();
+        Numbers { status: self.status(), drives, buses, page_faults: None, involuntary_switches: None }
+    }
+
+    /// Looks at what the telemetry measured so far. The telemetry waits meanwhile, the loop does not.
+    pub fn measured<R>(&self, look: impl FnOnce(&Measured) -> R) -> R {
+        look(&self.0.recording.read())
+    }
+
+    /// The run so far.
+    pub fn summary(&self) -> Summary {
+        let (numbers, steal_ms) = (self.numbers(), self.steal_ms());
+        self.measured(|measured| Summary::of(self.plan(), &numbers, measured, self.granted(), steal_ms))
+    }
+
+    /// Time that the hypervisor took from all cores since the start, ms.
+    pub fn steal_ms(&self) -> Option<u64> {
+        Some(rt::host::steal_ms(None)?.saturating_sub(self.0.steal_before_ms?))
+    }
+
+    /// Writes the black box to a file, if there is one; see [`Setup::with_black_box`](crate::Setup::with_black_box).
+    pub fn write_black_box(&self) {
+        self.0.recording.write_black_box();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn any_thread_may_hold_one() {
+        fn shared<T: Clone + Send + Sync + 'static>() {}
+        shared::<Monitor>();
+    }
+}
