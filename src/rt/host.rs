@@ -6,6 +6,11 @@
 
 use std::fs;
 
+/// The name of this host (/proc/sys/kernel/hostname).
+pub fn name() -> Option<String> {
+    line("/proc/sys/kernel/hostname")
+}
+
 /// The release of the kernel, e.g. `6.12.1-rt7` (/proc/sys/kernel/osrelease).
 pub fn kernel() -> Option<String> {
     line("/proc/sys/kernel/osrelease")
@@ -15,6 +20,11 @@ pub fn kernel() -> Option<String> {
 ///
 /// The mode in brackets is what PREEMPT_DYNAMIC is set to now; it is known only to who may read debugfs.
 pub fn preemption() -> Option<String> {
+    preemption_by(line)
+}
+
+/// The same, by whatever reads a file.
+pub(crate) fn preemption_by(line: impl Fn(&str) -> Option<String>) -> Option<String> {
     // Exists, with 1 in it, on PREEMPT_RT kernels only.
     if line("/sys/kernel/realtime").as_deref() == Some("1") {
         return Some("PREEMPT_RT".to_owned());
@@ -36,10 +46,14 @@ pub fn cpu() -> Option<String> {
 /// Time that the hypervisor gave to others while this machine wanted to run, ms since boot, of one core or (`None`) of
 /// all together (`steal` of /proc/stat, proc(5)). Counted by ticks: as coarse as 10 ms. 0 on bare metal.
 pub fn steal_ms(core: Option<usize>) -> Option<u64> {
+    steal_ms_of(&fs::read_to_string("/proc/stat").ok()?, core)
+}
+
+/// As [`steal_ms`], of a text of /proc/stat.
+pub(super) fn steal_ms_of(stat: &str, core: Option<usize>) -> Option<u64> {
     // SAFETY: takes no pointer and has no precondition.
     let ticks_per_s = u64::try_from(unsafe { libc::sysconf(libc::_SC_CLK_TCK) }).ok().filter(|hz| *hz > 0)?;
-    let ticks = steal_of(&fs::read_to_string("/proc/stat").ok()?, core)?;
-    Some(ticks * 1_000 / ticks_per_s)
+    Some(steal_of(stat, core)? * 1_000 / ticks_per_s)
 }
 
 /// The cores that are online, in order (/sys/devices/system/cpu/online).
@@ -99,14 +113,14 @@ fn cpu_of(cpuinfo: &str) -> Option<String> {
 }
 
 /// Ticks of `steal`: the eighth number of the line `cpu` or `cpuN`.
-fn steal_of(stat: &str, core: Option<usize>) -> Option<u64> {
+pub(crate) fn steal_of(stat: &str, core: Option<usize>) -> Option<u64> {
     let label = core.map_or_else(|| "cpu".to_owned(), |core| format!("cpu{core}"));
     let line = stat.lines().find(|line| line.split_whitespace().next() == Some(&label))?;
     line.split_whitespace().nth(8)?.parse().ok()
 }
 
 /// A list as the kernel writes it: `0-2,5`.
-fn cores_of(list: &str) -> Option<Vec<usize>> {
+pub(crate) fn cores_of(list: &str) -> Option<Vec<usize>> {
     let mut cores = Vec::new();
     for part in list.split(',').filter(|part| !part.is_empty()) {
         let (first, last) = part.split_once('-').unwrap_or((part, part));
@@ -115,7 +129,7 @@ fn cores_of(list: &str) -> Option<Vec<usize>> {
     Some(cores)
 }
 
-fn throttling_of(runtime: &str, period: &str) -> Option<Throttling> {
+pub(crate) fn throttling_of(runtime: &str, period: &str) -> Option<Throttling> {
     let runtime: i64 = runtime.parse().ok()?;
     Some(Throttling { runtime_us: u64::try_from(runtime).ok(), period_us: period.parse().ok()? })
 }

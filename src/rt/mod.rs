@@ -9,16 +9,18 @@
 //! | `rights` | limits and capabilities, and the words for those that are missing |
 //! | `thread` | what the loop's thread does to itself at the start |
 //! | `usage` | page faults and context switches of a thread |
+//! | `watch` | run time, run delay, faults and steal of another thread |
 
 pub mod clock;
 pub mod guard;
 pub mod host;
 pub mod memory;
-mod rights;
+pub(crate) mod rights;
 #[cfg(test)]
 mod testing;
 pub mod thread;
 pub mod usage;
+pub mod watch;
 
 pub use clock::{Clock, MonotonicClock, PollSet};
 pub use guard::GuardTuner;

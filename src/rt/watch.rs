@@ -1,0 +1,148 @@
+//! What the kernel tells of another thread of this process, for a normal thread that looks over the loop's shoulder.
+//!
+//! Reads /proc, so that the watched thread pays nothing. Knows nothing of cycles.
+
+use std::fs::File;
+use std::io;
+use std::os::unix::fs::FileExt;
+
+use super::{MonotonicClock, host};
+use crate::time::Time;
+
+/// Totals since the thread began, at one instant.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ThreadSample {
+    /// When.
+    pub at: Time,
+    /// Time on a processor, ns. A kernel that knows its hypervisor leaves out what that took.
+    pub run_ns: u64,
+    /// Time that it could have run and waited for a processor, ns.
+    pub delay_ns: u64,
+    /// Page faults, modulo 2^32.
+    pub faults: u32,
+    /// Involuntary context switches, modulo 2^32.
+    pub switches: u32,
+    /// Time that the hypervisor took from its core, ms since boot; in steps of a tick.
+    pub steal_ms: u64,
+}
+
+/// A thread under watch.
+#[derive(Debug)]
+pub struct ThreadWatch {
+    schedstat: File,
+    stat: File,
+    status: File,
+    all: File,
+    core: Option<usize>,
+    /// For /proc/stat up to the line of that core; with many cores it is long.
+    buffer: Vec<u8>,
+    steal_ms: u64,
+}
+
+impl ThreadWatch {
+    /// Watches thread `tid` of this process, on `core` if it is pinned.
+    pub fn open(tid: libc::pid_t, core: Option<usize>) -> io::Result<ThreadWatch> {
+        let of = |name: &str| File::open(format!("/proc/self/task/{tid}/{name}"));
+        let label = core.map_or("cpu ".to_owned(), |core| format!("cpu{core} "));
+        let now = std::fs::read_to_string("/proc/stat")?;
+        let begin = now.find(&label).unwrap_or(0);
+        // Its numbers grow, and so do those before it.
+        let buffer = vec![0; 2 * begin + 1024];
+        Ok(ThreadWatch {
+            schedstat: of("schedstat")?,
+            stat: of("stat")?,
+            status: of("status")?,
+            all: File::open("/proc/stat")?,
+            core,
+            buffer,
+            steal_ms: 0,
+        })
+    }
+
+    /// The totals now; `None` once the thread has ended, or where the kernel keeps none.
+    pub fn sample(&mut self) -> Option<ThreadSample> {
+        let mut buffer = [0; 4096];
+        let (run_ns, delay_ns) = times(read(&self.schedstat, &mut buffer)?)?;
+        let faults = faults(read(&self.stat, &mut buffer)?)?;
+        let switches = switches(read(&self.status, &mut buffer)?)?;
+        // What is behind the last line break is cut off.
+        let all = read(&self.all, &mut self.buffer).and_then(|stat| Some(stat.rsplit_once('\n')?.0));
+        if let Some(steal_ms) = all.and_then(|stat| host::steal_ms_of(stat, self.core)) {
+            self.steal_ms = steal_ms;
+        }
+        let steal_ms = self.steal_ms;
+        Some(ThreadSample { at: MonotonicClock::read(), run_ns, delay_ns, faults, switches, steal_ms })
+    }
+}
+
+/// A file of /proc is made anew whenever it is read from its begin.
+fn read<'a>(file: &File, buffer: &'a mut [u8]) -> Option<&'a str> {
+    let length = file.read_at(buffer, 0).ok()?;
+    // Cut off in the middle of a character: none of these files has any.
+    std::str::from_utf8(&buffer[..length]).ok()
+}
+
+/// `run delay slices` (Documentation/scheduler/sched-stats.rst).
+fn times(schedstat: &str) -> Option<(u64, u64)> {
+    let mut fields = schedstat.split_whitespace().map(str::parse);
+    Some((fields.next()?.ok()?, fields.next()?.ok()?))
+}
+
+/// `minflt` and `majflt`, the tenth and twelfth field (proc_pid_stat(5)), counted from behind the name, which may hold
+/// anything.
+fn faults(stat: &str) -> Option<u32> {
+    let (_, rest) = stat.rsplit_once(')')?;
+    let mut fields = rest.split_whitespace().skip(7);
+    let minor: u64 = fields.next()?.parse().ok()?;
+    let major: u64 = fields.nth(1)?.parse().ok()?;
+    Some(minor.wrapping_add(major) as u32)
+}
+
+/// `nonvoluntary_ctxt_switches` (proc_pid_status(5)).
+fn switches(status: &str) -> Option<u32> {
+    let line = status.lines().find_map(|line| line.strip_prefix("nonvoluntary_ctxt_switches:"))?;
+    Some(line.trim().parse::<u64>().ok()? as u32)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn reads_what_the_kernel_writes() {
+        assert_eq!(times("346033 39676 3\n"), Some((346_033, 39_676)));
+        assert_eq!(times(""), None);
+        let stat = "7 (a) b (c) S 1 7 7 0 -1 4194304 120 0 3 0 1 2 0 0 20 0 1 0 99";
+        assert_eq!(faults(stat), Some(123));
+        assert_eq!(faults("7 (x) S 1"), None);
+        assert_eq!(
+            switches("Name:\tx\nvoluntary_ctxt_switches:\t5\nnonvoluntary_ctxt_switches:\t7\n"),
+            Some(7)
+        );
+        assert_eq!(switches("Name:\tx\n"), None);
+    }
+
+    #[test]
+    fn sees_another_thread_work_and_fault() {
+        let (tell, told) = std::sync::mpsc::channel();
+        let (go, wait) = std::sync::mpsc::channel::<()>();
+        let thread = std::thread::spawn(move || {
+            tell.send(nix::unistd::gettid().as_raw()).unwrap();
+            wait.recv().unwrap();
+            let mut memory = vec![0_u8; 64 << 20];
+            memory.iter_mut().step_by(4096).for_each(|byte| *byte = std::hint::black_box(1));
+            tell.send(0).unwrap();
+            wait.recv().unwrap();
+        });
+        let mut watch = ThreadWatch::open(told.recv().unwrap(), None).unwrap();
+        let before = watch.sample().unwrap();
+        go.send(()).unwrap();
+        told.recv().unwrap();
+        let after = watch.sample().unwrap();
+        assert!(after.at > before.at && after.run_ns > before.run_ns, "{before:?} {after:?}");
+        assert!(after.faults.wrapping_sub(before.faults) >= 32, "{before:?} {after:?}");
+        go.send(()).unwrap();
+        thread.join().unwrap();
+        assert_eq!(watch.sample(), None, "it has ended");
+    }
+}
