@@ -1,0 +1,470 @@
+//! The file of a black box: a mark, a header in JSON, records of one size, and a checksum over all of it. Integers and floats
+//! are little-endian, so that a file may be read on another machine than its own.
+
+use std::fs::{File, OpenOptions};
+use std::io::{self, Read};
+use std::num::NonZeroU32;
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use crate::axis::{Link, State, StopCause};
+use crate::cycle::record::{CycleRecord, DriveRecord, Look, Record, Reply, SkippedRecord};
+use crate::time::Time;
+
+/// What a file begins with: the name, and the version of its layout.
+const MARK: [u8; 8] = *b"FBBOX\0\x01\n";
+
+/// Bytes of a record.
+const RECORD: usize = 72;
+
+/// A file that is larger is none of ours.
+const MOST_BYTES: u64 = 1 << 32;
+
+/// What the records are of.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Header {
+    /// Version of the program that wrote it.
+    pub program: String,
+    /// The configuration.
+    pub machine: Option<String>,
+    /// Why it was written.
+    pub why: String,
+    /// The cycle in which that happened.
+    pub cycle: u64,
+    /// When it was written, UTC.
+    pub written: String,
+    /// The period of the cycle.
+    pub period_ns: u64,
+    /// Replies were taken so long after a grid point.
+    pub deadline_ns: u64,
+    /// The threshold of a late cycle.
+    pub late_ns: u64,
+    /// The axes.
+    pub axes: Vec<Axis>,
+    /// Kernel release.
+    pub kernel: Option<String>,
+    /// Preemption model.
+    pub preemption: Option<String>,
+    /// Processor.
+    pub cpu: Option<String>,
+}
+
+/// An axis.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Axis {
+    /// Its name.
+    pub name: String,
+    /// Its user unit.
+    pub unit: String,
+}
+
+/// Why a file cannot be read. The message ends with the remedy.
+#[derive(Debug, Error)]
+pub enum ReadError {
+    /// The operating system refused.
+    #[error("cannot read {path}: {error}; name a file that fieldbeat wrote (*.blackbox)")]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the operating system said.
+        error: io::Error,
+    },
+    /// It does not begin like one.
+    #[error("{0} is no black box of fieldbeat; name a file that it wrote (*.blackbox)")]
+    Foreign(PathBuf),
+    /// Of another version.
+    #[error("{path} has layout {found}, this program reads layout {}; read it with the version that wrote it", MARK[6])]
+    Version {
+        /// The file.
+        path: PathBuf,
+        /// Its layout.
+        found: u8,
+    },
+    /// Cut off, or changed.
+    #[error("{path} is damaged: {what}; copy it once more from where it was written")]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        what: &'static str,
+    },
+}
+
+/// The bytes of a file.
+pub fn encode<'a>(header: &Header, records: impl ExactSizeIterator<Item = &'a Record>) -> Vec<u8> {
+    // A header of strings and numbers can always be written.
+    let header = serde_json::to_vec(header).unwrap_or_default();
+    let mut bytes = Vec::with_capacity(MARK.len() + 16 + header.len() + records.len() * RECORD);
+    bytes.extend_from_slice(&MARK);
+    bytes.extend_from_slice(&(header.len() as u32).to_le_bytes());
+    bytes.extend_from_slice(&header);
+    bytes.extend_from_slice(&(records.len() as u64).to_le_bytes());
+    for record in records {
+        let begin = bytes.len();
+        put(record, &mut bytes);
+        bytes.resize(begin + RECORD, 0);
+    }
+    let sum = crc32fast::hash(&bytes);
+    bytes.extend_from_slice(&sum.to_le_bytes());
+    bytes
+}
+
+/// Reads a file.
+pub fn load(path: &Path) -> Result<(Header, Vec<Record>), ReadError> {
+    let failed = |error| ReadError::Io { path: path.to_owned(), error };
+    let wrong = |wrong| match wrong {
+        Wrong::Foreign => ReadError::Foreign(path.to_owned()),
+        Wrong::Version(found) => ReadError::Version { path: path.to_owned(), found },
+        Wrong::Damaged(what) => ReadError::Damaged { path: path.to_owned(), what },
+    };
+    // A pipe without a writer would be waited for.
+    let file = OpenOptions::new().read(true).custom_flags(libc::O_NONBLOCK).open(path).map_err(failed)?;
+    if !file.metadata().map_err(failed)?.is_file() {
+        return Err(ReadError::Foreign(path.to_owned()));
+    }
+    let mut bytes = Vec::new();
+    let take = |length, bytes: &mut Vec<u8>| (&file as &File).take(length).read_to_end(bytes).map_err(failed);
+    // Something else may be larger than the memory.
+    take(MARK.len() as u64, &mut bytes)?;
+    look_at_mark(&bytes).map_err(wrong)?;
+    take(MOST_BYTES, &mut bytes)?;
+    decode(&bytes).map_err(wrong)
+}
+
+/// What is wrong with bytes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Wrong {
+    /// Not of this kind.
+    Foreign,
+    /// Of another version.
+    Version(u8),
+    /// Cut off, or changed.
+    Damaged(&'static str),
+}
+
+/// Whether bytes begin like those of a file.
+fn look_at_mark(bytes: &[u8]) -> Result<(), Wrong> {
+    match bytes.first_chunk::<8>() {
+        Some(mark) if mark[..6] != MARK[..6] || mark[7] != MARK[7] => Err(Wrong::Foreign),
+        Some(mark) if mark[6] != MARK[6] => Err(Wrong::Version(mark[6])),
+        Some(_) => Ok(()),
+        None => Err(Wrong::Foreign),
+    }
+}
+
+/// What the bytes of a file say.
+pub fn decode(bytes: &[u8]) -> Result<(Header, Vec<Record>), Wrong> {
+    look_at_mark(bytes)?;
+    let cut = Wrong::Damaged("its end is missing");
+    let (rest, sum) = bytes.split_last_chunk::<4>().ok_or(cut)?;
+    let mut take = Take(rest.get(MARK.len()..).ok_or(cut)?);
+    let length = take.u32().ok_or(cut)? as usize;
+    let header = take.bytes(length).ok_or(cut)?;
+    let count = usize::try_from(take.u64().ok_or(cut)?).map_err(|_| cut)?;
+    if count.checked_mul(RECORD).is_none_or(|length| length > take.0.len()) {
+        return Err(cut);
+    }
+    if crc32fast::hash(rest) != u32::from_le_bytes(*sum) {
+        return Err(Wrong::Damaged("its checksum is wrong"));
+    }
+    let header: Header =
+        serde_json::from_slice(header).map_err(|_| Wrong::Damaged("its header cannot be read"))?;
+    let records = take.0.chunks_exact(RECORD).take(count).map(|bytes| get(bytes, header.axes.len()));
+    let records = records.collect::<Option<_>>().ok_or(Wrong::Damaged("a record cannot be read"))?;
+    Ok((header, records))
+}
+
+const LOOKED: u8 = 1;
+const SPUN: u8 = 2;
+const WOKE_LATE: u8 = 4;
+const LATE: u8 = 8;
+const MOVING: u8 = 1;
+const INHIBITED: u8 = 2;
+const WAS_ONLINE: u8 = 4;
+
+fn flag(set: bool, bit: u8) -> u8 {
+    if set { bit } else { 0 }
+}
+
+fn put(record: &Record, to: &mut Vec<u8>) {
+    match record {
+        Record::Drive(d) => {
+            let stopped = d.stopped.map_or(0, |cause| cause as u8);
+            let flags =
+                flag(d.moving, MOVING) | flag(d.inhibited, INHIBITED) | flag(d.was_online, WAS_ONLINE);
+            to.extend_from_slice(&[1, d.reply as u8, d.link as u8, d.state as u8, stopped, d.verb, flags, 0]);
+            to.extend_from_slice(&d.index.to_le_bytes());
+            to.extend_from_slice(&u32::from(d.axis).to_le_bytes());
+            for ns in [d.phase_ns, d.jitter_ns, d.rtt_ns, d.age_ns] {
+                to.extend_from_slice(&ns.map_or(0, NonZeroU32::get).to_le_bytes());
+            }
+            for word in [d.fault, d.warning, d.current.to_bits(), d.velocity.to_bits()] {
+                to.extend_from_slice(&word.to_le_bytes());
+            }
+            for value in [d.position, d.demand] {
+                to.extend_from_slice(&value.to_le_bytes());
+            }
+        }
+        Record::Cycle(c) => {
+            let flags = flag(c.spun, SPUN) | flag(c.look.is_some(), LOOKED);
+            to.extend_from_slice(&[2, flags, 0, 0]);
+            to.extend_from_slice(&u32::from(c.missed).to_le_bytes());
+            to.extend_from_slice(&c.index.to_le_bytes());
+            to.extend_from_slice(&c.grid.0.to_le_bytes());
+            let look = c.look.unwrap_or_default();
+            for word in
+                [c.wake_ns, c.jitter_ns].into_iter().chain(c.stages_ns).chain([look.faults, look.switches])
+            {
+                to.extend_from_slice(&word.to_le_bytes());
+            }
+        }
+        Record::Skipped(s) => {
+            let flags = flag(s.spun, SPUN)
+                | flag(s.woke_late, WOKE_LATE)
+                | flag(s.late, LATE)
+                | flag(s.look.is_some(), LOOKED);
+            to.extend_from_slice(&[3, flags, 0, 0, 0, 0, 0, 0]);
+            for word in [s.first, s.grid.0, s.count, s.late_ns, s.given_up_ns] {
+                to.extend_from_slice(&word.to_le_bytes());
+            }
+            let look = s.look.unwrap_or_default();
+            for word in [look.faults, look.switches] {
+                to.extend_from_slice(&word.to_le_bytes());
+            }
+        }
+    }
+}
+
+/// A record; `None` if a number in it has no meaning here.
+fn get(bytes: &[u8], axes: usize) -> Option<Record> {
+    let mut take = Take(bytes);
+    let [kind, flags, link, state] = *take.array()?;
+    let look = |set: u8, faults, switches| (set & LOOKED != 0).then_some(Look { faults, switches });
+    Some(match kind {
+        1 => {
+            let [stopped, verb, marks, _] = *take.array()?;
+            let stopped = match stopped {
+                0 => None,
+                code => Some(*StopCause::ALL.get(usize::from(code) - 1)?),
+            };
+            let index = take.u64()?;
+            let axis = u16::try_from(take.u32()?).ok().filter(|axis| usize::from(*axis) < axes)?;
+            let [phase_ns, jitter_ns, rtt_ns, age_ns] = take.u32s()?.map(NonZeroU32::new);
+            let [fault, warning, current, velocity] = take.u32s()?;
+            Record::Drive(DriveRecord {
+                index,
+                axis,
+                reply: *Reply::ALL.get(usize::from(flags))?,
+                link: *Link::ALL.get(usize::from(link))?,
+                state: *State::ALL.get(usize::from(state))?,
+                stopped,
+                verb,
+                moving: marks & MOVING != 0,
+                inhibited: marks & INHIBITED != 0,
+                was_online: marks & WAS_ONLINE != 0,
+                phase_ns,
+                jitter_ns,
+                rtt_ns,
+                age_ns,
+                fault,
+                warning,
+                current: f32::from_bits(current),
+                velocity: f32::from_bits(velocity),
+                position: f64::from_bits(take.u64()?),
+                demand: f64::from_bits(take.u64()?),
+            })
+        }
+        2 => {
+            let missed = u16::try_from(take.u32()?).ok()?;
+            let (index, grid) = (take.u64()?, Time(take.u64()?));
+            let [wake_ns, jitter_ns] = take.u32s()?;
+            let stages_ns = take.u32s()?;
+            let [faults, switches] = take.u32s()?;
+            let (spun, look) = (flags & SPUN != 0, look(flags, faults, switches));
+            Record::Cycle(CycleRecord { index, grid, wake_ns, spun, jitter_ns, stages_ns, missed, look })
+        }
+        3 => {
+            take.u32()?;
+            let (first, grid) = (take.u64()?, Time(take.u64()?));
+            let (count, late_ns, given_up_ns) = (take.u64()?, take.u64()?, take.u64()?);
+            let [faults, switches] = take.u32s()?;
+            Record::Skipped(SkippedRecord {
+                first,
+                grid,
+                count,
+                late_ns,
+                given_up_ns,
+                woke_late: flags & WOKE_LATE != 0,
+                late: flags & LATE != 0,
+                spun: flags & SPUN != 0,
+                look: look(flags, faults, switches),
+            })
+        }
+        _ => return None,
+    })
+}
+
+/// Takes bytes from the front; `None` where there are too few.
+struct Take<'a>(&'a [u8]);
+
+impl<'a> Take<'a> {
+    fn bytes(&mut self, length: usize) -> Option<&'a [u8]> {
+        let (taken, rest) = self.0.split_at_checked(length)?;
+        self.0 = rest;
+        Some(taken)
+    }
+
+    fn array<const N: usize>(&mut self) -> Option<&'a [u8; N]> {
+        let (taken, rest) = self.0.split_first_chunk()?;
+        self.0 = rest;
+        Some(taken)
+    }
+
+    fn u32(&mut self) -> Option<u32> {
+        Some(u32::from_le_bytes(*self.array()?))
+    }
+
+    fn u32s<const N: usize>(&mut self) -> Option<[u32; N]> {
+        let mut words = [0; N];
+        for word in &mut words {
+            *word = self.u32()?;
+        }
+        Some(words)
+    }
+
+    fn u64(&mut self) -> Option<u64> {
+        Some(u64::from_le_bytes(*self.array()?))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cycle::record::measured;
+
+    fn header() -> Header {
+        let axis = |name: &str| Axis { name: name.into(), unit: "mm".into() };
+        Header {
+            why: "drive x: link lost".into(),
+            cycle: 7,
+            axes: vec![axis("x"), axis("y")],
+            ..Header::default()
+        }
+    }
+
+    fn records() -> Vec<Record> {
+        vec![
+            Record::Drive(DriveRecord {
+                index: u64::MAX,
+                axis: 1,
+                reply: Reply::Unsent,
+                link: Link::Lost,
+                state: State::Fault,
+                stopped: Some(StopCause::GroupFailed),
+                verb: 12,
+                moving: true,
+                inhibited: true,
+                was_online: true,
+                phase_ns: measured(1),
+                jitter_ns: None,
+                rtt_ns: measured(u64::MAX),
+                age_ns: measured(4),
+                fault: 5,
+                warning: 6,
+                current: -1.5,
+                velocity: 2.5,
+                position: f64::MIN,
+                demand: 1e-9,
+            }),
+            Record::Cycle(CycleRecord {
+                index: 7,
+                grid: Time(8),
+                wake_ns: 9,
+                spun: true,
+                jitter_ns: 10,
+                stages_ns: [11, 12, 13, 14, 15, 16],
+                missed: 17,
+                look: Some(Look { faults: 18, switches: 19 }),
+            }),
+            Record::Skipped(SkippedRecord {
+                first: 20,
+                grid: Time(21),
+                count: 22,
+                late_ns: 23,
+                given_up_ns: 24,
+                woke_late: true,
+                late: true,
+                spun: false,
+                look: None,
+            }),
+        ]
+    }
+
+    #[test]
+    fn what_is_written_is_read() {
+        let bytes = encode(&header(), records().iter());
+        assert_eq!(decode(&bytes), Ok((header(), records())));
+        assert_eq!(decode(&encode(&header(), [].iter())), Ok((header(), Vec::new())));
+    }
+
+    #[test]
+    fn every_cut_and_every_changed_byte_is_noticed() {
+        let bytes = encode(&header(), records().iter());
+        for length in 0..bytes.len() {
+            let wrong = decode(&bytes[..length]).unwrap_err();
+            assert_eq!(matches!(wrong, Wrong::Foreign), length < 8, "{length}: {wrong:?}");
+        }
+        for place in 0..bytes.len() {
+            let mut changed = bytes.clone();
+            changed[place] ^= 0x10;
+            assert!(decode(&changed).is_err(), "byte {place}");
+        }
+    }
+
+    #[test]
+    fn a_foreign_file_is_called_one() {
+        for bytes in [&b""[..], b"PNG", b"FBBOX", &[0; 100]] {
+            assert_eq!(decode(bytes), Err(Wrong::Foreign));
+        }
+        let mut newer = encode(&header(), records().iter());
+        newer[6] = 2;
+        assert_eq!(decode(&newer), Err(Wrong::Version(2)));
+    }
+
+    #[test]
+    fn an_axis_that_is_not_in_the_header_is_damage() {
+        let mut header = header();
+        header.axes.pop();
+        assert_eq!(
+            decode(&encode(&header, records().iter())),
+            Err(Wrong::Damaged("a record cannot be read"))
+        );
+    }
+
+    #[test]
+    fn a_directory_and_a_missing_file_are_one_clear_line() {
+        let directory = tempfile::tempdir().unwrap();
+        for path in [directory.path().to_owned(), directory.path().join("none"), "/dev/zero".into()] {
+            let text = load(&path).unwrap_err().to_string();
+            assert!(!text.contains('\n') && text.contains("*.blackbox"), "{text}");
+        }
+    }
+
+    #[test]
+    fn neither_a_pipe_nor_a_huge_file_is_waited_for() {
+        let directory = tempfile::tempdir().unwrap();
+        let [pipe, huge] = ["pipe", "huge"].map(|name| directory.path().join(name));
+        let name = std::ffi::CString::new(pipe.as_os_str().as_encoded_bytes()).unwrap();
+        // SAFETY: a string that ends with its zero.
+        assert_eq!(unsafe { libc::mkfifo(name.as_ptr(), 0o600) }, 0);
+        assert!(matches!(load(&pipe), Err(ReadError::Foreign(_))));
+        // Sparse: it takes no room, and long to read.
+        File::create(&huge).unwrap().set_len(1 << 33).unwrap();
+        let begun = std::time::Instant::now();
+        assert!(matches!(load(&huge), Err(ReadError::Foreign(_))));
+        assert!(begun.elapsed().as_millis() < 500, "{:?}", begun.elapsed());
+    }
+}

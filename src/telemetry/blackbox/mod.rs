@@ -1,0 +1,368 @@
+//! The black box: the last cycles, always in memory, written to a file when something fails.
+//!
+//! | file | what |
+//! |---|---|
+//! | `mod` | what is kept, and when it is written |
+//! | `file` | the file's bytes, both ways |
+//! | `story` | what led up to it, in words |
+//!
+//! It is fed by the telemetry thread, so that the loop pays nothing for it. A file is written by a thread of its own: a slow
+//! disk holds up nobody.
+
+pub mod file;
+pub mod story;
+
+use std::collections::VecDeque;
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::thread::JoinHandle;
+use std::time::SystemTime;
+
+use nix::unistd::User;
+use serde::Serialize;
+
+use self::file::{Axis, Header};
+use crate::axis::{Link, StopCause};
+use crate::cycle::Plan;
+use crate::cycle::record::{DriveRecord, Record};
+use crate::rt::host;
+use crate::telemetry::file::save;
+use crate::time::MS;
+
+/// So much of what follows is kept too: how the stop went.
+const AFTERMATH_NS: u64 = 200 * MS;
+
+/// A machine that fails again and again does not fill the disk: of the files that nobody asked for the first ones stay, where
+/// it began, and the newest.
+const FIRST_FILES: usize = 8;
+const NEWEST_FILES: usize = 8;
+
+/// A file that was written, or was to be.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Written {
+    /// Why.
+    pub why: String,
+    /// In which cycle that was.
+    pub cycle: u64,
+    /// Where.
+    pub path: PathBuf,
+    /// Why it could not be written.
+    pub error: Option<String>,
+    /// Which of the run's it is, from 1.
+    #[serde(skip)]
+    pub number: usize,
+    /// The file that made room for it.
+    #[serde(skip)]
+    pub replaced: Option<PathBuf>,
+}
+
+impl fmt::Display for Written {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Written { why, cycle, path, error, .. } = self;
+        match error {
+            None => write!(f, "black box: {} ({why}, cycle {cycle})", path.display()),
+            Some(error) => write!(f, "black box not written: {error} ({why}, cycle {cycle})"),
+        }
+    }
+}
+
+/// What is kept.
+#[derive(Debug)]
+pub struct BlackBox {
+    directory: PathBuf,
+    header: Header,
+    records: VecDeque<Record>,
+    room: usize,
+    axes: Vec<Known>,
+    newest: u64,
+    aftermath: u64,
+    /// Cycles that it holds.
+    cycles: u64,
+    /// It is to be written.
+    due: Option<Due>,
+    /// Until when the newest file reaches.
+    written_to: Option<u64>,
+    files: usize,
+    failures: usize,
+    /// Files of failures that make room for newer ones.
+    newest_files: VecDeque<PathBuf>,
+    writing: Vec<JoinHandle<Written>>,
+}
+
+/// Why and when it is to be written.
+#[derive(Debug)]
+struct Due {
+    why: String,
+    cycle: u64,
+    /// Once this cycle has come.
+    from: u64,
+    /// Something failed; otherwise somebody asked.
+    failed: bool,
+}
+
+/// How an axis was when last seen.
+#[derive(Clone, Copy, Debug, Default)]
+struct Known {
+    link: Link,
+    fault: u32,
+    stopped: Option<StopCause>,
+}
+
+impl BlackBox {
+    /// A black box of `plan` whose files go to `directory`; `None` if the plan wants none.
+    pub fn new(plan: &Plan, directory: &Path) -> Option<BlackBox> {
+        let cycle = &plan.cycle;
+        let axes = plan.axes();
+        let room = plan.black_box_records();
+        (room > 0).then(|| BlackBox {
+            directory: directory.to_owned(),
+            room,
+            records: VecDeque::with_capacity(room),
+            newest: 0,
+            aftermath: AFTERMATH_NS.min(cycle.black_box_ns / 2) / cycle.period_ns,
+            cycles: cycle.black_box_ns / cycle.period_ns,
+            due: None,
+            written_to: None,
+            files: 0,
+            failures: 0,
+            newest_files: VecDeque::with_capacity(NEWEST_FILES + 1),
+            writing: Vec::new(),
+            header: Header {
+                program: env!("CARGO_PKG_VERSION").to_owned(),
+                machine: plan.source.as_ref().map(|path| path.display().to_string()),
+                period_ns: cycle.period_ns,
+                deadline_ns: cycle.deadline_ns(),
+                late_ns: cycle.late_ns(),
+                axes: axes
+                    .iter()
+                    .map(|axis| Axis { name: axis.name.clone(), unit: axis.units.unit.to_string() })
+                    .collect(),
+                kernel: host::kernel(),
+                preemption: host::preemption(),
+                cpu: host::cpu(),
+                ..Header::default()
+            },
+            axes: vec![Known::default(); axes.len()],
+        })
+    }
+
+    /// Takes a record in, and notices what fails.
+    pub fn enter(&mut self, record: &Record) {
+        if self.records.len() == self.room {
+            self.records.pop_front();
+        }
+        self.records.push_back(*record);
+        match record {
+            Record::Drive(drive) => self.look(drive),
+            Record::Cycle(cycle) => self.newest = cycle.index,
+            Record::Skipped(skipped) => self.newest = skipped.first,
+        }
+        // At once, or what is to be told of has left it when the telemetry is late.
+        if let Some(due) = self.due.take_if(|due| self.newest >= due.from) {
+            self.start(due);
+        }
+    }
+
+    fn look(&mut self, drive: &DriveRecord) {
+        let Some(known) = self.axes.get_mut(usize::from(drive.axis)) else { return };
+        let (link, fault, stopped) = (drive.link, drive.fault, drive.stopped);
+        let before = std::mem::replace(known, Known { link, fault, stopped });
+        let what = if link == Link::Lost && before.link != Link::Lost {
+            "link lost".to_owned()
+        } else if fault != 0 && before.fault == 0 {
+            format!("fault {fault:#06x}")
+        } else if let Some(cause) =
+            stopped.filter(|cause| before.stopped.is_none() && *cause != StopCause::Shutdown)
+        {
+            format!("stopped: {cause}")
+        } else {
+            return;
+        };
+        let name = &self.header.axes[usize::from(drive.axis)].name;
+        let due = Due {
+            why: format!("drive {name}: {what}"),
+            cycle: drive.index,
+            // Not before the newest file's end has left it: what follows closely upon a failure is in one file with it.
+            from: (drive.index + self.aftermath).max(self.written_to.map_or(0, |to| to + self.cycles)),
+            failed: true,
+        };
+        // What failed first is what it is written for; it does not wait for one who only asked.
+        if self.due.as_ref().is_none_or(|due| !due.failed) {
+            self.due = Some(due);
+        }
+    }
+
+    /// Somebody wants to see it.
+    pub fn ask(&mut self) {
+        let (cycle, from) = (self.newest, self.newest + self.aftermath);
+        self.due.get_or_insert(Due { why: "asked for".to_owned(), cycle, from, failed: false });
+    }
+
+    /// Writes it if it is time; `last` waits for nothing more. Returns the files that were finished meanwhile.
+    pub fn write(&mut self, last: bool) -> Vec<Written> {
+        if last && let Some(due) = self.due.take() {
+            self.start(due);
+        }
+        let (done, writing) =
+            std::mem::take(&mut self.writing).into_iter().partition(|thread| last || thread.is_finished());
+        self.writing = writing;
+        let done: Vec<JoinHandle<Written>> = done;
+        done.into_iter().filter_map(|thread| thread.join().ok()).collect()
+    }
+
+    fn start(&mut self, due: Due) {
+        let Due { why, cycle, failed, .. } = due;
+        let now = SystemTime::now();
+        let stamp = humantime::format_rfc3339_seconds(now).to_string();
+        let name = format!("fieldbeat-{}-cycle-{cycle}.blackbox", stamp.replace([':', '-'], ""));
+        let path = self.directory.join(name);
+        self.files += 1;
+        let mut written =
+            Written { why: why.clone(), cycle, path, error: None, number: self.files, replaced: None };
+        if failed {
+            self.written_to = Some(self.newest);
+            self.failures += 1;
+            if self.failures > FIRST_FILES {
+                self.newest_files.push_back(written.path.clone());
+            }
+            if self.newest_files.len() > NEWEST_FILES {
+                written.replaced = self.newest_files.pop_front();
+            }
+        }
+        let header = Header { why, cycle, written: stamp, ..self.header.clone() };
+        let bytes = file::encode(&header, self.records.iter());
+        let write = move || {
+            if let Some(spare) = &written.replaced {
+                // Gone already is as good.
+                let _ = std::fs::remove_file(spare);
+            }
+            written.error = save(&written.path, &bytes).err().map(|error| error.to_string());
+            written
+        };
+        match std::thread::Builder::new().name("fb-blackbox".into()).spawn(write) {
+            Ok(thread) => self.writing.push(thread),
+            // Without a thread there is nobody to tell; the next failure tries again.
+            Err(_) => self.files -= 1,
+        }
+    }
+}
+
+/// Where the files go if nobody says otherwise: the state directory of the service, or that of the user.
+pub fn default_directory() -> PathBuf {
+    let of = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
+    of("STATE_DIRECTORY").or_else(|| Some(of("XDG_STATE_HOME")?.join("fieldbeat"))).unwrap_or_else(|| {
+        // Never a directory that others may write to.
+        let home = User::from_uid(nix::unistd::geteuid()).ok().flatten().map(|user| user.dir);
+        of("HOME").or(home).unwrap_or_default().join(".local/state/fieldbeat")
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bus::linudp::{LinUdpDrive, LinUdpPlan};
+    use crate::cycle::CyclePlan;
+    use crate::cycle::record::CycleRecord;
+
+    fn plan(black_box_ns: u64) -> Plan {
+        let drives = ["x", "y"].map(|name| LinUdpDrive::new(name, [127, 0, 0, 2].into()));
+        Plan {
+            source: None,
+            cycle: CyclePlan { black_box_ns, ..CyclePlan::default() },
+            buses: vec![Box::new(LinUdpPlan::new([127, 0, 0, 1].into(), drives.into()))],
+            groups: Vec::new(),
+        }
+    }
+
+    fn cycle(black_box: &mut BlackBox, index: u64, change: impl Fn(&mut DriveRecord)) {
+        for axis in 0..2 {
+            let mut drive = DriveRecord { index, axis, link: Link::Online, ..DriveRecord::default() };
+            change(&mut drive);
+            black_box.enter(&Record::Drive(drive));
+        }
+        black_box.enter(&Record::Cycle(CycleRecord { index, ..CycleRecord::default() }));
+    }
+
+    #[test]
+    fn a_failure_is_written_once_with_its_aftermath() {
+        let directory = tempfile::tempdir().unwrap();
+        let mut black_box = BlackBox::new(&plan(100 * MS), directory.path()).unwrap();
+        (0..500).for_each(|index| cycle(&mut black_box, index, |_| {}));
+        let fail = |drive: &mut DriveRecord| {
+            if drive.axis == 1 {
+                (drive.fault, drive.stopped) = (0x0B, Some(StopCause::DriveFault));
+            }
+        };
+        for index in 500..550 {
+            cycle(&mut black_box, index, fail);
+            assert_eq!(black_box.write(false), []);
+        }
+        // The telemetry is late and takes many cycles at once: what the file is about has not left it.
+        (550..700).for_each(|index| cycle(&mut black_box, index, fail));
+        assert_eq!(black_box.write(true).len(), 1);
+        let files: Vec<_> = std::fs::read_dir(directory.path()).unwrap().collect();
+        let path = files[0].as_ref().unwrap().path();
+        assert_eq!(files.len(), 1);
+        let (header, records) = file::load(&path).unwrap();
+        assert_eq!((header.why.as_str(), header.cycle), ("drive y: fault 0x000b", 500));
+        assert_eq!(records.len(), 300, "100 cycles of 2 drives and a cycle record each");
+        let after = records.iter().filter(|record| matches!(record, Record::Cycle(c) if c.index >= 500));
+        assert_eq!(after.count(), 51);
+    }
+
+    #[test]
+    fn a_failure_comes_before_a_request() {
+        let directory = tempfile::tempdir().unwrap();
+        let mut black_box = BlackBox::new(&plan(100 * MS), directory.path()).unwrap();
+        (0..10).for_each(|index| cycle(&mut black_box, index, |_| {}));
+        black_box.ask();
+        (10..200).for_each(|index| cycle(&mut black_box, index, |drive| drive.fault = 5));
+        let [written] = &black_box.write(true)[..] else { panic!() };
+        assert_eq!((written.why.as_str(), written.cycle), ("drive x: fault 0x0005", 10));
+    }
+
+    #[test]
+    fn a_machine_that_fails_for_weeks_keeps_its_first_and_its_newest_files() {
+        let directory = tempfile::tempdir().unwrap();
+        let mut black_box = BlackBox::new(&plan(100 * MS), directory.path()).unwrap();
+        let mut written = Vec::new();
+        // A fault every ten cycles, at last none; then somebody asks.
+        for index in 0..4_400 {
+            cycle(&mut black_box, index, |drive| drive.fault = u32::from(index % 10 == 9 && index < 4_000));
+            if index == 4_200 {
+                black_box.ask();
+            }
+            // To the end of each, so that the order of the files is that of the failures.
+            while !black_box.writing.is_empty() {
+                written.extend(black_box.write(false));
+            }
+        }
+        let asked = written.pop().unwrap();
+        assert_eq!((asked.why.as_str(), asked.cycle, asked.path.exists()), ("asked for", 4_200, true));
+        let all: Vec<u64> = written.iter().map(|one| one.cycle).collect();
+        // Each tells of what no other one holds yet.
+        assert!(all.len() > 30 && all[1..].windows(2).all(|pair| pair[1] - pair[0] == 100), "{all:?}");
+        let kept: Vec<u64> = written.iter().filter(|one| one.path.exists()).map(|one| one.cycle).collect();
+        assert_eq!(kept, [&all[..FIRST_FILES], &all[all.len() - NEWEST_FILES..]].concat());
+    }
+
+    #[test]
+    fn a_missing_directory_is_made_and_an_impossible_one_is_told() {
+        let directory = tempfile::tempdir().unwrap();
+        let file = directory.path().join("file");
+        std::fs::write(&file, "").unwrap();
+        for (place, possible) in [(directory.path().join("a/b"), true), (file.join("a"), false)] {
+            let mut black_box = BlackBox::new(&plan(100 * MS), &place).unwrap();
+            cycle(&mut black_box, 3, |_| {});
+            black_box.ask();
+            let [written] = &black_box.write(true)[..] else { panic!() };
+            assert_eq!((written.why.as_str(), written.cycle), ("asked for", 3));
+            assert_eq!(written.error.is_none(), possible, "{written:?}");
+        }
+    }
+
+    #[test]
+    fn none_is_wanted() {
+        assert!(BlackBox::new(&plan(0), Path::new("/")).is_none());
+    }
+}

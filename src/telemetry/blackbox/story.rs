@@ -1,0 +1,359 @@
+//! What led up to it, in words: what changed from cycle to cycle, and the last cycles as a table.
+
+use std::fmt::Write as _;
+
+use serde::Serialize;
+
+use super::file::Header;
+use crate::axis::{Link, Verb};
+use crate::cycle::record::{CycleRecord, DriveRecord, Lateness, Record, Reply, SkippedRecord, Stage};
+use crate::time::{Ns, S};
+
+/// Something that changed.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Happening {
+    /// The cycle.
+    pub cycle: u64,
+    /// Seconds from the failure; negative before it.
+    pub at_s: f64,
+    /// The drive; `None` = the loop.
+    pub drive: Option<String>,
+    /// What, in words.
+    pub what: String,
+    /// In how many cycles in a row, skipped slots left out.
+    pub times: u64,
+}
+
+/// What repeats is looked for among so many of the newest: all drives may miss at once.
+const MOST_AT_ONCE: usize = 1024;
+
+/// A column of names is no wider: formatting panics beyond 65 535.
+const WIDEST_NAME: usize = 64;
+
+/// All that changed, in its order. What repeats from cycle to cycle is told once.
+pub fn happenings(header: &Header, records: &[Record]) -> Vec<Happening> {
+    let mut known: Vec<Option<DriveRecord>> = vec![None; header.axes.len()];
+    let mut told: Vec<Happening> = Vec::new();
+    // The cycle of the record before, of each axis and, behind them, of the loop; and of the last time that something was told.
+    let mut before = vec![None; header.axes.len() + 1];
+    let mut last: Vec<u64> = Vec::new();
+    for record in records {
+        let (cycle, place, news) = match record {
+            Record::Drive(drive) => {
+                let axis = usize::from(drive.axis);
+                let Some(known) = known.get_mut(axis) else { continue };
+                let news = match known.replace(*drive) {
+                    Some(known) => changes(&known, drive),
+                    None => vec![format!("{}, {}{}", drive.link, drive.state, running(drive))],
+                };
+                (drive.index, axis, news)
+            }
+            Record::Cycle(cycle) => {
+                (cycle.index, header.axes.len(), late(header, cycle).into_iter().collect())
+            }
+            Record::Skipped(SkippedRecord { first, count, given_up_ns, woke_late, .. }) => {
+                let why = if *woke_late { "the loop woke" } else { "the cycle before took too long," };
+                let news = format!("{count} skipped: {why} {} late", Ns(*given_up_ns));
+                (*first, header.axes.len(), vec![news])
+            }
+        };
+        let before = before[place].replace(cycle);
+        let drive = header.axes.get(place).map(|axis| &axis.name);
+        for what in news {
+            let same = |one: &Happening| one.drive.as_ref() == drive && one.what == what;
+            // Only what happened in the record before can go on.
+            let again = (0..told.len())
+                .rev()
+                .take(MOST_AT_ONCE)
+                .find(|one| Some(last[*one]) == before && same(&told[*one]));
+            match again {
+                Some(one) => {
+                    told[one].times += 1;
+                    last[one] = cycle;
+                }
+                None => {
+                    let at_s = seconds(header, cycle);
+                    told.push(Happening { cycle, at_s, drive: drive.cloned(), what, times: 1 });
+                    last.push(cycle);
+                }
+            }
+        }
+    }
+    told
+}
+
+fn seconds(header: &Header, cycle: u64) -> f64 {
+    (cycle as f64 - header.cycle as f64) * header.period_ns as f64 / S as f64
+}
+
+fn running(drive: &DriveRecord) -> String {
+    match drive.verb {
+        0 => String::new(),
+        code => format!(", {}", verb(code)),
+    }
+}
+
+fn verb(code: u8) -> &'static str {
+    Verb::NAMES.get(usize::from(code)).copied().unwrap_or(Verb::NAMES[0])
+}
+
+fn late(header: &Header, cycle: &CycleRecord) -> Option<String> {
+    match cycle.lateness(header.late_ns, header.deadline_ns)? {
+        Lateness::Wake(ns) => Some(format!("woke {} late", Ns(ns))),
+        Lateness::Stage(Stage::Receive, ns) => {
+            Some(format!("took replies until {} after the deadline", Ns(ns)))
+        }
+        Lateness::Stage(stage, ns) => Some(format!("{} took {}", stage.name(), Ns(ns))),
+        // The drives say so themselves.
+        Lateness::Reply => None,
+    }
+}
+
+fn changes(before: &DriveRecord, now: &DriveRecord) -> Vec<String> {
+    let mut told = Vec::new();
+    match now.reply {
+        // Probes of an absent drive are no news.
+        Reply::Missed if before.link != Link::Lost && before.link != Link::Unseen => {
+            told.push("no reply".to_owned())
+        }
+        Reply::Unsent => told.push("not sent: refused by the operating system".to_owned()),
+        Reply::Suspect => told.push("reply may be an earlier one".to_owned()),
+        _ => {}
+    }
+    if before.verb != now.verb {
+        told.push(match now.verb {
+            0 => format!("{} ended", verb(before.verb)),
+            code => format!("{} begins", verb(code)),
+        });
+    }
+    if before.state != now.state {
+        told.push(format!("{} -> {}", before.state, now.state));
+    }
+    if before.inhibited != now.inhibited {
+        told.push(format!("hardware enable (STO) {}", if now.inhibited { "missing" } else { "there" }));
+    }
+    if before.warning != now.warning {
+        told.push(format!("warning {:#06x} -> {:#06x}", before.warning, now.warning));
+    }
+    if before.fault != now.fault {
+        told.push(format!("fault {:#06x} -> {:#06x}", before.fault, now.fault));
+    }
+    if before.link != now.link {
+        told.push(format!("link {} -> {}", before.link, now.link));
+    }
+    if before.stopped != now.stopped {
+        told.push(match now.stopped {
+            Some(cause) => format!("stopped: {cause}"),
+            None => "stop reset".to_owned(),
+        });
+    }
+    told
+}
+
+/// The story as text: what happened, and around the failure the last `cycles` cycles of the loop and of the drives that it
+/// happened to.
+pub fn tell(header: &Header, records: &[Record], cycles: u64) -> String {
+    let mut text = String::new();
+    // Writing to a string cannot fail.
+    let _ = write(&mut text, header, records, cycles);
+    // The file may be anybody's, and its names are not to steer a terminal.
+    text.retain(|c| c == '\n' || !c.is_control());
+    text
+}
+
+fn write(text: &mut String, header: &Header, records: &[Record], cycles: u64) -> std::fmt::Result {
+    let machine = header.machine.as_deref().unwrap_or("a machine built in code");
+    writeln!(text, "black box of {machine}, written {} by fieldbeat {}", header.written, header.program)?;
+    writeln!(text, "{}, in cycle {} ({} a cycle)", header.why, header.cycle, Ns(header.period_ns))?;
+    let host = [&header.kernel, &header.preemption, &header.cpu].map(|fact| fact.as_deref().unwrap_or("?"));
+    writeln!(text, "host: {}", host.join(", "))?;
+    let span = |record: &Record| match record {
+        Record::Drive(drive) => drive.index,
+        Record::Cycle(cycle) => cycle.index,
+        Record::Skipped(skipped) => skipped.first,
+    };
+    let (Some(first), Some(last)) = (records.first().map(span), records.last().map(span)) else {
+        return writeln!(text, "it holds no cycle");
+    };
+    writeln!(
+        text,
+        "cycles {first} ... {last}: {:.3} s before it, {:.3} s after it; {} records",
+        -seconds(header, first),
+        seconds(header, last),
+        records.len()
+    )?;
+    writeln!(text, "\nwhat happened (0 s: the failure)")?;
+    let happenings = happenings(header, records);
+    let wide = header.axes.iter().map(|axis| axis.name.len()).max().unwrap_or(0).clamp(4, WIDEST_NAME);
+    for one in &happenings {
+        let who = one.drive.as_deref().unwrap_or("loop");
+        let times = if one.times > 1 { format!(" ({} cycles in a row)", one.times) } else { String::new() };
+        writeln!(text, "{:>+10.4} s  cycle {:<10} {who:wide$}  {}{times}", one.at_s, one.cycle, one.what)?;
+    }
+    let concerned = concerned(header, &happenings, cycles);
+    let (from, to) = (header.cycle.saturating_sub(cycles), header.cycle.saturating_add(cycles / 4));
+    let loops = records.iter().filter_map(|record| match record {
+        Record::Cycle(cycle) if (from..=to).contains(&cycle.index) => Some(cycle),
+        _ => None,
+    });
+    write!(text, "\nthe loop, us\n{:>12} {:>9}", "cycle", "woke")?;
+    for stage in Stage::ALL {
+        write!(text, " {:>9}", stage.name())?;
+    }
+    writeln!(text)?;
+    let us = |ns: u32| f64::from(ns) / 1e3;
+    for cycle in loops {
+        write!(text, "{:>12} {:>9.1}", cycle.index, us(cycle.wake_ns))?;
+        for ns in cycle.stages_ns {
+            write!(text, " {:>9.1}", us(ns))?;
+        }
+        writeln!(text)?;
+    }
+    for axis in concerned {
+        let of = &header.axes[axis];
+        writeln!(text, "\ndrive {}, {}", of.name, of.unit)?;
+        writeln!(
+            text,
+            "{:>12} {:>9} {:>9} {:>11} {:>19} {:>12} {:>12} {:>12} {:>9}",
+            "cycle", "reply", "RTT us", "link", "state", "position", "demand", "velocity", "current A"
+        )?;
+        for record in records {
+            let Record::Drive(drive) = record else { continue };
+            if usize::from(drive.axis) != axis || !(from..=to).contains(&drive.index) {
+                continue;
+            }
+            let rtt = drive.rtt_ns.map_or("-".to_owned(), |ns| format!("{:.1}", us(ns.get())));
+            let reply = format!("{:?}", drive.reply).to_lowercase();
+            writeln!(
+                text,
+                "{:>12} {reply:>9} {rtt:>9} {:>11} {:>19} {:>12.4} {:>12.4} {:>12.2} {:>9.2}",
+                drive.index,
+                drive.link.to_string(),
+                drive.state.to_string(),
+                drive.position,
+                drive.demand,
+                drive.velocity,
+                drive.current
+            )?;
+        }
+    }
+    Ok(())
+}
+
+/// The drives to which something happened around the failure; all of them if it was to none.
+fn concerned(header: &Header, happenings: &[Happening], cycles: u64) -> Vec<usize> {
+    let until = |one: &Happening| one.cycle.saturating_add(one.times).saturating_add(cycles);
+    let near = |one: &Happening| until(one) > header.cycle && one.cycle <= header.cycle;
+    let met = |axis: &usize| {
+        happenings.iter().any(|one| near(one) && one.drive.as_ref() == Some(&header.axes[*axis].name))
+    };
+    let some: Vec<usize> = (0..header.axes.len()).filter(met).collect();
+    if some.is_empty() { (0..header.axes.len()).collect() } else { some }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::file::Axis;
+    use super::*;
+    use crate::axis::{State, StopCause};
+    use crate::time::MS;
+
+    fn machine() -> (Header, Vec<Record>) {
+        let axis = |name: &str| Axis { name: name.into(), unit: "mm".into() };
+        let header = Header {
+            why: "drive x: link lost".into(),
+            cycle: 103,
+            period_ns: MS,
+            deadline_ns: MS / 2,
+            late_ns: MS / 10,
+            axes: vec![axis("x"), axis("long")],
+            ..Header::default()
+        };
+        let mut records = Vec::new();
+        for index in 96..106 {
+            for axis in 0..2 {
+                let mut drive = DriveRecord {
+                    index,
+                    axis,
+                    reply: Reply::Answered,
+                    link: Link::Online,
+                    state: State::OperationEnabled,
+                    verb: 7,
+                    ..DriveRecord::default()
+                };
+                if axis == 0 && index > 99 {
+                    drive.reply = Reply::Missed;
+                    if index >= 103 {
+                        (drive.link, drive.stopped, drive.verb) = (Link::Lost, Some(StopCause::LinkLost), 0);
+                    }
+                }
+                records.push(Record::Drive(drive));
+            }
+            let wake_ns = if index == 99 { 412_000 } else { 5_000 };
+            records.push(Record::Cycle(CycleRecord { index, wake_ns, ..CycleRecord::default() }));
+        }
+        (header, records)
+    }
+
+    #[test]
+    fn the_way_to_a_lost_link_is_told_in_its_order() {
+        let (header, records) = machine();
+        let told: Vec<String> = happenings(&header, &records)
+            .into_iter()
+            .map(|one| {
+                format!(
+                    "{} {} {} x{}",
+                    one.cycle,
+                    one.drive.as_deref().unwrap_or("loop"),
+                    one.what,
+                    one.times
+                )
+            })
+            .collect();
+        assert_eq!(
+            told,
+            [
+                "96 x online, OperationEnabled, follow x1",
+                "96 long online, OperationEnabled, follow x1",
+                "99 loop woke 412 us late x1",
+                "100 x no reply x4",
+                "103 x follow ended x1",
+                "103 x link online -> lost x1",
+                "103 x stopped: link lost x1",
+            ]
+        );
+    }
+
+    #[test]
+    fn the_tables_show_the_drive_it_happened_to() {
+        let (header, records) = machine();
+        let text = tell(&header, &records, 4);
+        assert!(text.contains("drive x, mm") && !text.contains("drive long, mm"), "{text}");
+        assert!(text.contains("   -0.0040 s  cycle 99         loop  woke 412 us late"), "{text}");
+        assert!(text.contains("(4 cycles in a row)"), "{text}");
+    }
+
+    #[test]
+    fn an_empty_one_says_so() {
+        let (header, _) = machine();
+        assert!(tell(&header, &[], 4).contains("it holds no cycle"));
+    }
+
+    #[test]
+    fn any_number_and_any_name_can_be_told() {
+        let (mut header, mut records) = machine();
+        header.axes[1].name = "\x1b[2J".repeat(20_000);
+        for cycle in [0, 103, u64::MAX] {
+            header.cycle = cycle;
+            for record in &mut records {
+                if let Record::Drive(drive) = record {
+                    drive.index = drive.index.max(cycle);
+                }
+            }
+            for cycles in [0, 4, u64::MAX] {
+                let text = tell(&header, &records, cycles);
+                assert!(text.contains("drive x, mm") && !text.contains('\x1b'));
+            }
+        }
+    }
+}
