@@ -111,13 +111,13 @@ fn the_loop_is_real_time_and_does_not_fault_in_a_hundred_thousand_cycles() {
         assert!(of_loop.reset_on_fork, "whatever it starts would be real-time too");
         assert_eq!(of_loop.cores, [core]);
         // The program's main thread has its name.
-        for name in ["fb-telemetry", "fb-signals", "fieldbeat"] {
+        for name in ["fb-telemetry", "fb-signals", "fb-control", "fieldbeat"] {
             let thread = &threads[name];
             assert_eq!((thread.policy, thread.priority), (libc::SCHED_OTHER, 0), "{name}: {threads:?}");
             let others = list(std::fs::read_to_string("/sys/devices/system/cpu/online").unwrap().trim());
             assert!(others.len() == 1 || !thread.cores.contains(&core), "{name}: {threads:?}");
         }
-        assert_eq!(threads.len(), 4, "a thread that this test does not know: {threads:?}");
+        assert_eq!(threads.len(), 5, "a thread that this test does not know: {threads:?}");
     }
 }
 

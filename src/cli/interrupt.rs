@@ -1,12 +1,12 @@
 //! Ctrl-C, SIGTERM, and SIGHUP of a terminal that goes away: the first asks for the orderly end, the second shortens its
-//! waits. Neither skips the stop.
+//! waits. Neither skips the stop. SIGUSR1 asks for the black box.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use fieldbeat::master::StopHandle;
-use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGUSR1, SIGXFSZ};
 
 /// Set by the signals' handlers, which do nothing else.
 #[derive(Clone, Debug)]
@@ -15,13 +15,14 @@ pub struct Interrupt {
     fresh: Arc<AtomicBool>,
     /// Ever.
     ever: Arc<AtomicBool>,
+    /// SIGUSR1: somebody wants the black box.
+    black_box: Arc<AtomicBool>,
 }
 
 impl Interrupt {
     /// Catches the signals from here on.
     pub fn catch() -> std::io::Result<Interrupt> {
-        let interrupt =
-            Interrupt { fresh: Arc::new(AtomicBool::new(false)), ever: Arc::new(AtomicBool::new(false)) };
+        let interrupt = Interrupt { fresh: Arc::default(), ever: Arc::default(), black_box: Arc::default() };
         for signal in [SIGINT, SIGTERM, SIGHUP] {
             // Under nohup the program shall outlive its terminal.
             if signal == SIGHUP && is_ignored(signal) {
@@ -30,7 +31,15 @@ impl Interrupt {
             signal_hook::flag::register(signal, Arc::clone(&interrupt.ever))?;
             signal_hook::flag::register(signal, Arc::clone(&interrupt.fresh))?;
         }
+        signal_hook::flag::register(SIGUSR1, Arc::clone(&interrupt.black_box))?;
+        // A limit of file sizes (ulimit -f) would end the process in mid-motion; caught, it only fails that write.
+        signal_hook::flag::register(SIGXFSZ, Arc::new(AtomicBool::new(false)))?;
         Ok(interrupt)
+    }
+
+    /// Whether SIGUSR1 came since this was asked last.
+    pub fn wants_black_box(&self) -> bool {
+        self.black_box.swap(false, Ordering::Relaxed)
     }
 
     /// Whether a signal has come.

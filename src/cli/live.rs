@@ -3,7 +3,6 @@
 use std::io::{IsTerminal, Write};
 use std::time::{Duration, Instant};
 
-use fieldbeat::axis::Observer;
 use fieldbeat::master::Master;
 use fieldbeat::telemetry::Quantiles;
 use fieldbeat::time::US;
@@ -36,8 +35,7 @@ impl Live {
             return;
         }
         let status = master.status();
-        let wake = master.measured(|measured| Quantiles::of(&measured.wake, Some(status.wake_max_ns)));
-        let wake = wake.unwrap_or_default();
+        let wake = master.measured(|measured| Quantiles::of(&measured.histograms.wake, status.wake_max));
         let drives = master.observers().len();
         // Fits into 80 columns for a day at 1 kHz.
         let us = |ns: Option<u64>| ns.map_or(String::from("-"), |ns| format!("{:.1}", ns as f64 / US as f64));
@@ -68,43 +66,5 @@ impl Live {
     pub fn say(&mut self, text: &str) {
         self.end();
         let _ = writeln!(std::io::stderr().lock(), "{text}");
-    }
-}
-
-/// Reports each change of a drive's link once.
-#[derive(Debug)]
-pub struct LinkWatch {
-    links: Vec<fieldbeat::axis::Link>,
-    /// All of them were online once.
-    complete: bool,
-}
-
-impl LinkWatch {
-    /// A watch over `observers`, none of them seen yet.
-    pub fn new(observers: &[(String, Observer)]) -> LinkWatch {
-        LinkWatch { links: vec![Default::default(); observers.len()], complete: false }
-    }
-
-    /// Says which drives came and went.
-    pub fn look(&mut self, master: &Master, live: &mut Live) {
-        use fieldbeat::axis::Link;
-        for ((name, observer), known) in master.observers().iter().zip(&mut self.links) {
-            let link = observer.feedback().link;
-            if link == *known {
-                continue;
-            }
-            match link {
-                Link::Online if *known != Link::Unseen => live.say(&format!("drive {name}: back online")),
-                Link::Lost => live.say(&format!("drive {name}: lost, it no longer answers")),
-                Link::Online | Link::Unseen | Link::Qualifying => {}
-            }
-            if link != Link::Qualifying {
-                *known = link;
-            }
-        }
-        if !self.complete && self.links.iter().all(|link| *link == Link::Online) {
-            self.complete = true;
-            live.say(&format!("all drives online: {}", self.links.len()));
-        }
     }
 }

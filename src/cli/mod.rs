@@ -1,13 +1,19 @@
 //! The command line: one file a command, no logic that a user of the library would want. Signals are handled here.
 //!
-//! Exit codes: 0 done, 1 the run failed or a drive was lost, 2 bad arguments or configuration.
+//! Exit codes: 0 done, 1 the run failed, a drive was lost or the host is not ready, 2 bad arguments or configuration.
 
+mod attendant;
+mod blackbox;
 mod check;
 mod demo;
+mod doctor;
 mod interrupt;
 mod live;
+mod output;
 mod run;
+mod service;
 mod sim;
+mod status;
 
 use std::io::Write;
 use std::path::PathBuf;
@@ -37,6 +43,12 @@ enum Command {
     Run(run::Run),
     /// The plan of CONFIG in words; refuses what cannot work, with the reason.
     Check(check::Check),
+    /// A running master: what it measured so far.
+    Status(status::Status),
+    /// What led up to a failure, from the file that the master's black box wrote.
+    Blackbox(blackbox::BlackBox),
+    /// What this host is worth for real time, and how to mend it; changes nothing.
+    Doctor(doctor::Doctor),
 }
 
 /// Why a command ended otherwise than well: what to print, and the exit code.
@@ -65,6 +77,9 @@ pub fn main() -> ExitCode {
         Command::Sim(sim) => sim.run(),
         Command::Run(run) => run.run(),
         Command::Check(check) => check.run(),
+        Command::Status(status) => status.run(),
+        Command::Blackbox(blackbox) => blackbox.run(),
+        Command::Doctor(doctor) => doctor.run(),
     });
     match result {
         Ok(()) => ExitCode::SUCCESS,

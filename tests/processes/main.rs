@@ -9,19 +9,27 @@
 //! | `deaths` | controllers and drives that die in mid-motion, and who comes after them |
 //! | `mistakes` | wrong input: configurations, arguments, addresses that are taken |
 //! | `strangers` | datagrams of people who have no business here |
+//! | `telling` | what a master tells while it runs: control socket, black box, service manager |
+//! | `report` | the directory that a run leaves behind, and all that keeps it from being written |
+//! | `metrics` | its numbers meanwhile, over HTTP, and clients that mean no good |
 //! | `rights` | what an ordinary user may not do, and is told |
+//! | `doctor` | what the program says of this host |
 //!
 //! Each test owns 127.x.n.0/24, by the number n of its machine, which is unique in all of these files.
 
 mod deaths;
+mod doctor;
 mod links;
+mod metrics;
 mod mistakes;
 mod program;
+mod report;
 mod rights;
 mod signals;
 mod strangers;
 #[path = "../support/mod.rs"]
 mod support;
+mod telling;
 
 use std::ffi::OsStr;
 use std::net::{SocketAddrV4, UdpSocket};
@@ -86,4 +94,12 @@ fn assert_powered_off(summary: &Value) {
 
 fn socket(address: SocketAddrV4) -> UdpSocket {
     UdpSocket::bind(address).unwrap_or_else(|error| panic!("{address}: {error}"))
+}
+
+/// Nothing was sent to the drive whose socket this is.
+#[track_caller]
+fn assert_silent(drive: &UdpSocket) {
+    drive.set_nonblocking(true).unwrap();
+    let got = drive.recv_from(&mut [0; 64]);
+    assert!(got.as_ref().is_err_and(|error| error.kind() == std::io::ErrorKind::WouldBlock), "{got:?}");
 }

@@ -5,6 +5,7 @@
 pub mod adventures;
 pub mod controller;
 pub mod counting;
+pub mod hold;
 pub mod onlooker;
 
 use std::io::Read;
@@ -204,6 +205,10 @@ impl Program {
 
     pub fn spawn(command: &mut Command) -> Program {
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        // Its files and sockets are not to lie among those of whoever runs the tests.
+        if command.get_envs().all(|(set, _)| set != "XDG_RUNTIME_DIR") {
+            directories_of(command, nix::unistd::geteuid().as_raw());
+        }
         let mut child = loop {
             match command.spawn() {
                 Ok(child) => break child,
@@ -373,6 +378,9 @@ pub fn public_program(machine: &Machine) -> PathBuf {
 pub fn as_ordinary_user(machine: &Machine) -> Command {
     let root = is_root();
     let mut command = Command::new(if root { public_program(machine) } else { PathBuf::from(PROGRAM) });
+    if root {
+        directories_of(&mut command, NOBODY);
+    }
     // SAFETY: between fork and exec, system calls only.
     unsafe {
         command.pre_exec(move || {
@@ -387,6 +395,12 @@ pub fn as_ordinary_user(machine: &Machine) -> Command {
         });
     }
     command
+}
+
+/// Sets the directories for the program's sockets and files.
+fn directories_of(command: &mut Command, user: u32) {
+    let directory = std::env::temp_dir().join(format!("fieldbeat-tests-{user}"));
+    command.env("XDG_RUNTIME_DIR", &directory).env("XDG_STATE_HOME", &directory);
 }
 
 /// The demo's addresses are the same for everybody: whoever holds this may run it.

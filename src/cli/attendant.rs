@@ -1,0 +1,132 @@
+//! What the program does beside a running master: the live line, what happened to links and black boxes, the service
+//! manager, the control socket, and SIGUSR1.
+
+use fieldbeat::axis::Link;
+use fieldbeat::control::{Server, place};
+use fieldbeat::master::Master;
+use fieldbeat::rt::thread::helper_thread;
+use fieldbeat::telemetry::Monitor;
+use fieldbeat::telemetry::blackbox::Written;
+use serde_json::{Value, json};
+
+use super::complain;
+use super::interrupt::{Interrupt, LOOK_EVERY};
+use super::live::Live;
+use super::service::Service;
+
+/// Looks after a master.
+#[derive(Debug)]
+pub struct Attendant {
+    live: Live,
+    service: Service,
+    interrupt: Interrupt,
+    /// Answers `fieldbeat status` while it lives.
+    _control: Option<Server>,
+    links: Vec<Link>,
+    /// All of them were online once.
+    complete: bool,
+    /// The number of the last file of the black box that was told of.
+    black_boxes: usize,
+}
+
+impl Attendant {
+    /// Begins. Without a control socket the master runs all the same.
+    pub fn new(master: &Master, interrupt: &Interrupt) -> Attendant {
+        let control = serve(master);
+        if let Err(why) = &control {
+            complain(&format!("no `fieldbeat status`: {why}"));
+        }
+        Attendant {
+            live: Live::new(),
+            service: Service::ready(),
+            interrupt: interrupt.clone(),
+            _control: control.ok(),
+            links: vec![Link::default(); master.observers().len()],
+            complete: false,
+            black_boxes: 0,
+        }
+    }
+
+    /// To be called some fifty times a second. `what` is going on.
+    pub fn look(&mut self, master: &Master, what: &str) {
+        // Here this program is the application.
+        master.alive();
+        if self.interrupt.wants_black_box() {
+            master.write_black_box();
+        }
+        self.service.look(master);
+        self.look_at_links(master);
+        self.look_at_black_boxes(master);
+        self.live.show(master, what);
+    }
+
+    /// Asks for the orderly end, and looks after the master until it has come to it.
+    pub fn end(mut self, master: &Master) {
+        self.service.stopping();
+        master.stop();
+        while master.is_running() {
+            self.look(master, "stop");
+            std::thread::sleep(LOOK_EVERY);
+        }
+        self.live.end();
+    }
+
+    /// Says which drives came and went.
+    fn look_at_links(&mut self, master: &Master) {
+        for ((name, observer), known) in master.observers().iter().zip(&mut self.links) {
+            let link = observer.feedback().link;
+            if link == *known {
+                continue;
+            }
+            match link {
+                Link::Online if *known != Link::Unseen => {
+                    self.live.say(&format!("drive {name}: back online"))
+                }
+                Link::Lost => self.live.say(&format!("drive {name}: lost, it no longer answers")),
+                Link::Online | Link::Unseen | Link::Qualifying => {}
+            }
+            if link != Link::Qualifying {
+                *known = link;
+            }
+        }
+        if !self.complete && self.links.iter().all(|link| *link == Link::Online) {
+            self.complete = true;
+            self.live.say(&format!("all drives online: {}", self.links.len()));
+        }
+    }
+
+    fn look_at_black_boxes(&mut self, master: &Master) {
+        let told = self.black_boxes;
+        let new: Vec<Written> = master.measured(|measured| {
+            measured.black_boxes.iter().filter(|written| written.number > told).cloned().collect()
+        });
+        for written in new {
+            self.black_boxes = written.number;
+            self.live.say(&written.to_string());
+        }
+    }
+}
+
+/// Answers questions about `master`.
+fn serve(master: &Master) -> Result<Server, String> {
+    let config = master.plan().source.clone();
+    let path = place::prepare(config.as_deref()).map_err(|error| error.to_string())?;
+    let monitor = master.monitor();
+    let core = master.granted().core;
+    let answer = move |question: &Value| match question["ask"].as_str() {
+        Some("status") => Ok(status(&monitor, config.as_deref())),
+        _ => Err("this master answers \"status\" only; is it another version?".to_owned()),
+    };
+    Server::start(&path, move || helper_thread(core), answer).map_err(|error| error.to_string())
+}
+
+fn status(monitor: &Monitor, config: Option<&std::path::Path>) -> Value {
+    let summary = monitor.summary();
+    json!({
+        "pid": std::process::id(),
+        "version": env!("CARGO_PKG_VERSION"),
+        "config": config,
+        "text": summary.to_string(),
+        "summary": summary,
+    })
+}

@@ -1,0 +1,179 @@
+//! The asking side of the control socket.
+
+use std::io;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use nix::sys::socket::{getsockopt, sockopt};
+use serde_json::Value;
+use thiserror::Error;
+
+use super::place;
+use super::talk::{Talk, connect};
+
+/// A master that lives answers sooner.
+const PATIENCE: Duration = Duration::from_secs(5);
+
+/// Bytes of an answer.
+const LONGEST_ANSWER: usize = 16 << 20;
+
+/// Why there is no answer. The message ends with the remedy.
+#[derive(Debug, Error)]
+pub enum AskError {
+    /// There is no socket.
+    #[error("no master answers at {0}; start it with `fieldbeat run`")]
+    Nobody(PathBuf),
+    /// A process that died left it behind.
+    #[error("the master of {0} is dead and left its socket behind; start it again with `fieldbeat run`")]
+    Dead(PathBuf),
+    /// It is another user's.
+    #[error("{0} is another user's: only its owner and root may ask; use sudo")]
+    NotOurs(PathBuf),
+    /// Somebody listens there whose place it is not.
+    #[error(
+        "{path} is answered by user {user}, whose directory it is not; remove it, and start the master again"
+    )]
+    Stranger {
+        /// The socket.
+        path: PathBuf,
+        /// Who listens.
+        user: u32,
+    },
+    /// The conversation broke off.
+    #[error("no answer from {path}: {error}; ask once more, and look whether the master is held up")]
+    Io {
+        /// The socket.
+        path: PathBuf,
+        /// What the operating system said.
+        error: io::Error,
+    },
+    /// It answered something else.
+    #[error("{0} gives no answer of this program; is it another version?")]
+    Foreign(PathBuf),
+    /// It knows the question, and says no.
+    #[error("{0}")]
+    Refused(String),
+}
+
+/// Asks the master at `path` one question. It is this user's, root's, or that of whoever owns the directory. Its answer may
+/// be shown on a terminal as it is: no text in it has control characters but the end of a line.
+pub fn ask(path: &Path, question: &Value) -> Result<Value, AskError> {
+    let own = || path.to_owned();
+    let failed = |error| AskError::Io { path: own(), error };
+    let stream = connect(path, PATIENCE).map_err(|error| match error.kind() {
+        io::ErrorKind::NotFound => AskError::Nobody(own()),
+        io::ErrorKind::ConnectionRefused => AskError::Dead(own()),
+        io::ErrorKind::PermissionDenied => AskError::NotOurs(own()),
+        _ => failed(error),
+    })?;
+    let user = getsockopt(&stream, sockopt::PeerCredentials).map_err(|error| failed(error.into()))?.uid();
+    let ours = [0, nix::unistd::geteuid().as_raw()].contains(&user);
+    if !ours && path.parent().and_then(place::owner) != Some(user) {
+        return Err(AskError::Stranger { path: own(), user });
+    }
+    let talk = Talk::new(&stream, PATIENCE, &|| true).map_err(failed)?;
+    let said = talk.say(&format!("{question}\n"));
+    let line = talk.line(LONGEST_ANSWER).map_err(failed)?;
+    // Whoever did not take all of the question may have said why.
+    if line.is_empty() {
+        said.map_err(failed)?;
+    }
+    let mut reply: Value = serde_json::from_slice(&line).map_err(|_| AskError::Foreign(own()))?;
+    if !reply.is_object() {
+        return Err(AskError::Foreign(own()));
+    }
+    disarm(&mut reply);
+    match (reply["ok"].take(), &reply["error"]) {
+        (Value::Null, Value::String(why)) => Err(AskError::Refused(why.clone())),
+        (Value::Null, _) => Err(AskError::Foreign(own())),
+        (answer, _) => Ok(answer),
+    }
+}
+
+/// Takes out of every text what would steer a terminal.
+fn disarm(value: &mut Value) {
+    let armed = |c: char| c.is_control() && c != '\n';
+    match value {
+        Value::String(text) => text.retain(|c| !armed(c)),
+        Value::Array(values) => values.iter_mut().for_each(disarm),
+        Value::Object(values) => {
+            let named = std::mem::take(values).into_iter();
+            values.extend(named.map(|(name, mut value)| {
+                disarm(&mut value);
+                (name.replace(armed, ""), value)
+            }));
+        }
+        Value::Null | Value::Bool(_) | Value::Number(_) => {}
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs::{self, Permissions};
+    use std::os::unix::fs::{PermissionsExt, chown};
+    use std::os::unix::net::UnixListener;
+
+    use serde_json::json;
+
+    use super::super::Server;
+    use super::*;
+
+    #[test]
+    fn no_answer_steers_a_terminal() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.sock");
+        let answer = |question: &Value| match question["ask"].as_str() {
+            Some(_) => Ok(json!({ "text": "a\x1b[2J\nb\u{9b}1m\r", "\x1bk": ["\x07", 1] })),
+            None => Err("no\x1b[2J".to_owned()),
+        };
+        let _server = Server::start(&path, || {}, answer).unwrap();
+        let answer = ask(&path, &json!({ "ask": "status" })).unwrap();
+        assert_eq!(answer, json!({ "text": "a[2J\nb1m", "k": ["", 1] }));
+        assert_eq!(ask(&path, &json!({})).unwrap_err().to_string(), "no[2J");
+    }
+
+    #[test]
+    fn what_is_no_object_is_foreign() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.sock");
+        let listener = UnixListener::bind(&path).unwrap();
+        let replies: [&[u8]; 4] = [b"[1]\n", b"7\n", b"hello\n", b""];
+        let thread = std::thread::spawn(move || {
+            for reply in replies {
+                let (stream, _) = listener.accept().unwrap();
+                io::Read::read(&mut &stream, &mut [0; 64]).unwrap();
+                io::Write::write_all(&mut &stream, reply).unwrap();
+            }
+        });
+        for _ in replies {
+            assert!(matches!(ask(&path, &json!({})), Err(AskError::Foreign(_))));
+        }
+        thread.join().unwrap();
+    }
+
+    #[test]
+    #[ignore = "needs root: listens as another user"]
+    fn whoever_listens_in_the_directory_of_somebody_else_is_not_asked() {
+        let nobody = 65534;
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.sock");
+        fs::set_permissions(&directory, Permissions::from_mode(0o777)).unwrap();
+        let place = path.clone();
+        let thread = std::thread::spawn(move || {
+            // SAFETY: takes three numbers. The system call, unlike the function of that name, changes this thread alone.
+            assert_eq!(unsafe { libc::syscall(libc::SYS_setresuid, nobody, nobody, nobody) }, 0);
+            UnixListener::bind(place).unwrap()
+        });
+        let listener = thread.join().unwrap();
+        let asked = |mode| {
+            fs::set_permissions(&directory, Permissions::from_mode(mode)).unwrap();
+            ask(&path, &json!({})).unwrap_err()
+        };
+        assert!(matches!(asked(0o777), AskError::Stranger { user, .. } if user == nobody));
+        assert!(matches!(asked(0o755), AskError::Stranger { user, .. } if user == nobody));
+        chown(&directory, Some(nobody), None).unwrap();
+        // It is asked, and goes away.
+        drop(std::thread::spawn(move || (0..3).for_each(|_| drop(listener.accept()))));
+        assert!(!matches!(asked(0o755), AskError::Stranger { .. }));
+    }
+}

@@ -1,0 +1,17 @@
+//! The control socket of a running master: a Unix socket in a directory of its owner, which answers questions from other
+//! processes. One JSON object a line, each way. Normal threads only; the loop knows nothing of it.
+//!
+//! | file | what |
+//! |---|---|
+//! | `place` | where the sockets are, and whose they may be |
+//! | `server` | the master's side |
+//! | `client` | the asking side |
+//! | `talk` | a line each way, in a time that the other side cannot prolong |
+
+mod client;
+pub mod place;
+mod server;
+mod talk;
+
+pub use client::{AskError, ask};
+pub use server::{ServeError, Server};

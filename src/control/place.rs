@@ -1,0 +1,132 @@
+//! Where the sockets are: one directory a user, which nobody else may enter, and in it one socket a machine.
+
+use std::fs::{self, DirBuilder};
+use std::hash::{DefaultHasher, Hash, Hasher};
+use std::io;
+use std::os::unix::fs::{DirBuilderExt, FileTypeExt, MetadataExt};
+use std::path::{Path, PathBuf};
+
+/// Where a service of the sample unit has its sockets (`RuntimeDirectory=fieldbeat`).
+const SERVICE: &str = "/run/fieldbeat";
+
+/// Where the directories of logins are, each named by the number of its user (`XDG_RUNTIME_DIR` by systemd-logind).
+const LOGINS: &str = "/run/user";
+
+/// The directory for the sockets of this process: that of the service, that of the user's login, or one of its own in the
+/// directory for temporary files.
+fn own() -> PathBuf {
+    let of = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
+    of("RUNTIME_DIRECTORY")
+        .or_else(|| Some(of("XDG_RUNTIME_DIR")?.join("fieldbeat")))
+        .unwrap_or_else(|| std::env::temp_dir().join(format!("fieldbeat-{}", nix::unistd::geteuid())))
+}
+
+/// The name of the socket for a configuration: that of the file, and a mark of its whole path.
+fn name(config: &Path) -> String {
+    let whole = fs::canonicalize(config).unwrap_or_else(|_| config.to_owned());
+    // The same in every process of one build; another version of the program is found by its file name.
+    let mut hasher = DefaultHasher::new();
+    whole.hash(&mut hasher);
+    let stem = config.file_stem().unwrap_or_default().to_string_lossy();
+    // A socket's path has 108 bytes (unix(7)).
+    let stem: String = stem.chars().filter(char::is_ascii).take(32).collect();
+    format!("{stem}-{:08x}.sock", hasher.finish() as u32)
+}
+
+/// Makes the directory, if need be, and gives the path for the socket of `config`; `None` is the demo.
+///
+/// # Errors
+///
+/// The directory cannot be made, is not this user's, or others may enter it.
+pub fn prepare(config: Option<&Path>) -> io::Result<PathBuf> {
+    let directory = own();
+    match DirBuilder::new().mode(0o700).recursive(true).create(&directory) {
+        Err(error) if error.kind() != io::ErrorKind::AlreadyExists => return Err(error),
+        _ => {}
+    }
+    if !is_own(&directory) {
+        return Err(io::Error::other(format!(
+            "{} is not this user's own, or others may write to it; remove it",
+            directory.display()
+        )));
+    }
+    Ok(directory.join(config.map_or_else(|| "demo.sock".to_owned(), name)))
+}
+
+/// Whether `directory` is this user's and nobody else may put a socket into it. One of the service manager may be open for
+/// reading: the sockets themselves are not.
+fn is_own(directory: &Path) -> bool {
+    owner(directory) == Some(nix::unistd::geteuid().as_raw())
+}
+
+/// The user who alone may put a socket into `directory`.
+pub(super) fn owner(directory: &Path) -> Option<u32> {
+    let about = fs::symlink_metadata(directory).ok()?;
+    (about.is_dir() && about.mode() & 0o022 == 0).then_some(about.uid())
+}
+
+/// The directories of all users that [`own`] may have given: those of their logins below `logins`, and those in the
+/// directory for temporary files. One that is not of the user whose name it has is nobody's.
+fn of_all_users(logins: &Path, temporary: &Path) -> Vec<PathBuf> {
+    let entries = |directory: &Path| fs::read_dir(directory).into_iter().flatten().flatten();
+    let user = |entry: &fs::DirEntry, before: &str| -> Option<u32> {
+        entry.file_name().to_str()?.strip_prefix(before)?.parse().ok()
+    };
+    let logins =
+        entries(logins).filter_map(|entry| Some((user(&entry, "")?, entry.path().join("fieldbeat"))));
+    let temporary = entries(temporary).filter_map(|entry| Some((user(&entry, "fieldbeat-")?, entry.path())));
+    let all = logins.chain(temporary).filter(|(user, directory)| owner(directory) == Some(*user));
+    all.map(|(_, directory)| directory).collect()
+}
+
+/// The sockets that a question may be meant for, living or dead: that of `config`, or all there are. Those of this user and
+/// of the service; root finds those of all users.
+pub fn find(config: Option<&Path>) -> Vec<PathBuf> {
+    // In a directory of somebody else, somebody else would answer. That of the service is made by root.
+    let mut directories: Vec<PathBuf> =
+        Some(own()).filter(|directory| is_own(directory)).into_iter().collect();
+    directories.push(SERVICE.into());
+    if nix::unistd::geteuid().is_root() {
+        directories.extend(of_all_users(Path::new(LOGINS), &std::env::temp_dir()));
+    }
+    directories.sort();
+    directories.dedup();
+    let name = config.map(name);
+    let entries = directories.iter().filter_map(|directory| fs::read_dir(directory).ok()).flatten().flatten();
+    let mut found: Vec<PathBuf> = entries
+        .filter(|entry| entry.file_type().is_ok_and(|kind| kind.is_socket()))
+        .filter(|entry| name.as_ref().is_none_or(|name| *name == *entry.file_name().to_string_lossy()))
+        .map(|entry| entry.path())
+        .collect();
+    found.sort();
+    found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn two_machines_have_two_sockets_with_short_names() {
+        let long = format!("/a/{}.toml", "machine".repeat(40));
+        let names = ["/a/m.toml", "/b/m.toml", &long].map(|path| name(Path::new(path)));
+        assert!(names[0].starts_with("m-") && names[1].starts_with("m-") && names[0] != names[1]);
+        assert!(names.iter().all(|name| name.len() < 50 && name.ends_with(".sock")), "{names:?}");
+    }
+
+    #[test]
+    fn a_directory_counts_for_the_user_whose_name_it_has() {
+        let place = tempfile::tempdir().unwrap();
+        let user = nix::unistd::geteuid().as_raw();
+        let [logins, temporary] = ["user", "tmp"].map(|name| place.path().join(name));
+        let login = logins.join(format!("{user}/fieldbeat"));
+        let own = temporary.join(format!("fieldbeat-{user}"));
+        let others = ["fieldbeat-4000000000", "fieldbeat-x", "fieldbeat-", "fieldbeat-1-2"];
+        for directory in others.iter().map(|name| temporary.join(name)).chain([login.clone(), own.clone()]) {
+            DirBuilder::new().mode(0o700).recursive(true).create(directory).unwrap();
+        }
+        assert_eq!(of_all_users(&logins, &temporary), [login, own.clone()]);
+        fs::set_permissions(&own, std::os::unix::fs::PermissionsExt::from_mode(0o777)).unwrap();
+        assert_eq!(of_all_users(Path::new("/none"), &temporary), [] as [PathBuf; 0]);
+    }
+}

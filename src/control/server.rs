@@ -1,0 +1,261 @@
+//! The master's side of the control socket.
+
+use std::fs;
+use std::io;
+use std::os::unix::fs::{FileTypeExt, PermissionsExt};
+use std::os::unix::net::{UnixListener, UnixStream};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use nix::sys::socket::{getsockopt, sockopt};
+use serde_json::{Value, json};
+use thiserror::Error;
+
+use super::talk::{LOOK_EVERY, Talk, connect};
+
+/// Whoever asks has so long to say what and to take the answer; whoever comes meanwhile waits in the kernel's queue.
+const PATIENCE: Duration = Duration::from_secs(1);
+
+/// Bytes of a question. Those of this program have some twenty.
+const LONGEST_QUESTION: usize = 4096;
+
+/// Why there is no control socket. The message ends with the remedy.
+#[derive(Debug, Error)]
+pub enum ServeError {
+    /// Another process answers there.
+    #[error("another master already answers at {0}; end it, or give this one another configuration")]
+    Taken(PathBuf),
+    /// The operating system refused.
+    #[error("cannot listen at {path}: {error}; set XDG_RUNTIME_DIR to a directory of this user")]
+    Io {
+        /// The socket.
+        path: PathBuf,
+        /// What the operating system said.
+        error: io::Error,
+    },
+}
+
+/// A control socket that is answered. Dropping it removes the socket; a conversation that is under way then breaks off, so
+/// that nobody who asks can hold up the end of the program.
+#[derive(Debug)]
+pub struct Server {
+    path: PathBuf,
+    end: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Server {
+    /// Answers at `path` what `answer` says, on a thread of its own; `prepare` runs first on that. A socket that a dead
+    /// process left behind is replaced.
+    pub fn start(
+        path: &Path,
+        prepare: impl FnOnce() + Send + 'static,
+        answer: impl Fn(&Value) -> Result<Value, String> + Send + 'static,
+    ) -> Result<Server, ServeError> {
+        let failed = |error| ServeError::Io { path: path.to_owned(), error };
+        let listener = listen(path)?;
+        listener.set_nonblocking(true).map_err(failed)?;
+        let end = Arc::new(AtomicBool::new(false));
+        let ending = Arc::clone(&end);
+        let thread = std::thread::Builder::new()
+            .name("fb-control".into())
+            .spawn(move || {
+                prepare();
+                let go_on = || !ending.load(Ordering::Relaxed);
+                while go_on() {
+                    match listener.accept() {
+                        // One after the other: each is done within the patience.
+                        Ok((stream, _)) => {
+                            // Whoever went away or talks nonsense is not answered, and that is all.
+                            let _ = serve(&stream, &go_on, &answer);
+                        }
+                        Err(_) => std::thread::sleep(LOOK_EVERY),
+                    }
+                }
+            })
+            .map_err(failed)?;
+        Ok(Server { path: path.to_owned(), end, thread: Some(thread) })
+    }
+
+    /// Where it answers.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        self.end.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+        let _ = fs::remove_file(&self.path);
+    }
+}
+
+/// Binds `path`, and gives it to its owner alone before anybody can be let in.
+fn listen(path: &Path) -> Result<UnixListener, ServeError> {
+    let failed = |error| ServeError::Io { path: path.to_owned(), error };
+    match connect(path, PATIENCE) {
+        Ok(_) => return Err(ServeError::Taken(path.to_owned())),
+        // Its process is dead. A file that is no socket refuses too, and is not ours to remove: bind will tell.
+        Err(error) if error.kind() == io::ErrorKind::ConnectionRefused && is_socket(path) => {
+            fs::remove_file(path).map_err(failed)?;
+        }
+        // Not there; or something else, which bind will tell.
+        Err(_) => {}
+    }
+    let listener = UnixListener::bind(path).map_err(failed)?;
+    fs::set_permissions(path, PermissionsExt::from_mode(0o600)).map_err(failed)?;
+    Ok(listener)
+}
+
+fn is_socket(path: &Path) -> bool {
+    fs::symlink_metadata(path).is_ok_and(|about| about.file_type().is_socket())
+}
+
+/// Answers one question.
+fn serve(
+    stream: &UnixStream,
+    go_on: &dyn Fn() -> bool,
+    answer: &impl Fn(&Value) -> Result<Value, String>,
+) -> io::Result<()> {
+    // An accepted socket waits, whatever its listener does.
+    stream.set_nonblocking(false)?;
+    let talk = Talk::new(stream, PATIENCE, go_on)?;
+    let uid = getsockopt(stream, sockopt::PeerCredentials)?.uid();
+    let reply = if uid == 0 || uid == nix::unistd::geteuid().as_raw() {
+        let line = talk.line(LONGEST_QUESTION)?;
+        match serde_json::from_slice(&line) {
+            Ok(question) => answer(&question),
+            Err(_) if line.len() == LONGEST_QUESTION => {
+                Err(format!("a question has at most {LONGEST_QUESTION} bytes"))
+            }
+            Err(error) => Err(format!("no JSON object in one line: {error}")),
+        }
+    } else {
+        Err("only the owner of this master may ask it".to_owned())
+    };
+    let reply = match reply {
+        Ok(value) => json!({ "ok": value }),
+        Err(why) => json!({ "error": why }),
+    };
+    talk.say(&format!("{reply}\n"))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::{Read, Write};
+    use std::time::Instant;
+
+    use super::super::{AskError, ask};
+    use super::*;
+
+    fn echo(question: &Value) -> Result<Value, String> {
+        match question["ask"].as_str() {
+            Some("echo") => Ok(question.clone()),
+            _ => Err("I only know echo".to_owned()),
+        }
+    }
+
+    #[test]
+    fn a_question_is_answered_and_a_wrong_one_refused() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.sock");
+        let server = Server::start(&path, || {}, echo).unwrap();
+        assert_eq!(fs::metadata(server.path()).unwrap().permissions().mode() & 0o777, 0o600);
+        let question = json!({ "ask": "echo", "x": 1 });
+        assert_eq!(ask(&path, &question).unwrap(), question);
+        let refused = ask(&path, &json!({ "ask": "life" })).unwrap_err();
+        assert!(matches!(&refused, AskError::Refused(why) if why == "I only know echo"), "{refused}");
+        assert!(matches!(Server::start(&path, || {}, echo), Err(ServeError::Taken(_))));
+        // Nonsense, half a line, nothing at all: the next one is answered all the same.
+        for bytes in [&b"x\n"[..], b"{\"ask\"", b"", &[0xff; 4096]] {
+            let mut stream = UnixStream::connect(&path).unwrap();
+            stream.write_all(bytes).unwrap();
+        }
+        assert_eq!(ask(&path, &question).unwrap(), question);
+        drop(server);
+        assert!(!path.exists());
+        assert!(matches!(ask(&path, &question), Err(AskError::Nobody(_))));
+    }
+
+    #[test]
+    fn the_socket_of_a_dead_process_is_replaced() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.sock");
+        drop(UnixListener::bind(&path).unwrap());
+        assert!(path.exists() && matches!(ask(&path, &json!({})), Err(AskError::Dead(_))));
+        let _server = Server::start(&path, || {}, echo).unwrap();
+        assert!(ask(&path, &json!({ "ask": "echo" })).is_ok());
+    }
+
+    #[test]
+    fn what_is_no_socket_is_left_alone() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.sock");
+        fs::write(&path, "precious").unwrap();
+        assert!(matches!(Server::start(&path, || {}, echo), Err(ServeError::Io { .. })));
+        assert_eq!(fs::read_to_string(&path).unwrap(), "precious");
+    }
+
+    #[test]
+    fn whoever_asks_byte_by_byte_holds_up_neither_the_next_one_nor_the_end() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.sock");
+        let server = Server::start(&path, || {}, echo).unwrap();
+        let slow = || {
+            let mut stream = UnixStream::connect(&path).unwrap();
+            // Until the server breaks it off.
+            std::thread::spawn(move || {
+                while stream.write_all(b" ").is_ok() {
+                    std::thread::sleep(LOOK_EVERY);
+                }
+            })
+        };
+        let first = slow();
+        let begun = Instant::now();
+        assert!(ask(&path, &json!({ "ask": "echo" })).is_ok());
+        assert!(begun.elapsed() < 3 * PATIENCE, "{:?}", begun.elapsed());
+        first.join().unwrap();
+        let second = slow();
+        std::thread::sleep(4 * LOOK_EVERY);
+        let begun = Instant::now();
+        drop(server);
+        assert!(begun.elapsed() < PATIENCE, "{:?}", begun.elapsed());
+        second.join().unwrap();
+    }
+
+    #[test]
+    fn an_answer_that_is_taken_slowly_is_broken_off() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.sock");
+        let long = |_: &Value| Ok(Value::String("x".repeat(4 << 20)));
+        let _server = Server::start(&path, || {}, long).unwrap();
+        let mut stream = UnixStream::connect(&path).unwrap();
+        stream.write_all(b"{}\n").unwrap();
+        let (begun, mut bytes) = (Instant::now(), [0; 8 << 10]);
+        while stream.read(&mut bytes).is_ok_and(|count| count > 0) && begun.elapsed() < 5 * PATIENCE {
+            std::thread::sleep(LOOK_EVERY / 2);
+            // Another one is answered in full meanwhile, or after that.
+        }
+        assert!(ask(&path, &json!({})).is_ok());
+        // The rest of what the kernel holds is read at this pace too.
+        assert!(begun.elapsed() < 4 * PATIENCE, "{:?}", begun.elapsed());
+    }
+
+    #[test]
+    fn a_question_without_end_is_refused() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.sock");
+        let _server = Server::start(&path, || {}, echo).unwrap();
+        let refused = ask(&path, &json!({ "ask": "x".repeat(2 * LONGEST_QUESTION) })).unwrap_err();
+        assert!(
+            matches!(&refused, AskError::Refused(why) if why.contains("at most 4096 bytes")),
+            "{refused}"
+        );
+    }
+}

@@ -1,0 +1,325 @@
+//! What a master tells of itself while it runs, and after something failed: its control socket, its black box, and its
+//! service manager.
+
+use std::fs;
+use std::os::unix::fs::PermissionsExt;
+use std::os::unix::net::UnixDatagram;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+use fieldbeat::Master;
+use libc::{SIGTERM, SIGUSR1};
+use serde_json::Value;
+
+use super::simulation;
+use super::support::hold::{Hold, thread};
+use super::support::{Ended, LONG, Machine, NOBODY, PROGRAM, Program, as_ordinary_user, plan, run, until};
+
+/// A command of the program whose sockets and files are the machine's own.
+fn own(machine: &Machine, arguments: &[&str]) -> Command {
+    let mut command = Command::new(PROGRAM);
+    command
+        .args(arguments)
+        .env("XDG_RUNTIME_DIR", machine.path("run"))
+        .env("XDG_STATE_HOME", machine.path("state"))
+        // Where root looks for those of other users.
+        .env("TMPDIR", machine.path("run"));
+    fs::create_dir_all(machine.path("run")).unwrap();
+    command
+}
+
+fn master(machine: &Machine, config: &Path, arguments: &[&str]) -> Program {
+    let mut master = Program::spawn(own(machine, &["run", config.to_str().unwrap()]).args(arguments));
+    master.await_text("all drives online");
+    master
+}
+
+fn status(machine: &Machine, arguments: &[&str]) -> Ended {
+    Program::spawn(own(machine, &["status"]).args(arguments)).end()
+}
+
+fn sockets(machine: &Machine) -> Vec<PathBuf> {
+    fs::read_dir(machine.path("run/fieldbeat")).unwrap().map(|entry| entry.unwrap().path()).collect()
+}
+
+/// Exit code 1 and one line on standard error that says `parts`.
+#[track_caller]
+fn failed(ended: &Ended, parts: &[&str]) {
+    ended.expect(1);
+    assert_eq!((ended.err.lines().count(), ended.out.as_str()), (1, ""), "{ended:?}");
+    for part in parts {
+        assert!(ended.err.contains(part), "no \"{part}\": {}", ended.err);
+    }
+}
+
+#[test]
+fn a_running_master_is_asked_and_answers_its_owner() {
+    let machine = Machine::new(40);
+    let config = machine.plain(2);
+    let text = config.to_str().unwrap();
+    failed(&status(&machine, &[]), &["no master runs; ", "fieldbeat run"]);
+    failed(&status(&machine, &[text]), &["no master of", text]);
+    let _sim = simulation(&config);
+    let master = master(&machine, &config, &[]);
+    for arguments in [&["--json"][..], &[text, "--json"]] {
+        let ended = status(&machine, arguments);
+        let status = ended.expect(0).json();
+        assert_eq!(
+            (status["pid"].as_u64(), status["config"].as_str()),
+            (Some(u64::from(master.pid())), Some(text))
+        );
+        let summary = &status["summary"];
+        assert!(summary["cycle"]["executed"].as_u64().unwrap() > 0, "{summary}");
+        assert_eq!(summary["drives"][1]["link"], "online");
+    }
+    let told = status(&machine, &[]).expect(0).out.clone();
+    assert!(told.contains(&format!("pid {}", master.pid())) && told.contains("wake-up latency"), "{told}");
+    let [socket] = &sockets(&machine)[..] else { panic!() };
+    assert_eq!(fs::metadata(socket).unwrap().permissions().mode() & 0o777, 0o600);
+    assert_eq!(fs::metadata(socket.parent().unwrap()).unwrap().permissions().mode() & 0o777, 0o700);
+
+    // A screen follows the master to its end.
+    let mut watching = Program::spawn(&mut own(&machine, &["status", "--watch", "100ms", "--json"]));
+    assert!(until(LONG, || watching.out().lines().count() >= 3));
+    assert!(watching.is_running());
+    master.signal(SIGTERM);
+    master.end().expect(0);
+    let ended = watching.end();
+    ended.expect(1);
+    assert!(ended.err.contains("the master has ended"), "{ended:?}");
+    let executed = |line: &str| {
+        let status: Value = serde_json::from_str(line).unwrap();
+        status["summary"]["cycle"]["executed"].as_u64().unwrap()
+    };
+    let counts: Vec<u64> = ended.out.lines().map(executed).collect();
+    assert!(counts.is_sorted() && counts[0] < counts[counts.len() - 1], "{counts:?}");
+    assert!(sockets(&machine).is_empty());
+}
+
+#[test]
+fn of_two_masters_one_is_named_and_a_dead_one_is_called_dead() {
+    let machine = Machine::new(41);
+    let other = Machine::new(42);
+    let (first, second) = (machine.plain(1), other.plain(1));
+    let (_a, _b) = (simulation(&first), simulation(&second));
+    let one = master(&machine, &first, &[]);
+    let two = master(&machine, &second, &[]);
+    let ended = status(&machine, &[]);
+    ended.refused(&["several masters run", first.to_str().unwrap(), second.to_str().unwrap()]);
+    status(&machine, &[first.to_str().unwrap(), "--json"]).expect(0);
+    one.kill();
+    let dead = status(&machine, &[first.to_str().unwrap()]);
+    failed(&dead, &["is dead and left its socket behind", "start it again"]);
+    // The one that lives is meant then, and the next master takes the dead one's place.
+    assert_eq!(status(&machine, &["--json"]).expect(0).json()["pid"], two.pid());
+    let again = master(&machine, &first, &[]);
+    let answer = status(&machine, &[first.to_str().unwrap(), "--json"]).expect(0).json();
+    assert_eq!(answer["pid"], again.pid());
+}
+
+#[test]
+#[ignore = "needs root: asks the master of another user"]
+fn root_finds_the_master_of_another_user() {
+    let machine = Machine::new(48);
+    let config = machine.plain(1);
+    let _sim = simulation(&config);
+    let shared = machine.path("run");
+    fs::create_dir(&shared).unwrap();
+    fs::set_permissions(&shared, PermissionsExt::from_mode(0o1777)).unwrap();
+    let mut command = as_ordinary_user(&machine);
+    // Without a login: its directory is one for temporary files.
+    command.arg("run").arg(&config).env("TMPDIR", &shared).env("XDG_RUNTIME_DIR", "");
+    let mut master = Program::spawn(&mut command);
+    master.await_text("all drives online");
+    assert!(shared.join(format!("fieldbeat-{NOBODY}")).is_dir());
+    for arguments in [&["--json"][..], &[config.to_str().unwrap(), "--json"]] {
+        assert_eq!(status(&machine, arguments).expect(0).json()["pid"], master.pid());
+    }
+}
+
+#[test]
+fn a_directory_that_others_may_write_to_gets_no_socket_and_the_run_goes_on() {
+    let machine = Machine::new(43);
+    let config = machine.plain(1);
+    let _sim = simulation(&config);
+    let directory = machine.path("run/fieldbeat");
+    fs::create_dir_all(&directory).unwrap();
+    fs::set_permissions(&directory, PermissionsExt::from_mode(0o777)).unwrap();
+    let ended = master(&machine, &config, &["--for", "500ms", "--json"]).end();
+    ended.expect(0).json();
+    assert!(ended.err.contains("no `fieldbeat status`") && ended.err.contains("remove it"), "{}", ended.err);
+    assert!(sockets(&machine).is_empty());
+}
+
+/// The files of a machine's black box, oldest first.
+fn files(directory: &Path) -> Vec<PathBuf> {
+    let mut files: Vec<_> =
+        fs::read_dir(directory).into_iter().flatten().map(|entry| entry.unwrap().path()).collect();
+    files.sort();
+    files.retain(|path| path.extension().is_some_and(|extension| extension == "blackbox"));
+    files
+}
+
+fn blackbox(path: &Path, arguments: &[&str]) -> Ended {
+    run([["blackbox", path.to_str().unwrap()].as_slice(), arguments].concat())
+}
+
+#[test]
+fn a_lost_drive_leaves_a_black_box_that_tells_how_it_came_to_it() {
+    let machine = Machine::new(44);
+    let config = machine.config("m.toml", 2, "", "health = { bucket = 50 }");
+    let sim = simulation(&config);
+    let directory = machine.path("boxes");
+    let mut master = master(&machine, &config, &["--json", "--black-box", directory.to_str().unwrap()]);
+    // While it has no more to tell than that all is well.
+    master.signal(SIGUSR1);
+    master.await_text("(asked for, cycle ");
+    sim.kill();
+    master.await_text("(drive d0: link lost, cycle ");
+    master.signal(SIGTERM);
+    let ended = master.end();
+    let summary = ended.expect(1).json();
+    let told = summary["black_boxes"].as_array().unwrap();
+    let files = files(&directory);
+    assert!(files.len() >= 2 && told.len() == files.len(), "{summary}");
+    assert!(told.iter().all(|one| one["error"].is_null() && one["path"].as_str().is_some()), "{summary}");
+
+    let lost = told.iter().find(|one| one["why"] == "drive d0: link lost").unwrap();
+    let path = Path::new(lost["path"].as_str().unwrap());
+    let story = blackbox(path, &["--json"]).expect(0).json();
+    assert_eq!((&story["header"]["cycle"], &story["header"]["why"]), (&lost["cycle"], &lost["why"]));
+    let happened = story["happened"].as_array().unwrap();
+    let place = |drive: &str, what: &str, times: u64| {
+        let found = happened.iter().position(|one| {
+            one["drive"] == drive && one["what"] == what && one["times"].as_u64() >= Some(times)
+        });
+        found.unwrap_or_else(|| panic!("{drive}: {what}: {happened:#?}"))
+    };
+    for drive in ["d0", "d1"] {
+        // A busy computer may cost it a reply before that.
+        let (silent, lost) = (place(drive, "no reply", 49), place(drive, "link online -> lost", 1));
+        assert!(silent < lost, "{happened:#?}");
+    }
+    assert_eq!(happened[place("d0", "link online -> lost", 1)]["cycle"], lost["cycle"]);
+    let text = blackbox(path, &[]).expect(0).out.clone();
+    assert!(text.contains("drive d0: link lost, in cycle") && text.contains("drive d1, mm"), "{text}");
+}
+
+#[test]
+fn the_fault_of_a_drive_is_told_with_the_move_that_led_to_it() {
+    let machine = Machine::new(48);
+    // It meets its mechanical end far inside of its limits.
+    let config = machine.config("m.toml", 2, "", "simulate = { range = [0, 60], home = 0, start = 10 }");
+    let _sim = simulation(&config);
+    let directory = machine.path("boxes");
+    let master = Master::from_plan(plan(&config)).with_black_box(&directory).start().unwrap();
+    master.wait_online(LONG).unwrap();
+    let mut axis = master.axis("d1").unwrap();
+    axis.enable().unwrap();
+    axis.home().unwrap();
+    axis.move_to(300.0, axis.profile()).unwrap_err();
+    assert!(axis.feedback().fault != 0, "{:?}", axis.feedback());
+    let run = master.finish();
+    let [written] = &run.measured.black_boxes[..] else { panic!("{:?}", run.measured.black_boxes) };
+    assert!(written.why.starts_with("drive d1: fault 0x") && written.error.is_none(), "{written:?}");
+    let story = blackbox(&written.path, &["--json"]).expect(0).json();
+    let happened = story["happened"].as_array().unwrap();
+    let of = |what: &str| {
+        let found = happened.iter().position(|one| {
+            one["drive"] == "d1" && one["what"].as_str().is_some_and(|told| told.starts_with(what))
+        });
+        found.unwrap_or_else(|| panic!("{what}: {happened:#?}"))
+    };
+    assert!(
+        of("move begins") < of("fault 0x0000 -> ") && of("fault 0x0000 -> ") <= of("stopped: drive fault")
+    );
+    assert!(!happened.iter().any(|one| one["drive"] == "d0" && one["what"] == "stopped: drive fault"));
+}
+
+#[test]
+fn a_damaged_or_foreign_black_box_is_one_clear_line() {
+    let machine = Machine::new(45);
+    let config = machine.plain(1);
+    let _sim = simulation(&config);
+    let mut master = master(&machine, &config, &[]);
+    master.signal(SIGUSR1);
+    master.await_text("(asked for, cycle ");
+    drop(master);
+    let [whole] = &files(&machine.path("state/fieldbeat"))[..] else { panic!() };
+    let bytes = fs::read(whole).unwrap();
+    for (name, bytes, what) in [
+        ("cut.blackbox", &bytes[..bytes.len() / 2], "its end is missing"),
+        ("empty.blackbox", &[][..], "is no black box"),
+        ("foreign.blackbox", &b"<html>no</html>"[..], "is no black box"),
+    ] {
+        let path = machine.write(name, bytes);
+        blackbox(&path, &[]).refused(&[name, what]);
+    }
+    let mut changed = bytes.clone();
+    changed[200] ^= 1;
+    blackbox(&machine.write("changed.blackbox", changed), &[]).refused(&["its checksum is wrong"]);
+    blackbox(&machine.path("none.blackbox"), &[]).refused(&["none.blackbox", "cannot read"]);
+    blackbox(&machine.path(""), &[]).refused(&["is no black box"]);
+    blackbox(whole, &["--cycles", &u64::MAX.to_string()]).expect(0);
+}
+
+#[test]
+fn a_black_box_that_cannot_be_written_is_told_and_the_run_goes_on() {
+    let machine = Machine::new(46);
+    let config = machine.plain(1);
+    let _sim = simulation(&config);
+    let way = machine.write("in-the-way", "");
+    // As a user who may not, whoever runs the tests.
+    let mut command = as_ordinary_user(&machine);
+    command.arg("run").arg(&config).args(["--json", "--black-box", way.join("boxes").to_str().unwrap()]);
+    let mut master = Program::spawn(&mut command);
+    master.await_text("all drives online");
+    master.signal(SIGUSR1);
+    master.await_text("black box not written: ");
+    master.signal(SIGTERM);
+    let ended = master.end();
+    let summary = ended.expect(0).json();
+    assert!(summary["black_boxes"][0]["error"].as_str().is_some(), "{summary}");
+}
+
+#[test]
+fn the_service_manager_is_fed_only_while_cycles_advance() {
+    let machine = Machine::new(47);
+    let config = machine.plain(1);
+    let _sim = simulation(&config);
+    let path = machine.path("notify");
+    let manager = UnixDatagram::bind(&path).unwrap();
+    fs::set_permissions(&path, PermissionsExt::from_mode(0o666)).unwrap();
+    manager.set_read_timeout(Some(LONG)).unwrap();
+    let next = || {
+        let mut bytes = [0; 256];
+        let length = manager.recv(&mut bytes).unwrap();
+        String::from_utf8_lossy(&bytes[..length]).into_owned()
+    };
+    let mut command = own(&machine, &["run", config.to_str().unwrap()]);
+    command.env("NOTIFY_SOCKET", &path).env("WATCHDOG_USEC", "200000");
+    let master = Program::spawn(&mut command);
+    assert!(next().contains("READY=1"));
+    assert!(next().contains("WATCHDOG=1"));
+
+    // The loop alone stands; the thread that feeds goes on.
+    let hold = Hold::seize(thread(master.pid(), "fb-loop"));
+    hold.stop();
+    manager.set_nonblocking(true).unwrap();
+    // What was fed for the cycles before.
+    std::thread::sleep(Duration::from_millis(250));
+    while manager.recv(&mut [0; 256]).is_ok() {}
+    let begun = Instant::now();
+    while begun.elapsed() < Duration::from_secs(1) {
+        std::thread::sleep(Duration::from_millis(20));
+        assert!(manager.recv(&mut [0; 256]).is_err(), "fed although no cycle passed");
+    }
+    // Under control, it would stop at the signal below and ask what to do about it.
+    hold.release();
+    manager.set_nonblocking(false).unwrap();
+    assert!(next().contains("WATCHDOG=1"));
+    master.signal(SIGTERM);
+    while !next().contains("STOPPING=1") {}
+    master.end().expect(0);
+}
