@@ -9,6 +9,7 @@ use std::io;
 
 use core_affinity::CoreId;
 use nix::sched::{CpuSet, sched_setaffinity};
+use nix::sys::signal::{SigSet, Signal};
 use nix::unistd::Pid;
 
 use super::memory::{self, Regions};
@@ -82,6 +83,7 @@ pub fn enter(plan: &RealtimePlan, own: &Regions) -> Result<Granted, RealtimeErro
     if plan.realtime != Realtime::Off && !(1..=99).contains(&plan.priority) {
         return Err(RealtimeError::Priority(plan.priority));
     }
+    deaf();
     let core = match plan.realtime {
         Realtime::Off => plan.core,
         _ => plan.core.or_else(default_core),
@@ -112,6 +114,19 @@ pub fn enter(plan: &RealtimePlan, own: &Regions) -> Result<Granted, RealtimeErro
     }
     let (policy, priority) = scheduling();
     Ok(Granted { policy, priority, core, memory_locked, missing })
+}
+
+/// Leaves all signals to the other threads: a handler would interrupt the loop's sleep and run in its time. Those that tell
+/// of a mistake of the thread itself cannot wait.
+fn deaf() {
+    let mut signals = SigSet::all();
+    for own in
+        [Signal::SIGSEGV, Signal::SIGBUS, Signal::SIGFPE, Signal::SIGILL, Signal::SIGTRAP, Signal::SIGSYS]
+    {
+        signals.remove(own);
+    }
+    // Fails only on an operation that does not exist.
+    let _ = signals.thread_block();
 }
 
 /// Keeps the calling normal thread out of the loop's way: SCHED_OTHER, and every core that it may use but the loop's.
@@ -155,7 +170,7 @@ pub(crate) fn pin(core: usize) -> Result<(), RealtimeError> {
 }
 
 /// The cores that [`pin`] takes: the kernel cuts a wish for all of them down to what it grants (sched_setaffinity(2)).
-fn permitted_cores() -> Vec<usize> {
+pub(crate) fn permitted_cores() -> Vec<usize> {
     let now = cores();
     confine(0..CpuSet::count());
     let permitted = cores();
