@@ -28,6 +28,24 @@ const OVERHEAD: usize = 1024;
 /// Datagrams of each peer that a socket buffer holds: those of a few cycles, should the loop be held up.
 const DEPTH: usize = 8;
 
+impl UdpOptions {
+    /// The send buffer that the socket asks for, bytes.
+    pub fn send_buffer(&self) -> usize {
+        self.space(self.waiting.max(DEPTH))
+    }
+
+    /// The receive buffer that the socket asks for, bytes.
+    pub fn receive_buffer(&self) -> usize {
+        self.space(DEPTH)
+    }
+
+    fn space(&self, depth: usize) -> usize {
+        // The kernel takes an int, and clamps it.
+        let each = depth.saturating_mul(self.room + OVERHEAD);
+        self.peers.max(1).saturating_mul(each).min(i32::MAX as usize)
+    }
+}
+
 /// A non-blocking UDP socket over IPv4.
 ///
 /// Its address is its own: neither SO_REUSEADDR nor SO_REUSEPORT is set, so that a second master on the same address
@@ -54,13 +72,8 @@ impl Udp {
     pub fn bind(bind: SocketAddrV4, options: &UdpOptions) -> io::Result<Udp> {
         let socket = UdpSocket::bind(bind)?;
         socket.set_nonblocking(true)?;
-        let space = |depth: usize| {
-            // The kernel takes an int, and clamps it.
-            let each = depth.saturating_mul(options.room + OVERHEAD);
-            options.peers.max(1).saturating_mul(each).min(i32::MAX as usize)
-        };
-        setsockopt(&socket, sockopt::SndBuf, &space(options.waiting.max(DEPTH)))?;
-        setsockopt(&socket, sockopt::RcvBuf, &space(DEPTH))?;
+        setsockopt(&socket, sockopt::SndBuf, &options.send_buffer())?;
+        setsockopt(&socket, sockopt::RcvBuf, &options.receive_buffer())?;
         // Twice the peers: the reply of each, and one that is late, without a second call. Few peers need few headers;
         // what a stranger sends is still taken in by the handful.
         let batch = (options.peers * 2).clamp(8, RECEIVE_BATCH);

@@ -111,6 +111,12 @@ pub fn lock_process() -> Result<(), Denied> {
         .map_err(|errno| Denied::Call { call: "mlockall", error: errno.into() })
 }
 
+/// Undoes every lock of the process, those of [`Regions::lock`] too (munlockall(2)); for who only tries what a lock is worth.
+pub(crate) fn unlock_process() {
+    // Cannot fail: it asks for no right.
+    let _ = nix::sys::mman::munlockall();
+}
+
 /// The memory that the loop touches, for [`Memory::Own`](super::Memory::Own): collected while the loop is built, locked
 /// when it starts. What is freed or moved after it was added makes [`lock`](Self::lock) fail or lock too much, no worse.
 #[derive(Debug, Default)]

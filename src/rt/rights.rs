@@ -104,11 +104,16 @@ fn effective(status: &str) -> u64 {
 }
 
 /// The command that grants this very program both rights.
-fn setcap() -> String {
+pub(crate) fn setcap() -> String {
+    format!("sudo setcap cap_sys_nice,cap_ipc_lock+ep {}", program())
+}
+
+/// This very program, as a shell takes it.
+pub(crate) fn program() -> String {
     let program = std::env::current_exe().map_or("PROGRAM".to_owned(), |path| path.display().to_string());
     let plain = |c: char| c.is_ascii_alphanumeric() || "/._-+".contains(c);
     let quote = if program.chars().all(plain) { "" } else { "'" };
-    format!("sudo setcap cap_sys_nice,cap_ipc_lock+ep {quote}{program}{quote}")
+    format!("{quote}{program}{quote}")
 }
 
 #[cfg(test)]

@@ -1,0 +1,138 @@
+//! `fieldbeat doctor`: what this host is worth for real time, and how to mend it.
+
+use std::io::{IsTerminal, Write};
+use std::path::PathBuf;
+use std::time::Duration;
+
+use clap::Args;
+use fieldbeat::cycle::CyclePlan;
+use fieldbeat::doctor::{Effort, Measured, Progress, Report, Subject, examine, measure};
+use fieldbeat::time::{S, US, nanos};
+
+use super::{Stop, complain, load, print, span};
+
+/// Arguments of `doctor`.
+#[derive(Debug, Args)]
+pub struct Doctor {
+    /// The machine that this host shall carry; without it, a cycle alone.
+    config: Option<PathBuf>,
+    /// Period of the cycle.
+    #[arg(long, value_name = "TIME", value_parser = period, conflicts_with = "config", default_value = "1ms")]
+    period: Duration,
+    /// Core of the loop; without it, the last one.
+    #[arg(short = 'a', long, conflicts_with = "config", value_parser = clap::value_parser!(u16).range(..1024))]
+    core: Option<u16>,
+    /// SCHED_FIFO priority of the loop.
+    #[arg(short, long, conflicts_with = "config", value_parser = clap::value_parser!(u8).range(1..=99), default_value = "80")]
+    priority: u8,
+    /// Try what can be tried at run time, and judge the period by what was measured.
+    #[arg(long)]
+    measure: bool,
+    /// Measure for about so long.
+    #[arg(long = "for", value_name = "TIME", value_parser = effort, requires = "measure", default_value = "50s")]
+    duration: Duration,
+    /// The share of late cycles that the machine bears; a minute cannot tell less than a few in ten thousand.
+    #[arg(long, value_name = "SHARE", value_parser = miss_rate, requires = "measure", default_value = "0.001")]
+    miss_rate: f64,
+    /// Print the report as one JSON object.
+    #[arg(long)]
+    json: bool,
+}
+
+impl Doctor {
+    /// Runs it.
+    pub fn run(self) -> Result<(), Stop> {
+        let subject = match &self.config {
+            Some(path) => Subject::of(&load(path)?),
+            None => Subject::cycle(CyclePlan {
+                period_ns: nanos(self.period),
+                core: self.core.map(usize::from),
+                priority: self.priority,
+                ..CyclePlan::default()
+            }),
+        };
+        let findings = examine(&subject);
+        let measured = if self.measure { self.measured(&subject) } else { None };
+        let report = Report::new(&subject, findings, measured);
+        if self.json {
+            print(serde_json::to_string(&report).map_err(Stop::failed)?)?;
+        } else {
+            print(&report)?;
+        }
+        match report.ready {
+            true => Ok(()),
+            // The text ends with its verdict.
+            false => Err(Stop::failed(if self.json { report.verdict() } else { String::new() })),
+        }
+    }
+
+    /// The measurement; `None`, with the reason on standard error, if the core cannot be had.
+    fn measured(&self, subject: &Subject) -> Option<Measured> {
+        let effort = Effort { span_ns: nanos(self.duration), miss_rate: self.miss_rate };
+        let mut shown = Shown::new(self.duration);
+        let measured = measure(subject, &effort, &mut |progress| shown.tell(&progress));
+        shown.end();
+        measured.map_err(|error| complain(&format!("not measured: {error}"))).ok()
+    }
+}
+
+/// Progress on standard error: a line that rewrites itself on a terminal, elsewhere one line a stage.
+struct Shown {
+    terminal: bool,
+    span: Duration,
+    stage: String,
+}
+
+impl Shown {
+    fn new(span: Duration) -> Shown {
+        Shown { terminal: std::io::stderr().is_terminal(), span, stage: String::new() }
+    }
+
+    fn tell(&mut self, progress: &Progress<'_>) {
+        let Progress { what, done } = *progress;
+        let mut out = std::io::stderr().lock();
+        // Nobody is hurt if it cannot be written.
+        if self.terminal {
+            let left = self.span.mul_f64(1.0 - done).as_secs();
+            let _ = write!(out, "\r\x1b[Kmeasuring: {:3.0} %, about {left} s left: {what}", done * 100.0);
+            let _ = out.flush();
+        } else if self.stage != what {
+            let _ = writeln!(out, "measuring: {:3.0} %: {what}", done * 100.0);
+        }
+        self.stage.clear();
+        self.stage.push_str(what);
+    }
+
+    /// Takes the line away.
+    fn end(&self) {
+        if self.terminal {
+            let _ = write!(std::io::stderr().lock(), "\r\x1b[K");
+        }
+    }
+}
+
+/// How long a measurement may take: shorter ones say nothing, longer ones are a soak test.
+fn effort(text: &str) -> Result<Duration, String> {
+    let span = span(text)?;
+    match (Duration::from_secs(1)..=Duration::from_secs(600)).contains(&span) {
+        true => Ok(span),
+        false => Err("a measurement takes 1s ... 10min".to_owned()),
+    }
+}
+
+/// A share of cycles.
+fn miss_rate(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(share) if (1e-9..1.0).contains(&share) => Ok(share),
+        _ => Err("a share of all cycles above 0 and below 1, for example 0.001".to_owned()),
+    }
+}
+
+/// A period that the loop takes.
+fn period(text: &str) -> Result<Duration, String> {
+    let period = span(text)?;
+    match (50 * US..=S).contains(&nanos(period)) {
+        true => Ok(period),
+        false => Err("a period is 50us ... 1s".to_owned()),
+    }
+}

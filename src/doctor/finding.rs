@@ -1,0 +1,199 @@
+//! What a check says: what is, what should be, why, and the way there and back.
+
+use std::io;
+
+use serde::Serialize;
+
+use super::facts::shown;
+
+/// What something is about.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Area {
+    /// How the kernel schedules.
+    Kernel,
+    /// What this user may do.
+    Rights,
+    /// The core of the loop, and who else is on it.
+    Core,
+    /// How deep that core sleeps.
+    Power,
+    /// Clocks, timers, and a host above this one.
+    Clock,
+    /// What moves memory about.
+    Memory,
+    /// The way to the drives.
+    Network,
+    /// What was measured.
+    Measured,
+}
+
+impl Area {
+    /// Its word in the output.
+    pub fn name(self) -> &'static str {
+        match self {
+            Area::Kernel => "kernel",
+            Area::Rights => "rights",
+            Area::Core => "core",
+            Area::Power => "power",
+            Area::Clock => "clock",
+            Area::Memory => "memory",
+            Area::Network => "network",
+            Area::Measured => "measured",
+        }
+    }
+}
+
+/// What a finding means for the plan.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Verdict {
+    /// As it should be.
+    Good,
+    /// It would be better otherwise.
+    Poor,
+    /// It refuses the plan, or makes it fail for certain: this host is not ready for real time.
+    Bad,
+    /// This kernel does not tell, or not this user.
+    Unknown,
+}
+
+/// One thing about this host.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Finding {
+    /// What it belongs to.
+    pub area: Area,
+    /// What it is.
+    pub name: String,
+    /// What it means.
+    pub verdict: Verdict,
+    /// What was found; why it is not known, if it is not.
+    pub found: String,
+    /// What it should be.
+    pub wanted: String,
+    /// The reason.
+    pub why: String,
+    /// The commands that mend it, or what to do where no command does; a line each. `None`: nothing to be done.
+    pub mend: Option<String>,
+    /// The commands that undo them.
+    pub undo: Option<String>,
+}
+
+impl Finding {
+    /// A finding that still has to be judged.
+    pub(super) fn about(
+        area: Area,
+        name: impl Into<String>,
+        wanted: impl Into<String>,
+        why: impl Into<String>,
+    ) -> Finding {
+        let (name, wanted, why) = (name.into(), wanted.into(), why.into());
+        Finding {
+            area,
+            name,
+            verdict: Verdict::Unknown,
+            found: String::new(),
+            wanted,
+            why,
+            mend: None,
+            undo: None,
+        }
+    }
+
+    pub(super) fn good(self, found: impl Into<String>) -> Finding {
+        Finding { verdict: Verdict::Good, found: found.into(), ..self }
+    }
+
+    pub(super) fn poor(self, found: impl Into<String>) -> Finding {
+        Finding { verdict: Verdict::Poor, found: found.into(), ..self }
+    }
+
+    pub(super) fn bad(self, found: impl Into<String>) -> Finding {
+        Finding { verdict: Verdict::Bad, found: found.into(), ..self }
+    }
+
+    /// `why` it is not known.
+    pub(super) fn unknown(self, why: impl AsRef<str>) -> Finding {
+        Finding { verdict: Verdict::Unknown, found: format!("not known: {}", why.as_ref()), ..self }
+    }
+
+    /// Not known, since `path` could not be read.
+    pub(super) fn unread(self, path: &str, error: &io::Error) -> Finding {
+        let path = shown(path);
+        match error.kind() {
+            io::ErrorKind::NotFound => self.unknown(format!("this kernel has no {path}")),
+            io::ErrorKind::PermissionDenied => self.unknown(format!("this user may not read {path}")),
+            _ => self.unknown(format!("{path}: {error}")),
+        }
+    }
+
+    /// What to do about it, and how to take it back.
+    pub(super) fn mend(self, mend: impl Into<String>, undo: impl Into<String>) -> Finding {
+        Finding { mend: Some(mend.into()), undo: Some(undo.into()), ..self }
+    }
+
+    /// What to do about it, where taking it back goes without saying.
+    pub(super) fn advise(self, mend: impl Into<String>) -> Finding {
+        Finding { mend: Some(mend.into()), undo: None, ..self }
+    }
+
+    /// Words for the kernel command line, as rt-config/host/kernel-cmdline.txt has them.
+    pub(super) fn at_boot(self, words: impl std::fmt::Display) -> Finding {
+        self.mend(
+            format!(
+                "add {words} to the kernel command line, restart\n(as in rt-config/host/kernel-cmdline.txt)"
+            ),
+            format!("take {words} out of the kernel command line, restart"),
+        )
+    }
+}
+
+/// Which file of the samples makes a setting stay.
+pub(super) fn keep(file: &str) -> String {
+    format!("(for good: rt-config/host/{file})")
+}
+
+/// The command that writes `value` into a file that only root may write.
+pub(super) fn write(value: impl std::fmt::Display, path: &str) -> String {
+    format!("echo {value} | sudo tee {}", shown(path))
+}
+
+/// Cores as the kernel writes them: `0-2,5`.
+pub(super) fn list(cores: &[usize]) -> String {
+    let mut ranges: Vec<(usize, usize)> = Vec::new();
+    for core in cores {
+        match ranges.last_mut() {
+            Some((_, last)) if *last + 1 == *core => *last = *core,
+            _ => ranges.push((*core, *core)),
+        }
+    }
+    let range = |(first, last): &(usize, usize)| match first == last {
+        true => first.to_string(),
+        false => format!("{first}-{last}"),
+    };
+    ranges.iter().map(range).collect::<Vec<_>>().join(",")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lists_are_the_kernels() {
+        for (cores, text) in [(&[][..], ""), (&[3], "3"), (&[0, 1, 2, 5], "0-2,5"), (&[1, 3, 4], "1,3-4")] {
+            assert_eq!(list(cores), text);
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_read_is_said_and_not_guessed() {
+        let finding =
+            |kind: io::ErrorKind| Finding::about(Area::Kernel, "x", "y", "z").unread("proc/x", &kind.into());
+        assert_eq!(finding(io::ErrorKind::NotFound).found, "not known: this kernel has no /proc/x");
+        assert_eq!(
+            finding(io::ErrorKind::PermissionDenied).found,
+            "not known: this user may not read /proc/x"
+        );
+        assert_eq!(finding(io::ErrorKind::NotFound).verdict, Verdict::Unknown);
+    }
+}
