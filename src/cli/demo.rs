@@ -11,9 +11,10 @@ use fieldbeat::master::Master;
 use fieldbeat::sim::server::SimServer;
 use fieldbeat::time::{S, nanos};
 
+use super::attendant::Attendant;
 use super::interrupt::Interrupt;
-use super::live::Live;
-use super::run::{finish, not_whole, start};
+use super::output::{Output, both};
+use super::run::{not_whole, start};
 use super::sim::serving;
 use super::{Stop, span};
 
@@ -42,16 +43,15 @@ pub struct Demo {
     /// The period of the cycle.
     #[arg(long, value_name = "TIME", value_parser = span, default_value = "1ms")]
     period: Duration,
-    /// Print the summary as one JSON object.
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    output: Output,
 }
 
 /// The master, its axes and what is shown of them meanwhile.
 struct Show {
     master: Master,
     axes: Vec<Axis>,
-    live: Live,
+    attendant: Attendant,
     /// Time between two rows, s.
     row_s: f64,
 }
@@ -61,28 +61,32 @@ impl Demo {
     pub fn run(self) -> Result<(), Stop> {
         let plan = demo_plan(usize::from(self.drives), nanos(self.period)).map_err(Stop::usage)?;
         let interrupt = Interrupt::catch().map_err(Stop::failed)?;
+        let output = self.output.prepare()?;
         let drives = plan.simulate();
         let divisor = plan.axes().first().map_or(1, |axis| axis.divisor);
         let row_s = plan.cycle.period_ns as f64 * f64::from(divisor) / S as f64;
         let server = SimServer::start(drives, serving(&plan, None))
             .map_err(|error| Stop::usage(format!("cannot simulate the drives: {error}")))?;
-        let (master, steal) = start(Master::from_plan(plan), &interrupt)?;
+        let master = start(output.setup(plan), &interrupt)?;
+        let output = output.serve(&master)?;
 
         let names: Vec<String> = master.observers().iter().map(|(name, _)| name.clone()).collect();
         let axes =
             names.iter().map(|name| master.axis(name)).collect::<Result<_, _>>().map_err(Stop::failed)?;
-        let mut show = Show { master, axes, live: Live::new(), row_s };
+        let attendant = Attendant::new(&master, &interrupt);
+        let mut show = Show { master, axes, attendant, row_s };
         let result = show.play(self.duration);
-        show.live.end();
-        let summary = finish(show.master, steal, self.json)?;
+        show.attendant.end(&show.master);
+        let (summary, told) = output.finish(show.master);
         server.stop();
-        match result {
+        let verdict = match result {
             _ if summary.has_failed() => Err(not_whole(&summary)),
             Ok(()) if interrupt.is_set() || summary.is_whole() => Ok(()),
             Ok(()) => Err(not_whole(&summary)),
             Err(error) if interrupt.is_set() && was_stopped(&error) => Ok(()),
             Err(error) => Err(Stop::failed(error)),
-        }
+        };
+        both(told, verdict)
     }
 }
 
@@ -136,7 +140,7 @@ impl Show {
             loop {
                 match axis.wait(*id, what, Duration::from_millis(50)) {
                     Err(AxisError::TimedOut { .. }) if begun.elapsed() < limit => {
-                        self.live.show(&self.master, what);
+                        self.attendant.look(&self.master, what);
                     }
                     ended => break ended?,
                 }
@@ -166,7 +170,7 @@ impl Show {
             if ids.is_empty() {
                 ids = self.axes.iter_mut().map(Axis::follow).collect::<Result<_, _>>()?;
             }
-            self.live.show(&self.master, "wave");
+            self.attendant.look(&self.master, "wave");
             // A stopped axis takes no more rows; how its command ended says why.
             if self.axes.iter().any(|axis| axis.feedback().stopped.is_some()) {
                 break;

@@ -4,15 +4,14 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use clap::Args;
-use fieldbeat::axis::{HeldBy, Load};
 use fieldbeat::master::{Master, Setup};
-use fieldbeat::rt::host;
 use fieldbeat::rt::thread::helper_thread;
 use fieldbeat::telemetry::summary::{Drive, Summary};
 
+use super::attendant::Attendant;
 use super::interrupt::{Interrupt, LOOK_EVERY};
-use super::live::{LinkWatch, Live};
-use super::{Stop, complain, load, print, span};
+use super::output::{Output, both};
+use super::{Stop, complain, load, span};
 
 /// Arguments of `run`.
 #[derive(Debug, Args)]
@@ -22,37 +21,34 @@ pub struct Run {
     /// End after this time; without it, at Ctrl-C.
     #[arg(long = "for", value_name = "TIME", value_parser = span)]
     duration: Option<Duration>,
-    /// Print the summary as one JSON object.
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    output: Output,
 }
 
 impl Run {
     /// Runs it.
     pub fn run(self) -> Result<(), Stop> {
-        let setup = Master::from_plan(load(&self.config)?);
+        let plan = load(&self.config)?;
         let interrupt = Interrupt::catch().map_err(Stop::failed)?;
-        let (master, steal) = start(setup, &interrupt)?;
-        let mut live = Live::new();
-        let mut links = LinkWatch::new(master.observers());
+        let output = self.output.prepare()?;
+        let master = start(output.setup(plan), &interrupt)?;
+        let output = output.serve(&master)?;
+        let mut attendant = Attendant::new(&master, &interrupt);
         let begun = Instant::now();
         while master.is_running() && self.duration.is_none_or(|duration| begun.elapsed() < duration) {
-            // Here this program is the application.
-            master.alive();
-            live.show(&master, "run");
-            links.look(&master, &mut live);
+            attendant.look(&master, "run");
             std::thread::sleep(LOOK_EVERY);
         }
-        live.end();
-        let summary = finish(master, steal, self.json)?;
+        attendant.end(&master);
+        let (summary, told) = output.finish(master);
         // Asked to end before the drives were there, it is not the run that failed.
         let whole = summary.is_whole() || (interrupt.is_set() && !summary.has_failed());
-        if whole { Ok(()) } else { Err(not_whole(&summary)) }
+        both(told, if whole { Ok(()) } else { Err(not_whole(&summary)) })
     }
 }
 
 /// Starts the machine; a signal from here on stops it in order.
-pub fn start(setup: Setup, interrupt: &Interrupt) -> Result<(Master, Option<u64>), Stop> {
+pub fn start(setup: Setup, interrupt: &Interrupt) -> Result<Master, Stop> {
     let master = setup.start().map_err(Stop::usage)?;
     // This thread, and those it starts from here on, wake often enough to be felt on the loop's core.
     helper_thread(master.granted().core);
@@ -60,25 +56,7 @@ pub fn start(setup: Setup, interrupt: &Interrupt) -> Result<(Master, Option<u64>
     for line in &master.granted().missing {
         complain(&format!("not real-time: {line}"));
     }
-    Ok((master, host::steal_ms(None)))
-}
-
-/// Ends the machine and prints its summary.
-pub fn finish(master: Master, steal: Option<u64>, json: bool) -> Result<Summary, Stop> {
-    let run = master.finish();
-    let summary = Summary::of(&run, steal);
-    let loads = run.plan.axes().into_iter().zip(&run.end.drives);
-    for (axis, drive) in loads {
-        if axis.load == Load::Vertical(HeldBy::Drive) && drive.feedback.state.is_powered() {
-            complain(&format!("drive {} stays powered: only the drive holds its vertical load", axis.name));
-        }
-    }
-    if json {
-        print(serde_json::to_string(&summary).map_err(Stop::failed)?)?;
-    } else {
-        print(&summary)?;
-    }
-    Ok(summary)
+    Ok(master)
 }
 
 /// One line that names the drives which made the run a failure, and what to look at.

@@ -1,0 +1,120 @@
+//! What a run tells besides what moves: its summary, and if they are asked for, a report, and its numbers meanwhile.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+
+use clap::Args;
+use fieldbeat::axis::{HeldBy, Load};
+use fieldbeat::cycle::Plan;
+use fieldbeat::master::{Master, Setup};
+use fieldbeat::telemetry::Summary;
+use fieldbeat::telemetry::blackbox::default_directory;
+use fieldbeat::telemetry::metrics::{self, Endpoint, Server};
+use fieldbeat::telemetry::report::Report;
+
+use super::{Stop, complain, print};
+
+/// Arguments of every command that runs a master.
+#[derive(Debug, Args)]
+pub struct Output {
+    /// Print the summary as one JSON object.
+    #[arg(long)]
+    json: bool,
+    /// Write summary, histograms (.hgrm) and plots (.svg) to this directory at the end.
+    #[arg(long, value_name = "DIR")]
+    report: Option<PathBuf>,
+    /// Meanwhile answer at http://ADDR/metrics for Prometheus; a port alone is for this computer only.
+    #[arg(long, value_name = "ADDR", value_parser = metrics::address)]
+    metrics: Option<SocketAddr>,
+    /// Where the black box writes its files; without it the state directory of the service, or of the user.
+    #[arg(long, value_name = "DIR")]
+    black_box: Option<PathBuf>,
+}
+
+/// All of it can be had, as far as can be told before the run.
+#[derive(Debug)]
+pub struct Prepared {
+    json: bool,
+    report: Option<Report>,
+    endpoint: Option<Endpoint>,
+    black_box: PathBuf,
+}
+
+/// The machine runs.
+#[derive(Debug)]
+pub struct Running {
+    json: bool,
+    report: Option<Report>,
+    /// Answers as long as it is held.
+    _server: Option<Server>,
+}
+
+impl Output {
+    /// Finds out whether it can be had, before anything is sent.
+    pub fn prepare(self) -> Result<Prepared, Stop> {
+        let report = self.report.map(Report::create).transpose().map_err(Stop::usage)?;
+        let endpoint = self.metrics.map(Endpoint::bind).transpose().map_err(Stop::usage)?;
+        let black_box = self.black_box.unwrap_or_else(default_directory);
+        Ok(Prepared { json: self.json, report, endpoint, black_box })
+    }
+}
+
+impl Prepared {
+    /// The machine of `plan`, with its black box.
+    pub fn setup(&self, plan: Plan) -> Setup {
+        Master::from_plan(plan).with_black_box(&self.black_box)
+    }
+
+    /// Answers with the numbers of `master` from here on.
+    pub fn serve(self, master: &Master) -> Result<Running, Stop> {
+        let serve = |endpoint: Endpoint| {
+            let address = endpoint.address();
+            complain(&format!("metrics at http://{address}/metrics"));
+            if !address.ip().is_loopback() {
+                complain(
+                    "anyone on that network can read the metrics; --metrics with a port alone keeps them here",
+                );
+            }
+            endpoint.serve(master.monitor()).map_err(Stop::failed)
+        };
+        let server = self.endpoint.map(serve).transpose()?;
+        Ok(Running { json: self.json, report: self.report, _server: server })
+    }
+}
+
+impl Running {
+    /// Ends the machine, prints its summary and writes its report. If either fails, the other is there all the same.
+    pub fn finish(self, master: Master) -> (Summary, Result<(), Stop>) {
+        let run = master.finish();
+        let summary = run.summary();
+        let loads = run.plan.axes().into_iter().zip(&run.end.drives);
+        for (axis, drive) in loads {
+            if axis.load == Load::Vertical(HeldBy::Drive) && drive.feedback.state.is_powered() {
+                complain(&format!(
+                    "drive {} stays powered: only the drive holds its vertical load",
+                    axis.name
+                ));
+            }
+        }
+        let printed = if self.json {
+            serde_json::to_string(&summary).map_err(Stop::failed).and_then(print)
+        } else {
+            print(&summary)
+        };
+        let written = match &self.report {
+            Some(report) => report.write(&run, &summary).map_err(Stop::failed),
+            None => Ok(()),
+        };
+        (summary, both(printed, written))
+    }
+}
+
+/// What both have to say.
+pub fn both(one: Result<(), Stop>, other: Result<(), Stop>) -> Result<(), Stop> {
+    match (one, other) {
+        (Err(one), Err(other)) => {
+            Err(Stop { code: one.code, message: format!("{}\n{}", one.message, other.message) })
+        }
+        (one, other) => one.and(other),
+    }
+}

@@ -1,0 +1,194 @@
+//! Quantiles over the percentile, on an axis that gives every further nine the same room. A curve ends at the last quantile
+//! that its sample supports; the maximum stands by itself at the right.
+
+use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, VPos};
+
+use super::PlotError;
+use super::sheet::{Area, Axis, GREY, LEFT, MARGIN, PALETTE, RIGHT, Sheet, anchored, label_us, text, within};
+use crate::cycle::status::Peak;
+use crate::telemetry::Quantiles;
+use crate::telemetry::histograms::{Quantity, SAMPLES_BEYOND, is_cut_off};
+use crate::telemetry::summary::{Drive, Run, Summary};
+use crate::time::Ns;
+
+/// Where the curves begin, in nines: what is below the median worries nobody.
+const MEDIAN: f64 = std::f64::consts::LOG10_2;
+
+/// Points of a curve for each nine.
+const POINTS_PER_NINE: f64 = 25.0;
+
+/// So many drives have a colour and a line in the legend each; of more only [`WORST`] of them.
+const NAMED: usize = PALETTE.len();
+
+/// Of many drives these are the ones to look at.
+const WORST: usize = 5;
+
+/// One curve.
+struct Curve {
+    color: RGBColor,
+    width: u32,
+    /// Nines of the percentile, and ns.
+    points: Vec<(f64, f64)>,
+    max: Option<u64>,
+}
+
+impl Curve {
+    fn of(histogram: &Quantity, peak: Peak, color: RGBColor, width: u32) -> Curve {
+        let end = (histogram.len() as f64 / SAMPLES_BEYOND).log10();
+        let steps = ((end - MEDIAN) * POINTS_PER_NINE).floor();
+        let steps = (0..=steps as u32).map(|step| MEDIAN + f64::from(step) / POINTS_PER_NINE);
+        let nines = steps.chain([end]).filter(|nines| (MEDIAN..=end).contains(nines));
+        let points = nines.filter_map(|nines| {
+            let value = histogram.value_at_quantile(1.0 - 10_f64.powf(-nines));
+            (!is_cut_off(histogram, value)).then_some((nines, value.min(peak.ns).max(1) as f64))
+        });
+        let points = points.collect();
+        Curve { color, width, points, max: (peak != Peak::default()).then_some(peak.ns) }
+    }
+}
+
+/// The loop, and what its drives come to.
+pub fn of_the_run(run: &Run, summary: &Summary) -> Result<String, PlotError> {
+    let (status, histograms) = (&run.end.status, &run.measured.histograms);
+    let mut sheet = Sheet::new(run, summary, "Percentiles of the cycle and of the drives' round trips");
+    let wake = Curve::of(&histograms.wake, status.wake_max, PALETTE[0], 3);
+    sheet.explain_quantiles(PALETTE[0], "wake-up latency", &summary.wake_ns);
+    let jitter = Curve::of(&histograms.jitter, status.jitter_max, PALETTE[2], 2);
+    sheet.explain_quantiles(PALETTE[2], "cycle jitter", &summary.jitter_ns);
+    let mut curves = vec![wake, jitter];
+    if let Some(worst) = worst_first(&summary.drives).first() {
+        let drive = &summary.drives[*worst];
+        let what = match summary.drives.len() {
+            1 => format!("round trip of {}", drive.name),
+            all => format!("round trip of {}, worst of {all}", drive.name),
+        };
+        curves.push(of_drive(run, *worst, PALETTE[3], 2));
+        sheet.explain_quantiles(PALETTE[3], &what, &drive.rtt_ns);
+    }
+    let deadline = run.plan.cycle.deadline_ns();
+    sheet.draw(|area| chart(area, &curves, &[("receive deadline", deadline)], "latency (us)"))
+}
+
+/// The round trips of each drive.
+pub fn of_the_drives(run: &Run, summary: &Summary) -> Result<String, PlotError> {
+    let mut sheet = Sheet::new(run, summary, "Percentiles of each drive's round trip");
+    let ranked = worst_first(&summary.drives);
+    let named = if ranked.len() <= NAMED { NAMED } else { WORST };
+    let (worst, others) = ranked.split_at(ranked.len().min(named));
+    for (place, color) in worst.iter().zip(PALETTE) {
+        let drive = &summary.drives[*place];
+        sheet.explain_quantiles(color, &drive.name, &drive.rtt_ns);
+    }
+    // The worst last, so that it lies above all others.
+    let others_curves = others.iter().map(|place| of_drive(run, *place, GREY, 1));
+    let named = worst.iter().zip(PALETTE).rev().map(|(place, color)| of_drive(run, *place, color, 2));
+    let curves: Vec<Curve> = others_curves.chain(named).collect();
+    if !others.is_empty() {
+        sheet.explain(Some(GREY), format!("the other {} drives, none of them worse", others.len()));
+    }
+    let deadline = run.plan.cycle.deadline_ns();
+    sheet.draw(|area| chart(area, &curves, &[("receive deadline", deadline)], "round trip (us)"))
+}
+
+fn of_drive(run: &Run, place: usize, color: RGBColor, width: u32) -> Curve {
+    let histogram = &run.measured.histograms.drives[place].rtt;
+    Curve::of(histogram, run.end.drives[place].peaks.rtt, color, width)
+}
+
+/// The places of the drives, by their tail.
+fn worst_first(drives: &[Drive]) -> Vec<usize> {
+    let tail = |place: &usize| {
+        let Quantiles { p99, p90, p50, max, .. } = drives[*place].rtt_ns;
+        (p99.or(p90).or(p50), max)
+    };
+    let mut ranked: Vec<usize> = (0..drives.len()).collect();
+    ranked.sort_by_key(|place| std::cmp::Reverse(tail(place)));
+    ranked
+}
+
+fn chart(area: &Area<'_>, curves: &[Curve], limits: &[(&str, u64)], unit: &str) -> Result<(), PlotError> {
+    let values = curves
+        .iter()
+        .flat_map(|curve| curve.points.iter().map(|(_, ns)| *ns).chain(curve.max.map(|ns| ns.max(1) as f64)));
+    let values = Axis::logarithmic(values.chain(limits.iter().map(|(_, ns)| *ns as f64)));
+    // The labels of the axis: as many nines as there are curves for, then the maxima.
+    let last = curves.iter().filter_map(|curve| curve.points.last()).fold(1.0_f64, |end, (x, _)| end.max(*x));
+    let maxima = last + last.max(2.0) * 0.08;
+    let end = maxima + last.max(2.0) * 0.06;
+    let mut nines = vec![MEDIAN];
+    nines.extend((1..=last.floor() as u32).map(f64::from));
+    nines.push(maxima);
+    let mut chart = ChartBuilder::on(area)
+        .x_label_area_size(44)
+        .margin_left(MARGIN)
+        .y_label_area_size(LEFT - MARGIN)
+        .margin_right(RIGHT)
+        .margin_top(10)
+        .build_cartesian_2d(Axis { low: MEDIAN, high: end, bold: nines, light: Vec::new() }, values)?;
+    chart
+        .configure_mesh()
+        .x_label_formatter(&|nines| if *nines == maxima { String::from("max") } else { percent(*nines) })
+        .y_label_formatter(&label_us)
+        .x_desc("percentile, each nine the same room")
+        .y_desc(unit)
+        .label_style(text(12, BLACK))
+        .axis_desc_style(text(13, BLACK))
+        .bold_line_style(BLACK.mix(0.15))
+        .light_line_style(BLACK.mix(0.05))
+        .draw()?;
+    for (name, ns) in limits {
+        let log = (*ns as f64).log10();
+        chart.draw_series(DashedLineSeries::new([(MEDIAN, log), (end, log)], 6, 4, GREY.stroke_width(1)))?;
+        let (x, y) = within(area, chart.plotting_area().map_coordinate(&(MEDIAN, log)));
+        let style = anchored(text(12, GREY), HPos::Left, VPos::Bottom);
+        area.draw_text(&format!("{name} {}", Ns(*ns)), &style, (x + 6, y - 3))?;
+    }
+    for Curve { color, width, points, max } in curves {
+        let points = points.iter().map(|(x, ns)| (*x, ns.log10()));
+        chart.draw_series(LineSeries::new(points, color.stroke_width(*width)))?;
+        let max = max.map(|ns| (maxima, (ns.max(1) as f64).log10()));
+        chart.draw_series(max.map(|place| TriangleMarker::new(place, 5, color.filled())))?;
+    }
+    Ok(())
+}
+
+/// 0 %, 50 %, 90 %, 99 %, 99.9 % ...
+fn percent(nines: f64) -> String {
+    let digits = (nines - 2.0).max(0.0).round() as usize;
+    format!("{:.digits$} %", 100.0 * (1.0 - 10_f64.powf(-nines)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::telemetry::Histograms;
+
+    #[test]
+    fn a_curve_ends_where_its_sample_ends() {
+        let mut histogram = Histograms::new(0).wake;
+        let peak = Peak { ns: 70_000, index: 1 };
+        assert_eq!(Curve::of(&histogram, Peak::default(), BLACK, 1).max, None);
+        for count in 1..=10_000_u64 {
+            assert!(histogram.record(7 * count).is_ok());
+            let curve = Curve::of(&histogram, peak, BLACK, 1);
+            match count {
+                19 => assert_eq!(curve.points, []),
+                // The median of 20, and nothing beyond it.
+                20 => assert_eq!(curve.points.last(), Some(&(2_f64.log10(), 70.0))),
+                10_000 => {
+                    let (nines, ns) = *curve.points.last().unwrap();
+                    assert!(nines == 3.0 && (69_900.0..=70_000.0).contains(&ns), "{nines} {ns}");
+                    assert!(curve.points.is_sorted_by(|a, b| a.0 <= b.0 && a.1 <= b.1));
+                }
+                _ => {}
+            }
+        }
+    }
+
+    #[test]
+    fn percentiles_read_naturally() {
+        let labels = [0.0, 2_f64.log10(), 1.0, 2.0, 3.0, 5.0].map(percent);
+        assert_eq!(labels, ["0 %", "50 %", "90 %", "99 %", "99.9 %", "99.999 %"]);
+    }
+}

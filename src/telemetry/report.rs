@@ -1,0 +1,202 @@
+//! The report of a run: a directory with its summary, its histograms and its pictures.
+//!
+//! | file | what |
+//! |---|---|
+//! | `summary.json` | what `--json` prints |
+//! | `wake.hgrm`, `jitter.hgrm`, `stage-S.hgrm` | the loop |
+//! | `rtt-D.hgrm`, `send-jitter-D.hgrm`, `age-D.hgrm` | drive D |
+//! | `wake.svg`, `percentiles.svg`, `rtt.svg`, `timeline.svg` | the pictures |
+//!
+//! Of an earlier report in the same directory nothing stays: it would pass for this one's.
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use thiserror::Error;
+
+use super::file::save;
+use super::hgrm::distribution;
+use super::plots::{self, PlotError};
+use super::summary::{Run, Summary};
+use crate::cycle::record::Stage;
+
+/// The pictures of every report.
+const PICTURES: [&str; 4] = ["wake.svg", "percentiles.svg", "rtt.svg", "timeline.svg"];
+
+/// A place for a report. Dropped without one, it removes the directories that it made.
+#[derive(Debug)]
+pub struct Report {
+    directory: PathBuf,
+    /// What was missing of it, the innermost first.
+    made: Vec<PathBuf>,
+}
+
+/// Why there is no report, or not all of it. The message ends with the remedy.
+#[derive(Debug, Error)]
+pub enum ReportError {
+    /// There is something else of that name.
+    #[error("report {0} is no directory: name one, or a place where one can be made")]
+    NotADirectory(PathBuf),
+    /// The directory cannot be made, or not written to.
+    #[error("report {directory}: cannot write there: {error}; name a directory that this user may write to")]
+    Directory {
+        /// The directory.
+        directory: PathBuf,
+        /// What the operating system said.
+        error: io::Error,
+    },
+    /// A file could not be written. Those before it are whole.
+    #[error(
+        "report file {file} is not written, nor are those after it: {error}; make room there, or name another directory"
+    )]
+    File {
+        /// The file.
+        file: PathBuf,
+        /// What the operating system said.
+        error: io::Error,
+    },
+    /// A file of an earlier report is still there. This one is whole.
+    #[error("report file {file} is of an earlier run and cannot be removed: {error}; remove it")]
+    Earlier {
+        /// The file.
+        file: PathBuf,
+        /// What the operating system said.
+        error: io::Error,
+    },
+    /// A picture could not be drawn.
+    #[error("report pictures are not written: {0}; all other files are")]
+    Plot(#[from] PlotError),
+}
+
+impl Report {
+    /// Finds out whether a report can be written to `directory`, before the run: makes it, and writes a file to it and
+    /// removes that again.
+    pub fn create(directory: impl Into<PathBuf>) -> Result<Report, ReportError> {
+        let directory = directory.into();
+        // `try_exists` and not `exists`: what cannot be looked at is not missing.
+        let missing = |path: &&Path| matches!(path.try_exists(), Ok(false)) && !path.as_os_str().is_empty();
+        let made = directory.ancestors().take_while(missing).map(Path::to_owned).collect();
+        // From here on, whatever fails takes what was made along.
+        let report = Report { directory, made };
+        let directory = &report.directory;
+        if directory.exists() && !directory.is_dir() {
+            return Err(ReportError::NotADirectory(directory.clone()));
+        }
+        let probe = directory.join(".fieldbeat-report");
+        match save(&probe, b"a report comes here\n").and_then(|()| fs::remove_file(&probe)) {
+            Ok(()) => Ok(report),
+            Err(error) => Err(ReportError::Directory { directory: directory.clone(), error }),
+        }
+    }
+
+    /// Writes the report; files of the same names are replaced, and others of an earlier report removed.
+    pub fn write(&self, run: &Run, summary: &Summary) -> Result<(), ReportError> {
+        let failed = |name: &str, error| ReportError::File { file: self.directory.join(name), error };
+        let save = |name: &str, text: &str| {
+            save(&self.directory.join(name), text.as_bytes()).map_err(|error| failed(name, error))
+        };
+        let name = "summary.json";
+        let json = serde_json::to_string(summary).map_err(|error| failed(name, error.into()))?;
+        let histograms = histograms(run);
+        // Before the first new one, so that the old and the new are never side by side.
+        let removed = self.remove_all_but(&histograms);
+        save(name, &(json + "\n"))?;
+        for (name, text) in &histograms {
+            save(name, text)?;
+        }
+        for (name, svg) in plots::all(run, summary)? {
+            debug_assert!(PICTURES.contains(&name), "{name}");
+            save(name, &svg)?;
+        }
+        removed
+    }
+
+    /// Removes the histograms and pictures of an earlier report that are not among `kept`.
+    fn remove_all_but(&self, kept: &[(String, String)]) -> Result<(), ReportError> {
+        let mut result = Ok(());
+        for entry in fs::read_dir(&self.directory).into_iter().flatten().flatten() {
+            let name = entry.file_name();
+            let stale = |name: &str| is_ours(name) && kept.iter().all(|(kept, _)| kept != name);
+            if !name.to_str().is_some_and(stale) || entry.file_type().is_ok_and(|kind| kind.is_dir()) {
+                continue;
+            }
+            if let Err(error) = fs::remove_file(entry.path()) {
+                result = Err(ReportError::Earlier { file: entry.path(), error });
+            }
+        }
+        result
+    }
+}
+
+/// The histograms of a run: file names and texts.
+fn histograms(run: &Run) -> Vec<(String, String)> {
+    let (status, histograms) = (&run.end.status, &run.measured.histograms);
+    let mut files = vec![
+        ("wake.hgrm".to_owned(), distribution(&histograms.wake, status.wake_max)),
+        ("jitter.hgrm".to_owned(), distribution(&histograms.jitter, status.jitter_max)),
+    ];
+    for stage in Stage::ALL {
+        let text = distribution(histograms.stage(stage), status.stage_max[stage as usize]);
+        files.push((format!("stage-{}.hgrm", stage.name()), text));
+    }
+    for (drive, measured) in run.end.drives.iter().zip(&histograms.drives) {
+        let (name, peaks) = (&drive.name, &drive.peaks);
+        files.push((format!("rtt-{name}.hgrm"), distribution(&measured.rtt, peaks.rtt)));
+        let text = distribution(&measured.send_jitter, peaks.send_jitter);
+        files.push((format!("send-jitter-{name}.hgrm"), text));
+        files.push((format!("age-{name}.hgrm"), distribution(&measured.age, peaks.age)));
+    }
+    files
+}
+
+/// Whether a histogram or picture of some report has that name; see the table above.
+fn is_ours(name: &str) -> bool {
+    let histogram = |name: &str| {
+        ["wake", "jitter"].contains(&name)
+            || ["stage-", "rtt-", "send-jitter-", "age-"].iter().any(|kind| name.starts_with(kind))
+    };
+    name.strip_suffix(".hgrm").is_some_and(histogram) || PICTURES.contains(&name)
+}
+
+impl Drop for Report {
+    fn drop(&mut self) {
+        for directory in &self.made {
+            // Refused if there is a report in it.
+            let _ = fs::remove_dir(directory);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nothing_is_left_of_a_report_that_was_not_written() {
+        let place = tempfile::tempdir().unwrap();
+        let deep = place.path().join("a/b/c");
+        let report = Report::create(&deep).unwrap();
+        assert!(deep.is_dir() && fs::read_dir(&deep).unwrap().next().is_none());
+        drop(report);
+        assert!(!place.path().join("a").exists() && place.path().exists());
+    }
+
+    #[test]
+    fn what_was_there_stays() {
+        let place = tempfile::tempdir().unwrap();
+        fs::write(place.path().join("notes"), "mine").unwrap();
+        drop(Report::create(place.path()).unwrap());
+        assert_eq!(fs::read_to_string(place.path().join("notes")).unwrap(), "mine");
+    }
+
+    #[test]
+    fn a_file_is_no_place() {
+        let place = tempfile::tempdir().unwrap();
+        let file = place.path().join("file");
+        fs::write(&file, "mine").unwrap();
+        assert!(matches!(Report::create(&file), Err(ReportError::NotADirectory(path)) if path == file));
+        assert!(matches!(Report::create(file.join("a/b")), Err(ReportError::Directory { .. })));
+        assert_eq!(fs::read_to_string(&file).unwrap(), "mine");
+    }
+}

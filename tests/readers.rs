@@ -1,0 +1,121 @@
+//! What programs that others wrote make of what we write for them: HdrHistogram's JavaScript port of our distributions, and
+//! the parsers of Prometheus' Python client of our metrics. `.ci/run` installs both below `target/peers`.
+//!
+//!     cargo test --test readers -- --ignored --test-threads 1
+
+mod support;
+
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::process::{Command, Stdio};
+
+use fieldbeat::cycle::status::Peak;
+use fieldbeat::sim::server::{ServerOptions, SimServer};
+use fieldbeat::telemetry::hgrm::distribution;
+use hdrhistogram::Histogram;
+use libc::SIGINT;
+use support::{Machine, Program, checkout, plan};
+
+/// What `command` prints about `input`.
+fn tell(command: &mut Command, input: &str) -> String {
+    let mut child = (command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn())
+        .unwrap_or_else(|error| panic!("{command:?}: {error}; .ci/run installs it"));
+    child.stdin.take().unwrap().write_all(input.as_bytes()).unwrap();
+    let output = child.wait_with_output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+/// Latencies with a long tail. Their number is prime, so that no quantile falls between two of them, where the last bit of
+/// a division decides; the largest is the upper end of its bin.
+fn samples() -> Vec<u64> {
+    let mut random = fastrand::Rng::with_seed(7);
+    let tail = |random: &mut fastrand::Rng| (20_000.0 * (6.0 * random.f64().powi(8)).exp()) as u64;
+    (1..10_007).map(|_| tail(&mut random) + random.u64(..5_000)).chain([(1 << 24) - 1]).collect()
+}
+
+/// Our distribution of the samples, and that of the other implementation.
+fn distributions(digits: u8) -> (String, String) {
+    let samples = samples();
+    let mut histogram = Histogram::<u64>::new_with_bounds(1, 60_000_000, digits).unwrap();
+    samples.iter().for_each(|ns| histogram.record(*ns).unwrap());
+    let ours = distribution(&histogram, Peak { ns: *samples.last().unwrap(), index: 10_006 });
+    let script = format!(
+        "const h = require('hdr-histogram-js').build({{ lowestDiscernibleValue: 1, \
+         highestTrackableValue: 60000000, numberOfSignificantValueDigits: {digits}, bitBucketSize: 64 }}); \
+         require('fs').readFileSync(0, 'utf8').trim().split('\\n').forEach((ns) => h.recordValue(Number(ns))); \
+         process.stdout.write(h.outputPercentileDistribution(5, 1000));"
+    );
+    let lines: String = samples.iter().map(|ns| format!("{ns}\n")).collect();
+    let mut node = Command::new("node");
+    let theirs =
+        tell(node.args(["-e", &script]).env("NODE_PATH", checkout("target/peers/node_modules")), &lines);
+    (ours, theirs)
+}
+
+#[test]
+#[ignore = "needs node and hdr-histogram-js"]
+fn distributions_of_the_loop_are_those_of_another_implementation() {
+    let (ours, theirs) = distributions(3);
+    assert_eq!(ours, theirs);
+}
+
+/// They have as many decimals as digits, we always have those of a nanosecond.
+#[test]
+#[ignore = "needs node and hdr-histogram-js"]
+fn distributions_of_drives_are_those_of_another_implementation() {
+    let numbers = |text: &str| -> Vec<Vec<f64>> {
+        let numbers = |line: &str| {
+            line.split_whitespace().filter_map(|word| word.trim_matches([',', ']']).parse().ok()).collect()
+        };
+        text.lines().map(numbers).collect()
+    };
+    let (ours, theirs) = distributions(2);
+    let (ours, theirs) = (numbers(&ours), numbers(&theirs));
+    assert_eq!(ours.len(), theirs.len());
+    for (ours, theirs) in ours.iter().zip(&theirs) {
+        assert_eq!(ours.len(), theirs.len());
+        assert!(ours.iter().zip(theirs).all(|(a, b)| (a - b).abs() <= 0.005 + 1e-9), "{ours:?} {theirs:?}");
+    }
+}
+
+#[test]
+#[ignore = "needs python3 and prometheus_client"]
+fn the_parsers_of_prometheus_read_the_metrics() {
+    let machine = Machine::new(1);
+    let config = machine.plain(2);
+    let _sim = SimServer::start(plan(&config).simulate(), ServerOptions::default()).unwrap();
+    let endpoint = format!("{}:9464", machine.ip(1));
+    let run = ["run", config.to_str().unwrap(), "--metrics", &endpoint];
+    let mut program = Program::start(run);
+    program.await_text("all drives online");
+    let mut stream = TcpStream::connect(&endpoint).unwrap();
+    stream.write_all(b"GET /metrics HTTP/1.1\r\n\r\n").unwrap();
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).unwrap();
+    program.signal(SIGINT);
+    program.end().expect(0);
+    let (_, page) = answer.split_once("\r\n\r\n").unwrap();
+    // The strict one of OpenMetrics, and that of the older format, which many agents still speak.
+    let script = "import sys\n\
+        from prometheus_client.openmetrics import parser as strict\n\
+        from prometheus_client import parser as old\n\
+        page = sys.stdin.read()\n\
+        for family in strict.text_string_to_metric_families(page):\n\
+        \x20   for sample in family.samples: print(sample.name, sample.labels.get('drive', '-'), family.type)\n\
+        for family in old.text_string_to_metric_families(page):\n\
+        \x20   for sample in family.samples: print('old', sample.name)\n";
+    let python = checkout("target/peers/python/bin/python3");
+    let told = tell(Command::new(python).args(["-c", script]), page);
+    for line in [
+        "fieldbeat_cycles_executed_total - counter",
+        "fieldbeat_wake_up_seconds_bucket - histogram",
+        "fieldbeat_drive_round_trip_seconds_count d1 histogram",
+        "fieldbeat_axes_online - gauge",
+        "fieldbeat_loop_info - info",
+        "old fieldbeat_drive_requests_sent_total",
+        "old fieldbeat_stage_seconds_bucket",
+    ] {
+        assert!(told.lines().any(|told| told == line), "no \"{line}\": {told}");
+    }
+}
