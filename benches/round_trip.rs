@@ -63,8 +63,9 @@ fn main() -> ExitCode {
         _ => {}
     });
 
+    let steal_ms = steal.ms();
     let mut report = Report::default();
-    println!("\nlinudp-v2, 1 drive, 1 kHz, {rounds} rounds, steal {} ms", shown(steal.ms()));
+    println!("\nlinudp-v2, 1 drive, 1 kHz, {rounds} rounds, steal {} ms", shown(steal_ms));
     println!("  round trip, ns  {:>26} {:>26} {:>18}", "ours", "bare loop", "ours / bare");
     for (wait, pair) in [("poll", &poll), ("spin", &spin)] {
         for (quantile, q) in [("p50", 0.5), ("p90", 0.9), ("p99", 0.99)] {
@@ -101,6 +102,7 @@ fn main() -> ExitCode {
     // The default wait mode speaks for the protocol.
     let [mut protocol, spin] = objects;
     protocol["spin"] = spin;
+    protocol["steal_ms"] = json!(steal_ms);
     report.enter("linudp-v2", protocol);
     report.finish(&args)
 }

@@ -61,16 +61,20 @@ fn main() -> ExitCode {
     for ((drives, without), on) in drives.iter().zip(without).zip(on_sockets) {
         report.append(json!({
             "drives": drives,
-            "loop_ns": without.back_to_back,
-            "loop_paced_ns": without.paced,
+            "loop_ns": without.back_to_back.value,
+            "loop_ns_interval": without.back_to_back.ends(),
+            "loop_paced_ns": without.paced.value,
+            "loop_paced_ns_interval": without.paced.ends(),
             "carrier_ns": without.carrier,
             "sockets_ns": on.ours,
             "bare_ns": on.bare,
             "sockets_ratio": on.ratio.map(|ratio| ratio.value),
+            "sockets_ratio_interval": on.ratio.map(|ratio| ratio.ends()),
             "sockets_cpu_ns": on.ours_cpu,
             "bare_cpu_ns": on.bare_cpu,
             "sockets_cpu_ratio": on.cpu_ratio.map(|ratio| ratio.value),
             "syscalls_per_cycle": on.calls,
+            "steal_ms": on.steal_ms,
         }));
     }
     report.finish(&args)
@@ -78,8 +82,8 @@ fn main() -> ExitCode {
 
 /// Of the loop without a socket, ns a drive and cycle.
 struct Without {
-    back_to_back: f64,
-    paced: f64,
+    back_to_back: Interval,
+    paced: Interval,
     carrier: f64,
 }
 
@@ -106,17 +110,28 @@ fn without_socket(quick: bool, drives: &[usize], report: &mut Report) -> Vec<Wit
         "\nthe loop without a socket, ns a drive and cycle; {rounds} rounds, steal {} ms",
         shown(steal.ms())
     );
-    println!("  drives   back to back   paced 1 kHz   the null carrier, taken off both");
+    println!("  drives           back to back            paced 1 kHz   the null carrier, taken off both");
     let mut table = Vec::new();
     for (count, [loops, paced, carrier]) in drives.iter().zip(&medians) {
         let each = *count as f64;
-        let carrier = median(carrier);
-        let row = Without {
-            back_to_back: (median(loops) - carrier) / each,
-            paced: (median(paced) - carrier) / each,
-            carrier: carrier / each,
+        let without_carrier = |all: &[f64]| {
+            over_rounds(rounds, |rounds| {
+                let chosen =
+                    |all: &[f64]| median(&rounds.iter().map(|round| all[*round]).collect::<Vec<_>>());
+                (chosen(all) - chosen(carrier)) / each
+            })
         };
-        println!("  {count:6} {:14.1} {:13.1} {:12.1}", row.back_to_back, row.paced, row.carrier);
+        let row = Without {
+            back_to_back: without_carrier(loops),
+            paced: without_carrier(paced),
+            carrier: median(carrier) / each,
+        };
+        println!(
+            "  {count:6} {:>22} {:>22} {:12.1}",
+            row.back_to_back.to_string(),
+            row.paced.to_string(),
+            row.carrier
+        );
         table.push(row);
     }
 
@@ -283,6 +298,7 @@ struct OnSockets {
     bare_cpu: Option<f64>,
     cpu_ratio: Option<Interval>,
     calls: Option<f64>,
+    steal_ms: Option<u64>,
 }
 
 fn on_sockets(granted: &Granted, quick: bool, drives: &[usize], report: &mut Report) -> Vec<OnSockets> {
@@ -314,6 +330,7 @@ fn on_sockets(granted: &Granted, quick: bool, drives: &[usize], report: &mut Rep
             bare_cpu: each(&bare_cpu),
             cpu_ratio: ours_cpu.ratio(&bare_cpu, 0.5),
             calls: calls.quantile(0.5).map(|p50| p50.value),
+            steal_ms: steal.ms(),
         };
         let whole = |value: Option<f64>| shown(value.map(|value| value.round()));
         println!(
@@ -327,7 +344,7 @@ fn on_sockets(granted: &Granted, quick: bool, drives: &[usize], report: &mut Rep
             shown(row.cpu_ratio),
             shown(row.calls),
             calls_allowed(count),
-            shown(steal.ms())
+            shown(row.steal_ms)
         );
         report.count(
             format!(
