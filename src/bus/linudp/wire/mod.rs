@@ -25,12 +25,14 @@
 //! [`RequestView`] and [`ResponseView`] check a datagram's length once and read single blocks; [`Request`] and
 //! [`Response`] are the plain values.
 
+mod rtc;
 mod words;
 
 use std::fmt;
 
 use thiserror::Error;
 
+pub use rtc::{Refusal, RtcBlock, RtcCommand, RtcStatus};
 pub use words::{ControlWord, ErrorCode, MainState, StateVar, StatusWord, WarnWord};
 
 /// Where things are inside the telegram and inside its blocks. The blocks themselves have no fixed place.
@@ -44,7 +46,7 @@ mod field {
 
     pub const CONTROL: usize = 2;
     pub const MOTION: usize = 32;
-    pub const CONFIG: usize = 8;
+    pub const CONFIG: usize = super::RtcBlock::SIZE;
     pub const PARAMETERS: usize = 30;
 
     /// Bytes of response blocks 0 ... 7, in bit order.
@@ -207,52 +209,6 @@ impl MotionBlock {
     fn from_bytes(bytes: [u8; field::MOTION]) -> MotionBlock {
         let [low, high, parameters @ ..] = bytes;
         MotionBlock { header: u16::from_le_bytes([low, high]), parameters }
-    }
-}
-
-/// The real-time-config block, both directions (LinUDP V2 manual, chapter 7).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct RtcBlock {
-    /// Bits 0-3: command count, echoed by the drive. Bits 4-7 are reserved and kept as they come.
-    pub tag: u8,
-    /// To the drive: the command. From the drive: the parameter status, not the command.
-    pub code: u8,
-    /// Words 2, 3 and 4: most commands take and give an index, then a value, low word first.
-    pub words: [u16; 3],
-}
-
-impl RtcBlock {
-    /// The command that does nothing. Its count is echoed all the same.
-    pub const NO_OPERATION: u8 = 0x00;
-    /// Status: done.
-    pub const DONE: u8 = 0x00;
-    /// Status: no such parameter.
-    pub const UPID_ERROR: u8 = 0xC0;
-
-    /// A command without parameters.
-    pub const fn command(count: u8, code: u8) -> RtcBlock {
-        RtcBlock { tag: count & 0xF, code, words: [0; 3] }
-    }
-
-    /// The command count or its echo, 0 ... 15.
-    pub const fn count(&self) -> u8 {
-        self.tag & 0xF
-    }
-
-    /// Words 3 and 4 as one value.
-    pub const fn value(&self) -> u32 {
-        (self.words[2] as u32) << 16 | self.words[1] as u32
-    }
-
-    fn from_bytes(bytes: [u8; field::CONFIG]) -> RtcBlock {
-        let [tag, code, a, b, c, d, e, f] = bytes;
-        let word = |low, high| u16::from_le_bytes([low, high]);
-        RtcBlock { tag, code, words: [word(a, b), word(c, d), word(e, f)] }
-    }
-
-    fn to_bytes(self) -> [u8; field::CONFIG] {
-        let [[a, b], [c, d], [e, f]] = self.words.map(u16::to_le_bytes);
-        [self.tag, self.code, a, b, c, d, e, f]
     }
 }
 

@@ -134,7 +134,7 @@ fn golden_go_to_request() {
 fn golden_parameter_read() {
     let request = Request {
         response_def: ResponseDef::CONFIG,
-        config: Some(RtcBlock { words: [0x20A8, 0, 0], ..RtcBlock::command(1, 0x11) }),
+        config: Some(RtcBlock { words: [0x20A8, 0, 0], ..RtcBlock::command(1, RtcCommand::READ_RAM) }),
         ..Request::default()
     };
     assert_eq!(emitted(&request), READ_REQUEST);
