@@ -7,6 +7,7 @@ use fieldbeat::axis::command::NativeOwner;
 use fieldbeat::axis::{
     Abort, AxisPlan, EventKind, Failure, Link, Outcome, Row, State, StopCause, StopThen, Verb,
 };
+use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand};
 use fieldbeat::bus::linudp::wire::{
     ControlWord, ErrorCode, MainState, Request, Response, ResponseDef, StatusWord,
 };
@@ -342,10 +343,7 @@ fn a_command_in_the_wrong_state_is_a_fault_of_the_drive_not_of_the_loop() {
     b.run(100);
     inject(
         &b,
-        Request {
-            motion: Some(fieldbeat::bus::linudp::motion::MotionCommand::stop(1_000).block(9)),
-            ..Request::default()
-        },
+        Request { motion: Some(MotionCommand::vai_stop(Acceleration(1_000)).block(9)), ..Request::default() },
     );
     assert_eq!(b.stopped(0, 10), StopCause::DriveFault);
     assert_eq!(b.aborted(0, home), Abort::Stopped(StopCause::DriveFault));

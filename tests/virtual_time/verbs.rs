@@ -4,10 +4,10 @@ use fieldbeat::axis::command::NativeOwner;
 use fieldbeat::axis::{
     Abort, EventKind, Failure, Link, Outcome, State, StopCause, StopHow, StopThen, Target, Verb,
 };
-use fieldbeat::bus::linudp::motion::MotionCommand;
+use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};
 use fieldbeat::bus::linudp::native::{Native, NativeOutput};
 use fieldbeat::bus::linudp::wire::{
-    ControlWord, ErrorCode, MainState, Request, ResponseDef, ResponseView, RtcBlock, StatusWord,
+    ControlWord, ErrorCode, MainState, Request, ResponseDef, ResponseView, RtcBlock, RtcCommand, StatusWord,
 };
 use fieldbeat::time::{MS, Time, US};
 
@@ -373,6 +373,11 @@ fn enable_takes_a_powered_drive_over_without_cutting_its_power() {
     );
 }
 
+fn go_to(position: i32) -> MotionCommand {
+    let ramp = Acceleration(500_000);
+    MotionCommand::vai_go_to(Position(position), Velocity(200_000), ramp, ramp)
+}
+
 #[test]
 fn native_mode_hands_the_motion_channel_over_and_keeps_the_drive_enabled() {
     let mut b = Rig::new(1).start();
@@ -381,14 +386,9 @@ fn native_mode_hands_the_motion_channel_over_and_keeps_the_drive_enabled() {
     assert!(b.sim.axis(0).native::<Native>().is_none(), "taken once");
     let id = b.post(0, Verb::Native(NativeOwner::Master));
     b.run(3);
-    let vad = fieldbeat::bus::linudp::motion::Vad {
-        velocity: 200_000,
-        acceleration: 500_000,
-        deceleration: 500_000,
-    };
     let output = NativeOutput {
         control: Some(ControlWord::BASE),
-        motion: Some(MotionCommand::go_to(250_000, vad)),
+        motion: Some(go_to(250_000)),
         ..NativeOutput::default()
     };
     native.write(output).unwrap();
@@ -417,7 +417,7 @@ fn native_outputs_survive_slots_passed_over_and_lost_requests() {
     b.run(3);
     b.tape(0).heard.clear();
     for count in 1..=12 {
-        let config = Some(RtcBlock::command(count, RtcBlock::NO_OPERATION));
+        let config = Some(RtcBlock::command(count, RtcCommand::NO_OPERATION));
         native.write(NativeOutput { config, ..NativeOutput::default() }).unwrap();
     }
     for late_ns in [1_500 * US, 0, 3_200 * US, 0] {
@@ -429,14 +429,9 @@ fn native_outputs_survive_slots_passed_over_and_lost_requests() {
     let counts: Vec<_> = (b.tape(0).heard.iter()).filter_map(|h| Some(h.request.config?.count())).collect();
     assert!(counts.into_iter().eq(1..=12));
 
-    let vad = fieldbeat::bus::linudp::motion::Vad {
-        velocity: 200_000,
-        acceleration: 500_000,
-        deceleration: 500_000,
-    };
     b.tape(0).heard.clear();
     for position in [100_000, 150_000, 120_000] {
-        let motion = Some(MotionCommand::go_to(position, vad));
+        let motion = Some(go_to(position));
         native.write(NativeOutput { motion, ..NativeOutput::default() }).unwrap();
         // The request that carries it first is lost.
         b.step();
@@ -450,10 +445,7 @@ fn native_outputs_survive_slots_passed_over_and_lost_requests() {
         .map(|motion| motion.parameters)
         .collect();
     motions.dedup();
-    assert_eq!(
-        motions,
-        [100_000, 150_000, 120_000].map(|to| MotionCommand::go_to(to, vad).block(0).parameters)
-    );
+    assert_eq!(motions, [100_000, 150_000, 120_000].map(|to| go_to(to).block(0).parameters));
     assert_eq!(native.inputs().response.demand, Some(120_000));
     assert_eq!(b.outcome(0, id), None);
 }
@@ -568,7 +560,7 @@ fn an_echo_that_hides_the_stored_count_costs_a_few_cycles_and_no_motion() {
     let mut b = Rig::new(1).start();
     b.ready();
     let request = Request {
-        motion: Some(MotionCommand::NO_OPERATION.block(1)),
+        motion: Some(MotionCommand::no_operation().block(1)),
         response_def: ResponseDef::CYCLIC,
         ..Request::default()
     };

@@ -2,8 +2,7 @@
 //! behind everybody's back.
 
 use fieldbeat::axis::{Abort, Axis, Failure, Outcome, StopCause, Verb};
-use fieldbeat::bus::linudp::motion::MotionCommand;
-use fieldbeat::bus::linudp::motion::Vad;
+use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};
 use fieldbeat::bus::linudp::native::{Native, NativeOutput};
 use fieldbeat::time::MS;
 
@@ -207,9 +206,9 @@ fn native(b: &mut Bench) -> Box<Native> {
 }
 
 fn go(native: &mut Native, position_mm: f64, velocity_mm_s: f64) {
-    let vad =
-        Vad { velocity: (velocity_mm_s * 1_000.0) as u32, acceleration: 2_000_000, deceleration: 2_000_000 };
-    let motion = MotionCommand::go_to((position_mm * PER_MM) as i32, vad);
+    let velocity = Velocity::from_mm_per_s(velocity_mm_s).unwrap();
+    let ramp = Acceleration(2_000_000);
+    let motion = MotionCommand::vai_go_to(Position::from_mm(position_mm).unwrap(), velocity, ramp, ramp);
     native.write(NativeOutput { motion: Some(motion), ..NativeOutput::default() }).unwrap();
 }
 

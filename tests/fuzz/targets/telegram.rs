@@ -3,7 +3,7 @@
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 
-use fieldbeat::bus::linudp::motion::{Decoded, MotionCommand, Move, Origin, Shape, Start, Vad, When};
+use fieldbeat::bus::linudp::motion::{CommandInfo, Decoded};
 use fieldbeat::bus::linudp::sim::LinMotSim;
 use fieldbeat::bus::linudp::wire::{
     MotionBlock, REQUEST_MAX, RESPONSE_MAX, Request, RequestDef, RequestView, Response, ResponseView,
@@ -122,61 +122,25 @@ fn motion(data: &[u8]) {
             [(0, 0), (1, 0), (0, 0), (1, 0), (1, 1), (1, 1)][usize::from(command.id() - 0x030)];
         assert_eq!([position, velocity, acceleration], [long(0), long(4) * speed, long(8) * ramp]);
     }
-    if let Some(command) = spoken(&decoded) {
-        assert_eq!(Decoded::of(&command.block(bytes[1])), decoded, "{command:?}");
-        assert_eq!(command.header(bytes[1]) & 0xF, u16::from(bytes[1] & 0xF));
+    let Some(info) = CommandInfo::of(block.header >> 4) else {
+        assert_eq!(decoded, Decoded::Unknown);
+        return;
+    };
+    // What lies behind its fields says nothing, and what they say can be said again.
+    let values = info.values(&block.parameters);
+    match info.command(&values) {
+        Ok(command) => {
+            assert_eq!(command.parameters[..info.size()], block.parameters[..info.size()]);
+            assert_eq!(Decoded::of(&command.block(bytes[1])), decoded, "{command:?}");
+            assert_eq!(command.header(bytes[1]) & 0xF, u16::from(bytes[1] & 0xF));
+        }
+        Err((field, _)) => assert!(field.kind.check(field.read(&block.parameters)).is_err()),
     }
-}
-
-/// The command that says this, if the master has one for it.
-fn spoken(decoded: &Decoded) -> Option<MotionCommand> {
-    Some(match *decoded {
-        Decoded::NoOperation => MotionCommand::NO_OPERATION,
-        Decoded::ControlWord(word) => MotionCommand::control_word(word),
-        Decoded::LiveParameter { upid, value } => MotionCommand::live_parameter(upid, value),
-        Decoded::ClearEvents => MotionCommand::CLEAR_EVENTS,
-        Decoded::MasterHoming(position) => MotionCommand::master_homing(position),
-        Decoded::ResetFirmware => MotionCommand::RESET_FIRMWARE,
-        Decoded::Stop(None) => MotionCommand::STOP_PREDEFINED,
-        Decoded::Stop(Some(deceleration)) => MotionCommand::stop(deceleration),
-        Decoded::Run { positive, velocity: None, acceleration: None } => {
-            MotionCommand::run_predefined(positive)
-        }
-        Decoded::Run { positive, velocity: Some(velocity), acceleration: Some(acceleration) } => {
-            MotionCommand::run(positive, velocity, acceleration)
-        }
-        Decoded::Stream { command, position, velocity, acceleration } => {
-            MotionCommand::stream(command, position, velocity, acceleration)
-        }
-        Decoded::EndStream => MotionCommand::END_STREAM,
-        Decoded::Move(Move {
-            value,
-            origin,
-            start,
-            when: When::Now,
-            shape: Shape::Trapezoid,
-            velocity: Some(velocity),
-            acceleration: Some(acceleration),
-            deceleration: Some(deceleration),
-        }) => {
-            let vad = Vad { velocity, acceleration, deceleration };
-            match (origin, start) {
-                (Origin::Zero, Start::Demand) => MotionCommand::go_to(value, vad),
-                (Origin::Zero, Start::Actual) => MotionCommand::go_to_from_actual(value, vad),
-                (Origin::Zero, Start::Standstill) => MotionCommand::go_to_from_standstill(value, vad),
-                (Origin::Demand, Start::Demand) => MotionCommand::increment_demand(value, vad),
-                (Origin::Target, Start::Demand) => MotionCommand::increment_target(value, vad),
-                (Origin::Actual, Start::Actual) => MotionCommand::increment_actual(value, vad),
-                _ => return None,
-            }
-        }
-        _ => return None,
-    })
 }
 
 fn config(data: &[u8]) {
     let bytes = padded::<8>(data);
-    let command = RtcBlock::command(bytes[0], bytes[1]);
+    let command = RtcBlock::answer(bytes[0], bytes[1]);
     assert_eq!((command.count(), command.code), (bytes[0] & 0xF, bytes[1]));
     let mut telegram = [0; REQUEST_MAX];
     telegram[..4].copy_from_slice(&RequestDef::CONFIG.0.to_le_bytes());

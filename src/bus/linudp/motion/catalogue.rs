@@ -1,0 +1,222 @@
+//! What is known of each motion command, as data: its name, where it may be used, and the fields behind its header.
+//!
+//! Knows the layout of the catalogue, not its contents: those are in `commands`.
+//!
+//! The fields of a command follow each other without a gap, the first one behind the header, so that their order is
+//! their layout. No command has more than [`FIELDS`].
+
+use super::MotionCommand;
+use super::values::Kind;
+use crate::axis::RangeError;
+
+pub use super::commands::CATALOGUE;
+
+/// The most fields that a command has.
+pub const FIELDS: usize = 5;
+
+/// Bytes of the header, where the first field begins.
+const HEADER: usize = 2;
+
+/// A motion command of the catalogue.
+#[derive(Debug)]
+pub struct CommandInfo {
+    /// Master id (bits 11-4) and sub id (3-0).
+    pub id: u16,
+    /// Its name in files: `vai-go-to`.
+    pub name: &'static str,
+    /// What there is to know before it is sent.
+    pub marks: &'static [Mark],
+    /// What it carries, in the order of the wire.
+    pub fields: &'static [Field],
+}
+
+/// What there is to know of a command before it is sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Mark {
+    /// It does something inside the command table only.
+    TableOnly,
+    /// The drive needs a software key for it.
+    SoftwareKey,
+    /// It is not in the manual of 2014: older firmware does not know it.
+    Newer,
+    /// Its layout, or which of two like commands it is, is not certain.
+    Assumed,
+}
+
+/// A value behind a header.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Field {
+    /// Its name in files: `velocity`.
+    pub name: &'static str,
+    /// Its first byte, counted from the header as in the manual; at least 2.
+    pub at: usize,
+    /// Type, unit, range.
+    pub kind: Kind,
+}
+
+impl CommandInfo {
+    /// The command of this id, 12 bits.
+    pub fn of(id: u16) -> Option<&'static CommandInfo> {
+        let index = CATALOGUE.binary_search_by_key(&id, |info| info.id).ok()?;
+        CATALOGUE.get(index)
+    }
+
+    /// The command of this name.
+    pub fn named(name: &str) -> Option<&'static CommandInfo> {
+        CATALOGUE.iter().find(|info| info.name == name)
+    }
+
+    /// It has this mark.
+    pub fn is(&self, mark: Mark) -> bool {
+        self.marks.contains(&mark)
+    }
+
+    /// Bytes that its fields take behind the header.
+    pub fn size(&self) -> usize {
+        self.fields.last().map_or(0, |field| field.at + field.kind.size() - HEADER)
+    }
+
+    /// The wire integers of its fields in `parameters`, the bytes behind a header; 0 where it has no field. Some may be
+    /// out of their range, for a drive holds what it was given.
+    pub fn values(&self, parameters: &[u8]) -> [i64; FIELDS] {
+        let mut values = [0; FIELDS];
+        for (value, field) in values.iter_mut().zip(self.fields) {
+            *value = field.read(parameters);
+        }
+        values
+    }
+
+    /// The command with these wire integers in its fields, those left out 0; refused with the field that is out of its
+    /// range.
+    pub fn command(&self, values: &[i64]) -> Result<MotionCommand, (Field, RangeError)> {
+        let mut command = MotionCommand::new(self.id);
+        for (index, field) in self.fields.iter().enumerate() {
+            let value = values.get(index).copied().unwrap_or(0);
+            field.kind.check(value).map_err(|error| (*field, error))?;
+            field.write(&mut command.parameters, value);
+        }
+        Ok(command)
+    }
+}
+
+impl Field {
+    /// Its wire integer in `parameters`, the bytes behind a header; bytes that are missing are 0.
+    pub fn read(&self, parameters: &[u8]) -> i64 {
+        let place = parameters.get(self.at - HEADER..).unwrap_or_default();
+        let mut bytes = [0; 4];
+        for (byte, found) in bytes.iter_mut().zip(place).take(self.kind.size()) {
+            *byte = *found;
+        }
+        let value = u32::from_le_bytes(bytes);
+        match (self.kind.is_signed(), self.kind.size()) {
+            (false, _) => i64::from(value),
+            (true, 2) => i64::from(value as u16 as i16),
+            (true, _) => i64::from(value as i32),
+        }
+    }
+
+    /// Writes a wire integer into `parameters`, the bytes behind a header. Its range is the caller's business; what does
+    /// not fit into its bytes is cut off.
+    pub fn write(&self, parameters: &mut [u8], value: i64) {
+        let place = parameters.get_mut(self.at - HEADER..).unwrap_or_default();
+        for (byte, written) in place.iter_mut().zip(value.to_le_bytes()).take(self.kind.size()) {
+            *byte = written;
+        }
+    }
+}
+
+/// A command while its fields are filled in, one behind the other.
+pub(super) struct Filling {
+    pub(super) command: MotionCommand,
+    filled: usize,
+}
+
+impl Filling {
+    #[inline]
+    pub(super) const fn of(id: u16) -> Filling {
+        Filling { command: MotionCommand::new(id), filled: 0 }
+    }
+
+    #[inline]
+    pub(super) const fn field(mut self, wire: u32, size: usize) -> Filling {
+        let bytes = wire.to_le_bytes();
+        let mut index = 0;
+        while index < size {
+            self.command.parameters[self.filled + index] = bytes[index];
+            index += 1;
+        }
+        self.filled += size;
+        self
+    }
+}
+
+/// The fields of these names and kinds, one behind the other.
+pub(super) const fn lay_out<const N: usize>(fields: [(&'static str, Kind); N]) -> [Field; N] {
+    assert!(N <= FIELDS);
+    let mut laid = [Field { name: "", at: HEADER, kind: Kind::Bits }; N];
+    let (mut index, mut at) = (0, HEADER);
+    while index < N {
+        let (name, kind) = fields[index];
+        laid[index] = Field { name, at, kind };
+        at += kind.size();
+        index += 1;
+    }
+    laid
+}
+
+/// `vai_go_to` to `vai-go-to`.
+pub(super) const fn kebab<const N: usize>(name: &str) -> [u8; N] {
+    let mut kebab = [0; N];
+    let mut index = 0;
+    while index < N {
+        let byte = name.as_bytes()[index];
+        kebab[index] = if byte == b'_' { b'-' } else { byte };
+        index += 1;
+    }
+    kebab
+}
+
+/// [`CommandInfo::of`] looks an id up by halving.
+pub(super) const fn rises(catalogue: &[CommandInfo]) -> bool {
+    let mut index = 1;
+    while index < catalogue.len() {
+        if catalogue[index - 1].id >= catalogue[index].id {
+            return false;
+        }
+        index += 1;
+    }
+    true
+}
+
+/// `name = id [marks] (field: Kind, ...);`: a constructor and an entry of the catalogue each.
+macro_rules! commands {
+    ($($(#[doc = $doc:literal])+
+       $name:ident = $id:literal [$($mark:ident),*] ($($field:ident: $kind:ident),*);)*) => {
+        /// Every motion command that is known, by rising ids.
+        pub static CATALOGUE: &[CommandInfo] = &[$(CommandInfo {
+            id: $id,
+            name: {
+                const NAME: &str = stringify!($name);
+                const KEBAB: [u8; NAME.len()] = kebab(NAME);
+                match std::str::from_utf8(&KEBAB) {
+                    Ok(name) => name,
+                    Err(_) => NAME,
+                }
+            },
+            marks: &[$(Mark::$mark),*],
+            fields: &const { lay_out([$((stringify!($field), Kind::$kind)),*]) },
+        }),*];
+
+        const _: () = assert!(rises(CATALOGUE), "the list of commands is in the order of their ids");
+
+        impl MotionCommand {
+            $($(#[doc = $doc])+
+            #[doc = concat!("\n\nId `", stringify!($id), "`" $(, ", [`Mark::", stringify!($mark), "`]")*, ".")]
+            #[inline]
+            pub const fn $name($($field: $kind),*) -> MotionCommand {
+                Filling::of($id)$(.field($field.wire() as u32, $kind::SIZE))*.command
+            })*
+        }
+    };
+}
+pub(super) use commands;
