@@ -297,6 +297,31 @@ impl<'a> Table<'a> {
         })
     }
 
+    /// A list of whole numbers up to `highest`, at most so many; none if the key is absent or wrong.
+    pub(super) fn integers(&mut self, key: &'static str, most: usize, highest: u16) -> Vec<u16> {
+        let one = |value: &DeValue<'_>| {
+            integer(value).and_then(|value| u16::try_from(value).ok()).filter(|value| *value <= highest)
+        };
+        let list = self.read(key, |value| {
+            let elements = value.as_array().map(|array| array.iter().map(|element| one(element.get_ref())));
+            elements
+                .and_then(Iterator::collect::<Option<Vec<u16>>>)
+                .filter(|list| list.len() <= most)
+                .ok_or_else(|| format!("must be a list of at most {most} whole numbers, 0 to {highest}"))
+        });
+        list.unwrap_or_default()
+    }
+
+    /// Bytes, zeros behind them; `None` if the key is absent.
+    pub(super) fn bytes<const N: usize>(&mut self, key: &'static str) -> Option<[u8; N]> {
+        let list = self.integers(key, N, u16::from(u8::MAX));
+        let mut bytes = [0; N];
+        for (place, byte) in bytes.iter_mut().zip(list) {
+            *place = byte as u8;
+        }
+        self.gives(key).then_some(bytes)
+    }
+
     /// A finite number, with or without a decimal point.
     pub(super) fn number(
         &mut self,
@@ -433,7 +458,8 @@ pub(super) fn integer(value: &DeValue<'_>) -> Option<i128> {
     i128::from_str_radix(integer.as_str(), integer.radix()).ok()
 }
 
-fn number(value: &DeValue<'_>) -> Option<f64> {
+/// A finite number.
+pub(super) fn number(value: &DeValue<'_>) -> Option<f64> {
     let number = match value {
         DeValue::Float(float) => float.as_str().parse().ok()?,
         _ => integer(value)? as f64,
@@ -455,6 +481,13 @@ fn inside<T: PartialOrd + Copy, D: fmt::Display>(
         _ => return Ok(value),
     };
     Err(format!("{wrong}; {hint}"))
+}
+
+impl Place {
+    /// A place outside of any table: a row of a list.
+    pub(super) fn in_row(line: usize, column: &str, value: &str) -> Place {
+        Place { line, key: column.to_owned(), value: shorten(value) }
+    }
 }
 
 impl Display for Place {

@@ -28,6 +28,17 @@ pub(super) fn duration(text: &str) -> Option<u64> {
     (parts % divisor == 0).then_some(whole.checked_add(parts / divisor)?)
 }
 
+/// `count` times `10^-decimals`, without loss and without zeros at its end: the shortest decimal number that says it.
+pub(super) fn decimal(count: i128, decimals: u32) -> String {
+    let one = 10_i128.pow(decimals);
+    let (sign, whole, fraction) = (if count < 0 { "-" } else { "" }, count / one, count % one);
+    let fraction = format!("{:0width$}", fraction.abs(), width = decimals as usize);
+    match fraction.trim_end_matches('0') {
+        "" => format!("{sign}{}", whole.abs()),
+        fraction => format!("{sign}{}.{fraction}", whole.abs()),
+    }
+}
+
 /// `192.168.1.10` or `192.168.1.10:49360`.
 pub(super) fn endpoint(text: &str, default_port: u16) -> Option<SocketAddrV4> {
     match text.parse::<Ipv4Addr>() {
@@ -126,6 +137,21 @@ mod tests {
             "1.2.3ms",
         ] {
             assert_eq!(duration(text), None, "{text}");
+        }
+    }
+
+    #[test]
+    fn decimals_are_exact_and_short() {
+        for (count, decimals, text) in [
+            (0, 4, "0"),
+            (5_700, 4, "0.57"),
+            (-1, 4, "-0.0001"),
+            (-20_000, 4, "-2"),
+            (i128::from(i32::MIN), 4, "-214748.3648"),
+            (120, 0, "120"),
+            (0, 0, "0"),
+        ] {
+            assert_eq!(decimal(count, decimals), text);
         }
     }
 
