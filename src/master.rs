@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 
 use thiserror::Error;
 
+use crate::axis::acyclic::{self, Acyclic, Parameters};
 use crate::axis::cell;
 use crate::axis::handle::{URGENT_ROOM, VELOCITY_QUEUE};
 use crate::axis::{Axis, AxisEnds, Feedback, Group, GroupError, Link, Observer, Pulse};
@@ -46,6 +47,7 @@ impl std::fmt::Debug for Setup {
 #[derive(Debug)]
 pub struct Master {
     axes: Mutex<Vec<Option<Axis>>>,
+    acyclics: Vec<Acyclic>,
     monitor: Monitor,
     pulse: Pulse,
     control: Control,
@@ -132,6 +134,8 @@ pub struct Assembly<C> {
     pub engine: Engine<C>,
     /// The application's ends, in the order of the plan.
     pub axes: Vec<Axis>,
+    /// Acyclic access to their drives, for whoever is not the application.
+    pub acyclics: Vec<Acyclic>,
     /// What the loop counts.
     pub gauges: Gauges,
     /// What the loop tells the telemetry; to be emptied by whoever steps the engine, or records are lost.
@@ -155,6 +159,7 @@ pub fn assemble<C: Clock>(
     let pulse = Pulse::default();
     let mut regions = Regions::default();
     let (mut buses, mut seats, mut axes, mut names) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    let mut acyclics = Vec::new();
     for bus_plan in &plan.buses {
         let mut bus = bus_plan.open(period_ns, carriers)?;
         let first = seats.len();
@@ -181,12 +186,18 @@ pub fn assemble<C: Clock>(
             };
             // First probes are spread over a few cycles: so many at once would be a burst that no cycle has later.
             let first_probe = (seats.len() / PROBES_A_CYCLE) as u64;
+            let asked_every = Duration::from_nanos(period_ns.saturating_mul(axis.divisor.into()));
+            // A bus without acyclic access leaves nobody behind the queue.
+            let ends = bus.acyclic(index).unwrap_or_else(|| acyclic::queue(1).0);
+            let observer = Observer(reader.clone());
+            let acyclic = Acyclic::new(&axis.name, ends, bus_plan.notation(), observer, asked_every);
             seats.push(Seat::new(axis.clone(), queues, period_ns, first_probe));
             names.push((axis.name.clone(), bus_plan.protocol()));
             axes.push(Axis::new(
                 axis.clone(),
                 axes.len(),
                 pulse.clone(),
+                acyclic.clone(),
                 AxisEnds {
                     commands: command_in,
                     rows: row_in,
@@ -197,10 +208,11 @@ pub fn assemble<C: Clock>(
                     native: bus.native(index),
                 },
             ));
+            acyclics.push(acyclic);
         }
         buses.push(BusSeat { bus, first, end: seats.len() });
     }
-    let (record_in, records) = rt::ring(Recorder::ring_size(seats.len(), period_ns), &mut regions);
+    let (record_in, records) = rt::ring(Recorder::ring_size(plan.records_a_cycle(), period_ns), &mut regions);
     let (status_in, status) = cell::cell(Status::default());
     let (drives_in, drives) = seats.iter().map(|_| cell::cell(DriveNumbers::default())).unzip();
     let (strangers_in, strangers) = buses.iter().map(|_| cell::cell(Strangers::default())).unzip();
@@ -210,7 +222,7 @@ pub fn assemble<C: Clock>(
         Engine::new(clock, plan.cycle.clone(), buses, seats, names, task, pulse.clone(), control, outlets);
     engine.memory(&mut regions);
     let gauges = Gauges { status, drives, strangers };
-    Ok(Assembly { engine, axes, gauges, records, pulse, regions })
+    Ok(Assembly { engine, axes, acyclics, gauges, records, pulse, regions })
 }
 
 /// How many drives are probed for the first time in one cycle.
@@ -250,10 +262,27 @@ impl Master {
         let mut axes = self.axes.lock().unwrap_or_else(PoisonError::into_inner);
         let observers = self.observers();
         let Some(index) = observers.iter().position(|(known, _)| known == name) else {
-            let known: Vec<&str> = observers.iter().map(|(name, _)| name.as_str()).collect();
-            return Err(MasterError::NoAxis { name: name.to_owned(), known: known.join(", ") });
+            return Err(self.no_axis(name));
         };
         axes[index].take().ok_or_else(|| MasterError::Taken(name.to_owned()))
+    }
+
+    /// The parameters of the drive of axis `name`: beside whoever has taken the axis, for any thread.
+    pub fn parameter(&self, name: &str) -> Result<Parameters, MasterError> {
+        match self.acyclics.iter().find(|acyclic| acyclic.axis() == name) {
+            Some(acyclic) => Ok(acyclic.parameters()),
+            None => Err(self.no_axis(name)),
+        }
+    }
+
+    /// Acyclic access to all drives, in the order of the plan.
+    pub fn acyclics(&self) -> &[Acyclic] {
+        &self.acyclics
+    }
+
+    fn no_axis(&self, name: &str) -> MasterError {
+        let known: Vec<&str> = self.observers().iter().map(|(name, _)| name.as_str()).collect();
+        MasterError::NoAxis { name: name.to_owned(), known: known.join(", ") }
     }
 
     /// Takes the axes of a `[[group]]` of the plan, together.
@@ -421,7 +450,7 @@ impl Setup {
         }
         let control = Control::default();
         let steal_before_ms = rt::host::steal_ms(None);
-        let Assembly { mut engine, axes, gauges, records, pulse, regions } =
+        let Assembly { mut engine, axes, acyclics, gauges, records, pulse, regions } =
             assemble(&plan, MonotonicClock, &Os, task, control.clone())?;
         let observers: Vec<_> = axes.iter().map(|axis| (axis.name().to_owned(), axis.observer())).collect();
 
@@ -470,6 +499,6 @@ impl Setup {
         let monitor =
             Monitor::new(plan, granted, observers, gauges, Arc::clone(recorder.recording()), steal_before_ms);
         let axes = Mutex::new(axes.into_iter().map(Some).collect());
-        Ok(Master { axes, monitor, pulse, control, recorder, thread: Some(thread) })
+        Ok(Master { axes, acyclics, monitor, pulse, control, recorder, thread: Some(thread) })
     }
 }

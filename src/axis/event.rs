@@ -45,8 +45,15 @@ pub enum EventKind {
     MissedInGroup,
     /// A stream has run empty; its policy says what follows. Told once, until rows come again.
     Underrun,
-    /// The drive was restarted or replaced: what was known of it was forgotten.
+    /// The drive was restarted or replaced, or its software was stopped: what was known of it was forgotten.
     Restarted,
+    /// The drive will not show the variable of this monitoring channel, from 0; its status says why.
+    MonitorRefused {
+        /// The channel.
+        channel: u8,
+        /// The drive's own status.
+        status: u32,
+    },
 }
 
 impl fmt::Display for Event {
@@ -66,6 +73,9 @@ impl fmt::Display for Event {
             EventKind::MissedInGroup => write!(f, "missed an exchange while its group was in motion"),
             EventKind::Underrun => write!(f, "stream ran empty"),
             EventKind::Restarted => write!(f, "drive restarted"),
+            EventKind::MonitorRefused { channel, status } => {
+                write!(f, "monitoring channel {} refused with status {status:#04x}", channel + 1)
+            }
         }
     }
 }

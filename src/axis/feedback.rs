@@ -209,6 +209,48 @@ pub struct Feedback {
     pub fault: u32,
     /// Round trip of the last clean exchange, ns.
     pub rtt_ns: Option<u32>,
+    /// What the drive shows besides, in the units of its plan; `None` where nothing was asked for, or is not set up yet.
+    pub monitor: [Option<f64>; MONITOR_CHANNELS],
+}
+
+/// How many variables a drive may show besides its process data.
+pub const MONITOR_CHANNELS: usize = 4;
+
+/// What a drive shows besides, as small as it is kept: the values, and a bit for each channel that has one.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Shown {
+    mask: u8,
+    values: [f64; MONITOR_CHANNELS],
+}
+
+impl From<[Option<f64>; MONITOR_CHANNELS]> for Shown {
+    fn from(values: [Option<f64>; MONITOR_CHANNELS]) -> Shown {
+        let bit = |(channel, value): (usize, &Option<f64>)| u8::from(value.is_some()) << channel;
+        let mask = values.iter().enumerate().map(bit).sum();
+        Shown { mask, values: values.map(Option::unwrap_or_default) }
+    }
+}
+
+impl Shown {
+    /// Whether no channel has a value.
+    pub fn is_empty(&self) -> bool {
+        self.mask == 0
+    }
+
+    /// The value of each channel.
+    pub fn values(&self) -> [Option<f64>; MONITOR_CHANNELS] {
+        std::array::from_fn(|channel| (self.mask >> channel & 1 != 0).then_some(self.values[channel]))
+    }
+
+    /// The bits of the channels, that of the first lowest, and the values as bits.
+    pub(crate) fn to_words(self) -> (u8, [u64; MONITOR_CHANNELS]) {
+        (self.mask, self.values.map(f64::to_bits))
+    }
+
+    /// What [`to_words`](Self::to_words) gave; `None` if there is a bit of no channel.
+    pub(crate) fn from_words(mask: u8, words: [u64; MONITOR_CHANNELS]) -> Option<Shown> {
+        (mask >> MONITOR_CHANNELS == 0).then(|| Shown { mask, values: words.map(f64::from_bits) })
+    }
 }
 
 impl Feedback {
@@ -219,9 +261,9 @@ impl Feedback {
 }
 
 impl Packed for Feedback {
-    type Words = [u64; 9];
+    type Words = [u64; 13];
 
-    fn pack(&self) -> [u64; 9] {
+    fn pack(&self) -> [u64; 13] {
         let flags = u64::from(self.homed)
             | u64::from(self.moving) << 1
             | u64::from(self.in_target) << 2
@@ -232,6 +274,7 @@ impl Packed for Feedback {
             | (self.state as u64) << 16
             | self.stopped.map_or(0, |cause| cause as u64) << 24
             | u64::from(self.age) << 32;
+        let (shown, [first, second, third, fourth]) = Shown::from(self.monitor).to_words();
         [
             self.cycle,
             flags,
@@ -241,13 +284,18 @@ impl Packed for Feedback {
             self.velocity.to_bits(),
             self.current.to_bits(),
             u64::from(self.warning) | u64::from(self.fault) << 32,
-            u64::from(self.rtt_ns.unwrap_or(0)),
+            u64::from(self.rtt_ns.unwrap_or(0)) | u64::from(shown) << 32,
+            first,
+            second,
+            third,
+            fourth,
         ]
     }
 
-    fn unpack(words: &[u64; 9]) -> Feedback {
+    fn unpack(words: &[u64; 13]) -> Feedback {
         let flags = words[1];
         let byte = |shift: u32| usize::from((flags >> shift) as u8);
+        let shown = Shown::from_words((words[8] >> 32) as u8, [words[9], words[10], words[11], words[12]]);
         Feedback {
             cycle: words[0],
             age: (flags >> 32) as u32,
@@ -267,6 +315,7 @@ impl Packed for Feedback {
             warning: words[7] as u32,
             fault: (words[7] >> 32) as u32,
             rtt_ns: (flags & 16 != 0).then_some(words[8] as u32),
+            monitor: shown.unwrap_or_default().values(),
         }
     }
 }
@@ -301,6 +350,7 @@ mod tests {
                 warning: 0x80,
                 fault: 0xFFFF_FFFF,
                 rtt_ns: Some(4_000_000_000),
+                monitor: [None, Some(-0.5), None, Some(1e9)],
             };
             assert_eq!(Feedback::unpack(&feedback.pack()), feedback);
         }

@@ -11,6 +11,7 @@ use std::time::{Duration, Instant};
 use rtrb::{Consumer, Producer};
 use thiserror::Error;
 
+use super::acyclic::{Acyclic, Parameters};
 use super::cell::Reader;
 use super::command::{
     Abort, Command, CommandId, Failure, Jog, Move, Outcome, Profile, Row, StreamRow, Target, Ticket,
@@ -24,7 +25,7 @@ use super::pulse::Pulse;
 use super::streams::Streams;
 
 /// How often the blocking conveniences look for news.
-const LOOK_EVERY: Duration = Duration::from_micros(500);
+pub(super) const LOOK_EVERY: Duration = Duration::from_micros(500);
 
 /// Places in each command queue that only a stop, quick stop or power off takes.
 pub(crate) const URGENT_ROOM: usize = 4;
@@ -39,6 +40,7 @@ pub struct Axis {
     /// Its place in the machine.
     index: usize,
     pulse: Pulse,
+    acyclic: Acyclic,
     ends: AxisEnds,
     next_id: u64,
     /// The last jog or cyclic velocity.
@@ -135,10 +137,11 @@ impl AxisError {
 
 impl Axis {
     /// Axis `index` of the machine with this pulse, over its ends of the queues.
-    pub(crate) fn new(plan: AxisPlan, index: usize, pulse: Pulse, ends: AxisEnds) -> Axis {
+    pub(crate) fn new(plan: AxisPlan, index: usize, pulse: Pulse, acyclic: Acyclic, ends: AxisEnds) -> Axis {
         Axis {
             plan,
             index,
+            acyclic: acyclic.of_application(&pulse),
             pulse,
             ends,
             next_id: 1,
@@ -197,6 +200,16 @@ impl Axis {
             return None;
         }
         self.ends.native.take()?.downcast().ok()
+    }
+
+    /// The drive's parameters, at addresses in its own notation. Clone it for as many threads as needed.
+    pub fn parameter(&self) -> Parameters {
+        self.acyclic.parameters()
+    }
+
+    /// Acyclic access below the parameters, for the services that only its protocol has.
+    pub fn acyclic(&self) -> &Acyclic {
+        &self.acyclic
     }
 
     /// The next event, if there is one.
@@ -473,7 +486,7 @@ pub(super) fn longest(distance: f64, profile: &Profile) -> Duration {
 
 /// A reader of one axis' newest feedback.
 #[derive(Clone, Debug)]
-pub struct Observer(Reader<Feedback>);
+pub struct Observer(pub(crate) Reader<Feedback>);
 
 impl Observer {
     /// The newest feedback.

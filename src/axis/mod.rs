@@ -10,12 +10,14 @@
 //! | `cell` | the newest value for any number of readers, without a lock |
 //! | `limits` | what is refused at the door |
 //! | `streams` | which stream a row belongs to |
+//! | `acyclic` | calls beside the cycle: parameters, and what else a protocol offers |
 //! | `pulse` | the application's sign of life |
 //! | `handle` | `Axis`: the application's end of one axis, with the blocking conveniences |
 //! | `group` | `Group`: several axes with one queue, in step |
 //!
 //! Nothing here knows a protocol, a socket or the loop.
 
+pub mod acyclic;
 pub mod cell;
 pub mod command;
 pub mod event;
@@ -33,12 +35,12 @@ pub use command::{
     Ticket, Velocity, Verb,
 };
 pub use event::{Event, EventKind};
-pub use feedback::{Feedback, Link, State, StopCause};
+pub use feedback::{Feedback, Link, MONITOR_CHANNELS, Shown, State, StopCause};
 pub use group::{Group, GroupCommand, GroupError, GroupRefused};
 pub use handle::{Axis, AxisEnds, AxisError, Observer};
 pub use plan::{
-    AxisPlan, FoundRunning, Health, HeldBy, Limits, Load, PlanFault, StopHow, StopPlan, StopThen,
-    StopTimeout, Underrun,
+    AxisPlan, FoundRunning, Health, HeldBy, Limits, Load, MonitorChannel, PlanFault, StopHow, StopPlan,
+    StopThen, StopTimeout, Underrun,
 };
 pub use pulse::Pulse;
 pub use units::{RangeError, Unit, Units};

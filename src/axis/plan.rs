@@ -48,6 +48,17 @@ pub struct AxisPlan {
     pub event_queue: usize,
     /// Room for the feedback of every cycle; 0 = only the newest is kept.
     pub sample_queue: usize,
+    /// Room in the queue of acyclic calls.
+    pub parameter_queue: usize,
+}
+
+/// A variable that a drive shows with its process data.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct MonitorChannel {
+    /// Its name.
+    pub name: String,
+    /// Of its values; empty for a plain number.
+    pub unit: &'static str,
 }
 
 impl AxisPlan {
@@ -87,6 +98,7 @@ impl AxisPlan {
             stream_queue: 1024,
             event_queue: 256,
             sample_queue: 0,
+            parameter_queue: 64,
         }
     }
 }

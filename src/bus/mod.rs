@@ -16,10 +16,13 @@ pub mod linudp;
 
 use std::any::Any;
 use std::fmt::Debug;
+use std::sync::Arc;
 
 use thiserror::Error;
 
-use crate::axis::{AxisPlan, Failure, Link, PlanFault, Row, State, Verb};
+use crate::axis::acyclic::{AcyclicEnds, Notation};
+use crate::axis::feedback::MONITOR_CHANNELS;
+use crate::axis::{AxisPlan, Failure, Link, MonitorChannel, PlanFault, Row, State, Verb};
 use crate::net::Carriers;
 use crate::rt::{PollSet, Regions};
 use crate::sim::DatagramDrive;
@@ -45,6 +48,15 @@ pub trait BusPlan: Debug + Send + Sync {
 
     /// Opens the sockets and builds the bus for a cycle of `period_ns`. Sends nothing.
     fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError>;
+
+    /// What drive `index` shows besides its process data, each variable once.
+    fn monitored(&self, index: usize) -> [Option<MonitorChannel>; MONITOR_CHANNELS];
+
+    /// How its drives write addresses and values for acyclic access.
+    fn notation(&self) -> Arc<dyn Notation>;
+
+    /// This bus with drive `index` only, and with nothing that it shows besides. What is found running there is left so.
+    fn reaching(&self, index: usize) -> Option<Box<dyn BusPlan>>;
 
     /// The drives of this bus, simulated, in slot order.
     fn simulate(&self) -> Vec<Box<dyn DatagramDrive>>;
@@ -101,6 +113,11 @@ pub trait Bus: Send {
 
     /// The application's end of the native process data of drive `index`, taken once before the start.
     fn native(&mut self, index: usize) -> Option<Box<dyn Any + Send>>;
+
+    /// The application's end of the acyclic access to drive `index`, taken once before the start. What is posted there is
+    /// carried out in slices of bounded work, and ends: done, refused by the drive, or not to be had. It adds no telegram to a
+    /// cycle and moves none.
+    fn acyclic(&mut self, index: usize) -> Option<AcyclicEnds>;
 }
 
 /// What a bus is told of the cycle it works in.
@@ -142,6 +159,8 @@ pub struct Slot {
     pub report: Report,
     /// What was sent and what came of it.
     pub counters: Counters,
+    /// The drive was asked for something that makes it silent, and its power is off: its silence is nobody else's affair.
+    pub excused: bool,
 }
 
 /// What a drive shall do. A new serial is a new order and replaces the one before it; the same one is carried out once.
@@ -235,6 +254,12 @@ pub struct Report {
     pub warning: u32,
     /// Fault code, 0 = none.
     pub fault: u32,
+    /// What the drive shows besides.
+    pub monitor: [Option<f64>; MONITOR_CHANNELS],
+    /// `monitor` came with the newest reply: not every one says something of it. The loop clears it.
+    pub monitor_fresh: bool,
+    /// The drive refused to show a variable: which channel, and its status. The loop clears it.
+    pub monitor_refused: Option<(u8, u32)>,
 }
 
 /// Exact counts of one drive's exchanges. `sent = answered + missed + owed`.

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use super::record::Record;
 use crate::axis::group::out_of_step;
-use crate::axis::{AxisPlan, GroupError, PlanFault};
+use crate::axis::{AxisPlan, GroupError, MONITOR_CHANNELS, MonitorChannel, PlanFault};
 use crate::bus::BusPlan;
 use crate::rt::{Memory, Realtime};
 use crate::sim::DatagramDrive;
@@ -52,6 +52,21 @@ impl Plan {
         self.buses.iter().flat_map(|bus| bus.axes()).collect()
     }
 
+    /// What the drives show besides their process data, in slot order.
+    pub fn monitored(&self) -> Vec<[Option<MonitorChannel>; MONITOR_CHANNELS]> {
+        let channels =
+            self.buses.iter().flat_map(|bus| (0..bus.axes().len()).map(|index| bus.monitored(index)));
+        channels.collect()
+    }
+
+    /// How many records the loop makes in a cycle, at most: one a drive, one more of a drive that shows something besides, and
+    /// one of its own.
+    pub fn records_a_cycle(&self) -> usize {
+        let monitored = self.monitored();
+        let showing = monitored.iter().filter(|channels| channels.iter().any(Option::is_some));
+        monitored.len() + showing.count() + 1
+    }
+
     /// Whether this plan can work: contradictions, and what would be found out only by a machine that does not stop. A file is
     /// held to more than that while it is read.
     pub fn check(&self) -> Result<(), PlanErrors> {
@@ -97,10 +112,10 @@ impl Plan {
         if errors.is_empty() { Ok(()) } else { Err(PlanErrors(errors)) }
     }
 
-    /// How many records the black box holds: one a drive and one for the loop in each of its cycles.
+    /// How many records the black box holds: those of each of its cycles.
     pub fn black_box_records(&self) -> usize {
         let cycles = self.cycle.black_box_ns / self.cycle.period_ns.max(1);
-        usize::try_from(cycles).unwrap_or(0).saturating_mul(self.axes().len() + 1)
+        usize::try_from(cycles).unwrap_or(0).saturating_mul(self.records_a_cycle())
     }
 
     /// Why the black box is too large. Its memory is locked with all the rest.
@@ -113,6 +128,41 @@ impl Plan {
                 bytes / 1_000_000,
                 MOST_BLACK_BOX / 1_000_000
             )
+        })
+    }
+
+    /// This plan with the drive of axis `name` only, to move it: the cycle is as it was. A drive that is found running is
+    /// left alone. `None`: there is no such axis, or it cannot be reached alone.
+    pub fn alone(&self, name: &str) -> Option<Plan> {
+        let (bus, index) = self.find(name)?;
+        Some(Plan {
+            source: self.source.clone(),
+            cycle: self.cycle.clone(),
+            buses: vec![bus.reaching(index)?],
+            groups: Vec::new(),
+        })
+    }
+
+    /// The least of this plan that reaches the drive of axis `name`: for acyclic access alone, on an ordinary thread, which may
+    /// be as late as it likes. Nothing is to be moved by it. `None` as of [`alone`](Self::alone).
+    pub fn reaching(&self, name: &str) -> Option<Plan> {
+        let plan = self.alone(name)?;
+        let cycle = CyclePlan {
+            period_ns: self.cycle.period_ns,
+            receive_deadline: self.cycle.receive_deadline,
+            realtime: Realtime::Off,
+            black_box_ns: 0,
+            overrun: Overrun::Skip { max_skip: u64::MAX },
+            ..CyclePlan::default()
+        };
+        Some(Plan { cycle, ..plan })
+    }
+
+    /// The bus of axis `name`, and its place there.
+    pub fn find(&self, name: &str) -> Option<(&dyn BusPlan, usize)> {
+        self.buses.iter().find_map(|bus| {
+            let index = bus.axes().iter().position(|axis| axis.name == name)?;
+            Some((&**bus, index))
         })
     }
 

@@ -4,11 +4,11 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use crate::subject::Subject;
 use crate::subjects::toy::{Defect, Toy};
-use crate::{exchanges, neighbours, orders, replies, reports, whole};
+use crate::{acyclic, exchanges, neighbours, orders, replies, reports, whole};
 
 type Clause = fn(&'static dyn Subject);
 
-const CAUGHT: [(Defect, Clause); 14] = [
+const CAUGHT: [(Defect, Clause); 15] = [
     (Defect::SendsWhatIsNotDue, exchanges::nothing_is_sent_for_a_slot_that_is_not_due),
     (Defect::ForgetsARefusedSend, exchanges::a_refused_send_opens_nothing_and_is_made_up_for),
     (
@@ -26,6 +26,7 @@ const CAUGHT: [(Defect, Clause); 14] = [
     (Defect::ScalesWrongly, reports::velocity_is_the_way_made_in_user_units_a_second),
     (Defect::SwitchesOnAgain, orders::a_motion_whose_drive_restarts_fails_and_is_not_taken_up_again),
     (Defect::BuildsAnewEachTime, exchanges::a_request_that_is_built_again_is_the_same_to_the_byte),
+    (Defect::ForgetsItsCalls, acyclic::a_drive_that_is_not_there_is_told_of_at_once),
 ];
 
 #[test]

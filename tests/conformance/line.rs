@@ -280,6 +280,7 @@ impl Line {
                 Link::Online if *missed >= BUCKET => Link::Lost,
                 same => same,
             };
+            slot.report.monitor_fresh = false;
             self.seen[index] = Seen {
                 exchange,
                 fresh: std::mem::take(&mut slot.report.fresh),

@@ -8,6 +8,7 @@
 //! | `machine` | the whole loop over the same bus |
 //! | `wire` | what goes over the wire, written down |
 //! | `opening`, `exchanges`, `replies`, `neighbours`, `orders`, `reports` | clauses of a bus alone |
+//! | `acyclic` | clauses of acyclic access, under the loop |
 //! | `whole` | clauses of a bus under the loop |
 //! | `broken` | the clauses can fail |
 //!
@@ -15,6 +16,10 @@
 //! `linudp::replies::a_duplicate_is_counted_and_answers_nothing`: subject, chapter, clause. What means nothing for a
 //! subject is said on standard error and never passed over in silence.
 
+#[path = "../support/forward.rs"]
+mod forward;
+
+mod acyclic;
 mod broken;
 mod exchanges;
 mod line;
@@ -120,6 +125,16 @@ macro_rules! clauses {
                 each_answer_is_fresh_once_and_silence_is_not,
                 a_restart_is_noticed_once_and_what_was_known_is_forgotten,
                 homed_is_what_the_drive_says_after_a_restart_too,
+            },
+            acyclic::{
+                a_value_that_was_written_is_read_back,
+                what_the_drive_refuses_ends_with_its_status,
+                the_first_that_fails_ends_its_series,
+                a_drive_that_is_not_there_is_told_of_at_once,
+                the_queue_is_bounded_and_nothing_in_it_is_lost,
+                what_is_cancelled_ends_as_cancelled_and_lets_the_next_one_pass,
+                calls_add_no_request_and_move_no_cycle,
+                the_end_of_the_master_ends_what_is_under_way,
             },
             whole::{
                 good_exchanges_in_a_row_bring_the_link_up,

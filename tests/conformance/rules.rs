@@ -103,7 +103,9 @@ impl Around<'_> {
         assert_eq!(sent(self.before), sent(self.after), "nothing is sent while receiving");
         let was_fresh = self.before.report.fresh;
         let closed = self.answers_or_keeps();
-        assert!(closed || self.after.report.fresh == was_fresh, "fresh without an answer");
+        let report = &self.after.report;
+        assert!(closed || report.fresh == was_fresh, "fresh without an answer");
+        assert!(report.fresh || !report.monitor_fresh, "shown without an answer: {report:?}");
     }
 
     /// After `prepare`.

@@ -3,6 +3,7 @@
 use std::io::Write;
 
 use fieldbeat::axis::AxisPlan;
+use fieldbeat::axis::acyclic::Call;
 use fieldbeat::bus::BusPlan;
 
 /// One protocol, in one way of configuring it.
@@ -25,6 +26,9 @@ pub trait Subject: Sync {
     /// What a drive's answer says, in the drive's own counts: the truth that reports are held against. `None`: this
     /// one says nothing of the drive.
     fn said(&self, reply: &[u8]) -> Option<Said>;
+
+    /// Acyclic calls that every drive of it takes in every state.
+    fn calls(&self) -> Calls;
 
     /// Whether this request tells the drive to stop: along a ramp, or by its quick stop.
     fn asks_to_stop(&self, request: &[u8]) -> bool;
@@ -55,6 +59,17 @@ pub struct Can {
     pub round_trip: bool,
     /// So many cycles after that of its request a reply may come, and counts. No drive is due sooner again.
     pub answers_after: u32,
+}
+
+/// Acyclic calls to a drive.
+#[derive(Clone, Copy, Debug)]
+pub struct Calls {
+    /// Reads what `write` writes.
+    pub read: Call,
+    /// Writes another value than the drive has at power-on.
+    pub write: Call,
+    /// One that it refuses, and its status.
+    pub refused: (Call, u32),
 }
 
 /// A drive that a clause wants.

@@ -7,7 +7,6 @@ use std::os::fd::RawFd;
 use std::sync::{Arc, Mutex, MutexGuard};
 
 use fieldbeat::Time;
-use fieldbeat::axis::{AxisPlan, PlanFault};
 use fieldbeat::bus::{Bus, BusPlan, OpenError};
 use fieldbeat::net::{Carriers, Datagrams, Outbox, Received, Sent, UdpOptions};
 use fieldbeat::rt::Regions;
@@ -114,25 +113,7 @@ impl std::fmt::Debug for Wire {
 }
 
 impl BusPlan for Wire {
-    fn name(&self) -> &str {
-        self.plan.name()
-    }
-
-    fn protocol(&self) -> &'static str {
-        self.plan.protocol()
-    }
-
-    fn axes(&self) -> Vec<&AxisPlan> {
-        self.plan.axes()
-    }
-
-    fn faults(&self, period_ns: u64) -> Vec<(usize, PlanFault)> {
-        self.plan.faults(period_ns)
-    }
-
-    fn describe(&self, period_ns: u64) -> Vec<String> {
-        self.plan.describe(period_ns)
-    }
+    crate::forward_bus_plan!(plan);
 
     fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
         self.plan.open(period_ns, &Tapped { carriers, wire: self })

@@ -5,10 +5,13 @@ use std::net::Ipv4Addr;
 use fieldbeat::axis::{AxisPlan, Units};
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::linudp::motion::MotionCommand;
-use fieldbeat::bus::linudp::wire::{ControlWord, MainState, Request, Response, ResponseDef};
+use fieldbeat::bus::linudp::upid;
+use fieldbeat::bus::linudp::wire::{
+    ControlWord, MainState, Refusal, Request, Response, ResponseDef, RtcCommand,
+};
 use fieldbeat::bus::linudp::{COUNTS_PER_MM, LinUdpDrive, LinUdpPlan};
 
-use crate::subject::{Can, Drive, Said, Subject};
+use crate::subject::{Calls, Can, Drive, Said, Subject};
 
 /// With a tag each reply names its request; without it the protocol has nothing of the kind.
 pub struct LinUdp {
@@ -65,6 +68,15 @@ impl Subject for LinUdp {
             position: response.actual?.into(),
             demand: response.demand?.into(),
         })
+    }
+
+    fn calls(&self) -> Calls {
+        Calls {
+            // Variable 1 of the command table, which nobody uses here.
+            read: upid::call(RtcCommand::READ_RAM, 0x1E72, 0),
+            write: upid::call(RtcCommand::WRITE_RAM, 0x1E72, 77),
+            refused: (upid::call(RtcCommand::READ_RAM, 0xFFFF, 0), Refusal::NoSuchUpid.code().into()),
+        }
     }
 
     fn asks_to_stop(&self, request: &[u8]) -> bool {

@@ -4,9 +4,13 @@
 
 use std::any::Any;
 use std::net::{Ipv4Addr, SocketAddrV4};
+use std::sync::Arc;
 
+use fieldbeat::axis::acyclic::{self, AcyclicEnds, Call, CallError, Notation, NotationError, Port};
 use fieldbeat::axis::limits::check_position;
-use fieldbeat::axis::{AxisPlan, Failure, Move, PlanFault, State, Target, Unit, Units, Verb};
+use fieldbeat::axis::{
+    AxisPlan, Failure, Link, MonitorChannel, Move, PlanFault, State, Target, Unit, Units, Verb,
+};
 use fieldbeat::bus::{Bus, BusPlan, Cycle, Exchange, OpenError, Progress, Slot, Strangers};
 use fieldbeat::net::{Carriers, Datagrams, Outbox, SendMode, Sent, UdpOptions};
 use fieldbeat::rt::{PollSet, Regions};
@@ -15,7 +19,7 @@ use fieldbeat::sim::{DatagramDrive, FaultPlan};
 use fieldbeat::time::{Time, US, nanos};
 
 use crate::line::PERIOD;
-use crate::subject::{Can, Drive, Said, Subject};
+use crate::subject::{Calls, Can, Drive, Said, Subject};
 
 /// The toy, sound or with one thing wrong.
 pub struct Toy(pub Option<Defect>);
@@ -37,6 +41,7 @@ pub enum Defect {
     ScalesWrongly,
     SwitchesOnAgain,
     BuildsAnewEachTime,
+    ForgetsItsCalls,
 }
 
 const REQUEST: usize = 36;
@@ -133,6 +138,15 @@ impl Subject for Toy {
         Some(Said { powered: state == ON, moving, homed: true, position, demand: position })
     }
 
+    fn calls(&self) -> Calls {
+        let call = |service, address| Call { service, address, value: 0 };
+        Calls {
+            read: call(GET, 3),
+            write: Call { value: 77, ..call(PUT, 3) },
+            refused: (call(GET, 8), NO_REGISTER),
+        }
+    }
+
     fn asks_to_stop(&self, request: &[u8]) -> bool {
         request.get(3) == Some(&STOP)
     }
@@ -206,6 +220,19 @@ impl BusPlan for ToyPlan {
         }))
     }
 
+    fn monitored(&self, _index: usize) -> [Option<MonitorChannel>; 4] {
+        [const { None }; 4]
+    }
+
+    fn reaching(&self, index: usize) -> Option<Box<dyn BusPlan>> {
+        let drives = vec![self.drives.get(index)?.clone()];
+        Some(Box::new(ToyPlan { drives, defect: self.defect }))
+    }
+
+    fn notation(&self) -> Arc<dyn Notation> {
+        Arc::new(Registers)
+    }
+
     fn simulate(&self) -> Vec<Box<dyn DatagramDrive>> {
         let drive = |(index, drive): (usize, &Drive)| {
             let counts = drive.axis.units.counts_per_unit;
@@ -222,6 +249,53 @@ impl BusPlan for ToyPlan {
             Box::new(toy) as Box<dyn DatagramDrive>
         };
         self.drives.iter().enumerate().map(drive).collect()
+    }
+}
+
+// Its acyclic services.
+const GET: u32 = 1;
+const PUT: u32 = 2;
+const NO_REGISTER: u32 = 9;
+
+/// Registers are written as their number.
+#[derive(Debug)]
+struct Registers;
+
+impl Registers {
+    fn call(service: u32, address: &str, value: u64) -> Result<Call, NotationError> {
+        let number =
+            address.parse().map_err(|_| NotationError::Address { form: "the number of a register" })?;
+        Ok(Call { service, address: number, value })
+    }
+}
+
+impl Notation for Registers {
+    fn protocol(&self) -> &'static str {
+        "toy"
+    }
+
+    fn read(&self, address: &str) -> Result<Call, NotationError> {
+        Registers::call(GET, address, 0)
+    }
+
+    fn write(&self, address: &str, value: u64) -> Result<Call, NotationError> {
+        Registers::call(PUT, address, value)
+    }
+
+    fn value(&self, _address: &str, text: &str) -> Result<u64, NotationError> {
+        text.parse().map_err(|_| NotationError::Value { value: text.into(), form: "a number".into() })
+    }
+
+    fn number(&self, _address: &str, raw: u64) -> i64 {
+        raw as i64
+    }
+
+    fn show(&self, _address: &str, raw: u64) -> String {
+        raw.to_string()
+    }
+
+    fn reason(&self, status: u32) -> String {
+        format!("status {status}")
     }
 }
 
@@ -398,6 +472,10 @@ impl Bus for ToyBus {
         self.strangers
     }
 
+    fn acyclic(&mut self, index: usize) -> Option<AcyclicEnds> {
+        self.stations.get_mut(index)?.ends.take()
+    }
+
     fn native(&mut self, index: usize) -> Option<Box<dyn Any + Send>> {
         let station = self.stations.get_mut(index)?;
         std::mem::take(&mut station.native).then(|| Box::new(()) as Box<dyn Any + Send>)
@@ -409,6 +487,9 @@ struct Station {
     axis: AxisPlan,
     defect: Option<Defect>,
     native: bool,
+    ends: Option<AcyclicEnds>,
+    port: Port,
+    registers: [u64; 8],
     /// Of the last request.
     sequence: u8,
     /// Bit n: the n-th request before the last one is not answered.
@@ -426,10 +507,14 @@ struct Station {
 
 impl Station {
     fn new(axis: AxisPlan, defect: Option<Defect>) -> Station {
+        let (ends, port) = acyclic::queue(axis.parameter_queue);
         Station {
             axis,
             defect,
             native: true,
+            ends: Some(ends),
+            port,
+            registers: [0; 8],
             sequence: 0,
             unanswered: 0,
             sent: 0,
@@ -478,6 +563,28 @@ impl Station {
         }
     }
 
+    /// One call an answer, if the drive is there.
+    fn call(&mut self, link: Link) {
+        match link {
+            Link::Online => {}
+            Link::Unseen | Link::Lost if !self.is(Defect::ForgetsItsCalls) => {
+                return self.port.refuse_all(CallError::NotOnline);
+            }
+            _ => return,
+        }
+        let Some(posted) = self.port.take() else { return };
+        let Call { service, address, value } = posted.call;
+        let result = match (self.registers.get_mut(address as usize), service) {
+            (Some(register), GET) => Ok(acyclic::Answer { status: 0, address, value: *register }),
+            (Some(register), PUT) => {
+                *register = value;
+                Ok(acyclic::Answer { status: 0, address, value })
+            }
+            _ => Err(CallError::Refused(NO_REGISTER)),
+        };
+        self.port.end(&posted, result);
+    }
+
     fn read(&mut self, at: Time, answer: &Answer, slot: &mut Slot) {
         let report = &mut slot.report;
         if self.seen && answer.boot != self.answer.boot {
@@ -522,6 +629,7 @@ impl Station {
 
     /// Works on the order in the slot.
     fn advance(&mut self, now: Time, slot: &mut Slot) {
+        self.call(slot.link);
         if self.serial != slot.order.serial {
             (self.serial, self.begun, self.end) = (slot.order.serial, now, None);
             self.begin(slot.order.verb);

@@ -1,0 +1,123 @@
+//! The end of whoever carries calls out. On the real-time thread: bounded work, no allocation, no lock, no wait.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use rtrb::{Consumer, Producer};
+
+use super::{Answer, Call, CallError};
+use crate::rt::Regions;
+
+/// Calls that end in one cycle without having been carried out, at most.
+const MOST_ENDS: usize = 64;
+
+/// A call on its way.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Posted {
+    /// Names it. Numbers grow by one; 0 is never given.
+    pub number: u64,
+    /// Calls of one series have this in common: the first that fails ends it. 0 = a call alone.
+    pub series: u64,
+    /// How long it may take from the moment at which it is taken up, ns.
+    pub limit_ns: u64,
+    /// What to do.
+    pub call: Call,
+}
+
+/// How a call ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Ended {
+    pub number: u64,
+    pub result: Result<Answer, CallError>,
+}
+
+/// The numbers of cancelled calls, each in the place of its number: there are never more calls under way than places.
+#[derive(Clone, Debug)]
+pub(super) struct Cancelled(Arc<[AtomicU64]>);
+
+impl Cancelled {
+    pub(super) fn new(capacity: usize) -> Cancelled {
+        Cancelled((0..capacity.max(1)).map(|_| AtomicU64::new(0)).collect())
+    }
+
+    fn place(&self, number: u64) -> &AtomicU64 {
+        // The remainder is below the length.
+        &self.0[(number % self.0.len() as u64) as usize]
+    }
+
+    /// A number that has ended takes nothing away from a later one in its place.
+    pub(super) fn set(&self, number: u64) {
+        self.place(number).fetch_max(number, Ordering::Relaxed);
+    }
+
+    fn has(&self, number: u64) -> bool {
+        self.place(number).load(Ordering::Relaxed) == number
+    }
+}
+
+/// Where calls come from, and where their ends go.
+#[derive(Debug)]
+pub struct Port {
+    calls: Consumer<Posted>,
+    ends: Producer<Ended>,
+    cancelled: Cancelled,
+    /// The series whose call failed last.
+    failed: u64,
+    regions: Regions,
+}
+
+impl Port {
+    pub(super) fn new(
+        calls: Consumer<Posted>,
+        ends: Producer<Ended>,
+        cancelled: Cancelled,
+        regions: Regions,
+    ) -> Port {
+        Port { calls, ends, cancelled, failed: 0, regions }
+    }
+
+    /// Adds what it touches, to be locked.
+    pub fn memory(&self, regions: &mut Regions) {
+        regions.extend(&self.regions);
+        regions.add(&*self.cancelled.0);
+    }
+
+    /// The next call to carry out. What was cancelled, and what belongs to a series that has failed, ends here, a bounded part of
+    /// it in one cycle.
+    pub fn take(&mut self) -> Option<Posted> {
+        // Bounded by what stands there now: the application may go on posting.
+        for _ in 0..self.calls.slots().min(MOST_ENDS) {
+            let posted = self.calls.pop().ok()?;
+            if self.is_cancelled(&posted) {
+                self.end(&posted, Err(CallError::Cancelled));
+            } else if posted.series != 0 && posted.series == self.failed {
+                self.end(&posted, Err(CallError::Skipped));
+            } else {
+                return Some(posted);
+            }
+        }
+        None
+    }
+
+    /// Ends what stands in the queue now, a bounded part of it in one cycle.
+    pub fn refuse_all(&mut self, why: CallError) {
+        for _ in 0..self.calls.slots().min(MOST_ENDS) {
+            let Ok(posted) = self.calls.pop() else { return };
+            self.end(&posted, Err(why));
+        }
+    }
+
+    /// Whether the application no longer wants this call.
+    pub fn is_cancelled(&self, posted: &Posted) -> bool {
+        self.cancelled.has(posted.number)
+    }
+
+    /// Ends a call that was taken up.
+    pub fn end(&mut self, posted: &Posted, result: Result<Answer, CallError>) {
+        if result.is_err() && posted.series != 0 {
+            self.failed = posted.series;
+        }
+        // There is room for the end of every call that was accepted.
+        let _ = self.ends.push(Ended { number: posted.number, result });
+    }
+}

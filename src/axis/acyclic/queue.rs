@@ -1,0 +1,511 @@
+//! The application's end: a bounded queue of calls for any number of threads, tickets, and series of calls.
+//!
+//! The lock is between threads of the application only: the loop takes from a wait-free ring, whatever happens to them.
+
+use std::any::Any;
+use std::collections::HashMap;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+use rtrb::{Consumer, Producer};
+use thiserror::Error;
+
+use super::port::{Cancelled, Ended, Port, Posted};
+use super::{Answer, Call, CallError, Carrier, Condition, Notation, Parameters, Series};
+use crate::axis::handle::{GRACE, LOOK_EVERY, Observer};
+use crate::axis::pulse::Pulse;
+use crate::rt::{self, Regions};
+use crate::time::nanos;
+
+/// A call gets at least so many exchanges with its drive, however long its cycle is.
+const EXCHANGES: u32 = 20;
+
+/// The queue of one drive, before it has a name.
+#[derive(Debug)]
+pub struct AcyclicEnds {
+    calls: Producer<Posted>,
+    ends: Consumer<Ended>,
+    cancelled: Cancelled,
+    capacity: usize,
+}
+
+/// A queue of `capacity` calls: the application's end, and that of whoever carries them out.
+pub fn queue(capacity: usize) -> (AcyclicEnds, Port) {
+    let capacity = capacity.max(1);
+    let mut regions = Regions::new();
+    let (call_in, calls) = rt::ring(capacity, &mut regions);
+    let (ends, end_out) = rt::ring(capacity, &mut regions);
+    let cancelled = Cancelled::new(capacity);
+    let port = Port::new(calls, ends, cancelled.clone(), regions);
+    (AcyclicEnds { calls: call_in, ends: end_out, cancelled, capacity }, port)
+}
+
+/// Acyclic access to one drive, for any number of threads.
+#[derive(Clone, Debug)]
+pub struct Acyclic {
+    shared: Arc<Shared>,
+    /// Whoever waits here is the application: a sign of its life.
+    pulse: Option<Pulse>,
+}
+
+#[derive(Debug)]
+struct Shared {
+    axis: String,
+    notation: Arc<dyn Notation>,
+    observer: Observer,
+    /// The shortest time that a call is given.
+    least: Duration,
+    capacity: usize,
+    cancelled: Cancelled,
+    ends: Mutex<Ends>,
+    claimed: AtomicBool,
+}
+
+#[derive(Debug)]
+struct Ends {
+    calls: Producer<Posted>,
+    ends: Consumer<Ended>,
+    next: u64,
+    next_series: u64,
+    /// Posted, and not known to have ended.
+    under_way: usize,
+    /// Ended, and somebody holds their ticket.
+    ended: HashMap<u64, Result<Answer, CallError>>,
+    /// Tickets that were dropped before their call ended.
+    forgotten: Vec<u64>,
+}
+
+/// Why a call was not accepted.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum PostError {
+    /// Its queue has no room.
+    #[error("axis {axis}: its queue of {capacity} acyclic calls is full: wait for earlier ones to end")]
+    Full {
+        /// The axis.
+        axis: String,
+        /// Room of the queue.
+        capacity: usize,
+    },
+    /// The master has ended.
+    #[error("axis {axis}: the master has ended: start it again")]
+    Gone {
+        /// The axis.
+        axis: String,
+    },
+}
+
+impl PostError {
+    /// There may be room later.
+    pub fn is_full(&self) -> bool {
+        matches!(self, PostError::Full { .. })
+    }
+}
+
+impl From<PostError> for CallError {
+    fn from(error: PostError) -> CallError {
+        match error {
+            PostError::Full { .. } => CallError::Full,
+            PostError::Gone { .. } => CallError::Gone,
+        }
+    }
+}
+
+impl Acyclic {
+    /// That of axis `axis`, whose drive is asked every `period`.
+    pub(crate) fn new(
+        axis: &str,
+        ends: AcyclicEnds,
+        notation: Arc<dyn Notation>,
+        observer: Observer,
+        period: Duration,
+    ) -> Acyclic {
+        let AcyclicEnds { calls, ends, cancelled, capacity } = ends;
+        let ends = Ends {
+            calls,
+            ends,
+            next: 1,
+            next_series: 1,
+            under_way: 0,
+            ended: HashMap::new(),
+            forgotten: Vec::new(),
+        };
+        let shared = Arc::new(Shared {
+            axis: axis.to_owned(),
+            notation,
+            observer,
+            least: period * EXCHANGES,
+            capacity,
+            cancelled,
+            ends: Mutex::new(ends),
+            claimed: AtomicBool::new(false),
+        });
+        Acyclic { shared, pulse: None }
+    }
+
+    /// The same, for the application with this sign of life: it lives while it waits here.
+    pub(crate) fn of_application(&self, pulse: &Pulse) -> Acyclic {
+        Acyclic { pulse: Some(pulse.clone()), ..self.clone() }
+    }
+
+    /// Between two looks: a sign of life, and a short sleep.
+    fn rest(&self) {
+        if let Some(pulse) = &self.pulse {
+            pulse.beat();
+        }
+        sleep(LOOK_EVERY);
+    }
+
+    /// The name of its axis.
+    pub fn axis(&self) -> &str {
+        &self.shared.axis
+    }
+
+    /// How its drive writes addresses and values.
+    pub fn notation(&self) -> &Arc<dyn Notation> {
+        &self.shared.notation
+    }
+
+    /// Its parameters.
+    pub fn parameters(&self) -> Parameters {
+        Parameters::new(self.clone())
+    }
+
+    /// Posts a call and returns at once.
+    pub fn post(&self, call: Call, limit: Duration) -> Result<CallTicket, PostError> {
+        let mut ends = self.ends();
+        self.room(&mut ends, 1)?;
+        Ok(self.enqueue(&mut ends, 0, call, limit))
+    }
+
+    /// Posts calls that belong together, all or none: the first that fails ends those behind it.
+    pub fn post_series(&self, calls: &[Call], limit: Duration) -> Result<Vec<CallTicket>, PostError> {
+        let mut ends = self.ends();
+        self.room(&mut ends, calls.len())?;
+        let series = ends.next_series;
+        ends.next_series += 1;
+        Ok(calls.iter().map(|call| self.enqueue(&mut ends, series, *call, limit)).collect())
+    }
+
+    /// As [`Carrier::run`], for whoever has something to do meanwhile: between two looks `rest` is called, and once it says no,
+    /// what has not ended is cancelled.
+    pub fn run_while(&self, calls: &[Call], limit: Duration, mut rest: impl FnMut() -> bool) -> Series {
+        let mut series = Series::default();
+        for calls in calls.chunks(self.shared.capacity) {
+            if let Err(why) = self.run_some(calls, limit, &mut rest, &mut series.answers) {
+                return Series { failed: Some(why), ..series };
+            }
+        }
+        series
+    }
+
+    /// So many as the queue has room for.
+    fn run_some(
+        &self,
+        calls: &[Call],
+        limit: Duration,
+        rest: &mut impl FnMut() -> bool,
+        answers: &mut Vec<Answer>,
+    ) -> Result<(), CallError> {
+        let mut rest = || if rest() { Ok(()) } else { Err(CallError::Cancelled) };
+        let begun = Instant::now();
+        let tickets = loop {
+            match self.post_series(calls, limit) {
+                Err(error) if error.is_full() && begun.elapsed() < limit + GRACE => rest()?,
+                posted => break posted?,
+            }
+        };
+        for mut ticket in tickets {
+            answers.push(loop {
+                match ticket.poll() {
+                    Some(end) => break end?,
+                    None => rest()?,
+                }
+            });
+        }
+        Ok(())
+    }
+
+    fn ends(&self) -> MutexGuard<'_, Ends> {
+        self.shared.ends.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn room(&self, ends: &mut Ends, calls: usize) -> Result<(), PostError> {
+        let axis = || self.shared.axis.clone();
+        // Nobody polls for what was forgotten.
+        self.collect(ends);
+        if ends.calls.is_abandoned() {
+            return Err(PostError::Gone { axis: axis() });
+        }
+        if ends.under_way + calls > self.shared.capacity {
+            return Err(PostError::Full { axis: axis(), capacity: self.shared.capacity });
+        }
+        Ok(())
+    }
+
+    /// Posts a call for which there is room.
+    fn enqueue(&self, ends: &mut Ends, series: u64, call: Call, limit: Duration) -> CallTicket {
+        let limit = limit.max(self.shared.least);
+        let number = ends.next;
+        ends.next += 1;
+        let posted = Posted { number, series, limit_ns: nanos(limit), call };
+        match ends.calls.push(posted) {
+            Ok(()) => ends.under_way += 1,
+            // What is under way is never more than the ring has places.
+            Err(_) => drop(ends.ended.insert(number, Err(CallError::Gone))),
+        }
+        CallTicket { acyclic: self.clone(), number, limit, over: false }
+    }
+
+    /// Sorts what has ended to those who hold the tickets.
+    fn collect(&self, ends: &mut Ends) {
+        // Asked first: what ends between the two is found the next time.
+        let gone = ends.ends.is_abandoned();
+        while let Ok(Ended { number, result }) = ends.ends.pop() {
+            ends.under_way -= 1;
+            match ends.forgotten.iter().position(|forgotten| *forgotten == number) {
+                Some(place) => drop(ends.forgotten.swap_remove(place)),
+                None => drop(ends.ended.insert(number, result)),
+            }
+        }
+        if gone {
+            ends.forgotten.clear();
+        }
+    }
+}
+
+impl Carrier for Acyclic {
+    fn run(&self, calls: &[Call], limit: Duration) -> Series {
+        self.run_while(calls, limit, || {
+            self.rest();
+            true
+        })
+    }
+
+    fn condition(&self) -> Result<Condition, CallError> {
+        if self.ends().calls.is_abandoned() {
+            return Err(CallError::Gone);
+        }
+        let feedback = self.shared.observer.feedback();
+        Ok(Condition::of(feedback.link, feedback.state))
+    }
+
+    fn claim(&self) -> Result<Box<dyn Any + Send>, CallError> {
+        match self.shared.claimed.swap(true, Ordering::AcqRel) {
+            true => Err(CallError::Claimed),
+            false => Ok(Box::new(Claim(Arc::clone(&self.shared)))),
+        }
+    }
+
+    fn capacity(&self) -> usize {
+        self.shared.capacity
+    }
+
+    fn pause(&self, time: Duration) {
+        let begun = Instant::now();
+        while begun.elapsed() < time {
+            self.rest();
+        }
+    }
+}
+
+/// What a drive has only one of, held until this is dropped.
+#[derive(Debug)]
+struct Claim(Arc<Shared>);
+
+impl Drop for Claim {
+    fn drop(&mut self) {
+        self.0.claimed.store(false, Ordering::Release);
+    }
+}
+
+/// A call under way. Dropped before its end, it is cancelled.
+#[derive(Debug)]
+pub struct CallTicket {
+    acyclic: Acyclic,
+    number: u64,
+    limit: Duration,
+    /// Its end was told.
+    over: bool,
+}
+
+impl CallTicket {
+    /// The end of the call, once, if it has come. Never waits for the loop.
+    pub fn poll(&mut self) -> Option<Result<Answer, CallError>> {
+        if self.over {
+            return None;
+        }
+        let mut ends = self.acyclic.ends();
+        let gone = ends.ends.is_abandoned();
+        self.acyclic.collect(&mut ends);
+        let result = ends.ended.remove(&self.number).or(gone.then_some(Err(CallError::Gone)))?;
+        self.over = true;
+        Some(result)
+    }
+
+    /// Waits for the end of the call. Its own time begins when it is taken up; what stands before it in the queue is waited for
+    /// too.
+    pub fn wait(&mut self) -> Result<Answer, CallError> {
+        loop {
+            if let Some(result) = self.poll() {
+                return result;
+            }
+            if self.over {
+                return Err(CallError::Cancelled);
+            }
+            self.acyclic.rest();
+        }
+    }
+
+    /// Waits no longer than `limit`: cancelled then.
+    pub fn wait_for(&mut self, limit: Duration) -> Result<Answer, CallError> {
+        let begun = Instant::now();
+        while begun.elapsed() < limit {
+            if let Some(result) = self.poll() {
+                return result;
+            }
+            self.acyclic.rest();
+        }
+        self.cancel();
+        Err(CallError::TimedOut)
+    }
+
+    /// How long the drive is given for it.
+    pub fn limit(&self) -> Duration {
+        self.limit
+    }
+
+    /// The call is no longer wanted: it ends as cancelled, unless it has ended already. If it has gone out, the drive may carry
+    /// it out all the same.
+    pub fn cancel(&self) {
+        self.acyclic.shared.cancelled.set(self.number);
+    }
+}
+
+impl Drop for CallTicket {
+    fn drop(&mut self) {
+        if self.over {
+            return;
+        }
+        self.cancel();
+        let mut ends = self.acyclic.ends();
+        self.acyclic.collect(&mut ends);
+        if ends.ended.remove(&self.number).is_none() && !ends.ends.is_abandoned() {
+            ends.forgotten.push(self.number);
+        }
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use crate::axis::{Feedback, cell};
+    use crate::bus::linudp::upid::Upids;
+
+    const LIMIT: Duration = Duration::from_secs(1);
+
+    /// Both ends of axis `x`.
+    pub(crate) fn both(capacity: usize) -> (Acyclic, Port) {
+        let (ends, port) = queue(capacity);
+        let (_, reader) = cell::cell(Feedback::default());
+        (Acyclic::new("x", ends, Arc::new(Upids), Observer(reader), Duration::from_millis(1)), port)
+    }
+
+    #[test]
+    fn what_nobody_waits_for_leaves_its_room() {
+        let (acyclic, mut port) = both(3);
+        for round in 0..100 {
+            for _ in 0..3 {
+                drop(acyclic.post(Call::default(), LIMIT).unwrap());
+            }
+            assert!(acyclic.post(Call::default(), LIMIT).is_err(), "round {round}");
+            // All were cancelled before they were taken up.
+            assert_eq!(port.take(), None);
+        }
+    }
+
+    #[test]
+    fn tickets_of_many_threads_each_get_their_own_end() {
+        let (acyclic, mut port) = both(16);
+        let over = AtomicBool::new(false);
+        std::thread::scope(|scope| {
+            let (acyclic, over) = (&acyclic, &over);
+            let threads: Vec<_> = (1..=4_u64)
+                .map(|thread| {
+                    scope.spawn(move || {
+                        for value in 0..200 {
+                            let value = thread << 32 | value;
+                            let call = Call { value, ..Call::default() };
+                            let answers = acyclic.run(&[call, call], LIMIT).answers;
+                            assert_eq!(
+                                answers.iter().map(|answer| answer.value).collect::<Vec<_>>(),
+                                [value; 2]
+                            );
+                        }
+                    })
+                })
+                .collect();
+            scope.spawn(move || {
+                while !over.load(Ordering::Relaxed) {
+                    while let Some(posted) = port.take() {
+                        let answer = Answer { value: posted.call.value, ..Answer::default() };
+                        port.end(&posted, Ok(answer));
+                    }
+                    std::thread::yield_now();
+                }
+            });
+            let joined: Vec<_> = threads.into_iter().map(|thread| thread.join()).collect();
+            over.store(true, Ordering::Relaxed);
+            joined.into_iter().for_each(|thread| thread.unwrap());
+        });
+    }
+
+    #[test]
+    fn a_call_without_room_was_never_sent_and_says_so() {
+        let (acyclic, mut port) = both(2);
+        let tickets = acyclic.post_series(&[Call::default(); 2], LIMIT).unwrap();
+        let call = Call { value: 7, ..Call::default() };
+        assert_eq!(acyclic.run(&[call], Duration::ZERO).failed, Some(CallError::Full));
+        drop(tickets);
+        assert_eq!(port.take(), None, "all others were cancelled");
+    }
+
+    #[test]
+    fn what_is_insisted_on_is_tried_until_it_is_done_or_refused() {
+        for (last, expected) in [
+            (Ok(Answer { value: 3, ..Answer::default() }), Ok(3)),
+            (Err(CallError::Refused(0xD7)), Err(CallError::Refused(0xD7))),
+        ] {
+            let (acyclic, mut port) = both(2);
+            let other_end = std::thread::spawn(move || {
+                for result in [Err(CallError::NotOnline), Err(CallError::Restarted), last] {
+                    let posted = loop {
+                        match port.take() {
+                            Some(posted) => break posted,
+                            None => std::thread::yield_now(),
+                        }
+                    };
+                    port.end(&posted, result);
+                }
+                port
+            });
+            let insisted = acyclic.insist(Call::default(), LIMIT, Duration::from_secs(60));
+            assert_eq!(insisted.map(|answer| answer.value), expected);
+            other_end.join().unwrap();
+        }
+        let (acyclic, port) = both(2);
+        drop(port);
+        assert_eq!(acyclic.insist(Call::default(), LIMIT, Duration::MAX), Err(CallError::Gone));
+    }
+
+    #[test]
+    fn what_is_left_when_the_other_end_is_gone_says_so() {
+        let (acyclic, port) = both(3);
+        let mut ticket = acyclic.post(Call::default(), LIMIT).unwrap();
+        drop(port);
+        assert_eq!(ticket.wait(), Err(CallError::Gone));
+        assert_eq!(acyclic.run(&[Call::default()], LIMIT).failed, Some(CallError::Gone));
+        assert_eq!(acyclic.condition(), Err(CallError::Gone));
+    }
+}
