@@ -2,13 +2,17 @@
 
 use std::any::Any;
 use std::net::Ipv4Addr;
+use std::sync::Arc;
 
 use super::native::Native;
-use super::plan::LinUdpPlan;
+use super::plan::{LinUdpPlan, MonitorPlan};
 use super::sim::LinMotSim;
 use super::station::Station;
+use super::upid::Upids;
 use super::wire::{REQUEST_MAX, RESPONSE_MAX};
-use crate::axis::{AxisPlan, PlanFault};
+use crate::axis::acyclic::{AcyclicEnds, Notation};
+use crate::axis::feedback::MONITOR_CHANNELS;
+use crate::axis::{AxisPlan, FoundRunning, MonitorChannel, PlanFault};
 use crate::bus::{Bus, BusPlan, Cycle, Exchange, OpenError, Slot, Strangers};
 use crate::net::{Carriers, Datagrams, Outbox, Sent, UdpOptions};
 use crate::rt::{PollSet, Regions};
@@ -31,6 +35,7 @@ pub struct LinUdpBus {
     /// Addresses of the drives in order, each with the place of its station and its port.
     by_address: Vec<(Ipv4Addr, u16, usize)>,
     natives: Vec<Option<Native>>,
+    acyclics: Vec<Option<AcyclicEnds>>,
     strangers: Strangers,
 }
 
@@ -53,7 +58,13 @@ impl LinUdpBus {
             source,
         })?;
         let peers: Vec<_> = plan.drives.iter().map(|drive| drive.address).collect();
-        let (stations, natives): (Vec<_>, Vec<_>) = plan.drives.iter().map(Station::new).unzip();
+        let (mut stations, mut natives, mut acyclics) = (Vec::new(), Vec::new(), Vec::new());
+        for drive in &plan.drives {
+            let (station, native, acyclic) = Station::new(drive);
+            stations.push(station);
+            natives.push(Some(native));
+            acyclics.push(Some(acyclic));
+        }
         let mut by_address: Vec<_> =
             peers.iter().enumerate().map(|(index, peer)| (*peer.ip(), peer.port(), index)).collect();
         by_address.sort_unstable();
@@ -63,7 +74,8 @@ impl LinUdpBus {
             outbox: Outbox::new(&peers, REQUEST_MAX),
             stations,
             by_address,
-            natives: natives.into_iter().map(Some).collect(),
+            natives,
+            acyclics,
             strangers: Strangers::default(),
         })
     }
@@ -178,6 +190,10 @@ impl Bus for LinUdpBus {
         let native = self.natives.get_mut(index)?.take()?;
         Some(Box::new(native))
     }
+
+    fn acyclic(&mut self, index: usize) -> Option<AcyclicEnds> {
+        self.acyclics.get_mut(index)?.take()
+    }
 }
 
 impl BusPlan for LinUdpPlan {
@@ -186,7 +202,7 @@ impl BusPlan for LinUdpPlan {
     }
 
     fn protocol(&self) -> &'static str {
-        "linudp-v2"
+        super::PROTOCOL
     }
 
     fn axes(&self) -> Vec<&AxisPlan> {
@@ -213,6 +229,21 @@ impl BusPlan for LinUdpPlan {
 
     fn open(&self, _period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
         Ok(Box::new(LinUdpBus::open(self, carriers)?))
+    }
+
+    fn monitored(&self, index: usize) -> [Option<MonitorChannel>; MONITOR_CHANNELS] {
+        self.drives.get(index).map_or([const { None }; MONITOR_CHANNELS], |drive| drive.monitor.channels())
+    }
+
+    fn notation(&self) -> Arc<dyn Notation> {
+        Arc::new(Upids)
+    }
+
+    fn reaching(&self, index: usize) -> Option<Box<dyn BusPlan>> {
+        let mut drive = self.drives.get(index)?.clone();
+        drive.axis.on_found_running = FoundRunning::Refuse;
+        drive.monitor = MonitorPlan::Off;
+        Some(Box::new(LinUdpPlan { drives: vec![drive], ..self.clone() }))
     }
 
     fn simulate(&self) -> Vec<Box<dyn DatagramDrive>> {

@@ -3,10 +3,15 @@
 //! | file | what |
 //! |---|---|
 //! | `wire` | the telegram, both directions |
-//! | `motion` | motion commands: header, parameters, units |
+//! | `motion` | motion commands: the catalogue, constructors, units |
+//! | `curve` | time curves and encoder cams |
+//! | `table` | the drive's command table |
 //! | `station` | the master's view of one drive: identity of replies, feedback |
 //! | `orders` | what an order does, step by step |
 //! | `channel` | motion command counts and their echo |
+//! | `rtc` | the real-time-config channel: one acyclic call after the other, in the requests that go out anyway |
+//! | `service` | what a drive offers beside its parameters: curves, command table, error log, software, flash |
+//! | `upid` | parameters by number and name |
 //! | `native` | unscaled process data for the application |
 //! | `bus` | all drives on one socket |
 //! | `plan` | the bus as configured |
@@ -14,16 +19,27 @@
 //!
 //! Facts: "LinUDP V2 Interface" manual 0185-1108-E 1V9 and "User Manual Motion Control SW" (SG5) 4.3.4.
 
+/// Its word in a configuration.
+pub const PROTOCOL: &str = "linudp-v2";
+
 pub mod bus;
 mod channel;
+pub mod curve;
 pub mod motion;
 pub mod native;
 mod orders;
 pub mod plan;
+mod rtc;
+pub mod service;
 pub mod sim;
 pub mod station;
+pub mod table;
+pub mod upid;
 pub mod wire;
 
+pub use rtc::UNACKNOWLEDGED;
+
 pub use plan::{
-    COUNTS_PER_MM, DRIVE_PORT, LinUdpDrive, LinUdpPlan, MASTER_PORT, MasterFilter, SimPlan, StreamCommand,
+    COUNTS_PER_MM, DRIVE_PORT, FlashMode, LinUdpDrive, LinUdpPlan, MASTER_PORT, MasterFilter, MonitorPlan,
+    SimPlan, StreamCommand, UnknownCommands,
 };

@@ -23,6 +23,8 @@ pub struct Native {
 pub struct NativeInputs {
     /// When it was taken in.
     pub at: Time,
+    /// Native mode ran when the request that this answers was built: what is written from now on goes out.
+    pub running: bool,
     /// The telegram. Blocks that were not asked for are `None`.
     pub response: Response,
 }
@@ -35,7 +37,8 @@ pub struct NativeOutput {
     pub control: Option<ControlWord>,
     /// A motion command. It is sent with the next count and repeated until its echo comes, with another count where that
     /// stays out; after 4 counts the native mode fails. The next output with a motion waits until then, and so does what is
-    /// behind it. Outside of operation a drive echoes nothing: there the next motion replaces it.
+    /// behind it. Outside of operation a drive echoes nothing: there the next motion replaces it. The command that
+    /// resets the firmware (00Fx) fails the native mode: under these counts the drive would restart again and again.
     pub motion: Option<MotionCommand>,
     /// A real-time-config block, count included, sent in one exchange only.
     pub config: Option<RtcBlock>,
@@ -46,27 +49,32 @@ pub struct NativeOutput {
 pub(super) struct NativePort {
     inputs: Writer<Telegram>,
     outputs: Consumer<NativeOutput>,
+    /// Native mode runs.
+    running: bool,
     /// Those of the queue.
     regions: Regions,
 }
 
 /// Both ends.
 pub(super) fn native() -> (Native, NativePort) {
-    let (writer, reader) = cell::cell(Telegram::of(Time(0), &[]));
+    let (writer, reader) = cell::cell(Telegram::of(Time(0), false, &[]));
     let mut regions = Regions::new();
     let (producer, consumer) = rt::ring(OUTPUTS, &mut regions);
-    (Native { inputs: reader, outputs: producer }, NativePort { inputs: writer, outputs: consumer, regions })
+    let port = NativePort { inputs: writer, outputs: consumer, running: false, regions };
+    (Native { inputs: reader, outputs: producer }, port)
 }
 
 impl Native {
     /// The newest inputs.
     pub fn inputs(&self) -> NativeInputs {
-        let Telegram { at, length, bytes } = self.inputs.read();
+        let Telegram { at, running, length, bytes } = self.inputs.read();
         // Only what the station has accepted is published, so this fails before the first reply only.
-        NativeInputs { at, response: Response::parse(&bytes[..length.min(ROOM)]).unwrap_or_default() }
+        let response = Response::parse(&bytes[..length.min(ROOM)]).unwrap_or_default();
+        NativeInputs { at, running, response }
     }
 
-    /// Queues an output for the axis in native mode; gives it back if the queue is full.
+    /// Queues an output for the axis in native mode; gives it back if the queue is full. What is written before the mode
+    /// runs ([`NativeInputs::running`]) is dropped as it begins.
     pub fn write(&mut self, output: NativeOutput) -> Result<(), NativeOutput> {
         self.outputs.push(output).map_err(|rtrb::PushError::Full(output)| output)
     }
@@ -79,8 +87,13 @@ impl NativePort {
         regions.extend(&self.regions);
     }
 
+    /// Says whether native mode runs, for whatever is published from here on.
+    pub(super) fn runs(&mut self, running: bool) {
+        self.running = running;
+    }
+
     pub(super) fn publish(&mut self, at: Time, telegram: &[u8]) {
-        self.inputs.write(&Telegram::of(at, telegram));
+        self.inputs.write(&Telegram::of(at, self.running, telegram));
     }
 
     /// The next output; one with a motion only if the motion channel is `free`.
@@ -104,6 +117,7 @@ impl NativePort {
 #[derive(Clone, Copy, Debug)]
 struct Telegram {
     at: Time,
+    running: bool,
     length: usize,
     bytes: [u8; ROOM],
 }
@@ -112,21 +126,21 @@ struct Telegram {
 const ROOM: usize = RESPONSE_MAX.next_multiple_of(8);
 
 impl Telegram {
-    fn of(at: Time, telegram: &[u8]) -> Telegram {
+    fn of(at: Time, running: bool, telegram: &[u8]) -> Telegram {
         let mut bytes = [0; ROOM];
         let length = telegram.len().min(ROOM);
         bytes[..length].copy_from_slice(&telegram[..length]);
-        Telegram { at, length, bytes }
+        Telegram { at, running, length, bytes }
     }
 }
 
 impl Packed for Telegram {
-    type Words = [u64; 2 + ROOM / 8];
+    type Words = [u64; 3 + ROOM / 8];
 
     fn pack(&self) -> Self::Words {
         let mut words = Self::Words::default();
-        (words[0], words[1]) = (self.at.0, self.length as u64);
-        for (word, bytes) in words[2..].iter_mut().zip(self.bytes.as_chunks().0) {
+        (words[0], words[1], words[2]) = (self.at.0, u64::from(self.running), self.length as u64);
+        for (word, bytes) in words[3..].iter_mut().zip(self.bytes.as_chunks().0) {
             *word = u64::from_le_bytes(*bytes);
         }
         words
@@ -134,10 +148,10 @@ impl Packed for Telegram {
 
     fn unpack(words: &Self::Words) -> Telegram {
         let mut bytes = [0; ROOM];
-        for (bytes, word) in bytes.as_chunks_mut().0.iter_mut().zip(&words[2..]) {
+        for (bytes, word) in bytes.as_chunks_mut().0.iter_mut().zip(&words[3..]) {
             *bytes = word.to_le_bytes();
         }
-        Telegram { at: Time(words[0]), length: words[1] as usize, bytes }
+        Telegram { at: Time(words[0]), running: words[1] != 0, length: words[2] as usize, bytes }
     }
 }
 
@@ -192,8 +206,10 @@ mod tests {
             bytes[..4].copy_from_slice(&(definition >> 6 & 7).to_le_bytes());
             bytes[4..8].copy_from_slice(&definition.to_le_bytes());
             let response = Response::parse(&bytes).unwrap();
+            let running = definition & 1 != 0;
+            port.runs(running);
             port.publish(Time(5), &bytes[..response.size()]);
-            assert_eq!(native.inputs(), NativeInputs { at: Time(5), response });
+            assert_eq!(native.inputs(), NativeInputs { at: Time(5), running, response });
         }
     }
 }

@@ -6,7 +6,7 @@
 //! Sources: SG5 manual 4.3.4, state machine and motion command interface (sheet, 3.5 and 4.1).
 
 use super::channel::MotionChannel;
-use super::motion::{MotionCommand, Vad};
+use super::motion::{Acceleration, MotionCommand, Position, SignedAcceleration, SignedVelocity, Velocity};
 use super::native::{NativeOutput, NativePort};
 use super::plan::{LinUdpDrive, StreamCommand};
 use super::wire::{ControlWord, ErrorCode, MainState, MotionBlock, RtcBlock, StateVar, StatusWord};
@@ -234,8 +234,9 @@ impl Orders {
         if self.serial != 0 {
             slot.progress = Progress { serial: self.serial, end: self.end };
         }
+        native.runs(matches!(self.step, Step::Native(_)));
         if let Step::Native(owner) = self.step {
-            self.take_native(owner, inputs, native);
+            self.take_native(now, owner, inputs, native);
         }
         Outputs {
             control: self.control,
@@ -245,12 +246,18 @@ impl Orders {
     }
 
     /// Takes the next native output once the one before it has gone out, and the motion before it was echoed.
-    fn take_native(&mut self, owner: NativeOwner, inputs: &Inputs, native: &mut NativePort) {
+    fn take_native(&mut self, now: Time, owner: NativeOwner, inputs: &Inputs, native: &mut NativePort) {
         if self.native.is_some() {
             return;
         }
         let free = self.channel.command.is_none() || inputs.state.count().is_none();
         let Some(output) = native.next(free) else { return };
+        if output.motion.is_some_and(|command| command.id == MotionCommand::reset_firmware().id) {
+            // With any count but 0 the drive restarts again and again (sheet, 4.3), and with 0 it does nothing if that is
+            // what it has stored.
+            let why = "00Fx needs a count that this master does not send; restart the drive by its parameter channel";
+            return self.refuse(now, Failure::Unsupported(why), inputs);
+        }
         if owner == NativeOwner::Application && output.control.is_some() {
             self.control = output.control;
         }
@@ -474,7 +481,7 @@ impl Orders {
         if inputs.state.motion_active() == Some(true)
             && let Ok(deceleration) = self.acceleration(self.braking(now, self.profile.deceleration, inputs))
         {
-            self.channel.send(MotionCommand::stop(deceleration));
+            self.channel.send(MotionCommand::vai_stop(deceleration));
         }
     }
 
@@ -509,13 +516,11 @@ impl Orders {
         profile: &Profile,
         inputs: &Inputs,
     ) -> Result<MotionCommand, RangeError> {
-        Ok(MotionCommand::go_to(
+        Ok(MotionCommand::vai_go_to(
             self.position(position)?,
-            Vad {
-                velocity: self.velocity(profile.velocity)?,
-                acceleration: self.acceleration(profile.acceleration)?,
-                deceleration: self.acceleration(self.braking(now, profile.deceleration, inputs))?,
-            },
+            self.velocity(profile.velocity)?,
+            self.acceleration(profile.acceleration)?,
+            self.acceleration(self.braking(now, profile.deceleration, inputs))?,
         ))
     }
 
@@ -538,20 +543,21 @@ impl Orders {
         asked.max(needed.min(most))
     }
 
-    fn position(&self, position: f64) -> Result<i32, RangeError> {
-        to_i32(self.units.counts(position), self.units.counts_per_unit, "units")
+    fn position(&self, position: f64) -> Result<Position, RangeError> {
+        to_i32(self.units.counts(position), self.units.counts_per_unit, "units").map(Position)
     }
 
     /// 1 um/s: ten times coarser than a count of 0.1 um.
-    fn velocity(&self, velocity: f64) -> Result<u32, RangeError> {
+    fn velocity(&self, velocity: f64) -> Result<Velocity, RangeError> {
         let scale = self.units.counts_per_unit.abs() * 0.1;
-        at_least_one(velocity, to_u32(velocity * scale, scale, "units/s")?, scale, "units/s")
+        at_least_one(velocity, to_u32(velocity * scale, scale, "units/s")?, scale, "units/s").map(Velocity)
     }
 
     /// 1e-5 m/s2: a hundred times coarser than a count of 0.1 um.
-    fn acceleration(&self, acceleration: f64) -> Result<u32, RangeError> {
+    fn acceleration(&self, acceleration: f64) -> Result<Acceleration, RangeError> {
         let scale = self.units.counts_per_unit.abs() * 0.01;
         at_least_one(acceleration, to_u32(acceleration * scale, scale, "units/s2")?, scale, "units/s2")
+            .map(Acceleration)
     }
 
     fn begin_rolling(&mut self, now: Time, velocity: f64, acceleration: f64, inputs: &Inputs) {
@@ -584,7 +590,11 @@ impl Orders {
         rolling.at_limit = false;
         if rolling.velocity == 0.0 {
             return match self.acceleration(self.braking(now, rolling.acceleration, inputs)) {
-                Ok(ramp) => self.command(now, MotionCommand::stop(ramp.max(1)), Step::Rolling(rolling)),
+                Ok(ramp) => self.command(
+                    now,
+                    MotionCommand::vai_stop(ramp.max(Acceleration(1))),
+                    Step::Rolling(rolling),
+                ),
                 Err(range) => self.refuse(now, range.into(), inputs),
             };
         }
@@ -645,8 +655,9 @@ impl Orders {
         let Some(command) = self.stream else { return Ok(()) };
         let scale = self.units.counts_per_unit;
         let position = self.position(row.position)?;
-        let velocity = to_i32(row.velocity * scale * 0.1, scale * 0.1, "units/s")?;
-        let acceleration = to_i32(row.acceleration * scale * 0.01, scale * 0.01, "units/s2")?;
+        let velocity = SignedVelocity(to_i32(row.velocity * scale * 0.1, scale * 0.1, "units/s")?);
+        let acceleration =
+            SignedAcceleration(to_i32(row.acceleration * scale * 0.01, scale * 0.01, "units/s2")?);
         self.channel.stream(MotionCommand::stream(command, position, velocity, acceleration));
         Ok(())
     }
@@ -657,9 +668,9 @@ impl Orders {
         }
         self.sent = 0;
         let taken = taken + u32::from(fresh && inputs.state.count() == self.channel.count);
-        let arrived = self.position(last.position) == Ok(inputs.demand as i32);
+        let arrived = self.position(last.position) == Ok(Position(inputs.demand as i32));
         if taken > LAST_ROWS && arrived || taken > MOST_LAST_ROWS {
-            return self.command(now, MotionCommand::END_STREAM, Step::Moving);
+            return self.command(now, MotionCommand::stream_end(), Step::Moving);
         }
         // The last row was in range, so is this one.
         let standing = Row { velocity: 0.0, acceleration: 0.0, ..last };
@@ -676,7 +687,9 @@ impl Orders {
         self.control = Some(self.as_found(inputs));
         let deceleration = deceleration.unwrap_or(self.profile.deceleration);
         match self.acceleration(self.braking(now, deceleration, inputs)) {
-            Ok(deceleration) => self.command(now, MotionCommand::stop(deceleration.max(1)), Step::Moving),
+            Ok(deceleration) => {
+                self.command(now, MotionCommand::vai_stop(deceleration.max(Acceleration(1))), Step::Moving)
+            }
             Err(_) => self.begin_abort(now, inputs),
         }
     }

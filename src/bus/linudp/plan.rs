@@ -2,7 +2,8 @@
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 
-use crate::axis::{AxisPlan, PlanFault, Units};
+use super::upid::Upid;
+use crate::axis::{AxisPlan, MonitorChannel, PlanFault, Units};
 use crate::net::SendMode;
 use crate::sim::FaultPlan;
 use crate::time::{MS, Ns, US};
@@ -37,8 +38,8 @@ pub struct LinUdpDrive {
     pub address: SocketAddrV4,
     /// The streaming command that Follow uses; `None`: Follow is refused.
     pub stream: Option<StreamCommand>,
-    /// Ask for the four monitoring channels too.
-    pub monitor: bool,
+    /// What the four monitoring channels show, if they are asked for.
+    pub monitor: MonitorPlan,
     /// Carry a real-time-config NOP with a new count in each request: its echo tells which request a reply answers.
     pub reply_tag: bool,
     /// How far a jog runs ahead at most, user units. A LinUDP drive has no watchdog, so a jog is a target that rolls
@@ -63,10 +64,55 @@ impl LinUdpDrive {
             axis: AxisPlan::new(name, Units::millimetres(COUNTS_PER_MM)),
             address: SocketAddrV4::new(address, DRIVE_PORT),
             stream: Some(StreamCommand::Pva),
-            monitor: false,
+            monitor: MonitorPlan::Off,
             reply_tag: false,
             leash: None,
             simulate: SimPlan::default(),
+        }
+    }
+}
+
+/// What the four monitoring channels of a drive show (LinUDP V2 manual, 4.4.9).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum MonitorPlan {
+    /// They are not asked for.
+    #[default]
+    Off,
+    /// Whatever is set in the drive, as raw numbers.
+    AsSet,
+    /// These variables: the drive is set so (in RAM only) whenever it comes online.
+    Sources([Option<Upid>; 4]),
+}
+
+impl MonitorPlan {
+    /// What the drive is to be set to.
+    pub fn sources(self) -> [Option<Upid>; 4] {
+        match self {
+            MonitorPlan::Sources(sources) => sources,
+            MonitorPlan::Off | MonitorPlan::AsSet => [None; 4],
+        }
+    }
+
+    /// The name of a variable that two of the channels would show.
+    fn shown_twice(self) -> Option<String> {
+        let mut names: Vec<String> =
+            self.channels().into_iter().flatten().map(|channel| channel.name).collect();
+        names.sort_unstable();
+        names.windows(2).find(|pair| pair[0] == pair[1]).map(|pair| pair[0].clone())
+    }
+
+    /// Names and units of the channels, for people.
+    pub fn channels(self) -> [Option<MonitorChannel>; 4] {
+        let of = |source: Upid| match source.known() {
+            Some(known) => MonitorChannel { name: known.name.to_owned(), unit: known.unit },
+            None => MonitorChannel { name: source.to_string(), unit: "" },
+        };
+        match self {
+            MonitorPlan::Off => [const { None }; 4],
+            MonitorPlan::AsSet => std::array::from_fn(|channel| {
+                Some(MonitorChannel { name: format!("channel-{}", channel + 1), unit: "" })
+            }),
+            MonitorPlan::Sources(sources) => sources.map(|source| source.map(of)),
         }
     }
 }
@@ -133,6 +179,9 @@ impl LinUdpDrive {
     pub fn faults(&self, period_ns: u64) -> Vec<PlanFault> {
         let mut faults = self.wire_faults();
         faults.extend(self.stream.and_then(|command| self.stream_fault(command, period_ns)));
+        if let Some(name) = self.monitor.shown_twice() {
+            faults.push(PlanFault::new("monitor", format!("has {name} twice; name each variable once")));
+        }
         let unit = self.axis.units.unit;
         match (self.leash, self.axis.limits.position) {
             (Some(leash), _) if !(leash > 0.0 && leash.is_finite()) => {
@@ -225,6 +274,18 @@ impl LinUdpDrive {
             }
             None => format!("no streams: no streaming command takes a setpoint every {setpoints}"),
         });
+        match self.monitor {
+            MonitorPlan::Off => {}
+            MonitorPlan::AsSet => {
+                lines.push("shows its monitoring channels as they are set in it".to_owned())
+            }
+            MonitorPlan::Sources(_) => {
+                let names: Vec<String> =
+                    self.monitor.channels().into_iter().flatten().map(|channel| channel.name).collect();
+                let names = names.join(", ");
+                lines.push(format!("shows {names}: set so, in its RAM, whenever it comes online"));
+            }
+        }
         let jog = match self.leash {
             Some(leash) => format!("a jog or cyclic velocity runs at most {leash} {unit} further"),
             None => "jogs and cyclic velocities are refused".to_owned(),
@@ -251,13 +312,13 @@ pub struct SimPlan {
     pub filter: MasterFilter,
     /// The position at power-on, 0.1 um.
     pub start_position: i32,
-    /// Mechanical range, 0.1 um.
+    /// Mechanical range, and the minimum and maximum position in ROM (UPIDs 146Eh and 146Fh), 0.1 um.
     pub range: (i32, i32),
     /// Moving mass, kg.
     pub mass_kg: f64,
-    /// Where the home switch is, 0.1 um.
+    /// Where the home switch is, and what the position is there (UPIDs 13CAh and 13C7h in ROM), 0.1 um.
     pub home_position: i32,
-    /// Period expected by the commands with configured period (UPID 14E6h), ns.
+    /// Period expected by the commands with configured period (UPID 14E6h in ROM, whole us), ns.
     pub stream_period_ns: u64,
     /// A stream without a setpoint for so many periods ends in error 0083h. How patient a real drive is, is not documented;
     /// 2.5 is a strict guess.
@@ -268,6 +329,16 @@ pub struct SimPlan {
     pub force_enable_bits: bool,
     /// Comes up with its motor enabled and a motion running, as if another master had died.
     pub start_running: bool,
+    /// How long a command on the real-time-config channel takes, ns; "busy" is answered meanwhile.
+    pub config_time_ns: u64,
+    /// How long a save into flash takes, ns. Real drives took 39 ... 75 s and more.
+    pub flash_time_ns: u64,
+    /// What a drive answers meanwhile.
+    pub flash: FlashMode,
+    /// What it does with motion commands that it has no use for.
+    pub unknown_commands: UnknownCommands,
+    /// Values of less than 32 bits carry their sign in the bits above, when they are read or monitored; else these are 0.
+    pub extend_sign: bool,
 }
 
 impl Default for SimPlan {
@@ -286,8 +357,36 @@ impl Default for SimPlan {
             stream_depth: 8,
             force_enable_bits: false,
             start_running: false,
+            config_time_ns: 0,
+            flash_time_ns: 500 * MS,
+            flash: FlashMode::default(),
+            unknown_commands: UnknownCommands::default(),
+            extend_sign: false,
         }
     }
+}
+
+/// What a drive answers while it writes into its flash. The manual says that the interface stays active; masters in the
+/// field saw it fall silent.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum FlashMode {
+    /// Nothing, but for the telegram that began it; and afterwards how it went.
+    #[default]
+    Silent,
+    /// Nothing at all, and afterwards nothing of it: its channel has not stored the command. So a C1250 was seen to behave.
+    Mute,
+    /// Everything; on the real-time-config channel that it is busy.
+    Busy,
+}
+
+/// What a drive does with a motion command that is unknown, or that needs hardware or a software key it does not have.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum UnknownCommands {
+    /// Error 0081h.
+    #[default]
+    Refuse,
+    /// Nothing.
+    Ignore,
 }
 
 /// The drive's master configuration (manual, 5).

@@ -9,10 +9,12 @@
 
 use super::native::{Native, NativePort, native};
 use super::orders::{Inputs, Orders, Outputs};
-use super::plan::LinUdpDrive;
+use super::plan::{LinUdpDrive, MonitorPlan};
+use super::rtc::RtcChannel;
 use super::wire::{
     MainState, MotionBlock, Request, RequestDef, ResponseDef, ResponseView, RtcBlock, StateVar, StatusWord,
 };
+use crate::axis::acyclic::{self, AcyclicEnds};
 use crate::axis::units::Unwrap;
 use crate::axis::{Link, State, Units};
 use crate::bus::{Cycle, Exchange, Slot};
@@ -44,6 +46,8 @@ pub struct Station {
     actual: Unwrap,
     demand: Unwrap,
     orders: Orders,
+    rtc: RtcChannel,
+    monitor: MonitorPlan,
     /// Probes that have gone out.
     probes: u8,
     /// The prepared request is a probe.
@@ -86,8 +90,20 @@ impl Identity {
 struct Echo {
     request: RequestDef,
     response: ResponseDef,
-    /// The count of the real-time-config block, if tags are used.
+    /// The count of the real-time-config block; of a request, if it was chosen to tell its reply from others.
     tag: Option<u8>,
+}
+
+impl Echo {
+    /// Whether this echo of a reply can be that of the request that echoes `asked`.
+    fn answers(&self, asked: &Echo) -> bool {
+        self.is_like(asked) && (asked.tag.is_none() || self.tag == asked.tag)
+    }
+
+    /// The same but for the tag.
+    fn is_like(&self, asked: &Echo) -> bool {
+        (self.request, self.response) == (asked.request, asked.response)
+    }
 }
 
 /// What was seen last, for differences.
@@ -99,11 +115,12 @@ struct Seen {
 }
 
 impl Station {
-    /// The station of `drive`, and the application's end of its native process data.
-    pub fn new(drive: &LinUdpDrive) -> (Station, Native) {
+    /// The station of `drive`, and the application's ends of its native process data and of its acyclic access.
+    pub fn new(drive: &LinUdpDrive) -> (Station, Native, AcyclicEnds) {
         let (application, native) = native();
+        let (ends, port) = acyclic::queue(drive.axis.parameter_queue);
         let mut response_def = ResponseDef::CYCLIC;
-        if drive.monitor {
+        if drive.monitor != MonitorPlan::Off {
             response_def = response_def.with(ResponseDef::MONITOR);
         }
         let station = Station {
@@ -116,16 +133,19 @@ impl Station {
             actual: Unwrap::default(),
             demand: Unwrap::default(),
             orders: Orders::new(drive),
+            rtc: RtcChannel::new(port, drive.monitor.sources()),
+            monitor: drive.monitor,
             probes: 0,
             probing: false,
             native,
         };
-        (station, application)
+        (station, application, ends)
     }
 
     /// Adds what it touches besides itself, to be locked.
     pub(super) fn memory(&self, regions: &mut Regions) {
         self.native.memory(regions);
+        self.rtc.memory(regions);
     }
 
     /// Builds the request of the next send in `out` and returns its length. Built again for the same send, it is the same:
@@ -135,17 +155,33 @@ impl Station {
         let outputs = self.orders.advance(cycle.grid, &self.inputs, slot, &mut self.native);
         self.inputs.fresh = false;
         let Outputs { control, motion, config } = outputs;
-        let mut request =
-            Request { response_def: self.response_def, control, motion, config, ..Request::default() };
+        let powered = slot.report.state.is_powered();
+        let called = self.rtc.advance(cycle.grid, slot.link, powered);
+        slot.excused = self.rtc.excuses_silence() && !powered;
+        let mut request = Request {
+            response_def: self.response_def,
+            control,
+            motion,
+            config: config.or(called),
+            ..Request::default()
+        };
+        if config.is_some() {
+            self.rtc.give_way();
+        }
         if self.identity.suspect {
             // Asked for something else than the ones before, so that the echo tells its reply from all late ones: were they
             // always one cycle behind, each would pass for the newest for ever.
             request.response_def.0 ^= ResponseDef::MONITOR.0;
         }
-        if self.tagged && config.is_none() {
-            let tag = self.identity.asked.tag.unwrap_or_default().wrapping_add(1);
-            request.config = Some(RtcBlock::command(tag, RtcBlock::NO_OPERATION));
-        }
+        let tag = match (config, called) {
+            _ if !self.tagged => None,
+            (Some(_), _) => config,
+            // A call is repeated under one count, which tells nothing of the request.
+            (None, Some(_)) => None,
+            _ if self.rtc.hushes() => None,
+            (None, None) => Some(self.rtc.tag()),
+        };
+        request.config = request.config.or(tag);
         self.probing = silent && slot.order.serial == 0;
         if self.probing && self.probes == FULL_PROBE_EVERY - 1 {
             request.motion = Some(MotionBlock::default());
@@ -157,7 +193,7 @@ impl Station {
         self.identity.prepared = Echo {
             request: request.definition(),
             response: request.response_def,
-            tag: request.config.filter(|_| self.tagged).map(|config| config.count()),
+            tag: tag.map(|block| block.count()),
         };
         request.emit(out)
     }
@@ -189,6 +225,7 @@ impl Station {
         slot.counters.sent += 1;
         slot.exchange = Exchange::Owed { sent_at, reply_by };
         self.orders.sent();
+        self.rtc.sent();
     }
 
     /// The operating system refused to send the request.
@@ -206,16 +243,16 @@ impl Station {
         let echo = Echo {
             request: view.request_def(),
             response: view.response_def(),
-            tag: view.config().filter(|_| self.tagged).map(|config| config.count()),
+            tag: view.config().map(|config| config.count()),
         };
         let owed = match slot.exchange {
             Exchange::Owed { sent_at, .. } if in_window => Some(sent_at),
             _ => None,
         };
-        let answers = echo == self.identity.asked;
+        let answers = echo.answers(&self.identity.asked);
         match owed {
             Some(sent_at) if answers => {
-                let suspect = !self.tagged && self.identity.mistakable > 0;
+                let suspect = self.identity.asked.tag.is_none() && self.identity.mistakable > 0;
                 (self.identity.open, self.identity.suspect) = (false, suspect);
                 slot.exchange = Exchange::Answered { sent_at, at, suspect };
                 slot.counters.answered += 1;
@@ -249,8 +286,8 @@ impl Station {
             self.read(at, view, false, slot);
             return;
         }
-        let same = |asked: &Echo| (echo.request, echo.response) == (asked.request, asked.response);
-        if !same(&identity.asked) && !identity.asked_before.iter().any(same) {
+        let like = |asked: &Echo| echo.is_like(asked);
+        if !like(&identity.asked) && !identity.asked_before.iter().any(like) {
             slot.counters.foreign += 1;
         } else if answers && identity.open {
             // The reply to the last request, after its window. It may lie in that of a cycle in which none was due.
@@ -258,7 +295,7 @@ impl Station {
             // It was a miss all the same.
             identity.without_miss = 0;
             slot.counters.late += 1;
-        } else if identity.under_way > 0 && !(answers && self.tagged) {
+        } else if identity.under_way > 0 && !(answers && identity.asked.tag.is_some()) {
             identity.take_late();
             slot.counters.late += 1;
         } else {
@@ -275,6 +312,10 @@ impl Station {
         if booting && self.inputs.seen && !self.inputs.booting {
             report.restarted = true;
             self.orders.drive_restarted();
+            self.rtc.drive_restarted();
+        }
+        if !booting && self.inputs.booting {
+            self.rtc.software_runs();
         }
         if booting || self.inputs.booting {
             // The positions of before, and those told while booting, are none to go on from.
@@ -330,7 +371,35 @@ impl Station {
         report.current = f64::from(view.current().unwrap_or_default()) * 1e-3;
         report.warning = u32::from(view.warn().unwrap_or_default().0);
         report.fault = if status.error() { u32::from(fault.0) } else { 0 };
+        if !suspect {
+            self.take_config(view, slot);
+        }
         self.native.publish(at, view.bytes());
+    }
+
+    /// The monitored values and the answer on the real-time-config channel.
+    fn take_config(&mut self, view: &ResponseView<'_>, slot: &mut Slot) {
+        // The values first: they were taken before the answer that says that their sources have changed.
+        if let Some(raw) = view.monitor() {
+            let rtc = &self.rtc;
+            let value = |channel: usize| match self.monitor {
+                MonitorPlan::Off => None,
+                MonitorPlan::AsSet => Some(f64::from(raw[channel])),
+                MonitorPlan::Sources(sources) => {
+                    let source = sources[channel].filter(|_| rtc.monitors(channel))?;
+                    Some(source.known().map_or(f64::from(raw[channel]), |known| known.value(raw[channel])))
+                }
+            };
+            slot.report.monitor = std::array::from_fn(value);
+            slot.report.monitor_fresh = true;
+        }
+        match view.config() {
+            Some(block) => self.rtc.take(block),
+            None => self.rtc.take_none(),
+        }
+        if let Some(refused) = self.rtc.take_monitor_refusal() {
+            slot.report.monitor_refused = Some(refused);
+        }
     }
 }
 
@@ -367,7 +436,7 @@ mod tests {
 
     #[test]
     fn every_fourth_probe_that_goes_out_has_all_blocks() {
-        let (mut station, _native) = Station::new(&LinUdpDrive::new("x", Ipv4Addr::LOCALHOST));
+        let (mut station, ..) = Station::new(&LinUdpDrive::new("x", Ipv4Addr::LOCALHOST));
         let (mut slot, mut out) = (Slot::default(), [0; 64]);
         let cycle = Cycle { index: 0, grid: Time(0), period_ns: 1_000_000, deadline: Time(500_000) };
         for probe in 1..=12 {

@@ -17,13 +17,13 @@ use self::bounds::{Bounds, Sample};
 use self::setpoints::{Follow, Level};
 use super::health::LinkHealth;
 use super::ladder::{Ladder, Sight};
-use super::record::{DriveRecord, Reply, measured, short};
-use super::status::Peaks;
+use super::record::{DriveRecord, MonitorRecord, Reply, measured, short};
+use super::status::{DriveNumbers, Extent, Peaks};
 use crate::axis::cell::Writer;
 use crate::axis::command::NativeOwner;
 use crate::axis::{
-    Abort, AxisPlan, Command, CommandId, Event, EventKind, Feedback, FoundRunning, Link, Outcome, Row, State,
-    StopCause, StreamRow, Ticket, Velocity, Verb,
+    Abort, AxisPlan, Command, CommandId, Event, EventKind, Feedback, FoundRunning, Link, MONITOR_CHANNELS,
+    Outcome, Row, Shown, State, StopCause, StreamRow, Ticket, Velocity, Verb,
 };
 use crate::bus::{Cycle, Exchange, Order, Slot};
 use crate::rt::Regions;
@@ -87,12 +87,16 @@ pub struct Seat {
     just_stopped: bool,
     /// What the telemetry is told of this cycle.
     record: DriveRecord,
+    /// What the drive showed in this cycle besides.
+    shown: Shown,
     /// How long after its grid point the request before left.
     phase_ns: Option<u64>,
     /// Times that the link was lost.
-    pub losses: u64,
+    losses: u64,
     /// The largest times.
-    pub peaks: Peaks,
+    peaks: Peaks,
+    /// What the drive showed since the start.
+    monitor: [Option<Extent>; MONITOR_CHANNELS],
     /// Events that found their queue full.
     pub lost_events: u64,
     /// Samples that found their queue full.
@@ -179,9 +183,11 @@ impl Seat {
             seen: false,
             just_stopped: false,
             record: DriveRecord::default(),
+            shown: Shown::default(),
             phase_ns: None,
             losses: 0,
             peaks: Peaks::default(),
+            monitor: [None; MONITOR_CHANNELS],
             lost_events: 0,
             lost_samples: 0,
         }
@@ -331,7 +337,19 @@ impl Seat {
             warning: report.warning,
             fault: report.fault,
             rtt_ns: rtt.or(before.rtt_ns),
+            monitor: report.monitor,
         };
+        if std::mem::take(&mut report.monitor_fresh) {
+            self.shown = report.monitor.into();
+            for (extent, value) in self.monitor.iter_mut().zip(report.monitor) {
+                if let Some(value) = value {
+                    Extent::see(extent, value);
+                }
+            }
+        }
+        if let Some((channel, status)) = report.monitor_refused.take() {
+            self.tell(cycle, now, EventKind::MonitorRefused { channel, status });
+        }
         if std::mem::take(&mut report.restarted) {
             self.restarted = true;
             self.tell(cycle, now, EventKind::Restarted);
@@ -359,9 +377,13 @@ impl Seat {
         self.feedback.link = link;
         slot.link = link;
         self.tell(cycle, now, EventKind::Link(link));
-        self.losses += u64::from(link == Link::Lost && before == Link::Online);
+        self.losses += u64::from(link == Link::Lost && before == Link::Online && !slot.excused);
         match link {
-            Link::Lost if before == Link::Online => self.stop(cycle, now, StopCause::LinkLost, slot),
+            Link::Lost if before == Link::Online => {
+                self.stop(cycle, now, StopCause::LinkLost, slot);
+                // Those who stop with it go on: it was asked for this silence, and holds or moves nothing.
+                self.just_stopped &= !slot.excused;
+            }
             Link::Online => {
                 self.seen = true;
                 let running = self.feedback.state.is_powered() || self.feedback.moving;
@@ -534,6 +556,21 @@ impl Seat {
             // What sending and judging found out.
             ..std::mem::take(&mut self.record)
         }
+    }
+
+    /// What the telemetry is told besides of a drive that showed something in this cycle, once.
+    pub fn take_shown(&mut self, axis: u16) -> Option<MonitorRecord> {
+        if self.shown.is_empty() {
+            return None;
+        }
+        let shown = std::mem::take(&mut self.shown);
+        Some(MonitorRecord { index: self.feedback.cycle, axis, shown })
+    }
+
+    /// What the loop counted of it so far, with what its bus did.
+    pub fn numbers(&self, slot: &Slot) -> DriveNumbers {
+        let Seat { losses, peaks, monitor, .. } = *self;
+        DriveNumbers { counters: slot.counters, losses, peaks, monitor }
     }
 
     /// Ends everything that the application has asked for.

@@ -5,6 +5,8 @@ use std::net::Ipv4Addr;
 use super::super::native::{Native, native};
 use super::*;
 use crate::bus::Order;
+use crate::bus::linudp::motion::Acceleration;
+use crate::bus::linudp::wire::RtcCommand;
 
 /// What a drive in `state` says.
 fn says(state: MainState, sub: u8) -> Inputs {
@@ -129,12 +131,12 @@ fn a_suspect_reply_teaches_no_count() {
     let (mut orders, mut slot, mut native, mut port) = about(Verb::Native(NativeOwner::Master));
     let older = Inputs { clean: false, ..says(MainState::OPERATION_ENABLED, 2) };
     orders.advance(Time(0), &older, &mut slot, &mut port);
-    let motion = Some(MotionCommand::stop(1));
+    let motion = Some(MotionCommand::vai_stop(Acceleration(1)));
     native.write(NativeOutput { motion, ..NativeOutput::default() }).unwrap();
     orders.sent();
     // After 2 it would have been 3, which the drive has stored: it would not have run it.
     let outputs = orders.advance(Time(0), &older, &mut slot, &mut port);
-    assert_eq!(outputs.motion, Some(MotionCommand::stop(1).block(4)));
+    assert_eq!(outputs.motion, Some(MotionCommand::vai_stop(Acceleration(1)).block(4)));
 }
 
 #[test]
@@ -142,7 +144,7 @@ fn a_native_output_stays_until_it_has_gone_out() {
     let (mut orders, mut slot, mut native, mut port) = about(Verb::Native(NativeOwner::Application));
     for count in 1..=3 {
         let control = Some(ControlWord(u16::from(count)));
-        let config = Some(RtcBlock::command(count, RtcBlock::NO_OPERATION));
+        let config = Some(RtcBlock::command(count, RtcCommand::NO_OPERATION));
         native.write(NativeOutput { control, motion: None, config }).unwrap();
     }
     let inputs = says(MainState::OPERATION_ENABLED, 3);
@@ -163,7 +165,7 @@ fn a_native_output_stays_until_it_has_gone_out() {
 fn a_native_motion_waits_for_the_echo_of_the_one_before_it() {
     let (mut orders, mut slot, mut native, mut port) = about(Verb::Native(NativeOwner::Master));
     for increment in [1, 2] {
-        let motion = Some(MotionCommand::stop(increment));
+        let motion = Some(MotionCommand::vai_stop(Acceleration(increment)));
         native.write(NativeOutput { motion, ..NativeOutput::default() }).unwrap();
     }
     let mut exchange = |state, sub| {
@@ -171,7 +173,7 @@ fn a_native_motion_waits_for_the_echo_of_the_one_before_it() {
         orders.sent();
         (outputs.motion, slot.progress.end)
     };
-    let block = |increment, count| Some(MotionCommand::stop(increment).block(count));
+    let block = |increment, count| Some(MotionCommand::vai_stop(Acceleration(increment)).block(count));
     for _ in 0..3 {
         assert_eq!(exchange(MainState::OPERATION_ENABLED, 3), (block(1, 4), None));
     }
@@ -182,7 +184,7 @@ fn a_native_motion_waits_for_the_echo_of_the_one_before_it() {
 #[test]
 fn a_native_motion_is_given_up_after_four_counts() {
     let (mut orders, mut slot, mut native, mut port) = about(Verb::Native(NativeOwner::Master));
-    let motion = Some(MotionCommand::stop(1));
+    let motion = Some(MotionCommand::vai_stop(Acceleration(1)));
     native.write(NativeOutput { motion, ..NativeOutput::default() }).unwrap();
     let mut counts = Vec::new();
     while slot.progress.end.is_none() && counts.len() < 100 {
@@ -200,13 +202,44 @@ fn a_native_motion_is_given_up_after_four_counts() {
 fn a_native_motion_outside_of_operation_holds_nothing_up() {
     let (mut orders, mut slot, mut native, mut port) = about(Verb::Native(NativeOwner::Application));
     for increment in [1, 2] {
-        let motion = Some(MotionCommand::stop(increment));
+        let motion = Some(MotionCommand::vai_stop(Acceleration(increment)));
         native.write(NativeOutput { motion, ..NativeOutput::default() }).unwrap();
     }
     for increment in [1, 2] {
         let inputs = says(MainState::READY_TO_SWITCH_ON, 0);
         let motion = orders.advance(Time(0), &inputs, &mut slot, &mut port).motion.unwrap();
-        assert_eq!(motion.parameters, MotionCommand::stop(increment).block(0).parameters);
+        assert_eq!(motion.parameters, MotionCommand::vai_stop(Acceleration(increment)).block(0).parameters);
         orders.sent();
     }
+}
+
+#[test]
+fn the_firmware_is_not_reset_by_a_count_that_does_it_again_and_again() {
+    let (mut orders, mut slot, mut native, mut port) = about(Verb::Native(NativeOwner::Master));
+    let motion = Some(MotionCommand::reset_firmware());
+    native.write(NativeOutput { motion, ..NativeOutput::default() }).unwrap();
+    for _ in 0..3 {
+        let outputs = orders.advance(Time(0), &says(MainState::OPERATION_ENABLED, 3), &mut slot, &mut port);
+        orders.sent();
+        assert_eq!(outputs.motion, None);
+    }
+    assert!(matches!(slot.progress.end, Some(Err(Failure::Unsupported(_)))), "{:?}", slot.progress);
+}
+
+#[test]
+fn the_application_is_told_when_native_mode_runs() {
+    let (mut orders, mut slot, native, mut port) = about(Verb::Stop { deceleration: None });
+    let mut running = |serial, verb, state| {
+        slot.order = Order { serial, verb: Some(verb) };
+        orders.advance(Time(0), &says(state, 3), &mut slot, &mut port);
+        orders.sent();
+        port.publish(Time(1), &[]);
+        native.inputs().running
+    };
+    let mode = Verb::Native(NativeOwner::Master);
+    assert!(!running(1, Verb::Stop { deceleration: None }, MainState::OPERATION_ENABLED));
+    assert!(running(2, mode, MainState::OPERATION_ENABLED));
+    // It drops out of operation, and the mode with it.
+    running(2, mode, MainState::READY_TO_OPERATE);
+    assert!(!running(2, mode, MainState::READY_TO_OPERATE));
 }

@@ -1,0 +1,432 @@
+//! The real-time-config channel of one drive: one acyclic call after the other, each a block in the requests that go out
+//! anyway. It moves no cycle, sends no telegram of its own, and is a slice of bounded work.
+//!
+//! The channel has four bits of identity: a command runs only if its count differs from the one that the drive has stored,
+//! and the answer echoes the count (LinUDP V2 manual, chapter 7). So the stored count is learned first, by a command that
+//! does nothing; the same block then goes out with every request until its echo comes with a final status; and after every
+//! doubt (a time-out, a lost link, a restart, somebody else's block) it is learned anew. Only replies that can be no older
+//! ones are read.
+
+mod monitor;
+
+use self::monitor::Monitor;
+use super::upid::Upid;
+use super::wire::{RtcBlock, RtcCommand, RtcStatus};
+use crate::axis::Link;
+use crate::axis::acyclic::{Answer, CallError, Port, Posted};
+use crate::rt::Regions;
+use crate::time::{MS, S, Time};
+
+/// A block that was not echoed for so long, ns, and in so many clean replies, was not taken: it goes out with another count.
+/// Masters in the field wait 200 ms.
+const TAKEN_WITHIN_NS: u64 = 200 * MS;
+const TAKEN_WITHIN: u32 = 5;
+
+/// What a call of the station's own is given.
+const OWN_LIMIT_NS: u64 = S;
+
+/// Counts go from 1 to 14, as the vendor's own library counts: 0 is what a drive has stored after its start.
+fn next(count: u8) -> u8 {
+    if count >= 14 { 1 } else { count + 1 }
+}
+
+/// Status of a call whose command was followed by a silence without an acknowledge: it went out, and the drive is back. Whether it
+/// was done, a restart and a look will tell.
+pub const UNACKNOWLEDGED: u32 = 0x100;
+
+/// What every drive lets be read.
+const HARMLESS: Upid = Upid::MONITOR_SOURCE;
+
+/// The channel.
+#[derive(Debug)]
+pub(super) struct RtcChannel {
+    port: Port,
+    /// The count of the last block of the channel's own that went out, and the one that was prepared last.
+    sent: u8,
+    prepared: Option<RtcBlock>,
+    /// What the drive has stored, if that is known.
+    stored: Option<u8>,
+    /// The count by which it is being learned.
+    learning: Option<u8>,
+    active: Option<Active>,
+    /// Since the count of the block was chosen: when, and how many clean replies did not echo it.
+    counted: Time,
+    unechoed: u32,
+    /// The last request was answered by a reply that can be no older one.
+    answered: bool,
+    /// A call of the station's own came to nothing: one of the application goes first.
+    turn: bool,
+    /// When the prepared request was built.
+    now: Time,
+    /// The motion software was stopped through this channel: status 0 is no restart.
+    software_stopped: bool,
+    /// The drive has restarted since a list or a block was started: it has forgotten it.
+    forgotten: bool,
+    monitor: Monitor,
+}
+
+/// The call that is carried out.
+#[derive(Clone, Copy, Debug)]
+struct Active {
+    posted: Posted,
+    /// One of the station's own.
+    own: bool,
+    command: RtcCommand,
+    /// The count it goes out with; 0 = not chosen yet.
+    count: u8,
+    since: Time,
+    /// A request with it went out.
+    gone_out: bool,
+    /// What followed.
+    silence: Silence,
+}
+
+/// How silent a drive is since a command went out that may make it so.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Silence {
+    /// It answers.
+    None,
+    /// It has missed an exchange.
+    Short,
+    /// Its link was lost.
+    Long,
+}
+
+impl Active {
+    fn block(&self) -> RtcBlock {
+        let call = &self.posted.call;
+        // The services of this channel have a byte, an index of 16 and a value of 32 bits.
+        RtcBlock::call(self.count, self.command, call.address as u16, call.value as u32)
+    }
+}
+
+/// Commands during which a drive may fall silent, or drop the link: nothing is wrong with it then. Others said that a drive that
+/// saves gives no acknowledge at all; repeated into its silence, such a command might be done again and again.
+fn may_be_silent(command: RtcCommand) -> bool {
+    matches!(
+        command,
+        RtcCommand::SAVE_CURVES
+            | RtcCommand::SAVE_TABLE
+            | RtcCommand::RESTART
+            | RtcCommand::WRITE_ROM
+            | RtcCommand::WRITE_BOTH
+            | RtcCommand::DEFAULT_OS
+            | RtcCommand::DEFAULT_MC
+            | RtcCommand::DEFAULT_INTERFACE
+            | RtcCommand::DEFAULT_APPLICATION
+    )
+}
+
+/// Commands that are taken up only for a drive whose power is off: they stop its software, or may hold it up.
+fn needs_power_off(command: RtcCommand) -> bool {
+    may_be_silent(command) || command == RtcCommand::STOP_SOFTWARE
+}
+
+/// Commands that begin a list or a block ...
+fn begins(command: RtcCommand) -> bool {
+    matches!(command.0, 0x20 | 0x22 | 0x50 | 0x53 | 0x60 | 0x83 | 0x85)
+}
+
+/// ... and those that go on with it.
+fn goes_on(command: RtcCommand) -> bool {
+    matches!(command.0, 0x21 | 0x23 | 0x51 | 0x52 | 0x54 | 0x55 | 0x61 | 0x62 | 0x84 | 0x86)
+}
+
+/// Commands whose answer names the index that was asked for. One that names another is that of an earlier command.
+fn repeats_index(command: RtcCommand) -> bool {
+    matches!(command.0, 0x10..=0x17 | 0x50..=0x55 | 0x60..=0x62 | 0x71..=0x74 | 0x82..=0x86)
+}
+
+impl RtcChannel {
+    /// The channel behind `port`, which has the drive monitor `sources`.
+    pub(super) fn new(port: Port, sources: [Option<Upid>; 4]) -> RtcChannel {
+        RtcChannel {
+            port,
+            sent: 0,
+            prepared: None,
+            stored: None,
+            learning: None,
+            active: None,
+            counted: Time(0),
+            unechoed: 0,
+            answered: true,
+            turn: false,
+            now: Time(0),
+            software_stopped: false,
+            forgotten: false,
+            monitor: Monitor::new(sources),
+        }
+    }
+
+    /// Adds what it touches besides itself, to be locked.
+    pub(super) fn memory(&self, regions: &mut Regions) {
+        self.port.memory(regions);
+    }
+
+    /// The block of the next request, if the channel has something to say. The same until the request has gone out.
+    /// `powered` as the drive last said.
+    pub(super) fn advance(&mut self, now: Time, link: Link, powered: bool) -> Option<RtcBlock> {
+        self.now = now;
+        let down = matches!(link, Link::Unseen | Link::Lost);
+        if down {
+            self.port.refuse_all(CallError::NotOnline);
+            self.monitor.forget();
+        }
+        if let Some(active) = &mut self.active
+            && active.gone_out
+            && may_be_silent(active.command)
+        {
+            active.silence = match active.silence {
+                Silence::Long => Silence::Long,
+                _ if down => Silence::Long,
+                _ if self.answered => Silence::None,
+                _ => Silence::Short,
+            };
+        }
+        if let Some(active) = self.active {
+            if !active.own && self.port.is_cancelled(&active.posted) {
+                self.end(Err(CallError::Cancelled));
+            } else if down && active.silence != Silence::Long {
+                self.end(Err(CallError::NotOnline));
+            } else if self.forgotten && goes_on(active.command) {
+                self.end(Err(CallError::Restarted));
+            } else if now.since(active.since) > active.posted.limit_ns {
+                self.end(Err(CallError::TimedOut));
+            }
+        }
+        if self.active.is_none() {
+            match link {
+                Link::Online => self.take_up(now, powered),
+                Link::Unseen | Link::Lost => {
+                    // It may have restarted meanwhile.
+                    self.forgotten = true;
+                    self.doubt();
+                }
+                Link::Qualifying => {}
+            }
+        }
+        self.prepared = self.block(now);
+        self.prepared
+    }
+
+    /// The next call: what the station itself has to set up comes first.
+    fn take_up(&mut self, now: Time, powered: bool) {
+        let first = if std::mem::take(&mut self.turn) { self.port.take() } else { None };
+        let own = if first.is_some() { None } else { self.monitor.next() };
+        let own_call = own.map(|call| Posted { limit_ns: OWN_LIMIT_NS, call, ..Posted::default() });
+        let Some(posted) = first.or(own_call).or_else(|| self.port.take()) else { return };
+        let command = RtcCommand(posted.call.service as u8);
+        if self.forgotten && goes_on(command) {
+            return self.port.end(&posted, Err(CallError::Restarted));
+        }
+        if powered && needs_power_off(command) {
+            return self.port.end(&posted, Err(CallError::Powered));
+        }
+        self.forgotten &= !begins(command);
+        self.active = Some(Active {
+            posted,
+            own: own.is_some(),
+            command,
+            count: 0,
+            since: now,
+            gone_out: false,
+            silence: Silence::None,
+        });
+    }
+
+    fn block(&mut self, now: Time) -> Option<RtcBlock> {
+        let active = self.active.as_mut()?;
+        let unheard = now.since(self.counted) > TAKEN_WITHIN_NS && self.unechoed >= TAKEN_WITHIN;
+        if self.stored.is_none() {
+            if self.learning.is_none() || unheard {
+                self.learning = Some(next(self.sent));
+                (self.counted, self.unechoed) = (now, 0);
+            }
+            return self.learning.map(|count| RtcBlock::command(count, RtcCommand::NO_OPERATION));
+        }
+        match active.silence {
+            Silence::None => {}
+            // What was sent may be under way: until the drive answers, it is asked for nothing but its state.
+            Silence::Short => return None,
+            // Under the same count: a drive that has stored it says how it went, and any other reads what does no harm.
+            Silence::Long => {
+                return Some(RtcBlock::call(active.count, RtcCommand::READ_RAM, HARMLESS.0, 0));
+            }
+        }
+        let once = active.gone_out && may_be_silent(active.command);
+        if active.count == 0 || unheard && !once {
+            // Not 0, not what went out before, and not what the drive has stored: that may be a native block's.
+            let count = next(self.sent);
+            active.count = if self.stored == Some(count) { next(count) } else { count };
+            (self.counted, self.unechoed) = (now, 0);
+        }
+        Some(active.block())
+    }
+
+    /// Nothing is to be sent that the drive would store: it is silent, and may be in the middle of something.
+    pub(super) fn hushes(&self) -> bool {
+        self.active.is_some_and(|active| active.silence != Silence::None)
+    }
+
+    /// What the drive was asked for makes it silent, and its power is off: nobody has to stop because of that.
+    pub(super) fn excuses_silence(&self) -> bool {
+        self.active.is_some_and(|active| active.gone_out && may_be_silent(active.command))
+    }
+
+    /// A block that does nothing, with a count of its own, to tell replies apart.
+    pub(super) fn tag(&mut self) -> RtcBlock {
+        let block = RtcBlock::command(next(self.sent), RtcCommand::NO_OPERATION);
+        self.prepared = Some(block);
+        block
+    }
+
+    /// The application puts a block of its own into the next request. From then on nothing is known of the stored count, and
+    /// what the drive echoes tells nothing: it may be busy and not take that block, or its reply an older one. So the counts
+    /// here go on from where they were, and the next one is learned by.
+    pub(super) fn give_way(&mut self) {
+        if self.active.is_some() {
+            self.end(Err(CallError::Native));
+        }
+        self.prepared = None;
+        (self.stored, self.learning) = (None, Some(next(self.sent)));
+    }
+
+    /// The prepared request has gone out.
+    pub(super) fn sent(&mut self) {
+        self.answered = false;
+        let Some(block) = self.prepared else { return };
+        self.sent = block.count();
+        if let Some(active) = &mut self.active
+            && self.stored.is_some()
+            && active.count == block.count()
+        {
+            if !active.gone_out {
+                // The time that the count took to learn is not its own.
+                active.since = self.now;
+            }
+            active.gone_out = true;
+            self.software_stopped |= active.command == RtcCommand::STOP_SOFTWARE;
+        }
+    }
+
+    /// The block of a reply that can be no older one.
+    pub(super) fn take(&mut self, block: RtcBlock) {
+        self.answered = true;
+        let echo = block.count();
+        let Some(active) = self.active.filter(|_| self.stored.is_some()) else {
+            if self.learning.is_none_or(|count| count == echo) {
+                self.stored = Some(echo);
+                self.learning = None;
+            } else {
+                self.unechoed = self.unechoed.saturating_add(1);
+            }
+            return;
+        };
+        if !active.gone_out || active.count != echo {
+            self.unechoed = self.unechoed.saturating_add(1);
+            return;
+        }
+        // It was taken, however long it takes.
+        (self.stored, self.unechoed) = (Some(echo), 0);
+        let answer =
+            Answer { status: block.code.into(), address: block.index().into(), value: block.value().into() };
+        match block.status() {
+            RtcStatus::Running | RtcStatus::Busy => {}
+            // It has not stored the command before its silence.
+            _ if active.silence == Silence::Long && block.index() == HARMLESS.0 => {
+                self.end(Ok(Answer { status: UNACKNOWLEDGED, ..Answer::default() }));
+            }
+            RtcStatus::Refused(refusal) => self.end(Err(CallError::Refused(refusal.code().into()))),
+            RtcStatus::Done | RtcStatus::BlockNotFinished | RtcStatus::Other(_) => {
+                let asked = active.posted.call.address as u16;
+                if !repeats_index(active.command) || block.index() == asked {
+                    self.end(Ok(answer));
+                }
+            }
+        }
+    }
+
+    /// A reply that can be no older one, to a request without a block.
+    pub(super) fn take_none(&mut self) {
+        self.answered = true;
+    }
+
+    /// Ends the call that is carried out.
+    fn end(&mut self, result: Result<Answer, CallError>) {
+        let Some(active) = self.active.take() else { return };
+        match (active.command, result) {
+            (RtcCommand::START_SOFTWARE, Ok(_)) => {
+                self.software_stopped = false;
+                self.monitor.forget();
+            }
+            (RtcCommand::STOP_SOFTWARE, Err(_)) => self.software_stopped = false,
+            (RtcCommand::RESTART, Ok(_)) => self.doubt(),
+            _ => {}
+        }
+        if active.silence != Silence::None || !matches!(result, Ok(_) | Err(CallError::Refused(_))) {
+            self.doubt();
+        }
+        let written = matches!(active.command, RtcCommand::WRITE_RAM | RtcCommand::WRITE_BOTH);
+        if written && !active.own && (0x20A8..=0x20AB).contains(&active.posted.call.address) {
+            // Somebody has chosen another source.
+            self.monitor.forget();
+        }
+        self.turn |= active.own && result.is_err();
+        if active.own {
+            self.monitor.take(result);
+        } else {
+            self.port.end(&active.posted, result);
+        }
+    }
+
+    /// What the drive has stored is to be learned anew.
+    fn doubt(&mut self) {
+        (self.stored, self.learning) = (None, None);
+        if let Some(active) = &mut self.active {
+            active.count = 0;
+        }
+    }
+
+    /// The drive says that it boots, or that its motion software is stopped.
+    pub(super) fn drive_restarted(&mut self) {
+        if self.software_stopped {
+            return;
+        }
+        self.begin_anew();
+    }
+
+    /// The drive's motion software runs again. If it was stopped here and not started here, the drive has restarted.
+    pub(super) fn software_runs(&mut self) {
+        let starting = self.active.is_some_and(|active| active.command == RtcCommand::START_SOFTWARE);
+        if std::mem::take(&mut self.software_stopped) && !starting {
+            self.begin_anew();
+        }
+    }
+
+    fn begin_anew(&mut self) {
+        match self.active {
+            Some(active) if active.gone_out && active.command == RtcCommand::RESTART => {
+                self.end(Ok(Answer::default()));
+            }
+            Some(active) if active.gone_out || active.own => self.end(Err(CallError::Restarted)),
+            // It has not gone out yet: the restarted drive is asked.
+            Some(_) | None => {}
+        }
+        self.monitor.forget();
+        self.forgotten = true;
+        self.doubt();
+    }
+
+    /// The drive shows what it is to monitor, channel by channel.
+    pub(super) fn monitors(&self, channel: usize) -> bool {
+        self.monitor.shows(channel)
+    }
+
+    /// A source that the drive refused, with its status, once.
+    pub(super) fn take_monitor_refusal(&mut self) -> Option<(u8, u32)> {
+        self.monitor.refused.take()
+    }
+}
+
+#[cfg(test)]
+mod tests;
