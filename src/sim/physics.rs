@@ -290,12 +290,14 @@ pub struct Plant {
     position: f64,
     velocity: f64,
     force: f64,
+    /// Most that the motor pushes now, N.
+    limit_n: f64,
 }
 
 impl Plant {
     /// Stands at 0, or at the end of the range next to it.
     pub fn new(plan: PlantPlan) -> Plant {
-        let mut plant = Plant { plan, position: 0.0, velocity: 0.0, force: 0.0 };
+        let mut plant = Plant { limit_n: plan.peak_force_n, plan, position: 0.0, velocity: 0.0, force: 0.0 };
         plant.set_position(0.0);
         plant
     }
@@ -325,6 +327,28 @@ impl Plant {
         (self.velocity, self.force) = (0.0, 0.0);
         self.position = position;
         self.stops();
+    }
+
+    /// From now on the motor pushes with at most this force, N, without sign; `None`: with what the plan allows.
+    pub fn limit_force(&mut self, force_n: Option<f64>) {
+        self.limit_n =
+            force_n.map_or(self.plan.peak_force_n, |force| force.abs().min(self.plan.peak_force_n));
+    }
+
+    /// Lets `dt_ns` nanoseconds pass while the motor pushes with this force, N, whatever becomes of the position. It has
+    /// to overcome the dry friction first.
+    pub fn advance_with_force(&mut self, force_n: f64, dt_ns: u64) {
+        let count = dt_ns.div_ceil(SUBSTEP_NS).clamp(1, SUBSTEPS);
+        let h = dt_ns as f64 / count as f64 / S as f64;
+        let peak = self.plan.peak_force_n;
+        let force = if force_n.is_finite() { force_n.clamp(-peak, peak) } else { 0.0 };
+        for _ in 0..count {
+            self.velocity += force / self.plan.mass_kg * h;
+            self.run_out(h);
+            self.force = force;
+            self.position += self.velocity * h;
+            self.stops();
+        }
     }
 
     /// Lets `dt_ns` nanoseconds pass, at whose end the demand is the given one (m, m/s, m/s^2). Without power the
@@ -369,7 +393,7 @@ impl Plant {
             + damping * (velocity - self.velocity)
             + stiffness * (position - self.position - h * self.velocity))
             / (1.0 + damping * h + stiffness * h * h);
-        self.force = (a * plan.mass_kg).clamp(-plan.peak_force_n, plan.peak_force_n);
+        self.force = (a * plan.mass_kg).clamp(-self.limit_n, self.limit_n);
         self.velocity += self.force / plan.mass_kg * h;
     }
 
@@ -594,6 +618,34 @@ mod tests {
         // v^2 / (2 F / m) = 0.25 / 10
         assert!((plant.position() - from - 0.025).abs() < 1e-3, "{}", plant.position() - from);
         assert_eq!((plant.velocity(), plant.force()), (0.0, 0.0));
+    }
+
+    #[test]
+    fn a_force_accelerates_what_friction_leaves_of_it() {
+        let mut plant = Plant::new(PlantPlan::default());
+        // 5 N of friction hold 4 N, and leave 1 N of 6 for 1 kg.
+        plant.advance_with_force(4.0, S);
+        assert_eq!((plant.position(), plant.velocity(), plant.force()), (0.0, 0.0, 4.0));
+        for _ in 0..1_000 {
+            plant.advance_with_force(6.0, MS);
+        }
+        assert!((plant.velocity() - 1.0).abs() < 1e-9 && (plant.position() - 0.5).abs() < 1e-2, "{plant:?}");
+        // Against the stop, and not a number.
+        plant.advance_with_force(1e9, S);
+        assert_eq!((plant.position(), plant.velocity(), plant.force()), (1.0, 0.0, 200.0));
+        plant.advance_with_force(f64::NAN, S);
+        assert_eq!((plant.position(), plant.force()), (1.0, 0.0));
+    }
+
+    #[test]
+    fn a_limited_force_stays_behind() {
+        let mut plant = Plant::new(PlantPlan::default());
+        plant.limit_force(Some(-7.0));
+        plant.advance(0.5, 0.0, 0.0, MS, true);
+        assert_eq!(plant.force(), 7.0);
+        plant.limit_force(None);
+        plant.advance(0.5, 0.0, 0.0, MS, true);
+        assert_eq!(plant.force(), 200.0);
     }
 
     #[test]

@@ -4,25 +4,54 @@
 //!
 //! | file | what |
 //! |---|---|
-//! | `mod` | telegrams: port, master filter, padding, real-time config |
-//! | `machine` | the drive's state machine and its motor |
-//! | `motion` | what motion commands make of the demand |
+//! | `mod` | telegrams: port, master filter, padding, silence |
+//! | `rtc` | the real-time-config channel: counts, answers, what each command does |
+//! | `upids`, `parameters` | the parameters there are, and their values in ROM, in RAM and in use |
+//! | `log` | the error log |
+//! | `curves`, `table`, `blocks` | curves and command table, and how they come and go in blocks |
+//! | `memory` | all of these together, and how they come into flash |
+//! | `machine` | the state machine and the motor; the commands, the running command table, what the drive says of itself |
+//! | `motion`, `stream`, `time_curve` | what motion commands make of the demand |
 //!
-//! The drive has no clock: on each datagram it lives through the time since the last one. It has no parameters, curves
-//! or command table: the real-time-config channel echoes its count, finishes the command that does nothing, and answers
-//! everything else with "UPID error"; curves and table entries are errors 0062h and 008Ah.
+//! The drive has no clock: on each datagram it lives through the time since the last one.
 //!
-//! Where the manuals are silent it takes the strict side: motion commands before homing are error 0080h, commands in
-//! any powered state but 8 are error 0086h, leaving a stream drops what is still buffered.
+//! Where the manuals are silent it takes the strict side; each file says what that is. What a master meets first:
+//!
+//! | case | what the drive does |
+//! |---|---|
+//! | motion before homing | error 0080h |
+//! | a motion command in any powered state but 8 | error 0086h; below state 5 nothing |
+//! | a motion command in a run mode (UPID 1450h) but 1 and 3 | error 0086h |
+//! | a motion command for hardware or a software key that it does not have, one for the command table only | error 0081h, or nothing (`unknown_commands`) |
+//! | a trigger, an input, a captured position | never comes, low, 0: armed commands stay armed until they are cleared |
+//! | sine and Bestehorn moves while another motion runs | not run, and counted |
+//! | the shape of sine, Bestehorn and jerk-limited moves | a trapezoid within their limits: what a master sees of a shape is when it ends |
+//! | leaving a stream | what is still buffered is dropped |
+//! | 002x with what cannot be written | nothing is written; the command has no answer |
+//! | 35h, whatever the motor is doing | power off at once; both state words 0, not homed, an error stays |
+//! | the control word across 35h and 36h | stays: with bit 0 set the drive is locked until it was 0 |
+//! | a restart by power, by 00Fx | answers with both state words 0 until it is up |
+//! | a restart by 30h | the command is answered, then silence until it is up; the stored count is 0 then, so that who goes on sending it restarts it again |
 
+mod blocks;
+mod curves;
+mod log;
 mod machine;
+mod memory;
 mod motion;
+mod parameters;
+mod rtc;
+mod stream;
+mod table;
+mod time_curve;
+mod upids;
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 
 use self::machine::{Machine, Taken};
+use self::rtc::{After, Channel};
 use super::plan::{LinUdpDrive, MASTER_PORT, MasterFilter};
-use super::wire::{ErrorCode, RESPONSE_MAX, Request, Response, RtcBlock, StateVar, StatusWord};
+use super::wire::{ErrorCode, RESPONSE_MAX, Request, Response, StateVar, StatusWord};
 use crate::sim::{DatagramDrive, FaultPlan};
 use crate::time::{MS, S, Time, US};
 
@@ -50,6 +79,8 @@ pub struct Ignored {
     pub malformed: u64,
     /// From a master that the filter does not let through.
     pub filtered: u64,
+    /// While it wrote into its flash, or restarted.
+    pub deaf: u64,
 }
 
 /// One simulated LinMot drive.
@@ -65,8 +96,10 @@ pub struct LinMotSim {
     /// The instant that the drive has lived up to.
     lived: Option<Time>,
     booted_at: Time,
-    /// The last answer on the real-time-config channel, with its count.
-    config: RtcBlock,
+    /// Hears nothing until then.
+    deaf_until: Time,
+    channel: Channel,
+    config_time_ns: u64,
     /// The last answer. The padding of the next one is what is left of it, as met on real drives.
     image: [u8; IMAGE],
     ignored: Ignored,
@@ -86,7 +119,9 @@ impl LinMotSim {
             machine: Machine::new(plan),
             lived: None,
             booted_at: Time(0),
-            config: RtcBlock::default(),
+            deaf_until: Time(0),
+            channel: Channel::new(plan.config_time_ns),
+            config_time_ns: plan.config_time_ns,
             image: [0; IMAGE],
             ignored: Ignored::default(),
         }
@@ -110,7 +145,10 @@ impl LinMotSim {
 
     /// Lives up to `now`.
     fn live(&mut self, now: Time) {
-        let mut at = self.lived.unwrap_or(now);
+        let mut at = self.lived.unwrap_or_else(|| {
+            self.machine.wake(now);
+            now
+        });
         let fine_end = at + FINE_NS;
         let coarse_ns = (now.since(fine_end) / COARSE_STEPS).max(STEP_NS);
         while at < now {
@@ -129,12 +167,14 @@ impl LinMotSim {
         }
     }
 
-    fn take(&mut self, request: &Request, now: Time) {
-        if let Some(config) = &request.config {
-            self.configure(config);
-        }
+    /// Takes in what a request brings; what follows once it has been answered.
+    fn take(&mut self, request: &Request, now: Time) -> After {
+        let after = match &request.config {
+            Some(config) => self.channel.take(config, &mut self.machine, now),
+            None => After::Nothing,
+        };
         if now < self.booted_at {
-            return;
+            return after;
         }
         if let Some(control) = request.control {
             self.machine.set_control(control, now);
@@ -145,26 +185,15 @@ impl LinMotSim {
                 Taken::Restart => self.restart(now),
             }
         }
-    }
-
-    /// A command on the real-time-config channel is run if its count is new.
-    fn configure(&mut self, request: &RtcBlock) {
-        if request.count() == self.config.count() {
-            return;
-        }
-        self.config = match request.code {
-            RtcBlock::NO_OPERATION => RtcBlock::command(request.count(), RtcBlock::DONE),
-            _ => RtcBlock {
-                words: [request.words[0], 0, 0],
-                ..RtcBlock::command(request.count(), RtcBlock::UPID_ERROR)
-            },
-        };
+        after
     }
 
     /// The answer, padded, in the image.
     fn answer(&mut self, request: &Request, now: Time) -> &[u8] {
         let machine = &self.machine;
         let booting = now < self.booted_at;
+        let saving = machine.memory.saving_until().is_some();
+        let config = request.config.map(|_| self.channel.answer(now, saving));
         let response = Response {
             request_def: request.definition(),
             response_def: request.response_def,
@@ -176,7 +205,7 @@ impl LinMotSim {
             warn: Some(machine.warn()),
             error: Some(machine.error()),
             monitor: Some(machine.monitor()),
-            config: Some(self.config),
+            config,
         };
         let size = response.emit(&mut self.image).max(self.padding);
         &self.image[..size]
@@ -212,9 +241,19 @@ impl DatagramDrive for LinMotSim {
             self.ignored.filtered += 1;
             return None;
         }
-        self.take(&request, now);
+        if now < self.deaf_until {
+            self.ignored.deaf += 1;
+            return None;
+        }
+        let after = self.take(&request, now);
         reply.extend_from_slice(self.answer(&request, now));
-        Some(from)
+        if after == After::Restart {
+            self.restart(now);
+            self.deaf_until = self.booted_at;
+        } else if let Some(until) = self.machine.memory.silent_until() {
+            self.deaf_until = until;
+        }
+        (after != After::Silence).then_some(from)
     }
 
     fn inhibit(&mut self, until: Time) {
@@ -223,10 +262,11 @@ impl DatagramDrive for LinMotSim {
 
     fn restart(&mut self, now: Time) {
         self.live(now);
-        self.machine.power_up();
+        self.machine.power_up(now);
         self.booted_at = now + BOOT_NS;
+        self.deaf_until = Time(0);
         self.master = None;
-        self.config = RtcBlock::default();
+        self.channel = Channel::new(self.config_time_ns);
         self.image = [0; IMAGE];
     }
 }

@@ -1,14 +1,14 @@
-//! What motion commands make of the demand: profiles, streams, armed commands.
+//! What motion commands make of the demand: profiles, armed commands, and what `stream` and `time_curve` feed in.
 //!
 //! Knows no telegram, no command count and no state machine. Positions are in the drive's own coordinates, SI units.
 
-use std::collections::VecDeque;
-
-use crate::bus::linudp::motion::{Decoded, Move, Origin, Shape, Start, Vad, When};
-use crate::bus::linudp::plan::StreamCommand;
+use super::stream::Stream;
+use super::time_curve::TimeCurve;
+use crate::bus::linudp::motion::{Origin, Start, Vad, When};
+use crate::bus::linudp::plan::{SimPlan, StreamCommand};
 use crate::bus::linudp::wire::ErrorCode;
 use crate::sim::physics::Generator;
-use crate::time::{S, Time};
+use crate::time::Time;
 
 /// One wire count of position, m.
 pub(super) const METRE: f64 = 1e-7;
@@ -17,13 +17,8 @@ pub(super) const METRE_PER_S: f64 = 1e-6;
 /// One wire count of acceleration, m/s2.
 pub(super) const METRE_PER_S2: f64 = 1e-5;
 
-/// The drive's quick-stop deceleration, m/s2. A parameter in the real drive.
+/// The drive's quick-stop deceleration, m/s2. A parameter in the real drive, whose UPID is not known.
 const QUICK_STOP: f64 = 20.0;
-/// The predefined profile (UPIDs 14BEh-14C0h): 1 m/s, 10 m/s2, 10 m/s2.
-const PREDEFINED: Vad = Vad { velocity: 1_000_000, acceleration: 1_000_000, deceleration: 1_000_000 };
-
-/// How far the first interval may lie outside the period range of its command, in parts of 1: a real network jitters.
-const PERIOD_TOLERANCE: f64 = 0.25;
 
 /// A position and how it changes: m, m/s, m/s2.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -42,12 +37,11 @@ pub(super) struct Setpoints {
     /// The profile that a released freeze goes on with.
     resume: Option<Limits>,
     armed: Option<Armed>,
-    stream: Option<Stream>,
-    /// Expected by the commands with configured period, ns.
-    configured_ns: u64,
+    feed: Option<Feed>,
     /// Periods of silence that are an underflow of a stream, and setpoints that it holds.
     tolerance: (f64, usize),
-    predefined: Vad,
+    /// Of the last profile.
+    limits: Vad,
     /// Sine and Bestehorn moves that came while another motion ran.
     pub(super) refused: u64,
 }
@@ -66,31 +60,58 @@ impl From<Vad> for Limits {
     }
 }
 
+/// A move to a target, all in SI units but the limits.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Order {
+    /// A position or a distance, m.
+    pub value: f64,
+    /// What it is counted from: zero, demand, target or actual position.
+    pub origin: Origin,
+    pub start: Start,
+    pub limits: Vad,
+}
+
+/// What gives the demand instead of a profile.
+#[derive(Debug)]
+enum Feed {
+    Stream(Stream),
+    Curve(TimeCurve),
+}
+
 /// A command that waits for an event.
 #[derive(Clone, Copy, Debug)]
 enum Armed {
     /// The end of the running motion.
-    After(Move),
+    After(Order),
     /// A trigger input. This drive has none wired, so it stays armed until it is cleared.
     Trigger,
     /// The demand passing a position.
-    Passing { positive: bool, position: f64, limits: Limits },
+    Passing { positive: bool, position: f64, limits: Vad },
 }
 
 impl Setpoints {
     /// Stands at `position`.
-    pub(super) fn at(position: f64, configured_ns: u64, tolerance: (f64, usize)) -> Setpoints {
+    pub(super) fn at(position: f64, plan: &SimPlan) -> Setpoints {
         Setpoints {
             generator: Generator::at(position),
             target: position,
             resume: None,
             armed: None,
-            stream: None,
-            configured_ns,
-            tolerance,
-            predefined: PREDEFINED,
+            feed: None,
+            tolerance: (plan.stream_patience, plan.stream_depth),
+            limits: Vad { velocity: 0, acceleration: 0, deceleration: 0 },
             refused: 0,
         }
+    }
+
+    /// Where the last profile goes, m.
+    pub(super) fn target(&self) -> f64 {
+        self.target
+    }
+
+    /// What the last profile is held to.
+    pub(super) fn limits(&self) -> Vad {
+        self.limits
     }
 
     pub(super) fn demand(&self) -> Demand {
@@ -103,7 +124,7 @@ impl Setpoints {
 
     /// A motion is under way, or a stream that has not begun to move yet.
     pub(super) fn is_moving(&self) -> bool {
-        self.generator.is_moving() || self.stream.is_some()
+        self.generator.is_moving() || self.feed.is_some()
     }
 
     /// A command waits for an event.
@@ -152,119 +173,109 @@ impl Setpoints {
         self.generator.go_to(target, velocity, acceleration, acceleration);
     }
 
-    /// A motion of the drive's own: runs without end at `velocity`, signed.
+    /// Runs without end at `velocity`, signed.
     pub(super) fn run(&mut self, velocity: f64, acceleration: f64) {
-        self.drop_all();
+        self.drop_motion();
         self.generator.run(velocity, acceleration);
     }
 
     fn drop_all(&mut self) {
-        (self.resume, self.armed, self.stream) = (None, None, None);
+        (self.resume, self.armed, self.feed) = (None, None, None);
     }
 
-    /// Takes a command in state 8. What belongs to the state machine is not for here and does nothing.
-    pub(super) fn execute(&mut self, command: &Decoded, now: Time, actual: Demand) -> Result<(), ErrorCode> {
-        match *command {
-            Decoded::Move(order) => self.take_move(order, actual),
-            Decoded::Stop(deceleration) => {
-                self.drop_all();
-                let given = deceleration.map(|d| f64::from(d) * METRE_PER_S2);
-                self.generator.brake(given.unwrap_or(QUICK_STOP));
-            }
-            Decoded::Run { positive, velocity, acceleration } => {
-                let v = f64::from(velocity.unwrap_or(self.predefined.velocity)) * METRE_PER_S;
-                let a = f64::from(acceleration.unwrap_or(self.predefined.acceleration)) * METRE_PER_S2;
-                self.run(if positive { v } else { -v }, a);
-            }
-            Decoded::ChangeProfile { positive, position, profile } => {
-                let position = f64::from(position) * METRE;
-                self.armed = Some(Armed::Passing { positive, position, limits: profile.into() });
-            }
-            Decoded::ClearEvents => self.armed = None,
-            Decoded::LiveParameter { upid, value } => match upid {
-                0x14BE => self.predefined.velocity = value,
-                0x14BF => self.predefined.acceleration = value,
-                0x14C0 => self.predefined.deceleration = value,
-                // No other parameter of this drive is live.
-                _ => {}
-            },
-            Decoded::Stream { command, position, velocity, acceleration } => {
-                let setpoint = Demand {
-                    position: f64::from(position) * METRE,
-                    velocity: f64::from(velocity) * METRE_PER_S,
-                    acceleration: f64::from(acceleration) * METRE_PER_S2,
-                };
-                return self.take_setpoint(command, now, setpoint);
-            }
-            Decoded::EndStream => {
-                // What is still buffered is dropped: the strictest reading of "leave streaming".
-                if self.stream.take().is_some() {
-                    self.generator.halt();
-                }
-            }
-            Decoded::Curve(_) => return Err(ErrorCode::CURVE_NOT_DEFINED),
-            Decoded::TableEntry(_) => return Err(ErrorCode::ENTRY_MISSING),
-            Decoded::Unknown => return Err(ErrorCode::UNKNOWN_COMMAND),
-            Decoded::NoOperation
-            | Decoded::ControlWord(_)
-            | Decoded::MasterHoming(_)
-            | Decoded::ResetFirmware => {}
+    /// Another motion takes over. What waits for the trigger goes on waiting: only 008x clears it.
+    fn drop_motion(&mut self) {
+        (self.resume, self.feed) = (None, None);
+        self.armed.take_if(|armed| !matches!(armed, Armed::Trigger));
+    }
+
+    /// Follows the motor, which something else moves.
+    pub(super) fn follow(&mut self, actual: Demand) {
+        self.drop_motion();
+        self.generator.set(actual.position, actual.velocity, 0.0);
+        self.target = actual.position;
+    }
+
+    /// Ramps down with this deceleration, 1e-5 m/s2, or with that of the quick stop.
+    pub(super) fn stop(&mut self, deceleration: Option<u32>) {
+        self.drop_motion();
+        self.generator.brake(deceleration.map_or(QUICK_STOP, |d| f64::from(d) * METRE_PER_S2));
+    }
+
+    /// Takes another profile when the demand passes a position.
+    pub(super) fn change_profile(&mut self, positive: bool, position: f64, limits: Vad) {
+        self.armed = Some(Armed::Passing { positive, position, limits });
+    }
+
+    /// Something waits for the trigger.
+    pub(super) fn arm_trigger(&mut self) {
+        self.armed = Some(Armed::Trigger);
+    }
+
+    /// Nothing waits any more.
+    pub(super) fn clear_events(&mut self) {
+        self.armed = None;
+    }
+
+    /// A time curve gives the demand.
+    pub(super) fn play(&mut self, curve: TimeCurve) {
+        self.drop_motion();
+        self.feed = Some(Feed::Curve(curve));
+    }
+
+    /// Leaves streaming. What is still buffered is dropped: the strictest reading.
+    pub(super) fn end_stream(&mut self) {
+        if let Some(Feed::Stream(_)) = self.feed {
+            self.feed = None;
+            self.generator.halt();
         }
-        Ok(())
     }
 
-    fn take_move(&mut self, order: Move, actual: Demand) {
-        match order.when {
-            When::Trigger { .. } => self.armed = Some(Armed::Trigger),
+    /// A move, now or when its time has come. One that can only start from rest is not run while something moves.
+    pub(super) fn take_move(&mut self, order: Order, when: When, from_rest: bool, actual: Demand) {
+        match when {
+            When::Trigger { .. } => self.arm_trigger(),
             When::AfterActual if self.is_moving() => self.armed = Some(Armed::After(order)),
-            When::AfterActual | When::Now => {
-                let from_rest = matches!(order.shape, Shape::Sine | Shape::Bestehorn(_));
-                if from_rest && self.is_moving() {
-                    self.refused += 1;
-                } else {
-                    self.start(order, actual);
-                }
-            }
+            When::AfterActual | When::Now if from_rest && self.is_moving() => self.refused += 1,
+            When::AfterActual | When::Now => self.start(order, actual),
         }
     }
 
     /// Every shape runs as a trapezoid within its limits: what a master sees of a shape is when it ends.
-    fn start(&mut self, order: Move, actual: Demand) {
+    fn start(&mut self, order: Order, actual: Demand) {
         let base = match order.origin {
-            Origin::Zero => 0.0,
             Origin::Demand => self.generator.position(),
             Origin::Target => self.target,
             Origin::Actual => actual.position,
+            Origin::Zero | Origin::Captured | Origin::Analog | Origin::Variable(_) => 0.0,
         };
-        let limits @ Limits(v, a, d) = Limits::from(Vad {
-            velocity: order.velocity.unwrap_or(self.predefined.velocity),
-            acceleration: order.acceleration.unwrap_or(self.predefined.acceleration),
-            deceleration: order.deceleration.unwrap_or(self.predefined.deceleration),
-        });
-        self.drop_all();
+        self.drop_motion();
         match order.start {
             Start::Demand => {}
             Start::Actual => self.generator.set(actual.position, actual.velocity, 0.0),
             Start::Standstill => self.generator.set(actual.position, 0.0, 0.0),
         }
-        self.target = base + f64::from(order.value) * METRE;
+        self.target = base + order.value;
+        self.limits = order.limits;
+        let limits @ Limits(v, a, d) = Limits::from(order.limits);
         self.resume = Some(limits);
         self.generator.go_to(self.target, v, a, d);
     }
 
-    fn take_setpoint(
+    /// A streamed setpoint; `configured_ns` is the period that some commands have.
+    pub(super) fn take_setpoint(
         &mut self,
         command: StreamCommand,
         now: Time,
         setpoint: Demand,
+        configured_ns: u64,
     ) -> Result<(), ErrorCode> {
-        match &mut self.stream {
-            Some(stream) if stream.command == command => stream.push(now, setpoint),
+        match &mut self.feed {
+            Some(Feed::Stream(stream)) if stream.command == command => stream.push(now, setpoint),
             _ => {
-                self.armed = None;
-                self.resume = None;
-                self.stream =
-                    Some(Stream::begin(command, now, setpoint, self.configured_ns, self.tolerance)?);
+                let stream = Stream::begin(command, now, setpoint, configured_ns, self.tolerance)?;
+                self.drop_motion();
+                self.feed = Some(Feed::Stream(stream));
                 Ok(())
             }
         }
@@ -272,21 +283,29 @@ impl Setpoints {
 
     /// Lets `dt_ns` pass, which end at `now`.
     pub(super) fn advance(&mut self, now: Time, dt_ns: u64, actual: Demand) -> Result<(), ErrorCode> {
-        if let Some(stream) = &mut self.stream {
-            match stream.output(now)? {
-                Some(demand) => {
-                    self.generator.set(demand.position, demand.velocity, demand.acceleration);
-                    self.target = demand.position;
-                }
-                // Until the first setpoint is due, whatever ran before goes on.
-                None => self.generator.advance(dt_ns),
-            }
-            return Ok(());
-        }
         let before = self.generator.position();
-        self.generator.advance(dt_ns);
+        let (demand, ended) = match &mut self.feed {
+            Some(Feed::Stream(stream)) => (stream.output(now)?, false),
+            Some(Feed::Curve(curve)) => {
+                let (demand, ended) = curve.advance(dt_ns);
+                (Some(demand), ended)
+            }
+            None => (None, false),
+        };
+        match demand {
+            Some(demand) => {
+                self.generator.set(demand.position, demand.velocity, demand.acceleration);
+                self.target = demand.position;
+            }
+            // Until the first setpoint of a stream is due, whatever ran before goes on.
+            None => self.generator.advance(dt_ns),
+        }
+        if ended {
+            self.feed = None;
+            self.generator.halt();
+        }
         match self.armed {
-            Some(Armed::After(order)) if !self.generator.is_moving() => self.start(order, actual),
+            Some(Armed::After(order)) if !self.is_moving() => self.start(order, actual),
             Some(Armed::Passing { positive, position, limits }) => {
                 let after = self.generator.position();
                 let passed = if positive {
@@ -297,7 +316,8 @@ impl Setpoints {
                 if passed {
                     self.armed = None;
                     if self.resume.is_some() {
-                        self.resume = Some(limits);
+                        self.limits = limits;
+                        self.resume = Some(limits.into());
                         self.resume();
                     }
                 }
@@ -305,148 +325,5 @@ impl Setpoints {
             _ => {}
         }
         Ok(())
-    }
-}
-
-/// Setpoints on their way to the demand (SG5 manual, streaming). The output runs 1.5 nominal periods behind and
-/// interpolates: straight lines between bare positions, cubics where the velocity is given too.
-#[derive(Debug)]
-struct Stream {
-    command: StreamCommand,
-    /// Set by the first two commands, or configured.
-    nominal_ns: Option<u64>,
-    /// So many periods of silence are an underflow.
-    patience: f64,
-    /// So many setpoints are held ahead of the output.
-    depth: usize,
-    /// When the last command was received.
-    received_at: Time,
-    /// What the output has not passed yet, and the one setpoint before.
-    points: VecDeque<Point>,
-}
-
-/// A setpoint and its instant on the time base, not yet delayed.
-#[derive(Clone, Copy, Debug)]
-struct Point {
-    at: Time,
-    demand: Demand,
-}
-
-impl Stream {
-    fn begin(
-        command: StreamCommand,
-        now: Time,
-        demand: Demand,
-        configured_ns: u64,
-        (patience, depth): (f64, usize),
-    ) -> Result<Stream, ErrorCode> {
-        let nominal_ns = command.has_configured_period().then_some(configured_ns);
-        if let Some(period_ns) = nominal_ns {
-            check_period(command, period_ns)?;
-        }
-        let mut points = VecDeque::with_capacity(depth + 2);
-        points.push_back(Point { at: now, demand });
-        Ok(Stream { command, nominal_ns, patience, depth, received_at: now, points })
-    }
-
-    fn push(&mut self, now: Time, mut demand: Demand) -> Result<(), ErrorCode> {
-        let Some(last) = self.points.back().copied() else { return Ok(()) };
-        let nominal_ns = match self.nominal_ns {
-            Some(nominal_ns) => nominal_ns,
-            None => {
-                let interval_ns = now.since(self.received_at);
-                check_period(self.command, interval_ns)?;
-                self.nominal_ns = Some(interval_ns);
-                interval_ns
-            }
-        };
-        self.received_at = now;
-        let at = if self.command.has_configured_period() {
-            // One period each, whenever they come; a setpoint that the output would already have passed makes the
-            // time base wait for it.
-            (last.at + nominal_ns).max(now - nominal_ns / 2)
-        } else {
-            now
-        };
-        if !self.command.has_velocity() {
-            let dt_ns = at.since(last.at).max(1);
-            demand.velocity = (demand.position - last.demand.position) / seconds(dt_ns);
-        }
-        self.points.push_back(Point { at, demand });
-        self.pass(now - (nominal_ns + nominal_ns / 2));
-        // The front one has been reached.
-        if self.points.len() > self.depth + 1 {
-            return Err(ErrorCode::STREAM_OVERFLOW);
-        }
-        Ok(())
-    }
-
-    /// Drops the setpoints before the one that was reached last at `at`.
-    fn pass(&mut self, at: Time) {
-        while self.points.get(1).is_some_and(|next| next.at <= at) {
-            self.points.pop_front();
-        }
-    }
-
-    /// The demand at `now`; `None` before the first setpoint is due.
-    fn output(&mut self, now: Time) -> Result<Option<Demand>, ErrorCode> {
-        let silent_ns = now.since(self.received_at);
-        let Some(nominal_ns) = self.nominal_ns else {
-            let (_, longest_ns) = tolerated(self.command);
-            return if silent_ns > longest_ns { Err(ErrorCode::STREAM_TOO_SLOW) } else { Ok(None) };
-        };
-        if silent_ns as f64 > nominal_ns as f64 * self.patience {
-            return Err(ErrorCode::STREAM_UNDERFLOW);
-        }
-        let at = now - (nominal_ns + nominal_ns / 2);
-        self.pass(at);
-        let Some(from) = self.points.front().filter(|point| point.at <= at) else { return Ok(None) };
-        let t = seconds(at.since(from.at));
-        let Some(to) = self.points.get(1) else {
-            // Nothing to go to yet: straight on, but not further than to where the next one should have been.
-            let position = from.demand.position + from.demand.velocity * t.min(seconds(nominal_ns));
-            return Ok(Some(Demand { position, velocity: from.demand.velocity, acceleration: 0.0 }));
-        };
-        let span = seconds(to.at.since(from.at).max(1));
-        Ok(Some(if self.command.has_velocity() {
-            cubic(from.demand, to.demand, span, t)
-        } else {
-            let velocity = (to.demand.position - from.demand.position) / span;
-            let position = from.demand.position + velocity * t;
-            Demand { position, velocity, acceleration: 0.0 }
-        }))
-    }
-}
-
-fn seconds(ns: u64) -> f64 {
-    ns as f64 / S as f64
-}
-
-/// The shortest and longest first interval that a drive takes, ns.
-fn tolerated(command: StreamCommand) -> (u64, u64) {
-    let (shortest, longest) = command.period_range_ns();
-    ((shortest as f64 * (1.0 - PERIOD_TOLERANCE)) as u64, (longest as f64 * (1.0 + PERIOD_TOLERANCE)) as u64)
-}
-
-fn check_period(command: StreamCommand, period_ns: u64) -> Result<(), ErrorCode> {
-    let (shortest, longest) = tolerated(command);
-    if period_ns < shortest {
-        Err(ErrorCode::STREAM_TOO_FAST)
-    } else if period_ns > longest {
-        Err(ErrorCode::STREAM_TOO_SLOW)
-    } else {
-        Ok(())
-    }
-}
-
-/// The cubic through two positions with their velocities, `span` apart, at `t` behind the first (Hermite form).
-fn cubic(from: Demand, to: Demand, span: f64, t: f64) -> Demand {
-    let slope = (to.position - from.position) / span;
-    let c2 = (3.0 * slope - 2.0 * from.velocity - to.velocity) / span;
-    let c3 = (from.velocity + to.velocity - 2.0 * slope) / (span * span);
-    Demand {
-        position: from.position + t * (from.velocity + t * (c2 + t * c3)),
-        velocity: from.velocity + t * (2.0 * c2 + t * 3.0 * c3),
-        acceleration: 2.0 * c2 + 6.0 * c3 * t,
     }
 }

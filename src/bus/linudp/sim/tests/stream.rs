@@ -1,6 +1,7 @@
 //! Streamed setpoints: period, delay, interpolation and the four errors (SG5 manual, streaming).
 
 use super::*;
+use crate::bus::linudp::motion::{SignedAcceleration, SignedVelocity};
 
 /// 0.5 rad/s and 100 mm: 50 mm/s and 25 mm/s2 at most.
 const OMEGA: f64 = 0.5;
@@ -20,7 +21,12 @@ impl Bench {
     /// One setpoint `interval_ns` after the last exchange.
     fn stream(&mut self, command: StreamCommand, interval_ns: u64, row: (i32, i32, i32)) -> Response {
         self.now = self.now + interval_ns - MS;
-        self.command(MotionCommand::stream(command, row.0, row.1, row.2))
+        self.command(MotionCommand::stream(
+            command,
+            Position(row.0),
+            SignedVelocity(row.1),
+            SignedAcceleration(row.2),
+        ))
     }
 }
 
@@ -70,7 +76,7 @@ fn every_command_follows_its_rows_one_and_a_half_periods_late() {
 fn leaving_the_stream_stands_still_at_once() {
     let mut bench = Bench::homed();
     stream_for(&mut bench, StreamCommand::Pv, 2 * MS, 500);
-    let response = bench.command(MotionCommand::END_STREAM);
+    let response = bench.command(MotionCommand::stream_end());
     assert!(!response.status.unwrap().motion_active());
     let stood = bench.until_standing();
     assert_eq!((stood.demand, stood.error), (response.demand, Some(ErrorCode::NONE)));
@@ -80,7 +86,7 @@ fn leaving_the_stream_stands_still_at_once() {
 fn a_profile_takes_over_from_a_stream() {
     let mut bench = Bench::homed();
     stream_for(&mut bench, StreamCommand::Pv, 2 * MS, 500);
-    bench.command(MotionCommand::stop(100_000));
+    bench.command(MotionCommand::vai_stop(Acceleration(100_000)));
     assert_eq!(bench.until_standing().error, Some(ErrorCode::NONE));
 }
 

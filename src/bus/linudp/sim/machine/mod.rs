@@ -3,12 +3,22 @@
 //! Knows no bytes and no sockets. Time comes in steps; a control word is followed by one transition a step, as in a
 //! drive whose control loop is faster than its bus.
 
-use super::motion::{Demand, METRE, METRE_PER_S, METRE_PER_S2, Setpoints};
-use crate::bus::linudp::motion::Decoded;
+mod commands;
+mod report;
+mod sequence;
+mod settings;
+
+pub(super) use self::commands::{CURVE_SCALE, Taken};
+pub(super) use self::report::Variable;
+
+use self::commands::Effort;
+use self::sequence::Sequence;
+use self::settings::{RunMode, Settings};
+use super::memory::Memory;
+use super::motion::{Demand, METRE, Setpoints};
+use super::upids;
 use crate::bus::linudp::plan::SimPlan;
-use crate::bus::linudp::wire::{
-    ControlWord, ErrorCode, MainState, MotionBlock, StateVar, StatusWord, WarnWord,
-};
+use crate::bus::linudp::wire::{ControlWord, ErrorCode, Refusal};
 use crate::sim::physics::{Plant, PlantPlan};
 use crate::time::{MS, Time};
 
@@ -22,7 +32,9 @@ const GO_TO_VELOCITY: f64 = 0.1;
 const OWN_ACCELERATION: f64 = 1.0;
 const IN_POSITION: f64 = 50e-6;
 const LAG_WARNING: f64 = 1e-3;
-const LAG_ERROR: f64 = 5e-3;
+
+/// 000Ch: position lag at standstill.
+const LAG_STANDING: ErrorCode = ErrorCode(0x000C);
 
 /// Force constant of the motor, N/A.
 const NEWTON_PER_AMPERE: f64 = 20.0;
@@ -59,15 +71,6 @@ enum Task {
     JoggingMinus,
 }
 
-/// What came of a motion command.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Taken {
-    /// Run, refused or ignored.
-    Done,
-    /// The firmware restarts.
-    Restart,
-}
-
 /// A drive with its motor.
 #[derive(Debug)]
 pub(super) struct Machine {
@@ -83,6 +86,9 @@ pub(super) struct Machine {
     count: u8,
     pub(super) setpoints: Setpoints,
     plant: Plant,
+    effort: Effort,
+    /// Where the command table is, if it runs.
+    sequence: Option<Sequence>,
     /// Drive coordinates = mechanical position + offset, m. 0 once the home switch was found.
     offset: f64,
     /// Where a drive that was found running turns round, until somebody takes over.
@@ -90,6 +96,15 @@ pub(super) struct Machine {
     /// The hardware enable (STO) is open until then, whatever happens to the drive.
     inhibited_until: Time,
     inhibited: bool,
+    pub(super) memory: Memory,
+    /// What of the parameters is in use.
+    settings: Settings,
+    /// The motion control software does not run.
+    stopped: bool,
+    /// The instant that it has lived up to, that of the last start, and that of the first one.
+    now: Time,
+    powered_at: Time,
+    born_at: Time,
 }
 
 impl Machine {
@@ -98,7 +113,14 @@ impl Machine {
         let range = (metres(plan.range.0), metres(plan.range.1));
         let mut plant = Plant::new(PlantPlan { mass_kg: plan.mass_kg, range, ..PlantPlan::default() });
         plant.set_position(metres(plan.start_position));
+        let memory = Memory::new(plan);
         let mut machine = Machine {
+            settings: Settings::of(&memory.parameters),
+            memory,
+            stopped: false,
+            now: Time(0),
+            powered_at: Time(0),
+            born_at: Time(0),
             plan: plan.clone(),
             mode: Mode::NotReady,
             control: ControlWord(0),
@@ -106,14 +128,16 @@ impl Machine {
             error: ErrorCode::NONE,
             homed: false,
             count: 0,
-            setpoints: Setpoints::at(0.0, plan.stream_period_ns, tolerance(plan)),
+            setpoints: Setpoints::at(0.0, plan),
             plant,
+            effort: Effort::Position,
+            sequence: None,
             offset: 0.0,
             shuttle: None,
             inhibited_until: Time(0),
             inhibited: false,
         };
-        machine.power_up();
+        machine.power_up(Time(0));
         if plan.start_running {
             machine.control = ControlWord::ON;
             machine.seen = machine.effective();
@@ -129,73 +153,73 @@ impl Machine {
         machine
     }
 
+    /// Its first moment: the hours of operation count from here.
+    pub(super) fn wake(&mut self, now: Time) {
+        (self.now, self.powered_at, self.born_at) = (now, now, now);
+    }
+
     /// Power came back: everything volatile is lost, the motor stays where it is. The position sensor is incremental
     /// and begins at the start position, wherever that is.
-    pub(super) fn power_up(&mut self) {
-        self.mode = Mode::NotReady;
+    pub(super) fn power_up(&mut self, now: Time) {
+        self.powered_at = now;
+        self.memory.restart();
+        self.stopped = false;
         self.control = ControlWord(0);
-        self.seen = self.effective();
         self.error = ErrorCode::NONE;
+        self.offset = f64::from(self.plan.start_position) * METRE - self.plant.position();
+        self.setpoints = Setpoints::at(self.actual().position, &self.plan);
+        self.begin();
+    }
+
+    /// The motion control software begins anew: state 0, count 0, not homed. An error stays until it is acknowledged, or
+    /// until the next restart if it is fatal.
+    fn begin(&mut self) {
+        self.mode = if self.error == ErrorCode::NONE { Mode::NotReady } else { Mode::Error };
+        self.seen = self.effective();
         self.homed = false;
         self.count = 0;
-        self.shuttle = None;
-        self.offset = f64::from(self.plan.start_position) * METRE - self.plant.position();
-        self.setpoints =
-            Setpoints::at(self.actual().position, self.plan.stream_period_ns, tolerance(&self.plan));
+        self.drop_tasks();
+        self.memory.parameters.start();
+        self.settings = Settings::of(&self.memory.parameters);
+    }
+
+    /// Stops the motion control software (35h): power goes off at once, whatever the motor is doing.
+    pub(super) fn stop_software(&mut self) {
+        if !self.stopped {
+            self.stopped = true;
+            self.homed = false;
+            self.power_off(if self.error == ErrorCode::NONE { Mode::NotReady } else { Mode::Error });
+        }
+    }
+
+    /// Starts it again (36h). The sensor goes on counting from where it is.
+    pub(super) fn start_software(&mut self) {
+        if self.stopped {
+            self.stopped = false;
+            self.begin();
+        }
+    }
+
+    /// The software is stopped.
+    pub(super) fn is_stopped(&self) -> bool {
+        self.stopped
+    }
+
+    /// Writes a parameter into RAM.
+    pub(super) fn write(&mut self, upid: u16, raw: u32) -> Result<(), Refusal> {
+        self.memory.parameters.write_ram(upid, raw)?;
+        // A command table may count with its variables in every step, and they are no settings.
+        if !matches!(upid, upids::VARIABLE_1 | upids::VARIABLE_2) {
+            self.settings = Settings::of(&self.memory.parameters);
+        }
+        Ok(())
     }
 
     /// Writes the control word.
     pub(super) fn set_control(&mut self, word: ControlWord, now: Time) {
         self.control = word;
-        self.transition(now);
-    }
-
-    /// Takes in a motion command block.
-    pub(super) fn command(&mut self, block: &MotionBlock, now: Time) -> Taken {
-        let count = (block.header & 0xF) as u8;
-        if count == self.count {
-            return Taken::Done;
-        }
-        // Stored even if the command is refused below.
-        self.count = count;
-        let command = Decoded::of(block);
-        match command {
-            Decoded::NoOperation => return Taken::Done,
-            Decoded::ResetFirmware => return Taken::Restart,
-            Decoded::ControlWord(word) => {
-                self.set_control(ControlWord(word), now);
-                return Taken::Done;
-            }
-            _ => {}
-        }
-        match self.mode {
-            Mode::NotReady | Mode::SwitchOnDisabled | Mode::ReadyToSwitchOn | Mode::Error => {}
-            Mode::Operating(Task::Commands) => {
-                self.shuttle = None;
-                if let Err(code) = self.execute(&command, now) {
-                    self.fail(code);
-                }
-            }
-            _ => self.fail(ErrorCode::WRONG_STATE),
-        }
-        Taken::Done
-    }
-
-    fn execute(&mut self, command: &Decoded, now: Time) -> Result<(), ErrorCode> {
-        match *command {
-            Decoded::MasterHoming(position) => {
-                let position = f64::from(position) * METRE;
-                self.reference(position, position - self.plant.position());
-                Ok(())
-            }
-            // Positions mean nothing before homing.
-            Decoded::Move(_) | Decoded::Run { .. } | Decoded::Stream { .. } if !self.homed => {
-                Err(ErrorCode::NOT_HOMED)
-            }
-            _ => {
-                let actual = self.actual();
-                self.setpoints.execute(command, now, actual)
-            }
+        if !self.stopped {
+            self.transition(now);
         }
     }
 
@@ -205,7 +229,8 @@ impl Machine {
             return;
         }
         self.error = code;
-        self.shuttle = None;
+        self.memory.log.record(code, self.operating_ns());
+        self.drop_tasks();
         if self.powered() && self.setpoints.is_moving() {
             self.setpoints.quick_stop();
             self.mode = Mode::QuickStop { error: true };
@@ -216,6 +241,8 @@ impl Machine {
 
     /// Lets `dt_ns` pass, which end at `now`; then one transition.
     pub(super) fn step(&mut self, now: Time, dt_ns: u64) {
+        self.now = now;
+        self.memory.advance(now);
         self.inhibited = now < self.inhibited_until;
         let actual = self.actual();
         if self.powered()
@@ -223,33 +250,51 @@ impl Machine {
         {
             self.fail(code);
         }
-        let demand = self.setpoints.demand();
-        self.plant.advance(
-            demand.position - self.offset,
-            demand.velocity,
-            demand.acceleration,
-            dt_ns,
-            self.powered(),
-        );
+        self.move_plant(dt_ns);
         if self.powered() {
             self.watch();
         } else {
             // A powerless controller has no demand of its own.
             self.setpoints.stand_at(self.actual().position);
         }
-        self.transition(now);
-        self.go_on();
+        if !self.stopped {
+            self.transition(now);
+            self.run_table(now);
+            self.go_on();
+        }
+    }
+
+    /// The motor does what the demand or the current says.
+    fn move_plant(&mut self, dt_ns: u64) {
+        if let (Effort::Current(force), true) = (self.effort, self.powered()) {
+            self.plant.advance_with_force(force, dt_ns);
+            let actual = self.actual();
+            self.setpoints.follow(actual);
+            return;
+        }
+        self.plant.limit_force(match self.effort {
+            Effort::Pressing(force) => Some(force),
+            Effort::Position | Effort::Current(_) => None,
+        });
+        let demand = self.setpoints.demand();
+        let position = demand.position - self.offset;
+        self.plant.advance(position, demand.velocity, demand.acceleration, dt_ns, self.powered());
     }
 
     /// Range and following error.
     fn watch(&mut self) {
         let demand = counts(self.setpoints.demand().position, METRE);
-        if self.homed && demand < self.plan.range.0 {
+        let settings = &self.settings;
+        // A motor that presses against something is meant to stay behind.
+        let lag = if self.effort == Effort::Position { self.lag() } else { 0.0 };
+        if self.homed && demand < settings.range.0 {
             self.fail(ErrorCode::MIN_POSITION);
-        } else if self.homed && demand > self.plan.range.1 {
+        } else if self.homed && demand > settings.range.1 {
             self.fail(ErrorCode::MAX_POSITION);
-        } else if self.lag() > LAG_ERROR {
+        } else if lag > settings.lag_moving {
             self.fail(ErrorCode::POSITION_LAG);
+        } else if lag > settings.lag_standing && !self.setpoints.is_moving() {
+            self.fail(LAG_STANDING);
         }
     }
 
@@ -262,7 +307,8 @@ impl Machine {
         let arrived = self.lag() < IN_POSITION;
         let next = match task {
             Task::Homing { finished: false } if arrived => {
-                self.reference(f64::from(self.plan.home_position) * METRE, 0.0);
+                let Settings { home, slider_home, .. } = self.settings;
+                self.reference(home, home - slider_home);
                 Task::Homing { finished: true }
             }
             Task::GoingToInitial { finished: false } if arrived => Task::GoingToInitial { finished: true },
@@ -287,8 +333,19 @@ impl Machine {
         self.setpoints.stand_at(position);
     }
 
-    /// At most one transition of the state machine (SG5 manual). Precedence: bits 0-2, bit 3, then the tasks.
+    /// At most one transition of the state machine, and what follows from it: what goes on by itself ends with state 8.
     fn transition(&mut self, now: Time) {
+        let before = self.mode;
+        self.change_mode(now);
+        if self.mode != Mode::Operating(Task::Commands) {
+            self.drop_tasks();
+        } else if matches!(before, Mode::ReadyToOperate | Mode::Operating(Task::Homing { .. })) {
+            self.enter_table();
+        }
+    }
+
+    /// The state machine (SG5 manual). Precedence: bits 0-2, bit 3, then the tasks.
+    fn change_mode(&mut self, now: Time) {
         use ControlWord as C;
         let control = self.effective();
         let rising = ControlWord(control.0 & !self.seen.0);
@@ -326,7 +383,6 @@ impl Machine {
             }
             _ if !on => self.power_off(Mode::NotReady),
             _ if quick_stop => {
-                self.shuttle = None;
                 self.setpoints.quick_stop();
                 self.mode = Mode::QuickStop { error: false };
             }
@@ -342,7 +398,6 @@ impl Machine {
                 }
             }
             Mode::Operating(_) if !control.has(C::ENABLE_OPERATION) => {
-                self.shuttle = None;
                 self.setpoints.halt();
                 self.mode = Mode::ReadyToOperate;
             }
@@ -375,15 +430,15 @@ impl Machine {
         if std::mem::discriminant(&wanted) == std::mem::discriminant(&task) {
             return;
         }
-        self.shuttle = None;
         self.mode = Mode::Operating(wanted);
-        let home = f64::from(self.plan.home_position) * METRE;
+        self.setpoints.clear_events();
+        let Settings { home, slider_home, .. } = self.settings;
         match wanted {
             Task::Aborting => self.setpoints.quick_stop(),
             Task::Freezing => self.setpoints.freeze(),
             Task::Homing { .. } => {
                 self.homed = false;
-                self.setpoints.go_to(home + self.offset, HOMING_VELOCITY, OWN_ACCELERATION);
+                self.setpoints.go_to(slider_home + self.offset, HOMING_VELOCITY, OWN_ACCELERATION);
             }
             Task::GoingToInitial { .. } | Task::GoingToPosition { .. } => {
                 if self.homed {
@@ -406,8 +461,13 @@ impl Machine {
         self.inhibited_until = until;
     }
 
+    /// No command table goes on by itself, no motion of a drive that was found running, and only the position is held.
+    fn drop_tasks(&mut self) {
+        (self.shuttle, self.sequence, self.effort) = (None, None, Effort::Position);
+    }
+
     fn power_off(&mut self, mode: Mode) {
-        self.shuttle = None;
+        self.drop_tasks();
         self.setpoints.stand_at(self.actual().position);
         self.mode = mode;
     }
@@ -421,6 +481,11 @@ impl Machine {
 
     fn powered(&self) -> bool {
         matches!(self.mode, Mode::ReadyToOperate | Mode::Operating(_) | Mode::QuickStop { .. })
+    }
+
+    /// Since the first power-on.
+    fn operating_ns(&self) -> u64 {
+        self.now.since(self.born_at)
     }
 
     fn actual(&self) -> Demand {
@@ -439,120 +504,9 @@ impl Machine {
     fn in_target(&self) -> bool {
         self.powered() && !self.setpoints.is_moving() && self.lag() < IN_POSITION
     }
-
-    fn main(&self) -> MainState {
-        match self.mode {
-            Mode::NotReady => MainState::NOT_READY,
-            Mode::SwitchOnDisabled => MainState::SWITCH_ON_DISABLED,
-            Mode::ReadyToSwitchOn => MainState::READY_TO_SWITCH_ON,
-            Mode::Error => MainState::ERROR,
-            Mode::HwTests { .. } => MainState::HW_TESTS,
-            Mode::ReadyToOperate => MainState::READY_TO_OPERATE,
-            Mode::QuickStop { .. } => MainState::QUICK_STOP,
-            Mode::Operating(task) => match task {
-                Task::Commands => MainState::OPERATION_ENABLED,
-                Task::Aborting => MainState::ABORTING,
-                Task::Freezing => MainState::FREEZING,
-                Task::Homing { .. } => MainState::HOMING,
-                Task::GoingToInitial { .. } => MainState::GOING_TO_INITIAL,
-                Task::GoingToPosition { .. } => MainState::GOING_TO_POSITION,
-                Task::JoggingPlus => MainState::JOGGING_PLUS,
-                Task::JoggingMinus => MainState::JOGGING_MINUS,
-            },
-        }
-    }
-
-    /// The state variable.
-    pub(super) fn state(&self) -> StateVar {
-        let sub = match self.mode {
-            Mode::Error => self.error.0 as u8,
-            Mode::Operating(Task::Commands) => {
-                let bits = [
-                    (self.setpoints.is_armed(), StateVar::EVENT_HANDLER),
-                    (self.setpoints.is_moving(), StateVar::MOTION_ACTIVE),
-                    (self.in_target(), StateVar::IN_TARGET),
-                    (self.homed, StateVar::HOMED),
-                ];
-                self.count | bits.iter().filter(|(set, _)| *set).fold(0, |sub, (_, bit)| sub | bit)
-            }
-            Mode::Operating(
-                Task::Homing { finished: true }
-                | Task::GoingToInitial { finished: true }
-                | Task::GoingToPosition { finished: true },
-            ) => StateVar::FINISHED,
-            Mode::Operating(Task::JoggingPlus | Task::JoggingMinus) => 0x01,
-            _ => 0,
-        };
-        StateVar::new(self.main(), sub)
-    }
-
-    /// The status word.
-    pub(super) fn status(&self) -> StatusWord {
-        use StatusWord as W;
-        let control = self.effective();
-        let special = matches!(self.main().0, 9..=11 | 15..=17);
-        let bits = [
-            (self.main() >= MainState::OPERATION_ENABLED, W::OPERATION_ENABLED),
-            (control.has(ControlWord::SWITCH_ON), W::SWITCH_ON_ACTIVE),
-            (control.has(ControlWord::ENABLE_OPERATION), W::ENABLE_OPERATION),
-            (matches!(self.mode, Mode::Error | Mode::QuickStop { error: true }), W::ERROR),
-            (control.has(ControlWord::VOLTAGE_ENABLE), W::VOLTAGE_ENABLE),
-            (control.has(ControlWord::NO_QUICK_STOP), W::NO_QUICK_STOP),
-            (self.mode == Mode::NotReady && control.has(ControlWord::SWITCH_ON), W::SWITCH_ON_LOCKED),
-            (self.warn().0 != 0, W::WARNING),
-            (self.setpoints.is_armed(), W::EVENT_HANDLER),
-            (special, W::SPECIAL_MOTION),
-            (self.in_target(), W::IN_TARGET),
-            (self.homed, W::HOMED),
-            (self.error.is_fatal(), W::FATAL_ERROR),
-            (self.powered() && self.setpoints.is_moving(), W::MOTION_ACTIVE),
-        ];
-        StatusWord(bits.iter().filter(|(set, _)| *set).fold(0, |word, (_, bit)| word | bit))
-    }
-
-    /// The warn word.
-    pub(super) fn warn(&self) -> WarnWord {
-        let lag = if self.powered() && self.lag() > LAG_WARNING { WarnWord::POSITION_LAG } else { 0 };
-        let homed = if self.homed { 0 } else { WarnWord::NOT_HOMED };
-        WarnWord(lag | homed)
-    }
-
-    /// The error that stands.
-    pub(super) fn error(&self) -> ErrorCode {
-        self.error
-    }
-
-    /// Actual position, 0.1 um.
-    pub(super) fn actual_position(&self) -> i32 {
-        counts(self.actual().position, METRE)
-    }
-
-    /// Demand position, 0.1 um.
-    pub(super) fn demand_position(&self) -> i32 {
-        counts(self.setpoints.demand().position, METRE)
-    }
-
-    /// Motor current, mA.
-    pub(super) fn current(&self) -> i16 {
-        (self.plant.force() / NEWTON_PER_AMPERE * 1e3).round() as i16
-    }
-
-    /// The monitoring channels: demand velocity (um/s), demand acceleration (1e-5 m/s2), drive temperature (0.1 C)
-    /// and the status word.
-    pub(super) fn monitor(&self) -> [u32; 4] {
-        let demand = self.setpoints.demand();
-        let velocity = counts(demand.velocity, METRE_PER_S);
-        let acceleration = counts(demand.acceleration, METRE_PER_S2);
-        [velocity as u32, acceleration as u32, 400, u32::from(self.status().0)]
-    }
 }
 
 /// Rounded to wire counts, held at the ends of their range.
 fn counts(value: f64, unit: f64) -> i32 {
     (value / unit).round() as i32
-}
-
-/// What a stream puts up with: periods of silence, and setpoints ahead.
-fn tolerance(plan: &SimPlan) -> (f64, usize) {
-    (plan.stream_patience, plan.stream_depth)
 }

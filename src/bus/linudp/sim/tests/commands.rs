@@ -1,0 +1,222 @@
+//! Motion commands: counts, states that take them, moves, armed commands, errors (SG5 manual, motion command interface).
+
+use super::*;
+
+#[test]
+fn a_command_runs_once_for_each_new_count() {
+    let mut bench = Bench::homed();
+    let step = MotionCommand { id: 0x012, ..go_to(CM, VAD) };
+    for count in [3, 3, 3, 7, 7, 0, 0] {
+        assert_eq!(bench.exchange(Some(step.block(count))).state.unwrap().count(), Some(count));
+    }
+    assert_eq!(bench.until_standing().actual, Some(3 * CM));
+}
+
+#[test]
+fn a_count_is_stored_with_every_command_and_shown_in_state_8_only() {
+    let mut bench = Bench::new(|_| {});
+    bench.control = ControlWord::BASE;
+    // Below state 5 commands are ignored, but counted.
+    let response = bench.exchange(Some(go_to(CM, VAD).block(9)));
+    assert_eq!((response.state.unwrap().sub(), response.error), (0, Some(ErrorCode::NONE)));
+    bench.enable();
+    assert_eq!(bench.count, 9);
+    bench.home();
+    let response = bench.exchange(Some(go_to(CM, VAD).block(9)));
+    assert!(!response.status.unwrap().motion_active());
+}
+
+#[test]
+fn commands_in_other_states_are_errors() {
+    // State 6.
+    let mut bench = Bench::homed();
+    bench.state(ControlWord(0x0037));
+    bench.command(MotionCommand::no_operation());
+    bench.command(MotionCommand::control_word(Bits(0x0037)));
+    assert_eq!(bench.exchange(None).error, Some(ErrorCode::NONE));
+    bench.command(go_to(CM, VAD));
+    assert_eq!(bench.until_error(), ErrorCode::WRONG_STATE);
+    // State 9, finished: still not 8.
+    let mut bench = Bench::homed();
+    bench.control = ControlWord::HOME;
+    bench.until(|response| response.state.unwrap().finished());
+    bench.command(MotionCommand::vai_stop(Acceleration(1)));
+    assert_eq!(bench.until_error(), ErrorCode::WRONG_STATE);
+}
+
+#[test]
+fn commands_that_this_drive_does_not_know_are_errors() {
+    for (id, code) in [
+        (0x048, ErrorCode::UNKNOWN_COMMAND),
+        (0x040, ErrorCode::CURVE_NOT_DEFINED),
+        (0x200, ErrorCode::ENTRY_MISSING),
+    ] {
+        let mut bench = Bench::homed();
+        bench.command(MotionCommand::new(id));
+        assert_eq!(bench.until_error(), code);
+    }
+}
+
+#[test]
+fn an_error_stops_the_motor_before_it_switches_off() {
+    let mut bench = Bench::homed();
+    bench.command(go_to(10 * CM, VAD));
+    bench.now = bench.now + 100 * MS;
+    let response = bench.command(MotionCommand::new(0x999));
+    assert_eq!(response.state.unwrap().main(), MainState::QUICK_STOP);
+    assert!(response.status.unwrap().error());
+    assert_eq!(bench.until_error(), ErrorCode::UNKNOWN_COMMAND);
+}
+
+#[test]
+fn moves_before_homing_are_errors() {
+    let mut bench = Bench::new(|_| {});
+    bench.enable();
+    bench.command(MotionCommand::vai_stop(Acceleration(1)));
+    bench.command(go_to(CM, VAD));
+    assert_eq!(bench.until_error(), ErrorCode::NOT_HOMED);
+}
+
+#[test]
+fn the_master_can_home() {
+    let mut bench = Bench::new(|_| {});
+    bench.enable();
+    let response = bench.command(MotionCommand::master_homing(Position(-3 * CM)));
+    assert!(response.status.unwrap().homed());
+    assert_eq!((response.actual, response.demand), (Some(-3 * CM), Some(-3 * CM)));
+    bench.command(MotionCommand { id: 0x015, ..go_to(CM, VAD) });
+    assert_eq!(bench.until_standing().actual, Some(-2 * CM));
+}
+
+#[test]
+fn a_move_takes_the_time_of_a_move() {
+    let mut bench = Bench::homed();
+    // 100 mm with 0.5 m/s and 10 m/s2: 0.2 s of way + 0.05 s of ramps.
+    let response = bench.command(go_to(10 * CM, VAD));
+    assert!(response.status.unwrap().motion_active() && !response.status.unwrap().in_target());
+    assert_eq!(response.state.unwrap().motion_active(), Some(true));
+    let took = bench.until(|response| !response.status.unwrap().motion_active());
+    assert!((249..=251).contains(&took), "{took} ms");
+    assert_eq!(bench.until_standing().actual, Some(10 * CM));
+    // Stop on the way: 0.5 m/s with 5 m/s2 is 25 mm.
+    bench.command(go_to(0, VAD));
+    bench.now = bench.now + 100 * MS;
+    let from = bench.command(MotionCommand::vai_stop(Acceleration(500_000))).demand.unwrap();
+    let to = bench.until_standing().demand.unwrap();
+    assert!((from - to - 250_000).abs() < 1_000, "{from} to {to}");
+}
+
+#[test]
+fn moves_start_from_demand_or_from_where_the_motor_is() {
+    let hard = Vad { velocity: 2_000_000, acceleration: 8_000_000, deceleration: 8_000_000 };
+    for (command, from_actual, moving) in [
+        (go_to(0, VAD), false, true),
+        (MotionCommand { id: 0x013, ..go_to(0, VAD) }, true, true),
+        (MotionCommand { id: 0x014, ..go_to(0, VAD) }, true, false),
+        (MotionCommand { id: 0x015, ..go_to(0, VAD) }, true, true),
+        (MotionCommand { id: 0x016, ..go_to(0, VAD) }, true, false),
+    ] {
+        let mut bench = Bench::homed();
+        bench.command(go_to(10 * CM, hard));
+        bench.now = bench.now + 10 * MS;
+        let before = bench.exchange(None);
+        assert!((before.demand.unwrap() - before.actual.unwrap()).abs() > 100, "no lag to see: {before:?}");
+        // At the same instant.
+        bench.count = (bench.count + 1) % 16;
+        let after = bench.ask(&Request {
+            response_def: ResponseDef(0xFF),
+            motion: Some(command.block(bench.count)),
+            ..Request::default()
+        });
+        assert_eq!(after.demand, if from_actual { before.actual } else { before.demand }, "{command:?}");
+        assert_eq!(after.monitor.unwrap()[0] != 0, moving, "{command:?}");
+        let increment = matches!(command.id, 0x015 | 0x016);
+        let target = if increment { before.actual } else { Some(0) };
+        assert_eq!(bench.until_standing().demand, target, "{command:?}");
+    }
+}
+
+#[test]
+fn the_predefined_profile_is_a_live_parameter() {
+    let mut bench = Bench::homed();
+    for (upid, value) in [(0x14BE, 100_000), (0x14BF, 2_000_000), (0x14C0, 1_000_000), (0x9999, 1)] {
+        bench.command(MotionCommand::live_parameter(Upid(upid), Raw(value)));
+    }
+    bench.command(MotionCommand::vai_predefined_go_to(Position(CM)));
+    // 10 mm with 0.1 m/s: 100 ms, + 0.1 / 20 / 2 + 0.1 / 10 / 2 s of ramps.
+    let took = bench.until(|response| !response.status.unwrap().motion_active());
+    assert!((107..=109).contains(&took), "{took} ms");
+}
+
+#[test]
+fn armed_commands_wait_for_their_event() {
+    let mut bench = Bench::homed();
+    bench.command(go_to(CM, VAD));
+    // 018x: after the running one.
+    let after = MotionCommand { id: 0x018, ..go_to(3 * CM, VAD) };
+    let response = bench.command(after);
+    assert!(response.status.unwrap().has(StatusWord::EVENT_HANDLER));
+    bench.until(|response| !response.status.unwrap().has(StatusWord::EVENT_HANDLER));
+    assert_eq!(bench.until_standing().actual, Some(3 * CM));
+    // 01Ex: another profile from 50 mm on.
+    let slow = Vad { velocity: 100_000, ..VAD };
+    bench.command(go_to(10 * CM, VAD));
+    bench.command(MotionCommand { id: 0x01E, ..go_to(5 * CM, slow) });
+    assert!(bench.until(|response| !response.status.unwrap().motion_active()) > 450);
+    assert_eq!(bench.until_standing().actual, Some(10 * CM));
+    // 01Ax: a trigger that never comes, whatever else moves, until it is cleared.
+    bench.command(MotionCommand { id: 0x01A, ..go_to(0, VAD) });
+    bench.now = bench.now + S;
+    bench.command(go_to(9 * CM, VAD));
+    bench.until_standing();
+    bench.command(go_to(10 * CM, VAD));
+    assert!(bench.until_standing().status.unwrap().has(StatusWord::EVENT_HANDLER));
+    let response = bench.command(MotionCommand::clear_events());
+    assert!(!response.status.unwrap().has(StatusWord::EVENT_HANDLER));
+    assert_eq!(response.actual, Some(10 * CM));
+    // 0E0x starts from standstill only.
+    bench.command(go_to(0, VAD));
+    bench.command(MotionCommand { id: 0x0E0, ..go_to(5 * CM, VAD) });
+    assert_eq!((bench.until_standing().actual, bench.sim.refused_moves()), (Some(0), 1));
+}
+
+#[test]
+fn running_into_the_end_of_the_range_is_an_error() {
+    for (positive, code) in [(false, ErrorCode::MIN_POSITION), (true, ErrorCode::MAX_POSITION)] {
+        let mut bench = Bench::homed();
+        bench.command(run(positive));
+        assert_eq!(bench.until_error(), code);
+        // Also when nobody looks for an hour.
+        let mut bench = Bench::homed();
+        bench.command(run(positive));
+        bench.now = bench.now + 3_600 * S;
+        assert_eq!(bench.until_error(), code);
+    }
+}
+
+#[test]
+fn the_range_counts_only_once_the_drive_is_homed() {
+    for (start, jog, way) in [(20 * CM - 1, 0x013F, CM), (1 - 20 * CM, 0x023F, -CM)] {
+        let mut bench = Bench::new(|plan| plan.start_position = start);
+        bench.enable();
+        bench.home();
+        // In the middle now, but the sensor begins at the end of the range again.
+        bench.sim.restart(bench.now);
+        bench.now = bench.now + S;
+        bench.enable();
+        assert_eq!(bench.exchange(None).actual, Some(start));
+        bench.state(ControlWord(jog));
+        bench.now = bench.now + S;
+        let response = bench.exchange(None);
+        assert_eq!(response.error, Some(ErrorCode::NONE));
+        assert!((response.actual.unwrap() - start) / way >= 1, "{response:?}");
+    }
+}
+
+#[test]
+fn a_demand_that_the_motor_cannot_follow_is_a_position_lag() {
+    let mut bench = Bench::homed();
+    let jump = Vad { velocity: 20_000_000, acceleration: 100_000_000, deceleration: 100_000_000 };
+    bench.command(go_to(10 * CM, jump));
+    assert_eq!(bench.until_error(), ErrorCode::POSITION_LAG);
+}
