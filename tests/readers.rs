@@ -14,7 +14,7 @@ use fieldbeat::sim::server::{ServerOptions, SimServer};
 use fieldbeat::telemetry::hgrm::distribution;
 use hdrhistogram::Histogram;
 use libc::SIGINT;
-use support::{Machine, Program, checkout, plan};
+use support::{LONG, Machine, Program, checkout, plan, until};
 
 /// What `command` prints about `input`.
 fn tell(command: &mut Command, input: &str) -> String {
@@ -83,16 +83,21 @@ fn distributions_of_drives_are_those_of_another_implementation() {
 #[ignore = "needs python3 and prometheus_client"]
 fn the_parsers_of_prometheus_read_the_metrics() {
     let machine = Machine::new(1);
-    let config = machine.plain(2);
+    let config = machine.showing();
     let _sim = SimServer::start(plan(&config).simulate(), ServerOptions::default()).unwrap();
     let endpoint = format!("{}:9464", machine.ip(1));
     let run = ["run", config.to_str().unwrap(), "--metrics", &endpoint];
     let mut program = Program::start(run);
     program.await_text("all drives online");
-    let mut stream = TcpStream::connect(&endpoint).unwrap();
-    stream.write_all(b"GET /metrics HTTP/1.1\r\n\r\n").unwrap();
     let mut answer = String::new();
-    stream.read_to_string(&mut answer).unwrap();
+    let shows = || {
+        let mut stream = TcpStream::connect(&endpoint).unwrap();
+        stream.write_all(b"GET /metrics HTTP/1.1\r\n\r\n").unwrap();
+        answer.clear();
+        stream.read_to_string(&mut answer).unwrap();
+        answer.contains("drive-timer")
+    };
+    assert!(until(LONG, shows), "{answer}");
     program.signal(SIGINT);
     program.end().expect(0);
     let (_, page) = answer.split_once("\r\n\r\n").unwrap();
@@ -113,6 +118,8 @@ fn the_parsers_of_prometheus_read_the_metrics() {
         "fieldbeat_drive_round_trip_seconds_count d1 histogram",
         "fieldbeat_axes_online - gauge",
         "fieldbeat_loop_info - info",
+        "fieldbeat_drive_monitor d1 gauge",
+        "fieldbeat_drive_monitor_max d1 gauge",
         "old fieldbeat_drive_requests_sent_total",
         "old fieldbeat_stage_seconds_bucket",
     ] {

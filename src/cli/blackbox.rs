@@ -16,7 +16,7 @@ pub struct BlackBox {
     /// So many cycles before the failure are shown as a table, and a quarter of it after it.
     #[arg(long, value_name = "N", default_value_t = 20)]
     cycles: u64,
-    /// Print the header and what happened as one JSON object.
+    /// Print the header, what happened and the tables of the drives as one JSON object.
     #[arg(long)]
     json: bool,
 }
@@ -27,7 +27,8 @@ impl BlackBox {
         let (header, records) = file::load(&self.file).map_err(Stop::usage)?;
         if self.json {
             let happened = story::happenings(&header, &records);
-            return print(json!({ "header": header, "happened": happened }));
+            let drives = story::courses(&header, &records, &happened, self.cycles);
+            return print(json!({ "header": header, "happened": happened, "drives": drives }));
         }
         print(story::tell(&header, &records, self.cycles).trim_end())
     }

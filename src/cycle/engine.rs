@@ -62,6 +62,13 @@ pub struct Outlets {
     pub strangers: Vec<Writer<Strangers>>,
 }
 
+impl Outlets {
+    /// Tells the telemetry, or counts what it lost.
+    fn record(&mut self, record: Record, lost: &mut u64) {
+        *lost += u64::from(self.records.push(record).is_err());
+    }
+}
+
 /// The loop.
 pub struct Engine<C> {
     clock: C,
@@ -488,13 +495,13 @@ impl<C: Clock> Engine<C> {
         self.status.missed = 0;
         for (axis, (seat, slot)) in self.seats.iter_mut().zip(&self.slots).enumerate() {
             self.status.missed += slot.counters.missed + slot.counters.unsent;
-            let record = seat.publish(axis as u16);
-            if self.outlets.records.push(Record::Drive(record)).is_err() {
-                self.status.lost_records += 1;
+            let lost_records = &mut self.status.lost_records;
+            self.outlets.record(Record::Drive(seat.publish(axis as u16)), lost_records);
+            if let Some(record) = seat.take_shown(axis as u16) {
+                self.outlets.record(Record::Monitor(record), lost_records);
             }
             if (turn + axis as u64).is_multiple_of(self.numbers_every) {
-                let (counters, losses, peaks) = (slot.counters, seat.losses, seat.peaks);
-                self.outlets.drives[axis].write(&DriveNumbers { counters, losses, peaks });
+                self.outlets.drives[axis].write(&seat.numbers(slot));
             }
             operational += u32::from(seat.feedback().is_operational());
             online += u32::from(seat.feedback().link == Link::Online);
@@ -511,9 +518,7 @@ impl<C: Clock> Engine<C> {
     }
 
     fn record(&mut self, record: Record) {
-        if self.outlets.records.push(record).is_err() {
-            self.status.lost_records += 1;
-        }
+        self.outlets.record(record, &mut self.status.lost_records);
     }
 
     /// The clock, for whoever drives the engine by hand.
@@ -530,13 +535,9 @@ impl<C: Clock> Engine<C> {
     pub fn finish(self) -> Numbers {
         let status = Status { planned: self.grid.planned(), ..self.status };
         let drives = (self.names.into_iter().zip(&self.seats).zip(&self.slots))
-            .map(|(((name, protocol), seat), slot)| DriveEnd {
-                name,
-                protocol,
-                feedback: *seat.feedback(),
-                counters: slot.counters,
-                losses: seat.losses,
-                peaks: seat.peaks,
+            .map(|(((name, protocol), seat), slot)| {
+                let DriveNumbers { counters, losses, peaks, monitor } = seat.numbers(slot);
+                DriveEnd { name, protocol, feedback: *seat.feedback(), counters, losses, peaks, monitor }
             })
             .collect();
         let buses =

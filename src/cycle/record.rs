@@ -1,9 +1,10 @@
-//! What the loop tells the telemetry thread: fixed-size records through a ring, one a drive and one a cycle. A full ring
-//! loses records, never truth: the counts and maxima that the loop keeps itself are exact, and the loss is counted.
+//! What the loop tells the telemetry thread: fixed-size records through a ring, one a drive, a second one of a drive that
+//! shows variables besides, and one a cycle. A full ring loses records, never truth: the counts and extremes that the loop
+//! keeps itself are exact, and the loss is counted.
 
 use std::num::NonZeroU32;
 
-use crate::axis::{Link, State, StopCause};
+use crate::axis::{Link, Shown, State, StopCause};
 use crate::time::Time;
 
 /// One record. Those of the drives come before that of their cycle.
@@ -11,10 +12,24 @@ use crate::time::Time;
 pub enum Record {
     /// One drive in an executed cycle.
     Drive(DriveRecord),
+    /// What a drive showed in an executed cycle besides, behind its other record.
+    Monitor(MonitorRecord),
     /// One executed cycle.
     Cycle(CycleRecord),
     /// Slots passed over.
     Skipped(SkippedRecord),
+}
+
+impl Record {
+    /// The slot that it is of; the first of those passed over.
+    pub fn index(&self) -> u64 {
+        match self {
+            Record::Drive(DriveRecord { index, .. })
+            | Record::Monitor(MonitorRecord { index, .. })
+            | Record::Cycle(CycleRecord { index, .. })
+            | Record::Skipped(SkippedRecord { first: index, .. }) => *index,
+        }
+    }
 }
 
 /// The stages of a cycle, in their order.
@@ -174,6 +189,17 @@ pub struct DriveRecord {
     pub position: f64,
     /// Demand position, user units.
     pub demand: f64,
+}
+
+/// What a drive showed besides its process data, in the units of its plan: only of cycles in which it did.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct MonitorRecord {
+    /// The slot.
+    pub index: u64,
+    /// The axis, in the order of the plan.
+    pub axis: u16,
+    /// The values.
+    pub shown: Shown,
 }
 
 /// Nanoseconds in a record: beyond 4.29 s they stay there.

@@ -1,7 +1,7 @@
 //! What the loop counts of itself, exactly.
 
-use crate::axis::Feedback;
 use crate::axis::cell::{Packed, Reader};
+use crate::axis::{Feedback, MONITOR_CHANNELS};
 use crate::bus::{Counters, Strangers};
 
 /// The loop in numbers, published every cycle.
@@ -113,8 +113,27 @@ pub struct Peaks {
     pub age: Peak,
 }
 
+/// The course of a variable that a drive shows, in three numbers.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Extent {
+    /// The newest value.
+    pub value: f64,
+    /// The smallest one.
+    pub min: f64,
+    /// The largest one.
+    pub max: f64,
+}
+
+impl Extent {
+    /// Takes one more value into `extent`; `None`: there was none yet.
+    pub fn see(extent: &mut Option<Extent>, value: f64) {
+        let Extent { min, max, .. } = extent.unwrap_or(Extent { value, min: value, max: value });
+        *extent = Some(Extent { value, min: min.min(value), max: max.max(value) });
+    }
+}
+
 /// What the loop counts of one drive, published in turns.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct DriveNumbers {
     /// What was sent and what came of it.
     pub counters: Counters,
@@ -122,14 +141,20 @@ pub struct DriveNumbers {
     pub losses: u64,
     /// Its largest times.
     pub peaks: Peaks,
+    /// What it shows besides; `None` = not seen yet.
+    pub monitor: [Option<Extent>; MONITOR_CHANNELS],
 }
 
-impl Packed for DriveNumbers {
-    type Words = [u64; 16];
+/// Words of the counts and times of a drive. One that says which channels are seen follows, then three of each channel.
+const COUNTS: usize = 16;
 
-    fn pack(&self) -> [u64; 16] {
+impl Packed for DriveNumbers {
+    type Words = [u64; COUNTS + 1 + 3 * MONITOR_CHANNELS];
+
+    fn pack(&self) -> Self::Words {
         let (c, Peaks { rtt, send_jitter, age }) = (&self.counters, self.peaks);
-        [
+        let mut words = Self::Words::default();
+        words[..COUNTS].copy_from_slice(&[
             c.sent,
             c.unsent,
             c.answered,
@@ -146,10 +171,17 @@ impl Packed for DriveNumbers {
             send_jitter.index,
             age.ns,
             age.index,
-        ]
+        ]);
+        let (seen, extents) = words[COUNTS..].split_at_mut(1);
+        for (channel, extent) in self.monitor.iter().enumerate() {
+            let Some(Extent { value, min, max }) = extent else { continue };
+            seen[0] |= 1 << channel;
+            extents[3 * channel..][..3].copy_from_slice(&[value, min, max].map(|value| value.to_bits()));
+        }
+        words
     }
 
-    fn unpack(words: &[u64; 16]) -> DriveNumbers {
+    fn unpack(words: &Self::Words) -> DriveNumbers {
         let &[
             sent,
             unsent,
@@ -161,9 +193,14 @@ impl Packed for DriveNumbers {
             malformed,
             foreign,
             losses,
-            ref peaks @ ..,
+            ref rest @ ..,
         ] = words;
-        let peak = |at: usize| Peak { ns: peaks[at], index: peaks[at + 1] };
+        let peak = |at: usize| Peak { ns: rest[at], index: rest[at + 1] };
+        let (seen, extents) = (words[COUNTS], &words[COUNTS + 1..]);
+        let extent = |channel: usize| {
+            let [value, min, max] = std::array::from_fn(|at| f64::from_bits(extents[3 * channel + at]));
+            (seen >> channel & 1 != 0).then_some(Extent { value, min, max })
+        };
         DriveNumbers {
             counters: Counters {
                 sent,
@@ -178,6 +215,7 @@ impl Packed for DriveNumbers {
             },
             losses,
             peaks: Peaks { rtt: peak(0), send_jitter: peak(2), age: peak(4) },
+            monitor: std::array::from_fn(extent),
         }
     }
 }
@@ -220,6 +258,8 @@ pub struct DriveEnd {
     pub losses: u64,
     /// Its largest times.
     pub peaks: Peaks,
+    /// What it shows besides, in the order of its channels; `None` = not seen yet.
+    pub monitor: [Option<Extent>; MONITOR_CHANNELS],
 }
 
 /// A run in numbers, at its end or meanwhile: exact, whatever the rings lost.
@@ -273,10 +313,23 @@ mod tests {
             foreign: 9,
         };
         let peaks = Peaks { rtt: peak(11), send_jitter: peak(13), age: peak(15) };
-        let drive = DriveNumbers { counters, losses: 10, peaks };
-        assert_eq!(DriveNumbers::unpack(&drive.pack()), drive);
+        let extent = |value: f64| Some(Extent { value, min: value - 1.0, max: value + 1.0 });
+        let all = [17.5, -20.5, 0.0, 1e300].map(extent);
+        for monitor in [[None; MONITOR_CHANNELS], [None, extent(0.0), None, extent(-1.5)], all] {
+            let drive = DriveNumbers { counters, losses: 10, peaks, monitor };
+            assert_eq!(DriveNumbers::unpack(&drive.pack()), drive);
+        }
         let strangers = Strangers { datagrams: 3, errors: 4 };
         assert_eq!(Strangers::unpack(&strangers.pack()), strangers);
+    }
+
+    #[test]
+    fn an_extent_has_the_newest_value_and_both_ends() {
+        let mut extent = None;
+        for (value, min, max) in [(2.0, 2.0, 2.0), (-3.0, -3.0, 2.0), (7.0, -3.0, 7.0), (0.0, -3.0, 7.0)] {
+            Extent::see(&mut extent, value);
+            assert_eq!(extent, Some(Extent { value, min, max }));
+        }
     }
 
     #[test]

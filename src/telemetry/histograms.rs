@@ -88,6 +88,7 @@ impl Histograms {
     pub fn enter(&mut self, record: &Record, period_ns: u64) {
         match record {
             Record::Drive(record) => self.enter_drive(record),
+            Record::Monitor(_) => {}
             Record::Cycle(record) => self.enter_cycle(record),
             Record::Skipped(record) => self.enter_skipped(record, period_ns),
         }

@@ -20,7 +20,7 @@
 
 pub mod blackbox;
 pub mod causes;
-mod file;
+pub mod file;
 pub mod hgrm;
 pub mod histograms;
 pub mod metrics;

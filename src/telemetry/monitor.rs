@@ -68,9 +68,9 @@ impl Monitor {
         let protocols = plan.buses.iter().flat_map(|bus| bus.axes().into_iter().map(|_| bus.protocol()));
         let drives = (observers.iter().zip(protocols).zip(&gauges.drives))
             .map(|(((name, observer), protocol), numbers)| {
-                let DriveNumbers { counters, losses, peaks } = numbers.read();
+                let DriveNumbers { counters, losses, peaks, monitor } = numbers.read();
                 let (name, feedback) = (name.clone(), observer.feedback());
-                DriveEnd { name, protocol, feedback, counters, losses, peaks }
+                DriveEnd { name, protocol, feedback, counters, losses, peaks, monitor }
             })
             .collect();
         let strangers = gauges.strangers.iter().map(Reader::read);

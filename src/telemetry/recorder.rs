@@ -158,10 +158,10 @@ impl Recorder {
         Ok(Recorder { recording, thread: Some(thread) })
     }
 
-    /// Room that the ring needs for cycles of so many axes, in records.
-    pub fn ring_size(axes: usize, period_ns: u64) -> usize {
+    /// Room that the ring needs for cycles of so many records.
+    pub fn ring_size(records_a_cycle: usize, period_ns: u64) -> usize {
         let cycles = usize::try_from(RING_NS.div_ceil(period_ns.max(1))).unwrap_or(MOST_RECORDS).max(16);
-        cycles.saturating_mul(axes.saturating_add(1)).min(MOST_RECORDS)
+        cycles.saturating_mul(records_a_cycle).min(MOST_RECORDS)
     }
 
     /// What it fills.
@@ -198,9 +198,9 @@ mod tests {
 
     #[test]
     fn the_ring_holds_a_second_within_bounded_memory() {
-        assert_eq!(Recorder::ring_size(8, MS), 9_000);
-        assert_eq!(Recorder::ring_size(3, 250_000), 16_000);
-        assert_eq!(Recorder::ring_size(1, 10 * S), 32);
+        assert_eq!(Recorder::ring_size(9, MS), 9_000);
+        assert_eq!(Recorder::ring_size(4, 250_000), 16_000);
+        assert_eq!(Recorder::ring_size(2, 10 * S), 32);
         assert_eq!(Recorder::ring_size(1_000, 100_000), 1 << 18);
         assert_eq!(Recorder::ring_size(usize::MAX, 0), 1 << 18);
     }

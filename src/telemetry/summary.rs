@@ -9,10 +9,10 @@ use super::blackbox::Written;
 use super::causes::{Cause, Judged, Tally};
 use super::histograms::{Quantiles, Quantity};
 use super::recorder::Measured;
-use crate::axis::{Link, StopCause, Units};
+use crate::axis::{Link, MonitorChannel, StopCause, Units};
 use crate::cycle::Plan;
 use crate::cycle::record::Stage;
-use crate::cycle::status::Numbers;
+use crate::cycle::status::{Extent, Numbers};
 use crate::rt::{Granted, host};
 use crate::time::{Ns, S, US};
 
@@ -245,6 +245,46 @@ pub struct Drive {
     pub stopped: Option<String>,
     /// Fault code, null = none.
     pub fault: Option<u32>,
+    /// What it shows besides its process data, as planned.
+    pub monitor: Vec<Variable>,
+}
+
+/// A variable that a drive shows besides its process data. Its numbers are exact, and null until it was seen.
+#[derive(Clone, Debug, Serialize)]
+pub struct Variable {
+    /// Its name.
+    pub name: String,
+    /// Of its values; empty for a plain number.
+    pub unit: &'static str,
+    /// The newest value.
+    pub value: Option<f64>,
+    /// The smallest one.
+    pub min: Option<f64>,
+    /// The largest one.
+    pub max: Option<f64>,
+}
+
+impl Variable {
+    fn of(MonitorChannel { name, unit }: MonitorChannel, extent: Option<Extent>) -> Variable {
+        Variable {
+            name,
+            unit,
+            value: extent.map(|extent| extent.value),
+            min: extent.map(|extent| extent.min),
+            max: extent.map(|extent| extent.max),
+        }
+    }
+}
+
+impl fmt::Display for Variable {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Variable { name, unit, .. } = self;
+        let (Some(value), Some(min), Some(max)) = (self.value, self.min, self.max) else {
+            return write!(f, "{name:18} not seen yet");
+        };
+        let [value, min, max] = [value, min, max].map(plain);
+        write!(f, "{name:18} {}, from {min} to {max}", format!("{value} {unit}").trim_end())
+    }
 }
 
 /// One bus.
@@ -306,8 +346,9 @@ impl Summary {
         steal_ms: Option<u64>,
     ) -> Summary {
         let (status, histograms) = (&numbers.status, &measured.histograms);
-        let drives = (numbers.drives.iter().zip(&histograms.drives))
-            .map(|(drive, measured)| {
+        let drives = (numbers.drives.iter().zip(&histograms.drives).zip(plan.monitored()))
+            .map(|((drive, measured), monitored)| {
+                let variable = |(channel, extent): (Option<_>, _)| Some(Variable::of(channel?, extent));
                 let (counters, feedback, peaks) = (&drive.counters, &drive.feedback, &drive.peaks);
                 Drive {
                     name: drive.name.clone(),
@@ -331,6 +372,7 @@ impl Summary {
                     inhibited: feedback.inhibited,
                     stopped: feedback.stopped.map(|cause| cause.to_string()),
                     fault: (feedback.fault != 0).then_some(feedback.fault),
+                    monitor: (monitored.into_iter().zip(drive.monitor)).filter_map(variable).collect(),
                 }
             })
             .collect();
@@ -437,6 +479,11 @@ fn bars(wake: &Quantity) -> Vec<(u64, u64)> {
 
 fn plural(count: u64, what: &str) -> String {
     format!("{count} {what}{}", if count == 1 { "" } else { "s" })
+}
+
+/// To the finest step of a drive's own variables, without the digits that are only binary, and with one zero only.
+pub(super) fn plain(value: f64) -> f64 {
+    (value * 1e4).round() / 1e4 + 0.0
 }
 
 /// `None` as a dash.
@@ -547,6 +594,11 @@ impl fmt::Display for Summary {
                 units.unit,
             )?;
         }
+        for drive in &self.drives {
+            for variable in &drive.monitor {
+                writeln!(f, "{:wide$} {variable}", drive.name)?;
+            }
+        }
         for bus in self.buses.iter().filter(|bus| bus.strangers + bus.receive_errors > 0) {
             writeln!(
                 f,
@@ -586,5 +638,26 @@ impl fmt::Display for Summary {
             }
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_variable_reads_naturally() {
+        let text = |unit, extent| {
+            Variable::of(MonitorChannel { name: "demand-velocity".into(), unit }, extent).to_string()
+        };
+        let extent = |value, min, max| Some(Extent { value, min, max });
+        let told = [
+            ("mm/s", extent(0.1 + 0.2, -1e-9, 200.0), "0.3 mm/s, from 0 to 200"),
+            ("", extent(4294967295.0, -12.5, 4294967295.0), "4294967295, from -12.5 to 4294967295"),
+            ("C", None, "not seen yet"),
+        ];
+        for (unit, extent, expected) in told {
+            assert_eq!(text(unit, extent), format!("demand-velocity    {expected}"));
+        }
     }
 }

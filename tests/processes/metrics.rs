@@ -168,6 +168,44 @@ fn a_scrape_tells_what_the_summary_tells_later() {
 }
 
 #[test]
+fn what_a_drive_shows_besides_has_a_gauge_while_it_does() {
+    let machine = Machine::new(76);
+    let config = machine.showing();
+    let sim = serve(&config);
+    let mut program = master(&config, &["--json", "--metrics", &format!("{}:0", machine.ip(1))]);
+    program.await_text("all drives online");
+    let address = endpoint(&mut program);
+    let key = |family: &str, variable: &str, unit: &str| {
+        format!("fieldbeat_drive_monitor{family}{{drive=\"d1\",variable=\"{variable}\",unit=\"{unit}\"}}")
+    };
+    let mut page = Page::default();
+    let mut scraped = |done: &dyn Fn(&Page) -> bool| {
+        let passed = until(LONG, || {
+            page = Page::parse(&scrape(address));
+            done(&page)
+        });
+        assert!(passed, "{:?}", page.samples.keys());
+        std::mem::take(&mut page)
+    };
+    let timer = ["_min", "", "_max"].map(|family| key(family, "drive-timer", "us"));
+    let page = scraped(&|page| page.samples.contains_key(&timer[1]));
+    assert!(timer.iter().is_sorted_by_key(|key| page.value(key)), "{page:?}");
+    for family in ["_min", "", "_max"] {
+        assert_eq!(page.value(&key(family, "core-temperature", "C")), 40.0);
+        assert_eq!(page.types[&format!("fieldbeat_drive_monitor{family}")], "gauge");
+    }
+    let shown = |page: &Page| page.samples.keys().filter(|key| key.contains("_monitor")).count();
+    assert_eq!(shown(&page), 6, "neither the other drive nor a variable that there is not");
+    // A drive that was lost shows nothing, and what it has shown stays true.
+    sim.stop();
+    let page = scraped(&|page| page.value("fieldbeat_axes_online") == 0.0);
+    assert_eq!(shown(&page), 4, "{page:?}");
+    assert_eq!(page.value(&key("_max", "core-temperature", "C")), 40.0);
+    program.signal(SIGINT);
+    program.end().expect(1);
+}
+
+#[test]
 fn clients_that_say_nothing_or_nonsense_harm_nobody() {
     let machine = Machine::new(71);
     let config = machine.plain(1);

@@ -1,10 +1,12 @@
 //! What the loop counts stays true whatever becomes of its records.
 
+use fieldbeat::axis::MONITOR_CHANNELS;
 use fieldbeat::bus::BusPlan;
-use fieldbeat::bus::linudp::LinUdpPlan;
+use fieldbeat::bus::linudp::upid::Upid;
+use fieldbeat::bus::linudp::{LinUdpPlan, MonitorPlan};
 use fieldbeat::cycle::engine::Control;
-use fieldbeat::cycle::record::{Record, Stage};
-use fieldbeat::cycle::status::Numbers;
+use fieldbeat::cycle::record::{Record, Reply, Stage};
+use fieldbeat::cycle::status::{Extent, Numbers};
 use fieldbeat::cycle::{CyclePlan, Plan};
 use fieldbeat::master::{Assembly, assemble};
 use fieldbeat::sim::FaultPlan;
@@ -12,40 +14,49 @@ use fieldbeat::sim::world::{World, WorldOptions};
 use fieldbeat::telemetry::causes::Cause;
 use fieldbeat::telemetry::{Measured, Quantiles};
 use fieldbeat::time::{MS, US};
+use rtrb::Consumer;
 
 use super::support::{Rig, drive};
 
 const CYCLES: u64 = 5_000;
 
-/// A machine whose drives and sleeps are disturbed by seeds; `telemetry` gets the records, or nobody does.
-fn run(mut telemetry: Option<&mut Measured>) -> Numbers {
+/// Three drives, disturbed by seeds; the second one shows two variables besides.
+fn plan() -> Plan {
     let drives = (0..3).map(|index| {
         let mut drive = drive(index);
         drive.simulate.faults =
             FaultPlan { seed: index as u64, drop: 0.02, delay: 0.02, ..FaultPlan::default() };
+        if index == 1 {
+            drive.monitor = MonitorPlan::Sources([
+                None,
+                Upid::parse("drive-timer"),
+                None,
+                Upid::parse("core-temperature"),
+            ]);
+        }
         drive
     });
     let bus = LinUdpPlan::new([127, 0, 0, 1].into(), drives.collect());
-    let plan = Plan {
-        source: None,
-        cycle: cycle(),
-        buses: vec![Box::new(bus) as Box<dyn BusPlan>],
-        groups: Vec::new(),
-    };
+    Plan { source: None, cycle: cycle(), buses: vec![Box::new(bus) as Box<dyn BusPlan>], groups: Vec::new() }
+}
+
+/// A machine whose sleeps are disturbed too; `telemetry` may take the records after each step.
+fn run(plan: &Plan, mut telemetry: impl FnMut(&mut Consumer<Record>)) -> Numbers {
     let options = WorldOptions { seed: 7, wake_ns: 260 * US, ..WorldOptions::default() };
     let world = World::new(plan.simulate(), options).unwrap();
     let Assembly { mut engine, mut records, .. } =
-        assemble(&plan, world.clock(), &world, None, Control::default()).unwrap();
+        assemble(plan, world.clock(), &world, None, Control::default()).unwrap();
     engine.begin();
     while engine.status().planned < CYCLES {
         engine.step();
-        if let Some(measured) = &mut telemetry {
-            while let Ok(record) = records.pop() {
-                measured.enter(&record);
-            }
-        }
+        telemetry(&mut records);
     }
     engine.finish()
+}
+
+/// All that `records` holds.
+fn told(records: &mut Consumer<Record>) -> impl Iterator<Item = Record> {
+    std::iter::from_fn(|| records.pop().ok())
 }
 
 fn cycle() -> CyclePlan {
@@ -54,9 +65,19 @@ fn cycle() -> CyclePlan {
 
 #[test]
 fn records_that_nobody_takes_cost_detail_and_no_truth() {
-    let mut measured = Measured::new(3, &cycle(), false);
-    let mut taken = run(Some(&mut measured));
-    let mut lost = run(None);
+    let plan = plan();
+    let mut measured = Measured::new(3, &plan.cycle, false);
+    let mut shown = [None; MONITOR_CHANNELS];
+    let mut taken = run(&plan, |records| {
+        for record in told(records) {
+            measured.enter(&record);
+            let Record::Monitor(record) = record else { continue };
+            for (extent, value) in shown.iter_mut().zip(record.shown.values()) {
+                value.into_iter().for_each(|value| Extent::see(extent, value));
+            }
+        }
+    });
+    let mut lost = run(&plan, |_| {});
     assert_eq!(taken.status.lost_records, 0);
     // A ring for a second of five: most of them found no room.
     assert!(lost.status.lost_records > 10_000, "{:?}", lost.status);
@@ -79,6 +100,12 @@ fn records_that_nobody_takes_cost_detail_and_no_truth() {
         assert!(drive.counters.missed > 50 && drive.peaks.age.ns > MS, "{drive:?}");
         assert_eq!(measured.send_jitter.len() + 1, drive.counters.sent);
     }
+    let [none, Some(timer), nothing, temperature] = shown else { panic!("{shown:?}") };
+    assert_eq!((none, nothing), (None, None));
+    assert!(timer.value == timer.max && timer.max - timer.min > 1e6, "microseconds: {timer:?}");
+    assert_eq!(temperature, Some(Extent { value: 40.0, min: 40.0, max: 40.0 }));
+    let ends: Vec<_> = taken.drives.iter().map(|drive| drive.monitor).collect();
+    assert_eq!(ends, [[None; MONITOR_CHANNELS], shown, [None; MONITOR_CHANNELS]]);
     let causes = measured.causes.ranked();
     assert_eq!(causes.iter().map(|tally| tally.count).sum::<u64>(), status.late);
     assert!(
@@ -124,11 +151,65 @@ fn each_drive_has_a_record_in_each_cycle_and_its_cycle_comes_last() {
     engine.begin();
     for index in 0..50 {
         engine.step();
-        let told: Vec<Record> = std::iter::from_fn(|| records.pop().ok()).collect();
+        let told: Vec<Record> = told(&mut records).collect();
         let [Record::Drive(a), Record::Drive(b), Record::Drive(c), Record::Cycle(cycle)] = told[..] else {
             panic!("{told:?}")
         };
         assert_eq!([a.index, b.index, c.index, cycle.index], [index; 4]);
         assert_eq!([a.axis, b.axis, c.axis], [0, 1, 2]);
+    }
+}
+
+#[test]
+fn what_a_drive_shows_besides_is_told_when_it_is_new_and_only_of_that_drive() {
+    let plan = plan();
+    let (mut drive, mut at, mut fresh, mut silent) = (None, 0.0, 0, 0);
+    let end = run(&plan, |records| {
+        for record in told(records) {
+            match record {
+                Record::Drive(record) => {
+                    silent += u64::from(record.axis == 1 && record.reply == Reply::Answered);
+                    drive = Some(record);
+                }
+                Record::Monitor(record) => {
+                    // Behind that of its drive, and of the same reply.
+                    let Some(of) = drive.take() else { panic!("{record:?}") };
+                    assert_eq!((record.axis, record.index), (1, of.index));
+                    assert!(matches!(of.reply, Reply::Answered | Reply::Suspect), "{of:?}");
+                    // The drive's own clock: no value is told twice.
+                    let [None, Some(timer), None, _] = record.shown.values() else { panic!("{record:?}") };
+                    assert!(timer > at, "{timer} after {at}");
+                    (at, fresh) = (timer, fresh + 1);
+                }
+                Record::Cycle(_) | Record::Skipped(_) => {}
+            }
+        }
+    });
+    // Some replies say nothing of it: those before the drive is set up, and those to the request after a miss.
+    silent -= fresh;
+    let missed = end.drives[1].counters.missed;
+    assert!(fresh > CYCLES / 2 && (missed..CYCLES / 4).contains(&silent), "{fresh} {silent} {missed}");
+}
+
+#[test]
+fn only_drives_that_show_something_besides_take_room() {
+    let with = plan();
+    assert_eq!(with.records_a_cycle(), 3 + 1 + 1);
+    let axes: Vec<_> = with
+        .monitored()
+        .into_iter()
+        .map(|axis| axis.map(|channel| channel.map(|one| (one.name, one.unit))))
+        .collect();
+    let named = |name: &str, unit| Some((name.to_owned(), unit));
+    let shown = [None, named("drive-timer", "us"), None, named("core-temperature", "C")];
+    assert_eq!(axes, [[const { None }; 4], shown, [const { None }; 4]]);
+    let bus = LinUdpPlan::new([127, 0, 0, 1].into(), (0..3).map(drive).collect());
+    let without = Plan { buses: vec![Box::new(bus)], ..plan() };
+    assert_eq!(without.records_a_cycle(), 3 + 1);
+    for (plan, records) in [(with, 5), (without, 4)] {
+        let world = World::new(plan.simulate(), WorldOptions::default()).unwrap();
+        let Assembly { records: ring, .. } =
+            assemble(&plan, world.clock(), &world, None, Control::default()).unwrap();
+        assert_eq!((ring.buffer().capacity(), plan.black_box_records()), (records * 1_000, records * 2_000));
     }
 }

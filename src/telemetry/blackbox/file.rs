@@ -10,12 +10,15 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::axis::{Link, State, StopCause};
-use crate::cycle::record::{CycleRecord, DriveRecord, Look, Record, Reply, SkippedRecord};
+use crate::axis::{Link, MONITOR_CHANNELS, Shown, State, StopCause};
+use crate::cycle::record::{CycleRecord, DriveRecord, Look, MonitorRecord, Record, Reply, SkippedRecord};
 use crate::time::Time;
 
 /// What a file begins with: the name, and the version of its layout.
-const MARK: [u8; 8] = *b"FBBOX\0\x01\n";
+const MARK: [u8; 8] = *b"FBBOX\0\x02\n";
+
+/// The oldest layout that is read. In layout 1 no drive showed anything besides its process data.
+const OLDEST: u8 = 1;
 
 /// Bytes of a record.
 const RECORD: usize = 72;
@@ -59,6 +62,18 @@ pub struct Axis {
     pub name: String,
     /// Its user unit.
     pub unit: String,
+    /// What its drive shows besides, channel by channel.
+    #[serde(default)]
+    pub monitor: [Option<Channel>; MONITOR_CHANNELS],
+}
+
+/// A variable that a drive shows besides its process data.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Channel {
+    /// Its name.
+    pub name: String,
+    /// Of its values; empty for a plain number.
+    pub unit: String,
 }
 
 /// Why a file cannot be read. The message ends with the remedy.
@@ -76,7 +91,7 @@ pub enum ReadError {
     #[error("{0} is no black box of fieldbeat; name a file that it wrote (*.blackbox)")]
     Foreign(PathBuf),
     /// Of another version.
-    #[error("{path} has layout {found}, this program reads layout {}; read it with the version that wrote it", MARK[6])]
+    #[error("{path} has layout {found}, this program reads {OLDEST} to {}; read it with the version that wrote it", MARK[6])]
     Version {
         /// The file.
         path: PathBuf,
@@ -149,7 +164,7 @@ pub enum Wrong {
 fn look_at_mark(bytes: &[u8]) -> Result<(), Wrong> {
     match bytes.first_chunk::<8>() {
         Some(mark) if mark[..6] != MARK[..6] || mark[7] != MARK[7] => Err(Wrong::Foreign),
-        Some(mark) if mark[6] != MARK[6] => Err(Wrong::Version(mark[6])),
+        Some(mark) if !(OLDEST..=MARK[6]).contains(&mark[6]) => Err(Wrong::Version(mark[6])),
         Some(_) => Ok(()),
         None => Err(Wrong::Foreign),
     }
@@ -208,6 +223,14 @@ fn put(record: &Record, to: &mut Vec<u8>) {
                 to.extend_from_slice(&value.to_le_bytes());
             }
         }
+        Record::Monitor(m) => {
+            let (mask, values) = m.shown.to_words();
+            to.extend_from_slice(&[4, mask, 0, 0]);
+            to.extend_from_slice(&u32::from(m.axis).to_le_bytes());
+            for word in [m.index].into_iter().chain(values) {
+                to.extend_from_slice(&word.to_le_bytes());
+            }
+        }
         Record::Cycle(c) => {
             let flags = flag(c.spun, SPUN) | flag(c.look.is_some(), LOOKED);
             to.extend_from_slice(&[2, flags, 0, 0]);
@@ -243,6 +266,7 @@ fn get(bytes: &[u8], axes: usize) -> Option<Record> {
     let mut take = Take(bytes);
     let [kind, flags, link, state] = *take.array()?;
     let look = |set: u8, faults, switches| (set & LOOKED != 0).then_some(Look { faults, switches });
+    let known = |axis: u32| u16::try_from(axis).ok().filter(|axis| usize::from(*axis) < axes);
     Some(match kind {
         1 => {
             let [stopped, verb, marks, _] = *take.array()?;
@@ -251,7 +275,7 @@ fn get(bytes: &[u8], axes: usize) -> Option<Record> {
                 code => Some(*StopCause::ALL.get(usize::from(code) - 1)?),
             };
             let index = take.u64()?;
-            let axis = u16::try_from(take.u32()?).ok().filter(|axis| usize::from(*axis) < axes)?;
+            let axis = known(take.u32()?)?;
             let [phase_ns, jitter_ns, rtt_ns, age_ns] = take.u32s()?.map(NonZeroU32::new);
             let [fault, warning, current, velocity] = take.u32s()?;
             Record::Drive(DriveRecord {
@@ -303,6 +327,11 @@ fn get(bytes: &[u8], axes: usize) -> Option<Record> {
                 look: look(flags, faults, switches),
             })
         }
+        4 => {
+            let (axis, index) = (known(take.u32()?)?, take.u64()?);
+            let values = [take.u64()?, take.u64()?, take.u64()?, take.u64()?];
+            Record::Monitor(MonitorRecord { index, axis, shown: Shown::from_words(flags, values)? })
+        }
         _ => return None,
     })
 }
@@ -346,11 +375,13 @@ mod tests {
     use crate::cycle::record::measured;
 
     fn header() -> Header {
-        let axis = |name: &str| Axis { name: name.into(), unit: "mm".into() };
+        let axis = |name: &str| Axis { name: name.into(), unit: "mm".into(), ..Axis::default() };
+        let channel = |name: &str, unit: &str| Some(Channel { name: name.into(), unit: unit.into() });
+        let monitor = [channel("demand-current", "A"), None, channel("0x1E10", ""), None];
         Header {
             why: "drive x: link lost".into(),
             cycle: 7,
-            axes: vec![axis("x"), axis("y")],
+            axes: vec![axis("x"), Axis { monitor, ..axis("y") }],
             ..Header::default()
         }
     }
@@ -378,6 +409,11 @@ mod tests {
                 velocity: 2.5,
                 position: f64::MIN,
                 demand: 1e-9,
+            }),
+            Record::Monitor(MonitorRecord {
+                index: u64::MAX - 1,
+                axis: 1,
+                shown: [Some(-0.25), None, Some(f64::MAX), None].into(),
             }),
             Record::Cycle(CycleRecord {
                 index: 7,
@@ -430,18 +466,64 @@ mod tests {
             assert_eq!(decode(bytes), Err(Wrong::Foreign));
         }
         let mut newer = encode(&header(), records().iter());
-        newer[6] = 2;
-        assert_eq!(decode(&newer), Err(Wrong::Version(2)));
+        for version in [0, 3] {
+            newer[6] = version;
+            assert_eq!(decode(&newer), Err(Wrong::Version(version)));
+        }
+    }
+
+    /// As layout 1 was: an axis of a name and a unit.
+    #[test]
+    fn a_file_of_the_layout_before_is_read() {
+        let json = r#"{"program":"0.1.0","machine":null,"why":"drive x: link lost","cycle":7,"written":"",
+            "period_ns":1000000,"deadline_ns":500000,"late_ns":100000,"axes":[{"name":"x","unit":"mm"}],
+            "kernel":null,"preemption":null,"cpu":null}"#;
+        let mut bytes = b"FBBOX\0\x01\n".to_vec();
+        bytes.extend((json.len() as u32).to_le_bytes());
+        bytes.extend(json.as_bytes());
+        bytes.extend(1_u64.to_le_bytes());
+        let mut skipped = [0; RECORD];
+        (skipped[0], skipped[8], skipped[24]) = (3, 5, 2);
+        bytes.extend(skipped);
+        bytes.extend(crc32fast::hash(&bytes).to_le_bytes());
+        let (header, records) = decode(&bytes).unwrap();
+        assert_eq!(header.axes, [Axis { name: "x".into(), unit: "mm".into(), ..Axis::default() }]);
+        let expected = SkippedRecord { first: 5, count: 2, ..SkippedRecord::default() };
+        assert_eq!(records, [Record::Skipped(expected)]);
+    }
+
+    #[test]
+    fn a_value_of_no_channel_is_damage() {
+        let mut bytes = encode(&header(), records()[1..2].iter());
+        let mask = bytes.len() - 4 - RECORD + 1;
+        for channel in MONITOR_CHANNELS..8 {
+            let mut changed = bytes.clone();
+            changed[mask] |= 1 << channel;
+            assert_eq!(decode(&sealed(changed)), Err(Wrong::Damaged("a record cannot be read")));
+        }
+        bytes[mask] = 0;
+        let nothing = MonitorRecord { index: u64::MAX - 1, axis: 1, shown: Shown::default() };
+        let (_, records) = decode(&sealed(bytes)).unwrap();
+        let [Record::Monitor(MonitorRecord { shown, .. })] = &records[..] else { panic!("{records:?}") };
+        assert_eq!(shown.values(), nothing.shown.values());
+    }
+
+    /// With the checksum of what now stands in them.
+    fn sealed(mut bytes: Vec<u8>) -> Vec<u8> {
+        let end = bytes.len() - 4;
+        let sum = crc32fast::hash(&bytes[..end]).to_le_bytes();
+        bytes[end..].copy_from_slice(&sum);
+        bytes
     }
 
     #[test]
     fn an_axis_that_is_not_in_the_header_is_damage() {
         let mut header = header();
         header.axes.pop();
-        assert_eq!(
-            decode(&encode(&header, records().iter())),
-            Err(Wrong::Damaged("a record cannot be read"))
-        );
+        for record in &records()[..2] {
+            let bytes = encode(&header, [record].into_iter());
+            assert_eq!(decode(&bytes), Err(Wrong::Damaged("a record cannot be read")));
+        }
     }
 
     #[test]

@@ -21,8 +21,8 @@ use std::time::SystemTime;
 use nix::unistd::User;
 use serde::Serialize;
 
-use self::file::{Axis, Header};
-use crate::axis::{Link, StopCause};
+use self::file::{Axis, Channel, Header};
+use crate::axis::{Link, MonitorChannel, StopCause};
 use crate::cycle::Plan;
 use crate::cycle::record::{DriveRecord, Record};
 use crate::rt::host;
@@ -108,6 +108,12 @@ struct Known {
     stopped: Option<StopCause>,
 }
 
+impl From<MonitorChannel> for Channel {
+    fn from(MonitorChannel { name, unit }: MonitorChannel) -> Channel {
+        Channel { name, unit: unit.to_owned() }
+    }
+}
+
 impl BlackBox {
     /// A black box of `plan` whose files go to `directory`; `None` if the plan wants none.
     pub fn new(plan: &Plan, directory: &Path) -> Option<BlackBox> {
@@ -133,9 +139,12 @@ impl BlackBox {
                 period_ns: cycle.period_ns,
                 deadline_ns: cycle.deadline_ns(),
                 late_ns: cycle.late_ns(),
-                axes: axes
-                    .iter()
-                    .map(|axis| Axis { name: axis.name.clone(), unit: axis.units.unit.to_string() })
+                axes: (axes.iter().zip(plan.monitored()))
+                    .map(|(axis, monitored)| Axis {
+                        name: axis.name.clone(),
+                        unit: axis.units.unit.to_string(),
+                        monitor: monitored.map(|channel| channel.map(Channel::from)),
+                    })
                     .collect(),
                 kernel: host::kernel(),
                 preemption: host::preemption(),
@@ -154,8 +163,8 @@ impl BlackBox {
         self.records.push_back(*record);
         match record {
             Record::Drive(drive) => self.look(drive),
-            Record::Cycle(cycle) => self.newest = cycle.index,
-            Record::Skipped(skipped) => self.newest = skipped.first,
+            Record::Monitor(_) => {}
+            Record::Cycle(_) | Record::Skipped(_) => self.newest = record.index(),
         }
         // At once, or what is to be told of has left it when the telemetry is late.
         if let Some(due) = self.due.take_if(|due| self.newest >= due.from) {
@@ -260,9 +269,10 @@ pub fn default_directory() -> PathBuf {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bus::linudp::{LinUdpDrive, LinUdpPlan};
+    use crate::bus::linudp::upid::Upid;
+    use crate::bus::linudp::{LinUdpDrive, LinUdpPlan, MonitorPlan};
     use crate::cycle::CyclePlan;
-    use crate::cycle::record::CycleRecord;
+    use crate::cycle::record::{CycleRecord, MonitorRecord};
 
     fn plan(black_box_ns: u64) -> Plan {
         let drives = ["x", "y"].map(|name| LinUdpDrive::new(name, [127, 0, 0, 2].into()));
@@ -308,6 +318,49 @@ mod tests {
         assert_eq!(records.len(), 300, "100 cycles of 2 drives and a cycle record each");
         let after = records.iter().filter(|record| matches!(record, Record::Cycle(c) if c.index >= 500));
         assert_eq!(after.count(), 51);
+    }
+
+    #[test]
+    fn what_a_drive_shows_besides_comes_back_from_the_file() {
+        let directory = tempfile::tempdir().unwrap();
+        let mut showing = LinUdpDrive::new("z", [127, 0, 0, 3].into());
+        showing.monitor = MonitorPlan::Sources([None, Some(Upid(0x1BCD)), Some(Upid(0x1E0F)), None]);
+        let mut plan = plan(100 * MS);
+        plan.buses.insert(0, Box::new(LinUdpPlan::new([127, 0, 1, 1].into(), vec![showing])));
+        let mut black_box = BlackBox::new(&plan, directory.path()).unwrap();
+        for index in 0..300 {
+            for axis in 0..3 {
+                black_box.enter(&Record::Drive(DriveRecord { index, axis, ..DriveRecord::default() }));
+                if axis == 0 && index % 2 == 0 {
+                    let shown = [None, Some(40.5), Some(index as f64 - 250.0), None].into();
+                    black_box.enter(&Record::Monitor(MonitorRecord { index, axis, shown }));
+                }
+            }
+            black_box.enter(&Record::Cycle(CycleRecord { index, ..CycleRecord::default() }));
+        }
+        black_box.ask();
+        let [written] = &black_box.write(true)[..] else { panic!() };
+        let (header, records) = file::load(&written.path).unwrap();
+        let channel = |name: &str, unit: &str| Some(Channel { name: name.into(), unit: unit.into() });
+        let monitor = [None, channel("core-temperature", "C"), channel("demand-velocity", "mm/s"), None];
+        assert_eq!((header.axes[0].name.as_str(), &header.axes[0].monitor), ("z", &monitor));
+        assert!(header.axes[1..].iter().all(|axis| axis.monitor.iter().all(Option::is_none)));
+        // Room for one more record a cycle than it needs in every second one.
+        assert_eq!(records.len(), 500);
+
+        let courses = story::courses(&header, &records, &[], 3);
+        assert_eq!(courses.iter().map(|course| course.monitor.len()).collect::<Vec<_>>(), [2, 0, 0]);
+        let rows: Vec<_> = courses[0].rows.iter().map(|row| (row.cycle, &row.monitor[..])).collect();
+        let at = |value: f64| [Some(40.5), Some(value)];
+        let none = [None, None];
+        assert_eq!(rows, [(296, &at(46.0)[..]), (297, &none), (298, &at(48.0)), (299, &none)]);
+        let text = story::tell(&header, &records, 3);
+        let (_, table) = text.split_once("drive z, mm\n").unwrap();
+        let lines: Vec<&str> = table.lines().take(3).collect();
+        assert!(lines[0].ends_with(" current A core-temperature C demand-velocity mm/s"), "{text}");
+        assert!(lines[1].ends_with("      0.00               40.5                   46"), "{text}");
+        assert!(lines[2].ends_with("      0.00                  -                    -"), "{text}");
+        assert_eq!(text.matches("core-temperature").count(), 1, "{text}");
     }
 
     #[test]

@@ -1,12 +1,15 @@
 //! What led up to it, in words: what changed from cycle to cycle, and the last cycles as a table.
 
 use std::fmt::Write as _;
+use std::num::NonZeroU32;
+use std::ops::RangeInclusive;
 
 use serde::Serialize;
 
-use super::file::Header;
+use super::file::{Channel, Header};
 use crate::axis::{Link, Verb};
 use crate::cycle::record::{CycleRecord, DriveRecord, Lateness, Record, Reply, SkippedRecord, Stage};
+use crate::telemetry::summary::plain;
 use crate::time::{Ns, S};
 
 /// Something that changed.
@@ -48,6 +51,7 @@ pub fn happenings(header: &Header, records: &[Record]) -> Vec<Happening> {
                 };
                 (drive.index, axis, news)
             }
+            Record::Monitor(_) => continue,
             Record::Cycle(cycle) => {
                 (cycle.index, header.axes.len(), late(header, cycle).into_iter().collect())
             }
@@ -167,12 +171,8 @@ fn write(text: &mut String, header: &Header, records: &[Record], cycles: u64) ->
     writeln!(text, "{}, in cycle {} ({} a cycle)", header.why, header.cycle, Ns(header.period_ns))?;
     let host = [&header.kernel, &header.preemption, &header.cpu].map(|fact| fact.as_deref().unwrap_or("?"));
     writeln!(text, "host: {}", host.join(", "))?;
-    let span = |record: &Record| match record {
-        Record::Drive(drive) => drive.index,
-        Record::Cycle(cycle) => cycle.index,
-        Record::Skipped(skipped) => skipped.first,
-    };
-    let (Some(first), Some(last)) = (records.first().map(span), records.last().map(span)) else {
+    let [first, last] = [records.first(), records.last()].map(|record| record.map(Record::index));
+    let (Some(first), Some(last)) = (first, last) else {
         return writeln!(text, "it holds no cycle");
     };
     writeln!(
@@ -190,10 +190,9 @@ fn write(text: &mut String, header: &Header, records: &[Record], cycles: u64) ->
         let times = if one.times > 1 { format!(" ({} cycles in a row)", one.times) } else { String::new() };
         writeln!(text, "{:>+10.4} s  cycle {:<10} {who:wide$}  {}{times}", one.at_s, one.cycle, one.what)?;
     }
-    let concerned = concerned(header, &happenings, cycles);
-    let (from, to) = (header.cycle.saturating_sub(cycles), header.cycle.saturating_add(cycles / 4));
+    let shown = around(header, cycles);
     let loops = records.iter().filter_map(|record| match record {
-        Record::Cycle(cycle) if (from..=to).contains(&cycle.index) => Some(cycle),
+        Record::Cycle(cycle) if shown.contains(&cycle.index) => Some(cycle),
         _ => None,
     });
     write!(text, "\nthe loop, us\n{:>12} {:>9}", "cycle", "woke")?;
@@ -201,7 +200,6 @@ fn write(text: &mut String, header: &Header, records: &[Record], cycles: u64) ->
         write!(text, " {:>9}", stage.name())?;
     }
     writeln!(text)?;
-    let us = |ns: u32| f64::from(ns) / 1e3;
     for cycle in loops {
         write!(text, "{:>12} {:>9.1}", cycle.index, us(cycle.wake_ns))?;
         for ns in cycle.stages_ns {
@@ -209,35 +207,126 @@ fn write(text: &mut String, header: &Header, records: &[Record], cycles: u64) ->
         }
         writeln!(text)?;
     }
-    for axis in concerned {
-        let of = &header.axes[axis];
-        writeln!(text, "\ndrive {}, {}", of.name, of.unit)?;
-        writeln!(
+    courses(header, records, &happenings, cycles).iter().try_for_each(|course| write_course(text, course))
+}
+
+fn write_course(text: &mut String, Course { name, unit, monitor, rows }: &Course) -> std::fmt::Result {
+    writeln!(text, "\ndrive {name}, {unit}")?;
+    write!(
+        text,
+        "{:>12} {:>9} {:>9} {:>11} {:>19} {:>12} {:>12} {:>12} {:>9}",
+        "cycle", "reply", "RTT us", "link", "state", "position", "demand", "velocity", "current A"
+    )?;
+    let titles: Vec<String> = (monitor.iter())
+        .map(|channel| format!("{} {}", channel.name, channel.unit).trim_end().to_owned())
+        .collect();
+    let widths: Vec<usize> = titles.iter().map(|title| title.chars().count().clamp(9, WIDEST_NAME)).collect();
+    for (title, wide) in titles.iter().zip(&widths) {
+        write!(text, " {title:>wide$}")?;
+    }
+    writeln!(text)?;
+    for row in rows {
+        let rtt = row.rtt_ns.map_or("-".to_owned(), |ns| format!("{:.1}", us(ns.get())));
+        write!(
             text,
-            "{:>12} {:>9} {:>9} {:>11} {:>19} {:>12} {:>12} {:>12} {:>9}",
-            "cycle", "reply", "RTT us", "link", "state", "position", "demand", "velocity", "current A"
+            "{:>12} {:>9} {rtt:>9} {:>11} {:>19} {:>12.4} {:>12.4} {:>12.2} {:>9.2}",
+            row.cycle, row.reply, row.link, row.state, row.position, row.demand, row.velocity, row.current
         )?;
-        for record in records {
-            let Record::Drive(drive) = record else { continue };
-            if usize::from(drive.axis) != axis || !(from..=to).contains(&drive.index) {
-                continue;
-            }
-            let rtt = drive.rtt_ns.map_or("-".to_owned(), |ns| format!("{:.1}", us(ns.get())));
-            let reply = format!("{:?}", drive.reply).to_lowercase();
-            writeln!(
-                text,
-                "{:>12} {reply:>9} {rtt:>9} {:>11} {:>19} {:>12.4} {:>12.4} {:>12.2} {:>9.2}",
-                drive.index,
-                drive.link.to_string(),
-                drive.state.to_string(),
-                drive.position,
-                drive.demand,
-                drive.velocity,
-                drive.current
-            )?;
+        for (value, wide) in row.monitor.iter().zip(&widths) {
+            let value = value.map_or("-".to_owned(), |value| plain(value).to_string());
+            write!(text, " {value:>wide$}")?;
         }
+        writeln!(text)?;
     }
     Ok(())
+}
+
+fn us(ns: u32) -> f64 {
+    f64::from(ns) / 1e3
+}
+
+/// A drive from cycle to cycle.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Course {
+    /// Its name.
+    pub name: String,
+    /// Its user unit.
+    pub unit: String,
+    /// What it shows besides its process data.
+    pub monitor: Vec<Channel>,
+    /// Its cycles.
+    pub rows: Vec<Row>,
+}
+
+/// A drive in a cycle.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Row {
+    /// Which.
+    pub cycle: u64,
+    /// What became of its exchange.
+    pub reply: String,
+    /// The round trip.
+    pub rtt_ns: Option<NonZeroU32>,
+    /// The link as judged.
+    pub link: String,
+    /// State of the drive.
+    pub state: String,
+    /// Actual position, user units.
+    pub position: f64,
+    /// Demand position, user units.
+    pub demand: f64,
+    /// Actual velocity, user units/s.
+    pub velocity: f32,
+    /// Motor current, A.
+    pub current: f32,
+    /// What it showed besides, in the order of [`Course::monitor`]; `None` = nothing in this cycle.
+    pub monitor: Vec<Option<f64>>,
+}
+
+/// The drives that it happened to, from `cycles` cycles before the failure on.
+pub fn courses(header: &Header, records: &[Record], happenings: &[Happening], cycles: u64) -> Vec<Course> {
+    let shown = around(header, cycles);
+    let mut courses: Vec<Option<Course>> = vec![None; header.axes.len()];
+    for axis in concerned(header, happenings, cycles) {
+        let of = &header.axes[axis];
+        let (name, unit) = (of.name.clone(), of.unit.clone());
+        let monitor = of.monitor.iter().flatten().cloned().collect();
+        courses[axis] = Some(Course { name, unit, monitor, rows: Vec::new() });
+    }
+    for record in records.iter().filter(|record| shown.contains(&record.index())) {
+        match record {
+            Record::Drive(drive) => {
+                let Some(Some(course)) = courses.get_mut(usize::from(drive.axis)) else { continue };
+                course.rows.push(Row {
+                    cycle: drive.index,
+                    reply: format!("{:?}", drive.reply).to_lowercase(),
+                    rtt_ns: drive.rtt_ns,
+                    link: drive.link.to_string(),
+                    state: drive.state.to_string(),
+                    position: drive.position,
+                    demand: drive.demand,
+                    velocity: drive.velocity,
+                    current: drive.current,
+                    monitor: vec![None; course.monitor.len()],
+                });
+            }
+            Record::Monitor(of) => {
+                let axis = usize::from(of.axis);
+                let Some(Some(course)) = courses.get_mut(axis) else { continue };
+                let Some(row) = course.rows.last_mut().filter(|row| row.cycle == of.index) else { continue };
+                let channels = header.axes[axis].monitor.iter().zip(of.shown.values());
+                row.monitor =
+                    channels.filter_map(|(channel, value)| channel.as_ref().map(|_| value)).collect();
+            }
+            Record::Cycle(_) | Record::Skipped(_) => {}
+        }
+    }
+    courses.into_iter().flatten().collect()
+}
+
+/// The cycles that are shown one by one: so many before the failure, and a quarter of that after it.
+fn around(header: &Header, cycles: u64) -> RangeInclusive<u64> {
+    header.cycle.saturating_sub(cycles)..=header.cycle.saturating_add(cycles / 4)
 }
 
 /// The drives to which something happened around the failure; all of them if it was to none.
@@ -256,10 +345,11 @@ mod tests {
     use super::super::file::Axis;
     use super::*;
     use crate::axis::{State, StopCause};
+    use crate::cycle::record::MonitorRecord;
     use crate::time::MS;
 
     fn machine() -> (Header, Vec<Record>) {
-        let axis = |name: &str| Axis { name: name.into(), unit: "mm".into() };
+        let axis = |name: &str| Axis { name: name.into(), unit: "mm".into(), ..Axis::default() };
         let header = Header {
             why: "drive x: link lost".into(),
             cycle: 103,
@@ -342,12 +432,20 @@ mod tests {
     #[test]
     fn any_number_and_any_name_can_be_told() {
         let (mut header, mut records) = machine();
-        header.axes[1].name = "\x1b[2J".repeat(20_000);
+        let name = "\x1b[2J".repeat(20_000);
+        header.axes[0].monitor[2] = Some(Channel { name: name.clone(), unit: "\x07".into() });
+        header.axes[1].name = name;
+        let shown = [Some(f64::MAX), Some(f64::NAN), Some(f64::MIN), None].into();
+        records.insert(1, Record::Monitor(MonitorRecord { index: 96, axis: 0, shown }));
         for cycle in [0, 103, u64::MAX] {
             header.cycle = cycle;
             for record in &mut records {
-                if let Record::Drive(drive) = record {
-                    drive.index = drive.index.max(cycle);
+                match record {
+                    Record::Drive(DriveRecord { index, .. })
+                    | Record::Monitor(MonitorRecord { index, .. }) => {
+                        *index = (*index).max(cycle);
+                    }
+                    _ => {}
                 }
             }
             for cycles in [0, 4, u64::MAX] {

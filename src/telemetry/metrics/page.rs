@@ -8,7 +8,8 @@ use prometheus_client::encoding::{DescriptorEncoder, MetricEncoder, NoLabelSet};
 use prometheus_client::metrics::MetricType;
 use prometheus_client::registry::{Registry, Unit};
 
-use crate::axis::Link;
+use crate::axis::{Link, MonitorChannel};
+use crate::cycle::Plan;
 use crate::cycle::record::Stage;
 use crate::cycle::status::{DriveEnd, Numbers};
 use crate::rt::host;
@@ -58,6 +59,7 @@ impl Collector for Machine {
         sheet.host(monitor)?;
         sheet.cycle(monitor.plan().cycle.period_ns, &numbers)?;
         sheet.drives(&numbers.drives)?;
+        sheet.monitored(monitor.plan(), &numbers.drives)?;
         sheet.buses(&numbers)?;
         monitor.measured(|Measured { histograms, causes, .. }| {
             sheet.histograms(histograms, &numbers.drives)?;
@@ -243,6 +245,42 @@ impl Sheet<'_> {
         }
         for (name, help, value) in MAXIMA_NS {
             self.times(name, help, drives.iter().map(|drive| (name_of(drive), value(drive))))?;
+        }
+        Ok(())
+    }
+
+    fn monitored(&mut self, plan: &Plan, drives: &[DriveEnd]) -> fmt::Result {
+        type Field = (&'static str, &'static str, fn(&DriveEnd, usize) -> Option<f64>);
+        const VALUES: [Field; 3] = [
+            (
+                "drive_monitor",
+                "A variable that the drive shows besides its process data, while it does.",
+                |drive, channel| {
+                    let DriveEnd { feedback, monitor, .. } = drive;
+                    let shows = feedback.link == Link::Online && feedback.monitor[channel].is_some();
+                    monitor[channel].filter(|_| shows).map(|extent| extent.value)
+                },
+            ),
+            ("drive_monitor_min", "The smallest value of that variable.", |drive, channel| {
+                drive.monitor[channel].map(|extent| extent.min)
+            }),
+            ("drive_monitor_max", "The largest value of that variable.", |drive, channel| {
+                drive.monitor[channel].map(|extent| extent.max)
+            }),
+        ];
+        let monitored = plan.monitored();
+        let mut variables = Vec::new();
+        for (drive, channels) in drives.iter().zip(&monitored) {
+            for (channel, named) in channels.iter().enumerate() {
+                variables.extend(named.as_ref().map(|named| (drive, channel, named)));
+            }
+        }
+        for (name, help, value) in VALUES {
+            let samples = variables.iter().filter_map(|(drive, channel, MonitorChannel { name, unit })| {
+                let labels = [("drive", drive.name.as_str()), ("variable", name), ("unit", unit)];
+                Some((labels, value(drive, *channel)?))
+            });
+            self.family((name, help), None, MetricType::Gauge, samples, |to, value| to.encode_gauge(&value))?;
         }
         Ok(())
     }

@@ -84,6 +84,7 @@ mod tests {
             counters: Default::default(),
             losses: 0,
             peaks: Peaks { rtt, ..Peaks::default() },
+            monitor: Default::default(),
         };
         Run {
             end: Numbers { status, drives: vec![end], ..Numbers::default() },
