@@ -1,8 +1,10 @@
 //! What the program does beside a running master: the live line, what happened to links and black boxes, the service
 //! manager, the control socket, and SIGUSR1.
 
+use std::path::PathBuf;
+
 use fieldbeat::axis::Link;
-use fieldbeat::control::{Server, place};
+use fieldbeat::control::{Answering, Desk, Server, place};
 use fieldbeat::master::Master;
 use fieldbeat::rt::thread::helper_thread;
 use fieldbeat::telemetry::Monitor;
@@ -113,11 +115,35 @@ fn serve(master: &Master) -> Result<Server, String> {
     let path = place::prepare(config.as_deref()).map_err(|error| error.to_string())?;
     let monitor = master.monitor();
     let core = master.granted().core;
-    let answer = move |question: &Value| match question["ask"].as_str() {
-        Some("status") => Ok(status(&monitor, config.as_deref())),
-        _ => Err("this master answers \"status\" only; is it another version?".to_owned()),
+    let acyclics = master.acyclics().to_vec();
+    let open = move || Conversation {
+        monitor: monitor.clone(),
+        config: config.clone(),
+        desk: Desk::new(acyclics.clone()),
     };
-    Server::start(&path, move || helper_thread(core), answer).map_err(|error| error.to_string())
+    Server::start(&path, move || helper_thread(core), open).map_err(|error| error.to_string())
+}
+
+/// What another process asks this master.
+struct Conversation {
+    monitor: Monitor,
+    config: Option<PathBuf>,
+    desk: Desk,
+}
+
+impl Answering for Conversation {
+    fn answer(&mut self, question: &Value, go_on: &dyn Fn() -> bool) -> Result<Value, String> {
+        if question["ask"] == "status" {
+            return Ok(status(&self.monitor, self.config.as_deref()));
+        }
+        self.desk.answer(question, go_on).unwrap_or_else(|| {
+            Err("this master does not know that question; is it another version?".to_owned())
+        })
+    }
+
+    fn end(&mut self, go_on: &dyn Fn() -> bool) {
+        self.desk.end(go_on);
+    }
 }
 
 fn status(monitor: &Monitor, config: Option<&std::path::Path>) -> Value {

@@ -1,7 +1,9 @@
 //! The asking side of the control socket.
 
 use std::io;
+use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use nix::sys::socket::{getsockopt, sockopt};
@@ -47,6 +49,9 @@ pub enum AskError {
         /// What the operating system said.
         error: io::Error,
     },
+    /// It broke off before: an answer that is still on its way would be taken for that to another question.
+    #[error("the conversation with {0} broke off before: begin another one")]
+    Broken(PathBuf),
     /// It answered something else.
     #[error("{0} gives no answer of this program; is it another version?")]
     Foreign(PathBuf),
@@ -58,35 +63,65 @@ pub enum AskError {
 /// Asks the master at `path` one question. It is this user's, root's, or that of whoever owns the directory. Its answer may
 /// be shown on a terminal as it is: no text in it has control characters but the end of a line.
 pub fn ask(path: &Path, question: &Value) -> Result<Value, AskError> {
-    let own = || path.to_owned();
-    let failed = |error| AskError::Io { path: own(), error };
-    let stream = connect(path, PATIENCE).map_err(|error| match error.kind() {
-        io::ErrorKind::NotFound => AskError::Nobody(own()),
-        io::ErrorKind::ConnectionRefused => AskError::Dead(own()),
-        io::ErrorKind::PermissionDenied => AskError::NotOurs(own()),
-        _ => failed(error),
-    })?;
-    let user = getsockopt(&stream, sockopt::PeerCredentials).map_err(|error| failed(error.into()))?.uid();
-    let ours = [0, nix::unistd::geteuid().as_raw()].contains(&user);
-    if !ours && path.parent().and_then(place::owner) != Some(user) {
-        return Err(AskError::Stranger { path: own(), user });
+    Conversation::open(path)?.ask(question, PATIENCE)
+}
+
+/// Question after question to one master, up to the first that fails.
+#[derive(Debug)]
+pub struct Conversation {
+    path: PathBuf,
+    /// None once a question has failed. One question at a time.
+    stream: Mutex<Option<UnixStream>>,
+}
+
+impl Conversation {
+    /// With the master at `path`; see [`ask`].
+    pub fn open(path: &Path) -> Result<Conversation, AskError> {
+        let own = || path.to_owned();
+        let failed = |error| AskError::Io { path: own(), error };
+        let stream = connect(path, PATIENCE).map_err(|error| match error.kind() {
+            io::ErrorKind::NotFound => AskError::Nobody(own()),
+            io::ErrorKind::ConnectionRefused => AskError::Dead(own()),
+            io::ErrorKind::PermissionDenied => AskError::NotOurs(own()),
+            _ => failed(error),
+        })?;
+        let user = getsockopt(&stream, sockopt::PeerCredentials).map_err(|error| failed(error.into()))?.uid();
+        let ours = [0, nix::unistd::geteuid().as_raw()].contains(&user);
+        if !ours && path.parent().and_then(place::owner) != Some(user) {
+            return Err(AskError::Stranger { path: own(), user });
+        }
+        Ok(Conversation { path: own(), stream: Mutex::new(Some(stream)) })
     }
-    let talk = Talk::new(&stream, PATIENCE, &|| true).map_err(failed)?;
-    let said = talk.say(&format!("{question}\n"));
-    let line = talk.line(LONGEST_ANSWER).map_err(failed)?;
-    // Whoever did not take all of the question may have said why.
-    if line.is_empty() {
-        said.map_err(failed)?;
+
+    /// Asks; the answer may take `patience`. A question that fails ends the conversation.
+    pub fn ask(&self, question: &Value, patience: Duration) -> Result<Value, AskError> {
+        let mut held = self.stream.lock().unwrap_or_else(PoisonError::into_inner);
+        let stream = held.take().ok_or_else(|| AskError::Broken(self.path.clone()))?;
+        let answer = self.ask_over(&stream, question, patience)?;
+        *held = Some(stream);
+        Ok(answer)
     }
-    let mut reply: Value = serde_json::from_slice(&line).map_err(|_| AskError::Foreign(own()))?;
-    if !reply.is_object() {
-        return Err(AskError::Foreign(own()));
-    }
-    disarm(&mut reply);
-    match (reply["ok"].take(), &reply["error"]) {
-        (Value::Null, Value::String(why)) => Err(AskError::Refused(why.clone())),
-        (Value::Null, _) => Err(AskError::Foreign(own())),
-        (answer, _) => Ok(answer),
+
+    fn ask_over(&self, stream: &UnixStream, question: &Value, patience: Duration) -> Result<Value, AskError> {
+        let own = || self.path.clone();
+        let failed = |error| AskError::Io { path: own(), error };
+        let talk = Talk::new(stream, patience, &|| true).map_err(failed)?;
+        let said = talk.say(&format!("{question}\n"));
+        let line = talk.line(LONGEST_ANSWER).map_err(failed)?;
+        // Whoever did not take all of the question may have said why.
+        if line.is_empty() {
+            said.map_err(failed)?;
+        }
+        let mut reply: Value = serde_json::from_slice(&line).map_err(|_| AskError::Foreign(own()))?;
+        if !reply.is_object() {
+            return Err(AskError::Foreign(own()));
+        }
+        disarm(&mut reply);
+        match (reply["ok"].take(), &reply["error"]) {
+            (Value::Null, Value::String(why)) => Err(AskError::Refused(why.clone())),
+            (Value::Null, _) => Err(AskError::Foreign(own())),
+            (answer, _) => Ok(answer),
+        }
     }
 }
 
@@ -112,6 +147,7 @@ mod tests {
     use std::fs::{self, Permissions};
     use std::os::unix::fs::{PermissionsExt, chown};
     use std::os::unix::net::UnixListener;
+    use std::sync::Arc;
 
     use serde_json::json;
 
@@ -126,7 +162,7 @@ mod tests {
             Some(_) => Ok(json!({ "text": "a\x1b[2J\nb\u{9b}1m\r", "\x1bk": ["\x07", 1] })),
             None => Err("no\x1b[2J".to_owned()),
         };
-        let _server = Server::start(&path, || {}, answer).unwrap();
+        let _server = Server::start(&path, || {}, move || answer).unwrap();
         let answer = ask(&path, &json!({ "ask": "status" })).unwrap();
         assert_eq!(answer, json!({ "text": "a[2J\nb1m", "k": ["", 1] }));
         assert_eq!(ask(&path, &json!({})).unwrap_err().to_string(), "no[2J");
@@ -149,6 +185,30 @@ mod tests {
             assert!(matches!(ask(&path, &json!({})), Err(AskError::Foreign(_))));
         }
         thread.join().unwrap();
+    }
+
+    #[test]
+    fn a_late_answer_is_not_taken_for_that_to_another_question() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.sock");
+        let hold = Arc::new(Mutex::new(()));
+        let held = Arc::clone(&hold);
+        let answer = move |question: &Value| {
+            drop(held.lock().unwrap_or_else(PoisonError::into_inner));
+            Ok(question.clone())
+        };
+        let _server = Server::start(&path, || {}, move || answer.clone()).unwrap();
+        let conversation = Conversation::open(&path).unwrap();
+        let (first, second) = (json!({ "ask": 1 }), json!({ "ask": 2 }));
+        assert_eq!(conversation.ask(&first, PATIENCE).unwrap(), first);
+        let holding = hold.lock().unwrap();
+        let late = conversation.ask(&first, Duration::from_millis(100)).unwrap_err();
+        assert!(matches!(late, AskError::Io { .. }), "{late}");
+        drop(holding);
+        let broken = conversation.ask(&second, PATIENCE).unwrap_err();
+        assert!(matches!(broken, AskError::Broken(_)), "{broken}");
+        // Another conversation is none the worse for it.
+        assert_eq!(ask(&path, &second).unwrap(), second);
     }
 
     #[test]

@@ -2,25 +2,33 @@
 
 use std::fs;
 use std::io;
+use std::os::fd::AsFd;
 use std::os::unix::fs::{FileTypeExt, PermissionsExt};
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::sys::socket::{getsockopt, sockopt};
 use serde_json::{Value, json};
 use thiserror::Error;
 
 use super::talk::{LOOK_EVERY, Talk, connect};
 
-/// Whoever asks has so long to say what and to take the answer; whoever comes meanwhile waits in the kernel's queue.
+/// Whoever asks has so long to say what, and so long to take the answer.
 const PATIENCE: Duration = Duration::from_secs(1);
 
-/// Bytes of a question. Those of this program have some twenty.
-const LONGEST_QUESTION: usize = 4096;
+/// Between two questions of one conversation.
+const PAUSE: Duration = Duration::from_secs(10);
+
+/// Conversations at a time; whoever comes meanwhile waits in the kernel's queue.
+const MOST_CONVERSATIONS: usize = 8;
+
+/// Bytes of a question. The longest of this program is a series of 64 calls.
+const LONGEST_QUESTION: usize = 16 << 10;
 
 /// Why there is no control socket. The message ends with the remedy.
 #[derive(Debug, Error)]
@@ -48,12 +56,13 @@ pub struct Server {
 }
 
 impl Server {
-    /// Answers at `path` what `answer` says, on a thread of its own; `prepare` runs first on that. A socket that a dead
-    /// process left behind is replaced.
-    pub fn start(
+    /// Answers at `path`, each conversation on a thread of its own, on which `prepare` runs first. What it answers to the
+    /// questions of a conversation says what `open` makes for it; that is dropped at its end. A socket that a dead process left
+    /// behind is replaced.
+    pub fn start<A: Answering>(
         path: &Path,
-        prepare: impl FnOnce() + Send + 'static,
-        answer: impl Fn(&Value) -> Result<Value, String> + Send + 'static,
+        prepare: impl Fn() + Send + Sync + 'static,
+        open: impl Fn() -> A + Send + Sync + 'static,
     ) -> Result<Server, ServeError> {
         let failed = |error| ServeError::Io { path: path.to_owned(), error };
         let listener = listen(path)?;
@@ -65,16 +74,30 @@ impl Server {
             .spawn(move || {
                 prepare();
                 let go_on = || !ending.load(Ordering::Relaxed);
-                while go_on() {
-                    match listener.accept() {
-                        // One after the other: each is done within the patience.
-                        Ok((stream, _)) => {
-                            // Whoever went away or talks nonsense is not answered, and that is all.
-                            let _ = serve(&stream, &go_on, &answer);
+                let under_way = AtomicUsize::new(0);
+                let talk = |stream: UnixStream| {
+                    prepare();
+                    // Whoever went away or talks nonsense is not answered, and that is all.
+                    let mut answering = open();
+                    let _ = converse(&stream, &go_on, &mut answering);
+                    answering.end(&go_on);
+                    under_way.fetch_sub(1, Ordering::Relaxed);
+                };
+                // All of them have ended when this does.
+                std::thread::scope(|scope| {
+                    while go_on() {
+                        let room = under_way.load(Ordering::Relaxed) < MOST_CONVERSATIONS;
+                        let Some(Ok((stream, _))) = room.then(|| listener.accept()) else {
+                            std::thread::sleep(LOOK_EVERY);
+                            continue;
+                        };
+                        under_way.fetch_add(1, Ordering::Relaxed);
+                        let thread = std::thread::Builder::new().name("fb-control-talk".into());
+                        if thread.spawn_scoped(scope, || talk(stream)).is_err() {
+                            under_way.fetch_sub(1, Ordering::Relaxed);
                         }
-                        Err(_) => std::thread::sleep(LOOK_EVERY),
                     }
-                }
+                });
             })
             .map_err(failed)?;
         Ok(Server { path: path.to_owned(), end, thread: Some(thread) })
@@ -117,33 +140,65 @@ fn is_socket(path: &Path) -> bool {
     fs::symlink_metadata(path).is_ok_and(|about| about.file_type().is_socket())
 }
 
-/// Answers one question.
-fn serve(
-    stream: &UnixStream,
-    go_on: &dyn Fn() -> bool,
-    answer: &impl Fn(&Value) -> Result<Value, String>,
-) -> io::Result<()> {
+/// What answers the questions of one conversation.
+pub trait Answering {
+    /// The answer. One that takes long breaks off once `go_on` is false: nobody waits for it any more.
+    fn answer(&mut self, question: &Value, go_on: &dyn Fn() -> bool) -> Result<Value, String>;
+
+    /// The conversation is over: does what has to be done then, while `go_on`.
+    fn end(&mut self, go_on: &dyn Fn() -> bool) {
+        let _ = go_on;
+    }
+}
+
+impl<F: Fn(&Value) -> Result<Value, String>> Answering for F {
+    fn answer(&mut self, question: &Value, _go_on: &dyn Fn() -> bool) -> Result<Value, String> {
+        self(question)
+    }
+}
+
+/// Whether the other side has closed its end. One that only says no more, and listens, has not.
+fn hung_up(stream: &UnixStream) -> bool {
+    let mut looked = [PollFd::new(stream.as_fd(), PollFlags::empty())];
+    let found = poll(&mut looked, PollTimeout::ZERO);
+    found.is_ok_and(|found| found > 0)
+}
+
+/// Answers question after question, until the other side ends it.
+fn converse(stream: &UnixStream, go_on: &dyn Fn() -> bool, answering: &mut impl Answering) -> io::Result<()> {
     // An accepted socket waits, whatever its listener does.
     stream.set_nonblocking(false)?;
-    let talk = Talk::new(stream, PATIENCE, go_on)?;
     let uid = getsockopt(stream, sockopt::PeerCredentials)?.uid();
-    let reply = if uid == 0 || uid == nix::unistd::geteuid().as_raw() {
-        let line = talk.line(LONGEST_QUESTION)?;
-        match serde_json::from_slice(&line) {
-            Ok(question) => answer(&question),
-            Err(_) if line.len() == LONGEST_QUESTION => {
-                Err(format!("a question has at most {LONGEST_QUESTION} bytes"))
+    let ours = uid == 0 || uid == nix::unistd::geteuid().as_raw();
+    let mut patience = PATIENCE;
+    loop {
+        let reply = match ours {
+            true => {
+                let line = Talk::new(stream, patience, go_on)?.line(LONGEST_QUESTION)?;
+                if line.is_empty() {
+                    return Ok(());
+                }
+                match serde_json::from_slice(&line) {
+                    Ok(question) => answering.answer(&question, &|| go_on() && !hung_up(stream)),
+                    Err(_) if line.len() == LONGEST_QUESTION => {
+                        Err(format!("a question has at most {LONGEST_QUESTION} bytes"))
+                    }
+                    Err(error) => Err(format!("no JSON object in one line: {error}")),
+                }
             }
-            Err(error) => Err(format!("no JSON object in one line: {error}")),
+            false => Err("only the owner of this master may ask it".to_owned()),
+        };
+        let go_on_talking = reply.is_ok();
+        let reply = match reply {
+            Ok(value) => json!({ "ok": value }),
+            Err(why) => json!({ "error": why }),
+        };
+        Talk::new(stream, PATIENCE, go_on)?.say(&format!("{reply}\n"))?;
+        if !go_on_talking {
+            return Ok(());
         }
-    } else {
-        Err("only the owner of this master may ask it".to_owned())
-    };
-    let reply = match reply {
-        Ok(value) => json!({ "ok": value }),
-        Err(why) => json!({ "error": why }),
-    };
-    talk.say(&format!("{reply}\n"))
+        patience = PAUSE;
+    }
 }
 
 #[cfg(test)]
@@ -165,13 +220,13 @@ mod tests {
     fn a_question_is_answered_and_a_wrong_one_refused() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("a.sock");
-        let server = Server::start(&path, || {}, echo).unwrap();
+        let server = Server::start(&path, || {}, || echo).unwrap();
         assert_eq!(fs::metadata(server.path()).unwrap().permissions().mode() & 0o777, 0o600);
         let question = json!({ "ask": "echo", "x": 1 });
         assert_eq!(ask(&path, &question).unwrap(), question);
         let refused = ask(&path, &json!({ "ask": "life" })).unwrap_err();
         assert!(matches!(&refused, AskError::Refused(why) if why == "I only know echo"), "{refused}");
-        assert!(matches!(Server::start(&path, || {}, echo), Err(ServeError::Taken(_))));
+        assert!(matches!(Server::start(&path, || {}, || echo), Err(ServeError::Taken(_))));
         // Nonsense, half a line, nothing at all: the next one is answered all the same.
         for bytes in [&b"x\n"[..], b"{\"ask\"", b"", &[0xff; 4096]] {
             let mut stream = UnixStream::connect(&path).unwrap();
@@ -189,7 +244,7 @@ mod tests {
         let path = directory.path().join("a.sock");
         drop(UnixListener::bind(&path).unwrap());
         assert!(path.exists() && matches!(ask(&path, &json!({})), Err(AskError::Dead(_))));
-        let _server = Server::start(&path, || {}, echo).unwrap();
+        let _server = Server::start(&path, || {}, || echo).unwrap();
         assert!(ask(&path, &json!({ "ask": "echo" })).is_ok());
     }
 
@@ -198,7 +253,7 @@ mod tests {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("a.sock");
         fs::write(&path, "precious").unwrap();
-        assert!(matches!(Server::start(&path, || {}, echo), Err(ServeError::Io { .. })));
+        assert!(matches!(Server::start(&path, || {}, || echo), Err(ServeError::Io { .. })));
         assert_eq!(fs::read_to_string(&path).unwrap(), "precious");
     }
 
@@ -206,7 +261,7 @@ mod tests {
     fn whoever_asks_byte_by_byte_holds_up_neither_the_next_one_nor_the_end() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("a.sock");
-        let server = Server::start(&path, || {}, echo).unwrap();
+        let server = Server::start(&path, || {}, || echo).unwrap();
         let slow = || {
             let mut stream = UnixStream::connect(&path).unwrap();
             // Until the server breaks it off.
@@ -234,7 +289,7 @@ mod tests {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("a.sock");
         let long = |_: &Value| Ok(Value::String("x".repeat(4 << 20)));
-        let _server = Server::start(&path, || {}, long).unwrap();
+        let _server = Server::start(&path, || {}, move || long).unwrap();
         let mut stream = UnixStream::connect(&path).unwrap();
         stream.write_all(b"{}\n").unwrap();
         let (begun, mut bytes) = (Instant::now(), [0; 8 << 10]);
@@ -251,10 +306,10 @@ mod tests {
     fn a_question_without_end_is_refused() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("a.sock");
-        let _server = Server::start(&path, || {}, echo).unwrap();
+        let _server = Server::start(&path, || {}, || echo).unwrap();
         let refused = ask(&path, &json!({ "ask": "x".repeat(2 * LONGEST_QUESTION) })).unwrap_err();
         assert!(
-            matches!(&refused, AskError::Refused(why) if why.contains("at most 4096 bytes")),
+            matches!(&refused, AskError::Refused(why) if why.contains("at most 16384 bytes")),
             "{refused}"
         );
     }

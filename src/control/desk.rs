@@ -1,0 +1,143 @@
+//! Acyclic access to the drives of a running master, for other processes: the master's side of one conversation.
+
+use std::any::Any;
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+use serde_json::{Value, json};
+
+use crate::axis::acyclic::{Acyclic, Call, CallError, Carrier, Condition, Series};
+
+/// How often a series under way is looked at.
+const LOOK_EVERY: Duration = Duration::from_millis(1);
+
+/// The longest that one call may be given.
+const LONGEST: Duration = Duration::from_secs(600);
+
+/// What each call of a legacy gets, and for how long it is tried: a drive that saves to flash was met to be silent for 75 s and
+/// more (C1250), and is given four times that.
+const LEGACY_LIMIT: Duration = Duration::from_secs(20);
+const LEGACY_PATIENCE: Duration = Duration::from_secs(300);
+
+/// The drives, and what this conversation has of them. All of that ends with it.
+#[derive(Debug)]
+pub struct Desk {
+    drives: Vec<Place>,
+}
+
+/// One drive.
+#[derive(Debug)]
+struct Place {
+    acyclic: Acyclic,
+    claim: Option<Box<dyn Any + Send>>,
+    /// What is carried out should the conversation end before it is taken back.
+    legacy: Vec<Call>,
+}
+
+impl Desk {
+    /// A desk for these drives.
+    pub fn new(acyclics: Vec<Acyclic>) -> Desk {
+        let place = |acyclic| Place { acyclic, claim: None, legacy: Vec::new() };
+        Desk { drives: acyclics.into_iter().map(place).collect() }
+    }
+
+    /// Answers the questions that are about drives; `None` to any other.
+    pub fn answer(&mut self, question: &Value, go_on: &dyn Fn() -> bool) -> Option<Result<Value, String>> {
+        let asked = question["ask"].as_str()?;
+        if !["drive", "claim", "release", "condition", "calls", "bequeath"].contains(&asked) {
+            return None;
+        }
+        let name = question["drive"].as_str().unwrap_or_default();
+        let Some(place) = self.drives.iter_mut().find(|place| place.acyclic.axis() == name) else {
+            return Some(Err(format!(
+                "this master has no drive {name:?}; is its configuration another one?"
+            )));
+        };
+        let acyclic = &place.acyclic;
+        Some(match asked {
+            "drive" => {
+                let protocol = acyclic.notation().protocol();
+                Ok(json!({ "protocol": protocol, "capacity": acyclic.capacity() }))
+            }
+            "claim" => match acyclic.claim() {
+                Ok(claim) => {
+                    place.claim = Some(claim);
+                    Ok(json!({ "claimed": true }))
+                }
+                Err(error) => Ok(json!({ "failed": error })),
+            },
+            "release" => {
+                place.claim = None;
+                Ok(json!({ "released": true }))
+            }
+            "condition" => Ok(match acyclic.condition() {
+                Ok(condition) => json!({ "condition": condition }),
+                Err(error) => json!({ "failed": error }),
+            }),
+            "bequeath" => calls_of(acyclic, question).map(|calls| {
+                place.legacy = calls;
+                json!({ "bequeathed": place.legacy.len() })
+            }),
+            _ => calls_of(acyclic, question).map(|calls| {
+                let limit = question["limit_ms"].as_u64().map_or(Duration::ZERO, Duration::from_millis);
+                json!(Attended { acyclic, go_on }.run(&calls, limit.min(LONGEST)))
+            }),
+        })
+    }
+
+    /// The conversation is over: carries out what it left to be done, while `go_on`. What it had claimed stays claimed until
+    /// then.
+    pub fn end(&mut self, go_on: &dyn Fn() -> bool) {
+        for place in &mut self.drives {
+            let attended = Attended { acyclic: &place.acyclic, go_on };
+            for call in std::mem::take(&mut place.legacy) {
+                // Whoever could be told has gone.
+                let _ = attended.insist(call, LEGACY_LIMIT, LEGACY_PATIENCE);
+            }
+        }
+    }
+}
+
+/// The calls of a question.
+fn calls_of(acyclic: &Acyclic, question: &Value) -> Result<Vec<Call>, String> {
+    let calls: Vec<Call> = serde_json::from_value(question["calls"].clone())
+        .map_err(|error| format!("no calls: {error}; is it another version?"))?;
+    if calls.len() > acyclic.capacity() {
+        return Err(format!("{} calls at once; at most {}", calls.len(), acyclic.capacity()));
+    }
+    Ok(calls)
+}
+
+/// A drive, while somebody waits for it.
+struct Attended<'a> {
+    acyclic: &'a Acyclic,
+    go_on: &'a dyn Fn() -> bool,
+}
+
+impl Carrier for Attended<'_> {
+    fn run(&self, calls: &[Call], limit: Duration) -> Series {
+        self.acyclic.run_while(calls, limit, || {
+            sleep(LOOK_EVERY);
+            (self.go_on)()
+        })
+    }
+
+    fn condition(&self) -> Result<Condition, CallError> {
+        self.acyclic.condition()
+    }
+
+    fn claim(&self) -> Result<Box<dyn Any + Send>, CallError> {
+        self.acyclic.claim()
+    }
+
+    fn capacity(&self) -> usize {
+        self.acyclic.capacity()
+    }
+
+    fn pause(&self, time: Duration) {
+        let begun = Instant::now();
+        while begun.elapsed() < time && (self.go_on)() {
+            sleep(LOOK_EVERY);
+        }
+    }
+}
