@@ -8,15 +8,19 @@ mod check;
 mod demo;
 mod doctor;
 mod interrupt;
+mod linmot;
 mod live;
+mod meter;
+mod motion;
 mod output;
+mod param;
+mod reach;
 mod run;
 mod service;
 mod sim;
 mod status;
 
 use std::io::Write;
-use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
 
@@ -45,6 +49,11 @@ enum Command {
     Check(check::Check),
     /// A running master: what it measured so far.
     Status(status::Status),
+    /// Parameters of a drive: beside a running master through it, else by a master of its own that moves nothing.
+    Param(param::Param),
+    /// Curves, command table, error log and software of a LinMot drive.
+    #[command(name = "linmot")]
+    LinMot(linmot::LinMot),
     /// What led up to a failure, from the file that the master's black box wrote.
     Blackbox(blackbox::BlackBox),
     /// What this host is worth for real time, and how to mend it; changes nothing.
@@ -78,6 +87,8 @@ pub fn main() -> ExitCode {
         Command::Run(run) => run.run(),
         Command::Check(check) => check.run(),
         Command::Status(status) => status.run(),
+        Command::Param(param) => param.run(),
+        Command::LinMot(linmot) => linmot.run(),
         Command::Blackbox(blackbox) => blackbox.run(),
         Command::Doctor(doctor) => doctor.run(),
     });
@@ -141,7 +152,7 @@ fn complain(line: &str) {
 }
 
 /// A configuration file, or the reasons why it is none.
-fn load(path: &PathBuf) -> Result<fieldbeat::cycle::Plan, Stop> {
+fn load(path: &std::path::Path) -> Result<fieldbeat::cycle::Plan, Stop> {
     fieldbeat::config::load(path).map_err(Stop::usage)
 }
 

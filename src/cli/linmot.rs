@@ -1,0 +1,397 @@
+//! `fieldbeat linmot`: what only a LinMot drive has: curves, command table, error log, its software.
+
+use std::path::{Path, PathBuf};
+
+use clap::{Args, Subcommand};
+use fieldbeat::bus::linudp::curve::Curve;
+use fieldbeat::bus::linudp::service::{CurvePut, Part, Saved, Services};
+use fieldbeat::config::{ConfigErrors, linmot_curve, linmot_table};
+use fieldbeat::telemetry::file::save;
+use serde_json::{Value, json};
+
+use super::interrupt::Interrupt;
+use super::meter::Meter;
+use super::param::Drive;
+use super::reach::Reach;
+use super::{Stop, complain, motion, print};
+
+/// Arguments of `linmot`.
+#[derive(Debug, Args)]
+pub struct LinMot {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Debug, Subcommand)]
+enum What {
+    /// Curves, as CSV files.
+    #[command(subcommand)]
+    Curve(CurveDoes),
+    /// The command table, as a TOML file.
+    #[command(subcommand)]
+    Table(TableDoes),
+    /// The error log, with the drive's own texts.
+    Errors(Shown),
+    /// Restarts the drive: what is in RAM only is lost, and it has to be homed again.
+    Restart(Drive),
+    /// Stops or starts motion control and application software.
+    #[command(subcommand)]
+    Software(SoftwareDoes),
+    /// Runs one motion command by a master of its own: switches the drive on, waits for its end, switches it off.
+    Command(motion::Command),
+    /// Lists the motion commands, with their fields and units.
+    Commands(motion::Commands),
+    /// Resets a part of the parameters in flash to their defaults; they hold after a restart.
+    Defaults(Defaults),
+}
+
+#[derive(Debug, Subcommand)]
+enum CurveDoes {
+    /// The numbers of the curves that the drive has.
+    List(Shown),
+    /// Reads a curve into a new file.
+    Get(CurveGet),
+    /// Writes the curve of a file to the drive's RAM, and reads it back.
+    Put(Put),
+    /// Deletes all curves in the drive's RAM: it cannot delete a single one.
+    Delete(Delete),
+    /// Saves the curves in RAM to flash.
+    Save(Drive),
+}
+
+#[derive(Debug, Subcommand)]
+enum TableDoes {
+    /// The entries that the drive has.
+    List(Shown),
+    /// Reads the whole command table into a new file.
+    Get(Get),
+    /// Makes the drive's table in RAM that of a file, and reads it back.
+    Put(Put),
+    /// Deletes all entries in the drive's RAM.
+    Delete(Delete),
+    /// Saves the table in RAM to flash.
+    Save(Drive),
+}
+
+#[derive(Debug, Subcommand)]
+enum SoftwareDoes {
+    /// Its status is 0 from then on, and flash can be written.
+    Stop(Drive),
+    /// The drive has to be homed again.
+    Start(Drive),
+}
+
+#[derive(Debug, Args)]
+struct Shown {
+    #[command(flatten)]
+    drive: Drive,
+    /// Print JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, Args)]
+struct Get {
+    #[command(flatten)]
+    drive: Drive,
+    /// The file to write.
+    file: PathBuf,
+    /// Replace the file if there is one.
+    #[arg(long)]
+    force: bool,
+}
+
+#[derive(Debug, Args)]
+struct CurveGet {
+    #[command(flatten)]
+    get: Get,
+    /// The number of the curve; needed if the drive has several.
+    #[arg(long, value_name = "N")]
+    id: Option<u16>,
+}
+
+#[derive(Debug, Args)]
+struct Put {
+    #[command(flatten)]
+    drive: Drive,
+    /// The file to read.
+    file: PathBuf,
+    /// Save it to flash, too: the drive is silent meanwhile, for minutes perhaps, and has to be homed again.
+    #[arg(long)]
+    save: bool,
+    /// Write although the drive is switched on, and may be running what is written.
+    #[arg(long, conflicts_with = "save")]
+    live: bool,
+}
+
+#[derive(Debug, Args)]
+struct Delete {
+    #[command(flatten)]
+    drive: Drive,
+    /// Delete although the drive is switched on, and may be running what is deleted.
+    #[arg(long)]
+    live: bool,
+}
+
+#[derive(Debug, Args)]
+struct Defaults {
+    #[command(flatten)]
+    drive: Drive,
+    /// os, mc, interface or application.
+    #[arg(value_parser = part)]
+    part: Part,
+}
+
+fn part(word: &str) -> Result<Part, String> {
+    let known = Part::WORDS.iter().find(|(known, _)| *known == word);
+    known.map(|(_, part)| *part).ok_or_else(|| "must be os, mc, interface or application".to_owned())
+}
+
+impl LinMot {
+    /// Does it.
+    pub fn run(self) -> Result<(), Stop> {
+        let interrupt = Interrupt::catch().map_err(Stop::failed)?;
+        match self.what {
+            What::Command(command) => command.run(&interrupt),
+            What::Commands(commands) => commands.run(),
+            What::Curve(does) => does.run(&interrupt),
+            What::Table(does) => does.run(&interrupt),
+            What::Errors(shown) => with(&shown.drive, &interrupt, |services| errors(services, shown.json)),
+            What::Restart(drive) => with(&drive, &interrupt, |services| {
+                services.restart().map_err(Stop::failed)?;
+                done(services, "restarts")
+            }),
+            What::Software(SoftwareDoes::Stop(drive)) => with(&drive, &interrupt, |services| {
+                services.stop_software().map_err(Stop::failed)?;
+                done(services, "its software is stopped")
+            }),
+            What::Software(SoftwareDoes::Start(drive)) => with(&drive, &interrupt, |services| {
+                services.start_software().map_err(Stop::failed)?;
+                done(services, "its software runs; home it")
+            }),
+            What::Defaults(defaults) => with(&defaults.drive, &interrupt, |services| {
+                services.reset_to_default(defaults.part).map_err(Stop::failed)?;
+                done(services, "the defaults hold after a restart; home it")
+            }),
+        }
+    }
+}
+
+impl CurveDoes {
+    fn run(self, interrupt: &Interrupt) -> Result<(), Stop> {
+        match self {
+            CurveDoes::List(shown) => with(&shown.drive, interrupt, |services| {
+                let ids = services.curves().map_err(Stop::failed)?;
+                list(shown.json, ids, "no curve")
+            }),
+            CurveDoes::Get(CurveGet { get, id }) => {
+                get.check()?;
+                with(&get.drive, interrupt, |services| {
+                    let id = match id {
+                        Some(id) => id,
+                        None => only(services)?,
+                    };
+                    let curve =
+                        services.curve(id, &mut Meter::new(interrupt).watch()).map_err(Stop::failed)?;
+                    let Some(curve) = curve else {
+                        let drive = services.drive();
+                        return Err(Stop::failed(format!("drive {drive} has no curve {id}")));
+                    };
+                    let text = linmot_curve::to_text(&curve).map_err(Stop::failed)?;
+                    get.write(&text)?;
+                    let setpoints = curve.setpoints.len();
+                    print(format_args!("curve {id}, {setpoints} setpoints: {}", get.file.display()))
+                })
+            }
+            CurveDoes::Put(put) => {
+                let curve = put.read(linmot_curve::load)?;
+                with(&put.drive, interrupt, |services| put_curve(services, &curve, &put, interrupt))
+            }
+            CurveDoes::Delete(Delete { drive, live }) => with(&drive, interrupt, |services| {
+                allow(services, live, "deleting its curves")?;
+                services.delete_curves().map_err(Stop::failed)?;
+                done(services, "has no curves in RAM; those in flash come back with a restart")
+            }),
+            CurveDoes::Save(drive) => with(&drive, interrupt, save_curves),
+        }
+    }
+}
+
+impl TableDoes {
+    fn run(self, interrupt: &Interrupt) -> Result<(), Stop> {
+        match self {
+            TableDoes::List(shown) => with(&shown.drive, interrupt, |services| {
+                let ids = services.entries().map_err(Stop::failed)?;
+                list(shown.json, ids.iter().map(|id| id.wire()).collect(), "no entry")
+            }),
+            TableDoes::Get(get) => {
+                get.check()?;
+                with(&get.drive, interrupt, |services| {
+                    let table = services.table(&mut Meter::new(interrupt).watch()).map_err(Stop::failed)?;
+                    get.write(&linmot_table::to_text(&table))?;
+                    print(format_args!("{} entries: {}", table.len(), get.file.display()))
+                })
+            }
+            TableDoes::Put(put) => {
+                let table = put.read(linmot_table::load)?;
+                with(&put.drive, interrupt, |services| {
+                    allow(services, put.live, "writing its command table")?;
+                    services.put_table(&table, &mut Meter::new(interrupt).watch()).map_err(Stop::failed)?;
+                    print(format_args!("{} entries are in RAM, read back and compared", table.len()))?;
+                    if put.save { save_table(services) } else { Ok(()) }
+                })
+            }
+            TableDoes::Delete(Delete { drive, live }) => with(&drive, interrupt, |services| {
+                allow(services, live, "deleting its command table")?;
+                services.delete_table().map_err(Stop::failed)?;
+                done(services, "has no entries in RAM; those in flash come back with a restart")
+            }),
+            TableDoes::Save(drive) => with(&drive, interrupt, save_table),
+        }
+    }
+}
+
+/// Does something with the services of a drive.
+fn with(
+    drive: &Drive,
+    interrupt: &Interrupt,
+    what: impl FnOnce(&Services<'_>) -> Result<(), Stop>,
+) -> Result<(), Stop> {
+    let reach: Reach = drive.reach(interrupt)?;
+    reach.require_protocol(fieldbeat::bus::linudp::PROTOCOL)?;
+    let services = Services::over(reach.drive(), reach.carrier()).map_err(Stop::failed)?;
+    what(&services)
+}
+
+fn done(services: &Services<'_>, what: &str) -> Result<(), Stop> {
+    print(format_args!("drive {}: {what}", services.drive()))
+}
+
+fn list(as_json: bool, ids: Vec<u16>, none: &str) -> Result<(), Stop> {
+    if as_json {
+        return print(json!(ids));
+    }
+    match ids.is_empty() {
+        true => print(none),
+        false => ids.iter().try_for_each(print),
+    }
+}
+
+/// The number of the one curve that the drive has.
+fn only(services: &Services<'_>) -> Result<u16, Stop> {
+    let (ids, drive) = (services.curves().map_err(Stop::failed)?, services.drive());
+    match ids.as_slice() {
+        [id] => Ok(*id),
+        [] => Err(Stop::failed(format!("drive {drive} has no curve"))),
+        several => {
+            let known: Vec<String> = several.iter().map(u16::to_string).collect();
+            Err(Stop::usage(format!("drive {drive} has curves {}; name one with --id", known.join(", "))))
+        }
+    }
+}
+
+fn put_curve(services: &Services<'_>, curve: &Curve, put: &Put, interrupt: &Interrupt) -> Result<(), Stop> {
+    allow(services, put.live, "writing a curve")?;
+    if services.plan_curve(curve).map_err(Stop::failed)? == CurvePut::Rebuild {
+        complain(&format!(
+            "drive {} has a curve {} of another size, and can only delete all curves at once: the others are read first and written again. \
+             If this computer dies meanwhile, restart the drive: it comes up with the curves that its flash holds, and what was not saved is lost",
+            services.drive(),
+            curve.id
+        ));
+    }
+    services.put_curve(curve, &mut Meter::new(interrupt).watch()).map_err(Stop::failed)?;
+    let setpoints = curve.setpoints.len();
+    print(format_args!("curve {}, {setpoints} setpoints, is in RAM, read back and compared", curve.id))?;
+    if put.save { save_curves(services) } else { Ok(()) }
+}
+
+fn save_curves(services: &Services<'_>) -> Result<(), Stop> {
+    announce_save(services)?;
+    let saved = services.save_curves().map_err(Stop::failed)?;
+    done(services, &kept(saved, "its curves are in flash"))
+}
+
+fn save_table(services: &Services<'_>) -> Result<(), Stop> {
+    announce_save(services)?;
+    let saved = services.save_table().map_err(Stop::failed)?;
+    done(services, &kept(saved, "its command table is in flash"))
+}
+
+fn kept(saved: Saved, what: &str) -> String {
+    match saved {
+        Saved::Acknowledged => format!("{what}; home it"),
+        Saved::Silently => {
+            format!(
+                "{what} as far as can be told: it went silent and came back without a word; restart it and look"
+            )
+        }
+    }
+}
+
+/// Of a drive that will be asked to, so that nobody waits for nothing.
+fn announce_save(services: &Services<'_>) -> Result<(), Stop> {
+    services.require_off("saving to flash").map_err(Stop::failed)?;
+    complain(&format!(
+        "drive {} saves to flash: it may be silent for minutes; leave its power on, this cannot be broken off",
+        services.drive()
+    ));
+    Ok(())
+}
+
+fn errors(services: &Services<'_>, as_json: bool) -> Result<(), Stop> {
+    let log = services.error_log().map_err(Stop::failed)?;
+    if as_json {
+        let entry = |entry: &fieldbeat::bus::linudp::service::LoggedError| json!({ "code": entry.code, "text": entry.text, "hours": entry.hours, "ms": entry.ms });
+        let entries: Vec<Value> = log.entries.iter().map(entry).collect();
+        return print(json!({ "logged": log.logged, "occurred": log.occurred, "entries": entries }));
+    }
+    print(format_args!("{} errors occurred, {} are logged", log.occurred, log.logged))?;
+    for entry in &log.entries {
+        let (minutes, ms) = (entry.ms / 60_000, entry.ms % 60_000);
+        let seconds = f64::from(ms) / 1e3;
+        print(format_args!(
+            "{:>6} h {minutes:02} min {seconds:06.3} s  {:04X}h  {}",
+            entry.hours, entry.code, entry.text
+        ))?;
+    }
+    Ok(())
+}
+
+impl Get {
+    /// Nothing is read for a file that will not be written.
+    fn check(&self) -> Result<(), Stop> {
+        match self.file.exists() && !self.force {
+            true => Err(Stop::usage(format!(
+                "{} exists; name another file, or replace it with --force",
+                self.file.display()
+            ))),
+            false => Ok(()),
+        }
+    }
+
+    fn write(&self, text: &str) -> Result<(), Stop> {
+        let path: &Path = &self.file;
+        save(path, text.as_bytes()).map_err(|error| {
+            Stop::failed(format!("cannot write {}: {error}; name another place", path.display()))
+        })
+    }
+}
+
+impl Put {
+    /// What its file says. A file that is not there is a wrong argument; what is wrong in one is what failed.
+    fn read<T>(&self, load: impl FnOnce(PathBuf) -> Result<T, ConfigErrors>) -> Result<T, Stop> {
+        load(self.file.clone()).map_err(|errors| match self.file.exists() {
+            true => Stop::failed(errors),
+            false => Stop::usage(errors),
+        })
+    }
+}
+
+/// Refuses `what` for a drive that is switched on, unless that is meant.
+fn allow(services: &Services<'_>, live: bool, what: &'static str) -> Result<(), Stop> {
+    if live {
+        return Ok(());
+    }
+    services.require_off(what).map_err(|error| Stop::failed(format!("{error}, or use --live")))
+}

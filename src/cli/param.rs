@@ -1,0 +1,251 @@
+//! `fieldbeat param`: parameters of a drive, read, written and listed.
+
+use std::path::PathBuf;
+
+use clap::{Args, Subcommand};
+use fieldbeat::axis::acyclic::{Access, Notation, NotationError, ParameterError};
+use fieldbeat::bus::linudp::service::{Progress, Services};
+use fieldbeat::bus::linudp::upid::{Upid, Usage};
+use fieldbeat::cycle::Plan;
+use serde_json::{Value, json};
+
+use super::interrupt::Interrupt;
+use super::meter::Meter;
+use super::reach::{self, Reach};
+use super::{Stop, print};
+
+/// Arguments of `param`.
+#[derive(Debug, Args)]
+pub struct Param {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Debug, Subcommand)]
+enum What {
+    /// Reads a parameter.
+    Get(Get),
+    /// Writes a parameter and reads it back.
+    Set(Set),
+    /// Lists the parameters that the drive has.
+    List(List),
+}
+
+/// Which drive.
+#[derive(Debug, Args)]
+pub struct Drive {
+    /// The configuration of its machine.
+    config: PathBuf,
+    /// The name of the drive.
+    drive: String,
+}
+
+impl Drive {
+    /// Its plan without the other drives, for a master of its own that moves it; refused beside one that runs.
+    pub fn alone(&self) -> Result<(Plan, String), Stop> {
+        let (plan, _) = reach::find(&self.config, &self.drive)?;
+        if reach::running(&self.config, &self.drive)?.is_some() {
+            let why = "a master runs, and it alone moves its drives: end it first";
+            return Err(Stop::failed(format!("drive {}: {why}", self.drive)));
+        }
+        match plan.alone(&self.drive) {
+            Some(plan) => Ok((plan, self.drive.clone())),
+            None => Err(Stop::failed(format!("drive {} cannot be reached alone", self.drive))),
+        }
+    }
+
+    /// The way to it.
+    pub fn reach(&self, interrupt: &Interrupt) -> Result<Reach, Stop> {
+        Reach::open(&self.config, &self.drive, |_| Ok(()), interrupt)
+    }
+
+    /// The same to read or write `address`, once `check` has nothing against it.
+    fn reach_to(
+        &self,
+        access: &'static str,
+        address: &str,
+        check: impl FnOnce(&dyn Notation) -> Result<(), NotationError>,
+        interrupt: &Interrupt,
+    ) -> Result<Reach, Stop> {
+        let check = |notation: &dyn Notation| {
+            check(notation).map_err(|error| {
+                let (drive, address) = (self.drive.clone(), address.to_owned());
+                failed(ParameterError::Notation { drive, access, address, error })
+            })
+        };
+        Reach::open(&self.config, &self.drive, check, interrupt)
+    }
+}
+
+#[derive(Debug, Args)]
+struct Get {
+    #[command(flatten)]
+    drive: Drive,
+    /// As the drive's manual writes it: 0x20A8, 0x20A8.rom, .min, .max, .default, or a name.
+    address: String,
+    /// Print one JSON object.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, Args)]
+struct Set {
+    #[command(flatten)]
+    drive: Drive,
+    /// As the drive's manual writes it: 0x20A8 (RAM), 0x20A8.rom, 0x20A8.both, or a name.
+    address: String,
+    /// A whole number, or its bits as 0x....
+    #[arg(allow_negative_numbers = true)]
+    value: String,
+    /// Print one JSON object.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, Args)]
+struct List {
+    #[command(flatten)]
+    drive: Drive,
+    /// Only those whose value in flash is not their default, with that value.
+    #[arg(long)]
+    modified: bool,
+    /// Read the value in use of each, too.
+    #[arg(long, conflicts_with = "modified")]
+    values: bool,
+    /// Begin with this parameter.
+    #[arg(long, value_name = "ADDRESS", default_value = "0x0000")]
+    from: String,
+    /// Print one JSON array.
+    #[arg(long)]
+    json: bool,
+}
+
+impl Param {
+    /// Does it.
+    pub fn run(self) -> Result<(), Stop> {
+        let interrupt = Interrupt::catch().map_err(Stop::failed)?;
+        match self.what {
+            What::Get(get) => {
+                let check = |notation: &dyn Notation| notation.read(&get.address).map(drop);
+                let reach = get.drive.reach_to("read", &get.address, check, &interrupt)?;
+                let raw = access(&reach).read(&get.address).map_err(failed)?;
+                tell(&reach, &get.address, raw, get.json)
+            }
+            What::Set(set) => set.run(&interrupt),
+            What::List(list) => list.run(&interrupt),
+        }
+    }
+}
+
+impl Set {
+    fn run(self, interrupt: &Interrupt) -> Result<(), Stop> {
+        let check = |notation: &dyn Notation| {
+            let raw = notation.value(&self.address, &self.value)?;
+            notation.write(&self.address, raw).map(drop)
+        };
+        let reach = self.drive.reach_to("write", &self.address, check, interrupt)?;
+        let notation = reach.notation();
+        let written = access(&reach).write(&self.address, &self.value).map_err(failed)?;
+        let mut values = Vec::new();
+        for address in notation.read_back(&self.address) {
+            let read = match access(&reach).read(&address) {
+                Ok(raw) => raw,
+                // What cannot be read was written all the same.
+                Err(ParameterError::Refused { .. }) => written,
+                Err(error) => return Err(failed(error)),
+            };
+            values.push((address, read));
+        }
+        tell(&reach, &self.address, values.first().map_or(written, |(_, read)| *read), self.json)?;
+        match values.iter().find(|(address, read)| !notation.is_same(address, written, *read)) {
+            None => Ok(()),
+            Some((address, read)) => Err(Stop::failed(format!(
+                "drive {}: {} = {} was written, and {address} is {} now; something else sets it",
+                reach.drive(),
+                self.address,
+                self.value,
+                notation.show(address, *read)
+            ))),
+        }
+    }
+}
+
+impl List {
+    fn run(self, interrupt: &Interrupt) -> Result<(), Stop> {
+        let Some(first) = Upid::parse(&self.from) else {
+            return Err(Stop::usage(format!("--from {}: no UPID; write 0x1450, or a name", self.from)));
+        };
+        let reach = self.drive.reach(interrupt)?;
+        reach.require_protocol(fieldbeat::bus::linudp::PROTOCOL)?;
+        let services = Services::over(reach.drive(), reach.carrier()).map_err(Stop::failed)?;
+        let mut watch = Meter::new(interrupt).watch();
+        let mut rows: Vec<(Upid, Option<Usage>, Option<u64>)> = Vec::new();
+        if self.modified {
+            let modified = services.modified_upids(first, &mut watch).map_err(Stop::failed)?;
+            rows.extend(modified.into_iter().map(|(upid, value)| (upid, None, Some(value.into()))));
+        } else {
+            let items = services.upids(first, &mut watch).map_err(Stop::failed)?;
+            for (done, item) in items.iter().enumerate() {
+                let readable = self.values && item.usage.has(Usage::RAM_READ);
+                if readable && watch(Progress { what: "read", done, of: items.len() }).is_break() {
+                    let drive = reach.drive();
+                    return Err(Stop::failed(format!(
+                        "drive {drive}: reading its parameters was broken off"
+                    )));
+                }
+                let value = readable.then(|| access(&reach).read(&item.upid.to_string()).map_err(failed));
+                rows.push((item.upid, Some(item.usage), value.transpose()?));
+            }
+        }
+        drop(watch);
+        if self.json {
+            let row = |(upid, usage, raw): &(Upid, Option<Usage>, Option<u64>)| {
+                let address = upid.to_string();
+                json!({
+                    "address": address,
+                    "name": upid.known().map(|known| known.name),
+                    "usage": usage.map(|usage| usage.to_string()),
+                    "raw": raw,
+                    "value": raw.map(|raw| reach.notation().number(&address, raw)),
+                })
+            };
+            return print(Value::Array(rows.iter().map(row).collect()));
+        }
+        for (upid, usage, raw) in &rows {
+            let mut line = upid.to_string();
+            if let Some(usage) = usage {
+                line += &format!("  {:<11}", usage.to_string());
+            }
+            if let Some(raw) = raw {
+                line += &format!("  {}", reach.notation().show(&upid.to_string(), *raw));
+            }
+            if let Some(known) = upid.known() {
+                line += &format!("  {}", known.name);
+            }
+            print(line.trim_end())?;
+        }
+        Ok(())
+    }
+}
+
+fn access(reach: &Reach) -> Access<'_> {
+    Access { drive: reach.drive(), notation: reach.notation(), carrier: reach.carrier() }
+}
+
+/// What is no address and no number is a mistake of whoever wrote it; the rest is the drive's, or would be.
+fn failed(error: ParameterError) -> Stop {
+    match error {
+        ParameterError::Notation { error: NotationError::Range { .. }, .. } => Stop::failed(error),
+        ParameterError::Notation { .. } => Stop::usage(error),
+        _ => Stop::failed(error),
+    }
+}
+
+fn tell(reach: &Reach, address: &str, raw: u64, as_json: bool) -> Result<(), Stop> {
+    let text = reach.notation().show(address, raw);
+    if !as_json {
+        return print(format_args!("{} {address}: {text}", reach.drive()));
+    }
+    let value = reach.notation().number(address, raw);
+    print(json!({ "drive": reach.drive(), "address": address, "raw": raw, "value": value, "text": text }))
+}

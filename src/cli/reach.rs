@@ -1,0 +1,126 @@
+//! The way to one drive of a configuration: through the master that runs, or by one of its own that reads and moves nothing.
+//! Never beside a master that runs: a drive has one owner.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+use fieldbeat::axis::acyclic::{Acyclic, Carrier, Notation};
+use fieldbeat::control::{AskError, Remote, place};
+use fieldbeat::cycle::Plan;
+use fieldbeat::master::Master;
+
+use super::interrupt::{Interrupt, LOOK_EVERY};
+use super::{Stop, load};
+
+/// A drive that is there answers sooner.
+const PATIENCE: Duration = Duration::from_secs(5);
+
+/// The way to a drive.
+pub struct Reach {
+    drive: String,
+    notation: Arc<dyn Notation>,
+    way: Way,
+}
+
+enum Way {
+    /// A master runs.
+    Running(Remote),
+    /// None does; this one ends when it is dropped.
+    Alone { acyclic: Acyclic, _master: Master },
+}
+
+impl Reach {
+    /// The way to drive `drive` of `config`. What is wrong with the question itself says `check`: nothing was sent then.
+    pub fn open(
+        config: &Path,
+        drive: &str,
+        check: impl FnOnce(&dyn Notation) -> Result<(), Stop>,
+        interrupt: &Interrupt,
+    ) -> Result<Reach, Stop> {
+        let (plan, notation) = find(config, drive)?;
+        check(&*notation)?;
+        let way = match running(config, drive)? {
+            Some(remote) => Way::Running(remote),
+            None => alone(&plan, drive, interrupt)?,
+        };
+        Ok(Reach { drive: drive.to_owned(), notation, way })
+    }
+
+    /// Its name.
+    pub fn drive(&self) -> &str {
+        &self.drive
+    }
+
+    /// Refuses a drive of another protocol.
+    pub fn require_protocol(&self, protocol: &str) -> Result<(), Stop> {
+        let own = self.notation.protocol();
+        match own == protocol {
+            true => Ok(()),
+            false => Err(Stop::usage(format!("drive {} speaks {own}, not {protocol}", self.drive))),
+        }
+    }
+
+    /// How it writes addresses.
+    pub fn notation(&self) -> &dyn Notation {
+        &*self.notation
+    }
+
+    /// The way itself.
+    pub fn carrier(&self) -> &dyn Carrier {
+        match &self.way {
+            Way::Running(remote) => remote,
+            Way::Alone { acyclic, .. } => acyclic,
+        }
+    }
+}
+
+/// The plan of `config`, which has a drive of this name, and how that writes addresses.
+pub fn find(config: &Path, drive: &str) -> Result<(Plan, Arc<dyn Notation>), Stop> {
+    let plan = load(config)?;
+    let Some((bus, _)) = plan.find(drive) else {
+        let known: Vec<&str> = plan.axes().iter().map(|axis| axis.name.as_str()).collect();
+        let (config, known) = (config.display(), known.join(", "));
+        return Err(Stop::usage(format!("{config} has no drive {drive}; it has {known}")));
+    };
+    let notation = bus.notation();
+    Ok((plan, notation))
+}
+
+/// The drive of a master that runs, if one does.
+pub fn running(config: &Path, drive: &str) -> Result<Option<Remote>, Stop> {
+    for path in place::find(Some(config)) {
+        match Remote::open(&path, drive) {
+            Ok(remote) => return Ok(Some(remote)),
+            Err(AskError::Nobody(_) | AskError::Dead(_)) => {}
+            Err(error) => return Err(Stop::failed(error)),
+        }
+    }
+    Ok(None)
+}
+
+fn alone(plan: &Plan, drive: &str, interrupt: &Interrupt) -> Result<Way, Stop> {
+    let Some(plan) = plan.reaching(drive) else {
+        return Err(Stop::failed(format!(
+            "drive {drive} cannot be reached alone; start its master with `fieldbeat run`"
+        )));
+    };
+    let master = Master::from_plan(plan).start().map_err(Stop::usage)?;
+    let Some(acyclic) = master.acyclics().iter().find(|acyclic| acyclic.axis() == drive).cloned() else {
+        return Err(Stop::failed(format!("drive {drive} has no acyclic access")));
+    };
+    let begun = Instant::now();
+    while !acyclic.condition().map_err(Stop::failed)?.online {
+        if interrupt.is_set() {
+            return Err(Stop::failed("interrupted; nothing was written"));
+        }
+        if begun.elapsed() > PATIENCE {
+            return Err(Stop::failed(format!(
+                "drive {drive} does not answer; look at its power, cable and address"
+            )));
+        }
+        sleep(LOOK_EVERY);
+    }
+    Ok(Way::Alone { acyclic, _master: master })
+}
