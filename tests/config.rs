@@ -4,6 +4,8 @@ use std::net::Ipv4Addr;
 use std::time::Duration;
 
 use fieldbeat::axis::{FoundRunning, Health, StopHow, StopThen, StopTimeout, Underrun, Unit};
+use fieldbeat::bus::linudp::MonitorPlan;
+use fieldbeat::bus::linudp::upid::Upid;
 use fieldbeat::config::{demo_plan, describe, load, parse, starvation, stop_bound_cycles};
 use fieldbeat::cycle::{CyclePlan, Guard, Overrun, Plan, Wait};
 use fieldbeat::rt::Realtime;
@@ -240,6 +242,7 @@ command_queue = 64
 stream_queue = 1024
 event_queue = 256
 sample_queue = 0
+parameter_queue = 64
 stream = "pva"
 monitor = false
 reply_tag = false
@@ -274,6 +277,11 @@ mass = 1
 stream_period = "1ms"
 force_enable_bits = false
 running = false
+config_time = "0us"
+flash_time = "500ms"
+flash = "silent"
+unknown_commands = "refuse"
+extend_sign = false
 "#;
     let plan = read(&machine("", ""));
     assert_eq!(format!("{plan:#?}"), format!("{:#?}", read(spelled)));
@@ -314,6 +322,26 @@ fn values_arrive_where_they_belong() {
     assert_eq!((axis.stop.on_timeout, axis.stop.timeout), (StopTimeout::Hold, Duration::from_millis(250)));
     assert_eq!((axis.underrun, axis.on_found_running), (Underrun::Extrapolate(3), FoundRunning::Refuse));
     assert!(format!("{plan:?}").contains("leash: Some(0.25)"));
+}
+
+#[test]
+fn what_a_drive_shows_besides_is_named_or_numbered() {
+    let upid = |number| Some(Upid(number));
+    for (value, monitor) in [
+        ("false", MonitorPlan::Off),
+        ("true", MonitorPlan::AsSet),
+        ("[\"demand-velocity\"]", MonitorPlan::Sources([upid(0x1E0F), None, None, None])),
+        (
+            "[\"core-temperature\", \"0x1E10\", \"1D51h\", 0x1B93]",
+            MonitorPlan::Sources([upid(0x1BCD), upid(0x1E10), upid(0x1D51), upid(0x1B93)]),
+        ),
+        // One that has no name here is one all the same.
+        ("[65535]", MonitorPlan::Sources([upid(0xFFFF), None, None, None])),
+    ] {
+        let plan = read(&machine("drive", &format!("monitor = {value}\nparameter_queue = 3")));
+        assert!(format!("{plan:?}").contains(&format!("monitor: {monitor:?}")), "{value}: {plan:?}");
+        assert_eq!(plan.axes()[0].parameter_queue, 3);
+    }
 }
 
 #[test]
@@ -721,4 +749,19 @@ proptest! {
         }
         never_panics(&lines.join("\n"));
     }
+}
+
+#[test]
+fn one_drive_of_a_machine_is_moved_in_the_machine_s_cycle_and_read_in_any() {
+    let cycle = "overrun = \"stop\"\nrealtime = \"require\"\nblack_box = \"5s\"\npriority = 70";
+    let text = machine("cycle", cycle) + "[[bus.drive]]\nname = \"y\"\naddress = \"127.0.0.12\"\n";
+    let plan = read(&text);
+    let names = |plan: &Plan| plan.axes().iter().map(|axis| axis.name.clone()).collect::<Vec<_>>();
+    let alone = plan.alone("y").unwrap();
+    assert_eq!((&alone.cycle, names(&alone)), (&plan.cycle, vec!["y".to_owned()]));
+    assert_eq!((alone.cycle.overrun, alone.cycle.realtime), (Overrun::Stop, Realtime::Require));
+    assert_eq!(alone.axes()[0].on_found_running, FoundRunning::Refuse);
+    let reaching = plan.reaching("y").unwrap();
+    assert_eq!((reaching.cycle.realtime, names(&reaching)), (Realtime::Off, vec!["y".to_owned()]));
+    assert!(plan.alone("z").is_none() && plan.reaching("z").is_none());
 }

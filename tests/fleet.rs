@@ -14,7 +14,7 @@ use fieldbeat::axis::{
     StopHow, StopPlan, StopThen, Target, Underrun, Verb,
 };
 use fieldbeat::bus::Counters;
-use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan, SimPlan, StreamCommand};
+use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan, MonitorPlan, SimPlan, StreamCommand};
 use fieldbeat::cycle::engine::Flow;
 use fieldbeat::cycle::status::Numbers;
 use fieldbeat::cycle::{CyclePlan, Overrun, Plan};
@@ -87,7 +87,7 @@ fn drive(index: usize, seed: u64) -> LinUdpDrive {
     axis.jog_deadman = [None, Some(Duration::from_millis(200))][usize::from(index.is_multiple_of(8))];
     drive.leash = Some(20.0);
     drive.reply_tag = index % 3 == 1;
-    drive.monitor = index.is_multiple_of(7);
+    drive.monitor = if index.is_multiple_of(7) { MonitorPlan::AsSet } else { MonitorPlan::Off };
     drive.stream = Some([StreamCommand::Pva, StreamCommand::PvConfigured][index % 2]);
     drive.simulate = SimPlan {
         faults: weather(seed * 1_000 + index as u64, flips(index)),

@@ -61,6 +61,7 @@ pub(super) fn axis(table: &mut Table<'_>, machine: &mut Machine, counts_per_mm: 
         stream_queue: queue(table, "stream_queue", 1, default.stream_queue),
         event_queue: queue(table, "event_queue", 1, default.event_queue),
         sample_queue: queue(table, "sample_queue", 0, default.sample_queue),
+        parameter_queue: queue(table, "parameter_queue", 1, default.parameter_queue),
         ..default
     };
     for fault in plan.faults() {

@@ -4,19 +4,19 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 
 use super::Machine;
 use super::drive::axis;
-use super::reader::{POSITIVE, Table};
-use super::value::endpoint;
+use super::reader::{POSITIVE, Table, integer};
+use super::value::{closest, endpoint};
+use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, Units};
+use crate::bus::linudp::upid::{KNOWN, Upid};
 use crate::bus::linudp::{
-    COUNTS_PER_MM, DRIVE_PORT, LinUdpDrive, LinUdpPlan, MASTER_PORT, MasterFilter, SimPlan, StreamCommand,
+    COUNTS_PER_MM, DRIVE_PORT, FlashMode, LinUdpDrive, LinUdpPlan, MASTER_PORT, MasterFilter, MonitorPlan,
+    PROTOCOL, SimPlan, StreamCommand, UnknownCommands,
 };
 use crate::cycle::CyclePlan;
 use crate::net::SendMode;
 use crate::sim::FaultPlan;
 use crate::time::{MS, S};
-
-/// Its word in the configuration.
-pub(super) const PROTOCOL: &str = "linudp-v2";
 
 /// Reads a `[[bus]]`.
 pub(super) fn bus(table: &mut Table<'_>, machine: &mut Machine, cycle: &CyclePlan) -> LinUdpPlan {
@@ -84,7 +84,7 @@ fn drive(
     let drive = LinUdpDrive {
         address,
         stream: stream(table, period_ns),
-        monitor: table.flag("monitor").unwrap_or(false),
+        monitor: monitor(table).unwrap_or_default(),
         reply_tag: table.flag("reply_tag").unwrap_or(false),
         leash: leash(table),
         simulate: table.table("simulate", |table| simulate(table, &axis, period_ns, index)),
@@ -104,6 +104,31 @@ fn stream(table: &mut Table<'_>, period_ns: u64) -> Option<StreamCommand> {
     words.push(("off", None));
     let usual = Some(StreamCommand::Pva).filter(|command| command.takes(period_ns));
     table.word("stream", &words).unwrap_or(usual)
+}
+
+/// `true`, `false`, or up to four variables by name or number.
+fn monitor(table: &mut Table<'_>) -> Option<MonitorPlan> {
+    const FORMS: &str = "must be true, false, or up to four variables like [\"demand-velocity\", \"0x1E10\"] or UPIDs as numbers";
+    table.read("monitor", |value| {
+        if let Some(flag) = value.as_bool() {
+            return Ok(if flag { MonitorPlan::AsSet } else { MonitorPlan::Off });
+        }
+        let array = value.as_array().filter(|array| (1..=MONITOR_CHANNELS).contains(&array.len()));
+        let array = array.ok_or(FORMS)?;
+        let mut sources = [None; MONITOR_CHANNELS];
+        for (source, value) in sources.iter_mut().zip(array) {
+            let value = value.get_ref();
+            let number = integer(value).and_then(|number| u16::try_from(number).ok()).map(Upid);
+            let upid = number.or_else(|| value.as_str().and_then(Upid::parse));
+            *source = Some(upid.ok_or_else(|| {
+                match value.as_str().and_then(|text| closest(text, KNOWN.iter().map(|known| known.name))) {
+                    Some(name) => format!("has an unknown variable; did you mean \"{name}\"?"),
+                    None => FORMS.to_owned(),
+                }
+            })?);
+        }
+        Ok(MonitorPlan::Sources(sources))
+    })
 }
 
 fn leash(table: &mut Table<'_>) -> Option<f64> {
@@ -172,6 +197,25 @@ fn simulate(table: &mut Table<'_>, axis: &AxisPlan, period_ns: u64, index: usize
             .unwrap_or(default.stream_depth),
         force_enable_bits: table.flag("force_enable_bits").unwrap_or(false),
         start_running: table.flag("running").unwrap_or(false),
+        config_time_ns: table
+            .time("config_time", ..=60 * S, "how long a command on the parameter channel takes")
+            .unwrap_or(default.config_time_ns),
+        flash_time_ns: table
+            .time("flash_time", ..=600 * S, "how long a save into flash takes; real drives took 39s ... 75s")
+            .unwrap_or(default.flash_time_ns),
+        flash: table
+            .word(
+                "flash",
+                &[("silent", FlashMode::Silent), ("mute", FlashMode::Mute), ("busy", FlashMode::Busy)],
+            )
+            .unwrap_or_default(),
+        unknown_commands: table
+            .word(
+                "unknown_commands",
+                &[("refuse", UnknownCommands::Refuse), ("ignore", UnknownCommands::Ignore)],
+            )
+            .unwrap_or_default(),
+        extend_sign: table.flag("extend_sign").unwrap_or(false),
     }
 }
 

@@ -10,6 +10,8 @@
 //! | `drive` | the keys that every `[[bus.drive]]` has |
 //! | `linudp` | the keys of `protocol = "linudp-v2"` |
 //! | `describe` | a plan in words |
+//! | `linmot_table` | a LinMot drive's command table as a file of its own |
+//! | `linmot_curve` | a LinMot drive's curve as a file of its own |
 //!
 //! # The file
 //!
@@ -75,6 +77,7 @@
 //! | `enable_timeout` | `"5s"` | longest time for Enable, Disable, ResetFault |
 //! | `home_timeout` | `"60s"` | longest time for Home |
 //! | `command_queue`, `stream_queue`, `event_queue` | `64`, `1024`, `256` | room in entries |
+//! | `parameter_queue` | `64` | room for acyclic calls |
 //! | `sample_queue` | `0` | room for the feedback of every cycle; 0 keeps only the newest |
 //!
 //! `[[group]]`, axes that act together: `name`, and `axes`, the names of its drives in the order of its rows. They share divisor,
@@ -88,7 +91,7 @@
 //! | `send` (bus) | `"batch"` | one system call for all requests, or one `"each"` with its own stamp |
 //! | `address` | - | `"192.168.1.10"` or with another port than 49360 |
 //! | `stream` | `"pva"` if the period fits, else `"off"` | [command](crate::bus::linudp::StreamCommand) of streamed motion |
-//! | `monitor` | `false` | ask for the four monitoring channels too |
+//! | `monitor` | `false` | ask for the monitoring channels too: up to four [variables](crate::bus::linudp::upid::KNOWN) by name or UPID, to which the drive is set (in RAM) whenever it comes online; `true`: whatever is set in the drive |
 //! | `reply_tag` | `false` | number the requests through the parameter channel |
 //! | `no_drive_watchdog` | `"refuse"` | jogs and cyclic velocities are refused, or `"accept"`ed with a `leash` |
 //! | `leash` | - | how far these run ahead, and on if the master dies; at most the range |
@@ -115,11 +118,18 @@
 //! | `stream_depth` | `8` | setpoints that a stream holds; one more ends it in error 0082h |
 //! | `force_enable_bits` | `false` | bits 1-5 of the control word are forced to 1 |
 //! | `running` | `false` | comes up enabled and moving, as if another master had died |
+//! | `config_time` | `"0us"` | how long a command on the parameter channel takes; "busy" is answered meanwhile |
+//! | `flash_time` | `"500ms"` | how long a save into flash takes, a single parameter a 500th of it; real drives took 39 ... 75 s |
+//! | `flash` | `"silent"` | answers nothing while it saves; `"mute"`: nor says afterwards how it went; `"busy"`: answers that it is |
+//! | `unknown_commands` | `"refuse"` | error 0081h at a motion command that it has no use for; `"ignore"` |
+//! | `extend_sign` | `false` | values of less than 32 bits carry their sign in the bits above |
 
 mod cycle;
 mod describe;
 mod drive;
 mod error;
+pub mod linmot_curve;
+pub mod linmot_table;
 mod linudp;
 mod reader;
 mod value;
@@ -146,13 +156,19 @@ const DEMO_FILE: &str = "rt-config/demo.toml";
 
 /// Reads the configuration at `path`.
 pub fn load(path: impl AsRef<Path>) -> Result<Plan, ConfigErrors> {
-    let path = path.as_ref();
+    let (file, text) = read(path.as_ref(), "an existing configuration, for example rt-config/demo.toml")?;
+    parse(&text, &file)
+}
+
+/// A file's name and text; `kind` says what kind of file it should be, with an example.
+fn read(path: &Path, kind: &str) -> Result<(String, String), ConfigErrors> {
     let file = path.display().to_string();
-    let bytes = std::fs::read(path).map_err(|error| unreadable(&file, &error))?;
-    match std::str::from_utf8(&bytes) {
-        Ok(text) => parse(text, &file),
+    let bytes = std::fs::read(path).map_err(|error| unreadable(&file, &error, kind))?;
+    match String::from_utf8(bytes) {
+        Ok(text) => Ok((file, text)),
         Err(error) => {
-            let line = bytes[..error.valid_up_to()].iter().filter(|byte| **byte == b'\n').count() + 1;
+            let valid = &error.as_bytes()[..error.utf8_error().valid_up_to()];
+            let line = valid.iter().filter(|byte| **byte == b'\n').count() + 1;
             Err(whole_file(&file, Some(line), "not UTF-8; save the file as UTF-8 text".into()))
         }
     }
@@ -196,14 +212,14 @@ fn demo_text(drives: usize, period_ns: u64) -> String {
     text
 }
 
-fn unreadable(file: &str, error: &io::Error) -> ConfigErrors {
+fn unreadable(file: &str, error: &io::Error, kind: &str) -> ConfigErrors {
     let reason = match error.raw_os_error() {
         Some(number) => nix::errno::Errno::from_raw(number).desc().to_owned(),
         None => error.to_string(),
     };
     let remedy = match error.kind() {
-        io::ErrorKind::PermissionDenied => "let this user read it",
-        _ => "name an existing configuration, for example rt-config/demo.toml",
+        io::ErrorKind::PermissionDenied => "let this user read it".to_owned(),
+        _ => format!("name {kind}"),
     };
     whole_file(file, None, format!("cannot read {file}: {reason}; {remedy}"))
 }
@@ -222,7 +238,7 @@ fn machine(mut root: Table<'_>) -> Plan {
     for mut table in root.tables("bus") {
         table.require("protocol", "\"linudp-v2\" is LinMot LinUDP V2");
         // One word a protocol; the next one is one line more.
-        let read = table.word("protocol", &[(linudp::PROTOCOL, linudp::bus)]);
+        let read = table.word("protocol", &[(crate::bus::linudp::PROTOCOL, linudp::bus)]);
         if let Some(read) = read {
             buses.push(Box::new(read(&mut table, &mut machine, &cycle)));
             table.finish();
