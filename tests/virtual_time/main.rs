@@ -2,7 +2,12 @@
 //!
 //! Everything is deterministic: a test that fails, fails again. Where seeds are drawn they stand in the message.
 
+#[path = "../support/forward.rs"]
+mod forward;
+
+mod acyclic;
 mod bring_up;
+mod carrier;
 mod counters;
 mod faults;
 mod grid;
@@ -13,6 +18,7 @@ mod loads;
 mod queues;
 mod replies;
 mod restarts;
+mod services;
 mod shutdown;
 mod stop_bound;
 mod storm;

@@ -5,8 +5,8 @@ use fieldbeat::axis::{
     CommandId, EventKind, FoundRunning, Jog, Link, Move, Outcome, Profile, Row, StopThen, Target, Underrun,
     Verb,
 };
-use fieldbeat::bus::linudp::StreamCommand;
 use fieldbeat::bus::linudp::wire::ErrorCode;
+use fieldbeat::bus::linudp::{MonitorPlan, StreamCommand};
 use fieldbeat::cycle::Overrun;
 use fieldbeat::sim::FaultPlan;
 use fieldbeat::sim::world::WorldOptions;
@@ -193,7 +193,7 @@ fn whatever_is_asked_in_whatever_weather_every_command_ends_once() {
                 drive.axis.on_found_running =
                     if index == 3 { FoundRunning::Refuse } else { FoundRunning::Stop };
                 drive.reply_tag = index == 1;
-                drive.monitor = index == 2;
+                drive.monitor = if index == 2 { MonitorPlan::AsSet } else { MonitorPlan::Off };
                 drive.stream =
                     [StreamCommand::Pva, StreamCommand::Pv, StreamCommand::PvConfigured][index % 3].into();
                 drive.simulate.stream_period_ns = MS * u64::from(drive.axis.divisor);

@@ -9,13 +9,12 @@ use std::time::Duration;
 
 use fieldbeat::axis::{
     Abort, AxisPlan, CommandId, Event, EventKind, Failure, Feedback, Group, GroupCommand, Jog, Limits, Link,
-    Move, Outcome, PlanFault, Profile, Row, StopCause, StopHow, StopPlan, StopThen, StopTimeout, Target,
-    Units, Verb,
+    Move, Outcome, Profile, Row, StopCause, StopHow, StopPlan, StopThen, StopTimeout, Target, Units, Verb,
 };
 use fieldbeat::bus::linudp::sim::LinMotSim;
 use fieldbeat::bus::linudp::wire::{ErrorCode, Request, Response};
 use fieldbeat::bus::linudp::{
-    DRIVE_PORT, LinUdpDrive, LinUdpPlan, MASTER_PORT, MasterFilter, SimPlan, StreamCommand,
+    DRIVE_PORT, LinUdpDrive, LinUdpPlan, MASTER_PORT, MasterFilter, MonitorPlan, SimPlan, StreamCommand,
 };
 use fieldbeat::bus::{Bus, BusPlan, Cycle, OpenError};
 use fieldbeat::cycle::engine::Flow;
@@ -77,6 +76,9 @@ pub struct Tape {
     pub provoke: Option<ErrorCode>,
     /// Changes the next answers.
     pub tamper: Option<Tamper>,
+    /// Requests handed to its bus' socket, as calls, and looks into it. Only on the tape of the first drive.
+    pub sends: u64,
+    pub looks: u64,
     /// The largest and smallest demand position while homed and powered, mm.
     pub demand: Option<(f64, f64)>,
 }
@@ -161,25 +163,7 @@ impl std::fmt::Debug for SharedTape {
 }
 
 impl BusPlan for TapedBus {
-    fn name(&self) -> &str {
-        self.plan.name()
-    }
-
-    fn protocol(&self) -> &'static str {
-        self.plan.protocol()
-    }
-
-    fn axes(&self) -> Vec<&AxisPlan> {
-        self.plan.axes()
-    }
-
-    fn faults(&self, period_ns: u64) -> Vec<(usize, PlanFault)> {
-        self.plan.faults(period_ns)
-    }
-
-    fn describe(&self, period_ns: u64) -> Vec<String> {
-        self.plan.describe(period_ns)
-    }
+    crate::forward_bus_plan!(plan);
 
     fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
         let tapes = self.tapes.clone();
@@ -226,6 +210,7 @@ impl Datagrams for JammableCarrier {
                 outbox.note(index, Sent::Failed(105));
             }
         }
+        self.tapes[0].0.lock().unwrap().sends += 1;
         self.inner.send(outbox);
         for (index, tape) in self.tapes.iter().enumerate() {
             if let Sent::At(at) = outbox.sent(index)
@@ -242,6 +227,7 @@ impl Datagrams for JammableCarrier {
             // Connection refused, as an ICMP message leaves behind.
             return Err(io::Error::from_raw_os_error(111));
         }
+        self.tapes[0].0.lock().unwrap().looks += 1;
         self.inner.receive(take)
     }
 
@@ -280,7 +266,7 @@ pub fn drive(index: usize) -> LinUdpDrive {
         },
         address: address(index),
         stream: Some(StreamCommand::Pva),
-        monitor: false,
+        monitor: MonitorPlan::Off,
         reply_tag: false,
         leash: Some(20.0),
         simulate: SimPlan {
@@ -294,8 +280,7 @@ pub fn drive(index: usize) -> LinUdpDrive {
             stream_period_ns: MS,
             stream_patience: 2.5,
             stream_depth: 8,
-            force_enable_bits: false,
-            start_running: false,
+            ..SimPlan::default()
         },
     }
 }
@@ -470,6 +455,16 @@ impl Bench {
 
     pub fn tape(&self, index: usize) -> MutexGuard<'_, Tape> {
         self.tapes[index].0.lock().unwrap()
+    }
+
+    /// How often requests were handed to the socket.
+    pub fn sends(&self) -> u64 {
+        self.tape(0).sends
+    }
+
+    /// How often the socket was looked into.
+    pub fn looks(&self) -> u64 {
+        self.tape(0).looks
     }
 
     pub fn feedback(&self, index: usize) -> Feedback {

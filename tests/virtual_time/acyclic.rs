@@ -1,0 +1,293 @@
+//! The real-time-config channel of a LinUDP drive: its four bits of identity, in any weather.
+
+use std::collections::HashMap;
+
+use fieldbeat::axis::acyclic::{Call, CallError, CallTicket};
+use fieldbeat::axis::command::NativeOwner;
+use fieldbeat::axis::{EventKind, Health, Link, Verb};
+use fieldbeat::bus::linudp::MonitorPlan;
+use fieldbeat::bus::linudp::native::{Native, NativeOutput};
+use fieldbeat::bus::linudp::upid::{Upid, call};
+use fieldbeat::bus::linudp::wire::{Refusal, RtcBlock, RtcCommand};
+use fieldbeat::sim::FaultPlan;
+use fieldbeat::time::{MS, S};
+
+use crate::carrier::LIMIT;
+use crate::support::*;
+
+/// Variables 1 and 2 of the command table, which nobody uses here, and two parameters.
+const SCRATCH: [u16; 4] = [0x1E72, 0x1E73, 0x14BE, 0x14C0];
+
+fn read(upid: u16) -> Call {
+    call(RtcCommand::READ_RAM, upid, 0)
+}
+
+fn write(upid: u16, value: u32) -> Call {
+    call(RtcCommand::WRITE_RAM, upid, value)
+}
+
+/// Links that are not lost by the losses of a test.
+fn patient(rig: Rig) -> Rig {
+    rig.each(|_, drive| drive.axis.health = Health { bucket: 100, leak: 1, gate: 2, ..Health::default() })
+}
+
+/// Calls back to back: posts, from `next`, as many as there is room for, and gives each end to `told`, for so many turns.
+fn keep_busy(
+    b: &mut Bench,
+    turns: u64,
+    mut next: impl FnMut(usize) -> Call,
+    mut told: impl FnMut(usize, Call, Result<u64, CallError>),
+) {
+    let mut under_way: Vec<(usize, Call, CallTicket)> = Vec::new();
+    for turn in 0.. {
+        for index in 0..b.drives.len() {
+            let mine = under_way.iter().filter(|(drive, ..)| *drive == index).count();
+            for _ in mine..if turn < turns { 8 } else { 0 } {
+                let call = next(index);
+                let ticket = b.call(index, call);
+                under_way.push((index, call, ticket));
+            }
+        }
+        under_way.retain_mut(|(index, call, ticket)| match ticket.poll() {
+            Some(end) => {
+                told(*index, *call, end.map(|answer| answer.value));
+                false
+            }
+            None => true,
+        });
+        if turn >= turns && under_way.is_empty() {
+            return;
+        }
+        b.step();
+    }
+}
+
+#[test]
+fn reads_run_back_to_back_one_a_cycle_and_their_counts_wrap() {
+    let mut b = Rig::new(1).start();
+    b.online();
+    b.write(0, "variable-1", 1234).unwrap();
+    b.tape(0).wire = Some(Vec::new());
+    let mut ends = 0;
+    keep_busy(&mut b, 500, |_| read(0x1E72), |_, _, end| ends += usize::from(end == Ok(1234)));
+    // The first one has to wait for the channel to be learned; it was.
+    assert!((498..=508).contains(&ends), "{ends} reads in 500 cycles");
+    let spoken = b.tape(0).wire.take().unwrap();
+    let counts: Vec<u8> = spoken.iter().filter_map(|spoken| Some(spoken.request.config?.count())).collect();
+    assert!(counts.windows(2).all(|pair| pair[1] == pair[0] % 14 + 1), "{counts:?}");
+    assert!((1..=14).all(|count| counts.contains(&count)));
+}
+
+#[test]
+fn every_value_is_that_of_its_own_drive_and_parameter_in_any_weather() {
+    for seed in 0..12 {
+        let weather = FaultPlan {
+            seed,
+            drop: 0.05,
+            duplicate: 0.03,
+            delay: 0.05,
+            delay_ns: MS,
+            reorder: 0.02,
+            ..FaultPlan::default()
+        };
+        let mut b = patient(Rig::new(4).faults(weather)).start();
+        b.online();
+        let value = |index: usize, upid: u16| (index as u64 + 1) << 16 | u64::from(upid);
+        for index in 0..4 {
+            for upid in SCRATCH {
+                b.write(index, &format!("0x{upid:04X}"), value(index, upid)).unwrap();
+            }
+        }
+        let (mut turn, mut done) = (0, HashMap::new());
+        keep_busy(
+            &mut b,
+            2_000,
+            |_| {
+                turn += 1;
+                read(SCRATCH[turn % SCRATCH.len()])
+            },
+            |index, call, end| match end {
+                Ok(read) => {
+                    assert_eq!(read, value(index, call.address as u16), "seed {seed}, drive {index}");
+                    *done.entry(index).or_insert(0) += 1;
+                }
+                Err(why) => panic!("seed {seed}, drive {index}: {why}"),
+            },
+        );
+        for index in 0..4 {
+            assert!(done[&index] > 800, "seed {seed}: {} reads of drive {index}", done[&index]);
+        }
+    }
+}
+
+#[test]
+fn what_was_written_and_answered_stands_in_the_drive() {
+    for seed in 0..8 {
+        let mut b =
+            patient(Rig::new(2).faults(FaultPlan { seed, drop: 0.05, ..FaultPlan::default() })).start();
+        b.online();
+        let (mut number, mut last) = (0, [0; 2]);
+        keep_busy(
+            &mut b,
+            1_000,
+            |_| {
+                number += 1;
+                write(0x1E72, number)
+            },
+            |index, call, end| {
+                assert_eq!(end, Ok(call.value), "seed {seed}");
+                // In the order in which they were posted.
+                assert!(call.value > last[index], "seed {seed}");
+                last[index] = call.value;
+            },
+        );
+        for (index, last) in last.into_iter().enumerate() {
+            assert_eq!(b.read(index, "variable-1"), Ok(last), "seed {seed}");
+        }
+    }
+}
+
+#[test]
+fn a_busy_drive_is_waited_for_and_no_longer_than_its_time() {
+    let busy = |ns: u64| Rig::new(1).each(move |_, drive| drive.simulate.config_time_ns = ns).start();
+    let mut b = busy(30 * MS);
+    b.online();
+    for _ in 0..5 {
+        assert_eq!(b.read(0, "0x20A8"), Ok(0x1E0F));
+    }
+    let mut b = busy(3 * S);
+    b.online();
+    assert_eq!(b.read(0, "0x20A8"), Err(CallError::TimedOut));
+    // The next one is not answered by what was left behind.
+    let mut patient = b.sim.axis(0).acyclic().post(read(0x20A9), 10 * LIMIT).unwrap();
+    assert_eq!(b.call_ended(&mut patient).map(|answer| (answer.address, answer.value)), Ok((0x20A9, 0x1E10)));
+}
+
+#[test]
+fn a_refusal_comes_with_the_drives_own_status() {
+    let mut b = Rig::new(1).start();
+    b.online();
+    let refused = |refusal: Refusal| Err(CallError::Refused(refusal.code().into()));
+    assert_eq!(b.read(0, "0x9999"), refused(Refusal::NoSuchUpid));
+    assert_eq!(b.write(0, "status-word", 1).map(|()| 0), refused(Refusal::AddressUsage));
+    assert_eq!(b.write(0, "p-gain-a", 0x1_0000).map(|()| 0), refused(Refusal::WrongType));
+    assert_eq!(b.read(0, "0x20A8"), Ok(0x1E0F));
+}
+
+#[test]
+fn a_restart_ends_the_call_under_way_and_what_follows_is_of_the_new_life() {
+    for at in 0..40 {
+        let mut b = Rig::new(1).each(|_, drive| drive.simulate.config_time_ns = 10 * MS).start();
+        b.online();
+        b.write(0, "variable-1", 77).unwrap();
+        let mut tickets: Vec<_> = (0..3).map(|_| b.call(0, read(0x1E72))).collect();
+        b.run(at);
+        b.world().restart(address(0));
+        let ends: Vec<_> =
+            tickets.iter_mut().map(|ticket| b.call_ended(ticket).map(|answer| answer.value)).collect();
+        for end in &ends {
+            assert!(matches!(end, Ok(77 | 0) | Err(CallError::Restarted)), "at {at}: {ends:?}");
+        }
+        assert_eq!(b.read(0, "variable-1"), Ok(0), "at {at}: it was in RAM");
+    }
+}
+
+#[test]
+fn a_tag_in_each_request_and_calls_share_the_channel() {
+    let weather = FaultPlan { seed: 3, drop: 0.05, delay: 0.05, delay_ns: MS, ..FaultPlan::default() };
+    let mut b = patient(Rig::new(1).each(|_, drive| drive.reply_tag = true).faults(weather)).start();
+    b.online();
+    b.write(0, "variable-1", 5).unwrap();
+    let mut good = 0;
+    keep_busy(
+        &mut b,
+        1_000,
+        |_| read(0x1E72),
+        |_, _, end| {
+            assert_eq!(end, Ok(5));
+            good += 1;
+        },
+    );
+    assert!(good > 500, "{good}");
+    // Between calls each request is tagged again.
+    b.run(5);
+    let tape = b.tape(0);
+    let last: Vec<RtcBlock> =
+        tape.heard.iter().rev().take(3).filter_map(|heard| heard.request.config).collect();
+    assert_eq!(last.len(), 3);
+    assert!(last.iter().all(|block| block.code == RtcCommand::NO_OPERATION.0));
+}
+
+#[test]
+fn an_application_that_uses_the_channel_natively_ends_the_call_under_way() {
+    let mut b = Rig::new(1).each(|_, drive| drive.simulate.config_time_ns = 50 * MS).start();
+    b.ready();
+    let mut native: Box<Native> = b.sim.axis(0).native().unwrap();
+    b.post(0, Verb::Native(NativeOwner::Master));
+    b.run(5);
+    let mut ticket = b.call(0, read(0x20A8));
+    b.run(10);
+    let block = RtcBlock::call(9, RtcCommand::READ_RAM, 0x20A9, 0);
+    native.write(NativeOutput { config: Some(block), ..NativeOutput::default() }).unwrap();
+    assert_eq!(b.call_ended(&mut ticket), Err(CallError::Native));
+    assert_eq!(b.read(0, "0x20A8"), Ok(0x1E0F), "learned anew");
+}
+
+#[test]
+fn monitored_variables_are_in_the_feedback_in_their_units() {
+    let sources = [Some(Upid(0x1E0E)), None, Some(Upid(0x1BCD)), Some(Upid(0x1E0F))];
+    let mut b = Rig::new(2)
+        .each(move |index, drive| {
+            if index == 0 {
+                drive.monitor = MonitorPlan::Sources(sources);
+            }
+        })
+        .start();
+    b.ready();
+    b.done(0, to(10.0));
+    b.post(0, slowly_to(190.0));
+    b.run(200);
+    for _ in 0..50 {
+        b.step();
+        let feedback = b.feedback(0);
+        let [position, none, temperature, velocity] = feedback.monitor;
+        assert_eq!((position, none), (Some(feedback.demand), None));
+        assert_eq!(temperature, Some(40.0));
+        assert_near(velocity.unwrap(), feedback.velocity, 0.2);
+        assert_eq!(b.feedback(1).monitor, [None; 4]);
+    }
+    // A drive that was restarted has forgotten, and is told again.
+    b.world().restart(address(0));
+    b.until("it has forgotten", 200, |b| b.feedback(0).monitor == [None; 4]);
+    b.until("it is told again", 2_000, |b| b.feedback(0).monitor[2] == Some(40.0));
+    assert_eq!(b.feedback(0).link, Link::Online);
+}
+
+#[test]
+fn a_variable_that_the_drive_will_not_show_is_told_of_once() {
+    let mut b = Rig::new(1)
+        .each(|_, drive| {
+            drive.monitor = MonitorPlan::Sources([Some(Upid(0x9999)), Some(Upid(0x1BCD)), None, None]);
+        })
+        .start();
+    b.online();
+    b.until("the other is shown", 100, |b| b.feedback(0).monitor[1].is_some());
+    b.run(200);
+    assert_eq!(b.feedback(0).monitor[0], None);
+    let refused = |kind: &EventKind| match kind {
+        EventKind::MonitorRefused { channel, status } => Some((*channel, *status)),
+        _ => None,
+    };
+    let told: Vec<_> = b.kinds(0).iter().filter_map(refused).collect();
+    assert_eq!(told, [(0, Refusal::OutOfRange.code().into())]);
+}
+
+#[test]
+fn whatever_is_set_in_the_drive_is_shown_raw_and_not_touched() {
+    let mut b = Rig::new(1).each(|_, drive| drive.monitor = MonitorPlan::AsSet).start();
+    b.online();
+    b.run(10);
+    // The status word of a drive that is switched off, on its fourth channel by default.
+    assert!(b.feedback(0).monitor[3].is_some_and(|word| word == word.trunc()));
+    assert!(b.tape(0).heard.iter().all(|heard| heard.request.config.is_none_or(|block| block.code == 0)));
+}
