@@ -11,6 +11,8 @@
 //! | `strangers` | datagrams of people who have no business here |
 //! | `telling` | what a master tells while it runs: control socket, black box, service manager |
 //! | `report` | the directory that a run leaves behind, and all that keeps it from being written |
+//! | `params` | parameters of the drives, alone and beside a running master |
+//! | `linmot` | curves, command table, error log and software of a LinMot drive |
 //! | `metrics` | its numbers meanwhile, over HTTP, and clients that mean no good |
 //! | `rights` | what an ordinary user may not do, and is told |
 //! | `doctor` | what the program says of this host |
@@ -20,8 +22,10 @@
 mod deaths;
 mod doctor;
 mod links;
+mod linmot;
 mod metrics;
 mod mistakes;
+mod params;
 mod program;
 mod report;
 mod rights;
@@ -49,6 +53,21 @@ fn serve(config: &std::path::Path) -> SimServer {
 fn master(config: &std::path::Path, arguments: &[&str]) -> Program {
     let own = [OsStr::new("run"), config.as_os_str()];
     Program::start(own.into_iter().chain(arguments.iter().map(OsStr::new)))
+}
+
+/// `fieldbeat WHAT CONFIG REST` under way; words of `what` and `rest` are told apart by spaces.
+fn asking(what: &str, config: &std::path::Path, rest: &str) -> Program {
+    Program::start(
+        what.split(' ')
+            .map(OsStr::new)
+            .chain([config.as_os_str()])
+            .chain(rest.split_whitespace().map(OsStr::new)),
+    )
+}
+
+/// The same to its end.
+fn ask(what: &str, config: &std::path::Path, rest: &str) -> Ended {
+    asking(what, config, rest).end()
 }
 
 fn simulation(config: &std::path::Path) -> Program {

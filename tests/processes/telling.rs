@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use fieldbeat::Master;
 use libc::{SIGTERM, SIGUSR1};
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use super::simulation;
 use super::support::hold::{Hold, thread};
@@ -43,23 +43,13 @@ fn sockets(machine: &Machine) -> Vec<PathBuf> {
     fs::read_dir(machine.path("run/fieldbeat")).unwrap().map(|entry| entry.unwrap().path()).collect()
 }
 
-/// Exit code 1 and one line on standard error that says `parts`.
-#[track_caller]
-fn failed(ended: &Ended, parts: &[&str]) {
-    ended.expect(1);
-    assert_eq!((ended.err.lines().count(), ended.out.as_str()), (1, ""), "{ended:?}");
-    for part in parts {
-        assert!(ended.err.contains(part), "no \"{part}\": {}", ended.err);
-    }
-}
-
 #[test]
 fn a_running_master_is_asked_and_answers_its_owner() {
     let machine = Machine::new(40);
     let config = machine.plain(2);
     let text = config.to_str().unwrap();
-    failed(&status(&machine, &[]), &["no master runs; ", "fieldbeat run"]);
-    failed(&status(&machine, &[text]), &["no master of", text]);
+    status(&machine, &[]).failed(&["no master runs; ", "fieldbeat run"]);
+    status(&machine, &[text]).failed(&["no master of", text]);
     let _sim = simulation(&config);
     let master = master(&machine, &config, &[]);
     for arguments in [&["--json"][..], &[text, "--json"]] {
@@ -110,7 +100,7 @@ fn of_two_masters_one_is_named_and_a_dead_one_is_called_dead() {
     status(&machine, &[first.to_str().unwrap(), "--json"]).expect(0);
     one.kill();
     let dead = status(&machine, &[first.to_str().unwrap()]);
-    failed(&dead, &["is dead and left its socket behind", "start it again"]);
+    dead.failed(&["is dead and left its socket behind", "start it again"]);
     // The one that lives is meant then, and the next master takes the dead one's place.
     assert_eq!(status(&machine, &["--json"]).expect(0).json()["pid"], two.pid());
     let again = master(&machine, &first, &[]);
@@ -204,6 +194,56 @@ fn a_lost_drive_leaves_a_black_box_that_tells_how_it_came_to_it() {
     assert_eq!(happened[place("d0", "link online -> lost", 1)]["cycle"], lost["cycle"]);
     let text = blackbox(path, &[]).expect(0).out.clone();
     assert!(text.contains("drive d0: link lost, in cycle") && text.contains("drive d1, mm"), "{text}");
+}
+
+#[test]
+fn what_a_drive_shows_besides_is_told_meanwhile_at_the_end_and_in_the_black_box() {
+    let machine = Machine::new(49);
+    let config = machine.showing();
+    let _sim = simulation(&config);
+    let mut master = master(&machine, &config, &["--json"]);
+    // Nothing but its timer says that a drive was set up to show it.
+    let summary = || status(&machine, &["--json"]).expect(0).json()["summary"].clone();
+    assert!(until(LONG, || summary()["drives"][1]["monitor"][1]["value"].as_f64() > Some(0.0)));
+    let text = status(&machine, &[]).expect(0).out.clone();
+    for part in
+        ["\nd1    core-temperature   40 C, from 40 to 40\n", " us, from ", "0x9999             not seen yet"]
+    {
+        assert!(text.contains(part), "no {part}: {text}");
+    }
+    assert_eq!(text.matches("\nd0 ").count(), 1, "{text}");
+    master.signal(SIGUSR1);
+    master.await_text("(asked for, cycle ");
+    master.signal(SIGTERM);
+    let ended = master.end();
+    let summary = ended.expect(0).json();
+    assert_eq!(summary["drives"][0]["monitor"], json!([]));
+    let [temperature, timer, unknown] = &summary["drives"][1]["monitor"].as_array().unwrap()[..] else {
+        panic!("{summary}")
+    };
+    let told = json!({ "name": "core-temperature", "unit": "C", "value": 40.0, "min": 40.0, "max": 40.0 });
+    assert_eq!(*temperature, told);
+    let told = json!({ "name": "0x9999", "unit": "", "value": null, "min": null, "max": null });
+    assert_eq!(*unknown, told);
+    assert_eq!((&timer["name"], &timer["unit"]), (&json!("drive-timer"), &json!("us")));
+    assert!(timer["value"] == timer["max"] && timer["min"].as_f64() < timer["max"].as_f64(), "{timer}");
+
+    let path = summary["black_boxes"][0]["path"].as_str().unwrap();
+    let story = blackbox(Path::new(path), &["--json"]).expect(0).json();
+    // On a busy computer a drive may have missed something, and is told of alone.
+    let tables = story["drives"].as_array().unwrap();
+    let of = |name: &str| tables.iter().find(|table| table["name"] == name);
+    if let Some(other) = of("d0") {
+        assert_eq!((&other["monitor"], &other["rows"][0]["monitor"]), (&json!([]), &json!([])));
+    }
+    let Some(drive) = of("d1") else { return };
+    let rows = drive["rows"].as_array().unwrap();
+    let shown: Vec<&Value> =
+        rows.iter().map(|row| &row["monitor"]).filter(|values| !values[0].is_null()).collect();
+    assert!(shown.iter().all(|values| values[0] == 40.0 && values[2].is_null()), "{drive}");
+    assert!(shown.len() > 5 && shown.is_sorted_by(|a, b| a[1].as_f64() < b[1].as_f64()), "{drive}");
+    let text = blackbox(Path::new(path), &[]).expect(0).out.clone();
+    assert_eq!(text.matches(" core-temperature C drive-timer us    0x9999\n").count(), 1, "{text}");
 }
 
 #[test]

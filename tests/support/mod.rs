@@ -5,6 +5,7 @@
 pub mod adventures;
 pub mod controller;
 pub mod counting;
+pub mod forward;
 pub mod hold;
 pub mod onlooker;
 
@@ -146,6 +147,13 @@ impl Machine {
     /// The configuration that most tests want.
     pub fn plain(&self, drives: usize) -> PathBuf {
         self.config("plain.toml", drives, "", "")
+    }
+
+    /// Of its two drives the second shows variables besides its process data; the last one is none that it has.
+    pub fn showing(&self) -> PathBuf {
+        let text = std::fs::read_to_string(self.plain(2)).unwrap();
+        let monitor = "monitor = [\"core-temperature\", \"drive-timer\", \"0x9999\"]\n";
+        self.write("showing.toml", text + monitor)
     }
 
     pub fn write(&self, file: &str, bytes: impl AsRef<[u8]>) -> PathBuf {
@@ -354,7 +362,18 @@ impl Ended {
     /// Exit code 2 and one line on standard error that says `parts`; nothing on standard output.
     #[track_caller]
     pub fn refused(&self, parts: &[&str]) {
-        self.expect(2);
+        self.one_line(2, parts);
+    }
+
+    /// The same with exit code 1.
+    #[track_caller]
+    pub fn failed(&self, parts: &[&str]) {
+        self.one_line(1, parts);
+    }
+
+    #[track_caller]
+    fn one_line(&self, code: i32, parts: &[&str]) {
+        self.expect(code);
         assert_eq!(self.err.lines().count(), 1, "{}", self.err);
         assert!(self.err.starts_with("fieldbeat: ") && self.err.ends_with('\n'), "{}", self.err);
         for part in parts {

@@ -1,0 +1,333 @@
+//! `fieldbeat param`: parameters of the drives, read, written and listed, by a master of its own or through the one that
+//! runs.
+
+use std::fs;
+use std::os::unix::fs::PermissionsExt;
+
+use libc::{SIGINT, SIGTERM};
+use serde_json::{Value, json};
+
+use super::support::{
+    Ended, Machine, NOBODY, Program, as_ordinary_user, assert_sums, checkout, drive, is_root, run,
+};
+use super::{ask, asking, assert_silent, master, serve, simulation, socket};
+
+/// A value of what the program says of drive `d0` with `--json`.
+fn value(ended: &Ended, key: &str) -> Value {
+    ended.expect(0).json()[key].clone()
+}
+
+#[test]
+fn every_value_of_a_parameter_is_read_under_every_name() {
+    let machine = Machine::new(80);
+    let config = machine.plain(1);
+    let _sim = serve(&config);
+    for (address, text) in [
+        ("0x20A8", "7695 (0x1E0F)"),
+        ("20A8h", "7695 (0x1E0F)"),
+        ("0x20a8.ram", "7695 (0x1E0F)"),
+        ("monitor-source-1", "7695 (0x1E0F)"),
+        ("monitor-source-1.rom", "7695 (0x1E0F)"),
+        ("monitor-source-1.both", "7695 (0x1E0F)"),
+        ("monitor-source-1.min", "0 (0x0)"),
+        ("20A8h.max", "65535 (0xFFFF)"),
+        ("0x20A8.default", "7695 (0x1E0F)"),
+        ("predefined-velocity", "1000000 (0xF4240) = 1000 mm/s"),
+        ("core-temperature", "400 (0x190) = 40 C"),
+    ] {
+        let ended = ask("param get", &config, &format!("d0 {address}"));
+        assert_eq!(
+            (ended.expect(0).out.as_str(), ended.err.as_str()),
+            (&*format!("d0 {address}: {text}\n"), "")
+        );
+    }
+    let said = ask("param get", &config, "d0 minimum-position --json").json();
+    let raw = -50_000_i32 as u32;
+    let text = "-50000 (0xFFFF3CB0) = -5 mm";
+    assert_eq!(
+        said,
+        json!({ "drive": "d0", "address": "minimum-position", "raw": raw, "value": -50_000, "text": text })
+    );
+}
+
+#[test]
+fn what_is_written_holds_as_long_as_the_memory_that_it_was_written_to() {
+    let machine = Machine::new(81);
+    let config = machine.plain(1);
+    let _sim = simulation(&config);
+    let get = |address: &str| value(&ask("param get", &config, &format!("d0 {address} --json")), "value");
+    let set = |words: &str| value(&ask("param set", &config, &format!("d0 {words} --json")), "value");
+
+    let ended = ask("param set", &config, "d0 predefined-velocity 123456");
+    assert_eq!(ended.expect(0).out, "d0 predefined-velocity: 123456 (0x1E240) = 123.456 mm/s\n");
+    assert_eq!(set("minimum-position -70000"), -70_000);
+    assert_eq!(set("maximum-position 0x000F4240"), 1_000_000);
+    assert_eq!(set("predefined-acceleration.rom 777"), 777);
+    assert_eq!(set("predefined-deceleration.both 888"), 888);
+    // What is in flash is in use after the next start.
+    assert_eq!(get("predefined-velocity"), 123_456);
+    assert_eq!(get("predefined-velocity.rom"), 1_000_000);
+    assert_eq!(get("predefined-acceleration"), 1_000_000);
+
+    assert_eq!(ask("linmot restart", &config, "d0").expect(0).out, "drive d0: restarts\n");
+    for (address, now) in [
+        ("predefined-velocity", 1_000_000),
+        ("minimum-position", -50_000),
+        ("maximum-position", 4_050_000),
+        ("predefined-acceleration", 777),
+        ("predefined-deceleration", 888),
+    ] {
+        assert_eq!(get(address), now, "{address}");
+    }
+}
+
+#[test]
+fn the_lists_say_what_there_is_how_it_is_used_and_what_was_changed() {
+    let machine = Machine::new(82);
+    let config = machine.plain(1);
+    let _sim = simulation(&config);
+    let list = |options: &str| ask("param list", &config, &format!("d0 {options}"));
+    let rows =
+        |options: &str| list(&format!("{options} --json")).expect(0).json().as_array().unwrap().clone();
+
+    let all = list("").expect(0).out.clone();
+    let lines: Vec<&str> = all.lines().collect();
+    assert!(lines.len() > 60 && lines.is_sorted(), "{all}");
+    for line in ["0x000C  r- r-        article-number", "0x14BE  rw rw live   predefined-velocity"] {
+        assert!(lines.contains(&line), "no \"{line}\": {all}");
+    }
+    assert_eq!(rows("").len(), lines.len());
+    // From one on that there is, and from one that there is not.
+    let monitor = rows("--from monitor-source-1");
+    assert_eq!(monitor[0]["address"], "0x20A8");
+    assert_eq!(rows("--from 0x2000"), monitor);
+    assert_eq!(rows("--from 0xFFFF"), [] as [Value; 0]);
+
+    let with_values = rows("--from 20A8h --values");
+    assert_eq!(with_values.len(), monitor.len());
+    assert_eq!(
+        with_values[0],
+        json!({ "address": "0x20A8", "name": "monitor-source-1", "usage": "rw rw live", "raw": 7695, "value": 7695 })
+    );
+    assert!(
+        list("--from 20A8h --values")
+            .expect(0)
+            .out
+            .contains("0x20AB  rw rw live   7505 (0x1D51)  monitor-source-4")
+    );
+
+    let changed = |options: &str| list(&format!("--modified {options}")).expect(0).out.clone();
+    let before = changed("");
+    ask("param set", &config, "d0 predefined-velocity 5").expect(0);
+    assert_eq!(changed(""), before, "RAM is not flash");
+    ask("param set", &config, "d0 predefined-velocity.rom 6").expect(0);
+    assert_eq!(changed("").lines().count(), before.lines().count() + 1);
+    assert!(changed("").contains("0x14BE  6 (0x6) = 0.006 mm/s  predefined-velocity"), "{}", changed(""));
+    let modified = rows("--modified --from 0x14BE");
+    assert_eq!((&modified[0]["value"], &modified[0]["usage"]), (&json!(6), &Value::Null));
+    list("--modified --values").refused(&["--modified", "--values", "--help"]);
+}
+
+/// Half of a list looks like a whole one.
+#[test]
+fn an_interrupted_list_is_none() {
+    let machine = Machine::new(106);
+    let config = machine.config("slow.toml", 1, "", "simulate = { config_time = \"100ms\" }");
+    let _sim = simulation(&config);
+    for (options, under_way) in [("--json", "fieldbeat: list "), ("--json --values", "fieldbeat: read ")] {
+        let mut listing = asking("param list", &config, &format!("d0 {options}"));
+        // It tells every few seconds how far it is.
+        listing.await_text(under_way);
+        listing.signal(SIGINT);
+        let ended = listing.end();
+        assert_eq!(ended.expect(1).out, "");
+        let last = ended.err.lines().last().unwrap();
+        assert!(last.contains("drive d0: ") && last.contains("its parameters was broken off"), "{last}");
+    }
+}
+
+/// Exit code 2 says that nothing was sent.
+#[test]
+fn mistakes_of_the_asker_are_one_line_and_no_telegram() {
+    let machine = Machine::new(83);
+    let config = machine.plain(2);
+    let drives = [0, 1].map(|index| socket(machine.drive(index)));
+    let get = |words: &str| ask("param get", &config, words);
+    let set = |words: &str| ask("param set", &config, words);
+    let none = machine.path("none.toml");
+    ask("param get", &none, "d0 0x20A8").refused(&[
+        "cannot read",
+        "none.toml",
+        "for example rt-config/demo.toml",
+    ]);
+    let broken = machine.write("broken.toml", "[cycle]\nperiod = 1\n");
+    let ended = ask("param get", &broken, "d0 0x20A8");
+    assert!(ended.expect(2).err.contains("broken.toml:2") && ended.out.is_empty(), "{ended:?}");
+    get("d7 0x20A8").refused(&["has no drive d7", "it has d0, d1"]);
+    get("d0").refused(&["ADDRESS", "--help"]);
+    set("d0 0x20A8").refused(&["VALUE", "--help"]);
+    for address in ["0x", "20A8", "0x120A8", "speed", "0x20A8.eeprom", ""] {
+        if !address.is_empty() {
+            get(&format!("d0 {address}"))
+                .refused(&[&format!("drive d0: read {address}: no address"), "write 0x20A8"]);
+            set(&format!("d0 {address} 1")).refused(&[&format!("drive d0: write {address}"), "no address"]);
+        }
+    }
+    for variant in ["min", "max", "default"] {
+        set(&format!("d0 0x20A8.{variant} 1")).refused(&[
+            &format!("write 0x20A8.{variant}: "),
+            "cannot be written; write to the UPID itself, .rom or .both",
+        ]);
+    }
+    for (address, value, range) in [
+        ("home-position", "1.5", "-2147483648 ... 2147483647"),
+        ("home-position", "12mm", "a whole number"),
+        ("0x3100", "99999999999999999999", "or its bits as 0x..."),
+    ] {
+        set(&format!("d0 {address} {value}")).refused(&[&format!("drive d0: write {address}"), value, range]);
+    }
+    for (address, value, range) in [
+        ("monitor-source-1", "65536", "0 ... 65535"),
+        ("monitor-source-1", "0x11E0F", "0 ... 65535"),
+        ("monitor-source-1", "-1", "0 ... 65535"),
+        ("0x3100", "4294967296", "-2147483648 ... 4294967295"),
+        ("0x3100", "0x1FFFFFFFF", "-2147483648 ... 4294967295"),
+    ] {
+        set(&format!("d0 {address} {value}")).failed(&[&format!("drive d0: write {address}"), value, range]);
+    }
+    ask("param list", &config, "d0 --from speed").refused(&["--from speed: no UPID"]);
+    ask("param", &config, "").refused(&["--help"]);
+    drives.iter().for_each(assert_silent);
+}
+
+#[test]
+fn what_the_drive_refuses_comes_with_its_reason() {
+    let machine = Machine::new(84);
+    let config = machine.plain(1);
+    let _sim = serve(&config);
+    ask("param get", &config, "d0 0x9999").failed(&["drive d0: read 0x9999: ", "no such UPID"]);
+    ask("param get", &config, "d0 demand-velocity.default")
+        .failed(&["drive d0: read demand-velocity.default: "]);
+    // Its own limits are narrower than those of the type.
+    ask("param set", &config, "d0 run-mode 17").failed(&["drive d0: write run-mode = 17: "]);
+    ask("param set", &config, "d0 demand-velocity 1").failed(&["drive d0: write demand-velocity = 1: "]);
+    ask("param set", &config, "d0 run-mode 16").expect(0);
+}
+
+#[test]
+fn a_drive_that_nobody_answers_for_is_told_after_a_while() {
+    let machine = Machine::new(85);
+    let config = machine.plain(2);
+    let silent = socket(machine.drive(1));
+    let parts = &["drive d0 does not answer; look at its power, cable and address"];
+    ask("param get", &config, "d0 0x20A8").failed(parts);
+    ask("linmot curve list", &config, "d0").failed(parts);
+    // Who is tired of waiting is told that nothing has happened.
+    let waiting = asking("param set", &config, "d0 monitor-source-1 1");
+    waiting.await_handler(SIGINT);
+    waiting.signal(SIGINT);
+    waiting.end().failed(&["interrupted; nothing was written"]);
+    // Only the drive that was meant was asked.
+    assert_silent(&silent);
+}
+
+#[test]
+fn a_port_that_somebody_else_holds_is_named() {
+    let machine = Machine::new(86);
+    let config = machine.plain(1);
+    let drive = socket(machine.drive(0));
+    let _other = socket(machine.master());
+    let bind = format!("cannot bind {}: Address already in use", machine.master());
+    ask("param get", &config, "d0 0x20A8").refused(&[&bind, "end it", "ss -ulpn"]);
+    assert_silent(&drive);
+}
+
+/// Its socket is there, and closed to this user. No other way is taken: the drive has an owner.
+#[test]
+fn a_master_that_may_not_be_asked_is_named() {
+    let machine = Machine::new(87);
+    std::fs::copy(machine.plain(1), machine.path("closed87.toml")).unwrap();
+    let config = machine.path("closed87.toml");
+    let _sim = serve(&config);
+    let ordinary = |words: &[&str]| {
+        let mut command = as_ordinary_user(&machine);
+        command.args(words);
+        Program::spawn(&mut command)
+    };
+    let path = config.to_str().unwrap();
+    let mut master = ordinary(&["run", path]);
+    master.await_text("all drives online");
+    let user = if is_root() { NOBODY } else { nix::unistd::geteuid().as_raw() };
+    let directory = std::env::temp_dir().join(format!("fieldbeat-tests-{user}/fieldbeat"));
+    let sockets = fs::read_dir(directory).unwrap().map(|entry| entry.unwrap().path());
+    let own = sockets.filter(|path| path.to_str().unwrap().contains("closed87-"));
+    // Those of runs that were killed lie there, too.
+    own.for_each(|socket| fs::set_permissions(socket, PermissionsExt::from_mode(0o000)).unwrap());
+    ordinary(&["param", "get", path, "d0", "0x20A8"]).end().failed(&["is another user's", "use sudo"]);
+    master.signal(SIGTERM);
+    master.end().expect(0);
+}
+
+#[test]
+fn a_running_master_is_asked_and_keeps_every_count() {
+    let machine = Machine::new(88);
+    let config = machine.plain(2);
+    let _sim = simulation(&config);
+    let mut master = master(&config, &["--json"]);
+    master.await_text("all drives online");
+    for round in 0..5_i64 {
+        let position = round * 1_000 - 2_000;
+        let said = ask("param set", &config, &format!("d1 minimum-position {position} --json"));
+        assert_eq!(value(&said, "value"), position);
+        let said = ask("param get", &config, "d1 minimum-position --json");
+        assert_eq!(value(&said, "value"), position);
+    }
+    // The other drive has its own, and mistakes are told as without a master.
+    assert_eq!(value(&ask("param get", &config, "d0 minimum-position --json"), "value"), -50_000);
+    assert!(ask("param list", &config, "d0").expect(0).out.lines().count() > 60);
+    ask("param get", &config, "d0 0x9999").failed(&["drive d0: read 0x9999: "]);
+    ask("param set", &config, "d0 monitor-source-1 65536").failed(&["65536"]);
+    ask("param get", &config, "d2 0x20A8").refused(&["has no drive d2"]);
+    assert!(master.is_running());
+    master.signal(SIGTERM);
+    let ended = master.end();
+    let summary = ended.expect(0).json();
+    assert_sums(&summary);
+    for name in ["d0", "d1"] {
+        let drive = drive(&summary, name);
+        assert_eq!((&drive["link"], &drive["losses"]), (&json!("online"), &json!(0)), "{drive}");
+        assert_eq!((&drive["rejected"], &drive["unsent"]), (&json!(0), &json!(0)), "{drive}");
+    }
+    // Nobody runs now, and the port is free for whoever asks next.
+    assert_eq!(value(&ask("param get", &config, "d1 minimum-position --json"), "value"), 2_000);
+}
+
+#[test]
+fn the_help_says_how_to_write_everything() {
+    for (words, parts) in [
+        ("param", &["get", "set", "list", "Reads a parameter"][..]),
+        ("param get", &["0x20A8.rom", ".default", "--json", "<CONFIG> <DRIVE> <ADDRESS>"]),
+        ("param set", &["0x20A8.both", "<CONFIG> <DRIVE> <ADDRESS> <VALUE>", "0x...."]),
+        ("param list", &["--modified", "--values", "--from <ADDRESS>"]),
+        ("linmot", &["curve", "table", "errors", "restart", "software", "defaults"]),
+        ("linmot curve", &["list", "get", "put", "delete", "save", "CSV"]),
+        ("linmot table", &["list", "get", "put", "delete", "save", "TOML"]),
+        ("linmot curve get", &["--id <N>", "--force"]),
+        ("linmot curve put", &["--save", "--live", "silent"]),
+        ("linmot software", &["stop", "start"]),
+        ("linmot defaults", &["os, mc, interface or application"]),
+    ] {
+        let ended = run(words.split(' ').chain(["--help"]));
+        ended.expect(0);
+        assert_eq!(ended.err, "");
+        for part in parts {
+            assert!(ended.out.contains(part), "{words}: no \"{part}\":\n{}", ended.out);
+        }
+        let long = ended.out.lines().find(|line| line.chars().count() > 100);
+        assert_eq!(long, None, "{words}");
+    }
+    // Both samples of files are named where files are wanted.
+    let none = checkout("rt-config/none.csv");
+    ask("linmot curve put", &checkout("rt-config/linmot.toml"), &format!("x {}", none.display()))
+        .refused(&["none.csv", "rt-config/linmot-curve.csv"]);
+}
