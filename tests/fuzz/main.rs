@@ -29,6 +29,21 @@ fn station() {
 }
 
 #[test]
+fn channel() {
+    fuzz("channel", targets::channel, 400, 400);
+}
+
+#[test]
+fn drive() {
+    fuzz("drive", targets::drive, 400, 1_500);
+}
+
+#[test]
+fn files() {
+    fuzz("files", targets::files, 2_000, 1_500);
+}
+
+#[test]
 fn config() {
     fuzz("config", targets::config, 150, 4_000);
 }

@@ -4,6 +4,9 @@
 //! |---|---|
 //! | `telegram` | a datagram, for every parser of what comes from a wire |
 //! | `station` | a program for one station: orders, sends, replies good and bad |
+//! | `channel` | a program for the parameter channel: calls posted, cancelled and forgotten, on a bad wire |
+//! | `drive` | a program of a master that knows no rules, for the simulated drive |
+//! | `files` | the text of a curve or of a command table |
 //! | `config` | the text of a configuration |
 //! | `config_keys` | a program that changes the sample configurations key by key |
 //! | `machine` | a program for a whole machine in virtual time: a hostile drive, and an application in a hurry |
@@ -11,14 +14,23 @@
 //! Two drivers run them: `main.rs`, a plain test, and libFuzzer (`libfuzzer/`). A program is read by [`input::Input`], which
 //! makes sense of any bytes, so that whatever a fuzzer changes is a program again.
 
+#[path = "../../support/forward.rs"]
+mod forward;
+
+mod channel;
 mod config;
+mod drive;
+mod files;
 mod input;
 mod machine;
 mod station;
 mod telegram;
 mod verbs;
 
+pub use channel::channel;
 pub use config::{config, config_keys};
+pub use drive::drive;
+pub use files::files;
 pub use machine::machine;
 pub use station::station;
 pub use telegram::telegram;

@@ -14,7 +14,7 @@ use fieldbeat::bus::linudp::wire::{
     ControlWord, ErrorCode, REQUEST_MAX, RESPONSE_MAX, Request, RequestDef, Response, ResponseDef, RtcBlock,
     StateVar, StatusWord, WarnWord,
 };
-use fieldbeat::bus::linudp::{COUNTS_PER_MM, LinUdpDrive, StreamCommand};
+use fieldbeat::bus::linudp::{COUNTS_PER_MM, LinUdpDrive, MonitorPlan, StreamCommand};
 use fieldbeat::bus::{Cycle, Exchange, NumberedRow, Order, Progress, Slot};
 use fieldbeat::time::{MS, Time};
 
@@ -66,7 +66,7 @@ impl Rig {
         let has = |bit: u8| features >> bit & 1 == 1;
         let mut drive = LinUdpDrive::new("x", Ipv4Addr::LOCALHOST);
         drive.reply_tag = has(0);
-        drive.monitor = has(1);
+        drive.monitor = if has(1) { MonitorPlan::AsSet } else { MonitorPlan::Off };
         drive.leash = has(2).then_some(20.0);
         drive.stream = input.of(&[Some(StreamCommand::Pva), Some(StreamCommand::P), None]);
         let inverted = if has(3) { -1.0 } else { 1.0 };
@@ -84,7 +84,7 @@ impl Rig {
                 step: None,
             };
         }
-        let (station, native) = Station::new(&drive);
+        let (station, native, _) = Station::new(&drive);
         let slot = Slot { due: true, ..Slot::default() };
         Rig {
             drive,

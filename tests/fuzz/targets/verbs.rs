@@ -3,7 +3,7 @@
 use fieldbeat::axis::{Jog, Move, NativeOwner, Profile, Row, Target, Verb};
 use fieldbeat::bus::linudp::motion::MotionCommand;
 use fieldbeat::bus::linudp::native::NativeOutput;
-use fieldbeat::bus::linudp::wire::{ControlWord, RtcBlock};
+use fieldbeat::bus::linudp::wire::{ControlWord, RtcBlock, RtcCommand};
 
 use super::input::Input;
 
@@ -41,7 +41,7 @@ pub fn output(input: &mut Input<'_>) -> NativeOutput {
     NativeOutput {
         control: input.flag().then(|| ControlWord(input.word())),
         motion: input.flag().then(|| MotionCommand::new(input.word() & 0xFFF)),
-        config: input.flag().then(|| RtcBlock::command(input.byte(), input.byte())),
+        config: input.flag().then(|| RtcBlock::command(input.byte(), RtcCommand(input.byte()))),
     }
 }
 

@@ -6,7 +6,6 @@ use std::net::SocketAddrV4;
 use std::os::fd::RawFd;
 use std::sync::{Arc, Mutex, MutexGuard};
 
-use fieldbeat::axis::{AxisPlan, PlanFault};
 use fieldbeat::bus::linudp::LinUdpPlan;
 use fieldbeat::bus::linudp::sim::LinMotSim;
 use fieldbeat::bus::linudp::wire::{
@@ -243,25 +242,7 @@ impl HostileBus {
 }
 
 impl BusPlan for HostileBus {
-    fn name(&self) -> &str {
-        self.plan.name()
-    }
-
-    fn protocol(&self) -> &'static str {
-        self.plan.protocol()
-    }
-
-    fn axes(&self) -> Vec<&AxisPlan> {
-        self.plan.axes()
-    }
-
-    fn faults(&self, period_ns: u64) -> Vec<(usize, PlanFault)> {
-        self.plan.faults(period_ns)
-    }
-
-    fn describe(&self, period_ns: u64) -> Vec<String> {
-        self.plan.describe(period_ns)
-    }
+    crate::forward_bus_plan!(plan);
 
     fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
         self.plan.open(period_ns, &Tapped { carriers, wire: Arc::clone(&self.wire) })

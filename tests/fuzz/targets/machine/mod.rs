@@ -1,7 +1,7 @@
 //! A whole machine in virtual time: drives that lie, a wire that loses and repeats, an application that asks for anything at
 //! any moment, and the end of it all.
 
-mod hostile;
+pub(super) mod hostile;
 mod watch;
 
 use std::collections::VecDeque;
@@ -15,7 +15,9 @@ use fieldbeat::axis::{
 };
 use fieldbeat::bus::linudp::native::Native;
 use fieldbeat::bus::linudp::wire::ErrorCode;
-use fieldbeat::bus::linudp::{COUNTS_PER_MM, DRIVE_PORT, LinUdpDrive, LinUdpPlan, SimPlan, StreamCommand};
+use fieldbeat::bus::linudp::{
+    COUNTS_PER_MM, DRIVE_PORT, LinUdpDrive, LinUdpPlan, MonitorPlan, SimPlan, StreamCommand,
+};
 use fieldbeat::cycle::engine::Flow;
 use fieldbeat::cycle::{CyclePlan, Overrun, Plan};
 use fieldbeat::master::Master;
@@ -123,7 +125,7 @@ fn drive(index: usize, input: &mut Input<'_>) -> LinUdpDrive {
     axis.event_queue = if input.byte() == 255 { 2 } else { 128 };
     LinUdpDrive {
         stream: input.of(&[Some(StreamCommand::Pva), Some(StreamCommand::PvaConfigured), None]),
-        monitor: has(9),
+        monitor: if has(9) { MonitorPlan::AsSet } else { MonitorPlan::Off },
         reply_tag: has(10),
         leash: (!has(11)).then_some(20.0),
         simulate: SimPlan {
