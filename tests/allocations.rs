@@ -8,7 +8,7 @@ use std::net::SocketAddrV4;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use fieldbeat::axis::{AxisPlan, CommandId, EventKind, Link, PlanFault, Verb};
+use fieldbeat::axis::{CommandId, EventKind, Link, Verb};
 use fieldbeat::bus::{Bus, BusPlan, OpenError};
 use fieldbeat::cycle::engine::Flow;
 use fieldbeat::master::Master;
@@ -18,7 +18,7 @@ use fieldbeat::sim::world::WorldOptions;
 use fieldbeat::sim::{DatagramDrive, FaultPlan};
 use fieldbeat::simulation::Simulation;
 use fieldbeat::time::Time;
-use support::adventures::{Adventures, DRIVES, Ends, VICTIM, drives, drives_and_errors, row, to};
+use support::adventures::{Adventures, Calls, DRIVES, Ends, VICTIM, drives, drives_and_errors, row, to};
 use support::counting::{Counting, allocations, count, watch};
 use support::{LONG, Machine, until};
 
@@ -46,21 +46,8 @@ struct DrivesUnwatched(Box<dyn BusPlan>);
 struct Unwatched(Box<dyn DatagramDrive>);
 
 impl BusPlan for DrivesUnwatched {
-    fn name(&self) -> &str {
-        self.0.name()
-    }
-    fn protocol(&self) -> &'static str {
-        self.0.protocol()
-    }
-    fn axes(&self) -> Vec<&AxisPlan> {
-        self.0.axes()
-    }
-    fn faults(&self, period_ns: u64) -> Vec<(usize, PlanFault)> {
-        self.0.faults(period_ns)
-    }
-    fn describe(&self, period_ns: u64) -> Vec<String> {
-        self.0.describe(period_ns)
-    }
+    crate::forward_bus_plan!(0);
+
     fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
         self.0.open(period_ns, carriers)
     }
@@ -135,8 +122,15 @@ fn a_million_cycles_in_virtual_time_allocate_nothing() {
     sim.run(2_000);
 
     let (mut ends, mut rounds) = ([Ends::default(); DRIVES], 0);
+    let mut calls: [Calls; DRIVES] = Default::default();
     let count = allocations(|| {
         while sim.status().executed < 1_000_000 {
+            // The application may allocate.
+            let watched = watch(false);
+            for (index, calls) in calls.iter_mut().enumerate() {
+                calls.keep_up(sim.axis(index).acyclic());
+            }
+            watch(watched);
             round(&mut sim, &machine, &mut ends, rounds);
             rounds += 1;
         }
@@ -152,6 +146,7 @@ fn a_million_cycles_in_virtual_time_allocate_nothing() {
     // All of it really happened.
     assert!(ends.iter().all(|ends| ends.done >= 2 * rounds && ends.aborted > 0), "{rounds}: {ends:?}");
     assert!(lost.load(Ordering::Relaxed) > 10_000 && end.status.skipped > 0, "{end:?}");
+    assert!(calls.iter().all(|calls| calls.done >= u64::from(rounds)), "{calls:?}");
     assert_eq!(end.drives[VICTIM].losses, u64::from(rounds), "{:?}", end.drives[VICTIM]);
     let counters = end.drives[2].counters;
     assert!(
@@ -247,6 +242,9 @@ fn twenty_thousand_cycles_on_real_sockets_allocate_nothing() {
     let victim = &run.end.drives[VICTIM];
     assert!(victim.losses > 0, "{victim:?}");
     assert!(adventures.ends.iter().all(|ends| ends.done >= 5), "{:?}", adventures.ends);
+    let calls = &adventures.calls;
+    assert!(calls.iter().all(|calls| calls.done > 100 && calls.refused > 50), "{calls:?}");
+    assert!(calls[VICTIM].failed > 0, "{calls:?}");
     assert!(run.end.drives.iter().any(|drive| drive.counters.unsent > 0));
     assert!(run.end.buses[0].1.datagrams > 0);
 }

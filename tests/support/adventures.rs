@@ -8,7 +8,10 @@
 use std::net::{Ipv4Addr, SocketAddrV4, UdpSocket};
 use std::path::{Path, PathBuf};
 
+use fieldbeat::axis::acyclic::{Acyclic, CallError, CallTicket};
 use fieldbeat::axis::{Axis, CommandId, EventKind, Link, Move, Outcome, Profile, Row, Target, Verb};
+use fieldbeat::bus::linudp::upid;
+use fieldbeat::bus::linudp::wire::RtcCommand;
 use fieldbeat::sim::server::{ServerOptions, SimServer};
 
 use super::{LONG, Machine, plan, until};
@@ -99,6 +102,49 @@ pub struct Adventures {
     _living: SimServer,
     /// How the commands of each living drive ended.
     pub ends: [Ends; LIVING.len()],
+    /// How its acyclic calls ended.
+    pub calls: [Calls; LIVING.len()],
+}
+
+/// Acyclic calls to one drive: a read, a write and one that is refused, again and again.
+#[derive(Debug, Default)]
+pub struct Calls {
+    under_way: Vec<CallTicket>,
+    posted: u64,
+    pub done: u64,
+    pub refused: u64,
+    pub failed: u64,
+}
+
+impl Calls {
+    /// Counts what has ended, and posts as many anew.
+    pub fn keep_up(&mut self, acyclic: &Acyclic) {
+        let Calls { under_way, done, refused, failed, .. } = self;
+        under_way.retain_mut(|ticket| match ticket.poll() {
+            Some(Ok(_)) => {
+                *done += 1;
+                false
+            }
+            Some(Err(CallError::Refused(_))) => {
+                *refused += 1;
+                false
+            }
+            Some(Err(_)) => {
+                *failed += 1;
+                false
+            }
+            None => true,
+        });
+        while self.under_way.len() < 4 {
+            let call = match self.posted % 3 {
+                0 => upid::call(RtcCommand::READ_RAM, 0x1E0F, 0),
+                1 => upid::call(RtcCommand::WRITE_RAM, 0x1E72, self.posted as u32),
+                _ => upid::call(RtcCommand::READ_RAM, 0x9999, 0),
+            };
+            self.posted += 1;
+            self.under_way.extend(acyclic.post(call, LONG).ok());
+        }
+    }
 }
 
 /// How the commands of an axis ended.
@@ -140,6 +186,7 @@ impl Adventures {
             victim: Some(serve(config, options, |address| address == victim)),
             _living: serve(config, options, others),
             ends: Default::default(),
+            calls: Default::default(),
         };
         assert!(until(LONG, || adventures.axes.iter().all(|axis| axis.feedback().link == Link::Online)));
         adventures.count();
@@ -165,6 +212,7 @@ impl Adventures {
         assert!(until(LONG, || {
             stream(&mut self.axes[0]);
             let _ = self.noise.send_to(b"noise", self.master);
+            self.calls[VICTIM].keep_up(self.axes[VICTIM].acyclic());
             self.axes[VICTIM].feedback().link == Link::Lost
         }));
         let stop = Some(Verb::Stop { deceleration: None });
@@ -207,6 +255,9 @@ impl Adventures {
     }
 
     fn count_for(&mut self, open: &mut [Option<CommandId>]) {
+        for (axis, calls) in self.axes.iter().zip(&mut self.calls) {
+            calls.keep_up(axis.acyclic());
+        }
         for ((axis, ends), open) in self.axes.iter_mut().zip(&mut self.ends).zip(open) {
             while let Some(event) = axis.event() {
                 if let EventKind::Ended { id, outcome, .. } = event.kind {
