@@ -4,6 +4,8 @@
 //!   everything from the end of one sleep to the begin of the next: send, receive, health, exchange, prepare, records and
 //!   feedback. Cycles follow each other without sleeping, and once more paced at 1 kHz with the core asleep in between, where
 //!   caches are cold. The carrier's own time is measured alone, in turns with the loop, and taken off.
+//! - **The loop with acyclic calls**: the same, with a parameter read back to back on each of 32 drives, in turns with the loop
+//!   without them; and how many reads a second that comes to, there and on sockets at 1 kHz.
 //! - **The loop on sockets** against a bare `sendto` / `recvfrom` loop over the same bytes, cycle by cycle in turns: time
 //!   from waking up until done, and processor time.
 //! - **System calls a cycle**, counted at full speed where the loop makes them: in its clock and its carrier. That these
@@ -12,15 +14,20 @@
 #[allow(dead_code, reason = "each bench uses a part of it")]
 mod support;
 
+use std::collections::VecDeque;
 use std::io;
 use std::net::SocketAddrV4;
 use std::os::fd::RawFd;
 use std::process::{Command, ExitCode, Stdio};
 use std::sync::Arc;
+use std::time::Duration;
 
+use fieldbeat::axis::acyclic::{Acyclic, CallTicket};
 use fieldbeat::bus::BusPlan;
+use fieldbeat::bus::linudp::upid;
 use fieldbeat::bus::linudp::wire::{
-    ControlWord, MainState, Request, RequestDef, Response, ResponseDef, StateVar, StatusWord,
+    ControlWord, MainState, RESPONSE_MAX, Request, RequestDef, Response, ResponseDef, RtcBlock, RtcCommand,
+    StateVar, StatusWord,
 };
 use fieldbeat::cycle::Wait;
 use fieldbeat::net::{Carriers, Datagrams, Os, Outbox, Received, Sent, UdpOptions};
@@ -56,6 +63,7 @@ fn main() -> ExitCode {
     let mut report = Report::default();
     let drives: &[usize] = if args.quick { &[1, 8, 64, 256] } else { &[1, 2, 4, 8, 16, 32, 64, 128, 256] };
     let without = without_socket(args.quick, drives, &mut report);
+    let reads = with_reads(&granted, args.quick, &mut report);
     let on_sockets = on_sockets(&granted, args.quick, drives, &mut report);
     strace(&granted, args.quick, &mut report);
     for ((drives, without), on) in drives.iter().zip(without).zip(on_sockets) {
@@ -77,6 +85,7 @@ fn main() -> ExitCode {
             "steal_ms": on.steal_ms,
         }));
     }
+    report.append(reads);
     report.finish(&args)
 }
 
@@ -147,20 +156,142 @@ fn without_socket(quick: bool, drives: &[usize], report: &mut Report) -> Vec<Wit
             (Line::through(&points), points)
         };
         let slope = over_rounds(rounds, |rounds| line(rounds).0.slope);
-        let (fit, points) = line(&(0..rounds).collect::<Vec<_>>());
-        let bend = points.iter().map(|(x, y)| (y / fit.at(*x) - 1.0).abs()).fold(0.0, f64::max);
+        let (fit, _) = line(&(0..rounds).collect::<Vec<_>>());
+        // Round by round: a computer that is slower for a while is slower for all points of a round.
+        let bend_of = |round: usize| {
+            let (fit, points) = line(&[round]);
+            points.iter().map(|(x, y)| (y / fit.at(*x) - 1.0).abs()).fold(0.0, f64::max)
+        };
+        let bend = over_rounds(rounds, |rounds| {
+            median(&rounds.iter().map(|round| bend_of(*round)).collect::<Vec<_>>())
+        });
         println!(
             "  {name}: {slope} ns a drive + {:.0} ns a cycle; farthest point {:.0} % off the line",
             fit.intercept,
-            bend * 100.0
+            bend.value * 100.0
         );
         if what == 0 {
             report.time("the loop without a socket, a drive", Some(slope), LOOP_NS, "ns");
-            let bend = Interval { value: bend, low: bend, high: bend };
             report.time("its farthest point off the straight line", Some(bend), STRAIGHT, "");
         }
     }
     table
+}
+
+/// So many drives read a parameter back to back.
+const READING: usize = 32;
+/// Reads that are under way on each of them.
+const UNDER_WAY: usize = 4;
+
+/// Keeps every drive at reading, from outside of the loop and of what is measured.
+struct Readers {
+    under_way: Vec<VecDeque<CallTicket>>,
+    done: u64,
+}
+
+impl Readers {
+    fn new(drives: usize) -> Readers {
+        Readers { under_way: (0..drives).map(|_| VecDeque::new()).collect(), done: 0 }
+    }
+
+    fn feed(&mut self, acyclics: &[Acyclic]) {
+        let call = upid::call(RtcCommand::READ_RAM, 0x1E0F, 0);
+        for (acyclic, under_way) in acyclics.iter().zip(&mut self.under_way) {
+            while let Some(end) = under_way.front_mut().and_then(CallTicket::poll) {
+                self.done += u64::from(end.is_ok());
+                under_way.pop_front();
+            }
+            while under_way.len() < UNDER_WAY {
+                match acyclic.post(call, Duration::from_secs(1)) {
+                    Ok(ticket) => under_way.push_back(ticket),
+                    Err(error) => rig::give_up(error),
+                }
+            }
+        }
+    }
+}
+
+/// What a parameter read back to back on each drive costs the loop, and how many come of it.
+fn with_reads(granted: &Granted, quick: bool, report: &mut Report) -> serde_json::Value {
+    let (rounds, cycles) = if quick { (7, 400) } else { (21, 1_000) };
+    let steal = Steal::begin();
+    let mut medians: [Vec<f64>; 3] = Default::default();
+    let mut reads = 0;
+    in_turns(rounds, 3, |what| {
+        let slice = rig::on_loop_thread(|_| match what {
+            0 => (turns(READING, Pace::BackToBack, cycles), 0),
+            1 => reading_turns(READING, cycles),
+            _ => (carrier_alone(READING, cycles), 0),
+        });
+        let (slice, done) = slice.unwrap_or_else(|error| rig::give_up(error));
+        reads += done;
+        medians[what].push(median(&slice));
+    });
+    let [idle, reading, carrier] = &medians;
+    let of =
+        |rounds: &[usize], all: &[f64]| median(&rounds.iter().map(|round| all[*round]).collect::<Vec<_>>());
+    let each =
+        |all: &[f64]| over_rounds(rounds, |rounds| (of(rounds, all) - of(rounds, carrier)) / READING as f64);
+    let (idle, reading) = (each(idle), each(reading));
+    let a_cycle = reads as f64 / (rounds * cycles * READING) as f64;
+    let on_sockets = reads_on_sockets(granted, if quick { 300 } else { 3_000 });
+    println!(
+        "\n{READING} drives, each reading a parameter back to back, ns a drive and cycle without a socket; steal {} ms",
+        shown(steal.ms())
+    );
+    println!("  without reads {idle}, with them {reading}; {a_cycle:.3} reads a cycle and drive");
+    println!("  on sockets at 1 kHz: {} reads a second and drive", shown(on_sockets.map(f64::round)));
+    report.time("the loop with a parameter read on each drive, a drive", Some(reading), LOOP_NS, "ns");
+    report.count(format!("a read a cycle and drive: {a_cycle:.3} >= 0.95"), a_cycle >= 0.95);
+    json!({
+        "reading_drives": READING,
+        "loop_ns": idle.value,
+        "loop_reading_ns": reading.value,
+        "loop_reading_ns_interval": reading.ends(),
+        "reads_a_cycle": a_cycle,
+        "reads_a_second_on_sockets": on_sockets,
+        "steal_ms": steal.ms(),
+    })
+}
+
+/// Busy time of each cycle, ns, with reads; and how many were done.
+fn reading_turns(drives: usize, cycles: usize) -> (Vec<f64>, u64) {
+    let cycle = rig::exchange_cycle(MS, Wait::Spin);
+    let bus = rig::bus(Side::Ours, drives);
+    let mut rig = Rig::new(cycle, Some(bus), Pace::BackToBack, &NullNet, Calls::default());
+    rig.enable();
+    let mut readers = Readers::new(drives);
+    // The channel is learned first.
+    for _ in 0..8 {
+        readers.feed(rig.acyclics());
+        rig.turn(|_| {});
+    }
+    readers.done = 0;
+    let mut one = |_| {
+        readers.feed(rig.acyclics());
+        rig.turn(|_| {}).busy_ns as f64
+    };
+    let slice = (0..cycles).map(&mut one).collect();
+    (slice, readers.done)
+}
+
+/// Reads a second and drive, on sockets at 1 kHz, with the simulated drives on the other core.
+fn reads_on_sockets(granted: &Granted, cycles: usize) -> Option<f64> {
+    let _server = rig::serve(rig::bus(Side::Ours, READING).simulate(), granted);
+    let done = rig::on_loop_thread(|_| {
+        let cycle = rig::exchange_cycle(MS, Wait::Poll);
+        let bus = rig::bus(Side::Ours, READING);
+        let mut rig = Rig::new(cycle, Some(bus), Pace::Grid, &Os, Calls::default());
+        rig.enable();
+        let mut readers = Readers::new(READING);
+        for _ in 0..cycles {
+            readers.feed(rig.acyclics());
+            rig.turn(|_| {});
+        }
+        readers.done
+    });
+    let done = done.ok()?;
+    Some(done as f64 / READING as f64 / (cycles as f64 / 1_000.0))
 }
 
 /// Busy time of each cycle, ns.
@@ -207,12 +338,12 @@ impl Carriers for NullNet {
 
 /// Answers each request from memory: ready to switch on, and in operation once it is switched on; always moving.
 struct NullCarrier {
-    /// Sender, definitions, and whether it is switched on: requests not yet answered.
-    asked: Vec<(SocketAddrV4, [u8; 8], bool)>,
+    /// Sender, definitions, whether it is switched on, and a read of a parameter: requests not yet answered.
+    asked: Vec<(SocketAddrV4, [u8; 8], bool, Option<RtcBlock>)>,
     next: usize,
     batch: usize,
-    ready: [u8; 32],
-    operating: [u8; 32],
+    ready: [u8; RESPONSE_MAX],
+    operating: [u8; RESPONSE_MAX],
     length: usize,
     position: i32,
 }
@@ -233,7 +364,7 @@ impl NullCarrier {
             };
             response.emit(bytes)
         };
-        let (mut ready, mut operating) = ([0; 32], [0; 32]);
+        let (mut ready, mut operating) = ([0; RESPONSE_MAX], [0; RESPONSE_MAX]);
         let homed = StatusWord::HOMED | StatusWord::VOLTAGE_ENABLE | StatusWord::NO_QUICK_STOP;
         reply(homed, StateVar::new(MainState::READY_TO_SWITCH_ON, 0), &mut ready);
         let on = homed | StatusWord::OPERATION_ENABLED | StatusWord::SWITCH_ON_ACTIVE;
@@ -261,7 +392,11 @@ impl Datagrams for NullCarrier {
                 let bytes = outbox.bytes(index);
                 if let Some((definitions, blocks)) = bytes.split_first_chunk() {
                     let on = blocks.first().is_some_and(|low| u16::from(*low) & ControlWord::SWITCH_ON != 0);
-                    self.asked.push((outbox.peer(index), *definitions, on));
+                    let read = match definitions[0] & RequestDef::CONFIG.0 as u8 {
+                        0 => None,
+                        _ => Request::parse(bytes).ok().and_then(|request| request.config),
+                    };
+                    self.asked.push((outbox.peer(index), *definitions, on, read));
                 }
             }
         }
@@ -272,11 +407,22 @@ impl Datagrams for NullCarrier {
         let at = MonotonicClock::read();
         let end = self.asked.len().min(self.next + self.batch);
         let count = end - self.next;
-        for (from, definitions, on) in &self.asked[self.next..end] {
+        for (from, definitions, on, read) in &self.asked[self.next..end] {
             let reply = if *on { &mut self.operating } else { &mut self.ready };
             reply[..8].copy_from_slice(definitions);
             reply[Self::POSITION].copy_from_slice(&self.position.to_le_bytes());
-            take(Received { from: *from, at, bytes: &reply[..self.length], truncated: false });
+            let mut length = self.length;
+            if let Some(read) = read {
+                // Done: its count, status 0, the index, and a value.
+                reply[length..length + 4].copy_from_slice(&[
+                    read.tag,
+                    0,
+                    read.words[0] as u8,
+                    (read.words[0] >> 8) as u8,
+                ]);
+                length += RtcBlock::SIZE;
+            }
+            take(Received { from: *from, at, bytes: &reply[..length], truncated: false });
         }
         self.next = end;
         Ok(count)

@@ -17,7 +17,7 @@ use std::time::Duration;
 
 use criterion::{Criterion, Throughput};
 use fieldbeat::axis::{Link, State, Verb};
-use fieldbeat::bus::linudp::motion::{MotionCommand, Vad};
+use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};
 use fieldbeat::bus::linudp::native::Native;
 use fieldbeat::bus::linudp::station::Station;
 use fieldbeat::bus::linudp::wire::{
@@ -52,7 +52,7 @@ impl Exchanged {
 
     /// An axis in operation and moving.
     fn operational() -> Exchanged {
-        let (station, native) = Station::new(&rig::drive(Ipv4Addr::new(127, 90, 1, 10)));
+        let (station, native, _acyclic) = Station::new(&rig::drive(Ipv4Addr::new(127, 90, 1, 10)));
         let mut exchanged = Exchanged {
             station,
             _native: native,
@@ -132,8 +132,9 @@ fn main() -> ExitCode {
     group.bench_function("exchange", |bencher| bencher.iter(|| exchanged.turn()));
     let standing =
         Request { response_def: ResponseDef::CYCLIC, control: Some(ControlWord::ON), ..Request::default() };
-    let vad = Vad { velocity: 500_000, acceleration: 1_000_000, deceleration: 1_000_000 };
-    let moving = Request { motion: Some(MotionCommand::go_to(123_456, vad).block(5)), ..standing };
+    let ramp = Acceleration(1_000_000);
+    let go_to = MotionCommand::vai_go_to(Position(123_456), Velocity(500_000), ramp, ramp);
+    let moving = Request { motion: Some(go_to.block(5)), ..standing };
     let mut bytes = [0; REQUEST_MAX];
     for (name, request) in [("encode", standing), ("encode motion", moving)] {
         group.bench_function(name, |bencher| {

@@ -8,6 +8,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
+use fieldbeat::axis::acyclic::Acyclic;
 use fieldbeat::axis::{Limits, Verb};
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::linudp::wire::{ControlWord, REQUEST_MAX, Request, ResponseDef, ResponseView};
@@ -240,6 +241,11 @@ impl Rig {
         let mut rig = Rig { assembly, grid: Time(0), calls };
         rig.assembly.engine.begin();
         rig
+    }
+
+    /// Acyclic access to its drives.
+    pub fn acyclics(&self) -> &[Acyclic] {
+        &self.assembly.acyclics
     }
 
     /// The loop's own numbers.
