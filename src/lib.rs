@@ -11,6 +11,8 @@
 //! - [`Master`] brings a machine up from a file or from a [`Plan`] built in code, and gives out its [`Axis`] handles.
 //! - [`Axis`] is the application's end of one drive: verbs ([`Verb`]) that each end in Done, Failed or Aborted, streamed
 //!   rows ([`Row`]), the newest [`Feedback`], events ([`Event`]).
+//! - [`Axis::parameter`] reads and writes the drive's parameters beside the cycle ([`axis::acyclic`]); what else a LinMot drive offers, curves
+//!   and command tables among it, is in [`bus::linudp::service`].
 //! - [`Group`] takes several axes: verbs and rows of all of them take effect in the same cycle's send, all or none.
 //! - An in-loop task ([`Setup::with_task`]) runs inside the cycle: it sees the feedback of cycle k, and what it asks for leaves in
 //!   cycle k + 1.
