@@ -8,10 +8,20 @@ use std::sync::atomic::{AtomicU64, Ordering, fence};
 
 use crate::rt::Regions;
 
+/// A fixed number of words: `[u64; N]`.
+pub trait Words: AsRef<[u64]> + AsMut<[u64]> {
+    /// All zero.
+    const ZERO: Self;
+}
+
+impl<const N: usize> Words for [u64; N] {
+    const ZERO: Self = [0; N];
+}
+
 /// A plain value as a fixed number of 64-bit words.
 pub trait Packed: Copy {
     /// The words, `[u64; N]`.
-    type Words: Default + AsRef<[u64]> + AsMut<[u64]>;
+    type Words: Words;
     /// The words of this value.
     fn pack(&self) -> Self::Words;
     /// The value of words that [`pack`](Self::pack) made.
@@ -41,7 +51,7 @@ pub struct Reader<T> {
 
 /// A cell that holds `value`, as its two ends.
 pub fn cell<T: Packed>(value: T) -> (Writer<T>, Reader<T>) {
-    let words = T::Words::default().as_ref().iter().map(|_| AtomicU64::new(0)).collect();
+    let words = T::Words::ZERO.as_ref().iter().map(|_| AtomicU64::new(0)).collect();
     let shared = Arc::new(Shared { sequence: AtomicU64::new(0), words });
     let mut writer = Writer { shared: Arc::clone(&shared), _value: std::marker::PhantomData };
     writer.write(&value);
@@ -66,7 +76,7 @@ impl<T: Packed> Writer<T> {
 impl<T: Packed> Reader<T> {
     /// The newest whole value.
     pub fn read(&self) -> T {
-        let mut words = T::Words::default();
+        let mut words = T::Words::ZERO;
         loop {
             let before = self.shared.sequence.load(Ordering::Acquire);
             if before & 1 == 0 {

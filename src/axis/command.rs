@@ -9,7 +9,7 @@ use std::fmt;
 
 use thiserror::Error;
 
-use super::feedback::{State, StopCause};
+use super::feedback::{Fault, State, StopCause};
 use super::units::RangeError;
 
 /// Names one accepted command of one axis. Ids grow by one; 0 is never given.
@@ -186,7 +186,7 @@ pub enum Failure {
     #[error("the axis was not enabled since its last stop: enable it first")]
     NotEnabled,
     /// The drive reports a fault.
-    #[error("the drive reports fault {0:#06x}: mend its cause, then reset_fault")]
+    #[error("{}", reports(Fault { code: *.0, name: None }))]
     DriveFault(u32),
     /// The drive did not get there in time.
     #[error(
@@ -264,6 +264,28 @@ impl fmt::Display for Outcome {
     }
 }
 
+impl Outcome {
+    /// The fault code of the drive, if that is why it failed.
+    pub fn fault(&self) -> Option<u32> {
+        match *self {
+            Outcome::Failed(Failure::DriveFault(code)) => Some(code),
+            _ => None,
+        }
+    }
+
+    /// In words, with what the protocol calls the fault of the drive if that is why it failed.
+    pub fn told(&self, name: Option<&str>) -> String {
+        match self.fault() {
+            Some(code) => format!("failed: {}", reports(Fault { code, name })),
+            None => self.to_string(),
+        }
+    }
+}
+
+fn reports(fault: Fault<'_>) -> String {
+    format!("the drive reports fault {fault}: mend its cause, then reset_fault")
+}
+
 impl Verb {
     /// Acts at once and aborts everything before it.
     pub fn is_urgent(&self) -> bool {
@@ -313,5 +335,26 @@ impl Verb {
     /// Its name in events and messages.
     pub fn name(&self) -> &'static str {
         Verb::NAMES[usize::from(self.code())]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_command_that_failed_by_a_fault_names_it_and_any_other_reads_as_ever() {
+        let failed = Outcome::Failed(Failure::DriveFault(30));
+        let by = |fault| format!("failed: the drive reports fault {fault}: mend its cause, then reset_fault");
+        assert_eq!(failed.to_string(), by("0x001e (30)"));
+        assert_eq!(failed.told(None), failed.to_string());
+        assert_eq!(failed.told(Some("watchdog")), by("0x001e (30, watchdog)"));
+        for other in [
+            Outcome::Done,
+            Outcome::Failed(Failure::NotOnline),
+            Outcome::Aborted(Abort::Replaced(CommandId(7))),
+        ] {
+            assert_eq!((other.fault(), other.told(Some("watchdog"))), (None, other.to_string()));
+        }
     }
 }

@@ -170,6 +170,36 @@ impl fmt::Display for StopCause {
     }
 }
 
+/// What a protocol calls the fault codes of its drives; `None` = not known.
+pub type FaultNames = fn(u32) -> Option<&'static str>;
+
+/// A fault of a drive as it is told: its code, as manuals write it in hex or in decimal, and its name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Fault<'a> {
+    /// Fault code, 0 = none.
+    pub code: u32,
+    /// What its protocol calls it.
+    pub name: Option<&'a str>,
+}
+
+impl Fault<'static> {
+    /// The fault of this code, by the names of its protocol.
+    pub fn new(code: u32, names: FaultNames) -> Fault<'static> {
+        Fault { code, name: names(code) }
+    }
+}
+
+impl fmt::Display for Fault<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let code = self.code;
+        match self.name {
+            _ if code == 0 => f.write_str("none"),
+            Some(name) => write!(f, "{code:#06x} ({code}, {name})"),
+            None => write!(f, "{code:#06x} ({code})"),
+        }
+    }
+}
+
 /// The newest feedback of one axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Feedback {
@@ -195,7 +225,7 @@ pub struct Feedback {
     pub inhibited: bool,
     /// The reply could be that of an earlier request (no sequence number on this wire).
     pub suspect: bool,
-    /// Actual position, user units.
+    /// Actual position, user units; NaN if the drive tells none, like the three below.
     pub position: f64,
     /// Demand position as the drive reports it, user units.
     pub demand: f64,
@@ -323,6 +353,23 @@ impl Packed for Feedback {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_fault_is_told_in_both_notations_with_its_name_if_it_has_one() {
+        let names: FaultNames = |code| (code == 30).then_some("watchdog");
+        let told = [0, 30, 999].map(|code| Fault::new(code, names).to_string());
+        assert_eq!(told, ["none", "0x001e (30, watchdog)", "0x03e7 (999)"]);
+    }
+
+    #[test]
+    fn what_a_drive_does_not_tell_comes_out_as_it_went_in() {
+        let none = f64::NAN;
+        let told =
+            Feedback { position: none, demand: none, current: none, velocity: 2.5, ..Feedback::default() };
+        let read = Feedback::unpack(&told.pack());
+        assert!(read.position.is_nan() && read.demand.is_nan() && read.current.is_nan());
+        assert_eq!(read.velocity, 2.5);
+    }
 
     #[test]
     fn packs_and_unpacks_to_itself() {

@@ -93,7 +93,7 @@ pub enum GroupError {
 #[error("{reason}")]
 pub struct GroupRefused {
     /// Why.
-    pub reason: GroupError,
+    pub reason: Box<GroupError>,
     /// The axes.
     pub axes: Vec<Axis>,
 }
@@ -104,7 +104,7 @@ impl Group {
         let axes: Vec<Axis> = axes.into_iter().collect();
         match mismatch(&axes) {
             None => Ok(Group { axes }),
-            Some(reason) => Err(GroupRefused { reason, axes }),
+            Some(reason) => Err(GroupRefused { reason: Box::new(reason), axes }),
         }
     }
 

@@ -18,7 +18,7 @@ use super::command::{
     Velocity, Verb,
 };
 use super::event::{Event, EventKind};
-use super::feedback::{Feedback, Link, StopCause};
+use super::feedback::{Fault, FaultNames, Feedback, Link, StopCause};
 use super::limits::{check_row, check_velocity, check_verb};
 use super::plan::AxisPlan;
 use super::pulse::Pulse;
@@ -69,6 +69,8 @@ pub struct AxisEnds {
     pub samples: Option<Consumer<Feedback>>,
     /// The protocol's own process data.
     pub native: Option<Box<dyn Any + Send>>,
+    /// What the protocol calls the fault codes of its drives.
+    pub faults: FaultNames,
 }
 
 /// Why something asked of an axis did not come about.
@@ -95,7 +97,7 @@ pub enum AxisError {
         capacity: usize,
     },
     /// It ended otherwise than done.
-    #[error("axis {axis}: {verb} {outcome}")]
+    #[error("axis {axis}: {verb} {}", outcome.told(*fault))]
     Ended {
         /// The axis.
         axis: String,
@@ -103,6 +105,8 @@ pub enum AxisError {
         verb: &'static str,
         /// How it ended.
         outcome: Outcome,
+        /// What the protocol calls the fault of the drive, if that is why.
+        fault: Option<&'static str>,
     },
     /// It did not end in the time given. It goes on: stop it, or wait longer.
     #[error("axis {axis}: {verb} has not ended after {waited:?} (state {state}): stop it, or wait longer")]
@@ -190,6 +194,11 @@ impl Axis {
     /// The feedback of every cycle, if the plan gave the axis a sample queue; taken once.
     pub fn samples(&mut self) -> Option<Consumer<Feedback>> {
         self.ends.samples.take()
+    }
+
+    /// A fault code of its drive, as in [`Feedback::fault`] and [`EventKind::Fault`], with its name.
+    pub fn fault(&self, code: u32) -> Fault<'static> {
+        Fault::new(code, self.ends.faults)
     }
 
     /// The protocol's own process data, unscaled and complete, by the protocol's own type; taken once.
@@ -429,7 +438,10 @@ impl Axis {
     fn verdict(&self, verb: &'static str, outcome: Outcome) -> Result<(), AxisError> {
         match outcome {
             Outcome::Done => Ok(()),
-            outcome => Err(AxisError::Ended { axis: self.plan.name.clone(), verb, outcome }),
+            outcome => {
+                let fault = outcome.fault().and_then(self.ends.faults);
+                Err(AxisError::Ended { axis: self.plan.name.clone(), verb, outcome, fault })
+            }
         }
     }
 

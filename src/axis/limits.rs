@@ -44,9 +44,7 @@ pub fn check_row(plan: &AxisPlan, row: &Row, from: Option<f64>) -> Result<(), Fa
     check_position(&plan.limits, row.position)?;
     within("acceleration", row.acceleration.abs(), 0.0, plan.limits.acceleration)?;
     match (from, plan.limits.step) {
-        (Some(from), Some(step)) if plan.units.way(from, row.position).abs() > step * EXACT => {
-            Err(Failure::Limit { what: "step", value: row.position, low: from - step, high: from + step })
-        }
+        (Some(from), Some(step)) => check_way(plan, "step", from, row.position, step),
         _ => Ok(()),
     }
 }
@@ -61,14 +59,14 @@ pub fn check_speed(plan: &AxisPlan, from: f64, to: f64, seconds: f64) -> Result<
 
 /// `Ok` if the axis may go from one position to the next when it gets `reach` far.
 pub fn check_reach(plan: &AxisPlan, from: f64, to: f64, reach: f64) -> Result<(), Failure> {
-    match plan.units.way(from, to).abs() > reach * EXACT {
-        true => Err(Failure::Limit {
-            what: "speed between rows",
-            value: to,
-            low: from - reach,
-            high: from + reach,
-        }),
-        false => Ok(()),
+    check_way(plan, "speed between rows", from, to, reach)
+}
+
+/// Nothing is near a position that is not known.
+fn check_way(plan: &AxisPlan, what: &'static str, from: f64, to: f64, most: f64) -> Result<(), Failure> {
+    match plan.units.way(from, to).abs() <= most * EXACT {
+        true => Ok(()),
+        false => Err(Failure::Limit { what, value: to, low: from - most, high: from + most }),
     }
 }
 
@@ -78,9 +76,9 @@ pub fn check_braking(plan: &AxisPlan, from: f64, to: f64, seconds: f64) -> Resul
     let Some((low, high)) = plan.limits.position else { return Ok(()) };
     let velocity = (to - from) / seconds;
     let end = from + velocity * velocity.abs() / (2.0 * plan.stop.deceleration);
-    match end < low.min(from) || end > high.max(from) {
-        true => Err(Failure::Limit { what: "braking distance", value: end, low, high }),
-        false => Ok(()),
+    match (low.min(from)..=high.max(from)).contains(&end) {
+        true => Ok(()),
+        false => Err(Failure::Limit { what: "braking distance", value: end, low, high }),
     }
 }
 
@@ -110,7 +108,31 @@ fn positive(what: &'static str, value: f64, most: Option<f64>) -> Result<(), Fai
 
 fn within(what: &'static str, value: f64, low: f64, high: Option<f64>) -> Result<(), Failure> {
     match high {
-        Some(high) if value < low || value > high => Err(Failure::Limit { what, value, low, high }),
+        Some(high) if !(low..=high).contains(&value) => Err(Failure::Limit { what, value, low, high }),
         _ => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::axis::{Limits, Units};
+
+    #[test]
+    fn no_row_is_near_a_position_that_the_drive_does_not_tell() {
+        let mut plan = AxisPlan::new("x", Units::millimetres(1_000.0));
+        let limits = Limits { position: Some((0.0, 100.0)), velocity: Some(10.0), ..Limits::default() };
+        plan.limits = Limits { step: Some(5.0), ..limits };
+        let (row, unknown) = (Row { position: 50.0, ..Row::default() }, f64::NAN);
+        assert_eq!(check_row(&plan, &row, Some(49.0)), Ok(()));
+        for refused in [
+            check_row(&plan, &row, Some(unknown)),
+            check_speed(&plan, unknown, 50.0, 0.001),
+            check_reach(&plan, unknown, 50.0, f64::INFINITY),
+            check_braking(&plan, unknown, 50.0, 0.001),
+        ] {
+            assert!(matches!(refused, Err(Failure::Limit { .. })), "{refused:?}");
+        }
+        assert_eq!(check_position(&plan.limits, unknown), Err(Failure::NotFinite));
     }
 }

@@ -35,7 +35,7 @@ pub use command::{
     Ticket, Velocity, Verb,
 };
 pub use event::{Event, EventKind};
-pub use feedback::{Feedback, Link, MONITOR_CHANNELS, Shown, State, StopCause};
+pub use feedback::{Fault, FaultNames, Feedback, Link, MONITOR_CHANNELS, Shown, State, StopCause};
 pub use group::{Group, GroupCommand, GroupError, GroupRefused};
 pub use handle::{Axis, AxisEnds, AxisError, Observer};
 pub use plan::{

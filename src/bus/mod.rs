@@ -13,6 +13,7 @@
 //! What a bus owes the loop is put to the test clause by clause in `tests/conformance`, which every protocol runs.
 
 pub mod linudp;
+pub mod modbus;
 
 use std::any::Any;
 use std::fmt::Debug;
@@ -22,10 +23,10 @@ use thiserror::Error;
 
 use crate::axis::acyclic::{AcyclicEnds, Notation};
 use crate::axis::feedback::MONITOR_CHANNELS;
-use crate::axis::{AxisPlan, Failure, Link, MonitorChannel, PlanFault, Row, State, Verb};
-use crate::net::Carriers;
+use crate::axis::{AxisPlan, Failure, FaultNames, Link, MonitorChannel, PlanFault, Row, State, Verb};
+use crate::net::{Carriers, LinkNotes};
 use crate::rt::{PollSet, Regions};
-use crate::sim::DatagramDrive;
+use crate::sim::SimDrive;
 use crate::time::Time;
 
 /// A bus as configured and checked, before any socket is open.
@@ -42,6 +43,12 @@ pub trait BusPlan: Debug + Send + Sync {
     /// What contradicts itself or would not work in a cycle of `period_ns`, each with the place of its axis.
     fn faults(&self, period_ns: u64) -> Vec<(usize, PlanFault)>;
 
+    /// How long a reply of drive `index` counts on its connection, ns: the next request waits for it. `None`: there is no
+    /// connection, and replies come in the cycle that asks.
+    fn reply_within_ns(&self, _index: usize) -> Option<u64> {
+        None
+    }
+
     /// What `check` says of each drive beyond its [`AxisPlan`]: address, modes, what happens if the master dies. A
     /// paragraph a drive, in slot order, a sentence a line; the address is its first line.
     fn describe(&self, period_ns: u64) -> Vec<String>;
@@ -52,6 +59,16 @@ pub trait BusPlan: Debug + Send + Sync {
     /// What drive `index` shows besides its process data, each variable once.
     fn monitored(&self, index: usize) -> [Option<MonitorChannel>; MONITOR_CHANNELS];
 
+    /// What [`Counters::own`] counts on this bus, in order.
+    fn own_counters(&self) -> &'static [OwnCounter] {
+        &[]
+    }
+
+    /// The names of the fault codes of its drives.
+    fn fault_names(&self) -> FaultNames {
+        |_| None
+    }
+
     /// How its drives write addresses and values for acyclic access.
     fn notation(&self) -> Arc<dyn Notation>;
 
@@ -59,7 +76,7 @@ pub trait BusPlan: Debug + Send + Sync {
     fn reaching(&self, index: usize) -> Option<Box<dyn BusPlan>>;
 
     /// The drives of this bus, simulated, in slot order.
-    fn simulate(&self) -> Vec<Box<dyn DatagramDrive>>;
+    fn simulate(&self) -> Vec<Box<dyn SimDrive>>;
 }
 
 /// Why a bus could not be opened. The message ends with the remedy.
@@ -77,6 +94,24 @@ pub enum OpenError {
         /// What to do about it.
         remedy: &'static str,
     },
+    /// The connections of a bus could not be set up.
+    #[error(
+        "bus {bus}: cannot set up its connections: {source}; look at the limits of open files and threads (ulimit -a)"
+    )]
+    Streams {
+        /// The bus.
+        bus: String,
+        /// What the operating system said.
+        source: std::io::Error,
+    },
+    /// The plan of a drive contradicts itself.
+    #[error("bus {bus}, drive {drive}: its cyclic parameters cannot be exchanged; `check` says why")]
+    Plan {
+        /// The bus.
+        bus: String,
+        /// The drive.
+        drive: String,
+    },
 }
 
 /// One open bus on the real-time thread. `slots` are those of its own drives, in the order of its plan.
@@ -92,11 +127,13 @@ pub trait Bus: Send {
 
     /// Empties the sockets of what came too late, then hands the prepared requests of the due slots to the kernel and
     /// opens their exchanges, one each. Where replies may come cycles later, one that came since the last window still
-    /// closes an owed exchange here, and a due slot whose exchange is still owed is passed over.
+    /// closes an owed exchange here, and a due slot whose exchange is still owed is passed over. A due slot whose drive
+    /// cannot be asked now, having no connection, ends as unsent.
     fn send(&mut self, cycle: &Cycle, slots: &mut [Slot]);
 
     /// Takes in what has arrived, a bounded part of a flood. Never waits, sends nothing. True once every exchange that
-    /// this window owes is closed: those owed by its deadline. Not called in a cycle that owes nothing.
+    /// this window waits for is closed: those owed by its deadline, and those sent in it and awaited. Not called in a cycle
+    /// that waits for none.
     fn receive(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool;
 
     /// Builds the requests of the slots that are due at the next send, in place, from the orders that now stand in
@@ -113,6 +150,12 @@ pub trait Bus: Send {
 
     /// The application's end of the native process data of drive `index`, taken once before the start.
     fn native(&mut self, index: usize) -> Option<Box<dyn Any + Send>>;
+
+    /// Why its drives have no connection, for normal threads; `None` for a bus without connections. Connection `index` is that of
+    /// drive `index`.
+    fn notes(&self) -> Option<LinkNotes> {
+        None
+    }
 
     /// The application's end of the acyclic access to drive `index`, taken once before the start. What is posted there is
     /// carried out in slices of bounded work, and ends: done, refused by the drive, or not to be had. It adds no telegram to a
@@ -159,6 +202,8 @@ pub struct Slot {
     pub report: Report,
     /// What was sent and what came of it.
     pub counters: Counters,
+    /// A drive that could not be asked can be asked from now on: it is due next, whatever its link. The loop clears it.
+    pub reachable: bool,
     /// The drive was asked for something that makes it silent, and its power is off: its silence is nobody else's affair.
     pub excused: bool,
 }
@@ -204,6 +249,8 @@ pub enum Exchange {
         sent_at: Time,
         /// Until when the reply counts: the deadline of this cycle, or of a later one.
         reply_by: Time,
+        /// The window in which it was sent stays open for it, although it may come later.
+        awaited: bool,
     },
     /// Answered.
     Answered {
@@ -219,6 +266,18 @@ pub enum Exchange {
     Missed,
     /// The operating system refused to send.
     Unsent,
+}
+
+impl Exchange {
+    /// Whether the window of `cycle` stays open for it.
+    pub fn is_waited_for(&self, cycle: &Cycle) -> bool {
+        match *self {
+            Exchange::Owed { sent_at, reply_by, awaited } => {
+                reply_by <= cycle.deadline || (awaited && sent_at >= cycle.grid)
+            }
+            _ => false,
+        }
+    }
 }
 
 /// What a drive last said, in user units.
@@ -242,7 +301,7 @@ pub struct Report {
     pub inhibited: bool,
     /// It may be one request old.
     pub suspect: bool,
-    /// Actual position, user units.
+    /// Actual position, user units; NaN if the drive tells none, like the three below.
     pub position: f64,
     /// Demand position, user units.
     pub demand: f64,
@@ -267,7 +326,7 @@ pub struct Report {
 pub struct Counters {
     /// Requests handed to the wire.
     pub sent: u64,
-    /// Requests that the operating system refused to send.
+    /// Requests that could not be handed to the wire: the operating system refused, or there was no connection.
     pub unsent: u64,
     /// Exchanges answered in time.
     pub answered: u64,
@@ -279,17 +338,33 @@ pub struct Counters {
     pub duplicate: u64,
     /// Answered exchanges whose reply may be that of an earlier request.
     pub suspect: u64,
-    /// Datagrams from the drive's address that are no reply of this protocol.
+    /// What came from the drive and is no reply of this protocol.
     pub malformed: u64,
     /// Well-formed replies to something that was not asked, or from the wrong port.
     pub foreign: u64,
+    /// What only this protocol counts, as its [`BusPlan::own_counters`] name them.
+    pub own: [u64; OWN_COUNTERS],
 }
 
-/// Exact counts of what arrived at a bus and belongs to none of its drives.
+/// The most counters that a protocol has of its own.
+pub const OWN_COUNTERS: usize = 12;
+
+/// A counter that only one protocol has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct OwnCounter {
+    /// Its key in JSON and metrics: small letters and underscores.
+    pub key: &'static str,
+    /// What it counts, for people: one short sentence.
+    pub what: &'static str,
+}
+
+/// Exact counts of what arrived at a bus and is put down to none of its drives.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Strangers {
     /// Datagrams from an address that is no drive's.
     pub datagrams: u64,
+    /// Datagrams that the kernel dropped because the socket's buffer was full, whoever sent them.
+    pub dropped: u64,
     /// Errors of the receiving socket.
     pub errors: u64,
 }

@@ -534,10 +534,12 @@ impl<C: Clock> Engine<C> {
     /// The exact end of the run.
     pub fn finish(self) -> Numbers {
         let status = Status { planned: self.grid.planned(), ..self.status };
+        let mut not_connected = self.buses.iter().flat_map(BusSeat::not_connected);
         let drives = (self.names.into_iter().zip(&self.seats).zip(&self.slots))
             .map(|(((name, protocol), seat), slot)| {
                 let DriveNumbers { counters, losses, peaks, monitor } = seat.numbers(slot);
-                DriveEnd { name, protocol, feedback: *seat.feedback(), counters, losses, peaks, monitor }
+                let (feedback, not_connected) = (*seat.feedback(), not_connected.next().flatten());
+                DriveEnd { name, protocol, feedback, not_connected, counters, losses, peaks, monitor }
             })
             .collect();
         let buses =

@@ -56,6 +56,11 @@ impl LinkHealth {
         }
     }
 
+    /// It can be asked from slot `index` on: no probe interval is waited for.
+    pub fn reachable(&mut self, index: u64) {
+        self.next_probe = index;
+    }
+
     /// An exchange was answered.
     pub fn answered(&mut self) {
         self.good += 1;
@@ -141,6 +146,17 @@ mod tests {
         assert!(health.is_due(32), "the stop request leaves with the next slot");
         health.asked(32);
         assert!(!health.is_due(33) && health.is_due(132));
+    }
+
+    #[test]
+    fn a_drive_that_can_be_asked_again_is_asked_at_once() {
+        let mut health = LinkHealth::new(Health::default(), 4, 3, MS, 0);
+        health.asked(0);
+        assert!(!health.is_due(10));
+        health.reachable(10);
+        assert!(health.is_due(10));
+        health.asked(10);
+        assert!(!health.is_due(11) && health.is_due(110));
     }
 
     #[test]

@@ -4,10 +4,10 @@ use std::path::PathBuf;
 
 use super::record::Record;
 use crate::axis::group::out_of_step;
-use crate::axis::{AxisPlan, GroupError, MONITOR_CHANNELS, MonitorChannel, PlanFault};
-use crate::bus::BusPlan;
+use crate::axis::{AxisPlan, FaultNames, GroupError, MONITOR_CHANNELS, MonitorChannel, PlanFault};
+use crate::bus::{BusPlan, OwnCounter};
 use crate::rt::{Memory, Realtime};
-use crate::sim::DatagramDrive;
+use crate::sim::SimDrive;
 use crate::time::{MS, Ns, S, US};
 
 /// A whole machine.
@@ -158,6 +158,20 @@ impl Plan {
         Some(Plan { cycle, ..plan })
     }
 
+    /// What the protocol of each drive counts besides, in slot order.
+    pub fn own_counters(&self) -> Vec<&'static [OwnCounter]> {
+        self.of_each_drive(|bus| bus.own_counters())
+    }
+
+    /// The names of the fault codes of each drive, in slot order.
+    pub fn fault_names(&self) -> Vec<FaultNames> {
+        self.of_each_drive(|bus| bus.fault_names())
+    }
+
+    fn of_each_drive<T: Clone>(&self, of: impl Fn(&dyn BusPlan) -> T) -> Vec<T> {
+        self.buses.iter().flat_map(|bus| vec![of(&**bus); bus.axes().len()]).collect()
+    }
+
     /// The bus of axis `name`, and its place there.
     pub fn find(&self, name: &str) -> Option<(&dyn BusPlan, usize)> {
         self.buses.iter().find_map(|bus| {
@@ -167,7 +181,7 @@ impl Plan {
     }
 
     /// The drives of all buses, simulated.
-    pub fn simulate(&self) -> Vec<Box<dyn DatagramDrive>> {
+    pub fn simulate(&self) -> Vec<Box<dyn SimDrive>> {
         self.buses.iter().flat_map(|bus| bus.simulate()).collect()
     }
 }

@@ -1,8 +1,9 @@
 //! What the loop counts of itself, exactly.
 
-use crate::axis::cell::{Packed, Reader};
+use crate::axis::cell::{Packed, Reader, Words};
 use crate::axis::{Feedback, MONITOR_CHANNELS};
-use crate::bus::{Counters, Strangers};
+use crate::bus::{Counters, OWN_COUNTERS, Strangers};
+use crate::net::LinkNotes;
 
 /// The loop in numbers, published every cycle.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -145,15 +146,17 @@ pub struct DriveNumbers {
     pub monitor: [Option<Extent>; MONITOR_CHANNELS],
 }
 
-/// Words of the counts and times of a drive. One that says which channels are seen follows, then three of each channel.
+/// Words of the counts and times of a drive. The protocol's own counts follow, one that says which channels are seen, and
+/// three of each channel.
 const COUNTS: usize = 16;
+const SEEN: usize = COUNTS + OWN_COUNTERS;
 
 impl Packed for DriveNumbers {
-    type Words = [u64; COUNTS + 1 + 3 * MONITOR_CHANNELS];
+    type Words = [u64; SEEN + 1 + 3 * MONITOR_CHANNELS];
 
     fn pack(&self) -> Self::Words {
         let (c, Peaks { rtt, send_jitter, age }) = (&self.counters, self.peaks);
-        let mut words = Self::Words::default();
+        let mut words = Self::Words::ZERO;
         words[..COUNTS].copy_from_slice(&[
             c.sent,
             c.unsent,
@@ -172,7 +175,8 @@ impl Packed for DriveNumbers {
             age.ns,
             age.index,
         ]);
-        let (seen, extents) = words[COUNTS..].split_at_mut(1);
+        words[COUNTS..SEEN].copy_from_slice(&c.own);
+        let (seen, extents) = words[SEEN..].split_at_mut(1);
         for (channel, extent) in self.monitor.iter().enumerate() {
             let Some(Extent { value, min, max }) = extent else { continue };
             seen[0] |= 1 << channel;
@@ -196,7 +200,7 @@ impl Packed for DriveNumbers {
             ref rest @ ..,
         ] = words;
         let peak = |at: usize| Peak { ns: rest[at], index: rest[at + 1] };
-        let (seen, extents) = (words[COUNTS], &words[COUNTS + 1..]);
+        let (seen, extents) = (words[SEEN], &words[SEEN + 1..]);
         let extent = |channel: usize| {
             let [value, min, max] = std::array::from_fn(|at| f64::from_bits(extents[3 * channel + at]));
             (seen >> channel & 1 != 0).then_some(Extent { value, min, max })
@@ -212,6 +216,7 @@ impl Packed for DriveNumbers {
                 suspect,
                 malformed,
                 foreign,
+                own: std::array::from_fn(|count| words[COUNTS + count]),
             },
             losses,
             peaks: Peaks { rtt: peak(0), send_jitter: peak(2), age: peak(4) },
@@ -221,14 +226,15 @@ impl Packed for DriveNumbers {
 }
 
 impl Packed for Strangers {
-    type Words = [u64; 2];
+    type Words = [u64; 3];
 
-    fn pack(&self) -> [u64; 2] {
-        [self.datagrams, self.errors]
+    fn pack(&self) -> [u64; 3] {
+        [self.datagrams, self.dropped, self.errors]
     }
 
-    fn unpack(words: &[u64; 2]) -> Strangers {
-        Strangers { datagrams: words[0], errors: words[1] }
+    fn unpack(words: &[u64; 3]) -> Strangers {
+        let [datagrams, dropped, errors] = *words;
+        Strangers { datagrams, dropped, errors }
     }
 }
 
@@ -241,6 +247,16 @@ pub struct Gauges {
     pub drives: Vec<Reader<DriveNumbers>>,
     /// Those of each bus; at most 64 cycles or 100 ms old.
     pub strangers: Vec<Reader<Strangers>>,
+    /// Of each drive that has a connection, what is told of it, and where.
+    pub links: Vec<Option<(LinkNotes, usize)>>,
+}
+
+impl Gauges {
+    /// Why drive `index` has no connection; `None`: it has one, needs none, or its first opening is under way.
+    pub fn not_connected(&self, index: usize) -> Option<String> {
+        let (notes, place) = self.links.get(index)?.as_ref()?;
+        notes.get(*place)
+    }
 }
 
 /// One drive in numbers.
@@ -252,6 +268,8 @@ pub struct DriveEnd {
     pub protocol: &'static str,
     /// The last feedback.
     pub feedback: Feedback,
+    /// Why it has no connection; `None`: it has one, needs none, or its first opening is under way.
+    pub not_connected: Option<String>,
     /// What was sent and what came of it.
     pub counters: Counters,
     /// Times that the link was lost.
@@ -280,6 +298,23 @@ pub struct Numbers {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::axis::cell::cell;
+
+    #[test]
+    fn a_drive_without_a_connection_says_why_and_one_that_needs_none_says_nothing() {
+        let notes = LinkNotes::new(2);
+        notes.set(1, Some("refused".to_owned()));
+        let gauges = Gauges {
+            status: cell(Status::default()).1,
+            drives: Vec::new(),
+            strangers: Vec::new(),
+            links: vec![None, Some((notes.clone(), 0)), Some((notes.clone(), 1))],
+        };
+        let told = || [0, 1, 2, 3].map(|index| gauges.not_connected(index));
+        assert_eq!(told(), [None, None, Some("refused".to_owned()), None]);
+        notes.set(1, None);
+        assert_eq!(told(), [None, None, None, None]);
+    }
 
     #[test]
     fn what_is_published_is_what_was_counted() {
@@ -311,6 +346,7 @@ mod tests {
             suspect: 7,
             malformed: 8,
             foreign: 9,
+            own: std::array::from_fn(|count| 100 + count as u64),
         };
         let peaks = Peaks { rtt: peak(11), send_jitter: peak(13), age: peak(15) };
         let extent = |value: f64| Some(Extent { value, min: value - 1.0, max: value + 1.0 });
@@ -319,7 +355,7 @@ mod tests {
             let drive = DriveNumbers { counters, losses: 10, peaks, monitor };
             assert_eq!(DriveNumbers::unpack(&drive.pack()), drive);
         }
-        let strangers = Strangers { datagrams: 3, errors: 4 };
+        let strangers = Strangers { datagrams: 3, dropped: 4, errors: 5 };
         assert_eq!(Strangers::unpack(&strangers.pack()), strangers);
     }
 

@@ -4,7 +4,7 @@
 //! first replies came in, the window sleeps once for as long as the rest usually takes, and then looks again.
 
 use super::plan::Wait;
-use crate::bus::{Bus, Cycle, Exchange, Slot};
+use crate::bus::{Bus, Cycle, Slot};
 use crate::rt::{Clock, PollSet};
 use crate::time::US;
 
@@ -29,6 +29,15 @@ pub struct BusSeat {
     pub first: usize,
     /// One behind its last slot.
     pub end: usize,
+}
+
+impl BusSeat {
+    /// Why its drives have no connection, each; for the end, not for the cycle.
+    pub fn not_connected(&self) -> Vec<Option<String>> {
+        let notes = self.bus.notes();
+        let note = |index| notes.as_ref().and_then(|notes| notes.get(index));
+        (0..self.end - self.first).map(note).collect()
+    }
 }
 
 impl std::fmt::Debug for BusSeat {
@@ -93,10 +102,7 @@ impl Window {
     }
 }
 
-/// How many exchanges this window still owes.
+/// How many exchanges this window still waits for.
 fn missing(cycle: &Cycle, slots: &[Slot]) -> usize {
-    slots
-        .iter()
-        .filter(|slot| matches!(slot.exchange, Exchange::Owed { reply_by, .. } if reply_by <= cycle.deadline))
-        .count()
+    slots.iter().filter(|slot| slot.exchange.is_waited_for(cycle)).count()
 }

@@ -84,7 +84,13 @@ impl Port {
 
     /// The next call to carry out. What was cancelled, and what belongs to a series that has failed, ends here, a bounded part of
     /// it in one cycle.
+    #[inline]
     pub fn take(&mut self) -> Option<Posted> {
+        // Almost always.
+        if self.calls.is_empty() { None } else { self.take_next() }
+    }
+
+    fn take_next(&mut self) -> Option<Posted> {
         // Bounded by what stands there now: the application may go on posting.
         for _ in 0..self.calls.slots().min(MOST_ENDS) {
             let posted = self.calls.pop().ok()?;

@@ -9,14 +9,14 @@ use super::plan::{LinUdpPlan, MonitorPlan};
 use super::sim::LinMotSim;
 use super::station::Station;
 use super::upid::Upids;
-use super::wire::{REQUEST_MAX, RESPONSE_MAX};
+use super::wire::{ErrorCode, REQUEST_MAX, RESPONSE_MAX};
 use crate::axis::acyclic::{AcyclicEnds, Notation};
 use crate::axis::feedback::MONITOR_CHANNELS;
-use crate::axis::{AxisPlan, FoundRunning, MonitorChannel, PlanFault};
+use crate::axis::{AxisPlan, FaultNames, FoundRunning, MonitorChannel, PlanFault};
 use crate::bus::{Bus, BusPlan, Cycle, Exchange, OpenError, Slot, Strangers};
 use crate::net::{Carriers, Datagrams, Outbox, Sent, UdpOptions};
 use crate::rt::{PollSet, Regions};
-use crate::sim::DatagramDrive;
+use crate::sim::SimDrive;
 
 /// Room for one datagram: the longest telegram is 50 bytes, padding makes it 64 at most, and whatever is longer is not
 /// one of ours.
@@ -183,7 +183,7 @@ impl Bus for LinUdpBus {
     }
 
     fn strangers(&self) -> Strangers {
-        self.strangers
+        Strangers { dropped: self.net.dropped(), ..self.strangers }
     }
 
     fn native(&mut self, index: usize) -> Option<Box<dyn Any + Send>> {
@@ -235,6 +235,10 @@ impl BusPlan for LinUdpPlan {
         self.drives.get(index).map_or([const { None }; MONITOR_CHANNELS], |drive| drive.monitor.channels())
     }
 
+    fn fault_names(&self) -> FaultNames {
+        |code| u16::try_from(code).ok().and_then(|code| ErrorCode(code).name())
+    }
+
     fn notation(&self) -> Arc<dyn Notation> {
         Arc::new(Upids)
     }
@@ -246,7 +250,7 @@ impl BusPlan for LinUdpPlan {
         Some(Box::new(LinUdpPlan { drives: vec![drive], ..self.clone() }))
     }
 
-    fn simulate(&self) -> Vec<Box<dyn DatagramDrive>> {
-        self.drives.iter().map(|drive| Box::new(LinMotSim::new(drive)) as Box<dyn DatagramDrive>).collect()
+    fn simulate(&self) -> Vec<Box<dyn SimDrive>> {
+        self.drives.iter().map(|drive| Box::new(LinMotSim::new(drive)) as Box<dyn SimDrive>).collect()
     }
 }

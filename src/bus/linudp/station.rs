@@ -223,7 +223,7 @@ impl Station {
             self.probes = (self.probes + 1) % FULL_PROBE_EVERY;
         }
         slot.counters.sent += 1;
-        slot.exchange = Exchange::Owed { sent_at, reply_by };
+        slot.exchange = Exchange::Owed { sent_at, reply_by, awaited: false };
         self.orders.sent();
         self.rtc.sent();
     }

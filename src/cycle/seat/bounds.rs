@@ -1,7 +1,8 @@
 //! What the drive's demand may do while the axis is enabled, whatever commands it: the drive's own programs, its panel, or an
 //! application that writes the native process data.
 //!
-//! Moves, jogs and rows are checked before they are sent, so that this finds nothing wrong with them.
+//! Moves, jogs and rows are checked before they are sent, so that this finds nothing wrong with them. A drive that tells no
+//! demand is watched by its actual speed.
 
 use crate::axis::AxisPlan;
 use crate::time::Time;
@@ -15,15 +16,17 @@ pub(super) struct Sample {
     pub(super) at: Time,
     /// Positions are counted from the reference.
     pub(super) homed: bool,
-    /// User units.
+    /// User units; NaN if the drive tells none.
     pub(super) demand: f64,
+    /// Actual velocity, user units/s.
+    pub(super) velocity: f64,
 }
 
 /// The watch over one axis.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Bounds {
     last: Option<Sample>,
-    /// Of the demand between the last two reports, user units/s.
+    /// Of the demand between the last two reports, or the actual one, user units/s.
     velocity: f64,
     /// Reports in a row that were out of bounds in one direction.
     broken: u32,
@@ -39,6 +42,9 @@ const REPORTS: u32 = 3;
 /// A speed just at its limit is not refused for the rounding of positions and instants.
 const SPEED_MARGIN: f64 = 1.05;
 
+/// A motor overshoots what it is told: where only its actual speed is known, that has more room.
+const ACTUAL_SPEED_MARGIN: f64 = 1.2;
+
 /// How many counts of the drive may be due to rounding.
 const COUNTS: f64 = 2.0;
 
@@ -46,14 +52,15 @@ impl Bounds {
     /// A report came in.
     pub(super) fn take(&mut self, sample: Sample, plan: &AxisPlan) {
         self.velocity = match self.last {
-            Some(last) if last.homed == sample.homed => {
+            _ if sample.demand.is_nan() => sample.velocity,
+            Some(last) if last.homed == sample.homed && !last.demand.is_nan() => {
                 // Which of the two ways a telegram was held up on is not known: the longer time is the sure one.
                 let ns = sample.at.since(last.at).max(sample.sent_at.since(last.sent_at)).max(1);
                 let way = plan.units.way(last.demand, sample.demand);
                 let rounding = (COUNTS / plan.units.counts_per_unit).abs();
                 (way.abs() - rounding).max(0.0).copysign(way) * 1e9 / ns as f64
             }
-            // Homing gave the positions another origin: no way was made by that.
+            // Homing gave the positions another origin, or there was none before: no way was made by that.
             _ => 0.0,
         };
         (self.last, self.fresh) = (Some(sample), true);
@@ -64,18 +71,22 @@ impl Bounds {
     pub(super) fn are_broken(&mut self, plan: &AxisPlan, braking: bool, seconds: f64) -> bool {
         let Some(sample) = self.last.filter(|_| std::mem::take(&mut self.fresh)) else { return false };
         let velocity = self.velocity;
-        let too_fast = plan.limits.velocity.is_some_and(|most| velocity.abs() > most * SPEED_MARGIN);
-        let outside = plan.limits.position.filter(|_| sample.homed).is_some_and(|(low, high)| {
+        // Written so that what is not known is not inside.
+        let margin = if sample.demand.is_nan() { ACTUAL_SPEED_MARGIN } else { SPEED_MARGIN };
+        let slow = plan.limits.velocity.is_none_or(|most| velocity.abs() <= most * margin);
+        let inside = plan.limits.position.filter(|_| sample.homed).is_none_or(|(low, high)| {
             let reaction = f64::from(REPORTS + 2) * seconds;
             let time = if braking { velocity.abs() / (2.0 * plan.stop.deceleration) + reaction } else { 0.0 };
             let end = sample.demand + velocity * time;
             let rounding = (COUNTS / plan.units.counts_per_unit).abs();
             // From outside, a motion may lead back in.
-            velocity > 0.0 && end > high + rounding || velocity < 0.0 && end < low - rounding
+            velocity == 0.0
+                || velocity > 0.0 && end <= high + rounding
+                || velocity < 0.0 && end >= low - rounding
         });
         let forward = velocity > 0.0;
         let before = if forward == self.forward { self.broken } else { 0 };
-        self.broken = if too_fast || outside { before + 1 } else { 0 };
+        self.broken = if slow && inside { 0 } else { before + 1 };
         self.forward = forward;
         self.broken >= REPORTS
     }
@@ -94,14 +105,65 @@ mod tests {
         plan
     }
 
-    /// Demands at 1 kHz; in which report the watch strikes.
+    /// Demands at 1 kHz of a drive that tells no speed; in which report the watch strikes.
     fn strikes(plan: &AxisPlan, braking: bool, homed: bool, demands: &[f64]) -> Option<usize> {
+        let demands: Vec<_> = demands.iter().map(|demand| (*demand, f64::NAN)).collect();
+        strikes_at(plan, braking, homed, &demands)
+    }
+
+    /// Demands and velocities at 1 kHz.
+    fn strikes_at(plan: &AxisPlan, braking: bool, homed: bool, told: &[(f64, f64)]) -> Option<usize> {
         let mut bounds = Bounds::default();
-        demands.iter().enumerate().position(|(index, demand)| {
+        told.iter().enumerate().position(|(index, (demand, velocity))| {
             let at = Time(MS * index as u64);
-            bounds.take(Sample { sent_at: at, at, homed, demand: *demand }, plan);
+            bounds.take(Sample { sent_at: at, at, homed, demand: *demand, velocity: *velocity }, plan);
             bounds.are_broken(plan, braking, 0.001)
         })
+    }
+
+    #[test]
+    fn a_drive_without_a_position_is_watched_by_its_speed_in_both_directions() {
+        let mut plan = plan();
+        plan.limits.position = None;
+        let at = |velocities: &[f64]| {
+            let told: Vec<_> = velocities.iter().map(|velocity| (f64::NAN, *velocity)).collect();
+            strikes_at(&plan, true, false, &told)
+        };
+        assert_eq!(at(&[500.0, -500.0, 590.0, 590.0, -590.0, 590.0]), None);
+        assert_eq!(at(&[500.0, 610.0, 610.0, 610.0]), Some(3));
+        assert_eq!(at(&[500.0, -610.0, -610.0, -610.0]), Some(3));
+        assert_eq!(
+            at(&[700.0, 700.0, 500.0, 700.0, -700.0, 700.0, -700.0]),
+            None,
+            "a disturbance is no speed"
+        );
+    }
+
+    #[test]
+    fn a_speed_or_a_position_that_is_not_told_is_not_inside_its_limits() {
+        let (mut plan, none) = (plan(), f64::NAN);
+        // Homed, as it says, but where?
+        assert_eq!(strikes_at(&plan, true, true, &[(none, 100.0); 4]), Some(2));
+        assert_eq!(strikes_at(&plan, true, true, &[(none, 0.0); 4]), None, "it stands");
+        assert_eq!(
+            strikes_at(&plan, true, false, &[(none, 100.0); 4]),
+            None,
+            "not homed: nothing may move it"
+        );
+        plan.limits.position = None;
+        assert_eq!(strikes_at(&plan, true, false, &[(none, none); 4]), Some(2));
+        plan.limits.velocity = None;
+        assert_eq!(
+            strikes_at(&plan, true, false, &[(none, none); 4]),
+            None,
+            "without limits there is nothing to watch"
+        );
+    }
+
+    #[test]
+    fn a_position_that_is_told_again_makes_no_speed_at_first() {
+        let told = [(f64::NAN, 0.0), (90.0, 0.0), (90.1, 0.0), (f64::NAN, 0.0), (10.0, 0.0), (10.1, 0.0)];
+        assert_eq!(strikes_at(&plan(), false, false, &told), None);
     }
 
     #[test]
@@ -141,7 +203,8 @@ mod tests {
     fn a_report_that_was_held_up_makes_no_speed() {
         let (plan, mut bounds) = (plan(), Bounds::default());
         for (sent_ms, at_ms, demand) in [(0, 0, 0.0), (1, 4, 0.4), (2, 4, 0.8), (9, 9, 3.6), (10, 10, 4.0)] {
-            let sample = Sample { sent_at: Time(sent_ms * MS), at: Time(at_ms * MS), homed: true, demand };
+            let (sent_at, at) = (Time(sent_ms * MS), Time(at_ms * MS));
+            let sample = Sample { sent_at, at, homed: true, demand, velocity: 0.0 };
             bounds.take(sample, &plan);
             assert!(!bounds.are_broken(&plan, false, 0.001), "sent after {sent_ms} ms");
         }

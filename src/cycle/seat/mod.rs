@@ -25,7 +25,7 @@ use crate::axis::{
     Abort, AxisPlan, Command, CommandId, Event, EventKind, Feedback, FoundRunning, Link, MONITOR_CHANNELS,
     Outcome, Row, Shown, State, StopCause, StreamRow, Ticket, Velocity, Verb,
 };
-use crate::bus::{Cycle, Exchange, Order, Slot};
+use crate::bus::{Cycle, Exchange, Order, Report, Slot};
 use crate::rt::Regions;
 use crate::time::Time;
 
@@ -269,18 +269,20 @@ impl Seat {
             }
         };
         self.record.reply = reply;
+        if std::mem::take(&mut slot.reachable) {
+            self.health.reachable(cycle.index + 1);
+        }
         if slot.report.restarted {
             self.bounds = Bounds::default();
         } else if let Some(sent_at) = sent.filter(|_| slot.report.fresh) {
             let report = &slot.report;
-            self.bounds.take(
-                Sample { sent_at, at: report.at, homed: report.homed, demand: report.demand },
-                &self.plan,
-            );
+            let Report { at, homed, demand, velocity, .. } = *report;
+            self.bounds.take(Sample { sent_at, at, homed, demand, velocity }, &self.plan);
         }
         self.take_report(cycle, now, slot, rtt);
         self.take_link(cycle, now, slot);
-        if matches!(self.feedback.link, Link::Online | Link::Qualifying) {
+        // A first answer need not be one that tells the drive's state.
+        if matches!(self.feedback.link, Link::Online | Link::Qualifying) && self.feedback.at != Time(0) {
             let age_ns = now.since(self.feedback.at);
             self.record.age_ns = measured(age_ns);
             self.peaks.age.see(age_ns, cycle.index);
@@ -342,7 +344,7 @@ impl Seat {
         if std::mem::take(&mut report.monitor_fresh) {
             self.shown = report.monitor.into();
             for (extent, value) in self.monitor.iter_mut().zip(report.monitor) {
-                if let Some(value) = value {
+                if let Some(value) = value.filter(|value| !value.is_nan()) {
                     Extent::see(extent, value);
                 }
             }

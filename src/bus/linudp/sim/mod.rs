@@ -52,7 +52,7 @@ use self::machine::{Machine, Taken};
 use self::rtc::{After, Channel};
 use super::plan::{LinUdpDrive, MASTER_PORT, MasterFilter};
 use super::wire::{ErrorCode, RESPONSE_MAX, Request, Response, StateVar, StatusWord};
-use crate::sim::{DatagramDrive, FaultPlan};
+use crate::sim::{FaultPlan, SimDrive};
 use crate::time::{MS, S, Time, US};
 
 /// From power-on until the motion software runs; until then status word and state variable are 0.
@@ -212,7 +212,7 @@ impl LinMotSim {
     }
 }
 
-impl DatagramDrive for LinMotSim {
+impl SimDrive for LinMotSim {
     fn address(&self) -> SocketAddrV4 {
         self.address
     }
