@@ -108,7 +108,7 @@ pub enum MasterError {
     NotOnline {
         /// How long was waited.
         waited: Duration,
-        /// Who is missing.
+        /// Who is missing, and why those have no connection that need one.
         missing: String,
     },
     /// The end was asked for meanwhile.
@@ -159,10 +159,10 @@ pub fn assemble<C: Clock>(
     let pulse = Pulse::default();
     let mut regions = Regions::default();
     let (mut buses, mut seats, mut axes, mut names) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-    let mut acyclics = Vec::new();
+    let (mut acyclics, mut links) = (Vec::new(), Vec::new());
     for bus_plan in &plan.buses {
         let mut bus = bus_plan.open(period_ns, carriers)?;
-        let first = seats.len();
+        let (first, notes) = (seats.len(), bus.notes());
         for (index, axis) in bus_plan.axes().into_iter().enumerate() {
             let (command_in, command_out) = rt::ring(axis.command_queue + URGENT_ROOM, &mut regions);
             let (velocity_in, velocity_out) = rt::ring(VELOCITY_QUEUE, &mut regions);
@@ -193,6 +193,7 @@ pub fn assemble<C: Clock>(
             let acyclic = Acyclic::new(&axis.name, ends, bus_plan.notation(), observer, asked_every);
             seats.push(Seat::new(axis.clone(), queues, period_ns, first_probe));
             names.push((axis.name.clone(), bus_plan.protocol()));
+            links.push(notes.clone().map(|notes| (notes, index)));
             axes.push(Axis::new(
                 axis.clone(),
                 axes.len(),
@@ -206,6 +207,7 @@ pub fn assemble<C: Clock>(
                     feedback: reader,
                     samples: sample_out,
                     native: bus.native(index),
+                    faults: bus_plan.fault_names(),
                 },
             ));
             acyclics.push(acyclic);
@@ -221,7 +223,7 @@ pub fn assemble<C: Clock>(
     let engine =
         Engine::new(clock, plan.cycle.clone(), buses, seats, names, task, pulse.clone(), control, outlets);
     engine.memory(&mut regions);
-    let gauges = Gauges { status, drives, strangers };
+    let gauges = Gauges { status, drives, strangers, links };
     Ok(Assembly { engine, axes, acyclics, gauges, records, pulse, regions })
 }
 
@@ -301,7 +303,7 @@ impl Master {
         }
         let members: Vec<Axis> = places.iter().filter_map(|place| axes[*place].take()).collect();
         drop(axes);
-        Group::new(members).map_err(|refused| MasterError::NotAGroup(refused.reason))
+        Group::new(members).map_err(|refused| MasterError::NotAGroup(*refused.reason))
     }
 
     /// Readers of all axes' newest feedback, in the order of the plan.
@@ -317,6 +319,11 @@ impl Master {
     /// See [`Monitor::numbers`].
     pub fn numbers(&self) -> Numbers {
         self.monitor.numbers()
+    }
+
+    /// See [`Monitor::not_connected`].
+    pub fn not_connected(&self, index: usize) -> Option<String> {
+        self.monitor.not_connected(index)
     }
 
     /// See [`Monitor::measured`].
@@ -338,9 +345,9 @@ impl Master {
     pub fn wait_online(&self, limit: Duration) -> Result<(), MasterError> {
         let begun = Instant::now();
         loop {
-            let missing: Vec<&str> = (self.observers().iter())
-                .filter(|(_, observer)| observer.feedback().link != Link::Online)
-                .map(|(name, _)| name.as_str())
+            let missing: Vec<usize> = (self.observers().iter().enumerate())
+                .filter(|(_, (_, observer))| observer.feedback().link != Link::Online)
+                .map(|(index, _)| index)
                 .collect();
             if missing.is_empty() {
                 return Ok(());
@@ -349,10 +356,20 @@ impl Master {
                 return Err(MasterError::Ended);
             }
             if begun.elapsed() > limit {
+                let missing: Vec<String> = missing.into_iter().map(|index| self.absent(index)).collect();
                 return Err(MasterError::NotOnline { waited: limit, missing: missing.join(", ") });
             }
             self.alive();
             std::thread::sleep(Duration::from_millis(1));
+        }
+    }
+
+    /// A drive that is not online, and why, if that is known.
+    fn absent(&self, index: usize) -> String {
+        let (name, _) = &self.observers()[index];
+        match self.monitor.not_connected(index) {
+            Some(why) => format!("{name} (not connected: {why})"),
+            None => name.clone(),
         }
     }
 
@@ -451,7 +468,7 @@ impl Setup {
         let control = Control::default();
         let steal_before_ms = rt::host::steal_ms(None);
         let Assembly { mut engine, axes, acyclics, gauges, records, pulse, regions } =
-            assemble(&plan, MonotonicClock, &Os, task, control.clone())?;
+            assemble(&plan, MonotonicClock, &Os::beside(realtime.core_to_be()), task, control.clone())?;
         let observers: Vec<_> = axes.iter().map(|axis| (axis.name().to_owned(), axis.observer())).collect();
 
         let (tell, told) = mpsc::channel();

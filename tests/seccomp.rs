@@ -7,10 +7,12 @@
 
 mod support;
 
+use std::io::{Read, Write};
 use std::mem::offset_of;
+use std::net::{SocketAddrV4, TcpListener};
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, OnceLock};
 
 use fieldbeat::axis::{Axis, Link};
 use fieldbeat::bus::Cycle;
@@ -18,13 +20,15 @@ use fieldbeat::cycle::engine::{Control, Engine, Flow};
 use fieldbeat::cycle::status::{Gauges, Numbers};
 use fieldbeat::cycle::task::{Axes, Task};
 use fieldbeat::master::{Assembly, assemble};
-use fieldbeat::net::Os;
-use fieldbeat::rt::MonotonicClock;
+use fieldbeat::net::{Carriers, Greeted, Greeting, Os, StreamPeer, Streams};
+use fieldbeat::rt::{Clock, MonotonicClock, PollSet};
 use fieldbeat::sim::server::ServerOptions;
 use fieldbeat::telemetry::{Measured, Recorder};
+use fieldbeat::time::{MS, Time};
 use libc::{c_int, c_long, sock_filter};
+use nix::sys::socket::{setsockopt, sockopt};
 use support::adventures::{Adventures, VICTIM, drives_and_errors};
-use support::counting::{Counting, count, watch};
+use support::counting::{self, Counting, count, watch};
 use support::{Ended, LONG, Machine, Program, again, plan, role, until};
 
 #[global_allocator]
@@ -33,29 +37,52 @@ static ALLOCATOR: Counting = Counting;
 /// A call that the loop may make.
 struct Allowed {
     call: c_long,
-    /// An argument, by its place, and a bit that it must have.
-    with: Option<(usize, c_int)>,
+    with: With,
 }
 
+/// What one of its arguments must be, by its place.
+enum With {
+    /// Anything.
+    Any,
+    /// It has this bit.
+    Bit(usize, c_int),
+    /// It is this.
+    Value(usize, c_int),
+}
+
+/// `epoll_wait` as the C library asks for it: younger machines have no call of that name.
+#[cfg(target_arch = "x86_64")]
+const EPOLL_WAIT: c_long = libc::SYS_epoll_wait;
+#[cfg(target_arch = "aarch64")]
+const EPOLL_WAIT: c_long = libc::SYS_epoll_pwait;
+
 /// All that the loop may ask of the kernel.
-const ALLOWED: [Allowed; 8] = [
+const ALLOWED: [Allowed; 12] = [
     // The sleep until the next grid point, and the nap for the rest of the replies: absolute, so that nothing drifts.
-    Allowed { call: libc::SYS_clock_nanosleep, with: Some((1, libc::TIMER_ABSTIME)) },
+    Allowed { call: libc::SYS_clock_nanosleep, with: With::Bit(1, libc::TIMER_ABSTIME) },
     // The wait for the first reply, until the deadline at the latest: in nanoseconds, unlike the time-out of a socket.
-    Allowed { call: libc::SYS_ppoll, with: None },
+    Allowed { call: libc::SYS_ppoll, with: With::Any },
     // All requests of a bus; one that does not fit fails at once.
-    Allowed { call: libc::SYS_sendmmsg, with: Some((3, libc::MSG_DONTWAIT)) },
-    // One request of a bus with `send = "each"`, on a socket that never waits (O_NONBLOCK).
-    Allowed { call: libc::SYS_sendto, with: None },
+    Allowed { call: libc::SYS_sendmmsg, with: With::Bit(3, libc::MSG_DONTWAIT) },
+    // One request of a bus with `send = "each"`, or on a connection, on a socket that never waits (O_NONBLOCK).
+    Allowed { call: libc::SYS_sendto, with: With::Any },
     // All replies that are there; none is no reason to wait.
-    Allowed { call: libc::SYS_recvmmsg, with: Some((3, libc::MSG_DONTWAIT)) },
+    Allowed { call: libc::SYS_recvmmsg, with: With::Bit(3, libc::MSG_DONTWAIT) },
+    // What has come on one connection.
+    Allowed { call: libc::SYS_recvfrom, with: With::Bit(3, libc::MSG_DONTWAIT) },
+    // On which connections something has come: a look with a time-out of 0.
+    Allowed { call: EPOLL_WAIT, with: With::Value(3, 0) },
+    // Once when a connection is taken over, and once when it is given back.
+    Allowed { call: libc::SYS_epoll_ctl, with: With::Any },
+    // The number of an eventfd, always 8 bytes: wakes up the link thread when a connection is given back.
+    Allowed { call: libc::SYS_write, with: With::Value(2, 8) },
     // After a late cycle, once: what the kernel has counted against this thread.
-    Allowed { call: libc::SYS_getrusage, with: None },
+    Allowed { call: libc::SYS_getrusage, with: With::Any },
     // The clock is read in user space (vdso(7)), but for a machine whose clock source the vDSO cannot read (Xen, some
     // virtual machines without a stable TSC).
-    Allowed { call: libc::SYS_clock_gettime, with: None },
+    Allowed { call: libc::SYS_clock_gettime, with: With::Any },
     // Not the loop's: how a thread leaves that must not do anything else.
-    Allowed { call: libc::SYS_exit, with: None },
+    Allowed { call: libc::SYS_exit, with: With::Any },
 ];
 
 #[cfg(target_arch = "x86_64")]
@@ -78,17 +105,22 @@ fn filter() -> Vec<sock_filter> {
         vec![load(offset_of!(libc::seccomp_data, arch)), jump(libc::BPF_JEQ, ARCH, 1, 0), kill()];
     program.push(load(offset_of!(libc::seccomp_data, nr)));
     for Allowed { call, with } in ALLOWED {
-        match with {
-            None => program.extend([jump(libc::BPF_JEQ, call as u32, 0, 1), allow()]),
-            // The half of the argument that comes first is the low one on both machines.
-            Some((place, bit)) => program.extend([
-                jump(libc::BPF_JEQ, call as u32, 0, 4),
-                load(offset_of!(libc::seccomp_data, args) + 8 * place),
-                jump(libc::BPF_JSET, bit as u32, 0, 1),
-                allow(),
-                kill(),
-            ]),
-        }
+        let (place, test, value) = match with {
+            With::Any => {
+                program.extend([jump(libc::BPF_JEQ, call as u32, 0, 1), allow()]);
+                continue;
+            }
+            With::Bit(place, bit) => (place, libc::BPF_JSET, bit as u32),
+            With::Value(place, value) => (place, libc::BPF_JEQ, value as u32),
+        };
+        // The half of the argument that comes first is the low one on both machines.
+        program.extend([
+            jump(libc::BPF_JEQ, call as u32, 0, 4),
+            load(offset_of!(libc::seccomp_data, args) + 8 * place),
+            jump(test, value, 0, 1),
+            allow(),
+            kill(),
+        ]);
     }
     program.push(kill());
     program
@@ -125,7 +157,7 @@ impl Confined {
     fn start(config: &Path, task: Task) -> (Confined, Vec<Axis>) {
         let (plan, control) = (plan(config), Control::default());
         let Assembly { engine, axes, gauges, records, .. } =
-            assemble(&plan, MonotonicClock, &Os, Some(task), control.clone()).unwrap();
+            assemble(&plan, MonotonicClock, &Os::default(), Some(task), control.clone()).unwrap();
         let measured = Measured::new(axes.len(), &plan.cycle, true);
         let recorder = Recorder::start(records, measured, None, None, || {}).unwrap();
         let engine = Arc::new(Mutex::new(Some(engine)));
@@ -168,11 +200,15 @@ const CYCLES: u64 = 100_000;
 /// What the child says in the end, before the number of executed cycles.
 const LIVED: &str = "lived under the filter: ";
 
-/// What the child does: `crime` is committed on the loop's thread, should there be one.
-fn live(crime: Option<fn()>) {
-    // A process that is to be killed shall not leave its memory behind as a file.
+/// A process that is to be killed shall not leave its memory behind as a file.
+fn leave_no_core() {
     // SAFETY: takes numbers.
     unsafe { libc::prctl(libc::PR_SET_DUMPABLE, 0, 0, 0, 0) };
+}
+
+/// What the child does: `crime` is committed on the loop's thread, should there be one.
+fn live(crime: Option<fn()>) {
+    leave_no_core();
     let machine = Machine::new(1);
     let config = drives_and_errors(&machine, "250us", 10_000, 700);
     let lost = Arc::new(AtomicU64::new(0));
@@ -242,8 +278,129 @@ fn a_hundred_thousand_cycles_need_no_other_system_call_than_those_listed() {
     println!("{LIVED}{lived}");
 }
 
+/// Nothing is said on a new connection.
+#[derive(Debug)]
+struct Silent;
+
+impl Greeting for Silent {
+    fn begin(&mut self, _now: Time, _out: &mut Vec<u8>) -> Greeted {
+        Greeted::Done
+    }
+
+    fn take(&mut self, _now: Time, _bytes: &[u8], _out: &mut Vec<u8>) -> Greeted {
+        Greeted::Done
+    }
+}
+
+/// Gives back what it gets, and after so many times ends the connection, in order or by a reset in turn.
+fn echo(listener: TcpListener, times: usize) {
+    for round in 0.. {
+        let (mut stream, _) = listener.accept().unwrap();
+        stream.set_nodelay(true).unwrap();
+        let mut bytes = [0; 64];
+        for _ in 0..times {
+            match stream.read(&mut bytes) {
+                Ok(count @ 1..) if stream.write_all(&bytes[..count]).is_ok() => {}
+                _ => break,
+            }
+        }
+        if round % 2 == 0 {
+            let at_once = libc::linger { l_onoff: 1, l_linger: 0 };
+            setsockopt(&stream, sockopt::Linger, &at_once).unwrap();
+        }
+    }
+}
+
+/// What a loop came to on connections.
+#[derive(Clone, Copy, Debug, Default)]
+struct Talks {
+    replies: u64,
+    /// Connections that ended.
+    ends: u64,
+}
+
+/// Talks on connections until it has had enough of everything: replies, and connections that ended.
+fn talk(streams: &mut dyn Streams, enough: Talks) -> Talks {
+    let (mut clock, mut set, mut talks) = (MonotonicClock, PollSet::default(), Talks::default());
+    set.add(streams.fd().unwrap());
+    confine();
+    watch(true);
+    while talks.replies < enough.replies || talks.ends < enough.ends {
+        while let Some(index) = streams.opened() {
+            let _ = streams.send(index, b"request");
+        }
+        let until = clock.now() + MS;
+        clock.wait(&mut set, until);
+        streams.look();
+        while let Some(index) = streams.ready() {
+            let end = match streams.receive(index, &mut [0; 64]) {
+                Ok(None) => None,
+                Ok(Some(_)) => {
+                    talks.replies += 1;
+                    streams.send(index, b"request").err()
+                }
+                Err(broken) => Some(broken),
+            };
+            if end.is_some() {
+                talks.ends += 1;
+                streams.abandon(index, "it ended");
+            }
+        }
+    }
+    watch(false);
+    talks
+}
+
+/// What the child does with connections: some that end all the time, and one that is refused.
+fn live_on_connections() {
+    leave_no_core();
+    let machine = Machine::new(4);
+    for count in [1_u8, 4] {
+        let address = |index| SocketAddrV4::new(machine.ip(count * 10 + index), 1502);
+        for index in 0..count {
+            let listener = TcpListener::bind(address(index)).unwrap();
+            std::thread::spawn(move || echo(listener, 50));
+        }
+        let refused = (count > 1).then(|| address(9));
+        let peer = |address| StreamPeer {
+            least_pause_ns: MS,
+            most_pause_ns: 5 * MS,
+            ..StreamPeer::new(address, Box::new(Silent))
+        };
+        let peers = (0..count).map(address).chain(refused).map(peer).collect();
+        let mut streams = Os::default().streams(peers).unwrap();
+        let told = Arc::new(OnceLock::new());
+        let tell = Arc::clone(&told);
+        drop(std::thread::spawn(move || {
+            let talks = talk(&mut *streams, Talks { replies: 10_000, ends: 100 });
+            // Nobody sleeps until it is told, so that telling takes no call.
+            let _ = tell.set(talks);
+            // The connections are closed with the process.
+            std::mem::forget((streams, tell));
+            // SAFETY: as in `Confined`.
+            unsafe { libc::syscall(libc::SYS_exit, 0) };
+        }));
+        assert!(until(LONG, || told.get().is_some()));
+        let talks = told.get();
+        assert_eq!(counting::count(), 0, "{talks:?}");
+        println!("{count} connections: {talks:?}");
+    }
+    println!("{LIVED}connections");
+}
+
+#[test]
+fn connections_need_no_other_system_call_than_those_listed_and_no_allocation() {
+    if role().is_some() {
+        return live_on_connections();
+    }
+    let name = "connections_need_no_other_system_call_than_those_listed_and_no_allocation";
+    let ended = child(name, "talking", &Machine::new(5));
+    ended.expect(0);
+    assert!(ended.out.contains(LIVED), "{ended:?}");
+}
+
 /// What the loop's thread must not do, each called often if it were let.
-const CRIMES: [(&str, fn()); 3] = [
+const CRIMES: [(&str, fn()); 4] = [
     ("a call that is not listed", || {
         // SAFETY: takes nothing and cannot fail.
         unsafe { libc::syscall(libc::SYS_getppid) };
@@ -251,6 +408,10 @@ const CRIMES: [(&str, fn()); 3] = [
     ("a receive that waits", || {
         // SAFETY: there is no descriptor -1, and nothing is written.
         unsafe { libc::recvmmsg(-1, std::ptr::null_mut(), 0, 0, std::ptr::null_mut()) };
+    }),
+    ("a look that waits", || {
+        // SAFETY: there is no descriptor -1, and nothing is written.
+        unsafe { libc::epoll_wait(-1, std::ptr::null_mut(), 1, 1) };
     }),
     ("a sleep that is not absolute", || {
         let nanosecond = libc::timespec { tv_sec: 0, tv_nsec: 1 };

@@ -1,24 +1,35 @@
 //! Sockets and file descriptors, and nothing of any protocol.
 //!
-//! A bus speaks to a carrier through [`Datagrams`]; the carrier stamps what it sends and takes in, so that the same
-//! bus runs over real sockets and in virtual time.
+//! A bus speaks to a carrier through [`Datagrams`] or [`Streams`]; the carrier stamps what it sends and takes in, so that the
+//! same bus runs over real sockets and in virtual time.
 //!
 //! | file | what |
 //! |---|---|
 //! | `outbox` | preallocated requests, patched in place |
 //! | `udp` | batched UDP: `sendmmsg`, `recvmmsg` |
+//! | `stream` | connections as the loop and a protocol see them |
+//! | `link` | opens, greets and re-opens connections, beside the loop |
+//! | `tcp` | TCP connections on the real-time thread |
 
 use std::io;
 use std::net::SocketAddrV4;
 use std::os::fd::RawFd;
+use std::sync::{Arc, Mutex, PoisonError, Weak};
 
+pub mod link;
 mod outbox;
+pub mod stream;
+mod tcp;
 pub mod udp;
 
 pub use outbox::{Outbox, Sent};
+pub use stream::{Broken, Greeted, Greeting, LinkNotes, StreamPeer, Streams};
 
 use crate::rt::Regions;
 use crate::time::Time;
+use link::LinkThread;
+use tcp::Tcp;
+use udp::Udp;
 
 /// A carrier of datagrams on the real-time thread: never waits, never allocates.
 pub trait Datagrams: Send {
@@ -36,6 +47,12 @@ pub trait Datagrams: Send {
     /// The most datagrams that one `receive` takes.
     fn batch(&self) -> usize;
 
+    /// How many datagrams arrived and were dropped, since those before them had not been taken in. Those behind the last one that
+    /// was taken in may be told with the next one. A carrier that is not said to drop any drops none.
+    fn dropped(&self) -> u64 {
+        0
+    }
+
     /// Adds the memory that it touches, to be locked with `memory = "own"`.
     fn memory(&self, regions: &mut Regions);
 }
@@ -44,6 +61,12 @@ pub trait Datagrams: Send {
 pub trait Carriers {
     /// A carrier of datagrams bound to `bind`.
     fn datagrams(&self, bind: SocketAddrV4, options: &UdpOptions) -> io::Result<Box<dyn Datagrams>>;
+
+    /// A carrier of connections to `peers`, in this order. Their opening begins at once, and goes on beside the loop.
+    /// Unless it is said otherwise, there are none.
+    fn streams(&self, _peers: Vec<StreamPeer>) -> io::Result<Box<dyn Streams>> {
+        Err(io::ErrorKind::Unsupported.into())
+    }
 }
 
 /// How a UDP carrier works.
@@ -72,8 +95,40 @@ pub enum SendMode {
 }
 
 /// The operating system's own carriers.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Os;
+///
+/// The first one with connections starts the link thread; all from one `Os` share it, and it ends with the last of them.
+#[derive(Debug, Default)]
+pub struct Os {
+    core_of_loop: Option<usize>,
+    thread: Mutex<Weak<LinkThread>>,
+}
+
+impl Os {
+    /// Whose link thread keeps off this core, that of the loop.
+    pub fn beside(core_of_loop: Option<usize>) -> Os {
+        Os { core_of_loop, ..Os::default() }
+    }
+
+    fn link_thread(&self) -> io::Result<Arc<LinkThread>> {
+        let mut thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(running) = thread.upgrade() {
+            return Ok(running);
+        }
+        let started = LinkThread::start(self.core_of_loop)?;
+        *thread = Arc::downgrade(&started);
+        Ok(started)
+    }
+}
+
+impl Carriers for Os {
+    fn datagrams(&self, bind: SocketAddrV4, options: &UdpOptions) -> io::Result<Box<dyn Datagrams>> {
+        Ok(Box::new(Udp::bind(bind, options)?))
+    }
+
+    fn streams(&self, peers: Vec<StreamPeer>) -> io::Result<Box<dyn Streams>> {
+        Ok(Box::new(Tcp::open(&self.link_thread()?, peers)?))
+    }
+}
 
 /// One datagram that arrived.
 #[derive(Clone, Copy, Debug)]

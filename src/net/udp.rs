@@ -1,6 +1,11 @@
 //! Batched UDP on real sockets: `sendmmsg` and `recvmmsg` behind [`Datagrams`].
 //!
 //! Nothing here knows what the bytes mean. Nothing waits or allocates after the socket is open.
+//!
+//! What the kernel drops because the socket's buffer is full it counts, and it tells the count with each datagram that it took
+//! in since (SO_RXQ_OVFL, socket(7)). That costs two words a header, and nothing in the kernel until the first loss. To ask for
+//! the count (SO_MEMINFO) would be a system call more, and one more that the real-time thread may make, to learn of losses
+//! before the next datagram comes.
 
 use std::io;
 use std::mem::{MaybeUninit, size_of};
@@ -10,7 +15,7 @@ use std::ptr;
 
 use nix::sys::socket::{setsockopt, sockopt};
 
-use super::{Carriers, Datagrams, Os, Outbox, Received, SendMode, Sent, UdpOptions};
+use super::{Datagrams, Outbox, Received, SendMode, Sent, UdpOptions};
 use crate::rt::{MonotonicClock, Regions};
 
 /// The most datagrams of one `sendmmsg`. The kernel takes 1024; 64 keep the arrays of a call within two pages, and the one
@@ -58,7 +63,18 @@ pub struct Udp {
     room: usize,
     /// One room after the other, for the datagrams of one `recvmmsg`.
     inbox: Box<[u8]>,
+    /// The kernel's count of what it dropped, which wraps around, as it was last told ...
+    told: u32,
+    /// ... and all that it dropped.
+    dropped: u64,
 }
+
+/// Room for the one ancillary message that a datagram may come with, a count.
+#[repr(C, align(8))]
+struct Control([u8; CONTROL]);
+
+// SAFETY: CMSG_SPACE only computes a size.
+const CONTROL: usize = unsafe { libc::CMSG_SPACE(size_of::<u32>() as libc::c_uint) } as usize;
 
 impl Udp {
     /// A socket bound to `bind`.
@@ -74,11 +90,27 @@ impl Udp {
         socket.set_nonblocking(true)?;
         setsockopt(&socket, sockopt::SndBuf, &options.send_buffer())?;
         setsockopt(&socket, sockopt::RcvBuf, &options.receive_buffer())?;
+        setsockopt(&socket, sockopt::RxqOvfl, &1)?;
         // Twice the peers: the reply of each, and one that is late, without a second call. Few peers need few headers;
         // what a stranger sends is still taken in by the handful.
         let batch = (options.peers * 2).clamp(8, RECEIVE_BATCH);
         let inbox = vec![0; batch * options.room].into();
-        Ok(Udp { socket, mode: options.send, batch, room: options.room, inbox })
+        Ok(Udp { socket, mode: options.send, batch, room: options.room, inbox, told: 0, dropped: 0 })
+    }
+
+    /// Takes up the kernel's count of what it dropped, if the newest datagram came with it.
+    fn count_dropped(&mut self, newest: &libc::msghdr) {
+        // SAFETY: the header is one that the kernel filled in: it points to `Control`, of which so many bytes are filled.
+        // CMSG_FIRSTHDR is null if there is no whole message in them.
+        let message = unsafe { libc::CMSG_FIRSTHDR(newest).as_ref() };
+        if let Some(message) = message
+            && (message.cmsg_level, message.cmsg_type) == (libc::SOL_SOCKET, libc::SO_RXQ_OVFL)
+        {
+            // SAFETY: the kernel's message of this type is a u32; it lies in `Control`, maybe unaligned.
+            let told = unsafe { libc::CMSG_DATA(message).cast::<u32>().read_unaligned() };
+            self.dropped += u64::from(told.wrapping_sub(self.told));
+            self.told = told;
+        }
     }
 
     /// One `sendmmsg` for each [`SEND_BATCH`] posted messages. The messages of a batch are sent, or charged with their own
@@ -174,16 +206,20 @@ impl Datagrams for Udp {
         let mut peers = [const { MaybeUninit::<libc::sockaddr_in>::uninit() }; RECEIVE_BATCH];
         let mut slices = [const { MaybeUninit::<libc::iovec>::uninit() }; RECEIVE_BATCH];
         let mut headers = [const { MaybeUninit::<libc::mmsghdr>::uninit() }; RECEIVE_BATCH];
+        // One for all: the count only grows, and that of the newest datagram is written last.
+        let mut control = Control([0; CONTROL]);
         let inbox = self.inbox.as_mut_ptr();
         for k in 0..self.batch {
             let peer = peers[k].write(sockaddr(SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, 0)));
             // SAFETY: `inbox` has `batch` rooms of `room` bytes each, so room k lies within it.
             let room = unsafe { inbox.add(k * self.room) };
             let slice = slices[k].write(libc::iovec { iov_base: room.cast(), iov_len: self.room });
-            headers[k].write(header(peer, slice));
+            let header = headers[k].write(header(peer, slice));
+            header.msg_hdr.msg_control = ptr::from_mut(&mut control).cast();
+            header.msg_hdr.msg_controllen = CONTROL as _;
         }
-        // SAFETY: `batch` headers were written above; each points to an address and a slice on this stack frame, and
-        // each slice to a room of its own in `inbox`, which nothing else touches during the call.
+        // SAFETY: `batch` headers were written above; each points to an address, a slice and `control` on this stack frame,
+        // and each slice to a room of its own in `inbox`, which nothing else touches during the call.
         let count = unsafe {
             libc::recvmmsg(
                 self.socket.as_raw_fd(),
@@ -202,6 +238,10 @@ impl Datagrams for Udp {
         }
         let at = MonotonicClock::read();
         let count = self.batch.min(count as usize);
+        if let Some(newest) = headers[..count].last() {
+            // SAFETY: the headers of every k < batch were written above, and by the kernel since.
+            self.count_dropped(unsafe { &newest.assume_init_ref().msg_hdr });
+        }
         for k in 0..count {
             // SAFETY: header and address of every k < batch were written above, and by the kernel since.
             let (header, peer) = unsafe { (headers[k].assume_init_ref(), peers[k].assume_init_ref()) };
@@ -225,15 +265,13 @@ impl Datagrams for Udp {
         self.batch
     }
 
+    fn dropped(&self) -> u64 {
+        self.dropped
+    }
+
     fn memory(&self, regions: &mut Regions) {
         regions.add(self);
         regions.add(&*self.inbox);
-    }
-}
-
-impl Carriers for Os {
-    fn datagrams(&self, bind: SocketAddrV4, options: &UdpOptions) -> io::Result<Box<dyn Datagrams>> {
-        Ok(Box::new(Udp::bind(bind, options)?))
     }
 }
 
@@ -403,6 +441,34 @@ mod tests {
     }
 
     #[test]
+    fn what_the_kernel_dropped_is_counted_to_the_last_datagram() {
+        let mut udp = Udp::bind(address(10, 1), &options(1, SendMode::Batch)).unwrap();
+        let stranger = peer(10, 200);
+        let (mut sent, mut taken) = (0, 0);
+        let mut burst = |udp: &mut Udp, count: usize, taken: &mut u64| {
+            // On loopback each is in the buffer, or dropped, before the next one is sent.
+            for _ in 0..count {
+                stranger.send_to(&[9; 40], address(10, 1)).unwrap();
+            }
+            while let Ok(more @ 1..) = udp.receive(&mut |_| *taken += 1) {
+                assert!(more <= udp.batch());
+            }
+            sent += count as u64;
+            sent
+        };
+        burst(&mut udp, 5, &mut taken);
+        assert_eq!((taken, udp.dropped()), (5, 0));
+        for round in 1..4 {
+            let before = udp.dropped();
+            burst(&mut udp, 2_000, &mut taken);
+            // Those behind the last one that had room are told with the next one.
+            let sent = burst(&mut udp, 1, &mut taken);
+            assert_eq!(taken + udp.dropped(), sent, "round {round}");
+            assert!(udp.dropped() > before + 500, "{}", udp.dropped());
+        }
+    }
+
+    #[test]
     fn each_request_has_its_own_stamp() {
         let mut udp = Udp::bind(address(8, 1), &options(8, SendMode::Each)).unwrap();
         let mut outbox = outbox(&[address(8, 2); 8]);
@@ -419,7 +485,7 @@ mod tests {
     #[test]
     fn a_second_master_is_refused() {
         let _first = Udp::bind(address(9, 1), &options(1, SendMode::Batch)).unwrap();
-        let second = Os.datagrams(address(9, 1), &options(1, SendMode::Batch));
+        let second = Udp::bind(address(9, 1), &options(1, SendMode::Batch));
         assert_eq!(second.map(|_| ()).unwrap_err().kind(), io::ErrorKind::AddrInUse);
     }
 }

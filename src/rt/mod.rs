@@ -17,7 +17,7 @@ pub mod host;
 pub mod memory;
 pub(crate) mod rights;
 #[cfg(test)]
-mod testing;
+pub(crate) mod testing;
 pub mod thread;
 pub mod usage;
 pub mod watch;

@@ -9,7 +9,7 @@ use nix::unistd::{Gid, Uid, geteuid, setgid, setgroups, setuid};
 const CHILD: &str = "FIELDBEAT_TEST_CHILD";
 
 /// Runs `body` in a process of its own: starts this test program again for the one test `name`, whose failure is ours.
-pub(super) fn in_own_process(name: &str, body: impl FnOnce()) {
+pub(crate) fn in_own_process(name: &str, body: impl FnOnce()) {
     if std::env::var_os(CHILD).is_some() {
         return body();
     }

@@ -30,6 +30,17 @@ pub struct RealtimePlan {
     pub core: Option<usize>,
 }
 
+impl RealtimePlan {
+    /// The core that [`enter`] will pin the loop's thread to, for threads that start before it: the same one if it is asked by a
+    /// thread that may use the same cores.
+    pub fn core_to_be(&self) -> Option<usize> {
+        match self.realtime {
+            Realtime::Off => self.core,
+            _ => self.core.or_else(default_core),
+        }
+    }
+}
+
 /// What the loop's thread became, as the kernel tells it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Granted {
@@ -84,10 +95,7 @@ pub fn enter(plan: &RealtimePlan, own: &Regions) -> Result<Granted, RealtimeErro
         return Err(RealtimeError::Priority(plan.priority));
     }
     deaf();
-    let core = match plan.realtime {
-        Realtime::Off => plan.core,
-        _ => plan.core.or_else(default_core),
-    };
+    let core = plan.core_to_be();
     if let Some(core) = core {
         pin(core)?;
     }
@@ -345,9 +353,11 @@ mod tests {
             assert!(limit_rtprio(0));
             assert!(limit_memlock(64 << 10));
             become_ordinary();
+            let to_be = plan(Realtime::Prefer).core_to_be();
             let granted = enter(&plan(Realtime::Prefer), &Regions::new()).unwrap();
             assert_eq!((granted.policy, granted.priority, granted.memory_locked), ("SCHED_OTHER", 0, false));
             assert_eq!(cores(), [granted.core.unwrap()]);
+            assert_eq!(granted.core, to_be);
             assert!(
                 granted.missing[0].contains("SCHED_FIFO 80 (RLIMIT_RTPRIO is 0)"),
                 "{:?}",

@@ -1,0 +1,15 @@
+//! Opens, greets and re-opens connections, beside the loop.
+//!
+//! | file | what |
+//! |---|---|
+//! | `connection` | one connection's life, without a socket or a clock |
+//! | `thread` | the thread that leads this life for all connections of a master |
+
+pub mod connection;
+mod thread;
+
+pub use connection::{Action, Connection};
+pub(super) use thread::{Ends, GivenBack, LinkThread, Opened};
+
+#[cfg(test)]
+pub(super) mod tests;

@@ -1,0 +1,135 @@
+//! Connections as the loop and a protocol see them.
+//!
+//! The loop holds those that are ready and takes turns of bounded work with them: what can block, opening, greeting and
+//! closing, is done beside it by [`link`](super::link). Each connection has one owner at any time, and changes hands by
+//! wait-free queues.
+
+use std::fmt::Debug;
+use std::net::SocketAddrV4;
+use std::os::fd::RawFd;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use crate::rt::Regions;
+use crate::time::{MS, S, Time};
+
+/// A carrier of connections to fixed peers on the real-time thread: never waits, never allocates.
+pub trait Streams: Send {
+    /// The descriptor that is readable while something waits to be received on any of them, and while a broken one has not been
+    /// given up; always the same one. `None` for a carrier without one.
+    fn fd(&self) -> Option<RawFd>;
+
+    /// Takes over a connection that became ready since, if there is one: nothing of an earlier connection to that peer is left.
+    fn opened(&mut self) -> Option<usize>;
+
+    /// Looks which connections have something to receive, a bounded number; then [`ready`](Self::ready) names them.
+    fn look(&mut self);
+
+    /// The next one that the last look found.
+    fn ready(&mut self) -> Option<usize>;
+
+    /// Takes in what arrived on connection `index`, at most all of `room`, and when. `None`: nothing.
+    fn receive(&mut self, index: usize, room: &mut [u8]) -> Result<Option<(Time, usize)>, Broken>;
+
+    /// Hands the front of `bytes` to connection `index`: when, and how many the wire took, 0 if it takes none now.
+    fn send(&mut self, index: usize, bytes: &[u8]) -> Result<(Time, usize), Broken>;
+
+    /// Gives connection `index` up, for this reason. It is closed and opened anew, after a pause.
+    fn abandon(&mut self, index: usize, why: &'static str);
+
+    /// What is told of the opening of connections, for normal threads.
+    fn notes(&self) -> LinkNotes;
+
+    /// Adds the memory that it touches, to be locked with `memory = "own"`.
+    fn memory(&self, regions: &mut Regions);
+}
+
+/// A connection that can no longer be used. It has to be given up by [`Streams::abandon`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Broken {
+    /// There is none: it is not open yet, or was given up.
+    Absent,
+    /// The peer has closed it.
+    Closed,
+    /// The operating system's error number.
+    Failed(i32),
+}
+
+/// One peer to be connected to, and kept connected.
+#[derive(Debug)]
+pub struct StreamPeer {
+    /// Where it listens.
+    pub address: SocketAddrV4,
+    /// The longest that opening a connection may take, ns.
+    pub connect_ns: u64,
+    /// The longest that the greeting may take, ns.
+    pub greeting_ns: u64,
+    /// The pause after a first failure, ns; it doubles with each one in a row ... Each is shorter by up to an eighth, for each
+    /// peer another one, so that many that died together are not asked together.
+    pub least_pause_ns: u64,
+    /// ... up to this. A connection that was in use for so long begins with the least pause again.
+    pub most_pause_ns: u64,
+    /// Sent bytes that the peer's host does not acknowledge for so long break the connection, ns.
+    pub unacknowledged_ns: u64,
+    /// What is said on a new connection before the loop has it.
+    pub greeting: Box<dyn Greeting>,
+}
+
+impl StreamPeer {
+    /// A peer with usual times.
+    pub fn new(address: SocketAddrV4, greeting: Box<dyn Greeting>) -> StreamPeer {
+        StreamPeer {
+            address,
+            connect_ns: S,
+            greeting_ns: 2 * S,
+            least_pause_ns: 100 * MS,
+            most_pause_ns: 2 * S,
+            unacknowledged_ns: S,
+            greeting,
+        }
+    }
+}
+
+/// What a protocol says on a new connection before the loop has it: on a normal thread, without sockets or waits. What it
+/// finds out it shares with its station; the handing over of the connection orders both.
+pub trait Greeting: Debug + Send {
+    /// A connection was opened at `now`. Appends what is to be sent to `out`.
+    fn begin(&mut self, now: Time, out: &mut Vec<u8>) -> Greeted;
+
+    /// Takes in what arrived, split anywhere, and appends what is to be sent to `out`.
+    fn take(&mut self, now: Time, bytes: &[u8], out: &mut Vec<u8>) -> Greeted;
+}
+
+/// How far a greeting is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Greeted {
+    /// It waits for an answer.
+    More,
+    /// It is done: nothing is owed on the connection.
+    Done,
+    /// It cannot be used as it is, for this reason; the connection is closed.
+    Failed(String),
+}
+
+/// The last word on each connection of a carrier: why it is not open, in words. Clones are the same notes.
+#[derive(Clone, Debug, Default)]
+pub struct LinkNotes(Arc<Mutex<Vec<Option<String>>>>);
+
+impl LinkNotes {
+    /// For so many connections.
+    pub fn new(count: usize) -> LinkNotes {
+        LinkNotes(Arc::new(Mutex::new(vec![None; count])))
+    }
+
+    /// Why connection `index` is not open; `None`: it is, or its first opening is under way.
+    pub fn get(&self, index: usize) -> Option<String> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).get(index).cloned().flatten()
+    }
+
+    /// For whoever opens connections.
+    pub fn set(&self, index: usize, note: Option<String>) {
+        let mut notes = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(place) = notes.get_mut(index) {
+            *place = note;
+        }
+    }
+}

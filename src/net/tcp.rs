@@ -1,0 +1,420 @@
+//! TCP connections on the real-time thread, behind [`Streams`].
+//!
+//! Two system calls a request and its reply, `sendto` and `recvfrom`, and one `epoll_wait` for all connections together. Sockets
+//! come from the link thread when they are ready and go back to it to be closed: nothing here opens, waits, closes or allocates.
+//!
+//! The epoll is this side's alone. The kernel guards it with a lock that may sleep: were the link thread to add a socket
+//! to it, a normal thread that is preempted just then would hold up the loop. So the loop adds a socket when it takes it over and
+//! removes it before it gives it back, one `epoll_ctl` a connection each.
+
+use std::io;
+use std::os::fd::{AsRawFd, OwnedFd, RawFd};
+
+use nix::errno::Errno;
+use nix::sys::epoll::{Epoll, EpollCreateFlags, EpollEvent, EpollFlags, EpollTimeout};
+use nix::sys::socket::{MsgFlags, recv, send};
+
+use super::link::{Ends, GivenBack, LinkThread, Opened};
+use super::stream::{Broken, LinkNotes, StreamPeer, Streams};
+use crate::rt::{MonotonicClock, Regions};
+use crate::time::Time;
+
+/// Connections to fixed peers. Dropped when the loop has ended: what it has open then it closes in order, so that the last
+/// outputs arrive.
+#[derive(Debug)]
+pub struct Tcp {
+    epoll: Epoll,
+    /// What is open.
+    sockets: Box<[Option<OwnedFd>]>,
+    /// What the last look found, and how far it was asked for. Room for all, so that none waits behind busier ones.
+    events: Box<[EpollEvent]>,
+    found: usize,
+    next: usize,
+    link: Ends,
+}
+
+impl Tcp {
+    /// Connections to `peers`, opened by `thread`.
+    pub(super) fn open(thread: &std::sync::Arc<LinkThread>, peers: Vec<StreamPeer>) -> io::Result<Tcp> {
+        let epoll = Epoll::new(EpollCreateFlags::EPOLL_CLOEXEC)?;
+        let count = peers.len();
+        Ok(Tcp {
+            epoll,
+            sockets: (0..count).map(|_| None).collect(),
+            events: vec![EpollEvent::empty(); count].into(),
+            found: 0,
+            next: 0,
+            link: thread.carry(peers),
+        })
+    }
+
+    fn socket(&self, index: usize) -> Result<RawFd, Broken> {
+        self.sockets.get(index).and_then(Option::as_ref).map(AsRawFd::as_raw_fd).ok_or(Broken::Absent)
+    }
+
+    /// Writes to an eventfd that is never full: it wakes up the link thread and does not wait for it.
+    fn give_back(&mut self, index: usize, socket: OwnedFd, why: &'static str) {
+        // Never full: it has room for every connection.
+        let _ = self.link.given_back.push(GivenBack { index, socket, why });
+        self.link.bell.ring();
+    }
+}
+
+impl Streams for Tcp {
+    fn fd(&self) -> Option<RawFd> {
+        Some(self.epoll.0.as_raw_fd())
+    }
+
+    fn opened(&mut self) -> Option<usize> {
+        // As many turns as there are connections at most.
+        while let Ok(Opened { index, socket }) = self.link.opened.pop() {
+            match self.epoll.add(&socket, EpollEvent::new(EpollFlags::EPOLLIN, index as u64)) {
+                Ok(()) => {
+                    self.sockets[index] = Some(socket);
+                    return Some(index);
+                }
+                Err(_) => self.give_back(
+                    index,
+                    socket,
+                    "the kernel cannot watch one more socket: raise fs.epoll.max_user_watches (sysctl)",
+                ),
+            }
+        }
+        None
+    }
+
+    fn look(&mut self) {
+        self.next = 0;
+        self.found = match &*self.sockets {
+            // An only one is asked itself: nothing to receive costs the same call. Its event has the index 0 as it stands.
+            [only] => usize::from(only.is_some()),
+            // An error could only be EINTR: next time.
+            _ => self.epoll.wait(&mut self.events, EpollTimeout::ZERO).unwrap_or(0),
+        };
+    }
+
+    fn ready(&mut self) -> Option<usize> {
+        let event = self.events[..self.found].get(self.next)?;
+        self.next += 1;
+        Some(event.data() as usize)
+    }
+
+    fn receive(&mut self, index: usize, room: &mut [u8]) -> Result<Option<(Time, usize)>, Broken> {
+        let socket = self.socket(index)?;
+        // A recv of nothing returns 0, as at the end of a connection.
+        if room.is_empty() {
+            return Ok(None);
+        }
+        match recv(socket, room, MsgFlags::MSG_DONTWAIT) {
+            Ok(0) => Err(Broken::Closed),
+            Ok(count) => Ok(Some((MonotonicClock::read(), count))),
+            Err(Errno::EAGAIN | Errno::EINTR) => Ok(None),
+            Err(errno) => Err(Broken::Failed(errno as i32)),
+        }
+    }
+
+    fn send(&mut self, index: usize, bytes: &[u8]) -> Result<(Time, usize), Broken> {
+        let socket = self.socket(index)?;
+        let begin = MonotonicClock::read();
+        match send(socket, bytes, MsgFlags::MSG_DONTWAIT | MsgFlags::MSG_NOSIGNAL) {
+            Ok(count) => Ok((begin, count)),
+            Err(Errno::EAGAIN | Errno::EINTR) => Ok((begin, 0)),
+            Err(errno) => Err(Broken::Failed(errno as i32)),
+        }
+    }
+
+    fn abandon(&mut self, index: usize, why: &'static str) {
+        if let Some(socket) = self.sockets.get_mut(index).and_then(Option::take) {
+            // Removed here, so that the end of the connection wakes up the loop no more. It was added, so that this cannot fail.
+            let _ = self.epoll.delete(&socket);
+            self.give_back(index, socket, why);
+        }
+    }
+
+    fn notes(&self) -> LinkNotes {
+        self.link.notes.clone()
+    }
+
+    fn memory(&self, regions: &mut Regions) {
+        regions.add(self);
+        regions.add(&*self.sockets);
+        regions.add(&*self.events);
+        regions.extend(&self.link.regions);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::{Read, Write};
+    use std::mem::size_of_val;
+    use std::net::{SocketAddrV4, TcpListener, TcpStream};
+
+    use nix::sys::socket::{getsockopt, sockopt};
+
+    use crate::net::link::tests::{
+        Silent, accept, breaks, expect, listener, opened, patient, receive, reset, until,
+    };
+    use crate::rt::{Clock, PollSet};
+    use crate::time::{MS, S};
+
+    /// The tests of this file own 127.75.x.0/24, one x each.
+    fn address(x: u8, host: u8) -> SocketAddrV4 {
+        SocketAddrV4::new([127, 75, x, host].into(), 1502)
+    }
+
+    /// A carrier with so many peers, all open, and the peers.
+    fn open(x: u8, count: u8) -> (Tcp, Vec<TcpStream>, Vec<TcpListener>) {
+        let addresses = (0..count).map(|host| address(x, 10 + host));
+        let listeners: Vec<_> = addresses.clone().map(listener).collect();
+        let thread = LinkThread::start(None).unwrap();
+        let mut tcp = Tcp::open(&thread, addresses.map(|peer| patient(peer, Silent)).collect()).unwrap();
+        let drives = listeners.iter().map(accept).collect();
+        let mut indices: Vec<_> = (0..count).map(|_| opened(&mut tcp)).collect();
+        indices.sort();
+        assert!(indices.into_iter().eq(0..usize::from(count)));
+        (tcp, drives, listeners)
+    }
+
+    /// Whether the descriptor of the carrier becomes readable within `ns`.
+    fn wakes(tcp: &Tcp, ns: u64) -> bool {
+        let mut set = PollSet::default();
+        set.add(tcp.fd().unwrap());
+        MonotonicClock.wait(&mut set, MonotonicClock::read() + ns)
+    }
+
+    #[test]
+    fn a_socket_has_what_a_cyclic_exchange_needs() {
+        let (tcp, _drives, _listeners) = open(1, 1);
+        let socket = tcp.sockets[0].as_ref().unwrap();
+        assert!(getsockopt(socket, sockopt::TcpNoDelay).unwrap());
+        assert!(getsockopt(socket, sockopt::KeepAlive).unwrap());
+        assert_eq!(getsockopt(socket, sockopt::TcpKeepIdle).unwrap(), 1);
+        assert_eq!(getsockopt(socket, sockopt::TcpKeepInterval).unwrap(), 1);
+        assert_eq!(getsockopt(socket, sockopt::TcpKeepCount).unwrap(), 3);
+        assert_eq!(getsockopt(socket, sockopt::TcpUserTimeout).unwrap(), 1_000);
+        let wanted = libc::O_NONBLOCK | libc::O_CLOEXEC;
+        assert_eq!(flags(socket.as_raw_fd()) & wanted, wanted);
+        assert_eq!(flags(tcp.epoll.0.as_raw_fd()) & libc::O_CLOEXEC, libc::O_CLOEXEC);
+    }
+
+    /// The flags of a descriptor, FD_CLOEXEC as O_CLOEXEC (proc(5)).
+    fn flags(fd: RawFd) -> i32 {
+        let info = std::fs::read_to_string(format!("/proc/self/fdinfo/{fd}")).unwrap();
+        let octal = info.lines().find_map(|line| line.strip_prefix("flags:")).unwrap();
+        i32::from_str_radix(octal.trim(), 8).unwrap()
+    }
+
+    #[test]
+    fn a_look_names_those_that_have_something_and_each_is_itself() {
+        let (mut tcp, mut drives, _listeners) = open(2, 40);
+        for round in 0..20 {
+            let speaking: Vec<_> = (0..40).filter(|index| index % 3 == round % 3).collect();
+            for &index in &speaking {
+                assert_eq!(tcp.send(index, &[index as u8, round as u8]).unwrap().1, 2);
+                expect(&mut drives[index], &[index as u8, round as u8]);
+                drives[index].write_all(&[index as u8, round as u8]).unwrap();
+            }
+            let mut heard = Vec::new();
+            until("all heard", || {
+                tcp.look();
+                while let Some(index) = tcp.ready() {
+                    let mut room = [0; 8];
+                    let (_, length) = tcp.receive(index, &mut room).unwrap().unwrap();
+                    assert_eq!(room[..length], [index as u8, round as u8]);
+                    heard.push(index);
+                }
+                heard.len() >= speaking.len()
+            });
+            heard.sort();
+            assert_eq!(heard, speaking);
+            tcp.look();
+            assert_eq!(tcp.ready(), None);
+        }
+    }
+
+    #[test]
+    fn one_look_names_all_of_them() {
+        let (mut tcp, mut drives, _listeners) = open(3, 40);
+        drives.iter_mut().for_each(|drive| drive.write_all(b"all").unwrap());
+        until("40 at once", || {
+            tcp.look();
+            let mut indices: Vec<_> = std::iter::from_fn(|| tcp.ready()).collect();
+            indices.sort();
+            indices.into_iter().eq(0..40)
+        });
+    }
+
+    #[test]
+    fn the_descriptor_wakes_for_what_arrives_and_stays_the_same_over_connections() {
+        for count in [1, 2] {
+            let (mut tcp, mut drives, listeners) = open(3 + count, count);
+            let fd = tcp.fd();
+            for _ in 0..3 {
+                assert!(!wakes(&tcp, MS));
+                drives[0].write_all(b"reply").unwrap();
+                assert!(wakes(&tcp, 20 * S));
+                assert_eq!(receive(&mut tcp, 0, 5), b"reply");
+                assert!(!wakes(&tcp, MS));
+                // The end of a connection wakes too, until it is given up.
+                reset(drives.remove(0));
+                assert!(wakes(&tcp, 20 * S));
+                assert_eq!(breaks(&mut tcp, 0), Broken::Failed(libc::ECONNRESET));
+                tcp.abandon(0, "it broke");
+                assert!(!wakes(&tcp, MS));
+                tcp.look();
+                assert_eq!(tcp.ready(), None);
+                drives.insert(0, accept(&listeners[0]));
+                assert_eq!((opened(&mut tcp), tcp.fd()), (0, fd));
+            }
+        }
+    }
+
+    #[test]
+    fn a_wire_that_takes_no_more_says_how_much_it_took() {
+        let (mut tcp, mut drives, _listeners) = open(6, 1);
+        let pattern: Vec<u8> = (0..65_521).map(|k| (k % 251) as u8).collect();
+        let mut taken = Vec::new();
+        let mut short = 0;
+        // The peer's buffer and ours, some MiB; the kernel moves bytes from one to the other meanwhile.
+        let mut full = 0;
+        while full < 100 {
+            let begin = taken.len() % pattern.len();
+            let (_, count) = tcp.send(0, &pattern[begin..]).unwrap();
+            taken.extend_from_slice(&pattern[begin..begin + count]);
+            short += usize::from(count > 0 && count < pattern.len() - begin);
+            full += usize::from(count == 0);
+        }
+        assert!(short > 0, "never a short write in {} bytes", taken.len());
+        let mut got = vec![0; taken.len()];
+        drives[0].read_exact(&mut got).unwrap();
+        assert!(got == taken);
+    }
+
+    #[test]
+    fn what_does_not_fit_the_room_comes_next_and_a_room_of_nothing_is_no_end() {
+        let (mut tcp, mut drives, _listeners) = open(7, 1);
+        assert_eq!(tcp.receive(0, &mut [0; 8]), Ok(None));
+        drives[0].write_all(b"abcdefgh").unwrap();
+        assert!(wakes(&tcp, 20 * S));
+        assert_eq!(tcp.receive(0, &mut []), Ok(None));
+        let mut room = [0; 5];
+        assert!(matches!(tcp.receive(0, &mut room), Ok(Some((_, 5)))));
+        assert_eq!(&room, b"abcde");
+        assert!(matches!(tcp.receive(0, &mut room), Ok(Some((_, 3)))));
+        assert_eq!(&room[..3], b"fgh");
+    }
+
+    #[test]
+    fn a_request_is_stamped_before_it_leaves_and_a_reply_when_it_was_taken_in() {
+        let (mut tcp, mut drives, _listeners) = open(8, 1);
+        let before = MonotonicClock::read();
+        let (sent, _) = tcp.send(0, b"request").unwrap();
+        let between = MonotonicClock::read();
+        expect(&mut drives[0], b"request");
+        drives[0].write_all(b"reply").unwrap();
+        assert!(wakes(&tcp, 20 * S));
+        let (came, _) = tcp.receive(0, &mut [0; 8]).unwrap().unwrap();
+        assert!(before <= sent && sent <= between && between < came && came <= MonotonicClock::read());
+    }
+
+    #[test]
+    fn sending_to_a_peer_that_is_gone_is_an_error_and_no_signal() {
+        let (mut tcp, mut drives, _listeners) = open(9, 1);
+        reset(drives.remove(0));
+        assert!(wakes(&tcp, 20 * S));
+        assert_eq!(tcp.send(0, b"request"), Err(Broken::Failed(libc::ECONNRESET)));
+        assert_eq!(tcp.send(0, b"request"), Err(Broken::Failed(libc::EPIPE)));
+    }
+
+    /// Lets the peer's host hear nothing any more, as if its cable were out: not even acknowledge.
+    fn vanish(drive: &TcpStream) {
+        let mut nothing =
+            libc::sock_filter { code: (libc::BPF_RET | libc::BPF_K) as u16, jt: 0, jf: 0, k: 0 };
+        let program = libc::sock_fprog { len: 1, filter: &raw mut nothing };
+        // SAFETY: the kernel reads a program of one instruction, which outlives the call.
+        let refused = unsafe {
+            libc::setsockopt(
+                drive.as_raw_fd(),
+                libc::SOL_SOCKET,
+                libc::SO_ATTACH_FILTER,
+                (&raw const program).cast(),
+                size_of_val(&program) as libc::socklen_t,
+            )
+        };
+        assert_eq!(refused, 0, "{}", io::Error::last_os_error());
+    }
+
+    #[test]
+    #[ignore = "needs root: a socket filter, which a kernel may refuse to others"]
+    fn a_peer_that_vanishes_breaks_its_connection_alone_whether_it_is_talked_to_or_not() {
+        let (mut tcp, mut drives, _listeners) = open(13, 3);
+        drives[..2].iter().for_each(vanish);
+        // The first by TCP_USER_TIMEOUT, the second by keepalive.
+        assert_eq!(tcp.send(0, b"request").unwrap().1, 7);
+        let mut broken = [None; 3];
+        let mut replies = 0;
+        until("both broken", || {
+            assert_eq!(tcp.send(2, b"?").unwrap().1, 1);
+            expect(&mut drives[2], b"?");
+            drives[2].write_all(b"!").unwrap();
+            tcp.look();
+            while let Some(index) = tcp.ready() {
+                match tcp.receive(index, &mut [0; 1]) {
+                    Ok(got) => replies += usize::from(index == 2 && got.is_some()),
+                    Err(why) => {
+                        broken[index] = Some(why);
+                        tcp.abandon(index, "it vanished");
+                    }
+                }
+            }
+            broken[0].is_some() && broken[1].is_some()
+        });
+        let timed_out = Some(Broken::Failed(libc::ETIMEDOUT));
+        assert_eq!(broken, [timed_out, timed_out, None]);
+        assert!(replies > 0);
+    }
+
+    #[test]
+    fn what_is_not_open_is_absent() {
+        let thread = LinkThread::start(None).unwrap();
+        let mut tcp = Tcp::open(&thread, vec![patient(address(10, 10), Silent)]).unwrap();
+        for index in [0, 1, usize::MAX] {
+            assert_eq!(tcp.send(index, b"request"), Err(Broken::Absent));
+            assert_eq!(tcp.receive(index, &mut [0; 8]), Err(Broken::Absent));
+            tcp.abandon(index, "it was never there");
+        }
+        tcp.look();
+        assert_eq!((tcp.ready(), tcp.opened()), (None, None));
+        // A carrier of nobody.
+        let mut none = Tcp::open(&thread, Vec::new()).unwrap();
+        none.look();
+        assert_eq!((none.ready(), none.opened()), (None, None));
+    }
+
+    #[test]
+    fn a_peer_given_up_between_the_look_and_its_turn_is_absent_and_hurts_no_other() {
+        let (mut tcp, mut drives, _listeners) = open(11, 2);
+        drives.iter_mut().for_each(|drive| drive.write_all(b"x").unwrap());
+        until("both", || {
+            tcp.look();
+            tcp.found == 2
+        });
+        tcp.abandon(0, "its bus says so");
+        let mut told: Vec<_> =
+            std::iter::from_fn(|| tcp.ready().map(|index| (index, tcp.receive(index, &mut [0; 8]))))
+                .collect();
+        told.sort_by_key(|(index, _)| *index);
+        assert_eq!(told[0], (0, Err(Broken::Absent)));
+        assert!(matches!(told[1], (1, Ok(Some((_, 1))))), "{told:?}");
+    }
+
+    #[test]
+    fn its_memory_is_named() {
+        let (tcp, _drives, _listeners) = open(12, 3);
+        let mut regions = Regions::new();
+        tcp.memory(&mut regions);
+        assert!(regions.covers(&tcp.sockets) && regions.covers(&tcp.events));
+        assert!(regions.covers(std::slice::from_ref(&tcp)));
+    }
+}
