@@ -1,14 +1,21 @@
 //! Seeded faults between a master and one simulated drive, and the queue of what is under way.
 //!
-//! The n-th datagram of a direction meets the same fault whenever it comes: decisions depend on the seed and the count
-//! alone. Knows no socket, no protocol and no clock: instants come as arguments.
+//! The n-th parcel of a direction, a datagram or what was handed to a stream at once, meets the same fault whenever it
+//! comes: decisions depend on the seed and the count alone. Knows no socket, no protocol and no clock: instants come as
+//! arguments.
 
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, VecDeque};
 use std::net::SocketAddrV4;
 
-use super::{DatagramDrive, FaultPlan};
+use super::{Carrier, FaultPlan, SimDrive};
 use crate::time::Time;
+
+/// Between two bytes that come one at a time, ns: about a byte's time on 10 Mbit/s Ethernet.
+const BYTE_NS: u64 = 1_000;
+
+/// What every buffer has room for from the beginning, bytes: any usual telegram, so that none grows in use.
+const LEAST_ROOM: usize = 512;
 
 /// Which way a datagram goes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -19,7 +26,7 @@ pub enum Way {
     Reply,
 }
 
-/// One datagram under way.
+/// One datagram under way, or what was handed to a stream at once.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Datagram<'a> {
     /// Who sent it.
@@ -30,7 +37,24 @@ pub struct Datagram<'a> {
     pub bytes: &'a [u8],
 }
 
-/// Exact counts of the faults that one drive's wire made, both ways together.
+/// What a parcel means on its connection. All datagrams are bytes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) enum Signal {
+    /// Its bytes, and no more.
+    #[default]
+    Bytes,
+    /// A connection is asked for.
+    Open,
+    /// It is granted.
+    Accept,
+    /// The sender has ended it, behind these bytes.
+    End,
+    /// It is refused, or broken off.
+    Reset,
+}
+
+/// Exact counts of the faults that one drive's wire made, both ways together. What is said of datagrams goes for what was
+/// handed to a stream at once.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Injected {
     /// Datagrams lost.
@@ -45,14 +69,18 @@ pub struct Injected {
     pub reordered: u64,
     /// Stalls begun.
     pub stalls: u64,
-    /// Requests lost in a stall.
+    /// Requests lost in a stall; on a stream, held up by it.
     pub stalled: u64,
     /// Restarts; the request at which one happens is lost with it.
     pub restarts: u64,
     /// Times that the hardware enable was opened.
     pub inhibits: u64,
-    /// Replies from a wrong port.
+    /// Replies from a wrong port, or, on a stream, to something else.
     pub wrong_id: u64,
+    /// What came a byte at a time.
+    pub split: u64,
+    /// Connections that ended in the middle of a reply.
+    pub cut: u64,
 }
 
 /// What befalls the drive itself when a datagram passes.
@@ -66,7 +94,7 @@ pub enum Blow {
 
 impl Blow {
     /// Lets it happen to `drive`.
-    pub(super) fn strike(self, now: Time, drive: &mut dyn DatagramDrive) {
+    pub(super) fn strike(self, now: Time, drive: &mut dyn SimDrive) {
         match self {
             Blow::Restart => drive.restart(now),
             Blow::Inhibit(until) => drive.inhibit(until),
@@ -78,8 +106,9 @@ impl Blow {
 #[derive(Debug)]
 pub struct Injector {
     plan: FaultPlan,
-    requests: Lane,
-    replies: Lane,
+    carrier: Carrier,
+    /// By [`Way`].
+    lanes: [Lane; 2],
     stalled_until: Time,
     injected: Injected,
 }
@@ -89,26 +118,93 @@ pub struct Injector {
 struct Lane {
     random: fastrand::Rng,
     held: Option<Parcel>,
+    /// On a stream, the instant by which all that left before has arrived.
+    behind: Time,
+}
+
+/// What one parcel draws.
+struct Lot {
+    drop: bool,
+    duplicate: bool,
+    corrupt: bool,
+    bit: u64,
+    delay: bool,
+    reorder: bool,
+    stall: bool,
+    restart: bool,
+    inhibit: bool,
+    wrong_id: bool,
+    split: bool,
+    cut: bool,
 }
 
 impl Lane {
+    fn new(seed: u64) -> Lane {
+        Lane { random: fastrand::Rng::with_seed(seed), held: None, behind: Time::default() }
+    }
+
     /// Draws whether a fault of this rate happens. Always draws, so that one rate does not shift another's decisions.
     fn strikes(&mut self, rate: f64) -> bool {
         self.random.f64() < rate
     }
+
+    /// Puts `parcel` on its way. On a stream it arrives behind all that left before.
+    fn send(&mut self, carrier: Carrier, due: Time, parcel: Parcel, queue: &mut Queue) {
+        let due = match carrier {
+            Carrier::Datagrams => due,
+            Carrier::Stream => due.max(self.behind),
+        };
+        self.behind = due + parcel.span();
+        queue.push(due, parcel);
+    }
+
+    fn draw(&mut self, plan: &FaultPlan, way: Way, carrier: Carrier) -> Lot {
+        let (request, stream) = (way == Way::Request, carrier == Carrier::Stream);
+        // In this order for ever: a seed shall make the same faults in every version.
+        Lot {
+            drop: self.strikes(plan.drop),
+            duplicate: self.strikes(plan.duplicate),
+            corrupt: self.strikes(plan.corrupt),
+            bit: self.random.u64(..),
+            delay: self.strikes(plan.delay),
+            reorder: self.strikes(plan.reorder),
+            stall: request && self.strikes(plan.stall),
+            restart: request && self.strikes(plan.restart),
+            inhibit: request && self.strikes(plan.inhibit),
+            wrong_id: !request && self.strikes(plan.wrong_id),
+            split: stream && self.strikes(plan.split),
+            cut: stream && !request && self.strikes(plan.cut),
+        }
+    }
+}
+
+/// What a request meets at the drive.
+enum Met {
+    /// A drive that listens.
+    Listening,
+    /// One that hears nothing for a while.
+    Deaf,
+    /// One that this befalls.
+    Struck(Blow),
 }
 
 impl Injector {
-    /// The faults of `plan`.
-    pub fn new(plan: FaultPlan) -> Injector {
-        let lane = |seed| Lane { random: fastrand::Rng::with_seed(seed), held: None };
+    /// The faults of `plan` on the wire of a drive on such a carrier.
+    pub fn new(plan: FaultPlan, carrier: Carrier) -> Injector {
         Injector {
-            requests: lane(plan.seed),
-            replies: lane(!plan.seed),
+            lanes: [Lane::new(plan.seed), Lane::new(!plan.seed)],
             plan,
+            carrier,
             stalled_until: Time::default(),
             injected: Injected::default(),
         }
+    }
+
+    /// From now on the faults of `plan`; the counts begin anew. What is under way on a stream is not overtaken.
+    pub(super) fn change(&mut self, plan: FaultPlan) {
+        let behind = self.lanes.each_ref().map(|lane| lane.behind);
+        *self = Injector::new(plan, self.carrier);
+        self.lanes.iter_mut().zip(behind).for_each(|(lane, behind)| lane.behind = behind);
     }
 
     /// What it has done so far.
@@ -117,87 +213,117 @@ impl Injector {
     }
 
     /// Sends `datagram` on its way at `now`, to arrive at `due` if nothing befalls it: puts what becomes of it into
-    /// `queue`. Returns what befalls the drive meanwhile.
+    /// `queue`. Returns what befalls `drive`, at whose wire this is, meanwhile.
+    ///
+    /// On a stream nothing overtakes but what is to be reordered, and a stall holds up instead of losing: the sender's host
+    /// sends again until it is heard.
     pub fn pass(
         &mut self,
         way: Way,
         now: Time,
         mut due: Time,
         mut datagram: Datagram<'_>,
+        drive: &dyn SimDrive,
         queue: &mut Queue,
     ) -> Option<Blow> {
-        let (plan, injected) = (&self.plan, &mut self.injected);
-        let request = way == Way::Request;
-        let lane = if request { &mut self.requests } else { &mut self.replies };
-
-        let mut blow = None;
-        let drop = lane.strikes(plan.drop);
-        let duplicate = lane.strikes(plan.duplicate);
-        let corrupt = lane.strikes(plan.corrupt);
-        let bit = lane.random.u64(..);
-        let delay = lane.strikes(plan.delay);
-        let reorder = lane.strikes(plan.reorder);
-        if request {
-            let stall = lane.strikes(plan.stall);
-            let restart = lane.strikes(plan.restart);
-            let inhibit = lane.strikes(plan.inhibit);
-            if now < self.stalled_until {
-                injected.stalled += 1;
-                return None;
+        let stream = self.carrier == Carrier::Stream;
+        let lot = self.lanes[way as usize].draw(&self.plan, way, self.carrier);
+        let met = if way == Way::Request { self.meets(now, &lot) } else { Met::Listening };
+        let blow = match met {
+            Met::Listening => None,
+            Met::Deaf if stream => {
+                due = due.max(self.stalled_until);
+                None
             }
-            if restart {
-                injected.restarts += 1;
-                return Some(Blow::Restart);
-            }
-            if stall {
-                injected.stalls += 1;
-                injected.stalled += 1;
-                self.stalled_until = now + plan.stall_ns;
-                return None;
-            }
-            if inhibit {
-                injected.inhibits += 1;
-                blow = Some(Blow::Inhibit(now + plan.inhibit_ns));
-            }
-        }
-        let wrong_id = !request && lane.strikes(plan.wrong_id);
-        if drop {
-            injected.dropped += 1;
+            Met::Deaf => return None,
+            Met::Struck(Blow::Restart) => return Some(Blow::Restart),
+            Met::Struck(blow) => Some(blow),
+        };
+        if lot.drop {
+            self.injected.dropped += 1;
             return blow;
         }
-        if wrong_id {
-            injected.wrong_id += 1;
+        if lot.wrong_id && !stream {
             datagram.from = wrong_port(datagram.from);
         }
-        if !request {
-            due = due + plan.answer_ns;
+        if way == Way::Reply {
+            due = due + self.plan.answer_ns;
         }
-        if delay {
-            injected.delayed += 1;
-            due = due + plan.delay_ns;
+        if lot.delay {
+            self.injected.delayed += 1;
+            due = due + self.plan.delay_ns;
         }
-
         let mut parcel = queue.parcel(datagram);
-        if corrupt && !parcel.bytes.is_empty() {
+        if lot.wrong_id {
+            self.injected.wrong_id += 1;
+            if stream {
+                drive.mislabel(&mut parcel.bytes);
+            }
+        }
+        self.enqueue(way, due, parcel, &lot, queue);
+        blow
+    }
+
+    /// Sends a signal of a stream, to arrive at `due`, or behind what is under way in its direction.
+    pub(super) fn signal(&mut self, way: Way, due: Time, parcel: Parcel, queue: &mut Queue) {
+        self.lanes[way as usize].send(Carrier::Stream, due, parcel, queue);
+    }
+
+    fn meets(&mut self, now: Time, lot: &Lot) -> Met {
+        let injected = &mut self.injected;
+        if now < self.stalled_until {
+            injected.stalled += 1;
+            return Met::Deaf;
+        }
+        if lot.restart {
+            injected.restarts += 1;
+            return Met::Struck(Blow::Restart);
+        }
+        if lot.stall {
+            injected.stalls += 1;
+            injected.stalled += 1;
+            self.stalled_until = now + self.plan.stall_ns;
+            return Met::Deaf;
+        }
+        if lot.inhibit {
+            injected.inhibits += 1;
+            return Met::Struck(Blow::Inhibit(now + self.plan.inhibit_ns));
+        }
+        Met::Listening
+    }
+
+    /// Puts `parcel` into `queue`, alone or not, whole or not, or holds it back.
+    fn enqueue(&mut self, way: Way, due: Time, mut parcel: Parcel, lot: &Lot, queue: &mut Queue) {
+        let Injector { lanes, carrier, injected, .. } = self;
+        let lane = &mut lanes[way as usize];
+        if lot.corrupt && !parcel.bytes.is_empty() {
             injected.corrupted += 1;
-            let bit = bit % (parcel.bytes.len() as u64 * 8);
+            let bit = lot.bit % (parcel.bytes.len() as u64 * 8);
             parcel.bytes[(bit / 8) as usize] ^= 1 << (bit % 8);
         }
-        if reorder && lane.held.is_none() {
+        if lot.reorder && lane.held.is_none() {
             injected.reordered += 1;
             lane.held = Some(parcel);
-            return blow;
+            return;
         }
-        if duplicate {
+        if lot.duplicate {
             injected.duplicated += 1;
             let twin = queue.parcel(parcel.datagram());
-            queue.push(due, twin);
+            lane.send(*carrier, due, twin, queue);
         }
-        queue.push(due, parcel);
+        if lot.cut {
+            injected.cut += 1;
+            parcel.bytes.truncate(parcel.bytes.len() / 2);
+            parcel.signal = Signal::End;
+        }
+        if lot.split {
+            injected.split += 1;
+            parcel.dribbles = true;
+        }
+        lane.send(*carrier, due, parcel, queue);
         if let Some(held) = lane.held.take() {
-            queue.push(due, held);
+            lane.send(*carrier, due, held, queue);
         }
-        blow
     }
 }
 
@@ -206,7 +332,7 @@ pub(super) fn wrong_port(address: SocketAddrV4) -> SocketAddrV4 {
     SocketAddrV4::new(*address.ip(), address.port() ^ 1)
 }
 
-/// One datagram with its own bytes.
+/// One datagram with its own bytes, or a part of a stream.
 #[derive(Debug)]
 pub struct Parcel {
     /// Who sent it.
@@ -215,12 +341,21 @@ pub struct Parcel {
     pub to: SocketAddrV4,
     /// Its payload.
     pub bytes: Vec<u8>,
+    /// What it means besides.
+    pub(super) signal: Signal,
+    /// It comes a byte at a time.
+    dribbles: bool,
 }
 
 impl Parcel {
     /// As a view.
     pub fn datagram(&self) -> Datagram<'_> {
         Datagram { from: self.from, to: self.to, bytes: &self.bytes }
+    }
+
+    /// From its first byte to behind its last, ns.
+    fn span(&self) -> u64 {
+        if self.dribbles { self.bytes.len() as u64 * BYTE_NS } else { 0 }
     }
 }
 
@@ -266,10 +401,15 @@ impl Queue {
 
     /// A parcel with the datagram's content, in a buffer that was used before if there is one.
     pub fn parcel(&mut self, datagram: Datagram<'_>) -> Parcel {
-        let mut bytes = self.spare.pop().unwrap_or_default();
+        let mut bytes = self.spare.pop().unwrap_or_else(|| Vec::with_capacity(LEAST_ROOM));
         bytes.clear();
         bytes.extend_from_slice(datagram.bytes);
-        Parcel { from: datagram.from, to: datagram.to, bytes }
+        Parcel { from: datagram.from, to: datagram.to, bytes, signal: Signal::Bytes, dribbles: false }
+    }
+
+    /// A parcel that is a signal of a stream, without bytes.
+    pub(super) fn signal(&mut self, from: SocketAddrV4, to: SocketAddrV4, signal: Signal) -> Parcel {
+        Parcel { signal, ..self.parcel(Datagram { from, to, bytes: &[] }) }
     }
 
     /// Gives a parcel's buffer back.
@@ -314,7 +454,17 @@ impl Queue {
             _ => self.overtaken.pop()?.0,
         };
         self.free.push(ticket.slot);
-        Some((ticket.due, self.slots[ticket.slot].take()?))
+        let parcel = self.slots[ticket.slot].take()?;
+        let dribbles = parcel.dribbles && parcel.bytes.len() > 1;
+        Some((ticket.due, if dribbles { self.first_byte(ticket.due, parcel) } else { parcel }))
+    }
+
+    /// The first byte of what arrives from `due` on a byte at a time. The others follow.
+    fn first_byte(&mut self, due: Time, mut parcel: Parcel) -> Parcel {
+        let first = self.parcel(Datagram { bytes: &parcel.bytes[..1], ..parcel.datagram() });
+        parcel.bytes.remove(0);
+        self.push(due + BYTE_NS, parcel);
+        first
     }
 
     /// How many found no room.
@@ -346,15 +496,42 @@ mod tests {
             inhibit: 0.01,
             inhibit_ns: 3,
             wrong_id: 0.1,
+            split: 0.0,
+            cut: 0.0,
             answer_ns: 100,
         }
+    }
+
+    /// Answers nothing; turns a reply's identity around.
+    struct Mute;
+
+    impl SimDrive for Mute {
+        fn address(&self) -> SocketAddrV4 {
+            DRIVE
+        }
+
+        fn faults(&self) -> FaultPlan {
+            FaultPlan::default()
+        }
+
+        fn receive(&mut self, _: Time, _: SocketAddrV4, _: &[u8], _: &mut Vec<u8>) -> Option<SocketAddrV4> {
+            None
+        }
+
+        fn mislabel(&self, reply: &mut [u8]) {
+            reply.reverse();
+        }
+
+        fn restart(&mut self, _: Time) {}
+
+        fn inhibit(&mut self, _: Time) {}
     }
 
     type Arrived = Vec<(u64, SocketAddrV4, Vec<u8>)>;
 
     /// What arrives of `count` numbered datagrams, one each microsecond.
     fn run(plan: FaultPlan, way: Way, count: u32) -> (Arrived, Injected, u64) {
-        let mut injector = Injector::new(plan);
+        let mut injector = Injector::new(plan, Carrier::Datagrams);
         let mut queue = Queue::new(64);
         let (mut arrived, mut restarts) = (Vec::new(), 0);
         for n in 0..u64::from(count) + 100 {
@@ -362,7 +539,7 @@ mod tests {
             if n < u64::from(count) {
                 let (from, to) = if way == Way::Request { (MASTER, DRIVE) } else { (DRIVE, MASTER) };
                 let bytes = &n.to_le_bytes();
-                let blow = injector.pass(way, now, now, Datagram { from, to, bytes }, &mut queue);
+                let blow = injector.pass(way, now, now, Datagram { from, to, bytes }, &Mute, &mut queue);
                 restarts += u64::from(blow == Some(Blow::Restart));
             }
             while let Some((due, parcel)) = queue.pop(now) {
@@ -390,22 +567,31 @@ mod tests {
     }
 
     #[test]
+    fn the_faults_of_streams_change_nothing_for_datagrams() {
+        for way in [Way::Request, Way::Reply] {
+            let plan = FaultPlan { split: 1.0, cut: 1.0, ..stormy() };
+            assert_eq!(run(plan, way, 2_000), run(stormy(), way, 2_000));
+        }
+    }
+
+    #[test]
     fn the_two_directions_do_not_disturb_each_other() {
         let reply = Datagram { from: DRIVE, to: MASTER, bytes: &[1, 2, 3] };
         let drain = |queue: &mut Queue| {
             std::iter::from_fn(|| queue.pop(Time(u64::MAX))).map(|(due, p)| (due, p.from, p.bytes)).collect()
         };
-        let (mut alone, mut mixed) = (Injector::new(stormy()), Injector::new(stormy()));
+        let (mut alone, mut mixed) =
+            (Injector::new(stormy(), Carrier::Datagrams), Injector::new(stormy(), Carrier::Datagrams));
         let mut queue = Queue::new(8);
         for n in 0..1_000 {
-            alone.pass(Way::Reply, Time(n), Time(n), reply, &mut queue);
+            alone.pass(Way::Reply, Time(n), Time(n), reply, &Mute, &mut queue);
             let expected: Vec<_> = drain(&mut queue);
             for _ in 0..n % 3 {
                 let request = Datagram { from: MASTER, to: DRIVE, bytes: &[4] };
-                mixed.pass(Way::Request, Time(n), Time(n), request, &mut queue);
+                mixed.pass(Way::Request, Time(n), Time(n), request, &Mute, &mut queue);
                 let _: Vec<_> = drain(&mut queue);
             }
-            mixed.pass(Way::Reply, Time(n), Time(n), reply, &mut queue);
+            mixed.pass(Way::Reply, Time(n), Time(n), reply, &Mute, &mut queue);
             let got: Vec<_> = drain(&mut queue);
             assert_eq!(got, expected);
         }

@@ -10,22 +10,39 @@
 pub mod fault;
 pub mod physics;
 pub mod server;
+#[cfg(test)]
+mod testing;
 pub mod world;
 
 use std::net::SocketAddrV4;
 
 use crate::time::Time;
 
-/// A simulated drive that speaks datagrams: the same object behind a real socket and in virtual time.
-pub trait DatagramDrive: Send {
+/// What carries a simulated drive's bytes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Carrier {
+    /// Datagrams, each whole.
+    #[default]
+    Datagrams,
+    /// Connections: bytes in order, split anywhere.
+    Stream,
+}
+
+/// A simulated drive: the same object behind a real socket and in virtual time.
+pub trait SimDrive: Send {
     /// Where it listens.
     fn address(&self) -> SocketAddrV4;
 
     /// The faults between it and the master.
     fn faults(&self) -> FaultPlan;
 
-    /// Takes one datagram. Writes the answer into `reply` (cleared by the caller) and returns where it goes, or `None`
-    /// for no answer.
+    /// What carries its bytes.
+    fn carrier(&self) -> Carrier {
+        Carrier::Datagrams
+    }
+
+    /// Takes one datagram, or what came on the connection of `from`, split anywhere. Writes the answer into `reply` (cleared
+    /// by the caller) and returns where it goes, or `None` for no answer.
     fn receive(
         &mut self,
         now: Time,
@@ -34,6 +51,24 @@ pub trait DatagramDrive: Send {
         reply: &mut Vec<u8>,
     ) -> Option<SocketAddrV4>;
 
+    /// A connection from `from` is asked for; false refuses it. Of streams only, like the three below. No two at a time have
+    /// the same `from`.
+    fn connect(&mut self, _now: Time, _from: SocketAddrV4) -> bool {
+        true
+    }
+
+    /// Whether the drive itself ends the connection of `from`, behind its answer; asked behind each `receive`.
+    fn hangs_up(&mut self, _from: SocketAddrV4) -> bool {
+        false
+    }
+
+    /// The connection of `from`, that it took, has ended, by either side; once for each. Nothing more comes from there. Those
+    /// that a restart ends are told before it.
+    fn disconnected(&mut self, _now: Time, _from: SocketAddrV4) {}
+
+    /// Gives an answer the identity of another one.
+    fn mislabel(&self, _reply: &mut [u8]) {}
+
     /// Power cycle: everything volatile is lost.
     fn restart(&mut self, now: Time);
 
@@ -41,8 +76,8 @@ pub trait DatagramDrive: Send {
     fn inhibit(&mut self, until: Time);
 }
 
-/// Seeded faults between a master and a simulated drive. All rates are probabilities a datagram, 0 ... 1, each way
-/// unless it says otherwise.
+/// Seeded faults between a master and a simulated drive. All rates are probabilities a datagram, or what was handed to a stream
+/// at once, 0 ... 1, each way unless it says otherwise.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FaultPlan {
     /// Seed of the random numbers; the same seed gives the same faults.
@@ -57,9 +92,9 @@ pub struct FaultPlan {
     pub delay: f64,
     /// How much later.
     pub delay_ns: u64,
-    /// A datagram is held until the next one of its direction has passed.
+    /// A datagram is held until the next one of its direction has passed. Nothing else overtakes on a stream.
     pub reorder: f64,
-    /// A request meets a drive that hears nothing for `stall_ns`, this request included.
+    /// A request meets a drive that hears nothing for `stall_ns`, this request included: datagrams are lost, a stream waits.
     pub stall: f64,
     /// How long.
     pub stall_ns: u64,
@@ -69,8 +104,12 @@ pub struct FaultPlan {
     pub inhibit: f64,
     /// How long.
     pub inhibit_ns: u64,
-    /// A reply comes from a wrong port.
+    /// A reply has a wrong identity: it comes from a wrong port, or, on a stream, answers something else.
     pub wrong_id: f64,
+    /// What passes on a stream comes a byte at a time. Changes nothing for datagrams.
+    pub split: f64,
+    /// A connection ends in the middle of a reply. Changes nothing for datagrams.
+    pub cut: f64,
     /// Time from a request's arrival to its answer, ns.
     pub answer_ns: u64,
 }

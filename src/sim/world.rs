@@ -3,6 +3,10 @@
 //! The world is a clock and a carrier at once: time passes only when the code under test reads the clock, sleeps or
 //! waits, and whatever is due by then happens on the way, in order. The same seed and the same calls give the same
 //! bytes at the same instants; [`World::digest`] says so in one number. Nothing here is specific to a protocol.
+//!
+//! Connections are in `streams`.
+
+mod streams;
 
 use std::collections::VecDeque;
 use std::io;
@@ -10,9 +14,10 @@ use std::net::SocketAddrV4;
 use std::os::fd::RawFd;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use super::fault::{Datagram, Injected, Injector, Parcel, Queue, Way};
-use super::{DatagramDrive, FaultPlan};
-use crate::net::{Carriers, Datagrams, Outbox, Received, SendMode, Sent, UdpOptions};
+use self::streams::Links;
+use super::fault::{Blow, Datagram, Injected, Injector, Parcel, Queue, Signal, Way};
+use super::{Carrier, FaultPlan, SimDrive};
+use crate::net::{Carriers, Datagrams, Outbox, Received, SendMode, Sent, StreamPeer, Streams, UdpOptions};
 use crate::rt::{Clock, PollSet, Regions};
 use crate::time::Time;
 
@@ -22,6 +27,8 @@ const UNDER_WAY: usize = 16_384;
 const INBOX: usize = 4_096;
 /// The most datagrams of one `receive`, as on real sockets.
 const BATCH: usize = 64;
+/// Connections of a drive without a further allocation.
+const PEERS: usize = 16;
 /// What one turn of a spinning wait takes, ns.
 const SPIN_NS: u64 = 50;
 
@@ -62,7 +69,7 @@ impl World {
     /// # Errors
     ///
     /// Two drives with one address.
-    pub fn new(drives: Vec<Box<dyn DatagramDrive>>, options: WorldOptions) -> io::Result<World> {
+    pub fn new(drives: Vec<Box<dyn SimDrive>>, options: WorldOptions) -> io::Result<World> {
         let mut stations: Vec<_> = drives.into_iter().map(Station::new).collect();
         stations.sort_by_key(|station| station.address);
         if let Some(pair) = stations.windows(2).find(|pair| pair[0].address == pair[1].address) {
@@ -76,6 +83,7 @@ impl World {
             stations,
             next_station: 0,
             ports: Vec::new(),
+            links: Links::default(),
             under_way: Queue::new(UNDER_WAY),
             reply: Vec::new(),
             digest: 0,
@@ -113,19 +121,24 @@ impl World {
         inner.under_way.push(due, parcel);
     }
 
-    /// Pulls the network plug of the drive at `address`; it goes on by itself. False if there is no such drive.
+    /// Pulls the network plug of the drive at `address`; it goes on by itself. Datagrams are lost; what is sent on a connection
+    /// waits, until the plug is back or the connection is given up. False if there is no such drive.
     pub fn unplug(&self, address: SocketAddrV4) -> bool {
         self.with(address, |station, _| station.plugged = false).is_some()
     }
 
     /// Puts the network plug back. False if there is no such drive.
     pub fn plug(&self, address: SocketAddrV4) -> bool {
-        self.with(address, |station, _| station.plugged = true).is_some()
+        let mut inner = self.lock();
+        let index = inner.station(address);
+        index.map(|index| inner.plug(index)).is_some()
     }
 
-    /// Switches the drive at `address` off and on again. False if there is no such drive.
+    /// Switches the drive at `address` off and on again; its connections are broken off. False if there is no such drive.
     pub fn restart(&self, address: SocketAddrV4) -> bool {
-        self.with(address, |station, now| station.drive.restart(now)).is_some()
+        let mut inner = self.lock();
+        let index = inner.station(address);
+        index.map(|index| inner.strike(index, Some(Blow::Restart))).is_some()
     }
 
     /// Opens the hardware enable (STO) of the drive at `address` for `ns`. False if there is no such drive.
@@ -136,7 +149,7 @@ impl World {
     /// From now on the wire of the drive at `address` has the faults of `plan`; its counters begin anew. False if there
     /// is no such drive.
     pub fn set_faults(&self, address: SocketAddrV4, plan: FaultPlan) -> bool {
-        self.with(address, |station, _| station.injector = Injector::new(plan)).is_some()
+        self.with(address, |station, _| station.injector.change(plan)).is_some()
     }
 
     /// What the wire of the drive at `address` has done to its datagrams.
@@ -173,14 +186,18 @@ impl Carriers for World {
         if inner.station(bind).is_some() || inner.ports.iter().any(|port| port.address == bind) {
             return Err(taken(bind));
         }
-        inner.ports.push(Port { address: bind, inbox: VecDeque::new() });
+        inner.ports.push(Port { address: bind, inbox: VecDeque::new(), dropped: 0 });
         drop(inner);
-        Ok(Box::new(Carrier {
+        Ok(Box::new(Socket {
             world: self.clone(),
             address: bind,
             options: *options,
             taken: Vec::with_capacity(BATCH),
         }))
+    }
+
+    fn streams(&self, peers: Vec<StreamPeer>) -> io::Result<Box<dyn Streams>> {
+        Ok(Box::new(self.open_streams(peers)))
     }
 }
 
@@ -209,10 +226,10 @@ impl Clock for WorldClock {
         let mut inner = self.0.lock();
         let begin = inner.now;
         let arrived = loop {
-            if inner.ports.iter().any(|port| !port.inbox.is_empty()) {
+            if inner.ports.iter().any(|port| !port.inbox.is_empty()) || inner.links.readable() {
                 break true;
             }
-            match inner.under_way.next_due() {
+            match inner.next_due() {
                 Some(due) if due <= until.max(inner.now) => inner.run(due),
                 _ => break false,
             }
@@ -241,6 +258,7 @@ struct Inner {
     /// The one behind the one that was found last.
     next_station: usize,
     ports: Vec<Port>,
+    links: Links,
     under_way: Queue,
     reply: Vec<u8>,
     digest: u64,
@@ -260,15 +278,30 @@ impl std::fmt::Debug for Inner {
 
 struct Station {
     address: SocketAddrV4,
-    drive: Box<dyn DatagramDrive>,
+    drive: Box<dyn SimDrive>,
     injector: Injector,
     plugged: bool,
+    carrier: Carrier,
+    /// Who has a connection with it.
+    peers: Vec<SocketAddrV4>,
 }
 
 impl Station {
-    fn new(drive: Box<dyn DatagramDrive>) -> Station {
-        let (address, injector) = (drive.address(), Injector::new(drive.faults()));
-        Station { address, drive, injector, plugged: true }
+    fn new(drive: Box<dyn SimDrive>) -> Station {
+        let (address, carrier) = (drive.address(), drive.carrier());
+        let injector = Injector::new(drive.faults(), carrier);
+        Station { address, drive, injector, plugged: true, carrier, peers: Vec::with_capacity(PEERS) }
+    }
+
+    /// Sends a request to it on its way, to arrive at `due` if nothing befalls it.
+    fn pass_request(
+        &mut self,
+        now: Time,
+        due: Time,
+        request: Datagram<'_>,
+        queue: &mut Queue,
+    ) -> Option<Blow> {
+        self.injector.pass(Way::Request, now, due, request, &*self.drive, queue)
     }
 }
 
@@ -276,6 +309,8 @@ impl Station {
 struct Port {
     address: SocketAddrV4,
     inbox: VecDeque<Parcel>,
+    /// What found no room there.
+    dropped: u64,
 }
 
 impl Inner {
@@ -309,55 +344,94 @@ impl Inner {
 
     /// Lets everything happen that is due by `at`, then it is `at`.
     fn run(&mut self, at: Time) {
-        while let Some((due, parcel)) = self.under_way.pop(at) {
-            self.now = self.now.max(due);
-            self.deliver(parcel);
+        loop {
+            let next = self.under_way.next_due();
+            let alarm =
+                self.links.alarm().filter(|alarm| *alarm <= at && next.is_none_or(|due| *alarm < due));
+            if let Some(alarm) = alarm {
+                self.now = self.now.max(alarm);
+                self.ring();
+            } else if let Some((due, parcel)) = self.under_way.pop(at) {
+                self.now = self.now.max(due);
+                self.deliver(parcel);
+            } else {
+                break;
+            }
         }
         self.now = self.now.max(at);
     }
 
+    /// When the next thing happens.
+    fn next_due(&self) -> Option<Time> {
+        [self.under_way.next_due(), self.links.alarm()].into_iter().flatten().min()
+    }
+
     fn deliver(&mut self, parcel: Parcel) {
-        if let Some(index) = self.port(parcel.to) {
-            if self.ports[index].inbox.len() < INBOX {
-                record(&mut self.digest, self.now, &parcel);
-                self.delivered += 1;
-                return self.ports[index].inbox.push_back(parcel);
-            }
+        let used_up = if let Some(index) = self.port(parcel.to) {
+            self.take_in_datagram(index, parcel)
         } else if let Some(index) = self.station(parcel.to) {
-            let now = self.now;
-            let station = &mut self.stations[index];
-            if station.plugged {
-                record(&mut self.digest, now, &parcel);
-                self.delivered += 1;
-                self.reply.clear();
-                let to = station.drive.receive(now, parcel.from, &parcel.bytes, &mut self.reply);
-                // No drive answers a drive: with a forged source two of them would go on for ever.
-                if let Some(to) = to.filter(|to| self.port(*to).is_some() || self.station(*to).is_none()) {
-                    let station = &mut self.stations[index];
-                    let reply = Datagram { from: station.address, to, bytes: &self.reply };
-                    let due = now + self.options.latency_ns;
-                    station.injector.pass(Way::Reply, now, due, reply, &mut self.under_way);
-                }
+            if self.stations[index].carrier == Carrier::Datagrams && parcel.signal == Signal::Bytes {
+                self.serve(index, &parcel);
+                Some(parcel)
+            } else {
+                self.hear(index, parcel)
             }
+        } else {
+            self.arrive(parcel)
+        };
+        if let Some(parcel) = used_up {
+            self.under_way.recycle(parcel);
         }
-        self.under_way.recycle(parcel);
+    }
+
+    fn take_in_datagram(&mut self, port: usize, parcel: Parcel) -> Option<Parcel> {
+        if self.ports[port].inbox.len() >= INBOX {
+            self.ports[port].dropped += 1;
+            return Some(parcel);
+        }
+        record(&mut self.digest, self.now, &parcel);
+        self.delivered += 1;
+        self.ports[port].inbox.push_back(parcel);
+        None
+    }
+
+    /// A datagram comes to a drive.
+    fn serve(&mut self, index: usize, parcel: &Parcel) {
+        let now = self.now;
+        let station = &mut self.stations[index];
+        if !station.plugged {
+            return;
+        }
+        record(&mut self.digest, now, parcel);
+        self.delivered += 1;
+        self.reply.clear();
+        let to = station.drive.receive(now, parcel.from, &parcel.bytes, &mut self.reply);
+        // No drive answers a drive: with a forged source two of them would go on for ever.
+        if let Some(to) = to.filter(|to| self.port(*to).is_some() || self.station(*to).is_none()) {
+            let station = &mut self.stations[index];
+            let reply = Datagram { from: station.address, to, bytes: &self.reply };
+            let due = now + self.options.latency_ns;
+            station.injector.pass(Way::Reply, now, due, reply, &*station.drive, &mut self.under_way);
+        }
     }
 
     /// A carrier's datagram leaves now.
     fn depart(&mut self, datagram: Datagram<'_>) {
-        let (now, due) = (self.now, self.now + self.options.latency_ns);
         if let Some(index) = self.station(datagram.to) {
-            let station = &mut self.stations[index];
-            if station.plugged
-                && let Some(blow) =
-                    station.injector.pass(Way::Request, now, due, datagram, &mut self.under_way)
-            {
-                blow.strike(now, &mut *station.drive);
+            if self.stations[index].plugged {
+                self.depart_to(index, datagram);
             }
         } else {
             let parcel = self.under_way.parcel(datagram);
-            self.under_way.push(due, parcel);
+            self.under_way.push(self.now + self.options.latency_ns, parcel);
         }
+    }
+
+    /// A request leaves for drive `index` now.
+    fn depart_to(&mut self, index: usize, request: Datagram<'_>) {
+        let due = self.now + self.options.latency_ns;
+        let blow = self.stations[index].pass_request(self.now, due, request, &mut self.under_way);
+        self.strike(index, blow);
     }
 }
 
@@ -368,7 +442,7 @@ fn record(digest: &mut u64, at: Time, parcel: &Parcel) {
     for address in [parcel.from, parcel.to] {
         add(u64::from(address.ip().to_bits()) << 16 | u64::from(address.port()));
     }
-    add(parcel.bytes.len() as u64);
+    add((parcel.signal as u64) << 32 | parcel.bytes.len() as u64);
     for chunk in parcel.bytes.chunks(8) {
         let mut word = [0; 8];
         word[..chunk.len()].copy_from_slice(chunk);
@@ -378,7 +452,7 @@ fn record(digest: &mut u64, at: Time, parcel: &Parcel) {
 
 /// A carrier of datagrams in a world.
 #[derive(Debug)]
-struct Carrier {
+struct Socket {
     world: World,
     address: SocketAddrV4,
     options: UdpOptions,
@@ -386,7 +460,7 @@ struct Carrier {
     taken: Vec<Parcel>,
 }
 
-impl Datagrams for Carrier {
+impl Datagrams for Socket {
     fn fd(&self) -> Option<RawFd> {
         None
     }
@@ -435,12 +509,17 @@ impl Datagrams for Carrier {
         BATCH
     }
 
+    fn dropped(&self) -> u64 {
+        let inner = self.world.lock();
+        inner.port(self.address).map_or(0, |port| inner.ports[port].dropped)
+    }
+
     /// Virtual time is never real time: nothing to lock.
     fn memory(&self, _regions: &mut Regions) {}
 }
 
 /// The address is free again, as when a socket is closed.
-impl Drop for Carrier {
+impl Drop for Socket {
     fn drop(&mut self) {
         self.world.lock().ports.retain(|port| port.address != self.address);
     }
@@ -466,7 +545,7 @@ mod tests {
         asked: u8,
     }
 
-    impl DatagramDrive for Echo {
+    impl SimDrive for Echo {
         fn address(&self) -> SocketAddrV4 {
             self.address
         }
@@ -498,7 +577,7 @@ mod tests {
     fn world(count: u8, faults: FaultPlan, options: WorldOptions) -> World {
         let drives = (0..count).map(|n| {
             let faults = FaultPlan { seed: faults.seed + u64::from(n), ..faults.clone() };
-            Box::new(Echo { address: drive(n), faults, asked: 0 }) as Box<dyn DatagramDrive>
+            Box::new(Echo { address: drive(n), faults, asked: 0 }) as Box<dyn SimDrive>
         });
         World::new(drives.collect(), options).unwrap()
     }
@@ -606,6 +685,8 @@ mod tests {
             inhibit: 0.01,
             inhibit_ns: 1_000_000,
             wrong_id: 0.05,
+            split: 0.0,
+            cut: 0.0,
             answer_ns: 30 * US,
         };
         let run = |faults: &FaultPlan, seed| {
@@ -664,6 +745,19 @@ mod tests {
         assert!(world.clock().wait(&mut PollSet::default(), begin + S));
         assert_eq!(master.receive(), [(begin + MS, STRANGER, vec![9; 16], true)]);
         assert_eq!(world.delivered(), 2);
+    }
+
+    #[test]
+    fn what_finds_no_room_at_a_carrier_is_lost_and_counted() {
+        let world = world(0, FaultPlan::default(), WorldOptions::default());
+        let mut master = Master::new(&world, 0, SendMode::Batch);
+        (0..INBOX + 7).for_each(|_| world.inject(MASTER, STRANGER, &[9], world.now()));
+        world.advance(1);
+        assert_eq!(master.carrier.dropped(), 7);
+        assert_eq!(master.receive().len(), INBOX);
+        world.inject(MASTER, STRANGER, &[9], world.now());
+        world.advance(1);
+        assert_eq!((master.receive().len(), master.carrier.dropped()), (1, 7));
     }
 
     #[test]
