@@ -1,0 +1,209 @@
+//! Addresses and values in every form, and the calls they make.
+
+use proptest::prelude::*;
+
+use super::*;
+
+fn target(text: &str) -> Option<(String, Width)> {
+    Target::parse(text).map(|target| (target.parameter.to_string(), target.width))
+}
+
+#[test]
+fn addresses_are_read_in_every_form() {
+    for (text, parameter, width) in [
+        ("06.042", "06.042", Width::Word),
+        ("control-word", "06.042", Width::Word),
+        ("01.021", "01.021", Width::Long),
+        ("preset-reference-1", "01.021", Width::Long),
+        ("01.021.word", "01.021", Width::Word),
+        ("06.042.long", "06.042", Width::Long),
+        ("control-word.long", "06.042", Width::Long),
+        // Not known here: 32 bits, of which a smaller one fills the lower.
+        ("07.001", "07.001", Width::Long),
+        ("07.001.word", "07.001", Width::Word),
+        ("4.15.009", "4.15.009", Width::Word),
+        ("2.modbus-timeout", "2.15.009", Width::Word),
+        ("2.modbus-timeout.long", "2.15.009", Width::Long),
+        ("1.06.042", "1.06.042", Width::Long),
+    ] {
+        assert_eq!(target(text), Some((parameter.to_owned(), width)), "{text}");
+    }
+    for text in [
+        "",
+        "6.42",
+        "06.042.",
+        "06.042.byte",
+        ".word",
+        "speed",
+        "modbus-timeout",
+        "4.control-word",
+        "5.modbus-timeout",
+        "0.modbus-timeout",
+        "06.042.word.long",
+        "0x20A8",
+        "control-word.",
+    ] {
+        assert_eq!(target(text), None, "{text}");
+        assert!(matches!(Parameters.read(text), Err(NotationError::Address { .. })), "{text}");
+    }
+}
+
+#[test]
+fn a_call_carries_width_slot_menu_and_number() {
+    let call = |service, address, value| Ok(Call { service, address, value });
+    assert_eq!(Parameters.read("06.042"), call(READ, 0x0000_062A, 0));
+    assert_eq!(Parameters.read("01.021"), call(READ, 0x0100_0115, 0));
+    assert_eq!(Parameters.read("4.15.009"), call(READ, 0x0004_0F09, 0));
+    assert_eq!(Parameters.write("06.042", 0x0180), call(WRITE, 0x0000_062A, 0x0180));
+    assert_eq!(Parameters.write("01.021", 0xFFFF_FFFF), call(WRITE, 0x0100_0115, 0xFFFF_FFFF));
+    // A number of 16 bits with its sign above them.
+    assert_eq!(Parameters.write("20.001", 0xFFFF_FFFE), call(WRITE, 0x0000_1401, 0xFFFE));
+    for (address, value) in [("06.042", 0x1_0000), ("06.042", 0xFFFF_0000), ("01.021", 1 << 32)] {
+        let wrong = Parameters.write(address, value);
+        assert!(matches!(wrong, Err(NotationError::Value { .. })), "{address} {value:#x}: {wrong:?}");
+    }
+}
+
+#[test]
+fn only_a_packed_target_is_one() {
+    for address in [0x0200_0115, 0xFF00_0115, 0x0005_0F09, u32::MAX] {
+        assert_eq!(Target::unpack(address), None, "{address:#x}");
+    }
+}
+
+#[test]
+fn values_are_counts_or_scaled_with_a_point() {
+    for (address, text, raw) in [
+        ("01.021", "15000", 15_000),
+        ("01.021", "1500.0", 15_000),
+        ("01.021", "-0.5", 0xFFFF_FFFB),
+        ("01.021", "-5", 0xFFFF_FFFB),
+        ("01.021", "0xFFFFFFFB", 0xFFFF_FFFB),
+        ("02.011", "0.5", 500),
+        ("22.001", "1.021", 1_021),
+        ("06.042", "0x0183", 0x0183),
+        ("06.042", "65535", 0xFFFF),
+        ("06.015", "true", 1),
+        ("06.015", "false", 0),
+        ("20.001", "-1", 0xFFFF),
+        ("20.001", "0xFFFF", 0xFFFF),
+        ("01.021.word", "-1", 0xFFFF),
+        ("07.001", "4294967295", 0xFFFF_FFFF),
+        ("07.001", "-1", 0xFFFF_FFFF),
+        ("07.001.word", "-1", 0xFFFF),
+        ("07.001.word", "65535", 0xFFFF),
+    ] {
+        assert_eq!(Parameters.value(address, text), Ok(raw), "{address} {text}");
+    }
+    for (address, text) in [
+        ("06.042", "65536"),
+        ("06.042", "-1"),
+        ("06.042", "0x10000"),
+        ("20.001", "32768"),
+        ("20.001", "0x10000"),
+        ("01.021", "214748364.8"),
+        ("01.021", "0x100000000"),
+        ("01.021", "0xFFFFFFFFFFFFFFFF"),
+        ("07.001.word", "65536"),
+        ("07.001", "4294967296"),
+    ] {
+        let wrong = Parameters.value(address, text);
+        assert!(matches!(wrong, Err(NotationError::Range { .. })), "{address} {text}: {wrong:?}");
+    }
+    for (address, text) in [
+        ("01.021", "1500.00"),
+        ("01.021", "1500."),
+        ("01.021", ".5"),
+        ("01.021", "-.5"),
+        ("01.021", "--1.5"),
+        ("01.021", "1.-5"),
+        ("01.021", "1.5.0"),
+        ("01.021", "99999999999999999999.5"),
+        ("01.021", "1500rpm"),
+        ("01.021", "1e3"),
+        ("06.042", "1.0"),
+        ("07.001", "1.5"),
+        ("07.001", ""),
+        ("07.001", "0x"),
+        ("07.001", "0x+5"),
+        ("07.001", "0x-5"),
+        ("07.001", "99999999999999999999"),
+    ] {
+        let wrong = Parameters.value(address, text);
+        assert!(matches!(wrong, Err(NotationError::Value { .. })), "{address} {text}: {wrong:?}");
+    }
+}
+
+#[test]
+fn values_are_shown_as_counts_and_scaled() {
+    for (address, raw, shown) in [
+        ("01.021", 15_000, "15000 (0x3A98) = 1500.0 rpm"),
+        ("01.021", 0xFFFF_FFFB, "-5 (0xFFFFFFFB) = -0.5 rpm"),
+        ("02.011", 500, "500 (0x1F4) = 0.500 s/1000rpm"),
+        ("22.001", 1_021, "1021 (0x3FD) = 1.021"),
+        ("05.005", 560, "560 (0x230) = 560 V"),
+        ("06.042", 0x0183, "387 (0x183)"),
+        ("04.020", 0xFFFF_FF9C, "-100 (0xFF9C) = -10.0 %"),
+        ("07.001", 0xFFFF_FFFF, "-1 (0xFFFFFFFF)"),
+        ("speed", 7, "7 (0x7)"),
+    ] {
+        assert_eq!(Parameters.show(address, raw), shown, "{address}");
+    }
+    assert_eq!(Parameters.number("04.020", 0xFF9C), -100);
+    assert_eq!(Parameters.number("06.042", 0xFFFF), 0xFFFF);
+}
+
+#[test]
+fn a_value_read_back_is_known_again() {
+    assert!(Parameters.is_same("04.020", 0xFFFF_FF9C, 0xFF9C));
+    assert!(Parameters.is_same("07.001", 0xFFFF_FFFF, 0xFFFF_FFFF));
+    assert!(!Parameters.is_same("01.021", 0xFFFF, 0xFFFF_FFFF));
+    assert!(!Parameters.is_same("06.042", 0x0180, 0x0181));
+}
+
+#[test]
+fn a_refusal_says_whose_it_is() {
+    assert_eq!(Parameters.reason(2), "exception 02h no such parameter, or too many registers at once");
+    assert!(Parameters.reason(NOT_TAKEN).contains("read-only"));
+    assert!(Parameters.reason(UNREACHABLE).contains("addressing"));
+    assert_eq!(Parameters.reason(0x1234), "status 0x1234");
+}
+
+proptest! {
+    #[test]
+    fn every_target_survives_its_call(slot in 0..=SLOT_MAX, place in any::<[u8; 2]>(), long in any::<bool>()) {
+        let [menu, number] = place;
+        let width = if long { Width::Long } else { Width::Word };
+        let target = Target { parameter: Parameter { slot, menu, number }, width };
+        prop_assert_eq!(Target::unpack(target.pack()), Some(target));
+    }
+
+    #[test]
+    fn what_is_shown_can_be_written(raw in any::<u32>(), index in any::<prop::sample::Index>()) {
+        let all: Vec<&Known> = catalogue::all().filter(|known| known.parameter.slot == 0).collect();
+        let known = *index.get(&all);
+        let address = known.parameter.to_string();
+        let raw = u64::from(known.width.raw(i64::from(raw)));
+        let shown = Parameters.show(&address, raw);
+        // The count, its bits, and the scaled value all mean the same.
+        let (count, rest) = shown.split_once(" (").unwrap();
+        let (bits, scaled) = rest.split_once(')').unwrap();
+        prop_assert_eq!(Parameters.value(&address, count), Ok(raw));
+        prop_assert_eq!(Parameters.value(&address, bits), Ok(raw));
+        if let Some(scaled) = scaled.strip_prefix(" = ") {
+            let number = scaled.split(' ').next().unwrap();
+            prop_assert_eq!(Parameters.value(&address, number), Ok(raw));
+        }
+    }
+
+    #[test]
+    fn no_text_makes_the_notation_panic(
+        address in "[0-9.a-z-]{0,12}|\\PC{0,12}",
+        value in "[0-9.x-]{0,12}|\\PC{0,12}",
+        raw in any::<u64>(),
+    ) {
+        let _ = (Parameters.value(&address, &value), Parameters.write(&address, raw));
+        let _ = (Parameters.show(&address, raw), Parameters.number(&address, raw));
+        let _ = Parameters.value("01.021", &value);
+    }
+}

@@ -1,0 +1,258 @@
+//! Addresses of the guides and of masters in the field, every address there and back, and the catalogue.
+
+use proptest::prelude::*;
+
+use super::*;
+
+fn parameter(text: &str) -> Parameter {
+    text.parse().unwrap_or_else(|error| panic!("{text}: {error}"))
+}
+
+#[test]
+fn reference_addresses_of_the_guides_and_of_masters_in_the_field() {
+    for (text, word, long) in [
+        ("00.001", 0x0000, 0x4000),
+        ("01.006", 0x0069, 0x4069),
+        ("01.014", 0x0071, 0x4071),
+        ("01.015", 0x0072, 0x4072),
+        ("01.021", 0x0078, 0x4078),
+        ("02.001", 0x00C8, 0x40C8),
+        ("03.002", 0x012D, 0x412D),
+        ("03.022", 0x0141, 0x4141),
+        ("04.001", 0x0190, 0x4190),
+        ("04.020", 0x01A3, 0x41A3),
+        ("05.001", 0x01F4, 0x41F4),
+        ("05.005", 0x01F8, 0x41F8),
+        ("06.015", 0x0266, 0x4266),
+        ("06.042", 0x0281, 0x4281),
+        ("06.043", 0x0282, 0x4282),
+        ("10.001", 0x03E8, 0x43E8),
+        ("10.002", 0x03E9, 0x43E9),
+        ("10.020", 0x03FB, 0x43FB),
+        ("10.033", 0x0408, 0x4408),
+        ("10.038", 0x040D, 0x440D),
+        ("10.040", 0x040F, 0x440F),
+        ("11.029", 0x0468, 0x4468),
+        ("20.021", 0x07E4, 0x47E4),
+    ] {
+        let parameter = parameter(text);
+        for (width, address) in [(Width::Word, word), (Width::Long, long)] {
+            assert_eq!(parameter.address(Addressing::Standard, width), Some(address), "{text}");
+            assert_eq!(Parameter::from_address(address, Addressing::Standard), Some((parameter, width)));
+        }
+    }
+}
+
+#[test]
+fn modified_addressing_has_256_parameters_a_menu_and_64_menus() {
+    let address = |text| parameter(text).address(Addressing::Modified, Width::Word);
+    assert_eq!(address("00.001"), Some(0));
+    assert_eq!(address("06.042"), Some(6 * 256 + 41));
+    assert_eq!(address("06.255"), Some(7 * 256 - 2));
+    assert_eq!(address("63.255"), Some(0x3FFE));
+    assert_eq!(address("64.001"), None);
+    let long = parameter("06.042").address(Addressing::Modified, Width::Long);
+    assert_eq!(long, Some(0x4000 + 6 * 256 + 41));
+}
+
+#[test]
+fn the_edges_of_standard_addressing_are_those_of_the_si_ethernet_guide() {
+    let address = |text| parameter(text).address(Addressing::Standard, Width::Word);
+    assert_eq!(address("162.099"), Some(16298));
+    assert_eq!(address("01.000"), Some(99));
+    assert_eq!(address("06.100"), None);
+    // 163.84 would be the end of 14 bits, 162.99 is that of the menus.
+    assert_eq!(Parameter::from_address(16299, Addressing::Standard), None);
+    assert_eq!(Parameter::from_address(0x3FFF, Addressing::Modified), None);
+    // Nothing is at 00.000.
+    assert_eq!(Parameter::default().address(Addressing::Standard, Width::Word), None);
+    assert_eq!(Parameter::default().address(Addressing::Modified, Width::Long), None);
+}
+
+#[test]
+fn bit_15_is_reserved() {
+    for addressing in [Addressing::Standard, Addressing::Modified] {
+        assert!((0x8000..=0xFFFF).all(|address| Parameter::from_address(address, addressing).is_none()));
+    }
+}
+
+#[test]
+fn every_address_is_one_parameter_and_back() {
+    for addressing in [Addressing::Standard, Addressing::Modified] {
+        let mut count = 0;
+        for address in 0..0x8000 {
+            if let Some((parameter, width)) = Parameter::from_address(address, addressing) {
+                assert_eq!(parameter.address(addressing, width), Some(address));
+                assert_eq!(parameter.to_string().parse(), Ok(parameter));
+                count += 1;
+            }
+        }
+        let all = (usize::from(addressing.menu_max()) + 1) * (usize::from(addressing.number_max()) + 1) - 1;
+        assert_eq!(count, 2 * all);
+    }
+}
+
+#[test]
+fn a_parameter_is_written_as_the_manuals_do() {
+    assert_eq!(parameter("06.042"), Parameter::CONTROL_WORD);
+    assert_eq!(parameter("6.042"), Parameter::CONTROL_WORD);
+    assert_eq!(parameter("0.06.042"), Parameter::CONTROL_WORD);
+    assert_eq!(parameter("1.06.042"), Parameter::new(6, 42).in_slot(1));
+    assert_eq!(Parameter::new(6, 42).to_string(), "06.042");
+    assert_eq!(Parameter::new(6, 42).in_slot(1).to_string(), "1.06.042");
+    assert_eq!(Parameter::new(162, 99).to_string(), "162.099");
+}
+
+#[test]
+fn what_could_be_two_parameters_is_none() {
+    for text in [
+        "6.42",
+        "06.42",
+        "06.4",
+        "06.0042",
+        "06",
+        "",
+        ".",
+        "06.",
+        ".042",
+        "06..042",
+        "06.042.",
+        "+6.042",
+        "06.+42",
+        "06.04a",
+        " 06.042",
+        "06.042 ",
+        "5.06.042",
+        "01.06.042",
+        "1.1.06.042",
+        "-1.06.042",
+        "00.000",
+        "163.001",
+        "64.100",
+        "06.256",
+        "0006.042",
+        "06.\u{661}42",
+        "06,042",
+    ] {
+        assert_eq!(text.parse::<Parameter>(), Err(ParseError), "{text}");
+    }
+}
+
+#[test]
+fn slots_are_units_and_the_drive_has_two() {
+    assert_eq!(Parameter::CONTROL_WORD.unit(DRIVE_UNIT), 255);
+    assert_eq!(Parameter::CONTROL_WORD.unit(0), 0);
+    assert_eq!(parameter("4.15.009").unit(DRIVE_UNIT), 4);
+    for unit in 0..=255 {
+        let expected = match unit {
+            0 | 255 => Some(0),
+            1..=4 => Some(unit),
+            _ => None,
+        };
+        assert_eq!(slot(unit), expected);
+    }
+}
+
+#[test]
+fn a_setup_parameter_of_menu_22_says_menu_and_number() {
+    assert_eq!(Parameter::REFERENCE.to_setup(), Some(1_021));
+    assert_eq!(Parameter::STATUS_WORD.to_setup(), Some(10_040));
+    assert_eq!(Parameter::from_setup(10_040), Some(Parameter::STATUS_WORD));
+    assert_eq!(parameter("1.06.042").to_setup(), None);
+    assert_eq!(Parameter::new(60, 1).to_setup(), None);
+    assert_eq!(Parameter::from_setup(1_256), None);
+    assert_eq!(Parameter::from_setup(60_001), None);
+}
+
+#[test]
+fn widths_cut_and_extend() {
+    assert_eq!((Width::Word.number(0xFFFF, true), Width::Word.number(0xFFFF, false)), (-1, 0xFFFF));
+    assert_eq!(Width::Word.number(0x1234_8000, true), -32768);
+    assert_eq!((Width::Long.number(u32::MAX, true), Width::Long.number(u32::MAX, false)), (-1, 0xFFFF_FFFF));
+    assert_eq!((Width::Word.raw(-1), Width::Long.raw(-1)), (0xFFFF, 0xFFFF_FFFF));
+    for (width, signed) in
+        [(Width::Word, true), (Width::Word, false), (Width::Long, true), (Width::Long, false)]
+    {
+        let (low, high) = width.range(signed);
+        for value in [low, low + 1, 0, high - 1, high] {
+            assert_eq!(width.number(width.raw(value), signed), value, "{width:?} {signed}");
+        }
+    }
+}
+
+#[test]
+fn the_catalogue_is_in_order_and_every_name_is_its_own() {
+    let all: Vec<&Known> = catalogue::all().collect();
+    let place = |known: &Known| (known.parameter.slot, known.parameter.menu, known.parameter.number);
+    assert!(all.windows(2).all(|pair| place(pair[0]) < place(pair[1])));
+    for known in all {
+        assert_eq!(known.parameter.known(), Some(known));
+        assert_eq!(catalogue::named(known.name, known.parameter.slot != 0), Some(known));
+        assert!(known.parameter.address(Addressing::Standard, known.width).is_some());
+        let (low, high) = known.width.range(known.signed);
+        assert!(low <= known.min && known.min < known.max && known.max <= high, "{known:?}");
+    }
+}
+
+#[test]
+fn what_the_master_and_the_drive_live_by_is_known() {
+    for (parameter, width, decimals, access) in [
+        (Parameter::CONTROL_WORD, Width::Word, 0, Access::ReadWrite),
+        (Parameter::CONTROL_WORD_ENABLE, Width::Word, 0, Access::ReadWrite),
+        (Parameter::REFERENCE, Width::Long, 1, Access::ReadWrite),
+        (Parameter::REFERENCE_SELECTOR, Width::Word, 0, Access::ReadWrite),
+        (Parameter::PRESET_SELECTOR, Width::Word, 0, Access::ReadWrite),
+        (Parameter::SPEED, Width::Long, 1, Access::ReadOnly),
+        (Parameter::LOAD, Width::Word, 1, Access::ReadOnly),
+        (Parameter::STATUS_WORD, Width::Word, 0, Access::ReadOnly),
+        (Parameter::TRIP, Width::Word, 0, Access::ReadOnly),
+        (Parameter::FIRMWARE, Width::Long, 0, Access::ReadOnly),
+    ] {
+        let known = parameter.known().unwrap_or_else(|| panic!("{parameter}"));
+        assert_eq!((known.width, known.decimals, known.access), (width, decimals, access), "{parameter}");
+    }
+    assert_eq!(parameter("10.029").known().map(|known| known.name), Some("trip-9"));
+    assert_eq!(parameter("20.040").known().map(|known| known.name), Some("application-long-40"));
+    assert_eq!(parameter("22.080").known().map(|known| known.name), Some("menu-0-setup-80"));
+    assert_eq!(parameter("22.081").known(), None);
+    // The interface's menu is the same in every slot, and not that of the drive.
+    for slot in 1..=4 {
+        let known = Parameter::new(15, 9).in_slot(slot).known();
+        assert_eq!(known.map(|known| known.name), Some("modbus-timeout"));
+    }
+    assert_eq!(parameter("15.009").known(), None);
+    assert_eq!(catalogue::menu(0, 6).count(), 14);
+}
+
+#[test]
+fn scaled_values_are_rounded_and_kept_within_the_range() {
+    let speed = Parameter::REFERENCE.known().unwrap();
+    assert_eq!((speed.value(15_000), speed.value(-5)), (1500.0, -0.5));
+    assert_eq!(
+        (speed.count(1500.0), speed.count(-0.46), speed.count(0.04)),
+        (Some(15_000), Some(-5), Some(0))
+    );
+    assert_eq!((speed.count(50_000.0), speed.count(50_000.06)), (Some(500_000), None));
+    for value in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, f64::MAX] {
+        assert_eq!(speed.count(value), None, "{value}");
+    }
+}
+
+proptest! {
+    #[test]
+    fn no_text_makes_the_parser_panic_and_what_it_reads_it_writes_the_same(
+        text in "[0-9]{0,3}[.][0-9]{3}|[0-9.+a-z -]{0,12}|\\PC{0,12}",
+    ) {
+        if let Ok(parameter) = text.parse::<Parameter>() {
+            prop_assert_eq!(parameter.to_string().parse(), Ok(parameter));
+        }
+    }
+
+    #[test]
+    fn a_count_comes_back_from_its_scaled_value(index in any::<prop::sample::Index>(), share in 0.0..=1.0_f64) {
+        let all: Vec<&Known> = catalogue::all().collect();
+        let known = *index.get(&all);
+        let count = known.min + ((known.max - known.min) as f64 * share) as i64;
+        prop_assert_eq!(known.count(known.value(count)), Some(count));
+    }
+}

@@ -1,0 +1,350 @@
+//! Golden messages, every split of a stream, and properties on arbitrary bytes.
+
+use proptest::prelude::*;
+
+use super::*;
+
+/// Transaction 42 to the drive itself, as the guides have it.
+const HEADER_42: Header = Header { transaction: 42, unit: 0xFF };
+
+/// M701 manual, page 129: function 16 writes 12345 to Pr 20.021 ... 20.023, 32 bits.
+const WRITE_REQUEST: [u8; 25] = [
+    0x00, 0x2A, 0x00, 0x00, 0x00, 0x13, 0xFF, 0x10, 0x47, 0xE4, 0x00, 0x06, 0x0C, 0x00, 0x00, 0x30, 0x39,
+    0x00, 0x00, 0x30, 0x39, 0x00, 0x00, 0x30, 0x39,
+];
+const WRITE_RESPONSE: [u8; 12] = [0x00, 0x2A, 0x00, 0x00, 0x00, 0x06, 0xFF, 0x10, 0x47, 0xE4, 0x00, 0x06];
+
+/// SI-Ethernet guide: function 23 writes the same and reads Pr 20.024 ... 20.026, 32 bits.
+const READ_WRITE_REQUEST: [u8; 29] = [
+    0x00, 0x2A, 0x00, 0x00, 0x00, 0x17, 0xFF, 0x17, 0x47, 0xE7, 0x00, 0x06, 0x47, 0xE4, 0x00, 0x06, 0x0C,
+    0x00, 0x00, 0x30, 0x39, 0x00, 0x00, 0x30, 0x39, 0x00, 0x00, 0x30, 0x39,
+];
+/// Its response, with 1, -2 and 15000 as what is read.
+const READ_WRITE_RESPONSE: [u8; 21] = [
+    0x00, 0x2A, 0x00, 0x00, 0x00, 0x0F, 0xFF, 0x17, 0x0C, 0x00, 0x00, 0x00, 0x01, 0xFF, 0xFF, 0xFF, 0xFE,
+    0x00, 0x00, 0x3A, 0x98,
+];
+
+/// SI-Ethernet guide: an exception.
+const EXCEPTION: [u8; 9] = [0x00, 0x2A, 0x00, 0x00, 0x00, 0x03, 0xFF, 0x90, 0x02];
+
+/// What pymodbus 3.16.1 answers to a PDU that it cannot read.
+const PYMODBUS_EXCEPTION: [u8; 9] = [0x00, 0x2A, 0x00, 0x00, 0x00, 0x03, 0xFF, 0x80, 0x01];
+
+fn longs(values: &[i32]) -> RegistersBuffer {
+    let mut buffer = RegistersBuffer::new();
+    assert!(values.iter().all(|value| buffer.push_long(*value)));
+    buffer
+}
+
+fn emitted(request: &Request<'_>, header: Header) -> Vec<u8> {
+    written(request.size(), |out| request.emit(header, out))
+}
+
+fn answered(response: &Response<'_>, header: Header) -> Vec<u8> {
+    written(response.size(), |out| response.emit(header, out))
+}
+
+/// What `emit` wrote: just its size, and nothing into a buffer that is too short.
+fn written(size: usize, emit: impl Fn(&mut [u8]) -> usize) -> Vec<u8> {
+    let mut bytes = [0xEE; ADU_MAX + 4];
+    assert_eq!(emit(&mut bytes), size);
+    assert!(bytes[size..].iter().all(|byte| *byte == 0xEE), "wrote behind its end");
+    let mut short = [0xEE; ADU_MAX];
+    assert_eq!(emit(&mut short[..size - 1]), 0);
+    assert_eq!(short, [0xEE; ADU_MAX], "wrote into a buffer that is too short");
+    bytes[..size].to_vec()
+}
+
+/// One of each.
+fn requests(data: Registers<'_>) -> [Request<'_>; 4] {
+    [
+        Request::Read { address: 0x412D, count: 2 },
+        Request::WriteOne { address: 0x0281, value: 0x0183 },
+        Request::Write { address: 0x47E4, data },
+        Request::ReadWrite { read: 0x400A, count: 8, write: 0x4000, data },
+    ]
+}
+
+/// One of each.
+fn responses(data: Registers<'_>) -> [Response<'_>; 5] {
+    [
+        Response::Read { data },
+        Response::WriteOne { address: 0x0281, value: 0x0183 },
+        Response::Written { address: 0x47E4, count: 6 },
+        Response::ReadWritten { data },
+        Response::Exception { function: function::READ, code: ExceptionCode::ADDRESS },
+    ]
+}
+
+#[test]
+fn golden_write_of_the_m701_manual() {
+    let data = longs(&[12345, 12345, 12345]);
+    let request = Request::Write { address: 0x47E4, data: data.registers() };
+    assert_eq!(emitted(&request, HEADER_42), WRITE_REQUEST);
+    assert_eq!(Request::parse(&WRITE_REQUEST), Ok((HEADER_42, request)));
+    let response = Response::Written { address: 0x47E4, count: 6 };
+    assert_eq!(answered(&response, HEADER_42), WRITE_RESPONSE);
+    assert_eq!(Response::parse(&WRITE_RESPONSE), Ok((HEADER_42, response)));
+}
+
+#[test]
+fn golden_read_write_of_the_si_ethernet_guide() {
+    let data = longs(&[12345, 12345, 12345]);
+    let request = Request::ReadWrite { read: 0x47E7, count: 6, write: 0x47E4, data: data.registers() };
+    assert_eq!(emitted(&request, HEADER_42), READ_WRITE_REQUEST);
+    assert_eq!(Request::parse(&READ_WRITE_REQUEST), Ok((HEADER_42, request)));
+
+    let data = longs(&[1, -2, 15000]);
+    let response = Response::ReadWritten { data: data.registers() };
+    assert_eq!(answered(&response, HEADER_42), READ_WRITE_RESPONSE);
+    let Ok((HEADER_42, Response::ReadWritten { data })) = Response::parse(&READ_WRITE_RESPONSE) else {
+        panic!("{:?}", Response::parse(&READ_WRITE_RESPONSE));
+    };
+    assert_eq!(
+        [data.long(0), data.long(1), data.long(2), data.long(3)],
+        [Some(1), Some(-2), Some(15000), None]
+    );
+    assert_eq!((data.word(2), data.word(5), data.word(6)), (Some(0xFFFF), Some(0x3A98), None));
+    assert!(data.words().eq([0, 1, 0xFFFF, 0xFFFE, 0, 0x3A98]));
+}
+
+#[test]
+fn golden_read_and_write_of_one_register() {
+    // Modbus Application Protocol v1.1b3, 6.3 and 6.6, behind a header.
+    let read = [0, 1, 0, 0, 0, 6, 0xFF, 3, 0x00, 0x6B, 0x00, 0x03];
+    let header = Header { transaction: 1, unit: 0xFF };
+    assert_eq!(Request::parse(&read), Ok((header, Request::Read { address: 0x006B, count: 3 })));
+    let answer = [0, 1, 0, 0, 0, 9, 0xFF, 3, 6, 0x02, 0x2B, 0x00, 0x00, 0x00, 0x64];
+    let Ok((_, Response::Read { data })) = Response::parse(&answer) else { panic!("{answer:x?}") };
+    assert!(data.words().eq([0x022B, 0x0000, 0x0064]));
+    let write = [0, 1, 0, 0, 0, 6, 0xFF, 6, 0x00, 0x01, 0x00, 0x03];
+    assert_eq!(Request::parse(&write), Ok((header, Request::WriteOne { address: 1, value: 3 })));
+    assert_eq!(Response::parse(&write), Ok((header, Response::WriteOne { address: 1, value: 3 })));
+}
+
+#[test]
+fn an_exception_is_one_even_if_it_does_not_say_of_what() {
+    let exception = |function, code| Response::Exception { function, code };
+    let known = exception(function::WRITE, ExceptionCode::ADDRESS);
+    assert_eq!(Response::parse(&EXCEPTION), Ok((HEADER_42, known)));
+    assert_eq!(answered(&known, HEADER_42), EXCEPTION);
+    let unknown = exception(0, ExceptionCode::FUNCTION);
+    assert_eq!(Response::parse(&PYMODBUS_EXCEPTION), Ok((HEADER_42, unknown)));
+    assert_eq!(answered(&unknown, HEADER_42), PYMODBUS_EXCEPTION);
+}
+
+#[test]
+fn every_message_is_found_whole_at_every_split_of_the_stream() {
+    let data = longs(&[1, -2, 15000]);
+    let mut messages: Vec<Vec<u8>> = Vec::new();
+    messages.extend(requests(data.registers()).iter().map(|request| emitted(request, HEADER_42)));
+    messages.extend(responses(data.registers()).iter().map(|response| answered(response, HEADER_42)));
+    let stream = messages.concat();
+    let mut at = 0;
+    for message in &messages {
+        let rest = &stream[at..];
+        for have in 0..=rest.len() {
+            let whole = (have >= message.len()).then_some(message.len());
+            assert_eq!(frame(&rest[..have]), Ok(whole), "{have} bytes of {message:x?}");
+        }
+        at += message.len();
+    }
+    assert_eq!(at, stream.len());
+}
+
+#[test]
+fn a_stream_that_is_no_modbus_is_told_as_soon_as_its_field_is_there() {
+    let http = b"HTTP/1.1 400";
+    assert_eq!(frame(&http[..3]), Ok(None));
+    assert_eq!(frame(&http[..4]), Err(FrameError::Protocol(0x5450)));
+    for (length, is_one) in
+        [(0_u16, false), (1, false), (2, true), (254, true), (255, false), (0xFFFF, false)]
+    {
+        let [high, low] = length.to_be_bytes();
+        let bytes = [0, 42, 0, 0, high, low];
+        assert_eq!(frame(&bytes[..5]), Ok(None));
+        let wrong = Err(FrameError::Length(length));
+        assert_eq!(frame(&bytes), if is_one { Ok(None) } else { wrong }, "length {length}");
+    }
+}
+
+#[test]
+fn the_longest_messages_are_those_of_the_standard_and_longer_ones_are_not_written() {
+    let bytes = [0x5A; 256];
+    let data = |registers: usize| Registers::new(&bytes[..2 * registers]).unwrap();
+    let mut out = [0; ADU_MAX + 100];
+    for (registers, size) in [(120, 253), (123, 259), (124, 0)] {
+        let request = Request::Write { address: 0, data: data(registers) };
+        assert_eq!(request.emit(HEADER_42, &mut out), size);
+        assert!(size == 0 || Request::parse(&out[..size]) == Ok((HEADER_42, request)));
+    }
+    for (registers, size) in [(120, 257), (121, 259), (122, 0)] {
+        let request = Request::ReadWrite { read: 0, count: 120, write: 0, data: data(registers) };
+        assert_eq!(request.emit(HEADER_42, &mut out), size);
+        assert!(size == 0 || Request::parse(&out[..size]) == Ok((HEADER_42, request)));
+    }
+    for (registers, size) in [(120, 249), (125, 259), (126, 0)] {
+        let response = Response::Read { data: data(registers) };
+        assert_eq!(response.emit(HEADER_42, &mut out), size);
+        assert!(size == 0 || Response::parse(&out[..size]) == Ok((HEADER_42, response)));
+    }
+}
+
+#[test]
+fn a_request_that_lies_of_its_length_or_function_can_still_be_answered() {
+    let error = |bytes: &[u8]| Request::parse(bytes).unwrap_err();
+    // Function 4 is none of a Unidrive's.
+    let other = [0, 42, 0, 0, 0, 6, 0xFF, 4, 0, 0, 0, 1];
+    let told = RequestError { header: HEADER_42, function: 4, fault: RequestFault::Unsupported };
+    assert_eq!(error(&other), told);
+    // Five registers named where six are.
+    let mut count = WRITE_REQUEST;
+    count[11] = 5;
+    let told = RequestError { header: HEADER_42, function: 16, fault: RequestFault::Malformed };
+    assert_eq!(error(&count), told);
+    // Eleven bytes named where twelve are, with either count.
+    let mut bytes = READ_WRITE_REQUEST;
+    bytes[16] = 11;
+    assert_eq!(error(&bytes), RequestError { function: 23, ..told });
+    // Every shorter PDU of every function.
+    let data = longs(&[1, 2]);
+    for request in requests(data.registers()) {
+        let whole = emitted(&request, HEADER_42);
+        for size in 8..whole.len() {
+            let mut cut = whole[..size].to_vec();
+            cut[5] = (size - 6) as u8;
+            assert_eq!(error(&cut), RequestError { function: request.function(), ..told }, "{cut:x?}");
+        }
+    }
+}
+
+#[test]
+fn a_response_that_lies_of_its_length_or_function_is_told_apart() {
+    let data = longs(&[1, 2]);
+    for response in responses(data.registers()) {
+        let whole = answered(&response, HEADER_42);
+        let function = response.function();
+        for size in 8..whole.len() {
+            let mut cut = whole[..size].to_vec();
+            cut[5] = (size - 6) as u8;
+            let told = ResponseError::Length { header: HEADER_42, function };
+            assert_eq!(Response::parse(&cut), Err(told), "{cut:x?}");
+        }
+        // The header says more or less than there is.
+        let told = ResponseError::Frame { bytes: whole.len() - 1 };
+        assert_eq!(Response::parse(&whole[..whole.len() - 1]), Err(told));
+        let mut longer = whole.clone();
+        longer.push(0);
+        assert_eq!(Response::parse(&longer), Err(ResponseError::Frame { bytes: whole.len() + 1 }));
+    }
+    // Half a register, with a byte count that agrees.
+    let odd = [0, 42, 0, 0, 0, 4, 0xFF, 3, 1, 0];
+    assert_eq!(Response::parse(&odd), Err(ResponseError::Length { header: HEADER_42, function: 3 }));
+    let other = [0, 42, 0, 0, 0, 4, 0xFF, 4, 1, 0];
+    assert_eq!(Response::parse(&other), Err(ResponseError::Function { header: HEADER_42, function: 4 }));
+}
+
+#[test]
+fn a_buffer_takes_as_many_registers_as_a_drive_and_nothing_halfway() {
+    let mut buffer = RegistersBuffer::new();
+    assert!((0..119).all(|word| buffer.push_word(word)));
+    assert!(!buffer.push_long(-1));
+    assert_eq!(buffer.registers().len(), 119);
+    assert!(buffer.push_word(119) && !buffer.push_word(120));
+    assert!(buffer.registers().words().eq(0..REGISTERS_MAX));
+    buffer.clear();
+    assert!(buffer.registers().is_empty());
+    assert_eq!(buffer.registers(), Registers::EMPTY);
+}
+
+#[test]
+fn half_a_register_is_none() {
+    assert_eq!(Registers::new(&[1, 2, 3]), None);
+    let two = Registers::new(&[0x12, 0x34, 0x56, 0x78]).unwrap();
+    assert_eq!((two.long(0), two.long(1), two.long(usize::MAX)), (Some(0x1234_5678), None, None));
+    assert_eq!((two.word(1), two.word(2), two.word(usize::MAX)), (Some(0x5678), None, None));
+}
+
+#[test]
+fn exceptions_have_their_names() {
+    for code in [1, 2, 3, 4, 5, 6, 0x0A, 0x0B].map(ExceptionCode) {
+        assert_eq!(code.to_string(), format!("exception {:02X}h {}", code.0, code.name().unwrap()));
+    }
+    assert_eq!(ExceptionCode(7).to_string(), "exception 07h (not in the standard)");
+}
+
+fn header() -> impl Strategy<Value = Header> {
+    any::<(u16, u8)>().prop_map(|(transaction, unit)| Header { transaction, unit })
+}
+
+/// A few well-formed bytes with a header that agrees, then anything.
+fn pdu() -> impl Strategy<Value = Vec<u8>> {
+    let function = prop_oneof![Just(3_u8), Just(6), Just(16), Just(23), Just(0x90), any::<u8>()];
+    (function, proptest::collection::vec(any::<u8>(), 0..40)).prop_map(|(function, body)| {
+        let mut bytes = vec![0, 42, 0, 0, 0, body.len() as u8 + 2, 0xFF, function];
+        bytes.extend(body);
+        bytes
+    })
+}
+
+proptest! {
+    #[test]
+    fn any_request_round_trips(
+        header in header(),
+        words in any::<[u16; 3]>(),
+        data in proptest::collection::vec(any::<u16>(), 0..=121),
+    ) {
+        let bytes: Vec<u8> = data.iter().flat_map(|word| word.to_be_bytes()).collect();
+        let data = Registers::new(&bytes).unwrap();
+        let [first, count, write] = words;
+        for request in [
+            Request::Read { address: first, count },
+            Request::WriteOne { address: first, value: count },
+            Request::Write { address: first, data },
+            Request::ReadWrite { read: first, count, write, data },
+        ] {
+            let bytes = emitted(&request, header);
+            prop_assert_eq!(frame(&bytes), Ok(Some(bytes.len())));
+            prop_assert_eq!(Request::parse(&bytes), Ok((header, request)));
+        }
+    }
+
+    #[test]
+    fn any_response_round_trips(
+        header in header(),
+        words in any::<[u16; 2]>(),
+        exception in (0_u8..0x80, any::<u8>()),
+        data in proptest::collection::vec(any::<u16>(), 0..=125),
+    ) {
+        let bytes: Vec<u8> = data.iter().flat_map(|word| word.to_be_bytes()).collect();
+        let data = Registers::new(&bytes).unwrap();
+        let [address, count] = words;
+        for response in [
+            Response::Read { data },
+            Response::WriteOne { address, value: count },
+            Response::Written { address, count },
+            Response::ReadWritten { data },
+            Response::Exception { function: exception.0, code: ExceptionCode(exception.1) },
+        ] {
+            let bytes = answered(&response, header);
+            prop_assert_eq!(frame(&bytes), Ok(Some(bytes.len())));
+            prop_assert_eq!(Response::parse(&bytes), Ok((header, response)));
+        }
+    }
+
+    #[test]
+    fn no_bytes_make_a_parser_panic_and_what_is_understood_is_said_again_in_the_same_bytes(
+        bytes in prop_oneof![proptest::collection::vec(any::<u8>(), 0..80), pdu()],
+    ) {
+        if let Ok(Some(size)) = frame(&bytes) {
+            prop_assert!((8..=bytes.len().min(ADU_MAX)).contains(&size));
+        }
+        if let Ok((header, request)) = Request::parse(&bytes) {
+            prop_assert_eq!(emitted(&request, header), &bytes[..]);
+        }
+        if let Ok((header, response)) = Response::parse(&bytes) {
+            prop_assert_eq!(answered(&response, header), &bytes[..]);
+        }
+    }
+}
