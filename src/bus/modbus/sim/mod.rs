@@ -1,0 +1,168 @@
+//! The simulated Unidrive: the server side of Modbus TCP, and strict.
+//!
+//! Knows the wire and the manuals, not the master's station.
+//!
+//! | file | what |
+//! |---|---|
+//! | `settings` | what a drive is like, and how it is found |
+//! | `table`, `database` | the parameters there are, and their values; what menu 0 shows |
+//! | `sequencer` | control word, hardware enable, trips, watchdogs |
+//! | `motor` | the ramp, and the motor that follows it |
+//! | `drive` | these together: reading and writing parameters, the status word |
+//! | `server` | connections, messages, functions, exceptions |
+//!
+//! The drive has no clock: whenever it is spoken to it lives through the time since then, in whole steps of a millisecond.
+//!
+//! Where the manuals are silent it takes the strict side; `sequencer`, `database` and `server` say what that is. What a master
+//! meets first:
+//!
+//! | case | what the drive does |
+//! |---|---|
+//! | 06.043 = 0, as delivered | the control word does nothing at all |
+//! | a negative reference, as delivered (01.010 = 0) | stands still; run in reverse, or set 01.010 |
+//! | a trip is reset while a run bit stands | runs again, at once |
+//! | Modbus timeout S.15.009, 0 as delivered | supervises from the first request behind the write; its trip is "slot error" |
+//! | a new addressing mode (S.15.013) | counts from the next start on |
+//! | a write that was not saved | is lost at a restart |
+
+mod database;
+mod drive;
+mod motor;
+mod sequencer;
+mod server;
+mod settings;
+mod table;
+
+use std::net::SocketAddrV4;
+
+pub use self::settings::{Holes, Interface, MotorSettings, SimSettings, Start, Watchdog};
+
+use self::drive::Drive;
+use self::server::Server;
+use super::trips::Trip;
+use crate::sim::{Carrier, FaultPlan, SimDrive};
+use crate::time::{MS, S, Time};
+
+/// One step of sequencer and motor; also the drive's reaction time.
+const STEP_NS: u64 = MS;
+/// After a silence the drive lives through so much of it in steps of [`STEP_NS`] ...
+const FINE_NS: u64 = S;
+/// ... and through the rest in at most so many longer ones. By then every watchdog has run out, and ramps do not depend on the
+/// step.
+const COARSE_STEPS: u64 = 1_000;
+
+/// One simulated Unidrive.
+#[derive(Debug)]
+pub struct UnidriveSim {
+    address: SocketAddrV4,
+    faults: FaultPlan,
+    drive: Drive,
+    server: Server,
+    /// The instant that the drive has lived up to.
+    lived: Option<Time>,
+    boot_ns: u64,
+    /// Does not listen until then.
+    booted_at: Time,
+}
+
+impl UnidriveSim {
+    /// The drive as set up, listening. Its time begins when it is first spoken to.
+    pub fn new(settings: SimSettings) -> UnidriveSim {
+        UnidriveSim {
+            address: settings.address,
+            drive: Drive::new(&settings),
+            server: Server::new(&settings.interface),
+            faults: settings.faults,
+            lived: None,
+            boot_ns: settings.boot_ns,
+            booted_at: Time(0),
+        }
+    }
+
+    /// Trips the drive, as if its hardware had.
+    pub fn provoke(&mut self, trip: Trip) {
+        self.drive.sequencer.trip(trip);
+    }
+
+    /// The connections that it holds.
+    pub fn connections(&self) -> usize {
+        self.server.connections()
+    }
+
+    /// Lives up to `now`, as far as whole steps lead.
+    fn live(&mut self, now: Time) {
+        let mut at = *self.lived.get_or_insert(now);
+        let fine_end = at + FINE_NS;
+        let coarse_ns = (now.since(fine_end) / COARSE_STEPS).max(STEP_NS);
+        loop {
+            let dt_ns = if at < fine_end { STEP_NS } else { coarse_ns };
+            if now.since(at) < dt_ns {
+                break;
+            }
+            at = at + dt_ns;
+            self.drive.step(at, dt_ns);
+        }
+        self.lived = Some(at);
+    }
+}
+
+impl SimDrive for UnidriveSim {
+    fn address(&self) -> SocketAddrV4 {
+        self.address
+    }
+
+    fn faults(&self) -> FaultPlan {
+        self.faults.clone()
+    }
+
+    fn carrier(&self) -> Carrier {
+        Carrier::Stream
+    }
+
+    fn receive(
+        &mut self,
+        now: Time,
+        from: SocketAddrV4,
+        bytes: &[u8],
+        reply: &mut Vec<u8>,
+    ) -> Option<SocketAddrV4> {
+        self.live(now);
+        self.server.take(from, bytes, &mut self.drive, reply);
+        (!reply.is_empty()).then_some(from)
+    }
+
+    fn connect(&mut self, now: Time, from: SocketAddrV4) -> bool {
+        self.live(now);
+        now >= self.booted_at && self.server.connect(from)
+    }
+
+    fn hangs_up(&mut self, from: SocketAddrV4) -> bool {
+        self.server.hangs_up(from)
+    }
+
+    fn disconnected(&mut self, now: Time, from: SocketAddrV4) {
+        self.live(now);
+        self.server.disconnect(from);
+    }
+
+    fn mislabel(&self, reply: &mut [u8]) {
+        // Half the range away from every identity in use.
+        if let Some(high) = reply.first_mut() {
+            *high ^= 0x80;
+        }
+    }
+
+    fn restart(&mut self, now: Time) {
+        self.live(now);
+        self.drive.restart();
+        self.server.disconnect_all();
+        self.booted_at = now + self.boot_ns;
+    }
+
+    fn inhibit(&mut self, until: Time) {
+        self.drive.inhibit(until);
+    }
+}
+
+#[cfg(test)]
+mod tests;
