@@ -1,0 +1,309 @@
+//! All drives of one Modbus TCP bus, a connection each: stations and their carrier, as a [`Bus`].
+
+use std::any::Any;
+use std::sync::Arc;
+
+use super::counters::OWN;
+use super::greeting::{Found, UnidriveGreeting};
+use super::mapping::Mapping;
+use super::native::Native;
+use super::notation::Parameters;
+use super::plan::{ModbusPlan, UnidriveDrive, Via};
+use super::sim::UnidriveSim;
+
+use super::station::Station;
+use super::trips::Trip;
+use crate::axis::acyclic::{AcyclicEnds, Notation};
+use crate::axis::feedback::MONITOR_CHANNELS;
+use crate::axis::{AxisPlan, FaultNames, FoundRunning, MonitorChannel, PlanFault};
+use crate::bus::{Bus, BusPlan, Cycle, Exchange, OpenError, OwnCounter, Slot, Strangers};
+use crate::net::{Broken, Carriers, LinkNotes, StreamPeer, Streams};
+use crate::rt::{PollSet, Regions};
+use crate::sim::SimDrive;
+use crate::time::Time;
+
+/// Some connections and their drives.
+pub struct ModbusBus {
+    name: String,
+    net: Box<dyn Streams>,
+    stations: Vec<Station>,
+    natives: Vec<Option<Native>>,
+    acyclics: Vec<Option<AcyclicEnds>>,
+}
+
+impl std::fmt::Debug for ModbusBus {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("ModbusBus").field("name", &self.name).field("drives", &self.stations.len()).finish()
+    }
+}
+
+/// The blocks of a drive where its parameters are, and those of menu 0 if they are to be used.
+fn mappings(drive: &UnidriveDrive) -> Option<(Mapping, Option<Mapping>)> {
+    let own = Mapping::new(drive).ok()?;
+    match drive.via {
+        Via::Direct => Some((own, None)),
+        Via::Menu0 { .. } => {
+            let direct = UnidriveDrive { via: Via::Direct, ..drive.clone() };
+            Some((Mapping::new(&direct).ok()?, Some(own)))
+        }
+    }
+}
+
+impl ModbusBus {
+    /// Begins to connect to the drives of `plan`, which is free of faults.
+    pub fn open(plan: &ModbusPlan, period_ns: u64, carriers: &dyn Carriers) -> Result<ModbusBus, OpenError> {
+        let (mut peers, mut stations) = (Vec::new(), Vec::new());
+        let (mut natives, mut acyclics) = (Vec::new(), Vec::new());
+        for drive in &plan.drives {
+            let broken = || OpenError::Plan { bus: plan.name.clone(), drive: drive.axis.name.clone() };
+            let mappings = mappings(drive).ok_or_else(broken)?;
+            let found = Arc::new(Found::default());
+            let (direct, menu_0) = mappings.clone();
+            let greeting = UnidriveGreeting::new(drive, direct, menu_0, Arc::clone(&found));
+            peers.push(StreamPeer {
+                greeting_ns: greeting.longest_ns(),
+                unacknowledged_ns: 2 * drive.reply_within_ns,
+                ..StreamPeer::new(drive.address, Box::new(greeting))
+            });
+            let interval_ns = period_ns.saturating_mul(u64::from(drive.axis.divisor));
+            let (station, native, acyclic) = Station::new(drive, mappings, found, interval_ns);
+            stations.push(station);
+            natives.push(Some(native));
+            acyclics.push(Some(acyclic));
+        }
+        let net = carriers
+            .streams(peers)
+            .map_err(|source| OpenError::Streams { bus: plan.name.clone(), source })?;
+        Ok(ModbusBus { name: plan.name.clone(), net, stations, natives, acyclics })
+    }
+
+    /// Takes in what has arrived on the connections, one piece each.
+    fn take_in(&mut self, slots: &mut [Slot]) {
+        self.net.look();
+        while let Some(index) = self.net.ready() {
+            let (Some(station), Some(slot)) = (self.stations.get_mut(index), slots.get_mut(index)) else {
+                continue;
+            };
+            let why = match self.net.receive(index, station.room()) {
+                Ok(None) => continue,
+                Ok(Some((at, count))) => match station.take(at, count, slot) {
+                    Ok(()) => continue,
+                    Err(why) => why,
+                },
+                Err(Broken::Absent) => continue,
+                Err(Broken::Closed) => {
+                    station.ended(slot);
+                    "the drive has closed the connection"
+                }
+                Err(Broken::Failed(_)) => {
+                    station.ended(slot);
+                    "the connection broke"
+                }
+            };
+            self.net.abandon(index, why);
+        }
+    }
+
+    /// Hands the request of drive `index` to its connection.
+    fn ask(&mut self, index: usize, cycle: &Cycle, slot: &mut Slot) {
+        let Some(station) = self.stations.get_mut(index) else { return };
+        let bytes = station.to_send();
+        if bytes.is_empty() {
+            return station.unsent(slot);
+        }
+        match self.net.send(index, bytes) {
+            Ok((_, 0)) => station.unsent(slot),
+            Ok((at, count)) => station.sent(at, count, cycle, slot),
+            Err(broken) => {
+                station.unsent(slot);
+                if broken != Broken::Absent {
+                    station.ended(slot);
+                    self.net.abandon(index, "the connection broke");
+                }
+            }
+        }
+    }
+
+    /// Goes on with a request that the wire took in pieces.
+    fn go_on(&mut self, index: usize, slot: &mut Slot) {
+        let Some(station) = self.stations.get_mut(index) else { return };
+        if station.rest().is_empty() {
+            return;
+        }
+        match self.net.send(index, station.rest()) {
+            Ok((_, count)) => station.rest_sent(count),
+            Err(Broken::Absent) => {}
+            Err(_) => {
+                station.ended(slot);
+                self.net.abandon(index, "the connection broke");
+            }
+        }
+    }
+
+    fn give_up(&mut self, now: Time, slots: &mut [Slot]) {
+        for (index, (station, slot)) in self.stations.iter_mut().zip(slots).enumerate() {
+            if let Some(why) = station.gives_up(now, slot) {
+                self.net.abandon(index, why);
+            }
+        }
+    }
+}
+
+impl Bus for ModbusBus {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn memory(&self, regions: &mut Regions) {
+        regions.add(self);
+        self.net.memory(regions);
+        regions.add(&*self.stations);
+        for station in &self.stations {
+            station.memory(regions);
+        }
+    }
+
+    fn poll_set(&mut self, set: &mut PollSet) {
+        if let Some(fd) = self.net.fd() {
+            set.add(fd);
+        }
+    }
+
+    fn send(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
+        // There is one connection a drive: each turn takes over another one.
+        for _ in 0..self.stations.len() {
+            let Some(index) = self.net.opened() else { break };
+            if let (Some(station), Some(slot)) = (self.stations.get_mut(index), slots.get_mut(index)) {
+                station.connected(slot);
+            }
+        }
+        // Those that are passed over: what is still owed is not asked again, though it be answered now.
+        for (station, slot) in self.stations.iter_mut().zip(slots.iter()) {
+            station.passed = matches!(slot.exchange, Exchange::Owed { .. });
+        }
+        self.take_in(slots);
+        for (index, slot) in slots.iter_mut().enumerate() {
+            self.go_on(index, slot);
+            if self
+                .stations
+                .get(index)
+                .is_some_and(|station| slot.due && !station.passed && !station.has_ended())
+            {
+                self.ask(index, cycle, slot);
+            }
+        }
+        self.give_up(cycle.grid, slots);
+    }
+
+    fn receive(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool {
+        // One piece of each: who dribbles is heard again with the next look, and never holds the cycle.
+        self.take_in(slots);
+        !slots.iter().any(|slot| slot.exchange.is_waited_for(cycle))
+    }
+
+    fn prepare(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
+        for (station, slot) in self.stations.iter_mut().zip(slots) {
+            if slot.due {
+                station.prepare(cycle, slot);
+            }
+        }
+    }
+
+    fn shut_down(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool {
+        let mut done = true;
+        for (station, slot) in self.stations.iter_mut().zip(slots.iter()) {
+            done &= station.shut_down(cycle) && !matches!(slot.exchange, Exchange::Owed { .. });
+        }
+        done
+    }
+
+    fn strangers(&self) -> Strangers {
+        Strangers::default()
+    }
+
+    fn notes(&self) -> Option<LinkNotes> {
+        Some(self.net.notes())
+    }
+
+    fn native(&mut self, index: usize) -> Option<Box<dyn Any + Send>> {
+        let native = self.natives.get_mut(index)?.take()?;
+        Some(Box::new(native))
+    }
+
+    fn acyclic(&mut self, index: usize) -> Option<AcyclicEnds> {
+        self.acyclics.get_mut(index)?.take()
+    }
+}
+
+impl BusPlan for ModbusPlan {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn protocol(&self) -> &'static str {
+        super::PROTOCOL
+    }
+
+    fn axes(&self) -> Vec<&AxisPlan> {
+        self.drives.iter().map(|drive| &drive.axis).collect()
+    }
+
+    fn faults(&self, period_ns: u64) -> Vec<(usize, PlanFault)> {
+        let mut faults = Vec::new();
+        for (index, drive) in self.drives.iter().enumerate() {
+            let own = period_ns.saturating_mul(u64::from(drive.axis.divisor));
+            let all = drive.axis.faults().into_iter().chain(drive.faults(own));
+            faults.extend(all.map(|fault| (index, fault)));
+            if self.drives[..index].iter().any(|other| other.address == drive.address) {
+                let taken =
+                    PlanFault::new("address", "is taken by another drive; one drive an address and port");
+                faults.push((index, taken));
+            }
+        }
+        faults
+    }
+
+    fn reply_within_ns(&self, index: usize) -> Option<u64> {
+        self.drives.get(index).map(|drive| drive.reply_within_ns)
+    }
+
+    fn describe(&self, period_ns: u64) -> Vec<String> {
+        self.drives.iter().map(|drive| drive.describe(period_ns)).collect()
+    }
+
+    fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
+        Ok(Box::new(ModbusBus::open(self, period_ns, carriers)?))
+    }
+
+    fn monitored(&self, index: usize) -> [Option<MonitorChannel>; MONITOR_CHANNELS] {
+        self.drives.get(index).map_or([const { None }; MONITOR_CHANNELS], UnidriveDrive::shown)
+    }
+
+    fn own_counters(&self) -> &'static [OwnCounter] {
+        &OWN
+    }
+
+    fn fault_names(&self) -> FaultNames {
+        |code| u16::try_from(code).ok().and_then(|code| Trip(code).name())
+    }
+
+    fn notation(&self) -> Arc<dyn Notation> {
+        Arc::new(Parameters)
+    }
+
+    fn reaching(&self, index: usize) -> Option<Box<dyn BusPlan>> {
+        let mut drive = self.drives.get(index)?.clone();
+        drive.axis.on_found_running = FoundRunning::Refuse;
+        drive.set_up = false;
+        drive.map.show = [None; MONITOR_CHANNELS];
+        drive.map.also.clear();
+        Some(Box::new(ModbusPlan { name: self.name.clone(), drives: vec![drive] }))
+    }
+
+    fn simulate(&self) -> Vec<Box<dyn SimDrive>> {
+        self.drives
+            .iter()
+            .map(|drive| Box::new(UnidriveSim::new(drive.simulated())) as Box<dyn SimDrive>)
+            .collect()
+    }
+}

@@ -1,0 +1,120 @@
+//! Whether the drive has taken what was written to it.
+//!
+//! A reply to FC23 says nothing of what was written, and a drive refuses a value without a word (Commander SE guide): it has taken
+//! what reads back. Whether a drive writes before it reads is not documented, so that what differs counts only if it was written by an
+//! earlier request, and only if it differs twice.
+
+/// So many differing reads in a row are a refusal.
+const DIFFERENT: u8 = 2;
+
+/// No value. In a whole word each, they are read as they were written a moment ago, which a processor can do without a wait.
+const NONE: i64 = i64::MIN;
+
+/// One written parameter.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Echo {
+    /// The value of the last request that was answered, and whether an earlier one had it, too.
+    written: i64,
+    settled: bool,
+    /// Reads in a row that differed.
+    different: u8,
+    taken: i64,
+}
+
+impl Default for Echo {
+    fn default() -> Echo {
+        Echo { written: NONE, settled: false, different: 0, taken: NONE }
+    }
+}
+
+impl Echo {
+    /// What the drive has taken for certain; `None`: not known.
+    #[inline]
+    pub(super) fn taken(&self) -> Option<i32> {
+        (self.taken != NONE).then_some(self.taken as i32)
+    }
+
+    /// A request that wrote `value` was answered.
+    #[inline]
+    pub(super) fn replied(&mut self, value: i32) {
+        self.settled = self.written == i64::from(value);
+        if !self.settled {
+            (self.written, self.different, self.taken) = (value.into(), 0, NONE);
+        }
+    }
+
+    /// The answer has said that it was written.
+    #[inline]
+    pub(super) fn confirm(&mut self, value: i32) {
+        self.replied(value);
+        self.taken = value.into();
+    }
+
+    /// It reads as `value`. True if by now the drive has refused what was written.
+    #[inline]
+    pub(super) fn read(&mut self, value: i32) -> bool {
+        if self.written == i64::from(value) {
+            (self.different, self.taken) = (0, value.into());
+            return false;
+        }
+        if !self.settled {
+            return false;
+        }
+        self.taken = NONE;
+        self.different = self.different.saturating_add(1);
+        self.different == DIFFERENT
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_value_is_taken_when_it_reads_back() {
+        let mut echo = Echo::default();
+        echo.replied(5);
+        assert_eq!(echo.taken(), None);
+        // A drive that reads before it writes.
+        assert!(!echo.read(0));
+        echo.replied(5);
+        assert!(!echo.read(5));
+        assert_eq!(echo.taken(), Some(5));
+        echo.replied(6);
+        assert_eq!(echo.taken(), None, "another value is another matter");
+    }
+
+    #[test]
+    fn two_reads_that_differ_are_a_refusal_told_once() {
+        let mut echo = Echo::default();
+        echo.replied(5);
+        assert!(!echo.read(1), "it may have been read first");
+        echo.replied(5);
+        assert!(!echo.read(1), "once may be a slow drive");
+        echo.replied(5);
+        assert!(echo.read(1));
+        echo.replied(5);
+        assert!(!echo.read(1), "told once");
+        assert_eq!(echo.taken(), None);
+        echo.replied(7);
+        assert!(!echo.read(7));
+        assert_eq!(echo.taken(), Some(7));
+    }
+
+    #[test]
+    fn what_the_answer_says_needs_no_reading_and_what_reads_otherwise_later_is_not_taken() {
+        let mut echo = Echo::default();
+        echo.confirm(5);
+        assert_eq!(echo.taken(), Some(5));
+        echo.confirm(5);
+        assert!(!echo.read(4));
+        assert_eq!(echo.taken(), None);
+    }
+
+    #[test]
+    fn a_value_that_nobody_wrote_is_none_of_ours() {
+        let mut echo = Echo::default();
+        assert!(!echo.read(1) && !echo.read(2) && !echo.read(3));
+        assert_eq!(echo.taken(), None);
+    }
+}

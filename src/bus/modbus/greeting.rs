@@ -1,0 +1,388 @@
+//! What is said on a new connection before the loop has it: what the drive is and does is read. On a normal thread, one request
+//! after the other.
+//!
+//! Read are the unit id, every cyclic parameter, whether FC23 is known, and what the drive obeys and is watched by. Written is only
+//! what menu 0 shall show, and that to no drive that runs. What makes the drive follow the control word is written by the station,
+//! with the first order that needs it.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use super::mapping::{Block, Image, Mapping, Role};
+use super::parameter::{DRIVE_UNIT, Parameter, Width};
+use super::plan::UnidriveDrive;
+use super::setup::{Purpose, Setting, settings};
+use super::wire::{ADU_MAX, ExceptionCode, Header, RegistersBuffer, Request, Response, frame, function};
+use super::words::{ControlWord, StatusWord};
+use crate::net::{Greeted, Greeting};
+use crate::time::{S, Time};
+
+/// What the greeting has found out, for the station.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Finding {
+    /// The unit id that the drive answers to.
+    pub unit: u8,
+    /// It knows FC23.
+    pub read_write: bool,
+    /// It shows the cyclic parameters in menu 0.
+    pub menu_0: bool,
+    /// It obeys control word and reference.
+    pub obeys: bool,
+    /// Its time-out is set.
+    pub watched: bool,
+    /// The control word that it had.
+    pub control: ControlWord,
+    /// The status word that it had.
+    pub status: StatusWord,
+    /// The speed that it had, as a count.
+    pub speed: i32,
+}
+
+/// The findings of the last greeting: written before the connection is handed over, and read after that.
+#[derive(Debug, Default)]
+pub struct Found {
+    /// Unit id, flags and control word; status word and speed.
+    words: [AtomicU64; 2],
+}
+
+impl Found {
+    /// What was found last.
+    pub fn get(&self) -> Finding {
+        let [bits, state] = &self.words;
+        let (bits, state) = (bits.load(Ordering::Acquire), state.load(Ordering::Acquire));
+        let flag = |bit: u32| bits >> bit & 1 != 0;
+        Finding {
+            unit: bits as u8,
+            read_write: flag(8),
+            menu_0: flag(9),
+            obeys: flag(10),
+            watched: flag(11),
+            control: ControlWord((bits >> 16) as u16),
+            status: StatusWord((state >> 32) as u16),
+            speed: state as u32 as i32,
+        }
+    }
+
+    /// For the greeting.
+    pub fn set(&self, finding: Finding) {
+        let Finding { unit, read_write, menu_0, obeys, watched, control, status, speed } = finding;
+        let flags = [read_write, menu_0, obeys, watched];
+        let flags = flags.iter().enumerate().map(|(bit, flag)| u64::from(*flag) << (8 + bit)).sum::<u64>();
+        let [bits, state] = &self.words;
+        bits.store(u64::from(unit) | flags | u64::from(control.0) << 16, Ordering::Release);
+        state.store(u64::from(status.0) << 32 | u64::from(speed as u32), Ordering::Release);
+    }
+}
+
+/// One step of the conversation: a request and what its answer is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Step {
+    /// Which unit id is answered.
+    Unit,
+    /// Block so and so is there, and what it says.
+    Look(usize),
+    /// What setting so and so is.
+    Find(usize),
+    /// Whether FC23 is known: it reads and writes nothing.
+    Probe,
+    /// Setting so and so of menu 0 is written ...
+    Set(usize),
+    /// ... and read back.
+    Verify(usize),
+    /// Menu 0 shows what it should.
+    Menu0,
+}
+
+/// The greeting of one drive.
+#[derive(Debug)]
+pub(super) struct UnidriveGreeting {
+    drive: UnidriveDrive,
+    /// The parameters where they are: what is missing there is missing.
+    direct: Mapping,
+    /// The blocks of menu 0, if they are to be used.
+    menu_0: Option<Mapping>,
+    found: Arc<Found>,
+    finding: Finding,
+    /// Unit ids to try, and which one is tried.
+    units: Vec<u8>,
+    unit: usize,
+    step: Step,
+    transaction: u16,
+    image: Image,
+    settings: Vec<Setting>,
+    /// What the drive has of each.
+    has: Vec<Option<i32>>,
+    inbox: Vec<u8>,
+}
+
+impl UnidriveGreeting {
+    pub(super) fn new(
+        drive: &UnidriveDrive,
+        direct: Mapping,
+        menu_0: Option<Mapping>,
+        found: Arc<Found>,
+    ) -> UnidriveGreeting {
+        UnidriveGreeting {
+            units: drive.unit.map_or(vec![DRIVE_UNIT, 0], |unit| vec![unit]),
+            unit: 0,
+            settings: settings(drive, menu_0.as_ref()),
+            has: Vec::new(),
+            drive: drive.clone(),
+            direct,
+            menu_0,
+            found,
+            finding: Finding::default(),
+            step: Step::Unit,
+            transaction: 0,
+            image: Image::default(),
+            inbox: Vec::with_capacity(ADU_MAX),
+        }
+    }
+
+    /// The longest that it takes, ns: a request for each block and each setting, three for those of menu 0, each with the time
+    /// that a reply may take.
+    pub(super) fn longest_ns(&self) -> u64 {
+        let menu_0 = self.settings.iter().filter(|setting| setting.purpose == Purpose::Menu0).count();
+        let requests = 4 + self.direct.reads().len() + self.settings.len() + 2 * menu_0;
+        S + requests as u64 * self.drive.reply_within_ns
+    }
+
+    fn value(&self, role: Role) -> i32 {
+        self.image.of(role).unwrap_or(0)
+    }
+
+    /// The request of the present step.
+    fn ask(&mut self, out: &mut Vec<u8>) -> Greeted {
+        self.transaction = self.transaction.wrapping_add(1);
+        let mut data = RegistersBuffer::new();
+        let read = |parameter: Parameter, width: Width| {
+            let address = parameter.address(self.drive.addressing, width)?;
+            Some((parameter, Request::Read { address, count: width.registers() }))
+        };
+        let drive_unit = self.units[self.unit.min(self.units.len() - 1)];
+        let asked = match self.step {
+            Step::Unit => read(self.drive.map.status.parameter, self.drive.map.status.width),
+            Step::Look(index) => self.direct.reads().get(index).map(|block| (block.first, look(block))),
+            Step::Menu0 => self
+                .menu_0
+                .as_ref()
+                .and_then(|menu_0| menu_0.reads().first())
+                .map(|block| (block.first, look(block))),
+            Step::Find(index) | Step::Verify(index) => {
+                self.settings.get(index).and_then(|setting| read(setting.parameter, setting.width))
+            }
+            // Nothing of nothing: a drive that knows the function says that the numbers are wrong.
+            Step::Probe => {
+                let status = self.drive.map.status;
+                status.parameter.address(self.drive.addressing, status.width).map(|address| {
+                    (
+                        status.parameter,
+                        Request::ReadWrite {
+                            read: address,
+                            count: 0,
+                            write: address,
+                            data: data.registers(),
+                        },
+                    )
+                })
+            }
+            Step::Set(index) => self
+                .settings
+                .get(index)
+                .map(|setting| (setting.parameter, setting.write(setting.value, &mut data))),
+        };
+        let Some((parameter, request)) = asked else {
+            return Greeted::Failed("a parameter of its configuration has no address".into());
+        };
+        let header = Header { transaction: self.transaction, unit: parameter.unit(drive_unit) };
+        let begin = out.len();
+        out.resize(begin + request.size(), 0);
+        request.emit(header, &mut out[begin..]);
+        Greeted::More
+    }
+
+    /// Takes the answer of the present step, and goes on to the next one.
+    fn answer(&mut self, response: Response<'_>, out: &mut Vec<u8>) -> Greeted {
+        let refused = match response {
+            Response::Exception { code, .. } => Some(code),
+            _ => None,
+        };
+        let values = match response {
+            Response::Read { data } | Response::ReadWritten { data } => Some(data),
+            _ => None,
+        };
+        let next = match (self.step, refused) {
+            (Step::Unit, Some(_)) if self.unit + 1 < self.units.len() => {
+                self.unit += 1;
+                Some(Step::Unit)
+            }
+            (Step::Unit, Some(code)) => {
+                return Greeted::Failed(format!("the drive refuses to tell its status word: {code}"));
+            }
+            (Step::Unit, None) => {
+                self.finding.unit = self.units[self.unit];
+                Some(Step::Look(0))
+            }
+            (Step::Look(index), Some(code)) => {
+                let block = &self.direct.reads()[index];
+                return Greeted::Failed(format!(
+                    "the drive does not give {} ({} registers from it on): {code}; look at map, monitor and also_read, and at the addressing",
+                    block.first, block.registers
+                ));
+            }
+            (Step::Look(index), None) => {
+                let block = &self.direct.reads()[index];
+                let Some(data) = values else { return surprised() };
+                for (place, role) in block.roles.iter().enumerate() {
+                    let value = match block.width {
+                        Width::Word => data.word(place).map(|word| i32::from(word as i16)),
+                        Width::Long => data.long(place),
+                    };
+                    let Some(value) = value else { return surprised() };
+                    if let Some(index) = role.index() {
+                        self.image.set(index, value);
+                    }
+                }
+                if index + 1 < self.direct.reads().len() {
+                    Some(Step::Look(index + 1))
+                } else {
+                    Some(Step::Find(0))
+                }
+            }
+            (Step::Find(index), refused) => {
+                let value = values.and_then(|data| self.settings[index].read(data));
+                if refused.is_none() && value.is_none() {
+                    return surprised();
+                }
+                self.has.push(value);
+                Some(if index + 1 < self.settings.len() { Step::Find(index + 1) } else { Step::Probe })
+            }
+            (Step::Probe, _) => {
+                // Of this function: pymodbus answers what it thinks malformed with code 1 of none.
+                const UNKNOWN: Response<'_> =
+                    Response::Exception { function: function::READ_WRITE, code: ExceptionCode::FUNCTION };
+                self.finding.read_write = response != UNKNOWN;
+                self.finding.control = ControlWord(self.value(Role::Control) as u16);
+                self.finding.status = StatusWord(self.value(Role::Status) as u16);
+                self.finding.speed = self.value(Role::Speed);
+                self.next_setting(0)
+            }
+            (Step::Set(index), _) => Some(Step::Verify(index)),
+            (Step::Verify(index), _) => {
+                self.has[index] = values.and_then(|data| self.settings[index].read(data));
+                self.next_setting(index + 1)
+            }
+            (Step::Menu0, Some(code)) => {
+                return Greeted::Failed(format!(
+                    "the drive does not give its menu 0 as it was set up: {code}; take via = \"direct\""
+                ));
+            }
+            (Step::Menu0, None) => {
+                self.finding.menu_0 = true;
+                None
+            }
+        };
+        match next {
+            Some(step) => {
+                self.step = step;
+                self.ask(out)
+            }
+            None => self.end(),
+        }
+    }
+
+    /// Whether the drive may be set up now: menu 0 of a drive that runs is left alone.
+    fn may_set(&self) -> bool {
+        self.drive.set_up && !self.finding.status.active()
+    }
+
+    fn next_setting(&self, from: usize) -> Option<Step> {
+        let differs = |index: &usize| {
+            self.settings[*index].purpose == Purpose::Menu0 && !self.is_met(*index) && self.may_set()
+        };
+        match (from..self.settings.len()).find(differs) {
+            Some(index) => Some(Step::Set(index)),
+            None => self.conclude(),
+        }
+    }
+
+    fn is_met(&self, index: usize) -> bool {
+        self.has.get(index).copied().flatten() == Some(self.settings[index].value)
+    }
+
+    fn conclude(&self) -> Option<Step> {
+        (self.menu_0.is_some() && self.are_met(Purpose::Menu0)).then_some(Step::Menu0)
+    }
+
+    fn are_met(&self, purpose: Purpose) -> bool {
+        self.unmet(purpose).is_none()
+    }
+
+    fn unmet(&self, purpose: Purpose) -> Option<&Setting> {
+        let of = |index: &usize| self.settings[*index].purpose == purpose;
+        (0..self.settings.len())
+            .filter(of)
+            .find(|index| !self.is_met(*index))
+            .map(|index| &self.settings[index])
+    }
+
+    fn end(&mut self) -> Greeted {
+        if let Some(setting) = self.unmet(Purpose::Menu0).filter(|_| self.may_set()) {
+            return Greeted::Failed(format!(
+                "Pr {} does not take {}, so that menu 0 cannot show the cyclic parameters; take via = \"direct\"",
+                setting.parameter, setting.value
+            ));
+        }
+        self.finding.obeys = self.are_met(Purpose::Obey);
+        // Where nothing is to be set nothing watches.
+        self.finding.watched = self.drive.watchdog.timeout_ns.is_some() && self.are_met(Purpose::Watch);
+        self.found.set(self.finding);
+        Greeted::Done
+    }
+}
+
+fn look(block: &Block) -> Request<'static> {
+    Request::Read { address: block.address, count: block.registers }
+}
+
+fn surprised() -> Greeted {
+    Greeted::Failed(
+        "the peer answers something else than it was asked: is it a Unidrive's Modbus port?".into(),
+    )
+}
+
+impl Greeting for UnidriveGreeting {
+    fn begin(&mut self, _now: Time, out: &mut Vec<u8>) -> Greeted {
+        self.inbox.clear();
+        self.finding = Finding::default();
+        self.image = Image::default();
+        self.has.clear();
+        if self.step == Step::Unit && self.transaction != 0 {
+            // Not a word came the last time: it may listen to another unit id.
+            self.unit = (self.unit + 1) % self.units.len();
+        }
+        self.step = Step::Unit;
+        self.ask(out)
+    }
+
+    fn take(&mut self, _now: Time, bytes: &[u8], out: &mut Vec<u8>) -> Greeted {
+        self.inbox.extend_from_slice(bytes);
+        match frame(&self.inbox) {
+            Ok(None) => Greeted::More,
+            Ok(Some(size)) if size < self.inbox.len() => surprised(),
+            Ok(Some(_)) => {
+                let inbox = std::mem::take(&mut self.inbox);
+                let greeted = match Response::parse(&inbox) {
+                    Ok((header, response)) if header.transaction == self.transaction => {
+                        self.answer(response, out)
+                    }
+                    Ok(_) | Err(_) => surprised(),
+                };
+                self.inbox = inbox;
+                self.inbox.clear();
+                greeted
+            }
+            Err(error) => Greeted::Failed(error.to_string()),
+        }
+    }
+}

@@ -1,0 +1,135 @@
+//! Which request a reply answers: transaction ids.
+
+/// How many earlier requests are remembered; the reply to an older one is foreign.
+const REMEMBERED: u32 = 64;
+
+/// Whose reply it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Whose {
+    /// That of the request that is open.
+    Open,
+    /// That of an earlier request, which had none.
+    Late,
+    /// A second one.
+    Duplicate,
+    /// Of no request of this connection.
+    Foreign,
+}
+
+/// The requests of one connection. One is open at a time.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Identity {
+    /// Bit n: the n-th request before the last one has its reply.
+    answered: u64,
+    /// Of the request that went out last, 16 bits of it. A whole word, like all of these: small neighbours are read together, and
+    /// what was just written in parts is slow to read as a whole.
+    last: u32,
+    /// So many requests went out on this connection, at most [`REMEMBERED`].
+    sent: u32,
+    /// Not 0: the last one has no reply yet.
+    open: u32,
+}
+
+impl Identity {
+    /// The id of the next request.
+    #[inline]
+    pub(super) fn next(&self) -> u16 {
+        (self.last as u16).wrapping_add(1)
+    }
+
+    /// That request went out.
+    #[inline]
+    pub(super) fn sent(&mut self) {
+        self.last = self.next().into();
+        self.answered <<= 1;
+        self.sent = (self.sent + 1).min(REMEMBERED);
+        self.open = 1;
+    }
+
+    /// A request has no reply yet.
+    #[inline]
+    pub(super) fn is_open(&self) -> bool {
+        self.open != 0
+    }
+
+    /// A new connection: nothing of the one before comes on it, and no id is used again.
+    pub(super) fn reconnected(&mut self) {
+        (self.answered, self.sent, self.open) = (0, 0, 0);
+    }
+
+    /// Whose reply this id names.
+    #[inline]
+    pub(super) fn whose(&self, id: u16) -> Whose {
+        let before = self.before(id);
+        match before {
+            _ if before >= self.sent => Whose::Foreign,
+            0 if self.is_open() => Whose::Open,
+            _ if self.answered >> before & 1 == 0 => Whose::Late,
+            _ => Whose::Duplicate,
+        }
+    }
+
+    /// This request has its reply.
+    #[inline]
+    pub(super) fn answer(&mut self, id: u16) {
+        let before = self.before(id);
+        if before < self.sent {
+            self.answered |= 1 << before;
+        }
+        if before == 0 {
+            self.open = 0;
+        }
+    }
+
+    /// The last request has its reply.
+    #[inline]
+    pub(super) fn answer_open(&mut self) {
+        self.answered |= 1;
+        self.open = 0;
+    }
+
+    /// So many requests went out behind the one with this id.
+    #[inline]
+    fn before(&self, id: u16) -> u32 {
+        (self.last as u16).wrapping_sub(id).into()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_reply_is_that_of_its_request_once() {
+        let mut identity = Identity::default();
+        assert_eq!(identity.whose(0), Whose::Foreign);
+        for round in 0..70_000_u32 {
+            let id = identity.next();
+            identity.sent();
+            assert_eq!(identity.whose(id), Whose::Open);
+            identity.answer(id);
+            assert!(!identity.is_open());
+            assert_eq!(identity.whose(id), Whose::Duplicate);
+            assert_eq!(identity.whose(id.wrapping_add(1)), Whose::Foreign);
+            let before = id.wrapping_sub(63);
+            assert_eq!(identity.whose(before), if round < 63 { Whose::Foreign } else { Whose::Duplicate });
+            assert_eq!(identity.whose(id.wrapping_sub(64)), Whose::Foreign);
+        }
+    }
+
+    #[test]
+    fn a_late_reply_is_none_of_the_open_request() {
+        let mut identity = Identity::default();
+        let first = identity.next();
+        identity.sent();
+        let second = identity.next();
+        identity.sent();
+        assert_eq!((identity.whose(first), identity.whose(second)), (Whose::Late, Whose::Open));
+        identity.answer(first);
+        assert_eq!((identity.whose(first), identity.whose(second)), (Whose::Duplicate, Whose::Open));
+        assert!(identity.is_open());
+        identity.reconnected();
+        assert_eq!((identity.whose(first), identity.whose(second)), (Whose::Foreign, Whose::Foreign));
+        assert_eq!(identity.next(), second.wrapping_add(1), "ids go on");
+    }
+}

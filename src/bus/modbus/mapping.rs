@@ -1,0 +1,475 @@
+//! The cyclic parameters as blocks of registers.
+//!
+//! A request has one block to write and one to read, each of parameters that follow each other and have one width. In 32-bit access
+//! the address counts parameters and the quantity counts registers (manual, FC23 example).
+
+use super::parameter::{Parameter, Width};
+use super::plan::{Mapped, UnidriveDrive, Via};
+use super::wire::{REGISTERS_MAX, Registers};
+use crate::axis::PlanFault;
+use crate::axis::feedback::MONITOR_CHANNELS;
+use crate::rt::Regions;
+
+/// What a cyclic parameter is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Role {
+    /// The control word.
+    Control,
+    /// The speed reference.
+    Reference,
+    /// The status word.
+    Status,
+    /// The speed feedback.
+    Speed,
+    /// The trip number.
+    Trip,
+    /// A channel that the drive shows.
+    Shown(u8),
+    /// One of those that are read besides, for the native process data.
+    Also(u8),
+}
+
+/// How many roles have a place in an [`Image`]: all but those read besides.
+pub const ROLES: usize = Role::FIRST_SHOWN + MONITOR_CHANNELS;
+
+/// The most parameters that are read besides.
+pub const ALSO_MAX: usize = REGISTERS_MAX as usize;
+
+impl Role {
+    /// The place of the first channel that is shown.
+    pub const FIRST_SHOWN: usize = 5;
+
+    /// Its place in an [`Image`].
+    #[inline]
+    pub const fn index(self) -> Option<usize> {
+        match self {
+            Role::Control => Some(0),
+            Role::Reference => Some(1),
+            Role::Status => Some(2),
+            Role::Speed => Some(3),
+            Role::Trip => Some(4),
+            Role::Shown(channel) if (channel as usize) < MONITOR_CHANNELS => {
+                Some(Role::FIRST_SHOWN + channel as usize)
+            }
+            Role::Shown(_) | Role::Also(_) => None,
+        }
+    }
+
+    /// Its key in a configuration.
+    fn key(self) -> &'static str {
+        match self {
+            Role::Control => "map.control",
+            Role::Reference => "map.reference",
+            Role::Status => "map.status",
+            Role::Speed => "map.speed",
+            Role::Trip => "map.trip",
+            Role::Shown(_) => "monitor",
+            Role::Also(_) => "also_read",
+        }
+    }
+}
+
+/// A value for each role that has a place, once it was read.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Image {
+    /// Bit n: the value in place n was read; the others are 0.
+    seen: u32,
+    /// Two values each, as they are published: they would be slow to read together as soon as they were written apart.
+    pairs: [u64; Image::PAIRS],
+}
+
+impl Image {
+    /// Words of its values.
+    pub(super) const PAIRS: usize = ROLES.div_ceil(2);
+
+    /// From its parts.
+    pub(super) fn new(seen: u32, pairs: [u64; Image::PAIRS]) -> Image {
+        Image { seen, pairs }
+    }
+
+    /// What was read, and all values.
+    #[inline]
+    pub(super) fn parts(&self) -> (u32, &[u64; Image::PAIRS]) {
+        (self.seen, &self.pairs)
+    }
+
+    /// The value in this place; `None`: not read yet.
+    #[inline]
+    pub fn get(&self, place: usize) -> Option<i32> {
+        let pair = self.pairs.get(place / 2)?;
+        (self.seen >> place & 1 != 0).then_some((pair >> (place % 2 * 32)) as i32)
+    }
+
+    /// The value of a role.
+    #[inline]
+    pub fn of(&self, role: Role) -> Option<i32> {
+        role.index().and_then(|place| self.get(place))
+    }
+
+    /// Puts all of a block in whose parameters stand side by side as they do here, from place 0 on.
+    #[inline]
+    pub(super) fn set_front(&mut self, data: Registers<'_>) {
+        let (pairs, rest) = data.bytes().as_chunks();
+        for (pair, bytes) in self.pairs.iter_mut().zip(pairs) {
+            // On the wire the first one stands before the second, the high byte first.
+            *pair = u64::from_be_bytes(*bytes).rotate_left(32);
+        }
+        let count = data.len() / 2;
+        self.seen |= (1 << count) - 1;
+        if let Some(last) = rest.first_chunk() {
+            self.set(count - 1, i32::from_be_bytes(*last));
+        }
+    }
+
+    /// Puts a value in.
+    #[inline]
+    pub(super) fn set(&mut self, place: usize, count: i32) {
+        if let Some(pair) = self.pairs.get_mut(place / 2) {
+            let shift = place % 2 * 32;
+            *pair = *pair & !(u64::from(u32::MAX) << shift) | u64::from(count as u32) << shift;
+            self.seen |= 1 << place;
+        }
+    }
+
+    /// Takes a value out.
+    #[inline]
+    pub(super) fn take(&mut self, place: usize) -> Option<i32> {
+        let value = self.get(place)?;
+        self.set(place, 0);
+        self.seen &= !(1 << place);
+        Some(value)
+    }
+}
+
+/// Parameters side by side, of one width.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Block {
+    /// On the wire.
+    pub address: u16,
+    /// How many registers.
+    pub registers: u16,
+    /// The width of each.
+    pub width: Width,
+    /// What each is for, in order.
+    pub roles: Box<[Role]>,
+    /// A bit for each role that has a place in an [`Image`].
+    places: u32,
+    /// They are 32 bits wide, and their places in an [`Image`] are 0, 1, 2 ...
+    pub(super) in_order: bool,
+    /// The first parameter, for messages.
+    pub first: Parameter,
+}
+
+impl Block {
+    /// Whether it has this role.
+    #[inline]
+    pub fn has(&self, role: Role) -> bool {
+        role.index().is_some_and(|place| self.places >> place & 1 != 0)
+    }
+}
+
+/// All blocks of a drive.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Mapping {
+    writes: Box<[Block]>,
+    reads: Box<[Block]>,
+    /// So many of `reads`, the first ones, have status or speed.
+    hot: usize,
+    /// For menu 0: what its parameters are to show, from the first on.
+    shown_in_menu_0: Box<[Parameter]>,
+}
+
+impl Mapping {
+    /// The blocks of `drive`.
+    ///
+    /// # Errors
+    ///
+    /// A parameter that has no address, and one that stands in two roles.
+    pub fn new(drive: &UnidriveDrive) -> Result<Mapping, PlanFault> {
+        let map = &drive.map;
+        let outputs = [(Role::Control, map.control), (Role::Reference, map.reference)];
+        let inputs =
+            [(Role::Status, Some(map.status)), (Role::Speed, Some(map.speed)), (Role::Trip, map.trip)];
+        let shown = (0..MONITOR_CHANNELS).map(|channel| (Role::Shown(channel as u8), map.show[channel]));
+        let also = map
+            .also
+            .iter()
+            .take(ALSO_MAX)
+            .enumerate()
+            .map(|(index, mapped)| (Role::Also(index as u8), Some(*mapped)));
+        let inputs: Vec<(Role, Mapped)> = inputs
+            .into_iter()
+            .chain(shown)
+            .chain(also)
+            .filter_map(|(role, mapped)| Some((role, mapped?)))
+            .collect();
+        if map.also.len() > ALSO_MAX {
+            let why = format!(
+                "names {} parameters, a request has {REGISTERS_MAX} registers; name fewer",
+                map.also.len()
+            );
+            return Err(PlanFault::new("also_read", why));
+        }
+        let all: Vec<(Role, Mapped)> = outputs.into_iter().chain(inputs.iter().copied()).collect();
+        for (place, (role, mapped)) in all.iter().enumerate() {
+            if let Some((other, _)) =
+                all[..place].iter().find(|(_, other)| other.parameter == mapped.parameter)
+            {
+                let why =
+                    format!("{} is {} already; name each parameter once", mapped.parameter, other.key());
+                return Err(PlanFault::new(role.key(), why));
+            }
+            if mapped.parameter.slot != 0 {
+                let why = format!(
+                    "{} is in an option slot; cyclic parameters are the drive's own",
+                    mapped.parameter
+                );
+                return Err(PlanFault::new(role.key(), why));
+            }
+            drive.address_of(*role, mapped.parameter, mapped.width)?;
+            if drive.via != Via::Direct && mapped.parameter.to_setup().is_none() {
+                let why = format!(
+                    "{} cannot be shown in menu 0 (menus up to 59); take via = \"direct\"",
+                    mapped.parameter
+                );
+                return Err(PlanFault::new(role.key(), why));
+            }
+        }
+        match drive.via {
+            Via::Direct => {
+                let writes = blocks(drive, &outputs)?;
+                let mut reads = blocks(drive, &inputs)?;
+                let is_hot =
+                    |block: &Block| block.roles.iter().any(|role| matches!(role, Role::Status | Role::Speed));
+                // The status first: without one there is no report.
+                reads.sort_by_key(|block| (!block.has(Role::Status), !is_hot(block)));
+                let hot = reads.iter().filter(|block| is_hot(block)).count();
+                // What was written is read back now and then: a drive refuses a value by FC23 without a word.
+                reads.extend(writes.iter().cloned());
+                check_lengths(&writes, &reads)?;
+                Ok(Mapping {
+                    writes: writes.into(),
+                    reads: reads.into(),
+                    hot,
+                    shown_in_menu_0: Box::default(),
+                })
+            }
+            Via::Menu0 { first } => {
+                // Side by side, what is written first: one block reads what was written back, too.
+                let place = |(index, (role, mapped)): (usize, &(Role, Mapped))| {
+                    let number = u16::from(first) + index as u16;
+                    match u8::try_from(number).ok().filter(|number| (1..=80).contains(number)) {
+                        Some(number) => Ok((
+                            *role,
+                            Mapped { parameter: Parameter::new(0, number), width: Width::Long, ..*mapped },
+                        )),
+                        None => {
+                            Err(PlanFault::new("via", "menu 0 has places 1 ... 80; begin further in front"))
+                        }
+                    }
+                };
+                let placed = all.iter().enumerate().map(place).collect::<Result<Vec<_>, _>>()?;
+                let writes = blocks(drive, &placed[..outputs.len()])?;
+                let reads = blocks(drive, &placed)?;
+                check_lengths(&writes, &reads)?;
+                let shown = all.iter().map(|(_, mapped)| mapped.parameter).collect();
+                Ok(Mapping { writes: writes.into(), reads: reads.into(), hot: 1, shown_in_menu_0: shown })
+            }
+        }
+    }
+
+    /// The blocks to write: control word and reference, or both in one.
+    pub fn writes(&self) -> &[Block] {
+        &self.writes
+    }
+
+    /// The blocks to read, those with status and speed first.
+    pub fn reads(&self) -> &[Block] {
+        &self.reads
+    }
+
+    /// How many of the first blocks to read have status or speed.
+    pub fn hot(&self) -> usize {
+        self.hot
+    }
+
+    /// Adds what it touches, to be locked.
+    pub(super) fn memory(&self, regions: &mut Regions) {
+        regions.add(&*self.writes);
+        regions.add(&*self.reads);
+        self.writes.iter().chain(&*self.reads).for_each(|block| regions.add(&*block.roles));
+    }
+
+    /// What menu 0 is to show, from its first place on; empty unless it is used.
+    pub fn shown_in_menu_0(&self) -> &[Parameter] {
+        &self.shown_in_menu_0
+    }
+
+    /// Which block is read in turn `turn`: those with status or speed one after the other, then one of the rest.
+    #[inline]
+    pub fn read_in(&self, turn: u32) -> usize {
+        let (hot, all) = (self.hot.max(1), self.reads.len());
+        // Of one there is nothing to divide.
+        if all == 1 {
+            return 0;
+        }
+        if all <= hot {
+            return turn as usize % all.max(1);
+        }
+        // With one such block, it is read in two of three exchanges.
+        let round = hot.max(2) + 1;
+        let (place, number) = (turn as usize % round, turn as usize / round);
+        if place < round - 1 { place % hot } else { hot + number % (all - hot) }
+    }
+
+    /// After so many turns everything was read.
+    pub fn turns(&self) -> usize {
+        let (hot, all) = (self.hot.max(1), self.reads.len());
+        if all <= hot { all } else { (hot.max(2) + 1) * (all - hot) }
+    }
+
+    /// The block to read that has `role`.
+    pub fn block_with(&self, role: Role) -> Option<usize> {
+        self.reads.iter().position(|block| block.has(role))
+    }
+}
+
+impl UnidriveDrive {
+    /// The address of a parameter on the wire.
+    fn address_of(&self, role: Role, parameter: Parameter, width: Width) -> Result<u16, PlanFault> {
+        parameter.address(self.addressing, width).ok_or_else(|| {
+            let range =
+                "menus 0 ... 162 and numbers 0 ... 99 by standard addressing, menus 0 ... 63 by modified";
+            PlanFault::new(role.key(), format!("{parameter} has no Modbus address: {range}"))
+        })
+    }
+}
+
+/// Puts those that follow each other into one block.
+fn blocks(drive: &UnidriveDrive, items: &[(Role, Mapped)]) -> Result<Vec<Block>, PlanFault> {
+    let mut items = items.to_vec();
+    items.sort_by_key(|(_, mapped)| (mapped.parameter.menu, mapped.parameter.number));
+    let mut blocks: Vec<(Block, Vec<Role>, Parameter)> = Vec::new();
+    for (role, mapped) in items {
+        let Mapped { parameter, width, .. } = mapped;
+        if let Some((block, roles, last)) = blocks.last_mut()
+            && block.width == width
+            && (last.menu, last.number.checked_add(1)) == (parameter.menu, Some(parameter.number))
+        {
+            block.registers += width.registers();
+            roles.push(role);
+            *last = parameter;
+            continue;
+        }
+        let address = drive.address_of(role, parameter, width)?;
+        let registers = width.registers();
+        let block = Block {
+            address,
+            registers,
+            width,
+            roles: Box::default(),
+            places: 0,
+            in_order: false,
+            first: parameter,
+        };
+        blocks.push((block, vec![role], parameter));
+    }
+    let finished = |(block, roles, _): (Block, Vec<Role>, Parameter)| {
+        let places = roles.iter().filter_map(|role| role.index()).map(|place| 1 << place).sum();
+        let mut each = roles.iter().map(|role| role.index()).enumerate();
+        let in_order = block.width == Width::Long && each.all(|(place, index)| index == Some(place));
+        Block { roles: roles.into(), places, in_order, ..block }
+    };
+    Ok(blocks.into_iter().map(finished).collect())
+}
+
+fn check_lengths(writes: &[Block], reads: &[Block]) -> Result<(), PlanFault> {
+    match writes.iter().chain(reads).find(|block| block.registers > REGISTERS_MAX) {
+        Some(block) => Err(PlanFault::new(
+            "map",
+            format!(
+                "{} registers from {} on are more than the {REGISTERS_MAX} of one request; map fewer",
+                block.registers, block.first
+            ),
+        )),
+        None => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::net::Ipv4Addr;
+
+    use super::*;
+
+    fn drive(change: impl FnOnce(&mut UnidriveDrive)) -> UnidriveDrive {
+        let mut drive = UnidriveDrive::new("u", Ipv4Addr::LOCALHOST);
+        change(&mut drive);
+        drive
+    }
+
+    fn addresses(blocks: &[Block]) -> Vec<(u16, u16)> {
+        blocks.iter().map(|block| (block.address, block.registers)).collect()
+    }
+
+    #[test]
+    fn the_usual_parameters_have_the_addresses_of_the_guides() {
+        let mapping = Mapping::new(&drive(|_| ())).unwrap();
+        assert_eq!(addresses(mapping.writes()), [(0x4078, 2), (0x0281, 1)]);
+        let reads = addresses(mapping.reads());
+        assert_eq!(reads, [(0x040F, 1), (0x412D, 2), (0x01A3, 1), (0x03FB, 1), (0x4078, 2), (0x0281, 1)]);
+        assert_eq!(mapping.hot(), 2);
+    }
+
+    #[test]
+    fn status_and_speed_are_read_in_two_of_three_turns_and_all_the_rest_in_the_others() {
+        let mapping = Mapping::new(&drive(|_| ())).unwrap();
+        let turns: Vec<usize> = (0..mapping.turns() as u32).map(|turn| mapping.read_in(turn)).collect();
+        assert_eq!(turns, [0, 1, 2, 0, 1, 3, 0, 1, 4, 0, 1, 5]);
+        let alone = Mapping::new(&drive(|drive| drive.via = Via::Menu0 { first: 1 })).unwrap();
+        assert_eq!((0..4).map(|turn| alone.read_in(turn)).collect::<Vec<_>>(), [0; 4]);
+    }
+
+    #[test]
+    fn menu_0_has_all_in_one_block_and_what_is_written_in_front() {
+        let mapping = Mapping::new(&drive(|drive| drive.via = Via::Menu0 { first: 11 })).unwrap();
+        assert_eq!(addresses(mapping.writes()), [(0x400A, 4)]);
+        assert_eq!(addresses(mapping.reads()), [(0x400A, 12)]);
+        let shown: Vec<String> = mapping.shown_in_menu_0().iter().map(Parameter::to_string).collect();
+        assert_eq!(shown, ["06.042", "01.021", "10.040", "03.002", "10.020", "04.020"]);
+    }
+
+    #[test]
+    fn parameters_side_by_side_are_one_block_until_it_is_full() {
+        let also = |count: u8| {
+            move |drive: &mut UnidriveDrive| {
+                drive.map.also = (0..count)
+                    .map(|index| Mapped { width: Width::Long, ..Mapped::new(Parameter::new(20, 1 + index)) })
+                    .collect();
+            }
+        };
+        let mapping = Mapping::new(&drive(also(60))).unwrap();
+        assert!(mapping.reads().iter().any(|block| block.registers == 120 && block.roles.len() == 60));
+        let fault = Mapping::new(&drive(also(61))).unwrap_err();
+        assert!(
+            fault.message.contains("122 registers from 20.001 on are more than the 120 of one request"),
+            "{fault:?}"
+        );
+    }
+
+    #[test]
+    fn what_cannot_be_exchanged_is_refused_with_its_key() {
+        let fault = |change: fn(&mut UnidriveDrive)| {
+            let PlanFault { key, message } = Mapping::new(&drive(change)).unwrap_err();
+            format!("{key}: {message}")
+        };
+        let missing = fault(|drive| drive.map.speed.parameter = Parameter::new(163, 1));
+        assert!(missing.starts_with("map.speed: 163.001 has no Modbus address"), "{missing}");
+        let twice = fault(|drive| drive.map.speed.parameter = Parameter::STATUS_WORD);
+        assert_eq!(twice, "map.speed: 10.040 is map.status already; name each parameter once");
+        let slot = fault(|drive| drive.map.trip = Some(Mapped::new(Parameter::new(15, 9).in_slot(4))));
+        assert!(slot.starts_with("map.trip: 4.15.009 is in an option slot"), "{slot}");
+        let place = fault(|drive| drive.via = Via::Menu0 { first: 76 });
+        assert!(place.starts_with("via: menu 0 has places 1 ... 80"), "{place}");
+    }
+}

@@ -1,0 +1,150 @@
+//! The native process data of a Unidrive: unscaled and complete, for the application.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicI32, Ordering};
+
+use rtrb::{Consumer, Producer};
+
+use super::mapping::{Image, Role};
+use super::orders::Outputs;
+use super::words::{ControlWord, StatusWord};
+use crate::axis::cell::{self, Packed, Reader, Words, Writer};
+use crate::rt::{self, Regions};
+use crate::time::Time;
+
+/// How many outputs the application may queue.
+const OUTPUTS: usize = 16;
+
+/// The application's end: [`Axis::native`](crate::axis::Axis::native) with this type.
+#[derive(Debug)]
+pub struct Native {
+    inputs: Reader<NativeInputs>,
+    also: Arc<[AtomicI32]>,
+    outputs: Producer<NativeOutput>,
+}
+
+/// What the drive last said, as counts on the wire; `None`: not read yet.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct NativeInputs {
+    /// When the newest of it was taken in.
+    pub at: Time,
+    /// Native mode ran when the request that this answers was built: what is written from now on goes out.
+    pub running: bool,
+    image: Image,
+}
+
+impl NativeInputs {
+    /// The status word.
+    pub fn status(&self) -> Option<StatusWord> {
+        self.get(Role::Status).map(|raw| StatusWord(raw as u16))
+    }
+
+    /// The control word as it was read back.
+    pub fn control(&self) -> Option<ControlWord> {
+        self.get(Role::Control).map(|raw| ControlWord(raw as u16))
+    }
+
+    /// The count of this role.
+    pub fn get(&self, role: Role) -> Option<i32> {
+        self.image.of(role)
+    }
+}
+
+/// What the application writes in native mode, in order; it stays until the next one.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct NativeOutput {
+    /// The control word; taken only with `NativeOwner::Application`.
+    pub control: ControlWord,
+    /// The speed reference as it goes over the wire.
+    pub reference: i32,
+}
+
+/// The station's end.
+#[derive(Debug)]
+pub(super) struct NativePort {
+    inputs: Writer<NativeInputs>,
+    also: Arc<[AtomicI32]>,
+    outputs: Consumer<NativeOutput>,
+    regions: Regions,
+}
+
+/// Both ends, with so many parameters that are read besides.
+pub(super) fn native(also: usize) -> (Native, NativePort) {
+    let (writer, reader) = cell::cell(NativeInputs::default());
+    let mut regions = Regions::new();
+    let (producer, consumer) = rt::ring(OUTPUTS, &mut regions);
+    let also: Arc<[AtomicI32]> = (0..also).map(|_| AtomicI32::new(0)).collect();
+    let native = Native { inputs: reader, also: Arc::clone(&also), outputs: producer };
+    (native, NativePort { inputs: writer, also, outputs: consumer, regions })
+}
+
+impl Native {
+    /// The newest inputs.
+    pub fn inputs(&self) -> NativeInputs {
+        self.inputs.read()
+    }
+
+    /// The newest count of parameter `index` of those that are read besides, in the order of the plan; 0 before the first one.
+    /// Each for itself: two of them may be of two replies.
+    pub fn also(&self, index: usize) -> Option<i32> {
+        self.also.get(index).map(|count| count.load(Ordering::Relaxed))
+    }
+
+    /// Queues an output for the axis in native mode; gives it back if the queue is full. What is written before the mode
+    /// runs ([`NativeInputs::running`]) is dropped as it begins.
+    pub fn write(&mut self, output: NativeOutput) -> Result<(), NativeOutput> {
+        self.outputs.push(output).map_err(|rtrb::PushError::Full(output)| output)
+    }
+}
+
+impl NativePort {
+    /// Adds what both directions touch, to be locked.
+    pub(super) fn memory(&self, regions: &mut Regions) {
+        self.inputs.memory(regions);
+        regions.add(&*self.also);
+        regions.extend(&self.regions);
+    }
+
+    #[inline]
+    pub(super) fn publish(&mut self, at: Time, running: bool, image: &Image) {
+        self.inputs.write(&NativeInputs { at, running, image: *image });
+    }
+
+    #[inline]
+    pub(super) fn publish_also(&mut self, index: u8, count: i32) {
+        if let Some(place) = self.also.get(usize::from(index)) {
+            place.store(count, Ordering::Relaxed);
+        }
+    }
+
+    pub(super) fn next(&mut self) -> Option<Outputs> {
+        self.outputs.pop().ok().map(|NativeOutput { control, reference }| Outputs { control, reference })
+    }
+
+    /// Drops what was written for a native mode that is over; not what the application writes meanwhile, which would have
+    /// no end.
+    pub(super) fn flush(&mut self) {
+        for _ in 0..self.outputs.slots().min(OUTPUTS) {
+            let _ = self.outputs.pop();
+        }
+    }
+}
+
+impl Packed for NativeInputs {
+    type Words = [u64; 2 + Image::PAIRS];
+
+    #[inline]
+    fn pack(&self) -> Self::Words {
+        let mut words = Self::Words::ZERO;
+        let (seen, pairs) = self.image.parts();
+        words[0] = self.at.0;
+        words[1] = u64::from(self.running) << 63 | u64::from(seen);
+        words[2..].copy_from_slice(pairs);
+        words
+    }
+
+    fn unpack(words: &Self::Words) -> NativeInputs {
+        let [at, flags, pairs @ ..] = *words;
+        NativeInputs { at: Time(at), running: flags >> 63 != 0, image: Image::new(flags as u32, pairs) }
+    }
+}
