@@ -6,7 +6,7 @@ use std::time::Duration;
 use fieldbeat::axis::{FoundRunning, Health, StopHow, StopThen, StopTimeout, Underrun, Unit};
 use fieldbeat::bus::linudp::MonitorPlan;
 use fieldbeat::bus::linudp::upid::Upid;
-use fieldbeat::config::{demo_plan, describe, load, parse, starvation, stop_bound_cycles};
+use fieldbeat::config::{demo_plan, describe, load, parse, starvation, stop_bound, stop_bound_cycles};
 use fieldbeat::cycle::{CyclePlan, Guard, Overrun, Plan, Wait};
 use fieldbeat::rt::Realtime;
 use fieldbeat::rt::host::Throttling;
@@ -22,6 +22,25 @@ fn machine(section: &str, fragment: &str) -> String {
         part("cycle"),
         part("bus"),
         part("drive"),
+    )
+}
+
+/// The same with a Unidrive, in the sections that begin with `unidrive`.
+fn any_machine(section: &str, fragment: &str) -> String {
+    match section.strip_prefix("unidrive") {
+        None => machine(section, fragment),
+        Some(rest) => unidrive(rest.trim_start_matches('-'), fragment),
+    }
+}
+
+/// One Unidrive with a fragment in the section of its bus or in its own. The fragment begins in line 4 or 8.
+fn unidrive(section: &str, fragment: &str) -> String {
+    let part = |name: &str| if name == section { fragment } else { "" };
+    format!(
+        "[cycle]\n[[bus]]\nprotocol = \"modbus-tcp\"\n{}\n\
+         [[bus.drive]]\nname = \"u\"\naddress = \"127.0.0.21\"\n{}\n",
+        part("bus"),
+        part(""),
     )
 }
 
@@ -54,7 +73,7 @@ fn every_mistake_says_where_it_is_and_what_would_be_right() {
     assert!(cases.len() > 100);
     for (section, fragment, expected) in cases {
         assert!(!expected.is_empty(), "{fragment} expects nothing");
-        assert_eq!(mistakes(&machine(section, &fragment)), expected, "in {section}: {fragment}");
+        assert_eq!(mistakes(&any_machine(section, &fragment)), expected, "in {section}: {fragment}");
     }
 }
 
@@ -151,11 +170,11 @@ fn what_is_missing_is_asked_for() {
     assert_eq!(mistakes("\n[bus]\n"), ["m.toml:2: bus: must be a list of tables: write [[bus]]"]);
     assert_eq!(
         mistakes("\n[[bus]]\n"),
-        ["m.toml:2: bus.protocol: missing; \"linudp-v2\" is LinMot LinUDP V2"]
+        ["m.toml:2: bus.protocol: missing; \"linudp-v2\" is LinMot LinUDP V2, \"modbus-tcp\" Nidec Unidrive"]
     );
     assert_eq!(
         mistakes("[[bus]]\nprotocol = \"ethercat\"\nwhatever = 1"),
-        ["m.toml:2: bus.protocol = \"ethercat\": must be \"linudp-v2\""]
+        ["m.toml:2: bus.protocol = \"ethercat\": must be \"linudp-v2\" or \"modbus-tcp\""]
     );
     assert_eq!(
         mistakes("[[bus]]\nprotocol = \"linudp-v2\""),
@@ -430,10 +449,19 @@ fn a_stream_command_is_chosen_only_where_it_fits() {
 fn the_demo_has_as_many_drives_as_wanted() {
     for (drives, period_ns, divisor) in [(1, 250 * US, 2), (8, MS, 1), (128, MS, 1)] {
         let plan = demo_plan(drives, period_ns).unwrap();
-        assert_eq!((plan.axes().len(), plan.cycle.period_ns), (drives, period_ns));
+        let [linmots, unidrives] = [0, 1].map(|bus| plan.buses[bus].axes());
+        assert_eq!((linmots.len(), unidrives.len(), plan.cycle.period_ns), (drives, 2, period_ns));
         // Its streaming command takes a setpoint every 0.4 ms at most.
-        assert!(plan.axes().iter().all(|axis| axis.divisor == divisor));
+        assert!(linmots.iter().all(|axis| axis.divisor == divisor));
+        // As many milliseconds between two exchanges as in the file, in different cycles.
+        assert!(unidrives.iter().all(|axis| u64::from(axis.divisor) * period_ns == 8 * MS));
+        assert_eq!(unidrives[1].phase - unidrives[0].phase, unidrives[0].divisor / 2);
         assert_eq!(plan.cycle.realtime, Realtime::Prefer);
+    }
+    for period_ns in [50 * US, 333 * US, 3 * MS, 10 * MS] {
+        let plan = demo_plan(1, period_ns).unwrap();
+        let unidrives = plan.buses[1].axes();
+        assert_ne!(unidrives[0].phase, unidrives[1].phase, "{period_ns}");
     }
     assert_eq!(demo_plan(0, MS).unwrap_err().to_string(), "0 drives: the demo has 1 to 128");
     assert_eq!(demo_plan(129, MS).unwrap_err().to_string(), "129 drives: the demo has 1 to 128");
@@ -444,10 +472,43 @@ fn the_demo_has_as_many_drives_as_wanted() {
     );
 }
 
-/// The commented keys of the sample are said to show the defaults: taking away the "# " must change nothing.
 #[test]
 fn the_linmot_sample_tells_the_truth() {
-    let sample = std::fs::read_to_string("rt-config/linmot.toml").unwrap();
+    let sample = tells_the_truth("rt-config/linmot.toml", 50);
+    // No key is left out: the reader's own list of them is in the sample.
+    for section in ["cycle", "bus", "drive"] {
+        for key in keys(&machine(section, "no_such_key = 1")) {
+            assert!(sample.contains(&key), "{key}");
+        }
+    }
+}
+
+#[test]
+fn the_unidrive_sample_tells_the_truth() {
+    let sample = tells_the_truth("rt-config/unidrive.toml", 45);
+    // What drives of every protocol have is told at length in the other one.
+    let common = keys(&machine("drive", "no_such_key = 1"));
+    let of_its_own = |key: &String| !common.contains(key);
+    for key in keys(&unidrive("", "no_such_key = 1")).iter().filter(|key| of_its_own(key)) {
+        assert!(sample.contains(key.as_str()), "{key}");
+    }
+    for table in ["map", "watchdog"] {
+        for key in keys(&unidrive("", &format!("{table}.no_such_key = 1"))) {
+            assert!(sample.contains(&key), "{key}");
+        }
+    }
+}
+
+/// The keys that are said to be valid in the section of a mistaken one.
+fn keys(text: &str) -> Vec<String> {
+    let error = mistakes(text).concat();
+    let (_, keys) = error.rsplit_once("valid here: ").unwrap();
+    keys.split(", ").map(str::to_owned).collect()
+}
+
+/// The commented keys of a sample are said to show the defaults: taking away the "# " must change nothing.
+fn tells_the_truth(file: &str, least: usize) -> String {
+    let sample = std::fs::read_to_string(file).unwrap();
     let is_key = |line: &str| {
         let key = line.split(" = ").next().unwrap_or_default();
         line.contains(" = ") && key.chars().all(|c| c.is_ascii_lowercase() || c == '_' || c == '.')
@@ -459,17 +520,10 @@ fn the_linmot_sample_tells_the_truth() {
             None => format!("{line}\n"),
         })
         .collect();
-    assert!(spelled.lines().filter(|line| is_key(line)).count() > 50);
+    assert!(spelled.lines().filter(|line| is_key(line)).count() > least);
     assert_eq!(format!("{:#?}", read(&sample).buses), format!("{:#?}", read(&spelled).buses));
     assert_eq!(read(&sample).cycle, read(&spelled).cycle);
-    // ... and no key is left out: the reader's own list of them is in the sample.
-    for section in ["cycle", "bus", "drive"] {
-        let error = mistakes(&machine(section, "no_such_key = 1")).concat();
-        let (_, keys) = error.rsplit_once("valid here: ").unwrap();
-        for key in keys.split(", ") {
-            assert!(sample.contains(key), "{key}");
-        }
-    }
+    sample
 }
 
 #[test]
@@ -546,6 +600,167 @@ bus portal: linudp-v2, 4 drives
 the black box holds the last 2 s in 0.4 MB, written to a file at a fault, a lost drive, another stop, and SIGUSR1
 Fieldbeat is not a safety function: the machine needs its own STO / emergency stop.
 "#;
+
+#[test]
+fn a_unidrive_in_words() {
+    let text = r#"
+[[bus]]
+protocol = "modbus-tcp"
+[bus.defaults]
+divisor = 8
+stop.group = "all"
+[[bus.drive]]
+name = "direct"
+address = "192.168.1.21"
+[[bus.drive]]
+name = "menu"
+address = "192.168.1.21:1502"
+phase = 4
+via = { menu_0 = 11 }
+monitor = false
+reply_within = "100us"
+watchdog = { timeout = "off", keypad = true }
+set_up = false
+[[bus.drive]]
+name = "unwatched"
+address = "192.168.1.22"
+watchdog.timeout = "off"
+no_drive_watchdog = "accept"
+stop.group = "own"
+divisor = 1
+[[bus.drive]]
+name = "refused"
+address = "192.168.1.23"
+watchdog.timeout = "off"
+stop.group = "own"
+[[bus]]
+protocol = "linudp-v2"
+bind = "192.168.1.1"
+[[bus.drive]]
+name = "x"
+address = "192.168.1.11"
+stop.group = "own"
+"#;
+    let plan = read(text);
+    let told = describe(&plan);
+    let of = |name: &str| {
+        let begin = told.iter().position(|line| line.starts_with(&format!("  drive {name}: "))).unwrap();
+        let rest = told[begin + 1..].iter().take_while(|line| line.starts_with("    "));
+        std::iter::once(&told[begin]).chain(rest).map(|line| line.trim_start()).collect::<Vec<_>>()
+    };
+    assert_eq!(
+        of("direct"),
+        [
+            "drive direct: 192.168.1.21:502",
+            "one request every 8 ms writes what changed, and reads a part: status and speed within 3 requests, all of it within 12 requests",
+            "a reply counts for 50 ms; a drive that is silent for 100 ms cannot be told anything: its connection is opened anew, with pauses, and a stop leaves with the first exchange on it; until then its own watchdog is what stops it",
+            "takes velocities; no moves, no streams, no homing",
+            "shows percentage-load",
+            "if the master dies: the drive trips within 500 ms and its motor coasts (Pr 4.15.009, set so before it is enabled)",
+            "an exchange every 8 cycles (8 ms), phase 0",
+            "link up after 10 good exchanges in a row, lost after 5 misses in a row: the stop request is on the wire within 290 cycles (290 ms) of the last good one, if it still answers; stop together: direct, menu",
+            "stop: ramp at 10 rev/s²; at standstill (below 0.05 rev/s for 20 exchanges) power off; without it after 3 s power off",
+            "stopped by a velocity setpoint older than 10 cycles (10 ms) and by a jog not renewed for 500 ms",
+            "limits: only the drive's own",
+        ]
+    );
+    for (name, line) in [
+        (
+            "menu",
+            "one request every 8 ms writes and reads all of it, side by side in menu 0 from Pr 00.011 on (Pr 22.011 and on are set so)",
+        ),
+        (
+            "menu",
+            "set_up = false: the drive is not set to anything, and not enabled unless it is set as needed",
+        ),
+        ("menu", "if the master dies: the drive trips within 1 s and its motor coasts (the keypad watchdog)"),
+        (
+            "unwatched",
+            "if the master dies: nothing stops the drive, it goes on at its last speed (no_drive_watchdog = \"accept\")",
+        ),
+        (
+            "refused",
+            "if the master dies: nothing would stop the drive, so that it is not enabled (no_drive_watchdog = \"refuse\")",
+        ),
+    ] {
+        assert!(of(name).contains(&line), "{line}\n{:#?}", of(name));
+    }
+    assert!(!of("menu").iter().any(|line| line.starts_with("shows")));
+    // A reply of 50 ms is owed for 50 cycles behind that of its request, so that with a divisor of 8 a turn takes 56 at most.
+    // direct: 8 until it is asked, 4 turns, 50, then menu's turn of 8. menu: 5 turns of 8, then that of direct.
+    // unwatched: 1, 4 turns of 51, 50, then refused's turn. refused: 8, 4 of 56, 50, then unwatched's. x: 5, then refused's.
+    let bounds = [0, 1, 2, 3, 4].map(|index| stop_bound(&plan, index));
+    assert_eq!(bounds, [8 + 4 * 56 + 50 + 8, 5 * 8 + 56, 1 + 4 * 51 + 50 + 56, 8 + 4 * 56 + 50 + 51, 5 + 56]);
+}
+
+#[test]
+fn values_of_a_unidrive_arrive_where_they_belong() {
+    use fieldbeat::bus::modbus::parameter::Parameter;
+    use fieldbeat::bus::modbus::{Mapped, UnidriveDrive};
+    let mut usual = UnidriveDrive::new("u", [127, 0, 0, 21].into());
+    let faults = &mut usual.simulate.faults;
+    (faults.delay_ns, faults.stall_ns, faults.inhibit_ns) = (MS, 100 * MS, 100 * MS);
+    assert!(format!("{:?}", read(&unidrive("", ""))).contains(&format!("{usual:?}")));
+    let text = unidrive(
+        "",
+        "unit = 1\nslot = 3\naddressing = \"modified\"\nvia = \"menu-0\"\nreply_within = \"20ms\"\nset_up = false\n\
+         units = \"mm\"\nscale = 0.5\ninvert = true\n\
+         map.control = { parameter = \"06.042\", bits = 32 }\nmap.speed = { parameter = \"18.011\", bits = 16, decimals = 2 }\n\
+         map.trip = \"off\"\nmonitor = [\"dc-bus-voltage\", \"04.001\"]\nalso_read = [\"20.021 ... 20.023\", \"05.001\"]\n\
+         watchdog = { timeout = \"off\", keypad = true }\nno_drive_watchdog = \"accept\"\n\
+         simulate = { running = -2, rated_speed = 1500, fc23 = false, menu_0 = false, connections = 2, cut = 0.5, split = 0.25 }",
+    );
+    let told = format!("{:?}", read(&text));
+    let long = |menu, number| format!("{:?}", Mapped::new(Parameter::new(menu, number)));
+    for part in [
+        "unit: Some(1), slot: 3, addressing: Modified",
+        "counts_per_unit: -0.5",
+        "control: Mapped { parameter: Parameter { slot: 0, menu: 6, number: 42 }, width: Long, decimals: 0 }",
+        "speed: Mapped { parameter: Parameter { slot: 0, menu: 18, number: 11 }, width: Word, decimals: 2 }",
+        "trip: None",
+        &format!("show: [Some({}), Some({}), None, None]", long(5, 5), long(4, 1)),
+        &format!("also: [{}, {}, {}, {}]", long(20, 21), long(20, 22), long(20, 23), long(5, 1)),
+        "via: Menu0 { first: 1 }, reply_within_ns: 20000000",
+        "Watchdog { timeout_ns: None, keypad: true, accept_none: true }, set_up: false",
+        "split: 0.25, cut: 0.5",
+        "connections: 2, read_write: false, menu_zero: false, drive_units: [1]",
+        "rated_rpm: 1500.0",
+        // 2 mm/s backwards are a revolution a second of an inverted motor.
+        "start: Running(60.0)",
+    ] {
+        assert!(told.contains(part), "{part} in {told}");
+    }
+}
+
+#[test]
+fn a_connection_of_its_own_is_told_by_address_and_port() {
+    let drive =
+        |name: &str, address: &str| format!("[[bus.drive]]\nname = \"{name}\"\naddress = \"{address}\"\n");
+    let text = unidrive("", "")
+        + &drive("v", "127.0.0.21:1502")
+        + &drive("w", "127.0.0.21:502")
+        + "[[bus]]\nprotocol = \"linudp-v2\"\nbind = \"127.0.0.1\"\n"
+        + &drive("x", "127.0.0.21")
+        + "[[bus]]\nprotocol = \"modbus-tcp\"\nname = \"second\"\n"
+        + &drive("y", "127.0.0.21:503");
+    assert_eq!(
+        mistakes(&text),
+        [
+            "m.toml:14: bus.drive.address = \"127.0.0.21:502\": is the drive of line 7 already; one drive an address and port",
+            "m.toml:20: bus.drive.address = \"127.0.0.21\": is the drive of line 7 already; one drive an IP address",
+        ]
+    );
+    for address in ["::1", "0.0.0.0", "224.0.0.1", "10.0.0.2:0", "u.local"] {
+        let text = unidrive("", "").replace("127.0.0.21", address);
+        let hint =
+            "must be the IPv4 address of a drive, like \"192.168.1.20\", or with a port other than 502";
+        assert_eq!(mistakes(&text), [format!("m.toml:7: bus.drive.address = \"{address}\": {hint}")]);
+    }
+    assert_eq!(
+        mistakes("[[bus]]\nprotocol = \"modbus-tcp\"\n[[bus.drive]]\nname = \"u\""),
+        ["m.toml:3: bus.drive.address: missing; where the drive listens, like \"192.168.1.20\""]
+    );
+}
 
 /// Three drives: x and y stop together and exchange together, z does neither.
 const THREE: &str = r#"

@@ -1,6 +1,7 @@
 //! A plan in words: what `check` prints.
 
 use crate::axis::{AxisPlan, HeldBy, Load, StopHow, StopThen, StopTimeout};
+use crate::bus::BusPlan;
 use crate::cycle::record::Record;
 use crate::cycle::{CyclePlan, Guard, Overrun, Plan, Wait};
 
@@ -10,7 +11,8 @@ use crate::time::{Ns, nanos};
 /// What this plan will do, line by line: the cycle, then each bus and each drive, with the bound of its stop and with
 /// what happens if the master dies. A drive that differs from the one before it only in its first line refers to it.
 pub fn describe(plan: &Plan) -> Vec<String> {
-    let axes = plan.axes();
+    let (axes, paced) = (plan.axes(), paced(plan));
+    let mut drives = paced.iter();
     let source = plan.source.as_ref().map_or("built in code".to_owned(), |path| path.display().to_string());
     let mut lines =
         vec![format!("{source}: {}, {}", count(axes.len(), "drive"), count(plan.buses.len(), "bus"))];
@@ -19,11 +21,12 @@ pub fn describe(plan: &Plan) -> Vec<String> {
         let mut own = bus.describe(plan.cycle.period_ns).into_iter();
         lines.push(format!("bus {}: {}, {}", bus.name(), bus.protocol(), count(bus.axes().len(), "drive")));
         let mut before: Option<(&str, Vec<String>)> = None;
-        for drive in bus.axes() {
+        for drive in drives.by_ref().take(bus.axes().len()) {
             let paragraph = own.next().unwrap_or_default();
             let mut told = paragraph.lines().map(str::to_owned);
             let first = told.next().unwrap_or_default();
-            let rest: Vec<String> = told.chain(axis(drive, &axes, plan.cycle.period_ns)).collect();
+            let rest: Vec<String> = told.chain(axis(drive, &paced, plan.cycle.period_ns)).collect();
+            let drive = drive.axis;
             match &before {
                 Some((like, same)) if *same == rest => {
                     lines.push(format!("  drive {}: {first}; else as {like}", drive.name));
@@ -127,8 +130,9 @@ fn frequency(period_ns: u64) -> String {
 }
 
 /// What every protocol's axis has: schedule, link, stop, limits.
-fn axis(axis: &AxisPlan, all: &[&AxisPlan], period_ns: u64) -> Vec<String> {
-    let mut lines = vec![schedule(axis, period_ns), link(axis, all, period_ns), stop(axis)];
+fn axis(drive: &Paced<'_>, all: &[Paced<'_>], period_ns: u64) -> Vec<String> {
+    let axis = drive.axis;
+    let mut lines = vec![schedule(axis, period_ns), link(drive, all, period_ns), stop(axis)];
     lines.extend(load(axis));
     lines.extend([setpoints(axis, period_ns), limits(axis)]);
     lines
@@ -142,35 +146,81 @@ fn schedule(axis: &AxisPlan, period_ns: u64) -> String {
     }
 }
 
-/// The drives that stop when `axis` does, itself included.
-fn group<'a>(axis: &'a AxisPlan, all: &'a [&AxisPlan]) -> impl Iterator<Item = &'a AxisPlan> {
-    let group = axis.stop.group;
-    all.iter().filter(move |one| one.name == axis.name || group.is_some() && one.stop.group == group).copied()
+/// An axis and how its exchanges follow each other.
+#[derive(Clone, Copy, Debug)]
+struct Paced<'a> {
+    axis: &'a AxisPlan,
+    /// For so many cycles behind the one that asked a reply counts, on a connection. `None`: there is none, and replies come
+    /// in the cycle that asks.
+    owed: Option<u64>,
 }
 
-/// A dead link stops `axis` and its group: at most so many cycles lie between the cycle of its last good exchange and the
-/// one that has sent every stop request. `all` are the axes of the plan.
+impl Paced<'_> {
+    /// The most cycles between two requests: one whose reply is owed is waited for, and the next one has its turn then.
+    fn turn(&self) -> u64 {
+        let divisor = u64::from(self.axis.divisor.max(1));
+        (self.owed.unwrap_or(0) / divisor).saturating_add(1).saturating_mul(divisor)
+    }
+}
+
+/// All axes of `plan`, in slot order.
+fn paced(plan: &Plan) -> Vec<Paced<'_>> {
+    let (period_ns, deadline_ns) = (plan.cycle.period_ns.max(1), plan.cycle.deadline_ns());
+    let owed = |within_ns: u64| within_ns.saturating_sub(deadline_ns).div_ceil(period_ns);
+    let of = |bus: &'_ dyn BusPlan, index| bus.reply_within_ns(index).map(owed);
+    plan.buses
+        .iter()
+        .flat_map(|bus| {
+            bus.axes().into_iter().enumerate().map(|(index, axis)| Paced { axis, owed: of(&**bus, index) })
+        })
+        .collect()
+}
+
+/// The drives that stop when `drive` does, itself included.
+fn group<'a>(drive: &'a Paced<'a>, all: &'a [Paced<'a>]) -> impl Iterator<Item = &'a Paced<'a>> {
+    let group = drive.axis.stop.group;
+    all.iter().filter(move |one| {
+        one.axis.name == drive.axis.name || group.is_some() && one.axis.stop.group == group
+    })
+}
+
+/// A dead link stops axis `index` of `plan` and its group: at most so many cycles lie between the cycle that took in its last
+/// good reply and the one that has sent every stop request, as far as connections take them.
 ///
-/// `bucket` exchanges are missed first, one every `divisor` cycles, and the last of them is judged in its own cycle. The
-/// lost drive is then asked in the very next one, and each other member of the group in its own next one.
-pub fn stop_bound_cycles(axis: &AxisPlan, all: &[&AxisPlan]) -> u64 {
-    let others = group(axis, all).filter(|one| one.name != axis.name);
-    let slowest = others.map(|one| one.divisor).max().unwrap_or(1).max(1);
-    u64::from(axis.health.bucket) * u64::from(axis.divisor) + u64::from(slowest)
+/// `bucket` exchanges are missed first. Each is judged when its reply no longer counts, and the next one follows in its turn.
+/// The lost drive is then asked in the very next cycle, and each other member of the group in its own next turn.
+pub fn stop_bound(plan: &Plan, index: usize) -> u64 {
+    let all = paced(plan);
+    all.get(index).map_or(0, |drive| bound(drive, &all))
 }
 
-fn link(axis: &AxisPlan, all: &[&AxisPlan], period_ns: u64) -> String {
-    let cycles = stop_bound_cycles(axis, all);
-    let names: Vec<&str> = group(axis, all).map(|one| one.name.as_str()).collect();
+/// The same for `axis` among `all`, whose replies come in the cycle that asks.
+pub fn stop_bound_cycles(axis: &AxisPlan, all: &[&AxisPlan]) -> u64 {
+    let all: Vec<Paced<'_>> = all.iter().map(|axis| Paced { axis, owed: None }).collect();
+    bound(&Paced { axis, owed: None }, &all)
+}
+
+fn bound(drive: &Paced<'_>, all: &[Paced<'_>]) -> u64 {
+    let Paced { axis, owed } = drive;
+    let others = group(drive, all).filter(|one| one.axis.name != axis.name);
+    let slowest = others.map(Paced::turn).max().unwrap_or(1);
+    let misses = u64::from(axis.health.bucket.saturating_sub(1)).saturating_mul(drive.turn());
+    u64::from(axis.divisor).saturating_add(misses).saturating_add(owed.unwrap_or(0)).saturating_add(slowest)
+}
+
+fn link(drive: &Paced<'_>, all: &[Paced<'_>], period_ns: u64) -> String {
+    let (health, cycles) = (&drive.axis.health, bound(drive, all));
+    let names: Vec<&str> = group(drive, all).map(|one| one.axis.name.as_str()).collect();
     let together = match names.len() {
         0 | 1 => String::new(),
         _ => format!("; stop together: {}", names.join(", ")),
     };
+    let taken = if drive.owed.is_some() { ", if it still answers" } else { "" };
     format!(
         "link up after {} good exchanges in a row, lost after {} misses in a row: the stop request is on the wire within \
-         {cycles} cycles ({}) of the last good one{together}",
-        axis.health.gate,
-        axis.health.bucket,
+         {cycles} cycles ({}) of the last good one{taken}{together}",
+        health.gate,
+        health.bucket,
         Ns(cycles.saturating_mul(period_ns)),
     )
 }

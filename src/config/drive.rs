@@ -11,10 +11,20 @@ use crate::axis::{
 use crate::cycle::plan::is_plain_name;
 use crate::time::{MS, S};
 
-/// Reads the common keys. `counts_per_mm` is the protocol's own resolution, if it has one.
-pub(super) fn axis(table: &mut Table<'_>, machine: &mut Machine, counts_per_mm: Option<f64>) -> AxisPlan {
+/// What the drives of a protocol count.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Counts {
+    /// In words.
+    pub(super) what: &'static str,
+    /// The unit that nobody needs to name, and how many of them are one.
+    pub(super) unit: Unit,
+    pub(super) per_unit: f64,
+}
+
+/// Reads the common keys of a drive that counts `counts`.
+pub(super) fn axis(table: &mut Table<'_>, machine: &mut Machine, counts: Counts) -> AxisPlan {
     let name = name(table, machine);
-    let units = units(table, counts_per_mm);
+    let units = units(table, counts);
     let default = AxisPlan::new(name, units);
     let limits = limits(table, &units);
     let profile = profile(table, &default.profile, &limits);
@@ -114,20 +124,16 @@ pub(super) fn plain_name(text: &str) -> Option<String> {
     is_plain_name(text).then(|| text.to_owned())
 }
 
-fn units(table: &mut Table<'_>, counts_per_mm: Option<f64>) -> Units {
+fn units(table: &mut Table<'_>, counts: Counts) -> Units {
     let unit =
-        table.word("units", &[("mm", Unit::Millimetre), ("rev", Unit::Revolution)]).unwrap_or_default();
-    let given =
-        table.number("scale", 1e-6..=1e12, "drive counts in one unit; invert = true turns the direction");
-    let usual = match unit {
-        Unit::Millimetre => counts_per_mm,
-        Unit::Revolution => None,
-    };
-    if given.or(usual).is_none() && !table.gives("scale") {
-        table.fault("scale", format!("missing; say how many drive counts are one {unit}"));
+        table.word("units", &[("mm", Unit::Millimetre), ("rev", Unit::Revolution)]).unwrap_or(counts.unit);
+    let hint = format!("{} in one unit; invert = true turns the direction", counts.what);
+    let given = table.number("scale", 1e-6..=1e12, &hint);
+    if unit != counts.unit && !table.gives("scale") {
+        table.fault("scale", format!("missing; say how many {} are one {unit}", counts.what));
     }
     // Where it is missing, something usual stands in: one mistake, one message.
-    let scale = given.or(usual).unwrap_or(10_000.0);
+    let scale = given.unwrap_or(counts.per_unit);
     let inverted = table.flag("invert").unwrap_or(false);
     Units {
         unit,

@@ -1,13 +1,15 @@
 //! `protocol = "linudp-v2"`.
 
-use std::net::{Ipv4Addr, SocketAddrV4};
+use std::net::SocketAddrV4;
 
-use super::Machine;
-use super::drive::axis;
+use super::drive::{Counts, axis};
+use super::faults::faults;
 use super::reader::{POSITIVE, Table, integer};
-use super::value::{closest, endpoint};
+use super::value::{closest, station};
+use super::{Claim, Machine, NOWHERE, drives};
 use crate::axis::feedback::MONITOR_CHANNELS;
-use crate::axis::{AxisPlan, Units};
+use crate::axis::{AxisPlan, Unit, Units};
+use crate::bus::BusPlan;
 use crate::bus::linudp::upid::{KNOWN, Upid};
 use crate::bus::linudp::{
     COUNTS_PER_MM, DRIVE_PORT, FlashMode, LinUdpDrive, LinUdpPlan, MASTER_PORT, MasterFilter, MonitorPlan,
@@ -15,35 +17,20 @@ use crate::bus::linudp::{
 };
 use crate::cycle::CyclePlan;
 use crate::net::SendMode;
-use crate::sim::FaultPlan;
-use crate::time::{MS, S};
+use crate::sim::Carrier;
+use crate::time::S;
 
 /// Reads a `[[bus]]`.
-pub(super) fn bus(table: &mut Table<'_>, machine: &mut Machine, cycle: &CyclePlan) -> LinUdpPlan {
+pub(super) fn bus(table: &mut Table<'_>, machine: &mut Machine, cycle: &CyclePlan) -> Box<dyn BusPlan> {
     let name = machine.bus_name(table, PROTOCOL);
     let bind = bind(table, machine);
     let send =
         table.word("send", &[("batch", SendMode::Batch), ("each", SendMode::Each)]).unwrap_or_default();
-    let defaults = table.sub_table("defaults");
-    if !table.gives("drive") {
-        table.fault("drive", "missing; a bus needs at least one [[bus.drive]]");
-    }
-    let mut drives = Vec::new();
-    for (index, own) in table.tables("drive").into_iter().enumerate() {
-        let mut table = own.over(&defaults, &["name", "address"]);
-        drives.push(drive(&mut table, machine, cycle, bind, index));
-        table.finish();
-    }
-    LinUdpPlan { name, bind: bind.unwrap_or(NOWHERE), send, drives }
+    let drives = drives(table, |table, index| drive(table, machine, cycle, bind, index));
+    Box::new(LinUdpPlan { name, bind: bind.unwrap_or(NOWHERE), send, drives })
 }
 
-/// Stands in for an address that was refused: the plan is not handed out then.
-const NOWHERE: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, 0);
-
-/// An address that a packet can be sent to or from.
-fn station(text: &str, port: u16) -> Option<SocketAddrV4> {
-    endpoint(text, port).filter(|e| !e.ip().is_multicast() && !e.ip().is_broadcast() && e.port() != 0)
-}
+const COUNTS: Counts = Counts { what: "drive counts", unit: Unit::Millimetre, per_unit: COUNTS_PER_MM };
 
 fn bind(table: &mut Table<'_>, machine: &mut Machine) -> Option<SocketAddrV4> {
     table.require("bind", "the address of the adapter that the drives are on, like \"192.168.1.1\"");
@@ -59,7 +46,7 @@ fn address(table: &mut Table<'_>, machine: &mut Machine, bind: Option<SocketAddr
     let address = table.text("address", hint, |text| {
         station(text, DRIVE_PORT).filter(|address| !address.ip().is_unspecified())
     })?;
-    machine.claim_address(table, address);
+    machine.claim_address(table, address, Claim::Host);
     // The kernel sends nothing between a loopback address and the world, and says so only when it is too late.
     if let Some(bind) = bind.filter(|bind| !bind.ip().is_unspecified()) {
         let (near, far) = (bind.ip().is_loopback(), address.ip().is_loopback());
@@ -78,7 +65,7 @@ fn drive(
     bind: Option<SocketAddrV4>,
     index: usize,
 ) -> LinUdpDrive {
-    let axis = axis(table, machine, Some(COUNTS_PER_MM));
+    let axis = axis(table, machine, COUNTS);
     let address = address(table, machine, bind).unwrap_or(NOWHERE);
     let period_ns = cycle.period_ns.saturating_mul(u64::from(axis.divisor));
     let drive = LinUdpDrive {
@@ -172,7 +159,7 @@ fn simulate(table: &mut Table<'_>, axis: &AxisPlan, period_ns: u64, index: usize
     let ends = (counts(low), counts(high));
     let default = SimPlan::default();
     SimPlan {
-        faults: faults(table, period_ns, index),
+        faults: faults(table, Carrier::Datagrams, period_ns, index),
         padding: table
             .read("padding", |value| {
                 let padding = super::reader::integer(value).and_then(|padding| usize::try_from(padding).ok());
@@ -222,37 +209,6 @@ fn simulate(table: &mut Table<'_>, axis: &AxisPlan, period_ns: u64, index: usize
 /// A simulated position in counts, at the end of the wire's range where it does not fit.
 fn counts(units: &Units, position: f64) -> i32 {
     units.counts(position).clamp(f64::from(i32::MIN), f64::from(i32::MAX)) as i32
-}
-
-fn faults(table: &mut Table<'_>, period_ns: u64, index: usize) -> FaultPlan {
-    let rate = |table: &mut Table<'_>, key| {
-        table.number(key, 0.0..=1.0, "a probability for each datagram").unwrap_or(0.0)
-    };
-    let seed: u64 =
-        table.integer("seed", 0..=i128::from(u32::MAX), "the same seed gives the same faults").unwrap_or(0);
-    FaultPlan {
-        // Drives with one seed in common would lose the same datagrams.
-        seed: seed + index as u64,
-        drop: rate(table, "drop"),
-        duplicate: rate(table, "duplicate"),
-        corrupt: rate(table, "corrupt"),
-        delay: rate(table, "delay"),
-        delay_ns: table
-            .time("delay_by", ..=10 * S, "how much later a delayed datagram comes")
-            .unwrap_or(period_ns),
-        reorder: rate(table, "reorder"),
-        stall: rate(table, "stall"),
-        stall_ns: table
-            .time("stall_for", ..=600 * S, "how long a stalled drive is silent")
-            .unwrap_or(100 * MS),
-        restart: rate(table, "restart"),
-        inhibit: rate(table, "inhibit"),
-        inhibit_ns: table
-            .time("inhibit_for", ..=600 * S, "how long the hardware enable (STO) stays open")
-            .unwrap_or(100 * MS),
-        wrong_id: rate(table, "wrong_id"),
-        answer_ns: table.time("answer_time", ..=S, "from a request to its answer").unwrap_or(0),
-    }
 }
 
 fn filter(table: &mut Table<'_>) -> Option<MasterFilter> {

@@ -9,6 +9,8 @@
 //! | `cycle` | `[cycle]`, and what would starve the host |
 //! | `drive` | the keys that every `[[bus.drive]]` has |
 //! | `linudp` | the keys of `protocol = "linudp-v2"` |
+//! | `modbus` | the keys of `protocol = "modbus-tcp"` |
+//! | `faults` | the faults of simulated drives |
 //! | `describe` | a plan in words |
 //! | `linmot_table` | a LinMot drive's command table as a file of its own |
 //! | `linmot_curve` | a LinMot drive's curve as a file of its own |
@@ -44,8 +46,8 @@
 //! |---|---|---|
 //! | `name` | - | unique in the machine |
 //! | `address` | - | see the protocol |
-//! | `units` | `"mm"` | `"mm"` or `"rev"` |
-//! | `scale` | the protocol's, for mm | drive counts in one unit; LinUDP 10000 a mm |
+//! | `units` | the protocol's | `"mm"` or `"rev"`; LinUDP mm, Modbus TCP rev |
+//! | `scale` | the protocol's, for its own unit | drive counts in one unit; LinUDP 10000 a mm; Modbus TCP revolutions of the motor, 1 a rev |
 //! | `invert` | `false` | turn the direction round |
 //! | `offset` | `0` | position of the drive's count zero |
 //! | `modulo` | none | length of one turn of a rotary axis |
@@ -97,16 +99,43 @@
 //! | `leash` | - | how far these run ahead, and on if the master dies; at most the range |
 //! | `simulate` | below | the drive when it is simulated |
 //!
-//! `simulate`:
+//! `protocol = "modbus-tcp"`, where a parameter is text that is known here, `"06.042"` or its
+//! [name](crate::bus::modbus::parameter::catalogue), or one with its size, `{ parameter = "18.011", bits = 32, decimals = 1 }`:
+//!
+//! | key | default | meaning |
+//! |---|---|---|
+//! | `address` | - | `"192.168.1.20"` or with another port than 502; one drive an address and port |
+//! | `unit` | 255, and 0 where that is not answered | the unit id of the drive |
+//! | `slot` | `4` | where its Ethernet interface is: 4 onboard, 1 ... 3 an option |
+//! | `addressing` | `"standard"` | how parameters become addresses, or `"modified"` |
+//! | `map.control`, `map.status` | `"06.042"`, `"10.040"` | control word and status word |
+//! | `map.reference`, `map.speed` | `"01.021"`, `"03.002"` | speeds, told and read |
+//! | `map.trip` | `"10.020"` | the number of the last trip, or `"off"` |
+//! | `monitor` | `["04.020"]` | up to four parameters that are shown besides, or `false` |
+//! | `also_read` | `[]` | what is read besides, for the native process data; ranges as `"20.021 ... 20.030"` |
+//! | `via` | `"direct"` | a block in each request, in turns; `"menu-0"`: all of it, side by side in menu 0, or `{ menu_0 = 11 }` from Pr 00.011 on |
+//! | `reply_within` | `"50ms"` | a reply counts for so long |
+//! | `set_up` | `true` | set the drive to what is needed, before it is enabled; `false` only looks |
+//! | `watchdog.timeout` | `"500ms"` | without Modbus traffic for so long the drive trips (Pr S.15.009); `"off"` leaves that as it is |
+//! | `watchdog.keypad` | `false` | the watchdog in the control word, about 1 s |
+//! | `no_drive_watchdog` | `"refuse"` | a drive with neither of them is not enabled, or that is `"accept"`ed |
+//! | `simulate` | below | the drive when it is simulated |
+//!
+//! `simulate`, of every protocol:
 //!
 //! | key | default | meaning |
 //! |---|---|---|
 //! | `seed` | `0` | of the random faults; each drive adds its place in the file |
-//! | `drop`, `duplicate`, `corrupt`, `delay`, `reorder`, `stall`, `restart`, `inhibit`, `wrong_id` | `0` | how likely a datagram meets this fault, 0 ... 1; `inhibit` opens the hardware enable (STO) |
-//! | `delay_by` | one period of the drive | how much later a delayed datagram comes |
+//! | `drop`, `duplicate`, `corrupt`, `delay`, `reorder`, `stall`, `restart`, `inhibit`, `wrong_id` | `0` | how likely a datagram, or what is sent at once on a connection, meets this fault, 0 ... 1; `inhibit` opens the hardware enable (STO) |
+//! | `delay_by` | one period of the drive | how much later what is delayed comes |
 //! | `stall_for` | `"100ms"` | how long a stalled drive is silent |
 //! | `inhibit_for` | `"100ms"` | how long the hardware enable stays open |
 //! | `answer_time` | `"0us"` | from a request to its answer |
+//!
+//! `simulate` of `"linudp-v2"`:
+//!
+//! | key | default | meaning |
+//! |---|---|---|
 //! | `padding` | `14` | shortest payload, bytes: `0`, `14` or `64` |
 //! | `filter` | `"none"` | which masters it answers: all, a `"single"` one, or the one with this address |
 //! | `range` | `limits.position` and 5 units more, else 1000 units both ways | mechanical range |
@@ -123,14 +152,29 @@
 //! | `flash` | `"silent"` | answers nothing while it saves; `"mute"`: nor says afterwards how it went; `"busy"`: answers that it is |
 //! | `unknown_commands` | `"refuse"` | error 0081h at a motion command that it has no use for; `"ignore"` |
 //! | `extend_sign` | `false` | values of less than 32 bits carry their sign in the bits above |
+//!
+//! `simulate` of `"modbus-tcp"`:
+//!
+//! | key | default | meaning |
+//! |---|---|---|
+//! | `split`, `cut` | `0` | how likely it comes a byte at a time; how likely a connection ends in the middle of a reply |
+//! | `fc23` | `true` | it knows FC23, a write and a read in one request |
+//! | `menu_0` | `true` | Pr 22.001 and on say what menu 0 shows |
+//! | `connections` | `4` | how many masters it listens to at a time |
+//! | `rated_speed`, `rated_torque` | `3000`, `5` | of the motor, rpm and N m |
+//! | `inertia` | `0.005` | of all that turns, kg m² |
+//! | `load`, `friction` | `1.5`, `0.1` | what the machine takes, N m: at rated speed, growing with it; and at any |
+//! | `running` | none | comes up enabled and at this velocity, as if another master had died |
 
 mod cycle;
 mod describe;
 mod drive;
 mod error;
+mod faults;
 pub mod linmot_curve;
 pub mod linmot_table;
 mod linudp;
+mod modbus;
 mod reader;
 mod value;
 
@@ -141,12 +185,12 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 pub use cycle::starvation;
-pub use describe::{describe, stop_bound_cycles};
+pub use describe::{describe, stop_bound, stop_bound_cycles};
 pub use error::{ConfigError, ConfigErrors};
 
 use crate::bus::BusPlan;
-use crate::cycle::{GroupPlan, Plan};
-use crate::time::US;
+use crate::cycle::{CyclePlan, GroupPlan, Plan};
+use crate::time::{MS, US};
 use reader::{Page, Place, Table};
 
 /// The sample that runs everywhere, without privileges or hardware.
@@ -190,7 +234,7 @@ pub fn duration(text: &str) -> Result<Duration, String> {
         .ok_or_else(|| "write a number with its unit: ns, us, ms, s, min or h, for example 10s".into())
 }
 
-/// The demo with so many drives, 1 ... 128, and this period.
+/// The demo with so many LinMots, 1 ... 128, beside its Unidrives, and this period.
 pub fn demo_plan(drives: usize, period_ns: u64) -> Result<Plan, ConfigErrors> {
     if !(1..=128).contains(&drives) {
         return Err(whole_file(DEMO_FILE, None, format!("{drives} drives: the demo has 1 to 128")));
@@ -198,16 +242,28 @@ pub fn demo_plan(drives: usize, period_ns: u64) -> Result<Plan, ConfigErrors> {
     parse(&demo_text(drives, period_ns), DEMO_FILE)
 }
 
-/// The demo's file up to its first drive, with the period replaced, and then as many drives as wanted: all that they
-/// share stands in `[bus.defaults]`. In a cycle too fast for its streaming command a drive is due every few cycles only.
+/// The demo's file up to its first drive, with the period replaced, then as many drives as wanted: all that they share stands
+/// in `[bus.defaults]`. In a cycle too fast for its streaming command a drive is due every few cycles only. Behind them the bus
+/// of the Unidrives, with exchanges as many milliseconds apart as in the file.
 fn demo_text(drives: usize, period_ns: u64) -> String {
     let head = DEMO.split("[[bus.drive]]").next().unwrap_or(DEMO);
+    let tail = DEMO.rfind("[[bus]]").map_or("", |at| &DEMO[at..]);
+    let every = (8 * MS / period_ns.max(50 * US)).max(2);
     let divisor = (400 * US).div_ceil(period_ns.max(50 * US));
     let mut text = head
         .replace("period = \"1ms\"", &format!("period = \"{period_ns}ns\""))
         .replace("[bus.defaults]", &format!("[bus.defaults]\ndivisor = {divisor}"));
     for drive in 1..=drives {
         text += &format!("[[bus.drive]]\nname = \"a{drive}\"\naddress = \"127.77.0.{}\"\n\n", drive + 10);
+    }
+    for line in tail.lines() {
+        match line {
+            "divisor = 8" => text += &format!("divisor = {every}"),
+            "phase = 2" => text += &format!("phase = {}", every / 4),
+            "phase = 6" => text += &format!("phase = {}", every * 3 / 4),
+            _ => text += line,
+        }
+        text.push('\n');
     }
     text
 }
@@ -228,6 +284,16 @@ fn whole_file(file: &str, line: Option<usize>, message: String) -> ConfigErrors 
     ConfigError { file: file.to_owned(), line, key: None, value: None, message }.into()
 }
 
+/// Reads a `[[bus]]`.
+type ReadBus = fn(&mut Table<'_>, &mut Machine, &CyclePlan) -> Box<dyn BusPlan>;
+
+/// One word a protocol; the next one is one line more.
+const PROTOCOLS: [(&str, ReadBus); 2] =
+    [(crate::bus::linudp::PROTOCOL, linudp::bus), (crate::bus::modbus::PROTOCOL, modbus::bus)];
+
+/// Stands in for an address that was refused: the plan is not handed out then.
+const NOWHERE: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, 0);
+
 fn machine(mut root: Table<'_>) -> Plan {
     let cycle = root.table("cycle", cycle::cycle);
     let mut machine = Machine::default();
@@ -236,11 +302,9 @@ fn machine(mut root: Table<'_>) -> Plan {
     }
     let mut buses: Vec<Box<dyn BusPlan>> = Vec::new();
     for mut table in root.tables("bus") {
-        table.require("protocol", "\"linudp-v2\" is LinMot LinUDP V2");
-        // One word a protocol; the next one is one line more.
-        let read = table.word("protocol", &[(crate::bus::linudp::PROTOCOL, linudp::bus)]);
-        if let Some(read) = read {
-            buses.push(Box::new(read(&mut table, &mut machine, &cycle)));
+        table.require("protocol", "\"linudp-v2\" is LinMot LinUDP V2, \"modbus-tcp\" Nidec Unidrive");
+        if let Some(read) = table.word("protocol", &PROTOCOLS) {
+            buses.push(read(&mut table, &mut machine, &cycle));
             table.finish();
         }
     }
@@ -258,6 +322,21 @@ fn machine(mut root: Table<'_>) -> Plan {
     }
     root.finish();
     plan
+}
+
+/// The drives of a bus, each over its `[bus.defaults]`; `read` is told its place, too.
+fn drives<D>(bus: &mut Table<'_>, mut read: impl FnMut(&mut Table<'_>, usize) -> D) -> Vec<D> {
+    let defaults = bus.sub_table("defaults");
+    if !bus.gives("drive") {
+        bus.fault("drive", "missing; a bus needs at least one [[bus.drive]]");
+    }
+    let mut drives = Vec::new();
+    for (index, own) in bus.tables("drive").into_iter().enumerate() {
+        let mut table = own.over(&defaults, &["name", "address"]);
+        drives.push(read(&mut table, index));
+        table.finish();
+    }
+    drives
 }
 
 /// A `[[group]]`: axes that act together.
@@ -287,10 +366,19 @@ fn group(table: &mut Table<'_>, plan: &Plan) -> Option<GroupPlan> {
 struct Machine {
     drives: HashMap<String, Place>,
     buses: HashMap<String, Place>,
-    addresses: HashMap<Ipv4Addr, (SocketAddrV4, Place)>,
+    addresses: HashMap<Ipv4Addr, Vec<(SocketAddrV4, Claim, Place)>>,
     binds: Vec<(SocketAddrV4, Place)>,
     /// Stop groups by id, with their members.
     groups: Vec<(String, Vec<Place>)>,
+}
+
+/// What a drive is told from the others by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Claim {
+    /// Its IP address: that is what a datagram says.
+    Host,
+    /// Address and port: it has a connection of its own.
+    Port,
 }
 
 impl Machine {
@@ -335,20 +423,27 @@ impl Machine {
                 format!("is taken by the bus of {first}; one bus an address, put its drives there"),
             );
         }
-        if let Some((_, drive)) = self.addresses.get(bind.ip()).filter(|(address, _)| *address == bind) {
+        let drives = self.addresses.get(bind.ip()).into_iter().flatten();
+        let mut hosts = drives.filter(|(_, claim, _)| *claim == Claim::Host);
+        if let Some((.., drive)) = hosts.find(|(address, ..)| *address == bind) {
             table.fault("bind", format!("is the drive of {drive}; give the master's own address"));
         }
         self.binds.push((bind, table.place("bind")));
     }
 
-    /// A drive that is told from the others by its IP address.
-    fn claim_address(&mut self, table: &Table<'_>, address: SocketAddrV4) {
-        if let Some((_, first)) = self.binds.iter().find(|(bind, _)| *bind == address) {
+    fn claim_address(&mut self, table: &Table<'_>, address: SocketAddrV4, claim: Claim) {
+        let by_host = |other: &Claim| claim == Claim::Host || *other == Claim::Host;
+        let known = self.addresses.entry(*address.ip()).or_default();
+        let mut binds = self.binds.iter().filter(|_| claim == Claim::Host);
+        if let Some((_, first)) = binds.find(|(bind, _)| *bind == address) {
             table.fault("address", format!("is the master's own, bind of {first}; give the drive's"));
-        } else if let Some((_, first)) = self.addresses.get(address.ip()) {
-            table.fault("address", format!("is the drive of {first} already; one drive an IP address"));
+        } else if let Some((_, other, first)) =
+            known.iter().find(|(taken, other, _)| by_host(other) || *taken == address)
+        {
+            let each = if by_host(other) { "an IP address" } else { "an address and port" };
+            table.fault("address", format!("is the drive of {first} already; one drive {each}"));
         } else {
-            self.addresses.insert(*address.ip(), (address, table.place("address")));
+            known.push((address, claim, table.place("address")));
         }
     }
 

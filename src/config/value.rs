@@ -47,6 +47,11 @@ pub(super) fn endpoint(text: &str, default_port: u16) -> Option<SocketAddrV4> {
     }
 }
 
+/// One that a packet can be sent to or from.
+pub(super) fn station(text: &str, default_port: u16) -> Option<SocketAddrV4> {
+    endpoint(text, default_port).filter(|e| !e.ip().is_multicast() && !e.ip().is_broadcast() && e.port() != 0)
+}
+
 /// `"a", "b" or "c"`.
 pub(super) fn alternatives<'a>(words: impl IntoIterator<Item = &'a str>) -> String {
     let quoted: Vec<String> = words.into_iter().map(|word| format!("\"{word}\"")).collect();

@@ -1,0 +1,292 @@
+//! `protocol = "modbus-tcp"`.
+
+use std::net::SocketAddrV4;
+
+use toml::de::DeValue;
+
+use super::drive::{Counts, axis};
+use super::faults::faults;
+use super::reader::{Table, integer, time};
+use super::value::{closest, station};
+use super::{Claim, Machine, NOWHERE, drives};
+use crate::axis::Unit;
+use crate::axis::feedback::MONITOR_CHANNELS;
+use crate::bus::BusPlan;
+use crate::bus::modbus::parameter::{Addressing, Parameter, Width, catalogue};
+use crate::bus::modbus::sim::{Interface, MotorSettings, SimSettings, Start};
+use crate::bus::modbus::{
+    Map, Mapped, ModbusPlan, PORT, PROTOCOL, UnidriveDrive, Via, WATCHDOG_MAX_NS, Watchdog,
+};
+use crate::cycle::CyclePlan;
+use crate::sim::Carrier;
+use crate::time::{MS, S, US};
+
+const COUNTS: Counts = Counts { what: "revolutions of the motor", unit: Unit::Revolution, per_unit: 1.0 };
+
+/// Reads a `[[bus]]`.
+pub(super) fn bus(table: &mut Table<'_>, machine: &mut Machine, cycle: &CyclePlan) -> Box<dyn BusPlan> {
+    let name = machine.bus_name(table, PROTOCOL);
+    let drives = drives(table, |table, index| drive(table, machine, cycle, index));
+    Box::new(ModbusPlan { name, drives })
+}
+
+fn drive(table: &mut Table<'_>, machine: &mut Machine, cycle: &CyclePlan, index: usize) -> UnidriveDrive {
+    let axis = axis(table, machine, COUNTS);
+    let address = address(table, machine).unwrap_or(NOWHERE);
+    let period_ns = cycle.period_ns.saturating_mul(u64::from(axis.divisor));
+    let default = UnidriveDrive::new("", *address.ip());
+    let mut drive = UnidriveDrive {
+        axis,
+        address,
+        unit: table.integer(
+            "unit",
+            0..=255,
+            "the unit id of the drive; leave it out for 255, or 0 behind it",
+        ),
+        slot: table
+            .integer(
+                "slot",
+                1..=4,
+                "where its Ethernet interface is: 4 onboard, 1 ... 3 an SI-Ethernet option",
+            )
+            .unwrap_or(default.slot),
+        addressing: table
+            .word("addressing", &[("standard", Addressing::Standard), ("modified", Addressing::Modified)])
+            .unwrap_or(default.addressing),
+        map: map(table, default.map),
+        via: via(table).unwrap_or(default.via),
+        reply_within_ns: table
+            .time("reply_within", 100 * US..=10 * S, "a reply counts for so long")
+            .unwrap_or(default.reply_within_ns),
+        watchdog: watchdog(table, default.watchdog),
+        set_up: table.flag("set_up").unwrap_or(default.set_up),
+        simulate: default.simulate,
+    };
+    drive.simulate = table.table("simulate", |table| simulate(table, &drive, period_ns, index));
+    for fault in drive.faults(period_ns) {
+        table.fault(fault.key, fault.message);
+    }
+    drive
+}
+
+fn address(table: &mut Table<'_>, machine: &mut Machine) -> Option<SocketAddrV4> {
+    table.require("address", "where the drive listens, like \"192.168.1.20\"");
+    let hint = "the IPv4 address of a drive, like \"192.168.1.20\", or with a port other than 502";
+    let address = table
+        .text("address", hint, |text| station(text, PORT).filter(|address| !address.ip().is_unspecified()))?;
+    machine.claim_address(table, address, Claim::Port);
+    Some(address)
+}
+
+fn map(table: &mut Table<'_>, default: Map) -> Map {
+    let map = table.table("map", |table| Map {
+        control: table.read("control", one).unwrap_or(default.control),
+        reference: table.read("reference", one).unwrap_or(default.reference),
+        status: table.read("status", one).unwrap_or(default.status),
+        speed: table.read("speed", one).unwrap_or(default.speed),
+        trip: table
+            .read("trip", |value| match value.as_str() {
+                Some("off") => Ok(None),
+                _ => one(value).map(Some),
+            })
+            .unwrap_or(default.trip),
+        show: default.show,
+        also: default.also,
+    });
+    Map {
+        show: table.read("monitor", monitor).unwrap_or(map.show),
+        also: table.read("also_read", also_read).unwrap_or_default(),
+        ..map
+    }
+}
+
+/// `false`, or up to four parameters.
+fn monitor(value: &DeValue<'_>) -> Result<[Option<Mapped>; MONITOR_CHANNELS], String> {
+    let mut show = [None; MONITOR_CHANNELS];
+    if value.as_bool() == Some(false) {
+        return Ok(show);
+    }
+    let array = value.as_array().filter(|array| (1..=MONITOR_CHANNELS).contains(&array.len()));
+    let array =
+        array.ok_or("must be false, or up to four parameters like [\"04.020\", \"dc-bus-voltage\"]")?;
+    for (channel, value) in show.iter_mut().zip(array) {
+        *channel = Some(one(value.get_ref())?);
+    }
+    Ok(show)
+}
+
+/// Parameters, and ranges of them.
+fn also_read(value: &DeValue<'_>) -> Result<Vec<Mapped>, String> {
+    let array =
+        value.as_array().ok_or("must be a list of parameters like [\"20.021 ... 20.030\", \"05.005\"]")?;
+    let mut also = Vec::new();
+    for value in array {
+        also.extend(span(value.get_ref())?);
+    }
+    Ok(also)
+}
+
+/// Exactly one parameter.
+fn one(value: &DeValue<'_>) -> Result<Mapped, String> {
+    match span(value)?.as_slice() {
+        [mapped] => Ok(*mapped),
+        _ => Err("must be one parameter; ranges go into also_read".into()),
+    }
+}
+
+const FORMS: &str = "must be a parameter like \"06.042\" or \"control-word\", or { parameter = \"18.011\", bits = 32, decimals = 1 }";
+
+/// A parameter that is known, or one with its size in a table: or several in a row, `"20.021 ... 20.030"`.
+fn span(value: &DeValue<'_>) -> Result<Vec<Mapped>, String> {
+    let size = Size::of(value)?;
+    let text =
+        value.as_table().map_or(value, |table| table.get("parameter").map_or(value, |text| text.get_ref()));
+    let text = text.as_str().ok_or(FORMS)?;
+    let Some((first, last)) = text.split_once("...") else { return Ok(vec![size.mapped(parameter(text)?)?]) };
+    let (first, last) = (parameter(first.trim())?, parameter(last.trim())?);
+    if (first.slot, first.menu) != (last.slot, last.menu) || first.number > last.number {
+        return Err("must rise within one menu; like \"20.021 ... 20.030\"".into());
+    }
+    (first.number..=last.number).map(|number| size.mapped(Parameter { number, ..first })).collect()
+}
+
+fn parameter(text: &str) -> Result<Parameter, String> {
+    let named = || catalogue::named(text, false).map(|known| known.parameter);
+    text.parse().ok().or_else(named).ok_or_else(|| {
+        let names = catalogue::all().filter(|known| known.parameter.slot == 0).map(|known| known.name);
+        match closest(text, names) {
+            Some(name) => format!("has an unknown parameter; did you mean \"{name}\"?"),
+            None => FORMS.to_owned(),
+        }
+    })
+}
+
+/// What a file says of the size of parameters.
+#[derive(Clone, Copy, Debug, Default)]
+struct Size {
+    width: Option<Width>,
+    decimals: Option<u32>,
+}
+
+impl Size {
+    /// Nothing, unless `value` is a table.
+    fn of(value: &DeValue<'_>) -> Result<Size, String> {
+        let Some(table) = value.as_table() else { return Ok(Size::default()) };
+        let mut size = Size::default();
+        for (key, value) in table {
+            let key: &str = key.get_ref();
+            match (key, integer(value.get_ref())) {
+                ("parameter", _) => {}
+                ("bits", Some(16)) => size.width = Some(Width::Word),
+                ("bits", Some(32)) => size.width = Some(Width::Long),
+                ("bits", _) => return Err("must have bits = 16 or bits = 32".into()),
+                ("decimals", Some(decimals @ 0..=9)) => size.decimals = u32::try_from(decimals).ok(),
+                ("decimals", _) => return Err("must have decimals = 0 ... 9".into()),
+                _ => return Err(FORMS.into()),
+            }
+        }
+        if table.contains_key("parameter") { Ok(size) } else { Err(FORMS.into()) }
+    }
+
+    /// A parameter of this size; what the file does not say is known, or a mistake.
+    fn mapped(self, parameter: Parameter) -> Result<Mapped, String> {
+        let known = parameter.known();
+        let width = self.width.or(known.map(|known| known.width)).ok_or_else(|| {
+            format!(
+                "{parameter} is not one that is known here; write {{ parameter = \"{parameter}\", bits = .., decimals = .. }} if your drive has it"
+            )
+        })?;
+        let decimals = self.decimals.or(known.map(|known| known.decimals)).unwrap_or(0);
+        Ok(Mapped { parameter, width, decimals })
+    }
+}
+
+/// `"direct"`, `"menu-0"`, or `{ menu_0 = 11 }`: from that place on.
+fn via(table: &mut Table<'_>) -> Option<Via> {
+    const FORMS: &str = "must be \"direct\", \"menu-0\", or { menu_0 = 11 } for menu 0 from Pr 00.011 on";
+    table.read("via", |value| match value.as_str() {
+        Some("direct") => Ok(Via::Direct),
+        Some("menu-0") => Ok(Via::Menu0 { first: 1 }),
+        Some(_) => Err(FORMS.into()),
+        None => {
+            let only = value.as_table().filter(|table| table.len() == 1);
+            let first = only.and_then(|table| table.get("menu_0")).and_then(|first| integer(first.get_ref()));
+            let first =
+                first.filter(|first| (1..=80).contains(first)).and_then(|first| u8::try_from(first).ok());
+            first.map(|first| Via::Menu0 { first }).ok_or(FORMS.into())
+        }
+    })
+}
+
+fn watchdog(table: &mut Table<'_>, default: Watchdog) -> Watchdog {
+    let hint = "without Modbus traffic for so long the drive trips; or \"off\"";
+    let watchdog = table.table("watchdog", |table| Watchdog {
+        timeout_ns: table
+            .read("timeout", |value| match value.as_str() {
+                Some("off") => Ok(None),
+                _ => time(value, &(MS..=WATCHDOG_MAX_NS), hint).map(Some),
+            })
+            .unwrap_or(default.timeout_ns),
+        keypad: table.flag("keypad").unwrap_or(default.keypad),
+        accept_none: default.accept_none,
+    });
+    let accept = table.word("no_drive_watchdog", &[("accept", true), ("refuse", false)]);
+    Watchdog { accept_none: accept.unwrap_or(default.accept_none), ..watchdog }
+}
+
+fn simulate(table: &mut Table<'_>, drive: &UnidriveDrive, period_ns: u64, index: usize) -> SimSettings {
+    let default = SimSettings::new(drive.address);
+    let interface = Interface {
+        read_write: table.flag("fc23").unwrap_or(default.interface.read_write),
+        menu_zero: table.flag("menu_0").unwrap_or(default.interface.menu_zero),
+        connections: table
+            .integer("connections", 1..=64, "the most masters at a time")
+            .unwrap_or(default.interface.connections),
+        drive_units: drive.unit.map_or(default.interface.drive_units, |unit| vec![unit]),
+        ..default.interface
+    };
+    let motor = motor(table, default.motor);
+    let most = drive.velocity(motor.rated_rpm).abs();
+    let running = table.number("running", -most..=most, "a velocity up to the rated speed, units/s");
+    SimSettings {
+        faults: faults(table, Carrier::Stream, period_ns, index),
+        interface,
+        motor,
+        start: running.map_or(default.start, |velocity| Start::Running(drive.rpm(velocity))),
+        ..default
+    }
+}
+
+fn motor(table: &mut Table<'_>, default: MotorSettings) -> MotorSettings {
+    let mut value = |key, range: std::ops::RangeInclusive<f64>, hint, default| {
+        table.number(key, range, hint).unwrap_or(default)
+    };
+    MotorSettings {
+        rated_rpm: value("rated_speed", 1.0..=50_000.0, "rated speed of the motor, rpm", default.rated_rpm),
+        rated_nm: value(
+            "rated_torque",
+            0.001..=100_000.0,
+            "rated torque of the motor, N m",
+            default.rated_nm,
+        ),
+        inertia_kgm2: value(
+            "inertia",
+            1e-9..=1e6,
+            "the inertia of all that turns, kg m²",
+            default.inertia_kgm2,
+        ),
+        load_nm: value(
+            "load",
+            0.0..=100_000.0,
+            "what the machine takes at rated speed, N m",
+            default.load_nm,
+        ),
+        friction_nm: value(
+            "friction",
+            0.0..=100_000.0,
+            "what the machine takes at any speed, N m",
+            default.friction_nm,
+        ),
+        ..default
+    }
+}
