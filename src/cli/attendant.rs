@@ -3,7 +3,7 @@
 
 use std::path::PathBuf;
 
-use fieldbeat::axis::Link;
+use fieldbeat::axis::{Fault, FaultNames, Link};
 use fieldbeat::control::{Answering, Desk, Server, place};
 use fieldbeat::master::Master;
 use fieldbeat::rt::thread::helper_thread;
@@ -25,6 +25,7 @@ pub struct Attendant {
     /// Answers `fieldbeat status` while it lives.
     _control: Option<Server>,
     links: Vec<Link>,
+    drives: Vec<Known>,
     /// All of them were online once.
     complete: bool,
     /// The number of the last file of the black box that was told of.
@@ -44,6 +45,7 @@ impl Attendant {
             interrupt: interrupt.clone(),
             _control: control.ok(),
             links: vec![Link::default(); master.observers().len()],
+            drives: master.plan().fault_names().into_iter().map(Known::new).collect(),
             complete: false,
             black_boxes: 0,
         }
@@ -58,6 +60,7 @@ impl Attendant {
         }
         self.service.look(master);
         self.look_at_links(master);
+        self.look_at_drives(master);
         self.look_at_black_boxes(master);
         self.live.show(master, what);
     }
@@ -97,6 +100,18 @@ impl Attendant {
         }
     }
 
+    /// Says which drives cannot be connected to, and why; and which have a fault, and which one.
+    fn look_at_drives(&mut self, master: &Master) {
+        let drives = master.observers().iter().zip(&mut self.drives);
+        for (index, ((name, observer), known)) in drives.enumerate() {
+            let feedback = observer.feedback();
+            let apart = known.not_connected(feedback.link, || master.not_connected(index));
+            for news in apart.into_iter().chain(known.fault(feedback.fault)) {
+                self.live.say(&format!("drive {name}: {news}"));
+            }
+        }
+    }
+
     fn look_at_black_boxes(&mut self, master: &Master) {
         let told = self.black_boxes;
         let new: Vec<Written> = master.measured(|measured| {
@@ -105,6 +120,44 @@ impl Attendant {
         for written in new {
             self.black_boxes = written.number;
             self.live.say(&written.to_string());
+        }
+    }
+}
+
+/// What was told of a drive last.
+#[derive(Debug)]
+struct Known {
+    fault_names: FaultNames,
+    fault: u32,
+    /// That it has no connection was told since it was online.
+    apart: bool,
+}
+
+impl Known {
+    fn new(fault_names: FaultNames) -> Known {
+        Known { fault_names, fault: 0, apart: false }
+    }
+
+    /// Why it has no connection. Once, however often that is tried.
+    fn not_connected(&mut self, link: Link, why: impl FnOnce() -> Option<String>) -> Option<String> {
+        if link == Link::Online {
+            self.apart = false;
+        }
+        if link == Link::Online || self.apart {
+            return None;
+        }
+        let why = why()?;
+        self.apart = true;
+        Some(format!("not connected: {why}"))
+    }
+
+    /// Its fault, if it is another one.
+    fn fault(&mut self, code: u32) -> Option<String> {
+        let before = std::mem::replace(&mut self.fault, code);
+        match code {
+            _ if code == before => None,
+            0 => Some("fault gone".to_owned()),
+            code => Some(format!("fault {}", Fault::new(code, self.fault_names))),
         }
     }
 }
@@ -155,4 +208,40 @@ fn status(monitor: &Monitor, config: Option<&std::path::Path>) -> Value {
         "text": summary.to_string(),
         "summary": summary,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_connection_that_cannot_be_opened_is_told_once_until_the_drive_was_online() {
+        let mut known = Known::new(|_| None);
+        let mut told = |link, why: Option<&str>| known.not_connected(link, || why.map(str::to_owned));
+        assert_eq!(told(Link::Unseen, None), None);
+        assert_eq!(told(Link::Unseen, Some("refused")).as_deref(), Some("not connected: refused"));
+        for why in [Some("refused"), Some("silent"), None, Some("refused")] {
+            assert_eq!(told(Link::Unseen, why), None);
+        }
+        assert_eq!(told(Link::Online, None), None);
+        assert_eq!(told(Link::Lost, None), None);
+        assert_eq!(told(Link::Lost, Some("silent")).as_deref(), Some("not connected: silent"));
+        assert_eq!(told(Link::Qualifying, Some("silent")), None);
+    }
+
+    #[test]
+    fn a_fault_is_told_by_its_name_when_it_comes_changes_and_goes() {
+        let mut known = Known::new(|code| (code == 30).then_some("watchdog"));
+        let told: Vec<_> = [0, 30, 30, 7, 0, 0].into_iter().map(|code| known.fault(code)).collect();
+        let text: Vec<_> = told.iter().map(Option::as_deref).collect();
+        let expected = [
+            None,
+            Some("fault 0x001e (30, watchdog)"),
+            None,
+            Some("fault 0x0007 (7)"),
+            Some("fault gone"),
+            None,
+        ];
+        assert_eq!(text, expected);
+    }
 }

@@ -1,12 +1,16 @@
-//! `fieldbeat demo`: master and simulated drives in one process. The axes are homed, follow a travelling wave as streamed
-//! setpoints, make one profile move each, stop and are powered off.
+//! `fieldbeat demo`: master and simulated drives in one process. The axes with a position are homed, follow a travelling wave as
+//! streamed setpoints and make one profile move each, the speed-controlled ones turn there and back meanwhile; then all of them
+//! stop and are powered off.
 
 use std::f64::consts::TAU;
+use std::ops::Range;
 use std::time::{Duration, Instant};
 
 use clap::Args;
 use fieldbeat::axis::{Abort, Axis, AxisError, CommandId, Move, Outcome, Row, StopCause, Target, Verb};
+use fieldbeat::bus::modbus;
 use fieldbeat::config::demo_plan;
+use fieldbeat::cycle::Plan;
 use fieldbeat::master::Master;
 use fieldbeat::sim::server::SimServer;
 use fieldbeat::time::{S, nanos};
@@ -30,6 +34,10 @@ const FADE_S: f64 = 1.0;
 const WAVE_LENGTH: f64 = 8.0;
 /// How deep the streams are queued, s.
 const DEPTH_S: f64 = 0.25;
+/// The speed-controlled axes turn the other way after this time, s ...
+const TURN_S: f64 = 2.0;
+/// ... and their velocity is renewed this often.
+const RENEW_EVERY: Duration = Duration::from_millis(100);
 
 /// Arguments of `demo`.
 #[derive(Debug, Args)]
@@ -37,7 +45,7 @@ pub struct Demo {
     /// Length of the travelling wave.
     #[arg(long = "for", value_name = "TIME", value_parser = span, default_value = "10s")]
     duration: Duration,
-    /// How many drives.
+    /// How many LinMot drives, beside two Unidrives.
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u16).range(1..=128))]
     drives: u16,
     /// The period of the cycle.
@@ -51,6 +59,8 @@ pub struct Demo {
 struct Show {
     master: Master,
     axes: Vec<Axis>,
+    /// So many of them, the first ones, take positions; the others velocities only.
+    movers: usize,
     attendant: Attendant,
     /// Time between two rows, s.
     row_s: f64,
@@ -70,11 +80,11 @@ impl Demo {
         let master = start(output.setup(plan), &interrupt)?;
         let output = output.serve(&master)?;
 
-        let names: Vec<String> = master.observers().iter().map(|(name, _)| name.clone()).collect();
-        let axes =
-            names.iter().map(|name| master.axis(name)).collect::<Result<_, _>>().map_err(Stop::failed)?;
+        let (movers, turners) = names(master.plan());
+        let axes = movers.iter().chain(&turners).map(|name| master.axis(name));
+        let axes = axes.collect::<Result<_, _>>().map_err(Stop::failed)?;
         let attendant = Attendant::new(&master, &interrupt);
-        let mut show = Show { master, axes, attendant, row_s };
+        let mut show = Show { master, axes, movers: movers.len(), attendant, row_s };
         let result = show.play(self.duration);
         show.attendant.end(&show.master);
         let (summary, told) = output.finish(show.master);
@@ -88,6 +98,15 @@ impl Demo {
         };
         both(told, verdict)
     }
+}
+
+/// The names of the axes that take positions, and of those that take velocities only.
+fn names(plan: &Plan) -> (Vec<String>, Vec<String>) {
+    let of = |turns: bool| {
+        let buses = plan.buses.iter().filter(move |bus| (bus.protocol() == modbus::PROTOCOL) == turns);
+        buses.flat_map(|bus| bus.axes()).map(|axis| axis.name.clone()).collect()
+    };
+    (of(false), of(true))
 }
 
 /// Whether the command ended because somebody asked for the end.
@@ -117,25 +136,33 @@ enum Error {
 impl Show {
     fn play(&mut self, duration: Duration) -> Result<(), Error> {
         self.master.wait_online(Duration::from_secs(5))?;
-        self.together("enable", |_| Verb::Enable)?;
-        self.together("home", |_| Verb::Home)?;
-        self.together("to the start", |axis| to(CENTRE, axis))?;
+        let (all, movers, turners) = (0..self.axes.len(), 0..self.movers, self.movers..self.axes.len());
+        self.together("enable", &all, |_| Verb::Enable)?;
+        self.together("home", &movers, |_| Verb::Home)?;
+        self.together("to the start", &movers, |axis| to(CENTRE, axis))?;
         self.wave(duration)?;
-        self.together("profile move", |axis| to(CENTRE - AMPLITUDE, axis))?;
-        self.together("stop", |_| Verb::Stop { deceleration: None })?;
-        self.together("disable", |_| Verb::Disable)
+        self.together("stop", &turners, |_| Verb::Stop { deceleration: None })?;
+        self.together("profile move", &movers, |axis| to(CENTRE - AMPLITUDE, axis))?;
+        self.together("stop", &all, |_| Verb::Stop { deceleration: None })?;
+        self.together("disable", &all, |_| Verb::Disable)
     }
 
-    /// One verb for all axes at once, and the wait for the last of them.
-    fn together(&mut self, what: &'static str, verb: impl Fn(&Axis) -> Verb) -> Result<(), Error> {
+    /// One verb for several axes at once, and the wait for the last of them.
+    fn together(
+        &mut self,
+        what: &'static str,
+        axes: &Range<usize>,
+        verb: impl Fn(&Axis) -> Verb,
+    ) -> Result<(), Error> {
+        let several = &mut self.axes[axes.clone()];
         let ids: Vec<CommandId> =
-            self.axes.iter_mut().map(|axis| axis.post(verb(axis))).collect::<Result<_, _>>()?;
-        self.wait_all(what, &ids)
+            several.iter_mut().map(|axis| axis.post(verb(axis))).collect::<Result<_, _>>()?;
+        self.wait_all(what, axes, &ids)
     }
 
-    fn wait_all(&mut self, what: &'static str, ids: &[CommandId]) -> Result<(), Error> {
+    fn wait_all(&mut self, what: &'static str, axes: &Range<usize>, ids: &[CommandId]) -> Result<(), Error> {
         let begun = Instant::now();
-        for (axis, id) in self.axes.iter_mut().zip(ids) {
+        for (axis, id) in self.axes[axes.clone()].iter_mut().zip(ids) {
             let limit = axis.plan().home_timeout;
             loop {
                 match axis.wait(*id, what, Duration::from_millis(50)) {
@@ -149,13 +176,14 @@ impl Show {
         Ok(())
     }
 
-    /// The travelling wave, streamed row by row, a quarter of a second deep.
+    /// The travelling wave, streamed row by row, a quarter of a second deep; and meanwhile there and back.
     fn wave(&mut self, duration: Duration) -> Result<(), Error> {
         let length_s = duration.as_secs_f64().max(2.0 * FADE_S);
         let rows = (length_s / self.row_s).round() as u64;
         let depth = ((DEPTH_S / self.row_s) as usize).max(16);
-        let mut queued = vec![0_u64; self.axes.len()];
+        let mut queued = vec![0_u64; self.movers];
         let mut ids = Vec::new();
+        let mut turning = Turning::default();
         while queued.iter().any(|queued| *queued < rows) {
             for (place, (axis, next)) in self.axes.iter_mut().zip(&mut queued).enumerate() {
                 let waiting = axis.plan().stream_queue - axis.stream_room();
@@ -167,9 +195,11 @@ impl Show {
                     *next += 1;
                 }
             }
+            let (movers, turners) = self.axes.split_at_mut(self.movers);
             if ids.is_empty() {
-                ids = self.axes.iter_mut().map(Axis::follow).collect::<Result<_, _>>()?;
+                ids = movers.iter_mut().map(Axis::follow).collect::<Result<_, _>>()?;
             }
+            turning.go_on(turners)?;
             self.attendant.look(&self.master, "wave");
             // A stopped axis takes no more rows; how its command ended says why.
             if self.axes.iter().any(|axis| axis.feedback().stopped.is_some()) {
@@ -177,7 +207,34 @@ impl Show {
             }
             std::thread::sleep(Duration::from_millis(5));
         }
-        self.wait_all("wave", &ids)
+        self.wait_all("wave", &(0..self.movers), &ids)
+    }
+}
+
+/// Velocity there and back, for axes that take no positions.
+#[derive(Debug, Default)]
+struct Turning {
+    begun: Option<Instant>,
+    renewed: Option<Instant>,
+}
+
+impl Turning {
+    /// The velocity of now, where it is time to give it again.
+    fn go_on(&mut self, axes: &mut [Axis]) -> Result<(), AxisError> {
+        let now = Instant::now();
+        if self.renewed.is_some_and(|at| now - at < RENEW_EVERY) {
+            return Ok(());
+        }
+        self.renewed = Some(now);
+        let Some(begun) = self.begun else {
+            self.begun = Some(now);
+            return axes.iter_mut().try_for_each(|axis| axis.jog(axis.profile().velocity).map(drop));
+        };
+        let back = ((now - begun).as_secs_f64() / TURN_S) as u64 % 2 == 1;
+        axes.iter_mut().try_for_each(|axis| {
+            let velocity = axis.profile().velocity;
+            axis.set_velocity(if back { -velocity } else { velocity })
+        })
     }
 }
 

@@ -149,15 +149,16 @@ impl Command {
             while let Some(event) = axis.event() {
                 match event.kind {
                     EventKind::Ended { id, outcome, .. } if id == mode => {
-                        return Err(Stop::failed(format!("drive {}: {outcome}", axis.name())));
+                        let name = outcome.fault().and_then(|code| axis.fault(code).name);
+                        return Err(Stop::failed(format!("drive {}: {}", axis.name(), outcome.told(name))));
                     }
                     EventKind::Stopped(cause) => {
                         let fault = axis.feedback().fault;
-                        let code = if fault == 0 { String::new() } else { format!(" {fault:04X}h") };
-                        return Err(Stop::failed(format!(
-                            "drive {} was stopped: {cause}{code}",
-                            axis.name()
-                        )));
+                        let why = match fault {
+                            0 => cause.to_string(),
+                            code => format!("{cause} {}", axis.fault(code)),
+                        };
+                        return Err(Stop::failed(format!("drive {} was stopped: {why}", axis.name())));
                     }
                     _ => {}
                 }

@@ -1,18 +1,18 @@
 //! `fieldbeat param`: parameters of a drive, read, written and listed.
 
+mod list;
+
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 use fieldbeat::axis::acyclic::{Access, Notation, NotationError, ParameterError};
-use fieldbeat::bus::linudp::service::{Progress, Services};
-use fieldbeat::bus::linudp::upid::{Upid, Usage};
 use fieldbeat::cycle::Plan;
-use serde_json::{Value, json};
+use serde_json::json;
 
 use super::interrupt::Interrupt;
-use super::meter::Meter;
 use super::reach::{self, Reach};
 use super::{Stop, print};
+use list::List;
 
 /// Arguments of `param`.
 #[derive(Debug, Args)]
@@ -54,6 +54,12 @@ impl Drive {
         }
     }
 
+    /// What it speaks.
+    fn protocol(&self) -> Result<&'static str, Stop> {
+        let (_, notation) = reach::find(&self.config, &self.drive)?;
+        Ok(notation.protocol())
+    }
+
     /// The way to it.
     pub fn reach(&self, interrupt: &Interrupt) -> Result<Reach, Stop> {
         Reach::open(&self.config, &self.drive, |_| Ok(()), interrupt)
@@ -81,7 +87,7 @@ impl Drive {
 struct Get {
     #[command(flatten)]
     drive: Drive,
-    /// As the drive's manual writes it: 0x20A8, 0x20A8.rom, .min, .max, .default, or a name.
+    /// As the drive's manual writes it: 0x20A8, 0x20A8.rom, .min, .max, .default of a LinMot, 06.042 of a Unidrive, or a name.
     address: String,
     /// Print one JSON object.
     #[arg(long)]
@@ -92,30 +98,12 @@ struct Get {
 struct Set {
     #[command(flatten)]
     drive: Drive,
-    /// As the drive's manual writes it: 0x20A8 (RAM), 0x20A8.rom, 0x20A8.both, or a name.
+    /// As the drive's manual writes it: 0x20A8 (RAM), 0x20A8.rom, 0x20A8.both of a LinMot, 06.042 of a Unidrive, or a name.
     address: String,
-    /// A whole number, or its bits as 0x....
+    /// A whole number, or its bits as 0x....; with a point, 1500.0, a scaled one of a Unidrive.
     #[arg(allow_negative_numbers = true)]
     value: String,
     /// Print one JSON object.
-    #[arg(long)]
-    json: bool,
-}
-
-#[derive(Debug, Args)]
-struct List {
-    #[command(flatten)]
-    drive: Drive,
-    /// Only those whose value in flash is not their default, with that value.
-    #[arg(long)]
-    modified: bool,
-    /// Read the value in use of each, too.
-    #[arg(long, conflicts_with = "modified")]
-    values: bool,
-    /// Begin with this parameter.
-    #[arg(long, value_name = "ADDRESS", default_value = "0x0000")]
-    from: String,
-    /// Print one JSON array.
     #[arg(long)]
     json: bool,
 }
@@ -167,64 +155,6 @@ impl Set {
                 notation.show(address, *read)
             ))),
         }
-    }
-}
-
-impl List {
-    fn run(self, interrupt: &Interrupt) -> Result<(), Stop> {
-        let Some(first) = Upid::parse(&self.from) else {
-            return Err(Stop::usage(format!("--from {}: no UPID; write 0x1450, or a name", self.from)));
-        };
-        let reach = self.drive.reach(interrupt)?;
-        reach.require_protocol(fieldbeat::bus::linudp::PROTOCOL)?;
-        let services = Services::over(reach.drive(), reach.carrier()).map_err(Stop::failed)?;
-        let mut watch = Meter::new(interrupt).watch();
-        let mut rows: Vec<(Upid, Option<Usage>, Option<u64>)> = Vec::new();
-        if self.modified {
-            let modified = services.modified_upids(first, &mut watch).map_err(Stop::failed)?;
-            rows.extend(modified.into_iter().map(|(upid, value)| (upid, None, Some(value.into()))));
-        } else {
-            let items = services.upids(first, &mut watch).map_err(Stop::failed)?;
-            for (done, item) in items.iter().enumerate() {
-                let readable = self.values && item.usage.has(Usage::RAM_READ);
-                if readable && watch(Progress { what: "read", done, of: items.len() }).is_break() {
-                    let drive = reach.drive();
-                    return Err(Stop::failed(format!(
-                        "drive {drive}: reading its parameters was broken off"
-                    )));
-                }
-                let value = readable.then(|| access(&reach).read(&item.upid.to_string()).map_err(failed));
-                rows.push((item.upid, Some(item.usage), value.transpose()?));
-            }
-        }
-        drop(watch);
-        if self.json {
-            let row = |(upid, usage, raw): &(Upid, Option<Usage>, Option<u64>)| {
-                let address = upid.to_string();
-                json!({
-                    "address": address,
-                    "name": upid.known().map(|known| known.name),
-                    "usage": usage.map(|usage| usage.to_string()),
-                    "raw": raw,
-                    "value": raw.map(|raw| reach.notation().number(&address, raw)),
-                })
-            };
-            return print(Value::Array(rows.iter().map(row).collect()));
-        }
-        for (upid, usage, raw) in &rows {
-            let mut line = upid.to_string();
-            if let Some(usage) = usage {
-                line += &format!("  {:<11}", usage.to_string());
-            }
-            if let Some(raw) = raw {
-                line += &format!("  {}", reach.notation().show(&upid.to_string(), *raw));
-            }
-            if let Some(known) = upid.known() {
-                line += &format!("  {}", known.name);
-            }
-            print(line.trim_end())?;
-        }
-        Ok(())
     }
 }
 

@@ -59,11 +59,19 @@ pub fn start(setup: Setup, interrupt: &Interrupt) -> Result<Master, Stop> {
     Ok(master)
 }
 
+/// A drive, and why it has no connection.
+fn told(drive: &Drive) -> String {
+    match &drive.not_connected {
+        Some(why) => format!("{} ({why})", drive.name),
+        None => drive.name.clone(),
+    }
+}
+
 /// One line that names the drives which made the run a failure, and what to look at.
 pub fn not_whole(summary: &Summary) -> Stop {
     let of = |what: &str, chosen: &dyn Fn(&Drive) -> bool, remedy: &str| {
         let chosen = summary.drives.iter().filter(|drive| chosen(drive));
-        let names: Vec<&str> = chosen.map(|drive| drive.name.as_str()).collect();
+        let names: Vec<String> = chosen.map(told).collect();
         (!names.is_empty()).then(|| format!("{what}: {}{remedy}", names.join(", ")))
     };
     let lines: Vec<String> = [

@@ -66,16 +66,27 @@ impl Monitor {
     pub fn numbers(&self) -> Numbers {
         let Watched { plan, observers, gauges, .. } = &*self.0;
         let protocols = plan.buses.iter().flat_map(|bus| bus.axes().into_iter().map(|_| bus.protocol()));
-        let drives = (observers.iter().zip(protocols).zip(&gauges.drives))
-            .map(|(((name, observer), protocol), numbers)| {
+        let drives = (observers.iter().zip(protocols).zip(&gauges.drives).enumerate())
+            .map(|(index, (((name, observer), protocol), numbers))| {
                 let DriveNumbers { counters, losses, peaks, monitor } = numbers.read();
                 let (name, feedback) = (name.clone(), observer.feedback());
-                DriveEnd { name, protocol, feedback, counters, losses, peaks, monitor }
+                let not_connected = gauges.not_connected(index);
+                DriveEnd { name, protocol, feedback, not_connected, counters, losses, peaks, monitor }
             })
             .collect();
         let strangers = gauges.strangers.iter().map(Reader::read);
         let buses = plan.buses.iter().map(|bus| bus.name().to_owned()).zip(strangers).collect();
         Numbers { status: self.status(), drives, buses, page_faults: None, involuntary_switches: None }
+    }
+
+    /// Why drive `index` has no connection; `None`: it has one, needs none, or its first opening is under way.
+    pub fn not_connected(&self, index: usize) -> Option<String> {
+        self.0.gauges.not_connected(index)
+    }
+
+    /// Whether drive `index` is reached by a connection.
+    pub(crate) fn has_connection(&self, index: usize) -> bool {
+        self.0.gauges.links.get(index).is_some_and(Option::is_some)
     }
 
     /// Looks at what the telemetry measured so far. The telemetry waits meanwhile, the loop does not.

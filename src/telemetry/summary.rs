@@ -3,13 +3,14 @@
 use std::fmt::{self, Write as _};
 use std::sync::Arc;
 
-use serde::Serialize;
+use serde::{Serialize, Serializer};
 
 use super::blackbox::Written;
 use super::causes::{Cause, Judged, Tally};
 use super::histograms::{Quantiles, Quantity};
 use super::recorder::Measured;
-use crate::axis::{Link, MonitorChannel, StopCause, Units};
+use crate::axis::{Fault, Link, MonitorChannel, StopCause, Units};
+use crate::bus::{Counters, OwnCounter};
 use crate::cycle::Plan;
 use crate::cycle::record::Stage;
 use crate::cycle::status::{Extent, Numbers};
@@ -209,6 +210,8 @@ pub struct Drive {
     pub protocol: &'static str,
     /// Link at the end.
     pub link: String,
+    /// Why it had no connection at the end; null: it had one, needs none, or its first opening was under way.
+    pub not_connected: Option<String>,
     /// State at the end.
     pub state: String,
     /// Times that the link was lost.
@@ -237,16 +240,52 @@ pub struct Drive {
     pub age_ns: Quantiles,
     /// Cycles since the last values at the end.
     pub age_cycles: u32,
-    /// Actual position at the end, user units.
-    pub position: f64,
+    /// What only its protocol counts, by its key; empty if that counts nothing of its own.
+    pub protocol_counters: ProtocolCounters,
+    /// Actual position at the end, user units; null if the drive tells none.
+    pub position: Option<f64>,
     /// The drive's hardware enable (STO) is missing.
     pub inhibited: bool,
     /// Why the axis stands stopped.
     pub stopped: Option<String>,
     /// Fault code, null = none.
     pub fault: Option<u32>,
+    /// What its protocol calls that; null if it has no name for it.
+    pub fault_name: Option<&'static str>,
     /// What it shows besides its process data, as planned.
     pub monitor: Vec<Variable>,
+}
+
+/// What only one protocol counts of a drive, exactly.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ProtocolCounters(pub Vec<(OwnCounter, u64)>);
+
+impl ProtocolCounters {
+    pub(super) fn of(own: &[OwnCounter], counters: &Counters) -> ProtocolCounters {
+        ProtocolCounters(own.iter().copied().zip(counters.own).collect())
+    }
+
+    fn are_any(&self) -> bool {
+        self.0.iter().any(|(_, count)| *count > 0)
+    }
+}
+
+impl Serialize for ProtocolCounters {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_map(self.0.iter().map(|(counter, count)| (counter.key, count)))
+    }
+}
+
+/// Those above 0, in words.
+impl fmt::Display for ProtocolCounters {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let counted = self.0.iter().filter(|(_, count)| *count > 0);
+        for (place, (OwnCounter { what, .. }, count)) in counted.enumerate() {
+            let between = if place == 0 { "" } else { "; " };
+            write!(f, "{between}{what}: {count}")?;
+        }
+        Ok(())
+    }
 }
 
 /// A variable that a drive shows besides its process data. Its numbers are exact, and null until it was seen.
@@ -269,9 +308,9 @@ impl Variable {
         Variable {
             name,
             unit,
-            value: extent.map(|extent| extent.value),
-            min: extent.map(|extent| extent.min),
-            max: extent.map(|extent| extent.max),
+            value: extent.and_then(|extent| told(extent.value)),
+            min: extent.and_then(|extent| told(extent.min)),
+            max: extent.and_then(|extent| told(extent.max)),
         }
     }
 }
@@ -294,6 +333,8 @@ pub struct Bus {
     pub name: String,
     /// Datagrams from addresses that are no drive's.
     pub strangers: u64,
+    /// Datagrams that the kernel dropped because the socket's buffer was full.
+    pub dropped: u64,
     /// Errors of the receiving socket.
     pub receive_errors: u64,
 }
@@ -346,14 +387,16 @@ impl Summary {
         steal_ms: Option<u64>,
     ) -> Summary {
         let (status, histograms) = (&numbers.status, &measured.histograms);
-        let drives = (numbers.drives.iter().zip(&histograms.drives).zip(plan.monitored()))
-            .map(|((drive, measured), monitored)| {
+        let of_protocol = plan.own_counters().into_iter().zip(plan.fault_names());
+        let drives = (numbers.drives.iter().zip(&histograms.drives).zip(plan.monitored()).zip(of_protocol))
+            .map(|(((drive, measured), monitored), (own, fault_names))| {
                 let variable = |(channel, extent): (Option<_>, _)| Some(Variable::of(channel?, extent));
                 let (counters, feedback, peaks) = (&drive.counters, &drive.feedback, &drive.peaks);
                 Drive {
                     name: drive.name.clone(),
                     protocol: drive.protocol,
                     link: feedback.link.to_string(),
+                    not_connected: drive.not_connected.clone(),
                     state: feedback.state.to_string(),
                     losses: drive.losses,
                     sent: counters.sent,
@@ -368,10 +411,12 @@ impl Summary {
                     send_jitter_ns: Quantiles::of(&measured.send_jitter, peaks.send_jitter),
                     age_ns: Quantiles::of(&measured.age, peaks.age),
                     age_cycles: feedback.age,
-                    position: feedback.position,
+                    protocol_counters: ProtocolCounters::of(own, counters),
+                    position: told(feedback.position),
                     inhibited: feedback.inhibited,
                     stopped: feedback.stopped.map(|cause| cause.to_string()),
                     fault: (feedback.fault != 0).then_some(feedback.fault),
+                    fault_name: fault_names(feedback.fault).filter(|_| feedback.fault != 0),
                     monitor: (monitored.into_iter().zip(drive.monitor)).filter_map(variable).collect(),
                 }
             })
@@ -380,6 +425,7 @@ impl Summary {
             .map(|(name, strangers)| Bus {
                 name: name.clone(),
                 strangers: strangers.datagrams,
+                dropped: strangers.dropped,
                 receive_errors: strangers.errors,
             })
             .collect();
@@ -486,6 +532,16 @@ pub(super) fn plain(value: f64) -> f64 {
     (value * 1e4).round() / 1e4 + 0.0
 }
 
+/// A value that a drive tells; NaN is none.
+pub(super) fn told(value: f64) -> Option<f64> {
+    value.is_finite().then_some(value)
+}
+
+/// A value with so many decimals; a dash if there is none.
+pub(super) fn decimals(value: Option<f64>, decimals: usize) -> String {
+    value.map_or("-".to_owned(), |value| format!("{value:.decimals$}"))
+}
+
 /// `None` as a dash.
 struct Or(Option<u64>);
 
@@ -571,15 +627,18 @@ impl fmt::Display for Summary {
             if drive.inhibited {
                 notes.push_str("  hardware enable (STO) missing");
             }
-            if let Some(fault) = drive.fault {
-                let _ = write!(notes, "  fault {fault:#06x}");
+            if let Some(code) = drive.fault {
+                let _ = write!(notes, "  fault {}", Fault { code, name: drive.fault_name });
             }
             if drive.unsent > 0 {
                 let _ = write!(notes, "  {} unsent", drive.unsent);
             }
+            if let Some(why) = &drive.not_connected {
+                let _ = write!(notes, "  not connected: {why}");
+            }
             writeln!(
                 f,
-                "{:wide$} {state:18} {:>8} {:>8} {:>6} {:>5} {:>5} {:>6} {:>10} {:>10} {:>10} {:>9.3} {:<2}{notes}",
+                "{:wide$} {state:18} {:>8} {:>8} {:>6} {:>5} {:>5} {:>6} {:>10} {:>10} {:>10} {:>9} {:<2}{notes}",
                 drive.name,
                 drive.sent,
                 drive.answered,
@@ -590,20 +649,24 @@ impl fmt::Display for Summary {
                 Or(drive.rtt_ns.p50).to_string(),
                 Or(drive.rtt_ns.p99).to_string(),
                 Or(drive.rtt_ns.max).to_string(),
-                drive.position,
+                decimals(drive.position, 3),
                 units.unit,
             )?;
+        }
+        for drive in self.drives.iter().filter(|drive| drive.protocol_counters.are_any()) {
+            writeln!(f, "{:wide$} {}", drive.name, drive.protocol_counters)?;
         }
         for drive in &self.drives {
             for variable in &drive.monitor {
                 writeln!(f, "{:wide$} {variable}", drive.name)?;
             }
         }
-        for bus in self.buses.iter().filter(|bus| bus.strangers + bus.receive_errors > 0) {
+        for bus in self.buses.iter().filter(|bus| bus.strangers + bus.dropped + bus.receive_errors > 0) {
             writeln!(
                 f,
-                "bus {}: {} datagrams from strangers dropped, {} receive errors",
-                bus.name, bus.strangers, bus.receive_errors
+                "bus {}: {} datagrams from strangers, {} datagrams dropped by the kernel (its buffer was full), \
+                 {} receive errors",
+                bus.name, bus.strangers, bus.dropped, bus.receive_errors
             )?;
         }
         writeln!(f)?;
@@ -644,6 +707,25 @@ impl fmt::Display for Summary {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn own_counters_are_told_in_words_above_zero_and_all_by_their_keys() {
+        let own = ["exceptions", "opened", "closed"].map(|key| OwnCounter { key, what: key });
+        let mut counters = Counters::default();
+        (counters.own[0], counters.own[2]) = (3, u64::MAX);
+        let told = ProtocolCounters::of(&own, &counters);
+        assert_eq!(told.to_string(), format!("exceptions: 3; closed: {}", u64::MAX));
+        let json = format!(r#"{{"exceptions":3,"opened":0,"closed":{}}}"#, u64::MAX);
+        assert_eq!(serde_json::to_string(&told).unwrap(), json);
+        let none = ProtocolCounters::of(&[], &counters);
+        assert_eq!((none.are_any(), serde_json::to_string(&none).unwrap()), (false, "{}".to_owned()));
+    }
+
+    #[test]
+    fn what_is_not_told_is_a_dash() {
+        let text = |value| decimals(told(value), 3);
+        assert_eq!([1.0, -0.25, f64::NAN, f64::INFINITY].map(text), ["1.000", "-0.250", "-", "-"]);
+    }
 
     #[test]
     fn a_variable_reads_naturally() {

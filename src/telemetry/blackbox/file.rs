@@ -1,6 +1,7 @@
 //! The file of a black box: a mark, a header in JSON, records of one size, and a checksum over all of it. Integers and floats
 //! are little-endian, so that a file may be read on another machine than its own.
 
+use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
 use std::io::{self, Read};
 use std::num::NonZeroU32;
@@ -10,14 +11,15 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::axis::{Link, MONITOR_CHANNELS, Shown, State, StopCause};
+use crate::axis::{Fault, Link, MONITOR_CHANNELS, Shown, State, StopCause};
 use crate::cycle::record::{CycleRecord, DriveRecord, Look, MonitorRecord, Record, Reply, SkippedRecord};
 use crate::time::Time;
 
 /// What a file begins with: the name, and the version of its layout.
-const MARK: [u8; 8] = *b"FBBOX\0\x02\n";
+const MARK: [u8; 8] = *b"FBBOX\0\x03\n";
 
-/// The oldest layout that is read. In layout 1 no drive showed anything besides its process data.
+/// The oldest layout that is read. In layout 1 no drive showed anything besides its process data; up to layout 2 every drive
+/// told a position, and the header had no names of faults.
 const OLDEST: u8 = 1;
 
 /// Bytes of a record.
@@ -65,6 +67,16 @@ pub struct Axis {
     /// What its drive shows besides, channel by channel.
     #[serde(default)]
     pub monitor: [Option<Channel>; MONITOR_CHANNELS],
+    /// What its protocol calls the fault codes that occur in the records.
+    #[serde(default)]
+    pub faults: BTreeMap<u32, String>,
+}
+
+impl Axis {
+    /// A fault of its drive.
+    pub fn fault(&self, code: u32) -> Fault<'_> {
+        Fault { code, name: self.faults.get(&code).map(String::as_str) }
+    }
 }
 
 /// A variable that a drive shows besides its process data.
@@ -381,7 +393,7 @@ mod tests {
         Header {
             why: "drive x: link lost".into(),
             cycle: 7,
-            axes: vec![axis("x"), Axis { monitor, ..axis("y") }],
+            axes: vec![axis("x"), Axis { monitor, faults: [(5, "too hot".into())].into(), ..axis("y") }],
             ..Header::default()
         }
     }
@@ -466,19 +478,26 @@ mod tests {
             assert_eq!(decode(bytes), Err(Wrong::Foreign));
         }
         let mut newer = encode(&header(), records().iter());
-        for version in [0, 3] {
+        for version in [0, 4] {
             newer[6] = version;
             assert_eq!(decode(&newer), Err(Wrong::Version(version)));
         }
     }
 
-    /// As layout 1 was: an axis of a name and a unit.
+    /// As layout 1 was: an axis of a name and a unit. Layout 2 is the same with `monitor`, which may be there in any.
     #[test]
-    fn a_file_of_the_layout_before_is_read() {
+    fn a_file_of_an_earlier_layout_is_read() {
+        for layout in [1, 2] {
+            is_read(layout);
+        }
+    }
+
+    fn is_read(layout: u8) {
         let json = r#"{"program":"0.1.0","machine":null,"why":"drive x: link lost","cycle":7,"written":"",
             "period_ns":1000000,"deadline_ns":500000,"late_ns":100000,"axes":[{"name":"x","unit":"mm"}],
             "kernel":null,"preemption":null,"cpu":null}"#;
-        let mut bytes = b"FBBOX\0\x01\n".to_vec();
+        let mut bytes = MARK.to_vec();
+        bytes[6] = layout;
         bytes.extend((json.len() as u32).to_le_bytes());
         bytes.extend(json.as_bytes());
         bytes.extend(1_u64.to_le_bytes());

@@ -12,7 +12,7 @@
 pub mod file;
 pub mod story;
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::thread::JoinHandle;
@@ -22,7 +22,7 @@ use nix::unistd::User;
 use serde::Serialize;
 
 use self::file::{Axis, Channel, Header};
-use crate::axis::{Link, MonitorChannel, StopCause};
+use crate::axis::{Fault, FaultNames, Link, MonitorChannel, StopCause};
 use crate::cycle::Plan;
 use crate::cycle::record::{DriveRecord, Record};
 use crate::rt::host;
@@ -74,6 +74,7 @@ pub struct BlackBox {
     records: VecDeque<Record>,
     room: usize,
     axes: Vec<Known>,
+    fault_names: Vec<FaultNames>,
     newest: u64,
     aftermath: u64,
     /// Cycles that it holds.
@@ -144,6 +145,7 @@ impl BlackBox {
                         name: axis.name.clone(),
                         unit: axis.units.unit.to_string(),
                         monitor: monitored.map(|channel| channel.map(Channel::from)),
+                        faults: BTreeMap::new(),
                     })
                     .collect(),
                 kernel: host::kernel(),
@@ -152,6 +154,7 @@ impl BlackBox {
                 ..Header::default()
             },
             axes: vec![Known::default(); axes.len()],
+            fault_names: plan.fault_names(),
         })
     }
 
@@ -173,13 +176,16 @@ impl BlackBox {
     }
 
     fn look(&mut self, drive: &DriveRecord) {
-        let Some(known) = self.axes.get_mut(usize::from(drive.axis)) else { return };
+        let axis = usize::from(drive.axis);
+        let (Some(known), Some(names)) = (self.axes.get_mut(axis), self.fault_names.get(axis)) else {
+            return;
+        };
         let (link, fault, stopped) = (drive.link, drive.fault, drive.stopped);
         let before = std::mem::replace(known, Known { link, fault, stopped });
         let what = if link == Link::Lost && before.link != Link::Lost {
             "link lost".to_owned()
         } else if fault != 0 && before.fault == 0 {
-            format!("fault {fault:#06x}")
+            format!("fault {}", Fault::new(fault, *names))
         } else if let Some(cause) =
             stopped.filter(|cause| before.stopped.is_none() && *cause != StopCause::Shutdown)
         {
@@ -187,7 +193,7 @@ impl BlackBox {
         } else {
             return;
         };
-        let name = &self.header.axes[usize::from(drive.axis)].name;
+        let name = &self.header.axes[axis].name;
         let due = Due {
             why: format!("drive {name}: {what}"),
             cycle: drive.index,
@@ -198,6 +204,20 @@ impl BlackBox {
         // What failed first is what it is written for; it does not wait for one who only asked.
         if self.due.as_ref().is_none_or(|due| !due.failed) {
             self.due = Some(due);
+        }
+    }
+
+    /// Names the faults that occur in the records: whoever reads the file may know nothing of the protocol.
+    fn name_faults(&self, header: &mut Header) {
+        for record in &self.records {
+            let Record::Drive(DriveRecord { axis, fault: fault @ 1.., .. }) = record else { continue };
+            let axis = usize::from(*axis);
+            let (Some(of), Some(names)) = (header.axes.get_mut(axis), self.fault_names.get(axis)) else {
+                continue;
+            };
+            if let Some(name) = names(*fault) {
+                of.faults.entry(*fault).or_insert_with(|| name.to_owned());
+            }
         }
     }
 
@@ -238,7 +258,8 @@ impl BlackBox {
                 written.replaced = self.newest_files.pop_front();
             }
         }
-        let header = Header { why, cycle, written: stamp, ..self.header.clone() };
+        let mut header = Header { why, cycle, written: stamp, ..self.header.clone() };
+        self.name_faults(&mut header);
         let bytes = file::encode(&header, self.records.iter());
         let write = move || {
             if let Some(spare) = &written.replaced {
@@ -314,7 +335,10 @@ mod tests {
         let path = files[0].as_ref().unwrap().path();
         assert_eq!(files.len(), 1);
         let (header, records) = file::load(&path).unwrap();
-        assert_eq!((header.why.as_str(), header.cycle), ("drive y: fault 0x000b", 500));
+        assert_eq!((header.why.as_str(), header.cycle), ("drive y: fault 0x000b (11, position lag)", 500));
+        let lag = [(0x0B, "position lag".to_owned())];
+        assert_eq!((header.axes[0].faults.len(), &header.axes[1].faults), (0, &lag.into()));
+        assert!(story::tell(&header, &records, 3).contains("fault none -> 0x000b (11, position lag)"));
         assert_eq!(records.len(), 300, "100 cycles of 2 drives and a cycle record each");
         let after = records.iter().filter(|record| matches!(record, Record::Cycle(c) if c.index >= 500));
         assert_eq!(after.count(), 51);
@@ -371,7 +395,10 @@ mod tests {
         black_box.ask();
         (10..200).for_each(|index| cycle(&mut black_box, index, |drive| drive.fault = 5));
         let [written] = &black_box.write(true)[..] else { panic!() };
-        assert_eq!((written.why.as_str(), written.cycle), ("drive x: fault 0x0005", 10));
+        assert_eq!(
+            (written.why.as_str(), written.cycle),
+            ("drive x: fault 0x0005 (5, regeneration resistor not connected)", 10)
+        );
     }
 
     #[test]

@@ -6,10 +6,10 @@ use std::ops::RangeInclusive;
 
 use serde::Serialize;
 
-use super::file::{Channel, Header};
+use super::file::{Axis, Channel, Header};
 use crate::axis::{Link, Verb};
 use crate::cycle::record::{CycleRecord, DriveRecord, Lateness, Record, Reply, SkippedRecord, Stage};
-use crate::telemetry::summary::plain;
+use crate::telemetry::summary::{decimals, plain, told};
 use crate::time::{Ns, S};
 
 /// Something that changed.
@@ -46,7 +46,7 @@ pub fn happenings(header: &Header, records: &[Record]) -> Vec<Happening> {
                 let axis = usize::from(drive.axis);
                 let Some(known) = known.get_mut(axis) else { continue };
                 let news = match known.replace(*drive) {
-                    Some(known) => changes(&known, drive),
+                    Some(known) => changes(&header.axes[axis], &known, drive),
                     None => vec![format!("{}, {}{}", drive.link, drive.state, running(drive))],
                 };
                 (drive.index, axis, news)
@@ -113,7 +113,7 @@ fn late(header: &Header, cycle: &CycleRecord) -> Option<String> {
     }
 }
 
-fn changes(before: &DriveRecord, now: &DriveRecord) -> Vec<String> {
+fn changes(axis: &Axis, before: &DriveRecord, now: &DriveRecord) -> Vec<String> {
     let mut told = Vec::new();
     match now.reply {
         // Probes of an absent drive are no news.
@@ -140,7 +140,7 @@ fn changes(before: &DriveRecord, now: &DriveRecord) -> Vec<String> {
         told.push(format!("warning {:#06x} -> {:#06x}", before.warning, now.warning));
     }
     if before.fault != now.fault {
-        told.push(format!("fault {:#06x} -> {:#06x}", before.fault, now.fault));
+        told.push(format!("fault {} -> {}", axis.fault(before.fault), axis.fault(now.fault)));
     }
     if before.link != now.link {
         told.push(format!("link {} -> {}", before.link, now.link));
@@ -229,8 +229,15 @@ fn write_course(text: &mut String, Course { name, unit, monitor, rows }: &Course
         let rtt = row.rtt_ns.map_or("-".to_owned(), |ns| format!("{:.1}", us(ns.get())));
         write!(
             text,
-            "{:>12} {:>9} {rtt:>9} {:>11} {:>19} {:>12.4} {:>12.4} {:>12.2} {:>9.2}",
-            row.cycle, row.reply, row.link, row.state, row.position, row.demand, row.velocity, row.current
+            "{:>12} {:>9} {rtt:>9} {:>11} {:>19} {:>12} {:>12} {:>12} {:>9}",
+            row.cycle,
+            row.reply,
+            row.link,
+            row.state,
+            decimals(row.position, 4),
+            decimals(row.demand, 4),
+            decimals(row.velocity.map(f64::from), 2),
+            decimals(row.current.map(f64::from), 2)
         )?;
         for (value, wide) in row.monitor.iter().zip(&widths) {
             let value = value.map_or("-".to_owned(), |value| plain(value).to_string());
@@ -271,14 +278,14 @@ pub struct Row {
     pub link: String,
     /// State of the drive.
     pub state: String,
-    /// Actual position, user units.
-    pub position: f64,
+    /// Actual position, user units; `None` = the drive tells none, like the three below.
+    pub position: Option<f64>,
     /// Demand position, user units.
-    pub demand: f64,
+    pub demand: Option<f64>,
     /// Actual velocity, user units/s.
-    pub velocity: f32,
+    pub velocity: Option<f32>,
     /// Motor current, A.
-    pub current: f32,
+    pub current: Option<f32>,
     /// What it showed besides, in the order of [`Course::monitor`]; `None` = nothing in this cycle.
     pub monitor: Vec<Option<f64>>,
 }
@@ -303,10 +310,10 @@ pub fn courses(header: &Header, records: &[Record], happenings: &[Happening], cy
                     rtt_ns: drive.rtt_ns,
                     link: drive.link.to_string(),
                     state: drive.state.to_string(),
-                    position: drive.position,
-                    demand: drive.demand,
-                    velocity: drive.velocity,
-                    current: drive.current,
+                    position: told(drive.position),
+                    demand: told(drive.demand),
+                    velocity: Some(drive.velocity).filter(|velocity| velocity.is_finite()),
+                    current: Some(drive.current).filter(|current| current.is_finite()),
                     monitor: vec![None; course.monitor.len()],
                 });
             }
@@ -314,7 +321,8 @@ pub fn courses(header: &Header, records: &[Record], happenings: &[Happening], cy
                 let axis = usize::from(of.axis);
                 let Some(Some(course)) = courses.get_mut(axis) else { continue };
                 let Some(row) = course.rows.last_mut().filter(|row| row.cycle == of.index) else { continue };
-                let channels = header.axes[axis].monitor.iter().zip(of.shown.values());
+                let values = of.shown.values().map(|value| value.and_then(told));
+                let channels = header.axes[axis].monitor.iter().zip(values);
                 row.monitor =
                     channels.filter_map(|(channel, value)| channel.as_ref().map(|_| value)).collect();
             }
@@ -342,7 +350,6 @@ fn concerned(header: &Header, happenings: &[Happening], cycles: u64) -> Vec<usiz
 
 #[cfg(test)]
 mod tests {
-    use super::super::file::Axis;
     use super::*;
     use crate::axis::{State, StopCause};
     use crate::cycle::record::MonitorRecord;
@@ -424,6 +431,41 @@ mod tests {
     }
 
     #[test]
+    fn what_a_drive_does_not_tell_is_a_dash_and_null() {
+        let (header, mut records) = machine();
+        for record in &mut records {
+            let Record::Drive(drive) = record else { continue };
+            (drive.position, drive.demand, drive.velocity, drive.current) =
+                (f64::NAN, f64::NAN, 2.5, f32::NAN);
+        }
+        let text = tell(&header, &records, 4);
+        let row = text.lines().rfind(|line| line.contains("missed")).unwrap();
+        let columns: Vec<&str> = row.split_whitespace().rev().take(4).collect();
+        assert_eq!((columns, text.contains("NaN")), (vec!["-", "2.50", "-", "-"], false), "{text}");
+        let json = serde_json::to_value(courses(&header, &records, &[], 4)).unwrap();
+        let row = &json[0]["rows"][0];
+        let [position, demand, current] = ["position", "demand", "current"].map(|key| row[key].is_null());
+        assert!(position && demand && current && row["velocity"] == 2.5, "{row}");
+    }
+
+    #[test]
+    fn a_fault_of_the_records_has_its_name_from_the_header() {
+        let (mut header, mut records) = machine();
+        header.axes[1].faults.insert(30, "watchdog".into());
+        for record in &mut records {
+            match record {
+                Record::Drive(drive) if drive.index > 101 && drive.axis == 1 => drive.fault = 30,
+                Record::Drive(drive) if drive.index > 101 => drive.fault = 999,
+                _ => {}
+            }
+        }
+        let told: Vec<String> = happenings(&header, &records).into_iter().map(|one| one.what).collect();
+        for what in ["fault none -> 0x001e (30, watchdog)", "fault none -> 0x03e7 (999)"] {
+            assert!(told.iter().any(|told| told == what), "{told:?}");
+        }
+    }
+
+    #[test]
     fn an_empty_one_says_so() {
         let (header, _) = machine();
         assert!(tell(&header, &[], 4).contains("it holds no cycle"));
@@ -450,7 +492,7 @@ mod tests {
             }
             for cycles in [0, 4, u64::MAX] {
                 let text = tell(&header, &records, cycles);
-                assert!(text.contains("drive x, mm") && !text.contains('\x1b'));
+                assert!(text.contains("drive x, mm") && !text.contains('\x1b') && !text.contains("NaN"));
             }
         }
     }

@@ -9,6 +9,7 @@ use prometheus_client::metrics::MetricType;
 use prometheus_client::registry::{Registry, Unit};
 
 use crate::axis::{Link, MonitorChannel};
+use crate::bus::OwnCounter;
 use crate::cycle::Plan;
 use crate::cycle::record::Stage;
 use crate::cycle::status::{DriveEnd, Numbers};
@@ -59,6 +60,8 @@ impl Collector for Machine {
         sheet.host(monitor)?;
         sheet.cycle(monitor.plan().cycle.period_ns, &numbers)?;
         sheet.drives(&numbers.drives)?;
+        sheet.protocols(monitor.plan(), &numbers.drives)?;
+        sheet.connections(monitor, &numbers.drives)?;
         sheet.monitored(monitor.plan(), &numbers.drives)?;
         sheet.buses(&numbers)?;
         monitor.measured(|Measured { histograms, causes, .. }| {
@@ -249,6 +252,23 @@ impl Sheet<'_> {
         Ok(())
     }
 
+    fn protocols(&mut self, plan: &Plan, drives: &[DriveEnd]) -> fmt::Result {
+        let samples = drives.iter().zip(plan.own_counters()).flat_map(|(drive, own)| {
+            let labels = |key| [("drive", drive.name.as_str()), ("what", key)];
+            own.iter()
+                .zip(drive.counters.own)
+                .map(move |(OwnCounter { key, .. }, count)| (labels(*key), count))
+        });
+        self.counters("drive_protocol_events", "What only the protocol of the drive counts.", samples)
+    }
+
+    fn connections(&mut self, monitor: &Monitor, drives: &[DriveEnd]) -> fmt::Result {
+        let samples = (drives.iter().enumerate())
+            .filter(|(index, _)| monitor.has_connection(*index))
+            .map(|(_, drive)| (name_of(drive), u64::from(drive.not_connected.is_some())));
+        self.gauges("drive_not_connected", "1 while the connection to the drive cannot be opened.", samples)
+    }
+
     fn monitored(&mut self, plan: &Plan, drives: &[DriveEnd]) -> fmt::Result {
         type Field = (&'static str, &'static str, fn(&DriveEnd, usize) -> Option<f64>);
         const VALUES: [Field; 3] = [
@@ -288,6 +308,12 @@ impl Sheet<'_> {
     fn buses(&mut self, Numbers { buses, .. }: &Numbers) -> fmt::Result {
         let strangers = buses.iter().map(|(name, bus)| ([("bus", name.as_str())], bus.datagrams));
         self.counters("bus_strangers", "Datagrams from addresses that are no drive's.", strangers)?;
+        let dropped = buses.iter().map(|(name, bus)| ([("bus", name.as_str())], bus.dropped));
+        self.counters(
+            "bus_dropped",
+            "Datagrams that the kernel dropped because the buffer was full.",
+            dropped,
+        )?;
         let errors = buses.iter().map(|(name, bus)| ([("bus", name.as_str())], bus.errors));
         self.counters("bus_receive_errors", "Errors of the receiving socket.", errors)
     }

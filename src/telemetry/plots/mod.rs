@@ -81,6 +81,7 @@ mod tests {
             name: name.to_owned(),
             protocol: "linudp-v2",
             feedback: Feedback::default(),
+            not_connected: None,
             counters: Default::default(),
             losses: 0,
             peaks: Peaks { rtt, ..Peaks::default() },
