@@ -15,7 +15,7 @@ use fieldbeat::master::Master;
 use fieldbeat::net::Carriers;
 use fieldbeat::sim::server::ServerOptions;
 use fieldbeat::sim::world::WorldOptions;
-use fieldbeat::sim::{DatagramDrive, FaultPlan};
+use fieldbeat::sim::{FaultPlan, SimDrive};
 use fieldbeat::simulation::Simulation;
 use fieldbeat::time::Time;
 use support::adventures::{Adventures, Calls, DRIVES, Ends, VICTIM, drives, drives_and_errors, row, to};
@@ -43,7 +43,7 @@ fn an_allocation_would_be_noticed() {
 #[derive(Debug)]
 struct DrivesUnwatched(Box<dyn BusPlan>);
 
-struct Unwatched(Box<dyn DatagramDrive>);
+struct Unwatched(Box<dyn SimDrive>);
 
 impl BusPlan for DrivesUnwatched {
     crate::forward_bus_plan!(0);
@@ -51,19 +51,15 @@ impl BusPlan for DrivesUnwatched {
     fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
         self.0.open(period_ns, carriers)
     }
-    fn simulate(&self) -> Vec<Box<dyn DatagramDrive>> {
+    fn simulate(&self) -> Vec<Box<dyn SimDrive>> {
         let drives = self.0.simulate().into_iter();
-        drives.map(|drive| Box::new(Unwatched(drive)) as Box<dyn DatagramDrive>).collect()
+        drives.map(|drive| Box::new(Unwatched(drive)) as Box<dyn SimDrive>).collect()
     }
 }
 
-impl DatagramDrive for Unwatched {
-    fn address(&self) -> SocketAddrV4 {
-        self.0.address()
-    }
-    fn faults(&self) -> FaultPlan {
-        self.0.faults()
-    }
+impl SimDrive for Unwatched {
+    crate::forward_sim_drive!(0);
+
     fn receive(
         &mut self,
         now: Time,
@@ -80,9 +76,6 @@ impl DatagramDrive for Unwatched {
         let watched = watch(false);
         self.0.restart(now);
         watch(watched);
-    }
-    fn inhibit(&mut self, until: Time) {
-        self.0.inhibit(until);
     }
 }
 

@@ -52,6 +52,8 @@ fn weather(seed: u64, flips: bool) -> FaultPlan {
         inhibit: 0.000_005,
         inhibit_ns: 300 * MS,
         wrong_id: 0.001,
+        split: 0.0,
+        cut: 0.0,
         answer_ns: 30 * US,
     }
 }

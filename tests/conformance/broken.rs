@@ -1,8 +1,10 @@
-//! The clauses can fail: each defect of the toy is caught by the clause that is about it.
+//! The clauses can fail: each defect of the toy is caught by the clause that is about it, and so is what only a bus of
+//! connections can get wrong.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use crate::subject::Subject;
+use crate::subjects::modbus::{Defect as StreamDefect, Modbus};
 use crate::subjects::toy::{Defect, Toy};
 use crate::{acyclic, exchanges, neighbours, orders, replies, reports, whole};
 
@@ -29,11 +31,33 @@ const CAUGHT: [(Defect, Clause); 15] = [
     (Defect::ForgetsItsCalls, acyclic::a_drive_that_is_not_there_is_told_of_at_once),
 ];
 
+const CAUGHT_ON_STREAMS: [(StreamDefect, Clause); 3] = [
+    (
+        StreamDefect::NeverGivesUp,
+        exchanges::what_is_not_answered_in_its_window_is_open_until_the_loop_calls_it_missed,
+    ),
+    (StreamDefect::AsksTwice, exchanges::each_due_slot_is_one_request_and_one_exchange),
+    (StreamDefect::BeginsAgain, exchanges::a_request_that_the_wire_takes_in_pieces_is_heard_once_and_whole),
+];
+
+fn is_caught(subject: Box<dyn Subject>, clause: Clause) -> bool {
+    let subject: &'static dyn Subject = Box::leak(subject);
+    catch_unwind(AssertUnwindSafe(|| clause(subject))).is_err()
+}
+
 #[test]
 fn each_defect_of_the_toy_is_caught_by_the_clause_that_is_about_it() {
     for (defect, clause) in CAUGHT {
-        let subject: &'static Toy = Box::leak(Box::new(Toy(Some(defect))));
-        let caught = catch_unwind(AssertUnwindSafe(|| clause(subject))).is_err();
-        assert!(caught, "{defect:?} went unnoticed");
+        assert!(is_caught(Box::new(Toy(Some(defect))), clause), "{defect:?} went unnoticed");
+    }
+}
+
+#[test]
+fn what_only_a_bus_of_connections_gets_wrong_is_caught_as_well() {
+    for (defect, clause) in CAUGHT_ON_STREAMS {
+        for direct in [false, true] {
+            let subject = Modbus { direct, defect: Some(defect) };
+            assert!(is_caught(Box::new(subject), clause), "{defect:?} went unnoticed, direct: {direct}");
+        }
     }
 }

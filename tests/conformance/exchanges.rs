@@ -1,12 +1,12 @@
 //! When something is sent, what is owed for it, and how long a window stays open.
 
 use fieldbeat::axis::Verb;
-use fieldbeat::bus::Exchange;
+use fieldbeat::bus::{Counters, Exchange};
 use fieldbeat::rt::Clock;
 use fieldbeat::sim::FaultPlan;
 use fieldbeat::time::US;
 
-use crate::line::{LATENCY, Line, PERIOD, WINDOW};
+use crate::line::{LATENCY, Line, PERIOD, WINDOW, near_velocity};
 use crate::subject::{Subject, not_applicable};
 
 pub fn nothing_is_sent_for_a_slot_that_is_not_due(subject: &'static dyn Subject) {
@@ -20,23 +20,32 @@ pub fn nothing_is_sent_for_a_slot_that_is_not_due(subject: &'static dyn Subject)
     let (heard, counters) = (line.heard(1), line.slots[1].counters);
     line.asleep[1] = true;
     // Not even for an order.
-    let verb = line.by(1, 0.1);
-    line.order(1, verb);
+    line.order(1, line.go(1));
     line.turns(100);
     assert_eq!((line.heard(1), line.slots[1].counters), (heard, counters));
 }
 
 pub fn each_due_slot_is_one_request_and_one_exchange(subject: &'static dyn Subject) {
     let mut line = Line::new(subject, 3);
+    if line.can.stream {
+        // Before that there is nobody to ask.
+        line.online();
+        line.settle();
+    }
+    let begin = [0, 1, 2].map(|index| line.slots[index].counters.sent);
     let mut random = fastrand::Rng::with_seed(1);
     let mut due = [0; 3];
-    for _ in 0..600 {
+    for _ in 0..600 * line.drives[0].axis.divisor {
         line.asleep.fill_with(|| random.bool());
         line.turn_and_hear();
         for (index, due) in due.iter_mut().enumerate() {
             *due += u64::from(line.slots[index].due);
             let sent = line.slots[index].counters.sent;
-            assert_eq!((line.heard(index) as u64, sent), (*due, *due), "drive {index}");
+            assert_eq!(
+                (line.heard(index) as u64, sent - begin[index]),
+                (begin[index] + *due, *due),
+                "drive {index}"
+            );
         }
     }
     assert!(due.iter().all(|due| *due > 100), "{due:?}");
@@ -70,20 +79,23 @@ pub fn only_the_order_that_stands_at_the_last_build_is_carried_out(subject: &'st
     let (before, distance) = (line.slots[0].report.demand, line.way(0, 0.1));
     for instead in [None, Some(Verb::Stop { deceleration: None })] {
         line.settle();
-        let verb = line.by(0, 0.5);
-        line.order(0, verb);
+        line.order(0, line.go(0));
         line.prepare();
         line.order(0, instead);
-        line.turns(300);
-        assert_eq!(line.slots[0].report.demand, before, "replaced by {instead:?} before it went out");
+        line.stands(0, 300);
     }
     // One that stands is carried out once, however often it was built and for whichever slot.
     line.builds = 3;
-    let verb = line.by(0, 0.1);
+    let verb = if line.can.positions { line.by(0, 0.1) } else { line.go(0) };
     line.order(0, verb);
     for _ in 0..3 {
         line.prepare();
-        line.index += 2;
+        line.index += u64::from(line.drives[0].axis.divisor);
+    }
+    if !line.can.positions {
+        let velocity = line.profile(0).velocity;
+        line.until("its velocity", 1_000, |line| near_velocity(line, 0, velocity));
+        return line.done(0, Verb::Stop { deceleration: None });
     }
     assert_eq!(line.ended(0), Ok(()));
     line.turns(100);
@@ -114,7 +126,7 @@ pub fn receive_never_waits(subject: &'static dyn Subject) {
 pub fn a_window_is_open_for_what_it_owes_and_for_nothing_else(subject: &'static dyn Subject) {
     let mut line = Line::new(subject, 2);
     line.online();
-    let later = line.can.answers_after > 0;
+    let later = line.can.answers_after > 0 && !line.can.awaits;
     let open = |line: &mut Line, asked: [bool; 2]| {
         line.asleep = asked.map(|asked| !asked).to_vec();
         line.settle();
@@ -150,6 +162,7 @@ pub fn what_is_still_owed_is_not_asked_again(subject: &'static dyn Subject) {
         );
     }
     line.settle();
+    line.answer_at(0, WINDOW / 4);
     line.turn_and_hear();
     let (exchange, counters, heard) = (line.slots[0].exchange, line.slots[0].counters, line.heard(0));
     assert!(matches!(exchange, Exchange::Owed { .. }));
@@ -163,6 +176,7 @@ pub fn what_is_still_owed_is_not_asked_again(subject: &'static dyn Subject) {
     assert_eq!(line.heard(0), heard);
     line.window();
     line.judge();
+    line.turns(u64::from(line.can.answers_after) - 1);
     assert!(line.seen[0].answered());
 }
 
@@ -171,20 +185,25 @@ pub fn what_is_not_answered_in_its_window_is_open_until_the_loop_calls_it_missed
 ) {
     let mut line = Line::new(subject, 1);
     line.online();
-    line.mute(0, true);
     for missed in 1..=4 {
+        line.mute(0, true);
         assert!(line.exchange(0).missed());
         assert_eq!(line.slots[0].counters.missed, missed);
+        if line.can.stream {
+            // The next one is asked on another connection.
+            line.mute(0, false);
+            line.heal(0);
+        }
     }
     line.mute(0, false);
-    assert!(line.exchange(0).answered());
+    assert!(line.heal(0).answered());
 }
 
 pub fn a_flood_is_taken_in_by_bounded_bites(subject: &'static dyn Subject) {
     let mut line = Line::new(subject, 2);
     line.online();
-    if subject.malformed(&line.reply(0)).is_empty() {
-        return not_applicable(subject, "a flood", "no datagrams on its carrier");
+    if line.can.stream {
+        return a_flood_on_a_connection(line);
     }
     const FLOOD: u64 = 3_000;
     const BITE: u64 = 1_024;
@@ -194,7 +213,7 @@ pub fn a_flood_is_taken_in_by_bounded_bites(subject: &'static dyn Subject) {
         let before = line.wire.log().strangers;
         line.prepare();
         for _ in 0..FLOOD {
-            line.inject(stranger, &[0; 20], if in_window { US } else { 0 });
+            line.inject(0, stranger, &[0; 20], if in_window { US } else { 0 });
         }
         let grid = line.cycle().grid;
         line.world.clock().sleep_until(grid);
@@ -210,6 +229,39 @@ pub fn a_flood_is_taken_in_by_bounded_bites(subject: &'static dyn Subject) {
         assert_eq!(line.wire.log().strangers - before, FLOOD);
         assert!(line.slots.iter().all(|slot| slot.counters.missed == 0));
     }
+}
+
+fn assert_neighbour_untroubled(line: &Line, before: &Counters) {
+    let after = line.slots[1].counters;
+    assert_eq!((after.missed, after.unsent), (before.missed, before.unsent), "its neighbour");
+}
+
+/// Whoever floods his own connection is heard in bounded bites, and nobody waits for him.
+fn a_flood_on_a_connection(mut line: Line) {
+    const FLOOD: u64 = 300;
+    const BITE: u64 = 64;
+    line.settle();
+    let (old, address) = (line.reply(0), line.wire.address(0));
+    let (taken, before) = (line.wire.log().drives[0].taken, line.slots[0].counters);
+    let beside = line.slots[1].counters;
+    line.prepare();
+    for _ in 0..FLOOD {
+        line.inject(0, address, &old, 0);
+    }
+    let grid = line.cycle().grid;
+    line.world.clock().sleep_until(grid);
+    line.send();
+    line.world.advance(2 * US);
+    line.receive();
+    let bite = line.wire.log().drives[0].taken - taken;
+    assert!((1..=2 * BITE).contains(&bite), "{bite} of {FLOOD} in one send and one receive");
+    line.window();
+    line.judge();
+    line.until("the end of the flood", 1_000, |line| {
+        line.slots[0].counters.duplicate - before.duplicate == FLOOD
+    });
+    line.heal(0);
+    assert_neighbour_untroubled(&line, &beside);
 }
 
 pub fn a_cycle_that_begins_late_ends_when_it_always_does(subject: &'static dyn Subject) {
@@ -235,9 +287,11 @@ pub fn a_refused_send_opens_nothing_and_is_made_up_for(subject: &'static dyn Sub
     let mut line = Line::made_ready(subject, 2);
     line.settle();
     let (before, heard) = (line.slots[0].counters, line.heard(0));
+    let beside = line.slots[1].counters;
     line.wire.log().drives[0].jammed = true;
     // The order is given while nothing goes out.
-    let (at, verb) = (line.slots[0].report.demand, line.by(0, 0.1));
+    let at = line.slots[0].report.demand;
+    let verb = if line.can.positions { line.by(0, 0.1) } else { line.go(0) };
     line.order(0, verb);
     for unsent in 1..=4 {
         assert_eq!(line.exchange(0).exchange, Exchange::Unsent);
@@ -248,10 +302,39 @@ pub fn a_refused_send_opens_nothing_and_is_made_up_for(subject: &'static dyn Sub
     line.wire.log().drives[0].jammed = false;
     let seen = line.exchange(0);
     assert!(seen.answered() && !seen.suspect, "nothing was under way that it could be mistaken for");
-    assert_eq!(line.ended(0), Ok(()));
-    let (moved, asked) = (line.slots[0].report.demand - at, line.way(0, 0.1));
-    assert!((moved - asked).abs() < asked * 1e-3, "moved by {moved}");
-    assert_eq!(line.slots[1].counters.missed + line.slots[1].counters.unsent, 0, "its neighbour");
+    if line.can.positions {
+        assert_eq!(line.ended(0), Ok(()));
+        let (moved, asked) = (line.slots[0].report.demand - at, line.way(0, 0.1));
+        assert!((moved - asked).abs() < asked * 1e-3, "moved by {moved}");
+    } else {
+        let velocity = line.profile(0).velocity;
+        line.until("its velocity", 1_000, |line| near_velocity(line, 0, velocity));
+    }
+    assert_neighbour_untroubled(&line, &beside);
+}
+
+pub fn a_request_that_the_wire_takes_in_pieces_is_heard_once_and_whole(subject: &'static dyn Subject) {
+    let mut line = Line::made_ready(subject, 2);
+    if !line.can.stream {
+        return not_applicable(subject, "pieces of a request", "a datagram goes whole or not at all");
+    }
+    line.settle();
+    let (before, beside, heard) = (line.slots[0].counters, line.slots[1].counters, line.heard(0));
+    line.wire.log().drives[0].halved = true;
+    // The rest goes with the next cycle: what then comes in time is answered, and all else late.
+    line.turns(60);
+    line.wire.log().drives[0].halved = false;
+    line.turns(6);
+    let after = line.slots[0].counters;
+    let sent = after.sent - before.sent;
+    assert!(sent > 15, "{after:?}");
+    assert_eq!((line.heard(0) - heard) as u64, sent, "each once");
+    let requests = line.requests(0).split_off(heard);
+    assert!(requests.iter().all(|request| matches!(subject.message(request), Ok(Some(_)))));
+    assert_eq!(after.missed - before.missed, after.late - before.late, "each answered, sooner or later");
+    assert_eq!((after.malformed, after.foreign, after.duplicate), (0, 0, 0));
+    assert_neighbour_untroubled(&line, &beside);
+    line.move_about(0);
 }
 
 pub fn the_end_comes_and_leaves_nothing_owed(subject: &'static dyn Subject) {

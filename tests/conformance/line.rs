@@ -194,7 +194,7 @@ impl Line {
         assert!(span.1.since(span.0) <= self.readings(), "receiving does not wait");
         assert_eq!(self.wire.log().sends, sends, "nothing is sent while receiving");
         for (before, after) in before.iter().zip(&self.slots) {
-            Around { before, after, span }.receive();
+            Around { before, after, span }.receive(&self.can);
         }
         assert_eq!(closed, !self.owes(), "true once all that this window owes is closed, and only then");
         self.accounts();
@@ -206,12 +206,10 @@ impl Line {
         (READINGS + self.slots.len() as u64) * WorldOptions::default().read_ns
     }
 
-    /// Whether an exchange is owed in the window of the present cycle.
+    /// Whether the window of the present cycle is to stay open.
     pub fn owes(&self) -> bool {
-        let deadline = self.cycle().deadline;
-        let owed =
-            |slot: &Slot| matches!(slot.exchange, Exchange::Owed { reply_by, .. } if reply_by <= deadline);
-        self.slots.iter().any(owed)
+        let cycle = self.cycle();
+        self.slots.iter().any(|slot| slot.exchange.is_waited_for(&cycle))
     }
 
     fn accounts(&self) {
@@ -219,8 +217,8 @@ impl Line {
         for (slot, tape) in self.slots.iter().zip(&log.drives) {
             rules::accounts(slot, tape);
         }
-        let Strangers { datagrams, errors } = self.bus.strangers();
-        assert_eq!((datagrams, errors), (log.strangers, 0), "strangers");
+        let Strangers { datagrams, dropped, errors } = self.bus.strangers();
+        assert_eq!((datagrams, dropped, errors), (log.strangers, 0, 0), "strangers");
     }
 
     // The loop.
@@ -254,7 +252,7 @@ impl Line {
             let slot = &mut self.slots[index];
             if self.honest && slot.report.fresh && !slot.report.suspect {
                 let tape = &self.wire.log().drives[index];
-                rules::honest(slot, tape, &self.drives[index], self.sent_at[index]);
+                rules::honest(slot, tape, &self.drives[index], &self.can, self.sent_at[index]);
             }
             let (good, missed) = &mut self.in_a_row[index];
             let exchange = match slot.exchange {
@@ -401,6 +399,46 @@ impl Line {
         by(&self.drives[index], seconds)
     }
 
+    /// A motion of many seconds at the profile's velocity.
+    pub fn go(&self, index: usize) -> Verb {
+        go(&self.can, &self.drives[index])
+    }
+
+    /// A motion of many seconds in which no two reports are the same.
+    pub fn changing(&self, index: usize) -> Verb {
+        let Profile { velocity, .. } = self.profile(index);
+        match self.can.positions {
+            true => self.by(index, 20.0),
+            // Position is one all the way, velocity only while it changes.
+            false => Verb::Jog(Jog { velocity: velocity * 5.0, acceleration: velocity * 0.5 }),
+        }
+    }
+
+    /// A short motion, to its end.
+    pub fn move_about(&mut self, index: usize) {
+        if self.can.positions {
+            return self.done(index, self.by(index, 0.05));
+        }
+        let velocity = self.way(index, 0.5);
+        self.order(index, self.jog(index, 0.5));
+        self.until("its velocity", 40_000, |line| near_velocity(line, index, velocity));
+        self.done(index, Verb::Stop { deceleration: None });
+        assert!(!self.said(index).moving, "it ends at standstill");
+    }
+
+    /// So many cycles in which nothing moves the drive.
+    pub fn stands(&mut self, index: usize, cycles: u64) {
+        let at = self.slots[index].report.demand;
+        for _ in 0..cycles {
+            self.turn();
+            let report = &self.slots[index].report;
+            match self.can.positions {
+                true => assert_eq!(report.demand, at, "it moves"),
+                false => assert!(!report.moving && !self.said(index).moving, "it turns: {report:?}"),
+            }
+        }
+    }
+
     pub fn jog(&self, index: usize, seconds: f64) -> Verb {
         let acceleration = self.profile(index).acceleration;
         Verb::Jog(Jog { velocity: self.way(index, seconds), acceleration })
@@ -427,7 +465,8 @@ impl Line {
         count: u32,
         shape: impl Fn(f64) -> (f64, f64, f64),
     ) -> Vec<Row> {
-        let (begin, way) = (self.slots[index].report.demand, self.way(index, seconds));
+        let begin = if self.can.positions { self.slots[index].report.demand } else { 0.0 };
+        let way = self.way(index, seconds);
         let all = f64::from(count) * (PERIOD * u64::from(self.drives[index].axis.divisor)) as f64 * 1e-9;
         let row = |n| {
             let (position, velocity, acceleration) = shape(f64::from(n) / f64::from(count));
@@ -446,12 +485,18 @@ impl Line {
     /// Every way of being in motion that the subject knows.
     pub fn motions(&self) -> Vec<Motion> {
         let all = [
-            (Motion::Move, true),
+            (Motion::Move, self.can.positions),
+            (Motion::Turn, !self.can.positions),
             (Motion::Jog, self.can.jog),
             (Motion::Follow, self.can.follow),
             (Motion::Home, self.can.home),
         ];
         all.into_iter().filter(|(_, can)| *can).map(|(motion, _)| motion).collect()
+    }
+
+    /// The plainest way of being in motion.
+    pub fn motion(&self) -> Motion {
+        if self.can.positions { Motion::Move } else { Motion::Turn }
     }
 
     /// Turns until the drive is in the middle of `motion`.
@@ -462,6 +507,7 @@ impl Line {
         }
         let verb = match motion {
             Motion::Move => self.by(index, 2.0),
+            Motion::Turn => self.go(index),
             Motion::Jog => self.jog(index, 0.5),
             Motion::Follow => {
                 self.stream(index, 0.1, 600);
@@ -470,7 +516,7 @@ impl Line {
             Motion::Home => Verb::Home,
         };
         self.order(index, verb);
-        self.until("a motion", 1_000, |line| line.slots[index].report.moving);
+        self.until("a motion", LONG, |line| line.slots[index].report.moving);
         self.turns(50);
         assert!(self.said(index).moving && self.end(index).is_none(), "in the middle of {motion:?}");
     }
@@ -501,9 +547,25 @@ impl Line {
         self.faults(index, FaultPlan::default());
     }
 
-    /// A datagram from `from` reaches the bus so long after the begin of the next cycle.
-    pub fn inject(&self, from: SocketAddrV4, bytes: &[u8], ns: u64) {
-        self.world.inject(self.wire.master(), from, bytes, self.cycle().grid + ns);
+    /// What comes from `from`, as drive `index` sends it, reaches the bus so long after the begin of the next cycle.
+    pub fn inject(&self, index: usize, from: SocketAddrV4, bytes: &[u8], ns: u64) {
+        self.world.inject(self.wire.master(index), from, bytes, self.cycle().grid + ns);
+    }
+
+    /// Another master sends this to drive `index`.
+    pub fn meddle(&self, index: usize, bytes: Vec<u8>) {
+        self.wire.log().drives[index].meddled = Some(bytes);
+    }
+
+    /// Turns until the drive answers again. A datagram does with the next exchange; a connection may have to be opened anew,
+    /// after a pause and a greeting, and its first reply may not say all.
+    pub fn heal(&mut self, index: usize) -> Seen {
+        if !self.can.stream {
+            return self.exchange(index);
+        }
+        let what = "an answer on a connection that was opened anew";
+        self.until(what, 20_000, |line| line.seen[index].answered() && line.seen[index].fresh);
+        self.seen[index]
     }
 
     /// Turns until the next exchange of this drive is closed.
@@ -550,9 +612,25 @@ impl Line {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Motion {
     Move,
+    /// A jog at the profile's velocity, of a drive that takes no moves.
+    Turn,
     Jog,
     Follow,
     Home,
+}
+
+/// Whether the drive reports this velocity.
+pub fn near_velocity(line: &Line, index: usize, velocity: f64) -> bool {
+    (line.slots[index].report.velocity - velocity).abs() < velocity.abs() * 0.02
+}
+
+/// A motion of many seconds at the velocity of the profile.
+pub fn go(can: &Can, drive: &Drive) -> Verb {
+    let Profile { velocity, acceleration, .. } = drive.axis.profile;
+    match can.positions {
+        true => by(drive, 20.0),
+        false => Verb::Jog(Jog { velocity, acceleration }),
+    }
 }
 
 /// A move by the way that the profile's velocity makes in so many seconds.

@@ -11,7 +11,7 @@ use fieldbeat::cycle::{CyclePlan, Plan};
 use fieldbeat::sim::FaultPlan;
 use fieldbeat::sim::world::{World, WorldOptions};
 use fieldbeat::simulation::Simulation;
-use fieldbeat::time::Time;
+use fieldbeat::time::{Time, US};
 
 use crate::line::{self, PERIOD};
 use crate::subject::{Can, Drive, Subject};
@@ -112,7 +112,7 @@ impl Machine {
     /// Every axis on a move of many seconds.
     pub fn moving(&mut self) -> Vec<CommandId> {
         self.ready();
-        let ids = (0..self.drives.len()).map(|index| self.post(index, self.by(index, 20.0))).collect();
+        let ids = (0..self.drives.len()).map(|index| self.post(index, self.go(index))).collect();
         self.run(200);
         assert!((0..self.drives.len()).all(|index| self.feedback(index).moving));
         ids
@@ -121,6 +121,22 @@ impl Machine {
     /// A move by the way of so many seconds.
     pub fn by(&self, index: usize, seconds: f64) -> Verb {
         line::by(&self.drives[index], seconds)
+    }
+
+    /// A motion of many seconds.
+    pub fn go(&self, index: usize) -> Verb {
+        line::go(&self.can, &self.drives[index])
+    }
+
+    /// A short motion, to its end.
+    pub fn move_about(&mut self, index: usize) {
+        if self.can.positions {
+            return self.done(index, self.by(index, 0.05));
+        }
+        self.post(index, self.go(index));
+        self.until("a motion", 1_000, |m| m.feedback(index).moving);
+        self.done(index, Verb::Stop { deceleration: None });
+        assert!(!self.feedback(index).moving);
     }
 
     pub fn post(&mut self, index: usize, verb: Verb) -> CommandId {
@@ -187,9 +203,19 @@ impl Machine {
         assert!(self.world().restart(self.wire.address(index)));
     }
 
-    /// What another master sends reaches the drive now.
-    pub fn inject_to(&self, index: usize, bytes: &[u8]) {
-        self.world().inject(self.wire.address(index), self.wire.master(), bytes, Time(0));
+    /// Another master sends this to the drive.
+    pub fn meddle(&self, index: usize, bytes: Vec<u8>) {
+        self.tape(index, |tape| tape.meddled = Some(bytes));
+    }
+
+    /// From here on each answer of the drive comes too late to count. Where one is sent at a time, it comes before the next one
+    /// is due; elsewhere it is lost.
+    pub fn late(&self, index: usize) {
+        if !self.can.stream {
+            return self.mute(index, true);
+        }
+        let ns = u64::from(self.can.answers_after) * PERIOD + line::WINDOW + 100 * US;
+        self.faults(index, FaultPlan { answer_ns: ns, ..FaultPlan::default() });
     }
 
     pub fn faults(&self, index: usize, plan: FaultPlan) {

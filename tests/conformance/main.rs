@@ -58,6 +58,7 @@ macro_rules! clauses {
                 a_flood_is_taken_in_by_bounded_bites,
                 a_cycle_that_begins_late_ends_when_it_always_does,
                 a_refused_send_opens_nothing_and_is_made_up_for,
+                a_request_that_the_wire_takes_in_pieces_is_heard_once_and_whole,
                 the_end_comes_and_leaves_nothing_owed,
             },
             replies::{
@@ -175,5 +176,7 @@ macro_rules! subjects {
 subjects! {
     linudp: crate::subjects::linudp::LinUdp { reply_tag: false },
     linudp_tagged: crate::subjects::linudp::LinUdp { reply_tag: true },
+    modbus_menu_0: crate::subjects::modbus::Modbus { direct: false, defect: None },
+    modbus_direct: crate::subjects::modbus::Modbus { direct: true, defect: None },
     toy: crate::subjects::toy::Toy(None),
 }

@@ -5,7 +5,7 @@ use fieldbeat::bus::Counters;
 use fieldbeat::sim::FaultPlan;
 use fieldbeat::time::US;
 
-use crate::line::{Line, Motion, PERIOD};
+use crate::line::{Line, PERIOD};
 use crate::subject::Subject;
 
 /// Two drives move while `befall` happens to the first in each cycle: they end as they would have, and no count of
@@ -13,13 +13,19 @@ use crate::subject::Subject;
 fn unnoticed(subject: &'static dyn Subject, befall: impl Fn(&mut Line, u64)) {
     let run = |befall: &dyn Fn(&mut Line, u64)| {
         let mut line = Line::made_ready(subject, 3);
-        line.set_going(0, Motion::Move);
+        line.set_going(0, line.motion());
         line.honest = false;
         for index in [1, 2] {
-            let verb = line.by(index, 0.2);
+            let verb = if line.can.positions { line.by(index, 0.2) } else { line.go(index) };
             line.order(index, verb);
         }
+        let before = [1, 2].map(|index| line.slots[index].counters.unsent);
         for turn in 0..600 {
+            if turn == 300 && !line.can.positions {
+                for index in [1, 2] {
+                    line.order(index, Verb::Stop { deceleration: None });
+                }
+            }
             befall(&mut line, turn);
             line.turn();
             for index in [1, 2] {
@@ -27,6 +33,7 @@ fn unnoticed(subject: &'static dyn Subject, befall: impl Fn(&mut Line, u64)) {
                 assert!(!seen.missed() && !seen.suspect, "drive {index}: {seen:?}");
             }
         }
+        assert_eq!(before, [1, 2].map(|index| line.slots[index].counters.unsent));
         [1, 2].map(|index| {
             assert_eq!(line.end(index), Some(Ok(())), "drive {index}");
             let Counters { sent, answered, .. } = line.slots[index].counters;
@@ -59,7 +66,7 @@ pub fn the_garbage_of_one_troubles_no_other(subject: &'static dyn Subject) {
         }
         let bytes = vec![turn as u8; turn as usize % 90];
         for ns in [5 * US, 100 * US, PERIOD - 100 * US] {
-            line.inject(line.wire.address(0), &bytes, ns);
+            line.inject(0, line.wire.address(0), &bytes, ns);
         }
     });
 }

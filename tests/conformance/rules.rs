@@ -1,9 +1,10 @@
 //! What holds after every call, whatever a clause is about: the referee of a line.
 
-use fieldbeat::bus::{Counters, Cycle, Exchange, Slot};
+use fieldbeat::axis::Units;
+use fieldbeat::bus::{Counters, Cycle, Exchange, Report, Slot};
 use fieldbeat::time::Time;
 
-use crate::subject::{Can, Drive};
+use crate::subject::{Can, Drive, Said};
 use crate::wire::Tape;
 
 /// One drive's slot around a call: the slot before it and behind it.
@@ -23,7 +24,13 @@ impl Around<'_> {
 
     /// What the drive last said stays as it was.
     fn keeps_the_report(&self) {
-        assert_eq!(self.before.report, self.after.report, "the report changed without an accepted reply");
+        kept(&self.before.report, &self.after.report);
+    }
+
+    /// The same, unless a new connection has found the drive restarted.
+    fn keeps_the_report_but(&self, can: &Can) {
+        let restarted = self.before.report.restarted || can.stream && self.after.report.restarted;
+        kept(&Report { restarted, ..self.before.report }, &self.after.report);
     }
 
     /// Counts only grow, and `missed` is the loop's.
@@ -37,7 +44,7 @@ impl Around<'_> {
     }
 
     /// The exchange was closed by a reply, or stayed as it was. True if it was closed.
-    fn answers_or_keeps(&self) -> bool {
+    fn answers_or_keeps(&self, can: &Can) -> bool {
         let (before, after) = (self.before, self.after);
         let answered = after.counters.answered - before.counters.answered;
         match (before.exchange, after.exchange) {
@@ -61,7 +68,7 @@ impl Around<'_> {
             (kept, now) => {
                 assert_eq!(kept, now, "only an owed exchange is answered");
                 assert_eq!(answered, 0, "nothing was owed");
-                self.keeps_the_report();
+                self.keeps_the_report_but(can);
                 false
             }
         }
@@ -77,14 +84,14 @@ impl Around<'_> {
         if !before.due || matches!(before.exchange, Exchange::Owed { .. }) {
             assert_eq!((sent, unsent), (0, 0), "no exchange was due, or one was still owed");
             // Where answers may come cycles later, one between two windows counts, until the loop calls it missed.
-            let closed = self.answers_or_keeps() && before.exchange != after.exchange;
+            let closed = self.answers_or_keeps(can) && before.exchange != after.exchange;
             assert!(!closed || can.answers_after > 0, "answered after {:?}", before.exchange);
             return;
         }
         assert_eq!(after.counters.answered, before.counters.answered, "what came before the send is late");
-        self.keeps_the_report();
+        self.keeps_the_report_but(can);
         match after.exchange {
-            Exchange::Owed { sent_at, reply_by } => {
+            Exchange::Owed { sent_at, reply_by, .. } => {
                 assert_eq!((sent, unsent), (1, 0), "one due slot, one exchange");
                 assert!(self.span.0 <= sent_at && sent_at <= self.span.1, "{sent_at} in {:?}", self.span);
                 let last = cycle.deadline + u64::from(can.answers_after) * cycle.period_ns;
@@ -96,13 +103,13 @@ impl Around<'_> {
     }
 
     /// After `receive`.
-    pub fn receive(&self) {
+    pub fn receive(&self, can: &Can) {
         self.keeps_the_loops();
         self.counts_on();
         let sent = |slot: &Slot| (slot.counters.sent, slot.counters.unsent);
         assert_eq!(sent(self.before), sent(self.after), "nothing is sent while receiving");
         let was_fresh = self.before.report.fresh;
-        let closed = self.answers_or_keeps();
+        let closed = self.answers_or_keeps(can);
         let report = &self.after.report;
         assert!(closed || report.fresh == was_fresh, "fresh without an answer");
         assert!(report.fresh || !report.monitor_fresh, "shown without an answer: {report:?}");
@@ -124,6 +131,11 @@ impl Around<'_> {
     }
 }
 
+/// Bit for bit: no number is no number.
+fn kept(before: &Report, after: &Report) {
+    assert_eq!(format!("{before:?}"), format!("{after:?}"), "the report changed without an accepted reply");
+}
+
 /// Every request is answered, missed or owed, and each telegram that was taken in is counted in one place.
 pub fn accounts(slot: &Slot, tape: &Tape) {
     let c = &slot.counters;
@@ -134,17 +146,31 @@ pub fn accounts(slot: &Slot, tape: &Tape) {
     assert!(c.suspect <= c.answered, "{c:?}");
 }
 
+/// More than there are answers from one part to the same one again.
+const PARTS: usize = 8;
+
 /// What is reported as new is what the drive said in answer to a request that left at `since` or later.
-pub fn honest(slot: &Slot, tape: &Tape, drive: &Drive, since: Time) {
+pub fn honest(slot: &Slot, tape: &Tape, drive: &Drive, can: &Can, since: Time) {
     let units = drive.axis.units;
-    let told = |said: crate::subject::Said| {
-        near(units.position(said.position), slot.report.position)
-            && near(units.position(said.demand), slot.report.demand)
-    };
-    let recent = tape.heard.iter().rev().take_while(|heard| heard.at >= since);
-    let mut given = recent.filter_map(|heard| heard.said);
-    let given = given.any(told) || tape.heard.iter().all(|heard| heard.said.is_none());
+    // Of an answer that says a part, the rest is of those before it.
+    let before = if can.whole { 0 } else { PARTS };
+    let newer = tape.heard.iter().rev().take_while(|heard| heard.at >= since).count();
+    let recent = tape.heard.iter().rev().take(newer + before);
+    let mut given = recent.filter_map(|heard| heard.told);
+    let given = given.any(|told| is_as_told(&slot.report, told, &units))
+        || tape.heard.iter().all(|heard| heard.told.is_none());
     assert!(given, "reported as new, but not said since {since}: {:?}", slot.report);
+}
+
+/// Position, demand and velocity are as the drive told them, in its units.
+pub fn is_as_told(report: &Report, told: Said, units: &Units) -> bool {
+    let at = |position: Option<i64>, reported| match position {
+        Some(position) => near(units.position(position), reported),
+        None => reported.is_nan(),
+    };
+    at(told.position, report.position)
+        && at(told.demand, report.demand)
+        && told.velocity.is_none_or(|velocity| near(units.distance(velocity), report.velocity))
 }
 
 /// Equal but for the last digits.

@@ -24,29 +24,36 @@ pub trait Subject: Sync {
     fn plan(&self, drives: &[Drive]) -> Box<dyn BusPlan>;
 
     /// What a drive's answer says, in the drive's own counts: the truth that reports are held against. `None`: this
-    /// one says nothing of the drive.
-    fn said(&self, reply: &[u8]) -> Option<Said>;
+    /// one says nothing of the drive. What only other answers tell is as the last one left it, in `before`.
+    fn said(&self, before: Option<Said>, request: &[u8], reply: &[u8]) -> Option<Said>;
+
+    /// On a stream, the length of the message in front of `bytes`; `None` while it is not all there.
+    fn message(&self, bytes: &[u8]) -> Result<Option<usize>, NoMessage> {
+        Ok(Some(bytes.len()))
+    }
 
     /// Acyclic calls that every drive of it takes in every state.
     fn calls(&self) -> Calls;
 
-    /// Whether this request tells the drive to stop: along a ramp, or by its quick stop.
-    fn asks_to_stop(&self, request: &[u8]) -> bool;
+    /// Whether this request, behind those `before` it, tells the drive to stop: along a ramp, or by its quick stop.
+    fn asks_to_stop(&self, before: &[Vec<u8>], request: &[u8]) -> bool;
 
     /// What another master could send to a drive in operation, whose last answer is `reply`, so that it goes into a
     /// fault that can be acknowledged. `None`: nothing that comes over the wire does that.
     fn fault(&self, reply: &[u8]) -> Option<Vec<u8>>;
 
-    /// Datagrams that are no answer of this protocol. None: the carrier has no datagrams.
+    /// Telegrams that are no answer of this protocol. On a stream, none that hides where the next one begins.
     fn malformed(&self, reply: &[u8]) -> Vec<Vec<u8>>;
 
-    /// Well-formed answers to something that was not asked, made from a true one. None: the carrier has no datagrams.
+    /// Well-formed answers to something that was not asked, made from a true one.
     fn foreign(&self, reply: &[u8]) -> Vec<Vec<u8>>;
 }
 
 /// What a protocol can do by nature. What it cannot do, the clauses want refused by name.
 #[derive(Clone, Copy, Debug)]
 pub struct Can {
+    /// It takes positions, and tells them. Without, it takes jogs, and tells its velocity.
+    pub positions: bool,
     /// `Verb::Home`; without it the drive knows where it is from the start.
     pub home: bool,
     /// `Verb::Jog`.
@@ -59,7 +66,18 @@ pub struct Can {
     pub round_trip: bool,
     /// So many cycles after that of its request a reply may come, and counts. No drive is due sooner again.
     pub answers_after: u32,
+    /// Each answer says all that is reported.
+    pub whole: bool,
+    /// The window of a request stays open for its reply, although that may come later.
+    pub awaits: bool,
+    /// Each drive has a connection. One request is open on it: before its reply nothing else is asked, and one that never
+    /// comes costs the connection, which is opened anew after a pause.
+    pub stream: bool,
 }
+
+/// What is no message, nor the begin of one.
+#[derive(Debug)]
+pub struct NoMessage;
 
 /// Acyclic calls to a drive.
 #[derive(Clone, Copy, Debug)]
@@ -96,10 +114,12 @@ pub struct Said {
     pub moving: bool,
     /// Its position is referenced.
     pub homed: bool,
-    /// Actual position, counts.
-    pub position: i64,
-    /// Demand position, counts.
-    pub demand: i64,
+    /// Actual position, counts, of a drive that tells positions.
+    pub position: Option<i64>,
+    /// Demand position, counts, of the same.
+    pub demand: Option<i64>,
+    /// Velocity, counts/s, of a drive that tells it.
+    pub velocity: Option<f64>,
 }
 
 /// Says that a clause, or a part of it, means nothing for this subject. Written past the test harness, which would keep

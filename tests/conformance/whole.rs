@@ -19,7 +19,7 @@ pub fn good_exchanges_in_a_row_bring_the_link_up(subject: &'static dyn Subject) 
     let mut m = Machine::new(subject, 1, |_, drive| drive.axis.health = Health { gate, ..Health::default() });
     let answered = |m: &Machine| m.tape(0, |tape| tape.taken);
     // All but one, then a miss: they have to begin again.
-    m.until("almost up", 100, |m| answered(m) == u64::from(gate) - 1);
+    m.until("almost up", 1_000, |m| answered(m) == u64::from(gate) - 1);
     assert_eq!(m.feedback(0).link, Link::Qualifying);
     m.mute(0, true);
     m.until("not up after all", 10, |m| m.feedback(0).link == Link::Unseen);
@@ -43,22 +43,25 @@ pub fn the_unseen_and_the_lost_are_asked_once_a_probe_interval(subject: &'static
         assert!(asked.windows(2).all(|pair| pair[1] - pair[0] >= interval), "{asked:?}");
         asked.len()
     };
-    assert!((24..=26).contains(&rarely(&m, 0)));
+    // Who has no connection cannot even be asked.
+    let asked = if m.can.stream { 0..=0 } else { 24..=26 };
+    assert!(asked.contains(&rarely(&m, 0)));
     m.mute(1, false);
-    m.until("it online", 1_000, |m| m.feedback(1).link == Link::Online);
+    m.until("it online", 10_000, |m| m.feedback(1).link == Link::Online);
     m.mute(1, true);
     m.until("it lost", 100, |m| m.feedback(1).link == Link::Lost);
     m.run(2);
     let heard = m.heard(1);
     m.run(1_000);
-    assert!((24..=26).contains(&rarely(&m, heard)));
+    assert!(asked.contains(&rarely(&m, heard)));
     // Who answers lost nothing by it.
     let end = m.sim.finish();
     let living = end.drives[2].counters;
-    assert!(living.missed == 0 && living.sent > 900, "{living:?}");
+    let least = 1_800 / u64::from(1 + subject.can().answers_after);
+    assert!(living.missed == 0 && living.sent > least, "{living:?}");
     for drive in &end.drives[..2] {
         let c = drive.counters;
-        assert!(c.sent < 150 && c.sent - c.answered - c.missed <= 1, "{c:?}");
+        assert!(c.sent + c.unsent < 150 && c.sent - c.answered - c.missed <= 1, "{c:?}");
     }
 }
 
@@ -80,15 +83,18 @@ pub fn the_stop_request_is_on_the_wire_within_its_bound(subject: &'static dyn Su
         let ids = m.moving();
         // The last good exchange is that of the request before the silence.
         let heard = m.heard(0);
-        m.until("one more exchange", 20, |m| m.heard(0) > heard && m.feedback(0).age == 0);
+        m.until("one more exchange", if m.can.whole { 20 } else { 100 }, |m| {
+            m.heard(0) > heard && m.feedback(0).age == 0
+        });
         let heard = m.heard(0);
         let last_good = m.asked_in(0, heard - 1)[0];
-        m.mute(0, true);
+        m.late(0);
         let bound = m.stop_bound(0);
         m.run(bound + 50);
-        let stop = m.tape(0, |tape| {
-            tape.heard[heard..].iter().position(|heard| subject.asks_to_stop(&heard.request))
-        });
+        let requests: Vec<_> =
+            m.tape(0, |tape| tape.heard.iter().map(|heard| heard.request.clone()).collect());
+        let stop = (heard..requests.len()).find(|n| subject.asks_to_stop(&requests[..*n], &requests[*n]));
+        let stop = stop.map(|n| n - heard);
         let stop = stop.unwrap_or_else(|| panic!("no stop request: {how:?}"));
         let lost = m.asked_in(0, heard)[stop] - last_good;
         let what = format!("divisor {every}, bucket {bucket}, {how:?}: after {lost} cycles, bound {bound}");
@@ -129,7 +135,9 @@ pub fn one_lost_drive_leaves_the_others_untouched(subject: &'static dyn Subject)
         m.step();
         for index in [0, 2] {
             let feedback = m.feedback(index);
-            let oldest = 2 * m.drives[index].axis.divisor - 1;
+            // What says a part is not all of it.
+            let parts = if m.can.whole { 1 } else { 4 };
+            let oldest = 2 * parts * m.drives[index].axis.divisor - 1;
             assert!(feedback.age < oldest && feedback.stopped.is_none(), "axis {index}: {feedback:?}");
         }
     }
@@ -140,7 +148,9 @@ pub fn one_lost_drive_leaves_the_others_untouched(subject: &'static dyn Subject)
     let end = m.sim.finish();
     for index in [0, 2] {
         let c = end.drives[index].counters;
-        let troubled = (c.missed, c.unsent, c.late, c.duplicate, c.malformed, c.foreign);
+        // Before there was a connection, the first look may have met none.
+        let unsent = if m.can.stream { c.unsent.saturating_sub(1) } else { c.unsent };
+        let troubled = (c.missed, unsent, c.late, c.duplicate, c.malformed, c.foreign);
         assert_eq!((troubled, end.drives[index].losses), ((0, 0, 0, 0, 0, 0), 0), "axis {index}");
         assert_eq!(end.drives[index].peaks.rtt.ns > 0, m.can.round_trip, "axis {index}");
     }
@@ -152,7 +162,8 @@ pub fn a_lost_drive_comes_back_by_the_application_only_and_homed_is_read_again(
     // What comes back is the same drive, or one that was switched off meanwhile and knows nothing any more.
     for restarted in [false, true] {
         let mut m = Machine::new(subject, 1, |_, drive| {
-            drive.axis.limits.position = Some((-1e3 * drive.start, 1e3 * drive.start));
+            let range = (-1e3 * drive.start, 1e3 * drive.start);
+            drive.axis.limits.position = subject.can().positions.then_some(range);
         });
         m.moving();
         m.plug(0, false);
@@ -168,18 +179,18 @@ pub fn a_lost_drive_comes_back_by_the_application_only_and_homed_is_read_again(
         let feedback = m.feedback(0);
         assert_eq!(feedback.stopped, Some(StopCause::LinkLost), "it stays latched");
         assert!(!feedback.state.is_powered() && !feedback.moving, "{feedback:?}");
-        let verb = m.by(0, 0.05);
-        for verb in [Verb::Enable, verb] {
+        for verb in [Verb::Enable, m.go(0)] {
             assert_eq!(m.failed(0, verb), Failure::Latched(StopCause::LinkLost));
         }
         m.done(0, Verb::Reset);
         m.done(0, Verb::Enable);
         assert_eq!(m.feedback(0).homed, m.tape(0, |tape| tape.said().homed));
         if restarted && m.can.home {
+            let verb = m.by(0, 0.05);
             assert_eq!(m.failed(0, verb), Failure::NotHomed);
             m.done(0, Verb::Home);
         }
-        m.done(0, verb);
+        m.move_about(0);
     }
 }
 
@@ -198,8 +209,7 @@ pub fn a_restart_in_mid_motion_ends_latched_and_nothing_moves_by_itself(subject:
     }
     assert_eq!(m.restarts, 1, "told once");
     m.recover(0);
-    let verb = m.by(0, 0.05);
-    m.done(0, verb);
+    m.move_about(0);
     assert_eq!((m.feedback(1).stopped, m.outcome(1, ids[1])), (None, None), "its neighbour goes on");
 }
 
@@ -222,8 +232,7 @@ pub fn found_running_is_stopped_or_left_alone_as_its_plan_says(subject: &'static
     m.run(500);
     let (feedback, said) = (m.feedback(1), m.tape(1, |tape| tape.said()));
     assert!(said.powered && said.moving && feedback.moving, "only read: {feedback:?}");
-    let verb = m.by(1, 0.05);
-    for verb in [Verb::Enable, verb] {
+    for verb in [Verb::Enable, m.go(1)] {
         assert_eq!(m.failed(1, verb), Failure::Latched(StopCause::FoundRunning));
     }
     assert!(m.tape(1, |tape| tape.said().moving));
@@ -233,8 +242,7 @@ pub fn found_running_is_stopped_or_left_alone_as_its_plan_says(subject: &'static
     for index in 0..2 {
         m.done(index, Verb::Reset);
         m.done(index, Verb::Enable);
-        let verb = m.by(index, 0.05);
-        m.done(index, verb);
+        m.move_about(index);
     }
 }
 
@@ -244,11 +252,11 @@ pub fn a_fault_of_the_drive_latches_its_axis(subject: &'static dyn Subject) {
     let Some(telegram) = subject.fault(&m.tape(0, |tape| tape.reply())) else {
         return not_applicable(subject, "a fault of the drive", "nothing on its wire brings it about");
     };
-    m.inject_to(0, &telegram);
+    m.meddle(0, telegram);
     assert_eq!(m.stopped(0, 50), StopCause::DriveFault);
     assert_eq!(m.ended(0, ids[0]), Outcome::Aborted(Abort::Stopped(StopCause::DriveFault)));
     m.until("the fault", 500, |m| m.feedback(0).state == State::Fault);
-    assert_ne!(m.feedback(0).fault, 0);
+    m.until("its number", if m.can.whole { 1 } else { 50 }, |m| m.feedback(0).fault != 0);
     // Down the ladder, before anything else is taken.
     m.run(100);
     m.recover(0);
@@ -260,12 +268,14 @@ pub fn a_fault_of_the_drive_latches_its_axis(subject: &'static dyn Subject) {
 fn storm(subject: &'static dyn Subject, seed: u64) -> (u64, u64, String) {
     let options = WorldOptions { seed, wake_ns: 60_000, ..WorldOptions::default() };
     let mut m = Machine::of(subject, 3, |_, _| {}, CyclePlan::default(), options);
+    // A connection that is lost is opened by a greeting, which has to pass as well.
+    let rate = if m.can.stream { 0.1 } else { 1.0 };
     for index in 0..3 {
         let plan = FaultPlan {
             seed: seed + index as u64,
-            drop: 0.03,
+            drop: 0.03 * rate,
             duplicate: 0.05,
-            corrupt: 0.005,
+            corrupt: 0.005 * rate,
             delay: 0.05,
             delay_ns: MS,
             restart: 0.000_3,
@@ -279,7 +289,8 @@ fn storm(subject: &'static dyn Subject, seed: u64) -> (u64, u64, String) {
         }
         let index = (cycle / 50 % 3) as usize;
         if cycle % 50 == 0 {
-            let verbs = [Verb::Reset, Verb::ResetFault, Verb::Enable, Verb::Home, m.by(index, 0.05)];
+            let motion = if m.can.positions { m.by(index, 0.05) } else { m.go(index) };
+            let verbs = [Verb::Reset, Verb::ResetFault, Verb::Enable, Verb::Home, motion];
             let verb = verbs[(cycle / 150 % 5) as usize];
             m.post(index, verb);
         }
@@ -289,6 +300,9 @@ fn storm(subject: &'static dyn Subject, seed: u64) -> (u64, u64, String) {
     let numbers = (m.world().digest(), m.world().delivered());
     for index in 0..3 {
         m.faults(index, FaultPlan::default());
+    }
+    if m.can.stream {
+        m.until("all back", 20_000, |m| (0..3).all(|index| m.feedback(index).link == Link::Online));
     }
     m.sim.stop();
     m.until_end(20_000);
@@ -322,8 +336,7 @@ pub fn the_end_of_the_master_leaves_every_drive_at_standstill_and_off(subject: &
         if m.can.home {
             m.done(index, Verb::Home);
         }
-        let verb = m.by(index, 20.0);
-        m.post(index, verb);
+        m.post(index, m.go(index));
     }
     m.run(200);
     m.mute(1, true);

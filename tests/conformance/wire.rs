@@ -2,17 +2,19 @@
 //! misbehave where the world's faults cannot (a drive that hears and acts but is not heard, a refused send).
 
 use std::io;
-use std::net::SocketAddrV4;
+use std::net::{Ipv4Addr, SocketAddrV4};
 use std::os::fd::RawFd;
 use std::sync::{Arc, Mutex, MutexGuard};
 
 use fieldbeat::Time;
 use fieldbeat::bus::{Bus, BusPlan, OpenError};
-use fieldbeat::net::{Carriers, Datagrams, Outbox, Received, Sent, UdpOptions};
+use fieldbeat::net::{
+    Broken, Carriers, Datagrams, LinkNotes, Outbox, Received, Sent, StreamPeer, Streams, UdpOptions,
+};
 use fieldbeat::rt::Regions;
-use fieldbeat::sim::{DatagramDrive, FaultPlan};
+use fieldbeat::sim::{FaultPlan, SimDrive};
 
-use crate::subject::{Drive, Said, Subject};
+use crate::subject::{Drive, NoMessage, Said, Subject};
 
 /// ENOBUFS: what a full send buffer answers.
 const NO_BUFFER: i32 = 105;
@@ -25,6 +27,8 @@ pub struct Heard {
     /// Empty: no answer.
     pub reply: Vec<u8>,
     pub said: Option<Said>,
+    /// The same, by the answers that were not lost.
+    pub told: Option<Said>,
 }
 
 /// One drive's end of the wire.
@@ -38,8 +42,18 @@ pub struct Tape {
     pub mute: bool,
     /// The operating system refuses to send to it.
     pub jammed: bool,
-    /// Datagrams that the bus took in from its address.
+    /// The wire takes what is sent to it in two pieces.
+    pub halved: bool,
+    /// Telegrams that the bus took in from its address.
     pub taken: u64,
+    /// What another master is about to send to it.
+    pub meddled: Option<Vec<u8>>,
+    /// The master's end of its connection, if it has any.
+    pub peer: Option<SocketAddrV4>,
+    /// The bus has that connection: what comes on it is no greeting.
+    pub open: bool,
+    /// Connections that the bus has taken over.
+    pub opened: u64,
 }
 
 impl Tape {
@@ -79,13 +93,18 @@ pub struct Wire {
 impl Wire {
     pub fn new(subject: &'static dyn Subject, drives: &[Drive]) -> Wire {
         let plan: Arc<dyn BusPlan> = subject.plan(drives).into();
-        let tape = |drive: Box<dyn DatagramDrive>| Tape {
+        let tape = |drive: Box<dyn SimDrive>| Tape {
             address: drive.address(),
             usual: drive.faults(),
             heard: Vec::new(),
             mute: false,
             jammed: false,
+            halved: false,
             taken: 0,
+            meddled: None,
+            peer: None,
+            open: false,
+            opened: 0,
         };
         let log = Log { drives: plan.simulate().into_iter().map(tape).collect(), ..Log::default() };
         Wire { subject, plan, log: Arc::new(Mutex::new(log)) }
@@ -100,9 +119,10 @@ impl Wire {
         self.log().drives[index].address
     }
 
-    /// Where the bus listens.
-    pub fn master(&self) -> SocketAddrV4 {
-        self.log().master.expect("the bus is open")
+    /// Where what drive `index` sends goes to.
+    pub fn master(&self, index: usize) -> SocketAddrV4 {
+        let log = self.log();
+        log.drives[index].peer.or(log.master).expect("the bus is open")
     }
 }
 
@@ -119,26 +139,64 @@ impl BusPlan for Wire {
         self.plan.open(period_ns, &Tapped { carriers, wire: self })
     }
 
-    fn simulate(&self) -> Vec<Box<dyn DatagramDrive>> {
-        let tap = |(index, drive)| Box::new(TappedDrive { drive, index, wire: self.clone() }) as Box<_>;
+    fn simulate(&self) -> Vec<Box<dyn SimDrive>> {
+        let tap = |(index, drive)| {
+            let wire = self.clone();
+            Box::new(TappedDrive { drive, index, wire, part: Vec::new(), said: None, told: None }) as Box<_>
+        };
         self.plan.simulate().into_iter().enumerate().map(tap).collect()
     }
 }
 
 struct TappedDrive {
-    drive: Box<dyn DatagramDrive>,
+    drive: Box<dyn SimDrive>,
     index: usize,
     wire: Wire,
+    /// On a stream, the begin of a request.
+    part: Vec<u8>,
+    said: Option<Said>,
+    told: Option<Said>,
 }
 
-impl DatagramDrive for TappedDrive {
-    fn address(&self) -> SocketAddrV4 {
-        self.drive.address()
+/// Where another master connects from.
+const MEDDLER: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::new(10, 8, 8, 8), 8_888);
+
+impl TappedDrive {
+    /// Another master sends something, if it needs one on a connection of its own.
+    fn meddle(&mut self, now: Time) {
+        let mut log = self.wire.log();
+        let from = log.master.unwrap_or(MEDDLER);
+        let Some(bytes) = log.drives[self.index].meddled.take() else { return };
+        drop(log);
+        if !self.wire.subject.can().stream {
+            self.drive.receive(now, from, &bytes, &mut Vec::new());
+            return;
+        }
+        assert!(self.drive.connect(now, from), "there is room for another master");
+        self.drive.receive(now, from, &bytes, &mut Vec::new());
+        self.drive.disconnected(now, from);
     }
 
-    fn faults(&self) -> FaultPlan {
-        self.drive.faults()
+    /// The request that is whole with these bytes: datagrams are, always.
+    fn request(&mut self, from: SocketAddrV4, bytes: &[u8]) -> Vec<u8> {
+        let Wire { subject, log, .. } = &self.wire;
+        if !subject.can().stream {
+            return bytes.to_vec();
+        }
+        if log.lock().unwrap().drives[self.index].peer.replace(from) != Some(from) {
+            self.part.clear();
+        }
+        self.part.extend(bytes);
+        match subject.message(&self.part) {
+            Ok(Some(length)) => self.part.drain(..length).collect(),
+            Ok(None) => Vec::new(),
+            Err(NoMessage) => std::mem::take(&mut self.part),
+        }
     }
+}
+
+impl SimDrive for TappedDrive {
+    crate::forward_sim_drive!(drive);
 
     fn receive(
         &mut self,
@@ -147,20 +205,27 @@ impl DatagramDrive for TappedDrive {
         bytes: &[u8],
         reply: &mut Vec<u8>,
     ) -> Option<SocketAddrV4> {
+        self.meddle(now);
+        let request = self.request(from, bytes);
         let to = self.drive.receive(now, from, bytes, reply);
         let reply = if to.is_some() { reply.clone() } else { Vec::new() };
-        let said = to.and_then(|_| self.wire.subject.said(&reply));
-        let tape = &mut self.wire.log().drives[self.index];
-        tape.heard.push(Heard { at: now, request: bytes.to_vec(), reply, said });
+        let subject = self.wire.subject;
+        let mut log = self.wire.log.lock().unwrap();
+        let tape = &mut log.drives[self.index];
+        let said = to.and_then(|_| subject.said(self.said, &request, &reply));
+        self.said = said.or(self.said);
+        let told = to.filter(|_| !tape.mute).and_then(|_| subject.said(self.told, &request, &reply));
+        self.told = told.or(self.told);
+        // On a stream, a greeting, or a part of a request only.
+        let none = subject.can().stream && (!tape.open || request.is_empty());
+        if !none {
+            tape.heard.push(Heard { at: now, request, reply, said, told });
+        }
         to.filter(|_| !tape.mute)
     }
 
     fn restart(&mut self, now: Time) {
         self.drive.restart(now);
-    }
-
-    fn inhibit(&mut self, until: Time) {
-        self.drive.inhibit(until);
     }
 }
 
@@ -174,6 +239,97 @@ impl Carriers for Tapped<'_> {
         let carrier = self.carriers.datagrams(bind, options)?;
         self.wire.log().master = Some(bind);
         Ok(Box::new(TappedCarrier { carrier, wire: self.wire.clone() }))
+    }
+
+    fn streams(&self, peers: Vec<StreamPeer>) -> io::Result<Box<dyn Streams>> {
+        let addresses: Vec<_> = peers.iter().map(|peer| peer.address).collect();
+        let expected: Vec<_> = self.wire.log().drives.iter().map(|tape| tape.address).collect();
+        assert_eq!(addresses, expected, "connections are in slot order");
+        let carrier = self.carriers.streams(peers)?;
+        let parts = vec![Part::default(); addresses.len()];
+        Ok(Box::new(TappedStreams { carrier, wire: self.wire.clone(), parts }))
+    }
+}
+
+struct TappedStreams {
+    carrier: Box<dyn Streams>,
+    wire: Wire,
+    /// What the bus took in of each connection's next message.
+    parts: Vec<Part>,
+}
+
+#[derive(Clone, Default)]
+struct Part {
+    bytes: Vec<u8>,
+    /// Behind what is no message there is none.
+    over: bool,
+    /// The wire has taken the first piece of a request only.
+    sends_rest: bool,
+}
+
+impl Streams for TappedStreams {
+    fn fd(&self) -> Option<RawFd> {
+        self.carrier.fd()
+    }
+
+    fn opened(&mut self) -> Option<usize> {
+        let index = self.carrier.opened()?;
+        self.parts[index] = Part::default();
+        let tape = &mut self.wire.log().drives[index];
+        tape.open = true;
+        tape.opened += 1;
+        Some(index)
+    }
+
+    fn look(&mut self) {
+        self.carrier.look();
+    }
+
+    fn ready(&mut self) -> Option<usize> {
+        self.carrier.ready()
+    }
+
+    fn receive(&mut self, index: usize, room: &mut [u8]) -> Result<Option<(Time, usize)>, Broken> {
+        let taken = self.carrier.receive(index, room)?;
+        if let Some((_, count)) = taken {
+            let part = &mut self.parts[index];
+            part.bytes.extend(&room[..count]);
+            while !part.over && !part.bytes.is_empty() {
+                match self.wire.subject.message(&part.bytes) {
+                    Ok(Some(length)) => drop(part.bytes.drain(..length)),
+                    Ok(None) => break,
+                    Err(NoMessage) => part.over = true,
+                }
+                self.wire.log().drives[index].taken += 1;
+            }
+        }
+        Ok(taken)
+    }
+
+    fn send(&mut self, index: usize, bytes: &[u8]) -> Result<(Time, usize), Broken> {
+        let mut log = self.wire.log();
+        log.sends += 1;
+        if log.drives[index].jammed {
+            return Ok((Time(0), 0));
+        }
+        let part = &mut self.parts[index];
+        part.sends_rest = log.drives[index].halved && !part.sends_rest;
+        let count = if part.sends_rest { bytes.len() / 2 } else { bytes.len() };
+        drop(log);
+        self.carrier.send(index, &bytes[..count])
+    }
+
+    fn abandon(&mut self, index: usize, why: &'static str) {
+        self.wire.log().drives[index].open = false;
+        self.carrier.abandon(index, why);
+    }
+
+    fn notes(&self) -> LinkNotes {
+        self.carrier.notes()
+    }
+
+    fn memory(&self, regions: &mut Regions) {
+        self.carrier.memory(regions);
     }
 }
 
@@ -217,6 +373,10 @@ impl Datagrams for TappedCarrier {
 
     fn batch(&self) -> usize {
         self.carrier.batch()
+    }
+
+    fn dropped(&self) -> u64 {
+        self.carrier.dropped()
     }
 
     fn memory(&self, regions: &mut Regions) {

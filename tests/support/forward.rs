@@ -1,4 +1,4 @@
-//! A bus around another one, for tests that get between it and its carriers or its drives: everything else goes through.
+//! A bus or a simulated drive around another one, for tests that get between it and its wire: everything else goes through.
 
 /// All of `BusPlan` but `open` and `simulate`, by the plan in this field.
 #[macro_export]
@@ -34,6 +34,52 @@ macro_rules! forward_bus_plan {
 
         fn notation(&self) -> std::sync::Arc<dyn fieldbeat::axis::acyclic::Notation> {
             self.$field.notation()
+        }
+
+        fn own_counters(&self) -> &'static [fieldbeat::bus::OwnCounter] {
+            self.$field.own_counters()
+        }
+
+        fn fault_names(&self) -> fieldbeat::axis::FaultNames {
+            self.$field.fault_names()
+        }
+    };
+}
+
+/// All of `SimDrive` but `receive` and `restart`, by the drive in this field.
+#[macro_export]
+macro_rules! forward_sim_drive {
+    ($field:tt) => {
+        fn address(&self) -> std::net::SocketAddrV4 {
+            self.$field.address()
+        }
+
+        fn faults(&self) -> fieldbeat::sim::FaultPlan {
+            self.$field.faults()
+        }
+
+        fn carrier(&self) -> fieldbeat::sim::Carrier {
+            self.$field.carrier()
+        }
+
+        fn connect(&mut self, now: fieldbeat::Time, from: std::net::SocketAddrV4) -> bool {
+            self.$field.connect(now, from)
+        }
+
+        fn hangs_up(&mut self, from: std::net::SocketAddrV4) -> bool {
+            self.$field.hangs_up(from)
+        }
+
+        fn disconnected(&mut self, now: fieldbeat::Time, from: std::net::SocketAddrV4) {
+            self.$field.disconnected(now, from);
+        }
+
+        fn mislabel(&self, reply: &mut [u8]) {
+            self.$field.mislabel(reply);
+        }
+
+        fn inhibit(&mut self, until: fieldbeat::Time) {
+            self.$field.inhibit(until);
         }
     };
 }

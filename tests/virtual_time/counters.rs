@@ -12,9 +12,11 @@ use fieldbeat::time::US;
 use crate::support::*;
 
 /// All counters by name. A new one breaks the build here, and then it wants a case below.
-fn named(counters: Counters, strangers: Strangers) -> [(&'static str, i64); 11] {
-    let Counters { sent, unsent, answered, missed, late, duplicate, suspect, malformed, foreign } = counters;
-    let Strangers { datagrams, errors } = strangers;
+fn named(counters: Counters, strangers: Strangers) -> [(&'static str, i64); 12] {
+    // A protocol's own counters have their tests beside it.
+    let Counters { sent, unsent, answered, missed, late, duplicate, suspect, malformed, foreign, own: _ } =
+        counters;
+    let Strangers { datagrams, dropped, errors } = strangers;
     [
         ("sent", sent),
         ("unsent", unsent),
@@ -26,6 +28,7 @@ fn named(counters: Counters, strangers: Strangers) -> [(&'static str, i64); 11] 
         ("malformed", malformed),
         ("foreign", foreign),
         ("datagrams", datagrams),
+        ("dropped", dropped),
         ("errors", errors),
     ]
     .map(|(name, count)| (name, count as i64))
@@ -41,7 +44,7 @@ struct Case {
     differs: &'static [(&'static str, i64)],
 }
 
-const CASES: [Case; 17] = [
+const CASES: [Case; 18] = [
     Case {
         counter: "sent",
         tagged: false,
@@ -147,6 +150,12 @@ const CASES: [Case; 17] = [
         differs: &[("datagrams", 1)],
     },
     Case {
+        counter: "dropped",
+        tagged: false,
+        provoke: |b| b.tape(0).dropped = 3,
+        differs: &[("dropped", 3)],
+    },
+    Case {
         counter: "errors",
         tagged: false,
         provoke: |b| b.tape(0).deaf_once = true,
@@ -207,7 +216,7 @@ fn every_counter_counts_its_own_cause_and_nothing_else() {
         // Its neighbour sees only what belongs to the bus, or that the run was longer.
         let longer = ["sent", "answered"].contains(&case.counter);
         let mut shared = found;
-        shared.retain(|(name, _)| longer || ["datagrams", "errors"].contains(name));
+        shared.retain(|(name, _)| longer || ["datagrams", "dropped", "errors"].contains(name));
         assert_eq!(differences(&provoked, plain, 1), shared, "{what}");
         let missed = provoked.drives.iter().map(|drive| drive.counters.missed + drive.counters.unsent);
         assert_eq!(provoked.status.missed, missed.sum::<u64>(), "{what}");

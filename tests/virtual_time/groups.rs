@@ -145,10 +145,10 @@ fn axes_that_cannot_act_together_make_no_group_and_are_given_back() {
     }
     let mut b = rig(2).start();
     let one = Group::new([b.sim.take_axis(0)]).unwrap_err();
-    assert!(matches!(one.reason, GroupError::TooFew(1)));
+    assert!(matches!(*one.reason, GroupError::TooFew(1)));
     let mut other = rig(1).start();
     let two = Group::new([b.sim.take_axis(1), other.sim.take_axis(0)]).unwrap_err();
-    assert!(matches!(two.reason, GroupError::TwoMachines(..)), "{two}");
+    assert!(matches!(*two.reason, GroupError::TwoMachines(..)), "{two}");
     assert!(Group::new([]).is_err());
 }
 

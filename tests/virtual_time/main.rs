@@ -20,10 +20,14 @@ mod replies;
 mod restarts;
 mod services;
 mod shutdown;
+#[path = "../support/speeds.rs"]
+mod speed_drives;
+mod speeds;
 mod stop_bound;
 mod storm;
 mod streams;
 mod support;
 mod telemetry;
+mod unidrive;
 mod verbs;
 mod watchdogs;

@@ -22,10 +22,12 @@ use fieldbeat::cycle::status::{Numbers, Status};
 use fieldbeat::cycle::task::Axes;
 use fieldbeat::cycle::{CyclePlan, Plan};
 use fieldbeat::master::Master;
-use fieldbeat::net::{Carriers, Datagrams, Outbox, Received, SendMode, Sent, UdpOptions};
+use fieldbeat::net::{
+    Carriers, Datagrams, Outbox, Received, SendMode, Sent, StreamPeer, Streams, UdpOptions,
+};
 use fieldbeat::rt::Regions;
 use fieldbeat::sim::world::{World, WorldOptions};
-use fieldbeat::sim::{DatagramDrive, FaultPlan};
+use fieldbeat::sim::{FaultPlan, SimDrive};
 use fieldbeat::simulation::Simulation;
 use fieldbeat::time::{MS, Time};
 
@@ -72,6 +74,8 @@ pub struct Tape {
     pub jammed: bool,
     /// The next look into the socket of its bus is an error. Only on the tape of the first drive.
     pub deaf_once: bool,
+    /// What the operating system says that it dropped. Only on the tape of the first drive.
+    pub dropped: u64,
     /// An error of the drive, to be raised with the next request.
     pub provoke: Option<ErrorCode>,
     /// Changes the next answers.
@@ -95,14 +99,8 @@ struct Taped {
     tape: Arc<Mutex<Tape>>,
 }
 
-impl DatagramDrive for Taped {
-    fn address(&self) -> SocketAddrV4 {
-        self.drive.address()
-    }
-
-    fn faults(&self) -> FaultPlan {
-        self.drive.faults()
-    }
+impl SimDrive for Taped {
+    crate::forward_sim_drive!(drive);
 
     fn receive(
         &mut self,
@@ -140,10 +138,6 @@ impl DatagramDrive for Taped {
     fn restart(&mut self, now: Time) {
         self.drive.restart(now);
     }
-
-    fn inhibit(&mut self, until: Time) {
-        self.drive.inhibit(until);
-    }
 }
 
 /// The plan of a LinUDP bus whose simulated drives are taped.
@@ -170,11 +164,11 @@ impl BusPlan for TapedBus {
         self.plan.open(period_ns, &Jammable { carriers, tapes })
     }
 
-    fn simulate(&self) -> Vec<Box<dyn DatagramDrive>> {
+    fn simulate(&self) -> Vec<Box<dyn SimDrive>> {
         (self.plan.drives.iter().zip(&self.tapes))
             .map(|(drive, tape)| {
                 let drive = Taped { drive: LinMotSim::new(drive), tape: Arc::clone(&tape.0) };
-                Box::new(drive) as Box<dyn DatagramDrive>
+                Box::new(drive) as Box<dyn SimDrive>
             })
             .collect()
     }
@@ -190,6 +184,10 @@ impl Carriers for Jammable<'_> {
     fn datagrams(&self, bind: SocketAddrV4, options: &UdpOptions) -> io::Result<Box<dyn Datagrams>> {
         let inner = self.carriers.datagrams(bind, options)?;
         Ok(Box::new(JammableCarrier { inner, tapes: self.tapes.clone() }))
+    }
+
+    fn streams(&self, peers: Vec<StreamPeer>) -> io::Result<Box<dyn Streams>> {
+        self.carriers.streams(peers)
     }
 }
 
@@ -233,6 +231,10 @@ impl Datagrams for JammableCarrier {
 
     fn batch(&self) -> usize {
         self.inner.batch()
+    }
+
+    fn dropped(&self) -> u64 {
+        self.inner.dropped() + self.tapes[0].0.lock().unwrap().dropped
     }
 
     fn memory(&self, _regions: &mut Regions) {}

@@ -30,12 +30,16 @@ impl Subject for LinUdp {
 
     fn can(&self) -> Can {
         Can {
+            positions: true,
             home: true,
             jog: true,
             follow: true,
             identified: self.reply_tag,
             round_trip: true,
             answers_after: 0,
+            whole: true,
+            awaits: false,
+            stream: false,
         }
     }
 
@@ -58,15 +62,16 @@ impl Subject for LinUdp {
         Box::new(LinUdpPlan::new(Ipv4Addr::new(10, 0, 0, 1), drives))
     }
 
-    fn said(&self, reply: &[u8]) -> Option<Said> {
+    fn said(&self, _before: Option<Said>, _request: &[u8], reply: &[u8]) -> Option<Said> {
         let response = Response::parse(reply).ok()?;
         let (status, state) = (response.status?, response.state?);
         Some(Said {
             powered: state.main() >= MainState::HW_TESTS,
             moving: state.motion_active().unwrap_or(status.motion_active()),
             homed: status.homed(),
-            position: response.actual?.into(),
-            demand: response.demand?.into(),
+            position: Some(response.actual?.into()),
+            demand: Some(response.demand?.into()),
+            velocity: None,
         })
     }
 
@@ -79,7 +84,7 @@ impl Subject for LinUdp {
         }
     }
 
-    fn asks_to_stop(&self, request: &[u8]) -> bool {
+    fn asks_to_stop(&self, _before: &[Vec<u8>], request: &[u8]) -> bool {
         let Ok(request) = Request::parse(request) else { return false };
         let aborts = |word: ControlWord| word.has(ControlWord::SWITCH_ON) && !word.has(ControlWord::NO_ABORT);
         request.motion.is_some_and(|motion| motion.header >> 4 == STOP) || request.control.is_some_and(aborts)

@@ -1,4 +1,5 @@
 //! The protocols, a file each.
 
 pub mod linudp;
+pub mod modbus;
 pub mod toy;

@@ -15,7 +15,7 @@ use fieldbeat::bus::{Bus, BusPlan, Cycle, Exchange, OpenError, Progress, Slot, S
 use fieldbeat::net::{Carriers, Datagrams, Outbox, SendMode, Sent, UdpOptions};
 use fieldbeat::rt::{PollSet, Regions};
 use fieldbeat::sim::physics::Generator;
-use fieldbeat::sim::{DatagramDrive, FaultPlan};
+use fieldbeat::sim::{FaultPlan, SimDrive};
 use fieldbeat::time::{Time, US, nanos};
 
 use crate::line::PERIOD;
@@ -121,7 +121,18 @@ impl Subject for Toy {
     }
 
     fn can(&self) -> Can {
-        Can { home: false, jog: false, follow: false, identified: true, round_trip: false, answers_after: 1 }
+        Can {
+            positions: true,
+            home: false,
+            jog: false,
+            follow: false,
+            identified: true,
+            round_trip: false,
+            answers_after: 1,
+            whole: true,
+            awaits: false,
+            stream: false,
+        }
     }
 
     fn axis(&self, name: &str) -> AxisPlan {
@@ -133,9 +144,10 @@ impl Subject for Toy {
         Box::new(ToyPlan { drives: drives.to_vec(), defect: self.0 })
     }
 
-    fn said(&self, reply: &[u8]) -> Option<Said> {
+    fn said(&self, _before: Option<Said>, _request: &[u8], reply: &[u8]) -> Option<Said> {
         let Answer { state, moving, position, .. } = Answer::parse(reply)?;
-        Some(Said { powered: state == ON, moving, homed: true, position, demand: position })
+        let position = Some(position);
+        Some(Said { powered: state == ON, moving, homed: true, position, demand: position, velocity: None })
     }
 
     fn calls(&self) -> Calls {
@@ -147,7 +159,7 @@ impl Subject for Toy {
         }
     }
 
-    fn asks_to_stop(&self, request: &[u8]) -> bool {
+    fn asks_to_stop(&self, _before: &[Vec<u8>], request: &[u8]) -> bool {
         request.get(3) == Some(&STOP)
     }
 
@@ -233,7 +245,7 @@ impl BusPlan for ToyPlan {
         Arc::new(Registers)
     }
 
-    fn simulate(&self) -> Vec<Box<dyn DatagramDrive>> {
+    fn simulate(&self) -> Vec<Box<dyn SimDrive>> {
         let drive = |(index, drive): (usize, &Drive)| {
             let counts = drive.axis.units.counts_per_unit;
             let mut toy = ToyDrive {
@@ -246,7 +258,7 @@ impl BusPlan for ToyPlan {
                 toy.answer.state = ON;
                 toy.generator.run(0.01 * counts, counts);
             }
-            Box::new(toy) as Box<dyn DatagramDrive>
+            Box::new(toy) as Box<dyn SimDrive>
         };
         self.drives.iter().enumerate().map(drive).collect()
     }
@@ -307,7 +319,7 @@ struct ToyDrive {
     answer: Answer,
 }
 
-impl DatagramDrive for ToyDrive {
+impl SimDrive for ToyDrive {
     fn address(&self) -> SocketAddrV4 {
         self.address
     }
@@ -425,7 +437,11 @@ impl Bus for ToyBus {
                 Sent::At(sent_at) => {
                     station.sent();
                     slot.counters.sent += 1;
-                    slot.exchange = Exchange::Owed { sent_at, reply_by: cycle.deadline + cycle.period_ns };
+                    slot.exchange = Exchange::Owed {
+                        sent_at,
+                        reply_by: cycle.deadline + cycle.period_ns,
+                        awaited: false,
+                    };
                 }
                 Sent::Idle => {}
                 Sent::Failed(_) | Sent::Posted => {

@@ -1,0 +1,300 @@
+//! Modbus TCP to Unidrives: each exchange writes and reads everything through menu 0 and is answered in its window, or it does a part
+//! of it where the parameters are, and is answered some cycles later.
+
+use std::io;
+use std::net::{Ipv4Addr, SocketAddrV4};
+use std::os::fd::RawFd;
+
+use fieldbeat::Time;
+use fieldbeat::axis::{AxisPlan, Profile, Unit, Units};
+use fieldbeat::bus::modbus::notation::Target;
+use fieldbeat::bus::modbus::parameter::{Addressing, Parameter, Width};
+use fieldbeat::bus::modbus::sim::Start;
+use fieldbeat::bus::modbus::wire::{self, ExceptionCode, Header, Registers, Request, Response};
+use fieldbeat::bus::modbus::words::{ControlWord, StatusWord};
+use fieldbeat::bus::modbus::{ModbusPlan, UnidriveDrive, Via, Watchdog};
+use fieldbeat::bus::{Bus, BusPlan, OpenError};
+use fieldbeat::net::{self, Carriers, Datagrams, LinkNotes, StreamPeer, Streams, UdpOptions};
+use fieldbeat::rt::Regions;
+use fieldbeat::sim::SimDrive;
+use fieldbeat::time::US;
+
+use crate::subject::{Calls, Can, Drive, NoMessage, Said, Subject};
+
+/// One of the two ways to the cyclic parameters, sound or with one thing wrong.
+pub struct Modbus {
+    pub direct: bool,
+    pub defect: Option<Defect>,
+}
+
+/// What only a bus of connections can get wrong.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Defect {
+    /// A connection that does not answer is kept for ever.
+    NeverGivesUp,
+    /// A second request goes out before the first one is answered.
+    AsksTwice,
+    /// What the wire does not take is sent again from its begin.
+    BeginsAgain,
+}
+
+/// What menu 0 shows from its first place on, as set up by default.
+const SHOWN: [Parameter; 6] = [
+    Parameter::CONTROL_WORD,
+    Parameter::REFERENCE,
+    Parameter::STATUS_WORD,
+    Parameter::SPEED,
+    Parameter::TRIP,
+    Parameter::LOAD,
+];
+/// Written to Pr 10.038 it is a trip of this number.
+const USER_TRIP: (Parameter, u16) = (Parameter::new(10, 38), 40);
+
+/// The parameters of a block, each with its number.
+fn values(address: u16, data: Registers<'_>) -> Vec<(Parameter, i32)> {
+    let Some((first, width)) = Parameter::from_address(address, Addressing::Standard) else {
+        return Vec::new();
+    };
+    let shown = |parameter: Parameter| match parameter.menu {
+        0 => SHOWN.get(usize::from(parameter.number) - 1).copied(),
+        _ => Some(parameter),
+    };
+    let value = |place: usize| {
+        let number = match width {
+            Width::Word => i32::from(data.word(place)? as i16),
+            Width::Long => data.long(place)?,
+        };
+        Some((shown(first.offset(place as u8)?)?, number))
+    };
+    (0..data.len() / usize::from(width.registers())).filter_map(value).collect()
+}
+
+/// What a request writes.
+fn written(request: &[u8]) -> Vec<(Parameter, i32)> {
+    match Request::parse(request) {
+        Ok((_, Request::Write { address, data } | Request::ReadWrite { write: address, data, .. })) => {
+            values(address, data)
+        }
+        _ => Vec::new(),
+    }
+}
+
+fn reference(request: &[u8]) -> Option<i32> {
+    written(request).iter().find(|(parameter, _)| *parameter == Parameter::REFERENCE).map(|(_, value)| *value)
+}
+
+impl Subject for Modbus {
+    fn name(&self) -> &'static str {
+        if self.direct { "modbus-tcp, direct" } else { "modbus-tcp through menu 0" }
+    }
+
+    fn can(&self) -> Can {
+        Can {
+            positions: false,
+            home: false,
+            jog: true,
+            follow: false,
+            identified: true,
+            round_trip: true,
+            answers_after: if self.direct { 2 } else { 0 },
+            whole: !self.direct,
+            awaits: true,
+            stream: true,
+        }
+    }
+
+    fn axis(&self, name: &str) -> AxisPlan {
+        let units = Units { unit: Unit::Revolution, counts_per_unit: 1.0, offset: 0.0, modulo: None };
+        let mut axis = AxisPlan::new(name, units);
+        axis.profile = Profile { velocity: 8.0, acceleration: 80.0, deceleration: 80.0 };
+        axis.stop.deceleration = 80.0;
+        axis.jog_deadman = None;
+        axis
+    }
+
+    fn plan(&self, drives: &[Drive]) -> Box<dyn BusPlan> {
+        let drive = |(index, drive): (usize, &Drive)| {
+            let mut plan = UnidriveDrive::new(&drive.axis.name, Ipv4Addr::new(10, 0, 2, 1 + index as u8));
+            plan.axis = drive.axis.clone();
+            plan.via = if self.direct { Via::Direct } else { Via::Menu0 { first: 1 } };
+            plan.reply_within_ns = if self.direct { 2_500 * US } else { 500 * US };
+            // What befalls a clause's drive is the clause's; its watchdogs have their own tests.
+            plan.watchdog = Watchdog { timeout_ns: None, keypad: false, accept_none: true };
+            plan.simulate.ramps_s = (0.01, 0.01);
+            if drive.running {
+                plan.simulate.start = Start::Running(240.0);
+            }
+            plan
+        };
+        let plan = ModbusPlan::new(drives.iter().enumerate().map(drive).collect());
+        match self.defect {
+            None => Box::new(plan),
+            Some(defect) => Box::new(Broken { plan, defect }),
+        }
+    }
+
+    fn said(&self, before: Option<Said>, request: &[u8], reply: &[u8]) -> Option<Said> {
+        let (_, request) = Request::parse(request).ok()?;
+        let (_, response) = Response::parse(reply).ok()?;
+        let (address, data) = match (request, response) {
+            (Request::Read { address, .. }, Response::Read { data })
+            | (Request::ReadWrite { read: address, .. }, Response::ReadWritten { data }) => (address, data),
+            _ => return None,
+        };
+        let mut said = before;
+        for (parameter, value) in values(address, data) {
+            match parameter {
+                Parameter::STATUS_WORD => {
+                    let status = StatusWord(value as u16);
+                    said = Some(Said {
+                        powered: status.active(),
+                        moving: status.active() && !status.zero_speed(),
+                        homed: false,
+                        position: None,
+                        demand: None,
+                        velocity: said.and_then(|said| said.velocity),
+                    });
+                }
+                Parameter::SPEED => {
+                    said = said.map(|said| Said { velocity: Some(f64::from(value) / 600.0), ..said });
+                }
+                _ => {}
+            }
+        }
+        said
+    }
+
+    fn message(&self, bytes: &[u8]) -> Result<Option<usize>, NoMessage> {
+        wire::frame(bytes).map_err(|_| NoMessage)
+    }
+
+    fn calls(&self) -> Calls {
+        let free = Target { parameter: Parameter::new(20, 21), width: Width::Long };
+        let missing = Target { parameter: Parameter::new(99, 99), width: Width::Word };
+        Calls {
+            read: free.read(),
+            write: free.write(77),
+            refused: (missing.read(), ExceptionCode::ADDRESS.0.into()),
+        }
+    }
+
+    fn asks_to_stop(&self, before: &[Vec<u8>], request: &[u8]) -> bool {
+        let runs = |value: i32| ControlWord(value as u16).has_any(ControlWord::ANY_RUN);
+        let ends = written(request)
+            .iter()
+            .any(|(parameter, value)| *parameter == Parameter::CONTROL_WORD && !runs(*value));
+        let last = before.iter().rev().find_map(|request| reference(request));
+        ends || last.zip(reference(request)).is_some_and(|(last, now)| now < last)
+    }
+
+    fn fault(&self, _reply: &[u8]) -> Option<Vec<u8>> {
+        let (parameter, value) = USER_TRIP;
+        let address = parameter.address(Addressing::Standard, Width::Word)?;
+        let request = Request::WriteOne { address, value };
+        let mut bytes = vec![0; request.size()];
+        request.emit(Header { transaction: 1, unit: 255 }, &mut bytes);
+        Some(bytes)
+    }
+
+    fn malformed(&self, reply: &[u8]) -> Vec<Vec<u8>> {
+        // With a function that nobody asks for, a count of bytes that lies, and a message that ends too soon.
+        let short = [&reply[..5], &[4], &reply[6..10]].concat();
+        let lying = [&reply[..8], &[reply[8] ^ 2], &reply[9..]].concat();
+        vec![[&reply[..5], &[3, reply[6], 7, 0]].concat(), lying, short]
+    }
+
+    fn foreign(&self, reply: &[u8]) -> Vec<Vec<u8>> {
+        // A transaction that was not begun.
+        vec![[&[reply[0] ^ 0x40], &reply[1..]].concat()]
+    }
+}
+
+/// A bus with a defect: it works on connections that are not used as it says.
+#[derive(Debug)]
+struct Broken {
+    plan: ModbusPlan,
+    defect: Defect,
+}
+
+impl BusPlan for Broken {
+    crate::forward_bus_plan!(plan);
+
+    fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
+        self.plan.open(period_ns, &Misusing { carriers, defect: self.defect })
+    }
+
+    fn simulate(&self) -> Vec<Box<dyn SimDrive>> {
+        self.plan.simulate()
+    }
+}
+
+struct Misusing<'a> {
+    carriers: &'a dyn Carriers,
+    defect: Defect,
+}
+
+impl Carriers for Misusing<'_> {
+    fn datagrams(&self, bind: SocketAddrV4, options: &UdpOptions) -> io::Result<Box<dyn Datagrams>> {
+        self.carriers.datagrams(bind, options)
+    }
+
+    fn streams(&self, peers: Vec<StreamPeer>) -> io::Result<Box<dyn Streams>> {
+        let part = vec![Vec::new(); peers.len()];
+        Ok(Box::new(Misused { streams: self.carriers.streams(peers)?, defect: self.defect, begun: part }))
+    }
+}
+
+struct Misused {
+    streams: Box<dyn Streams>,
+    defect: Defect,
+    /// The last request of each connection.
+    begun: Vec<Vec<u8>>,
+}
+
+impl Streams for Misused {
+    fn fd(&self) -> Option<RawFd> {
+        self.streams.fd()
+    }
+
+    fn opened(&mut self) -> Option<usize> {
+        self.streams.opened()
+    }
+
+    fn look(&mut self) {
+        self.streams.look();
+    }
+
+    fn ready(&mut self) -> Option<usize> {
+        self.streams.ready()
+    }
+
+    fn receive(&mut self, index: usize, room: &mut [u8]) -> Result<Option<(Time, usize)>, net::Broken> {
+        self.streams.receive(index, room)
+    }
+
+    fn send(&mut self, index: usize, bytes: &[u8]) -> Result<(Time, usize), net::Broken> {
+        let begun = &mut self.begun[index];
+        if self.defect == Defect::BeginsAgain && begun.ends_with(bytes) && begun.len() > bytes.len() {
+            self.streams.send(index, begun)?;
+        }
+        *begun = bytes.to_vec();
+        if self.defect == Defect::AsksTwice {
+            self.streams.send(index, bytes)?;
+        }
+        self.streams.send(index, bytes)
+    }
+
+    fn abandon(&mut self, index: usize, why: &'static str) {
+        if self.defect != Defect::NeverGivesUp {
+            self.streams.abandon(index, why);
+        }
+    }
+
+    fn notes(&self) -> LinkNotes {
+        self.streams.notes()
+    }
+
+    fn memory(&self, regions: &mut Regions) {
+        self.streams.memory(regions);
+    }
+}

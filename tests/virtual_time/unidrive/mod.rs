@@ -1,0 +1,896 @@
+//! Unidrives under the whole loop in virtual time: what the conformance suite does not ask of a protocol.
+
+mod care;
+
+use std::net::{Ipv4Addr, SocketAddrV4};
+use std::sync::{Arc, Mutex, MutexGuard};
+use std::time::Duration;
+
+use fieldbeat::axis::{
+    Failure, Feedback, FoundRunning, Jog, Link, Outcome, Profile, StopCause, Unit, Units, Verb,
+};
+use fieldbeat::bus::linudp::LinUdpPlan;
+use fieldbeat::bus::modbus::counters::{OWN, Own};
+use fieldbeat::bus::modbus::parameter::{Addressing, Parameter, Width};
+use fieldbeat::bus::modbus::sim::{Start, UnidriveSim};
+use fieldbeat::bus::modbus::trips::Trip;
+use fieldbeat::bus::modbus::wire::{Header, RegistersBuffer, Request, Response, function};
+use fieldbeat::bus::modbus::words::{ControlWord, StatusWord};
+use fieldbeat::bus::modbus::{ModbusPlan, UnidriveDrive, Via, Watchdog};
+use fieldbeat::bus::{Bus, BusPlan, Counters, OpenError};
+use fieldbeat::cycle::status::Numbers;
+use fieldbeat::cycle::{CyclePlan, Plan};
+use fieldbeat::master::Master;
+use fieldbeat::net::{Carriers, SendMode};
+use fieldbeat::sim::world::WorldOptions;
+use fieldbeat::sim::{FaultPlan, SimDrive};
+use fieldbeat::simulation::Simulation;
+use fieldbeat::time::{MS, S, Time, US};
+
+const STOP: Verb = Verb::Stop { deceleration: None };
+/// Another master.
+const OTHER: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::new(10, 8, 8, 8), 8_888);
+
+type Tamper = Box<dyn FnMut(&mut Vec<u8>) + Send>;
+
+/// A drive that the test and the world share.
+struct Shared {
+    drive: UnidriveSim,
+    /// Every request, the greeting's too.
+    heard: Vec<Vec<u8>>,
+    /// Changes what the drive hears, and what it answers.
+    request: Option<Tamper>,
+    reply: Option<Tamper>,
+}
+
+impl Shared {
+    /// What another master is told.
+    fn ask(&mut self, now: Time, request: Request<'_>) -> Vec<u8> {
+        let mut bytes = vec![0; request.size()];
+        request.emit(Header { transaction: 7, unit: 255 }, &mut bytes);
+        let mut reply = Vec::new();
+        assert!(self.drive.connect(now, OTHER));
+        self.drive.receive(now, OTHER, &bytes, &mut reply);
+        self.drive.disconnected(now, OTHER);
+        reply
+    }
+
+    fn read(&mut self, now: Time, parameter: Parameter) -> u16 {
+        let address = parameter.address(Addressing::Standard, Width::Word).unwrap();
+        let reply = self.ask(now, Request::Read { address, count: 1 });
+        match Response::parse(&reply).unwrap().1 {
+            Response::Read { data } => data.word(0).unwrap(),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    fn write(&mut self, now: Time, parameter: Parameter, value: u16) {
+        let address = parameter.address(Addressing::Standard, Width::Word).unwrap();
+        self.ask(now, Request::WriteOne { address, value });
+    }
+
+    fn status(&mut self, now: Time) -> StatusWord {
+        StatusWord(self.read(now, Parameter::STATUS_WORD))
+    }
+}
+
+#[derive(Clone)]
+struct Tap(Arc<Mutex<Shared>>);
+
+impl std::fmt::Debug for Tap {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("Tap")
+    }
+}
+
+impl SimDrive for Tap {
+    fn address(&self) -> SocketAddrV4 {
+        self.lock().drive.address()
+    }
+
+    fn faults(&self) -> FaultPlan {
+        self.lock().drive.faults()
+    }
+
+    fn carrier(&self) -> fieldbeat::sim::Carrier {
+        self.lock().drive.carrier()
+    }
+
+    fn receive(
+        &mut self,
+        now: Time,
+        from: SocketAddrV4,
+        bytes: &[u8],
+        reply: &mut Vec<u8>,
+    ) -> Option<SocketAddrV4> {
+        let mut shared = self.lock();
+        let mut bytes = bytes.to_vec();
+        if let Some(tamper) = &mut shared.request {
+            tamper(&mut bytes);
+        }
+        shared.heard.push(bytes.clone());
+        let to = shared.drive.receive(now, from, &bytes, reply);
+        if let Some(tamper) = &mut shared.reply {
+            tamper(reply);
+        }
+        to.filter(|_| !reply.is_empty())
+    }
+
+    fn connect(&mut self, now: Time, from: SocketAddrV4) -> bool {
+        self.lock().drive.connect(now, from)
+    }
+
+    fn hangs_up(&mut self, from: SocketAddrV4) -> bool {
+        self.lock().drive.hangs_up(from)
+    }
+
+    fn disconnected(&mut self, now: Time, from: SocketAddrV4) {
+        self.lock().drive.disconnected(now, from);
+    }
+
+    fn mislabel(&self, reply: &mut [u8]) {
+        self.lock().drive.mislabel(reply);
+    }
+
+    fn restart(&mut self, now: Time) {
+        self.lock().drive.restart(now);
+    }
+
+    fn inhibit(&mut self, until: Time) {
+        self.lock().drive.inhibit(until);
+    }
+}
+
+impl Tap {
+    fn lock(&self) -> MutexGuard<'_, Shared> {
+        self.0.lock().unwrap()
+    }
+}
+
+#[derive(Debug)]
+struct TappedBus {
+    plan: ModbusPlan,
+    taps: Vec<Tap>,
+}
+
+impl BusPlan for TappedBus {
+    crate::forward_bus_plan!(plan);
+
+    fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
+        self.plan.open(period_ns, carriers)
+    }
+
+    fn simulate(&self) -> Vec<Box<dyn SimDrive>> {
+        self.taps.iter().map(|tap| Box::new(tap.clone()) as Box<dyn SimDrive>).collect()
+    }
+}
+
+fn address(index: usize) -> SocketAddrV4 {
+    SocketAddrV4::new(Ipv4Addr::new(10, 0, 3, 1 + index as u8), 502)
+}
+
+/// A drive as most tests want it: revolutions of the motor, 8 of them a second.
+fn drive(index: usize, via: Via) -> UnidriveDrive {
+    let mut drive = UnidriveDrive::new(format!("u{index}"), *address(index).ip());
+    drive.axis.units = Units { unit: Unit::Revolution, counts_per_unit: 1.0, offset: 0.0, modulo: None };
+    drive.axis.profile = Profile { velocity: 8.0, acceleration: 80.0, deceleration: 80.0 };
+    drive.axis.stop.deceleration = 80.0;
+    drive.axis.jog_deadman = None;
+    drive.axis.health.probe_interval = Duration::from_millis(20);
+    drive.via = via;
+    drive.reply_within_ns = 5 * MS;
+    drive.simulate.ramps_s = (0.01, 0.01);
+    drive
+}
+
+const VIAS: [Via; 2] = [Via::Direct, Via::Menu0 { first: 11 }];
+
+struct Bench {
+    sim: Simulation,
+    taps: Vec<Tap>,
+    plan: ModbusPlan,
+}
+
+impl Bench {
+    fn new(count: usize, via: Via, change: impl Fn(usize, &mut UnidriveDrive)) -> Bench {
+        Bench::beside(count, via, change, |_, _| {}, Vec::new())
+    }
+
+    /// Drives that `prepare` meets before the master does, beside these buses.
+    fn beside(
+        count: usize,
+        via: Via,
+        change: impl Fn(usize, &mut UnidriveDrive),
+        prepare: impl Fn(&mut Shared, Time),
+        mut buses: Vec<Box<dyn BusPlan>>,
+    ) -> Bench {
+        let options = WorldOptions::default();
+        let mut drives: Vec<_> = (0..count).map(|index| drive(index, via)).collect();
+        drives.iter_mut().enumerate().for_each(|(index, drive)| change(index, drive));
+        let tap = |drive: &UnidriveDrive| {
+            let mut settings = drive.simulate.clone();
+            settings.address = drive.address;
+            let drive = UnidriveSim::new(settings);
+            let mut shared = Shared { drive, heard: Vec::new(), request: None, reply: None };
+            prepare(&mut shared, Time(options.start.0 - 2 * S));
+            Tap(Arc::new(Mutex::new(shared)))
+        };
+        let taps: Vec<_> = drives.iter().map(tap).collect();
+        let plan = ModbusPlan::new(drives);
+        assert_eq!(plan.faults(MS), Vec::new());
+        buses.insert(0, Box::new(TappedBus { plan: plan.clone(), taps: taps.clone() }));
+        let whole = Plan { source: None, cycle: CyclePlan::default(), buses, groups: Vec::new() };
+        let sim = Master::from_plan(whole).simulate(options).expect("the machine can be built");
+        Bench { sim, taps, plan }
+    }
+
+    fn tap(&self, index: usize) -> MutexGuard<'_, Shared> {
+        self.taps[index].lock()
+    }
+
+    fn now(&self) -> Time {
+        self.sim.world().now()
+    }
+
+    fn feedback(&self, index: usize) -> Feedback {
+        self.sim.feedback(index)
+    }
+
+    fn run(&mut self, cycles: u64) {
+        self.sim.run(cycles);
+    }
+
+    fn until(&mut self, what: &str, most: u64, mut done: impl FnMut(&Bench) -> bool) {
+        for _ in 0..most {
+            if done(self) {
+                return;
+            }
+            self.sim.step();
+        }
+        panic!("not within {most} cycles: {what}; {:?}", self.feedback(0));
+    }
+
+    fn online(&mut self) {
+        let count = self.taps.len();
+        self.until("all online", 20_000, |b| (0..count).all(|index| b.feedback(index).link == Link::Online));
+    }
+
+    fn outcome(&mut self, index: usize, verb: Verb) -> Outcome {
+        self.sim.run_verb(index, verb, 40_000).unwrap().unwrap_or_else(|| panic!("no end of {verb:?}"))
+    }
+
+    fn done(&mut self, index: usize, verb: Verb) {
+        assert_eq!(self.outcome(index, verb), Outcome::Done, "{verb:?}");
+    }
+
+    fn failed(&mut self, index: usize, verb: Verb) -> Failure {
+        match self.outcome(index, verb) {
+            Outcome::Failed(failure) => failure,
+            other => panic!("{verb:?}: {other}"),
+        }
+    }
+
+    fn ready(&mut self) {
+        self.online();
+        for index in 0..self.taps.len() {
+            self.done(index, Verb::Enable);
+        }
+    }
+
+    /// Turning at this speed.
+    fn turning(&mut self, index: usize, velocity: f64) {
+        self.sim.axis(index).post(Verb::Jog(Jog { velocity, acceleration: 80.0 })).unwrap();
+        self.until("its speed", 2_000, |b| (b.feedback(index).velocity - velocity).abs() < 0.1);
+    }
+
+    fn stopped(&mut self, index: usize, most: u64) -> StopCause {
+        self.until("a stop", most, |b| b.feedback(index).stopped.is_some());
+        self.feedback(index).stopped.unwrap()
+    }
+
+    /// The whole way back.
+    fn recover(&mut self, index: usize) {
+        for verb in [Verb::ResetFault, Verb::Reset, Verb::Enable] {
+            self.done(index, verb);
+        }
+        self.turning(index, 2.0);
+        self.done(index, STOP);
+    }
+
+    fn finish(self) -> Numbers {
+        self.sim.finish()
+    }
+}
+
+/// What is not zero of what only Modbus counts.
+fn own(counters: &Counters) -> Vec<(&'static str, u64)> {
+    let all = OWN.iter().zip(counters.own).map(|(own, count)| (own.key, count));
+    all.filter(|(_, count)| *count > 0).collect()
+}
+
+fn key(own: Own) -> &'static str {
+    OWN[own as usize].key
+}
+
+#[test]
+fn both_mappings_turn_a_motor_with_function_23_and_without() {
+    for via in VIAS {
+        for read_write in [true, false] {
+            let what = format!("{via:?}, function 23: {read_write}");
+            let mut b = Bench::new(1, via, |_, drive| drive.simulate.interface.read_write = read_write);
+            b.online();
+            b.tap(0).heard.clear();
+            b.ready();
+            for velocity in [4.0, -6.0] {
+                b.turning(0, velocity);
+                let rpm = b.tap(0).read(b.now(), Parameter::SPEED) as i16;
+                assert!((f64::from(rpm) / 600.0 - velocity).abs() < 0.1, "{what}: {rpm} tenths of rpm");
+            }
+            b.done(0, STOP);
+            b.done(0, Verb::Disable);
+            assert!(!b.tap(0).status(b.now()).active(), "{what}");
+            // Those of the control word, or of menu 0 from its place on; settings are written alone.
+            let places = [Parameter::CONTROL_WORD, Parameter::new(0, 11)];
+            let is_cyclic = |address: u16| {
+                let parameter = Parameter::from_address(address, Addressing::Standard).unwrap().0;
+                places.contains(&parameter)
+            };
+            let (mut both, mut alone) = (0, 0);
+            for request in &b.tap(0).heard {
+                match Request::parse(request) {
+                    Ok((_, Request::ReadWrite { write, .. })) if is_cyclic(write) => both += 1,
+                    Ok((_, Request::Write { address, .. })) if is_cyclic(address) => alone += 1,
+                    _ => {}
+                }
+            }
+            assert_eq!((both > 0, alone > 0), (read_write, !read_write), "{what}");
+            let counters = b.finish().drives[0].counters;
+            assert_eq!(own(&counters), [], "{what}");
+            assert_eq!((counters.missed, counters.late), (0, 0), "{what}");
+        }
+    }
+}
+
+/// Puts a reference that no drive takes into every request that has one.
+fn spoil_reference(request: &mut Vec<u8>) {
+    let mut out = vec![0; 260];
+    let Ok((header, parsed)) = Request::parse(request) else { return };
+    let mut data = RegistersBuffer::new();
+    let spoilt =
+        |from: fieldbeat::bus::modbus::wire::Registers<'_>, data: &mut RegistersBuffer, place: usize| {
+            for index in 0..from.len() / 2 {
+                data.push_long(if index == place { i32::MAX } else { from.long(index).unwrap() });
+            }
+        };
+    let preset = Parameter::REFERENCE.address(Addressing::Standard, Width::Long).unwrap();
+    let shown = Parameter::new(0, 11).address(Addressing::Standard, Width::Long).unwrap();
+    let changed = match parsed {
+        Request::Write { address, data: values } if address == preset || address == shown => {
+            spoilt(values, &mut data, usize::from(address == shown));
+            Request::Write { address, data: data.registers() }
+        }
+        Request::ReadWrite { read, count, write, data: values } if write == preset || write == shown => {
+            spoilt(values, &mut data, usize::from(write == shown));
+            Request::ReadWrite { read, count, write, data: data.registers() }
+        }
+        _ => return,
+    };
+    let size = changed.emit(header, &mut out);
+    request.clear();
+    request.extend_from_slice(&out[..size]);
+}
+
+#[test]
+fn a_value_that_the_drive_refuses_is_found_out_and_ends_the_order() {
+    for via in VIAS {
+        for read_write in [true, false] {
+            let what = format!("{via:?}, function 23: {read_write}");
+            let mut b = Bench::new(1, via, |_, drive| drive.simulate.interface.read_write = read_write);
+            b.ready();
+            b.tap(0).request = Some(Box::new(spoil_reference));
+            let jog = Verb::Jog(Jog { velocity: 4.0, acceleration: 80.0 });
+            assert_eq!(b.failed(0, jog), Failure::NotTaken, "{what}");
+            b.tap(0).request = None;
+            let counters = b.finish().drives[0].counters;
+            let counted = if read_write { Own::NotTaken } else { Own::WrittenShort };
+            assert!(counters.own[counted as usize] > 0, "{what}: {:?}", own(&counters));
+            let others = own(&counters).into_iter().filter(|(name, _)| *name != key(counted));
+            assert_eq!(others.collect::<Vec<_>>(), [], "{what}");
+        }
+    }
+}
+
+#[test]
+fn a_trip_latches_by_its_number_and_is_reset_by_the_application() {
+    for via in VIAS {
+        for trip in [Trip::OVER_VOLTS, Trip::MOTOR_TOO_HOT] {
+            let mut b = Bench::new(1, via, |_, _| {});
+            b.ready();
+            b.turning(0, 4.0);
+            b.tap(0).drive.provoke(trip);
+            assert_eq!(b.stopped(0, 100), StopCause::DriveFault);
+            b.until("its number", 100, |b| b.feedback(0).fault == u32::from(trip.0));
+            assert_eq!((b.plan.fault_names())(trip.0.into()), trip.name());
+            assert_eq!(b.failed(0, Verb::Enable), Failure::Latched(StopCause::DriveFault));
+            b.run(500);
+            assert!(!b.tap(0).status(b.now()).healthy(), "nobody resets it by himself");
+            b.recover(0);
+            assert_eq!(b.feedback(0).fault, 0);
+        }
+    }
+}
+
+#[test]
+fn an_over_current_trip_is_reset_as_soon_as_the_drive_takes_it_and_not_before() {
+    let mut b = Bench::new(1, Via::Direct, |_, _| {});
+    b.ready();
+    b.tap(0).drive.provoke(Trip::OVER_CURRENT);
+    let begin = b.now();
+    b.stopped(0, 100);
+    // Down the ladder, before anything else is taken.
+    b.run(100);
+    b.tap(0).heard.clear();
+    b.done(0, Verb::ResetFault);
+    let took = b.now().since(begin);
+    assert!((10 * S..11 * S).contains(&took), "after {took} ns");
+    let heard = std::mem::take(&mut b.tap(0).heard);
+    let resets = heard.iter().filter(|request| {
+        let control = Parameter::CONTROL_WORD.address(Addressing::Standard, Width::Word);
+        match Request::parse(request) {
+            Ok((_, Request::ReadWrite { write, data, .. })) if Some(write) == control => {
+                ControlWord(data.word(0).unwrap()).has(ControlWord::RESET)
+            }
+            _ => false,
+        }
+    });
+    assert!((1..100).contains(&resets.count()), "only when it can help");
+    b.recover(0);
+}
+
+#[test]
+fn a_trip_that_comes_back_at_once_fails_its_reset_by_its_number() {
+    for via in VIAS {
+        let mut b = Bench::new(1, via, |_, drive| drive.simulate.persistent_trip = Some(20));
+        b.online();
+        assert_eq!(b.failed(0, Verb::ResetFault), Failure::DriveFault(20));
+        assert!(!b.tap(0).status(b.now()).active());
+    }
+}
+
+#[test]
+fn a_missing_hardware_enable_is_told_when_the_drive_does_not_come_up() {
+    for via in VIAS {
+        let mut b = Bench::new(1, via, |_, drive| drive.simulate.hardware_enable = false);
+        b.online();
+        assert_eq!(b.failed(0, Verb::Enable), Failure::Inhibited);
+        b.until("that it is shown", 50, |b| b.feedback(0).inhibited && !b.feedback(0).state.is_powered());
+        let control = ControlWord(b.tap(0).read(b.now(), Parameter::CONTROL_WORD));
+        assert!(!control.has(ControlWord::ENABLE), "it does not come up when the enable comes back");
+    }
+}
+
+#[test]
+fn a_hardware_enable_that_goes_away_in_motion_latches_and_nothing_starts_when_it_comes_back() {
+    for via in VIAS {
+        let mut b = Bench::new(1, via, |_, _| {});
+        b.ready();
+        b.turning(0, 4.0);
+        assert!(b.sim.world().inhibit(address(0), 300 * MS));
+        let cause = b.stopped(0, 100);
+        assert_eq!(cause, StopCause::HardwareEnable);
+        for _ in 0..1_500 {
+            b.sim.step();
+            assert!(b.feedback(0).stopped.is_some());
+        }
+        assert!(!b.tap(0).status(b.now()).active(), "it stays off");
+        b.recover(0);
+    }
+}
+
+/// Runs by its terminals, at 300 rpm, for two seconds.
+fn by_terminals(shared: &mut Shared, now: Time) {
+    shared.write(now, Parameter::REFERENCE_SELECTOR, 3);
+    let mut data = RegistersBuffer::new();
+    data.push_long(3_000);
+    let address = Parameter::REFERENCE.address(Addressing::Standard, Width::Long).unwrap();
+    shared.ask(now, Request::Write { address, data: data.registers() });
+    shared.write(now, Parameter::new(6, 30), 1);
+    let status = shared.status(now + 2 * S);
+    assert!(status.active() && !status.zero_speed(), "{status:?}");
+    shared.heard.clear();
+}
+
+#[test]
+fn what_is_found_running_by_its_terminals_is_taken_over_and_stopped_or_left_alone() {
+    for via in VIAS {
+        for found in [FoundRunning::Stop, FoundRunning::Refuse] {
+            let what = format!("{via:?}, {found:?}");
+            let change = |_, drive: &mut UnidriveDrive| drive.axis.on_found_running = found;
+            let mut b = Bench::beside(1, via, change, by_terminals, Vec::new());
+            b.online();
+            assert_eq!(b.feedback(0).stopped, Some(StopCause::FoundRunning), "{what}");
+            b.run(3_000);
+            let status = b.tap(0).status(b.now());
+            if found == FoundRunning::Refuse {
+                assert!(status.active() && !status.zero_speed(), "{what}: {status:?}");
+                let wrote = b.tap(0).heard.iter().any(|request| request[7] == function::WRITE);
+                assert!(!wrote, "{what}: nothing was written");
+                // It is the application that decides.
+                b.done(0, STOP);
+                let status = b.tap(0).status(b.now());
+                assert!(status.zero_speed(), "{what}: {status:?}");
+            } else {
+                assert!(!status.active() && status.zero_speed(), "{what}: {status:?}");
+                b.recover(0);
+            }
+        }
+    }
+}
+
+#[test]
+fn what_is_found_running_by_a_dead_masters_control_word_is_stopped_by_a_ramp() {
+    for via in VIAS {
+        for rpm in [300.0, -300.0] {
+            let mut b = Bench::new(1, via, |_, drive| drive.simulate.start = Start::Running(rpm));
+            b.online();
+            assert_eq!(b.feedback(0).stopped, Some(StopCause::FoundRunning));
+            b.until("power off", 5_000, |b| !b.feedback(0).state.is_powered());
+            assert!(b.tap(0).status(b.now()).zero_speed(), "{via:?}, {rpm} rpm: off before it stood");
+            b.recover(0);
+        }
+    }
+}
+
+#[test]
+fn a_restart_in_operation_latches_and_counts_one_lost_connection() {
+    for via in VIAS {
+        let mut b = Bench::new(1, via, |_, _| {});
+        b.ready();
+        b.turning(0, 4.0);
+        assert!(b.sim.world().restart(address(0)));
+        b.stopped(0, 1_000);
+        b.online();
+        b.run(1_000);
+        let status = b.tap(0).status(b.now());
+        assert!(!status.active(), "nothing switches it on: {status:?}");
+        b.recover(0);
+        let counters = b.finish().drives[0].counters;
+        assert_eq!(own(&counters), [(key(Own::Closed), 1), (key(Own::Reopened), 1)]);
+    }
+}
+
+#[test]
+fn a_restart_between_two_connections_is_noticed_though_nothing_was_acknowledged_meanwhile() {
+    for via in VIAS {
+        // The link is not lost by then: nobody else stops it.
+        let mut b = Bench::new(1, via, |_, drive| drive.axis.health.bucket = 100_000);
+        b.ready();
+        b.turning(0, 4.0);
+        // From now on only greetings are answered: they neither read nor write anything by function 23.
+        b.tap(0).reply = Some(Box::new(|reply| {
+            if reply.get(7) == Some(&function::READ_WRITE) {
+                reply.clear();
+            }
+        }));
+        let heard = |b: &Bench| {
+            let heard = &b.tap(0).heard;
+            heard.iter().filter(|request| request[7] == function::READ_WRITE && request[11] > 0).count()
+        };
+        b.run(2);
+        let before = heard(&b);
+        b.until("a request on another connection", 2_000, |b| heard(b) > before);
+        assert!(b.sim.world().restart(address(0)));
+        b.tap(0).reply = None;
+        b.until("what was lost is known", 5_000, |b| b.feedback(0).stopped.is_some());
+        for _ in 0..2_000 {
+            b.sim.step();
+            let control = ControlWord(b.tap(0).read(b.now(), Parameter::CONTROL_WORD));
+            assert!(!control.has_any(ControlWord::ANY_RUN), "{via:?}: on again by itself: {control:?}");
+        }
+        b.recover(0);
+    }
+}
+
+/// One thing that befalls one reply, or the wire for a moment.
+struct Mischief {
+    name: &'static str,
+    reply: fn(&mut Vec<u8>),
+    wire: Option<FaultPlan>,
+    /// What the protocol counts, beside connections that are opened again.
+    own: &'static [Own],
+    malformed: u64,
+    duplicate: u64,
+    foreign: u64,
+    /// How often a connection is lost by it.
+    lost: u64,
+}
+
+const NONE: fn(&mut Vec<u8>) = |_| {};
+const PLAIN: Mischief = Mischief {
+    name: "nothing",
+    reply: NONE,
+    wire: None,
+    own: &[],
+    malformed: 0,
+    duplicate: 0,
+    foreign: 0,
+    lost: 0,
+};
+
+fn mischief() -> Vec<Mischief> {
+    vec![
+        PLAIN,
+        Mischief {
+            name: "answers twice",
+            reply: |reply| reply.extend_from_within(..),
+            duplicate: 1,
+            ..PLAIN
+        },
+        Mischief {
+            name: "a byte at a time",
+            wire: Some(FaultPlan { split: 1.0, ..FaultPlan::default() }),
+            ..PLAIN
+        },
+        Mischief {
+            name: "cut off in mid-frame",
+            wire: Some(FaultPlan { cut: 1.0, ..FaultPlan::default() }),
+            own: &[Own::CutOff],
+            lost: 1,
+            ..PLAIN
+        },
+        Mischief {
+            name: "garbage",
+            reply: |reply| *reply = vec![0xA5; 40],
+            own: &[Own::Garbage],
+            malformed: 1,
+            lost: 1,
+            ..PLAIN
+        },
+        Mischief {
+            name: "another unit",
+            reply: |reply| reply[6] = 7,
+            own: &[Own::WrongUnit, Own::GivenUp],
+            malformed: 1,
+            lost: 1,
+            ..PLAIN
+        },
+        Mischief {
+            name: "another function",
+            reply: |reply| reply[7] = function::READ,
+            own: &[Own::WrongFunction, Own::GivenUp],
+            malformed: 1,
+            lost: 1,
+            ..PLAIN
+        },
+        Mischief {
+            name: "fewer registers than were asked for",
+            reply: |reply| {
+                reply.truncate(reply.len() - 2);
+                (reply[5], reply[8]) = (reply[5] - 2, reply[8] - 2);
+            },
+            own: &[Own::WrongLength, Own::GivenUp],
+            malformed: 1,
+            lost: 1,
+            ..PLAIN
+        },
+        Mischief {
+            name: "a count that lies",
+            reply: |reply| reply[8] ^= 2,
+            own: &[Own::WrongLength, Own::GivenUp],
+            malformed: 1,
+            lost: 1,
+            ..PLAIN
+        },
+        Mischief {
+            name: "another transaction",
+            reply: |reply| reply[0] ^= 0x40,
+            own: &[Own::GivenUp],
+            foreign: 1,
+            lost: 1,
+            ..PLAIN
+        },
+        Mischief {
+            name: "busy",
+            reply: |reply| *reply = [&reply[..5], &[3, reply[6], reply[7] | 0x80, 6]].concat(),
+            own: &[Own::Exceptions],
+            ..PLAIN
+        },
+    ]
+}
+
+#[test]
+fn each_mischief_of_a_peer_has_its_own_counter_and_moves_no_other() {
+    for via in VIAS {
+        for case in mischief() {
+            let what = format!("{via:?}, {}", case.name);
+            let mut b = Bench::new(2, via, |_, drive| drive.axis.health.bucket = 20);
+            b.ready();
+            for index in 0..2 {
+                b.turning(index, 4.0);
+            }
+            if let Some(wire) = &case.wire {
+                assert!(b.sim.world().set_faults(address(0), wire.clone()));
+                b.run(1);
+                b.sim.world().set_faults(address(0), FaultPlan::default());
+            } else {
+                let (tamper, mut once) = (case.reply, true);
+                b.tap(0).reply = Some(Box::new(move |reply| {
+                    if std::mem::take(&mut once) {
+                        tamper(reply);
+                    }
+                }));
+                b.run(1);
+                b.tap(0).reply = None;
+            }
+            b.run(1_000);
+            b.online();
+            b.run(50);
+            let end = b.finish();
+            let c = end.drives[0].counters;
+            let mut expected: Vec<_> = case.own.iter().map(|own| (key(*own), 1)).collect();
+            expected.extend((case.lost > 0).then_some((key(Own::Reopened), case.lost)));
+            expected.sort_unstable();
+            let mut counted = own(&c);
+            counted.sort_unstable();
+            assert_eq!(counted, expected, "{what}");
+            let counted = (c.malformed, c.duplicate, c.foreign, c.late, c.suspect);
+            assert_eq!(counted, (case.malformed, case.duplicate, case.foreign, 0, 0), "{what}");
+            assert_eq!(c.missed, case.lost, "{what}: the one exchange that it hit");
+            assert_eq!(own(&end.drives[1].counters), [], "{what}: its neighbour");
+            assert_eq!(end.drives[1].counters.missed, 0, "{what}: its neighbour");
+        }
+    }
+}
+
+#[test]
+fn a_drive_that_refuses_its_cyclic_parameters_again_and_again_is_greeted_anew() {
+    let mut b = Bench::new(1, Via::Menu0 { first: 11 }, |_, _| {});
+    b.ready();
+    b.tap(0).reply =
+        Some(Box::new(|reply| *reply = [&reply[..5], &[3, reply[6], reply[7] | 0x80, 2]].concat()));
+    b.run(20);
+    b.tap(0).reply = None;
+    b.until("a link that is down", 1_000, |b| b.feedback(0).link != Link::Online);
+    b.online();
+    let c = b.finish().drives[0].counters;
+    let exceptions = c.own[Own::Exceptions as usize];
+    assert_eq!((exceptions, c.own[Own::GivenUp as usize], c.malformed), (3, 1, 0));
+}
+
+#[test]
+fn the_drives_own_watchdog_is_set_before_it_is_enabled() {
+    let mut b = Bench::new(1, Via::Direct, |_, _| {});
+    b.ready();
+    let timeout = Parameter::new(15, 9).address(Addressing::Standard, Width::Word);
+    let control = Parameter::CONTROL_WORD.address(Addressing::Standard, Width::Word);
+    let heard = b.tap(0).heard.clone();
+    let set = heard.iter().position(|request| match Request::parse(request) {
+        Ok((header, Request::Write { address, data })) => {
+            header.unit == 4 && Some(address) == timeout && data.word(0) == Some(500)
+        }
+        _ => false,
+    });
+    let enabled = heard.iter().position(|request| match Request::parse(request) {
+        Ok((_, Request::ReadWrite { write, data, .. })) if Some(write) == control => {
+            ControlWord(data.word(0).unwrap()).has(ControlWord::ENABLE)
+        }
+        _ => false,
+    });
+    assert!(set.is_some() && set < enabled, "set by request {set:?}, enabled by {enabled:?}");
+}
+
+#[test]
+fn a_drive_whose_master_dies_trips_and_leaves_its_motor_without_power() {
+    let by_word = Watchdog { timeout_ns: None, keypad: true, accept_none: false };
+    for (watchdog, within, trip) in [(Watchdog::default(), 500 * MS, 252), (by_word, S, 30)] {
+        for via in VIAS {
+            let mut b = Bench::new(1, via, |_, drive| drive.watchdog = watchdog);
+            b.ready();
+            b.turning(0, 4.0);
+            b.run(3_000);
+            assert_eq!(b.feedback(0).stopped, None, "it is served while the master lives");
+            // Nobody steps the loop any more.
+            b.sim.world().advance(within - 20 * MS);
+            let last = b.now();
+            assert!(b.tap(0).drive.connections() > 0);
+            b.sim.world().advance(100 * MS);
+            // A question to it is no life sign of the master's: by then it has tripped.
+            let (now, mut tap) = (b.now(), b.tap(0));
+            let status = tap.status(now);
+            assert!(now > last && !status.healthy() && !status.active(), "{via:?}, {watchdog:?}: {status:?}");
+            assert_eq!(tap.read(now, Parameter::TRIP), trip, "{via:?}");
+        }
+    }
+}
+
+#[test]
+fn without_a_watchdog_nothing_turns_unless_that_is_accepted() {
+    for accept_none in [false, true] {
+        let watchdog = Watchdog { timeout_ns: None, keypad: false, accept_none };
+        let mut b = Bench::new(1, Via::Direct, |_, drive| drive.watchdog = watchdog);
+        b.online();
+        if accept_none {
+            b.done(0, Verb::Enable);
+        } else {
+            let refused = b.failed(0, Verb::Enable);
+            assert!(matches!(refused, Failure::Unsupported(why) if why.contains("watchdog")), "{refused}");
+        }
+    }
+}
+
+#[test]
+fn the_stop_of_a_drive_that_is_out_of_reach_is_latched_within_its_bound_and_made_by_its_watchdog() {
+    for via in VIAS {
+        let mut b = Bench::new(2, via, |_, _| {});
+        b.ready();
+        b.turning(0, 4.0);
+        b.turning(1, 4.0);
+        let axes = b.plan.axes();
+        let reply_by = b.plan.drives[0].reply_within_ns.div_ceil(MS);
+        let bound = fieldbeat::config::stop_bound_cycles(axes[0], &axes) + 2 * reply_by;
+        assert!(b.sim.world().unplug(address(0)));
+        assert_eq!(b.stopped(0, bound), StopCause::LinkLost);
+        b.run(600);
+        let status = b.tap(0).status(b.now());
+        assert!(!status.healthy() && !status.active(), "{via:?}: its own watchdog: {status:?}");
+        assert!(b.sim.world().plug(address(0)));
+        b.online();
+        b.run(500);
+        assert!(b.feedback(0).stopped.is_some() && !b.tap(0).status(b.now()).active());
+        b.recover(0);
+        assert_eq!(b.feedback(1).stopped, None, "its neighbour goes on");
+    }
+}
+
+/// 32 of them with a divisor of 8, phases spread, beside 32 LinMots in every cycle.
+fn fleet(seed: u64) -> (u64, String, Numbers) {
+    let linmots = (0..32).map(crate::support::drive).collect();
+    let linudp = LinUdpPlan {
+        name: "linudp".into(),
+        bind: crate::support::MASTER,
+        send: SendMode::Batch,
+        drives: linmots,
+    };
+    let change = |index: usize, drive: &mut UnidriveDrive| {
+        (drive.axis.divisor, drive.axis.phase) = (8, index as u32 % 8);
+        drive.simulate.faults = FaultPlan { seed, answer_ns: 50 * US, ..FaultPlan::default() };
+    };
+    let mut b = Bench::beside(32, VIAS[1], change, |_, _| {}, vec![Box::new(linudp)]);
+    b.ready();
+    for index in 0..32 {
+        let velocity = 1.0 + index as f64 / 8.0;
+        b.sim.axis(index).post(Verb::Jog(Jog { velocity, acceleration: 80.0 })).unwrap();
+    }
+    b.run(2_000);
+    for index in 0..32 {
+        let turns = 1.0 + index as f64 / 8.0;
+        assert!((b.feedback(index).velocity - turns).abs() < 0.1, "{index}: {:?}", b.feedback(index));
+    }
+    b.sim.world().delay_next_wake(3 * MS + 100 * US);
+    b.run(1_000);
+    let digest = b.sim.world().digest();
+    let end = b.finish();
+    (digest, format!("{end:?}"), end)
+}
+
+#[test]
+fn unidrives_at_every_eighth_cycle_beside_linmots_in_every_one_lose_nothing() {
+    let (digest, told, end) = fleet(1);
+    let status = end.status;
+    assert_eq!(status.planned, status.executed + status.skipped);
+    assert!(status.skipped >= 3, "{status:?}");
+    for (index, drive) in end.drives.iter().enumerate() {
+        let c = drive.counters;
+        assert_eq!((c.missed, c.late, c.malformed), (0, 0, 0), "drive {index}: {c:?}");
+        // The end may fall between a request and its reply.
+        assert!(c.sent > 300 && c.sent - c.answered <= 1, "drive {index}: {c:?}");
+    }
+    assert_eq!(
+        (digest, told),
+        {
+            let again = fleet(1);
+            (again.0, again.1)
+        },
+        "the same seed, the same bytes"
+    );
+}
