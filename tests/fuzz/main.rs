@@ -24,6 +24,16 @@ fn telegram() {
 }
 
 #[test]
+fn modbus_wire() {
+    fuzz("modbus_wire", targets::modbus_wire, 20_000, 300);
+}
+
+#[test]
+fn modbus() {
+    fuzz("modbus", targets::modbus, 1_500, 400);
+}
+
+#[test]
 fn station() {
     fuzz("station", targets::station, 1_500, 400);
 }

@@ -22,7 +22,7 @@ use fieldbeat::cycle::{CyclePlan, Overrun, Plan};
 use fieldbeat::master::Master;
 use fieldbeat::net::Carriers;
 use fieldbeat::sim::world::WorldOptions;
-use fieldbeat::sim::{DatagramDrive, FaultPlan};
+use fieldbeat::sim::{FaultPlan, SimDrive};
 use fieldbeat::simulation::Simulation;
 use fieldbeat::time::{MS, Time, US};
 
@@ -90,7 +90,7 @@ struct Ledger {
 
 /// The simulated drive, with answers of its own to plain calls.
 struct LedgerDrive {
-    drive: Box<dyn DatagramDrive>,
+    drive: Box<dyn SimDrive>,
     ledger: Arc<Mutex<Ledger>>,
 }
 
@@ -146,14 +146,8 @@ impl LedgerDrive {
     }
 }
 
-impl DatagramDrive for LedgerDrive {
-    fn address(&self) -> SocketAddrV4 {
-        self.drive.address()
-    }
-
-    fn faults(&self) -> FaultPlan {
-        self.drive.faults()
-    }
+impl SimDrive for LedgerDrive {
+    crate::forward_sim_drive!(drive);
 
     fn receive(
         &mut self,
@@ -167,10 +161,6 @@ impl DatagramDrive for LedgerDrive {
         let heard = ledger.silence == 0;
         ledger.silence = ledger.silence.saturating_sub(1);
         heard.then_some(to)
-    }
-
-    fn inhibit(&mut self, until: Time) {
-        self.drive.inhibit(until);
     }
 
     fn restart(&mut self, now: Time) {
@@ -194,10 +184,10 @@ impl BusPlan for LedgerBus {
         self.bus.open(period_ns, carriers)
     }
 
-    fn simulate(&self) -> Vec<Box<dyn DatagramDrive>> {
+    fn simulate(&self) -> Vec<Box<dyn SimDrive>> {
         let own = |drive| {
             let ledger = Arc::clone(&self.ledger);
-            Box::new(LedgerDrive { drive, ledger }) as Box<dyn DatagramDrive>
+            Box::new(LedgerDrive { drive, ledger }) as Box<dyn SimDrive>
         };
         self.bus.simulate().into_iter().map(own).collect()
     }

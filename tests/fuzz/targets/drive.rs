@@ -12,7 +12,7 @@ use fieldbeat::bus::linudp::wire::{
     RtcCommand, RtcStatus,
 };
 use fieldbeat::bus::linudp::{FlashMode, LinUdpDrive, MASTER_PORT, SimPlan, UnknownCommands};
-use fieldbeat::sim::DatagramDrive;
+use fieldbeat::sim::SimDrive;
 use fieldbeat::time::{MS, S, Time};
 
 use super::input::Input;

@@ -3,6 +3,8 @@
 //! | target | what the bytes are |
 //! |---|---|
 //! | `telegram` | a datagram, for every parser of what comes from a wire |
+//! | `modbus_wire` | a stream of Modbus TCP, for every parser of it; as text, an address and a value of a parameter |
+//! | `modbus` | a program for a Modbus bus on one connection: orders, replies good and bad, a connection that ends |
 //! | `station` | a program for one station: orders, sends, replies good and bad |
 //! | `channel` | a program for the parameter channel: calls posted, cancelled and forgotten, on a bad wire |
 //! | `drive` | a program of a master that knows no rules, for the simulated drive |
@@ -23,6 +25,8 @@ mod drive;
 mod files;
 mod input;
 mod machine;
+mod modbus;
+mod modbus_wire;
 mod station;
 mod telegram;
 mod verbs;
@@ -32,5 +36,7 @@ pub use config::{config, config_keys};
 pub use drive::drive;
 pub use files::files;
 pub use machine::machine;
+pub use modbus::modbus;
+pub use modbus_wire::modbus_wire;
 pub use station::station;
 pub use telegram::telegram;

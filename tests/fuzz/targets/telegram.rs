@@ -10,7 +10,7 @@ use fieldbeat::bus::linudp::wire::{
     RtcBlock, StateVar, WarnWord,
 };
 use fieldbeat::bus::linudp::{LinUdpDrive, MASTER_PORT, StreamCommand};
-use fieldbeat::sim::DatagramDrive;
+use fieldbeat::sim::SimDrive;
 use fieldbeat::time::Time;
 
 pub fn telegram(data: &[u8]) {

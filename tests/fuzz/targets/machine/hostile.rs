@@ -12,9 +12,9 @@ use fieldbeat::bus::linudp::wire::{
     ErrorCode, RESPONSE_MAX, Request, RequestDef, Response, ResponseDef, StateVar, StatusWord, WarnWord,
 };
 use fieldbeat::bus::{Bus, BusPlan, OpenError};
-use fieldbeat::net::{Carriers, Datagrams, Outbox, Received, Sent, UdpOptions};
+use fieldbeat::net::{Carriers, Datagrams, Outbox, Received, Sent, StreamPeer, Streams, UdpOptions};
 use fieldbeat::rt::Regions;
-use fieldbeat::sim::{DatagramDrive, FaultPlan};
+use fieldbeat::sim::SimDrive;
 use fieldbeat::time::Time;
 
 use super::super::input::Input;
@@ -140,14 +140,8 @@ pub struct HostileDrive {
     heard: u8,
 }
 
-impl DatagramDrive for HostileDrive {
-    fn address(&self) -> SocketAddrV4 {
-        self.drive.address()
-    }
-
-    fn faults(&self) -> FaultPlan {
-        self.drive.faults()
-    }
+impl SimDrive for HostileDrive {
+    crate::forward_sim_drive!(drive);
 
     fn receive(
         &mut self,
@@ -175,10 +169,6 @@ impl DatagramDrive for HostileDrive {
             return None;
         }
         Some(to)
-    }
-
-    fn inhibit(&mut self, until: Time) {
-        self.drive.inhibit(until);
     }
 
     fn restart(&mut self, now: Time) {
@@ -248,12 +238,11 @@ impl BusPlan for HostileBus {
         self.plan.open(period_ns, &Tapped { carriers, wire: Arc::clone(&self.wire) })
     }
 
-    fn simulate(&self) -> Vec<Box<dyn DatagramDrive>> {
+    fn simulate(&self) -> Vec<Box<dyn SimDrive>> {
         (self.plan.drives.iter().zip(&self.scripts))
             .map(|(drive, script)| {
                 let drive = LinMotSim::new(drive);
-                Box::new(HostileDrive { drive, script: Arc::clone(script), heard: 0 })
-                    as Box<dyn DatagramDrive>
+                Box::new(HostileDrive { drive, script: Arc::clone(script), heard: 0 }) as Box<dyn SimDrive>
             })
             .collect()
     }
@@ -268,6 +257,10 @@ impl Carriers for Tapped<'_> {
     fn datagrams(&self, bind: SocketAddrV4, options: &UdpOptions) -> io::Result<Box<dyn Datagrams>> {
         let inner = self.carriers.datagrams(bind, options)?;
         Ok(Box::new(TappedCarrier { inner, wire: Arc::clone(&self.wire) }))
+    }
+
+    fn streams(&self, peers: Vec<StreamPeer>) -> io::Result<Box<dyn Streams>> {
+        self.carriers.streams(peers)
     }
 }
 
@@ -325,6 +318,10 @@ impl Datagrams for TappedCarrier {
 
     fn batch(&self) -> usize {
         self.inner.batch()
+    }
+
+    fn dropped(&self) -> u64 {
+        self.inner.dropped()
     }
 
     fn memory(&self, _regions: &mut Regions) {}
