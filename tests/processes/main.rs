@@ -13,6 +13,7 @@
 //! | `report` | the directory that a run leaves behind, and all that keeps it from being written |
 //! | `params` | parameters of the drives, alone and beside a running master |
 //! | `linmot` | curves, command table, error log and software of a LinMot drive |
+//! | `unidrive` | Unidrives beside LinMots, and their parameters |
 //! | `metrics` | its numbers meanwhile, over HTTP, and clients that mean no good |
 //! | `rights` | what an ordinary user may not do, and is told |
 //! | `doctor` | what the program says of this host |
@@ -30,10 +31,13 @@ mod program;
 mod report;
 mod rights;
 mod signals;
+#[path = "../support/speeds.rs"]
+mod speed_drives;
 mod strangers;
 #[path = "../support/mod.rs"]
 mod support;
 mod telling;
+mod unidrive;
 
 use std::ffi::OsStr;
 use std::net::{SocketAddrV4, UdpSocket};

@@ -3,12 +3,20 @@
 use std::collections::BTreeMap;
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::time::Duration;
 
 use fieldbeat::Master;
+use fieldbeat::axis::Link;
+use fieldbeat::bus::BusPlan;
+use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan};
 use fieldbeat::cycle::status::Status;
+use fieldbeat::cycle::{CyclePlan, Plan};
+use fieldbeat::rt::Realtime;
+use fieldbeat::sim::server::{ServerOptions, SimServer};
 use fieldbeat::telemetry::metrics::Endpoint;
 use libc::SIGINT;
 
+use super::speed_drives::Speeds;
 use super::support::{LONG, Machine, Program, assert_sums, until};
 use super::{assert_silent, master, serve, socket};
 
@@ -316,4 +324,64 @@ fn a_program_of_its_own_watches_its_machine_and_closes_the_endpoint() {
     assert_eq!(counts(monitor.status()), counts(run.end.status));
     let woken = monitor.measured(|measured| measured.histograms.wake.len());
     assert!(woken == run.end.status.planned || run.end.status.lost_records > 0, "{woken}: {run:?}");
+}
+
+#[test]
+fn what_only_a_protocol_counts_and_why_a_drive_is_not_connected_is_told_under_its_name() {
+    let machine = Machine::new(77);
+    let mut bus = LinUdpPlan::new(machine.ip(1), Vec::new());
+    bus.drives.extend([0, 1].map(|index| LinUdpDrive::new(format!("d{index}"), *machine.drive(index).ip())));
+    bus.drives.iter_mut().for_each(|drive| drive.axis.limits.position = None);
+    let speeds = Speeds::new(bus.clone());
+    let plan = |bus: Box<dyn BusPlan>| Plan {
+        source: None,
+        cycle: CyclePlan { realtime: Realtime::Off, ..CyclePlan::default() },
+        buses: vec![bus],
+        groups: Vec::new(),
+    };
+    // Only the first one is there.
+    let mut there = bus.simulate();
+    there.pop();
+    let _sim = SimServer::start(there, ServerOptions::default()).unwrap();
+    let why = "refused: nobody listens there";
+    speeds.notes.set(1, Some(why.to_owned()));
+    let master = Master::from_plan(plan(Box::new(speeds.clone()))).start().unwrap();
+    assert!(until(LONG, || master.observers()[0].1.feedback().link == Link::Online));
+    let error = master.wait_online(Duration::ZERO).unwrap_err().to_string();
+    assert!(error.contains(&format!(": d1 (not connected: {why}); look at")), "{error}");
+
+    let endpoint = Endpoint::bind((machine.ip(1), 0).into()).unwrap();
+    let address = endpoint.address();
+    let _server = endpoint.serve(master.monitor()).unwrap();
+    assert!(until(LONG, || master.numbers().drives[0].counters.own[0] > 10));
+    let text = scrape(address);
+    let page = Page::parse(&text);
+    let count = |drive, what: &str| {
+        page.value(&format!("fieldbeat_drive_protocol_events_total{{drive=\"{drive}\",what=\"{what}\"}}"))
+    };
+    assert!(count("d0", "replies") > 10.0 && count("d1", "replies") == 0.0, "{text}");
+    assert_eq!([count("d0", "none"), count("d0", "most")], [0.0, u64::MAX as f64]);
+    let not_connected =
+        |page: &Page, drive| page.value(&format!("fieldbeat_drive_not_connected{{drive=\"{drive}\"}}"));
+    assert_eq!(["d0", "d1"].map(|drive| not_connected(&page, drive)), [0.0, 1.0]);
+    assert!(!text.contains("NaN"), "{text}");
+    let summary = master.summary();
+    assert_eq!(
+        (&summary.drives[0].not_connected, summary.drives[1].not_connected.as_deref()),
+        (&None, Some(why))
+    );
+    assert_eq!((summary.drives[0].position, summary.drives[0].protocol_counters.0.len()), (None, 3));
+    // It tells it as long as it is so.
+    speeds.notes.set(1, None);
+    assert_eq!(not_connected(&Page::parse(&scrape(address)), "d1"), 0.0);
+    assert_eq!(master.finish().end.drives[1].not_connected, None);
+
+    // Drives without connections and counters of their own have no samples of them.
+    let master = Master::from_plan(plan(Box::new(bus))).start().unwrap();
+    let endpoint = Endpoint::bind((machine.ip(1), 0).into()).unwrap();
+    let address = endpoint.address();
+    let _server = endpoint.serve(master.monitor()).unwrap();
+    let text = scrape(address);
+    assert!(!text.contains("fieldbeat_drive_protocol_events_total{"), "{text}");
+    assert!(!text.contains("fieldbeat_drive_not_connected{"), "{text}");
 }

@@ -35,8 +35,14 @@ fn the_demo_runs_by_itself_and_its_json_has_every_key() {
     assert!(summary["cycle"]["executed"].as_u64().unwrap() > 2000, "{summary}");
     for drive in summary["drives"].as_array().unwrap() {
         assert_eq!((&drive["link"], &drive["losses"]), (&"online".into(), &0.into()), "{drive}");
-        assert_eq!(drive["protocol"], "linudp-v2");
         assert!(drive["rtt_ns"]["p50"].as_u64().unwrap() > 0, "{drive}");
+        if drive["protocol"] == "modbus-tcp" {
+            assert_eq!(drive["position"], serde_json::Value::Null, "it tells none: {drive}");
+            // It has turned, and felt its load.
+            assert!(drive["monitor"][0]["max"].as_f64().unwrap() > 0.0, "{drive}");
+            continue;
+        }
+        assert_eq!(drive["protocol"], "linudp-v2");
         // The last move ends at 160 mm; the simulated axis follows its setpoint within its own window.
         let position = drive["position"].as_f64().unwrap();
         assert!((159.0..161.0).contains(&position), "{drive}");
@@ -56,10 +62,10 @@ fn the_demo_runs_by_itself_and_its_json_has_every_key() {
     let mut want: Vec<String> = [
         "cycle cycle.period_ns cycle.planned cycle.executed cycle.skipped cycle.overruns wake_ns jitter_ns stages_ns \
          stages_ns.send stages_ns.receive stages_ns.judge stages_ns.exchange stages_ns.prepare stages_ns.publish \
-         late late.threshold_ns late.count late.causes late.newest black_boxes drives drives.name drives.protocol drives.link drives.state \
+         late late.threshold_ns late.count late.causes late.newest black_boxes drives drives.name drives.protocol drives.link drives.not_connected drives.state \
          drives.losses drives.sent drives.answered drives.missed drives.late drives.duplicate drives.rejected \
-         drives.suspect drives.unsent drives.rtt_ns drives.send_jitter_ns drives.age_ns drives.age_cycles drives.position drives.inhibited drives.stopped drives.fault drives.monitor buses \
-         buses.name buses.strangers buses.receive_errors realtime realtime.policy realtime.priority realtime.core \
+         drives.suspect drives.unsent drives.rtt_ns drives.send_jitter_ns drives.age_ns drives.age_cycles drives.protocol_counters drives.position drives.inhibited drives.stopped drives.fault drives.fault_name drives.monitor buses \
+         buses.name buses.strangers buses.dropped buses.receive_errors realtime realtime.policy realtime.priority realtime.core \
          realtime.memory_locked realtime.page_faults realtime.involuntary_switches realtime.telemetry_lost \
          realtime.events_lost realtime.missing host host.name host.kernel host.preemption host.cpu host.steal_ms",
     ]
@@ -115,7 +121,7 @@ fn simulation_and_master_are_two_processes() {
 
 #[test]
 fn check_says_the_plan_and_what_it_is_not() {
-    for file in ["rt-config/demo.toml", "rt-config/linmot.toml"] {
+    for file in ["rt-config/demo.toml", "rt-config/linmot.toml", "rt-config/unidrive.toml"] {
         let ended = run(["check".into(), checkout(file)]);
         ended.expect(0);
         assert_eq!(ended.err, "");

@@ -46,11 +46,12 @@ fn strangers_are_counted_and_change_nothing() {
     ended.expect(0);
     let summary = ended.json();
     assert_sums(&summary);
-    // Some may have been dropped by the kernel, while the loop was held up.
-    let counted = summary["buses"][0]["strangers"].as_u64().unwrap();
-    assert!((by_strangers / 2..=by_strangers).contains(&counted), "{by_strangers}: {summary}");
+    // Some may have been dropped by the kernel, and replies with them, while the loop was held up.
+    let of_bus = |key: &str| summary["buses"][0][key].as_u64().unwrap();
+    let (counted, dropped) = (of_bus("strangers"), of_bus("dropped"));
     let rejected = drive(&summary, "d0")["rejected"].as_u64().unwrap();
-    assert!((by_port / 2..=by_port).contains(&rejected), "{by_port}: {summary}");
+    assert!(counted <= by_strangers && rejected <= by_port, "{by_strangers}, {by_port}: {summary}");
+    assert!(counted + rejected + dropped >= by_strangers + by_port, "{by_strangers}, {by_port}: {summary}");
     for name in ["d0", "d1"] {
         let drive = drive(&summary, name);
         assert_eq!((&drive["link"], &drive["losses"]), (&"online".into(), &0.into()), "{drive}");

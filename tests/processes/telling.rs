@@ -271,10 +271,38 @@ fn the_fault_of_a_drive_is_told_with_the_move_that_led_to_it() {
         });
         found.unwrap_or_else(|| panic!("{what}: {happened:#?}"))
     };
-    assert!(
-        of("move begins") < of("fault 0x0000 -> ") && of("fault 0x0000 -> ") <= of("stopped: drive fault")
-    );
+    assert!(of("move begins") < of("fault none -> ") && of("fault none -> ") <= of("stopped: drive fault"));
     assert!(!happened.iter().any(|one| one["drive"] == "d0" && one["what"] == "stopped: drive fault"));
+}
+
+#[test]
+fn a_drive_that_nobody_can_connect_to_is_told_once_with_the_reason_and_stands_in_the_status() {
+    let machine = Machine::new(79);
+    let address = format!("{}:1502", machine.ip(11));
+    let config = machine.write(
+        "m.toml",
+        format!(
+            "[cycle]\nrealtime = \"off\"\n[[bus]]\nprotocol = \"modbus-tcp\"\n[[bus.drive]]\nname = \"u1\"\naddress = \"{address}\"\n"
+        ),
+    );
+    let mut master = Program::spawn(&mut own(&machine, &["run", config.to_str().unwrap(), "--json"]));
+    let told = format!("drive u1: not connected: refused: nobody listens at {address}");
+    master.await_text(&told);
+    let summary = || status(&machine, &["--json"]).expect(0).json()["summary"].clone();
+    let why = summary()["drives"][0]["not_connected"].as_str().unwrap().to_owned();
+    assert!(told.ends_with(why.split(';').next().unwrap()), "{why}");
+    let _sim = simulation(&config);
+    master.await_text("all drives online");
+    let drive = &summary()["drives"][0];
+    assert!(drive["not_connected"].is_null() && drive["position"].is_null(), "{drive}");
+    assert!(until(LONG, || summary()["drives"][0]["protocol_counters"]["reopened"] == 0));
+    let text = status(&machine, &[]).expect(0).out.clone();
+    assert!(text.contains("u1") && !text.contains("NaN"), "{text}");
+    master.signal(SIGTERM);
+    let ended = master.end();
+    ended.expect(0);
+    // However often it was tried.
+    assert_eq!(ended.err.matches("not connected").count(), 1, "{}", ended.err);
 }
 
 #[test]
