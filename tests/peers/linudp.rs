@@ -4,25 +4,14 @@
 //! Wireshark has no dissector for LinUDP, and no other implementation of it was run against these: that the datagrams are well
 //! formed, carry right checksums and go where they should is its word. Their lengths are checked against the blocks that the
 //! definitions in them announce (LinUDP V2 manual, 4.4), counted here anew.
-//!
-//!     cargo test --test peers -- --ignored --test-threads 1
-
-mod support;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::net::{Ipv4Addr, SocketAddrV4, UdpSocket};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use support::{CABLE_NET, Cable, DemoLock, LONG, Machine, PROGRAM, Program, assert_sums, drive, until};
-
-/// A running capture.
-struct Capture<M> {
-    tshark: Program,
-    file: PathBuf,
-    /// Sends a text that the filter passes.
-    marker: M,
-}
+use crate::capture::{Capture, dissect};
+use crate::support::{self, CABLE_NET, Cable, DemoLock, Machine, PROGRAM, Program, assert_sums, drive};
 
 /// One datagram, as the dissector has it.
 #[derive(Debug)]
@@ -32,70 +21,28 @@ struct Frame {
     bytes: Vec<u8>,
 }
 
-impl<M: Fn(&str)> Capture<M> {
-    /// Captures on `interface`, inside `namespace` if there is one.
-    fn start(namespace: Option<&str>, interface: &str, filter: &str, file: PathBuf, marker: M) -> Capture<M> {
-        let mut command = match namespace {
-            Some(namespace) => Cable::command(namespace, "tshark"),
-            None => Command::new("tshark"),
-        };
-        command.args(["-i", interface, "-f", filter, "-w"]).arg(&file);
-        let capture = Capture { tshark: Program::spawn(&mut command), file, marker };
-        // It says that it captures before it does.
-        capture.see("the begin");
-        capture
-    }
-
-    /// Sends `text` until it is in the file, and with it all that was sent before.
-    fn see(&self, text: &str) {
-        let seen = until(LONG, || {
-            (self.marker)(text);
-            let file = std::fs::read(&self.file).unwrap_or_default();
-            file.windows(text.len()).any(|bytes| bytes == text.as_bytes())
-        });
-        assert!(seen, "{}", self.tshark.err());
-    }
-
-    /// Ends the capture and lets the dissector judge every frame of it.
-    fn frames(self, check_udp: bool) -> Vec<Frame> {
-        self.see("the end");
-        self.tshark.signal(libc::SIGINT);
-        let ended = self.tshark.end();
-        assert!(!ended.err.contains("dropped"), "{}", ended.err);
-        let fields = [
-            "ip.src",
-            "udp.srcport",
-            "ip.dst",
-            "udp.dstport",
-            "udp.length",
-            "udp.payload",
-            "ip.checksum.status",
-            "udp.checksum.status",
-            "ip.flags.mf",
-            "ip.frag_offset",
-            "ip.ttl",
-            "_ws.expert.message",
-            "_ws.malformed",
-        ];
-        let mut command = Command::new("tshark");
-        command.arg("-r").arg(&self.file).args([
-            "-Y",
-            "udp.dstport != 9 && !icmp",
-            "-T",
-            "fields",
-            "-E",
-            "separator=|",
-        ]);
-        command.args(["-o", "ip.check_checksum:TRUE", "-o"]).arg(format!("udp.check_checksum:{check_udp}"));
-        // Its guesses at the payload are not what is asked for.
-        command.args(["-d", "udp.port==41136,data"]);
-        for field in fields {
-            command.args(["-e", field]);
-        }
-        let read = Program::spawn(&mut command).end();
-        read.expect(0);
-        read.out.lines().map(|line| frame(line, check_udp)).collect()
-    }
+/// Ends the capture and lets the dissector judge every frame of it.
+fn frames(capture: Capture<impl Fn(&str)>, check_udp: bool) -> Vec<Frame> {
+    let fields = [
+        "ip.src",
+        "udp.srcport",
+        "ip.dst",
+        "udp.dstport",
+        "udp.length",
+        "udp.payload",
+        "ip.checksum.status",
+        "udp.checksum.status",
+        "ip.flags.mf",
+        "ip.frag_offset",
+        "ip.ttl",
+        "_ws.expert.message",
+        "_ws.malformed",
+    ];
+    let sums = format!("udp.check_checksum:{check_udp}");
+    // Its guesses at the payload are not what is asked for.
+    let options = ["-o", "ip.check_checksum:TRUE", "-o", &sums, "-d", "udp.port==41136,data"];
+    let lines = dissect(&capture.end(), "udp.dstport != 9 && !icmp", &options, &fields);
+    lines.iter().map(|line| frame(line, check_udp)).collect()
 }
 
 fn frame(line: &str, check_udp: bool) -> Frame {
@@ -221,7 +168,7 @@ fn tshark_finds_nothing_wrong_on_loopback() {
         program.arg(command);
         program
     });
-    let seen = judge(&capture.frames(false), machine.master());
+    let seen = judge(&frames(capture, false), machine.master());
     compare(&seen, &summary, &machine);
     // The definitions alone, and with a tag: nobody asked these drives for anything, so they are only read.
     assert_eq!(seen.requests, [8, 16].into());
@@ -249,7 +196,7 @@ fn tshark_finds_nothing_wrong_on_a_cable() {
         program.arg(command);
         program
     });
-    let seen = judge(&capture.frames(true), machine.master());
+    let seen = judge(&frames(capture, true), machine.master());
     compare(&seen, &summary, &machine);
     assert_eq!(seen.requests, [8, 16].into());
     assert_replies(&seen, &[26, 34, 42]);
@@ -267,7 +214,7 @@ fn tshark_finds_nothing_wrong_with_drives_in_motion() {
         });
     let ended = Program::start(["demo", "--for", "2s", "--drives", "2", "--json"]).end();
     let summary = ended.json();
-    let seen = judge(&capture.frames(false), "127.77.0.1:41136".parse().unwrap());
+    let seen = judge(&frames(capture, false), "127.77.0.1:41136".parse().unwrap());
     // Read only at first; then the control word, alone and with a motion command.
     assert_eq!(seen.requests, [8, 10, 42].into());
     assert_replies(&seen, &[26]);

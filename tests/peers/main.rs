@@ -1,0 +1,18 @@
+//! What others make of our bytes on the wire, and we of theirs: Wireshark's dissectors, and where a protocol has them,
+//! other implementations of it, each a program of its own. `.ci/run` installs them.
+//!
+//!     cargo test --test peers -- --ignored --test-threads 1
+//!
+//! | file | what |
+//! |---|---|
+//! | `capture` | a capture by tshark, and what its dissectors make of it |
+//! | `linudp` | frames of LinUDP |
+//! | `modbus` | Modbus TCP: frames, and servers and clients of libmodbus and pymodbus |
+//!
+//! Each test owns 127.x.n.0/24, by the number n of its machine, which is unique in all of these files.
+
+mod capture;
+mod linudp;
+mod modbus;
+#[path = "../support/mod.rs"]
+mod support;

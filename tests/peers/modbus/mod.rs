@@ -1,0 +1,157 @@
+//! Modbus TCP: two other implementations, libmodbus and pymodbus, at either end, and Wireshark's dissector in between.
+//!
+//! | file | what |
+//! |---|---|
+//! | `masters` | our master, and their servers |
+//! | `clients` | their clients, and our simulated drive |
+//! | `dissector` | our master and our simulated drive, and what tshark sees |
+//! | `programs` | their servers and clients, told by lines what to do |
+//!
+//! Both servers have one register for each address, where a drive has one parameter: what is exchanged with them must not
+//! overlap, so that of 32-bit parameters next to each other only every second one is used.
+
+mod clients;
+mod dissector;
+mod masters;
+
+use std::fs::File;
+use std::io::{BufRead, BufReader, Write};
+use std::net::SocketAddrV4;
+use std::path::PathBuf;
+use std::process::{Child, Command, Stdio};
+use std::sync::mpsc::{Receiver, channel};
+
+use fieldbeat::bus::modbus::{ModbusPlan, UnidriveDrive};
+use fieldbeat::cycle::{CyclePlan, Overrun, Plan};
+use fieldbeat::rt::Realtime;
+use fieldbeat::time::{MS, S};
+
+use crate::support::{LONG, Machine, checkout, command};
+
+/// Anybody may listen here.
+const PORT: u16 = 1502;
+
+/// Whose program it is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Library {
+    /// C, of the distribution.
+    Libmodbus,
+    /// Python, below `target/peers`.
+    Pymodbus,
+}
+
+impl Library {
+    /// Starts its program `what`, `server` or `client`, for this address.
+    fn start(self, what: &str, machine: &Machine, address: SocketAddrV4, options: &[&str]) -> Peer {
+        let source = checkout("tests/peers/modbus/programs").join(what);
+        let mut program = match self {
+            Library::Libmodbus => {
+                let built = machine.path(what);
+                let source = source.with_extension("c");
+                let (source, out) = (source.to_str().unwrap(), built.to_str().unwrap());
+                command(&["cc", "-O1", "-Wall", "-Wextra", "-Werror", "-o", out, source, "-lmodbus"]);
+                Command::new(built)
+            }
+            Library::Pymodbus => {
+                let mut python = Command::new(checkout("target/peers/python/bin/python"));
+                python.arg(source.with_extension("py"));
+                python
+            }
+        };
+        program.arg(address.ip().to_string()).arg(address.port().to_string()).args(options);
+        Peer::start(program, machine.path(&format!("{what}.err")))
+    }
+}
+
+/// A program that answers lines by lines. Dropped = killed.
+struct Peer {
+    child: Child,
+    lines: Receiver<String>,
+    errors: PathBuf,
+}
+
+impl Peer {
+    fn start(mut program: Command, errors: PathBuf) -> Peer {
+        let file = File::create(&errors).unwrap();
+        program.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(file);
+        let mut child =
+            program.spawn().unwrap_or_else(|error| panic!("{program:?}: {error}; .ci/run installs it"));
+        let (tell, lines) = channel();
+        let out = BufReader::new(child.stdout.take().unwrap());
+        std::thread::spawn(move || {
+            out.lines().map_while(Result::ok).take_while(|line| tell.send(line.clone()).is_ok()).count()
+        });
+        let peer = Peer { child, lines, errors };
+        assert_eq!(peer.hear("its start"), "ready");
+        peer
+    }
+
+    fn hear(&self, what: &str) -> String {
+        let errors = || std::fs::read_to_string(&self.errors).unwrap_or_default();
+        self.lines.recv_timeout(LONG).unwrap_or_else(|error| panic!("{what}: {error}\n{}", errors()))
+    }
+
+    /// Its answer to a line.
+    fn ask(&mut self, line: &str) -> String {
+        writeln!(self.child.stdin.as_mut().unwrap(), "{line}").unwrap();
+        self.hear(line)
+    }
+
+    /// The numbers that it answers with.
+    fn numbers(&mut self, line: &str) -> Vec<u64> {
+        let answer = self.ask(line);
+        let numbers = answer.strip_prefix("ok").unwrap_or_else(|| panic!("{line}: {answer}"));
+        numbers.split_whitespace().map(|number| number.parse().unwrap()).collect()
+    }
+
+    /// What a server's registers hold from here on.
+    fn registers(&mut self, address: u16, count: usize) -> Vec<u16> {
+        let numbers = self.numbers(&format!("get {address} {count}"));
+        numbers.into_iter().map(|number| number.try_into().unwrap()).collect()
+    }
+
+    /// Lets a server's registers hold these values from here on.
+    fn set(&mut self, address: u16, values: &[u16]) {
+        let values: Vec<String> = values.iter().map(u16::to_string).collect();
+        assert_eq!(self.ask(&format!("set {address} {}", values.join(" "))), "ok");
+    }
+}
+
+impl Drop for Peer {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// The registers of a 32-bit value.
+fn long(value: i32) -> [u16; 2] {
+    [(value >> 16) as u16, value as u16]
+}
+
+/// A drive for a busy computer: nothing is missed because somebody was slow.
+fn drive(address: SocketAddrV4) -> UnidriveDrive {
+    let mut drive = UnidriveDrive::new("m", *address.ip());
+    drive.address = address;
+    drive.reply_within_ns = 5 * S;
+    drive.watchdog.timeout_ns = Some(20 * S);
+    drive.axis.health.bucket = 1000;
+    drive.axis.enable_timeout = LONG;
+    drive.axis.jog_deadman = None;
+    drive
+}
+
+/// A machine of this drive, with 500 exchanges a second.
+fn plan(drive: UnidriveDrive) -> Plan {
+    let cycle = CyclePlan {
+        period_ns: 2 * MS,
+        receive_deadline: 0.8,
+        overrun: Overrun::Skip { max_skip: 2000 },
+        realtime: Realtime::Off,
+        ..CyclePlan::default()
+    };
+    let plan =
+        Plan { source: None, cycle, buses: vec![Box::new(ModbusPlan::new(vec![drive]))], groups: vec![] };
+    plan.check().unwrap();
+    plan
+}
