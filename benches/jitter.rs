@@ -123,7 +123,7 @@ fn ours(period_ns: u64, guard: Guard, slots: u64, counted: &mut Slots) -> Vec<u6
         // none, and cyclictest gives up a slot only a whole period late; so does this one.
         let cycle = CyclePlan { guard, receive_deadline: 1.99, ..rig::cycle(period_ns) };
         let mut latencies = Vec::with_capacity(slots as usize + 64);
-        let mut rig = Rig::new(cycle, None, Pace::Grid, &Os, Calls::default());
+        let mut rig = Rig::new(cycle, Vec::new(), Pace::Grid, &Os::default(), Calls::default());
         while rig.status().executed + rig.status().skipped < slots {
             rig.turn(|record| match record {
                 Record::Cycle(CycleRecord { wake_ns, .. }) => latencies.push(u64::from(wake_ns)),

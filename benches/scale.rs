@@ -8,6 +8,8 @@
 //!   without them; and how many reads a second that comes to, there and on sockets at 1 kHz.
 //! - **The loop on sockets** against a bare `sendto` / `recvfrom` loop over the same bytes, cycle by cycle in turns: time
 //!   from waking up until done, and processor time.
+//! - **LinMots and Unidrives together**: 32 LinMots in every cycle and 32 Unidrives in every eighth, as many in one as in the
+//!   next, in one cycle at 1 kHz: nothing planned is left out, nothing sent is lost; and the same against a bare loop.
 //! - **System calls a cycle**, counted at full speed where the loop makes them: in its clock and its carrier. That these
 //!   counters see every call is proved by running the loop once more under `strace`, whose count must be the same.
 
@@ -15,58 +17,71 @@
 mod support;
 
 use std::collections::VecDeque;
+use std::fmt;
 use std::io;
-use std::net::SocketAddrV4;
-use std::os::fd::RawFd;
 use std::process::{Command, ExitCode, Stdio};
 use std::sync::Arc;
 use std::time::Duration;
 
 use fieldbeat::axis::acyclic::{Acyclic, CallTicket};
-use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::linudp::upid;
-use fieldbeat::bus::linudp::wire::{
-    ControlWord, MainState, RESPONSE_MAX, Request, RequestDef, Response, ResponseDef, RtcBlock, RtcCommand,
-    StateVar, StatusWord,
-};
+use fieldbeat::bus::linudp::wire::{ControlWord, Request, ResponseDef, RtcCommand};
+use fieldbeat::bus::modbus::words::ControlWord as UnidriveControl;
 use fieldbeat::cycle::Wait;
-use fieldbeat::net::{Carriers, Datagrams, Os, Outbox, Received, Sent, UdpOptions};
-use fieldbeat::rt::{Granted, MonotonicClock, Regions};
+use fieldbeat::cycle::status::{DriveEnd, Numbers};
+use fieldbeat::net::{Datagrams, Os, Outbox, Streams};
+use fieldbeat::rt::{Granted, MonotonicClock};
 use fieldbeat::time::{MS, Ns, US};
-use serde_json::json;
-use support::rig::{self, Calls, Pace, Rig, Side};
+use serde_json::{Value, json};
+use support::bare::{Duel, Outcome};
+use support::counted::CountedNet;
+use support::fleet::{self, Fleet, Side};
+use support::null::{NullCarrier, NullNet, NullStreams};
+use support::rig::{self, Calls, Pace, Rig};
 use support::stats::{Interval, Line, Sample, median, over_rounds};
-use support::{Args, Report, Steal, in_turns, shown};
+use support::{Args, Report, Steal, in_turns, shown, unidrive};
 
 /// Budget of the loop without a socket, ns a drive: the slope of the straight line.
 const LOOP_NS: f64 = 250.0;
 /// How far a point may be from the line, as a share.
 const STRAIGHT: f64 = 0.25;
 
-/// Budget of system calls a cycle.
-fn calls_allowed(drives: usize) -> f64 {
-    8.0 + drives as f64 / 64.0
+/// Budget of system calls a cycle: those of datagrams; a look at all connections wherever the cycle looks at its sockets, which
+/// are three places; and two on each connection on which something is due.
+fn calls_allowed(fleet: Fleet) -> f64 {
+    let looks = if fleet.unidrives > 0 { 3.0 } else { 0.0 };
+    8.0 + fleet.linmots as f64 / 64.0 + looks + on_connections(fleet)
 }
 
-/// This variable of the environment makes the program the child that strace looks at, with so many drives.
+/// Those on connections.
+fn on_connections(fleet: Fleet) -> f64 {
+    2.0 * fleet.due_unidrives() as f64
+}
+
+/// Both kinds in one cycle.
+const TOGETHER: Fleet = Fleet { linmots: 32, unidrives: 32, every: 8 };
+
+/// This variable of the environment makes the program the child that strace looks at, with these drives.
 const TRACED: &str = "FIELDBEAT_BENCH_TRACED_DRIVES";
 /// Cycles that strace looks at.
 const TRACED_CYCLES: u64 = 50;
 
 fn main() -> ExitCode {
-    if let Some(drives) = std::env::var(TRACED).ok().and_then(|drives| drives.parse().ok()) {
-        traced(drives);
+    if let Some(fleet) = std::env::var(TRACED).ok().and_then(|fleet| fleet.parse().ok()) {
+        traced(fleet);
         return ExitCode::SUCCESS;
     }
     let args = Args::parse("scale");
     let granted = rig::introduce("scale: what a drive costs");
     let mut report = Report::default();
     let drives: &[usize] = if args.quick { &[1, 8, 64, 256] } else { &[1, 2, 4, 8, 16, 32, 64, 128, 256] };
-    let without = without_socket(args.quick, drives, &mut report);
+    let without = without_socket("LinMots", Fleet::linmots, args.quick, drives, &mut report);
+    let unidrives = without_socket("Unidrives", Fleet::unidrives, args.quick, drives, &mut report);
     let reads = with_reads(&granted, args.quick, &mut report);
     let on_sockets = on_sockets(&granted, args.quick, drives, &mut report);
+    let together = together(&granted, args.quick, &mut report);
     strace(&granted, args.quick, &mut report);
-    for ((drives, without), on) in drives.iter().zip(without).zip(on_sockets) {
+    for (((drives, without), unidrives), on) in drives.iter().zip(without).zip(unidrives).zip(on_sockets) {
         report.append(json!({
             "drives": drives,
             "loop_ns": without.back_to_back.value,
@@ -74,6 +89,11 @@ fn main() -> ExitCode {
             "loop_paced_ns": without.paced.value,
             "loop_paced_ns_interval": without.paced.ends(),
             "carrier_ns": without.carrier,
+            "unidrive_loop_ns": unidrives.back_to_back.value,
+            "unidrive_loop_ns_interval": unidrives.back_to_back.ends(),
+            "unidrive_loop_paced_ns": unidrives.paced.value,
+            "unidrive_loop_paced_ns_interval": unidrives.paced.ends(),
+            "unidrive_carrier_ns": unidrives.carrier,
             "sockets_ns": on.ours,
             "bare_ns": on.bare,
             "sockets_ratio": on.ratio.map(|ratio| ratio.value),
@@ -86,6 +106,7 @@ fn main() -> ExitCode {
         }));
     }
     report.append(reads);
+    report.append(together);
     report.finish(&args)
 }
 
@@ -96,7 +117,13 @@ struct Without {
     carrier: f64,
 }
 
-fn without_socket(quick: bool, drives: &[usize], report: &mut Report) -> Vec<Without> {
+fn without_socket(
+    kind: &str,
+    fleet: fn(usize) -> Fleet,
+    quick: bool,
+    drives: &[usize],
+    report: &mut Report,
+) -> Vec<Without> {
     let rounds = if quick { 7 } else { 21 };
     let steal = Steal::begin();
     // Medians of a cycle, ns: by number of drives, then by round.
@@ -107,16 +134,16 @@ fn without_socket(quick: bool, drives: &[usize], report: &mut Report) -> Vec<Wit
         // About a millisecond or two of work; at 1 kHz a tenth of a second.
         let cycles = (10_000 / count).clamp(200, 2_000);
         let slice = rig::on_loop_thread(|_| match what {
-            0 => turns(count, Pace::BackToBack, cycles),
-            1 => turns(count, Pace::Grid, 100),
-            _ => carrier_alone(count, cycles),
+            0 => turns(fleet(count), Pace::BackToBack, cycles),
+            1 => turns(fleet(count), Pace::Grid, 100),
+            _ => carrier_alone(fleet(count), cycles),
         });
         let slice = slice.unwrap_or_else(|error| rig::give_up(error));
         medians[place][what].push(median(&slice));
     });
 
     println!(
-        "\nthe loop without a socket, ns a drive and cycle; {rounds} rounds, steal {} ms",
+        "\nthe loop without a socket, {kind}, ns a drive and cycle; {rounds} rounds, steal {} ms",
         shown(steal.ms())
     );
     println!("  drives           back to back            paced 1 kHz   the null carrier, taken off both");
@@ -171,7 +198,7 @@ fn without_socket(quick: bool, drives: &[usize], report: &mut Report) -> Vec<Wit
             bend.value * 100.0
         );
         if what == 0 {
-            report.time("the loop without a socket, a drive", Some(slope), LOOP_NS, "ns");
+            report.time(format!("the loop without a socket, {kind}, a drive"), Some(slope), LOOP_NS, "ns");
             report.time("its farthest point off the straight line", Some(bend), STRAIGHT, "");
         }
     }
@@ -219,9 +246,9 @@ fn with_reads(granted: &Granted, quick: bool, report: &mut Report) -> serde_json
     let mut reads = 0;
     in_turns(rounds, 3, |what| {
         let slice = rig::on_loop_thread(|_| match what {
-            0 => (turns(READING, Pace::BackToBack, cycles), 0),
+            0 => (turns(Fleet::linmots(READING), Pace::BackToBack, cycles), 0),
             1 => reading_turns(READING, cycles),
-            _ => (carrier_alone(READING, cycles), 0),
+            _ => (carrier_alone(Fleet::linmots(READING), cycles), 0),
         });
         let (slice, done) = slice.unwrap_or_else(|error| rig::give_up(error));
         reads += done;
@@ -257,8 +284,8 @@ fn with_reads(granted: &Granted, quick: bool, report: &mut Report) -> serde_json
 /// Busy time of each cycle, ns, with reads; and how many were done.
 fn reading_turns(drives: usize, cycles: usize) -> (Vec<f64>, u64) {
     let cycle = rig::exchange_cycle(MS, Wait::Spin);
-    let bus = rig::bus(Side::Ours, drives);
-    let mut rig = Rig::new(cycle, Some(bus), Pace::BackToBack, &NullNet, Calls::default());
+    let buses = Fleet::linmots(drives).buses(Side::Ours);
+    let mut rig = Rig::new(cycle, buses, Pace::BackToBack, &NullNet, Calls::default());
     rig.enable();
     let mut readers = Readers::new(drives);
     // The channel is learned first.
@@ -277,11 +304,12 @@ fn reading_turns(drives: usize, cycles: usize) -> (Vec<f64>, u64) {
 
 /// Reads a second and drive, on sockets at 1 kHz, with the simulated drives on the other core.
 fn reads_on_sockets(granted: &Granted, cycles: usize) -> Option<f64> {
-    let _server = rig::serve(rig::bus(Side::Ours, READING).simulate(), granted);
+    let fleet = Fleet::linmots(READING);
+    let _server = rig::serve(fleet.simulate(Side::Ours), granted);
     let done = rig::on_loop_thread(|_| {
         let cycle = rig::exchange_cycle(MS, Wait::Poll);
-        let bus = rig::bus(Side::Ours, READING);
-        let mut rig = Rig::new(cycle, Some(bus), Pace::Grid, &Os, Calls::default());
+        let buses = fleet.buses(Side::Ours);
+        let mut rig = Rig::new(cycle, buses, Pace::Grid, &Os::default(), Calls::default());
         rig.enable();
         let mut readers = Readers::new(READING);
         for _ in 0..cycles {
@@ -295,18 +323,47 @@ fn reads_on_sockets(granted: &Granted, cycles: usize) -> Option<f64> {
 }
 
 /// Busy time of each cycle, ns.
-fn turns(drives: usize, pace: Pace, cycles: usize) -> Vec<f64> {
+fn turns(fleet: Fleet, pace: Pace, cycles: usize) -> Vec<f64> {
     let cycle = rig::exchange_cycle(MS, Wait::Spin);
-    let bus = rig::bus(Side::Ours, drives);
-    let mut rig = Rig::new(cycle, Some(bus), pace, &NullNet, Calls::default());
+    let mut rig = Rig::new(cycle, fleet.buses(Side::Ours), pace, &NullNet, Calls::default());
     rig.enable();
     (0..cycles).map(|_| rig.turn(|_| {}).busy_ns as f64).collect()
 }
 
 /// What the null carrier takes for a cycle by itself, ns.
-fn carrier_alone(drives: usize, cycles: usize) -> Vec<f64> {
+fn carrier_alone(fleet: Fleet, cycles: usize) -> Vec<f64> {
+    match fleet.unidrives {
+        0 => datagrams_alone(fleet.linmots, cycles),
+        unidrives => streams_alone(unidrives, cycles),
+    }
+}
+
+fn streams_alone(drives: usize, cycles: usize) -> Vec<f64> {
+    let mut carrier = NullStreams::new(drives);
+    let drive = unidrive::drive(*fleet::address(Side::Ours, 0).ip());
+    let (request, length) = unidrive::request(&drive, UnidriveControl::FORWARD);
+    // Each drive has its own, as in the loop.
+    let requests = vec![request; drives];
+    let mut rooms = vec![[0; 2 * unidrive::ADU_MAX]; drives];
+    let mut cycle = || {
+        let begin = MonotonicClock::read();
+        while carrier.opened().is_some() {}
+        carrier.look();
+        for (index, request) in requests.iter().enumerate() {
+            let _ = std::hint::black_box(carrier.send(index, &request[..length]));
+        }
+        carrier.look();
+        while let Some(index) = carrier.ready() {
+            let _ = std::hint::black_box(carrier.receive(index, &mut rooms[index]));
+        }
+        MonotonicClock::read().since(begin) as f64
+    };
+    (0..cycles).map(|_| cycle()).collect()
+}
+
+fn datagrams_alone(drives: usize, cycles: usize) -> Vec<f64> {
     let mut carrier = NullCarrier::new(drives);
-    let peers: Vec<_> = (0..drives).map(|index| rig::address(Side::Ours, index)).collect();
+    let peers: Vec<_> = (0..drives).map(|index| fleet::address(Side::Ours, index)).collect();
     let request =
         Request { response_def: ResponseDef::CYCLIC, control: Some(ControlWord::ON), ..Request::default() };
     let mut outbox = Outbox::new(&peers, request.size());
@@ -325,114 +382,6 @@ fn carrier_alone(drives: usize, cycles: usize) -> Vec<f64> {
         MonotonicClock::read().since(begin) as f64
     };
     (0..cycles).map(|_| cycle()).collect()
-}
-
-/// Carriers of a network in memory where every drive answers at once.
-struct NullNet;
-
-impl Carriers for NullNet {
-    fn datagrams(&self, _: SocketAddrV4, options: &UdpOptions) -> io::Result<Box<dyn Datagrams>> {
-        Ok(Box::new(NullCarrier::new(options.peers)))
-    }
-}
-
-/// Answers each request from memory: ready to switch on, and in operation once it is switched on; always moving.
-struct NullCarrier {
-    /// Sender, definitions, whether it is switched on, and a read of a parameter: requests not yet answered.
-    asked: Vec<(SocketAddrV4, [u8; 8], bool, Option<RtcBlock>)>,
-    next: usize,
-    batch: usize,
-    ready: [u8; RESPONSE_MAX],
-    operating: [u8; RESPONSE_MAX],
-    length: usize,
-    position: i32,
-}
-
-impl NullCarrier {
-    /// Where the actual position is in a cyclic reply: behind definitions, status and state.
-    const POSITION: std::ops::Range<usize> = 12..16;
-
-    fn new(peers: usize) -> NullCarrier {
-        let reply = |status: u16, state: StateVar, bytes: &mut [u8]| {
-            let response = Response {
-                request_def: RequestDef::NONE,
-                response_def: ResponseDef::CYCLIC,
-                status: Some(StatusWord(status)),
-                state: Some(state),
-                current: Some(250),
-                ..Response::default()
-            };
-            response.emit(bytes)
-        };
-        let (mut ready, mut operating) = ([0; RESPONSE_MAX], [0; RESPONSE_MAX]);
-        let homed = StatusWord::HOMED | StatusWord::VOLTAGE_ENABLE | StatusWord::NO_QUICK_STOP;
-        reply(homed, StateVar::new(MainState::READY_TO_SWITCH_ON, 0), &mut ready);
-        let on = homed | StatusWord::OPERATION_ENABLED | StatusWord::SWITCH_ON_ACTIVE;
-        let moving = StateVar::new(MainState::OPERATION_ENABLED, StateVar::MOTION_ACTIVE | StateVar::HOMED);
-        let length = reply(on | StatusWord::MOTION_ACTIVE, moving, &mut operating);
-        // As real ones have it, so that as many calls of `receive` are made.
-        let batch = (peers * 2).clamp(8, 128);
-        let asked = Vec::with_capacity(peers);
-        NullCarrier { asked, next: 0, batch, ready, operating, length, position: 0 }
-    }
-}
-
-impl Datagrams for NullCarrier {
-    fn fd(&self) -> Option<RawFd> {
-        None
-    }
-
-    fn send(&mut self, outbox: &mut Outbox) {
-        let at = MonotonicClock::read();
-        self.asked.clear();
-        self.next = 0;
-        for index in 0..outbox.len() {
-            if outbox.sent(index) == Sent::Posted {
-                outbox.note(index, Sent::At(at));
-                let bytes = outbox.bytes(index);
-                if let Some((definitions, blocks)) = bytes.split_first_chunk() {
-                    let on = blocks.first().is_some_and(|low| u16::from(*low) & ControlWord::SWITCH_ON != 0);
-                    let read = match definitions[0] & RequestDef::CONFIG.0 as u8 {
-                        0 => None,
-                        _ => Request::parse(bytes).ok().and_then(|request| request.config),
-                    };
-                    self.asked.push((outbox.peer(index), *definitions, on, read));
-                }
-            }
-        }
-        self.position = self.position.wrapping_add(100);
-    }
-
-    fn receive(&mut self, take: &mut dyn FnMut(Received<'_>)) -> io::Result<usize> {
-        let at = MonotonicClock::read();
-        let end = self.asked.len().min(self.next + self.batch);
-        let count = end - self.next;
-        for (from, definitions, on, read) in &self.asked[self.next..end] {
-            let reply = if *on { &mut self.operating } else { &mut self.ready };
-            reply[..8].copy_from_slice(definitions);
-            reply[Self::POSITION].copy_from_slice(&self.position.to_le_bytes());
-            let mut length = self.length;
-            if let Some(read) = read {
-                // Done: its count, status 0, the index, and a value.
-                reply[length..length + 4].copy_from_slice(&[
-                    read.tag,
-                    0,
-                    read.words[0] as u8,
-                    (read.words[0] >> 8) as u8,
-                ]);
-                length += RtcBlock::SIZE;
-            }
-            take(Received { from: *from, at, bytes: &reply[..length], truncated: false });
-        }
-        self.next = end;
-        Ok(count)
-    }
-
-    fn batch(&self) -> usize {
-        self.batch
-    }
-
-    fn memory(&self, _: &mut Regions) {}
 }
 
 /// Of the loop on sockets; times are ns a drive and cycle.
@@ -458,9 +407,7 @@ fn on_sockets(granted: &Granted, quick: bool, drives: &[usize], report: &mut Rep
         let steal = Steal::begin();
         let [mut ours, mut bare, mut ours_cpu, mut bare_cpu, mut calls] = [const { Sample::new() }; 5];
         for _ in 0..rounds {
-            let counted = Calls::default();
-            let carriers = CountedNet(Arc::clone(&counted));
-            let duel = rig::duel(granted, count, Wait::Poll, period(count), cycles, &carriers, &counted);
+            let duel = duel(granted, Fleet::linmots(count), period(count), cycles);
             ours.push(duel.ours.busy);
             bare.push(duel.bare.busy);
             ours_cpu.push(duel.ours.cpu);
@@ -489,20 +436,27 @@ fn on_sockets(granted: &Granted, quick: bool, drives: &[usize], report: &mut Rep
             whole(row.bare_cpu),
             shown(row.cpu_ratio),
             shown(row.calls),
-            calls_allowed(count),
+            calls_allowed(Fleet::linmots(count)),
             shown(row.steal_ms)
         );
         report.count(
             format!(
                 "{count} drives: p50 of system calls a cycle <= {:.2}: {}",
-                calls_allowed(count),
+                calls_allowed(Fleet::linmots(count)),
                 shown(row.calls)
             ),
-            row.calls.is_some_and(|calls| calls <= calls_allowed(count)),
+            row.calls.is_some_and(|calls| calls <= calls_allowed(Fleet::linmots(count))),
         );
         table.push(row);
     }
     table
+}
+
+/// Our loop and the bare one over `fleet`, waiting by poll.
+fn duel(granted: &Granted, fleet: Fleet, period_ns: u64, cycles: usize) -> Outcome {
+    let calls = &Calls::default();
+    let carriers = &CountedNet::new(calls);
+    Duel { granted, fleet, wait: Wait::Poll, period_ns, cycles, carriers, calls, libmodbus: None }.fight()
 }
 
 /// Each side has half of it, so both fit in twice: a drive takes some 15 us of the two cores together.
@@ -510,43 +464,137 @@ fn period(drives: usize) -> u64 {
     (drives as u64 * 80 * US).next_multiple_of(MS).max(2 * MS)
 }
 
-/// The operating system's carriers, with an eye on their system calls.
-struct CountedNet(Calls);
-
-struct Counted {
-    net: Box<dyn Datagrams>,
-    calls: Calls,
+/// Both kinds in one cycle at 1 kHz, alone; then against the bare loop.
+fn together(granted: &Granted, quick: bool, report: &mut Report) -> Value {
+    let (alone, rounds, cycles) = if quick { (2_000, 5, 80) } else { (20_000, 15, 240) };
+    let steal = Steal::begin();
+    let (end, [calls, on_them]) = alone_at_1_khz(granted, alone);
+    let [mut ours, mut bare, mut ours_cpu, mut bare_cpu] = [const { Sample::new() }; 4];
+    let period_ns = period(TOGETHER.linmots + TOGETHER.due_unidrives());
+    for _ in 0..rounds {
+        let duel = duel(granted, TOGETHER, period_ns, cycles);
+        ours.push(duel.ours.busy);
+        bare.push(duel.bare.busy);
+        ours_cpu.push(duel.ours.cpu);
+        bare_cpu.push(duel.bare.cpu);
+    }
+    let (ratio, cpu_ratio) = (ours.ratio(&bare, 0.5), ours_cpu.ratio(&bare_cpu, 0.5));
+    let (linmots, unidrives) = end.drives.split_at(TOGETHER.linmots);
+    let [linmots, unidrives] = [linmots, unidrives].map(Kind::sum);
+    let (status, allowed, on_them_allowed) = (end.status, calls_allowed(TOGETHER), on_connections(TOGETHER));
+    let Fleet { linmots: of_linmots, unidrives: of_unidrives, every } = TOGETHER;
+    println!(
+        "\n{of_linmots} LinMots in every cycle and {of_unidrives} Unidrives in every {every}th, together at 1 kHz; steal {} ms",
+        shown(steal.ms())
+    );
+    println!("  planned {} = executed {} + skipped {}", status.planned, status.executed, status.skipped);
+    println!("  LinMots:   {linmots}");
+    println!("  Unidrives: {unidrives}");
+    println!(
+        "  system calls a cycle, p50: {} (allowed {allowed:.2}), of which on connections {} (allowed {on_them_allowed})",
+        shown(calls),
+        shown(on_them)
+    );
+    println!(
+        "  against the bare loop, every {} each: ours / bare {}, CPU {}",
+        Ns(period_ns),
+        shown(ratio),
+        shown(cpu_ratio)
+    );
+    report.count(
+        format!("together: planned {} = executed + skipped", status.planned),
+        status.planned == status.executed + status.skipped,
+    );
+    report.count(
+        format!("together, LinMots: sent {} = answered, in time or late", linmots.sent),
+        linmots.sent == linmots.answered + linmots.late,
+    );
+    report.count(
+        format!("together, Unidrives: sent {} = answered {}", unidrives.sent, unidrives.answered),
+        unidrives.sent == unidrives.answered && unidrives.sent > 0,
+    );
+    report.count(
+        format!("together: p50 of system calls a cycle <= {allowed:.2}: {}", shown(calls)),
+        calls.is_some_and(|calls| calls <= allowed),
+    );
+    report.count(
+        format!("together: of which on connections, two a due one <= {on_them_allowed}: {}", shown(on_them)),
+        on_them.is_some_and(|calls| calls <= on_them_allowed),
+    );
+    json!({
+        "together": { "linmots": of_linmots, "unidrives": of_unidrives, "every": every },
+        "planned": status.planned,
+        "executed": status.executed,
+        "skipped": status.skipped,
+        "linmots_sent": linmots.sent,
+        "linmots_answered": linmots.answered,
+        "linmots_late": linmots.late,
+        "unidrives_sent": unidrives.sent,
+        "unidrives_answered": unidrives.answered,
+        "syscalls_per_cycle": calls,
+        "syscalls_on_connections": on_them,
+        "sockets_ratio": ratio.map(|ratio| ratio.value),
+        "sockets_ratio_interval": ratio.map(|ratio| ratio.ends()),
+        "sockets_cpu_ratio": cpu_ratio.map(|ratio| ratio.value),
+        "steal_ms": steal.ms(),
+    })
 }
 
-impl Carriers for CountedNet {
-    fn datagrams(&self, bind: SocketAddrV4, options: &UdpOptions) -> io::Result<Box<dyn Datagrams>> {
-        Ok(Box::new(Counted { net: Os.datagrams(bind, options)?, calls: Arc::clone(&self.0) }))
+/// So many cycles of both kinds: the end, and the median of a cycle's system calls: all of them, and those on connections.
+fn alone_at_1_khz(granted: &Granted, cycles: usize) -> (Numbers, [Option<f64>; 2]) {
+    let _server = rig::serve(TOGETHER.simulate(Side::Ours), granted);
+    let counted = Calls::default();
+    let carriers = CountedNet::new(&counted);
+    let run = rig::on_loop_thread(|_| {
+        let cycle = rig::exchange_cycle(MS, Wait::Poll);
+        let mut rig =
+            Rig::new(cycle, TOGETHER.buses(Side::Ours), Pace::Grid, &carriers, Arc::clone(&counted));
+        rig.enable();
+        let (mut calls, mut on_them) = (Vec::with_capacity(cycles), Vec::with_capacity(cycles));
+        for _ in 0..cycles {
+            let (executed, before) = (rig.status().executed, carriers.on_connections());
+            let turn = rig.turn(|_| {});
+            if rig.status().executed > executed {
+                calls.push(turn.calls);
+                on_them.push(carriers.on_connections() - before);
+            }
+        }
+        rig.settle();
+        (rig.end(), [calls, on_them])
+    });
+    let (end, calls) = run.unwrap_or_else(|error| rig::give_up(error));
+    let p50 = |calls| {
+        let mut sample = Sample::new();
+        sample.push(calls);
+        sample.quantile(0.5).map(|p50| p50.value)
+    };
+    (end, calls.map(p50))
+}
+
+/// The exchanges of all drives of one kind.
+struct Kind {
+    sent: u64,
+    answered: u64,
+    missed: u64,
+    late: u64,
+}
+
+impl Kind {
+    fn sum(drives: &[DriveEnd]) -> Kind {
+        let all = drives.iter().map(|drive| drive.counters);
+        all.fold(Kind { sent: 0, answered: 0, missed: 0, late: 0 }, |sum, drive| Kind {
+            sent: sum.sent + drive.sent,
+            answered: sum.answered + drive.answered,
+            missed: sum.missed + drive.missed,
+            late: sum.late + drive.late,
+        })
     }
 }
 
-impl Datagrams for Counted {
-    fn fd(&self) -> Option<RawFd> {
-        self.net.fd()
-    }
-
-    fn send(&mut self, outbox: &mut Outbox) {
-        // One call for each 64 messages. One that is refused would cost one more; on loopback none is.
-        let posted = (0..outbox.len()).filter(|index| outbox.sent(*index) == Sent::Posted).count();
-        rig::add(&self.calls, posted.div_ceil(64) as u64);
-        self.net.send(outbox);
-    }
-
-    fn receive(&mut self, take: &mut dyn FnMut(Received<'_>)) -> io::Result<usize> {
-        rig::add(&self.calls, 1);
-        self.net.receive(take)
-    }
-
-    fn batch(&self) -> usize {
-        self.net.batch()
-    }
-
-    fn memory(&self, regions: &mut Regions) {
-        self.net.memory(regions);
+impl fmt::Display for Kind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Kind { sent, answered, missed, late } = self;
+        write!(f, "sent {sent}, answered {answered}, missed {missed}, of which came late {late}")
     }
 }
 
@@ -554,38 +602,37 @@ impl Datagrams for Counted {
 fn strace(granted: &Granted, quick: bool, report: &mut Report) {
     println!("\nthe count of system calls, proved by strace over {TRACED_CYCLES} cycles");
     let drives: &[usize] = if quick { &[8] } else { &[1, 8, 64, 256] };
-    for &count in drives {
-        match strace_of(granted, count) {
+    let fleets = drives.iter().map(|count| (format!("{count} drives"), Fleet::linmots(*count)));
+    let others = [("one Unidrive", Fleet::unidrives(1)), ("LinMots and Unidrives together", TOGETHER)];
+    for (what, fleet) in fleets.chain(others.map(|(what, fleet)| (what.to_owned(), fleet))) {
+        match strace_of(granted, fleet) {
             Ok((counted, seen)) => {
-                println!("  {count} drives: counted {counted}, strace saw {seen}");
-                report.count(
-                    format!("{count} drives: strace sees as many calls as were counted"),
-                    counted == seen,
-                );
+                println!("  {what}: counted {counted}, strace saw {seen}");
+                report.count(format!("{what}: strace sees as many calls as were counted"), counted == seen);
             }
-            Err(why) => println!("  {count} drives: not proved: {why}"),
+            Err(why) => println!("  {what}: not proved: {why}"),
         }
     }
 }
 
-fn strace_of(granted: &Granted, drives: usize) -> Result<(u64, u64), String> {
+fn strace_of(granted: &Granted, fleet: Fleet) -> Result<(u64, u64), String> {
     // The drives live in this process: only the loop is traced.
-    let _server = rig::serve(rig::bus(Side::Ours, drives).simulate(), granted);
+    let _server = rig::serve(fleet.simulate(Side::Ours), granted);
     let directory = std::env::temp_dir().join(format!("fieldbeat-scale-{}", std::process::id()));
     std::fs::create_dir_all(&directory).map_err(|error| error.to_string())?;
-    let result = strace_into(&directory, drives);
+    let result = strace_into(&directory, fleet);
     // Nothing depends on its removal.
     let _ = std::fs::remove_dir_all(&directory);
     result
 }
 
-fn strace_into(directory: &std::path::Path, drives: usize) -> Result<(u64, u64), String> {
+fn strace_into(directory: &std::path::Path, fleet: Fleet) -> Result<(u64, u64), String> {
     let own = std::env::current_exe().map_err(|error| error.to_string())?;
     let output = Command::new("strace")
         .args(["-ff", "-e", "signal=none", "-o"])
         .arg(directory.join("calls"))
         .arg(own)
-        .env(TRACED, drives.to_string())
+        .env(TRACED, fleet.to_string())
         .stdin(Stdio::null())
         .output()
         .map_err(|error| match error.kind() {
@@ -610,14 +657,13 @@ fn strace_into(directory: &std::path::Path, drives: usize) -> Result<(u64, u64),
 }
 
 /// The child: counts what it calls between the marks.
-fn traced(drives: usize) {
+fn traced(fleet: Fleet) {
     let counted = Calls::default();
-    let carriers = CountedNet(Arc::clone(&counted));
+    let carriers = CountedNet::new(&counted);
     let calls = rig::on_loop_thread(|_| {
         // Under strace a call takes some 50 us.
         let cycle = rig::exchange_cycle(20 * MS, Wait::Poll);
-        let mut rig =
-            Rig::new(cycle, Some(rig::bus(Side::Ours, drives)), Pace::Grid, &carriers, Arc::clone(&counted));
+        let mut rig = Rig::new(cycle, fleet.buses(Side::Ours), Pace::Grid, &carriers, Arc::clone(&counted));
         rig.enable();
         let _ = std::os::unix::process::parent_id();
         let calls: u64 = (0..TRACED_CYCLES).map(|_| rig.turn(|_| {}).calls).sum();

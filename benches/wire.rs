@@ -1,10 +1,12 @@
-//! The nanoseconds of one exchange without a socket: LinUDP encode, station and decode, for an axis in operation.
+//! The nanoseconds of one exchange without a socket: encode, station and decode, for an axis in operation.
 //!
 //! - `exchange`: what the loop does for a drive and cycle: build the request in place, note that it was sent, take the reply
 //!   in (identity, states, units, feedback, native process data).
 //! - `encode`, `encode motion`, `decode`: the telegram alone.
 //!
-//! Positions change with every reply, and the cycle with every request, so that nothing can be computed beforehand.
+//! A Unidrive's exchange is one request with function 23: everything cyclic is in menu 0.
+//!
+//! Positions or speeds change with every reply, and the cycle with every request, so that nothing can be computed beforehand.
 
 #[allow(dead_code, reason = "each bench uses a part of it")]
 mod support;
@@ -13,6 +15,7 @@ use std::hint::black_box;
 use std::net::Ipv4Addr;
 use std::path::Path;
 use std::process::ExitCode;
+use std::sync::Arc;
 use std::time::Duration;
 
 use criterion::{Criterion, Throughput};
@@ -24,15 +27,39 @@ use fieldbeat::bus::linudp::wire::{
     ControlWord, MainState, REQUEST_MAX, RESPONSE_MAX, Request, RequestDef, Response, ResponseDef, StateVar,
     StatusWord,
 };
-use fieldbeat::bus::{Counters, Cycle, Order, Slot};
+use fieldbeat::bus::modbus::wire::{
+    ADU_MAX, Header, Registers, RegistersBuffer, Request as ModbusRequest, Response as ModbusResponse,
+};
+use fieldbeat::bus::modbus::words::ControlWord as UnidriveControl;
+use fieldbeat::bus::modbus::{self, Finding, Found};
+use fieldbeat::bus::{Counters, Cycle, Exchange, Order, Slot};
 use fieldbeat::time::{MS, Time, US};
 use serde_json::{Value, json};
 use support::stats::Interval;
-use support::{Args, Report, rig};
+use support::unidrive::{self, Canned};
+use support::{Args, Report, fleet};
 
-/// Budget of `exchange`, ns.
-const EXCHANGE_NS: f64 = 60.0;
+/// Budgets of an exchange, ns.
+const LINUDP_NS: f64 = 60.0;
+const MODBUS_NS: f64 = 60.0;
+/// What an exchange with a Unidrive is meant to take; it is told how far it is from that.
+const MODBUS_GOAL_NS: f64 = 40.0;
 const PERIOD_NS: u64 = MS;
+/// A shared machine makes it slower, never quicker: of so many rounds the quickest counts.
+const ROUNDS: usize = 3;
+/// The parts that are measured.
+const LINUDP: [&str; 4] = ["exchange", "encode", "encode motion", "decode"];
+const MODBUS: [&str; 4] = ["exchange", "drive", "encode", "decode"];
+
+/// The next cycle, and when its request goes out.
+fn advance(cycle: &mut Cycle) -> Time {
+    cycle.index += 1;
+    cycle.grid = cycle.grid + PERIOD_NS;
+    cycle.deadline = cycle.grid + PERIOD_NS / 2;
+    cycle.grid + 5 * US
+}
+
+const BEGIN: Cycle = Cycle { index: 0, grid: Time(0), period_ns: PERIOD_NS, deadline: Time(PERIOD_NS / 2) };
 
 /// A station, and a drive that answers it from memory.
 struct Exchanged {
@@ -52,7 +79,7 @@ impl Exchanged {
 
     /// An axis in operation and moving.
     fn operational() -> Exchanged {
-        let (station, native, _acyclic) = Station::new(&rig::drive(Ipv4Addr::new(127, 90, 1, 10)));
+        let (station, native, _acyclic) = Station::new(&fleet::linmot(Ipv4Addr::new(127, 90, 1, 10)));
         let mut exchanged = Exchanged {
             station,
             _native: native,
@@ -60,7 +87,7 @@ impl Exchanged {
             request: [0; REQUEST_MAX],
             reply: [0; RESPONSE_MAX],
             reply_length: 0,
-            cycle: Cycle { index: 0, grid: Time(0), period_ns: PERIOD_NS, deadline: Time(PERIOD_NS / 2) },
+            cycle: BEGIN,
         };
         exchanged.answer(RequestDef::NONE, MainState::READY_TO_SWITCH_ON);
         exchanged.turn();
@@ -81,10 +108,7 @@ impl Exchanged {
 
     /// One exchange.
     fn turn(&mut self) {
-        self.cycle.index += 1;
-        self.cycle.grid = self.cycle.grid + PERIOD_NS;
-        self.cycle.deadline = self.cycle.grid + PERIOD_NS / 2;
-        let sent_at = self.cycle.grid + 5 * US;
+        let sent_at = advance(&mut self.cycle);
         black_box(self.station.prepare(&self.cycle, &mut self.slot, &mut self.request));
         black_box(&self.request);
         self.station.sent(sent_at, self.cycle.deadline, &mut self.slot);
@@ -115,6 +139,95 @@ fn reply(request_def: RequestDef, state: MainState) -> Response {
     }
 }
 
+/// The station of a Unidrive, and a drive that answers it from memory.
+struct Asked {
+    station: modbus::Station,
+    /// Kept, as an application would.
+    _native: modbus::Native,
+    slot: Slot,
+    drive: Canned,
+    cycle: Cycle,
+}
+
+impl Asked {
+    /// An axis in operation and turning.
+    fn operational() -> Asked {
+        let drive = unidrive::drive(Ipv4Addr::new(127, 90, 1, 10));
+        let found = Arc::new(Found::default());
+        found.set(Finding {
+            unit: 255,
+            read_write: true,
+            menu_0: true,
+            obeys: true,
+            watched: true,
+            control: UnidriveControl(0),
+            ..Finding::default()
+        });
+        let mappings = unidrive::mappings(&drive);
+        let (station, native, _acyclic) = modbus::Station::new(&drive, mappings, found, PERIOD_NS);
+        let slot = Slot { due: true, link: Link::Online, ..Slot::default() };
+        let mut asked = Asked { station, _native: native, slot, drive: Canned::new(), cycle: BEGIN };
+        asked.station.connected(&mut asked.slot);
+        asked.turn();
+        asked.slot.order = Order { serial: 1, verb: Some(Verb::Enable) };
+        (0..5).for_each(|_| asked.turn());
+        assert_eq!(asked.slot.report.state, State::OperationEnabled);
+        assert_eq!(asked.slot.progress.end, Some(Ok(())));
+        asked.slot.order = Order { serial: 2, verb: Some(Verb::Velocity { acceleration: 1_000.0 }) };
+        (0..5).for_each(|_| asked.turn());
+        assert_eq!(asked.slot.progress.end, None, "it goes on following");
+        asked
+    }
+
+    /// One exchange with a drive that takes everything.
+    fn turn(&mut self) {
+        self.exchange(Canned::answer);
+    }
+
+    /// One exchange; `answer` is the drive's part of it, which is included.
+    #[inline]
+    fn exchange(&mut self, answer: impl FnOnce(&mut Canned, &mut [u8]) -> usize) {
+        let sent_at = advance(&mut self.cycle);
+        // Another reference each time, as far as the ramp allows.
+        self.slot.velocity = 10.0 + (self.cycle.index % 4) as f64 * 0.25;
+        self.station.prepare(&self.cycle, &mut self.slot);
+        let request = black_box(self.station.to_send());
+        let count = request.len();
+        assert!(self.drive.hear(request), "it is a request to all of it");
+        self.station.sent(sent_at, count, &self.cycle, &mut self.slot);
+        let count = answer(&mut self.drive, black_box(self.station.room()));
+        let taken = self.station.take(sent_at + 40 * US, count, &mut self.slot);
+        assert!(taken.is_ok() && matches!(self.slot.exchange, Exchange::Answered { .. }));
+        black_box(&self.slot);
+    }
+}
+
+/// The same exchange without its station.
+struct Around {
+    slot: Slot,
+    drive: Canned,
+    request: Vec<u8>,
+    room: [u8; ADU_MAX],
+    cycle: Cycle,
+}
+
+impl Around {
+    fn new(request: &[u8]) -> Around {
+        let slot = Slot { due: true, link: Link::Online, ..Slot::default() };
+        Around { slot, drive: Canned::new(), request: request.to_vec(), room: [0; ADU_MAX], cycle: BEGIN }
+    }
+
+    #[inline]
+    fn exchange(&mut self) {
+        let sent_at = advance(&mut self.cycle);
+        self.slot.velocity = 10.0 + (self.cycle.index % 4) as f64 * 0.25;
+        let request = black_box(&self.request);
+        assert!(self.drive.hear(request), "it is a request to all of it");
+        black_box((sent_at, self.drive.answer_again(black_box(&mut self.room))));
+        black_box(&self.slot);
+    }
+}
+
 fn main() -> ExitCode {
     let args = Args::parse("wire");
     println!("wire: one exchange without a socket");
@@ -126,6 +239,50 @@ fn main() -> ExitCode {
         .warm_up_time(Duration::from_millis(warm_up))
         .measurement_time(Duration::from_millis(measurement));
 
+    let protocols = [("linudp-v2", &LINUDP[..], LINUDP_NS), (modbus::PROTOCOL, &MODBUS[..], MODBUS_NS)];
+    let mut quickest = [const { Vec::new() }; 2];
+    let mut counted = [(0, 0); 2];
+    for _ in 0..ROUNDS {
+        let counters = [linudp(&mut criterion), modbus(&mut criterion)];
+        for (place, (protocol, names, _)) in protocols.iter().enumerate() {
+            let found: Vec<_> = names.iter().map(|name| estimate_of(&output, protocol, name)).collect();
+            // The whole exchange is the first of them.
+            let whole =
+                |of: &[Option<Interval>]| of.first().copied().flatten().map_or(f64::MAX, |ns| ns.value);
+            if quickest[place].is_empty() || whole(&found) < whole(&quickest[place]) {
+                quickest[place] = found;
+            }
+            counted[place].0 += counters[place].sent;
+            counted[place].1 += counters[place].answered;
+        }
+    }
+    let mut report = Report::default();
+    for (place, (protocol, names, budget)) in protocols.into_iter().enumerate() {
+        let of = |wanted: &str| {
+            let found = names.iter().position(|name| *name == wanted)?;
+            quickest[place].get(found).copied().flatten()
+        };
+        for name in names {
+            let estimate = of(name);
+            report.enter(
+                format!("{protocol}/{name}"),
+                json!({ "ns": estimate.map(|ns| ns.value), "interval": estimate.map(|ns| ns.ends()) }),
+            );
+        }
+        let own = of("exchange").map(|whole| without(whole, of("drive")));
+        report.time(format!("{protocol}: encode + station + decode"), own, budget, "ns");
+        if protocol == modbus::PROTOCOL
+            && let Some(own) = own
+        {
+            println!("{protocol}: {:.1} ns, the goal is {MODBUS_GOAL_NS} ns", own.value);
+        }
+        let (sent, answered) = counted[place];
+        report.count(format!("{protocol}: sent {sent} = answered {answered}"), sent == answered);
+    }
+    report.finish(&args)
+}
+
+fn linudp(criterion: &mut Criterion) -> Counters {
     let mut group = criterion.benchmark_group("linudp-v2");
     group.throughput(Throughput::Elements(1));
     let mut exchanged = Exchanged::operational();
@@ -145,21 +302,47 @@ fn main() -> ExitCode {
     let length = reply(RequestDef::CONTROL, MainState::OPERATION_ENABLED).emit(&mut bytes);
     group.bench_function("decode", |bencher| bencher.iter(|| Response::parse(black_box(&bytes[..length]))));
     group.finish();
+    exchanged.slot.counters
+}
 
-    let mut report = Report::default();
-    for name in ["exchange", "encode", "encode motion", "decode"] {
-        let estimate = estimate(&output.join("linudp-v2").join(name).join("new/estimates.json"));
-        report.enter(
-            format!("linudp-v2/{name}"),
-            json!({ "ns": estimate.map(|ns| ns.value), "interval": estimate.map(|ns| ns.ends()) }),
-        );
-        if name == "exchange" {
-            report.time("linudp-v2: encode + station + decode", estimate, EXCHANGE_NS, "ns");
-        }
+fn modbus(criterion: &mut Criterion) -> Counters {
+    let mut group = criterion.benchmark_group(modbus::PROTOCOL);
+    group.throughput(Throughput::Elements(1));
+    let mut asked = Asked::operational();
+    group.bench_function("exchange", |bencher| bencher.iter(|| asked.exchange(Canned::answer_again)));
+    // What of it is no master's: the drive that hears and answers, the clock, the application.
+    let mut around = Around::new(asked.station.to_send());
+    group.bench_function("drive", |bencher| bencher.iter(|| around.exchange()));
+    let mut data = RegistersBuffer::new();
+    for value in [i32::from(UnidriveControl::FORWARD.0), 12_345] {
+        data.push_long(value);
     }
-    let Counters { sent, answered, .. } = exchanged.slot.counters;
-    report.count(format!("linudp-v2: sent {sent} = answered {answered}"), sent == answered);
-    report.finish(&args)
+    let data: Registers<'_> = data.registers();
+    let request = ModbusRequest::ReadWrite { read: 0x4000, count: 12, write: 0x4000, data };
+    let header = Header { transaction: 42, unit: 255 };
+    let mut bytes = [0; ADU_MAX];
+    group.bench_function("encode", |bencher| {
+        bencher.iter(|| black_box(&request).emit(black_box(header), black_box(&mut bytes)));
+    });
+    let length = request.emit(header, &mut bytes);
+    let mut drive = Canned::new();
+    assert!(drive.hear(&bytes[..length]), "it is a request to all of it");
+    let length = drive.answer(&mut bytes);
+    let reply = &bytes[..length];
+    group.bench_function("decode", |bencher| bencher.iter(|| ModbusResponse::parse(black_box(reply))));
+    group.finish();
+    asked.slot.counters
+}
+
+/// What criterion found of this part of a protocol, if it is measured.
+fn estimate_of(output: &Path, protocol: &str, name: &str) -> Option<Interval> {
+    estimate(&output.join(protocol).join(name).join("new/estimates.json"))
+}
+
+/// The whole without the part that is measured for itself.
+fn without(whole: Interval, part: Option<Interval>) -> Interval {
+    let Some(part) = part else { return whole };
+    Interval { value: whole.value - part.value, low: whole.low - part.high, high: whole.high - part.low }
 }
 
 /// What criterion found: the median, since a mean on a shared machine is that of its worst moments.

@@ -4,13 +4,23 @@
 //! |---|---|
 //! | `mod` | arguments, turns, budgets, the JSON file, stolen time |
 //! | `stats` | quantiles, and ratios with bootstrap intervals |
-//! | `rig` | the loop driven by hand on a real-time thread, the machine it runs, and the bare loop it is measured against |
+//! | `rig` | the loop driven by hand on a real-time thread |
+//! | `fleet`, `unidrive` | the drives it runs; a Unidrive that answers from memory |
+//! | `bare` | the bare loop that it is measured against, and the two in turns |
+//! | `libmodbus` | a client over libmodbus that takes turns with both |
+//! | `null`, `counted` | carriers without a network; those of the operating system, counting system calls |
 //!
 //! Absolute times say little on a shared machine. So each contender runs in short slices, in turns with its rivals, on the
 //! same core, priority and grid; what is judged is the ratio, with an interval that comes from the slices.
 
+pub mod bare;
+pub mod counted;
+pub mod fleet;
+pub mod libmodbus;
+pub mod null;
 pub mod rig;
 pub mod stats;
+pub mod unidrive;
 
 use std::fmt::Display;
 use std::path::PathBuf;

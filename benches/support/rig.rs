@@ -1,20 +1,14 @@
-//! The loop driven by hand on a real-time thread, the machine it runs, and the bare loop that it is measured against.
+//! The loop driven by hand on a real-time thread.
 
 use std::fmt::Display;
-use std::io::ErrorKind;
-use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4, UdpSocket};
-use std::os::fd::AsFd;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::Duration;
 
+use fieldbeat::axis::Verb;
 use fieldbeat::axis::acyclic::Acyclic;
-use fieldbeat::axis::{Limits, Verb};
 use fieldbeat::bus::BusPlan;
-use fieldbeat::bus::linudp::wire::{ControlWord, REQUEST_MAX, Request, ResponseDef, ResponseView};
-use fieldbeat::bus::linudp::{DRIVE_PORT, LinUdpDrive, LinUdpPlan, MASTER_PORT};
 use fieldbeat::cycle::engine::Control;
-use fieldbeat::cycle::record::{DriveRecord, Record};
+use fieldbeat::cycle::record::{Record, Reply};
 use fieldbeat::cycle::status::{Numbers, Status};
 use fieldbeat::cycle::{CyclePlan, Guard, Overrun, Plan, Wait};
 use fieldbeat::master::{Assembly, assemble};
@@ -22,19 +16,16 @@ use fieldbeat::net::Carriers;
 use fieldbeat::rt::{
     self, Clock, Granted, Memory, MonotonicClock, PollSet, Realtime, RealtimeError, RealtimePlan, Regions,
 };
-use fieldbeat::sim::DatagramDrive;
+use fieldbeat::sim::SimDrive;
 use fieldbeat::sim::server::{ServerOptions, SimServer};
 use fieldbeat::time::{S, Time};
-use nix::poll::{PollFd, PollFlags, ppoll};
 use nix::sys::time::TimeSpec;
 use nix::time::{ClockId, clock_gettime};
 
 /// The loop's priority; cyclictest gets the same.
-const PRIORITY: u8 = 80;
+pub const PRIORITY: u8 = 80;
 /// That of simulated drives: below the loop.
 const DRIVE_PRIORITY: u8 = 70;
-/// Drives of one /24.
-const DRIVES_A_NET: usize = 200;
 
 /// Ends the bench: what it needs is not to be had.
 pub fn give_up(why: impl Display) -> ! {
@@ -81,7 +72,7 @@ pub fn other_core(granted: &Granted) -> Option<usize> {
 }
 
 /// Serves `drives` on a core other than the loop's, below its priority.
-pub fn serve(drives: Vec<Box<dyn DatagramDrive>>, granted: &Granted) -> SimServer {
+pub fn serve(drives: Vec<Box<dyn SimDrive>>, granted: &Granted) -> SimServer {
     let options = ServerOptions {
         core: other_core(granted),
         priority: (granted.policy == "SCHED_FIFO").then_some(DRIVE_PRIORITY),
@@ -104,46 +95,6 @@ pub fn exchange_cycle(period_ns: u64, wait: Wait) -> CyclePlan {
     CyclePlan { receive_deadline: 0.9, wait, guard: Guard::Off, ..cycle(period_ns) }
 }
 
-/// Whose drives. The benches own 127.90.0.0/16, each side the half of it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Side {
-    /// Those of our loop.
-    Ours = 0,
-    /// Those of the bare loop.
-    Bare = 100,
-}
-
-/// Where the master of `side` sends from.
-fn master(side: Side) -> SocketAddrV4 {
-    SocketAddrV4::new(Ipv4Addr::new(127, 90, side as u8, 1), MASTER_PORT)
-}
-
-/// Address of drive `index` of `side`.
-pub fn address(side: Side, index: usize) -> SocketAddrV4 {
-    let (net, host) = (1 + index / DRIVES_A_NET, 10 + index % DRIVES_A_NET);
-    SocketAddrV4::new(Ipv4Addr::new(127, 90, side as u8 + net as u8, host as u8), DRIVE_PORT)
-}
-
-fn index_of(address: SocketAddrV4) -> Option<usize> {
-    let [_, _, net, host] = address.ip().octets().map(usize::from);
-    Some((net % Side::Bare as usize).checked_sub(1)? * DRIVES_A_NET + host.checked_sub(10)?)
-}
-
-/// A bus of `drives` LinMot drives of `side`.
-pub fn bus(side: Side, drives: usize) -> LinUdpPlan {
-    LinUdpPlan::new(*master(side).ip(), (0..drives).map(|index| drive(*address(side, index).ip())).collect())
-}
-
-/// A drive as a machine might have it. A miss is counted, it does not end the measurement.
-pub fn drive(address: Ipv4Addr) -> LinUdpDrive {
-    let mut drive = LinUdpDrive::new(address.to_string(), address);
-    drive.axis.limits =
-        Limits { position: Some((-200.0, 200.0)), velocity: Some(2_000.0), ..Limits::default() };
-    drive.axis.health.bucket = 1_000_000;
-    drive.axis.enable_timeout = Duration::from_secs(60);
-    drive
-}
-
 /// Counts system calls of the loop: those of its clock, and those that a carrier adds.
 pub type Calls = Arc<AtomicU64>;
 
@@ -161,12 +112,18 @@ pub enum Pace {
     BackToBack,
 }
 
+/// How far the clock of the loop that runs has jumped ahead so far, ns. A bench has one loop at a time.
+static AHEAD_NS: AtomicU64 = AtomicU64::new(0);
+
+/// Now, by the clock of the loop that runs.
+pub fn now() -> Time {
+    MonotonicClock::read() + AHEAD_NS.load(Ordering::Relaxed)
+}
+
 /// The machine's clock, with an eye on when a cycle began and on its system calls.
 #[derive(Debug)]
 pub struct Meter {
     pace: Pace,
-    /// How far it jumped ahead so far.
-    ahead_ns: u64,
     /// Where the last sleep was to end, and when the loop first looked after it.
     grid: Time,
     woke: Option<Time>,
@@ -175,7 +132,7 @@ pub struct Meter {
 
 impl Clock for Meter {
     fn now(&mut self) -> Time {
-        let now = MonotonicClock::read() + self.ahead_ns;
+        let now = now();
         // The first look after the sleep is the loop's own: the meter adds none.
         self.woke.get_or_insert(now);
         now
@@ -191,7 +148,9 @@ impl Clock for Meter {
                 add(&self.calls, 1);
                 MonotonicClock.sleep_until(at);
             }
-            Pace::BackToBack => self.ahead_ns += at.since(MonotonicClock::read() + self.ahead_ns),
+            Pace::BackToBack => {
+                AHEAD_NS.fetch_add(at.since(now()), Ordering::Relaxed);
+            }
         }
     }
 
@@ -223,17 +182,17 @@ pub struct Rig {
 }
 
 impl Rig {
-    /// The loop over the drives of `bus`, if any.
+    /// The loop over the drives of `buses`.
     pub fn new(
         cycle: CyclePlan,
-        bus: Option<LinUdpPlan>,
+        buses: Vec<Box<dyn BusPlan>>,
         pace: Pace,
         carriers: &dyn Carriers,
         calls: Calls,
     ) -> Rig {
-        let buses = bus.into_iter().map(|bus| Box::new(bus) as Box<dyn BusPlan>).collect();
         let plan = Plan { source: None, cycle, buses, groups: Vec::new() };
-        let clock = Meter { pace, ahead_ns: 0, grid: Time(0), woke: None, calls: Arc::clone(&calls) };
+        AHEAD_NS.store(0, Ordering::Relaxed);
+        let clock = Meter { pace, grid: Time(0), woke: None, calls: Arc::clone(&calls) };
         let assembly = match assemble(&plan, clock, carriers, None, Control::default()) {
             Ok(assembly) => assembly,
             Err(error) => give_up(error),
@@ -292,6 +251,22 @@ impl Rig {
         self.turn_until("in operation", |status| status.operational == drives);
     }
 
+    /// Turns until nothing is owed: all that was sent is judged.
+    pub fn settle(&mut self) {
+        for _ in 0..1_000 {
+            let (mut told, mut owed) = (false, false);
+            self.turn(|record| {
+                if let Record::Drive(drive) = record {
+                    told = true;
+                    owed |= drive.reply == Reply::Owed;
+                }
+            });
+            if told && !owed {
+                return;
+            }
+        }
+    }
+
     fn turn_until(&mut self, what: &str, done: impl Fn(&Status) -> bool) {
         for _ in 0..20_000 {
             if done(self.status()) {
@@ -301,172 +276,6 @@ impl Rig {
         }
         give_up(format!("the simulated drives are not {what}: {:?}", self.status()))
     }
-}
-
-/// What one loop measured.
-#[derive(Debug, Default)]
-pub struct Measured {
-    /// From before the call that sends to after the one that receives, ns.
-    pub round_trips: Vec<u64>,
-    /// From the end of the sleep on, ns: ours until it sleeps again, the bare loop's until the last reply.
-    pub busy: Vec<u64>,
-    /// Processor time from one sleep's begin to the next one's, ns.
-    pub cpu: Vec<u64>,
-    /// System calls, the sleep included; ours only.
-    pub calls: Vec<u64>,
-}
-
-/// Our loop and the bare one, on one thread, cycle by cycle in turns.
-#[derive(Debug)]
-pub struct Duel {
-    /// Ours.
-    pub ours: Measured,
-    /// The bare loop.
-    pub bare: Measured,
-    /// The end of our loop.
-    pub end: Numbers,
-}
-
-/// Lets our loop and the bare loop run in turns: each has its own grid of `period_ns`, one half a period behind the other,
-/// and its own drives, all in operation and served by one thread. Whatever the machine does in between, it does to both.
-pub fn duel(
-    granted: &Granted,
-    drives: usize,
-    wait: Wait,
-    period_ns: u64,
-    cycles: usize,
-    carriers: &(dyn Carriers + Sync),
-    calls: &Calls,
-) -> Duel {
-    let bus = bus(Side::Ours, drives);
-    let simulated = bus.simulate().into_iter().chain(self::bus(Side::Bare, drives).simulate()).collect();
-    let server = serve(simulated, granted);
-    let duel = on_loop_thread(|_| -> std::io::Result<Duel> {
-        let mut bare = BareLoop::open(drives, wait, period_ns)?;
-        bare.enable()?;
-        let mut rig =
-            Rig::new(exchange_cycle(period_ns, wait), Some(bus), Pace::Grid, carriers, Arc::clone(calls));
-        rig.enable();
-        let (mut ours, mut theirs) = (Measured::default(), Measured::default());
-        for _ in 0..cycles {
-            let (before, executed) = (thread_cpu_ns(), rig.status().executed);
-            let turn = rig.turn(|record| {
-                if let Record::Drive(DriveRecord { rtt_ns: Some(rtt_ns), .. }) = record {
-                    ours.round_trips.push(u64::from(rtt_ns.get()));
-                }
-            });
-            let between = thread_cpu_ns();
-            let grid = rig.grid() + period_ns / 2;
-            let busy = bare.cycle(grid, ControlWord::ON, |rtt_ns, _| theirs.round_trips.push(rtt_ns))?;
-            let after = thread_cpu_ns();
-            // Only pairs that both were executed and answered.
-            if let Some(busy) = busy
-                && rig.status().executed > executed
-            {
-                ours.busy.push(turn.busy_ns);
-                ours.calls.push(turn.calls);
-                ours.cpu.push(between - before);
-                theirs.busy.push(busy);
-                theirs.cpu.push(after - between);
-            }
-        }
-        Ok(Duel { ours, bare: theirs, end: rig.end() })
-    });
-    drop(server);
-    match duel {
-        Ok(Ok(duel)) => duel,
-        Ok(Err(error)) => give_up(error),
-        Err(error) => give_up(error),
-    }
-}
-
-/// The least that any master has to do: sleep until the grid point, drop what came too late, `sendto` to each drive, then
-/// `ppoll` and `recvfrom` until all have answered or nine tenths of the period are over. It sends the bytes that the loop
-/// sends to a drive in operation, looks at none of the replies', and judges nothing.
-struct BareLoop {
-    socket: UdpSocket,
-    wait: Wait,
-    period_ns: u64,
-    peers: Vec<(SocketAddrV4, Time)>,
-}
-
-impl BareLoop {
-    fn open(drives: usize, wait: Wait, period_ns: u64) -> std::io::Result<BareLoop> {
-        let socket = UdpSocket::bind(master(Side::Bare))?;
-        socket.set_nonblocking(true)?;
-        let peers = (0..drives).map(|index| (address(Side::Bare, index), Time(0))).collect();
-        Ok(BareLoop { socket, wait, period_ns, peers })
-    }
-
-    /// One cycle; `take` gets each reply's round trip and bytes. Returns the time from the end of the sleep to the last
-    /// reply, if all came.
-    fn cycle(
-        &mut self,
-        grid: Time,
-        control: ControlWord,
-        mut take: impl FnMut(u64, &[u8]),
-    ) -> std::io::Result<Option<u64>> {
-        let mut request = [0; REQUEST_MAX];
-        let blocks =
-            Request { response_def: ResponseDef::CYCLIC, control: Some(control), ..Request::default() };
-        let length = blocks.emit(&mut request);
-        MonotonicClock.sleep_until(grid);
-        let woke = MonotonicClock::read();
-        let deadline = grid + self.period_ns / 10 * 9;
-        let mut reply = [0; 128];
-        // One late reply would otherwise be taken for the next one, that for the one after it, and so on for ever.
-        while self.socket.recv_from(&mut reply).is_ok() {}
-        for (peer, sent) in &mut self.peers {
-            *sent = MonotonicClock::read();
-            self.socket.send_to(&request[..length], *peer)?;
-        }
-        let (mut left, mut last) = (self.peers.len(), woke);
-        while left > 0 && last < deadline {
-            if self.wait == Wait::Poll {
-                let rest = deadline.since(MonotonicClock::read());
-                let timeout = TimeSpec::new((rest / S) as _, (rest % S) as _);
-                ppoll(&mut [PollFd::new(self.socket.as_fd(), PollFlags::POLLIN)], Some(timeout), None)?;
-            }
-            while left > 0 {
-                match self.socket.recv_from(&mut reply) {
-                    Ok((length, from)) => {
-                        last = MonotonicClock::read();
-                        left -= 1;
-                        if let SocketAddr::V4(from) = from
-                            && let Some((_, sent)) = index_of(from).and_then(|index| self.peers.get(index))
-                        {
-                            take(last.since(*sent), &reply[..length]);
-                        }
-                    }
-                    Err(error) if error.kind() == ErrorKind::WouldBlock => {
-                        last = MonotonicClock::read();
-                        break;
-                    }
-                    Err(error) => return Err(error),
-                }
-            }
-        }
-        Ok((left == 0).then(|| last.since(woke)))
-    }
-
-    /// Cycles until all drives are in operation: a drive switches on from a low control word only.
-    fn enable(&mut self) -> std::io::Result<()> {
-        let mut grid = MonotonicClock::read();
-        for cycle in 0..20_000 {
-            let control = if cycle < 20 { ControlWord::BASE } else { ControlWord::ON };
-            grid = (grid + self.period_ns).max(MonotonicClock::read());
-            let mut operational = 0;
-            self.cycle(grid, control, |_, reply| operational += usize::from(is_operational(reply)))?;
-            if operational == self.peers.len() {
-                return Ok(());
-            }
-        }
-        Err(std::io::Error::other("the simulated drives do not come into operation"))
-    }
-}
-
-fn is_operational(reply: &[u8]) -> bool {
-    ResponseView::new(reply).is_ok_and(|view| view.status().is_some_and(|status| status.operation_enabled()))
 }
 
 /// Processor time of the calling thread, ns.

@@ -1,0 +1,407 @@
+//! The bare loop that ours is measured against, and the two on one thread, cycle by cycle in turns.
+
+use std::cell::RefCell;
+use std::io::{self, ErrorKind, Read, Write};
+use std::net::{SocketAddr, SocketAddrV4, TcpStream, UdpSocket};
+use std::os::fd::AsFd;
+use std::sync::Arc;
+
+use fieldbeat::bus::BusPlan;
+use fieldbeat::bus::linudp::wire::{ControlWord, REQUEST_MAX, Request, ResponseDef, ResponseView};
+use fieldbeat::bus::modbus::wire::{ADU_MAX, HEADER, Response};
+use fieldbeat::bus::modbus::words::{ControlWord as UnidriveControl, StatusWord};
+use fieldbeat::bus::modbus::{ModbusPlan, UnidriveDrive};
+use fieldbeat::cycle::Wait;
+use fieldbeat::cycle::record::{DriveRecord, Record};
+use fieldbeat::cycle::status::Numbers;
+use fieldbeat::net::{Carriers, Datagrams, Greeted, StreamPeer, Streams, UdpOptions};
+use fieldbeat::rt::{Clock, Granted, MonotonicClock};
+use fieldbeat::time::{S, Time};
+use nix::poll::{PollFd, PollFlags, ppoll};
+use nix::sys::time::TimeSpec;
+
+use super::fleet::{self, Fleet, Side};
+use super::libmodbus::{Client, Libmodbus};
+use super::rig::{self, Calls, Pace, Rig, give_up, thread_cpu_ns};
+use super::unidrive;
+
+/// What one loop measured.
+#[derive(Debug, Default)]
+pub struct Measured {
+    /// From before the call that sends to after the one that receives, ns.
+    pub round_trips: Vec<u64>,
+    /// From the end of the sleep on, ns: ours until it sleeps again, the bare loop's until the last reply.
+    pub busy: Vec<u64>,
+    /// Processor time from one sleep's begin to the next one's, ns.
+    pub cpu: Vec<u64>,
+    /// System calls, the sleep included; ours only.
+    pub calls: Vec<u64>,
+}
+
+/// What is to be measured.
+pub struct Duel<'a> {
+    /// What the loop's thread got.
+    pub granted: &'a Granted,
+    /// The drives of each loop.
+    pub fleet: Fleet,
+    /// How both wait.
+    pub wait: Wait,
+    /// The period of each.
+    pub period_ns: u64,
+    /// So many cycles.
+    pub cycles: usize,
+    /// The carriers of our loop, and where its system calls are counted.
+    pub carriers: &'a (dyn Carriers + Sync),
+    /// See `carriers`.
+    pub calls: &'a Calls,
+    /// A third one that takes turns with the two, with one Unidrive.
+    pub libmodbus: Option<&'a Libmodbus>,
+}
+
+/// What came of it.
+#[derive(Debug)]
+pub struct Outcome {
+    /// Ours.
+    pub ours: Measured,
+    /// The bare loop.
+    pub bare: Measured,
+    /// The round trips of the client over libmodbus, ns; none without it.
+    pub libmodbus: Vec<u64>,
+    /// The end of our loop.
+    pub end: Numbers,
+}
+
+impl Duel<'_> {
+    /// Lets our loop and the others run in turns: each has its own grid, shifted against those of the others by the same share
+    /// of the period, and its own drives, all in operation and served by one thread. Whatever the machine does in between, it does to
+    /// all.
+    pub fn fight(&self) -> Outcome {
+        let Duel { granted, fleet, wait, period_ns, .. } = *self;
+        let third = Fleet::unidrives(usize::from(self.libmodbus.is_some()));
+        let simulated = [(fleet, Side::Ours), (fleet, Side::Bare), (third, Side::Libmodbus)];
+        let simulated = simulated.into_iter().flat_map(|(fleet, side)| fleet.simulate(side)).collect();
+        let server = rig::serve(simulated, granted);
+        let client =
+            self.libmodbus.map(|libmodbus| libmodbus.start(granted).unwrap_or_else(|why| give_up(why)));
+        let turn_ns = period_ns / if client.is_some() { 3 } else { 2 };
+        let outcome = rig::on_loop_thread(|_| -> io::Result<(Outcome, Option<Client>)> {
+            let mut bare = BareLoop::open(fleet, wait, period_ns)?;
+            bare.enable()?;
+            let cycle = rig::exchange_cycle(period_ns, wait);
+            let mut rig =
+                Rig::new(cycle, fleet.buses(Side::Ours), Pace::Grid, self.carriers, Arc::clone(self.calls));
+            rig.enable();
+            let mut client = client;
+            if let Some(client) = &mut client {
+                client.run(rig.grid() + 4 * period_ns + 2 * turn_ns, period_ns, self.cycles)?;
+            }
+            let (ours, theirs) = self.turns(&mut rig, &mut bare, turn_ns)?;
+            rig.settle();
+            Ok((Outcome { ours, bare: theirs, libmodbus: Vec::new(), end: rig.end() }, client))
+        });
+        let outcome = match outcome {
+            Ok(Ok((outcome, None))) => outcome,
+            Ok(Ok((outcome, Some(client)))) => {
+                let libmodbus = client.end().unwrap_or_else(|why| give_up(why));
+                Outcome { libmodbus, ..outcome }
+            }
+            Ok(Err(error)) => give_up(error),
+            Err(error) => give_up(error),
+        };
+        drop(server);
+        outcome
+    }
+
+    fn turns(&self, rig: &mut Rig, bare: &mut BareLoop, turn_ns: u64) -> io::Result<(Measured, Measured)> {
+        let (mut ours, mut theirs) = (Measured::default(), Measured::default());
+        for _ in 0..self.cycles {
+            let (before, executed) = (thread_cpu_ns(), rig.status().executed);
+            let turn = rig.turn(|record| {
+                if let Record::Drive(DriveRecord { rtt_ns: Some(rtt_ns), .. }) = record {
+                    ours.round_trips.push(u64::from(rtt_ns.get()));
+                }
+            });
+            let between = thread_cpu_ns();
+            let busy =
+                bare.cycle(rig.grid() + turn_ns, true, |reply| theirs.round_trips.push(reply.rtt_ns))?;
+            let after = thread_cpu_ns();
+            // Only pairs that both were executed and answered.
+            if let Some(busy) = busy
+                && rig.status().executed > executed
+            {
+                ours.busy.push(turn.busy_ns);
+                ours.calls.push(turn.calls);
+                ours.cpu.push(between - before);
+                theirs.busy.push(busy);
+                theirs.cpu.push(after - between);
+            }
+        }
+        Ok((ours, theirs))
+    }
+}
+
+/// The least that any master has to do: sleep until the grid point, drop what came too late, `send` to each drive that is due, then
+/// `ppoll` and `recv` until all have answered or nine tenths of the period are over. It sends the bytes that the loop sends to
+/// a drive in operation, looks at none of the replies', and judges nothing.
+struct BareLoop {
+    wait: Wait,
+    period_ns: u64,
+    fleet: Fleet,
+    turn: u32,
+    socket: Option<UdpSocket>,
+    linmots: Vec<(SocketAddrV4, Time)>,
+    streams: Vec<TcpStream>,
+    unidrives: Vec<Asked>,
+}
+
+/// A Unidrive and its exchange.
+struct Asked {
+    /// While the drive comes up, and then.
+    idle: Message,
+    on: Message,
+    transaction: u16,
+    sent: Time,
+    reply: [u8; ADU_MAX],
+    /// A reply has so many bytes, so many are still to come.
+    length: usize,
+    owed: usize,
+}
+
+struct Message {
+    bytes: [u8; ADU_MAX],
+    length: usize,
+}
+
+/// One reply.
+struct Reply<'a> {
+    rtt_ns: u64,
+    bytes: &'a [u8],
+    unidrive: bool,
+}
+
+impl BareLoop {
+    fn open(fleet: Fleet, wait: Wait, period_ns: u64) -> io::Result<BareLoop> {
+        let socket = match fleet.linmots {
+            0 => None,
+            _ => Some(UdpSocket::bind(fleet::master(Side::Bare))?),
+        };
+        if let Some(socket) = &socket {
+            socket.set_nonblocking(true)?;
+        }
+        let plan = fleet.modbus(Side::Bare);
+        let streams = greeted(&plan)?;
+        for stream in &streams {
+            stream.set_nonblocking(true)?;
+        }
+        Ok(BareLoop {
+            wait,
+            period_ns,
+            fleet,
+            turn: 0,
+            socket,
+            linmots: (0..fleet.linmots).map(|index| (fleet::address(Side::Bare, index), Time(0))).collect(),
+            streams,
+            unidrives: plan.drives.iter().map(Asked::new).collect(),
+        })
+    }
+
+    /// One cycle; `take` gets each reply. Returns the time from the end of the sleep to the last one, if all came.
+    fn cycle(&mut self, grid: Time, on: bool, mut take: impl FnMut(Reply<'_>)) -> io::Result<Option<u64>> {
+        let mut request = [0; REQUEST_MAX];
+        let control = Some(if on { ControlWord::ON } else { ControlWord::BASE });
+        let blocks = Request { response_def: ResponseDef::CYCLIC, control, ..Request::default() };
+        let length = blocks.emit(&mut request);
+        let phase = self.turn % self.fleet.every;
+        self.turn = self.turn.wrapping_add(1);
+        // What a reply may come on; the LinMots' socket first, if there is one.
+        let mut set: Vec<PollFd<'_>> = Vec::with_capacity(1 + self.streams.len());
+        set.extend(self.socket.as_ref().map(|socket| PollFd::new(socket.as_fd(), PollFlags::POLLIN)));
+        let streams_at = set.len();
+        set.extend(self.streams.iter().map(|stream| PollFd::new(stream.as_fd(), PollFlags::empty())));
+
+        MonotonicClock.sleep_until(grid);
+        let woke = MonotonicClock::read();
+        let deadline = grid + self.period_ns / 10 * 9;
+        let mut reply = [0; 128];
+        let mut linmots_left = self.linmots.len();
+        if let Some(socket) = &self.socket {
+            // One late reply would otherwise be taken for the next one, that for the one after it, and so on for ever.
+            while socket.recv_from(&mut reply).is_ok() {}
+            for (peer, sent) in &mut self.linmots {
+                *sent = MonotonicClock::read();
+                socket.send_to(&request[..length], *peer)?;
+            }
+        }
+        let mut unidrives_left = 0;
+        for (index, (stream, asked)) in self.streams.iter().zip(&mut self.unidrives).enumerate() {
+            if index as u32 % self.fleet.every == phase && asked.owed == 0 {
+                asked.ask(stream, on)?;
+            }
+            // Those of earlier cycles too: their connections have to be empty before they are asked again.
+            if asked.owed > 0 {
+                set[streams_at + index].set_events(PollFlags::POLLIN);
+                unidrives_left += 1;
+            }
+        }
+        let (mut now, mut last) = (woke, woke);
+        while linmots_left + unidrives_left > 0 && now < deadline {
+            if self.wait == Wait::Poll {
+                let rest = deadline.since(MonotonicClock::read());
+                let timeout = TimeSpec::new((rest / S) as _, (rest % S) as _);
+                ppoll(&mut set, Some(timeout), None)?;
+            }
+            let is_ready = |at: usize| self.wait == Wait::Spin || set[at].any().unwrap_or(true);
+            while let Some(socket) = self.socket.as_ref().filter(|_| linmots_left > 0 && is_ready(0)) {
+                let Some((length, from)) = unless_blocked(socket.recv_from(&mut reply))? else { break };
+                last = MonotonicClock::read();
+                linmots_left -= 1;
+                if let SocketAddr::V4(from) = from
+                    && let Some((_, sent)) = fleet::index_of(from).and_then(|index| self.linmots.get(index))
+                {
+                    take(Reply { rtt_ns: last.since(*sent), bytes: &reply[..length], unidrive: false });
+                }
+            }
+            for (index, (stream, asked)) in self.streams.iter().zip(&mut self.unidrives).enumerate() {
+                if asked.owed > 0 && is_ready(streams_at + index) && asked.receive(stream)? {
+                    last = MonotonicClock::read();
+                    unidrives_left -= 1;
+                    let bytes = &asked.reply[..asked.length];
+                    take(Reply { rtt_ns: last.since(asked.sent), bytes, unidrive: true });
+                }
+            }
+            for (poll, asked) in set[streams_at..].iter_mut().zip(&self.unidrives) {
+                if asked.owed == 0 {
+                    poll.set_events(PollFlags::empty());
+                }
+            }
+            now = MonotonicClock::read();
+        }
+        Ok((linmots_left + unidrives_left == 0).then(|| last.since(woke)))
+    }
+
+    /// Cycles until all drives are in operation: each switches on from a low control word only.
+    fn enable(&mut self) -> io::Result<()> {
+        let mut grid = MonotonicClock::read();
+        let (mut linmots, mut unidrives) = (0, 0);
+        for cycle in 0..20_000 {
+            grid = (grid + self.period_ns).max(MonotonicClock::read());
+            if cycle % self.fleet.every == 0 {
+                (linmots, unidrives) = (0, 0);
+            }
+            self.cycle(grid, cycle >= 20 * self.fleet.every, |reply| match reply.unidrive {
+                false => linmots += usize::from(is_operational(reply.bytes)),
+                true => unidrives += usize::from(is_active(reply.bytes)),
+            })?;
+            let ended = (cycle + 1) % self.fleet.every == 0;
+            let all = self.linmots.len() * self.fleet.every as usize;
+            if ended && linmots == all && unidrives == self.unidrives.len() {
+                return Ok(());
+            }
+        }
+        Err(io::Error::other("the simulated drives do not come into operation"))
+    }
+}
+
+impl Asked {
+    fn new(drive: &UnidriveDrive) -> Asked {
+        let (idle, on) =
+            (Message::new(drive, UnidriveControl::IDLE), Message::new(drive, UnidriveControl::FORWARD));
+        let length = Message::reply_length(drive);
+        Asked { idle, on, transaction: 0, sent: Time(0), reply: [0; ADU_MAX], length, owed: 0 }
+    }
+
+    fn ask(&mut self, mut stream: &TcpStream, on: bool) -> io::Result<()> {
+        let Message { bytes, length } = if on { &mut self.on } else { &mut self.idle };
+        self.transaction = self.transaction.wrapping_add(1);
+        bytes[..2].copy_from_slice(&self.transaction.to_be_bytes());
+        self.sent = MonotonicClock::read();
+        self.owed = self.length;
+        stream.write_all(&bytes[..*length])
+    }
+
+    /// Takes in what there is; whether the reply is whole.
+    fn receive(&mut self, mut stream: &TcpStream) -> io::Result<bool> {
+        let begin = self.length - self.owed;
+        match unless_blocked(stream.read(&mut self.reply[begin..self.length]))? {
+            Some(0) => return Err(ErrorKind::UnexpectedEof.into()),
+            Some(count) => self.owed -= count,
+            None => {}
+        }
+        Ok(self.owed == 0)
+    }
+}
+
+impl Message {
+    fn new(drive: &UnidriveDrive, control: UnidriveControl) -> Message {
+        let (bytes, length) = unidrive::request(drive, control);
+        Message { bytes, length }
+    }
+
+    fn reply_length(drive: &UnidriveDrive) -> usize {
+        HEADER + 2 + 2 * usize::from(unidrive::mapping(drive).reads()[0].registers)
+    }
+}
+
+fn unless_blocked<T>(result: io::Result<T>) -> io::Result<Option<T>> {
+    match result {
+        Err(error) if error.kind() == ErrorKind::WouldBlock => Ok(None),
+        other => other.map(Some),
+    }
+}
+
+/// A connection to each drive of `plan`, greeted as the master does: the drive is set up as ours is.
+pub fn greeted(plan: &ModbusPlan) -> io::Result<Vec<TcpStream>> {
+    let peers = Peers::default();
+    // It opens nothing: the peers are what was wanted.
+    let _ = plan.open(S, &peers);
+    peers.0.into_inner().into_iter().map(greet).collect()
+}
+
+fn greet(mut peer: StreamPeer) -> io::Result<TcpStream> {
+    let mut stream = TcpStream::connect(peer.address)?;
+    stream.set_nodelay(true)?;
+    let (mut out, mut bytes) = (Vec::new(), [0; 2 * ADU_MAX]);
+    let mut said = peer.greeting.begin(MonotonicClock::read(), &mut out);
+    loop {
+        stream.write_all(&out)?;
+        out.clear();
+        match said {
+            Greeted::Done => return Ok(stream),
+            Greeted::Failed(why) => return Err(io::Error::other(why)),
+            Greeted::More => {}
+        }
+        let count = stream.read(&mut bytes)?;
+        if count == 0 {
+            return Err(ErrorKind::UnexpectedEof.into());
+        }
+        said = peer.greeting.take(MonotonicClock::read(), &bytes[..count], &mut out);
+    }
+}
+
+/// Opens nothing, and keeps what was to be opened.
+#[derive(Default)]
+struct Peers(RefCell<Vec<StreamPeer>>);
+
+impl Carriers for Peers {
+    fn datagrams(&self, _: SocketAddrV4, _: &UdpOptions) -> io::Result<Box<dyn Datagrams>> {
+        Err(ErrorKind::Unsupported.into())
+    }
+
+    fn streams(&self, peers: Vec<StreamPeer>) -> io::Result<Box<dyn Streams>> {
+        self.0.replace(peers);
+        Err(ErrorKind::Unsupported.into())
+    }
+}
+
+fn is_operational(reply: &[u8]) -> bool {
+    ResponseView::new(reply).is_ok_and(|view| view.status().is_some_and(|status| status.operation_enabled()))
+}
+
+fn is_active(reply: &[u8]) -> bool {
+    match Response::parse(reply) {
+        Ok((_, Response::ReadWritten { data })) => {
+            data.long(unidrive::STATUS_AT).is_some_and(|word| StatusWord(word as u16).active())
+        }
+        _ => false,
+    }
+}

@@ -1,0 +1,146 @@
+//! The operating system's carriers, with an eye on their system calls.
+
+use std::io;
+use std::net::SocketAddrV4;
+use std::os::fd::RawFd;
+use std::sync::atomic::Ordering;
+
+use fieldbeat::net::{
+    Broken, Carriers, Datagrams, LinkNotes, Os, Outbox, Received, Sent, StreamPeer, Streams, UdpOptions,
+};
+use fieldbeat::rt::Regions;
+use fieldbeat::time::Time;
+
+use super::rig::{self, Calls};
+
+/// The operating system's carriers, counting what they call.
+pub struct CountedNet {
+    net: Os,
+    calls: Calls,
+    on_connections: Calls,
+}
+
+impl CountedNet {
+    /// Counts in `calls`.
+    pub fn new(calls: &Calls) -> CountedNet {
+        let net = Os::beside(fieldbeat::rt::thread::default_core());
+        CountedNet { net, calls: Calls::clone(calls), on_connections: Calls::default() }
+    }
+
+    /// Of these calls, those that send or receive on a connection.
+    pub fn on_connections(&self) -> u64 {
+        self.on_connections.load(Ordering::Relaxed)
+    }
+}
+
+struct Counted {
+    net: Box<dyn Datagrams>,
+    calls: Calls,
+}
+
+impl Carriers for CountedNet {
+    fn datagrams(&self, bind: SocketAddrV4, options: &UdpOptions) -> io::Result<Box<dyn Datagrams>> {
+        Ok(Box::new(Counted { net: self.net.datagrams(bind, options)?, calls: Calls::clone(&self.calls) }))
+    }
+
+    fn streams(&self, peers: Vec<StreamPeer>) -> io::Result<Box<dyn Streams>> {
+        let look = u64::from(peers.len() > 1);
+        let [calls, on_connections] = [&self.calls, &self.on_connections].map(Calls::clone);
+        Ok(Box::new(CountedStreams { net: self.net.streams(peers)?, look, calls, on_connections }))
+    }
+}
+
+impl Datagrams for Counted {
+    fn fd(&self) -> Option<RawFd> {
+        self.net.fd()
+    }
+
+    fn send(&mut self, outbox: &mut Outbox) {
+        // One call for each 64 messages. One that is refused would cost one more; on loopback none is.
+        let posted = (0..outbox.len()).filter(|index| outbox.sent(*index) == Sent::Posted).count();
+        rig::add(&self.calls, posted.div_ceil(64) as u64);
+        self.net.send(outbox);
+    }
+
+    fn receive(&mut self, take: &mut dyn FnMut(Received<'_>)) -> io::Result<usize> {
+        rig::add(&self.calls, 1);
+        self.net.receive(take)
+    }
+
+    fn batch(&self) -> usize {
+        self.net.batch()
+    }
+
+    fn dropped(&self) -> u64 {
+        self.net.dropped()
+    }
+
+    fn memory(&self, regions: &mut Regions) {
+        self.net.memory(regions);
+    }
+}
+
+struct CountedStreams {
+    net: Box<dyn Streams>,
+    /// System calls of a look: an only connection is not looked at.
+    look: u64,
+    calls: Calls,
+    on_connections: Calls,
+}
+
+impl CountedStreams {
+    /// One call, unless there was no connection to make it on.
+    fn count<T>(&self, result: &Result<T, Broken>) {
+        let made = u64::from(!matches!(result, Err(Broken::Absent)));
+        rig::add(&self.calls, made);
+        rig::add(&self.on_connections, made);
+    }
+}
+
+impl Streams for CountedStreams {
+    fn fd(&self) -> Option<RawFd> {
+        self.net.fd()
+    }
+
+    fn opened(&mut self) -> Option<usize> {
+        let opened = self.net.opened();
+        // It is added to the epoll.
+        rig::add(&self.calls, u64::from(opened.is_some()));
+        opened
+    }
+
+    fn look(&mut self) {
+        rig::add(&self.calls, self.look);
+        self.net.look();
+    }
+
+    fn ready(&mut self) -> Option<usize> {
+        self.net.ready()
+    }
+
+    fn receive(&mut self, index: usize, room: &mut [u8]) -> Result<Option<(Time, usize)>, Broken> {
+        let result = self.net.receive(index, room);
+        self.count(&result);
+        result
+    }
+
+    fn send(&mut self, index: usize, bytes: &[u8]) -> Result<(Time, usize), Broken> {
+        let result = self.net.send(index, bytes);
+        self.count(&result);
+        result
+    }
+
+    fn abandon(&mut self, index: usize, why: &'static str) {
+        // It is removed from the epoll, and the link thread is woken up.
+        rig::add(&self.calls, 2);
+        self.net.abandon(index, why);
+    }
+
+    fn notes(&self) -> LinkNotes {
+        self.net.notes()
+    }
+
+    fn memory(&self, regions: &mut Regions) {
+        self.net.memory(regions);
+    }
+}

@@ -1,0 +1,144 @@
+//! Whose drives, how many of which kind, and where they are. The benches own 127.90.0.0/16.
+
+use std::fmt;
+use std::net::{Ipv4Addr, SocketAddrV4};
+use std::str::FromStr;
+use std::time::Duration;
+
+use fieldbeat::axis::Limits;
+use fieldbeat::bus::BusPlan;
+use fieldbeat::bus::linudp::{DRIVE_PORT, LinUdpDrive, LinUdpPlan, MASTER_PORT};
+use fieldbeat::bus::modbus::ModbusPlan;
+use fieldbeat::sim::SimDrive;
+
+use super::unidrive;
+
+/// Drives of one /24.
+const DRIVES_A_NET: usize = 200;
+
+/// Whose drives.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Side {
+    /// Those of our loop.
+    Ours = 0,
+    /// Those of the bare loop.
+    Bare = 100,
+    /// That of the client over libmodbus.
+    Libmodbus = 200,
+}
+
+/// Where the master of `side` sends datagrams from.
+pub fn master(side: Side) -> SocketAddrV4 {
+    SocketAddrV4::new(Ipv4Addr::new(127, 90, side as u8, 1), MASTER_PORT)
+}
+
+/// Address of LinMot `index` of `side`.
+pub fn address(side: Side, index: usize) -> SocketAddrV4 {
+    let (net, host) = (1 + index / DRIVES_A_NET, 10 + index % DRIVES_A_NET);
+    SocketAddrV4::new(Ipv4Addr::new(127, 90, side as u8 + net as u8, host as u8), DRIVE_PORT)
+}
+
+/// Which LinMot has this address.
+pub fn index_of(address: SocketAddrV4) -> Option<usize> {
+    let [_, _, net, host] = address.ip().octets().map(usize::from);
+    Some((net % Side::Bare as usize).checked_sub(1)? * DRIVES_A_NET + host.checked_sub(10)?)
+}
+
+/// A LinMot as a machine might have it. A miss is counted, it does not end the measurement.
+pub fn linmot(address: Ipv4Addr) -> LinUdpDrive {
+    let mut drive = LinUdpDrive::new(address.to_string(), address);
+    drive.axis.limits =
+        Limits { position: Some((-200.0, 200.0)), velocity: Some(2_000.0), ..Limits::default() };
+    drive.axis.health.bucket = 1_000_000;
+    drive.axis.enable_timeout = Duration::from_secs(60);
+    drive
+}
+
+/// The drives of a machine.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Fleet {
+    /// LinMots, each in every cycle.
+    pub linmots: usize,
+    /// Unidrives ...
+    pub unidrives: usize,
+    /// ... each in every cycle of so many, as many of them in one as in the next.
+    pub every: u32,
+}
+
+impl Fleet {
+    /// LinMots only.
+    pub const fn linmots(count: usize) -> Fleet {
+        Fleet { linmots: count, unidrives: 0, every: 1 }
+    }
+
+    /// Unidrives only, in every cycle.
+    pub const fn unidrives(count: usize) -> Fleet {
+        Fleet { linmots: 0, unidrives: count, every: 1 }
+    }
+
+    /// All of them.
+    pub fn drives(self) -> usize {
+        self.linmots + self.unidrives
+    }
+
+    /// How many Unidrives are due in a cycle.
+    pub fn due_unidrives(self) -> usize {
+        self.unidrives / self.every as usize
+    }
+
+    /// The bus of its LinMots on `side`.
+    pub fn linudp(self, side: Side) -> LinUdpPlan {
+        let drives = (0..self.linmots).map(|index| linmot(*address(side, index).ip()));
+        LinUdpPlan::new(*master(side).ip(), drives.collect())
+    }
+
+    /// The bus of its Unidrives on `side`.
+    pub fn modbus(self, side: Side) -> ModbusPlan {
+        let drive = |index: usize| {
+            let mut drive = unidrive::drive(*address(side, index).ip());
+            drive.axis.divisor = self.every;
+            drive.axis.phase = index as u32 % self.every;
+            drive
+        };
+        ModbusPlan::new((0..self.unidrives).map(drive).collect())
+    }
+
+    /// Its buses on `side`: LinMots first.
+    pub fn buses(self, side: Side) -> Vec<Box<dyn BusPlan>> {
+        let mut buses: Vec<Box<dyn BusPlan>> = Vec::new();
+        if self.linmots > 0 {
+            buses.push(Box::new(self.linudp(side)));
+        }
+        if self.unidrives > 0 {
+            buses.push(Box::new(self.modbus(side)));
+        }
+        buses
+    }
+
+    /// Its drives on `side`, simulated.
+    pub fn simulate(self, side: Side) -> Vec<Box<dyn SimDrive>> {
+        self.buses(side).iter().flat_map(|bus| bus.simulate()).collect()
+    }
+}
+
+/// As [`FromStr`] takes it: `32+32/8`.
+impl fmt::Display for Fleet {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}+{}/{}", self.linmots, self.unidrives, self.every)
+    }
+}
+
+impl FromStr for Fleet {
+    type Err = ();
+
+    fn from_str(text: &str) -> Result<Fleet, ()> {
+        let (linmots, rest) = text.split_once('+').ok_or(())?;
+        let (unidrives, every) = rest.split_once('/').ok_or(())?;
+        let number = |text: &str| text.parse::<usize>().map_err(|_| ());
+        Ok(Fleet {
+            linmots: number(linmots)?,
+            unidrives: number(unidrives)?,
+            every: every.parse().map_err(|_| ())?,
+        })
+    }
+}

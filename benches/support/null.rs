@@ -1,0 +1,222 @@
+//! Carriers without a network: every drive answers at once, from memory.
+
+use std::io;
+use std::net::SocketAddrV4;
+use std::os::fd::RawFd;
+
+use fieldbeat::bus::linudp::wire::{
+    ControlWord, MainState, RESPONSE_MAX, Request, RequestDef, Response, ResponseDef, RtcBlock, StateVar,
+    StatusWord,
+};
+use fieldbeat::bus::modbus::sim::UnidriveSim;
+use fieldbeat::net::{
+    Broken, Carriers, Datagrams, Greeted, LinkNotes, Outbox, Received, Sent, StreamPeer, Streams, UdpOptions,
+};
+use fieldbeat::rt::{MonotonicClock, Regions};
+use fieldbeat::sim::SimDrive;
+use fieldbeat::time::Time;
+
+use super::rig;
+use super::unidrive::{self, Canned};
+
+/// Carriers of a network in memory where every drive answers at once.
+pub struct NullNet;
+
+impl Carriers for NullNet {
+    fn datagrams(&self, _: SocketAddrV4, options: &UdpOptions) -> io::Result<Box<dyn Datagrams>> {
+        Ok(Box::new(NullCarrier::new(options.peers)))
+    }
+
+    fn streams(&self, peers: Vec<StreamPeer>) -> io::Result<Box<dyn Streams>> {
+        let count = peers.len();
+        peers.into_iter().try_for_each(greet)?;
+        Ok(Box::new(NullStreams::new(count)))
+    }
+}
+
+/// Lets the master greet the drive that it would find there, so that it knows what it would know of it.
+fn greet(mut peer: StreamPeer) -> io::Result<()> {
+    let mut drive = UnidriveSim::new(unidrive::drive(*peer.address.ip()).simulate);
+    let (mut out, mut reply, now) = (Vec::new(), Vec::new(), MonotonicClock::read());
+    drive.connect(now, peer.address);
+    let mut said = peer.greeting.begin(now, &mut out);
+    while said == Greeted::More {
+        reply.clear();
+        if drive.receive(now, peer.address, &out, &mut reply).is_none() {
+            return Err(io::ErrorKind::UnexpectedEof.into());
+        }
+        out.clear();
+        said = peer.greeting.take(now, &reply, &mut out);
+    }
+    match said {
+        Greeted::Failed(why) => Err(io::Error::other(why)),
+        _ => Ok(()),
+    }
+}
+
+/// Connections whose drives answer at once, from memory.
+pub struct NullStreams {
+    drives: Vec<Canned>,
+    opened: usize,
+    /// Those that have an answer to be taken, and the next one of them.
+    asked: Vec<usize>,
+    next: usize,
+}
+
+impl NullStreams {
+    pub fn new(peers: usize) -> NullStreams {
+        NullStreams {
+            drives: vec![Canned::new(); peers],
+            opened: 0,
+            asked: Vec::with_capacity(peers),
+            next: 0,
+        }
+    }
+}
+
+impl Streams for NullStreams {
+    fn fd(&self) -> Option<RawFd> {
+        None
+    }
+
+    fn opened(&mut self) -> Option<usize> {
+        let next = self.opened;
+        (next < self.drives.len()).then(|| {
+            self.opened += 1;
+            next
+        })
+    }
+
+    fn look(&mut self) {
+        self.asked.drain(..self.next);
+        self.next = 0;
+    }
+
+    fn ready(&mut self) -> Option<usize> {
+        let index = *self.asked.get(self.next)?;
+        self.next += 1;
+        Some(index)
+    }
+
+    fn receive(&mut self, index: usize, room: &mut [u8]) -> Result<Option<(Time, usize)>, Broken> {
+        let length = self.drives[index].answer(room);
+        Ok(Some((rig::now(), length)))
+    }
+
+    fn send(&mut self, index: usize, bytes: &[u8]) -> Result<(Time, usize), Broken> {
+        let at = rig::now();
+        if self.drives[index].hear(bytes) {
+            self.asked.push(index);
+        }
+        Ok((at, bytes.len()))
+    }
+
+    fn abandon(&mut self, _: usize, why: &'static str) {
+        rig::give_up(format!("a drive in memory was given up: {why}"));
+    }
+
+    fn notes(&self) -> LinkNotes {
+        LinkNotes::new(self.drives.len())
+    }
+
+    fn memory(&self, _: &mut Regions) {}
+}
+
+/// Answers each request from memory: ready to switch on, and in operation once it is switched on; always moving.
+pub struct NullCarrier {
+    /// Sender, definitions, whether it is switched on, and a read of a parameter: requests not yet answered.
+    asked: Vec<(SocketAddrV4, [u8; 8], bool, Option<RtcBlock>)>,
+    next: usize,
+    batch: usize,
+    ready: [u8; RESPONSE_MAX],
+    operating: [u8; RESPONSE_MAX],
+    length: usize,
+    position: i32,
+}
+
+impl NullCarrier {
+    /// Where the actual position is in a cyclic reply: behind definitions, status and state.
+    const POSITION: std::ops::Range<usize> = 12..16;
+
+    pub fn new(peers: usize) -> NullCarrier {
+        let reply = |status: u16, state: StateVar, bytes: &mut [u8]| {
+            let response = Response {
+                request_def: RequestDef::NONE,
+                response_def: ResponseDef::CYCLIC,
+                status: Some(StatusWord(status)),
+                state: Some(state),
+                current: Some(250),
+                ..Response::default()
+            };
+            response.emit(bytes)
+        };
+        let (mut ready, mut operating) = ([0; RESPONSE_MAX], [0; RESPONSE_MAX]);
+        let homed = StatusWord::HOMED | StatusWord::VOLTAGE_ENABLE | StatusWord::NO_QUICK_STOP;
+        reply(homed, StateVar::new(MainState::READY_TO_SWITCH_ON, 0), &mut ready);
+        let on = homed | StatusWord::OPERATION_ENABLED | StatusWord::SWITCH_ON_ACTIVE;
+        let moving = StateVar::new(MainState::OPERATION_ENABLED, StateVar::MOTION_ACTIVE | StateVar::HOMED);
+        let length = reply(on | StatusWord::MOTION_ACTIVE, moving, &mut operating);
+        // As real ones have it, so that as many calls of `receive` are made.
+        let batch = (peers * 2).clamp(8, 128);
+        let asked = Vec::with_capacity(peers);
+        NullCarrier { asked, next: 0, batch, ready, operating, length, position: 0 }
+    }
+}
+
+impl Datagrams for NullCarrier {
+    fn fd(&self) -> Option<RawFd> {
+        None
+    }
+
+    fn send(&mut self, outbox: &mut Outbox) {
+        let at = rig::now();
+        self.asked.clear();
+        self.next = 0;
+        for index in 0..outbox.len() {
+            if outbox.sent(index) == Sent::Posted {
+                outbox.note(index, Sent::At(at));
+                let bytes = outbox.bytes(index);
+                if let Some((definitions, blocks)) = bytes.split_first_chunk() {
+                    let on = blocks.first().is_some_and(|low| u16::from(*low) & ControlWord::SWITCH_ON != 0);
+                    let read = match definitions[0] & RequestDef::CONFIG.0 as u8 {
+                        0 => None,
+                        _ => Request::parse(bytes).ok().and_then(|request| request.config),
+                    };
+                    self.asked.push((outbox.peer(index), *definitions, on, read));
+                }
+            }
+        }
+        self.position = self.position.wrapping_add(100);
+    }
+
+    fn receive(&mut self, take: &mut dyn FnMut(Received<'_>)) -> io::Result<usize> {
+        let at = rig::now();
+        let end = self.asked.len().min(self.next + self.batch);
+        let count = end - self.next;
+        for (from, definitions, on, read) in &self.asked[self.next..end] {
+            let reply = if *on { &mut self.operating } else { &mut self.ready };
+            reply[..8].copy_from_slice(definitions);
+            reply[Self::POSITION].copy_from_slice(&self.position.to_le_bytes());
+            let mut length = self.length;
+            if let Some(read) = read {
+                // Done: its count, status 0, the index, and a value.
+                reply[length..length + 4].copy_from_slice(&[
+                    read.tag,
+                    0,
+                    read.words[0] as u8,
+                    (read.words[0] >> 8) as u8,
+                ]);
+                length += RtcBlock::SIZE;
+            }
+            take(Received { from: *from, at, bytes: &reply[..length], truncated: false });
+        }
+        self.next = end;
+        Ok(count)
+    }
+
+    fn batch(&self) -> usize {
+        self.batch
+    }
+
+    fn memory(&self, _: &mut Regions) {}
+}

@@ -1,0 +1,169 @@
+//! A Unidrive as the benches have it, and what it answers when it is a few bytes in memory.
+
+use std::net::Ipv4Addr;
+use std::time::Duration;
+
+use fieldbeat::axis::Limits;
+use fieldbeat::bus::modbus::mapping::{Mapping, Role};
+use fieldbeat::bus::modbus::parameter::{DRIVE_UNIT, Parameter};
+pub use fieldbeat::bus::modbus::wire::ADU_MAX;
+use fieldbeat::bus::modbus::wire::{Header, RegistersBuffer, Request, Response, function};
+use fieldbeat::bus::modbus::words::{ControlWord, StatusWord};
+use fieldbeat::bus::modbus::{UnidriveDrive, Via, Watchdog};
+use fieldbeat::time::{MS, S};
+
+use super::rig;
+
+/// Where a message has its id, its unit id and its function.
+const TRANSACTION_HIGH: usize = 0;
+const TRANSACTION_LOW: usize = 1;
+const UNIT: usize = 6;
+const FUNCTION: usize = 7;
+
+/// Not the usual one, so that it needs no right.
+const PORT: u16 = 1502;
+
+/// A drive as a machine might have it: all cyclic parameters side by side in menu 0, so that each exchange is one request with
+/// function 23. A miss is counted, it does not end the measurement.
+pub fn drive(address: Ipv4Addr) -> UnidriveDrive {
+    let mut drive = UnidriveDrive::new(address.to_string(), address);
+    drive.address.set_port(PORT);
+    drive.simulate.address = drive.address;
+    drive.via = Via::Menu0 { first: 1 };
+    // A machine that stands still for a while trips no drive and loses no reply.
+    let timeout_ns = 5 * S;
+    drive.watchdog = Watchdog { timeout_ns: Some(timeout_ns), ..Watchdog::default() };
+    // It obeys and is watched whoever its master is: the rivals set up nothing.
+    let time_out = Parameter::new(15, 9).in_slot(drive.slot);
+    drive.simulate.commissioned =
+        vec![(Parameter::CONTROL_WORD_ENABLE, 1), (time_out, (timeout_ns / MS) as i32)];
+    drive.reply_within_ns = 500 * MS;
+    drive.axis.limits = Limits { velocity: Some(50.0), ..Limits::default() };
+    drive.axis.health.bucket = 1_000_000;
+    drive.axis.enable_timeout = Duration::from_secs(60);
+    drive
+}
+
+/// Which value of its block to read is the status word.
+pub const STATUS_AT: usize = 2;
+
+/// The blocks of such a drive in menu 0: all of it in one to write and one to read.
+pub fn mapping(drive: &UnidriveDrive) -> Mapping {
+    let mapping = mappings(drive).1.expect("it is in menu 0");
+    assert_eq!((mapping.writes().len(), mapping.reads().len()), (1, 1), "one request for all of it");
+    let front = [Role::Control, Role::Reference, Role::Status, Role::Speed];
+    assert_eq!(mapping.reads()[0].roles[..4], front, "the benches know this order only");
+    mapping
+}
+
+/// The request that asks all of such a drive: this control word, and speed 0.
+pub fn request(drive: &UnidriveDrive, control: ControlWord) -> ([u8; ADU_MAX], usize) {
+    let mapping = mapping(drive);
+    let (write, read) = (&mapping.writes()[0], &mapping.reads()[0]);
+    let mut data = RegistersBuffer::new();
+    data.push_long(control.0.into());
+    data.push_long(0);
+    let data = data.registers();
+    let request =
+        Request::ReadWrite { read: read.address, count: read.registers, write: write.address, data };
+    let mut bytes = [0; ADU_MAX];
+    let length = request.emit(Header { transaction: 0, unit: DRIVE_UNIT }, &mut bytes);
+    (bytes, length)
+}
+
+/// The two blocks of such a drive: where its parameters are, and in menu 0.
+pub fn mappings(drive: &UnidriveDrive) -> (Mapping, Option<Mapping>) {
+    let direct = UnidriveDrive { via: Via::Direct, ..drive.clone() };
+    match (Mapping::new(&direct), Mapping::new(drive)) {
+        (Ok(direct), Ok(menu_0)) => (direct, Some(menu_0)),
+        (Err(fault), _) | (_, Err(fault)) => rig::give_up(fault.message),
+    }
+}
+
+/// A drive that answers from memory: it reads back what was written, is in operation while it is told to run, and its speed is
+/// another one each time.
+#[derive(Clone, Debug)]
+pub struct Canned {
+    reply: [u8; ADU_MAX],
+    length: usize,
+    // What the last request makes of it. Whole fields, as the station reads them: reading over the edge of what was just
+    // written would cost the processor more than the exchange does.
+    header: u64,
+    written: [[u8; 4]; 2],
+    status: i32,
+    speed: i32,
+}
+
+impl Canned {
+    /// Where a request has its values, in function 23 to two parameters.
+    const WRITTEN: [std::ops::Range<usize>; 2] = [17..21, 21..25];
+    /// Where a reply has what was written, the status word, and the speed.
+    const READ_BACK: [std::ops::Range<usize>; 2] = [9..13, 13..17];
+    const STATUS: std::ops::Range<usize> = 17..21;
+    const SPEED: std::ops::Range<usize> = 21..25;
+
+    /// The answers of [`drive`].
+    pub fn new() -> Canned {
+        let drive = drive(Ipv4Addr::LOCALHOST);
+        let mut data = RegistersBuffer::new();
+        for _ in &mapping(&drive).reads()[0].roles {
+            data.push_long(0);
+        }
+        let mut reply = [0; ADU_MAX];
+        let length = Response::ReadWritten { data: data.registers() }.emit(Header::default(), &mut reply);
+        let header = u64::from_be_bytes(std::array::from_fn(|place| reply[place]));
+        let status = i32::from(StatusWord::HEALTHY | StatusWord::ZERO_SPEED);
+        Canned { reply, length, header, written: [[0; 4]; 2], status, speed: 0 }
+    }
+
+    /// Hears a request; false if it is none to the whole block.
+    #[inline]
+    pub fn hear(&mut self, request: &[u8]) -> bool {
+        match request.get(FUNCTION) {
+            Some(&function::READ_WRITE) if request.len() >= Self::WRITTEN[1].end => {
+                for (value, place) in self.written.iter_mut().zip(Self::WRITTEN) {
+                    value.copy_from_slice(&request[place]);
+                }
+                let runs = u16::from(self.written[0][3]) & ControlWord::ANY_RUN != 0;
+                let state = if runs { StatusWord::ACTIVE } else { StatusWord::ZERO_SPEED };
+                self.status = i32::from(StatusWord::HEALTHY | state);
+            }
+            // Nothing is written before the first order.
+            Some(&function::READ) => {}
+            _ => return false,
+        }
+        let front = std::array::from_fn(|place| match place {
+            TRANSACTION_HIGH | TRANSACTION_LOW | UNIT | FUNCTION => request[place],
+            _ => self.reply[place],
+        });
+        self.header = u64::from_be_bytes(front);
+        true
+    }
+
+    /// Answers over the last answer, which stands in `room` still: by far the most of it is the same.
+    #[inline]
+    pub fn answer_again(&mut self, room: &mut [u8]) -> usize {
+        self.speed = self.speed.wrapping_add(1);
+        room[..8].copy_from_slice(&self.header.to_be_bytes());
+        for (value, place) in self.written.iter().zip(Self::READ_BACK) {
+            room[place].copy_from_slice(value);
+        }
+        room[Self::SPEED].copy_from_slice(&self.speed.to_be_bytes());
+        self.length
+    }
+
+    /// Writes the answer to what was heard into `room`, and gives its length.
+    #[inline]
+    pub fn answer(&mut self, room: &mut [u8]) -> usize {
+        let reply = &mut room[..self.length];
+        reply.copy_from_slice(&self.reply[..self.length]);
+        reply[..8].copy_from_slice(&self.header.to_be_bytes());
+        for (value, place) in self.written.iter().zip(Self::READ_BACK) {
+            reply[place].copy_from_slice(value);
+        }
+        self.speed = self.speed.wrapping_add(1);
+        reply[Self::STATUS].copy_from_slice(&self.status.to_be_bytes());
+        reply[Self::SPEED].copy_from_slice(&self.speed.to_be_bytes());
+        self.length
+    }
+}
