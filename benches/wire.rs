@@ -41,9 +41,7 @@ use support::{Args, Report, fleet};
 
 /// Budgets of an exchange, ns.
 const LINUDP_NS: f64 = 60.0;
-const MODBUS_NS: f64 = 60.0;
-/// What an exchange with a Unidrive is meant to take; it is told how far it is from that.
-const MODBUS_GOAL_NS: f64 = 40.0;
+const MODBUS_NS: f64 = 40.0;
 const PERIOD_NS: u64 = MS;
 /// A shared machine makes it slower, never quicker: of so many rounds the quickest counts.
 const ROUNDS: usize = 3;
@@ -271,11 +269,6 @@ fn main() -> ExitCode {
         }
         let own = of("exchange").map(|whole| without(whole, of("drive")));
         report.time(format!("{protocol}: encode + station + decode"), own, budget, "ns");
-        if protocol == modbus::PROTOCOL
-            && let Some(own) = own
-        {
-            println!("{protocol}: {:.1} ns, the goal is {MODBUS_GOAL_NS} ns", own.value);
-        }
         let (sent, answered) = counted[place];
         report.count(format!("{protocol}: sent {sent} = answered {answered}"), sent == answered);
     }
