@@ -72,7 +72,7 @@ const ALLOWED: [Allowed; 12] = [
     Allowed { call: libc::SYS_recvfrom, with: With::Bit(3, libc::MSG_DONTWAIT) },
     // On which connections something has come: a look with a time-out of 0.
     Allowed { call: EPOLL_WAIT, with: With::Value(3, 0) },
-    // Once when a connection is taken over, and once when it is given back.
+    // Once when one of several connections is taken over, and once when it is given back.
     Allowed { call: libc::SYS_epoll_ctl, with: With::Any },
     // The number of an eventfd, always 8 bytes: wakes up the link thread when a connection is given back.
     Allowed { call: libc::SYS_write, with: With::Value(2, 8) },
@@ -321,8 +321,7 @@ struct Talks {
 
 /// Talks on connections until it has had enough of everything: replies, and connections that ended.
 fn talk(streams: &mut dyn Streams, enough: Talks) -> Talks {
-    let (mut clock, mut set, mut talks) = (MonotonicClock, PollSet::default(), Talks::default());
-    set.add(streams.fd().unwrap());
+    let (mut clock, mut set, mut talks) = (MonotonicClock, PollSet::with_room(1), Talks::default());
     confine();
     watch(true);
     while talks.replies < enough.replies || talks.ends < enough.ends {
@@ -330,6 +329,7 @@ fn talk(streams: &mut dyn Streams, enough: Talks) -> Talks {
             let _ = streams.send(index, b"request");
         }
         let until = clock.now() + MS;
+        set.fill(streams.fd());
         clock.wait(&mut set, until);
         streams.look();
         while let Some(index) = streams.ready() {

@@ -82,7 +82,7 @@ impl Datagrams for Counted {
 
 struct CountedStreams {
     net: Box<dyn Streams>,
-    /// System calls of a look: an only connection is not looked at.
+    /// System calls of a look: an only connection has no epoll, and is not looked at.
     look: u64,
     calls: Calls,
     on_connections: Calls,
@@ -104,8 +104,8 @@ impl Streams for CountedStreams {
 
     fn opened(&mut self) -> Option<usize> {
         let opened = self.net.opened();
-        // It is added to the epoll.
-        rig::add(&self.calls, u64::from(opened.is_some()));
+        // It is added to the epoll, if there is one.
+        rig::add(&self.calls, self.look * u64::from(opened.is_some()));
         opened
     }
 
@@ -131,8 +131,8 @@ impl Streams for CountedStreams {
     }
 
     fn abandon(&mut self, index: usize, why: &'static str) {
-        // It is removed from the epoll, and the link thread is woken up.
-        rig::add(&self.calls, 2);
+        // The link thread is woken up; and it is removed from the epoll, if there is one.
+        rig::add(&self.calls, 1 + self.look);
         self.net.abandon(index, why);
     }
 

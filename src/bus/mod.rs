@@ -17,6 +17,7 @@ pub mod modbus;
 
 use std::any::Any;
 use std::fmt::Debug;
+use std::os::fd::RawFd;
 use std::sync::Arc;
 
 use thiserror::Error;
@@ -25,7 +26,7 @@ use crate::axis::acyclic::{AcyclicEnds, Notation};
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, Failure, FaultNames, Link, MonitorChannel, PlanFault, Row, State, Verb};
 use crate::net::{Carriers, LinkNotes};
-use crate::rt::{PollSet, Regions};
+use crate::rt::Regions;
 use crate::sim::SimDrive;
 use crate::time::Time;
 
@@ -122,8 +123,9 @@ pub trait Bus: Send {
     /// Adds the memory that it touches on the real-time thread, to be locked with `memory = "own"`.
     fn memory(&self, regions: &mut Regions);
 
-    /// Adds the descriptors to wait on. Asked once, after the bus was opened.
-    fn poll_set(&mut self, set: &mut PollSet);
+    /// The descriptor that is readable while a reply waits to be taken in; `None`: nothing can be waited for at present. Asked anew
+    /// before each wait: a connection that returns may have another one. A bus with several has an epoll over them.
+    fn fd(&self) -> Option<RawFd>;
 
     /// Empties the sockets of what came too late, then hands the prepared requests of the due slots to the kernel and
     /// opens their exchanges, one each. Where replies may come cycles later, one that came since the last window still

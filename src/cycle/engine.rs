@@ -139,7 +139,7 @@ impl<C: Clock> Engine<C> {
     pub fn new(
         clock: C,
         plan: CyclePlan,
-        mut buses: Vec<BusSeat>,
+        buses: Vec<BusSeat>,
         seats: Vec<Seat>,
         names: Vec<(String, &'static str)>,
         task: Option<Task>,
@@ -147,7 +147,7 @@ impl<C: Clock> Engine<C> {
         control: Control,
         outlets: Outlets,
     ) -> Engine<C> {
-        let window = Window::new(plan.wait, &mut buses);
+        let window = Window::new(plan.wait, buses.len());
         // Standstill and power off have their time-out each, and a hold may have to be left first.
         let stops = seats.iter().map(|seat| nanos(seat.plan().stop.timeout)).max().unwrap_or(0);
         Engine {
@@ -193,6 +193,7 @@ impl<C: Clock> Engine<C> {
         self.heartbeat.memory(regions);
         regions.add(&*self.control.0);
         regions.add(&*self.buses);
+        self.window.memory(regions);
         self.outlets.status.memory(regions);
         regions.add(&*self.outlets.drives);
         self.outlets.drives.iter().for_each(|drive| drive.memory(regions));

@@ -5,7 +5,7 @@
 
 use super::plan::Wait;
 use crate::bus::{Bus, Cycle, Slot};
-use crate::rt::{Clock, PollSet};
+use crate::rt::{Clock, PollSet, Regions};
 use crate::time::US;
 
 /// The shortest nap, ns; a shorter one is not worth its system call.
@@ -47,13 +47,14 @@ impl std::fmt::Debug for BusSeat {
 }
 
 impl Window {
-    /// A window over the descriptors of `buses`.
-    pub fn new(wait: Wait, buses: &mut [BusSeat]) -> Window {
-        let mut poll_set = PollSet::default();
-        for seat in buses {
-            seat.bus.poll_set(&mut poll_set);
-        }
-        Window { wait, poll_set, nap_ns: 4 * SHORTEST_NAP_NS }
+    /// A window over so many buses.
+    pub fn new(wait: Wait, buses: usize) -> Window {
+        Window { wait, poll_set: PollSet::with_room(buses), nap_ns: 4 * SHORTEST_NAP_NS }
+    }
+
+    /// Adds what it touches besides itself, to be locked.
+    pub fn memory(&self, regions: &mut Regions) {
+        self.poll_set.memory(regions);
     }
 
     /// Runs the window of `cycle`.
@@ -78,6 +79,7 @@ impl Window {
                     clock.sleep_until((now + self.nap_ns).min(cycle.deadline));
                 }
                 Wait::Poll => {
+                    self.poll_set.fill(buses.iter().filter_map(|seat| seat.bus.fd()));
                     clock.wait(&mut self.poll_set, cycle.deadline);
                 }
             }

@@ -15,7 +15,8 @@ use crate::time::{MS, S, Time};
 /// A carrier of connections to fixed peers on the real-time thread: never waits, never allocates.
 pub trait Streams: Send {
     /// The descriptor that is readable while something waits to be received on any of them, and while a broken one has not been
-    /// given up; always the same one. `None` for a carrier without one.
+    /// given up. Asked anew before each wait: that of an only connection is its own. `None`: nothing can be waited for at
+    /// present.
     fn fd(&self) -> Option<RawFd>;
 
     /// Takes over a connection that became ready since, if there is one: nothing of an earlier connection to that peer is left.

@@ -1,9 +1,10 @@
 //! TCP connections on the real-time thread, behind [`Streams`].
 //!
-//! Two system calls a request and its reply, `sendto` and `recvfrom`, and one `epoll_wait` for all connections together. Sockets
-//! come from the link thread when they are ready and go back to it to be closed: nothing here opens, waits, closes or allocates.
+//! Two system calls a request and its reply, `sendto` and `recvfrom`, and one `epoll_wait` for all connections together; an only
+//! connection has no epoll and is waited for itself, which wakes the loop sooner. Sockets come from the link thread when they are
+//! ready and go back to it to be closed: nothing here opens, waits, closes or allocates.
 //!
-//! The epoll is this side's alone. The kernel guards it with a lock that may sleep: were the link thread to add a socket
+//! An epoll is this side's alone. The kernel guards it with a lock that may sleep: were the link thread to add a socket
 //! to it, a normal thread that is preempted just then would hold up the loop. So the loop adds a socket when it takes it over and
 //! removes it before it gives it back, one `epoll_ctl` a connection each.
 
@@ -23,7 +24,8 @@ use crate::time::Time;
 /// outputs arrive.
 #[derive(Debug)]
 pub struct Tcp {
-    epoll: Epoll,
+    /// `None`: an only connection is asked itself.
+    epoll: Option<Epoll>,
     /// What is open.
     sockets: Box<[Option<OwnedFd>]>,
     /// What the last look found, and how far it was asked for. Room for all, so that none waits behind busier ones.
@@ -36,10 +38,10 @@ pub struct Tcp {
 impl Tcp {
     /// Connections to `peers`, opened by `thread`.
     pub(super) fn open(thread: &std::sync::Arc<LinkThread>, peers: Vec<StreamPeer>) -> io::Result<Tcp> {
-        let epoll = Epoll::new(EpollCreateFlags::EPOLL_CLOEXEC)?;
         let count = peers.len();
+        let several = (count > 1).then(|| Epoll::new(EpollCreateFlags::EPOLL_CLOEXEC));
         Ok(Tcp {
-            epoll,
+            epoll: several.transpose()?,
             sockets: (0..count).map(|_| None).collect(),
             events: vec![EpollEvent::empty(); count].into(),
             found: 0,
@@ -52,6 +54,12 @@ impl Tcp {
         self.sockets.get(index).and_then(Option::as_ref).map(AsRawFd::as_raw_fd).ok_or(Broken::Absent)
     }
 
+    /// Has the epoll watch it, if there is one.
+    fn watch(&self, index: usize, socket: &OwnedFd) -> nix::Result<()> {
+        let event = EpollEvent::new(EpollFlags::EPOLLIN, index as u64);
+        self.epoll.as_ref().map_or(Ok(()), |epoll| epoll.add(socket, event))
+    }
+
     /// Writes to an eventfd that is never full: it wakes up the link thread and does not wait for it.
     fn give_back(&mut self, index: usize, socket: OwnedFd, why: &'static str) {
         // Never full: it has room for every connection.
@@ -62,13 +70,16 @@ impl Tcp {
 
 impl Streams for Tcp {
     fn fd(&self) -> Option<RawFd> {
-        Some(self.epoll.0.as_raw_fd())
+        match &self.epoll {
+            Some(epoll) => Some(epoll.0.as_raw_fd()),
+            None => self.socket(0).ok(),
+        }
     }
 
     fn opened(&mut self) -> Option<usize> {
         // As many turns as there are connections at most.
         while let Ok(Opened { index, socket }) = self.link.opened.pop() {
-            match self.epoll.add(&socket, EpollEvent::new(EpollFlags::EPOLLIN, index as u64)) {
+            match self.watch(index, &socket) {
                 Ok(()) => {
                     self.sockets[index] = Some(socket);
                     return Some(index);
@@ -85,11 +96,11 @@ impl Streams for Tcp {
 
     fn look(&mut self) {
         self.next = 0;
-        self.found = match &*self.sockets {
-            // An only one is asked itself: nothing to receive costs the same call. Its event has the index 0 as it stands.
-            [only] => usize::from(only.is_some()),
+        self.found = match &self.epoll {
             // An error could only be EINTR: next time.
-            _ => self.epoll.wait(&mut self.events, EpollTimeout::ZERO).unwrap_or(0),
+            Some(epoll) => epoll.wait(&mut self.events, EpollTimeout::ZERO).unwrap_or(0),
+            // Nothing to receive costs the same call. Its event has the index 0 as it stands.
+            None => usize::from(self.socket(0).is_ok()),
         };
     }
 
@@ -125,8 +136,10 @@ impl Streams for Tcp {
 
     fn abandon(&mut self, index: usize, why: &'static str) {
         if let Some(socket) = self.sockets.get_mut(index).and_then(Option::take) {
-            // Removed here, so that the end of the connection wakes up the loop no more. It was added, so that this cannot fail.
-            let _ = self.epoll.delete(&socket);
+            if let Some(epoll) = &self.epoll {
+                // Removed here, so that the end of the connection wakes up the loop no more. It was added: this cannot fail.
+                let _ = epoll.delete(&socket);
+            }
             self.give_back(index, socket, why);
         }
     }
@@ -179,7 +192,7 @@ mod tests {
     /// Whether the descriptor of the carrier becomes readable within `ns`.
     fn wakes(tcp: &Tcp, ns: u64) -> bool {
         let mut set = PollSet::default();
-        set.add(tcp.fd().unwrap());
+        set.fill(tcp.fd());
         MonotonicClock.wait(&mut set, MonotonicClock::read() + ns)
     }
 
@@ -195,7 +208,8 @@ mod tests {
         assert_eq!(getsockopt(socket, sockopt::TcpUserTimeout).unwrap(), 1_000);
         let wanted = libc::O_NONBLOCK | libc::O_CLOEXEC;
         assert_eq!(flags(socket.as_raw_fd()) & wanted, wanted);
-        assert_eq!(flags(tcp.epoll.0.as_raw_fd()) & libc::O_CLOEXEC, libc::O_CLOEXEC);
+        let (tcp, _drives, _listeners) = open(14, 2);
+        assert_eq!(flags(tcp.epoll.unwrap().0.as_raw_fd()) & libc::O_CLOEXEC, libc::O_CLOEXEC);
     }
 
     /// The flags of a descriptor, FD_CLOEXEC as O_CLOEXEC (proc(5)).
@@ -246,10 +260,12 @@ mod tests {
     }
 
     #[test]
-    fn the_descriptor_wakes_for_what_arrives_and_stays_the_same_over_connections() {
+    fn the_descriptor_wakes_for_what_arrives_over_connections_that_come_and_go() {
         for count in [1, 2] {
             let (mut tcp, mut drives, listeners) = open(3 + count, count);
             let fd = tcp.fd();
+            let only = (count == 1).then(|| tcp.sockets[0].as_ref().unwrap().as_raw_fd());
+            assert_eq!(fd == only, count == 1, "an only connection is waited for itself");
             for _ in 0..3 {
                 assert!(!wakes(&tcp, MS));
                 drives[0].write_all(b"reply").unwrap();
@@ -264,8 +280,12 @@ mod tests {
                 assert!(!wakes(&tcp, MS));
                 tcp.look();
                 assert_eq!(tcp.ready(), None);
+                let there = if count == 1 { None } else { fd };
+                assert_eq!(tcp.fd(), there, "an only connection that is gone has none");
                 drives.insert(0, accept(&listeners[0]));
-                assert_eq!((opened(&mut tcp), tcp.fd()), (0, fd));
+                assert_eq!(opened(&mut tcp), 0);
+                assert_eq!(tcp.fd().is_some(), fd.is_some());
+                assert!(count == 1 || tcp.fd() == fd, "that of several stays the same");
             }
         }
     }

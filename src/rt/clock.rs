@@ -2,20 +2,33 @@
 
 use std::os::fd::RawFd;
 
-use super::Usage;
+use super::{Regions, Usage};
 use crate::time::{S, Time};
 
 /// The descriptors that a window waits on.
 #[derive(Debug, Default)]
 pub struct PollSet {
     /// In the kernel's own form, so that waiting copies nothing.
-    pub fds: Vec<libc::pollfd>,
+    fds: Vec<libc::pollfd>,
 }
 
 impl PollSet {
-    /// Adds a descriptor to wait on for reading.
-    pub fn add(&mut self, fd: RawFd) {
-        self.fds.push(libc::pollfd { fd, events: libc::POLLIN, revents: 0 });
+    /// With room for so many: no more are ever filled in without a new allocation.
+    pub fn with_room(descriptors: usize) -> PollSet {
+        // Written once, so that its pages are there; a descriptor below 0 is none.
+        PollSet { fds: vec![libc::pollfd { fd: -1, events: 0, revents: 0 }; descriptors] }
+    }
+
+    /// Adds its room, to be locked; before it is first filled.
+    pub fn memory(&self, regions: &mut Regions) {
+        regions.add(&*self.fds);
+    }
+
+    /// Waits on these for reading, and on none of before.
+    pub fn fill(&mut self, descriptors: impl IntoIterator<Item = RawFd>) {
+        let poll = |fd| libc::pollfd { fd, events: libc::POLLIN, revents: 0 };
+        self.fds.clear();
+        self.fds.extend(descriptors.into_iter().map(poll));
     }
 }
 

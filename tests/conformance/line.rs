@@ -99,9 +99,7 @@ impl Line {
         let wire = Wire::new(subject, &drives);
         let options = WorldOptions { latency_ns: LATENCY, ..WorldOptions::default() };
         let world = World::new(wire.simulate(), options).expect("each drive has its own address");
-        let mut bus = wire.open(PERIOD, &world).expect("the bus can be opened");
-        let mut poll_set = PollSet::default();
-        bus.poll_set(&mut poll_set);
+        let bus = wire.open(PERIOD, &world).expect("the bus can be opened");
         let idle = Seen { exchange: Exchange::Idle, fresh: false, suspect: false, restarted: false };
         Line {
             can: subject.can(),
@@ -117,7 +115,7 @@ impl Line {
             index: 0,
             honest: true,
             builds: 1,
-            poll_set,
+            poll_set: PollSet::default(),
             sent_at: vec![Time(0); count],
             row_number: 0,
             held: vec![false; count],
@@ -239,6 +237,7 @@ impl Line {
         while open {
             let over = self.clock.now() >= deadline;
             if !over {
+                self.poll_set.fill(self.bus.fd());
                 self.clock.wait(&mut self.poll_set, deadline);
             }
             open = !self.receive() && !over;

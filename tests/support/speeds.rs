@@ -2,6 +2,7 @@
 //! bus, of which the loop is told no more than that.
 
 use std::any::Any;
+use std::os::fd::RawFd;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 
@@ -10,7 +11,7 @@ use fieldbeat::axis::{AxisPlan, FaultNames, MonitorChannel, PlanFault};
 use fieldbeat::bus::linudp::LinUdpPlan;
 use fieldbeat::bus::{Bus, BusPlan, Cycle, OpenError, OwnCounter, Report, Slot, Strangers};
 use fieldbeat::net::{Carriers, LinkNotes};
-use fieldbeat::rt::{PollSet, Regions};
+use fieldbeat::rt::Regions;
 use fieldbeat::sim::SimDrive;
 
 /// What is counted: the replies, nothing, and each look as the largest of numbers.
@@ -133,8 +134,8 @@ impl Bus for SpeedBus {
         self.bus.memory(regions);
     }
 
-    fn poll_set(&mut self, set: &mut PollSet) {
-        self.bus.poll_set(set);
+    fn fd(&self) -> Option<RawFd> {
+        self.bus.fd()
     }
 
     fn send(&mut self, cycle: &Cycle, slots: &mut [Slot]) {

@@ -2,6 +2,7 @@
 
 use std::any::Any;
 use std::net::Ipv4Addr;
+use std::os::fd::RawFd;
 use std::sync::Arc;
 
 use super::native::Native;
@@ -15,7 +16,7 @@ use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, FaultNames, FoundRunning, MonitorChannel, PlanFault};
 use crate::bus::{Bus, BusPlan, Cycle, Exchange, OpenError, Slot, Strangers};
 use crate::net::{Carriers, Datagrams, Outbox, Sent, UdpOptions};
-use crate::rt::{PollSet, Regions};
+use crate::rt::Regions;
 use crate::sim::SimDrive;
 
 /// Room for one datagram: the longest telegram is 50 bytes, padding makes it 64 at most, and whatever is longer is not
@@ -142,10 +143,8 @@ impl Bus for LinUdpBus {
         }
     }
 
-    fn poll_set(&mut self, set: &mut PollSet) {
-        if let Some(fd) = self.net.fd() {
-            set.add(fd);
-        }
+    fn fd(&self) -> Option<RawFd> {
+        self.net.fd()
     }
 
     fn send(&mut self, cycle: &Cycle, slots: &mut [Slot]) {

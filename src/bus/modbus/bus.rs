@@ -1,6 +1,7 @@
 //! All drives of one Modbus TCP bus, a connection each: stations and their carrier, as a [`Bus`].
 
 use std::any::Any;
+use std::os::fd::RawFd;
 use std::sync::Arc;
 
 use super::counters::OWN;
@@ -18,7 +19,7 @@ use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, FaultNames, FoundRunning, MonitorChannel, PlanFault};
 use crate::bus::{Bus, BusPlan, Cycle, Exchange, OpenError, OwnCounter, Slot, Strangers};
 use crate::net::{Broken, Carriers, LinkNotes, StreamPeer, Streams};
-use crate::rt::{PollSet, Regions};
+use crate::rt::Regions;
 use crate::sim::SimDrive;
 use crate::time::Time;
 
@@ -163,10 +164,8 @@ impl Bus for ModbusBus {
         }
     }
 
-    fn poll_set(&mut self, set: &mut PollSet) {
-        if let Some(fd) = self.net.fd() {
-            set.add(fd);
-        }
+    fn fd(&self) -> Option<RawFd> {
+        self.net.fd()
     }
 
     fn send(&mut self, cycle: &Cycle, slots: &mut [Slot]) {

@@ -4,6 +4,7 @@
 
 use std::any::Any;
 use std::net::{Ipv4Addr, SocketAddrV4};
+use std::os::fd::RawFd;
 use std::sync::Arc;
 
 use fieldbeat::axis::acyclic::{self, AcyclicEnds, Call, CallError, Notation, NotationError, Port};
@@ -13,7 +14,7 @@ use fieldbeat::axis::{
 };
 use fieldbeat::bus::{Bus, BusPlan, Cycle, Exchange, OpenError, Progress, Slot, Strangers};
 use fieldbeat::net::{Carriers, Datagrams, Outbox, SendMode, Sent, UdpOptions};
-use fieldbeat::rt::{PollSet, Regions};
+use fieldbeat::rt::Regions;
 use fieldbeat::sim::physics::Generator;
 use fieldbeat::sim::{FaultPlan, SimDrive};
 use fieldbeat::time::{Time, US, nanos};
@@ -417,10 +418,8 @@ impl Bus for ToyBus {
         self.net.memory(regions);
     }
 
-    fn poll_set(&mut self, set: &mut PollSet) {
-        if let Some(fd) = self.net.fd() {
-            set.add(fd);
-        }
+    fn fd(&self) -> Option<RawFd> {
+        self.net.fd()
     }
 
     fn send(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
