@@ -5,8 +5,9 @@
 //! operation, in the same wait mode: every millisecond one of them has its exchange. Both stamp before the call that
 //! sends and after the one that receives, and the same bytes go both ways.
 //!
-//! A Unidrive's exchange is one request with function 23: everything cyclic is in menu 0. The client over libmodbus takes its turn
-//! with the two: on the same grid, by `clock_nanosleep`, on the same core and at the same priority, in a process of its own.
+//! A Unidrive's exchange is one request with function 23: everything cyclic is in menu 0. The client over libmodbus has its turns with
+//! ours alone: on the same grid, by `clock_nanosleep`, on the same core and at the same priority, in a process of its own. Were it
+//! there while ours meets the bare loop, one of the two would always find the caches of another process.
 //!
 //! sockperf sends at the same rate to the same kind of server, on the same core: a drive that answers in its protocol. Yet
 //! it is no cyclic loop: one of its threads spins between the messages and never lets the core fall asleep, another one
@@ -25,7 +26,7 @@ use fieldbeat::rt::Granted;
 use fieldbeat::sim::{FaultPlan, SimDrive};
 use fieldbeat::time::{MS, S, Time};
 use serde_json::{Value, json};
-use support::bare::Duel;
+use support::bare::{Duel, Rival};
 use support::fleet::{self, Fleet, Side};
 use support::libmodbus::Libmodbus;
 use support::rig::{self, Calls};
@@ -39,17 +40,16 @@ const BARE_P50_RATIO: f64 = 1.05;
 const SOCKPERF_P50_RATIO: f64 = 1.0;
 const LIBMODBUS_P50_RATIO: f64 = 1.0;
 
-/// One protocol in one wait mode.
+/// One protocol in one wait mode: ours, and who takes turns with it.
 #[derive(Debug)]
 struct Match<'a> {
     protocol: &'static str,
     mode: &'static str,
     fleet: Fleet,
     wait: Wait,
-    with: Option<&'a Libmodbus>,
+    rival: Rival<'a>,
     ours: Sample,
-    bare: Sample,
-    libmodbus: Sample,
+    theirs: Sample,
     planned: u64,
     executed: u64,
     skipped: u64,
@@ -77,17 +77,18 @@ fn main() -> ExitCode {
         }
     };
     let steal = Steal::begin();
-    let mut matches = [
-        Match::new("linudp-v2", Fleet::linmots(1), Wait::Poll, None),
-        Match::new("linudp-v2", Fleet::linmots(1), Wait::Spin, None),
-        Match::new(modbus::PROTOCOL, Fleet::unidrives(1), Wait::Poll, libmodbus.as_ref()),
-        Match::new(modbus::PROTOCOL, Fleet::unidrives(1), Wait::Spin, libmodbus.as_ref()),
-    ];
-    let mut rival = Sample::default();
+    let mut matches = Vec::new();
+    for (wait, _) in MODES {
+        matches.push(Match::new("linudp-v2", Fleet::linmots(1), wait, Rival::Bare));
+        matches.push(Match::new(modbus::PROTOCOL, Fleet::unidrives(1), wait, Rival::Bare));
+        let with = libmodbus.as_ref().map(Rival::Libmodbus);
+        matches.extend(with.map(|rival| Match::new(modbus::PROTOCOL, Fleet::unidrives(1), wait, rival)));
+    }
+    let mut from_sockperf = Sample::default();
     in_turns(rounds, matches.len() + 1, |who| match matches.get_mut(who) {
         Some(slice) => slice.run(&granted, cycles),
         None if with_sockperf => match sockperf(&granted, seconds) {
-            Ok(slice) => rival.push(slice),
+            Ok(slice) => from_sockperf.push(slice),
             Err(why) => println!("a slice without sockperf: {why}"),
         },
         None => {}
@@ -95,70 +96,68 @@ fn main() -> ExitCode {
 
     let steal_ms = steal.ms();
     let mut report = Report::default();
-    for protocol in matches.chunks(2) {
-        let [poll, spin] = protocol else { continue };
-        let name = poll.protocol;
+    for protocol in ["linudp-v2", modbus::PROTOCOL] {
         println!(
-            "\n{name}, 1 drive, an exchange a millisecond, {rounds} rounds, steal {} ms",
+            "\n{protocol}, 1 drive, an exchange a millisecond, {rounds} rounds, steal {} ms",
             shown(steal_ms)
         );
-        println!("  round trip, ns  {:>26} {:>26} {:>18}", "ours", "bare loop", "ours / bare");
-        protocol.iter().for_each(Match::print);
-        let (mut object, spinning) = (poll.judge(&mut report), spin.judge(&mut report));
-        // The default wait mode speaks for the protocol.
-        object["spin"] = spinning;
-        object["steal_ms"] = json!(steal_ms);
-        match name {
-            modbus::PROTOCOL => {
-                against("libmodbus", protocol, |one| &one.libmodbus, &mut object);
-                for one in protocol {
-                    let what = format!("{name} {}: p50 / libmodbus p50", one.mode);
-                    report.time(what, one.ours.ratio(&one.libmodbus, 0.5), LIBMODBUS_P50_RATIO, "");
-                }
-            }
-            _ => {
-                against("sockperf", protocol, |_| &rival, &mut object);
-                let what = format!("{name} spin: p50 / sockperf p50");
-                report.time(what, spin.ours.ratio(&rival, 0.5), SOCKPERF_P50_RATIO, "");
+        println!("  round trip, ns  {:>26} {:>26} {:>18}", "ours", "rival", "ours / rival");
+        let mut object = json!({ "steal_ms": steal_ms });
+        for one in matches.iter().filter(|one| one.protocol == protocol) {
+            one.print();
+            one.judge(&mut report);
+            one.enter(&mut object);
+        }
+        if protocol == modbus::PROTOCOL && libmodbus.is_none() {
+            for (wait, mode) in MODES {
+                report.time(format!("{protocol} {mode}: p50 / libmodbus p50"), None, LIBMODBUS_P50_RATIO, "");
+                enter_ratio(part(&mut object, wait), "libmodbus", None);
             }
         }
-        report.enter(name, object);
+        if protocol == "linudp-v2" {
+            println!("  sockperf p50 {:>29}", shown(from_sockperf.quantile(0.5)));
+            for one in matches.iter().filter(|one| one.protocol == protocol) {
+                let ratio = one.ours.ratio(&from_sockperf, 0.5);
+                println!("  {} ours / sockperf p50: {}", one.mode, shown(ratio));
+                enter_ratio(part(&mut object, one.wait), "sockperf", ratio);
+                if one.wait == Wait::Spin {
+                    report.time(
+                        format!("{protocol} spin: p50 / sockperf p50"),
+                        ratio,
+                        SOCKPERF_P50_RATIO,
+                        "",
+                    );
+                }
+            }
+        }
+        report.enter(protocol, object);
     }
     report.finish(&args)
 }
 
-/// Prints and enters the ratios to another rival than the bare loop.
-fn against<'a>(
-    who: &str,
-    protocol: &'a [Match<'_>],
-    rival: impl Fn(&'a Match<'_>) -> &'a Sample,
-    object: &mut Value,
-) {
-    for one in protocol {
-        let (theirs, mode) = (rival(one), one.mode);
-        let ratio: Option<Interval> = one.ours.ratio(theirs, 0.5);
-        println!(
-            "  {who} p50 {:>30}   ours / {who} p50: {mode} {}",
-            shown(theirs.quantile(0.5)),
-            shown(ratio)
-        );
-        let entry = if one.wait == Wait::Poll { &mut *object } else { &mut object["spin"] };
-        entry[format!("{who}_p50_ratio")] = json!(ratio.map(|ratio| ratio.value));
-        entry[format!("{who}_p50_ratio_interval")] = json!(ratio.map(|ratio| ratio.ends()));
-    }
+/// The wait modes and their names.
+const MODES: [(Wait, &str); 2] = [(Wait::Poll, "poll"), (Wait::Spin, "spin")];
+
+/// Where the numbers of a wait mode stand among those of its protocol: the default one speaks for it.
+fn part(object: &mut Value, wait: Wait) -> &mut Value {
+    if wait == Wait::Poll { object } else { &mut object["spin"] }
+}
+
+fn enter_ratio(object: &mut Value, who: &str, ratio: Option<Interval>) {
+    object[format!("{who}_p50_ratio")] = json!(ratio.map(|ratio| ratio.value));
+    object[format!("{who}_p50_ratio_interval")] = json!(ratio.map(|ratio| ratio.ends()));
 }
 
 impl<'a> Match<'a> {
-    fn new(protocol: &'static str, fleet: Fleet, wait: Wait, with: Option<&'a Libmodbus>) -> Match<'a> {
+    fn new(protocol: &'static str, fleet: Fleet, wait: Wait, rival: Rival<'a>) -> Match<'a> {
         Match {
             protocol,
-            mode: if wait == Wait::Poll { "poll" } else { "spin" },
+            mode: MODES.iter().find(|(mode, _)| *mode == wait).map_or("", |(_, name)| name),
             fleet,
             wait,
-            with,
+            rival,
             ours: Sample::new(),
-            bare: Sample::new(),
-            libmodbus: Sample::new(),
+            theirs: Sample::new(),
             planned: 0,
             executed: 0,
             skipped: 0,
@@ -168,25 +167,21 @@ impl<'a> Match<'a> {
         }
     }
 
-    /// A slice of all that take turns.
+    /// A slice of both in turns.
     fn run(&mut self, granted: &Granted, cycles: usize) {
-        let contenders = if self.with.is_some() { 3 } else { 2 };
-        // As long as with two.
-        let cycles = cycles * 2 / contenders as usize;
         let duel = Duel {
             granted,
             fleet: self.fleet,
             wait: self.wait,
-            period_ns: contenders * TURN_NS,
+            period_ns: 2 * TURN_NS,
             cycles,
             carriers: &Os::default(),
             calls: &Calls::default(),
-            libmodbus: self.with,
+            rival: self.rival,
         };
         let outcome = duel.fight();
         self.ours.push(outcome.ours.round_trips);
-        self.bare.push(outcome.bare.round_trips);
-        self.libmodbus.push(outcome.libmodbus);
+        self.theirs.push(outcome.theirs.round_trips);
         let status = outcome.end.status;
         self.planned += status.planned;
         self.executed += status.executed;
@@ -198,12 +193,20 @@ impl<'a> Match<'a> {
         }
     }
 
+    /// Who it is held against, and the budget of the ratio.
+    fn against(&self) -> (&'static str, f64) {
+        match self.rival {
+            Rival::Bare => ("bare", BARE_P50_RATIO),
+            Rival::Libmodbus(_) => ("libmodbus", LIBMODBUS_P50_RATIO),
+        }
+    }
+
     fn print(&self) {
-        let mode = self.mode;
+        let (mode, (rival, _)) = (self.mode, self.against());
         for (quantile, q) in [("p50", 0.5), ("p90", 0.9), ("p99", 0.99)] {
-            let (ours, bare) = (shown(self.ours.quantile(q)), shown(self.bare.quantile(q)));
-            let ratio = shown(self.ours.ratio(&self.bare, q));
-            println!("  {mode} {quantile:10} {ours:>26} {bare:>26} {ratio:>18}");
+            let (ours, theirs) = (shown(self.ours.quantile(q)), shown(self.theirs.quantile(q)));
+            let ratio = shown(self.ours.ratio(&self.theirs, q));
+            println!("  {mode} {quantile:10} {ours:>26} {theirs:>26} {ratio:>18}  {rival}");
         }
         let Match { planned, executed, skipped, sent, answered, missed, .. } = self;
         println!("  {mode} ours: planned {planned} = executed {executed} + skipped {skipped}");
@@ -211,22 +214,27 @@ impl<'a> Match<'a> {
     }
 
     /// Holds it against its budgets.
-    fn judge(&self, report: &mut Report) -> Value {
+    fn judge(&self, report: &mut Report) {
         let Match { protocol, mode, planned, executed, skipped, sent, answered, missed, .. } = *self;
-        report
-            .count(format!("{protocol} {mode}: planned = executed + skipped"), planned == executed + skipped);
-        report.count(format!("{protocol} {mode}: sent = answered + missed"), sent == answered + missed);
+        let (rival, budget) = self.against();
+        let what = format!("{protocol} {mode}, in turns with {rival}");
+        report.count(format!("{what}: planned = executed + skipped"), planned == executed + skipped);
+        report.count(format!("{what}: sent = answered + missed"), sent == answered + missed);
         if protocol == modbus::PROTOCOL {
-            report.count(format!("{protocol} {mode}: none was lost"), missed == 0);
+            report.count(format!("{what}: none was lost"), missed == 0);
         }
-        let ratio = self.ours.ratio(&self.bare, 0.5);
-        report.time(format!("{protocol} {mode}: p50 / bare p50"), ratio, BARE_P50_RATIO, "");
-        json!({
-            "p50_ns": self.ours.quantile(0.5).map(|p50| p50.value),
-            "p99_ns": self.ours.quantile(0.99).map(|p99| p99.value),
-            "bare_p50_ratio": ratio.map(|ratio| ratio.value),
-            "bare_p50_ratio_interval": ratio.map(|ratio| ratio.ends()),
-        })
+        let ratio = self.ours.ratio(&self.theirs, 0.5);
+        report.time(format!("{protocol} {mode}: p50 / {rival} p50"), ratio, budget, "");
+    }
+
+    fn enter(&self, object: &mut Value) {
+        let part = part(object, self.wait);
+        let (rival, _) = self.against();
+        if let Rival::Bare = self.rival {
+            part["p50_ns"] = json!(self.ours.quantile(0.5).map(|p50| p50.value));
+            part["p99_ns"] = json!(self.ours.quantile(0.99).map(|p99| p99.value));
+        }
+        enter_ratio(part, rival, self.ours.ratio(&self.theirs, 0.5));
     }
 }
 

@@ -33,7 +33,7 @@ use fieldbeat::net::{Datagrams, Os, Outbox, Streams};
 use fieldbeat::rt::{Granted, MonotonicClock};
 use fieldbeat::time::{MS, Ns, US};
 use serde_json::{Value, json};
-use support::bare::{Duel, Outcome};
+use support::bare::{Duel, Outcome, Rival};
 use support::counted::CountedNet;
 use support::fleet::{self, Fleet, Side};
 use support::null::{NullCarrier, NullNet, NullStreams};
@@ -409,9 +409,9 @@ fn on_sockets(granted: &Granted, quick: bool, drives: &[usize], report: &mut Rep
         for _ in 0..rounds {
             let duel = duel(granted, Fleet::linmots(count), period(count), cycles);
             ours.push(duel.ours.busy);
-            bare.push(duel.bare.busy);
+            bare.push(duel.theirs.busy);
             ours_cpu.push(duel.ours.cpu);
-            bare_cpu.push(duel.bare.cpu);
+            bare_cpu.push(duel.theirs.cpu);
             calls.push(duel.ours.calls);
         }
         let each = |sample: &Sample| sample.quantile(0.5).map(|p50| p50.value / count as f64);
@@ -456,7 +456,7 @@ fn on_sockets(granted: &Granted, quick: bool, drives: &[usize], report: &mut Rep
 fn duel(granted: &Granted, fleet: Fleet, period_ns: u64, cycles: usize) -> Outcome {
     let calls = &Calls::default();
     let carriers = &CountedNet::new(calls);
-    Duel { granted, fleet, wait: Wait::Poll, period_ns, cycles, carriers, calls, libmodbus: None }.fight()
+    Duel { granted, fleet, wait: Wait::Poll, period_ns, cycles, carriers, calls, rival: Rival::Bare }.fight()
 }
 
 /// Each side has half of it, so both fit in twice: a drive takes some 15 us of the two cores together.
@@ -474,9 +474,9 @@ fn together(granted: &Granted, quick: bool, report: &mut Report) -> Value {
     for _ in 0..rounds {
         let duel = duel(granted, TOGETHER, period_ns, cycles);
         ours.push(duel.ours.busy);
-        bare.push(duel.bare.busy);
+        bare.push(duel.theirs.busy);
         ours_cpu.push(duel.ours.cpu);
-        bare_cpu.push(duel.bare.cpu);
+        bare_cpu.push(duel.theirs.cpu);
     }
     let (ratio, cpu_ratio) = (ours.ratio(&bare, 0.5), ours_cpu.ratio(&bare_cpu, 0.5));
     let (linmots, unidrives) = end.drives.split_at(TOGETHER.linmots);

@@ -1,4 +1,5 @@
-//! The bare loop that ours is measured against, and the two on one thread, cycle by cycle in turns.
+//! The bare loop that ours is measured against, and ours in turns with a rival, cycle by cycle: the bare loop on the same
+//! thread, or another client.
 
 use std::cell::RefCell;
 use std::io::{self, ErrorKind, Read, Write};
@@ -38,13 +39,21 @@ pub struct Measured {
     pub calls: Vec<u64>,
 }
 
+impl Measured {
+    fn note(&mut self, record: &Record) {
+        if let Record::Drive(DriveRecord { rtt_ns: Some(rtt_ns), .. }) = record {
+            self.round_trips.push(u64::from(rtt_ns.get()));
+        }
+    }
+}
+
 /// What is to be measured.
 pub struct Duel<'a> {
     /// What the loop's thread got.
     pub granted: &'a Granted,
-    /// The drives of each loop.
+    /// The drives of our loop, and of the bare one; libmodbus has one Unidrive.
     pub fleet: Fleet,
-    /// How both wait.
+    /// How ours waits, and the bare loop; libmodbus always blocks.
     pub wait: Wait,
     /// The period of each.
     pub period_ns: u64,
@@ -54,8 +63,17 @@ pub struct Duel<'a> {
     pub carriers: &'a (dyn Carriers + Sync),
     /// See `carriers`.
     pub calls: &'a Calls,
-    /// A third one that takes turns with the two, with one Unidrive.
-    pub libmodbus: Option<&'a Libmodbus>,
+    /// Who takes turns with it.
+    pub rival: Rival<'a>,
+}
+
+/// Who ours is held against.
+#[derive(Clone, Copy, Debug)]
+pub enum Rival<'a> {
+    /// The bare loop, on the same thread.
+    Bare,
+    /// The client over libmodbus, a process of its own with one Unidrive.
+    Libmodbus(&'a Libmodbus),
 }
 
 /// What came of it.
@@ -63,48 +81,32 @@ pub struct Duel<'a> {
 pub struct Outcome {
     /// Ours.
     pub ours: Measured,
-    /// The bare loop.
-    pub bare: Measured,
-    /// The round trips of the client over libmodbus, ns; none without it.
-    pub libmodbus: Vec<u64>,
+    /// The rival; of the client over libmodbus only the round trips.
+    pub theirs: Measured,
     /// The end of our loop.
     pub end: Numbers,
 }
 
 impl Duel<'_> {
-    /// Lets our loop and the others run in turns: each has its own grid, shifted against those of the others by the same share
-    /// of the period, and its own drives, all in operation and served by one thread. Whatever the machine does in between, it does to
-    /// all.
+    /// Lets our loop and its rival run in turns: each has its own grid, half a period behind that of the other, and its own drives,
+    /// all in operation and served by one thread. Whatever the machine does in between, it does to both, and each finds the
+    /// caches as the other has left them.
     pub fn fight(&self) -> Outcome {
-        let Duel { granted, fleet, wait, period_ns, .. } = *self;
-        let third = Fleet::unidrives(usize::from(self.libmodbus.is_some()));
-        let simulated = [(fleet, Side::Ours), (fleet, Side::Bare), (third, Side::Libmodbus)];
-        let simulated = simulated.into_iter().flat_map(|(fleet, side)| fleet.simulate(side)).collect();
-        let server = rig::serve(simulated, granted);
-        let client =
-            self.libmodbus.map(|libmodbus| libmodbus.start(granted).unwrap_or_else(|why| give_up(why)));
-        let turn_ns = period_ns / if client.is_some() { 3 } else { 2 };
-        let outcome = rig::on_loop_thread(|_| -> io::Result<(Outcome, Option<Client>)> {
-            let mut bare = BareLoop::open(fleet, wait, period_ns)?;
-            bare.enable()?;
-            let cycle = rig::exchange_cycle(period_ns, wait);
-            let mut rig =
-                Rig::new(cycle, fleet.buses(Side::Ours), Pace::Grid, self.carriers, Arc::clone(self.calls));
-            rig.enable();
-            let mut client = client;
-            if let Some(client) = &mut client {
-                client.run(rig.grid() + 4 * period_ns + 2 * turn_ns, period_ns, self.cycles)?;
+        let (side, fleet) = match self.rival {
+            Rival::Bare => (Side::Bare, self.fleet),
+            Rival::Libmodbus(_) => (Side::Libmodbus, Fleet::unidrives(1)),
+        };
+        let simulated = self.fleet.simulate(Side::Ours).into_iter().chain(fleet.simulate(side)).collect();
+        let server = rig::serve(simulated, self.granted);
+        let outcome = match self.rival {
+            Rival::Bare => rig::on_loop_thread(|_| self.against_bare()),
+            Rival::Libmodbus(libmodbus) => {
+                let client = libmodbus.start(self.granted).unwrap_or_else(|why| give_up(why));
+                rig::on_loop_thread(|_| self.against_libmodbus(client))
             }
-            let (ours, theirs) = self.turns(&mut rig, &mut bare, turn_ns)?;
-            rig.settle();
-            Ok((Outcome { ours, bare: theirs, libmodbus: Vec::new(), end: rig.end() }, client))
-        });
+        };
         let outcome = match outcome {
-            Ok(Ok((outcome, None))) => outcome,
-            Ok(Ok((outcome, Some(client)))) => {
-                let libmodbus = client.end().unwrap_or_else(|why| give_up(why));
-                Outcome { libmodbus, ..outcome }
-            }
+            Ok(Ok(outcome)) => outcome,
             Ok(Err(error)) => give_up(error),
             Err(error) => give_up(error),
         };
@@ -112,18 +114,44 @@ impl Duel<'_> {
         outcome
     }
 
-    fn turns(&self, rig: &mut Rig, bare: &mut BareLoop, turn_ns: u64) -> io::Result<(Measured, Measured)> {
+    fn rig(&self) -> Rig {
+        let Duel { fleet, wait, period_ns, .. } = *self;
+        let cycle = rig::exchange_cycle(period_ns, wait);
+        let mut rig =
+            Rig::new(cycle, fleet.buses(Side::Ours), Pace::Grid, self.carriers, Arc::clone(self.calls));
+        rig.enable();
+        rig
+    }
+
+    fn against_bare(&self) -> io::Result<Outcome> {
+        let mut bare = BareLoop::open(self.fleet, self.wait, self.period_ns)?;
+        bare.enable()?;
+        let mut rig = self.rig();
+        let (ours, theirs) = self.turns(&mut rig, &mut bare)?;
+        rig.settle();
+        Ok(Outcome { ours, theirs, end: rig.end() })
+    }
+
+    fn against_libmodbus(&self, mut client: Client) -> io::Result<Outcome> {
+        let mut rig = self.rig();
+        client.run(rig.grid() + 4 * self.period_ns + self.period_ns / 2, self.period_ns, self.cycles)?;
+        let mut ours = Measured::default();
+        for _ in 0..self.cycles {
+            rig.turn(|record| ours.note(&record));
+        }
+        rig.settle();
+        let round_trips = client.end().unwrap_or_else(|why| give_up(why));
+        Ok(Outcome { ours, theirs: Measured { round_trips, ..Measured::default() }, end: rig.end() })
+    }
+
+    fn turns(&self, rig: &mut Rig, bare: &mut BareLoop) -> io::Result<(Measured, Measured)> {
         let (mut ours, mut theirs) = (Measured::default(), Measured::default());
         for _ in 0..self.cycles {
             let (before, executed) = (thread_cpu_ns(), rig.status().executed);
-            let turn = rig.turn(|record| {
-                if let Record::Drive(DriveRecord { rtt_ns: Some(rtt_ns), .. }) = record {
-                    ours.round_trips.push(u64::from(rtt_ns.get()));
-                }
-            });
+            let turn = rig.turn(|record| ours.note(&record));
             let between = thread_cpu_ns();
-            let busy =
-                bare.cycle(rig.grid() + turn_ns, true, |reply| theirs.round_trips.push(reply.rtt_ns))?;
+            let grid = rig.grid() + self.period_ns / 2;
+            let busy = bare.cycle(grid, true, |reply| theirs.round_trips.push(reply.rtt_ns))?;
             let after = thread_cpu_ns();
             // Only pairs that both were executed and answered.
             if let Some(busy) = busy

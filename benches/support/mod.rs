@@ -6,8 +6,8 @@
 //! | `stats` | quantiles, and ratios with bootstrap intervals |
 //! | `rig` | the loop driven by hand on a real-time thread |
 //! | `fleet`, `unidrive` | the drives it runs; a Unidrive that answers from memory |
-//! | `bare` | the bare loop that it is measured against, and the two in turns |
-//! | `libmodbus` | a client over libmodbus that takes turns with both |
+//! | `bare` | the bare loop that it is measured against, and the loop in turns with a rival |
+//! | `libmodbus` | a client over libmodbus that takes turns with the loop |
 //! | `null`, `counted` | carriers without a network; those of the operating system, counting system calls |
 //!
 //! Absolute times say little on a shared machine. So each contender runs in short slices, in turns with its rivals, on the
