@@ -86,21 +86,20 @@ pub fn mappings(drive: &UnidriveDrive) -> (Mapping, Option<Mapping>) {
 pub struct Canned {
     reply: [u8; ADU_MAX],
     length: usize,
-    // What the last request makes of it. Whole fields, as the station reads them: reading over the edge of what was just
-    // written would cost the processor more than the exchange does.
+    // What the last request makes of it. A reply is written in eights, as the station reads it: to read over the edge of what was
+    // just written holds a processor up, and of what the kernel has copied long before it does not.
     header: u64,
-    written: [[u8; 4]; 2],
-    status: i32,
-    speed: i32,
+    written: [u32; 2],
+    status: u32,
+    speed: u32,
 }
 
 impl Canned {
     /// Where a request has its values, in function 23 to two parameters.
     const WRITTEN: [std::ops::Range<usize>; 2] = [17..21, 21..25];
-    /// Where a reply has what was written, the status word, and the speed.
-    const READ_BACK: [std::ops::Range<usize>; 2] = [9..13, 13..17];
-    const STATUS: std::ops::Range<usize> = 17..21;
-    const SPEED: std::ops::Range<usize> = 21..25;
+    /// Where a reply has what was written, and behind it the status word and the speed.
+    const READ_BACK: std::ops::Range<usize> = 9..17;
+    const SAID: std::ops::Range<usize> = 17..25;
 
     /// The answers of [`drive`].
     pub fn new() -> Canned {
@@ -112,8 +111,8 @@ impl Canned {
         let mut reply = [0; ADU_MAX];
         let length = Response::ReadWritten { data: data.registers() }.emit(Header::default(), &mut reply);
         let header = u64::from_be_bytes(std::array::from_fn(|place| reply[place]));
-        let status = i32::from(StatusWord::HEALTHY | StatusWord::ZERO_SPEED);
-        Canned { reply, length, header, written: [[0; 4]; 2], status, speed: 0 }
+        let status = u32::from(StatusWord::HEALTHY | StatusWord::ZERO_SPEED);
+        Canned { reply, length, header, written: [0; 2], status, speed: 0 }
     }
 
     /// Hears a request; false if it is none to the whole block.
@@ -122,11 +121,11 @@ impl Canned {
         match request.get(FUNCTION) {
             Some(&function::READ_WRITE) if request.len() >= Self::WRITTEN[1].end => {
                 for (value, place) in self.written.iter_mut().zip(Self::WRITTEN) {
-                    value.copy_from_slice(&request[place]);
+                    *value = request[place].iter().fold(0, |value, byte| value << 8 | u32::from(*byte));
                 }
-                let runs = u16::from(self.written[0][3]) & ControlWord::ANY_RUN != 0;
+                let runs = self.written[0] & u32::from(ControlWord::ANY_RUN) != 0;
                 let state = if runs { StatusWord::ACTIVE } else { StatusWord::ZERO_SPEED };
-                self.status = i32::from(StatusWord::HEALTHY | state);
+                self.status = u32::from(StatusWord::HEALTHY | state);
             }
             // Nothing is written before the first order.
             Some(&function::READ) => {}
@@ -145,25 +144,20 @@ impl Canned {
     pub fn answer_again(&mut self, room: &mut [u8]) -> usize {
         self.speed = self.speed.wrapping_add(1);
         room[..8].copy_from_slice(&self.header.to_be_bytes());
-        for (value, place) in self.written.iter().zip(Self::READ_BACK) {
-            room[place].copy_from_slice(value);
-        }
-        room[Self::SPEED].copy_from_slice(&self.speed.to_be_bytes());
+        room[Self::READ_BACK].copy_from_slice(&pair(self.written));
+        room[Self::SAID].copy_from_slice(&pair([self.status, self.speed]));
         self.length
     }
 
     /// Writes the answer to what was heard into `room`, and gives its length.
     #[inline]
     pub fn answer(&mut self, room: &mut [u8]) -> usize {
-        let reply = &mut room[..self.length];
-        reply.copy_from_slice(&self.reply[..self.length]);
-        reply[..8].copy_from_slice(&self.header.to_be_bytes());
-        for (value, place) in self.written.iter().zip(Self::READ_BACK) {
-            reply[place].copy_from_slice(value);
-        }
-        self.speed = self.speed.wrapping_add(1);
-        reply[Self::STATUS].copy_from_slice(&self.status.to_be_bytes());
-        reply[Self::SPEED].copy_from_slice(&self.speed.to_be_bytes());
-        self.length
+        room[..self.length].copy_from_slice(&self.reply[..self.length]);
+        self.answer_again(room)
     }
+}
+
+/// Two values as they stand side by side on the wire.
+fn pair([first, second]: [u32; 2]) -> [u8; 8] {
+    (u64::from(first) << 32 | u64::from(second)).to_be_bytes()
 }
