@@ -10,12 +10,22 @@ use crate::rt::Regions;
 
 /// A fixed number of words: `[u64; N]`.
 pub trait Words: AsRef<[u64]> + AsMut<[u64]> {
+    /// As many that are shared, `[AtomicU64; N]`. Their number is known, so that a write is no loop.
+    type Shared: AsRef<[AtomicU64]> + std::fmt::Debug + Send + Sync;
     /// All zero.
     const ZERO: Self;
+
+    /// All zero.
+    fn shared() -> Self::Shared;
 }
 
 impl<const N: usize> Words for [u64; N] {
+    type Shared = [AtomicU64; N];
     const ZERO: Self = [0; N];
+
+    fn shared() -> Self::Shared {
+        [const { AtomicU64::new(0) }; N]
+    }
 }
 
 /// A plain value as a fixed number of 64-bit words.
@@ -29,33 +39,30 @@ pub trait Packed: Copy {
 }
 
 #[derive(Debug)]
-struct Shared {
+struct Shared<W: Words> {
     /// Odd while a write is going on.
     sequence: AtomicU64,
-    words: Box<[AtomicU64]>,
+    words: W::Shared,
 }
 
 /// The writing end: exactly one.
 #[derive(Debug)]
-pub struct Writer<T> {
-    shared: Arc<Shared>,
-    _value: std::marker::PhantomData<fn(T)>,
+pub struct Writer<T: Packed> {
+    shared: Arc<Shared<T::Words>>,
 }
 
 /// A reading end; clone it for as many threads as needed.
 #[derive(Debug)]
-pub struct Reader<T> {
-    shared: Arc<Shared>,
-    _value: std::marker::PhantomData<fn() -> T>,
+pub struct Reader<T: Packed> {
+    shared: Arc<Shared<T::Words>>,
 }
 
 /// A cell that holds `value`, as its two ends.
 pub fn cell<T: Packed>(value: T) -> (Writer<T>, Reader<T>) {
-    let words = T::Words::ZERO.as_ref().iter().map(|_| AtomicU64::new(0)).collect();
-    let shared = Arc::new(Shared { sequence: AtomicU64::new(0), words });
-    let mut writer = Writer { shared: Arc::clone(&shared), _value: std::marker::PhantomData };
+    let shared = Arc::new(Shared { sequence: AtomicU64::new(0), words: T::Words::shared() });
+    let mut writer = Writer { shared: Arc::clone(&shared) };
     writer.write(&value);
-    (writer, Reader { shared, _value: std::marker::PhantomData })
+    (writer, Reader { shared })
 }
 
 impl<T: Packed> Writer<T> {
@@ -66,7 +73,7 @@ impl<T: Packed> Writer<T> {
         self.shared.sequence.store(sequence.wrapping_add(1), Ordering::Relaxed);
         // The odd sequence is visible before any of the words.
         fence(Ordering::Release);
-        for (shared, word) in self.shared.words.iter().zip(words.as_ref()) {
+        for (shared, word) in self.shared.words.as_ref().iter().zip(words.as_ref()) {
             shared.store(*word, Ordering::Relaxed);
         }
         self.shared.sequence.store(sequence.wrapping_add(2), Ordering::Release);
@@ -80,7 +87,7 @@ impl<T: Packed> Reader<T> {
         loop {
             let before = self.shared.sequence.load(Ordering::Acquire);
             if before & 1 == 0 {
-                for (word, shared) in words.as_mut().iter_mut().zip(&self.shared.words) {
+                for (word, shared) in words.as_mut().iter_mut().zip(self.shared.words.as_ref()) {
                     *word = shared.load(Ordering::Relaxed);
                 }
                 // The words are read before the sequence is looked at again.
@@ -94,17 +101,16 @@ impl<T: Packed> Reader<T> {
     }
 }
 
-impl<T> Writer<T> {
+impl<T: Packed> Writer<T> {
     /// Adds the memory that a write touches, to be locked.
     pub fn memory(&self, regions: &mut Regions) {
         regions.add(&*self.shared);
-        regions.add(&*self.shared.words);
     }
 }
 
-impl<T> Clone for Reader<T> {
+impl<T: Packed> Clone for Reader<T> {
     fn clone(&self) -> Self {
-        Reader { shared: Arc::clone(&self.shared), _value: std::marker::PhantomData }
+        Reader { shared: Arc::clone(&self.shared) }
     }
 }
 
