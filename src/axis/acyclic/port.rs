@@ -82,6 +82,12 @@ impl Port {
         regions.add(&*self.cancelled.0);
     }
 
+    /// Nothing was posted.
+    #[inline]
+    pub fn is_empty(&self) -> bool {
+        self.calls.is_empty()
+    }
+
     /// The next call to carry out. What was cancelled, and what belongs to a series that has failed, ends here, a bounded part of
     /// it in one cycle.
     #[inline]

@@ -44,7 +44,13 @@ impl Calls {
     }
 
     /// Takes up the next call, and ends what is over. True if the next exchange may be the call's.
+    #[inline]
     pub(super) fn advance(&mut self, now: Time, link: Link, on: bool) -> bool {
+        // Almost always there is none.
+        (self.active.is_some() || !self.port.is_empty()) && self.go_on(now, link, on)
+    }
+
+    fn go_on(&mut self, now: Time, link: Link, on: bool) -> bool {
         if matches!(link, Link::Unseen | Link::Lost) {
             self.port.refuse_all(CallError::NotOnline);
         }

@@ -130,15 +130,6 @@ impl Image {
             self.seen |= 1 << place;
         }
     }
-
-    /// Takes a value out.
-    #[inline]
-    pub(super) fn take(&mut self, place: usize) -> Option<i32> {
-        let value = self.get(place)?;
-        self.set(place, 0);
-        self.seen &= !(1 << place);
-        Some(value)
-    }
 }
 
 /// Parameters side by side, of one width.
@@ -152,8 +143,8 @@ pub struct Block {
     pub width: Width,
     /// What each is for, in order.
     pub roles: Box<[Role]>,
-    /// A bit for each role that has a place in an [`Image`].
-    places: u32,
+    /// Its roles that have a place in an [`Image`].
+    pub(super) places: Places,
     /// They are 32 bits wide, and their places in an [`Image`] are 0, 1, 2 ...
     pub(super) in_order: bool,
     /// The first parameter, for messages.
@@ -164,7 +155,18 @@ impl Block {
     /// Whether it has this role.
     #[inline]
     pub fn has(&self, role: Role) -> bool {
-        role.index().is_some_and(|place| self.places >> place & 1 != 0)
+        self.places.has(role)
+    }
+}
+
+/// Some of the roles that have a place in an [`Image`]: a bit each.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Places(u32);
+
+impl Places {
+    #[inline]
+    pub(super) fn has(self, role: Role) -> bool {
+        role.index().is_some_and(|place| self.0 >> place & 1 != 0)
     }
 }
 
@@ -368,14 +370,14 @@ fn blocks(drive: &UnidriveDrive, items: &[(Role, Mapped)]) -> Result<Vec<Block>,
             registers,
             width,
             roles: Box::default(),
-            places: 0,
+            places: Places::default(),
             in_order: false,
             first: parameter,
         };
         blocks.push((block, vec![role], parameter));
     }
     let finished = |(block, roles, _): (Block, Vec<Role>, Parameter)| {
-        let places = roles.iter().filter_map(|role| role.index()).map(|place| 1 << place).sum();
+        let places = Places(roles.iter().filter_map(|role| role.index()).map(|place| 1 << place).sum());
         let mut each = roles.iter().map(|role| role.index()).enumerate();
         let in_order = block.width == Width::Long && each.all(|(place, index)| index == Some(place));
         Block { roles: roles.into(), places, in_order, ..block }

@@ -9,6 +9,7 @@
 //! | `greeting` | what is said on a new connection before the loop has it |
 //! | `station` | the master's view of one drive |
 //! | `identity`, `orders`, `calls`, `native`, `counters` | its parts: whose reply, what an order does, acyclic calls, native process data, counts |
+//! | `setup`, `echo`, `template` | and what is set before the first order, what the drive has taken, what stays the same from exchange to exchange |
 //! | `bus` | stations and connections as one bus |
 //! | `sim` | the simulated drive |
 

@@ -23,7 +23,8 @@ pub struct Native {
     outputs: Producer<NativeOutput>,
 }
 
-/// What the drive last said, as counts on the wire; `None`: not read yet.
+/// What the drive last said, as counts on the wire; `None`: not read yet on this connection. The number of a trip stays when the trip is
+/// over: the status says whether there is one.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct NativeInputs {
     /// When the newest of it was taken in.

@@ -85,7 +85,8 @@ pub(super) struct Orders {
     settable: bool,
     /// The control word went out since the step began.
     told: bool,
-    keypad: bool,
+    /// The bits of the control word while the drive is to be on.
+    on: u16,
     serial: u64,
     /// Nothing of this order went out yet.
     new: bool,
@@ -100,6 +101,8 @@ pub(super) struct Orders {
     native: Option<Outputs>,
     native_gone: (bool, bool),
     end: Option<Result<(), Failure>>,
+    /// `Slot::progress` says so.
+    progress_told: bool,
     /// Something is written.
     writes: bool,
     /// The last direction that was told; it is kept at zero.
@@ -124,8 +127,9 @@ enum Way {
     Quick,
 }
 
-/// Where an order is.
+/// Where an order is. The tag is a plain byte: it is looked at several times a cycle.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[repr(u8)]
 enum Step {
     Idle,
     /// Off and reference zero, until the drive has taken both.
@@ -173,7 +177,7 @@ impl Orders {
             obeys: false,
             settable: false,
             told: false,
-            keypad: drive.watchdog.keypad,
+            on: ControlWord::ENABLE | if drive.watchdog.keypad { ControlWord::KEYPAD_WATCHDOG } else { 0 },
             serial: 0,
             new: false,
             step: Step::Idle,
@@ -185,6 +189,7 @@ impl Orders {
             native: None,
             native_gone: (true, true),
             end: None,
+            progress_told: true,
             writes: false,
             reverse: false,
         }
@@ -207,7 +212,7 @@ impl Orders {
     ) -> Option<Outputs> {
         if slot.order.serial != self.serial {
             self.serial = slot.order.serial;
-            self.end = None;
+            (self.end, self.progress_told) = (None, false);
             self.withdraw();
             self.new = true;
             if self.is_native() {
@@ -220,11 +225,8 @@ impl Orders {
         } else if self.end.is_none() {
             self.go_on(grid, inputs, slot);
         }
-        // An end is long, and stays the same for most of the time.
-        let is_told = slot.progress.serial == self.serial
-            && matches!((slot.progress.end, self.end), (None, None) | (Some(Ok(())), Some(Ok(()))));
-        if self.serial != 0 && !is_told {
-            slot.progress = Progress { serial: self.serial, end: self.end };
+        if !self.progress_told {
+            (slot.progress, self.progress_told) = (Progress { serial: self.serial, end: self.end }, true);
         }
         self.lead(grid, slot);
         if let Step::Native(owner) = self.step {
@@ -346,19 +348,12 @@ impl Orders {
     }
 
     fn outputs(&self) -> Outputs {
-        let off = ControlWord::IDLE.with(if self.keypad && self.is_on() {
-            ControlWord::KEYPAD_WATCHDOG
-        } else {
-            0
-        });
         let raw = self.velocity * self.raw_per_velocity;
         let run = if self.reverse { ControlWord::RUN_REVERSE } else { ControlWord::RUN_FORWARD };
-        let control = match self.mode {
-            Mode::Off => off,
-            Mode::Stopping => off.with(ControlWord::ENABLE),
-            Mode::Running => off.with(ControlWord::ENABLE | run),
-            Mode::Resetting => off.with(ControlWord::RESET),
-        };
+        let control = ControlWord::IDLE
+            .with(if self.is_on() { self.on } else { 0 })
+            .with(if self.runs() { run } else { 0 })
+            .with(if self.mode == Mode::Resetting { ControlWord::RESET } else { 0 });
         // Rounded by hand: without SSE4.1 `round` is a call. A plan whose velocities do not fit is refused; the rest saturates.
         Outputs { control, reference: (raw.abs() + 0.5) as i32 }
     }
@@ -381,7 +376,7 @@ impl Orders {
         // Signed, since that is one instruction; the longest wait is far below the sign.
         let step = rate * (waited as i64 as f64 * 1e-9);
         let way = target - self.velocity_sent;
-        self.velocity = if way.abs() <= step { target } else { self.velocity_sent + step.copysign(way) };
+        self.velocity = if way.abs() <= step { target } else { on_the_way(self.velocity_sent, way, step) };
         if self.velocity * self.velocity_sent < 0.0 {
             // Direction and speed may go out one after the other: it changes at zero.
             self.velocity = 0.0;
@@ -391,6 +386,7 @@ impl Orders {
         }
     }
 
+    #[inline(never)]
     fn take_native(&mut self, owner: NativeOwner, native: &mut NativePort) {
         // Each goes out, whatever becomes of a request.
         if self.native_gone != (true, true) {
@@ -420,7 +416,7 @@ impl Orders {
     }
 
     fn finish(&mut self, end: Result<(), Failure>) {
-        self.end = Some(end);
+        (self.end, self.progress_told) = (Some(end), false);
         if end.is_err() || !matches!(self.step, Step::Turning { .. }) {
             self.step = Step::Idle;
         }
@@ -445,6 +441,7 @@ impl Orders {
         }
     }
 
+    #[cold]
     fn begin(&mut self, now: Time, inputs: &Inputs, slot: &Slot) {
         let status = inputs.status;
         let tripped = inputs.seen && !status.healthy();
@@ -658,4 +655,11 @@ impl Orders {
         self.set(Mode::Off);
         self.finish(Err(failure));
     }
+}
+
+/// A step on the way from a velocity. Kept out of line: inlined it becomes a conditional move, and where no step is left to be made the
+/// rest of the cycle would wait for this one.
+#[inline(never)]
+fn on_the_way(from: f64, way: f64, step: f64) -> f64 {
+    from + step.copysign(way)
 }

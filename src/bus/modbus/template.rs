@@ -3,20 +3,26 @@
 //! A drive is asked the same in by far the most cycles. So its request is built over the last one, and a reply that comes just as
 //! it should is known at a glance. Everything else takes the long way.
 
+use super::mapping::{Block, Places};
 use super::orders::Outputs;
 use super::parameter::Width;
 use super::wire::{ADU_MAX, Registers, function};
+
+/// Where a value stands in a message, and how wide it is: its first byte is at most 255, so that four always fit.
+pub(super) type Place = (u8, Width);
 
 /// A cyclic request as it stands in its room.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Template {
     /// The blocks that it writes and reads.
     pub blocks: (Option<u8>, Option<u8>),
+    /// The drive has no others.
+    pub only: bool,
     /// Of the whole message.
     pub length: usize,
     /// Where control word and reference stand, if it writes them.
-    pub control: Option<(usize, Width)>,
-    pub reference: Option<(usize, Width)>,
+    pub control: Option<Place>,
+    pub reference: Option<Place>,
     /// The reply to it.
     pub expected: Expected,
 }
@@ -32,17 +38,17 @@ impl Template {
 }
 
 #[inline]
-fn put(out: &mut [u8; ADU_MAX], place: Option<(usize, Width)>, count: i32) {
+fn put(out: &mut [u8; ADU_MAX], place: Option<Place>, count: i32) {
     let Some((at, width)) = place else { return };
-    let bytes = count.to_be_bytes();
-    match (width, out.get_mut(at..)) {
-        (Width::Long, Some([a, b, c, d, ..])) => [*a, *b, *c, *d] = bytes,
-        (Width::Word, Some([a, b, ..])) => [*a, *b] = [bytes[2], bytes[3]],
-        _ => {}
+    let at = usize::from(at);
+    match width {
+        Width::Long => out[at..at + 4].copy_from_slice(&count.to_be_bytes()),
+        Width::Word => out[at..at + 2].copy_from_slice(&(count as u16).to_be_bytes()),
     }
 }
 
-/// The reply to a request with function 23 as it comes when nothing is wrong: all of it but its values.
+/// The reply to a request with function 23 as it comes when nothing is wrong: all of it but its values, which go to an image as they
+/// stand.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Expected {
     /// Of the whole message; 0: none is expected.
@@ -51,21 +57,25 @@ pub(super) struct Expected {
     header: u64,
     /// The bytes of its values, as it says itself.
     bytes: u8,
+    /// Where the values belong.
+    pub places: Places,
 }
 
 impl Expected {
     /// What stands before the values: header, function, number of bytes.
     const FRONT: usize = 9;
 
-    /// To a request that reads so many registers, whatever its id. None is expected to more than a message holds.
-    pub(super) fn new(registers: u16, unit: u8) -> Expected {
-        let Some(bytes) = registers.checked_mul(2).and_then(|bytes| u8::try_from(bytes).ok()) else {
+    /// To a request that reads `block`, whatever its id. None is expected to more than a message holds, nor to what is to be
+    /// sorted.
+    pub(super) fn new(block: &Block, unit: u8) -> Expected {
+        let bytes = block.registers.checked_mul(2).and_then(|bytes| u8::try_from(bytes).ok());
+        let Some(bytes) = bytes.filter(|_| block.in_order) else {
             return Expected::default();
         };
         // Unit, function and number of bytes are counted, too.
         let [high, low] = (u16::from(bytes) + 3).to_be_bytes();
         let header = u64::from_be_bytes([0, 0, 0, 0, high, low, unit, function::READ_WRITE]);
-        Expected { size: Self::FRONT + usize::from(bytes), header, bytes }
+        Expected { size: Self::FRONT + usize::from(bytes), header, bytes, places: block.places }
     }
 
     /// To the request with this id.
@@ -92,6 +102,7 @@ impl Expected {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::bus::modbus::parameter::Parameter;
     use crate::bus::modbus::wire::{Header, RegistersBuffer, Request, Response};
     use crate::bus::modbus::words::ControlWord;
 
@@ -114,9 +125,10 @@ mod tests {
         let length = request(&[1, -2], HEADER, &mut refilled);
         let template = Template {
             blocks: (Some(0), Some(0)),
+            only: true,
             length,
-            control: Some((length - 8, Width::Long)),
-            reference: Some((length - 4, Width::Long)),
+            control: Some((length as u8 - 8, Width::Long)),
+            reference: Some((length as u8 - 4, Width::Long)),
             expected: Expected::default(),
         };
         let outputs = Outputs { control: ControlWord(0x8183), reference: 123_456_789 };
@@ -130,9 +142,22 @@ mod tests {
         let mut out = [0xEE; ADU_MAX];
         put(&mut out, Some((10, Width::Word)), 0x0001_8183);
         assert_eq!(out[9..13], [0xEE, 0x81, 0x83, 0xEE]);
-        put(&mut out, Some((ADU_MAX - 1, Width::Long)), 0);
         put(&mut out, None, 0);
-        assert_eq!(out[ADU_MAX - 1], 0xEE, "what does not fit is left out");
+        put(&mut out, Some((u8::MAX, Width::Long)), 0);
+        assert_eq!(out[255..], [0, 0, 0, 0, 0xEE], "the last place there is");
+    }
+
+    /// A block of so many registers, to be taken in as it stands.
+    fn block(registers: u16) -> Block {
+        Block {
+            address: 0x4000,
+            registers,
+            width: Width::Long,
+            roles: Box::default(),
+            places: Places::default(),
+            in_order: true,
+            first: Parameter::CONTROL_WORD,
+        }
     }
 
     #[test]
@@ -140,7 +165,7 @@ mod tests {
         let data = data(&[1, 2, 3]);
         let mut bytes = [0; ADU_MAX];
         let size = Response::ReadWritten { data: data.registers() }.emit(HEADER, &mut bytes);
-        let expected = Expected::new(6, 255).to(0x1234);
+        let expected = Expected::new(&block(6), 255).to(0x1234);
         assert_eq!(expected.values(&bytes[..size]), Some(data.registers()));
         assert_eq!(expected.values(&bytes[..size - 1]), None, "not all of it");
         assert_eq!(expected.values(&bytes[..size + 1]), None, "more than it");
@@ -157,7 +182,10 @@ mod tests {
     #[test]
     fn nothing_is_expected_by_default_nor_of_what_no_message_holds() {
         assert_eq!(Expected::default().values(&[]), None);
-        assert_eq!(Expected::new(128, 255), Expected::default());
-        assert_eq!(Expected::new(u16::MAX, 255), Expected::default());
+        assert_eq!(Expected::new(&block(128), 255), Expected::default());
+        assert_eq!(Expected::new(&block(u16::MAX), 255), Expected::default());
+        assert_ne!(Expected::new(&block(6), 255), Expected::default());
+        let mixed = Block { in_order: false, ..block(6) };
+        assert_eq!(Expected::new(&mixed, 255), Expected::default(), "what is to be sorted");
     }
 }

@@ -1,0 +1,287 @@
+//! The request of the next send: which one it is, its bytes, and what goes on once they are out.
+
+use super::{Blocks, End, Station, What, used};
+use crate::bus::modbus::counters::Own;
+use crate::bus::modbus::mapping::{Block, Role};
+use crate::bus::modbus::orders::Outputs;
+use crate::bus::modbus::parameter::Width;
+use crate::bus::modbus::template::{Expected, Template};
+use crate::bus::modbus::wire::{Header, Request};
+use crate::bus::{Cycle, Exchange, Slot};
+use crate::time::Time;
+
+/// After so many references in a row the control word has its turn again, for the drive's watchdogs.
+pub(in crate::bus::modbus) const REFERENCES_IN_A_ROW: u32 = 8;
+
+impl Station {
+    /// Builds the request of the next send. Built again for the same send, it is the same: what moves on with every request does so
+    /// in [`sent`](Self::sent).
+    pub fn prepare(&mut self, cycle: &Cycle, slot: &mut Slot) {
+        let native = &mut self.native;
+        let outputs = self.orders.advance(cycle.grid, &self.inputs, slot, native);
+        self.inputs.fresh = false;
+        let calls = self.calls.advance(cycle.grid, slot.link, self.orders.is_on());
+        // Whether the last one is answered by then, the send will see.
+        self.length = 0;
+        if !self.connected || !self.rest().is_empty() {
+            return;
+        }
+        self.grid = cycle.grid;
+        // A drive that does not follow the control word, and cannot be set so, is only read.
+        let outputs = if self.finding.obeys || self.settable { outputs } else { None };
+        self.outputs = outputs.unwrap_or_default();
+        let sets = self.end != End::NotYet || self.set < self.settings.len();
+        if let Some(template) = &self.template
+            && template.only
+            && outputs.is_some()
+            && !(calls || sets)
+        {
+            // There is nothing to choose, and `prepared` is this request already.
+            template.refill(&mut self.out, self.identity.next(), self.outputs);
+            self.length = template.length;
+            return;
+        }
+        self.length = self.prepare_next(outputs, calls);
+    }
+
+    /// Chooses and builds the next request.
+    #[inline(never)]
+    fn prepare_next(&mut self, outputs: Option<Outputs>, calls: bool) -> usize {
+        let goes_first = || self.control_changes(outputs) || outputs.is_some() && self.orders.is_new();
+        let next = match self.next_setting() {
+            Some(setting) => setting,
+            None if calls && !goes_first() => What::Call,
+            None => What::Cyclic(self.choose(outputs)),
+        };
+        self.emit(next)
+    }
+
+    /// The setting to write now, if there is one.
+    fn next_setting(&self) -> Option<What> {
+        if let End::Disarming(_) = self.end {
+            return self.time_out().map(|index| What::Set { index: index as u8, value: 0 });
+        }
+        let setting = self.settings.get(self.set).filter(|_| self.orders.wants_set_up(&self.inputs))?;
+        Some(What::Set { index: self.set as u8, value: setting.value })
+    }
+
+    /// The blocks of the next cyclic request.
+    fn choose(&self, outputs: Option<Outputs>) -> Blocks {
+        let (read, confirms) = self.choose_read(outputs);
+        let write = outputs.map(|outputs| self.choose_write(outputs) as u8);
+        let both = Blocks { write, read: Some(read as u8), confirms, ..Blocks::default() };
+        // Without FC23 writing and reading take turns; what is urgent may go twice in a row.
+        let urgent = self.control_changes(outputs) || self.orders.is_new();
+        let most = if urgent { 2 } else { 1 };
+        match write {
+            None => both,
+            Some(_) if self.finding.read_write => both,
+            Some(_) if self.written_in_a_row < most => Blocks { read: None, confirms: false, ..both },
+            Some(_) => Blocks { write: None, ..both },
+        }
+    }
+
+    /// The block to read, and whether it is out of turn: to see what the drive has taken.
+    fn choose_read(&self, outputs: Option<Outputs>) -> (usize, bool) {
+        let mapping = self.mapping();
+        let turn = (mapping.read_in(self.reads), false);
+        if self.inputs.seen && !self.inputs.status.healthy() && !self.trip_read {
+            // A trip is named as soon as it is seen.
+            return mapping.block_with(Role::Trip).map_or(turn, |block| (block, true));
+        }
+        let Some(outputs) = outputs.filter(|_| !self.confirmed && mapping.reads().len() > 1) else {
+            return turn;
+        };
+        let missing = if self.control_changes(Some(outputs)) {
+            Some(Role::Control)
+        } else if self.inputs.reference != Some(outputs.reference) && self.orders.waits() {
+            Some(Role::Reference)
+        } else {
+            None
+        };
+        missing.and_then(|role| mapping.block_with(role)).map_or(turn, |block| (block, true))
+    }
+
+    fn control_changes(&self, outputs: Option<Outputs>) -> bool {
+        outputs.is_some_and(|outputs| self.inputs.control != Some(outputs.control))
+    }
+
+    /// What differs from what the drive has, the control word first; else each in its turn, for the drive's watchdogs.
+    fn choose_write(&self, outputs: Outputs) -> usize {
+        let writes = self.mapping().writes();
+        if writes.len() == 1 {
+            return 0;
+        }
+        let with = |role| writes.iter().position(|block| block.has(role));
+        let control_turn = self.writes.is_multiple_of(REFERENCES_IN_A_ROW);
+        let block = if self.control_changes(Some(outputs)) {
+            with(Role::Control)
+        } else if self.inputs.reference != Some(outputs.reference) && (self.orders.is_new() || !control_turn)
+        {
+            with(Role::Reference)
+        } else if control_turn {
+            with(Role::Control)
+        } else {
+            None
+        };
+        block.unwrap_or_else(|| self.writes as usize % writes.len().max(1))
+    }
+
+    /// Writes the next request into its room: over the last one, if that asked for the same blocks.
+    fn emit(&mut self, next: What) -> usize {
+        let transaction = self.identity.next();
+        if let What::Cyclic(blocks) = next
+            && let Some(template) = &self.template
+            && template.blocks == (blocks.write, blocks.read)
+        {
+            template.refill(&mut self.out, transaction, self.outputs);
+            let (control, reference) = (template.control.is_some(), template.reference.is_some());
+            self.prepared = What::Cyclic(Blocks { control, reference, ..blocks });
+            return template.length;
+        }
+        self.prepared = next;
+        self.build(transaction)
+    }
+
+    /// Builds the prepared request in its room.
+    fn build(&mut self, transaction: u16) -> usize {
+        self.template = None;
+        let data = &mut self.data;
+        data.clear();
+        let blocks = match &mut self.prepared {
+            What::Call => {
+                let Some((unit, request)) = self.calls.request(self.finding.unit, data) else { return 0 };
+                return request.emit(Header { transaction, unit }, &mut self.out);
+            }
+            What::Set { index, value } => {
+                let Some(setting) = self.settings.get(usize::from(*index)) else { return 0 };
+                let unit = setting.parameter.unit(self.finding.unit);
+                return setting.write(*value, data).emit(Header { transaction, unit }, &mut self.out);
+            }
+            What::Cyclic(blocks) => blocks,
+        };
+        let mapping = used(&self.direct, &self.menu_0, self.finding.menu_0);
+        let block =
+            |blocks, index: Option<u8>| index.and_then(|index| <[Block]>::get(blocks, usize::from(index)));
+        let (write, read) = (block(mapping.writes(), blocks.write), block(mapping.reads(), blocks.read));
+        let (mut control, mut reference) = (None, None);
+        if let Some(block) = write {
+            for role in &block.roles {
+                let (place, count) = match role {
+                    Role::Control => (&mut control, i32::from(self.outputs.control.0)),
+                    _ => (&mut reference, self.outputs.reference),
+                };
+                *place = Some((data.registers().bytes().len(), block.width));
+                match block.width {
+                    Width::Word => data.push_word(count as u16),
+                    Width::Long => data.push_long(count),
+                };
+            }
+        }
+        (blocks.control, blocks.reference) = (control.is_some(), reference.is_some());
+        let data = data.registers();
+        let unit = self.finding.unit;
+        let request = match (write, read) {
+            (Some(write), Some(read)) => {
+                Request::ReadWrite { read: read.address, count: read.registers, write: write.address, data }
+            }
+            (Some(write), None) => Request::Write { address: write.address, data },
+            (None, Some(read)) => Request::Read { address: read.address, count: read.registers },
+            (None, None) => return 0,
+        };
+        let length = request.emit(Header { transaction, unit }, &mut self.out);
+        let expected = match (write, read) {
+            (Some(_), Some(read)) => Expected::new(read, unit),
+            _ => Expected::default(),
+        };
+        // The values are the end of the message.
+        let begin = length.saturating_sub(data.bytes().len());
+        let in_message = |place: Option<(usize, Width)>| {
+            place.and_then(|(at, width)| Some((u8::try_from(begin + at).ok()?, width)))
+        };
+        let places = (in_message(control), in_message(reference));
+        // A value that could not be found again would stay as it is.
+        let found = (places.0.is_some(), places.1.is_some()) == (control.is_some(), reference.is_some());
+        let (control, reference) = places;
+        let blocks = (blocks.write, blocks.read);
+        let only = mapping.writes().len() == 1 && mapping.reads().len() == 1 && blocks == (Some(0), Some(0));
+        let template = Template { blocks, only, length, control, reference, expected };
+        self.template = (length > 0 && found).then_some(template);
+        length
+    }
+
+    /// What is to be handed to the wire for a slot that is due; empty: nothing can be.
+    pub fn to_send(&self) -> &[u8] {
+        match self.connected && !self.identity.is_open() {
+            true => self.out.get(..self.length).unwrap_or_default(),
+            false => &[],
+        }
+    }
+
+    /// What the wire has not taken yet of the request that is open.
+    pub(in crate::bus::modbus) fn rest(&self) -> &[u8] {
+        match self.connected && self.identity.is_open() {
+            true => self.out.get(self.gone..self.open).unwrap_or_default(),
+            false => &[],
+        }
+    }
+
+    /// More of the open request went out.
+    pub(in crate::bus::modbus) fn rest_sent(&mut self, count: usize) {
+        self.gone += count;
+    }
+
+    /// The prepared request was handed to the wire, or the front of it: `count` bytes.
+    #[inline]
+    pub fn sent(&mut self, at: Time, count: usize, cycle: &Cycle, slot: &mut Slot) {
+        if count < self.length {
+            Own::Pieces.count(&mut slot.counters);
+        }
+        (self.open, self.gone, self.asked_unit) = (self.length, count, self.out[6]);
+        let expected = self.template.as_ref().map(|template| template.expected.to(self.identity.next()));
+        self.expected = expected.unwrap_or_default();
+        self.identity.sent();
+        (self.asked, self.asked_at, self.written) = (self.prepared, at, self.outputs);
+        self.calls.sent(self.asked == What::Call);
+        if let What::Cyclic(blocks) = self.asked {
+            self.blocks_sent(blocks);
+        }
+        let window_ns = cycle.deadline.since(cycle.grid);
+        if self.window_ns != window_ns {
+            // It is always the same one: a division is needed once.
+            let more = self.reply_within_ns.saturating_sub(window_ns);
+            self.beyond_ns = more.div_ceil(cycle.period_ns) * cycle.period_ns;
+            self.window_ns = window_ns;
+        }
+        let reply_by = cycle.deadline + self.beyond_ns;
+        slot.counters.sent += 1;
+        slot.exchange = Exchange::Owed { sent_at: at, reply_by, awaited: true };
+    }
+
+    /// These blocks went out.
+    fn blocks_sent(&mut self, blocks: Blocks) {
+        // Where there is nothing to choose, turns are of no use.
+        if self.template.as_ref().is_none_or(|template| !template.only) {
+            self.confirmed = blocks.confirms;
+            self.reads = self.reads.wrapping_add(u32::from(blocks.read.is_some() && !blocks.confirms));
+            self.writes = self.writes.wrapping_add(u32::from(blocks.write.is_some()));
+            self.written_in_a_row = if blocks.read.is_some() { 0 } else { self.written_in_a_row + 1 };
+        }
+        if blocks.control {
+            self.control_sent = Some(self.written.control);
+            self.orders.control_sent();
+        }
+        if blocks.reference {
+            self.orders.reference_sent(self.grid);
+        }
+        if blocks.write.is_some() {
+            self.orders.sent();
+        }
+    }
+
+    /// Nothing could be sent.
+    pub(in crate::bus::modbus) fn unsent(&mut self, slot: &mut Slot) {
+        slot.counters.unsent += 1;
+        slot.exchange = Exchange::Unsent;
+    }
+}

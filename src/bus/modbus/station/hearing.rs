@@ -1,0 +1,380 @@
+//! What arrives: whose it is, what is wrong with it, and what it says of the drive.
+
+use super::{Blocks, End, ROOM, Station, What, Why, used};
+use crate::bus::modbus::counters::Own;
+use crate::bus::modbus::echo::Echo;
+use crate::bus::modbus::identity::Whose;
+use crate::bus::modbus::mapping::{Block, Image, Places, Role};
+use crate::bus::modbus::native::NativePort;
+use crate::bus::modbus::parameter::{DRIVE_UNIT, Parameter, Width};
+use crate::bus::modbus::setup::Purpose;
+use crate::bus::modbus::wire::{ExceptionCode, Header, Registers, Response, ResponseError, frame};
+use crate::bus::modbus::words::{ControlWord, StatusWord};
+use crate::bus::{Exchange, Slot};
+use crate::time::{S, Time};
+
+/// A missing hardware enable is shown for so long, ns, after the drive was last told to run: only telling it again will show
+/// whether it is back.
+const DARK_NS: u64 = S;
+
+const GARBAGE: Why = "what came is no Modbus";
+
+impl Station {
+    /// The room for what arrives.
+    pub fn room(&mut self) -> &mut [u8] {
+        &mut self.inbox[self.filled..]
+    }
+
+    /// So many bytes have arrived in it. An error: the connection has to be given up.
+    pub fn take(&mut self, at: Time, count: usize, slot: &mut Slot) -> Result<(), Why> {
+        self.filled = (self.filled + count).min(ROOM);
+        if let What::Cyclic(blocks) = self.asked
+            && self.identity.is_open()
+            && let Some(data) = self.expected.values(&self.inbox[..self.filled])
+        {
+            self.identity.answer_open();
+            if close(at, slot) {
+                self.image.set_front(data);
+                self.cyclic_read(at, blocks, self.expected.places, slot);
+            }
+            self.filled = 0;
+            return Ok(());
+        }
+        self.take_messages(at, slot)
+    }
+
+    /// Takes in what has arrived, message by message.
+    #[inline(never)]
+    fn take_messages(&mut self, at: Time, slot: &mut Slot) -> Result<(), Why> {
+        // Out of the station's hands while it takes the messages in.
+        let mut inbox = std::mem::take(&mut self.inbox);
+        let mut rest = &inbox[..self.filled];
+        // Each turn takes a message of eight bytes at least out of the room.
+        let result = loop {
+            match frame(rest) {
+                Ok(Some(size)) => {
+                    let (adu, behind) = rest.split_at(size);
+                    rest = behind;
+                    self.reply(at, adu, slot);
+                }
+                Ok(None) => break Ok(()),
+                Err(_) => break Err(GARBAGE),
+            }
+        };
+        let left = rest.len();
+        if left > 0 {
+            inbox.copy_within(self.filled - left..self.filled, 0);
+        }
+        (self.inbox, self.filled) = (inbox, left);
+        if result.is_err() {
+            slot.counters.malformed += 1;
+            Own::Garbage.count(&mut slot.counters);
+            self.disconnected();
+        }
+        result
+    }
+
+    /// One message.
+    fn reply(&mut self, at: Time, adu: &[u8], slot: &mut Slot) {
+        let (header, response) = match Response::parse(adu) {
+            Ok(parsed) => parsed,
+            Err(error) => {
+                let counter = match error {
+                    ResponseError::Function { .. } => Own::WrongFunction,
+                    _ => Own::WrongLength,
+                };
+                counter.count(&mut slot.counters);
+                slot.counters.malformed += 1;
+                return;
+            }
+        };
+        match self.identity.whose(header.transaction) {
+            Whose::Open => {}
+            Whose::Late => {
+                self.identity.answer(header.transaction);
+                slot.counters.late += 1;
+                return;
+            }
+            Whose::Duplicate => {
+                slot.counters.duplicate += 1;
+                return;
+            }
+            Whose::Foreign => {
+                slot.counters.foreign += 1;
+                return;
+            }
+        }
+        if let Some(fault) = self.misfits(header, &response) {
+            fault.count(&mut slot.counters);
+            slot.counters.malformed += 1;
+            return;
+        }
+        self.answered(at, &response, slot);
+    }
+
+    /// The open request has this response.
+    fn answered(&mut self, at: Time, response: &Response<'_>, slot: &mut Slot) {
+        self.identity.answer_open();
+        if matches!(response, Response::Exception { .. }) {
+            Own::Exceptions.count(&mut slot.counters);
+        }
+        if self.asked == What::Call {
+            self.calls.answer(response);
+        }
+        if !close(at, slot) {
+            return;
+        }
+        match self.asked {
+            What::Call => {}
+            What::Set { index, .. } => self.set_answered(usize::from(index), response),
+            What::Cyclic(blocks) => self.cyclic(at, blocks, response, slot),
+        }
+    }
+
+    /// The response to a setting.
+    fn set_answered(&mut self, index: usize, response: &Response<'_>) {
+        if let End::Disarming(_) = self.end {
+            // Refused or not: asked once more it would say the same.
+            self.end = End::Done;
+            return;
+        }
+        let Some(setting) = self.settings.get(index) else { return };
+        let taken =
+            matches!(*response, Response::Written { count, .. } if count == setting.width.registers());
+        if !taken {
+            self.settable = false;
+        } else if setting.parameter == Parameter::CONTROL_WORD_ENABLE {
+            // From here on the control word counts, once it is written again.
+            (self.control, self.inputs.control) = (Echo::default(), None);
+        }
+        if taken {
+            self.set = index + 1;
+            let rest = &self.settings[self.set..];
+            let is_met = |purpose| !rest.iter().any(|setting| setting.purpose == purpose);
+            self.finding.obeys = is_met(Purpose::Obey);
+            self.finding.watched = is_met(Purpose::Watch) && self.time_out().is_some();
+        }
+        self.orders.found(self.finding.watched || self.unwatched, self.finding.obeys, self.settable);
+    }
+
+    /// What does not fit the open request in a response that names it.
+    fn misfits(&self, header: Header, response: &Response<'_>) -> Option<Own> {
+        let unit = self.asked_unit;
+        // A drive may answer 255 to 0 (field reports).
+        if header.unit != unit && !(unit == 0 && header.unit == DRIVE_UNIT) {
+            return Some(Own::WrongUnit);
+        }
+        let blocks = match self.asked {
+            What::Call => return (!self.calls.fits(response)).then_some(Own::WrongFunction),
+            What::Set { .. } => {
+                let fits = matches!(response, Response::Exception { .. } | Response::Written { .. });
+                return (!fits).then_some(Own::WrongFunction);
+            }
+            What::Cyclic(blocks) => blocks,
+        };
+        let data = match (response, blocks.write, blocks.read) {
+            (Response::Exception { .. }, ..) => return None,
+            (Response::ReadWritten { data }, Some(_), Some(_)) | (Response::Read { data }, None, Some(_)) => {
+                data
+            }
+            (Response::Written { .. }, Some(_), None) => return None,
+            _ => return Some(Own::WrongFunction),
+        };
+        let block = blocks.read.and_then(|index| self.mapping().reads().get(usize::from(index)));
+        (data.len() != block.map_or(0, |block| usize::from(block.registers))).then_some(Own::WrongLength)
+    }
+
+    /// The response to a cyclic request.
+    fn cyclic(&mut self, at: Time, blocks: Blocks, response: &Response<'_>, slot: &mut Slot) {
+        let data = match *response {
+            Response::Exception { code, .. } => return self.refuse(at, blocks, code),
+            Response::Written { count, .. } => return self.written(at, blocks, count, slot),
+            Response::Read { data } | Response::ReadWritten { data } => data,
+            Response::WriteOne { .. } => return,
+        };
+        let mapping = used(&self.direct, &self.menu_0, self.finding.menu_0);
+        if let Some(block) = blocks.read.and_then(|index| mapping.reads().get(usize::from(index))) {
+            read(block, data, &mut self.image, &mut self.native);
+            let places = block.places;
+            self.cyclic_read(at, blocks, places, slot);
+        }
+    }
+
+    /// What was read in these places is in the image. It and what it calls are no calls: together they are most of an exchange.
+    #[inline(always)]
+    fn cyclic_read(&mut self, at: Time, blocks: Blocks, places: Places, slot: &mut Slot) {
+        (self.refused.1, self.busy_since) = (0, None);
+        if blocks.write.is_some() {
+            self.refused.0 = 0;
+        }
+        if blocks.control {
+            self.control.replied(i32::from(self.written.control.0));
+        }
+        if blocks.reference {
+            self.reference.replied(self.written.reference);
+        }
+        let (control, reference) = (places.has(Role::Control), places.has(Role::Reference));
+        let (status, speed) = (places.has(Role::Status), places.has(Role::Speed));
+        let with_trip = places.has(Role::Trip);
+        self.native.publish(at, self.orders.is_native(), &self.image);
+        if control || reference {
+            self.compare(at, control, reference, slot);
+        } else if blocks.control || blocks.reference {
+            self.note_taken(at);
+        }
+        self.seen = (self.seen.0 || status, self.seen.1 || speed);
+        self.trip_read |= with_trip;
+        if status {
+            self.take_status(at, with_trip);
+        }
+        if self.seen == (true, true) {
+            self.seen = (false, false);
+            self.report(at, slot);
+        }
+    }
+
+    /// The drive has refused a cyclic request.
+    fn refuse(&mut self, at: Time, blocks: Blocks, code: ExceptionCode) {
+        match code {
+            ExceptionCode::ACKNOWLEDGE | ExceptionCode::BUSY => {
+                self.busy_since.get_or_insert(at);
+            }
+            ExceptionCode::FUNCTION if blocks.write.is_some() && blocks.read.is_some() => {
+                self.finding.read_write = false;
+                self.template = None;
+            }
+            _ => {
+                self.refused.0 += u32::from(blocks.write.is_some());
+                self.refused.1 += u32::from(blocks.read.is_some());
+            }
+        }
+    }
+
+    /// The drive has written so many registers.
+    fn written(&mut self, at: Time, blocks: Blocks, count: u16, slot: &mut Slot) {
+        (self.refused.0, self.busy_since) = (0, None);
+        let block = blocks.write.and_then(|index| self.mapping().writes().get(usize::from(index)));
+        if block.is_some_and(|block| count < block.registers) {
+            Own::WrittenShort.count(&mut slot.counters);
+            return self.orders.not_taken(at);
+        }
+        if blocks.control {
+            self.control.confirm(i32::from(self.written.control.0));
+        }
+        if blocks.reference {
+            self.reference.confirm(self.written.reference);
+        }
+        self.note_taken(at);
+    }
+
+    /// What was read back against what was written.
+    #[inline(always)]
+    fn compare(&mut self, at: Time, control: bool, reference: bool, slot: &mut Slot) {
+        let word = self.image.of(Role::Control).filter(|_| control).map(|count| i32::from(count as u16));
+        let speed = self.image.of(Role::Reference).filter(|_| reference);
+        let wrong_control = word.is_some_and(|word| self.control.read(word));
+        let wrong_reference = speed.is_some_and(|speed| self.reference.read(speed));
+        self.note_taken(at);
+        if wrong_control || wrong_reference {
+            Own::NotTaken.count(&mut slot.counters);
+            self.orders.not_taken(at);
+        }
+    }
+
+    /// What the drive has taken by now.
+    fn note_taken(&mut self, at: Time) {
+        let control = self.control.taken().map(|count| ControlWord(count as u16));
+        if control.is_some() && control != self.inputs.control {
+            self.control_taken = control;
+            self.inputs.control_since = at;
+        }
+        self.inputs.control = control;
+        self.inputs.reference = self.reference.taken();
+    }
+
+    /// A new status; `named`: the number of a trip came with it.
+    #[inline(always)]
+    fn take_status(&mut self, at: Time, named: bool) {
+        let Some(status) = self.image.of(Role::Status).map(|raw| StatusWord(raw as u16)) else { return };
+        let inputs = &mut self.inputs;
+        (inputs.seen, inputs.fresh, inputs.status) = (true, true, status);
+        if status.healthy() {
+            // What is named is the trip of the last time.
+            (inputs.trip, inputs.tripped_at, self.trip_read) = (0, None, false);
+        } else {
+            // What was read before this trip is that of another one.
+            self.trip_read &= named || inputs.tripped_at.is_some();
+            inputs.tripped_at.get_or_insert(at);
+            let number = self.image.of(Role::Trip).filter(|_| self.trip_read);
+            inputs.trip = number.unwrap_or(0) as u16;
+        }
+        inputs.named = self.trip_read || !self.tells_trips;
+        // It has taken that it is to run; before, what it did is no answer to that.
+        let running =
+            self.orders.runs() && self.inputs.control.is_some_and(|word| word.has_any(ControlWord::ANY_RUN));
+        self.was_active = running && (self.was_active || status.active());
+        self.inputs.dark = running
+            && status.healthy()
+            && !status.active()
+            && (self.was_active || self.orders.should_be_active(at, &self.inputs));
+        if self.inputs.dark {
+            self.dark_at = Some(at);
+        }
+    }
+
+    /// What the drive said, in user units: a status and a speed that were both read since the last report.
+    #[inline(always)]
+    fn report(&mut self, at: Time, slot: &mut Slot) {
+        let velocity = f64::from(self.image.of(Role::Speed).unwrap_or(0)) * self.velocity_per_count;
+        self.inputs.velocity = velocity;
+        let status = self.inputs.status;
+        let was_dark = self.dark_at.is_some_and(|dark_at| at.since(dark_at) < DARK_NS);
+        let report = &mut slot.report;
+        report.fresh = true;
+        report.at = at;
+        report.suspect = false;
+        report.inhibited = was_dark && !status.active();
+        report.state = self.orders.state(status, report.inhibited);
+        report.moving = status.active() && !status.zero_speed();
+        report.in_target = status.at_speed();
+        report.velocity = velocity;
+        (report.position, report.demand, report.current) = (f64::NAN, f64::NAN, f64::NAN);
+        report.warning = u32::from(status.0 & StatusWord::WARNINGS);
+        report.fault = if status.healthy() { 0 } else { u32::from(self.inputs.trip) };
+        report.monitor_fresh |= !self.shown.is_empty();
+        for &(channel, counts) in &self.shown {
+            let count = self.image.get(Role::FIRST_SHOWN + channel);
+            report.monitor[channel] = count.map(|count| f64::from(count) / counts);
+        }
+    }
+}
+
+/// Ends the exchange as answered, if its time has not passed.
+#[inline]
+fn close(at: Time, slot: &mut Slot) -> bool {
+    let Exchange::Owed { sent_at, .. } = slot.exchange else {
+        slot.counters.late += 1;
+        return false;
+    };
+    slot.exchange = Exchange::Answered { sent_at, at, suspect: false };
+    slot.counters.answered += 1;
+    true
+}
+
+/// Takes the values of a block into the image.
+fn read(block: &Block, data: Registers<'_>, image: &mut Image, native: &mut NativePort) {
+    if block.in_order {
+        return image.set_front(data);
+    }
+    let mut take = |role: &Role, count: i32| match (role.index(), role) {
+        (Some(place), _) => image.set(place, count),
+        (None, Role::Also(index)) => native.publish_also(*index, count),
+        (None, _) => {}
+    };
+    match block.width {
+        Width::Word => {
+            block.roles.iter().zip(data.words()).for_each(|(role, word)| take(role, (word as i16).into()))
+        }
+        Width::Long => block.roles.iter().zip(data.longs()).for_each(|(role, long)| take(role, long)),
+    }
+}

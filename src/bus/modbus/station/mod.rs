@@ -1,0 +1,356 @@
+//! The master's view of one Unidrive: one request after the other on its connection, and what came of each.
+//!
+//! | file | what |
+//! |---|---|
+//! | `mod` | the station, and the life of its connection |
+//! | `asking` | the next request |
+//! | `hearing` | what arrives |
+
+mod asking;
+mod hearing;
+
+use std::sync::Arc;
+
+use super::calls::Calls;
+use super::counters::Own;
+use super::echo::Echo;
+use super::greeting::{Finding, Found};
+use super::identity::Identity;
+use super::mapping::{Image, Mapping};
+use super::native::{Native, NativePort, native};
+use super::orders::{Inputs, Orders, Outputs};
+use super::plan::UnidriveDrive;
+use super::setup::{Purpose, Setting, settings};
+use super::template::{Expected, Template};
+use super::wire::{ADU_MAX, RegistersBuffer};
+use super::words::ControlWord;
+use crate::axis::acyclic::{self, AcyclicEnds};
+use crate::bus::{Cycle, Slot};
+use crate::rt::Regions;
+use crate::time::Time;
+
+pub(super) use asking::REFERENCES_IN_A_ROW;
+
+/// The end waits for the drive's time-out to be disarmed for so many times that a reply may take.
+const DISARM_WITHIN: u64 = 3;
+/// A cyclic exchange that is refused so often in a row is not what the greeting found: the drive is greeted again ...
+const MOST_REFUSALS: u32 = 3;
+/// ... and so it is after it was busy for so many times that a reply may take.
+const BUSY_WITHIN: u64 = 4;
+
+/// One drive as the master sees it.
+#[derive(Debug)]
+pub struct Station {
+    /// The channels that it shows, and the counts in one unit of each.
+    shown: Box<[(usize, f64)]>,
+    /// User units/s of one count of the speed feedback.
+    velocity_per_count: f64,
+    /// It tells the numbers of its trips.
+    tells_trips: bool,
+    /// The blocks where they are, and those of menu 0.
+    direct: Mapping,
+    menu_0: Option<Mapping>,
+    found: Arc<Found>,
+    finding: Finding,
+    /// No time-out has to be set in the drive before it is enabled.
+    unwatched: bool,
+    /// What makes the drive follow the control word, and what watches it: written with the first order that needs it, this far.
+    settings: Box<[Setting]>,
+    set: usize,
+    settable: bool,
+    end: End,
+    reply_within_ns: u64,
+    /// A window of this length is followed by so much time for a reply, in whole periods; at first it is longer than any.
+    window_ns: u64,
+    beyond_ns: u64,
+    orders: Orders,
+    calls: Calls,
+    native: NativePort,
+    connected: bool,
+    opened_before: bool,
+    /// An exchange was owed as this cycle's send began: none is due.
+    pub(super) passed: bool,
+    identity: Identity,
+    /// What the open request is, and when it went out.
+    asked: What,
+    asked_at: Time,
+    written: Outputs,
+    prepared: What,
+    /// The values that the prepared request writes.
+    outputs: Outputs,
+    grid: Time,
+    /// What it writes, as registers.
+    data: RegistersBuffer,
+    out: [u8; ADU_MAX],
+    /// What stands there, if it is cyclic.
+    template: Option<Template>,
+    /// The reply to the open request, if there is only one that is right.
+    expected: Expected,
+    /// Of the prepared request; 0: there is none.
+    length: usize,
+    /// Of the open one, and how much of it the wire has taken. The next one is built over it as soon as that is all.
+    open: usize,
+    gone: usize,
+    /// The unit id of the open request.
+    asked_unit: u8,
+    inbox: Vec<u8>,
+    filled: usize,
+    /// Exchanges that read, and that wrote; those that wrote only, in a row.
+    reads: u32,
+    writes: u32,
+    written_in_a_row: u8,
+    /// Writes, and reads, that were refused in a row; and since when the drive is busy.
+    refused: (u32, u32),
+    busy_since: Option<Time>,
+    image: Image,
+    inputs: Inputs,
+    control: Echo,
+    reference: Echo,
+    /// The control word that the drive last took, and the one that last went out, on whatever connection.
+    control_taken: Option<ControlWord>,
+    control_sent: Option<ControlWord>,
+    /// The trip number in the image is that of the trip that lasts; while none does, it was read since the last healthy status.
+    trip_read: bool,
+    /// A status, a speed was read since the last report.
+    seen: (bool, bool),
+    /// The last read was for what is waited for to be taken.
+    confirmed: bool,
+    was_active: bool,
+    /// The power stage was last off then although the drive was told to run.
+    dark_at: Option<Time>,
+}
+
+/// How far the orderly end is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum End {
+    NotYet,
+    /// The drive is to be seen off, until this instant at the latest ...
+    Waiting(Time),
+    /// ... then its time-out is disarmed.
+    Disarming(Time),
+    Done,
+}
+
+/// Room for what arrives: a whole message, and what came behind it.
+const ROOM: usize = 2 * ADU_MAX;
+
+/// What a request is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum What {
+    /// An acyclic call.
+    Call,
+    /// A setting, and its value: what is to be set, or 0 to disarm a time-out.
+    Set { index: u8, value: i32 },
+    /// Blocks to write and to read.
+    Cyclic(Blocks),
+}
+
+impl Default for What {
+    fn default() -> What {
+        What::Cyclic(Blocks::default())
+    }
+}
+
+/// The blocks of a cyclic request.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Blocks {
+    write: Option<u8>,
+    read: Option<u8>,
+    /// The block to write has the control word, the reference.
+    control: bool,
+    reference: bool,
+    /// The block to read is out of turn.
+    confirms: bool,
+}
+
+/// Why a connection has to be given up.
+pub type Why = &'static str;
+
+impl Station {
+    /// The station of `drive` for an exchange every `interval_ns`, and the application's ends of its native process data and of its
+    /// acyclic access.
+    pub fn new(
+        drive: &UnidriveDrive,
+        mappings: (Mapping, Option<Mapping>),
+        found: Arc<Found>,
+        interval_ns: u64,
+    ) -> (Station, Native, AcyclicEnds) {
+        let (application, native) = native(drive.map.also.len());
+        let (ends, port) = acyclic::queue(drive.axis.parameter_queue);
+        let shown = drive.map.show.iter().enumerate();
+        let station = Station {
+            velocity_per_count: drive.velocity(drive.map.speed.value(1)),
+            tells_trips: drive.map.trip.is_some(),
+            shown: shown.filter_map(|(channel, mapped)| Some((channel, (*mapped)?.raw(1.0)))).collect(),
+            direct: mappings.0,
+            menu_0: mappings.1,
+            found,
+            finding: Finding::default(),
+            unwatched: drive.watchdog.timeout_ns.is_none()
+                && (drive.watchdog.keypad || drive.watchdog.accept_none),
+            settings: if drive.set_up { settings(drive, None).into() } else { Box::default() },
+            set: 0,
+            settable: false,
+            end: End::NotYet,
+            reply_within_ns: drive.reply_within_ns,
+            window_ns: u64::MAX,
+            beyond_ns: 0,
+            orders: Orders::new(drive, interval_ns),
+            calls: Calls::new(port, drive.addressing),
+            native,
+            connected: false,
+            opened_before: false,
+            passed: false,
+            identity: Identity::default(),
+            asked: What::default(),
+            asked_at: Time(0),
+            written: Outputs::default(),
+            prepared: What::default(),
+            outputs: Outputs::default(),
+            grid: Time(0),
+            data: RegistersBuffer::new(),
+            out: [0; ADU_MAX],
+            template: None,
+            expected: Expected::default(),
+            length: 0,
+            open: 0,
+            gone: 0,
+            asked_unit: 0,
+            inbox: vec![0; ROOM],
+            filled: 0,
+            reads: 0,
+            writes: 0,
+            written_in_a_row: 0,
+            refused: (0, 0),
+            busy_since: None,
+            image: Image::default(),
+            inputs: Inputs::default(),
+            control: Echo::default(),
+            reference: Echo::default(),
+            control_taken: None,
+            control_sent: None,
+            trip_read: false,
+            seen: (false, false),
+            confirmed: false,
+            was_active: false,
+            dark_at: None,
+        };
+        (station, application, ends)
+    }
+
+    /// Adds what it touches besides itself, to be locked.
+    pub(super) fn memory(&self, regions: &mut Regions) {
+        regions.add(&*self.inbox);
+        regions.add(&*self.shown);
+        self.native.memory(regions);
+        self.calls.memory(regions);
+        for mapping in std::iter::once(&self.direct).chain(&self.menu_0) {
+            mapping.memory(regions);
+        }
+    }
+
+    /// A new connection is there, greeted.
+    pub fn connected(&mut self, slot: &mut Slot) {
+        self.connected = true;
+        self.finding = self.found.get();
+        let finding = &self.finding;
+        // What is so already is not set again.
+        let is_met = |setting: &&Setting| match setting.purpose {
+            Purpose::Obey => finding.obeys,
+            Purpose::Watch => finding.watched,
+            Purpose::Menu0 => true,
+        };
+        self.set = self.settings.iter().take_while(is_met).count();
+        self.settable = !self.settings.is_empty();
+        self.orders.found(finding.watched || self.unwatched, finding.obeys, self.settable);
+        self.identity.reconnected();
+        (self.template, self.expected) = (None, Expected::default());
+        (self.filled, self.length, self.open, self.gone) = (0, 0, 0, 0);
+        (self.refused, self.busy_since, self.written_in_a_row) = ((0, 0), None, 0);
+        // What the drive has is not known until it reads back, nor what it does until it says so again.
+        (self.control, self.reference) = (Echo::default(), Echo::default());
+        let velocity = f64::from(finding.speed) * self.velocity_per_count;
+        self.inputs = Inputs { seen: true, status: finding.status, velocity, ..Inputs::default() };
+        (self.was_active, self.dark_at, self.trip_read) = (false, None, false);
+        (self.image, self.reads, self.writes, self.seen) = (Image::default(), 0, 0, (false, false));
+        // It stands, and has neither what it last took nor what was last on its way.
+        let known = [self.control_taken, self.control_sent];
+        if self.control_sent.is_some() && !finding.status.active() && !known.contains(&Some(finding.control))
+        {
+            slot.report.restarted = true;
+            (self.control_taken, self.control_sent) = (None, None);
+            self.orders.drive_restarted();
+        }
+        slot.reachable = true;
+        if std::mem::replace(&mut self.opened_before, true) {
+            Own::Reopened.count(&mut slot.counters);
+        }
+    }
+
+    /// The connection is gone.
+    pub(super) fn disconnected(&mut self) {
+        self.connected = false;
+        self.calls.lost();
+    }
+
+    /// The connection has ended at the other end.
+    pub(super) fn ended(&mut self, slot: &mut Slot) {
+        let counter = if self.filled > 0 { Own::CutOff } else { Own::Closed };
+        counter.count(&mut slot.counters);
+        self.disconnected();
+    }
+
+    /// Why the connection has to be given up, if it has.
+    pub(super) fn gives_up(&mut self, now: Time, slot: &mut Slot) -> Option<Why> {
+        let silent = self.identity.is_open() && now.since(self.asked_at) > 2 * self.reply_within_ns;
+        let busy = self.busy_since.is_some_and(|since| now.since(since) > BUSY_WITHIN * self.reply_within_ns);
+        let why = match () {
+            () if !self.connected => return None,
+            () if silent => "a request was not answered in twice its time",
+            () if busy => "the drive is busy all the time",
+            () if self.refused.0.max(self.refused.1) >= MOST_REFUSALS => {
+                "the drive refuses its cyclic parameters"
+            }
+            () => return None,
+        };
+        Own::GivenUp.count(&mut slot.counters);
+        self.disconnected();
+        Some(why)
+    }
+
+    /// Starts or continues the orderly end: true once nothing is owed to this drive any more.
+    pub(super) fn shut_down(&mut self, cycle: &Cycle) -> bool {
+        let armed =
+            self.connected && self.finding.watched && self.time_out().is_some() && self.orders.writes();
+        let off = self.inputs.control == Some(ControlWord::IDLE) && !self.inputs.status.active();
+        self.end = match self.end {
+            // A drive that is still on keeps what stops it.
+            End::NotYet if !armed || self.orders.is_on() => End::Done,
+            End::NotYet => End::Waiting(cycle.deadline + DISARM_WITHIN * self.reply_within_ns),
+            End::Waiting(until) if off => End::Disarming(until),
+            End::Waiting(until) | End::Disarming(until) if !self.connected || cycle.grid > until => End::Done,
+            same => same,
+        };
+        self.end == End::Done
+    }
+
+    /// The place of the time-out among the settings.
+    fn time_out(&self) -> Option<usize> {
+        self.settings.iter().position(|setting| setting.purpose == Purpose::Watch)
+    }
+
+    /// The orderly end is over: nothing is asked any more.
+    pub(super) fn has_ended(&self) -> bool {
+        self.end == End::Done
+    }
+
+    fn mapping(&self) -> &Mapping {
+        used(&self.direct, &self.menu_0, self.finding.menu_0)
+    }
+}
+
+/// The blocks that the drive is asked by: those of menu 0 where it shows them there.
+#[inline]
+fn used<'a>(direct: &'a Mapping, menu_0: &'a Option<Mapping>, in_menu_0: bool) -> &'a Mapping {
+    menu_0.as_ref().filter(|_| in_menu_0).unwrap_or(direct)
+}
