@@ -192,3 +192,57 @@ fn the_orderly_end_takes_the_time_out_from_a_drive_that_is_off_and_leaves_it_to_
         assert!(!status.healthy(), "{via:?}: its own time-out has tripped it: {status:?}");
     }
 }
+
+#[test]
+fn a_drive_that_refuses_function_23_from_now_on_is_asked_in_turns_and_goes_on_turning() {
+    for via in VIAS {
+        let mut b = Bench::new(1, via, |_, _| {});
+        b.ready();
+        b.turning(0, 4.0);
+        // No drive has it, so that it says what it says to a function that it does not have; but not of which.
+        const NONE: u8 = 43;
+        b.tap(0).request = Some(Box::new(|request| {
+            if request[7] == function::READ_WRITE {
+                request[7] = NONE;
+            }
+        }));
+        b.tap(0).reply = Some(Box::new(|reply| {
+            if reply.get(7) == Some(&(NONE | function::EXCEPTION)) {
+                reply[7] = function::READ_WRITE | function::EXCEPTION;
+            }
+        }));
+        b.tap(0).heard.clear();
+        b.run(500);
+        let heard = std::mem::take(&mut b.tap(0).heard);
+        let refused = heard.iter().filter(|request| request[7] == NONE).count();
+        assert!((1..=2).contains(&refused), "{via:?}: {refused}, one may be on its way");
+        let with = |function| heard.iter().any(|request| request[7] == function);
+        assert!(with(function::READ) && with(function::WRITE), "{via:?}");
+        assert!((b.feedback(0).velocity - 4.0).abs() < 0.1, "{via:?}: {:?}", b.feedback(0));
+        b.turning(0, -3.0);
+        b.done(0, STOP);
+        b.done(0, Verb::Disable);
+        let counters = b.finish().drives[0].counters;
+        assert_eq!(own(&counters), [(key(Own::Exceptions), refused as u64)], "{via:?}");
+    }
+}
+
+#[test]
+fn a_second_trip_is_never_called_by_the_name_of_the_first() {
+    for via in VIAS {
+        let mut b = Bench::new(1, via, |_, _| {});
+        b.ready();
+        for trip in [Trip::OVER_VOLTS, Trip::MOTOR_TOO_HOT, Trip::OVER_VOLTS] {
+            b.turning(0, 4.0);
+            b.tap(0).drive.provoke(trip);
+            let mut named = 0;
+            while named == 0 {
+                b.run(1);
+                named = b.feedback(0).fault;
+            }
+            assert_eq!(named, u32::from(trip.0), "{via:?}");
+            b.run(20);
+            b.recover(0);
+        }
+    }
+}
