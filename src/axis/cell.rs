@@ -68,14 +68,22 @@ pub fn cell<T: Packed>(value: T) -> (Writer<T>, Reader<T>) {
 impl<T: Packed> Writer<T> {
     /// Publishes `value`. Wait-free.
     pub fn write(&mut self, value: &T) {
-        let words = value.pack();
+        self.write_words(value.pack().as_ref().iter().copied());
+    }
+
+    /// Publishes a value by its first words: those behind them stay as they were, for a type that tells how many count.
+    #[inline]
+    pub fn write_words(&mut self, words: impl Iterator<Item = u64>) {
         let sequence = self.shared.sequence.load(Ordering::Relaxed);
         self.shared.sequence.store(sequence.wrapping_add(1), Ordering::Relaxed);
         // The odd sequence is visible before any of the words.
         fence(Ordering::Release);
-        for (shared, word) in self.shared.words.as_ref().iter().zip(words.as_ref()) {
-            shared.store(*word, Ordering::Relaxed);
-        }
+        let mut places = self.shared.words.as_ref().iter();
+        words.for_each(|word| {
+            if let Some(place) = places.next() {
+                place.store(word, Ordering::Relaxed);
+            }
+        });
         self.shared.sequence.store(sequence.wrapping_add(2), Ordering::Release);
     }
 }

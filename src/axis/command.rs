@@ -52,12 +52,12 @@ pub struct StreamRow {
     pub row: Row,
 }
 
-/// One velocity setpoint on its way to the loop.
+/// One velocity or torque on its way to the loop.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Velocity {
-    /// The [`Verb::Jog`] or [`Verb::Velocity`] that it was given for.
+pub struct Setpoint {
+    /// The [`Verb::Jog`], [`Verb::Velocity`] or [`Verb::Torque`] that it was given for.
     pub of: CommandId,
-    /// User units/s.
+    /// User units/s, or per cent of the rated torque.
     pub value: f64,
 }
 
@@ -81,6 +81,16 @@ pub enum Verb {
     },
     /// Follow the rows of the axis' stream (or of the in-loop task), one an exchange.
     Follow,
+    /// Follow the axis' cyclic torque setpoints, 0 until the first one comes. One that is older than the axis allows stops it.
+    ///
+    /// Torques are in per cent of the motor's rated torque, as CiA 402 drives count them (6071h, in per mille); above 0
+    /// they accelerate towards higher positions. What a torque leads to depends on the load: the axis stops at its velocity
+    /// limit, without which the verb is refused, and where it could not stop inside its position limits any more. A
+    /// vertical load would drop, and is refused.
+    Torque {
+        /// Per cent of the rated torque a second, towards each new setpoint (CiA 402: 6087h).
+        slope: f64,
+    },
     /// Ramp down and stay enabled.
     Stop {
         /// Deceleration in user units/s²; `None` takes the axis' profile.
@@ -294,11 +304,23 @@ impl Verb {
 
     /// A motion: it may replace a running motion.
     pub fn is_motion(&self) -> bool {
-        matches!(self, Verb::Move(_) | Verb::Jog(_) | Verb::Velocity { .. } | Verb::Follow | Verb::Native(_))
+        matches!(self, Verb::Move(_) | Verb::Follow | Verb::Native(_))
+            || self.takes_velocities()
+            || self.takes_torques()
+    }
+
+    /// It follows velocity setpoints.
+    pub fn takes_velocities(&self) -> bool {
+        matches!(self, Verb::Jog(_) | Verb::Velocity { .. })
+    }
+
+    /// It follows torque setpoints.
+    pub fn takes_torques(&self) -> bool {
+        matches!(self, Verb::Torque { .. })
     }
 
     /// The names, by [`code`](Verb::code); 0 is none of them.
-    pub const NAMES: [&str; 13] = [
+    pub const NAMES: [&str; 14] = [
         "-",
         "enable",
         "disable",
@@ -312,6 +334,7 @@ impl Verb {
         "reset fault",
         "reset",
         "native",
+        "torque",
     ];
 
     /// Its number in records, from 1.
@@ -329,6 +352,7 @@ impl Verb {
             Verb::ResetFault => 10,
             Verb::Reset => 11,
             Verb::Native(_) => 12,
+            Verb::Torque { .. } => 13,
         }
     }
 
@@ -341,6 +365,31 @@ impl Verb {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn old_records_keep_the_names_of_their_verbs() {
+        let speed = Jog { velocity: 1.0, acceleration: 1.0 };
+        let profile = Profile { velocity: 1.0, acceleration: 1.0, deceleration: 1.0 };
+        let all = [
+            (Verb::Enable, "enable"),
+            (Verb::Disable, "disable"),
+            (Verb::Home, "home"),
+            (Verb::Move(Move { target: Target::Absolute(0.0), profile }), "move"),
+            (Verb::Jog(speed), "jog"),
+            (Verb::Velocity { acceleration: 1.0 }, "velocity"),
+            (Verb::Follow, "follow"),
+            (Verb::Stop { deceleration: None }, "stop"),
+            (Verb::QuickStop, "quick stop"),
+            (Verb::ResetFault, "reset fault"),
+            (Verb::Reset, "reset"),
+            (Verb::Native(NativeOwner::Master), "native"),
+            (Verb::Torque { slope: 1.0 }, "torque"),
+        ];
+        assert_eq!(all.len() + 1, Verb::NAMES.len());
+        for ((verb, name), code) in all.into_iter().zip(1..) {
+            assert_eq!((verb.code(), verb.name()), (code, name));
+        }
+    }
 
     #[test]
     fn a_command_that_failed_by_a_fault_names_it_and_any_other_reads_as_ever() {

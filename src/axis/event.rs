@@ -3,7 +3,7 @@
 use std::fmt;
 
 use super::command::{CommandId, Outcome};
-use super::feedback::{Link, State, StopCause};
+use super::feedback::{Fault, Link, State, StopCause};
 use crate::time::Time;
 
 /// One event of one axis.
@@ -15,6 +15,25 @@ pub struct Event {
     pub at: Time,
     /// What.
     pub kind: EventKind,
+}
+
+/// What a drive says by itself of something that went wrong, or of its end: an emergency (CiA 301).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Emergency {
+    /// Its error code, by the names of faults of the drive's protocol; 0 = an error is over.
+    pub code: u16,
+    /// The error register of the drive, 1001h.
+    pub register: u8,
+}
+
+impl Emergency {
+    /// In words; `fault` is its code with the name that it has.
+    pub fn told(self, fault: Fault<'_>) -> String {
+        match self.code {
+            0 => format!("emergency: error over, register {:#04x}", self.register),
+            _ => format!("emergency {fault}, register {:#04x}", self.register),
+        }
+    }
 }
 
 /// What can happen to an axis.
@@ -37,6 +56,9 @@ pub enum EventKind {
     Fault(u32),
     /// The drive's warning word changed.
     Warning(u32),
+    /// The drive told an emergency, whether a fault or a warning follows from it or not. [`Axis::fault`](crate::Axis::fault) has the
+    /// name of its code.
+    Emergency(Emergency),
     /// The master stopped the axis; latched until reset.
     Stopped(StopCause),
     /// The drive's hardware enable (STO) is there, or is missing.
@@ -67,6 +89,10 @@ impl fmt::Display for Event {
             EventKind::Fault(code) => write!(f, "fault {code:#06x}"),
             EventKind::Warning(0) => write!(f, "warnings gone"),
             EventKind::Warning(word) => write!(f, "warnings {word:#06x}"),
+            EventKind::Emergency(emergency) => {
+                let code = emergency.code.into();
+                f.write_str(&emergency.told(Fault { code, name: None }))
+            }
             EventKind::Stopped(cause) => write!(f, "stopped: {cause}"),
             EventKind::HardwareEnable(true) => write!(f, "hardware enable (STO) closed"),
             EventKind::HardwareEnable(false) => write!(f, "hardware enable (STO) missing"),

@@ -116,7 +116,7 @@ pub enum StopCause {
     HardwareEnable = 11,
     /// The application gave no sign of life within the heartbeat time.
     Heartbeat = 12,
-    /// A velocity setpoint grew older than the axis allows.
+    /// A velocity or torque setpoint grew older than the axis allows.
     StaleSetpoint = 13,
     /// A jog was not renewed within its dead-man time.
     DeadMan = 14,
@@ -162,7 +162,7 @@ impl fmt::Display for StopCause {
             StopCause::DriveDropped => "drive left operation",
             StopCause::HardwareEnable => "hardware enable (STO) missing",
             StopCause::Heartbeat => "application silent",
-            StopCause::StaleSetpoint => "velocity setpoint too old",
+            StopCause::StaleSetpoint => "setpoint too old",
             StopCause::DeadMan => "jog not renewed",
             StopCause::GroupLink => "too many misses in its group",
             StopCause::GroupFailed => "motion of its group failed",

@@ -167,6 +167,18 @@ impl Group {
         Ok(())
     }
 
+    /// The torque setpoints of all members, per cent of the rated torque, while they run [`Verb::Torque`].
+    pub fn set_torques(&mut self, torques: &[f64]) -> Result<(), GroupError> {
+        self.count(torques.len())?;
+        for (axis, torque) in self.axes.iter().zip(torques) {
+            axis.accepts_torque(*torque)?;
+        }
+        for (axis, torque) in self.axes.iter_mut().zip(torques) {
+            axis.set_torque(*torque)?;
+        }
+        Ok(())
+    }
+
     /// How many rows the streams have room for.
     pub fn stream_room(&self) -> usize {
         self.axes.iter().map(Axis::stream_room).min().unwrap_or(0)

@@ -14,12 +14,12 @@ use thiserror::Error;
 use super::acyclic::{Acyclic, Parameters};
 use super::cell::Reader;
 use super::command::{
-    Abort, Command, CommandId, Failure, Jog, Move, Outcome, Profile, Row, StreamRow, Target, Ticket,
-    Velocity, Verb,
+    Abort, Command, CommandId, Failure, Jog, Move, Outcome, Profile, Row, Setpoint, StreamRow, Target,
+    Ticket, Verb,
 };
 use super::event::{Event, EventKind};
 use super::feedback::{Fault, FaultNames, Feedback, Link, StopCause};
-use super::limits::{check_row, check_velocity, check_verb};
+use super::limits::{check_row, check_torque, check_velocity, check_verb};
 use super::plan::AxisPlan;
 use super::pulse::Pulse;
 use super::streams::Streams;
@@ -30,8 +30,8 @@ pub(super) const LOOK_EVERY: Duration = Duration::from_micros(500);
 /// Places in each command queue that only a stop, quick stop or power off takes.
 pub(crate) const URGENT_ROOM: usize = 4;
 
-/// Room for velocity setpoints between two cycles; only the newest counts.
-pub(crate) const VELOCITY_QUEUE: usize = 64;
+/// Room for velocity and torque setpoints between two cycles; only the newest counts.
+pub(crate) const SETPOINT_QUEUE: usize = 64;
 
 /// One axis of a running master.
 #[derive(Debug)]
@@ -45,6 +45,8 @@ pub struct Axis {
     next_id: u64,
     /// The last jog or cyclic velocity.
     rolling: CommandId,
+    /// The last torque.
+    pressing: CommandId,
     /// Events taken from the queue while waiting for another one.
     kept: VecDeque<Event>,
     /// Kept events that nobody asked for and that had to make room.
@@ -59,8 +61,8 @@ pub struct AxisEnds {
     pub commands: Producer<Command>,
     /// Rows to the loop.
     pub rows: Producer<StreamRow>,
-    /// Velocity setpoints to the loop.
-    pub velocities: Producer<Velocity>,
+    /// Velocity and torque setpoints to the loop.
+    pub setpoints: Producer<Setpoint>,
     /// Events from the loop.
     pub events: Consumer<Event>,
     /// The newest feedback.
@@ -150,6 +152,7 @@ impl Axis {
             ends,
             next_id: 1,
             rolling: CommandId(0),
+            pressing: CommandId(0),
             kept: VecDeque::new(),
             dropped: 0,
             streams: Streams::default(),
@@ -261,8 +264,11 @@ impl Axis {
         }
         self.pulse.beat();
         self.next_id += 1;
-        if matches!(verb, Verb::Jog(_) | Verb::Velocity { .. }) {
+        if verb.takes_velocities() {
             self.rolling = id;
+        }
+        if verb.takes_torques() {
+            self.pressing = id;
         }
         if verb == Verb::Follow {
             self.streams.followed(id);
@@ -274,9 +280,19 @@ impl Axis {
     /// given again before it is older than `setpoint_age` or the dead-man time of the axis.
     pub fn set_velocity(&mut self, velocity: f64) -> Result<(), AxisError> {
         self.accepts_velocity(velocity)?;
-        let setpoint = Velocity { of: self.rolling, value: velocity };
-        if self.ends.velocities.push(setpoint).is_err() {
-            return Err(self.full("velocity", VELOCITY_QUEUE));
+        self.enqueue_setpoint("velocity", Setpoint { of: self.rolling, value: velocity })
+    }
+
+    /// The torque setpoint of a running [`Verb::Torque`], per cent of the rated torque. The newest counts; it has to be given
+    /// again before it is older than `setpoint_age`.
+    pub fn set_torque(&mut self, torque: f64) -> Result<(), AxisError> {
+        self.accepts_torque(torque)?;
+        self.enqueue_setpoint("torque", Setpoint { of: self.pressing, value: torque })
+    }
+
+    fn enqueue_setpoint(&mut self, what: &'static str, setpoint: Setpoint) -> Result<(), AxisError> {
+        if self.ends.setpoints.push(setpoint).is_err() {
+            return Err(self.full(what, SETPOINT_QUEUE));
         }
         self.pulse.beat();
         Ok(())
@@ -285,7 +301,13 @@ impl Axis {
     /// Whether `velocity` would be taken now.
     pub(super) fn accepts_velocity(&self, velocity: f64) -> Result<(), AxisError> {
         check_velocity(&self.plan, velocity).map_err(|failure| self.refused("velocity", failure))?;
-        if self.ends.velocities.is_abandoned() { Err(self.gone()) } else { Ok(()) }
+        if self.ends.setpoints.is_abandoned() { Err(self.gone()) } else { Ok(()) }
+    }
+
+    /// Whether `torque` would be taken now.
+    pub(super) fn accepts_torque(&self, torque: f64) -> Result<(), AxisError> {
+        check_torque(&self.plan, torque).map_err(|failure| self.refused("torque", failure))?;
+        if self.ends.setpoints.is_abandoned() { Err(self.gone()) } else { Ok(()) }
     }
 
     /// How many rows the stream has room for.

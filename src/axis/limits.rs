@@ -1,7 +1,7 @@
 //! The limits of an axis: a command, setpoint or row that breaks one is refused, at the door where that can be told there.
 
 use super::command::{Failure, Jog, Move, Profile, Row, Target, Verb};
-use super::plan::{AxisPlan, Limits};
+use super::plan::{AxisPlan, Limits, Load};
 
 /// `Ok` if `verb` keeps to what the plan allows, as far as that can be told without knowing where the axis is.
 pub fn check_verb(plan: &AxisPlan, verb: &Verb) -> Result<(), Failure> {
@@ -18,6 +18,13 @@ pub fn check_verb(plan: &AxisPlan, verb: &Verb) -> Result<(), Failure> {
             positive("acceleration", *acceleration, plan.limits.acceleration)
         }
         Verb::Velocity { acceleration } => positive("acceleration", *acceleration, plan.limits.acceleration),
+        Verb::Torque { .. } if plan.limits.velocity.is_none() => Err(Failure::Unsupported(
+            "nothing but a limit of the velocity ends a runaway under torque: set limits.velocity",
+        )),
+        Verb::Torque { .. } if plan.load != Load::Level => Err(Failure::Unsupported(
+            "a vertical load drops where the torque does not hold it: give velocities or positions",
+        )),
+        Verb::Torque { slope } => positive("torque slope", *slope, None),
         Verb::Stop { deceleration: Some(deceleration) } => positive("deceleration", *deceleration, None),
         Verb::Enable
         | Verb::Disable
@@ -35,6 +42,12 @@ pub fn check_verb(plan: &AxisPlan, verb: &Verb) -> Result<(), Failure> {
 pub fn check_velocity(plan: &AxisPlan, velocity: f64) -> Result<(), Failure> {
     finite(velocity)?;
     within("velocity", velocity.abs(), 0.0, plan.limits.velocity)
+}
+
+/// `Ok` if `torque` is finite and within its limit, in either direction.
+pub fn check_torque(plan: &AxisPlan, torque: f64) -> Result<(), Failure> {
+    finite(torque)?;
+    within("torque", torque.abs(), 0.0, plan.limits.torque)
 }
 
 /// `Ok` if `row` is finite, inside the position and velocity limits, and at most a step away from `from`, the row before.
@@ -116,7 +129,42 @@ fn within(what: &'static str, value: f64, low: f64, high: Option<f64>) -> Result
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::axis::{Limits, Units};
+    use crate::axis::{HeldBy, Limits, Units};
+
+    #[test]
+    fn a_torque_needs_a_limit_of_the_velocity_and_a_load_that_does_not_drop() {
+        let mut plan = AxisPlan::new("x", Units::millimetres(1_000.0));
+        let torque = |slope| Verb::Torque { slope };
+        assert!(
+            matches!(check_verb(&plan, &torque(100.0)), Err(Failure::Unsupported(why)) if why.contains("velocity"))
+        );
+        plan.limits.velocity = Some(10.0);
+        assert_eq!(check_verb(&plan, &torque(100.0)), Ok(()));
+        for (slope, refused) in [
+            (0.0, Failure::NotPositive { what: "torque slope", value: 0.0 }),
+            (-1.0, Failure::NotPositive { what: "torque slope", value: -1.0 }),
+            (f64::INFINITY, Failure::NotFinite),
+        ] {
+            assert_eq!(check_verb(&plan, &torque(slope)), Err(refused));
+        }
+        for held_by in [HeldBy::Brake, HeldBy::Drive] {
+            plan.load = Load::Vertical(held_by);
+            assert!(
+                matches!(check_verb(&plan, &torque(100.0)), Err(Failure::Unsupported(why)) if why.contains("drops"))
+            );
+        }
+    }
+
+    #[test]
+    fn a_torque_keeps_to_its_limit_in_both_directions() {
+        let mut plan = AxisPlan::new("x", Units::millimetres(1_000.0));
+        assert_eq!(check_torque(&plan, 1e6), Ok(()), "the drive's own limit only");
+        assert_eq!(check_torque(&plan, f64::NAN), Err(Failure::NotFinite));
+        plan.limits.torque = Some(120.0);
+        for (torque, taken) in [(0.0, true), (120.0, true), (-120.0, true), (120.1, false), (-120.1, false)] {
+            assert_eq!(check_torque(&plan, torque).is_ok(), taken, "{torque}");
+        }
+    }
 
     #[test]
     fn no_row_is_near_a_position_that_the_drive_does_not_tell() {

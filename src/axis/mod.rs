@@ -31,10 +31,10 @@ mod streams;
 pub mod units;
 
 pub use command::{
-    Abort, Command, CommandId, Failure, Jog, Move, NativeOwner, Outcome, Profile, Row, StreamRow, Target,
-    Ticket, Velocity, Verb,
+    Abort, Command, CommandId, Failure, Jog, Move, NativeOwner, Outcome, Profile, Row, Setpoint, StreamRow,
+    Target, Ticket, Verb,
 };
-pub use event::{Event, EventKind};
+pub use event::{Emergency, Event, EventKind};
 pub use feedback::{Fault, FaultNames, Feedback, Link, MONITOR_CHANNELS, Shown, State, StopCause};
 pub use group::{Group, GroupCommand, GroupError, GroupRefused};
 pub use handle::{Axis, AxisEnds, AxisError, Observer};

@@ -32,7 +32,7 @@ pub struct AxisPlan {
     pub on_found_running: FoundRunning,
     /// What its load does when nothing holds it.
     pub load: Load,
-    /// A cyclic velocity setpoint that is older than so many cycles stops the axis.
+    /// A cyclic velocity or torque setpoint that is older than so many cycles stops the axis.
     pub setpoint_age: u32,
     /// A jog that is not renewed within this time stops the axis; `None`: it runs until something replaces it.
     pub jog_deadman: Option<Duration>,
@@ -153,6 +153,7 @@ impl AxisPlan {
             ("limits.velocity", self.limits.velocity),
             ("limits.acceleration", self.limits.acceleration),
             ("limits.step", self.limits.step),
+            ("limits.torque", self.limits.torque),
         ];
         for (key, limit) in most {
             if limit.is_some_and(|limit| !positive(limit)) {
@@ -278,6 +279,8 @@ pub struct Limits {
     pub acceleration: Option<f64>,
     /// Largest distance between two streamed rows, units.
     pub step: Option<f64>,
+    /// Largest torque in either direction, per cent of the motor's rated torque.
+    pub torque: Option<f64>,
 }
 
 /// Link health: a leaky bucket over exchanges.

@@ -12,6 +12,7 @@
 //!
 //! What a bus owes the loop is put to the test clause by clause in `tests/conformance`, which every protocol runs.
 
+pub mod ethercat;
 pub mod linudp;
 pub mod modbus;
 
@@ -24,10 +25,12 @@ use thiserror::Error;
 
 use crate::axis::acyclic::{AcyclicEnds, Notation};
 use crate::axis::feedback::MONITOR_CHANNELS;
-use crate::axis::{AxisPlan, Failure, FaultNames, Link, MonitorChannel, PlanFault, Row, State, Verb};
+use crate::axis::{
+    AxisPlan, Emergency, Failure, FaultNames, Link, MonitorChannel, Observer, PlanFault, Row, State, Verb,
+};
 use crate::net::{Carriers, LinkNotes};
 use crate::rt::Regions;
-use crate::sim::SimDrive;
+use crate::sim::{SimDrive, SimLine};
 use crate::time::Time;
 
 /// A bus as configured and checked, before any socket is open.
@@ -76,8 +79,28 @@ pub trait BusPlan: Debug + Send + Sync {
     /// This bus with drive `index` only, and with nothing that it shows besides. What is found running there is left so.
     fn reaching(&self, index: usize) -> Option<Box<dyn BusPlan>>;
 
-    /// The drives of this bus, simulated, in slot order.
+    /// The drives of this bus, simulated, in slot order; none if they are on a line.
     fn simulate(&self) -> Vec<Box<dyn SimDrive>>;
+
+    /// The line of this bus, simulated, if its drives are on one.
+    fn simulate_line(&self) -> Option<Box<dyn SimLine>> {
+        None
+    }
+
+    /// Drive `index` makes moves and follows streams; else it turns only.
+    fn takes_positions(&self, _index: usize) -> bool {
+        true
+    }
+
+    /// Its drives have a common clock that can lead the grid.
+    fn has_clock(&self) -> bool {
+        false
+    }
+
+    /// The names of what takes part without being a drive, in the order of [`Bus::device`].
+    fn devices(&self) -> Vec<&str> {
+        Vec::new()
+    }
 }
 
 /// Why a bus could not be opened. The message ends with the remedy.
@@ -104,6 +127,18 @@ pub enum OpenError {
         bus: String,
         /// What the operating system said.
         source: std::io::Error,
+    },
+    /// An interface could not be opened.
+    #[error("bus {bus}: cannot use interface {interface}: {source}; {remedy}")]
+    Interface {
+        /// The bus.
+        bus: String,
+        /// The interface.
+        interface: String,
+        /// What the operating system said.
+        source: std::io::Error,
+        /// What to do about it.
+        remedy: &'static str,
     },
     /// The plan of a drive contradicts itself.
     #[error("bus {bus}, drive {drive}: its cyclic parameters cannot be exchanged; `check` says why")]
@@ -153,9 +188,34 @@ pub trait Bus: Send {
     /// The application's end of the native process data of drive `index`, taken once before the start.
     fn native(&mut self, index: usize) -> Option<Box<dyn Any + Send>>;
 
-    /// Why its drives have no connection, for normal threads; `None` for a bus without connections. Connection `index` is that of
-    /// drive `index`.
-    fn notes(&self) -> Option<LinkNotes> {
+    /// Why its drives cannot be asked, for normal threads; `None` for a bus that needs no connection to ask them.
+    fn notes(&self) -> Option<Arc<dyn Notes>> {
+        None
+    }
+
+    /// Its clock leads the grid from now on; asked once before the start, of one bus at most. Any other bus with a clock slaves it to
+    /// the grid.
+    fn lead(&mut self) {}
+
+    /// How far a slot of the grid was from where the clock of this bus wants it, ns: positive is late. At most one a cycle, `None` from
+    /// a cycle that was not answered. Taken behind the window; what was taken is not told again.
+    fn phase_error(&mut self) -> Option<i64> {
+        None
+    }
+
+    /// The application's end of the process data of the device `index`, that is no drive, taken once before the start.
+    fn device(&mut self, _index: usize) -> Option<Box<dyn Any + Send>> {
+        None
+    }
+
+    /// How its clock and the grid stand to each other, if it has one. Asked now and then.
+    fn clock(&self) -> Option<BusClock> {
+        None
+    }
+
+    /// The application's end of the acyclic access to the device `index`, that is no drive, and whether it can be asked, as the link of
+    /// its feedback; taken once before the start. `None`: it has none.
+    fn device_acyclic(&mut self, _index: usize) -> Option<(AcyclicEnds, Observer)> {
         None
     }
 
@@ -163,6 +223,30 @@ pub trait Bus: Send {
     /// carried out in slices of bounded work, and ends: done, refused by the drive, or not to be had. It adds no telegram to a
     /// cycle and moves none.
     fn acyclic(&mut self, index: usize) -> Option<AcyclicEnds>;
+}
+
+/// Why the drives of a bus cannot be asked, in words: read by normal threads, whoever writes it. Where the real-time thread does,
+/// it leaves numbers only, and the words are made by the reader.
+pub trait Notes: Debug + Send + Sync {
+    /// Why drive `index` has no connection; `None`: it has one, or its first opening is under way.
+    fn get(&self, index: usize) -> Option<String>;
+
+    /// Why the device `index`, that is no drive, is not in operation; `None`: it is.
+    fn device(&self, _index: usize) -> Option<String> {
+        None
+    }
+
+    /// What the kernel dropped of what arrived, as far as only a normal thread may ask for it.
+    fn dropped(&self) -> u64 {
+        0
+    }
+}
+
+/// Connection `index` is that of drive `index`.
+impl Notes for LinkNotes {
+    fn get(&self, index: usize) -> Option<String> {
+        LinkNotes::get(self, index)
+    }
 }
 
 /// What a bus is told of the cycle it works in.
@@ -176,6 +260,14 @@ pub struct Cycle {
     pub period_ns: u64,
     /// Until when replies are taken in this cycle.
     pub deadline: Time,
+}
+
+impl Cycle {
+    /// Whether what is owed by `reply_by` is owed in this window. That time was laid down some cycles before, and a clock that
+    /// leads the grid moves the windows a little against it: it means the nearest one.
+    pub fn closes(&self, reply_by: Time) -> bool {
+        reply_by <= self.deadline + self.period_ns / 2
+    }
 }
 
 /// One drive between the loop and its bus.
@@ -194,6 +286,9 @@ pub struct Slot {
     /// The velocity to go at from the next send on, user units/s, while the order is a jog or cyclic velocity. A jog begins
     /// with its own.
     pub velocity: f64,
+    /// The torque to give from the next send on, per cent of the rated torque, while the order is cyclic torque. Above 0 it
+    /// accelerates towards higher user positions, whichever way the drive counts.
+    pub torque: f64,
 
     // Written by the bus.
     /// The exchange of this drive.
@@ -264,6 +359,8 @@ pub enum Exchange {
         /// measure one.
         suspect: bool,
     },
+    /// It was sent, and what came back says that this drive was not part of it. The loop calls it missed.
+    Absent,
     /// `reply_by` passed. The loop says so.
     Missed,
     /// The operating system refused to send.
@@ -275,7 +372,7 @@ impl Exchange {
     pub fn is_waited_for(&self, cycle: &Cycle) -> bool {
         match *self {
             Exchange::Owed { sent_at, reply_by, awaited } => {
-                reply_by <= cycle.deadline || (awaited && sent_at >= cycle.grid)
+                cycle.closes(reply_by) || (awaited && sent_at >= cycle.grid)
             }
             _ => false,
         }
@@ -321,6 +418,9 @@ pub struct Report {
     pub monitor_fresh: bool,
     /// The drive refused to show a variable: which channel, and its status. The loop clears it.
     pub monitor_refused: Option<(u8, u32)>,
+    /// The drive told an emergency, whether an exchange brought anything new or not. The loop takes it in each cycle: the next one
+    /// waits until it has.
+    pub emergency: Option<Emergency>,
 }
 
 /// Exact counts of one drive's exchanges. `sent = answered + missed + owed`.
@@ -349,7 +449,7 @@ pub struct Counters {
 }
 
 /// The most counters that a protocol has of its own.
-pub const OWN_COUNTERS: usize = 12;
+pub const OWN_COUNTERS: usize = 13;
 
 /// A counter that only one protocol has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -358,6 +458,19 @@ pub struct OwnCounter {
     pub key: &'static str,
     /// What it counts, for people: one short sentence.
     pub what: &'static str,
+}
+
+/// How the clock of a bus and the grid stand to each other, whichever of them leads.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct BusClock {
+    /// How far the newest slot was from where that clock wants it, ns: positive is late; `None`: it was not seen yet, or is not any more.
+    pub error_ns: Option<i64>,
+    /// It has been where its drives want it for a while.
+    pub locked: bool,
+    /// The largest distance since that was so for the first time, ns.
+    pub error_max_ns: u64,
+    /// How far off its drives bear it, ns.
+    pub window_ns: u64,
 }
 
 /// Exact counts of what arrived at a bus and is put down to none of its drives.
@@ -369,4 +482,28 @@ pub struct Strangers {
     pub dropped: u64,
     /// Errors of the receiving socket.
     pub errors: u64,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::time::{MS, US};
+
+    #[test]
+    fn an_exchange_is_owed_in_the_nearest_window_wherever_the_grid_was_led_meanwhile() {
+        let window = |slots: u64, led_ns: i64| {
+            let grid = Time((100 * MS + slots * MS).saturating_add_signed(led_ns));
+            Cycle { index: slots, grid, period_ns: MS, deadline: grid + 500 * US }
+        };
+        let reply_by = window(0, 0).deadline + 20 * MS;
+        let owed = Exchange::Owed { sent_at: window(0, 0).grid, reply_by, awaited: false };
+        // Twenty steps of at most a hundredth of the period.
+        for led_ns in [-200_000, -1, 0, 1, 200_000] {
+            for (slots, closes) in [(18, false), (19, false), (20, true), (21, true)] {
+                let cycle = window(slots, led_ns);
+                assert_eq!(cycle.closes(reply_by), closes, "{slots} slots later, led by {led_ns} ns");
+                assert_eq!(owed.is_waited_for(&cycle), closes);
+            }
+        }
+    }
 }

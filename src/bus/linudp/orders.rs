@@ -324,6 +324,10 @@ impl Orders {
             Some(Verb::Velocity { acceleration }) => {
                 self.begin_rolling(now, slot.velocity, acceleration, inputs);
             }
+            Some(Verb::Torque { .. }) => {
+                let why = "it is told positions and velocities, no torques";
+                self.refuse(now, Failure::Unsupported(why), inputs);
+            }
             Some(Verb::Follow) if self.stream.is_none() => {
                 let why = "no streaming command fits its cycle (stream = \"off\")";
                 self.refuse(now, Failure::Unsupported(why), inputs);

@@ -182,6 +182,10 @@ impl LinUdpDrive {
         if let Some(name) = self.monitor.shown_twice() {
             faults.push(PlanFault::new("monitor", format!("has {name} twice; name each variable once")));
         }
+        if self.axis.limits.torque.is_some() {
+            let why = "limits nothing: a LinUDP drive is told no torques; leave it out";
+            faults.push(PlanFault::new("limits.torque", why));
+        }
         let unit = self.axis.units.unit;
         match (self.leash, self.axis.limits.position) {
             (Some(leash), _) if !(leash > 0.0 && leash.is_finite()) => {

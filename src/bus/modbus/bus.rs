@@ -17,8 +17,8 @@ use super::trips::Trip;
 use crate::axis::acyclic::{AcyclicEnds, Notation};
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, FaultNames, FoundRunning, MonitorChannel, PlanFault};
-use crate::bus::{Bus, BusPlan, Cycle, Exchange, OpenError, OwnCounter, Slot, Strangers};
-use crate::net::{Broken, Carriers, LinkNotes, StreamPeer, Streams};
+use crate::bus::{Bus, BusPlan, Cycle, Exchange, Notes, OpenError, OwnCounter, Slot, Strangers};
+use crate::net::{Broken, Carriers, StreamPeer, Streams};
 use crate::rt::Regions;
 use crate::sim::SimDrive;
 use crate::time::Time;
@@ -220,8 +220,8 @@ impl Bus for ModbusBus {
         Strangers::default()
     }
 
-    fn notes(&self) -> Option<LinkNotes> {
-        Some(self.net.notes())
+    fn notes(&self) -> Option<Arc<dyn Notes>> {
+        Some(Arc::new(self.net.notes()))
     }
 
     fn native(&mut self, index: usize) -> Option<Box<dyn Any + Send>> {
@@ -284,6 +284,10 @@ impl BusPlan for ModbusPlan {
 
     fn fault_names(&self) -> FaultNames {
         |code| u16::try_from(code).ok().and_then(|code| Trip(code).name())
+    }
+
+    fn takes_positions(&self, _index: usize) -> bool {
+        false
     }
 
     fn notation(&self) -> Arc<dyn Notation> {

@@ -496,6 +496,12 @@ impl Orders {
                     Failure::Unsupported("it is told speeds, not positions: jog, or give it velocities"),
                 );
             }
+            Some(Verb::Torque { .. }) => {
+                self.refuse(
+                    now,
+                    Failure::Unsupported("it is told speeds, not torques: jog, or give it velocities"),
+                );
+            }
             Some(Verb::Jog(jog)) => self.turn(now, jog.acceleration, running, slot),
             Some(Verb::Velocity { acceleration }) => self.turn(now, acceleration, running, slot),
             Some(Verb::Stop { .. } | Verb::QuickStop) if !self.is_on() => {

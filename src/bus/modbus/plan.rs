@@ -242,6 +242,9 @@ impl UnidriveDrive {
         if self.slot == 0 || self.slot > 4 {
             wrong("slot", "must be that of the Ethernet interface: 4 onboard, 1 ... 3 an SI-Ethernet option");
         }
+        if self.axis.limits.torque.is_some() {
+            wrong("limits.torque", "limits nothing: the drive is told speeds, no torques; leave it out");
+        }
         if self.axis.load == Load::Vertical(HeldBy::Drive) {
             wrong(
                 "held_by",
