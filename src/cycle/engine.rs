@@ -14,13 +14,14 @@ use super::grid::Grid;
 use super::heartbeat::Heartbeat;
 use super::plan::{CyclePlan, Guard, Overrun};
 use super::record::{CycleRecord, Look, Record, Reply, SkippedRecord, short};
+use super::reference::Reference;
 use super::seat::Seat;
-use super::status::{DriveEnd, DriveNumbers, Numbers, Status};
+use super::status::{DeviceEnd, DriveEnd, DriveNumbers, Numbers, Status, whole};
 use super::task::{Axes, Task};
 use super::window::{BusSeat, Window};
 use crate::axis::cell::Writer;
 use crate::axis::{Link, Pulse, StopCause};
-use crate::bus::{Cycle, Slot, Strangers};
+use crate::bus::{BusClock, Cycle, Slot, Strangers};
 use crate::rt::{Clock, GuardTuner, Regions};
 use crate::time::{MS, Time, nanos};
 
@@ -60,6 +61,8 @@ pub struct Outlets {
     pub drives: Vec<Writer<DriveNumbers>>,
     /// Those of each bus.
     pub strangers: Vec<Writer<Strangers>>,
+    /// The clock of each bus.
+    pub clocks: Vec<Writer<Option<BusClock>>>,
 }
 
 impl Outlets {
@@ -78,12 +81,15 @@ pub struct Engine<C> {
     numbers_every: u64,
     longest_end_ns: u64,
     grid: Grid,
+    reference: Option<Reference>,
     guard: GuardTuner,
     window: Window,
     buses: Vec<BusSeat>,
     slots: Vec<Slot>,
     seats: Vec<Seat>,
     names: Vec<(String, &'static str)>,
+    /// What takes part without being a drive: its bus, its place there, its name.
+    devices: Vec<(usize, usize, String)>,
     task: Option<Task>,
     task_id: u64,
     gates: Gates,
@@ -134,14 +140,16 @@ const NUMBERS_EVERY_NS: u64 = 100 * MS;
 const END_MARGIN_NS: u64 = 1_000 * MS;
 
 impl<C: Clock> Engine<C> {
-    /// An engine over open buses. `names` are those of the axes and their protocols, in slot order.
+    /// An engine over open buses, one of which leads the grid if the plan names it. `names` are those of the axes and their
+    /// protocols, in slot order.
     #[expect(clippy::too_many_arguments, reason = "the parts of the loop, put together in one place only")]
     pub fn new(
         clock: C,
         plan: CyclePlan,
-        buses: Vec<BusSeat>,
+        mut buses: Vec<BusSeat>,
         seats: Vec<Seat>,
         names: Vec<(String, &'static str)>,
+        devices: Vec<(usize, usize, String)>,
         task: Option<Task>,
         pulse: Pulse,
         control: Control,
@@ -150,6 +158,11 @@ impl<C: Clock> Engine<C> {
         let window = Window::new(plan.wait, buses.len());
         // Standstill and power off have their time-out each, and a hold may have to be left first.
         let stops = seats.iter().map(|seat| nanos(seat.plan().stop.timeout)).max().unwrap_or(0);
+        let leads = |seat: &BusSeat| plan.reference.as_deref() == Some(seat.bus.name());
+        let reference = buses.iter().position(leads).map(|place| Reference::new(place, plan.period_ns));
+        if let Some(reference) = &reference {
+            buses[reference.bus()].bus.lead();
+        }
         Engine {
             longest_end_ns: stops.saturating_mul(3).saturating_add(END_MARGIN_NS),
             deadline_ns: plan.deadline_ns(),
@@ -165,6 +178,7 @@ impl<C: Clock> Engine<C> {
             buses,
             slots: vec![Slot::default(); seats.len()],
             names,
+            devices,
             task,
             task_id: 1,
             gates: Gates::new(seats.len()),
@@ -172,7 +186,8 @@ impl<C: Clock> Engine<C> {
             seats,
             control,
             outlets,
-            status: Status::default(),
+            status: Status { reference: reference.as_ref().map(Reference::status), ..Status::default() },
+            reference,
             spun: false,
             was_late: false,
             wake_before_ns: None,
@@ -199,6 +214,8 @@ impl<C: Clock> Engine<C> {
         self.outlets.drives.iter().for_each(|drive| drive.memory(regions));
         regions.add(&*self.outlets.strangers);
         self.outlets.strangers.iter().for_each(|strangers| strangers.memory(regions));
+        regions.add(&*self.outlets.clocks);
+        self.outlets.clocks.iter().for_each(|clock| clock.memory(regions));
         for seat in &self.seats {
             seat.memory(regions);
         }
@@ -281,6 +298,7 @@ impl<C: Clock> Engine<C> {
 
         // 3 judge
         let missed = self.judge(cycle, received);
+        self.steer(cycle);
         let judged = self.clock.now();
 
         // 4 exchange. The task comes first: what it asks for leaves with the next send.
@@ -296,7 +314,7 @@ impl<C: Clock> Engine<C> {
         let exchanged = self.clock.now();
 
         // 5 prepare
-        let next = self.cycle_at(cycle.index + 1, cycle.grid + cycle.period_ns);
+        let next = self.cycle_at(cycle.index + 1, self.grid.next_at());
         self.arm(&next, received);
 
         let prepared = self.clock.now();
@@ -337,6 +355,16 @@ impl<C: Clock> Engine<C> {
     fn look(&mut self) -> Look {
         let usage = self.clock.usage();
         Look { faults: usage.page_faults() as u32, switches: usage.involuntary_switches as u32 }
+    }
+
+    /// Lays the next slot after the clock that leads.
+    fn steer(&mut self, cycle: &Cycle) {
+        let Some(reference) = &mut self.reference else { return };
+        let error_ns = self.buses[reference.bus()].bus.phase_error();
+        let record = reference.take(cycle.index, error_ns);
+        self.status.reference = Some(reference.status());
+        self.grid.steer(record.step_ns.into());
+        self.record(Record::Reference(record));
     }
 
     /// Judges all exchanges. Returns how many drives that were online have not answered.
@@ -512,6 +540,9 @@ impl<C: Clock> Engine<C> {
             for (seat, strangers) in self.buses.iter().zip(&mut self.outlets.strangers) {
                 strangers.write(&seat.bus.strangers());
             }
+            for (seat, clock) in self.buses.iter().zip(&mut self.outlets.clocks) {
+                clock.write(&seat.bus.clock());
+            }
         }
         self.status.planned = self.grid.planned() + 1;
         (self.status.operational, self.status.online, self.status.lost_events) = (operational, online, lost);
@@ -543,8 +574,15 @@ impl<C: Clock> Engine<C> {
                 DriveEnd { name, protocol, feedback, not_connected, counters, losses, peaks, monitor }
             })
             .collect();
-        let buses =
-            self.buses.iter().map(|seat| (seat.bus.name().to_owned(), seat.bus.strangers())).collect();
-        Numbers { status, drives, buses, page_faults: None, involuntary_switches: None }
+        let strangers = |seat: &BusSeat| whole(seat.bus.strangers(), seat.bus.notes().as_deref());
+        let buses = self.buses.iter().map(|seat| (seat.bus.name().to_owned(), strangers(seat))).collect();
+        let clocks = self.buses.iter().map(|seat| seat.bus.clock()).collect();
+        let devices = (self.devices.into_iter())
+            .map(|(bus, index, name)| {
+                let notes = self.buses.get(bus).and_then(|seat| seat.bus.notes());
+                DeviceEnd { name, not_operational: notes.and_then(|notes| notes.device(index)) }
+            })
+            .collect();
+        Numbers { status, drives, buses, clocks, devices, page_faults: None, involuntary_switches: None }
     }
 }

@@ -211,11 +211,11 @@ mod tests {
         let mut regions = Regions::default();
         let (commands, command_out) = ring(8, &mut regions);
         let (_, rows) = ring(8, &mut regions);
-        let (_, velocities) = ring(8, &mut regions);
+        let (_, setpoints) = ring(8, &mut regions);
         let (event_in, events) = ring(32, &mut regions);
         let (feedback, _) = cell::cell(Feedback::default());
         let queues =
-            Queues { commands: command_out, rows, velocities, events: event_in, feedback, samples: None };
+            Queues { commands: command_out, rows, setpoints, events: event_in, feedback, samples: None };
         (Seat::new(AxisPlan::new(name, Units::millimetres(1.0)), queues, MS, 0), commands, events)
     }
 

@@ -1,4 +1,5 @@
-//! The time grid: `g_k = g_0 + k T`, computed and never re-based on "now".
+//! The time grid: `g_k = g_(k-1) + T + c_k`, computed and never re-based on "now". `c_k` is 0 unless a clock that is not ours
+//! leads the grid.
 
 use crate::time::Time;
 
@@ -9,12 +10,16 @@ pub struct Grid {
     origin: Time,
     at: Time,
     index: u64,
+    /// The step of the next slot, ns.
+    step_ns: i64,
+    /// All steps so far, ns.
+    steered_ns: i64,
 }
 
 impl Grid {
     /// A grid whose slot 0 is at `origin`.
     pub fn new(origin: Time, period_ns: u64) -> Grid {
-        Grid { period_ns: period_ns.max(1), origin, at: origin, index: 0 }
+        Grid { period_ns: period_ns.max(1), origin, at: origin, index: 0, step_ns: 0, steered_ns: 0 }
     }
 
     /// The current slot.
@@ -27,10 +32,22 @@ impl Grid {
         self.at
     }
 
-    /// Goes `slots` further.
+    /// Lays the next slot so much later than a period behind the current one; all behind it follow.
+    pub fn steer(&mut self, step_ns: i64) {
+        self.step_ns = step_ns;
+    }
+
+    /// The instant of the next slot.
+    pub fn next_at(&self) -> Time {
+        shifted(self.at + self.period_ns, self.step_ns)
+    }
+
+    /// Goes `slots` further, at least one.
     pub fn advance(&mut self, slots: u64) {
         self.index += slots;
-        self.at = self.at + slots * self.period_ns;
+        let step_ns = std::mem::take(&mut self.step_ns);
+        self.at = shifted(self.at + slots * self.period_ns, step_ns);
+        self.steered_ns += step_ns;
     }
 
     /// How many slots, from the current one on, can no longer be executed at `now` when a slot may begin up to
@@ -39,10 +56,14 @@ impl Grid {
         now.since(self.at + tolerance_ns).div_ceil(self.period_ns)
     }
 
-    /// How many slots the grid has laid out before the current one: from the instants, not from a count.
+    /// How many slots the grid has laid out before the current one: from the instants and the steps, not from a count.
     pub fn planned(&self) -> u64 {
-        self.at.since(self.origin) / self.period_ns
+        shifted(self.at, -self.steered_ns).since(self.origin) / self.period_ns
     }
+}
+
+fn shifted(at: Time, by_ns: i64) -> Time {
+    Time(at.0.saturating_add_signed(by_ns))
 }
 
 #[cfg(test)]
@@ -74,5 +95,22 @@ mod tests {
                 assert!(passed == 0 || Time(now) > grid.at() - 100 + tolerance);
             }
         }
+    }
+
+    #[test]
+    fn a_step_moves_the_next_slot_and_all_behind_it_and_no_count() {
+        let mut grid = Grid::new(Time(1_000), 100);
+        let (mut at, mut slots) = (1_000, 0);
+        for (step, skipped) in [(0, 0), (1, 0), (-1, 3), (-1, 0), (1, 1), (-1, 40), (-1, 0)] {
+            grid.steer(step);
+            let next = grid.next_at();
+            grid.advance(1);
+            assert_eq!(grid.at(), next);
+            // Slots that are passed over have no step of their own.
+            grid.advance(skipped);
+            (at, slots) = (at + (1 + skipped as i64) * 100 + step, slots + 1 + skipped);
+            assert_eq!((grid.at(), grid.index(), grid.planned()), (Time(at as u64), slots, slots));
+        }
+        assert_eq!(at, 1_000 + 51 * 100 - 2, "the steps are in it");
     }
 }

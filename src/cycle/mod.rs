@@ -10,6 +10,7 @@
 //! | `health` | the link to one drive: leaky bucket, schedule, probes |
 //! | `ladder` | the way down after a stop |
 //! | `gates` | what keeps the members of a group together |
+//! | `reference`, `phase_lock` | a clock that is not ours leads the grid |
 //! | `heartbeat` | the watch over the application's sign of life |
 //! | `task` | the application's code inside the cycle |
 //! | `status`, `record` | what the loop counts, and what it tells the telemetry |
@@ -22,8 +23,10 @@ mod grid;
 mod health;
 mod heartbeat;
 mod ladder;
+mod phase_lock;
 pub mod plan;
 pub mod record;
+mod reference;
 pub mod seat;
 pub mod status;
 pub mod task;

@@ -7,7 +7,7 @@ use crate::axis::group::out_of_step;
 use crate::axis::{AxisPlan, FaultNames, GroupError, MONITOR_CHANNELS, MonitorChannel, PlanFault};
 use crate::bus::{BusPlan, OwnCounter};
 use crate::rt::{Memory, Realtime};
-use crate::sim::SimDrive;
+use crate::sim::Simulated;
 use crate::time::{MS, Ns, S, US};
 
 /// A whole machine.
@@ -59,12 +59,12 @@ impl Plan {
         channels.collect()
     }
 
-    /// How many records the loop makes in a cycle, at most: one a drive, one more of a drive that shows something besides, and
-    /// one of its own.
+    /// How many records the loop makes in a cycle, at most: one a drive, one more of a drive that shows something besides, one of
+    /// the bus whose clock leads, and one of its own.
     pub fn records_a_cycle(&self) -> usize {
         let monitored = self.monitored();
         let showing = monitored.iter().filter(|channels| channels.iter().any(Option::is_some));
-        monitored.len() + showing.count() + 1
+        monitored.len() + showing.count() + usize::from(self.cycle.reference.is_some()) + 1
     }
 
     /// Whether this plan can work: contradictions, and what would be found out only by a machine that does not stop. A file is
@@ -79,6 +79,9 @@ impl Plan {
             errors.push(format!("cycle: a receive deadline of {share} is no share of the period, 0 ... 1"));
         }
         if let Some(why) = self.black_box_fault() {
+            errors.push(format!("cycle: {why}"));
+        }
+        if let Some(why) = self.reference_fault() {
             errors.push(format!("cycle: {why}"));
         }
         for (index, group) in self.groups.iter().enumerate() {
@@ -99,6 +102,7 @@ impl Plan {
                     .push(format!("drive {}: its name is taken; names are unique in the machine", axis.name));
             }
         }
+        errors.extend(self.device_faults(&axes));
         for bus in &self.buses {
             let (faults, axes) = (bus.faults(self.cycle.period_ns), bus.axes());
             errors.extend(faults.into_iter().map(|(index, PlanFault { key, message })| {
@@ -116,6 +120,43 @@ impl Plan {
     pub fn black_box_records(&self) -> usize {
         let cycles = self.cycle.black_box_ns / self.cycle.period_ns.max(1);
         usize::try_from(cycles).unwrap_or(0).saturating_mul(self.records_a_cycle())
+    }
+
+    /// Why the bus that is named as the reference cannot lead the grid.
+    pub(crate) fn reference_fault(&self) -> Option<String> {
+        let name = self.cycle.reference.as_deref()?;
+        let named: Vec<_> = self.buses.iter().filter(|bus| bus.name() == name).collect();
+        let clocks: Vec<_> =
+            (self.buses.iter()).filter(|bus| bus.has_clock()).map(|bus| bus.name()).collect();
+        let remedy = match clocks[..] {
+            [] => "no bus of this machine has one: leave reference out".to_owned(),
+            _ => format!("name one that has: {}", clocks.join(", ")),
+        };
+        match named[..] {
+            [] => Some(format!("reference = {name:?} names no bus; {remedy}")),
+            [bus] if bus.has_clock() => None,
+            [bus] => {
+                let protocol = bus.protocol();
+                Some(format!("reference = {name:?}: a {protocol} bus has no clock that can lead; {remedy}"))
+            }
+            _ => Some(format!("reference = {name:?} names {} buses; give each its own name", named.len())),
+        }
+    }
+
+    /// What is wrong with the names of what takes part without being a drive.
+    fn device_faults(&self, axes: &[&AxisPlan]) -> Vec<String> {
+        let devices: Vec<&str> = self.buses.iter().flat_map(|bus| bus.devices()).collect();
+        let fault = |(index, name): (usize, &&str)| {
+            let taken = devices[..index].contains(name) || axes.iter().any(|axis| axis.name == **name);
+            if !is_plain_name(name) {
+                Some(format!("device {name:?}: its name must be 1 to 32 letters, digits, - _ or ."))
+            } else if taken {
+                Some(format!("device {name}: its name is taken; names are unique in the machine"))
+            } else {
+                None
+            }
+        };
+        devices.iter().enumerate().filter_map(fault).collect()
     }
 
     /// Why the black box is too large. Its memory is locked with all the rest.
@@ -137,7 +178,11 @@ impl Plan {
         let (bus, index) = self.find(name)?;
         Some(Plan {
             source: self.source.clone(),
-            cycle: self.cycle.clone(),
+            cycle: CyclePlan {
+                // Without the bus that leads it, our own clock does.
+                reference: self.cycle.reference.clone().filter(|name| name == bus.name()),
+                ..self.cycle.clone()
+            },
             buses: vec![bus.reaching(index)?],
             groups: Vec::new(),
         })
@@ -180,9 +225,17 @@ impl Plan {
         })
     }
 
+    /// The bus that has a device of this name, that is no drive.
+    pub fn find_device(&self, name: &str) -> Option<&dyn BusPlan> {
+        self.buses.iter().find(|bus| bus.devices().contains(&name)).map(|bus| &**bus)
+    }
+
     /// The drives of all buses, simulated.
-    pub fn simulate(&self) -> Vec<Box<dyn SimDrive>> {
-        self.buses.iter().flat_map(|bus| bus.simulate()).collect()
+    pub fn simulate(&self) -> Simulated {
+        Simulated {
+            drives: self.buses.iter().flat_map(|bus| bus.simulate()).collect(),
+            lines: self.buses.iter().filter_map(|bus| bus.simulate_line()).collect(),
+        }
     }
 }
 
@@ -224,6 +277,8 @@ pub struct CyclePlan {
     pub wait: Wait,
     /// What an overrun does.
     pub overrun: Overrun,
+    /// The bus whose clock leads the grid, by name. `None` = ours does.
+    pub reference: Option<String>,
     /// How badly real-time scheduling is wanted.
     pub realtime: Realtime,
     /// What memory is locked.
@@ -263,6 +318,7 @@ impl Default for CyclePlan {
             receive_deadline: 0.5,
             wait: Wait::Poll,
             overrun: Overrun::Skip { max_skip: 10 },
+            reference: None,
             realtime: Realtime::Prefer,
             memory: Memory::Process,
             task_budget_ns: None,

@@ -1,19 +1,21 @@
 //! What the loop tells the telemetry thread: fixed-size records through a ring, one a drive, a second one of a drive that
-//! shows variables besides, and one a cycle. A full ring loses records, never truth: the counts and extremes that the loop
+//! shows variables besides, one of the clock that leads the grid, if it is not ours, and one a cycle. A full ring loses records, never truth: the counts and extremes that the loop
 //! keeps itself are exact, and the loss is counted.
 
 use std::num::NonZeroU32;
 
-use crate::axis::{Link, Shown, State, StopCause};
+use crate::axis::{Emergency, Link, Shown, State, StopCause};
 use crate::time::Time;
 
-/// One record. Those of the drives come before that of their cycle.
+/// One record. Those of the drives and of the reference come before that of their cycle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Record {
     /// One drive in an executed cycle.
     Drive(DriveRecord),
     /// What a drive showed in an executed cycle besides, behind its other record.
     Monitor(MonitorRecord),
+    /// The clock that leads the grid in an executed cycle; not if it is ours.
+    Reference(ReferenceRecord),
     /// One executed cycle.
     Cycle(CycleRecord),
     /// Slots passed over.
@@ -26,6 +28,7 @@ impl Record {
         match self {
             Record::Drive(DriveRecord { index, .. })
             | Record::Monitor(MonitorRecord { index, .. })
+            | Record::Reference(ReferenceRecord { index, .. })
             | Record::Cycle(CycleRecord { index, .. })
             | Record::Skipped(SkippedRecord { first: index, .. }) => *index,
         }
@@ -87,6 +90,21 @@ pub struct CycleRecord {
     pub missed: u16,
     /// What the kernel had counted against the loop's thread; looked at only after a late cycle.
     pub look: Option<Look>,
+}
+
+/// What the clock that leads the grid had to say of an executed cycle.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ReferenceRecord {
+    /// The slot.
+    pub index: u64,
+    /// How far it was from where that clock wants it, ns: positive is late; `None` = not told.
+    pub error_ns: Option<i32>,
+    /// By how much more than a period the next slot is behind it, ns.
+    pub step_ns: i32,
+    /// The grid is locked.
+    pub locked: bool,
+    /// The grid was locked before, or is: its errors count.
+    pub counts: bool,
 }
 
 /// Slots passed over.
@@ -181,6 +199,8 @@ pub struct DriveRecord {
     pub fault: u32,
     /// Warning word, 0 = none.
     pub warning: u32,
+    /// What it told by itself in this cycle.
+    pub emergency: Option<ShortEmergency>,
     /// Motor current, A.
     pub current: f32,
     /// Actual velocity, user units/s.
@@ -189,6 +209,29 @@ pub struct DriveRecord {
     pub position: f64,
     /// Demand position, user units.
     pub demand: f64,
+}
+
+/// An emergency in the least room.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ShortEmergency([u8; 2], u8);
+
+impl From<Emergency> for ShortEmergency {
+    fn from(Emergency { code, register }: Emergency) -> ShortEmergency {
+        ShortEmergency(code.to_le_bytes(), register)
+    }
+}
+
+impl From<ShortEmergency> for Emergency {
+    fn from(ShortEmergency(code, register): ShortEmergency) -> Emergency {
+        Emergency { code: u16::from_le_bytes(code), register }
+    }
+}
+
+impl DriveRecord {
+    /// What it told by itself in this cycle.
+    pub fn emergency(&self) -> Option<Emergency> {
+        self.emergency.map(Emergency::from)
+    }
 }
 
 /// What a drive showed besides its process data, in the units of its plan: only of cycles in which it did.

@@ -1,9 +1,10 @@
 //! What the loop counts of itself, exactly.
 
+use std::sync::Arc;
+
 use crate::axis::cell::{Packed, Reader, Words};
 use crate::axis::{Feedback, MONITOR_CHANNELS};
-use crate::bus::{Counters, OWN_COUNTERS, Strangers};
-use crate::net::LinkNotes;
+use crate::bus::{BusClock, Counters, Notes, OWN_COUNTERS, Strangers};
 
 /// The loop in numbers, published every cycle.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -36,6 +37,30 @@ pub struct Status {
     pub lost_records: u64,
     /// Events and samples that the application's queues had no room for.
     pub lost_events: u64,
+    /// The clock that leads the grid; `None`: it is ours.
+    pub reference: Option<ReferenceStatus>,
+}
+
+/// How the grid follows the clock of the bus that the plan names as its reference.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ReferenceStatus {
+    /// The grid is locked: 50 errors in a row were within a hundredth of the period, or 5 us if that is more, and since then
+    /// neither were three in a row beyond four times that, nor were 100 executed cycles in a row without one.
+    pub locked: bool,
+    /// Times that the lock was lost.
+    pub losses: u64,
+    /// Executed cycles whose error was told.
+    pub samples: u64,
+    /// Executed cycles whose error was not: they steered nothing.
+    pub silent: u64,
+    /// The last error, ns: positive is late.
+    pub error_ns: i64,
+    /// The largest error, late or early, since the grid was locked for the first time.
+    pub error_max: Peak,
+    /// The last step of the grid, ns: positive ones make the next slot later.
+    pub step_ns: i64,
+    /// The largest step, later or earlier.
+    pub step_max: Peak,
 }
 
 /// The largest value seen, and the slot it was seen in. All zero: none was.
@@ -57,10 +82,10 @@ impl Peak {
 }
 
 impl Packed for Status {
-    type Words = [u64; 28];
+    type Words = [u64; 38];
 
-    fn pack(&self) -> [u64; 28] {
-        let mut words = [0; 28];
+    fn pack(&self) -> [u64; 38] {
+        let mut words = [0; 38];
         words[..12].copy_from_slice(&[
             self.planned,
             self.executed,
@@ -76,13 +101,16 @@ impl Packed for Status {
             self.wake_max.index,
         ]);
         let peaks = [self.jitter_max].into_iter().chain(self.stage_max);
-        for (pair, peak) in words[12..].chunks_exact_mut(2).zip(peaks) {
+        for (pair, peak) in words[12..28].chunks_exact_mut(2).zip(peaks) {
             pair.copy_from_slice(&[peak.ns, peak.index]);
+        }
+        if let Some(reference) = &self.reference {
+            words[28..].copy_from_slice(&reference.pack());
         }
         words
     }
 
-    fn unpack(words: &[u64; 28]) -> Status {
+    fn unpack(words: &[u64; 38]) -> Status {
         let peak = |at: usize| Peak { ns: words[at], index: words[at + 1] };
         Status {
             planned: words[0],
@@ -99,7 +127,43 @@ impl Packed for Status {
             wake_max: peak(10),
             jitter_max: peak(12),
             stage_max: std::array::from_fn(|stage| peak(14 + 2 * stage)),
+            reference: ReferenceStatus::unpack(&std::array::from_fn(|word| words[28 + word])),
         }
+    }
+}
+
+const LED: u64 = 1;
+const LOCKED: u64 = 2;
+
+impl ReferenceStatus {
+    fn pack(&self) -> [u64; 10] {
+        [
+            LED | if self.locked { LOCKED } else { 0 },
+            self.losses,
+            self.samples,
+            self.silent,
+            self.error_ns.cast_unsigned(),
+            self.error_max.ns,
+            self.error_max.index,
+            self.step_ns.cast_unsigned(),
+            self.step_max.ns,
+            self.step_max.index,
+        ]
+    }
+
+    /// `None` of words that are all zero.
+    fn unpack(words: &[u64; 10]) -> Option<ReferenceStatus> {
+        let &[flags, losses, samples, silent, error, error_max, error_at, step, step_max, step_at] = words;
+        (flags & LED != 0).then_some(ReferenceStatus {
+            locked: flags & LOCKED != 0,
+            losses,
+            samples,
+            silent,
+            error_ns: error.cast_signed(),
+            error_max: Peak { ns: error_max, index: error_at },
+            step_ns: step.cast_signed(),
+            step_max: Peak { ns: step_max, index: step_at },
+        })
     }
 }
 
@@ -238,6 +302,31 @@ impl Packed for Strangers {
     }
 }
 
+const CLOCK: u64 = 1;
+const CLOCK_SEEN: u64 = 2;
+const CLOCK_LOCKED: u64 = 4;
+
+/// `None` is all zero: the bus has no clock.
+impl Packed for Option<BusClock> {
+    type Words = [u64; 4];
+
+    fn pack(&self) -> [u64; 4] {
+        let Some(BusClock { error_ns, locked, error_max_ns, window_ns }) = *self else { return [0; 4] };
+        let flag = |set: bool, bit| if set { bit } else { 0 };
+        let flags = CLOCK | flag(error_ns.is_some(), CLOCK_SEEN) | flag(locked, CLOCK_LOCKED);
+        [flags, error_ns.unwrap_or_default().cast_unsigned(), error_max_ns, window_ns]
+    }
+
+    fn unpack(&[flags, error, error_max_ns, window_ns]: &[u64; 4]) -> Option<BusClock> {
+        (flags & CLOCK != 0).then_some(BusClock {
+            error_ns: (flags & CLOCK_SEEN != 0).then_some(error.cast_signed()),
+            locked: flags & CLOCK_LOCKED != 0,
+            error_max_ns,
+            window_ns,
+        })
+    }
+}
+
 /// Readers of what the loop counts, for any thread.
 #[derive(Debug)]
 pub struct Gauges {
@@ -247,8 +336,12 @@ pub struct Gauges {
     pub drives: Vec<Reader<DriveNumbers>>,
     /// Those of each bus; at most 64 cycles or 100 ms old.
     pub strangers: Vec<Reader<Strangers>>,
+    /// The clock of each bus, as old.
+    pub clocks: Vec<Reader<Option<BusClock>>>,
+    /// What each bus tells of itself besides.
+    pub notes: Vec<Option<Arc<dyn Notes>>>,
     /// Of each drive that has a connection, what is told of it, and where.
-    pub links: Vec<Option<(LinkNotes, usize)>>,
+    pub links: Vec<Option<(Arc<dyn Notes>, usize)>>,
 }
 
 impl Gauges {
@@ -257,6 +350,33 @@ impl Gauges {
         let (notes, place) = self.links.get(index)?.as_ref()?;
         notes.get(*place)
     }
+
+    /// Why the device `index` of bus `bus` is not in operation; `None`: it is.
+    pub fn not_operational(&self, bus: usize, index: usize) -> Option<String> {
+        self.notes.get(bus)?.as_ref()?.device(index)
+    }
+
+    /// What arrived at each bus and is put down to none of its drives.
+    pub fn strangers(&self) -> impl Iterator<Item = Strangers> {
+        self.strangers
+            .iter()
+            .zip(&self.notes)
+            .map(|(strangers, notes)| whole(strangers.read(), notes.as_deref()))
+    }
+}
+
+/// What a bus counted, with what only a normal thread may ask the kernel for.
+pub fn whole(strangers: Strangers, notes: Option<&dyn Notes>) -> Strangers {
+    Strangers { dropped: strangers.dropped + notes.map_or(0, Notes::dropped), ..strangers }
+}
+
+/// What takes part without being a drive.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct DeviceEnd {
+    /// Its name.
+    pub name: String,
+    /// Why it is not in operation; `None`: it is, or was until the orderly end.
+    pub not_operational: Option<String>,
 }
 
 /// One drive in numbers.
@@ -289,6 +409,10 @@ pub struct Numbers {
     pub drives: Vec<DriveEnd>,
     /// The buses: name, and what belonged to none of their drives.
     pub buses: Vec<(String, Strangers)>,
+    /// Their clocks, in the same order; `None`: it has none.
+    pub clocks: Vec<Option<BusClock>>,
+    /// What takes part without being a drive, in the order of the plan.
+    pub devices: Vec<DeviceEnd>,
     /// Page faults and involuntary switches of the loop's thread while it ran; `None` before its end, and in virtual time.
     pub page_faults: Option<u64>,
     /// See `page_faults`.
@@ -299,6 +423,7 @@ pub struct Numbers {
 mod tests {
     use super::*;
     use crate::axis::cell::cell;
+    use crate::net::LinkNotes;
 
     #[test]
     fn a_drive_without_a_connection_says_why_and_one_that_needs_none_says_nothing() {
@@ -308,7 +433,9 @@ mod tests {
             status: cell(Status::default()).1,
             drives: Vec::new(),
             strangers: Vec::new(),
-            links: vec![None, Some((notes.clone(), 0)), Some((notes.clone(), 1))],
+            clocks: Vec::new(),
+            notes: Vec::new(),
+            links: vec![None, Some((Arc::new(notes.clone()), 0)), Some((Arc::new(notes.clone()), 1))],
         };
         let told = || [0, 1, 2, 3].map(|index| gauges.not_connected(index));
         assert_eq!(told(), [None, None, Some("refused".to_owned()), None]);
@@ -334,8 +461,23 @@ mod tests {
             missed: 25,
             lost_records: 26,
             lost_events: 27,
+            reference: None,
         };
         assert_eq!(Status::unpack(&status.pack()), status);
+        for (locked, sign) in [(true, 1), (false, -1)] {
+            let reference = ReferenceStatus {
+                locked,
+                losses: 28,
+                samples: 29,
+                silent: 30,
+                error_ns: 31 * sign,
+                error_max: peak(32),
+                step_ns: -34 * sign,
+                step_max: peak(35),
+            };
+            let led = Status { reference: Some(reference), ..status };
+            assert_eq!(Status::unpack(&led.pack()), led);
+        }
         let counters = Counters {
             sent: 1,
             unsent: 2,
@@ -357,6 +499,10 @@ mod tests {
         }
         let strangers = Strangers { datagrams: 3, dropped: 4, errors: 5 };
         assert_eq!(Strangers::unpack(&strangers.pack()), strangers);
+        let clock = BusClock { error_ns: Some(-7), locked: true, error_max_ns: 8, window_ns: 9 };
+        for clock in [None, Some(clock), Some(BusClock { error_ns: None, locked: false, ..clock })] {
+            assert_eq!(<Option<BusClock>>::unpack(&clock.pack()), clock);
+        }
     }
 
     #[test]

@@ -62,6 +62,13 @@ impl<'a> Axes<'a> {
         seat.velocity_from_task(self.cycle.index, velocity)
     }
 
+    /// The torque of axis `index` at its next exchange, per cent of the rated torque, while it runs [`Verb::Torque`]; to be
+    /// given again before it is too old.
+    pub fn set_torque(&mut self, index: usize, torque: f64) -> Result<(), Failure> {
+        let seat = self.seats.get_mut(index).ok_or(Failure::Unsupported("there is no such axis"))?;
+        seat.torque_from_task(self.cycle.index, torque)
+    }
+
     /// The row that axis `index` follows at its next exchange, while it runs [`Verb::Follow`] outside of a group. It is
     /// checked against the limits like a streamed one.
     pub fn follow(&mut self, index: usize, row: Row) {

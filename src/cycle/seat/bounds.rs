@@ -2,7 +2,8 @@
 //! application that writes the native process data.
 //!
 //! Moves, jogs and rows are checked before they are sent, so that this finds nothing wrong with them. A drive that tells no
-//! demand is watched by its actual speed.
+//! demand is watched by its actual speed, one under torque by that and its actual position; what such a one gains in speed
+//! until a stop reaches it is not known, and leads as much further.
 
 use crate::axis::AxisPlan;
 use crate::time::Time;
@@ -16,10 +17,19 @@ pub(super) struct Sample {
     pub(super) at: Time,
     /// Positions are counted from the reference.
     pub(super) homed: bool,
-    /// User units; NaN if the drive tells none.
-    pub(super) demand: f64,
+    /// Its demand leads the drive; no position does under torque.
+    pub(super) led: bool,
+    /// The demand, or the actual position of a drive that is not led by it, user units; NaN if the drive tells none.
+    pub(super) position: f64,
     /// Actual velocity, user units/s.
     pub(super) velocity: f64,
+}
+
+impl Sample {
+    /// Whether its positions make the demand velocity.
+    fn tells_demand(&self) -> bool {
+        self.led && !self.position.is_nan()
+    }
 }
 
 /// The watch over one axis.
@@ -52,11 +62,11 @@ impl Bounds {
     /// A report came in.
     pub(super) fn take(&mut self, sample: Sample, plan: &AxisPlan) {
         self.velocity = match self.last {
-            _ if sample.demand.is_nan() => sample.velocity,
-            Some(last) if last.homed == sample.homed && !last.demand.is_nan() => {
+            _ if !sample.tells_demand() => sample.velocity,
+            Some(last) if last.homed == sample.homed && last.tells_demand() => {
                 // Which of the two ways a telegram was held up on is not known: the longer time is the sure one.
                 let ns = sample.at.since(last.at).max(sample.sent_at.since(last.sent_at)).max(1);
-                let way = plan.units.way(last.demand, sample.demand);
+                let way = plan.units.way(last.position, sample.position);
                 let rounding = (COUNTS / plan.units.counts_per_unit).abs();
                 (way.abs() - rounding).max(0.0).copysign(way) * 1e9 / ns as f64
             }
@@ -72,12 +82,12 @@ impl Bounds {
         let Some(sample) = self.last.filter(|_| std::mem::take(&mut self.fresh)) else { return false };
         let velocity = self.velocity;
         // Written so that what is not known is not inside.
-        let margin = if sample.demand.is_nan() { ACTUAL_SPEED_MARGIN } else { SPEED_MARGIN };
+        let margin = if sample.tells_demand() { SPEED_MARGIN } else { ACTUAL_SPEED_MARGIN };
         let slow = plan.limits.velocity.is_none_or(|most| velocity.abs() <= most * margin);
         let inside = plan.limits.position.filter(|_| sample.homed).is_none_or(|(low, high)| {
             let reaction = f64::from(REPORTS + 2) * seconds;
             let time = if braking { velocity.abs() / (2.0 * plan.stop.deceleration) + reaction } else { 0.0 };
-            let end = sample.demand + velocity * time;
+            let end = sample.position + velocity * time;
             let rounding = (COUNTS / plan.units.counts_per_unit).abs();
             // From outside, a motion may lead back in.
             velocity == 0.0
@@ -113,12 +123,51 @@ mod tests {
 
     /// Demands and velocities at 1 kHz.
     fn strikes_at(plan: &AxisPlan, braking: bool, homed: bool, told: &[(f64, f64)]) -> Option<usize> {
+        told_at(plan, true, braking, homed, told)
+    }
+
+    /// Positions, of the demand if it is `led`, and velocities at 1 kHz.
+    fn told_at(plan: &AxisPlan, led: bool, braking: bool, homed: bool, told: &[(f64, f64)]) -> Option<usize> {
         let mut bounds = Bounds::default();
         told.iter().enumerate().position(|(index, (demand, velocity))| {
             let at = Time(MS * index as u64);
-            bounds.take(Sample { sent_at: at, at, homed, demand: *demand, velocity: *velocity }, plan);
+            let (position, velocity) = (*demand, *velocity);
+            bounds.take(Sample { sent_at: at, at, homed, led, position, velocity }, plan);
             bounds.are_broken(plan, braking, 0.001)
         })
+    }
+
+    #[test]
+    fn under_torque_the_speed_and_the_place_of_the_motor_count_and_not_how_its_positions_change() {
+        let mut free = plan();
+        free.limits.position = None;
+        // 500 mm/s, with the margin of what is measured; its position need not change for that.
+        let at = |velocity: f64| told_at(&free, false, true, true, &[(50.0, velocity); 20]);
+        assert_eq!((at(590.0), at(610.0), at(-610.0)), (None, Some(2), Some(2)));
+        let noise = [(10.0, 0.0), (20.0, 0.0), (30.0, 0.0), (40.0, 0.0)];
+        assert_eq!(told_at(&free, false, true, true, &noise), None, "noise is no speed");
+        let struck = |told: &[(f64, f64)]| told_at(&plan(), false, true, true, told);
+        // 400 mm/s needs 80 mm at 1000 mm/s²: it strikes while there is room.
+        let told: Vec<_> = (0..250).map(|index| (f64::from(index) * 0.4, 400.0)).collect();
+        let (place, velocity) = told[struck(&told).unwrap()];
+        let end = place + velocity * 0.002 + velocity * velocity / 2_000.0;
+        assert!((98.0..=100.001).contains(&end), "{end}");
+        // From the outside in is no harm.
+        assert_eq!(struck(&[(105.0, -10.0); 9]), None);
+        assert_eq!(struck(&[(105.0, 1.0); 9]), Some(2));
+    }
+
+    #[test]
+    fn neither_the_begin_nor_the_end_of_a_torque_makes_a_speed() {
+        let (plan, mut bounds) = (plan(), Bounds::default());
+        // The demand that is shown meanwhile stays where it was, or follows nobody knows what.
+        for index in 0..40_u32 {
+            let (led, position) = if index / 4 % 2 == 0 { (true, 20.0) } else { (false, 70.0) };
+            let at = Time(MS * u64::from(index));
+            bounds.take(Sample { sent_at: at, at, homed: true, led, position, velocity: 0.0 }, &plan);
+            assert!(!bounds.are_broken(&plan, true, 0.001), "{index}");
+            assert_eq!(bounds.velocity, 0.0, "{index}");
+        }
     }
 
     #[test]
@@ -204,7 +253,7 @@ mod tests {
         let (plan, mut bounds) = (plan(), Bounds::default());
         for (sent_ms, at_ms, demand) in [(0, 0, 0.0), (1, 4, 0.4), (2, 4, 0.8), (9, 9, 3.6), (10, 10, 4.0)] {
             let (sent_at, at) = (Time(sent_ms * MS), Time(at_ms * MS));
-            let sample = Sample { sent_at, at, homed: true, demand, velocity: 0.0 };
+            let sample = Sample { sent_at, at, homed: true, led: true, position: demand, velocity: 0.0 };
             bounds.take(sample, &plan);
             assert!(!bounds.are_broken(&plan, false, 0.001), "sent after {sent_ms} ms");
         }

@@ -3,10 +3,10 @@
 use super::bounds::Bounds;
 use super::{Claim, Latch, Seat};
 use crate::axis::command::NativeOwner;
-use crate::axis::limits::{check_position, check_velocity, check_verb};
+use crate::axis::limits::{check_position, check_torque, check_velocity, check_verb};
 use crate::axis::{
-    Abort, Command, CommandId, Failure, Link, Load, Move, Outcome, Row, State, StopCause, Target, Ticket,
-    Velocity, Verb,
+    Abort, Command, CommandId, Failure, Link, Load, Move, Outcome, Row, Setpoint, State, StopCause, Target,
+    Ticket, Verb,
 };
 use crate::bus::{Cycle, Slot};
 use crate::time::Time;
@@ -16,7 +16,7 @@ impl Seat {
     /// next. The command of a group is left to its gate.
     pub fn exchange(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
         self.waiting = None;
-        self.take_velocities(cycle);
+        self.take_setpoints(cycle);
         self.end_active(cycle, now, slot);
         self.overtake(cycle, now);
         // Bounded by what stands there now: the application may go on filling the queue.
@@ -258,9 +258,22 @@ impl Seat {
     /// For the in-loop task: the velocity of the next send.
     pub fn velocity_from_task(&mut self, cycle: u64, velocity: f64) -> Result<(), Failure> {
         check_velocity(&self.plan, velocity)?;
-        let of = self.task_command.or(self.active).map_or(CommandId(0), |command| command.id);
-        self.take_velocity(cycle, Velocity { of, value: velocity });
+        self.setpoint_from_task(cycle, velocity, Verb::takes_velocities);
         Ok(())
+    }
+
+    /// For the in-loop task: the torque of the next send.
+    pub fn torque_from_task(&mut self, cycle: u64, torque: f64) -> Result<(), Failure> {
+        check_torque(&self.plan, torque)?;
+        self.setpoint_from_task(cycle, torque, Verb::takes_torques);
+        Ok(())
+    }
+
+    /// It is for the command that begins now or else runs, and nothing to one that does not take it.
+    fn setpoint_from_task(&mut self, cycle: u64, value: f64, takes: fn(&Verb) -> bool) {
+        if let Some(command) = self.task_command.or(self.active).filter(|command| takes(&command.verb)) {
+            self.take_setpoint(cycle, Setpoint { of: command.id, value });
+        }
     }
 }
 

@@ -4,7 +4,7 @@
 //! |---|---|
 //! | `mod` | the drive as judged; stopping |
 //! | `commands` | what the application wants, in its order |
-//! | `setpoints` | rows and velocities for the next send, and their age |
+//! | `setpoints` | rows, velocities and torques for the next send, and their age |
 //! | `bounds` | what the drive's own demand may do, whatever commands it |
 
 mod bounds;
@@ -23,7 +23,7 @@ use crate::axis::cell::Writer;
 use crate::axis::command::NativeOwner;
 use crate::axis::{
     Abort, AxisPlan, Command, CommandId, Event, EventKind, Feedback, FoundRunning, Link, MONITOR_CHANNELS,
-    Outcome, Row, Shown, State, StopCause, StreamRow, Ticket, Velocity, Verb,
+    Outcome, Row, Setpoint, Shown, State, StopCause, StreamRow, Ticket, Verb,
 };
 use crate::bus::{Cycle, Exchange, Order, Report, Slot};
 use crate::rt::Regions;
@@ -36,8 +36,8 @@ pub struct Queues {
     pub commands: Consumer<Command>,
     /// Rows of the application's stream.
     pub rows: Consumer<StreamRow>,
-    /// Velocity setpoints of the application; the newest counts.
-    pub velocities: Consumer<Velocity>,
+    /// Velocity and torque setpoints of the application; the newest counts.
+    pub setpoints: Consumer<Setpoint>,
     /// Events to the application.
     pub events: Producer<Event>,
     /// The newest feedback.
@@ -69,7 +69,7 @@ pub struct Seat {
     /// The last command of a group that ended before it began: no other member shall wait for it.
     dropped: Option<Ticket>,
     follow: Follow,
-    /// The velocity of the command that runs, and the newest one for a command to come.
+    /// The velocity or torque of the command that runs, and the newest one for a command to come.
     level: Level,
     ahead: Level,
     bounds: Bounds,
@@ -93,6 +93,8 @@ pub struct Seat {
     phase_ns: Option<u64>,
     /// Times that the link was lost.
     losses: u64,
+    /// The orderly end has begun.
+    ends: bool,
     /// The largest times.
     peaks: Peaks,
     /// What the drive showed since the start.
@@ -186,6 +188,7 @@ impl Seat {
             shown: Shown::default(),
             phase_ns: None,
             losses: 0,
+            ends: false,
             peaks: Peaks::default(),
             monitor: [None; MONITOR_CHANNELS],
             lost_events: 0,
@@ -240,8 +243,8 @@ impl Seat {
         self.record.was_online = self.feedback.link == Link::Online;
         let reply = match slot.exchange {
             Exchange::Idle | Exchange::Missed => Reply::None,
-            Exchange::Owed { reply_by, .. } if reply_by > cycle.deadline => Reply::Owed,
-            Exchange::Owed { .. } => {
+            Exchange::Owed { reply_by, .. } if !cycle.closes(reply_by) => Reply::Owed,
+            Exchange::Owed { .. } | Exchange::Absent => {
                 slot.counters.missed += 1;
                 slot.exchange = Exchange::Missed;
                 self.missed(cycle, now);
@@ -249,7 +252,10 @@ impl Seat {
             }
             Exchange::Unsent => {
                 slot.exchange = Exchange::Idle;
-                self.missed(cycle, now);
+                // One that its bus takes down at the orderly end is not lost by that.
+                if !(self.ends && slot.excused) {
+                    self.missed(cycle, now);
+                }
                 Reply::Unsent
             }
             Exchange::Answered { sent_at, at, suspect } => {
@@ -276,8 +282,10 @@ impl Seat {
             self.bounds = Bounds::default();
         } else if let Some(sent_at) = sent.filter(|_| slot.report.fresh) {
             let report = &slot.report;
-            let Report { at, homed, demand, velocity, .. } = *report;
-            self.bounds.take(Sample { sent_at, at, homed, demand, velocity }, &self.plan);
+            let Report { at, homed, position, demand, velocity, .. } = *report;
+            let led = !under_torque(slot);
+            let position = if led { demand } else { position };
+            self.bounds.take(Sample { sent_at, at, homed, led, position, velocity }, &self.plan);
         }
         self.take_report(cycle, now, slot, rtt);
         self.take_link(cycle, now, slot);
@@ -317,7 +325,7 @@ impl Seat {
         if !report.fresh {
             let age = cycle.index.saturating_sub(self.fresh_at);
             self.feedback.age = u32::try_from(age).unwrap_or(u32::MAX);
-            return;
+            return self.take_emergency(cycle, now, slot);
         }
         self.fresh_at = cycle.index - u64::from(report.suspect).min(cycle.index);
         self.feedback = Feedback {
@@ -349,12 +357,16 @@ impl Seat {
                 }
             }
         }
-        if let Some((channel, status)) = report.monitor_refused.take() {
-            self.tell(cycle, now, EventKind::MonitorRefused { channel, status });
-        }
-        if std::mem::take(&mut report.restarted) {
-            self.restarted = true;
-            self.tell(cycle, now, EventKind::Restarted);
+        // Almost never any of them.
+        if report.restarted | report.monitor_refused.is_some() | report.emergency.is_some() {
+            if let Some((channel, status)) = report.monitor_refused.take() {
+                self.tell(cycle, now, EventKind::MonitorRefused { channel, status });
+            }
+            if std::mem::take(&mut report.restarted) {
+                self.restarted = true;
+                self.tell(cycle, now, EventKind::Restarted);
+            }
+            self.take_emergency(cycle, now, slot);
         }
         if before.inhibited != self.feedback.inhibited {
             self.tell(cycle, now, EventKind::HardwareEnable(!self.feedback.inhibited));
@@ -367,6 +379,14 @@ impl Seat {
         }
         if before.warning != self.feedback.warning {
             self.tell(cycle, now, EventKind::Warning(self.feedback.warning));
+        }
+    }
+
+    /// What the drive told by itself; it may, without an exchange.
+    fn take_emergency(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
+        if let Some(emergency) = slot.report.emergency.take() {
+            self.record.emergency = Some(emergency.into());
+            self.tell(cycle, now, EventKind::Emergency(emergency));
         }
     }
 
@@ -414,8 +434,10 @@ impl Seat {
                     // Homing gives the positions another origin and has speeds of its own.
                     let home = self.active.is_some_and(|active| active.verb == Verb::Home);
                     self.homing = home || self.homing && self.feedback.moving;
-                    // Nobody but the drive knows how it will brake, if it was not told by this loop.
-                    let braking = free || self.is_native(NativeOwner::Master) || self.active.is_none();
+                    // Nobody but the drive knows how it will brake, if it was not told by this loop; under torque nothing
+                    // brakes it at all.
+                    let native = free || self.is_native(NativeOwner::Master);
+                    let braking = native || self.active.is_none() || under_torque(slot);
                     let broken = self.bounds.are_broken(&self.plan, braking, self.row_seconds(cycle));
                     (broken && !self.homing).then_some(StopCause::Limit)
                 }
@@ -515,6 +537,7 @@ impl Seat {
     /// The orderly end of the master: every axis goes down and off, and nothing new begins. True once nothing more is to be
     /// done.
     pub fn shut_down(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot, hurry: bool) -> bool {
+        self.ends = true;
         self.stop(cycle, now, StopCause::Shutdown, slot);
         self.flush(cycle, now, Abort::Stopped(StopCause::Shutdown));
         if matches!(self.latch, Latch::Kept(_)) && self.claim != Claim::Found {
@@ -621,4 +644,9 @@ impl Seat {
             self.lost_events += 1;
         }
     }
+}
+
+/// Whether no position leads the drive, and what it shows as its demand means nothing.
+fn under_torque(slot: &Slot) -> bool {
+    slot.order.verb.is_some_and(|verb| verb.takes_torques())
 }

@@ -1,9 +1,9 @@
-//! Rows and velocities for the next send: which one, how old it may be, and what follows when there is none.
+//! Rows, velocities and torques for the next send: which one, how old it may be, and what follows when there is none.
 
 use super::Seat;
 use crate::axis::limits::{check_braking, check_reach, check_row, check_speed};
 use crate::axis::{
-    Command, CommandId, EventKind, Failure, Outcome, Row, StopCause, Ticket, Underrun, Velocity, Verb,
+    Command, CommandId, EventKind, Failure, Outcome, Row, Setpoint, StopCause, Ticket, Underrun, Verb,
 };
 use crate::bus::{Cycle, NumberedRow, Slot};
 use crate::cycle::gates::Gates;
@@ -26,51 +26,53 @@ pub(super) struct Follow {
     pub(super) held: bool,
 }
 
-/// The velocity that was asked for last.
+/// The velocity or torque that was asked for last.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Level {
     /// The command that it is for.
     pub(super) of: CommandId,
-    /// User units/s.
+    /// User units/s, or per cent of the rated torque.
     pub(super) value: f64,
     /// The slot in which it came.
     pub(super) at: u64,
 }
 
 impl Seat {
-    /// The newest velocities of the application.
-    pub(super) fn take_velocities(&mut self, cycle: &Cycle) {
-        for _ in 0..self.queues.velocities.slots() {
-            if let Ok(velocity) = self.queues.velocities.pop() {
-                self.take_velocity(cycle.index, velocity);
+    /// The newest setpoints of the application.
+    pub(super) fn take_setpoints(&mut self, cycle: &Cycle) {
+        for _ in 0..self.queues.setpoints.slots() {
+            if let Ok(setpoint) = self.queues.setpoints.pop() {
+                self.take_setpoint(cycle.index, setpoint);
             }
         }
     }
 
     /// One that is not for the command that runs waits for its own.
-    pub(super) fn take_velocity(&mut self, cycle: u64, velocity: Velocity) {
-        let level = Level { of: velocity.of, value: velocity.value, at: cycle };
+    pub(super) fn take_setpoint(&mut self, cycle: u64, setpoint: Setpoint) {
+        let level = Level { of: setpoint.of, value: setpoint.value, at: cycle };
         match self.active {
-            Some(active) if active.id == velocity.of => self.level = level,
+            Some(active) if active.id == setpoint.of => self.level = level,
             _ => self.ahead = level,
         }
     }
 
-    /// What a command that begins makes of the velocity.
+    /// What a command that begins makes of the velocity or torque.
     pub(super) fn begin_setpoints(&mut self, cycle: &Cycle, command: &Command) {
         let value = match command.verb {
             _ if self.ahead.of == command.id => self.ahead.value,
             Verb::Jog(jog) => jog.velocity,
-            // It stands until the first setpoint comes, and has the whole age for that.
+            // It stands, or gives no torque, until the first setpoint comes, and has the whole age for that.
             _ => 0.0,
         };
         self.level = Level { of: command.id, value, at: cycle.index };
     }
 
-    /// Stops an axis whose velocity is older than it may be.
+    /// Stops an axis whose velocity or torque is older than it may be.
     pub(super) fn age_setpoint(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
         let (most, cause) = match self.active.map(|active| active.verb) {
-            Some(Verb::Velocity { .. }) => (u64::from(self.plan.setpoint_age), StopCause::StaleSetpoint),
+            Some(Verb::Velocity { .. } | Verb::Torque { .. }) => {
+                (u64::from(self.plan.setpoint_age), StopCause::StaleSetpoint)
+            }
             Some(Verb::Jog(_)) => match self.plan.jog_deadman {
                 Some(limit) => (nanos(limit).div_ceil(cycle.period_ns), StopCause::DeadMan),
                 None => return,
@@ -101,7 +103,10 @@ impl Seat {
     /// Chooses the setpoint of the next send, if one is due. In a group a row is taken only if `gates` says that each
     /// member has one.
     pub fn feed(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot, gates: &Gates) {
-        slot.velocity = self.level.value;
+        (slot.velocity, slot.torque) = match slot.order.verb {
+            Some(Verb::Torque { .. }) => (0.0, self.level.value),
+            _ => (self.level.value, 0.0),
+        };
         let Some(active) = self.active.filter(|_| slot.due && slot.order.verb == Some(Verb::Follow)) else {
             // A row of the task is for the send that it was given for.
             if slot.order.verb != Some(Verb::Follow) {

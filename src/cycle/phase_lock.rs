@@ -1,0 +1,171 @@
+//! Steers the grid after a clock that is not ours: a PI controller whose output is a small step of the next slot.
+//!
+//! The error is what the bus tells of a slot: where the other clock saw it, less where it shall be. It is free of our wake-up
+//! jitter, since the bus takes off how late its request left. A slot without an error steers nothing.
+
+/// The share of the error that a slot takes away.
+const PROPORTIONAL: f64 = 0.05;
+/// The share of the sum of all errors: a quarter of the square of the other, so that it settles without swinging.
+const INTEGRAL: f64 = PROPORTIONAL * PROPORTIONAL / 4.0;
+/// A step is at most this part of the period.
+const MOST: u64 = 100;
+
+/// Locks a grid to a reference clock.
+#[derive(Clone, Copy, Debug)]
+pub struct PhaseLock {
+    most_ns: f64,
+    /// What the drift of the two clocks needs in each slot, ns.
+    drift_ns: f64,
+    /// What the last step owed: it is a whole number, and a drift need not be.
+    owed_ns: f64,
+}
+
+impl PhaseLock {
+    /// For a grid of this period.
+    pub fn new(period_ns: u64) -> PhaseLock {
+        PhaseLock { most_ns: (period_ns / MOST) as f64, drift_ns: 0.0, owed_ns: 0.0 }
+    }
+
+    /// A slot came `error_ns` too late; gives the step of the next one, ns: positive ones make it later.
+    pub fn step(&mut self, error_ns: i64) -> i64 {
+        let (error, most) = (error_ns as f64, self.most_ns);
+        let wanted = self.owed_ns - (PROPORTIONAL * error + self.drift_ns);
+        let step = wanted.round().clamp(-most, most);
+        if wanted.abs() < most {
+            self.owed_ns = wanted - step;
+            self.drift_ns = (self.drift_ns + INTEGRAL * error).clamp(-most, most);
+        } else {
+            // What cannot be done is neither summed up nor owed.
+            self.owed_ns = 0.0;
+        }
+        step as i64
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::time::{MS, S, US};
+
+    const PERIODS: [u64; 4] = [250 * US, 500 * US, MS, 4 * MS];
+
+    /// A clock that runs beside a grid, as the bus that has it sees them.
+    #[derive(Clone, Copy)]
+    struct Beside {
+        period_ns: u64,
+        /// It is quicker than ours by so much.
+        ppm: f64,
+        /// It begins so far ahead.
+        phase_ns: u64,
+    }
+
+    impl Beside {
+        /// The error of a slot at `grid`, between half a period early and half a period late.
+        fn error(self, grid: i64) -> i64 {
+            let shown = grid as f64 * (1.0 + self.ppm * 1e-6) + self.phase_ns as f64;
+            let period = self.period_ns as i64;
+            let late = (shown.round() as i64).rem_euclid(period);
+            if late > period / 2 { late - period } else { late }
+        }
+
+        /// Error and step of each slot; `None` of those that have no sample.
+        fn run(self, slots: u64, lost: impl Fn(u64) -> bool) -> Vec<Option<(i64, i64)>> {
+            let mut lock = PhaseLock::new(self.period_ns);
+            let mut grid = 0;
+            (0..slots)
+                .map(|slot| {
+                    let sample = (!lost(slot)).then(|| {
+                        let error = self.error(grid);
+                        (error, lock.step(error))
+                    });
+                    grid += self.period_ns as i64 + sample.map_or(0, |(_, step)| step);
+                    sample
+                })
+                .collect()
+        }
+    }
+
+    fn worst(run: &[Option<(i64, i64)>]) -> u64 {
+        run.iter().flatten().map(|(error, _)| error.unsigned_abs()).max().unwrap()
+    }
+
+    #[test]
+    fn a_clock_that_drifts_is_followed_in_small_steps_from_any_phase() {
+        for period_ns in PERIODS {
+            for ppm in [-1_000.0, -100.0, -0.3, 0.0, 0.3, 100.0, 1_000.0] {
+                for part in 0..20 {
+                    let beside = Beside { period_ns, ppm, phase_ns: part * period_ns / 20 };
+                    let locked = 2 * S / period_ns;
+                    let run = beside.run(2 * locked, |_| false);
+                    assert!(run.iter().flatten().all(|(_, step)| step.unsigned_abs() <= period_ns / 100));
+                    let off = worst(&run[locked as usize..]);
+                    assert!(off < 1_000, "{period_ns} ns, {ppm} ppm, {part}/20: {off} ns");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_drift_of_less_than_a_nanosecond_a_slot_is_followed_without_an_error() {
+        // 0.3 ppm of 250 us are 0.075 ns.
+        for (period_ns, ppm) in [(250 * US, 0.3), (MS, 0.1), (MS, -0.77)] {
+            let run = Beside { period_ns, ppm, phase_ns: 0 }.run(40_000, |_| false);
+            assert!(worst(&run) <= 40, "{}", worst(&run));
+            let tail = &run[20_000..];
+            assert!(worst(tail) <= 2, "{}", worst(tail));
+            let steps: i64 = tail.iter().flatten().map(|(_, step)| step).sum();
+            let expected = -ppm * 1e-6 * period_ns as f64 * tail.len() as f64;
+            assert!((steps as f64 - expected).abs() < 5.0, "{steps} of {expected}");
+        }
+    }
+
+    #[test]
+    fn slots_without_a_sample_steer_nothing_and_the_rest_still_locks() {
+        for period_ns in PERIODS {
+            for every in [2, 3, 17] {
+                let beside = Beside { period_ns, ppm: 100.0, phase_ns: period_ns / 3 };
+                let locked = 4 * S / period_ns;
+                let run = beside.run(2 * locked, |slot| slot % every == 0);
+                let off = worst(&run[locked as usize..]);
+                assert!(off < 1_000, "{period_ns} ns, one of {every} lost: {off} ns");
+            }
+        }
+    }
+
+    #[test]
+    fn what_was_out_of_reach_for_long_leaves_nothing_behind() {
+        // Far beyond what steps of a hundredth of the period can follow: the error goes round and round. Then it is right.
+        let mut lock = PhaseLock::new(MS);
+        let wild = Beside { period_ns: MS, ppm: 50_000.0, phase_ns: 0 };
+        let mut grid = 0;
+        for _ in 0..20_000 {
+            grid += MS as i64 + lock.step(wild.error(grid));
+        }
+        let tame = Beside { ppm: 100.0, ..wild };
+        let mut errors = Vec::new();
+        for _ in 0..4_000 {
+            let error = tame.error(grid);
+            grid += MS as i64 + lock.step(error);
+            errors.push(error.unsigned_abs());
+        }
+        assert!(errors[2_000..].iter().all(|error| *error < 1_000));
+    }
+
+    #[test]
+    fn a_single_wrong_sample_moves_the_grid_by_no_more_than_one_step() {
+        let beside = Beside { period_ns: MS, ppm: 20.0, phase_ns: 0 };
+        for wrong in [500_000, -499_999, i64::MAX, i64::MIN] {
+            let mut lock = PhaseLock::new(MS);
+            let (mut grid, mut worst) = (0, 0);
+            for slot in 0..6_000 {
+                let error = beside.error(grid);
+                if slot > 2_000 {
+                    worst = worst.max(error.unsigned_abs());
+                }
+                grid += MS as i64 + lock.step(if slot == 3_000 { wrong } else { error });
+            }
+            assert!(worst <= 10_100, "{wrong}: {worst} ns");
+            assert!(beside.error(grid).abs() < 100);
+        }
+    }
+}
