@@ -1,6 +1,6 @@
 //! Sockets and file descriptors, and nothing of any protocol.
 //!
-//! A bus speaks to a carrier through [`Datagrams`] or [`Streams`]; the carrier stamps what it sends and takes in, so that the
+//! A bus speaks to a carrier through [`Datagrams`], [`Streams`] or [`Frames`]; the carrier stamps what it sends and takes in, so that the
 //! same bus runs over real sockets and in virtual time.
 //!
 //! | file | what |
@@ -10,24 +10,35 @@
 //! | `stream` | connections as the loop and a protocol see them |
 //! | `link` | opens, greets and re-opens connections, beside the loop |
 //! | `tcp` | TCP connections on the real-time thread |
+//! | `frames` | Ethernet frames as a protocol sees them |
+//! | `packet` | those of a network interface |
+//! | `local` | those of a line on this host, without an interface |
+//! | `stamp` | when a frame arrived at the end of a line |
 
 use std::io;
 use std::net::SocketAddrV4;
 use std::os::fd::RawFd;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 
+pub mod frames;
 pub mod link;
+pub mod local;
 mod outbox;
+pub(crate) mod packet;
+mod stamp;
 pub mod stream;
 mod tcp;
 pub mod udp;
 
+pub use frames::Frames;
 pub use outbox::{Outbox, Sent};
 pub use stream::{Broken, Greeted, Greeting, LinkNotes, StreamPeer, Streams};
 
 use crate::rt::Regions;
 use crate::time::Time;
 use link::LinkThread;
+use local::Local;
+use packet::Packet;
 use tcp::Tcp;
 use udp::Udp;
 
@@ -65,6 +76,17 @@ pub trait Carriers {
     /// A carrier of connections to `peers`, in this order. Their opening begins at once, and goes on beside the loop.
     /// Unless it is said otherwise, there are none.
     fn streams(&self, _peers: Vec<StreamPeer>) -> io::Result<Box<dyn Streams>> {
+        Err(io::ErrorKind::Unsupported.into())
+    }
+
+    /// A carrier of the Ethernet frames of one Ethertype on `interface`. Unless it is said otherwise, there are none.
+    ///
+    /// # Errors
+    ///
+    /// [`NotFound`](io::ErrorKind::NotFound): there is no such interface. [`PermissionDenied`](io::ErrorKind::PermissionDenied): the
+    /// right for raw frames is missing. An interface that is down is no error: to send on it is
+    /// [`Down`](frames::Unsent::Down).
+    fn frames(&self, _interface: &str, _ethertype: u16) -> io::Result<Box<dyn Frames>> {
         Err(io::ErrorKind::Unsupported.into())
     }
 }
@@ -127,6 +149,13 @@ impl Carriers for Os {
 
     fn streams(&self, peers: Vec<StreamPeer>) -> io::Result<Box<dyn Streams>> {
         Ok(Box::new(Tcp::open(&self.link_thread()?, peers)?))
+    }
+
+    fn frames(&self, interface: &str, ethertype: u16) -> io::Result<Box<dyn Frames>> {
+        Ok(match local::name(interface) {
+            Some(name) => Box::new(Local::open(name)?),
+            None => Box::new(Packet::open(interface, ethertype)?),
+        })
     }
 }
 

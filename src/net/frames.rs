@@ -1,0 +1,61 @@
+//! Whole Ethernet frames on the real-time thread: the contract of a carrier below IP.
+
+use std::fmt::Debug;
+use std::os::fd::RawFd;
+use std::sync::Arc;
+
+use crate::rt::Regions;
+use crate::time::Time;
+
+/// The address of every carrier that is no network card: without the bit that the first slave of an EtherCAT line sets.
+pub const MAC: [u8; 6] = [0x10; 6];
+
+/// A carrier of Ethernet frames on one interface: never waits, never allocates.
+pub trait Frames: Send {
+    /// The descriptor that becomes readable when a frame arrives; `None` for a carrier without one.
+    fn fd(&self) -> Option<RawFd>;
+
+    /// Hands a frame to the wire; when it was begun. An error: it was not sent.
+    fn send(&mut self, frame: &[u8]) -> Result<Time, Unsent>;
+
+    /// Takes in one frame: when, and how many bytes it has; `None`: there is none. One that is longer than `room` is cut off, and
+    /// its length says so.
+    fn receive(&mut self, room: &mut [u8]) -> Option<(Time, usize)>;
+
+    /// Now, by the clock of its stamps.
+    fn now(&mut self) -> Time;
+
+    /// The Ethernet address of the interface.
+    fn mac(&self) -> [u8; 6];
+
+    /// Errors of the interface that it met when it took frames in.
+    fn errors(&self) -> u64 {
+        0
+    }
+
+    /// Who knows what was dropped of what arrived, for normal threads; `None`: a carrier that drops nothing without a word.
+    fn dropped(&self) -> Option<Arc<dyn Dropped>> {
+        None
+    }
+
+    /// Adds the memory that it touches on the real-time thread, to be locked.
+    fn memory(&self, regions: &mut Regions);
+}
+
+/// What a carrier dropped of what arrived, because nobody took it in soon enough. To be asked by normal threads: it may be a system
+/// call.
+pub trait Dropped: Debug + Send + Sync {
+    /// All frames since the beginning.
+    fn count(&self) -> u64;
+}
+
+/// Why a frame was not sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Unsent {
+    /// The interface is down or gone, or has no cable.
+    Down,
+    /// The kernel has no room for it.
+    Full,
+    /// Another error of the operating system.
+    Failed(i32),
+}

@@ -1,0 +1,291 @@
+//! A line on this host without an interface: whole Ethernet frames as datagrams between Unix sockets (unix(7)).
+//!
+//! The line of `local:NAME` listens at the abstract address `fieldbeat-local/NAME` of its network namespace; a master has an address
+//! of its own, by which it gets its frames back. Nobody needs any right for it, and nothing is left behind in the file system. A line
+//! that is not there yet, or no more, is like an interface that is down.
+
+use std::io;
+use std::mem::{offset_of, zeroed};
+use std::os::fd::{AsRawFd, FromRawFd, OwnedFd, RawFd};
+
+use nix::errno::Errno;
+
+use super::frames::{Frames, MAC, Unsent};
+use super::stamp;
+use crate::rt::{MonotonicClock, Regions};
+use crate::time::Time;
+
+/// What such an interface's name begins with.
+pub const PREFIX: &str = "local:";
+/// What the addresses of all lines begin with, behind the zero that makes them abstract.
+const SPACE: &str = "fieldbeat-local/";
+
+/// The name of the line that an interface is; `None`: it is a real one.
+pub fn name(interface: &str) -> Option<&str> {
+    interface.strip_prefix(PREFIX)
+}
+
+/// One end of a line on this host.
+#[derive(Debug)]
+pub struct Local {
+    socket: OwnedFd,
+    /// Where its frames go.
+    peer: Address,
+    /// It is the line's end: to whom it heard last, and when its frames were sent, however late it looks.
+    answers: bool,
+}
+
+impl Local {
+    /// The master's end of the line `name`; the line need not be there yet.
+    ///
+    /// # Errors
+    ///
+    /// A name that is too long; no descriptors left.
+    pub fn open(name: &str) -> io::Result<Local> {
+        let peer = Address::of(name)?;
+        let socket = socket()?;
+        // An address by itself, for the frames that come back.
+        bind(&socket, &Address::UNNAMED)?;
+        Ok(Local { socket, peer, answers: false })
+    }
+
+    /// The line's end: its frames go to whom it heard last.
+    ///
+    /// # Errors
+    ///
+    /// As above, and [`AddrInUse`](io::ErrorKind::AddrInUse) if the line is served already.
+    pub fn serve(name: &str) -> io::Result<Local> {
+        let own = Address::of(name)?;
+        let socket = socket()?;
+        bind(&socket, &own)?;
+        stamp::switch_on(&socket)?;
+        Ok(Local { socket, peer: Address::UNNAMED, answers: true })
+    }
+
+    /// The line's end: a frame, when it was sent, and by whom.
+    fn hear(&mut self, room: &mut [u8]) -> Option<(Time, usize)> {
+        let mut from = Address::UNNAMED;
+        let heard = stamp::receive(&self.socket, room, Some((&mut from.whole, &mut from.length)))?;
+        self.peer = from;
+        Some(heard)
+    }
+}
+
+fn socket() -> io::Result<OwnedFd> {
+    let flags = libc::SOCK_DGRAM | libc::SOCK_NONBLOCK | libc::SOCK_CLOEXEC;
+    // SAFETY: plain numbers.
+    let fd = unsafe { libc::socket(libc::AF_UNIX, flags, 0) };
+    if fd < 0 {
+        return Err(io::Error::last_os_error());
+    }
+    // SAFETY: it was just opened, and belongs to nobody else.
+    Ok(unsafe { OwnedFd::from_raw_fd(fd) })
+}
+
+fn bind(socket: &OwnedFd, address: &Address) -> io::Result<()> {
+    // SAFETY: the address and its length are those of a live value.
+    let result = unsafe { libc::bind(socket.as_raw_fd(), (&raw const address.whole).cast(), address.length) };
+    if result < 0 { Err(io::Error::last_os_error()) } else { Ok(()) }
+}
+
+/// An address, and how much of it counts.
+#[derive(Clone, Copy)]
+struct Address {
+    whole: libc::sockaddr_un,
+    length: libc::socklen_t,
+}
+
+const PATH: usize = offset_of!(libc::sockaddr_un, sun_path);
+
+impl Address {
+    /// Nobody's: to bind to it is to get one.
+    const UNNAMED: Address = Address {
+        // SAFETY: all bytes zero but the family are a valid address.
+        whole: libc::sockaddr_un { sun_family: libc::AF_UNIX as u16, ..unsafe { zeroed() } },
+        length: PATH as libc::socklen_t,
+    };
+
+    fn of(name: &str) -> io::Result<Address> {
+        let mut address = Address::UNNAMED;
+        let bytes = SPACE.bytes().chain(name.bytes());
+        let room = address.whole.sun_path.len() - 1;
+        if name.is_empty() || SPACE.len() + name.len() > room {
+            let message = format!("{PREFIX}{name}: a name has 1 to {} bytes", room - SPACE.len());
+            return Err(io::Error::new(io::ErrorKind::InvalidInput, message));
+        }
+        // The zero in front makes it abstract.
+        for (place, byte) in address.whole.sun_path[1..].iter_mut().zip(bytes) {
+            *place = byte as libc::c_char;
+        }
+        address.length = (PATH + 1 + SPACE.len() + name.len()) as libc::socklen_t;
+        Ok(address)
+    }
+}
+
+impl std::fmt::Debug for Address {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let path = &self.whole.sun_path[..(self.length as usize).saturating_sub(PATH)];
+        let bytes: Vec<u8> = path.iter().map(|byte| *byte as u8).collect();
+        write!(f, "\"{}\"", bytes.escape_ascii())
+    }
+}
+
+impl Frames for Local {
+    fn fd(&self) -> Option<RawFd> {
+        Some(self.socket.as_raw_fd())
+    }
+
+    fn send(&mut self, frame: &[u8]) -> Result<Time, Unsent> {
+        let begin = MonotonicClock::read();
+        let Address { whole, length } = &self.peer;
+        if *length as usize <= PATH {
+            // Nobody was heard yet.
+            return Err(Unsent::Down);
+        }
+        // SAFETY: the kernel reads the bytes of a live slice and of a live address.
+        let sent = unsafe {
+            libc::sendto(
+                self.socket.as_raw_fd(),
+                frame.as_ptr().cast(),
+                frame.len(),
+                libc::MSG_DONTWAIT | libc::MSG_NOSIGNAL,
+                (&raw const *whole).cast(),
+                *length,
+            )
+        };
+        if sent >= 0 {
+            return Ok(begin);
+        }
+        Err(match Errno::last() {
+            Errno::ECONNREFUSED | Errno::ENOENT => Unsent::Down,
+            Errno::EAGAIN | Errno::ENOBUFS => Unsent::Full,
+            errno => Unsent::Failed(errno as i32),
+        })
+    }
+
+    fn receive(&mut self, room: &mut [u8]) -> Option<(Time, usize)> {
+        if self.answers {
+            return self.hear(room);
+        }
+        let flags = libc::MSG_DONTWAIT | libc::MSG_TRUNC;
+        // SAFETY: the kernel writes into a live slice, at most its length.
+        let count =
+            unsafe { libc::recv(self.socket.as_raw_fd(), room.as_mut_ptr().cast(), room.len(), flags) };
+        usize::try_from(count).ok().map(|count| (MonotonicClock::read(), count))
+    }
+
+    fn now(&mut self) -> Time {
+        MonotonicClock::read()
+    }
+
+    fn mac(&self) -> [u8; 6] {
+        MAC
+    }
+
+    fn memory(&self, regions: &mut Regions) {
+        regions.add(self);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A name that no other test has.
+    fn own(what: &str) -> String {
+        format!("{what}-{}", std::process::id())
+    }
+
+    fn receive(end: &mut Local) -> Option<Vec<u8>> {
+        let mut room = [0; 32];
+        end.receive(&mut room).map(|(_, length)| room[..length.min(32)].to_vec())
+    }
+
+    #[test]
+    fn frames_go_to_the_line_and_come_back_to_who_sent_them() {
+        let name = own("there-and-back");
+        let mut line = Local::serve(&name).unwrap();
+        let mut masters = [Local::open(&name).unwrap(), Local::open(&name).unwrap()];
+        assert_eq!(line.send(&[0]), Err(Unsent::Down), "nobody was heard yet");
+        for (end, byte) in [(0, 1), (1, 2), (0, 3)] {
+            let end = &mut masters[end];
+            assert_eq!(receive(end), None);
+            let before = end.now();
+            assert!(end.send(&[byte; 29]).unwrap() >= before);
+            assert_eq!(receive(&mut line), Some(vec![byte; 29]), "unpadded");
+            line.send(&[byte, 7]).unwrap();
+            assert_eq!(receive(end), Some(vec![byte, 7]));
+        }
+        assert!(masters.iter_mut().all(|end| receive(end).is_none()));
+        assert_eq!(masters[0].mac()[0] & 3, 0, "of one card, and without the bit that a slave sets");
+    }
+
+    #[test]
+    fn the_line_has_the_time_of_the_wire_however_late_it_looks() {
+        let name = own("stamps");
+        let mut line = Local::serve(&name).unwrap();
+        let mut master = Local::open(&name).unwrap();
+        let sent_at = master.send(&[1]).unwrap();
+        std::thread::sleep(std::time::Duration::from_millis(100));
+        let (at, _) = line.receive(&mut [0; 8]).unwrap();
+        assert!(at.since(sent_at) < line.now().since(at), "{sent_at:?} {at:?}");
+    }
+
+    #[test]
+    fn a_frame_that_is_longer_than_the_room_is_told() {
+        let name = own("long");
+        let mut line = Local::serve(&name).unwrap();
+        let mut master = Local::open(&name).unwrap();
+        master.send(&[9; 1514]).unwrap();
+        let mut room = [0; 32];
+        assert_eq!(line.receive(&mut room).map(|(_, length)| length), Some(1514));
+        assert_eq!(room, [9; 32]);
+        assert!(line.receive(&mut room).is_none());
+    }
+
+    #[test]
+    fn a_line_that_is_gone_is_down_and_comes_back_by_itself() {
+        let name = own("gone");
+        let mut master = Local::open(&name).unwrap();
+        assert_eq!(master.send(&[1]), Err(Unsent::Down));
+        for byte in 1..4 {
+            let mut line = Local::serve(&name).unwrap();
+            assert!(master.send(&[byte]).is_ok());
+            assert_eq!(receive(&mut line), Some(vec![byte]));
+            line.send(&[byte]).unwrap();
+            assert_eq!(receive(&mut master), Some(vec![byte]));
+            drop(line);
+            assert_eq!(master.send(&[byte]), Err(Unsent::Down));
+        }
+        let mut line = Local::serve(&name).unwrap();
+        assert!(master.send(&[8]).is_ok() && receive(&mut line).is_some());
+        drop(master);
+        assert_eq!(line.send(&[9]), Err(Unsent::Down), "and so is a master");
+    }
+
+    #[test]
+    fn a_line_that_does_not_read_fills_up_and_nobody_waits() {
+        let name = own("full");
+        let mut line = Local::serve(&name).unwrap();
+        let mut master = Local::open(&name).unwrap();
+        let end = (0..1_000_000).map(|_| master.send(&[1; 60])).find_map(Result::err);
+        assert_eq!(end, Some(Unsent::Full));
+        while receive(&mut line).is_some() {}
+        assert!(master.send(&[1; 60]).is_ok());
+    }
+
+    #[test]
+    fn a_name_is_served_once_and_has_a_length() {
+        let name = own("twice");
+        let first = Local::serve(&name).unwrap();
+        assert_eq!(Local::serve(&name).unwrap_err().kind(), io::ErrorKind::AddrInUse);
+        drop(first);
+        assert!(Local::serve(&name).is_ok());
+        for wrong in ["", &"x".repeat(200)] {
+            assert_eq!(Local::open(wrong).unwrap_err().kind(), io::ErrorKind::InvalidInput);
+        }
+        let most = "y".repeat(std::mem::size_of::<libc::sockaddr_un>() - PATH - 1 - SPACE.len());
+        assert!(Local::open(&most).is_ok() && Local::open(&format!("{most}y")).is_err());
+        assert_eq!((super::name("local:x"), super::name("eth0")), (Some("x"), None));
+    }
+}
