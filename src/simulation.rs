@@ -24,6 +24,7 @@
 
 use rtrb::Consumer;
 
+use crate::axis::acyclic::Acyclic;
 use crate::axis::{Axis, Event, EventKind, Feedback, Observer, Outcome, Pulse, Verb};
 use crate::axis::{AxisError, CommandId};
 use crate::bus::OpenError;
@@ -31,7 +32,7 @@ use crate::cycle::PlanErrors;
 use crate::cycle::engine::{Control, Engine, Flow};
 use crate::cycle::record::Record;
 use crate::cycle::status::{Numbers, Status};
-use crate::master::{Assembly, Setup, assemble};
+use crate::master::{Assembly, Devices, MasterError, Setup, assemble};
 use crate::sim::world::{World, WorldClock, WorldOptions};
 use crate::telemetry::Measured;
 
@@ -42,6 +43,8 @@ pub struct Simulation {
     engine: Engine<WorldClock>,
     axes: Vec<Option<Axis>>,
     observers: Vec<Observer>,
+    devices: Devices,
+    acyclics: Vec<Acyclic>,
     pulse: Pulse,
     control: Control,
     records: Consumer<Record>,
@@ -73,7 +76,7 @@ impl Setup {
         let (plan, task) = self.into_parts();
         let has_task = task.is_some();
         let control = Control::default();
-        let Assembly { mut engine, axes, records, pulse, .. } =
+        let Assembly { mut engine, axes, devices, acyclics, records, pulse, .. } =
             assemble(&plan, world.clock(), &world, task, control.clone())?;
         engine.begin();
         Ok(Simulation {
@@ -82,6 +85,8 @@ impl Setup {
             observers: axes.iter().map(Axis::observer).collect(),
             measured: Measured::new(axes.len(), &plan.cycle, has_task),
             axes: axes.into_iter().map(Some).collect(),
+            devices,
+            acyclics,
             pulse,
             control,
             records,
@@ -112,6 +117,16 @@ impl Simulation {
     /// If there is no such axis, or if it was taken.
     pub fn take_axis(&mut self, index: usize) -> Axis {
         self.axes[index].take().expect("the axis was taken")
+    }
+
+    /// Takes the process data of a device that is no drive, as [`Master::device`](crate::Master::device).
+    pub fn device<T: 'static>(&mut self, name: &str) -> Result<T, MasterError> {
+        self.devices.take(name)
+    }
+
+    /// Acyclic access, as [`Master::acyclics`](crate::Master::acyclics).
+    pub fn acyclics(&self) -> &[Acyclic] {
+        &self.acyclics
     }
 
     /// A sign of life of the application, as [`Master::alive`](crate::Master::alive).

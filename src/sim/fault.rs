@@ -8,7 +8,7 @@ use std::cmp::Reverse;
 use std::collections::{BinaryHeap, VecDeque};
 use std::net::SocketAddrV4;
 
-use super::{Carrier, FaultPlan, SimDrive};
+use super::{Carrier, FaultPlan, SimDrive, SimLine};
 use crate::time::Time;
 
 /// Between two bytes that come one at a time, ns: about a byte's time on 10 Mbit/s Ethernet.
@@ -61,7 +61,7 @@ pub struct Injected {
     pub dropped: u64,
     /// Datagrams that came twice.
     pub duplicated: u64,
-    /// Datagrams with one flipped bit.
+    /// Datagrams with one flipped bit. A frame with one is lost.
     pub corrupted: u64,
     /// Datagrams that came later by `delay_ns`.
     pub delayed: u64,
@@ -100,6 +100,15 @@ impl Blow {
             Blow::Inhibit(until) => drive.inhibit(until),
         }
     }
+
+    /// Lets it happen on `line`, where `injected` is what its wire has done: each time to the next one.
+    pub(super) fn strike_line(self, now: Time, line: &mut dyn SimLine, injected: Injected) {
+        let nth = |count: u64| count.saturating_sub(1) as usize % line.slaves().max(1);
+        match self {
+            Blow::Restart => line.restart(now, nth(injected.restarts)),
+            Blow::Inhibit(until) => line.inhibit(nth(injected.inhibits), until),
+        }
+    }
 }
 
 /// Makes the faults of one drive's wire, both ways.
@@ -107,6 +116,8 @@ impl Blow {
 pub struct Injector {
     plan: FaultPlan,
     carrier: Carrier,
+    /// What is broken does not pass the check sequence of its receiver.
+    checked: bool,
     /// By [`Way`].
     lanes: [Lane; 2],
     stalled_until: Time,
@@ -195,15 +206,21 @@ impl Injector {
             lanes: [Lane::new(plan.seed), Lane::new(!plan.seed)],
             plan,
             carrier,
+            checked: false,
             stalled_until: Time::default(),
             injected: Injected::default(),
         }
     }
 
+    /// The same for whole Ethernet frames: of one with a flipped bit the check sequence is wrong, and no network card takes it.
+    pub(super) fn of_frames(plan: FaultPlan) -> Injector {
+        Injector { checked: true, ..Injector::new(plan, Carrier::Datagrams) }
+    }
+
     /// From now on the faults of `plan`; the counts begin anew. What is under way on a stream is not overtaken.
     pub(super) fn change(&mut self, plan: FaultPlan) {
         let behind = self.lanes.each_ref().map(|lane| lane.behind);
-        *self = Injector::new(plan, self.carrier);
+        *self = Injector { checked: self.checked, ..Injector::new(plan, self.carrier) };
         self.lanes.iter_mut().zip(behind).for_each(|(lane, behind)| lane.behind = behind);
     }
 
@@ -213,7 +230,8 @@ impl Injector {
     }
 
     /// Sends `datagram` on its way at `now`, to arrive at `due` if nothing befalls it: puts what becomes of it into
-    /// `queue`. Returns what befalls `drive`, at whose wire this is, meanwhile.
+    /// `queue`. Returns what befalls the drive, at whose wire this is, meanwhile. `mislabel` gives an answer on a stream the
+    /// identity of another one.
     ///
     /// On a stream nothing overtakes but what is to be reordered, and a stall holds up instead of losing: the sender's host
     /// sends again until it is heard.
@@ -223,7 +241,7 @@ impl Injector {
         now: Time,
         mut due: Time,
         mut datagram: Datagram<'_>,
-        drive: &dyn SimDrive,
+        mislabel: impl FnOnce(&mut [u8]),
         queue: &mut Queue,
     ) -> Option<Blow> {
         let stream = self.carrier == Carrier::Stream;
@@ -257,7 +275,7 @@ impl Injector {
         if lot.wrong_id {
             self.injected.wrong_id += 1;
             if stream {
-                drive.mislabel(&mut parcel.bytes);
+                mislabel(&mut parcel.bytes);
             }
         }
         self.enqueue(way, due, parcel, &lot, queue);
@@ -294,10 +312,13 @@ impl Injector {
 
     /// Puts `parcel` into `queue`, alone or not, whole or not, or holds it back.
     fn enqueue(&mut self, way: Way, due: Time, mut parcel: Parcel, lot: &Lot, queue: &mut Queue) {
-        let Injector { lanes, carrier, injected, .. } = self;
+        let Injector { lanes, carrier, checked, injected, .. } = self;
         let lane = &mut lanes[way as usize];
         if lot.corrupt && !parcel.bytes.is_empty() {
             injected.corrupted += 1;
+            if *checked {
+                return queue.recycle(parcel);
+            }
             let bit = lot.bit % (parcel.bytes.len() as u64 * 8);
             parcel.bytes[(bit / 8) as usize] ^= 1 << (bit % 8);
         }
@@ -502,31 +523,6 @@ mod tests {
         }
     }
 
-    /// Answers nothing; turns a reply's identity around.
-    struct Mute;
-
-    impl SimDrive for Mute {
-        fn address(&self) -> SocketAddrV4 {
-            DRIVE
-        }
-
-        fn faults(&self) -> FaultPlan {
-            FaultPlan::default()
-        }
-
-        fn receive(&mut self, _: Time, _: SocketAddrV4, _: &[u8], _: &mut Vec<u8>) -> Option<SocketAddrV4> {
-            None
-        }
-
-        fn mislabel(&self, reply: &mut [u8]) {
-            reply.reverse();
-        }
-
-        fn restart(&mut self, _: Time) {}
-
-        fn inhibit(&mut self, _: Time) {}
-    }
-
     type Arrived = Vec<(u64, SocketAddrV4, Vec<u8>)>;
 
     /// What arrives of `count` numbered datagrams, one each microsecond.
@@ -539,7 +535,8 @@ mod tests {
             if n < u64::from(count) {
                 let (from, to) = if way == Way::Request { (MASTER, DRIVE) } else { (DRIVE, MASTER) };
                 let bytes = &n.to_le_bytes();
-                let blow = injector.pass(way, now, now, Datagram { from, to, bytes }, &Mute, &mut queue);
+                let blow =
+                    injector.pass(way, now, now, Datagram { from, to, bytes }, <[u8]>::reverse, &mut queue);
                 restarts += u64::from(blow == Some(Blow::Restart));
             }
             while let Some((due, parcel)) = queue.pop(now) {
@@ -584,14 +581,14 @@ mod tests {
             (Injector::new(stormy(), Carrier::Datagrams), Injector::new(stormy(), Carrier::Datagrams));
         let mut queue = Queue::new(8);
         for n in 0..1_000 {
-            alone.pass(Way::Reply, Time(n), Time(n), reply, &Mute, &mut queue);
+            alone.pass(Way::Reply, Time(n), Time(n), reply, <[u8]>::reverse, &mut queue);
             let expected: Vec<_> = drain(&mut queue);
             for _ in 0..n % 3 {
                 let request = Datagram { from: MASTER, to: DRIVE, bytes: &[4] };
-                mixed.pass(Way::Request, Time(n), Time(n), request, &Mute, &mut queue);
+                mixed.pass(Way::Request, Time(n), Time(n), request, <[u8]>::reverse, &mut queue);
                 let _: Vec<_> = drain(&mut queue);
             }
-            mixed.pass(Way::Reply, Time(n), Time(n), reply, &Mute, &mut queue);
+            mixed.pass(Way::Reply, Time(n), Time(n), reply, <[u8]>::reverse, &mut queue);
             let got: Vec<_> = drain(&mut queue);
             assert_eq!(got, expected);
         }

@@ -4,7 +4,8 @@
 //! |---|---|
 //! | `physics` | an axis: setpoint generator, mass, limits, following error |
 //! | `fault` | seeded fault injection |
-//! | `server` | the threads that serve simulated drives on real sockets |
+//! | `wire` | a line and the faults of its wire |
+//! | `server` | the threads that serve simulated drives and lines on real sockets |
 //! | `world` | virtual time, and an in-memory network with the same drives |
 
 pub mod fault;
@@ -12,8 +13,10 @@ pub mod physics;
 pub mod server;
 #[cfg(test)]
 mod testing;
+mod wire;
 pub mod world;
 
+use std::any::Any;
 use std::net::SocketAddrV4;
 
 use crate::time::Time;
@@ -76,6 +79,75 @@ pub trait SimDrive: Send {
     fn inhibit(&mut self, until: Time);
 }
 
+/// Simulated drives on one line: each frame passes through all of them and comes back. The same object behind a real interface and
+/// in virtual time.
+///
+/// What befalls a drive when a datagram passes befalls the slaves of a line by turns.
+pub trait SimLine: Any + Send {
+    /// The master's interface, as its bus names it.
+    fn interface(&self) -> &str;
+
+    /// The interface at this end of the cable, where the master's is a real one.
+    fn own_interface(&self) -> Option<&str>;
+
+    /// The Ethertype of its frames.
+    fn ethertype(&self) -> u16;
+
+    /// The faults between the master and the first drive; each frame is a datagram of theirs.
+    fn faults(&self) -> FaultPlan;
+
+    /// How many slaves it has.
+    fn slaves(&self) -> usize;
+
+    /// What a frame takes through all that it reaches now and back, ns.
+    fn delay_ns(&self) -> u64;
+
+    /// Carries a frame through all that it reaches, in place. False: it does not come back.
+    fn pass(&mut self, now: Time, frame: &mut [u8]) -> bool;
+
+    /// Gives a frame that comes back the identity of another one.
+    fn mislabel(&self, _frame: &mut [u8]) {}
+
+    /// Time has come to `now`, with or without a frame.
+    fn live(&mut self, now: Time);
+
+    /// Cuts the cable in front of the slave at `place`, counted from 0 at the master, or mends it.
+    fn cut(&mut self, place: Option<usize>);
+
+    /// The slave at `place` passes frames on and hears none of them, until this is taken back.
+    fn deafen(&mut self, place: usize, deaf: bool);
+
+    /// Power cycle of the slave at `place`: everything volatile is lost.
+    fn restart(&mut self, now: Time, place: usize);
+
+    /// The hardware enable (STO) of the drive at `place` is open until then.
+    fn inhibit(&mut self, place: usize, until: Time);
+}
+
+/// What a machine's drives are, simulated.
+#[derive(Default)]
+pub struct Simulated {
+    /// Those with an address of their own, in slot order.
+    pub drives: Vec<Box<dyn SimDrive>>,
+    /// Those on lines.
+    pub lines: Vec<Box<dyn SimLine>>,
+}
+
+impl std::fmt::Debug for Simulated {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Simulated")
+            .field("drives", &self.drives.len())
+            .field("lines", &self.lines.len())
+            .finish()
+    }
+}
+
+impl From<Vec<Box<dyn SimDrive>>> for Simulated {
+    fn from(drives: Vec<Box<dyn SimDrive>>) -> Simulated {
+        Simulated { drives, lines: Vec::new() }
+    }
+}
+
 /// Seeded faults between a master and a simulated drive. All rates are probabilities a datagram, or what was handed to a stream
 /// at once, 0 ... 1, each way unless it says otherwise.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -86,7 +158,7 @@ pub struct FaultPlan {
     pub drop: f64,
     /// A datagram comes twice.
     pub duplicate: f64,
-    /// A datagram has one flipped bit.
+    /// A datagram has one flipped bit; the frame of a line is lost by that, since its check sequence is wrong.
     pub corrupt: f64,
     /// A datagram comes later, by `delay_ns`.
     pub delay: f64,
@@ -104,7 +176,7 @@ pub struct FaultPlan {
     pub inhibit: f64,
     /// How long.
     pub inhibit_ns: u64,
-    /// A reply has a wrong identity: it comes from a wrong port, or, on a stream, answers something else.
+    /// A reply has a wrong identity: it comes from a wrong port, or, on a stream or a line, answers something else.
     pub wrong_id: f64,
     /// What passes on a stream comes a byte at a time. Changes nothing for datagrams.
     pub split: f64,

@@ -3,6 +3,9 @@
 use std::net::SocketAddrV4;
 use std::sync::{Arc, Mutex};
 
+use super::{FaultPlan, SimLine};
+use crate::time::Time;
+
 /// Who is connected to the drive of a test, each with the begin of a request. It has no patience with whoever serves the drive.
 #[derive(Clone, Default)]
 pub struct Peers(Arc<Mutex<Vec<Peer>>>);
@@ -50,5 +53,90 @@ impl Peers {
         let before = peers.len();
         peers.retain(|peer| peer.address != from);
         assert_eq!(peers.len() + 1, before, "a connection ends once");
+    }
+}
+
+/// Two slaves; each that is reached and not deaf adds 1 to the second byte of a frame, and both tell what befell them.
+#[derive(Default)]
+pub struct Tally {
+    faults: FaultPlan,
+    name: String,
+    own: Option<String>,
+    cut: Option<usize>,
+    deaf: [bool; 2],
+    pub passed: usize,
+    pub lived: Time,
+    pub restarts: [usize; 2],
+    pub inhibited: [Time; 2],
+}
+
+impl Tally {
+    pub const TYPE: u16 = 0x88A4;
+
+    pub fn new(name: impl Into<String>, faults: FaultPlan) -> Tally {
+        Tally { name: name.into(), faults, ..Tally::default() }
+    }
+
+    /// At this interface.
+    pub fn at(self, own: &str) -> Tally {
+        Tally { own: Some(own.into()), ..self }
+    }
+}
+
+impl SimLine for Tally {
+    fn interface(&self) -> &str {
+        &self.name
+    }
+
+    fn own_interface(&self) -> Option<&str> {
+        self.own.as_deref()
+    }
+
+    fn ethertype(&self) -> u16 {
+        Self::TYPE
+    }
+
+    fn faults(&self) -> FaultPlan {
+        self.faults.clone()
+    }
+
+    fn slaves(&self) -> usize {
+        2
+    }
+
+    fn delay_ns(&self) -> u64 {
+        700
+    }
+
+    fn pass(&mut self, now: Time, frame: &mut [u8]) -> bool {
+        self.live(now);
+        self.passed += 1;
+        let reached = self.cut.unwrap_or(2);
+        frame[1] += self.deaf[..reached].iter().filter(|deaf| !**deaf).count() as u8;
+        reached > 0
+    }
+
+    fn mislabel(&self, frame: &mut [u8]) {
+        frame[0] ^= 0x80;
+    }
+
+    fn live(&mut self, now: Time) {
+        self.lived = now;
+    }
+
+    fn cut(&mut self, place: Option<usize>) {
+        self.cut = place;
+    }
+
+    fn deafen(&mut self, place: usize, deaf: bool) {
+        self.deaf[place] = deaf;
+    }
+
+    fn restart(&mut self, _now: Time, place: usize) {
+        self.restarts[place] += 1;
+    }
+
+    fn inhibit(&mut self, place: usize, until: Time) {
+        self.inhibited[place] = until;
     }
 }

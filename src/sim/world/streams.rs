@@ -386,7 +386,14 @@ impl Inner {
         self.reply.clear();
         if let Some(to) = station.drive.receive(now, parcel.from, &parcel.bytes, &mut self.reply) {
             let reply = Datagram { from: station.address, to, bytes: &self.reply };
-            station.injector.pass(Way::Reply, now, due, reply, &*station.drive, &mut self.under_way);
+            station.injector.pass(
+                Way::Reply,
+                now,
+                due,
+                reply,
+                |bytes| station.drive.mislabel(bytes),
+                &mut self.under_way,
+            );
         }
         if station.drive.hangs_up(parcel.from) {
             self.signal_master(index, parcel.from, Signal::End);
@@ -685,7 +692,8 @@ mod tests {
         fn of(lines: Vec<Line>, options: WorldOptions) -> Rig {
             let peers: Vec<_> = lines.iter().map(|line| line.peers.clone()).collect();
             let addresses: Vec<_> = lines.iter().map(|line| line.address).collect();
-            let drives = lines.into_iter().map(|line| Box::new(line) as Box<dyn SimDrive>).collect();
+            let drives =
+                lines.into_iter().map(|line| Box::new(line) as Box<dyn SimDrive>).collect::<Vec<_>>();
             let world = World::new(drives, options).unwrap();
             let ask = |address: &SocketAddrV4| StreamPeer::new(*address, Box::new(Ask(Vec::new())));
             let carrier = world.streams(addresses.iter().map(ask).collect()).unwrap();

@@ -1,0 +1,165 @@
+//! Simulated drives and lines on real sockets: one thread that waits for the requests of all of them.
+//!
+//! Each drive has a socket bound to its own address, so that the master meets it where it would meet the real one: for
+//! datagrams, or one that listens, and its connections. Each line has one for its frames. Nothing here knows a protocol.
+//!
+//! | file | what |
+//! |---|---|
+//! | `sockets` | a drive, its sockets and connections |
+//! | `lines` | a line and its socket |
+//! | `service` | what the thread does |
+
+mod lines;
+mod service;
+mod sockets;
+#[cfg(test)]
+mod tests;
+
+use std::io;
+use std::net::SocketAddrV4;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
+use std::thread::{self, JoinHandle};
+
+use nix::sys::eventfd::{EfdFlags, EventFd};
+
+use self::service::Service;
+use super::Simulated;
+use super::fault::Injected;
+use crate::rt;
+
+/// How the thread of a [`SimServer`] runs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ServerOptions {
+    /// The core it is pinned to; not the loop's. Default: any.
+    pub core: Option<usize>,
+    /// Its SCHED_FIFO priority, 1 ... 99; below the loop's. Default: an ordinary thread.
+    pub priority: Option<u8>,
+}
+
+/// Exact counts of one drive on a real socket.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct DriveStats {
+    /// The drive.
+    pub address: SocketAddrV4,
+    /// Datagrams that came to its socket, before any fault; on connections, what came at once.
+    pub received: u64,
+    /// Replies handed to the kernel, after all faults; each byte of one that is split.
+    pub answered: u64,
+    /// Replies that the kernel refused, or whose connection had ended.
+    pub unsent: u64,
+    /// Its connections; none for a drive on datagrams.
+    pub connections: ConnectionStats,
+    /// The faults that were injected.
+    pub injected: Injected,
+}
+
+/// Exact counts of the connections of one drive.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ConnectionStats {
+    /// Those that were accepted.
+    pub accepted: u64,
+    /// Those that were refused.
+    pub refused: u64,
+    /// Those that are open now.
+    pub open: u64,
+}
+
+/// Exact counts of one line behind a real socket.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LineStats {
+    /// The master's interface.
+    pub interface: String,
+    /// Frames that came to its socket, before any fault.
+    pub received: u64,
+    /// Frames handed to the kernel, after all faults.
+    pub answered: u64,
+    /// Frames that no slave sent back: its cable is cut, or it does not forward them.
+    pub lost: u64,
+    /// Frames that the kernel refused.
+    pub unsent: u64,
+    /// The faults that were injected.
+    pub injected: Injected,
+}
+
+/// Simulated drives, served until this is stopped or dropped.
+#[derive(Debug)]
+pub struct SimServer {
+    stats: Arc<[Mutex<DriveStats>]>,
+    lines: Arc<[Mutex<LineStats>]>,
+    stop: Arc<EventFd>,
+    thread: Option<JoinHandle<()>>,
+    realtime: bool,
+}
+
+impl SimServer {
+    /// Binds a socket for each drive and each line, and serves them on one thread. Start a second server for a second thread.
+    ///
+    /// A core or priority that cannot be had is no error: see [`realtime`](Self::realtime).
+    ///
+    /// # Errors
+    ///
+    /// A socket that cannot be bound, with its address or interface in the message; no descriptors or threads left.
+    pub fn start(simulated: impl Into<Simulated>, options: ServerOptions) -> io::Result<SimServer> {
+        let stop = Arc::new(EventFd::from_flags(EfdFlags::EFD_CLOEXEC | EfdFlags::EFD_NONBLOCK)?);
+        let mut service = Service::open(simulated.into(), &stop)?;
+        let (stats, lines) = service.stats();
+        let (granted, answer) = mpsc::channel();
+        let thread = thread::Builder::new().name("fieldbeat-sim".into()).spawn(move || {
+            // Nobody waits for the answer any more only if the start itself was given up.
+            let _ = granted.send(schedule(options));
+            service.run();
+        })?;
+        let realtime = answer.recv().unwrap_or(false);
+        Ok(SimServer { stats, lines, stop, thread: Some(thread), realtime })
+    }
+
+    /// Whether the thread runs under SCHED_FIFO on the core, as asked. False too if no priority was asked for.
+    pub fn realtime(&self) -> bool {
+        self.realtime
+    }
+
+    /// The counts of each drive so far, by rising address.
+    pub fn stats(&self) -> Vec<DriveStats> {
+        self.stats.iter().map(|stats| *lock(stats)).collect()
+    }
+
+    /// The counts of each line so far.
+    pub fn lines(&self) -> Vec<LineStats> {
+        self.lines.iter().map(|stats| lock(stats).clone()).collect()
+    }
+
+    /// Ends the thread, waits for it and closes the sockets. Returns the final counts of the drives.
+    pub fn stop(mut self) -> Vec<DriveStats> {
+        self.end();
+        self.stats()
+    }
+
+    /// The same without giving it away: the counts are final then.
+    pub fn end(&mut self) {
+        if let Some(thread) = self.thread.take() {
+            // An eventfd refuses a 1 only when it is about to overflow, and then the thread wakes up all the same.
+            let _ = self.stop.write(1);
+            // A panic of a simulated drive has been printed by its thread.
+            let _ = thread.join();
+        }
+    }
+}
+
+impl Drop for SimServer {
+    fn drop(&mut self) {
+        self.end();
+    }
+}
+
+fn lock<T>(stats: &Mutex<T>) -> MutexGuard<'_, T> {
+    // Counts are whole at any instant, also after a panic.
+    stats.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Gives the calling thread its core and priority; true if it now runs in real time as asked.
+fn schedule(options: ServerOptions) -> bool {
+    // An ordinary thread's late sleeps would blur every answer time.
+    rt::thread::exact_sleeps();
+    let pinned = options.core.is_none_or(|core| rt::thread::pin(core).is_ok());
+    options.priority.is_some_and(|priority| rt::thread::fifo(priority).is_ok()) && pinned
+}

@@ -1,0 +1,294 @@
+//! A drive behind real sockets: for datagrams, or one that listens, and its connections.
+
+use std::io::{self, Write};
+use std::net::{SocketAddrV4, TcpListener, TcpStream, UdpSocket};
+
+use nix::sys::epoll::{Epoll, EpollEvent, EpollFlags};
+use nix::sys::socket::{setsockopt, sockopt};
+
+use super::{ConnectionStats, DriveStats};
+use crate::rt::MonotonicClock;
+use crate::sim::fault::{Blow, Injector, wrong_port};
+use crate::sim::{Carrier, SimDrive};
+use crate::time::Time;
+
+/// The most that the peer of a connection leaves unread beyond what the kernel holds, bytes; then the connection ends.
+pub(super) const UNREAD: usize = 65_536;
+/// Connections of a drive; more are refused, whatever the drive says. Sixty drives then fit into the usual 1024 descriptors.
+pub(super) const CONNECTIONS: usize = 16;
+/// A peer that is silent for so long is asked for a sign of life, s, ...
+const KEEP_IDLE: u32 = 10;
+/// ... so often, in pauses of so many seconds; then its connection ends, as it does with real drives.
+const KEEP_PROBES: u32 = 3;
+
+/// One drive and its sockets.
+pub(super) struct Station {
+    pub(super) address: SocketAddrV4,
+    pub(super) drive: Box<dyn SimDrive>,
+    pub(super) injector: Injector,
+    pub(super) door: Door,
+}
+
+/// Where a drive is spoken to.
+pub(super) enum Door {
+    Datagrams {
+        socket: UdpSocket,
+        /// Where replies with a wrong identity come from, if there are any.
+        wrong: Option<UdpSocket>,
+    },
+    Stream {
+        listener: TcpListener,
+        connections: Vec<Connection>,
+        /// The number of the newest connection.
+        newest: u32,
+    },
+}
+
+/// One connection to a drive.
+pub(super) struct Connection {
+    pub(super) number: u32,
+    pub(super) peer: SocketAddrV4,
+    pub(super) socket: TcpStream,
+    /// What the peer left unread.
+    pub(super) unsent: Vec<u8>,
+}
+
+/// The number that is no connection's: where new ones come from.
+pub(super) const DOOR: u32 = 0;
+
+/// What an event of connection `number` of station `index` is known by.
+pub(super) fn token(index: usize, number: u32) -> u64 {
+    u64::from(number) << 32 | index as u64
+}
+
+impl Door {
+    pub(super) fn open(address: SocketAddrV4, carrier: Carrier, wrong: bool) -> io::Result<Door> {
+        match carrier {
+            Carrier::Datagrams => Ok(Door::Datagrams {
+                wrong: if wrong { Some(bind(wrong_port(address))?) } else { None },
+                socket: bind(address)?,
+            }),
+            Carrier::Stream => {
+                Ok(Door::Stream { listener: listen(address)?, connections: Vec::new(), newest: DOOR })
+            }
+        }
+    }
+
+    pub(super) fn watch(&self, epoll: &Epoll, token: u64) -> nix::Result<()> {
+        match self {
+            Door::Datagrams { socket, .. } => epoll.add(socket, EpollEvent::new(EpollFlags::EPOLLIN, token)),
+            // By edges: a connection that cannot be taken for want of descriptors would wake up the thread for ever.
+            Door::Stream { listener, .. } => {
+                epoll.add(listener, EpollEvent::new(EpollFlags::EPOLLIN | EpollFlags::EPOLLET, token))
+            }
+        }
+    }
+
+    /// How many descriptors it has at most.
+    pub(super) fn descriptors(&self) -> usize {
+        match self {
+            Door::Datagrams { .. } => 1,
+            Door::Stream { .. } => 1 + CONNECTIONS,
+        }
+    }
+
+    pub(super) fn connections(&mut self) -> &mut [Connection] {
+        match self {
+            Door::Datagrams { .. } => &mut [],
+            Door::Stream { connections, .. } => connections,
+        }
+    }
+
+    pub(super) fn by_number(&mut self, number: u32) -> Option<&mut Connection> {
+        self.connections().iter_mut().find(|connection| connection.number == number)
+    }
+
+    pub(super) fn by_peer(&mut self, peer: SocketAddrV4) -> Option<&mut Connection> {
+        self.connections().iter_mut().find(|connection| connection.peer == peer)
+    }
+
+    fn take(&mut self, number: u32) -> Option<Connection> {
+        let Door::Stream { connections, .. } = self else { return None };
+        let place = connections.iter().position(|connection| connection.number == number)?;
+        Some(connections.swap_remove(place))
+    }
+}
+
+/// How a connection ends.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Farewell {
+    /// Behind all that was sent.
+    Close,
+    /// At once; nothing more arrives.
+    Reset,
+}
+
+impl Connection {
+    /// Hands `bytes` to the kernel, and keeps what it does not take.
+    pub(super) fn send(&mut self, epoll: &Epoll, index: usize, bytes: &[u8]) -> io::Result<()> {
+        let taken = if self.unsent.is_empty() { taken(self.socket.write(bytes))? } else { 0 };
+        let rest = &bytes[taken..];
+        if rest.is_empty() {
+            return Ok(());
+        }
+        if self.unsent.len() + rest.len() > UNREAD {
+            return Err(io::ErrorKind::OutOfMemory.into());
+        }
+        if self.unsent.is_empty() {
+            self.watch(epoll, index, EpollFlags::EPOLLIN | EpollFlags::EPOLLOUT)?;
+        }
+        self.unsent.extend_from_slice(rest);
+        Ok(())
+    }
+
+    /// Hands over what was kept.
+    pub(super) fn go_on(&mut self, epoll: &Epoll, index: usize) -> io::Result<()> {
+        let taken = taken(self.socket.write(&self.unsent))?;
+        self.unsent.drain(..taken);
+        if self.unsent.is_empty() {
+            self.watch(epoll, index, EpollFlags::EPOLLIN)?;
+        }
+        Ok(())
+    }
+
+    fn watch(&self, epoll: &Epoll, index: usize, flags: EpollFlags) -> nix::Result<()> {
+        epoll.modify(&self.socket, &mut EpollEvent::new(flags, token(index, self.number)))
+    }
+
+    fn end(self, farewell: Farewell) {
+        if farewell == Farewell::Reset {
+            reset(self.socket);
+        }
+    }
+}
+
+/// How much of it the kernel took.
+fn taken(result: io::Result<usize>) -> io::Result<usize> {
+    match result {
+        Err(error) if not_now(&error) => Ok(0),
+        other => other,
+    }
+}
+
+pub(super) fn not_now(error: &io::Error) -> bool {
+    matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::Interrupted)
+}
+
+/// Closes `socket` so that its peer knows at once.
+fn reset(socket: TcpStream) {
+    // Where it fails, the peer is told in the ordinary way.
+    let _ = setsockopt(&socket, sockopt::Linger, &libc::linger { l_onoff: 1, l_linger: 0 });
+}
+
+/// Makes an accepted socket one of ours.
+pub(super) fn prepare(socket: &TcpStream) -> io::Result<()> {
+    socket.set_nonblocking(true)?;
+    socket.set_nodelay(true)?;
+    setsockopt(socket, sockopt::KeepAlive, &true)?;
+    setsockopt(socket, sockopt::TcpKeepIdle, &KEEP_IDLE)?;
+    setsockopt(socket, sockopt::TcpKeepInterval, &KEEP_IDLE)?;
+    setsockopt(socket, sockopt::TcpKeepCount, &KEEP_PROBES)?;
+    Ok(())
+}
+
+impl Station {
+    pub(super) fn open(drive: Box<dyn SimDrive>) -> io::Result<Station> {
+        let (address, carrier, faults) = (drive.address(), drive.carrier(), drive.faults());
+        let door = Door::open(address, carrier, faults.wrong_id > 0.0)?;
+        Ok(Station { address, injector: Injector::new(faults, carrier), door, drive })
+    }
+
+    pub(super) fn stats(&self) -> DriveStats {
+        DriveStats {
+            address: self.address,
+            received: 0,
+            answered: 0,
+            unsent: 0,
+            connections: ConnectionStats::default(),
+            injected: self.injector.injected(),
+        }
+    }
+
+    /// Whether what comes from `peer` reaches the drive: a connection may have ended meanwhile.
+    pub(super) fn hears(&mut self, peer: SocketAddrV4) -> bool {
+        matches!(self.door, Door::Datagrams { .. }) || self.door.by_peer(peer).is_some()
+    }
+
+    pub(super) fn end(&mut self, number: u32, farewell: Farewell) {
+        if let Some(connection) = self.door.take(number) {
+            let peer = connection.peer;
+            connection.end(farewell);
+            self.drive.disconnected(MonotonicClock::read(), peer);
+        }
+    }
+
+    /// What befalls the drive; a restart ends its connections.
+    pub(super) fn strike(&mut self, now: Time, blow: Blow) {
+        if blow == Blow::Restart {
+            while let Some(number) = self.door.connections().first().map(|connection| connection.number) {
+                self.end(number, Farewell::Reset);
+            }
+        }
+        blow.strike(now, &mut *self.drive);
+    }
+
+    /// Accepts one connection, if the drive wants it.
+    pub(super) fn welcome(
+        &mut self,
+        index: usize,
+        epoll: &Epoll,
+        socket: TcpStream,
+        peer: SocketAddrV4,
+    ) -> bool {
+        // The kernel has forgotten it, the news has not come yet.
+        while let Some(number) = self.door.by_peer(peer).map(|old| old.number) {
+            self.end(number, Farewell::Close);
+        }
+        let Door::Stream { connections, newest, .. } = &mut self.door else { return false };
+        let number = newest.wrapping_add(1).max(1);
+        let event = EpollEvent::new(EpollFlags::EPOLLIN, token(index, number));
+        let welcome = connections.len() < CONNECTIONS
+            && prepare(&socket).is_ok()
+            && epoll.add(&socket, event).is_ok()
+            && self.drive.connect(MonotonicClock::read(), peer);
+        if welcome {
+            *newest = number;
+            connections.push(Connection { number, peer, socket, unsent: Vec::new() });
+        } else {
+            reset(socket);
+        }
+        welcome
+    }
+}
+
+fn bind(address: SocketAddrV4) -> io::Result<UdpSocket> {
+    UdpSocket::bind(address)
+        .and_then(|socket| socket.set_nonblocking(true).map(|()| socket))
+        .map_err(|error| unbound(address, Carrier::Datagrams, error))
+}
+
+fn listen(address: SocketAddrV4) -> io::Result<TcpListener> {
+    TcpListener::bind(address)
+        .and_then(|socket| socket.set_nonblocking(true).map(|()| socket))
+        .map_err(|error| unbound(address, Carrier::Stream, error))
+}
+
+/// Why a drive has no socket, and what to do.
+pub(super) fn unbound(address: SocketAddrV4, carrier: Carrier, error: io::Error) -> io::Error {
+    let remedy = match (error.kind(), carrier) {
+        (io::ErrorKind::AddrInUse, Carrier::Datagrams) => {
+            "another simulation serves this drive: end it (ss -ulpn shows which), or give the drive another address"
+        }
+        (io::ErrorKind::AddrInUse, Carrier::Stream) => {
+            "another simulation serves this drive: end it (ss -tlpn shows which), or give the drive another address"
+        }
+        (io::ErrorKind::AddrNotAvailable, _) => {
+            "a simulated drive lives on this computer: give it an address like 127.0.0.11, and its bus one to bind to"
+        }
+        (io::ErrorKind::PermissionDenied, _) if address.port() < 1024 => {
+            "ports below 1024 need rights: run as root or give the drive a port like 1502"
+        }
+        _ => "look at its address",
+    };
+    io::Error::new(error.kind(), format!("cannot bind {address}: {error}; {remedy}"))
+}

@@ -1,0 +1,101 @@
+//! The wire between a master and a simulated line, with its faults: what both carriers of frames have in common.
+
+use std::net::{Ipv4Addr, SocketAddrV4};
+
+use super::fault::{Datagram, Injected, Injector, Parcel, Queue, Way};
+use super::{FaultPlan, SimLine};
+use crate::time::Time;
+
+/// The most frames under way in one direction; more are lost.
+const UNDER_WAY: usize = 1_024;
+/// What stands for the two ends, where faults and digests need an address.
+const MASTER: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, 0);
+const LINE: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, 2);
+
+/// A line and its wire.
+pub(super) struct Wire {
+    line: Box<dyn SimLine>,
+    injector: Injector,
+    /// What is under way, by [`Way`].
+    under_way: [Queue; 2],
+}
+
+impl Wire {
+    pub(super) fn new(line: Box<dyn SimLine>) -> Wire {
+        Wire {
+            injector: Injector::of_frames(line.faults()),
+            under_way: [Queue::new(UNDER_WAY), Queue::new(UNDER_WAY)],
+            line,
+        }
+    }
+
+    pub(super) fn line(&self) -> &dyn SimLine {
+        &*self.line
+    }
+
+    pub(super) fn line_mut(&mut self) -> &mut dyn SimLine {
+        &mut *self.line
+    }
+
+    /// From now on the faults of `plan`; the counts begin anew.
+    pub(super) fn change(&mut self, plan: FaultPlan) {
+        self.injector.change(plan);
+    }
+
+    /// What it has done to frames.
+    pub(super) fn injected(&self) -> Injected {
+        self.injector.injected()
+    }
+
+    /// A frame leaves at one end, to be at the other one at `due` if nothing befalls it.
+    pub(super) fn depart(&mut self, way: Way, now: Time, due: Time, bytes: &[u8]) {
+        let (from, to) = match way {
+            Way::Request => (MASTER, LINE),
+            Way::Reply => (LINE, MASTER),
+        };
+        let frame = Datagram { from, to, bytes };
+        let blow = self.injector.pass(way, now, due, frame, |_| {}, &mut self.under_way[way as usize]);
+        if let Some(blow) = blow {
+            blow.strike_line(now, &mut *self.line, self.injector.injected());
+        }
+    }
+
+    /// A foreign frame, to be at the master at `due`.
+    pub(super) fn inject(&mut self, due: Time, bytes: &[u8]) {
+        let queue = &mut self.under_way[Way::Reply as usize];
+        let parcel = queue.parcel(Datagram { from: LINE, to: MASTER, bytes });
+        queue.push(due, parcel);
+    }
+
+    /// A frame that has arrived at the line passes through it, and leaves again to be at the master at `due`; false: it does not come
+    /// back.
+    pub(super) fn pass(&mut self, now: Time, due: Time, frame: &mut [u8]) -> bool {
+        let comes_back = self.line.pass(now, frame);
+        if comes_back {
+            self.depart(Way::Reply, now, due, frame);
+        }
+        comes_back
+    }
+
+    /// When the next frame arrives at an end.
+    pub(super) fn next_due(&self) -> Option<Time> {
+        self.under_way.iter().filter_map(Queue::next_due).min()
+    }
+
+    /// Takes out a frame that has arrived by `now`, and when it did.
+    pub(super) fn take(&mut self, now: Time) -> Option<(Time, Way, Parcel)> {
+        if let Some((at, parcel)) = self.under_way[Way::Request as usize].pop(now) {
+            return Some((at, Way::Request, parcel));
+        }
+        let (at, mut parcel) = self.under_way[Way::Reply as usize].pop(now)?;
+        if parcel.from != LINE {
+            self.line.mislabel(&mut parcel.bytes);
+        }
+        Some((at, Way::Reply, parcel))
+    }
+
+    /// Gives the buffer of what was taken out back.
+    pub(super) fn recycle(&mut self, way: Way, parcel: Parcel) {
+        self.under_way[way as usize].recycle(parcel);
+    }
+}
