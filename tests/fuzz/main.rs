@@ -34,6 +34,16 @@ fn modbus() {
 }
 
 #[test]
+fn ethercat_wire() {
+    fuzz("ethercat_wire", targets::ethercat_wire, 20_000, 300);
+}
+
+#[test]
+fn ethercat() {
+    fuzz("ethercat", targets::ethercat, 150, 400);
+}
+
+#[test]
 fn station() {
     fuzz("station", targets::station, 1_500, 400);
 }

@@ -164,8 +164,11 @@ impl Document {
                 section.set(key, value);
             }
         }
-        // Two drives are enough to have something in common.
+        // Two drives are enough to have something in common; the bus whose clock leads is not one of them.
         sections.truncate(5);
+        for section in &mut sections {
+            section.entries.retain(|(key, _)| key != "reference");
+        }
         Document(sections)
     }
 
@@ -340,6 +343,7 @@ const KEYS: &[(&str, &str, &[&str])] = &[
     (CYCLE, "realtime", &["\"require\"", "\"prefer\"", "\"off\""]),
     (CYCLE, "memory", &["\"process\"", "\"own\""]),
     (CYCLE, "task_budget", &["\"1us\"", "\"100us\"", "\"1ms\""]),
+    (CYCLE, "reference", &["\"linudp-v2\"", "\"a\""]),
     (BUS, "protocol", &["\"linudp-v2\"", "\"ethercat\""]),
     (BUS, "name", &["\"a\"", "\"b\""]),
     (BUS, "bind", &["\"127.77.0.1\"", "\"127.77.0.1:5\"", "\"0.0.0.0\"", "\"192.168.1.1\"", "\"127.77.0.11:49360\""]),

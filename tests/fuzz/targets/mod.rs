@@ -5,6 +5,8 @@
 //! | `telegram` | a datagram, for every parser of what comes from a wire |
 //! | `modbus_wire` | a stream of Modbus TCP, for every parser of it; as text, an address and a value of a parameter |
 //! | `modbus` | a program for a Modbus bus on one connection: orders, replies good and bad, a connection that ends |
+//! | `ethercat_wire` | a frame of EtherCAT, a mailbox message, words of an EEPROM |
+//! | `ethercat` | a program for an EtherCAT bus on one line: orders, and frames that come back as they like |
 //! | `station` | a program for one station: orders, sends, replies good and bad |
 //! | `channel` | a program for the parameter channel: calls posted, cancelled and forgotten, on a bad wire |
 //! | `drive` | a program of a master that knows no rules, for the simulated drive |
@@ -22,6 +24,8 @@ mod forward;
 mod channel;
 mod config;
 mod drive;
+mod ethercat;
+mod ethercat_wire;
 mod files;
 mod input;
 mod machine;
@@ -34,6 +38,8 @@ mod verbs;
 pub use channel::channel;
 pub use config::{config, config_keys};
 pub use drive::drive;
+pub use ethercat::ethercat;
+pub use ethercat_wire::ethercat_wire;
 pub use files::files;
 pub use machine::machine;
 pub use modbus::modbus;

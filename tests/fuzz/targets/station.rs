@@ -82,6 +82,7 @@ impl Rig {
                 velocity: Some(1_000.0),
                 acceleration: Some(20_000.0),
                 step: None,
+                torque: None,
             };
         }
         let (station, native, _) = Station::new(&drive);
@@ -213,7 +214,7 @@ impl Rig {
                 self.slot.exchange = Exchange::Missed;
             }
             Exchange::Answered { .. } | Exchange::Unsent => self.slot.exchange = Exchange::Idle,
-            Exchange::Idle | Exchange::Missed => {}
+            Exchange::Idle | Exchange::Missed | Exchange::Absent => {}
         }
         self.slot.report.fresh = false;
         self.slot.report.restarted = false;

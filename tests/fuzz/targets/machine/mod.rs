@@ -94,6 +94,7 @@ fn drive(index: usize, input: &mut Input<'_>) -> LinUdpDrive {
             velocity: Some(1_000.0),
             acceleration: Some(20_000.0),
             step: has(2).then_some(2.0),
+            torque: None,
         };
     }
     axis.profile = Profile { velocity: 200.0, acceleration: 5_000.0, deceleration: 5_000.0 };
@@ -212,6 +213,7 @@ impl Machine {
             7..=10 => self.post(axis, verb(input)),
             11..=13 => self.lead(axis),
             14 => self.stream(axis, input),
+            15 if what & 0x60 == 0x60 => drop(self.sim.axis(axis).set_torque(f64::from(input.byte() as i8))),
             15 if what & 0x20 != 0 => drop(self.sim.axis(axis).set_velocity(f64::from(input.byte() as i8))),
             15 => match input.flag() {
                 true => drop(self.sim.axis(axis).push_row(row(input))),

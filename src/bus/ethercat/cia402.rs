@@ -1,0 +1,522 @@
+//! CiA 402: control word 6040h and status word 6041h, the states and the transitions between them.
+//!
+//! Knows no bus and no drive: what a mode makes of its bits is said elsewhere. Facts: CAN manual of the S300 and S700 ("Device
+//! control"), EtherCAT manual, IEC 61800-7-201. The state is [`State`], onto which all protocols map theirs.
+
+use std::fmt;
+
+use crate::axis::State;
+
+/// The control word, 6040h.
+#[derive(Clone, Copy, Default, PartialEq, Eq, Hash)]
+pub struct ControlWord(pub u16);
+
+impl ControlWord {
+    /// Bit 0: switch on.
+    pub const SWITCH_ON: u16 = 1 << 0;
+    /// Bit 1: enable voltage.
+    pub const ENABLE_VOLTAGE: u16 = 1 << 1;
+    /// Bit 2: 0 = quick stop.
+    pub const NO_QUICK_STOP: u16 = 1 << 2;
+    /// Bit 3: enable operation. In a Kollmorgen drive its rising edge makes setpoints count: the power stage is on before.
+    pub const ENABLE_OPERATION: u16 = 1 << 3;
+    /// Bit 4, of the mode: a new setpoint (profile position), start (homing), follow (interpolated position).
+    pub const START: u16 = 1 << 4;
+    /// Bit 5, of the mode: change set immediately (profile position).
+    pub const AT_ONCE: u16 = 1 << 5;
+    /// Bit 6, of the mode: the target is relative (profile position).
+    pub const RELATIVE: u16 = 1 << 6;
+    /// Bit 7: the rising edge resets a fault.
+    pub const FAULT_RESET: u16 = 1 << 7;
+    /// Bit 8: halt.
+    pub const HALT: u16 = 1 << 8;
+
+    const NAMES: [Option<&'static str>; 16] = [
+        Some("switch on"),
+        Some("enable voltage"),
+        Some("no quick stop"),
+        Some("enable operation"),
+        Some("start"),
+        Some("at once"),
+        Some("relative"),
+        Some("fault reset"),
+        Some("halt"),
+        None,
+        None,
+        None,
+        None,
+        None,
+        None,
+        None,
+    ];
+
+    /// All of `bits` are 1.
+    pub const fn has(self, bits: u16) -> bool {
+        self.0 & bits == bits
+    }
+
+    /// With `bits` as 1.
+    pub const fn with(self, bits: u16) -> ControlWord {
+        ControlWord(self.0 | bits)
+    }
+
+    /// One of `bits` was 0 in the word before and is 1 now.
+    pub const fn rises(self, before: ControlWord, bits: u16) -> bool {
+        self.0 & !before.0 & bits != 0
+    }
+
+    /// What it commands; `None`: bit 7 is set, or bits 0 ... 3 are no command.
+    pub fn command(self) -> Option<Command> {
+        Command::ALL.into_iter().find(|command| {
+            let (mask, value) = command.bits();
+            self.0 & mask == value
+        })
+    }
+
+    /// The names of the bits that are 1. Reserved ones have none.
+    pub fn names(self) -> impl Iterator<Item = &'static str> {
+        names(self.0, &Self::NAMES)
+    }
+}
+
+impl fmt::Debug for ControlWord {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write_word(f, "ControlWord", self.0, self.names())
+    }
+}
+
+/// What bits 0 ... 3 of a control word say. A fault reset is no command: it is the rising edge of bit 7.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Command {
+    /// Be ready to switch on.
+    Shutdown,
+    /// Switch the power stage on; from operation: disable operation.
+    SwitchOn,
+    /// Follow setpoints.
+    EnableOperation,
+    /// Power off, at once.
+    DisableVoltage,
+    /// Stop as fast as set up for it.
+    QuickStop,
+}
+
+impl Command {
+    /// All of them.
+    pub const ALL: [Command; 5] = [
+        Command::Shutdown,
+        Command::SwitchOn,
+        Command::EnableOperation,
+        Command::DisableVoltage,
+        Command::QuickStop,
+    ];
+
+    /// The control word that says it, with every other bit 0.
+    pub const fn word(self) -> ControlWord {
+        ControlWord(match self {
+            Command::Shutdown => 0x0006,
+            Command::SwitchOn => 0x0007,
+            Command::EnableOperation => 0x000F,
+            Command::DisableVoltage => 0x0000,
+            Command::QuickStop => 0x0002,
+        })
+    }
+
+    /// The bits that matter, and what they are.
+    pub const fn bits(self) -> (u16, u16) {
+        let mask = match self {
+            Command::Shutdown => 0x87,
+            Command::SwitchOn | Command::EnableOperation => 0x8F,
+            Command::DisableVoltage => 0x82,
+            Command::QuickStop => 0x86,
+        };
+        (mask, self.word().0)
+    }
+}
+
+/// Why a state is left.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Cause {
+    /// A control word.
+    Command(Command),
+    /// The rising edge of bit 7.
+    FaultReset,
+}
+
+/// A transition that a master causes. Those that a drive makes by itself (0, 1, 13, 14) are not among them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Transition {
+    /// Its number in the standard.
+    pub number: u8,
+    /// From where.
+    pub from: State,
+    /// To where.
+    pub to: State,
+    /// By what.
+    pub cause: Cause,
+}
+
+impl Transition {
+    const fn new(number: u8, from: State, to: State, command: Command) -> Transition {
+        Transition { number, from, to, cause: Cause::Command(command) }
+    }
+
+    /// All of them, by number. Where two commands cause the same one, the plainer comes first.
+    pub const ALL: [Transition; 15] = {
+        use Command::{DisableVoltage, EnableOperation, QuickStop, Shutdown, SwitchOn};
+        use State::{
+            Fault, OperationEnabled, QuickStopActive, ReadyToSwitchOn, SwitchOnDisabled, SwitchedOn,
+        };
+        [
+            Transition::new(2, SwitchOnDisabled, ReadyToSwitchOn, Shutdown),
+            Transition::new(3, ReadyToSwitchOn, SwitchedOn, SwitchOn),
+            Transition::new(4, SwitchedOn, OperationEnabled, EnableOperation),
+            Transition::new(5, OperationEnabled, SwitchedOn, SwitchOn),
+            Transition::new(6, SwitchedOn, ReadyToSwitchOn, Shutdown),
+            Transition::new(7, ReadyToSwitchOn, SwitchOnDisabled, DisableVoltage),
+            Transition::new(7, ReadyToSwitchOn, SwitchOnDisabled, QuickStop),
+            Transition::new(8, OperationEnabled, ReadyToSwitchOn, Shutdown),
+            Transition::new(9, OperationEnabled, SwitchOnDisabled, DisableVoltage),
+            Transition::new(10, SwitchedOn, SwitchOnDisabled, DisableVoltage),
+            Transition::new(10, SwitchedOn, SwitchOnDisabled, QuickStop),
+            Transition::new(11, OperationEnabled, QuickStopActive, QuickStop),
+            Transition::new(12, QuickStopActive, SwitchOnDisabled, DisableVoltage),
+            Transition { number: 15, from: Fault, to: SwitchOnDisabled, cause: Cause::FaultReset },
+            Transition::new(16, QuickStopActive, OperationEnabled, EnableOperation),
+        ]
+    };
+
+    /// The one that leads from one state to another; `None`: it takes more than one, or there is no way.
+    pub fn between(from: State, to: State) -> Option<Transition> {
+        Self::ALL.into_iter().find(|transition| (transition.from, transition.to) == (from, to))
+    }
+
+    /// The one that a control word causes in a drive in this state.
+    pub fn caused(from: State, word: ControlWord, before: ControlWord) -> Option<Transition> {
+        let command = word.command();
+        Self::ALL.into_iter().find(|transition| {
+            transition.from == from
+                && match transition.cause {
+                    Cause::Command(caused) => command == Some(caused),
+                    Cause::FaultReset => word.rises(before, ControlWord::FAULT_RESET),
+                }
+        })
+    }
+
+    /// The control word that causes it. A reset needs one without its bit before.
+    pub const fn word(self) -> ControlWord {
+        match self.cause {
+            Cause::Command(command) => command.word(),
+            Cause::FaultReset => ControlWord(ControlWord::FAULT_RESET),
+        }
+    }
+}
+
+/// The status word, 6041h. Nothing of it is valid outside of SAFEOP and OP.
+#[derive(Clone, Copy, Default, PartialEq, Eq, Hash)]
+pub struct StatusWord(pub u16);
+
+impl StatusWord {
+    /// Bit 0: ready to switch on.
+    pub const READY: u16 = 1 << 0;
+    /// Bit 1: switched on.
+    pub const SWITCHED_ON: u16 = 1 << 1;
+    /// Bit 2: operation enabled.
+    pub const OPERATION_ENABLED: u16 = 1 << 2;
+    /// Bit 3: fault.
+    pub const FAULT: u16 = 1 << 3;
+    /// Bit 4: voltage enabled.
+    pub const VOLTAGE: u16 = 1 << 4;
+    /// Bit 5: 0 = quick stop.
+    pub const NO_QUICK_STOP: u16 = 1 << 5;
+    /// Bit 6: switching on is disabled.
+    pub const SWITCH_ON_DISABLED: u16 = 1 << 6;
+    /// Bit 7: a warning stands.
+    pub const WARNING: u16 = 1 << 7;
+    /// Bit 9: remote. A Kollmorgen drive always has it: its status word is never 0.
+    pub const REMOTE: u16 = 1 << 9;
+    /// Bit 10: target reached.
+    pub const TARGET_REACHED: u16 = 1 << 10;
+    /// Bit 11: a limit within the drive is active.
+    pub const INTERNAL_LIMIT: u16 = 1 << 11;
+    /// Bit 12, of the mode: setpoint acknowledged (profile position), homed (homing), follows (interpolated position).
+    pub const MODE_12: u16 = 1 << 12;
+    /// Bit 13, of the mode: following error, homing error.
+    pub const MODE_13: u16 = 1 << 13;
+
+    const NAMES: [Option<&'static str>; 16] = [
+        Some("ready"),
+        Some("switched on"),
+        Some("operation enabled"),
+        Some("fault"),
+        Some("voltage"),
+        Some("no quick stop"),
+        Some("switch-on disabled"),
+        Some("warning"),
+        None,
+        Some("remote"),
+        Some("target reached"),
+        Some("internal limit"),
+        Some("mode 12"),
+        Some("mode 13"),
+        None,
+        None,
+    ];
+
+    /// The bits of each state that matter, and what they are. The CAN manual of the S300 prints bit 6 of the first as 1; the standard
+    /// and the AKD have 0.
+    const STATES: [(State, u16, u16); 8] = [
+        (State::NotReadyToSwitchOn, 0x4F, 0x00),
+        (State::SwitchOnDisabled, 0x4F, 0x40),
+        (State::ReadyToSwitchOn, 0x6F, 0x21),
+        (State::SwitchedOn, 0x6F, 0x23),
+        (State::OperationEnabled, 0x6F, 0x27),
+        (State::QuickStopActive, 0x6F, 0x07),
+        (State::FaultReactionActive, 0x4F, 0x0F),
+        (State::Fault, 0x4F, 0x08),
+    ];
+
+    /// All of `bits` are 1.
+    pub const fn has(self, bits: u16) -> bool {
+        self.0 & bits == bits
+    }
+
+    /// With `bits` as 1.
+    pub const fn with(self, bits: u16) -> StatusWord {
+        StatusWord(self.0 | bits)
+    }
+
+    /// The state that it says; [`State::Unknown`]: none that there is.
+    pub fn state(self) -> State {
+        let known = Self::STATES.iter().find(|(_, mask, value)| self.0 & mask == *value);
+        known.map_or(State::Unknown, |(state, ..)| *state)
+    }
+
+    /// The bits of a state, and nothing else.
+    pub fn of(state: State) -> StatusWord {
+        let known = Self::STATES.iter().find(|(known, ..)| *known == state);
+        StatusWord(known.map_or(0, |(.., value)| *value))
+    }
+
+    /// The names of the bits that are 1. Reserved ones have none.
+    pub fn names(self) -> impl Iterator<Item = &'static str> {
+        names(self.0, &Self::NAMES)
+    }
+}
+
+impl fmt::Debug for StatusWord {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write_word(f, "StatusWord", self.0, self.names())
+    }
+}
+
+fn names(word: u16, names: &'static [Option<&'static str>; 16]) -> impl Iterator<Item = &'static str> {
+    names.iter().enumerate().filter(move |(bit, _)| word >> bit & 1 != 0).filter_map(|(_, name)| *name)
+}
+
+fn write_word(
+    f: &mut fmt::Formatter<'_>,
+    kind: &str,
+    word: u16,
+    names: impl Iterator<Item = &'static str>,
+) -> fmt::Result {
+    write!(f, "{kind}({word:#06x}")?;
+    names.enumerate().try_for_each(|(index, name)| match index {
+        0 => write!(f, ": {name}"),
+        _ => write!(f, ", {name}"),
+    })?;
+    f.write_str(")")
+}
+
+/// A mode of operation as 6060h and 6061h have it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Mode(pub i8);
+
+impl Mode {
+    /// 1: profile position.
+    pub const PROFILE_POSITION: Mode = Mode(1);
+    /// 3: profile velocity.
+    pub const PROFILE_VELOCITY: Mode = Mode(3);
+    /// 4: profile torque.
+    pub const TORQUE: Mode = Mode(4);
+    /// 6: homing.
+    pub const HOMING: Mode = Mode(6);
+    /// 7: interpolated position.
+    pub const INTERPOLATED: Mode = Mode(7);
+    /// 8: cyclic synchronous position. An AKD has it, an S300 ... S700 has not.
+    pub const CYCLIC_POSITION: Mode = Mode(8);
+    /// 80h, OPMODE 0: digital velocity.
+    pub const DIGITAL_VELOCITY: Mode = Mode(0x80_u8 as i8);
+    /// 82h, OPMODE 2: digital current.
+    pub const DIGITAL_CURRENT: Mode = Mode(0x82_u8 as i8);
+    /// 85h, OPMODE 5: external trajectory.
+    pub const TRAJECTORY: Mode = Mode(0x85_u8 as i8);
+    /// 88h, OPMODE 8: motion task.
+    pub const MOTION_TASK: Mode = Mode(0x88_u8 as i8);
+
+    /// The ones of the S300 ... S700: 1, 3, 4, 6, 7 and 80h ... 88h (CAN manual). That 80h + n is OPMODE n is assumed.
+    pub const fn is_of_s700(self) -> bool {
+        matches!(self.0, 1 | 3 | 4 | 6 | 7 | -128..=-120)
+    }
+
+    /// Its name.
+    pub const fn name(self) -> Option<&'static str> {
+        Some(match self {
+            Mode::PROFILE_POSITION => "profile position",
+            Mode::PROFILE_VELOCITY => "profile velocity",
+            Mode::TORQUE => "torque",
+            Mode::HOMING => "homing",
+            Mode::INTERPOLATED => "interpolated position",
+            Mode::CYCLIC_POSITION => "cyclic synchronous position",
+            Mode::DIGITAL_VELOCITY => "digital velocity",
+            Mode::DIGITAL_CURRENT => "digital current",
+            Mode::TRAJECTORY => "external trajectory",
+            Mode::MOTION_TASK => "motion task",
+            _ => return None,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_row_of_the_status_table_is_its_state_whatever_the_other_bits() {
+        for (state, mask, value) in [
+            (State::NotReadyToSwitchOn, 0x4F_u16, 0x00_u16),
+            (State::SwitchOnDisabled, 0x4F, 0x40),
+            (State::ReadyToSwitchOn, 0x6F, 0x21),
+            (State::SwitchedOn, 0x6F, 0x23),
+            (State::OperationEnabled, 0x6F, 0x27),
+            (State::QuickStopActive, 0x6F, 0x07),
+            (State::FaultReactionActive, 0x4F, 0x0F),
+            (State::Fault, 0x4F, 0x08),
+        ] {
+            assert_eq!(StatusWord::of(state), StatusWord(value));
+            let of_state = (0..=u16::MAX).filter(|word| StatusWord(*word).state() == state);
+            let by_mask = (0..=u16::MAX).filter(|word| word & mask == value);
+            assert!(of_state.eq(by_mask), "{state}");
+        }
+    }
+
+    #[test]
+    fn words_of_the_sheet_are_the_states_it_says() {
+        assert_eq!(StatusWord(0x0637).state(), State::OperationEnabled);
+        assert_eq!(StatusWord(0x0633).state(), State::SwitchedOn);
+        // Ready, but neither switched on nor not stopped quickly: no row.
+        assert_eq!(StatusWord(0x0001).state(), State::Unknown);
+        assert_eq!(StatusWord(0x0060 | 0x0001).state(), State::Unknown);
+        assert_eq!(StatusWord::of(State::Unknown), StatusWord(0));
+    }
+
+    #[test]
+    fn every_row_of_the_command_table_is_its_command_whatever_the_other_bits() {
+        // Bits 7, 3, 2, 1, 0; x = whatever.
+        for (command, bits, word) in [
+            (Command::Shutdown, "0x110", 0x0006),
+            (Command::SwitchOn, "00111", 0x0007),
+            (Command::EnableOperation, "01111", 0x000F),
+            (Command::DisableVoltage, "0xx0x", 0x0000),
+            (Command::QuickStop, "0x01x", 0x0002),
+        ] {
+            assert_eq!(command.word(), ControlWord(word));
+            assert_eq!(command.word().command(), Some(command));
+            for word in 0..=u16::MAX {
+                let is_row = [7, 3, 2, 1, 0].iter().zip(bits.bytes()).all(|(bit, wanted)| match wanted {
+                    b'x' => true,
+                    digit => word >> bit & 1 == u16::from(digit - b'0'),
+                });
+                assert_eq!(ControlWord(word).command() == Some(command), is_row, "{word:#06x} {command:?}");
+            }
+        }
+        assert_eq!(ControlWord(0x0080).command(), None, "a fault reset is an edge, no command");
+    }
+
+    #[test]
+    fn every_transition_is_caused_by_the_commands_of_the_sheet_and_no_other() {
+        let numbers = |command| {
+            let of = Transition::ALL.into_iter().filter(|one| one.cause == Cause::Command(command));
+            of.map(|one| one.number).collect::<Vec<_>>()
+        };
+        assert_eq!(numbers(Command::Shutdown), [2, 6, 8]);
+        assert_eq!(numbers(Command::SwitchOn), [3, 5]);
+        assert_eq!(numbers(Command::EnableOperation), [4, 16]);
+        assert_eq!(numbers(Command::DisableVoltage), [7, 9, 10, 12]);
+        assert_eq!(numbers(Command::QuickStop), [7, 10, 11]);
+    }
+
+    #[test]
+    fn the_word_of_a_transition_causes_it_from_its_state() {
+        let expected = [
+            (2, 0x06),
+            (3, 0x07),
+            (4, 0x0F),
+            (5, 0x07),
+            (6, 0x06),
+            (7, 0x00),
+            (7, 0x02),
+            (8, 0x06),
+            (9, 0x00),
+            (10, 0x00),
+            (10, 0x02),
+            (11, 0x02),
+            (12, 0x00),
+            (15, 0x80),
+            (16, 0x0F),
+        ];
+        for (transition, (number, word)) in Transition::ALL.into_iter().zip(expected) {
+            assert_eq!((transition.number, transition.word().0), (number, word));
+            let caused = Transition::caused(transition.from, transition.word(), ControlWord(0));
+            assert_eq!(caused, Some(transition));
+            let between = Transition::between(transition.from, transition.to);
+            assert_eq!(between.map(|one| one.number), Some(number));
+        }
+        assert_eq!(Transition::between(State::SwitchOnDisabled, State::OperationEnabled), None);
+    }
+
+    #[test]
+    fn a_reset_is_the_rising_edge_only_and_only_in_a_fault() {
+        let reset = ControlWord(0x0080);
+        let caused = |from, before| Transition::caused(from, reset, before).map(|one| one.number);
+        assert_eq!(caused(State::Fault, ControlWord(0)), Some(15));
+        assert_eq!(caused(State::Fault, reset), None);
+        assert_eq!(caused(State::OperationEnabled, ControlWord(0)), None);
+        assert_eq!(caused(State::FaultReactionActive, ControlWord(0)), None);
+        // No other word leaves a fault.
+        assert!(
+            Command::ALL.iter().all(|command| {
+                Transition::caused(State::Fault, command.word(), ControlWord(0)).is_none()
+            })
+        );
+    }
+
+    #[test]
+    fn no_step_is_left_out_on_the_way_up() {
+        let caused = |from, word| Transition::caused(from, ControlWord(word), ControlWord(0));
+        assert_eq!(caused(State::SwitchOnDisabled, 0x0F), None);
+        assert_eq!(caused(State::SwitchOnDisabled, 0x07), None);
+        assert_eq!(caused(State::ReadyToSwitchOn, 0x0F), None);
+        assert_eq!(caused(State::NotReadyToSwitchOn, 0x06), None);
+    }
+
+    #[test]
+    fn words_are_told_with_the_names_of_their_bits() {
+        assert_eq!(format!("{:?}", ControlWord(0)), "ControlWord(0x0000)");
+        assert_eq!(
+            format!("{:?}", ControlWord(0x0106)),
+            "ControlWord(0x0106: enable voltage, no quick stop, halt)"
+        );
+        assert_eq!(
+            format!("{:?}", StatusWord(0x0250)),
+            "StatusWord(0x0250: voltage, switch-on disabled, remote)"
+        );
+    }
+
+    #[test]
+    fn the_modes_of_an_s700_are_those_of_the_can_manual() {
+        let modes: Vec<u8> = (0..=u8::MAX).filter(|mode| Mode(*mode as i8).is_of_s700()).collect();
+        assert_eq!(modes, [1, 3, 4, 6, 7, 0x80, 0x81, 0x82, 0x83, 0x84, 0x85, 0x86, 0x87, 0x88]);
+        assert_eq!(Mode::TRAJECTORY.name(), Some("external trajectory"));
+        assert_eq!(Mode(9).name(), None);
+    }
+}

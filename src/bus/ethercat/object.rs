@@ -1,0 +1,534 @@
+//! How people write objects of a drive and their values, and the calls that this makes.
+//!
+//! | address | access |
+//! |---|---|
+//! | `0x6041:0`, `6041h:0`, or a name of the [`catalogue`] | in its own type if it is known here; else read as it comes |
+//! | `0x6041` | subindex 0 |
+//! | `0x6041:0.u16`, `status-word.u16` | in this type: `i8`, `u8`, `i16`, `u16`, `i32`, `u32`, `text` |
+//! | `0x1C12:ca` | all subindices together (complete access), as bytes, to read only; a Kollmorgen drive refuses it |
+//!
+//! | value | means |
+//! |---|---|
+//! | `-15000` | a count, as it goes over the wire |
+//! | `0x3A98` | the bits of a count |
+//! | `S700` | of a text, up to eight characters |
+//!
+//! In a [`Call`] the service is [`READ`] or [`WRITE`], the address a packed [`Target`], the value the raw bits of a count, or the
+//! characters of a text, the first in the lowest byte. The status of its answer is 0 or the drive's abort code, or one of the
+//! [statuses](NO_MAILBOX) of the master.
+//!
+//! An object that is longer than the value of a call is read by a series of calls: [`READ`], and behind it [`SIZE`] and [`PART`]s of
+//! what it has brought. [`long::read`] does it.
+
+pub mod catalogue;
+pub mod long;
+pub mod pdo;
+
+use super::wire::mailbox::MailboxError;
+use super::wire::sdo::AbortCode;
+use crate::axis::acyclic::{Call, Notation, NotationError};
+
+pub use super::wire::sdo::Object;
+pub use catalogue::{Access, Drives, Known};
+
+/// The service of a call that reads.
+pub const READ: u32 = 1;
+/// The service of a call that writes.
+pub const WRITE: u32 = 2;
+
+/// The service of a call that tells how many bytes the call that read the same target before it in its series has brought.
+pub const SIZE: u32 = 3;
+/// The service of a call that gives eight of those bytes, of the first 64, from the one on that `value` says.
+pub const PART: u32 = 4;
+
+/// Status of a call: the slave has no mailbox. This status and those below are the master's own; abort codes begin far above.
+pub const NO_MAILBOX: u32 = 0x01;
+/// Status of a call: there is no such call.
+pub const NO_CALL: u32 = 0x02;
+/// Status of a call: the slave did not take the message before it out of its mailbox.
+pub const FULL: u32 = 0x03;
+/// Status of a call: what the slave answered is no SDO.
+pub const BROKEN: u32 = 0x04;
+/// Status of a call: a segment came twice, or one is missing.
+pub const TOGGLE: u32 = 0x05;
+/// Status of a call: the object ended before the size that the slave had told.
+pub const TRUNCATED: u32 = 0x06;
+/// Status of a call: the object does not end.
+pub const ENDLESS: u32 = 0x07;
+/// Status of a call: there is no such part of what was read before it in its series.
+pub const NOT_READ: u32 = 0x08;
+/// Status of a call: the slave could not use the mailbox message; its [`MailboxError`] is added.
+pub const MAILBOX: u32 = 0x1_0000;
+
+/// What a status of the master's own means.
+fn own_reason(status: u32) -> Option<&'static str> {
+    Some(match status {
+        NO_MAILBOX => "the slave has no mailbox",
+        NO_CALL => "there is no such call",
+        FULL => "the slave does not empty its mailbox",
+        BROKEN => "the slave's answer is no SDO",
+        TOGGLE => "a segment of the answer came twice, or one is missing",
+        TRUNCATED => "the answer is shorter than the slave had told",
+        ENDLESS => "the answer is longer than the slave had told, or has no end",
+        NOT_READ => "there is no such part of what was read before",
+        _ => return None,
+    })
+}
+
+/// Which drives: their objects, PDOs and modes differ.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Family {
+    /// S300, S400, S600, S700.
+    #[default]
+    S700,
+    /// AKD.
+    Akd,
+}
+
+/// The type of an object.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Type {
+    /// INTEGER8.
+    I8,
+    /// UNSIGNED8.
+    U8,
+    /// INTEGER16.
+    I16,
+    /// UNSIGNED16.
+    U16,
+    /// INTEGER32.
+    I32,
+    /// UNSIGNED32.
+    U32,
+    /// VISIBLE_STRING: a call has eight characters of it, [`long::read`] more.
+    Text,
+}
+
+impl Type {
+    /// All of them.
+    pub const ALL: [Type; 7] = [Type::I8, Type::U8, Type::I16, Type::U16, Type::I32, Type::U32, Type::Text];
+
+    /// How people write it.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Type::I8 => "i8",
+            Type::U8 => "u8",
+            Type::I16 => "i16",
+            Type::U16 => "u16",
+            Type::I32 => "i32",
+            Type::U32 => "u32",
+            Type::Text => "text",
+        }
+    }
+
+    /// Bytes of a value; of a text, the most that a call has.
+    pub const fn bytes(self) -> usize {
+        match self {
+            Type::I8 | Type::U8 => 1,
+            Type::I16 | Type::U16 => 2,
+            Type::I32 | Type::U32 => 4,
+            Type::Text => 8,
+        }
+    }
+
+    pub(super) const fn is_signed(self) -> bool {
+        matches!(self, Type::I8 | Type::I16 | Type::I32)
+    }
+
+    /// The lowest and the highest value; of a text, of nothing.
+    pub const fn range(self) -> (i64, i64) {
+        let bits = 8 * self.bytes();
+        match self {
+            Type::Text => (0, 0),
+            _ if self.is_signed() => (-(1 << (bits - 1)), (1 << (bits - 1)) - 1),
+            _ => (0, (1 << bits) - 1),
+        }
+    }
+
+    /// The value of raw bits. What stands above them is not looked at.
+    pub const fn number(self, raw: u64) -> i64 {
+        let above = 64 - 8 * self.bytes() as u32;
+        match self.is_signed() {
+            true => (raw << above) as i64 >> above,
+            false => (raw << above >> above) as i64,
+        }
+    }
+
+    /// The raw bits of a value, 0 above them.
+    pub const fn raw(self, number: i64) -> u64 {
+        let above = 64 - 8 * self.bytes() as u32;
+        (number as u64) << above >> above
+    }
+
+    /// As a byte; 0 is no type.
+    fn code(self) -> u8 {
+        Self::ALL.iter().zip(1..).find(|(kind, _)| **kind == self).map_or(0, |(_, code)| code)
+    }
+}
+
+impl Object {
+    /// `0x6041:0`, `6041h:0`, or without subindex for 0.
+    pub fn parse(text: &str) -> Option<Object> {
+        let (index, sub) = match text.split_once(':') {
+            Some((index, sub)) => (index, decimal(sub)?),
+            None => (text, 0),
+        };
+        let digits = index.strip_prefix("0x").or_else(|| index.strip_suffix('h'))?;
+        let is_index = digits.len() == 4 && digits.bytes().all(|byte| byte.is_ascii_hexdigit());
+        let index = u16::from_str_radix(digits, 16).ok().filter(|_| is_index)?;
+        Some(Object { index, sub })
+    }
+
+    /// What is known of it.
+    pub fn known(self) -> Option<&'static Known> {
+        catalogue::find(self)
+    }
+}
+
+/// A subindex, without signs and superfluous zeros.
+fn decimal(text: &str) -> Option<u8> {
+    let is_one = text.bytes().all(|byte| byte.is_ascii_digit()) && (text == "0" || !text.starts_with('0'));
+    text.parse().ok().filter(|_| is_one)
+}
+
+/// What a call reads or writes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Target {
+    /// Which object.
+    pub object: Object,
+    /// In which type; `None`: as it comes, to read only.
+    pub kind: Option<Type>,
+    /// All its subindices together, to read only. It has no type.
+    pub complete: bool,
+}
+
+/// With the type of a packed target: complete access.
+const COMPLETE: u8 = 1 << 7;
+/// As people write it, behind the index.
+const ALL_SUBS: &str = ":ca";
+
+impl Target {
+    /// As the address of a call: the type (0 = none, 80h = complete access), the index, the subindex.
+    pub fn pack(self) -> u32 {
+        let [high, low] = self.object.index.to_be_bytes();
+        let kind = if self.complete { COMPLETE } else { self.kind.map_or(0, Type::code) };
+        u32::from_be_bytes([kind, high, low, self.object.sub])
+    }
+
+    /// From the address of a call; `None`: it is none.
+    pub fn unpack(address: u32) -> Option<Target> {
+        let [code, high, low, sub] = address.to_be_bytes();
+        let complete = code == COMPLETE;
+        let kind = match code.checked_sub(1).filter(|_| !complete) {
+            None => None,
+            Some(place) => Some(*Type::ALL.get(usize::from(place))?),
+        };
+        Some(Target { object: Object::new(u16::from_be_bytes([high, low]), sub), kind, complete })
+    }
+
+    /// The call that reads it.
+    pub fn read(self) -> Call {
+        Call { service: READ, address: self.pack(), value: 0 }
+    }
+
+    /// The call that writes these raw bits to it.
+    pub fn write(self, raw: u64) -> Call {
+        Call { service: WRITE, address: self.pack(), value: raw }
+    }
+
+    /// As people write it.
+    pub fn parse(text: &str) -> Option<Target> {
+        if let Some(index) = text.strip_suffix(ALL_SUBS).filter(|index| !index.contains(':')) {
+            return Object::parse(index).map(|object| Target { object, kind: None, complete: true });
+        }
+        let (text, kind) = match text.rsplit_once('.') {
+            Some((text, name)) => (text, Some(*Type::ALL.iter().find(|kind| kind.name() == name)?)),
+            None => (text, None),
+        };
+        let object = Object::parse(text).or_else(|| catalogue::named(text).map(|known| known.object))?;
+        let own = || object.known().map(|known| known.kind);
+        Some(Target { object, kind: kind.or_else(own), complete: false })
+    }
+
+    /// The value of raw bits; as unsigned ones where no type is known.
+    fn number(self, raw: u64) -> i64 {
+        self.kind.map_or(i64::try_from(raw).unwrap_or(i64::MAX), |kind| kind.number(raw))
+    }
+}
+
+const FORM: &str = "0x6041:0, index and subindex, 0x1C12:ca for all subindices, or a name; .u16 behind it for a type (i8, u8, i16, \
+     u16, i32, u32, text)";
+
+/// Addresses and values of drives with objects.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Objects;
+
+impl Objects {
+    fn find(text: &str) -> Result<Target, NotationError> {
+        Target::parse(text).ok_or(NotationError::Address { form: FORM })
+    }
+
+    /// With a type: nothing can be written without.
+    fn typed(text: &str, value: &str) -> Result<(Target, Type), NotationError> {
+        let target = Objects::find(text)?;
+        if target.complete {
+            return Err(NotationError::ReadOnly { instead: "each subindex by itself" });
+        }
+        let Some(kind) = target.kind else {
+            let form = format!("the type of the object behind its address, {text}.u16");
+            return Err(NotationError::Value { value: value.to_owned(), form });
+        };
+        match target.object.known() {
+            Some(known) if known.access == Access::ReadOnly => {
+                Err(NotationError::ReadOnly { instead: "an object that is no actual value" })
+            }
+            _ => Ok((target, kind)),
+        }
+    }
+}
+
+impl Notation for Objects {
+    fn protocol(&self) -> &'static str {
+        super::PROTOCOL
+    }
+
+    fn read(&self, address: &str) -> Result<Call, NotationError> {
+        Objects::find(address).map(Target::read)
+    }
+
+    fn write(&self, address: &str, value: u64) -> Result<Call, NotationError> {
+        let (target, kind) = Objects::typed(address, &value.to_string())?;
+        let raw = kind.raw(value as i64);
+        // A number may come with its sign above its bits.
+        let is_number = kind != Type::Text && kind.is_signed() && kind.number(value) == value as i64;
+        // Or with the sign of a number of 32 bits.
+        let is_word = u32::try_from(value).is_ok_and(|word| kind.number(raw) == i64::from(word as i32));
+        match raw == value || is_number || is_word {
+            true => Ok(target.write(raw)),
+            false => {
+                let form = format!("a number of {} bits", 8 * kind.bytes());
+                Err(NotationError::Value { value: value.to_string(), form })
+            }
+        }
+    }
+
+    fn value(&self, address: &str, text: &str) -> Result<u64, NotationError> {
+        let (target, kind) = Objects::typed(address, text)?;
+        let wrong = |form: String| NotationError::Value { value: text.to_owned(), form };
+        if kind == Type::Text {
+            return characters(text).ok_or_else(|| wrong("one to eight characters of ASCII".to_owned()));
+        }
+        let (low, high) = match target.object.known() {
+            Some(known) if known.kind == kind => (known.min, known.max),
+            _ => kind.range(),
+        };
+        let number = match text.strip_prefix("0x") {
+            Some(digits) => bits(digits).map(|raw| match kind.raw(raw as i64) == raw {
+                true => kind.number(raw),
+                false => i64::MAX,
+            }),
+            None => text.parse().ok(),
+        };
+        match number {
+            Some(number) if (low..=high).contains(&number) => Ok(kind.raw(number)),
+            Some(_) => Err(NotationError::Range { value: text.to_owned(), low, high }),
+            None => Err(wrong(format!("a whole number, {low} ... {high}, or its bits as 0x..."))),
+        }
+    }
+
+    fn number(&self, address: &str, raw: u64) -> i64 {
+        Target::parse(address).map_or(raw as i64, |target| target.number(raw))
+    }
+
+    fn show(&self, address: &str, raw: u64) -> String {
+        let target = Target::parse(address);
+        if target.is_some_and(|target| target.complete) {
+            return long::octets(&raw.to_le_bytes());
+        }
+        let Some((target, kind)) = target.and_then(|target| Some((target, target.kind?))) else {
+            return format!("{raw} (0x{raw:X})");
+        };
+        if kind == Type::Text {
+            return long::text(&raw.to_le_bytes());
+        }
+        let raw = kind.raw(raw as i64);
+        let plain = format!("{} (0x{raw:X})", kind.number(raw));
+        match target.object.known().map_or("", |known| known.unit) {
+            "" => plain,
+            unit => format!("{plain} {unit}"),
+        }
+    }
+
+    fn reason(&self, status: u32) -> String {
+        let refused = status.checked_sub(MAILBOX).and_then(|code| u16::try_from(code).ok());
+        match (own_reason(status), refused.map(MailboxError)) {
+            (Some(reason), _) => reason.to_owned(),
+            (None, Some(error)) => format!("the slave cannot use the mailbox message: {error}"),
+            (None, None) => AbortCode(status).to_string(),
+        }
+    }
+}
+
+/// Hexadecimal digits and nothing else.
+fn bits(digits: &str) -> Option<u64> {
+    u64::from_str_radix(digits, 16).ok().filter(|_| !digits.starts_with('+'))
+}
+
+/// Printable characters as raw bits.
+fn characters(text: &str) -> Option<u64> {
+    let is_text = (1..=Type::Text.bytes()).contains(&text.len())
+        && text.bytes().all(|byte| byte.is_ascii_graphic() || byte == b' ');
+    is_text.then(|| text.bytes().rev().fold(0_u64, |raw, byte| raw << 8 | u64::from(byte)))
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn target(text: &str) -> Option<(String, Option<Type>)> {
+        Target::parse(text).map(|target| (target.object.to_string(), target.kind))
+    }
+
+    #[test]
+    fn addresses_are_read_in_every_form() {
+        for (text, object, kind) in [
+            ("0x6041:0", "0x6041:0", Some(Type::U16)),
+            ("0x6041", "0x6041:0", Some(Type::U16)),
+            ("6041h:0", "0x6041:0", Some(Type::U16)),
+            ("6041h", "0x6041:0", Some(Type::U16)),
+            ("status-word", "0x6041:0", Some(Type::U16)),
+            ("0x60c2:2", "0x60C2:2", Some(Type::I8)),
+            ("0x60C2:2.u8", "0x60C2:2", Some(Type::U8)),
+            ("status-word.i32", "0x6041:0", Some(Type::I32)),
+            ("0x2F00:255", "0x2F00:255", None),
+            ("0x2F00:255.text", "0x2F00:255", Some(Type::Text)),
+        ] {
+            assert_eq!(target(text), Some((object.to_owned(), kind)), "{text}");
+        }
+        for text in [
+            "",
+            "6041",
+            "6041:0",
+            "0x6041:",
+            "0x6041:256",
+            "0x6041:00",
+            "0x6041:+1",
+            "0x6041:0:0",
+            "0x604:0",
+            "0x06041:0",
+            "0x+041:0",
+            "0x6041:0.u64",
+            "0x6041:0.",
+            "0x6041h",
+            "status",
+            "status-word:0",
+            ".u16",
+            "06.042",
+        ] {
+            assert_eq!(target(text), None, "{text}");
+            assert!(matches!(Objects.read(text), Err(NotationError::Address { .. })), "{text}");
+        }
+    }
+
+    #[test]
+    fn a_call_carries_type_index_and_subindex() {
+        let call = |service, address, value| Ok(Call { service, address, value });
+        assert_eq!(Objects.read("0x6041:0"), call(READ, 0x0460_4100, 0));
+        assert_eq!(Objects.read("0x2F00:3"), call(READ, 0x002F_0003, 0));
+        assert_eq!(Objects.write("control-word", 0x0F), call(WRITE, 0x0460_4000, 0x0F));
+        assert_eq!(Objects.write("0x6060:0", u64::MAX), call(WRITE, 0x0160_6000, 0xFF));
+        assert_eq!(Objects.write("0x6060:0", 0xFFFF_FFFF), call(WRITE, 0x0160_6000, 0xFF));
+    }
+
+    #[test]
+    fn what_cannot_be_written_is_told_before_anything_is_sent() {
+        assert!(matches!(Objects.value("status-word", "1"), Err(NotationError::ReadOnly { .. })));
+        assert!(matches!(Objects.value("0x2F00:3", "1"), Err(NotationError::Value { .. })));
+        assert!(matches!(Objects.write("0x2F00:3", 1), Err(NotationError::Value { .. })));
+        assert!(matches!(Objects.write("control-word", 0x1_0000), Err(NotationError::Value { .. })));
+        assert!(matches!(Objects.value("control-word", "65536"), Err(NotationError::Range { .. })));
+        assert!(matches!(Objects.value("0x2F00:3.i8", "0x180"), Err(NotationError::Range { .. })));
+        assert!(matches!(Objects.value("control-word", "15.0"), Err(NotationError::Value { .. })));
+    }
+
+    #[test]
+    fn values_go_both_ways_in_their_own_type() {
+        for (address, text, raw, number) in [
+            ("control-word", "15", 0x0F, 15),
+            ("control-word", "0x000F", 0x0F, 15),
+            ("0x60C2:2", "-3", 0xFD, -3),
+            ("0x6060:0", "-123", 0x85, -123),
+            ("0x6060:0", "0x85", 0x85, -123),
+            ("target-velocity", "-100000", 0xFFFE_7960, -100_000),
+            ("0x2F00:3.u32", "4294967295", 0xFFFF_FFFF, 4_294_967_295),
+        ] {
+            assert_eq!(Objects.value(address, text), Ok(raw), "{address} {text}");
+            assert_eq!(Objects.number(address, raw), number);
+        }
+        assert_eq!(Objects.show("status-word", 0x0637), "1591 (0x637)");
+        assert_eq!(Objects.show("0x6061:0", 0x85), "-123 (0x85)");
+        assert_eq!(Objects.show("0x2F00:3", 7), "7 (0x7)");
+        assert_eq!(Objects.show("device-name", u64::from(u32::from_le_bytes(*b"S700"))), "S700");
+        assert_eq!(Objects.value("0x2F00:3.text", "S700"), Ok(u64::from(u32::from_le_bytes(*b"S700"))));
+    }
+
+    #[test]
+    fn a_refusal_is_told_by_its_name() {
+        assert_eq!(Objects.reason(0x0602_0000), "0x06020000 no such object");
+        assert_eq!(Objects.reason(FULL), "the slave does not empty its mailbox");
+        let refused = "the slave cannot use the mailbox message: 0x0002 protocol not supported";
+        assert_eq!(Objects.reason(MAILBOX + 2), refused);
+        assert_eq!(Objects.reason(0x0001_2345), "the slave cannot use the mailbox message: 0x2345");
+        for status in NO_MAILBOX..=NOT_READ {
+            assert!(own_reason(status).is_some(), "{status}");
+        }
+    }
+
+    #[test]
+    fn all_subindices_are_read_together_and_not_written() {
+        let target = Target { object: Object::new(0x1C12, 0), kind: None, complete: true };
+        for text in ["0x1C12:ca", "1C12h:ca"] {
+            assert_eq!(Target::parse(text), Some(target), "{text}");
+        }
+        assert_eq!(Target::unpack(target.pack()), Some(target));
+        assert_eq!(target.pack(), 0x801C_1200);
+        for text in ["0x1C12:0:ca", "0x1C12:ca.u8", "status-word:ca", ":ca"] {
+            assert_eq!(Target::parse(text), None, "{text}");
+        }
+        assert!(matches!(Objects.value("0x1C12:ca", "1"), Err(NotationError::ReadOnly { .. })));
+        assert_eq!(Objects.show("0x1C12:ca", 0x1704_0001), "01 00 04 17 00 00 00 00");
+    }
+
+    proptest! {
+        #[test]
+        fn every_object_is_read_back_from_its_own_text(index: u16, sub: u8) {
+            let object = Object::new(index, sub);
+            prop_assert_eq!(Object::parse(&object.to_string()), Some(object));
+        }
+
+        #[test]
+        fn every_target_is_unpacked_as_it_was_packed(address: u32) {
+            if let Some(target) = Target::unpack(address) {
+                prop_assert_eq!(target.pack(), address);
+            } else {
+                let code = address >> 24;
+                prop_assert!(code > Type::ALL.len() as u32 && code != u32::from(COMPLETE));
+            }
+        }
+
+        #[test]
+        fn no_text_panics(address: String, text: String, raw: u64) {
+            let _ = (Objects.value(&address, &text), Objects.show(&address, raw), Objects.write(&address, raw));
+        }
+
+        #[test]
+        fn every_value_of_a_type_is_its_bits_and_back(raw: u64) {
+            for kind in Type::ALL {
+                let number = kind.number(raw);
+                prop_assert_eq!(kind.number(kind.raw(number)), number);
+            }
+        }
+    }
+}

@@ -1,0 +1,280 @@
+//! What is known of single objects, by index.
+//!
+//! Facts: CAN manual of the S300 and S700, EtherCAT manuals of this family and of the AKD, CiA 301 and 402. Types and ranges that
+//! stand in none of them are marked [`assumed`](Known::assumed). A drive has many more objects, and judges every value itself.
+//!
+//! What differs in an AKD:
+//!
+//! | object | S300 ... S700 | AKD |
+//! |---|---|---|
+//! | 6060h, 6061h | 1, 3, 4, 6, 7, 80h ... 88h | 8 (cyclic position) besides; no 80h ... 88h |
+//! | 606Bh | the velocity setpoint of PDO 1702h | a demand, to read; its 1702h has 60FFh |
+//! | 6074h | the current setpoint of PDO 1703h | a demand, to read |
+//! | 60FFh | scaling assumed | 0.001 rpm (assumed) |
+//! | texts | four characters, what an expedited SDO holds (assumed) | longer, in segments |
+
+use super::{Object, Type};
+
+/// What an object is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Access {
+    /// To read.
+    ReadOnly,
+    /// To read and to write.
+    ReadWrite,
+    /// To read, and to write in PREOP.
+    PreOp,
+}
+
+/// Which drives have an object.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Drives {
+    /// All of them.
+    All,
+    /// S300, S400, S600, S700.
+    S700,
+    /// AKD.
+    Akd,
+}
+
+/// What is known of an object.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Known {
+    /// Which.
+    pub object: Object,
+    /// Its name here.
+    pub name: &'static str,
+    /// Its type.
+    pub kind: Type,
+    /// Whether it can be written.
+    pub access: Access,
+    /// Of a count; empty for a plain number, or where settings of the drive say it.
+    pub unit: &'static str,
+    /// The lowest count.
+    pub min: i64,
+    /// The highest count.
+    pub max: i64,
+    /// Which drives have it.
+    pub drives: Drives,
+    /// Type, access or range are not from a document.
+    pub assumed: bool,
+}
+
+impl Known {
+    const fn new(index: u16, sub: u8, name: &'static str, kind: Type) -> Known {
+        let (min, max) = kind.range();
+        Known {
+            object: Object::new(index, sub),
+            name,
+            kind,
+            access: Access::ReadOnly,
+            unit: "",
+            min,
+            max,
+            drives: Drives::All,
+            assumed: false,
+        }
+    }
+
+    const fn writable(self) -> Known {
+        Known { access: Access::ReadWrite, ..self }
+    }
+
+    const fn in_pre_op(self) -> Known {
+        Known { access: Access::PreOp, ..self }
+    }
+
+    const fn unit(self, unit: &'static str) -> Known {
+        Known { unit, ..self }
+    }
+
+    const fn within(self, min: i64, max: i64) -> Known {
+        Known { min, max, ..self }
+    }
+
+    const fn s700(self) -> Known {
+        Known { drives: Drives::S700, ..self }
+    }
+
+    const fn akd(self) -> Known {
+        Known { drives: Drives::Akd, ..self }
+    }
+
+    const fn assume(self) -> Known {
+        Known { assumed: true, ..self }
+    }
+}
+
+const fn i8(index: u16, sub: u8, name: &'static str) -> Known {
+    Known::new(index, sub, name, Type::I8)
+}
+
+const fn u8(index: u16, sub: u8, name: &'static str) -> Known {
+    Known::new(index, sub, name, Type::U8)
+}
+
+const fn i16(index: u16, sub: u8, name: &'static str) -> Known {
+    Known::new(index, sub, name, Type::I16)
+}
+
+const fn u16(index: u16, sub: u8, name: &'static str) -> Known {
+    Known::new(index, sub, name, Type::U16)
+}
+
+const fn i32(index: u16, sub: u8, name: &'static str) -> Known {
+    Known::new(index, sub, name, Type::I32)
+}
+
+const fn u32(index: u16, sub: u8, name: &'static str) -> Known {
+    Known::new(index, sub, name, Type::U32)
+}
+
+const fn text(index: u16, name: &'static str) -> Known {
+    Known::new(index, 0, name, Type::Text)
+}
+
+const ALL: &[Known] = &[
+    // Communication.
+    u32(0x1000, 0, "device-type"),
+    u8(0x1001, 0, "error-register"),
+    u32(0x1002, 0, "manufacturer-status"),
+    u8(0x1003, 0, "error-count").assume(),
+    u32(0x1003, 1, "last-error").assume(),
+    text(0x1008, "device-name").assume(),
+    text(0x1009, "hardware-version").assume(),
+    text(0x100A, "software-version").assume(),
+    u8(0x1018, 0, "identity-count"),
+    u32(0x1018, 1, "vendor"),
+    u32(0x1018, 2, "product"),
+    u32(0x1018, 3, "revision"),
+    u32(0x1018, 4, "serial-number"),
+    u8(0x1C00, 0, "sync-manager-count"),
+    u8(0x1C00, 1, "sync-manager-0-type"),
+    u8(0x1C00, 2, "sync-manager-1-type"),
+    u8(0x1C00, 3, "sync-manager-2-type"),
+    u8(0x1C00, 4, "sync-manager-3-type"),
+    u8(0x1C12, 0, "output-pdo-count").within(0, 1).in_pre_op(),
+    u16(0x1C12, 1, "output-pdo").in_pre_op(),
+    u8(0x1C13, 0, "input-pdo-count").within(0, 1).in_pre_op(),
+    u16(0x1C13, 1, "input-pdo").in_pre_op(),
+    u8(0x1C32, 0, "output-sync-count").assume(),
+    u16(0x1C32, 1, "output-sync-type").writable().assume(),
+    u32(0x1C32, 2, "output-sync-cycle").unit("ns").assume(),
+    u8(0x1C33, 0, "input-sync-count").assume(),
+    u16(0x1C33, 1, "input-sync-type").writable().assume(),
+    u32(0x1C33, 2, "input-sync-cycle").unit("ns").assume(),
+    // The maker's.
+    i32(0x2050, 0, "position-2").akd(),
+    i32(0x2070, 2, "incremental-speed").s700().assume(),
+    i32(0x20A0, 0, "latch-position").akd().assume(),
+    u16(0x20A4, 0, "latch-control").writable().akd(),
+    u16(0x20A5, 0, "latch-status").akd(),
+    i16(0x3470, 3, "analogue-output").writable().akd().assume(),
+    i16(0x3470, 4, "analogue-input").akd().assume(),
+    i32(0x35D5, 1, "cycle-time").within(1, 127).unit("x 250 us").writable().s700().assume(),
+    // CiA 402.
+    u16(0x603F, 0, "error-code").akd().assume(),
+    u16(0x6040, 0, "control-word").writable(),
+    u16(0x6041, 0, "status-word"),
+    i8(0x6060, 0, "mode").writable(),
+    i8(0x6061, 0, "mode-display"),
+    i32(0x6063, 0, "position-increments").unit("increments"),
+    i32(0x6064, 0, "position"),
+    u32(0x6065, 0, "following-error-window").writable().assume(),
+    i32(0x606B, 0, "velocity-setpoint").writable().s700(),
+    i32(0x606C, 0, "velocity"),
+    i16(0x6071, 0, "target-torque").unit("per mille").writable(),
+    u16(0x6072, 0, "maximum-torque").unit("per mille").writable().assume(),
+    i16(0x6074, 0, "current-setpoint").writable().s700(),
+    i16(0x6077, 0, "torque").unit("per mille"),
+    i32(0x607A, 0, "target-position").writable(),
+    i32(0x607C, 0, "home-offset").writable().assume(),
+    u32(0x6081, 0, "profile-velocity").writable(),
+    u32(0x6083, 0, "profile-acceleration").writable(),
+    u32(0x6084, 0, "profile-deceleration").writable(),
+    u8(0x608F, 0, "resolution-count"),
+    u32(0x608F, 1, "resolution-increments").unit("increments"),
+    u32(0x608F, 2, "resolution-turns"),
+    u8(0x6092, 0, "feed-count"),
+    u32(0x6092, 1, "feed").within(1, u32::MAX as i64).writable(),
+    u32(0x6092, 2, "feed-turns").within(1, u32::MAX as i64).writable(),
+    u8(0x6093, 0, "position-factor-count"),
+    u32(0x6093, 1, "position-factor").within(1, u32::MAX as i64).writable(),
+    u32(0x6093, 2, "position-factor-divisor").within(1, u32::MAX as i64).writable(),
+    i8(0x6098, 0, "homing-method").within(-128, 35).writable().assume(),
+    u8(0x6099, 0, "homing-speed-count").assume(),
+    u32(0x6099, 1, "homing-speed-switch").writable().assume(),
+    u32(0x6099, 2, "homing-speed-zero").writable().assume(),
+    u32(0x609A, 0, "homing-acceleration").writable().assume(),
+    i16(0x60B2, 0, "torque-feed-forward").writable().akd(),
+    u8(0x60C1, 0, "interpolation-count"),
+    i32(0x60C1, 1, "interpolation-position").writable(),
+    u8(0x60C2, 0, "interpolation-time-count"),
+    u8(0x60C2, 1, "interpolation-time").within(1, 255).writable(),
+    i8(0x60C2, 2, "interpolation-time-power").within(-6, 0).writable(),
+    i32(0x60F4, 0, "following-error").akd(),
+    u32(0x60FD, 0, "digital-inputs"),
+    u8(0x60FE, 0, "digital-outputs-count").akd(),
+    u32(0x60FE, 1, "digital-outputs").writable().akd(),
+    i32(0x60FF, 0, "target-velocity").writable(),
+];
+
+/// All of them, by index and subindex.
+pub fn all() -> impl Iterator<Item = &'static Known> {
+    ALL.iter()
+}
+
+/// What is known of an object.
+pub fn find(object: Object) -> Option<&'static Known> {
+    let key = |object: Object| (object.index, object.sub);
+    ALL.binary_search_by_key(&key(object), |known| key(known.object)).ok().map(|place| &ALL[place])
+}
+
+/// The one of this name.
+pub fn named(name: &str) -> Option<&'static Known> {
+    all().find(|known| known.name == name)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn all_are_found_by_object_and_by_name() {
+        for known in all() {
+            assert_eq!(find(known.object), Some(known));
+            assert_eq!(named(known.name), Some(known));
+            assert_eq!(Object::parse(known.name), None, "{} is no address", known.name);
+        }
+        assert_eq!(find(Object::new(0x6041, 1)), None);
+        assert_eq!(named("6041"), None);
+    }
+
+    #[test]
+    fn ranges_are_within_the_type() {
+        for known in all() {
+            let (low, high) = known.kind.range();
+            assert!(low <= known.min && known.min <= known.max && known.max <= high, "{}", known.name);
+        }
+    }
+
+    #[test]
+    fn types_are_those_of_the_manuals() {
+        for (index, sub, kind, access) in [
+            (0x6040, 0, Type::U16, Access::ReadWrite),
+            (0x6041, 0, Type::U16, Access::ReadOnly),
+            (0x6060, 0, Type::I8, Access::ReadWrite),
+            (0x6064, 0, Type::I32, Access::ReadOnly),
+            (0x606B, 0, Type::I32, Access::ReadWrite),
+            (0x6077, 0, Type::I16, Access::ReadOnly),
+            (0x60C1, 1, Type::I32, Access::ReadWrite),
+            (0x60C2, 1, Type::U8, Access::ReadWrite),
+            (0x60C2, 2, Type::I8, Access::ReadWrite),
+            (0x1002, 0, Type::U32, Access::ReadOnly),
+            (0x1C12, 1, Type::U16, Access::PreOp),
+        ] {
+            let known = find(Object::new(index, sub)).unwrap();
+            assert_eq!((known.kind, known.access), (kind, access), "{}", known.name);
+        }
+    }
+}

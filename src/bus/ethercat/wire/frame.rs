@@ -1,0 +1,580 @@
+//! Frames and datagrams (ETG.1000.4, 5; as real lines show them).
+//!
+//! | bytes | field | |
+//! |---|---|---|
+//! | 0-5, 6-11 | destination, source | the first slave sets bit 1 of the source's first byte |
+//! | 12-13 | Ethertype | 88A4h, big-endian; all that follows is little-endian |
+//! | 14-15 | length, type | bits 0-10 bytes of all datagrams, bits 12-15 = 1 |
+//! | 16- | datagrams | ten bytes in front, data, working counter; then padding to 60 bytes |
+//!
+//! The reply is the same frame: only data, positions, interrupts, working counters and the source have changed.
+
+use thiserror::Error;
+
+/// On the wire, big-endian.
+pub const ETHERTYPE: u16 = 0x88A4;
+/// Ethernet and EtherCAT header.
+pub const HEADER: usize = 16;
+/// The shortest frame without its check sequence. Who builds pads up to it; who reads takes shorter ones too: a virtual wire does
+/// not pad.
+pub const FRAME_MIN: usize = 60;
+/// The longest frame without its check sequence.
+pub const FRAME_MAX: usize = 1514;
+/// The most datagrams in one frame: what slaves of all makes take.
+pub const DATAGRAMS_MAX: usize = 15;
+/// In front of the data of a datagram.
+pub const DATAGRAM_HEADER: usize = 10;
+/// The working counter behind it.
+pub const WORKING_COUNTER: usize = 2;
+/// The most data in one datagram that is alone.
+pub const DATA_MAX: usize = FRAME_MAX - HEADER - DATAGRAM_HEADER - WORKING_COUNTER;
+
+const ETHERTYPE_AT: usize = 12;
+const LENGTH_AT: usize = 14;
+const LENGTH_MASK: u16 = 0x07FF;
+const TYPE_DATAGRAMS: u16 = 1 << 12;
+const CIRCULATED: u16 = 1 << 14;
+const MORE: u16 = 1 << 15;
+
+/// An Ethernet address.
+pub type Mac = [u8; 6];
+
+/// The customary destination: everybody.
+pub const BROADCAST: Mac = [0xFF; 6];
+
+/// What a datagram does and where.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Command {
+    /// Nothing.
+    Nop,
+    /// Reads of the slave at a position: 0 the first, counted down as it passes.
+    Aprd(u16, u16),
+    /// Writes to the slave at a position.
+    Apwr(u16, u16),
+    /// Reads of the slave at a position, then writes.
+    Aprw(u16, u16),
+    /// Reads of the slave with a station address.
+    Fprd(u16, u16),
+    /// Writes to the slave with a station address.
+    Fpwr(u16, u16),
+    /// Reads of the slave with a station address, then writes.
+    Fprw(u16, u16),
+    /// Reads of all slaves: the bits of all, or-ed.
+    Brd(u16),
+    /// Writes to all slaves.
+    Bwr(u16),
+    /// Reads of all slaves, then writes.
+    Brw(u16),
+    /// Reads of a logical address.
+    Lrd(u32),
+    /// Writes to a logical address.
+    Lwr(u32),
+    /// Writes the outputs of a logical address and reads its inputs.
+    Lrw(u32),
+    /// The slave at a position reads, all others write what it has.
+    Armw(u16, u16),
+    /// The slave with a station address reads, all others write what it has.
+    Frmw(u16, u16),
+}
+
+impl Command {
+    /// Its number on the wire.
+    pub const fn number(self) -> u8 {
+        match self {
+            Command::Nop => 0,
+            Command::Aprd(..) => 1,
+            Command::Apwr(..) => 2,
+            Command::Aprw(..) => 3,
+            Command::Fprd(..) => 4,
+            Command::Fpwr(..) => 5,
+            Command::Fprw(..) => 6,
+            Command::Brd(_) => 7,
+            Command::Bwr(_) => 8,
+            Command::Brw(_) => 9,
+            Command::Lrd(_) => 10,
+            Command::Lwr(_) => 11,
+            Command::Lrw(_) => 12,
+            Command::Armw(..) => 13,
+            Command::Frmw(..) => 14,
+        }
+    }
+
+    /// Its four bytes of address, as one number: for all but logical ones the station or position, and the register above it.
+    pub const fn address(self) -> u32 {
+        match self {
+            Command::Nop => 0,
+            Command::Aprd(first, register)
+            | Command::Apwr(first, register)
+            | Command::Aprw(first, register)
+            | Command::Fprd(first, register)
+            | Command::Fpwr(first, register)
+            | Command::Fprw(first, register)
+            | Command::Armw(first, register)
+            | Command::Frmw(first, register) => first as u32 | (register as u32) << 16,
+            Command::Brd(register) | Command::Bwr(register) | Command::Brw(register) => {
+                (register as u32) << 16
+            }
+            Command::Lrd(address) | Command::Lwr(address) | Command::Lrw(address) => address,
+        }
+    }
+
+    /// The command of this number; `None`: there is none.
+    pub const fn new(number: u8, address: u32) -> Option<Command> {
+        let (first, register) = (address as u16, (address >> 16) as u16);
+        Some(match number {
+            0 => Command::Nop,
+            1 => Command::Aprd(first, register),
+            2 => Command::Apwr(first, register),
+            3 => Command::Aprw(first, register),
+            4 => Command::Fprd(first, register),
+            5 => Command::Fpwr(first, register),
+            6 => Command::Fprw(first, register),
+            7 => Command::Brd(register),
+            8 => Command::Bwr(register),
+            9 => Command::Brw(register),
+            10 => Command::Lrd(address),
+            11 => Command::Lwr(address),
+            12 => Command::Lrw(address),
+            13 => Command::Armw(first, register),
+            14 => Command::Frmw(first, register),
+            _ => return None,
+        })
+    }
+}
+
+/// The position of slave `index` of the line in a command that counts positions: it arrives there as 0.
+pub const fn position(index: u16) -> u16 {
+    0_u16.wrapping_sub(index)
+}
+
+/// Where a datagram stands in its frame. It stays so: a frame is built once and sent again with other data.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Place {
+    /// Its first byte.
+    pub at: usize,
+    /// Bytes of its data.
+    pub length: usize,
+}
+
+impl Place {
+    /// Where its data stands.
+    pub const fn data(self) -> std::ops::Range<usize> {
+        self.at + DATAGRAM_HEADER..self.at + DATAGRAM_HEADER + self.length
+    }
+
+    /// One behind it.
+    pub const fn end(self) -> usize {
+        self.at + DATAGRAM_HEADER + self.length + WORKING_COUNTER
+    }
+}
+
+/// Builds a frame in place.
+#[derive(Debug)]
+pub struct Builder<'a> {
+    out: &'a mut [u8],
+    end: usize,
+    last: Option<usize>,
+    count: usize,
+}
+
+impl<'a> Builder<'a> {
+    /// A frame without datagrams; `None` if `out` is shorter than the shortest frame.
+    pub fn new(out: &'a mut [u8], destination: Mac, source: Mac) -> Option<Builder<'a>> {
+        let room = out.len().min(FRAME_MAX);
+        let out = out.get_mut(..room).filter(|out| out.len() >= FRAME_MIN)?;
+        out[HEADER..].fill(0);
+        out[..6].copy_from_slice(&destination);
+        out[6..12].copy_from_slice(&source);
+        out[ETHERTYPE_AT..LENGTH_AT].copy_from_slice(&ETHERTYPE.to_be_bytes());
+        Some(Builder { out, end: HEADER, last: None, count: 0 })
+    }
+
+    /// So many bytes of data would still fit in one more datagram; `None`: no datagram would.
+    pub fn room(&self) -> Option<usize> {
+        let left = self.out.len().checked_sub(self.end + DATAGRAM_HEADER + WORKING_COUNTER)?;
+        (self.count < DATAGRAMS_MAX).then_some(left)
+    }
+
+    /// Appends a datagram whose data is zero; `None`, and nothing appended, if it does not fit.
+    pub fn push(&mut self, command: Command, index: u8, length: usize) -> Option<Place> {
+        self.room().filter(|room| length <= *room)?;
+        let place = Place { at: self.end, length };
+        // What stood there before a frame was taken back, its working counter too.
+        self.out[place.at..place.end()].fill(0);
+        let header = &mut self.out[place.at..place.at + DATAGRAM_HEADER];
+        (header[0], header[1]) = (command.number(), index);
+        header[2..6].copy_from_slice(&command.address().to_le_bytes());
+        header[6..8].copy_from_slice(&(length as u16).to_le_bytes());
+        if let Some(last) = self.last.replace(place.at) {
+            self.out[last + 7] |= (MORE >> 8) as u8;
+        }
+        (self.end, self.count) = (place.end(), self.count + 1);
+        Some(place)
+    }
+
+    /// Appends a datagram with this data.
+    pub fn push_with(&mut self, command: Command, index: u8, data: &[u8]) -> Option<Place> {
+        let place = self.push(command, index, data.len())?;
+        self.out[place.data()].copy_from_slice(data);
+        Some(place)
+    }
+
+    /// Ends the frame; its length, padding included.
+    pub fn finish(self) -> usize {
+        let length = (self.end - HEADER) as u16 & LENGTH_MASK | TYPE_DATAGRAMS;
+        self.out[LENGTH_AT..HEADER].copy_from_slice(&length.to_le_bytes());
+        self.end.max(FRAME_MIN)
+    }
+
+    /// Where it stands now: what comes behind may be taken back to here.
+    pub const fn stem(&self) -> Stem {
+        Stem { end: self.end, last: self.last, count: self.count }
+    }
+
+    /// Goes on from a stem of the frame in `out`, and takes back what stands behind it. `None` if it is not there.
+    pub fn resume(out: &'a mut [u8], stem: Stem) -> Option<Builder<'a>> {
+        let room = out.len().min(FRAME_MAX);
+        let out = out.get_mut(..room).filter(|out| out.len() >= FRAME_MIN.max(stem.end))?;
+        if let Some(last) = stem.last {
+            out[last + 7] &= !((MORE >> 8) as u8);
+        }
+        let padding = stem.end..FRAME_MIN.max(stem.end);
+        out[padding].fill(0);
+        Some(Builder { out, end: stem.end, last: stem.last, count: stem.count })
+    }
+}
+
+/// The part of a frame that stays as it is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Stem {
+    end: usize,
+    last: Option<usize>,
+    count: usize,
+}
+
+/// Gives the datagram at `place` of a frame another command, or makes it do nothing for a while.
+pub fn set_command(frame: &mut [u8], place: Place, command: Command) {
+    if let Some(header) = frame.get_mut(place.at..place.at + DATAGRAM_HEADER) {
+        header[0] = command.number();
+        header[2..6].copy_from_slice(&command.address().to_le_bytes());
+    }
+}
+
+/// Gives the datagram at `place` of a frame another index.
+pub fn set_index(frame: &mut [u8], place: Place, index: u8) {
+    if let Some(byte) = frame.get_mut(place.at + 1) {
+        *byte = index;
+    }
+}
+
+/// What the reply to a datagram has to be like.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Returned {
+    /// It is the reply, with this working counter.
+    Counted(u16),
+    /// It is, but went round without passing the master.
+    Circulated,
+    /// It is another one.
+    Other,
+}
+
+/// Holds the datagram at `place` of a received frame against the one that was sent there: all that no slave changes is the same.
+/// `stays`: its address is not counted up by the slaves.
+pub fn returned(sent: &[u8], received: &[u8], place: Place, stays: bool) -> Returned {
+    /// The bit of `CIRCULATED` in the first eight bytes; and the two lower ones of the address, in which a position is counted up.
+    const WENT_ROUND: u64 = (CIRCULATED as u64) << 48;
+    const POSITION: u64 = 0xFFFF << 16;
+    let header = |frame: &[u8]| frame.get(place.at..)?.first_chunk().map(|bytes| u64::from_le_bytes(*bytes));
+    let counter = received.get(place.data().end..).and_then(<[u8]>::first_chunk);
+    let (Some(sent), Some(read), Some(counter)) = (header(sent), header(received), counter) else {
+        return Returned::Other;
+    };
+    match (sent ^ read) & if stays { u64::MAX } else { !POSITION } {
+        0 => Returned::Counted(u16::from_le_bytes(*counter)),
+        WENT_ROUND => Returned::Circulated,
+        _ => Returned::Other,
+    }
+}
+
+/// What is wrong with bytes that are to be a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum FrameError {
+    /// It ends within its header.
+    #[error("{0} bytes are no frame")]
+    Short(usize),
+    /// Another protocol.
+    #[error("Ethertype {0:#06x} is not EtherCAT")]
+    Ethertype(u16),
+    /// The EtherCAT header is not that of datagrams: mailbox gateways and network variables have others.
+    #[error("type {0} in the EtherCAT header: not datagrams")]
+    Type(u8),
+    /// It is shorter than its header says.
+    #[error("{says} bytes of datagrams in the header, {has} in the frame")]
+    Length {
+        /// By the header.
+        says: usize,
+        /// In the frame.
+        has: usize,
+    },
+    /// A datagram goes on behind the end of its frame, or says that another one follows where none does.
+    #[error("the datagram at byte {0} does not end within the frame")]
+    Datagram(usize),
+}
+
+/// A datagram as it was received.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Datagram<'a> {
+    /// Where it stands.
+    pub place: Place,
+    /// Its number on the wire; what is no command is passed on like `NOP`.
+    pub number: u8,
+    /// Its four bytes of address.
+    pub address: u32,
+    /// As it was sent.
+    pub index: u8,
+    /// It went round without passing the master: what it says is old.
+    pub circulated: bool,
+    /// Event bits of all slaves, or-ed.
+    pub interrupts: u16,
+    /// What was read, or written.
+    pub data: &'a [u8],
+    /// How often it was carried out.
+    pub working_counter: u16,
+}
+
+impl<'a> Datagram<'a> {
+    /// The datagram at byte `at` of a frame, and whether another one follows.
+    fn parse(frame: &'a [u8], at: usize, end: usize) -> Result<(Datagram<'a>, bool), FrameError> {
+        let broken = FrameError::Datagram(at);
+        let header = frame.get(at..end).and_then(<[u8]>::first_chunk::<DATAGRAM_HEADER>).ok_or(broken)?;
+        let [number, index, a, b, c, d, low, high, event_low, event_high] = *header;
+        let flags = u16::from_le_bytes([low, high]);
+        let place = Place { at, length: usize::from(flags & LENGTH_MASK) };
+        if place.end() > end {
+            return Err(broken);
+        }
+        let counter = place.data().end;
+        let datagram = Datagram {
+            place,
+            number,
+            address: u32::from_le_bytes([a, b, c, d]),
+            index,
+            circulated: flags & CIRCULATED != 0,
+            interrupts: u16::from_le_bytes([event_low, event_high]),
+            data: &frame[place.data()],
+            working_counter: u16::from_le_bytes([frame[counter], frame[counter + 1]]),
+        };
+        Ok((datagram, flags & MORE != 0))
+    }
+
+    /// What it does; `None`: no command.
+    pub fn command(&self) -> Option<Command> {
+        Command::new(self.number, self.address)
+    }
+}
+
+/// The datagrams of a received frame. Each is read when it is asked for; the first error ends them.
+#[derive(Clone, Debug)]
+pub struct Datagrams<'a> {
+    frame: &'a [u8],
+    next: Option<usize>,
+    end: usize,
+}
+
+/// Looks into a frame; what is not EtherCAT is told by the error.
+pub fn datagrams(frame: &[u8]) -> Result<Datagrams<'_>, FrameError> {
+    let header = frame.first_chunk::<HEADER>().ok_or(FrameError::Short(frame.len()))?;
+    let ethertype = u16::from_be_bytes([header[12], header[13]]);
+    if ethertype != ETHERTYPE {
+        return Err(FrameError::Ethertype(ethertype));
+    }
+    let length = u16::from_le_bytes([header[14], header[15]]);
+    if length & !LENGTH_MASK & !(1 << 11) != TYPE_DATAGRAMS {
+        return Err(FrameError::Type((length >> 12) as u8));
+    }
+    let (says, has) = (usize::from(length & LENGTH_MASK), frame.len() - HEADER);
+    if says > has {
+        return Err(FrameError::Length { says, has });
+    }
+    Ok(Datagrams { frame, next: (says > 0).then_some(HEADER), end: HEADER + says })
+}
+
+/// The number and the data of the first datagram of a received frame, if that has `N` bytes: who it may be from, before all of it is
+/// looked at.
+#[inline]
+pub fn first_datagram<const N: usize>(frame: &[u8]) -> Option<(u8, &[u8; N])> {
+    let header = frame.first_chunk::<{ HEADER + DATAGRAM_HEADER }>()?;
+    let data = frame.get(HEADER + DATAGRAM_HEADER..)?.first_chunk::<N>()?;
+    let word = |at: usize| u16::from_le_bytes([header[at], header[at + 1]]);
+    let ethertype = u16::from_be_bytes([header[ETHERTYPE_AT], header[ETHERTYPE_AT + 1]]);
+    let length = word(LENGTH_AT);
+    let is_one = ethertype == ETHERTYPE
+        && length & !LENGTH_MASK & !(1 << 11) == TYPE_DATAGRAMS
+        && usize::from(length & LENGTH_MASK) <= frame.len() - HEADER
+        && usize::from(word(HEADER + 6) & LENGTH_MASK) == N;
+    is_one.then_some((header[HEADER], data))
+}
+
+impl<'a> Iterator for Datagrams<'a> {
+    type Item = Result<Datagram<'a>, FrameError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let at = self.next.take()?;
+        match Datagram::parse(self.frame, at, self.end) {
+            Ok((datagram, more)) => {
+                self.next = more.then(|| datagram.place.end());
+                Some(Ok(datagram))
+            }
+            Err(error) => Some(Err(error)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn bytes(hex: &str) -> Vec<u8> {
+        let digits: Vec<u8> = hex.bytes().filter(u8::is_ascii_hexdigit).collect();
+        let byte = |pair: &[u8]| u8::from_str_radix(std::str::from_utf8(pair).unwrap(), 16).unwrap();
+        digits.chunks(2).map(byte).collect()
+    }
+
+    /// One cycle for two drives, as sent and as returned.
+    const SENT: &str = "FFFFFFFFFFFF 101010101010 88A4 4A10 \
+        0E 42 0110 1009 0880 0000 0000000000000000 0000 \
+        0C 43 00000100 1C80 0000 A0860100 0F00 6079FEFF 0700 00000000 0000 0000 00000000 0000 0000 0000 \
+        07 44 0000 3001 0200 0000 0000 0000";
+    const RETURNED: &str = "FFFFFFFFFFFF 121010101010 88A4 4A10 \
+        0E 42 0110 1009 0880 0000 15BF613101000000 0200 \
+        0C 43 00000100 1C80 0000 A0860100 0F00 6079FEFF 0700 40E20100 06FF 3706 FFFFFFFF 0000 3306 0600 \
+        07 44 0200 3001 0200 0000 0800 0200";
+
+    #[test]
+    fn a_cycle_for_two_drives_is_built_byte_by_byte() {
+        let mut out = [0xEE; FRAME_MAX];
+        let mut frame = Builder::new(&mut out, BROADCAST, [0x10; 6]).unwrap();
+        frame.push(Command::Frmw(0x1001, 0x0910), 0x42, 8).unwrap();
+        let image = frame.push(Command::Lrw(0x0001_0000), 0x43, 28).unwrap();
+        frame.push(Command::Brd(0x0130), 0x44, 2).unwrap();
+        let length = frame.finish();
+        out[image.data()][..12].copy_from_slice(&bytes("A0860100 0F00 6079FEFF 0700"));
+        assert_eq!(out[..length], bytes(SENT));
+    }
+
+    #[test]
+    fn its_reply_is_read_byte_by_byte() {
+        let frame = bytes(RETURNED);
+        let read: Vec<_> = datagrams(&frame).unwrap().map(Result::unwrap).collect();
+        let commands: Vec<_> = read.iter().map(|datagram| datagram.command().unwrap()).collect();
+        assert_eq!(
+            commands,
+            [Command::Frmw(0x1001, 0x0910), Command::Lrw(0x0001_0000), Command::Brd(0x0130)]
+        );
+        assert_eq!(read.iter().map(|datagram| datagram.index).collect::<Vec<_>>(), [0x42, 0x43, 0x44]);
+        assert_eq!(read.iter().map(|datagram| datagram.working_counter).collect::<Vec<_>>(), [2, 6, 2]);
+        assert_eq!(read[0].data, 5_123_456_789_u64.to_le_bytes());
+        assert_eq!(read[1].data[12..16], 123_456_i32.to_le_bytes());
+        assert_eq!(read[2].address & 0xFFFF, 2, "each slave has counted it");
+        assert!(read.iter().all(|datagram| !datagram.circulated));
+    }
+
+    #[test]
+    fn a_short_frame_is_padded_and_the_padding_is_not_counted() {
+        let mut out = [0xEE; 64];
+        let mut frame = Builder::new(&mut out, BROADCAST, [0x01; 6]).unwrap();
+        frame.push(Command::Brd(0), 4, 2).unwrap();
+        assert_eq!(frame.finish(), FRAME_MIN);
+        let sent = bytes("FFFFFFFFFFFF 010101010101 88A4 0E10 07 04 0000 0000 0200 0000 0000 0000");
+        assert_eq!(out[..30], sent);
+        assert!(out[30..60].iter().all(|byte| *byte == 0));
+        // A virtual wire does not pad.
+        for end in [30, 60] {
+            let read: Vec<_> = datagrams(&out[..end]).unwrap().collect();
+            assert!(matches!(read[..], [Ok(Datagram { number: 7, index: 4, data: [0, 0], .. })]));
+        }
+    }
+
+    #[test]
+    fn what_does_not_fit_is_not_begun() {
+        let mut out = [0; 2_000];
+        let mut frame = Builder::new(&mut out, BROADCAST, [0; 6]).unwrap();
+        assert_eq!(frame.room(), Some(DATA_MAX));
+        assert_eq!(frame.push(Command::Lrw(0), 0, DATA_MAX + 1), None);
+        assert!(frame.push(Command::Lrw(0), 0, DATA_MAX).is_some());
+        assert_eq!((frame.room(), frame.push(Command::Nop, 0, 0)), (None, None));
+        assert_eq!(frame.finish(), FRAME_MAX);
+        let mut frame = Builder::new(&mut out, BROADCAST, [0; 6]).unwrap();
+        let pushed = (0..20).filter_map(|index| frame.push(Command::Brd(0), index, 1)).count();
+        assert_eq!(pushed, DATAGRAMS_MAX);
+        assert!(Builder::new(&mut [0; FRAME_MIN - 1], BROADCAST, [0; 6]).is_none());
+    }
+
+    #[test]
+    fn a_broken_frame_is_told_and_ends_there() {
+        let whole = bytes(RETURNED);
+        let changed = |at: usize, byte: u8| {
+            let mut frame = whole.clone();
+            frame[at] = byte;
+            frame
+        };
+        assert_eq!(datagrams(&whole[..15]).unwrap_err(), FrameError::Short(15));
+        assert_eq!(datagrams(&changed(13, 0)).unwrap_err(), FrameError::Ethertype(0x8800));
+        assert_eq!(datagrams(&changed(15, 0x40)).unwrap_err(), FrameError::Type(4));
+        assert_eq!(datagrams(&whole[..89]).unwrap_err(), FrameError::Length { says: 74, has: 73 });
+        // The second one is said to be longer than all the rest.
+        let long = changed(36 + 6, 0xFF);
+        let read: Vec<_> = datagrams(&long).unwrap().collect();
+        assert_eq!(read.len(), 2);
+        assert_eq!(read[1], Err(FrameError::Datagram(36)));
+        // One more is said to follow the last.
+        let more = changed(76 + 7, 0x80);
+        let read: Vec<_> = datagrams(&more).unwrap().collect();
+        assert_eq!(read.len(), 4);
+        assert_eq!(read[3], Err(FrameError::Datagram(90)));
+        let circulated = changed(76 + 7, 0x40);
+        assert!(datagrams(&circulated).unwrap().last().unwrap().unwrap().circulated);
+    }
+
+    #[test]
+    fn every_command_is_itself_again() {
+        let mut known = 0;
+        for number in 0..=u8::MAX {
+            let Some(command) = Command::new(number, 0x0910_1001) else { continue };
+            known += 1;
+            assert_eq!(command.number(), number);
+            assert_eq!(Command::new(number, command.address()), Some(command));
+        }
+        assert_eq!(known, 15);
+        assert_eq!([0, 1, 2].map(position), [0, 0xFFFF, 0xFFFE]);
+    }
+
+    proptest::proptest! {
+        #[test]
+        fn no_bytes_panic_and_places_stay_within(bytes: Vec<u8>) {
+            if let Ok(read) = datagrams(&bytes) {
+                for datagram in read.flatten() {
+                    assert!(datagram.place.end() <= bytes.len());
+                }
+            }
+        }
+
+        #[test]
+        fn what_was_built_is_read(parts in proptest::collection::vec((0_u8..15, proptest::num::u32::ANY, 0_usize..90), 0..15)) {
+            let mut out = [0; FRAME_MAX];
+            let mut frame = Builder::new(&mut out, BROADCAST, [0x10; 6]).unwrap();
+            let commands: Vec<_> = parts.iter().map(|(number, address, length)| {
+                (Command::new(*number, *address).unwrap(), *length)
+            }).collect();
+            let places: Vec<_> = commands.iter().enumerate().map(|(index, (command, length))| {
+                frame.push(*command, index as u8, *length).unwrap()
+            }).collect();
+            let length = frame.finish();
+            let read: Vec<_> = datagrams(&out[..length]).unwrap().map(Result::unwrap).collect();
+            assert_eq!(read.len(), places.len());
+            for ((read, place), (command, _)) in read.iter().zip(&places).zip(&commands) {
+                assert_eq!((read.place, read.command()), (*place, Some(*command)));
+            }
+        }
+    }
+}

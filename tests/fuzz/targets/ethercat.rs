@@ -1,0 +1,301 @@
+//! A line whose frames come back as they like.
+//!
+//! The rig does what the loop does: it prepares, sends, takes in, judges. Behind the carrier is a simulated line of two drives; the
+//! bytes choose orders, and what becomes of the frames: lost, late, twice, cut off, with other bytes here and there, circulated, or
+//! somebody else's. What has to hold stands in the checks behind each step; they know the frames, and nothing of how the bus keeps
+//! its books: a drive has answered only if a frame came that is the one that was sent, and its own part of it says what is told of it.
+
+use std::collections::VecDeque;
+use std::io;
+use std::net::SocketAddrV4;
+use std::os::fd::RawFd;
+use std::sync::{Arc, Mutex, MutexGuard};
+
+use fieldbeat::axis::{Link, Verb};
+use fieldbeat::bus::ethercat::object::Family;
+use fieldbeat::bus::ethercat::sim::EthercatSim;
+use fieldbeat::bus::ethercat::wire::frame::{Command, Returned, datagrams, returned};
+use fieldbeat::bus::ethercat::{EthercatPlan, KollmorgenDrive};
+use fieldbeat::bus::{Bus, BusPlan, Cycle, Exchange, Order, Slot};
+use fieldbeat::net::frames::{MAC, Unsent};
+use fieldbeat::net::{Carriers, Datagrams, Frames, UdpOptions};
+use fieldbeat::rt::Regions;
+use fieldbeat::sim::SimLine;
+use fieldbeat::time::{MS, Time, US};
+
+use super::input::Input;
+use super::verbs::verb;
+
+const PERIOD_NS: u64 = MS;
+const DRIVES: usize = 2;
+/// Outputs of a drive, and AL status and inputs: 1702h, 1B03h.
+const OUTPUTS: usize = 6;
+const INPUTS: usize = 2 + 8;
+/// Increments of one turn.
+const INCREMENTS: f64 = (1_u64 << 20) as f64;
+/// In so many cycles an undisturbed line is up.
+const UP: u32 = 2_000;
+
+pub fn ethercat(data: &[u8]) {
+    let mut input = Input(data);
+    let mut rig = Rig::new();
+    // Half of the programs disturb the bring-up.
+    if input.flag() {
+        rig.bring_up();
+    }
+    while !input.is_over() {
+        rig.step(&mut input);
+    }
+}
+
+/// The cable, and the line behind it.
+struct Cable {
+    line: EthercatSim,
+    now: Time,
+    /// What was sent last, and what came back of it and of those before.
+    sent: Vec<u8>,
+    before: VecDeque<Vec<u8>>,
+    /// On the way to the master.
+    inbox: VecDeque<Vec<u8>>,
+    /// What the master has taken in since this was last looked at.
+    taken: Vec<Vec<u8>>,
+    /// It takes nothing.
+    down: bool,
+}
+
+#[derive(Clone)]
+struct Shared(Arc<Mutex<Cable>>);
+
+impl Shared {
+    fn get(&self) -> MutexGuard<'_, Cable> {
+        self.0.lock().unwrap()
+    }
+}
+
+impl Carriers for Shared {
+    fn datagrams(&self, _: SocketAddrV4, _: &UdpOptions) -> io::Result<Box<dyn Datagrams>> {
+        Err(io::ErrorKind::Unsupported.into())
+    }
+
+    fn frames(&self, _: &str, _: u16) -> io::Result<Box<dyn Frames>> {
+        Ok(Box::new(self.clone()))
+    }
+}
+
+impl Frames for Shared {
+    fn fd(&self) -> Option<RawFd> {
+        None
+    }
+
+    fn send(&mut self, frame: &[u8]) -> Result<Time, Unsent> {
+        let mut cable = self.get();
+        if cable.down {
+            return Err(Unsent::Down);
+        }
+        let (now, mut back) = (cable.now, frame.to_vec());
+        cable.sent = frame.to_vec();
+        cable.line.pass(now, &mut back);
+        cable.before.push_front(back);
+        cable.before.truncate(4);
+        Ok(now)
+    }
+
+    fn receive(&mut self, room: &mut [u8]) -> Option<(Time, usize)> {
+        let mut cable = self.get();
+        let frame = cable.inbox.pop_front()?;
+        let length = frame.len().min(room.len());
+        room[..length].copy_from_slice(&frame[..length]);
+        let told = frame.len();
+        cable.taken.push(frame);
+        Some((cable.now, told))
+    }
+
+    fn now(&mut self) -> Time {
+        self.get().now
+    }
+
+    fn mac(&self) -> [u8; 6] {
+        MAC
+    }
+
+    fn memory(&self, _: &mut Regions) {}
+}
+
+struct Rig {
+    bus: Box<dyn Bus>,
+    cable: Shared,
+    slots: [Slot; DRIVES],
+    cycle: Cycle,
+}
+
+impl Rig {
+    fn new() -> Rig {
+        let drive = |place: u16| KollmorgenDrive::new(format!("d{place}"), place, Family::S700);
+        let plan = EthercatPlan::new("local:fuzz", (0..DRIVES as u16).map(drive).collect());
+        let cable = Shared(Arc::new(Mutex::new(Cable {
+            line: EthercatSim::new(&plan),
+            now: Time(0),
+            sent: Vec::new(),
+            before: VecDeque::new(),
+            inbox: VecDeque::new(),
+            taken: Vec::new(),
+            down: false,
+        })));
+        let slot = || Slot { due: true, link: Link::Online, ..Slot::default() };
+        let grid = Time(1_000 * PERIOD_NS);
+        Rig {
+            bus: BusPlan::open(&plan, PERIOD_NS, &cable).expect("there is a cable"),
+            cable,
+            slots: std::array::from_fn(|_| slot()),
+            cycle: Cycle { index: 0, grid, period_ns: PERIOD_NS, deadline: grid + PERIOD_NS / 2 },
+        }
+    }
+
+    fn bring_up(&mut self) {
+        for _ in 0..UP {
+            self.turn(|cable| {
+                let back = cable.before.front().cloned();
+                cable.inbox.extend(back);
+            });
+        }
+        assert!(self.slots.iter().all(|slot| slot.counters.answered > 0), "{:?}", self.slots);
+    }
+
+    /// One order or none, and one cycle.
+    fn step(&mut self, input: &mut Input<'_>) {
+        match input.below(8) {
+            0 => {
+                let slot = &mut self.slots[input.below(DRIVES)];
+                slot.order = Order { serial: slot.order.serial + 1, verb: Some(verb(input)) };
+            }
+            1 => self.slots[input.below(DRIVES)].velocity = input.number(),
+            2 => {
+                let slot = &mut self.slots[0];
+                slot.order = Order { serial: slot.order.serial + 1, verb: Some(Verb::Enable) };
+            }
+            3 => self.slots[input.below(DRIVES)].link = input.of(&[Link::Online, Link::Lost]),
+            4 => self.cable.get().down = input.below(4) == 0,
+            5 => {
+                let place = input.below(DRIVES + 1);
+                self.cable.get().line.cut((place < DRIVES).then_some(place));
+            }
+            _ => {}
+        }
+        self.turn(|cable| (0..input.below(4)).for_each(|_| deliver(cable, input)));
+        self.cable.get().inbox.truncate(8);
+    }
+
+    fn turn(&mut self, deliver: impl FnOnce(&mut Cable)) {
+        self.cycle.index += 1;
+        self.cycle.grid = self.cycle.grid + PERIOD_NS;
+        self.cycle.deadline = self.cycle.grid + PERIOD_NS / 2;
+        self.bus.prepare(&self.cycle, &mut self.slots);
+        self.at(5 * US);
+        let before = self.slots.clone();
+        self.bus.send(&self.cycle, &mut self.slots);
+        for (slot, before) in self.slots.iter().zip(&before) {
+            // What comes too late says nothing of the drive.
+            assert_eq!(slot.report.at, before.report.at);
+            assert!(!matches!(slot.exchange, Exchange::Answered { .. }));
+            let counted = slot.counters.sent + slot.counters.unsent;
+            assert_eq!(counted, before.counters.sent + before.counters.unsent + 1);
+        }
+        deliver(&mut self.cable.get());
+        self.cable.get().taken.clear();
+        self.at(100 * US);
+        self.bus.receive(&self.cycle, &mut self.slots);
+        self.check();
+        for slot in &mut self.slots {
+            slot.counters.missed +=
+                u64::from(matches!(slot.exchange, Exchange::Owed { .. } | Exchange::Absent));
+            slot.exchange = Exchange::Idle;
+            let counters = slot.counters;
+            assert_eq!(counters.sent, counters.answered + counters.missed, "{counters:?}");
+        }
+    }
+
+    fn at(&mut self, ns: u64) {
+        self.cable.get().now = self.cycle.grid + ns;
+    }
+
+    /// Who has answered is in a frame that is the one that was sent; and what it is told to have said, it has said there.
+    fn check(&self) {
+        let cable = self.cable.get();
+        for (index, slot) in self.slots.iter().enumerate() {
+            if !matches!(slot.exchange, Exchange::Answered { .. }) {
+                continue;
+            }
+            let said = cable.taken.iter().find_map(|frame| said(&cable.sent, frame, index));
+            let (al, position) = said.unwrap_or_else(|| panic!("drive {index} has not answered: {slot:?}"));
+            assert_ne!(al & 0x0F, 0, "drive {index} took no part");
+            if slot.report.position.is_finite() {
+                let told = (slot.report.position * INCREMENTS).round() as i64 as u32;
+                assert_eq!(told, position, "that is another drive's, or another frame's: drive {index}");
+            }
+        }
+    }
+}
+
+/// The AL status of drive `index` and its position in a frame that is the reply to `sent`; `None`: it is none.
+fn said(sent: &[u8], frame: &[u8], index: usize) -> Option<(u16, u32)> {
+    let (mut found, mut states) = (None, false);
+    for datagram in datagrams(sent).ok()?.map_while(Result::ok) {
+        let command = datagram.command()?;
+        let stays = !states && !matches!(command, Command::Brd(_));
+        states |= matches!(command, Command::Brd(_));
+        let Returned::Counted(_) = returned(sent, frame, datagram.place, stays) else { return None };
+        if matches!(command, Command::Lrw(_)) {
+            let at = datagram.place.data().start + DRIVES * OUTPUTS + index * INPUTS;
+            let bytes = frame.get(at..at + INPUTS)?;
+            let position = u32::from_le_bytes([bytes[2], bytes[3], bytes[4], bytes[5]]);
+            found = Some((u16::from_le_bytes([bytes[0], bytes[1]]), position));
+        }
+    }
+    found
+}
+
+/// Something comes to the master: a reply, with this or that done to it, or anything.
+fn deliver(cable: &mut Cable, input: &mut Input<'_>) {
+    let age = if input.below(4) == 0 { input.below(4) } else { 0 };
+    let Some(mut frame) = cable.before.get(age).cloned() else { return };
+    match input.below(8) {
+        0 => frame.truncate(input.below(256)),
+        1 => {
+            let bytes = input.below(32);
+            frame = input.bytes(bytes).to_vec();
+        }
+        2 => {
+            // Any bytes behind a header that is ours.
+            frame.truncate(17);
+            let count = 8 * input.below(12);
+            frame.extend_from_slice(input.bytes(count));
+        }
+        3 => frame.extend_from_slice(input.bytes(3)),
+        4 | 5 => {
+            for _ in 0..input.below(8) {
+                let (at, change) = (usize::from(input.word()) % frame.len().max(1), input.byte());
+                if let Some(byte) = frame.get_mut(at) {
+                    *byte ^= change;
+                }
+            }
+        }
+        6 => {
+            // Other data in one of its datagrams, which is as it should be.
+            let number = input.below(8);
+            let places: Vec<_> = datagrams(&frame)
+                .into_iter()
+                .flatten()
+                .map_while(Result::ok)
+                .map(|datagram| datagram.place)
+                .collect();
+            if let Some(place) = places.get(number) {
+                let bytes = input.bytes(place.length.min(24));
+                frame[place.data()][..bytes.len()].copy_from_slice(bytes);
+                let counter = place.data().end;
+                frame[counter] ^= input.of(&[0, 0, 0, 1, 2, 3]);
+            }
+        }
+        _ => {}
+    }
+    cable.inbox.push_back(frame);
+}
