@@ -1,0 +1,201 @@
+//! Registers, memory, FMMUs and what they set off.
+
+use super::*;
+
+fn chip(change: impl FnOnce(&mut Settings)) -> Chip {
+    let mut settings = Settings { features: Features(0x01CC), ..Settings::default() };
+    change(&mut settings);
+    let mut chip = Chip::new(&settings, Vec::new());
+    chip.show_state(AlState::SafeOp, false, AlCode::NONE);
+    chip
+}
+
+fn map(chip: &mut Chip, n: u16, fmmu: Fmmu) {
+    assert!(chip.write(address::fmmu(n), &fmmu.to_bytes()));
+}
+
+#[test]
+fn bytes_are_mapped_where_both_overlap() {
+    let mut chip = chip(|_| {});
+    map(&mut chip, 0, Fmmu::bytes(0x1_0000, 4, 0x1100, true));
+    map(&mut chip, 1, Fmmu::bytes(0x1_0004, 4, 0x1200, false));
+    assert!(chip.write_logical(0xFFFE, &[1, 2, 3, 4, 5]));
+    assert_eq!(chip.bytes(0x10FF_u16), [0, 3, 4, 5, 0, 0]);
+    assert!(chip.write(0x1200, &[6, 7, 8, 9]));
+    let mut data = [0xEE; 4];
+    assert!(chip.read_logical(0x1_0006, &mut data));
+    assert_eq!(data, [8, 9, 0xEE, 0xEE]);
+    assert!(!chip.read_logical(0x1_0000, &mut data[..4]), "outputs are not read");
+    assert!(!chip.write_logical(0x1_0004, &data));
+}
+
+#[test]
+fn bits_are_mapped_across_bytes_and_leave_their_neighbours() {
+    let mut chip = chip(|_| {});
+    // Ten bits from bit 6 on, to the memory from bit 3 on.
+    let crooked =
+        |output| Fmmu { bits: (6, 7), physical: (0x1100, 3), ..Fmmu::bytes(0x40, 2, 0x1100, output) };
+    map(&mut chip, 0, crooked(true));
+    assert!(chip.write(0x1100, &[0xFF, 0xFF]));
+    assert!(chip.write_logical(0x40, &[0x40, 0x00]));
+    assert_eq!(
+        chip.bytes(0x1100_u16),
+        [0b0000_1111, 0b1110_0000],
+        "ten bits from bit 3 on, the first one set"
+    );
+    assert!(chip.write(0x1100, &[0b0101_0000, 0b0000_0001]));
+    map(&mut chip, 0, crooked(false));
+    let mut data = [0b0011_1111, 0xFF];
+    assert!(chip.read_logical(0x40, &mut data));
+    assert_eq!(data, [0b1011_1111, 0b0000_1010]);
+}
+
+#[test]
+fn a_single_bit_shows_that_the_mailbox_is_full() {
+    let mut chip = chip(|_| {});
+    let mailbox = SyncManager { start: 0x1C00, length: 16, control: SyncManager::MAILBOX_IN, activate: 1 };
+    assert!(chip.write(address::sync_manager(1), &mailbox.to_bytes()));
+    map(&mut chip, 2, Fmmu::bit(0x0900_0000, 0x080D, 0));
+    let mut flag = [0xF0];
+    assert!(chip.read_logical(0x0900_0000, &mut flag));
+    assert_eq!(flag, [0xF0]);
+    chip.put_message(&[1; 16]);
+    assert!(chip.read_logical(0x0900_0000, &mut flag));
+    assert_eq!(flag, [0xF1]);
+}
+
+#[test]
+fn the_state_stands_in_the_image_by_a_spare_fmmu_and_counts_in_every_state() {
+    for state in [AlState::Init, AlState::PreOp, AlState::SafeOp, AlState::Op] {
+        let mut chip = chip(|_| {});
+        chip.show_state(state, state == AlState::SafeOp, AlCode::NONE);
+        map(&mut chip, 2, Fmmu::bytes(0x2_0010, 2, address::AL_STATUS, false));
+        let mut data = [0xEE; 6];
+        assert!(chip.read_logical(0x2_000E, &mut data));
+        let error = if state == AlState::SafeOp { 0x10 } else { 0 };
+        assert_eq!(data, [0xEE, 0xEE, state.number() | error, 0, 0xEE, 0xEE]);
+    }
+}
+
+#[test]
+fn a_device_id_stands_in_the_al_status_in_place_of_no_error() {
+    let mut chip = chip(|settings| settings.device_id = Some(0x1234));
+    assert_eq!(chip.bytes(address::AL_STATUS), [0x24, 0, 0, 0, 0x34, 0x12]);
+    chip.show_state(AlState::SafeOp, true, AlCode::WATCHDOG);
+    assert_eq!(chip.bytes(address::AL_STATUS), [0x14, 0, 0, 0, 0x1B, 0]);
+}
+
+#[test]
+fn a_pulse_that_runs_has_no_other_start_and_no_other_cycle() {
+    let mut chip = chip(|_| {});
+    chip.advance(Time(0));
+    let set = |chip: &mut Chip, start: u32, cycle: u32| {
+        assert!(chip.write(address::DC_START, &u64::from(start).to_le_bytes()));
+        assert!(chip.write(address::DC_CYCLE, &cycle.to_le_bytes()));
+    };
+    set(&mut chip, 1_000, 500);
+    assert!(chip.write(address::DC_CONTROL, &[0, 3]));
+    set(&mut chip, 5_000, 700);
+    assert!(chip.write(address::DC_CONTROL, &[0, 3]), "nor does it begin again");
+    chip.advance(Time(1_600));
+    let taken: Vec<u64> = std::iter::from_fn(|| chip.clock().take_sync()).collect();
+    assert_eq!(taken, [600, 100]);
+    assert!(chip.write(address::DC_ACTIVATION, &[0]));
+    set(&mut chip, 5_000, 700);
+    assert!(chip.write(address::DC_ACTIVATION, &[3]));
+    assert_eq!(chip.clock().next_sync(), Some(5_000));
+}
+
+#[test]
+fn an_fmmu_at_the_end_of_both_spaces_maps_what_there_is() {
+    let mut chip = chip(|settings| settings.ram_kib = 60);
+    map(&mut chip, 0, Fmmu::bytes(u32::MAX - 1, 0xFFFF, 0xFFFE, true));
+    assert!(chip.write_logical(u32::MAX - 1, &[1, 2, 3, 4]));
+    assert_eq!(chip.bytes(0xFFFE_u16), [1, 2]);
+    map(&mut chip, 0, Fmmu { bits: (7, 0), length: 1, ..Fmmu::bytes(0, 1, 0x1000, true) });
+    assert!(!chip.write_logical(0, &[0xFF]), "it ends before it begins");
+}
+
+#[test]
+fn registers_that_are_not_there_are_neither_read_nor_written() {
+    let mut chip = chip(|settings| {
+        settings.features = Features(0x0180);
+        (settings.receive_times, settings.fmmus, settings.sync_managers, settings.ram_kib) = (true, 2, 2, 1);
+    });
+    for (at, there) in [
+        (address::TYPE, true),
+        (address::fmmu(1), true),
+        (address::fmmu(2), false),
+        (address::sync_manager(2), false),
+        (address::DC_PORTS, true),
+        (address::DC_TIME, false),
+        (0x13FF, true),
+        (0x1400, false),
+        (0xFFFF, false),
+    ] {
+        assert_eq!(chip.read(at, &mut [0; 1], false), there, "{at:#06x}");
+    }
+    assert!(!chip.write(address::TYPE, &[0; 16]), "what it is cannot be written");
+    assert!(!chip.write(address::AL_STATUS, &[8]));
+    assert!(chip.write(0x13FE, &[1, 2, 3, 4]), "as far as there is any");
+}
+
+#[test]
+fn resources_and_links_stand_as_a_master_reads_them() {
+    let mut chip = chip(|_| {});
+    assert_eq!(chip.bytes(address::TYPE), [4, 2, 0, 0, 8, 8, 8, 0x0F, 0xCC, 0x01]);
+    chip.link([true, true]);
+    assert_eq!(chip.word(address::LINKS), 0b0101_1010_0011_0000);
+    chip.link([true, false]);
+    assert_eq!(chip.word(address::LINKS), 0b0101_0110_0001_0000);
+}
+
+#[test]
+fn a_changed_link_is_told_with_each_datagram_until_it_was_read() {
+    let mut chip = chip(|_| {});
+    chip.link([true, false]);
+    assert_eq!(chip.interrupts(), 0, "masked");
+    assert!(chip.write(address::EVENT_MASK, &[4, 0]));
+    assert_eq!(chip.interrupts(), 4);
+    assert!(chip.read(address::LINKS, &mut [0; 2], false));
+    assert_eq!(chip.interrupts(), 0);
+    chip.link([true, false]);
+    assert_eq!(chip.interrupts(), 0, "nothing has changed");
+}
+
+#[test]
+fn ports_are_latched_together_and_one_where_the_frame_turns_is_not() {
+    let mut chip = chip(|settings| settings.clock_ns = (1 << 32) + 500);
+    chip.advance(Time(1_000));
+    chip.begin(Passage { at: Time(1_000), back_at: Some(Time(1_300)) });
+    assert!(chip.write(address::DC_PORTS, &[0; 4]));
+    assert_eq!(chip.bytes(address::DC_PORTS), [0xF4, 1, 0, 0, 0x20, 3, 0, 0]);
+    assert_eq!(chip.quad(address::DC_RECEIVED), (1 << 32) + 500);
+    chip.begin(Passage { at: Time(1_000), back_at: None });
+    assert!(chip.write(address::DC_PORTS, &[0]));
+    assert_eq!(chip.bytes(address::DC_PORTS), [0xF4, 1, 0, 0, 0, 0, 0, 0]);
+}
+
+#[test]
+fn the_watchdog_runs_from_the_last_output_and_can_be_switched_off() {
+    let mut chip = chip(|_| {});
+    let outputs = SyncManager {
+        start: 0x1100,
+        length: 2,
+        control: SyncManager::OUTPUTS | SyncManager::WATCHDOG,
+        activate: 1,
+    };
+    assert!(chip.write(address::sync_manager(2), &outputs.to_bytes()));
+    chip.begin(Passage { at: Time(5), back_at: None });
+    assert!(chip.write(0x1100, &[1, 2]) && chip.takes_outputs() && !chip.takes_outputs());
+    assert!(chip.outputs().eq(&[1, 2]));
+    // 1 000 ticks of 100 us.
+    assert!(!chip.watchdog_expired(Time(100_000_004)));
+    assert!(chip.watchdog_expired(Time(100_000_005)) && chip.watchdog_expired(Time(200_000_000)));
+    chip.begin(Passage::default());
+    assert_eq!(chip.bytes(address::WATCHDOG_STATUS), [0, 0, 1]);
+    assert!(chip.write(address::WATCHDOG, &[0, 0]));
+    assert!(!chip.watchdog_expired(Time(300_000_000)));
+    assert!(chip.write(WATCHDOG_COUNTER as u16, &[7]));
+    assert_eq!(chip.bytes(address::WATCHDOG_STATUS), [1, 0, 0]);
+}

@@ -1,0 +1,459 @@
+//! The firmware of a drive behind its slave controller: states of the bus, process data, CiA 402, modes, faults.
+//!
+//! Knows no register, no frame and no working counter: the slave controller asks it whether a state may be entered, hands it what was
+//! written to its mailbox, and calls it at each cyclic interrupt. The drive has no clock: whenever it is spoken to it lives through the
+//! time since then.
+//!
+//! Assumed, because the manuals are silent: units of ramps, what becomes of the power stage when OP is left, which faults are stopped
+//! before power goes, F28 at once when OP is asked for too early, and the defaults of the settings.
+//!
+//! | file | what |
+//! |---|---|
+//! | `drive` | its states on the bus, and its life from one instant to the next |
+//! | `process` | process data |
+//! | `power` | the power stage and its faults |
+//! | `motion` | what its modes make of setpoints |
+//! | `shown` | status words and actual values |
+//! | `sdo` | SDOs |
+
+mod motion;
+mod power;
+mod process;
+mod sdo;
+mod shown;
+#[cfg(test)]
+mod tests;
+
+use std::f64::consts::TAU;
+
+use self::motion::Track;
+use super::mailbox::Mailbox;
+use super::mapping::Mapping;
+use super::motor::{Aim, Motor, RPM};
+use super::objects::Objects;
+use super::settings::DriveSettings;
+use super::sync::{QUANTUM_NS, Sync};
+use crate::axis::State;
+use crate::bus::ethercat::cia402::{Cause, Command, ControlWord, Mode, StatusWord, Transition};
+use crate::bus::ethercat::faults::{Clearing, Fault};
+use crate::bus::ethercat::object::pdo::Layout;
+use crate::bus::ethercat::object::{Family, Object};
+use crate::bus::ethercat::wire::mailbox::Emergency;
+use crate::bus::ethercat::wire::registers::{AlCode, AlState};
+use crate::time::{MS, S, Time, US};
+
+/// One step of the motor ...
+const STEP_NS: u64 = 500 * US;
+/// ... and the most of them after a silence, whose steps are longer.
+const STEPS: u64 = 4_000;
+/// The most counts of 250 us of a cycle: PTBASE (EtherCAT manual).
+const QUANTA_MAX: u64 = 127;
+/// Within this of its setpoint a speed is reached, rad/s, and a place, rad (assumed).
+const REACHED: (f64, f64) = (5.0 * RPM, TAU / 1e3);
+/// rpm of one count of 2070h:2 (CAN manual).
+const INCREMENTAL_RPM: f64 = 1_875.0 / 262_144.0;
+/// Where a drive goes that comes up running, turns.
+const FAR_TURNS: f64 = 1_000.0;
+
+const ERROR_REGISTER: Object = Object::new(0x1001, 0);
+const MANUFACTURER_STATUS: Object = Object::new(0x1002, 0);
+const ERROR_COUNT: Object = Object::new(0x1003, 0);
+const LAST_ERROR: Object = Object::new(0x1003, 1);
+const OUTPUT_CYCLE: Object = Object::new(0x1C32, 2);
+const INPUT_CYCLE: Object = Object::new(0x1C33, 2);
+const OUTPUT_PDO: u16 = 0x1C12;
+const INPUT_PDO: u16 = 0x1C13;
+const POSITION_2: Object = Object::new(0x2050, 0);
+const INCREMENTAL_SPEED: Object = Object::new(0x2070, 2);
+const CYCLE_TIME: Object = Object::new(0x35D5, 1);
+const ERROR_CODE: Object = Object::new(0x603F, 0);
+const CONTROL_WORD: Object = Object::new(0x6040, 0);
+const STATUS_WORD: Object = Object::new(0x6041, 0);
+const MODE: Object = Object::new(0x6060, 0);
+const MODE_DISPLAY: Object = Object::new(0x6061, 0);
+const INCREMENTS: Object = Object::new(0x6063, 0);
+const POSITION: Object = Object::new(0x6064, 0);
+const FOLLOWING_WINDOW: Object = Object::new(0x6065, 0);
+const VELOCITY_SETPOINT: Object = Object::new(0x606B, 0);
+const VELOCITY: Object = Object::new(0x606C, 0);
+const TARGET_TORQUE: Object = Object::new(0x6071, 0);
+const MAXIMUM_TORQUE: Object = Object::new(0x6072, 0);
+const CURRENT_SETPOINT: Object = Object::new(0x6074, 0);
+const TORQUE: Object = Object::new(0x6077, 0);
+const TARGET_POSITION: Object = Object::new(0x607A, 0);
+const HOME_OFFSET: Object = Object::new(0x607C, 0);
+const PROFILE_VELOCITY: Object = Object::new(0x6081, 0);
+const ACCELERATION: Object = Object::new(0x6083, 0);
+const DECELERATION: Object = Object::new(0x6084, 0);
+const FEED: Object = Object::new(0x6092, 1);
+const FEED_TURNS: Object = Object::new(0x6092, 2);
+const FACTOR: Object = Object::new(0x6093, 1);
+const DIVISOR: Object = Object::new(0x6093, 2);
+const HOMING_METHOD: Object = Object::new(0x6098, 0);
+const HOMING_SPEED: Object = Object::new(0x6099, 1);
+const HOMING_ACCELERATION: Object = Object::new(0x609A, 0);
+const INTERPOLATION: Object = Object::new(0x60C1, 1);
+const CYCLE_UNITS: Object = Object::new(0x60C2, 1);
+const CYCLE_POWER: Object = Object::new(0x60C2, 2);
+const FOLLOWING_ERROR: Object = Object::new(0x60F4, 0);
+const TARGET_VELOCITY: Object = Object::new(0x60FF, 0);
+
+/// Method 35: where it is, is home (CiA 402).
+const HOME_HERE: i64 = 35;
+
+/// How far homing is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Homing {
+    Idle,
+    Moving,
+    Done,
+    Failed,
+}
+
+/// One simulated drive.
+#[derive(Debug)]
+pub struct Drive {
+    settings: DriveSettings,
+    objects: Objects,
+    mapping: Mapping,
+    mailbox: Mailbox,
+    /// When it last sent what nobody asked for.
+    disturbed: Time,
+    sync: Sync,
+    motor: Motor,
+    al: AlState,
+    /// Why it left OP by itself.
+    dropped: Option<AlCode>,
+    state: State,
+    fault: Option<Fault>,
+    /// The one that was last obeyed, since OP.
+    control: Option<ControlWord>,
+    inhibited_until: Time,
+    lived: Option<Time>,
+    /// `None`: the objects say none that there is.
+    cycle_ns: Option<u64>,
+    track: Track,
+    /// Where profile position and homing go.
+    goal: Option<Aim>,
+    /// Those of the outputs of a cycle, while they are looked at.
+    values: Vec<(Object, i64)>,
+    acknowledged: bool,
+    homing: Homing,
+    homed: bool,
+    /// Where position 0 is, rad.
+    zero: f64,
+}
+
+impl Drive {
+    /// Switched on, in INIT.
+    pub fn new(settings: DriveSettings) -> Drive {
+        let mut drive = Drive {
+            objects: Objects::new(&settings),
+            mapping: Mapping::new(),
+            mailbox: Mailbox::new(settings.dialect, settings.long_sdos.map(usize::from)),
+            disturbed: Time::default(),
+            sync: Sync::new(settings.interrupts_to_sync),
+            motor: Motor::new(&settings.motor),
+            al: AlState::Init,
+            dropped: None,
+            state: State::SwitchOnDisabled,
+            fault: None,
+            control: None,
+            inhibited_until: Time(0),
+            lived: None,
+            cycle_ns: None,
+            track: Track::hold(0.0),
+            goal: None,
+            values: Vec::new(),
+            acknowledged: false,
+            homing: Homing::Idle,
+            homed: false,
+            zero: -f64::from(settings.position) / f64::from(settings.increments()) * TAU,
+            settings,
+        };
+        drive.set_up();
+        if let Some(rpm) = drive.settings.running_rpm {
+            drive.run(rpm);
+        }
+        drive
+    }
+
+    /// In operation, as another master has left it: at a velocity, or on a profile position that is far off.
+    fn run(&mut self, rpm: f64) {
+        let outputs = self.selected(OUTPUT_PDO);
+        let has = |object| outputs.is_some_and(|outputs| outputs.place(object).is_some());
+        let count = (rpm / self.settings.rpm_per_count).round() as i64;
+        let (mode, setpoint) = match () {
+            () if has(VELOCITY_SETPOINT) => (Mode::DIGITAL_VELOCITY, VELOCITY_SETPOINT),
+            () if has(TARGET_VELOCITY) => (Mode::PROFILE_VELOCITY, TARGET_VELOCITY),
+            () => (Mode::PROFILE_POSITION, PROFILE_VELOCITY),
+        };
+        self.objects.set(MODE, mode.0.into());
+        self.objects.set(setpoint, count);
+        let word = Command::EnableOperation.word();
+        self.objects.set(CONTROL_WORD, word.0.into());
+        self.sync.start(self.cycle_ns);
+        (self.al, self.state, self.control) = (AlState::Op, State::OperationEnabled, Some(word));
+        if mode == Mode::PROFILE_POSITION {
+            let (up, down) = (self.ramp(ACCELERATION), self.ramp(DECELERATION));
+            let place = FAR_TURNS * TAU * rpm.signum();
+            self.goal = Some(Aim::GoTo { place, speed: rpm.abs() * RPM, up, down });
+        }
+        self.refresh();
+    }
+
+    /// The cycle of the bus as it is set; `None`: the objects say none that there is.
+    pub(super) fn cycle_ns(&self) -> Option<u64> {
+        self.cycle_ns
+    }
+
+    /// Power came back: everything volatile is lost, the motor goes on turning as it did.
+    pub fn restart(&mut self, now: Time) {
+        self.live(now);
+        self.objects = Objects::new(&self.settings);
+        self.mapping = Mapping::new();
+        self.mailbox.reset();
+        self.sync.start(None);
+        (self.al, self.dropped, self.state) = (AlState::Init, None, State::SwitchOnDisabled);
+        (self.fault, self.control, self.homed) = (None, None, false);
+        self.set_up();
+    }
+
+    fn set_up(&mut self) {
+        self.cycle_ns = self.interpolation_ns();
+        self.limit_torque();
+        self.hold();
+        self.refresh();
+    }
+
+    /// The state of the bus that it is in.
+    pub fn al_state(&self) -> AlState {
+        self.al
+    }
+
+    /// The state of its power stage.
+    pub fn axis_state(&self) -> State {
+        self.state
+    }
+
+    /// The fault that stands.
+    pub fn fault(&self) -> Option<Fault> {
+        self.fault
+    }
+
+    /// It follows the cycle of the bus: warning n17 is gone.
+    pub fn is_synchronous(&self) -> bool {
+        self.sync.is_synchronous()
+    }
+
+    /// It has its reference.
+    pub fn is_homed(&self) -> bool {
+        self.homed
+    }
+
+    /// Speed of the motor, rpm.
+    pub fn rpm(&self) -> f64 {
+        self.motor.speed() / RPM
+    }
+
+    /// Actual position as it shows it, before it is cut to 32 bits.
+    pub fn position(&self) -> i64 {
+        counts(self.motor.place() - self.zero, self.per_turn())
+    }
+
+    /// Why it left OP by itself since this was last asked: it is in SAFEOP now.
+    pub fn dropped(&mut self) -> Option<AlCode> {
+        self.dropped.take()
+    }
+
+    /// A fault happens.
+    pub fn provoke(&mut self, fault: Fault) {
+        self.fail(fault);
+    }
+
+    /// Opens the hardware enable (STO) until then.
+    pub fn inhibit(&mut self, until: Time) {
+        self.inhibited_until = until;
+    }
+
+    /// Enters a state of the bus if it may, or says why not. A transition that is no error but has to wait does not exist: the drive
+    /// is synchronous, or it refuses.
+    pub fn may_enter(&mut self, now: Time, state: AlState) -> Result<(), AlCode> {
+        use AlState::{Boot, Init, Op, PreOp, SafeOp};
+        self.live(now);
+        match (self.al, state) {
+            (from, to) if from == to => return Ok(()),
+            (_, Init) | (Init | SafeOp | Op, PreOp) | (Op, SafeOp) => {}
+            // A hardware reset.
+            (Init, Boot) => self.restart(now),
+            (PreOp, SafeOp) if self.sizes().0 == 0 || self.sizes().1 == 0 => {
+                return Err(AlCode::SYNC_MANAGER);
+            }
+            (PreOp, SafeOp) => {}
+            (SafeOp, Op) if !self.sync.is_synchronous() => {
+                self.fail(Fault::SYNCHRONISATION);
+                return Err(AlCode::SYNCHRONISATION);
+            }
+            (SafeOp, Op) => {}
+            _ => return Err(AlCode::INVALID_REQUEST),
+        }
+        self.enter(state);
+        Ok(())
+    }
+
+    fn enter(&mut self, state: AlState) {
+        let left = std::mem::replace(&mut self.al, state);
+        if left == AlState::Op {
+            self.lock_setpoints();
+        }
+        match state {
+            AlState::Init | AlState::Boot => {
+                self.sync.start(None);
+                self.mailbox.reset();
+            }
+            AlState::PreOp => self.sync.start(None),
+            AlState::SafeOp if left == AlState::PreOp => {
+                // Deletes what is not fatal by itself (EtherCAT manual).
+                self.clear_fault();
+                self.sync.start(self.cycle_ns);
+            }
+            AlState::SafeOp => {}
+            AlState::Op => self.control = None,
+        }
+    }
+
+    /// What the master wrote to the mailbox; true with the next message for it in `reply`, which may be an emergency in place of the
+    /// answer: the answer is then left for [`message`](Self::message).
+    pub fn mailbox(&mut self, request: &[u8], reply: &mut Vec<u8>) -> bool {
+        if matches!(self.al, AlState::Init | AlState::Boot) {
+            return false;
+        }
+        if let Some(request) = self.mailbox.take(request) {
+            let answer = self.obey_sdo(&request);
+            self.mailbox.answer(&request, answer);
+        }
+        self.message(reply)
+    }
+
+    /// The next message for the master, whenever its mailbox is empty; false if there is none.
+    pub fn message(&mut self, reply: &mut Vec<u8>) -> bool {
+        reply.clear();
+        let now = self.lived.unwrap_or_default();
+        let is_due = |pause: u64| now.since(self.disturbed) >= pause;
+        if self.mailbox.is_empty() && self.al != AlState::Init && self.settings.unasked_ns.is_some_and(is_due)
+        {
+            self.disturbed = now;
+            self.mailbox.disturb();
+        }
+        let message = self.mailbox.next();
+        reply.extend(message.iter().flatten());
+        message.is_some()
+    }
+
+    /// A cyclic interrupt: outputs count in OP, inputs are written in SAFEOP and OP. Of areas that are shorter than the PDOs nothing
+    /// is looked at.
+    pub fn process(&mut self, now: Time, outputs: &[u8], inputs: &mut [u8]) {
+        self.live(now);
+        if !self.is_cyclic() {
+            return;
+        }
+        if self.sync.interrupt(now) {
+            self.lose_sync();
+        }
+        if self.al == AlState::Op {
+            self.take(now, outputs);
+        }
+        self.refresh();
+        self.give(inputs);
+    }
+
+    /// Lives up to `now`. Without cyclic interrupts it is to be called now and then: only so the drive notices that they are missing.
+    pub fn live(&mut self, now: Time) {
+        let mut at = *self.lived.get_or_insert(now);
+        let longest = (now.since(at) / STEPS).max(STEP_NS);
+        while at < now {
+            let dt_ns = now.since(at).min(longest);
+            at = at + dt_ns;
+            self.step(at, dt_ns);
+        }
+        self.lived = Some(at);
+    }
+
+    fn step(&mut self, at: Time, dt_ns: u64) {
+        if self.sync.pass(at) {
+            self.lose_sync();
+        }
+        if !self.is_enabled(at) {
+            self.state = match self.state {
+                State::FaultReactionActive => State::Fault,
+                State::SwitchedOn | State::OperationEnabled | State::QuickStopActive => {
+                    State::SwitchOnDisabled
+                }
+                state => state,
+            };
+        }
+        let aim = self.aim(at);
+        self.motor.step(aim, dt_ns);
+        self.watch(aim);
+        if self.motor.is_standing() {
+            self.state = match self.state {
+                State::QuickStopActive => State::SwitchOnDisabled,
+                State::FaultReactionActive => State::Fault,
+                state => state,
+            };
+        }
+    }
+
+    /// In SAFEOP or OP.
+    fn is_cyclic(&self) -> bool {
+        matches!(self.al, AlState::SafeOp | AlState::Op)
+    }
+
+    fn has_mode(&self, mode: Mode) -> bool {
+        match self.settings.family {
+            Family::S700 => mode.is_of_s700(),
+            Family::Akd => matches!(mode.0, 1 | 3 | 4 | 6 | 7 | 8),
+        }
+    }
+
+    /// The mode of operation that it is in.
+    pub fn mode(&self) -> Mode {
+        Mode(self.objects.get(MODE) as i8)
+    }
+
+    /// The cycle time by 60C2h, if it is a multiple of 250 us that the drive can have.
+    fn interpolation_ns(&self) -> Option<u64> {
+        let units = u64::try_from(self.objects.get(CYCLE_UNITS)).ok()?;
+        let power = u32::try_from(self.objects.get(CYCLE_POWER) + 9).ok()?;
+        let cycle_ns = units.checked_mul(10_u64.checked_pow(power)?)?;
+        let fits = cycle_ns % QUANTUM_NS == 0 && (1..=QUANTA_MAX).contains(&(cycle_ns / QUANTUM_NS));
+        fits.then_some(cycle_ns)
+    }
+
+    fn limit_torque(&mut self) {
+        self.motor.limit_torque(self.torque(self.objects.get(MAXIMUM_TORQUE) as f64));
+    }
+
+    /// N m of per mille.
+    fn torque(&self, permille: f64) -> f64 {
+        permille / 1e3 * self.settings.motor.rated_nm
+    }
+
+    /// User units a turn.
+    fn per_turn(&self) -> f64 {
+        let ratio = |over, under| self.objects.get(over) as f64 / self.objects.get(under).max(1) as f64;
+        ratio(FEED, FEED_TURNS) * ratio(FACTOR, DIVISOR)
+    }
+
+    /// The angle that a position of 32 bits means: the nearest one to where the motor is.
+    fn place_of(&self, position: i64) -> f64 {
+        let now = self.position();
+        let way = (position as i32).wrapping_sub(now as i32);
+        self.zero + now.saturating_add(way.into()) as f64 / self.per_turn() * TAU
+    }
+}
+
+/// The count of an angle.
+fn counts(angle: f64, per_turn: f64) -> i64 {
+    (angle / TAU * per_turn).round() as i64
+}

@@ -1,0 +1,173 @@
+//! What the mode of operation makes of setpoints.
+
+use super::*;
+
+impl Drive {
+    /// What a motion leads to.
+    pub(super) fn watch(&mut self, aim: Aim) {
+        if !matches!(aim, Aim::Follow { .. } | Aim::GoTo { .. }) {
+            return;
+        }
+        let behind = self.motor.demand() - self.motor.place();
+        let window = self.objects.get(FOLLOWING_WINDOW);
+        if window > 0 && behind.abs() / TAU * self.per_turn() > window as f64 {
+            return self.fail(Fault::FOLLOWING);
+        }
+        if self.homing == Homing::Moving && !self.motor.is_moving() && behind.abs() < REACHED.1 {
+            self.found_home();
+        }
+    }
+
+    fn found_home(&mut self) {
+        let offset = self.objects.get(HOME_OFFSET) as f64;
+        self.zero = self.motor.place() - offset / self.per_turn() * TAU;
+        (self.homing, self.homed, self.goal) = (Homing::Done, true, None);
+    }
+
+    /// No setpoint counts that came before: it stands where it is.
+    pub(super) fn hold(&mut self) {
+        self.track = Track::hold(self.motor.place());
+        (self.goal, self.acknowledged, self.homing) = (None, false, Homing::Idle);
+    }
+
+    /// rad/s of a count of an object.
+    pub(super) fn speed(&self, object: Object) -> f64 {
+        self.objects.get(object) as f64 * self.settings.rpm_per_count * RPM
+    }
+
+    /// rad/s^2 of rpm/s of an object.
+    pub(super) fn ramp(&self, object: Object) -> f64 {
+        self.objects.get(object) as f64 * RPM
+    }
+
+    pub(super) fn profile_position(&mut self, word: ControlWord, before: ControlWord) {
+        if word.rises(before, ControlWord::START) {
+            let target = self.objects.get(TARGET_POSITION);
+            let place = match word.has(ControlWord::RELATIVE) {
+                true => self.motor.demand() + target as f64 / self.per_turn() * TAU,
+                false => self.place_of(target),
+            };
+            let (up, down) = (self.ramp(ACCELERATION), self.ramp(DECELERATION));
+            self.goal = Some(Aim::GoTo { place, speed: self.speed(PROFILE_VELOCITY), up, down });
+        }
+        self.acknowledged = word.has(ControlWord::START);
+    }
+
+    pub(super) fn home(&mut self, word: ControlWord, before: ControlWord) {
+        if word.rises(before, ControlWord::START) {
+            self.homed = false;
+            if self.objects.get(HOMING_METHOD) == HOME_HERE {
+                return self.found_home();
+            }
+            let up = self.ramp(HOMING_ACCELERATION);
+            let goal =
+                |turns| Aim::GoTo { place: turns * TAU, speed: self.speed(HOMING_SPEED), up, down: up };
+            self.goal = self.settings.home_turns.map(goal);
+            self.homing = if self.goal.is_some() { Homing::Moving } else { Homing::Failed };
+        } else if self.homing == Homing::Moving && !word.has(ControlWord::START) {
+            (self.homing, self.goal) = (Homing::Idle, None);
+        }
+    }
+
+    /// A position setpoint of a cycle.
+    pub(super) fn follow(&mut self, now: Time) {
+        let object = match self.selected(OUTPUT_PDO).is_some_and(|pdo| pdo.place(TARGET_POSITION).is_some()) {
+            true => TARGET_POSITION,
+            false => INTERPOLATION,
+        };
+        let word = self.control.unwrap_or_default();
+        let wanted = match self.mode() {
+            Mode::TRAJECTORY | Mode::CYCLIC_POSITION => true,
+            Mode::INTERPOLATED => word.has(ControlWord::START),
+            _ => return,
+        };
+        self.track = match wanted && self.state == State::OperationEnabled && !word.has(ControlWord::HALT) {
+            true => Track {
+                from: self.track.at(now).0,
+                to: self.place_of(self.objects.get(object)),
+                since: now,
+                over_ns: self.sync.cycle_ns().unwrap_or(MS),
+            },
+            false => Track::hold(self.motor.place()),
+        };
+    }
+
+    /// What the motor is to do.
+    pub(super) fn aim(&self, at: Time) -> Aim {
+        let stop = self.settings.stop_rpm_s * RPM;
+        match self.state {
+            State::OperationEnabled => self.motion(at),
+            State::SwitchedOn | State::QuickStopActive | State::FaultReactionActive => {
+                Aim::Velocity { speed: 0.0, up: stop, down: stop }
+            }
+            _ => Aim::Off,
+        }
+    }
+
+    /// What the mode makes of the setpoints.
+    fn motion(&self, at: Time) -> Aim {
+        let word = self.control.unwrap_or_default();
+        let (up, down) = (self.ramp(ACCELERATION), self.ramp(DECELERATION));
+        let velocity = |speed| Aim::Velocity { speed, up, down };
+        let torque = |permille: f64| {
+            let most = self.objects.get(MAXIMUM_TORQUE) as f64;
+            Aim::Torque(self.torque(permille.max(-most).min(most)))
+        };
+        if word.has(ControlWord::HALT) {
+            return velocity(0.0);
+        }
+        match self.mode() {
+            Mode::PROFILE_VELOCITY => velocity(self.speed(TARGET_VELOCITY)),
+            Mode::DIGITAL_VELOCITY => velocity(self.speed(VELOCITY_SETPOINT)),
+            Mode::TORQUE => torque(self.objects.get(TARGET_TORQUE) as f64),
+            Mode::DIGITAL_CURRENT => {
+                torque(self.objects.get(CURRENT_SETPOINT) as f64 * self.settings.permille_per_count)
+            }
+            Mode::INTERPOLATED if !word.has(ControlWord::START) => velocity(0.0),
+            Mode::INTERPOLATED | Mode::TRAJECTORY | Mode::CYCLIC_POSITION => {
+                let (place, speed) = self.track.at(at);
+                Aim::Follow { place, speed }
+            }
+            _ => self.goal.unwrap_or(velocity(0.0)),
+        }
+    }
+
+    /// It is where, or as fast as, it should be.
+    pub(super) fn is_reached(&self) -> bool {
+        let is_there = |place: f64| (place - self.motor.place()).abs() < REACHED.1;
+        match self.aim(self.lived.unwrap_or_default()) {
+            Aim::Off => false,
+            Aim::Torque(_) => true,
+            Aim::Velocity { speed, .. } => (self.motor.speed() - speed).abs() < REACHED.0,
+            Aim::Follow { place, .. } => is_there(place),
+            Aim::GoTo { place, .. } => is_there(place) && !self.motor.is_moving(),
+        }
+    }
+}
+
+/// A position setpoint, reached within a cycle. A late one is made up for, for one cycle more.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Track {
+    pub(super) from: f64,
+    pub(super) to: f64,
+    pub(super) since: Time,
+    pub(super) over_ns: u64,
+}
+
+impl Track {
+    pub(super) const fn hold(place: f64) -> Track {
+        Track { from: place, to: place, since: Time(0), over_ns: 0 }
+    }
+
+    /// Place and speed at an instant.
+    fn at(&self, now: Time) -> (f64, f64) {
+        if self.over_ns == 0 {
+            return (self.to, 0.0);
+        }
+        let most = 2 * self.over_ns;
+        let passed = now.since(self.since).min(most);
+        let way = self.to - self.from;
+        let place = self.from + way * passed as f64 / self.over_ns as f64;
+        (place, if passed == most { 0.0 } else { way * S as f64 / self.over_ns as f64 })
+    }
+}

@@ -1,0 +1,84 @@
+//! The power stage: the control word, faults, and the loss of the cycle.
+
+use super::*;
+
+impl Drive {
+    /// The cycle of the bus is not what it should be.
+    pub(super) fn lose_sync(&mut self) {
+        if self.al == AlState::Op {
+            self.fail(Fault::SYNCHRONISATION);
+            self.dropped = Some(AlCode::SYNCHRONISATION);
+            self.enter(AlState::SafeOp);
+        }
+    }
+
+    /// A fault: the first one stays.
+    pub(super) fn fail(&mut self, fault: Fault) {
+        if self.fault.is_none() {
+            if !matches!(self.al, AlState::Init | AlState::Boot) {
+                self.mailbox.report(fault.emergency());
+            }
+            self.fault = Some(fault);
+            self.objects.set(ERROR_COUNT, 1);
+            self.objects.set(LAST_ERROR, fault.code.into());
+            // What could burn is switched off at once, all else is stopped first.
+            let stops = self.state.is_powered() && fault.clearing == Clearing::Reset;
+            self.state = if stops { State::FaultReactionActive } else { State::Fault };
+        }
+    }
+
+    /// Ends a fault that can be ended; false: it cannot, or its reaction is still under way.
+    pub(super) fn clear_fault(&mut self) -> bool {
+        let clears =
+            self.state == State::Fault && self.fault.is_some_and(|fault| fault.clearing == Clearing::Reset);
+        if clears {
+            (self.fault, self.state) = (None, State::SwitchOnDisabled);
+            self.mailbox.report(Emergency::default());
+        }
+        clears
+    }
+
+    /// Obeys the control word.
+    pub(super) fn obey(&mut self, now: Time) {
+        let word = ControlWord(self.objects.get(CONTROL_WORD) as u16);
+        // A bit that stands already when the first word comes is no edge.
+        let before = self.control.replace(word).unwrap_or(word);
+        if let Some(transition) = Transition::caused(self.state, word, before) {
+            self.change(now, transition);
+        }
+        if self.state != State::OperationEnabled {
+            return;
+        }
+        match self.mode() {
+            Mode::PROFILE_POSITION => self.profile_position(word, before),
+            Mode::HOMING => self.home(word, before),
+            _ => {}
+        }
+    }
+
+    pub(super) fn change(&mut self, now: Time, transition: Transition) {
+        let powers = transition.to.is_powered() && !transition.from.is_powered();
+        if transition.cause == Cause::FaultReset {
+            self.clear_fault();
+        } else if !powers || self.is_enabled(now) {
+            self.state = transition.to;
+            if self.state == State::OperationEnabled {
+                self.hold();
+            }
+        }
+    }
+
+    /// Control word and setpoints do not count any more.
+    pub(super) fn lock_setpoints(&mut self) {
+        self.control = None;
+        self.state = match self.state {
+            State::OperationEnabled | State::QuickStopActive => State::QuickStopActive,
+            State::SwitchedOn | State::ReadyToSwitchOn => State::SwitchOnDisabled,
+            state => state,
+        };
+    }
+
+    pub(super) fn is_enabled(&self, at: Time) -> bool {
+        self.settings.hardware_enable && at >= self.inhibited_until
+    }
+}

@@ -1,0 +1,74 @@
+//! Process data: the selected PDOs, and what is in them.
+
+use super::*;
+
+impl Drive {
+    /// Bytes of its outputs and inputs by the selected PDOs: SyncManagers 2 and 3 have to have them.
+    pub fn sizes(&self) -> (usize, usize) {
+        let size = |assignment| self.selected(assignment).map_or(0, Layout::size);
+        (size(OUTPUT_PDO), size(INPUT_PDO))
+    }
+
+    /// What it says to P->S with SyncManagers of these lengths. A real AKD tells outputs apart, and so inputs (assumed).
+    pub fn check_sizes(&self, outputs: usize, inputs: usize) -> Result<(), AlCode> {
+        let wanted = self.sizes();
+        match self.settings.family {
+            _ if (outputs, inputs) == wanted => Ok(()),
+            Family::S700 => Err(AlCode::SYNC_MANAGER),
+            Family::Akd if outputs != wanted.0 => Err(AlCode(0x001D)),
+            Family::Akd => Err(AlCode(0x001E)),
+        }
+    }
+
+    /// The PDO that is selected.
+    pub(super) fn selected(&self, assignment: u16) -> Option<&Layout> {
+        let count = self.objects.get(Object::new(assignment, 0));
+        let pdo = self.objects.get(Object::new(assignment, 1));
+        let is_it = |layout: &&Layout| {
+            i64::from(layout.pdo) == pdo && layout.is_output() == (assignment == OUTPUT_PDO)
+        };
+        self.layouts().find(is_it).filter(|_| count == 1)
+    }
+
+    /// The PDOs that can be selected.
+    pub(super) fn layouts(&self) -> impl Iterator<Item = &Layout> {
+        self.settings.layouts.iter().chain(self.mapping.layouts())
+    }
+
+    /// Outputs of a cycle.
+    pub(super) fn take(&mut self, now: Time, outputs: &[u8]) {
+        let mut values = std::mem::take(&mut self.values);
+        values.clear();
+        if let Some(layout) = self.selected(OUTPUT_PDO).filter(|layout| outputs.len() >= layout.size()) {
+            values.extend(layout.places().map(|(at, entry)| {
+                let data = outputs.get(at..at + entry.kind.bytes()).unwrap_or_default();
+                (entry.object, data.iter().rev().fold(0_i64, |raw, byte| raw << 8 | i64::from(*byte)))
+            }));
+        }
+        values.iter().for_each(|(object, value)| self.objects.set(*object, *value));
+        if values.iter().any(|(object, _)| *object == CONTROL_WORD) {
+            self.obey(now);
+        }
+        if values.iter().any(|(object, _)| *object == MAXIMUM_TORQUE) {
+            self.limit_torque();
+        }
+        if !values.is_empty() {
+            self.follow(now);
+        }
+        self.values = values;
+    }
+
+    /// Inputs of a cycle.
+    pub(super) fn give(&self, inputs: &mut [u8]) {
+        let Some(layout) = self.selected(INPUT_PDO).filter(|layout| inputs.len() >= layout.size()) else {
+            return;
+        };
+        for (at, entry) in layout.places() {
+            let raw = entry.kind.raw(self.objects.get(entry.object)).to_le_bytes();
+            let bytes = entry.kind.bytes();
+            if let Some(place) = inputs.get_mut(at..at + bytes) {
+                place.copy_from_slice(&raw[..bytes]);
+            }
+        }
+    }
+}

@@ -1,0 +1,581 @@
+//! The line of a plan, simulated: which slaves it has, and what each says of itself in its EEPROM.
+
+use super::coupler::Terminals;
+use super::sii::{Access, Contents, Mailboxes, Pdo};
+use super::{Coupler, Drive, DriveSettings, Esc, Line, LineSettings, Settings};
+use crate::bus::ethercat::object::Family;
+use crate::bus::ethercat::object::pdo::Layout;
+use crate::bus::ethercat::plan::{
+    Area, Device, EthercatPlan, Expected, KollmorgenDrive, Mapping, Owner, SlavePlan,
+};
+use crate::bus::ethercat::wire::frame::ETHERTYPE;
+use crate::bus::ethercat::wire::registers::{Features, Fmmu, SyncManager};
+use crate::bus::ethercat::wire::sii::{Identity, Use};
+use crate::sim::{FaultPlan, SimLine};
+use crate::time::{MS, Time, US};
+
+/// Where a frame's Ethertype stands, and the index of its first datagram.
+const TYPE: std::ops::Range<usize> = 12..14;
+const INDEX: usize = 17;
+/// Its data, behind its header.
+const DATA: usize = 26;
+/// The firmware reads the mailbox and AL control so late: one interrupt of a drive (EtherCAT manual).
+const REACTION_NS: u64 = 250 * US;
+/// What a command takes the EEPROM (assumed).
+const SII_NS: u64 = 100 * US;
+/// From one slave to the next the clocks were switched on so much earlier.
+const CLOCKS_APART_NS: u64 = 617 * MS + 1_234;
+/// CoE, of the protocols that the SII tells.
+const COE: u16 = 1 << 2;
+/// What the FMMUs are for: outputs, inputs, the state of the mailbox.
+const FMMUS: [u8; 3] = [1, 2, 3];
+/// The name of every slave that is no drive.
+const IO: &str = "I/O";
+/// Where another master had the outputs of the first slave in the logical address space: where our own may well be.
+const LOGICAL: u32 = 0x0001_0000;
+/// Stands at each place that the plan leaves out: a coupler (Beckhoff EK1100) without terminals.
+const PLAIN: Identity = Identity { vendor: 2, product: 0x044C_2C52, revision: 0x0011_0000 };
+
+/// The simulated line of a plan.
+///
+/// A place between two slaves that the plan leaves out has a coupler without terminals, a mailbox or a clock.
+#[derive(Debug)]
+pub struct EthercatSim {
+    line: Line,
+    interface: String,
+    settings: LineSettings,
+}
+
+impl EthercatSim {
+    /// As the plan has it, just switched on.
+    pub fn new(plan: &EthercatPlan) -> EthercatSim {
+        let settings = plan.simulate.clone();
+        let (mut slaves, mut logical) = (Vec::new(), LOGICAL);
+        for (owner, slave) in plan.slaves() {
+            while slaves.len() < slave.place.into() {
+                let coupler = Coupler::default();
+                slaves.push(coupler.slave(IO, PLAIN, hardware(&settings, slaves.len(), false)));
+            }
+            let hardware = hardware(&settings, slaves.len(), slave.sync);
+            slaves.push(match owner {
+                Owner::Drive(index) => drive(&plan.drives[index], hardware, logical),
+                Owner::Device(index) => device(&plan.devices[index], hardware),
+            });
+            logical += u32::from(slave.outputs.length);
+        }
+        EthercatSim { line: Line::new(slaves), interface: plan.interface.clone(), settings }
+    }
+
+    /// The line itself.
+    pub fn line(&mut self) -> &mut Line {
+        &mut self.line
+    }
+
+    /// The slave at `place`, counted from 0 at the master.
+    pub fn slave(&mut self, place: usize) -> Option<&mut Esc> {
+        self.line.slave(place)
+    }
+
+    /// The drive at `place`.
+    pub fn drive(&mut self, place: usize) -> Option<&mut Drive> {
+        self.line.slave(place).and_then(Esc::drive)
+    }
+}
+
+impl SimLine for EthercatSim {
+    fn interface(&self) -> &str {
+        &self.interface
+    }
+
+    fn own_interface(&self) -> Option<&str> {
+        self.settings.interface.as_deref()
+    }
+
+    fn ethertype(&self) -> u16 {
+        ETHERTYPE
+    }
+
+    fn faults(&self) -> FaultPlan {
+        self.settings.faults.clone()
+    }
+
+    fn slaves(&self) -> usize {
+        self.line.slaves()
+    }
+
+    fn delay_ns(&self) -> u64 {
+        self.line.delay_ns()
+    }
+
+    /// A slave forwards nothing else than EtherCAT, as it is delivered.
+    fn pass(&mut self, now: Time, frame: &mut [u8]) -> bool {
+        self.line.pass(now, frame);
+        frame.get(TYPE) == Some(&ETHERTYPE.to_be_bytes()) && self.line.is_reached()
+    }
+
+    fn mislabel(&self, frame: &mut [u8]) {
+        for at in [INDEX, DATA, DATA + 4] {
+            if let Some(byte) = frame.get_mut(at) {
+                *byte ^= 0x80;
+            }
+        }
+    }
+
+    fn live(&mut self, now: Time) {
+        self.line.live(now);
+    }
+
+    fn cut(&mut self, place: Option<usize>) {
+        self.line.cut(place);
+    }
+
+    fn deafen(&mut self, place: usize, deaf: bool) {
+        if let Some(slave) = self.line.slave(place) {
+            slave.deafen(deaf);
+        }
+    }
+
+    fn restart(&mut self, now: Time, place: usize) {
+        if let Some(slave) = self.line.slave(place) {
+            slave.restart(now);
+        }
+    }
+
+    fn inhibit(&mut self, place: usize, until: Time) {
+        if let Some(drive) = self.drive(place) {
+            drive.inhibit(until);
+        }
+    }
+}
+
+/// The controller of the slave at `place`.
+fn hardware(line: &LineSettings, place: usize, clock: bool) -> Settings {
+    let features = match (clock, line.short_clocks) {
+        (false, _) => 0x0180,
+        (true, true) => 0x0184,
+        (true, false) => 0x018C,
+    };
+    let drift_ppm = line.drift_ppm.get(place).or(line.drift_ppm.last()).copied().unwrap_or(0.0);
+    let usual = Settings::default();
+    Settings {
+        features: Features(features),
+        fmmus: line.fmmus.get(place).or(line.fmmus.last()).copied().unwrap_or(usual.fmmus),
+        device_id: line.device_ids.then_some(place as u16),
+        sii_access: Access { busy_ns: SII_NS, ..Access::default() },
+        clock_ns: (place as u64 + 1) * CLOCKS_APART_NS,
+        drift_ppm,
+        settling: line.settling,
+        reaction_ns: REACTION_NS,
+        delay_ns: line.delay_ns,
+        ..usual
+    }
+}
+
+fn drive(plan: &KollmorgenDrive, hardware: Settings, logical: u32) -> Esc {
+    let settings = drive_settings(plan);
+    let contents = Contents {
+        name: match settings.family {
+            Family::S700 => "S700",
+            Family::Akd => "AKD",
+        },
+        identity: settings.identity,
+        serial: settings.serial,
+        mailboxes: plan.slave.mailbox.map(mailboxes),
+        fmmus: FMMUS.to_vec(),
+        managers: managers(&plan.slave),
+        inputs: vec![pdo(&plan.inputs, 3)],
+        outputs: vec![pdo(&plan.outputs, 2)],
+        ..Contents::default()
+    };
+    let is_running = settings.running_rpm.is_some();
+    let mut esc = Esc::new(Settings { sii: contents.image(), ..hardware }, Box::new(Drive::new(settings)));
+    if is_running {
+        let unwatched = |manager: SyncManager| SyncManager {
+            control: manager.control & !SyncManager::WATCHDOG,
+            ..manager
+        };
+        let managers: Vec<_> =
+            managers(&plan.slave).into_iter().map(|(manager, _)| unwatched(manager)).collect();
+        let Area { start, length } = plan.slave.outputs;
+        esc.run(&managers, Fmmu::bytes(logical, length, start, true));
+    }
+    esc
+}
+
+/// The drive as it has to be for its plan: with the PDOs that are not mapped first, and, unless it was made another one, who the plan
+/// says.
+fn drive_settings(plan: &KollmorgenDrive) -> DriveSettings {
+    let mut settings = plan.simulate.clone();
+    if settings.identity == DriveSettings::new(settings.family).identity {
+        settings.identity = expected(plan.slave.identity, settings.identity);
+    }
+    if let Some([_, input]) = plan.slave.mailbox {
+        settings.long_sdos = settings.long_sdos.map(|_| input.length);
+    }
+    if plan.mapping != Mapping::Free {
+        for layout in [&plan.outputs, &plan.inputs] {
+            settings.layouts.retain(|own| own.pdo != layout.pdo);
+            settings.layouts.push(layout.clone());
+        }
+    }
+    if plan.mapping == Mapping::AsIs || settings.running_rpm.is_some() {
+        settings.selected = (plan.outputs.pdo, plan.inputs.pdo);
+    }
+    settings
+}
+
+fn device(plan: &Device, hardware: Settings) -> Esc {
+    let slave = &plan.slave;
+    let coupler = match plan.simulate == Coupler::default() {
+        true => Coupler { outputs: terminals(slave.outputs), inputs: terminals(slave.inputs) },
+        false => plan.simulate,
+    };
+    let mut contents = coupler.contents(IO, expected(slave.identity, PLAIN));
+    contents.managers = managers(slave);
+    contents.mailboxes = slave.mailbox.map(mailboxes);
+    if slave.mailbox.is_some() {
+        // Theirs are the first two.
+        contents.inputs.iter_mut().chain(&mut contents.outputs).for_each(|pdo| pdo.manager += 2);
+    }
+    Esc::new(Settings { sii: contents.image(), ..hardware }, Box::new(coupler))
+}
+
+/// The numbers that are expected, and those of `other` where none is.
+fn expected(expected: Expected, other: Identity) -> Identity {
+    Identity {
+        vendor: expected.vendor.unwrap_or(other.vendor),
+        product: expected.product.unwrap_or(other.product),
+        revision: expected.revision.unwrap_or(other.revision),
+    }
+}
+
+fn mailboxes([out, input]: [Area; 2]) -> Mailboxes {
+    Mailboxes { out: (out.start, out.length), input: (input.start, input.length), protocols: COE }
+}
+
+/// Its SyncManagers: mailboxes first. Without them one for process data that it does not have is left out.
+fn managers(slave: &SlavePlan) -> Vec<(SyncManager, Use)> {
+    let manager = |area: Area, control, usage| {
+        (SyncManager { start: area.start, length: area.length, control, activate: 1 }, usage)
+    };
+    let mailboxes = slave.mailbox.into_iter().flat_map(|[out, input]| {
+        [
+            manager(out, SyncManager::MAILBOX_OUT, Use::MailboxOut),
+            manager(input, SyncManager::MAILBOX_IN, Use::MailboxIn),
+        ]
+    });
+    let process = [
+        manager(slave.outputs, SyncManager::OUTPUTS | SyncManager::WATCHDOG, Use::Outputs),
+        manager(slave.inputs, SyncManager::INPUTS, Use::Inputs),
+    ];
+    mailboxes.chain(process.into_iter().filter(|(m, _)| slave.mailbox.is_some() || m.length > 0)).collect()
+}
+
+fn pdo(layout: &Layout, manager: u8) -> Pdo {
+    let entries = layout.entries.iter();
+    let entry = entries.map(|entry| (entry.object.index, entry.object.sub, 8 * entry.kind.bytes() as u8));
+    Pdo { index: layout.pdo, manager, entries: entry.collect() }
+}
+
+/// Terminals for so many bytes: digital ones as far as there can be so many.
+fn terminals(area: Area) -> Terminals {
+    match area.length {
+        0..=31 => Terminals { digital: 8 * area.length as u8, analogue: 0 },
+        bytes => Terminals { digital: 8 * (bytes % 2) as u8, analogue: (bytes / 2).min(255) as u8 },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::testing::Bench;
+    use super::*;
+    use crate::axis::State;
+    use crate::bus::ethercat::object::Object;
+    use crate::bus::ethercat::object::pdo::Entry;
+    use crate::bus::ethercat::wire::frame::Command;
+    use crate::bus::ethercat::wire::registers::{AlCode, AlState, AlStatus, address};
+    use crate::bus::ethercat::wire::sii;
+    use crate::net::{Carriers, Frames};
+    use crate::sim::Simulated;
+    use crate::sim::world::{World, WorldOptions};
+    use crate::time::S;
+
+    /// A drive, nothing, an AKD, and terminals with a mailbox.
+    fn plan() -> EthercatPlan {
+        let mut drives =
+            vec![KollmorgenDrive::new("x", 0, Family::S700), KollmorgenDrive::new("y", 2, Family::Akd)];
+        drives[0].slave.identity.product = Some(0x0300_0700);
+        drives[1].simulate.identity.product = 77;
+        let area = |start, length| Area { start, length };
+        let slave = SlavePlan {
+            identity: Expected { product: Some(5), ..Expected::default() },
+            mailbox: Some([area(0x1000, 128), area(0x1080, 128)]),
+            outputs: area(0x1100, 2),
+            inputs: area(0x1200, 3),
+            ..SlavePlan::new(3)
+        };
+        let device = Device { name: "io".into(), slave, simulate: Coupler::default() };
+        EthercatPlan { devices: vec![device], ..EthercatPlan::new("local:test", drives) }
+    }
+
+    fn bench(plan: &EthercatPlan) -> Bench {
+        Bench::of(EthercatSim::new(plan).line)
+    }
+
+    /// Two words of an EEPROM.
+    fn sii(bench: &mut Bench, n: u16, at: u16) -> u32 {
+        assert_eq!(bench.write(n, address::SII_CONTROL, &sii::read(at)), 1);
+        bench.wait(SII_NS);
+        u32::from_le_bytes(bench.read(n, address::SII_DATA).unwrap())
+    }
+
+    #[test]
+    fn the_slaves_stand_in_their_places_and_say_who_they_are() {
+        let mut bench = bench(&plan());
+        assert_eq!(bench.line.slaves(), 4);
+        let identity =
+            |bench: &mut Bench, n| [sii::word::VENDOR, sii::word::PRODUCT].map(|word| sii(bench, n, word));
+        assert_eq!(identity(&mut bench, 0), [0x6A, 0x0300_0700], "as the plan expects it");
+        assert_eq!(identity(&mut bench, 1), [PLAIN.vendor, PLAIN.product]);
+        assert_eq!(identity(&mut bench, 2), [0x6A, 77], "made another one than the plan expects");
+        assert_eq!(identity(&mut bench, 3), [PLAIN.vendor, 5]);
+        let mailbox = [0, 1, 2, 3].map(|n| sii(&mut bench, n, sii::word::MAILBOX_OUT));
+        assert_eq!(mailbox, [0x0010_1800, 0, 0x0400_1800, 0x0080_1000]);
+        let features = [0, 1, 2, 3].map(|n| bench.read(n, address::FEATURES).map(u16::from_le_bytes));
+        assert_eq!(features, [0x018C, 0x0180, 0x018C, 0x0180].map(Some));
+        let drives = [0, 1, 2, 3].map(|n| bench.line.slave(n).unwrap().drive().is_some());
+        assert_eq!(drives, [true, false, true, false]);
+    }
+
+    #[test]
+    fn clocks_delays_and_widths_are_those_of_the_settings() {
+        let mut plan = plan();
+        plan.simulate = LineSettings {
+            drift_ppm: vec![0.0, 0.0, 100.0],
+            delay_ns: 250,
+            short_clocks: true,
+            ..plan.simulate
+        };
+        plan.devices[0].slave.sync = true;
+        let mut sim = EthercatSim::new(&plan);
+        assert_eq!((SimLine::slaves(&sim), SimLine::delay_ns(&sim)), (4, 2 * 4 * 250));
+        let mut at = |place, now| sim.slave(place).unwrap().line_time(Time(now));
+        let begin = [0, 2, 3].map(|place| at(place, S));
+        assert!(begin[0] != begin[1] && begin[1] != begin[2]);
+        let gone = [(0, 0), (2, 1), (3, 2)].map(|(place, n)| at(place, 2 * S) - begin[n]);
+        assert_eq!(gone, [S, S + 100_000, S + 100_000], "the last one counts for all behind it");
+        sim.cut(Some(2));
+        assert_eq!(SimLine::delay_ns(&sim), 2 * 2 * 250);
+    }
+
+    #[test]
+    fn a_drive_has_the_pdos_of_its_plan_and_delivers_what_is_left_as_it_is() {
+        let mut plan = KollmorgenDrive::new("x", 0, Family::S700);
+        let entry = |index| Entry {
+            object: Object::new(index, 0),
+            kind: Object::new(index, 0).known().unwrap().kind,
+        };
+        plan.outputs = Layout { pdo: 0x1704, entries: vec![entry(0x6040), entry(0x606B)] };
+        plan.fit();
+        let settings = drive_settings(&plan);
+        let of = |settings: &DriveSettings, pdo| {
+            settings.layouts.iter().filter(|layout| layout.pdo == pdo).cloned().collect::<Vec<_>>()
+        };
+        assert_eq!(of(&settings, 0x1704), [plan.outputs.clone()]);
+        assert_eq!(settings.selected, (0x1702, 0x1B03));
+        plan.mapping = Mapping::AsIs;
+        assert_eq!(drive_settings(&plan).selected, (0x1704, 0x1B03));
+        plan.mapping = Mapping::Free;
+        assert_ne!(of(&drive_settings(&plan), 0x1704), [plan.outputs.clone()], "the master maps it");
+        assert_eq!(terminals(Area { start: 0, length: 70 }).bytes(), 70);
+        assert_eq!(terminals(Area { start: 0, length: 33 }).bytes(), 33);
+    }
+
+    #[test]
+    fn another_ethertype_and_a_line_that_is_cut_off_do_not_come_back() {
+        let mut sim = EthercatSim::new(&plan());
+        let frame = |ethertype: u16| {
+            let mut frame = [0; 60];
+            frame[12..14].copy_from_slice(&ethertype.to_be_bytes());
+            frame
+        };
+        assert!(SimLine::pass(&mut sim, Time(S), &mut frame(ETHERTYPE)));
+        assert!(!SimLine::pass(&mut sim, Time(S), &mut frame(0x0800)));
+        assert!(!SimLine::pass(&mut sim, Time(S), &mut [1, 2, 3]));
+        sim.cut(Some(0));
+        assert!(!SimLine::pass(&mut sim, Time(S), &mut frame(ETHERTYPE)));
+        let mut wrong = frame(ETHERTYPE);
+        sim.mislabel(&mut wrong);
+        assert_eq!(wrong[INDEX], 0x80);
+        sim.mislabel(&mut []);
+    }
+
+    /// One drive in a world, and what its master does.
+    struct Master {
+        world: World,
+        carrier: Box<dyn Frames>,
+        /// What it writes in each cycle.
+        outputs: [u8; 6],
+    }
+
+    impl Master {
+        fn new(plan: &EthercatPlan) -> Master {
+            let lines: Vec<Box<dyn SimLine>> = vec![Box::new(EthercatSim::new(plan))];
+            let simulated = Simulated { lines, ..Simulated::default() };
+            let world =
+                World::new(simulated, WorldOptions { read_ns: 0, ..WorldOptions::default() }).unwrap();
+            let carrier = world.frames(&plan.interface, ETHERTYPE).unwrap();
+            Master { world, carrier, outputs: [0; 6] }
+        }
+
+        fn send(&mut self, command: Command, data: &[u8]) -> Option<(Vec<u8>, u16)> {
+            use crate::bus::ethercat::wire::frame::{BROADCAST, Builder, datagrams};
+            let mut frame = [0; 200];
+            let mut builder = Builder::new(&mut frame, BROADCAST, self.carrier.mac()).unwrap();
+            builder.push_with(command, 1, data).unwrap();
+            let length = builder.finish();
+            self.carrier.send(&frame[..length]).unwrap();
+            self.world.advance(MS);
+            let (_, length) = self.carrier.receive(&mut frame)?;
+            let back = datagrams(&frame[..length]).unwrap().next().unwrap().unwrap();
+            Some((back.data.to_vec(), back.working_counter))
+        }
+
+        fn write(&mut self, at: u16, data: &[u8]) {
+            assert_eq!(self.send(Command::Apwr(0, at), data).unwrap().1, 1, "{at:#06x}");
+        }
+
+        /// One cycle of process data; what comes of it, and its working counter.
+        fn cycle(&mut self) -> (Vec<u8>, u16) {
+            let mut image = [0; 14];
+            image[..6].copy_from_slice(&self.outputs);
+            let (data, count) = self.send(Command::Lrw(0), &image).unwrap();
+            (data[6..].to_vec(), count)
+        }
+
+        fn state(&mut self) -> (AlState, Option<AlCode>, State) {
+            let look = |sim: &mut EthercatSim, _| {
+                let slave = sim.slave(0).unwrap();
+                (slave.state(), slave.error(), slave.drive().unwrap().axis_state())
+            };
+            self.world.look("local:test", look).unwrap()
+        }
+
+        fn go(&mut self, state: AlState) {
+            self.write(address::AL_CONTROL, &AlStatus::request(state).0.to_le_bytes());
+            self.cycle();
+        }
+
+        /// To OP with SYNC0 each millisecond.
+        fn start(&mut self, plan: &EthercatPlan) {
+            let slave = &plan.drives[0].slave;
+            for (n, (manager, _)) in managers(slave).into_iter().enumerate() {
+                self.write(address::sync_manager(n as u16), &manager.to_bytes());
+            }
+            self.write(address::fmmu(0), &Fmmu::bytes(0, 6, slave.outputs.start, true).to_bytes());
+            self.write(address::fmmu(1), &Fmmu::bytes(6, 8, slave.inputs.start, false).to_bytes());
+            self.go(AlState::PreOp);
+            let now = self
+                .world
+                .look("local:test", |sim: &mut EthercatSim, now| sim.slave(0).unwrap().line_time(now));
+            let start = (now.unwrap() / MS + 20) * MS;
+            self.write(address::DC_CYCLE, &(MS as u32).to_le_bytes());
+            self.write(address::DC_START, &start.to_le_bytes());
+            self.write(address::DC_CONTROL, &[0, 3]);
+            self.go(AlState::SafeOp);
+            (0..200).for_each(|_| drop(self.cycle()));
+            self.go(AlState::Op);
+            assert_eq!(self.state(), (AlState::Op, None, State::SwitchOnDisabled));
+        }
+    }
+
+    fn one() -> EthercatPlan {
+        EthercatPlan::new("local:test", vec![KollmorgenDrive::new("x", 0, Family::S700)])
+    }
+
+    fn velocity(counts: i32, word: u16) -> [u8; 6] {
+        let mut outputs = [0; 6];
+        outputs[..4].copy_from_slice(&counts.to_le_bytes());
+        outputs[4..].copy_from_slice(&word.to_le_bytes());
+        outputs
+    }
+
+    #[test]
+    fn a_drive_of_a_plan_comes_to_op_turns_and_stops_when_its_master_dies() {
+        let plan = one();
+        let mut master = Master::new(&plan);
+        master.start(&plan);
+        for word in [0x0006, 0x0007, 0x000F] {
+            master.outputs = velocity(1_000, word);
+            (0..3).for_each(|_| assert_eq!(master.cycle().1, 3));
+        }
+        (0..500).for_each(|_| drop(master.cycle()));
+        let rpm = |master: &Master| {
+            master.world.look("local:test", |sim: &mut EthercatSim, _| sim.drive(0).unwrap().rpm()).unwrap()
+        };
+        let expected = 1_000.0 * plan.drives[0].scaling.rpm_per_count;
+        assert!((rpm(&master) - expected).abs() < 1.0, "{} {expected}", rpm(&master));
+        assert_eq!(master.state(), (AlState::Op, None, State::OperationEnabled));
+        // Its line is in phase with its own clock.
+        let left = master
+            .world
+            .look("local:test", |sim: &mut EthercatSim, now| sim.slave(0).unwrap().sync0_in_ns(now));
+        assert!(left.flatten().is_some_and(|left| left <= MS));
+        // Nobody sends any more: the watchdog of 100 ms, then the quick stop.
+        master.world.advance(99 * MS - MS);
+        assert_eq!(master.state().0, AlState::Op);
+        master.world.advance(2 * MS);
+        assert_eq!(master.state(), (AlState::SafeOp, Some(AlCode::WATCHDOG), State::QuickStopActive));
+        master.world.advance(S);
+        assert!(rpm(&master).abs() < 0.1);
+        assert_eq!(master.state().2, State::SwitchOnDisabled);
+    }
+
+    #[test]
+    fn a_slave_can_be_deafened_cut_off_restarted_and_its_enable_opened() {
+        let plan = one();
+        let mut master = Master::new(&plan);
+        master.start(&plan);
+        for word in [0x0006, 0x0007, 0x000F] {
+            master.outputs = velocity(0, word);
+            (0..3).for_each(|_| drop(master.cycle()));
+        }
+        assert!(master.world.inhibit_slave("local:test", 0, 10 * MS));
+        master.cycle();
+        assert_eq!(master.state().2, State::SwitchOnDisabled);
+        assert!(master.world.deafen("local:test", 0, true));
+        assert_eq!(master.cycle(), (vec![0; 8], 0), "it passes frames on");
+        assert!(master.world.deafen("local:test", 0, false));
+        assert_eq!(master.cycle().1, 3);
+        assert!(master.world.cut("local:test", Some(0)));
+        assert_eq!(master.send(Command::Nop, &[]), None);
+        assert!(master.world.cut("local:test", None) && master.world.restart_slave("local:test", 0));
+        assert_eq!(master.cycle().1, 0);
+        assert_eq!(master.state(), (AlState::Init, None, State::SwitchOnDisabled));
+    }
+    #[test]
+    fn a_line_of_a_plan_answers_behind_a_socket_of_this_host() {
+        use crate::bus::ethercat::wire::frame::{BROADCAST, Builder, datagrams};
+        use crate::net::Os;
+        use crate::sim::server::{ServerOptions, SimServer};
+        let plan = EthercatPlan { interface: format!("local:plan-{}", std::process::id()), ..plan() };
+        let lines: Vec<Box<dyn SimLine>> = vec![Box::new(EthercatSim::new(&plan))];
+        let simulated = Simulated { lines, ..Simulated::default() };
+        let _server = SimServer::start(simulated, ServerOptions::default()).unwrap();
+        let mut master = Os::default().frames(&plan.interface, ETHERTYPE).unwrap();
+        let mut frame = [0; 60];
+        let mut builder = Builder::new(&mut frame, BROADCAST, master.mac()).unwrap();
+        builder.push_with(Command::Brd(address::AL_STATUS), 1, &[0; 2]).unwrap();
+        let length = builder.finish();
+        master.send(&frame[..length]).unwrap();
+        let begin = std::time::Instant::now();
+        let back = loop {
+            match master.receive(&mut frame) {
+                Some((_, length)) => break &frame[..length],
+                None => assert!(begin.elapsed().as_secs() < 5),
+            }
+        };
+        let datagram = datagrams(back).unwrap().next().unwrap().unwrap();
+        assert_eq!((datagram.data, datagram.working_counter), (&[1, 0][..], 4), "all in INIT");
+    }
+}
