@@ -1,0 +1,422 @@
+//! The two mailboxes of a slave: how a message gets into the one, and out of the other (ETG.1000.4, 6.7; ETG.1000.6, 5.6).
+//!
+//! Knows no SDO. What it wants is one slot at a time, and what it knows is only what came back:
+//!
+//! | what came back | is |
+//! |---|---|
+//! | a write, working counter 1 | the request is there |
+//! | a write, 0 | the mailbox is full: once more. After a write whose frame was lost: that one is there |
+//! | a write, no frame | it may be there or not: once more under the same count, which the slave ignores if it has it |
+//! | the status, bit 3 | a message waits |
+//! | a read of the last byte, 1 | the message is taken |
+//! | a read of the last byte, no frame | it may be taken: if nothing stands there, the slave is asked for it again (0x080E, 0x080F) |
+//!
+//! A message counts as written, or read, with the last byte of its area. So a message goes with the last byte behind it in the same
+//! frame, and one that is longer than a slot in pieces, the last byte at the end. With the status the first bytes of a longer
+//! mailbox are looked at: then its last byte and the rest of the message follow in the next slot.
+
+use super::super::counters::Own;
+use super::super::plan::Area;
+use super::super::slot::{Answer, Answers, Ask, ROOM};
+use super::super::wire::frame::Command;
+use super::super::wire::mailbox::{self, Counter, HEADER, SDO_SIZE};
+use super::super::wire::registers::{SyncManager, address};
+use super::super::wire::sdo::Request;
+use crate::bus::Counters;
+use crate::rt::Regions;
+use crate::time::{MS, Time, US};
+
+/// The most that is written at once; a Kollmorgen drive takes 16.
+const OUT_MAX: usize = 32;
+/// What is looked at with the status of a mailbox that is longer.
+const HEAD: usize = 64;
+/// Between two looks while an answer is awaited: a drive's firmware takes up a request about once a millisecond.
+const LOOK_NS: u64 = 750 * US;
+/// A slave that has not answered the first request by then may have had its count from another master: it is repeated under the next.
+const UNCOUNTED_NS: u64 = 300 * MS;
+/// Between two looks for what nobody asked for.
+const IDLE_NS: u64 = 50 * MS;
+/// A mailbox that is still full then, and was so often, is not served.
+const FULL_NS: u64 = 20 * MS;
+const FULL: u32 = 3;
+/// A slave that has not acknowledged a repeat request then does not know them.
+const REPEAT_NS: u64 = 100 * MS;
+/// In `activate` and in the slave's control behind it: the repeat request, and its acknowledgement, each a toggle.
+const TOGGLE: u8 = 1 << 1;
+const ON: u8 = 1 << 0;
+/// Status, `activate` and the slave's control of the mailbox that the master reads, and the second of them.
+const STATUS: u16 = address::sync_manager(1) + SyncManager::STATUS;
+const ACTIVATE: u16 = STATUS + 1;
+
+/// Both mailboxes.
+#[derive(Debug)]
+pub(super) struct Mailbox {
+    station: u16,
+    out: Area,
+    input: Area,
+    counter: Counter,
+    message: [u8; OUT_MAX],
+    length: usize,
+    sending: Sending,
+    reading: Reading,
+    read: Box<[u8]>,
+    asked: Option<Asked>,
+    looked: Option<Time>,
+    /// What stands there may answer something that is over.
+    stale: bool,
+    /// A request was answered since the mailbox was opened: the slave counts as the master does.
+    counts: bool,
+    /// So long it may be until it has the slot again, ns.
+    turn_ns: u64,
+}
+
+/// How far the request is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Sending {
+    /// There is none.
+    Nothing,
+    /// It is to be written.
+    Due {
+        /// An answer to it is owed.
+        answered: bool,
+        /// A frame with it was lost.
+        lost: bool,
+        /// How often the mailbox was full, and since when.
+        full: u32,
+        since: Time,
+    },
+    /// It was written, and its answer is awaited; twice perhaps, and then there may be two answers.
+    Written { twice: bool, since: Time },
+}
+
+/// How far the message in the other mailbox is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Reading {
+    /// None is known of.
+    Nothing,
+    /// One is there, and so many bytes of it have been read.
+    There(usize),
+    /// It may have been taken by a frame that was lost.
+    Lost,
+    /// It is to be asked for again, by this toggle.
+    Repeat { toggle: u8, since: Time },
+    /// It was, and the slave has not acknowledged it yet.
+    Repeated { toggle: u8, since: Time },
+}
+
+/// What was asked last.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Asked {
+    Write,
+    Look,
+    Piece(Piece),
+    Toggle(u8),
+}
+
+/// A part of the message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Piece {
+    at: usize,
+    length: usize,
+    /// The last byte of the mailbox is read with it.
+    closes: bool,
+}
+
+/// What came of a slot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Heard {
+    /// Nothing that ends anything.
+    Nothing,
+    /// The slave does not empty the mailbox: the request was given up.
+    Full,
+    /// A message: see [`Mailbox::message`].
+    Message,
+}
+
+/// Done, and done once.
+fn done(answer: &Option<Answer<'_>>) -> bool {
+    answer.is_some_and(|answer| answer.working_counter == 1)
+}
+
+impl Mailbox {
+    /// The mailboxes of a slave; `None`: too short to be any.
+    pub(super) fn new([out, input]: [Area; 2], station: u16) -> Option<Mailbox> {
+        let is_one = [out, input].iter().all(|area| usize::from(area.length) >= SDO_SIZE);
+        is_one.then(|| Mailbox {
+            station,
+            out,
+            input,
+            counter: Counter::default(),
+            message: [0; OUT_MAX],
+            length: 0,
+            sending: Sending::Nothing,
+            reading: Reading::Nothing,
+            read: vec![0; usize::from(input.length)].into(),
+            asked: None,
+            looked: None,
+            stale: true,
+            counts: false,
+            turn_ns: 0,
+        })
+    }
+
+    pub(super) fn set_turn(&mut self, turn_ns: u64) {
+        self.turn_ns = turn_ns;
+    }
+
+    /// A time that is long enough for so many turns too.
+    fn within(&self, ns: u64, turns: u64) -> u64 {
+        ns.max(turns * self.turn_ns)
+    }
+
+    pub(super) fn memory(&self, regions: &mut Regions) {
+        regions.add(&*self.read);
+    }
+
+    /// All that was under way is forgotten. The count goes on: the slave may still know the last one.
+    pub(super) fn reset(&mut self) {
+        (self.sending, self.reading, self.asked) = (Sending::Nothing, Reading::Nothing, None);
+        (self.looked, self.stale, self.counts) = (None, true, false);
+    }
+
+    /// Bytes that a message may have.
+    pub(super) fn room(&self) -> usize {
+        usize::from(self.out.length).min(OUT_MAX)
+    }
+
+    /// No request is under way.
+    pub(super) fn is_free(&self) -> bool {
+        self.sending == Sending::Nothing
+    }
+
+    /// The count of the last request.
+    pub(super) fn count(&self) -> u8 {
+        self.counter.number()
+    }
+
+    /// The next request. False: it does not fit.
+    pub(super) fn post(&mut self, now: Time, request: &Request<'_>, answered: bool) -> bool {
+        let (room, counter) = (self.room(), self.counter.next());
+        self.length = mailbox::emit(request, counter, &mut self.message[..room]);
+        if self.length == 0 {
+            return false;
+        }
+        self.counter = counter;
+        self.sending = Sending::Due { answered, lost: false, full: 0, since: now };
+        true
+    }
+
+    /// The request is with the slave, and was not answered yet.
+    pub(super) fn awaits(&self) -> bool {
+        matches!(self.sending, Sending::Written { .. })
+    }
+
+    /// The answer has come.
+    pub(super) fn answered(&mut self) {
+        self.stale |= matches!(self.sending, Sending::Written { twice: true, .. });
+        self.counts |= self.awaits();
+        self.sending = Sending::Nothing;
+    }
+
+    /// Nobody waits for the answer any more; it may come all the same.
+    pub(super) fn abandon(&mut self) {
+        // What comes of its frame is not the next request's.
+        self.asked = self.asked.filter(|asked| *asked != Asked::Write);
+        (self.sending, self.stale) = (Sending::Nothing, true);
+    }
+
+    /// What was read last, and whatever stood behind it.
+    pub(super) fn message(&self) -> &[u8] {
+        &self.read
+    }
+
+    /// The last count of another master is not known: if it was this one, the slave takes the first request for that again.
+    fn recount(&mut self, now: Time) {
+        let Sending::Written { since, .. } = self.sending else { return };
+        if self.counts || self.reading != Reading::Nothing || now.since(since) < self.within(UNCOUNTED_NS, 6)
+        {
+            return;
+        }
+        self.counter = self.counter.next();
+        mailbox::recount(&mut self.message[..self.length], self.counter);
+        self.sending = Sending::Due { answered: true, lost: false, full: 0, since: now };
+        self.counts = true;
+    }
+
+    /// What it wants of the next slot.
+    pub(super) fn ask(&mut self, now: Time, ask: &mut Ask) {
+        self.recount(now);
+        let asked = self.next(now);
+        let is_asked = match asked {
+            None => false,
+            Some(Asked::Write) => self.ask_write(ask),
+            Some(Asked::Look) => self.ask_look(ask),
+            Some(Asked::Piece(piece)) => self.ask_piece(piece, ask),
+            Some(Asked::Toggle(toggle)) => ask.write(Command::Fpwr(self.station, ACTIVATE), &[ON | toggle]),
+        };
+        // What others left of the slot may be too small.
+        self.asked = asked.filter(|_| is_asked);
+    }
+
+    fn next(&self, now: Time) -> Option<Asked> {
+        let rest = match (self.reading, self.sending) {
+            (Reading::There(at), _) => return Some(Asked::Piece(self.piece(at))),
+            (Reading::Repeat { toggle, .. }, _) => return Some(Asked::Toggle(toggle)),
+            (Reading::Lost, _) => return Some(Asked::Look),
+            (Reading::Nothing, Sending::Due { .. }) if self.stale => return Some(Asked::Look),
+            (Reading::Nothing, Sending::Due { .. }) => return Some(Asked::Write),
+            // On a long line that leaves slots for others.
+            (Reading::Nothing, Sending::Nothing) => self.within(IDLE_NS, 2),
+            (Reading::Nothing, Sending::Written { .. }) | (Reading::Repeated { .. }, _) => LOOK_NS,
+        };
+        self.looked.is_none_or(|looked| now.since(looked) >= rest).then_some(Asked::Look)
+    }
+
+    fn ask_write(&self, ask: &mut Ask) -> bool {
+        let (area, message) = (self.out, &self.message[..self.length]);
+        let last = area.start.wrapping_add(area.length - 1);
+        ask.write(Command::Fpwr(self.station, area.start), message)
+            && (self.length == usize::from(area.length) || ask.write(Command::Fpwr(self.station, last), &[0]))
+    }
+
+    fn ask_look(&self, ask: &mut Ask) -> bool {
+        // A mailbox that is no longer would be taken by that.
+        let head = self.read.len() <= HEAD || ask.room().is_none_or(|room| room < HEAD + 3);
+        ask.read(Command::Fprd(self.station, STATUS), 3)
+            && (head || ask.read(Command::Fprd(self.station, self.input.start), HEAD))
+    }
+
+    fn ask_piece(&self, piece: Piece, ask: &mut Ask) -> bool {
+        let (start, length) = (self.input.start, self.input.length);
+        let at = start.wrapping_add(piece.at as u16);
+        let is_read = piece.length == 0 || ask.read(Command::Fprd(self.station, at), piece.length);
+        let reaches_end = piece.at + piece.length == self.read.len();
+        let last = Command::Fprd(self.station, start.wrapping_add(length - 1));
+        is_read && (!piece.closes || reaches_end || ask.read(last, 1))
+    }
+
+    /// What is to be read behind the first `at` bytes.
+    fn piece(&self, at: usize) -> Piece {
+        if at < HEADER {
+            let length = self.read.len().min(HEAD);
+            return Piece { at: 0, length, closes: length == self.read.len() };
+        }
+        let rest = mailbox::extent(&self.read, self.read.len()).saturating_sub(at);
+        Piece { at, length: rest.min(ROOM - 1), closes: rest < ROOM }
+    }
+
+    /// What came of what it asked.
+    pub(super) fn heard(&mut self, now: Time, answers: &Answers<'_>, counters: &mut Counters) -> Heard {
+        match self.asked.take() {
+            None => Heard::Nothing,
+            Some(Asked::Write) => self.heard_write(now, answers, counters),
+            Some(Asked::Look) => {
+                self.heard_look(now, answers, counters);
+                Heard::Nothing
+            }
+            Some(Asked::Piece(piece)) => self.heard_piece(piece, answers, counters),
+            Some(Asked::Toggle(toggle)) => {
+                if let Reading::Repeat { since, .. } = self.reading {
+                    self.reading = match done(&answers[0]) {
+                        true => Reading::Repeated { toggle, since },
+                        false if now.since(since) >= self.within(REPEAT_NS, 4) => Reading::Nothing,
+                        false => self.reading,
+                    };
+                }
+                Heard::Nothing
+            }
+        }
+    }
+
+    fn heard_write(&mut self, now: Time, answers: &Answers<'_>, counters: &mut Counters) -> Heard {
+        let Sending::Due { answered, lost, full, since } = self.sending else { return Heard::Nothing };
+        let parts = if self.length == usize::from(self.out.length) { 1 } else { 2 };
+        let parts = &answers[..parts];
+        if parts.iter().any(Option::is_none) {
+            Own::MailboxRepeats.count(counters);
+            self.sending = Sending::Due { answered, lost: true, full, since };
+        } else if lost || parts.iter().all(done) {
+            // Full after a loss: with what was thought lost.
+            self.sending =
+                if answered { Sending::Written { twice: lost, since: now } } else { Sending::Nothing };
+        } else {
+            let since = if full == 0 { now } else { since };
+            if full >= FULL && now.since(since) >= FULL_NS {
+                self.sending = Sending::Nothing;
+                return Heard::Full;
+            }
+            self.sending = Sending::Due { answered, lost, full: full.saturating_add(1), since };
+        }
+        Heard::Nothing
+    }
+
+    fn heard_look(&mut self, now: Time, answers: &Answers<'_>, counters: &mut Counters) {
+        let [Some(Answer { working_counter: 1, data: &[status, activate, control] }), head] = *answers else {
+            // Of a slave that does not answer at all, nothing is to be had by haste.
+            if answers[0].is_some() {
+                self.looked = Some(now);
+            }
+            return;
+        };
+        self.looked = Some(now);
+        let is_full = status & SyncManager::FULL != 0;
+        match self.reading {
+            Reading::Repeated { toggle, since }
+                if control & TOGGLE != toggle && now.since(since) < self.within(REPEAT_NS, 4) => {}
+            _ if is_full => {
+                let read = head.filter(|head| done(&Some(*head)) && head.data.len() == HEAD);
+                if let Some((place, head)) = self.read.get_mut(..HEAD).zip(read) {
+                    place.copy_from_slice(head.data);
+                }
+                self.reading = Reading::There(read.map_or(0, |_| HEAD));
+            }
+            Reading::Lost => {
+                Own::MailboxRepeats.count(counters);
+                self.reading = Reading::Repeat { toggle: !activate & TOGGLE, since: now };
+            }
+            _ => (self.reading, self.stale) = (Reading::Nothing, false),
+        }
+    }
+
+    fn heard_piece(&mut self, piece: Piece, answers: &Answers<'_>, counters: &mut Counters) -> Heard {
+        let Piece { at, length, closes } = piece;
+        let end = at + length;
+        let is_apart = closes && end < self.read.len();
+        let (data, last) = match (length, is_apart) {
+            (0, _) => (Some(&[][..]), answers[0]),
+            (_, true) => (read(&answers[0], length), answers[1]),
+            (_, false) => (read(&answers[0], length), answers[0]),
+        };
+        let is_lost = answers[0].is_none() || last.is_none();
+        let taken = closes && (is_lost || done(&last));
+        let Some(data) = data.filter(|_| !is_lost && (!closes || taken)) else {
+            self.reading = match (taken, is_lost) {
+                (true, _) => Reading::Lost,
+                // What has been read of it stands there still.
+                (false, true) => self.reading,
+                (false, false) => Reading::Nothing,
+            };
+            if is_lost && !closes {
+                Own::MailboxRepeats.count(counters);
+            }
+            return Heard::Nothing;
+        };
+        if let Some(place) = self.read.get_mut(at..end) {
+            place.copy_from_slice(data);
+        }
+        self.reading = if closes { Reading::Nothing } else { Reading::There(end) };
+        if !closes {
+            return Heard::Nothing;
+        }
+        // There may be another one behind it.
+        self.looked = None;
+        Heard::Message
+    }
+}
+
+/// What was read, if it is all that was asked for.
+fn read<'a>(answer: &Option<Answer<'a>>, length: usize) -> Option<&'a [u8]> {
+    answer
+        .filter(|answer| answer.working_counter == 1 && answer.data.len() == length)
+        .map(|answer| answer.data)
+}

@@ -1,0 +1,472 @@
+//! SDOs and emergencies of one slave: its mailbox, one transfer at a time.
+//!
+//! | file | what |
+//! |---|---|
+//! | `mod` | the master's transfers, the application's calls behind them, emergencies |
+//! | `mailbox` | how a message gets into the slave, and out of it |
+//! | `sdo` | one transfer, message by message |
+//!
+//! What a slave reads out is its answer only if it was asked, and if the count (where the slave gives it back), the object and
+//! the command are those of the request: drives differ in all else (EtherCAT manual, "Mail Input"). Every other SDO is a stray.
+//! An emergency may come in place of an answer, and at any time: the mailbox is looked at every 50 ms.
+//!
+//! It runs on the real-time thread: bounded, without allocation.
+
+mod mailbox;
+mod sdo;
+
+use self::mailbox::{Heard, Mailbox};
+use self::sdo::{Failure, KEPT, Sdo, Step};
+use super::counters::Own;
+use super::object::{self, Target, Type, long};
+use super::plan::SlavePlan;
+use super::slot::{Answers, Ask};
+use super::wire::mailbox::{Emergency, Message, parse};
+use super::wire::sdo::{AbortCode, Object, Request};
+use crate::axis::Link;
+use crate::axis::acyclic::{Answer, Call, CallError, Port, Posted};
+use crate::bus::Counters;
+use crate::rt::Regions;
+use crate::time::{MS, Time};
+
+/// What a transfer of the master is given.
+const LIMIT_NS: u64 = 700 * MS;
+const LIMIT_TURNS: u64 = 12;
+/// Emergencies that wait to be taken; later ones are counted, and gone.
+const EMERGENCIES: usize = 8;
+
+/// An SDO of the master itself, of eight bytes at most.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Transfer {
+    /// Reads an object: its bits, of a longer one the first four bytes.
+    Read(Object),
+    /// Writes the lowest `bytes` bytes of `raw`.
+    Write {
+        /// What.
+        object: Object,
+        /// Its value.
+        raw: u64,
+        /// Its size.
+        bytes: u8,
+    },
+}
+
+/// Why an SDO failed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SdoFailure {
+    /// The slave refused.
+    Abort(AbortCode),
+    /// It did not answer, or nothing that can be used, or the mailbox was closed.
+    Silent,
+}
+
+/// The mailbox of one slave.
+#[derive(Debug)]
+pub struct Service {
+    mailbox: Option<Mailbox>,
+    port: Option<Port>,
+    open: bool,
+    /// A transfer of the master that was not taken up yet, and how the last one ended.
+    waiting: Option<Transfer>,
+    end: Option<Result<u32, SdoFailure>>,
+    active: Option<Active>,
+    kept: Kept,
+    emergencies: Emergencies,
+    /// Transfers that were not answered, not counted yet.
+    silent: u64,
+    /// The same of emergencies that nobody took.
+    lost: u64,
+    /// So long it may be until its mailbox has the slot again, ns.
+    turn_ns: u64,
+}
+
+/// The transfer that is carried out.
+#[derive(Clone, Copy, Debug)]
+struct Active {
+    by: By,
+    sdo: Sdo,
+    since: Time,
+    limit_ns: u64,
+}
+
+/// Whose it is.
+#[derive(Clone, Copy, Debug)]
+enum By {
+    Master,
+    Call(Posted, Option<Type>),
+}
+
+/// How a transfer ends.
+#[derive(Clone, Copy, Debug)]
+enum End {
+    Done,
+    Failed(Failure),
+    GivenUp(CallError),
+}
+
+/// What the last call that read has brought, for those behind it in its series.
+#[derive(Clone, Copy, Debug)]
+struct Kept {
+    series: u64,
+    address: u32,
+    size: usize,
+    data: [u8; KEPT],
+}
+
+impl Kept {
+    /// The answer to a call for some of it.
+    fn answer(&self, posted: &Posted) -> Result<Answer, CallError> {
+        let Call { service, address, value } = posted.call;
+        let done = |value| Ok(Answer { status: 0, address, value });
+        let at = usize::try_from(value).unwrap_or(usize::MAX);
+        let is_that = posted.series != 0 && (self.series, self.address) == (posted.series, address);
+        match service {
+            object::SIZE if is_that => done(self.size as u64),
+            object::PART if is_that && at < self.size.min(KEPT) => {
+                let part = self.data.get(at..).unwrap_or_default();
+                done(long::raw(part))
+            }
+            _ => Err(CallError::Refused(object::NOT_READ)),
+        }
+    }
+}
+
+/// A value of `size` bytes as the bits of its type, which may be longer.
+fn bits(kind: Option<Type>, size: usize, data: &[u8]) -> u64 {
+    let raw = long::raw(data.get(..size).unwrap_or(data));
+    match kind {
+        Some(kind) if kind.is_signed() && (1..kind.bytes()).contains(&size) => {
+            let above = 64 - 8 * size as u32;
+            kind.raw((raw << above) as i64 >> above)
+        }
+        _ => raw,
+    }
+}
+
+/// Emergencies in their order.
+#[derive(Debug, Default)]
+struct Emergencies {
+    places: [Emergency; EMERGENCIES],
+    first: usize,
+    count: usize,
+}
+
+impl Emergencies {
+    /// False: there is no room.
+    fn push(&mut self, emergency: Emergency) -> bool {
+        let has_room = self.count < EMERGENCIES;
+        if has_room {
+            self.places[(self.first + self.count) % EMERGENCIES] = emergency;
+            self.count += 1;
+        }
+        has_room
+    }
+
+    fn pop(&mut self) -> Option<Emergency> {
+        self.count = self.count.checked_sub(1)?;
+        let next = self.places[self.first];
+        self.first = (self.first + 1) % EMERGENCIES;
+        Some(next)
+    }
+}
+
+impl Service {
+    /// The mailbox of a slave, and the application's calls for it.
+    pub fn new(slave: &SlavePlan, port: Option<Port>) -> Service {
+        Service {
+            mailbox: slave.mailbox.and_then(|areas| Mailbox::new(areas, slave.station())),
+            port,
+            open: false,
+            waiting: None,
+            end: None,
+            active: None,
+            kept: Kept { series: 0, address: 0, size: 0, data: [0; KEPT] },
+            emergencies: Emergencies::default(),
+            silent: 0,
+            lost: 0,
+            turn_ns: 0,
+        }
+    }
+
+    /// So long it may be until its mailbox has the slot again, ns: on a long line all takes longer.
+    pub fn set_turn(&mut self, turn_ns: u64) {
+        self.turn_ns = turn_ns;
+        if let Some(mailbox) = &mut self.mailbox {
+            mailbox.set_turn(turn_ns);
+        }
+    }
+
+    /// Adds what it touches besides itself, to be locked.
+    pub fn memory(&self, regions: &mut Regions) {
+        if let Some(mailbox) = &self.mailbox {
+            mailbox.memory(regions);
+        }
+        if let Some(port) = &self.port {
+            port.memory(regions);
+        }
+    }
+
+    /// The mailbox works from now on (PREOP and above), or not any more: what is under way ends.
+    pub fn open(&mut self, open: bool) {
+        if std::mem::replace(&mut self.open, open) == open {
+            return;
+        }
+        if open {
+            // What ended meanwhile is nobody's any more.
+            (self.end, self.waiting) = (None, None);
+            // Nor what the slave told before: it may be another one.
+            self.lost += self.emergencies.count as u64;
+            self.emergencies = Emergencies::default();
+        } else {
+            self.finish(Time::default(), End::GivenUp(CallError::Restarted));
+            if self.waiting.take().is_some() {
+                self.end = Some(Err(SdoFailure::Silent));
+            }
+        }
+        if let Some(mailbox) = &mut self.mailbox {
+            mailbox.reset();
+        }
+    }
+
+    /// No transfer of the master is under way, and the end of the last one was taken: one may begin.
+    pub fn is_free(&self) -> bool {
+        let is_active = matches!(self.active, Some(Active { by: By::Master, .. }));
+        self.end.is_none() && self.waiting.is_none() && !is_active
+    }
+
+    /// Begins a transfer of the master; it goes before those of the application.
+    pub fn begin(&mut self, transfer: Transfer) {
+        match self.open && self.mailbox.is_some() {
+            true => self.waiting = Some(transfer),
+            false => self.end = Some(Err(SdoFailure::Silent)),
+        }
+    }
+
+    /// How the transfer of the master ended, once. Of a write `Ok` tells what was written, the first four bytes of it.
+    pub fn take_end(&mut self) -> Option<Result<u32, SdoFailure>> {
+        self.end.take()
+    }
+
+    /// The next emergency that the slave has told.
+    pub fn take_emergency(&mut self) -> Option<Emergency> {
+        self.emergencies.pop()
+    }
+
+    /// Takes up the next call of the application, and ends what is over.
+    #[inline]
+    pub fn advance(&mut self, now: Time, link: Link) {
+        // Almost always there is nothing.
+        let is_called = self.port.as_ref().is_some_and(|port| !port.is_empty());
+        if is_called || self.active.is_some() || self.waiting.is_some() {
+            self.go_on(now, link);
+        }
+    }
+
+    fn go_on(&mut self, now: Time, link: Link) {
+        let is_down = !self.open || matches!(link, Link::Unseen | Link::Lost);
+        if let Some(port) = &mut self.port {
+            match &self.mailbox {
+                None => port.refuse_all(CallError::Refused(object::NO_MAILBOX)),
+                Some(_) if is_down => port.refuse_all(CallError::NotOnline),
+                Some(_) => {}
+            }
+        }
+        if let Some(active) = &self.active {
+            let is_over = now.since(active.since) > active.limit_ns;
+            let why = match &active.by {
+                By::Call(posted, _) if self.port.as_ref().is_some_and(|port| port.is_cancelled(posted)) => {
+                    Some(CallError::Cancelled)
+                }
+                By::Call(..) if is_down => Some(CallError::NotOnline),
+                _ if is_over => Some(CallError::TimedOut),
+                _ => None,
+            };
+            if let Some(why) = why {
+                self.silent += u64::from(why == CallError::TimedOut);
+                self.finish(now, End::GivenUp(why));
+            }
+        }
+        let is_ready = self.open && self.active.is_none();
+        if is_ready && self.mailbox.as_ref().is_some_and(Mailbox::is_free) {
+            self.take_up(now);
+        }
+    }
+
+    /// The next transfer: the master's first.
+    fn take_up(&mut self, now: Time) {
+        if let Some(transfer) = self.waiting.take() {
+            let sdo = match transfer {
+                Transfer::Read(object) => Sdo::read(object, false),
+                Transfer::Write { object, raw, bytes } => Sdo::write(object, raw, bytes.into()),
+            };
+            let limit_ns = LIMIT_NS.max(LIMIT_TURNS * self.turn_ns);
+            return self.start(now, Active { by: By::Master, sdo, since: now, limit_ns });
+        }
+        let Some(posted) = self.port.as_mut().and_then(Port::take) else { return };
+        let call = posted.call;
+        let sdo = match (call.service, Target::unpack(call.address)) {
+            (object::READ, Some(Target { object, kind, complete })) => (Sdo::read(object, complete), kind),
+            (object::WRITE, Some(Target { object, kind: Some(kind), complete: false })) => {
+                // Of a text there is what is not 0.
+                let text = (71 - call.value.leading_zeros() as usize) / 8;
+                let bytes = if kind == Type::Text { text } else { kind.bytes() };
+                (Sdo::write(object, call.value, bytes), Some(kind))
+            }
+            (object::SIZE | object::PART, _) => return self.end_call(&posted, self.kept.answer(&posted)),
+            _ => return self.end_call(&posted, Err(CallError::Refused(object::NO_CALL))),
+        };
+        let (by, limit_ns) = (By::Call(posted, sdo.1), posted.limit_ns);
+        self.start(now, Active { by, sdo: sdo.0, since: now, limit_ns });
+    }
+
+    fn start(&mut self, now: Time, active: Active) {
+        self.active = Some(active);
+        self.post(now);
+    }
+
+    /// Hands the next request of the transfer to the mailbox. There is room: a mailbox has 16 bytes at least.
+    fn post(&mut self, now: Time) {
+        if let (Some(active), Some(mailbox)) = (&mut self.active, &mut self.mailbox) {
+            let request = active.sdo.request(mailbox.room());
+            mailbox.post(now, &request, true);
+        }
+    }
+
+    /// Writes what it wants of the next frame into `ask`; nothing, if there is nothing to do. Asked again without having been heard,
+    /// the frame was not sent, and it asks the same.
+    #[inline]
+    pub fn ask(&mut self, now: Time, ask: &mut Ask) {
+        if let Some(mailbox) = self.mailbox.as_mut().filter(|_| self.open) {
+            mailbox.ask(now, ask);
+        }
+    }
+
+    /// What came of what it asked.
+    pub fn heard(&mut self, now: Time, answers: &Answers<'_>, counters: &mut Counters) {
+        counters.own[Own::MailboxSilent as usize] += std::mem::take(&mut self.silent);
+        counters.own[Own::EmergenciesLost as usize] += std::mem::take(&mut self.lost);
+        let heard = self.mailbox.as_mut().map(|mailbox| mailbox.heard(now, answers, counters));
+        match heard {
+            None | Some(Heard::Nothing) => {}
+            Some(Heard::Full) => {
+                counters.own[Own::MailboxSilent as usize] += u64::from(self.active.is_some());
+                self.finish(now, End::Failed(Failure::Unusable(object::FULL)));
+            }
+            Some(Heard::Message) => self.take(now, counters),
+        }
+    }
+
+    /// A message has come.
+    fn take(&mut self, now: Time, counters: &mut Counters) {
+        let Some(mailbox) = &self.mailbox else { return };
+        let active = self.active.as_mut().filter(|_| mailbox.awaits());
+        let is_awaited = active.is_some();
+        let failed = |status| Step::Failed(Failure::Unusable(status));
+        let step = match (parse(mailbox.message()), active) {
+            (Ok(Message::Emergency(emergency)), _) => {
+                Own::Emergencies.count(counters);
+                if !self.emergencies.push(emergency) {
+                    Own::EmergenciesLost.count(counters);
+                }
+                return;
+            }
+            (Ok(Message::Sdo { counter, response }), Some(active))
+                if counter == 0 || counter == mailbox.count() =>
+            {
+                active.sdo.take(&response)
+            }
+            (Ok(Message::Refused(error)), Some(_)) => failed(object::MAILBOX + u32::from(error.0)),
+            (Ok(_), _) => Step::Stray,
+            (Err(_), _) => {
+                Own::MailboxBroken.count(counters);
+                if !is_awaited {
+                    return;
+                }
+                failed(object::BROKEN)
+            }
+        };
+        match step {
+            Step::Stray => Own::MailboxStrays.count(counters),
+            Step::Next => {
+                self.answered();
+                self.post(now);
+            }
+            Step::Done => self.finish(now, End::Done),
+            Step::Failed(failure) => {
+                if matches!(failure, Failure::Abort(_)) {
+                    Own::Aborts.count(counters);
+                }
+                self.finish(now, End::Failed(failure));
+            }
+        }
+    }
+
+    fn answered(&mut self) {
+        if let Some(mailbox) = &mut self.mailbox {
+            mailbox.answered();
+        }
+    }
+
+    /// Ends the transfer that is under way.
+    fn finish(&mut self, now: Time, end: End) {
+        let Some(active) = self.active.take() else { return };
+        if let Some(mailbox) = &mut self.mailbox {
+            match end {
+                End::GivenUp(_) => mailbox.abandon(),
+                End::Done | End::Failed(_) => mailbox.answered(),
+            }
+            if let Some(code) = farewell(&active.sdo, end) {
+                let object = active.sdo.object();
+                mailbox.post(now, &Request::Abort { object, code }, false);
+            }
+        }
+        let (size, data) = active.sdo.value();
+        match active.by {
+            By::Master => {
+                self.end = Some(match end {
+                    End::Done => Ok(long::raw(data) as u32),
+                    End::Failed(Failure::Abort(code)) => Err(SdoFailure::Abort(code)),
+                    End::Failed(Failure::Unusable(_)) | End::GivenUp(_) => Err(SdoFailure::Silent),
+                });
+            }
+            By::Call(posted, kind) => {
+                let Call { service, address, value } = posted.call;
+                let reads = service == object::READ;
+                if reads && matches!(end, End::Done) {
+                    self.kept = Kept { series: posted.series, address, size, data: *data };
+                }
+                let value = if reads { bits(kind, size, data) } else { value };
+                self.end_call(
+                    &posted,
+                    match end {
+                        End::Done => Ok(Answer { status: 0, address, value }),
+                        End::Failed(Failure::Abort(AbortCode(status)) | Failure::Unusable(status)) => {
+                            Err(CallError::Refused(status))
+                        }
+                        End::GivenUp(why) => Err(why),
+                    },
+                );
+            }
+        }
+    }
+
+    fn end_call(&mut self, posted: &Posted, result: Result<Answer, CallError>) {
+        if let Some(port) = &mut self.port {
+            port.end(posted, result);
+        }
+    }
+}
+
+/// What a slave in the middle of a transfer is told when that ends: it would wait for the next segment.
+fn farewell(sdo: &Sdo, end: End) -> Option<AbortCode> {
+    let code = match end {
+        End::Failed(Failure::Unusable(object::TOGGLE)) => AbortCode::TOGGLE,
+        End::Failed(Failure::Unusable(_)) => AbortCode::GENERAL,
+        End::GivenUp(_) => AbortCode::TIMED_OUT,
+        End::Done | End::Failed(Failure::Abort(_)) => return None,
+    };
+    sdo.is_begun().then_some(code)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,708 @@
+//! The mailbox client against simulated slaves, a slot a millisecond, with frames lost on either way.
+
+mod server;
+
+use std::time::Duration;
+
+use proptest::prelude::*;
+
+use self::server::{Server, coe, message};
+use super::*;
+use crate::axis::acyclic::{Acyclic, CallTicket, both};
+use crate::bus::ethercat::object::{READ, WRITE};
+use crate::bus::ethercat::plan::Area;
+use crate::bus::ethercat::sim::sii::{Contents, Mailboxes};
+use crate::bus::ethercat::sim::{Application, Dialect, Drive, DriveSettings, Esc, Line, Settings};
+use crate::bus::ethercat::slot;
+use crate::bus::ethercat::wire::frame::{BROADCAST, Builder, Command, FRAME_MAX, datagrams, position};
+use crate::bus::ethercat::wire::registers::{SyncManager, address};
+use crate::time::S;
+
+const STATION: u16 = 0x1001;
+const LIMIT: Duration = Duration::from_secs(1);
+const STATUS_WORD: Object = Object::new(0x6041, 0);
+const MODE: Object = Object::new(0x6060, 0);
+const NAME: Object = Object::new(0x1008, 0);
+
+/// What becomes of a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Fate {
+    Returns,
+    /// Lost before the slave.
+    NeverArrives,
+    /// Lost behind it.
+    NeverReturns,
+}
+
+struct Bench {
+    line: Line,
+    service: Service,
+    acyclic: Acyclic,
+    counters: Counters,
+    now: Time,
+    link: Link,
+    /// Of the next frames that carry something.
+    fates: Vec<Fate>,
+    /// What was asked, frame by frame.
+    frames: Vec<Vec<Command>>,
+    /// The slave knows no repeat requests: it lets them be written and does nothing.
+    no_repeat: bool,
+}
+
+fn plan(length: u16) -> SlavePlan {
+    let areas = [0x1800, 0x1C00].map(|start| Area { start, length });
+    SlavePlan { mailbox: Some(areas), ..SlavePlan::new(0) }
+}
+
+impl Bench {
+    /// One slave with mailboxes of this length, in PREOP.
+    fn new(length: u16, application: Box<dyn Application>) -> Bench {
+        let mailboxes = Mailboxes { out: (0x1800, length), input: (0x1C00, length), protocols: 4 };
+        let sii = Contents { mailboxes: Some(mailboxes), ..Contents::default() }.image();
+        let (acyclic, port) = both(16);
+        let mut bench = Bench {
+            line: Line::new(vec![Esc::new(Settings { sii, ..Settings::default() }, application)]),
+            service: Service::new(&plan(length), Some(port)),
+            acyclic,
+            counters: Counters::default(),
+            now: Time(S),
+            link: Link::Online,
+            fates: Vec::new(),
+            frames: Vec::new(),
+            no_repeat: false,
+        };
+        bench.write(Command::Apwr(position(0), address::STATION), &STATION.to_le_bytes());
+        for (n, start, control) in
+            [(0, 0x1800, SyncManager::MAILBOX_OUT), (1, 0x1C00, SyncManager::MAILBOX_IN)]
+        {
+            let manager = SyncManager { start, length, control, activate: 1 };
+            bench.write(Command::Fpwr(STATION, address::sync_manager(n)), &manager.to_bytes());
+        }
+        bench.write(Command::Fpwr(STATION, address::AL_CONTROL), &[2, 0]);
+        bench.service.open(true);
+        bench
+    }
+
+    fn drive(change: impl FnOnce(&mut DriveSettings)) -> Bench {
+        let mut settings = DriveSettings::new(crate::bus::ethercat::object::Family::S700);
+        change(&mut settings);
+        Bench::new(16, Box::new(Drive::new(settings)))
+    }
+
+    fn server(length: u16, objects: &[(Object, &[u8])]) -> (Bench, Server) {
+        let server = Server::new(length.into());
+        server.shared().objects = objects.iter().map(|(object, data)| (*object, data.to_vec())).collect();
+        (Bench::new(length, Box::new(server.clone())), server)
+    }
+
+    fn write(&mut self, command: Command, data: &[u8]) {
+        let mut frame = [0; FRAME_MAX];
+        let mut builder = Builder::new(&mut frame, BROADCAST, [0x10; 6]).unwrap();
+        builder.push_with(command, 7, data).unwrap();
+        let length = builder.finish();
+        self.line.pass(self.now, &mut frame[..length]);
+        assert_eq!(datagrams(&frame[..length]).unwrap().next().unwrap().unwrap().working_counter, 1);
+    }
+
+    /// One slot.
+    fn step(&mut self) {
+        self.now = self.now + MS;
+        self.service.advance(self.now, self.link);
+        let (mut ask, mut again) = (Ask::default(), Ask::default());
+        self.service.ask(self.now, &mut ask);
+        self.service.ask(self.now, &mut again);
+        let of = |ask: &Ask| -> Vec<_> { ask.datagrams().map(|(c, data)| (c, data.to_vec())).collect() };
+        assert_eq!(of(&ask), of(&again), "asked again, it asks the same");
+        self.line.live(self.now);
+        if ask.is_empty() {
+            return;
+        }
+        self.frames.push(ask.datagrams().map(|(command, _)| command).collect());
+        let fate = if self.fates.is_empty() { Fate::Returns } else { self.fates.remove(0) };
+        let mut frame = [0; FRAME_MAX];
+        let mut builder = Builder::new(&mut frame, BROADCAST, [0x10; 6]).unwrap();
+        for (command, data) in ask.datagrams() {
+            builder.push_with(command, 7, data).unwrap();
+        }
+        let length = builder.finish();
+        let is_toggle = ask.datagrams().any(|(command, _)| command == Command::Fpwr(STATION, 0x080E));
+        let is_ignored = is_toggle && self.no_repeat;
+        if fate != Fate::NeverArrives && !is_ignored {
+            self.line.pass(self.now, &mut frame[..length]);
+        }
+        let mut answers: Answers<'_> = [None; slot::DATAGRAMS];
+        if fate == Fate::Returns {
+            for (answer, datagram) in answers.iter_mut().zip(datagrams(&frame[..length]).unwrap()) {
+                let datagram = datagram.unwrap();
+                let working_counter = datagram.working_counter + u16::from(is_ignored);
+                *answer = Some(slot::Answer { working_counter, data: datagram.data });
+            }
+        }
+        self.service.heard(self.now, &answers, &mut self.counters);
+    }
+
+    fn steps(&mut self, count: usize) {
+        (0..count).for_each(|_| self.step());
+    }
+
+    /// A transfer of the master, to its end.
+    fn transfer(&mut self, transfer: Transfer) -> Result<u32, SdoFailure> {
+        assert!(self.service.is_free());
+        self.service.begin(transfer);
+        for _ in 0..2_000 {
+            if let Some(end) = self.service.take_end() {
+                return end;
+            }
+            assert!(!self.service.is_free());
+            self.step();
+        }
+        panic!("it never ends");
+    }
+
+    fn read(&mut self, object: Object) -> Result<u32, SdoFailure> {
+        self.transfer(Transfer::Read(object))
+    }
+
+    fn post(&self, service: u32, address: &str, value: u64) -> CallTicket {
+        let address = Target::parse(address).unwrap().pack();
+        self.acyclic.post(Call { service, address, value }, LIMIT).unwrap()
+    }
+
+    fn wait(&mut self, mut ticket: CallTicket) -> Result<u64, CallError> {
+        for _ in 0..2_000 {
+            if let Some(end) = ticket.poll() {
+                return end.map(|answer| answer.value);
+            }
+            self.step();
+        }
+        panic!("it never ends");
+    }
+
+    fn call(&mut self, service: u32, address: &str, value: u64) -> Result<u64, CallError> {
+        let ticket = self.post(service, address, value);
+        self.wait(ticket)
+    }
+
+    fn own(&self, own: Own) -> u64 {
+        self.counters.own[own as usize]
+    }
+}
+
+#[test]
+fn a_drive_is_read_and_written_in_both_dialects() {
+    for dialect in [Dialect::Standard, Dialect::Manual] {
+        let mut bench = Bench::drive(|settings| settings.dialect = dialect);
+        for _ in 0..20 {
+            assert_eq!(bench.read(Object::new(0x1018, 1)), Ok(0x6A), "{dialect:?}");
+        }
+        let write = Transfer::Write { object: MODE, raw: 7, bytes: 1 };
+        assert_eq!(bench.transfer(write), Ok(7));
+        assert_eq!((bench.read(MODE), bench.call(READ, "0x6060:0", 0)), (Ok(7), Ok(7)));
+        assert_eq!(bench.call(WRITE, "0x6060:0", 3), Ok(3));
+        assert_eq!(bench.read(MODE), Ok(3));
+        let counted: Vec<u64> =
+            [Own::MailboxStrays, Own::MailboxBroken, Own::MailboxSilent, Own::MailboxRepeats]
+                .map(|own| bench.own(own))
+                .to_vec();
+        assert_eq!(counted, [0; 4], "{dialect:?}");
+    }
+}
+
+#[test]
+fn an_sdo_of_a_drive_takes_three_slots_of_one_datagram() {
+    let mut bench = Bench::drive(|_| {});
+    bench.read(MODE).unwrap();
+    bench.frames.clear();
+    bench.read(MODE).unwrap();
+    let status = Command::Fprd(STATION, 0x080D);
+    let [first, second, third] = &bench.frames[..] else { panic!("{:?}", bench.frames) };
+    assert_eq!(first, &[Command::Fpwr(STATION, 0x1800)]);
+    assert_eq!((second, third), (&vec![status], &vec![Command::Fprd(STATION, 0x1C00)]));
+}
+
+#[test]
+fn a_longer_mailbox_is_closed_by_its_last_byte_in_the_same_slot() {
+    let (mut bench, _server) = Bench::server(1_024, &[(MODE, &[7])]);
+    bench.read(MODE).unwrap();
+    bench.frames.clear();
+    assert_eq!(bench.read(MODE), Ok(7));
+    let [first, second, third] = &bench.frames[..] else { panic!("{:?}", bench.frames) };
+    assert_eq!(first, &[Command::Fpwr(STATION, 0x1800), Command::Fpwr(STATION, 0x1BFF)]);
+    assert_eq!(second, &[Command::Fprd(STATION, 0x080D), Command::Fprd(STATION, 0x1C00)]);
+    assert_eq!(third, &[Command::Fprd(STATION, 0x1FFF)]);
+}
+
+#[test]
+fn a_refusal_names_its_code_for_the_master_and_the_application() {
+    let mut bench = Bench::drive(|_| {});
+    let code = AbortCode::NO_OBJECT;
+    assert_eq!(bench.read(Object::new(0x5FFF, 1)), Err(SdoFailure::Abort(code)));
+    assert_eq!(bench.call(READ, "0x5FFF:1", 0), Err(CallError::Refused(code.0)));
+    assert_eq!(bench.own(Own::Aborts), 2);
+    assert_eq!(bench.call(READ, "0x1C12:ca", 0), Err(CallError::Refused(AbortCode::NOT_COMPLETE.0)));
+}
+
+/// Each of the first frames of a transfer returns, or is lost on either way, in all combinations.
+#[test]
+fn no_lost_frame_changes_what_comes_of_a_transfer() {
+    let fates = [Fate::Returns, Fate::NeverArrives, Fate::NeverReturns];
+    for (length, places) in [(16, 5), (1_024, 5), (32, 4)] {
+        for code in 0..3_usize.pow(places) {
+            let lost = (0..places).map(|place| fates[code / 3_usize.pow(place) % 3]).collect();
+            let (mut bench, server) = Bench::server(length, &[(MODE, &[7]), (STATUS_WORD, &[0x37, 6])]);
+            bench.read(MODE).unwrap();
+            bench.fates = lost;
+            let write = Transfer::Write { object: MODE, raw: 0x85, bytes: 1 };
+            assert_eq!(bench.transfer(write), Ok(0x85), "{length} {code}");
+            bench.steps(10);
+            let shared = server.shared();
+            let mut counts: Vec<u8> = shared.requests.iter().map(|request| request[5] >> 4).collect();
+            counts.dedup();
+            assert_eq!(counts, [1, 2], "a repetition has the count of the first, {length} {code}");
+            drop(shared);
+            assert_eq!((bench.read(STATUS_WORD), bench.read(MODE)), (Ok(0x637), Ok(0x85)), "{length} {code}");
+            assert_eq!(bench.own(Own::MailboxSilent), 0);
+        }
+    }
+}
+
+#[test]
+fn an_answer_whose_frame_was_lost_is_asked_for_again() {
+    let mut bench = Bench::drive(|_| {});
+    bench.read(MODE).unwrap();
+    bench.frames.clear();
+    bench.fates = vec![Fate::Returns, Fate::Returns, Fate::NeverReturns];
+    assert_eq!(bench.read(Object::new(0x1018, 1)), Ok(0x6A));
+    assert!(bench.frames.contains(&vec![Command::Fpwr(STATION, 0x080E)]), "{:?}", bench.frames);
+    assert_eq!(bench.own(Own::MailboxRepeats), 1);
+    // The next time the toggle goes back.
+    bench.fates = vec![Fate::Returns, Fate::Returns, Fate::NeverReturns];
+    assert_eq!(bench.read(Object::new(0x1018, 1)), Ok(0x6A));
+    assert_eq!((bench.own(Own::MailboxRepeats), bench.own(Own::MailboxStrays)), (2, 0));
+}
+
+#[test]
+fn a_slave_without_repeat_requests_costs_one_transfer_and_no_later_one() {
+    let mut bench = Bench::drive(|_| {});
+    bench.no_repeat = true;
+    bench.read(MODE).unwrap();
+    bench.fates = vec![Fate::Returns, Fate::Returns, Fate::NeverReturns];
+    assert_eq!(bench.read(Object::new(0x1018, 1)), Err(SdoFailure::Silent));
+    assert_eq!(bench.read(Object::new(0x1018, 1)), Ok(0x6A));
+    // Of a frame that never arrived nothing is lost.
+    bench.fates = vec![Fate::Returns, Fate::Returns, Fate::NeverArrives];
+    assert_eq!(bench.read(Object::new(0x1018, 1)), Ok(0x6A));
+}
+
+#[test]
+fn no_answer_ends_a_transfer_and_so_does_a_mailbox_that_stays_full() {
+    let (mut bench, server) = Bench::server(16, &[]);
+    server.shared().twist = Some(Box::new(|_| Vec::new()));
+    let begun = bench.now;
+    assert_eq!(bench.read(MODE), Err(SdoFailure::Silent));
+    let took = bench.now.since(begun);
+    assert!((700 * MS..705 * MS).contains(&took), "{took}");
+    assert_eq!(bench.call(READ, "0x6060:0", 0), Err(CallError::TimedOut));
+    bench.steps(60);
+    assert_eq!(bench.own(Own::MailboxSilent), 2);
+
+    // A firmware that stands still never takes the request.
+    let mut full = Service::new(&plan(16), None);
+    full.open(true);
+    full.begin(Transfer::Read(MODE));
+    let empty = [0x02, 0x01, 0x00];
+    let answer = |working_counter, data| Some(slot::Answer { working_counter, data });
+    let mut end = None;
+    let begun = bench.now;
+    while end.is_none() {
+        bench.now = bench.now + MS;
+        assert!(bench.now.since(begun) < 40 * MS, "it goes on for ever");
+        full.advance(bench.now, Link::Online);
+        let mut ask = Ask::default();
+        full.ask(bench.now, &mut ask);
+        let is_look = ask.datagrams().any(|(command, _)| command == Command::Fprd(STATION, 0x080D));
+        let first = if is_look { answer(1, &empty[..]) } else { answer(0, &[0; 16][..]) };
+        full.heard(bench.now, &[first, None], &mut bench.counters);
+        end = full.take_end();
+    }
+    assert_eq!(end, Some(Err(SdoFailure::Silent)));
+    assert!(bench.now.since(begun) >= 20 * MS);
+}
+
+#[test]
+fn an_emergency_in_place_of_an_answer_is_kept_and_the_answer_waited_for() {
+    let (mut bench, server) = Bench::server(128, &[(MODE, &[7])]);
+    let emergency = [0x10, 0x43, 8, 1, 0, 0, 0, 0];
+    let ethernet = message(0, 2, &[0; 90]);
+    let first = coe(0, 1, &emergency);
+    server.shared().twist = Some(Box::new(move |answer| vec![first.clone(), ethernet.clone(), answer]));
+    assert_eq!(bench.read(MODE), Ok(7));
+    let told = Emergency { code: 0x4310, register: 8, vendor: [1, 0, 0, 0, 0] };
+    assert_eq!((bench.service.take_emergency(), bench.service.take_emergency()), (Some(told), None));
+    assert_eq!((bench.own(Own::Emergencies), bench.own(Own::MailboxStrays)), (1, 1));
+}
+
+#[test]
+fn an_emergency_that_nobody_asked_for_is_seen_and_too_many_are_counted() {
+    let (mut bench, server) = Bench::server(16, &[]);
+    bench.steps(60);
+    for code in 1..=12 {
+        server.shared().messages.push_back(coe(0, 1, &[code, 0x10, 0, 0, 0, 0, 0, 0]));
+    }
+    bench.steps(100);
+    assert_eq!((bench.own(Own::Emergencies), bench.own(Own::EmergenciesLost)), (12, 4));
+    let kept: Vec<u16> = std::iter::from_fn(|| bench.service.take_emergency()).map(|e| e.code).collect();
+    assert_eq!(kept, (0x1001..=0x1008).collect::<Vec<u16>>(), "the first ones, in their order");
+    bench.frames.clear();
+    bench.steps(1_000);
+    assert!((19..=21).contains(&bench.frames.len()), "a look every 50 ms: {}", bench.frames.len());
+}
+
+#[test]
+fn what_answers_something_else_is_a_stray_and_never_a_value() {
+    let (mut bench, server) = Bench::server(16, &[(MODE, &[7])]);
+    server.shared().twist = Some(Box::new(|answer| {
+        let other = |place: usize, byte: u8| {
+            let mut other = answer.clone();
+            (other[5], other[12]) = (other[5] & 0x0F, 0x55);
+            other[place] = byte;
+            other
+        };
+        let mut counted = answer.clone();
+        counted[5] = (((answer[5] >> 4) % 7 + 1) << 4) | 3;
+        counted[12] = 0x55;
+        // Another index, subindex, command, count; and the answer twice.
+        vec![
+            other(9, 0x61),
+            other(10, 0x5F),
+            other(11, 1),
+            other(8, 0x60),
+            other(8, 0x20),
+            counted,
+            answer.clone(),
+            answer,
+        ]
+    }));
+    assert_eq!(bench.read(MODE), Ok(7));
+    assert_eq!(bench.own(Own::MailboxStrays), 6);
+    bench.steps(60);
+    assert_eq!(bench.own(Own::MailboxStrays), 7, "the duplicate");
+}
+
+#[test]
+fn what_cannot_be_used_ends_a_call_by_its_name() {
+    let text: Vec<u8> = (b'a'..=b'z').collect();
+    type Change = fn(Vec<u8>) -> Vec<u8>;
+    let cases: [(Change, u32); 7] = [
+        (|answer| message(0, 0, &[1, 0, 2, 0, answer[0]]), object::MAILBOX + 2),
+        (
+            |mut answer| {
+                answer[0] = 4;
+                answer
+            },
+            object::BROKEN,
+        ),
+        (
+            |mut answer| {
+                answer[8] = 0xA0;
+                answer
+            },
+            object::BROKEN,
+        ),
+        (
+            |mut answer| {
+                answer[0] = 200;
+                answer
+            },
+            object::BROKEN,
+        ),
+        // Segments: the wrong toggle, an early end, and none.
+        (
+            |mut answer| {
+                if answer[8] < 0x20 {
+                    answer[8] ^= 0x10
+                }
+                answer
+            },
+            object::TOGGLE,
+        ),
+        (
+            |mut answer| {
+                if answer[8] < 0x20 {
+                    answer[8] |= 1
+                }
+                answer
+            },
+            object::TRUNCATED,
+        ),
+        (
+            |mut answer| {
+                if answer[8] < 0x20 {
+                    answer[8] = answer[8] & 0x10 | 0x0E
+                }
+                answer
+            },
+            object::ENDLESS,
+        ),
+    ];
+    for (number, (change, status)) in cases.into_iter().enumerate() {
+        let (mut bench, server) = Bench::server(20, &[(NAME, &text)]);
+        server.shared().twist = Some(Box::new(move |answer| vec![change(answer)]));
+        assert_eq!(bench.call(READ, "device-name", 0), Err(CallError::Refused(status)), "{number}");
+        bench.steps(5);
+        let is_told = server.shared().requests.iter().any(|request| request[8] == 0x80);
+        assert_eq!(is_told, matches!(status, object::TOGGLE | object::ENDLESS), "{number}");
+        server.shared().twist = None;
+        assert_eq!(bench.call(READ, "device-name", 0), Ok(long::raw(b"abcdefgh")), "{number}");
+    }
+}
+
+#[test]
+fn an_object_without_end_is_given_up() {
+    let (mut bench, server) = Bench::server(1_024, &[(NAME, &[b'x'; 100_000])]);
+    assert_eq!(bench.call(READ, "device-name", 0), Err(CallError::Refused(object::ENDLESS)));
+    // One that does not tell its size, either.
+    server.shared().twist = Some(Box::new(|mut answer| {
+        if answer[8] == 0x41 {
+            answer[8] = 0x40;
+        }
+        vec![answer]
+    }));
+    assert_eq!(bench.call(READ, "device-name", 0), Err(CallError::Refused(object::ENDLESS)));
+}
+
+#[test]
+fn objects_of_every_length_are_read_and_counted_whole_in_every_mailbox() {
+    for length in [16, 20, 64, 65, 128, 300, 1_024] {
+        for bytes in [0, 1, 3, 4, 5, 8, 9, 15, 40, 64, 65, 300, 1_000] {
+            let data: Vec<u8> = (0..bytes).map(|byte| byte as u8 | 1).collect();
+            let (mut bench, _server) = Bench::server(length, &[(NAME, &data)]);
+            let address = Target::parse("device-name").unwrap().pack();
+            let calls: Vec<Call> = [(object::READ, 0), (object::SIZE, 0)]
+                .into_iter()
+                .chain((1..8).map(|part| (object::PART, 8 * part)))
+                .map(|(service, value)| Call { service, address, value })
+                .collect();
+            let tickets = bench.acyclic.post_series(&calls, LIMIT).unwrap();
+            let ends: Vec<_> = tickets.into_iter().map(|ticket| bench.wait(ticket)).collect();
+            assert_eq!(ends[1], Ok(bytes as u64), "{length} {bytes}");
+            let parts = ends.iter().enumerate().filter(|(place, _)| *place != 1);
+            let read: Vec<u8> = parts.map_while(|(_, end)| end.ok()).flat_map(u64::to_le_bytes).collect();
+            let end = data.len().min(KEPT);
+            assert_eq!(read[..end], data[..end], "{length} {bytes}");
+        }
+    }
+}
+
+#[test]
+fn a_whole_text_and_a_whole_object_come_through_the_carrier() {
+    let name = b"S700 with a name that is longer than eight characters";
+    let assignment = [1, 0, 4, 0x17];
+    let (mut bench, _server) =
+        Bench::server(128, &[(NAME, name), (Object::new(0x1C12, 0), &assignment), (MODE, &[7])]);
+    let acyclic = bench.acyclic.clone();
+    let reader = std::thread::spawn(move || {
+        let read = |text: &str| long::read(&acyclic, Target::parse(text).unwrap(), LIMIT);
+        [read("device-name"), read("0x1C12:ca"), read("mode"), read("0x5FFF:0")]
+    });
+    while !reader.is_finished() {
+        bench.step();
+        std::thread::yield_now();
+    }
+    let [text, all, mode, none] = reader.join().unwrap();
+    assert_eq!(text.as_deref(), Ok(&name[..]));
+    assert_eq!((all.as_deref(), mode.as_deref()), (Ok(&assignment[..]), Ok(&[7][..])));
+    assert_eq!(none, Err(CallError::Refused(AbortCode::NO_OBJECT.0)));
+}
+
+#[test]
+fn a_longer_value_is_written_in_segments_if_it_has_to_be() {
+    for length in [16, 20, 24, 128] {
+        let (mut bench, server) = Bench::server(length, &[(NAME, b"")]);
+        for text in ["a", "abcd", "abcde", "abcdefgh"] {
+            let raw = long::raw(text.as_bytes());
+            assert_eq!(bench.call(WRITE, "device-name", raw), Ok(raw), "{length} {text}");
+            assert_eq!(server.shared().objects[0].1, text.as_bytes(), "{length}");
+        }
+    }
+}
+
+#[test]
+fn a_short_signed_value_keeps_its_sign_in_a_longer_type() {
+    let (mut bench, _server) = Bench::server(16, &[(MODE, &[0xFB, 0xFF])]);
+    assert_eq!(bench.call(READ, "0x6060:0.i32", 0), Ok(0xFFFF_FFFB));
+    assert_eq!(bench.call(READ, "0x6060:0.u32", 0), Ok(0xFFFB));
+}
+
+#[test]
+fn the_master_goes_before_the_application() {
+    let (mut bench, server) = Bench::server(16, &[(MODE, &[7]), (STATUS_WORD, &[1, 2])]);
+    let tickets: Vec<CallTicket> = (0..3).map(|_| bench.post(READ, "mode", 0)).collect();
+    bench.step();
+    assert_eq!(bench.read(STATUS_WORD), Ok(0x201));
+    let indices: Vec<u8> = server.shared().requests.iter().map(|request| request[9]).collect();
+    assert_eq!(indices, [0x60, 0x41], "the one that was under way came first");
+    for ticket in tickets {
+        assert_eq!(bench.wait(ticket), Ok(7));
+    }
+}
+
+#[test]
+fn a_call_that_is_cancelled_late_or_offline_ends_so_and_hurts_no_later_one() {
+    let (mut bench, server) = Bench::server(16, &[(MODE, &[7]), (STATUS_WORD, &[1, 2])]);
+    let held = std::sync::Arc::new(std::sync::Mutex::new(Vec::new()));
+    let hold = std::sync::Arc::clone(&held);
+    server.shared().twist = Some(Box::new(move |answer| {
+        hold.lock().unwrap().push(answer);
+        Vec::new()
+    }));
+    let mut ticket = bench.post(READ, "mode", 0);
+    bench.steps(5);
+    ticket.cancel();
+    bench.steps(2);
+    assert_eq!(ticket.poll(), Some(Err(CallError::Cancelled)));
+    // Its answer comes late; the next call has the same object.
+    server.shared().twist = None;
+    let mut late = held.lock().unwrap().remove(0);
+    (late[5], late[12]) = (3, 0x55);
+    server.shared().messages.push_back(late);
+    bench.line.live(bench.now);
+    assert_eq!(bench.call(READ, "mode", 0), Ok(7));
+
+    let ticket = bench.post(READ, "mode", 0);
+    bench.link = Link::Lost;
+    assert_eq!(bench.wait(ticket), Err(CallError::NotOnline));
+    assert_eq!(bench.read(MODE), Ok(7), "the master's own transfers bring the link up");
+}
+
+#[test]
+fn without_a_mailbox_or_with_a_closed_one_all_is_refused_at_once() {
+    let (acyclic, port) = both(4);
+    let mut none = Service::new(&SlavePlan::new(0), Some(port));
+    none.open(true);
+    none.begin(Transfer::Read(MODE));
+    assert_eq!(none.take_end(), Some(Err(SdoFailure::Silent)));
+    assert!(none.is_free());
+    let call = Target::parse("mode").unwrap().read();
+    let mut ticket = acyclic.post(call, LIMIT).unwrap();
+    none.advance(Time(S), Link::Online);
+    assert_eq!(ticket.poll(), Some(Err(CallError::Refused(object::NO_MAILBOX))));
+    let mut ask = Ask::default();
+    none.ask(Time(S), &mut ask);
+    assert!(ask.is_empty());
+
+    let (mut bench, _server) = Bench::server(16, &[(MODE, &[7])]);
+    bench.service.begin(Transfer::Read(MODE));
+    bench.steps(2);
+    bench.service.open(false);
+    assert_eq!(bench.service.take_end(), Some(Err(SdoFailure::Silent)));
+    let mut ticket = bench.post(READ, "mode", 0);
+    bench.steps(1);
+    assert_eq!(ticket.poll(), Some(Err(CallError::NotOnline)));
+    bench.service.open(true);
+    assert_eq!(bench.read(MODE), Ok(7));
+}
+
+#[test]
+fn what_is_no_call_is_refused() {
+    let (mut bench, _server) = Bench::server(16, &[(MODE, &[7])]);
+    let no_call = Err(CallError::Refused(object::NO_CALL));
+    assert_eq!(bench.call(99, "mode", 0), no_call);
+    assert_eq!(bench.call(WRITE, "0x2F00:3", 0), no_call);
+    assert_eq!(bench.call(WRITE, "0x1C12:ca", 0), no_call);
+    assert_eq!(bench.call(object::PART, "mode", 0), Err(CallError::Refused(object::NOT_READ)));
+}
+
+#[test]
+fn all_memory_is_told() {
+    let service = Service::new(&plan(1_024), None);
+    let mut regions = Regions::new();
+    service.memory(&mut regions);
+    assert!(regions.covers(service.mailbox.as_ref().unwrap().message()));
+}
+
+/// What came of a datagram, whatever it asked.
+fn any_answer() -> impl Strategy<Value = Option<(u16, Vec<u8>)>> {
+    let data = prop_oneof![
+        proptest::collection::vec(any::<u8>(), 0..80),
+        // Often enough what is looked for: a full mailbox, and a message of a likely form.
+        Just(vec![0x09, 0x01, 0x00]),
+        (0_u8..20, 0_u8..4, 0_u8..4, any::<u8>(), any::<[u8; 7]>()).prop_map(
+            |(length, kind, service, command, rest)| {
+                // Never the object that is asked for.
+                let [low, high, sub, a, b, c, d] = rest;
+                vec![length, 0, 0, 0, 0, kind, 0, service << 4, command, low, high & 0x1F, sub, a, b, c, d]
+            }
+        ),
+    ];
+    proptest::option::weighted(0.9, (0_u16..3, data))
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(200))]
+
+    #[test]
+    fn whatever_comes_back_a_call_ends_and_never_with_another_value(
+        length in prop_oneof![Just(16_u16), Just(64), Just(128), Just(1_024)],
+        answers in proptest::collection::vec([any_answer(), any_answer()], 1..40),
+        writes: bool,
+    ) {
+        let (acyclic, port) = both(4);
+        let mut service = Service::new(&plan(length), Some(port));
+        service.open(true);
+        let target = Target::parse("0x6041:0.u32").unwrap();
+        let call = if writes { target.write(5) } else { target.read() };
+        let mut ticket = acyclic.post(call, Duration::from_millis(100)).unwrap();
+        let mut counters = Counters::default();
+        let mut end = None;
+        for step in 0..110_u64 {
+            let now = Time(S + step * MS);
+            service.advance(now, Link::Online);
+            end = end.or(ticket.poll());
+            let mut ask = Ask::default();
+            service.ask(now, &mut ask);
+            let mut heard: Answers<'_> = [None; slot::DATAGRAMS];
+            let came = &answers[step as usize % answers.len()];
+            let mut fitted: Vec<Option<(u16, Vec<u8>)>> = Vec::new();
+            for ((_, asked), came) in ask.datagrams().zip(came) {
+                fitted.push(came.clone().map(|(count, mut data)| {
+                    // Most often as long as it was asked for.
+                    if step % 7 != 0 { data.resize(asked.len(), 0xEE) }
+                    (count, data)
+                }));
+            }
+            for (place, came) in heard.iter_mut().zip(&fitted) {
+                *place = came.as_ref().map(|(working_counter, data)| slot::Answer { working_counter: *working_counter, data });
+            }
+            service.heard(now, &heard, &mut counters);
+        }
+        let Some(end) = end else { panic!("it has no end") };
+        prop_assert!(end.is_err(), "{:?}", end);
+    }
+
+    #[test]
+    fn every_length_fits_every_mailbox(length in 16_u16..1_025, bytes in 0..600_usize) {
+        let data = vec![7; bytes];
+        let (mut bench, _server) = Bench::server(length, &[(NAME, &data)]);
+        let raw = bench.call(READ, "device-name", 0);
+        prop_assert_eq!(raw, Ok(long::raw(&data)));
+    }
+}
+
+#[test]
+fn a_first_request_that_has_the_last_count_of_another_master_is_answered_all_the_same() {
+    for (last, requests) in [(0, 1), (1, 2), (2, 1), (7, 1)] {
+        let (mut bench, server) = Bench::server(32, &[(MODE, &[8])]);
+        server.shared().count_is(last);
+        for round in 0..3 {
+            bench.service.begin(Transfer::Read(MODE));
+            let end = (0..690).find_map(|_| {
+                bench.step();
+                bench.service.take_end()
+            });
+            assert_eq!(end, Some(Ok(8)), "after count {last}, round {round}");
+        }
+        assert_eq!(server.shared().requests.len(), requests + 2, "after count {last}");
+        assert_eq!(bench.counters.own[Own::MailboxStrays as usize], 0);
+    }
+}
