@@ -1,0 +1,394 @@
+//! The process data of a line, and the frames that carry them: built once, and the same from cycle to cycle but for what they carry.
+//!
+//! | first frame | the others |
+//! |---|---|
+//! | clock: the reference's time to all, and behind it ours to the reference if that is the one that follows | |
+//! | process data of the first slaves: outputs, then AL status and inputs of each | those of the next slaves |
+//! | states of all slaves, or-ed | |
+//! | the acyclic slot, of two datagrams at most | |
+//!
+//! The input area leaves the master as zeros. A slave that takes part puts its AL status there, which is never zero: one working counter
+//! for all of them does not tell which one is missing, this does.
+
+use std::ops::Range;
+
+use super::plan::{Owner, SlavePlan};
+use super::slot::{Answer, Answers, Ask};
+use super::wire::frame::{
+    BROADCAST, Builder, Command, DATA_MAX, FRAME_MAX, Mac, Place, Returned, Stem, first_datagram, returned,
+    set_command, set_index,
+};
+use super::wire::registers::address;
+use crate::rt::Regions;
+
+/// The logical address space of one master: each frame has a piece of its own in it.
+const FRAME_SPACE: u32 = 0x1000;
+/// Who sent a frame, and which one it is: in a datagram that no slave touches, in front of all others.
+const MARK_SIZE: usize = 8;
+/// Bytes of an AL status in the image.
+pub const AL_SIZE: usize = 2;
+/// Bytes of the time of a line: the lower half, which every clock has.
+const TIME_SIZE: usize = 4;
+/// What the clock, the states and the slot take of the first frame beside the process data.
+const FIRST_OVERHEAD: usize = 2 * (12 + TIME_SIZE) + 14 + 2 * 12 + super::slot::ROOM;
+/// What the mark takes of each frame.
+const MARK_OVERHEAD: usize = 12 + MARK_SIZE;
+/// The most datagrams of a frame: mark, clock, time, process data in two, states, and the slot.
+const PLACES: usize = 6 + super::slot::DATAGRAMS;
+/// The header of a second datagram of process data.
+const SPLIT_OVERHEAD: usize = 12;
+
+/// Where the process data of one slave stand: bytes of its frame, and logical addresses.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Spot {
+    /// Which frame.
+    pub frame: usize,
+    /// Its outputs.
+    pub outputs: Range<usize>,
+    /// Its AL status.
+    pub al: usize,
+    /// Its inputs.
+    pub inputs: Range<usize>,
+    /// The same in the logical address space.
+    pub logical: Logical,
+}
+
+/// Logical addresses of a slave.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Logical {
+    /// Of its outputs.
+    pub outputs: u32,
+    /// Of its AL status.
+    pub al: u32,
+    /// Of its inputs.
+    pub inputs: u32,
+}
+
+/// All frames of a line.
+#[derive(Debug)]
+pub struct Image {
+    frames: Box<[Frame]>,
+}
+
+/// One frame.
+#[derive(Debug)]
+pub struct Frame {
+    bytes: Box<[u8; FRAME_MAX]>,
+    /// The outputs of the next one, in the same places.
+    next: Box<[u8; FRAME_MAX]>,
+    /// The outputs of the one before.
+    sent: Box<[u8]>,
+    outputs: Range<usize>,
+    length: usize,
+    stem: Stem,
+    mark: Place,
+    /// The reference's time for all, and ours for the reference.
+    clock: Option<Place>,
+    time: Option<Place>,
+    /// LRW; or LWR and LRD.
+    data: Place,
+    read: Option<Place>,
+    states: Option<Place>,
+    slot: [Option<Place>; super::slot::DATAGRAMS],
+    /// All of them, in their order: so many, the first ones for good.
+    places: [Place; PLACES],
+    count: usize,
+    fixed: usize,
+    logical: u32,
+}
+
+/// Who sent a frame, and which one of its frames it is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Mark {
+    /// Names the master.
+    pub master: u32,
+    /// Counts its frames.
+    pub number: u32,
+}
+
+impl Mark {
+    /// That of a frame that came in; `None`: it has none.
+    pub fn of(received: &[u8]) -> Option<Mark> {
+        let (number, bytes) = first_datagram::<MARK_SIZE>(received)?;
+        let [a, b, c, d, e, f, g, h] = *Some(bytes).filter(|_| number == Command::Nop.number())?;
+        Some(Mark { master: u32::from_le_bytes([a, b, c, d]), number: u32::from_le_bytes([e, f, g, h]) })
+    }
+}
+
+/// What a frame that was sent says as it comes back.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Read {
+    /// It is the one; the working counter of its process data.
+    Good(u16),
+    /// It is, but went round without passing the master.
+    Circulated,
+    /// It is another one.
+    Other,
+}
+
+impl Image {
+    /// The image of these slaves, in their order on the line, and where each has its place: logical addresses from `base` on.
+    /// `None`: one of them fits into no frame.
+    pub fn new(
+        slaves: &[(Owner, &SlavePlan)],
+        base: u32,
+        source: Mac,
+        clock: bool,
+        lrw: bool,
+    ) -> Option<(Image, Vec<Spot>)> {
+        let (mut frames, mut spots) = (Vec::new(), Vec::new());
+        let mut rest = slaves;
+        while !rest.is_empty() || frames.is_empty() {
+            let overhead = if frames.is_empty() { FIRST_OVERHEAD } else { 0 };
+            let room = DATA_MAX - MARK_OVERHEAD - overhead - if lrw { 0 } else { SPLIT_OVERHEAD };
+            let count = fitting(rest, room);
+            if count == 0 && !rest.is_empty() {
+                return None;
+            }
+            let (these, others) = rest.split_at(count);
+            let logical = base.wrapping_add(frames.len() as u32 * FRAME_SPACE);
+            let first = frames.is_empty();
+            let frame = Frame::new(first, these, logical, source, clock && first, lrw)?;
+            spots.extend(frame.spots(frames.len(), these));
+            frames.push(frame);
+            rest = others;
+        }
+        Some((Image { frames: frames.into() }, spots))
+    }
+
+    /// Adds what it touches besides itself, to be locked.
+    pub fn memory(&self, regions: &mut Regions) {
+        regions.add(&*self.frames);
+        for frame in &self.frames {
+            regions.add(&*frame.bytes);
+            regions.add(&*frame.next);
+            regions.add(&*frame.sent);
+        }
+    }
+
+    /// The frames, the first one with clock, states and slot.
+    pub fn frames(&self) -> &[Frame] {
+        &self.frames
+    }
+
+    /// The same, to be changed.
+    pub fn frames_mut(&mut self) -> &mut [Frame] {
+        &mut self.frames
+    }
+}
+
+/// How many of these slaves fit into so many bytes.
+fn fitting(slaves: &[(Owner, &SlavePlan)], room: usize) -> usize {
+    let sums = slaves.iter().scan(0, |sum, (_, slave)| {
+        *sum += usize::from(slave.outputs.length) + AL_SIZE + usize::from(slave.inputs.length);
+        Some(*sum)
+    });
+    sums.take_while(|sum| *sum <= room).count()
+}
+
+impl Frame {
+    fn new(
+        first: bool,
+        slaves: &[(Owner, &SlavePlan)],
+        logical: u32,
+        source: Mac,
+        clock: bool,
+        lrw: bool,
+    ) -> Option<Frame> {
+        let mut bytes = Box::new([0; FRAME_MAX]);
+        let outputs: usize = slaves.iter().map(|(_, slave)| usize::from(slave.outputs.length)).sum();
+        let inputs: usize = slaves.iter().map(|(_, slave)| AL_SIZE + usize::from(slave.inputs.length)).sum();
+        let mut builder = Builder::new(&mut *bytes, BROADCAST, source)?;
+        let nop = |builder: &mut Builder<'_>, length| builder.push(Command::Nop, 0, length);
+        let mark = nop(&mut builder, MARK_SIZE)?;
+        let (clock, time) = match clock {
+            true => (Some(nop(&mut builder, TIME_SIZE)?), Some(nop(&mut builder, TIME_SIZE)?)),
+            false => (None, None),
+        };
+        let (data, read) = if lrw {
+            (builder.push(Command::Lrw(logical), 0, outputs + inputs)?, None)
+        } else {
+            let behind = logical + outputs as u32;
+            let data = builder.push(Command::Lwr(logical), 0, outputs)?;
+            (data, Some(builder.push(Command::Lrd(behind), 0, inputs)?))
+        };
+        let states = if first { Some(builder.push(Command::Brd(address::AL_STATUS), 0, 2)?) } else { None };
+        let stem = builder.stem();
+        let length = builder.finish();
+        let begin = data.data().start;
+        let mut places = [Place::default(); PLACES];
+        let all = [Some(mark), clock, time, Some(data), read, states].into_iter().flatten();
+        let fixed = places.iter_mut().zip(all).map(|(place, one)| *place = one).count();
+        Some(Frame {
+            places,
+            count: fixed,
+            fixed,
+            next: bytes.clone(),
+            sent: vec![0; outputs].into(),
+            outputs: begin..begin + outputs,
+            bytes,
+            length,
+            stem,
+            mark,
+            time,
+            clock,
+            data,
+            read,
+            states,
+            slot: [None; super::slot::DATAGRAMS],
+            logical,
+        })
+    }
+
+    /// Where each of its slaves has its place.
+    fn spots(&self, frame: usize, slaves: &[(Owner, &SlavePlan)]) -> Vec<Spot> {
+        let outputs: usize = slaves.iter().map(|(_, slave)| usize::from(slave.outputs.length)).sum();
+        // Inputs go on behind the outputs, in the same datagram or in the next one.
+        let behind = self.read.map_or(self.data.data().start + outputs, |read| read.data().start);
+        let (mut out, mut input) = (0, 0);
+        let spot = |(_, slave): &(Owner, &SlavePlan)| {
+            let (wide, deep) = (usize::from(slave.outputs.length), usize::from(slave.inputs.length));
+            let begin = self.data.data().start + out;
+            let al = behind + input;
+            let at = |offset: usize| self.logical + offset as u32;
+            let logical =
+                Logical { outputs: at(out), al: at(outputs + input), inputs: at(outputs + input + AL_SIZE) };
+            out += wide;
+            input += AL_SIZE + deep;
+            Spot {
+                frame,
+                outputs: begin..begin + wide,
+                al,
+                inputs: al + AL_SIZE..al + AL_SIZE + deep,
+                logical,
+            }
+        };
+        slaves.iter().map(spot).collect()
+    }
+
+    /// The bytes to send.
+    pub fn bytes(&self) -> &[u8] {
+        &self.bytes[..self.length]
+    }
+
+    /// The next outputs of a slave with this place: they stay until others are written there.
+    #[inline]
+    pub fn outputs(&mut self, spot: &Spot) -> &mut [u8] {
+        self.next.get_mut(spot.outputs.clone()).unwrap_or_default()
+    }
+
+    /// Its next outputs are those of before.
+    pub fn keep_outputs(&mut self, spot: &Spot) {
+        let range = spot.outputs.clone();
+        if let (Some(next), Some(sent)) = (self.next.get_mut(range.clone()), self.bytes.get(range)) {
+            next.copy_from_slice(sent);
+        }
+    }
+
+    /// Puts the next outputs of all into the frame.
+    #[inline]
+    pub fn load_outputs(&mut self) {
+        let range = self.outputs.clone();
+        self.sent[..range.len()].copy_from_slice(&self.bytes[range.clone()]);
+        self.bytes[range.clone()].copy_from_slice(&self.next[range]);
+    }
+
+    /// The frame did not go out: the outputs in it are those of before again.
+    pub fn unload_outputs(&mut self) {
+        let range = self.outputs.clone();
+        self.bytes[range.clone()].copy_from_slice(&self.sent[..range.len()]);
+    }
+
+    /// The slave with this station address is the reference from now on; `to_all`: its time goes to all others, else it is only
+    /// read; `follows`: it is given our time.
+    pub fn refer_to(&mut self, station: Option<u16>, to_all: bool, follows: bool) {
+        let read = |station| match to_all {
+            true => Command::Frmw(station, address::DC_TIME),
+            false => Command::Fprd(station, address::DC_TIME),
+        };
+        if let Some(place) = self.clock {
+            set_command(&mut *self.bytes, place, station.map_or(Command::Nop, read));
+        }
+        if let Some(place) = self.time {
+            let told = station.filter(|_| follows);
+            let command = told.map_or(Command::Nop, |station| Command::Fpwr(station, address::DC_TIME));
+            set_command(&mut *self.bytes, place, command);
+        }
+    }
+
+    /// Our time for the reference; and for all, if the reference is not there to put its own in its place.
+    pub fn set_time(&mut self, ns: u64) {
+        for place in [self.clock, self.time].into_iter().flatten() {
+            self.bytes[place.data()].copy_from_slice(&(ns as u32).to_le_bytes());
+        }
+    }
+
+    /// Puts what is asked into the slot, in place of what was there.
+    pub fn ask(&mut self, ask: &Ask) {
+        if ask.is_empty() && self.slot[0].is_none() {
+            return;
+        }
+        (self.slot, self.count) = ([None; super::slot::DATAGRAMS], self.fixed);
+        let Some(mut builder) = Builder::resume(&mut *self.bytes, self.stem) else { return };
+        for (slot, (command, data)) in self.slot.iter_mut().zip(ask.datagrams()) {
+            *slot = builder.push_with(command, 0, data);
+            if let (Some(place), Some(one)) = (self.places.get_mut(self.count), *slot) {
+                *place = one;
+                self.count += 1;
+            }
+        }
+        self.length = builder.finish();
+    }
+
+    /// Makes it the frame with this number of this master.
+    pub fn number(&mut self, mark: Mark) {
+        let bytes = (u64::from(mark.number) << 32 | u64::from(mark.master)).to_le_bytes();
+        self.bytes[self.mark.data()].copy_from_slice(&bytes);
+        for place in &self.places[..self.count] {
+            set_index(&mut *self.bytes, *place, mark.number as u8);
+        }
+    }
+
+    /// Holds a frame that came in against this one, which was sent.
+    pub fn read(&self, received: &[u8]) -> Read {
+        let mut count: u16 = 0;
+        // States and slot come last: what they ask of may be a position.
+        let stays = self.states.map_or(FRAME_MAX, |states| states.at);
+        for place in &self.places[..self.count] {
+            match returned(&*self.bytes, received, *place, place.at < stays) {
+                Returned::Counted(counter) if *place == self.data || Some(*place) == self.read => {
+                    count = count.saturating_add(counter);
+                }
+                Returned::Counted(_) => {}
+                Returned::Circulated => return Read::Circulated,
+                Returned::Other => return Read::Other,
+            }
+        }
+        Read::Good(count)
+    }
+
+    /// The time of the reference in a frame that was read, if it was there: without it the others count, and have what was sent.
+    pub fn time_of(&self, received: &[u8]) -> Option<u32> {
+        let place = self.clock?;
+        let answer = answer(received, place)?;
+        let time = u32::from_le_bytes(answer.data.try_into().ok()?);
+        (answer.working_counter > 0 && self.bytes[place.at] != Command::Nop.number()).then_some(time)
+    }
+
+    /// How many slaves answered, and their AL status or-ed.
+    pub fn states_of(&self, received: &[u8]) -> Option<(u16, u16)> {
+        let answer = answer(received, self.states?)?;
+        Some((answer.working_counter, u16::from_le_bytes(answer.data.try_into().ok()?)))
+    }
+
+    /// What came of the slot.
+    pub fn answers_of<'a>(&self, received: &'a [u8]) -> Answers<'a> {
+        self.slot.map(|place| answer(received, place?))
+    }
+}
+
+fn answer(received: &[u8], place: Place) -> Option<Answer<'_>> {
+    let data = received.get(place.data())?;
+    let counter = received.get(place.data().end..place.end())?;
+    Some(Answer { working_counter: u16::from_le_bytes(counter.try_into().ok()?), data })
+}

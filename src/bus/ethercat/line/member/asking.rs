@@ -1,0 +1,240 @@
+//! What each step asks for.
+
+use super::{Around, Change, FMMUS_AT_ONCE, MANAGERS_AT_ONCE, Mapped, Member, Note, Step};
+use crate::bus::ethercat::plan::Owner;
+use crate::bus::ethercat::slot::Ask;
+use crate::bus::ethercat::wire::frame::Command;
+use crate::bus::ethercat::wire::registers::{AlState, AlStatus, Fmmu, SyncManager, address};
+use crate::bus::ethercat::wire::sii;
+use crate::time::{S, Time};
+
+use super::setup::WATCHDOG_DIVIDER;
+use super::sync::sync_ahead_ns;
+
+/// Bytes from its type to its station address.
+pub(super) const LOOK: usize = 0x12;
+/// AL status and its code.
+pub(super) const AL_LOOK: usize = 6;
+/// A change of state takes at most so long; the last one, behind which the drive synchronises, so long.
+const STATE_NS: u64 = 3 * S;
+const OP_NS: u64 = 10 * S;
+/// A drive that is asked for OP before it has seen regular cycles for a while goes into a fault (F28); how many it needs is assumed.
+const SYNCHRONISE_CYCLES: u64 = 200;
+/// The filters of a clock as it starts (SOEM, TwinCAT).
+const SPEED_START: u16 = 0x1000;
+const FILTER_DEPTHS: u16 = 0x0C00;
+/// AssignActivate of the drive's description: the cyclic unit is the master's, SYNC0 is on.
+const SYNC0_ON: [u8; 2] = [0x00, 0x03];
+/// The bit of the event request that a change of state sets.
+const EVENT_MASK: u16 = 0x0004;
+
+impl Member {
+    /// Asks for what it needs of the next frame; nothing is asked, if it needs nothing.
+    pub fn ask(&mut self, around: &Around<'_>, ask: &mut Ask) {
+        let now = around.cycle.grid;
+        if self.ending && !matches!(self.step, Step::State(Change { to: AlState::Init, .. })) {
+            return;
+        }
+        match self.step {
+            Step::Rest(until) => {
+                if now >= until {
+                    self.enter(now, Step::Look);
+                    self.ask(around, ask);
+                }
+            }
+            Step::Look => {
+                ask.read(self.reads(address::AL_STATUS), AL_LOOK);
+                ask.read(self.reads(address::TYPE), LOOK);
+            }
+            Step::Time(_) | Step::FoundClock => self.ask_running(ask),
+            Step::GiveBack(_) => {
+                ask.write(self.writes(address::STATION), &[0; 2]);
+            }
+            Step::SiiOwner => {
+                ask.write(self.writes(address::SII_OWNER), &[sii::FORCE]);
+                ask.write(self.writes(address::SII_OWNER), &[sii::MASTER]);
+            }
+            Step::Sii(reader) => {
+                reader.ask(|register| self.reads(register), |register| self.writes(register), ask);
+            }
+            Step::Found => self.ask_found(ask),
+            Step::FoundFmmus => self.ask_found_fmmus(ask),
+            Step::Join => self.ask_join(ask),
+            Step::Ports => {
+                // Each loop by itself; no alias; the event of AL control only.
+                ask.write(self.writes(address::PORT_LOOPS), &[0; 3]);
+                ask.write(self.writes(address::EVENT_MASK), &EVENT_MASK.to_le_bytes());
+            }
+            Step::Clear(done) => self.ask_clear(done, ask),
+            Step::Address => {
+                ask.write(self.writes(address::STATION), &self.station().to_le_bytes());
+                ask.read(Command::Fprd(self.station(), address::STATION), 2);
+            }
+            Step::Mailbox => {
+                for (number, manager) in self.mailbox_managers() {
+                    ask.write(self.writes(address::sync_manager(number)), &manager.to_bytes());
+                }
+            }
+            Step::Objects { .. } => {}
+            Step::Watchdog => {
+                ask.write(self.writes(address::WATCHDOG_DIVIDER), &WATCHDOG_DIVIDER.to_le_bytes());
+                ask.write(self.writes(address::WATCHDOG), &self.watchdog().to_le_bytes());
+            }
+            Step::WatchdogCheck => {
+                ask.read(self.reads(address::WATCHDOG_DIVIDER), 2);
+                ask.read(self.reads(address::WATCHDOG), 2);
+            }
+            Step::SyncManagers => {
+                for (number, manager) in self.managers() {
+                    ask.write(self.writes(address::sync_manager(number)), &manager.to_bytes());
+                }
+            }
+            Step::SyncManagersCheck => {
+                for (number, _) in self.managers() {
+                    ask.read(self.reads(address::sync_manager(number)), SyncManager::SIZE);
+                }
+            }
+            Step::Fmmus | Step::LetGo => {
+                let (fmmus, length) = self.fmmus();
+                ask.write(self.writes(address::FMMU), &fmmus[..length]);
+            }
+            Step::Lock => self.ask_lock(around, ask),
+            Step::State(change) => self.ask_state(now, change, ask),
+            Step::Up => {
+                let next = self.joined && self.go_on_joined(around);
+                if !next && !self.has_al && now.since(self.since) >= super::LOOK_EVERY_NS {
+                    // Nothing in the image says how it is.
+                    self.enter(now, Step::Code);
+                }
+                if !matches!(self.step, Step::Up) {
+                    self.ask(around, ask);
+                }
+            }
+            Step::Code => {
+                ask.read(self.reads(address::AL_STATUS), AL_LOOK);
+            }
+            _ => self.ask_clock(around, ask),
+        }
+    }
+
+    /// The steps of its clock.
+    fn ask_clock(&mut self, around: &Around<'_>, ask: &mut Ask) {
+        let (register, length) = Member::TIMES;
+        match self.step {
+            Step::Latch => {
+                let is_there = around.timed || self.is_reference(around) && around.may_begin;
+                if !around.timing_taken && is_there {
+                    ask.write(Command::Bwr(address::DC_PORTS), &[0; 4]);
+                }
+                self.note = match around.stranger {
+                    _ if !ask.is_empty() => Note::Starting,
+                    Some(place) => Note::OtherTime(place),
+                    None => Note::WaitsForClock,
+                };
+            }
+            Step::ReferenceTimes { .. } => {
+                let reference = around.reference.unwrap_or_else(|| self.station());
+                ask.read(Command::Fprd(reference, register), length);
+                ask.read(Command::Fprd(reference, address::LINKS), 2);
+            }
+            Step::OwnTimes { .. } => {
+                ask.read(self.reads(register), length);
+                ask.read(self.reads(address::LINKS), 2);
+            }
+            Step::Offset { offset, delay_ns } => {
+                ask.write(self.writes(address::DC_OFFSET), &offset.to_le_bytes());
+                ask.write(self.writes(address::DC_DELAY), &delay_ns.to_le_bytes());
+            }
+            Step::Filter => {
+                ask.write(self.writes(address::DC_FILTER), &FILTER_DEPTHS.to_le_bytes());
+                ask.write(self.writes(address::DC_SPEED), &SPEED_START.to_le_bytes());
+            }
+            Step::Settle { next, .. } if around.cycle.grid >= next => {
+                ask.read(self.reads(address::DC_DIFFERENCE), 4);
+            }
+            Step::LineTime => {
+                // Its start is not to be written while it comes.
+                ask.write(self.writes(address::DC_ACTIVATION), &[0]);
+                ask.read(self.reads(address::DC_TIME), 8);
+            }
+            Step::SyncStart { ahead_ns, line_ns } => {
+                let start = self.sync_start(ahead_ns, line_ns);
+                ask.write(self.writes(address::DC_START), &start.to_le_bytes());
+                // SYNC1 stays off: its cycle is 0.
+                ask.write(self.writes(address::DC_CYCLE), &around.clock.period_ns().to_le_bytes());
+            }
+            Step::SyncOn { .. } => {
+                ask.write(self.writes(address::DC_CONTROL), &SYNC0_ON);
+            }
+            _ => {}
+        }
+    }
+
+    fn ask_clear(&self, done: u8, ask: &mut Ask) {
+        const ZERO: [u8; FMMUS_AT_ONCE as usize * Fmmu::SIZE] = [0; FMMUS_AT_ONCE as usize * Fmmu::SIZE];
+        let left = |count: u8, at_once: u8| usize::from(count.saturating_sub(done).min(at_once));
+        let fmmus = left(self.fmmus, FMMUS_AT_ONCE);
+        if fmmus > 0 {
+            ask.write(self.writes(address::fmmu(done.into())), &ZERO[..fmmus * Fmmu::SIZE]);
+        }
+        let managers = left(self.managers, MANAGERS_AT_ONCE);
+        if managers > 0 {
+            let register = address::sync_manager(done.into());
+            ask.write(self.writes(register), &ZERO[..managers * SyncManager::SIZE]);
+        }
+        if ask.is_empty() {
+            // Without a clock these registers are not there.
+            if self.features.has_clock() {
+                ask.write(self.writes(address::DC_ACTIVATION), &[0]);
+            }
+            ask.write(self.writes(address::ERRORS), &[0; 8]);
+        }
+    }
+
+    /// In SAFEOP: a drive has to see regular cycles first, and SYNC0 where the grid wants it.
+    fn ask_lock(&mut self, around: &Around<'_>, ask: &mut Ask) {
+        let now = around.cycle.grid;
+        let sync_ns = if self.plan.sync { sync_ahead_ns(around) } else { 0 };
+        let synchronised = match self.owner {
+            Owner::Drive(_) => sync_ns + SYNCHRONISE_CYCLES * around.cycle.period_ns,
+            Owner::Device(_) => sync_ns,
+        };
+        let locked = !self.plan.sync || around.clock.is_locked();
+        if locked && now.since(self.since) >= synchronised {
+            self.note = Note::Starting;
+            self.enter(now, Step::to(AlState::Op));
+            self.ask(around, ask);
+        } else {
+            let error = around.clock.error_ns().and_then(|error| i32::try_from(error).ok());
+            self.note = Note::WaitsForLock(error.filter(|_| self.plan.sync && !locked));
+        }
+    }
+
+    fn ask_state(&mut self, now: Time, change: Change, ask: &mut Ask) {
+        let limit = if change.to == AlState::Op { OP_NS } else { STATE_NS };
+        if now.since(self.since) > limit {
+            return self.refuse(now, Note::Slow(change.to));
+        }
+        if change.said {
+            ask.read(self.reads(address::AL_STATUS), AL_LOOK);
+            return;
+        }
+        // INIT is asked for with the acknowledgement of whatever error stands.
+        let wanted = match change.to {
+            AlState::Init => AlStatus::request(AlState::Init).acknowledge(),
+            to => AlStatus::request(to),
+        };
+        let control = change.acknowledge.unwrap_or(wanted);
+        ask.write(self.writes(address::AL_CONTROL), &control.0.to_le_bytes());
+    }
+
+    /// Its outputs are let go.
+    pub(super) fn let_go(&mut self, now: Time) {
+        self.mapped = Mapped::All;
+        if self.is_device() {
+            // It lacks nothing of what it would have been set up with.
+            (self.joined, self.ours) = (false, true);
+        }
+        self.enter(now, Step::Up);
+    }
+}

@@ -1,0 +1,221 @@
+//! A drive or device that is in OP already, as another master has left it, or this one before it was restarted.
+//!
+//! It is joined as it is if its SyncManagers, PDOs and SYNC0 are those of the configuration: its inputs first, its outputs with the
+//! first order; its station knows its mode before it hears of it, since a setpoint may not count in that. What is written to it until
+//! then is its station address and the FMMUs of its inputs and AL status, none of which another master writes by; objects are only
+//! read. Without the watchdog of the configuration it takes no motion until it was set up
+//! anew. That is as soon as it stands without power: at once, and without a word to its station, if it is found so.
+//!
+//! A device is joined the same way, if its watchdog is that of the configuration: its outputs stay as they are until the application
+//! writes some.
+//!
+//! What cannot be joined is stopped by the drive itself as it leaves OP, or left alone, as `on_found_running` says. While one that is
+//! left alone runs on another time than the line's, that goes to nobody.
+
+use super::setup::WATCHDOG_DIVIDER;
+use super::{Around, Lent, List, Mapped, Member, Note, Step};
+use crate::axis::FoundRunning;
+use crate::bus::ethercat::cia402::StatusWord;
+use crate::bus::ethercat::line::running::Running;
+use crate::bus::ethercat::line::sii::Reader;
+use crate::bus::ethercat::slot::{Answers, Ask};
+use crate::bus::ethercat::wire::registers::{AlState, Fmmu, SyncManager, address};
+use crate::time::{MS, Time};
+
+/// SyncManagers that are looked at, and the bytes from the divider of the watchdogs to that of the SyncManagers.
+const MANAGERS: usize = 4 * SyncManager::SIZE;
+const WATCHDOGS: usize = (address::WATCHDOG - address::WATCHDOG_DIVIDER) as usize + 2;
+
+impl Member {
+    pub(super) fn ask_found(&self, ask: &mut Ask) {
+        ask.read(self.reads(address::SYNC_MANAGER), MANAGERS);
+        ask.read(self.reads(address::WATCHDOG_DIVIDER), WATCHDOGS);
+    }
+
+    pub(super) fn ask_found_fmmus(&self, ask: &mut Ask) {
+        ask.read(self.reads(address::FMMU), self.fmmus().1);
+    }
+
+    pub(super) fn ask_running(&self, ask: &mut Ask) {
+        Running::ask(|register| self.reads(register), ask);
+    }
+
+    /// Its inputs and AL status; behind the FMMU of its outputs.
+    pub(super) fn ask_join(&self, ask: &mut Ask) {
+        ask.write(self.writes(address::STATION), &self.station().to_le_bytes());
+        let (fmmus, length) = self.fmmus();
+        let behind = if self.plan.outputs.length > 0 { Fmmu::SIZE } else { 0 };
+        ask.write(self.writes(address::FMMU + behind as u16), &fmmus[behind..length]);
+    }
+
+    /// Its SyncManagers and watchdog.
+    pub(super) fn found(&mut self, now: Time, answers: &Answers<'_>) {
+        let [Some(managers), Some(watchdogs)] = answers else { return };
+        let is_set = |(number, wanted): (u16, SyncManager)| {
+            let at = usize::from(number) * SyncManager::SIZE;
+            let bytes = managers.data.get(at..).and_then(<[u8]>::first_chunk::<{ SyncManager::SIZE }>);
+            // Whether it arms a watchdog, is another question.
+            let unwatched = |manager: SyncManager| SyncManager {
+                control: manager.control & !SyncManager::WATCHDOG,
+                ..manager
+            };
+            bytes.is_some_and(|bytes| unwatched(SyncManager::new(*bytes)) == unwatched(wanted))
+        };
+        let arms = |(number, wanted): (u16, SyncManager)| {
+            let control = managers.data.get(usize::from(number) * SyncManager::SIZE + 4);
+            control.is_some_and(|control| *control == wanted.control)
+        };
+        let word = |at: usize| {
+            let bytes = watchdogs.data.get(at..).and_then(<[u8]>::first_chunk::<2>);
+            bytes.map(|bytes| u16::from_le_bytes(*bytes))
+        };
+        self.watched = self.managers().all(arms)
+            && (word(0), word(WATCHDOGS - 2)) == (Some(WATCHDOG_DIVIDER), Some(self.watchdog()));
+        let is_own = self.has_al && self.managers().chain(self.mailbox_managers()).all(is_set);
+        // What a device goes without now, it would go without for good.
+        let is_safe = self.watched || !self.is_device() || self.plan.outputs.length == 0;
+        // Of one with SYNC0 the time is looked at again.
+        let in_time = self.plan.sync || !self.strange;
+        if is_own && is_safe && in_time {
+            self.enter(now, Step::FoundFmmus);
+        } else {
+            self.not_joinable(now);
+        }
+    }
+
+    /// Its FMMUs: those of its inputs take the place of none that another master writes by.
+    pub(super) fn found_fmmus(&mut self, now: Time, data: &[u8]) {
+        let behind = if self.plan.outputs.length > 0 { 1 } else { 0 };
+        let written = data.as_chunks::<{ Fmmu::SIZE }>().0.iter().skip(behind).map(|bytes| Fmmu::new(*bytes));
+        if written.into_iter().any(|fmmu| fmmu.active && fmmu.output) {
+            self.not_joinable(now);
+        } else if self.plan.sync {
+            self.enter(now, Step::FoundClock);
+        } else {
+            self.enter(now, Step::Join);
+        }
+    }
+
+    /// It runs: on the line's time, or on another one. Its own is the line's, if that has none.
+    fn meet(&mut self, around: &Around<'_>, running: &Running) -> Option<Lent> {
+        let is_same = around.clock.is_time_of(around.cycle, around.sent_at, running.time());
+        self.strange = running.is_cyclic() && around.has_time && !is_same;
+        let lends = running.is_cyclic() && !around.has_time;
+        lends.then_some(Lent { time: running.time(), phase_ns: None })
+    }
+
+    /// On which time it runs, before anything else is asked.
+    pub(super) fn runs_on(
+        &mut self,
+        around: &Around<'_>,
+        answers: &Answers<'_>,
+        note: Option<Note>,
+    ) -> Option<Lent> {
+        let now = around.cycle.grid;
+        let running = Running::heard(answers)?;
+        self.looked_at = true;
+        let lent = self.meet(around, &running);
+        match note {
+            Some(note) => self.refuse(now, note),
+            None => self.enter(now, Step::Sii(Reader::default())),
+        }
+        lent
+    }
+
+    /// Its SYNC0: it has to run on the line's time, and come where all others have theirs. Gives that place if none has.
+    pub(super) fn found_clock(&mut self, around: &Around<'_>, answers: &Answers<'_>) -> Option<Lent> {
+        let now = around.cycle.grid;
+        let running = Running::heard(answers)?;
+        let lent = self.meet(around, &running);
+        let phase = running.phase_ns(&around.clock, around.cycle, around.sent_at);
+        let Some(phase) = phase.filter(|phase| !self.strange && (!around.phased || around.is_phase(*phase)))
+        else {
+            self.not_joinable(now);
+            return lent;
+        };
+        self.enter(now, Step::Join);
+        let phase_ns = (!around.phased).then_some(phase);
+        phase_ns.map(|_| Lent { time: running.time(), phase_ns }).or(lent)
+    }
+
+    /// Its clock fits, or the line's was made to.
+    pub fn is_being_joined(&self) -> bool {
+        self.joined || matches!(self.step, Step::Join)
+    }
+
+    /// It is part of the exchange: its PDOs and mode are still to be looked at.
+    pub(super) fn join(&mut self, now: Time) {
+        (self.addressed, self.joined, self.known, self.found_mode) = (true, true, true, None);
+        (self.mapped, self.mailbox_open) = (Mapped::Inputs, self.plan.mailbox.is_some());
+        self.clock_set = self.plan.sync;
+        self.al = Some(AlState::Op);
+        self.enter(now, Step::Objects { list: List::Found, next: 0, begun: false });
+    }
+
+    /// All of it is as configured, and this is its status word: the station is told of it if it has power.
+    pub(super) fn joined_as(&mut self, now: Time, status: StatusWord) {
+        if status.state().is_powered() {
+            self.joined_whole(now);
+        } else {
+            self.set_up(now);
+        }
+    }
+
+    /// All of it is as configured.
+    pub(super) fn joined_whole(&mut self, now: Time) {
+        (self.was_operational, self.note, self.refused) = (true, Note::None, Note::None);
+        self.enter(now, Step::Up);
+    }
+
+    /// It is not as configured.
+    pub(super) fn not_joinable(&mut self, now: Time) {
+        if self.found_running == FoundRunning::Stop {
+            (self.mapped, self.mailbox_open, self.joined) = (Mapped::None, false, false);
+            self.enter(now, Step::to(AlState::Init));
+        } else {
+            self.refuse(now, Note::FoundRunning);
+        }
+    }
+
+    /// It was set up here, and its frames were lost for a while only: where it goes on. `None`: it has to be brought up.
+    pub(super) fn goes_on(&mut self, now: Time) -> bool {
+        let Some(al) = self.al.filter(|al| self.ours && *al >= AlState::SafeOp) else { return false };
+        self.strange = false;
+        (self.addressed, self.mapped, self.mailbox_open) = (true, Mapped::All, self.plan.mailbox.is_some());
+        match al {
+            AlState::Op => {
+                self.clock_set = self.plan.sync;
+                (self.was_operational, self.note) = (true, Note::None);
+                self.enter(now, Step::Up);
+            }
+            // Its clock ran by itself meanwhile.
+            _ if self.plan.sync => self.enter(now, Step::Latch),
+            _ => self.enter(now, Step::Code),
+        }
+        true
+    }
+
+    /// What was only joined becomes what it should be, from INIT: found in OP again, it would be joined again, or taken for ours
+    /// although its outputs were never let go.
+    pub(super) fn set_up(&mut self, now: Time) {
+        self.start_over(now, 0, Note::Starting);
+        self.enter(now, Step::to(AlState::Init));
+    }
+
+    /// A drive that was joined stands without power, or its outputs are wanted: what follows.
+    pub(super) fn go_on_joined(&mut self, around: &Around<'_>) -> bool {
+        let now = around.cycle.grid;
+        match around.powered {
+            // Time to set it up as it should be.
+            Some((false, at)) if at > self.since + 10 * MS => {
+                self.set_up(now);
+                true
+            }
+            _ if self.mapped == Mapped::Inputs && around.wants_outputs => {
+                self.enter(now, Step::LetGo);
+                true
+            }
+            _ => false,
+        }
+    }
+}

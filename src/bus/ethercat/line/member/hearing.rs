@@ -1,0 +1,338 @@
+//! What came of what a step asked for.
+
+use super::asking::{AL_LOOK, LOOK};
+use super::setup::WATCHDOG_DIVIDER;
+use super::{Around, Change, FMMUS_AT_ONCE, Happened, Lent, List, Mapped, Member, Note, Step};
+use crate::bus::ethercat::line::sii::{Contents, Reader, Reading};
+use crate::bus::ethercat::plan::FIRST_STATION;
+use crate::bus::ethercat::slot::{Answer, Answers};
+use crate::bus::ethercat::wire::registers::{AlCode, AlState, AlStatus, Features, SyncManager};
+use crate::time::Time;
+
+/// Answers of nobody in a row, until it is taken for gone.
+const SILENT: u8 = 3;
+/// Errors that are acknowledged on the way to one state.
+const ERRORS: u8 = 3;
+
+impl Member {
+    /// What came of what it asked; gives the time of a slave that runs, if the line has none or is to have its SYNC0 there.
+    pub fn heard(&mut self, around: &Around<'_>, answers: &Answers<'_>) -> (Happened, Option<Lent>) {
+        let step = self.step;
+        let happened = self.hear(around, answers);
+        let is_heard = answers.iter().flatten().all(|answer| answer.working_counter > 0);
+        let lent = match step {
+            Step::FoundClock if is_heard => self.found_clock(around, answers),
+            Step::Time(note) if is_heard => self.runs_on(around, answers, note),
+            _ => None,
+        };
+        (happened, lent)
+    }
+
+    fn hear(&mut self, around: &Around<'_>, answers: &Answers<'_>) -> Happened {
+        let now = around.cycle.grid;
+        // A lost frame: the same is asked again.
+        let Some(first) = answers[0] else { return Happened::Nothing };
+        // AL control may still be unread by the firmware, and not take a second request.
+        let may_be_zero = matches!(self.step, Step::Latch | Step::State(Change { said: false, .. }));
+        let nobody = |answer: &Option<Answer<'_>>| answer.is_some_and(|answer| answer.working_counter == 0);
+        if answers.iter().any(nobody) && matches!(self.step, Step::ReferenceTimes { .. }) {
+            // It is the reference that does not answer.
+            self.enter(now, Step::Latch);
+            return Happened::Nothing;
+        }
+        if answers.iter().any(nobody) && !may_be_zero {
+            self.silent += 1;
+            if self.silent >= SILENT || matches!(self.step, Step::Look) {
+                self.absent(now);
+            }
+            return Happened::Nothing;
+        }
+        self.silent = 0;
+        match self.step {
+            Step::Look => return self.looked(now, answers),
+            Step::SiiOwner => self.enter(now, Step::Sii(Reader::default())),
+            Step::Sii(mut reader) => match reader.heard(answers) {
+                Reading::On => self.step = Step::Sii(reader),
+                Reading::Done => self.identified(now, reader.contents()),
+                Reading::Failed => self.refuse(now, Note::Sii),
+            },
+            Step::GiveBack(note) => self.refuse(now, note),
+            Step::Found => self.found(now, answers),
+            Step::FoundFmmus => self.found_fmmus(now, first.data),
+            Step::Join => self.join(now),
+            Step::Ports => self.enter(now, Step::Clear(0)),
+            Step::Clear(done) => {
+                // Behind the last ones comes what is not counted.
+                let over = done >= self.fmmus.max(self.managers);
+                let next = done.saturating_add(FMMUS_AT_ONCE);
+                self.enter(now, if over { Step::Address } else { Step::Clear(next) });
+            }
+            Step::Address => self.was_addressed(now, answers),
+            Step::Mailbox => self.enter(now, Step::to(AlState::PreOp)),
+            Step::Watchdog => self.enter(now, Step::WatchdogCheck),
+            Step::WatchdogCheck => {
+                let values = [WATCHDOG_DIVIDER, self.watchdog()].map(u16::to_le_bytes);
+                let is_set = answers
+                    .iter()
+                    .zip(values)
+                    .all(|(answer, value)| answer.is_some_and(|answer| answer.data == value));
+                self.checked(now, is_set, Step::SyncManagers);
+            }
+            Step::SyncManagers => self.enter(now, Step::SyncManagersCheck),
+            Step::SyncManagersCheck => {
+                let is_set = answers.iter().flatten().zip(self.managers()).all(|(answer, (_, wanted))| {
+                    let bytes = answer.data.first_chunk::<{ SyncManager::SIZE }>();
+                    bytes.is_some_and(|bytes| SyncManager::new(*bytes) == wanted)
+                });
+                self.checked(now, is_set, Step::Fmmus);
+            }
+            Step::Fmmus => {
+                self.mapped = Mapped::All;
+                self.enter(now, if self.plan.sync { Step::Latch } else { Step::to(AlState::SafeOp) });
+            }
+            Step::State(change) => return self.went(now, change, answers),
+            Step::LetGo => self.let_go(now),
+            Step::Code => return self.told_code(now, first.data),
+            Step::Rest(_) | Step::Time(_) | Step::FoundClock => {}
+            Step::Objects { .. } | Step::Lock | Step::Up => {}
+            _ => self.heard_clock(around, first.data, answers[1].map_or(&[], |answer| answer.data)),
+        }
+        Happened::Nothing
+    }
+
+    /// The steps of its clock.
+    fn heard_clock(&mut self, around: &Around<'_>, first: &[u8], second: &[u8]) {
+        let now = around.cycle.grid;
+        match self.step {
+            Step::Latch => {
+                let line_ns = around.clock.shows(around.cycle, around.sent_at);
+                self.enter(now, Step::ReferenceTimes { line_ns });
+            }
+            Step::ReferenceTimes { line_ns } => self.referred(now, around, line_ns, first, second),
+            Step::OwnTimes { line_ns, reference_loop_ns } => {
+                self.timed(now, around, line_ns, reference_loop_ns, first, second);
+            }
+            Step::Offset { .. } => self.offset_set(now),
+            Step::Filter if self.is_reference(around) => self.enter(now, Step::LineTime),
+            Step::Filter => self.enter(now, Step::Settle { good: 0, next: now }),
+            Step::Settle { good, .. } => self.settled(around, good, first),
+            Step::LineTime => self.line_time(now, around, second),
+            Step::SyncStart { line_ns, .. } => self.enter(now, Step::SyncOn { line_ns }),
+            Step::SyncOn { line_ns } => self.sync_on(now, around, line_ns),
+            _ => {}
+        }
+    }
+
+    fn looked(&mut self, now: Time, answers: &Answers<'_>) -> Happened {
+        let [Some(status), Some(look)] = answers else { return Happened::Nothing };
+        let (Some((status, _)), Some(look)) = (al(status.data), look.data.first_chunk::<LOOK>()) else {
+            return Happened::Nothing;
+        };
+        self.al = status.state();
+        (self.fmmus, self.managers) = (look[4], look[5]);
+        self.features = Features(u16::from_le_bytes([look[8], look[9]]));
+        let station = u16::from_le_bytes([look[0x10], look[0x11]]);
+        self.has_al = usize::from(self.fmmus) > self.wanted_fmmus();
+        self.note = Note::Starting;
+        // Of a drive that runs nothing is taken by force; and first of all, on which time it does.
+        let runs = self.runs();
+        let unusable = self.unusable(station);
+        let others = runs && self.features.has_clock();
+        (self.looked_at, self.strange) = (!others, others);
+        if let Some(note) = unusable {
+            match others {
+                true => self.enter(now, Step::Time(Some(note))),
+                false => self.turn_away(now, note),
+            }
+            return Happened::Nothing;
+        }
+        let restarted = self.known && (station != self.station() || self.al == Some(AlState::Init));
+        self.known &= !restarted;
+        if restarted {
+            (self.clock_set, self.ours, self.refused) = (false, false, Note::None);
+        }
+        if !self.goes_on(now) {
+            self.known = false;
+            self.enter(
+                now,
+                match runs {
+                    _ if others => Step::Time(None),
+                    true => Step::Sii(Reader::default()),
+                    false => Step::SiiOwner,
+                },
+            );
+        }
+        if restarted { Happened::Restarted } else { Happened::Nothing }
+    }
+
+    /// It is in a state in which it works.
+    fn runs(&self) -> bool {
+        self.al.is_some_and(|al| al >= AlState::SafeOp)
+    }
+
+    /// It is another one: if it does not run, it must not keep an address that may be another place's.
+    fn turn_away(&mut self, now: Time, note: Note) {
+        if self.runs() {
+            self.refuse(now, note);
+        } else {
+            self.enter(now, Step::GiveBack(note));
+        }
+    }
+
+    /// Why a slave with this station address cannot be used here.
+    fn unusable(&self, station: u16) -> Option<Note> {
+        let other = station.checked_sub(FIRST_STATION).filter(|place| *place != self.plan.place);
+        match other {
+            _ if self.lrw && self.features.lacks_lrw() => Some(Note::NoLrw),
+            _ if self.plan.sync && !self.features.has_clock() => Some(Note::NoClock),
+            _ if usize::from(self.fmmus) < self.wanted_fmmus() => Some(Note::Fmmus(self.fmmus)),
+            // It was given this address at another place, and works there.
+            Some(place) if self.runs() => Some(Note::WrongPlace(place)),
+            _ => None,
+        }
+    }
+
+    fn identified(&mut self, now: Time, contents: &Contents) {
+        self.contents = *contents;
+        let (expected, found) = (&self.plan.identity, contents.identity);
+        let differs = |expected: Option<u32>, found: u32| expected.is_some_and(|expected| expected != found);
+        let note = match () {
+            () if differs(expected.vendor, found.vendor) => Some(Note::Vendor(found.vendor)),
+            () if differs(expected.product, found.product) => Some(Note::Product(found.product)),
+            () if differs(expected.revision, found.revision) => Some(Note::Revision(found.revision)),
+            () if self.plan.check_sii && !contents.is_blank() => self.contradicts(contents),
+            () => None,
+        };
+        if let Some(note) = note {
+            return self.turn_away(now, note);
+        }
+        let running = self.al == Some(AlState::Op);
+        self.enter(now, if running { Step::Found } else { Step::to(AlState::Init) });
+    }
+
+    fn was_addressed(&mut self, now: Time, answers: &Answers<'_>) {
+        let Some(read) = answers[1] else { return };
+        if read.working_counter > 1 {
+            return self.refuse(now, Note::AddressTwice);
+        }
+        if read.data != self.station().to_le_bytes() {
+            return self.absent(now);
+        }
+        self.addressed = true;
+        let has_mailbox = self.plan.mailbox.is_some();
+        self.enter(now, if has_mailbox { Step::Mailbox } else { Step::to(AlState::PreOp) });
+    }
+
+    /// What was set was read back.
+    fn checked(&mut self, now: Time, is_set: bool, next: Step) {
+        if is_set {
+            self.enter(now, next);
+        } else {
+            self.refuse(now, Note::Watchdog);
+        }
+    }
+
+    /// A change of state goes on: what was said was taken, or the status was read.
+    fn went(&mut self, now: Time, mut change: Change, answers: &Answers<'_>) -> Happened {
+        let Some(first) = answers[0] else { return Happened::Nothing };
+        if !change.said {
+            change.said = first.working_counter > 0;
+            self.step = Step::State(change);
+            return Happened::Nothing;
+        }
+        let Some((status, code)) = al(first.data) else { return Happened::Nothing };
+        if status.error() {
+            return self.refused_state(now, change, status, code);
+        }
+        if change.acknowledge.take().is_some() {
+            change.said = false;
+        }
+        self.step = Step::State(change);
+        match status.state() {
+            Some(state) if state == change.to && change.said => return self.reached(now, state),
+            // It has fallen out of what the way to OP begins with.
+            Some(state) if change.to == AlState::Op && state < AlState::SafeOp => {
+                self.start_over(now, 0, Note::Starting);
+            }
+            _ => {}
+        }
+        Happened::Nothing
+    }
+
+    fn refused_state(&mut self, now: Time, mut change: Change, status: AlStatus, code: AlCode) -> Happened {
+        if change.acknowledge.is_some() {
+            // The firmware has not read the acknowledgement yet.
+            return Happened::Nothing;
+        }
+        let note = Note::State { to: change.to, code };
+        if change.errors >= ERRORS {
+            self.refuse(now, note);
+            return Happened::Error;
+        }
+        self.note = note;
+        change.errors += 1;
+        (change.acknowledge, change.said) = (Some(acknowledging(status)), false);
+        self.step = Step::State(change);
+        Happened::Error
+    }
+
+    fn reached(&mut self, now: Time, state: AlState) -> Happened {
+        self.note = Note::Starting;
+        match state {
+            AlState::PreOp => {
+                (self.mailbox_open, self.known) = (self.plan.mailbox.is_some(), true);
+                self.enter(now, Step::Objects { list: List::Write, next: 0, begun: false });
+            }
+            AlState::SafeOp => {
+                (self.al, self.ours, self.watched) = (Some(AlState::SafeOp), true, true);
+                self.enter(now, Step::Lock);
+            }
+            AlState::Op => {
+                (self.al, self.was_operational) = (Some(AlState::Op), true);
+                (self.note, self.refused) = (Note::None, Note::None);
+                self.enter(now, Step::Up);
+                return Happened::Operational;
+            }
+            AlState::Init | AlState::Boot if self.ending => {
+                self.start_over(now, 0, Note::None);
+            }
+            AlState::Init | AlState::Boot => {
+                (self.mailbox_open, self.strange) = (false, false);
+                self.enter(now, Step::Ports);
+            }
+        }
+        Happened::Nothing
+    }
+
+    /// What it says of a fall out of OP.
+    fn told_code(&mut self, now: Time, data: &[u8]) -> Happened {
+        let Some((status, code)) = al(data) else { return Happened::Nothing };
+        // Nothing in the image may have said so.
+        self.al = status.state();
+        match status.state() {
+            Some(AlState::Op) if !status.error() => self.enter(now, Step::Up),
+            // Its own watchdog has stopped it.
+            Some(AlState::SafeOp) if self.joined => self.set_up(now),
+            Some(AlState::Op | AlState::SafeOp) => {
+                self.note = Note::State { to: AlState::Op, code };
+                let acknowledge = status.error().then(|| acknowledging(status));
+                // By way of SAFEOP, where the grid has to be locked first.
+                let change = Change { to: AlState::SafeOp, said: false, errors: 0, acknowledge };
+                self.enter(now, Step::State(change));
+            }
+            _ => self.start_over(now, 0, Note::Starting),
+        }
+        if status.error() { Happened::Error } else { Happened::Nothing }
+    }
+}
+
+/// AL status and its code.
+fn al(data: &[u8]) -> Option<(AlStatus, AlCode)> {
+    let [low, high, _, _, code_low, code_high] = *data.first_chunk::<AL_LOOK>()?;
+    Some((AlStatus(u16::from_le_bytes([low, high])), AlCode(u16::from_le_bytes([code_low, code_high]))))
+}
+
+/// What acknowledges the error in this status: its own state, and the bit.
+fn acknowledging(status: AlStatus) -> AlStatus {
+    AlStatus::request(status.state().unwrap_or_default()).acknowledge()
+}

@@ -1,0 +1,573 @@
+//! One slave on its way to OP, and back there when it falls: a step a slot.
+//!
+//! | file | what |
+//! |---|---|
+//! | `mod` | the slave, its steps, and how it leaves them |
+//! | `asking`, `hearing` | what a step asks for; what came of it |
+//! | `found` | a drive that is in OP already |
+//! | `sync` | its clock and SYNC0 |
+//! | `setup` | its SyncManagers, FMMUs and watchdog |
+//! | `part` | what the frames show of it |
+//!
+//! | step | what |
+//! |---|---|
+//! | look | is it there, which state is it in, what can its controller do, whose station address has it |
+//! | SII | who it is, and whether its buffers are where the configuration has them |
+//! | INIT | down, whatever it was; errors acknowledged |
+//! | clear | ports, FMMUs, SyncManagers and SYNC0 of others; station address |
+//! | PREOP | the mailbox, then the objects of its start-up |
+//! | process data | watchdog, SyncManagers, FMMUs; read back |
+//! | clock | delay and offset, until its own clock runs with the line's; SYNC0 |
+//! | SAFEOP, OP | inputs count; outputs too, once the grid is locked to the line |
+//!
+//! A step is repeated while its frames are lost; it begins anew, after a while, with a slave that does not answer.
+
+mod asking;
+mod found;
+mod hearing;
+mod part;
+mod setup;
+mod sync;
+
+use super::clock::LineClock;
+use super::note::Note;
+use super::sii::{Contents, Reader};
+use crate::axis::FoundRunning;
+use crate::bus::Cycle;
+use crate::bus::ethercat::cia402::{Mode, StatusWord};
+use crate::bus::ethercat::image::Spot;
+use crate::bus::ethercat::object::Type;
+use crate::bus::ethercat::plan::{Owner, SlavePlan, Start};
+use crate::bus::ethercat::service::{SdoFailure, Service, Transfer};
+use crate::bus::ethercat::wire::frame::{Command, position};
+use crate::bus::ethercat::wire::registers::{AlState, AlStatus, Features};
+use crate::bus::ethercat::wire::sdo::{AbortCode, Object};
+use crate::rt::Regions;
+use crate::time::{MS, S, Time, US};
+
+/// A place where nobody answers is looked at so often, and a slave that cannot be used.
+const LOOK_EVERY_NS: u64 = 100 * MS;
+const REFUSED_FOR_NS: u64 = S;
+/// SYNC0 of a drive that is found in OP may be off its place by so much.
+const SYNC_OFF_NS: i64 = 10 * US as i64;
+/// FMMUs and SyncManagers that are cleared in a slot.
+const FMMUS_AT_ONCE: u8 = 8;
+const MANAGERS_AT_ONCE: u8 = 8;
+
+/// What a step has to know of the line.
+#[derive(Clone, Copy, Debug)]
+pub struct Around<'a> {
+    /// The cycle whose frame is built, or was heard.
+    pub cycle: &'a Cycle,
+    /// When that frame was sent.
+    pub sent_at: Time,
+    /// The time of the line.
+    pub clock: LineClock,
+    /// The station address of the slave whose clock is the line's, or is to be.
+    pub reference: Option<u16>,
+    /// Its time goes to all.
+    pub timed: bool,
+    /// It does, or may begin to.
+    pub may_begin: bool,
+    /// The place of one that runs on another time than the line's: it may not begin yet.
+    pub stranger: Option<u16>,
+    /// The line has a time, and not from this slave.
+    pub has_time: bool,
+    /// A clock of the line is set: SYNC0 comes where that has it.
+    pub phased: bool,
+    /// Another slave reads receive times.
+    pub timing_taken: bool,
+    /// So long a slave may wait for its turn, ns.
+    pub turn_ns: u64,
+    /// The drive wants its outputs to go out.
+    pub wants_outputs: bool,
+    /// Its power stage may be on, by a report since this instant; `None`: there was none.
+    pub powered: Option<(bool, Time)>,
+}
+
+impl Around<'_> {
+    /// SYNC0 of all others comes there.
+    fn is_phase(&self, phase_ns: u64) -> bool {
+        let period = self.clock.period_ns() as i64;
+        let off = phase_ns as i64 - self.clock.phase_ns() as i64;
+        ((off + period / 2).rem_euclid(period) - period / 2).abs() <= SYNC_OFF_NS
+    }
+}
+
+/// Which of its process data the frames carry.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Mapped {
+    /// None.
+    #[default]
+    None,
+    /// AL status and inputs.
+    Inputs,
+    /// Outputs too.
+    All,
+}
+
+/// Where it is.
+#[derive(Clone, Copy, Debug)]
+enum Step {
+    /// Nothing until then.
+    Rest(Time),
+    Look,
+    /// It runs: on which time. Then it is refused, or who it is.
+    Time(Option<Note>),
+    SiiOwner,
+    Sii(Reader),
+    /// It has the address of another place, and is refused without it.
+    GiveBack(Note),
+    /// In OP already: its SyncManagers and watchdog, then its FMMUs, its clock, ...
+    Found,
+    FoundFmmus,
+    FoundClock,
+    /// ... its inputs, and its PDOs and mode.
+    Join,
+    Ports,
+    Clear(u8),
+    Address,
+    Mailbox,
+    /// Objects over the mailbox.
+    Objects {
+        list: List,
+        next: usize,
+        begun: bool,
+    },
+    Watchdog,
+    WatchdogCheck,
+    SyncManagers,
+    SyncManagersCheck,
+    Fmmus,
+    Latch,
+    ReferenceTimes {
+        line_ns: u64,
+    },
+    OwnTimes {
+        line_ns: u64,
+        reference_loop_ns: u32,
+    },
+    Offset {
+        offset: u64,
+        delay_ns: u32,
+    },
+    Filter,
+    Settle {
+        good: u8,
+        next: Time,
+    },
+    LineTime,
+    /// `ahead_ns`: its own time less the line's.
+    SyncStart {
+        ahead_ns: u64,
+        line_ns: u64,
+    },
+    SyncOn {
+        line_ns: u64,
+    },
+    State(Change),
+    Lock,
+    Up,
+    /// Its outputs are let go.
+    LetGo,
+    /// It has told an error in operation.
+    Code,
+}
+
+/// What a drive is doing: the mode that it shows, and its status word.
+const MODE_SHOWN: Object = Object::new(0x6061, 0);
+const STATE: [Start; 2] = [
+    Start { object: MODE_SHOWN, kind: Type::I8, raw: 0 },
+    Start { object: Object::new(0x6041, 0), kind: Type::U16, raw: 0 },
+];
+
+/// Which objects, and what is done with them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum List {
+    /// Written at start-up.
+    Write,
+    /// Read, and held against the configuration.
+    Verify,
+    /// The same of a drive that was found in OP.
+    Found,
+    /// Its mode and status word then.
+    State,
+}
+
+/// A change of state.
+#[derive(Clone, Copy, Debug)]
+struct Change {
+    to: AlState,
+    said: bool,
+    errors: u8,
+    /// What is said instead, to acknowledge an error.
+    acknowledge: Option<AlStatus>,
+}
+
+impl Step {
+    fn to(state: AlState) -> Step {
+        Step::State(Change { to: state, said: false, errors: 0, acknowledge: None })
+    }
+}
+
+/// What a slave that runs already gives the line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Lent {
+    /// Its time, as the frame passed it: the lower half.
+    pub time: u32,
+    /// Where in the periods of that SYNC0 comes, if the line is to have it there.
+    pub phase_ns: Option<u64>,
+}
+
+/// What happened to a slave that others have to know.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Happened {
+    /// Nothing.
+    Nothing,
+    /// It came up to OP.
+    Operational,
+    /// It told an AL error.
+    Error,
+    /// It has lost what it was given: it was switched off and on.
+    Restarted,
+}
+
+/// One slave of the line.
+#[derive(Debug)]
+pub struct Member {
+    /// Whose it is.
+    pub owner: Owner,
+    /// Where its process data stand.
+    pub spot: Spot,
+    plan: SlavePlan,
+    /// The process data go by LRW.
+    lrw: bool,
+    found_running: FoundRunning,
+    step: Step,
+    since: Time,
+    silent: u8,
+    addressed: bool,
+    features: Features,
+    fmmus: u8,
+    managers: u8,
+    contents: Contents,
+    mapped: Mapped,
+    has_al: bool,
+    /// The state that it is in, as far as is known; `None`: it is not there.
+    al: Option<AlState>,
+    /// It was joined in OP: not all of it was set up here.
+    joined: bool,
+    /// The mode that it showed then.
+    found_mode: Option<Mode>,
+    /// Its watchdog is set as configured.
+    watched: bool,
+    was_operational: bool,
+    mailbox_open: bool,
+    /// Its clock was set to the line's, and it has not been away since.
+    clock_set: bool,
+    /// It was looked at, or does not answer.
+    looked_at: bool,
+    /// It runs on another time than the line's, as far as is known.
+    strange: bool,
+    /// It was given its station address, and has not been switched off since.
+    known: bool,
+    /// All of it was set up here, and nothing has spoken against that since.
+    ours: bool,
+    /// The orderly end has begun: it is taken down.
+    ending: bool,
+    /// What the object that was read before says of the next one.
+    factor: u32,
+    note: Note,
+    /// Why it was refused last.
+    refused: Note,
+}
+
+impl Member {
+    /// A slave that was not seen yet.
+    pub fn new(owner: Owner, plan: &SlavePlan, spot: Spot, lrw: bool, found_running: FoundRunning) -> Member {
+        Member {
+            owner,
+            spot,
+            plan: plan.clone(),
+            lrw,
+            found_running,
+            step: Step::Look,
+            since: Time(0),
+            silent: 0,
+            addressed: false,
+            features: Features::default(),
+            fmmus: 0,
+            managers: 0,
+            contents: Contents::default(),
+            mapped: Mapped::None,
+            has_al: false,
+            al: None,
+            joined: false,
+            found_mode: None,
+            watched: true,
+            was_operational: false,
+            mailbox_open: false,
+            clock_set: false,
+            looked_at: false,
+            strange: false,
+            known: false,
+            ours: false,
+            ending: false,
+            factor: 1,
+            note: Note::Starting,
+            refused: Note::None,
+        }
+    }
+
+    /// Adds what it touches besides itself, to be locked.
+    pub fn memory(&self, regions: &mut Regions) {
+        regions.add(&*self.plan.start_up);
+        regions.add(&*self.plan.verify);
+        regions.add(&*self.plan.verify_found);
+    }
+
+    /// Its station address.
+    pub fn station(&self) -> u16 {
+        self.plan.station()
+    }
+
+    /// Its place on the line.
+    pub fn place(&self) -> u16 {
+        self.plan.place
+    }
+
+    /// Which of its process data the frames carry.
+    pub fn mapped(&self) -> Mapped {
+        self.mapped
+    }
+
+    /// The state of which its replies are; `None`: they do not count, since it has not been in OP, or its inputs are not valid.
+    pub fn state_of_replies(&self) -> Option<AlState> {
+        self.al.filter(|al| self.was_operational && *al >= AlState::SafeOp)
+    }
+
+    /// Why it is not in operation: as it is tried again, why it was refused, until it gets further.
+    pub fn note(&self) -> Note {
+        match self.note {
+            Note::Starting if self.refused != Note::None => self.refused,
+            note => note,
+        }
+    }
+
+    /// It is no drive: its inputs may all be zero.
+    pub fn is_device(&self) -> bool {
+        matches!(self.owner, Owner::Device(_))
+    }
+
+    /// It waits in SAFEOP or is in OP, as far as is known.
+    pub fn is_settled(&self) -> bool {
+        matches!(self.step, Step::Up | Step::Lock)
+    }
+
+    /// It is up, and stays so for all that is known here: it would ask for nothing.
+    pub fn wants_nothing(&self) -> bool {
+        matches!(self.step, Step::Up) && self.mapped == Mapped::All && self.has_al && !self.joined
+    }
+
+    /// It reads receive times: no other one may have them latched meanwhile.
+    pub fn is_timing(&self) -> bool {
+        matches!(self.step, Step::ReferenceTimes { .. } | Step::OwnTimes { .. } | Step::Offset { .. })
+    }
+
+    /// It is to have a clock.
+    pub fn has_clock(&self) -> bool {
+        self.plan.sync
+    }
+
+    /// Its clock runs with the line's, or is about to be set.
+    pub fn clock_is_set(&self) -> bool {
+        self.clock_set
+    }
+
+    /// It was looked at, or does not answer.
+    pub fn was_looked_at(&self) -> bool {
+        self.looked_at
+    }
+
+    /// It runs on another time than the line's.
+    pub fn is_stranger(&self) -> bool {
+        self.strange
+    }
+
+    /// It is about to have its clock set.
+    pub fn waits_for_clock(&self) -> bool {
+        matches!(self.step, Step::Latch) || self.is_timing()
+    }
+
+    /// Its watchdog is set as configured.
+    pub fn is_watched(&self) -> bool {
+        self.watched
+    }
+
+    /// The mode that it was found in, if it was joined.
+    pub fn found_mode(&self) -> Option<Mode> {
+        self.found_mode.filter(|_| self.joined)
+    }
+
+    /// Its mailbox works.
+    pub fn has_mailbox(&self) -> bool {
+        self.mailbox_open
+    }
+
+    fn reads(&self, register: u16) -> Command {
+        if self.addressed {
+            Command::Fprd(self.station(), register)
+        } else {
+            Command::Aprd(position(self.plan.place), register)
+        }
+    }
+
+    fn writes(&self, register: u16) -> Command {
+        if self.addressed {
+            Command::Fpwr(self.station(), register)
+        } else {
+            Command::Apwr(position(self.plan.place), register)
+        }
+    }
+
+    fn enter(&mut self, now: Time, step: Step) {
+        (self.step, self.since, self.silent) = (step, now, 0);
+    }
+
+    /// It begins anew, after a while.
+    fn start_over(&mut self, now: Time, after_ns: u64, note: Note) {
+        (self.addressed, self.mapped, self.mailbox_open) = (false, Mapped::None, false);
+        (self.joined, self.al, self.was_operational) = (false, None, false);
+        self.note = note;
+        self.enter(now, Step::Rest(now + after_ns));
+    }
+
+    /// It cannot be used as it is.
+    fn refuse(&mut self, now: Time, note: Note) {
+        (self.ours, self.refused) = (false, note);
+        self.start_over(now, REFUSED_FOR_NS, note);
+    }
+
+    /// Nobody answers at its place.
+    fn absent(&mut self, now: Time) {
+        (self.clock_set, self.looked_at, self.strange) = (false, true, false);
+        self.refused = Note::None;
+        self.start_over(now, LOOK_EVERY_NS, Note::Absent);
+    }
+
+    /// The frames do not find it any more.
+    pub fn lost(&mut self, now: Time) {
+        (self.clock_set, self.looked_at) = (false, false);
+        self.start_over(now, 0, Note::Absent);
+    }
+
+    /// Takes it down to INIT, if it is ours and anywhere else: true once it is there, or not to be reached.
+    pub fn shut_down(&mut self, now: Time) -> bool {
+        self.ending = true;
+        match self.step {
+            Step::State(Change { to: AlState::Init, .. }) => false,
+            // It is not ours.
+            _ if self.joined && self.mapped == Mapped::Inputs => true,
+            Step::Rest(_)
+            | Step::Look
+            | Step::Time(_)
+            | Step::SiiOwner
+            | Step::Sii(_)
+            | Step::GiveBack(_)
+            | Step::Found
+            | Step::FoundFmmus
+            | Step::FoundClock
+            | Step::Join => true,
+            _ => {
+                self.was_operational = false;
+                self.enter(now, Step::to(AlState::Init));
+                false
+            }
+        }
+    }
+
+    /// Goes on with objects, over its mailbox.
+    pub fn objects(&mut self, now: Time, service: Option<&mut Service>) {
+        let Step::Objects { list, next, begun } = self.step else { return };
+        let objects = match list {
+            List::Write => &self.plan.start_up[..],
+            List::Verify => &self.plan.verify,
+            List::Found => &self.plan.verify_found,
+            List::State => &STATE,
+        };
+        let (Some(start), Some(service)) = (objects.get(next).copied(), service) else {
+            return self.all_objects(now, list);
+        };
+        if !begun {
+            // What somebody else had asked for before is of no use any more.
+            let _ = service.take_end();
+            if service.is_free() {
+                service.begin(match list {
+                    List::Write => {
+                        Transfer::Write { object: start.object, raw: start.raw, bytes: start.bytes() as u8 }
+                    }
+                    _ => Transfer::Read(start.object),
+                });
+                self.step = Step::Objects { list, next, begun: true };
+            }
+            return;
+        }
+        let Some(end) = service.take_end() else { return };
+        let mask = u32::MAX >> (32 - 8 * start.kind.bytes().min(4));
+        let wanted = (start.raw as u32).saturating_mul(std::mem::replace(&mut self.factor, 1));
+        match end {
+            Ok(found) if list == List::State && start.object == MODE_SHOWN => {
+                self.found_mode = Some(Mode(found as u8 as i8));
+                self.step = Step::Objects { list, next: next + 1, begun: false };
+            }
+            Ok(found) if list == List::State => self.joined_as(now, StatusWord(found as u16)),
+            Ok(found) if list != List::Write && start.is_factor() => {
+                self.factor = found.max(1);
+                self.step = Step::Objects { list, next: next + 1, begun: false };
+            }
+            Ok(found) if list != List::Write && (found ^ wanted) & mask != 0 => {
+                self.differs(now, list, start.object, found);
+            }
+            // What a slave does not have, or does not tell, cannot contradict; a drive has to tell its PDOs.
+            Err(SdoFailure::Abort(_))
+                if matches!(list, List::Verify | List::State) || list == List::Found && self.is_device() =>
+            {
+                self.step = Step::Objects { list, next: next + 1, begun: false };
+            }
+            Ok(_) => self.step = Step::Objects { list, next: next + 1, begun: false },
+            Err(_) if matches!(list, List::Found | List::State) => self.not_joinable(now),
+            Err(failure) => {
+                let abort = match failure {
+                    SdoFailure::Abort(code) => code,
+                    SdoFailure::Silent if list == List::Verify => {
+                        return self.refuse(now, Note::Unread(start.object));
+                    }
+                    SdoFailure::Silent => AbortCode(0),
+                };
+                self.refuse(now, Note::StartUp { object: start.object, abort });
+            }
+        }
+    }
+
+    fn all_objects(&mut self, now: Time, list: List) {
+        match list {
+            List::Write => self.enter(now, Step::Objects { list: List::Verify, next: 0, begun: false }),
+            List::Verify if self.plan.outputs.length > 0 => self.enter(now, Step::Watchdog),
+            List::Verify if self.plan.inputs.length > 0 => self.enter(now, Step::SyncManagers),
+            // A coupler's head exchanges nothing, but for its state.
+            List::Verify if self.fmmus().1 > 0 => self.enter(now, Step::Fmmus),
+            List::Verify => self.enter(now, Step::to(AlState::SafeOp)),
+            List::Found if self.is_device() => self.joined_whole(now),
+            List::Found => self.enter(now, Step::Objects { list: List::State, next: 0, begun: false }),
+            List::State => self.joined_whole(now),
+        }
+    }
+
+    fn differs(&mut self, now: Time, list: List, object: Object, found: u32) {
+        if list == List::Found {
+            self.not_joinable(now);
+        } else {
+            self.refuse(now, Note::Differs { object, found });
+        }
+    }
+}

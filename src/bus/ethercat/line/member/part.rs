@@ -1,0 +1,86 @@
+//! What the frames show of a slave, and what it may have added to their working counters.
+
+use super::{Mapped, Member, Note, Step};
+use crate::bus::ethercat::image::AL_SIZE;
+use crate::bus::ethercat::wire::registers::{AlState, AlStatus};
+use crate::time::Time;
+
+impl Member {
+    /// A spare FMMU puts its AL status into the image.
+    pub fn has_al(&self) -> bool {
+        self.has_al
+    }
+
+    /// Its AL status in a frame that has come back; 0: it took no part. Without an FMMU for that, what it is known to be in, if
+    /// there is anything of its inputs.
+    #[inline]
+    pub fn shown(&self, received: &[u8]) -> AlStatus {
+        if self.has_al {
+            let al = received.get(self.spot.al..).and_then(<[u8]>::first_chunk::<AL_SIZE>);
+            return AlStatus(al.map_or(0, |bytes| u16::from_le_bytes(*bytes) & AlStatus::SHOWN));
+        }
+        AlStatus(self.al.filter(|_| self.has_inputs(received)).map_or(0, |al| al.number().into()))
+    }
+
+    /// There is anything of its inputs: the master sends zeros.
+    pub fn has_inputs(&self, received: &[u8]) -> bool {
+        received.get(self.spot.inputs.clone()).unwrap_or_default().iter().any(|byte| *byte != 0)
+    }
+
+    /// What it may have added to the working counter of such a frame, at least and at most.
+    #[inline]
+    pub fn counts(&self, shown: AlStatus) -> (u16, u16) {
+        let inputs = u16::from(self.has_al || self.plan.inputs.length > 0);
+        // A write counts twice, if it is one datagram with the read.
+        let written = if self.lrw { 2 } else { 1 };
+        let all = inputs + if self.plan.outputs.length > 0 { written } else { 0 };
+        let full = if self.mapped == Mapped::Inputs { inputs } else { all };
+        match shown.state() {
+            // Nothing tells whether it is there.
+            _ if !self.has_al => (0, all),
+            _ if shown.0 == 0 => (0, 0),
+            Some(AlState::SafeOp | AlState::Op) if self.mapped != Mapped::None => match self.step {
+                Step::LetGo => (full, all),
+                _ => (full, full),
+            },
+            // What it has from before: who was away and comes back may still take part, and who comes up not yet.
+            _ => (0, all),
+        }
+    }
+
+    /// It is in OP with all of its process data, and its image tells so.
+    #[inline]
+    pub fn is_steady(&self) -> bool {
+        self.wants_nothing() && self.was_operational && self.al == Some(AlState::Op)
+    }
+
+    /// What it adds to the working counter when it is steady.
+    #[inline]
+    pub fn full(&self) -> u16 {
+        let written = if self.lrw { 2 } else { 1 };
+        1 + if self.plan.outputs.length > 0 { written } else { 0 }
+    }
+
+    /// Its image shows another state than before, or an error.
+    pub fn show(&mut self, now: Time, status: AlStatus) {
+        if !self.was_operational && !self.is_settled() {
+            return;
+        }
+        self.al = status.state();
+        if !self.is_settled() || !status.error() && self.al == Some(AlState::Op) {
+            return;
+        }
+        // In SAFEOP it waits for the lock.
+        let waits = matches!(self.step, Step::Lock) && status == AlStatus::request(AlState::SafeOp);
+        match self.al {
+            _ if waits => {}
+            Some(AlState::SafeOp | AlState::Op) => self.enter(now, Step::Code),
+            _ => self.start_over(now, 0, Note::Starting),
+        }
+    }
+
+    /// The state that its image showed last.
+    pub fn al(&self) -> Option<AlState> {
+        self.al
+    }
+}

@@ -1,0 +1,309 @@
+//! Why a slave is not in operation, for normal threads: written by the cycle without a lock, made text by whoever asks.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use crate::bus::ethercat::wire::registers::{AlCode, AlState};
+use crate::bus::ethercat::wire::sdo::{AbortCode, Object};
+use crate::rt::Regions;
+
+/// Why a slave is not in operation.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Note {
+    /// It is, or nothing is known yet.
+    #[default]
+    None,
+    /// Nothing answers at its place.
+    Absent,
+    /// Its SII cannot be read.
+    Sii,
+    /// Its maker is another one than configured.
+    Vendor(u32),
+    /// It is another product.
+    Product(u32),
+    /// It is another revision.
+    Revision(u32),
+    /// The slave there is the one of another place.
+    WrongPlace(u16),
+    /// Its SII has a SyncManager elsewhere.
+    SyncManager {
+        /// 1 mailbox out, 2 in, 3 outputs, 4 inputs.
+        usage: u8,
+        /// Where it begins there.
+        start: u16,
+        /// Its bytes there.
+        length: u16,
+    },
+    /// It has too few FMMUs.
+    Fmmus(u8),
+    /// It has no distributed clock.
+    NoClock,
+    /// It does not know LRW.
+    NoLrw,
+    /// It has no mailbox for CoE.
+    NoCoe,
+    /// It did not go to a state.
+    State {
+        /// Which one.
+        to: AlState,
+        /// What it said.
+        code: AlCode,
+    },
+    /// It did not go to a state in time, and did not say why.
+    Slow(AlState),
+    /// It did not take a value at start-up.
+    StartUp {
+        /// Which object.
+        object: Object,
+        /// What it said; 0: nothing.
+        abort: AbortCode,
+    },
+    /// Its watchdog reads back otherwise than set.
+    Watchdog,
+    /// It waits for the clock of the line.
+    WaitsForClock,
+    /// It waits for the grid to come where its SYNC0 wants it, and so far is that from there, ns: positive is late. `None`: it is not
+    /// known.
+    WaitsForLock(Option<i32>),
+    /// It was found in OP with other process data than configured, and is left alone.
+    FoundRunning,
+    /// It is being brought up.
+    Starting,
+    /// An object is otherwise than configured.
+    Differs {
+        /// Which.
+        object: Object,
+        /// Its value there.
+        found: u32,
+    },
+    /// Its clock does not come to run with the line's.
+    Unsettled,
+    /// Another slave has its station address.
+    AddressTwice,
+    /// An object does not come when it is read.
+    Unread(Object),
+    /// The slave at this place runs on another time than the line's.
+    OtherTime(u16),
+}
+
+/// Numbers of the notes, in the highest byte.
+impl Note {
+    fn pack(self) -> u64 {
+        let number = |kind: u8, high: u32, low: u32| {
+            u64::from(kind) << 56 | u64::from(high & 0xFF_FFFF) << 32 | u64::from(low)
+        };
+        let object = |object: Object| u32::from(object.index) << 8 | u32::from(object.sub);
+        match self {
+            Note::None => 0,
+            Note::Absent => number(1, 0, 0),
+            Note::Sii => number(2, 0, 0),
+            Note::Vendor(found) => number(3, 0, found),
+            Note::Product(found) => number(4, 0, found),
+            Note::Revision(found) => number(5, 0, found),
+            Note::WrongPlace(place) => number(6, 0, place.into()),
+            Note::SyncManager { usage, start, length } => {
+                number(7, usage.into(), u32::from(start) << 16 | u32::from(length))
+            }
+            Note::Fmmus(count) => number(8, 0, count.into()),
+            Note::NoClock => number(9, 0, 0),
+            Note::NoLrw => number(10, 0, 0),
+            Note::NoCoe => number(11, 0, 0),
+            Note::State { to, code } => number(12, to.number().into(), code.0.into()),
+            Note::Slow(to) => number(13, to.number().into(), 0),
+            Note::StartUp { object: which, abort } => number(14, object(which), abort.0),
+            Note::Watchdog => number(15, 0, 0),
+            Note::WaitsForClock => number(16, 0, 0),
+            Note::WaitsForLock(error) => {
+                number(17, u32::from(error.is_some()), error.unwrap_or_default().cast_unsigned())
+            }
+            Note::FoundRunning => number(18, 0, 0),
+            Note::Starting => number(19, 0, 0),
+            Note::Differs { object: which, found } => number(20, object(which), found),
+            Note::Unsettled => number(21, 0, 0),
+            Note::AddressTwice => number(22, 0, 0),
+            Note::Unread(which) => number(23, object(which), 0),
+            Note::OtherTime(place) => number(24, 0, place.into()),
+        }
+    }
+
+    fn unpack(packed: u64) -> Note {
+        let (kind, high, low) = ((packed >> 56) as u8, (packed >> 32) as u32 & 0xFF_FFFF, packed as u32);
+        let state = || AlState::new(high as u8).unwrap_or_default();
+        let object = || Object::new((high >> 8) as u16, high as u8);
+        match kind {
+            1 => Note::Absent,
+            2 => Note::Sii,
+            3 => Note::Vendor(low),
+            4 => Note::Product(low),
+            5 => Note::Revision(low),
+            6 => Note::WrongPlace(low as u16),
+            7 => Note::SyncManager { usage: high as u8, start: (low >> 16) as u16, length: low as u16 },
+            8 => Note::Fmmus(low as u8),
+            9 => Note::NoClock,
+            10 => Note::NoLrw,
+            11 => Note::NoCoe,
+            12 => Note::State { to: state(), code: AlCode(low as u16) },
+            13 => Note::Slow(state()),
+            14 => Note::StartUp { object: object(), abort: AbortCode(low) },
+            15 => Note::Watchdog,
+            16 => Note::WaitsForClock,
+            17 => Note::WaitsForLock((high != 0).then_some(low.cast_signed())),
+            18 => Note::FoundRunning,
+            19 => Note::Starting,
+            20 => Note::Differs { object: object(), found: low },
+            21 => Note::Unsettled,
+            22 => Note::AddressTwice,
+            23 => Note::Unread(object()),
+            24 => Note::OtherTime(low as u16),
+            _ => Note::None,
+        }
+    }
+
+    /// In words, for the slave at this place; `None`: there is nothing to say.
+    pub fn text(self, place: u16) -> Option<String> {
+        let what = match self {
+            Note::None => return None,
+            Note::Absent => "nothing answers there: look at its power and at the cable in front of it".into(),
+            Note::Sii => "its SII cannot be read: look whether another master holds it".into(),
+            Note::Vendor(found) => format!("its vendor is {found:#010x}: mend vendor, or the order of the line"),
+            Note::Product(found) => {
+                format!("its product is {found:#010x}: mend product, or the order of the line")
+            }
+            Note::Revision(found) => format!("its revision is {found:#010x}: mend revision, or leave it out"),
+            Note::WrongPlace(other) => {
+                format!("the slave there is the one of place {other}: look at the order of the cables")
+            }
+            Note::SyncManager { usage, start, length } => {
+                let what = ["", "mailbox out", "mailbox in", "outputs", "inputs"].get(usize::from(usage));
+                let what = what.unwrap_or(&"a buffer");
+                format!("its SII has {what} at {start:#06x}, {length} bytes: mend the configuration")
+            }
+            Note::Fmmus(count) => {
+                format!("it has {count} FMMUs, too few for outputs and inputs: leave one of them out")
+            }
+            Note::NoClock => "it has no distributed clock: take sync = false".into(),
+            Note::NoLrw => "it does not know LRW: take lrw = false for its bus".into(),
+            Note::NoCoe => "its SII names no CoE: leave out mailbox, or look at the order of the line".into(),
+            Note::State { to, code } => {
+                format!("it refuses {to}: AL status code {:#06x} ({})", code.0, code.name().unwrap_or("not known"))
+            }
+            Note::Slow(to) => format!("it does not go to {to}, and does not say why"),
+            Note::StartUp { object, abort: AbortCode(0) } => {
+                format!("it does not answer when {:#06x}:{} is written", object.index, object.sub)
+            }
+            Note::StartUp { object, abort } => format!(
+                "it refuses what is written to {:#06x}:{}: abort code {:#010x} ({})",
+                object.index,
+                object.sub,
+                abort.0,
+                abort.name().unwrap_or("not known")
+            ),
+            Note::Watchdog => "its watchdog reads back otherwise than set".into(),
+            Note::WaitsForClock => "it waits for the clock of the first slave with sync".into(),
+            Note::WaitsForLock(None) => "it waits for the grid to meet its SYNC0, and for its clock to be seen".into(),
+            Note::WaitsForLock(Some(error)) => {
+                // To the next ten microseconds: whoever tells of each text is not to tell of each cycle.
+                let far = (error.unsigned_abs() + 5_000) / 10_000 * 10;
+                let side = if error < 0 { "early" } else { "late" };
+                format!("it waits for the grid to meet its SYNC0: a slot is about {far} us {side}")
+            }
+            Note::FoundRunning => {
+                "it was found in OP with other process data: stop it by its own master, or take on_found_running = \"stop\""
+                    .into()
+            }
+            Note::Starting => "it is being brought up".into(),
+            Note::Differs { object: Object { index: 0x608F, sub: 1 }, found } => format!(
+                "its increments a turn (0x608f:1) are {found}, otherwise than 2 to the power of prbase: mend prbase, or take check_prbase = false"
+            ),
+            Note::Differs { object: Object { index, sub }, found } => {
+                format!("its {index:#06x}:{sub} is {found} ({found:#x}), otherwise than configured: mend one of them")
+            }
+            Note::Unsettled => "its clock does not come to run with the line's: look at its distributed clock".into(),
+            Note::AddressTwice => "another slave has its station address: switch that one off and on".into(),
+            Note::Unread(object) => {
+                format!("it does not answer when {:#06x}:{} is read", object.index, object.sub)
+            }
+            Note::OtherTime(other) => format!(
+                "the slave at place {other} runs on a clock that another master has set, and would be dragged off it: stop that one, or switch it off"
+            ),
+        };
+        Some(format!("place {place}: {what}"))
+    }
+}
+
+/// The notes of all slaves of a line.
+#[derive(Clone, Debug)]
+pub struct Notes(Arc<[AtomicU64]>);
+
+impl Notes {
+    /// So many, all empty.
+    pub fn new(count: usize) -> Notes {
+        Notes((0..count).map(|_| AtomicU64::new(0)).collect())
+    }
+
+    /// Adds its memory, to be locked.
+    pub fn memory(&self, regions: &mut Regions) {
+        regions.add(&*self.0);
+    }
+
+    /// Writes that of slave `index`.
+    pub fn set(&self, index: usize, note: Note) {
+        if let Some(word) = self.0.get(index) {
+            word.store(note.pack(), Ordering::Relaxed);
+        }
+    }
+
+    /// Reads that of slave `index`.
+    pub fn get(&self, index: usize) -> Note {
+        self.0.get(index).map_or(Note::None, |word| Note::unpack(word.load(Ordering::Relaxed)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_note_comes_back_as_it_was_written_and_says_what_to_do() {
+        let all = [
+            Note::None,
+            Note::Absent,
+            Note::Sii,
+            Note::Vendor(0x6A),
+            Note::Product(0x0300_0600),
+            Note::Revision(u32::MAX),
+            Note::WrongPlace(3),
+            Note::SyncManager { usage: 3, start: 0x1100, length: 6 },
+            Note::Fmmus(2),
+            Note::NoClock,
+            Note::NoLrw,
+            Note::NoCoe,
+            Note::State { to: AlState::SafeOp, code: AlCode(0x1D) },
+            Note::Slow(AlState::Op),
+            Note::StartUp { object: Object::new(0x1C12, 1), abort: AbortCode(0x0602_0000) },
+            Note::StartUp { object: Object::new(0x6060, 0), abort: AbortCode(0) },
+            Note::Watchdog,
+            Note::WaitsForClock,
+            Note::WaitsForLock(None),
+            Note::WaitsForLock(Some(-123_456)),
+            Note::FoundRunning,
+            Note::Starting,
+            Note::Differs { object: Object::new(0x608F, 1), found: 1 << 20 },
+            Note::Unsettled,
+            Note::AddressTwice,
+            Note::Unread(Object::new(0x608F, 1)),
+            Note::OtherTime(7),
+        ];
+        let notes = Notes::new(1);
+        for note in all {
+            notes.set(0, note);
+            assert_eq!(notes.get(0), note);
+            assert_eq!(note.text(4).is_none(), note == Note::None);
+        }
+        assert_eq!(
+            all[12].text(1).unwrap(),
+            "place 1: it refuses SAFEOP: AL status code 0x001d (invalid output configuration)"
+        );
+        assert_eq!(notes.get(7), Note::None);
+    }
+}

@@ -1,0 +1,108 @@
+//! A slave that runs on a clock that another master has set, or this one before it was restarted.
+//!
+//! The line's time goes to all slaves with a clock, listed or not. To one that runs it must be the time that it runs on: it would be
+//! dragged to any other one, and a drive goes into a fault by that (F28).
+
+use super::clock::LineClock;
+use crate::bus::Cycle;
+use crate::bus::ethercat::slot::{Answers, Ask};
+use crate::bus::ethercat::wire::frame::Command;
+use crate::bus::ethercat::wire::registers::address;
+use crate::time::Time;
+
+/// From the cyclic unit to the cycle of SYNC0.
+const SYNC: usize = (address::DC_CYCLE - address::DC_CONTROL) as usize + 4;
+/// Cyclic operation, and SYNC0.
+const CYCLIC: u8 = 1;
+const SYNC0: u8 = 2;
+
+/// What its clock shows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Running {
+    active: u8,
+    /// The next SYNC0, and its period, ns.
+    start: u32,
+    cycle_ns: u32,
+    /// Its time as the frame passed it: the lower half.
+    time: u32,
+}
+
+impl Running {
+    /// Asks for it, with a command that reaches the slave at a register.
+    pub fn ask(read: impl Fn(u16) -> Command, ask: &mut Ask) {
+        ask.read(read(address::DC_CONTROL), SYNC);
+        ask.read(read(address::DC_TIME), 8);
+    }
+
+    /// What came of that.
+    pub fn heard(answers: &Answers<'_>) -> Option<Running> {
+        let [Some(sync), Some(time)] = answers else { return None };
+        let long = |at: u16| {
+            let at = usize::from(at - address::DC_CONTROL);
+            sync.data.get(at..)?.first_chunk::<4>().map(|bytes| u32::from_le_bytes(*bytes))
+        };
+        Some(Running {
+            active: *sync.data.get(1)?,
+            start: long(address::DC_START)?,
+            cycle_ns: long(address::DC_CYCLE)?,
+            time: u32::from_le_bytes(*time.data.first_chunk::<4>()?),
+        })
+    }
+
+    /// It does something at times of its clock.
+    pub fn is_cyclic(&self) -> bool {
+        self.active & CYCLIC != 0
+    }
+
+    /// Its time as the frame passed it.
+    pub fn time(&self) -> u32 {
+        self.time
+    }
+
+    /// Where in the periods of its time SYNC0 comes, if that is near to the line's; `None`: it has none of this period.
+    pub fn phase_ns(&self, clock: &LineClock, cycle: &Cycle, at: Time) -> Option<u64> {
+        let period = clock.period_ns();
+        if self.active & (CYCLIC | SYNC0) != CYCLIC | SYNC0 || u64::from(self.cycle_ns) != period {
+            return None;
+        }
+        // Read back, the start is that of the next pulse.
+        let line_ns = near(clock.time(cycle, at), self.time);
+        Some(near(line_ns, self.start) % period)
+    }
+}
+
+/// The time that has this lower half and is nearest to `line_ns`.
+pub fn near(line_ns: u64, half: u32) -> u64 {
+    line_ns.wrapping_add(i64::from(half.wrapping_sub(line_ns as u32) as i32) as u64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bus::ethercat::slot::Answer;
+
+    #[test]
+    fn half_a_time_is_made_whole_near_to_the_one_that_is_known() {
+        for line in [0_u64, 5, 0xFFFF_FFFF, 0x1_0000_0000, 0x7_8000_0000] {
+            for off in [-2_000_000_000_i64, -1, 0, 1, 2_000_000_000] {
+                let time = line.wrapping_add(off as u64);
+                assert_eq!(near(line, time as u32), time);
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_too_short_is_no_clock() {
+        let answers = |sync, time| {
+            let of = |data| Some(Answer { working_counter: 1, data });
+            [of(sync), of(time)]
+        };
+        let mut sync = [0; SYNC];
+        sync[1] = 3;
+        let running = Running::heard(&answers(&sync, &[1, 2, 0, 0])).unwrap();
+        assert_eq!((running.is_cyclic(), running.time()), (true, 0x0201));
+        assert_eq!(Running::heard(&answers(&sync[..SYNC - 1], &[0; 8])), None);
+        assert_eq!(Running::heard(&answers(&sync, &[0; 3])), None);
+        assert_eq!(Running::heard(&[None, None]), None);
+    }
+}

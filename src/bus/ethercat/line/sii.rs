@@ -1,0 +1,222 @@
+//! Reads what the SII of a slave says of it, four bytes at a time: two slots a word pair.
+
+use crate::bus::ethercat::plan::Area;
+use crate::bus::ethercat::slot::{Answers, Ask};
+use crate::bus::ethercat::wire::frame::Command;
+use crate::bus::ethercat::wire::registers::{SyncManager, address};
+use crate::bus::ethercat::wire::sii::{self, Category, Identity, Protocols, Status, Use, word};
+
+/// SyncManagers that are looked at.
+pub const MANAGERS: usize = 8;
+/// Categories that are walked through, at most.
+const CATEGORIES: u8 = 64;
+/// Looks at a busy SII before it is asked again, and askings, at most.
+const LOOKS: u8 = 200;
+const ASKINGS: u8 = 3;
+/// Control, address and data stand behind each other.
+const POLL: usize = 14;
+const DATA_AT: usize = (address::SII_DATA - address::SII_CONTROL) as usize;
+/// Of an EEPROM that was never written.
+const BLANK: u32 = u32::MAX;
+
+/// What it says.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Contents {
+    /// Who the slave is.
+    pub identity: Identity,
+    /// Its mailboxes: out, in; at 0: it names none.
+    pub mailboxes: [Area; 2],
+    /// Their protocols.
+    pub protocols: Protocols,
+    /// Its SyncManagers in their order, and what each is for.
+    pub managers: [Option<(SyncManager, Use)>; MANAGERS],
+}
+
+/// What is read now.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Item {
+    Vendor,
+    Product,
+    Revision,
+    MailboxOut,
+    MailboxIn,
+    Protocols,
+    /// The header of a category.
+    Category {
+        at: u16,
+        nth: u8,
+    },
+    /// Half of the entry of a SyncManager.
+    Manager {
+        at: u16,
+        nth: u8,
+        of: u8,
+        first: Option<[u8; 4]>,
+    },
+    Done,
+}
+
+/// How far it is.
+#[derive(Clone, Copy, Debug)]
+pub struct Reader {
+    item: Item,
+    asked: bool,
+    looks: u8,
+    askings: u8,
+    contents: Contents,
+}
+
+/// What became of it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Reading {
+    /// It goes on.
+    On,
+    /// It is all read.
+    Done,
+    /// It cannot be read.
+    Failed,
+}
+
+impl Default for Reader {
+    fn default() -> Reader {
+        Reader { item: Item::Vendor, asked: false, looks: 0, askings: 0, contents: Contents::default() }
+    }
+}
+
+impl Reader {
+    /// What was read so far.
+    pub fn contents(&self) -> &Contents {
+        &self.contents
+    }
+
+    fn word(&self) -> Option<u16> {
+        Some(match self.item {
+            Item::Vendor => word::VENDOR,
+            Item::Product => word::PRODUCT,
+            Item::Revision => word::REVISION,
+            Item::MailboxOut => word::MAILBOX_OUT,
+            Item::MailboxIn => word::MAILBOX_IN,
+            Item::Protocols => word::PROTOCOLS,
+            Item::Category { at, .. } => at,
+            Item::Manager { at, first, .. } => at.wrapping_add(if first.is_some() { 2 } else { 0 }),
+            Item::Done => return None,
+        })
+    }
+
+    /// Asks on, with commands that reach the slave at a register.
+    pub fn ask(&self, read: impl Fn(u16) -> Command, write: impl Fn(u16) -> Command, ask: &mut Ask) {
+        let Some(word) = self.word() else { return };
+        if self.asked {
+            ask.read(read(address::SII_CONTROL), POLL);
+        } else {
+            ask.write(write(address::SII_CONTROL), &sii::read(word));
+        }
+    }
+
+    /// What came of it.
+    pub fn heard(&mut self, answers: &Answers<'_>) -> Reading {
+        // A lost frame: the same is asked again.
+        let Some(answer) = answers[0] else { return Reading::On };
+        if !self.asked {
+            self.asked = true;
+            return Reading::On;
+        }
+        let Some([low, high]) = answer.data.first_chunk::<2>().copied() else { return Reading::On };
+        let status = Status(u16::from_le_bytes([low, high]));
+        if status.busy() {
+            self.looks += 1;
+            return if self.looks > LOOKS { self.again() } else { Reading::On };
+        }
+        if status.error() {
+            return self.again();
+        }
+        let Some(data) = answer.data.get(DATA_AT..).and_then(<[u8]>::first_chunk::<4>) else {
+            return Reading::Failed;
+        };
+        (self.asked, self.looks, self.askings) = (false, 0, 0);
+        self.take(*data);
+        if self.item == Item::Done { Reading::Done } else { Reading::On }
+    }
+
+    fn again(&mut self) -> Reading {
+        (self.asked, self.looks) = (false, 0);
+        self.askings += 1;
+        if self.askings > ASKINGS { Reading::Failed } else { Reading::On }
+    }
+
+    fn take(&mut self, data: [u8; 4]) {
+        let number = u32::from_le_bytes(data);
+        let half = number as u16;
+        let area = Area { start: half, length: (number >> 16) as u16 };
+        let contents = &mut self.contents;
+        self.item = match self.item {
+            Item::Vendor => {
+                contents.identity.vendor = number;
+                Item::Product
+            }
+            Item::Product => {
+                contents.identity.product = number;
+                Item::Revision
+            }
+            Item::Revision => {
+                contents.identity.revision = number;
+                Item::MailboxOut
+            }
+            Item::MailboxOut => {
+                contents.mailboxes[0] = area;
+                Item::MailboxIn
+            }
+            Item::MailboxIn => {
+                contents.mailboxes[1] = area;
+                Item::Protocols
+            }
+            Item::Protocols => {
+                contents.protocols = Protocols(half);
+                Item::Category { at: word::CATEGORIES, nth: 0 }
+            }
+            Item::Category { at, nth } => next_category(at, nth, data),
+            Item::Manager { at, nth, of, first: None } => Item::Manager { at, nth, of, first: Some(data) },
+            Item::Manager { at, nth, of, first: Some([a, b, c, d]) } => {
+                let [e, f, g, h] = data;
+                if let Some(manager) = contents.managers.get_mut(usize::from(nth)) {
+                    *manager = Some(sii::sync_manager([a, b, c, d, e, f, g, h]));
+                }
+                match nth + 1 {
+                    next if next < of => Item::Manager { at: at.wrapping_add(4), nth: next, of, first: None },
+                    _ => Item::Done,
+                }
+            }
+            Item::Done => Item::Done,
+        };
+    }
+}
+
+/// The header of a category was read.
+fn next_category(at: u16, nth: u8, header: [u8; 4]) -> Item {
+    let category = Category::new(header).filter(|_| nth < CATEGORIES && u32::from_le_bytes(header) != 0);
+    let Some(Category { kind, words }) = category else { return Item::Done };
+    let behind = at.checked_add(2);
+    match (kind, behind, behind.and_then(|behind| behind.checked_add(words))) {
+        (Category::SYNC_MANAGERS, Some(at), _) if words >= 4 => {
+            let of = (words / 4).min(MANAGERS as u16) as u8;
+            Item::Manager { at, nth: 0, of, first: None }
+        }
+        (_, _, Some(next)) => Item::Category { at: next, nth: nth + 1 },
+        _ => Item::Done,
+    }
+}
+
+impl Contents {
+    /// The EEPROM was never written.
+    pub fn is_blank(&self) -> bool {
+        matches!(self.identity.vendor, 0 | BLANK)
+    }
+
+    /// The SyncManager for this, and its number.
+    pub fn manager(&self, usage: Use) -> Option<(u16, SyncManager)> {
+        let found = |(number, entry): (usize, &Option<(SyncManager, Use)>)| {
+            entry.filter(|(_, other)| *other == usage).map(|(manager, _)| (number as u16, manager))
+        };
+        self.managers.iter().enumerate().find_map(found)
+    }
+}

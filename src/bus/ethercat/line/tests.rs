@@ -1,0 +1,482 @@
+//! The line against a simulated one, frame by frame, in virtual time.
+
+mod found;
+
+use super::note::Note;
+use super::*;
+use crate::bus::ethercat::image::{Image, Mark, Read};
+use crate::bus::ethercat::object::Family;
+use crate::bus::ethercat::plan::{Area, Device, Expected, FIRST_STATION, KollmorgenDrive, SlavePlan};
+use crate::bus::ethercat::sim::coupler::{Coupler, Terminals};
+use crate::bus::ethercat::sim::{self, Esc, EthercatSim, Settings};
+use crate::bus::ethercat::wire::frame::{Builder, Command, position};
+use crate::bus::ethercat::wire::registers::{Features, address};
+use crate::bus::ethercat::wire::sii::Identity;
+use crate::sim::SimLine;
+use crate::time::{MS, S, US};
+
+/// What the line told its crew.
+#[derive(Default)]
+struct Told {
+    states: Vec<(Owner, Option<AlState>)>,
+    taken: Vec<Owner>,
+    passed_by: Vec<Owner>,
+    restarted: Vec<Owner>,
+    /// The newest inputs.
+    inputs: Vec<u8>,
+    wants_outputs: bool,
+}
+
+impl Crew for Told {
+    fn service(&mut self, _owner: Owner) -> Option<&mut Service> {
+        None
+    }
+
+    fn advance(&mut self, _owner: Owner, _now: Time, _slots: &[Slot]) {}
+
+    fn state(&mut self, owner: Owner, al: Option<AlState>, _slots: &mut [Slot]) {
+        self.states.push((owner, al));
+    }
+
+    fn restarted(&mut self, owner: Owner) {
+        self.restarted.push(owner);
+    }
+
+    fn mailbox_heard(&mut self, _owner: Owner, _slots: &mut [Slot]) {}
+
+    fn wants_outputs(&self, _owner: Owner) -> bool {
+        self.wants_outputs
+    }
+
+    fn watched(&mut self, _owner: Owner, _is_watched: bool) {}
+
+    fn found_in(&mut self, _owner: Owner, _mode: Mode) {}
+
+    fn excuse(&mut self, _owner: Owner, _slots: &mut [Slot]) {}
+
+    fn take(&mut self, owner: Owner, taken: Taken<'_>, _slots: &mut [Slot]) {
+        assert!(!taken.inputs.is_empty() && taken.in_window);
+        self.taken.push(owner);
+        self.inputs = taken.inputs.to_vec();
+    }
+
+    fn passed_by(&mut self, owner: Owner, _slots: &mut [Slot]) {
+        self.passed_by.push(owner);
+    }
+
+    fn counters<'a>(&self, owner: Owner, slots: &'a mut [Slot]) -> Option<&'a mut Counters> {
+        match owner {
+            Owner::Drive(index) => slots.get_mut(index).map(|slot| &mut slot.counters),
+            Owner::Device(_) => None,
+        }
+    }
+}
+
+/// A line, a simulated one, and the loop between them.
+struct Rig {
+    line: Line,
+    image: Image,
+    sim: EthercatSim,
+    told: Told,
+    slots: Vec<Slot>,
+    cycle: Cycle,
+    number: u32,
+    /// Frames are lost.
+    lossy: bool,
+    /// The next frame comes back when it is asked for.
+    late: bool,
+    held: Option<(Sent, Vec<u8>, u16)>,
+}
+
+impl Rig {
+    fn new(plan: &EthercatPlan) -> Rig {
+        Rig::on(plan, plan)
+    }
+
+    /// A line of more slaves than the master knows of.
+    fn on(plan: &EthercatPlan, whole: &EthercatPlan) -> Rig {
+        Rig::based(plan, whole, 0x1000_0000)
+    }
+
+    fn based(plan: &EthercatPlan, whole: &EthercatPlan, base: u32) -> Rig {
+        let slaves = plan.slaves();
+        let (image, spots) = Image::new(&slaves, base, [0x10; 6], true, plan.lrw).unwrap();
+        let grid = Time(50 * S);
+        Rig {
+            line: Line::new(plan, spots, MS),
+            image,
+            sim: EthercatSim::new(whole),
+            told: Told::default(),
+            slots: vec![Slot::default(); plan.drives.len()],
+            cycle: Cycle { index: 0, grid, period_ns: MS, deadline: grid + MS / 2 },
+            number: 0,
+            lossy: false,
+            late: false,
+            held: None,
+        }
+    }
+
+    fn step(&mut self) {
+        self.cycle.index += 1;
+        self.cycle.grid = self.cycle.grid + MS;
+        let late = u64::from(self.number % 250) * 131;
+        let at = self.cycle.grid + late;
+        let first = &mut self.image.frames_mut()[0];
+        self.line.prepare(&self.cycle, first, &mut self.told, &mut self.slots);
+        for (number, frame) in self.image.frames_mut().iter_mut().enumerate() {
+            frame.load_outputs();
+            frame.number(Mark { master: 7, number: self.number });
+            self.number += 1;
+            if number == 0 {
+                frame.set_time(self.line.clock.told(&self.cycle, at));
+                self.line.clock.lead_on();
+            }
+            let mut received = frame.bytes().to_vec();
+            let came = self.sim.pass(at, &mut received);
+            if !came || self.lossy && self.number.is_multiple_of(7) {
+                self.line.lost(at, number == 0, &mut self.told, &mut self.slots);
+                continue;
+            }
+            let Read::Good(counter) = frame.read(&received) else { panic!("a frame of our own") };
+            let sent = Sent { cycle: self.cycle, at };
+            if self.late {
+                self.held = Some((sent, received, counter));
+                continue;
+            }
+            let back = Back { sent, frame, at: at + 30 * US, received: &received, counter, in_window: true };
+            self.line.heard(&back, number, &mut self.told, &mut self.slots);
+        }
+    }
+
+    fn deliver(&mut self) {
+        let (sent, received, counter) = self.held.take().unwrap();
+        let frame = &self.image.frames()[0];
+        let back = Back { sent, frame, at: sent.at, received: &received, counter, in_window: false };
+        self.line.heard(&back, 0, &mut self.told, &mut self.slots);
+    }
+
+    fn run(&mut self, cycles: usize) {
+        for _ in 0..cycles {
+            self.step();
+        }
+    }
+
+    fn until(&mut self, what: &str, most: usize, done: impl Fn(&mut Rig) -> bool) -> usize {
+        for cycle in 0..most {
+            if done(self) {
+                return cycle;
+            }
+            self.step();
+        }
+        let members: Vec<_> = self.line.members.iter().map(|part| &part.member).collect();
+        panic!("not within {most} cycles: {what}; {members:#?}");
+    }
+
+    fn al(&mut self, place: usize) -> AlState {
+        self.slave(place).state()
+    }
+
+    fn slave(&mut self, place: usize) -> &mut Esc {
+        self.sim.slave(place).unwrap()
+    }
+
+    /// Another master writes to a register.
+    fn poke(&mut self, place: u16, register: u16, data: &[u8]) {
+        let mut frame = vec![0; 64];
+        let mut builder = Builder::new(&mut frame, [0xFF; 6], [0; 6]).unwrap();
+        builder.push_with(Command::Apwr(position(place), register), 0, data).unwrap();
+        builder.finish();
+        let now = self.cycle.grid;
+        self.sim.pass(now, &mut frame);
+    }
+
+    fn peek(&mut self, place: u16, register: u16, length: usize) -> Vec<u8> {
+        let mut frame = vec![0; 64];
+        let mut builder = Builder::new(&mut frame, [0xFF; 6], [0; 6]).unwrap();
+        let at = builder.push(Command::Aprd(position(place), register), 0, length).unwrap();
+        builder.finish();
+        let now = self.cycle.grid;
+        self.sim.pass(now, &mut frame);
+        frame[at.data()].to_vec()
+    }
+
+    /// How far its time is from ours.
+    fn time_off(&mut self, place: usize) -> i64 {
+        let now = self.cycle.grid + MS / 2;
+        self.slave(place).line_time(now).wrapping_sub(now.0) as i64
+    }
+
+    fn all_up(&mut self, most: usize) -> usize {
+        let count = self.line.members.len();
+        self.until("all in OP", most, |rig| (0..count).all(|index| rig.line.is_operational(index)))
+    }
+}
+
+fn drives(count: u16) -> EthercatPlan {
+    let drive = |place| KollmorgenDrive::new(format!("d{place}"), place, Family::S700);
+    EthercatPlan::new("local:test", (0..count).map(drive).collect())
+}
+
+fn coupler(place: u16) -> Device {
+    let terminals = Terminals { digital: 8, analogue: 0 };
+    Device {
+        name: "io".into(),
+        slave: SlavePlan {
+            outputs: Area { start: 0x1000, length: 1 },
+            inputs: Area { start: 0x1003, length: 1 },
+            identity: Expected::default(),
+            ..SlavePlan::new(place)
+        },
+        simulate: Coupler { outputs: terminals, inputs: terminals },
+    }
+}
+
+const WRONG: usize = Own::WrongCount as usize;
+
+impl Rig {
+    /// Runs so many cycles, and how often each drive was heard in them.
+    fn heard(&mut self, cycles: usize) -> Vec<usize> {
+        self.told.taken.clear();
+        self.run(cycles);
+        let count = |index| self.told.taken.iter().filter(|owner| **owner == Owner::Drive(index)).count();
+        (0..self.slots.len()).map(count).collect()
+    }
+
+    fn wrong_counts(&self) -> u64 {
+        self.slots.iter().map(|slot| slot.counters.own[WRONG]).sum()
+    }
+
+    fn note(&self, index: usize) -> Note {
+        self.line.notes.get(index)
+    }
+}
+
+#[test]
+fn a_line_comes_up_to_op_and_every_frame_counts() {
+    let mut rig = Rig::new(&drives(3));
+    rig.all_up(3_000);
+    assert!((0..3).all(|place| rig.al(place) == AlState::Op));
+    assert_eq!(rig.heard(500), [500; 3]);
+    assert!(rig.told.passed_by.is_empty() && rig.told.restarted.is_empty());
+    assert_eq!(rig.wrong_counts(), 0);
+    assert!((0..3).all(|index| rig.note(index) == Note::None));
+}
+
+#[test]
+fn a_line_comes_up_though_frames_are_lost() {
+    let mut rig = Rig::new(&drives(2));
+    rig.lossy = true;
+    rig.all_up(4_000);
+    assert_eq!(rig.wrong_counts(), 0);
+}
+
+#[test]
+fn a_drive_that_hears_nothing_costs_no_other_one_a_frame_and_comes_back() {
+    let mut rig = Rig::new(&drives(5));
+    rig.all_up(4_000);
+    rig.sim.deafen(2, true);
+    assert_eq!(rig.heard(1_000), [1_000, 1_000, 0, 1_000, 1_000]);
+    // It is not counted: at its place there is the one behind it, and is left alone.
+    assert_eq!((rig.wrong_counts(), rig.note(2)), (0, Note::WrongPlace(3)));
+    assert_eq!(rig.told.states.last(), Some(&(Owner::Drive(2), None)));
+    rig.sim.deafen(2, false);
+    let frames = rig.told.taken.len();
+    let cycles = rig.all_up(4_000);
+    assert_eq!(rig.told.taken.len() - frames, 4 * cycles, "the others went on");
+    assert_eq!((rig.wrong_counts(), rig.heard(100)), (0, vec![100; 5]));
+}
+
+#[test]
+fn a_cut_cable_takes_what_is_behind_it_and_nothing_else() {
+    let mut rig = Rig::new(&drives(5));
+    rig.all_up(4_000);
+    rig.sim.cut(Some(2));
+    assert_eq!(rig.heard(1_000), [1_000, 1_000, 0, 0, 0]);
+    rig.sim.cut(None);
+    rig.told.taken.clear();
+    let cycles = rig.all_up(6_000);
+    let upstream = rig.told.taken.iter().filter(|owner| matches!(owner, Owner::Drive(0 | 1))).count();
+    assert_eq!(upstream, 2 * cycles, "they went on while the others came back");
+    assert_eq!((rig.wrong_counts(), rig.heard(100)), (0, vec![100; 5]));
+    assert!(rig.told.restarted.is_empty(), "nothing was switched off");
+}
+
+#[test]
+fn a_drive_that_was_switched_off_and_on_is_told_and_comes_back() {
+    let mut rig = Rig::new(&drives(3));
+    rig.all_up(4_000);
+    let now = rig.cycle.grid;
+    rig.sim.restart(now, 1);
+    let [first, _, last] = rig.heard(10)[..] else { panic!() };
+    assert_eq!((first, last), (10, 10));
+    rig.all_up(4_000);
+    assert_eq!(rig.told.restarted, [Owner::Drive(1)]);
+    assert_eq!((rig.wrong_counts(), rig.heard(100)), (0, vec![100; 3]));
+}
+
+#[test]
+fn a_coupler_takes_part_with_its_bytes() {
+    let mut plan = drives(2);
+    plan.drives[1].slave.place = 2;
+    plan.devices = vec![coupler(1)];
+    let mut rig = Rig::new(&plan);
+    rig.all_up(4_000);
+    rig.heard(10);
+    assert_eq!(rig.told.taken.iter().filter(|owner| **owner == Owner::Device(0)).count(), 10);
+    let spot = rig.line.members[1].member.spot.clone();
+    rig.image.frames_mut()[0].outputs(&spot).copy_from_slice(&[0xA5]);
+    rig.run(2);
+    assert_eq!((rig.wrong_counts(), rig.al(1)), (0, AlState::Op));
+}
+
+#[test]
+fn a_line_without_lrw_goes_by_two_datagrams() {
+    let mut plan = drives(3);
+    plan.lrw = false;
+    let mut rig = Rig::new(&plan);
+    rig.all_up(4_000);
+    assert_eq!((rig.wrong_counts(), rig.heard(100)), (0, vec![100; 3]));
+}
+
+#[test]
+fn an_image_that_outgrows_a_frame_goes_by_more_and_each_is_judged_alone() {
+    let mut rig = Rig::new(&drives(90));
+    assert!(rig.image.frames().len() > 1);
+    rig.all_up(20_000);
+    assert_eq!((rig.wrong_counts(), rig.heard(20)), (0, vec![20; 90]));
+    rig.sim.deafen(80, true);
+    let heard = rig.heard(100);
+    assert!((0..90).all(|index| heard[index] == if index == 80 { 0 } else { 100 }), "{heard:?}");
+}
+
+#[test]
+fn a_drive_of_another_make_is_refused_by_name_and_the_others_run() {
+    let mut plan = drives(3);
+    plan.drives[1].slave.identity.product = Some(7);
+    plan.drives[1].simulate.identity.product = 8;
+    let mut rig = Rig::new(&plan);
+    rig.until("the others in OP", 4_000, |rig| rig.line.is_operational(0) && rig.line.is_operational(2));
+    assert_eq!(rig.note(1), Note::Product(8));
+    rig.run(500);
+    assert_eq!((rig.al(1), rig.heard(50)), (AlState::Init, vec![50, 0, 50]));
+}
+
+#[test]
+fn two_drives_that_changed_places_are_not_taken_for_each_other() {
+    let mut rig = Rig::new(&drives(3));
+    rig.all_up(4_000);
+    // The master forgets them, and finds the one of place 2 where place 1 was: 0 is gone, and all others have moved up.
+    let plan = drives(3);
+    let moved = Rig::new(&plan);
+    rig.line = moved.line;
+    rig.image = moved.image;
+    for (place, station) in [(0, 0x1002_u16), (1, 0x1003), (2, 0x1001)] {
+        rig.poke(place, address::STATION, &station.to_le_bytes());
+    }
+    rig.told.taken.clear();
+    rig.run(40);
+    assert_eq!([0, 1, 2].map(|index| rig.note(index)), [1, 2, 0].map(Note::WrongPlace));
+    assert!(rig.told.taken.is_empty());
+}
+
+#[test]
+fn a_line_that_is_let_go_comes_down_to_init() {
+    let mut rig = Rig::new(&drives(2));
+    rig.all_up(4_000);
+    let done = |rig: &mut Rig| {
+        let now = rig.cycle.grid;
+        rig.line.shut_down(now)
+    };
+    rig.until("all down", 200, done);
+    assert_eq!([rig.al(0), rig.al(1)], [AlState::Init; 2]);
+}
+
+#[test]
+fn a_slave_that_is_refused_gives_back_an_address_that_is_anothers() {
+    let mut plan = drives(2);
+    plan.drives[0].slave.identity.product = Some(7);
+    plan.drives[0].simulate.identity.product = 8;
+    let mut rig = Rig::new(&plan);
+    // It stood at the second place before.
+    rig.poke(0, address::STATION, &0x1002_u16.to_le_bytes());
+    rig.until("the other one in OP", 4_000, |rig| rig.line.is_operational(1));
+    assert_eq!((rig.note(0), rig.note(1)), (Note::Product(8), Note::None));
+}
+
+#[test]
+fn a_slave_that_is_tried_again_still_says_why_it_was_refused() {
+    let mut plan = drives(1);
+    plan.drives[0].slave.identity.product = Some(7);
+    plan.drives[0].simulate.identity.product = 8;
+    let mut rig = Rig::new(&plan);
+    rig.until("refused", 500, |rig| rig.note(0) == Note::Product(8));
+    for _ in 0..3_000 {
+        rig.run(1);
+        assert_eq!(rig.note(0), Note::Product(8));
+    }
+}
+
+#[test]
+fn what_was_asked_before_the_end_is_not_taken_for_the_answer_to_it() {
+    // At each step of the way the end comes while a frame is under way, and is taken in only behind it.
+    for cycles in 5..250 {
+        let mut rig = Rig::new(&drives(1));
+        rig.run(cycles);
+        rig.late = true;
+        rig.step();
+        rig.late = false;
+        let done = |rig: &mut Rig| {
+            let now = rig.cycle.grid;
+            rig.line.shut_down(now)
+        };
+        done(&mut rig);
+        rig.deliver();
+        rig.until("down", 300, done);
+        assert_eq!(rig.al(0), AlState::Init, "after {cycles} cycles");
+    }
+}
+
+#[test]
+fn a_slave_whose_state_no_frame_shows_is_not_operational_below_op() {
+    let mut plan = drives(0);
+    plan.devices = vec![coupler(0)];
+    plan.devices[0].slave.inputs.start = 0x1100;
+    let mut rig = Rig::new(&plan);
+    // Two FMMUs, and none to spare.
+    let settings = Settings { features: Features(0x0180), fmmus: 2, ..Settings::default() };
+    let io = plan.devices[0].simulate.slave("I/O", Identity::default(), settings);
+    *rig.sim.line() = sim::Line::new(vec![io]);
+    let spot = rig.line.members[0].member.spot.clone();
+    rig.image.frames_mut()[0].outputs(&spot).copy_from_slice(&[0xA5]);
+    rig.all_up(4_000);
+    assert!(!rig.line.members[0].member.has_al());
+    rig.run(200);
+    rig.told.states.clear();
+    // Its state is asked for by itself, and told before anything is done about it.
+    rig.poke(0, address::AL_CONTROL, &[4, 0]);
+    rig.until("it was asked", 200, |rig| !rig.line.members[0].member.is_settled());
+    assert_eq!(rig.told.states, [(Owner::Device(0), Some(AlState::SafeOp))]);
+    rig.run(400);
+    assert_eq!(rig.told.states.last(), Some(&(Owner::Device(0), Some(AlState::Op))));
+}
+
+#[test]
+fn an_address_of_ours_is_taken_from_a_slave_that_gets_it_later() {
+    let mut rig = Rig::on(&drives(1), &drives(2));
+    rig.all_up(4_000);
+    rig.poke(1, address::STATION, &FIRST_STATION.to_le_bytes());
+    rig.run(500);
+    assert_eq!(rig.peek(1, address::STATION, 2), [0; 2]);
+    assert_eq!(rig.heard(100), [100]);
+}
+
+#[test]
+fn a_place_beyond_all_addresses_is_no_panic() {
+    let mut plan = drives(1);
+    plan.drives[0].slave.place = u16::MAX;
+    let _ = crate::bus::ethercat::station::Station::new(&plan.drives[0], MS);
+    let slaves = plan.slaves();
+    let (_, spots) = Image::new(&slaves, 0x1000_0000, [0x10; 6], true, true).unwrap();
+    let line = Line::new(&plan, spots, MS);
+    assert_eq!((line.members[0].member.station(), line.guests.place()), (0x1000, 0));
+}

@@ -1,0 +1,164 @@
+//! Slaves that run already when the master comes.
+
+use super::*;
+use crate::bus::ethercat::wire::registers::Fmmu;
+
+/// Drives of which those at these places run as another master has left them, and the first so many of them.
+fn running(count: u16, places: &[usize], known: usize) -> (EthercatPlan, EthercatPlan) {
+    let mut whole = drives(count);
+    places.iter().for_each(|place| whole.drives[*place].simulate.running_rpm = Some(60.0));
+    let plan = EthercatPlan { drives: whole.drives[..known].to_vec(), ..whole.clone() };
+    (plan, whole)
+}
+
+/// The line's time is led to the grid slowly, and by half a period at most. To another time it would have gone by a whole one long ago.
+const LED_NS: i64 = 502_000;
+/// Times of others are told from each other by this, ns: whole periods, so that SYNC0 comes where it came.
+const APART: u64 = 123 * MS;
+
+impl Rig {
+    /// The slave there gets another time, by its offset.
+    fn set_apart(&mut self, place: u16) {
+        self.run(1);
+        let offset = self.peek(place, address::DC_OFFSET, 8);
+        let start = self.peek(place, address::DC_START, 8);
+        let later = |time: Vec<u8>| {
+            let time = u64::from_le_bytes(time.try_into().unwrap());
+            time.wrapping_add(APART).to_le_bytes()
+        };
+        self.poke(place, address::DC_ACTIVATION, &[0]);
+        self.poke(place, address::DC_OFFSET, &later(offset));
+        self.poke(place, address::DC_START, &later(start));
+        self.poke(place, address::DC_ACTIVATION, &[3]);
+    }
+}
+
+#[test]
+fn a_slave_that_runs_and_is_not_configured_gives_the_line_its_time_and_is_not_dragged() {
+    let (plan, whole) = running(2, &[1], 1);
+    let mut rig = Rig::on(&plan, &whole);
+    let before = rig.time_off(1);
+    rig.all_up(4_000);
+    rig.run(2_000);
+    let (after, own) = (rig.time_off(1), rig.time_off(0));
+    // As far as all clocks have it: the lower half.
+    let apart = i64::from((own - after) as i32);
+    assert!((after - before).abs() < LED_NS, "dragged by {} ns", after - before);
+    assert!(apart.abs() < 2_000, "one time for both: {apart} ns");
+    assert_eq!((rig.al(1), rig.note(0)), (AlState::Op, Note::None));
+}
+
+#[test]
+fn the_time_of_the_line_goes_to_nobody_while_another_one_runs_on_another() {
+    let (plan, whole) = running(3, &[1, 2], 1);
+    let mut rig = Rig::on(&plan, &whole);
+    rig.set_apart(2);
+    let before = [rig.time_off(1), rig.time_off(2)];
+    rig.run(3_000);
+    assert_eq!(rig.note(0), Note::OtherTime(2));
+    assert_eq!([rig.time_off(1), rig.time_off(2)], before);
+    assert_eq!([rig.al(1), rig.al(2)], [AlState::Op; 2]);
+    // It is switched off and on, and has none then.
+    let now = rig.cycle.grid;
+    rig.sim.restart(now, 2);
+    rig.all_up(4_000);
+    rig.run(1_500);
+    let off = rig.time_off(1) - before[0];
+    assert!(off.abs() < LED_NS, "the other one keeps its time: {off} ns");
+}
+
+#[test]
+fn a_drive_that_is_refused_and_runs_keeps_its_time() {
+    let (mut plan, whole) = running(3, &[1], 3);
+    plan.drives[1].slave.identity.product = Some(7);
+    let mut rig = Rig::on(&plan, &whole);
+    let before = rig.time_off(1);
+    rig.until("the others in OP", 4_000, |rig| rig.line.is_operational(0) && rig.line.is_operational(2));
+    assert!(matches!(rig.note(1), Note::Product(_)), "{:?}", rig.note(1));
+    rig.run(1_500);
+    assert!((rig.time_off(1) - before).abs() < LED_NS);
+    assert_eq!(rig.al(1), AlState::Op);
+}
+
+#[test]
+fn of_two_drives_found_on_two_times_one_is_joined_and_neither_dragged() {
+    for apart in [false, true] {
+        let (mut plan, whole) = running(2, &[0, 1], 2);
+        plan.drives.iter_mut().for_each(|drive| drive.axis.on_found_running = FoundRunning::Refuse);
+        let mut rig = Rig::on(&plan, &whole);
+        if apart {
+            rig.set_apart(1);
+        } else {
+            rig.run(1);
+        }
+        let before = [rig.time_off(0), rig.time_off(1)];
+        rig.run(2_000);
+        let notes = if apart { [Note::None, Note::FoundRunning] } else { [Note::None; 2] };
+        assert_eq!([rig.note(0), rig.note(1)], notes);
+        for (place, before) in before.into_iter().enumerate() {
+            let off = rig.time_off(place) - before;
+            assert!(off.abs() < LED_NS, "{place} by {off} ns");
+        }
+        assert_eq!([rig.al(0), rig.al(1)], [AlState::Op; 2]);
+    }
+}
+
+#[test]
+fn an_fmmu_by_which_another_master_writes_is_left_alone() {
+    let (mut plan, whole) = running(1, &[0], 1);
+    plan.drives[0].axis.on_found_running = FoundRunning::Refuse;
+    let mut rig = Rig::on(&plan, &whole);
+    rig.run(1);
+    let outputs = Fmmu::bytes(0x2_0000, 6, 0x1100, true).to_bytes();
+    rig.poke(0, address::fmmu(1), &outputs);
+    rig.run(3_000);
+    assert_eq!((rig.note(0), rig.al(0)), (Note::FoundRunning, AlState::Op));
+    assert_eq!(rig.peek(0, address::fmmu(1), 16), outputs);
+}
+
+#[test]
+fn a_device_found_in_op_keeps_its_outputs_until_there_are_others() {
+    let mut plan = drives(0);
+    plan.devices = vec![coupler(0)];
+    let mut rig = Rig::new(&plan);
+    let write = |rig: &mut Rig, byte: u8| {
+        let spot = rig.line.members[0].member.spot.clone();
+        rig.image.frames_mut()[0].outputs(&spot).copy_from_slice(&[byte]);
+    };
+    write(&mut rig, 0xA5);
+    rig.all_up(2_000);
+    rig.run(3);
+    assert_eq!(rig.told.inputs, [0xA5]);
+    // Another master, with an image of its own.
+    let next = Rig::based(&plan, &plan, 0x2000_0000);
+    (rig.line, rig.image) = (next.line, next.image);
+    rig.told = Told::default();
+    for _ in 0..1_000 {
+        rig.run(1);
+        assert_eq!(rig.al(0), AlState::Op);
+        assert!(rig.told.inputs.is_empty() || rig.told.inputs == [0xA5], "{:?}", rig.told.inputs);
+    }
+    assert!(rig.line.is_operational(0) && !rig.line.outputs_count(0) && rig.told.taken.len() > 900);
+    write(&mut rig, 0x5A);
+    rig.told.wants_outputs = true;
+    rig.run(5);
+    assert_eq!((rig.al(0), rig.told.inputs.as_slice()), (AlState::Op, &[0x5A][..]));
+    assert!(rig.line.members[0].member.wants_nothing());
+}
+
+#[test]
+fn a_time_that_goes_to_nobody_is_still_known() {
+    // The clocks of all are faster than the master's, and those that run stay together.
+    let (mut plan, mut whole) = running(4, &[0, 1, 2], 4);
+    plan.drives.remove(2);
+    plan.drives.iter_mut().for_each(|drive| drive.axis.on_found_running = FoundRunning::Refuse);
+    whole.simulate.drift_ppm = vec![100.0];
+    let mut rig = Rig::on(&plan, &whole);
+    rig.set_apart(1);
+    rig.run(5_000);
+    assert_eq!([0, 1, 2].map(|index| rig.note(index)), [Note::None, Note::FoundRunning, Note::OtherTime(1)]);
+    let now = rig.cycle.grid;
+    rig.sim.restart(now, 1);
+    rig.all_up(6_000);
+    assert_eq!(rig.al(2), AlState::Op, "the one that is not configured");
+}

@@ -1,0 +1,447 @@
+//! One line as configured.
+//!
+//! | file | what |
+//! |---|---|
+//! | `faults` | what of it contradicts itself, or would not work |
+//! | `describe` | the line in words |
+//! | `frame` | how long its frame is |
+
+mod describe;
+mod faults;
+mod frame;
+
+use super::cia402::Mode;
+use super::object::pdo::{self, Layout};
+use super::object::{Family, Object, Type};
+use super::sim::coupler::Coupler;
+use super::sim::{DriveSettings, LineSettings};
+use super::wire::sii::Identity;
+use crate::axis::feedback::MONITOR_CHANNELS;
+use crate::axis::{AxisPlan, MonitorChannel, Unit, Units};
+use crate::cycle::plan::is_plain_name;
+use crate::time::MS;
+
+/// The slaves of one line, behind one interface.
+#[derive(Clone, Debug)]
+pub struct EthercatPlan {
+    /// Its name in messages.
+    pub name: String,
+    /// The network interface, like `eth1`; `local:NAME` is a line of simulated drives on this host, without an interface.
+    pub interface: String,
+    /// The drives, in slot order.
+    pub drives: Vec<KollmorgenDrive>,
+    /// What takes part besides: couplers and terminals.
+    pub devices: Vec<Device>,
+    /// All slaves know LRW: outputs and inputs go in one datagram. Else in two.
+    pub lrw: bool,
+    /// Where in the period of SYNC0 a frame leaves the master, ns before it. Default: half of the period.
+    pub ahead_of_sync_ns: Option<u64>,
+    /// How its simulation is.
+    pub simulate: LineSettings,
+}
+
+/// What the line needs to know of a slave, drive or not.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SlavePlan {
+    /// Its place on the line: 0 is next to the master.
+    pub place: u16,
+    /// Who it has to be; a number that is left out may be any.
+    pub identity: Expected,
+    /// Where the mailbox is that the master writes, and the one that it reads; `None`: it has none.
+    pub mailbox: Option<[Area; 2]>,
+    /// Where its outputs are, and its inputs: as many bytes as its PDOs have, 0 of none.
+    pub outputs: Area,
+    /// See `outputs`.
+    pub inputs: Area,
+    /// It falls back by itself when no outputs come for so long, ns: its SyncManager watchdog. `None`: left off.
+    pub watchdog_ns: Option<u64>,
+    /// It has a clock, and makes SYNC0 of it.
+    pub sync: bool,
+    /// What its SII says is held against all this, as far as it says anything.
+    pub check_sii: bool,
+    /// Objects that are written in PREOP, in this order, behind those that select the PDOs.
+    pub start_up: Vec<Start>,
+    /// Objects that are read behind them, and have to be so. One that is a [factor](Start::factor) may be anything: the next one has
+    /// to be that many times its value.
+    pub verify: Vec<Start>,
+    /// Objects that have to be so in a drive that is found in OP, or it is not taken over as it is.
+    pub verify_found: Vec<Start>,
+}
+
+/// Who a slave has to be.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Expected {
+    /// Its maker.
+    pub vendor: Option<u32>,
+    /// What it is.
+    pub product: Option<u32>,
+    /// Which form of it.
+    pub revision: Option<u32>,
+}
+
+/// A piece of a slave's memory.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Area {
+    /// Where it begins.
+    pub start: u16,
+    /// Bytes.
+    pub length: u16,
+}
+
+/// An object and what is written to it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Start {
+    /// Which.
+    pub object: Object,
+    /// Its type: its size.
+    pub kind: Type,
+    /// The bits of its value.
+    pub raw: u64,
+}
+
+impl Start {
+    /// An object that is read, and not held against anything.
+    const ANY: u64 = u64::MAX;
+
+    /// In a list of objects that have to be so: the next one is to be as many times its value as this one says.
+    pub const fn factor(object: Object, kind: Type) -> Start {
+        Start { object, kind, raw: Start::ANY }
+    }
+
+    /// See [`factor`](Self::factor).
+    pub const fn is_factor(&self) -> bool {
+        self.raw == Start::ANY
+    }
+
+    /// Bytes that are written: of a text those that it has, one at least.
+    pub const fn bytes(&self) -> usize {
+        match self.kind {
+            Type::Text => {
+                let bytes = (71 - self.raw.leading_zeros() as usize) / 8;
+                if bytes == 0 { 1 } else { bytes }
+            }
+            kind => kind.bytes(),
+        }
+    }
+}
+
+/// One drive.
+#[derive(Clone, Debug)]
+pub struct KollmorgenDrive {
+    /// What every axis has. Counts are increments of the motor.
+    pub axis: AxisPlan,
+    /// What the line needs to know of it.
+    pub slave: SlavePlan,
+    /// Which objects it has.
+    pub family: Family,
+    /// What the master writes to it in each frame.
+    pub outputs: Layout,
+    /// What the master reads.
+    pub inputs: Layout,
+    /// Where the PDOs come from.
+    pub mapping: Mapping,
+    /// The mode that the setpoint of `outputs` is for. Default: [`Setpoint::mode`].
+    pub mode: Option<Mode>,
+    /// How its numbers are scaled.
+    pub scaling: Scaling,
+    /// What it says of its increments a turn (608Fh) is held against [`Scaling::prbase`], if it says anything.
+    pub check_prbase: bool,
+    /// Velocities and torques are taken although its watchdog is off.
+    pub accept_no_watchdog: bool,
+    /// The mode of operation of `Home`: method 6098h, written before. `None`: as the drive is set.
+    pub home_method: Option<i8>,
+    /// Objects that it shows besides, read by its mailbox in turns: plain counts, of the unit that is known of each.
+    pub show: [Option<(Object, Type)>; MONITOR_CHANNELS],
+    /// How its simulation is.
+    pub simulate: DriveSettings,
+}
+
+/// Where the PDOs of a drive come from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Mapping {
+    /// One of its fixed ones each, selected by 1C12h and 1C13h.
+    #[default]
+    Fixed,
+    /// The master maps the objects into 16xxh and 1Axxh first.
+    Free,
+    /// As the drive is set: nothing is written.
+    AsIs,
+}
+
+/// How the numbers of a drive are scaled. What no public document says is a setting.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Scaling {
+    /// Increments a turn as a power of two (PRBASE). Default 20.
+    pub prbase: u8,
+    /// rpm of a count of the velocity setpoint. Default of S300 ... S700: increments per 250 us, as its sister AX2000 has it; of an
+    /// AKD 0.001 (both assumed).
+    pub rpm_per_count: f64,
+    /// Per mille of the rated torque or current of a count of the torque setpoint (assumed: 1).
+    pub permille_per_count: f64,
+    /// Motor current of 1000 per mille, A; to tell the current. Default: not told.
+    pub rated_current: Option<f64>,
+}
+
+/// What the setpoint in the process data is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Setpoint {
+    /// A position: 60C1h:1 or 607Ah.
+    Position(Object),
+    /// A velocity: 606Bh or 60FFh.
+    Velocity(Object),
+    /// A torque or current: 6074h or 6071h.
+    Torque(Object),
+}
+
+/// A slave that is no drive: its process data are the application's.
+#[derive(Clone, Debug)]
+pub struct Device {
+    /// Its name, unique in the machine.
+    pub name: String,
+    /// What the line needs to know of it.
+    pub slave: SlavePlan,
+    /// How its simulation is.
+    pub simulate: Coupler,
+}
+
+/// Vendor of all Kollmorgen drives.
+pub const KOLLMORGEN: u32 = 0x6A;
+/// Where a drive's mailboxes are (EtherCAT manual).
+const MAILBOXES: [u16; 2] = [0x1800, 0x1C00];
+/// The bytes of a mailbox that a drive of the S300 ... S700 looks at.
+const S700_MAILBOX: u16 = 16;
+const AKD_MAILBOX: u16 = 1024;
+/// Where a drive's outputs and inputs are (those of an AKD; assumed for the others).
+const BUFFERS: [u16; 2] = [0x1100, 0x1140];
+/// How long a drive waits for the next outputs by default.
+const WATCHDOG_NS: u64 = 100 * MS;
+/// Increments per 250 us as rpm, with 2^20 increments a turn.
+const RPM_PER_COUNT: f64 = 4_000.0 * 60.0 / (1 << 20) as f64;
+
+/// In front of the name of a line that has no interface.
+const LOCAL: &str = "local:";
+/// The longest name of a network interface, bytes (IFNAMSIZ without its end).
+const INTERFACE_MAX: usize = 15;
+
+/// Whether a line can be behind this: an interface as the kernel names one, or a name of this computer's own.
+fn is_interface(text: &str) -> bool {
+    let is_kernels = || {
+        let odd = |c: char| c == '/' || c == ':' || c.is_whitespace() || c.is_control();
+        (1..=INTERFACE_MAX).contains(&text.len()) && !text.contains(odd) && !matches!(text, "." | "..")
+    };
+    text.strip_prefix(LOCAL).map_or_else(is_kernels, is_plain_name)
+}
+
+impl EthercatPlan {
+    /// A line of these drives.
+    pub fn new(interface: impl Into<String>, drives: Vec<KollmorgenDrive>) -> EthercatPlan {
+        EthercatPlan {
+            name: super::PROTOCOL.into(),
+            interface: interface.into(),
+            drives,
+            devices: Vec::new(),
+            lrw: true,
+            ahead_of_sync_ns: None,
+            simulate: LineSettings::default(),
+        }
+    }
+
+    /// Its drives are simulated ones on this computer, without an interface.
+    pub fn is_local(&self) -> bool {
+        self.interface.starts_with(LOCAL)
+    }
+
+    /// All slaves in their order on the line, drives first where two have one place.
+    pub fn slaves(&self) -> Vec<(Owner, &SlavePlan)> {
+        let drives = self.drives.iter().enumerate().map(|(index, drive)| (Owner::Drive(index), &drive.slave));
+        let devices =
+            self.devices.iter().enumerate().map(|(index, device)| (Owner::Device(index), &device.slave));
+        let mut all: Vec<_> = drives.chain(devices).collect();
+        all.sort_by_key(|(_, slave)| slave.place);
+        all
+    }
+
+    /// The name of a slave of this line.
+    pub fn name_of(&self, owner: Owner) -> &str {
+        match owner {
+            Owner::Drive(index) => &self.drives[index].axis.name,
+            Owner::Device(index) => &self.devices[index].name,
+        }
+    }
+}
+
+/// Whose slave it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Owner {
+    /// The drive with this index.
+    Drive(usize),
+    /// The device with this index.
+    Device(usize),
+}
+
+/// The station address of the slave next to the master.
+pub const FIRST_STATION: u16 = 0x1001;
+
+impl SlavePlan {
+    /// Its station address.
+    pub fn station(&self) -> u16 {
+        FIRST_STATION.wrapping_add(self.place)
+    }
+
+    /// A slave without a mailbox that exchanges nothing.
+    pub fn new(place: u16) -> SlavePlan {
+        SlavePlan {
+            place,
+            identity: Expected::default(),
+            mailbox: None,
+            outputs: Area::default(),
+            inputs: Area::default(),
+            watchdog_ns: None,
+            sync: false,
+            check_sii: true,
+            start_up: Vec::new(),
+            verify: Vec::new(),
+            verify_found: Vec::new(),
+        }
+    }
+}
+
+impl Expected {
+    /// Whether a slave with this identity is the one.
+    pub fn is(&self, found: Identity) -> bool {
+        [(self.vendor, found.vendor), (self.product, found.product), (self.revision, found.revision)]
+            .iter()
+            .all(|(expected, found)| expected.is_none_or(|expected| expected == *found))
+    }
+}
+
+impl Setpoint {
+    /// What stands in these outputs; `None`: no setpoint that is known.
+    pub fn of(outputs: &Layout) -> Option<Setpoint> {
+        outputs.entries.iter().find_map(|entry| match entry.object {
+            object @ Object { index: 0x60C1, sub: 1 } | object @ Object { index: 0x607A, sub: 0 } => {
+                Some(Setpoint::Position(object))
+            }
+            object @ Object { index: 0x606B | 0x60FF, sub: 0 } => Some(Setpoint::Velocity(object)),
+            object @ Object { index: 0x6074 | 0x6071, sub: 0 } => Some(Setpoint::Torque(object)),
+            _ => None,
+        })
+    }
+
+    /// Its object, and the type that it has.
+    pub const fn shape(self) -> (Object, Type) {
+        match self {
+            Setpoint::Position(object) | Setpoint::Velocity(object) => (object, Type::I32),
+            Setpoint::Torque(object) => (object, Type::I16),
+        }
+    }
+
+    /// The drive's mode for it. The vendor modes of S300 ... S700 are assumed to be 80h + OPMODE.
+    pub fn mode(self, family: Family) -> Mode {
+        match (family, self) {
+            (Family::S700, Setpoint::Velocity(_)) => Mode::DIGITAL_VELOCITY,
+            (Family::S700, Setpoint::Torque(_)) => Mode::DIGITAL_CURRENT,
+            (Family::S700, Setpoint::Position(_)) => Mode::TRAJECTORY,
+            (Family::Akd, Setpoint::Velocity(_)) => Mode::PROFILE_VELOCITY,
+            (Family::Akd, Setpoint::Torque(_)) => Mode::TORQUE,
+            (Family::Akd, Setpoint::Position(Object { index: 0x607A, .. })) => Mode::CYCLIC_POSITION,
+            (Family::Akd, Setpoint::Position(_)) => Mode::INTERPOLATED,
+        }
+    }
+}
+
+impl Scaling {
+    /// That of a drive of this family as delivered.
+    pub fn of(family: Family) -> Scaling {
+        let rpm_per_count = match family {
+            Family::S700 => RPM_PER_COUNT,
+            Family::Akd => 0.001,
+        };
+        Scaling { prbase: 20, rpm_per_count, permille_per_count: 1.0, rated_current: None }
+    }
+
+    /// Increments a turn.
+    pub fn increments(&self) -> f64 {
+        f64::from(self.prbase).exp2()
+    }
+}
+
+impl KollmorgenDrive {
+    /// The drive at this place of the line, in revolutions of its motor, with everything else as it is when a configuration says
+    /// nothing of it: a velocity setpoint, 1702h and 1B03h (of an AKD 1702h and 1B24h).
+    pub fn new(name: impl Into<String>, place: u16, family: Family) -> KollmorgenDrive {
+        let scaling = Scaling::of(family);
+        let (product, inputs, mailbox) = match family {
+            Family::S700 => (0x0300_0600, 0x1B03, S700_MAILBOX),
+            Family::Akd => (0x0041_4B44, 0x1B24, AKD_MAILBOX),
+        };
+        let fixed = pdo::fixed(family);
+        let layout = |pdo| fixed.iter().find(|layout| layout.pdo == pdo).cloned();
+        let empty = |pdo| Layout { pdo, entries: Vec::new() };
+        let outputs = layout(0x1702).unwrap_or_else(|| empty(0x1702));
+        let inputs = layout(inputs).unwrap_or_else(|| empty(inputs));
+        let units = Units {
+            unit: Unit::Revolution,
+            counts_per_unit: scaling.increments(),
+            offset: 0.0,
+            modulo: None,
+        };
+        let areas = MAILBOXES.map(|start| Area { start, length: mailbox });
+        let mut drive = KollmorgenDrive {
+            axis: AxisPlan::new(name, units),
+            slave: SlavePlan {
+                identity: Expected { vendor: Some(KOLLMORGEN), product: Some(product), revision: None },
+                mailbox: Some(areas),
+                watchdog_ns: Some(WATCHDOG_NS),
+                sync: true,
+                ..SlavePlan::new(place)
+            },
+            family,
+            outputs,
+            inputs,
+            mapping: Mapping::default(),
+            mode: None,
+            scaling,
+            check_prbase: true,
+            accept_no_watchdog: false,
+            home_method: None,
+            show: [None; MONITOR_CHANNELS],
+            simulate: DriveSettings::new(family),
+        };
+        drive.fit();
+        drive
+    }
+
+    /// Makes the areas as long as the PDOs.
+    pub fn fit(&mut self) {
+        let area = |start, layout: &Layout| Area { start, length: layout.size() as u16 };
+        self.slave.outputs = area(BUFFERS[0], &self.outputs);
+        self.slave.inputs = area(BUFFERS[1], &self.inputs);
+    }
+
+    /// What its setpoint is.
+    pub fn setpoint(&self) -> Option<Setpoint> {
+        Setpoint::of(&self.outputs)
+    }
+
+    /// What it shows besides, for people.
+    pub(super) fn shown(&self) -> [Option<MonitorChannel>; MONITOR_CHANNELS] {
+        self.show.map(|shown| {
+            let (object, _) = shown?;
+            Some(match object.known() {
+                Some(known) => MonitorChannel { name: known.name.to_owned(), unit: known.unit },
+                None => MonitorChannel { name: format!("{:#06x}:{}", object.index, object.sub), unit: "" },
+            })
+        })
+    }
+
+    /// The mode that it is set to.
+    pub fn mode(&self) -> Option<Mode> {
+        self.mode.or_else(|| Some(self.setpoint()?.mode(self.family)))
+    }
+
+    /// A velocity in user units/s as revolutions of the motor a minute.
+    pub fn rpm(&self, velocity: f64) -> f64 {
+        velocity * self.axis.units.counts_per_unit / self.scaling.increments() * 60.0
+    }
+}

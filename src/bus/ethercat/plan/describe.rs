@@ -1,0 +1,252 @@
+//! The line in words: what `check` says of it.
+
+use super::{Device, EthercatPlan, Expected, KollmorgenDrive, Mapping, Setpoint, SlavePlan, frame};
+use crate::axis::{HeldBy, Load};
+use crate::bus::ethercat::object::Family;
+use crate::bus::ethercat::object::pdo::{Entry, Layout};
+use crate::time::{MS, Ns, US};
+
+/// How far from its time a drive bears an interrupt, in cycles of 1 ms and more ...
+const WINDOW_NS: u64 = 320 * US;
+/// ... and in shorter ones (EtherCAT manual).
+const SHORT_WINDOW_NS: u64 = 70 * US;
+
+impl EthercatPlan {
+    /// What `check` says: a paragraph a drive, whose first line is its address, then a line each of what else there is to say of
+    /// the line.
+    pub fn describe(&self, period_ns: u64) -> Vec<String> {
+        let drive = |drive: &KollmorgenDrive| {
+            let mut lines = vec![self.address(&drive.slave)];
+            lines.extend(drive.describe(period_ns, self.ahead_ns(period_ns)));
+            lines.join("\n")
+        };
+        let mut told: Vec<String> = self.drives.iter().map(drive).collect();
+        told.extend(self.devices.iter().map(|device| {
+            format!("  device {}: {}; {}", device.name, self.address(&device.slave), device.describe())
+        }));
+        told.extend(self.unlisted());
+        told.extend(self.describe_frame(period_ns));
+        told.push(self.describe_clock(period_ns));
+        told
+    }
+
+    /// How long before SYNC0 a frame leaves the master.
+    pub fn ahead_ns(&self, period_ns: u64) -> u64 {
+        self.ahead_of_sync_ns.unwrap_or(period_ns / 2)
+    }
+
+    fn address(&self, slave: &SlavePlan) -> String {
+        format!("{}, place {}", self.interface, slave.place)
+    }
+
+    /// The gaps between the slaves that are known.
+    fn unlisted(&self) -> Vec<String> {
+        let mut next = 0;
+        let mut gaps = Vec::new();
+        for (_, slave) in self.slaves() {
+            let left = "not listed: what stands there passes the frames on, and is left as it is";
+            match slave.place.checked_sub(next) {
+                None | Some(0) => {}
+                Some(1) => gaps.push(format!("  place {next}: {left}")),
+                Some(_) => gaps.push(format!("  places {next} ... {}: {left}", slave.place - 1)),
+            }
+            next = slave.place.saturating_add(1);
+        }
+        gaps
+    }
+
+    fn describe_frame(&self, period_ns: u64) -> Option<String> {
+        let frames = self.frames()?;
+        let usual: usize = frames.iter().sum();
+        let all = match self.slaves().len() {
+            1 => "all that the slave exchanges".to_owned(),
+            slaves => format!("all that {slaves} slaves exchange"),
+        };
+        let (what, carry) = match frames.len() {
+            1 => ("one frame".to_owned(), "carries"),
+            count => (format!("{count} frames"), "carry"),
+        };
+        let apart = if self.lrw { "" } else { ", outputs and inputs apart (lrw = false)" };
+        Some(format!(
+            "  {what} every {} {carry} {all}{apart}, whatever their divisors: {usual} bytes, {} on the wire at 100 Mbit/s and about 1 us a slave; with acyclic access up to {} bytes and {}",
+            Ns(period_ns),
+            Ns(frame::wire_ns(&frames)),
+            usual + frame::ACYCLIC,
+            Ns(frame::wire_ns(&frames) + frame::wire_ns(&[frame::ACYCLIC]) - frame::wire_ns(&[0])),
+        ))
+    }
+
+    fn describe_clock(&self, period_ns: u64) -> String {
+        let ahead = Ns(self.ahead_ns(period_ns));
+        match self.slaves().into_iter().find(|(_, slave)| slave.sync) {
+            Some((owner, slave)) => format!(
+                "  the clock of {} (place {}) is that of the line; SYNC0 comes {ahead} behind the frame",
+                self.name_of(owner),
+                slave.place
+            ),
+            None => "  no clocks: each slave works when the frame passes it".into(),
+        }
+    }
+}
+
+impl KollmorgenDrive {
+    fn describe(&self, period_ns: u64, ahead_ns: u64) -> Vec<String> {
+        let family = match self.family {
+            Family::S700 => "S300 ... S700",
+            Family::Akd => "AKD",
+        };
+        let mut lines =
+            vec![format!("{family}, {}{}", self.slave.identity.describe(), self.slave.unchecked())];
+        lines.push(self.describe_pdos());
+        lines.extend(self.setpoint().map(|setpoint| self.describe_setpoint(setpoint)));
+        lines.extend(self.setpoint().map(|setpoint| verbs(setpoint).to_owned()));
+        if !self.check_prbase {
+            lines.push(
+                "its increments a turn (608Fh) are not held against prbase (check_prbase = false)".into(),
+            );
+        }
+        lines.push(self.describe_sync(period_ns, ahead_ns));
+        let shown: Vec<String> = self
+            .show
+            .iter()
+            .flatten()
+            .map(|(object, kind)| entry(Entry { object: *object, kind: *kind }))
+            .collect();
+        if !shown.is_empty() {
+            lines.push(format!("shows {}, read by its mailbox in turns", shown.join(", ")));
+        }
+        lines.push(format!("if the master dies: {}", self.describe_death()));
+        lines
+    }
+
+    fn describe_pdos(&self) -> String {
+        let how = match self.mapping {
+            Mapping::Fixed => "selected by 1C12h and 1C13h",
+            Mapping::Free => "mapped by the master",
+            Mapping::AsIs => "as the drive is set (mapping = \"as-is\")",
+        };
+        format!("writes {}; reads {}; {how}", pdo(&self.outputs), pdo(&self.inputs))
+    }
+
+    fn describe_setpoint(&self, setpoint: Setpoint) -> String {
+        let scaling = &self.scaling;
+        let what = match setpoint {
+            Setpoint::Position(object) => {
+                format!("positions by {object}, {} increments a turn", scaling.increments())
+            }
+            Setpoint::Velocity(object) => {
+                format!("velocities by {object}, {:.6} rpm a count", scaling.rpm_per_count)
+            }
+            Setpoint::Torque(object) => {
+                format!("torques by {object}, {} per mille a count", scaling.permille_per_count)
+            }
+        };
+        let mode = self.mode().map_or_else(String::new, |mode| {
+            let name = mode.name().map_or_else(String::new, |name| format!(" ({name})"));
+            format!("mode {:#04X}{name}: ", mode.0 as u8)
+        });
+        format!("{mode}{what}")
+    }
+
+    fn describe_sync(&self, period_ns: u64, ahead_ns: u64) -> String {
+        let window = Ns(if period_ns < MS { SHORT_WINDOW_NS } else { WINDOW_NS });
+        let fault = "the second in a row outside of it is fault F28";
+        match self.slave.sync {
+            true => format!(
+                "its cycle is SYNC0 every {}, {} behind the frame; its window is {window}: {fault}",
+                Ns(period_ns),
+                Ns(ahead_ns)
+            ),
+            false => format!(
+                "its cycle is the frame itself (sync = false): what the master is late by counts against its window of {window}, {fault}"
+            ),
+        }
+    }
+
+    fn describe_death(&self) -> String {
+        let held = match self.axis.load {
+            Load::Vertical(HeldBy::Brake) => "; without power only the brake holds the load",
+            Load::Vertical(HeldBy::Drive) => "; without power nothing holds the load",
+            Load::Level => "",
+        };
+        let end = match (self.slave.watchdog_ns, self.setpoint(), self.accept_no_watchdog) {
+            (Some(ns), ..) => format!(
+                "the drive stops by itself within {} without a frame (SyncManager watchdog), and its power goes off",
+                Ns(ns)
+            ),
+            (None, Some(Setpoint::Position(_)), _) => {
+                "its watchdog is off, and it holds its last position setpoint, under power".into()
+            }
+            (None, _, true) => {
+                "its watchdog is off, and it goes on at its last setpoint (no_drive_watchdog = \"accept\")".into()
+            }
+            (None, _, false) => {
+                "its watchdog is off, so that velocities and torques are refused (no_drive_watchdog = \"refuse\")".into()
+            }
+        };
+        end + held
+    }
+}
+
+/// What it does, by what it is told.
+fn verbs(setpoint: Setpoint) -> &'static str {
+    match setpoint {
+        Setpoint::Position(_) => "takes moves, streams, jogs, velocities and homing",
+        Setpoint::Velocity(_) => "takes velocities, jogs and homing; no moves, no streams",
+        Setpoint::Torque(_) => "takes torques and homing; no velocities, no moves, no streams",
+    }
+}
+
+fn pdo(layout: &Layout) -> String {
+    let entries: Vec<String> = layout.entries.iter().map(|one| entry(*one)).collect();
+    format!("{:04X}h = {} ({} bytes)", layout.pdo, entries.join(", "), layout.size())
+}
+
+/// An object with its name, or with its type where it has none.
+fn entry(Entry { object, kind }: Entry) -> String {
+    match object.known() {
+        Some(known) => format!("{object} {}", known.name),
+        None => format!("{object}.{}", kind.name()),
+    }
+}
+
+impl Expected {
+    fn describe(self) -> String {
+        let number = |what, number: Option<u32>| match number {
+            Some(number) => format!("{what} {number:#X}"),
+            None => format!("any {what}"),
+        };
+        let Expected { vendor, product, revision } = self;
+        [("vendor", vendor), ("product", product), ("revision", revision)]
+            .map(|(what, value)| number(what, value))
+            .join(", ")
+    }
+}
+
+impl SlavePlan {
+    /// That nobody looks whether its memory is where the plan has it.
+    fn unchecked(&self) -> &'static str {
+        if self.check_sii { "" } else { ", its SII not held against the configuration (check_sii = false)" }
+    }
+}
+
+impl Device {
+    fn describe(&self) -> String {
+        let SlavePlan { identity, outputs, inputs, watchdog_ns, .. } = &self.slave;
+        let end = match watchdog_ns {
+            Some(ns) if outputs.length > 0 => {
+                format!("; its outputs go off by themselves within {} without a frame", Ns(*ns))
+            }
+            None if outputs.length > 0 => "; nothing but the device itself ends its outputs".into(),
+            _ => String::new(),
+        };
+        let bytes = if outputs.length == 1 { "byte" } else { "bytes" };
+        let unchecked = self.slave.unchecked();
+        format!(
+            "{}{unchecked}; {} {bytes} out, {} in{end}",
+            identity.describe(),
+            outputs.length,
+            inputs.length
+        )
+    }
+}

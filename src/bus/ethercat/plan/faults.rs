@@ -1,0 +1,454 @@
+//! What contradicts itself in a line, or would not work with a frame every so often.
+
+use std::ops::Range;
+
+use super::{
+    Area, Device, EthercatPlan, KollmorgenDrive, Mapping, Owner, Setpoint, SlavePlan, frame, is_interface,
+};
+use crate::axis::{HeldBy, Load, PlanFault};
+use crate::bus::ethercat::cia402::Mode;
+use crate::bus::ethercat::object::pdo::Layout;
+use crate::bus::ethercat::object::{Family, Object, Type};
+use crate::bus::ethercat::sim::coupler::Terminals;
+use crate::cycle::plan::is_plain_name;
+use crate::time::{Ns, US};
+
+/// What a master must map to drive it.
+const CONTROL_WORD: Object = Object::new(0x6040, 0);
+const STATUS_WORD: Object = Object::new(0x6041, 0);
+/// The period of a drive's position controller, of which the cycle of the bus is a multiple (EtherCAT manual).
+const CONTROLLER_NS: u64 = 250 * US;
+/// The most of them (object 35D5h).
+const CONTROLLER_PERIODS: u64 = 127;
+/// A SyncManager watchdog counts these (register 0400h as it is at power-on) ...
+const WATCHDOG_STEP_NS: u64 = 100 * US;
+/// ... in 16 bits (register 0420h).
+const WATCHDOG_STEPS: u64 = u16::MAX as u64;
+/// Where a slave's memory begins; below are its registers (ETG.1000.4).
+const MEMORY: u16 = 0x1000;
+/// Process data have so many buffers in a row: one is written, one is read, one is the newest (ETG.1000.4).
+const BUFFERS: u32 = 3;
+/// The bytes of an SDO with its header: what a drive's mailbox has room for at least.
+const SDO: u16 = 16;
+/// The bytes of a value that an S300 ... S700 takes by its mailbox: it knows no longer transfers (EtherCAT manual).
+const EXPEDITED: usize = 4;
+/// A piece of a slave's memory: its key in a configuration, its name, where it is.
+type Named = (&'static str, &'static str, Range<u32>);
+/// The keys that say where outputs are, and inputs.
+type Keys = [&'static str; 2];
+const OF_A_DRIVE: Keys = ["buffers"; 2];
+const OF_A_DEVICE: Keys = ["outputs", "inputs"];
+
+impl EthercatPlan {
+    /// What is wrong, with the place of the drive: what is wrong with the line or with a device is put down to the first one.
+    pub fn faults(&self, period_ns: u64) -> Vec<(usize, PlanFault)> {
+        let mut faults: Vec<(usize, PlanFault)> = Vec::new();
+        for (index, drive) in self.drives.iter().enumerate() {
+            faults.extend(drive.axis.faults().into_iter().map(|fault| (index, fault)));
+        }
+        faults.extend(self.name_faults().into_iter().map(|fault| (0, fault)));
+        faults.extend(self.findings(period_ns).into_iter().map(|(owner, fault)| match owner {
+            Some(Owner::Drive(index)) => (index, fault),
+            Some(Owner::Device(index)) => {
+                let name = self.devices.get(index).map_or("", |device| device.name.as_str());
+                (0, PlanFault::new("device", format!("{name}: {}: {}", fault.key, fault.message)))
+            }
+            None => (0, fault),
+        }));
+        faults
+    }
+
+    /// The names of devices; those of drives are looked at for all protocols.
+    fn name_faults(&self) -> Vec<PlanFault> {
+        let mut faults = Vec::new();
+        for (index, Device { name, .. }) in self.devices.iter().enumerate() {
+            if !is_plain_name(name) {
+                let why = format!("{name:?}: its name must be 1 to 32 letters, digits, - _ or .");
+                faults.push(PlanFault::new("device", why));
+            }
+            let of_drive = self.drives.iter().any(|drive| drive.axis.name == *name);
+            if of_drive || self.devices[..index].iter().any(|other| other.name == *name) {
+                let why = format!("{name}: its name is taken; names are unique in the machine");
+                faults.push(PlanFault::new("device", why));
+            }
+        }
+        faults
+    }
+
+    /// What is wrong, and whose it is, the line's or a slave's; all that a drive has as an axis left out.
+    pub(crate) fn findings(&self, period_ns: u64) -> Vec<(Option<Owner>, PlanFault)> {
+        let mut faults: Vec<_> = self.line_faults(period_ns).into_iter().map(|fault| (None, fault)).collect();
+        let mut last: Option<(u16, Owner)> = None;
+        for (owner, slave) in self.slaves() {
+            if let Some((_, first)) = last.filter(|(place, _)| *place == slave.place) {
+                let why = format!(
+                    "{} is the place of {} already; each slave has its own, counted from 0 at the master",
+                    slave.place,
+                    self.name_of(first)
+                );
+                faults.push((Some(owner), PlanFault::new("position", why)));
+            }
+            last = Some((slave.place, owner));
+            let own = match owner {
+                Owner::Drive(index) => self.drives[index].findings(period_ns),
+                Owner::Device(index) => self.devices[index].findings(period_ns),
+            };
+            faults.extend(own.into_iter().map(|fault| (Some(owner), fault)));
+        }
+        faults
+    }
+
+    fn line_faults(&self, period_ns: u64) -> Vec<PlanFault> {
+        let mut faults = Vec::new();
+        let mut wrong = |key, message: String| faults.push(PlanFault::new(key, message));
+        if !is_interface(&self.interface) {
+            wrong(
+                "interface",
+                "must be that of a network interface, at most 15 characters like \"eth1\"; or \"local:NAME\" for simulated drives on this computer".into(),
+            );
+        }
+        match &self.simulate.interface {
+            Some(_) if self.is_local() => wrong(
+                "simulate.interface",
+                "goes with a real interface; simulated drives on this computer need none, leave it out"
+                    .into(),
+            ),
+            Some(far) if *far == self.interface => wrong(
+                "simulate.interface",
+                "is the master's own; name the one at the other end of the cable".into(),
+            ),
+            Some(far) if !is_interface(far) => {
+                wrong("simulate.interface", "must be a network interface, like \"eth2\"".into());
+            }
+            _ => {}
+        }
+        if self.ahead_of_sync_ns.is_some_and(|ahead| ahead == 0 || ahead >= period_ns) {
+            let why =
+                format!("must be above 0 and below the period of {}; half of it is usual", Ns(period_ns));
+            wrong("sync_ahead", why);
+        }
+        if let Some(message) = self.period_fault(period_ns) {
+            wrong("period", message);
+        }
+        if self.frames().is_none() {
+            wrong("interface", "a slave of it exchanges more bytes than fit into a frame".into());
+        }
+        faults
+    }
+
+    /// Why no drive of this line can work in a cycle of `period_ns`, or no frame fits into it.
+    fn period_fault(&self, period_ns: u64) -> Option<String> {
+        let of =
+            |family| self.drives.iter().find(|drive| drive.family == family).map(|drive| &drive.axis.name);
+        let longest = CONTROLLER_NS * CONTROLLER_PERIODS;
+        let fits = period_ns.is_multiple_of(CONTROLLER_NS) && (CONTROLLER_NS..=longest).contains(&period_ns);
+        if let Some(name) = of(Family::S700).filter(|_| !fits) {
+            return Some(format!(
+                "drive {name} takes whole multiples of {}, up to {}; take one of them",
+                Ns(CONTROLLER_NS),
+                Ns(longest)
+            ));
+        }
+        let synchronous = self.drives.iter().find(|drive| drive.slave.sync);
+        if let Some(drive) = synchronous.filter(|_| !is_told_in_60c2(period_ns)) {
+            return Some(format!(
+                "drive {} is told its cycle as 1 ... 255 times a power of ten (object 60C2h), and {} is none; take 1ms or 2ms, for example",
+                drive.axis.name,
+                Ns(period_ns)
+            ));
+        }
+        let frames = self.frames().unwrap_or_default();
+        let wire_ns = frame::wire_ns(&frames) + frame::wire_ns(&[frame::ACYCLIC]);
+        (wire_ns >= period_ns)
+            .then(|| format!("a frame of this line takes {} on the wire; lengthen the period", Ns(wire_ns)))
+    }
+}
+
+/// Object 60C2h: a number of one byte and a power of ten.
+fn is_told_in_60c2(period_ns: u64) -> bool {
+    let mut number = period_ns;
+    while number > u64::from(u8::MAX) && number.is_multiple_of(10) {
+        number /= 10;
+    }
+    (1..=u64::from(u8::MAX)).contains(&number)
+}
+
+impl SlavePlan {
+    /// What is wrong with its memory and its watchdog.
+    fn findings(&self, period_ns: u64, keys: Keys) -> Vec<PlanFault> {
+        let mut faults = self.memory_faults(keys);
+        let Some(watchdog_ns) = self.watchdog_ns else { return faults };
+        let mut wrong = |message| faults.push(PlanFault::new("watchdog", message));
+        if !watchdog_ns.is_multiple_of(WATCHDOG_STEP_NS)
+            || !(1..=WATCHDOG_STEPS).contains(&(watchdog_ns / WATCHDOG_STEP_NS))
+        {
+            wrong(format!(
+                "is counted in whole steps of {} (register 0420h); take 100us ... {}",
+                Ns(WATCHDOG_STEP_NS),
+                "6553.5ms"
+            ));
+        } else if watchdog_ns <= period_ns.saturating_mul(2) {
+            wrong(format!(
+                "trips after {} without outputs, and one lost frame makes two periods of it, {}; allow more than that",
+                Ns(watchdog_ns),
+                Ns(period_ns.saturating_mul(2))
+            ));
+        }
+        faults
+    }
+
+    fn memory_faults(&self, keys: Keys) -> Vec<PlanFault> {
+        let mut faults = Vec::new();
+        let areas = self.areas(keys);
+        for (index, (key, name, bytes)) in areas.iter().enumerate() {
+            if bytes.start < u32::from(MEMORY) || bytes.end > 1 << 16 {
+                let why = format!(
+                    "its {name} at {:#06X} ... {:#06X} are outside of its memory, 0x1000 ... 0xFFFF",
+                    bytes.start,
+                    bytes.end - 1
+                );
+                faults.push(PlanFault::new(key, why));
+            }
+            for (.., other, taken) in &areas[..index] {
+                let overlap = bytes.start < taken.end && taken.start < bytes.end;
+                if overlap {
+                    faults.push(PlanFault::new(key, self.overlap(name, bytes, other, taken)));
+                }
+            }
+        }
+        faults
+    }
+
+    fn overlap(&self, name: &str, bytes: &Range<u32>, other: &str, taken: &Range<u32>) -> String {
+        let what = |name: &str, bytes: &Range<u32>| {
+            format!("{name} at {:#06X} ... {:#06X}", bytes.start, bytes.end - 1)
+        };
+        let remedy = match (self.outputs, self.inputs) {
+            (Area { start: out, length }, Area { start, length: 1.. })
+                if name == "inputs" && other == "outputs" && out < start =>
+            {
+                let most = u32::from(start - out) / BUFFERS;
+                format!(
+                    "; of {length} bytes of outputs, of which there are three buffers, {most} have room; make it less, or"
+                )
+            }
+            _ => ";".into(),
+        };
+        format!("its {} lie in its {}{remedy} move them apart", what(name, bytes), what(other, taken))
+    }
+
+    /// What it has in its memory: the key, the name, where. Nothing where there is none.
+    fn areas(&self, [outputs, inputs]: Keys) -> Vec<Named> {
+        let span = |area: Area, times: u32| {
+            u32::from(area.start)..u32::from(area.start) + times * u32::from(area.length)
+        };
+        let [out, read] = self.mailbox.unwrap_or_default();
+        [
+            ("mailbox", "requests", span(out, 1)),
+            ("mailbox", "answers", span(read, 1)),
+            (outputs, "outputs", span(self.outputs, BUFFERS)),
+            (inputs, "inputs", span(self.inputs, BUFFERS)),
+        ]
+        .into_iter()
+        .filter(|(.., bytes)| !bytes.is_empty())
+        .collect()
+    }
+}
+
+impl KollmorgenDrive {
+    /// What is wrong with it, all that it has as an axis left out.
+    fn findings(&self, period_ns: u64) -> Vec<PlanFault> {
+        let mut faults = self.slave.findings(period_ns, OF_A_DRIVE);
+        faults.extend(self.layout_faults());
+        faults.extend(self.mode_fault());
+        faults.extend(self.scaling_faults(period_ns));
+        let mut wrong = |key, message: String| faults.push(PlanFault::new(key, message));
+        match self.slave.mailbox {
+            None => wrong("mailbox", "missing; a drive is set up by it".into()),
+            Some(areas) if areas.iter().any(|area| area.length < SDO) => {
+                wrong("mailbox", format!("has no room for a request; {SDO} bytes are the least"));
+            }
+            Some(_) => {}
+        }
+        let long = self.slave.start_up.iter().find(|start| start.bytes() > EXPEDITED);
+        if let Some(start) = long.filter(|_| self.family == Family::S700) {
+            let why = format!(
+                "{} has {} bytes, and the mailbox of this drive takes {EXPEDITED} in a value; leave it out",
+                start.object,
+                start.bytes()
+            );
+            wrong("start_up", why);
+        }
+        if self.axis.load == Load::Vertical(HeldBy::Drive) {
+            wrong(
+                "held_by",
+                "a drive whose watchdog trips, or that loses the cycle (F28), stops and then switches its power off, and the load drops; name a brake: held_by = \"brake\"".into(),
+            );
+        }
+        for (object, _) in self.show.iter().flatten().filter(|(_, kind)| *kind == Type::Text) {
+            wrong("monitor", format!("{object} is a text; show objects with numbers"));
+        }
+        faults
+    }
+
+    /// What the station needs in the process data.
+    fn layout_faults(&self) -> Vec<PlanFault> {
+        let mut faults = Vec::new();
+        let mut wrong = |key, message: String| faults.push(PlanFault::new(key, message));
+        let pdos = [
+            ("pdo.outputs", &self.outputs, self.slave.outputs, CONTROL_WORD, "control word", true),
+            ("pdo.inputs", &self.inputs, self.slave.inputs, STATUS_WORD, "status word", false),
+        ];
+        for (key, layout, area, word, name, is_output) in pdos {
+            if layout.is_output() != is_output {
+                let wanted = if is_output { "16xxh or 17xxh" } else { "1Axxh or 1Bxxh" };
+                wrong(key, format!("{:04X}h goes the other way; take one of {wanted}", layout.pdo));
+            }
+            if layout.place(word).is_none() {
+                wrong(key, format!("has no {name}; map {word}"));
+            } else if !has(layout, word, Type::U16) {
+                wrong(key, format!("has a {name} of another type; write {word}.u16"));
+            }
+            if let Some(entry) = layout.entries.iter().find(|entry| entry.kind == Type::Text) {
+                wrong(key, format!("{} is a text; process data have numbers only", entry.object));
+            }
+            let twice = |(at, object): &(usize, Object)| layout.place(*object) != Some(*at);
+            if let Some((_, object)) = layout.places().map(|(at, entry)| (at, entry.object)).find(twice) {
+                wrong(key, format!("has {object} twice"));
+            }
+            if self.mapping == Mapping::Free && layout.pdo & 0x0100 != 0 {
+                let free = if is_output { "1600h" } else { "1A00h" };
+                let why =
+                    format!("{:04X}h is fixed, and mapping = \"free\" writes to it; take {free}", layout.pdo);
+                wrong(key, why);
+            }
+            if usize::from(area.length) != layout.size() {
+                wrong(key, format!("has {} bytes, and its buffer {}", layout.size(), area.length));
+            }
+        }
+        if self.setpoint().is_none() {
+            wrong(
+                "pdo.outputs",
+                "has no setpoint; map one of 0x60C1:1 or 0x607A:0 (position), 0x606B:0 or 0x60FF:0 (velocity), 0x6074:0 or 0x6071:0 (torque)".into(),
+            );
+        }
+        if let Some((object, kind)) = self.setpoint().map(Setpoint::shape)
+            && !has(&self.outputs, object, kind)
+        {
+            wrong("pdo.outputs", format!("has a setpoint of another type; write {object}.{}", kind.name()));
+        }
+        faults
+    }
+
+    fn mode_fault(&self) -> Option<PlanFault> {
+        let mode = self.mode?;
+        let known = match self.family {
+            Family::S700 => mode.is_of_s700(),
+            Family::Akd => matches!(
+                mode,
+                Mode::PROFILE_POSITION
+                    | Mode::PROFILE_VELOCITY
+                    | Mode::TORQUE
+                    | Mode::HOMING
+                    | Mode::INTERPOLATED
+                    | Mode::CYCLIC_POSITION
+            ),
+        };
+        let has = match self.family {
+            Family::S700 => "1, 3, 4, 6, 7 and 0x80 ... 0x88",
+            Family::Akd => "1, 3, 4, 6, 7 and 8",
+        };
+        (!known).then(|| PlanFault::new("mode", format!("is none of this drive; it has {has}")))
+    }
+
+    /// Numbers that the wire could not carry.
+    fn scaling_faults(&self, period_ns: u64) -> Vec<PlanFault> {
+        let mut faults = Vec::new();
+        let mut wrong = |key, message: String| faults.push(PlanFault::new(key, message));
+        let scaling = &self.scaling;
+        if !(1..=31).contains(&scaling.prbase) {
+            wrong("prbase", "must be 1 ... 31; 20 makes 1048576 increments a turn".into());
+        }
+        let positive = |value: f64| value > 0.0 && value.is_finite();
+        for (key, value) in [
+            ("velocity_rpm_per_count", scaling.rpm_per_count),
+            ("torque_permille_per_count", scaling.permille_per_count),
+            ("rated_current", scaling.rated_current.unwrap_or(1.0)),
+        ] {
+            if !positive(value) {
+                wrong(key, "must be above 0".into());
+            }
+        }
+        let least = 1_000.0 / f64::from(i16::MAX);
+        if matches!(self.setpoint(), Some(Setpoint::Torque(_))) && scaling.permille_per_count < least {
+            wrong(
+                "torque_permille_per_count",
+                format!("must be at least {least:.4}, so that 16 bits hold the rated torque"),
+            );
+        }
+        if self.axis.units.counts_per_unit == 0.0 || !self.axis.units.counts_per_unit.is_finite() {
+            return faults; // Reported for every axis.
+        }
+        for (key, value) in [
+            ("profile.velocity", Some(self.axis.profile.velocity)),
+            ("limits.velocity", self.axis.limits.velocity),
+        ] {
+            faults.extend(
+                value
+                    .and_then(|value| self.velocity_fault(value, period_ns))
+                    .map(|why| PlanFault::new(key, why)),
+            );
+        }
+        faults
+    }
+
+    /// Why this velocity does not go over the wire, user units/s.
+    fn velocity_fault(&self, velocity: f64, period_ns: u64) -> Option<String> {
+        let (rpm, most) = (self.rpm(velocity).abs(), f64::from(i32::MAX));
+        let per_count = self.scaling.rpm_per_count;
+        if matches!(self.setpoint(), Some(Setpoint::Velocity(_)))
+            && !(1.0..=most).contains(&(rpm / per_count))
+        {
+            return Some(format!(
+                "{rpm} rpm of the motor are outside what 32 bits can tell the drive, {per_count} ... {} rpm; change it, or check scale and velocity_rpm_per_count",
+                per_count * most
+            ));
+        }
+        // Farther, and nobody knows which way round it was.
+        let way = (velocity * self.axis.units.counts_per_unit).abs() * period_ns as f64 / 1e9;
+        (way >= most).then(|| {
+            format!("{rpm} rpm of the motor are more than half of its 32-bit counts in one cycle; lower it, or check scale and prbase")
+        })
+    }
+}
+
+/// Whether this object is in it as this type.
+fn has(layout: &Layout, object: Object, kind: Type) -> bool {
+    layout.entries.iter().any(|entry| entry.object == object && entry.kind == kind)
+}
+
+impl Device {
+    fn findings(&self, period_ns: u64) -> Vec<PlanFault> {
+        let mut faults = self.slave.findings(period_ns, OF_A_DEVICE);
+        let mut wrong = |key, message: String| faults.push(PlanFault::new(key, message));
+        let terminals = [
+            ("simulate.outputs", self.simulate.outputs, self.slave.outputs),
+            ("simulate.inputs", self.simulate.inputs, self.slave.inputs),
+        ];
+        for (key, terminals, area) in terminals {
+            if terminals.bytes() != usize::from(area.length) {
+                let Terminals { digital, analogue } = terminals;
+                let why = format!(
+                    "digital = {digital} and analogue = {analogue} are {} bytes, and it exchanges {}; make them the same",
+                    terminals.bytes(),
+                    area.length
+                );
+                wrong(key, why);
+            }
+        }
+        if self.slave.mailbox.is_none() && !self.slave.start_up.is_empty() {
+            wrong("start_up", "is written by its mailbox, and it has none; say where its mailbox is".into());
+        }
+        faults
+    }
+}

@@ -1,0 +1,215 @@
+//! What is written to a drive in PREOP, before its process data run (EtherCAT manual, "PDO assignment", "Cycle time").
+
+use super::object::pdo::Layout;
+use super::object::{Object, Type};
+use super::plan::{KollmorgenDrive, Mapping, Start};
+
+/// Time of an interpolation cycle: units, and their power of ten.
+const CYCLE_UNITS: Object = Object::new(0x60C2, 1);
+const CYCLE_POWER: Object = Object::new(0x60C2, 2);
+const MODE: Object = Object::new(0x6060, 0);
+/// Resolution of the position encoder: increments, in so many turns (CiA 402).
+const INCREMENTS: Object = Object::new(0x608F, 1);
+const TURNS: Object = Object::new(0x608F, 2);
+/// What the SyncManagers of outputs and of inputs carry.
+const OUTPUT_PDO: u16 = 0x1C12;
+const INPUT_PDO: u16 = 0x1C13;
+
+/// The objects to write, in this order: cycle time, PDOs, mode, and what the plan adds.
+pub fn start_up(drive: &KollmorgenDrive, period_ns: u64) -> Vec<Start> {
+    let mut list = Vec::new();
+    if let Some((units, power)) = cycle_time(period_ns) {
+        list.push(Start { object: CYCLE_UNITS, kind: Type::U8, raw: units.into() });
+        list.push(Start { object: CYCLE_POWER, kind: Type::I8, raw: Type::I8.raw(power.into()) });
+    }
+    for (assignment, layout) in [(OUTPUT_PDO, &drive.outputs), (INPUT_PDO, &drive.inputs)] {
+        select(assignment, layout, drive.mapping, &mut list);
+    }
+    if let Some(mode) = drive.mode() {
+        list.push(Start { object: MODE, kind: Type::I8, raw: Type::I8.raw(mode.0.into()) });
+    }
+    list.extend_from_slice(&drive.slave.start_up);
+    list
+}
+
+fn select(assignment: u16, layout: &Layout, mapping: Mapping, list: &mut Vec<Start>) {
+    if mapping == Mapping::AsIs || layout.entries.is_empty() {
+        return;
+    }
+    let start = |index, sub, kind, raw| Start { object: Object::new(index, sub), kind, raw };
+    list.push(start(assignment, 0, Type::U8, 0));
+    if mapping == Mapping::Free {
+        list.push(start(layout.pdo, 0, Type::U8, 0));
+        list.extend(mapped(layout));
+        list.push(start(layout.pdo, 0, Type::U8, layout.entries.len() as u64));
+    }
+    list.push(start(assignment, 1, Type::U16, layout.pdo.into()));
+    list.push(start(assignment, 0, Type::U8, 1));
+}
+
+/// What is held against the drive then: how it counts a turn, if it tells (608Fh follows PRBASE: assumed, so that it may be left out).
+pub fn verify(drive: &KollmorgenDrive) -> Vec<Start> {
+    if !drive.check_prbase {
+        return Vec::new();
+    }
+    let increments = drive.scaling.increments() as u64;
+    vec![Start::factor(TURNS, Type::U32), Start { object: INCREMENTS, kind: Type::U32, raw: increments }]
+}
+
+/// What a drive that is found in OP has to have: its PDOs, and what is in those that the master maps.
+pub fn verify_found(drive: &KollmorgenDrive) -> Vec<Start> {
+    let mut list = Vec::new();
+    for (assignment, layout) in [(OUTPUT_PDO, &drive.outputs), (INPUT_PDO, &drive.inputs)] {
+        if layout.entries.is_empty() {
+            continue;
+        }
+        list.push(Start { object: Object::new(assignment, 0), kind: Type::U8, raw: 1 });
+        list.push(Start { object: Object::new(assignment, 1), kind: Type::U16, raw: layout.pdo.into() });
+        if drive.mapping == Mapping::Free {
+            list.push(Start {
+                object: Object::new(layout.pdo, 0),
+                kind: Type::U8,
+                raw: layout.entries.len() as u64,
+            });
+            list.extend(mapped(layout));
+        }
+    }
+    list
+}
+
+/// What a device that is found in OP has to have: what is written to each object last.
+pub fn last_written(start_up: &[Start]) -> Vec<Start> {
+    let is_last = |(nth, start): &(usize, &Start)| {
+        start_up.iter().skip(nth + 1).all(|later| later.object != start.object)
+    };
+    start_up.iter().enumerate().filter(is_last).map(|(_, start)| *start).collect()
+}
+
+/// The entries of a PDO.
+fn mapped(layout: &Layout) -> impl Iterator<Item = Start> {
+    layout.entries.iter().zip(1..).map(|(entry, sub)| {
+        let Object { index, sub: part } = entry.object;
+        let bits = 8 * entry.kind.bytes() as u64;
+        let raw = u64::from(index) << 16 | u64::from(part) << 8 | bits;
+        Start { object: Object::new(layout.pdo, sub), kind: Type::U32, raw }
+    })
+}
+
+/// A period as units and their power of ten: 2 ms are (2, -3). `None`: it is none of those that a drive can be told.
+pub fn cycle_time(period_ns: u64) -> Option<(u8, i8)> {
+    (-6..=0).rev().find_map(|power: i8| {
+        let unit_ns = 10_u64.pow(u32::try_from(9 + i32::from(power)).ok()?);
+        let units = u8::try_from(period_ns / unit_ns).ok()?;
+        (units > 0 && period_ns.is_multiple_of(unit_ns)).then_some((units, power))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bus::ethercat::object::Family;
+    use crate::time::{MS, US};
+
+    fn written(drive: &KollmorgenDrive) -> Vec<(u16, u8, u64)> {
+        let starts = start_up(drive, 2 * MS);
+        starts.iter().map(|start| (start.object.index, start.object.sub, start.raw)).collect()
+    }
+
+    #[test]
+    fn times_of_a_cycle_are_those_of_the_sheet() {
+        assert_eq!(cycle_time(2 * MS), Some((2, -3)));
+        assert_eq!(cycle_time(250 * US), Some((25, -5)));
+        assert_eq!(cycle_time(500 * US), Some((5, -4)));
+        assert_eq!(cycle_time(125_500), None);
+    }
+
+    #[test]
+    fn a_drive_is_told_its_cycle_its_pdos_and_its_mode() {
+        let mut drive = KollmorgenDrive::new("x", 0, Family::S700);
+        let object = Object::new(0x6081, 0);
+        drive.slave.start_up.push(Start { object, kind: Type::U32, raw: 5 });
+        assert_eq!(
+            written(&drive),
+            [
+                (0x60C2, 1, 2),
+                (0x60C2, 2, 0xFD),
+                (0x1C12, 0, 0),
+                (0x1C12, 1, 0x1702),
+                (0x1C12, 0, 1),
+                (0x1C13, 0, 0),
+                (0x1C13, 1, 0x1B03),
+                (0x1C13, 0, 1),
+                (0x6060, 0, 0x80),
+                (0x6081, 0, 5),
+            ]
+        );
+    }
+
+    #[test]
+    fn a_text_is_written_as_long_as_it_is() {
+        let start = |kind, raw| Start { object: INCREMENTS, kind, raw };
+        let text = |text: &[u8]| start(Type::Text, crate::bus::ethercat::object::long::raw(text)).bytes();
+        assert_eq!(
+            [text(b""), text(b"a"), text(b"abcd"), text(b"abcde"), text(b"abcdefgh")],
+            [1, 1, 4, 5, 8]
+        );
+        assert_eq!([start(Type::U32, 0).bytes(), start(Type::I8, 0xFF).bytes()], [4, 1]);
+    }
+
+    #[test]
+    fn of_a_drive_that_runs_its_pdos_and_what_is_in_them_are_looked_at() {
+        let mut drive = KollmorgenDrive::new("x", 0, Family::S700);
+        let read = |drive: &KollmorgenDrive| -> Vec<_> {
+            let starts = verify_found(drive);
+            starts.iter().map(|start| (start.object.index, start.object.sub, start.raw as u32)).collect()
+        };
+        let fixed = [(0x1C12, 0, 1), (0x1C12, 1, 0x1702), (0x1C13, 0, 1), (0x1C13, 1, 0x1B03)];
+        assert_eq!(read(&drive), fixed);
+        drive.mapping = Mapping::Free;
+        (drive.outputs.pdo, drive.inputs.pdo) = (0x1600, 0x1A00);
+        let outputs = [
+            (0x1C12, 0, 1),
+            (0x1C12, 1, 0x1600),
+            (0x1600, 0, 2),
+            (0x1600, 1, 0x606B_0020),
+            (0x1600, 2, 0x6040_0010),
+        ];
+        let inputs = [
+            (0x1C13, 0, 1),
+            (0x1C13, 1, 0x1A00),
+            (0x1A00, 0, 3),
+            (0x1A00, 1, 0x6064_0020),
+            (0x1A00, 2, 0x6077_0010),
+            (0x1A00, 3, 0x6041_0010),
+        ];
+        assert_eq!(read(&drive), [&outputs[..], &inputs].concat());
+    }
+
+    #[test]
+    fn of_a_device_the_last_value_of_each_object_is_looked_at() {
+        let start = |sub, raw| Start { object: Object::new(0x1C12, sub), kind: Type::U8, raw };
+        let all = [start(0, 0), start(1, 5), start(0, 1)];
+        assert_eq!(last_written(&all), [start(1, 5), start(0, 1)]);
+        assert!(last_written(&[]).is_empty());
+    }
+
+    #[test]
+    fn free_pdos_are_mapped_before_they_are_selected_and_some_are_left_alone() {
+        let mut drive = KollmorgenDrive::new("x", 0, Family::S700);
+        drive.mapping = Mapping::Free;
+        drive.outputs.pdo = 0x1600;
+        let list = written(&drive);
+        let mapped = [
+            (0x1C12, 0, 0),
+            (0x1600, 0, 0),
+            (0x1600, 1, 0x606B_0020),
+            (0x1600, 2, 0x6040_0010),
+            (0x1600, 0, 2),
+            (0x1C12, 1, 0x1600),
+            (0x1C12, 0, 1),
+        ];
+        assert_eq!(list[2..9], mapped);
+        drive.mapping = Mapping::AsIs;
+        assert!(written(&drive).iter().all(|(index, ..)| !matches!(index, 0x1C12 | 0x1C13 | 0x1600)));
+    }
+}
