@@ -1,0 +1,405 @@
+//! A new order.
+
+use super::{ANSWERS, Before, Inputs, Kind, ModeIs, Orders, Step, Turning};
+use crate::axis::command::NativeOwner;
+use crate::axis::limits::check_position;
+use crate::axis::{Failure, Move, State, Target, Verb};
+use crate::bus::Slot;
+use crate::bus::ethercat::cia402::{Command, ControlWord};
+use crate::bus::ethercat::native::NativePort;
+use crate::bus::ethercat::trajectory::{Point, Trajectory};
+use crate::time::Time;
+
+const NO_CONTROL: Failure = Failure::Unsupported("its outputs have no control word: map 6040h");
+const BLIND: Failure =
+    Failure::Unsupported("its setpoint is a position, and its inputs have none: map 6064h or 6063h");
+const NO_POSITION: Failure =
+    Failure::Unsupported("its setpoint is no position: take outputs with one (PDO 1701h), or jog");
+const NO_VELOCITY: Failure = Failure::Unsupported(
+    "its setpoint is neither a position nor a velocity: take outputs with one (PDO 1702h)",
+);
+const NO_TORQUE: Failure =
+    Failure::Unsupported("its setpoint is no torque: take outputs with one (PDO 1703h)");
+const FOUND_UNWATCHED: Failure = Failure::Unsupported(
+    "it was found in operation with another watchdog than configured: disable it first, then it is set up anew",
+);
+const NOT_WATCHED: Failure = Failure::Unsupported(
+    "its SyncManager watchdog is off, nothing would stop it if the master dies: set watchdog, or no_drive_watchdog = \"accept\"",
+);
+const OTHER_MODE: Failure = Failure::Unsupported(
+    "it is not in the mode of its setpoint: look at 6061h, or wait for the end of a homing",
+);
+
+impl Orders {
+    /// Another order stands.
+    #[cold]
+    pub(super) fn replace(&mut self, now: Time, inputs: &Inputs, slot: &Slot, native: &mut NativePort) {
+        self.serial = slot.order.serial;
+        (self.end, self.progress_told) = (None, false);
+        if self.new {
+            // Of an order that never went out nothing is left.
+            self.restore();
+        } else {
+            self.keep();
+        }
+        (self.new, self.reclaims) = (true, false);
+        if self.is_native() {
+            // What the application made of the drive is what there is now.
+            self.claim(inputs);
+        }
+        if let Step::Following { .. } = self.step {
+            self.plan(Trajectory::on(self.demand));
+        }
+        self.native = None;
+        self.native_gone = true;
+        native.flush();
+        self.begun = false;
+        self.since = now;
+        match self.cannot(slot.order.verb) {
+            Some(failure) => {
+                self.begun = true;
+                self.refuse(failure);
+            }
+            None => self.begin_late(now, inputs, slot),
+        }
+    }
+
+    fn keep(&mut self) {
+        self.before = Before {
+            writes: self.writes,
+            step: self.step,
+            control: self.control,
+            start: self.start,
+            halt: self.halt,
+            leads: self.leads,
+            foreign: self.foreign,
+            away: self.away,
+            motion: self.motion,
+            passed_ns: self.passed_ns,
+            demand: self.demand,
+        };
+    }
+
+    fn restore(&mut self) {
+        let Before { writes, step, control, start, halt, leads, foreign, away, motion, passed_ns, demand } =
+            self.before;
+        (self.writes, self.step, self.control, self.start) = (writes, step, control, start);
+        (self.halt, self.leads, self.foreign, self.away) = (halt, leads, foreign, away);
+        (self.motion, self.passed_ns, self.demand) = (motion, passed_ns, demand);
+    }
+
+    /// Begins once the drive was seen: before, nothing is known of what is to be taken over.
+    pub(super) fn begin_late(&mut self, now: Time, inputs: &Inputs, slot: &Slot) {
+        if inputs.seen {
+            self.begun = true;
+            if std::mem::take(&mut self.reclaims) {
+                return self.begin_again(now, inputs, slot);
+            }
+            if !self.writes {
+                self.claim(inputs);
+            }
+            self.begin(now, inputs, slot);
+        } else if now.since(self.since) > self.enable_timeout_ns {
+            self.begun = true;
+            self.finish(Err(Failure::TimedOut(slot.report.state)));
+        }
+    }
+
+    /// The drive was asked, but outputs do not reach it yet: what an order has claimed of it is old by the next exchange.
+    pub(in crate::bus::ethercat) fn held(&mut self) {
+        if self.new && self.begun && self.writes && !self.before.writes {
+            (self.begun, self.reclaims) = (false, true);
+        }
+    }
+
+    /// The same order, of the drive as it is now.
+    fn begin_again(&mut self, now: Time, inputs: &Inputs, slot: &Slot) {
+        // What the application wrote natively was taken out of its queue already.
+        let (since, native) = (self.since, self.native.take());
+        self.restore();
+        self.claim(inputs);
+        if self.end.is_none() {
+            self.begin(now, inputs, slot);
+            // What it has to wait for it has waited for already.
+            self.since = since;
+            if self.is_native() {
+                self.native = native;
+            }
+        } else if matches!(self.end, Some(Err(_))) {
+            // It was refused: what the drive was found at ends all the same.
+            self.halt |= self.is_free() && !self.stands();
+            self.wind_down();
+        }
+    }
+
+    /// Something stops the drive if the master dies, or nothing needs to.
+    fn is_watched(&self) -> bool {
+        !self.needs_watch || self.watched && !self.found_otherwise
+    }
+
+    /// Why this drive cannot do that, whatever it is doing.
+    fn cannot(&self, verb: Option<Verb>) -> Option<Failure> {
+        match verb? {
+            Verb::Reset => None,
+            _ if !self.controlled => Some(NO_CONTROL),
+            Verb::Enable if self.found_otherwise && self.watched => Some(FOUND_UNWATCHED),
+            Verb::Enable if self.blind => Some(BLIND),
+            Verb::Move(_) | Verb::Follow if self.kind != Kind::Position => Some(NO_POSITION),
+            Verb::Jog(_) | Verb::Velocity { .. } if matches!(self.kind, Kind::Torque(_) | Kind::Zero) => {
+                Some(NO_VELOCITY)
+            }
+            Verb::Torque { .. } if !matches!(self.kind, Kind::Torque(_)) => Some(NO_TORQUE),
+            Verb::Jog(_) | Verb::Velocity { .. } | Verb::Torque { .. } if !self.is_watched() => {
+                Some(NOT_WATCHED)
+            }
+            _ => None,
+        }
+    }
+
+    /// Takes the drive over as it is: with the control bits as found, at the velocity that it has.
+    fn claim(&mut self, inputs: &Inputs) {
+        let word = match inputs.state {
+            _ if !inputs.operational => ControlWord(0),
+            State::OperationEnabled => {
+                self.run_from(self.found(inputs));
+                self.foreign = inputs.mode == ModeIs::Other;
+                return;
+            }
+            State::SwitchedOn => Command::SwitchOn.word(),
+            State::ReadyToSwitchOn => Command::Shutdown.word(),
+            State::QuickStopActive => Command::QuickStop.word(),
+            _ => ControlWord(0),
+        };
+        self.set(word);
+    }
+
+    /// Where the setpoint of a drive begins that moves by itself.
+    fn found(&self, inputs: &Inputs) -> Point {
+        let turns = inputs.velocity.abs() > self.standstill;
+        let velocity = if turns { inputs.velocity } else { 0.0 };
+        // What it said is of an exchange ago.
+        let position = inputs.position + velocity * self.interval_ns as f64 * 1e-9;
+        // What torque it has is none of the master's.
+        Point { position, velocity: if matches!(self.kind, Kind::Torque(_)) { 0.0 } else { velocity } }
+    }
+
+    /// What comes now takes the place of a halt.
+    pub(super) fn end_halt(&mut self, inputs: &Inputs) {
+        if std::mem::take(&mut self.halt) {
+            self.demand = self.found(inputs);
+            self.plan(Trajectory::on(self.demand));
+        }
+    }
+
+    /// The last word that went out, or the one as found, has it in operation, and it says that it is.
+    fn runs(&self, inputs: &Inputs) -> bool {
+        let on = Command::EnableOperation.word().0;
+        self.leads && inputs.operating() && self.control_sent.is_none_or(|word| word.has(on))
+    }
+
+    fn begin(&mut self, now: Time, inputs: &Inputs, slot: &Slot) {
+        let Some(verb) = slot.order.verb else { return self.finish(Ok(())) };
+        let fault = Failure::DriveFault(inputs.fault.into());
+        match verb {
+            Verb::Reset => self.finish(Ok(())),
+            Verb::Enable if inputs.faulted() && inputs.named => self.finish(Err(fault)),
+            Verb::Enable if self.runs(inputs) && inputs.mode == ModeIs::Own => self.finish(Ok(())),
+            Verb::Enable => self.begin_enable(now, inputs),
+            Verb::Disable => {
+                self.set(ControlWord(0));
+                self.enter(now, Step::Disabling);
+            }
+            Verb::Home => {
+                self.wind_down();
+                self.enter(now, Step::HomeWaiting);
+            }
+            Verb::Stop { .. } | Verb::QuickStop => self.begin_stop(now, verb, inputs),
+            Verb::ResetFault if !inputs.faulted() => self.finish(Ok(())),
+            Verb::ResetFault => {
+                self.set(ControlWord(0));
+                self.enter(now, Step::ResetWaiting);
+            }
+            Verb::Native(owner) => self.begin_native(now, owner, inputs),
+            _ if !self.runs(inputs) => self.finish(Err(Failure::WrongState(slot.report.state))),
+            _ if inputs.mode != ModeIs::Own => self.refuse(OTHER_MODE),
+            _ => self.begin_motion(now, verb, inputs, slot),
+        }
+    }
+
+    /// What needs a drive that follows setpoints, and is in their mode.
+    fn begin_motion(&mut self, now: Time, verb: Verb, inputs: &Inputs, slot: &Slot) {
+        self.end_halt(inputs);
+        match verb {
+            Verb::Move(motion) => self.begin_move(now, &motion),
+            Verb::Jog(jog) => self.begin_turning(now, jog.acceleration, inputs, slot),
+            Verb::Velocity { acceleration } => self.begin_turning(now, acceleration, inputs, slot),
+            Verb::Torque { slope } => self.begin_turning(now, slope, inputs, slot),
+            _ => {
+                self.enter(now, Step::FollowWaiting);
+                // What was under way ends here, and the first row may have come with the order.
+                self.brake(self.deceleration);
+                self.follow(slot);
+            }
+        }
+    }
+
+    fn begin_native(&mut self, now: Time, owner: NativeOwner, inputs: &Inputs) {
+        self.end_halt(inputs);
+        // It stands still, or has no torque, until the application says something else.
+        self.wind_down();
+        self.enter(now, Step::Native(owner));
+    }
+
+    fn begin_enable(&mut self, now: Time, inputs: &Inputs) {
+        let off = self.control_sent.is_some_and(|word| !word.has(ControlWord::SWITCH_ON));
+        let held = inputs.operational && !off && inputs.state == State::SwitchedOn;
+        self.rest = if held { Command::SwitchOn.word() } else { ControlWord(0) };
+        match inputs.state {
+            State::OperationEnabled | State::QuickStopActive if inputs.operational && !off => {
+                self.hold(inputs.position);
+            }
+            _ if held => self.set(Command::SwitchOn.word()),
+            _ => self.set(Command::Shutdown.word()),
+        }
+        self.enter(now, Step::Enabling);
+    }
+
+    fn begin_move(&mut self, now: Time, motion: &Move) {
+        let from = self.demand.position;
+        let target = match motion.target {
+            Target::Absolute(position) => self.near(position),
+            Target::Relative(distance) => from + distance,
+        };
+        if let Err(failure) = check_position(&self.limits, target) {
+            return self.refuse(failure);
+        }
+        let profile = &motion.profile;
+        let down = self.braking(profile.deceleration);
+        self.plan(Trajectory::go_to(self.demand, target, profile.velocity, profile.acceleration, down));
+        self.enter(now, Step::Moving);
+    }
+
+    /// On a rotary axis, the place of `position` that is nearest to the demand.
+    pub(super) fn near(&self, position: f64) -> f64 {
+        match self.units.modulo {
+            Some(_) => self.demand.position + self.units.way(self.demand.position, position),
+            None => position,
+        }
+    }
+
+    fn begin_turning(&mut self, now: Time, acceleration: f64, inputs: &Inputs, slot: &Slot) {
+        // No velocity or torque is this one: it is planned with the setpoint.
+        self.enter(now, Step::Turning(Turning { acceleration, velocity: f64::NAN, limit: None }));
+        self.turn_on(inputs, slot);
+    }
+
+    fn begin_stop(&mut self, now: Time, verb: Verb, inputs: &Inputs) {
+        match (self.step, verb) {
+            (Step::HomeMode | Step::Homing | Step::HomeStopping(_) | Step::HomeLeaving(_), _) => {
+                self.start = false;
+                self.halt = verb == Verb::QuickStop;
+                self.enter(now, Step::HomeStopping(Ok(())));
+            }
+            // On its way up: it does not go on by itself.
+            (Step::Enabling, _) => {
+                let rest = self.rest;
+                self.set(rest);
+                self.enter(now, Step::Disabling);
+            }
+            _ if !self.leads => self.begin_stop_without_setpoint(now, inputs),
+            // One that is under way is not made softer.
+            _ if inputs.mode != ModeIs::Own || self.halt => self.halt(now, inputs),
+            (_, Verb::Stop { deceleration }) => {
+                self.brake(deceleration.unwrap_or(self.deceleration));
+                self.enter(now, Step::Stopping);
+            }
+            _ => self.halt(now, inputs),
+        }
+    }
+
+    /// Nothing is led: what was told stays, and if that was to be off, that is waited for.
+    fn begin_stop_without_setpoint(&mut self, now: Time, inputs: &Inputs) {
+        if self.control.has(ControlWord::SWITCH_ON) || inputs.state == State::QuickStopActive {
+            self.enter(now, Step::Stopping);
+        } else {
+            self.enter(now, Step::Disabling);
+        }
+    }
+
+    /// As fast as the drive is set up for it, with its power on.
+    pub(super) fn halt(&mut self, now: Time, inputs: &Inputs) {
+        let most = self.limits.acceleration.unwrap_or(self.deceleration).max(self.deceleration);
+        self.halt = true;
+        self.plan(match self.kind {
+            // In another mode its setpoint leads nowhere.
+            Kind::Position if inputs.mode == ModeIs::Own => {
+                Trajectory::run(self.demand, 0.0, self.braking(most))
+            }
+            // The drive's own ramp lies beneath it.
+            _ => Trajectory::on(Point { velocity: 0.0, ..self.demand }),
+        });
+        self.enter(now, Step::Halting);
+    }
+
+    /// So many answers came to what was told in this step.
+    pub(super) fn is_answered(&self, inputs: &Inputs) -> bool {
+        inputs.fresh && self.answers >= ANSWERS
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bus::ethercat::native::native;
+    use crate::bus::ethercat::object::{Family, pdo};
+    use crate::bus::ethercat::plan::KollmorgenDrive;
+    use crate::time::{MS, S};
+
+    /// Of a drive at 10 rev/s, so many ms on its way.
+    fn moving(n: u64) -> Inputs {
+        let position = n as f64 * 0.01;
+        let state = State::OperationEnabled;
+        Inputs {
+            seen: true,
+            fresh: true,
+            operational: true,
+            state,
+            position,
+            velocity: 10.0,
+            ..Inputs::default()
+        }
+    }
+
+    #[test]
+    fn what_is_taken_over_is_the_drive_as_it_is_when_outputs_first_reach_it() {
+        let mut drive = KollmorgenDrive::new("x", 0, Family::S700);
+        drive.outputs = pdo::fixed(Family::S700).into_iter().find(|layout| layout.pdo == 0x1701).unwrap();
+        drive.fit();
+        let mut orders = Orders::new(&drive, MS);
+        let (_application, mut native) = native(&drive.outputs, &drive.inputs);
+        let mut slot = Slot::default();
+        (slot.order.serial, slot.order.verb) = (1, Some(Verb::Stop { deceleration: Some(10.0) }));
+        let mut advance = |orders: &mut Orders, n: u64| {
+            let out = orders.advance(Time(S + n * MS), &moving(n), &mut slot, &mut native);
+            assert!(orders.writes() && out.control == Command::EnableOperation.word());
+            f64::from(out.setpoint) / f64::from(1 << 20)
+        };
+        for n in 0..20 {
+            let ahead = advance(&mut orders, n) - moving(n).position;
+            assert!((0.015..0.025).contains(&ahead), "{ahead} ahead of the drive in cycle {n}");
+            orders.held();
+        }
+        // From then on its setpoints lead on by themselves.
+        let mut last = advance(&mut orders, 20);
+        orders.sent();
+        for n in 21..1_021 {
+            orders.held();
+            let now = advance(&mut orders, n);
+            assert!((-1e-6..0.010_001).contains(&(now - last)), "{now} behind {last}");
+            last = now;
+            orders.sent();
+        }
+        // 10 rev/s with 10 rev/s^2 take 5 rev.
+        assert!((last - 5.2).abs() < 0.03, "{last}");
+    }
+}

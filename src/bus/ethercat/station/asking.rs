@@ -1,0 +1,258 @@
+//! What the station itself reads and writes by SDO: one after the other, whenever its mailbox is free.
+//!
+//! The mode of operation goes before all else, since a homing waits for it; then whether the drive knows its reference; then what is
+//! shown, in turns.
+
+use super::{HOMING_METHOD, MANUFACTURER_STATUS, MODE, MODE_DISPLAY};
+use crate::axis::feedback::MONITOR_CHANNELS;
+use crate::bus::ethercat::cia402::Mode;
+use crate::bus::ethercat::object::{Object, Type};
+use crate::bus::ethercat::orders::{ModeIs, ModeWanted};
+use crate::bus::ethercat::plan::KollmorgenDrive;
+use crate::bus::ethercat::service::{SdoFailure, Service, Transfer};
+use crate::time::{MS, Time};
+
+/// Bit 1 of the manufacturer's status, 1002h: the reference is set (CAN manual).
+const REFERENCE: u32 = 1 << 1;
+/// What was not answered is asked again after this time, ns.
+const AGAIN_NS: u64 = 100 * MS;
+/// What is shown is read no faster than one object in this time, ns.
+const SHOW_EVERY_NS: u64 = 10 * MS;
+
+/// What is under way.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Asked {
+    Method,
+    Mode(Mode),
+    Display,
+    Reference,
+    Shown(usize),
+}
+
+/// The SDOs of one station.
+#[derive(Debug)]
+pub(super) struct Asking {
+    own: Option<Mode>,
+    method: Option<i8>,
+    show: [Option<(Object, Type)>; MONITOR_CHANNELS],
+    /// There is any.
+    shows: bool,
+    asked: Option<Asked>,
+    not_before: Time,
+    /// With this mode wanted there is nothing to ask, but for what is shown.
+    content: Option<ModeWanted>,
+    /// The mode that the drive is in; `None`: not known.
+    mode: Option<Mode>,
+    /// It was written for this homing.
+    method_written: bool,
+    display_read: bool,
+    homed: Option<bool>,
+    /// What is under way of it was asked too early.
+    outdated: bool,
+    refused: bool,
+    turn: usize,
+    next_show: Time,
+    shown: [Option<f64>; MONITOR_CHANNELS],
+    show_refused: [bool; MONITOR_CHANNELS],
+    shown_fresh: bool,
+    refusal: Option<(u8, u32)>,
+}
+
+impl Asking {
+    pub(super) fn new(drive: &KollmorgenDrive) -> Asking {
+        let own = drive.setpoint().map(|setpoint| setpoint.mode(drive.family));
+        Asking {
+            own: drive.mode.or(own),
+            method: drive.home_method,
+            show: drive.show,
+            shows: drive.show.iter().any(Option::is_some),
+            asked: None,
+            not_before: Time(0),
+            content: None,
+            mode: None,
+            method_written: false,
+            display_read: false,
+            homed: None,
+            outdated: false,
+            refused: false,
+            turn: 0,
+            next_show: Time(0),
+            shown: [None; MONITOR_CHANNELS],
+            show_refused: [false; MONITOR_CHANNELS],
+            shown_fresh: false,
+            refusal: None,
+        }
+    }
+
+    /// The drive is another one than before, or may be: all that was known of it is asked again.
+    pub(super) fn forget(&mut self) {
+        // The end of what was asked is nobody's any more.
+        (self.asked, self.content) = (None, None);
+        (self.mode, self.display_read, self.homed, self.method_written) = (None, false, None, false);
+        (self.shown, self.show_refused, self.not_before) = ([None; _], [false; _], Time(0));
+        self.show_again(Time(0));
+    }
+
+    /// The drive shows this mode: nothing of the start was written to it.
+    pub(super) fn found_in(&mut self, mode: Mode) {
+        (self.mode, self.display_read, self.content) = (Some(mode), true, None);
+    }
+
+    /// What is shown is asked from then on; never, if there is nothing.
+    fn show_again(&mut self, from: Time) {
+        self.next_show = self.next_shown().map_or(Time(u64::MAX), |_| from);
+    }
+
+    /// Its reference may have changed.
+    pub(super) fn ask_reference(&mut self) {
+        (self.homed, self.content) = (None, None);
+        self.outdated |= self.asked == Some(Asked::Reference);
+    }
+
+    /// The drive says that it has its reference; `None`: not known.
+    pub(super) fn homed(&self) -> Option<bool> {
+        self.homed
+    }
+
+    /// The mode that it is in, as far as is known: what the start has written it to is its own.
+    pub(super) fn mode(&self) -> ModeIs {
+        match self.mode {
+            _ if matches!(self.asked, Some(Asked::Mode(_))) => ModeIs::Other,
+            None => ModeIs::Own,
+            mode if mode == self.own => ModeIs::Own,
+            Some(Mode::HOMING) => ModeIs::Homing,
+            // Without a setpoint that is known, none is wrong.
+            Some(_) if self.own.is_none() => ModeIs::Own,
+            Some(_) => ModeIs::Other,
+        }
+    }
+
+    /// The drive has refused the mode of homing, or its method, since this was last asked.
+    pub(super) fn take_refused(&mut self) -> bool {
+        std::mem::take(&mut self.refused)
+    }
+
+    /// What is shown, if it is new; and what was refused to be.
+    #[inline]
+    pub(super) fn take_shown(&mut self) -> Option<&[Option<f64>; MONITOR_CHANNELS]> {
+        std::mem::take(&mut self.shown_fresh).then_some(&self.shown)
+    }
+
+    pub(super) fn take_refusal(&mut self) -> Option<(u8, u32)> {
+        self.refusal.take()
+    }
+
+    /// Takes in what came of the last one, and begins the next; false: there was nothing to do.
+    #[inline]
+    pub(super) fn advance(&mut self, now: Time, wanted: ModeWanted, service: &mut Service) -> bool {
+        let rests = self.content == Some(wanted) && now < self.next_show;
+        if !rests {
+            self.go_on(now, wanted, service);
+        }
+        !rests
+    }
+
+    #[inline(never)]
+    fn go_on(&mut self, now: Time, wanted: ModeWanted, service: &mut Service) {
+        self.content = None;
+        if let Some(asked) = self.asked
+            && let Some(end) = service.take_end()
+        {
+            self.asked = None;
+            self.take(now, asked, end);
+        }
+        if self.asked.is_some() || now < self.not_before {
+            return;
+        }
+        match self.next(now, wanted) {
+            Some((asked, transfer)) if service.is_free() => {
+                self.asked = Some(asked);
+                service.begin(transfer);
+            }
+            Some(_) => {}
+            None => self.content = Some(wanted),
+        }
+    }
+
+    fn next(&self, now: Time, wanted: ModeWanted) -> Option<(Asked, Transfer)> {
+        let wants = match wanted {
+            ModeWanted::AsIs => None,
+            ModeWanted::Own => self.own.filter(|_| self.mode.is_some()),
+            ModeWanted::Homing => Some(Mode::HOMING),
+        };
+        if wants.is_some() && wants != self.mode {
+            return self.next_mode(wants?);
+        }
+        if !self.display_read {
+            return Some((Asked::Display, Transfer::Read(MODE_DISPLAY)));
+        }
+        if self.homed.is_none() {
+            return Some((Asked::Reference, Transfer::Read(MANUFACTURER_STATUS)));
+        }
+        if !self.shows || now < self.next_show {
+            return None;
+        }
+        let (channel, object) = self.next_shown()?;
+        Some((Asked::Shown(channel), Transfer::Read(object)))
+    }
+
+    /// The next channel whose turn it is.
+    fn next_shown(&self) -> Option<(usize, Object)> {
+        let places = (self.turn..MONITOR_CHANNELS).chain(0..self.turn);
+        places
+            .filter(|channel| !self.show_refused[*channel])
+            .find_map(|channel| Some((channel, self.show[channel]?.0)))
+    }
+
+    fn next_mode(&self, mode: Mode) -> Option<(Asked, Transfer)> {
+        let byte = |object, value: i8| Transfer::Write { object, raw: u64::from(value as u8), bytes: 1 };
+        match self.method {
+            Some(method) if mode == Mode::HOMING && !self.method_written => {
+                Some((Asked::Method, byte(HOMING_METHOD, method)))
+            }
+            _ => Some((Asked::Mode(mode), byte(MODE, mode.0))),
+        }
+    }
+
+    fn take(&mut self, now: Time, asked: Asked, end: Result<u32, SdoFailure>) {
+        if end == Err(SdoFailure::Silent) {
+            self.outdated = false;
+            self.not_before = now + AGAIN_NS;
+            return;
+        }
+        match (asked, end) {
+            (Asked::Method, Ok(_)) => self.method_written = true,
+            (Asked::Mode(mode), Ok(_)) => {
+                self.mode = Some(mode);
+                self.method_written &= mode == Mode::HOMING;
+            }
+            (Asked::Method | Asked::Mode(_), Err(_)) => {
+                self.refused = true;
+                self.not_before = now + AGAIN_NS;
+            }
+            (Asked::Display, end) => {
+                self.display_read = true;
+                // One that does not tell its mode has the one that was written.
+                self.mode = end.ok().map(|raw| Mode(raw as u8 as i8));
+            }
+            (Asked::Reference, _) if std::mem::take(&mut self.outdated) => {}
+            // What it does not tell is not set.
+            (Asked::Reference, end) => self.homed = Some(end.is_ok_and(|raw| raw & REFERENCE != 0)),
+            (Asked::Shown(channel), end) => self.take_value(now, channel, end),
+        }
+    }
+
+    fn take_value(&mut self, now: Time, channel: usize, end: Result<u32, SdoFailure>) {
+        self.turn = (channel + 1) % MONITOR_CHANNELS;
+        self.shown_fresh = true;
+        match (end, self.show[channel]) {
+            (Ok(raw), Some((_, kind))) => self.shown[channel] = Some(kind.number(raw.into()) as f64),
+            (Err(SdoFailure::Abort(code)), _) => {
+                (self.shown[channel], self.show_refused[channel]) = (None, true);
+                self.refusal = Some((channel as u8, code.0));
+            }
+            _ => {}
+        }
+        self.show_again(now + SHOW_EVERY_NS);
+    }
+}

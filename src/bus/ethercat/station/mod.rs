@@ -1,0 +1,455 @@
+//! The master's view of one drive: its process data, what it last said, and its mailbox.
+//!
+//! | file | what |
+//! |---|---|
+//! | `mod` | the station |
+//! | `places` | where in the process data what stands |
+//! | `asking` | what the station itself asks by SDO: mode, reference, what is shown |
+//!
+//! It takes instants and slices, and knows no frame. What an order does, step by step, stands in `orders`. The line tells it which
+//! state the slave is in, and whether inputs are of this exchange: an answer is never suspect.
+//!
+//! Where the setpoint is no position, the demand is told as the actual position: there is no place where the axis should be.
+
+mod asking;
+mod places;
+
+use self::asking::Asking;
+use self::places::{Places, Said};
+use super::cia402::{Mode, StatusWord};
+use super::counters::Own;
+use super::faults::Clearing;
+use super::native::{Native, NativePort, native};
+use super::object::Object;
+use super::orders::{Inputs, Kind, Orders};
+use super::plan::KollmorgenDrive;
+use super::service::Service;
+use super::wire::mailbox::Emergency;
+use super::wire::registers::AlState;
+use crate::axis::acyclic::{self, AcyclicEnds};
+use crate::axis::command::NativeOwner;
+use crate::axis::units::Unwrap;
+use crate::axis::{self, State, Units};
+use crate::bus::{Cycle, Exchange, Slot};
+use crate::rt::Regions;
+use crate::time::{MS, Time};
+
+pub(super) const CONTROL_WORD: Object = Object::new(0x6040, 0);
+const MANUFACTURER_STATUS: Object = Object::new(0x1002, 0);
+const FAULT_CODE: Object = Object::new(0x603F, 0);
+const STATUS_WORD: Object = Object::new(0x6041, 0);
+const MODE: Object = Object::new(0x6060, 0);
+const MODE_DISPLAY: Object = Object::new(0x6061, 0);
+const INCREMENTS: Object = Object::new(0x6063, 0);
+const POSITION: Object = Object::new(0x6064, 0);
+const VELOCITY: Object = Object::new(0x606C, 0);
+const TORQUE: Object = Object::new(0x6077, 0);
+const HOMING_METHOD: Object = Object::new(0x6098, 0);
+
+/// The emergency with the number of a fault comes within this time, ns, or its number stays unknown: it is then this one, any error
+/// (CAN manual).
+const NAMED_WITHIN_NS: u64 = 100 * MS;
+const NAMED_TURNS: u64 = 6;
+const ANY_ERROR: u16 = 0x1000;
+
+/// One drive as the master sees it.
+#[derive(Debug)]
+pub struct Station {
+    units: Units,
+    places: Places,
+    unit_per_count: f64,
+    /// User units/s of a count of 606Ch; A of a per mille.
+    velocity_per_count: f64,
+    current_per_permille: f64,
+    standstill: f64,
+    /// What is faster while it homes is no velocity.
+    most_velocity: f64,
+    /// User units/s of one count in a usual interval.
+    rate: f64,
+    interval_ns: u64,
+    /// Its setpoint is a position, and it tells its own.
+    has_place: bool,
+    orders: Orders,
+    inputs: Inputs,
+    native: NativePort,
+    asking: Asking,
+    service: Service,
+    /// The slave's state; `None`: below SAFEOP, or not there.
+    al: Option<AlState>,
+    actual: Unwrap,
+    demand: Unwrap,
+    /// The last position, and the slot of the grid that it came with.
+    last: Option<(i64, Time)>,
+    grid: Time,
+    sent_grid: Time,
+    /// Outputs were written since OP: there is a demand.
+    led: bool,
+    /// The outputs of the last exchange reach the drive.
+    reached: bool,
+    emergency: Emergency,
+    emergency_at: Time,
+    faulted_at: Option<Time>,
+    named_within_ns: u64,
+    warning: u16,
+    /// It was found power-cycled, and that was not told yet.
+    was_restarted: bool,
+}
+
+impl Station {
+    /// The station of `drive` for an exchange every `interval_ns`, and the application's ends of its native process data and of its
+    /// acyclic access.
+    pub fn new(drive: &KollmorgenDrive, interval_ns: u64) -> (Station, Native, AcyclicEnds) {
+        let (application, native) = native(&drive.outputs, &drive.inputs);
+        let (ends, port) = acyclic::queue(drive.axis.parameter_queue);
+        let units = drive.axis.units;
+        let unit_per_count = 1.0 / units.counts_per_unit;
+        let per_minute = drive.scaling.increments() / 60.0 * unit_per_count;
+        let places = Places::new(drive);
+        let orders = Orders::new(drive, interval_ns);
+        let station = Station {
+            units,
+            unit_per_count,
+            velocity_per_count: drive.scaling.rpm_per_count * per_minute,
+            current_per_permille: drive.scaling.rated_current.map_or(f64::NAN, |rated| rated * 1e-3),
+            standstill: drive.axis.stop.standstill,
+            most_velocity: 2.0
+                * drive.axis.limits.velocity.unwrap_or_default().max(drive.axis.profile.velocity),
+            rate: unit_per_count * 1e9 / interval_ns.max(1) as f64,
+            interval_ns,
+            has_place: orders.kind() == Kind::Position && tells_position(drive),
+            places,
+            orders,
+            inputs: Inputs::default(),
+            native,
+            asking: Asking::new(drive),
+            service: Service::new(&drive.slave, Some(port)),
+            al: None,
+            actual: Unwrap::default(),
+            demand: Unwrap::default(),
+            last: None,
+            grid: Time(0),
+            sent_grid: Time(0),
+            led: false,
+            reached: false,
+            emergency: Emergency::default(),
+            emergency_at: Time(0),
+            faulted_at: None,
+            named_within_ns: NAMED_WITHIN_NS,
+            warning: 0,
+            was_restarted: false,
+        };
+        (station, application, ends)
+    }
+
+    /// Adds what it touches besides itself, to be locked.
+    pub fn memory(&self, regions: &mut Regions) {
+        self.native.memory(regions);
+        self.service.memory(regions);
+    }
+
+    /// So long it may be until its mailbox has the slot again, ns.
+    pub fn set_turn(&mut self, turn_ns: u64) {
+        self.named_within_ns = NAMED_WITHIN_NS.max(NAMED_TURNS * turn_ns);
+        self.service.set_turn(turn_ns);
+    }
+
+    /// Its mailbox: the line opens it, and gives it the acyclic slot.
+    pub fn service(&mut self) -> &mut Service {
+        &mut self.service
+    }
+
+    /// The slave has come to this state; `None`: below SAFEOP, or not on the line.
+    pub fn operational(&mut self, al: Option<AlState>, slot: &mut Slot) {
+        let before = std::mem::replace(&mut self.al, al);
+        if before == al {
+            return;
+        }
+        if before.is_none() {
+            self.asking.forget();
+        }
+        if before == Some(AlState::Op) {
+            self.leave_operation();
+        }
+        if al == Some(AlState::Op) {
+            slot.reachable = true;
+        }
+    }
+
+    fn leave_operation(&mut self) {
+        (self.inputs.operational, self.led) = (false, false);
+        self.orders.dropped(below_op(self.inputs.state));
+    }
+
+    /// The drive was found power-cycled. It is told with what it says next.
+    pub fn restarted(&mut self) {
+        self.was_restarted = true;
+        self.orders.drive_restarted();
+        self.asking.forget();
+        self.actual.reset();
+        self.demand.reset();
+        (self.last, self.inputs.seen, self.inputs.velocity) = (None, false, 0.0);
+        (self.emergency, self.faulted_at, self.warning) = (Emergency::default(), None, 0);
+    }
+
+    /// Something stops it if the master dies, as far as it depends on its watchdog.
+    pub fn watched(&mut self, is_watched: bool) {
+        self.orders.watched(is_watched);
+    }
+
+    /// It was found in this mode of operation, and left so.
+    pub fn found_in(&mut self, mode: Mode) {
+        self.asking.found_in(mode);
+        self.inputs.mode = self.asking.mode();
+    }
+
+    /// An order stands: the drive is driven from now on. Before, it is only read, and what was found in OP goes on as it was.
+    pub fn wants_outputs(&self) -> bool {
+        self.orders.writes()
+    }
+
+    /// Writes the output PDO of the next exchange, whole. Built again for the same send, it is the same: what moves on with every
+    /// exchange does so in [`sent`](Self::sent).
+    #[inline]
+    pub fn prepare(&mut self, cycle: &Cycle, slot: &mut Slot, outputs: &mut [u8]) {
+        self.grid = cycle.grid;
+        let out = self.orders.advance(cycle.grid, &self.inputs, slot, &mut self.native);
+        self.inputs.fresh = false;
+        self.places.write(out.control.0, out.setpoint, outputs);
+        if let Some((native, owner)) = self.orders.native() {
+            let size = native.bytes().len().min(outputs.len());
+            outputs[..size].copy_from_slice(&native.bytes()[..size]);
+            if owner == NativeOwner::Master {
+                self.places.write_control(out.control.0, outputs);
+            }
+        }
+    }
+
+    /// The frame with the prepared outputs went out.
+    #[inline]
+    pub fn sent(&mut self, sent_at: Time, reply_by: Time, slot: &mut Slot) {
+        self.open(sent_at, reply_by, slot);
+        self.reached = true;
+        self.orders.sent();
+    }
+
+    /// A frame went out that only reads this drive: its outputs do not count there yet.
+    #[inline]
+    pub fn asked(&mut self, sent_at: Time, reply_by: Time, slot: &mut Slot) {
+        self.open(sent_at, reply_by, slot);
+        self.orders.held();
+    }
+
+    #[inline]
+    fn open(&mut self, sent_at: Time, reply_by: Time, slot: &mut Slot) {
+        slot.counters.sent += 1;
+        slot.exchange = Exchange::Owed { sent_at, reply_by, awaited: false };
+        (self.sent_grid, self.reached) = (self.grid, false);
+        self.ask();
+    }
+
+    /// Its own SDOs go on once an exchange went out: what comes of them counts for all builds of the next one.
+    #[inline]
+    fn ask(&mut self) {
+        if self.al.is_none() {
+            return;
+        }
+        if !self.asking.advance(self.grid, self.orders.mode_wanted(), &mut self.service) {
+            return;
+        }
+        self.inputs.mode = self.asking.mode();
+        self.inputs.referred = self.asking.homed().is_some();
+        if self.asking.take_refused() {
+            self.orders.mode_refused();
+        }
+    }
+
+    /// The frame of this slot of the grid was the last one that asked it.
+    pub fn was_asked(&self, grid: Time) -> bool {
+        self.sent_grid == grid
+    }
+
+    /// It could not be handed to the wire, or the slave cannot be asked.
+    pub fn unsent(&mut self, slot: &mut Slot) {
+        slot.counters.unsent += 1;
+        slot.exchange = Exchange::Unsent;
+    }
+
+    /// The inputs that answer the open exchange, of a slave in this state.
+    #[inline]
+    pub fn take(&mut self, at: Time, inputs: &[u8], al: AlState, slot: &mut Slot) {
+        let Exchange::Owed { sent_at, .. } = slot.exchange else {
+            slot.counters.late += 1;
+            return;
+        };
+        let said = self.places.read(inputs);
+        if said.is_some_and(|said| said.status == 0) && inputs.iter().all(|byte| *byte == 0) {
+            // As the master has sent them: the slave has counted for its AL status alone.
+            Own::PassedBy.count(&mut slot.counters);
+            slot.exchange = Exchange::Absent;
+            return;
+        }
+        slot.exchange = Exchange::Answered { sent_at, at, suspect: false };
+        slot.counters.answered += 1;
+        let operational = al == AlState::Op;
+        if operational {
+            self.orders.answered();
+        } else {
+            Own::NotOperational.count(&mut slot.counters);
+            if self.inputs.operational {
+                self.leave_operation();
+            }
+        }
+        self.led = operational && self.reached && self.orders.writes();
+        self.inputs.operational = operational;
+        self.native.publish(at, self.orders.is_native(), inputs);
+        if let Some(said) = said {
+            self.read(at, said, slot);
+        }
+    }
+
+    /// Its mailbox was looked at: takes in the next emergency, if the one before was told. A warning, a fault, or the end of it.
+    pub fn mailbox_heard(&mut self, slot: &mut Slot) {
+        if slot.report.emergency.is_some() {
+            return;
+        }
+        let Some(emergency) = self.service.take_emergency() else { return };
+        match Clearing::of(&emergency) {
+            Some(Clearing::Warning) => self.warning = emergency.code,
+            _ => (self.emergency, self.emergency_at) = (emergency, self.grid),
+        }
+        slot.report.emergency = Some(axis::Emergency { code: emergency.code, register: emergency.register });
+    }
+
+    /// What the drive said, in user units.
+    #[inline]
+    fn read(&mut self, at: Time, said: Said, slot: &mut Slot) {
+        let (status, before) = (StatusWord(said.status), self.inputs.status);
+        if status.0 != self.inputs.status.0 || !self.inputs.seen {
+            self.inputs.state = status.state();
+            self.inputs.status = status;
+        }
+        let position = self.take_position(said, before);
+        self.take_fault(at, said);
+        let inputs = &mut self.inputs;
+        (inputs.seen, inputs.fresh, inputs.position) = (true, true, position.unwrap_or(0.0));
+        let report = &mut slot.report;
+        report.fresh = true;
+        report.at = at;
+        report.suspect = false;
+        report.restarted |= std::mem::take(&mut self.was_restarted);
+        report.state = if inputs.operational { inputs.state } else { below_op(inputs.state) };
+        let powered = report.state.is_powered();
+        self.orders.look(inputs);
+        report.inhibited = !powered && self.orders.is_inhibited(self.grid);
+        report.moving = powered && (self.orders.is_moving() || inputs.velocity.abs() > self.standstill);
+        let homing = self.orders.is_homing();
+        let led = self.has_place && self.led && !homing && !self.orders.is_native();
+        report.in_target = status.has(StatusWord::TARGET_REACHED) && !(led && self.orders.is_moving());
+        report.homed = !homing && self.asking.homed() == Some(true);
+        let units = &self.units;
+        let folded = |position: f64| units.modulo.map_or(position, |turn| position.rem_euclid(turn));
+        report.position = position.map_or(f64::NAN, folded);
+        report.demand = report.position;
+        if led {
+            let count = self.demand.next(self.orders.setpoint_sent());
+            report.demand = folded(count as f64 * self.unit_per_count + units.offset);
+        }
+        report.velocity = inputs.velocity;
+        report.current = said.torque.map_or(f64::NAN, |torque| f64::from(torque) * self.current_per_permille);
+        report.warning = if status.has(StatusWord::WARNING) { u32::from(self.warning.max(1)) } else { 0 };
+        report.fault = u32::from(inputs.fault);
+        if let Some(shown) = self.asking.take_shown() {
+            (report.monitor, report.monitor_fresh) = (*shown, true);
+            if let Some(refusal) = self.asking.take_refusal() {
+                report.monitor_refused = Some(refusal);
+            }
+        }
+    }
+
+    /// The actual position, not folded, and the velocity.
+    #[inline]
+    fn take_position(&mut self, said: Said, before: StatusWord) -> Option<f64> {
+        let homing = self.orders.is_homing();
+        if homing {
+            // The positions begin anew.
+            self.actual.reset();
+            self.demand.reset();
+            if self.orders.is_finding_home() {
+                self.asking.ask_reference();
+                self.inputs.referred = false;
+            }
+        }
+        let count = said.position.map(|raw| self.actual.next(raw));
+        if let Some(velocity) = said.velocity {
+            self.inputs.velocity = f64::from(velocity) * self.velocity_per_count;
+        } else if let Some(count) = count {
+            let velocity = self.inputs.velocity;
+            self.differ(count);
+            if homing {
+                let attained = said.status & !before.0 & StatusWord::MODE_12 != 0;
+                if attained || self.inputs.velocity.abs() > self.most_velocity {
+                    // No way was made by that.
+                    self.inputs.velocity = velocity;
+                }
+            }
+        }
+        self.last = count.map(|count| (count, self.sent_grid));
+        Some(count? as f64 * self.unit_per_count + self.units.offset)
+    }
+
+    /// The velocity of a drive that tells none: the way since the last exchange.
+    #[inline]
+    fn differ(&mut self, count: i64) {
+        let Some((last, grid)) = self.last else {
+            self.inputs.velocity = 0.0;
+            return;
+        };
+        let passed_ns = self.sent_grid.since(grid);
+        let way = (count - last) as f64;
+        if passed_ns == self.interval_ns {
+            self.inputs.velocity = way * self.rate;
+        } else if passed_ns > 0 {
+            self.inputs.velocity = way * self.unit_per_count * 1e9 / passed_ns as f64;
+        }
+    }
+
+    /// What is known of the fault that the status tells.
+    #[inline]
+    fn take_fault(&mut self, at: Time, said: Said) {
+        let inputs = &mut self.inputs;
+        if !matches!(inputs.state, State::Fault | State::FaultReactionActive) {
+            // One that no fault has followed by then names none that comes later.
+            let is_over = self.emergency.code != 0 && at.since(self.emergency_at) > self.named_within_ns;
+            if self.faulted_at.take().is_some() || is_over {
+                self.emergency = Emergency::default();
+            }
+            (inputs.fault, inputs.named, inputs.cold) = (0, false, false);
+            return;
+        }
+        let since = *self.faulted_at.get_or_insert(at);
+        let told = said.fault.filter(|code| *code != 0).unwrap_or(self.emergency.code);
+        let waited = at.since(since) > self.named_within_ns;
+        inputs.fault = if told == 0 && waited { ANY_ERROR } else { told };
+        inputs.named = inputs.fault != 0;
+        let clearing = Clearing::of(&self.emergency);
+        inputs.cold = matches!(clearing, Some(Clearing::ColdStart | Clearing::Never));
+    }
+}
+
+/// Its inputs have an actual position.
+pub(super) fn tells_position(drive: &KollmorgenDrive) -> bool {
+    let is_one =
+        |object| drive.inputs.entries.iter().any(|entry| entry.object == object && entry.kind.bytes() == 4);
+    is_one(POSITION) || is_one(INCREMENTS)
+}
+
+/// What is told of a drive below OP: it follows no setpoint.
+fn below_op(state: State) -> State {
+    match state {
+        State::OperationEnabled | State::QuickStopActive => State::SwitchedOn,
+        state => state,
+    }
+}
+
+#[cfg(test)]
+mod tests;

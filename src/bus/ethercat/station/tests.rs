@@ -1,0 +1,909 @@
+//! The station against the simulated drive, cycle by cycle, in virtual time: outputs, the drive, inputs, and its mailbox.
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use super::*;
+use crate::axis::{Failure, Jog, Link, Move, Profile, Row, Target, Verb};
+use crate::bus::ethercat::cia402::Mode;
+use crate::bus::ethercat::faults::Fault;
+use crate::bus::ethercat::object::{Family, Type, pdo};
+use crate::bus::ethercat::sim::{Drive, DriveSettings};
+use crate::bus::ethercat::slot::{Answer, Ask};
+use crate::bus::ethercat::start_up::start_up;
+use crate::bus::ethercat::wire::frame::Command;
+use crate::bus::ethercat::wire::mailbox::{Counter, SDO_SIZE, emit};
+use crate::bus::ethercat::wire::sdo::Request;
+use crate::bus::{NumberedRow, Order};
+use crate::time::S;
+
+const PERIOD: u64 = MS;
+const STOP: Verb = Verb::Stop { deceleration: None };
+const PROFILE: Profile = Profile { velocity: 1.0, acceleration: 10.0, deceleration: 10.0 };
+
+/// One drive, and the line in between.
+struct Rig {
+    drive: Drive,
+    station: Station,
+    native: Native,
+    plan: KollmorgenDrive,
+    slot: Slot,
+    now: Time,
+    al: AlState,
+    inputs: Vec<u8>,
+    outputs: Vec<u8>,
+    /// What waits in the drive's mailbox, and what was put into the other one.
+    mail: VecDeque<Vec<u8>>,
+    posted: [u8; SDO_SIZE],
+    /// Nothing comes back.
+    muted: bool,
+    rows: VecDeque<Row>,
+    row: u64,
+    fresh: bool,
+    restarted: bool,
+    /// Demands of positions, as they went out.
+    steepest: i32,
+}
+
+/// A drive of the S700 with these PDOs.
+fn planned(outputs: u16, inputs: u16) -> KollmorgenDrive {
+    let mut plan = KollmorgenDrive::new("x", 0, Family::S700);
+    for layout in pdo::fixed(Family::S700) {
+        match layout.pdo {
+            number if number == outputs => plan.outputs = layout,
+            number if number == inputs => plan.inputs = layout,
+            _ => {}
+        }
+    }
+    plan.fit();
+    plan
+}
+
+fn position() -> KollmorgenDrive {
+    planned(0x1701, 0x1B03)
+}
+
+fn velocity() -> KollmorgenDrive {
+    planned(0x1702, 0x1B03)
+}
+
+impl Rig {
+    /// In OP, and heard of.
+    fn new(plan: KollmorgenDrive) -> Rig {
+        Rig::with(plan, |_| {})
+    }
+
+    fn with(plan: KollmorgenDrive, change: impl FnOnce(&mut DriveSettings)) -> Rig {
+        let mut settings = DriveSettings::new(plan.family);
+        settings.position = 123_456;
+        change(&mut settings);
+        let (station, native, _) = Station::new(&plan, PERIOD * u64::from(plan.axis.divisor));
+        let mut rig = Rig {
+            drive: Drive::new(settings),
+            station,
+            native,
+            slot: Slot { due: true, link: Link::Online, ..Slot::default() },
+            now: Time(5 * S),
+            al: AlState::Init,
+            inputs: vec![0; plan.inputs.size()],
+            outputs: vec![0; plan.outputs.size()],
+            mail: VecDeque::new(),
+            posted: [0; SDO_SIZE],
+            muted: false,
+            rows: VecDeque::new(),
+            row: 0,
+            fresh: false,
+            restarted: false,
+            steepest: 0,
+            plan,
+        };
+        rig.bring_up();
+        rig.turns(20);
+        rig
+    }
+
+    /// What the line does until the drive is in OP.
+    fn bring_up(&mut self) {
+        self.station.operational(None, &mut self.slot);
+        self.station.service().open(false);
+        self.mail.clear();
+        let now = self.now;
+        self.drive.may_enter(now, AlState::PreOp).unwrap();
+        let mut counter = Counter::default();
+        for start in start_up(&self.plan, PERIOD) {
+            counter = counter.next();
+            let value = (start.raw as u32).to_le_bytes();
+            let request = Request::Download { object: start.object, value, length: start.kind.bytes() as u8 };
+            let (mut message, mut reply) = ([0; SDO_SIZE], Vec::new());
+            emit(&request, counter, &mut message);
+            assert!(self.drive.mailbox(&message, &mut reply));
+            assert_eq!(reply[8], 0x60, "{start:?}");
+        }
+        self.station.service().open(true);
+        self.drive.may_enter(now, AlState::SafeOp).unwrap();
+        let neutral = vec![0; self.outputs.len()];
+        for _ in 0..200 {
+            self.now = self.now + PERIOD;
+            self.drive.process(self.now, &neutral, &mut self.inputs);
+        }
+        self.drive.may_enter(self.now, AlState::Op).unwrap();
+        self.al = AlState::Op;
+        self.station.operational(Some(AlState::Op), &mut self.slot);
+    }
+
+    fn cycle(&self) -> Cycle {
+        let index = self.now.0 / PERIOD;
+        Cycle { index, grid: self.now, period_ns: PERIOD, deadline: self.now + PERIOD / 2 }
+    }
+
+    /// Builds the outputs, twice as often as not.
+    fn prepare(&mut self) {
+        let cycle = self.cycle();
+        if self.slot.order.verb == Some(Verb::Follow)
+            && let Some(row) = self.rows.front()
+        {
+            self.slot.row = Some(NumberedRow { number: self.row + 1, row: *row });
+        }
+        let before = self.setpoint();
+        self.station.prepare(&cycle, &mut self.slot, &mut self.outputs);
+        let built = self.outputs.clone();
+        self.station.prepare(&cycle, &mut self.slot, &mut self.outputs);
+        assert_eq!(built, self.outputs, "built again it is the same");
+        self.steepest = self.steepest.max(self.setpoint().wrapping_sub(before).saturating_abs());
+    }
+
+    fn setpoint(&self) -> i32 {
+        let entry = self.plan.outputs.places().find(|(_, entry)| entry.object != CONTROL_WORD).unwrap();
+        let bytes = entry.1.kind.bytes();
+        let mut raw = [0; 8];
+        raw[..bytes].copy_from_slice(&self.outputs[entry.0..entry.0 + bytes]);
+        entry.1.kind.number(u64::from_le_bytes(raw)) as i32
+    }
+
+    fn control(&self) -> u16 {
+        self.station.places.control(&self.outputs).unwrap()
+    }
+
+    /// One cycle. The inputs that come with a frame are those of before its outputs.
+    fn turn(&mut self) {
+        self.prepare();
+        self.send();
+        self.hear();
+    }
+
+    fn send(&mut self) {
+        let deadline = self.now + PERIOD / 2;
+        self.station.sent(self.now, deadline, &mut self.slot);
+        if !self.rows.is_empty() && self.slot.row.is_some() {
+            self.rows.pop_front();
+            self.row += 1;
+        }
+        self.mails();
+    }
+
+    fn hear(&mut self) {
+        let inputs = self.inputs.clone();
+        let at = self.now + 50_000;
+        if self.muted {
+            self.slot.counters.missed += 1;
+            self.slot.exchange = Exchange::Missed;
+        } else {
+            self.station.take(at, &inputs, self.al, &mut self.slot);
+            assert!(matches!(self.slot.exchange, Exchange::Answered { suspect: false, .. }));
+        }
+        self.fresh = std::mem::take(&mut self.slot.report.fresh);
+        self.restarted |= std::mem::take(&mut self.slot.report.restarted);
+        self.slot.report.emergency = None;
+        self.now = self.now + PERIOD;
+        let (none, outputs) = (Vec::new(), self.outputs.clone());
+        let driven = self.al == AlState::Op;
+        self.drive.process(self.now, if driven { &outputs } else { &none }, &mut self.inputs);
+        if self.drive.dropped().is_some() {
+            self.al = AlState::SafeOp;
+        }
+    }
+
+    fn turns(&mut self, count: u64) {
+        (0..count).for_each(|_| self.turn());
+    }
+
+    /// The acyclic slot of a frame.
+    fn mails(&mut self) {
+        let mut ask = Ask::default();
+        self.station.service().advance(self.now, self.slot.link);
+        self.station.service().ask(self.now, &mut ask);
+        let mut message = Vec::new();
+        if self.mail.is_empty() && self.drive.message(&mut message) {
+            self.mail.push_back(message.clone());
+        }
+        let came: Vec<_> = ask.datagrams().map(|(command, data)| self.carry(command, data)).collect();
+        let answer = |place: usize| {
+            let (working_counter, data) = came.get(place)?;
+            Some(Answer { working_counter: *working_counter, data })
+        };
+        let answers = if self.muted { [None, None] } else { [answer(0), answer(1)] };
+        self.station.service().heard(self.now, &answers, &mut self.slot.counters);
+        self.station.mailbox_heard(&mut self.slot);
+    }
+
+    fn carry(&mut self, command: Command, data: &[u8]) -> (u16, Vec<u8>) {
+        let [out, input] = self.plan.slave.mailbox.unwrap();
+        let mut data = data.to_vec();
+        match command {
+            Command::Fpwr(_, at) if (out.start..out.start + out.length).contains(&at) => {
+                let at = usize::from(at - out.start);
+                self.posted[at..at + data.len()].copy_from_slice(&data);
+                if at + data.len() == SDO_SIZE {
+                    let mut reply = Vec::new();
+                    if self.drive.mailbox(&self.posted, &mut reply) {
+                        self.mail.push_back(reply);
+                    }
+                }
+                (1, data)
+            }
+            Command::Fprd(_, at) if (input.start..input.start + input.length).contains(&at) => {
+                let at = usize::from(at - input.start);
+                let Some(message) = self.mail.front() else { return (0, data) };
+                for (place, byte) in data.iter_mut().zip(message.iter().skip(at)) {
+                    *place = *byte;
+                }
+                if at + data.len() == SDO_SIZE {
+                    self.mail.pop_front();
+                }
+                (1, data)
+            }
+            Command::Fprd(_, 0x080D) => {
+                data[0] = if self.mail.is_empty() { 0 } else { 1 << 3 };
+                (1, data)
+            }
+            _ => (1, data),
+        }
+    }
+
+    fn order(&mut self, verb: impl Into<Option<Verb>>) {
+        let verb = verb.into();
+        if let Some(Verb::Jog(jog)) = verb {
+            self.slot.velocity = jog.velocity;
+        }
+        self.slot.order = Order { serial: self.slot.order.serial + 1, verb };
+        self.slot.row = None;
+    }
+
+    fn end(&self) -> Option<Result<(), Failure>> {
+        self.slot.progress.end.filter(|_| self.slot.progress.serial == self.slot.order.serial)
+    }
+
+    fn until(&mut self, what: &str, most: u64, done: impl Fn(&Rig) -> bool) -> u64 {
+        for turn in 0..most {
+            if done(self) {
+                return turn;
+            }
+            self.turn();
+        }
+        panic!("not within {most} cycles: {what}; {:?}, {:?}", self.slot, self.station.orders);
+    }
+
+    fn run(&mut self, verb: Verb) -> Result<(), Failure> {
+        self.order(verb);
+        self.until(&format!("the end of {verb:?}"), 20_000, |rig| rig.end().is_some());
+        self.end().unwrap()
+    }
+
+    fn done(&mut self, verb: Verb) {
+        assert_eq!(self.run(verb), Ok(()), "{verb:?}");
+    }
+
+    fn enabled(plan: KollmorgenDrive) -> Rig {
+        let mut rig = Rig::new(plan);
+        rig.done(Verb::Enable);
+        rig
+    }
+
+    fn state(&self) -> State {
+        self.slot.report.state
+    }
+
+    fn by(way: f64) -> Verb {
+        Verb::Move(Move { target: Target::Relative(way), profile: PROFILE })
+    }
+
+    fn to(place: f64) -> Verb {
+        Verb::Move(Move { target: Target::Absolute(place), profile: PROFILE })
+    }
+
+    fn jog(velocity: f64) -> Verb {
+        Verb::Jog(Jog { velocity, acceleration: 10.0 })
+    }
+
+    /// It stands, and goes on standing, with power.
+    fn assert_standing(&mut self) {
+        self.turns(100);
+        for _ in 0..100 {
+            self.turn();
+            let report = self.slot.report;
+            assert!(!report.moving && report.velocity.abs() < 0.01, "{report:?}");
+            assert_eq!(self.drive.axis_state(), State::OperationEnabled);
+            assert!(self.drive.rpm().abs() < 1.0);
+        }
+    }
+}
+
+#[test]
+fn nothing_is_written_but_neutral_outputs_before_the_first_order() {
+    let mut rig = Rig::new(position());
+    assert!(!rig.station.wants_outputs());
+    rig.turns(100);
+    assert_eq!((rig.control(), rig.setpoint()), (0, 123_456));
+    assert_eq!(rig.state(), State::SwitchOnDisabled);
+    let report = rig.slot.report;
+    let place = 123_456.0 / f64::from(1 << 20);
+    assert!((report.position - place).abs() < 1e-9 && !report.moving && report.velocity == 0.0);
+    assert!(report.current.is_nan(), "its rated current is not known");
+    rig.order(None);
+    rig.turn();
+    assert_eq!((rig.end(), rig.control(), rig.station.wants_outputs()), (Some(Ok(())), 0, true));
+}
+
+#[test]
+fn enable_goes_from_state_to_state_each_seen() {
+    for plan in [velocity(), position(), planned(0x1703, 0x1B03)] {
+        let mut rig = Rig::new(plan);
+        rig.order(Verb::Enable);
+        let mut told = vec![];
+        while rig.end().is_none() {
+            rig.turn();
+            if told.last() != Some(&rig.control()) {
+                told.push(rig.control());
+            }
+        }
+        assert_eq!(rig.end(), Some(Ok(())));
+        assert_eq!(told, [6, 7, 0x0F]);
+        assert_eq!((rig.state(), rig.drive.axis_state()), (State::OperationEnabled, State::OperationEnabled));
+        rig.assert_standing();
+        rig.order(Verb::Enable);
+        rig.prepare();
+        assert_eq!((rig.end(), rig.control()), (Some(Ok(())), 0x0F), "it is on already");
+        rig.done(Verb::Disable);
+        assert_eq!((rig.control(), rig.drive.axis_state()), (0, State::SwitchOnDisabled));
+    }
+}
+
+#[test]
+fn a_jog_turns_the_motor_at_its_velocity_and_a_stop_ramps_it_down() {
+    for plan in [velocity(), position()] {
+        let mut rig = Rig::enabled(plan);
+        for jogged in [1.0, -2.0, 0.5] {
+            rig.order(Rig::jog(jogged));
+            rig.turns(600);
+            assert_eq!(rig.end(), None);
+            assert!((rig.slot.report.velocity - jogged).abs() < 0.02, "{:?}", rig.slot.report);
+            assert!((rig.drive.rpm() - 60.0 * jogged).abs() < 1.0, "{}", rig.drive.rpm());
+            assert!(rig.slot.report.moving);
+        }
+        rig.order(STOP);
+        let took = rig.until("standstill", 1_000, |rig| rig.end().is_some());
+        assert_eq!(rig.end(), Some(Ok(())));
+        assert!((45..100).contains(&took), "from 0.5 with 10: {took}");
+        rig.assert_standing();
+        rig.order(Rig::jog(1.0));
+        rig.turns(300);
+        rig.done(Verb::QuickStop);
+        rig.assert_standing();
+        rig.order(Rig::jog(1.0));
+        rig.turns(300);
+        assert!((rig.slot.report.velocity - 1.0).abs() < 0.02, "it goes on as if nothing had been");
+    }
+}
+
+#[test]
+fn moves_end_exactly_where_they_should_without_a_leap() {
+    let mut rig = Rig::enabled(position());
+    rig.steepest = 0;
+    let at = rig.slot.report.demand;
+    for (verb, should) in
+        [(Rig::by(1.5), at + 1.5), (Rig::by(-3.0), at - 1.5), (Rig::to(5.0), 5.0), (Rig::by(0.0), 5.0)]
+    {
+        rig.done(verb);
+        assert!((rig.slot.report.demand - should).abs() < 1e-6, "{verb:?}: {}", rig.slot.report.demand);
+        assert!(rig.slot.report.in_target || rig.slot.report.velocity.abs() > 0.0);
+        rig.turns(100);
+        assert!((rig.slot.report.position - should).abs() < 1e-4 && rig.slot.report.in_target);
+    }
+    let most = (1.0 / 1000.0 * f64::from(1 << 20)) as i32 + 2;
+    assert!(rig.steepest <= most, "a step of {}", rig.steepest);
+}
+
+#[test]
+fn a_move_that_is_replaced_before_it_goes_out_never_was() {
+    let mut rig = Rig::enabled(position());
+    let at = rig.slot.report.demand;
+    rig.order(Rig::by(10.0));
+    rig.prepare();
+    rig.order(Rig::by(0.5));
+    rig.prepare();
+    rig.order(None);
+    rig.prepare();
+    rig.send();
+    rig.hear();
+    rig.turns(300);
+    assert_eq!((rig.slot.report.demand, rig.end()), (at, Some(Ok(()))));
+    // Nor does power go off for a disable that another order replaces in time.
+    rig.order(Rig::by(10.0));
+    rig.turns(300);
+    rig.order(Verb::Disable);
+    rig.prepare();
+    assert_eq!(rig.control(), 0);
+    rig.done(STOP);
+    rig.assert_standing();
+    rig.done(Rig::to(at));
+    // And one that runs is replaced where it is.
+    rig.order(Rig::by(10.0));
+    rig.turns(300);
+    rig.done(Rig::to(at));
+    assert!((rig.slot.report.demand - at).abs() < 1e-6);
+}
+
+#[test]
+fn rows_are_followed_to_the_last_one_an_exchange() {
+    let mut rig = Rig::enabled(position());
+    let at = rig.slot.report.demand;
+    for n in 1..=300_u32 {
+        let phase = f64::from(n) / 300.0;
+        let place = at + 0.2 * phase * phase * (3.0 - 2.0 * phase);
+        rig.rows.push_back(Row { position: place, last: n == 300, ..Row::default() });
+    }
+    rig.order(Verb::Follow);
+    rig.until("the end", 1_000, |rig| rig.end().is_some());
+    assert_eq!(rig.end(), Some(Ok(())));
+    assert!(rig.rows.is_empty());
+    assert!((rig.slot.report.demand - at - 0.2).abs() < 1e-6);
+    rig.assert_standing();
+    // In the middle of rows a stop ramps down.
+    for n in 1..=300_u32 {
+        let place = at + 0.2 + 0.001 * f64::from(n);
+        rig.rows.push_back(Row { position: place, last: false, ..Row::default() });
+    }
+    rig.order(Verb::Follow);
+    rig.turns(200);
+    rig.rows.clear();
+    rig.steepest = 0;
+    rig.done(STOP);
+    assert!(rig.steepest < 1_200, "{}", rig.steepest);
+    rig.assert_standing();
+}
+
+#[test]
+fn what_it_cannot_do_is_refused_at_once_by_name() {
+    let unsupported = |rig: &mut Rig, verb| {
+        rig.order(verb);
+        rig.prepare();
+        matches!(rig.end(), Some(Err(Failure::Unsupported(_))))
+    };
+    let mut rig = Rig::enabled(velocity());
+    assert!(unsupported(&mut rig, Rig::by(1.0)) && unsupported(&mut rig, Verb::Follow));
+    let mut rig = Rig::enabled(planned(0x1703, 0x1B03));
+    assert!(unsupported(&mut rig, Rig::jog(1.0)) && unsupported(&mut rig, Rig::by(1.0)));
+    let mut plan = velocity();
+    plan.slave.watchdog_ns = None;
+    let mut rig = Rig::enabled(plan);
+    assert!(unsupported(&mut rig, Rig::jog(1.0)));
+    rig.assert_standing();
+    // A position is held, and a velocity may be accepted.
+    for mut plan in [position(), velocity()] {
+        plan.slave.watchdog_ns = None;
+        plan.accept_no_watchdog = plan.setpoint() != position().setpoint();
+        let mut rig = Rig::enabled(plan);
+        rig.order(Rig::jog(1.0));
+        rig.turns(300);
+        assert!((rig.slot.report.velocity - 1.0).abs() < 0.02);
+    }
+    let mut plan = velocity();
+    plan.outputs.entries.retain(|entry| entry.object != CONTROL_WORD);
+    let mut station = Station::new(&plan, PERIOD).0;
+    let mut slot = Slot { order: Order { serial: 1, verb: Some(Verb::Enable) }, ..Slot::default() };
+    let cycle = Cycle { index: 0, grid: Time(0), period_ns: PERIOD, deadline: Time(1) };
+    station.prepare(&cycle, &mut slot, &mut [0; 6]);
+    assert!(matches!(slot.progress.end, Some(Err(Failure::Unsupported(_)))));
+}
+
+#[test]
+fn a_torque_follows_its_slope_and_its_side() {
+    for side in [1, -1] {
+        let mut plan = planned(0x1703, 0x1B03);
+        plan.axis.units.counts_per_unit *= f64::from(side);
+        plan.axis.limits.torque = Some(8.0);
+        plan.scaling.permille_per_count = 0.5;
+        let mut rig = Rig::enabled(plan);
+        assert_eq!((rig.setpoint(), rig.control()), (0, 0x0F), "it is enabled without a torque");
+        rig.slot.torque = 2.0;
+        rig.steepest = 0;
+        rig.order(Verb::Torque { slope: 50.0 });
+        rig.turns(10);
+        assert_eq!(rig.setpoint(), side * 10, "a count is half a per mille");
+        rig.turns(100);
+        assert_eq!((rig.setpoint(), rig.end()), (side * 40, None));
+        assert!(rig.slot.report.moving);
+        rig.slot.torque = -30.0;
+        rig.turns(500);
+        assert_eq!((rig.setpoint(), rig.steepest), (side * -160, 1), "its limit");
+        rig.slot.torque = f64::NAN;
+        rig.turn();
+        assert_eq!(rig.end(), Some(Err(Failure::NotFinite)));
+    }
+}
+
+#[test]
+fn a_stop_takes_the_torque_away_and_halts_what_turns() {
+    let turning = |slope: f64| {
+        let mut rig = Rig::enabled(planned(0x1703, 0x1B03));
+        rig.slot.torque = 5.0;
+        rig.order(Verb::Torque { slope });
+        rig.turns((5_000.0 / slope) as u64 + 200);
+        assert!(rig.slot.report.velocity > 1.0 && rig.setpoint() == 50, "{:?}", rig.slot.report);
+        rig
+    };
+    // Along its slope, but not for longer than 100 ms.
+    for (slope, most) in [(100.0, 50), (10.0, 100)] {
+        let mut rig = turning(slope);
+        rig.steepest = 0;
+        rig.order(STOP);
+        let took = rig.until("no torque", 200, |rig| rig.setpoint() == 0);
+        assert!((most - 2..=most + 2).contains(&took), "{took}");
+        assert_eq!((rig.steepest, rig.end()), (1, None));
+        rig.until("a halt", 5, |rig| rig.control() == 0x10F);
+        rig.until("the end", 500, |rig| rig.end().is_some());
+        assert_eq!((rig.end(), rig.slot.report.moving), (Some(Ok(())), false));
+        rig.turn();
+        assert_eq!((rig.setpoint(), rig.control()), (0, 0x0F), "then it is free");
+        rig.assert_standing();
+    }
+    let mut rig = turning(100.0);
+    rig.order(Verb::QuickStop);
+    rig.prepare();
+    assert_eq!((rig.setpoint(), rig.control()), (0, 0x10F), "at once");
+    rig.done(Verb::QuickStop);
+    rig.assert_standing();
+    // What it cannot do does not let it turn on, and the next torque ends the halt.
+    let mut rig = turning(100.0);
+    assert!(matches!(rig.run(Rig::jog(1.0)), Err(Failure::Unsupported(_))));
+    rig.turns(500);
+    assert!(!rig.slot.report.moving && rig.drive.rpm().abs() < 1.0);
+    rig.order(Verb::Torque { slope: 100.0 });
+    rig.turns(300);
+    assert!(rig.slot.report.velocity > 1.0 && rig.control() == 0x0F);
+    rig.done(Verb::Home);
+    assert!(rig.drive.is_homed());
+    rig.assert_standing();
+    let mut rig = turning(100.0);
+    rig.done(Verb::Disable);
+    assert_eq!((rig.setpoint(), rig.control()), (0, 0));
+}
+
+#[test]
+fn a_halt_that_is_not_over_ends_with_the_next_motion() {
+    for plan in [velocity(), position()] {
+        let mut rig = Rig::enabled(plan);
+        rig.order(Rig::jog(3.0));
+        rig.turns(600);
+        rig.order(Verb::QuickStop);
+        rig.turns(5);
+        assert_eq!(rig.control(), 0x10F);
+        rig.order(Rig::jog(2.0));
+        for _ in 0..500 {
+            rig.turn();
+            assert!(rig.drive.rpm().abs() < 3.1 * 60.0, "it does not make up for what it was held up");
+        }
+        assert!((rig.slot.report.velocity - 2.0).abs() < 0.02 && rig.control() == 0x0F);
+    }
+}
+
+#[test]
+fn a_drive_found_running_goes_on_until_it_is_stopped_along_a_ramp() {
+    for plan in [velocity(), position()] {
+        let mut rig = Rig::enabled(plan.clone());
+        rig.order(Rig::jog(1.0));
+        rig.turns(500);
+        // Another master, that knows nothing: it only looks on.
+        let (mut second, native, _) = Station::new(&plan, PERIOD);
+        let mut slot = Slot { link: Link::Online, ..Slot::default() };
+        second.operational(Some(AlState::Op), &mut slot);
+        for _ in 0..50 {
+            second.prepare(&rig.cycle(), &mut slot, &mut [0; 6]);
+            assert!(!second.wants_outputs());
+            second.sent(rig.now, rig.now + PERIOD / 2, &mut slot);
+            second.take(rig.now + 50_000, &rig.inputs, AlState::Op, &mut slot);
+            rig.turn();
+        }
+        second.service().open(true);
+        (rig.station, rig.native, rig.slot) = (second, native, slot);
+        assert!(rig.slot.report.moving && (rig.slot.report.velocity - 1.0).abs() < 0.02);
+        rig.order(None);
+        rig.turns(100);
+        assert_eq!((rig.end(), rig.control()), (Some(Ok(())), 0x0F));
+        assert!((rig.slot.report.velocity - 1.0).abs() < 0.02, "{:?}", rig.slot.report);
+        let mut before = rig.slot.report.velocity;
+        rig.order(STOP);
+        while rig.end().is_none() {
+            rig.turn();
+            let velocity = rig.slot.report.velocity;
+            assert!((velocity - before).abs() < 0.2, "{velocity} behind {before}");
+            before = velocity;
+            assert_eq!(rig.drive.axis_state(), State::OperationEnabled, "its power stays on");
+        }
+        assert_eq!(rig.end(), Some(Ok(())));
+        rig.assert_standing();
+    }
+}
+
+#[test]
+fn homing_is_done_by_the_drive_in_its_own_mode_and_without_a_leap_of_the_velocity() {
+    for plan in [position(), velocity()] {
+        let mut rig = Rig::enabled(plan);
+        assert!(!rig.slot.report.homed);
+        rig.order(Verb::Home);
+        rig.until("home", 20_000, |rig| {
+            assert!(rig.slot.report.velocity.abs() < 2.0, "{:?}", rig.slot.report);
+            assert!(rig.drive.rpm().abs() < 90.0, "the motor leaps: {}", rig.drive.rpm());
+            rig.end().is_some()
+        });
+        assert_eq!(rig.end(), Some(Ok(())));
+        rig.turns(50);
+        assert!(rig.slot.report.homed && rig.drive.is_homed());
+        assert!(rig.slot.report.position.abs() < 1e-2, "{:?}", rig.slot.report);
+        rig.assert_standing();
+        rig.order(Rig::jog(1.0));
+        rig.turns(500);
+        assert!((rig.slot.report.velocity - 1.0).abs() < 0.02, "{:?}", rig.slot.report);
+        rig.done(STOP);
+    }
+}
+
+#[test]
+fn an_akd_interpolates_with_its_bit_and_homes_by_an_edge_of_it() {
+    let mut plan = KollmorgenDrive::new("x", 0, Family::Akd);
+    let fixed = |number| pdo::fixed(Family::Akd).into_iter().find(|layout| layout.pdo == number).unwrap();
+    (plan.outputs, plan.inputs) = (fixed(0x1701), fixed(0x1B01));
+    plan.fit();
+    plan.slave.mailbox = position().slave.mailbox;
+    let mut rig = Rig::enabled(plan);
+    assert_eq!(rig.control(), 0x1F);
+    rig.done(Rig::by(0.5));
+    rig.done(Verb::Home);
+    rig.turns(50);
+    assert!(rig.slot.report.homed && rig.slot.report.position.abs() < 1e-2);
+    rig.done(Rig::to(1.0));
+    rig.assert_standing();
+    assert!((rig.slot.report.position - 1.0).abs() < 1e-4);
+}
+
+#[test]
+fn a_homing_that_is_stopped_or_fails_leads_back_to_its_own_mode() {
+    for stop in [STOP, Verb::QuickStop] {
+        let mut rig = Rig::enabled(position());
+        rig.order(Verb::Home);
+        rig.turns(200);
+        assert!(rig.slot.report.moving, "{:?}", rig.station.orders);
+        rig.done(stop);
+        rig.assert_standing();
+        assert!(!rig.slot.report.homed);
+        rig.done(Rig::by(0.1));
+    }
+    let mut plan = position();
+    plan.home_method = Some(1);
+    let mut rig = Rig::with(plan, |settings| settings.home_turns = None);
+    rig.done(Verb::Enable);
+    assert!(matches!(rig.run(Verb::Home), Err(Failure::Unsupported(why)) if why.contains("homing error")));
+    rig.assert_standing();
+    rig.done(Rig::by(0.1));
+}
+
+#[test]
+fn a_fault_ends_the_motion_by_its_number_and_is_reset_to_power_off() {
+    for plan in [velocity(), position()] {
+        let mut rig = Rig::enabled(plan);
+        rig.order(Rig::jog(1.0));
+        rig.turns(200);
+        rig.drive.provoke(Fault::OVERVOLTAGE);
+        rig.until("its end", 300, |rig| rig.end().is_some());
+        assert_eq!(rig.end(), Some(Err(Failure::DriveFault(0x3110))));
+        assert_eq!(rig.slot.report.fault, 0x3110);
+        rig.until("standstill", 500, |rig| rig.state() == State::Fault);
+        assert_eq!(rig.run(Verb::Enable), Err(Failure::DriveFault(0x3110)));
+        rig.done(Verb::ResetFault);
+        assert_eq!((rig.state(), rig.slot.report.fault), (State::SwitchOnDisabled, 0));
+        rig.turns(300);
+        assert_eq!(rig.drive.axis_state(), State::SwitchOnDisabled, "a reset never switches on");
+        rig.done(Verb::Enable);
+        rig.assert_standing();
+    }
+    let mut rig = Rig::enabled(velocity());
+    rig.drive.provoke(Fault::EARTH);
+    rig.turns(200);
+    assert!(
+        matches!(rig.run(Verb::ResetFault), Err(Failure::Unsupported(why)) if why.contains("cold start"))
+    );
+}
+
+#[test]
+fn a_missing_hardware_enable_is_named() {
+    let mut rig = Rig::new(velocity());
+    rig.drive.inhibit(rig.now + 2 * S);
+    assert_eq!(rig.run(Verb::Enable), Err(Failure::Inhibited));
+    assert!(rig.slot.report.inhibited);
+    rig.turns(2_500);
+    assert!(!rig.slot.report.inhibited, "only telling it again will show whether it is back");
+    rig.done(Verb::Enable);
+    rig.order(Rig::jog(1.0));
+    rig.turns(200);
+    rig.drive.inhibit(rig.now + S);
+    rig.until("its end", 100, |rig| rig.end().is_some());
+    assert!(matches!(rig.end(), Some(Err(Failure::Dropped(_)))) && rig.slot.report.inhibited);
+    rig.turns(2_000);
+    assert!(!rig.state().is_powered(), "it does not come back by itself");
+}
+
+#[test]
+fn a_drive_that_falls_to_safeop_is_not_told_as_enabled_and_does_not_come_back_by_itself() {
+    let mut rig = Rig::enabled(velocity());
+    rig.order(Rig::jog(1.0));
+    rig.turns(200);
+    rig.drive.may_enter(rig.now, AlState::SafeOp).unwrap();
+    rig.al = AlState::SafeOp;
+    rig.turn();
+    assert!(!matches!(rig.state(), State::OperationEnabled | State::QuickStopActive), "{:?}", rig.state());
+    rig.turn();
+    assert!(matches!(rig.end(), Some(Err(Failure::Dropped(_)))), "{:?}", rig.end());
+    rig.turns(300);
+    rig.drive.may_enter(rig.now, AlState::Op).unwrap();
+    rig.al = AlState::Op;
+    rig.station.operational(Some(AlState::Op), &mut rig.slot);
+    for _ in 0..300 {
+        rig.turn();
+        assert!(!rig.state().is_powered());
+    }
+    rig.done(Verb::Enable);
+    rig.assert_standing();
+}
+
+#[test]
+fn a_restart_is_told_and_what_ran_has_ended() {
+    let mut rig = Rig::enabled(position());
+    rig.done(Verb::Home);
+    rig.order(Rig::by(100.0));
+    rig.turns(300);
+    rig.drive.restart(rig.now);
+    rig.station.restarted();
+    rig.bring_up();
+    rig.turns(100);
+    assert!(rig.restarted && matches!(rig.end(), Some(Err(Failure::Dropped(_)))));
+    assert_eq!((rig.control(), rig.slot.report.homed), (0, false));
+    assert!(rig.slot.report.velocity.abs() < 2.0);
+    rig.done(Verb::Enable);
+    rig.done(Rig::by(0.1));
+}
+
+#[test]
+fn a_jog_ends_at_the_position_limit() {
+    for (plan, near) in [(position(), 1e-6), (velocity(), 0.05)] {
+        let mut plan = plan;
+        plan.axis.limits.position = Some((-1.0, 1.0));
+        let mut rig = Rig::enabled(plan);
+        rig.done(Verb::Home);
+        rig.turns(50);
+        for direction in [1.0, -1.0] {
+            let end = rig.run(Rig::jog(direction));
+            assert!(matches!(end, Err(Failure::Limit { what: "position", .. })), "{end:?}");
+            let place = rig.slot.report.demand * direction;
+            assert!(place <= 1.0 + near && place > 1.0 - near, "{place}");
+            rig.assert_standing();
+            rig.order(Rig::jog(direction));
+            rig.prepare();
+            assert!(matches!(rig.end(), Some(Err(Failure::Limit { .. }))), "further is refused");
+        }
+    }
+    let mut plan = position();
+    plan.axis.limits.position = Some((-1.0, 1.0));
+    let mut rig = Rig::enabled(plan);
+    assert!(matches!(rig.run(Rig::by(2.0)), Err(Failure::Limit { .. })));
+    rig.assert_standing();
+}
+
+#[test]
+fn orders_with_a_time_limit_end_even_if_nobody_answers() {
+    for verb in [Verb::Enable, Verb::Disable, Verb::Home] {
+        let mut plan = position();
+        plan.axis.enable_timeout = Duration::from_millis(200);
+        plan.axis.home_timeout = Duration::from_millis(200);
+        let mut rig = Rig::new(plan);
+        rig.muted = true;
+        rig.order(verb);
+        rig.until("an end", 300, |rig| rig.end().is_some());
+        assert!(matches!(rig.end(), Some(Err(Failure::TimedOut(_)))), "{verb:?}: {:?}", rig.end());
+    }
+}
+
+#[test]
+fn an_order_is_not_done_by_what_was_heard_before_it() {
+    for (first, second, powered) in [
+        (Verb::Disable, Verb::Enable, true),
+        (Verb::Disable, STOP, false),
+        (Verb::Disable, Verb::QuickStop, false),
+    ] {
+        let mut rig = Rig::enabled(velocity());
+        rig.muted = true;
+        rig.order(first);
+        rig.turns(1);
+        rig.order(second);
+        rig.muted = false;
+        rig.until("an end", 1_000, |rig| rig.end().is_some());
+        assert_eq!(rig.end(), Some(Ok(())), "{second:?}");
+        assert_eq!(rig.drive.axis_state().is_powered(), powered, "{second:?}");
+        rig.turns(300);
+        assert_eq!(rig.drive.axis_state().is_powered(), powered, "{second:?}");
+    }
+}
+
+#[test]
+fn native_outputs_go_out_as_they_are_and_the_master_keeps_its_control_word() {
+    let mut rig = Rig::enabled(velocity());
+    rig.order(Verb::Native(NativeOwner::Master));
+    rig.turns(5);
+    assert!(rig.native.inputs().running);
+    let rpm = 60.0;
+    let count = (rpm / rig.plan.scaling.rpm_per_count) as i64;
+    let output = rig.native.output(&[(Object::new(0x606B, 0), count)]).unwrap();
+    rig.native.write(output).unwrap();
+    rig.turns(500);
+    assert_eq!(rig.control(), 0x0F);
+    assert!((rig.drive.rpm() - rpm).abs() < 1.0, "{}", rig.drive.rpm());
+    rig.done(STOP);
+    rig.assert_standing();
+    rig.order(Verb::Native(NativeOwner::Application));
+    rig.turns(5);
+    let output = rig.native.output(&[(CONTROL_WORD, 7)]).unwrap();
+    rig.native.write(output).unwrap();
+    rig.turns(5);
+    assert_eq!(rig.native.inputs().get(STATUS_WORD).unwrap() & 0x6F, 0x23);
+    assert_eq!((rig.end(), rig.drive.axis_state()), (None, State::SwitchedOn));
+    rig.done(Verb::Disable);
+}
+
+#[test]
+fn objects_are_shown_in_turns_and_a_refusal_is_told_once() {
+    let mut plan = velocity();
+    plan.show[0] = Some((Object::new(0x6061, 0), Type::I8));
+    plan.show[2] = Some((Object::new(0x5FFF, 0), Type::I32));
+    plan.show[3] = Some((Object::new(0x1018, 1), Type::U32));
+    let mut rig = Rig::new(plan);
+    let (mut refusals, mut shown) = (0, 0);
+    for _ in 0..1_000 {
+        rig.turn();
+        refusals +=
+            u32::from(rig.slot.report.monitor_refused.take().is_some_and(|(channel, _)| channel == 2));
+        shown += u32::from(std::mem::take(&mut rig.slot.report.monitor_fresh));
+    }
+    let mode = f64::from(Mode::DIGITAL_VELOCITY.0);
+    assert_eq!(rig.slot.report.monitor, [Some(mode), None, None, Some(106.0)]);
+    assert_eq!(refusals, 1);
+    assert!((20..=100).contains(&shown), "{shown}");
+}
+
+#[test]
+fn a_slot_that_is_passed_over_is_made_up_for_but_a_pause_is_not() {
+    let mut rig = Rig::enabled(position());
+    rig.order(Rig::by(10.0));
+    rig.turns(300);
+    rig.steepest = 0;
+    rig.turns(1);
+    let usual = rig.steepest;
+    for (passed, most) in [(1, 2), (50, 2)] {
+        rig.now = rig.now + passed * PERIOD;
+        let before = rig.setpoint();
+        rig.prepare();
+        let step = rig.setpoint() - before;
+        assert!(step <= most * usual + 2 && step > usual, "{step} after {passed}");
+        rig.send();
+        rig.hear();
+        rig.al = AlState::Op;
+    }
+}
