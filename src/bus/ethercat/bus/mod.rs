@@ -1,0 +1,625 @@
+//! All slaves of one line behind one interface: stations, devices and their frames, as a [`Bus`].
+//!
+//! | file | what |
+//! |---|---|
+//! | `mod` | the frames on their way, and the bus |
+//! | `seats` | those behind the members of the line: drives and devices |
+//! | `notes` | why one is not in operation |
+
+mod notes;
+mod seats;
+
+use std::any::Any;
+use std::io::ErrorKind;
+use std::os::fd::RawFd;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU8, Ordering};
+
+use self::notes::{DOWN, NOTHING_BACK, SlaveNotes, WELL};
+use self::seats::{DeviceSeat, Seats};
+use super::counters::{OWN, Own};
+use super::faults;
+use super::image::{Image, Mark, Read};
+use super::line::{Back, Line, Sent};
+use super::native::{Native, Terminals, terminals};
+use super::object::Objects;
+use super::plan::{EthercatPlan, KollmorgenDrive, Owner, Setpoint};
+use super::service::Service;
+use super::sim::EthercatSim;
+use super::start_up::{last_written, start_up, verify, verify_found};
+use super::station::Station;
+use super::wire::frame::{ETHERTYPE, FRAME_MAX, FrameError, datagrams};
+use crate::axis::acyclic::{self, AcyclicEnds, Notation};
+use crate::axis::cell;
+use crate::axis::feedback::MONITOR_CHANNELS;
+use crate::axis::{AxisPlan, FaultNames, Feedback, FoundRunning, Link, MonitorChannel, Observer, PlanFault};
+use crate::bus::{
+    Bus, BusClock, BusPlan, Counters, Cycle, Exchange, Notes, OpenError, OwnCounter, Slot, Strangers,
+};
+use crate::net::frames::Unsent;
+use crate::net::{Carriers, Frames};
+use crate::rt::Regions;
+use crate::sim::{SimDrive, SimLine};
+use crate::time::{Time, US};
+
+/// Frames that are remembered: one that comes back later is not known any more.
+const KNOWN: usize = 256;
+/// The logical addresses of masters that are started one after the other: each has others, so that what an earlier one has left behind
+/// in a slave takes no part.
+const LOGICAL: u32 = 0x1000_0000;
+const LOGICAL_EACH: u32 = 0x8_0000;
+const LOGICAL_COUNT: u64 = 0x1800;
+/// Calls for the objects of a device that may wait.
+const DEVICE_CALLS: usize = 64;
+/// Frames that are taken in at once beyond those that are due.
+const MORE_AT_ONCE: usize = 4;
+/// So many cycles in a row without a frame that comes back are no accident.
+const SILENT: u8 = 100;
+/// The bit of an Ethernet address that the first slave sets in passing.
+const PASSED: u8 = 1 << 1;
+
+/// A line of drives and devices.
+pub struct EthercatBus {
+    name: String,
+    net: Box<dyn Frames>,
+    source: [u8; 6],
+    image: Image,
+    line: Line,
+    crew: Seats,
+    /// Names this master in its frames, and counts them.
+    mark: Mark,
+    /// What became of the last frames, each in the place of its number.
+    known: Box<[Known; KNOWN]>,
+    /// Of each frame of the image: when it was sent, and whether it is still under way.
+    flights: Box<[Flight]>,
+    room: Box<[u8]>,
+    /// The first frame is prepared for the next send.
+    prepared: bool,
+    /// The line is on its way down: it owes no exchanges any more.
+    ending: bool,
+    /// How it is with the wire, for normal threads; and the cycles in a row from which nothing came back.
+    wire: Arc<AtomicU8>,
+    silent: u8,
+    interface: String,
+    strangers: Strangers,
+    natives: Vec<Option<Native>>,
+    acyclics: Vec<Option<AcyclicEnds>>,
+    devices: Vec<Option<Terminals>>,
+    device_acyclics: Vec<Option<(AcyclicEnds, Observer)>>,
+}
+
+/// A frame that was sent.
+#[derive(Clone, Copy, Debug, Default)]
+struct Known {
+    number: Option<u32>,
+    frame: u8,
+    answered: bool,
+}
+
+/// A frame of the image on its way: sent and not yet back, back, or not sent at all.
+#[derive(Clone, Copy, Debug, Default)]
+struct Flight {
+    number: u32,
+    sent: Option<Sent>,
+    back: bool,
+}
+
+impl std::fmt::Debug for EthercatBus {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("EthercatBus")
+            .field("name", &self.name)
+            .field("line", &self.line)
+            .finish_non_exhaustive()
+    }
+}
+
+impl EthercatBus {
+    /// Opens the interface of `plan`, which is free of faults, for a cycle of `period_ns`.
+    pub fn open(
+        plan: &EthercatPlan,
+        period_ns: u64,
+        carriers: &dyn Carriers,
+    ) -> Result<EthercatBus, OpenError> {
+        let mut net = carriers.frames(&plan.interface, ETHERTYPE).map_err(|source| OpenError::Interface {
+            bus: plan.name.clone(),
+            interface: plan.interface.clone(),
+            remedy: remedy(&source),
+            source,
+        })?;
+        let mut plan = plan.clone();
+        for drive in &mut plan.drives {
+            drive.slave.start_up = start_up(drive, period_ns);
+            drive.slave.verify = verify(drive);
+            drive.slave.verify_found = verify_found(drive);
+        }
+        for device in &mut plan.devices {
+            device.slave.verify_found = last_written(&device.slave.start_up);
+        }
+        let mut source = net.mac();
+        source[0] &= !PASSED;
+        let slaves = plan.slaves();
+        let clock = slaves.iter().any(|(_, slave)| slave.sync);
+        let broken = || OpenError::Plan { bus: plan.name.clone(), drive: plan.name.clone() };
+        let begun = net.now();
+        let base = LOGICAL + (begun.0 / US % LOGICAL_COUNT) as u32 * LOGICAL_EACH;
+        let (image, spots) = Image::new(&slaves, base, source, clock, plan.lrw).ok_or_else(broken)?;
+        let spot = |owner: Owner| {
+            let member = slaves.iter().position(|(other, _)| *other == owner).unwrap_or_default();
+            (member, spots.get(member).cloned().unwrap_or_default())
+        };
+        let mut device_acyclics = Vec::new();
+        let (mut crew, mut natives, mut acyclics, mut devices) = (
+            Seats {
+                stations: Vec::new(),
+                built: Vec::new(),
+                spots: Vec::new(),
+                members: Vec::new(),
+                devices: Vec::new(),
+            },
+            Vec::new(),
+            Vec::new(),
+            Vec::new(),
+        );
+        for (index, drive) in plan.drives.iter().enumerate() {
+            let interval_ns = period_ns.saturating_mul(u64::from(drive.axis.divisor));
+            let (station, native, acyclic) = Station::new(drive, interval_ns);
+            let (member, spot) = spot(Owner::Drive(index));
+            crew.stations.push(station);
+            crew.built.push(false);
+            crew.members.push(member);
+            crew.spots.push(spot);
+            natives.push(Some(native));
+            acyclics.push(Some(acyclic));
+        }
+        for (index, device) in plan.devices.iter().enumerate() {
+            let slave = &device.slave;
+            let (application, port) = terminals(slave.outputs.length.into(), slave.inputs.length.into());
+            let (ends, calls) = acyclic::queue(DEVICE_CALLS);
+            let (reached, reader) = cell::cell(Feedback::default());
+            device_acyclics.push(Some((ends, Observer(reader))));
+            crew.devices.push(DeviceSeat {
+                service: Service::new(slave, Some(calls)),
+                reached,
+                port,
+                spot: spot(Owner::Device(index)).1,
+                operational: false,
+            });
+            devices.push(Some(application));
+        }
+        let turn_ns = period_ns.saturating_mul(slaves.len() as u64);
+        crew.stations.iter_mut().for_each(|station| station.set_turn(turn_ns));
+        crew.devices.iter_mut().for_each(|device| device.service.set_turn(turn_ns));
+        let line = Line::new(&plan, spots, period_ns);
+        Ok(EthercatBus {
+            name: plan.name.clone(),
+            net,
+            source,
+            flights: vec![Flight::default(); image.frames().len()].into(),
+            image,
+            line,
+            crew,
+            mark: Mark { master: (begun.0 ^ begun.0 >> 32) as u32, number: 0 },
+            known: Box::new([Known::default(); KNOWN]),
+            room: Box::new([0; FRAME_MAX]),
+            prepared: false,
+            ending: false,
+            wire: Arc::default(),
+            silent: 0,
+            interface: plan.interface.clone(),
+            strangers: Strangers::default(),
+            natives,
+            acyclics,
+            devices,
+            device_acyclics,
+        })
+    }
+
+    /// Takes in what has come, a bounded part of a flood. Once all that was sent is back, nothing is waited for, and it is not asked
+    /// whether there is more: that would be a system call in each cycle. What there is is taken in with the next frames.
+    fn take_in(&mut self, in_window: bool, slots: &mut [Slot]) {
+        for _ in 0..self.flights.len() + MORE_AT_ONCE {
+            let Some((at, length)) = self.net.receive(&mut self.room) else { return };
+            self.take(at, length, in_window, slots);
+            if self.is_back() {
+                return;
+            }
+        }
+    }
+
+    /// All frames that were sent last were sent, and are back.
+    fn is_back(&self) -> bool {
+        self.flights.iter().all(|flight| flight.back)
+    }
+
+    /// One frame.
+    fn take(&mut self, at: Time, length: usize, in_window: bool, slots: &mut [Slot]) {
+        // Out of the bus's hands while it is looked at.
+        let room = std::mem::take(&mut self.room);
+        match room.get(..length) {
+            Some(received) => self.sort(at, received, in_window, slots),
+            // Longer than any frame.
+            None => self.strangers.datagrams += 1,
+        }
+        self.room = room;
+    }
+
+    /// Whose frame it is, and which one.
+    fn sort(&mut self, at: Time, received: &[u8], in_window: bool, slots: &mut [Slot]) {
+        let number = match own_number(received, &self.source, self.mark.master) {
+            Ok(number) => number,
+            Err(Stranger::Foreign) => {
+                self.strangers.datagrams += 1;
+                return;
+            }
+            Err(Stranger::Unknown) => return self.count(None, slots, |counters| counters.foreign += 1),
+            // Of which frame it was, nobody can tell.
+            Err(Stranger::Broken) => return self.count(None, slots, |counters| counters.malformed += 1),
+        };
+        let place = number as usize % KNOWN;
+        let known = self.known[place];
+        if known.number != Some(number) {
+            return self.count(None, slots, |counters| counters.foreign += 1);
+        }
+        let frame = usize::from(known.frame);
+        if known.answered {
+            return self.count(Some(frame), slots, |counters| counters.duplicate += 1);
+        }
+        let flight = self.flights[frame];
+        let Some(sent) = flight.sent.filter(|_| flight.number == number) else {
+            self.known[place].answered = true;
+            return self.count(Some(frame), slots, |counters| counters.late += 1);
+        };
+        match self.image.frames()[frame].read(received) {
+            Read::Good(counter) => {
+                self.known[place].answered = true;
+                (self.flights[frame].sent, self.flights[frame].back) = (None, true);
+                self.silent = 0;
+                self.wire.store(WELL, Ordering::Relaxed);
+                if !in_window {
+                    // Too late for the drives that were asked, but not for what goes on step by step.
+                    self.count_late(frame, &sent, slots);
+                }
+                let back =
+                    Back { sent, frame: &self.image.frames()[frame], at, received, counter, in_window };
+                self.line.heard(&back, frame, &mut self.crew, slots);
+            }
+            Read::Circulated => self.count(Some(frame), slots, |counters| Own::Circulated.count(counters)),
+            Read::Other => self.count(Some(frame), slots, |counters| counters.malformed += 1),
+        }
+    }
+
+    /// Counts something of each drive in a frame that takes part; of all drives, if it is no frame of these.
+    fn count(&self, frame: Option<usize>, slots: &mut [Slot], count: impl Fn(&mut Counters)) {
+        for ((slot, spot), member) in slots.iter_mut().zip(&self.crew.spots).zip(&self.crew.members) {
+            if frame.is_none_or(|frame| frame == spot.frame) && self.line.is_operational(*member) {
+                count(&mut slot.counters);
+            }
+        }
+    }
+
+    /// Counts frame `number`, which came behind its window, as late for the drives that were asked with it.
+    fn count_late(&self, number: usize, sent: &Sent, slots: &mut [Slot]) {
+        let Seats { stations, spots, members, .. } = &self.crew;
+        for (((slot, station), spot), member) in slots.iter_mut().zip(stations).zip(spots).zip(members) {
+            let asked = spot.frame == number && station.was_asked(sent.cycle.grid);
+            if asked && self.line.is_operational(*member) {
+                slot.counters.late += 1;
+            }
+        }
+    }
+
+    /// Gets the first frame ready, once nothing of the one before is under way.
+    fn finish(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
+        if !self.prepared {
+            if let Some(first) = self.image.frames_mut().first_mut() {
+                self.line.prepare(cycle, first, &mut self.crew, slots);
+            }
+            self.prepared = true;
+        }
+    }
+
+    /// Opens the exchanges of the drives that are due with frame `number`.
+    fn asked(&mut self, number: usize, sent_at: Option<Time>, cycle: &Cycle, slots: &mut [Slot]) {
+        let Seats { stations, built, spots, members, .. } = &mut self.crew;
+        let seats = stations.iter_mut().zip(built).zip(spots).zip(members);
+        let settled = self.line.is_settled();
+        for ((((station, built), spot), member), slot) in seats.zip(slots.iter_mut()) {
+            if !slot.due || spot.frame != number {
+                continue;
+            }
+            *built = sent_at.is_none();
+            let is_asked = settled || self.line.is_operational(*member);
+            // The frame goes out in each cycle, and with it what was told last: so what is told goes on in each.
+            slot.reachable |= is_asked && slot.link == Link::Lost;
+            match sent_at.filter(|_| is_asked) {
+                Some(sent_at) if settled || self.line.outputs_count(*member) => {
+                    station.sent(sent_at, cycle.deadline, slot);
+                }
+                Some(sent_at) => station.asked(sent_at, cycle.deadline, slot),
+                None => {
+                    // Of one that is taken down nobody is to wonder.
+                    slot.excused |= self.ending;
+                    station.unsent(slot);
+                }
+            }
+        }
+    }
+
+    /// Sends frame `number`.
+    fn send_frame(&mut self, number: usize, cycle: &Cycle) -> Option<Time> {
+        let frame = &mut self.image.frames_mut()[number];
+        frame.load_outputs();
+        let mark = self.mark;
+        self.mark.number = mark.number.wrapping_add(1);
+        frame.number(mark);
+        if number == 0 {
+            let now = self.net.now();
+            let clock = self.line.clock();
+            frame.set_time(clock.told(cycle, now));
+            clock.lead_on();
+        }
+        let sent = self.net.send(frame.bytes());
+        if sent.is_err() {
+            frame.unload_outputs();
+        }
+        if sent == Err(Unsent::Down) {
+            self.wire.store(DOWN, Ordering::Relaxed);
+        }
+        let sent_at = sent.ok();
+        let sent = sent_at.map(|at| Sent { cycle: *cycle, at });
+        self.flights[number] = Flight { number: mark.number, sent, back: false };
+        let known = Known { number: sent_at.map(|_| mark.number), frame: number as u8, answered: false };
+        self.known[mark.number as usize % KNOWN] = known;
+        sent_at
+    }
+}
+
+/// What is no frame of this master.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Stranger {
+    /// Of somebody else.
+    Foreign,
+    /// From here, but not of this master.
+    Unknown,
+    /// Of this master, but broken.
+    Broken,
+}
+
+/// The number of a frame that this master has sent.
+fn own_number(received: &[u8], source: &[u8; 6], master: u32) -> Result<u32, Stranger> {
+    let Some(from) = received.get(6..12) else { return Err(Stranger::Foreign) };
+    if from[0] & !PASSED != source[0] || from[1..] != source[1..] {
+        return Err(Stranger::Foreign);
+    }
+    match Mark::of(received) {
+        Some(mark) if mark.master == master => Ok(mark.number),
+        Some(_) => Err(Stranger::Unknown),
+        None => match datagrams(received) {
+            Err(FrameError::Ethertype(_) | FrameError::Type(_)) => Err(Stranger::Foreign),
+            _ => Err(Stranger::Broken),
+        },
+    }
+}
+
+/// What to do about an interface that cannot be used.
+fn remedy(source: &std::io::Error) -> &'static str {
+    match source.kind() {
+        ErrorKind::PermissionDenied => {
+            "sudo setcap cap_sys_nice,cap_ipc_lock,cap_net_raw+ep on the program, or run it as root"
+        }
+        ErrorKind::NotFound => "mend interface",
+        _ => "look at interface: a network interface like \"eth1\", or \"local:NAME\" for simulated drives",
+    }
+}
+
+impl Bus for EthercatBus {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn memory(&self, regions: &mut Regions) {
+        regions.add(self);
+        self.net.memory(regions);
+        self.image.memory(regions);
+        self.line.memory(regions);
+        regions.add(&*self.wire);
+        regions.add(&*self.known);
+        regions.add(&*self.flights);
+        regions.add(&*self.room);
+        regions.add(&*self.crew.stations);
+        regions.add(&*self.crew.spots);
+        regions.add(&*self.crew.built);
+        regions.add(&*self.crew.members);
+        regions.add(&*self.crew.devices);
+        for station in &self.crew.stations {
+            station.memory(regions);
+        }
+        for device in &self.crew.devices {
+            device.port.memory(regions);
+            device.reached.memory(regions);
+            device.service.memory(regions);
+        }
+    }
+
+    fn fd(&self) -> Option<RawFd> {
+        self.net.fd()
+    }
+
+    fn send(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
+        self.line.clock().pass();
+        if !self.is_back() {
+            self.take_in(false, slots);
+        }
+        for number in 0..self.flights.len() {
+            if !self.flights[number].back {
+                self.line.lost(cycle.grid, number == 0, &mut self.crew, slots);
+                self.prepared &= number != 0;
+            }
+        }
+        if !self.flights.iter().any(|flight| flight.back) {
+            self.silent = self.silent.saturating_add(1);
+            if self.silent >= SILENT {
+                self.wire.store(NOTHING_BACK, Ordering::Relaxed);
+            }
+        }
+        self.finish(cycle, slots);
+        for number in 0..self.flights.len() {
+            let sent_at = self.send_frame(number, cycle);
+            self.asked(number, sent_at, cycle, slots);
+        }
+        self.prepared = false;
+        self.crew.devices.iter_mut().for_each(|device| device.port.sent());
+    }
+
+    fn receive(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool {
+        self.take_in(true, slots);
+        !slots.iter().any(|slot| slot.exchange.is_waited_for(cycle))
+    }
+
+    fn prepare(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
+        let frames = self.image.frames_mut();
+        let seats = self.crew.stations.iter_mut().zip(&mut self.crew.built).zip(&self.crew.spots);
+        for (((station, built), spot), slot) in seats.zip(slots.iter_mut()) {
+            if slot.due {
+                station.prepare(cycle, slot, frames[spot.frame].outputs(spot));
+            } else if *built {
+                // Its send was passed over.
+                frames[spot.frame].keep_outputs(spot);
+            }
+            *built = slot.due;
+        }
+        for device in &mut self.crew.devices {
+            let place = frames[device.spot.frame].outputs(&device.spot);
+            place.iter_mut().zip(device.port.outputs()).for_each(|(place, output)| *place = *output);
+        }
+        if self.is_back() {
+            self.finish(cycle, slots);
+        }
+    }
+
+    fn shut_down(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool {
+        // The loop has stopped the drives by then.
+        self.ending = true;
+        let owed = slots.iter().any(|slot| matches!(slot.exchange, Exchange::Owed { .. }));
+        self.line.shut_down(cycle.grid) && !owed
+    }
+
+    fn strangers(&self) -> Strangers {
+        Strangers { errors: self.net.errors(), ..self.strangers }
+    }
+
+    fn notes(&self) -> Option<Arc<dyn Notes>> {
+        let places = self.line.places();
+        let placed = |member: usize| (member, places.get(member).copied().unwrap_or(0));
+        let devices =
+            (0..self.crew.devices.len()).filter_map(|index| self.line.member_of(Owner::Device(index)));
+        Some(Arc::new(SlaveNotes {
+            notes: self.line.notes(),
+            members: self.crew.members.iter().copied().map(placed).collect(),
+            devices: devices.map(placed).collect(),
+            dropped: self.net.dropped(),
+            wire: self.wire.clone(),
+            interface: self.interface.clone(),
+        }))
+    }
+
+    fn native(&mut self, index: usize) -> Option<Box<dyn Any + Send>> {
+        let native = self.natives.get_mut(index)?.take()?;
+        Some(Box::new(native))
+    }
+
+    fn lead(&mut self) {
+        self.line.lead();
+    }
+
+    fn phase_error(&mut self) -> Option<i64> {
+        self.line.clock().take_error()
+    }
+
+    fn clock(&self) -> Option<BusClock> {
+        self.line.clock_status()
+    }
+
+    fn device_acyclic(&mut self, index: usize) -> Option<(AcyclicEnds, Observer)> {
+        self.device_acyclics.get_mut(index)?.take()
+    }
+
+    fn device(&mut self, index: usize) -> Option<Box<dyn Any + Send>> {
+        let terminals = self.devices.get_mut(index)?.take()?;
+        Some(Box::new(terminals))
+    }
+
+    fn acyclic(&mut self, index: usize) -> Option<AcyclicEnds> {
+        self.acyclics.get_mut(index)?.take()
+    }
+}
+
+impl BusPlan for EthercatPlan {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn protocol(&self) -> &'static str {
+        super::PROTOCOL
+    }
+
+    fn axes(&self) -> Vec<&AxisPlan> {
+        self.drives.iter().map(|drive| &drive.axis).collect()
+    }
+
+    fn faults(&self, period_ns: u64) -> Vec<(usize, PlanFault)> {
+        EthercatPlan::faults(self, period_ns)
+    }
+
+    fn describe(&self, period_ns: u64) -> Vec<String> {
+        EthercatPlan::describe(self, period_ns)
+    }
+
+    fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
+        Ok(Box::new(EthercatBus::open(self, period_ns, carriers)?))
+    }
+
+    fn monitored(&self, index: usize) -> [Option<MonitorChannel>; MONITOR_CHANNELS] {
+        self.drives.get(index).map_or([const { None }; MONITOR_CHANNELS], KollmorgenDrive::shown)
+    }
+
+    fn own_counters(&self) -> &'static [OwnCounter] {
+        &OWN
+    }
+
+    fn fault_names(&self) -> FaultNames {
+        |code| u16::try_from(code).ok().and_then(faults::name)
+    }
+
+    fn notation(&self) -> Arc<dyn Notation> {
+        Arc::new(Objects)
+    }
+
+    /// The whole line has to come up for one drive: it is the line of this drive alone, the others in INIT.
+    fn reaching(&self, index: usize) -> Option<Box<dyn BusPlan>> {
+        let mut drive = self.drives.get(index)?.clone();
+        drive.axis.on_found_running = FoundRunning::Refuse;
+        drive.show = [None; MONITOR_CHANNELS];
+        Some(Box::new(EthercatPlan { drives: vec![drive], devices: Vec::new(), ..self.clone() }))
+    }
+
+    fn simulate(&self) -> Vec<Box<dyn SimDrive>> {
+        Vec::new()
+    }
+
+    fn simulate_line(&self) -> Option<Box<dyn SimLine>> {
+        Some(Box::new(EthercatSim::new(self)))
+    }
+
+    fn takes_positions(&self, index: usize) -> bool {
+        matches!(self.drives.get(index).and_then(KollmorgenDrive::setpoint), Some(Setpoint::Position(_)))
+    }
+
+    fn has_clock(&self) -> bool {
+        self.slaves().iter().any(|(_, slave)| slave.sync)
+    }
+
+    fn devices(&self) -> Vec<&str> {
+        self.devices.iter().map(|device| device.name.as_str()).collect()
+    }
+}

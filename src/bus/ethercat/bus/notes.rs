@@ -1,0 +1,57 @@
+//! Why slaves are not in operation, for normal threads.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU8, Ordering};
+
+use crate::bus::Notes;
+use crate::bus::ethercat::line::note::Notes as LineNotes;
+use crate::net::frames::Dropped;
+use crate::net::local;
+
+/// How it is with the wire.
+pub(super) const WELL: u8 = 0;
+pub(super) const DOWN: u8 = 1;
+pub(super) const NOTHING_BACK: u8 = 2;
+
+/// The notes of drives and devices, in the order of the plan.
+#[derive(Debug)]
+pub(super) struct SlaveNotes {
+    pub(super) notes: LineNotes,
+    /// The member of each drive, and its place.
+    pub(super) members: Vec<(usize, u16)>,
+    /// The same of each device.
+    pub(super) devices: Vec<(usize, u16)>,
+    pub(super) dropped: Option<Arc<dyn Dropped>>,
+    pub(super) wire: Arc<AtomicU8>,
+    pub(super) interface: String,
+}
+
+impl Notes for SlaveNotes {
+    fn get(&self, index: usize) -> Option<String> {
+        self.note(*self.members.get(index)?)
+    }
+
+    fn device(&self, index: usize) -> Option<String> {
+        self.note(*self.devices.get(index)?)
+    }
+
+    fn dropped(&self) -> u64 {
+        self.dropped.as_ref().map_or(0, |dropped| dropped.count())
+    }
+}
+
+impl SlaveNotes {
+    fn note(&self, (member, place): (usize, u16)) -> Option<String> {
+        let interface = &self.interface;
+        match self.wire.load(Ordering::Relaxed) {
+            DOWN if local::name(interface).is_some() => {
+                Some(format!("nobody serves {interface}: start it: fieldbeat sim CONFIG"))
+            }
+            DOWN => Some(format!("{interface} is down or has no cable: look at both, ip link shows it")),
+            NOTHING_BACK => Some(format!(
+                "no frame comes back on {interface}: look at its cable, and at the power of the slave next to the master"
+            )),
+            _ => self.notes.get(member).text(place),
+        }
+    }
+}

@@ -1,0 +1,281 @@
+//! A frame out and back.
+//!
+//! In front of each frame stands a NOP with a mark: a reply counts by it alone, and an EtherCAT frame without it is that of another
+//! master. What arrives broken, circulated or late is passed over.
+
+use std::os::fd::BorrowedFd;
+
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+
+use super::ScanError;
+use crate::bus::ethercat::wire::frame::{
+    BROADCAST, Builder, Command, Datagram, FRAME_MAX, Mac, datagrams, position,
+};
+use crate::net::Frames;
+use crate::time::{MS, Time};
+
+/// Slower than this no master is expected to be.
+const LISTEN_NS: u64 = 100 * MS;
+/// A line needs microseconds; the rest is for the two computers, one of which may be busy, or simulated.
+const BACK_WITHIN_NS: u64 = 50 * MS;
+/// A frame may be lost, and so may its repetition.
+const ATTEMPTS: usize = 3;
+/// How often it looks whether it is to go on.
+const LOOK_MS: u8 = 10;
+/// Sets the bit that the first slave sets in the source of a frame.
+const PASSED: u8 = 1 << 1;
+/// The mark: who, and which frame.
+const MARK: usize = 8;
+
+/// A datagram to be sent.
+#[derive(Debug)]
+pub(super) struct Ask {
+    command: Command,
+    data: Vec<u8>,
+}
+
+impl Ask {
+    pub(super) fn read(command: Command, length: usize) -> Ask {
+        Ask { command, data: vec![0; length] }
+    }
+
+    /// Reads of the slave at a place.
+    pub(super) fn read_of(place: u16, register: u16, length: usize) -> Ask {
+        Ask::read(Command::Aprd(position(place), register), length)
+    }
+
+    /// Writes to the slave at a place.
+    pub(super) fn write_to(place: u16, register: u16, data: &[u8]) -> Ask {
+        Ask { command: Command::Apwr(position(place), register), data: data.to_vec() }
+    }
+
+    /// Whether this is what came back of it: slaves count positions, and leave the register.
+    fn is(&self, back: &Datagram) -> bool {
+        (back.number, back.address >> 16, back.data.len())
+            == (self.command.number(), self.command.address() >> 16, self.data.len())
+    }
+}
+
+/// A datagram that came back.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Answer {
+    pub(super) data: Vec<u8>,
+    /// So many slaves have carried it out.
+    pub(super) count: u16,
+}
+
+/// What a received frame is.
+#[derive(Debug, PartialEq, Eq)]
+enum Heard {
+    Answers(Vec<Answer>),
+    /// Of no use, and nobody else's.
+    Nothing,
+    Foreign(Mac),
+}
+
+/// Sends frames one by one.
+pub(super) struct Exchange<'a> {
+    frames: &'a mut dyn Frames,
+    go_on: &'a dyn Fn() -> bool,
+    who: u32,
+    sequence: u32,
+}
+
+impl<'a> Exchange<'a> {
+    pub(super) fn new(frames: &'a mut dyn Frames, go_on: &'a dyn Fn() -> bool) -> Exchange<'a> {
+        let who = (frames.now().0 as u32).rotate_left(16) ^ std::process::id();
+        Exchange { frames, go_on, who, sequence: 0 }
+    }
+
+    pub(super) fn now(&mut self) -> Time {
+        self.frames.now()
+    }
+
+    /// Hears whether another master is there, before anything is sent.
+    pub(super) fn listen(&mut self) -> Result<(), ScanError> {
+        let until = self.now() + LISTEN_NS;
+        self.hear(&[], until).map(drop)
+    }
+
+    /// Sends these in one frame, again if it does not come back. `None`: it never did.
+    pub(super) fn ask(&mut self, asks: &[Ask]) -> Result<Option<Vec<Answer>>, ScanError> {
+        self.ask_until(asks, |_| true)
+    }
+
+    /// The same until the answer is `good`.
+    pub(super) fn ask_until(
+        &mut self,
+        asks: &[Ask],
+        good: impl Fn(&[Answer]) -> bool,
+    ) -> Result<Option<Vec<Answer>>, ScanError> {
+        for _ in 0..ATTEMPTS {
+            self.sequence = self.sequence.wrapping_add(1);
+            self.send(asks)?;
+            let until = self.now() + BACK_WITHIN_NS;
+            if let Some(answers) = self.hear(asks, until)?.filter(|answers| good(answers)) {
+                return Ok(Some(answers));
+            }
+        }
+        Ok(None)
+    }
+
+    fn mark(&self) -> [u8; MARK] {
+        let ([a, b, c, d], [e, f, g, h]) = (self.who.to_le_bytes(), self.sequence.to_le_bytes());
+        [a, b, c, d, e, f, g, h]
+    }
+
+    fn send(&mut self, asks: &[Ask]) -> Result<(), ScanError> {
+        let mut room = [0; FRAME_MAX];
+        let mac = self.frames.mac();
+        let Some(mut frame) = Builder::new(&mut room, BROADCAST, mac) else { return Ok(()) };
+        frame.push_with(Command::Nop, 0, &self.mark());
+        for (index, ask) in (1..).zip(asks) {
+            frame.push_with(ask.command, index, &ask.data);
+        }
+        let length = frame.finish();
+        self.frames.send(&room[..length]).map(drop).map_err(ScanError::Unsent)
+    }
+
+    /// Waits for the frame with the present mark.
+    fn hear(&mut self, asks: &[Ask], until: Time) -> Result<Option<Vec<Answer>>, ScanError> {
+        let mut room = [0; FRAME_MAX];
+        loop {
+            if !(self.go_on)() {
+                return Err(ScanError::Interrupted);
+            }
+            let Some((_, length)) = self.frames.receive(&mut room) else {
+                if self.now() >= until {
+                    return Ok(None);
+                }
+                self.wait();
+                continue;
+            };
+            match self.judge(&room[..length.min(FRAME_MAX)], asks) {
+                Heard::Answers(answers) => return Ok(Some(answers)),
+                Heard::Foreign(mac) => return Err(ScanError::Foreign(mac)),
+                Heard::Nothing if self.now() >= until => return Ok(None),
+                Heard::Nothing => {}
+            }
+        }
+    }
+
+    fn judge(&self, frame: &[u8], asks: &[Ask]) -> Heard {
+        let Ok(Ok(read)) = datagrams(frame).map(Iterator::collect::<Result<Vec<Datagram>, _>>) else {
+            return Heard::Nothing;
+        };
+        let Some((first, rest)) = read.split_first() else { return Heard::Nothing };
+        let mark = first.data.first_chunk::<MARK>().filter(|_| first.command() == Some(Command::Nop));
+        if mark.is_none_or(|mark| mark[..4] != self.who.to_le_bytes()) {
+            return frame.get(6..12).and_then(|source| source.first_chunk()).map_or(Heard::Nothing, foreign);
+        }
+        let is_whole = rest.len() == asks.len()
+            && rest.iter().zip(asks).all(|(back, ask)| ask.is(back) && !back.circulated);
+        if mark != Some(&self.mark()) || !is_whole || asks.is_empty() {
+            return Heard::Nothing;
+        }
+        let answer = |back: &Datagram| Answer { data: back.data.to_vec(), count: back.working_counter };
+        Heard::Answers(rest.iter().map(answer).collect())
+    }
+
+    /// Until a frame arrives, but not for long. A carrier without a descriptor has nothing to wait for.
+    fn wait(&self) {
+        let Some(fd) = self.frames.fd() else { return };
+        // SAFETY: the carrier holds it, and is held here.
+        let fd = unsafe { BorrowedFd::borrow_raw(fd) };
+        // Woken by a signal, too: then the caller is asked whether to go on.
+        let _ = poll(&mut [PollFd::new(fd, PollFlags::POLLIN)], PollTimeout::from(LOOK_MS));
+    }
+}
+
+fn foreign(source: &Mac) -> Heard {
+    let mut source = *source;
+    source[0] &= !PASSED;
+    Heard::Foreign(source)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bus::ethercat::wire::frame::FRAME_MIN;
+    use crate::net::frames::Unsent;
+    use crate::rt::Regions;
+
+    struct Nobody;
+
+    impl Frames for Nobody {
+        fn fd(&self) -> Option<i32> {
+            None
+        }
+        fn send(&mut self, _: &[u8]) -> Result<Time, Unsent> {
+            Ok(Time(0))
+        }
+        fn receive(&mut self, _: &mut [u8]) -> Option<(Time, usize)> {
+            None
+        }
+        fn now(&mut self) -> Time {
+            Time(7)
+        }
+        fn mac(&self) -> Mac {
+            [0x10; 6]
+        }
+        fn memory(&self, _: &mut Regions) {}
+    }
+
+    /// A frame that begins with `mark`, and what came back of `asks`.
+    fn frame(mark: &[u8], asks: &[Ask]) -> Vec<u8> {
+        let mut room = [0; FRAME_MAX];
+        let mut frame = Builder::new(&mut room, BROADCAST, [0x12; 6]).unwrap();
+        frame.push_with(Command::Nop, 0, mark);
+        for ask in asks {
+            frame.push_with(ask.command, 1, &ask.data);
+        }
+        let length = frame.finish();
+        room[..length].to_vec()
+    }
+
+    #[test]
+    fn a_reply_counts_by_its_mark_and_its_shape() {
+        let mut nobody = Nobody;
+        let mut exchange = Exchange::new(&mut nobody, &|| true);
+        exchange.sequence = 3;
+        let asks = [Ask::read(Command::Brd(0), 2)];
+        let mark = exchange.mark();
+        let good = frame(&mark, &asks);
+        let answer = Answer { data: vec![0, 0], count: 0 };
+        assert_eq!(exchange.judge(&good, &asks), Heard::Answers(vec![answer]));
+        // Late, of another shape, circulated, broken, or no datagrams at all.
+        let mut late = mark;
+        late[4] = 2;
+        let other = [Ask::read(Command::Brd(0x0130), 2)];
+        let mut circulated = good.clone();
+        circulated[16 + 20 + 7] |= 1 << 6;
+        let mut broken = good.clone();
+        broken[14] = 0xFF;
+        let mut gateway = good.clone();
+        gateway[15] = 0x50;
+        for nothing in [
+            &frame(&late, &asks),
+            &frame(&mark, &other),
+            &frame(&mark, &[]),
+            &circulated,
+            &broken,
+            &gateway,
+            &vec![0; FRAME_MIN],
+            &vec![],
+        ] {
+            assert_eq!(exchange.judge(nothing, &asks), Heard::Nothing, "{nothing:02x?}");
+        }
+    }
+
+    #[test]
+    fn whoever_does_not_bear_the_mark_is_another_master() {
+        let mut nobody = Nobody;
+        let exchange = Exchange::new(&mut nobody, &|| true);
+        let asks = [Ask::read(Command::Brd(0), 2)];
+        let mut other = exchange.mark();
+        other[0] ^= 1;
+        for frame in [frame(&other, &asks), frame(&[0; 4], &asks)] {
+            assert_eq!(exchange.judge(&frame, &asks), Heard::Foreign([0x10, 0x12, 0x12, 0x12, 0x12, 0x12]));
+        }
+    }
+}
