@@ -1,5 +1,6 @@
 //! A machine: the checked plan, the open buses, the loop's thread and the application's handles, put together.
 
+use std::any::Any;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -10,14 +11,14 @@ use thiserror::Error;
 
 use crate::axis::acyclic::{self, Acyclic, Parameters};
 use crate::axis::cell;
-use crate::axis::handle::{URGENT_ROOM, VELOCITY_QUEUE};
+use crate::axis::handle::{SETPOINT_QUEUE, URGENT_ROOM};
 use crate::axis::{Axis, AxisEnds, Feedback, Group, GroupError, Link, Observer, Pulse};
-use crate::bus::{Cycle, OpenError, Strangers};
+use crate::bus::{BusClock, Cycle, OpenError, Strangers};
 use crate::config::{self, ConfigErrors};
 use crate::cycle::engine::{Control, Engine, Outlets};
 use crate::cycle::record::Record;
 use crate::cycle::seat::{Queues, Seat};
-use crate::cycle::status::{DriveNumbers, Gauges, Numbers, Status};
+use crate::cycle::status::{DeviceEnd, DriveNumbers, Gauges, Numbers, Status};
 use crate::cycle::task::{Axes, Task};
 use crate::cycle::window::BusSeat;
 use crate::cycle::{Plan, PlanErrors};
@@ -47,6 +48,7 @@ impl std::fmt::Debug for Setup {
 #[derive(Debug)]
 pub struct Master {
     axes: Mutex<Vec<Option<Axis>>>,
+    devices: Mutex<Devices>,
     acyclics: Vec<Acyclic>,
     monitor: Monitor,
     pulse: Pulse,
@@ -92,6 +94,20 @@ pub enum MasterError {
     /// The axis was taken already.
     #[error("axis {0} was taken already: an axis has one owner; observers are for everybody else")]
     Taken(String),
+    /// No such device.
+    #[error("there is no device {name}; there are: {known}")]
+    NoDevice {
+        /// What was asked for.
+        name: String,
+        /// What there is.
+        known: String,
+    },
+    /// The device was taken already.
+    #[error("device {0} was taken already: its process data has one owner")]
+    DeviceTaken(String),
+    /// The device is of another type.
+    #[error("device {0} has process data of another type; ask for the one that its protocol names")]
+    DeviceType(String),
     /// No such group.
     #[error("there is no group {name}; there are: {known}")]
     NoGroup {
@@ -134,7 +150,9 @@ pub struct Assembly<C> {
     pub engine: Engine<C>,
     /// The application's ends, in the order of the plan.
     pub axes: Vec<Axis>,
-    /// Acyclic access to their drives, for whoever is not the application.
+    /// Those of what takes part without being a drive.
+    pub devices: Devices,
+    /// Acyclic access to their drives, and behind them to the devices that have any, for whoever is not the application.
     pub acyclics: Vec<Acyclic>,
     /// What the loop counts.
     pub gauges: Gauges,
@@ -144,6 +162,28 @@ pub struct Assembly<C> {
     pub pulse: Pulse,
     /// Memory that the loop touches, for [`rt::thread::enter`].
     pub regions: Regions,
+}
+
+/// The application's ends of what takes part in the cycle without being a drive.
+#[derive(Debug, Default)]
+pub struct Devices(Vec<(String, Option<Box<dyn Any + Send>>)>);
+
+impl Devices {
+    /// Takes the process data of a device; once, because it has one owner. `T` is the type that its protocol names.
+    pub fn take<T: 'static>(&mut self, name: &str) -> Result<T, MasterError> {
+        let Some((_, end)) = self.0.iter_mut().find(|(known, _)| known == name) else {
+            let known: Vec<&str> = self.0.iter().map(|(name, _)| name.as_str()).collect();
+            return Err(MasterError::NoDevice { name: name.to_owned(), known: known.join(", ") });
+        };
+        match end.take().map(|end| end.downcast::<T>()) {
+            Some(Ok(device)) => Ok(*device),
+            Some(Err(of_another_type)) => {
+                *end = Some(of_another_type);
+                Err(MasterError::DeviceType(name.to_owned()))
+            }
+            None => Err(MasterError::DeviceTaken(name.to_owned())),
+        }
+    }
 }
 
 /// Opens the buses of `plan` over `carriers` and builds the loop, for whoever steps it by hand on a thread, clock and
@@ -159,13 +199,14 @@ pub fn assemble<C: Clock>(
     let pulse = Pulse::default();
     let mut regions = Regions::default();
     let (mut buses, mut seats, mut axes, mut names) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-    let (mut acyclics, mut links) = (Vec::new(), Vec::new());
+    let (mut acyclics, mut links, mut devices) = (Vec::new(), Vec::new(), Devices::default());
+    let (mut of_devices, mut named, mut all_notes) = (Vec::new(), Vec::new(), Vec::new());
     for bus_plan in &plan.buses {
         let mut bus = bus_plan.open(period_ns, carriers)?;
         let (first, notes) = (seats.len(), bus.notes());
         for (index, axis) in bus_plan.axes().into_iter().enumerate() {
             let (command_in, command_out) = rt::ring(axis.command_queue + URGENT_ROOM, &mut regions);
-            let (velocity_in, velocity_out) = rt::ring(VELOCITY_QUEUE, &mut regions);
+            let (setpoint_in, setpoint_out) = rt::ring(SETPOINT_QUEUE, &mut regions);
             let (row_in, row_out) = rt::ring(axis.stream_queue, &mut regions);
             let (event_in, event_out) = rt::ring(axis.event_queue, &mut regions);
             let (writer, reader) = cell::cell(Feedback::default());
@@ -179,7 +220,7 @@ pub fn assemble<C: Clock>(
             let queues = Queues {
                 commands: command_out,
                 rows: row_out,
-                velocities: velocity_out,
+                setpoints: setpoint_out,
                 events: event_in,
                 feedback: writer,
                 samples: sample_in,
@@ -202,7 +243,7 @@ pub fn assemble<C: Clock>(
                 AxisEnds {
                     commands: command_in,
                     rows: row_in,
-                    velocities: velocity_in,
+                    setpoints: setpoint_in,
                     events: event_out,
                     feedback: reader,
                     samples: sample_out,
@@ -212,19 +253,35 @@ pub fn assemble<C: Clock>(
             ));
             acyclics.push(acyclic);
         }
+        for (index, name) in bus_plan.devices().into_iter().enumerate() {
+            devices.0.push((name.to_owned(), bus.device(index)));
+            named.push((buses.len(), index, name.to_owned()));
+            if let Some((ends, observer)) = bus.device_acyclic(index) {
+                let period = Duration::from_nanos(period_ns);
+                of_devices.push(Acyclic::new(name, ends, bus_plan.notation(), observer, period));
+            }
+        }
+        all_notes.push(notes);
         buses.push(BusSeat { bus, first, end: seats.len() });
     }
+    acyclics.extend(of_devices);
     let (record_in, records) = rt::ring(Recorder::ring_size(plan.records_a_cycle(), period_ns), &mut regions);
     let (status_in, status) = cell::cell(Status::default());
     let (drives_in, drives) = seats.iter().map(|_| cell::cell(DriveNumbers::default())).unzip();
     let (strangers_in, strangers) = buses.iter().map(|_| cell::cell(Strangers::default())).unzip();
-    let outlets =
-        Outlets { records: record_in, status: status_in, drives: drives_in, strangers: strangers_in };
-    let engine =
-        Engine::new(clock, plan.cycle.clone(), buses, seats, names, task, pulse.clone(), control, outlets);
+    let (clocks_in, clocks) = buses.iter().map(|_| cell::cell(None::<BusClock>)).unzip();
+    let outlets = Outlets {
+        records: record_in,
+        status: status_in,
+        drives: drives_in,
+        strangers: strangers_in,
+        clocks: clocks_in,
+    };
+    let cycle = plan.cycle.clone();
+    let engine = Engine::new(clock, cycle, buses, seats, names, named, task, pulse.clone(), control, outlets);
     engine.memory(&mut regions);
-    let gauges = Gauges { status, drives, strangers, links };
-    Ok(Assembly { engine, axes, acyclics, gauges, records, pulse, regions })
+    let gauges = Gauges { status, drives, strangers, clocks, notes: all_notes, links };
+    Ok(Assembly { engine, axes, devices, acyclics, gauges, records, pulse, regions })
 }
 
 /// How many drives are probed for the first time in one cycle.
@@ -269,7 +326,7 @@ impl Master {
         axes[index].take().ok_or_else(|| MasterError::Taken(name.to_owned()))
     }
 
-    /// The parameters of the drive of axis `name`: beside whoever has taken the axis, for any thread.
+    /// The parameters of the drive of axis `name`, or of a device that is no drive: beside whoever has taken the axis, for any thread.
     pub fn parameter(&self, name: &str) -> Result<Parameters, MasterError> {
         match self.acyclics.iter().find(|acyclic| acyclic.axis() == name) {
             Some(acyclic) => Ok(acyclic.parameters()),
@@ -277,9 +334,15 @@ impl Master {
         }
     }
 
-    /// Acyclic access to all drives, in the order of the plan.
+    /// Acyclic access to all drives, in the order of the plan, and behind them to the devices that have any.
     pub fn acyclics(&self) -> &[Acyclic] {
         &self.acyclics
+    }
+
+    /// Takes the process data of a device that is no drive, such as a digital input; once, because it has one owner. `T` is the
+    /// type that its protocol names.
+    pub fn device<T: 'static>(&self, name: &str) -> Result<T, MasterError> {
+        self.devices.lock().unwrap_or_else(PoisonError::into_inner).take(name)
     }
 
     fn no_axis(&self, name: &str) -> MasterError {
@@ -324,6 +387,11 @@ impl Master {
     /// See [`Monitor::not_connected`].
     pub fn not_connected(&self, index: usize) -> Option<String> {
         self.monitor.not_connected(index)
+    }
+
+    /// See [`Monitor::devices`].
+    pub fn devices(&self) -> Vec<DeviceEnd> {
+        self.monitor.devices()
     }
 
     /// See [`Monitor::measured`].
@@ -467,7 +535,7 @@ impl Setup {
         }
         let control = Control::default();
         let steal_before_ms = rt::host::steal_ms(None);
-        let Assembly { mut engine, axes, acyclics, gauges, records, pulse, regions } =
+        let Assembly { mut engine, axes, devices, acyclics, gauges, records, pulse, regions } =
             assemble(&plan, MonotonicClock, &Os::beside(realtime.core_to_be()), task, control.clone())?;
         let observers: Vec<_> = axes.iter().map(|axis| (axis.name().to_owned(), axis.observer())).collect();
 
@@ -516,6 +584,15 @@ impl Setup {
         let monitor =
             Monitor::new(plan, granted, observers, gauges, Arc::clone(recorder.recording()), steal_before_ms);
         let axes = Mutex::new(axes.into_iter().map(Some).collect());
-        Ok(Master { axes, acyclics, monitor, pulse, control, recorder, thread: Some(thread) })
+        Ok(Master {
+            axes,
+            devices: Mutex::new(devices),
+            acyclics,
+            monitor,
+            pulse,
+            control,
+            recorder,
+            thread: Some(thread),
+        })
     }
 }

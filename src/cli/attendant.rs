@@ -2,19 +2,27 @@
 //! manager, the control socket, and SIGUSR1.
 
 use std::path::PathBuf;
+use std::time::{Duration, Instant};
 
 use fieldbeat::axis::{Fault, FaultNames, Link};
 use fieldbeat::control::{Answering, Desk, Server, place};
 use fieldbeat::master::Master;
 use fieldbeat::rt::thread::helper_thread;
-use fieldbeat::telemetry::Monitor;
 use fieldbeat::telemetry::blackbox::Written;
+use fieldbeat::telemetry::{DriveEmergency, Monitor};
 use serde_json::{Value, json};
 
 use super::complain;
 use super::interrupt::{Interrupt, LOOK_EVERY};
 use super::live::Live;
 use super::service::Service;
+
+/// Why a drive has no connection is told if that is still so, or again, so long after it was first seen: while one is opened, it may
+/// be many things.
+const STANDS_FOR: Duration = Duration::from_secs(1);
+
+/// So many reasons are kept apart: numbers in them may make each another one.
+const MOST_REASONS: usize = 64;
 
 /// Looks after a master.
 #[derive(Debug)]
@@ -26,10 +34,12 @@ pub struct Attendant {
     _control: Option<Server>,
     links: Vec<Link>,
     drives: Vec<Known>,
+    devices: Vec<Known>,
     /// All of them were online once.
     complete: bool,
-    /// The number of the last file of the black box that was told of.
+    /// The number of the last file of the black box that was told of, and of the last emergency.
     black_boxes: usize,
+    emergencies: u64,
 }
 
 impl Attendant {
@@ -46,8 +56,10 @@ impl Attendant {
             _control: control.ok(),
             links: vec![Link::default(); master.observers().len()],
             drives: master.plan().fault_names().into_iter().map(Known::new).collect(),
+            devices: master.devices().iter().map(|_| Known::new(|_| None)).collect(),
             complete: false,
             black_boxes: 0,
+            emergencies: 0,
         }
     }
 
@@ -61,6 +73,8 @@ impl Attendant {
         self.service.look(master);
         self.look_at_links(master);
         self.look_at_drives(master);
+        self.look_at_devices(master);
+        self.look_at_emergencies(master);
         self.look_at_black_boxes(master);
         self.live.show(master, what);
     }
@@ -102,13 +116,47 @@ impl Attendant {
 
     /// Says which drives cannot be connected to, and why; and which have a fault, and which one.
     fn look_at_drives(&mut self, master: &Master) {
+        let now = Instant::now();
         let drives = master.observers().iter().zip(&mut self.drives);
         for (index, ((name, observer), known)) in drives.enumerate() {
             let feedback = observer.feedback();
-            let apart = known.not_connected(feedback.link, || master.not_connected(index));
+            let apart = known.not_connected(feedback.link, now, || master.not_connected(index));
             for news in apart.into_iter().chain(known.fault(feedback.fault)) {
                 self.live.say(&format!("drive {name}: {news}"));
             }
+        }
+    }
+
+    /// Says what takes part without being a drive, and does not, and why.
+    fn look_at_devices(&mut self, master: &Master) {
+        let now = Instant::now();
+        for (device, known) in master.devices().into_iter().zip(&mut self.devices) {
+            let link = if device.not_operational.is_some() { Link::Unseen } else { Link::Online };
+            let was_told = known.apart.iter().any(|apart| apart.told);
+            let why = known.stands(link, now, || device.not_operational);
+            let news = why.map(|why| format!("not in operation: {why}"));
+            let back = (was_told && link == Link::Online).then(|| "in operation".to_owned());
+            for news in news.into_iter().chain(back) {
+                self.live.say(&format!("device {}: {news}", device.name));
+            }
+        }
+    }
+
+    /// Says what drives told by themselves.
+    fn look_at_emergencies(&mut self, master: &Master) {
+        let before = self.emergencies;
+        let new: Vec<DriveEmergency> = master.measured(|measured| {
+            measured.emergencies.iter().filter(|told| told.number > before).copied().collect()
+        });
+        for told in new {
+            let missed = told.number - self.emergencies - 1;
+            self.emergencies = told.number;
+            if missed > 0 {
+                self.live.say(&format!("{missed} emergencies before the next one came too fast to be shown"));
+            }
+            let ((name, _), known) = (&master.observers()[told.axis], &self.drives[told.axis]);
+            let fault = Fault::new(told.emergency.code.into(), known.fault_names);
+            self.live.say(&format!("drive {name}: {} (cycle {})", told.emergency.told(fault), told.cycle));
         }
     }
 
@@ -124,31 +172,56 @@ impl Attendant {
     }
 }
 
-/// What was told of a drive last.
+/// What was told of a drive.
 #[derive(Debug)]
 struct Known {
     fault_names: FaultNames,
     fault: u32,
-    /// That it has no connection was told since it was online.
-    apart: bool,
+    /// Why it had no connection since it was online.
+    apart: Vec<Apart>,
+}
+
+/// Why a drive has no connection.
+#[derive(Debug)]
+struct Apart {
+    why: String,
+    first_seen: Instant,
+    told: bool,
 }
 
 impl Known {
     fn new(fault_names: FaultNames) -> Known {
-        Known { fault_names, fault: 0, apart: false }
+        Known { fault_names, fault: 0, apart: Vec::new() }
     }
 
-    /// Why it has no connection. Once, however often that is tried.
-    fn not_connected(&mut self, link: Link, why: impl FnOnce() -> Option<String>) -> Option<String> {
+    /// Why it has no connection, if that stands.
+    fn not_connected(
+        &mut self,
+        link: Link,
+        now: Instant,
+        why: impl FnOnce() -> Option<String>,
+    ) -> Option<String> {
+        self.stands(link, now, why).map(|why| format!("not connected: {why}"))
+    }
+
+    /// A reason that stands: each once, however often it is tried.
+    fn stands(&mut self, link: Link, now: Instant, why: impl FnOnce() -> Option<String>) -> Option<String> {
         if link == Link::Online {
-            self.apart = false;
-        }
-        if link == Link::Online || self.apart {
+            self.apart.clear();
             return None;
         }
         let why = why()?;
-        self.apart = true;
-        Some(format!("not connected: {why}"))
+        let Some(known) = self.apart.iter_mut().find(|known| known.why == why) else {
+            if self.apart.len() < MOST_REASONS {
+                self.apart.push(Apart { why, first_seen: now, told: false });
+            }
+            return None;
+        };
+        if known.told || now.duration_since(known.first_seen) < STANDS_FOR {
+            return None;
+        }
+        known.told = true;
+        Some(why)
     }
 
     /// Its fault, if it is another one.
@@ -215,18 +288,32 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_connection_that_cannot_be_opened_is_told_once_until_the_drive_was_online() {
+    fn a_reason_that_stands_is_told_once_until_the_drive_was_online() {
         let mut known = Known::new(|_| None);
-        let mut told = |link, why: Option<&str>| known.not_connected(link, || why.map(str::to_owned));
-        assert_eq!(told(Link::Unseen, None), None);
-        assert_eq!(told(Link::Unseen, Some("refused")).as_deref(), Some("not connected: refused"));
-        for why in [Some("refused"), Some("silent"), None, Some("refused")] {
-            assert_eq!(told(Link::Unseen, why), None);
+        let mut now = Instant::now();
+        let mut told = |link, why: Option<&str>, wait: Duration| {
+            now += wait;
+            known.not_connected(link, now, || why.map(str::to_owned))
+        };
+        let short = STANDS_FOR / 4;
+        // On the way up it is many things.
+        for why in [None, Some("begins"), Some("waits"), Some("begins"), None] {
+            assert_eq!(told(Link::Unseen, why, short), None);
         }
-        assert_eq!(told(Link::Online, None), None);
-        assert_eq!(told(Link::Lost, None), None);
-        assert_eq!(told(Link::Lost, Some("silent")).as_deref(), Some("not connected: silent"));
-        assert_eq!(told(Link::Qualifying, Some("silent")), None);
+        let not = |why: &str| Some(format!("not connected: {why}"));
+        assert_eq!(told(Link::Unseen, Some("begins"), short), not("begins"));
+        assert_eq!(told(Link::Unseen, Some("refused"), short), None);
+        assert_eq!(told(Link::Qualifying, Some("refused"), STANDS_FOR), not("refused"));
+        assert_eq!(told(Link::Unseen, Some("silent"), short), None);
+        // It is tried again and again, and is many things each time.
+        assert_eq!(told(Link::Unseen, Some("begins"), STANDS_FOR), None, "known");
+        assert_eq!(told(Link::Unseen, Some("silent"), short), not("silent"));
+        for why in [Some("refused"), None, Some("refused"), Some("silent"), Some("silent")] {
+            assert_eq!(told(Link::Unseen, why, STANDS_FOR), None, "known");
+        }
+        assert_eq!(told(Link::Online, Some("refused"), short), None);
+        assert_eq!(told(Link::Lost, Some("refused"), STANDS_FOR), None);
+        assert_eq!(told(Link::Lost, Some("refused"), STANDS_FOR), not("refused"));
     }
 
     #[test]

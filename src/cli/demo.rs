@@ -1,17 +1,17 @@
-//! `fieldbeat demo`: master and simulated drives in one process. The axes with a position are homed, follow a travelling wave as
-//! streamed setpoints and make one profile move each, the speed-controlled ones turn there and back meanwhile; then all of them
-//! stop and are powered off.
+//! `fieldbeat demo`: master and simulated drives in one process. The axes that take positions are homed, follow a travelling wave
+//! as streamed setpoints and make one profile move each, the others turn there and back meanwhile; then all of them stop and are
+//! powered off.
 
 use std::f64::consts::TAU;
 use std::ops::Range;
 use std::time::{Duration, Instant};
 
 use clap::Args;
-use fieldbeat::axis::{Abort, Axis, AxisError, CommandId, Move, Outcome, Row, StopCause, Target, Verb};
-use fieldbeat::bus::modbus;
+use fieldbeat::axis::{Abort, Axis, AxisError, CommandId, Move, Outcome, Row, StopCause, Target, Unit, Verb};
+use fieldbeat::bus::ethercat;
 use fieldbeat::config::demo_plan;
 use fieldbeat::cycle::Plan;
-use fieldbeat::master::Master;
+use fieldbeat::master::{Master, MasterError};
 use fieldbeat::sim::server::SimServer;
 use fieldbeat::time::{S, nanos};
 
@@ -20,12 +20,8 @@ use super::interrupt::Interrupt;
 use super::output::{Output, both};
 use super::run::{not_whole, start};
 use super::sim::serving;
-use super::{Stop, span};
+use super::{Stop, complain, span};
 
-/// Amplitude of the wave, mm.
-const AMPLITUDE: f64 = 40.0;
-/// Where the wave swings around, mm.
-const CENTRE: f64 = 200.0;
 /// Time of one swing, s.
 const SWING_S: f64 = 2.0;
 /// The wave grows and dies away within this time, s.
@@ -39,13 +35,16 @@ const TURN_S: f64 = 2.0;
 /// ... and their velocity is renewed this often.
 const RENEW_EVERY: Duration = Duration::from_millis(100);
 
+/// An EtherCAT line is brought up within a few seconds, on a busy computer too.
+const ONLINE_WITHIN: Duration = Duration::from_secs(20);
+
 /// Arguments of `demo`.
 #[derive(Debug, Args)]
 pub struct Demo {
     /// Length of the travelling wave.
     #[arg(long = "for", value_name = "TIME", value_parser = span, default_value = "10s")]
     duration: Duration,
-    /// How many LinMot drives, beside two Unidrives.
+    /// How many LinMot drives, beside two Unidrives and two Kollmorgens.
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u16).range(1..=128))]
     drives: u16,
     /// The period of the cycle.
@@ -62,8 +61,6 @@ struct Show {
     /// So many of them, the first ones, take positions; the others velocities only.
     movers: usize,
     attendant: Attendant,
-    /// Time between two rows, s.
-    row_s: f64,
 }
 
 impl Demo {
@@ -73,8 +70,12 @@ impl Demo {
         let interrupt = Interrupt::catch().map_err(Stop::failed)?;
         let output = self.output.prepare()?;
         let drives = plan.simulate();
-        let divisor = plan.axes().first().map_or(1, |axis| axis.divisor);
-        let row_s = plan.cycle.period_ns as f64 * f64::from(divisor) / S as f64;
+        if !plan.buses.iter().any(|bus| bus.protocol() == ethercat::PROTOCOL) {
+            let period = self.period;
+            complain(&format!(
+                "without the Kollmorgens: they take a --period of whole multiples of 250us below 3ms, of 1ms above, not {period:?}"
+            ));
+        }
         let server = SimServer::start(drives, serving(&plan, None))
             .map_err(|error| Stop::usage(format!("cannot simulate the drives: {error}")))?;
         let master = start(output.setup(plan), &interrupt)?;
@@ -84,7 +85,7 @@ impl Demo {
         let axes = movers.iter().chain(&turners).map(|name| master.axis(name));
         let axes = axes.collect::<Result<_, _>>().map_err(Stop::failed)?;
         let attendant = Attendant::new(&master, &interrupt);
-        let mut show = Show { master, axes, movers: movers.len(), attendant, row_s };
+        let mut show = Show { master, axes, movers: movers.len(), attendant };
         let result = show.play(self.duration);
         show.attendant.end(&show.master);
         let (summary, told) = output.finish(show.master);
@@ -102,11 +103,15 @@ impl Demo {
 
 /// The names of the axes that take positions, and of those that take velocities only.
 fn names(plan: &Plan) -> (Vec<String>, Vec<String>) {
-    let of = |turns: bool| {
-        let buses = plan.buses.iter().filter(move |bus| (bus.protocol() == modbus::PROTOCOL) == turns);
-        buses.flat_map(|bus| bus.axes()).map(|axis| axis.name.clone()).collect()
+    let of = |moves: bool| {
+        let buses = plan.buses.iter();
+        let axes = buses.flat_map(|bus| {
+            let axes = bus.axes().into_iter().enumerate();
+            axes.filter(move |(index, _)| bus.takes_positions(*index) == moves)
+        });
+        axes.map(|(_, axis)| axis.name.clone()).collect()
     };
-    (of(false), of(true))
+    (of(true), of(false))
 }
 
 /// Whether the command ended because somebody asked for the end.
@@ -130,21 +135,37 @@ enum Error {
     #[error(transparent)]
     Axis(#[from] AxisError),
     #[error(transparent)]
-    Master(#[from] fieldbeat::master::MasterError),
+    Master(#[from] MasterError),
 }
 
 impl Show {
     fn play(&mut self, duration: Duration) -> Result<(), Error> {
-        self.master.wait_online(Duration::from_secs(5))?;
+        self.wait_online()?;
         let (all, movers, turners) = (0..self.axes.len(), 0..self.movers, self.movers..self.axes.len());
         self.together("enable", &all, |_| Verb::Enable)?;
         self.together("home", &movers, |_| Verb::Home)?;
-        self.together("to the start", &movers, |axis| to(CENTRE, axis))?;
+        self.together("to the start", &movers, |axis| to(Swing::of(axis).centre, axis))?;
         self.wave(duration)?;
         self.together("stop", &turners, |_| Verb::Stop { deceleration: None })?;
-        self.together("profile move", &movers, |axis| to(CENTRE - AMPLITUDE, axis))?;
+        self.together("profile move", &movers, |axis| to(Swing::of(axis).low(), axis))?;
         self.together("stop", &all, |_| Verb::Stop { deceleration: None })?;
         self.together("disable", &all, |_| Verb::Disable)
+    }
+
+    /// Waits for the drives, and shows meanwhile how they come up.
+    fn wait_online(&mut self) -> Result<(), MasterError> {
+        let begun = Instant::now();
+        loop {
+            match self.master.wait_online(Duration::from_millis(50)) {
+                Err(MasterError::NotOnline { .. }) if begun.elapsed() < ONLINE_WITHIN => {
+                    self.attendant.look(&self.master, "waiting for the drives");
+                }
+                Err(MasterError::NotOnline { missing, .. }) => {
+                    return Err(MasterError::NotOnline { waited: ONLINE_WITHIN, missing });
+                }
+                waited => return waited,
+            }
+        }
     }
 
     /// One verb for several axes at once, and the wait for the last of them.
@@ -179,20 +200,18 @@ impl Show {
     /// The travelling wave, streamed row by row, a quarter of a second deep; and meanwhile there and back.
     fn wave(&mut self, duration: Duration) -> Result<(), Error> {
         let length_s = duration.as_secs_f64().max(2.0 * FADE_S);
-        let rows = (length_s / self.row_s).round() as u64;
-        let depth = ((DEPTH_S / self.row_s) as usize).max(16);
-        let mut queued = vec![0_u64; self.movers];
+        let period_s = self.master.plan().cycle.period_ns as f64 / S as f64;
+        let movers = self.axes[..self.movers].iter().enumerate();
+        let mut waves: Vec<Wave> =
+            movers.map(|(place, axis)| Wave::new(axis, place, period_s, length_s)).collect();
         let mut ids = Vec::new();
         let mut turning = Turning::default();
-        while queued.iter().any(|queued| *queued < rows) {
-            for (place, (axis, next)) in self.axes.iter_mut().zip(&mut queued).enumerate() {
+        while waves.iter().any(|wave| wave.next < wave.rows) {
+            for (axis, wave) in self.axes.iter_mut().zip(&mut waves) {
                 let waiting = axis.plan().stream_queue - axis.stream_room();
-                for _ in waiting..depth.min(axis.plan().stream_queue) {
-                    if *next == rows {
-                        break;
-                    }
-                    axis.push_row(row(*next, rows, self.row_s, place))?;
-                    *next += 1;
+                for _ in waiting..wave.depth().min(axis.plan().stream_queue) {
+                    let Some(row) = wave.next() else { break };
+                    axis.push_row(row)?;
                 }
             }
             let (movers, turners) = self.axes.split_at_mut(self.movers);
@@ -242,19 +261,79 @@ fn to(position: f64, axis: &Axis) -> Verb {
     Verb::Move(Move { target: Target::Absolute(position), profile: axis.profile() })
 }
 
-/// Row `index` of `rows` of the axis at `place`: a sine whose amplitude grows from 0 and dies away to 0, so that the wave
-/// begins and ends at standstill.
-fn row(index: u64, rows: u64, period_s: f64, place: usize) -> Row {
-    let t = index as f64 * period_s;
-    let end = (rows - 1) as f64 * period_s;
-    let (fade, fade_v, fade_a) = fade(t, end);
-    let w = TAU / SWING_S;
-    let (sin, cos) = (w * t - TAU * place as f64 / WAVE_LENGTH).sin_cos();
-    Row {
-        position: CENTRE + AMPLITUDE * fade * sin,
-        velocity: AMPLITUDE * (fade_v * sin + fade * w * cos),
-        acceleration: AMPLITUDE * (fade_a * sin + 2.0 * fade_v * w * cos - fade * w * w * sin),
-        last: index + 1 == rows,
+/// How far an axis swings, in its units.
+#[derive(Clone, Copy, Debug)]
+struct Swing {
+    centre: f64,
+    amplitude: f64,
+}
+
+impl Swing {
+    fn of(axis: &Axis) -> Swing {
+        match axis.plan().units.unit {
+            Unit::Millimetre => Swing { centre: 200.0, amplitude: 40.0 },
+            Unit::Revolution => Swing { centre: 5.0, amplitude: 2.0 },
+        }
+    }
+
+    fn low(self) -> f64 {
+        self.centre - self.amplitude
+    }
+}
+
+/// The rows of an axis: a sine whose amplitude grows from 0 and dies away to 0, so that the wave begins and ends at standstill.
+#[derive(Debug)]
+struct Wave {
+    swing: Swing,
+    /// Of the sine, rad.
+    phase: f64,
+    /// Time between two rows, s.
+    row_s: f64,
+    rows: u64,
+    /// The number of the next one.
+    next: u64,
+}
+
+impl Wave {
+    /// The wave of this length, of the axis at `place`.
+    fn new(axis: &Axis, place: usize, period_s: f64, length_s: f64) -> Wave {
+        let row_s = period_s * f64::from(axis.plan().divisor);
+        Wave {
+            swing: Swing::of(axis),
+            phase: TAU * place as f64 / WAVE_LENGTH,
+            row_s,
+            rows: (length_s / row_s).round() as u64,
+            next: 0,
+        }
+    }
+
+    /// So many rows are queued at a time.
+    fn depth(&self) -> usize {
+        ((DEPTH_S / self.row_s) as usize).max(16)
+    }
+}
+
+impl Iterator for Wave {
+    type Item = Row;
+
+    fn next(&mut self) -> Option<Row> {
+        let last = self.rows.checked_sub(1)?;
+        if self.next > last {
+            return None;
+        }
+        let t = self.next as f64 * self.row_s;
+        let (fade, fade_v, fade_a) = fade(t, last as f64 * self.row_s);
+        let w = TAU / SWING_S;
+        let (sin, cos) = (w * t - self.phase).sin_cos();
+        let Swing { centre, amplitude } = self.swing;
+        let is_last = self.next == last;
+        self.next += 1;
+        Some(Row {
+            position: centre + amplitude * fade * sin,
+            velocity: amplitude * (fade_v * sin + fade * w * cos),
+            acceleration: amplitude * (fade_a * sin + 2.0 * fade_v * w * cos - fade * w * w * sin),
+            last: is_last,
+        })
     }
 }
 

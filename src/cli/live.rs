@@ -3,6 +3,7 @@
 use std::io::{IsTerminal, Write};
 use std::time::{Duration, Instant};
 
+use fieldbeat::cycle::status::ReferenceStatus;
 use fieldbeat::master::Master;
 use fieldbeat::telemetry::Quantiles;
 use fieldbeat::time::US;
@@ -39,8 +40,15 @@ impl Live {
         let drives = master.observers().len();
         // Fits into 80 columns for a day at 1 kHz.
         let us = |ns: Option<u64>| ns.map_or(String::from("-"), |ns| format!("{:.1}", ns as f64 / US as f64));
+        let lock = match status.reference {
+            None => String::new(),
+            Some(ReferenceStatus { locked: false, .. }) => "  NOT LOCKED".to_owned(),
+            Some(ReferenceStatus { error_ns, .. }) => {
+                format!("  phase {:+.1} us", error_ns as f64 / US as f64)
+            }
+        };
         let line = format!(
-            "{what} {}  wake p50 {} p99 {} max {} us  axes {}/{drives}  missed {}  skipped {}",
+            "{what} {}  wake p50 {} p99 {} max {} us  axes {}/{drives}  missed {}  skipped {}{lock}",
             status.planned,
             us(wake.p50),
             us(wake.p99),

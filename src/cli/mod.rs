@@ -7,6 +7,7 @@ mod blackbox;
 mod check;
 mod demo;
 mod doctor;
+mod ethercat;
 mod interrupt;
 mod linmot;
 mod live;
@@ -54,6 +55,8 @@ enum Command {
     /// Curves, command table, error log and software of a LinMot drive.
     #[command(name = "linmot")]
     LinMot(linmot::LinMot),
+    /// What is on an EtherCAT line.
+    Ethercat(ethercat::Ethercat),
     /// What led up to a failure, from the file that the master's black box wrote.
     Blackbox(blackbox::BlackBox),
     /// What this host is worth for real time, and how to mend it; changes nothing.
@@ -89,6 +92,7 @@ pub fn main() -> ExitCode {
         Command::Status(status) => status.run(),
         Command::Param(param) => param.run(),
         Command::LinMot(linmot) => linmot.run(),
+        Command::Ethercat(ethercat) => ethercat.run(),
         Command::Blackbox(blackbox) => blackbox.run(),
         Command::Doctor(doctor) => doctor.run(),
     });

@@ -5,7 +5,9 @@ mod list;
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
-use fieldbeat::axis::acyclic::{Access, Notation, NotationError, ParameterError};
+use fieldbeat::axis::acyclic::{Access, CallError, Notation, NotationError, ParameterError};
+use fieldbeat::bus::ethercat;
+use fieldbeat::bus::ethercat::object::{Target, Type, long};
 use fieldbeat::cycle::Plan;
 use serde_json::json;
 
@@ -87,7 +89,8 @@ impl Drive {
 struct Get {
     #[command(flatten)]
     drive: Drive,
-    /// As the drive's manual writes it: 0x20A8, 0x20A8.rom, .min, .max, .default of a LinMot, 06.042 of a Unidrive, or a name.
+    /// As the drive's manual writes it: 0x20A8, 0x20A8.rom, .min, .max, .default of a LinMot, 06.042 of a Unidrive, 0x6041:0
+    /// (with a type 0x6041:0.u16, all subindices 0x1C12:ca) of a drive on EtherCAT, or a name.
     address: String,
     /// Print one JSON object.
     #[arg(long)]
@@ -98,7 +101,8 @@ struct Get {
 struct Set {
     #[command(flatten)]
     drive: Drive,
-    /// As the drive's manual writes it: 0x20A8 (RAM), 0x20A8.rom, 0x20A8.both of a LinMot, 06.042 of a Unidrive, or a name.
+    /// As the drive's manual writes it: 0x20A8 (RAM), 0x20A8.rom, 0x20A8.both of a LinMot, 06.042 of a Unidrive, 0x6060:0 (with a
+    /// type 0x6060:0.i8) of a drive on EtherCAT, or a name.
     address: String,
     /// A whole number, or its bits as 0x....; with a point, 1500.0, a scaled one of a Unidrive.
     #[arg(allow_negative_numbers = true)]
@@ -116,8 +120,8 @@ impl Param {
             What::Get(get) => {
                 let check = |notation: &dyn Notation| notation.read(&get.address).map(drop);
                 let reach = get.drive.reach_to("read", &get.address, check, &interrupt)?;
-                let raw = access(&reach).read(&get.address).map_err(failed)?;
-                tell(&reach, &get.address, raw, get.json)
+                let (raw, text) = read(&reach, &get.address).map_err(failed)?;
+                tell(&reach, &get.address, raw, &text, get.json)
             }
             What::Set(set) => set.run(&interrupt),
             What::List(list) => list.run(&interrupt),
@@ -144,7 +148,8 @@ impl Set {
             };
             values.push((address, read));
         }
-        tell(&reach, &self.address, values.first().map_or(written, |(_, read)| *read), self.json)?;
+        let shown = values.first().map_or(written, |(_, read)| *read);
+        tell(&reach, &self.address, shown, &notation.show(&self.address, shown), self.json)?;
         match values.iter().find(|(address, read)| !notation.is_same(address, written, *read)) {
             None => Ok(()),
             Some((address, read)) => Err(Stop::failed(format!(
@@ -171,8 +176,38 @@ fn failed(error: ParameterError) -> Stop {
     }
 }
 
-fn tell(reach: &Reach, address: &str, raw: u64, as_json: bool) -> Result<(), Stop> {
-    let text = reach.notation().show(address, raw);
+/// The raw value of a parameter, and its text.
+fn read(reach: &Reach, address: &str) -> Result<(u64, String), ParameterError> {
+    let notation = reach.notation();
+    if notation.protocol() == ethercat::PROTOCOL
+        && let Some(target) = Target::parse(address)
+        && (target.complete || target.kind == Some(Type::Text))
+    {
+        return read_long(reach, address, target);
+    }
+    let raw = access(reach).read(address)?;
+    Ok((raw, notation.show(address, raw)))
+}
+
+/// The same of an object that may be longer than a raw value: its first eight bytes are that.
+fn read_long(reach: &Reach, address: &str, target: Target) -> Result<(u64, String), ParameterError> {
+    let notation = reach.notation();
+    let limit = notation.limit(&target.read());
+    let bytes = long::read(reach.carrier(), target, limit).map_err(|why| {
+        let (drive, access, address, value) = (reach.drive().to_owned(), "read", address.to_owned(), None);
+        match why {
+            CallError::Refused(status) => {
+                let reason = notation.reason(status);
+                ParameterError::Refused { drive, access, address, value, status, reason }
+            }
+            why => ParameterError::Failed { drive, access, address, value, why },
+        }
+    })?;
+    let text = if target.complete { long::octets(&bytes) } else { long::text(&bytes) };
+    Ok((long::raw(&bytes), text))
+}
+
+fn tell(reach: &Reach, address: &str, raw: u64, text: &str, as_json: bool) -> Result<(), Stop> {
     if !as_json {
         return print(format_args!("{} {address}: {text}", reach.drive()));
     }

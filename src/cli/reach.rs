@@ -79,8 +79,9 @@ impl Reach {
 /// The plan of `config`, which has a drive of this name, and how that writes addresses.
 pub fn find(config: &Path, drive: &str) -> Result<(Plan, Arc<dyn Notation>), Stop> {
     let plan = load(config)?;
-    let Some((bus, _)) = plan.find(drive) else {
-        let known: Vec<&str> = plan.axes().iter().map(|axis| axis.name.as_str()).collect();
+    let Some(bus) = plan.find(drive).map(|(bus, _)| bus).or_else(|| plan.find_device(drive)) else {
+        let drives = plan.axes().into_iter().map(|axis| axis.name.as_str());
+        let known: Vec<&str> = drives.chain(plan.buses.iter().flat_map(|bus| bus.devices())).collect();
         let (config, known) = (config.display(), known.join(", "));
         return Err(Stop::usage(format!("{config} has no drive {drive}; it has {known}")));
     };
@@ -101,6 +102,12 @@ pub fn running(config: &Path, drive: &str) -> Result<Option<Remote>, Stop> {
 }
 
 fn alone(plan: &Plan, drive: &str, interrupt: &Interrupt) -> Result<Way, Stop> {
+    if plan.find_device(drive).is_some() {
+        // Its outputs would fall with a master of its own.
+        return Err(Stop::failed(format!(
+            "{drive} is no drive, and is asked by its running master only; start that with `fieldbeat run`"
+        )));
+    }
     let Some(plan) = plan.reaching(drive) else {
         return Err(Stop::failed(format!(
             "drive {drive} cannot be reached alone; start its master with `fieldbeat run`"
@@ -116,9 +123,10 @@ fn alone(plan: &Plan, drive: &str, interrupt: &Interrupt) -> Result<Way, Stop> {
             return Err(Stop::failed("interrupted; nothing was written"));
         }
         if begun.elapsed() > PATIENCE {
-            return Err(Stop::failed(format!(
-                "drive {drive} does not answer; look at its power, cable and address"
-            )));
+            return Err(Stop::failed(match master.not_connected(0) {
+                Some(why) => format!("drive {drive} cannot be reached: {why}"),
+                None => format!("drive {drive} does not answer; look at its power, cable and address"),
+            }));
         }
         sleep(LOOK_EVERY);
     }

@@ -35,18 +35,21 @@ impl Sim {
             return Err(Stop::usage(format!("--core {core}: there is no such core; there are {cores:?}")));
         }
         let interrupt = Interrupt::catch().map_err(Stop::failed)?;
-        let drives = plan.simulate();
-        let count = drives.len();
-        let server = SimServer::start(drives, serving(&plan, self.core))
+        let count: usize = plan.buses.iter().map(|bus| bus.axes().len()).sum();
+        let mut server = SimServer::start(plan.simulate(), serving(&plan, self.core))
             .map_err(|error| Stop::usage(format!("cannot simulate the drives: {error}")))?;
         print(format_args!("{count} simulated drives are listening; Ctrl-C ends them"))?;
         let begun = Instant::now();
         while !interrupt.is_set() && self.duration.is_none_or(|duration| begun.elapsed() < duration) {
             std::thread::sleep(LOOK_EVERY);
         }
-        let stats = server.stop();
-        let received: u64 = stats.iter().map(|drive| drive.received).sum();
-        let answered: u64 = stats.iter().map(|drive| drive.answered).sum();
+        server.end();
+        // A frame of a line is a request to all of it.
+        let drives = server.stats().into_iter().map(|drive| (drive.received, drive.answered));
+        let lines = server.lines().into_iter().map(|line| (line.received, line.answered));
+        let (received, answered) = drives
+            .chain(lines)
+            .fold((0, 0), |(received, answered), one| (received + one.0, answered + one.1));
         print(format_args!("{received} requests received, {answered} answered"))
     }
 }

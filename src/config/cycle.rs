@@ -1,6 +1,9 @@
 //! `[cycle]`, and what of it cannot work.
 
+use super::drive::plain_name;
 use super::reader::{Table, time};
+use super::value::alternatives;
+use crate::bus::BusPlan;
 use crate::cycle::{CyclePlan, Guard, Overrun, Wait};
 use crate::rt::host::Throttling;
 use crate::rt::{Memory, Realtime};
@@ -42,7 +45,26 @@ pub(super) fn cycle(table: &mut Table<'_>) -> CyclePlan {
         black_box_ns: table
             .time("black_box", 0..=60 * S, "so much of the past is kept for when something fails; 0s keeps none")
             .unwrap_or(default.black_box_ns),
+        reference: table.text("reference", "the name of a bus, whose clock leads the grid", plain_name),
     }
+}
+
+/// The bus whose clock leads has to be there, and to have one.
+pub(super) fn check_reference(root: &Table<'_>, cycle: &CyclePlan, buses: &[Box<dyn BusPlan>]) {
+    let Some(reference) = &cycle.reference else { return };
+    let clocked: Vec<&str> = buses.iter().filter(|bus| bus.has_clock()).map(|bus| bus.name()).collect();
+    if clocked.contains(&reference.as_str()) {
+        return;
+    }
+    let what = match buses.iter().find(|bus| bus.name() == reference) {
+        Some(bus) => format!("is a bus without a clock ({})", bus.protocol()),
+        None => "is no bus of this machine".to_owned(),
+    };
+    let remedy = match clocked.as_slice() {
+        [] => "no bus here has a clock, leave it out".to_owned(),
+        names => format!("take {}", alternatives(names.iter().copied())),
+    };
+    root.fault("cycle.reference", format!("{what}; {remedy}"));
 }
 
 fn guard(table: &mut Table<'_>) -> Option<Guard> {

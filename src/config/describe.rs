@@ -39,6 +39,7 @@ pub fn describe(plan: &Plan) -> Vec<String> {
             }
         }
         lines.extend(own);
+        lines.extend(clock(&**bus, plan.cycle.reference.as_deref()));
     }
     lines.push(black_box(plan));
     for group in &plan.groups {
@@ -109,6 +110,15 @@ fn cycle(cycle: &CyclePlan) -> Vec<String> {
         Ns(cycle.late_ns())
     ));
     lines
+}
+
+/// Which of a bus and the grid follows the other, if the bus has a clock.
+fn clock(bus: &dyn BusPlan, reference: Option<&str>) -> Option<String> {
+    let told = match reference == Some(bus.name()) {
+        true => "leads: the grid follows it ([cycle] reference)",
+        false => "follows the grid ([cycle] reference would let it lead)",
+    };
+    bus.has_clock().then(|| format!("  its clock {told}"))
 }
 
 fn black_box(plan: &Plan) -> String {
@@ -286,6 +296,7 @@ fn limits(axis: &AxisPlan) -> String {
     set.extend(limits.position.map(|(low, high)| format!("{low} ... {high} {unit}")));
     set.extend(limits.velocity.map(|velocity| format!("{velocity} {unit}/s")));
     set.extend(limits.acceleration.map(|acceleration| format!("{acceleration} {unit}/s²")));
+    set.extend(limits.torque.map(|torque| format!("{torque} % of the rated torque")));
     set.extend(limits.step.map(|step| format!("{step} {unit} between two rows")));
     match set.is_empty() {
         true => "limits: only the drive's own".into(),

@@ -19,11 +19,14 @@ pub(super) struct Counts {
     /// The unit that nobody needs to name, and how many of them are one.
     pub(super) unit: Unit,
     pub(super) per_unit: f64,
+    /// What the drive itself counts in one of them.
+    pub(super) wire: f64,
 }
 
 /// Reads the common keys of a drive that counts `counts`.
 pub(super) fn axis(table: &mut Table<'_>, machine: &mut Machine, counts: Counts) -> AxisPlan {
-    let name = name(table, machine);
+    let name =
+        name(table, machine, "drive", "every drive needs one, it is how programs and messages call it");
     let units = units(table, counts);
     let default = AxisPlan::new(name, units);
     let limits = limits(table, &units);
@@ -113,10 +116,11 @@ fn time(table: &mut Table<'_>, key: &'static str, most_s: u64, hint: &str, defau
     table.time(key, MS..=most_s * S, hint).map_or(default, Duration::from_nanos)
 }
 
-fn name(table: &mut Table<'_>, machine: &mut Machine) -> String {
-    table.require("name", "every drive needs one, it is how programs and messages call it");
+/// The name of a `kind`, a drive or a device.
+pub(super) fn name(table: &mut Table<'_>, machine: &mut Machine, kind: &'static str, why: &str) -> String {
+    table.require("name", why);
     let name = table.text("name", "1 to 32 letters, digits, - _ or .", plain_name).unwrap_or_default();
-    machine.claim_name(table, &name);
+    machine.claim_name(table, kind, &name);
     name
 }
 
@@ -133,7 +137,7 @@ fn units(table: &mut Table<'_>, counts: Counts) -> Units {
         table.fault("scale", format!("missing; say how many {} are one {unit}", counts.what));
     }
     // Where it is missing, something usual stands in: one mistake, one message.
-    let scale = given.unwrap_or(counts.per_unit);
+    let scale = given.unwrap_or(counts.per_unit) * counts.wire;
     let inverted = table.flag("invert").unwrap_or(false);
     Units {
         unit,
@@ -153,6 +157,11 @@ fn limits(table: &mut Table<'_>, units: &Units) -> Limits {
             "units/s²; leave it out for the drive's own limit",
         ),
         step: table.number("step", POSITIVE, "units between two streamed rows; leave it out for no limit"),
+        torque: table.number(
+            "torque",
+            POSITIVE,
+            "per cent of the rated torque; leave it out for the drive's own limit",
+        ),
     });
     if let Some((low, high)) = limits.position {
         let counts = |end: i32| f64::from(end) / units.counts_per_unit + units.offset;

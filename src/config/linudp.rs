@@ -30,7 +30,8 @@ pub(super) fn bus(table: &mut Table<'_>, machine: &mut Machine, cycle: &CyclePla
     Box::new(LinUdpPlan { name, bind: bind.unwrap_or(NOWHERE), send, drives })
 }
 
-const COUNTS: Counts = Counts { what: "drive counts", unit: Unit::Millimetre, per_unit: COUNTS_PER_MM };
+const COUNTS: Counts =
+    Counts { what: "drive counts", unit: Unit::Millimetre, per_unit: COUNTS_PER_MM, wire: 1.0 };
 
 fn bind(table: &mut Table<'_>, machine: &mut Machine) -> Option<SocketAddrV4> {
     table.require("bind", "the address of the adapter that the drives are on, like \"192.168.1.1\"");

@@ -10,6 +10,8 @@
 //! | `drive` | the keys that every `[[bus.drive]]` has |
 //! | `linudp` | the keys of `protocol = "linudp-v2"` |
 //! | `modbus` | the keys of `protocol = "modbus-tcp"` |
+//! | `ethercat`, `ethercat_device` | the keys of `protocol = "ethercat"`; those of slaves that are no drives |
+//! | `ethercat_values` | areas of memory, objects and PDOs as people write them |
 //! | `faults` | the faults of simulated drives |
 //! | `describe` | a plan in words |
 //! | `linmot_table` | a LinMot drive's command table as a file of its own |
@@ -35,10 +37,11 @@
 //! | `heartbeat` | none | longest the application may be silent while an axis is enabled; longer stops all that are |
 //! | `late` | a tenth of the period | a cycle that begins later than this after its grid point, or spends longer in a stage, is counted as late, with its cause |
 //! | `black_box` | `"2s"` | how much of the past is kept, and written to a file at a fault or a lost drive |
+//! | `reference` | none | the name of the one bus whose clock leads the grid: it follows that clock instead of this computer's (EtherCAT) |
 //!
 //! `[[bus]]`: `protocol`, `name` (default: the protocol), the keys of the protocol, `[bus.defaults]`, and one
 //! `[[bus.drive]]` a drive. **What stands in `[bus.defaults]` holds for every drive of this bus that does not say
-//! otherwise**, sub-tables key by key; `name` and `address` are each drive's own.
+//! otherwise**, sub-tables key by key; `name`, `address` and `position` are each drive's own.
 //!
 //! `[[bus.drive]]`, lengths in the drive's units:
 //!
@@ -46,14 +49,15 @@
 //! |---|---|---|
 //! | `name` | - | unique in the machine |
 //! | `address` | - | see the protocol |
-//! | `units` | the protocol's | `"mm"` or `"rev"`; LinUDP mm, Modbus TCP rev |
-//! | `scale` | the protocol's, for its own unit | drive counts in one unit; LinUDP 10000 a mm; Modbus TCP revolutions of the motor, 1 a rev |
+//! | `units` | the protocol's | `"mm"` or `"rev"`; LinUDP mm, the others rev |
+//! | `scale` | the protocol's, for its own unit | LinUDP drive counts in one unit, 10000 a mm; the others revolutions of the motor, 1 a rev |
 //! | `invert` | `false` | turn the direction round |
 //! | `offset` | `0` | position of the drive's count zero |
 //! | `modulo` | none | length of one turn of a rotary axis |
 //! | `limits.position` | none | `[lowest, highest]` |
 //! | `limits.velocity`, `limits.acceleration` | none | units/s, units/s² |
 //! | `limits.step` | none | largest distance between two streamed rows |
+//! | `limits.torque` | none | largest torque setpoint, per cent of the rated torque |
 //! | `profile.velocity` | `100` mm/s, `1` rev/s | of moves that name none; at most the limit |
 //! | `profile.acceleration` | `1000` mm/s², `10` rev/s² | at most the limit |
 //! | `profile.deceleration` | `profile.acceleration` | |
@@ -72,7 +76,7 @@
 //! | `stop.group` | none | drives that name the same group stop together |
 //! | `load` | `"level"` | `"vertical"`: the load drops when nothing holds it |
 //! | `held_by` | - | what holds a vertical load: the drive's `"brake"`, or the powered `"drive"` alone, which is then never powered off |
-//! | `setpoint_age` | `10` | cycles; a cyclic velocity setpoint that is older stops the axis |
+//! | `setpoint_age` | `10` | cycles; a cyclic velocity or torque setpoint that is older stops the axis |
 //! | `jog_deadman` | `"500ms"` | a jog that is not renewed for so long is stopped; `"off"`: it runs until replaced |
 //! | `underrun` | `"stop"` | what an empty stream does: or `"hold"`, or `{ extrapolate = n }` exchanges |
 //! | `on_found_running` | `"stop"` | a drive found enabled: stop it, or `"refuse"` to touch it |
@@ -121,6 +125,46 @@
 //! | `no_drive_watchdog` | `"refuse"` | a drive with neither of them is not enabled, or that is `"accept"`ed |
 //! | `simulate` | below | the drive when it is simulated |
 //!
+//! `protocol = "ethercat"`, where an object is `"0x6041:0"`, its [name](crate::bus::ethercat::object::catalogue), or one with its
+//! type, `"0x3612:0.i32"`; numbers of identities and addresses may be text with `0x`, too:
+//!
+//! | key | default | meaning |
+//! |---|---|---|
+//! | `interface` (bus) | - | the network interface, `"eth1"`; `"local:NAME"` is a line of simulated drives on this computer |
+//! | `sync_ahead` (bus) | half of the period | how long before SYNC0 a frame leaves the master |
+//! | `lrw` (bus) | `true` | outputs and inputs go in one datagram, which all slaves have to know; `false`: in two |
+//! | `simulate` (bus) | below | the line when it is simulated |
+//! | `position` | the one behind the slave before it in the file | its place on the line; 0 is next to the master |
+//! | `type` | `"s700"` | or `"s300"`, `"s400"`, `"s600"`, which are the same here, or `"akd"` |
+//! | `vendor`, `product`, `revision` | `0x6A`, the type's, `"any"` | who it has to be, or `"any"` |
+//! | `pdo.outputs` | `"0x1702"` | what it is told: a fixed PDO that is known, a list of objects to map, or `{ pdo = "0x1704", objects = [...] }` |
+//! | `pdo.inputs` | `"0x1B03"`; AKD `"0x1B24"` | what it tells |
+//! | `mapping` | by the PDOs | `"fixed"` ones are selected, `"free"` ones mapped by the master; `"as-is"`: nothing is written |
+//! | `mode` | by the setpoint | the mode of operation (6060h) for the setpoint in `pdo.outputs`: a number, or a name |
+//! | `prbase` | `20` | increments a turn as a power of two |
+//! | `check_prbase` | `true` | what the drive says of it, 608Fh:1 over 608Fh:2, is held against `prbase` |
+//! | `velocity_rpm_per_count` | 2^20 increments a turn per 250 us; AKD `0.001` | rpm of a count of the velocity setpoint |
+//! | `torque_permille_per_count` | `1` | per mille of the rated torque or current of a count of the torque setpoint |
+//! | `rated_current` | none | of the motor, A; to tell the current |
+//! | `watchdog` | `"100ms"` | without outputs for so long the slave falls back by itself; or `"off"` |
+//! | `no_drive_watchdog` | `"refuse"` | with `watchdog = "off"` velocities and torques are refused, or `"accept"`ed |
+//! | `mailbox.out`, `mailbox.in` | `[0x1800, 16]`, `[0x1C00, 16]`; AKD 1024 | where its mailboxes are: start and bytes |
+//! | `buffers.outputs`, `buffers.inputs` | `0x1100`, `0x1140` | where its process data are |
+//! | `sync` | `true` | it works by SYNC0 of its clock; `false`: by the arrival of the frame |
+//! | `check_sii` | `true` | what its SII says of mailboxes and process data is held against the configuration |
+//! | `start_up` | `[]` | what is written in PREOP: `[{ object = "0x35D5:1", value = 4 }]`; up to 4 bytes each, of an AKD and of devices texts up to 8 |
+//! | `monitor` | `false` | up to four objects that are shown besides, read by the mailbox in turns |
+//! | `home_method` | as the drive is set | method of homing (6098h) |
+//! | `simulate` | below | the drive when it is simulated |
+//!
+//! `[[bus.device]]` of `"ethercat"` is a slave that is no drive: `name`, `position`, `vendor`, `product`, `revision` (default `"any"`),
+//! `sync` (default `false`), `mailbox`, `check_sii`, `start_up` and `watchdog` as of a drive, and
+//!
+//! | key | default | meaning |
+//! |---|---|---|
+//! | `outputs`, `inputs` | none | `{ start = 0x1000, length = 2 }`: where its process data are, and how many bytes |
+//! | `simulate.outputs`, `simulate.inputs` | digital ones | its terminals: `{ digital = 8, analogue = 2 }`, bits and 16-bit words |
+//!
 //! `simulate`, of every protocol:
 //!
 //! | key | default | meaning |
@@ -165,11 +209,37 @@
 //! | `inertia` | `0.005` | of all that turns, kg m² |
 //! | `load`, `friction` | `1.5`, `0.1` | what the machine takes, N m: at rated speed, growing with it; and at any |
 //! | `running` | none | comes up enabled and at this velocity, as if another master had died |
+//!
+//! `simulate` of an `"ethercat"` bus, where the keys of every protocol stand, too: each frame is a datagram of theirs:
+//!
+//! | key | default | meaning |
+//! |---|---|---|
+//! | `interface` | - | the network interface at the drives' end of the cable |
+//! | `drift_ppm` | `[]` | how much faster than ours the clocks run, by place; the last one counts for all behind it |
+//! | `line_delay` | `"500ns"` | what a frame takes from one slave to the next |
+//! | `short_clocks` | `false` | the clocks have 32 bits and not 64 |
+//!
+//! `simulate` of its drives:
+//!
+//! | key | default | meaning |
+//! |---|---|---|
+//! | `dialect` | `"standard"` | how it answers SDOs, or as the `"manual"` prints it |
+//! | `serial` | `0` | its serial number |
+//! | `start` | `0` | position at power-on, units |
+//! | `home` | `0.5` turns | where the home switch is, turns of the motor from there; `"none"` |
+//! | `sync_after` | `100` | cycles inside of the window until it is synchronous |
+//! | `hardware_enable` | `true` | STO is closed |
+//! | `rated_torque`, `peak_torque` | `5`, `3000` | of the motor, N m, and the most that it pushes, per mille of that |
+//! | `max_speed` | `6000` | of the motor, rpm |
+//! | `inertia`, `friction` | `0.002`, `0.1` | of all that turns, kg m²; what the machine takes, N m |
 
 mod cycle;
 mod describe;
 mod drive;
 mod error;
+mod ethercat;
+mod ethercat_device;
+mod ethercat_values;
 mod faults;
 pub mod linmot_curve;
 pub mod linmot_table;
@@ -234,7 +304,8 @@ pub fn duration(text: &str) -> Result<Duration, String> {
         .ok_or_else(|| "write a number with its unit: ns, us, ms, s, min or h, for example 10s".into())
 }
 
-/// The demo with so many LinMots, 1 ... 128, beside its Unidrives, and this period.
+/// The demo with so many LinMots, 1 ... 128, beside its Unidrives and its Kollmorgens, and this period. A period that no Kollmorgen
+/// takes, as 333 us, leaves them out.
 pub fn demo_plan(drives: usize, period_ns: u64) -> Result<Plan, ConfigErrors> {
     if !(1..=128).contains(&drives) {
         return Err(whole_file(DEMO_FILE, None, format!("{drives} drives: the demo has 1 to 128")));
@@ -244,15 +315,23 @@ pub fn demo_plan(drives: usize, period_ns: u64) -> Result<Plan, ConfigErrors> {
 
 /// The demo's file up to its first drive, with the period replaced, then as many drives as wanted: all that they share stands
 /// in `[bus.defaults]`. In a cycle too fast for its streaming command a drive is due every few cycles only. Behind them the bus
-/// of the Unidrives, with exchanges as many milliseconds apart as in the file.
+/// of the Unidrives, with exchanges as many milliseconds apart as in the file, and the line of the Kollmorgens as it is.
 fn demo_text(drives: usize, period_ns: u64) -> String {
+    const LINE: &str = "[[bus]]\nprotocol = \"ethercat\"";
     let head = DEMO.split("[[bus.drive]]").next().unwrap_or(DEMO);
-    let tail = DEMO.rfind("[[bus]]").map_or("", |at| &DEMO[at..]);
+    let tail = DEMO.match_indices("[[bus]]").nth(1).map_or("", |(at, _)| &DEMO[at..]);
+    // What an S700 takes and can be told.
+    let has_line = match period_ns {
+        ..3_000_000 => period_ns.is_multiple_of(250 * US) && period_ns != 2_750 * US,
+        _ => period_ns.is_multiple_of(MS) && period_ns < 32 * MS,
+    };
+    let tail = if has_line { tail } else { tail.split(LINE).next().unwrap_or(tail) };
     let every = (8 * MS / period_ns.max(50 * US)).max(2);
     let divisor = (400 * US).div_ceil(period_ns.max(50 * US));
     let mut text = head
         .replace("period = \"1ms\"", &format!("period = \"{period_ns}ns\""))
-        .replace("[bus.defaults]", &format!("[bus.defaults]\ndivisor = {divisor}"));
+        .replace("[bus.defaults]", &format!("[bus.defaults]\ndivisor = {divisor}"))
+        .replace("reference =", if has_line { "reference =" } else { "# reference =" });
     for drive in 1..=drives {
         text += &format!("[[bus.drive]]\nname = \"a{drive}\"\naddress = \"127.77.0.{}\"\n\n", drive + 10);
     }
@@ -288,8 +367,11 @@ fn whole_file(file: &str, line: Option<usize>, message: String) -> ConfigErrors 
 type ReadBus = fn(&mut Table<'_>, &mut Machine, &CyclePlan) -> Box<dyn BusPlan>;
 
 /// One word a protocol; the next one is one line more.
-const PROTOCOLS: [(&str, ReadBus); 2] =
-    [(crate::bus::linudp::PROTOCOL, linudp::bus), (crate::bus::modbus::PROTOCOL, modbus::bus)];
+const PROTOCOLS: [(&str, ReadBus); 3] = [
+    (crate::bus::linudp::PROTOCOL, linudp::bus),
+    (crate::bus::modbus::PROTOCOL, modbus::bus),
+    (crate::bus::ethercat::PROTOCOL, ethercat::bus),
+];
 
 /// Stands in for an address that was refused: the plan is not handed out then.
 const NOWHERE: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, 0);
@@ -302,13 +384,20 @@ fn machine(mut root: Table<'_>) -> Plan {
     }
     let mut buses: Vec<Box<dyn BusPlan>> = Vec::new();
     for mut table in root.tables("bus") {
-        table.require("protocol", "\"linudp-v2\" is LinMot LinUDP V2, \"modbus-tcp\" Nidec Unidrive");
+        table.require(
+            "protocol",
+            "\"linudp-v2\" is LinMot LinUDP V2, \"modbus-tcp\" Nidec Unidrive, \"ethercat\" Kollmorgen S300 ... S700",
+        );
         if let Some(read) = table.word("protocol", &PROTOCOLS) {
             buses.push(read(&mut table, &mut machine, &cycle));
             table.finish();
         }
     }
     machine.check_groups(&root);
+    cycle::check_reference(&root, &cycle, &buses);
+    for message in machine.periods {
+        root.fault("cycle.period", message);
+    }
     let drives = buses.iter().map(|bus| bus.axes().len()).sum();
     cycle::check_period(&root, &cycle, drives);
     let mut plan = Plan { source: None, cycle, buses, groups: Vec::new() };
@@ -326,17 +415,21 @@ fn machine(mut root: Table<'_>) -> Plan {
 
 /// The drives of a bus, each over its `[bus.defaults]`; `read` is told its place, too.
 fn drives<D>(bus: &mut Table<'_>, mut read: impl FnMut(&mut Table<'_>, usize) -> D) -> Vec<D> {
-    let defaults = bus.sub_table("defaults");
-    if !bus.gives("drive") {
-        bus.fault("drive", "missing; a bus needs at least one [[bus.drive]]");
-    }
     let mut drives = Vec::new();
-    for (index, own) in bus.tables("drive").into_iter().enumerate() {
-        let mut table = own.over(&defaults, &["name", "address"]);
+    for (index, mut table) in drive_tables(bus, &["name", "address"]).into_iter().enumerate() {
         drives.push(read(&mut table, index));
         table.finish();
     }
     drives
+}
+
+/// The tables of the drives of a bus, each over its `[bus.defaults]` but for the keys that are its `own`.
+fn drive_tables<'a>(bus: &mut Table<'a>, own: &'static [&'static str]) -> Vec<Table<'a>> {
+    let defaults = bus.sub_table("defaults");
+    if !bus.gives("drive") {
+        bus.fault("drive", "missing; a bus needs at least one [[bus.drive]]");
+    }
+    bus.tables("drive").into_iter().map(|table| table.over(&defaults, own)).collect()
 }
 
 /// A `[[group]]`: axes that act together.
@@ -364,10 +457,14 @@ fn group(table: &mut Table<'_>, plan: &Plan) -> Option<GroupPlan> {
 /// What must be unique in the whole machine, and where it was seen first.
 #[derive(Debug, Default)]
 struct Machine {
-    drives: HashMap<String, Place>,
+    /// Drives, and devices that are none: which, and where.
+    names: HashMap<String, (&'static str, Place)>,
     buses: HashMap<String, Place>,
     addresses: HashMap<Ipv4Addr, Vec<(SocketAddrV4, Claim, Place)>>,
     binds: Vec<(SocketAddrV4, Place)>,
+    interfaces: HashMap<String, Place>,
+    /// Why the period of the cycle does not suit a bus.
+    periods: Vec<String>,
     /// Stop groups by id, with their members.
     groups: Vec<(String, Vec<Place>)>,
 }
@@ -382,14 +479,27 @@ enum Claim {
 }
 
 impl Machine {
-    fn claim_name(&mut self, table: &Table<'_>, name: &str) {
+    /// The name of a `kind`, a drive or a device.
+    fn claim_name(&mut self, table: &Table<'_>, kind: &'static str, name: &str) {
         if name.is_empty() {
             return; // Missing or wrong, and already reported.
         }
-        if let Some(first) = self.drives.get(name) {
-            table.fault("name", format!("is the drive of {first} already; names are unique in the machine"));
+        if let Some((kind, first)) = self.names.get(name) {
+            table.fault("name", format!("is the {kind} of {first} already; names are unique in the machine"));
         } else {
-            self.drives.insert(name.to_owned(), table.place("name"));
+            self.names.insert(name.to_owned(), (kind, table.place("name")));
+        }
+    }
+
+    /// The interface of a bus without IP.
+    fn claim_interface(&mut self, table: &Table<'_>, interface: &str) {
+        if let Some(first) = self.interfaces.get(interface) {
+            table.fault(
+                "interface",
+                format!("is that of the bus of {first} already; one bus an interface, put its drives there"),
+            );
+        } else {
+            self.interfaces.insert(interface.to_owned(), table.place("interface"));
         }
     }
 

@@ -21,7 +21,8 @@ use crate::cycle::CyclePlan;
 use crate::sim::Carrier;
 use crate::time::{MS, S, US};
 
-const COUNTS: Counts = Counts { what: "revolutions of the motor", unit: Unit::Revolution, per_unit: 1.0 };
+const COUNTS: Counts =
+    Counts { what: "revolutions of the motor", unit: Unit::Revolution, per_unit: 1.0, wire: 1.0 };
 
 /// Reads a `[[bus]]`.
 pub(super) fn bus(table: &mut Table<'_>, machine: &mut Machine, cycle: &CyclePlan) -> Box<dyn BusPlan> {

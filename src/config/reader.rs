@@ -214,6 +214,11 @@ impl<'a> Table<'a> {
         Place { line: layer.line, key: layer.path_to(key), value: None }
     }
 
+    /// Where it stands.
+    pub(super) fn line(&self) -> usize {
+        self.layers[0].line
+    }
+
     /// Notes a mistake at `key` (dots lead into sub-tables).
     pub(super) fn fault(&self, key: &str, message: impl Into<String>) {
         self.page.report(self.place(key), message);

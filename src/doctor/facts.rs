@@ -12,7 +12,7 @@ use nix::ifaddrs::{InterfaceAddress, getifaddrs};
 use super::Subject;
 use super::ethtool::Nic;
 use crate::bus::BusPlan;
-use crate::net::{Carriers, Datagrams, UdpOptions};
+use crate::net::{Carriers, Datagrams, Frames, UdpOptions};
 use crate::rt::host::cores_of;
 use crate::rt::{Denied, Memory, MonotonicClock, RealtimeError, Regions, memory, thread};
 
@@ -180,8 +180,10 @@ impl Probes {
         let (core, priority) = (subject.core, subject.cycle.priority);
         let addresses = addresses();
         let used = |(ip, _): &&(Ipv4Addr, String)| subject.wires.iter().any(|wire| wire.local.ip() == ip);
+        let of_lines = subject.lines.iter().map(|line| line.interface.clone());
         let mut names: Vec<String> = addresses.iter().filter(used).map(|(_, name)| name.clone()).collect();
         names.dedup();
+        names.extend(of_lines);
         Probes {
             core: on_a_thread(move || thread::pin(core)),
             fifo: on_a_thread(move || thread::fifo(priority)),
@@ -190,6 +192,11 @@ impl Probes {
             nics: names.into_iter().map(|name| (name.clone(), Nic::ask(&name))).collect(),
             addresses,
         }
+    }
+
+    /// The settings of the interface `name`, if a bus uses it.
+    pub fn nic(&self, name: &str) -> Option<&Nic> {
+        self.nics.iter().find(|(known, _)| known == name).map(|(_, nic)| nic)
     }
 
     /// The interface that has `address`.
@@ -253,26 +260,61 @@ pub struct Wire {
     pub drives: Vec<SocketAddrV4>,
 }
 
-impl Wire {
-    /// The wire of a bus: the first socket that it asks for. Refused, so that nothing is opened.
-    pub(super) fn of(bus: &dyn BusPlan, period_ns: u64) -> Option<Wire> {
+/// Where a bus without IP addresses meets the network: its frames have an interface for themselves.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Line {
+    /// The bus' name.
+    pub bus: String,
+    /// The interface.
+    pub interface: String,
+}
+
+/// How a bus meets the network.
+pub(super) enum Way {
+    Wire(Wire),
+    Line(Line),
+}
+
+impl Way {
+    /// That of a bus: the first carrier that it asks for. Refused, so that nothing is opened.
+    pub(super) fn of(bus: &dyn BusPlan, period_ns: u64) -> Option<Way> {
         let asked = Asked::default();
         let _ = bus.open(period_ns, &asked);
-        let (local, options) = asked.0.into_inner().ok()??;
-        let drives = bus.simulate().iter().map(|drive| drive.address()).collect();
-        Some(Wire { bus: bus.name().to_owned(), local, options, drives })
+        let name = bus.name().to_owned();
+        Some(match asked.0.into_inner().ok()?? {
+            Carrier::Datagrams(local, options) => {
+                let drives = bus.simulate().iter().map(|drive| drive.address()).collect();
+                Way::Wire(Wire { bus: name, local, options, drives })
+            }
+            Carrier::Frames(interface) => Way::Line(Line { bus: name, interface }),
+        })
     }
+}
+
+/// What a bus asks for.
+enum Carrier {
+    Datagrams(SocketAddrV4, UdpOptions),
+    Frames(String),
 }
 
 /// Carriers that only note what they were asked for first.
 #[derive(Default)]
-struct Asked(Mutex<Option<(SocketAddrV4, UdpOptions)>>);
+struct Asked(Mutex<Option<Carrier>>);
+
+impl Asked {
+    fn note<T>(&self, carrier: Carrier) -> io::Result<T> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(carrier);
+        Err(io::ErrorKind::Unsupported.into())
+    }
+}
 
 impl Carriers for Asked {
     fn datagrams(&self, bind: SocketAddrV4, options: &UdpOptions) -> io::Result<Box<dyn Datagrams>> {
-        let mut asked = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        asked.get_or_insert((bind, *options));
-        Err(io::ErrorKind::Unsupported.into())
+        self.note(Carrier::Datagrams(bind, *options))
+    }
+
+    fn frames(&self, interface: &str, _ethertype: u16) -> io::Result<Box<dyn Frames>> {
+        self.note(Carrier::Frames(interface.to_owned()))
     }
 }
 
@@ -356,7 +398,7 @@ pub(super) mod testing {
     /// The default plan on core 3.
     pub fn subject() -> Subject {
         let cycle = CyclePlan { core: Some(3), ..CyclePlan::default() };
-        Subject { source: None, core: 3, cycle, wires: Vec::new() }
+        Subject { source: None, core: 3, cycle, wires: Vec::new(), lines: Vec::new() }
     }
 }
 
@@ -388,10 +430,20 @@ mod tests {
     #[test]
     fn a_bus_tells_its_wire_without_opening_it() {
         let plan = crate::config::demo_plan(2, 1_000_000).unwrap();
-        let wire = Wire::of(plan.buses[0].as_ref(), 1_000_000).unwrap();
+        let way = Way::of(plan.buses[0].as_ref(), 1_000_000).unwrap();
+        let Way::Wire(wire) = way else { panic!("it has addresses") };
         assert_eq!(wire.local, "127.77.0.1:41136".parse().unwrap());
         let drives: Vec<String> = wire.drives.iter().map(ToString::to_string).collect();
         assert_eq!(drives, ["127.77.0.11:49360", "127.77.0.12:49360"]);
         assert_eq!(wire.options.peers, 2);
+    }
+
+    #[test]
+    fn a_bus_without_addresses_is_told_by_its_interface() {
+        let asked = Asked::default();
+        assert!(asked.frames("eth1", 0x88A4).is_err(), "nothing is opened");
+        assert!(asked.frames("eth2", 0x88A4).is_err());
+        let Some(Carrier::Frames(interface)) = asked.0.into_inner().unwrap() else { panic!("frames") };
+        assert_eq!(interface, "eth1", "the first one counts");
     }
 }

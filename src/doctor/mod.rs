@@ -37,13 +37,15 @@ pub mod stats;
 
 use std::path::PathBuf;
 
-pub use facts::Wire;
+pub use facts::{Line, Wire};
+
 pub use finding::{Area, Finding, Verdict};
 pub use measure::{Carries, Effort, Factor, Latency, Measured, Noise, Progress, Untried, measure};
 pub use report::{Carried, Counts, Host, Report};
 
 use crate::cycle::{CyclePlan, Plan};
 use crate::rt::thread::default_core;
+use facts::Way;
 
 /// What the host shall carry.
 #[derive(Clone, Debug, PartialEq)]
@@ -56,21 +58,29 @@ pub struct Subject {
     pub core: usize,
     /// The wires of its buses.
     pub wires: Vec<Wire>,
+    /// Those of its buses that have no IP addresses.
+    pub lines: Vec<Line>,
 }
 
 impl Subject {
     /// A whole machine.
     pub fn of(plan: &Plan) -> Subject {
         let period_ns = plan.cycle.period_ns;
-        let wires = plan.buses.iter().filter_map(|bus| Wire::of(bus.as_ref(), period_ns)).collect();
-        Subject { source: plan.source.clone(), wires, ..Subject::cycle(plan.cycle.clone()) }
+        let mut subject = Subject { source: plan.source.clone(), ..Subject::cycle(plan.cycle.clone()) };
+        for way in plan.buses.iter().filter_map(|bus| Way::of(bus.as_ref(), period_ns)) {
+            match way {
+                Way::Wire(wire) => subject.wires.push(wire),
+                Way::Line(line) => subject.lines.push(line),
+            }
+        }
+        subject
     }
 
     /// A cycle alone: nothing is known of its drives.
     pub fn cycle(cycle: CyclePlan) -> Subject {
         // Every computer has a core 0, whatever its kernel tells.
         let core = cycle.core.or_else(default_core).unwrap_or(0);
-        Subject { source: None, cycle, core, wires: Vec::new() }
+        Subject { source: None, cycle, core, wires: Vec::new(), lines: Vec::new() }
     }
 }
 

@@ -1,17 +1,19 @@
-//! The way to the drives of a bus: its interface, neighbour entries, socket buffers, connection tracking.
+//! The way to the drives of a bus: its interface, neighbour entries, socket buffers, connection tracking. A bus without IP has an
+//! interface for itself, and nothing else.
 //!
 //! Sources: arp(7), socket(7), ip-neighbour(8), Documentation/networking/nf_conntrack-sysctl.rst.
 
 use std::net::SocketAddrV4;
 
 use super::Subject;
-use super::facts::{Facts, Root, Wire};
+use super::facts::{Facts, Line, Root, Wire};
 use super::finding::{Area, Finding};
 use super::nic;
 
 /// All of them, for each bus.
 pub(super) fn check(facts: &Facts, subject: &Subject) -> Vec<Finding> {
-    subject.wires.iter().flat_map(|wire| bus(facts, wire, subject)).collect()
+    let of_wires = subject.wires.iter().flat_map(|wire| bus(facts, wire, subject));
+    of_wires.chain(subject.lines.iter().flat_map(|own| line(facts, own, subject))).collect()
 }
 
 fn bus(facts: &Facts, wire: &Wire, subject: &Subject) -> Vec<Finding> {
@@ -20,10 +22,12 @@ fn bus(facts: &Facts, wire: &Wire, subject: &Subject) -> Vec<Finding> {
     let found = facts.probes.interface(local);
     let mut findings = vec![interface(root, wire, found)];
     if local.is_loopback() {
-        findings
-            .push(about(wire, "drives", "", "").good("on this computer itself: loopback, nothing to tune"));
+        findings.push(
+            about(&wire.bus, "drives", "", "").good("on this computer itself: loopback, nothing to tune"),
+        );
     } else if let Some(name) = found {
-        findings.extend(nic::check(facts, wire, name, subject));
+        findings.extend(nic::check(facts, &wire.bus, name, subject));
+        findings.extend(nic::check_ip(facts, &wire.bus, name));
         findings.push(neighbours(root, wire, name));
     }
     findings.extend([
@@ -35,15 +39,53 @@ fn bus(facts: &Facts, wire: &Wire, subject: &Subject) -> Vec<Finding> {
 }
 
 /// A finding about a bus.
-pub(super) fn about(wire: &Wire, name: &str, wanted: &str, why: &str) -> Finding {
-    Finding::about(Area::Network, format!("{}: {name}", wire.bus), wanted, why)
+pub(super) fn about(bus: &str, name: &str, wanted: &str, why: &str) -> Finding {
+    Finding::about(Area::Network, format!("{bus}: {name}"), wanted, why)
+}
+
+fn line(facts: &Facts, line: &Line, subject: &Subject) -> Vec<Finding> {
+    let (root, name) = (&facts.root, line.interface.as_str());
+    let wanted = format!("{name}, with the line plugged in");
+    let finding = about(&line.bus, "interface", &wanted, "the frames of the bus leave and come back there");
+    // The kernel's own names have no colon.
+    if name.contains(':') {
+        return vec![finding.good("on this computer itself: simulated, nothing to tune")];
+    }
+    if !root.has(&format!("sys/class/net/{name}")) {
+        let remedy = "`ip link` lists those that this computer has; put one of them into interface";
+        return vec![finding.bad(format!("no interface {name}")).advise(remedy)];
+    }
+    let mut findings = vec![state(root, finding, name)];
+    findings.extend(nic::check(facts, &line.bus, name, subject));
+    findings.push(alone(facts, line));
+    findings
+}
+
+/// Nothing but the bus uses its interface.
+fn alone(facts: &Facts, line: &Line) -> Finding {
+    let name = &line.interface;
+    let finding = about(
+        &line.bus,
+        "IP addresses",
+        &format!("none on {name}"),
+        "the kernel's own packets wait for the same wire, and slaves pass on what is none of theirs",
+    );
+    let of_line = facts.probes.addresses.iter().filter(|(_, own)| own == name);
+    let addresses: Vec<String> = of_line.map(|(address, _)| address.to_string()).collect();
+    match addresses.is_empty() {
+        true => finding.good("none"),
+        false => finding.poor(addresses.join(", ")).mend(
+            format!("sudo ip addr flush dev {name}"),
+            format!("sudo ip addr add ADDRESS/BITS dev {name}"),
+        ),
+    }
 }
 
 fn interface(root: &Root, wire: &Wire, found: Option<&str>) -> Finding {
     let local = wire.local.ip();
     let wanted = format!("{local} on an interface of this computer, with its cable plugged in");
     let finding =
-        about(wire, "interface", &wanted, "the bus sends from this address, and replies come to it");
+        about(&wire.bus, "interface", &wanted, "the bus sends from this address, and replies come to it");
     if local.is_unspecified() {
         return finding
             .poor("0.0.0.0: whichever the kernel chooses")
@@ -58,6 +100,11 @@ fn interface(root: &Root, wire: &Wire, found: Option<&str>) -> Finding {
             .bad(format!("no interface has {local}"))
             .advise("`ip -4 addr` lists those that this computer has; put one of them into bind");
     };
+    state(root, finding, name)
+}
+
+/// What drives the interface `name`, and whether it is up.
+fn state(root: &Root, finding: Finding, name: &str) -> Finding {
     let file = |file: &str| root.get(&format!("sys/class/net/{name}/{file}"));
     // Reading it fails while the interface is switched off.
     let carrier = file("carrier");
@@ -81,7 +128,7 @@ const PERMANENT: &str = "0x6";
 
 fn neighbours(root: &Root, wire: &Wire, interface: &str) -> Finding {
     let finding = about(
-        wire,
+        &wire.bus,
         "neighbour entries",
         "a permanent one for each drive",
         "others grow old: the kernel then asks for the drive's hardware address in the middle of the run, and requests to a \
@@ -130,7 +177,7 @@ fn neighbours(root: &Root, wire: &Wire, interface: &str) -> Finding {
 
 fn buffer(root: &Root, wire: &Wire, name: &str, limit: &str, asked: usize) -> Finding {
     let finding = about(
-        wire,
+        &wire.bus,
         name,
         &format!("{asked} bytes or more (net.core.{limit})"),
         "it holds what waits while the loop is held up, or a drive is gone; the kernel silently cuts it to this limit",
@@ -150,7 +197,7 @@ fn buffer(root: &Root, wire: &Wire, name: &str, limit: &str, asked: usize) -> Fi
 
 fn tracking(root: &Root, wire: &Wire) -> Finding {
     let finding = about(
-        wire,
+        &wire.bus,
         "connection tracking",
         "not for the drives' datagrams",
         "every datagram is looked up in a table, under locks that it shares with all other traffic, and is dropped when the \
@@ -238,6 +285,29 @@ pub(super) mod tests {
         assert_eq!(check("192.168.1.1:1", None, &[]).verdict, Bad);
         assert_eq!(check("0.0.0.0:1", None, &[]).verdict, Poor);
         assert_eq!(check("127.77.0.1:1", None, &[]).verdict, Good);
+    }
+
+    #[test]
+    fn a_line_has_an_interface_for_itself() {
+        let check = |interface: &str, files: &[(&str, &str)]| {
+            let own = Line { bus: "portal".into(), interface: interface.into() };
+            line(&Host::new(files).0, &own, &subject())
+        };
+        let carrier = [("sys/class/net/eth1/carrier", "1\n"), ("sys/class/net/eth1/speed", "100\n")];
+        let up = check("eth1", &carrier);
+        assert_eq!((up[0].verdict, up[0].found.as_str()), (Good, "eth1, 100 Mbit/s, up"));
+        assert_eq!(up[0].name, "portal: interface");
+        let alone = up.last().unwrap();
+        assert_eq!((alone.name.as_str(), alone.verdict), ("portal: IP addresses", Good));
+        // eth0 has one.
+        let shared = check("eth0", &[("sys/class/net/eth0/carrier", "0\n")]);
+        assert_eq!((shared[0].verdict, shared[0].found.as_str()), (Poor, "eth0, no carrier"));
+        let alone = shared.last().unwrap();
+        assert_eq!((alone.verdict, alone.found.as_str()), (Poor, "192.168.1.1"));
+        assert_eq!(alone.mend.as_deref(), Some("sudo ip addr flush dev eth0"));
+        let gone = check("eth2", &carrier);
+        assert_eq!((gone.len(), gone[0].verdict, gone[0].found.as_str()), (1, Bad, "no interface eth2"));
+        assert_eq!(check("local:line", &[])[0].verdict, Good);
     }
 
     #[test]

@@ -7,25 +7,28 @@ use std::io;
 use super::Subject;
 use super::core::others;
 use super::ethtool::{Coalescing, Nic};
-use super::facts::{Facts, Root, Thread, Wire};
+use super::facts::{Facts, Root, Thread};
 use super::finding::{Finding, list, write};
 use super::network::about;
 use crate::cycle::Wait;
 use crate::rt::host::cores_of;
 
-/// All of them, for the interface `name`.
-pub(super) fn check(facts: &Facts, wire: &Wire, name: &str, subject: &Subject) -> Vec<Finding> {
+/// All of them, for the interface `name`, but for what only IP has.
+pub(super) fn check(facts: &Facts, bus: &str, name: &str, subject: &Subject) -> Vec<Finding> {
     let root = &facts.root;
     let interrupts = interrupts(root, name);
     let mut findings = vec![
-        affinity(root, wire, &interrupts, subject),
-        threads(root, wire, &interrupts, subject),
-        deferral(root, wire, name),
+        affinity(root, bus, &interrupts, subject),
+        threads(root, bus, &interrupts, subject),
+        deferral(root, bus, name),
     ];
-    if let Some((_, nic)) = facts.probes.nics.iter().find(|(known, _)| known == name) {
-        findings.extend([coalescing(wire, name, &nic.coalescing), offloads(wire, name, nic)]);
-    }
+    findings.extend(facts.probes.nic(name).map(|nic| coalescing(bus, name, &nic.coalescing)));
     findings
+}
+
+/// The same of IP: whether the interface `name` merges packets.
+pub(super) fn check_ip(facts: &Facts, bus: &str, name: &str) -> Option<Finding> {
+    facts.probes.nic(name).map(|nic| offloads(bus, name, nic))
 }
 
 /// The interrupts of an interface that are in use. Those of a virtio device belong to the PCI device above it; a VLAN, bond
@@ -53,10 +56,10 @@ fn interrupts(root: &Root, name: &str) -> Vec<u32> {
     all
 }
 
-fn affinity(root: &Root, wire: &Wire, interrupts: &[u32], subject: &Subject) -> Finding {
+fn affinity(root: &Root, bus: &str, interrupts: &[u32], subject: &Subject) -> Finding {
     let core = subject.core;
     let finding = about(
-        wire,
+        bus,
         "interrupts",
         &format!("on other cores than {core}"),
         "each packet, also of others on this network, otherwise interrupts the loop's core",
@@ -103,10 +106,10 @@ fn numbers(interrupts: &[u32]) -> String {
 const USUAL_PRIORITY: u8 = 50;
 
 /// On PREEMPT_RT, and with threadirqs, interrupts are handled by threads.
-fn threads(root: &Root, wire: &Wire, interrupts: &[u32], subject: &Subject) -> Finding {
+fn threads(root: &Root, bus: &str, interrupts: &[u32], subject: &Subject) -> Finding {
     let (core, priority) = (subject.core, subject.cycle.priority);
     let finding = about(
-        wire,
+        bus,
         "interrupt threads",
         &format!("SCHED_FIFO {USUAL_PRIORITY} or above, away from a core whose loop spins"),
         "a reply is seen only after they ran; on the core of a loop that spins at a higher priority they never run",
@@ -151,9 +154,9 @@ fn threads(root: &Root, wire: &Wire, interrupts: &[u32], subject: &Subject) -> F
 }
 
 /// Packets may be left in the card's ring on purpose, for a timer to fetch them.
-fn deferral(root: &Root, wire: &Wire, name: &str) -> Finding {
+fn deferral(root: &Root, bus: &str, name: &str) -> Finding {
     let finding = about(
-        wire,
+        bus,
         "deferred interrupts",
         "0 (gro_flush_timeout, napi_defer_hard_irqs)",
         "with both, packets wait in the card for a timer instead of an interrupt",
@@ -179,9 +182,9 @@ fn deferral(root: &Root, wire: &Wire, name: &str) -> Finding {
 /// Below this no reply is late for it.
 const COALESCING_US: u32 = 10;
 
-fn coalescing(wire: &Wire, name: &str, said: &io::Result<Coalescing>) -> Finding {
+fn coalescing(bus: &str, name: &str, said: &io::Result<Coalescing>) -> Finding {
     let finding = about(
-        wire,
+        bus,
         "coalescing",
         &format!("rx and tx {COALESCING_US} us at most, not adaptive"),
         "the card gathers packets for so long before it interrupts: it comes on top of every round trip",
@@ -217,9 +220,9 @@ fn coalescing(wire: &Wire, name: &str, said: &io::Result<Coalescing>) -> Finding
     finding.poor(found).mend(set(least(rx_us), least(tx_us)), set((adaptive_rx, rx_us), (adaptive_tx, tx_us)))
 }
 
-fn offloads(wire: &Wire, name: &str, nic: &Nic) -> Finding {
+fn offloads(bus: &str, name: &str, nic: &Nic) -> Finding {
     let finding = about(
-        wire,
+        bus,
         "offloads",
         "gro and lro off",
         "both gather packets of one stream before they hand them up; a cycle's replies are one packet a drive",
@@ -242,10 +245,11 @@ fn offloads(wire: &Wire, name: &str, nic: &Nic) -> Finding {
 
 #[cfg(test)]
 mod tests {
-    use super::super::network::tests::wire;
     use super::*;
     use crate::doctor::Verdict::{Good, Poor, Unknown};
     use crate::doctor::facts::testing::{Host, KTHREADD, subject};
+
+    const BUS: &str = "linmot";
 
     const ONLINE: (&str, &str) = ("sys/devices/system/cpu/online", "0-3\n");
 
@@ -270,9 +274,8 @@ mod tests {
 
     #[test]
     fn interrupts_belong_on_other_cores() {
-        let check = |files: &[(&str, &str)], irqs: &[u32]| {
-            affinity(&Host::new(files).0.root, &wire(), irqs, &subject())
-        };
+        let check =
+            |files: &[(&str, &str)], irqs: &[u32]| affinity(&Host::new(files).0.root, BUS, irqs, &subject());
         let effective = "proc/irq/31/effective_affinity_list";
         let allowed = ("proc/irq/31/smp_affinity_list", "0-3\n");
         assert_eq!(check(&[ONLINE, (effective, "2\n"), allowed], &[31]).found, "irq 31 elsewhere");
@@ -293,7 +296,7 @@ mod tests {
     fn interrupt_threads_have_their_priority_and_a_core_to_run_on() {
         let mut plan = subject();
         let host = || Host::new(&[KTHREADD]);
-        let check = |host: Host, plan: &Subject| threads(&host.0.root, &wire(), &[31], plan);
+        let check = |host: Host, plan: &Subject| threads(&host.0.root, BUS, &[31], plan);
         assert_eq!(check(Host::new(&[]), &plan).verdict, Unknown);
         assert_eq!(check(host(), &plan).found, "none: handled in interrupts, above every priority");
         let thread = |policy, priority, cores| host().thread(9, "irq/31-eth0", true, policy, priority, cores);
@@ -314,7 +317,7 @@ mod tests {
                 ("sys/class/net/eth0/gro_flush_timeout", flush),
                 ("sys/class/net/eth0/napi_defer_hard_irqs", defer),
             ];
-            deferral(&Host::new(&files).0.root, &wire(), "eth0")
+            deferral(&Host::new(&files).0.root, BUS, "eth0")
         };
         assert_eq!(check("0\n", "0\n").verdict, Good);
         assert_eq!(check("20000\n", "0\n").verdict, Good);
@@ -324,15 +327,15 @@ mod tests {
             (Poor, Some("echo 2 | sudo tee /sys/class/net/eth0/napi_defer_hard_irqs"))
         );
         let old = Host::new(&[("sys/class/net/eth0/mtu", "1500")]);
-        assert_eq!(deferral(&old.0.root, &wire(), "eth0").verdict, Good);
-        assert_eq!(deferral(&Host::new(&[]).0.root, &wire(), "eth0").verdict, Unknown);
+        assert_eq!(deferral(&old.0.root, BUS, "eth0").verdict, Good);
+        assert_eq!(deferral(&Host::new(&[]).0.root, BUS, "eth0").verdict, Unknown);
     }
 
     #[test]
     fn coalescing_is_short_and_steady() {
         let check = |rx_us, tx_us, adaptive_rx| {
             let said = Coalescing { rx_us, tx_us, adaptive_rx, adaptive_tx: false };
-            coalescing(&wire(), "eth0", &Ok(said))
+            coalescing(BUS, "eth0", &Ok(said))
         };
         assert_eq!(check(3, 0, false).found, "rx 3 us, tx 0 us");
         assert_eq!(check(3, 0, false).verdict, Good);
@@ -340,14 +343,14 @@ mod tests {
         assert_eq!((long.verdict, long.found.as_str()), (Poor, "rx 50 us, tx 3 us, adaptive"));
         assert_eq!(long.mend.unwrap(), "sudo ethtool -C eth0 adaptive-rx off rx-usecs 10");
         assert_eq!(long.undo.unwrap(), "sudo ethtool -C eth0 adaptive-rx on rx-usecs 50");
-        let silent = coalescing(&wire(), "eth0", &Err(io::Error::from_raw_os_error(libc::EOPNOTSUPP)));
+        let silent = coalescing(BUS, "eth0", &Err(io::Error::from_raw_os_error(libc::EOPNOTSUPP)));
         assert_eq!(silent.verdict, Unknown);
     }
 
     #[test]
     fn offloads_are_switched_off_by_name() {
         let nic = |gro, lro| Nic { coalescing: Err(io::ErrorKind::Unsupported.into()), gro, lro };
-        let check = |gro, lro| offloads(&wire(), "eth0", &nic(gro, lro));
+        let check = |gro, lro| offloads(BUS, "eth0", &nic(gro, lro));
         assert_eq!(check(Ok(false), Ok(false)).verdict, Good);
         assert_eq!(check(Ok(true), Ok(false)).mend.unwrap(), "sudo ethtool -K eth0 gro off");
         assert_eq!(check(Ok(true), Ok(true)).undo.unwrap(), "sudo ethtool -K eth0 gro on lro on");

@@ -186,7 +186,7 @@ impl Causes {
                     self.missed = Some((*index, *axis));
                 }
             }
-            Record::Drive(_) | Record::Monitor(_) => {}
+            Record::Drive(_) | Record::Monitor(_) | Record::Reference(_) => {}
             Record::Cycle(record) => {
                 self.cycles += 1;
                 self.last = *record;

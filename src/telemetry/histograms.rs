@@ -3,7 +3,7 @@
 use hdrhistogram::Histogram;
 use serde::Serialize;
 
-use crate::cycle::record::{CycleRecord, DriveRecord, Record, SkippedRecord, Stage};
+use crate::cycle::record::{CycleRecord, DriveRecord, Record, ReferenceRecord, SkippedRecord, Stage};
 use crate::cycle::status::Peak;
 use crate::time::MS;
 
@@ -32,6 +32,8 @@ pub struct Histograms {
     pub jitter: Quantity,
     /// Time of each [`Stage`].
     pub stages: [Quantity; 6],
+    /// Distances of the slots from where the clock that leads the grid wants them, late or early, from the first lock on.
+    pub reference: Quantity,
     /// The drives, in the order of the plan.
     pub drives: Vec<DriveHistograms>,
 }
@@ -75,6 +77,7 @@ impl Histograms {
             wake: empty(),
             jitter: empty(),
             stages: std::array::from_fn(|_| empty()),
+            reference: empty(),
             drives: (0..axes).map(|_| DriveHistograms::new()).collect(),
         }
     }
@@ -89,6 +92,7 @@ impl Histograms {
         match record {
             Record::Drive(record) => self.enter_drive(record),
             Record::Monitor(_) => {}
+            Record::Reference(record) => self.enter_reference(record),
             Record::Cycle(record) => self.enter_cycle(record),
             Record::Skipped(record) => self.enter_skipped(record, period_ns),
         }
@@ -104,6 +108,12 @@ impl Histograms {
             if let Some(ns) = ns {
                 enter(histogram, u64::from(ns.get()));
             }
+        }
+    }
+
+    fn enter_reference(&mut self, record: &ReferenceRecord) {
+        if let Some(error_ns) = record.error_ns.filter(|_| record.counts) {
+            enter(&mut self.reference, error_ns.unsigned_abs().into());
         }
     }
 
@@ -245,6 +255,18 @@ mod tests {
         let skipped = SkippedRecord { count, late_ns, ..SkippedRecord::default() };
         histograms.enter(&Record::Skipped(skipped), MS);
         assert_eq!(histograms.wake.len(), count);
+    }
+
+    #[test]
+    fn errors_late_and_early_count_from_the_first_lock_on() {
+        let mut histograms = Histograms::new(0);
+        let errors = [(Some(-9_000), false), (Some(-700), true), (None, true), (Some(300), true)];
+        for (error_ns, counts) in errors {
+            let record = ReferenceRecord { error_ns, counts, ..ReferenceRecord::default() };
+            histograms.enter(&Record::Reference(record), MS);
+        }
+        let reference = &histograms.reference;
+        assert_eq!((reference.len(), reference.min(), reference.max()), (2, 300, 700));
     }
 
     #[test]

@@ -33,5 +33,5 @@ pub mod timeline;
 
 pub use histograms::{Histograms, Quantiles};
 pub use monitor::Monitor;
-pub use recorder::{Measured, Recorder, Recording};
+pub use recorder::{DriveEmergency, Measured, Recorder, Recording};
 pub use summary::Summary;

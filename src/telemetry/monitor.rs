@@ -6,8 +6,9 @@ use std::sync::Arc;
 use super::{Measured, Recording, Summary};
 use crate::axis::Observer;
 use crate::axis::cell::Reader;
+use crate::bus::BusPlan;
 use crate::cycle::Plan;
-use crate::cycle::status::{DriveEnd, DriveNumbers, Gauges, Numbers, Status};
+use crate::cycle::status::{DeviceEnd, DriveEnd, DriveNumbers, Gauges, Numbers, Status};
 use crate::rt::{self, Granted};
 
 /// A reader of a machine; see [`Master::monitor`](crate::Master::monitor). Cheap to clone.
@@ -74,9 +75,22 @@ impl Monitor {
                 DriveEnd { name, protocol, feedback, not_connected, counters, losses, peaks, monitor }
             })
             .collect();
-        let strangers = gauges.strangers.iter().map(Reader::read);
-        let buses = plan.buses.iter().map(|bus| bus.name().to_owned()).zip(strangers).collect();
-        Numbers { status: self.status(), drives, buses, page_faults: None, involuntary_switches: None }
+        let buses = plan.buses.iter().map(|bus| bus.name().to_owned()).zip(gauges.strangers()).collect();
+        let clocks = gauges.clocks.iter().map(Reader::read).collect();
+        let (status, devices) = (self.status(), self.devices());
+        Numbers { status, drives, buses, clocks, devices, page_faults: None, involuntary_switches: None }
+    }
+
+    /// What takes part without being a drive, in the order of the plan, and why it is not in operation.
+    pub fn devices(&self) -> Vec<DeviceEnd> {
+        let of_bus = |bus: usize, plan: &dyn BusPlan| {
+            let device = |(index, name): (usize, &str)| DeviceEnd {
+                name: name.to_owned(),
+                not_operational: self.0.gauges.not_operational(bus, index),
+            };
+            plan.devices().into_iter().enumerate().map(device).collect::<Vec<_>>()
+        };
+        self.0.plan.buses.iter().enumerate().flat_map(|(bus, plan)| of_bus(bus, &**plan)).collect()
     }
 
     /// Why drive `index` has no connection; `None`: it has one, needs none, or its first opening is under way.

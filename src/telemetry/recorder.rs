@@ -1,5 +1,6 @@
 //! The thread that empties the loop's ring: into histograms, the time line, the search for causes, and the black box.
 
+use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
@@ -11,6 +12,7 @@ use super::blackbox::{BlackBox, Written};
 use super::causes::Causes;
 use super::histograms::Histograms;
 use super::timeline::Timeline;
+use crate::axis::Emergency;
 use crate::cycle::CyclePlan;
 use crate::cycle::record::Record;
 use crate::rt::watch::ThreadWatch;
@@ -35,6 +37,8 @@ pub struct Measured {
     pub timeline: Timeline,
     /// Why cycles were late.
     pub causes: Causes,
+    /// The newest emergencies of the drives, in their order.
+    pub emergencies: VecDeque<DriveEmergency>,
     /// The files that the black box was written to, or could not be.
     pub black_boxes: Vec<Written>,
     /// How many that were, those that made room for newer ones included.
@@ -42,8 +46,21 @@ pub struct Measured {
     period_ns: u64,
 }
 
-/// So many files are told of.
+/// So many files are told of, and emergencies.
 const MOST_TOLD: usize = 64;
+
+/// An emergency of a drive.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct DriveEmergency {
+    /// Which of the run's it is, from 1.
+    pub number: u64,
+    /// The cycle in which it was noticed.
+    pub cycle: u64,
+    /// The axis, in the order of the plan.
+    pub axis: usize,
+    /// What it said.
+    pub emergency: Emergency,
+}
 
 impl Measured {
     /// Nothing yet, of so many axes in this cycle, with an in-loop task or none.
@@ -52,6 +69,7 @@ impl Measured {
             histograms: Histograms::new(axes),
             timeline: Timeline::default(),
             causes: Causes::new(cycle, task),
+            emergencies: VecDeque::new(),
             black_boxes: Vec::new(),
             files: 0,
             period_ns: cycle.period_ns,
@@ -63,6 +81,19 @@ impl Measured {
         self.histograms.enter(record, self.period_ns);
         self.timeline.enter(record);
         self.causes.record(record);
+        if let Record::Drive(drive) = record
+            && let Some(emergency) = drive.emergency()
+        {
+            self.tell(drive.index, drive.axis.into(), emergency);
+        }
+    }
+
+    fn tell(&mut self, cycle: u64, axis: usize, emergency: Emergency) {
+        let number = self.emergencies.back().map_or(1, |newest| newest.number + 1);
+        if self.emergencies.len() == MOST_TOLD {
+            self.emergencies.pop_front();
+        }
+        self.emergencies.push_back(DriveEmergency { number, cycle, axis, emergency });
     }
 
     fn wrote(&mut self, mut written: Written) {
@@ -194,7 +225,27 @@ impl Drop for Recorder {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cycle::record::DriveRecord;
     use crate::time::MS;
+
+    #[test]
+    fn the_newest_emergencies_are_kept_and_all_are_numbered() {
+        let mut measured = Measured::new(2, &CyclePlan::default(), false);
+        for index in 0..100 {
+            let told = Emergency { code: index as u16, register: 1 };
+            let emergency = (index % 10 != 9).then_some(told.into());
+            measured.enter(&Record::Drive(DriveRecord {
+                index,
+                axis: 1,
+                emergency,
+                ..DriveRecord::default()
+            }));
+        }
+        let [first, .., last] = measured.emergencies.make_contiguous() else { panic!("none") };
+        assert_eq!((first.number, first.cycle, first.axis), (27, 28, 1));
+        assert_eq!((last.number, last.cycle, last.emergency.code), (90, 98, 98));
+        assert_eq!(measured.emergencies.len(), MOST_TOLD);
+    }
 
     #[test]
     fn the_ring_holds_a_second_within_bounded_memory() {

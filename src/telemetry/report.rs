@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `summary.json` | what `--json` prints |
 //! | `wake.hgrm`, `jitter.hgrm`, `stage-S.hgrm` | the loop |
+//! | `reference.hgrm` | phase errors of the grid, where the clock of a bus leads it |
 //! | `rtt-D.hgrm`, `send-jitter-D.hgrm`, `age-D.hgrm` | drive D |
 //! | `wake.svg`, `percentiles.svg`, `rtt.svg`, `timeline.svg` | the pictures |
 //!
@@ -136,6 +137,9 @@ fn histograms(run: &Run) -> Vec<(String, String)> {
         ("wake.hgrm".to_owned(), distribution(&histograms.wake, status.wake_max)),
         ("jitter.hgrm".to_owned(), distribution(&histograms.jitter, status.jitter_max)),
     ];
+    if let Some(reference) = &status.reference {
+        files.push(("reference.hgrm".to_owned(), distribution(&histograms.reference, reference.error_max)));
+    }
     for stage in Stage::ALL {
         let text = distribution(histograms.stage(stage), status.stage_max[stage as usize]);
         files.push((format!("stage-{}.hgrm", stage.name()), text));
@@ -153,7 +157,7 @@ fn histograms(run: &Run) -> Vec<(String, String)> {
 /// Whether a histogram or picture of some report has that name; see the table above.
 fn is_ours(name: &str) -> bool {
     let histogram = |name: &str| {
-        ["wake", "jitter"].contains(&name)
+        ["wake", "jitter", "reference"].contains(&name)
             || ["stage-", "rtt-", "send-jitter-", "age-"].iter().any(|kind| name.starts_with(kind))
     };
     name.strip_suffix(".hgrm").is_some_and(histogram) || PICTURES.contains(&name)

@@ -10,10 +10,11 @@ use super::causes::{Cause, Judged, Tally};
 use super::histograms::{Quantiles, Quantity};
 use super::recorder::Measured;
 use crate::axis::{Fault, Link, MonitorChannel, StopCause, Units};
+use crate::bus::BusClock;
 use crate::bus::{Counters, OwnCounter};
 use crate::cycle::Plan;
 use crate::cycle::record::Stage;
-use crate::cycle::status::{Extent, Numbers};
+use crate::cycle::status::{DeviceEnd, Extent, Numbers, ReferenceStatus};
 use crate::rt::{Granted, host};
 use crate::time::{Ns, S, US};
 
@@ -54,7 +55,9 @@ pub struct Summary {
     pub late: Late,
     /// The drives, in the order of the plan.
     pub drives: Vec<Drive>,
-    /// The buses: what arrived and belongs to no drive.
+    /// What takes part without being a drive, in the order of the plan.
+    pub devices: Vec<Device>,
+    /// The buses: what arrived and belongs to no drive, and their clocks.
     pub buses: Vec<Bus>,
     /// How real-time the run was.
     pub realtime: RealtimeNumbers,
@@ -83,6 +86,57 @@ pub struct CycleNumbers {
     pub skipped: u64,
     /// Times that a cycle was too late for the next slot.
     pub overruns: u64,
+    /// The clock that leads the grid; null: it is ours.
+    pub reference: Option<ReferenceNumbers>,
+}
+
+/// How the grid follows the clock of a bus. The counts and maxima are exact.
+#[derive(Clone, Debug, Serialize)]
+pub struct ReferenceNumbers {
+    /// The bus.
+    pub bus: String,
+    /// The grid is locked.
+    pub locked: bool,
+    /// Times that the lock was lost.
+    pub losses: u64,
+    /// Executed cycles in which the clock was seen.
+    pub samples: u64,
+    /// Executed cycles in which it was not; they steer nothing.
+    pub silent: u64,
+    /// Distances of the slots from where the clock wants them, late or early, from the first lock on.
+    pub error_ns: Quantiles,
+    /// The largest step of the grid.
+    pub step_max_ns: u64,
+}
+
+impl ReferenceNumbers {
+    fn of(plan: &Plan, status: &ReferenceStatus, error: &Quantity) -> ReferenceNumbers {
+        ReferenceNumbers {
+            bus: plan.cycle.reference.clone().unwrap_or_default(),
+            locked: status.locked,
+            losses: status.losses,
+            samples: status.samples,
+            silent: status.silent,
+            error_ns: Quantiles::of(error, status.error_max),
+            step_max_ns: status.step_max.ns,
+        }
+    }
+}
+
+impl fmt::Display for ReferenceNumbers {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let ReferenceNumbers { bus, locked, losses, samples, silent, error_ns, step_max_ns } = self;
+        let [p50, p99, max] = [error_ns.p50, error_ns.p99, error_ns.max].map(Or);
+        write!(f, "grid led by {bus}: {}", if *locked { "locked" } else { "NOT LOCKED" })?;
+        write!(f, ", error p50 {p50}  p99 {p99}  max {max}; largest step {}", Ns(*step_max_ns))?;
+        if *silent > 0 {
+            write!(f, "; not seen in {silent} of {} cycles", samples + silent)?;
+        }
+        if *losses > 0 {
+            write!(f, "; lost {}", plural(*losses, "time"))?;
+        }
+        Ok(())
+    }
 }
 
 /// Times of the stages of a cycle.
@@ -337,6 +391,52 @@ pub struct Bus {
     pub dropped: u64,
     /// Errors of the receiving socket.
     pub receive_errors: u64,
+    /// Its clock and the grid; null: it has no clock.
+    pub clock: Option<ClockNumbers>,
+}
+
+/// How the clock of a bus and the grid stand to each other.
+#[derive(Clone, Debug, Serialize)]
+pub struct ClockNumbers {
+    /// The grid follows it; else it follows the grid.
+    pub leads: bool,
+    /// It has been where its drives want it for a while.
+    pub locked: bool,
+    /// How far the newest slot was from where it wants it: positive is late; null: it was not seen.
+    pub error_ns: Option<i64>,
+    /// The largest distance, late or early, from the first lock on.
+    pub error_max_ns: u64,
+    /// How far off its drives bear it.
+    pub window_ns: u64,
+}
+
+impl ClockNumbers {
+    fn of(clock: BusClock, leads: bool) -> ClockNumbers {
+        let BusClock { error_ns, locked, error_max_ns, window_ns } = clock;
+        ClockNumbers { leads, locked, error_ns, error_max_ns, window_ns }
+    }
+}
+
+impl fmt::Display for ClockNumbers {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let ClockNumbers { leads, locked, error_ns, error_max_ns, window_ns } = *self;
+        let way = if leads { "leads the grid" } else { "follows the grid" };
+        write!(f, "{way}, {}, error ", if locked { "locked" } else { "NOT LOCKED" })?;
+        match error_ns {
+            Some(ns) => write!(f, "{}{}", if ns < 0 { "-" } else { "" }, Ns(ns.unsigned_abs()))?,
+            None => f.write_str("not seen")?,
+        }
+        write!(f, ", at most {} since its lock; its drives bear {}", Ns(error_max_ns), Ns(window_ns))
+    }
+}
+
+/// What takes part without being a drive.
+#[derive(Clone, Debug, Serialize)]
+pub struct Device {
+    /// Its name.
+    pub name: String,
+    /// Why it is not in operation; null: it is, or was until the orderly end.
+    pub not_operational: Option<String>,
 }
 
 /// How real-time the run was.
@@ -421,12 +521,18 @@ impl Summary {
                 }
             })
             .collect();
-        let buses = (numbers.buses.iter())
-            .map(|(name, strangers)| Bus {
+        let leads = |bus: &str| plan.cycle.reference.as_deref() == Some(bus);
+        let clocks = numbers.clocks.iter().copied().chain(std::iter::repeat(None));
+        let devices = (numbers.devices.iter().cloned())
+            .map(|DeviceEnd { name, not_operational }| Device { name, not_operational })
+            .collect();
+        let buses = (numbers.buses.iter().zip(clocks))
+            .map(|((name, strangers), clock)| Bus {
                 name: name.clone(),
                 strangers: strangers.datagrams,
                 dropped: strangers.dropped,
                 receive_errors: strangers.errors,
+                clock: clock.map(|clock| ClockNumbers::of(clock, leads(name))),
             })
             .collect();
         let stage = |stage: Stage| Quantiles::of(histograms.stage(stage), status.stage_max[stage as usize]);
@@ -437,6 +543,8 @@ impl Summary {
                 executed: status.executed,
                 skipped: status.skipped,
                 overruns: status.overruns,
+                reference: (status.reference.as_ref())
+                    .map(|reference| ReferenceNumbers::of(plan, reference, &histograms.reference)),
             },
             wake_ns: Quantiles::of(&histograms.wake, status.wake_max),
             jitter_ns: Quantiles::of(&histograms.jitter, status.jitter_max),
@@ -455,6 +563,7 @@ impl Summary {
                 newest: (measured.causes.newest(NEWEST)).map(|late| LateCycle::of(late, plan)).collect(),
             },
             drives,
+            devices,
             buses,
             realtime: RealtimeNumbers {
                 policy: granted.policy,
@@ -583,6 +692,9 @@ impl fmt::Display for Summary {
             writeln!(f, "{}", format!("  {bin:>11} {count:>9} {}", "#".repeat(width)).trim_end())?;
         }
         writeln!(f, "cycle jitter     {}", quantiles(&self.jitter_ns))?;
+        if let Some(reference) = &cycle.reference {
+            writeln!(f, "{reference}")?;
+        }
         let stages = &self.stages_ns;
         for (name, stage) in [
             ("send", &stages.send),
@@ -669,6 +781,18 @@ impl fmt::Display for Summary {
                 bus.name, bus.strangers, bus.dropped, bus.receive_errors
             )?;
         }
+        // What leads the grid has its line above.
+        for bus in &self.buses {
+            if let Some(clock) = bus.clock.as_ref().filter(|clock| !clock.leads) {
+                writeln!(f, "bus {}: its clock {clock}", bus.name)?;
+            }
+        }
+        for Device { name, not_operational } in &self.devices {
+            match not_operational {
+                Some(why) => writeln!(f, "device {name}: not in operation: {why}")?,
+                None => writeln!(f, "device {name}: in operation")?,
+            }
+        }
         writeln!(f)?;
         let real = &self.realtime;
         let core = real.core.map_or(String::from("any core"), |core| format!("core {core}"));
@@ -719,6 +843,40 @@ mod tests {
         assert_eq!(serde_json::to_string(&told).unwrap(), json);
         let none = ProtocolCounters::of(&[], &counters);
         assert_eq!((none.are_any(), serde_json::to_string(&none).unwrap()), (false, "{}".to_owned()));
+    }
+
+    #[test]
+    fn what_leads_the_grid_is_one_line() {
+        let mut reference = ReferenceNumbers {
+            bus: "line".into(),
+            locked: true,
+            losses: 0,
+            samples: 990,
+            silent: 0,
+            error_ns: Quantiles { p50: Some(120), p99: Some(900), max: Some(1_500), ..Quantiles::default() },
+            step_max_ns: 10_000,
+        };
+        let line = "grid led by line: locked, error p50 120 ns  p99 900 ns  max 1.5 us; largest step 10 us";
+        assert_eq!(reference.to_string(), line);
+        reference = ReferenceNumbers { locked: false, losses: 1, silent: 10, ..reference };
+        reference.error_ns = Quantiles::default();
+        assert_eq!(
+            reference.to_string(),
+            "grid led by line: NOT LOCKED, error p50 -  p99 -  max -; largest step 10 us; not seen in 10 of 1000 \
+             cycles; lost 1 time"
+        );
+    }
+
+    #[test]
+    fn a_clock_that_follows_is_one_line() {
+        let clock =
+            BusClock { error_ns: Some(-1_250), locked: true, error_max_ns: 4_000, window_ns: 320_000 };
+        let told = |clock| ClockNumbers::of(clock, false).to_string();
+        let line =
+            "follows the grid, locked, error -1.25 us, at most 4 us since its lock; its drives bear 320 us";
+        assert_eq!(told(clock), line);
+        let line = "follows the grid, NOT LOCKED, error not seen, at most 4 us since its lock; its drives bear 320 us";
+        assert_eq!(told(BusClock { error_ns: None, locked: false, ..clock }), line);
     }
 
     #[test]

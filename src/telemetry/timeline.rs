@@ -65,7 +65,7 @@ impl Timeline {
                     self.at(*index).merge(Stretch { rtt_ns, missed, ..Stretch::default() });
                 }
             }
-            Record::Monitor(_) => {}
+            Record::Monitor(_) | Record::Reference(_) => {}
             Record::Cycle(record) => {
                 let busy_ns = record.stages_ns.iter().map(|ns| u64::from(*ns)).sum();
                 let wake_ns = u64::from(record.wake_ns);

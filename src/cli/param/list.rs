@@ -1,7 +1,10 @@
-//! `fieldbeat param list`. A LinMot drive tells which parameters it has; a Unidrive is asked for each of a menu.
+//! `fieldbeat param list`. A LinMot drive tells which parameters it has; a Unidrive is asked for each of a menu,
+//! and of a drive on EtherCAT the known objects are listed.
 
 use clap::Args;
-use fieldbeat::axis::acyclic::ParameterError;
+use fieldbeat::axis::acyclic::{Notation, ParameterError};
+use fieldbeat::bus::ethercat;
+use fieldbeat::bus::ethercat::object::{self, Drives, Known, Object, catalogue};
 use fieldbeat::bus::linudp;
 use fieldbeat::bus::linudp::service::{Progress, Services};
 use fieldbeat::bus::linudp::upid::{Upid, Usage};
@@ -27,10 +30,10 @@ pub struct List {
     /// Of a LinMot, only those whose value in flash is not their default, with that value.
     #[arg(long)]
     modified: bool,
-    /// Of a LinMot, read the value in use of each, too.
+    /// Of a LinMot or a drive on EtherCAT, read the value in use of each, too.
     #[arg(long, conflicts_with = "modified")]
     values: bool,
-    /// Of a LinMot, begin with this parameter [default: 0x0000].
+    /// Of a LinMot, begin with this parameter [default: 0x0000]; of a drive on EtherCAT with this object [default: 0x1000].
     #[arg(long, value_name = "ADDRESS")]
     from: Option<String>,
     /// Print one JSON array.
@@ -40,6 +43,9 @@ pub struct List {
 
 /// The highest number of a parameter, whatever the addressing of the drive.
 const MOST: u8 = Addressing::Modified.number_max();
+
+/// The parameters, and the way to the drive if one was needed.
+type Listed = (Option<Reach>, Vec<Row>);
 
 /// One parameter.
 struct Row {
@@ -54,9 +60,11 @@ impl List {
     pub fn run(self, interrupt: &Interrupt) -> Result<(), Stop> {
         let protocol = self.drive.protocol()?;
         let (reach, rows) = match protocol {
+            ethercat::PROTOCOL => self.objects(interrupt)?,
             modbus::PROTOCOL => self.menu(interrupt)?,
             _ => self.upids(interrupt)?,
         };
+        let notation = reach.as_ref().map_or(&object::Objects as &dyn Notation, Reach::notation);
         if self.json {
             let row = |row: &Row| {
                 json!({
@@ -64,7 +72,7 @@ impl List {
                     "name": row.name,
                     "usage": row.usage,
                     "raw": row.raw,
-                    "value": row.raw.map(|raw| reach.notation().number(&row.address, raw)),
+                    "value": row.raw.map(|raw| notation.number(&row.address, raw)),
                 })
             };
             return print(Value::Array(rows.iter().map(row).collect()));
@@ -76,7 +84,7 @@ impl List {
                 line += &format!("  {:<width$}", usage.as_deref().unwrap_or_default());
             }
             if let Some(raw) = raw {
-                line += &format!("  {}", reach.notation().show(address, *raw));
+                line += &format!("  {}", notation.show(address, *raw));
             }
             if let Some(name) = name {
                 line += &format!("  {name}");
@@ -87,7 +95,7 @@ impl List {
     }
 
     /// Those that a LinMot drive names.
-    fn upids(&self, interrupt: &Interrupt) -> Result<(Reach, Vec<Row>), Stop> {
+    fn upids(&self, interrupt: &Interrupt) -> Result<Listed, Stop> {
         if let Some(menu) = &self.menu {
             return Err(Stop::usage(format!("drive {} has no menus; leave {menu} out", self.drive.drive)));
         }
@@ -110,7 +118,7 @@ impl List {
             let rows = modified.into_iter().map(|(upid, value)| row(upid, None, Some(value.into())));
             let rows = rows.collect();
             drop(watch);
-            return Ok((reach, rows));
+            return Ok((Some(reach), rows));
         }
         let items = services.upids(first, &mut watch).map_err(Stop::failed)?;
         let mut rows = Vec::with_capacity(items.len());
@@ -123,11 +131,51 @@ impl List {
             rows.push(row(item.upid, Some(item.usage), value.transpose()?));
         }
         drop(watch);
-        Ok((reach, rows))
+        Ok((Some(reach), rows))
+    }
+
+    /// Those that are known of drives on EtherCAT; with their values those that the drive has.
+    fn objects(&self, interrupt: &Interrupt) -> Result<Listed, Stop> {
+        let drive = &self.drive.drive;
+        if self.modified || self.menu.is_some() {
+            let why = "lists its objects; leave --modified and the menu out";
+            return Err(Stop::usage(format!("drive {drive} {why}")));
+        }
+        let from = self.from.as_deref().unwrap_or("0x1000");
+        let Some(first) = Object::parse(from) else {
+            return Err(Stop::usage(format!("--from {from}: no object; write 0x6041:0")));
+        };
+        let key = |object: Object| (object.index, object.sub);
+        let all: Vec<&Known> = catalogue::all().filter(|known| key(known.object) >= key(first)).collect();
+        let row = |known: &Known, raw| Row {
+            address: known.object.to_string(),
+            name: Some(known.name),
+            usage: Some(usage_of(known)),
+            raw,
+        };
+        if !self.values {
+            return Ok((None, all.into_iter().map(|known| row(known, None)).collect()));
+        }
+        let reach = self.drive.reach(interrupt)?;
+        let mut watch = Meter::new(interrupt).watch();
+        let mut rows = Vec::with_capacity(all.len());
+        for (done, known) in all.iter().enumerate() {
+            if watch(Progress { what: "read", done, of: all.len() }).is_break() {
+                return Err(broken_off(&reach));
+            }
+            match access(&reach).read(&known.object.to_string()) {
+                Ok(raw) => rows.push(row(known, Some(raw))),
+                // Another family has it, or another firmware.
+                Err(ParameterError::Refused { .. }) => {}
+                Err(error) => return Err(failed(error)),
+            }
+        }
+        drop(watch);
+        Ok((Some(reach), rows))
     }
 
     /// Those of a menu that a Unidrive gives.
-    fn menu(&self, interrupt: &Interrupt) -> Result<(Reach, Vec<Row>), Stop> {
+    fn menu(&self, interrupt: &Interrupt) -> Result<Listed, Stop> {
         let drive = &self.drive.drive;
         if self.modified || self.values || self.from.is_some() {
             return Err(Stop::usage(format!(
@@ -173,7 +221,7 @@ impl List {
         drop(watch);
         match rows.is_empty() {
             true => Err(Stop::failed(format!("drive {drive}: menu {menu} has no parameters"))),
-            false => Ok((reach, rows)),
+            false => Ok((Some(reach), rows)),
         }
     }
 }
@@ -183,6 +231,21 @@ fn usage(parameter: Parameter) -> Option<String> {
     let known = parameter.known()?;
     let access = if known.access == Access::ReadOnly { "read" } else { "read write" };
     Some(format!("{} {access}", known.width.bits()))
+}
+
+/// Type, access, and which drives have it if not all.
+fn usage_of(known: &Known) -> String {
+    let access = match known.access {
+        object::Access::ReadOnly => "read",
+        object::Access::ReadWrite => "read write",
+        object::Access::PreOp => "read, write in PREOP",
+    };
+    let drives = match known.drives {
+        Drives::All => "",
+        Drives::S700 => ", not AKD",
+        Drives::Akd => ", AKD only",
+    };
+    format!("{} {access}{drives}", known.kind.name())
 }
 
 fn broken_off(reach: &Reach) -> Stop {

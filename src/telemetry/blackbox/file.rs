@@ -11,15 +11,18 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::axis::{Fault, Link, MONITOR_CHANNELS, Shown, State, StopCause};
-use crate::cycle::record::{CycleRecord, DriveRecord, Look, MonitorRecord, Record, Reply, SkippedRecord};
+use crate::axis::{Emergency, Fault, Link, MONITOR_CHANNELS, Shown, State, StopCause};
+use crate::cycle::record::{
+    CycleRecord, DriveRecord, Look, MonitorRecord, Record, ReferenceRecord, Reply, SkippedRecord,
+};
 use crate::time::Time;
 
 /// What a file begins with: the name, and the version of its layout.
-const MARK: [u8; 8] = *b"FBBOX\0\x03\n";
+const MARK: [u8; 8] = *b"FBBOX\0\x04\n";
 
 /// The oldest layout that is read. In layout 1 no drive showed anything besides its process data; up to layout 2 every drive
-/// told a position, and the header had no names of faults.
+/// told a position, and the header had no names of faults; up to layout 3 the grid was led by our own clock. What a drive tells by
+/// itself came later, in bytes that were 0 before: any layout may have it.
 const OLDEST: u8 = 1;
 
 /// Bytes of a record.
@@ -47,6 +50,9 @@ pub struct Header {
     pub deadline_ns: u64,
     /// The threshold of a late cycle.
     pub late_ns: u64,
+    /// The bus whose clock led the grid; `None` = ours did.
+    #[serde(default)]
+    pub reference: Option<String>,
     /// The axes.
     pub axes: Vec<Axis>,
     /// Kernel release.
@@ -211,6 +217,9 @@ const LATE: u8 = 8;
 const MOVING: u8 = 1;
 const INHIBITED: u8 = 2;
 const WAS_ONLINE: u8 = 4;
+const TOLD: u8 = 1;
+const LOCKED: u8 = 2;
+const COUNTS: u8 = 4;
 
 fn flag(set: bool, bit: u8) -> u8 {
     if set { bit } else { 0 }
@@ -234,6 +243,9 @@ fn put(record: &Record, to: &mut Vec<u8>) {
             for value in [d.position, d.demand] {
                 to.extend_from_slice(&value.to_le_bytes());
             }
+            let Emergency { code, register } = d.emergency().unwrap_or_default();
+            to.extend_from_slice(&code.to_le_bytes());
+            to.extend_from_slice(&[register, flag(d.emergency.is_some(), TOLD)]);
         }
         Record::Monitor(m) => {
             let (mask, values) = m.shown.to_words();
@@ -241,6 +253,14 @@ fn put(record: &Record, to: &mut Vec<u8>) {
             to.extend_from_slice(&u32::from(m.axis).to_le_bytes());
             for word in [m.index].into_iter().chain(values) {
                 to.extend_from_slice(&word.to_le_bytes());
+            }
+        }
+        Record::Reference(r) => {
+            let flags = flag(r.error_ns.is_some(), TOLD) | flag(r.locked, LOCKED) | flag(r.counts, COUNTS);
+            to.extend_from_slice(&[5, flags, 0, 0, 0, 0, 0, 0]);
+            to.extend_from_slice(&r.index.to_le_bytes());
+            for ns in [r.error_ns.unwrap_or_default(), r.step_ns] {
+                to.extend_from_slice(&ns.to_le_bytes());
             }
         }
         Record::Cycle(c) => {
@@ -311,6 +331,11 @@ fn get(bytes: &[u8], axes: usize) -> Option<Record> {
                 velocity: f32::from_bits(velocity),
                 position: f64::from_bits(take.u64()?),
                 demand: f64::from_bits(take.u64()?),
+                emergency: {
+                    let [low, high, register, told] = *take.array()?;
+                    let code = u16::from_le_bytes([low, high]);
+                    (told & TOLD != 0).then(|| Emergency { code, register }.into())
+                },
             })
         }
         2 => {
@@ -343,6 +368,18 @@ fn get(bytes: &[u8], axes: usize) -> Option<Record> {
             let (axis, index) = (known(take.u32()?)?, take.u64()?);
             let values = [take.u64()?, take.u64()?, take.u64()?, take.u64()?];
             Record::Monitor(MonitorRecord { index, axis, shown: Shown::from_words(flags, values)? })
+        }
+        5 => {
+            take.u32()?;
+            let index = take.u64()?;
+            let [error_ns, step_ns] = take.u32s()?.map(u32::cast_signed);
+            Record::Reference(ReferenceRecord {
+                index,
+                error_ns: (flags & TOLD != 0).then_some(error_ns),
+                step_ns,
+                locked: flags & LOCKED != 0,
+                counts: flags & COUNTS != 0,
+            })
         }
         _ => return None,
     })
@@ -417,6 +454,7 @@ mod tests {
                 age_ns: measured(4),
                 fault: 5,
                 warning: 6,
+                emergency: Some(Emergency { code: 0x4310, register: 8 }.into()),
                 current: -1.5,
                 velocity: 2.5,
                 position: f64::MIN,
@@ -427,6 +465,14 @@ mod tests {
                 axis: 1,
                 shown: [Some(-0.25), None, Some(f64::MAX), None].into(),
             }),
+            Record::Reference(ReferenceRecord {
+                index: 25,
+                error_ns: Some(i32::MIN),
+                step_ns: -26,
+                locked: true,
+                counts: true,
+            }),
+            Record::Reference(ReferenceRecord { index: 27, ..ReferenceRecord::default() }),
             Record::Cycle(CycleRecord {
                 index: 7,
                 grid: Time(8),
@@ -478,16 +524,16 @@ mod tests {
             assert_eq!(decode(bytes), Err(Wrong::Foreign));
         }
         let mut newer = encode(&header(), records().iter());
-        for version in [0, 4] {
+        for version in [0, 5] {
             newer[6] = version;
             assert_eq!(decode(&newer), Err(Wrong::Version(version)));
         }
     }
 
-    /// As layout 1 was: an axis of a name and a unit. Layout 2 is the same with `monitor`, which may be there in any.
+    /// As layout 1 was: an axis of a name and a unit. Later ones are the same with more, which may be there in any.
     #[test]
     fn a_file_of_an_earlier_layout_is_read() {
-        for layout in [1, 2] {
+        for layout in [1, 2, 3] {
             is_read(layout);
         }
     }

@@ -140,6 +140,7 @@ impl BlackBox {
                 period_ns: cycle.period_ns,
                 deadline_ns: cycle.deadline_ns(),
                 late_ns: cycle.late_ns(),
+                reference: cycle.reference.clone(),
                 axes: (axes.iter().zip(plan.monitored()))
                     .map(|(axis, monitored)| Axis {
                         name: axis.name.clone(),
@@ -166,7 +167,7 @@ impl BlackBox {
         self.records.push_back(*record);
         match record {
             Record::Drive(drive) => self.look(drive),
-            Record::Monitor(_) => {}
+            Record::Monitor(_) | Record::Reference(_) => {}
             Record::Cycle(_) | Record::Skipped(_) => self.newest = record.index(),
         }
         // At once, or what is to be told of has left it when the telemetry is late.
@@ -210,13 +211,16 @@ impl BlackBox {
     /// Names the faults that occur in the records: whoever reads the file may know nothing of the protocol.
     fn name_faults(&self, header: &mut Header) {
         for record in &self.records {
-            let Record::Drive(DriveRecord { axis, fault: fault @ 1.., .. }) = record else { continue };
-            let axis = usize::from(*axis);
+            let Record::Drive(drive) = record else { continue };
+            let axis = usize::from(drive.axis);
             let (Some(of), Some(names)) = (header.axes.get_mut(axis), self.fault_names.get(axis)) else {
                 continue;
             };
-            if let Some(name) = names(*fault) {
-                of.faults.entry(*fault).or_insert_with(|| name.to_owned());
+            let told = drive.emergency().map_or(0, |emergency| emergency.code.into());
+            for code in [drive.fault, told].into_iter().filter(|code| *code != 0) {
+                if let Some(name) = names(code) {
+                    of.faults.entry(code).or_insert_with(|| name.to_owned());
+                }
             }
         }
     }

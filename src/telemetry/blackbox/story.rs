@@ -1,5 +1,6 @@
 //! What led up to it, in words: what changed from cycle to cycle, and the last cycles as a table.
 
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::num::NonZeroU32;
 use std::ops::RangeInclusive;
@@ -8,7 +9,9 @@ use serde::Serialize;
 
 use super::file::{Axis, Channel, Header};
 use crate::axis::{Link, Verb};
-use crate::cycle::record::{CycleRecord, DriveRecord, Lateness, Record, Reply, SkippedRecord, Stage};
+use crate::cycle::record::{
+    CycleRecord, DriveRecord, Lateness, Record, ReferenceRecord, Reply, SkippedRecord, Stage,
+};
 use crate::telemetry::summary::{decimals, plain, told};
 use crate::time::{Ns, S};
 
@@ -37,28 +40,35 @@ const WIDEST_NAME: usize = 64;
 pub fn happenings(header: &Header, records: &[Record]) -> Vec<Happening> {
     let mut known: Vec<Option<DriveRecord>> = vec![None; header.axes.len()];
     let mut told: Vec<Happening> = Vec::new();
-    // The cycle of the record before, of each axis and, behind them, of the loop; and of the last time that something was told.
-    let mut before = vec![None; header.axes.len() + 1];
+    let (the_loop, the_reference) = (header.axes.len(), header.axes.len() + 1);
+    // The cycle of the record before, of each axis and, behind them, of the loop and of what leads its grid; and of the last time
+    // that something was told.
+    let mut before = vec![None; header.axes.len() + 2];
+    let mut led: Option<ReferenceRecord> = None;
     let mut last: Vec<u64> = Vec::new();
     for record in records {
         let (cycle, place, news) = match record {
             Record::Drive(drive) => {
                 let axis = usize::from(drive.axis);
                 let Some(known) = known.get_mut(axis) else { continue };
-                let news = match known.replace(*drive) {
+                let mut news = match known.replace(*drive) {
                     Some(known) => changes(&header.axes[axis], &known, drive),
                     None => vec![format!("{}, {}{}", drive.link, drive.state, running(drive))],
                 };
+                let fault = |code| header.axes[axis].fault(code);
+                news.extend(drive.emergency().map(|told| told.told(fault(told.code.into()))));
                 (drive.index, axis, news)
             }
             Record::Monitor(_) => continue,
-            Record::Cycle(cycle) => {
-                (cycle.index, header.axes.len(), late(header, cycle).into_iter().collect())
+            Record::Reference(now) => {
+                let news = steered(header, led.replace(*now).as_ref(), now);
+                (now.index, the_reference, news.into_iter().collect())
             }
+            Record::Cycle(cycle) => (cycle.index, the_loop, late(header, cycle).into_iter().collect()),
             Record::Skipped(SkippedRecord { first, count, given_up_ns, woke_late, .. }) => {
                 let why = if *woke_late { "the loop woke" } else { "the cycle before took too long," };
                 let news = format!("{count} skipped: {why} {} late", Ns(*given_up_ns));
-                (*first, header.axes.len(), vec![news])
+                (*first, the_loop, vec![news])
             }
         };
         let before = before[place].replace(cycle);
@@ -110,6 +120,24 @@ fn late(header: &Header, cycle: &CycleRecord) -> Option<String> {
         Lateness::Stage(stage, ns) => Some(format!("{} took {}", stage.name(), Ns(ns))),
         // The drives say so themselves.
         Lateness::Reply => None,
+    }
+}
+
+/// What is new with the clock that leads the grid.
+fn steered(header: &Header, before: Option<&ReferenceRecord>, now: &ReferenceRecord) -> Option<String> {
+    let name = header.reference.as_deref().unwrap_or("its reference");
+    let was = before.is_some_and(|before| before.locked);
+    match (before, now.error_ns) {
+        (None, _) if now.locked => Some(format!("grid locked to {name}")),
+        (None, _) => Some(format!("grid not locked to {name}")),
+        (_, Some(error_ns)) if was != now.locked => {
+            let (what, side) =
+                (if was { "lost" } else { "found" }, if error_ns < 0 { "early" } else { "late" });
+            Some(format!("lock to {name} {what}: {} {side}", Ns(error_ns.unsigned_abs().into())))
+        }
+        (_, None) if was != now.locked => Some(format!("lock to {name} lost: it is silent")),
+        (_, None) => Some(format!("no phase from {name}")),
+        _ => None,
     }
 }
 
@@ -199,11 +227,24 @@ fn write(text: &mut String, header: &Header, records: &[Record], cycles: u64) ->
     for stage in Stage::ALL {
         write!(text, " {:>9}", stage.name())?;
     }
+    if header.reference.is_some() {
+        write!(text, " {:>9} {:>9}", "phase", "step")?;
+    }
     writeln!(text)?;
+    let led: BTreeMap<u64, &ReferenceRecord> = (records.iter())
+        .filter_map(|record| match record {
+            Record::Reference(led) if shown.contains(&led.index) => Some((led.index, led)),
+            _ => None,
+        })
+        .collect();
     for cycle in loops {
         write!(text, "{:>12} {:>9.1}", cycle.index, us(cycle.wake_ns))?;
         for ns in cycle.stages_ns {
             write!(text, " {:>9.1}", us(ns))?;
+        }
+        if let Some(led) = led.get(&cycle.index) {
+            let error = led.error_ns.map_or("-".to_owned(), |ns| format!("{:.1}", f64::from(ns) / 1e3));
+            write!(text, " {error:>9} {:>9.1}", f64::from(led.step_ns) / 1e3)?;
         }
         writeln!(text)?;
     }
@@ -326,7 +367,7 @@ pub fn courses(header: &Header, records: &[Record], happenings: &[Happening], cy
                 row.monitor =
                     channels.filter_map(|(channel, value)| channel.as_ref().map(|_| value)).collect();
             }
-            Record::Cycle(_) | Record::Skipped(_) => {}
+            Record::Reference(_) | Record::Cycle(_) | Record::Skipped(_) => {}
         }
     }
     courses.into_iter().flatten().collect()
@@ -351,7 +392,7 @@ fn concerned(header: &Header, happenings: &[Happening], cycles: u64) -> Vec<usiz
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::axis::{State, StopCause};
+    use crate::axis::{Emergency, State, StopCause};
     use crate::cycle::record::MonitorRecord;
     use crate::time::MS;
 
@@ -390,6 +431,48 @@ mod tests {
             records.push(Record::Cycle(CycleRecord { index, wake_ns, ..CycleRecord::default() }));
         }
         (header, records)
+    }
+
+    #[test]
+    fn what_leads_the_grid_is_told_when_it_changes_and_its_silence_once() {
+        let (mut header, _) = machine();
+        header.reference = Some("line".into());
+        let mut records = Vec::new();
+        for index in 90..106 {
+            let (error_ns, locked) = match index {
+                0..=91 => (Some(-20_000), false),
+                95..=97 => (None, true),
+                103.. => (Some(250_000), false),
+                _ => (Some(300), true),
+            };
+            let step_ns = if index == 104 { -10_000 } else { 0 };
+            records.push(Record::Reference(ReferenceRecord {
+                index,
+                error_ns,
+                step_ns,
+                locked,
+                counts: true,
+            }));
+            records.push(Record::Cycle(CycleRecord { index, wake_ns: 412_000, ..CycleRecord::default() }));
+        }
+        let happenings = happenings(&header, &records);
+        let of_line = happenings.iter().filter(|one| one.what.contains("line"));
+        let told: Vec<_> = of_line.map(|one| (one.cycle, one.times, one.what.as_str())).collect();
+        let expected = [
+            (90, 1, "grid not locked to line"),
+            (92, 1, "lock to line found: 300 ns late"),
+            (95, 3, "no phase from line"),
+            (103, 1, "lock to line lost: 250 us late"),
+        ];
+        assert_eq!(told, expected);
+        // Beside it the loop's own story is told as ever.
+        assert_eq!(happenings.iter().map(|one| one.times).max(), Some(16));
+        let text = tell(&header, &records, 8);
+        assert!(text.lines().any(|line| line.ends_with("phase      step")), "{text}");
+        assert!(
+            text.lines()
+                .any(|line| line.trim_start().starts_with("104 ") && line.ends_with("250.0     -10.0"))
+        );
     }
 
     #[test]
@@ -463,6 +546,28 @@ mod tests {
         for what in ["fault none -> 0x001e (30, watchdog)", "fault none -> 0x03e7 (999)"] {
             assert!(told.iter().any(|told| told == what), "{told:?}");
         }
+    }
+
+    #[test]
+    fn an_emergency_is_told_by_its_name_when_it_came() {
+        let (mut header, mut records) = machine();
+        header.axes[0].faults.insert(0x4310, "motor temperature".into());
+        for record in &mut records {
+            if let Record::Drive(drive @ DriveRecord { axis: 0, index: 98 | 100, .. }) = record {
+                let code = if drive.index == 98 { 0x4310 } else { 0 };
+                drive.emergency = Some(Emergency { code, register: 8 }.into());
+            }
+        }
+        let told: Vec<_> = happenings(&header, &records)
+            .into_iter()
+            .filter(|one| one.what.starts_with("emergency"))
+            .map(|one| (one.cycle, one.what))
+            .collect();
+        let words = [
+            "emergency 0x4310 (17168, motor temperature), register 0x08",
+            "emergency: error over, register 0x08",
+        ];
+        assert_eq!(told, [(98, words[0].to_owned()), (100, words[1].to_owned())]);
     }
 
     #[test]

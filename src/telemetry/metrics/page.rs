@@ -12,7 +12,7 @@ use crate::axis::{Link, MonitorChannel};
 use crate::bus::OwnCounter;
 use crate::cycle::Plan;
 use crate::cycle::record::Stage;
-use crate::cycle::status::{DriveEnd, Numbers};
+use crate::cycle::status::{DriveEnd, Numbers, ReferenceStatus};
 use crate::rt::host;
 use crate::telemetry::histograms::Quantity;
 use crate::telemetry::summary::Found;
@@ -59,13 +59,16 @@ impl Collector for Machine {
         let numbers = monitor.numbers();
         sheet.host(monitor)?;
         sheet.cycle(monitor.plan().cycle.period_ns, &numbers)?;
+        sheet.reference(monitor.plan(), &numbers)?;
         sheet.drives(&numbers.drives)?;
         sheet.protocols(monitor.plan(), &numbers.drives)?;
         sheet.connections(monitor, &numbers.drives)?;
         sheet.monitored(monitor.plan(), &numbers.drives)?;
         sheet.buses(&numbers)?;
+        sheet.lines(&numbers)?;
         monitor.measured(|Measured { histograms, causes, .. }| {
             sheet.histograms(histograms, &numbers.drives)?;
+            sheet.phase(monitor.plan(), histograms)?;
             let found: Vec<Found> =
                 causes.ranked().iter().map(|tally| Found::of(tally, monitor.plan())).collect();
             sheet.causes(&found)
@@ -202,6 +205,24 @@ impl Sheet<'_> {
         self.times("stage_max", "The longest time of each stage.", stages)
     }
 
+    fn reference(&mut self, plan: &Plan, Numbers { status, .. }: &Numbers) -> fmt::Result {
+        let led = status.reference.zip(plan.cycle.reference.as_deref());
+        let (led, bus) = (led.map(|(status, _)| status), led.map_or("", |(_, bus)| bus));
+        let of = |value: fn(&ReferenceStatus) -> u64| led.map(|status| ([("bus", bus)], value(&status)));
+        let locked = of(|status| status.locked.into());
+        self.gauges("reference_locked", "1 while the grid is locked to the clock that leads it.", locked)?;
+        let losses = of(|status| status.losses);
+        self.counters("reference_lock_losses", "Times that the grid lost its lock.", losses)?;
+        let samples = of(|status| status.samples);
+        self.counters("reference_samples", "Executed cycles in which the leading clock was seen.", samples)?;
+        let silent = of(|status| status.silent);
+        self.counters("reference_silent_cycles", "Executed cycles in which it was not.", silent)?;
+        let error = of(|status| status.error_max.ns);
+        self.times("reference_error_max", "Largest phase error of the grid since its first lock.", error)?;
+        let step = of(|status| status.step_max.ns);
+        self.times("reference_step_max", "Largest step of the grid.", step)
+    }
+
     fn drives(&mut self, drives: &[DriveEnd]) -> fmt::Result {
         type Field = (&'static str, &'static str, fn(&DriveEnd) -> u64);
         const COUNTS: [Field; 9] = [
@@ -305,6 +326,27 @@ impl Sheet<'_> {
         Ok(())
     }
 
+    /// What takes part without being a drive, and the clocks of the buses.
+    fn lines(&mut self, Numbers { buses, clocks, devices, .. }: &Numbers) -> fmt::Result {
+        let samples = devices
+            .iter()
+            .map(|device| ([("device", device.name.as_str())], u64::from(device.not_operational.is_some())));
+        self.gauges("device_not_operational", "1 while what is no drive is not in operation.", samples)?;
+        let clocks: Vec<_> = buses
+            .iter()
+            .zip(clocks)
+            .filter_map(|((name, _), clock)| Some(([("bus", name.as_str())], (*clock)?)))
+            .collect();
+        let locked = clocks.iter().map(|(bus, clock)| (*bus, u64::from(clock.locked)));
+        self.gauges("bus_clock_locked", "1 while the clock of the bus and the grid meet.", locked)?;
+        let error = clocks.iter().map(|(bus, clock)| (*bus, clock.error_max_ns));
+        self.times(
+            "bus_clock_error_max",
+            "Largest distance of that clock and the grid since they met.",
+            error,
+        )
+    }
+
     fn buses(&mut self, Numbers { buses, .. }: &Numbers) -> fmt::Result {
         let strangers = buses.iter().map(|(name, bus)| ([("bus", name.as_str())], bus.datagrams));
         self.counters("bus_strangers", "Datagrams from addresses that are no drive's.", strangers)?;
@@ -344,6 +386,15 @@ impl Sheet<'_> {
         )?;
         let age = drives().map(|(labels, drive)| (labels, &drive.age));
         self.distributions("drive_value_age", "Age of the values when a window closed.", age)
+    }
+
+    fn phase(&mut self, plan: &Plan, histograms: &Histograms) -> fmt::Result {
+        let led = plan.cycle.reference.as_deref().map(|bus| ([("bus", bus)], &histograms.reference));
+        self.distributions(
+            "reference_error",
+            "Phase errors of the grid, late or early, since its first lock.",
+            led,
+        )
     }
 
     fn causes(&mut self, found: &[Found]) -> fmt::Result {

@@ -1,0 +1,294 @@
+//! `protocol = "ethercat"`: the line and its drives.
+
+use super::drive::{Counts, axis};
+use super::ethercat_device::device;
+use super::ethercat_values::{identity, layout, mailbox, shown, start, start_up};
+use super::faults::faults;
+use super::reader::{POSITIVE, Table, integer, number, time};
+use super::{Machine, drive_tables};
+use crate::axis::Unit;
+use crate::bus::BusPlan;
+use crate::bus::ethercat::cia402::Mode;
+use crate::bus::ethercat::object::Family;
+use crate::bus::ethercat::sim::{Dialect, DriveSettings, LineSettings, MotorSettings};
+use crate::bus::ethercat::{EthercatPlan, KollmorgenDrive, Mapping, Owner, PROTOCOL, Scaling, SlavePlan};
+use crate::cycle::CyclePlan;
+use crate::sim::Carrier;
+use crate::time::{MS, S, US};
+
+/// The last place of a slave.
+const LAST_PLACE: u16 = 255;
+/// The longest that register 0420h counts, ns.
+const WATCHDOG_MAX_NS: u64 = u16::MAX as u64 * 100 * US;
+
+/// Reads a `[[bus]]`.
+pub(super) fn bus(table: &mut Table<'_>, machine: &mut Machine, cycle: &CyclePlan) -> Box<dyn BusPlan> {
+    let name = machine.bus_name(table, PROTOCOL);
+    let interface = interface(table, machine).unwrap_or_default();
+    let is_known = !interface.is_empty();
+    let (mut drives, mut devices) = (drive_tables(table, &["name", "position"]), table.tables("device"));
+    let mut plan = EthercatPlan {
+        name,
+        ahead_of_sync_ns: table.time("sync_ahead", US..=S, "so long before SYNC0 a frame leaves the master"),
+        lrw: table.flag("lrw").unwrap_or(true),
+        simulate: table.table("simulate", |table| line(table, cycle.period_ns)),
+        drives: drives.iter_mut().map(|table| drive(table, machine)).collect(),
+        devices: devices.iter_mut().map(|table| device(table, machine)).collect(),
+        ..EthercatPlan::new(interface, Vec::new())
+    };
+    place(&mut plan, &mut drives, &mut devices);
+    for (owner, fault) in plan.findings(cycle.period_ns) {
+        match owner {
+            Some(Owner::Drive(index)) => drives[index].fault(fault.key, fault.message),
+            Some(Owner::Device(index)) => devices[index].fault(fault.key, fault.message),
+            None if fault.key == "period" => machine.periods.push(fault.message),
+            None if fault.key == "interface" && !is_known => {} // Missing, or already reported.
+            None => table.fault(fault.key, fault.message),
+        }
+    }
+    drives.into_iter().chain(devices).for_each(Table::finish);
+    Box::new(plan)
+}
+
+fn interface(table: &mut Table<'_>, machine: &mut Machine) -> Option<String> {
+    table.require(
+        "interface",
+        "the network interface that the slaves are behind, like \"eth1\", or \"local:NAME\" for simulated ones on this computer",
+    );
+    let interface = table.text("interface", "the name of a network interface, like \"eth1\"", |text| {
+        (!text.is_empty()).then(|| text.to_owned())
+    })?;
+    machine.claim_interface(table, &interface);
+    Some(interface)
+}
+
+/// Gives each slave its place: its own one, or the one behind the slave before it in the file.
+fn place<'a>(plan: &mut EthercatPlan, drives: &mut [Table<'a>], devices: &mut [Table<'a>]) {
+    let of_drives = plan.drives.iter_mut().map(|drive| &mut drive.slave).zip(drives);
+    let of_devices = plan.devices.iter_mut().map(|device| &mut device.slave).zip(devices);
+    let mut slaves: Vec<(&mut SlavePlan, &mut Table<'a>)> = of_drives.chain(of_devices).collect();
+    slaves.sort_by_key(|(_, table)| table.line());
+    let mut next = 0;
+    for (slave, table) in slaves {
+        let hint = "its place on the line: 0 is next to the master";
+        slave.place = table.integer("position", 0..=LAST_PLACE.into(), hint).unwrap_or(next);
+        next = slave.place.saturating_add(1);
+    }
+}
+
+fn drive(table: &mut Table<'_>, machine: &mut Machine) -> KollmorgenDrive {
+    let types = ["s300", "s400", "s600", "s700"].map(|name| (name, Family::S700));
+    let types: Vec<(&str, Family)> = types.into_iter().chain([("akd", Family::Akd)]).collect();
+    let family = table.word("type", &types).unwrap_or_default();
+    let mut drive = KollmorgenDrive::new("", 0, family);
+    drive.scaling = scaling(table, drive.scaling);
+    drive.check_prbase = table.flag("check_prbase").unwrap_or(drive.check_prbase);
+    drive.axis = axis(
+        table,
+        machine,
+        Counts {
+            what: "revolutions of the motor",
+            unit: Unit::Revolution,
+            per_unit: 1.0,
+            wire: drive.scaling.increments(),
+        },
+    );
+    slave(table, &mut drive.slave);
+    pdos(table, &mut drive);
+    drive.mode = mode(table);
+    drive.accept_no_watchdog =
+        table.word("no_drive_watchdog", &[("accept", true), ("refuse", false)]).unwrap_or(false);
+    drive.home_method = table.integer(
+        "home_method",
+        -128..=127,
+        "the method of homing of object 6098h; leave it out for the drive's own",
+    );
+    drive.show = table.read("monitor", shown).unwrap_or(drive.show);
+    drive.simulate = table.table("simulate", |table| simulate(table, &drive));
+    drive
+}
+
+/// What every slave with a mailbox has, drive or not.
+pub(super) fn slave(table: &mut Table<'_>, slave: &mut SlavePlan) {
+    slave.identity = identity(table, slave.identity);
+    slave.mailbox = mailbox(table, slave.mailbox);
+    slave.sync = table.flag("sync").unwrap_or(slave.sync);
+    slave.check_sii = table.flag("check_sii").unwrap_or(slave.check_sii);
+    slave.start_up = table.read("start_up", start_up).unwrap_or_default();
+    let hint = "without outputs for so long it falls back by itself; or \"off\"";
+    let watchdog = table.read("watchdog", |value| match value.as_str() {
+        Some("off") => Ok(None),
+        _ => time(value, &(100 * US..=WATCHDOG_MAX_NS), hint).map(Some),
+    });
+    slave.watchdog_ns = watchdog.unwrap_or(slave.watchdog_ns);
+}
+
+fn pdos(table: &mut Table<'_>, drive: &mut KollmorgenDrive) {
+    let family = drive.family;
+    let [outputs, inputs] = table.table("pdo", |table| {
+        [("outputs", 0x1600), ("inputs", 0x1A00)]
+            .map(|(key, free)| table.read(key, |value| layout(value, family, free)))
+    });
+    drive.outputs = outputs.unwrap_or_else(|| drive.outputs.clone());
+    drive.inputs = inputs.unwrap_or_else(|| drive.inputs.clone());
+    drive.fit();
+    // Fixed ones are 17xxh and 1Bxxh.
+    let is_free = [&drive.outputs, &drive.inputs].iter().all(|layout| layout.pdo & 0x0100 == 0);
+    let usual = if is_free { Mapping::Free } else { Mapping::Fixed };
+    let words = [("fixed", Mapping::Fixed), ("free", Mapping::Free), ("as-is", Mapping::AsIs)];
+    drive.mapping = table.word("mapping", &words).unwrap_or(usual);
+    table.table("buffers", |table| {
+        let slave = &mut drive.slave;
+        for (key, area) in [("outputs", &mut slave.outputs), ("inputs", &mut slave.inputs)] {
+            area.start = start(table, key).unwrap_or(area.start);
+        }
+    });
+}
+
+/// The modes that have a name.
+const MODES: [Mode; 9] = [
+    Mode::PROFILE_POSITION,
+    Mode::PROFILE_VELOCITY,
+    Mode::TORQUE,
+    Mode::INTERPOLATED,
+    Mode::CYCLIC_POSITION,
+    Mode::DIGITAL_VELOCITY,
+    Mode::DIGITAL_CURRENT,
+    Mode::TRAJECTORY,
+    Mode::MOTION_TASK,
+];
+
+/// A number, as a drive shows it or as its bits, or the name with dashes.
+fn mode(table: &mut Table<'_>) -> Option<Mode> {
+    table.read("mode", |value| {
+        let named = |name: &str| MODES.into_iter().find(|mode| mode_name(*mode) == name);
+        let mode = match (integer(value), value.as_str()) {
+            (Some(number), _) => {
+                i8::try_from(number).or_else(|_| u8::try_from(number).map(|bits| bits as i8)).ok().map(Mode)
+            }
+            (None, Some(name)) => named(name),
+            _ => None,
+        };
+        mode.ok_or_else(|| {
+            let names: Vec<String> = MODES.into_iter().map(mode_name).collect();
+            format!("must be the number of a mode like 0x85, or one of {}", names.join(", "))
+        })
+    })
+}
+
+fn mode_name(mode: Mode) -> String {
+    mode.name().unwrap_or_default().replace(' ', "-")
+}
+
+fn scaling(table: &mut Table<'_>, default: Scaling) -> Scaling {
+    Scaling {
+        prbase: table
+            .integer(
+                "prbase",
+                1..=31,
+                "2 to the power of it are the increments of a turn, PRBASE of the drive",
+            )
+            .unwrap_or(default.prbase),
+        rpm_per_count: table
+            .number("velocity_rpm_per_count", POSITIVE, "rpm of a count of the velocity setpoint")
+            .unwrap_or(default.rpm_per_count),
+        permille_per_count: table
+            .number("torque_permille_per_count", POSITIVE, "per mille of the rated torque or current")
+            .unwrap_or(default.permille_per_count),
+        rated_current: table.number("rated_current", POSITIVE, "of the motor, A"),
+    }
+}
+
+/// How the line is when it is simulated.
+fn line(table: &mut Table<'_>, period_ns: u64) -> LineSettings {
+    let default = LineSettings::default();
+    LineSettings {
+        interface: table.text("interface", "a network interface, like \"eth2\"", |text| {
+            (!text.is_empty()).then(|| text.to_owned())
+        }),
+        drift_ppm: table
+            .read("drift_ppm", |value| {
+                let one = |value| number(value).filter(|ppm| ppm.abs() <= 1_000.0);
+                let several = || value.as_array()?.iter().map(|value| one(value.get_ref())).collect();
+                one(value)
+                    .map(|ppm| vec![ppm])
+                    .or_else(several)
+                    .ok_or("must be a number, or a list of them by place, -1000 ... 1000".into())
+            })
+            .unwrap_or(default.drift_ppm),
+        delay_ns: table
+            .time("line_delay", 0..=100 * US, "what a frame takes from one slave to the next")
+            .unwrap_or(default.delay_ns),
+        short_clocks: table.flag("short_clocks").unwrap_or(default.short_clocks),
+        faults: faults(table, Carrier::Datagrams, period_ns.min(10 * MS), 0),
+        ..default
+    }
+}
+
+fn simulate(table: &mut Table<'_>, drive: &KollmorgenDrive) -> DriveSettings {
+    let default = drive.simulate.clone();
+    let units = &drive.axis.units;
+    let reach = |end: i32| f64::from(end) / units.counts_per_unit + units.offset;
+    let (low, high) = (reach(i32::MIN), reach(i32::MAX));
+    let start = table.number("start", low.min(high)..=low.max(high), "the position at power-on, units");
+    let start = start.map(|start| ((start - units.offset) * units.counts_per_unit).round() as i32);
+    DriveSettings {
+        // It is the drive that this file wants.
+        prbase: drive.scaling.prbase,
+        rpm_per_count: drive.scaling.rpm_per_count,
+        permille_per_count: drive.scaling.permille_per_count,
+        dialect: table
+            .word("dialect", &[("standard", Dialect::Standard), ("manual", Dialect::Manual)])
+            .unwrap_or(default.dialect),
+        serial: table.integer("serial", 0..=u32::MAX.into(), "the serial number").unwrap_or(default.serial),
+        position: start.unwrap_or(default.position),
+        home_turns: table
+            .read("home", |value| match value.as_str() {
+                Some("none") => Ok(None),
+                _ => number(value).filter(|turns| turns.abs() <= 1_000.0).map(Some).ok_or(
+                    "must be turns of the motor from where it is at power-on, -1000 ... 1000, or \"none\""
+                        .into(),
+                ),
+            })
+            .unwrap_or(default.home_turns),
+        interrupts_to_sync: table
+            .integer("sync_after", 1..=1_000_000, "cycles inside of the window until it is synchronous")
+            .unwrap_or(default.interrupts_to_sync),
+        hardware_enable: table.flag("hardware_enable").unwrap_or(default.hardware_enable),
+        motor: motor(table, default.motor.clone()),
+        ..default
+    }
+}
+
+fn motor(table: &mut Table<'_>, default: MotorSettings) -> MotorSettings {
+    let mut value = |key, range: std::ops::RangeInclusive<f64>, hint, default| {
+        table.number(key, range, hint).unwrap_or(default)
+    };
+    MotorSettings {
+        rated_nm: value(
+            "rated_torque",
+            0.001..=100_000.0,
+            "rated torque of the motor, N m",
+            default.rated_nm,
+        ),
+        peak_permille: value(
+            "peak_torque",
+            1.0..=10_000.0,
+            "the most that the motor pushes, per mille of the rated torque",
+            default.peak_permille,
+        ),
+        max_rpm: value("max_speed", 1.0..=100_000.0, "the highest speed of the motor, rpm", default.max_rpm),
+        inertia_kgm2: value(
+            "inertia",
+            1e-9..=1e6,
+            "the inertia of all that turns, kg m²",
+            default.inertia_kgm2,
+        ),
+        friction_nm: value(
+            "friction",
+            0.0..=100_000.0,
+            "what the machine takes at any speed, N m",
+            default.friction_nm,
+        ),
+    }
+}
