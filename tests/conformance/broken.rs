@@ -1,9 +1,10 @@
 //! The clauses can fail: each defect of the toy is caught by the clause that is about it, and so is what only a bus of
-//! connections can get wrong.
+//! connections, or one of one frame for all, can get wrong.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use crate::subject::Subject;
+use crate::subjects::ethercat::{Defect as LineDefect, EtherCat};
 use crate::subjects::modbus::{Defect as StreamDefect, Modbus};
 use crate::subjects::toy::{Defect, Toy};
 use crate::{acyclic, exchanges, neighbours, orders, replies, reports, whole};
@@ -40,6 +41,14 @@ const CAUGHT_ON_STREAMS: [(StreamDefect, Clause); 3] = [
     (StreamDefect::BeginsAgain, exchanges::a_request_that_the_wire_takes_in_pieces_is_heard_once_and_whole),
 ];
 
+const CAUGHT_ON_LINES: [(LineDefect, Clause); 5] = [
+    (LineDefect::GivesAnothersInputs, reports::a_report_is_what_the_drive_said_in_user_units),
+    (LineDefect::GivesAnothersOutputs, orders::each_verb_ends_in_what_it_says),
+    (LineDefect::CountsTheMissing, exchanges::a_window_is_open_for_what_it_owes_and_for_nothing_else),
+    (LineDefect::MissesAllWithOne, neighbours::the_silence_of_one_troubles_no_other),
+    (LineDefect::IsAFrameBehind, replies::a_clean_wire_answers_everything),
+];
+
 fn is_caught(subject: Box<dyn Subject>, clause: Clause) -> bool {
     let subject: &'static dyn Subject = Box::leak(subject);
     catch_unwind(AssertUnwindSafe(|| clause(subject))).is_err()
@@ -49,6 +58,19 @@ fn is_caught(subject: Box<dyn Subject>, clause: Clause) -> bool {
 fn each_defect_of_the_toy_is_caught_by_the_clause_that_is_about_it() {
     for (defect, clause) in CAUGHT {
         assert!(is_caught(Box::new(Toy(Some(defect))), clause), "{defect:?} went unnoticed");
+    }
+}
+
+#[test]
+fn what_only_a_bus_of_one_frame_for_all_gets_wrong_is_caught_as_well() {
+    for (defect, clause) in CAUGHT_ON_LINES {
+        for positions in [false, true] {
+            let subject = EtherCat { positions, defect: Some(defect) };
+            assert!(
+                is_caught(Box::new(subject), clause),
+                "{defect:?} went unnoticed, positions: {positions}"
+            );
+        }
     }
 }
 

@@ -98,7 +98,7 @@ impl Line {
         let drives = drives(subject, count, change);
         let wire = Wire::new(subject, &drives);
         let options = WorldOptions { latency_ns: LATENCY, ..WorldOptions::default() };
-        let world = World::new(wire.simulate(), options).expect("each drive has its own address");
+        let world = World::new(wire.simulated(), options).expect("each drive has its own address");
         let bus = wire.open(PERIOD, &world).expect("the bus can be opened");
         let idle = Seen { exchange: Exchange::Idle, fresh: false, suspect: false, restarted: false };
         Line {
@@ -213,7 +213,7 @@ impl Line {
     fn accounts(&self) {
         let log = self.wire.log();
         for (slot, tape) in self.slots.iter().zip(&log.drives) {
-            rules::accounts(slot, tape);
+            rules::accounts(slot, tape, &self.can);
         }
         let Strangers { datagrams, dropped, errors } = self.bus.strangers();
         assert_eq!((datagrams, dropped, errors), (log.strangers, 0, 0), "strangers");
@@ -257,7 +257,7 @@ impl Line {
             let exchange = match slot.exchange {
                 Exchange::Idle | Exchange::Missed => Exchange::Idle,
                 Exchange::Owed { reply_by, .. } if reply_by > deadline => slot.exchange,
-                Exchange::Owed { .. } => {
+                Exchange::Owed { .. } | Exchange::Absent => {
                     slot.counters.missed += 1;
                     slot.exchange = Exchange::Missed;
                     (*good, *missed) = (0, *missed + 1);
@@ -322,8 +322,17 @@ impl Line {
         self.world.advance(2 * LATENCY);
     }
 
+    /// The drives have been heard of; those on a line are in operation there.
+    pub fn meet(&mut self) {
+        if self.can.shared {
+            self.online();
+        }
+        self.turns(40);
+    }
+
     pub fn online(&mut self) {
-        self.until("all online", 1_000, |line| line.slots.iter().all(|slot| slot.link == Link::Online));
+        let most = if self.can.shared { 8_000 } else { 1_000 };
+        self.until("all online", most, |line| line.slots.iter().all(|slot| slot.link == Link::Online));
     }
 
     /// All online, in operation, and homed.
@@ -502,7 +511,10 @@ impl Line {
     pub fn set_going(&mut self, index: usize, motion: Motion) {
         if motion == Motion::Home {
             // Away from where the homing ends.
-            self.done(index, self.by(index, 0.4));
+            match self.can.positions {
+                true => self.done(index, self.by(index, 0.4)),
+                false => self.move_about(index),
+            }
         }
         let verb = match motion {
             Motion::Move => self.by(index, 2.0),
@@ -526,7 +538,17 @@ impl Line {
     pub fn faults(&self, index: usize, plan: FaultPlan) {
         let usual = self.usual_answer_ns(index);
         let plan = FaultPlan { answer_ns: usual + plan.answer_ns, ..plan };
-        assert!(self.world.set_faults(self.wire.address(index), plan));
+        self.wire.faults(&self.world, index, plan);
+    }
+
+    /// Pulls the drive's plug, or puts it in again.
+    pub fn plug(&self, index: usize, plugged: bool) {
+        self.wire.plug(&self.world, index, plugged);
+    }
+
+    /// Switches the drive off and on again.
+    pub fn restart(&self, index: usize) {
+        self.wire.restart(&self.world, index);
     }
 
     pub fn usual_answer_ns(&self, index: usize) -> u64 {
@@ -538,7 +560,7 @@ impl Line {
     pub fn answer_at(&self, index: usize, ns: u64) {
         let answer_ns = u64::from(self.can.answers_after) * PERIOD + ns - 2 * LATENCY;
         let plan = FaultPlan { answer_ns, ..FaultPlan::default() };
-        assert!(self.world.set_faults(self.wire.address(index), plan));
+        self.wire.faults(&self.world, index, plan);
     }
 
     /// From here on the drive answers as usual.
@@ -548,7 +570,7 @@ impl Line {
 
     /// What comes from `from`, as drive `index` sends it, reaches the bus so long after the begin of the next cycle.
     pub fn inject(&self, index: usize, from: SocketAddrV4, bytes: &[u8], ns: u64) {
-        self.world.inject(self.wire.master(index), from, bytes, self.cycle().grid + ns);
+        self.wire.inject(&self.world, index, from, bytes, self.cycle().grid + ns);
     }
 
     /// Another master sends this to drive `index`.
@@ -587,9 +609,10 @@ impl Line {
         self.wire.log().drives[index].said()
     }
 
-    /// The last answer that the drive gave, as it left.
+    /// The last telegram with an answer of the drive, as it left.
     pub fn reply(&self, index: usize) -> Vec<u8> {
-        self.wire.log().drives[index].reply()
+        let log = self.wire.log();
+        if self.can.shared { log.frame.clone() } else { log.drives[index].reply() }
     }
 
     /// How many requests the drive has heard.
@@ -647,6 +670,7 @@ pub fn verbs(line: &Line, index: usize) -> Vec<Verb> {
         line.by(index, 0.1),
         line.jog(index, 0.1),
         Verb::Follow,
+        Verb::Torque { slope: 100.0 },
         Verb::Stop { deceleration: None },
         Verb::QuickStop,
         Verb::ResetFault,

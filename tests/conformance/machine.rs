@@ -4,7 +4,9 @@ use std::collections::BTreeMap;
 use std::sync::MutexGuard;
 
 use fieldbeat::Master;
-use fieldbeat::axis::{CommandId, EventKind, Failure, Feedback, Link, Outcome, StopCause, Verb};
+use fieldbeat::axis::{
+    CommandId, EventKind, Failure, Feedback, Jog, Link, Outcome, Profile, StopCause, Verb,
+};
 use fieldbeat::bus::BusPlan;
 use fieldbeat::cycle::engine::Flow;
 use fieldbeat::cycle::{CyclePlan, Plan};
@@ -95,7 +97,8 @@ impl Machine {
 
     pub fn online(&mut self) {
         let count = self.drives.len();
-        self.until("all online", 2_000, |m| (0..count).all(|index| m.feedback(index).link == Link::Online));
+        let most = if self.can.shared { 8_000 } else { 2_000 };
+        self.until("all online", most, |m| (0..count).all(|index| m.feedback(index).link == Link::Online));
     }
 
     /// All online, enabled and homed.
@@ -126,6 +129,15 @@ impl Machine {
     /// A motion of many seconds.
     pub fn go(&self, index: usize) -> Verb {
         line::go(&self.can, &self.drives[index])
+    }
+
+    /// A motion of many seconds in which no two requests are the same.
+    pub fn changing(&self, index: usize) -> Verb {
+        let Profile { velocity, .. } = self.drives[index].axis.profile;
+        match self.can.positions {
+            true => self.by(index, 20.0),
+            false => Verb::Jog(Jog { velocity: velocity * 5.0, acceleration: velocity * 1.5 }),
+        }
     }
 
     /// A short motion, to its end.
@@ -195,12 +207,11 @@ impl Machine {
     }
 
     pub fn plug(&self, index: usize, plugged: bool) {
-        let address = self.wire.address(index);
-        assert!(if plugged { self.world().plug(address) } else { self.world().unplug(address) });
+        self.wire.plug(self.world(), index, plugged);
     }
 
     pub fn restart(&self, index: usize) {
-        assert!(self.world().restart(self.wire.address(index)));
+        self.wire.restart(self.world(), index);
     }
 
     /// Another master sends this to the drive.
@@ -219,9 +230,9 @@ impl Machine {
     }
 
     pub fn faults(&self, index: usize, plan: FaultPlan) {
-        let (address, usual) = self.tape(index, |tape| (tape.address, tape.usual.answer_ns));
+        let usual = self.tape(index, |tape| tape.usual.answer_ns);
         let plan = FaultPlan { answer_ns: usual + plan.answer_ns, ..plan };
-        assert!(self.world().set_faults(address, plan));
+        self.wire.faults(self.world(), index, plan);
     }
 
     /// The slots of the grid in which the drive was sent something, from `first` on.

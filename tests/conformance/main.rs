@@ -73,6 +73,7 @@ macro_rules! clauses {
                 a_reply_that_was_overtaken_is_late,
                 what_is_no_answer_of_this_protocol_is_malformed,
                 the_answer_to_something_that_was_not_asked_is_foreign,
+                what_went_round_without_passing_the_master_answers_nothing,
                 a_true_answer_from_a_wrong_port_is_foreign,
                 what_comes_from_no_drive_of_its_own_is_a_strangers,
                 no_bytes_whatever_upset_it,
@@ -178,5 +179,7 @@ subjects! {
     linudp_tagged: crate::subjects::linudp::LinUdp { reply_tag: true },
     modbus_menu_0: crate::subjects::modbus::Modbus { direct: false, defect: None },
     modbus_direct: crate::subjects::modbus::Modbus { direct: true, defect: None },
+    ethercat_velocity: crate::subjects::ethercat::EtherCat { positions: false, defect: None },
+    ethercat_position: crate::subjects::ethercat::EtherCat { positions: true, defect: None },
     toy: crate::subjects::toy::Toy(None),
 }

@@ -6,7 +6,7 @@ use fieldbeat::sim::FaultPlan;
 use fieldbeat::time::US;
 
 use crate::line::{Line, PERIOD};
-use crate::subject::Subject;
+use crate::subject::{Said, Subject};
 
 /// Two drives move while `befall` happens to the first in each cycle: they end as they would have, and no count of
 /// theirs differs.
@@ -37,11 +37,41 @@ fn unnoticed(subject: &'static dyn Subject, befall: impl Fn(&mut Line, u64)) {
         [1, 2].map(|index| {
             assert_eq!(line.end(index), Some(Ok(())), "drive {index}");
             let Counters { sent, answered, .. } = line.slots[index].counters;
-            (line.slots[index].counters, sent - answered, line.said(index))
+            // To the nanosecond it may have been asked at another time.
+            let said = Said { at: None, ..line.said(index) };
+            (line.slots[index].counters, sent - answered, said)
         })
     };
     let alone = run(&|_, _| {});
     assert_eq!(run(&befall), alone);
+}
+
+/// The same where one frame is for all: what befalls it befalls each of them alike, exchange by exchange and count by count.
+fn alike(subject: &'static dyn Subject, befall: impl Fn(&mut Line, u64)) {
+    let mut line = Line::made_ready(subject, 3);
+    line.set_going(0, line.motion());
+    line.settle();
+    let before = [0, 1, 2].map(|index| line.slots[index].counters);
+    let mut odd = 0;
+    for turn in 0..600 {
+        befall(&mut line, turn);
+        line.turn();
+        let kinds: Vec<_> = line.seen.iter().map(|seen| (seen.exchange, seen.fresh, seen.suspect)).collect();
+        assert!(kinds.iter().all(|kind| *kind == kinds[0]), "in cycle {turn}: {kinds:?}");
+        odd += u64::from(!line.seen[0].answered());
+    }
+    assert!(odd > 100, "only {odd} exchanges were befallen");
+    let counts = [0, 1, 2].map(|index| {
+        let c = &line.slots[index].counters;
+        let (all, was) = ([c, &before[index]]).map(told).into();
+        all.iter().zip(was).map(|(now, was)| now - was).collect::<Vec<_>>()
+    });
+    assert!(counts.iter().all(|count| *count == counts[0]), "{counts:?}");
+}
+
+/// What was counted of a drive's exchanges and replies.
+fn told(c: &Counters) -> [u64; 9] {
+    [c.sent, c.unsent, c.answered, c.missed, c.late, c.duplicate, c.suspect, c.malformed, c.foreign]
 }
 
 pub fn the_silence_of_one_troubles_no_other(subject: &'static dyn Subject) {
@@ -49,19 +79,17 @@ pub fn the_silence_of_one_troubles_no_other(subject: &'static dyn Subject) {
 }
 
 pub fn the_absence_of_one_troubles_no_other(subject: &'static dyn Subject) {
-    unnoticed(subject, |line, turn| {
-        let address = line.wire.address(0);
-        match turn {
-            10 => assert!(line.world.unplug(address)),
-            400 => assert!(line.world.plug(address)),
-            _ => {}
-        }
+    unnoticed(subject, |line, turn| match turn {
+        10 => line.plug(0, false),
+        400 => line.plug(0, true),
+        _ => {}
     });
 }
 
 pub fn the_garbage_of_one_troubles_no_other(subject: &'static dyn Subject) {
     unnoticed(subject, |line, turn| {
-        if turn == 0 {
+        // What is broken on a shared frame is broken for all.
+        if turn == 0 && !line.can.shared {
             line.faults(0, FaultPlan { corrupt: 1.0, ..FaultPlan::default() });
         }
         let bytes = vec![turn as u8; turn as usize % 90];
@@ -72,6 +100,20 @@ pub fn the_garbage_of_one_troubles_no_other(subject: &'static dyn Subject) {
 }
 
 pub fn replies_of_one_that_come_twice_or_late_trouble_no_other(subject: &'static dyn Subject) {
+    if subject.can().shared {
+        return alike(subject, |line, turn| {
+            if turn == 0 {
+                let plan = FaultPlan {
+                    seed: 5,
+                    duplicate: 0.3,
+                    delay: 0.3,
+                    delay_ns: 800 * US,
+                    ..FaultPlan::default()
+                };
+                line.faults(0, plan);
+            }
+        });
+    }
     unnoticed(subject, |line, turn| {
         if turn == 0 {
             let plan =
@@ -82,13 +124,16 @@ pub fn replies_of_one_that_come_twice_or_late_trouble_no_other(subject: &'static
 }
 
 pub fn refused_sends_to_one_trouble_no_other(subject: &'static dyn Subject) {
+    if subject.can().shared {
+        return alike(subject, |line, turn| line.wire.log().drives[0].jammed = turn % 3 != 0);
+    }
     unnoticed(subject, |line, turn| line.wire.log().drives[0].jammed = turn % 3 != 0);
 }
 
 pub fn restarts_of_one_trouble_no_other(subject: &'static dyn Subject) {
     unnoticed(subject, |line, turn| {
         if turn % 150 == 10 {
-            assert!(line.world.restart(line.wire.address(0)));
+            line.restart(0);
         }
     });
 }

@@ -2,9 +2,11 @@
 
 use std::io::Write;
 
+use fieldbeat::Time;
 use fieldbeat::axis::AxisPlan;
 use fieldbeat::axis::acyclic::Call;
 use fieldbeat::bus::BusPlan;
+use fieldbeat::sim::SimLine;
 
 /// One protocol, in one way of configuring it.
 ///
@@ -35,6 +37,37 @@ pub trait Subject: Sync {
     /// Acyclic calls that every drive of it takes in every state.
     fn calls(&self) -> Calls;
 
+    /// On a line, the place of drive `index` of `count`, counted from 0 at the master: the first one stands last, so that the cable
+    /// in front of it can be cut.
+    fn place(&self, index: usize, count: usize) -> usize {
+        count - 1 - index
+    }
+
+    /// What a frame that passes drive `index` of `count` at `now` carries of it: its request and its answer, which is empty if it took
+    /// no part. `None`: nothing of any drive.
+    fn piece(&self, _now: Time, _frame: &[u8], _index: usize, _count: usize) -> Option<(Vec<u8>, Vec<u8>)> {
+        None
+    }
+
+    /// Of a frame of a line, the same of another master.
+    fn of_another(&self, _frame: &[u8]) -> Vec<u8> {
+        Vec::new()
+    }
+
+    /// Of a frame of a line, the one behind it, as it would come if it had gone round without passing the master. `None`: nothing goes
+    /// round.
+    fn circulated(&self, _frame: &[u8]) -> Option<Vec<u8>> {
+        None
+    }
+
+    /// A frame that comes to the master is none of its own.
+    fn is_strange(&self, _frame: &[u8]) -> bool {
+        false
+    }
+
+    /// Brings about the fault of [`fault`](Self::fault) in the drive at this place of a line.
+    fn provoke(&self, _line: &mut dyn SimLine, _place: usize) {}
+
     /// Whether this request, behind those `before` it, tells the drive to stop: along a ramp, or by its quick stop.
     fn asks_to_stop(&self, before: &[Vec<u8>], request: &[u8]) -> bool;
 
@@ -60,6 +93,10 @@ pub struct Can {
     pub jog: bool,
     /// `Verb::Follow`.
     pub follow: bool,
+    /// `Verb::Torque`.
+    pub torque: bool,
+    /// Jogs and rows are taken by drives that are configured so, and by no others.
+    pub picks: bool,
     /// Each reply names the request that it answers. Without that, the reply after a miss is suspect.
     pub identified: bool,
     /// A clean exchange makes a round-trip sample. Without that, every answered exchange is marked suspect.
@@ -73,6 +110,9 @@ pub struct Can {
     /// Each drive has a connection. One request is open on it: before its reply nothing else is asked, and one that never
     /// comes costs the connection, which is opened anew after a pause.
     pub stream: bool,
+    /// One frame goes through all drives in every cycle, whoever is due in it, and comes back in its window: each drive has a piece
+    /// of it. What befalls it befalls all of them. Before a drive is in operation on its line it is not asked.
+    pub shared: bool,
 }
 
 /// What is no message, nor the begin of one.
@@ -112,12 +152,17 @@ pub struct Said {
     pub powered: bool,
     /// Its setpoint generator is running.
     pub moving: bool,
-    /// Its position is referenced.
-    pub homed: bool,
+    /// Its position is referenced; `None`: its answers say nothing of that.
+    pub homed: Option<bool>,
     /// Actual position, counts, of a drive that tells positions.
     pub position: Option<i64>,
     /// Demand position, counts, of the same.
     pub demand: Option<i64>,
+    /// Position setpoint in the request, counts, where the master makes the demand: it counts while the drive follows it, and
+    /// else the drive is where it is.
+    pub setpoint: Option<i64>,
+    /// When, if that is a part of the answer.
+    pub at: Option<Time>,
     /// Velocity, counts/s, of a drive that tells it.
     pub velocity: Option<f64>,
 }

@@ -8,11 +8,13 @@ use std::sync::{Arc, Mutex, MutexGuard};
 
 use fieldbeat::Time;
 use fieldbeat::bus::{Bus, BusPlan, OpenError};
+use fieldbeat::net::frames::Unsent;
 use fieldbeat::net::{
-    Broken, Carriers, Datagrams, LinkNotes, Outbox, Received, Sent, StreamPeer, Streams, UdpOptions,
+    Broken, Carriers, Datagrams, Frames, LinkNotes, Outbox, Received, Sent, StreamPeer, Streams, UdpOptions,
 };
 use fieldbeat::rt::Regions;
-use fieldbeat::sim::{FaultPlan, SimDrive};
+use fieldbeat::sim::world::World;
+use fieldbeat::sim::{FaultPlan, SimDrive, SimLine, Simulated};
 
 use crate::subject::{Drive, NoMessage, Said, Subject};
 
@@ -38,13 +40,16 @@ pub struct Tape {
     /// Its wire at its best: a slow drive is no fault.
     pub usual: FaultPlan,
     pub heard: Vec<Heard>,
-    /// Hears and acts, but its answers are lost.
+    /// Hears and acts, but its answers are lost. On a line that is so if all of them are mute, and the frames do not come back;
+    /// a single one hears nothing.
     pub mute: bool,
+    /// Of a line: it is not there.
+    pub unplugged: bool,
     /// The operating system refuses to send to it.
     pub jammed: bool,
     /// The wire takes what is sent to it in two pieces.
     pub halved: bool,
-    /// Telegrams that the bus took in from its address.
+    /// Telegrams that the bus took in from its address, or its line.
     pub taken: u64,
     /// What another master is about to send to it.
     pub meddled: Option<Vec<u8>>,
@@ -80,6 +85,8 @@ pub struct Log {
     pub master: Option<SocketAddrV4>,
     /// Times that the bus handed something to a carrier.
     pub sends: u64,
+    /// On a line, the last frame that passed, as it left.
+    pub frame: Vec<u8>,
 }
 
 /// A bus plan whose wire is written down.
@@ -88,16 +95,27 @@ pub struct Wire {
     subject: &'static dyn Subject,
     plan: Arc<dyn BusPlan>,
     log: Arc<Mutex<Log>>,
+    /// Of its line, if it has one.
+    interface: Option<Arc<str>>,
 }
 
 impl Wire {
     pub fn new(subject: &'static dyn Subject, drives: &[Drive]) -> Wire {
         let plan: Arc<dyn BusPlan> = subject.plan(drives).into();
-        let tape = |drive: Box<dyn SimDrive>| Tape {
-            address: drive.address(),
-            usual: drive.faults(),
+        let line = plan.simulate_line();
+        let ends: Vec<_> = match &line {
+            None => plan.simulate().iter().map(|drive| (drive.address(), drive.faults())).collect(),
+            // Nobody has an address.
+            Some(line) => {
+                vec![(SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, 0), line.faults()); drives.len()]
+            }
+        };
+        let tape = |(address, usual)| Tape {
+            address,
+            usual,
             heard: Vec::new(),
             mute: false,
+            unplugged: false,
             jammed: false,
             halved: false,
             taken: 0,
@@ -106,8 +124,54 @@ impl Wire {
             open: false,
             opened: 0,
         };
-        let log = Log { drives: plan.simulate().into_iter().map(tape).collect(), ..Log::default() };
-        Wire { subject, plan, log: Arc::new(Mutex::new(log)) }
+        let log = Log { drives: ends.into_iter().map(tape).collect(), ..Log::default() };
+        let interface = line.map(|line| line.interface().into());
+        Wire { subject, plan, log: Arc::new(Mutex::new(log)), interface }
+    }
+
+    /// All that is simulated of it.
+    pub fn simulated(&self) -> Simulated {
+        Simulated { drives: self.simulate(), lines: self.simulate_line().into_iter().collect() }
+    }
+
+    /// Of a line, the place of drive `index`.
+    fn place(&self, index: usize) -> usize {
+        self.subject.place(index, self.log().drives.len())
+    }
+
+    // What befalls it in a world.
+
+    /// Pulls the plug of drive `index`, or puts it in again.
+    pub fn plug(&self, world: &World, index: usize, plugged: bool) {
+        let address = self.address(index);
+        match self.interface {
+            Some(_) => self.log().drives[index].unplugged = !plugged,
+            None => assert!(if plugged { world.plug(address) } else { world.unplug(address) }),
+        }
+    }
+
+    /// Switches drive `index` off and on again.
+    pub fn restart(&self, world: &World, index: usize) {
+        assert!(match &self.interface {
+            Some(line) => world.restart_slave(line, self.place(index)),
+            None => world.restart(self.address(index)),
+        });
+    }
+
+    /// From here on the wire of drive `index`, or its line, has these faults.
+    pub fn faults(&self, world: &World, index: usize, plan: FaultPlan) {
+        assert!(match &self.interface {
+            Some(line) => world.set_line_faults(line, plan),
+            None => world.set_faults(self.address(index), plan),
+        });
+    }
+
+    /// What comes from `from` is at the master at the instant `at`.
+    pub fn inject(&self, world: &World, index: usize, from: SocketAddrV4, bytes: &[u8], at: Time) {
+        match &self.interface {
+            Some(line) => assert!(world.inject_frame(line, bytes, at)),
+            None => world.inject(self.master(index), from, bytes, at),
+        }
     }
 
     pub fn log(&self) -> MutexGuard<'_, Log> {
@@ -145,6 +209,132 @@ impl BusPlan for Wire {
             Box::new(TappedDrive { drive, index, wire, part: Vec::new(), said: None, told: None }) as Box<_>
         };
         self.plan.simulate().into_iter().enumerate().map(tap).collect()
+    }
+
+    fn simulate_line(&self) -> Option<Box<dyn SimLine>> {
+        let line = self.plan.simulate_line()?;
+        let count = self.log().drives.len();
+        let drives = vec![TappedEnd::default(); count];
+        Some(Box::new(TappedLine { line, wire: self.clone(), drives, cut: None }))
+    }
+}
+
+/// What is known of a drive on a line.
+#[derive(Clone, Default)]
+struct TappedEnd {
+    said: Option<Said>,
+    told: Option<Said>,
+    deaf: bool,
+}
+
+struct TappedLine {
+    line: Box<dyn SimLine>,
+    wire: Wire,
+    drives: Vec<TappedEnd>,
+    cut: Option<usize>,
+}
+
+impl TappedLine {
+    /// Brings about what shall befall the drives.
+    fn befall(&mut self) {
+        let Wire { subject, log, .. } = &self.wire;
+        let mut log = log.lock().unwrap();
+        let count = self.drives.len();
+        let all_mute = log.drives.iter().all(|tape| tape.mute);
+        let gone =
+            |place: usize| (0..count).any(|n| subject.place(n, count) == place && log.drives[n].unplugged);
+        let cut = (0..count).find(|place| (*place..count).all(gone));
+        if std::mem::replace(&mut self.cut, cut) != cut {
+            self.line.cut(cut);
+        }
+        for (index, (tape, end)) in log.drives.iter_mut().zip(&mut self.drives).enumerate() {
+            let place = subject.place(index, count);
+            let deaf = tape.unplugged || tape.mute && !all_mute;
+            if std::mem::replace(&mut end.deaf, deaf) != deaf {
+                self.line.deafen(place, deaf);
+            }
+            if tape.meddled.take().is_some() {
+                subject.provoke(&mut *self.line, place);
+            }
+        }
+    }
+
+    /// What the frame has brought to each drive, and what it said; `comes_back`: the master is told.
+    fn write_down(&mut self, now: Time, frame: &[u8], comes_back: bool) {
+        let Wire { subject, log, .. } = &self.wire;
+        let mut log = log.lock().unwrap();
+        let count = self.drives.len();
+        for (index, (tape, end)) in log.drives.iter_mut().zip(&mut self.drives).enumerate() {
+            let Some((request, reply)) = subject.piece(now, frame, index, count) else { continue };
+            if reply.is_empty() {
+                continue;
+            }
+            let said = subject.said(end.said, &request, &reply);
+            end.said = said.or(end.said);
+            let told = said.filter(|_| comes_back).and_then(|_| subject.said(end.told, &request, &reply));
+            end.told = told.or(end.told);
+            tape.heard.push(Heard { at: now, request, reply, said, told });
+        }
+        log.frame.clear();
+        log.frame.extend(frame);
+    }
+}
+
+impl SimLine for TappedLine {
+    fn interface(&self) -> &str {
+        self.line.interface()
+    }
+
+    fn own_interface(&self) -> Option<&str> {
+        self.line.own_interface()
+    }
+
+    fn ethertype(&self) -> u16 {
+        self.line.ethertype()
+    }
+
+    fn faults(&self) -> FaultPlan {
+        self.line.faults()
+    }
+
+    fn slaves(&self) -> usize {
+        self.line.slaves()
+    }
+
+    fn delay_ns(&self) -> u64 {
+        self.line.delay_ns()
+    }
+
+    fn pass(&mut self, now: Time, frame: &mut [u8]) -> bool {
+        self.befall();
+        let mute = self.wire.log().drives.iter().all(|tape| tape.mute);
+        let comes_back = self.line.pass(now, frame) && !mute;
+        self.write_down(now, frame, comes_back);
+        comes_back
+    }
+
+    fn mislabel(&self, frame: &mut [u8]) {
+        self.line.mislabel(frame);
+    }
+
+    fn live(&mut self, now: Time) {
+        self.line.live(now);
+    }
+
+    fn cut(&mut self, place: Option<usize>) {
+        self.line.cut(place);
+    }
+
+    fn deafen(&mut self, place: usize, deaf: bool) {
+        self.line.deafen(place, deaf);
+    }
+
+    fn restart(&mut self, now: Time, place: usize) {
+        self.line.restart(now, place);
+    }
+
+    fn inhibit(&mut self, place: usize, until: Time) {
+        self.line.inhibit(place, until);
     }
 }
 
@@ -248,6 +438,55 @@ impl Carriers for Tapped<'_> {
         let carrier = self.carriers.streams(peers)?;
         let parts = vec![Part::default(); addresses.len()];
         Ok(Box::new(TappedStreams { carrier, wire: self.wire.clone(), parts }))
+    }
+
+    fn frames(&self, interface: &str, ethertype: u16) -> io::Result<Box<dyn Frames>> {
+        let carrier = self.carriers.frames(interface, ethertype)?;
+        Ok(Box::new(TappedFrames { carrier, wire: self.wire.clone() }))
+    }
+}
+
+struct TappedFrames {
+    carrier: Box<dyn Frames>,
+    wire: Wire,
+}
+
+impl Frames for TappedFrames {
+    fn fd(&self) -> Option<RawFd> {
+        self.carrier.fd()
+    }
+
+    fn send(&mut self, frame: &[u8]) -> Result<Time, Unsent> {
+        let mut log = self.wire.log();
+        log.sends += 1;
+        if log.drives.iter().any(|tape| tape.jammed) {
+            return Err(Unsent::Full);
+        }
+        drop(log);
+        self.carrier.send(frame)
+    }
+
+    fn receive(&mut self, room: &mut [u8]) -> Option<(Time, usize)> {
+        let (at, length) = self.carrier.receive(room)?;
+        let mut log = self.wire.log();
+        if room.get(..length).is_none_or(|frame| self.wire.subject.is_strange(frame)) {
+            log.strangers += 1;
+        } else {
+            log.drives.iter_mut().for_each(|tape| tape.taken += 1);
+        }
+        Some((at, length))
+    }
+
+    fn now(&mut self) -> Time {
+        self.carrier.now()
+    }
+
+    fn mac(&self) -> [u8; 6] {
+        self.carrier.mac()
+    }
+
+    fn memory(&self, regions: &mut Regions) {
+        self.carrier.memory(regions);
     }
 }
 

@@ -34,12 +34,15 @@ impl Subject for LinUdp {
             home: true,
             jog: true,
             follow: true,
+            torque: false,
+            picks: true,
             identified: self.reply_tag,
             round_trip: true,
             answers_after: 0,
             whole: true,
             awaits: false,
             stream: false,
+            shared: false,
         }
     }
 
@@ -68,9 +71,11 @@ impl Subject for LinUdp {
         Some(Said {
             powered: state.main() >= MainState::HW_TESTS,
             moving: state.motion_active().unwrap_or(status.motion_active()),
-            homed: status.homed(),
+            homed: Some(status.homed()),
             position: Some(response.actual?.into()),
             demand: Some(response.demand?.into()),
+            setpoint: None,
+            at: None,
             velocity: None,
         })
     }

@@ -94,12 +94,15 @@ impl Subject for Modbus {
             home: false,
             jog: true,
             follow: false,
+            torque: false,
+            picks: false,
             identified: true,
             round_trip: true,
             answers_after: if self.direct { 2 } else { 0 },
             whole: !self.direct,
             awaits: true,
             stream: true,
+            shared: false,
         }
     }
 
@@ -149,9 +152,11 @@ impl Subject for Modbus {
                     said = Some(Said {
                         powered: status.active(),
                         moving: status.active() && !status.zero_speed(),
-                        homed: false,
+                        homed: Some(false),
                         position: None,
                         demand: None,
+                        setpoint: None,
+                        at: None,
                         velocity: said.and_then(|said| said.velocity),
                     });
                 }

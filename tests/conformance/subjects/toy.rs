@@ -127,12 +127,15 @@ impl Subject for Toy {
             home: false,
             jog: false,
             follow: false,
+            torque: false,
+            picks: true,
             identified: true,
             round_trip: false,
             answers_after: 1,
             whole: true,
             awaits: false,
             stream: false,
+            shared: false,
         }
     }
 
@@ -148,7 +151,16 @@ impl Subject for Toy {
     fn said(&self, _before: Option<Said>, _request: &[u8], reply: &[u8]) -> Option<Said> {
         let Answer { state, moving, position, .. } = Answer::parse(reply)?;
         let position = Some(position);
-        Some(Said { powered: state == ON, moving, homed: true, position, demand: position, velocity: None })
+        Some(Said {
+            powered: state == ON,
+            moving,
+            homed: Some(true),
+            position,
+            demand: position,
+            setpoint: None,
+            at: None,
+            velocity: None,
+        })
     }
 
     fn calls(&self) -> Calls {
@@ -691,7 +703,14 @@ impl Station {
                 self.tell(STOP, [scale(deceleration.unwrap_or(usual)), 0.0, 0.0, 0.0]);
             }
             Some(Verb::QuickStop) => self.tell(STOP, [scale(4.0 * usual), 0.0, 0.0, 0.0]),
-            Some(Verb::Home | Verb::Jog(_) | Verb::Velocity { .. } | Verb::Follow | Verb::Native(_)) => {
+            Some(
+                Verb::Home
+                | Verb::Jog(_)
+                | Verb::Velocity { .. }
+                | Verb::Torque { .. }
+                | Verb::Follow
+                | Verb::Native(_),
+            ) => {
                 self.end = Some(Err(Failure::Unsupported("a toy can move and stop, no more")));
             }
             None | Some(Verb::Reset) => self.end = Some(Ok(())),

@@ -1,0 +1,427 @@
+//! EtherCAT to Kollmorgen drives of the S700: one frame for all of them. A velocity setpoint (1702h), or a position setpoint (1701h).
+
+use std::any::Any;
+use std::io;
+use std::net::SocketAddrV4;
+use std::ops::Range;
+use std::os::fd::RawFd;
+
+use fieldbeat::Time;
+use fieldbeat::axis::{AxisPlan, Profile, Unit, Units};
+use fieldbeat::bus::ethercat::cia402::{Command as Operation, ControlWord, StatusWord};
+use fieldbeat::bus::ethercat::faults::Fault;
+use fieldbeat::bus::ethercat::object::{Family, Object, Target, Type, pdo};
+use fieldbeat::bus::ethercat::sim::EthercatSim;
+use fieldbeat::bus::ethercat::wire::frame::{Command, FrameError, datagrams};
+use fieldbeat::bus::ethercat::wire::registers::{AlState, AlStatus};
+use fieldbeat::bus::ethercat::wire::sdo::AbortCode;
+use fieldbeat::bus::ethercat::{EthercatPlan, KollmorgenDrive, Start};
+use fieldbeat::bus::{Bus, BusPlan, OpenError};
+use fieldbeat::net::frames::{MAC, Unsent};
+use fieldbeat::net::{Carriers, Datagrams, Frames, StreamPeer, Streams, UdpOptions};
+use fieldbeat::rt::Regions;
+use fieldbeat::sim::{SimDrive, SimLine};
+
+use crate::line::PERIOD;
+use crate::subject::{Calls, Can, Drive, Said, Subject};
+
+/// By what the drives are led; sound, or with one thing wrong.
+pub struct EtherCat {
+    pub positions: bool,
+    pub defect: Option<Defect>,
+}
+
+/// What only a bus whose drives share a frame can get wrong.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Defect {
+    /// The first two drives of the line have each other's inputs.
+    GivesAnothersInputs,
+    /// They have each other's outputs.
+    GivesAnothersOutputs,
+    /// A drive that took no part is there, with what it said last.
+    CountsTheMissing,
+    /// If one took no part, none did.
+    MissesAllWithOne,
+    /// Each drive has what it said a frame ago.
+    IsAFrameBehind,
+}
+
+const LINE: &str = "local:conformance";
+/// rpm to find home with: the drive's own take a while.
+const HOMING_RPM: f64 = 300.0;
+/// Velocity of the profile, revolutions a second.
+const VELOCITY: f64 = 4.0;
+/// Slower is standstill, revolutions a second.
+const STANDSTILL: f64 = 0.05;
+/// Bytes of each drive: control word and setpoint; AL status, position, torque, status word.
+const OUTPUTS: usize = 6;
+const AL: usize = 2;
+const INPUTS: usize = 8;
+/// The bit of an Ethernet address that the first slave sets.
+const PASSED: u8 = 1 << 1;
+/// Where the Ethernet address of the sender stands.
+const SENDER: usize = 6;
+/// Who sent a frame, and its number: the data of its first datagram, whose length and flags stand here.
+const MARK: Range<usize> = 26..34;
+const LENGTH: usize = 22;
+/// In front of all datagrams; of each, in front of its data, and the counter behind them.
+const FRONT: usize = 16;
+const HEADER: usize = 10;
+const COUNTER: usize = 2;
+/// In the upper byte of a datagram's length.
+const CIRCULATED: u8 = 1 << 6;
+/// A drive that takes part adds so much to the counter.
+const COUNTS: u16 = 3;
+/// So many counts a step may be off by its own rounding.
+const ROUNDED: i64 = 4;
+
+fn increments() -> f64 {
+    KollmorgenDrive::new("x", 0, Family::S700).scaling.increments()
+}
+
+/// Setpoint and control word.
+fn outputs(request: &[u8]) -> Option<(i64, ControlWord)> {
+    let [a, b, c, d, low, high] = *request.first_chunk::<OUTPUTS>()?;
+    Some((i32::from_le_bytes([a, b, c, d]).into(), ControlWord(u16::from_le_bytes([low, high]))))
+}
+
+/// Where the data of each datagram stand.
+fn places(frame: &[u8]) -> Vec<Range<usize>> {
+    let lengths = datagrams(frame).into_iter().flatten().flatten().map(|datagram| datagram.data.len());
+    let place = |end: &mut usize, length| {
+        let begin = *end + HEADER;
+        *end = begin + length + COUNTER;
+        Some(begin..begin + length)
+    };
+    lengths.scan(FRONT, place).collect()
+}
+
+/// Where those of the process data stand.
+fn image(frame: &[u8]) -> Option<Range<usize>> {
+    let is_image = |at: &Range<usize>| frame[at.start - HEADER] == Command::Lrw(0).number();
+    places(frame).into_iter().find(is_image)
+}
+
+impl EtherCat {
+    fn drive(&self, index: usize, count: usize, drive: &Drive) -> KollmorgenDrive {
+        let place = self.place(index, count) as u16;
+        let mut plan = KollmorgenDrive::new(&drive.axis.name, place, Family::S700);
+        if self.positions {
+            let layout = |pdo| pdo::fixed(Family::S700).into_iter().find(|layout| layout.pdo == pdo);
+            plan.outputs = layout(0x1701).expect("it has this PDO");
+        }
+        plan.fit();
+        plan.axis = drive.axis.clone();
+        // What moves by itself needs it.
+        if !drive.jog && !drive.follow {
+            plan.slave.watchdog_ns = None;
+        }
+        let raw = (HOMING_RPM / plan.scaling.rpm_per_count).round() as u64;
+        plan.slave.start_up.push(Start { object: Object::new(0x6099, 1), kind: Type::U32, raw });
+        // In increments it is the same for all units.
+        let turns = drive.axis.units.counts_per_unit.abs() / increments();
+        plan.axis.stop.standstill = STANDSTILL / turns;
+        plan.simulate.position = (drive.start * drive.axis.units.counts_per_unit).round() as i32;
+        plan.simulate.ramps_rpm_s = (40_000, 40_000);
+        plan.simulate.running_rpm = drive.running.then_some(60.0 * VELOCITY);
+        plan
+    }
+}
+
+impl Subject for EtherCat {
+    fn name(&self) -> &'static str {
+        if self.positions { "ethercat with positions" } else { "ethercat with velocities" }
+    }
+
+    fn can(&self) -> Can {
+        Can {
+            positions: self.positions,
+            home: true,
+            jog: true,
+            follow: self.positions,
+            torque: false,
+            picks: !self.positions,
+            identified: true,
+            round_trip: true,
+            answers_after: 0,
+            whole: true,
+            awaits: false,
+            stream: false,
+            shared: true,
+        }
+    }
+
+    fn axis(&self, name: &str) -> AxisPlan {
+        let units =
+            Units { unit: Unit::Revolution, counts_per_unit: increments(), offset: 0.0, modulo: None };
+        let mut axis = AxisPlan::new(name, units);
+        let ramp = 10.0 * VELOCITY;
+        axis.profile = Profile { velocity: VELOCITY, acceleration: ramp, deceleration: ramp };
+        axis.stop.deceleration = ramp;
+        axis.jog_deadman = None;
+        axis
+    }
+
+    fn plan(&self, drives: &[Drive]) -> Box<dyn BusPlan> {
+        let drive = |(index, drive)| self.drive(index, drives.len(), drive);
+        let plan = EthercatPlan::new(LINE, drives.iter().enumerate().map(drive).collect());
+        match self.defect {
+            None => Box::new(plan),
+            Some(defect) => Box::new(Broken { plan, defect }),
+        }
+    }
+
+    fn piece(&self, now: Time, frame: &[u8], index: usize, count: usize) -> Option<(Vec<u8>, Vec<u8>)> {
+        let mut all = datagrams(frame).ok()?.flatten();
+        let image = all.find(|datagram| matches!(datagram.command(), Some(Command::Lrw(_))))?;
+        let place = self.place(index, count);
+        let request = image.data.get(place * OUTPUTS..)?.first_chunk::<OUTPUTS>()?;
+        let reply =
+            image.data.get(count * OUTPUTS + place * (AL + INPUTS)..)?.first_chunk::<{ AL + INPUTS }>()?;
+        let status = AlStatus(u16::from_le_bytes([reply[0], reply[1]]));
+        let there = status.state().is_some_and(|state| state >= AlState::SafeOp);
+        let reply = [&reply[..], &now.0.to_le_bytes()].concat();
+        Some((request.to_vec(), if there { reply } else { Vec::new() }))
+    }
+
+    fn said(&self, before: Option<Said>, request: &[u8], reply: &[u8]) -> Option<Said> {
+        let (setpoint, control) = outputs(request)?;
+        let [al, _, a, b, c, d, _, _, low, high] = *reply.first_chunk::<{ AL + INPUTS }>()?;
+        let at = Time(u64::from_le_bytes(*reply.last_chunk()?));
+        let status = StatusWord(u16::from_le_bytes([low, high]));
+        let position = i64::from(i32::from_le_bytes([a, b, c, d]));
+        let powered = status.state().is_powered();
+        let since = before.and_then(|before| Some((before.at?, before.position?)));
+        let speed = |(last, place): (Time, i64)| {
+            (position - place) as f64 / increments() * 1e9 / at.since(last) as f64
+        };
+        let turns = since.is_some_and(|since| speed(since).abs() > STANDSTILL);
+        let homes = control.has(ControlWord::START);
+        let operates = control.has(Operation::EnableOperation.word().0);
+        let leads = AlStatus(al.into()).state() == Some(AlState::Op) && operates;
+        let demand = if self.positions && leads && !homes { setpoint } else { position };
+        let led = match self.positions {
+            true => leads && before.is_some_and(|before| before.setpoint != Some(setpoint)),
+            false => setpoint != 0,
+        };
+        // The same frame, come twice.
+        let again = before.filter(|before| before.at.is_some_and(|last| at.since(last) < PERIOD / 2));
+        let moving = again.map_or(powered && (led || homes || turns), |before| before.moving);
+        Some(Said {
+            powered,
+            moving,
+            homed: None,
+            position: Some(position),
+            demand: Some(demand),
+            setpoint: self.positions.then_some(setpoint),
+            at: Some(again.and_then(|before| before.at).unwrap_or(at)),
+            velocity: None,
+        })
+    }
+
+    fn is_strange(&self, frame: &[u8]) -> bool {
+        let Some(sender) = frame.get(SENDER..).and_then(<[u8]>::first_chunk::<6>) else { return true };
+        let own = [sender[0] & !PASSED, sender[1], sender[2], sender[3], sender[4], sender[5]] == MAC;
+        !own || matches!(datagrams(frame), Err(FrameError::Ethertype(_) | FrameError::Type(_)))
+    }
+
+    fn of_another(&self, frame: &[u8]) -> Vec<u8> {
+        [&frame[..SENDER], &[0x20; 6], &frame[SENDER + 6..]].concat()
+    }
+
+    fn provoke(&self, line: &mut dyn SimLine, place: usize) {
+        let line: &mut dyn Any = line;
+        let drive = line.downcast_mut::<EthercatSim>().and_then(|line| line.drive(place));
+        drive.expect("a drive").provoke(Fault::FOLLOWING);
+    }
+
+    fn calls(&self) -> Calls {
+        // The profile velocity, of a mode that is not used here.
+        let free = Target { object: Object::new(0x6081, 0), kind: Some(Type::U32), complete: false };
+        let missing = Target::parse("0x5FFF:0.u16").expect("a target");
+        Calls { read: free.read(), write: free.write(77), refused: (missing.read(), AbortCode::NO_OBJECT.0) }
+    }
+
+    fn asks_to_stop(&self, before: &[Vec<u8>], request: &[u8]) -> bool {
+        let Some((setpoint, control)) = outputs(request) else { return false };
+        let mut last: Vec<i64> =
+            before.iter().rev().filter_map(|request| Some(outputs(request)?.0)).collect();
+        // A frame of a cycle in which the drive is not due carries the same again.
+        last.dedup();
+        if control.has(ControlWord::HALT) {
+            return true;
+        }
+        match (self.positions, last.as_slice()) {
+            (true, [first, second, third, ..]) => {
+                // It falls behind what it would be if it went on as before.
+                let (now, step) = (setpoint - first, first - second);
+                let expected = step + (step - (second - third));
+                setpoint != *first && (expected - now) * step.signum() > ROUNDED
+            }
+            (false, [last, ..]) => setpoint.abs() < last.abs(),
+            _ => false,
+        }
+    }
+
+    fn fault(&self, _reply: &[u8]) -> Option<Vec<u8>> {
+        // No telegram, but what happens in the drive.
+        Some(Vec::new())
+    }
+
+    fn malformed(&self, frame: &[u8]) -> Vec<Vec<u8>> {
+        // It ends in its first datagram, or sooner than its header says; its first datagram is longer than it.
+        let changed = |at: usize, bits: u8| [&frame[..at], &[frame[at] ^ bits], &frame[at + 1..]].concat();
+        vec![frame[..20].to_vec(), frame[..frame.len() - 30].to_vec(), changed(23, 0x04)]
+    }
+
+    fn foreign(&self, frame: &[u8]) -> Vec<Vec<u8>> {
+        // Of another master behind the same interface; with a number that was never sent; the same, gone round besides.
+        let changed = |at: usize| {
+            let mut changed = frame.to_vec();
+            changed[at] ^= 0x80;
+            changed
+        };
+        let mut round = changed(MARK.end - 1);
+        round[LENGTH + 1] |= CIRCULATED;
+        vec![changed(MARK.start), changed(MARK.end - 1), round]
+    }
+
+    fn circulated(&self, frame: &[u8]) -> Option<Vec<u8>> {
+        let mut round = frame.to_vec();
+        let number = round.get_mut(MARK)?.last_chunk_mut::<4>()?;
+        let next = u32::from_le_bytes(*number).wrapping_add(1);
+        *number = next.to_le_bytes();
+        for at in places(frame) {
+            round[at.start - HEADER + 1] = next as u8;
+            round[at.start - HEADER + 7] |= CIRCULATED;
+        }
+        Some(round)
+    }
+}
+
+/// A bus with a defect: it works on frames that are not as the line has made them.
+#[derive(Debug)]
+struct Broken {
+    plan: EthercatPlan,
+    defect: Defect,
+}
+
+impl BusPlan for Broken {
+    crate::forward_bus_plan!(plan);
+
+    fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
+        let drives = self.plan.drives.len();
+        self.plan.open(period_ns, &Misusing { carriers, defect: self.defect, drives })
+    }
+
+    fn simulate(&self) -> Vec<Box<dyn SimDrive>> {
+        self.plan.simulate()
+    }
+
+    fn simulate_line(&self) -> Option<Box<dyn SimLine>> {
+        self.plan.simulate_line()
+    }
+}
+
+struct Misusing<'a> {
+    carriers: &'a dyn Carriers,
+    defect: Defect,
+    drives: usize,
+}
+
+impl Carriers for Misusing<'_> {
+    fn datagrams(&self, bind: SocketAddrV4, options: &UdpOptions) -> io::Result<Box<dyn Datagrams>> {
+        self.carriers.datagrams(bind, options)
+    }
+
+    fn streams(&self, peers: Vec<StreamPeer>) -> io::Result<Box<dyn Streams>> {
+        self.carriers.streams(peers)
+    }
+
+    fn frames(&self, interface: &str, ethertype: u16) -> io::Result<Box<dyn Frames>> {
+        let frames = self.carriers.frames(interface, ethertype)?;
+        Ok(Box::new(Misused { frames, defect: self.defect, kept: vec![[0; AL + INPUTS]; self.drives] }))
+    }
+}
+
+struct Misused {
+    frames: Box<dyn Frames>,
+    defect: Defect,
+    /// What each place of the line said last in OP.
+    kept: Vec<[u8; AL + INPUTS]>,
+}
+
+fn operates(said: &[u8; AL + INPUTS]) -> bool {
+    AlStatus(said[0].into()).state() == Some(AlState::Op)
+}
+
+impl Misused {
+    fn spoil_outputs(&self, frame: &mut [u8]) {
+        let Some(image) = image(frame).filter(|_| self.defect == Defect::GivesAnothersOutputs) else {
+            return;
+        };
+        let (first, others) = frame[image].split_at_mut(OUTPUTS);
+        first.swap_with_slice(&mut others[..OUTPUTS]);
+    }
+
+    fn spoil_inputs(&mut self, frame: &mut [u8]) {
+        let Some(image) = image(frame) else { return };
+        let inputs = image.start + self.kept.len() * OUTPUTS..image.end;
+        let (said, behind) = frame[inputs.start..].split_at_mut(inputs.len());
+        let (said, _) = said.as_chunks_mut::<{ AL + INPUTS }>();
+        let before = self.kept.clone();
+        for (kept, said) in self.kept.iter_mut().zip(said.iter()) {
+            if operates(said) {
+                *kept = *said;
+            }
+        }
+        let gone = said.iter().zip(&before).filter(|(said, kept)| !operates(said) && operates(kept)).count();
+        let is_whole = said.iter().chain(&before).all(operates);
+        match self.defect {
+            Defect::GivesAnothersInputs if is_whole => said.swap(0, 1),
+            Defect::IsAFrameBehind if is_whole => said.copy_from_slice(&before),
+            Defect::CountsTheMissing if gone > 0 => {
+                let counter = u16::from_le_bytes([behind[0], behind[1]]) + COUNTS * gone as u16;
+                behind[..COUNTER].copy_from_slice(&counter.to_le_bytes());
+                said.copy_from_slice(&self.kept);
+            }
+            Defect::MissesAllWithOne if gone > 0 => {
+                behind[..COUNTER].fill(0);
+                said.fill([0; AL + INPUTS]);
+            }
+            _ => {}
+        }
+    }
+}
+
+impl Frames for Misused {
+    fn fd(&self) -> Option<RawFd> {
+        self.frames.fd()
+    }
+
+    fn send(&mut self, frame: &[u8]) -> Result<Time, Unsent> {
+        let mut frame = frame.to_vec();
+        self.spoil_outputs(&mut frame);
+        self.frames.send(&frame)
+    }
+
+    fn receive(&mut self, room: &mut [u8]) -> Option<(Time, usize)> {
+        let (at, length) = self.frames.receive(room)?;
+        if let Some(frame) = room.get_mut(..length) {
+            self.spoil_inputs(frame);
+        }
+        Some((at, length))
+    }
+
+    fn now(&mut self) -> Time {
+        self.frames.now()
+    }
+
+    fn mac(&self) -> [u8; 6] {
+        self.frames.mac()
+    }
+
+    fn memory(&self, regions: &mut Regions) {
+        self.frames.memory(regions);
+    }
+}
