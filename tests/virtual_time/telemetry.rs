@@ -181,7 +181,7 @@ fn what_a_drive_shows_besides_is_told_when_it_is_new_and_only_of_that_drive() {
                     assert!(timer > at, "{timer} after {at}");
                     (at, fresh) = (timer, fresh + 1);
                 }
-                Record::Cycle(_) | Record::Skipped(_) => {}
+                Record::Reference(_) | Record::Cycle(_) | Record::Skipped(_) => {}
             }
         }
     });

@@ -1,0 +1,152 @@
+//! Slaves that are no drives, and slaves that are refused: what is told of them, and what they do not do by themselves.
+
+use std::time::Duration;
+
+use fieldbeat::axis::acyclic::CallError;
+use fieldbeat::axis::{Emergency, FoundRunning, Link};
+use fieldbeat::bus::ethercat::faults::Fault;
+use fieldbeat::bus::ethercat::object::{Family, Object, Objects, Target, Type};
+use fieldbeat::bus::ethercat::sim::coupler::Terminals as Simulated;
+use fieldbeat::bus::ethercat::sim::{Coupler, EthercatSim};
+use fieldbeat::bus::ethercat::{
+    Area, Device, EthercatPlan, Expected, KollmorgenDrive, SlavePlan, Start, Terminals,
+};
+use fieldbeat::cycle::CyclePlan;
+use fieldbeat::sim::world::WorldOptions;
+
+use super::drives::{Left, answer};
+use super::{LINE, Machine, drive};
+
+/// Four bytes of outputs that are its inputs, too.
+fn io(place: u16) -> Device {
+    let area = |start| Area { start, length: 4 };
+    let slave = SlavePlan { outputs: area(0x1000), inputs: area(0x1100), ..SlavePlan::new(place) };
+    let terminals = Simulated { digital: 32, analogue: 0 };
+    Device { name: "io".into(), slave, simulate: Coupler { outputs: terminals, inputs: terminals } }
+}
+
+fn line(drives: Vec<KollmorgenDrive>, devices: Vec<Device>) -> EthercatPlan {
+    EthercatPlan { devices, ..EthercatPlan::new(LINE, drives) }
+}
+
+/// What is told of the slaves in the end.
+fn told(machine: Machine) -> (Vec<Option<String>>, Vec<Option<String>>) {
+    let end = machine.sim.finish();
+    let drives = end.drives.into_iter().map(|drive| drive.not_connected);
+    assert!(end.devices.iter().all(|device| device.name == "io"));
+    (drives.collect(), end.devices.into_iter().map(|device| device.not_operational).collect())
+}
+
+#[test]
+fn a_device_that_is_refused_is_told_by_its_name_and_one_in_operation_is_not() {
+    let mut other = line(vec![drive(0, Family::S700)], vec![io(1)]);
+    let world = EthercatSim::new(&other);
+    other.devices[0].slave.identity = Expected { product: Some(77), ..Expected::default() };
+    let left = Box::new(Left::new(other, world));
+    let mut machine = Machine::on(left, CyclePlan::default(), WorldOptions::default());
+    machine.online();
+    machine.run(2_000);
+    let (drives, devices) = told(machine);
+    assert_eq!(drives, [None]);
+    let why = devices[0].clone().expect("it is refused");
+    assert!(why.starts_with("place 1: its product is 0x") && why.contains("mend product"), "{why}");
+
+    let mut machine = Machine::new(line(vec![drive(0, Family::S700)], vec![io(1)]));
+    machine.run(3);
+    let (_, devices) = told(machine);
+    assert_eq!(devices, [Some("place 1: it is being brought up".to_owned())]);
+
+    let mut machine = Machine::new(line(vec![drive(0, Family::S700)], vec![io(1)]));
+    machine.online();
+    let io = machine.sim.device::<Terminals>("io").unwrap();
+    machine.until("operational", 3_000, |_| io.inputs().operational);
+    assert_eq!(told(machine), (vec![None], vec![None]));
+}
+
+#[test]
+fn the_outputs_of_a_device_that_was_lost_are_zeros_until_they_are_written_anew() {
+    let mut machine = Machine::new(line(vec![drive(0, Family::S700)], vec![io(1)]));
+    let mut io = machine.sim.device::<Terminals>("io").unwrap();
+    machine.online();
+    machine.until("operational", 3_000, |_| io.inputs().operational);
+    io.write(&[1, 2, 3, 4]).unwrap();
+    machine.run(4);
+    assert_eq!(io.inputs().bytes(), [1, 2, 3, 4]);
+    machine.sim.world().restart_slave(LINE, 1);
+    machine.until("lost", 1_000, |_| !io.inputs().operational);
+    machine.until("back", 5_000, |_| io.inputs().operational);
+    machine.run(100);
+    assert_eq!(io.inputs().bytes(), [0; 4], "nothing comes back by itself");
+    io.write(&[1, 2, 3, 5]).unwrap();
+    machine.run(4);
+    assert_eq!(io.inputs().bytes(), [1, 2, 3, 5]);
+    assert_eq!(machine.feedback(0).link, Link::Online);
+}
+
+#[test]
+fn the_objects_of_a_device_with_a_mailbox_are_read_and_written() {
+    // A drive in the place of the device: the plan knows no more of it than its memory.
+    let mut akd = drive(1, Family::Akd);
+    akd.simulate.interrupts_to_sync = 1;
+    let mut plan = line(vec![drive(0, Family::S700)], Vec::new());
+    let world =
+        EthercatSim::new(&EthercatPlan { drives: vec![drive(0, Family::S700), akd.clone()], ..plan.clone() });
+    // 1 ms.
+    let start = |sub, kind, raw| Start { object: Object::new(0x60C2, sub), kind, raw };
+    let start_up = vec![start(1, Type::U8, 1), start(2, Type::I8, 0xFD)];
+    let slave = SlavePlan { start_up, ..akd.slave.clone() };
+    let digital = |bytes: u16| Simulated { digital: 8 * bytes as u8, analogue: 0 };
+    let simulate = Coupler { outputs: digital(slave.outputs.length), inputs: digital(slave.inputs.length) };
+    plan.devices = vec![Device { name: "io".into(), slave, simulate }];
+    let left = |plan: &EthercatPlan, world| Box::new(Left::new(plan.clone(), world));
+    let mut machine = Machine::on(left(&plan, world), CyclePlan::default(), WorldOptions::default());
+    let acyclic = machine.sim.acyclics()[1].clone();
+    assert_eq!(acyclic.axis(), "io");
+    let notation: &dyn fieldbeat::axis::acyclic::Notation = &Objects;
+    let limit = Duration::from_secs(1);
+    let vendor = notation.read("0x1018:1").unwrap();
+    let ticket = acyclic.post(vendor, limit).unwrap();
+    assert_eq!(answer(&mut machine, ticket), Err(CallError::NotOnline), "it is not up yet");
+    machine.online();
+    let mut io = machine.sim.device::<Terminals>("io").unwrap();
+    machine.until("operational", 5_000, |_| io.inputs().operational);
+    let mut ask = |call| {
+        let ticket = acyclic.post(call, limit).unwrap();
+        answer(&mut machine, ticket)
+    };
+    assert_eq!(ask(vendor), Ok(0x6A));
+    assert_eq!(ask(notation.write("0x6081:0", 4_321).unwrap()), Ok(4_321));
+    assert_eq!(ask(notation.read("0x6081:0").unwrap()), Ok(4_321));
+    assert_eq!(io.emergency(), None);
+    machine.drive(1, |drive| drive.provoke(Fault::OVERVOLTAGE));
+    machine.run(100);
+    assert_eq!(io.emergency(), Some(Emergency { code: 0x3110, register: 4 }));
+    assert_eq!(io.emergency(), None);
+    let mut ask = |call| {
+        let ticket = acyclic.post(call, limit).unwrap();
+        answer(&mut machine, ticket)
+    };
+    assert!(matches!(ask(Target::parse("0x2FFF:7.u16").unwrap().read()), Err(CallError::Refused(_))));
+}
+
+#[test]
+fn a_drive_with_another_resolution_is_refused_unless_that_is_not_looked_at() {
+    let refused = |prbase: u8, turns: u32, check: bool| {
+        let mut odd = drive(0, Family::S700);
+        (odd.simulate.prbase, odd.simulate.resolution_turns, odd.check_prbase) = (prbase, turns, check);
+        odd.axis.on_found_running = FoundRunning::Refuse;
+        let mut machine = Machine::new(line(vec![odd], Vec::new()));
+        machine.run(4_000);
+        let link = machine.feedback(0).link;
+        let (drives, _) = told(machine);
+        assert_eq!(link == Link::Online, drives[0].is_none(), "{drives:?}");
+        drives.into_iter().next().flatten()
+    };
+    assert_eq!(refused(20, 1, true), None);
+    assert_eq!(refused(20, 4, true), None, "as a ratio it is the same");
+    let why = refused(19, 1, true).expect("it counts otherwise");
+    assert!(
+        why.contains("its increments a turn (0x608f:1) are 524288") && why.contains("check_prbase = false")
+    );
+    assert_eq!(refused(19, 1, false), None);
+}

@@ -1,0 +1,182 @@
+//! A line of Kollmorgen drives under the whole loop in virtual time: what the conformance suite does not ask of a protocol.
+//!
+//! | file | what |
+//! |---|---|
+//! | `mod` | the machine: a line and its master |
+//! | `drives` | what drives do: motion, homing, faults, power, the end |
+//! | `devices` | slaves that are no drives; who is refused, and what is told of it |
+//! | `long` | lines of many drives |
+//! | `slaves` | slaves that are not like the usual ones |
+
+mod devices;
+pub mod drives;
+mod long;
+mod slaves;
+
+use std::time::Duration;
+
+use fieldbeat::axis::{Feedback, Jog, Link, Outcome, State, Verb};
+use fieldbeat::bus::ethercat::object::{Family, pdo};
+use fieldbeat::bus::ethercat::sim::{Drive, EthercatSim};
+use fieldbeat::bus::ethercat::{EthercatPlan, KollmorgenDrive};
+use fieldbeat::bus::{BusPlan, Counters};
+use fieldbeat::cycle::engine::Flow;
+use fieldbeat::cycle::{CyclePlan, Plan};
+use fieldbeat::master::Master;
+use fieldbeat::sim::world::WorldOptions;
+use fieldbeat::simulation::Simulation;
+
+/// The interface of the line.
+pub const LINE: &str = "local:line";
+pub const STOP: Verb = Verb::Stop { deceleration: None };
+/// Cycles in which a line comes up, with clocks that have to settle.
+const UP: u64 = 8_000;
+
+/// A drive as most tests want it, in revolutions: 10 rev/s, and jogs without a button to hold.
+pub fn drive(place: u16, family: Family) -> KollmorgenDrive {
+    let mut drive = KollmorgenDrive::new(format!("d{place}"), place, family);
+    let axis = &mut drive.axis;
+    axis.profile.velocity = 10.0;
+    axis.profile.acceleration = 100.0;
+    axis.profile.deceleration = 100.0;
+    axis.stop.deceleration = 200.0;
+    axis.enable_timeout = Duration::from_secs(3);
+    axis.jog_deadman = None;
+    drive
+}
+
+/// The same with two of its fixed PDOs.
+pub fn with(place: u16, family: Family, outputs: u16, inputs: u16) -> KollmorgenDrive {
+    let mut drive = drive(place, family);
+    let fixed =
+        |pdo| pdo::fixed(family).into_iter().find(|layout| layout.pdo == pdo).expect("it has this PDO");
+    (drive.outputs, drive.inputs) = (fixed(outputs), fixed(inputs));
+    drive.fit();
+    drive
+}
+
+/// Drives of the S700 that take velocities.
+pub fn plan(count: u16) -> EthercatPlan {
+    EthercatPlan::new(LINE, (0..count).map(|place| drive(place, Family::S700)).collect())
+}
+
+pub fn jog(velocity: f64) -> Verb {
+    Verb::Jog(Jog { velocity, acceleration: 100.0 })
+}
+
+/// A line and its master.
+pub struct Machine {
+    pub sim: Simulation,
+    pub count: usize,
+}
+
+impl Machine {
+    pub fn new(plan: EthercatPlan) -> Machine {
+        Machine::with(plan, false, WorldOptions::default())
+    }
+
+    /// `leads`: the clock of the line steers the grid.
+    pub fn with(plan: EthercatPlan, leads: bool, options: WorldOptions) -> Machine {
+        let reference = leads.then(|| plan.name.clone());
+        Machine::on(Box::new(plan), CyclePlan { reference, ..CyclePlan::default() }, options)
+    }
+
+    pub fn on(bus: Box<dyn BusPlan>, cycle: CyclePlan, options: WorldOptions) -> Machine {
+        let count = bus.axes().len();
+        let plan = Plan { source: None, cycle, buses: vec![bus], groups: Vec::new() };
+        let sim = Master::from_plan(plan).simulate(options).unwrap_or_else(|error| panic!("{error}"));
+        Machine { sim, count }
+    }
+
+    /// All drives in operation.
+    pub fn enabled(plan: EthercatPlan) -> Machine {
+        let mut machine = Machine::new(plan);
+        machine.online();
+        machine.each(Verb::Enable);
+        machine
+    }
+
+    pub fn look<R>(&self, look: impl FnOnce(&mut EthercatSim) -> R) -> R {
+        self.sim.world().look(LINE, |line: &mut EthercatSim, _| look(line)).expect("there is a line")
+    }
+
+    /// Looks at the drive at a place of the line.
+    pub fn drive<R>(&self, place: usize, look: impl FnOnce(&mut Drive) -> R) -> R {
+        self.look(|line| look(line.drive(place).expect("there is a drive")))
+    }
+
+    pub fn feedback(&self, index: usize) -> Feedback {
+        self.sim.feedback(index)
+    }
+
+    pub fn until(&mut self, what: &str, most: u64, done: impl Fn(&Machine) -> bool) -> u64 {
+        for turn in 0..most {
+            if done(self) {
+                return turn;
+            }
+            self.sim.step();
+        }
+        let all: Vec<_> = (0..self.count).map(|index| self.feedback(index)).collect();
+        let slaves = self.look(|line| {
+            let states = (0..).map_while(|place| line.slave(place).map(|slave| slave.state()));
+            states.collect::<Vec<_>>()
+        });
+        panic!("not within {most} turns: {what}; {slaves:?} {all:#?}");
+    }
+
+    pub fn online(&mut self) {
+        let count = self.count;
+        self.until("online", UP, |machine| {
+            (0..count).all(|index| machine.feedback(index).link == Link::Online)
+        });
+    }
+
+    pub fn run(&mut self, turns: u64) {
+        self.sim.run(turns);
+    }
+
+    /// How a command ends.
+    pub fn ended(&mut self, index: usize, verb: Verb) -> Outcome {
+        let outcome = self.sim.run_verb(index, verb, 20_000).unwrap_or_else(|error| panic!("{error}"));
+        outcome.unwrap_or_else(|| panic!("{verb:?} has no end: {:?}", self.feedback(index)))
+    }
+
+    pub fn done(&mut self, index: usize, verb: Verb) {
+        assert_eq!(self.ended(index, verb), Outcome::Done, "{verb:?}: {:?}", self.feedback(index));
+    }
+
+    /// All axes, one after the other.
+    pub fn each(&mut self, verb: Verb) {
+        (0..self.count).for_each(|index| self.done(index, verb));
+    }
+
+    pub fn post(&mut self, index: usize, verb: Verb) {
+        self.sim.axis(index).post(verb).unwrap_or_else(|error| panic!("{error}"));
+    }
+
+    /// After a stop by the master.
+    pub fn recover(&mut self, index: usize) {
+        self.done(index, Verb::Reset);
+        self.done(index, Verb::Enable);
+    }
+
+    /// It turns, in operation, by fresh inputs.
+    pub fn assert_turns(&self, index: usize, velocity: f64) {
+        let feedback = self.feedback(index);
+        assert!((feedback.velocity - velocity).abs() < 0.3, "not {velocity}: {feedback:?}");
+        assert_eq!((feedback.state, feedback.age), (State::OperationEnabled, 0));
+        let rpm = self.drive(index, |drive| drive.rpm());
+        assert!((rpm - 60.0 * velocity).abs() < 20.0, "{rpm} rpm");
+    }
+
+    /// Goes to its orderly end, and gives what was counted of each drive.
+    pub fn end(mut self) -> Vec<Counters> {
+        self.sim.stop();
+        for _ in 0..10_000 {
+            if self.sim.step() == Flow::End {
+                return self.sim.finish().drives.into_iter().map(|drive| drive.counters).collect();
+            }
+        }
+        panic!("no end");
+    }
+}

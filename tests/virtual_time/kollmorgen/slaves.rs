@@ -1,0 +1,88 @@
+//! Slaves that are not like the usual ones: small couplers, such that show a device id, clocks that settle as slowly as real ones.
+
+use fieldbeat::axis::{Link, Verb};
+use fieldbeat::bus::ethercat::counters::Own;
+use fieldbeat::bus::ethercat::sim::Coupler;
+use fieldbeat::bus::ethercat::sim::coupler::Terminals as Wired;
+use fieldbeat::bus::ethercat::{Area, Device, EthercatPlan, SlavePlan, Terminals};
+use fieldbeat::sim::world::WorldOptions;
+use fieldbeat::time::MS;
+
+use super::{CyclePlan, Machine, jog, plan};
+
+/// A drive, terminals of a byte either way, and another drive.
+fn with_terminals() -> EthercatPlan {
+    let wired = Wired { digital: 8, analogue: 0 };
+    let slave = SlavePlan {
+        outputs: Area { start: 0x1000, length: 1 },
+        inputs: Area { start: 0x1100, length: 1 },
+        ..SlavePlan::new(1)
+    };
+    let device = Device { name: "io".into(), slave, simulate: Coupler { outputs: wired, inputs: wired } };
+    let mut plan = plan(3);
+    plan.drives.remove(1);
+    plan.devices.push(device);
+    plan
+}
+
+/// All of it works: both drives turn, and the terminals exchange.
+fn works(plan: EthercatPlan) {
+    let mut machine = Machine::new(plan);
+    let mut terminals: Terminals = machine.sim.device("io").unwrap();
+    machine.online();
+    machine.each(Verb::Enable);
+    for index in 0..2 {
+        machine.post(index, jog(2.0));
+    }
+    machine.run(3_000);
+    assert!(terminals.inputs().operational);
+    for byte in [0xA5, 0x5A] {
+        terminals.write(&[byte]).unwrap();
+        machine.run(4);
+        assert_eq!(terminals.inputs().bytes(), [byte]);
+    }
+    for (index, place) in [(0, 0), (1, 2)] {
+        let feedback = machine.feedback(index);
+        assert!(feedback.age == 0 && (feedback.velocity - 2.0).abs() < 0.1, "{feedback:?}");
+        assert!((machine.drive(place, |drive| drive.rpm()) - 120.0).abs() < 3.0);
+    }
+    for counters in machine.end() {
+        assert_eq!((counters.own[Own::AlErrors as usize], counters.own[Own::WrongCount as usize]), (0, 0));
+    }
+}
+
+#[test]
+fn a_coupler_without_an_fmmu_to_spare_takes_part_like_any_other() {
+    for fmmus in [2, 3] {
+        let mut plan = with_terminals();
+        plan.simulate.fmmus = vec![8, fmmus, 8];
+        works(plan);
+    }
+}
+
+#[test]
+fn a_device_id_in_the_al_status_is_no_error() {
+    let mut plan = with_terminals();
+    plan.simulate.device_ids = true;
+    works(plan);
+}
+
+#[test]
+fn clocks_that_settle_as_slowly_as_real_ones_are_waited_for() {
+    for (leads, period) in [(false, MS), (true, MS), (true, 2 * MS), (true, 4 * MS)] {
+        let mut plan = plan(3);
+        plan.simulate.settling = 1_024;
+        plan.simulate.drift_ppm = vec![30.0, -30.0, 10.0];
+        let reference = leads.then(|| plan.name.clone());
+        let cycle = CyclePlan { period_ns: period, reference, ..CyclePlan::default() };
+        let mut machine = Machine::on(Box::new(plan), cycle, WorldOptions::default());
+        let took = machine.until("online", 20_000, |machine| {
+            (0..3).all(|index| machine.feedback(index).link == Link::Online)
+        });
+        assert!(took > 2_000, "they need some thousand frames, not {took}");
+        machine.each(Verb::Enable);
+        machine.post(1, jog(2.0));
+        machine.run(300);
+        machine.assert_turns(1, 2.0);
+    }
+}
