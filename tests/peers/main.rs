@@ -6,12 +6,14 @@
 //! | file | what |
 //! |---|---|
 //! | `capture` | a capture by tshark, and what its dissectors make of it |
+//! | `ethercat` | frames of EtherCAT, and a master of the crate ethercrab |
 //! | `linudp` | frames of LinUDP |
 //! | `modbus` | Modbus TCP: frames, and servers and clients of libmodbus and pymodbus |
 //!
 //! Each test owns 127.x.n.0/24, by the number n of its machine, which is unique in all of these files.
 
 mod capture;
+mod ethercat;
 mod linudp;
 mod modbus;
 #[path = "../support/mod.rs"]

@@ -6,6 +6,7 @@ use std::thread::{sleep, spawn};
 use std::time::Duration;
 
 use fieldbeat::bus::modbus::sim::{SimSettings, UnidriveSim};
+use fieldbeat::sim::SimDrive;
 use fieldbeat::sim::server::{ServerOptions, SimServer};
 
 use super::Library::{Libmodbus, Pymodbus};
@@ -17,7 +18,8 @@ const MOST: u16 = 120;
 const SETUP: u16 = 0x4000 + 22 * 100;
 
 fn serve(settings: SimSettings) -> SimServer {
-    SimServer::start(vec![Box::new(UnidriveSim::new(settings))], ServerOptions::default()).unwrap()
+    let drive: Box<dyn SimDrive> = Box::new(UnidriveSim::new(settings));
+    SimServer::start(vec![drive], ServerOptions::default()).unwrap()
 }
 
 /// Passes on what comes for `to`, both ways, a byte at a time.

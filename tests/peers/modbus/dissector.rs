@@ -141,7 +141,7 @@ fn tshark_finds_nothing_wrong_with_modbus() {
         settings.interface.read_write = index != 2;
         Box::new(UnidriveSim::new(settings)) as Box<dyn SimDrive>
     });
-    let _server = SimServer::start(simulated.collect(), ServerOptions::default()).unwrap();
+    let _server = SimServer::start(simulated.collect::<Vec<_>>(), ServerOptions::default()).unwrap();
     let socket = UdpSocket::bind((machine.ip(240), 0)).unwrap();
     let filter = format!("net {}/24", machine.ip(0));
     let capture = Capture::start(None, "lo", &filter, machine.path("lo.pcapng"), |text| {

@@ -1,0 +1,109 @@
+//! The crate ethercrab, a master that others wrote, on our simulated line.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::process::Command;
+
+use fieldbeat::bus::ethercat::object::Family;
+
+use super::dissector::{ABORT, Address, FRMW, LRW, Message, dissect, exchanges};
+use super::{WIRE, cable, capture, plan, serve};
+use crate::support::{Cable, Ended, Machine, Program, checkout};
+
+/// Builds their master, unless that was done already.
+fn build() -> std::path::PathBuf {
+    let target = checkout("target/peers/ethercrab");
+    let mut cargo = Command::new(std::env::var("CARGO").unwrap_or_else(|_| "cargo".into()));
+    cargo.args(["build", "--quiet", "--release", "--locked", "--manifest-path"]);
+    cargo.arg(checkout("tests/peers/ethercrab/Cargo.toml")).env("CARGO_TARGET_DIR", &target);
+    let output = cargo.output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    target.join("release/ethercrab-peer")
+}
+
+/// What it said, by the first word of each line.
+fn said(ended: &Ended) -> BTreeMap<&str, Vec<&str>> {
+    let mut said = BTreeMap::<_, Vec<_>>::new();
+    for line in ended.out.lines() {
+        let (what, rest) = line.split_once(' ').unwrap();
+        said.entry(what).or_default().push(rest);
+    }
+    said
+}
+
+fn turns_a_drive(test: u8, short_clocks: bool) {
+    let (machine, cable) = (Machine::new(test), cable(test));
+    let peer = build();
+    let _line = serve(&cable, &plan(Family::S700, 2, short_clocks));
+    let mut ended = None;
+    let file = capture(&cable, &machine, || {
+        let mut command = Cable::command(&cable.master, peer.to_str().unwrap());
+        ended = Some(Program::spawn(command.args([WIRE, "2"])).end());
+    });
+    let ended = ended.unwrap();
+    ended.expect(0);
+    let said = said(&ended);
+    assert_eq!(said["slaves"], ["3"]);
+    assert_eq!(said["identity"], ["0 0x2 0x44c2c52", "1 0x6a 0x3000600", "2 0x6a 0x3000600"]);
+    assert_eq!(said["vendor"], ["1 0x6a", "2 0x6a"]);
+    let bits = if short_clocks { "Bits32" } else { "Bits64" };
+    assert_eq!(said["clock"], ["0 None".to_owned(), format!("1 {bits}"), format!("2 {bits}")]);
+    for abort in &said["abort"] {
+        assert!(abort.contains("0x5fff:1 aborted"), "{abort}");
+    }
+    assert_eq!(said["abort"].len(), 2);
+    assert_eq!(said["state"], ["SAFEOP", "OP", "INIT"]);
+    let states: Vec<u16> =
+        said["status"].iter().map(|word| u16::from_str_radix(&word[2..], 16).unwrap() & 0x6F).collect();
+    assert_eq!(states, [0x21, 0x23, 0x27, 0x21]);
+    // Three a drive, and three of the coupler.
+    assert_eq!(said["counter"], ["9"]);
+    let moved: Vec<i32> = said["moved"][0].split(' ').map(|counts| counts.parse().unwrap()).collect();
+    // 5000 counts per 250 us for half a second, less the ramp: about 9.5 million. The other one stays where it is.
+    assert!((5_000_000..15_000_000).contains(&moved[0]) && moved[1].abs() < 100, "{moved:?}");
+    let still: i32 = said["still"][0].parse().unwrap();
+    assert!(still.abs() < 1_000, "{still}");
+    judge(&file);
+}
+
+/// What tshark sees of it.
+fn judge(file: &Path) {
+    let exchanges = exchanges(&dissect(file));
+    let back: Vec<_> = exchanges.iter().filter_map(|(_, back)| back.as_ref()).collect();
+    assert!(back.len() + 5 > exchanges.len(), "{} of {}", back.len(), exchanges.len());
+    // The clock of the first drive, and the process data of all.
+    let cycles: Vec<_> = back.iter().filter(|frame| frame.datagrams[0].command == FRMW).collect();
+    let in_op = cycles.iter().filter(|frame| {
+        let [clock, image, ..] = &frame.datagrams[..] else { return false };
+        assert_eq!((clock.address, clock.length), (Address::Slave(0x1001, 0x0910), 8));
+        assert_eq!((image.command, image.address, image.length), (LRW, Address::Logical(0), 30));
+        (clock.working_counter, image.working_counter) == (2, 9)
+    });
+    assert!(in_op.count() > 150);
+    let messages: Vec<&Message> = back.iter().flat_map(|frame| &frame.messages).collect();
+    let vendor = Some((0x1018, 1));
+    let told = messages.iter().filter(|message| (message.service, message.object) == (3, vendor));
+    assert_eq!(told.map(|message| message.data).collect::<Vec<_>>(), [Some(0x6A); 2]);
+    let aborts = messages.iter().filter(|message| (message.service, message.command) == (3, ABORT));
+    assert_eq!(aborts.count(), 2);
+    // What the drives' fixed PDOs are made of.
+    let mapped = |object, data| {
+        let told = messages.iter().filter(|message| (message.service, message.object) == (3, Some(object)));
+        assert!(told.clone().count() >= 2, "{object:?}");
+        assert!(told.into_iter().all(|message| message.data == Some(data)), "{object:?}");
+    };
+    mapped((0x1702, 1), 0x606B_0020);
+    mapped((0x1B03, 3), 0x6041_0010);
+}
+
+#[test]
+#[ignore = "needs root, iproute2, tshark and a package registry: builds the crate ethercrab"]
+fn a_master_of_others_brings_our_drives_to_op_and_turns_one() {
+    turns_a_drive(31, false);
+}
+
+#[test]
+#[ignore = "needs root, iproute2, tshark and a package registry: builds the crate ethercrab"]
+fn it_does_so_with_clocks_of_32_bits() {
+    turns_a_drive(32, true);
+}

@@ -1,0 +1,110 @@
+//! EtherCAT on a cable between two network namespaces, our simulated line at its end: Wireshark's dissector in between, and our
+//! master or one that others wrote.
+//!
+//! | file | what |
+//! |---|---|
+//! | `dissector` | frames as tshark has them |
+//! | `scan` | `fieldbeat ethercat scan`, captured |
+//! | `master` | the crate ethercrab brings our drives to OP, and turns one |
+//! | `own` | our master does so, captured from its first frame to its last |
+
+mod dissector;
+mod master;
+mod own;
+mod scan;
+
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+
+use fieldbeat::bus::ethercat::object::Family;
+use fieldbeat::bus::ethercat::sim::coupler::{Coupler, Terminals};
+use fieldbeat::bus::ethercat::sim::{EthercatSim, LineSettings};
+use fieldbeat::bus::ethercat::{Area, Device, EthercatPlan, Expected, KollmorgenDrive, SlavePlan};
+use fieldbeat::net::{Carriers, Frames, Os};
+use fieldbeat::sim::server::{ServerOptions, SimServer};
+use fieldbeat::sim::{SimLine, Simulated};
+use nix::sched::{CloneFlags, setns};
+
+use crate::capture::Capture;
+use crate::support::{Cable, Machine, command};
+
+/// The interface at both ends of a [`Cable`].
+const WIRE: &str = "wire";
+const ETHERTYPE: u16 = 0x88A4;
+/// For local experiments (IEEE 802): marks of a capture.
+const MARKER: u16 = 0x88B5;
+
+/// A coupler with a byte of outputs and one of inputs, and so many drives behind it.
+fn plan(family: Family, drives: u16, short_clocks: bool) -> EthercatPlan {
+    let drive = |place: u16| {
+        let mut drive = KollmorgenDrive::new(format!("d{place}"), place, family);
+        drive.simulate.serial = 100 + u32::from(place);
+        drive
+    };
+    let mut plan = EthercatPlan::new(WIRE, (1..=drives).map(drive).collect());
+    let slave = SlavePlan {
+        identity: Expected { vendor: Some(2), product: Some(0x044C_2C52), revision: None },
+        outputs: Area { start: 0x1000, length: 1 },
+        inputs: Area { start: 0x1100, length: 1 },
+        ..SlavePlan::new(0)
+    };
+    let byte = Terminals { digital: 8, analogue: 0 };
+    plan.devices.push(Device { name: "io".into(), slave, simulate: Coupler { outputs: byte, inputs: byte } });
+    plan.simulate =
+        LineSettings { interface: Some(WIRE.into()), drift_ppm: vec![0.0, 20.0, -35.0], ..plan.simulate };
+    plan.simulate.short_clocks = short_clocks;
+    plan
+}
+
+/// A cable whose end at the master has an address like that of a network card: without the bit that the first slave sets.
+fn cable(test: u8) -> Cable {
+    let cable = Cable::new(test, &[]);
+    command(&["ip", "-n", &cable.master, "link", "set", WIRE, "address", "10:10:10:10:10:10"]);
+    cable
+}
+
+/// The line of `plan`, served at the drives' end of a cable. It ends with this.
+fn serve(cable: &Cable, plan: &EthercatPlan) -> SimServer {
+    let line: Box<dyn SimLine> = Box::new(EthercatSim::new(plan));
+    let simulated = Simulated { drives: Vec::new(), lines: vec![line] };
+    // A line is hardware: it does not wait for whatever else this computer does.
+    let options = ServerOptions { priority: Some(70), ..ServerOptions::default() };
+    cable.among_drives(|| SimServer::start(simulated, options).unwrap())
+}
+
+/// Captures the frames that go either way on `cable` while `run` does something there; the file with all of them.
+///
+/// What leaves by PACKET_QDISC_BYPASS is never seen where it leaves: each end sees what comes in there.
+fn capture(cable: &Cable, machine: &Machine, run: impl FnOnce()) -> PathBuf {
+    let open = || Os::default().frames(WIRE, MARKER).unwrap();
+    let sent = come_in(&cable.drives, machine.path("sent.pcapng"), at_master(cable, open));
+    let back = come_in(&cable.master, machine.path("back.pcapng"), cable.among_drives(open));
+    run();
+    let (sent, back, both) = (sent.end(), back.end(), machine.path("both.pcapng"));
+    let files = [&both, &sent, &back].map(|file| file.to_str().unwrap());
+    command(&["mergecap", "-w", files[0], files[1], files[2]]);
+    both
+}
+
+/// A capture of what comes in at one end; `marks` sends at the other one.
+fn come_in(namespace: &str, file: PathBuf, marks: Box<dyn Frames>) -> Capture<impl Fn(&str) + use<>> {
+    let filter = format!("inbound and (ether proto {ETHERTYPE:#x} or ether proto {MARKER:#x})");
+    let marks = Mutex::new(marks);
+    Capture::start(Some(namespace), WIRE, &filter, file, move |text| {
+        let header = [&[0xFF; 6][..], &[0x10; 6], &MARKER.to_be_bytes()].concat();
+        let _ = marks.lock().unwrap().send(&[&header, text.as_bytes(), &[0; 46]].concat());
+    })
+}
+
+/// What `open` opens at the master's end.
+fn at_master<T: Send>(cable: &Cable, open: impl FnOnce() -> T + Send) -> T {
+    let namespace = File::open(Path::new("/run/netns").join(&cable.master)).unwrap();
+    std::thread::scope(|scope| {
+        let inside = scope.spawn(|| {
+            setns(namespace, CloneFlags::CLONE_NEWNET).unwrap();
+            open()
+        });
+        inside.join().unwrap()
+    })
+}

@@ -1,0 +1,103 @@
+//! `fieldbeat ethercat scan` over a real interface, and what Wireshark makes of its frames.
+
+use std::process::Command;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use fieldbeat::bus::ethercat::object::Family;
+use fieldbeat::net::{Carriers, Os};
+
+use super::dissector::{APRD, APWR, Address, BRD, NOP, dissect, exchanges};
+use super::{ETHERTYPE, WIRE, at_master, cable, capture, plan, serve};
+use crate::capture;
+use crate::support::{Cable, Ended, Machine, PROGRAM, Program, command};
+
+fn scan(cable: &Cable, options: &[&str]) -> Ended {
+    let mut scan = Command::new(PROGRAM);
+    scan.args(["ethercat", "scan", WIRE]).args(options);
+    Program::spawn(&mut Cable::enter(&cable.master, &scan)).end()
+}
+
+#[test]
+#[ignore = "needs root, iproute2 and tshark"]
+fn tshark_finds_nothing_wrong_with_a_scan() {
+    let (machine, cable) = (Machine::new(33), cable(33));
+    let _line = serve(&cable, &plan(Family::S700, 2, true));
+    let mut ended = None;
+    let file = capture(&cable, &machine, || ended = Some(scan(&cable, &["--json"])));
+    let ended = ended.unwrap();
+    ended.expect(0);
+    let slaves = ended.json()["slaves"].clone();
+    let told = |key: &str| [0, 1, 2].map(|place: usize| slaves[place]["sii"][key].clone());
+    assert_eq!(told("vendor"), [2, 0x6A, 0x6A]);
+    assert_eq!(told("serial"), [0, 101, 102]);
+    assert_eq!(slaves[1]["clock_bits"], 32);
+
+    let exchanges = exchanges(&dissect(&file));
+    for (sent, back) in &exchanges {
+        let back = back.as_ref().unwrap_or_else(|| panic!("it did not come back: {sent:?}"));
+        assert_eq!((sent.datagrams[0].command, back.datagrams[0].working_counter), (NOP, 0));
+        for (sent, back) in sent.datagrams.iter().zip(&back.datagrams).skip(1) {
+            let (Address::Slave(first, register), Address::Slave(counted, same)) =
+                (sent.address, back.address)
+            else {
+                panic!("{sent:?}")
+            };
+            // All three slaves count the position, and leave the register.
+            assert_eq!((counted, same), ((first + 3) & 0xFFFF, register));
+            match sent.command {
+                BRD => assert_eq!(back.working_counter, 3),
+                // A slave without a clock has no registers of one.
+                APRD => assert!(back.working_counter == 1 || register >= 0x0900, "{back:?}"),
+                APWR => assert_eq!((register, back.working_counter), (0x0502, 1)),
+                other => panic!("command {other}"),
+            }
+        }
+    }
+    // The dissector reads what the program has told.
+    let features = capture::dissect(
+        &file,
+        "ecat.cmd == 1 && ecat.reg.features && ecat.cnt == 1",
+        &[],
+        &["ecat.reg.features.dcsupport", "ecat.reg.features.dc64support"],
+    );
+    let has_clock = |line: &&String| line.starts_with('1') || line.starts_with("True");
+    assert_eq!(features.iter().filter(has_clock).count(), 2, "{features:?}");
+}
+
+#[test]
+#[ignore = "needs root and iproute2"]
+fn what_is_wrong_with_an_interface_is_told_in_one_line() {
+    let cable = cable(34);
+    scan(&cable, &[]).failed(&["wire: no slave answers; look at power and cable"]);
+    cable.plug("down");
+    scan(&cable, &[]).failed(&["wire: no cable, or nothing with power at its other end"]);
+    command(&["ip", "-n", &cable.master, "link", "set", WIRE, "down"]);
+    scan(&cable, &[]).failed(&["wire: the interface is down; set it up: sudo ip link set wire up"]);
+}
+
+#[test]
+#[ignore = "needs root and iproute2"]
+fn a_scan_beside_another_master_says_so_and_sends_nothing() {
+    let cable = cable(35);
+    let _line = serve(&cable, &plan(Family::S700, 1, false));
+    let mut master = at_master(&cable, || Os::default().frames(WIRE, ETHERTYPE).unwrap());
+    let end = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        // BRD of the states, as a cycle has it.
+        let mut frame = vec![0xFF; 6];
+        frame.extend([0x10; 6]);
+        frame.extend([0x88, 0xA4, 0x0E, 0x10, 7, 1, 0, 0, 0x30, 0x01, 2, 0, 0, 0, 0, 0, 0, 0]);
+        frame.resize(60, 0);
+        let end = &end;
+        scope.spawn(move || {
+            while !end.load(Ordering::Relaxed) {
+                let _ = master.send(&frame);
+                std::thread::sleep(Duration::from_millis(2));
+            }
+        });
+        let ended = scan(&cable, &["--json"]);
+        end.store(true, Ordering::Relaxed);
+        ended.failed(&["wire: another master (10:10:10:10:10:10) has frames on this interface; end it"]);
+    });
+}
