@@ -7,15 +7,20 @@ mod support;
 use std::net::SocketAddrV4;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
-use fieldbeat::axis::{CommandId, EventKind, Link, Verb};
+use fieldbeat::axis::acyclic::{CallTicket, Notation};
+use fieldbeat::axis::{CommandId, EventKind, Jog, Link, Verb};
+use fieldbeat::bus::ethercat::object::{Family, Object, Objects, Type};
+use fieldbeat::bus::ethercat::{EthercatPlan, KollmorgenDrive};
 use fieldbeat::bus::{Bus, BusPlan, OpenError};
 use fieldbeat::cycle::engine::Flow;
+use fieldbeat::cycle::{CyclePlan, Overrun, Plan};
 use fieldbeat::master::Master;
 use fieldbeat::net::Carriers;
 use fieldbeat::sim::server::ServerOptions;
 use fieldbeat::sim::world::WorldOptions;
-use fieldbeat::sim::{FaultPlan, SimDrive};
+use fieldbeat::sim::{FaultPlan, SimDrive, SimLine};
 use fieldbeat::simulation::Simulation;
 use fieldbeat::time::Time;
 use support::adventures::{Adventures, Calls, DRIVES, Ends, VICTIM, drives, drives_and_errors, row, to};
@@ -201,6 +206,212 @@ fn turn_for(sim: &mut Simulation, ends: &mut [Ends; DRIVES], open: &mut [Option<
             }
         }
     }
+}
+
+/// A line whose simulated drives may allocate: they run on the loop's thread in virtual time only.
+#[derive(Debug)]
+struct LineUnwatched(EthercatPlan);
+
+struct UnwatchedLine(Box<dyn SimLine>);
+
+impl BusPlan for LineUnwatched {
+    crate::forward_bus_plan!(0);
+
+    fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
+        BusPlan::open(&self.0, period_ns, carriers)
+    }
+    fn simulate(&self) -> Vec<Box<dyn SimDrive>> {
+        Vec::new()
+    }
+    fn simulate_line(&self) -> Option<Box<dyn SimLine>> {
+        let line = self.0.simulate_line()?;
+        Some(Box::new(UnwatchedLine(line)))
+    }
+}
+
+/// Does it as nobody who is watched.
+fn unwatched<T>(body: impl FnOnce() -> T) -> T {
+    let watched = watch(false);
+    let done = body();
+    watch(watched);
+    done
+}
+
+impl SimLine for UnwatchedLine {
+    fn interface(&self) -> &str {
+        self.0.interface()
+    }
+    fn own_interface(&self) -> Option<&str> {
+        self.0.own_interface()
+    }
+    fn ethertype(&self) -> u16 {
+        self.0.ethertype()
+    }
+    fn faults(&self) -> FaultPlan {
+        self.0.faults()
+    }
+    fn slaves(&self) -> usize {
+        self.0.slaves()
+    }
+    fn delay_ns(&self) -> u64 {
+        self.0.delay_ns()
+    }
+    fn pass(&mut self, now: Time, frame: &mut [u8]) -> bool {
+        unwatched(|| self.0.pass(now, frame))
+    }
+    fn mislabel(&self, frame: &mut [u8]) {
+        self.0.mislabel(frame);
+    }
+    fn live(&mut self, now: Time) {
+        unwatched(|| self.0.live(now));
+    }
+    fn cut(&mut self, place: Option<usize>) {
+        self.0.cut(place);
+    }
+    fn deafen(&mut self, place: usize, deaf: bool) {
+        self.0.deafen(place, deaf);
+    }
+    fn restart(&mut self, now: Time, place: usize) {
+        unwatched(|| self.0.restart(now, place));
+    }
+    fn inhibit(&mut self, place: usize, until: Time) {
+        self.0.inhibit(place, until);
+    }
+}
+
+const LINE: &str = "local:line";
+/// The drive of the line that is switched off and on again, and the one behind the cable that is cut.
+const RESTARTED: usize = 1;
+const CUT_OFF: usize = 2;
+
+/// Turns the loop until all drives of the line are online.
+fn line_is_up(sim: &mut Simulation) -> bool {
+    sim.run_until(20_000, |sim| (0..3).all(|index| sim.feedback(index).link == Link::Online))
+}
+
+/// Posts a verb and turns the loop until it has ended. [`Simulation::run_verb`] keeps events, and allocates for them.
+fn end_of(sim: &mut Simulation, index: usize, verb: Verb) {
+    let Ok(posted) = sim.axis(index).post(verb) else { return };
+    for _ in 0..8_000 {
+        sim.step();
+        while let Some(event) = sim.axis(index).event() {
+            if matches!(event.kind, EventKind::Ended { id, .. } if id == posted) {
+                return;
+            }
+        }
+    }
+}
+
+/// A line from INIT to OP, its SDOs, lost and broken frames, a drive that is switched off and on, a cable that is cut.
+#[test]
+fn a_line_allocates_nothing_from_its_bring_up_to_its_end() {
+    let _alone = alone();
+    let drive = |place: u16| {
+        let mut drive = KollmorgenDrive::new(format!("d{place}"), place, Family::S700);
+        drive.axis.profile.velocity = 10.0;
+        drive.axis.stop.deceleration = 200.0;
+        drive.axis.enable_timeout = Duration::from_secs(3);
+        drive.show[0] = Some((Object::new(0x6077, 0), Type::I16));
+        drive
+    };
+    let line = EthercatPlan::new(LINE, (0..3).map(drive).collect());
+    let cycle = CyclePlan {
+        reference: Some(line.name.clone()),
+        overrun: Overrun::Skip { max_skip: 1_000 },
+        ..CyclePlan::default()
+    };
+    let plan = Plan { source: None, cycle, buses: vec![Box::new(LineUnwatched(line))], groups: Vec::new() };
+    let options = WorldOptions { wake_ns: 20_000, ..WorldOptions::default() };
+    let mut sim = Master::from_plan(plan).simulate(options).unwrap();
+    // Buffers that the simulated network keeps for reuse, both ways: frames that come this late bring nobody up.
+    let late = FaultPlan { delay: 1.0, delay_ns: 20_000_000, duplicate: 1.0, ..FaultPlan::default() };
+    assert!(sim.world().set_line_faults(LINE, late));
+    for _ in 0..100 {
+        sim.world().inject_frame(LINE, &[0xFF; 1_514], sim.world().now());
+    }
+    sim.run(100);
+    assert!(sim.world().set_line_faults(LINE, FaultPlan::default()));
+    sim.run(100);
+
+    let [read, refused] = ["0x6041:0", "0x5FFF:7"].map(|object| Objects.read(object));
+    let (read, refused) = (read.unwrap(), refused.unwrap());
+    let (mut answered, mut aborted) = (0_u32, 0_u32);
+    // Of this master and of this protocol, and else all ones.
+    let mut broken = [0xFF; 1_514];
+    broken[6..14].copy_from_slice(&[0x12, 0x10, 0x10, 0x10, 0x10, 0x10, 0x88, 0xA4]);
+    let (mut rounds, mut up) = (0_u32, false);
+    let count = allocations(|| {
+        up = line_is_up(&mut sim);
+        while up && sim.status().executed < 100_000 {
+            let enable = |sim: &mut Simulation, index| {
+                for verb in [Verb::Reset, Verb::ResetFault, Verb::Enable] {
+                    end_of(sim, index, verb);
+                }
+                let _ = sim.axis(index).post(Verb::Jog(Jog { velocity: 5.0, acceleration: 100.0 }));
+            };
+            (0..3).for_each(|index| enable(&mut sim, index));
+            // The application may allocate.
+            let mut tickets: Vec<CallTicket> = Vec::new();
+            for turn in 0..1_000 {
+                sim.step();
+                unwatched(|| {
+                    for call in [read, refused] {
+                        tickets.extend(sim.axis(turn % 3).acyclic().post(call, LONG).ok());
+                    }
+                    tickets.retain_mut(|ticket| match ticket.poll() {
+                        None => true,
+                        Some(end) => {
+                            *(if end.is_ok() { &mut answered } else { &mut aborted }) += 1;
+                            false
+                        }
+                    });
+                });
+            }
+            let faults = FaultPlan {
+                seed: rounds.into(),
+                drop: 0.02,
+                duplicate: 0.02,
+                delay: 0.02,
+                delay_ns: 1_000_000,
+                reorder: 0.02,
+                wrong_id: 0.02,
+                ..FaultPlan::default()
+            };
+            unwatched(|| assert!(sim.world().set_line_faults(LINE, faults)));
+            // A slave takes no frame with a wrong check sequence: what is broken comes to the master only.
+            for length in [20, 64, 600] {
+                sim.world().inject_frame(LINE, &broken[..length], sim.world().now());
+            }
+            sim.run(2_000);
+            unwatched(|| assert!(sim.world().set_line_faults(LINE, FaultPlan::default())));
+            sim.world().delay_next_wake(3_700_000);
+            assert!(sim.world().restart_slave(LINE, RESTARTED));
+            sim.run(100);
+            assert!(sim.world().cut(LINE, Some(CUT_OFF)));
+            sim.run(500);
+            assert!(sim.world().cut(LINE, None));
+            up = line_is_up(&mut sim);
+            unwatched(|| drop(tickets));
+            rounds += 1;
+        }
+        end_of(&mut sim, 0, Verb::Enable);
+        let _ = sim.axis(0).post(Verb::Jog(Jog { velocity: 5.0, acceleration: 100.0 }));
+        sim.run(1_000);
+        sim.stop();
+        while sim.step() == Flow::Continue {}
+    });
+    let executed = sim.status().executed;
+    let end = sim.finish();
+    assert!(up, "round {rounds}: {:?}", end.drives);
+    assert_eq!(count, 0, "in {executed} cycles, {rounds} rounds");
+    // All of it really happened.
+    assert!(rounds >= 3 && answered > rounds && aborted > rounds, "{rounds}: {answered}, {aborted}");
+    for index in [RESTARTED, CUT_OFF] {
+        assert!(end.drives[index].losses >= u64::from(rounds), "{:?}", end.drives[index]);
+    }
+    let counters = end.drives[0].counters;
+    assert!(counters.missed > 0 && counters.late > 0 && counters.duplicate > 0, "{counters:?}");
+    assert!(end.drives.iter().all(|drive| !drive.feedback.state.is_powered()), "{:?}", end.drives);
 }
 
 /// The loop on real sockets, watched from inside: its task runs on its thread.

@@ -1,5 +1,8 @@
 //! The configuration as a user meets it: every mistake on a line of its own, the samples, and the defaults.
 
+#[path = "config/ethercat.rs"]
+mod ethercat;
+
 use std::net::Ipv4Addr;
 use std::time::Duration;
 
@@ -25,11 +28,12 @@ fn machine(section: &str, fragment: &str) -> String {
     )
 }
 
-/// The same with a Unidrive, in the sections that begin with `unidrive`.
+/// The same with a Unidrive or an EtherCAT line, in the sections that begin so.
 fn any_machine(section: &str, fragment: &str) -> String {
-    match section.strip_prefix("unidrive") {
-        None => machine(section, fragment),
-        Some(rest) => unidrive(rest.trim_start_matches('-'), fragment),
+    match (section.strip_prefix("unidrive"), section.strip_prefix("ethercat")) {
+        (Some(rest), _) => unidrive(rest.trim_start_matches('-'), fragment),
+        (_, Some(rest)) => ethercat::line(rest.trim_start_matches('-'), fragment),
+        _ => machine(section, fragment),
     }
 }
 
@@ -170,11 +174,13 @@ fn what_is_missing_is_asked_for() {
     assert_eq!(mistakes("\n[bus]\n"), ["m.toml:2: bus: must be a list of tables: write [[bus]]"]);
     assert_eq!(
         mistakes("\n[[bus]]\n"),
-        ["m.toml:2: bus.protocol: missing; \"linudp-v2\" is LinMot LinUDP V2, \"modbus-tcp\" Nidec Unidrive"]
+        [
+            "m.toml:2: bus.protocol: missing; \"linudp-v2\" is LinMot LinUDP V2, \"modbus-tcp\" Nidec Unidrive, \"ethercat\" Kollmorgen S300 ... S700"
+        ]
     );
     assert_eq!(
-        mistakes("[[bus]]\nprotocol = \"ethercat\"\nwhatever = 1"),
-        ["m.toml:2: bus.protocol = \"ethercat\": must be \"linudp-v2\" or \"modbus-tcp\""]
+        mistakes("[[bus]]\nprotocol = \"profibus\"\nwhatever = 1"),
+        ["m.toml:2: bus.protocol = \"profibus\": must be \"linudp-v2\", \"modbus-tcp\" or \"ethercat\""]
     );
     assert_eq!(
         mistakes("[[bus]]\nprotocol = \"linudp-v2\""),
@@ -458,10 +464,13 @@ fn the_demo_has_as_many_drives_as_wanted() {
         assert_eq!(unidrives[1].phase - unidrives[0].phase, unidrives[0].divisor / 2);
         assert_eq!(plan.cycle.realtime, Realtime::Prefer);
     }
-    for period_ns in [50 * US, 333 * US, 3 * MS, 10 * MS] {
+    for period_ns in [50 * US, 333 * US, 2_750 * US, 3 * MS, 10 * MS] {
         let plan = demo_plan(1, period_ns).unwrap();
         let unidrives = plan.buses[1].axes();
         assert_ne!(unidrives[0].phase, unidrives[1].phase, "{period_ns}");
+        // No Kollmorgen takes the others.
+        let leads = period_ns.is_multiple_of(MS);
+        assert_eq!((plan.buses.len(), plan.cycle.reference.is_some()), (if leads { 3 } else { 2 }, leads));
     }
     assert_eq!(demo_plan(0, MS).unwrap_err().to_string(), "0 drives: the demo has 1 to 128");
     assert_eq!(demo_plan(129, MS).unwrap_err().to_string(), "129 drives: the demo has 1 to 128");
@@ -952,9 +961,11 @@ proptest! {
                 ]),
             ),
             1..6,
-        )
+        ),
+        of_kollmorgen: bool,
     ) {
-        let sample = include_str!("../rt-config/linmot.toml").replace("\n# stop", "\nstop").replace("\n# sim", "\nsim");
+        let samples = [include_str!("../rt-config/linmot.toml"), include_str!("../rt-config/kollmorgen.toml")];
+        let sample = samples[usize::from(of_kollmorgen)].replace("\n# stop", "\nstop").replace("\n# sim", "\nsim");
         let mut lines: Vec<String> = sample.lines().map(str::to_owned).collect();
         for (line, value) in changes {
             let line = line.index(lines.len());

@@ -14,6 +14,8 @@
 //! | `params` | parameters of the drives, alone and beside a running master |
 //! | `linmot` | curves, command table, error log and software of a LinMot drive |
 //! | `unidrive` | Unidrives beside LinMots, and their parameters |
+//! | `kollmorgen` | a line of Kollmorgens, and their objects |
+//! | `ethercat` | the scan of an EtherCAT line |
 //! | `metrics` | its numbers meanwhile, over HTTP, and clients that mean no good |
 //! | `rights` | what an ordinary user may not do, and is told |
 //! | `doctor` | what the program says of this host |
@@ -22,6 +24,8 @@
 
 mod deaths;
 mod doctor;
+mod ethercat;
+mod kollmorgen;
 mod links;
 mod linmot;
 mod metrics;

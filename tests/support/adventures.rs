@@ -166,7 +166,8 @@ impl Ends {
 }
 
 fn serve(config: &Path, options: ServerOptions, chosen: impl Fn(SocketAddrV4) -> bool) -> SimServer {
-    let drives = plan(config).simulate().into_iter().filter(|drive| chosen(drive.address())).collect();
+    let mut drives = plan(config).simulate();
+    drives.drives.retain(|drive| chosen(drive.address()));
     SimServer::start(drives, options).unwrap()
 }
 

@@ -1,6 +1,6 @@
 //! A bus or a simulated drive around another one, for tests that get between it and its wire: everything else goes through.
 
-/// All of `BusPlan` but `open` and `simulate`, by the plan in this field.
+/// All of `BusPlan` but `open`, `simulate` and `simulate_line`, by the plan in this field.
 #[macro_export]
 macro_rules! forward_bus_plan {
     ($field:tt) => {
@@ -42,6 +42,14 @@ macro_rules! forward_bus_plan {
 
         fn fault_names(&self) -> fieldbeat::axis::FaultNames {
             self.$field.fault_names()
+        }
+
+        fn has_clock(&self) -> bool {
+            self.$field.has_clock()
+        }
+
+        fn devices(&self) -> Vec<&str> {
+            self.$field.devices()
         }
     };
 }

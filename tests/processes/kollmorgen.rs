@@ -1,0 +1,211 @@
+//! Kollmorgens as a user meets them: `check`, `run`, `param` and `scan`, against a simulated line in a process of its own.
+
+use std::path::PathBuf;
+
+use libc::SIGTERM;
+
+use super::support::{LONG, Machine, Program, as_ordinary_user, assert_sums, checkout, drive, run, until};
+use super::{ask, master, simulation};
+
+/// The name of a line that no other test has.
+fn line(test: u8) -> String {
+    format!("local:processes-{}-{test}", std::process::id())
+}
+
+/// A line of a drive for velocities and one for positions, patient with a busy computer.
+fn text(interface: &str) -> String {
+    format!(
+        "[cycle]\nperiod = \"2ms\"\nreceive_deadline = 0.8\nmax_skip = 2000\nrealtime = \"off\"\nreference = \"ethercat\"\n\
+         [[bus]]\nprotocol = \"ethercat\"\ninterface = \"{interface}\"\nsimulate = {{ drift_ppm = [30] }}\n\
+         [bus.defaults]\nhealth = {{ bucket = 1000 }}\nwatchdog = \"6s\"\n\
+         [[bus.drive]]\nname = \"turns\"\n\
+         [[bus.drive]]\nname = \"moves\"\npdo.outputs = \"0x1701\"\n"
+    )
+}
+
+fn machine(test: u8) -> (Machine, PathBuf) {
+    let machine = Machine::new(test);
+    let config = machine.write("line.toml", text(&line(test)));
+    (machine, config)
+}
+
+#[test]
+fn check_says_what_the_line_is_and_what_becomes_of_it_if_the_master_dies() {
+    let ended = run(["check".into(), checkout("rt-config/kollmorgen.toml")]);
+    ended.expect(0);
+    assert_eq!(ended.err, "");
+    for part in [
+        "if the master dies: the drive stops by itself within 20 ms",
+        "takes velocities, jogs and homing; no moves, no streams",
+        "its clock leads: the grid follows it",
+        "not a safety function",
+    ] {
+        assert!(ended.out.contains(part), "no {part}: {}", ended.out);
+    }
+}
+
+#[test]
+fn a_line_comes_up_whoever_is_there_first_and_the_run_says_how_the_grid_follows_its_clock() {
+    let (_machine, config) = machine(170);
+    let mut master = master(&config, &["--json"]);
+    let nobody =
+        format!("drive turns: not connected: nobody serves {}: start it: fieldbeat sim CONFIG", line(170));
+    master.await_text(&nobody);
+    let sim = simulation(&config);
+    master.await_text("all drives online: 2");
+    master.signal(SIGTERM);
+    let ended = master.end();
+    let summary = ended.expect(0).json();
+    assert_sums(&summary);
+    for name in ["turns", "moves"] {
+        let drive = drive(&summary, name);
+        assert_eq!((&drive["protocol"], &drive["losses"]), (&"ethercat".into(), &0.into()), "{drive}");
+        assert_eq!(drive["protocol_counters"]["brought_up"], 1, "{drive}");
+    }
+    let reference = &summary["cycle"]["reference"];
+    assert_eq!(reference["bus"], "ethercat");
+    assert!(reference["samples"].as_u64() > Some(0), "{reference}");
+    sim.signal(SIGTERM);
+    sim.end().expect(0);
+}
+
+#[test]
+fn a_simulation_that_is_killed_is_a_line_that_is_lost_and_it_comes_back() {
+    let (machine, _) = machine(171);
+    let config = machine.write("line.toml", text(&line(171)).replace("bucket = 1000", "bucket = 50"));
+    let sim = simulation(&config);
+    let mut master = master(&config, &["--json"]);
+    master.await_text("all drives online: 2");
+    sim.kill();
+    for name in ["turns", "moves"] {
+        master.await_text(&format!("drive {name}: lost"));
+    }
+    let _sim = simulation(&config);
+    for name in ["turns", "moves"] {
+        master.await_text(&format!("drive {name}: back online"));
+    }
+    master.signal(SIGTERM);
+    let ended = master.end();
+    let summary = ended.expect(1).json();
+    assert_sums(&summary);
+    for name in ["turns", "moves"] {
+        let drive = drive(&summary, name);
+        assert_eq!(drive["stopped"], "link lost", "{drive}");
+        assert!(drive["protocol_counters"]["brought_up"].as_u64() >= Some(2), "{drive}");
+    }
+}
+
+#[test]
+fn objects_are_read_written_and_refused_alone_and_beside_a_master() {
+    let (_machine, config) = machine(172);
+    let _sim = simulation(&config);
+    let works = || {
+        let does = |what: &str, rest: &str| ask(&format!("param {what}"), &config, rest);
+        // One after the other, each by a master of its own: none of them leaves the line spoiled for the next.
+        let word = does("get", "turns 0x6041:0").expect(0).out.clone();
+        assert!(word.starts_with("turns 0x6041:0: "), "{word}");
+        let word = does("get", "moves status-word --json").expect(0).json();
+        assert!(word["raw"].as_u64().is_some_and(|raw| raw > 0), "{word}");
+        assert_eq!(does("get", "turns device-name").expect(0).out, "turns device-name: S700\n");
+        does("set", "moves 0x6081:0 1000").expect(0);
+        let said = does("get", "moves profile-velocity --json").expect(0).json();
+        assert_eq!(said["raw"], 1000, "{said}");
+        does("get", "turns 0x7777:0.u16")
+            .failed(&["drive turns: read 0x7777:0", "0x06020000 no such object"]);
+    };
+    works();
+    let running = master(&config, &["--for", "60s", "--json"]);
+    let online = || {
+        let ended = ask("status", &config, "--json");
+        ended.code == Some(0)
+            && ended.json()["summary"]["drives"]
+                .as_array()
+                .is_some_and(|all| all.iter().all(|drive| drive["link"] == "online"))
+    };
+    assert!(until(LONG, online));
+    works();
+    running.signal(SIGTERM);
+    assert_sums(&running.end().expect(0).json());
+}
+
+#[test]
+fn what_is_no_object_is_refused_before_anything_is_sent() {
+    let (_machine, config) = machine(173);
+    let says = |what: &str, rest: &str| ask(&format!("param {what}"), &config, rest);
+    says("get", "turns banana").refused(&["read banana: no address of this drive; write 0x6041:0"]);
+    says("set", "turns 0x6041:0 3").refused(&["cannot be written"]);
+    says("get", "nobody 0x6041:0").refused(&["has no drive nobody; it has turns, moves"]);
+    let listed = says("list", "turns").expect(0).out.clone();
+    assert!(listed.contains("0x6041:0") && listed.contains("status-word"), "{listed}");
+}
+
+#[test]
+fn another_slave_than_configured_is_named_with_its_place() {
+    let (machine, config) = machine(174);
+    let _sim = simulation(&config);
+    let other = text(&line(174)).replace("name = \"moves\"", "name = \"moves\"\nproduct = 0x3000700");
+    let other = machine.write("other.toml", other);
+    let mut refused = master(&other, &["--json"]);
+    let why = "place 1: its product is 0x03000600: mend product, or the order of the line";
+    refused.await_text(&format!("drive moves: not connected: {why}"));
+    refused.signal(SIGTERM);
+    let summary = refused.end().json();
+    // Which of its notes it ends with is chance: it is tried again and again.
+    let last = drive(&summary, "moves")["not_connected"].as_str().unwrap_or_default();
+    assert!(last.starts_with("place 1: "), "{last}");
+    assert_eq!(drive(&summary, "turns")["not_connected"], serde_json::Value::Null, "its neighbour is there");
+    ask("param get", &other, "moves 0x6041:0").failed(&["drive moves cannot be reached: place 1: "]);
+    let beyond = text(&line(174)).replace("name = \"moves\"", "name = \"moves\"\nposition = 4");
+    let beyond = machine.write("beyond.toml", beyond);
+    let ended = master(&beyond, &["--for", "3s"]).end();
+    ended.expect(1);
+    let last = ended.err.lines().last().unwrap();
+    assert!(last.starts_with("fieldbeat: never answered: moves (place 4: nothing answers there"), "{last}");
+}
+
+#[test]
+fn an_interface_that_is_none_is_told_in_one_line() {
+    let machine = Machine::new(175);
+    let config = machine.write("none.toml", text("eth-none-77"));
+    master(&config, &[]).end().refused(&["there is no network interface eth-none-77"]);
+    ask("param get", &config, "turns 0x6041:0").refused(&["there is no network interface eth-none-77"]);
+    ask("sim", &config, "").refused(&["name the interface at the other end of its cable"]);
+    let wrong = machine.write("wrong.toml", text("local:no name"));
+    ask("check", &wrong, "").refused(&["wrong.toml:9: bus.interface = \"local:no name\""]);
+    let two = text(&line(175)).replace("reference = \"ethercat\"", "reference = \"line\"");
+    let two = machine.write("two.toml", two);
+    ask("check", &two, "").refused(&["cycle.reference", "ethercat"]);
+}
+
+#[test]
+fn an_ordinary_user_is_told_which_right_a_line_needs() {
+    let machine = Machine::new(176);
+    let config = machine.write("lo.toml", text("lo"));
+    let ended = Program::spawn(as_ordinary_user(&machine).arg("run").arg(&config)).end();
+    ended.refused(&["cannot use interface lo", "CAP_NET_RAW", "cap_net_raw+ep on the program"]);
+}
+
+#[test]
+fn a_device_that_is_refused_is_named_on_the_terminal_and_asked_through_its_master_only() {
+    let (machine, _) = machine(179);
+    let io = "[[bus.device]]\nname = \"io\"\noutputs = { start = 0x1000, length = 1 }\n";
+    let good = text(&line(179)) + io;
+    let _sim = simulation(&machine.write("good.toml", &good));
+    let config = machine.write("line.toml", good + "product = 0x99\n");
+    let asked = || ask("param get", &config, "io 0x1018:1");
+    let alone = asked();
+    alone.expect(1);
+    assert!(alone.err.contains("io is no drive, and is asked by its running master only"), "{}", alone.err);
+
+    let mut master = master(&config, &["--json"]);
+    let refused = "place 2: its product is 0x";
+    master.await_text(&format!("device io: not in operation: {refused}"));
+    let beside = asked();
+    beside.expect(1);
+    assert!(beside.err.contains("read 0x1018:1: the slave has no mailbox"), "{}", beside.err);
+    master.signal(SIGTERM);
+    let ended = master.end();
+    let device = &ended.expect(0).json()["devices"][0];
+    assert_eq!(device["name"], "io");
+    assert!(device["not_operational"].as_str().is_some_and(|why| why.starts_with(refused)), "{device}");
+}
