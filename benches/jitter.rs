@@ -130,7 +130,7 @@ fn ours(period_ns: u64, guard: Guard, slots: u64, counted: &mut Slots) -> Vec<u6
                 Record::Skipped(SkippedRecord { count, late_ns, .. }) => {
                     latencies.extend((0..count).map(|slot| late_ns.saturating_sub(slot * period_ns)));
                 }
-                Record::Drive(_) | Record::Monitor(_) => {}
+                Record::Drive(_) | Record::Monitor(_) | Record::Reference(_) => {}
             });
         }
         (latencies, rig.end())

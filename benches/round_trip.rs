@@ -5,6 +5,9 @@
 //! operation, in the same wait mode: every millisecond one of them has its exchange. Both stamp before the call that
 //! sends and after the one that receives, and the same bytes go both ways.
 //!
+//! A Kollmorgen drive stands on a line of its own on this host, `local:`: the bare loop sends the frame of ours again and again, with
+//! the index and the time of its own.
+//!
 //! A Unidrive's exchange is one request with function 23: everything cyclic is in menu 0. The client over libmodbus has its turns with
 //! ours alone: on the same grid, by `clock_nanosleep`, on the same core and at the same priority, in a process of its own. Were it
 //! there while ours meets the bare loop, one of the two would always find the caches of another process.
@@ -19,7 +22,7 @@ mod support;
 use std::net::SocketAddrV4;
 use std::process::{Command, ExitCode, Stdio};
 
-use fieldbeat::bus::modbus;
+use fieldbeat::bus::{ethercat, modbus};
 use fieldbeat::cycle::Wait;
 use fieldbeat::net::Os;
 use fieldbeat::rt::Granted;
@@ -81,6 +84,7 @@ fn main() -> ExitCode {
     for (wait, _) in MODES {
         matches.push(Match::new("linudp-v2", Fleet::linmots(1), wait, Rival::Bare));
         matches.push(Match::new(modbus::PROTOCOL, Fleet::unidrives(1), wait, Rival::Bare));
+        matches.push(Match::new(ethercat::PROTOCOL, Fleet::line(1), wait, Rival::Bare));
         let with = libmodbus.as_ref().map(Rival::Libmodbus);
         matches.extend(with.map(|rival| Match::new(modbus::PROTOCOL, Fleet::unidrives(1), wait, rival)));
     }
@@ -96,7 +100,7 @@ fn main() -> ExitCode {
 
     let steal_ms = steal.ms();
     let mut report = Report::default();
-    for protocol in ["linudp-v2", modbus::PROTOCOL] {
+    for protocol in ["linudp-v2", modbus::PROTOCOL, ethercat::PROTOCOL] {
         println!(
             "\n{protocol}, 1 drive, an exchange a millisecond, {rounds} rounds, steal {} ms",
             shown(steal_ms)
@@ -241,7 +245,7 @@ impl<'a> Match<'a> {
 /// A slice of sockperf: its round trips, ns.
 fn sockperf(granted: &Granted, seconds: u32) -> Result<Vec<u64>, String> {
     let address = fleet::address(Side::Ours, 0);
-    let server = rig::serve(vec![Box::new(SockperfServer(address))], granted);
+    let server = rig::serve(vec![Box::new(SockperfServer(address)) as Box<dyn SimDrive>], granted);
     let log = std::env::temp_dir().join(format!("fieldbeat-round-trip-{}.csv", std::process::id()));
     let mut command = Command::new("sockperf");
     command.args(["under-load", "-i", &address.ip().to_string(), "-p", &address.port().to_string()]);

@@ -4,12 +4,14 @@
 //!   everything from the end of one sleep to the begin of the next: send, receive, health, exchange, prepare, records and
 //!   feedback. Cycles follow each other without sleeping, and once more paced at 1 kHz with the core asleep in between, where
 //!   caches are cold. The carrier's own time is measured alone, in turns with the loop, and taken off.
+//!   A line of Kollmorgen drives shares one frame: it is brought up once for each length, and answers from memory from then on.
 //! - **The loop with acyclic calls**: the same, with a parameter read back to back on each of 32 drives, in turns with the loop
 //!   without them; and how many reads a second that comes to, there and on sockets at 1 kHz.
 //! - **The loop on sockets** against a bare `sendto` / `recvfrom` loop over the same bytes, cycle by cycle in turns: time
 //!   from waking up until done, and processor time.
 //! - **LinMots and Unidrives together**: 32 LinMots in every cycle and 32 Unidrives in every eighth, as many in one as in the
 //!   next, in one cycle at 1 kHz: nothing planned is left out, nothing sent is lost; and the same against a bare loop.
+//! - **A line on a socket of this host**: what it takes at 1 kHz, and against a bare loop over the same bytes.
 //! - **System calls a cycle**, counted at full speed where the loop makes them: in its clock and its carrier. That these
 //!   counters see every call is proved by running the loop once more under `strace`, whose count must be the same.
 
@@ -24,18 +26,21 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use fieldbeat::axis::acyclic::{Acyclic, CallTicket};
+use fieldbeat::bus::BusPlan;
+use fieldbeat::bus::ethercat::wire::frame::FRAME_MAX;
 use fieldbeat::bus::linudp::upid;
 use fieldbeat::bus::linudp::wire::{ControlWord, Request, ResponseDef, RtcCommand};
 use fieldbeat::bus::modbus::words::ControlWord as UnidriveControl;
 use fieldbeat::cycle::Wait;
 use fieldbeat::cycle::status::{DriveEnd, Numbers};
-use fieldbeat::net::{Datagrams, Os, Outbox, Streams};
+use fieldbeat::net::{Datagrams, Frames, Os, Outbox, Streams};
 use fieldbeat::rt::{Granted, MonotonicClock};
-use fieldbeat::time::{MS, Ns, US};
+use fieldbeat::time::{MS, Ns, S, US};
 use serde_json::{Value, json};
 use support::bare::{Duel, Outcome, Rival};
 use support::counted::CountedNet;
 use support::fleet::{self, Fleet, Side};
+use support::line::{NullLine, NullLines, Settled};
 use support::null::{NullCarrier, NullNet, NullStreams};
 use support::rig::{self, Calls, Pace, Rig};
 use support::stats::{Interval, Line, Sample, median, over_rounds};
@@ -43,6 +48,13 @@ use support::{Args, Report, Steal, in_turns, shown, unidrive};
 
 /// Budget of the loop without a socket, ns a drive: the slope of the straight line.
 const LOOP_NS: f64 = 250.0;
+/// The same of a line of drives in one frame.
+const LINE_NS: f64 = 150.0;
+/// System calls a cycle of a line beside the sleep: one that sends, one that waits, one that receives.
+const LINE_CALLS: f64 = 3.0;
+/// Drives of the lines on sockets: alone, and against the bare loop.
+const LINE_ALONE: usize = 16;
+const LINE_DUEL: usize = 4;
 /// How far a point may be from the line, as a share.
 const STRAIGHT: f64 = 0.25;
 
@@ -59,7 +71,7 @@ fn on_connections(fleet: Fleet) -> f64 {
 }
 
 /// Both kinds in one cycle.
-const TOGETHER: Fleet = Fleet { linmots: 32, unidrives: 32, every: 8 };
+const TOGETHER: Fleet = Fleet { linmots: 32, unidrives: 32, every: 8, line: 0 };
 
 /// This variable of the environment makes the program the child that strace looks at, with these drives.
 const TRACED: &str = "FIELDBEAT_BENCH_TRACED_DRIVES";
@@ -75,11 +87,25 @@ fn main() -> ExitCode {
     let granted = rig::introduce("scale: what a drive costs");
     let mut report = Report::default();
     let drives: &[usize] = if args.quick { &[1, 8, 64, 256] } else { &[1, 2, 4, 8, 16, 32, 64, 128, 256] };
-    let without = without_socket("LinMots", Fleet::linmots, args.quick, drives, &mut report);
-    let unidrives = without_socket("Unidrives", Fleet::unidrives, args.quick, drives, &mut report);
+    let of = |fleet: fn(usize) -> Fleet| move |count, what, cycles| slice_of(fleet(count), what, cycles);
+    let without = without_socket("LinMots", LOOP_NS, args.quick, drives, &mut report, of(Fleet::linmots));
+    let unidrives =
+        without_socket("Unidrives", LOOP_NS, args.quick, drives, &mut report, of(Fleet::unidrives));
+    let lines: &[usize] = if args.quick { &[1, 8, 64] } else { &[1, 2, 4, 8, 16, 32, 64] };
+    let mut standing = StandingLines::new(lines);
+    let in_lines = without_socket(
+        "drives of one line",
+        LINE_NS,
+        args.quick,
+        lines,
+        &mut report,
+        |count, what, cycles| standing.slice(count, what, cycles),
+    );
+    drop(standing);
     let reads = with_reads(&granted, args.quick, &mut report);
     let on_sockets = on_sockets(&granted, args.quick, drives, &mut report);
     let together = together(&granted, args.quick, &mut report);
+    let line = line_on_sockets(&granted, args.quick, &mut report);
     strace(&granted, args.quick, &mut report);
     for (((drives, without), unidrives), on) in drives.iter().zip(without).zip(unidrives).zip(on_sockets) {
         report.append(json!({
@@ -105,8 +131,19 @@ fn main() -> ExitCode {
             "steal_ms": on.steal_ms,
         }));
     }
+    for (drives, without) in lines.iter().zip(in_lines) {
+        report.append(json!({
+            "line_drives": drives,
+            "loop_ns": without.back_to_back.value,
+            "loop_ns_interval": without.back_to_back.ends(),
+            "loop_paced_ns": without.paced.value,
+            "loop_paced_ns_interval": without.paced.ends(),
+            "carrier_ns": without.carrier,
+        }));
+    }
     report.append(reads);
     report.append(together);
+    report.append(line);
     report.finish(&args)
 }
 
@@ -117,12 +154,83 @@ struct Without {
     carrier: f64,
 }
 
+/// One slice of `cycles` back to back, or fewer paced, or of the carrier alone: each cycle, ns.
+fn slice_of(fleet: Fleet, what: usize, cycles: usize) -> Vec<f64> {
+    let slice = rig::on_loop_thread(|_| match what {
+        0 => turns(fleet, Pace::BackToBack, cycles),
+        1 => turns(fleet, Pace::Grid, PACED),
+        _ => carrier_alone(fleet, cycles),
+    });
+    slice.unwrap_or_else(|error| rig::give_up(error))
+}
+
+/// Cycles of a slice at 1 kHz.
+const PACED: usize = 100;
+
+/// A line of each length in memory, in operation.
+struct StandingLines(Vec<(usize, Rig, Settled)>);
+
+impl StandingLines {
+    fn new(lengths: &[usize]) -> StandingLines {
+        let line = |count: usize| {
+            let settled = Settled::default();
+            let plan = Fleet::line(count).ethercat(Side::Ours);
+            let carriers = NullLines(plan.clone(), rig::now, Settled::clone(&settled));
+            let up = rig::on_loop_thread(|_| {
+                let cycle = rig::exchange_cycle(MS, Wait::Spin);
+                let buses: Vec<Box<dyn BusPlan>> = vec![Box::new(plan)];
+                let mut rig = Rig::new(cycle, buses, Pace::BackToBack, &carriers, Calls::default());
+                rig::leap(S);
+                rig.enable();
+                while settled.get().is_none() {
+                    rig.turn(|_| {});
+                }
+                rig
+            });
+            (count, up.unwrap_or_else(|error| rig::give_up(error)), settled)
+        };
+        StandingLines(lengths.iter().copied().map(line).collect())
+    }
+
+    fn slice(&mut self, count: usize, what: usize, cycles: usize) -> Vec<f64> {
+        let line = self.0.iter_mut().find(|(length, ..)| *length == count);
+        let (_, rig, settled) = line.expect("it stands");
+        let slice = rig::on_loop_thread(|_| {
+            if what > 1 {
+                return line_alone(settled, cycles);
+            }
+            // To its time again, which the other ones have left.
+            rig.set_pace(Pace::BackToBack);
+            rig.turn(|_| {});
+            let (pace, cycles) = if what == 0 { (Pace::BackToBack, cycles) } else { (Pace::Grid, PACED) };
+            rig.set_pace(pace);
+            (0..cycles).map(|_| rig.turn(|_| {}).busy_ns as f64).collect()
+        });
+        slice.unwrap_or_else(|error| rig::give_up(error))
+    }
+}
+
+/// What the line in memory takes by itself, ns a cycle.
+fn line_alone(settled: &Settled, cycles: usize) -> Vec<f64> {
+    let mut line = NullLine::settled(settled, rig::now);
+    let mut room = [0; FRAME_MAX];
+    let frame = settled.get().map_or(&[][..], |(frame, _)| frame);
+    let mut cycle = || {
+        let begin = MonotonicClock::read();
+        let _ = std::hint::black_box(line.send(std::hint::black_box(frame)));
+        let _ = std::hint::black_box(line.receive(&mut room));
+        MonotonicClock::read().since(begin) as f64
+    };
+    (0..cycles).map(|_| cycle()).collect()
+}
+
 fn without_socket(
     kind: &str,
-    fleet: fn(usize) -> Fleet,
+    budget_ns: f64,
     quick: bool,
     drives: &[usize],
     report: &mut Report,
+    mut slice: impl FnMut(usize, usize, usize) -> Vec<f64>,
 ) -> Vec<Without> {
     let rounds = if quick { 7 } else { 21 };
     let steal = Steal::begin();
@@ -133,13 +241,7 @@ fn without_socket(
         let count = drives[place];
         // About a millisecond or two of work; at 1 kHz a tenth of a second.
         let cycles = (10_000 / count).clamp(200, 2_000);
-        let slice = rig::on_loop_thread(|_| match what {
-            0 => turns(fleet(count), Pace::BackToBack, cycles),
-            1 => turns(fleet(count), Pace::Grid, 100),
-            _ => carrier_alone(fleet(count), cycles),
-        });
-        let slice = slice.unwrap_or_else(|error| rig::give_up(error));
-        medians[place][what].push(median(&slice));
+        medians[place][what].push(median(&slice(count, what, cycles)));
     });
 
     println!(
@@ -183,7 +285,7 @@ fn without_socket(
             (Line::through(&points), points)
         };
         let slope = over_rounds(rounds, |rounds| line(rounds).0.slope);
-        let (fit, _) = line(&(0..rounds).collect::<Vec<_>>());
+        let (fit, points) = line(&(0..rounds).collect::<Vec<_>>());
         // Round by round: a computer that is slower for a while is slower for all points of a round.
         let bend_of = |round: usize| {
             let (fit, points) = line(&[round]);
@@ -193,12 +295,13 @@ fn without_socket(
             median(&rounds.iter().map(|round| bend_of(*round)).collect::<Vec<_>>())
         });
         println!(
-            "  {name}: {slope} ns a drive + {:.0} ns a cycle; farthest point {:.0} % off the line",
+            "  {name}: {slope} ns a drive + {:.0} ns a cycle; farthest point {:.0} % off the line, R2 {:.4}",
             fit.intercept,
-            bend.value * 100.0
+            bend.value * 100.0,
+            fit.r_squared(&points)
         );
         if what == 0 {
-            report.time(format!("the loop without a socket, {kind}, a drive"), Some(slope), LOOP_NS, "ns");
+            report.time(format!("the loop without a socket, {kind}, a drive"), Some(slope), budget_ns, "ns");
             report.time("its farthest point off the straight line", Some(bend), STRAIGHT, "");
         }
     }
@@ -468,7 +571,7 @@ fn period(drives: usize) -> u64 {
 fn together(granted: &Granted, quick: bool, report: &mut Report) -> Value {
     let (alone, rounds, cycles) = if quick { (2_000, 5, 80) } else { (20_000, 15, 240) };
     let steal = Steal::begin();
-    let (end, [calls, on_them]) = alone_at_1_khz(granted, alone);
+    let (end, [calls, on_them]) = alone_at_1_khz(granted, TOGETHER, alone);
     let [mut ours, mut bare, mut ours_cpu, mut bare_cpu] = [const { Sample::new() }; 4];
     let period_ns = period(TOGETHER.linmots + TOGETHER.due_unidrives());
     for _ in 0..rounds {
@@ -482,7 +585,7 @@ fn together(granted: &Granted, quick: bool, report: &mut Report) -> Value {
     let (linmots, unidrives) = end.drives.split_at(TOGETHER.linmots);
     let [linmots, unidrives] = [linmots, unidrives].map(Kind::sum);
     let (status, allowed, on_them_allowed) = (end.status, calls_allowed(TOGETHER), on_connections(TOGETHER));
-    let Fleet { linmots: of_linmots, unidrives: of_unidrives, every } = TOGETHER;
+    let Fleet { linmots: of_linmots, unidrives: of_unidrives, every, .. } = TOGETHER;
     println!(
         "\n{of_linmots} LinMots in every cycle and {of_unidrives} Unidrives in every {every}th, together at 1 kHz; steal {} ms",
         shown(steal.ms())
@@ -540,15 +643,70 @@ fn together(granted: &Granted, quick: bool, report: &mut Report) -> Value {
     })
 }
 
-/// So many cycles of both kinds: the end, and the median of a cycle's system calls: all of them, and those on connections.
-fn alone_at_1_khz(granted: &Granted, cycles: usize) -> (Numbers, [Option<f64>; 2]) {
-    let _server = rig::serve(TOGETHER.simulate(Side::Ours), granted);
+/// A line alone at 1 kHz: nothing is left out or lost, and its system calls; then against the bare loop.
+fn line_on_sockets(granted: &Granted, quick: bool, report: &mut Report) -> Value {
+    let (alone, rounds, cycles) = if quick { (2_000, 3, 80) } else { (20_000, 15, 240) };
+    let steal = Steal::begin();
+    let (end, [calls, _]) = alone_at_1_khz(granted, Fleet::line(LINE_ALONE), alone);
+    let [mut ours, mut bare, mut ours_cpu, mut bare_cpu] = [const { Sample::new() }; 4];
+    for _ in 0..rounds {
+        let duel = duel(granted, Fleet::line(LINE_DUEL), 2 * MS, cycles);
+        ours.push(duel.ours.busy);
+        bare.push(duel.theirs.busy);
+        ours_cpu.push(duel.ours.cpu);
+        bare_cpu.push(duel.theirs.cpu);
+    }
+    let (ratio, cpu_ratio) = (ours.ratio(&bare, 0.5), ours_cpu.ratio(&bare_cpu, 0.5));
+    let (status, drives) = (end.status, Kind::sum(&end.drives));
+    // The sleep is one.
+    let calls = calls.map(|calls| calls - 1.0);
+    println!("\n{LINE_ALONE} drives on one line of this host at 1 kHz; steal {} ms", shown(steal.ms()));
+    println!("  planned {} = executed {} + skipped {}", status.planned, status.executed, status.skipped);
+    println!("  {drives}");
+    println!("  system calls a cycle beside the sleep, p50: {} (allowed {LINE_CALLS})", shown(calls));
+    println!(
+        "  {LINE_DUEL} drives against the bare loop, every {} each: ours / bare {}, CPU {}",
+        Ns(2 * MS),
+        shown(ratio),
+        shown(cpu_ratio)
+    );
+    report.count(
+        format!("a line: planned {} = executed + skipped", status.planned),
+        status.planned == status.executed + status.skipped,
+    );
+    report.count(
+        format!("a line: sent {} = answered + missed", drives.sent),
+        drives.sent == drives.answered + drives.missed && drives.sent > 0,
+    );
+    report.count(
+        format!("a line: p50 of system calls a cycle beside the sleep <= {LINE_CALLS}: {}", shown(calls)),
+        calls.is_some_and(|calls| calls <= LINE_CALLS),
+    );
+    json!({
+        "line_on_sockets": LINE_ALONE,
+        "planned": status.planned,
+        "executed": status.executed,
+        "skipped": status.skipped,
+        "sent": drives.sent,
+        "answered": drives.answered,
+        "missed": drives.missed,
+        "syscalls_per_cycle_beside_the_sleep": calls,
+        "duel_drives": LINE_DUEL,
+        "sockets_ratio": ratio.map(|ratio| ratio.value),
+        "sockets_ratio_interval": ratio.map(|ratio| ratio.ends()),
+        "sockets_cpu_ratio": cpu_ratio.map(|ratio| ratio.value),
+        "steal_ms": steal.ms(),
+    })
+}
+
+/// So many cycles of a fleet: the end, and the median of a cycle's system calls: all of them, and those on connections.
+fn alone_at_1_khz(granted: &Granted, fleet: Fleet, cycles: usize) -> (Numbers, [Option<f64>; 2]) {
+    let _server = rig::serve(fleet.simulate(Side::Ours), granted);
     let counted = Calls::default();
     let carriers = CountedNet::new(&counted);
     let run = rig::on_loop_thread(|_| {
         let cycle = rig::exchange_cycle(MS, Wait::Poll);
-        let mut rig =
-            Rig::new(cycle, TOGETHER.buses(Side::Ours), Pace::Grid, &carriers, Arc::clone(&counted));
+        let mut rig = Rig::new(cycle, fleet.buses(Side::Ours), Pace::Grid, &carriers, Arc::clone(&counted));
         rig.enable();
         let (mut calls, mut on_them) = (Vec::with_capacity(cycles), Vec::with_capacity(cycles));
         for _ in 0..cycles {
@@ -603,7 +761,11 @@ fn strace(granted: &Granted, quick: bool, report: &mut Report) {
     println!("\nthe count of system calls, proved by strace over {TRACED_CYCLES} cycles");
     let drives: &[usize] = if quick { &[8] } else { &[1, 8, 64, 256] };
     let fleets = drives.iter().map(|count| (format!("{count} drives"), Fleet::linmots(*count)));
-    let others = [("one Unidrive", Fleet::unidrives(1)), ("LinMots and Unidrives together", TOGETHER)];
+    let others = [
+        ("one Unidrive", Fleet::unidrives(1)),
+        ("LinMots and Unidrives together", TOGETHER),
+        ("a line of one", Fleet::line(1)),
+    ];
     for (what, fleet) in fleets.chain(others.map(|(what, fleet)| (what.to_owned(), fleet))) {
         match strace_of(granted, fleet) {
             Ok((counted, seen)) => {
@@ -662,7 +824,9 @@ fn traced(fleet: Fleet) {
     let carriers = CountedNet::new(&counted);
     let calls = rig::on_loop_thread(|_| {
         // Under strace a call takes some 50 us.
-        let cycle = rig::exchange_cycle(20 * MS, Wait::Poll);
+        // A line has to be brought up.
+        let period_ns = if fleet.line > 0 { 4 * MS } else { 20 * MS };
+        let cycle = rig::exchange_cycle(period_ns, Wait::Poll);
         let mut rig = Rig::new(cycle, fleet.buses(Side::Ours), Pace::Grid, &carriers, Arc::clone(&counted));
         rig.enable();
         let _ = std::os::unix::process::parent_id();

@@ -6,6 +6,9 @@
 //!
 //! A Unidrive's exchange is one request with function 23: everything cyclic is in menu 0.
 //!
+//! A Kollmorgen drive has no telegram of its own: one frame serves the line. Its exchange is a whole cycle of the bus (build the
+//! frame, hand it over, take it in, give each drive its part), shared by the drives of the line.
+//!
 //! Positions or speeds change with every reply, and the cycle with every request, so that nothing can be computed beforehand.
 
 #[allow(dead_code, reason = "each bench uses a part of it")]
@@ -16,10 +19,13 @@ use std::net::Ipv4Addr;
 use std::path::Path;
 use std::process::ExitCode;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use criterion::{Criterion, Throughput};
 use fieldbeat::axis::{Link, State, Verb};
+use fieldbeat::bus::ethercat;
+use fieldbeat::bus::ethercat::wire::frame::FRAME_MAX;
 use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};
 use fieldbeat::bus::linudp::native::Native;
 use fieldbeat::bus::linudp::station::Station;
@@ -32,9 +38,11 @@ use fieldbeat::bus::modbus::wire::{
 };
 use fieldbeat::bus::modbus::words::ControlWord as UnidriveControl;
 use fieldbeat::bus::modbus::{self, Finding, Found};
-use fieldbeat::bus::{Counters, Cycle, Exchange, Order, Slot};
+use fieldbeat::bus::{Bus, BusPlan, Counters, Cycle, Exchange, Order, Slot};
+use fieldbeat::net::Frames;
 use fieldbeat::time::{MS, Time, US};
 use serde_json::{Value, json};
+use support::line::{self, NullLine, NullLines, Settled};
 use support::stats::Interval;
 use support::unidrive::{self, Canned};
 use support::{Args, Report, fleet};
@@ -42,12 +50,16 @@ use support::{Args, Report, fleet};
 /// Budgets of an exchange, ns.
 const LINUDP_NS: f64 = 60.0;
 const MODBUS_NS: f64 = 40.0;
+const ETHERCAT_NS: f64 = 60.0;
+/// Drives of the line that is held against its budget; the frame of a single one is shown.
+const LINE: usize = 16;
 const PERIOD_NS: u64 = MS;
 /// A shared machine makes it slower, never quicker: of so many rounds the quickest counts.
 const ROUNDS: usize = 12;
 /// The parts that are measured.
 const LINUDP: [&str; 4] = ["exchange", "encode", "encode motion", "decode"];
 const MODBUS: [&str; 4] = ["exchange", "drive", "encode", "decode"];
+const ETHERCAT: [&str; 4] = ["exchange", "drive", "exchange of one", "drive of one"];
 
 /// The next cycle, and when its request goes out.
 fn advance(cycle: &mut Cycle) -> Time {
@@ -226,14 +238,130 @@ impl Around {
     }
 }
 
+/// A line whose drives all follow a velocity, answered from memory.
+struct Linked {
+    bus: Box<dyn Bus>,
+    slots: Vec<Slot>,
+    cycle: Cycle,
+    settled: Settled,
+}
+
+/// The time of the lines.
+static LINE_NOW: AtomicU64 = AtomicU64::new(0);
+
+fn line_now() -> Time {
+    Time(LINE_NOW.load(Ordering::Relaxed))
+}
+
+impl Linked {
+    /// All axes in operation and turning.
+    fn operational(drives: usize) -> Linked {
+        let plan = line::plan("local:wire", drives);
+        let settled = Settled::default();
+        let lines = NullLines(plan.clone(), line_now, Settled::clone(&settled));
+        let bus = BusPlan::open(&plan, PERIOD_NS, &lines).expect("a line in memory");
+        let slot = Slot { due: true, link: Link::Online, ..Slot::default() };
+        let mut linked = Linked { bus, slots: vec![slot; drives], cycle: BEGIN, settled };
+        linked.cycle.grid = Time(1_000 * PERIOD_NS);
+        linked.bus.prepare(&linked.cycle, &mut linked.slots);
+        linked.until("in operation", |slot| slot.report.fresh);
+        linked.order(Order { serial: 1, verb: Some(Verb::Enable) });
+        linked.until("enabled", |slot| slot.progress.end == Some(Ok(())));
+        linked.order(Order { serial: 2, verb: Some(Verb::Velocity { acceleration: 100.0 }) });
+        (0..5_000).for_each(|_| linked.turn());
+        for slot in &linked.slots {
+            assert_eq!(slot.report.state, State::OperationEnabled);
+            assert_eq!(slot.progress.end, None, "it goes on following");
+        }
+        linked.slots.iter_mut().for_each(|slot| slot.counters = Counters::default());
+        linked
+    }
+
+    fn order(&mut self, order: Order) {
+        self.slots.iter_mut().for_each(|slot| slot.order = order);
+    }
+
+    fn until(&mut self, what: &str, done: impl Fn(&Slot) -> bool) {
+        for _ in 0..100_000 {
+            self.turn();
+            if self.slots.iter().all(&done) {
+                return;
+            }
+        }
+        panic!("the drives are not {what}: {:?}", self.bus.notes().and_then(|notes| notes.get(0)));
+    }
+
+    /// One cycle of the bus, with what the loop does to its slots.
+    #[inline]
+    fn turn(&mut self) {
+        let sent_at = advance(&mut self.cycle);
+        LINE_NOW.store(sent_at.0, Ordering::Relaxed);
+        self.bus.send(&self.cycle, &mut self.slots);
+        LINE_NOW.store(sent_at.0 + 40 * US, Ordering::Relaxed);
+        black_box(self.bus.receive(&self.cycle, &mut self.slots));
+        let velocity = 10.0 + (self.cycle.index % 4) as f64 * 0.25;
+        for slot in &mut self.slots {
+            slot.exchange = Exchange::Idle;
+            // Another velocity each time, as far as the ramp allows.
+            slot.velocity = velocity;
+        }
+        let mut next = self.cycle;
+        advance(&mut next);
+        self.bus.prepare(&next, &mut self.slots);
+        black_box(&self.slots);
+    }
+}
+
+/// The same cycle without its bus: the line that takes a frame and gives it back, and the application.
+struct Unlinked {
+    line: NullLine,
+    frame: Vec<u8>,
+    room: Box<[u8; FRAME_MAX]>,
+    slots: Vec<Slot>,
+    cycle: Cycle,
+}
+
+impl Unlinked {
+    fn new(linked: &Linked) -> Unlinked {
+        let (frame, _) = linked.settled.get().expect("it is in operation");
+        Unlinked {
+            line: NullLine::settled(&linked.settled, line_now),
+            frame: frame.clone(),
+            room: Box::new([0; FRAME_MAX]),
+            slots: linked.slots.clone(),
+            cycle: linked.cycle,
+        }
+    }
+
+    #[inline]
+    fn turn(&mut self) {
+        let sent_at = advance(&mut self.cycle);
+        LINE_NOW.store(sent_at.0, Ordering::Relaxed);
+        let _ = black_box(self.line.send(black_box(&self.frame)));
+        LINE_NOW.store(sent_at.0 + 40 * US, Ordering::Relaxed);
+        let _ = black_box(self.line.receive(black_box(&mut self.room[..])));
+        let velocity = 10.0 + (self.cycle.index % 4) as f64 * 0.25;
+        for slot in &mut self.slots {
+            slot.exchange = Exchange::Idle;
+            slot.velocity = velocity;
+        }
+        black_box(&self.slots);
+    }
+}
+
 fn main() -> ExitCode {
     let args = Args::parse("wire");
     println!("wire: one exchange without a socket");
     // The resamples are criterion's own arithmetic: with its 100 000 they take longer than what they judge.
     let (warm_up, measurement, resamples) = if args.quick { (50, 250, 5_000) } else { (250, 1_250, 100_000) };
-    let protocols = [("linudp-v2", &LINUDP[..], LINUDP_NS), (modbus::PROTOCOL, &MODBUS[..], MODBUS_NS)];
-    let mut quickest = [const { Vec::new() }; 2];
-    let mut counted = [(0, 0); 2];
+    let protocols = [
+        ("linudp-v2", &LINUDP[..], LINUDP_NS),
+        (modbus::PROTOCOL, &MODBUS[..], MODBUS_NS),
+        (ethercat::PROTOCOL, &ETHERCAT[..], ETHERCAT_NS),
+    ];
+    let mut lines = [LINE, 1].map(Linked::operational);
+    let mut quickest = [const { Vec::new() }; 3];
+    let mut counted = [(0, 0); 3];
     for round in 0..ROUNDS {
         let output = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("criterion/{round}"));
         // A new one each time: one that measures a part again gives it another name, and the first would be read for ever.
@@ -243,7 +371,7 @@ fn main() -> ExitCode {
             .nresamples(resamples)
             .warm_up_time(Duration::from_millis(warm_up))
             .measurement_time(Duration::from_millis(measurement));
-        let counters = [linudp(&mut criterion), modbus(&mut criterion)];
+        let counters = [linudp(&mut criterion), modbus(&mut criterion), ethercat(&mut criterion, &mut lines)];
         for (place, (protocol, names, _)) in protocols.iter().enumerate() {
             let found: Vec<_> = names.iter().map(|name| estimate_of(&output, protocol, name)).collect();
             // The whole exchange is the first of them.
@@ -270,6 +398,8 @@ fn main() -> ExitCode {
             );
         }
         let own = of("exchange").map(|whole| without(whole, of("drive")));
+        // All drives of the line share it.
+        let own = if protocol == ethercat::PROTOCOL { own.map(a_drive) } else { own };
         report.time(format!("{protocol}: encode + station + decode"), own, budget, "ns");
         let (sent, answered) = counted[place];
         report.count(format!("{protocol}: sent {sent} = answered {answered}"), sent == answered);
@@ -327,6 +457,31 @@ fn modbus(criterion: &mut Criterion) -> Counters {
     group.bench_function("decode", |bencher| bencher.iter(|| ModbusResponse::parse(black_box(reply))));
     group.finish();
     asked.slot.counters
+}
+
+fn ethercat(criterion: &mut Criterion, lines: &mut [Linked; 2]) -> Counters {
+    let mut group = criterion.benchmark_group(ethercat::PROTOCOL);
+    let names = [["exchange", "drive"], ["exchange of one", "drive of one"]];
+    let mut counters = Counters::default();
+    for (linked, [exchange, drive]) in lines.iter_mut().zip(names) {
+        group.throughput(Throughput::Elements(linked.slots.len() as u64));
+        group.bench_function(exchange, |bencher| bencher.iter(|| linked.turn()));
+        // What of it is no master's.
+        let mut unlinked = Unlinked::new(linked);
+        group.bench_function(drive, |bencher| bencher.iter(|| unlinked.turn()));
+        for slot in &mut linked.slots {
+            let Counters { sent, answered, .. } = std::mem::take(&mut slot.counters);
+            (counters.sent, counters.answered) = (counters.sent + sent, counters.answered + answered);
+        }
+    }
+    group.finish();
+    counters
+}
+
+/// The share of one drive of the line.
+fn a_drive(line: Interval) -> Interval {
+    let share = |ns: f64| ns / LINE as f64;
+    Interval { value: share(line.value), low: share(line.low), high: share(line.high) }
 }
 
 /// What criterion found of this part of a protocol, if it is measured.

@@ -4,10 +4,11 @@
 use std::cell::RefCell;
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::{SocketAddr, SocketAddrV4, TcpStream, UdpSocket};
-use std::os::fd::AsFd;
-use std::sync::Arc;
+use std::os::fd::{AsFd, BorrowedFd, RawFd};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use fieldbeat::bus::BusPlan;
+use fieldbeat::bus::ethercat::wire::frame::{Command, FRAME_MAX, datagrams};
 use fieldbeat::bus::linudp::wire::{ControlWord, REQUEST_MAX, Request, ResponseDef, ResponseView};
 use fieldbeat::bus::modbus::wire::{ADU_MAX, HEADER, Response};
 use fieldbeat::bus::modbus::words::{ControlWord as UnidriveControl, StatusWord};
@@ -15,8 +16,9 @@ use fieldbeat::bus::modbus::{ModbusPlan, UnidriveDrive};
 use fieldbeat::cycle::Wait;
 use fieldbeat::cycle::record::{DriveRecord, Record};
 use fieldbeat::cycle::status::Numbers;
-use fieldbeat::net::{Carriers, Datagrams, Greeted, StreamPeer, Streams, UdpOptions};
-use fieldbeat::rt::{Clock, Granted, MonotonicClock};
+use fieldbeat::net::frames::Unsent;
+use fieldbeat::net::{Carriers, Datagrams, Frames, Greeted, Os, StreamPeer, Streams, UdpOptions};
+use fieldbeat::rt::{Clock, Granted, MonotonicClock, Regions};
 use fieldbeat::time::{S, Time};
 use nix::poll::{PollFd, PollFlags, ppoll};
 use nix::sys::time::TimeSpec;
@@ -96,7 +98,9 @@ impl Duel<'_> {
             Rival::Bare => (Side::Bare, self.fleet),
             Rival::Libmodbus(_) => (Side::Libmodbus, Fleet::unidrives(1)),
         };
-        let simulated = self.fleet.simulate(Side::Ours).into_iter().chain(fleet.simulate(side)).collect();
+        let (mut simulated, theirs) = (self.fleet.simulate(Side::Ours), fleet.simulate(side));
+        simulated.drives.extend(theirs.drives);
+        simulated.lines.extend(theirs.lines);
         let server = rig::serve(simulated, self.granted);
         let outcome = match self.rival {
             Rival::Bare => rig::on_loop_thread(|_| self.against_bare()),
@@ -117,16 +121,21 @@ impl Duel<'_> {
     fn rig(&self) -> Rig {
         let Duel { fleet, wait, period_ns, .. } = *self;
         let cycle = rig::exchange_cycle(period_ns, wait);
-        let mut rig =
-            Rig::new(cycle, fleet.buses(Side::Ours), Pace::Grid, self.carriers, Arc::clone(self.calls));
-        rig.enable();
-        rig
+        Rig::new(cycle, fleet.buses(Side::Ours), Pace::Grid, self.carriers, Arc::clone(self.calls))
     }
 
     fn against_bare(&self) -> io::Result<Outcome> {
+        let mut rig = self.rig();
         let mut bare = BareLoop::open(self.fleet, self.wait, self.period_ns)?;
         bare.enable()?;
-        let mut rig = self.rig();
+        // A line that gets no frames for two cycles is in operation no more.
+        let mut beside = Ok(None);
+        rig.enable_beside(|grid| {
+            if beside.is_ok() && self.fleet.line > 0 {
+                beside = bare.cycle(grid + self.period_ns / 2, true, |_| {});
+            }
+        });
+        beside?;
         let (ours, theirs) = self.turns(&mut rig, &mut bare)?;
         rig.settle();
         Ok(Outcome { ours, theirs, end: rig.end() })
@@ -134,6 +143,7 @@ impl Duel<'_> {
 
     fn against_libmodbus(&self, mut client: Client) -> io::Result<Outcome> {
         let mut rig = self.rig();
+        rig.enable();
         client.run(rig.grid() + 4 * self.period_ns + self.period_ns / 2, self.period_ns, self.cycles)?;
         let mut ours = Measured::default();
         for _ in 0..self.cycles {
@@ -180,6 +190,7 @@ struct BareLoop {
     linmots: Vec<(SocketAddrV4, Time)>,
     streams: Vec<TcpStream>,
     unidrives: Vec<Asked>,
+    line: Option<BareLine>,
 }
 
 /// A Unidrive and its exchange.
@@ -204,7 +215,15 @@ struct Message {
 struct Reply<'a> {
     rtt_ns: u64,
     bytes: &'a [u8],
-    unidrive: bool,
+    of: Of,
+}
+
+/// Whose it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Of {
+    Linmot,
+    Unidrive,
+    Line,
 }
 
 impl BareLoop {
@@ -230,6 +249,7 @@ impl BareLoop {
             linmots: (0..fleet.linmots).map(|index| (fleet::address(Side::Bare, index), Time(0))).collect(),
             streams,
             unidrives: plan.drives.iter().map(Asked::new).collect(),
+            line: (fleet.line > 0).then(|| BareLine::open(fleet, wait, period_ns)).transpose()?,
         })
     }
 
@@ -241,11 +261,13 @@ impl BareLoop {
         let length = blocks.emit(&mut request);
         let phase = self.turn % self.fleet.every;
         self.turn = self.turn.wrapping_add(1);
-        // What a reply may come on; the LinMots' socket first, if there is one.
-        let mut set: Vec<PollFd<'_>> = Vec::with_capacity(1 + self.streams.len());
+        // What a reply may come on; the LinMots' socket first, if there is one, and the line's last.
+        let mut set: Vec<PollFd<'_>> = Vec::with_capacity(2 + self.streams.len());
         set.extend(self.socket.as_ref().map(|socket| PollFd::new(socket.as_fd(), PollFlags::POLLIN)));
         let streams_at = set.len();
         set.extend(self.streams.iter().map(|stream| PollFd::new(stream.as_fd(), PollFlags::empty())));
+        let line_at = set.len();
+        set.extend(self.line.as_ref().and_then(|line| line.fd).map(|fd| PollFd::new(fd, PollFlags::POLLIN)));
 
         MonotonicClock.sleep_until(grid);
         let woke = MonotonicClock::read();
@@ -271,8 +293,13 @@ impl BareLoop {
                 unidrives_left += 1;
             }
         }
+        let mut lines_left = 0;
+        if let Some(line) = &mut self.line {
+            line.send()?;
+            lines_left = 1;
+        }
         let (mut now, mut last) = (woke, woke);
-        while linmots_left + unidrives_left > 0 && now < deadline {
+        while linmots_left + unidrives_left + lines_left > 0 && now < deadline {
             if self.wait == Wait::Poll {
                 let rest = deadline.since(MonotonicClock::read());
                 let timeout = TimeSpec::new((rest / S) as _, (rest % S) as _);
@@ -286,7 +313,7 @@ impl BareLoop {
                 if let SocketAddr::V4(from) = from
                     && let Some((_, sent)) = fleet::index_of(from).and_then(|index| self.linmots.get(index))
                 {
-                    take(Reply { rtt_ns: last.since(*sent), bytes: &reply[..length], unidrive: false });
+                    take(Reply { rtt_ns: last.since(*sent), bytes: &reply[..length], of: Of::Linmot });
                 }
             }
             for (index, (stream, asked)) in self.streams.iter().zip(&mut self.unidrives).enumerate() {
@@ -294,8 +321,15 @@ impl BareLoop {
                     last = MonotonicClock::read();
                     unidrives_left -= 1;
                     let bytes = &asked.reply[..asked.length];
-                    take(Reply { rtt_ns: last.since(asked.sent), bytes, unidrive: true });
+                    take(Reply { rtt_ns: last.since(asked.sent), bytes, of: Of::Unidrive });
                 }
+            }
+            if let Some(line) = self.line.as_mut().filter(|_| lines_left > 0 && is_ready(line_at))
+                && let Some((at, rtt_ns, bytes)) = line.receive()
+            {
+                last = at;
+                lines_left = 0;
+                take(Reply { rtt_ns, bytes, of: Of::Line });
             }
             for (poll, asked) in set[streams_at..].iter_mut().zip(&self.unidrives) {
                 if asked.owed == 0 {
@@ -304,7 +338,7 @@ impl BareLoop {
             }
             now = MonotonicClock::read();
         }
-        Ok((linmots_left + unidrives_left == 0).then(|| last.since(woke)))
+        Ok((linmots_left + unidrives_left + lines_left == 0).then(|| last.since(woke)))
     }
 
     /// Cycles until all drives are in operation: each switches on from a low control word only.
@@ -316,9 +350,11 @@ impl BareLoop {
             if cycle % self.fleet.every == 0 {
                 (linmots, unidrives) = (0, 0);
             }
-            self.cycle(grid, cycle >= 20 * self.fleet.every, |reply| match reply.unidrive {
-                false => linmots += usize::from(is_operational(reply.bytes)),
-                true => unidrives += usize::from(is_active(reply.bytes)),
+            self.cycle(grid, cycle >= 20 * self.fleet.every, |reply| match reply.of {
+                Of::Linmot => linmots += usize::from(is_operational(reply.bytes)),
+                Of::Unidrive => unidrives += usize::from(is_active(reply.bytes)),
+                // It is already.
+                Of::Line => {}
             })?;
             let ended = (cycle + 1) % self.fleet.every == 0;
             let all = self.linmots.len() * self.fleet.every as usize;
@@ -327,6 +363,155 @@ impl BareLoop {
             }
         }
         Err(io::Error::other("the simulated drives do not come into operation"))
+    }
+}
+
+/// A line: its last frame of the time when it came into operation, sent again with another index and the time of its slot.
+struct BareLine {
+    tap: Arc<Mutex<Tap>>,
+    fd: Option<BorrowedFd<'static>>,
+    /// The loop that brought it up.
+    _rig: Rig,
+    /// Where its datagrams have their indices; our time, and what it was when the frame was sent.
+    indices: Vec<usize>,
+    time: Option<(usize, u32)>,
+    first: Time,
+    index: u8,
+    sent: Time,
+    room: Box<[u8; FRAME_MAX]>,
+}
+
+/// A carrier, and what was sent last.
+struct Tap {
+    net: Box<dyn Frames>,
+    frame: Vec<u8>,
+}
+
+struct Tapped(Arc<Mutex<Tap>>);
+
+/// The carriers of the operating system; keeps hold of the one that is opened.
+#[derive(Default)]
+struct Taps(RefCell<Option<Arc<Mutex<Tap>>>>);
+
+impl Carriers for Taps {
+    fn datagrams(&self, _: SocketAddrV4, _: &UdpOptions) -> io::Result<Box<dyn Datagrams>> {
+        Err(ErrorKind::Unsupported.into())
+    }
+
+    fn frames(&self, interface: &str, ethertype: u16) -> io::Result<Box<dyn Frames>> {
+        let net = Os::default().frames(interface, ethertype)?;
+        let tap = Arc::new(Mutex::new(Tap { net, frame: Vec::with_capacity(FRAME_MAX) }));
+        self.0.replace(Some(Arc::clone(&tap)));
+        Ok(Box::new(Tapped(tap)))
+    }
+}
+
+impl Tapped {
+    fn lock(&self) -> MutexGuard<'_, Tap> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Frames for Tapped {
+    fn fd(&self) -> Option<RawFd> {
+        self.lock().net.fd()
+    }
+
+    fn send(&mut self, frame: &[u8]) -> Result<Time, Unsent> {
+        let mut tap = self.lock();
+        tap.frame.clear();
+        tap.frame.extend_from_slice(frame);
+        tap.net.send(frame)
+    }
+
+    fn receive(&mut self, room: &mut [u8]) -> Option<(Time, usize)> {
+        self.lock().net.receive(room)
+    }
+
+    fn now(&mut self) -> Time {
+        self.lock().net.now()
+    }
+
+    fn mac(&self) -> [u8; 6] {
+        self.lock().net.mac()
+    }
+
+    fn memory(&self, regions: &mut Regions) {
+        self.lock().net.memory(regions);
+    }
+}
+
+impl BareLine {
+    /// A line with all drives in operation: our loop brings it up, and is left standing.
+    fn open(fleet: Fleet, wait: Wait, period_ns: u64) -> io::Result<BareLine> {
+        let taps = Taps::default();
+        let cycle = rig::exchange_cycle(period_ns, wait);
+        let buses: Vec<Box<dyn BusPlan>> = vec![Box::new(fleet.ethercat(Side::Bare))];
+        let mut rig = Rig::new(cycle, buses, Pace::Grid, &taps, Calls::default());
+        rig.enable();
+        // Until it asks for nothing besides, as in almost all cycles.
+        let tap = taps.0.into_inner().ok_or(ErrorKind::NotFound)?;
+        let plain = |frame: &[u8]| {
+            let last = datagrams(frame).ok()?.map_while(Result::ok).last()?;
+            matches!(last.command(), Some(Command::Brd(_))).then(|| frame.to_vec())
+        };
+        let frame = loop {
+            rig.turn(|_| {});
+            let tap = tap.lock().unwrap_or_else(PoisonError::into_inner);
+            if let Some(frame) = plain(&tap.frame) {
+                break frame;
+            }
+        };
+        let all = || datagrams(&frame).into_iter().flatten().map_while(Result::ok);
+        let time = all().find(|datagram| matches!(datagram.command(), Some(Command::Fpwr(..))));
+        let time = time
+            .and_then(|time| Some((time.place.data().start, u32::from_le_bytes(*time.data.first_chunk()?))));
+        let indices = all().map(|datagram| datagram.place.at + 1).collect();
+        let guard = tap.lock().unwrap_or_else(PoisonError::into_inner);
+        // SAFETY: the carrier keeps its descriptor open, and lives as long as the tap.
+        let fd = guard.net.fd().map(|fd| unsafe { BorrowedFd::borrow_raw(fd) });
+        drop(guard);
+        Ok(BareLine {
+            tap,
+            fd,
+            indices,
+            time,
+            first: rig.grid(),
+            _rig: rig,
+            index: 0,
+            sent: Time(0),
+            room: Box::new([0; FRAME_MAX]),
+        })
+    }
+
+    fn send(&mut self) -> io::Result<()> {
+        let mut tap = self.tap.lock().unwrap_or_else(PoisonError::into_inner);
+        let Tap { net, frame } = &mut *tap;
+        self.index = self.index.wrapping_add(1);
+        for place in &self.indices {
+            frame[*place] = self.index;
+        }
+        if let Some((place, time)) = self.time {
+            let time = time.wrapping_add(net.now().since(self.first) as u32);
+            frame[place..place + 4].copy_from_slice(&time.to_le_bytes());
+        }
+        match net.send(frame) {
+            Ok(at) => self.sent = at,
+            Err(unsent) => return Err(io::Error::other(format!("{unsent:?}"))),
+        }
+        Ok(())
+    }
+
+    /// The reply to the last frame: when it came, what it took, and its bytes.
+    fn receive(&mut self) -> Option<(Time, u64, &[u8])> {
+        let mut tap = self.tap.lock().unwrap_or_else(PoisonError::into_inner);
+        loop {
+            let (at, length) = tap.net.receive(&mut self.room[..])?;
+            // Another one came too late.
+            if self.room[*self.indices.first()?] == self.index {
+                return Some((at, at.since(self.sent), &self.room[..length]));
+            }
+        }
     }
 }
 

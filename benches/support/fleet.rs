@@ -1,4 +1,4 @@
-//! Whose drives, how many of which kind, and where they are. The benches own 127.90.0.0/16.
+//! Whose drives, how many of which kind, and where they are. The benches own 127.90.0.0/16, and lines `local:bench-...`.
 
 use std::fmt;
 use std::net::{Ipv4Addr, SocketAddrV4};
@@ -7,11 +7,12 @@ use std::time::Duration;
 
 use fieldbeat::axis::Limits;
 use fieldbeat::bus::BusPlan;
+use fieldbeat::bus::ethercat::EthercatPlan;
 use fieldbeat::bus::linudp::{DRIVE_PORT, LinUdpDrive, LinUdpPlan, MASTER_PORT};
 use fieldbeat::bus::modbus::ModbusPlan;
-use fieldbeat::sim::SimDrive;
+use fieldbeat::sim::Simulated;
 
-use super::unidrive;
+use super::{line, unidrive};
 
 /// Drives of one /24.
 const DRIVES_A_NET: usize = 200;
@@ -63,22 +64,29 @@ pub struct Fleet {
     pub unidrives: usize,
     /// ... each in every cycle of so many, as many of them in one as in the next.
     pub every: u32,
+    /// Kollmorgen drives, on one line.
+    pub line: usize,
 }
 
 impl Fleet {
     /// LinMots only.
     pub const fn linmots(count: usize) -> Fleet {
-        Fleet { linmots: count, unidrives: 0, every: 1 }
+        Fleet { linmots: count, unidrives: 0, every: 1, line: 0 }
     }
 
     /// Unidrives only, in every cycle.
     pub const fn unidrives(count: usize) -> Fleet {
-        Fleet { linmots: 0, unidrives: count, every: 1 }
+        Fleet { linmots: 0, unidrives: count, every: 1, line: 0 }
+    }
+
+    /// A line of Kollmorgen drives only.
+    pub const fn line(count: usize) -> Fleet {
+        Fleet { linmots: 0, unidrives: 0, every: 1, line: count }
     }
 
     /// All of them.
     pub fn drives(self) -> usize {
-        self.linmots + self.unidrives
+        self.linmots + self.unidrives + self.line
     }
 
     /// How many Unidrives are due in a cycle.
@@ -103,6 +111,11 @@ impl Fleet {
         ModbusPlan::new((0..self.unidrives).map(drive).collect())
     }
 
+    /// Its line on `side`.
+    pub fn ethercat(self, side: Side) -> EthercatPlan {
+        line::plan(&format!("local:bench-{}", side as u8), self.line)
+    }
+
     /// Its buses on `side`: LinMots first.
     pub fn buses(self, side: Side) -> Vec<Box<dyn BusPlan>> {
         let mut buses: Vec<Box<dyn BusPlan>> = Vec::new();
@@ -112,19 +125,26 @@ impl Fleet {
         if self.unidrives > 0 {
             buses.push(Box::new(self.modbus(side)));
         }
+        if self.line > 0 {
+            buses.push(Box::new(self.ethercat(side)));
+        }
         buses
     }
 
     /// Its drives on `side`, simulated.
-    pub fn simulate(self, side: Side) -> Vec<Box<dyn SimDrive>> {
-        self.buses(side).iter().flat_map(|bus| bus.simulate()).collect()
+    pub fn simulate(self, side: Side) -> Simulated {
+        let buses = self.buses(side);
+        Simulated {
+            drives: buses.iter().flat_map(|bus| bus.simulate()).collect(),
+            lines: buses.iter().filter_map(|bus| bus.simulate_line()).collect(),
+        }
     }
 }
 
-/// As [`FromStr`] takes it: `32+32/8`.
+/// As [`FromStr`] takes it: `32+32/8+16`.
 impl fmt::Display for Fleet {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}+{}/{}", self.linmots, self.unidrives, self.every)
+        write!(f, "{}+{}/{}+{}", self.linmots, self.unidrives, self.every, self.line)
     }
 }
 
@@ -133,12 +153,14 @@ impl FromStr for Fleet {
 
     fn from_str(text: &str) -> Result<Fleet, ()> {
         let (linmots, rest) = text.split_once('+').ok_or(())?;
-        let (unidrives, every) = rest.split_once('/').ok_or(())?;
+        let (unidrives, rest) = rest.split_once('/').ok_or(())?;
+        let (every, line) = rest.split_once('+').ok_or(())?;
         let number = |text: &str| text.parse::<usize>().map_err(|_| ());
         Ok(Fleet {
             linmots: number(linmots)?,
             unidrives: number(unidrives)?,
             every: every.parse().map_err(|_| ())?,
+            line: number(line)?,
         })
     }
 }

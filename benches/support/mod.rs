@@ -5,7 +5,7 @@
 //! | `mod` | arguments, turns, budgets, the JSON file, stolen time |
 //! | `stats` | quantiles, and ratios with bootstrap intervals |
 //! | `rig` | the loop driven by hand on a real-time thread |
-//! | `fleet`, `unidrive` | the drives it runs; a Unidrive that answers from memory |
+//! | `fleet`, `unidrive`, `line` | the drives it runs; a Unidrive, and a line of Kollmorgen drives, that answer from memory |
 //! | `bare` | the bare loop that it is measured against, and the loop in turns with a rival |
 //! | `libmodbus` | a client over libmodbus that takes turns with the loop |
 //! | `null`, `counted` | carriers without a network; those of the operating system, counting system calls |
@@ -17,6 +17,7 @@ pub mod bare;
 pub mod counted;
 pub mod fleet;
 pub mod libmodbus;
+pub mod line;
 pub mod null;
 pub mod rig;
 pub mod stats;

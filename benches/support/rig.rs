@@ -16,7 +16,7 @@ use fieldbeat::net::Carriers;
 use fieldbeat::rt::{
     self, Clock, Granted, Memory, MonotonicClock, PollSet, Realtime, RealtimeError, RealtimePlan, Regions,
 };
-use fieldbeat::sim::SimDrive;
+use fieldbeat::sim::Simulated;
 use fieldbeat::sim::server::{ServerOptions, SimServer};
 use fieldbeat::time::{S, Time};
 use nix::sys::time::TimeSpec;
@@ -72,7 +72,7 @@ pub fn other_core(granted: &Granted) -> Option<usize> {
 }
 
 /// Serves `drives` on a core other than the loop's, below its priority.
-pub fn serve(drives: Vec<Box<dyn SimDrive>>, granted: &Granted) -> SimServer {
+pub fn serve(drives: impl Into<Simulated>, granted: &Granted) -> SimServer {
     let options = ServerOptions {
         core: other_core(granted),
         priority: (granted.policy == "SCHED_FIFO").then_some(DRIVE_PRIORITY),
@@ -120,6 +120,16 @@ pub fn now() -> Time {
     MonotonicClock::read() + AHEAD_NS.load(Ordering::Relaxed)
 }
 
+/// The clock of the loop that runs jumps ahead.
+pub fn leap(ns: u64) {
+    AHEAD_NS.fetch_add(ns, Ordering::Relaxed);
+}
+
+/// So much time has passed for nobody: what a simulation in memory takes is not the loop's. It must have leapt ahead before.
+pub fn forget(ns: u64) {
+    AHEAD_NS.store(AHEAD_NS.load(Ordering::Relaxed).saturating_sub(ns), Ordering::Relaxed);
+}
+
 /// The machine's clock, with an eye on when a cycle began and on its system calls.
 #[derive(Debug)]
 pub struct Meter {
@@ -146,7 +156,7 @@ impl Clock for Meter {
         match self.pace {
             Pace::Grid => {
                 add(&self.calls, 1);
-                MonotonicClock.sleep_until(at);
+                MonotonicClock.sleep_until(Time(at.0 - AHEAD_NS.load(Ordering::Relaxed)));
             }
             Pace::BackToBack => {
                 AHEAD_NS.fetch_add(at.since(now()), Ordering::Relaxed);
@@ -239,16 +249,26 @@ impl Rig {
         Turn { busy_ns, calls }
     }
 
+    /// From now on it goes from cycle to cycle like this.
+    pub fn set_pace(&mut self, pace: Pace) {
+        self.assembly.engine.clock().pace = pace;
+    }
+
     /// Turns until all drives are online, enables them, and turns until all are in operation.
     pub fn enable(&mut self) {
+        self.enable_beside(|_| {});
+    }
+
+    /// The same, with somebody who does his own after each turn, and gets its grid point.
+    pub fn enable_beside(&mut self, mut beside: impl FnMut(Time)) {
         let drives = self.assembly.axes.len() as u32;
-        self.turn_until("online", |status| status.online == drives);
+        self.turn_until("online", |status| status.online == drives, &mut beside);
         for axis in &mut self.assembly.axes {
             if let Err(error) = axis.post(Verb::Enable) {
                 give_up(error)
             }
         }
-        self.turn_until("in operation", |status| status.operational == drives);
+        self.turn_until("in operation", |status| status.operational == drives, &mut beside);
     }
 
     /// Turns until nothing is owed: all that was sent is judged.
@@ -267,12 +287,13 @@ impl Rig {
         }
     }
 
-    fn turn_until(&mut self, what: &str, done: impl Fn(&Status) -> bool) {
-        for _ in 0..20_000 {
+    fn turn_until(&mut self, what: &str, done: impl Fn(&Status) -> bool, beside: &mut dyn FnMut(Time)) {
+        for _ in 0..100_000 {
             if done(self.status()) {
                 return;
             }
             self.turn(|_| {});
+            beside(self.grid);
         }
         give_up(format!("the simulated drives are not {what}: {:?}", self.status()))
     }

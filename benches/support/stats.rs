@@ -27,6 +27,13 @@ impl Line {
         Line { slope, intercept: (sy - slope * sx) / s }
     }
 
+    /// How much of the points' spread it explains: 1 is all.
+    pub fn r_squared(&self, points: &[(f64, f64)]) -> f64 {
+        let mean = points.iter().map(|(_, y)| y).sum::<f64>() / points.len() as f64;
+        let off: f64 = points.iter().map(|(x, y)| (y - self.at(*x)).powi(2)).sum();
+        1.0 - off / points.iter().map(|(_, y)| (y - mean).powi(2)).sum::<f64>()
+    }
+
     /// At `x`.
     pub fn at(&self, x: f64) -> f64 {
         self.intercept + self.slope * x
