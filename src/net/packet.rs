@@ -154,9 +154,7 @@ fn find(interface: &str) -> io::Result<(libc::c_int, Name)> {
 fn refused(interface: &str, error: io::Error) -> io::Error {
     match error.kind() {
         io::ErrorKind::PermissionDenied => {
-            let message = format!(
-                "no right for raw frames on {interface} (CAP_NET_RAW): run as root, or give it to the program"
-            );
+            let message = format!("no right for raw frames on {interface} (CAP_NET_RAW)");
             io::Error::new(error.kind(), message)
         }
         _ => error,
