@@ -2,9 +2,9 @@
 //! policy, priority and period, in turns.
 //!
 //! Ours is the real loop on a thread made by the real code, without a drive. Both read CLOCK_MONOTONIC right after an
-//! absolute `clock_nanosleep`; cyclictest tells every single latency in ns (`-v -N`), so that nothing is rounded or cut off.
-//! A slot that was passed over counts as a late wake-up, as in the loop's own telemetry. cyclictest passes over slots too
-//! but does not tell of them: they follow from the latency before them, and are added here.
+//! absolute `clock_nanosleep`; cyclictest tells every single latency in ns (`-v -N`), so that nothing is rounded or cut
+//! off. A slot that was passed over counts as a late wake-up, as in the loop's own telemetry. cyclictest passes over
+//! slots too but does not tell of them: they follow from the latency before them, and are added here.
 
 #[allow(dead_code, reason = "each bench uses a part of it")]
 mod support;
@@ -119,8 +119,8 @@ fn period(
 /// A slice of our loop: every slot's latency.
 fn ours(period_ns: u64, guard: Guard, slots: u64, counted: &mut Slots) -> Vec<u64> {
     let slice = rig::on_loop_thread(|_| {
-        // The loop gives a slot up that begins later than half of the receive window, for the sake of its drives. There are
-        // none, and cyclictest gives up a slot only a whole period late; so does this one.
+        // The loop gives a slot up that begins later than half of the receive window, for the sake of its drives. There
+        // are none, and cyclictest gives up a slot only a whole period late; so does this one.
         let cycle = CyclePlan { guard, receive_deadline: 1.99, ..rig::cycle(period_ns) };
         let mut latencies = Vec::with_capacity(slots as usize + 64);
         let mut rig = Rig::new(cycle, Vec::new(), Pace::Grid, &Os::default(), Calls::default());
@@ -150,9 +150,9 @@ fn cyclictest(granted: &Granted, period_ns: u64, slots: u64) -> Result<Vec<u64>,
     command.args(["-i", &(period_ns / US).to_string(), "-l", &slots.to_string()]);
     if let Some(core) = granted.core {
         command.args(["-a", &core.to_string()]);
-        // Its main thread wakes up every 10 ms, and would do so on the measured core. On a virtual machine that alone made
-        // the median a sixth better, since the host then waits for the next wake-up instead of switching away. Ours has
-        // no such companion on its core.
+        // Its main thread wakes up every 10 ms, and would do so on the measured core. On a virtual machine that alone
+        // made the median a sixth better, since the host then waits for the next wake-up instead of switching away.
+        // Ours has no such companion on its core.
         if let Some(other) = rig::other_core(granted) {
             command.arg(format!("--mainaffinity={other}"));
         }

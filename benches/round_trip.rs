@@ -1,20 +1,22 @@
-//! Round trip of one drive, for each protocol and both ways of waiting: our loop against a bare loop, and against what else speaks
-//! that protocol or carries as much: `sockperf under-load` for datagrams, a blocking client over libmodbus for Modbus TCP.
+//! Round trip of one drive, for each protocol and both ways of waiting: our loop against a bare loop, and against what
+//! else speaks that protocol or carries as much: `sockperf under-load` for datagrams, a blocking client over libmodbus
+//! for Modbus TCP.
 //!
 //! Ours and the bare loop run on the same thread in turns, cycle by cycle, each with a drive of its own that is in
 //! operation, in the same wait mode: every millisecond one of them has its exchange. Both stamp before the call that
 //! sends and after the one that receives, and the same bytes go both ways.
 //!
-//! A Kollmorgen drive stands on a line of its own on this host, `local:`: the bare loop sends the frame of ours again and again, with
-//! the index and the time of its own.
+//! A Kollmorgen drive stands on a line of its own on this host, `local:`: the bare loop sends the frame of ours again
+//! and again, with the index and the time of its own.
 //!
-//! A Unidrive's exchange is one request with function 23: everything cyclic is in menu 0. The client over libmodbus has its turns with
-//! ours alone: on the same grid, by `clock_nanosleep`, on the same core and at the same priority, in a process of its own. Were it
-//! there while ours meets the bare loop, one of the two would always find the caches of another process.
+//! A Unidrive's exchange is one request with function 23: everything cyclic is in menu 0. The client over libmodbus has
+//! its turns with ours alone: on the same grid, by `clock_nanosleep`, on the same core and at the same priority, in a
+//! process of its own. Were it there while ours meets the bare loop, one of the two would always find the caches of
+//! another process.
 //!
-//! sockperf sends at the same rate to the same kind of server, on the same core: a drive that answers in its protocol. Yet
-//! it is no cyclic loop: one of its threads spins between the messages and never lets the core fall asleep, another one
-//! receives. So its round trip is held against ours in wait mode "spin".
+//! sockperf sends at the same rate to the same kind of server, on the same core: a drive that answers in its protocol.
+//! Yet it is no cyclic loop: one of its threads spins between the messages and never lets the core fall asleep, another
+//! one receives. So its round trip is held against ours in wait mode "spin".
 
 #[allow(dead_code, reason = "each bench uses a part of it")]
 mod support;
@@ -252,8 +254,8 @@ fn sockperf(granted: &Granted, seconds: u32) -> Result<Vec<u64>, String> {
     command.args(["--mps", &(S / TURN_NS).to_string(), "--reply-every", "1", "--full-rtt"]);
     command.args(["-t", &seconds.to_string(), "--full-log"]).arg(&log);
     if let Some(core) = granted.core {
-        // The thread that spins. The one that receives goes where the kernel wants it: it has to share a core either with
-        // the spinning one or with the server.
+        // The thread that spins. The one that receives goes where the kernel wants it: it has to share a core either
+        // with the spinning one or with the server.
         command.args(["--sender-affinity", &core.to_string()]);
     }
     let output = command.stdin(Stdio::null()).output().map_err(|error| match error.kind() {

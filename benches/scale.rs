@@ -1,19 +1,22 @@
 //! What a drive costs, 1 to 256 of them.
 //!
-//! - **The loop without a socket**: the real engine, bus and stations over a null carrier that answers from memory. A cycle is
-//!   everything from the end of one sleep to the begin of the next: send, receive, health, exchange, prepare, records and
-//!   feedback. Cycles follow each other without sleeping, and once more paced at 1 kHz with the core asleep in between, where
-//!   caches are cold. The carrier's own time is measured alone, in turns with the loop, and taken off.
-//!   A line of Kollmorgen drives shares one frame: it is brought up once for each length, and answers from memory from then on.
-//! - **The loop with acyclic calls**: the same, with a parameter read back to back on each of 32 drives, in turns with the loop
-//!   without them; and how many reads a second that comes to, there and on sockets at 1 kHz.
-//! - **The loop on sockets** against a bare `sendto` / `recvfrom` loop over the same bytes, cycle by cycle in turns: time
-//!   from waking up until done, and processor time.
-//! - **LinMots and Unidrives together**: 32 LinMots in every cycle and 32 Unidrives in every eighth, as many in one as in the
-//!   next, in one cycle at 1 kHz: nothing planned is left out, nothing sent is lost; and the same against a bare loop.
+//! - **The loop without a socket**: the real engine, bus and stations over a null carrier that answers from memory. A
+//!   cycle is everything from the end of one sleep to the begin of the next: send, receive, health, exchange, prepare,
+//!   records and feedback. Cycles follow each other without sleeping, and once more paced at 1 kHz with the core asleep
+//!   in between, where caches are cold. The carrier's own time is measured alone, in turns with the loop, and taken
+//!   off. A line of Kollmorgen drives shares one frame: it is brought up once for each length, and answers from memory
+//!   from then on.
+//! - **The loop with acyclic calls**: the same, with a parameter read back to back on each of 32 drives, in turns with
+//!   the loop without them; and how many reads a second that comes to, there and on sockets at 1 kHz.
+//! - **The loop on sockets** against a bare `sendto` / `recvfrom` loop over the same bytes, cycle by cycle in turns:
+//!   time from waking up until done, and processor time.
+//! - **LinMots and Unidrives together**: 32 LinMots in every cycle and 32 Unidrives in every eighth, as many in one as
+//!   in the next, in one cycle at 1 kHz: nothing planned is left out, nothing sent is lost; and the same against a bare
+//!   loop.
 //! - **A line on a socket of this host**: what it takes at 1 kHz, and against a bare loop over the same bytes.
-//! - **System calls a cycle**, counted at full speed where the loop makes them: in its clock and its carrier. That these
-//!   counters see every call is proved by running the loop once more under `strace`, whose count must be the same.
+//! - **System calls a cycle**, counted at full speed where the loop makes them: in its clock and its carrier. That
+//!   these counters see every call is proved by running the loop once more under `strace`, whose count must be the
+//!   same.
 
 #[allow(dead_code, reason = "each bench uses a part of it")]
 mod support;
@@ -58,8 +61,8 @@ const LINE_DUEL: usize = 4;
 /// How far a point may be from the line, as a share.
 const STRAIGHT: f64 = 0.25;
 
-/// Budget of system calls a cycle: those of datagrams; a look at all connections wherever the cycle looks at its sockets, which
-/// are three places; and two on each connection on which something is due.
+/// Budget of system calls a cycle: those of datagrams; a look at all connections wherever the cycle looks at its
+/// sockets, which are three places; and two on each connection on which something is due.
 fn calls_allowed(fleet: Fleet) -> f64 {
     let looks = if fleet.unidrives > 0 { 3.0 } else { 0.0 };
     8.0 + fleet.linmots as f64 / 64.0 + looks + on_connections(fleet)

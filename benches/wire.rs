@@ -1,15 +1,16 @@
 //! The nanoseconds of one exchange without a socket: encode, station and decode, for an axis in operation.
 //!
-//! - `exchange`: what the loop does for a drive and cycle: build the request in place, note that it was sent, take the reply
-//!   in (identity, states, units, feedback, native process data).
+//! - `exchange`: what the loop does for a drive and cycle: build the request in place, note that it was sent, take the
+//!   reply in (identity, states, units, feedback, native process data).
 //! - `encode`, `encode motion`, `decode`: the telegram alone.
 //!
 //! A Unidrive's exchange is one request with function 23: everything cyclic is in menu 0.
 //!
-//! A Kollmorgen drive has no telegram of its own: one frame serves the line. Its exchange is a whole cycle of the bus (build the
-//! frame, hand it over, take it in, give each drive its part), shared by the drives of the line.
+//! A Kollmorgen drive has no telegram of its own: one frame serves the line. Its exchange is a whole cycle of the bus
+//! (build the frame, hand it over, take it in, give each drive its part), shared by the drives of the line.
 //!
-//! Positions or speeds change with every reply, and the cycle with every request, so that nothing can be computed beforehand.
+//! Positions or speeds change with every reply, and the cycle with every request, so that nothing can be computed
+//! beforehand.
 
 #[allow(dead_code, reason = "each bench uses a part of it")]
 mod support;
@@ -364,7 +365,8 @@ fn main() -> ExitCode {
     let mut counted = [(0, 0); 3];
     for round in 0..ROUNDS {
         let output = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("criterion/{round}"));
-        // A new one each time: one that measures a part again gives it another name, and the first would be read for ever.
+        // A new one each time: one that measures a part again gives it another name, and the first would be read for
+        // ever.
         let mut criterion = Criterion::default()
             .output_directory(&output)
             .without_plots()

@@ -1,5 +1,5 @@
-//! Two axes of a gantry as a group: every row of the path reaches both in the same cycle, and whatever stops one stops all.
-//! Then a jog, as from an operator's button, renewed for as long as it is held.
+//! Two axes of a gantry as a group: every row of the path reaches both in the same cycle, and whatever stops one stops
+//! all. Then a jog, as from an operator's button, renewed for as long as it is held.
 //!
 //!     cargo run --release --example gantry
 

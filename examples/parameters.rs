@@ -1,5 +1,5 @@
-//! Parameters while the cycle runs: read and written on the spot, or by tickets while an axis moves; and a curve that goes
-//! to a drive from a file. None of it costs the loop a cycle: it all rides on the requests that go out anyway.
+//! Parameters while the cycle runs: read and written on the spot, or by tickets while an axis moves; and a curve that
+//! goes to a drive from a file. None of it costs the loop a cycle: it all rides on the requests that go out anyway.
 //!
 //!     cargo run --release --example parameters
 

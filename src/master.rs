@@ -152,7 +152,8 @@ pub struct Assembly<C> {
     pub axes: Vec<Axis>,
     /// Those of what takes part without being a drive.
     pub devices: Devices,
-    /// Acyclic access to their drives, and behind them to the devices that have any, for whoever is not the application.
+    /// Acyclic access to their drives, and behind them to the devices that have any, for whoever is not the
+    /// application.
     pub acyclics: Vec<Acyclic>,
     /// What the loop counts.
     pub gauges: Gauges,
@@ -326,7 +327,8 @@ impl Master {
         axes[index].take().ok_or_else(|| MasterError::Taken(name.to_owned()))
     }
 
-    /// The parameters of the drive of axis `name`, or of a device that is no drive: beside whoever has taken the axis, for any thread.
+    /// The parameters of the drive of axis `name`, or of a device that is no drive: beside whoever has taken the axis,
+    /// for any thread.
     pub fn parameter(&self, name: &str) -> Result<Parameters, MasterError> {
         match self.acyclics.iter().find(|acyclic| acyclic.axis() == name) {
             Some(acyclic) => Ok(acyclic.parameters()),
@@ -339,8 +341,8 @@ impl Master {
         &self.acyclics
     }
 
-    /// Takes the process data of a device that is no drive, such as a digital input; once, because it has one owner. `T` is the
-    /// type that its protocol names.
+    /// Takes the process data of a device that is no drive, such as a digital input; once, because it has one owner.
+    /// `T` is the type that its protocol names.
     pub fn device<T: 'static>(&self, name: &str) -> Result<T, MasterError> {
         self.devices.lock().unwrap_or_else(PoisonError::into_inner).take(name)
     }
@@ -441,13 +443,14 @@ impl Master {
         }
     }
 
-    /// A sign of life for the heartbeat of the plan, where there is one. Accepted commands, rows and setpoints are such a sign
-    /// too, and so are the blocking calls while they wait.
+    /// A sign of life for the heartbeat of the plan, where there is one. Accepted commands, rows and setpoints are such
+    /// a sign too, and so are the blocking calls while they wait.
     pub fn alive(&self) {
         self.pulse.beat();
     }
 
-    /// Asks for the orderly end if nobody has: asking again would shorten the waits. [`finish`](Master::finish) waits for it.
+    /// Asks for the orderly end if nobody has: asking again would shorten the waits. [`finish`](Master::finish) waits
+    /// for it.
     pub fn stop(&self) {
         if !self.control.is_stopping() {
             self.control.stop();

@@ -1,5 +1,5 @@
-//! The whole machine in virtual time: the same loop, buses and stations as on the real clock, with simulated drives on a
-//! network in memory. Hours pass in seconds, and the same seed gives the same bytes.
+//! The whole machine in virtual time: the same loop, buses and stations as on the real clock, with simulated drives on
+//! a network in memory. Hours pass in seconds, and the same seed gives the same bytes.
 //!
 //! For an application it is the place to test its own motion logic: post commands, let cycles pass, look at events. The
 //! blocking conveniences of [`Axis`] would wait for ever, since time passes only here.

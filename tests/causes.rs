@@ -1,8 +1,8 @@
-//! Whether the named cause of a late cycle is the true one: causes are brought about on purpose, and what was found is held
-//! against what was done. Prints the confusion matrix, rows done, columns found.
+//! Whether the named cause of a late cycle is the true one: causes are brought about on purpose, and what was found is
+//! held against what was done. Prints the confusion matrix, rows done, columns found.
 //!
-//! The late end of a sleep by a hypervisor alone cannot be brought about from inside; it is told from a late timer by the
-//! steal time only, which the unit tests of `telemetry::causes` hold.
+//! The late end of a sleep by a hypervisor alone cannot be brought about from inside; it is told from a late timer by
+//! the steal time only, which the unit tests of `telemetry::causes` hold.
 //!
 //!     cargo test --release --test causes -- --ignored --nocapture --test-threads 1
 
@@ -137,8 +137,8 @@ impl Bench {
                         unsafe { memory.add(page * PAGE).write_volatile(1) };
                     }
                 }
-                // The next sleeps may end later, but not so late that their cycles are passed over; one of them will, if no
-                // other interrupt comes first.
+                // The next sleeps may end later, but not so late that their cycles are passed over; one of them will,
+                // if no other interrupt comes first.
                 if telling.slack.swap(false, Ordering::Relaxed) {
                     slack = SLACK_CYCLES;
                     timer_slack(DISTURBANCE_NS / 5 * 4);

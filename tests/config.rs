@@ -695,9 +695,10 @@ stop.group = "own"
         assert!(of(name).contains(&line), "{line}\n{:#?}", of(name));
     }
     assert!(!of("menu").iter().any(|line| line.starts_with("shows")));
-    // A reply of 50 ms is owed for 50 cycles behind that of its request, so that with a divisor of 8 a turn takes 56 at most.
-    // direct: 8 until it is asked, 4 turns, 50, then menu's turn of 8. menu: 5 turns of 8, then that of direct.
-    // unwatched: 1, 4 turns of 51, 50, then refused's turn. refused: 8, 4 of 56, 50, then unwatched's. x: 5, then refused's.
+    // A reply of 50 ms is owed for 50 cycles behind that of its request, so that with a divisor of 8 a turn takes 56 at
+    // most. direct: 8 until it is asked, 4 turns, 50, then menu's turn of 8. menu: 5 turns of 8, then that of direct.
+    // unwatched: 1, 4 turns of 51, 50, then refused's turn. refused: 8, 4 of 56, 50, then unwatched's. x: 5, then
+    // refused's.
     let bounds = [0, 1, 2, 3, 4].map(|index| stop_bound(&plan, index));
     assert_eq!(bounds, [8 + 4 * 56 + 50 + 8, 5 * 8 + 56, 1 + 4 * 51 + 50 + 56, 8 + 4 * 56 + 50 + 51, 5 + 56]);
 }

@@ -1,5 +1,5 @@
-//! A fleet in bad weather: hundreds of drives, every fault on every wire, an application that never gives up. It holds what it
-//! has to hold in every cycle, and the same seed is the same run to the last byte.
+//! A fleet in bad weather: hundreds of drives, every fault on every wire, an application that never gives up. It holds
+//! what it has to hold in every cycle, and the same seed is the same run to the last byte.
 //!
 //! The big one is marked ignored: it is meant for a release build, and prints how fast the simulation is.
 
@@ -35,8 +35,8 @@ const EARLY: u64 = MINUTE / 10;
 /// Latched and heard for so many cycles, an axis has braked, whatever it did.
 const BRAKED_AFTER: u32 = 100;
 
-/// Everything that can befall a wire. A flipped bit may tell a drive anything, and nothing can be promised of it then; every
-/// fourth has such a wire.
+/// Everything that can befall a wire. A flipped bit may tell a drive anything, and nothing can be promised of it then;
+/// every fourth has such a wire.
 fn weather(seed: u64, flips: bool) -> FaultPlan {
     FaultPlan {
         seed,
@@ -351,7 +351,8 @@ fn timed(drives: usize, cycles: u64, then: u64) -> (Left, Duration) {
     (live(drives, 1, cycles, then), clock() - begun)
 }
 
-/// The same seed twice at once, the second time for `again` cycles, and another seed; says what came of it, and how fast.
+/// The same seed twice at once, the second time for `again` cycles, and another seed; says what came of it, and how
+/// fast.
 fn twice(drives: usize, cycles: u64, again: u64) -> Left {
     let begun = Instant::now();
     let ((first, took), (second, also)) = std::thread::scope(|scope| {
@@ -408,8 +409,8 @@ fn sixteen_drives_for_a_minute_twice() {
     assert!(left.last.done > 500, "{} motions", left.last.done);
 }
 
-/// What makes two runs of a seed differ (an address, a hash, a thread, the clock of this computer) is there from the first cycle on:
-/// half an hour of 256 drives has some hundred million datagrams to show it in.
+/// What makes two runs of a seed differ (an address, a hash, a thread, the clock of this computer) is there from the
+/// first cycle on: half an hour of 256 drives has some hundred million datagrams to show it in.
 #[test]
 #[cfg(not(debug_assertions))]
 #[ignore = "an hour of 256 drives, and half of it again: minutes, and only in a release build"]

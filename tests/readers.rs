@@ -1,5 +1,5 @@
-//! What programs that others wrote make of what we write for them: HdrHistogram's JavaScript port of our distributions, and
-//! the parsers of Prometheus' Python client of our metrics. `.ci/run` installs both below `target/peers`.
+//! What programs that others wrote make of what we write for them: HdrHistogram's JavaScript port of our distributions,
+//! and the parsers of Prometheus' Python client of our metrics. `.ci/run` installs both below `target/peers`.
 //!
 //!     cargo test --test readers -- --ignored --test-threads 1
 
@@ -26,8 +26,8 @@ fn tell(command: &mut Command, input: &str) -> String {
     String::from_utf8(output.stdout).unwrap()
 }
 
-/// Latencies with a long tail. Their number is prime, so that no quantile falls between two of them, where the last bit of
-/// a division decides; the largest is the upper end of its bin.
+/// Latencies with a long tail. Their number is prime, so that no quantile falls between two of them, where the last bit
+/// of a division decides; the largest is the upper end of its bin.
 fn samples() -> Vec<u64> {
     let mut random = fastrand::Rng::with_seed(7);
     let tail = |random: &mut fastrand::Rng| (20_000.0 * (6.0 * random.f64().powi(8)).exp()) as u64;

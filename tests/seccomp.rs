@@ -68,7 +68,8 @@ const ALLOWED: [Allowed; 12] = [
     Allowed { call: libc::SYS_ppoll, with: With::Any },
     // All requests of a bus; one that does not fit fails at once.
     Allowed { call: libc::SYS_sendmmsg, with: With::Bit(3, libc::MSG_DONTWAIT) },
-    // One request of a bus with `send = "each"`, or on a connection, on a socket that never waits (O_NONBLOCK); a frame of a line.
+    // One request of a bus with `send = "each"`, or on a connection, on a socket that never waits (O_NONBLOCK); a frame
+    // of a line.
     Allowed { call: libc::SYS_sendto, with: With::Any },
     // All replies that are there; none is no reason to wait.
     Allowed { call: libc::SYS_recvmmsg, with: With::Bit(3, libc::MSG_DONTWAIT) },
@@ -285,8 +286,8 @@ fn a_hundred_thousand_cycles_need_no_other_system_call_than_those_listed() {
 /// The cycles that the loop of a line has to execute.
 const LINE_CYCLES: u64 = 20_000;
 
-/// What the child does with a line: it is brought up, asked by mailbox, lost, and found again. On a busy computer without real time
-/// the drives may not be synchronous for long: that they were online at all is enough.
+/// What the child does with a line: it is brought up, asked by mailbox, lost, and found again. On a busy computer
+/// without real time the drives may not be synchronous for long: that they were online at all is enough.
 fn live_on_a_line() {
     leave_no_core();
     let drive = |place: u16| {

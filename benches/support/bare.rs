@@ -1,5 +1,5 @@
-//! The bare loop that ours is measured against, and ours in turns with a rival, cycle by cycle: the bare loop on the same
-//! thread, or another client.
+//! The bare loop that ours is measured against, and ours in turns with a rival, cycle by cycle: the bare loop on the
+//! same thread, or another client.
 
 use std::cell::RefCell;
 use std::io::{self, ErrorKind, Read, Write};
@@ -90,9 +90,9 @@ pub struct Outcome {
 }
 
 impl Duel<'_> {
-    /// Lets our loop and its rival run in turns: each has its own grid, half a period behind that of the other, and its own drives,
-    /// all in operation and served by one thread. Whatever the machine does in between, it does to both, and each finds the
-    /// caches as the other has left them.
+    /// Lets our loop and its rival run in turns: each has its own grid, half a period behind that of the other, and its
+    /// own drives, all in operation and served by one thread. Whatever the machine does in between, it does to both,
+    /// and each finds the caches as the other has left them.
     pub fn fight(&self) -> Outcome {
         let (side, fleet) = match self.rival {
             Rival::Bare => (Side::Bare, self.fleet),
@@ -178,9 +178,9 @@ impl Duel<'_> {
     }
 }
 
-/// The least that any master has to do: sleep until the grid point, drop what came too late, `send` to each drive that is due, then
-/// `ppoll` and `recv` until all have answered or nine tenths of the period are over. It sends the bytes that the loop sends to
-/// a drive in operation, looks at none of the replies', and judges nothing.
+/// The least that any master has to do: sleep until the grid point, drop what came too late, `send` to each drive that
+/// is due, then `ppoll` and `recv` until all have answered or nine tenths of the period are over. It sends the bytes
+/// that the loop sends to a drive in operation, looks at none of the replies', and judges nothing.
 struct BareLoop {
     wait: Wait,
     period_ns: u64,
@@ -366,7 +366,8 @@ impl BareLoop {
     }
 }
 
-/// A line: its last frame of the time when it came into operation, sent again with another index and the time of its slot.
+/// A line: its last frame of the time when it came into operation, sent again with another index and the time of its
+/// slot.
 struct BareLine {
     tap: Arc<Mutex<Tap>>,
     fd: Option<BorrowedFd<'static>>,

@@ -1,4 +1,5 @@
-//! Whose drives, how many of which kind, and where they are. The benches own 127.90.0.0/16, and lines `local:bench-...`.
+//! Whose drives, how many of which kind, and where they are. The benches own 127.90.0.0/16, and lines
+//! `local:bench-...`.
 
 use std::fmt;
 use std::net::{Ipv4Addr, SocketAddrV4};

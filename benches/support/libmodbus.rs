@@ -1,5 +1,5 @@
-//! A blocking client over libmodbus (C): the way most masters speak Modbus TCP. Compiled here, and run as a process of its own
-//! on the loop's core and at its priority.
+//! A blocking client over libmodbus (C): the way most masters speak Modbus TCP. Compiled here, and run as a process of
+//! its own on the loop's core and at its priority.
 
 use std::io::{self, BufRead, BufReader, Read, Write};
 use std::path::{Path, PathBuf};

@@ -1,4 +1,5 @@
-//! A line of Kollmorgen drives in memory: simulated until all of them are in operation, and answered from memory from then on.
+//! A line of Kollmorgen drives in memory: simulated until all of them are in operation, and answered from memory from
+//! then on.
 
 use std::io;
 use std::net::SocketAddrV4;
@@ -220,7 +221,8 @@ impl Canned {
         })
     }
 
-    /// Makes of a frame what comes back: every drive says that it is elsewhere than before; a mailbox that is looked at is empty.
+    /// Makes of a frame what comes back: every drive says that it is elsewhere than before; a mailbox that is looked at
+    /// is empty.
     #[inline]
     fn answer(&mut self, frame: &mut [u8], at: Time) {
         frame[6] |= 2;

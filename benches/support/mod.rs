@@ -10,8 +10,8 @@
 //! | `libmodbus` | a client over libmodbus that takes turns with the loop |
 //! | `null`, `counted` | carriers without a network; those of the operating system, counting system calls |
 //!
-//! Absolute times say little on a shared machine. So each contender runs in short slices, in turns with its rivals, on the
-//! same core, priority and grid; what is judged is the ratio, with an interval that comes from the slices.
+//! Absolute times say little on a shared machine. So each contender runs in short slices, in turns with its rivals, on
+//! the same core, priority and grid; what is judged is the ratio, with an interval that comes from the slices.
 
 pub mod bare;
 pub mod counted;

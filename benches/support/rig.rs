@@ -125,7 +125,8 @@ pub fn leap(ns: u64) {
     AHEAD_NS.fetch_add(ns, Ordering::Relaxed);
 }
 
-/// So much time has passed for nobody: what a simulation in memory takes is not the loop's. It must have leapt ahead before.
+/// So much time has passed for nobody: what a simulation in memory takes is not the loop's. It must have leapt ahead
+/// before.
 pub fn forget(ns: u64) {
     AHEAD_NS.store(AHEAD_NS.load(Ordering::Relaxed).saturating_sub(ns), Ordering::Relaxed);
 }

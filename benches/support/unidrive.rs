@@ -23,8 +23,8 @@ const FUNCTION: usize = 7;
 /// Not the usual one, so that it needs no right.
 const PORT: u16 = 1502;
 
-/// A drive as a machine might have it: all cyclic parameters side by side in menu 0, so that each exchange is one request with
-/// function 23. A miss is counted, it does not end the measurement.
+/// A drive as a machine might have it: all cyclic parameters side by side in menu 0, so that each exchange is one
+/// request with function 23. A miss is counted, it does not end the measurement.
 pub fn drive(address: Ipv4Addr) -> UnidriveDrive {
     let mut drive = UnidriveDrive::new(address.to_string(), address);
     drive.address.set_port(PORT);
@@ -80,14 +80,14 @@ pub fn mappings(drive: &UnidriveDrive) -> (Mapping, Option<Mapping>) {
     }
 }
 
-/// A drive that answers from memory: it reads back what was written, is in operation while it is told to run, and its speed is
-/// another one each time.
+/// A drive that answers from memory: it reads back what was written, is in operation while it is told to run, and its
+/// speed is another one each time.
 #[derive(Clone, Debug)]
 pub struct Canned {
     reply: [u8; ADU_MAX],
     length: usize,
-    // What the last request makes of it. A reply is written in eights, as the station reads it: to read over the edge of what was
-    // just written holds a processor up, and of what the kernel has copied long before it does not.
+    // What the last request makes of it. A reply is written in eights, as the station reads it: to read over the edge
+    // of what was just written holds a processor up, and of what the kernel has copied long before it does not.
     header: u64,
     written: [u32; 2],
     status: u32,

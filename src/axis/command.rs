@@ -40,8 +40,8 @@ pub struct Ticket {
     pub number: u64,
 }
 
-/// A row on its way to the loop, and the stream that it belongs to: a follow runs the rows of its own stream only, whatever
-/// an earlier one has left behind.
+/// A row on its way to the loop, and the stream that it belongs to: a follow runs the rows of its own stream only,
+/// whatever an earlier one has left behind.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StreamRow {
     /// Streams are counted up.
@@ -81,12 +81,13 @@ pub enum Verb {
     },
     /// Follow the rows of the axis' stream (or of the in-loop task), one an exchange.
     Follow,
-    /// Follow the axis' cyclic torque setpoints, 0 until the first one comes. One that is older than the axis allows stops it.
+    /// Follow the axis' cyclic torque setpoints, 0 until the first one comes. One that is older than the axis allows
+    /// stops it.
     ///
     /// Torques are in per cent of the motor's rated torque, as CiA 402 drives count them (6071h, in per mille); above 0
-    /// they accelerate towards higher positions. What a torque leads to depends on the load: the axis stops at its velocity
-    /// limit, without which the verb is refused, and where it could not stop inside its position limits any more. A
-    /// vertical load would drop, and is refused.
+    /// they accelerate towards higher positions. What a torque leads to depends on the load: the axis stops at its
+    /// velocity limit, without which the verb is refused, and where it could not stop inside its position limits any
+    /// more. A vertical load would drop, and is refused.
     Torque {
         /// Per cent of the rated torque a second, towards each new setpoint (CiA 402: 6087h).
         slope: f64,

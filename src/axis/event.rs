@@ -56,8 +56,8 @@ pub enum EventKind {
     Fault(u32),
     /// The drive's warning word changed.
     Warning(u32),
-    /// The drive told an emergency, whether a fault or a warning follows from it or not. [`Axis::fault`](crate::Axis::fault) has the
-    /// name of its code.
+    /// The drive told an emergency, whether a fault or a warning follows from it or not.
+    /// [`Axis::fault`](crate::Axis::fault) has the name of its code.
     Emergency(Emergency),
     /// The master stopped the axis; latched until reset.
     Stopped(StopCause),

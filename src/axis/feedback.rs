@@ -239,7 +239,8 @@ pub struct Feedback {
     pub fault: u32,
     /// Round trip of the last clean exchange, ns.
     pub rtt_ns: Option<u32>,
-    /// What the drive shows besides, in the units of its plan; `None` where nothing was asked for, or is not set up yet.
+    /// What the drive shows besides, in the units of its plan; `None` where nothing was asked for, or is not set up
+    /// yet.
     pub monitor: [Option<f64>; MONITOR_CHANNELS],
 }
 

@@ -1,9 +1,10 @@
 //! Several axes with one queue: verbs and rows of all members take effect in the same cycle's send, all or none.
 //!
 //! A group takes its axes by value, so that nobody else commands them. Each member's command has its own id and its own
-//! end. What one member refuses is refused to all; a motion or homing that fails at one of them, a member that is stopped or
-//! taken out of a motion of the group takes the others along by their stop group. After a failed enable those that came up stay
-//! up. A stop is never refused to one member because of another, and waits for the others' no longer than two cycles.
+//! end. What one member refuses is refused to all; a motion or homing that fails at one of them, a member that is
+//! stopped or taken out of a motion of the group takes the others along by their stop group. After a failed enable
+//! those that came up stay up. A stop is never refused to one member because of another, and waits for the others' no
+//! longer than two cycles.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
@@ -33,7 +34,8 @@ pub struct Group {
     axes: Vec<Axis>,
 }
 
-/// Calls to all groups of this process, rows included. Axes may go from one group to another, and no two calls shall be taken for one.
+/// Calls to all groups of this process, rows included. Axes may go from one group to another, and no two calls shall be
+/// taken for one.
 static CALLS: AtomicU64 = AtomicU64::new(1);
 
 /// One command to each member, in the order of the group.
@@ -128,8 +130,8 @@ impl Group {
         self.axes.get_mut(index)?.event()
     }
 
-    /// Gives one verb to each member and returns at once. They begin in one cycle, as soon as each member may; if one of them
-    /// cannot, all of them fail.
+    /// Gives one verb to each member and returns at once. They begin in one cycle, as soon as each member may; if one
+    /// of them cannot, all of them fail.
     pub fn post(&mut self, verbs: &[Verb]) -> Result<GroupCommand, GroupError> {
         self.count(verbs.len())?;
         if verbs.contains(&Verb::Follow) && verbs.iter().any(|verb| *verb != Verb::Follow) {
@@ -220,8 +222,8 @@ impl Group {
         self.run_all(Verb::Home, |axis| axis.plan().home_timeout)
     }
 
-    /// Moves each member to its position (user units) along its own profile and waits until all have arrived. They start in
-    /// one cycle; each takes its own time.
+    /// Moves each member to its position (user units) along its own profile and waits until all have arrived. They
+    /// start in one cycle; each takes its own time.
     pub fn move_to(&mut self, positions: &[f64]) -> Result<(), GroupError> {
         let profiles: Vec<Profile> = self.axes.iter().map(Axis::profile).collect();
         self.count(positions.len())?;

@@ -240,8 +240,8 @@ impl Axis {
         self.enqueue(verb, None)
     }
 
-    /// Whether `verb` would be taken now: its numbers, and room in the queue. The last places are kept for what stops the
-    /// axis.
+    /// Whether `verb` would be taken now: its numbers, and room in the queue. The last places are kept for what stops
+    /// the axis.
     pub(super) fn accepts(&self, verb: &Verb) -> Result<(), AxisError> {
         check_verb(&self.plan, verb).map_err(|failure| self.refused(verb.name(), failure))?;
         let kept = if verb.is_urgent() { 0 } else { URGENT_ROOM };
@@ -276,15 +276,15 @@ impl Axis {
         Ok(id)
     }
 
-    /// The velocity setpoint of a running [`Verb::Velocity`] or [`Verb::Jog`], user units/s. The newest counts; it has to be
-    /// given again before it is older than `setpoint_age` or the dead-man time of the axis.
+    /// The velocity setpoint of a running [`Verb::Velocity`] or [`Verb::Jog`], user units/s. The newest counts; it has
+    /// to be given again before it is older than `setpoint_age` or the dead-man time of the axis.
     pub fn set_velocity(&mut self, velocity: f64) -> Result<(), AxisError> {
         self.accepts_velocity(velocity)?;
         self.enqueue_setpoint("velocity", Setpoint { of: self.rolling, value: velocity })
     }
 
-    /// The torque setpoint of a running [`Verb::Torque`], per cent of the rated torque. The newest counts; it has to be given
-    /// again before it is older than `setpoint_age`.
+    /// The torque setpoint of a running [`Verb::Torque`], per cent of the rated torque. The newest counts; it has to be
+    /// given again before it is older than `setpoint_age`.
     pub fn set_torque(&mut self, torque: f64) -> Result<(), AxisError> {
         self.accepts_torque(torque)?;
         self.enqueue_setpoint("torque", Setpoint { of: self.pressing, value: torque })
@@ -317,8 +317,8 @@ impl Axis {
 
     /// Queues a row for [`Verb::Follow`], one an exchange. Row by row it is checked against the limits.
     ///
-    /// After a row marked `last`, and after the application has seen (by [`event`](Self::event) or while waiting) that the
-    /// stream ended or the axis was stopped, rows belong to the next stream.
+    /// After a row marked `last`, and after the application has seen (by [`event`](Self::event) or while waiting) that
+    /// the stream ended or the axis was stopped, rows belong to the next stream.
     pub fn push_row(&mut self, row: Row) -> Result<(), AxisError> {
         self.accepts_row(&row)?;
         self.enqueue_row(row, 0);
@@ -380,8 +380,9 @@ impl Axis {
         self.run(verb, longest(distance.abs(), &profile))
     }
 
-    /// Starts a constant velocity (user units/s); `stop` ends it. It has to be renewed by [`set_velocity`](Self::set_velocity)
-    /// within the dead-man time of the axis, as long as the operator holds the button.
+    /// Starts a constant velocity (user units/s); `stop` ends it. It has to be renewed by
+    /// [`set_velocity`](Self::set_velocity) within the dead-man time of the axis, as long as the operator holds the
+    /// button.
     pub fn jog(&mut self, velocity: f64) -> Result<CommandId, AxisError> {
         self.post(Verb::Jog(Jog { velocity, acceleration: self.plan.profile.acceleration }))
     }

@@ -1,4 +1,5 @@
-//! The limits of an axis: a command, setpoint or row that breaks one is refused, at the door where that can be told there.
+//! The limits of an axis: a command, setpoint or row that breaks one is refused, at the door where that can be told
+//! there.
 
 use super::command::{Failure, Jog, Move, Profile, Row, Target, Verb};
 use super::plan::{AxisPlan, Limits, Load};
@@ -50,7 +51,8 @@ pub fn check_torque(plan: &AxisPlan, torque: f64) -> Result<(), Failure> {
     within("torque", torque.abs(), 0.0, plan.limits.torque)
 }
 
-/// `Ok` if `row` is finite, inside the position and velocity limits, and at most a step away from `from`, the row before.
+/// `Ok` if `row` is finite, inside the position and velocity limits, and at most a step away from `from`, the row
+/// before.
 pub fn check_row(plan: &AxisPlan, row: &Row, from: Option<f64>) -> Result<(), Failure> {
     check_velocity(plan, row.velocity)?;
     finite(row.acceleration)?;
@@ -83,8 +85,8 @@ fn check_way(plan: &AxisPlan, what: &'static str, from: f64, to: f64, most: f64)
     }
 }
 
-/// `Ok` if an axis that goes from one position to the next in `seconds` could still come to a stop inside its range, had it
-/// begun to brake at the first of them.
+/// `Ok` if an axis that goes from one position to the next in `seconds` could still come to a stop inside its range,
+/// had it begun to brake at the first of them.
 pub fn check_braking(plan: &AxisPlan, from: f64, to: f64, seconds: f64) -> Result<(), Failure> {
     let Some((low, high)) = plan.limits.position else { return Ok(()) };
     let velocity = (to - from) / seconds;

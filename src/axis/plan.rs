@@ -262,7 +262,8 @@ pub enum Load {
 /// What holds a vertical load while the axis stands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HeldBy {
-    /// A brake that the drive is set to close before it powers off. Power goes off at standstill, or by the stop's time-out.
+    /// A brake that the drive is set to close before it powers off. Power goes off at standstill, or by the stop's
+    /// time-out.
     Brake,
     /// The powered drive alone. The master never powers it off by itself, not at its own end either.
     Drive,

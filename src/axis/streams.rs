@@ -1,7 +1,7 @@
 //! Which stream a row belongs to, counted on the application's side.
 //!
-//! Rows are pushed without waiting, so some may still be pushed for a stream that has already ended: before the application
-//! has seen that. Each row carries its stream's number, and a follow runs the rows of its own stream only.
+//! Rows are pushed without waiting, so some may still be pushed for a stream that has already ended: before the
+//! application has seen that. Each row carries its stream's number, and a follow runs the rows of its own stream only.
 
 use super::command::{CommandId, Row};
 use super::event::{Event, EventKind};

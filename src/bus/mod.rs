@@ -47,8 +47,8 @@ pub trait BusPlan: Debug + Send + Sync {
     /// What contradicts itself or would not work in a cycle of `period_ns`, each with the place of its axis.
     fn faults(&self, period_ns: u64) -> Vec<(usize, PlanFault)>;
 
-    /// How long a reply of drive `index` counts on its connection, ns: the next request waits for it. `None`: there is no
-    /// connection, and replies come in the cycle that asks.
+    /// How long a reply of drive `index` counts on its connection, ns: the next request waits for it. `None`: there is
+    /// no connection, and replies come in the cycle that asks.
     fn reply_within_ns(&self, _index: usize) -> Option<u64> {
         None
     }
@@ -76,7 +76,8 @@ pub trait BusPlan: Debug + Send + Sync {
     /// How its drives write addresses and values for acyclic access.
     fn notation(&self) -> Arc<dyn Notation>;
 
-    /// This bus with drive `index` only, and with nothing that it shows besides. What is found running there is left so.
+    /// This bus with drive `index` only, and with nothing that it shows besides. What is found running there is left
+    /// so.
     fn reaching(&self, index: usize) -> Option<Box<dyn BusPlan>>;
 
     /// The drives of this bus, simulated, in slot order; none if they are on a line.
@@ -158,8 +159,9 @@ pub trait Bus: Send {
     /// Adds the memory that it touches on the real-time thread, to be locked with `memory = "own"`.
     fn memory(&self, regions: &mut Regions);
 
-    /// The descriptor that is readable while a reply waits to be taken in; `None`: nothing can be waited for at present. Asked anew
-    /// before each wait: a connection that returns may have another one. A bus with several has an epoll over them.
+    /// The descriptor that is readable while a reply waits to be taken in; `None`: nothing can be waited for at
+    /// present. Asked anew before each wait: a connection that returns may have another one. A bus with several has an
+    /// epoll over them.
     fn fd(&self) -> Option<RawFd>;
 
     /// Empties the sockets of what came too late, then hands the prepared requests of the due slots to the kernel and
@@ -169,8 +171,8 @@ pub trait Bus: Send {
     fn send(&mut self, cycle: &Cycle, slots: &mut [Slot]);
 
     /// Takes in what has arrived, a bounded part of a flood. Never waits, sends nothing. True once every exchange that
-    /// this window waits for is closed: those owed by its deadline, and those sent in it and awaited. Not called in a cycle
-    /// that waits for none.
+    /// this window waits for is closed: those owed by its deadline, and those sent in it and awaited. Not called in a
+    /// cycle that waits for none.
     fn receive(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool;
 
     /// Builds the requests of the slots that are due at the next send, in place, from the orders that now stand in
@@ -193,12 +195,12 @@ pub trait Bus: Send {
         None
     }
 
-    /// Its clock leads the grid from now on; asked once before the start, of one bus at most. Any other bus with a clock slaves it to
-    /// the grid.
+    /// Its clock leads the grid from now on; asked once before the start, of one bus at most. Any other bus with a
+    /// clock slaves it to the grid.
     fn lead(&mut self) {}
 
-    /// How far a slot of the grid was from where the clock of this bus wants it, ns: positive is late. At most one a cycle, `None` from
-    /// a cycle that was not answered. Taken behind the window; what was taken is not told again.
+    /// How far a slot of the grid was from where the clock of this bus wants it, ns: positive is late. At most one a
+    /// cycle, `None` from a cycle that was not answered. Taken behind the window; what was taken is not told again.
     fn phase_error(&mut self) -> Option<i64> {
         None
     }
@@ -213,20 +215,20 @@ pub trait Bus: Send {
         None
     }
 
-    /// The application's end of the acyclic access to the device `index`, that is no drive, and whether it can be asked, as the link of
-    /// its feedback; taken once before the start. `None`: it has none.
+    /// The application's end of the acyclic access to the device `index`, that is no drive, and whether it can be
+    /// asked, as the link of its feedback; taken once before the start. `None`: it has none.
     fn device_acyclic(&mut self, _index: usize) -> Option<(AcyclicEnds, Observer)> {
         None
     }
 
-    /// The application's end of the acyclic access to drive `index`, taken once before the start. What is posted there is
-    /// carried out in slices of bounded work, and ends: done, refused by the drive, or not to be had. It adds no telegram to a
-    /// cycle and moves none.
+    /// The application's end of the acyclic access to drive `index`, taken once before the start. What is posted there
+    /// is carried out in slices of bounded work, and ends: done, refused by the drive, or not to be had. It adds no
+    /// telegram to a cycle and moves none.
     fn acyclic(&mut self, index: usize) -> Option<AcyclicEnds>;
 }
 
-/// Why the drives of a bus cannot be asked, in words: read by normal threads, whoever writes it. Where the real-time thread does,
-/// it leaves numbers only, and the words are made by the reader.
+/// Why the drives of a bus cannot be asked, in words: read by normal threads, whoever writes it. Where the real-time
+/// thread does, it leaves numbers only, and the words are made by the reader.
 pub trait Notes: Debug + Send + Sync {
     /// Why drive `index` has no connection; `None`: it has one, or its first opening is under way.
     fn get(&self, index: usize) -> Option<String>;
@@ -263,8 +265,8 @@ pub struct Cycle {
 }
 
 impl Cycle {
-    /// Whether what is owed by `reply_by` is owed in this window. That time was laid down some cycles before, and a clock that
-    /// leads the grid moves the windows a little against it: it means the nearest one.
+    /// Whether what is owed by `reply_by` is owed in this window. That time was laid down some cycles before, and a
+    /// clock that leads the grid moves the windows a little against it: it means the nearest one.
     pub fn closes(&self, reply_by: Time) -> bool {
         reply_by <= self.deadline + self.period_ns / 2
     }
@@ -283,11 +285,11 @@ pub struct Slot {
     pub order: Order,
     /// The row to follow at the next send, while the order is to follow.
     pub row: Option<NumberedRow>,
-    /// The velocity to go at from the next send on, user units/s, while the order is a jog or cyclic velocity. A jog begins
-    /// with its own.
+    /// The velocity to go at from the next send on, user units/s, while the order is a jog or cyclic velocity. A jog
+    /// begins with its own.
     pub velocity: f64,
-    /// The torque to give from the next send on, per cent of the rated torque, while the order is cyclic torque. Above 0 it
-    /// accelerates towards higher user positions, whichever way the drive counts.
+    /// The torque to give from the next send on, per cent of the rated torque, while the order is cyclic torque. Above
+    /// 0 it accelerates towards higher user positions, whichever way the drive counts.
     pub torque: f64,
 
     // Written by the bus.
@@ -301,7 +303,8 @@ pub struct Slot {
     pub counters: Counters,
     /// A drive that could not be asked can be asked from now on: it is due next, whatever its link. The loop clears it.
     pub reachable: bool,
-    /// The drive was asked for something that makes it silent, and its power is off: its silence is nobody else's affair.
+    /// The drive was asked for something that makes it silent, and its power is off: its silence is nobody else's
+    /// affair.
     pub excused: bool,
 }
 
@@ -418,8 +421,8 @@ pub struct Report {
     pub monitor_fresh: bool,
     /// The drive refused to show a variable: which channel, and its status. The loop clears it.
     pub monitor_refused: Option<(u8, u32)>,
-    /// The drive told an emergency, whether an exchange brought anything new or not. The loop takes it in each cycle: the next one
-    /// waits until it has.
+    /// The drive told an emergency, whether an exchange brought anything new or not. The loop takes it in each cycle:
+    /// the next one waits until it has.
     pub emergency: Option<Emergency>,
 }
 
@@ -463,7 +466,8 @@ pub struct OwnCounter {
 /// How the clock of a bus and the grid stand to each other, whichever of them leads.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct BusClock {
-    /// How far the newest slot was from where that clock wants it, ns: positive is late; `None`: it was not seen yet, or is not any more.
+    /// How far the newest slot was from where that clock wants it, ns: positive is late; `None`: it was not seen yet,
+    /// or is not any more.
     pub error_ns: Option<i64>,
     /// It has been where its drives want it for a while.
     pub locked: bool,

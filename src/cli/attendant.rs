@@ -17,8 +17,8 @@ use super::interrupt::{Interrupt, LOOK_EVERY};
 use super::live::Live;
 use super::service::Service;
 
-/// Why a drive has no connection is told if that is still so, or again, so long after it was first seen: while one is opened, it may
-/// be many things.
+/// Why a drive has no connection is told if that is still so, or again, so long after it was first seen: while one is
+/// opened, it may be many things.
 const STANDS_FOR: Duration = Duration::from_secs(1);
 
 /// So many reasons are kept apart: numbers in them may make each another one.

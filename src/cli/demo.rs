@@ -1,6 +1,6 @@
-//! `fieldbeat demo`: master and simulated drives in one process. The axes that take positions are homed, follow a travelling wave
-//! as streamed setpoints and make one profile move each, the others turn there and back meanwhile; then all of them stop and are
-//! powered off.
+//! `fieldbeat demo`: master and simulated drives in one process. The axes that take positions are homed, follow a
+//! travelling wave as streamed setpoints and make one profile move each, the others turn there and back meanwhile; then
+//! all of them stop and are powered off.
 
 use std::f64::consts::TAU;
 use std::ops::Range;
@@ -281,7 +281,8 @@ impl Swing {
     }
 }
 
-/// The rows of an axis: a sine whose amplitude grows from 0 and dies away to 0, so that the wave begins and ends at standstill.
+/// The rows of an axis: a sine whose amplitude grows from 0 and dies away to 0, so that the wave begins and ends at
+/// standstill.
 #[derive(Debug)]
 struct Wave {
     swing: Swing,

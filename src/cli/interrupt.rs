@@ -1,5 +1,5 @@
-//! Ctrl-C, SIGTERM, and SIGHUP of a terminal that goes away: the first asks for the orderly end, the second shortens its
-//! waits. Neither skips the stop. SIGUSR1 asks for the black box.
+//! Ctrl-C, SIGTERM, and SIGHUP of a terminal that goes away: the first asks for the orderly end, the second shortens
+//! its waits. Neither skips the stop. SIGUSR1 asks for the black box.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};

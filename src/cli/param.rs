@@ -89,8 +89,8 @@ impl Drive {
 struct Get {
     #[command(flatten)]
     drive: Drive,
-    /// As the drive's manual writes it: 0x20A8, 0x20A8.rom, .min, .max, .default of a LinMot, 06.042 of a Unidrive, 0x6041:0
-    /// (with a type 0x6041:0.u16, all subindices 0x1C12:ca) of a drive on EtherCAT, or a name.
+    /// As the drive's manual writes it: 0x20A8, 0x20A8.rom, .min, .max, .default of a LinMot, 06.042 of a Unidrive,
+    /// 0x6041:0 (with a type 0x6041:0.u16, all subindices 0x1C12:ca) of a drive on EtherCAT, or a name.
     address: String,
     /// Print one JSON object.
     #[arg(long)]
@@ -101,8 +101,8 @@ struct Get {
 struct Set {
     #[command(flatten)]
     drive: Drive,
-    /// As the drive's manual writes it: 0x20A8 (RAM), 0x20A8.rom, 0x20A8.both of a LinMot, 06.042 of a Unidrive, 0x6060:0 (with a
-    /// type 0x6060:0.i8) of a drive on EtherCAT, or a name.
+    /// As the drive's manual writes it: 0x20A8 (RAM), 0x20A8.rom, 0x20A8.both of a LinMot, 06.042 of a Unidrive,
+    /// 0x6060:0 (with a type 0x6060:0.i8) of a drive on EtherCAT, or a name.
     address: String,
     /// A whole number, or its bits as 0x....; with a point, 1500.0, a scaled one of a Unidrive.
     #[arg(allow_negative_numbers = true)]

@@ -1,5 +1,5 @@
-//! The way to one drive of a configuration: through the master that runs, or by one of its own that reads and moves nothing.
-//! Never beside a master that runs: a drive has one owner.
+//! The way to one drive of a configuration: through the master that runs, or by one of its own that reads and moves
+//! nothing. Never beside a master that runs: a drive has one owner.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -32,7 +32,8 @@ enum Way {
 }
 
 impl Reach {
-    /// The way to drive `drive` of `config`. What is wrong with the question itself says `check`: nothing was sent then.
+    /// The way to drive `drive` of `config`. What is wrong with the question itself says `check`: nothing was sent
+    /// then.
     pub fn open(
         config: &Path,
         drive: &str,

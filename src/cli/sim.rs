@@ -54,8 +54,8 @@ impl Sim {
     }
 }
 
-/// How the simulated drives of `plan` are served: below the loop, but above whatever else this computer does, and off the
-/// loop's core. No real drive waits for a compiler. Without the right it is an ordinary thread.
+/// How the simulated drives of `plan` are served: below the loop, but above whatever else this computer does, and off
+/// the loop's core. No real drive waits for a compiler. Without the right it is an ordinary thread.
 pub fn serving(plan: &Plan, core: Option<usize>) -> ServerOptions {
     let below = plan.cycle.priority.saturating_sub(10).max(1);
     ServerOptions {

@@ -127,8 +127,8 @@ fn pause(text: &str) -> Result<Duration, String> {
     Ok(pause)
 }
 
-/// What draws `text` over the one before, on a terminal of so many rows. It never scrolls: what has no room is left out, and
-/// the cursor has the last row.
+/// What draws `text` over the one before, on a terminal of so many rows. It never scrolls: what has no room is left
+/// out, and the cursor has the last row.
 fn screen(text: &str, rows: u16) -> String {
     let room = usize::from(rows).saturating_sub(1).max(1);
     let mut lines: Vec<&str> = text.lines().collect();

@@ -160,8 +160,8 @@ fn schedule(axis: &AxisPlan, period_ns: u64) -> String {
 #[derive(Clone, Copy, Debug)]
 struct Paced<'a> {
     axis: &'a AxisPlan,
-    /// For so many cycles behind the one that asked a reply counts, on a connection. `None`: there is none, and replies come
-    /// in the cycle that asks.
+    /// For so many cycles behind the one that asked a reply counts, on a connection. `None`: there is none, and replies
+    /// come in the cycle that asks.
     owed: Option<u64>,
 }
 
@@ -194,11 +194,11 @@ fn group<'a>(drive: &'a Paced<'a>, all: &'a [Paced<'a>]) -> impl Iterator<Item =
     })
 }
 
-/// A dead link stops axis `index` of `plan` and its group: at most so many cycles lie between the cycle that took in its last
-/// good reply and the one that has sent every stop request, as far as connections take them.
+/// A dead link stops axis `index` of `plan` and its group: at most so many cycles lie between the cycle that took in
+/// its last good reply and the one that has sent every stop request, as far as connections take them.
 ///
-/// `bucket` exchanges are missed first. Each is judged when its reply no longer counts, and the next one follows in its turn.
-/// The lost drive is then asked in the very next cycle, and each other member of the group in its own next turn.
+/// `bucket` exchanges are missed first. Each is judged when its reply no longer counts, and the next one follows in its
+/// turn. The lost drive is then asked in the very next cycle, and each other member of the group in its own next turn.
 pub fn stop_bound(plan: &Plan, index: usize) -> u64 {
     let all = paced(plan);
     all.get(index).map_or(0, |drive| bound(drive, &all))

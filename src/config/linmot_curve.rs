@@ -1,7 +1,8 @@
 //! A curve of a LinMot drive as a file: CSV with a head, a row each setpoint.
 //!
-//! Knows no drive. What was read from a drive and written to a file is the same to the last byte when it is read again. Numbers are written
-//! in the shortest form that gives back the same wire integer, and rounded to one where they are read.
+//! Knows no drive. What was read from a drive and written to a file is the same to the last byte when it is read again.
+//! Numbers are written in the shortest form that gives back the same wire integer, and rounded to one where they are
+//! read.
 //!
 //! ```csv
 //! # id = 5
@@ -37,8 +38,8 @@
 //! | `x_position_mm`, `position_mm` | 5 | 0.0001 |
 //! | `x_raw`, `y_raw` | any other | 1 |
 //!
-//! The drive keeps no x of a setpoint: setpoints are equidistant over the length. So the first column is there to be read
-//! and to be checked: rows that are not equidistant, to a twentieth of their distance, are mistakes.
+//! The drive keeps no x of a setpoint: setpoints are equidistant over the length. So the first column is there to be
+//! read and to be checked: rows that are not equidistant, to a twentieth of their distance, are mistakes.
 //!
 //! No CSV library reads this: two columns of numbers have no quotes, and a mistake has to name its line.
 

@@ -1,8 +1,8 @@
 //! The command table of a LinMot drive as a file: TOML, one `[[entry]]` each, values in user units.
 //!
-//! Knows no drive. A file says what the drive holds to the last byte: what was read from a drive and written to a file is
-//! the same when it is read again. Numbers are written in the shortest form that gives back the same wire integer, and
-//! rounded to one where they are read.
+//! Knows no drive. A file says what the drive holds to the last byte: what was read from a drive and written to a file
+//! is the same when it is read again. Numbers are written in the shortest form that gives back the same wire integer,
+//! and rounded to one where they are read.
 //!
 //! | key | meaning |
 //! |---|---|
@@ -24,11 +24,12 @@
 //! | `reserved` | zeros | the last 10 bytes of the entry |
 //! | `count` | `0` | the lowest 4 bits of the command's header |
 //!
-//! Commands and fields are named like the [constructors](crate::bus::linudp::motion::MotionCommand) and their arguments,
-//! commands with `-` for `_`: `vai-go-to` has `position`, `velocity`, `acceleration` and `deceleration`.
+//! Commands and fields are named like the [constructors](crate::bus::linudp::motion::MotionCommand) and their
+//! arguments, commands with `-` for `_`: `vai-go-to` has `position`, `velocity`, `acceleration` and `deceleration`.
 //!
-//! Of a command that is marked [`Assumed`](crate::bus::linudp::motion::Mark::Assumed) the sources are not certain: see what
-//! the drive makes of it before a machine relies on it. That holds for all branches but those that compare a masked word.
+//! Of a command that is marked [`Assumed`](crate::bus::linudp::motion::Mark::Assumed) the sources are not certain: see
+//! what the drive makes of it before a machine relies on it. That holds for all branches but those that compare a
+//! masked word.
 //!
 //! | fields | unit | smallest step |
 //! |---|---|---|

@@ -86,8 +86,8 @@
 //! | `parameter_queue` | `64` | room for acyclic calls |
 //! | `sample_queue` | `0` | room for the feedback of every cycle; 0 keeps only the newest |
 //!
-//! `[[group]]`, axes that act together: `name`, and `axes`, the names of its drives in the order of its rows. They share divisor,
-//! phase and stop group.
+//! `[[group]]`, axes that act together: `name`, and `axes`, the names of its drives in the order of its rows. They
+//! share divisor, phase and stop group.
 //!
 //! `protocol = "linudp-v2"`:
 //!
@@ -104,7 +104,8 @@
 //! | `simulate` | below | the drive when it is simulated |
 //!
 //! `protocol = "modbus-tcp"`, where a parameter is text that is known here, `"06.042"` or its
-//! [name](crate::bus::modbus::parameter::catalogue), or one with its size, `{ parameter = "18.011", bits = 32, decimals = 1 }`:
+//! [name](crate::bus::modbus::parameter::catalogue), or one with its size, `{ parameter = "18.011", bits = 32, decimals
+//! = 1 }`:
 //!
 //! | key | default | meaning |
 //! |---|---|---|
@@ -125,8 +126,8 @@
 //! | `no_drive_watchdog` | `"refuse"` | a drive with neither of them is not enabled, or that is `"accept"`ed |
 //! | `simulate` | below | the drive when it is simulated |
 //!
-//! `protocol = "ethercat"`, where an object is `"0x6041:0"`, its [name](crate::bus::ethercat::object::catalogue), or one with its
-//! type, `"0x3612:0.i32"`; numbers of identities and addresses may be text with `0x`, too:
+//! `protocol = "ethercat"`, where an object is `"0x6041:0"`, its [name](crate::bus::ethercat::object::catalogue), or
+//! one with its type, `"0x3612:0.i32"`; numbers of identities and addresses may be text with `0x`, too:
 //!
 //! | key | default | meaning |
 //! |---|---|---|
@@ -157,8 +158,8 @@
 //! | `home_method` | as the drive is set | method of homing (6098h) |
 //! | `simulate` | below | the drive when it is simulated |
 //!
-//! `[[bus.device]]` of `"ethercat"` is a slave that is no drive: `name`, `position`, `vendor`, `product`, `revision` (default `"any"`),
-//! `sync` (default `false`), `mailbox`, `check_sii`, `start_up` and `watchdog` as of a drive, and
+//! `[[bus.device]]` of `"ethercat"` is a slave that is no drive: `name`, `position`, `vendor`, `product`, `revision`
+//! (default `"any"`), `sync` (default `false`), `mailbox`, `check_sii`, `start_up` and `watchdog` as of a drive, and
 //!
 //! | key | default | meaning |
 //! |---|---|---|
@@ -304,8 +305,8 @@ pub fn duration(text: &str) -> Result<Duration, String> {
         .ok_or_else(|| "write a number with its unit: ns, us, ms, s, min or h, for example 10s".into())
 }
 
-/// The demo with so many LinMots, 1 ... 128, beside its Unidrives and its Kollmorgens, and this period. A period that no Kollmorgen
-/// takes, as 333 us, leaves them out.
+/// The demo with so many LinMots, 1 ... 128, beside its Unidrives and its Kollmorgens, and this period. A period that
+/// no Kollmorgen takes, as 333 us, leaves them out.
 pub fn demo_plan(drives: usize, period_ns: u64) -> Result<Plan, ConfigErrors> {
     if !(1..=128).contains(&drives) {
         return Err(whole_file(DEMO_FILE, None, format!("{drives} drives: the demo has 1 to 128")));
@@ -313,9 +314,10 @@ pub fn demo_plan(drives: usize, period_ns: u64) -> Result<Plan, ConfigErrors> {
     parse(&demo_text(drives, period_ns), DEMO_FILE)
 }
 
-/// The demo's file up to its first drive, with the period replaced, then as many drives as wanted: all that they share stands
-/// in `[bus.defaults]`. In a cycle too fast for its streaming command a drive is due every few cycles only. Behind them the bus
-/// of the Unidrives, with exchanges as many milliseconds apart as in the file, and the line of the Kollmorgens as it is.
+/// The demo's file up to its first drive, with the period replaced, then as many drives as wanted: all that they share
+/// stands in `[bus.defaults]`. In a cycle too fast for its streaming command a drive is due every few cycles only.
+/// Behind them the bus of the Unidrives, with exchanges as many milliseconds apart as in the file, and the line of the
+/// Kollmorgens as it is.
 fn demo_text(drives: usize, period_ns: u64) -> String {
     const LINE: &str = "[[bus]]\nprotocol = \"ethercat\"";
     let head = DEMO.split("[[bus.drive]]").next().unwrap_or(DEMO);

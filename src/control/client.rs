@@ -60,8 +60,8 @@ pub enum AskError {
     Refused(String),
 }
 
-/// Asks the master at `path` one question. It is this user's, root's, or that of whoever owns the directory. Its answer may
-/// be shown on a terminal as it is: no text in it has control characters but the end of a line.
+/// Asks the master at `path` one question. It is this user's, root's, or that of whoever owns the directory. Its answer
+/// may be shown on a terminal as it is: no text in it has control characters but the end of a line.
 pub fn ask(path: &Path, question: &Value) -> Result<Value, AskError> {
     Conversation::open(path)?.ask(question, PATIENCE)
 }
@@ -220,7 +220,8 @@ mod tests {
         fs::set_permissions(&directory, Permissions::from_mode(0o777)).unwrap();
         let place = path.clone();
         let thread = std::thread::spawn(move || {
-            // SAFETY: takes three numbers. The system call, unlike the function of that name, changes this thread alone.
+            // SAFETY: takes three numbers. The system call, unlike the function of that name, changes this thread
+            // alone.
             assert_eq!(unsafe { libc::syscall(libc::SYS_setresuid, nobody, nobody, nobody) }, 0);
             UnixListener::bind(place).unwrap()
         });

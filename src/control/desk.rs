@@ -14,8 +14,8 @@ const LOOK_EVERY: Duration = Duration::from_millis(1);
 /// The longest that one call may be given.
 const LONGEST: Duration = Duration::from_secs(600);
 
-/// What each call of a legacy gets, and for how long it is tried: a drive that saves to flash was met to be silent for 75 s and
-/// more (C1250), and is given four times that.
+/// What each call of a legacy gets, and for how long it is tried: a drive that saves to flash was met to be silent for
+/// 75 s and more (C1250), and is given four times that.
 const LEGACY_LIMIT: Duration = Duration::from_secs(20);
 const LEGACY_PATIENCE: Duration = Duration::from_secs(300);
 
@@ -85,8 +85,8 @@ impl Desk {
         })
     }
 
-    /// The conversation is over: carries out what it left to be done, while `go_on`. What it had claimed stays claimed until
-    /// then.
+    /// The conversation is over: carries out what it left to be done, while `go_on`. What it had claimed stays claimed
+    /// until then.
     pub fn end(&mut self, go_on: &dyn Fn() -> bool) {
         for place in &mut self.drives {
             let attended = Attended { acyclic: &place.acyclic, go_on };

@@ -1,5 +1,5 @@
-//! The control socket of a running master: a Unix socket in a directory of its owner, which answers questions from other
-//! processes. One JSON object a line, each way. Normal threads only; the loop knows nothing of it.
+//! The control socket of a running master: a Unix socket in a directory of its owner, which answers questions from
+//! other processes. One JSON object a line, each way. Normal threads only; the loop knows nothing of it.
 //!
 //! | file | what |
 //! |---|---|

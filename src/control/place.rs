@@ -12,8 +12,8 @@ const SERVICE: &str = "/run/fieldbeat";
 /// Where the directories of logins are, each named by the number of its user (`XDG_RUNTIME_DIR` by systemd-logind).
 const LOGINS: &str = "/run/user";
 
-/// The directory for the sockets of this process: that of the service, that of the user's login, or one of its own in the
-/// directory for temporary files.
+/// The directory for the sockets of this process: that of the service, that of the user's login, or one of its own in
+/// the directory for temporary files.
 fn own() -> PathBuf {
     let of = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
     of("RUNTIME_DIRECTORY")
@@ -53,8 +53,8 @@ pub fn prepare(config: Option<&Path>) -> io::Result<PathBuf> {
     Ok(directory.join(config.map_or_else(|| "demo.sock".to_owned(), name)))
 }
 
-/// Whether `directory` is this user's and nobody else may put a socket into it. One of the service manager may be open for
-/// reading: the sockets themselves are not.
+/// Whether `directory` is this user's and nobody else may put a socket into it. One of the service manager may be open
+/// for reading: the sockets themselves are not.
 fn is_own(directory: &Path) -> bool {
     owner(directory) == Some(nix::unistd::geteuid().as_raw())
 }
@@ -79,8 +79,8 @@ fn of_all_users(logins: &Path, temporary: &Path) -> Vec<PathBuf> {
     all.map(|(_, directory)| directory).collect()
 }
 
-/// The sockets that a question may be meant for, living or dead: that of `config`, or all there are. Those of this user and
-/// of the service; root finds those of all users.
+/// The sockets that a question may be meant for, living or dead: that of `config`, or all there are. Those of this user
+/// and of the service; root finds those of all users.
 pub fn find(config: Option<&Path>) -> Vec<PathBuf> {
     // In a directory of somebody else, somebody else would answer. That of the service is made by root.
     let mut directories: Vec<PathBuf> =

@@ -46,8 +46,8 @@ pub enum ServeError {
     },
 }
 
-/// A control socket that is answered. Dropping it removes the socket; a conversation that is under way then breaks off, so
-/// that nobody who asks can hold up the end of the program.
+/// A control socket that is answered. Dropping it removes the socket; a conversation that is under way then breaks off,
+/// so that nobody who asks can hold up the end of the program.
 #[derive(Debug)]
 pub struct Server {
     path: PathBuf,
@@ -56,9 +56,9 @@ pub struct Server {
 }
 
 impl Server {
-    /// Answers at `path`, each conversation on a thread of its own, on which `prepare` runs first. What it answers to the
-    /// questions of a conversation says what `open` makes for it; that is dropped at its end. A socket that a dead process left
-    /// behind is replaced.
+    /// Answers at `path`, each conversation on a thread of its own, on which `prepare` runs first. What it answers to
+    /// the questions of a conversation says what `open` makes for it; that is dropped at its end. A socket that a dead
+    /// process left behind is replaced.
     pub fn start<A: Answering>(
         path: &Path,
         prepare: impl Fn() + Send + Sync + 'static,

@@ -1,5 +1,5 @@
-//! One conversation: a line each way, within a time that the other side cannot prolong. Neither side trusts the other to be
-//! quick, or to be itself.
+//! One conversation: a line each way, within a time that the other side cannot prolong. Neither side trusts the other
+//! to be quick, or to be itself.
 
 use std::io::{self, Read, Write};
 use std::os::fd::AsRawFd;

@@ -131,8 +131,8 @@ pub enum Flow {
 /// Wake-ups measured before the first cycle to choose the guard.
 const CALIBRATION_SLEEPS: u32 = 200;
 
-/// The numbers of a drive and of a bus are published once in so many executed cycles, the drives in turns: nobody reads them
-/// faster. At long periods once in so much time.
+/// The numbers of a drive and of a bus are published once in so many executed cycles, the drives in turns: nobody reads
+/// them faster. At long periods once in so much time.
 const NUMBERS_EVERY: u64 = 64;
 const NUMBERS_EVERY_NS: u64 = 100 * MS;
 
@@ -140,8 +140,8 @@ const NUMBERS_EVERY_NS: u64 = 100 * MS;
 const END_MARGIN_NS: u64 = 1_000 * MS;
 
 impl<C: Clock> Engine<C> {
-    /// An engine over open buses, one of which leads the grid if the plan names it. `names` are those of the axes and their
-    /// protocols, in slot order.
+    /// An engine over open buses, one of which leads the grid if the plan names it. `names` are those of the axes and
+    /// their protocols, in slot order.
     #[expect(clippy::too_many_arguments, reason = "the parts of the loop, put together in one place only")]
     pub fn new(
         clock: C,
@@ -199,8 +199,8 @@ impl<C: Clock> Engine<C> {
         }
     }
 
-    /// Adds the memory that the loop touches besides its rings and the engine itself, to be locked. What the in-loop task
-    /// has captured is its owner's to lock.
+    /// Adds the memory that the loop touches besides its rings and the engine itself, to be locked. What the in-loop
+    /// task has captured is its owner's to lock.
     pub fn memory(&self, regions: &mut Regions) {
         regions.add(&*self.slots);
         regions.add(&*self.seats);
@@ -251,7 +251,8 @@ impl<C: Clock> Engine<C> {
             self.clock.spin();
             now = self.clock.now();
         }
-        // A slot may begin late by half of its receive window. Later, and the drives would be charged for what is our own.
+        // A slot may begin late by half of its receive window. Later, and the drives would be charged for what is our
+        // own.
         let late = self.grid.passed(now, self.deadline_ns / 2);
         if late > 0 {
             self.pass_over(now, late, true);
@@ -341,8 +342,8 @@ impl<C: Clock> Engine<C> {
         if ended { Flow::End } else { Flow::Continue }
     }
 
-    /// Tells of an executed cycle. If it was late it is looked at, at the cost of a system call, what the kernel has counted
-    /// against this thread.
+    /// Tells of an executed cycle. If it was late it is looked at, at the cost of a system call, what the kernel has
+    /// counted against this thread.
     fn account(&mut self, mut record: CycleRecord) {
         self.was_late = record.lateness(self.late_ns, self.deadline_ns).is_some();
         if self.was_late {
@@ -476,7 +477,8 @@ impl<C: Clock> Engine<C> {
         }
     }
 
-    /// Passes over slots that cannot be executed any more: the loop woke too late for them, or the cycle before took too long.
+    /// Passes over slots that cannot be executed any more: the loop woke too late for them, or the cycle before took
+    /// too long.
     fn pass_over(&mut self, now: Time, count: u64, woke_late: bool) {
         // What a skipped slot owed comes with the next one that is executed, at the earliest.
         let next_ns = count.saturating_mul(self.plan.period_ns);

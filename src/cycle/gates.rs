@@ -1,8 +1,8 @@
-//! What keeps the members of a group together: a command of all waits at its gate until each member has it and may begin,
-//! and rows are taken by all members or by none.
+//! What keeps the members of a group together: a command of all waits at its gate until each member has it and may
+//! begin, and rows are taken by all members or by none.
 //!
-//! The application pushes one command into each member's queue. The loop may look between two pushes, so what it finds is
-//! held back until it is complete.
+//! The application pushes one command into each member's queue. The loop may look between two pushes, so what it finds
+//! is held back until it is complete.
 
 use super::seat::{Closed, Seat};
 use crate::axis::{Failure, Outcome, Ticket};

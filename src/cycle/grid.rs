@@ -1,5 +1,5 @@
-//! The time grid: `g_k = g_(k-1) + T + c_k`, computed and never re-based on "now". `c_k` is 0 unless a clock that is not ours
-//! leads the grid.
+//! The time grid: `g_k = g_(k-1) + T + c_k`, computed and never re-based on "now". `c_k` is 0 unless a clock that is
+//! not ours leads the grid.
 
 use crate::time::Time;
 

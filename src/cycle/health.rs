@@ -40,8 +40,8 @@ impl LinkHealth {
         self.link
     }
 
-    /// Whether an exchange is due in slot `index`: each of its own slots while it answers, one probe an interval while it
-    /// does not. A dead address would otherwise fill the shared socket's send buffer and starve the living.
+    /// Whether an exchange is due in slot `index`: each of its own slots while it answers, one probe an interval while
+    /// it does not. A dead address would otherwise fill the shared socket's send buffer and starve the living.
     pub fn is_due(&self, index: u64) -> bool {
         match self.link {
             Link::Unseen | Link::Lost => index >= self.next_probe,

@@ -8,7 +8,8 @@ use std::time::Duration;
 use crate::axis::{HeldBy, Load, StopHow, StopPlan, StopThen, StopTimeout, Verb};
 use crate::time::{Time, nanos};
 
-/// What is left for each rung after [`Ladder::hurry`], and for power off where nobody has answered for long: a probe or two.
+/// What is left for each rung after [`Ladder::hurry`], and for power off where nobody has answered for long: a probe or
+/// two.
 const HURRIED: Duration = Duration::from_millis(250);
 
 /// Where on the way down an axis is.
@@ -102,9 +103,9 @@ impl Ladder {
         matches!(self.rung, Rung::Holding | Rung::Off)
     }
 
-    /// A shutdown powers off whatever `then` says, since nobody will be there to hold the axis; but not before standstill,
-    /// and not a drive that alone holds its load. A drive that is off already is told so all the same: its control word would
-    /// stay high for good.
+    /// A shutdown powers off whatever `then` says, since nobody will be there to hold the axis; but not before
+    /// standstill, and not a drive that alone holds its load. A drive that is off already is told so all the same: its
+    /// control word would stay high for good.
     pub fn shut_down(&mut self, now: Time, powered: bool) {
         if self.keeps_power && powered {
             self.ending = true;
@@ -128,8 +129,8 @@ impl Ladder {
 
     /// One cycle on the ladder; returns the order to give when a new rung is reached.
     ///
-    /// While the drive is not heard, its time does not run: the probes carry the stop, and the first thing that it hears must
-    /// not be power off in mid-motion. Only a shutdown does not wait for ever.
+    /// While the drive is not heard, its time does not run: the probes carry the stop, and the first thing that it
+    /// hears must not be power off in mid-motion. Only a shutdown does not wait for ever.
     pub fn step(&mut self, now: Time, sight: Sight) -> Option<Verb> {
         let back = self.unheard.is_some() && sight.heard;
         self.unheard = if sight.heard { None } else { self.unheard.or(Some(now)) };

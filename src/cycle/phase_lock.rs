@@ -1,7 +1,7 @@
 //! Steers the grid after a clock that is not ours: a PI controller whose output is a small step of the next slot.
 //!
-//! The error is what the bus tells of a slot: where the other clock saw it, less where it shall be. It is free of our wake-up
-//! jitter, since the bus takes off how late its request left. A slot without an error steers nothing.
+//! The error is what the bus tells of a slot: where the other clock saw it, less where it shall be. It is free of our
+//! wake-up jitter, since the bus takes off how late its request left. A slot without an error steers nothing.
 
 /// The share of the error that a slot takes away.
 const PROPORTIONAL: f64 = 0.05;
@@ -134,7 +134,8 @@ mod tests {
 
     #[test]
     fn what_was_out_of_reach_for_long_leaves_nothing_behind() {
-        // Far beyond what steps of a hundredth of the period can follow: the error goes round and round. Then it is right.
+        // Far beyond what steps of a hundredth of the period can follow: the error goes round and round. Then it is
+        // right.
         let mut lock = PhaseLock::new(MS);
         let wild = Beside { period_ns: MS, ppm: 50_000.0, phase_ns: 0 };
         let mut grid = 0;

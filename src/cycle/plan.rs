@@ -59,16 +59,16 @@ impl Plan {
         channels.collect()
     }
 
-    /// How many records the loop makes in a cycle, at most: one a drive, one more of a drive that shows something besides, one of
-    /// the bus whose clock leads, and one of its own.
+    /// How many records the loop makes in a cycle, at most: one a drive, one more of a drive that shows something
+    /// besides, one of the bus whose clock leads, and one of its own.
     pub fn records_a_cycle(&self) -> usize {
         let monitored = self.monitored();
         let showing = monitored.iter().filter(|channels| channels.iter().any(Option::is_some));
         monitored.len() + showing.count() + usize::from(self.cycle.reference.is_some()) + 1
     }
 
-    /// Whether this plan can work: contradictions, and what would be found out only by a machine that does not stop. A file is
-    /// held to more than that while it is read.
+    /// Whether this plan can work: contradictions, and what would be found out only by a machine that does not stop. A
+    /// file is held to more than that while it is read.
     pub fn check(&self) -> Result<(), PlanErrors> {
         let mut errors = Vec::new();
         if !(50 * US..=S).contains(&self.cycle.period_ns) {
@@ -172,8 +172,8 @@ impl Plan {
         })
     }
 
-    /// This plan with the drive of axis `name` only, to move it: the cycle is as it was. A drive that is found running is
-    /// left alone. `None`: there is no such axis, or it cannot be reached alone.
+    /// This plan with the drive of axis `name` only, to move it: the cycle is as it was. A drive that is found running
+    /// is left alone. `None`: there is no such axis, or it cannot be reached alone.
     pub fn alone(&self, name: &str) -> Option<Plan> {
         let (bus, index) = self.find(name)?;
         Some(Plan {
@@ -188,8 +188,8 @@ impl Plan {
         })
     }
 
-    /// The least of this plan that reaches the drive of axis `name`: for acyclic access alone, on an ordinary thread, which may
-    /// be as late as it likes. Nothing is to be moved by it. `None` as of [`alone`](Self::alone).
+    /// The least of this plan that reaches the drive of axis `name`: for acyclic access alone, on an ordinary thread,
+    /// which may be as late as it likes. Nothing is to be moved by it. `None` as of [`alone`](Self::alone).
     pub fn reaching(&self, name: &str) -> Option<Plan> {
         let plan = self.alone(name)?;
         let cycle = CyclePlan {
@@ -285,8 +285,8 @@ pub struct CyclePlan {
     pub memory: Memory,
     /// Longest the in-loop task may run, ns; over it is a stop. `None` = no budget.
     pub task_budget_ns: Option<u64>,
-    /// Longest the application may be silent while an axis is enabled, ns; longer is a stop of all axes that are. `None` =
-    /// nobody watches.
+    /// Longest the application may be silent while an axis is enabled, ns; longer is a stop of all axes that are.
+    /// `None` = nobody watches.
     pub heartbeat_ns: Option<u64>,
     /// A cycle is late that begins, or spends in a stage, more than this, ns. `None` = a tenth of the period.
     pub late_ns: Option<u64>,
@@ -307,8 +307,8 @@ impl CyclePlan {
 }
 
 impl Default for CyclePlan {
-    /// 1 kHz, SCHED_FIFO 80 if it can be had, no guard, replies until half of the period by poll, up to 10 slots skipped
-    /// in a row.
+    /// 1 kHz, SCHED_FIFO 80 if it can be had, no guard, replies until half of the period by poll, up to 10 slots
+    /// skipped in a row.
     fn default() -> CyclePlan {
         CyclePlan {
             period_ns: MS,

@@ -1,6 +1,6 @@
-//! What the loop tells the telemetry thread: fixed-size records through a ring, one a drive, a second one of a drive that
-//! shows variables besides, one of the clock that leads the grid, if it is not ours, and one a cycle. A full ring loses records, never truth: the counts and extremes that the loop
-//! keeps itself are exact, and the loss is counted.
+//! What the loop tells the telemetry thread: fixed-size records through a ring, one a drive, a second one of a drive
+//! that shows variables besides, one of the clock that leads the grid, if it is not ours, and one a cycle. A full ring
+//! loses records, never truth: the counts and extremes that the loop keeps itself are exact, and the loss is counted.
 
 use std::num::NonZeroU32;
 
@@ -277,8 +277,8 @@ impl Lateness {
 }
 
 impl CycleRecord {
-    /// Whether this cycle is late, by more than `late_ns`, with replies taken until `deadline_ns` after the grid point. The
-    /// longest of its delays is named: the others follow from it.
+    /// Whether this cycle is late, by more than `late_ns`, with replies taken until `deadline_ns` after the grid point.
+    /// The longest of its delays is named: the others follow from it.
     pub fn lateness(&self, late_ns: u64, deadline_ns: u64) -> Option<Lateness> {
         let wake_ns = u64::from(self.wake_ns);
         let mut worst = (wake_ns > late_ns).then_some(Lateness::Wake(wake_ns));

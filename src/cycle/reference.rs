@@ -1,4 +1,5 @@
-//! The bus whose clock leads the grid: its phase error is asked for once an executed cycle, and the next slot is laid after it.
+//! The bus whose clock leads the grid: its phase error is asked for once an executed cycle, and the next slot is laid
+//! after it.
 
 use super::phase_lock::PhaseLock;
 use super::record::ReferenceRecord;
@@ -59,7 +60,8 @@ impl Reference {
         self.status
     }
 
-    /// The executed cycle `index` was so far from where it shall be, if it is known. The step of the next slot is in the record.
+    /// The executed cycle `index` was so far from where it shall be, if it is known. The step of the next slot is in
+    /// the record.
     pub fn take(&mut self, index: u64, error_ns: Option<i64>) -> ReferenceRecord {
         // No bus tells more; the record has no room for it.
         let error_ns = error_ns.map(|error| error.clamp(-self.half_ns, self.half_ns));

@@ -44,8 +44,8 @@ pub struct Status {
 /// How the grid follows the clock of the bus that the plan names as its reference.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ReferenceStatus {
-    /// The grid is locked: 50 errors in a row were within a hundredth of the period, or 5 us if that is more, and since then
-    /// neither were three in a row beyond four times that, nor were 100 executed cycles in a row without one.
+    /// The grid is locked: 50 errors in a row were within a hundredth of the period, or 5 us if that is more, and since
+    /// then neither were three in a row beyond four times that, nor were 100 executed cycles in a row without one.
     pub locked: bool,
     /// Times that the lock was lost.
     pub losses: u64,
@@ -210,8 +210,8 @@ pub struct DriveNumbers {
     pub monitor: [Option<Extent>; MONITOR_CHANNELS],
 }
 
-/// Words of the counts and times of a drive. The protocol's own counts follow, one that says which channels are seen, and
-/// three of each channel.
+/// Words of the counts and times of a drive. The protocol's own counts follow, one that says which channels are seen,
+/// and three of each channel.
 const COUNTS: usize = 16;
 const SEEN: usize = COUNTS + OWN_COUNTERS;
 
@@ -413,7 +413,8 @@ pub struct Numbers {
     pub clocks: Vec<Option<BusClock>>,
     /// What takes part without being a drive, in the order of the plan.
     pub devices: Vec<DeviceEnd>,
-    /// Page faults and involuntary switches of the loop's thread while it ran; `None` before its end, and in virtual time.
+    /// Page faults and involuntary switches of the loop's thread while it ran; `None` before its end, and in virtual
+    /// time.
     pub page_faults: Option<u64>,
     /// See `page_faults`.
     pub involuntary_switches: Option<u64>,

@@ -55,15 +55,15 @@ impl<'a> Axes<'a> {
         Ok(id)
     }
 
-    /// The velocity of axis `index` at its next exchange, user units/s, while it runs [`Verb::Velocity`] or [`Verb::Jog`]; to be
-    /// given again before it is too old.
+    /// The velocity of axis `index` at its next exchange, user units/s, while it runs [`Verb::Velocity`] or
+    /// [`Verb::Jog`]; to be given again before it is too old.
     pub fn set_velocity(&mut self, index: usize, velocity: f64) -> Result<(), Failure> {
         let seat = self.seats.get_mut(index).ok_or(Failure::Unsupported("there is no such axis"))?;
         seat.velocity_from_task(self.cycle.index, velocity)
     }
 
-    /// The torque of axis `index` at its next exchange, per cent of the rated torque, while it runs [`Verb::Torque`]; to be
-    /// given again before it is too old.
+    /// The torque of axis `index` at its next exchange, per cent of the rated torque, while it runs [`Verb::Torque`];
+    /// to be given again before it is too old.
     pub fn set_torque(&mut self, index: usize, torque: f64) -> Result<(), Failure> {
         let seat = self.seats.get_mut(index).ok_or(Failure::Unsupported("there is no such axis"))?;
         seat.torque_from_task(self.cycle.index, torque)

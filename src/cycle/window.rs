@@ -1,7 +1,7 @@
 //! The receive window: takes replies in until every owed exchange is closed or the deadline has passed.
 //!
-//! Waiting by poll costs two system calls a look. A look for every reply would be far too many with 64 drives, so after the
-//! first replies came in, the window sleeps once for as long as the rest usually takes, and then looks again.
+//! Waiting by poll costs two system calls a look. A look for every reply would be far too many with 64 drives, so after
+//! the first replies came in, the window sleeps once for as long as the rest usually takes, and then looks again.
 
 use super::plan::Wait;
 use crate::bus::{Bus, Cycle, Slot};

@@ -1,6 +1,7 @@
 //! Clocks and timers, and the host that this one may run on.
 //!
-//! Sources: Documentation/timers/timekeeping.rst, vdso(7), proc_stat(5), Documentation/ABI/testing/sysfs-devices-clocksource.
+//! Sources: Documentation/timers/timekeeping.rst, vdso(7), proc_stat(5),
+//! Documentation/ABI/testing/sysfs-devices-clocksource.
 
 use std::io::ErrorKind;
 

@@ -1,4 +1,5 @@
-//! The core of the loop, and who else is on it: isolation, ticks, RCU, other real-time threads, the hyper-thread beside it.
+//! The core of the loop, and who else is on it: isolation, ticks, RCU, other real-time threads, the hyper-thread beside
+//! it.
 //!
 //! Sources: Documentation/admin-guide/kernel-parameters.txt (isolcpus, nohz_full, rcu_nocbs), cpu-isolation of cpusets
 //! in cgroup-v2.rst, Documentation/ABI/testing/sysfs-devices-system-cpu.

@@ -1,4 +1,5 @@
-//! Settings of a network interface, asked by the ioctl that ethtool(8) uses (linux/ethtool.h, netdevice(7)). It only reads.
+//! Settings of a network interface, asked by the ioctl that ethtool(8) uses (linux/ethtool.h, netdevice(7)). It only
+//! reads.
 
 use std::io;
 use std::os::fd::AsRawFd;
@@ -73,9 +74,9 @@ fn ask<const WORDS: usize>(interface: &str, mut data: [u32; WORDS]) -> io::Resul
     let mut request = Request { name, data: data.as_mut_ptr(), rest: Default::default() };
     // Any socket will do (netdevice(7)).
     let socket = socket(AddressFamily::Inet, SockType::Datagram, SockFlag::SOCK_CLOEXEC, None)?;
-    // SAFETY: `request` has the layout of struct ifreq, and its name ends with a zero. For the commands of this file the
-    // kernel reads and writes behind its pointer the structure of that command, which is as long as `data`: two words, or
-    // the 23 of ethtool_coalesce.
+    // SAFETY: `request` has the layout of struct ifreq, and its name ends with a zero. For the commands of this file
+    // the kernel reads and writes behind its pointer the structure of that command, which is as long as `data`: two
+    // words, or the 23 of ethtool_coalesce.
     match unsafe { libc::ioctl(socket.as_raw_fd(), SIOCETHTOOL as _, &raw mut request) } {
         0 => Ok(data),
         _ => Err(io::Error::last_os_error()),

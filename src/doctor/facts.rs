@@ -1,5 +1,5 @@
-//! What this host tells: files below a root directory, so that a test can hand in a made-up one, and the few things that
-//! are no files. Reads, and judges nothing.
+//! What this host tells: files below a root directory, so that a test can hand in a made-up one, and the few things
+//! that are no files. Reads, and judges nothing.
 
 use std::fs;
 use std::io;

@@ -1,6 +1,7 @@
 //! How the kernel schedules: preemption, what real-time threads may take of a core, and settings of sysctl(8).
 //!
-//! Sources: sched(7); Documentation/scheduler/sched-rt-group.rst, Documentation/admin-guide/sysctl/kernel.rst and vm.rst.
+//! Sources: sched(7); Documentation/scheduler/sched-rt-group.rst, Documentation/admin-guide/sysctl/kernel.rst and
+//! vm.rst.
 
 use std::io::ErrorKind;
 

@@ -13,12 +13,12 @@
 //!
 //! # Ready or not
 //!
-//! A host is **not ready** if one finding is [`Verdict::Bad`]: the master would refuse to start, would not be real-time, or
-//! would fail for certain. That is a right that is missing (unless `realtime = "off"`), a control group without real-time
-//! budget, a plan that starves its core, a core or an address that does not exist, a clock that is slow to read, and, if it
-//! was measured, a share of late cycles above the wanted one. [`Verdict::Poor`] is advice; a kernel without PREEMPT_RT is
-//! poor and not bad, as it bounds nothing but refuses nothing either: measure. What cannot be told is [`Verdict::Unknown`]
-//! and refuses nothing.
+//! A host is **not ready** if one finding is [`Verdict::Bad`]: the master would refuse to start, would not be
+//! real-time, or would fail for certain. That is a right that is missing (unless `realtime = "off"`), a control group
+//! without real-time budget, a plan that starves its core, a core or an address that does not exist, a clock that is
+//! slow to read, and, if it was measured, a share of late cycles above the wanted one. [`Verdict::Poor`] is advice; a
+//! kernel without PREEMPT_RT is poor and not bad, as it bounds nothing but refuses nothing either: measure. What cannot
+//! be told is [`Verdict::Unknown`] and refuses nothing.
 
 mod clock;
 mod core;
@@ -84,9 +84,9 @@ impl Subject {
     }
 }
 
-/// Looks at this host. Takes a fraction of a second: a thread of its own tries the core and the priority for a moment, and
-/// the memory lock that the plan asks for is taken and let go, with all other locks of this process; so not in a process
-/// whose loop is running.
+/// Looks at this host. Takes a fraction of a second: a thread of its own tries the core and the priority for a moment,
+/// and the memory lock that the plan asks for is taken and let go, with all other locks of this process; so not in a
+/// process whose loop is running.
 pub fn examine(subject: &Subject) -> Vec<Finding> {
     judge(&facts::Facts::of_this_host(subject), subject)
 }

@@ -1,5 +1,5 @@
-//! The way to the drives of a bus: its interface, neighbour entries, socket buffers, connection tracking. A bus without IP has an
-//! interface for itself, and nothing else.
+//! The way to the drives of a bus: its interface, neighbour entries, socket buffers, connection tracking. A bus without
+//! IP has an interface for itself, and nothing else.
 //!
 //! Sources: arp(7), socket(7), ip-neighbour(8), Documentation/networking/nf_conntrack-sysctl.rst.
 

@@ -31,8 +31,8 @@ pub(super) fn check_ip(facts: &Facts, bus: &str, name: &str) -> Option<Finding> 
     facts.probes.nic(name).map(|nic| offloads(bus, name, nic))
 }
 
-/// The interrupts of an interface that are in use. Those of a virtio device belong to the PCI device above it; a VLAN, bond
-/// or bridge has those of the interfaces below it.
+/// The interrupts of an interface that are in use. Those of a virtio device belong to the PCI device above it; a VLAN,
+/// bond or bridge has those of the interfaces below it.
 fn interrupts(root: &Root, name: &str) -> Vec<u32> {
     let device = format!("sys/class/net/{name}/device");
     let numbers = |directory: &str| -> Vec<u32> {

@@ -9,8 +9,8 @@ use super::{Finding, Subject, Verdict};
 use crate::rt::host;
 use crate::time::Ns;
 
-/// What the doctor says. Serialised, its keys are stable; values are in ns unless the key says otherwise; what is not known
-/// is null.
+/// What the doctor says. Serialised, its keys are stable; values are in ns unless the key says otherwise; what is not
+/// known is null.
 #[derive(Clone, Debug, Serialize)]
 pub struct Report {
     /// No finding is bad.

@@ -1,7 +1,7 @@
 //! Quantiles of samples taken in slices, and their ratios, each with a bootstrap interval.
 //!
-//! Values of one slice are not independent of each other: whatever disturbed the machine disturbed many of them. So whole
-//! slices are resampled, and those of two rivals that ran in the same round together.
+//! Values of one slice are not independent of each other: whatever disturbed the machine disturbed many of them. So
+//! whole slices are resampled, and those of two rivals that ran in the same round together.
 //!
 //! A ratio is the median of the rounds' ratios: a shared machine is in one mood for a second and in another one for the
 //! next, and in one round both rivals met the same. Pooled medians would compare the moods instead.
@@ -87,9 +87,9 @@ impl Sample {
         interval(value, || pool.quantile(q, &draw(&mut random, self.0.len())))
     }
 
-    /// The quantile `q` of these values as a share of that of `rival`: the median of the rounds' ratios, or, where one slice
-    /// alone does not support the quantile, that of all slices together. `None` if it is not supported at all, or the two did
-    /// not run in the same rounds.
+    /// The quantile `q` of these values as a share of that of `rival`: the median of the rounds' ratios, or, where one
+    /// slice alone does not support the quantile, that of all slices together. `None` if it is not supported at all, or
+    /// the two did not run in the same rounds.
     pub fn ratio(&self, rival: &Sample, q: f64) -> Option<Interval> {
         if self.0.len() != rival.0.len() || self.0.is_empty() {
             return None;

@@ -18,8 +18,8 @@ pub trait Frames: Send {
     /// Hands a frame to the wire; when it was begun. An error: it was not sent.
     fn send(&mut self, frame: &[u8]) -> Result<Time, Unsent>;
 
-    /// Takes in one frame: when, and how many bytes it has; `None`: there is none. One that is longer than `room` is cut off, and
-    /// its length says so.
+    /// Takes in one frame: when, and how many bytes it has; `None`: there is none. One that is longer than `room` is
+    /// cut off, and its length says so.
     fn receive(&mut self, room: &mut [u8]) -> Option<(Time, usize)>;
 
     /// Now, by the clock of its stamps.
@@ -33,7 +33,8 @@ pub trait Frames: Send {
         0
     }
 
-    /// Who knows what was dropped of what arrived, for normal threads; `None`: a carrier that drops nothing without a word.
+    /// Who knows what was dropped of what arrived, for normal threads; `None`: a carrier that drops nothing without a
+    /// word.
     fn dropped(&self) -> Option<Arc<dyn Dropped>> {
         None
     }
@@ -42,8 +43,8 @@ pub trait Frames: Send {
     fn memory(&self, regions: &mut Regions);
 }
 
-/// What a carrier dropped of what arrived, because nobody took it in soon enough. To be asked by normal threads: it may be a system
-/// call.
+/// What a carrier dropped of what arrived, because nobody took it in soon enough. To be asked by normal threads: it may
+/// be a system call.
 pub trait Dropped: Debug + Send + Sync {
     /// All frames since the beginning.
     fn count(&self) -> u64;

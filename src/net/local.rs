@@ -1,8 +1,8 @@
 //! A line on this host without an interface: whole Ethernet frames as datagrams between Unix sockets (unix(7)).
 //!
-//! The line of `local:NAME` listens at the abstract address `fieldbeat-local/NAME` of its network namespace; a master has an address
-//! of its own, by which it gets its frames back. Nobody needs any right for it, and nothing is left behind in the file system. A line
-//! that is not there yet, or no more, is like an interface that is down.
+//! The line of `local:NAME` listens at the abstract address `fieldbeat-local/NAME` of its network namespace; a master
+//! has an address of its own, by which it gets its frames back. Nobody needs any right for it, and nothing is left
+//! behind in the file system. A line that is not there yet, or no more, is like an interface that is down.
 
 use std::io;
 use std::mem::{offset_of, zeroed};

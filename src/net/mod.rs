@@ -1,7 +1,7 @@
 //! Sockets and file descriptors, and nothing of any protocol.
 //!
-//! A bus speaks to a carrier through [`Datagrams`], [`Streams`] or [`Frames`]; the carrier stamps what it sends and takes in, so that the
-//! same bus runs over real sockets and in virtual time.
+//! A bus speaks to a carrier through [`Datagrams`], [`Streams`] or [`Frames`]; the carrier stamps what it sends and
+//! takes in, so that the same bus runs over real sockets and in virtual time.
 //!
 //! | file | what |
 //! |---|---|
@@ -58,8 +58,8 @@ pub trait Datagrams: Send {
     /// The most datagrams that one `receive` takes.
     fn batch(&self) -> usize;
 
-    /// How many datagrams arrived and were dropped, since those before them had not been taken in. Those behind the last one that
-    /// was taken in may be told with the next one. A carrier that is not said to drop any drops none.
+    /// How many datagrams arrived and were dropped, since those before them had not been taken in. Those behind the
+    /// last one that was taken in may be told with the next one. A carrier that is not said to drop any drops none.
     fn dropped(&self) -> u64 {
         0
     }
@@ -83,9 +83,9 @@ pub trait Carriers {
     ///
     /// # Errors
     ///
-    /// [`NotFound`](io::ErrorKind::NotFound): there is no such interface. [`PermissionDenied`](io::ErrorKind::PermissionDenied): the
-    /// right for raw frames is missing. An interface that is down is no error: to send on it is
-    /// [`Down`](frames::Unsent::Down).
+    /// [`NotFound`](io::ErrorKind::NotFound): there is no such interface.
+    /// [`PermissionDenied`](io::ErrorKind::PermissionDenied): the right for raw frames is missing. An interface that is
+    /// down is no error: to send on it is [`Down`](frames::Unsent::Down).
     fn frames(&self, _interface: &str, _ethertype: u16) -> io::Result<Box<dyn Frames>> {
         Err(io::ErrorKind::Unsupported.into())
     }
@@ -118,7 +118,8 @@ pub enum SendMode {
 
 /// The operating system's own carriers.
 ///
-/// The first one with connections starts the link thread; all from one `Os` share it, and it ends with the last of them.
+/// The first one with connections starts the link thread; all from one `Os` share it, and it ends with the last of
+/// them.
 #[derive(Debug, Default)]
 pub struct Os {
     core_of_loop: Option<usize>,

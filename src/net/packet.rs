@@ -1,9 +1,10 @@
 //! Ethernet frames of one Ethertype on a real interface: AF_PACKET behind [`Frames`] (packet(7)).
 //!
-//! The socket is bound to the Ethertype and the interface, so that the kernel hands over no other frame; it does not hear what
-//! it sends itself (PACKET_IGNORE_OUTGOING), and what it sends goes by the driver's queue alone (PACKET_QDISC_BYPASS). It needs
-//! CAP_NET_RAW. What the kernel drops because nobody took it in, it counts (PACKET_STATISTICS); it is asked by normal threads only. When
-//! the interface goes down it stays bound, and goes on when that comes back; not so if it is removed.
+//! The socket is bound to the Ethertype and the interface, so that the kernel hands over no other frame; it does not
+//! hear what it sends itself (PACKET_IGNORE_OUTGOING), and what it sends goes by the driver's queue alone
+//! (PACKET_QDISC_BYPASS). It needs CAP_NET_RAW. What the kernel drops because nobody took it in, it counts
+//! (PACKET_STATISTICS); it is asked by normal threads only. When the interface goes down it stays bound, and goes on
+//! when that comes back; not so if it is removed.
 
 use std::ffi::CString;
 use std::io;
@@ -75,8 +76,8 @@ impl Packet {
     ///
     /// # Errors
     ///
-    /// [`NotFound`](io::ErrorKind::NotFound): there is no such interface; [`PermissionDenied`](io::ErrorKind::PermissionDenied): no
-    /// CAP_NET_RAW; others of the operating system.
+    /// [`NotFound`](io::ErrorKind::NotFound): there is no such interface;
+    /// [`PermissionDenied`](io::ErrorKind::PermissionDenied): no CAP_NET_RAW; others of the operating system.
     pub fn open(interface: &str, ethertype: u16) -> io::Result<Packet> {
         let (index, name) = find(interface)?;
         let flags = libc::SOCK_RAW | libc::SOCK_NONBLOCK | libc::SOCK_CLOEXEC;

@@ -23,8 +23,8 @@ pub(super) fn switch_on(socket: &OwnedFd) -> io::Result<()> {
     if result < 0 { Err(io::Error::last_os_error()) } else { Ok(()) }
 }
 
-/// What has come, without waiting: when, and its bytes, of which `room` has as many as fit. Who sent it is written to `from`, with its
-/// length.
+/// What has come, without waiting: when, and its bytes, of which `room` has as many as fit. Who sent it is written to
+/// `from`, with its length.
 pub(super) fn receive<A>(
     socket: &OwnedFd,
     room: &mut [u8],

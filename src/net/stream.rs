@@ -14,12 +14,13 @@ use crate::time::{MS, S, Time};
 
 /// A carrier of connections to fixed peers on the real-time thread: never waits, never allocates.
 pub trait Streams: Send {
-    /// The descriptor that is readable while something waits to be received on any of them, and while a broken one has not been
-    /// given up. Asked anew before each wait: that of an only connection is its own. `None`: nothing can be waited for at
-    /// present.
+    /// The descriptor that is readable while something waits to be received on any of them, and while a broken one has
+    /// not been given up. Asked anew before each wait: that of an only connection is its own. `None`: nothing can be
+    /// waited for at present.
     fn fd(&self) -> Option<RawFd>;
 
-    /// Takes over a connection that became ready since, if there is one: nothing of an earlier connection to that peer is left.
+    /// Takes over a connection that became ready since, if there is one: nothing of an earlier connection to that peer
+    /// is left.
     fn opened(&mut self) -> Option<usize>;
 
     /// Looks which connections have something to receive, a bounded number; then [`ready`](Self::ready) names them.
@@ -64,8 +65,8 @@ pub struct StreamPeer {
     pub connect_ns: u64,
     /// The longest that the greeting may take, ns.
     pub greeting_ns: u64,
-    /// The pause after a first failure, ns; it doubles with each one in a row ... Each is shorter by up to an eighth, for each
-    /// peer another one, so that many that died together are not asked together.
+    /// The pause after a first failure, ns; it doubles with each one in a row ... Each is shorter by up to an eighth,
+    /// for each peer another one, so that many that died together are not asked together.
     pub least_pause_ns: u64,
     /// ... up to this. A connection that was in use for so long begins with the least pause again.
     pub most_pause_ns: u64,
@@ -90,8 +91,8 @@ impl StreamPeer {
     }
 }
 
-/// What a protocol says on a new connection before the loop has it: on a normal thread, without sockets or waits. What it
-/// finds out it shares with its station; the handing over of the connection orders both.
+/// What a protocol says on a new connection before the loop has it: on a normal thread, without sockets or waits. What
+/// it finds out it shares with its station; the handing over of the connection orders both.
 pub trait Greeting: Debug + Send {
     /// A connection was opened at `now`. Appends what is to be sent to `out`.
     fn begin(&mut self, now: Time, out: &mut Vec<u8>) -> Greeted;

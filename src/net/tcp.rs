@@ -1,12 +1,12 @@
 //! TCP connections on the real-time thread, behind [`Streams`].
 //!
-//! Two system calls a request and its reply, `sendto` and `recvfrom`, and one `epoll_wait` for all connections together; an only
-//! connection has no epoll and is waited for itself, which wakes the loop sooner. Sockets come from the link thread when they are
-//! ready and go back to it to be closed: nothing here opens, waits, closes or allocates.
+//! Two system calls a request and its reply, `sendto` and `recvfrom`, and one `epoll_wait` for all connections
+//! together; an only connection has no epoll and is waited for itself, which wakes the loop sooner. Sockets come from
+//! the link thread when they are ready and go back to it to be closed: nothing here opens, waits, closes or allocates.
 //!
 //! An epoll is this side's alone. The kernel guards it with a lock that may sleep: were the link thread to add a socket
-//! to it, a normal thread that is preempted just then would hold up the loop. So the loop adds a socket when it takes it over and
-//! removes it before it gives it back, one `epoll_ctl` a connection each.
+//! to it, a normal thread that is preempted just then would hold up the loop. So the loop adds a socket when it takes
+//! it over and removes it before it gives it back, one `epoll_ctl` a connection each.
 
 use std::io;
 use std::os::fd::{AsRawFd, OwnedFd, RawFd};
@@ -20,8 +20,8 @@ use super::stream::{Broken, LinkNotes, StreamPeer, Streams};
 use crate::rt::{MonotonicClock, Regions};
 use crate::time::Time;
 
-/// Connections to fixed peers. Dropped when the loop has ended: what it has open then it closes in order, so that the last
-/// outputs arrive.
+/// Connections to fixed peers. Dropped when the loop has ended: what it has open then it closes in order, so that the
+/// last outputs arrive.
 #[derive(Debug)]
 pub struct Tcp {
     /// `None`: an only connection is asked itself.
@@ -137,7 +137,8 @@ impl Streams for Tcp {
     fn abandon(&mut self, index: usize, why: &'static str) {
         if let Some(socket) = self.sockets.get_mut(index).and_then(Option::take) {
             if let Some(epoll) = &self.epoll {
-                // Removed here, so that the end of the connection wakes up the loop no more. It was added: this cannot fail.
+                // Removed here, so that the end of the connection wakes up the loop no more. It was added: this cannot
+                // fail.
                 let _ = epoll.delete(&socket);
             }
             self.give_back(index, socket, why);

@@ -2,10 +2,10 @@
 //!
 //! Nothing here knows what the bytes mean. Nothing waits or allocates after the socket is open.
 //!
-//! What the kernel drops because the socket's buffer is full it counts, and it tells the count with each datagram that it took
-//! in since (SO_RXQ_OVFL, socket(7)). That costs two words a header, and nothing in the kernel until the first loss. To ask for
-//! the count (SO_MEMINFO) would be a system call more, and one more that the real-time thread may make, to learn of losses
-//! before the next datagram comes.
+//! What the kernel drops because the socket's buffer is full it counts, and it tells the count with each datagram that
+//! it took in since (SO_RXQ_OVFL, socket(7)). That costs two words a header, and nothing in the kernel until the first
+//! loss. To ask for the count (SO_MEMINFO) would be a system call more, and one more that the real-time thread may
+//! make, to learn of losses before the next datagram comes.
 
 use std::io;
 use std::mem::{MaybeUninit, size_of};
@@ -18,12 +18,12 @@ use nix::sys::socket::{setsockopt, sockopt};
 use super::{Datagrams, Outbox, Received, SendMode, Sent, UdpOptions};
 use crate::rt::{MonotonicClock, Regions};
 
-/// The most datagrams of one `sendmmsg`. The kernel takes 1024; 64 keep the arrays of a call within two pages, and the one
-/// stamp of a batch close to each of its messages.
+/// The most datagrams of one `sendmmsg`. The kernel takes 1024; 64 keep the arrays of a call within two pages, and the
+/// one stamp of a batch close to each of its messages.
 const SEND_BATCH: usize = 64;
 
-/// The most datagrams of one `recvmmsg`. Twice as many: at 256 drives that is two system calls a cycle less (`cargo bench
-/// --bench scale`).
+/// The most datagrams of one `recvmmsg`. Twice as many: at 256 drives that is two system calls a cycle less (`cargo
+/// bench --bench scale`).
 const RECEIVE_BATCH: usize = 128;
 
 /// What the kernel books for one small datagram besides its bytes: the packet's head and its descriptor (`truesize`,
@@ -79,12 +79,13 @@ const CONTROL: usize = unsafe { libc::CMSG_SPACE(size_of::<u32>() as libc::c_uin
 impl Udp {
     /// A socket bound to `bind`.
     ///
-    /// Its buffers are sized from `options`; the kernel silently clamps them to `net.core.wmem_max` and `rmem_max`. With the
-    /// usual 208 KiB, some 500 datagrams may wait.
+    /// Its buffers are sized from `options`; the kernel silently clamps them to `net.core.wmem_max` and `rmem_max`.
+    /// With the usual 208 KiB, some 500 datagrams may wait.
     ///
     /// # Errors
     ///
-    /// What `socket` and `bind` say: EADDRINUSE if another process has the address, EADDRNOTAVAIL if no interface has it.
+    /// What `socket` and `bind` say: EADDRINUSE if another process has the address, EADDRNOTAVAIL if no interface has
+    /// it.
     pub fn bind(bind: SocketAddrV4, options: &UdpOptions) -> io::Result<Udp> {
         let socket = UdpSocket::bind(bind)?;
         socket.set_nonblocking(true)?;
@@ -100,8 +101,8 @@ impl Udp {
 
     /// Takes up the kernel's count of what it dropped, if the newest datagram came with it.
     fn count_dropped(&mut self, newest: &libc::msghdr) {
-        // SAFETY: the header is one that the kernel filled in: it points to `Control`, of which so many bytes are filled.
-        // CMSG_FIRSTHDR is null if there is no whole message in them.
+        // SAFETY: the header is one that the kernel filled in: it points to `Control`, of which so many bytes are
+        // filled. CMSG_FIRSTHDR is null if there is no whole message in them.
         let message = unsafe { libc::CMSG_FIRSTHDR(newest).as_ref() };
         if let Some(message) = message
             && (message.cmsg_level, message.cmsg_type) == (libc::SOL_SOCKET, libc::SO_RXQ_OVFL)
@@ -113,8 +114,8 @@ impl Udp {
         }
     }
 
-    /// One `sendmmsg` for each [`SEND_BATCH`] posted messages. The messages of a batch are sent, or charged with their own
-    /// error; the call resumes behind a failing one. Each turn settles at least one message.
+    /// One `sendmmsg` for each [`SEND_BATCH`] posted messages. The messages of a batch are sent, or charged with their
+    /// own error; the call resumes behind a failing one. Each turn settles at least one message.
     fn send_batches(&mut self, outbox: &mut Outbox) {
         let mut next = 0;
         loop {
@@ -218,8 +219,8 @@ impl Datagrams for Udp {
             header.msg_hdr.msg_control = ptr::from_mut(&mut control).cast();
             header.msg_hdr.msg_controllen = CONTROL as _;
         }
-        // SAFETY: `batch` headers were written above; each points to an address, a slice and `control` on this stack frame,
-        // and each slice to a room of its own in `inbox`, which nothing else touches during the call.
+        // SAFETY: `batch` headers were written above; each points to an address, a slice and `control` on this stack
+        // frame, and each slice to a room of its own in `inbox`, which nothing else touches during the call.
         let count = unsafe {
             libc::recvmmsg(
                 self.socket.as_raw_fd(),

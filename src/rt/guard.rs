@@ -24,8 +24,8 @@ const CALIBRATION_NS: u64 = 100 * MS;
 /// The guard, and what it learns from.
 ///
 /// Constant time and memory: each wake-up later than the guard raises it by a twentieth, each other one lowers it by
-/// the 999th part of that, so that it rests where one in a thousand comes later (a stochastic approximation of the 99.9 %
-/// quantile, with steps in proportion as latencies span decades).
+/// the 999th part of that, so that it rests where one in a thousand comes later (a stochastic approximation of the 99.9
+/// % quantile, with steps in proportion as latencies span decades).
 #[derive(Clone, Debug)]
 pub struct GuardTuner {
     guard_ns: f64,
@@ -169,7 +169,8 @@ mod tests {
         let mut tuner = GuardTuner::auto(4 * MS);
         late_share(&mut tuner, &mut rng, 2_000.0, 100_000);
         let quiet = tuner.guard_ns();
-        // The host got ten times worse: with most wake-ups late at first, two seconds at 1 kHz bring it most of the way.
+        // The host got ten times worse: with most wake-ups late at first, two seconds at 1 kHz bring it most of the
+        // way.
         late_share(&mut tuner, &mut rng, 20_000.0, 2_000);
         assert!(tuner.guard_ns() > 4 * quiet, "{quiet} -> {}", tuner.guard_ns());
         late_share(&mut tuner, &mut rng, 2_000.0, 1_000);

@@ -73,9 +73,10 @@ pub struct Throttling {
 
 /// The throttling of real-time threads as set.
 ///
-/// Since Linux 6.12 it binds only kernels built with CONFIG_RT_GROUP_SCHED. On all of them each core has a "fair server"
-/// besides: by default 50 ms of every second for normal threads that real-time threads starve, which this setting does
-/// not switch off (/sys/kernel/debug/sched/fair_server). Either way a loop that never sleeps loses about 5 %.
+/// Since Linux 6.12 it binds only kernels built with CONFIG_RT_GROUP_SCHED. On all of them each core has a "fair
+/// server" besides: by default 50 ms of every second for normal threads that real-time threads starve, which this
+/// setting does not switch off (/sys/kernel/debug/sched/fair_server). Either way a loop that never sleeps loses about 5
+/// %.
 pub fn rt_throttling() -> Option<Throttling> {
     throttling_of(
         &line("/proc/sys/kernel/sched_rt_runtime_us")?,

@@ -42,8 +42,9 @@ const GROWTH_BYTES: u64 = 64 << 20;
 /// pages into a huge one unmaps them for a moment, and the loop would fault on them, locked or not.
 pub fn prepare_heap() {
     #[cfg(target_env = "gnu")]
-    // SAFETY: mallopt takes two integers. It is marked MT-Unsafe because a malloc of another thread may read a parameter
-    // while it is written: each is one aligned word, written under the arena's lock, and any of both values will do.
+    // SAFETY: mallopt takes two integers. It is marked MT-Unsafe because a malloc of another thread may read a
+    // parameter while it is written: each is one aligned word, written under the arena's lock, and any of both values
+    // will do.
     unsafe {
         libc::mallopt(libc::M_TRIM_THRESHOLD, -1);
         libc::mallopt(libc::M_MMAP_MAX, 0);
@@ -111,14 +112,16 @@ pub fn lock_process() -> Result<(), Denied> {
         .map_err(|errno| Denied::Call { call: "mlockall", error: errno.into() })
 }
 
-/// Undoes every lock of the process, those of [`Regions::lock`] too (munlockall(2)); for who only tries what a lock is worth.
+/// Undoes every lock of the process, those of [`Regions::lock`] too (munlockall(2)); for who only tries what a lock is
+/// worth.
 pub(crate) fn unlock_process() {
     // Cannot fail: it asks for no right.
     let _ = nix::sys::mman::munlockall();
 }
 
 /// The memory that the loop touches, for [`Memory::Own`](super::Memory::Own): collected while the loop is built, locked
-/// when it starts. What is freed or moved after it was added makes [`lock`](Self::lock) fail or lock too much, no worse.
+/// when it starts. What is freed or moved after it was added makes [`lock`](Self::lock) fail or lock too much, no
+/// worse.
 #[derive(Debug, Default)]
 pub struct Regions {
     /// Address and length in bytes.

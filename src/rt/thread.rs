@@ -1,8 +1,8 @@
 //! What the loop's thread does to itself before its first cycle: a core, SCHED_FIFO, locked and present memory; and how
 //! the other threads get out of its way.
 //!
-//! A thread of simulated drives takes of it what it needs. Knows nothing of cycles. All of it happens once, on the thread
-//! that it is about, and may allocate and read files.
+//! A thread of simulated drives takes of it what it needs. Knows nothing of cycles. All of it happens once, on the
+//! thread that it is about, and may allocate and read files.
 
 use std::ffi::c_int;
 use std::io;
@@ -31,8 +31,8 @@ pub struct RealtimePlan {
 }
 
 impl RealtimePlan {
-    /// The core that [`enter`] will pin the loop's thread to, for threads that start before it: the same one if it is asked by a
-    /// thread that may use the same cores.
+    /// The core that [`enter`] will pin the loop's thread to, for threads that start before it: the same one if it is
+    /// asked by a thread that may use the same cores.
     pub fn core_to_be(&self) -> Option<usize> {
         match self.realtime {
             Realtime::Off => self.core,
@@ -124,8 +124,8 @@ pub fn enter(plan: &RealtimePlan, own: &Regions) -> Result<Granted, RealtimeErro
     Ok(Granted { policy, priority, core, memory_locked, missing })
 }
 
-/// Leaves all signals to the other threads: a handler would interrupt the loop's sleep and run in its time. Those that tell
-/// of a mistake of the thread itself cannot wait.
+/// Leaves all signals to the other threads: a handler would interrupt the loop's sleep and run in its time. Those that
+/// tell of a mistake of the thread itself cannot wait.
 fn deaf() {
     let mut signals = SigSet::all();
     for own in
@@ -148,8 +148,8 @@ pub fn helper_thread(core_of_loop: Option<usize>) {
     confine(cores().into_iter().filter(|core| Some(*core) != core_of_loop));
 }
 
-/// A core for work that must not disturb the loop but has its own deadlines, such as simulated drives: the first one that
-/// the calling thread may use and that is not the loop's.
+/// A core for work that must not disturb the loop but has its own deadlines, such as simulated drives: the first one
+/// that the calling thread may use and that is not the loop's.
 pub fn spare_core(core_of_loop: Option<usize>) -> Option<usize> {
     cores().into_iter().find(|core| Some(*core) != core_of_loop)
 }
@@ -217,15 +217,15 @@ fn second_best() {
     }
 }
 
-/// Lets the sleeps of the calling thread end when they should, as they do under SCHED_FIFO anyway: a normal thread's may
-/// otherwise end 50 us late, to save wake-ups (PR_SET_TIMERSLACK, prctl(2)).
+/// Lets the sleeps of the calling thread end when they should, as they do under SCHED_FIFO anyway: a normal thread's
+/// may otherwise end 50 us late, to save wake-ups (PR_SET_TIMERSLACK, prctl(2)).
 pub(crate) fn exact_sleeps() {
     // Cannot fail: every slack above 0 is taken.
     let _ = nix::sys::prctl::set_timerslack(1);
 }
 
-/// sched_setscheduler(2) on the calling thread. The bare system call, since musl's wrapper refuses always: POSIX wants it
-/// to act on a process, Linux on a thread.
+/// sched_setscheduler(2) on the calling thread. The bare system call, since musl's wrapper refuses always: POSIX wants
+/// it to act on a process, Linux on a thread.
 fn set_scheduler(policy: c_int, priority: u8) -> io::Result<()> {
     // The kernel's `struct sched_param` is this one int.
     let priority = c_int::from(priority);

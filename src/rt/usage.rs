@@ -19,7 +19,8 @@ pub struct Usage {
 impl Usage {
     /// The counts of the calling thread. One system call, no allocation.
     pub fn of_thread() -> Usage {
-        // Linux knows RUSAGE_THREAD since 2.6.26 and fails only on a bad pointer: no counts, then, rather than an error.
+        // Linux knows RUSAGE_THREAD since 2.6.26 and fails only on a bad pointer: no counts, then, rather than an
+        // error.
         getrusage(UsageWho::RUSAGE_THREAD).map(Usage::from).unwrap_or_default()
     }
 

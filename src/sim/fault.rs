@@ -53,8 +53,8 @@ pub(super) enum Signal {
     Reset,
 }
 
-/// Exact counts of the faults that one drive's wire made, both ways together. What is said of datagrams goes for what was
-/// handed to a stream at once.
+/// Exact counts of the faults that one drive's wire made, both ways together. What is said of datagrams goes for what
+/// was handed to a stream at once.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Injected {
     /// Datagrams lost.
@@ -212,7 +212,8 @@ impl Injector {
         }
     }
 
-    /// The same for whole Ethernet frames: of one with a flipped bit the check sequence is wrong, and no network card takes it.
+    /// The same for whole Ethernet frames: of one with a flipped bit the check sequence is wrong, and no network card
+    /// takes it.
     pub(super) fn of_frames(plan: FaultPlan) -> Injector {
         Injector { checked: true, ..Injector::new(plan, Carrier::Datagrams) }
     }
@@ -230,11 +231,11 @@ impl Injector {
     }
 
     /// Sends `datagram` on its way at `now`, to arrive at `due` if nothing befalls it: puts what becomes of it into
-    /// `queue`. Returns what befalls the drive, at whose wire this is, meanwhile. `mislabel` gives an answer on a stream the
-    /// identity of another one.
+    /// `queue`. Returns what befalls the drive, at whose wire this is, meanwhile. `mislabel` gives an answer on a
+    /// stream the identity of another one.
     ///
-    /// On a stream nothing overtakes but what is to be reordered, and a stall holds up instead of losing: the sender's host
-    /// sends again until it is heard.
+    /// On a stream nothing overtakes but what is to be reordered, and a stall holds up instead of losing: the sender's
+    /// host sends again until it is heard.
     pub fn pass(
         &mut self,
         way: Way,

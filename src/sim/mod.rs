@@ -44,8 +44,8 @@ pub trait SimDrive: Send {
         Carrier::Datagrams
     }
 
-    /// Takes one datagram, or what came on the connection of `from`, split anywhere. Writes the answer into `reply` (cleared
-    /// by the caller) and returns where it goes, or `None` for no answer.
+    /// Takes one datagram, or what came on the connection of `from`, split anywhere. Writes the answer into `reply`
+    /// (cleared by the caller) and returns where it goes, or `None` for no answer.
     fn receive(
         &mut self,
         now: Time,
@@ -54,8 +54,8 @@ pub trait SimDrive: Send {
         reply: &mut Vec<u8>,
     ) -> Option<SocketAddrV4>;
 
-    /// A connection from `from` is asked for; false refuses it. Of streams only, like the three below. No two at a time have
-    /// the same `from`.
+    /// A connection from `from` is asked for; false refuses it. Of streams only, like the three below. No two at a time
+    /// have the same `from`.
     fn connect(&mut self, _now: Time, _from: SocketAddrV4) -> bool {
         true
     }
@@ -65,8 +65,8 @@ pub trait SimDrive: Send {
         false
     }
 
-    /// The connection of `from`, that it took, has ended, by either side; once for each. Nothing more comes from there. Those
-    /// that a restart ends are told before it.
+    /// The connection of `from`, that it took, has ended, by either side; once for each. Nothing more comes from there.
+    /// Those that a restart ends are told before it.
     fn disconnected(&mut self, _now: Time, _from: SocketAddrV4) {}
 
     /// Gives an answer the identity of another one.
@@ -79,8 +79,8 @@ pub trait SimDrive: Send {
     fn inhibit(&mut self, until: Time);
 }
 
-/// Simulated drives on one line: each frame passes through all of them and comes back. The same object behind a real interface and
-/// in virtual time.
+/// Simulated drives on one line: each frame passes through all of them and comes back. The same object behind a real
+/// interface and in virtual time.
 ///
 /// What befalls a drive when a datagram passes befalls the slaves of a line by turns.
 pub trait SimLine: Any + Send {
@@ -148,8 +148,8 @@ impl From<Vec<Box<dyn SimDrive>>> for Simulated {
     }
 }
 
-/// Seeded faults between a master and a simulated drive. All rates are probabilities a datagram, or what was handed to a stream
-/// at once, 0 ... 1, each way unless it says otherwise.
+/// Seeded faults between a master and a simulated drive. All rates are probabilities a datagram, or what was handed to
+/// a stream at once, 0 ... 1, each way unless it says otherwise.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FaultPlan {
     /// Seed of the random numbers; the same seed gives the same faults.
@@ -166,7 +166,8 @@ pub struct FaultPlan {
     pub delay_ns: u64,
     /// A datagram is held until the next one of its direction has passed. Nothing else overtakes on a stream.
     pub reorder: f64,
-    /// A request meets a drive that hears nothing for `stall_ns`, this request included: datagrams are lost, a stream waits.
+    /// A request meets a drive that hears nothing for `stall_ns`, this request included: datagrams are lost, a stream
+    /// waits.
     pub stall: f64,
     /// How long.
     pub stall_ns: u64,

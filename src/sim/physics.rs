@@ -335,8 +335,8 @@ impl Plant {
             force_n.map_or(self.plan.peak_force_n, |force| force.abs().min(self.plan.peak_force_n));
     }
 
-    /// Lets `dt_ns` nanoseconds pass while the motor pushes with this force, N, whatever becomes of the position. It has
-    /// to overcome the dry friction first.
+    /// Lets `dt_ns` nanoseconds pass while the motor pushes with this force, N, whatever becomes of the position. It
+    /// has to overcome the dry friction first.
     pub fn advance_with_force(&mut self, force_n: f64, dt_ns: u64) {
         let count = dt_ns.div_ceil(SUBSTEP_NS).clamp(1, SUBSTEPS);
         let h = dt_ns as f64 / count as f64 / S as f64;

@@ -6,7 +6,8 @@ use std::sync::{Arc, Mutex};
 use super::{FaultPlan, SimLine};
 use crate::time::Time;
 
-/// Who is connected to the drive of a test, each with the begin of a request. It has no patience with whoever serves the drive.
+/// Who is connected to the drive of a test, each with the begin of a request. It has no patience with whoever serves
+/// the drive.
 #[derive(Clone, Default)]
 pub struct Peers(Arc<Mutex<Vec<Peer>>>);
 

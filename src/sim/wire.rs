@@ -67,8 +67,8 @@ impl Wire {
         queue.push(due, parcel);
     }
 
-    /// A frame that has arrived at the line passes through it, and leaves again to be at the master at `due`; false: it does not come
-    /// back.
+    /// A frame that has arrived at the line passes through it, and leaves again to be at the master at `due`; false: it
+    /// does not come back.
     pub(super) fn pass(&mut self, now: Time, due: Time, frame: &mut [u8]) -> bool {
         let comes_back = self.line.pass(now, frame);
         if comes_back {

@@ -139,8 +139,8 @@ impl World {
         inner.under_way.push(due, parcel);
     }
 
-    /// Pulls the network plug of the drive at `address`; it goes on by itself. Datagrams are lost; what is sent on a connection
-    /// waits, until the plug is back or the connection is given up. False if there is no such drive.
+    /// Pulls the network plug of the drive at `address`; it goes on by itself. Datagrams are lost; what is sent on a
+    /// connection waits, until the plug is back or the connection is given up. False if there is no such drive.
     pub fn unplug(&self, address: SocketAddrV4) -> bool {
         self.with(address, |station, _| station.plugged = false).is_some()
     }
@@ -152,7 +152,8 @@ impl World {
         index.map(|index| inner.plug(index)).is_some()
     }
 
-    /// Switches the drive at `address` off and on again; its connections are broken off. False if there is no such drive.
+    /// Switches the drive at `address` off and on again; its connections are broken off. False if there is no such
+    /// drive.
     pub fn restart(&self, address: SocketAddrV4) -> bool {
         let mut inner = self.lock();
         let index = inner.station(address);
@@ -311,8 +312,8 @@ impl Inner {
         }
     }
 
-    /// Lets everything happen that is due by `at`, then it is `at`. Of what is due at one instant datagrams come first, then
-    /// frames.
+    /// Lets everything happen that is due by `at`, then it is `at`. Of what is due at one instant datagrams come first,
+    /// then frames.
     fn run(&mut self, at: Time) {
         while let Some(due) = self.next_due().filter(|due| *due <= at) {
             self.now = self.now.max(due);

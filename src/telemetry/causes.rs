@@ -39,8 +39,8 @@ pub enum Cause {
     Drive(u16),
     /// Several drives at once: something that they share.
     Drives,
-    /// The thread was woken late: a core in a deep idle state, with interrupts off, in firmware, or one that a hypervisor
-    /// does not own up to having taken.
+    /// The thread was woken late: a core in a deep idle state, with interrupts off, in firmware, or one that a
+    /// hypervisor does not own up to having taken.
     Timer,
     /// Nothing was seen.
     Unknown,
@@ -249,8 +249,8 @@ impl Causes {
         });
     }
 
-    /// A cycle passed the next grid point although none of its stages was late: the longest of them is to blame, or what came
-    /// behind them.
+    /// A cycle passed the next grid point although none of its stages was late: the longest of them is to blame, or
+    /// what came behind them.
     fn overrun(&mut self, record: &SkippedRecord) {
         let last = &self.last;
         let begin = last.grid + u64::from(last.wake_ns);
@@ -332,7 +332,8 @@ impl Causes {
         }
     }
 
-    /// Judges what still waits by what is known now. `late` is the loop's own count: what got lost on the way is unknown.
+    /// Judges what still waits by what is known now. `late` is the loop's own count: what got lost on the way is
+    /// unknown.
     pub fn finish(&mut self, late: u64) {
         for late in std::mem::take(&mut self.pending) {
             self.settle(&late);
@@ -350,7 +351,8 @@ impl Causes {
         ranked
     }
 
-    /// The newest so many judgements of those that are kept, not in the order of their cycles: some wait longer than others.
+    /// The newest so many judgements of those that are kept, not in the order of their cycles: some wait longer than
+    /// others.
     pub fn newest(&self, count: usize) -> impl Iterator<Item = &Judged> {
         self.judged.iter().skip(self.judged.len().saturating_sub(count))
     }

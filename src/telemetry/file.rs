@@ -5,14 +5,16 @@ use std::io::{self, Write};
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
-/// Writes a file whole or not at all, and makes its directory if that is missing. A file or a link of that name is replaced.
+/// Writes a file whole or not at all, and makes its directory if that is missing. A file or a link of that name is
+/// replaced.
 ///
-/// Until it is whole it has a name that nobody can guess: a link laid out there by another user of the directory would lead
-/// what is written, perhaps by root, to a file of their choice.
+/// Until it is whole it has a name that nobody can guess: a link laid out there by another user of the directory would
+/// lead what is written, perhaps by root, to a file of their choice.
 pub fn save(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let directory = path.parent().unwrap_or(Path::new(""));
     fs::create_dir_all(directory)?;
-    // Dropped before it has its name, it is removed: what is not whole is of no use, and may have taken the last of the disk.
+    // Dropped before it has its name, it is removed: what is not whole is of no use, and may have taken the last of the
+    // disk.
     let mut file = tempfile::Builder::new()
         .prefix(".fieldbeat-")
         // As every other file; the umask takes from it.

@@ -11,9 +11,9 @@ const TICKS_PER_HALF_DISTANCE: u32 = 5;
 
 /// The percentile distribution of `histogram`, in us.
 ///
-/// Two numbers are better than a histogram has them: no value is beyond the exact maximum that the loop kept, as the upper
-/// end of a bin may be, and the last one, of 100 %, is that maximum, even if it was beyond the histogram or its record got
-/// lost. What lies where the histogram ends has no line but that last one.
+/// Two numbers are better than a histogram has them: no value is beyond the exact maximum that the loop kept, as the
+/// upper end of a bin may be, and the last one, of 100 %, is that maximum, even if it was beyond the histogram or its
+/// record got lost. What lies where the histogram ends has no line but that last one.
 pub fn distribution(histogram: &Quantity, peak: Peak) -> String {
     let us = |ns: f64| ns / US as f64;
     let mut text =

@@ -32,7 +32,8 @@ pub struct Histograms {
     pub jitter: Quantity,
     /// Time of each [`Stage`].
     pub stages: [Quantity; 6],
-    /// Distances of the slots from where the clock that leads the grid wants them, late or early, from the first lock on.
+    /// Distances of the slots from where the clock that leads the grid wants them, late or early, from the first lock
+    /// on.
     pub reference: Quantity,
     /// The drives, in the order of the plan.
     pub drives: Vec<DriveHistograms>,
@@ -165,8 +166,8 @@ pub struct Quantiles {
 impl Quantiles {
     /// Quantiles of `histogram`, with the exact maximum that the loop kept.
     ///
-    /// A quantile needs [`SAMPLES_BEYOND`] it. None is beyond the maximum, as the upper end of a bin may be, and none is told
-    /// that lies where the histogram ends.
+    /// A quantile needs [`SAMPLES_BEYOND`] it. None is beyond the maximum, as the upper end of a bin may be, and none
+    /// is told that lies where the histogram ends.
     pub fn of(histogram: &Quantity, peak: Peak) -> Quantiles {
         let count = histogram.len();
         let at = |quantile: f64| {

@@ -1,5 +1,5 @@
-//! What the loop tells of itself: histograms, causes, a black box, and their reports. A normal thread, fed by a ring; the
-//! loop never waits for it.
+//! What the loop tells of itself: histograms, causes, a black box, and their reports. A normal thread, fed by a ring;
+//! the loop never waits for it.
 //!
 //! | file | what |
 //! |---|---|

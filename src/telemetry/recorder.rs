@@ -21,8 +21,8 @@ use crate::time::S;
 /// How often the ring is emptied, and the loop's thread looked at.
 const EMPTY_EVERY: Duration = Duration::from_millis(5);
 
-/// What the ring holds: the thread is a normal one, and on a busy host it waits for its turn far longer than it sleeps. With
-/// room for 100 ms, 5 923 records of 4 s were lost beside a compiler on every core.
+/// What the ring holds: the thread is a normal one, and on a busy host it waits for its turn far longer than it sleeps.
+/// With room for 100 ms, 5 923 records of 4 s were lost beside a compiler on every core.
 const RING_NS: u64 = S;
 
 /// The most records in all. Their memory is locked; the loop counts what does not fit.

@@ -1,5 +1,5 @@
-//! The course of a run in bounded memory: the largest values of each stretch of cycles. When the stretches grow too many,
-//! each two become one.
+//! The course of a run in bounded memory: the largest values of each stretch of cycles. When the stretches grow too
+//! many, each two become one.
 
 use crate::cycle::record::{DriveRecord, Record, Reply};
 

@@ -8,7 +8,8 @@ use fieldbeat::time::US;
 
 use super::{keys, mistakes, read, tells_the_truth};
 
-/// One drive with a fragment in one section: `cycle`, `bus`, its own (empty), or a `device`. It begins in line 2, 6, 9 or 12.
+/// One drive with a fragment in one section: `cycle`, `bus`, its own (empty), or a `device`. It begins in line 2, 6, 9
+/// or 12.
 pub fn line(section: &str, fragment: &str) -> String {
     let part = |name: &str| if name == section { fragment } else { "" };
     let device = match part("device") {

@@ -578,8 +578,8 @@ impl Line {
         self.wire.log().drives[index].meddled = Some(bytes);
     }
 
-    /// Turns until the drive answers again. A datagram does with the next exchange; a connection may have to be opened anew,
-    /// after a pause and a greeting, and its first reply may not say all.
+    /// Turns until the drive answers again. A datagram does with the next exchange; a connection may have to be opened
+    /// anew, after a pause and a greeting, and its first reply may not say all.
     pub fn heal(&mut self, index: usize) -> Seen {
         if !self.can.stream {
             return self.exchange(index);

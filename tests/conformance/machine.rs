@@ -219,8 +219,8 @@ impl Machine {
         self.tape(index, |tape| tape.meddled = Some(bytes));
     }
 
-    /// From here on each answer of the drive comes too late to count. Where one is sent at a time, it comes before the next one
-    /// is due; elsewhere it is lost.
+    /// From here on each answer of the drive comes too late to count. Where one is sent at a time, it comes before the
+    /// next one is due; elsewhere it is lost.
     pub fn late(&self, index: usize) {
         if !self.can.stream {
             return self.mute(index, true);

@@ -46,7 +46,8 @@ fn unnoticed(subject: &'static dyn Subject, befall: impl Fn(&mut Line, u64)) {
     assert_eq!(run(&befall), alone);
 }
 
-/// The same where one frame is for all: what befalls it befalls each of them alike, exchange by exchange and count by count.
+/// The same where one frame is for all: what befalls it befalls each of them alike, exchange by exchange and count by
+/// count.
 fn alike(subject: &'static dyn Subject, befall: impl Fn(&mut Line, u64)) {
     let mut line = Line::made_ready(subject, 3);
     line.set_going(0, line.motion());

@@ -151,8 +151,8 @@ pub fn a_late_reply_that_comes_first_in_the_next_window_is_not_taken_for_the_new
 }
 
 pub fn a_late_reply_that_comes_with_the_one_asked_for_leaves_the_newer_values(subject: &'static dyn Subject) {
-    // Another drive keeps the window open for both. Where one frame is for all, the late one comes behind the one asked for, whose
-    // values stand.
+    // Another drive keeps the window open for both. Where one frame is for all, the late one comes behind the one asked
+    // for, whose values stand.
     let mut line = moving(subject, 2);
     line.answer_at(1, 200 * US);
     let before = line.slots[0].counters;

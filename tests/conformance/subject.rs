@@ -37,14 +37,14 @@ pub trait Subject: Sync {
     /// Acyclic calls that every drive of it takes in every state.
     fn calls(&self) -> Calls;
 
-    /// On a line, the place of drive `index` of `count`, counted from 0 at the master: the first one stands last, so that the cable
-    /// in front of it can be cut.
+    /// On a line, the place of drive `index` of `count`, counted from 0 at the master: the first one stands last, so
+    /// that the cable in front of it can be cut.
     fn place(&self, index: usize, count: usize) -> usize {
         count - 1 - index
     }
 
-    /// What a frame that passes drive `index` of `count` at `now` carries of it: its request and its answer, which is empty if it took
-    /// no part. `None`: nothing of any drive.
+    /// What a frame that passes drive `index` of `count` at `now` carries of it: its request and its answer, which is
+    /// empty if it took no part. `None`: nothing of any drive.
     fn piece(&self, _now: Time, _frame: &[u8], _index: usize, _count: usize) -> Option<(Vec<u8>, Vec<u8>)> {
         None
     }
@@ -54,8 +54,8 @@ pub trait Subject: Sync {
         Vec::new()
     }
 
-    /// Of a frame of a line, the one behind it, as it would come if it had gone round without passing the master. `None`: nothing goes
-    /// round.
+    /// Of a frame of a line, the one behind it, as it would come if it had gone round without passing the master.
+    /// `None`: nothing goes round.
     fn circulated(&self, _frame: &[u8]) -> Option<Vec<u8>> {
         None
     }
@@ -107,11 +107,12 @@ pub struct Can {
     pub whole: bool,
     /// The window of a request stays open for its reply, although that may come later.
     pub awaits: bool,
-    /// Each drive has a connection. One request is open on it: before its reply nothing else is asked, and one that never
-    /// comes costs the connection, which is opened anew after a pause.
+    /// Each drive has a connection. One request is open on it: before its reply nothing else is asked, and one that
+    /// never comes costs the connection, which is opened anew after a pause.
     pub stream: bool,
-    /// One frame goes through all drives in every cycle, whoever is due in it, and comes back in its window: each drive has a piece
-    /// of it. What befalls it befalls all of them. Before a drive is in operation on its line it is not asked.
+    /// One frame goes through all drives in every cycle, whoever is due in it, and comes back in its window: each drive
+    /// has a piece of it. What befalls it befalls all of them. Before a drive is in operation on its line it is not
+    /// asked.
     pub shared: bool,
 }
 
@@ -158,8 +159,8 @@ pub struct Said {
     pub position: Option<i64>,
     /// Demand position, counts, of the same.
     pub demand: Option<i64>,
-    /// Position setpoint in the request, counts, where the master makes the demand: it counts while the drive follows it, and
-    /// else the drive is where it is.
+    /// Position setpoint in the request, counts, where the master makes the demand: it counts while the drive follows
+    /// it, and else the drive is where it is.
     pub setpoint: Option<i64>,
     /// When, if that is a part of the answer.
     pub at: Option<Time>,

@@ -298,7 +298,8 @@ pub fn found_running_is_stopped_or_left_alone_as_its_plan_says(subject: &'static
     }
 }
 
-/// What was taken over without its watchdog is not switched on again: it is set up anew once its power is off, and nobody else notices.
+/// What was taken over without its watchdog is not switched on again: it is set up anew once its power is off, and
+/// nobody else notices.
 fn is_set_up_anew(m: &mut Machine) {
     m.online();
     m.done(1, Verb::Reset);
@@ -411,8 +412,8 @@ pub fn the_same_seed_is_the_same_run_to_the_byte(subject: &'static dyn Subject) 
 }
 
 pub fn the_end_of_the_master_leaves_every_drive_at_standstill_and_off(subject: &'static dyn Subject) {
-    // One moves, one is held in a stop, one was only ever read, one is gone. The clock of the first slave of a line is everybody's:
-    // what runs behind one that starts anew falls out of step with it.
+    // One moves, one is held in a stop, one was only ever read, one is gone. The clock of the first slave of a line is
+    // everybody's: what runs behind one that starts anew falls out of step with it.
     let (read, gone) = if subject.can().shared { (3, 2) } else { (2, 3) };
     let mut m = Machine::new(subject, 4, |index, drive| {
         drive.axis.stop.then = if index == 1 { StopThen::Hold } else { StopThen::Disable };

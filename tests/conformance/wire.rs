@@ -40,8 +40,8 @@ pub struct Tape {
     /// Its wire at its best: a slow drive is no fault.
     pub usual: FaultPlan,
     pub heard: Vec<Heard>,
-    /// Hears and acts, but its answers are lost. On a line that is so if all of them are mute, and the frames do not come back;
-    /// a single one hears nothing.
+    /// Hears and acts, but its answers are lost. On a line that is so if all of them are mute, and the frames do not
+    /// come back; a single one hears nothing.
     pub mute: bool,
     /// Of a line: it is not there.
     pub unplugged: bool,

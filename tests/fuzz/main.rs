@@ -1,7 +1,7 @@
 //! Driver A of the fuzz targets: replays every file of `corpus/`, then runs each target on random inputs for a moment.
 //!
-//! A corpus file is an input that was worth keeping; one with a name tells the story of a defect. The random inputs are made
-//! from a seed, half of them by changing files of the corpus. More of them, or others:
+//! A corpus file is an input that was worth keeping; one with a name tells the story of a defect. The random inputs are
+//! made from a seed, half of them by changing files of the corpus. More of them, or others:
 //!
 //! ```text
 //! FIELDBEAT_FUZZ_SEED=7 FIELDBEAT_FUZZ_RUNS=100000 cargo test --release --test fuzz station

@@ -53,7 +53,8 @@ impl<M: Fn(&str)> Capture<M> {
     }
 }
 
-/// What the dissectors make of `file`: these fields of each frame that `filter` passes, a line each, with `|` between them.
+/// What the dissectors make of `file`: these fields of each frame that `filter` passes, a line each, with `|` between
+/// them.
 pub fn dissect(file: &Path, filter: &str, options: &[&str], fields: &[&str]) -> Vec<String> {
     let mut command = Command::new("tshark");
     command.arg("-r").arg(file).args(["-Y", filter, "-T", "fields", "-E", "separator=|"]).args(options);

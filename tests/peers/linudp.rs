@@ -1,9 +1,9 @@
 //! What others say about our bytes on the wire: Wireshark's dissectors on frames between the built master and the
 //! simulated drives.
 //!
-//! Wireshark has no dissector for LinUDP, and no other implementation of it was run against these: that the datagrams are well
-//! formed, carry right checksums and go where they should is its word. Their lengths are checked against the blocks that the
-//! definitions in them announce (LinUDP V2 manual, 4.4), counted here anew.
+//! Wireshark has no dissector for LinUDP, and no other implementation of it was run against these: that the datagrams
+//! are well formed, carry right checksums and go where they should is its word. Their lengths are checked against the
+//! blocks that the definitions in them announce (LinUDP V2 manual, 4.4), counted here anew.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::net::{Ipv4Addr, SocketAddrV4, UdpSocket};
@@ -134,8 +134,8 @@ fn compare(seen: &Seen, summary: &serde_json::Value, machine: &Machine) {
     }
 }
 
-/// These lengths, and no other but those of the request after a miss, which asks for the monitoring channels where they are
-/// not wanted, or not for them where they are, so that its reply is told from a late one.
+/// These lengths, and no other but those of the request after a miss, which asks for the monitoring channels where they
+/// are not wanted, or not for them where they are, so that its reply is told from a late one.
 fn assert_replies(seen: &Seen, lengths: &[usize]) {
     let after_a_miss = lengths.iter().flat_map(|length| [length + 16, length - 16]);
     let allowed: BTreeSet<usize> = lengths.iter().copied().chain(after_a_miss).collect();

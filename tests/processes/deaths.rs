@@ -213,7 +213,8 @@ fn a_drive_that_was_cut_off_in_mid_motion_is_stopped_when_it_is_heard_again() {
     let after = onlooker.await_sight(machine.drive(0), |sight| !sight.powered);
     assert!(!after.moving, "{after:?}");
     let way = after.position - before.position;
-    // How long it brakes depends on how it is heard again: behind hundreds of late replies the ramp may become a quick stop.
+    // How long it brakes depends on how it is heard again: behind hundreds of late replies the ramp may become a quick
+    // stop.
     assert!(way > alone && after.position < TARGET, "{way} mm, {alone} of them alone");
     sleep(300 * MS);
     let later = onlooker.look(machine.drive(0));

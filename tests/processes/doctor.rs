@@ -1,5 +1,5 @@
-//! What the program says of this host. What it finds here is this host's, so that these tests look at the form of it, at the
-//! exit code, and at what they made so themselves.
+//! What the program says of this host. What it finds here is this host's, so that these tests look at the form of it,
+//! at the exit code, and at what they made so themselves.
 
 use std::process::Command;
 

@@ -1,4 +1,5 @@
-//! Kollmorgens as a user meets them: `check`, `run`, `param` and `scan`, against a simulated line in a process of its own.
+//! Kollmorgens as a user meets them: `check`, `run`, `param` and `scan`, against a simulated line in a process of its
+//! own.
 
 use std::path::PathBuf;
 

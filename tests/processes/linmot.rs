@@ -1,4 +1,5 @@
-//! `fieldbeat linmot`: curves, command table, error log and software of a LinMot drive, through files and on real sockets.
+//! `fieldbeat linmot`: curves, command table, error log and software of a LinMot drive, through files and on real
+//! sockets.
 
 use std::fs;
 use std::path::{Path, PathBuf};

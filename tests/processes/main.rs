@@ -84,8 +84,8 @@ fn simulation(config: &std::path::Path) -> Program {
     program
 }
 
-/// What a busy computer does to a demo whose simulated drives are threads like any other: they were silent for 50 ms, or
-/// waited in vain for setpoints. It says so.
+/// What a busy computer does to a demo whose simulated drives are threads like any other: they were silent for 50 ms,
+/// or waited in vain for setpoints. It says so.
 fn was_disturbed(ended: &Ended) -> bool {
     let mistakes: Vec<_> = ended.err.lines().filter(|line| line.starts_with("fieldbeat: ")).collect();
     let why = ["link lost", "lost on the way", "overrun", "underrun", "not online", "drive fault"];

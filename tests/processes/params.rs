@@ -1,5 +1,5 @@
-//! `fieldbeat param`: parameters of the drives, read, written and listed, by a master of its own or through the one that
-//! runs.
+//! `fieldbeat param`: parameters of the drives, read, written and listed, by a master of its own or through the one
+//! that runs.
 
 use std::fs;
 use std::os::unix::fs::PermissionsExt;

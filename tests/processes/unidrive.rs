@@ -1,4 +1,5 @@
-//! Unidrives as a user meets them: `check`, `param`, `run` and the demo, against simulated ones in a process of their own.
+//! Unidrives as a user meets them: `check`, `param`, `run` and the demo, against simulated ones in a process of their
+//! own.
 
 use std::path::PathBuf;
 

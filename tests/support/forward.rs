@@ -1,4 +1,5 @@
-//! A bus or a simulated drive around another one, for tests that get between it and its wire: everything else goes through.
+//! A bus or a simulated drive around another one, for tests that get between it and its wire: everything else goes
+//! through.
 
 /// All of `BusPlan` but `open`, `simulate` and `simulate_line`, by the plan in this field.
 #[macro_export]

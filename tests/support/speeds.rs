@@ -1,5 +1,6 @@
-//! Drives that tell their speed and no position, on a bus with connections and counters of its own: LinMot drives on a LinUDP
-//! bus, of which the loop is told no more than that. They take torques as well, and go then as a mass without friction does.
+//! Drives that tell their speed and no position, on a bus with connections and counters of its own: LinMot drives on a
+//! LinUDP bus, of which the loop is told no more than that. They take torques as well, and go then as a mass without
+//! friction does.
 
 use std::any::Any;
 use std::os::fd::RawFd;
@@ -167,7 +168,8 @@ impl Inside {
 }
 
 impl SpeedBus {
-    /// Lets the bus do its work with what its drives told it, then takes from the reports what such a drive would not tell.
+    /// Lets the bus do its work with what its drives told it, then takes from the reports what such a drive would not
+    /// tell.
     fn blind<R>(&mut self, slots: &mut [Slot], work: impl FnOnce(&mut dyn Bus, &mut [Slot]) -> R) -> R {
         for (slot, drive) in slots.iter_mut().zip(&mut self.drives) {
             drive.enter(slot);

@@ -31,7 +31,8 @@ fn patient(rig: Rig) -> Rig {
     rig.each(|_, drive| drive.axis.health = Health { bucket: 100, leak: 1, gate: 2, ..Health::default() })
 }
 
-/// Calls back to back: posts, from `next`, as many as there is room for, and gives each end to `told`, for so many turns.
+/// Calls back to back: posts, from `next`, as many as there is room for, and gives each end to `told`, for so many
+/// turns.
 fn keep_busy(
     b: &mut Bench,
     turns: u64,

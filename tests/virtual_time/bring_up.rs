@@ -243,7 +243,8 @@ fn found_running_and_refused_survives_the_end_of_the_master_untouched() {
 
 #[test]
 fn a_restarted_master_goes_on_with_the_count_of_the_drive() {
-    // The drive has stored count 5. All sixteen counts are used, so one of them would meet it if the master did not ask.
+    // The drive has stored count 5. All sixteen counts are used, so one of them would meet it if the master did not
+    // ask.
     let mut b = Rig::new(1)
         .each(|_, drive| {
             drive.simulate.start_running = true;

@@ -117,8 +117,8 @@ fn a_link_lost_in_mid_motion_latches_and_comes_back_by_the_application_only() {
 
 #[test]
 fn a_link_lost_behind_a_power_off_switches_nothing_on_again() {
-    // The drive has heard the power off, its answer is lost. The stop that follows must not take what the drive said before
-    // for what it finds.
+    // The drive has heard the power off, its answer is lost. The stop that follows must not take what the drive said
+    // before for what it finds.
     let mut b = Rig::new(1).each(|_, drive| drive.axis.stop.then = StopThen::Hold).start();
     b.ready();
     b.tape(0).mute = true;

@@ -1,7 +1,8 @@
-//! The grid follows the clock of a line: over the real bus, the whole bring-up included, and with every slot looked at from the first
-//! sample on.
+//! The grid follows the clock of a line: over the real bus, the whole bring-up included, and with every slot looked at
+//! from the first sample on.
 //!
-//! A frame that leaves at a slot of the grid passes the reference a while later, and there `ahead_of_sync_ns` are left to SYNC0.
+//! A frame that leaves at a slot of the grid passes the reference a while later, and there `ahead_of_sync_ns` are left
+//! to SYNC0.
 
 use std::sync::{Arc, Mutex};
 

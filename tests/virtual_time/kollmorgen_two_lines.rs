@@ -1,5 +1,5 @@
-//! Two lines in one machine: the clock of the first one leads the grid, that of the second one follows it. Each has quartzes of its
-//! own, and both stay inside of what their drives bear.
+//! Two lines in one machine: the clock of the first one leads the grid, that of the second one follows it. Each has
+//! quartzes of its own, and both stay inside of what their drives bear.
 
 use std::sync::{Arc, Mutex};
 

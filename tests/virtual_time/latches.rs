@@ -221,7 +221,8 @@ fn try_cause(cause: StopCause, case: &Case) {
     }
     assert_holds(&mut b, cause);
     assert_opens(&mut b, cause);
-    // The others have kept their first cause, whatever came after it, and keep it to the end; but for a reset of the group.
+    // The others have kept their first cause, whatever came after it, and keep it to the end; but for a reset of the
+    // group.
     let others = [1, 2].map(|index| b.feedback(index).stopped);
     assert_eq!(others[0], case.others[0].filter(|_| !b.joined()), "{cause}");
     b.shut_down(10_000);

@@ -1,4 +1,5 @@
-//! The grid follows the clock of a bus: locked from any phase, in small steps, and with nothing else of the cycle disturbed.
+//! The grid follows the clock of a bus: locked from any phase, in small steps, and with nothing else of the cycle
+//! disturbed.
 
 use std::any::Any;
 use std::collections::VecDeque;

@@ -1,5 +1,5 @@
-//! A drive that restarts, in every state that its master can be in: what was under way ends, nothing goes on by itself, and
-//! whatever was known of the drive is read again.
+//! A drive that restarts, in every state that its master can be in: what was under way ends, nothing goes on by itself,
+//! and whatever was known of the drive is read again.
 
 use std::time::Duration;
 

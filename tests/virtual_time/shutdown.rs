@@ -149,7 +149,8 @@ fn an_axis_that_a_stop_left_holding_is_powered_off_at_the_end() {
 
 #[test]
 fn the_last_word_is_power_off_even_to_a_drive_that_is_off_already() {
-    // An error has powered it off while it held after a stop, or after it was found running and told nothing but to stop.
+    // An error has powered it off while it held after a stop, or after it was found running and told nothing but to
+    // stop.
     type Prepare = fn(&mut Bench);
     let cases: [(FoundRunning, Prepare); 2] = [
         (FoundRunning::Stop, |b| {

@@ -58,8 +58,8 @@ fn a_relative_move_is_never_run_twice_and_never_lost() {
 
 #[test]
 fn eight_moving_axes_in_five_percent_of_everything_for_a_minute() {
-    // A flipped bit in a control word costs an axis its power (a real network drops such telegrams by their checksum), so
-    // most of the moving is done without them.
+    // A flipped bit in a control word costs an axis its power (a real network drops such telegrams by their checksum),
+    // so most of the moving is done without them.
     eight_moving_axes(7, 0.0, 40);
     eight_moving_axes(8, 0.05, 10);
 }
@@ -112,8 +112,8 @@ fn eight_moving_axes(seed: u64, corrupt: f64, least_moves: u64) {
     assert!(moves.iter().all(|moves| *moves >= least_moves), "seed {seed}: {moves:?}");
     for index in 0..8 {
         let (low, high) = b.tape(index).demand.unwrap();
-        // With power on the demand begins where the motor stands, a few um beside its last target. A request that was broken
-        // on the way may tell a drive anything, or cut its power and let it coast.
+        // With power on the demand begins where the motor stands, a few um beside its last target. A request that was
+        // broken on the way may tell a drive anything, or cut its power and let it coast.
         let inside = low >= RANGE.0 - 0.01 && high <= RANGE.1 + 0.01;
         assert!(inside || corrupt > 0.0, "seed {seed}, axis {index}: {low} ... {high}");
         b.world().set_faults(address(index), FaultPlan::default());

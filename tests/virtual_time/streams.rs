@@ -6,7 +6,8 @@ use fieldbeat::time::{MS, US};
 
 use crate::support::*;
 
-/// A smooth way from `begin` by `way` in `rows` rows of `period_s`: position, velocity and acceleration of half a cosine.
+/// A smooth way from `begin` by `way` in `rows` rows of `period_s`: position, velocity and acceleration of half a
+/// cosine.
 fn smooth(begin: f64, way: f64, rows: u32, period_s: f64) -> impl Iterator<Item = Row> {
     let span = f64::from(rows) * period_s;
     (1..=rows).map(move |n| {

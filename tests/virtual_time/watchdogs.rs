@@ -1,5 +1,5 @@
-//! When the application grows silent: velocities too old, jogs that nobody holds, and its heartbeat; and what the drive does
-//! behind everybody's back.
+//! When the application grows silent: velocities too old, jogs that nobody holds, and its heartbeat; and what the drive
+//! does behind everybody's back.
 
 use fieldbeat::axis::{Abort, Axis, Failure, Outcome, StopCause, Verb};
 use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};

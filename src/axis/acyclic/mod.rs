@@ -129,11 +129,11 @@ impl Condition {
 /// Between two attempts at a call that must not be left undone.
 const AGAIN: Duration = Duration::from_millis(200);
 
-/// Whoever carries calls to one drive: the queue of a master in this process, or that of another process through its control
-/// socket. Blocking; for normal threads.
+/// Whoever carries calls to one drive: the queue of a master in this process, or that of another process through its
+/// control socket. Blocking; for normal threads.
 pub trait Carrier {
-    /// Carries out `calls` one after the other, each within `limit`. The first that fails ends the series: none behind it is
-    /// carried out.
+    /// Carries out `calls` one after the other, each within `limit`. The first that fails ends the series: none behind
+    /// it is carried out.
     fn run(&self, calls: &[Call], limit: Duration) -> Series;
 
     /// How the drive is.
@@ -148,15 +148,15 @@ pub trait Carrier {
     /// Lets so much time pass.
     fn pause(&self, time: Duration);
 
-    /// From now on `calls` are carried out should whoever holds this go away without a word; none: nothing any more. A process
-    /// that is the master itself takes the carrier along when it goes: there is nothing to do then.
+    /// From now on `calls` are carried out should whoever holds this go away without a word; none: nothing any more. A
+    /// process that is the master itself takes the carrier along when it goes: there is nothing to do then.
     fn bequeath(&self, calls: &[Call]) -> Result<(), CallError> {
         let _ = calls;
         Ok(())
     }
 
-    /// Has a call carried out that must not be left undone, attempt after attempt for `patience`: the drive may be busy, silent
-    /// or on its way back. A refusal ends it, and so does that nobody carries calls any more.
+    /// Has a call carried out that must not be left undone, attempt after attempt for `patience`: the drive may be
+    /// busy, silent or on its way back. A refusal ends it, and so does that nobody carries calls any more.
     fn insist(&self, call: Call, limit: Duration, patience: Duration) -> Result<Answer, CallError> {
         let mut waited = Duration::ZERO;
         loop {

@@ -192,9 +192,9 @@ impl Scalar for () {
 
 /// The parameters of one drive, for any number of threads.
 ///
-/// An address is written as the drive's manual does; LinUDP: `0x20A8` is the value in RAM, `0x20A8.rom`, `.min`, `.max` and
-/// `.default` its variants, and `.both` writes RAM and ROM. Everything here blocks or polls on normal threads; the loop carries
-/// out one step a cycle, in the request that goes out anyway.
+/// An address is written as the drive's manual does; LinUDP: `0x20A8` is the value in RAM, `0x20A8.rom`, `.min`, `.max`
+/// and `.default` its variants, and `.both` writes RAM and ROM. Everything here blocks or polls on normal threads; the
+/// loop carries out one step a cycle, in the request that goes out anyway.
 #[derive(Clone, Debug)]
 pub struct Parameters(Acyclic);
 

@@ -88,8 +88,8 @@ impl Port {
         self.calls.is_empty()
     }
 
-    /// The next call to carry out. What was cancelled, and what belongs to a series that has failed, ends here, a bounded part of
-    /// it in one cycle.
+    /// The next call to carry out. What was cancelled, and what belongs to a series that has failed, ends here, a
+    /// bounded part of it in one cycle.
     #[inline]
     pub fn take(&mut self) -> Option<Posted> {
         // Almost always.

@@ -188,8 +188,8 @@ impl Acyclic {
         Ok(calls.iter().map(|call| self.enqueue(&mut ends, series, *call, limit)).collect())
     }
 
-    /// As [`Carrier::run`], for whoever has something to do meanwhile: between two looks `rest` is called, and once it says no,
-    /// what has not ended is cancelled.
+    /// As [`Carrier::run`], for whoever has something to do meanwhile: between two looks `rest` is called, and once it
+    /// says no, what has not ended is cancelled.
     pub fn run_while(&self, calls: &[Call], limit: Duration, mut rest: impl FnMut() -> bool) -> Series {
         let mut series = Series::default();
         for calls in calls.chunks(self.shared.capacity) {
@@ -344,8 +344,8 @@ impl CallTicket {
         Some(result)
     }
 
-    /// Waits for the end of the call. Its own time begins when it is taken up; what stands before it in the queue is waited for
-    /// too.
+    /// Waits for the end of the call. Its own time begins when it is taken up; what stands before it in the queue is
+    /// waited for too.
     pub fn wait(&mut self) -> Result<Answer, CallError> {
         loop {
             if let Some(result) = self.poll() {
@@ -376,8 +376,8 @@ impl CallTicket {
         self.limit
     }
 
-    /// The call is no longer wanted: it ends as cancelled, unless it has ended already. If it has gone out, the drive may carry
-    /// it out all the same.
+    /// The call is no longer wanted: it ends as cancelled, unless it has ended already. If it has gone out, the drive
+    /// may carry it out all the same.
     pub fn cancel(&self) {
         self.acyclic.shared.cancelled.set(self.number);
     }

@@ -1,7 +1,7 @@
 //! CiA 402: control word 6040h and status word 6041h, the states and the transitions between them.
 //!
-//! Knows no bus and no drive: what a mode makes of its bits is said elsewhere. Facts: CAN manual of the S300 and S700 ("Device
-//! control"), EtherCAT manual, IEC 61800-7-201. The state is [`State`], onto which all protocols map theirs.
+//! Knows no bus and no drive: what a mode makes of its bits is said elsewhere. Facts: CAN manual of the S300 and S700
+//! ("Device control"), EtherCAT manual, IEC 61800-7-201. The state is [`State`], onto which all protocols map theirs.
 
 use std::fmt;
 
@@ -18,7 +18,8 @@ impl ControlWord {
     pub const ENABLE_VOLTAGE: u16 = 1 << 1;
     /// Bit 2: 0 = quick stop.
     pub const NO_QUICK_STOP: u16 = 1 << 2;
-    /// Bit 3: enable operation. In a Kollmorgen drive its rising edge makes setpoints count: the power stage is on before.
+    /// Bit 3: enable operation. In a Kollmorgen drive its rising edge makes setpoints count: the power stage is on
+    /// before.
     pub const ENABLE_OPERATION: u16 = 1 << 3;
     /// Bit 4, of the mode: a new setpoint (profile position), start (homing), follow (interpolated position).
     pub const START: u16 = 1 << 4;
@@ -262,8 +263,8 @@ impl StatusWord {
         None,
     ];
 
-    /// The bits of each state that matter, and what they are. The CAN manual of the S300 prints bit 6 of the first as 1; the standard
-    /// and the AKD have 0.
+    /// The bits of each state that matter, and what they are. The CAN manual of the S300 prints bit 6 of the first as
+    /// 1; the standard and the AKD have 0.
     const STATES: [(State, u16, u16); 8] = [
         (State::NotReadyToSwitchOn, 0x4F, 0x00),
         (State::SwitchOnDisabled, 0x4F, 0x40),

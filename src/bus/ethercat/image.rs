@@ -1,4 +1,5 @@
-//! The process data of a line, and the frames that carry them: built once, and the same from cycle to cycle but for what they carry.
+//! The process data of a line, and the frames that carry them: built once, and the same from cycle to cycle but for
+//! what they carry.
 //!
 //! | first frame | the others |
 //! |---|---|
@@ -7,8 +8,8 @@
 //! | states of all slaves, or-ed | |
 //! | the acyclic slot, of two datagrams at most | |
 //!
-//! The input area leaves the master as zeros. A slave that takes part puts its AL status there, which is never zero: one working counter
-//! for all of them does not tell which one is missing, this does.
+//! The input area leaves the master as zeros. A slave that takes part puts its AL status there, which is never zero:
+//! one working counter for all of them does not tell which one is missing, this does.
 
 use std::ops::Range;
 
@@ -127,8 +128,8 @@ pub enum Read {
 }
 
 impl Image {
-    /// The image of these slaves, in their order on the line, and where each has its place: logical addresses from `base` on.
-    /// `None`: one of them fits into no frame.
+    /// The image of these slaves, in their order on the line, and where each has its place: logical addresses from
+    /// `base` on. `None`: one of them fits into no frame.
     pub fn new(
         slaves: &[(Owner, &SlavePlan)],
         base: u32,
@@ -299,8 +300,8 @@ impl Frame {
         self.bytes[range.clone()].copy_from_slice(&self.sent[..range.len()]);
     }
 
-    /// The slave with this station address is the reference from now on; `to_all`: its time goes to all others, else it is only
-    /// read; `follows`: it is given our time.
+    /// The slave with this station address is the reference from now on; `to_all`: its time goes to all others, else it
+    /// is only read; `follows`: it is given our time.
     pub fn refer_to(&mut self, station: Option<u16>, to_all: bool, follows: bool) {
         let read = |station| match to_all {
             true => Command::Frmw(station, address::DC_TIME),
@@ -367,7 +368,8 @@ impl Frame {
         Read::Good(count)
     }
 
-    /// The time of the reference in a frame that was read, if it was there: without it the others count, and have what was sent.
+    /// The time of the reference in a frame that was read, if it was there: without it the others count, and have what
+    /// was sent.
     pub fn time_of(&self, received: &[u8]) -> Option<u32> {
         let place = self.clock?;
         let answer = answer(received, place)?;

@@ -1,4 +1,5 @@
-//! Native process data, unscaled and complete, for the application: those of a drive, and those of a device that is no drive.
+//! Native process data, unscaled and complete, for the application: those of a drive, and those of a device that is no
+//! drive.
 
 use std::sync::Arc;
 
@@ -54,7 +55,8 @@ impl NativeInputs<'_> {
     }
 }
 
-/// An output PDO, whole: it stays until the next one. With `NativeOwner::Master` the control word in it counts for nothing.
+/// An output PDO, whole: it stays until the next one. With `NativeOwner::Master` the control word in it counts for
+/// nothing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NativeOutput {
     bytes: [u8; PDO_MAX],
@@ -88,7 +90,8 @@ impl Native {
         }
     }
 
-    /// An output PDO with these values; what is not named is 0. `None`: an object is not mapped, or its value does not fit.
+    /// An output PDO with these values; what is not named is 0. `None`: an object is not mapped, or its value does not
+    /// fit.
     pub fn output(&self, values: &[(Object, i64)]) -> Option<NativeOutput> {
         let layout = &self.layouts[0];
         let mut output = NativeOutput::new(&[0; PDO_MAX][..layout.size().min(PDO_MAX)])?;
@@ -104,8 +107,8 @@ impl Native {
         Some(output)
     }
 
-    /// Queues an output for the axis in native mode; gives it back if the queue is full. What is written before the mode
-    /// runs ([`NativeInputs::running`]) is dropped as it begins.
+    /// Queues an output for the axis in native mode; gives it back if the queue is full. What is written before the
+    /// mode runs ([`NativeInputs::running`]) is dropped as it begins.
     pub fn write(&mut self, output: NativeOutput) -> Result<(), NativeOutput> {
         self.outputs.push(output).map_err(|rtrb::PushError::Full(output)| output)
     }
@@ -152,8 +155,8 @@ impl NativePort {
         self.outputs.pop().ok()
     }
 
-    /// Drops what was written for a native mode that is over; not what the application writes meanwhile, which would have
-    /// no end.
+    /// Drops what was written for a native mode that is over; not what the application writes meanwhile, which would
+    /// have no end.
     pub(super) fn flush(&mut self) {
         for _ in 0..self.outputs.slots().min(OUTPUTS) {
             let _ = self.outputs.pop();
@@ -223,8 +226,8 @@ impl Terminals {
         self.sizes
     }
 
-    /// Writes all outputs at once: they go out with the next frame, if no newer ones were written by then, and stay until the next
-    /// ones, or until the device leaves OP: then they are zeros until they are written anew.
+    /// Writes all outputs at once: they go out with the next frame, if no newer ones were written by then, and stay
+    /// until the next ones, or until the device leaves OP: then they are zeros until they are written anew.
     pub fn write(&mut self, outputs: &[u8]) -> Result<(), TerminalError> {
         let mut image = [0; TERMINAL_MAX];
         match image.get_mut(..self.sizes.0) {

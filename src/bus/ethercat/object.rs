@@ -13,12 +13,12 @@
 //! | `0x3A98` | the bits of a count |
 //! | `S700` | of a text, up to eight characters |
 //!
-//! In a [`Call`] the service is [`READ`] or [`WRITE`], the address a packed [`Target`], the value the raw bits of a count, or the
-//! characters of a text, the first in the lowest byte. The status of its answer is 0 or the drive's abort code, or one of the
-//! [statuses](NO_MAILBOX) of the master.
+//! In a [`Call`] the service is [`READ`] or [`WRITE`], the address a packed [`Target`], the value the raw bits of a
+//! count, or the characters of a text, the first in the lowest byte. The status of its answer is 0 or the drive's abort
+//! code, or one of the [statuses](NO_MAILBOX) of the master.
 //!
-//! An object that is longer than the value of a call is read by a series of calls: [`READ`], and behind it [`SIZE`] and [`PART`]s of
-//! what it has brought. [`long::read`] does it.
+//! An object that is longer than the value of a call is read by a series of calls: [`READ`], and behind it [`SIZE`] and
+//! [`PART`]s of what it has brought. [`long::read`] does it.
 
 pub mod catalogue;
 pub mod long;
@@ -36,12 +36,14 @@ pub const READ: u32 = 1;
 /// The service of a call that writes.
 pub const WRITE: u32 = 2;
 
-/// The service of a call that tells how many bytes the call that read the same target before it in its series has brought.
+/// The service of a call that tells how many bytes the call that read the same target before it in its series has
+/// brought.
 pub const SIZE: u32 = 3;
 /// The service of a call that gives eight of those bytes, of the first 64, from the one on that `value` says.
 pub const PART: u32 = 4;
 
-/// Status of a call: the slave has no mailbox. This status and those below are the master's own; abort codes begin far above.
+/// Status of a call: the slave has no mailbox. This status and those below are the master's own; abort codes begin far
+/// above.
 pub const NO_MAILBOX: u32 = 0x01;
 /// Status of a call: there is no such call.
 pub const NO_CALL: u32 = 0x02;

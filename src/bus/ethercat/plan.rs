@@ -26,7 +26,8 @@ use crate::time::MS;
 pub struct EthercatPlan {
     /// Its name in messages.
     pub name: String,
-    /// The network interface, like `eth1`; `local:NAME` is a line of simulated drives on this host, without an interface.
+    /// The network interface, like `eth1`; `local:NAME` is a line of simulated drives on this host, without an
+    /// interface.
     pub interface: String,
     /// The drives, in slot order.
     pub drives: Vec<KollmorgenDrive>,
@@ -61,8 +62,8 @@ pub struct SlavePlan {
     pub check_sii: bool,
     /// Objects that are written in PREOP, in this order, behind those that select the PDOs.
     pub start_up: Vec<Start>,
-    /// Objects that are read behind them, and have to be so. One that is a [factor](Start::factor) may be anything: the next one has
-    /// to be that many times its value.
+    /// Objects that are read behind them, and have to be so. One that is a [factor](Start::factor) may be anything: the
+    /// next one has to be that many times its value.
     pub verify: Vec<Start>,
     /// Objects that have to be so in a drive that is found in OP, or it is not taken over as it is.
     pub verify_found: Vec<Start>,
@@ -173,8 +174,8 @@ pub enum Mapping {
 pub struct Scaling {
     /// Increments a turn as a power of two (PRBASE). Default 20.
     pub prbase: u8,
-    /// rpm of a count of the velocity setpoint. Default of S300 ... S700: increments per 250 us, as its sister AX2000 has it; of an
-    /// AKD 0.001 (both assumed).
+    /// rpm of a count of the velocity setpoint. Default of S300 ... S700: increments per 250 us, as its sister AX2000
+    /// has it; of an AKD 0.001 (both assumed).
     pub rpm_per_count: f64,
     /// Per mille of the rated torque or current of a count of the torque setpoint (assumed: 1).
     pub permille_per_count: f64,
@@ -367,8 +368,8 @@ impl Scaling {
 }
 
 impl KollmorgenDrive {
-    /// The drive at this place of the line, in revolutions of its motor, with everything else as it is when a configuration says
-    /// nothing of it: a velocity setpoint, 1702h and 1B03h (of an AKD 1702h and 1B24h).
+    /// The drive at this place of the line, in revolutions of its motor, with everything else as it is when a
+    /// configuration says nothing of it: a velocity setpoint, 1702h and 1B03h (of an AKD 1702h and 1B24h).
     pub fn new(name: impl Into<String>, place: u16, family: Family) -> KollmorgenDrive {
         let scaling = Scaling::of(family);
         let (product, inputs, mailbox) = match family {

@@ -5,9 +5,10 @@
 //! | `exchange` | a frame out and back, told apart from those of other masters |
 //! | `information` | the SII |
 //!
-//! Registers are only read, and slaves are addressed by their places: no station address, no state and no process data is touched.
-//! Reading the SII takes writes to its own registers. Below SAFEOP nobody is disturbed by that, unless the slave's processor owns
-//! the SII; above it, or if it does, it is read only when asked for ([`Options::sii`]), and given back.
+//! Registers are only read, and slaves are addressed by their places: no station address, no state and no process data
+//! is touched. Reading the SII takes writes to its own registers. Below SAFEOP nobody is disturbed by that, unless the
+//! slave's processor owns the SII; above it, or if it does, it is read only when asked for ([`Options::sii`]), and
+//! given back.
 
 mod exchange;
 mod information;

@@ -1,7 +1,7 @@
 //! The acyclic slot of a frame: two datagrams at most, for one slave's affairs at a time.
 //!
-//! Whoever has the slot writes what it wants into an [`Ask`]; the [`Answers`] come with the reply to that frame, or empty if it was
-//! lost.
+//! Whoever has the slot writes what it wants into an [`Ask`]; the [`Answers`] come with the reply to that frame, or
+//! empty if it was lost.
 
 use super::wire::frame::Command;
 

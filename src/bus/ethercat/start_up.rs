@@ -47,7 +47,8 @@ fn select(assignment: u16, layout: &Layout, mapping: Mapping, list: &mut Vec<Sta
     list.push(start(assignment, 0, Type::U8, 1));
 }
 
-/// What is held against the drive then: how it counts a turn, if it tells (608Fh follows PRBASE: assumed, so that it may be left out).
+/// What is held against the drive then: how it counts a turn, if it tells (608Fh follows PRBASE: assumed, so that it
+/// may be left out).
 pub fn verify(drive: &KollmorgenDrive) -> Vec<Start> {
     if !drive.check_prbase {
         return Vec::new();

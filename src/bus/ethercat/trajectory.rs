@@ -1,7 +1,8 @@
 //! Where an axis shall be at an instant: piecewise constant acceleration, in closed form.
 //!
-//! Knows no drive, no wire and no clock. A motion begins at any point and velocity, and replaces the one before it at any time: it
-//! is planned once, and evaluated at the time since its begin, so that steps of any size lie on the same curve, and its end is exact.
+//! Knows no drive, no wire and no clock. A motion begins at any point and velocity, and replaces the one before it at
+//! any time: it is planned once, and evaluated at the time since its begin, so that steps of any size lie on the same
+//! curve, and its end is exact.
 
 /// Where the axis is, and how fast.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -14,8 +15,8 @@ pub(super) struct Point {
 
 /// Brake, speed up, cruise, brake, stand.
 const SEGMENTS: usize = 5;
-/// A stopping distance that differs from the way by less than this part of it is the same: a motion that is replaced by itself
-/// while it brakes goes on braking.
+/// A stopping distance that differs from the way by less than this part of it is the same: a motion that is replaced by
+/// itself while it brakes goes on braking.
 const SAME: f64 = 1e-9;
 /// Ramps are at least so steep: no plan makes a time without end of a deceleration of 0.
 const LEAST: f64 = 1e-12;
@@ -52,8 +53,8 @@ impl Trajectory {
         motion
     }
 
-    /// Makes it a motion from a point to a velocity with this acceleration, up or down, and on at it. In place: the velocity that an
-    /// application gives may be another one in each exchange.
+    /// Makes it a motion from a point to a velocity with this acceleration, up or down, and on at it. In place: the
+    /// velocity that an application gives may be another one in each exchange.
     #[inline]
     pub(super) fn become_run(&mut self, from: Point, velocity: f64, acceleration: f64) {
         let (acceleration, change) = (acceleration.max(LEAST), velocity - from.velocity);
@@ -68,8 +69,8 @@ impl Trajectory {
         self.segments[self.count - 1] = Segment { begin_s, from: at, acceleration: 0.0 };
     }
 
-    /// From a point to a place, where it stands, in the shortest time with these limits, all above 0. What cannot brake before the
-    /// target passes it and comes back.
+    /// From a point to a place, where it stands, in the shortest time with these limits, all above 0. What cannot brake
+    /// before the target passes it and comes back.
     pub(super) fn go_to(from: Point, target: f64, velocity: f64, up: f64, down: f64) -> Trajectory {
         let (velocity, up, down) = (velocity.max(LEAST), up.max(LEAST), down.max(LEAST));
         let mut plan = Plan::from(from);

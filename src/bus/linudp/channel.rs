@@ -52,8 +52,9 @@ impl MotionChannel {
     /// Takes the echo of a reply, `clean` if it can be no older one. `Err` when the drive takes none of the counts.
     pub(super) fn take(&mut self, echo: u8, clean: bool) -> Result<(), Failure> {
         if self.command.is_none() {
-            // Nothing on its way: what the drive has stored is where we go on. This is read first after a start. A reply that
-            // may be older says nothing of now: the count after its one may be the very one that the drive has stored.
+            // Nothing on its way: what the drive has stored is where we go on. This is read first after a start. A
+            // reply that may be older says nothing of now: the count after its one may be the very one that the drive
+            // has stored.
             if clean {
                 self.count = Some(echo);
             }

@@ -29,16 +29,17 @@ pub struct NativeInputs {
     pub response: Response,
 }
 
-/// What the application writes in native mode: one an exchange at most, in order. Each goes out: where an exchange is passed
-/// over or the system refuses to send it, with the next one.
+/// What the application writes in native mode: one an exchange at most, in order. Each goes out: where an exchange is
+/// passed over or the system refuses to send it, with the next one.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct NativeOutput {
     /// The control word, from here on; taken only with `NativeOwner::Application`.
     pub control: Option<ControlWord>,
-    /// A motion command. It is sent with the next count and repeated until its echo comes, with another count where that
-    /// stays out; after 4 counts the native mode fails. The next output with a motion waits until then, and so does what is
-    /// behind it. Outside of operation a drive echoes nothing: there the next motion replaces it. The command that
-    /// resets the firmware (00Fx) fails the native mode: under these counts the drive would restart again and again.
+    /// A motion command. It is sent with the next count and repeated until its echo comes, with another count where
+    /// that stays out; after 4 counts the native mode fails. The next output with a motion waits until then, and so
+    /// does what is behind it. Outside of operation a drive echoes nothing: there the next motion replaces it. The
+    /// command that resets the firmware (00Fx) fails the native mode: under these counts the drive would restart again
+    /// and again.
     pub motion: Option<MotionCommand>,
     /// A real-time-config block, count included, sent in one exchange only.
     pub config: Option<RtcBlock>,
@@ -73,8 +74,8 @@ impl Native {
         NativeInputs { at, running, response }
     }
 
-    /// Queues an output for the axis in native mode; gives it back if the queue is full. What is written before the mode
-    /// runs ([`NativeInputs::running`]) is dropped as it begins.
+    /// Queues an output for the axis in native mode; gives it back if the queue is full. What is written before the
+    /// mode runs ([`NativeInputs::running`]) is dropped as it begins.
     pub fn write(&mut self, output: NativeOutput) -> Result<(), NativeOutput> {
         self.outputs.push(output).map_err(|rtrb::PushError::Full(output)| output)
     }
@@ -104,8 +105,8 @@ impl NativePort {
         self.outputs.pop().ok()
     }
 
-    /// Drops what was written for a native mode that is over; not what the application writes meanwhile, which would have
-    /// no end.
+    /// Drops what was written for a native mode that is over; not what the application writes meanwhile, which would
+    /// have no end.
     pub(super) fn flush(&mut self) {
         for _ in 0..self.outputs.slots().min(OUTPUTS) {
             let _ = self.outputs.pop();

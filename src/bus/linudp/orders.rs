@@ -1,7 +1,7 @@
 //! What an order does to a LinMot drive, step by step: edges, counts, hold times.
 //!
-//! Every step waits for what the drive says in a reply to a request that was sent after the step began, never for a time.
-//! The control word stays what the last step left behind. Nothing is written before the first order.
+//! Every step waits for what the drive says in a reply to a request that was sent after the step began, never for a
+//! time. The control word stays what the last step left behind. Nothing is written before the first order.
 //!
 //! Sources: SG5 manual 4.3.4, state machine and motion command interface (sheet, 3.5 and 4.1).
 
@@ -17,8 +17,8 @@ use crate::axis::{Failure, Limits, Move, Profile, RangeError, Row, State, Target
 use crate::bus::{Progress, Slot};
 use crate::time::{Time, nanos};
 
-/// A stream ends with at least so many rows that stand still and that the drive has taken: its output runs 1.5 of its periods
-/// behind, and what it has not reached when it leaves streaming it never reaches ...
+/// A stream ends with at least so many rows that stand still and that the drive has taken: its output runs 1.5 of its
+/// periods behind, and what it has not reached when it leaves streaming it never reaches ...
 const LAST_ROWS: u32 = 3;
 /// ... and with at most so many, should its demand never be said to have arrived.
 const MOST_LAST_ROWS: u32 = 50;
@@ -92,8 +92,8 @@ pub(super) struct Orders {
     /// What the running enable falls back to: off, or powered and out of operation, as it was found.
     rest: ControlWord,
     channel: MotionChannel,
-    /// The native output that the next request carries. It stays until that has gone out: a request may be built more than
-    /// once for one send, and a send may fail.
+    /// The native output that the next request carries. It stays until that has gone out: a request may be built more
+    /// than once for one send, and a send may fail.
     native: Option<NativeOutput>,
     end: Option<Result<(), Failure>>,
 }
@@ -183,9 +183,9 @@ impl Orders {
         self.native = None;
     }
 
-    /// The drive says that its power stage may not come on although the last requests allowed it: an input of its own, such as
-    /// the hardware enable (STO), forbids it. The sheet calls the bit the control word's as the drive sees it, its own inputs
-    /// included; that a missing STO shows in it was not seen on hardware.
+    /// The drive says that its power stage may not come on although the last requests allowed it: an input of its own,
+    /// such as the hardware enable (STO), forbids it. The sheet calls the bit the control word's as the drive sees it,
+    /// its own inputs included; that a missing STO shows in it was not seen on hardware.
     pub(super) fn is_inhibited(&self, status: StatusWord) -> bool {
         let allowed =
             |word: Option<ControlWord>| word.is_some_and(|word| word.has(ControlWord::VOLTAGE_ENABLE));
@@ -253,8 +253,8 @@ impl Orders {
         let free = self.channel.command.is_none() || inputs.state.count().is_none();
         let Some(output) = native.next(free) else { return };
         if output.motion.is_some_and(|command| command.id == MotionCommand::reset_firmware().id) {
-            // With any count but 0 the drive restarts again and again (sheet, 4.3), and with 0 it does nothing if that is
-            // what it has stored.
+            // With any count but 0 the drive restarts again and again (sheet, 4.3), and with 0 it does nothing if that
+            // is what it has stored.
             let why = "00Fx needs a count that this master does not send; restart the drive by its parameter channel";
             return self.refuse(now, Failure::Unsupported(why), inputs);
         }
@@ -479,7 +479,8 @@ impl Orders {
         self.enter(now, step);
     }
 
-    /// A motion that cannot go on. The one before it has ended for the application, so nothing shall move on behind its back.
+    /// A motion that cannot go on. The one before it has ended for the application, so nothing shall move on behind its
+    /// back.
     fn refuse(&mut self, now: Time, failure: Failure, inputs: &Inputs) {
         self.finish(Err(failure));
         if inputs.state.motion_active() == Some(true)
@@ -494,8 +495,8 @@ impl Orders {
         self.units.distance(inputs.demand as f64) + self.units.offset
     }
 
-    /// A move as "VAI go to position". A relative one is made absolute here: were its reply lost and the command repeated, an
-    /// increment would run twice.
+    /// A move as "VAI go to position". A relative one is made absolute here: were its reply lost and the command
+    /// repeated, an increment would run twice.
     fn motion(&self, now: Time, motion: &Move, inputs: &Inputs) -> Result<MotionCommand, Failure> {
         let position = match motion.target {
             Target::Absolute(position) => self.near(position, inputs),
@@ -528,9 +529,9 @@ impl Orders {
         ))
     }
 
-    /// The deceleration asked for, or what it takes to brake within the limits from where the axis will be at the next send:
-    /// what replaces a fast motion may be too weak for the way that is left. Never more than the limit of acceleration, or than
-    /// the axis' own profile where there is none.
+    /// The deceleration asked for, or what it takes to brake within the limits from where the axis will be at the next
+    /// send: what replaces a fast motion may be too weak for the way that is left. Never more than the limit of
+    /// acceleration, or than the axis' own profile where there is none.
     fn braking(&self, now: Time, asked: f64, inputs: &Inputs) -> f64 {
         let velocity = inputs.velocity;
         let Some((low, high)) = self.limits.position else { return asked };
@@ -698,14 +699,14 @@ impl Orders {
         }
     }
 
-    /// The drive's quick stop that stays controlled: /Abort low, never /Freeze (it would run on) and never OFF3 (it ends in
-    /// power off, and the load drops).
+    /// The drive's quick stop that stays controlled: /Abort low, never /Freeze (it would run on) and never OFF3 (it
+    /// ends in power off, and the load drops).
     fn begin_abort(&mut self, now: Time, inputs: &Inputs) {
         let state = inputs.state.main();
         if inputs.seen && (state < MainState::OPERATION_ENABLED || state == MainState::BRAKE_DELAY) {
-            // Whatever is on its way up does not get there by itself: neither an enable that is stopped half-way, nor a drive
-            // that somebody has switched off and that the standing word switches on again. One that already holds its load
-            // goes on holding it, out of operation.
+            // Whatever is on its way up does not get there by itself: neither an enable that is stopped half-way, nor a
+            // drive that somebody has switched off and that the standing word switches on again. One that already holds
+            // its load goes on holding it, out of operation.
             let holds = state > MainState::HW_TESTS && self.as_found(inputs).has(ControlWord::SWITCH_ON);
             let rising = matches!(self.step, Step::EnableLow | Step::EnableHigh);
             self.control = Some(match rising {
@@ -726,9 +727,10 @@ impl Orders {
 
     /// The control word that changes nothing of a drive: on if it says that it is switched on and powered, else off.
     ///
-    /// A drive that dropped out is never switched on again by it, and neither is one that was told to switch off, whatever it
-    /// has said since: that may be no more than what it was before it heard so. One in its own quick stop (state 14) keeps its
-    /// power until it stands; the way back into operation leads over a control word with bit 0 low all the same.
+    /// A drive that dropped out is never switched on again by it, and neither is one that was told to switch off,
+    /// whatever it has said since: that may be no more than what it was before it heard so. One in its own quick stop
+    /// (state 14) keeps its power until it stands; the way back into operation leads over a control word with bit 0 low
+    /// all the same.
     fn as_found(&self, inputs: &Inputs) -> ControlWord {
         let on =
             inputs.status.has(StatusWord::SWITCH_ON_ACTIVE) && inputs.state.main() >= MainState::HW_TESTS;

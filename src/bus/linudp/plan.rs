@@ -203,8 +203,8 @@ impl LinUdpDrive {
         faults
     }
 
-    /// Speed goes over the wire in 1 um/s = 10 counts/s and acceleration in 10 um/s² = 100 counts/s² (manual, 4.2): a value
-    /// must be at least one of them, and fit into the signed 32 bits of the streaming commands.
+    /// Speed goes over the wire in 1 um/s = 10 counts/s and acceleration in 10 um/s² = 100 counts/s² (manual, 4.2): a
+    /// value must be at least one of them, and fit into the signed 32 bits of the streaming commands.
     fn wire_faults(&self) -> Vec<PlanFault> {
         let (profile, unit) = (&self.axis.profile, self.axis.units.unit);
         let scale = self.axis.units.counts_per_unit.abs();
@@ -324,8 +324,8 @@ pub struct SimPlan {
     pub home_position: i32,
     /// Period expected by the commands with configured period (UPID 14E6h in ROM, whole us), ns.
     pub stream_period_ns: u64,
-    /// A stream without a setpoint for so many periods ends in error 0083h. How patient a real drive is, is not documented;
-    /// 2.5 is a strict guess.
+    /// A stream without a setpoint for so many periods ends in error 0083h. How patient a real drive is, is not
+    /// documented; 2.5 is a strict guess.
     pub stream_patience: f64,
     /// Setpoints that a stream holds ahead of its output; one more ends in error 0082h. Not documented either.
     pub stream_depth: usize,
@@ -341,7 +341,8 @@ pub struct SimPlan {
     pub flash: FlashMode,
     /// What it does with motion commands that it has no use for.
     pub unknown_commands: UnknownCommands,
-    /// Values of less than 32 bits carry their sign in the bits above, when they are read or monitored; else these are 0.
+    /// Values of less than 32 bits carry their sign in the bits above, when they are read or monitored; else these are
+    /// 0.
     pub extend_sign: bool,
 }
 
@@ -377,7 +378,8 @@ pub enum FlashMode {
     /// Nothing, but for the telegram that began it; and afterwards how it went.
     #[default]
     Silent,
-    /// Nothing at all, and afterwards nothing of it: its channel has not stored the command. So a C1250 was seen to behave.
+    /// Nothing at all, and afterwards nothing of it: its channel has not stored the command. So a C1250 was seen to
+    /// behave.
     Mute,
     /// Everything; on the real-time-config channel that it is busy.
     Busy,

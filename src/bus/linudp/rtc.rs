@@ -1,11 +1,11 @@
-//! The real-time-config channel of one drive: one acyclic call after the other, each a block in the requests that go out
-//! anyway. It moves no cycle, sends no telegram of its own, and is a slice of bounded work.
+//! The real-time-config channel of one drive: one acyclic call after the other, each a block in the requests that go
+//! out anyway. It moves no cycle, sends no telegram of its own, and is a slice of bounded work.
 //!
-//! The channel has four bits of identity: a command runs only if its count differs from the one that the drive has stored,
-//! and the answer echoes the count (LinUDP V2 manual, chapter 7). So the stored count is learned first, by a command that
-//! does nothing; the same block then goes out with every request until its echo comes with a final status; and after every
-//! doubt (a time-out, a lost link, a restart, somebody else's block) it is learned anew. Only replies that can be no older
-//! ones are read.
+//! The channel has four bits of identity: a command runs only if its count differs from the one that the drive has
+//! stored, and the answer echoes the count (LinUDP V2 manual, chapter 7). So the stored count is learned first, by a
+//! command that does nothing; the same block then goes out with every request until its echo comes with a final status;
+//! and after every doubt (a time-out, a lost link, a restart, somebody else's block) it is learned anew. Only replies
+//! that can be no older ones are read.
 
 mod monitor;
 
@@ -17,8 +17,8 @@ use crate::axis::acyclic::{Answer, CallError, Port, Posted};
 use crate::rt::Regions;
 use crate::time::{MS, S, Time};
 
-/// A block that was not echoed for so long, ns, and in so many clean replies, was not taken: it goes out with another count.
-/// Masters in the field wait 200 ms.
+/// A block that was not echoed for so long, ns, and in so many clean replies, was not taken: it goes out with another
+/// count. Masters in the field wait 200 ms.
 const TAKEN_WITHIN_NS: u64 = 200 * MS;
 const TAKEN_WITHIN: u32 = 5;
 
@@ -30,8 +30,8 @@ fn next(count: u8) -> u8 {
     if count >= 14 { 1 } else { count + 1 }
 }
 
-/// Status of a call whose command was followed by a silence without an acknowledge: it went out, and the drive is back. Whether it
-/// was done, a restart and a look will tell.
+/// Status of a call whose command was followed by a silence without an acknowledge: it went out, and the drive is back.
+/// Whether it was done, a restart and a look will tell.
 pub const UNACKNOWLEDGED: u32 = 0x100;
 
 /// What every drive lets be read.
@@ -100,8 +100,9 @@ impl Active {
     }
 }
 
-/// Commands during which a drive may fall silent, or drop the link: nothing is wrong with it then. Others said that a drive that
-/// saves gives no acknowledge at all; repeated into its silence, such a command might be done again and again.
+/// Commands during which a drive may fall silent, or drop the link: nothing is wrong with it then. Others said that a
+/// drive that saves gives no acknowledge at all; repeated into its silence, such a command might be done again and
+/// again.
 fn may_be_silent(command: RtcCommand) -> bool {
     matches!(
         command,
@@ -280,9 +281,9 @@ impl RtcChannel {
         block
     }
 
-    /// The application puts a block of its own into the next request. From then on nothing is known of the stored count, and
-    /// what the drive echoes tells nothing: it may be busy and not take that block, or its reply an older one. So the counts
-    /// here go on from where they were, and the next one is learned by.
+    /// The application puts a block of its own into the next request. From then on nothing is known of the stored
+    /// count, and what the drive echoes tells nothing: it may be busy and not take that block, or its reply an older
+    /// one. So the counts here go on from where they were, and the next one is learned by.
     pub(super) fn give_way(&mut self) {
         if self.active.is_some() {
             self.end(Err(CallError::Native));

@@ -2,10 +2,11 @@
 //!
 //! It takes `now` and slices, and knows no socket. What an order does, step by step, stands in `orders`.
 //!
-//! LinUDP has no sequence number. A reply counts by its sender, by the echo of both definitions, and by the open exchange;
-//! after a missed exchange the next reply may be the late one of before, so it is *suspect*: taken as feedback one cycle
-//! older, without a round-trip sample. The request after it asks for one block more or less, so that its echo is its own.
-//! With `reply_tag` a real-time-config no-operation carries a new count in every request and its echo names the request.
+//! LinUDP has no sequence number. A reply counts by its sender, by the echo of both definitions, and by the open
+//! exchange; after a missed exchange the next reply may be the late one of before, so it is *suspect*: taken as
+//! feedback one cycle older, without a round-trip sample. The request after it asks for one block more or less, so that
+//! its echo is its own. With `reply_tag` a real-time-config no-operation carries a new count in every request and its
+//! echo names the request.
 
 use super::native::{Native, NativePort, native};
 use super::orders::{Inputs, Orders, Outputs};
@@ -62,8 +63,8 @@ struct Identity {
     prepared: Echo,
     /// What the reply to the last request sent echoes.
     asked: Echo,
-    /// What those before it echoed, newest first, without repetitions in a row: as far back as late replies come from while
-    /// the link is still online.
+    /// What those before it echoed, newest first, without repetitions in a row: as far back as late replies come from
+    /// while the link is still online.
     asked_before: [Echo; 3],
     /// An exchange was opened and no reply closed it.
     open: bool,
@@ -148,8 +149,8 @@ impl Station {
         self.rtc.memory(regions);
     }
 
-    /// Builds the request of the next send in `out` and returns its length. Built again for the same send, it is the same:
-    /// what moves on with every request does so in [`sent`](Self::sent).
+    /// Builds the request of the next send in `out` and returns its length. Built again for the same send, it is the
+    /// same: what moves on with every request does so in [`sent`](Self::sent).
     pub fn prepare(&mut self, cycle: &Cycle, slot: &mut Slot, out: &mut [u8]) -> usize {
         let silent = matches!(slot.link, Link::Unseen | Link::Lost);
         let outputs = self.orders.advance(cycle.grid, &self.inputs, slot, &mut self.native);
@@ -169,8 +170,8 @@ impl Station {
             self.rtc.give_way();
         }
         if self.identity.suspect {
-            // Asked for something else than the ones before, so that the echo tells its reply from all late ones: were they
-            // always one cycle behind, each would pass for the newest for ever.
+            // Asked for something else than the ones before, so that the echo tells its reply from all late ones: were
+            // they always one cycle behind, each would pass for the newest for ever.
             request.response_def.0 ^= ResponseDef::MONITOR.0;
         }
         let tag = match (config, called) {
@@ -211,7 +212,8 @@ impl Station {
             identity.under_way = 0;
         }
         if !identity.open && identity.suspect {
-            // This request differs from those before: its reply cannot be mistaken for theirs. They may come all the same.
+            // This request differs from those before: its reply cannot be mistaken for theirs. They may come all the
+            // same.
             identity.mistakable = 0;
         }
         (identity.open, identity.suspect) = (true, false);
@@ -405,8 +407,8 @@ impl Station {
 
 /// LinMot's states on those of CiA 402.
 ///
-/// An error being logged (3) and the quick stop of an error (14 with the error bit) are the fault reaction; aborting and
-/// freezing hold the axis under control after a quick stop.
+/// An error being logged (3) and the quick stop of an error (14 with the error bit) are the fault reaction; aborting
+/// and freezing hold the axis under control after a quick stop.
 fn drive_state(status: StatusWord, state: StateVar, booting: bool) -> State {
     if booting {
         return State::NotReadyToSwitchOn;

@@ -223,8 +223,8 @@ mod tests {
         EntryId::new(id).unwrap()
     }
 
-    /// Drive Configuration manual, command table entry; offsets of the branch as in the motion control manual: condition
-    /// 6, true 10, false 12.
+    /// Drive Configuration manual, command table entry; offsets of the branch as in the motion control manual:
+    /// condition 6, true 10, false 12.
     #[test]
     fn golden_entry() {
         let command = MotionCommand::if_demand_position_less(Position(100_000), id(2), id(255));

@@ -193,8 +193,8 @@ const fn acceleration(upid: u16, name: &'static str, kind: Type) -> Known {
     known(upid, name, kind, 2, "mm/s2")
 }
 
-/// The UPIDs that are known by name, in the order of their numbers. A type that no source gives is the smallest that fits
-/// its meaning.
+/// The UPIDs that are known by name, in the order of their numbers. A type that no source gives is the smallest that
+/// fits its meaning.
 pub const KNOWN: &[Known] = &[
     number(0x000C, "article-number", Type::Text),
     known(0x0082, "operating-hours-part", Type::U32, 0, "ms"),
@@ -331,8 +331,8 @@ const FORM: &str =
 
 /// How long a drive is given to read a value, or to write one to RAM.
 const RAM_LIMIT: Duration = Duration::from_secs(1);
-/// How long it is given to write one to flash: it may stall meanwhile (sheet, 5.6), for how long is not known. As long as
-/// stopping its software.
+/// How long it is given to write one to flash: it may stall meanwhile (sheet, 5.6), for how long is not known. As long
+/// as stopping its software.
 const FLASH_LIMIT: Duration = Duration::from_secs(20);
 
 /// Addresses and values of LinMot drives.

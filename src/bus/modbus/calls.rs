@@ -1,4 +1,5 @@
-//! Acyclic calls on the connection of the cyclic exchange: each takes the place of one exchange now and then, and the rest go on.
+//! Acyclic calls on the connection of the cyclic exchange: each takes the place of one exchange now and then, and the
+//! rest go on.
 
 use super::notation::{NOT_TAKEN, READ, Target, UNREACHABLE, WRITE};
 use super::parameter::{Addressing, Width};

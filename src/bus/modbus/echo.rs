@@ -1,13 +1,14 @@
 //! Whether the drive has taken what was written to it.
 //!
-//! A reply to FC23 says nothing of what was written, and a drive refuses a value without a word (Commander SE guide): it has taken
-//! what reads back. Whether a drive writes before it reads is not documented, so that what differs counts only if it was written by an
-//! earlier request, and only if it differs twice.
+//! A reply to FC23 says nothing of what was written, and a drive refuses a value without a word (Commander SE guide):
+//! it has taken what reads back. Whether a drive writes before it reads is not documented, so that what differs counts
+//! only if it was written by an earlier request, and only if it differs twice.
 
 /// So many differing reads in a row are a refusal.
 const DIFFERENT: u8 = 2;
 
-/// No value. In a whole word each, they are read as they were written a moment ago, which a processor can do without a wait.
+/// No value. In a whole word each, they are read as they were written a moment ago, which a processor can do without a
+/// wait.
 const NONE: i64 = i64::MIN;
 
 /// One written parameter.

@@ -1,9 +1,9 @@
-//! What is said on a new connection before the loop has it: what the drive is and does is read. On a normal thread, one request
-//! after the other.
+//! What is said on a new connection before the loop has it: what the drive is and does is read. On a normal thread, one
+//! request after the other.
 //!
-//! Read are the unit id, every cyclic parameter, whether FC23 is known, and what the drive obeys and is watched by. Written is only
-//! what menu 0 shall show, and that to no drive that runs. What makes the drive follow the control word is written by the station,
-//! with the first order that needs it.
+//! Read are the unit id, every cyclic parameter, whether FC23 is known, and what the drive obeys and is watched by.
+//! Written is only what menu 0 shall show, and that to no drive that runs. What makes the drive follow the control word
+//! is written by the station, with the first order that needs it.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -139,8 +139,8 @@ impl UnidriveGreeting {
         }
     }
 
-    /// The longest that it takes, ns: a request for each block and each setting, three for those of menu 0, each with the time
-    /// that a reply may take.
+    /// The longest that it takes, ns: a request for each block and each setting, three for those of menu 0, each with
+    /// the time that a reply may take.
     pub(super) fn longest_ns(&self) -> u64 {
         let menu_0 = self.settings.iter().filter(|setting| setting.purpose == Purpose::Menu0).count();
         let requests = 4 + self.direct.reads().len() + self.settings.len() + 2 * menu_0;

@@ -21,8 +21,8 @@ pub(super) enum Whose {
 pub(super) struct Identity {
     /// Bit n: the n-th request before the last one has its reply.
     answered: u64,
-    /// Of the request that went out last, 16 bits of it. A whole word, like all of these: small neighbours are read together, and
-    /// what was just written in parts is slow to read as a whole.
+    /// Of the request that went out last, 16 bits of it. A whole word, like all of these: small neighbours are read
+    /// together, and what was just written in parts is slow to read as a whole.
     last: u32,
     /// So many requests went out on this connection, at most [`REMEMBERED`].
     sent: u32,

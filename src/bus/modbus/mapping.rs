@@ -1,7 +1,7 @@
 //! The cyclic parameters as blocks of registers.
 //!
-//! A request has one block to write and one to read, each of parameters that follow each other and have one width. In 32-bit access
-//! the address counts parameters and the quantity counts registers (manual, FC23 example).
+//! A request has one block to write and one to read, each of parameters that follow each other and have one width. In
+//! 32-bit access the address counts parameters and the quantity counts registers (manual, FC23 example).
 
 use super::parameter::{Parameter, Width};
 use super::plan::{Mapped, UnidriveDrive, Via};

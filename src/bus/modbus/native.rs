@@ -23,8 +23,8 @@ pub struct Native {
     outputs: Producer<NativeOutput>,
 }
 
-/// What the drive last said, as counts on the wire; `None`: not read yet on this connection. The number of a trip stays when the trip is
-/// over: the status says whether there is one.
+/// What the drive last said, as counts on the wire; `None`: not read yet on this connection. The number of a trip stays
+/// when the trip is over: the status says whether there is one.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct NativeInputs {
     /// When the newest of it was taken in.
@@ -85,14 +85,14 @@ impl Native {
         self.inputs.read()
     }
 
-    /// The newest count of parameter `index` of those that are read besides, in the order of the plan; 0 before the first one.
-    /// Each for itself: two of them may be of two replies.
+    /// The newest count of parameter `index` of those that are read besides, in the order of the plan; 0 before the
+    /// first one. Each for itself: two of them may be of two replies.
     pub fn also(&self, index: usize) -> Option<i32> {
         self.also.get(index).map(|count| count.load(Ordering::Relaxed))
     }
 
-    /// Queues an output for the axis in native mode; gives it back if the queue is full. What is written before the mode
-    /// runs ([`NativeInputs::running`]) is dropped as it begins.
+    /// Queues an output for the axis in native mode; gives it back if the queue is full. What is written before the
+    /// mode runs ([`NativeInputs::running`]) is dropped as it begins.
     pub fn write(&mut self, output: NativeOutput) -> Result<(), NativeOutput> {
         self.outputs.push(output).map_err(|rtrb::PushError::Full(output)| output)
     }
@@ -122,8 +122,8 @@ impl NativePort {
         self.outputs.pop().ok().map(|NativeOutput { control, reference }| Outputs { control, reference })
     }
 
-    /// Drops what was written for a native mode that is over; not what the application writes meanwhile, which would have
-    /// no end.
+    /// Drops what was written for a native mode that is over; not what the application writes meanwhile, which would
+    /// have no end.
     pub(super) fn flush(&mut self) {
         for _ in 0..self.outputs.slots().min(OUTPUTS) {
             let _ = self.outputs.pop();

@@ -13,8 +13,8 @@
 //! | `0x3A98` | the bits of a count |
 //! | `true`, `false` | 1, 0 |
 //!
-//! In a [`Call`] the service is [`READ`] or [`WRITE`], the address a packed [`Target`], the value the raw bits of a count. The
-//! status of its answer is 0, the drive's exception code, or one of [`NOT_TAKEN`] and [`UNREACHABLE`].
+//! In a [`Call`] the service is [`READ`] or [`WRITE`], the address a packed [`Target`], the value the raw bits of a
+//! count. The status of its answer is 0, the drive's exception code, or one of [`NOT_TAKEN`] and [`UNREACHABLE`].
 
 use super::parameter::{Known, Parameter, SLOT_MAX, Width, catalogue};
 use super::wire::ExceptionCode;
@@ -25,9 +25,11 @@ pub const READ: u32 = 1;
 /// The service of a call that writes.
 pub const WRITE: u32 = 2;
 
-/// A status above those of the drive: it wrote fewer registers than it was sent, its silent refusal (Commander SE guide).
+/// A status above those of the drive: it wrote fewer registers than it was sent, its silent refusal (Commander SE
+/// guide).
 pub const NOT_TAKEN: u32 = 0x100;
-/// A status above those of the drive: the parameter has no address in the addressing mode of this drive. Nothing was sent.
+/// A status above those of the drive: the parameter has no address in the addressing mode of this drive. Nothing was
+/// sent.
 pub const UNREACHABLE: u32 = 0x101;
 
 /// What a call reads or writes.

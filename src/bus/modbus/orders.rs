@@ -1,8 +1,9 @@
 //! What an order does to a Unidrive, step by step: the control word and the speed reference.
 //!
-//! In operation RUN is on, with a direction, and the drive follows the reference, at zero too: it holds its motor there. The
-//! reference is led along the ramp that was asked for; the drive's own ramps (02.011, 02.021) lie beneath it. RUN goes on only after
-//! the drive has acknowledged the reference that it begins with. Nothing is written before the first order.
+//! In operation RUN is on, with a direction, and the drive follows the reference, at zero too: it holds its motor
+//! there. The reference is led along the ramp that was asked for; the drive's own ramps (02.011, 02.021) lie beneath
+//! it. RUN goes on only after the drive has acknowledged the reference that it begins with. Nothing is written before
+//! the first order.
 //!
 //! Sources: SI-PROFIBUS guide, control word 06.042 and status word 10.040.
 
@@ -15,7 +16,8 @@ use crate::axis::{Failure, State, Verb};
 use crate::bus::{Progress, Slot};
 use crate::time::{MS, Time, nanos};
 
-/// A drive that was told to run, and has acknowledged it, is active within this time, ns, or its hardware enable is missing.
+/// A drive that was told to run, and has acknowledged it, is active within this time, ns, or its hardware enable is
+/// missing.
 const ACTIVE_WITHIN_NS: u64 = 300 * MS;
 /// The longest step of a ramp, in intervals between two requests: after a pause it makes up for nothing.
 const MOST_STEP: u64 = 4;
@@ -240,7 +242,8 @@ impl Orders {
         matches!(self.step, Step::Native(_))
     }
 
-    /// Whether something stops the drive if the master dies, whether it follows the control word, and whether it can be set so.
+    /// Whether something stops the drive if the master dies, whether it follows the control word, and whether it can be
+    /// set so.
     pub(super) fn found(&mut self, watched: bool, obeys: bool, settable: bool) {
         (self.watched, self.obeys, self.settable) = (watched, obeys, settable);
         if !settable && matches!(self.step, Step::EnableLow | Step::TakingOver(_)) {
@@ -354,7 +357,8 @@ impl Orders {
             .with(if self.is_on() { self.on } else { 0 })
             .with(if self.runs() { run } else { 0 })
             .with(if self.mode == Mode::Resetting { ControlWord::RESET } else { 0 });
-        // Rounded by hand: without SSE4.1 `round` is a call. A plan whose velocities do not fit is refused; the rest saturates.
+        // Rounded by hand: without SSE4.1 `round` is a call. A plan whose velocities do not fit is refused; the rest
+        // saturates.
         Outputs { control, reference: (raw.abs() + 0.5) as i32 }
     }
 
@@ -663,8 +667,8 @@ impl Orders {
     }
 }
 
-/// A step on the way from a velocity. Kept out of line: inlined it becomes a conditional move, and where no step is left to be made the
-/// rest of the cycle would wait for this one.
+/// A step on the way from a velocity. Kept out of line: inlined it becomes a conditional move, and where no step is
+/// left to be made the rest of the cycle would wait for this one.
 #[inline(never)]
 fn on_the_way(from: f64, way: f64, step: f64) -> f64 {
     from + step.copysign(way)

@@ -43,8 +43,8 @@ pub struct UnidriveDrive {
     pub reply_within_ns: u64,
     /// What stops the drive if the master dies.
     pub watchdog: Watchdog,
-    /// The drive is set to what the master needs: menu 0 when a connection begins, the rest with the first order that needs it.
-    /// Without that it is only looked whether it is so.
+    /// The drive is set to what the master needs: menu 0 when a connection begins, the rest with the first order that
+    /// needs it. Without that it is only looked whether it is so.
     pub set_up: bool,
     /// The drive when it is simulated. Address, addressing and slot are those above.
     pub simulate: SimSettings,
@@ -122,8 +122,8 @@ pub enum Via {
     /// Where they are: a block to write and a block to read in each exchange, in turns.
     #[default]
     Direct,
-    /// The drive is set up (Pr 22.001 ... 22.080) to show them side by side in menu 0, from Pr 00.`first` on: all of them in
-    /// each exchange. Taken from the drive's description, not tried on one.
+    /// The drive is set up (Pr 22.001 ... 22.080) to show them side by side in menu 0, from Pr 00.`first` on: all of
+    /// them in each exchange. Taken from the drive's description, not tried on one.
     Menu0 {
         /// The first of them.
         first: u8,
@@ -133,8 +133,9 @@ pub enum Via {
 /// What makes the drive stop by itself when nothing comes any more.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Watchdog {
-    /// Pr S.15.009 is set to this, ns: the drive trips without Modbus traffic for so long. Unit and action are assumed (ms,
-    /// trip). The master arms it before it enables the drive, and disarms it (0) at its orderly end. `None`: left as it is.
+    /// Pr S.15.009 is set to this, ns: the drive trips without Modbus traffic for so long. Unit and action are assumed
+    /// (ms, trip). The master arms it before it enables the drive, and disarms it (0) at its orderly end. `None`: left
+    /// as it is.
     pub timeout_ns: Option<u64>,
     /// Bit 14 of the control word: the drive trips if that is not written again within about 1 s (assumed).
     pub keypad: bool,
@@ -175,8 +176,8 @@ impl ModbusPlan {
 }
 
 impl UnidriveDrive {
-    /// A drive at this address, in revolutions of its motor, with everything else as it is when a configuration says nothing of
-    /// it.
+    /// A drive at this address, in revolutions of its motor, with everything else as it is when a configuration says
+    /// nothing of it.
     pub fn new(name: impl Into<String>, address: Ipv4Addr) -> UnidriveDrive {
         let units = Units { unit: Unit::Revolution, counts_per_unit: 1.0, offset: 0.0, modulo: None };
         let address = SocketAddrV4::new(address, PORT);
@@ -337,8 +338,8 @@ impl UnidriveDrive {
 
     /// The control word is written at least this often, ns, while nothing is lost.
     fn control_written_every(&self, period_ns: u64) -> u64 {
-        // Where control word and reference are apart, the reference goes first for a while. Acyclic calls take turns with all of
-        // it, and so does reading in a drive without FC23.
+        // Where control word and reference are apart, the reference goes first for a while. Acyclic calls take turns
+        // with all of it, and so does reading in a drive without FC23.
         let blocks = Mapping::new(self).map_or(1, |mapping| mapping.writes().len() as u64);
         let turns = if blocks > 1 { u64::from(REFERENCES_IN_A_ROW) + 1 } else { 1 };
         period_ns.saturating_mul(4 * turns)

@@ -46,8 +46,8 @@ impl Setting {
     }
 }
 
-/// The settings of `drive`. In this order a drive that runs by its terminals goes on at its speed: the control word counts when it
-/// says so, and only then the selectors of the reference change.
+/// The settings of `drive`. In this order a drive that runs by its terminals goes on at its speed: the control word
+/// counts when it says so, and only then the selectors of the reference change.
 pub(super) fn settings(drive: &UnidriveDrive, menu_0: Option<&Mapping>) -> Vec<Setting> {
     let setting = |parameter: Parameter, value, purpose| {
         let width = Mapped::new(parameter).width;

@@ -1,7 +1,8 @@
-//! What is the same in every exchange of its kind: the request but for its id and its values, and the reply but for its values.
+//! What is the same in every exchange of its kind: the request but for its id and its values, and the reply but for its
+//! values.
 //!
-//! A drive is asked the same in by far the most cycles. So its request is built over the last one, and a reply that comes just as
-//! it should is known at a glance. Everything else takes the long way.
+//! A drive is asked the same in by far the most cycles. So its request is built over the last one, and a reply that
+//! comes just as it should is known at a glance. Everything else takes the long way.
 
 use super::mapping::{Block, Places};
 use super::orders::Outputs;
@@ -47,8 +48,8 @@ fn put(out: &mut [u8; ADU_MAX], place: Option<Place>, count: i32) {
     }
 }
 
-/// The reply to a request with function 23 as it comes when nothing is wrong: all of it but its values, which go to an image as they
-/// stand.
+/// The reply to a request with function 23 as it comes when nothing is wrong: all of it but its values, which go to an
+/// image as they stand.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Expected {
     /// Of the whole message; 0: none is expected.
@@ -65,8 +66,8 @@ impl Expected {
     /// What stands before the values: header, function, number of bytes.
     const FRONT: usize = 9;
 
-    /// To a request that reads `block`, whatever its id. None is expected to more than a message holds, nor to what is to be
-    /// sorted.
+    /// To a request that reads `block`, whatever its id. None is expected to more than a message holds, nor to what is
+    /// to be sorted.
     pub(super) fn new(block: &Block, unit: u8) -> Expected {
         let bytes = block.registers.checked_mul(2).and_then(|bytes| u8::try_from(bytes).ok());
         let Some(bytes) = bytes.filter(|_| block.in_order) else {

@@ -1,7 +1,7 @@
 //! Trips of a Unidrive: what Pr 10.020 says after a fault.
 //!
-//! Facts: trip list of the M700, M702 user guide. What these do not show is marked [`assumed`](Trip::assumed): it is what drives of
-//! this family are known for.
+//! Facts: trip list of the M700, M702 user guide. What these do not show is marked [`assumed`](Trip::assumed): it is
+//! what drives of this family are known for.
 
 use std::fmt;
 

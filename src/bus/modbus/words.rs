@@ -9,8 +9,8 @@ use std::fmt;
 pub struct ControlWord(pub u16);
 
 impl ControlWord {
-    /// Bit 0: 1 = enabled, if the hardware enable (safe torque off) is there as well; 0 = power stage off at once, the motor
-    /// coasts.
+    /// Bit 0: 1 = enabled, if the hardware enable (safe torque off) is there as well; 0 = power stage off at once, the
+    /// motor coasts.
     pub const ENABLE: u16 = 1 << 0;
     /// Bit 1: 1 = run forward; 0 = ramp down to a stop.
     pub const RUN_FORWARD: u16 = 1 << 1;
@@ -26,7 +26,8 @@ impl ControlWord {
     pub const NOT_STOP: u16 = 1 << 6;
     /// Bit 7: 1 = this word is obeyed, if Pr 06.043 is 1; 0 = the terminals are.
     pub const AUTO: u16 = 1 << 7;
-    /// Bit 8: 1 = the reference is preset 1, Pr 01.021; 0 = the analogue reference, Pr 01.036. Pr 01.014 and 01.015 must be 0.
+    /// Bit 8: 1 = the reference is preset 1, Pr 01.021; 0 = the analogue reference, Pr 01.036. Pr 01.014 and 01.015
+    /// must be 0.
     pub const REMOTE: u16 = 1 << 8;
     /// Bit 9: 1 = jog in reverse. Any of the run bits goes before.
     pub const JOG_REVERSE: u16 = 1 << 9;

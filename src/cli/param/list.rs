@@ -33,7 +33,8 @@ pub struct List {
     /// Of a LinMot or a drive on EtherCAT, read the value in use of each, too.
     #[arg(long, conflicts_with = "modified")]
     values: bool,
-    /// Of a LinMot, begin with this parameter [default: 0x0000]; of a drive on EtherCAT with this object [default: 0x1000].
+    /// Of a LinMot, begin with this parameter [default: 0x0000]; of a drive on EtherCAT with this object [default:
+    /// 0x1000].
     #[arg(long, value_name = "ADDRESS")]
     from: Option<String>,
     /// Print one JSON array.

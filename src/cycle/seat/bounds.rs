@@ -1,9 +1,9 @@
-//! What the drive's demand may do while the axis is enabled, whatever commands it: the drive's own programs, its panel, or an
-//! application that writes the native process data.
+//! What the drive's demand may do while the axis is enabled, whatever commands it: the drive's own programs, its panel,
+//! or an application that writes the native process data.
 //!
-//! Moves, jogs and rows are checked before they are sent, so that this finds nothing wrong with them. A drive that tells no
-//! demand is watched by its actual speed, one under torque by that and its actual position; what such a one gains in speed
-//! until a stop reaches it is not known, and leads as much further.
+//! Moves, jogs and rows are checked before they are sent, so that this finds nothing wrong with them. A drive that
+//! tells no demand is watched by its actual speed, one under torque by that and its actual position; what such a one
+//! gains in speed until a stop reaches it is not known, and leads as much further.
 
 use crate::axis::AxisPlan;
 use crate::time::Time;

@@ -12,8 +12,8 @@ use crate::bus::{Cycle, Slot};
 use crate::time::Time;
 
 impl Seat {
-    /// Drains what the application wants: ends the command that is done, aborts what an urgent one overtakes, starts the
-    /// next. The command of a group is left to its gate.
+    /// Drains what the application wants: ends the command that is done, aborts what an urgent one overtakes, starts
+    /// the next. The command of a group is left to its gate.
     pub fn exchange(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
         self.waiting = None;
         self.take_setpoints(cycle);
@@ -30,7 +30,8 @@ impl Seat {
                 break;
             }
             if next.ticket.is_none() && self.moves_in_group().is_some() && self.admit(&next).is_ok() {
-                // Whoever takes a member out of a motion of its group stops the group: the others would go on without it.
+                // Whoever takes a member out of a motion of its group stops the group: the others would go on without
+                // it.
                 self.stop(cycle, now, StopCause::GroupFailed, slot);
                 break;
             }
@@ -46,8 +47,8 @@ impl Seat {
         self.age_setpoint(cycle, now, slot);
     }
 
-    /// Whether the command of a group has to be left to its gate. What stops is not held up for long: the application may be
-    /// held up itself, between one member and the next.
+    /// Whether the command of a group has to be left to its gate. What stops is not held up for long: the application
+    /// may be held up itself, between one member and the next.
     fn waits_at_gate(&mut self, cycle: &Cycle, next: &Command) -> bool {
         if self.at_gate.is_none_or(|(id, _)| id != next.id) {
             self.at_gate = Some((next.id, cycle.index));

@@ -230,8 +230,8 @@ impl Seat {
                 self.peaks.send_jitter.see(jitter_ns, cycle.index);
             }
         }
-        // A row that the operating system refused is sent with the next request; in a group it is lost like any telegram,
-        // or this axis would be a row behind from then on.
+        // A row that the operating system refused is sent with the next request; in a group it is lost like any
+        // telegram, or this axis would be a row behind from then on.
         self.follow.held &= slot.exchange == Exchange::Unsent && self.moves_in_group().is_none();
     }
 
@@ -434,8 +434,8 @@ impl Seat {
                     // Homing gives the positions another origin and has speeds of its own.
                     let home = self.active.is_some_and(|active| active.verb == Verb::Home);
                     self.homing = home || self.homing && self.feedback.moving;
-                    // Nobody but the drive knows how it will brake, if it was not told by this loop; under torque nothing
-                    // brakes it at all.
+                    // Nobody but the drive knows how it will brake, if it was not told by this loop; under torque
+                    // nothing brakes it at all.
                     let native = free || self.is_native(NativeOwner::Master);
                     let braking = native || self.active.is_none() || under_torque(slot);
                     let broken = self.bounds.are_broken(&self.plan, braking, self.row_seconds(cycle));
@@ -475,8 +475,8 @@ impl Seat {
         matches!(self.feedback.link, Link::Qualifying | Link::Online)
     }
 
-    /// Stops the axis: latches the cause, flushes queue and stream, steps onto the ladder. The first cause stays. A drive
-    /// that was only read until now is not ours to brake: its axis is latched, and nothing is written.
+    /// Stops the axis: latches the cause, flushes queue and stream, steps onto the ladder. The first cause stays. A
+    /// drive that was only read until now is not ours to brake: its axis is latched, and nothing is written.
     pub fn stop(&mut self, cycle: &Cycle, now: Time, cause: StopCause, slot: &mut Slot) {
         if !self.latch.is_open() {
             return;
@@ -534,8 +534,8 @@ impl Seat {
         if std::mem::take(&mut self.just_stopped) { self.plan.stop.group } else { None }
     }
 
-    /// The orderly end of the master: every axis goes down and off, and nothing new begins. True once nothing more is to be
-    /// done.
+    /// The orderly end of the master: every axis goes down and off, and nothing new begins. True once nothing more is
+    /// to be done.
     pub fn shut_down(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot, hurry: bool) -> bool {
         self.ends = true;
         self.stop(cycle, now, StopCause::Shutdown, slot);

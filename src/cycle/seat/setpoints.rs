@@ -9,8 +9,8 @@ use crate::bus::{Cycle, NumberedRow, Slot};
 use crate::cycle::gates::Gates;
 use crate::time::{Time, nanos};
 
-/// The first row may be so many rows' ways ahead of the demand: the reply is one old, and a drive's output runs behind its
-/// setpoints.
+/// The first row may be so many rows' ways ahead of the demand: the reply is one old, and a drive's output runs behind
+/// its setpoints.
 const FIRST_ROW_AHEAD: f64 = 4.0;
 
 /// Where an axis is in its stream.
@@ -84,8 +84,8 @@ impl Seat {
         }
     }
 
-    /// The group that it follows rows with, and the number of its next one. Rows before `from` are dropped: a member that has
-    /// come to that one has done with them, or never had them.
+    /// The group that it follows rows with, and the number of its next one. Rows before `from` are dropped: a member
+    /// that has come to that one has done with them, or never had them.
     pub fn offers_row(&mut self, from: u64) -> Option<(Ticket, u64)> {
         let active = self.active.filter(|active| active.verb == Verb::Follow)?;
         let ticket = active.ticket?;
@@ -164,8 +164,8 @@ impl Seat {
         cycle.period_ns as f64 * f64::from(self.plan.divisor) * 1e-9
     }
 
-    /// The first row starts near where the drive stands; later ones near the row before, and so that the axis can still stop
-    /// inside its range.
+    /// The first row starts near where the drive stands; later ones near the row before, and so that the axis can still
+    /// stop inside its range.
     fn check_row(&self, cycle: &Cycle, row: &Row, last: Option<Row>) -> Result<(), Failure> {
         let from = last.map_or(self.feedback.demand, |last| last.position);
         let seconds = self.row_seconds(cycle);

@@ -1,5 +1,5 @@
-//! What can be tried at run time, and what it is worth here: each thing off and on, in short slices in turns, and then the
-//! plan itself.
+//! What can be tried at run time, and what it is worth here: each thing off and on, in short slices in turns, and then
+//! the plan itself.
 //!
 //! | file | what |
 //! |---|---|
@@ -47,8 +47,8 @@ pub struct Progress<'a> {
     pub done: f64,
 }
 
-/// What was measured. Serialised, its keys are stable; values are in ns unless the key says otherwise; what the sample does
-/// not support is null.
+/// What was measured. Serialised, its keys are stable; values are in ns unless the key says otherwise; what the sample
+/// does not support is null.
 #[derive(Clone, Debug, Serialize)]
 pub struct Measured {
     /// The wanted share of late cycles.
@@ -169,8 +169,8 @@ impl Carries {
         };
         let (late, cycles) = sum(&mut slices.iter().copied());
         let share = |(late, cycles): (usize, usize)| late as f64 / cycles.max(1) as f64;
-        // Late cycles come in bursts, so that slices are drawn and not cycles; and few or none of them say less than the
-        // slices show.
+        // Late cycles come in bursts, so that slices are drawn and not cycles; and few or none of them say less than
+        // the slices show.
         let drawn = over_rounds(slices.len(), |chosen| {
             share(sum(&mut chosen.iter().filter_map(|slice| slices.get(*slice).copied())))
         });
@@ -184,8 +184,8 @@ impl Carries {
     }
 }
 
-/// The upper end of a one-sided 95 % interval of a Poisson mean of which `count` were seen: 3 for none ("rule of three").
-/// By Wilson and Hilferty's cube root, within a per cent.
+/// The upper end of a one-sided 95 % interval of a Poisson mean of which `count` were seen: 3 for none ("rule of
+/// three"). By Wilson and Hilferty's cube root, within a per cent.
 fn poisson_bound(count: usize) -> f64 {
     const Z: f64 = 1.645;
     let n = count as f64 + 1.0;
@@ -252,7 +252,8 @@ struct Bench<'a> {
     planned: Vec<(usize, usize)>,
 }
 
-/// Measures what this host is worth for `subject`, and tells meanwhile what it does. Takes about as long as `effort` says.
+/// Measures what this host is worth for `subject`, and tells meanwhile what it does. Takes about as long as `effort`
+/// says.
 ///
 /// Other threads of this process should sleep: they would be measured, too. Locks of memory that it holds are lost.
 ///
@@ -424,8 +425,8 @@ impl Bench<'_> {
         Ok(contenders.iter().map(carries).collect())
     }
 
-    /// Runs contenders in turns for a share of the span, each round beginning with another one, so that none always follows
-    /// the same rival.
+    /// Runs contenders in turns for a share of the span, each round beginning with another one, so that none always
+    /// follows the same rival.
     fn compete(
         &mut self,
         what: &str,

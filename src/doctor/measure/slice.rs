@@ -1,5 +1,5 @@
-//! One slice of a measurement: a thread of its own, set up in one way, that waits for its grid as the loop does; and one that
-//! only looks at the clock.
+//! One slice of a measurement: a thread of its own, set up in one way, that waits for its grid as the loop does; and
+//! one that only looks at the clock.
 
 use std::fs::File;
 use std::io::Write;
@@ -13,7 +13,8 @@ use crate::time::{MS, Time, US};
 pub(super) struct Setting {
     /// Its core.
     pub core: usize,
-    /// SCHED_FIFO at this priority; `None` = an ordinary thread with exact sleeps, as the loop has it without the right.
+    /// SCHED_FIFO at this priority; `None` = an ordinary thread with exact sleeps, as the loop has it without the
+    /// right.
     pub fifo: Option<u8>,
     /// Wakes before each grid point by the guard of the contender.
     pub guarded: bool,
@@ -76,8 +77,8 @@ pub(super) fn hold_awake() -> std::io::Result<File> {
     Ok(file)
 }
 
-/// Waits for a grid as `Engine::step` does, and does nothing else. A slot that passed before its turn came is late by what
-/// the one before it was late, less a period: nothing is left out.
+/// Waits for a grid as `Engine::step` does, and does nothing else. A slot that passed before its turn came is late by
+/// what the one before it was late, less a period: nothing is left out.
 fn pace(clock: &mut dyn Clock, period_ns: u64, cycles: u64, guard: &mut GuardTuner) -> Vec<u64> {
     let mut latencies = Vec::with_capacity(cycles as usize + 64);
     let mut at = clock.now() + 2 * period_ns;
@@ -105,8 +106,8 @@ fn pace(clock: &mut dyn Clock, period_ns: u64, cycles: u64, guard: &mut GuardTun
 /// A look at the clock that took longer than this was an interruption.
 pub(super) const GAP_NS: u64 = 10 * US;
 
-/// Looks at the clock without pause for so long, then pauses as long: half of the core stays with everybody else, far from
-/// RT throttling and from the fair server.
+/// Looks at the clock without pause for so long, then pauses as long: half of the core stays with everybody else, far
+/// from RT throttling and from the fair server.
 const LOOK_NS: u64 = 25 * MS;
 
 /// What interrupted a thread that never sleeps.

@@ -1,8 +1,9 @@
-//! One connection's life: pause, connect, greet, hand over, take back. A machine of state and time, without a socket or a
-//! clock, so that the link thread and a virtual world run the same one.
+//! One connection's life: pause, connect, greet, hand over, take back. A machine of state and time, without a socket or
+//! a clock, so that the link thread and a virtual world run the same one.
 //!
-//! Whoever drives it has the socket. Every event returns the [`Action`] that follows from it; with [`poll`](Connection::poll)
-//! at [`next_due`](Connection::next_due) nothing is ever waited for longer than the peer's [`StreamPeer`] says.
+//! Whoever drives it has the socket. Every event returns the [`Action`] that follows from it; with
+//! [`poll`](Connection::poll) at [`next_due`](Connection::next_due) nothing is ever waited for longer than the peer's
+//! [`StreamPeer`] says.
 
 use std::net::SocketAddrV4;
 
@@ -64,8 +65,8 @@ pub struct Connection {
 }
 
 impl Connection {
-    /// A connection that begins to open about `now`: peers of one moment knock within an eighth of their least pause. Why it is
-    /// not open it tells in `notes` at `index`.
+    /// A connection that begins to open about `now`: peers of one moment knock within an eighth of their least pause.
+    /// Why it is not open it tells in `notes` at `index`.
     pub fn new(now: Time, peer: StreamPeer, notes: LinkNotes, index: usize) -> Connection {
         let mut connection = Connection {
             phase: Phase::Pausing { until: now },
@@ -210,8 +211,8 @@ impl Connection {
         self.peer.least_pause_ns.max(SHORTEST_PAUSE_NS)
     }
 
-    /// The share of this peer in the spread of a pause. Multiples of the golden ratio divide an interval evenly, and addresses of
-    /// one machine mostly follow each other.
+    /// The share of this peer in the spread of a pause. Multiples of the golden ratio divide an interval evenly, and
+    /// addresses of one machine mostly follow each other.
     fn spread(&self, pause_ns: u64) -> u64 {
         let key = self.peer.address.ip().to_bits().wrapping_add(u32::from(self.peer.address.port()));
         let part = u64::from(key.wrapping_mul(0x9E37_79B9));

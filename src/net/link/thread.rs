@@ -1,8 +1,9 @@
 //! The link thread: opens, greets and closes the sockets of all connections of a master, so that the loop never has to.
 //!
-//! A normal thread off the loop's core. It never waits for one peer: every socket is non-blocking, and one `epoll` waits for all
-//! of them and for the next due instant. When to do what says [`Connection`]. A socket changes hands by two wait-free rings a
-//! carrier; the loop rings a bell, an eventfd, when it gives one back, and only then: the loop looks for new ones by itself.
+//! A normal thread off the loop's core. It never waits for one peer: every socket is non-blocking, and one `epoll`
+//! waits for all of them and for the next due instant. When to do what says [`Connection`]. A socket changes hands by
+//! two wait-free rings a carrier; the loop rings a bell, an eventfd, when it gives one back, and only then: the loop
+//! looks for new ones by itself.
 
 use std::io;
 use std::os::fd::{AsRawFd, OwnedFd};
@@ -33,8 +34,8 @@ const ROOM: usize = 2_048;
 /// The event that is no socket's.
 const BELL: u64 = u64::MAX;
 
-/// An idle connection is asked after for the first time after so long, s, and then as often. The loop exchanges something on
-/// each of them all the while; this is for one whose drive is only probed, or not due for long.
+/// An idle connection is asked after for the first time after so long, s, and then as often. The loop exchanges
+/// something on each of them all the while; this is for one whose drive is only probed, or not due for long.
 const KEEPALIVE_S: u32 = 1;
 
 /// So many questions without an answer end it, should TCP_USER_TIMEOUT not have done so before.
@@ -55,8 +56,8 @@ pub(in crate::net) struct GivenBack {
     pub why: &'static str,
 }
 
-/// The loop's side of a carrier. Dropped in the order of its fields: the bell rings when the rings are gone, so that the thread
-/// finds them abandoned and closes what it still has of this carrier.
+/// The loop's side of a carrier. Dropped in the order of its fields: the bell rings when the rings are gone, so that
+/// the thread finds them abandoned and closes what it still has of this carrier.
 #[derive(Debug)]
 pub(in crate::net) struct Ends {
     pub opened: Consumer<Opened>,
@@ -181,7 +182,8 @@ impl Worker {
         }
     }
 
-    /// Until the next due instant, in the milliseconds of `epoll_wait`, rounded up. A minute more often does not matter.
+    /// Until the next due instant, in the milliseconds of `epoll_wait`, rounded up. A minute more often does not
+    /// matter.
     fn timeout(&self) -> EpollTimeout {
         let lines = self.desks.iter().flat_map(|desk| &desk.lines);
         match lines.filter_map(|line| line.connection.next_due()).min() {
@@ -342,8 +344,8 @@ impl Line {
         action
     }
 
-    /// Closes the socket with a reset. An orderly end would go on delivering what was sent before: a setpoint of an earlier
-    /// moment, once the cable is back.
+    /// Closes the socket with a reset. An orderly end would go on delivering what was sent before: a setpoint of an
+    /// earlier moment, once the cable is back.
     fn close(&mut self) {
         if let Some(socket) = self.socket.take() {
             // Without it the end is an orderly one, and TCP_USER_TIMEOUT bounds it.
@@ -362,8 +364,8 @@ fn open(peer: &StreamPeer) -> nix::Result<OwnedFd> {
     setsockopt(&socket, sockopt::TcpKeepIdle, &KEEPALIVE_S)?;
     setsockopt(&socket, sockopt::TcpKeepInterval, &KEEPALIVE_S)?;
     setsockopt(&socket, sockopt::TcpKeepCount, &KEEPALIVE_COUNT)?;
-    // A cable that is out for longer breaks the connection, instead of a quarter of an hour later (tcp(7)). 0 would mean just
-    // that.
+    // A cable that is out for longer breaks the connection, instead of a quarter of an hour later (tcp(7)). 0 would
+    // mean just that.
     let unacknowledged_ms = u32::try_from(peer.unacknowledged_ns / MS).unwrap_or(u32::MAX).max(1);
     setsockopt(&socket, sockopt::TcpUserTimeout, &unacknowledged_ms)?;
     Ok(socket)

@@ -60,9 +60,9 @@ impl Rail {
         stats.injected = self.wire.injected();
     }
 
-    /// Everything that is due by now: frames through the line, and back to the kernel. A frame passes the line when it arrived there,
-    /// however late this thread comes to it: else its clocks would show that. What it takes on the line is a part of what the
-    /// thread takes.
+    /// Everything that is due by now: frames through the line, and back to the kernel. A frame passes the line when it
+    /// arrived there, however late this thread comes to it: else its clocks would show that. What it takes on the line
+    /// is a part of what the thread takes.
     pub(super) fn run_due(&mut self, stats: &Mutex<LineStats>) {
         if self.wire.next_due().is_none() {
             return;

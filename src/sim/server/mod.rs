@@ -1,7 +1,8 @@
 //! Simulated drives and lines on real sockets: one thread that waits for the requests of all of them.
 //!
 //! Each drive has a socket bound to its own address, so that the master meets it where it would meet the real one: for
-//! datagrams, or one that listens, and its connections. Each line has one for its frames. Nothing here knows a protocol.
+//! datagrams, or one that listens, and its connections. Each line has one for its frames. Nothing here knows a
+//! protocol.
 //!
 //! | file | what |
 //! |---|---|
@@ -92,7 +93,8 @@ pub struct SimServer {
 }
 
 impl SimServer {
-    /// Binds a socket for each drive and each line, and serves them on one thread. Start a second server for a second thread.
+    /// Binds a socket for each drive and each line, and serves them on one thread. Start a second server for a second
+    /// thread.
     ///
     /// A core or priority that cannot be had is no error: see [`realtime`](Self::realtime).
     ///

@@ -118,8 +118,8 @@ impl Service {
         self.epoll.wait(events, EpollTimeout::ZERO)
     }
 
-    /// Does what a ready socket asks for. The epoll is level-triggered: what is left is reported again, which costs less than
-    /// asking each socket for the EAGAIN behind its usually only request.
+    /// Does what a ready socket asks for. The epoll is level-triggered: what is left is reported again, which costs
+    /// less than asking each socket for the EAGAIN behind its usually only request.
     fn attend(&mut self, event: &EpollEvent, bytes: &mut [u8]) {
         let (index, number) = (event.data() as u32 as usize, (event.data() >> 32) as u32);
         let Some(station) = self.stations.get(index) else {

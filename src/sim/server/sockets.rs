@@ -14,7 +14,8 @@ use crate::time::Time;
 
 /// The most that the peer of a connection leaves unread beyond what the kernel holds, bytes; then the connection ends.
 pub(super) const UNREAD: usize = 65_536;
-/// Connections of a drive; more are refused, whatever the drive says. Sixty drives then fit into the usual 1024 descriptors.
+/// Connections of a drive; more are refused, whatever the drive says. Sixty drives then fit into the usual 1024
+/// descriptors.
 pub(super) const CONNECTIONS: usize = 16;
 /// A peer that is silent for so long is asked for a sign of life, s, ...
 const KEEP_IDLE: u32 = 10;

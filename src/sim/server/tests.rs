@@ -166,8 +166,8 @@ fn a_right_that_is_missing_is_reported_and_serves_all_the_same() {
     assert_eq!(client.recv(&mut [0; 8]).unwrap(), 2);
 }
 
-/// Answers each request of two bytes, a number and how long the answer is in KiB, with the number, how often it was asked
-/// since its start, and so many bytes.
+/// Answers each request of two bytes, a number and how long the answer is in KiB, with the number, how often it was
+/// asked since its start, and so many bytes.
 struct Counter {
     address: SocketAddrV4,
     faults: FaultPlan,

@@ -1,9 +1,9 @@
 //! Connections in a virtual world.
 //!
 //! The master's ends are opened, greeted and re-opened by the machine that the link thread uses on real sockets. Each
-//! connection has a local address that none had before, so that what is under way to an old one is nobody's. A drive without
-//! its plug is silent: what is sent waits, as a host sends again what is not acknowledged, until the plug is back or the
-//! connection is given up.
+//! connection has a local address that none had before, so that what is under way to an old one is nobody's. A drive
+//! without its plug is silent: what is sent waits, as a host sends again what is not acknowledged, until the plug is
+//! back or the connection is given up.
 
 use std::collections::VecDeque;
 use std::io;
@@ -18,11 +18,13 @@ use crate::sim::Carrier;
 use crate::sim::fault::{Blow, Datagram, Parcel, Signal, Way};
 use crate::time::Time;
 
-/// What came on a connection and was not taken, bytes. A drive that says more to a master that does not listen loses it.
+/// What came on a connection and was not taken, bytes. A drive that says more to a master that does not listen loses
+/// it.
 const INBOX: usize = 16_384;
 /// What the wire takes while nobody acknowledges, bytes.
 const WINDOW: usize = 2_048;
-/// The master's ends of connections: RFC 2544 keeps 198.18.0.0/15 free for tests. The ports are those for such ends (RFC 6335).
+/// The master's ends of connections: RFC 2544 keeps 198.18.0.0/15 free for tests. The ports are those for such ends
+/// (RFC 6335).
 const FIRST_LOCAL: (Ipv4Addr, u16) = (Ipv4Addr::new(198, 18, 0, 0), 49_152);
 /// How many there are at one address.
 const PORTS: u32 = 16_384;
@@ -163,8 +165,8 @@ impl Links {
 }
 
 impl World {
-    /// From now on what a normal thread does on a real machine, opening, greeting and closing connections, is done within
-    /// `around`, so that who watches the loop's thread can look away meanwhile.
+    /// From now on what a normal thread does on a real machine, opening, greeting and closing connections, is done
+    /// within `around`, so that who watches the loop's thread can look away meanwhile.
     pub fn set_beside(&self, around: fn(&mut dyn FnMut())) {
         self.lock().links.beside = around;
     }
@@ -574,8 +576,8 @@ mod tests {
         SocketAddrV4::new(Ipv4Addr::new(10, 0, 2, n), 1502)
     }
 
-    /// Answers each request of two bytes, a number and its complement, with the number and how often it was asked since its
-    /// start; hangs up at what is none.
+    /// Answers each request of two bytes, a number and its complement, with the number and how often it was asked since
+    /// its start; hangs up at what is none.
     struct Line {
         address: SocketAddrV4,
         carrier: Carrier,

@@ -1,5 +1,5 @@
-//! The file of a black box: a mark, a header in JSON, records of one size, and a checksum over all of it. Integers and floats
-//! are little-endian, so that a file may be read on another machine than its own.
+//! The file of a black box: a mark, a header in JSON, records of one size, and a checksum over all of it. Integers and
+//! floats are little-endian, so that a file may be read on another machine than its own.
 
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
@@ -20,9 +20,9 @@ use crate::time::Time;
 /// What a file begins with: the name, and the version of its layout.
 const MARK: [u8; 8] = *b"FBBOX\0\x04\n";
 
-/// The oldest layout that is read. In layout 1 no drive showed anything besides its process data; up to layout 2 every drive
-/// told a position, and the header had no names of faults; up to layout 3 the grid was led by our own clock. What a drive tells by
-/// itself came later, in bytes that were 0 before: any layout may have it.
+/// The oldest layout that is read. In layout 1 no drive showed anything besides its process data; up to layout 2 every
+/// drive told a position, and the header had no names of faults; up to layout 3 the grid was led by our own clock. What
+/// a drive tells by itself came later, in bytes that were 0 before: any layout may have it.
 const OLDEST: u8 = 1;
 
 /// Bytes of a record.

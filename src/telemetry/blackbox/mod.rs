@@ -6,8 +6,8 @@
 //! | `file` | the file's bytes, both ways |
 //! | `story` | what led up to it, in words |
 //!
-//! It is fed by the telemetry thread, so that the loop pays nothing for it. A file is written by a thread of its own: a slow
-//! disk holds up nobody.
+//! It is fed by the telemetry thread, so that the loop pays nothing for it. A file is written by a thread of its own: a
+//! slow disk holds up nobody.
 
 pub mod file;
 pub mod story;
@@ -32,8 +32,8 @@ use crate::time::MS;
 /// So much of what follows is kept too: how the stop went.
 const AFTERMATH_NS: u64 = 200 * MS;
 
-/// A machine that fails again and again does not fill the disk: of the files that nobody asked for the first ones stay, where
-/// it began, and the newest.
+/// A machine that fails again and again does not fill the disk: of the files that nobody asked for the first ones stay,
+/// where it began, and the newest.
 const FIRST_FILES: usize = 8;
 const NEWEST_FILES: usize = 8;
 

@@ -41,8 +41,8 @@ pub fn happenings(header: &Header, records: &[Record]) -> Vec<Happening> {
     let mut known: Vec<Option<DriveRecord>> = vec![None; header.axes.len()];
     let mut told: Vec<Happening> = Vec::new();
     let (the_loop, the_reference) = (header.axes.len(), header.axes.len() + 1);
-    // The cycle of the record before, of each axis and, behind them, of the loop and of what leads its grid; and of the last time
-    // that something was told.
+    // The cycle of the record before, of each axis and, behind them, of the loop and of what leads its grid; and of the
+    // last time that something was told.
     let mut before = vec![None; header.axes.len() + 2];
     let mut led: Option<ReferenceRecord> = None;
     let mut last: Vec<u64> = Vec::new();
@@ -182,8 +182,8 @@ fn changes(axis: &Axis, before: &DriveRecord, now: &DriveRecord) -> Vec<String> 
     told
 }
 
-/// The story as text: what happened, and around the failure the last `cycles` cycles of the loop and of the drives that it
-/// happened to.
+/// The story as text: what happened, and around the failure the last `cycles` cycles of the loop and of the drives that
+/// it happened to.
 pub fn tell(header: &Header, records: &[Record], cycles: u64) -> String {
     let mut text = String::new();
     // Writing to a string cannot fail.

@@ -5,9 +5,9 @@
 //! | `mod` | the endpoint: a listener, and a few threads that answer one request a connection |
 //! | `page` | what they answer |
 //!
-//! The threads are normal ones, off the loop's core. A client that is slow, or says nothing, has one of them for at most
-//! [`PATIENCE`]; whoever comes meanwhile waits in the kernel's queue. So neither time nor memory can be taken from anybody
-//! but other clients.
+//! The threads are normal ones, off the loop's core. A client that is slow, or says nothing, has one of them for at
+//! most [`PATIENCE`]; whoever comes meanwhile waits in the kernel's queue. So neither time nor memory can be taken from
+//! anybody but other clients.
 
 mod page;
 
@@ -122,7 +122,8 @@ pub struct Server(Arc<Shared>);
 impl Drop for Server {
     fn drop(&mut self) {
         self.0.end.store(true, Ordering::Release);
-        // Ends every wait in accept(2); Linux does so, and only here is it relied on. What it returns tells nothing new.
+        // Ends every wait in accept(2); Linux does so, and only here is it relied on. What it returns tells nothing
+        // new.
         let _ = nix::sys::socket::shutdown(self.0.listener.as_raw_fd(), nix::sys::socket::Shutdown::Both);
     }
 }

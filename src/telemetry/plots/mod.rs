@@ -7,8 +7,8 @@
 //! | `percentiles` | quantiles of the loop and of every drive |
 //! | `timeline` | the largest values over the time of the run |
 //!
-//! They show what was measured: a curve ends at the last quantile that its sample supports, a maximum stands by itself, and
-//! what got lost on the way is said.
+//! They show what was measured: a curve ends at the last quantile that its sample supports, a maximum stands by itself,
+//! and what got lost on the way is said.
 
 mod percentiles;
 mod sheet;

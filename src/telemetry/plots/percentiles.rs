@@ -1,5 +1,5 @@
-//! Quantiles over the percentile, on an axis that gives every further nine the same room. A curve ends at the last quantile
-//! that its sample supports; the maximum stands by itself at the right.
+//! Quantiles over the percentile, on an axis that gives every further nine the same room. A curve ends at the last
+//! quantile that its sample supports; the maximum stands by itself at the right.
 
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, VPos};

@@ -1,5 +1,5 @@
-//! How many cycles began how late: a histogram of bins of 1 us with a logarithmic count, as OSADL's Realtime QA Farm plots it
-//! for its machines.
+//! How many cycles began how late: a histogram of bins of 1 us with a logarithmic count, as OSADL's Realtime QA Farm
+//! plots it for its machines.
 
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, VPos};

@@ -1,4 +1,5 @@
-//! EtherCAT to Kollmorgen drives of the S700: one frame for all of them. A velocity setpoint (1702h), or a position setpoint (1701h).
+//! EtherCAT to Kollmorgen drives of the S700: one frame for all of them. A velocity setpoint (1702h), or a position
+//! setpoint (1701h).
 
 use std::any::Any;
 use std::io;

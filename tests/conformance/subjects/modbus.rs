@@ -1,5 +1,5 @@
-//! Modbus TCP to Unidrives: each exchange writes and reads everything through menu 0 and is answered in its window, or it does a part
-//! of it where the parameters are, and is answered some cycles later.
+//! Modbus TCP to Unidrives: each exchange writes and reads everything through menu 0 and is answered in its window, or
+//! it does a part of it where the parameters are, and is answered some cycles later.
 
 use std::io;
 use std::net::{Ipv4Addr, SocketAddrV4};

@@ -1,8 +1,9 @@
-//! The parameter channel of one drive: calls, alone and in series, that are posted, cancelled and forgotten at any moment, on
-//! a wire that loses, repeats and delays, to a drive that restarts, falls silent and is written to by somebody else.
+//! The parameter channel of one drive: calls, alone and in series, that are posted, cancelled and forgotten at any
+//! moment, on a wire that loses, repeats and delays, to a drive that restarts, falls silent and is written to by
+//! somebody else.
 //!
-//! Every call carries a value of its own, and the drive makes its answer of that value and keeps a ledger of what it carried
-//! out. So an answer tells whose it is, whatever the channel's four bits of identity say.
+//! Every call carries a value of its own, and the drive makes its answer of that value and keeps a ledger of what it
+//! carried out. So an answer tells whose it is, whatever the channel's four bits of identity say.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::net::SocketAddrV4;
@@ -458,7 +459,8 @@ impl Bench {
         for asked in &wire.asked {
             let Some(block) = Request::parse(&asked.bytes).unwrap().config else { continue };
             if let Some(last) = self.last_block.filter(|_| !self.native_used) {
-                // A drive takes no notice of another block with the same count, which is what is wanted after a silence only.
+                // A drive takes no notice of another block with the same count, which is what is wanted after a silence
+                // only.
                 let looks =
                     |block: &RtcBlock| (block.code, block.words) == (RtcCommand::READ_RAM.0, [0x20A8, 0, 0]);
                 let asked_again = looks(&block) && (GRAVE.contains(&RtcCommand(last.code)) || looks(&last));
@@ -476,8 +478,8 @@ impl Bench {
         }
     }
 
-    /// A native block has any count it likes. For as long as its datagrams may come late, nobody can tell them from those of a
-    /// call that happens to have the same one.
+    /// A native block has any count it likes. For as long as its datagrams may come late, nobody can tell them from
+    /// those of a call that happens to have the same one.
     fn is_blurred(&self) -> bool {
         [self.native_at, self.disorder_at].iter().all(|at| *at > 0 && self.turn - at < 12)
     }
@@ -511,7 +513,8 @@ impl Bench {
                 assert!((failed_before || forgotten) && !carried_out, "{posted:?}");
             }
             Err(CallError::NotOnline) => assert!(self.offline + 1 >= posted.at, "{posted:?}"),
-            // While the link was down, which it is at first, a drive may have forgotten the block that a call goes on with.
+            // While the link was down, which it is at first, a drive may have forgotten the block that a call goes on
+            // with.
             Err(CallError::Restarted) => {
                 let goes_on =
                     matches!(command.0, 0x21 | 0x23 | 0x51 | 0x52 | 0x54 | 0x55 | 0x61 | 0x62 | 0x84 | 0x86);
@@ -542,8 +545,8 @@ impl Bench {
         }
     }
 
-    /// Clear weather: all calls come to an end, the queue is as empty as it was, and what is posted after the end of the
-    /// master is told so.
+    /// Clear weather: all calls come to an end, the queue is as empty as it was, and what is posted after the end of
+    /// the master is told so.
     fn finish(mut self) {
         self.bus.wire.lock().unwrap().jammed[0] = false;
         self.ledger().silence = 0;

@@ -1,6 +1,6 @@
-//! The simulated drive, and a master that knows no rules: any control word, any motion command, anything on the parameter
-//! channel, at any moment. The drive answers what the wire's rules say, keeps what it has accepted, and stays as small as it
-//! is.
+//! The simulated drive, and a master that knows no rules: any control word, any motion command, anything on the
+//! parameter channel, at any moment. The drive answers what the wire's rules say, keeps what it has accepted, and stays
+//! as small as it is.
 
 use std::collections::BTreeMap;
 use std::net::{Ipv4Addr, SocketAddrV4};
@@ -24,7 +24,8 @@ const UPIDS: [u16; 12] =
 /// Padding and the longest answer.
 const LONGEST_REPLY: usize = 64;
 
-/// All that the drive can hold, as its debug text: 128 KiB of curves in RAM, in flash and on their way, and 255 entries.
+/// All that the drive can hold, as its debug text: 128 KiB of curves in RAM, in flash and on their way, and 255
+/// entries.
 const MOST_TEXT: usize = 8 << 20;
 
 pub fn drive(data: &[u8]) {

@@ -1,9 +1,10 @@
 //! A line whose frames come back as they like.
 //!
-//! The rig does what the loop does: it prepares, sends, takes in, judges. Behind the carrier is a simulated line of two drives; the
-//! bytes choose orders, and what becomes of the frames: lost, late, twice, cut off, with other bytes here and there, circulated, or
-//! somebody else's. What has to hold stands in the checks behind each step; they know the frames, and nothing of how the bus keeps
-//! its books: a drive has answered only if a frame came that is the one that was sent, and its own part of it says what is told of it.
+//! The rig does what the loop does: it prepares, sends, takes in, judges. Behind the carrier is a simulated line of two
+//! drives; the bytes choose orders, and what becomes of the frames: lost, late, twice, cut off, with other bytes here
+//! and there, circulated, or somebody else's. What has to hold stands in the checks behind each step; they know the
+//! frames, and nothing of how the bus keeps its books: a drive has answered only if a frame came that is the one that
+//! was sent, and its own part of it says what is told of it.
 
 use std::collections::VecDeque;
 use std::io;
@@ -218,7 +219,8 @@ impl Rig {
         self.cable.get().now = self.cycle.grid + ns;
     }
 
-    /// Who has answered is in a frame that is the one that was sent; and what it is told to have said, it has said there.
+    /// Who has answered is in a frame that is the one that was sent; and what it is told to have said, it has said
+    /// there.
     fn check(&self) {
         let cable = self.cable.get();
         for (index, slot) in self.slots.iter().enumerate() {

@@ -1,5 +1,5 @@
-//! A frame, a mailbox message and the words of an EEPROM, for every parser of what comes from a line: no bytes make it panic, nothing
-//! reaches beyond what it was given, and what was understood is built again as the same bytes.
+//! A frame, a mailbox message and the words of an EEPROM, for every parser of what comes from a line: no bytes make it
+//! panic, nothing reaches beyond what it was given, and what was understood is built again as the same bytes.
 
 use fieldbeat::bus::ethercat::wire::frame::{
     Builder, DATAGRAM_HEADER, Datagram, FRAME_MAX, HEADER, Returned, WORKING_COUNTER, datagrams, returned,

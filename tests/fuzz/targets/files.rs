@@ -1,5 +1,5 @@
-//! Files of curves and command tables: no text makes their readers panic, and whatever is read, or came from a drive, is the
-//! same when it has been written and read again.
+//! Files of curves and command tables: no text makes their readers panic, and whatever is read, or came from a drive,
+//! is the same when it has been written and read again.
 
 use fieldbeat::bus::linudp::curve::{Curve, INFO_SIZE};
 use fieldbeat::bus::linudp::motion::EntryId;

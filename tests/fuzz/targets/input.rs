@@ -48,8 +48,8 @@ impl<'a> Input<'a> {
         choices[self.below(choices.len())]
     }
 
-    /// A number that somebody could mean, or one that nobody should: every fourth is from the edges of what an `f64` and the
-    /// wire can hold.
+    /// A number that somebody could mean, or one that nobody should: every fourth is from the edges of what an `f64`
+    /// and the wire can hold.
     pub fn number(&mut self) -> f64 {
         const EDGES: [f64; 16] = [
             0.0,

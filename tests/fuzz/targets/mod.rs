@@ -15,8 +15,8 @@
 //! | `config_keys` | a program that changes the sample configurations key by key |
 //! | `machine` | a program for a whole machine in virtual time: a hostile drive, and an application in a hurry |
 //!
-//! Two drivers run them: `main.rs`, a plain test, and libFuzzer (`libfuzzer/`). A program is read by [`input::Input`], which
-//! makes sense of any bytes, so that whatever a fuzzer changes is a program again.
+//! Two drivers run them: `main.rs`, a plain test, and libFuzzer (`libfuzzer/`). A program is read by [`input::Input`],
+//! which makes sense of any bytes, so that whatever a fuzzer changes is a program again.
 
 #[path = "../../support/forward.rs"]
 mod forward;

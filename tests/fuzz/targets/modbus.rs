@@ -1,8 +1,9 @@
 //! A Modbus bus on a connection that brings whatever it likes.
 //!
-//! The rig does what the loop does: it prepares, sends, takes in, judges. Behind the connection is a simulated drive; the bytes
-//! choose orders, how much of each request the wire takes, what becomes of the replies, and when the connection ends. What has to hold
-//! stands in the checks behind each step; they know the messages, and nothing of how the station keeps its books.
+//! The rig does what the loop does: it prepares, sends, takes in, judges. Behind the connection is a simulated drive;
+//! the bytes choose orders, how much of each request the wire takes, what becomes of the replies, and when the
+//! connection ends. What has to hold stands in the checks behind each step; they know the messages, and nothing of how
+//! the station keeps its books.
 
 use std::collections::VecDeque;
 use std::io;

@@ -1,6 +1,6 @@
-//! A stream of Modbus TCP, for every parser of what comes from it: no bytes make it panic, no split changes what is found, and
-//! what it has understood it says again in the same bytes. Read as text, the same bytes are an address and a value of a
-//! parameter.
+//! A stream of Modbus TCP, for every parser of what comes from it: no bytes make it panic, no split changes what is
+//! found, and what it has understood it says again in the same bytes. Read as text, the same bytes are an address and a
+//! value of a parameter.
 
 use fieldbeat::axis::acyclic::Notation;
 use fieldbeat::bus::modbus::notation::{Parameters, Target};

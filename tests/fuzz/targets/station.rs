@@ -1,8 +1,8 @@
 //! One station, and a wire that brings whatever it likes.
 //!
-//! The rig does what the loop does: it prepares, sends, takes in, judges. The bytes choose orders and rows, what the drive
-//! says, and which replies come to which request. What has to hold stands in the checks behind each step; they know the
-//! telegram, and nothing of how the station keeps its books.
+//! The rig does what the loop does: it prepares, sends, takes in, judges. The bytes choose orders and rows, what the
+//! drive says, and which replies come to which request. What has to hold stands in the checks behind each step; they
+//! know the telegram, and nothing of how the station keeps its books.
 
 use std::net::Ipv4Addr;
 

@@ -204,7 +204,8 @@ fn messages(fields: [Vec<u64>; 8], line: &str) -> Vec<Message> {
     service.first().map(message).into_iter().collect()
 }
 
-/// Each frame that was sent, with the one that came back: the same datagrams, in the same order. `None`: it never came back.
+/// Each frame that was sent, with the one that came back: the same datagrams, in the same order. `None`: it never came
+/// back.
 pub(super) fn exchanges(frames: &[Frame]) -> Vec<(Frame, Option<Frame>)> {
     let shape = |frame: &Frame| -> Vec<_> {
         frame.datagrams.iter().map(|datagram| (datagram.command, datagram.index, datagram.length)).collect()

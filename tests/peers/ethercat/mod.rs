@@ -1,5 +1,5 @@
-//! EtherCAT on a cable between two network namespaces, our simulated line at its end: Wireshark's dissector in between, and our
-//! master or one that others wrote.
+//! EtherCAT on a cable between two network namespaces, our simulated line at its end: Wireshark's dissector in between,
+//! and our master or one that others wrote.
 //!
 //! | file | what |
 //! |---|---|
@@ -57,7 +57,8 @@ fn plan(family: Family, drives: u16, short_clocks: bool) -> EthercatPlan {
     plan
 }
 
-/// A cable whose end at the master has an address like that of a network card: without the bit that the first slave sets.
+/// A cable whose end at the master has an address like that of a network card: without the bit that the first slave
+/// sets.
 fn cable(test: u8) -> Cable {
     let cable = Cable::new(test, &[]);
     command(&["ip", "-n", &cable.master, "link", "set", WIRE, "address", "10:10:10:10:10:10"]);

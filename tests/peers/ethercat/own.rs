@@ -90,8 +90,8 @@ impl Run {
         OUTPUTS + (2 + 1) + 2 * (2 + self.inputs().0)
     }
 
-    /// What a slot may ask of a mailbox: one that is no longer than a message is written and read at once; of a longer one the last
-    /// byte goes with each message, and its first bytes are looked at with its status.
+    /// What a slot may ask of a mailbox: one that is no longer than a message is written and read at once; of a longer
+    /// one the last byte goes with each message, and its first bytes are looked at with its status.
     fn mailbox_slots(self) -> Vec<Slot> {
         let (status, repeat) = ((FPRD, MAILBOX_STATUS, 3), slot_of([(FPWR, MAILBOX_STATUS + 1, 1)]));
         match self.family {
@@ -282,9 +282,9 @@ fn slot(sent: &Frame) -> (Affair, Slot) {
     (if slot == times_at_latch() { Affair::Clock } else { affairs[0] }, slot)
 }
 
-/// Each is carried out by the slave it is for; the latch by all, for receive times a slave has without a clock too. What is sent again,
-/// because its frame was late, may find AL control not read yet, or the EEPROM busy; and a mailbox is not written while it is full,
-/// nor read while it is empty.
+/// Each is carried out by the slave it is for; the latch by all, for receive times a slave has without a clock too.
+/// What is sent again, because its frame was late, may find AL control not read yet, or the EEPROM busy; and a mailbox
+/// is not written while it is full, nor read while it is empty.
 fn judge_counters(affair: Affair, is_repeated: bool, sent: &Frame, back: &Frame) {
     for datagram in &back.datagrams[FIXED..] {
         match datagram.working_counter {
@@ -299,7 +299,8 @@ fn slot_of<const N: usize>(asked: [(u64, u64, u64); N]) -> Slot {
     asked.map(|(command, register, bytes)| (command, register, bytes, None)).to_vec()
 }
 
-/// The times of a slave at a latch, up to its offset, and which of its ports are open: of the reference, and of the one that is set.
+/// The times of a slave at a latch, up to its offset, and which of its ports are open: of the reference, and of the one
+/// that is set.
 fn times_at_latch() -> Slot {
     slot_of([(FPRD, PORT_TIMES, 40), (FPRD, LINKS, 2)])
 }
@@ -360,7 +361,8 @@ fn steps(station: u64) -> Vec<Slot> {
     steps
 }
 
-/// The clock of a drive: set behind the latch, waited for if it follows another one, and SYNC0 made of it: off before its start is set.
+/// The clock of a drive: set behind the latch, waited for if it follows another one, and SYNC0 made of it: off before
+/// its start is set.
 fn clock(station: u64) -> Vec<Slot> {
     let set = slot_of([(FPWR, OFFSET, 8), (FPWR, 0x0928, 4)]);
     let filter = slot_of([(FPWR, 0x0934, 2), (FPWR, 0x0930, 2)]);
@@ -375,7 +377,8 @@ fn clock(station: u64) -> Vec<Slot> {
     steps
 }
 
-/// Which memory of each slave stands where in the logical address space, as the dissector reads its FMMUs: outputs, inputs, AL status.
+/// Which memory of each slave stands where in the logical address space, as the dissector reads its FMMUs: outputs,
+/// inputs, AL status.
 fn judge_fmmus(file: &Path, run: Run, base: u64) {
     let told = capture::dissect(
         file,
@@ -480,7 +483,8 @@ fn judge_mailboxes(exchanges: &[Exchange], run: Run) {
                 _ => panic!("{request:?}"),
             }
         }
-        // How it counts a turn, as it starts; its mode and whether it has its reference, as it is up; and what the application asks.
+        // How it counts a turn, as it starts; its mode and whether it has its reference, as it is up; and what the
+        // application asks.
         let uploads = requests.iter().filter(|request| request.command == UPLOAD);
         let asked: BTreeSet<_> = uploads.clone().filter_map(|request| request.object).collect();
         let once = [(0x608F, 1), (0x608F, 2), (0x6061, 0), (0x1002, 0), (0x1018, 1), (0x5FFF, 1)];

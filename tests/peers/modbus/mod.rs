@@ -7,8 +7,8 @@
 //! | `dissector` | our master and our simulated drive, and what tshark sees |
 //! | `programs` | their servers and clients, told by lines what to do |
 //!
-//! Both servers have one register for each address, where a drive has one parameter: what is exchanged with them must not
-//! overlap, so that of 32-bit parameters next to each other only every second one is used.
+//! Both servers have one register for each address, where a drive has one parameter: what is exchanged with them must
+//! not overlap, so that of 32-bit parameters next to each other only every second one is used.
 
 mod clients;
 mod dissector;

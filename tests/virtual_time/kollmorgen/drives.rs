@@ -373,7 +373,8 @@ fn an_emergency_before_the_first_exchange_is_an_event_too() {
     assert_eq!(machine.feedback(0).link, Link::Unseen);
 }
 
-/// The frames go out in each cycle, whether an exchange is due or not: what is in them must not stay as it was when the link was lost.
+/// The frames go out in each cycle, whether an exchange is due or not: what is in them must not stay as it was when the
+/// link was lost.
 #[test]
 fn the_stop_of_a_lost_link_goes_on_in_each_frame() {
     let mut machine = Machine::enabled(plan(1));

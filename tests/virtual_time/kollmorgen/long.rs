@@ -9,8 +9,8 @@ use super::{LINE, Machine, jog, plan, with};
 
 /// Slots that a slave takes until its clock is set: its EEPROM, changes of state, start-up objects.
 const SLOTS_EACH: u64 = 130;
-/// Clocks are set one after the other, each in so many steps. Between two steps of one slave each other one may have a turn: all have
-/// mailboxes to be looked at by then.
+/// Clocks are set one after the other, each in so many steps. Between two steps of one slave each other one may have a
+/// turn: all have mailboxes to be looked at by then.
 const CLOCK_STEPS: u64 = 3;
 /// What comes once and for all: SYNC0 begins, the grid locks, the last drive synchronises, the gate of its link.
 const ONCE: u64 = 2_000;

@@ -1,4 +1,5 @@
-//! A line of Kollmorgen drives under the whole loop in virtual time: what the conformance suite does not ask of a protocol.
+//! A line of Kollmorgen drives under the whole loop in virtual time: what the conformance suite does not ask of a
+//! protocol.
 //!
 //! | file | what |
 //! |---|---|

@@ -1,4 +1,5 @@
-//! Slaves that are not like the usual ones: small couplers, such that show a device id, clocks that settle as slowly as real ones.
+//! Slaves that are not like the usual ones: small couplers, such that show a device id, clocks that settle as slowly as
+//! real ones.
 
 use fieldbeat::axis::{Link, Verb};
 use fieldbeat::bus::ethercat::counters::Own;

@@ -1,7 +1,8 @@
 //! The bound of every stop: seeded faults of every kind, in machines of every shape, in every kind of motion.
 //!
-//! From the cycle of its cause to the cycle whose send carries the last stop request that it has to cause; and what goes out
-//! to each drive from its latch until it is enabled again. All of it is looked at on the wire, at the master's end.
+//! From the cycle of its cause to the cycle whose send carries the last stop request that it has to cause; and what
+//! goes out to each drive from its latch until it is enabled again. All of it is looked at on the wire, at the master's
+//! end.
 //!
 //! | file | what |
 //! |---|---|
@@ -77,8 +78,8 @@ impl Fault {
             // From the exchange that tells it, from the task's run, from the last slot passed over.
             FoundRunning | DriveError | PowerCut | Restarted => next_own_slot,
             SlowTask | PanickingTask | HeldUp | Shutdown => next_own_slot,
-            // From the cycle that looks for the row of the next slot. That slot has the stop in the row's place, and the group
-            // goes with the same send.
+            // From the cycle that looks for the row of the next slot. That slot has the stop in the row's place, and
+            // the group goes with the same send.
             Starved | BadRow if own => 1,
             Starved | BadRow => next_own_slot,
         }
@@ -114,7 +115,8 @@ impl Tally {
 
 type Table = BTreeMap<Fault, Tally>;
 
-/// Machines of these seeds, so many faults in each, on all cores. Panics with the seed of the first machine that broke a bound.
+/// Machines of these seeds, so many faults in each, on all cores. Panics with the seed of the first machine that broke
+/// a bound.
 fn campaign(machines: u64, faults_each: u64) -> Table {
     let begun = Instant::now();
     let next = AtomicU64::new(0);
@@ -153,7 +155,8 @@ fn campaign(machines: u64, faults_each: u64) -> Table {
     table
 }
 
-/// No bound was broken, or there would be no table; and each was met, so that it would have been by a stop one cycle late.
+/// No bound was broken, or there would be no table; and each was met, so that it would have been by a stop one cycle
+/// late.
 fn assert_proved(table: &Table, least: u64) {
     let faults: u64 = table.values().map(|tally| tally.faults).sum();
     assert!(faults >= least, "{faults} faults");

@@ -44,8 +44,8 @@ use crate::time::{Time, US};
 
 /// Frames that are remembered: one that comes back later is not known any more.
 const KNOWN: usize = 256;
-/// The logical addresses of masters that are started one after the other: each has others, so that what an earlier one has left behind
-/// in a slave takes no part.
+/// The logical addresses of masters that are started one after the other: each has others, so that what an earlier one
+/// has left behind in a slave takes no part.
 const LOGICAL: u32 = 0x1000_0000;
 const LOGICAL_EACH: u32 = 0x8_0000;
 const LOGICAL_COUNT: u64 = 0x1800;
@@ -214,8 +214,9 @@ impl EthercatBus {
         })
     }
 
-    /// Takes in what has come, a bounded part of a flood. Once all that was sent is back, nothing is waited for, and it is not asked
-    /// whether there is more: that would be a system call in each cycle. What there is is taken in with the next frames.
+    /// Takes in what has come, a bounded part of a flood. Once all that was sent is back, nothing is waited for, and it
+    /// is not asked whether there is more: that would be a system call in each cycle. What there is is taken in with
+    /// the next frames.
     fn take_in(&mut self, in_window: bool, slots: &mut [Slot]) {
         for _ in 0..self.flights.len() + MORE_AT_ONCE {
             let Some((at, length)) = self.net.receive(&mut self.room) else { return };

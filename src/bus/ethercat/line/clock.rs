@@ -1,9 +1,9 @@
 //! The time of the line: that of its reference, the first slave with a clock, and how far the grid is from it.
 //!
-//! SYNC0 comes at whole periods of that time, and a slot of the grid shall stand a fixed while before it. So the master knows what the
-//! reference should show whenever a frame passes it: `slot * T + target + (sent - g_k)`. What it shows instead, less that, is the phase
-//! error: our own wake-up jitter is no part of it. Clocks of 32 bits start again every 4.3 s; since the error is small against that, it
-//! comes out of the difference of the lower halves.
+//! SYNC0 comes at whole periods of that time, and a slot of the grid shall stand a fixed while before it. So the master
+//! knows what the reference should show whenever a frame passes it: `slot * T + target + (sent - g_k)`. What it shows
+//! instead, less that, is the phase error: our own wake-up jitter is no part of it. Clocks of 32 bits start again every
+//! 4.3 s; since the error is small against that, it comes out of the difference of the lower halves.
 
 use crate::bus::{BusClock, Cycle};
 use crate::time::{MS, Time, US};
@@ -11,7 +11,8 @@ use crate::time::{MS, Time, US};
 /// A drive takes cycles that are off by so much, at a period of 1 ms and above, and below (EtherCAT manual).
 const WINDOW_NS: i64 = 320 * US as i64;
 const WINDOW_SHORT_NS: i64 = 70 * US as i64;
-/// A clock is led by this part of the time at most: half of what a drive takes for a cycle that is off all the time (EtherCAT manual).
+/// A clock is led by this part of the time at most: half of what a drive takes for a cycle that is off all the time
+/// (EtherCAT manual).
 const SLEW: u64 = 2_000;
 /// About where the line's time begins: above all that a clock of 32 bits may be off.
 const ORIGIN_NS: u64 = 1 << 36;
@@ -84,7 +85,8 @@ impl LineClock {
         i64::from(off).abs() <= self.window_ns / SAME
     }
 
-    /// A slave that runs showed `time`: the line's time is its time from now on, and SYNC0 comes where it has it, if that is known.
+    /// A slave that runs showed `time`: the line's time is its time from now on, and SYNC0 comes where it has it, if
+    /// that is known.
     pub fn lend(&mut self, cycle: &Cycle, at: Time, time: u32, phase_ns: Option<u64>) {
         if let Some(phase_ns) = phase_ns {
             self.origin_ns = self.origin_ns.wrapping_sub(self.phase_ns).wrapping_add(phase_ns);
@@ -107,8 +109,8 @@ impl LineClock {
         self.origin_ns = self.origin_ns.wrapping_add((off - error) as u64);
     }
 
-    /// What a reference that follows is told at `at`: the line's time, once it has been led there. A clock that drives make SYNC0 of must
-    /// not be pulled faster than they can bear.
+    /// What a reference that follows is told at `at`: the line's time, once it has been led there. A clock that drives
+    /// make SYNC0 of must not be pulled faster than they can bear.
     pub fn told(&self, cycle: &Cycle, at: Time) -> u64 {
         self.time(cycle, at).wrapping_add(self.slew_ns as u64)
     }
@@ -160,7 +162,8 @@ impl LineClock {
         }
     }
 
-    /// How far the newest slot was from where the drives want it, ns: positive is late; `None`: the reference was not seen.
+    /// How far the newest slot was from where the drives want it, ns: positive is late; `None`: the reference was not
+    /// seen.
     pub fn error_ns(&self) -> Option<i64> {
         self.seen.then_some(self.error_ns)
     }
@@ -191,8 +194,9 @@ impl LineClock {
     }
 }
 
-/// How much later than the reference a slave receives: half of what a frame is longer under way behind the one than behind the other.
-/// `loop_ns`: from the first port to the last one, 0 of the last slave; forwarding through a slave counts as cable.
+/// How much later than the reference a slave receives: half of what a frame is longer under way behind the one than
+/// behind the other. `loop_ns`: from the first port to the last one, 0 of the last slave; forwarding through a slave
+/// counts as cable.
 pub fn delay_ns(reference_loop_ns: u32, loop_ns: u32) -> u32 {
     reference_loop_ns.saturating_sub(loop_ns) / 2
 }

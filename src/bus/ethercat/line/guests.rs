@@ -1,5 +1,5 @@
-//! Slaves on the line that are not configured: they stay as they are, but must not answer in the name of one that is, nor be dragged
-//! to a time that is not theirs.
+//! Slaves on the line that are not configured: they stay as they are, but must not answer in the name of one that is,
+//! nor be dragged to a time that is not theirs.
 
 use super::running::Running;
 use crate::bus::ethercat::plan::FIRST_STATION;

@@ -1,9 +1,9 @@
 //! Who took part in a frame that has come back.
 //!
-//! One working counter stands for all slaves of a frame. Each one's AL status in it says whether it was there, and in which state; the
-//! counter has to be what those together make. If it is not, nothing in the frame counts. A slave that counts otherwise than it should
-//! for a while must not stop all others: then each is judged alone, by its AL status and by inputs that are not all zero, as the master
-//! sends them.
+//! One working counter stands for all slaves of a frame. Each one's AL status in it says whether it was there, and in
+//! which state; the counter has to be what those together make. If it is not, nothing in the frame counts. A slave that
+//! counts otherwise than it should for a while must not stop all others: then each is judged alone, by its AL status
+//! and by inputs that are not all zero, as the master sends them.
 
 use std::ops::Range;
 
@@ -18,8 +18,8 @@ use crate::time::Time;
 
 /// Frames in a row that come back without a slave, until it is taken for gone.
 const GONE_AFTER: u8 = 3;
-/// What an unsound frame weighs; a sound one takes 1 away. From so much on each slave is judged alone: behind two in a row, or where
-/// more than every fourth one is unsound.
+/// What an unsound frame weighs; a sound one takes 1 away. From so much on each slave is judged alone: behind two in a
+/// row, or where more than every fourth one is unsound.
 const UNSOUND: u8 = 3;
 const UNSOUND_MANY: u8 = 3 * UNSOUND;
 const UNSOUND_MOST: u8 = 20 * UNSOUND;
@@ -182,7 +182,8 @@ impl Line {
         }
     }
 
-    /// A frame that was sent did not come back in its time: what was asked with it is asked again. `first`: that with the slot.
+    /// A frame that was sent did not come back in its time: what was asked with it is asked again. `first`: that with
+    /// the slot.
     pub fn lost(&mut self, now: Time, first: bool, crew: &mut impl Crew, slots: &mut [Slot]) {
         if !first {
             return;
@@ -194,7 +195,8 @@ impl Line {
         if self.dark == DARK {
             // Both clocks run by themselves now.
             self.clock.forget();
-            // What a drive is in, its exchanges tell, and its stop leads on: it may hear what nobody hears of it. A device has none.
+            // What a drive is in, its exchanges tell, and its stop leads on: it may hear what nobody hears of it. A
+            // device has none.
             for part in self.members.iter_mut() {
                 if matches!(part.member.owner, Owner::Device(_)) && part.told.take().is_some() {
                     crew.state(part.member.owner, None, slots);

@@ -40,8 +40,8 @@ use crate::bus::{BusClock, Counters, Cycle, Slot};
 use crate::rt::Regions;
 use crate::time::Time;
 
-/// Members that are asked for something for the slot of one frame; and while all of them are in operation, and only their mailboxes may
-/// have something.
+/// Members that are asked for something for the slot of one frame; and while all of them are in operation, and only
+/// their mailboxes may have something.
 const ASKED_A_FRAME: usize = 8;
 const ASKED_STEADY: usize = 2;
 
@@ -270,7 +270,8 @@ impl Line {
         first.ask(&self.ask);
     }
 
-    /// Whose clock is the line's: the nearest one that is set, for all others lie behind it; without any, the nearest that is to be.
+    /// Whose clock is the line's: the nearest one that is set, for all others lie behind it; without any, the nearest
+    /// that is to be.
     fn refer(&mut self) {
         let first = |has: fn(&Member) -> bool| self.members.iter().position(|part| has(&part.member));
         self.reference = first(Member::clock_is_set).or_else(|| first(Member::waits_for_clock));
@@ -353,7 +354,8 @@ impl Line {
         }
     }
 
-    /// The first of so many members that needs something, as far as it is asked for, in turns; and who is the next to be looked at.
+    /// The first of so many members that needs something, as far as it is asked for, in turns; and who is the next to
+    /// be looked at.
     #[inline]
     fn choose_from(
         &mut self,

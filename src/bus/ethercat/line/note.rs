@@ -62,8 +62,8 @@ pub enum Note {
     Watchdog,
     /// It waits for the clock of the line.
     WaitsForClock,
-    /// It waits for the grid to come where its SYNC0 wants it, and so far is that from there, ns: positive is late. `None`: it is not
-    /// known.
+    /// It waits for the grid to come where its SYNC0 wants it, and so far is that from there, ns: positive is late.
+    /// `None`: it is not known.
     WaitsForLock(Option<i32>),
     /// It was found in OP with other process data than configured, and is left alone.
     FoundRunning,

@@ -30,7 +30,8 @@ pub(super) struct View {
     al: usize,
 }
 
-/// All of them. Whoever is about to change one unsettles the line, until a frame has shown each of its own as it should be again.
+/// All of them. Whoever is about to change one unsettles the line, until a frame has shown each of its own as it should
+/// be again.
 #[derive(Debug)]
 pub(super) struct Parts {
     parts: Box<[Part]>,

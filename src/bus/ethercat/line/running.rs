@@ -1,7 +1,7 @@
 //! A slave that runs on a clock that another master has set, or this one before it was restarted.
 //!
-//! The line's time goes to all slaves with a clock, listed or not. To one that runs it must be the time that it runs on: it would be
-//! dragged to any other one, and a drive goes into a fault by that (F28).
+//! The line's time goes to all slaves with a clock, listed or not. To one that runs it must be the time that it runs
+//! on: it would be dragged to any other one, and a drive goes into a fault by that (F28).
 
 use super::clock::LineClock;
 use crate::bus::Cycle;

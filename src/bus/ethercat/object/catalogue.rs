@@ -1,7 +1,8 @@
 //! What is known of single objects, by index.
 //!
-//! Facts: CAN manual of the S300 and S700, EtherCAT manuals of this family and of the AKD, CiA 301 and 402. Types and ranges that
-//! stand in none of them are marked [`assumed`](Known::assumed). A drive has many more objects, and judges every value itself.
+//! Facts: CAN manual of the S300 and S700, EtherCAT manuals of this family and of the AKD, CiA 301 and 402. Types and
+//! ranges that stand in none of them are marked [`assumed`](Known::assumed). A drive has many more objects, and judges
+//! every value itself.
 //!
 //! What differs in an AKD:
 //!

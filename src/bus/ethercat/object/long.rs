@@ -10,8 +10,8 @@ pub const MOST: usize = 64;
 /// What one call brings.
 const STEP: usize = 8;
 
-/// Reads an object of up to [`MOST`] bytes, of a longer one the first of them; less if the queue of the drive has less room than for
-/// ten calls. `limit` is what each of them is given.
+/// Reads an object of up to [`MOST`] bytes, of a longer one the first of them; less if the queue of the drive has less
+/// room than for ten calls. `limit` is what each of them is given.
 pub fn read(carrier: &dyn Carrier, target: Target, limit: Duration) -> Result<Vec<u8>, CallError> {
     let address = target.pack();
     let first = [(READ, 0), (SIZE, 0)].into_iter();

@@ -9,8 +9,8 @@
 //! | 1B01h in | 6063h, 6041h (assumed) | 6063h, 6041h |
 //! | 1B03h in | 6064h, 6077h, 6041h | - |
 //!
-//! The order differs from one to the next. What a drive has is therefore a setting, and these are only the ones that are known: 1702h,
-//! 1703h and 1B03h from the device description of a real S600, the AKD's from its own and its manual.
+//! The order differs from one to the next. What a drive has is therefore a setting, and these are only the ones that
+//! are known: 1702h, 1703h and 1B03h from the device description of a real S600, the AKD's from its own and its manual.
 
 use super::{Family, Object, Type};
 

@@ -105,7 +105,8 @@ impl Orders {
         }
     }
 
-    /// The drive was asked, but outputs do not reach it yet: what an order has claimed of it is old by the next exchange.
+    /// The drive was asked, but outputs do not reach it yet: what an order has claimed of it is old by the next
+    /// exchange.
     pub(in crate::bus::ethercat) fn held(&mut self) {
         if self.new && self.begun && self.writes && !self.before.writes {
             (self.begun, self.reclaims) = (false, true);

@@ -126,8 +126,9 @@ impl Orders {
         self.plan_run(0.0, deceleration);
     }
 
-    /// The deceleration asked for, or what it takes to stop within the limits: what replaces a fast motion may be too weak for the way
-    /// that is left. Never more than the limit of acceleration, or than the axis' own profile where there is none.
+    /// The deceleration asked for, or what it takes to stop within the limits: what replaces a fast motion may be too
+    /// weak for the way that is left. Never more than the limit of acceleration, or than the axis' own profile where
+    /// there is none.
     pub(super) fn braking(&self, asked: f64) -> f64 {
         let (Some((low, high)), Kind::Position) = (self.limits.position, self.kind) else { return asked };
         let Point { position, velocity } = self.demand;

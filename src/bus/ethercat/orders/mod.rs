@@ -7,18 +7,20 @@
 //! | `going` | an order that is under way |
 //! | `leading` | where the setpoint leads |
 //!
-//! The master makes the setpoints: a position, a velocity on its ramp, or a torque on its slope. What is planned begins at the
-//! setpoint that last went out, so that what is replaced before it went out never was. While the drive does not follow setpoints,
-//! they are neutral: no velocity, no torque, the actual position. Nothing is written before the first order.
+//! The master makes the setpoints: a position, a velocity on its ramp, or a torque on its slope. What is planned begins
+//! at the setpoint that last went out, so that what is replaced before it went out never was. While the drive does not
+//! follow setpoints, they are neutral: no velocity, no torque, the actual position. Nothing is written before the first
+//! order.
 //!
-//! No ramp of velocities brakes a drive that follows torques. A stop takes the torque away along its slope, within 100 ms at most,
-//! and then halts the drive until it stands; a quick stop, and an order that is refused, halt it at once. Then it is free: without a
-//! torque, as after it was enabled. One that halt does not brake coasts, until the stop of the axis takes its time-out.
+//! No ramp of velocities brakes a drive that follows torques. A stop takes the torque away along its slope, within 100
+//! ms at most, and then halts the drive until it stands; a quick stop, and an order that is refused, halt it at once.
+//! Then it is free: without a torque, as after it was enabled. One that halt does not brake coasts, until the stop of
+//! the axis takes its time-out.
 //!
 //! Inputs that come with a frame are of before its outputs: what is told is answered by the exchange after it.
 //!
-//! Assumed, because the manuals are silent: halt, bit 8, holds in every mode and keeps power on; a drive that is told to switch on and
-//! stays off without a fault has no hardware enable.
+//! Assumed, because the manuals are silent: halt, bit 8, holds in every mode and keeps power on; a drive that is told
+//! to switch on and stays off without a fault has no hardware enable.
 
 mod begin;
 mod going;
@@ -37,8 +39,8 @@ use crate::time::{MS, S, Time, nanos};
 const ANSWERS: u32 = 2;
 /// A drive that is told to switch on does so within this time, ns, or its hardware enable is missing (assumed).
 const ON_WITHIN_NS: u64 = 500 * MS;
-/// A missing hardware enable is shown for so long, ns, after the drive was last told to switch on: only telling it again will
-/// show whether it is back.
+/// A missing hardware enable is shown for so long, ns, after the drive was last told to switch on: only telling it
+/// again will show whether it is back.
 const DARK_NS: u64 = S;
 
 /// What the drive last said.

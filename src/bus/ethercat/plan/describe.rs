@@ -12,8 +12,8 @@ const WINDOW_NS: u64 = 320 * US;
 const SHORT_WINDOW_NS: u64 = 70 * US;
 
 impl EthercatPlan {
-    /// What `check` says: a paragraph a drive, whose first line is its address, then a line each of what else there is to say of
-    /// the line.
+    /// What `check` says: a paragraph a drive, whose first line is its address, then a line each of what else there is
+    /// to say of the line.
     pub fn describe(&self, period_ns: u64) -> Vec<String> {
         let drive = |drive: &KollmorgenDrive| {
             let mut lines = vec![self.address(&drive.slave)];

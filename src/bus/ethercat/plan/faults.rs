@@ -40,7 +40,8 @@ const OF_A_DRIVE: Keys = ["buffers"; 2];
 const OF_A_DEVICE: Keys = ["outputs", "inputs"];
 
 impl EthercatPlan {
-    /// What is wrong, with the place of the drive: what is wrong with the line or with a device is put down to the first one.
+    /// What is wrong, with the place of the drive: what is wrong with the line or with a device is put down to the
+    /// first one.
     pub fn faults(&self, period_ns: u64) -> Vec<(usize, PlanFault)> {
         let mut faults: Vec<(usize, PlanFault)> = Vec::new();
         for (index, drive) in self.drives.iter().enumerate() {

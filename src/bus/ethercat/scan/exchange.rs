@@ -1,7 +1,7 @@
 //! A frame out and back.
 //!
-//! In front of each frame stands a NOP with a mark: a reply counts by it alone, and an EtherCAT frame without it is that of another
-//! master. What arrives broken, circulated or late is passed over.
+//! In front of each frame stands a NOP with a mark: a reply counts by it alone, and an EtherCAT frame without it is
+//! that of another master. What arrives broken, circulated or late is passed over.
 
 use std::os::fd::BorrowedFd;
 

@@ -1,4 +1,5 @@
-//! The two mailboxes of a slave: how a message gets into the one, and out of the other (ETG.1000.4, 6.7; ETG.1000.6, 5.6).
+//! The two mailboxes of a slave: how a message gets into the one, and out of the other (ETG.1000.4, 6.7; ETG.1000.6,
+//! 5.6).
 //!
 //! Knows no SDO. What it wants is one slot at a time, and what it knows is only what came back:
 //!
@@ -11,9 +12,9 @@
 //! | a read of the last byte, 1 | the message is taken |
 //! | a read of the last byte, no frame | it may be taken: if nothing stands there, the slave is asked for it again (0x080E, 0x080F) |
 //!
-//! A message counts as written, or read, with the last byte of its area. So a message goes with the last byte behind it in the same
-//! frame, and one that is longer than a slot in pieces, the last byte at the end. With the status the first bytes of a longer
-//! mailbox are looked at: then its last byte and the rest of the message follow in the next slot.
+//! A message counts as written, or read, with the last byte of its area. So a message goes with the last byte behind it
+//! in the same frame, and one that is longer than a slot in pieces, the last byte at the end. With the status the first
+//! bytes of a longer mailbox are looked at: then its last byte and the rest of the message follow in the next slot.
 
 use super::super::counters::Own;
 use super::super::plan::Area;
@@ -32,7 +33,8 @@ const OUT_MAX: usize = 32;
 const HEAD: usize = 64;
 /// Between two looks while an answer is awaited: a drive's firmware takes up a request about once a millisecond.
 const LOOK_NS: u64 = 750 * US;
-/// A slave that has not answered the first request by then may have had its count from another master: it is repeated under the next.
+/// A slave that has not answered the first request by then may have had its count from another master: it is repeated
+/// under the next.
 const UNCOUNTED_NS: u64 = 300 * MS;
 /// Between two looks for what nobody asked for.
 const IDLE_NS: u64 = 50 * MS;
@@ -230,7 +232,8 @@ impl Mailbox {
         &self.read
     }
 
-    /// The last count of another master is not known: if it was this one, the slave takes the first request for that again.
+    /// The last count of another master is not known: if it was this one, the slave takes the first request for that
+    /// again.
     fn recount(&mut self, now: Time) {
         let Sending::Written { since, .. } = self.sending else { return };
         if self.counts || self.reading != Reading::Nothing || now.since(since) < self.within(UNCOUNTED_NS, 6)

@@ -6,9 +6,10 @@
 //! | `mailbox` | how a message gets into the slave, and out of it |
 //! | `sdo` | one transfer, message by message |
 //!
-//! What a slave reads out is its answer only if it was asked, and if the count (where the slave gives it back), the object and
-//! the command are those of the request: drives differ in all else (EtherCAT manual, "Mail Input"). Every other SDO is a stray.
-//! An emergency may come in place of an answer, and at any time: the mailbox is looked at every 50 ms.
+//! What a slave reads out is its answer only if it was asked, and if the count (where the slave gives it back), the
+//! object and the command are those of the request: drives differ in all else (EtherCAT manual, "Mail Input"). Every
+//! other SDO is a stray. An emergency may come in place of an answer, and at any time: the mailbox is looked at every
+//! 50 ms.
 //!
 //! It runs on the real-time thread: bounded, without allocation.
 
@@ -332,8 +333,8 @@ impl Service {
         }
     }
 
-    /// Writes what it wants of the next frame into `ask`; nothing, if there is nothing to do. Asked again without having been heard,
-    /// the frame was not sent, and it asks the same.
+    /// Writes what it wants of the next frame into `ask`; nothing, if there is nothing to do. Asked again without
+    /// having been heard, the frame was not sent, and it asks the same.
     #[inline]
     pub fn ask(&mut self, now: Time, ask: &mut Ask) {
         if let Some(mailbox) = self.mailbox.as_mut().filter(|_| self.open) {

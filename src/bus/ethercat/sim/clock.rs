@@ -1,7 +1,7 @@
 //! The distributed clock of a slave (ETG.1000.4, 6.5).
 //!
-//! Its own time runs with the drift of its quartz, and as fast or slow as the compensation makes it; the time of the line is its
-//! own one and the offset.
+//! Its own time runs with the drift of its quartz, and as fast or slow as the compensation makes it; the time of the
+//! line is its own one and the offset.
 
 use crate::time::Time;
 
@@ -46,8 +46,8 @@ pub(super) struct Clock {
 }
 
 impl Clock {
-    /// Shows `start_ns` when it first lives. The compensation is critically damped, and takes `settling` comparisons for the most of a
-    /// difference.
+    /// Shows `start_ns` when it first lives. The compensation is critically damped, and takes `settling` comparisons
+    /// for the most of a difference.
     pub(super) fn new(long: bool, start_ns: u64, drift_ppm: f64, settling: u16) -> Clock {
         Clock {
             mask: if long { u64::MAX } else { u32::MAX.into() },

@@ -1,6 +1,7 @@
 //! Plain I/O: a slave without a mailbox, digital and analogue terminals in one image.
 //!
-//! Each output is wired to the input with its number, as far as there is one. Without outputs that count all of them are off.
+//! Each output is wired to the input with its number, as far as there is one. Without outputs that count all of them
+//! are off.
 //!
 //! | bytes | what |
 //! |---|---|

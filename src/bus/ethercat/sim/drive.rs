@@ -1,11 +1,11 @@
 //! The firmware of a drive behind its slave controller: states of the bus, process data, CiA 402, modes, faults.
 //!
-//! Knows no register, no frame and no working counter: the slave controller asks it whether a state may be entered, hands it what was
-//! written to its mailbox, and calls it at each cyclic interrupt. The drive has no clock: whenever it is spoken to it lives through the
-//! time since then.
+//! Knows no register, no frame and no working counter: the slave controller asks it whether a state may be entered,
+//! hands it what was written to its mailbox, and calls it at each cyclic interrupt. The drive has no clock: whenever it
+//! is spoken to it lives through the time since then.
 //!
-//! Assumed, because the manuals are silent: units of ramps, what becomes of the power stage when OP is left, which faults are stopped
-//! before power goes, F28 at once when OP is asked for too early, and the defaults of the settings.
+//! Assumed, because the manuals are silent: units of ramps, what becomes of the power stage when OP is left, which
+//! faults are stopped before power goes, F28 at once when OP is asked for too early, and the defaults of the settings.
 //!
 //! | file | what |
 //! |---|---|
@@ -276,8 +276,8 @@ impl Drive {
         self.inhibited_until = until;
     }
 
-    /// Enters a state of the bus if it may, or says why not. A transition that is no error but has to wait does not exist: the drive
-    /// is synchronous, or it refuses.
+    /// Enters a state of the bus if it may, or says why not. A transition that is no error but has to wait does not
+    /// exist: the drive is synchronous, or it refuses.
     pub fn may_enter(&mut self, now: Time, state: AlState) -> Result<(), AlCode> {
         use AlState::{Boot, Init, Op, PreOp, SafeOp};
         self.live(now);
@@ -322,8 +322,8 @@ impl Drive {
         }
     }
 
-    /// What the master wrote to the mailbox; true with the next message for it in `reply`, which may be an emergency in place of the
-    /// answer: the answer is then left for [`message`](Self::message).
+    /// What the master wrote to the mailbox; true with the next message for it in `reply`, which may be an emergency in
+    /// place of the answer: the answer is then left for [`message`](Self::message).
     pub fn mailbox(&mut self, request: &[u8], reply: &mut Vec<u8>) -> bool {
         if matches!(self.al, AlState::Init | AlState::Boot) {
             return false;
@@ -350,8 +350,8 @@ impl Drive {
         message.is_some()
     }
 
-    /// A cyclic interrupt: outputs count in OP, inputs are written in SAFEOP and OP. Of areas that are shorter than the PDOs nothing
-    /// is looked at.
+    /// A cyclic interrupt: outputs count in OP, inputs are written in SAFEOP and OP. Of areas that are shorter than the
+    /// PDOs nothing is looked at.
     pub fn process(&mut self, now: Time, outputs: &[u8], inputs: &mut [u8]) {
         self.live(now);
         if !self.is_cyclic() {
@@ -367,7 +367,8 @@ impl Drive {
         self.give(inputs);
     }
 
-    /// Lives up to `now`. Without cyclic interrupts it is to be called now and then: only so the drive notices that they are missing.
+    /// Lives up to `now`. Without cyclic interrupts it is to be called now and then: only so the drive notices that
+    /// they are missing.
     pub fn live(&mut self, now: Time) {
         let mut at = *self.lived.get_or_insert(now);
         let longest = (now.since(at) / STEPS).max(STEP_NS);

@@ -41,11 +41,11 @@ pub struct Settings {
     pub settling: u16,
     /// How long its firmware takes to read AL control or the mailbox.
     pub reaction_ns: u64,
-    /// Its device id, of a slave that shows one: bit 5 of its AL status, and the code behind that while there is no error. Default:
-    /// none.
+    /// Its device id, of a slave that shows one: bit 5 of its AL status, and the code behind that while there is no
+    /// error. Default: none.
     pub device_id: Option<u16>,
-    /// With which code it falls back when no outputs come in time. Which one a Kollmorgen S300 ... S700 has is not known; of those
-    /// that its manual names only that of synchronisation would fit.
+    /// With which code it falls back when no outputs come in time. Which one a Kollmorgen S300 ... S700 has is not
+    /// known; of those that its manual names only that of synchronisation would fit.
     pub watchdog_code: AlCode,
     /// What a frame takes from the slave before it to this one, each way.
     pub delay_ns: u64,
@@ -101,7 +101,8 @@ impl Esc {
         }
     }
 
-    /// It is in OP with these SyncManagers and this FMMU for its outputs, as another master has left it, and its drive comes up running.
+    /// It is in OP with these SyncManagers and this FMMU for its outputs, as another master has left it, and its drive
+    /// comes up running.
     pub(super) fn run(&mut self, managers: &[SyncManager], outputs: Fmmu) {
         let Some(cycle_ns) = self.drive().and_then(|drive| drive.cycle_ns()) else { return };
         for (n, manager) in (0..).zip(managers) {

@@ -1,5 +1,5 @@
-//! What the firmware of every slave does: the EtherCAT state machine, the mailbox, the cycle (ETG.1000.6, 6.4; ETG.1000.4,
-//! 6.7).
+//! What the firmware of every slave does: the EtherCAT state machine, the mailbox, the cycle (ETG.1000.6, 6.4;
+//! ETG.1000.4, 6.7).
 
 use std::ops::Range;
 

@@ -26,8 +26,8 @@ impl Line {
         line
     }
 
-    /// Cuts the cable in front of slave `n`, counted from 0, or mends it. Frames turn at the slave before it; if there is none,
-    /// no slave is reached.
+    /// Cuts the cable in front of slave `n`, counted from 0, or mends it. Frames turn at the slave before it; if there
+    /// is none, no slave is reached.
     pub fn cut(&mut self, n: Option<usize>) {
         self.cut = n;
         self.link();
@@ -58,8 +58,8 @@ impl Line {
         self.slaves.iter_mut().for_each(|slave| slave.live(now));
     }
 
-    /// Carries a frame, that the master sends at `now`, through all slaves that it reaches, in place. What is no EtherCAT stays as
-    /// it is; behind a broken datagram none is carried out.
+    /// Carries a frame, that the master sends at `now`, through all slaves that it reaches, in place. What is no
+    /// EtherCAT stays as it is; behind a broken datagram none is carried out.
     pub fn pass(&mut self, now: Time, frame: &mut [u8]) {
         let reached = self.reached();
         let (near, far) = self.slaves.split_at_mut(reached);

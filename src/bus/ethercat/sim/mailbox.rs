@@ -1,8 +1,8 @@
 //! The drive's mailbox: expedited SDOs of 16 bytes, longer ones where it can do them, and emergencies.
 //!
-//! Knows no object. One request at a time, and what is to be read stands in a queue: an emergency may come before an answer.
-//! A request with the counter of the one before is a repetition and is ignored; the manual's dialect has no counter (EtherCAT manual,
-//! "Mail Input"; ETG.1000.6).
+//! Knows no object. One request at a time, and what is to be read stands in a queue: an emergency may come before an
+//! answer. A request with the counter of the one before is a repetition and is ignored; the manual's dialect has no
+//! counter (EtherCAT manual, "Mail Input"; ETG.1000.6).
 
 use std::collections::VecDeque;
 

@@ -57,7 +57,8 @@ impl Mapping {
         }
     }
 
-    /// Writes the count, or an entry while the count is 0. `kind` gives the type of an object that may be mapped that way.
+    /// Writes the count, or an entry while the count is 0. `kind` gives the type of an object that may be mapped that
+    /// way.
     pub(super) fn write(
         &mut self,
         object: Object,

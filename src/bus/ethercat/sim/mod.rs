@@ -20,8 +20,8 @@
 //! | `motor` | the motor and its setpoint generator |
 //! | `coupler` | an application: plain digital and analogue I/O |
 //!
-//! A slave has no thread: when a frame passes it lives through the time since the last one. Where the standard leaves it open it
-//! takes the strict side:
+//! A slave has no thread: when a frame passes it lives through the time since the last one. Where the standard leaves
+//! it open it takes the strict side:
 //!
 //! | case | what the slave does |
 //! |---|---|
@@ -73,19 +73,19 @@ use crate::time::Time;
 
 /// What a slave's firmware does behind its controller.
 pub trait Application: Debug + Send {
-    /// Takes what the master put into the mailbox, the whole of it: behind the message stands what was there before. Writes the
-    /// answer, or what is to be read before it, into `reply` (empty when called); false: there is none. Whether it is the message
-    /// before it again, is the application's to find out.
+    /// Takes what the master put into the mailbox, the whole of it: behind the message stands what was there before.
+    /// Writes the answer, or what is to be read before it, into `reply` (empty when called); false: there is none.
+    /// Whether it is the message before it again, is the application's to find out.
     fn mailbox(&mut self, request: &[u8], reply: &mut Vec<u8>) -> bool;
 
-    /// Whether it can go to `state`. Asked when the controller has nothing against it, and if the answer is yes it is there.
-    /// [`AlCode::NONE`] as the refusal: not yet, it is asked again. A state below its own is not asked for but told, and so is
-    /// SAFEOP when the watchdog throws it out of OP: the answer does not count.
+    /// Whether it can go to `state`. Asked when the controller has nothing against it, and if the answer is yes it is
+    /// there. [`AlCode::NONE`] as the refusal: not yet, it is asked again. A state below its own is not asked for but
+    /// told, and so is SAFEOP when the watchdog throws it out of OP: the answer does not count.
     fn may_enter(&mut self, now: Time, state: AlState) -> Result<(), AlCode>;
 
-    /// Its cycle, in SAFEOP and OP: with SYNC0, or with each output if there is no SYNC0, or with each frame if there are no
-    /// outputs. `outputs` is empty as long as none count: below OP, and until they have come. `inputs` holds what it last wrote
-    /// there.
+    /// Its cycle, in SAFEOP and OP: with SYNC0, or with each output if there is no SYNC0, or with each frame if there
+    /// are no outputs. `outputs` is empty as long as none count: below OP, and until they have come. `inputs` holds
+    /// what it last wrote there.
     fn process(&mut self, now: Time, outputs: &[u8], inputs: &mut [u8]);
 
     /// What it says to SyncManagers for so many bytes of outputs and inputs. Asked on the way to SAFEOP and to OP.
@@ -93,8 +93,8 @@ pub trait Application: Debug + Send {
         Ok(())
     }
 
-    /// Writes the next message that waits for the master into `message` (empty when called); false: there is none. Asked when
-    /// the mailbox is empty.
+    /// Writes the next message that waits for the master into `message` (empty when called); false: there is none.
+    /// Asked when the mailbox is empty.
     fn message(&mut self, _message: &mut Vec<u8>) -> bool {
         false
     }

@@ -36,8 +36,8 @@ struct Row {
 #[derive(Debug)]
 pub(super) struct Objects {
     rows: Vec<Row>,
-    /// What its fixed PDOs are made of, read only: each is an object of its own number (ETG.1000.6, 5.6.7.4). Masters read them to
-    /// learn sizes.
+    /// What its fixed PDOs are made of, read only: each is an object of its own number (ETG.1000.6, 5.6.7.4). Masters
+    /// read them to learn sizes.
     fixed: Vec<(Object, Vec<u8>)>,
 }
 

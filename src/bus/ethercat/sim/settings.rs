@@ -29,10 +29,11 @@ pub struct DriveSettings {
     pub dialect: Dialect,
     /// Its name, 1008h. Default: the family's; of an AKD a long one, since it can be read.
     pub name: String,
-    /// Bytes of the mailbox that the master reads, of a drive that can do more than SDOs of four bytes: normal and segmented ones, and
-    /// complete access. Default: 1024 of an AKD, and none of the others.
+    /// Bytes of the mailbox that the master reads, of a drive that can do more than SDOs of four bytes: normal and
+    /// segmented ones, and complete access. Default: 1024 of an AKD, and none of the others.
     pub long_sdos: Option<u16>,
-    /// Pauses in which it sends a mailbox message that nobody asked for, Ethernet over EtherCAT, as a real AKD does, ns. Default: none.
+    /// Pauses in which it sends a mailbox message that nobody asked for, Ethernet over EtherCAT, as a real AKD does,
+    /// ns. Default: none.
     pub unasked_ns: Option<u64>,
     /// The PDOs that can be selected.
     pub layouts: Vec<Layout>,
@@ -44,7 +45,8 @@ pub struct DriveSettings {
     pub resolution_turns: u32,
     /// Position that it shows at power-on, increments. Default 0.
     pub position: i32,
-    /// rpm a count of 606Bh, 606Ch, 60FFh, 6081h and 6099h. Default: increments per 250 us, as its sister AX2000 has it; of an AKD 0.001.
+    /// rpm a count of 606Bh, 606Ch, 60FFh, 6081h and 6099h. Default: increments per 250 us, as its sister AX2000 has
+    /// it; of an AKD 0.001.
     pub rpm_per_count: f64,
     /// Per mille of the rated current a count of 6074h. Default 1.
     pub permille_per_count: f64,
@@ -56,8 +58,8 @@ pub struct DriveSettings {
     pub home_turns: Option<f64>,
     /// Cyclic interrupts inside the window, one after the other, until the drive is synchronous. Default 100.
     pub interrupts_to_sync: u32,
-    /// It comes up in OP and in operation, turning at so many rpm, as if another master had died with its watchdog off. Default: it
-    /// comes up in INIT and stands.
+    /// It comes up in OP and in operation, turning at so many rpm, as if another master had died with its watchdog off.
+    /// Default: it comes up in INIT and stands.
     pub running_rpm: Option<f64>,
     /// The hardware enable (STO) is wired and closed. Default true.
     pub hardware_enable: bool,
@@ -190,17 +192,19 @@ impl DriveSettings {
 pub struct LineSettings {
     /// The interface at the drives' end of the cable, where the master's is a real one.
     pub interface: Option<String>,
-    /// How much faster than ours the clock of the slave at a place runs, ppm; the last one counts for all behind it. Default: 0.
+    /// How much faster than ours the clock of the slave at a place runs, ppm; the last one counts for all behind it.
+    /// Default: 0.
     pub drift_ppm: Vec<f64>,
     /// What a frame takes from one slave to the next, each way, ns. Default 500.
     pub delay_ns: u64,
     /// The clocks have 32 bits. Default: they have 64.
     pub short_clocks: bool,
-    /// Frames with the time of the reference in which a clock takes away the most of a difference to it. Default: 32. A real one, with
-    /// its filters as delivered, takes about 1 000, and some thousand until it has settled (SOEM waits 15 000; assumed).
+    /// Frames with the time of the reference in which a clock takes away the most of a difference to it. Default: 32. A
+    /// real one, with its filters as delivered, takes about 1 000, and some thousand until it has settled (SOEM waits
+    /// 15 000; assumed).
     pub settling: u16,
-    /// How many FMMUs the slave at a place has; the last one counts for all behind it. Default: 8. Small couplers have 2 or 3, and none
-    /// to spare for their state.
+    /// How many FMMUs the slave at a place has; the last one counts for all behind it. Default: 8. Small couplers have
+    /// 2 or 3, and none to spare for their state.
     pub fmmus: Vec<u8>,
     /// Each slave shows its device id in its AL status: its place. Default: none does.
     pub device_ids: bool,

@@ -1,5 +1,5 @@
-//! The EEPROM of a slave (SII): what an image is made of, and how a master reads and writes it by registers (ETG.1000.4, 6.4;
-//! ETG.2010).
+//! The EEPROM of a slave (SII): what an image is made of, and how a master reads and writes it by registers
+//! (ETG.1000.4, 6.4; ETG.2010).
 
 use crate::bus::ethercat::wire::registers::SyncManager;
 use crate::bus::ethercat::wire::sii::{Category, Identity, Status, Use, crc, word};

@@ -202,8 +202,8 @@ fn drive(plan: &KollmorgenDrive, hardware: Settings, logical: u32) -> Esc {
     esc
 }
 
-/// The drive as it has to be for its plan: with the PDOs that are not mapped first, and, unless it was made another one, who the plan
-/// says.
+/// The drive as it has to be for its plan: with the PDOs that are not mapped first, and, unless it was made another
+/// one, who the plan says.
 fn drive_settings(plan: &KollmorgenDrive) -> DriveSettings {
     let mut settings = plan.simulate.clone();
     if settings.identity == DriveSettings::new(settings.family).identity {

@@ -1,10 +1,12 @@
 //! Whether the cyclic interrupts of the bus are regular enough.
 //!
-//! Knows no state and no fault: it is told of interrupts, and says when they make the drive synchronous and when no longer.
+//! Knows no state and no fault: it is told of interrupts, and says when they make the drive synchronous and when no
+//! longer.
 //!
-//! Each interrupt is expected a cycle behind the one before. The expectation follows the bus slowly, by no more than 1000 ppm of a
-//! cycle, the mean deviation that the drive allows. One interrupt outside of the window is forgiven, the second in a row is not
-//! (EtherCAT manual). How fast the expectation follows, and how many interrupts make the drive synchronous, is assumed.
+//! Each interrupt is expected a cycle behind the one before. The expectation follows the bus slowly, by no more than
+//! 1000 ppm of a cycle, the mean deviation that the drive allows. One interrupt outside of the window is forgiven, the
+//! second in a row is not (EtherCAT manual). How fast the expectation follows, and how many interrupts make the drive
+//! synchronous, is assumed.
 
 use crate::time::{MS, Time, US};
 

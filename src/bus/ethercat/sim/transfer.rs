@@ -1,4 +1,5 @@
-//! Transfers of objects that are longer than four bytes: normal, in segments, and of all subindices at once (ETG.1000.6, 5.6.2).
+//! Transfers of objects that are longer than four bytes: normal, in segments, and of all subindices at once
+//! (ETG.1000.6, 5.6.2).
 //!
 //! Knows no object. One transfer at a time: a new one, or an abort, ends it.
 

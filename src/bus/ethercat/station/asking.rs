@@ -1,7 +1,7 @@
 //! What the station itself reads and writes by SDO: one after the other, whenever its mailbox is free.
 //!
-//! The mode of operation goes before all else, since a homing waits for it; then whether the drive knows its reference; then what is
-//! shown, in turns.
+//! The mode of operation goes before all else, since a homing waits for it; then whether the drive knows its reference;
+//! then what is shown, in turns.
 
 use super::{HOMING_METHOD, MANUFACTURER_STATUS, MODE, MODE_DISPLAY};
 use crate::axis::feedback::MONITOR_CHANNELS;

@@ -6,10 +6,11 @@
 //! | `places` | where in the process data what stands |
 //! | `asking` | what the station itself asks by SDO: mode, reference, what is shown |
 //!
-//! It takes instants and slices, and knows no frame. What an order does, step by step, stands in `orders`. The line tells it which
-//! state the slave is in, and whether inputs are of this exchange: an answer is never suspect.
+//! It takes instants and slices, and knows no frame. What an order does, step by step, stands in `orders`. The line
+//! tells it which state the slave is in, and whether inputs are of this exchange: an answer is never suspect.
 //!
-//! Where the setpoint is no position, the demand is told as the actual position: there is no place where the axis should be.
+//! Where the setpoint is no position, the demand is told as the actual position: there is no place where the axis
+//! should be.
 
 mod asking;
 mod places;
@@ -46,8 +47,8 @@ const VELOCITY: Object = Object::new(0x606C, 0);
 const TORQUE: Object = Object::new(0x6077, 0);
 const HOMING_METHOD: Object = Object::new(0x6098, 0);
 
-/// The emergency with the number of a fault comes within this time, ns, or its number stays unknown: it is then this one, any error
-/// (CAN manual).
+/// The emergency with the number of a fault comes within this time, ns, or its number stays unknown: it is then this
+/// one, any error (CAN manual).
 const NAMED_WITHIN_NS: u64 = 100 * MS;
 const NAMED_TURNS: u64 = 6;
 const ANY_ERROR: u16 = 0x1000;
@@ -96,8 +97,8 @@ pub struct Station {
 }
 
 impl Station {
-    /// The station of `drive` for an exchange every `interval_ns`, and the application's ends of its native process data and of its
-    /// acyclic access.
+    /// The station of `drive` for an exchange every `interval_ns`, and the application's ends of its native process
+    /// data and of its acyclic access.
     pub fn new(drive: &KollmorgenDrive, interval_ns: u64) -> (Station, Native, AcyclicEnds) {
         let (application, native) = native(&drive.outputs, &drive.inputs);
         let (ends, port) = acyclic::queue(drive.axis.parameter_queue);
@@ -202,13 +203,14 @@ impl Station {
         self.inputs.mode = self.asking.mode();
     }
 
-    /// An order stands: the drive is driven from now on. Before, it is only read, and what was found in OP goes on as it was.
+    /// An order stands: the drive is driven from now on. Before, it is only read, and what was found in OP goes on as
+    /// it was.
     pub fn wants_outputs(&self) -> bool {
         self.orders.writes()
     }
 
-    /// Writes the output PDO of the next exchange, whole. Built again for the same send, it is the same: what moves on with every
-    /// exchange does so in [`sent`](Self::sent).
+    /// Writes the output PDO of the next exchange, whole. Built again for the same send, it is the same: what moves on
+    /// with every exchange does so in [`sent`](Self::sent).
     #[inline]
     pub fn prepare(&mut self, cycle: &Cycle, slot: &mut Slot, outputs: &mut [u8]) {
         self.grid = cycle.grid;
@@ -307,7 +309,8 @@ impl Station {
         }
     }
 
-    /// Its mailbox was looked at: takes in the next emergency, if the one before was told. A warning, a fault, or the end of it.
+    /// Its mailbox was looked at: takes in the next emergency, if the one before was told. A warning, a fault, or the
+    /// end of it.
     pub fn mailbox_heard(&mut self, slot: &mut Slot) {
         if slot.report.emergency.is_some() {
             return;

@@ -6,8 +6,8 @@ use crate::bus::ethercat::object::Object;
 use crate::bus::ethercat::object::pdo::{Entry, Layout};
 use crate::bus::ethercat::plan::{KollmorgenDrive, Setpoint};
 
-/// Most torque that a drive may make: 0 would be none. What the plan does not say is this, per mille (assumed: the drive's own limit
-/// lies beneath it).
+/// Most torque that a drive may make: 0 would be none. What the plan does not say is this, per mille (assumed: the
+/// drive's own limit lies beneath it).
 const MAXIMUM_TORQUE: Object = Object::new(0x6072, 0);
 const MOST_PERMILLE: u64 = 3_000;
 

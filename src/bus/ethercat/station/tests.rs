@@ -1,4 +1,5 @@
-//! The station against the simulated drive, cycle by cycle, in virtual time: outputs, the drive, inputs, and its mailbox.
+//! The station against the simulated drive, cycle by cycle, in virtual time: outputs, the drive, inputs, and its
+//! mailbox.
 
 use std::collections::VecDeque;
 use std::time::Duration;

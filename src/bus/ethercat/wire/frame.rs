@@ -15,8 +15,8 @@ use thiserror::Error;
 pub const ETHERTYPE: u16 = 0x88A4;
 /// Ethernet and EtherCAT header.
 pub const HEADER: usize = 16;
-/// The shortest frame without its check sequence. Who builds pads up to it; who reads takes shorter ones too: a virtual wire does
-/// not pad.
+/// The shortest frame without its check sequence. Who builds pads up to it; who reads takes shorter ones too: a virtual
+/// wire does not pad.
 pub const FRAME_MIN: usize = 60;
 /// The longest frame without its check sequence.
 pub const FRAME_MAX: usize = 1514;
@@ -99,7 +99,8 @@ impl Command {
         }
     }
 
-    /// Its four bytes of address, as one number: for all but logical ones the station or position, and the register above it.
+    /// Its four bytes of address, as one number: for all but logical ones the station or position, and the register
+    /// above it.
     pub const fn address(self) -> u32 {
         match self {
             Command::Nop => 0,
@@ -278,10 +279,11 @@ pub enum Returned {
     Other,
 }
 
-/// Holds the datagram at `place` of a received frame against the one that was sent there: all that no slave changes is the same.
-/// `stays`: its address is not counted up by the slaves.
+/// Holds the datagram at `place` of a received frame against the one that was sent there: all that no slave changes is
+/// the same. `stays`: its address is not counted up by the slaves.
 pub fn returned(sent: &[u8], received: &[u8], place: Place, stays: bool) -> Returned {
-    /// The bit of `CIRCULATED` in the first eight bytes; and the two lower ones of the address, in which a position is counted up.
+    /// The bit of `CIRCULATED` in the first eight bytes; and the two lower ones of the address, in which a position is
+    /// counted up.
     const WENT_ROUND: u64 = (CIRCULATED as u64) << 48;
     const POSITION: u64 = 0xFFFF << 16;
     let header = |frame: &[u8]| frame.get(place.at..)?.first_chunk().map(|bytes| u64::from_le_bytes(*bytes));
@@ -399,8 +401,8 @@ pub fn datagrams(frame: &[u8]) -> Result<Datagrams<'_>, FrameError> {
     Ok(Datagrams { frame, next: (says > 0).then_some(HEADER), end: HEADER + says })
 }
 
-/// The number and the data of the first datagram of a received frame, if that has `N` bytes: who it may be from, before all of it is
-/// looked at.
+/// The number and the data of the first datagram of a received frame, if that has `N` bytes: who it may be from, before
+/// all of it is looked at.
 #[inline]
 pub fn first_datagram<const N: usize>(frame: &[u8]) -> Option<(u8, &[u8; N])> {
     let header = frame.first_chunk::<{ HEADER + DATAGRAM_HEADER }>()?;

@@ -54,8 +54,8 @@ impl Counter {
     }
 }
 
-/// Writes an SDO message in place and returns its size; 0, and nothing written, if `out` is too short for it. Behind it `out`
-/// is zero.
+/// Writes an SDO message in place and returns its size; 0, and nothing written, if `out` is too short for it. Behind it
+/// `out` is zero.
 pub fn emit(request: &sdo::Request<'_>, counter: Counter, out: &mut [u8]) -> usize {
     let size = COE_HEADER + request.size();
     let Some((message, rest)) = out.split_at_mut_checked(size) else { return 0 };
@@ -159,8 +159,8 @@ pub enum MessageError {
     Command(u8),
 }
 
-/// How far a mailbox has to be read for what its first bytes begin: to the end of a message that is for us, no further than the
-/// header of any other. What does not fit `mailbox` bytes is none.
+/// How far a mailbox has to be read for what its first bytes begin: to the end of a message that is for us, no further
+/// than the header of any other. What does not fit `mailbox` bytes is none.
 pub fn extent(head: &[u8], mailbox: usize) -> usize {
     let Some(&[low, high, _, _, _, kind]) = head.first_chunk::<HEADER>() else { return HEADER };
     let size = HEADER + usize::from(u16::from_le_bytes([low, high]));

@@ -1,7 +1,7 @@
 //! SDO: reading and writing objects (ETG.1000.6, 5.6.2; CiA 301).
 //!
-//! A Kollmorgen drive speaks the expedited form only, four bytes at most. Other slaves have longer objects: their size comes
-//! first, and what does not fit the mailbox follows in segments.
+//! A Kollmorgen drive speaks the expedited form only, four bytes at most. Other slaves have longer objects: their size
+//! comes first, and what does not fit the mailbox follows in segments.
 
 use std::fmt;
 

@@ -1,7 +1,7 @@
 //! The slave information, SII: what a slave's EEPROM says of it (ETG.2010; ETG.1000.4, 6.4).
 //!
-//! It is read word by word through two registers, and it may be absent or wrong: a configuration is checked against it, not
-//! made from it.
+//! It is read word by word through two registers, and it may be absent or wrong: a configuration is checked against it,
+//! not made from it.
 
 use super::registers::SyncManager;
 

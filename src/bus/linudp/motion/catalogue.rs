@@ -115,8 +115,8 @@ impl Field {
         }
     }
 
-    /// Writes a wire integer into `parameters`, the bytes behind a header. Its range is the caller's business; what does
-    /// not fit into its bytes is cut off.
+    /// Writes a wire integer into `parameters`, the bytes behind a header. Its range is the caller's business; what
+    /// does not fit into its bytes is cut off.
     pub fn write(&self, parameters: &mut [u8], value: i64) {
         let place = parameters.get_mut(self.at - HEADER..).unwrap_or_default();
         for (byte, written) in place.iter_mut().zip(value.to_le_bytes()).take(self.kind.size()) {

@@ -1,7 +1,7 @@
 //! A motion command as a drive reads it: all that it executes, whatever way it is spelled.
 //!
-//! Values are wire integers, units as in `values`; they may be out of the range that means something, for a drive has to
-//! take what comes.
+//! Values are wire integers, units as in `values`; they may be out of the range that means something, for a drive has
+//! to take what comes.
 
 use super::catalogue::CommandInfo;
 use super::meaning::meaning;

@@ -217,7 +217,8 @@ fn a_save_goes_out_once_into_a_silence_and_is_asked_for_by_its_count_after_it() 
     b.turn(done);
     assert_eq!(ticket.poll().unwrap().unwrap().status, UNACKNOWLEDGED);
 
-    // A request that was lost goes out again, under the same count, however long the drive says that it has another one.
+    // A request that was lost goes out again, under the same count, however long the drive says that it has another
+    // one.
     let mut b = Bench::new();
     b.learn();
     let mut ticket = post(&b);

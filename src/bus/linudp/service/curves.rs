@@ -14,7 +14,8 @@ pub enum CurvePut {
     Add,
     /// The drive has one of the same size: it is overwritten in place.
     Modify,
-    /// The drive has one of another size. It can only delete all curves at once: the others are read first, and written again.
+    /// The drive has one of another size. It can only delete all curves at once: the others are read first, and written
+    /// again.
     Rebuild,
 }
 
@@ -76,8 +77,8 @@ impl Services<'_> {
         self.way(curve.id, &new)
     }
 
-    /// Writes a curve to the drive's RAM and reads it back. Broken off or failed, what was there before is written again, and
-    /// read back too. A drive that is running this very curve may jerk.
+    /// Writes a curve to the drive's RAM and reads it back. Broken off or failed, what was there before is written
+    /// again, and read back too. A drive that is running this very curve may jerk.
     pub fn put_curve(&self, curve: &Curve, watch: Watcher<'_>) -> Result<(), ServiceError> {
         let (id, new) = (curve.id, self.encoded(curve)?);
         let steps = match self.way(id, &new)? {
@@ -91,8 +92,8 @@ impl Services<'_> {
         Err(after(failed, self.restore_curve(id, old.as_ref()), REMEDY))
     }
 
-    /// Puts back what stood at `id`, whatever is there now: a part of another curve, or what flash held if the drive has
-    /// restarted.
+    /// Puts back what stood at `id`, whatever is there now: a part of another curve, or what flash held if the drive
+    /// has restarted.
     fn restore_curve(&self, id: u16, old: Option<&Raw>) -> Result<(), ServiceError> {
         let Some(old) = old else {
             return match self.curve_sizes(id)? {
@@ -123,8 +124,8 @@ impl Services<'_> {
         self.command(RtcCommand::DELETE_CURVES, 0, 0, USUAL).map(drop)
     }
 
-    /// Saves all curves to flash, with the software stopped meanwhile. It may take minutes in which the drive is silent; it has
-    /// to be homed again then.
+    /// Saves all curves to flash, with the software stopped meanwhile. It may take minutes in which the drive is
+    /// silent; it has to be homed again then.
     pub fn save_curves(&self) -> Result<Saved, ServiceError> {
         self.save(RtcCommand::SAVE_CURVES)
     }
@@ -190,7 +191,8 @@ impl Services<'_> {
         }
     }
 
-    /// Deletes all curves and writes them again, that of `id` as `new`, or without it: what stands there then is a part of one.
+    /// Deletes all curves and writes them again, that of `id` as `new`, or without it: what stands there then is a part
+    /// of one.
     fn rebuild(&self, id: u16, new: Option<&Raw>, watch: Watcher<'_>) -> Result<(), ServiceError> {
         let mut old = Vec::new();
         for known in self.curves()?.into_iter().filter(|known| new.is_some() || *known != id) {

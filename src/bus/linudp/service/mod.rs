@@ -41,8 +41,8 @@ const USUAL: Duration = Duration::from_secs(1);
 const SLOW: Duration = Duration::from_secs(20);
 /// Saving to flash: 39 to 75 s and more were met on a C1250, without any answer meanwhile.
 const FLASH: Duration = Duration::from_secs(180);
-/// Calls that are posted at once, at most: so often is there progress, and a chance to break off. A parameter that somebody
-/// else asks for meanwhile stands behind no more than these, and finds room in the queue.
+/// Calls that are posted at once, at most: so often is there progress, and a chance to break off. A parameter that
+/// somebody else asks for meanwhile stands behind no more than these, and finds room in the queue.
 const AT_ONCE: usize = 16;
 
 /// The services of one drive. One holder at a time: a drive has one list and one block transfer.
@@ -281,8 +281,8 @@ impl<'a> Services<'a> {
         Ok(Some(block))
     }
 
-    /// A drive that takes the end of a block for its middle, or the other way round, counts otherwise than this master. Within
-    /// an entry of the command table a status of done is let pass: some drives say so.
+    /// A drive that takes the end of a block for its middle, or the other way round, counts otherwise than this master.
+    /// Within an entry of the command table a status of done is let pass: some drives say so.
     fn check_step(
         &self,
         command: RtcCommand,

@@ -8,8 +8,8 @@ use crate::bus::linudp::UNACKNOWLEDGED;
 use crate::bus::linudp::upid::call;
 use crate::bus::linudp::wire::{Refusal, RtcCommand};
 
-/// For so long a drive is asked to start its software again. It may be silent at first: beyond [`FLASH`], by which a save that
-/// is lost has failed, it has always answered.
+/// For so long a drive is asked to start its software again. It may be silent at first: beyond [`FLASH`], by which a
+/// save that is lost has failed, it has always answered.
 const PATIENCE: Duration = Duration::from_secs(60);
 
 /// A part of a drive's parameters.
@@ -82,8 +82,8 @@ impl Services<'_> {
         self.with_software_stopped(|| self.command(part.command(), 0, 0, FLASH).map(drop))
     }
 
-    /// Does `what` while the software is stopped, and starts it again whatever came of that, or of whoever asked for it. Software
-    /// that was stopped before stays so: somebody wants that.
+    /// Does `what` while the software is stopped, and starts it again whatever came of that, or of whoever asked for
+    /// it. Software that was stopped before stays so: somebody wants that.
     pub(super) fn with_software_stopped<T>(
         &self,
         what: impl Fn() -> Result<T, ServiceError>,

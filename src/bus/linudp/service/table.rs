@@ -13,8 +13,8 @@ use crate::bus::linudp::wire::{Refusal, RtcCommand};
 const REMEDY: &str =
     "restart the drive, it comes up with the table that its flash holds; what was not saved is lost";
 
-/// A table as the drive holds it, whatever its bytes mean. An entry without bytes is there, but cannot be read: a transfer of
-/// it may have ended half-way.
+/// A table as the drive holds it, whatever its bytes mean. An entry without bytes is there, but cannot be read: a
+/// transfer of it may have ended half-way.
 type Image = BTreeMap<EntryId, Vec<u8>>;
 
 /// Entries of one presence list, and the bytes of its bits, by which the drive says which list it gives.
@@ -58,8 +58,9 @@ impl Services<'_> {
         Ok(table)
     }
 
-    /// Makes the drive's table in RAM this one, entry by entry where they differ, and reads it back. Broken off or failed, what
-    /// was there before is put back the same way. A drive that is running its table meanwhile runs into whatever stands there.
+    /// Makes the drive's table in RAM this one, entry by entry where they differ, and reads it back. Broken off or
+    /// failed, what was there before is put back the same way. A drive that is running its table meanwhile runs into
+    /// whatever stands there.
     pub fn put_table(&self, table: &Table, watch: Watcher<'_>) -> Result<(), ServiceError> {
         let new: Image = table.iter().map(|(id, entry)| (*id, entry.encode().to_vec())).collect();
         let old = self.image(&mut quiet)?;
@@ -83,8 +84,8 @@ impl Services<'_> {
         self.command(RtcCommand::DELETE_TABLE, 0, 0, USUAL).map(drop)
     }
 
-    /// Saves the table to flash, with the software stopped meanwhile. It may take minutes in which the drive is silent; it has to
-    /// be homed again then.
+    /// Saves the table to flash, with the software stopped meanwhile. It may take minutes in which the drive is silent;
+    /// it has to be homed again then.
     pub fn save_table(&self) -> Result<Saved, ServiceError> {
         self.save(RtcCommand::SAVE_TABLE)
     }
@@ -111,8 +112,8 @@ impl Services<'_> {
         Ok(())
     }
 
-    /// Puts `old` back, with as few steps as what is there now allows: an entry may be half written. What could not be read then
-    /// cannot be written now.
+    /// Puts `old` back, with as few steps as what is there now allows: an entry may be half written. What could not be
+    /// read then cannot be written now.
     fn restore(&self, old: &Image) -> Result<(), ServiceError> {
         let old: Image = old
             .iter()

@@ -1,7 +1,7 @@
 //! What the drive remembers, and how it comes into flash.
 //!
-//! Knows no wire block and no motion. Curves and command table have a copy in RAM, which is what runs, and one in flash,
-//! which is what a restart brings back.
+//! Knows no wire block and no motion. Curves and command table have a copy in RAM, which is what runs, and one in
+//! flash, which is what a restart brings back.
 
 use super::curves::Curves;
 use super::log::ErrorLog;
@@ -10,8 +10,8 @@ use super::table::Tables;
 use crate::bus::linudp::plan::{FlashMode, SimPlan};
 use crate::time::Time;
 
-/// Writing one parameter takes this share of the time that a whole save takes. Masters in the field saw saves of 40 s and
-/// more, and of a single parameter that it "may stall the interface briefly".
+/// Writing one parameter takes this share of the time that a whole save takes. Masters in the field saw saves of 40 s
+/// and more, and of a single parameter that it "may stall the interface briefly".
 const PARAMETER_SHARE: u64 = 500;
 
 /// What is being written into flash.

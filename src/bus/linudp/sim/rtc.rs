@@ -1,9 +1,9 @@
 //! The drive's side of the real-time-config channel: counts, answers, and what each command does.
 //!
 //! Knows the block, not the telegram around it. A command runs if its count differs from the stored one; the same count
-//! again gets the stored answer again. While a command takes its time (`config_time`) the answer is 02h and 05h in turn,
-//! and 02h while it writes into a flash that does not fall silent, with the words of the answer before, as met on real
-//! drives; a command with yet another count is not taken then, and its count not echoed.
+//! again gets the stored answer again. While a command takes its time (`config_time`) the answer is 02h and 05h in
+//! turn, and 02h while it writes into a flash that does not fall silent, with the words of the answer before, as met on
+//! real drives; a command with yet another count is not taken then, and its count not echoed.
 //!
 //! What the manuals leave open, and what is chosen here:
 //!

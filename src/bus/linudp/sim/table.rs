@@ -2,9 +2,10 @@
 //!
 //! Knows the 64 bytes of an entry, and nothing of running it.
 //!
-//! Chosen where the manuals are silent: an entry that is there has to be deleted before it is written again, and one that
-//! is not there cannot be read (D1h both); deleting what is not there is no mistake. An entry is there once its last block
-//! has come; another entry in between, or a block out of turn, ends the transfer (D1h), and so do bytes that are no entry.
+//! Chosen where the manuals are silent: an entry that is there has to be deleted before it is written again, and one
+//! that is not there cannot be read (D1h both); deleting what is not there is no mistake. An entry is there once its
+//! last block has come; another entry in between, or a block out of turn, ends the transfer (D1h), and so do bytes that
+//! are no entry.
 
 use super::blocks::{Incoming, Outgoing};
 use crate::bus::linudp::motion::EntryId;

@@ -2,10 +2,10 @@
 //!
 //! Knows the curve and how a command stretches it; no store and no state.
 //!
-//! Chosen where the manuals are silent: a curve's setpoints are positions of the axis, so that a curve that does not begin
-//! where the motor is makes it jump; the commands "to target" and "from actual position" shift and stretch it so that it
-//! begins where it is. A time scale of 200 % takes twice the time. Amplitudes beyond 2000 %, also those that "to target"
-//! would need, and time scales beyond 200 % are error 0089h.
+//! Chosen where the manuals are silent: a curve's setpoints are positions of the axis, so that a curve that does not
+//! begin where the motor is makes it jump; the commands "to target" and "from actual position" shift and stretch it so
+//! that it begins where it is. A time scale of 200 % takes twice the time. Amplitudes beyond 2000 %, also those that
+//! "to target" would need, and time scales beyond 200 % are error 0089h.
 
 use std::sync::Arc;
 

@@ -3,8 +3,8 @@
 //! Knows no values in use; those live in `parameters`. Numbers and meanings are those of the manuals (LinUDP V2, Motion
 //! Control SW) and of masters in the field. **Types, limits and defaults are chosen**, for the manuals that are at hand
 //! do not print them: only 13A2h (u16), the units of positions, velocities and accelerations, and the units of 0082h,
-//! 1BCDh, 1BCEh, 1BF3h and 1CAFh are known. What is live is chosen, too: what a master sets up or changes in operation is,
-//! what describes the machine is not.
+//! 1BCDh, 1BCEh, 1BF3h and 1CAFh are known. What is live is chosen, too: what a master sets up or changes in operation
+//! is, what describes the machine is not.
 
 use super::machine::Variable;
 use crate::bus::linudp::upid::{Type, Usage};

@@ -1,7 +1,7 @@
 //! The real-time-config channel's block, its commands, and what the drive answers to them.
 //!
-//! Facts: LinUDP V2 manual 0185-1108-E 1V9, chapter 7. Its detail page calls the saving of the command table 75h; the list
-//! of commands, which is right, says 80h.
+//! Facts: LinUDP V2 manual 0185-1108-E 1V9, chapter 7. Its detail page calls the saving of the command table 75h; the
+//! list of commands, which is right, says 80h.
 
 use std::fmt;
 

@@ -1,8 +1,8 @@
 //! What is known of single parameters, by menu.
 //!
-//! Addresses and meanings are those of the SI-Ethernet and SI-PROFIBUS guides and of masters in the field. Width, decimals and range
-//! of most could not be looked up in a document here: those are marked [`assumed`](Known::assumed), and are what drives of this
-//! family are known for. A drive has many more parameters, and judges every value itself.
+//! Addresses and meanings are those of the SI-Ethernet and SI-PROFIBUS guides and of masters in the field. Width,
+//! decimals and range of most could not be looked up in a document here: those are marked [`assumed`](Known::assumed),
+//! and are what drives of this family are known for. A drive has many more parameters, and judges every value itself.
 
 use super::{Parameter, SLOT_MAX, Width};
 

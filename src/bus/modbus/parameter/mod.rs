@@ -1,11 +1,11 @@
 //! Parameters of a Unidrive: how people write them, and where they are on the wire.
 //!
-//! `06.042` is parameter 42 of menu 6 of the drive itself, `4.15.009` parameter 9 of menu 15 of the module in slot 4. The number
-//! of a parameter always has its three digits, as the drive's keypad and manuals write it: `6.42` could be 042 to one reader and
-//! 420 to another, and is refused. Zeros in front of the menu may be left out, `6.042`.
+//! `06.042` is parameter 42 of menu 6 of the drive itself, `4.15.009` parameter 9 of menu 15 of the module in slot 4.
+//! The number of a parameter always has its three digits, as the drive's keypad and manuals write it: `6.42` could be
+//! 042 to one reader and 420 to another, and is refused. Zeros in front of the menu may be left out, `6.042`.
 //!
-//! On the wire the address of a parameter counts parameters, with 16-bit and with 32-bit access alike; bit 14 asks for 32 bits, bit
-//! 15 is reserved (SI-Ethernet guide):
+//! On the wire the address of a parameter counts parameters, with 16-bit and with 32-bit access alike; bit 14 asks for
+//! 32 bits, bit 15 is reserved (SI-Ethernet guide):
 //!
 //! ```text
 //! standard:  menu * 100 + number - 1      menu 0 ... 162, number 0 ... 99
@@ -199,8 +199,8 @@ impl Parameter {
         }
     }
 
-    /// The value of a set-up parameter of menu 22 that shows this one in menu 0: `menu.number` with three decimals (assumed).
-    /// `None`: it cannot be shown there.
+    /// The value of a set-up parameter of menu 22 that shows this one in menu 0: `menu.number` with three decimals
+    /// (assumed). `None`: it cannot be shown there.
     pub const fn to_setup(self) -> Option<u16> {
         let setup = self.menu as u32 * 1000 + self.number as u32;
         if self.slot == 0 && setup <= catalogue::SETUP_MAX as u32 { Some(setup as u16) } else { None }
@@ -221,7 +221,8 @@ impl Parameter {
     }
 }
 
-/// The slot that a unit identifier means: 0 for the drive itself; `None`: none that a slot has, of which 254 is the interface.
+/// The slot that a unit identifier means: 0 for the drive itself; `None`: none that a slot has, of which 254 is the
+/// interface.
 pub const fn slot(unit: u8) -> Option<u8> {
     match unit {
         0 | DRIVE_UNIT => Some(0),

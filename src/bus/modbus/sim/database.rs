@@ -1,7 +1,8 @@
 //! The values of the parameters: in use, saved, and as the drive was delivered; and what menu 0 shows of them.
 //!
-//! Knows nothing of what a parameter does. A value that is written is lost at a restart unless it was saved: xx.000 = 1000 or
-//! 1001 in any menu, then a reset of the drive; 1233 and 1244 bring back the values as delivered (all four assumed).
+//! Knows nothing of what a parameter does. A value that is written is lost at a restart unless it was saved: xx.000 =
+//! 1000 or 1001 in any menu, then a reset of the drive; 1233 and 1244 bring back the values as delivered (all four
+//! assumed).
 
 use super::settings::SimSettings;
 use super::table::{self, Row, TABLE};

@@ -11,10 +11,11 @@
 //! | `drive` | these together: reading and writing parameters, the status word |
 //! | `server` | connections, messages, functions, exceptions |
 //!
-//! The drive has no clock: whenever it is spoken to it lives through the time since then, in whole steps of a millisecond.
+//! The drive has no clock: whenever it is spoken to it lives through the time since then, in whole steps of a
+//! millisecond.
 //!
-//! Where the manuals are silent it takes the strict side; `sequencer`, `database` and `server` say what that is. What a master
-//! meets first:
+//! Where the manuals are silent it takes the strict side; `sequencer`, `database` and `server` say what that is. What a
+//! master meets first:
 //!
 //! | case | what the drive does |
 //! |---|---|
@@ -47,8 +48,8 @@ use crate::time::{MS, S, Time};
 const STEP_NS: u64 = MS;
 /// After a silence the drive lives through so much of it in steps of [`STEP_NS`] ...
 const FINE_NS: u64 = S;
-/// ... and through the rest in at most so many longer ones. By then every watchdog has run out, and ramps do not depend on the
-/// step.
+/// ... and through the rest in at most so many longer ones. By then every watchdog has run out, and ramps do not depend
+/// on the step.
 const COARSE_STEPS: u64 = 1_000;
 
 /// One simulated Unidrive.

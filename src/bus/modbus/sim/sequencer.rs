@@ -1,7 +1,7 @@
 //! What the drive is told to do: control word, hardware enable, trips, watchdogs.
 //!
-//! Knows the parameters by their values, and no motor: what it turns at comes as an argument. Facts: SI-PROFIBUS guide, control
-//! word; what the guide leaves open is assumed:
+//! Knows the parameters by their values, and no motor: what it turns at comes as an argument. Facts: SI-PROFIBUS guide,
+//! control word; what the guide leaves open is assumed:
 //!
 //! | case | what the drive does |
 //! |---|---|

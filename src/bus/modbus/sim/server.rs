@@ -1,7 +1,7 @@
 //! The Modbus side of the drive: connections, messages, functions and exceptions.
 //!
-//! Knows no socket: bytes come as they were split, and answers go out whole. Facts: SI-Ethernet guide; what it leaves open is
-//! assumed:
+//! Knows no socket: bytes come as they were split, and answers go out whole. Facts: SI-Ethernet guide; what it leaves
+//! open is assumed:
 //!
 //! | case | what the drive does |
 //! |---|---|

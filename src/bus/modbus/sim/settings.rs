@@ -31,8 +31,8 @@ pub struct SimSettings {
     pub overcurrent_wait_ns: u64,
     /// From power-on until it listens, ns. Default 500 ms.
     pub boot_ns: u64,
-    /// Saved parameters that differ from the drive's as delivered. Those that it does not have are left out, values out of
-    /// range are moved into it.
+    /// Saved parameters that differ from the drive's as delivered. Those that it does not have are left out, values out
+    /// of range are moved into it.
     pub commissioned: Vec<(Parameter, i32)>,
 }
 
@@ -152,7 +152,8 @@ pub enum Start {
     Idle,
     /// With this trip, which can be reset.
     Tripped(u16),
-    /// Enabled by the control word of a master that is gone, and running at this speed, rpm; negative is reverse, 0 stands.
+    /// Enabled by the control word of a master that is gone, and running at this speed, rpm; negative is reverse, 0
+    /// stands.
     Running(f64),
 }
 

@@ -1,7 +1,8 @@
 //! The parameters of the simulated drive: all that the catalogue knows, and what is special about some of them.
 //!
-//! Knows no values in use; those live in `database`. Widths and ranges are those of the catalogue. **Defaults and what is saved
-//! are chosen** where the manuals at hand do not print them. What is not listed here is stored, and has no effect.
+//! Knows no values in use; those live in `database`. Widths and ranges are those of the catalogue. **Defaults and what
+//! is saved are chosen** where the manuals at hand do not print them. What is not listed here is stored, and has no
+//! effect.
 
 use std::collections::BTreeSet;
 use std::sync::LazyLock;

@@ -14,8 +14,8 @@ use crate::time::Time;
 pub(in crate::bus::modbus) const REFERENCES_IN_A_ROW: u32 = 8;
 
 impl Station {
-    /// Builds the request of the next send. Built again for the same send, it is the same: what moves on with every request does so
-    /// in [`sent`](Self::sent).
+    /// Builds the request of the next send. Built again for the same send, it is the same: what moves on with every
+    /// request does so in [`sent`](Self::sent).
     pub fn prepare(&mut self, cycle: &Cycle, slot: &mut Slot) {
         let native = &mut self.native;
         let outputs = self.orders.advance(cycle.grid, &self.inputs, slot, native);

@@ -13,8 +13,8 @@ use crate::bus::modbus::words::{ControlWord, StatusWord};
 use crate::bus::{Exchange, Slot};
 use crate::time::{S, Time};
 
-/// A missing hardware enable is shown for so long, ns, after the drive was last told to run: only telling it again will show
-/// whether it is back.
+/// A missing hardware enable is shown for so long, ns, after the drive was last told to run: only telling it again will
+/// show whether it is back.
 const DARK_NS: u64 = S;
 
 const GARBAGE: Why = "what came is no Modbus";
@@ -200,7 +200,8 @@ impl Station {
         }
     }
 
-    /// What was read in these places is in the image. It and what it calls are no calls: together they are most of an exchange.
+    /// What was read in these places is in the image. It and what it calls are no calls: together they are most of an
+    /// exchange.
     #[inline(always)]
     fn cyclic_read(&mut self, at: Time, blocks: Blocks, places: Places, slot: &mut Slot) {
         (self.refused.1, self.busy_since) = (0, None);

@@ -54,13 +54,15 @@ pub struct Station {
     finding: Finding,
     /// No time-out has to be set in the drive before it is enabled.
     unwatched: bool,
-    /// What makes the drive follow the control word, and what watches it: written with the first order that needs it, this far.
+    /// What makes the drive follow the control word, and what watches it: written with the first order that needs it,
+    /// this far.
     settings: Box<[Setting]>,
     set: usize,
     settable: bool,
     end: End,
     reply_within_ns: u64,
-    /// A window of this length is followed by so much time for a reply, in whole periods; at first it is longer than any.
+    /// A window of this length is followed by so much time for a reply, in whole periods; at first it is longer than
+    /// any.
     window_ns: u64,
     beyond_ns: u64,
     orders: Orders,
@@ -109,7 +111,8 @@ pub struct Station {
     /// The control word that the drive last took, and the one that last went out, on whatever connection.
     control_taken: Option<ControlWord>,
     control_sent: Option<ControlWord>,
-    /// The trip number in the image is that of the trip that lasts; while none does, it was read since the last healthy status.
+    /// The trip number in the image is that of the trip that lasts; while none does, it was read since the last healthy
+    /// status.
     trip_read: bool,
     /// A status, a speed was read since the last report.
     seen: (bool, bool),
@@ -167,8 +170,8 @@ struct Blocks {
 pub type Why = &'static str;
 
 impl Station {
-    /// The station of `drive` for an exchange every `interval_ns`, and the application's ends of its native process data and of its
-    /// acyclic access.
+    /// The station of `drive` for an exchange every `interval_ns`, and the application's ends of its native process
+    /// data and of its acyclic access.
     pub fn new(
         drive: &UnidriveDrive,
         mappings: (Mapping, Option<Mapping>),

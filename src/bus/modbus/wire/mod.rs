@@ -1,7 +1,7 @@
 //! Modbus TCP, both directions: bytes <-> values.
 //!
-//! Knows no state, clock, socket or allocation, and does not judge what a message means: which response belongs to which
-//! request is the station's business, what a drive does with a request is the drive's.
+//! Knows no state, clock, socket or allocation, and does not judge what a message means: which response belongs to
+//! which request is the station's business, what a drive does with a request is the drive's.
 //!
 //! A message (ADU) is the MBAP header and a PDU, everything big-endian (Modbus TCP Implementation Guide v1.0b, 3.1.3):
 //!
@@ -56,7 +56,8 @@ mod field {
 pub const ADU_MAX: usize = 260;
 /// The header in front of the PDU, bytes.
 pub const HEADER: usize = 7;
-/// The most registers that a Unidrive reads or writes at once (SI-Ethernet guide). Every limit of the standard is higher.
+/// The most registers that a Unidrive reads or writes at once (SI-Ethernet guide). Every limit of the standard is
+/// higher.
 pub const REGISTERS_MAX: u16 = 120;
 
 /// The functions, as they stand on the wire.
@@ -86,8 +87,8 @@ pub enum FrameError {
     Length(u16),
 }
 
-/// The length of the whole message at the front of a stream, 8 ... [`ADU_MAX`]; `None` while it is not all there. What is wrong
-/// is said as soon as its field is there.
+/// The length of the whole message at the front of a stream, 8 ... [`ADU_MAX`]; `None` while it is not all there. What
+/// is wrong is said as soon as its field is there.
 #[inline]
 pub fn frame(bytes: &[u8]) -> Result<Option<usize>, FrameError> {
     let Some(protocol) = word(bytes, field::PROTOCOL.start) else { return Ok(None) };
@@ -179,8 +180,8 @@ impl<'a> Request<'a> {
             }
     }
 
-    /// Writes the whole message in place and returns its size; 0, and nothing written, if `out` is too short or the registers
-    /// are more than a message holds (123 with function 16, 121 with function 23).
+    /// Writes the whole message in place and returns its size; 0, and nothing written, if `out` is too short or the
+    /// registers are more than a message holds (123 with function 16, 121 with function 23).
     #[inline]
     pub fn emit(&self, header: Header, out: &mut [u8]) -> usize {
         let size = self.size();
@@ -208,8 +209,8 @@ impl<'a> Request<'a> {
         size
     }
 
-    /// Reads a message that [`frame`] has found. It is as strict as the standard: every length in it has to agree with every
-    /// other.
+    /// Reads a message that [`frame`] has found. It is as strict as the standard: every length in it has to agree with
+    /// every other.
     #[inline]
     pub fn parse(adu: &'a [u8]) -> Result<(Header, Request<'a>), RequestError> {
         let header = Header::parse(adu).unwrap_or_default();
@@ -293,7 +294,8 @@ pub enum Response<'a> {
     },
     /// It was not done.
     Exception {
-        /// The function of the request, 0 ... 7Fh. Not to be relied on: a pymodbus server says 0 if it could not read the request.
+        /// The function of the request, 0 ... 7Fh. Not to be relied on: a pymodbus server says 0 if it could not read
+        /// the request.
         function: u8,
         /// Why not.
         code: ExceptionCode,
@@ -324,8 +326,8 @@ impl<'a> Response<'a> {
             }
     }
 
-    /// Writes the whole message in place and returns its size; 0, and nothing written, if `out` is too short or the registers
-    /// are more than a message holds (125).
+    /// Writes the whole message in place and returns its size; 0, and nothing written, if `out` is too short or the
+    /// registers are more than a message holds (125).
     #[inline]
     pub fn emit(&self, header: Header, out: &mut [u8]) -> usize {
         let size = self.size();
@@ -345,8 +347,8 @@ impl<'a> Response<'a> {
         size
     }
 
-    /// Reads a message that [`frame`] has found. It is as strict as the standard: every length in it has to agree with every
-    /// other. Whether it fits the request is not looked at.
+    /// Reads a message that [`frame`] has found. It is as strict as the standard: every length in it has to agree with
+    /// every other. Whether it fits the request is not looked at.
     #[inline]
     pub fn parse(adu: &'a [u8]) -> Result<(Header, Response<'a>), ResponseError> {
         let wrong = ResponseError::Frame { bytes: adu.len() };
@@ -400,8 +402,8 @@ pub enum ResponseError {
     },
 }
 
-/// Why a server did not do something (Modbus Application Protocol v1.1b3, 7). A Unidrive knows 1 and 2 only (SI-Ethernet guide);
-/// gateways and other servers the rest.
+/// Why a server did not do something (Modbus Application Protocol v1.1b3, 7). A Unidrive knows 1 and 2 only
+/// (SI-Ethernet guide); gateways and other servers the rest.
 #[derive(Clone, Copy, Default, PartialEq, Eq, Hash)]
 pub struct ExceptionCode(pub u8);
 
@@ -455,8 +457,8 @@ impl fmt::Display for ExceptionCode {
 struct Fill<'a>(&'a mut [u8]);
 
 impl<'a> Fill<'a> {
-    /// The `size` bytes of a message, filled up to behind its function; `None`, and nothing is written, if there is no such
-    /// message or no room for it.
+    /// The `size` bytes of a message, filled up to behind its function; `None`, and nothing is written, if there is no
+    /// such message or no room for it.
     #[inline]
     fn message(out: &'a mut [u8], size: usize, header: Header, function: u8) -> Option<Fill<'a>> {
         if size > ADU_MAX {

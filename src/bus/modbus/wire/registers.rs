@@ -2,7 +2,8 @@
 
 use super::REGISTERS_MAX;
 
-/// Big-endian registers as they stand on the wire. Those of 32-bit access come in pairs, high word first (SI-Ethernet guide).
+/// Big-endian registers as they stand on the wire. Those of 32-bit access come in pairs, high word first (SI-Ethernet
+/// guide).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Registers<'a>(&'a [u8]);
 

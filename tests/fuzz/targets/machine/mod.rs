@@ -1,5 +1,5 @@
-//! A whole machine in virtual time: drives that lie, a wire that loses and repeats, an application that asks for anything at
-//! any moment, and the end of it all.
+//! A whole machine in virtual time: drives that lie, a wire that loses and repeats, an application that asks for
+//! anything at any moment, and the end of it all.
 
 pub(super) mod hostile;
 mod watch;
@@ -38,8 +38,8 @@ const STOP_TIMEOUT: Duration = Duration::from_millis(60);
 /// Turns of the loop before the end is asked for: a program is short, so that many of them can be run.
 const MOST_TURNS: u64 = 400;
 
-/// What a shutdown may take: to brake, once more in a hurry, once more where the drive went and came back, and to power off;
-/// and a few cycles from one to the other.
+/// What a shutdown may take: to brake, once more in a hurry, once more where the drive went and came back, and to power
+/// off; and a few cycles from one to the other.
 const LONGEST_END: Duration = STOP_TIMEOUT.saturating_mul(4);
 const END_TURNS: u64 = 6;
 

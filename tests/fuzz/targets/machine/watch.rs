@@ -1,7 +1,7 @@
 //! What has to hold of one axis, whatever its drive says and whatever the application asks for.
 //!
-//! It sees what anybody could see: requests on the wire, datagrams that came, events, feedback. It keeps no books of how the
-//! loop works.
+//! It sees what anybody could see: requests on the wire, datagrams that came, events, feedback. It keeps no books of
+//! how the loop works.
 
 use std::collections::BTreeMap;
 
@@ -246,8 +246,8 @@ impl Watch {
         }
     }
 
-    /// The feedback behind an executed cycle, all datagrams that came in it from this drive's address, and whether all that
-    /// happened in this turn is in the feedback.
+    /// The feedback behind an executed cycle, all datagrams that came in it from this drive's address, and whether all
+    /// that happened in this turn is in the feedback.
     pub fn feedback(&mut self, feedback: Feedback, came: &[Came], whole: bool) {
         let before = std::mem::replace(&mut self.feedback, feedback);
         if self.deaf {

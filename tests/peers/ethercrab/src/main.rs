@@ -1,6 +1,6 @@
-//! A master made of the crate ethercrab: `ethercrab-peer INTERFACE DRIVES`. The line behind INTERFACE is a coupler and DRIVES Kollmorgen
-//! S700. It brings all of them to OP, turns the first drive, stops it and goes back to INIT; a line on standard output says what it
-//! saw, and an error on standard error what it did not.
+//! A master made of the crate ethercrab: `ethercrab-peer INTERFACE DRIVES`. The line behind INTERFACE is a coupler and
+//! DRIVES Kollmorgen S700. It brings all of them to OP, turns the first drive, stops it and goes back to INIT; a line
+//! on standard output says what it saw, and an error on standard error what it did not.
 
 use std::error::Error as StdError;
 use std::time::{Duration, Instant};

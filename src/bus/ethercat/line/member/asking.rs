@@ -18,7 +18,8 @@ pub(super) const AL_LOOK: usize = 6;
 /// A change of state takes at most so long; the last one, behind which the drive synchronises, so long.
 const STATE_NS: u64 = 3 * S;
 const OP_NS: u64 = 10 * S;
-/// A drive that is asked for OP before it has seen regular cycles for a while goes into a fault (F28); how many it needs is assumed.
+/// A drive that is asked for OP before it has seen regular cycles for a while goes into a fault (F28); how many it
+/// needs is assumed.
 const SYNCHRONISE_CYCLES: u64 = 200;
 /// The filters of a clock as it starts (SOEM, TwinCAT).
 const SPEED_START: u16 = 0x1000;

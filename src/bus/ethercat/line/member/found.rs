@@ -1,16 +1,17 @@
 //! A drive or device that is in OP already, as another master has left it, or this one before it was restarted.
 //!
-//! It is joined as it is if its SyncManagers, PDOs and SYNC0 are those of the configuration: its inputs first, its outputs with the
-//! first order; its station knows its mode before it hears of it, since a setpoint may not count in that. What is written to it until
-//! then is its station address and the FMMUs of its inputs and AL status, none of which another master writes by; objects are only
-//! read. Without the watchdog of the configuration it takes no motion until it was set up
-//! anew. That is as soon as it stands without power: at once, and without a word to its station, if it is found so.
+//! It is joined as it is if its SyncManagers, PDOs and SYNC0 are those of the configuration: its inputs first, its
+//! outputs with the first order; its station knows its mode before it hears of it, since a setpoint may not count in
+//! that. What is written to it until then is its station address and the FMMUs of its inputs and AL status, none of
+//! which another master writes by; objects are only read. Without the watchdog of the configuration it takes no motion
+//! until it was set up anew. That is as soon as it stands without power: at once, and without a word to its station, if
+//! it is found so.
 //!
-//! A device is joined the same way, if its watchdog is that of the configuration: its outputs stay as they are until the application
-//! writes some.
+//! A device is joined the same way, if its watchdog is that of the configuration: its outputs stay as they are until
+//! the application writes some.
 //!
-//! What cannot be joined is stopped by the drive itself as it leaves OP, or left alone, as `on_found_running` says. While one that is
-//! left alone runs on another time than the line's, that goes to nobody.
+//! What cannot be joined is stopped by the drive itself as it leaves OP, or left alone, as `on_found_running` says.
+//! While one that is left alone runs on another time than the line's, that goes to nobody.
 
 use super::setup::WATCHDOG_DIVIDER;
 use super::{Around, Lent, List, Mapped, Member, Note, Step};
@@ -122,7 +123,8 @@ impl Member {
         lent
     }
 
-    /// Its SYNC0: it has to run on the line's time, and come where all others have theirs. Gives that place if none has.
+    /// Its SYNC0: it has to run on the line's time, and come where all others have theirs. Gives that place if none
+    /// has.
     pub(super) fn found_clock(&mut self, around: &Around<'_>, answers: &Answers<'_>) -> Option<Lent> {
         let now = around.cycle.grid;
         let running = Running::heard(answers)?;
@@ -177,7 +179,8 @@ impl Member {
         }
     }
 
-    /// It was set up here, and its frames were lost for a while only: where it goes on. `None`: it has to be brought up.
+    /// It was set up here, and its frames were lost for a while only: where it goes on. `None`: it has to be brought
+    /// up.
     pub(super) fn goes_on(&mut self, now: Time) -> bool {
         let Some(al) = self.al.filter(|al| self.ours && *al >= AlState::SafeOp) else { return false };
         self.strange = false;
@@ -195,8 +198,8 @@ impl Member {
         true
     }
 
-    /// What was only joined becomes what it should be, from INIT: found in OP again, it would be joined again, or taken for ours
-    /// although its outputs were never let go.
+    /// What was only joined becomes what it should be, from INIT: found in OP again, it would be joined again, or taken
+    /// for ours although its outputs were never let go.
     pub(super) fn set_up(&mut self, now: Time) {
         self.start_over(now, 0, Note::Starting);
         self.enter(now, Step::to(AlState::Init));

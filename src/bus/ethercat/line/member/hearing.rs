@@ -15,7 +15,8 @@ const SILENT: u8 = 3;
 const ERRORS: u8 = 3;
 
 impl Member {
-    /// What came of what it asked; gives the time of a slave that runs, if the line has none or is to have its SYNC0 there.
+    /// What came of what it asked; gives the time of a slave that runs, if the line has none or is to have its SYNC0
+    /// there.
     pub fn heard(&mut self, around: &Around<'_>, answers: &Answers<'_>) -> (Happened, Option<Lent>) {
         let step = self.step;
         let happened = self.hear(around, answers);

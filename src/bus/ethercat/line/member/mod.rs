@@ -341,7 +341,8 @@ impl Member {
         self.mapped
     }
 
-    /// The state of which its replies are; `None`: they do not count, since it has not been in OP, or its inputs are not valid.
+    /// The state of which its replies are; `None`: they do not count, since it has not been in OP, or its inputs are
+    /// not valid.
     pub fn state_of_replies(&self) -> Option<AlState> {
         self.al.filter(|al| self.was_operational && *al >= AlState::SafeOp)
     }

@@ -11,8 +11,8 @@ impl Member {
         self.has_al
     }
 
-    /// Its AL status in a frame that has come back; 0: it took no part. Without an FMMU for that, what it is known to be in, if
-    /// there is anything of its inputs.
+    /// Its AL status in a frame that has come back; 0: it took no part. Without an FMMU for that, what it is known to
+    /// be in, if there is anything of its inputs.
     #[inline]
     pub fn shown(&self, received: &[u8]) -> AlStatus {
         if self.has_al {

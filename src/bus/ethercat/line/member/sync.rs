@@ -1,8 +1,8 @@
 //! The clock of a slave: set to the line's, left to run with it, and SYNC0 made of it.
 //!
-//! Delays are those of a straight line, whichever port it goes on at: behind a branch they are too long by half of what is in the other
-//! one. They are those behind the reference of that time. When one behind it becomes the reference, all others stay ahead of it by its
-//! own delay, about 1 us for each slave between the two, until they are set up anew.
+//! Delays are those of a straight line, whichever port it goes on at: behind a branch they are too long by half of what
+//! is in the other one. They are those behind the reference of that time. When one behind it becomes the reference, all
+//! others stay ahead of it by its own delay, about 1 us for each slave between the two, until they are set up anew.
 
 use super::{Around, Member, Note, Step};
 use crate::bus::ethercat::line::clock::delay_ns;
@@ -10,8 +10,8 @@ use crate::bus::ethercat::line::running::near;
 use crate::bus::ethercat::wire::registers::{AlState, Difference, Links, address};
 use crate::time::{MS, S, Time};
 
-/// It runs with the line's when it is not further off, for so many looks, each so long after the other; it is waited for so long, and
-/// for so many cycles: with each frame it takes away a part of what it is off.
+/// It runs with the line's when it is not further off, for so many looks, each so long after the other; it is waited
+/// for so long, and for so many cycles: with each frame it takes away a part of what it is off.
 const SETTLED_NS: i64 = 1_000;
 const SETTLED_LOOKS: u8 = 3;
 const SETTLE_LOOK_NS: u64 = 10 * MS;

@@ -11,7 +11,8 @@ fn running(count: u16, places: &[usize], known: usize) -> (EthercatPlan, Etherca
     (plan, whole)
 }
 
-/// The line's time is led to the grid slowly, and by half a period at most. To another time it would have gone by a whole one long ago.
+/// The line's time is led to the grid slowly, and by half a period at most. To another time it would have gone by a
+/// whole one long ago.
 const LED_NS: i64 = 502_000;
 /// Times of others are told from each other by this, ns: whole periods, so that SYNC0 comes where it came.
 const APART: u64 = 123 * MS;

@@ -9,7 +9,8 @@ impl Drive {
         (size(OUTPUT_PDO), size(INPUT_PDO))
     }
 
-    /// What it says to P->S with SyncManagers of these lengths. A real AKD tells outputs apart, and so inputs (assumed).
+    /// What it says to P->S with SyncManagers of these lengths. A real AKD tells outputs apart, and so inputs
+    /// (assumed).
     pub fn check_sizes(&self, outputs: usize, inputs: usize) -> Result<(), AlCode> {
         let wanted = self.sizes();
         match self.settings.family {

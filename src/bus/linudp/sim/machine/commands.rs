@@ -1,7 +1,7 @@
 //! What each motion command does: which state takes it, what it means in SI units, and to whom it goes.
 //!
-//! Knows no bytes. What the drive has no hardware, no software key or no known meaning for is error 0081h, or nothing if
-//! the plan says so: encoder cams, indexing, winding, force control, analog positions, streams with time stamps.
+//! Knows no bytes. What the drive has no hardware, no software key or no known meaning for is error 0081h, or nothing
+//! if the plan says so: encoder cams, indexing, winding, force control, analog positions, streams with time stamps.
 
 use super::super::motion::{METRE, METRE_PER_S, METRE_PER_S2, Order};
 use super::super::time_curve::TimeCurve;

@@ -171,8 +171,8 @@ impl Machine {
         self.begin();
     }
 
-    /// The motion control software begins anew: state 0, count 0, not homed. An error stays until it is acknowledged, or
-    /// until the next restart if it is fatal.
+    /// The motion control software begins anew: state 0, count 0, not homed. An error stays until it is acknowledged,
+    /// or until the next restart if it is fatal.
     fn begin(&mut self) {
         self.mode = if self.error == ErrorCode::NONE { Mode::NotReady } else { Mode::Error };
         self.seen = self.effective();

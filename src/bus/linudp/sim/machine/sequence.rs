@@ -2,10 +2,11 @@
 //!
 //! Knows the entries as the table holds them. What the manuals do not say, and what is chosen:
 //!
-//! - An entry runs its command, and its link follows at once, motion or not: a table that has to wait for a motion says so.
+//! - An entry runs its command, and its link follows at once, motion or not: a table that has to wait for a motion says
+//!   so.
 //! - At most [`ENTRIES`] entries a step, so that a loop of links that never waits keeps the drive busy and not more.
-//! - The table ends behind an entry without a link, at any error, when state 8 is left (also by /Freeze), and when the bus
-//!   sends another motion.
+//! - The table ends behind an entry without a link, at any error, when state 8 is left (also by /Freeze), and when the
+//!   bus sends another motion.
 //! - In run mode 3 it begins at entry 1 as soon as the drive is in state 8 and homed.
 //! - Inputs are low and triggers never come. Waiting times in a variable are in 100 us, like those in an entry.
 

@@ -1,4 +1,5 @@
-//! Motion commands: counts, states that take them, moves, armed commands, errors (SG5 manual, motion command interface).
+//! Motion commands: counts, states that take them, moves, armed commands, errors (SG5 manual, motion command
+//! interface).
 
 use super::*;
 

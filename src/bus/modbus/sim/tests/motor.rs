@@ -71,8 +71,8 @@ fn current_and_load_are_those_of_the_torque() {
     let mut bench = Bench::enabled(1_500);
     bench.control(C::FORWARD);
     bench.wait(100 * MS);
-    // 5000 rpm/s of 0.005 kg m2 are 2.618 N m, plus 0.1 of friction and a third of half of 1.5 N m of load; 5 N m are 100 %
-    // and 3 A.
+    // 5000 rpm/s of 0.005 kg m2 are 2.618 N m, plus 0.1 of friction and a third of half of 1.5 N m of load; 5 N m are
+    // 100 % and 3 A.
     let torque = 2.618 + 0.1 + 0.25;
     let (load, current) = (bench.read(Parameter::LOAD), bench.read(CURRENT));
     assert!(within(f64::from(load) / 10.0, torque * 20.0, 0.5), "{load}");
