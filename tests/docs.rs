@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `toml` | it is a whole configuration and is accepted |
 //! | `toml,PART` | it is accepted behind the lines that [`PARTS`] has for it |
+//! | `toml,table`, `csv` | it is a command table, a curve |
 //! | `sh` | commands, options, examples, tests and benches exist |
 //! | `console` | the same of each line behind `$` |
 //! | `console,run` | the commands run, against the simulated drives of the demo, and print what stands there |
@@ -26,11 +27,20 @@ const PROGRAM: &str = env!("CARGO_BIN_EXE_fieldbeat");
 const WIDTH: usize = 120;
 
 /// What completes a part of a configuration.
-const PARTS: [(&str, &str); 4] = [
-    ("cycle", "[[bus]]\nprotocol = \"linudp-v2\"\nbind = \"127.0.0.1\"\ndrive = [{ name = \"x\", address = \"127.0.0.2\" }]\n[cycle]\n"),
-    ("linmot", "[[bus]]\nprotocol = \"linudp-v2\"\nbind = \"127.0.0.1\"\n[[bus.drive]]\nname = \"x\"\naddress = \"127.0.0.2\"\n"),
-    ("unidrive", "[[bus]]\nprotocol = \"modbus-tcp\"\n[[bus.drive]]\nname = \"x\"\naddress = \"127.0.0.2\"\n"),
-    ("kollmorgen", "[[bus]]\nprotocol = \"ethercat\"\ninterface = \"local:docs\"\n[[bus.drive]]\nname = \"x\"\n"),
+const PARTS: [(&str, &str); 3] = [
+    (
+        "linmot",
+        "[[bus]]\nprotocol = \"linudp-v2\"\nbind = \"127.0.0.1\"\n\
+         [[bus.drive]]\nname = \"x\"\naddress = \"127.0.0.2\"\n",
+    ),
+    (
+        "unidrive",
+        "[[bus]]\nprotocol = \"modbus-tcp\"\n[[bus.drive]]\nname = \"x\"\naddress = \"127.0.0.2\"\n",
+    ),
+    (
+        "kollmorgen",
+        "[[bus]]\nprotocol = \"ethercat\"\ninterface = \"local:docs\"\n[[bus.drive]]\nname = \"x\"\n",
+    ),
 ];
 
 fn checkout(file: &str) -> PathBuf {
@@ -52,14 +62,18 @@ impl Page {
     /// Its fenced code blocks.
     fn blocks(&self) -> Vec<Block<'_>> {
         let mut blocks = Vec::new();
-        let mut open: Option<Block<'_>> = None;
+        let mut open: Option<(usize, Block<'_>)> = None;
         for (number, line) in (1..).zip(self.text.lines()) {
-            match (open.take(), line.strip_prefix("```")) {
-                (None, Some(info)) => open = Some(Block { page: &self.name, line: number, info, lines: Vec::new() }),
-                (Some(block), Some("")) => blocks.push(block),
-                (Some(mut block), _) => {
-                    block.lines.push(line);
-                    open = Some(block);
+            match (open.take(), line.trim_start().strip_prefix("```")) {
+                (None, Some(info)) => {
+                    // In a list the whole block is indented.
+                    let indent = line.len() - line.trim_start().len();
+                    open = Some((indent, Block { page: &self.name, line: number, info, lines: Vec::new() }));
+                }
+                (Some((_, block)), Some("")) => blocks.push(block),
+                (Some((indent, mut block)), _) => {
+                    block.lines.push(line.get(indent..).unwrap_or_default());
+                    open = Some((indent, block));
                 }
                 (None, None) => {}
             }
@@ -116,19 +130,23 @@ fn every_configuration_is_accepted() {
     let mut whole = 0;
     for page in pages() {
         for block in page.blocks().iter().filter(|block| block.is("toml")) {
-            let text = block.lines.join("\n");
-            let before = match block.part() {
+            let (text, place) = (block.lines.join("\n"), block.place());
+            let result = match block.part() {
                 None => {
                     whole += 1;
-                    ""
+                    config::parse(&text, &place).map(drop)
                 }
+                Some("table") => config::linmot_table::parse(&text, &place).map(drop),
                 Some(part) => {
-                    PARTS.iter().find(|(name, _)| *name == part).unwrap_or_else(|| panic!("{}", block.place())).1
+                    let known = PARTS.iter().find(|(name, _)| *name == part);
+                    let before = known.unwrap_or_else(|| panic!("{place}: {part}")).1;
+                    config::parse(&format!("{before}{text}"), &place).map(drop)
                 }
             };
-            if let Err(mistakes) = config::parse(&format!("{before}{text}"), &block.place()) {
-                panic!("{mistakes}");
-            }
+            result.unwrap_or_else(|mistakes| panic!("{mistakes}"));
+        }
+        for block in page.blocks().iter().filter(|block| block.is("csv")) {
+            config::linmot_curve::parse(&block.lines.join("\n"), &block.place()).unwrap();
         }
     }
     assert!(whole > 1, "{whole}");
@@ -141,7 +159,9 @@ fn run(arguments: &[&str]) -> Output {
 
 /// The words of a command up to a comment, a pipe or a redirection.
 fn words(line: &str) -> Vec<&str> {
-    line.split_whitespace().take_while(|word| !matches!(*word, "#" | "|" | ">" | "2>" | "&" | "||" | ";")).collect()
+    line.split_whitespace()
+        .take_while(|word| !matches!(*word, "#" | "|" | ">" | "2>" | "&" | "||" | ";"))
+        .collect()
 }
 
 /// What is wrong with a command of this project; other commands pass.
@@ -203,16 +223,23 @@ fn no_command_and_no_option_is_left_out() {
                 _ if !line.is_empty() && !line.starts_with(' ') => false,
                 _ => in_commands,
             };
-            let Some(first) = line.split_whitespace().next().map(|word| word.trim_end_matches(',')) else { continue };
+            let Some(first) = line.split_whitespace().next().map(|word| word.trim_end_matches(',')) else {
+                continue;
+            };
             let is_entry = line.starts_with("  ") && !line.starts_with("    ");
             if in_commands && is_entry && first != "help" {
                 let command = [path, &[first]].concat();
                 assert!(page.contains(&format!("`{}", command.join(" "))), "{}", command.join(" "));
                 visit(&command, page);
             }
-            for option in line.split_whitespace().filter(|word| word.starts_with("--") && line.trim().starts_with('-')) {
+            for option in
+                line.split_whitespace().filter(|word| word.starts_with("--") && line.trim().starts_with('-'))
+            {
                 let option = option.trim_end_matches([',', ']']).split(['=', '[']).next().unwrap();
-                assert!(["--help", "--version"].contains(&option) || page.contains(option), "{path:?}: {option}");
+                assert!(
+                    ["--help", "--version"].contains(&option) || page.contains(option),
+                    "{path:?}: {option}"
+                );
             }
         }
     }
@@ -237,9 +264,14 @@ impl Drives {
             ("local:demo", format!("local:docs-{id}")),
         ];
         let text = fs::read_to_string(checkout("rt-config/demo.toml")).unwrap();
-        fs::write(&config, names[1..].iter().fold(text, |text, (ours, theirs)| text.replace(ours, theirs))).unwrap();
-        let mut child =
-            Command::new(PROGRAM).arg("sim").arg(&config).stdout(Stdio::piped()).spawn().expect("the program");
+        fs::write(&config, names[1..].iter().fold(text, |text, (ours, theirs)| text.replace(ours, theirs)))
+            .unwrap();
+        let mut child = Command::new(PROGRAM)
+            .arg("sim")
+            .arg(&config)
+            .stdout(Stdio::piped())
+            .spawn()
+            .expect("the program");
         let mut line = String::new();
         BufReader::new(child.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
         let drives = Drives { child, config, names };
@@ -278,14 +310,21 @@ fn matches(expected: &[&str], printed: &[&str]) -> bool {
 
 #[test]
 fn sessions_print_what_stands_there() {
-    assert!(matches(&["a", "...", "d"], &["a", "b", "d"]) && !matches(&["a", "..."], &["b"]) && !matches(&["a"], &[]));
+    assert!(
+        matches(&["a", "...", "d"], &["a", "b", "d"])
+            && !matches(&["a", "..."], &["b"])
+            && !matches(&["a"], &[])
+    );
     let drives = Drives::start();
     let mut commands = 0;
     for page in pages() {
         for block in page.blocks().iter().filter(|block| block.info == "console,run") {
-            for session in block.lines.split(|line| line.starts_with("$ ")).skip(1).zip(
-                block.lines.iter().filter_map(|line| line.strip_prefix("$ fieldbeat ")),
-            ) {
+            for session in block
+                .lines
+                .split(|line| line.starts_with("$ "))
+                .skip(1)
+                .zip(block.lines.iter().filter_map(|line| line.strip_prefix("$ fieldbeat ")))
+            {
                 let (expected, command) = session;
                 commands += 1;
                 let here = drives.here(command);
@@ -304,9 +343,13 @@ fn sessions_print_what_stands_there() {
 /// `machine` is a configuration with one line more in that table, `at` the table's path.
 fn accepted(machine: &dyn Fn(&str) -> String, at: &str, table: &str) -> BTreeSet<String> {
     let wrong = format!("{table}no_such_key");
-    let mistakes = config::parse(&machine(&format!("{wrong} = 1")), "m.toml").expect_err("no such key").to_string();
+    let mistakes =
+        config::parse(&machine(&format!("{wrong} = 1")), "m.toml").expect_err("no such key").to_string();
     let valid = mistakes.lines().find_map(|line| {
-        line.strip_prefix("m.toml:")?.split_once(&format!(": {at}.{wrong}: no such key; "))?.1.split_once("valid here: ")
+        line.strip_prefix("m.toml:")?
+            .split_once(&format!(": {at}.{wrong}: no such key; "))?
+            .1
+            .split_once("valid here: ")
     });
     match valid {
         // `defaults` has the keys of a drive, and a section of its own.
@@ -372,7 +415,7 @@ fn the_reference_has_the_keys_that_the_reader_accepts() {
 fn links(page: &Page) -> Vec<String> {
     let mut fenced = false;
     let prose = page.text.lines().filter(|line| {
-        let fence = line.starts_with("```");
+        let fence = line.trim_start().starts_with("```");
         fenced ^= fence;
         !fenced && !fence
     });
@@ -384,18 +427,21 @@ fn links(page: &Page) -> Vec<String> {
 /// The anchor of a heading, as the book has it.
 fn anchor(heading: &str) -> String {
     let kept = heading.trim().to_lowercase();
-    kept.chars().filter_map(|c| match c {
-        ' ' => Some('-'),
-        c if c.is_alphanumeric() || matches!(c, '-' | '_') => Some(c),
-        _ => None,
-    })
-    .collect()
+    kept.chars()
+        .filter_map(|c| match c {
+            ' ' => Some('-'),
+            c if c.is_alphanumeric() || matches!(c, '-' | '_') => Some(c),
+            _ => None,
+        })
+        .collect()
 }
 
 #[test]
 fn links_lead_somewhere() {
     let mut seen = 0;
-    for page in pages().iter().chain([&Page::read("docs/src/SUMMARY.md"), &Page::read("tests/fuzz/README.md")]) {
+    for page in
+        pages().iter().chain([&Page::read("docs/src/SUMMARY.md"), &Page::read("tests/fuzz/README.md")])
+    {
         for link in links(page) {
             if link.starts_with("http") {
                 continue;
@@ -407,7 +453,8 @@ fn links_lead_somewhere() {
             assert!(checkout(target.to_str().unwrap()).exists(), "{}: {link}", page.name);
             if !place.is_empty() {
                 let target = Page::read(target.to_str().unwrap());
-                let headings = target.text.lines().filter_map(|line| line.trim_start_matches('#').strip_prefix(' '));
+                let headings =
+                    target.text.lines().filter_map(|line| line.trim_start_matches('#').strip_prefix(' '));
                 assert!(headings.map(anchor).any(|anchor| anchor == place), "{}: {link}", page.name);
             }
         }
@@ -444,7 +491,9 @@ fn texts(folder: &Path, found: &mut Vec<PathBuf>) {
             if name != "target" && name != "corpus" && (!name.starts_with('.') || name == ".ci") {
                 texts(&path, found);
             }
-        } else if matches!(path.extension().and_then(|end| end.to_str()), Some("rs" | "toml" | "md")) || name == "run" {
+        } else if matches!(path.extension().and_then(|end| end.to_str()), Some("rs" | "toml" | "md"))
+            || name == "run"
+        {
             found.push(path);
         }
     }
@@ -476,7 +525,7 @@ fn no_line_is_wider_than_two_panes() {
         let markdown = name.ends_with(".md");
         let mut printed = false;
         for (number, line) in (1..).zip(text.lines()) {
-            if let Some(info) = line.strip_prefix("```").filter(|_| markdown) {
+            if let Some(info) = line.trim_start().strip_prefix("```").filter(|_| markdown) {
                 printed = !printed && (info == "text" || info.starts_with("console"));
             }
             if !printed && width(line, markdown) > WIDTH {
