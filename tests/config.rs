@@ -9,11 +9,14 @@ use std::time::Duration;
 use fieldbeat::axis::{FoundRunning, Health, StopHow, StopThen, StopTimeout, Underrun, Unit};
 use fieldbeat::bus::linudp::MonitorPlan;
 use fieldbeat::bus::linudp::upid::Upid;
-use fieldbeat::config::{demo_plan, describe, load, parse, starvation, stop_bound, stop_bound_cycles};
+use fieldbeat::config::{
+    DEMO_PLACES, DEMO_STREAMS_UP_TO_NS, demo_plan, describe, load, parse, starvation, stop_bound,
+    stop_bound_cycles,
+};
 use fieldbeat::cycle::{CyclePlan, Guard, Overrun, Plan, Wait};
 use fieldbeat::rt::Realtime;
 use fieldbeat::rt::host::Throttling;
-use fieldbeat::time::{MS, US};
+use fieldbeat::time::{MS, S, US};
 use proptest::prelude::*;
 
 /// One drive with a fragment in one of its sections. The fragment begins in line 2, 6 or 10.
@@ -454,7 +457,7 @@ fn a_stream_command_is_chosen_only_where_it_fits() {
 #[test]
 fn the_demo_has_as_many_drives_as_wanted() {
     for (drives, period_ns, divisor) in [(1, 250 * US, 2), (8, MS, 1), (128, MS, 1)] {
-        let plan = demo_plan(drives, period_ns).unwrap();
+        let plan = demo_plan(drives, period_ns, 0).unwrap();
         let [linmots, unidrives] = [0, 1].map(|bus| plan.buses[bus].axes());
         assert_eq!((linmots.len(), unidrives.len(), plan.cycle.period_ns), (drives, 2, period_ns));
         // Its streaming command takes a setpoint every 0.4 ms at most.
@@ -465,16 +468,38 @@ fn the_demo_has_as_many_drives_as_wanted() {
         assert_eq!(plan.cycle.realtime, Realtime::Prefer);
     }
     for period_ns in [50 * US, 333 * US, 2_750 * US, 3 * MS, 10 * MS] {
-        let plan = demo_plan(1, period_ns).unwrap();
+        let plan = demo_plan(1, period_ns, 0).unwrap();
         let unidrives = plan.buses[1].axes();
         assert_ne!(unidrives[0].phase, unidrives[1].phase, "{period_ns}");
         // No Kollmorgen takes the others.
         let leads = period_ns.is_multiple_of(MS);
         assert_eq!((plan.buses.len(), plan.cycle.reference.is_some()), (if leads { 3 } else { 2 }, leads));
     }
-    assert_eq!(demo_plan(0, MS).unwrap_err().to_string(), "0 drives: the demo has 1 to 128");
-    assert_eq!(demo_plan(129, MS).unwrap_err().to_string(), "129 drives: the demo has 1 to 128");
-    let error = demo_plan(8, 10 * US).unwrap_err().to_string();
+    // What a busy computer is allowed is stated in time.
+    for period_ns in [MS, 4 * MS, 8 * MS] {
+        let plan = demo_plan(1, period_ns, 0).unwrap();
+        assert_eq!(plan.cycle.overrun, Overrun::Skip { max_skip: S / period_ns });
+        for axis in plan.axes() {
+            assert_eq!(
+                (u64::from(axis.health.bucket), axis.health.leak),
+                (S.div_ceil(period_ns * u64::from(axis.divisor)), 1)
+            );
+        }
+    }
+    // A stream is taken up to 10 ms; a longer period has none.
+    let streams = |period_ns| format!("{:?}", demo_plan(1, period_ns, 0).unwrap()).contains("stream: Some(");
+    assert_eq!((streams(DEMO_STREAMS_UP_TO_NS), streams(16 * MS)), (true, false));
+    // No two places share an address or a segment.
+    let places: Vec<String> =
+        (0..DEMO_PLACES).map(|place| format!("{:?}", demo_plan(1, MS, place).unwrap())).collect();
+    for (place, text) in places.iter().enumerate() {
+        for other in (0..DEMO_PLACES).filter(|other| *other != place) {
+            assert!(!text.contains(&format!("127.{}.", 77 + other)), "{place} has addresses of {other}");
+        }
+    }
+    assert_eq!(demo_plan(0, MS, 0).unwrap_err().to_string(), "0 drives: the demo has 1 to 128");
+    assert_eq!(demo_plan(129, MS, 0).unwrap_err().to_string(), "129 drives: the demo has 1 to 128");
+    let error = demo_plan(8, 10 * US, 0).unwrap_err().to_string();
     assert!(
         error.ends_with("cycle.period = \"10000ns\": must be at least 50 us; 1ms is 1000 cycles a second"),
         "{error}"

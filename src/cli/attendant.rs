@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 
 use super::complain;
 use super::interrupt::{Interrupt, LOOK_EVERY};
-use super::live::Live;
+use super::live::{Count, Live};
 use super::service::Service;
 
 /// Why a drive has no connection is told if that is still so, or again, so long after it was first seen: while one is
@@ -65,6 +65,15 @@ impl Attendant {
 
     /// To be called some fifty times a second. `what` is going on.
     pub fn look(&mut self, master: &Master, what: &str) {
+        self.look_and_count(master, what, Count::Operational);
+    }
+
+    /// The same while drives are waited for.
+    pub fn look_while_waiting(&mut self, master: &Master) {
+        self.look_and_count(master, "waiting for the drives", Count::Online);
+    }
+
+    fn look_and_count(&mut self, master: &Master, what: &str, count: Count) {
         // Here this program is the application.
         master.alive();
         if self.interrupt.wants_black_box() {
@@ -76,7 +85,7 @@ impl Attendant {
         self.look_at_devices(master);
         self.look_at_emergencies(master);
         self.look_at_black_boxes(master);
-        self.live.show(master, what);
+        self.live.show(master, what, count);
     }
 
     /// Asks for the orderly end, and looks after the master until it has come to it.

@@ -3,17 +3,21 @@
 //! all of them stop and are powered off.
 
 use std::f64::consts::TAU;
+use std::io::ErrorKind;
 use std::ops::Range;
+use std::os::linux::net::SocketAddrExt;
+use std::os::unix::net::{SocketAddr, UnixListener};
 use std::time::{Duration, Instant};
 
 use clap::Args;
 use fieldbeat::axis::{Abort, Axis, AxisError, CommandId, Move, Outcome, Row, StopCause, Target, Unit, Verb};
 use fieldbeat::bus::ethercat;
-use fieldbeat::config::demo_plan;
-use fieldbeat::cycle::Plan;
+use fieldbeat::config::{DEMO_PLACES, DEMO_STREAMS_UP_TO_NS, demo_plan};
+use fieldbeat::cycle::{CyclePlan, Plan};
+use fieldbeat::doctor::{Glance, glance};
 use fieldbeat::master::{Master, MasterError};
 use fieldbeat::sim::server::SimServer;
-use fieldbeat::time::{S, nanos};
+use fieldbeat::time::{MS, Ns, S, nanos};
 
 use super::attendant::Attendant;
 use super::interrupt::Interrupt;
@@ -35,21 +39,26 @@ const TURN_S: f64 = 2.0;
 /// ... and their velocity is renewed this often.
 const RENEW_EVERY: Duration = Duration::from_millis(100);
 
-/// An EtherCAT line is brought up within a few seconds, on a busy computer too.
-const ONLINE_WITHIN: Duration = Duration::from_secs(20);
+/// The wave ends so long before the show: the axes stop, make one move and are powered off.
+const CLOSING: Duration = Duration::from_secs(2);
+/// The end of the closing moves is not waited for beyond this much of the closing time.
+const RAMP: Duration = Duration::from_millis(250);
+
+/// Periods to choose from. In the last one LinMots take no streams.
+const PERIODS_NS: [u64; 5] = [MS, 2 * MS, 4 * MS, 8 * MS, 16 * MS];
 
 /// Arguments of `demo`.
 #[derive(Debug, Args)]
 pub struct Demo {
-    /// Length of the travelling wave.
-    #[arg(long = "for", value_name = "TIME", value_parser = span, default_value = "10s")]
+    /// Length of the whole demo, the wait for the drives included.
+    #[arg(long = "for", value_name = "TIME", value_parser = span, default_value = "15s")]
     duration: Duration,
-    /// How many LinMot drives, beside two Unidrives and two Kollmorgens.
+    /// How many LinMot drives, next to two Unidrives and two Kollmorgens.
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u16).range(1..=128))]
     drives: u16,
-    /// The period of the cycle.
-    #[arg(long, value_name = "TIME", value_parser = span, default_value = "1ms")]
-    period: Duration,
+    /// The period of the cycle; without it, the shortest of 1, 2, 4, 8 and 16 ms that this host carries now.
+    #[arg(long, value_name = "TIME", value_parser = span)]
+    period: Option<Duration>,
     #[command(flatten)]
     output: Output,
 }
@@ -60,24 +69,26 @@ struct Show {
     axes: Vec<Axis>,
     /// So many of them, the first ones, take positions; the others velocities only.
     movers: usize,
+    /// All that is shown has ended by then.
+    end: Instant,
     attendant: Attendant,
 }
 
 impl Demo {
     /// Runs it.
     pub fn run(self) -> Result<(), Stop> {
-        let plan = demo_plan(usize::from(self.drives), nanos(self.period)).map_err(Stop::usage)?;
+        let end = Instant::now() + self.duration;
         let interrupt = Interrupt::catch().map_err(Stop::failed)?;
         let output = self.output.prepare()?;
-        let drives = plan.simulate();
+        let period_ns = period_ns(self.period)?;
+        let Served { plan, server, claim: _claim } = serve(usize::from(self.drives), period_ns)?;
         if !plan.buses.iter().any(|bus| bus.protocol() == ethercat::PROTOCOL) {
-            let period = self.period;
+            let period = Ns(period_ns);
             complain(&format!(
-                "without the Kollmorgens: they take a --period of whole multiples of 250us below 3ms, of 1ms above, not {period:?}"
+                "without the Kollmorgens: they take a --period of whole multiples of 250us below 3ms, of 1ms above, \
+                 not {period}"
             ));
         }
-        let server = SimServer::start(drives, serving(&plan, None))
-            .map_err(|error| Stop::usage(format!("cannot simulate the drives: {error}")))?;
         let master = start(output.setup(plan), &interrupt)?;
         let output = output.serve(&master)?;
 
@@ -85,20 +96,95 @@ impl Demo {
         let axes = movers.iter().chain(&turners).map(|name| master.axis(name));
         let axes = axes.collect::<Result<_, _>>().map_err(Stop::failed)?;
         let attendant = Attendant::new(&master, &interrupt);
-        let mut show = Show { master, axes, movers: movers.len(), attendant };
-        let result = show.play(self.duration);
+        let mut show = Show { master, axes, movers: movers.len(), end, attendant };
+        let result = show.play();
         show.attendant.end(&show.master);
         let (summary, told) = output.finish(show.master);
         server.stop();
         let verdict = match result {
             _ if summary.has_failed() => Err(not_whole(&summary)),
-            Ok(()) if interrupt.is_set() || summary.is_whole() => Ok(()),
-            Ok(()) => Err(not_whole(&summary)),
+            Ok(()) | Err(Error::Over) if interrupt.is_set() || summary.is_whole() => Ok(()),
+            Ok(()) | Err(Error::Over) => Err(not_whole(&summary)),
             Err(error) if interrupt.is_set() && was_stopped(&error) => Ok(()),
             Err(error) => Err(Stop::failed(error)),
         };
         both(told, verdict)
     }
+}
+
+/// The period that is asked for, or the shortest that this host carries; one line says why.
+fn period_ns(asked_for: Option<Duration>) -> Result<u64, Stop> {
+    let seen = glance(&CyclePlan::default()).map_err(Stop::usage)?;
+    let carried = seen.shortest(&PERIODS_NS);
+    let Some(period) = asked_for else {
+        complain(&chosen(&seen, carried));
+        return Ok(carried);
+    };
+    let period_ns = nanos(period);
+    if period_ns < carried {
+        complain(&format!(
+            "--period {}: expect about {} of the cycles to be late, with drives that miss them; this host {}, and \
+             carries {}",
+            Ns(period_ns),
+            percent(seen.disturbed(period_ns)),
+            holds_up(&seen),
+            Ns(carried),
+        ));
+    }
+    Ok(period_ns)
+}
+
+/// The simulated drives, at the first addresses that no other demo has.
+fn serve(drives: usize, period_ns: u64) -> Result<Served, Stop> {
+    let mut in_use = None;
+    for place in 0..DEMO_PLACES {
+        let plan = demo_plan(drives, period_ns, place).map_err(Stop::usage)?;
+        let name = format!("fieldbeat-demo/{place}");
+        let claim = SocketAddr::from_abstract_name(name).and_then(|name| UnixListener::bind_addr(&name));
+        let served = claim.and_then(|claim| {
+            let server = SimServer::start(plan.simulate(), serving(&plan, None))?;
+            Ok((claim, server))
+        });
+        match served {
+            Ok((claim, server)) => return Ok(Served { plan, server, claim }),
+            Err(error) if error.kind() == ErrorKind::AddrInUse => in_use = Some(error),
+            Err(error) => return Err(Stop::usage(format!("cannot simulate the drives: {error}"))),
+        }
+    }
+    let why = in_use.map_or(String::new(), |error| format!(": {error}"));
+    Err(Stop::usage(format!("{DEMO_PLACES} demos run already, or others have their addresses{why}; end one")))
+}
+
+/// The drives of a demo, with addresses that are its own for as long as this lives.
+struct Served {
+    plan: Plan,
+    server: SimServer,
+    /// An abstract address of the network namespace: it needs no rights, and the kernel takes it back on death.
+    claim: UnixListener,
+}
+
+/// Why this period, and not a shorter one.
+fn chosen(seen: &Glance, period_ns: u64) -> String {
+    let Some(shorter) = PERIODS_NS.iter().rev().find(|shorter| **shorter < period_ns) else {
+        return format!("cycle of {}: this host carries it", Ns(period_ns));
+    };
+    let streams = if period_ns > DEMO_STREAMS_UP_TO_NS { "; LinMots take no streams so slowly" } else { "" };
+    format!(
+        "cycle of {}: at {} this host, which {}, would disturb {} of the cycles{streams}; `fieldbeat doctor` says \
+         more",
+        Ns(period_ns),
+        Ns(*shorter),
+        holds_up(seen),
+        percent(seen.disturbed(*shorter)),
+    )
+}
+
+fn holds_up(seen: &Glance) -> String {
+    format!("holds threads up for as long as {:.1} ms", seen.longest_ns() as f64 / MS as f64)
+}
+
+fn percent(share: f64) -> String {
+    format!("{:.0} %", share * 100.0)
 }
 
 /// The names of the axes that take positions, and of those that take velocities only.
@@ -125,7 +211,7 @@ fn was_stopped(error: &Error) -> bool {
         // The latch of the shutdown answers whatever came after it.
         Error::Axis(AxisError::Ended { outcome: Outcome::Failed(_), .. }) => true,
         Error::Axis(AxisError::Full { .. } | AxisError::TimedOut { .. } | AxisError::Ended { .. }) => false,
-        Error::Master(_) => true,
+        Error::Master(_) | Error::NotOnline(_) | Error::Over => true,
     }
 }
 
@@ -136,34 +222,50 @@ enum Error {
     Axis(#[from] AxisError),
     #[error(transparent)]
     Master(#[from] MasterError),
+    #[error("{0}; --for gives them more time")]
+    NotOnline(MasterError),
+    /// The time for the show has passed. No failure: what goes on is stopped in order.
+    #[error("the time of --for has passed")]
+    Over,
 }
 
 impl Show {
-    fn play(&mut self, duration: Duration) -> Result<(), Error> {
+    fn play(&mut self) -> Result<(), Error> {
         self.wait_online()?;
         let (all, movers, turners) = (0..self.axes.len(), 0..self.movers, self.movers..self.axes.len());
         self.together("enable", &all, |_| Verb::Enable)?;
         self.together("home", &movers, |_| Verb::Home)?;
         self.together("to the start", &movers, |axis| to(Swing::of(axis).centre, axis))?;
-        self.wave(duration)?;
+        self.wave()?;
         self.together("stop", &turners, |_| Verb::Stop { deceleration: None })?;
         self.together("profile move", &movers, |axis| to(Swing::of(axis).low(), axis))?;
         self.together("stop", &all, |_| Verb::Stop { deceleration: None })?;
         self.together("disable", &all, |_| Verb::Disable)
     }
 
+    /// Time that is left, without the closing.
+    fn left(&self) -> Duration {
+        self.end.saturating_duration_since(Instant::now() + CLOSING)
+    }
+
+    /// Whether it is time for the orderly end, whatever goes on.
+    fn is_over(&self) -> bool {
+        Instant::now() + RAMP > self.end
+    }
+
     /// Waits for the drives, and shows meanwhile how they come up.
-    fn wait_online(&mut self) -> Result<(), MasterError> {
+    fn wait_online(&mut self) -> Result<(), Error> {
         let begun = Instant::now();
         loop {
             match self.master.wait_online(Duration::from_millis(50)) {
-                Err(MasterError::NotOnline { .. }) if begun.elapsed() < ONLINE_WITHIN => {
-                    self.attendant.look(&self.master, "waiting for the drives");
+                Err(MasterError::NotOnline { .. }) if !self.is_over() => {
+                    self.attendant.look_while_waiting(&self.master);
                 }
                 Err(MasterError::NotOnline { missing, .. }) => {
-                    return Err(MasterError::NotOnline { waited: ONLINE_WITHIN, missing });
+                    let waited = Duration::from_millis(begun.elapsed().as_millis() as u64);
+                    return Err(Error::NotOnline(MasterError::NotOnline { waited, missing }));
                 }
-                waited => return waited,
+                waited => return Ok(waited?),
             }
         }
     }
@@ -187,6 +289,9 @@ impl Show {
             let limit = axis.plan().home_timeout;
             loop {
                 match axis.wait(*id, what, Duration::from_millis(50)) {
+                    Err(AxisError::TimedOut { .. }) if Instant::now() + RAMP > self.end => {
+                        return Err(Error::Over);
+                    }
                     Err(AxisError::TimedOut { .. }) if begun.elapsed() < limit => {
                         self.attendant.look(&self.master, what);
                     }
@@ -197,10 +302,18 @@ impl Show {
         Ok(())
     }
 
-    /// The travelling wave, streamed row by row, a quarter of a second deep; and meanwhile there and back.
-    fn wave(&mut self, duration: Duration) -> Result<(), Error> {
-        let length_s = duration.as_secs_f64().max(2.0 * FADE_S);
-        let period_s = self.master.plan().cycle.period_ns as f64 / S as f64;
+    /// The travelling wave, streamed row by row, a quarter of a second deep; and meanwhile there and back. Left out
+    /// where it has no time to grow and die away.
+    fn wave(&mut self) -> Result<(), Error> {
+        let length_s = self.left().as_secs_f64();
+        if length_s < 2.0 * FADE_S {
+            return Ok(());
+        }
+        let period_ns = self.master.plan().cycle.period_ns;
+        if period_ns > DEMO_STREAMS_UP_TO_NS {
+            return self.swing();
+        }
+        let period_s = period_ns as f64 / S as f64;
         let movers = self.axes[..self.movers].iter().enumerate();
         let mut waves: Vec<Wave> =
             movers.map(|(place, axis)| Wave::new(axis, place, period_s, length_s)).collect();
@@ -224,9 +337,24 @@ impl Show {
             if self.axes.iter().any(|axis| axis.feedback().stopped.is_some()) {
                 break;
             }
+            if self.is_over() {
+                return Err(Error::Over);
+            }
             std::thread::sleep(Duration::from_millis(5));
         }
         self.wait_all("wave", &(0..self.movers), &ids)
+    }
+
+    /// Where the period is too long for streams: moves there and back, until it is time to close.
+    fn swing(&mut self) -> Result<(), Error> {
+        let mut turning = Turning::default();
+        while !self.left().is_zero() {
+            for end in [Swing::high, Swing::low] {
+                turning.go_on(&mut self.axes[self.movers..])?;
+                self.together("moves", &(0..self.movers), |axis| to(end(Swing::of(axis)), axis))?;
+            }
+        }
+        Ok(())
     }
 }
 
@@ -274,6 +402,10 @@ impl Swing {
             Unit::Millimetre => Swing { centre: 200.0, amplitude: 40.0 },
             Unit::Revolution => Swing { centre: 5.0, amplitude: 2.0 },
         }
+    }
+
+    fn high(self) -> f64 {
+        self.centre + self.amplitude
     }
 
     fn low(self) -> f64 {

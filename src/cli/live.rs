@@ -8,6 +8,15 @@ use fieldbeat::master::Master;
 use fieldbeat::telemetry::Quantiles;
 use fieldbeat::time::US;
 
+/// Which drives the line counts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Count {
+    /// Those whose link is up: while they are waited for.
+    Online,
+    /// Those in OperationEnabled.
+    Operational,
+}
+
 /// Writes to standard error, so that standard output stays what was asked for.
 #[derive(Debug)]
 pub struct Live {
@@ -26,8 +35,8 @@ impl Live {
         Live { terminal, every, last: None, open: false }
     }
 
-    /// Writes the line if it is time.
-    pub fn show(&mut self, master: &Master, what: &str) {
+    /// Writes the line if it is time. `what` is going on, `count` of the drives have come so far.
+    pub fn show(&mut self, master: &Master, what: &str, count: Count) {
         if self.last.is_some_and(|last| last.elapsed() < self.every) {
             return;
         }
@@ -47,13 +56,16 @@ impl Live {
                 format!("  phase {:+.1} us", error_ns as f64 / US as f64)
             }
         };
+        let count = match count {
+            Count::Online => format!("{}/{drives} online", status.online),
+            Count::Operational => format!("{}/{drives} operational", status.operational),
+        };
         let line = format!(
-            "{what} {}  wake p50 {} p99 {} max {} us  axes {}/{drives}  missed {}  skipped {}{lock}",
+            "{what}: {count}  cycle {}  wake p50 {} p99 {} max {} us  missed {}  skipped {}{lock}",
             status.planned,
             us(wake.p50),
             us(wake.p99),
             us(wake.max),
-            status.operational,
             status.missed,
             status.skipped,
         );

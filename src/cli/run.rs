@@ -7,6 +7,7 @@ use clap::Args;
 use fieldbeat::master::{Master, Setup};
 use fieldbeat::rt::thread::helper_thread;
 use fieldbeat::telemetry::summary::{Drive, Summary};
+use fieldbeat::time::MS;
 
 use super::attendant::Attendant;
 use super::interrupt::{Interrupt, LOOK_EVERY};
@@ -95,6 +96,19 @@ pub fn not_whole(summary: &Summary) -> Stop {
     ]
     .into_iter()
     .flatten()
+    .chain(host_took(summary))
     .collect();
     Stop::failed(lines.join("; "))
+}
+
+/// What the host took from the loop, if that may have cost a drive: a hundredth of the run, or more.
+pub fn host_took(summary: &Summary) -> Option<String> {
+    let run_ms = summary.cycle.planned * summary.cycle.period_ns / MS;
+    let (others_ms, steal_ms) = (summary.host.taken_ms, summary.host.steal_ms.unwrap_or(0));
+    (100 * (others_ms + steal_ms) >= run_ms && run_ms > 0).then(|| {
+        format!(
+            "this host took from a run of {run_ms} ms: other threads {others_ms} ms of the loop's core, the \
+             hypervisor {steal_ms} ms of all cores"
+        )
+    })
 }

@@ -25,7 +25,7 @@ pub(super) fn cycle(table: &mut Table<'_>) -> CyclePlan {
             .number("receive_deadline", 0.05..=0.95, "a share of the period, 0.5 is half of it")
             .unwrap_or(default.receive_deadline),
         wait: table.word("wait", &[("poll", Wait::Poll), ("spin", Wait::Spin)]).unwrap_or(default.wait),
-        overrun: overrun(table).unwrap_or(default.overrun),
+        overrun: overrun(table, period_ns).unwrap_or(default.overrun),
         realtime: table
             .word(
                 "realtime",
@@ -75,9 +75,9 @@ fn guard(table: &mut Table<'_>) -> Option<Guard> {
     })
 }
 
-fn overrun(table: &mut Table<'_>) -> Option<Overrun> {
+fn overrun(table: &mut Table<'_>, period_ns: u64) -> Option<Overrun> {
     let skips = table.word("overrun", &[("skip", true), ("stop", false)]);
-    let max_skip = table.integer("max_skip", 1..=1_000_000, "so many slots in a row may be skipped");
+    let max_skip = table.count("max_skip", 1..=1_000_000, period_ns, "so many slots in a row may be skipped");
     match (skips, max_skip) {
         (Some(false), Some(_)) => {
             table.fault(

@@ -45,7 +45,7 @@ pub(super) fn axis(table: &mut Table<'_>, machine: &mut Machine, counts: Counts)
         profile,
         divisor,
         phase,
-        health: health(table),
+        health: health(table, machine.period_ns.saturating_mul(u64::from(divisor))),
         stop,
         underrun: underrun(table).unwrap_or(default.underrun),
         on_found_running: table
@@ -196,11 +196,12 @@ fn profile(table: &mut Table<'_>, default: &Profile, limits: &Limits) -> Profile
     }
 }
 
-fn health(table: &mut Table<'_>) -> Health {
+/// Link health of a drive with an exchange every `exchange_ns`.
+fn health(table: &mut Table<'_>, exchange_ns: u64) -> Health {
     let default = Health::default();
     table.table("health", |table| Health {
         bucket: table
-            .integer("bucket", 1..=10_000, "so many misses in a row are a lost link")
+            .count("bucket", 1..=10_000, exchange_ns, "so many misses in a row are a lost link")
             .unwrap_or(default.bucket),
         leak: table
             .integer("leak", 1..=1_000_000, "so many good exchanges in a row outweigh one miss")

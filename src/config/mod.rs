@@ -50,7 +50,7 @@ pub use error::{ConfigError, ConfigErrors};
 
 use crate::bus::BusPlan;
 use crate::cycle::{CyclePlan, GroupPlan, Plan};
-use crate::time::{MS, US};
+use crate::time::{MS, S, US};
 use reader::{Page, Place, Table};
 
 /// The sample that runs everywhere, without privileges or hardware.
@@ -94,34 +94,49 @@ pub fn duration(text: &str) -> Result<Duration, String> {
         .ok_or_else(|| "write a number with its unit: ns, us, ms, s, min or h, for example 10s".into())
 }
 
-/// The demo with so many LinMots, 1 ... 128, beside its Unidrives and its Kollmorgens, and this period. A period that
-/// no Kollmorgen takes, as 333 us, leaves them out.
-pub fn demo_plan(drives: usize, period_ns: u64) -> Result<Plan, ConfigErrors> {
+/// So many demos can run on one computer at a time, each with addresses of its own.
+pub const DEMO_PLACES: usize = 8;
+
+/// The demo with so many LinMots, 1 ... 128, two Unidrives and two Kollmorgens, and this period. A period that no
+/// Kollmorgen takes, as 333 us, leaves them out. `place`, below [`DEMO_PLACES`], chooses the addresses: 127.77.x.y and
+/// `local:demo` at 0, 127.78.x.y and `local:demo-2` at 1, and so on.
+pub fn demo_plan(drives: usize, period_ns: u64, place: usize) -> Result<Plan, ConfigErrors> {
     if !(1..=128).contains(&drives) {
         return Err(whole_file(DEMO_FILE, None, format!("{drives} drives: the demo has 1 to 128")));
     }
-    parse(&demo_text(drives, period_ns), DEMO_FILE)
+    if place >= DEMO_PLACES {
+        return Err(whole_file(DEMO_FILE, None, format!("place {place}: there are {DEMO_PLACES}")));
+    }
+    parse(&demo_text(drives, period_ns, place), DEMO_FILE)
 }
 
 /// The demo's file up to its first drive, with the period replaced, then as many drives as wanted: all that they share
-/// stands in `[bus.defaults]`. In a cycle too fast for its streaming command a drive is due every few cycles only.
-/// Behind them the bus of the Unidrives, with exchanges as many milliseconds apart as in the file, and the line of the
-/// Kollmorgens as it is.
-fn demo_text(drives: usize, period_ns: u64) -> String {
+/// stands in `[bus.defaults]`. In a cycle too fast for its streaming command a drive is due every few cycles only; in
+/// one too slow for it there are no streams. Then the bus of the Unidrives, with exchanges as many milliseconds apart
+/// as in the file, and the EtherCAT segment as it is.
+fn demo_text(drives: usize, period_ns: u64, place: usize) -> String {
     const LINE: &str = "[[bus]]\nprotocol = \"ethercat\"";
+    /// What a simulated LinMot tolerates without a setpoint: longer than a busy computer holds this process up.
+    const PATIENCE_NS: u64 = 2 * S;
     let head = DEMO.split("[[bus.drive]]").next().unwrap_or(DEMO);
     let tail = DEMO.match_indices("[[bus]]").nth(1).map_or("", |(at, _)| &DEMO[at..]);
-    // What an S700 takes and can be told.
+    // What an S700 takes and can be given.
     let has_line = match period_ns {
         ..3_000_000 => period_ns.is_multiple_of(250 * US) && period_ns != 2_750 * US,
         _ => period_ns.is_multiple_of(MS) && period_ns < 32 * MS,
     };
     let tail = if has_line { tail } else { tail.split(LINE).next().unwrap_or(tail) };
+    let period_ns = period_ns.max(1);
     let every = (8 * MS / period_ns.max(50 * US)).max(2);
     let divisor = (400 * US).div_ceil(period_ns.max(50 * US));
+    let setpoints = (PATIENCE_NS / (period_ns * divisor)).clamp(20, 1_000);
+    let streams = if period_ns <= DEMO_STREAMS_UP_TO_NS { "stream =" } else { "stream = \"off\" # stream =" };
     let mut text = head
         .replace("period = \"1ms\"", &format!("period = \"{period_ns}ns\""))
         .replace("[bus.defaults]", &format!("[bus.defaults]\ndivisor = {divisor}"))
+        .replace("stream_patience = 1000", &format!("stream_patience = {setpoints}"))
+        .replace("stream_depth = 1000", &format!("stream_depth = {setpoints}"))
+        .replace("\nstream =", &format!("\n{streams}"))
         .replace("reference =", if has_line { "reference =" } else { "# reference =" });
     for drive in 1..=drives {
         text += &format!("[[bus.drive]]\nname = \"a{drive}\"\naddress = \"127.77.0.{}\"\n\n", drive + 10);
@@ -135,8 +150,15 @@ fn demo_text(drives: usize, period_ns: u64) -> String {
         }
         text.push('\n');
     }
+    if place > 0 {
+        text = text.replace("127.77.", &format!("127.{}.", 77 + place));
+        text = text.replace("\"local:demo\"", &format!("\"local:demo-{}\"", place + 1));
+    }
     text
 }
+
+/// The longest period in which the demo's LinMots take a stream (LinUDP V2 manual, PVA streaming: 0.4 ... 10 ms).
+pub const DEMO_STREAMS_UP_TO_NS: u64 = 10 * MS;
 
 fn unreadable(file: &str, error: &io::Error, kind: &str) -> ConfigErrors {
     let reason = match error.raw_os_error() {
@@ -169,7 +191,7 @@ const NOWHERE: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, 0);
 
 fn machine(mut root: Table<'_>) -> Plan {
     let cycle = root.table("cycle", cycle::cycle);
-    let mut machine = Machine::default();
+    let mut machine = Machine { period_ns: cycle.period_ns, ..Machine::default() };
     if !root.gives("bus") {
         root.fault("bus", "missing; a machine needs a [[bus]] with at least one [[bus.drive]]");
     }
@@ -254,6 +276,8 @@ struct Machine {
     addresses: HashMap<Ipv4Addr, Vec<(SocketAddrV4, Claim, Place)>>,
     binds: Vec<(SocketAddrV4, Place)>,
     interfaces: HashMap<String, Place>,
+    /// The period of the cycle.
+    period_ns: u64,
     /// Why the period of the cycle does not suit a bus.
     periods: Vec<String>,
     /// Stop groups by id, with their members.

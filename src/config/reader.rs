@@ -302,6 +302,24 @@ impl<'a> Table<'a> {
         })
     }
 
+    /// A count, or the time that so many of what comes every `every_ns` take, rounded up.
+    pub(super) fn count<T: TryFrom<i128>>(
+        &mut self,
+        key: &'static str,
+        range: impl RangeBounds<i128>,
+        every_ns: u64,
+        hint: &str,
+    ) -> Option<T> {
+        self.read(key, |value| {
+            let time = value.as_str().and_then(value::duration);
+            let number = integer(value).or(time.map(|ns| i128::from(ns.div_ceil(every_ns.max(1)))));
+            let number =
+                number.ok_or_else(|| format!("must be a whole number or a time like \"50ms\"; {hint}"))?;
+            inside(number, &range, hint, |bound| bound)?;
+            T::try_from(number).map_err(|_| format!("is out of reach; {hint}"))
+        })
+    }
+
     /// A list of whole numbers up to `highest`, at most so many; none if the key is absent or wrong.
     pub(super) fn integers(&mut self, key: &'static str, most: usize, highest: u16) -> Vec<u16> {
         let one = |value: &DeValue<'_>| {

@@ -429,7 +429,7 @@ mod tests {
 
     #[test]
     fn a_bus_tells_its_wire_without_opening_it() {
-        let plan = crate::config::demo_plan(2, 1_000_000).unwrap();
+        let plan = crate::config::demo_plan(2, 1_000_000, 0).unwrap();
         let way = Way::of(plan.buses[0].as_ref(), 1_000_000).unwrap();
         let Way::Wire(wire) = way else { panic!("it has addresses") };
         assert_eq!(wire.local, "127.77.0.1:41136".parse().unwrap());

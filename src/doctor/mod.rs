@@ -40,7 +40,10 @@ use std::path::PathBuf;
 pub use facts::{Line, Wire};
 
 pub use finding::{Area, Finding, Verdict};
-pub use measure::{Carries, Effort, Factor, Latency, Measured, Noise, Progress, Untried, measure};
+pub use measure::{
+    Carries, Effort, Factor, Glance, Latency, MOST_DISTURBED, Measured, Noise, Progress, Untried, glance,
+    measure,
+};
 pub use report::{Carried, Counts, Host, Report};
 
 use crate::cycle::{CyclePlan, Plan};
@@ -129,7 +132,7 @@ mod tests {
 
     #[test]
     fn this_host_is_examined_by_whoever_asks() {
-        let subject = Subject::of(&crate::config::demo_plan(1, 1_000_000).unwrap());
+        let subject = Subject::of(&crate::config::demo_plan(1, 1_000_000, 0).unwrap());
         assert_eq!(subject.wires.len(), 1);
         let findings = examine(&subject);
         let areas: Vec<Area> = findings.iter().map(|finding| finding.area).collect();

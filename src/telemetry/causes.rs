@@ -105,6 +105,8 @@ pub struct Causes {
     /// Between two samples each: what is not yet explained by it.
     spans: VecDeque<Span>,
     newest: Option<ThreadSample>,
+    /// Time that the loop could have run while something else had its core, in all samples, ns.
+    taken_ns: u64,
     pending: VecDeque<Late>,
     /// The last drive that was online and missed an exchange: its cycle, and its axis.
     missed: Option<(u64, u16)>,
@@ -163,6 +165,7 @@ impl Causes {
             polls: cycle.wait == Wait::Poll,
             spans: VecDeque::with_capacity(MOST_SAMPLES),
             newest: None,
+            taken_ns: 0,
             pending: VecDeque::new(),
             missed: None,
             looked: None,
@@ -296,6 +299,7 @@ impl Causes {
         if let Some(before) = self.newest.replace(sample) {
             let ran_ns = sample.run_ns.saturating_sub(before.run_ns);
             let delay_ns = sample.delay_ns.saturating_sub(before.delay_ns);
+            self.taken_ns += delay_ns;
             let cycles = self.cycles as f64;
             let usual = [self.usual_ns, self.usual_delay_ns].map(|each_ns| (each_ns * cycles) as u64);
             if !self.late && self.cycles > 0 {
@@ -342,6 +346,11 @@ impl Causes {
         if let Some(lost) = late.checked_sub(judged).filter(|lost| *lost > 0) {
             self.tally(Cause::Unknown).count += lost;
         }
+    }
+
+    /// Time that the loop could have run while another thread had its core, ns (run delay, sched-stats.rst).
+    pub fn taken_ns(&self) -> u64 {
+        self.taken_ns
     }
 
     /// What was found so far, the most frequent first.

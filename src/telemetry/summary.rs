@@ -16,7 +16,7 @@ use crate::cycle::Plan;
 use crate::cycle::record::Stage;
 use crate::cycle::status::{DeviceEnd, Extent, Numbers, ReferenceStatus};
 use crate::rt::{Granted, host};
-use crate::time::{Ns, S, US};
+use crate::time::{MS, Ns, S, US};
 
 /// The end of a run: the loop's exact counts, what the telemetry measured, and how it was run.
 #[derive(Debug)]
@@ -475,6 +475,8 @@ pub struct Host {
     pub cpu: Option<String>,
     /// Time that the hypervisor took from this machine during the run, ms.
     pub steal_ms: Option<u64>,
+    /// Time that other threads had the core while the loop could have run, ms.
+    pub taken_ms: u64,
 }
 
 impl Summary {
@@ -582,6 +584,7 @@ impl Summary {
                 preemption: host::preemption(),
                 cpu: host::cpu(),
                 steal_ms,
+                taken_ms: measured.causes.taken_ns() / MS,
             },
             black_boxes: measured.black_boxes.clone(),
             wake_bars: bars(&histograms.wake),
@@ -810,10 +813,11 @@ impl fmt::Display for Summary {
         let steal = host.steal_ms.map_or(String::from("?"), |steal| steal.to_string());
         writeln!(
             f,
-            "host: {}, {}, {}; steal {steal} ms",
+            "host: {}, {}, {}; steal {steal} ms; other threads had the loop's core for {} ms",
             or(&host.kernel),
             or(&host.preemption),
-            or(&host.cpu)
+            or(&host.cpu),
+            host.taken_ms
         )?;
         for written in &self.black_boxes {
             writeln!(f, "{written}")?;

@@ -5,11 +5,14 @@
 //! |---|---|
 //! | `mod` | who competes with whom, and what came of it |
 //! | `slice` | one slice: a thread set up in one way |
+//! | `glance` | what this host carries, in half a second |
 //!
 //! It measures wake-ups, the part of a cycle that the host decides; the loop's own work comes on top.
 
+mod glance;
 mod slice;
 
+pub use glance::{Glance, MOST_DISTURBED, glance};
 use serde::Serialize;
 
 use super::Subject;

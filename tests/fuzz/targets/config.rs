@@ -29,8 +29,8 @@ pub fn config(data: &[u8]) {
 pub fn config_keys(data: &[u8]) {
     let mut input = Input(data);
     if input.byte() == 255 {
-        let (drives, period_ns) = (input.word().into(), input.long().into());
-        return verdict("", demo_plan(drives, period_ns));
+        let (drives, period_ns, place) = (input.word().into(), input.long().into(), input.byte().into());
+        return verdict("", demo_plan(drives, period_ns, place));
     }
     let mut machine = Document::sample(input.below(2));
     while !input.is_over() {
