@@ -229,7 +229,7 @@ fn no_command_and_no_option_is_left_out() {
             let is_entry = line.starts_with("  ") && !line.starts_with("    ");
             if in_commands && is_entry && first != "help" {
                 let command = [path, &[first]].concat();
-                assert!(page.contains(&format!("`{}", command.join(" "))), "{}", command.join(" "));
+                assert!(page.contains(&format!("`fieldbeat {}", command.join(" "))), "{}", command.join(" "));
                 visit(&command, page);
             }
             for option in
