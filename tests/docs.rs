@@ -433,6 +433,17 @@ fn the_reference_has_the_keys_that_the_reader_accepts() {
     assert!(wrong.is_empty(), "keys of the reference alone, or of the reader alone:\n{}", wrong.join("\n"));
 }
 
+#[test]
+fn every_counter_of_a_protocol_is_explained() {
+    let page = Page::read("docs/src/diagnosis.md");
+    let plans = PARTS.map(|(_, machine)| config::parse(machine, "m.toml").unwrap());
+    let counters: Vec<_> = plans.iter().flat_map(|plan| plan.own_counters().concat()).collect();
+    assert!(counters.len() > 20, "{counters:?}");
+    for counter in counters {
+        assert!(page.text.contains(&format!("`{}`", counter.key)), "{}", counter.key);
+    }
+}
+
 /// What `](` leads to in running text.
 fn links(page: &Page) -> Vec<String> {
     let mut fenced = false;
