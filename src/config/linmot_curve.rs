@@ -1,47 +1,9 @@
-//! A curve of a LinMot drive as a file: CSV with a head, a row each setpoint.
-//!
-//! Knows no drive. What was read from a drive and written to a file is the same to the last byte when it is read again.
-//! Numbers are written in the shortest form that gives back the same wire integer, and rounded to one where they are
-//! read.
-//!
-//! ```csv
-//! # id = 5
-//! # name = "lift"
-//! # kind = "time"
-//! # length = 200
-//! time_ms,position_mm
-//! 0,0
-//! 100,12.5
-//! 200,0
-//! ```
-//!
-//! The head is TOML behind a `#` in each line; `##` begins a comment:
-//!
-//! | key | default | meaning |
-//! |---|---|---|
-//! | `id` | - | 1 ... 100 |
-//! | `name` | none | at most 22 printable ASCII characters |
-//! | `name_bytes` | none | instead of `name`: 22 bytes that are none |
-//! | `kind` | - | `"time"`, or `"cam"` over the counts of an encoder |
-//! | `length` | - | from the first setpoint to the last: ms, steps of 0.01; counts of a cam |
-//! | `x_dimension` | that of the kind: `26`, `27` | the drive's number of the unit of x: 26 time, 27 encoder, 5 position |
-//! | `y_dimension` | `5` | of the setpoints |
-//! | `wizard` | `0` | how the vendor's tool made the curve |
-//! | `wizard_parameters` | zeros | of that, 7 numbers |
-//!
-//! Then a line with the two columns, which say their units, and the rows:
-//!
-//! | column | of dimension | smallest step |
-//! |---|---|---|
-//! | `time_ms` | 26 | 0.01 |
-//! | `encoder_counts` | 27 | 1 |
-//! | `x_position_mm`, `position_mm` | 5 | 0.0001 |
-//! | `x_raw`, `y_raw` | any other | 1 |
-//!
-//! The drive keeps no x of a setpoint: setpoints are equidistant over the length. So the first column is there to be
-//! read and to be checked: rows that are not equidistant, to a twentieth of their distance, are mistakes.
+//! A curve of a LinMot drive as a file: CSV with a head, a row each setpoint. Knows no drive.
 //!
 //! No CSV library reads this: two columns of numbers have no quotes, and a mistake has to name its line.
+//!
+//! What follows is the reference of docs/.
+#![doc = include_str!("../../docs/src/linmot-curve.md")]
 
 use std::fmt::Write;
 use std::path::Path;

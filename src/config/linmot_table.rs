@@ -1,47 +1,7 @@
-//! The command table of a LinMot drive as a file: TOML, one `[[entry]]` each, values in user units.
+//! The command table of a LinMot drive as a file: TOML, one `[[entry]]` each, values in user units. Knows no drive.
 //!
-//! Knows no drive. A file says what the drive holds to the last byte: what was read from a drive and written to a file
-//! is the same when it is read again. Numbers are written in the shortest form that gives back the same wire integer,
-//! and rounded to one where they are read.
-//!
-//! | key | meaning |
-//! |---|---|
-//! | `incomplete` | `true`: entries may lead to ones that are not there, as a drive may hold them (default `false`) |
-//! | `entry` | the entries; `entry = []` is an empty table |
-//!
-//! `[[entry]]`:
-//!
-//! | key | default | meaning |
-//! |---|---|---|
-//! | `id` | - | 1 ... 255 |
-//! | `name` | none | at most 15 printable ASCII characters |
-//! | `command` | - | a name of the [catalogue](crate::bus::linudp::motion::CATALOGUE), or the number of a command that is not in it |
-//! | `next` | none | the entry that follows; without one the sequence ends here |
-//! | the fields of the command | - | `position`, `velocity` ... in the units below |
-//! | `parameters` | none | of a command by its number: words of 16 bits |
-//! | `unused` | none | of a command by its name: the words behind its last field, where a drive holds other than zeros |
-//! | `name_bytes` | none | instead of `name`: 16 bytes that are none |
-//! | `reserved` | zeros | the last 10 bytes of the entry |
-//! | `count` | `0` | the lowest 4 bits of the command's header |
-//!
-//! Commands and fields are named like the [constructors](crate::bus::linudp::motion::MotionCommand) and their
-//! arguments, commands with `-` for `_`: `vai-go-to` has `position`, `velocity`, `acceleration` and `deceleration`.
-//!
-//! Of a command that is marked [`Assumed`](crate::bus::linudp::motion::Mark::Assumed) the sources are not certain: see
-//! what the drive makes of it before a machine relies on it. That holds for all branches but those that compare a
-//! masked word.
-//!
-//! | fields | unit | smallest step |
-//! |---|---|---|
-//! | positions, distances, their limits and targets | mm | 0.0001 |
-//! | velocities | mm/s | 0.001 |
-//! | accelerations, decelerations | mm/s² | 0.01 |
-//! | jerks | mm/s³ | 0.1 |
-//! | currents | mA | 1 |
-//! | forces | N | 0.1 |
-//! | times of curves; times to wait | ms | 0.01; 0.1 |
-//! | time scales; amplitudes | % | 0.01; 0.1 |
-//! | all others | as they stand on the wire | 1 |
+//! What follows is the reference of docs/.
+#![doc = include_str!("../../docs/src/linmot-table.md")]
 
 use std::collections::HashMap;
 use std::fmt::Write;
