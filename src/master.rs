@@ -58,7 +58,7 @@ pub struct Master {
 }
 
 /// Why a machine did not start. Nothing was sent. The message ends with the remedy.
-#[derive(Debug, Error)]
+#[derive(Error)]
 pub enum StartError {
     /// The plan contradicts itself.
     #[error(transparent)]
@@ -79,9 +79,10 @@ pub enum StartError {
     #[error("the loop's thread ended at its start; its own message stands above")]
     Ended,
 }
+crate::errors::debug_as_display!(StartError);
 
 /// Why the application got no axis, or not in time.
-#[derive(Clone, Debug, PartialEq, Error)]
+#[derive(Clone, PartialEq, Error)]
 pub enum MasterError {
     /// No such axis.
     #[error("there is no axis {name}; there are {known}")]
@@ -131,6 +132,7 @@ pub enum MasterError {
     #[error("the master has ended: start it again")]
     Ended,
 }
+crate::errors::debug_as_display!(MasterError);
 
 /// Ends the machine from another thread, or from a signal's handler thread.
 #[derive(Clone, Debug)]

@@ -188,7 +188,7 @@ pub enum Abort {
 }
 
 /// Why a command failed.
-#[derive(Clone, Copy, Debug, PartialEq, Error)]
+#[derive(Clone, Copy, PartialEq, Error)]
 pub enum Failure {
     /// The drive is in a state in which this cannot start.
     #[error("the drive is in state {0}: bring it to OperationEnabled first (enable)")]
@@ -263,6 +263,7 @@ pub enum Failure {
     #[error("the drive left operation (state {0})")]
     Dropped(State),
 }
+crate::errors::debug_as_display!(Failure);
 
 impl fmt::Display for Outcome {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

@@ -105,7 +105,7 @@ pub trait BusPlan: Debug + Send + Sync {
 }
 
 /// Why a bus could not be opened. The message ends with the remedy.
-#[derive(Debug, Error)]
+#[derive(Error)]
 pub enum OpenError {
     /// A socket could not be opened.
     #[error("bus {bus}: cannot bind {address}: {source}; {remedy}")]
@@ -150,6 +150,7 @@ pub enum OpenError {
         drive: String,
     },
 }
+crate::errors::debug_as_display!(OpenError);
 
 /// One open bus on the real-time thread. `slots` are those of its own drives, in the order of its plan.
 pub trait Bus: Send {

@@ -20,7 +20,7 @@ const PATIENCE: Duration = Duration::from_secs(5);
 const LONGEST_ANSWER: usize = 16 << 20;
 
 /// Why there is no answer. The message ends with the remedy.
-#[derive(Debug, Error)]
+#[derive(Error)]
 pub enum AskError {
     /// There is no socket.
     #[error("no master answers at {0}; start it with `fieldbeat run`")]
@@ -59,6 +59,7 @@ pub enum AskError {
     #[error("{0}")]
     Refused(String),
 }
+crate::errors::debug_as_display!(AskError);
 
 /// Asks the master at `path` one question. It is this user's, root's, or that of whoever owns the directory. Its answer
 /// may be shown on a terminal as it is: no text in it has control characters but the end of a line.

@@ -39,9 +39,10 @@ pub fn is_plain_name(name: &str) -> bool {
 }
 
 /// What is wrong with a plan that was built in code: one line each.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{}", .0.join("\n"))]
 pub struct PlanErrors(pub Vec<String>);
+crate::errors::debug_as_display!(PlanErrors);
 
 /// The most that a black box may take, bytes.
 const MOST_BLACK_BOX: usize = 150_000_000;

@@ -50,7 +50,7 @@ pub struct Answer {
 }
 
 /// Why a call was not carried out.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Error, Serialize, Deserialize)]
+#[derive(Clone, Copy, PartialEq, Eq, Error, Serialize, Deserialize)]
 pub enum CallError {
     /// The drive said no, with its own status.
     #[error("the drive refused it with status {0:#04x}")]
@@ -93,6 +93,7 @@ pub enum CallError {
     #[error("the conversation with the master broke off: look whether it runs, and ask again")]
     Lost,
 }
+crate::errors::debug_as_display!(CallError);
 
 /// What came of a series of calls: the answers up to the first that failed.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]

@@ -52,7 +52,7 @@ pub trait Notation: Debug + Send + Sync {
 }
 
 /// What is wrong with an address or a value, before anything is sent.
-#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[derive(Clone, PartialEq, Eq, Error)]
 pub enum NotationError {
     /// No address of this protocol.
     #[error("no address of this drive; write {form}")]
@@ -85,9 +85,10 @@ pub enum NotationError {
         form: String,
     },
 }
+crate::errors::debug_as_display!(NotationError);
 
 /// Why a parameter was not read or written.
-#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[derive(Clone, PartialEq, Eq, Error)]
 pub enum ParameterError {
     /// Nothing was sent.
     #[error("drive {drive}: {access} {address}: {error}")]
@@ -135,6 +136,7 @@ pub enum ParameterError {
         why: CallError,
     },
 }
+crate::errors::debug_as_display!(ParameterError);
 
 fn of(value: &Option<String>) -> String {
     value.as_ref().map_or(String::new(), |value| format!(" = {value}"))

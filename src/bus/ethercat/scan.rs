@@ -116,7 +116,7 @@ impl Slave {
 }
 
 /// Why a line was not scanned to its end. Nothing was changed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[derive(Clone, Copy, PartialEq, Eq, Error)]
 pub enum ScanError {
     /// The caller wanted its end.
     #[error("interrupted")]
@@ -152,6 +152,7 @@ pub enum ScanError {
     #[error("another master ({}) has frames on this interface; end it, or ask it for its slaves", Shown(.0))]
     Foreign(Mac),
 }
+crate::errors::debug_as_display!(ScanError);
 
 fn unsent(unsent: &Unsent) -> String {
     match unsent {

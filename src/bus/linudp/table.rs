@@ -43,7 +43,7 @@ pub struct Entry {
 }
 
 /// Why bytes are no entry, or why a name is none.
-#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[derive(Clone, PartialEq, Eq, Error)]
 pub enum EntryError {
     /// The length.
     #[error("an entry of {0} bytes; it has 64: transfer it again")]
@@ -55,6 +55,7 @@ pub enum EntryError {
     #[error("the name {0:?}; use at most 15 printable ASCII characters")]
     Name(String),
 }
+crate::errors::debug_as_display!(EntryError);
 
 impl Entry {
     /// An entry that runs `command` and goes on with `next`.
@@ -143,7 +144,7 @@ pub struct Table {
 }
 
 /// An entry leads to one that is not there: the drive would end in error 008Ah.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[derive(Clone, Copy, PartialEq, Eq, Error)]
 #[error("{by} of entry {} leads to entry {to}, which is not there; add it or lead elsewhere", .entry.wire())]
 pub struct DeadEnd {
     /// The entry that leads there.
@@ -153,6 +154,7 @@ pub struct DeadEnd {
     /// The entry that is not there.
     pub to: i64,
 }
+crate::errors::debug_as_display!(DeadEnd);
 
 impl Table {
     /// No entry.

@@ -59,7 +59,7 @@ impl std::fmt::Debug for Services<'_> {
 }
 
 /// Why a service did not come about.
-#[derive(Clone, Debug, PartialEq, Error)]
+#[derive(Clone, PartialEq, Error)]
 pub enum ServiceError {
     /// The drive refused a command, or did not carry it out.
     #[error("drive {drive}: {what}: {why}")]
@@ -135,6 +135,7 @@ pub enum ServiceError {
         remedy: &'static str,
     },
 }
+crate::errors::debug_as_display!(ServiceError);
 
 /// What came before that its software was to be started.
 fn before(failed: &Option<Box<ServiceError>>) -> String {
