@@ -250,8 +250,10 @@ mod reader;
 mod value;
 
 use std::collections::HashMap;
-use std::io;
+use std::fs::{self, File, Metadata};
+use std::io::{self, Read};
 use std::net::{Ipv4Addr, SocketAddrV4};
+use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -266,8 +268,8 @@ use reader::{Page, Place, Table};
 
 /// The sample that runs everywhere, without privileges or hardware.
 const DEMO: &str = include_str!("../../rt-config/demo.toml");
-/// Where it stands, for messages.
-const DEMO_FILE: &str = "rt-config/demo.toml";
+/// Where it stands: what the plan of the demo has as its source.
+pub const DEMO_FILE: &str = "rt-config/demo.toml";
 
 /// Reads the configuration at `path`.
 pub fn load(path: impl AsRef<Path>) -> Result<Plan, ConfigErrors> {
@@ -275,18 +277,56 @@ pub fn load(path: impl AsRef<Path>) -> Result<Plan, ConfigErrors> {
     parse(&text, &file)
 }
 
+/// The most that a configuration, a curve or a table may have, bytes: a hundred times what 256 drives need.
+const LONGEST: u64 = 16 << 20;
+
 /// A file's name and text; `kind` says what kind of file it should be, with an example.
 fn read(path: &Path, kind: &str) -> Result<(String, String), ConfigErrors> {
     let file = path.display().to_string();
-    let bytes = std::fs::read(path).map_err(|error| unreadable(&file, &error, kind))?;
-    match String::from_utf8(bytes) {
-        Ok(text) => Ok((file, text)),
-        Err(error) => {
-            let valid = &error.as_bytes()[..error.utf8_error().valid_up_to()];
-            let line = valid.iter().filter(|byte| **byte == b'\n').count() + 1;
-            Err(whole_file(&file, Some(line), "not UTF-8; save the file as UTF-8 text".into()))
+    let bytes =
+        regular(path, kind).map_err(|why| whole_file(&file, None, format!("cannot read {file}: {why}")))?;
+    // NUL is UTF-8, but in no text: UTF-16 has it in every other place, a binary file sooner or later.
+    let text_to = bytes.iter().position(|byte| *byte == 0);
+    let valid_to = std::str::from_utf8(&bytes).err().map(|error| error.valid_up_to());
+    match [text_to, valid_to].into_iter().flatten().min() {
+        Some(end) => {
+            let line = bytes[..end].iter().filter(|byte| **byte == b'\n').count() + 1;
+            Err(whole_file(&file, Some(line), "not UTF-8 text; save the file as UTF-8 text".into()))
         }
+        None => Ok((file, String::from_utf8_lossy(&bytes).into_owned())),
     }
+}
+
+/// The bytes of a regular file that is not too long. Anything else is refused without being opened: opening a pipe
+/// waits for its writer, and some devices act on being opened. Else why not, and the remedy.
+fn regular(path: &Path, kind: &str) -> Result<Vec<u8>, String> {
+    let failed = |error: io::Error| unreadable(&error, kind);
+    fit(&fs::metadata(path).map_err(failed)?, kind)?;
+    // It may have been replaced meanwhile: it is opened without waiting, and looked at again.
+    let file = File::options().read(true).custom_flags(libc::O_NONBLOCK).open(path).map_err(failed)?;
+    fit(&file.metadata().map_err(failed)?, kind)?;
+    let mut bytes = Vec::new();
+    // Files of /proc say that they have 0 bytes.
+    file.take(LONGEST + 1).read_to_end(&mut bytes).map_err(failed)?;
+    match bytes.len() as u64 > LONGEST {
+        true => Err(too_long(kind)),
+        false => Ok(bytes),
+    }
+}
+
+fn fit(about: &Metadata, kind: &str) -> Result<(), String> {
+    let is = about.file_type();
+    match () {
+        () if is.is_dir() => Err(format!("Is a directory; name {kind}")),
+        () if is.is_fifo() => Err("it is a pipe; write its content to a file, and name that file".to_owned()),
+        () if !is.is_file() => Err(format!("it is a device or a socket; name {kind}")),
+        () if about.len() > LONGEST => Err(too_long(kind)),
+        () => Ok(()),
+    }
+}
+
+fn too_long(kind: &str) -> String {
+    format!("it has more than {} MiB; name {kind}", LONGEST >> 20)
 }
 
 /// Reads the configuration `text`; messages call it `file`.
@@ -298,11 +338,17 @@ pub fn parse(text: &str, file: &str) -> Result<Plan, ConfigErrors> {
     Ok(Plan { source: Some(PathBuf::from(file)), ..plan })
 }
 
-/// A time as people write it, on the command line as in a file: `"250us"`, `"0.5s"`, `"8h"`.
+/// A time as people write it, on the command line as in a file: a number and its unit, `"250us"`, `"0.5s"`, `"8h"`.
+/// Spaces around both and between them do not matter, as in `"1 ms"`; a number without a unit is refused.
 pub fn duration(text: &str) -> Result<Duration, String> {
     let ns = value::duration(text);
     ns.map(Duration::from_nanos)
         .ok_or_else(|| "write a number with its unit: ns, us, ms, s, min or h, for example 10s".into())
+}
+
+/// Whether the file at `path` is the configuration that `fieldbeat demo` has built in, as far as it can be read.
+pub fn is_demo(path: impl AsRef<Path>) -> bool {
+    regular(path.as_ref(), "").is_ok_and(|bytes| bytes == DEMO.as_bytes())
 }
 
 /// The demo with so many LinMots, 1 ... 128, beside its Unidrives and its Kollmorgens, and this period. A period that
@@ -349,16 +395,15 @@ fn demo_text(drives: usize, period_ns: u64) -> String {
     text
 }
 
-fn unreadable(file: &str, error: &io::Error, kind: &str) -> ConfigErrors {
+fn unreadable(error: &io::Error, kind: &str) -> String {
     let reason = match error.raw_os_error() {
         Some(number) => nix::errno::Errno::from_raw(number).desc().to_owned(),
         None => error.to_string(),
     };
-    let remedy = match error.kind() {
-        io::ErrorKind::PermissionDenied => "let this user read it".to_owned(),
-        _ => format!("name {kind}"),
-    };
-    whole_file(file, None, format!("cannot read {file}: {reason}; {remedy}"))
+    match error.kind() {
+        io::ErrorKind::PermissionDenied => format!("{reason}; let this user read it"),
+        _ => format!("{reason}; name {kind}"),
+    }
 }
 
 fn whole_file(file: &str, line: Option<usize>, message: String) -> ConfigErrors {
