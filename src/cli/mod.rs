@@ -11,6 +11,7 @@ mod ethercat;
 mod interrupt;
 mod linmot;
 mod live;
+mod masters;
 mod meter;
 mod motion;
 mod output;

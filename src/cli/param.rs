@@ -12,6 +12,7 @@ use fieldbeat::cycle::Plan;
 use serde_json::json;
 
 use super::interrupt::Interrupt;
+use super::masters::Wanted;
 use super::reach::{self, Reach};
 use super::{Stop, print};
 use list::List;
@@ -40,13 +41,17 @@ pub struct Drive {
     config: PathBuf,
     /// The name of the drive.
     drive: String,
+    /// The process id of its master, where several of this configuration run.
+    #[arg(long, value_name = "PID")]
+    pid: Option<u32>,
 }
 
 impl Drive {
     /// Its plan without the other drives, for a master of its own that moves it; refused beside one that runs.
     pub fn alone(&self) -> Result<(Plan, String), Stop> {
         let (plan, _) = reach::find(&self.config, &self.drive)?;
-        if reach::running(&self.config, &self.drive)?.is_some() {
+        let wanted = Wanted { config: Some(&self.config), pid: self.pid };
+        if reach::running(wanted, &self.drive)?.is_some() {
             let why = "a master runs, and it alone moves its drives: end it first";
             return Err(Stop::failed(format!("drive {}: {why}", self.drive)));
         }
@@ -64,7 +69,7 @@ impl Drive {
 
     /// The way to it.
     pub fn reach(&self, interrupt: &Interrupt) -> Result<Reach, Stop> {
-        Reach::open(&self.config, &self.drive, |_| Ok(()), interrupt)
+        Reach::open(&self.config, &self.drive, self.pid, |_| Ok(()), interrupt)
     }
 
     /// The same to read or write `address`, once `check` has nothing against it.
@@ -81,7 +86,7 @@ impl Drive {
                 failed(ParameterError::Notation { drive, access, address, error })
             })
         };
-        Reach::open(&self.config, &self.drive, check, interrupt)
+        Reach::open(&self.config, &self.drive, self.pid, check, interrupt)
     }
 }
 
