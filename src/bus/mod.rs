@@ -57,6 +57,11 @@ pub trait BusPlan: Debug + Send + Sync {
     /// paragraph a drive, in slot order, a sentence a line; the address is its first line.
     fn describe(&self, period_ns: u64) -> Vec<String>;
 
+    /// Drive `index` stops by itself within this time if the master dies, ns: its own watchdog. `None`: it does not.
+    fn drive_watchdog_ns(&self, _index: usize) -> Option<u64> {
+        None
+    }
+
     /// Opens the sockets and builds the bus for a cycle of `period_ns`. Sends nothing.
     fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError>;
 

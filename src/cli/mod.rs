@@ -11,6 +11,7 @@ mod ethercat;
 mod interrupt;
 mod linmot;
 mod live;
+mod manual;
 mod masters;
 mod meter;
 mod motion;
@@ -62,6 +63,10 @@ enum Command {
     Blackbox(blackbox::BlackBox),
     /// What this host is worth for real time, and how to mend it; changes nothing.
     Doctor(doctor::Doctor),
+    /// The script that completes the arguments of this program in a shell.
+    Completions(manual::Completions),
+    /// The manual page of this program.
+    Man(manual::Manual),
 }
 
 /// Why a command ended otherwise than well: what to print, and the exit code.
@@ -96,6 +101,8 @@ pub fn main() -> ExitCode {
         Command::Ethercat(ethercat) => ethercat.run(),
         Command::Blackbox(blackbox) => blackbox.run(),
         Command::Doctor(doctor) => doctor.run(),
+        Command::Completions(completions) => completions.run(),
+        Command::Man(manual) => manual.run(),
     });
     match result {
         Ok(()) => ExitCode::SUCCESS,

@@ -210,6 +210,13 @@ pub fn stop_bound_cycles(axis: &AxisPlan, all: &[&AxisPlan]) -> u64 {
     bound(&Paced { axis, owed: None }, &all)
 }
 
+/// The names of the drives that stop when that of slot `index` does, itself included.
+pub(super) fn stopping_with(plan: &Plan, index: usize) -> Vec<String> {
+    let all = paced(plan);
+    let with = all.get(index).into_iter().flat_map(|drive| group(drive, &all));
+    with.map(|one| one.axis.name.clone()).collect()
+}
+
 fn bound(drive: &Paced<'_>, all: &[Paced<'_>]) -> u64 {
     let Paced { axis, owed } = drive;
     let others = group(drive, all).filter(|one| one.axis.name != axis.name);

@@ -3,9 +3,11 @@
 use std::error::Error;
 use std::fmt;
 
+use serde::Serialize;
+
 /// One mistake. Its `Display` is the whole line, remedy included:
 /// `machine.toml:12: bus.drive.divisor = 0: must be at least 1; 1 exchanges every cycle`.
-#[derive(Clone, PartialEq, Eq)]
+#[derive(Clone, PartialEq, Eq, Serialize)]
 pub struct ConfigError {
     /// The file, as it was named.
     pub file: String,

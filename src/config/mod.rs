@@ -14,6 +14,7 @@
 //! | `ethercat_values` | areas of memory, objects and PDOs as people write them |
 //! | `faults` | the faults of simulated drives |
 //! | `describe` | a plan in words |
+//! | `json` | a plan as one JSON object |
 //! | `linmot_table` | a LinMot drive's command table as a file of its own |
 //! | `linmot_curve` | a LinMot drive's curve as a file of its own |
 //!
@@ -242,6 +243,7 @@ mod ethercat;
 mod ethercat_device;
 mod ethercat_values;
 mod faults;
+mod json;
 pub mod linmot_curve;
 pub mod linmot_table;
 mod linudp;
@@ -260,6 +262,7 @@ use std::time::Duration;
 pub use cycle::starvation;
 pub use describe::{describe, stop_bound, stop_bound_cycles};
 pub use error::{ConfigError, ConfigErrors};
+pub use json::json;
 
 use crate::bus::BusPlan;
 use crate::cycle::{CyclePlan, GroupPlan, Plan};

@@ -266,6 +266,10 @@ impl BusPlan for ModbusPlan {
         self.drives.get(index).map(|drive| drive.reply_within_ns)
     }
 
+    fn drive_watchdog_ns(&self, index: usize) -> Option<u64> {
+        self.drives.get(index)?.watchdog.within_ns()
+    }
+
     fn describe(&self, period_ns: u64) -> Vec<String> {
         self.drives.iter().map(|drive| drive.describe(period_ns)).collect()
     }
