@@ -76,7 +76,7 @@ pub enum StartError {
     #[error("cannot start a thread: {0}; look at the limits of processes and memory (ulimit -u, ulimit -v)")]
     Thread(std::io::Error),
     /// The loop's thread ended before it began.
-    #[error("the loop's thread ended at its start; its own message stands above")]
+    #[error("the loop's thread ended at its start; its own message is above")]
     Ended,
 }
 crate::errors::debug_as_display!(StartError);
@@ -93,7 +93,7 @@ pub enum MasterError {
         known: String,
     },
     /// The axis was taken already.
-    #[error("axis {0} was taken already: an axis has one owner; observers are for everybody else")]
+    #[error("axis {0} is already taken: an axis has one owner; read it through an observer")]
     Taken(String),
     /// No such device.
     #[error("there is no device {name}; there are: {known}")]
@@ -104,7 +104,7 @@ pub enum MasterError {
         known: String,
     },
     /// The device was taken already.
-    #[error("device {0} was taken already: its process data has one owner")]
+    #[error("device {0} is already taken: its process data has one owner")]
     DeviceTaken(String),
     /// The device is of another type.
     #[error("device {0} has process data of another type; ask for the one that its protocol names")]

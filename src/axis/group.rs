@@ -57,7 +57,7 @@ impl GroupCommand {
 #[derive(Clone, PartialEq, Error)]
 pub enum GroupError {
     /// A group of fewer than two.
-    #[error("a group of {0}: it takes two axes or more")]
+    #[error("a group of {0}: a group needs two axes or more")]
     TooFew(usize),
     /// Axes of two machines have no cycle in common.
     #[error("axes {0} and {1} belong to two masters: a group has one")]

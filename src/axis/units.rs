@@ -38,7 +38,7 @@ pub struct Units {
 
 /// A value that the wire cannot carry.
 #[derive(Clone, Copy, PartialEq, Error)]
-#[error("{value} {unit} is outside what the drive can be told ({low} ... {high}): give a value inside")]
+#[error("{value} {unit} is outside the range of the drive ({low} ... {high}): give a value inside it")]
 pub struct RangeError {
     /// The value asked for, in `unit`.
     pub value: f64,

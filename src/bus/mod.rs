@@ -147,7 +147,7 @@ pub enum OpenError {
         remedy: &'static str,
     },
     /// The plan of a drive contradicts itself.
-    #[error("bus {bus}, drive {drive}: its cyclic parameters cannot be exchanged; `check` says why")]
+    #[error("bus {bus}, drive {drive}: its cyclic parameters cannot be exchanged; `check` shows why")]
     Plan {
         /// The bus.
         bus: String,

@@ -37,7 +37,7 @@ enum What {
 /// Which drive.
 #[derive(Debug, Args)]
 pub struct Drive {
-    /// The configuration of its machine.
+    /// The configuration of the machine.
     config: PathBuf,
     /// The name of the drive.
     drive: String,
@@ -94,8 +94,8 @@ impl Drive {
 struct Get {
     #[command(flatten)]
     drive: Drive,
-    /// As the drive's manual writes it: 0x20A8, 0x20A8.rom, .min, .max, .default of a LinMot, 06.042 of a Unidrive,
-    /// 0x6041:0 (with a type 0x6041:0.u16, all subindices 0x1C12:ca) of a drive on EtherCAT, or a name.
+    /// The address as the drive's manual writes it: 0x20A8, 0x20A8.rom, .min, .max, .default of a LinMot, 06.042 of a
+    /// Unidrive, 0x6041:0 (with a type 0x6041:0.u16, all subindices 0x1C12:ca) of a drive on EtherCAT, or a name.
     address: String,
     /// Print one JSON object.
     #[arg(long)]
@@ -106,10 +106,10 @@ struct Get {
 struct Set {
     #[command(flatten)]
     drive: Drive,
-    /// As the drive's manual writes it: 0x20A8 (RAM), 0x20A8.rom, 0x20A8.both of a LinMot, 06.042 of a Unidrive,
-    /// 0x6060:0 (with a type 0x6060:0.i8) of a drive on EtherCAT, or a name.
+    /// The address as the drive's manual writes it: 0x20A8 (RAM), 0x20A8.rom, 0x20A8.both of a LinMot, 06.042 of a
+    /// Unidrive, 0x6060:0 (with a type 0x6060:0.i8) of a drive on EtherCAT, or a name.
     address: String,
-    /// A whole number, or its bits as 0x....; with a point, 1500.0, a scaled one of a Unidrive.
+    /// A whole number, or its bits as 0x....; for a Unidrive also a scaled value with a point, 1500.0.
     #[arg(allow_negative_numbers = true)]
     value: String,
     /// Print one JSON object.

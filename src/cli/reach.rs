@@ -109,7 +109,7 @@ fn alone(plan: &Plan, drive: &str, interrupt: &Interrupt) -> Result<Way, Stop> {
     if plan.find_device(drive).is_some() {
         // Its outputs would fall with a master of its own.
         return Err(Stop::failed(format!(
-            "{drive} is no drive, and is asked by its running master only; start that with `fieldbeat run`"
+            "{drive} is not a drive: only a running master can access it; start one with `fieldbeat run`"
         )));
     }
     let Some(plan) = plan.reaching(drive) else {

@@ -1,4 +1,4 @@
-//! `fieldbeat status`: a running master, asked through its control socket.
+//! `fieldbeat status`: a running master, through its control socket.
 
 use std::io::{IsTerminal, Write};
 use std::path::PathBuf;
@@ -21,10 +21,10 @@ pub struct Status {
     /// The process id of the master, where several of one configuration run.
     #[arg(long, value_name = "PID")]
     pid: Option<u32>,
-    /// Print one JSON object: what it measured so far under `summary`, with the keys of `run --json`.
+    /// Print one JSON object; `summary` has the measurements so far, with the keys of `run --json`.
     #[arg(long)]
     json: bool,
-    /// Ask again and again until Ctrl-C, once in this time (100ms or more).
+    /// Repeat until Ctrl-C, once in this time (100ms or more).
     #[arg(long, value_name = "TIME", value_parser = pause, num_args = 0..=1, default_missing_value = "1s")]
     watch: Option<Duration>,
 }
@@ -94,9 +94,7 @@ const SHORTEST_PAUSE: Duration = Duration::from_millis(100);
 fn pause(text: &str) -> Result<Duration, String> {
     let pause = span(text)?;
     if pause < SHORTEST_PAUSE {
-        return Err(
-            "must be 100ms or more: each question takes time from the computer of the master".to_owned()
-        );
+        return Err("must be 100ms or more: each request costs the master's computer time".to_owned());
     }
     Ok(pause)
 }

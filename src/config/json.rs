@@ -10,18 +10,23 @@ use crate::cycle::{CyclePlan, Guard, Overrun, Plan, Wait};
 use crate::rt::{Memory, Realtime};
 use crate::time::nanos;
 
-/// The plan as one object. Times are in ns, lengths in the drive's `unit`; what is not set is null. The keys are stable:
+/// The plan as one object. Times are in ns, lengths in the drive's `unit`; what is not set is null. The keys are
+/// stable:
 ///
-/// | key | value |
-/// |---|---|
-/// | `source` | the file, or null for a plan built in code |
-/// | `cycle` | `period_ns`, `core` (null: the last one), `priority`, `realtime`, `memory`, `guard` (`"off"`, `"fixed"` or `"auto"`), `guard_ns`, `wait`, `deadline_ns`, `overrun`, `max_skip`, `late_ns`, `task_budget_ns`, `heartbeat_ns`, `reference`, `black_box_ns` |
-/// | `buses` | a list of `name`, `protocol`, `has_clock`, and the names of its `drives` and `devices` |
-/// | `drives` | in slot order, a list of `name`, `bus`, `protocol`, `address`, `unit`, `divisor`, `phase`, `period_ns` of its exchanges, `reply_within_ns` on a connection, `stops_with` (the drives that stop together, itself included), `stop_bound_cycles` and `stop_bound_ns` (from the last good exchange of a dead link to the stop request), `stop` (`how`, `deceleration`, `then`, `timeout_ns`, `on_timeout`), `limits` (`position`, `velocity`, `acceleration`, `step`, `torque`), `load`, `held_by`, and if the master dies: `drive_watchdog_ns` (it stops by itself within that; null: it does not) and `if_master_dies` in words |
-/// | `groups` | a list of `name` and `axes` |
-/// | `errors` | why this host cannot carry the plan, as below; empty if it can |
-///
-/// Where a file has mistakes, `errors` is the only key: a list of `file`, `line`, `key`, `value` and `message`.
+/// - `source`: the file; null for a plan built in code.
+/// - `cycle`: `period_ns`, `core` (null: the last one), `priority`, `realtime`, `memory`, `guard` (`"off"`, `"fixed"`
+///   or `"auto"`), `guard_ns`, `wait`, `deadline_ns`, `overrun`, `max_skip`, `late_ns`, `task_budget_ns`,
+///   `heartbeat_ns`, `reference`, `black_box_ns`.
+/// - `buses`: a list of `name`, `protocol`, `has_clock`, and the names of its `drives` and `devices`.
+/// - `drives`: a list in slot order of `name`, `bus`, `protocol`, `address`, `unit`, `divisor`, `phase`, `period_ns`
+///   (of its exchanges), `reply_within_ns` (on a connection), `stops_with` (the drives that stop together, itself
+///   included), `stop_bound_cycles` and `stop_bound_ns` (from the last good exchange of a dead link to the stop
+///   request), `stop` (`how`, `deceleration`, `then`, `timeout_ns`, `on_timeout`), `limits` (`position`, `velocity`,
+///   `acceleration`, `step`, `torque`), `load`, `held_by`, `drive_watchdog_ns` (if the master dies, the drive stops by
+///   itself within this time; null: it does not), and the same in words as `if_master_dies`.
+/// - `groups`: a list of `name` and `axes`.
+/// - `errors`: why this host cannot carry the plan; empty if it can. Each has `file`, `line`, `key`, `value` and
+///   `message`.
 pub fn json(plan: &Plan, errors: &[ConfigError]) -> Value {
     let buses: Vec<Value> = plan
         .buses

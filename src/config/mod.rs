@@ -283,6 +283,9 @@ pub fn load(path: impl AsRef<Path>) -> Result<Plan, ConfigErrors> {
 /// The most that a configuration, a curve or a table may have, bytes: a hundred times what 256 drives need.
 const LONGEST: u64 = 16 << 20;
 
+/// The one pipe that is read: its writer is there, and somebody asked for it by this name.
+const STANDARD_INPUT: &str = "/dev/stdin";
+
 /// A file's name and text; `kind` says what kind of file it should be, with an example.
 fn read(path: &Path, kind: &str) -> Result<(String, String), ConfigErrors> {
     let file = path.display().to_string();
@@ -300,17 +303,26 @@ fn read(path: &Path, kind: &str) -> Result<(String, String), ConfigErrors> {
     }
 }
 
-/// The bytes of a regular file that is not too long. Anything else is refused without being opened: opening a pipe
-/// waits for its writer, and some devices act on being opened. Else why not, and the remedy.
+/// The bytes of a regular file that is not too long, or of standard input by its name. Anything else is refused without
+/// being opened: opening a pipe waits for its writer, and some devices act on being opened. Else why not, and the
+/// remedy.
 fn regular(path: &Path, kind: &str) -> Result<Vec<u8>, String> {
     let failed = |error: io::Error| unreadable(&error, kind);
-    fit(&fs::metadata(path).map_err(failed)?, kind)?;
+    let about = fs::metadata(path).map_err(failed)?;
+    if about.file_type().is_fifo() && path == Path::new(STANDARD_INPUT) {
+        return bounded(io::stdin().lock(), kind);
+    }
+    fit(&about, kind)?;
     // It may have been replaced meanwhile: it is opened without waiting, and looked at again.
     let file = File::options().read(true).custom_flags(libc::O_NONBLOCK).open(path).map_err(failed)?;
     fit(&file.metadata().map_err(failed)?, kind)?;
+    bounded(file, kind)
+}
+
+/// Files of /proc say that they have 0 bytes, and a pipe does not say: more than `LONGEST` is noticed while it is read.
+fn bounded(from: impl Read, kind: &str) -> Result<Vec<u8>, String> {
     let mut bytes = Vec::new();
-    // Files of /proc say that they have 0 bytes.
-    file.take(LONGEST + 1).read_to_end(&mut bytes).map_err(failed)?;
+    from.take(LONGEST + 1).read_to_end(&mut bytes).map_err(|error| unreadable(&error, kind))?;
     match bytes.len() as u64 > LONGEST {
         true => Err(too_long(kind)),
         false => Ok(bytes),
@@ -321,7 +333,9 @@ fn fit(about: &Metadata, kind: &str) -> Result<(), String> {
     let is = about.file_type();
     match () {
         () if is.is_dir() => Err(format!("Is a directory; name {kind}")),
-        () if is.is_fifo() => Err("it is a pipe; write its content to a file, and name that file".to_owned()),
+        () if is.is_fifo() => {
+            Err(format!("it is a pipe; write its content to a file, or pipe it into {STANDARD_INPUT}"))
+        }
         () if !is.is_file() => Err(format!("it is a device or a socket; name {kind}")),
         () if about.len() > LONGEST => Err(too_long(kind)),
         () => Ok(()),
@@ -484,7 +498,7 @@ fn drive_tables<'a>(bus: &mut Table<'a>, own: &'static [&'static str]) -> Vec<Ta
 
 /// A `[[group]]`: axes that act together.
 fn group(table: &mut Table<'_>, plan: &Plan) -> Option<GroupPlan> {
-    table.require("name", "how programs ask for it");
+    table.require("name", "the name by which programs use the group");
     table.require("axes", "the names of its drives, like [\"x\", \"y\"]");
     let name = table.text("name", "1 to 32 letters, digits, - _ or .", drive::plain_name);
     let axes = table.read("axes", |value| {
@@ -535,7 +549,7 @@ impl Machine {
             return; // Missing or wrong, and already reported.
         }
         if let Some((kind, first)) = self.names.get(name) {
-            table.fault("name", format!("is the {kind} of {first} already; names are unique in the machine"));
+            table.fault("name", format!("is already the {kind} of {first}; names are unique in the machine"));
         } else {
             self.names.insert(name.to_owned(), (kind, table.place("name")));
         }
@@ -546,7 +560,10 @@ impl Machine {
         if let Some(first) = self.interfaces.get(interface) {
             table.fault(
                 "interface",
-                format!("is that of the bus of {first} already; one bus an interface, put its drives there"),
+                format!(
+                    "is already that of the bus of {first}; there is one bus per interface, add the \
+                    drives to that bus"
+                ),
             );
         } else {
             self.interfaces.insert(interface.to_owned(), table.place("interface"));
@@ -560,10 +577,10 @@ impl Machine {
         match self.buses.get(&name) {
             Some(first) if table.gives("name") => {
                 table
-                    .fault("name", format!("is the bus of {first} already; names are unique in the machine"));
+                    .fault("name", format!("is already the bus of {first}; names are unique in the machine"));
             }
             Some(first) => {
-                table.fault("name", format!("missing; the bus of {first} is called {name} already"));
+                table.fault("name", format!("missing; the bus of {first} already has the name {name}"));
             }
             None => {
                 self.buses.insert(name.clone(), table.place("name"));
@@ -580,13 +597,18 @@ impl Machine {
         if let Some((_, first)) = self.binds.iter().find(|(other, _)| overlaps(other)) {
             table.fault(
                 "bind",
-                format!("is taken by the bus of {first}; one bus an address, put its drives there"),
+                format!(
+                    "is taken by the bus of {first}; there is one bus per address, add the drives to that bus"
+                ),
             );
         }
         let drives = self.addresses.get(bind.ip()).into_iter().flatten();
         let mut hosts = drives.filter(|(_, claim, _)| *claim == Claim::Host);
         if let Some((.., drive)) = hosts.find(|(address, ..)| *address == bind) {
-            table.fault("bind", format!("is the drive of {drive}; give the master's own address"));
+            table.fault(
+                "bind",
+                format!("is the address of the drive of {drive}; give the master's own address"),
+            );
         }
         self.binds.push((bind, table.place("bind")));
     }
@@ -596,12 +618,15 @@ impl Machine {
         let known = self.addresses.entry(*address.ip()).or_default();
         let mut binds = self.binds.iter().filter(|_| claim == Claim::Host);
         if let Some((_, first)) = binds.find(|(bind, _)| *bind == address) {
-            table.fault("address", format!("is the master's own, bind of {first}; give the drive's"));
+            table.fault(
+                "address",
+                format!("is the master's own address, bind of {first}; give the address of the drive"),
+            );
         } else if let Some((_, other, first)) =
             known.iter().find(|(taken, other, _)| by_host(other) || *taken == address)
         {
-            let each = if by_host(other) { "an IP address" } else { "an address and port" };
-            table.fault("address", format!("is the drive of {first} already; one drive {each}"));
+            let each = if by_host(other) { "IP address" } else { "address and port" };
+            table.fault("address", format!("is already that of the drive of {first}; one drive per {each}"));
         } else {
             known.push((address, claim, table.place("address")));
         }

@@ -86,7 +86,7 @@ impl<'a> Page<'a> {
             ("key with no value", _) => "a key needs a value: key = value".into(),
             ("string values must be quoted", None) => "a value is missing after =".into(),
             ("string values must be quoted", Some(found)) => {
-                format!("{found} is no value; text stands in quotes")
+                format!("{found} is not a value; write text in quotes")
             }
             (_, Some(found)) => format!("{found}: {}", error.message()),
             (_, None) => error.message().to_owned(),
@@ -314,7 +314,7 @@ impl<'a> Table<'a> {
         self.read(key, |value| {
             let number = integer(value).ok_or_else(|| format!("must be a whole number; {hint}"))?;
             inside(number, &range, hint, |bound| bound)?;
-            T::try_from(number).map_err(|_| format!("is out of reach; {hint}"))
+            T::try_from(number).map_err(|_| format!("is out of range; {hint}"))
         })
     }
 

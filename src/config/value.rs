@@ -4,8 +4,8 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 
 use crate::time::{MS, S, US};
 
-/// A time as whole nanoseconds: digits, an optional fraction, a unit, and spaces anywhere but inside of these. `"250us"`,
-/// `"0.5s"`, `"1 ms"`.
+/// A time as whole nanoseconds: digits, an optional fraction, a unit; spaces around and between number and unit.
+/// `"250us"`, `"0.5s"`, `"1 ms"`.
 pub(super) fn duration(text: &str) -> Option<u64> {
     let text = text.trim_matches(' ');
     let (number, unit) = text.split_at(text.find(|c: char| !c.is_ascii_digit() && c != '.')?);

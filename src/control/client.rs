@@ -29,11 +29,11 @@ pub enum AskError {
     #[error("the master of {0} is dead and left its socket behind; start it again with `fieldbeat run`")]
     Dead(PathBuf),
     /// It is another user's.
-    #[error("{0} is another user's: only its owner and root may ask; use sudo")]
+    #[error("{0} belongs to another user: only its owner and root may use it; use sudo")]
     NotOurs(PathBuf),
     /// Somebody listens there whose place it is not.
     #[error(
-        "{path} is answered by user {user}, whose directory it is not; remove it, and start the master again"
+        "{path} is answered by user {user}, who does not own its directory; remove it, and start the master again"
     )]
     Stranger {
         /// The socket.
@@ -42,7 +42,7 @@ pub enum AskError {
         user: u32,
     },
     /// The conversation broke off.
-    #[error("no answer from {path}: {error}; ask once more, and look whether the master is held up")]
+    #[error("no answer from {path}: {error}; try again, and check whether the master is held up")]
     Io {
         /// The socket.
         path: PathBuf,
@@ -50,10 +50,10 @@ pub enum AskError {
         error: io::Error,
     },
     /// It broke off before: an answer that is still on its way would be taken for that to another question.
-    #[error("the conversation with {0} broke off before: begin another one")]
+    #[error("the connection to {0} was lost before: open another one")]
     Broken(PathBuf),
     /// It answered something else.
-    #[error("{0} gives no answer of this program; is it another version?")]
+    #[error("the answer of {0} is not one of this program; is it another version?")]
     Foreign(PathBuf),
     /// It knows the question, and says no.
     #[error("{0}")]

@@ -79,7 +79,7 @@ fn a_line_that_is_silent_or_goes_away_is_told_in_one_line() {
     let scan = line.scan(&["--json"]);
     scan.await_handler(SIGINT);
     drop(line.server);
-    scan.end().failed(&["nobody serves this line"]);
+    scan.end().failed(&["nothing serves this segment"]);
 }
 
 #[test]
@@ -97,7 +97,7 @@ fn what_is_no_line_is_told_in_one_line() {
         .refused(&["there is no network interface eth-none-here", "ip link"]);
     run(["ethercat", "scan", "local:"]).refused(&["a name has 1 to"]);
     run(["ethercat", "scan", "local:nobody"])
-        .failed(&["nobody serves this line; start it: fieldbeat sim CONFIG"]);
+        .failed(&["nothing serves this segment; start it: fieldbeat sim CONFIG"]);
     run(["ethercat", "scan"]).refused(&["<INTERFACE>; see `fieldbeat ethercat scan --help`"]);
 }
 

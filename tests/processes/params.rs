@@ -142,7 +142,7 @@ fn an_interrupted_list_is_none() {
         let ended = listing.end();
         assert_eq!(ended.expect(1).out, "");
         let last = ended.err.lines().last().unwrap();
-        assert!(last.contains("drive d0: ") && last.contains("its parameters was broken off"), "{last}");
+        assert!(last.contains("drive d0: ") && last.contains("its parameters was interrupted"), "{last}");
     }
 }
 

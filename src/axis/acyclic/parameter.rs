@@ -55,7 +55,7 @@ pub trait Notation: Debug + Send + Sync {
 #[derive(Clone, PartialEq, Eq, Error)]
 pub enum NotationError {
     /// No address of this protocol.
-    #[error("no address of this drive; write {form}")]
+    #[error("not an address of this drive; write {form}")]
     Address {
         /// What would be right.
         form: &'static str,
@@ -77,7 +77,7 @@ pub enum NotationError {
         high: i64,
     },
     /// No value of this parameter.
-    #[error("{value} is no value of this parameter; write {form}")]
+    #[error("{value} is not a value of this parameter; write {form}")]
     Value {
         /// What was given.
         value: String,

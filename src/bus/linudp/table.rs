@@ -145,7 +145,7 @@ pub struct Table {
 
 /// An entry leads to one that is not there: the drive would end in error 008Ah.
 #[derive(Clone, Copy, PartialEq, Eq, Error)]
-#[error("{by} of entry {} leads to entry {to}, which is not there; add it or lead elsewhere", .entry.wire())]
+#[error("{by} of entry {} leads to entry {to}, which does not exist; add it or change the reference", .entry.wire())]
 pub struct DeadEnd {
     /// The entry that leads there.
     pub entry: EntryId,
@@ -284,7 +284,7 @@ mod tests {
         assert_eq!(table.dead_ends(), expected);
         assert_eq!(
             expected[1].to_string(),
-            "if_false of entry 2 leads to entry 4, which is not there; add it or lead elsewhere"
+            "if_false of entry 2 leads to entry 4, which does not exist; add it or change the reference"
         );
         assert!(Table::new().dead_ends().is_empty() && Table::new().is_empty());
     }

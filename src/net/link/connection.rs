@@ -148,7 +148,7 @@ impl Connection {
                 self.greeted(now, greeted)
             }
             Phase::Greeting { done: true, .. } if !bytes.is_empty() => {
-                self.fail(now, format!("{} says something that nobody asked for", self.peer.address))
+                self.fail(now, format!("{} sends something that nobody requested", self.peer.address))
             }
             _ => Action::Wait,
         }

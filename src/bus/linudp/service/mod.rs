@@ -82,7 +82,7 @@ pub enum ServiceError {
         error: CallError,
     },
     /// It is of another protocol.
-    #[error("drive {drive} is no LinMot drive: these services are its")]
+    #[error("drive {drive} is not a LinMot drive, and only that has these services")]
     NotLinMot {
         /// The drive.
         drive: String,
@@ -117,7 +117,7 @@ pub enum ServiceError {
         start: Box<ServiceError>,
     },
     /// Broken off. What the drive had before is there again.
-    #[error("drive {drive}: {what} was broken off; the drive has what it had before")]
+    #[error("drive {drive}: {what} was interrupted; the drive has what it had before")]
     BrokenOff {
         /// The drive.
         drive: String,

@@ -386,7 +386,7 @@ pub enum ResponseError {
         bytes: usize,
     },
     /// A function that nobody asks for here.
-    #[error("function {function} was never asked for: not a Unidrive, or another client's answer")]
+    #[error("function {function} was never requested: not a Unidrive, or another client's answer")]
     Function {
         /// That of the message.
         header: Header,
