@@ -85,7 +85,7 @@ crate::errors::debug_as_display!(StartError);
 #[derive(Clone, PartialEq, Error)]
 pub enum MasterError {
     /// No such axis.
-    #[error("there is no axis {name}; there are {known}")]
+    #[error("there is no axis {name}; there are: {known}")]
     NoAxis {
         /// What was asked for.
         name: String,

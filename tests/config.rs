@@ -168,8 +168,7 @@ fn addresses_are_ipv4_and_within_reach() {
     assert_eq!(
         wrong("127.0.0.1", "10.0.0.2"),
         ["m.toml:9: bus.drive.address = \"10.0.0.2\": cannot be reached from bind = \"127.0.0.1\"; bind to \
-             the adapter that \
-          the drive is on"]
+             the adapter of the drive's network"]
     );
     assert_eq!(
         wrong("10.0.0.1", "127.0.0.2"),
@@ -236,6 +235,9 @@ fn files_that_cannot_be_read_say_so() {
         format!("cannot read no/such.toml: No such file or directory; {remedy}")
     );
     assert_eq!(error("src".as_ref()), format!("cannot read src: Is a directory; {remedy}"));
+    // What `fn main() -> Result<(), Box<dyn Error>>` prints.
+    let shown = format!("{:?}", Box::<dyn std::error::Error>::from(load("src").unwrap_err()));
+    assert_eq!(shown, error("src".as_ref()));
     let device = format!("cannot read /dev/zero: it is a device or a socket; {remedy}");
     assert_eq!(error("/dev/zero".as_ref()), device);
 
@@ -292,7 +294,7 @@ fn a_file_that_is_no_toml_is_one_mistake() {
         );
     }
     // One that is TOML but for a few slips has all of them named.
-    let slips = machine("drive", "divisor\nphase = 1ms\nscale =\n");
+    let slips = machine("drive", "divisor = 1ms\nphase = 2ms\nscale = 1 2\n");
     let said = mistakes(&slips);
     assert_eq!(said.len(), 3, "{said:#?}");
     assert!(!said.iter().any(|line| line.contains("is this a TOML file?")), "{said:#?}");
@@ -712,7 +714,7 @@ m.toml: 4 drives, 1 bus
 cycle: every 2 ms (500 Hz), on the last core, SCHED_FIFO 80 and all memory of the process locked if this host grants it
   wakes with a calibrated final spin, takes replies by poll until 1 ms into the cycle
   an overrun skips slots and keeps the grid, more than 10 in a row stop all axes
-  a cycle that is late by more than 200 us is counted, with its cause
+  a cycle that is late by more than 200 us is counted with its cause
 bus portal: linudp-v2, 4 drives
   drive x: 192.168.1.1:41136 -> 192.168.1.11:49360
     streams "pva", a setpoint every 2 ms (the drive takes 400 us ... 10 ms)
@@ -905,7 +907,7 @@ fn a_connection_of_its_own_is_told_by_address_and_port() {
     assert_eq!(
         mistakes(&text),
         [
-            "m.toml:14: bus.drive.address = \"127.0.0.21:502\": is the drive of line 7 already; one drive an \
+            "m.toml:14: bus.drive.address = \"127.0.0.21:502\": is already the drive of line 7; one drive an \
              address and port",
             "m.toml:20: bus.drive.address = \"127.0.0.21\": is already that of the drive of line 7; one drive \
              per IP address",
@@ -963,7 +965,10 @@ fn a_group_that_cannot_act_together_is_refused_with_the_reason() {
             "name = \"g\"\naxes = [1]",
             "27: group.axes = [1]: must be the names of drives, like [\"x\", \"y\"]",
         ),
-        ("name = \"g\"\naxes = [\"x\"]", "27: group.axes = [\"x\"]: a group of 1: it takes two axes or more"),
+        (
+            "name = \"g\"\naxes = [\"x\"]",
+            "27: group.axes = [\"x\"]: a group of 1: a group needs two axes or more",
+        ),
         ("name = \"g\"\naxes = [\"x\", \"x\"]", "27: group.axes = [\"x\", \"x\"]: x is in it twice"),
         ("name = \"g\"\naxes = [\"x\", \"w\"]", "27: group.axes = [\"x\", \"w\"]: there is no drive w"),
         (
@@ -1001,7 +1006,7 @@ fn who_holds_the_load_and_who_watches_the_application_is_said() {
     let plan = read(&format!("{THREE}[[group]]\nname = \"g\"\naxes = [\"y\", \"x\"]\n"));
     let told = describe(&plan).join("\n");
     for line in [
-        "  an application that is silent for 250 ms stops all enabled axes",
+        "  a silence of the application of 250 ms stops all enabled axes",
         "    vertical load: power goes off at standstill, or by the time-out; set the drive to close its \
          brake before its power stage goes off",
         "    vertical load: only the powered drive holds it, so the master never powers it off",
@@ -1034,7 +1039,7 @@ fn a_plan_built_in_code_is_checked_by_the_same_rules() {
         "cycle: a period of 0 is outside",
         "drive x: its name is taken",
         "drive \"../y\": its name must be 1 to 32 letters, digits, - _ or .",
-        "drive x: scale: has to be a finite number",
+        "drive x: scale: must be a finite number",
         "drive x: phase: must be below divisor = 1",
         "drive x: stop.how: would let a vertical load drop",
         "drive x: address: is taken by another drive",

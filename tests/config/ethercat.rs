@@ -87,9 +87,9 @@ name = "c"
     assert_eq!(
         mistakes(&text.replace("position = 7", "position = 1")),
         [
-            "m.toml:13: bus.device.position = 1: 1 is the place of io already; each slave has its own, \
+            "m.toml:13: bus.device.position = 1: 1 is already the place of io; each slave has its own, \
              counted from 0 at the master",
-            "m.toml:14: bus.drive.position: 2 is the place of b already; each slave has its own, counted from \
+            "m.toml:14: bus.drive.position: 2 is already the place of b; each slave has its own, counted from \
              0 at the master",
         ]
     );
@@ -123,9 +123,9 @@ name = "b"
             "m.toml:8: bus.device.name = \"a\": is already the drive of line 6; names are unique in the machine",
             "m.toml:12: bus.interface = \"eth1\": is that of the bus of line 4 already; one bus an interface, \
              put its drives there",
-            "m.toml:13: bus.device.position: 0 is the place of b already; each slave has its own, counted \
+            "m.toml:13: bus.device.position: 0 is already the place of b; each slave has its own, counted \
              from 0 at the master",
-            "m.toml:14: bus.device.name = \"io\": is the drive of line 16 already; names are unique in the machine",
+            "m.toml:14: bus.device.name = \"io\": is already the drive of line 16; names are unique in the machine",
         ]
     );
     // No slaves of its own: nothing else is reported.
@@ -151,7 +151,7 @@ fn only_a_bus_with_a_clock_can_lead_the_grid() {
     assert!(says(&plan, "  its clock leads: the grid follows it ([cycle] reference)"));
     assert!(says(&read(&line("", "")), "  its clock follows the grid ([cycle] reference would let it lead)"));
     for (reference, drive, message) in [
-        ("ethercta", "", "is not a bus of this machine; take \"ethercat\""),
+        ("ethercta", "", "is not a bus of this machine; use \"ethercat\""),
         ("modbus-tcp", "", "is a bus without a clock (modbus-tcp); take \"ethercat\""),
         (
             "ethercat",
@@ -243,7 +243,11 @@ held_by = "brake"
 fn what_is_not_looked_at_is_said() {
     let told = |section, fragment: &str| describe(&read(&line(section, fragment))).join("\n");
     for (section, fragment, words) in [
-        ("bus", "lrw = false", "outputs and inputs apart (lrw = false), whatever the divisors: 122 bytes"),
+        (
+            "bus",
+            "lrw = false",
+            "outputs and inputs in separate datagrams (lrw = false), whatever the divisors: 122 bytes",
+        ),
         (
             "",
             "check_prbase = false",
@@ -329,7 +333,7 @@ bus portal: ethercat, 3 drives
     AKD, vendor 0x6A, any product, any revision
     writes 1724h = 0x607A:0 target-position, 0x6040:0 control-word, 0x60B2:0 torque-feed-forward (8 bytes); reads 1B24h
         = 0x6064:0 position, 0x6041:0 status-word (6 bytes); selected by 1C12h and 1C13h
-    mode 0x08 (cyclic synchronous position): positions by 0x607A:0, 1048576 increments a turn
+    mode 0x08 (cyclic synchronous position): positions by 0x607A:0, 1048576 increments per turn
     takes moves, streams, jogs, velocities and homing
     its cycle is SYNC0 every 1 ms, 500 us after the frame; its window is 320 us: the second interrupt in a row outside
         it is fault F28
@@ -357,7 +361,7 @@ fn a_period_has_to_suit_the_drives() {
     for period in ["250us", "750us", "1ms", "2ms", "10ms"] {
         assert_eq!(told(period, ""), None, "{period}");
     }
-    let s700 = "drive k takes whole multiples of 250 us, up to 31.75 ms; take one of them";
+    let s700 = "drive k needs a period that is a whole multiple of 250 us, up to 31.75 ms";
     for period in ["100us", "300us", "1.1ms", "32ms"] {
         assert_eq!(told(period, "").unwrap(), format!("m.toml:2: cycle.period = \"{period}\": {s700}"));
     }
@@ -378,8 +382,8 @@ fn more_slaves_than_a_frame_has_room_for_go_by_more_frames() {
         let text = line("", "") + &(0..count).map(device).collect::<String>();
         describe(&read(&text)).join("\n")
     };
-    assert!(told(4).contains("one frame every 1 ms carries all that 5 slaves exchange"), "{}", told(4));
-    assert!(told(6).contains("2 frames every 1 ms carry all that 7 slaves exchange"), "{}", told(6));
+    assert!(told(4).contains("one frame every 1 ms carries the process data of 5 slaves"), "{}", told(4));
+    assert!(told(6).contains("2 frames every 1 ms carry the process data of 7 slaves"), "{}", told(6));
 }
 
 #[test]
@@ -407,7 +411,7 @@ fn a_line_built_in_code_is_checked_by_the_same_rules() {
         "0 phase: must be below divisor = 1",
         "0 device: k0: its name is taken",
         "0 device: \"a b\": its name must be",
-        "0 period: drive k0 takes whole multiples of 250 us",
+        "0 period: drive k0 needs a period that is a whole multiple of 250 us",
         "1 watchdog: is counted in whole steps of 100 us",
         "0 device: k0: position: 1 is the place of k1 already",
         "0 device: k0: watchdog: trips after 100 us without outputs",

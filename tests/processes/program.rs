@@ -158,8 +158,7 @@ fn check_as_json_is_one_object_with_the_plan_or_the_mistakes() {
 
     let machine = Machine::new(180);
     let text = std::fs::read_to_string(machine.plain(1)).unwrap();
-    let config = machine.write("m.toml", text.replace("priority = ", "priority = -").replace("d0", "d 0"));
-    let config = machine.write("m.toml", std::fs::read_to_string(config).unwrap() + "divisor = 0\n");
+    let config = machine.write("m.toml", text.replace("d0", "d 0") + "divisor = 0\n");
     let ended = run(["check".as_ref(), config.as_os_str(), "--json".as_ref()]);
     ended.expect(2);
     let said = ended.json();
@@ -179,22 +178,21 @@ fn check_as_json_is_one_object_with_the_plan_or_the_mistakes() {
 #[test]
 fn the_completions_of_bash_are_a_script_that_knows_all_commands() {
     let script = run(["completions", "bash"]).expect(0).out.clone();
-    let complete = |words: &str, last: usize| {
-        let words_of =
-            format!("COMP_WORDS=({words}); COMP_CWORD={last}; COMP_TYPE=9; _fieldbeat fieldbeat x y");
-        let bash = format!(
-            "set -e\ncompgen() {{ builtin compgen \"$@\" || true; }}\n{script}\n{words_of}\necho ${{COMPREPLY[@]}}"
-        );
-        let output = Command::new("bash").args(["--norc", "-c", &bash]).output().unwrap();
-        assert!(output.status.success(), "{output:?}");
+    let complete = |before: &str, current: &str| {
+        let last = before.split_whitespace().count();
+        let words = format!("COMP_WORDS=({before} '{current}') COMP_CWORD={last}");
+        let call = format!("_fieldbeat fieldbeat '{current}' x || true; echo \"${{COMPREPLY[@]}}\"");
+        let script = format!("{script}\n{words}\n{call}");
+        let output = Command::new("bash").args(["--norc", "-c", &script]).output().unwrap();
+        assert!(output.status.success() && output.stderr.is_empty(), "{output:?}");
         String::from_utf8(output.stdout).unwrap()
     };
-    let known = complete("fieldbeat ''", 1);
+    let known = complete("fieldbeat", "");
     for command in commands() {
         assert!(known.split_whitespace().any(|word| word == command), "no {command}: {known}");
     }
-    assert_eq!(complete("fieldbeat che", 1).trim(), "check");
-    assert!(complete("fieldbeat check --j", 2).contains("--json"));
+    assert_eq!(complete("fieldbeat", "che").trim(), "check");
+    assert!(complete("fieldbeat check", "--j").contains("--json"));
     for shell in ["zsh", "fish", "elvish", "powershell"] {
         assert!(run(["completions", shell]).expect(0).out.contains("blackbox"), "{shell}");
     }

@@ -136,7 +136,7 @@ fn the_demos_are_found_by_their_configuration_and_told_apart_by_their_process() 
         Program::spawn(&mut own(&machine, &all)).end()
     };
     let _one = answering(&machine, "demo.sock", 11, None);
-    for arguments in [&[][..], &[&demo], &["--pid", "11"], &[&demo, "--pid", "11"]] {
+    for arguments in [&[][..], &[&*demo], &["--pid", "11"], &[&*demo, "--pid", "11"]] {
         assert_eq!(pid(arguments), 11, "{arguments:?}");
     }
     get(&[]).failed(&["this is 11"]);

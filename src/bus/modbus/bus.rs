@@ -255,7 +255,7 @@ impl BusPlan for ModbusPlan {
             faults.extend(all.map(|fault| (index, fault)));
             if self.drives[..index].iter().any(|other| other.address == drive.address) {
                 let taken =
-                    PlanFault::new("address", "is taken by another drive; one drive an address and port");
+                    PlanFault::new("address", "is taken by another drive; one drive per address and port");
                 faults.push((index, taken));
             }
         }
