@@ -907,8 +907,7 @@ fn a_connection_of_its_own_is_told_by_address_and_port() {
     assert_eq!(
         mistakes(&text),
         [
-            "m.toml:14: bus.drive.address = \"127.0.0.21:502\": is already the drive of line 7; one drive an \
-             address and port",
+            "m.toml:14: bus.drive.address = \"127.0.0.21:502\": is already that of the drive of line 7; one drive per address and port",
             "m.toml:20: bus.drive.address = \"127.0.0.21\": is already that of the drive of line 7; one drive \
              per IP address",
         ]
@@ -969,7 +968,7 @@ fn a_group_that_cannot_act_together_is_refused_with_the_reason() {
             "name = \"g\"\naxes = [\"x\"]",
             "27: group.axes = [\"x\"]: a group of 1: a group needs two axes or more",
         ),
-        ("name = \"g\"\naxes = [\"x\", \"x\"]", "27: group.axes = [\"x\", \"x\"]: x is in it twice"),
+        ("name = \"g\"\naxes = [\"x\", \"x\"]", "27: group.axes = [\"x\", \"x\"]: x is listed twice"),
         ("name = \"g\"\naxes = [\"x\", \"w\"]", "27: group.axes = [\"x\", \"w\"]: there is no drive w"),
         (
             "name = \"g\"\naxes = [\"x\", \"z\"]",
@@ -1011,8 +1010,8 @@ fn who_holds_the_load_and_who_watches_the_application_is_said() {
          brake before its power stage goes off",
         "    vertical load: only the powered drive holds it, so the master never powers it off",
         "    stopped by a velocity setpoint older than 10 cycles (10 ms); a jog runs until something replaces it",
-        "group g: y, x act in the same cycle, all or none; 3 rounds in which any of them missed an exchange \
-         stop them in motion",
+        "group g: y, x act in the same cycle, all or none; 3 rounds with a missed exchange of any of \
+             them stop the group in motion",
     ] {
         assert!(told.contains(line), "{line}\n{told}");
     }

@@ -121,8 +121,8 @@ name = "b"
         mistakes(text),
         [
             "m.toml:8: bus.device.name = \"a\": is already the drive of line 6; names are unique in the machine",
-            "m.toml:12: bus.interface = \"eth1\": is that of the bus of line 4 already; one bus an interface, \
-             put its drives there",
+            "m.toml:12: bus.interface = \"eth1\": is already that of the bus of line 4; there is one bus \
+             per interface, add the drives to that bus",
             "m.toml:13: bus.device.position: 0 is already the place of b; each slave has its own, counted \
              from 0 at the master",
             "m.toml:14: bus.device.name = \"io\": is already the drive of line 16; names are unique in the machine",
@@ -152,7 +152,7 @@ fn only_a_bus_with_a_clock_can_lead_the_grid() {
     assert!(says(&read(&line("", "")), "  its clock follows the grid ([cycle] reference would let it lead)"));
     for (reference, drive, message) in [
         ("ethercta", "", "is not a bus of this machine; use \"ethercat\""),
-        ("modbus-tcp", "", "is a bus without a clock (modbus-tcp); take \"ethercat\""),
+        ("modbus-tcp", "", "is a bus without a clock (modbus-tcp); use \"ethercat\""),
         (
             "ethercat",
             "sync = false",
@@ -367,7 +367,7 @@ fn a_period_has_to_suit_the_drives() {
     }
     let odd = told("3.25ms", "").unwrap();
     assert!(
-        odd.contains("drive k is told its cycle as 1 ... 255 times a power of ten (object 60C2h)"),
+        odd.contains("drive k takes as its cycle 1 ... 255 times a power of ten (object 60C2h)"),
         "{odd}"
     );
     let akd = "type = \"akd\"\nsync = false";
@@ -412,8 +412,8 @@ fn a_line_built_in_code_is_checked_by_the_same_rules() {
         "0 device: k0: its name is taken",
         "0 device: \"a b\": its name must be",
         "0 period: drive k0 needs a period that is a whole multiple of 250 us",
-        "1 watchdog: is counted in whole steps of 100 us",
-        "0 device: k0: position: 1 is the place of k1 already",
+        "1 watchdog: must be a whole multiple of 100 us",
+        "0 device: k0: position: 1 is already the place of k1",
         "0 device: k0: watchdog: trips after 100 us without outputs",
     ] {
         assert!(told.iter().any(|line| line.starts_with(begin)), "{begin}\n{told:#?}");

@@ -196,7 +196,7 @@ fn a_device_that_is_refused_is_named_on_the_terminal_and_asked_through_its_maste
     let asked = || ask("param get", &config, "io 0x1018:1");
     let alone = asked();
     alone.expect(1);
-    assert!(alone.err.contains("io is no drive, and is asked by its running master only"), "{}", alone.err);
+    assert!(alone.err.contains("io is not a drive: only a running master can access it"), "{}", alone.err);
 
     let mut master = master(&config, &["--json"]);
     let refused = "place 2: its product is 0x";
