@@ -21,7 +21,6 @@ mod tests {
     use crate::bus::OpenError;
     use crate::config;
     use crate::control::AskError;
-    use crate::cycle::Plan;
     use crate::master::{MasterError, StartError};
 
     #[test]

@@ -149,7 +149,7 @@ fn a_wrong_file_is_told_before_anything_is_sent() {
             "table",
             "link.toml",
             table.replace("next = 3", "next = 99"),
-            ["link.toml", "leads to entry 99, which is not there"],
+            ["link.toml", "leads to entry 99, which does not exist"],
         ),
         (
             "table",

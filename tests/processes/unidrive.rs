@@ -43,7 +43,7 @@ fn a_mapping_that_cannot_be_is_refused_by_check_with_the_reason() {
     let machine = Machine::new(110);
     let text = std::fs::read_to_string(mixed(&machine)).unwrap();
     for (fragment, reason) in [
-        ("map.speed = \"18.011\"", "18.011 is not one that is known here"),
+        ("map.speed = \"18.011\"", "18.011 is not known here"),
         (
             "also_read = [{ parameter = \"18.001 ... 18.061\", bits = 32 }]",
             "122 registers from 18.001 on are more than the 120",
@@ -104,7 +104,7 @@ fn what_is_no_menu_is_refused_before_anything_is_sent() {
     let config = mixed(&machine);
     for (rest, reason) in [
         ("u", "drive u lists by menu; name one, like 06"),
-        ("u 06.042", "06.042: no menu"),
+        ("u 06.042", "06.042: not a menu"),
         ("u 06 --values", "leave --modified, --values and --from out"),
         ("x 06", "drive x has no menus; leave 06 out"),
     ] {

@@ -198,7 +198,7 @@ impl Note {
                 abort.0,
                 abort.name().unwrap_or("not known")
             ),
-            Note::Watchdog => "its watchdog reads back otherwise than set".into(),
+            Note::Watchdog => "its watchdog does not read back as set".into(),
             Note::WaitsForClock => "it waits for the clock of the first slave with sync".into(),
             Note::WaitsForLock(None) => "it waits for the grid to meet its SYNC0, and for its clock to be seen".into(),
             Note::WaitsForLock(Some(error)) => {
