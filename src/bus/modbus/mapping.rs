@@ -452,7 +452,7 @@ mod tests {
         assert!(mapping.reads().iter().any(|block| block.registers == 120 && block.roles.len() == 60));
         let fault = Mapping::new(&drive(also(61))).unwrap_err();
         assert!(
-            fault.message.contains("122 registers from 20.001 on are more than the 120 of one request"),
+            fault.message.contains("122 registers from 20.001 on exceed the 120 of one request"),
             "{fault:?}"
         );
     }
