@@ -18,8 +18,8 @@ pub struct Check {
     ///
     /// Keys of a plan: `source`, `cycle`, `buses`, `drives` (each with `name`, `protocol`, `address`,
     /// `stop_bound_cycles`, `stop_bound_ns`, `drive_watchdog_ns`, `if_master_dies` and more), `groups`, and `errors`,
-    /// empty unless this host cannot carry the plan. Each of the errors has `file`, `line`, `key`, `value`, `message`;
-    /// the exit code is 2 then.
+    /// empty unless this host cannot carry the plan. Each error has `file`, `line`, `key`, `value` and `message`. With
+    /// errors the exit code is 2.
     #[arg(long)]
     json: bool,
 }

@@ -48,7 +48,7 @@ enum Command {
     Sim(sim::Sim),
     /// The master of CONFIG: brings the drives online and exchanges with them every cycle.
     Run(run::Run),
-    /// The plan of CONFIG in words; refuses what cannot work, with the reason.
+    /// The plan of CONFIG in words or as JSON; refuses what cannot work, with the reason.
     Check(check::Check),
     /// The state of a running master, and what it measured so far.
     Status(status::Status),

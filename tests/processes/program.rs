@@ -213,6 +213,12 @@ fn the_manual_names_every_command_and_has_a_page_for_each() {
     let whole = std::fs::read_to_string(directory.join("fieldbeat.1")).unwrap();
     assert!(whole.contains("safety function") && page.contains("safety function"), "{whole}");
     assert!(directory.join("fieldbeat-param-get.1").is_file());
+    // Not every computer has man.
+    let file = std::fs::File::open(machine.write("page.1", &page)).unwrap();
+    if let Ok(rendered) = Command::new("man").args(["--warnings", "-l", "-"]).stdin(file).output() {
+        assert!(rendered.status.success() && rendered.stderr.is_empty(), "{rendered:?}");
+        assert!(String::from_utf8_lossy(&rendered.stdout).contains("FIELDBEAT CHECK"), "{rendered:?}");
+    }
     let way = machine.write("way", "");
     run(["man".as_ref(), "--dir".as_ref(), way.as_os_str()]).failed(&[
         "cannot write to ",
