@@ -68,6 +68,7 @@ pub mod config;
 pub mod control;
 pub mod cycle;
 pub mod doctor;
+mod errors;
 pub mod master;
 pub mod net;
 pub mod rt;

@@ -37,8 +37,8 @@ pub struct Units {
 }
 
 /// A value that the wire cannot carry.
-#[derive(Clone, Copy, Debug, PartialEq, Error)]
-#[error("{value} {unit} is outside what the drive can be told ({low} ... {high}): give a value inside")]
+#[derive(Clone, Copy, PartialEq, Error)]
+#[error("{value} {unit} is outside the range of the drive ({low} ... {high}): give a value inside it")]
 pub struct RangeError {
     /// The value asked for, in `unit`.
     pub value: f64,
@@ -49,6 +49,7 @@ pub struct RangeError {
     /// The largest value that fits.
     pub high: f64,
 }
+crate::errors::debug_as_display!(RangeError);
 
 impl Units {
     /// Millimetres on a drive that counts so many per millimetre.

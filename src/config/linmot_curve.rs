@@ -42,7 +42,7 @@ pub fn parse(text: &str, file: &str) -> Result<Curve, ConfigErrors> {
     let rows: Vec<(usize, &str)> = (first..).zip(text.lines().skip(first - 1)).collect();
     let rows: Vec<(usize, &str)> = rows.into_iter().filter(|(_, line)| !line.trim().is_empty()).collect();
     let Some((columns, rows)) = rows.split_first() else {
-        let message = format!("{file} has no rows; a curve is a head, a line of columns and its setpoints");
+        let message = format!("{file} has no rows; a curve has a head, a line of columns and its setpoints");
         return Err(whole_file(file, None, message));
     };
     let page = Page::new(file, &head);
@@ -115,14 +115,14 @@ fn y_column(dimension: Dimension) -> Column {
 
 /// The whole file. What is wrong is noted on the page, and the curve is not handed out then.
 fn curve(page: &Page<'_>, mut head: Table<'_>, columns: (usize, &str), rows: &[(usize, &str)]) -> Curve {
-    head.require("id", "curves are told apart by it, 1 to 100");
+    head.require("id", "the number of the curve, 1 to 100");
     head.require("kind", "\"time\" or \"cam\"");
     head.require("length", "from the first setpoint to the last, in the unit of the first column");
     let hint = "at most 22 printable ASCII characters";
     let name = head.text("name", hint, |name| Curve::name_bytes(name).ok());
     let name_bytes = head.bytes::<NAME_SIZE>("name_bytes");
     if head.gives("name") && head.gives("name_bytes") {
-        head.fault("name_bytes", "cannot stand beside name; keep one");
+        head.fault("name_bytes", "cannot be used together with name; keep one");
     }
     let kind = head.word("kind", &[("time", CurveKind::Time), ("cam", CurveKind::Cam)]);
     let x_dimension = dimension(&mut head, "x_dimension").or(kind.map(|kind| usual(kind).0));
@@ -201,7 +201,7 @@ fn has_columns(page: &Page<'_>, (line, text): (usize, &str), expected: [&str; 2]
     for (index, (found, expected)) in found.iter().zip(expected).enumerate() {
         if *found != expected {
             let message =
-                format!("must be {expected}, as the head has it; convert the rows if their unit is another");
+                format!("must be {expected}, as in the head; convert the rows if their unit is another");
             page.report(Place::in_row(line, &format!("column {}", index + 1), found), message);
             right = false;
         }
@@ -300,14 +300,14 @@ fn check_grid(page: &Page<'_>, length: &Place, (name, decimals): Column, x_lengt
         Some((gap, row)) => {
             let (gap, usual) = (show(gap), show(usual));
             let message = format!(
-                "is {gap} behind the row before, others are {usual} apart: a row is missing, doubled or shifted; \
+                "is {gap} after the row before, the others are {usual} apart: a row is missing, doubled or shifted; \
                  setpoints are equidistant"
             );
             page.report(Place::in_row(row.line, name, row.text), message);
         }
         None => {
             let last = rows.last().map_or(0.0, |row| row.x);
-            let message = format!("but the last row is at {}; both must be the same", show(last));
+            let message = format!("but the last row is at {}; both must be equal", show(last));
             page.report(length.clone(), message);
         }
     }

@@ -120,15 +120,15 @@ fn entries_of(mut root: Table<'_>) -> table::Table {
     let mut places: HashMap<EntryId, Place> = HashMap::new();
     let mut leads: HashMap<(EntryId, &str), Place> = HashMap::new();
     if !root.gives("entry") {
-        root.fault("entry", "missing; a command table has an [[entry]] each, or is entry = []");
+        root.fault("entry", "missing; a command table has an [[entry]] for each entry, or is entry = []");
     }
     let empty = root.read("entry", |value| Ok(value.as_array().is_some_and(|entries| entries.is_empty())));
     let tables = if empty == Some(true) { Vec::new() } else { root.tables("entry") };
     for mut table in tables {
-        table.require("id", "entries are told apart by it, 1 to 255");
+        table.require("id", "the number of the entry, 1 to 255");
         let id = table.integer("id", 1..=255, "ids are 1 to 255").and_then(|id| EntryId::new(id).ok());
         if let Some(first) = id.and_then(|id| places.get(&id)) {
-            table.fault("id", format!("is the entry of {first} already; ids are unique"));
+            table.fault("id", format!("is already the entry of {first}; ids are unique"));
         } else if let Some(id) = id {
             places.insert(id, table.place("id"));
         }
@@ -144,7 +144,10 @@ fn entries_of(mut root: Table<'_>) -> table::Table {
         let wrong = places.keys().any(|id| i64::from(id.wire()) == end.to);
         if let (false, false, Some(place)) = (incomplete, wrong, leads.get(&(end.entry, end.by))) {
             let to = end.to;
-            root.report(place, format!("leads to entry {to}, which is not there; add it or lead elsewhere"));
+            root.report(
+                place,
+                format!("leads to entry {to}, which does not exist; add it or change the reference"),
+            );
         }
     }
     root.finish();
@@ -171,7 +174,7 @@ fn entry(table: &mut Table<'_>, command: Command, incomplete: bool) -> Option<En
     let name = table.text("name", hint, |name| Entry::name_bytes(name).ok());
     let name_bytes = table.bytes::<NAME_SIZE>("name_bytes");
     if table.gives("name") && table.gives("name_bytes") {
-        table.fault("name_bytes", "cannot stand beside name; keep one");
+        table.fault("name_bytes", "cannot be used together with name; keep one");
     }
     let count: u16 = table.integer("count", 0..=15, "the lowest 4 bits of the header").unwrap_or(0);
     let reserved = table.bytes::<RESERVED_SIZE>("reserved").unwrap_or_default();
@@ -207,7 +210,7 @@ fn field(table: &mut Table<'_>, field: &Field) -> Option<i64> {
     let [low, high] = [low, high].map(|bound| value::decimal(bound.into(), kind.decimals()));
     let range = format!("{low} to {high} {}", kind.unit());
     let range = range.trim_end();
-    table.require(field.name, &format!("the command carries it, {range}"));
+    table.require(field.name, &format!("a parameter of the command, {range}"));
     table.read(field.name, |value| match kind.decimals() {
         0 => (integer(value).and_then(|value| i64::try_from(value).ok()))
             .filter(|value| kind.check(*value).is_ok())

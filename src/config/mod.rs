@@ -14,6 +14,7 @@
 //! | `ethercat_values` | areas of memory, objects and PDOs as people write them |
 //! | `faults` | the faults of simulated drives |
 //! | `describe` | a plan in words |
+//! | `json` | a plan as one JSON object |
 //! | `linmot_table` | a LinMot drive's command table as a file of its own |
 //! | `linmot_curve` | a LinMot drive's curve as a file of its own |
 //!
@@ -31,6 +32,7 @@ mod ethercat;
 mod ethercat_device;
 mod ethercat_values;
 mod faults;
+mod json;
 pub mod linmot_curve;
 pub mod linmot_table;
 mod linudp;
@@ -39,14 +41,17 @@ mod reader;
 mod value;
 
 use std::collections::HashMap;
-use std::io;
+use std::fs::{self, File, Metadata};
+use std::io::{self, Read};
 use std::net::{Ipv4Addr, SocketAddrV4};
+use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 pub use cycle::starvation;
 pub use describe::{describe, stop_bound, stop_bound_cycles};
 pub use error::{ConfigError, ConfigErrors};
+pub use json::json;
 
 use crate::bus::BusPlan;
 use crate::cycle::{CyclePlan, GroupPlan, Plan};
@@ -55,8 +60,8 @@ use reader::{Page, Place, Table};
 
 /// The sample that runs everywhere, without privileges or hardware.
 const DEMO: &str = include_str!("../../rt-config/demo.toml");
-/// Where it stands, for messages.
-const DEMO_FILE: &str = "rt-config/demo.toml";
+/// Where it stands: what the plan of the demo has as its source.
+pub const DEMO_FILE: &str = "rt-config/demo.toml";
 
 /// Reads the configuration at `path`.
 pub fn load(path: impl AsRef<Path>) -> Result<Plan, ConfigErrors> {
@@ -64,18 +69,70 @@ pub fn load(path: impl AsRef<Path>) -> Result<Plan, ConfigErrors> {
     parse(&text, &file)
 }
 
+/// The most that a configuration, a curve or a table may have, bytes: a hundred times what 256 drives need.
+const LONGEST: u64 = 16 << 20;
+
+/// The one pipe that is read: its writer is there, and somebody asked for it by this name.
+const STANDARD_INPUT: &str = "/dev/stdin";
+
 /// A file's name and text; `kind` says what kind of file it should be, with an example.
 fn read(path: &Path, kind: &str) -> Result<(String, String), ConfigErrors> {
     let file = path.display().to_string();
-    let bytes = std::fs::read(path).map_err(|error| unreadable(&file, &error, kind))?;
-    match String::from_utf8(bytes) {
-        Ok(text) => Ok((file, text)),
-        Err(error) => {
-            let valid = &error.as_bytes()[..error.utf8_error().valid_up_to()];
-            let line = valid.iter().filter(|byte| **byte == b'\n').count() + 1;
-            Err(whole_file(&file, Some(line), "not UTF-8; save the file as UTF-8 text".into()))
+    let bytes =
+        regular(path, kind).map_err(|why| whole_file(&file, None, format!("cannot read {file}: {why}")))?;
+    // NUL is UTF-8, but in no text: UTF-16 has it in every other place, a binary file sooner or later.
+    let text_to = bytes.iter().position(|byte| *byte == 0);
+    let valid_to = std::str::from_utf8(&bytes).err().map(|error| error.valid_up_to());
+    match [text_to, valid_to].into_iter().flatten().min() {
+        Some(end) => {
+            let line = bytes[..end].iter().filter(|byte| **byte == b'\n').count() + 1;
+            Err(whole_file(&file, Some(line), "not UTF-8 text; save the file as UTF-8 text".into()))
         }
+        None => Ok((file, String::from_utf8_lossy(&bytes).into_owned())),
     }
+}
+
+/// The bytes of a regular file that is not too long, or of standard input by its name. Anything else is refused without
+/// being opened: opening a pipe waits for its writer, and some devices act on being opened. Else why not, and the
+/// remedy.
+fn regular(path: &Path, kind: &str) -> Result<Vec<u8>, String> {
+    let failed = |error: io::Error| unreadable(&error, kind);
+    let about = fs::metadata(path).map_err(failed)?;
+    if about.file_type().is_fifo() && path == Path::new(STANDARD_INPUT) {
+        return bounded(io::stdin().lock(), kind);
+    }
+    fit(&about, kind)?;
+    // It may have been replaced meanwhile: it is opened without waiting, and looked at again.
+    let file = File::options().read(true).custom_flags(libc::O_NONBLOCK).open(path).map_err(failed)?;
+    fit(&file.metadata().map_err(failed)?, kind)?;
+    bounded(file, kind)
+}
+
+/// Files of /proc say that they have 0 bytes, and a pipe does not say: more than `LONGEST` is noticed while it is read.
+fn bounded(from: impl Read, kind: &str) -> Result<Vec<u8>, String> {
+    let mut bytes = Vec::new();
+    from.take(LONGEST + 1).read_to_end(&mut bytes).map_err(|error| unreadable(&error, kind))?;
+    match bytes.len() as u64 > LONGEST {
+        true => Err(too_long(kind)),
+        false => Ok(bytes),
+    }
+}
+
+fn fit(about: &Metadata, kind: &str) -> Result<(), String> {
+    let is = about.file_type();
+    match () {
+        () if is.is_dir() => Err(format!("Is a directory; name {kind}")),
+        () if is.is_fifo() => {
+            Err(format!("it is a pipe; write its content to a file, or pipe it into {STANDARD_INPUT}"))
+        }
+        () if !is.is_file() => Err(format!("it is a device or a socket; name {kind}")),
+        () if about.len() > LONGEST => Err(too_long(kind)),
+        () => Ok(()),
+    }
+}
+
+fn too_long(kind: &str) -> String {
+    format!("it has more than {} MiB; name {kind}", LONGEST >> 20)
 }
 
 /// Reads the configuration `text`; messages call it `file`.
@@ -87,7 +144,8 @@ pub fn parse(text: &str, file: &str) -> Result<Plan, ConfigErrors> {
     Ok(Plan { source: Some(PathBuf::from(file)), ..plan })
 }
 
-/// A time as people write it, on the command line as in a file: `"250us"`, `"0.5s"`, `"8h"`.
+/// A time as people write it, on the command line as in a file: a number and its unit, `"250us"`, `"0.5s"`, `"8h"`.
+/// Spaces around both and between them do not matter, as in `"1 ms"`; a number without a unit is refused.
 pub fn duration(text: &str) -> Result<Duration, String> {
     let ns = value::duration(text);
     ns.map(Duration::from_nanos)
@@ -96,6 +154,11 @@ pub fn duration(text: &str) -> Result<Duration, String> {
 
 /// So many demos can run on one computer at a time, each with addresses of its own.
 pub const DEMO_PLACES: usize = 8;
+
+/// Whether the file at `path` is the configuration that `fieldbeat demo` has built in, as far as it can be read.
+pub fn is_demo(path: impl AsRef<Path>) -> bool {
+    regular(path.as_ref(), "").is_ok_and(|bytes| bytes == DEMO.as_bytes())
+}
 
 /// The demo with so many LinMots, 1 ... 128, two Unidrives and two Kollmorgens, and this period. A period that no
 /// Kollmorgen takes, as 333 us, leaves them out. `place`, below [`DEMO_PLACES`], chooses the addresses: 127.77.x.y and
@@ -160,16 +223,15 @@ fn demo_text(drives: usize, period_ns: u64, place: usize) -> String {
 /// The longest period in which the demo's LinMots take a stream (LinUDP V2 manual, PVA streaming: 0.4 ... 10 ms).
 pub const DEMO_STREAMS_UP_TO_NS: u64 = 10 * MS;
 
-fn unreadable(file: &str, error: &io::Error, kind: &str) -> ConfigErrors {
+fn unreadable(error: &io::Error, kind: &str) -> String {
     let reason = match error.raw_os_error() {
         Some(number) => nix::errno::Errno::from_raw(number).desc().to_owned(),
         None => error.to_string(),
     };
-    let remedy = match error.kind() {
-        io::ErrorKind::PermissionDenied => "let this user read it".to_owned(),
-        _ => format!("name {kind}"),
-    };
-    whole_file(file, None, format!("cannot read {file}: {reason}; {remedy}"))
+    match error.kind() {
+        io::ErrorKind::PermissionDenied => format!("{reason}; let this user read it"),
+        _ => format!("{reason}; name {kind}"),
+    }
 }
 
 fn whole_file(file: &str, line: Option<usize>, message: String) -> ConfigErrors {
@@ -247,7 +309,7 @@ fn drive_tables<'a>(bus: &mut Table<'a>, own: &'static [&'static str]) -> Vec<Ta
 
 /// A `[[group]]`: axes that act together.
 fn group(table: &mut Table<'_>, plan: &Plan) -> Option<GroupPlan> {
-    table.require("name", "how programs ask for it");
+    table.require("name", "the name by which programs use the group");
     table.require("axes", "the names of its drives, like [\"x\", \"y\"]");
     let name = table.text("name", "1 to 32 letters, digits, - _ or .", drive::plain_name);
     let axes = table.read("axes", |value| {
@@ -300,7 +362,7 @@ impl Machine {
             return; // Missing or wrong, and already reported.
         }
         if let Some((kind, first)) = self.names.get(name) {
-            table.fault("name", format!("is the {kind} of {first} already; names are unique in the machine"));
+            table.fault("name", format!("is already the {kind} of {first}; names are unique in the machine"));
         } else {
             self.names.insert(name.to_owned(), (kind, table.place("name")));
         }
@@ -311,7 +373,10 @@ impl Machine {
         if let Some(first) = self.interfaces.get(interface) {
             table.fault(
                 "interface",
-                format!("is that of the bus of {first} already; one bus an interface, put its drives there"),
+                format!(
+                    "is already that of the bus of {first}; there is one bus per interface, add the \
+                    drives to that bus"
+                ),
             );
         } else {
             self.interfaces.insert(interface.to_owned(), table.place("interface"));
@@ -325,10 +390,10 @@ impl Machine {
         match self.buses.get(&name) {
             Some(first) if table.gives("name") => {
                 table
-                    .fault("name", format!("is the bus of {first} already; names are unique in the machine"));
+                    .fault("name", format!("is already the bus of {first}; names are unique in the machine"));
             }
             Some(first) => {
-                table.fault("name", format!("missing; the bus of {first} is called {name} already"));
+                table.fault("name", format!("missing; the bus of {first} already has the name {name}"));
             }
             None => {
                 self.buses.insert(name.clone(), table.place("name"));
@@ -345,13 +410,18 @@ impl Machine {
         if let Some((_, first)) = self.binds.iter().find(|(other, _)| overlaps(other)) {
             table.fault(
                 "bind",
-                format!("is taken by the bus of {first}; one bus an address, put its drives there"),
+                format!(
+                    "is taken by the bus of {first}; there is one bus per address, add the drives to that bus"
+                ),
             );
         }
         let drives = self.addresses.get(bind.ip()).into_iter().flatten();
         let mut hosts = drives.filter(|(_, claim, _)| *claim == Claim::Host);
         if let Some((.., drive)) = hosts.find(|(address, ..)| *address == bind) {
-            table.fault("bind", format!("is the drive of {drive}; give the master's own address"));
+            table.fault(
+                "bind",
+                format!("is the address of the drive of {drive}; give the master's own address"),
+            );
         }
         self.binds.push((bind, table.place("bind")));
     }
@@ -361,12 +431,15 @@ impl Machine {
         let known = self.addresses.entry(*address.ip()).or_default();
         let mut binds = self.binds.iter().filter(|_| claim == Claim::Host);
         if let Some((_, first)) = binds.find(|(bind, _)| *bind == address) {
-            table.fault("address", format!("is the master's own, bind of {first}; give the drive's"));
+            table.fault(
+                "address",
+                format!("is the master's own address, bind of {first}; give the address of the drive"),
+            );
         } else if let Some((_, other, first)) =
             known.iter().find(|(taken, other, _)| by_host(other) || *taken == address)
         {
-            let each = if by_host(other) { "an IP address" } else { "an address and port" };
-            table.fault("address", format!("is the drive of {first} already; one drive {each}"));
+            let each = if by_host(other) { "IP address" } else { "address and port" };
+            table.fault("address", format!("is already that of the drive of {first}; one drive per {each}"));
         } else {
             known.push((address, claim, table.place("address")));
         }

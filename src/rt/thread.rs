@@ -57,7 +57,7 @@ pub struct Granted {
 }
 
 /// Why the loop's thread cannot become what the plan asks for.
-#[derive(Debug, thiserror::Error)]
+#[derive(thiserror::Error)]
 pub enum RealtimeError {
     /// The core is not there or not for this process.
     #[error(
@@ -77,6 +77,7 @@ pub enum RealtimeError {
     #[error("{0}, or set realtime = \"prefer\" for numbers that are not real-time")]
     Denied(#[from] Denied),
 }
+crate::errors::debug_as_display!(RealtimeError);
 
 /// Turns the calling thread into the loop's: pinned, SCHED_FIFO, memory locked and the stack present, in that order, so
 /// that memory is made present from the core that will use it, and a refused thread leaves nothing locked behind.

@@ -50,7 +50,7 @@ pub struct Answer {
 }
 
 /// Why a call was not carried out.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Error, Serialize, Deserialize)]
+#[derive(Clone, Copy, PartialEq, Eq, Error, Serialize, Deserialize)]
 pub enum CallError {
     /// The drive said no, with its own status.
     #[error("the drive refused it with status {0:#04x}")]
@@ -60,7 +60,8 @@ pub enum CallError {
     NotOnline,
     /// No end of it within its time.
     #[error(
-        "the drive did not finish it in time, and may have done it: look whether it is busy (flash, another tool), or allow more time"
+        "the drive did not finish it in time, and may have done it: check whether it is busy (flash, another \
+         tool), or allow more time"
     )]
     TimedOut,
     /// The drive restarted, or lost what it was in the middle of.
@@ -74,7 +75,7 @@ pub enum CallError {
     Skipped,
     /// There was no room for it all the time: it was never sent.
     #[error(
-        "other calls filled the drive's queue all the time, it was never sent: ask again, or give it more room"
+        "other calls kept the drive's queue full, so it was never sent: try again, or raise parameter_queue"
     )]
     Full,
     /// The application uses the channel natively.
@@ -90,9 +91,10 @@ pub enum CallError {
     #[error("the master has ended: start it again")]
     Gone,
     /// The conversation with the master broke off. What was asked last may have been done.
-    #[error("the conversation with the master broke off: look whether it runs, and ask again")]
+    #[error("the connection to the master was lost: check that it runs, and try again")]
     Lost,
 }
+crate::errors::debug_as_display!(CallError);
 
 /// What came of a series of calls: the answers up to the first that failed.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]

@@ -192,7 +192,7 @@ impl TerminalInputs {
 }
 
 /// Why outputs were not taken.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum TerminalError {
     /// The image is of another size.
     #[error("the device has {has} bytes of outputs, not {given}: write all of them at once")]
@@ -206,6 +206,7 @@ pub enum TerminalError {
     #[error("the outputs before these have not gone out yet: write once a cycle at most")]
     Full,
 }
+crate::errors::debug_as_display!(TerminalError);
 
 impl Terminals {
     /// The newest inputs.

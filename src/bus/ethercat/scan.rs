@@ -116,7 +116,7 @@ impl Slave {
 }
 
 /// Why a line was not scanned to its end. Nothing was changed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[derive(Clone, Copy, PartialEq, Eq, Error)]
 pub enum ScanError {
     /// The caller wanted its end.
     #[error("interrupted")]
@@ -125,10 +125,10 @@ pub enum ScanError {
     #[error("{}", unsent(.0))]
     Unsent(Unsent),
     /// Nothing came back.
-    #[error("no slave answers; look at power and cable, and whether the line is at this interface")]
+    #[error("no slave answers; check power and cable, and whether the segment is at this interface")]
     Silent,
     /// A frame came back as it was sent.
-    #[error("frames come back, but no slave has seen them; look for a loop behind this interface")]
+    #[error("frames come back, but no slave has processed them; look for a loop behind this interface")]
     Loop,
     /// A slave was there, and is not any more.
     #[error(
@@ -141,7 +141,9 @@ pub enum ScanError {
         count: u16,
     },
     /// Slaves came or went meanwhile.
-    #[error("the line has changed from {before} to {after} slaves meanwhile; scan again once it is at rest")]
+    #[error(
+        "the segment changed from {before} to {after} slaves during the scan; scan again when it is stable"
+    )]
     Changed {
         /// So many there were.
         before: u16,
@@ -149,9 +151,10 @@ pub enum ScanError {
         after: u16,
     },
     /// Another master works here.
-    #[error("another master ({}) has frames on this interface; end it, or ask it for its slaves", Shown(.0))]
+    #[error("another master ({}) has frames on this interface; end it, or read its slaves from it", Shown(.0))]
     Foreign(Mac),
 }
+crate::errors::debug_as_display!(ScanError);
 
 fn unsent(unsent: &Unsent) -> String {
     match unsent {

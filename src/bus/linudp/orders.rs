@@ -325,7 +325,7 @@ impl Orders {
                 self.begin_rolling(now, slot.velocity, acceleration, inputs);
             }
             Some(Verb::Torque { .. }) => {
-                let why = "it is told positions and velocities, no torques";
+                let why = "it takes positions and velocities, no torques";
                 self.refuse(now, Failure::Unsupported(why), inputs);
             }
             Some(Verb::Follow) if self.stream.is_none() => {

@@ -497,13 +497,13 @@ impl Orders {
             Some(Verb::Home | Verb::Move(_) | Verb::Follow) => {
                 self.refuse(
                     now,
-                    Failure::Unsupported("it is told speeds, not positions: jog, or give it velocities"),
+                    Failure::Unsupported("it takes speeds, not positions: jog, or give it velocities"),
                 );
             }
             Some(Verb::Torque { .. }) => {
                 self.refuse(
                     now,
-                    Failure::Unsupported("it is told speeds, not torques: jog, or give it velocities"),
+                    Failure::Unsupported("it takes speeds, not torques: jog, or give it velocities"),
                 );
             }
             Some(Verb::Jog(jog)) => self.turn(now, jog.acceleration, running, slot),

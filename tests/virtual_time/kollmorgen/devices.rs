@@ -49,7 +49,7 @@ fn a_device_that_is_refused_is_told_by_its_name_and_one_in_operation_is_not() {
     let (drives, devices) = told(machine);
     assert_eq!(drives, [None]);
     let why = devices[0].clone().expect("it is refused");
-    assert!(why.starts_with("place 1: its product is 0x") && why.contains("mend product"), "{why}");
+    assert!(why.starts_with("place 1: its product is 0x") && why.contains("correct product"), "{why}");
 
     let mut machine = Machine::new(line(vec![drive(0, Family::S700)], vec![io(1)]));
     machine.run(3);
@@ -146,7 +146,7 @@ fn a_drive_with_another_resolution_is_refused_unless_that_is_not_looked_at() {
     assert_eq!(refused(20, 4, true), None, "as a ratio it is the same");
     let why = refused(19, 1, true).expect("it counts otherwise");
     assert!(
-        why.contains("its increments a turn (0x608f:1) are 524288") && why.contains("check_prbase = false")
+        why.contains("its increments per turn (0x608f:1) are 524288") && why.contains("check_prbase = false")
     );
     assert_eq!(refused(19, 1, false), None);
 }

@@ -408,7 +408,7 @@ fn remedy(source: &std::io::Error) -> &'static str {
         ErrorKind::PermissionDenied => {
             "sudo setcap cap_sys_nice,cap_ipc_lock,cap_net_raw+ep on the program, or run it as root"
         }
-        ErrorKind::NotFound => "mend interface",
+        ErrorKind::NotFound => "correct interface",
         _ => "look at interface: a network interface like \"eth1\", or \"local:NAME\" for simulated drives",
     }
 }
@@ -570,6 +570,10 @@ impl BusPlan for EthercatPlan {
 
     fn faults(&self, period_ns: u64) -> Vec<(usize, PlanFault)> {
         EthercatPlan::faults(self, period_ns)
+    }
+
+    fn drive_watchdog_ns(&self, index: usize) -> Option<u64> {
+        self.drives.get(index)?.slave.watchdog_ns
     }
 
     fn describe(&self, period_ns: u64) -> Vec<String> {

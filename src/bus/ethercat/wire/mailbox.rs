@@ -141,7 +141,7 @@ impl fmt::Display for MailboxError {
 }
 
 /// Why bytes are no message.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[derive(Clone, Copy, PartialEq, Eq, Error)]
 pub enum MessageError {
     /// It ends within what it begins.
     #[error("a mailbox message of {0} bytes is too short")]
@@ -158,6 +158,7 @@ pub enum MessageError {
     #[error("{0:#04x} is no SDO answer")]
     Command(u8),
 }
+crate::errors::debug_as_display!(MessageError);
 
 /// How far a mailbox has to be read for what its first bytes begin: to the end of a message that is for us, no further
 /// than the header of any other. What does not fit `mailbox` bytes is none.

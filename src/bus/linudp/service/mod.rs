@@ -59,7 +59,7 @@ impl std::fmt::Debug for Services<'_> {
 }
 
 /// Why a service did not come about.
-#[derive(Clone, Debug, PartialEq, Error)]
+#[derive(Clone, PartialEq, Error)]
 pub enum ServiceError {
     /// The drive refused a command, or did not carry it out.
     #[error("drive {drive}: {what}: {why}")]
@@ -82,7 +82,7 @@ pub enum ServiceError {
         error: CallError,
     },
     /// It is of another protocol.
-    #[error("drive {drive} is no LinMot drive: these services are its")]
+    #[error("drive {drive} is not a LinMot drive, and only that has these services")]
     NotLinMot {
         /// The drive.
         drive: String,
@@ -117,7 +117,7 @@ pub enum ServiceError {
         start: Box<ServiceError>,
     },
     /// Broken off. What the drive had before is there again.
-    #[error("drive {drive}: {what} was broken off; the drive has what it had before")]
+    #[error("drive {drive}: {what} was interrupted; the drive has what it had before")]
     BrokenOff {
         /// The drive.
         drive: String,
@@ -135,6 +135,7 @@ pub enum ServiceError {
         remedy: &'static str,
     },
 }
+crate::errors::debug_as_display!(ServiceError);
 
 /// What came before that its software was to be started.
 fn before(failed: &Option<Box<ServiceError>>) -> String {

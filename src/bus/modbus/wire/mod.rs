@@ -75,7 +75,7 @@ pub mod function {
 }
 
 /// Why a stream is no Modbus. There is no mark to find the next message by: the connection has to be closed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[derive(Clone, Copy, PartialEq, Eq, Error)]
 pub enum FrameError {
     /// The protocol identifier is not 0.
     #[error("protocol {0:#06x} in the header where Modbus has 0: not a Modbus TCP peer, or bytes were lost")]
@@ -86,6 +86,7 @@ pub enum FrameError {
     )]
     Length(u16),
 }
+crate::errors::debug_as_display!(FrameError);
 
 /// The length of the whole message at the front of a stream, 8 ... [`ADU_MAX`]; `None` while it is not all there. What
 /// is wrong is said as soon as its field is there.
@@ -243,7 +244,7 @@ impl<'a> Request<'a> {
 }
 
 /// Why a message is no request, and what an exception needs to answer it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[derive(Clone, Copy, PartialEq, Eq, Error)]
 #[error("function {function}: {fault}")]
 pub struct RequestError {
     /// That of the message.
@@ -253,9 +254,10 @@ pub struct RequestError {
     /// What is wrong with it.
     pub fault: RequestFault,
 }
+crate::errors::debug_as_display!(RequestError);
 
 /// What is wrong with a request.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[derive(Clone, Copy, PartialEq, Eq, Error)]
 pub enum RequestFault {
     /// None of the four functions.
     #[error("not one of a Unidrive: 3, 6, 16 and 23 are")]
@@ -264,6 +266,7 @@ pub enum RequestFault {
     #[error("its lengths contradict each other: not a Modbus client, or bytes were lost")]
     Malformed,
 }
+crate::errors::debug_as_display!(RequestFault);
 
 /// A response, as client and server see it. The registers stay where they are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -374,7 +377,7 @@ impl<'a> Response<'a> {
 }
 
 /// Why a message is no response.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[derive(Clone, Copy, PartialEq, Eq, Error)]
 pub enum ResponseError {
     /// It is not what [`frame`] finds.
     #[error("{bytes} bytes are not one message with a header")]
@@ -383,7 +386,7 @@ pub enum ResponseError {
         bytes: usize,
     },
     /// A function that nobody asks for here.
-    #[error("function {function} was never asked for: not a Unidrive, or another client's answer")]
+    #[error("function {function} was never requested: not a Unidrive, or another client's answer")]
     Function {
         /// That of the message.
         header: Header,
@@ -401,6 +404,7 @@ pub enum ResponseError {
         function: u8,
     },
 }
+crate::errors::debug_as_display!(ResponseError);
 
 /// Why a server did not do something (Modbus Application Protocol v1.1b3, 7). A Unidrive knows 1 and 2 only
 /// (SI-Ethernet guide); gateways and other servers the rest.
