@@ -396,8 +396,8 @@ impl Causes {
         let calls = match stage {
             Stage::Receive if late.slept() => return None,
             Stage::Send | Stage::Receive => true,
-            Stage::Exchange => self.task,
-            Stage::Judge | Stage::Prepare | Stage::Publish => false,
+            Stage::Commands => self.task,
+            Stage::Evaluate | Stage::Prepare | Stage::Publish => false,
         };
         let usual = ns as f64 <= USUAL * self.usual_stage_ns[stage as usize];
         if usual || calls && self.explains(late, |span| &mut span.run_ns) {

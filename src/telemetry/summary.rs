@@ -146,10 +146,10 @@ pub struct Stages {
     pub send: Quantiles,
     /// Taking in replies.
     pub receive: Quantiles,
-    /// Link health, limits, stop ladders.
-    pub judge: Quantiles,
+    /// Link health, limits, stop sequences.
+    pub evaluate: Quantiles,
     /// Command queues and the in-loop task.
-    pub exchange: Quantiles,
+    pub commands: Quantiles,
     /// Building the next requests.
     pub prepare: Quantiles,
     /// Feedback, events, records.
@@ -551,8 +551,8 @@ impl Summary {
             stages_ns: Stages {
                 send: stage(Stage::Send),
                 receive: stage(Stage::Receive),
-                judge: stage(Stage::Judge),
-                exchange: stage(Stage::Exchange),
+                evaluate: stage(Stage::Evaluate),
+                commands: stage(Stage::Commands),
                 prepare: stage(Stage::Prepare),
                 publish: stage(Stage::Publish),
             },
@@ -699,8 +699,8 @@ impl fmt::Display for Summary {
         for (name, stage) in [
             ("send", &stages.send),
             ("receive", &stages.receive),
-            ("judge", &stages.judge),
-            ("exchange", &stages.exchange),
+            ("evaluate", &stages.evaluate),
+            ("commands", &stages.commands),
             ("prepare", &stages.prepare),
             ("publish", &stages.publish),
         ] {

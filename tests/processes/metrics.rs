@@ -151,7 +151,7 @@ fn a_scrape_tells_what_the_summary_tells_later() {
     for family in ["fieldbeat_wake_up_seconds", "fieldbeat_cycle_jitter_seconds"] {
         assert_eq!(second.buckets(family, "").len(), 16);
     }
-    for stage in ["send", "receive", "judge", "exchange", "prepare", "publish"] {
+    for stage in ["send", "receive", "evaluate", "commands", "prepare", "publish"] {
         second.buckets("fieldbeat_stage_seconds", &format!("stage=\"{stage}\""));
     }
     program.signal(SIGINT);

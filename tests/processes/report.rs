@@ -60,7 +60,7 @@ fn a_report_holds_summary_histograms_and_pictures() {
 
     let mut expected: BTreeSet<String> = PICTURES.map(String::from).into();
     expected.insert(String::from("summary.json"));
-    let stages = ["send", "receive", "judge", "exchange", "prepare", "publish"];
+    let stages = ["send", "receive", "evaluate", "commands", "prepare", "publish"];
     let of_the_loop = ["wake", "jitter"].map(String::from).into_iter();
     let histograms = (of_the_loop.chain(stages.map(|stage| format!("stage-{stage}"))))
         .chain(["rtt", "send-jitter", "age"].iter().flat_map(|what| [0, 1].map(|d| format!("{what}-d{d}"))));
