@@ -1,4 +1,4 @@
-//! `fieldbeat doctor`: what this host is worth for real time, and how to mend it.
+//! `fieldbeat doctor`: how well this host suits real time, and how to fix what does not.
 
 use std::io::{IsTerminal, Write};
 use std::path::PathBuf;
@@ -9,12 +9,12 @@ use fieldbeat::cycle::CyclePlan;
 use fieldbeat::doctor::{Effort, Measured, Progress, Report, Subject, examine, measure};
 use fieldbeat::time::{S, US, nanos};
 
-use super::{Stop, complain, load, print, span};
+use super::{Stop, complain, load, print, show, span};
 
 /// Arguments of `doctor`.
 #[derive(Debug, Args)]
 pub struct Doctor {
-    /// The machine that this host shall carry; without it, a cycle alone.
+    /// The machine that this host is to run; without it, a cycle alone.
     config: Option<PathBuf>,
     /// Period of the cycle.
     #[arg(long, value_name = "TIME", value_parser = period, conflicts_with = "config", default_value = "1ms")]
@@ -25,13 +25,13 @@ pub struct Doctor {
     /// SCHED_FIFO priority of the loop.
     #[arg(short, long, conflicts_with = "config", value_parser = clap::value_parser!(u8).range(1..=99), default_value = "80")]
     priority: u8,
-    /// Try what can be tried at run time, and judge the period by what was measured.
+    /// Try the settings that can be tried at run time, and measure whether the period is kept.
     #[arg(long)]
     measure: bool,
     /// Measure for about so long.
     #[arg(long = "for", value_name = "TIME", value_parser = effort, requires = "measure", default_value = "50s")]
     duration: Duration,
-    /// The share of late cycles that the machine bears; a minute cannot tell less than a few in ten thousand.
+    /// The share of late cycles that the machine tolerates; a minute cannot resolve less than a few in ten thousand.
     #[arg(long, value_name = "SHARE", value_parser = miss_rate, requires = "measure", default_value = "0.001")]
     miss_rate: f64,
     /// Print the report as one JSON object.
@@ -57,7 +57,7 @@ impl Doctor {
         if self.json {
             print(serde_json::to_string(&report).map_err(Stop::failed)?)?;
         } else {
-            print(&report)?;
+            show(&report)?;
         }
         match report.ready {
             true => Ok(()),

@@ -1,4 +1,4 @@
-//! `fieldbeat status`: a running master, asked through its control socket.
+//! `fieldbeat status`: the numbers of a running master, through its control socket.
 
 use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
@@ -20,7 +20,7 @@ pub struct Status {
     /// Print one JSON object: what it measured so far under `summary`, with the keys of `run --json`.
     #[arg(long)]
     json: bool,
-    /// Ask again and again until Ctrl-C, once in this time (100ms or more).
+    /// Repeat until Ctrl-C, once in this time (100ms or more).
     #[arg(long, value_name = "TIME", value_parser = pause, num_args = 0..=1, default_missing_value = "1s")]
     watch: Option<Duration>,
 }
@@ -121,7 +121,7 @@ fn pause(text: &str) -> Result<Duration, String> {
     let pause = span(text)?;
     if pause < SHORTEST_PAUSE {
         return Err(
-            "must be 100ms or more: each question takes time from the computer of the master".to_owned()
+            "must be 100ms or more: each request takes time from the computer of the master".to_owned()
         );
     }
     Ok(pause)

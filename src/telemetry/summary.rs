@@ -47,19 +47,19 @@ impl Run {
 pub struct Summary {
     /// The cycle.
     pub cycle: CycleNumbers,
-    /// Begin of the cycles after their grid points; skipped slots are in it as late ones.
+    /// Wake-up latency: start of the cycles after their grid points; skipped slots count as late ones.
     pub wake_ns: Quantiles,
     /// Differences between the distance of two successive begins and that of their grid points.
     pub jitter_ns: Quantiles,
     /// Time of each stage.
     pub stages_ns: Stages,
-    /// Late cycles, and why they were.
+    /// Late cycles and their causes.
     pub late: Late,
     /// The drives, in the order of the plan.
     pub drives: Vec<Drive>,
-    /// What takes part without being a drive, in the order of the plan.
+    /// Devices that are not drives, in the order of the plan.
     pub devices: Vec<Device>,
-    /// The buses: what arrived and belongs to no drive, and their clocks.
+    /// The buses: datagrams that belong to no drive, and their clocks.
     pub buses: Vec<Bus>,
     /// How real-time the run was.
     pub realtime: RealtimeNumbers,
@@ -80,15 +80,15 @@ pub struct Summary {
 pub struct CycleNumbers {
     /// The period.
     pub period_ns: u64,
-    /// Slots that the grid laid out.
+    /// Slots of the grid.
     pub planned: u64,
     /// Cycles executed.
     pub executed: u64,
-    /// Slots passed over.
+    /// Slots skipped.
     pub skipped: u64,
     /// Times that a cycle was too late for the next slot.
     pub overruns: u64,
-    /// The clock that leads the grid; null: it is ours.
+    /// The reference clock of the grid; null: that of this computer.
     pub reference: Option<ReferenceNumbers>,
 }
 
@@ -162,9 +162,9 @@ pub struct Stages {
 pub struct Late {
     /// A cycle is late that began, or spent in a stage, more than this.
     pub threshold_ns: u64,
-    /// Cycles that were; exact.
+    /// Cycles that were late; exact.
     pub count: u64,
-    /// Why, the most frequent first. While the loop runs the newest are not judged yet.
+    /// Their causes, the most frequent first. While the loop runs the newest are not explained yet.
     pub causes: Vec<Found>,
     /// The newest of them one by one.
     pub newest: Vec<LateCycle>,
@@ -185,7 +185,7 @@ pub struct LateCycle {
     pub drive: Option<String>,
 }
 
-/// So many late cycles are told one by one.
+/// So many late cycles are listed one by one.
 const NEWEST: usize = 20;
 
 /// A cause of late cycles.
@@ -242,16 +242,16 @@ fn named(cause: Cause, plan: &Plan) -> (&'static str, Option<&'static str>, Opti
 impl fmt::Display for Found {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match (self.cause, &self.drive, self.stage) {
-            ("host", ..) => f.write_str("the host took the core"),
-            ("preempted", ..) => f.write_str("preempted or throttled: another thread had the core"),
+            ("host", ..) => f.write_str("the host took the core (hypervisor or firmware)"),
+            ("preempted", ..) => f.write_str("preempted or throttled: another thread ran on the core"),
             ("page_fault", ..) => f.write_str("page fault"),
-            ("work", _, Some(stage)) => write!(f, "own work, or an interrupt within it, in stage {stage}"),
-            (_, Some(drive), _) => write!(f, "drive {drive} had not answered at the deadline"),
-            ("drives", ..) => f.write_str("several drives had not answered at the deadline"),
+            ("work", _, Some(stage)) => write!(f, "own work or an interrupt in stage {stage}"),
+            (_, Some(drive), _) => write!(f, "no reply of drive {drive} by the receive deadline"),
+            ("drives", ..) => f.write_str("no reply of several drives by the receive deadline"),
             ("timer", ..) => {
-                f.write_str("its timer came late: idle state, interrupts off, firmware, or hypervisor")
+                f.write_str("the timer fired late: idle state, interrupts off, firmware or hypervisor")
             }
-            _ => f.write_str("unknown: nothing was seen"),
+            _ => f.write_str("unknown: no evidence"),
         }
     }
 }
@@ -307,7 +307,7 @@ pub struct Drive {
     pub fault: Option<u32>,
     /// What its protocol calls that; null if it has no name for it.
     pub fault_name: Option<&'static str>,
-    /// What it shows besides its process data, as planned.
+    /// Its monitored variables, as planned.
     pub monitor: Vec<Variable>,
 }
 
@@ -343,7 +343,7 @@ impl fmt::Display for ProtocolCounters {
     }
 }
 
-/// A variable that a drive shows besides its process data. Its numbers are exact, and null until it was seen.
+/// A monitored variable of a drive: not part of its process data. Its numbers are exact, and null until it was seen.
 #[derive(Clone, Debug, Serialize)]
 pub struct Variable {
     /// Its name.
@@ -374,7 +374,7 @@ impl fmt::Display for Variable {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Variable { name, unit, .. } = self;
         let (Some(value), Some(min), Some(max)) = (self.value, self.min, self.max) else {
-            return write!(f, "{name:18} not seen yet");
+            return write!(f, "{name:18} not received yet");
         };
         let [value, min, max] = [value, min, max].map(plain);
         write!(f, "{name:18} {}, from {min} to {max}", format!("{value} {unit}").trim_end())
@@ -396,7 +396,7 @@ pub struct Bus {
     pub clock: Option<ClockNumbers>,
 }
 
-/// How the clock of a bus and the grid stand to each other.
+/// The clock of a bus relative to the grid.
 #[derive(Clone, Debug, Serialize)]
 pub struct ClockNumbers {
     /// The grid follows it; else it follows the grid.
@@ -427,7 +427,7 @@ impl fmt::Display for ClockNumbers {
             Some(ns) => {
                 write!(f, "{}{}", if ns < 0 { "-" } else { "" }, Ns(three_digits(ns.unsigned_abs())))?
             }
-            None => f.write_str("not seen")?,
+            None => f.write_str("not known")?,
         }
         write!(
             f,
@@ -438,7 +438,7 @@ impl fmt::Display for ClockNumbers {
     }
 }
 
-/// What takes part without being a drive.
+/// A device that is not a drive.
 #[derive(Clone, Debug, Serialize)]
 pub struct Device {
     /// Its name.
@@ -462,11 +462,11 @@ pub struct RealtimeNumbers {
     pub page_faults: Option<u64>,
     /// Times that the loop's thread was preempted while it ran.
     pub involuntary_switches: Option<u64>,
-    /// Records lost on the way to the histograms; counts and maxima are exact all the same.
+    /// Records lost before the histograms; counts and maxima are exact.
     pub telemetry_lost: u64,
     /// Events and samples for which the application's queues had no room.
     pub events_lost: u64,
-    /// What could not be had, one line each, with its remedy.
+    /// What the operating system did not grant, one line each, with its remedy.
     pub missing: Vec<String>,
 }
 
@@ -660,7 +660,7 @@ fn bars(wake: &Quantity) -> Vec<(u64, u64)> {
 }
 
 /// A count and its noun, singular or plural.
-pub(crate) fn plural(count: u64, what: &str) -> String {
+pub fn plural(count: u64, what: &str) -> String {
     format!("{count} {what}{}", if count == 1 { "" } else { "s" })
 }
 
@@ -728,7 +728,7 @@ impl Summary {
         let mut titles = vec!["drive", "state", "sent", "answered", "missed"];
         titles.extend(seen.iter().map(|(title, _)| title));
         titles.extend(["RTT p50", "p99", "max", "position"]);
-        let mut table = Table::new(&titles, 2, " ");
+        let mut table = Table::new(&titles, 2..titles.len(), " ");
         for (drive, units) in self.drives.iter().zip(&self.units) {
             let state = if drive.is_online() { &drive.state } else { &drive.link };
             let is_bad = drive.fault.is_some() || drive.losses > 0 || drive.stopped_by().is_some();
@@ -798,7 +798,7 @@ impl Summary {
 
     /// Wake-up latency, jitter and stages in one unit.
     fn loop_table(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let mut table = Table::new(&["loop, times in us", "p50", "p99", "p99.9", "max"], 1, "  ");
+        let mut table = Table::new(&["loop, times in us", "p50", "p99", "p99.9", "max"], 1..5, "  ");
         let stages = &self.stages_ns;
         let mut quantities = vec![("wake-up latency", &self.wake_ns), ("cycle jitter", &self.jitter_ns)];
         quantities.extend(self.cycle.reference.as_ref().map(|led| ("phase error", &led.error_ns)));
@@ -890,7 +890,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn own_counters_are_told_in_words_above_zero_and_all_by_their_keys() {
+    fn own_counters_above_zero_are_printed_and_all_are_in_the_object() {
         let own = ["exceptions", "opened", "closed"].map(|key| OwnCounter { key, what: key });
         let mut counters = Counters::default();
         (counters.own[0], counters.own[2]) = (3, u64::MAX);
@@ -929,12 +929,12 @@ mod tests {
         let told = |clock| ClockNumbers::of(clock, false).to_string();
         let line = "follows the grid, locked, error -1.25 us, at most 4 us since its lock; its drives tolerate 320 us";
         assert_eq!(told(clock), line);
-        let line = "follows the grid, NOT LOCKED, error not seen, at most 4 us since its lock; its drives tolerate 320 us";
+        let line = "follows the grid, NOT LOCKED, error not known, at most 4 us since its lock; its drives tolerate 320 us";
         assert_eq!(told(BusClock { error_ns: None, locked: false, ..clock }), line);
     }
 
     #[test]
-    fn what_is_not_told_is_a_dash() {
+    fn an_unknown_value_is_a_dash() {
         let text = |value| decimals(told(value), 3);
         assert_eq!([1.0, -0.25, f64::NAN, f64::INFINITY].map(text), ["1.000", "-0.250", "-", "-"]);
     }

@@ -1,6 +1,8 @@
 //! Tables of text. A column is as wide as its widest cell, so that a table fits the 80 columns of a usual terminal
 //! whenever its content does.
 
+use std::ops::Range;
+
 use crate::style::{BAD, paint};
 
 /// A cell.
@@ -25,8 +27,8 @@ impl Cell {
 /// A table.
 #[derive(Clone, Debug)]
 pub struct Table {
-    /// So many columns, the first ones, begin at their left; numbers end at their right.
-    left: usize,
+    /// The columns that end at their right, as numbers do.
+    right: Range<usize>,
     /// Between two columns.
     gap: &'static str,
     rows: Vec<Vec<Cell>>,
@@ -34,8 +36,8 @@ pub struct Table {
 
 impl Table {
     /// A table without rows.
-    pub fn new(titles: &[&str], left: usize, gap: &'static str) -> Table {
-        Table { left, gap, rows: vec![titles.iter().map(Cell::plain).collect()] }
+    pub fn new(titles: &[&str], right: Range<usize>, gap: &'static str) -> Table {
+        Table { right, gap, rows: vec![titles.iter().map(Cell::plain).collect()] }
     }
 
     /// Adds a row, a cell for each title.
@@ -58,7 +60,7 @@ impl Table {
                 let text = paint(&cell.text, BAD, styled && cell.bad);
                 let between = if column == 0 { "" } else { self.gap };
                 line += between;
-                line += &if column < self.left { text + &padding } else { padding + &text };
+                line += &if self.right.contains(&column) { padding + &text } else { text + &padding };
             }
             line.trim_end().to_owned()
         };
@@ -72,7 +74,7 @@ mod tests {
 
     #[test]
     fn a_column_is_as_wide_as_its_widest_cell() {
-        let mut table = Table::new(&["drive", "sent", "x"], 1, "  ");
+        let mut table = Table::new(&["drive", "sent", "x"], 1..3, "  ");
         table.row(vec![Cell::plain("a"), Cell::new(12345, true), Cell::default()]);
         assert_eq!(table.lines(false), ["drive   sent  x", "a      12345"]);
         assert_eq!(table.lines(true)[1], "a      \u{1b}[1m\u{1b}[31m12345\u{1b}[0m");

@@ -4,12 +4,14 @@
 //! |---|---|
 //! | `mod` | what is kept, and when it is written |
 //! | `file` | the file's bytes, both ways |
+//! | `list` | the files of a directory |
 //! | `story` | what led up to it, in words |
 //!
 //! It is fed by the telemetry thread, so that the loop pays nothing for it. A file is written by a thread of its own: a
 //! slow disk holds up nobody.
 
 pub mod file;
+pub mod list;
 pub mod story;
 
 use std::collections::{BTreeMap, VecDeque};
@@ -228,7 +230,7 @@ impl BlackBox {
     /// Somebody wants to see it.
     pub fn ask(&mut self) {
         let (cycle, from) = (self.newest, self.newest + self.aftermath);
-        self.due.get_or_insert(Due { why: "asked for".to_owned(), cycle, from, failed: false });
+        self.due.get_or_insert(Due { why: "requested".to_owned(), cycle, from, failed: false });
     }
 
     /// Writes it if it is time; `last` waits for nothing more. Returns the files that were finished meanwhile.
@@ -422,7 +424,7 @@ mod tests {
             }
         }
         let asked = written.pop().unwrap();
-        assert_eq!((asked.why.as_str(), asked.cycle, asked.path.exists()), ("asked for", 4_200, true));
+        assert_eq!((asked.why.as_str(), asked.cycle, asked.path.exists()), ("requested", 4_200, true));
         let all: Vec<u64> = written.iter().map(|one| one.cycle).collect();
         // Each tells of what no other one holds yet.
         assert!(all.len() > 30 && all[1..].windows(2).all(|pair| pair[1] - pair[0] == 100), "{all:?}");
@@ -440,7 +442,7 @@ mod tests {
             cycle(&mut black_box, 3, |_| {});
             black_box.ask();
             let [written] = &black_box.write(true)[..] else { panic!() };
-            assert_eq!((written.why.as_str(), written.cycle), ("asked for", 3));
+            assert_eq!((written.why.as_str(), written.cycle), ("requested", 3));
             assert_eq!(written.error.is_none(), possible, "{written:?}");
         }
     }
