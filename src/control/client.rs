@@ -1,4 +1,4 @@
-//! The asking side of the control socket.
+//! The client of the control socket.
 
 use std::io;
 use std::os::unix::net::UnixStream;
@@ -26,14 +26,14 @@ pub enum AskError {
     #[error("no master answers at {0}; start it with `fieldbeat run`")]
     Nobody(PathBuf),
     /// A process that died left it behind.
-    #[error("the master of {0} is dead and left its socket behind; start it again with `fieldbeat run`")]
+    #[error("the master of {0} has died, only its socket is left; start it again with `fieldbeat run`")]
     Dead(PathBuf),
     /// It is another user's.
-    #[error("{0} is another user's: only its owner and root may ask; use sudo")]
+    #[error("{0} belongs to another user: only its owner and root have access; use sudo")]
     NotOurs(PathBuf),
     /// Somebody listens there whose place it is not.
     #[error(
-        "{path} is answered by user {user}, whose directory it is not; remove it, and start the master again"
+        "{path} is served by user {user}, who does not own the directory; remove it, and start the master again"
     )]
     Stranger {
         /// The socket.
@@ -42,7 +42,7 @@ pub enum AskError {
         user: u32,
     },
     /// The conversation broke off.
-    #[error("no answer from {path}: {error}; ask once more, and look whether the master is held up")]
+    #[error("no answer from {path}: {error}; try again, and check the load of this computer")]
     Io {
         /// The socket.
         path: PathBuf,
@@ -50,10 +50,10 @@ pub enum AskError {
         error: io::Error,
     },
     /// It broke off before: an answer that is still on its way would be taken for that to another question.
-    #[error("the conversation with {0} broke off before: begin another one")]
+    #[error("the connection to {0} has failed before: open another one")]
     Broken(PathBuf),
     /// It answered something else.
-    #[error("{0} gives no answer of this program; is it another version?")]
+    #[error("{0} does not answer like this program; is it another version?")]
     Foreign(PathBuf),
     /// It knows the question, and says no.
     #[error("{0}")]

@@ -34,7 +34,7 @@ const LONGEST_QUESTION: usize = 16 << 10;
 #[derive(Debug, Error)]
 pub enum ServeError {
     /// Another process answers there.
-    #[error("another master already answers at {0}; end it, or give this one another configuration")]
+    #[error("another master already listens at {0}; end it, or give this one another configuration")]
     Taken(PathBuf),
     /// The operating system refused.
     #[error("cannot listen at {path}: {error}; set XDG_RUNTIME_DIR to a directory of this user")]
@@ -181,12 +181,12 @@ fn converse(stream: &UnixStream, go_on: &dyn Fn() -> bool, answering: &mut impl 
                 match serde_json::from_slice(&line) {
                     Ok(question) => answering.answer(&question, &|| go_on() && !hung_up(stream)),
                     Err(_) if line.len() == LONGEST_QUESTION => {
-                        Err(format!("a question has at most {LONGEST_QUESTION} bytes"))
+                        Err(format!("a request has at most {LONGEST_QUESTION} bytes"))
                     }
-                    Err(error) => Err(format!("no JSON object in one line: {error}")),
+                    Err(error) => Err(format!("not a JSON object in one line: {error}")),
                 }
             }
-            false => Err("only the owner of this master may ask it".to_owned()),
+            false => Err("only the owner of this master has access".to_owned()),
         };
         let go_on_talking = reply.is_ok();
         let reply = match reply {

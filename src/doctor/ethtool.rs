@@ -1,4 +1,4 @@
-//! Settings of a network interface, asked by the ioctl that ethtool(8) uses (linux/ethtool.h, netdevice(7)). It only
+//! Settings of a network interface, read by the ioctl that ethtool(8) uses (linux/ethtool.h, netdevice(7)). It only
 //! reads.
 
 use std::io;

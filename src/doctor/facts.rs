@@ -1,5 +1,5 @@
-//! What this host tells: files below a root directory, so that a test can hand in a made-up one, and the few things
-//! that are no files. Reads, and judges nothing.
+//! The facts of this host: files below a root directory, so that a test can use one of its own, and the few things that
+//! are not in files. Reads only.
 
 use std::fs;
 use std::io;

@@ -1,4 +1,4 @@
-//! The way to the drives of a bus: its interface, neighbour entries, socket buffers, connection tracking. A bus without
+//! The network to the drives of a bus: its interface, neighbour entries, socket buffers, connection tracking. A bus without
 //! IP has an interface for itself, and nothing else.
 //!
 //! Sources: arp(7), socket(7), ip-neighbour(8), Documentation/networking/nf_conntrack-sysctl.rst.
@@ -74,7 +74,7 @@ fn alone(facts: &Facts, line: &Line) -> Finding {
     let addresses: Vec<String> = of_line.map(|(address, _)| address.to_string()).collect();
     match addresses.is_empty() {
         true => finding.good("none"),
-        false => finding.poor(addresses.join(", ")).mend(
+        false => finding.poor(addresses.join(", ")).fix(
             format!("sudo ip addr flush dev {name}"),
             format!("sudo ip addr add ADDRESS/BITS dev {name}"),
         ),
@@ -118,7 +118,7 @@ fn state(root: &Root, finding: Finding, name: &str) -> Finding {
         }
         None if root.has(&format!("sys/class/net/{name}")) => finding
             .poor(format!("{parts}, down"))
-            .mend(format!("sudo ip link set {name} up"), format!("sudo ip link set {name} down")),
+            .fix(format!("sudo ip link set {name} up"), format!("sudo ip link set {name} down")),
         None => finding.good(parts),
     }
 }
@@ -164,15 +164,15 @@ fn neighbours(root: &Root, wire: &Wire, interface: &str) -> Finding {
     let lines = |line: &dyn Fn(&(&std::net::Ipv4Addr, String)) -> String| {
         missing.iter().map(line).collect::<Vec<_>>().join("\n")
     };
-    let mut mend = lines(&|(ip, hardware)| {
+    let mut fix = lines(&|(ip, hardware)| {
         format!("sudo ip neigh replace {ip} lladdr {hardware} dev {interface} nud permanent")
     });
     if missing.iter().any(|(_, hardware)| hardware == "MAC") {
-        mend += "\n(MAC: the hardware address on the drive's label)";
+        fix += "\n(MAC: the hardware address on the drive's label)";
     }
     finding
         .poor(format!("{} of {all} permanent", all - missing.len()))
-        .mend(mend, lines(&|(ip, _)| format!("sudo ip neigh del {ip} dev {interface}")))
+        .fix(fix, lines(&|(ip, _)| format!("sudo ip neigh del {ip} dev {interface}")))
 }
 
 fn buffer(root: &Root, wire: &Wire, name: &str, limit: &str, asked: usize) -> Finding {
@@ -180,7 +180,7 @@ fn buffer(root: &Root, wire: &Wire, name: &str, limit: &str, asked: usize) -> Fi
         &wire.bus,
         name,
         &format!("{asked} bytes or more (net.core.{limit})"),
-        "it holds what waits while the loop is held up, or a drive is gone; the kernel silently cuts it to this limit",
+        "it holds datagrams while the loop is delayed or a drive is absent; the kernel silently cuts it to this limit",
     );
     let path = format!("proc/sys/net/core/{limit}");
     let text = match root.text(&path) {
@@ -190,7 +190,7 @@ fn buffer(root: &Root, wire: &Wire, name: &str, limit: &str, asked: usize) -> Fi
     let set = |value: &dyn std::fmt::Display| format!("sudo sysctl -w net.core.{limit}={value}");
     match text.parse::<usize>() {
         Ok(most) if most >= asked => finding.good(format!("{asked} of at most {most} bytes")),
-        Ok(most) => finding.poor(format!("cut to {most} bytes")).mend(set(&asked), set(&most)),
+        Ok(most) => finding.poor(format!("cut to {most} bytes")).fix(set(&asked), set(&most)),
         Err(_) => finding.unknown(format!("/{path} says {text}")),
     }
 }
@@ -200,8 +200,8 @@ fn tracking(root: &Root, wire: &Wire) -> Finding {
         &wire.bus,
         "connection tracking",
         "not for the drives' datagrams",
-        "every datagram is looked up in a table, under locks that it shares with all other traffic, and is dropped when the \
-         table is full",
+        "every datagram is looked up in a table, under locks shared with all other traffic, and is dropped when the table \
+         is full",
     );
     if !root.has("proc/sys/net/netfilter/nf_conntrack_max") {
         return finding.good("not loaded");
@@ -223,14 +223,13 @@ fn tracking(root: &Root, wire: &Wire) -> Finding {
         // Whether a rule exempts them cannot be read, and without traffic there is no entry.
         return match is_bound(root, wire.local) {
             true => finding.good("loaded; the master runs, and no drive is in its table"),
-            false => {
-                finding.unknown("loaded, and no drive is in its table: look again while the master runs")
-            }
+            false => finding
+                .unknown("loaded, and no drive is in its table: run the doctor again while the master runs"),
         };
     };
     let port = first.port();
     let own = wire.local.port();
-    finding.poor(format!("{} of {} drives are in its table", tracked.len(), wire.drives.len())).mend(
+    finding.poor(format!("{} of {} drives are in its table", tracked.len(), wire.drives.len())).fix(
         format!(
             "sudo nft add table ip fieldbeat\n\
              sudo nft 'add chain ip fieldbeat sent {{ type filter hook output priority raw; }}'\n\
@@ -281,7 +280,7 @@ pub(super) mod tests {
             check("192.168.1.1:1", Some("eth0"), &[(carrier, "0\n"), ("sys/class/net/eth0/speed", "-1\n")]);
         assert_eq!((unplugged.verdict, unplugged.found.as_str()), (Poor, "eth0, no carrier"));
         let down = check("192.168.1.1:1", Some("eth0"), &[("sys/class/net/eth0/mtu", "1500")]);
-        assert_eq!(down.mend.unwrap(), "sudo ip link set eth0 up");
+        assert_eq!(down.fix.unwrap(), "sudo ip link set eth0 up");
         assert_eq!(check("192.168.1.1:1", None, &[]).verdict, Bad);
         assert_eq!(check("0.0.0.0:1", None, &[]).verdict, Poor);
         assert_eq!(check("127.77.0.1:1", None, &[]).verdict, Good);
@@ -304,7 +303,7 @@ pub(super) mod tests {
         assert_eq!((shared[0].verdict, shared[0].found.as_str()), (Poor, "eth0, no carrier"));
         let alone = shared.last().unwrap();
         assert_eq!((alone.verdict, alone.found.as_str()), (Poor, "192.168.1.1"));
-        assert_eq!(alone.mend.as_deref(), Some("sudo ip addr flush dev eth0"));
+        assert_eq!(alone.fix.as_deref(), Some("sudo ip addr flush dev eth0"));
         let gone = check("eth2", &carrier);
         assert_eq!((gone.len(), gone[0].verdict, gone[0].found.as_str()), (1, Bad, "no interface eth2"));
         assert_eq!(check("local:line", &[])[0].verdict, Good);
@@ -323,7 +322,7 @@ pub(super) mod tests {
         let learned = check(&format!("{one}{}", two.replace("0x6", "0x2")));
         assert_eq!((learned.verdict, learned.found.as_str()), (Poor, "1 of 2 permanent"));
         assert_eq!(
-            learned.mend.unwrap(),
+            learned.fix.unwrap(),
             "sudo ip neigh replace 192.168.1.12 lladdr 00:1a:4e:00:00:0c dev eth0 nud permanent"
         );
         assert_eq!(learned.undo.unwrap(), "sudo ip neigh del 192.168.1.12 dev eth0");
@@ -334,7 +333,7 @@ pub(super) mod tests {
             format!("{one}{}", two.replace("eth0", "eth1")),
         ] {
             let finding = check(&lines);
-            assert!(finding.mend.unwrap().contains("192.168.1.12 lladdr MAC dev eth0"), "{lines}");
+            assert!(finding.fix.unwrap().contains("192.168.1.12 lladdr MAC dev eth0"), "{lines}");
         }
         assert_eq!(neighbours(&Host::new(&[]).0.root, &wire(), "eth0").verdict, Unknown);
     }
@@ -349,10 +348,7 @@ pub(super) mod tests {
             "18432 of at most 212992 bytes"
         );
         let cut = check(&[("proc/sys/net/core/wmem_max", "8192\n")]);
-        assert_eq!(
-            (cut.verdict, cut.mend.as_deref()),
-            (Poor, Some("sudo sysctl -w net.core.wmem_max=18432"))
-        );
+        assert_eq!((cut.verdict, cut.fix.as_deref()), (Poor, Some("sudo sysctl -w net.core.wmem_max=18432")));
         assert_eq!(cut.undo.unwrap(), "sudo sysctl -w net.core.wmem_max=8192");
         assert_eq!(check(&[("proc/sys/net/core/wmem_max", "?")]).verdict, Unknown);
         assert_eq!(check(&[]).verdict, Unknown);
@@ -368,7 +364,7 @@ pub(super) mod tests {
         let table = ("proc/net/nf_conntrack", entry);
         let tracked = check(&[loaded, table]);
         assert_eq!((tracked.verdict, tracked.found.as_str()), (Poor, "1 of 2 drives are in its table"));
-        assert!(tracked.mend.unwrap().contains("udp dport 49360 notrack"));
+        assert!(tracked.fix.unwrap().contains("udp dport 49360 notrack"));
         // Nothing of ours in it, although the master runs.
         let empty = ("proc/net/nf_conntrack", "");
         let address = if cfg!(target_endian = "little") { "0101A8C0" } else { "C0A80101" };
