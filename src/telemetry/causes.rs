@@ -1,11 +1,11 @@
-//! Why a cycle was late, without a kernel tracer: what the loop saw itself, joined by time with what the kernel counted
-//! against its thread meanwhile.
+//! Why a cycle was late, without a kernel tracer: what the loop itself observed, joined by time with what the kernel
+//! counted for its thread.
 //!
 //! | evidence | cause |
 //! |---|---|
 //! | page faults since the look before | page fault |
-//! | it was awake, an involuntary switch was counted, and it waited for its core at least half of the delay | preempted |
-//! | it slept, and then waited for its core at least half of the delay, beyond what it usually waits (run delay) | preempted |
+//! | awake, an involuntary switch, and it waited for its core at least half of the delay | preempted |
+//! | asleep, then it waited for its core at least half of the delay beyond its usual run delay | preempted |
 //! | a stage took long, and not much longer than it usually does | own work, in that stage |
 //! | a stage with system calls or the in-loop task took long, and the thread ran for at least half of that | own work |
 //! | any other stage, or the final spin: a gap in straight code | the host took the core |
@@ -13,7 +13,7 @@
 //! | a sleep ended late, and the thread ran as soon as it was woken | its timer came late |
 //! | a drive that is online had not answered at the deadline, and the loop itself was in time | the drive, or several |
 //! | no sample around it, but page faults or involuntary switches since the look before | page fault, or preempted |
-//! | the samples around it are too far apart to tell whose delay they counted; or its record was lost | unknown |
+//! | the samples around it are too far apart to assign their delays; or its record was lost | unknown |
 //!
 //! A bound of half, because the delay and what explains it are never measured between the same two instants.
 

@@ -263,7 +263,7 @@ fn a_master_that_may_not_be_asked_is_named() {
     let own = sockets.filter(|path| path.to_str().unwrap().contains("closed87-"));
     // Those of runs that were killed lie there, too.
     own.for_each(|socket| fs::set_permissions(socket, PermissionsExt::from_mode(0o000)).unwrap());
-    ordinary(&["param", "get", path, "d0", "0x20A8"]).end().failed(&["is another user's", "use sudo"]);
+    ordinary(&["param", "get", path, "d0", "0x20A8"]).end().failed(&["belongs to another user", "use sudo"]);
     master.signal(SIGTERM);
     master.end().expect(0);
 }

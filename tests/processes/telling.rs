@@ -100,7 +100,7 @@ fn of_two_masters_one_is_named_and_a_dead_one_is_called_dead() {
     status(&machine, &[first.to_str().unwrap(), "--json"]).expect(0);
     one.kill();
     let dead = status(&machine, &[first.to_str().unwrap()]);
-    dead.failed(&["is dead and left its socket behind", "start it again"]);
+    dead.failed(&["has died, only its socket is left", "start it again"]);
     // The one that lives is meant then, and the next master takes the dead one's place.
     assert_eq!(status(&machine, &["--json"]).expect(0).json()["pid"], two.pid());
     let again = master(&machine, &first, &[]);
@@ -164,7 +164,7 @@ fn a_lost_drive_leaves_a_black_box_that_tells_how_it_came_to_it() {
     let mut master = master(&machine, &config, &["--json", "--black-box", directory.to_str().unwrap()]);
     // While it has no more to tell than that all is well.
     master.signal(SIGUSR1);
-    master.await_text("(asked for, cycle ");
+    master.await_text("(requested, cycle ");
     sim.kill();
     master.await_text("(drive d0: link lost, cycle ");
     master.signal(SIGTERM);
@@ -206,14 +206,16 @@ fn what_a_drive_shows_besides_is_told_meanwhile_at_the_end_and_in_the_black_box(
     let summary = || status(&machine, &["--json"]).expect(0).json()["summary"].clone();
     assert!(until(LONG, || summary()["drives"][1]["monitor"][1]["value"].as_f64() > Some(0.0)));
     let text = status(&machine, &[]).expect(0).out.clone();
-    for part in
-        ["\nd1    core-temperature   40 C, from 40 to 40\n", " us, from ", "0x9999             not seen yet"]
-    {
+    for part in [
+        "\nd1    core-temperature   40 C, from 40 to 40\n",
+        " us, from ",
+        "0x9999             not received yet",
+    ] {
         assert!(text.contains(part), "no {part}: {text}");
     }
     assert_eq!(text.matches("\nd0 ").count(), 1, "{text}");
     master.signal(SIGUSR1);
-    master.await_text("(asked for, cycle ");
+    master.await_text("(requested, cycle ");
     master.signal(SIGTERM);
     let ended = master.end();
     let summary = ended.expect(0).json();
@@ -312,7 +314,7 @@ fn a_damaged_or_foreign_black_box_is_one_clear_line() {
     let _sim = simulation(&config);
     let mut master = master(&machine, &config, &[]);
     master.signal(SIGUSR1);
-    master.await_text("(asked for, cycle ");
+    master.await_text("(requested, cycle ");
     drop(master);
     let [whole] = &files(&machine.path("state/fieldbeat"))[..] else { panic!() };
     let bytes = fs::read(whole).unwrap();

@@ -51,17 +51,17 @@ pub enum MetricsError {
     },
     /// No thread.
     #[error(
-        "cannot start a thread for the metrics: {0}; look at the limits of processes and memory (ulimit -u, ulimit -v)"
+        "cannot start a thread for the metrics: {0}; raise the limits of processes and memory (ulimit -u, ulimit -v)"
     )]
     Thread(io::Error),
 }
 
 fn remedy(error: &io::Error) -> &'static str {
     match error.kind() {
-        io::ErrorKind::AddrInUse => "another program listens there (ss -ltnp shows which), take another port",
-        io::ErrorKind::AddrNotAvailable => "take an address of this computer (ip address shows them)",
-        io::ErrorKind::PermissionDenied => "ports below 1024 need a right of their own, take a higher one",
-        _ => "take another address",
+        io::ErrorKind::AddrInUse => "another program listens there (ss -ltnp shows which): use another port",
+        io::ErrorKind::AddrNotAvailable => "use an address of this computer (ip address shows them)",
+        io::ErrorKind::PermissionDenied => "ports below 1024 need CAP_NET_BIND_SERVICE: use a higher one",
+        _ => "use another address",
     }
 }
 
