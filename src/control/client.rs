@@ -233,7 +233,7 @@ mod tests {
         assert!(matches!(asked(0o777), AskError::Stranger { user, .. } if user == nobody));
         assert!(matches!(asked(0o755), AskError::Stranger { user, .. } if user == nobody));
         chown(&directory, Some(nobody), None).unwrap();
-        // It is asked, and goes away.
+        // It gets the request, and ends.
         drop(std::thread::spawn(move || (0..3).for_each(|_| drop(listener.accept()))));
         assert!(!matches!(asked(0o755), AskError::Stranger { .. }));
     }

@@ -91,7 +91,7 @@ impl Desk {
         for place in &mut self.drives {
             let attended = Attended { acyclic: &place.acyclic, go_on };
             for call in std::mem::take(&mut place.legacy) {
-                // Whoever could be told has gone.
+                // The client has gone: there is nobody to report to.
                 let _ = attended.insist(call, LEGACY_LIMIT, LEGACY_PATIENCE);
             }
         }

@@ -18,7 +18,7 @@ use thiserror::Error;
 
 use super::talk::{LOOK_EVERY, Talk, connect};
 
-/// Whoever asks has so long to say what, and so long to take the answer.
+/// A client has so long to send its request, and so long to take the answer.
 const PATIENCE: Duration = Duration::from_secs(1);
 
 /// Between two questions of one conversation.
@@ -47,7 +47,7 @@ pub enum ServeError {
 }
 
 /// A control socket that is answered. Dropping it removes the socket; a conversation that is under way then breaks off,
-/// so that nobody who asks can hold up the end of the program.
+/// so that no client can delay the end of the program.
 #[derive(Debug)]
 pub struct Server {
     path: PathBuf,
@@ -124,11 +124,11 @@ fn listen(path: &Path) -> Result<UnixListener, ServeError> {
     let failed = |error| ServeError::Io { path: path.to_owned(), error };
     match connect(path, PATIENCE) {
         Ok(_) => return Err(ServeError::Taken(path.to_owned())),
-        // Its process is dead. A file that is no socket refuses too, and is not ours to remove: bind will tell.
+        // Its process is dead. A file that is no socket refuses too, and is not ours to remove: bind reports it.
         Err(error) if error.kind() == io::ErrorKind::ConnectionRefused && is_socket(path) => {
             fs::remove_file(path).map_err(failed)?;
         }
-        // Not there; or something else, which bind will tell.
+        // Not there; or something else, which bind reports.
         Err(_) => {}
     }
     let listener = UnixListener::bind(path).map_err(failed)?;

@@ -127,7 +127,7 @@ fn steal(root: &Root, subject: &Subject) -> Finding {
         Area::Clock,
         "stolen time",
         "none",
-        "the time for which this core was ready to run and the host of the virtual machine ran something else, in ticks",
+        "time in which this core was ready to run and the host of the virtual machine ran something else, in ticks",
     );
     let path = "proc/stat";
     let stat = match root.text(path) {

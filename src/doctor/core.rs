@@ -94,7 +94,7 @@ fn ticks(root: &Root, subject: &Subject) -> Finding {
         Area::Core,
         "nohz_full",
         "not this core, unless wait = \"spin\"",
-        "it makes each system call slower, and a loop that sleeps in every cycle gains nothing: an idle core has no tick",
+        "it slows each system call, and a loop that sleeps in every cycle gains nothing: an idle core has no tick",
     );
     let path = format!("{CPU}/nohz_full");
     let text = match root.text(&path) {
@@ -196,7 +196,7 @@ fn sibling(root: &Root, subject: &Subject) -> Finding {
         Area::Core,
         "hyper-threads",
         format!("nothing runs on the other hardware thread of core {core}"),
-        "both share one core's execution units and caches: work on the other one slows every cycle, and nothing shows it",
+        "both share one core's execution units and caches: work on the other one slows every cycle, unseen",
     );
     let path = format!("{CPU}/cpu{core}/topology/thread_siblings_list");
     let siblings = match root.text(&path) {

@@ -6,7 +6,7 @@ use std::os::fd::AsRawFd;
 
 use nix::sys::socket::{AddressFamily, SockFlag, SockType, socket};
 
-/// What the driver says. A setting that it does not tell is an error.
+/// What the driver reports. A setting that it does not report is an error.
 #[derive(Debug)]
 pub(super) struct Nic {
     /// How long interrupts are held back.

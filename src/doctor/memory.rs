@@ -21,7 +21,7 @@ const SYSCTLS: [Sysctl; 4] = [
         path: "vm/compact_unevictable_allowed",
         wanted: 0,
         or_more: false,
-        why: "at 1 the kernel may move locked pages to make room for large blocks, and the loop takes a page fault on them",
+        why: "at 1 the kernel may move locked pages to free large blocks, and the loop takes a page fault on them",
     },
     Sysctl {
         area: Area::Memory,
@@ -54,8 +54,8 @@ fn huge_pages(root: &Root) -> Finding {
         Area::Memory,
         "huge pages",
         "madvise or never",
-        "collapsing small pages into a huge one unmaps them for a moment; fieldbeat switches that off for itself where it \
-         locks the whole process, but not for other programs",
+        "collapsing small pages into a huge one unmaps them for a moment; fieldbeat switches that off for itself where \
+         it locks the whole process, but not for other programs",
     );
     let path = "sys/kernel/mm/transparent_hugepage/enabled";
     let text = match root.text(path) {

@@ -85,7 +85,7 @@ impl Subject {
 }
 
 /// Looks at this host. Takes a fraction of a second: a thread of its own tries the core and the priority for a moment,
-/// and the memory lock that the plan asks for is taken and let go, with all other locks of this process; so not in a
+/// and the memory lock of the plan is taken and released, with all other locks of this process; so not in a
 /// process whose loop is running.
 pub fn examine(subject: &Subject) -> Vec<Finding> {
     judge(&facts::Facts::of_this_host(subject), subject)

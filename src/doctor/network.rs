@@ -1,5 +1,5 @@
-//! The network to the drives of a bus: its interface, neighbour entries, socket buffers, connection tracking. A bus without
-//! IP has an interface for itself, and nothing else.
+//! The network to the drives of a bus: its interface, neighbour entries, socket buffers, connection tracking. A bus
+//! without IP has an interface of its own, and nothing else.
 //!
 //! Sources: arp(7), socket(7), ip-neighbour(8), Documentation/networking/nf_conntrack-sysctl.rst.
 
@@ -22,9 +22,7 @@ fn bus(facts: &Facts, wire: &Wire, subject: &Subject) -> Vec<Finding> {
     let found = facts.probes.interface(local);
     let mut findings = vec![interface(root, wire, found)];
     if local.is_loopback() {
-        findings.push(
-            about(&wire.bus, "drives", "", "").good("on this computer itself: loopback, nothing to tune"),
-        );
+        findings.push(about(&wire.bus, "drives", "", "").good("on this computer: loopback, nothing to tune"));
     } else if let Some(name) = found {
         findings.extend(nic::check(facts, &wire.bus, name, subject));
         findings.extend(nic::check_ip(facts, &wire.bus, name));
@@ -45,14 +43,14 @@ pub(super) fn about(bus: &str, name: &str, wanted: &str, why: &str) -> Finding {
 
 fn line(facts: &Facts, line: &Line, subject: &Subject) -> Vec<Finding> {
     let (root, name) = (&facts.root, line.interface.as_str());
-    let wanted = format!("{name}, with the line plugged in");
-    let finding = about(&line.bus, "interface", &wanted, "the frames of the bus leave and come back there");
+    let wanted = format!("{name}, with the segment plugged in");
+    let finding = about(&line.bus, "interface", &wanted, "the frames of the bus leave and return through it");
     // The kernel's own names have no colon.
     if name.contains(':') {
-        return vec![finding.good("on this computer itself: simulated, nothing to tune")];
+        return vec![finding.good("on this computer: simulated, nothing to tune")];
     }
     if !root.has(&format!("sys/class/net/{name}")) {
-        let remedy = "`ip link` lists those that this computer has; put one of them into interface";
+        let remedy = "`ip link` lists those that this computer has; set interface to one of them";
         return vec![finding.bad(format!("no interface {name}")).advise(remedy)];
     }
     let mut findings = vec![state(root, finding, name)];
@@ -68,7 +66,7 @@ fn alone(facts: &Facts, line: &Line) -> Finding {
         &line.bus,
         "IP addresses",
         &format!("none on {name}"),
-        "the kernel's own packets wait for the same wire, and slaves pass on what is none of theirs",
+        "packets of the kernel take time on the same segment, and the slaves forward them",
     );
     let of_line = facts.probes.addresses.iter().filter(|(_, own)| own == name);
     let addresses: Vec<String> = of_line.map(|(address, _)| address.to_string()).collect();
@@ -84,12 +82,16 @@ fn alone(facts: &Facts, line: &Line) -> Finding {
 fn interface(root: &Root, wire: &Wire, found: Option<&str>) -> Finding {
     let local = wire.local.ip();
     let wanted = format!("{local} on an interface of this computer, with its cable plugged in");
-    let finding =
-        about(&wire.bus, "interface", &wanted, "the bus sends from this address, and replies come to it");
+    let finding = about(
+        &wire.bus,
+        "interface",
+        &wanted,
+        "the bus sends from this address and receives its replies there",
+    );
     if local.is_unspecified() {
         return finding
-            .poor("0.0.0.0: whichever the kernel chooses")
-            .advise("bind = the address of the adapter that the drives are on");
+            .poor("0.0.0.0: the kernel chooses the address")
+            .advise("bind = the address of the interface that leads to the drives");
     }
     let Some(name) = found else {
         // All of 127.0.0.0/8 is this computer.
@@ -98,7 +100,7 @@ fn interface(root: &Root, wire: &Wire, found: Option<&str>) -> Finding {
         }
         return finding
             .bad(format!("no interface has {local}"))
-            .advise("`ip -4 addr` lists those that this computer has; put one of them into bind");
+            .advise("`ip -4 addr` lists those that this computer has; set bind to one of them");
     };
     state(root, finding, name)
 }
@@ -114,7 +116,7 @@ fn state(root: &Root, finding: Finding, name: &str) -> Finding {
     match carrier.as_deref() {
         Some("1") => finding.good(format!("{parts}, up")),
         Some(_) => {
-            finding.poor(format!("{parts}, no carrier")).advise("plug the cable in, switch the drives on")
+            finding.poor(format!("{parts}, no carrier")).advise("plug in the cable, switch on the drives")
         }
         None if root.has(&format!("sys/class/net/{name}")) => finding
             .poor(format!("{parts}, down"))
@@ -123,7 +125,7 @@ fn state(root: &Root, finding: Finding, name: &str) -> Finding {
     }
 }
 
-/// Entries with these flags are asked for never again (`NUD_PERMANENT` in /proc/net/arp, ATF_COM | ATF_PERM).
+/// Entries with these flags are never requested again (`NUD_PERMANENT` in /proc/net/arp, ATF_COM | ATF_PERM).
 const PERMANENT: &str = "0x6";
 
 fn neighbours(root: &Root, wire: &Wire, interface: &str) -> Finding {
@@ -131,8 +133,8 @@ fn neighbours(root: &Root, wire: &Wire, interface: &str) -> Finding {
         &wire.bus,
         "neighbour entries",
         "a permanent one for each drive",
-        "others grow old: the kernel then asks for the drive's hardware address in the middle of the run, and requests to a \
-         drive that is gone wait in the socket's buffer",
+        "other entries expire: the kernel then resolves the drive's hardware address again during the run, and \
+         requests to an absent drive wait in the socket's buffer",
     );
     let path = "proc/net/arp";
     let table = match root.text(path) {
@@ -200,8 +202,8 @@ fn tracking(root: &Root, wire: &Wire) -> Finding {
         &wire.bus,
         "connection tracking",
         "not for the drives' datagrams",
-        "every datagram is looked up in a table, under locks shared with all other traffic, and is dropped when the table \
-         is full",
+        "every datagram is looked up in a table, under locks shared with all other traffic, and is dropped when \
+         the table is full",
     );
     if !root.has("proc/sys/net/netfilter/nf_conntrack_max") {
         return finding.good("not loaded");
@@ -326,7 +328,7 @@ pub(super) mod tests {
             "sudo ip neigh replace 192.168.1.12 lladdr 00:1a:4e:00:00:0c dev eth0 nud permanent"
         );
         assert_eq!(learned.undo.unwrap(), "sudo ip neigh del 192.168.1.12 dev eth0");
-        // Not there, still being asked for, or on another wire.
+        // Not there, still being resolved, or on another wire.
         for lines in [
             one.to_owned(),
             format!("{one}{}", two.replace("0x6", "0x0")),

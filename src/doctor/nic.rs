@@ -67,7 +67,7 @@ fn affinity(root: &Root, bus: &str, interrupts: &[u32], subject: &Subject) -> Fi
     if interrupts.is_empty() {
         return finding.good("none of its own: a virtual interface");
     }
-    // Where they land now; older kernels tell only where they may.
+    // Where they go now; older kernels report only where they may.
     let file = |irq: u32, name: &str| root.text(&format!("proc/irq/{irq}/{name}"));
     let mut on_core = Vec::new();
     for irq in interrupts {
@@ -112,7 +112,7 @@ fn threads(root: &Root, bus: &str, interrupts: &[u32], subject: &Subject) -> Fin
         bus,
         "interrupt threads",
         &format!("SCHED_FIFO {USUAL_PRIORITY} or above, away from a core whose loop spins"),
-        "a reply is delivered only after they ran; on the core of a loop that spins at a higher priority they never run",
+        "a reply is delivered only after they ran; on the core of a spinning loop of higher priority they never run",
     );
     if interrupts.is_empty() {
         return finding.good("none: a virtual interface");
@@ -146,9 +146,10 @@ fn threads(root: &Root, bus: &str, interrupts: &[u32], subject: &Subject) -> Fin
     let starved = |thread: &&Thread| spins && thread.priority < priority && thread.cores == [core];
     let starved: Vec<&Thread> = threads.iter().filter(starved).collect();
     if !starved.is_empty() {
-        return finding
-            .poor(format!("{}, on core {core} below a loop that spins", names(&starved)))
-            .advise("move its interrupts to another core, as above; their threads follow\nor set wait = \"poll\" in [cycle]");
+        return finding.poor(format!("{}, on core {core} below a loop that spins", names(&starved))).advise(
+            "move its interrupts to another core, as above; their threads follow\n\
+                 or set wait = \"poll\" in [cycle]",
+        );
     }
     finding.good(names(&threads.iter().collect::<Vec<_>>()))
 }

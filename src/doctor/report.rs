@@ -11,8 +11,8 @@ use crate::style::{BAD, GOOD, POOR, paint};
 use crate::telemetry::summary::plural;
 use crate::time::Ns;
 
-/// The result of the doctor. Serialised, its keys are stable; values are in ns unless the key says otherwise; what is not
-/// known is null.
+/// The result of the doctor. Serialised, its keys are stable; values are in ns unless the key says otherwise; null
+/// means not known.
 #[derive(Clone, Debug, Serialize)]
 pub struct Report {
     /// No finding is bad.

@@ -77,7 +77,7 @@ pub struct Judged {
 /// How many of the newest judgements are kept one by one.
 const MOST_JUDGED: usize = 1024;
 
-/// How long after a late wake-up a rise of the steal time still explains it: it is told in ticks of 10 ms.
+/// How long after a late wake-up a rise of the steal time still explains it: it is counted in ticks of 10 ms.
 const STEAL_TELLS_NS: u64 = S;
 
 /// How fast what is usual is learned: the weight of one more value.
@@ -86,13 +86,13 @@ const SLOWLY: f64 = 0.05;
 /// Up to so many times as long as usual a stage is only busy.
 const USUAL: f64 = 4.0;
 
-/// In a longer span than this a delay cannot be told from another one's.
+/// In a longer span than this one delay cannot be separated from another.
 const LONGEST_SPAN_NS: u64 = 50 * MS;
 
 /// Late cycles that wait for their sample. More at once are judged by what is known.
 const MOST_PENDING: usize = 4096;
 
-/// Samples kept: with one every 5 ms those of more than the time that a steal may take to be told.
+/// Samples kept: with one every 5 ms those of more than [`STEAL_TELLS_NS`].
 const MOST_SAMPLES: usize = 512;
 
 /// Joins late cycles and samples.
@@ -291,7 +291,7 @@ impl Causes {
         self.pending.push_back(late);
     }
 
-    /// Takes a sample in, after all records from before it, and judges what it tells about.
+    /// Takes a sample in, after all records from before it, and finds the causes that it shows.
     pub fn sample(&mut self, sample: ThreadSample) {
         if let Some(before) = self.newest.replace(sample) {
             let ran_ns = sample.run_ns.saturating_sub(before.run_ns);
@@ -318,7 +318,7 @@ impl Causes {
             });
         }
         (self.cycles, self.late) = (0, false);
-        // Not in the order they came: what waits for the steal to be told holds up nobody.
+        // Not in the order they came: one that waits for the steal time delays no other.
         for late in std::mem::take(&mut self.pending) {
             if late.to > sample.at {
                 self.pending.push_back(late);

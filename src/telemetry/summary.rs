@@ -669,7 +669,7 @@ pub(super) fn plain(value: f64) -> f64 {
     (value * 1e4).round() / 1e4 + 0.0
 }
 
-/// A value that a drive tells; NaN is none.
+/// A value that a drive reports; NaN is none.
 pub(super) fn told(value: f64) -> Option<f64> {
     value.is_finite().then_some(value)
 }
@@ -917,8 +917,8 @@ mod tests {
         reference = ReferenceNumbers { locked: false, losses: 1, silent: 10, ..reference };
         assert_eq!(
             reference.to_string(),
-            "grid synchronised to bus line: NOT LOCKED, largest step 10 us; its clock was not seen in 10 of 1000 cycles; \
-             lock lost 1 time"
+            "grid synchronised to bus line: NOT LOCKED, largest step 10 us; its clock was not seen in 10 of 1000 \
+             cycles; lock lost 1 time"
         );
     }
 
@@ -929,7 +929,8 @@ mod tests {
         let told = |clock| ClockNumbers::of(clock, false).to_string();
         let line = "follows the grid, locked, error -1.25 us, at most 4 us since its lock; its drives tolerate 320 us";
         assert_eq!(told(clock), line);
-        let line = "follows the grid, NOT LOCKED, error not known, at most 4 us since its lock; its drives tolerate 320 us";
+        let line = "follows the grid, NOT LOCKED, error not known, at most 4 us since its lock; its drives tolerate \
+                    320 us";
         assert_eq!(told(BusClock { error_ns: None, locked: false, ..clock }), line);
     }
 

@@ -28,12 +28,12 @@ use slice::{GAP_NS, Setting};
 pub struct Effort {
     /// About so long in all, ns.
     pub span_ns: u64,
-    /// The share of late cycles that the machine bears.
+    /// The share of late cycles that the machine tolerates.
     pub miss_rate: f64,
 }
 
 impl Default for Effort {
-    /// 50 s, which are enough cycles at 1 ms to tell one late in a thousand, the wanted share.
+    /// 50 s, which are enough cycles at 1 ms to resolve one late in a thousand, the wanted share.
     fn default() -> Effort {
         Effort { span_ns: 50 * S, miss_rate: 1e-3 }
     }
@@ -253,7 +253,7 @@ struct Bench<'a> {
     planned: Vec<(usize, usize)>,
 }
 
-/// Measures what this host is worth for `subject`, and tells meanwhile what it does. Takes about as long as `effort`
+/// Measures how well this host suits `subject`, and reports its progress. Takes about as long as `effort`
 /// says.
 ///
 /// Other threads of this process should sleep: they would be measured, too. Locks of memory that it holds are lost.

@@ -21,15 +21,15 @@ use crate::time::Time;
 /// What a file begins with: the name, and the version of its layout.
 const MARK: [u8; 8] = *b"FBBOX\0\x04\n";
 
-/// The oldest layout that is read. In layout 1 no drive showed anything besides its process data; up to layout 2 every
-/// drive told a position, and the header had no names of faults; up to layout 3 the grid was led by our own clock. What
-/// a drive tells by itself came later, in bytes that were 0 before: any layout may have it.
+/// The oldest layout that is read. Layout 1 has no monitored variables; up to layout 2 every drive has a
+/// position, and the header has no names of faults; up to layout 3 the grid follows the clock of the computer.
+/// Emergencies came later, in bytes that were 0 before: any layout may have them.
 const OLDEST: u8 = 1;
 
 /// Bytes of a record.
 const RECORD: usize = 72;
 
-/// Bytes of a file besides its header and its records: mark, length of the header, count of the records, checksum.
+/// Bytes of a file without its header and its records: mark, length of the header, count of the records, checksum.
 const FRAME: u64 = 24;
 
 /// A header that is larger is none of ours: that of 256 axes has some 100 kB.
@@ -74,7 +74,7 @@ pub struct Axis {
     pub name: String,
     /// Its user unit.
     pub unit: String,
-    /// What its drive shows besides, channel by channel.
+    /// The monitored variables of its drive, channel by channel.
     #[serde(default)]
     pub monitor: [Option<Channel>; MONITOR_CHANNELS],
     /// What its protocol calls the fault codes that occur in the records.
@@ -89,7 +89,7 @@ impl Axis {
     }
 }
 
-/// A variable that a drive shows besides its process data.
+/// A monitored variable of a drive.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Channel {
     /// Its name.

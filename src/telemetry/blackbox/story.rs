@@ -54,7 +54,7 @@ impl News {
 /// A column of names is no wider: formatting panics beyond 65 535.
 const WIDEST_NAME: usize = 64;
 
-/// All that happened, in its order, each repetition told once. A disturbance (a missed reply, a late wake-up) belongs
+/// All that happened, in its order, repetitions in one line. A disturbance (a missed reply, a late wake-up) belongs
 /// to the one before of its kind if nothing has changed since then, with its drive or, for the loop, with any: late
 /// cycles before a lost link are not those after it. A change belongs to the same one before, on the same side of the
 /// failure.
@@ -331,7 +331,7 @@ pub struct Course {
     pub name: String,
     /// Its user unit.
     pub unit: String,
-    /// What it shows besides its process data.
+    /// Its monitored variables.
     pub monitor: Vec<Channel>,
     /// Its cycles.
     pub rows: Vec<Row>,
@@ -350,7 +350,7 @@ pub struct Row {
     pub link: String,
     /// State of the drive.
     pub state: String,
-    /// Actual position, user units; `None` = the drive tells none, like the three below.
+    /// Actual position, user units; `None` = the drive reports none, like the three below.
     pub position: Option<f64>,
     /// Demand position, user units.
     pub demand: Option<f64>,
@@ -358,7 +358,7 @@ pub struct Row {
     pub velocity: Option<f32>,
     /// Motor current, A.
     pub current: Option<f32>,
-    /// What it showed besides, in the order of [`Course::monitor`]; `None` = nothing in this cycle.
+    /// Its monitored variables, in the order of [`Course::monitor`]; `None` = nothing in this cycle.
     pub monitor: Vec<Option<f64>>,
 }
 

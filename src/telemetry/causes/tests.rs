@@ -196,7 +196,7 @@ fn a_stage_that_is_always_long_is_work_and_one_that_never_is_is_not() {
         one.tick(5 * 90 * US, 0, 0, 0);
     }
     one.enter(took(&one, Stage::Publish, 150), 0);
-    // It ran all the while, as far as a kernel knows that is not told what its hypervisor does.
+    // It ran all the while, as far as the kernel knows: its hypervisor reports no steal.
     one.enter(took(&one, Stage::Evaluate, 150), 0);
     (0..3).for_each(|_| one.enter(one.cycle(), 0));
     one.tick(5 * 90 * US + 300 * US, 0, 0, 0);

@@ -35,7 +35,7 @@ const MOST_BYTES: usize = 4096;
 /// Header lines of a request.
 const MOST_HEADERS: usize = 64;
 
-/// What the library writes is OpenMetrics, which Prometheus asks for first.
+/// What the library writes is OpenMetrics, which Prometheus requests first.
 const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
 /// Why there is no endpoint. The message ends with the remedy.
@@ -122,8 +122,8 @@ pub struct Server(Arc<Shared>);
 impl Drop for Server {
     fn drop(&mut self) {
         self.0.end.store(true, Ordering::Release);
-        // Ends every wait in accept(2); Linux does so, and only here is it relied on. What it returns tells nothing
-        // new.
+        // Ends every wait in accept(2); Linux does so, and only here is it relied on. Its result is
+        // not needed.
         let _ = nix::sys::socket::shutdown(self.0.listener.as_raw_fd(), nix::sys::socket::Shutdown::Both);
     }
 }
@@ -187,7 +187,7 @@ fn answer(mut stream: TcpStream, page: &dyn Fn() -> String) -> io::Result<()> {
     stream.shutdown(Shutdown::Write)
 }
 
-/// What a request asks for.
+/// What is requested.
 #[derive(Debug, PartialEq)]
 enum Asked {
     Page,

@@ -48,7 +48,7 @@ pub fn page(monitor: &Monitor) -> String {
     text
 }
 
-/// A machine, looked at whenever the page is asked for.
+/// A machine, read at every request of the page.
 #[derive(Debug)]
 struct Machine(Monitor);
 

@@ -36,7 +36,7 @@ pub const LEFT: u32 = 80;
 /// Room right of the plot, px.
 pub const RIGHT: u32 = 24;
 
-/// Colours that can be told apart with any kind of colour vision: Okabe and Ito, Color Universal Design (2008), their
+/// Colours that differ for any kind of colour vision: Okabe and Ito, Color Universal Design (2008), their
 /// yellow darkened for white paper.
 pub const PALETTE: [RGBColor; 8] = [
     RGBColor(0, 114, 178),
