@@ -240,7 +240,7 @@ mod tests {
         plan.core = 9;
         let bad = presence(&host.0.root, &refused, &plan);
         assert_eq!(bad.verdict, Bad);
-        assert_eq!(bad.found, "core 9 cannot be had; this process may use 0, 1, 2, online are 0-3");
+        assert_eq!(bad.found, "core 9 is not available; this process may use 0, 1, 2, online are 0-3");
         assert_eq!(bad.fix.unwrap(), "core = 2 in [cycle]");
     }
 

@@ -201,7 +201,7 @@ mod tests {
         assert!(blind.fix.unwrap().contains("preempt=full on the kernel command line"));
 
         let started = check(&[DYNAMIC, ("proc/cmdline", "quiet preempt=full")]);
-        assert_eq!(started.found, "PREEMPT_DYNAMIC (full) at the start");
+        assert_eq!(started.found, "PREEMPT_DYNAMIC (full) at boot");
         assert!(!started.fix.unwrap().contains("preempt="));
 
         let lazy = check(&[DYNAMIC, ("sys/kernel/debug/sched/preempt", "none voluntary full (lazy)\n")]);
@@ -249,7 +249,7 @@ mod tests {
         let period = "sys/kernel/debug/sched/fair_server/cpu3/period";
         let check = |files: &[(&str, &str)], plan: &Subject| fair_server(&Host::new(files).0.root, plan);
         let usual = [(runtime, "50000000\n"), (period, "1000000000\n")];
-        assert_eq!(check(&usual, &plan).found, "50 ms of every 1 s, for normal threads that starve");
+        assert_eq!(check(&usual, &plan).found, "50 ms of every 1 s, for starving normal threads");
         assert_eq!(check(&usual, &plan).verdict, Good);
         plan.cycle.wait = Wait::Spin;
         plan.cycle.receive_deadline = 0.8;

@@ -949,7 +949,7 @@ mod tests {
         let told = [
             ("mm/s", extent(0.1 + 0.2, -1e-9, 200.0), "0.3 mm/s, from 0 to 200"),
             ("", extent(4294967295.0, -12.5, 4294967295.0), "4294967295, from -12.5 to 4294967295"),
-            ("C", None, "not seen yet"),
+            ("C", None, "not received yet"),
         ];
         for (unit, extent, expected) in told {
             assert_eq!(text(unit, extent), format!("demand-velocity    {expected}"));

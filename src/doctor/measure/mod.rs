@@ -558,7 +558,7 @@ impl Measured {
         match carried {
             Some(Carries { period_ns: shortest, late_ns, cycles, late, at_most, .. }) => {
                 let found = format!(
-                    "{} (late from {} on: {late} of {cycles}, {} at most)",
+                    "{} (late limit {}: {late} of {cycles}, {} at most)",
                     Ns(*shortest),
                     Ns(*late_ns),
                     percent(*at_most)
@@ -656,11 +656,11 @@ mod tests {
         let late = |plan: &[(usize, usize)]| measured(plan, &[(MS, 50), (2 * MS, 0)]).late_cycles();
         let good = late(&[(0, 1_000); 10]);
         assert_eq!((good.verdict, good.name.as_str()), (Good, "late cycles at 1 ms"));
-        assert_eq!(good.found, "0 of 10000 (0 %); 0.03 % at most may lie behind such a sample (95 %)");
+        assert_eq!(good.found, "0 of 10000 (0 %); the true share is 0.03 % at most (95 % confidence)");
         let few = late(&[(0, 1_000)]);
         assert_eq!(few.verdict, Unknown);
         assert!(
-            few.found.contains("0.3 % at most") && few.found.contains("more than 3000 cycles"),
+            few.found.contains("0.3 % at most") && few.found.contains("only after 3000 cycles"),
             "{}",
             few.found
         );
@@ -676,12 +676,12 @@ mod tests {
         let shortest = |periods: &[(u64, usize)]| measured(&[(0, 10_000)], periods).shortest(&subject());
         let all = shortest(&[(250 * US, 0), (500 * US, 11), (MS, 2), (2 * MS, 0)]);
         assert_eq!(all.verdict, Good);
-        assert!(all.found.starts_with("1 ms (late from 100 us on: 2 of 10000, "), "{}", all.found);
+        assert!(all.found.starts_with("1 ms (late limit 100 us: 2 of 10000, "), "{}", all.found);
         // As often as wanted, but it may as well be more often.
         let unsure = shortest(&[(MS, 10), (2 * MS, 0)]);
         assert!(unsure.verdict == Unknown && unsure.found.contains("too few cycles"), "{unsure:?}");
         assert_eq!(shortest(&[(MS, 11), (2 * MS, 0)]).verdict, Poor);
-        assert_eq!(shortest(&[(MS, 0), (2 * MS, 11)]).found, "none of those tried");
+        assert_eq!(shortest(&[(MS, 0), (2 * MS, 11)]).found, "none of the periods tried");
     }
 
     #[test]
