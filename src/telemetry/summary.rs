@@ -903,6 +903,55 @@ mod tests {
     }
 
     #[test]
+    fn the_drives_come_first_and_fit_80_columns() {
+        let mut summary = crate::telemetry::plots::tests::run("axis-1", 2_000).summary();
+        let drive = summary.drives[0].clone();
+        let (state, sent) = (String::from("OperationEnabled"), 9_999_999);
+        let usual = Drive {
+            link: Link::Online.to_string(),
+            state,
+            sent,
+            answered: sent,
+            position: Some(-1234.5),
+            ..drive.clone()
+        };
+        let lost = Drive { missed: 1, losses: 1, link: Link::Lost.to_string(), position: None, ..drive };
+        let fault = Drive { fault: Some(5), ..usual.clone() };
+        summary.units = vec![summary.units[0]; 3];
+        summary.drives = vec![usual, lost, fault];
+        let text = summary.to_string();
+        let lines: Vec<&str> = text.lines().collect();
+        assert_eq!(lines[0], "2000 cycles of 1 ms: planned 2000 = executed 2000 + skipped 0, 0 overruns");
+        let titles: Vec<&str> = lines[3].split_whitespace().collect();
+        let expected = "drive state sent answered missed RTT p50 p99 max position";
+        assert_eq!(titles.join(" "), expected, "{text}");
+        assert!(lines[4].starts_with("axis-1 OperationEnabled 9999999  9999999      0 "), "{text}");
+        assert!(lines[4].ends_with(" -1234.500 mm") && lines[5].ends_with(" -"), "{text}");
+        assert_eq!(lines[7], "  fault 0x0005 (5)");
+        assert!(lines[..20].iter().all(|line| line.chars().count() <= 80), "{text}");
+        // A count that is 0 for all of them has no column.
+        assert!(!text.contains("dupl."), "{text}");
+        summary.drives[0].duplicate = 1;
+        assert!(summary.to_string().contains(" missed dupl. RTT p50 "), "{summary}");
+        // Colours in the alternate form only.
+        assert!(!text.contains('\x1b'), "{text:?}");
+        let styled = format!("{summary:#}");
+        assert!(styled.contains("\x1b[31mlost\x1b[0m"), "{styled}");
+        assert!(styled.contains("  \x1b[1m\x1b[31mfault 0x0005 (5)\x1b[0m\n"), "{styled:?}");
+    }
+
+    #[test]
+    fn times_have_one_unit_and_three_digits() {
+        let ns = [0, 51, 847, 1_000, 9_996, 28_911, 99_950, 129_419, 12_345_678];
+        let expected = ["0", "0.051", "0.847", "1.00", "10.0", "28.9", "100", "129", "12300"];
+        assert_eq!(ns.map(|ns| us(Some(ns))), expected);
+        assert_eq!(
+            (us(None), plural(1, "cycle"), plural(0, "cycle")),
+            ("-".into(), "1 cycle".into(), "0 cycles".into())
+        );
+    }
+
+    #[test]
     fn what_leads_the_grid_is_one_line() {
         let mut reference = ReferenceNumbers {
             bus: "line".into(),

@@ -320,8 +320,8 @@ fn a_damaged_or_foreign_black_box_is_one_clear_line() {
     let bytes = fs::read(whole).unwrap();
     for (name, bytes, what) in [
         ("cut.blackbox", &bytes[..bytes.len() / 2], "its end is missing"),
-        ("empty.blackbox", &[][..], "is no black box"),
-        ("foreign.blackbox", &b"<html>no</html>"[..], "is no black box"),
+        ("empty.blackbox", &[][..], "is not a black-box file"),
+        ("foreign.blackbox", &b"<html>no</html>"[..], "is not a black-box file"),
     ] {
         let path = machine.write(name, bytes);
         blackbox(&path, &[]).refused(&[name, what]);
@@ -330,8 +330,28 @@ fn a_damaged_or_foreign_black_box_is_one_clear_line() {
     changed[200] ^= 1;
     blackbox(&machine.write("changed.blackbox", changed), &[]).refused(&["its checksum is wrong"]);
     blackbox(&machine.path("none.blackbox"), &[]).refused(&["none.blackbox", "cannot read"]);
-    blackbox(&machine.path(""), &[]).refused(&["is no black box"]);
+    blackbox(&machine.path(""), &[]).refused(&["is not a black-box file"]);
+    blackbox(&machine.write("long.blackbox", [&bytes[..], b"x"].concat()), &[])
+        .refused(&["it has more bytes than its header says"]);
     blackbox(whole, &["--cycles", &u64::MAX.to_string()]).expect(0);
+
+    // The list of the default directory, and of another one.
+    let list = |rest: &[&str]| {
+        Program::spawn(own(&machine, &["blackbox", "--list"]).args(rest)).end().expect(0).out.clone()
+    };
+    let (name, machine_of) = (whole.file_name().unwrap().to_str().unwrap(), config.to_str().unwrap());
+    let text = list(&[]);
+    let row = text.lines().last().unwrap();
+    assert!(
+        text.contains(": 1 black-box file\n") && row.contains(name) && row.contains(machine_of),
+        "{text}"
+    );
+    assert!(row.contains("requested (cycle ") && !text.contains('\x1b'), "{text}");
+    let elsewhere = list(&["--black-box", machine.path("").to_str().unwrap(), "--json"]);
+    let listing: Value = serde_json::from_str(&elsewhere).unwrap();
+    let files = listing["files"].as_array().unwrap();
+    assert_eq!(files.iter().filter(|file| file["error"].is_string()).count(), files.len());
+    assert!(files.iter().any(|file| file["file"] == "cut.blackbox" && file["bytes"].is_u64()), "{listing}");
 }
 
 #[test]

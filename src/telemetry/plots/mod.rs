@@ -41,7 +41,7 @@ pub fn all(run: &Run, summary: &Summary) -> Result<[(&'static str, String); 4], 
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use std::sync::Arc;
 
     use super::*;
@@ -54,7 +54,7 @@ mod tests {
     use crate::telemetry::Measured;
 
     /// A run of so many cycles, with a tail that grows with the cycle's number.
-    pub(super) fn run(name: &str, cycles: u64) -> Run {
+    pub fn run(name: &str, cycles: u64) -> Run {
         let drives = vec![LinUdpDrive::new(name, [127, 0, 0, 2].into())];
         let plan = Plan {
             source: None,
