@@ -121,7 +121,7 @@ fn the_keys_of_the_object_are_stable() {
     have.sort();
     have.dedup();
     let want = "\
-        counts.bad counts.good counts.poor counts.unknown findings.area findings.found findings.fix findings.name \
+        counts.bad counts.good counts.poor counts.unknown findings.area findings.fix findings.found findings.name \
         findings.undo findings.verdict findings.wanted findings.why host.cpu host.kernel measured.factors.fix \
         measured.factors.name measured.factors.p50_ratio measured.factors.p99_ratio measured.factors.with.count \
         measured.factors.with.max_ns measured.factors.with.p50_ns measured.factors.with.p99_ns \
