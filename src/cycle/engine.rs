@@ -1,4 +1,4 @@
-//! One cycle after the other: send, receive, judge, exchange, prepare, publish.
+//! One cycle after the other: send, receive, evaluate, commands, prepare, publish.
 //!
 //! The engine is generic over its clock, and its buses bring their carriers, so that the same code runs on a pinned
 //! SCHED_FIFO thread and in virtual time.
@@ -297,12 +297,12 @@ impl<C: Clock> Engine<C> {
         self.window.run(&mut self.clock, cycle, &mut self.buses, &mut self.slots);
         let received = self.clock.now();
 
-        // 3 judge
-        let missed = self.judge(cycle, received);
+        // 3 evaluate
+        let missed = self.evaluate(cycle, received);
         self.steer(cycle);
-        let judged = self.clock.now();
+        let evaluated = self.clock.now();
 
-        // 4 exchange. The task comes first: what it asks for leaves with the next send.
+        // 4 commands. The task comes first: what it asks for leaves with the next send.
         let ended = self.end(cycle, received);
         if self.ending.is_none() {
             self.run_task(cycle, received);
@@ -312,7 +312,7 @@ impl<C: Clock> Engine<C> {
             self.gates.open(cycle, received, &mut self.seats, &mut self.slots);
         }
 
-        let exchanged = self.clock.now();
+        let commanded = self.clock.now();
 
         // 5 prepare
         let next = self.cycle_at(cycle.index + 1, self.grid.next_at());
@@ -323,7 +323,7 @@ impl<C: Clock> Engine<C> {
         // 6 publish
         self.publish();
         let published = self.clock.now();
-        let ends = [woke, sent, received, judged, exchanged, prepared, published];
+        let ends = [woke, sent, received, evaluated, commanded, prepared, published];
         let stages_ns: [u64; 6] = std::array::from_fn(|stage| ends[stage + 1].since(ends[stage]));
         for (peak, ns) in self.status.stage_max.iter_mut().zip(stages_ns) {
             peak.see(ns, cycle.index);
@@ -368,8 +368,8 @@ impl<C: Clock> Engine<C> {
         self.record(Record::Reference(record));
     }
 
-    /// Judges all exchanges. Returns how many drives that were online have not answered.
-    fn judge(&mut self, cycle: &Cycle, now: Time) -> u16 {
+    /// Evaluates all exchanges. Returns how many drives that were online have not answered.
+    fn evaluate(&mut self, cycle: &Cycle, now: Time) -> u16 {
         let mut missed = 0_u16;
         for (seat, slot) in self.seats.iter_mut().zip(&mut self.slots) {
             let online = seat.feedback().link == Link::Online;

@@ -3,7 +3,7 @@
 //! | file | what |
 //! |---|---|
 //! | `plan` | the machine as configured |
-//! | `engine` | one cycle after the other: send, receive, judge, exchange, prepare, publish |
+//! | `engine` | one cycle after the other: send, receive, evaluate, commands, prepare, publish |
 //! | `grid` | slots and their instants |
 //! | `window` | waiting for replies until the deadline |
 //! | `seat` | the loop's side of one axis |
