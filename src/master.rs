@@ -2,7 +2,6 @@
 
 use std::any::Any;
 use std::path::{Path, PathBuf};
-use std::sync::mpsc;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -542,7 +541,7 @@ impl Setup {
             assemble(&plan, MonotonicClock, &Os::beside(realtime.core_to_be()), task, control.clone())?;
         let observers: Vec<_> = axes.iter().map(|axis| (axis.name().to_owned(), axis.observer())).collect();
 
-        let (tell, told) = mpsc::channel();
+        let (tell, told) = crossbeam_channel::bounded(1);
         let thread = std::thread::Builder::new()
             .name("fb-loop".into())
             .stack_size(STACK_BYTES)
