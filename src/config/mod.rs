@@ -255,12 +255,14 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-pub use cycle::starvation;
 pub use describe::{describe, stop_bound, stop_bound_cycles};
 pub use error::{ConfigError, ConfigErrors};
 
+pub use crate::cycle::starvation;
+
 use crate::bus::BusPlan;
 use crate::cycle::{CyclePlan, GroupPlan, Plan};
+use crate::master::{Master, Setup};
 use crate::time::{MS, US};
 use reader::{Page, Place, Table};
 
@@ -273,6 +275,13 @@ const DEMO_FILE: &str = "rt-config/demo.toml";
 pub fn load(path: impl AsRef<Path>) -> Result<Plan, ConfigErrors> {
     let (file, text) = read(path.as_ref(), "an existing configuration, for example rt-config/demo.toml")?;
     parse(&text, &file)
+}
+
+impl Master {
+    /// Reads and checks a configuration.
+    pub fn from_file(path: impl AsRef<Path>) -> Result<Setup, ConfigErrors> {
+        Ok(Master::from_plan(load(path.as_ref())?))
+    }
 }
 
 /// A file's name and text; `kind` says what kind of file it should be, with an example.

@@ -12,7 +12,7 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 use super::PlotError;
 use crate::telemetry::Quantiles;
-use crate::telemetry::summary::{Run, Summary};
+use crate::telemetry::{Run, Summary};
 use crate::time::{MS, Ns, S, US};
 
 /// Where a picture is drawn.

@@ -8,8 +8,8 @@ use super::PlotError;
 use super::sheet::{
     ALARM, Axis, LEFT, MARGIN, PALETTE, RIGHT, Sheet, anchored, label_count, numbers, text, within,
 };
-use crate::telemetry::summary::{Run, Summary};
 use crate::telemetry::{Quantiles, histograms::Quantity};
+use crate::telemetry::{Run, Summary};
 use crate::time::{Ns, US};
 
 /// The most bins: each needs a pixel of its own.
