@@ -201,7 +201,7 @@ fn timer_slack(ns: u64) {
 fn preempted() -> Vec<usize> {
     let bench = Bench::start(1, Realtime::Require, Guard::Off);
     let core = bench.master.granted().core.unwrap();
-    let (go, wait) = channel::<()>();
+    let (go, wait) = unbounded::<()>();
     let (tell, told): (_, Receiver<(Time, Time)>) = unbounded();
     let thread = std::thread::spawn(move || {
         let plan = RealtimePlan {
