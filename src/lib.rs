@@ -35,6 +35,9 @@
 //! use fieldbeat::sim::server::{ServerOptions, SimServer};
 //! use fieldbeat::{Master, Profile};
 //!
+//! # #[cfg(not(feature = "config"))]
+//! # fn main() {}
+//! # #[cfg(feature = "config")]
 //! fn main() -> Result<(), Box<dyn std::error::Error>> {
 //!     let setup = Master::from_file("rt-config/demo.toml")?;
 //!     let _drives = SimServer::start(setup.plan().simulate(), ServerOptions::default())?;
@@ -57,6 +60,23 @@
 //! }
 //! ```
 //!
+//! # Features
+//!
+//! The default is the whole program. With `default-features = false` there is the runtime for a program of your own, in
+//! at most 25 crates: [`axis`], [`bus`], [`cycle`], [`net`], [`rt`], [`master`], [`simulation`], [`sim`] and the
+//! histograms of [`telemetry`], for a [`Plan`] that is built in code.
+//!
+//! | feature | what it adds |
+//! |---|---|
+//! | `config` | [`config`]: a plan from TOML, [`Master::from_file`] |
+//! | `summary` | [`telemetry::summary`]: a run as one object and as a table; serde's traits of acyclic calls |
+//! | `report` | [`telemetry::report`]: a directory with the summary, `.hgrm` histograms and plots; brings `summary` |
+//! | `metrics` | [`telemetry::metrics`]: a page for Prometheus; brings `summary` |
+//! | `black-box` | [`telemetry::blackbox`]: the last cycles in a file when something fails; brings `summary` |
+//! | `control` | [`control`]: the socket by which other processes reach a running master; brings `summary` |
+//! | `doctor` | [`doctor`]: what this host is worth; brings `summary` |
+//! | `cli` | the program, with all of them; the default |
+//!
 //! # The house
 //!
 //! Arrows point down only: `cli` -> [`control`], [`doctor`], [`config`], [`master`] -> [`telemetry`] -> [`cycle`] ->
@@ -64,9 +84,12 @@
 
 pub mod axis;
 pub mod bus;
+#[cfg(feature = "config")]
 pub mod config;
+#[cfg(feature = "control")]
 pub mod control;
 pub mod cycle;
+#[cfg(feature = "doctor")]
 pub mod doctor;
 mod errors;
 pub mod master;
@@ -74,6 +97,7 @@ pub mod net;
 pub mod rt;
 pub mod sim;
 pub mod simulation;
+#[cfg(feature = "summary")]
 mod style;
 pub mod telemetry;
 pub mod time;
@@ -86,7 +110,7 @@ pub use telemetry::Monitor;
 pub use time::Time;
 
 /// The programs of README.md and docs/ compile, or the doctests fail.
-#[cfg(doctest)]
+#[cfg(all(doctest, feature = "config"))]
 #[doc = include_str!("../README.md")]
 #[doc = include_str!("../docs/src/library.md")]
 struct Programs;

@@ -1,8 +1,6 @@
 //! A machine: the checked plan, the open buses, the loop's thread and the application's handles, put together.
 
 use std::any::Any;
-use std::path::{Path, PathBuf};
-use std::sync::mpsc;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -14,28 +12,25 @@ use crate::axis::cell;
 use crate::axis::handle::{SETPOINT_QUEUE, URGENT_ROOM};
 use crate::axis::{Axis, AxisEnds, Feedback, Group, GroupError, Link, Observer, Pulse};
 use crate::bus::{BusClock, Cycle, OpenError, Strangers};
-use crate::config::{self, ConfigErrors};
 use crate::cycle::engine::{Control, Engine, Outlets};
 use crate::cycle::record::Record;
 use crate::cycle::seat::{Queues, Seat};
 use crate::cycle::status::{DeviceEnd, DriveNumbers, Gauges, Numbers, Status};
 use crate::cycle::task::{Axes, Task};
 use crate::cycle::window::BusSeat;
-use crate::cycle::{Plan, PlanErrors};
+use crate::cycle::{self, Plan, PlanErrors};
 use crate::net::{Carriers, Os};
 use crate::rt::watch::ThreadWatch;
 use crate::rt::{
     self, Clock, Granted, Memory, MonotonicClock, Realtime, RealtimeError, RealtimePlan, Regions, Usage,
 };
-use crate::telemetry::blackbox::BlackBox;
-use crate::telemetry::summary::Run;
-use crate::telemetry::{Measured, Monitor, Recorder, Summary};
+use crate::telemetry::{Keep, Measured, Monitor, Recorder, Run};
 
 /// A machine that has not started yet.
 pub struct Setup {
     plan: Plan,
     task: Option<Task>,
-    black_box: Option<PathBuf>,
+    pub(crate) black_box: Option<Box<dyn Keep>>,
 }
 
 impl std::fmt::Debug for Setup {
@@ -294,11 +289,6 @@ const PROBES_A_CYCLE: usize = 16;
 const STACK_BYTES: usize = 1024 * 1024;
 
 impl Master {
-    /// Reads and checks a configuration.
-    pub fn from_file(path: impl AsRef<Path>) -> Result<Setup, ConfigErrors> {
-        Ok(Master::from_plan(config::load(path.as_ref())?))
-    }
-
     /// A machine from a plan built in code.
     pub fn from_plan(plan: Plan) -> Setup {
         Setup { plan, task: None, black_box: None }
@@ -403,11 +393,6 @@ impl Master {
         self.monitor.measured(look)
     }
 
-    /// See [`Monitor::summary`].
-    pub fn summary(&self) -> Summary {
-        self.monitor.summary()
-    }
-
     /// See [`Monitor::write_black_box`].
     pub fn write_black_box(&self) {
         self.monitor.write_black_box();
@@ -508,20 +493,14 @@ impl Setup {
         self
     }
 
-    /// Where the black box writes its files. Without it there is none.
-    pub fn with_black_box(mut self, directory: impl Into<PathBuf>) -> Setup {
-        self.black_box = Some(directory.into());
-        self
-    }
-
     /// The plan and the task, for the virtual twin.
     pub(crate) fn into_parts(self) -> (Plan, Option<Task>) {
         (self.plan, self.task)
     }
 
     /// Opens the buses and starts the loop. Until it returns, nothing has been sent but the first probes.
-    pub fn start(self) -> Result<Master, StartError> {
-        let black_box = self.black_box.as_ref().and_then(|directory| BlackBox::new(&self.plan, directory));
+    pub fn start(mut self) -> Result<Master, StartError> {
+        let black_box = self.black_box.take();
         let (plan, task) = self.into_parts();
         let has_task = task.is_some();
         plan.check()?;
@@ -532,7 +511,7 @@ impl Setup {
             core: plan.cycle.core,
         };
         let throttling = rt::host::rt_throttling();
-        if let Some(why) = throttling.and_then(|throttling| config::starvation(&plan.cycle, &throttling)) {
+        if let Some(why) = throttling.and_then(|throttling| cycle::starvation(&plan.cycle, &throttling)) {
             return Err(StartError::Starving(why));
         }
         if plan.cycle.realtime != Realtime::Off && plan.cycle.memory == Memory::Process {
@@ -544,7 +523,7 @@ impl Setup {
             assemble(&plan, MonotonicClock, &Os::beside(realtime.core_to_be()), task, control.clone())?;
         let observers: Vec<_> = axes.iter().map(|axis| (axis.name().to_owned(), axis.observer())).collect();
 
-        let (tell, told) = mpsc::channel();
+        let (tell, told) = crossbeam_channel::bounded(1);
         let thread = std::thread::Builder::new()
             .name("fb-loop".into())
             .stack_size(STACK_BYTES)

@@ -12,10 +12,10 @@ use std::io::{BufRead, BufReader};
 use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::mpsc::{Receiver, channel};
 use std::thread::sleep;
 use std::time::Duration;
 
+use crossbeam_channel::{Receiver, unbounded};
 use fieldbeat::cycle::record::Stage;
 use fieldbeat::cycle::{CyclePlan, Guard};
 use fieldbeat::master::Master;
@@ -201,8 +201,8 @@ fn timer_slack(ns: u64) {
 fn preempted() -> Vec<usize> {
     let bench = Bench::start(1, Realtime::Require, Guard::Off);
     let core = bench.master.granted().core.unwrap();
-    let (go, wait) = channel::<()>();
-    let (tell, told): (_, Receiver<(Time, Time)>) = channel();
+    let (go, wait) = unbounded::<()>();
+    let (tell, told): (_, Receiver<(Time, Time)>) = unbounded();
     let thread = std::thread::spawn(move || {
         let plan = RealtimePlan {
             realtime: Realtime::Require,

@@ -22,12 +22,13 @@ use super::plan::AxisPlan;
 /// ```no_run
 /// # use std::time::Duration;
 /// # use fieldbeat::{Group, Master, Row};
-/// # let master = Master::from_file("machine.toml")?.start()?;
+/// # fn example(master: &Master) -> Result<(), Box<dyn std::error::Error>> {
 /// let mut gantry = Group::new([master.axis("x")?, master.axis("y")?])?;
 /// gantry.enable()?;
 /// gantry.home()?;
 /// gantry.move_to(&[100.0, 50.0])?;
-/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// # Ok(())
+/// # }
 /// ```
 #[derive(Debug)]
 pub struct Group {

@@ -3,11 +3,13 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use crossbeam::utils::CachePadded;
+
 use crate::rt::Regions;
 
 /// A counter that the application moves and the loop watches. Clones are the same pulse; each machine has its own.
 #[derive(Clone, Debug, Default)]
-pub struct Pulse(Arc<AtomicU64>);
+pub struct Pulse(Arc<CachePadded<AtomicU64>>);
 
 impl Pulse {
     /// The application is alive.

@@ -5,7 +5,6 @@ use super::reader::{Table, time};
 use super::value::alternatives;
 use crate::bus::BusPlan;
 use crate::cycle::{CyclePlan, Guard, Overrun, Wait};
-use crate::rt::host::Throttling;
 use crate::rt::{Memory, Realtime};
 use crate::time::{Ns, S, US};
 
@@ -85,7 +84,8 @@ fn guard(table: &mut Table<'_>) -> Option<Guard> {
 
 fn overrun(table: &mut Table<'_>, period_ns: u64) -> Option<Overrun> {
     let skips = table.word("overrun", &[("skip", true), ("stop", false)]);
-    let max_skip = table.count("max_skip", 1..=1_000_000, period_ns, "the most slots that may be skipped in a row");
+    let max_skip =
+        table.count("max_skip", 1..=1_000_000, period_ns, "the most slots that may be skipped in a row");
     match (skips, max_skip) {
         (Some(false), Some(_)) => {
             table.fault("max_skip", "needs overrun = \"skip\"; \"stop\" skips nothing, leave max_skip out");
@@ -143,38 +143,4 @@ pub(super) fn check_period(root: &Table<'_>, cycle: &CyclePlan, drives: usize) {
             Ns(cycle.period_ns)
         ),
     );
-}
-
-/// Why this cycle would starve the host it runs on, and what to do about it; `None` if it does not.
-///
-/// A loop that spins for most of its period never lets its core go. With real-time throttling on, the kernel then takes
-/// the core away, for tens of milliseconds at a stretch.
-pub fn starvation(cycle: &CyclePlan, host: &Throttling) -> Option<String> {
-    let runtime_us = host.runtime_us.filter(|runtime_us| *runtime_us < host.period_us)?;
-    if cycle.realtime == Realtime::Off {
-        return None;
-    }
-    let guard_ns = match cycle.guard {
-        Guard::Off => 0,
-        Guard::Fixed(ns) => ns,
-        Guard::Auto => cycle.period_ns / 4,
-    };
-    let receive_ns = match cycle.wait {
-        Wait::Poll => 0,
-        Wait::Spin => cycle.deadline_ns(),
-    };
-    let busy_ns = guard_ns.saturating_add(receive_ns);
-    (busy_ns > cycle.period_ns / 2).then(|| {
-        format!(
-            "cycle: guard ({}) and spinning receive ({}) would hold the core for {} of every {}, and this kernel takes \
-             it away from real-time threads after {} of every {}; use wait = \"poll\" or a shorter guard, or on a core \
-             of its own: sysctl kernel.sched_rt_runtime_us=-1",
-            Ns(guard_ns),
-            Ns(receive_ns),
-            Ns(busy_ns),
-            Ns(cycle.period_ns),
-            Ns(runtime_us.saturating_mul(US)),
-            Ns(host.period_us.saturating_mul(US)),
-        )
-    })
 }

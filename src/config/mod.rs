@@ -48,13 +48,15 @@ use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-pub use cycle::starvation;
 pub use describe::{describe, stop_bound, stop_bound_cycles};
 pub use error::{ConfigError, ConfigErrors};
 pub use json::json;
 
+pub use crate::cycle::starvation;
+
 use crate::bus::BusPlan;
 use crate::cycle::{CyclePlan, GroupPlan, Plan};
+use crate::master::{Master, Setup};
 use crate::time::{MS, S, US};
 use reader::{Page, Place, Table};
 
@@ -67,6 +69,13 @@ pub const DEMO_FILE: &str = "rt-config/demo.toml";
 pub fn load(path: impl AsRef<Path>) -> Result<Plan, ConfigErrors> {
     let (file, text) = read(path.as_ref(), "an existing configuration, for example rt-config/demo.toml")?;
     parse(&text, &file)
+}
+
+impl Master {
+    /// Reads and checks a configuration.
+    pub fn from_file(path: impl AsRef<Path>) -> Result<Setup, ConfigErrors> {
+        Ok(Master::from_plan(load(path.as_ref())?))
+    }
 }
 
 /// The most that a configuration, a curve or a table may have, bytes: a hundred times what 256 drives need.

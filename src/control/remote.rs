@@ -124,9 +124,9 @@ impl Drop for Claim {
 #[cfg(test)]
 mod tests {
     use std::sync::atomic::{AtomicBool, Ordering};
-    use std::sync::mpsc::{self, Receiver};
     use std::thread::JoinHandle;
 
+    use crossbeam_channel::Receiver;
     use tempfile::TempDir;
 
     use super::super::{Answering, Desk, Server};
@@ -166,7 +166,7 @@ mod tests {
             let directory = tempfile::tempdir().unwrap();
             let path = directory.path().join("a.sock");
             let (acyclic, mut port) = both(capacity);
-            let (tell, taken) = mpsc::channel();
+            let (tell, taken) = crossbeam_channel::unbounded();
             let end = Arc::new(AtomicBool::new(false));
             let ending = Arc::clone(&end);
             let drive = std::thread::spawn(move || {

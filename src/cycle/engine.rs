@@ -7,6 +7,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
 
+use crossbeam::utils::CachePadded;
 use rtrb::Producer;
 
 use super::gates::Gates;
@@ -27,7 +28,7 @@ use crate::time::{MS, Time, nanos};
 
 /// What the outside asks of the loop.
 #[derive(Clone, Debug, Default)]
-pub struct Control(Arc<AtomicU8>);
+pub struct Control(Arc<CachePadded<AtomicU8>>);
 
 const RUN: u8 = 0;
 const STOP: u8 = 1;

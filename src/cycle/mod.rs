@@ -32,4 +32,4 @@ pub mod status;
 pub mod task;
 pub mod window;
 
-pub use plan::{CyclePlan, GroupPlan, Guard, Overrun, Plan, PlanErrors, Wait};
+pub use plan::{CyclePlan, GroupPlan, Guard, Overrun, Plan, PlanErrors, Wait, starvation};

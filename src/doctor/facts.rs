@@ -406,6 +406,7 @@ pub(super) mod testing {
 mod tests {
     use super::testing::Host;
     use super::*;
+    use crate::bus::linudp::{LinUdpDrive, LinUdpPlan};
 
     #[test]
     fn reads_threads_whatever_their_names() {
@@ -429,8 +430,9 @@ mod tests {
 
     #[test]
     fn a_bus_tells_its_wire_without_opening_it() {
-        let plan = crate::config::demo_plan(2, 1_000_000, 0).unwrap();
-        let way = Way::of(plan.buses[0].as_ref(), 1_000_000).unwrap();
+        let drives = [11, 12].map(|host| LinUdpDrive::new(format!("x{host}"), [127, 77, 0, host].into()));
+        let bus = LinUdpPlan::new([127, 77, 0, 1].into(), drives.into());
+        let way = Way::of(&bus, 1_000_000).unwrap();
         let Way::Wire(wire) = way else { panic!("it has addresses") };
         assert_eq!(wire.local, "127.77.0.1:41136".parse().unwrap());
         let drives: Vec<String> = wire.drives.iter().map(ToString::to_string).collect();

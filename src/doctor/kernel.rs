@@ -8,7 +8,7 @@ use std::io::ErrorKind;
 use super::Subject;
 use super::facts::{Facts, Root};
 use super::finding::{Area, Finding, keep, write};
-use crate::config::starvation;
+use crate::cycle::starvation;
 use crate::rt::host::{Throttling, preemption_by, throttling_of};
 use crate::time::Ns;
 

@@ -109,6 +109,7 @@ fn judge(facts: &facts::Facts, subject: &Subject) -> Vec<Finding> {
 mod tests {
     use super::facts::testing::{Host, subject};
     use super::*;
+    use crate::bus::linudp::{LinUdpDrive, LinUdpPlan};
 
     #[test]
     fn every_finding_of_a_host_that_reports_nothing_is_honest() {
@@ -132,7 +133,14 @@ mod tests {
 
     #[test]
     fn this_host_is_examined_by_any_user() {
-        let subject = Subject::of(&crate::config::demo_plan(1, 1_000_000, 0).unwrap());
+        let bus =
+            LinUdpPlan::new([127, 77, 0, 1].into(), vec![LinUdpDrive::new("x", [127, 77, 0, 11].into())]);
+        let subject = Subject::of(&Plan {
+            source: None,
+            cycle: CyclePlan::default(),
+            buses: vec![Box::new(bus)],
+            groups: Vec::new(),
+        });
         assert_eq!(subject.wires.len(), 1);
         let findings = examine(&subject);
         let areas: Vec<Area> = findings.iter().map(|finding| finding.area).collect();

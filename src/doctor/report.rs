@@ -2,14 +2,21 @@
 
 use std::fmt::{self, Write as _};
 
+use anstyle::{AnsiColor, Style};
 use serde::Serialize;
 
 use super::measure::{Carries, Factor, Measured, percent, word};
 use super::{Finding, Subject, Verdict};
 use crate::rt::host;
-use crate::style::{BAD, GOOD, POOR, paint};
+use crate::style::{BAD, paint};
 use crate::telemetry::summary::plural;
 use crate::time::Ns;
+
+/// What could be better.
+const POOR: Style = AnsiColor::Yellow.on_default();
+
+/// What is as it should be.
+const GOOD: Style = AnsiColor::Green.on_default();
 
 /// The result of the doctor. Serialised, its keys are stable; values are in ns unless the key says otherwise; null
 /// means not known.

@@ -114,7 +114,7 @@ pub fn lock_process() -> Result<(), Denied> {
 
 /// Undoes every lock of the process, those of [`Regions::lock`] too (munlockall(2)); for who only tries what a lock is
 /// worth.
-pub(crate) fn unlock_process() {
+pub fn unlock_process() {
     // Cannot fail: it asks for no right.
     let _ = nix::sys::mman::munlockall();
 }

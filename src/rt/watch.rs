@@ -124,8 +124,8 @@ mod tests {
 
     #[test]
     fn sees_another_thread_work_and_fault() {
-        let (tell, told) = std::sync::mpsc::channel();
-        let (go, wait) = std::sync::mpsc::channel::<()>();
+        let (tell, told) = crossbeam_channel::unbounded();
+        let (go, wait) = crossbeam_channel::unbounded::<()>();
         let thread = std::thread::spawn(move || {
             tell.send(nix::unistd::gettid().as_raw()).unwrap();
             wait.recv().unwrap();

@@ -1,7 +1,6 @@
 //! What a run measured, as histograms, and the quantiles that a sample supports.
 
 use hdrhistogram::Histogram;
-use serde::Serialize;
 
 use crate::cycle::record::{CycleRecord, DriveRecord, Record, ReferenceRecord, SkippedRecord, Stage};
 use crate::cycle::status::Peak;
@@ -143,7 +142,8 @@ impl Histograms {
 }
 
 /// Quantiles of a histogram, each only if the sample is large enough to support it.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "summary", derive(serde::Serialize))]
 pub struct Quantiles {
     /// Size of the sample.
     pub count: u64,

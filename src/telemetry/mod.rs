@@ -19,21 +19,30 @@
 //!
 //! Counts and maxima come from the loop itself and are exact; quantiles come from here.
 
+#[cfg(feature = "black-box")]
 pub mod blackbox;
 pub mod causes;
+#[cfg(any(feature = "black-box", feature = "report"))]
 pub mod file;
+#[cfg(feature = "report")]
 pub mod hgrm;
 pub mod histograms;
+#[cfg(feature = "metrics")]
 pub mod metrics;
 mod monitor;
+#[cfg(feature = "report")]
 pub mod plots;
 mod recorder;
+#[cfg(feature = "report")]
 pub mod report;
+#[cfg(feature = "summary")]
 pub mod summary;
+#[cfg(feature = "summary")]
 mod table;
 pub mod timeline;
 
 pub use histograms::{Histograms, Quantiles};
 pub use monitor::Monitor;
-pub use recorder::{DriveEmergency, Measured, Recorder, Recording};
+pub use recorder::{DriveEmergency, Keep, Measured, Recorder, Recording, Run, Written};
+#[cfg(feature = "summary")]
 pub use summary::Summary;

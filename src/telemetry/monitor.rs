@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use super::{Measured, Recording, Summary};
+use super::{Measured, Recording};
 use crate::axis::Observer;
 use crate::axis::cell::Reader;
 use crate::bus::BusPlan;
@@ -99,7 +99,7 @@ impl Monitor {
     }
 
     /// Whether drive `index` is reached by a connection.
-    pub(crate) fn has_connection(&self, index: usize) -> bool {
+    pub fn has_connection(&self, index: usize) -> bool {
         self.0.gauges.links.get(index).is_some_and(Option::is_some)
     }
 
@@ -108,18 +108,12 @@ impl Monitor {
         look(&self.0.recording.read())
     }
 
-    /// The run so far.
-    pub fn summary(&self) -> Summary {
-        let (numbers, steal_ms) = (self.numbers(), self.steal_ms());
-        self.measured(|measured| Summary::of(self.plan(), &numbers, measured, self.granted(), steal_ms))
-    }
-
     /// Time that the hypervisor took from all cores since the start, ms.
     pub fn steal_ms(&self) -> Option<u64> {
         Some(rt::host::steal_ms(None)?.saturating_sub(self.0.steal_before_ms?))
     }
 
-    /// Writes the black box to a file, if there is one; see [`Setup::with_black_box`](crate::Setup::with_black_box).
+    /// Writes the black box to a file, if there is one; see `Setup::with_black_box`.
     pub fn write_black_box(&self) {
         self.0.recording.write_black_box();
     }

@@ -1,6 +1,8 @@
 //! The thread that empties the loop's ring: into histograms, the time line, the search for causes, and the black box.
 
 use std::collections::VecDeque;
+use std::fmt;
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
@@ -8,13 +10,14 @@ use std::time::Duration;
 
 use rtrb::Consumer;
 
-use super::blackbox::{BlackBox, Written};
 use super::causes::Causes;
 use super::histograms::Histograms;
 use super::timeline::Timeline;
 use crate::axis::Emergency;
-use crate::cycle::CyclePlan;
 use crate::cycle::record::Record;
+use crate::cycle::status::Numbers;
+use crate::cycle::{CyclePlan, Plan};
+use crate::rt::Granted;
 use crate::rt::watch::ThreadWatch;
 use crate::time::S;
 
@@ -108,6 +111,64 @@ impl Measured {
     }
 }
 
+/// The end of a run: the loop's exact counts, what the telemetry measured, and how it was run.
+#[derive(Debug)]
+pub struct Run {
+    /// Exact counts and maxima.
+    pub end: Numbers,
+    /// Histograms, causes, the course of the run.
+    pub measured: Measured,
+    /// What the operating system granted.
+    pub granted: Granted,
+    /// The machine as planned.
+    pub plan: Arc<Plan>,
+    /// Time that the hypervisor took from all cores meanwhile, ms.
+    pub steal_ms: Option<u64>,
+}
+
+/// What keeps the last records and writes them to a file when something fails. It runs on the telemetry thread. The
+/// feature `black-box` has the one there is; without it there is none.
+pub trait Keep: fmt::Debug + Send {
+    /// Takes a record in, and notices what fails.
+    fn enter(&mut self, record: &Record);
+
+    /// A file is requested, though nothing failed.
+    fn ask(&mut self);
+
+    /// Writes a file if it is time; `last` waits for nothing more. Returns the files that were finished meanwhile.
+    fn write(&mut self, last: bool) -> Vec<Written>;
+}
+
+/// A file that was written, or was to be.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "summary", derive(serde::Serialize))]
+pub struct Written {
+    /// Why.
+    pub why: String,
+    /// In which cycle that was.
+    pub cycle: u64,
+    /// Where.
+    pub path: PathBuf,
+    /// Why it could not be written.
+    pub error: Option<String>,
+    /// Which of the run's it is, from 1.
+    #[cfg_attr(feature = "summary", serde(skip))]
+    pub number: usize,
+    /// The file that made room for it.
+    #[cfg_attr(feature = "summary", serde(skip))]
+    pub replaced: Option<PathBuf>,
+}
+
+impl fmt::Display for Written {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Written { why, cycle, path, error, .. } = self;
+        match error {
+            None => write!(f, "black box: {} ({why}, cycle {cycle})", path.display()),
+            Some(error) => write!(f, "black box not written: {error} ({why}, cycle {cycle})"),
+        }
+    }
+}
+
 /// What the thread fills, for any number of readers.
 #[derive(Debug)]
 pub struct Recording {
@@ -142,7 +203,7 @@ impl Recorder {
         mut ring: Consumer<Record>,
         measured: Measured,
         mut watch: Option<ThreadWatch>,
-        mut black_box: Option<BlackBox>,
+        mut black_box: Option<Box<dyn Keep>>,
         prepare: impl FnOnce() + Send + 'static,
     ) -> std::io::Result<Recorder> {
         let recording = Arc::new(Recording {

@@ -19,7 +19,7 @@ use thiserror::Error;
 use super::file::save;
 use super::hgrm::distribution;
 use super::plots::{self, PlotError};
-use super::summary::{Run, Summary};
+use super::{Run, Summary};
 use crate::cycle::record::Stage;
 
 /// The plots of every report.

@@ -1,14 +1,13 @@
 //! A run in numbers: the object that `--json` prints, and the same as text.
 
 use std::fmt;
-use std::sync::Arc;
 
 use serde::{Serialize, Serializer};
 
-use super::blackbox::Written;
 use super::causes::{Cause, Judged, Tally};
 use super::histograms::{Quantiles, Quantity};
-use super::recorder::Measured;
+use super::monitor::Monitor;
+use super::recorder::{Measured, Run, Written};
 use super::table::{Cell, Table};
 use crate::axis::{Fault, Link, MonitorChannel, StopCause, Units};
 use crate::bus::BusClock;
@@ -16,29 +15,30 @@ use crate::bus::{Counters, OwnCounter};
 use crate::cycle::Plan;
 use crate::cycle::record::Stage;
 use crate::cycle::status::{DeviceEnd, Extent, Numbers, ReferenceStatus};
+use crate::master::Master;
 use crate::rt::{Granted, host};
 use crate::style::{BAD, paint};
 use crate::time::{MS, Ns, S, US, three_digits};
-
-/// The end of a run: the loop's exact counts, what the telemetry measured, and how it was run.
-#[derive(Debug)]
-pub struct Run {
-    /// Exact counts and maxima.
-    pub end: Numbers,
-    /// Histograms, causes, the course of the run.
-    pub measured: Measured,
-    /// What the operating system granted.
-    pub granted: Granted,
-    /// The machine as planned.
-    pub plan: Arc<Plan>,
-    /// Time that the hypervisor took from all cores meanwhile, ms.
-    pub steal_ms: Option<u64>,
-}
 
 impl Run {
     /// The summary of the run.
     pub fn summary(&self) -> Summary {
         Summary::of(&self.plan, &self.end, &self.measured, &self.granted, self.steal_ms)
+    }
+}
+
+impl Monitor {
+    /// The run so far.
+    pub fn summary(&self) -> Summary {
+        let (numbers, steal_ms) = (self.numbers(), self.steal_ms());
+        self.measured(|measured| Summary::of(self.plan(), &numbers, measured, self.granted(), steal_ms))
+    }
+}
+
+impl Master {
+    /// See [`Monitor::summary`].
+    pub fn summary(&self) -> Summary {
+        self.monitor().summary()
     }
 }
 

@@ -16,7 +16,6 @@ mod queue;
 use std::any::Any;
 use std::time::Duration;
 
-use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 pub use parameter::{Access, Notation, NotationError, ParameterError, ParameterTicket, Parameters, Scalar};
@@ -28,7 +27,8 @@ pub use queue::{Acyclic, AcyclicEnds, CallTicket, PostError, queue};
 use super::feedback::{Link, State};
 
 /// One call to a drive. What its numbers mean is the protocol's own.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "summary", derive(serde::Serialize, serde::Deserialize))]
 pub struct Call {
     /// What to do.
     pub service: u32,
@@ -39,7 +39,8 @@ pub struct Call {
 }
 
 /// What a drive answered.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "summary", derive(serde::Serialize, serde::Deserialize))]
 pub struct Answer {
     /// How it went; 0 = done.
     pub status: u32,
@@ -50,7 +51,8 @@ pub struct Answer {
 }
 
 /// Why a call was not carried out.
-#[derive(Clone, Copy, PartialEq, Eq, Error, Serialize, Deserialize)]
+#[derive(Clone, Copy, PartialEq, Eq, Error)]
+#[cfg_attr(feature = "summary", derive(serde::Serialize, serde::Deserialize))]
 pub enum CallError {
     /// The drive said no, with its own status.
     #[error("the drive refused it with status {0:#04x}")]
@@ -97,7 +99,8 @@ pub enum CallError {
 crate::errors::debug_as_display!(CallError);
 
 /// What came of a series of calls: the answers up to the first that failed.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "summary", derive(serde::Serialize, serde::Deserialize))]
 pub struct Series {
     /// In the order of the calls.
     pub answers: Vec<Answer>,
@@ -106,14 +109,15 @@ pub struct Series {
 }
 
 /// How a drive is, as far as those who call it need to know.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "summary", derive(serde::Serialize, serde::Deserialize))]
 pub struct Condition {
     /// The link is up.
     pub online: bool,
     /// Its power stage may be on.
     pub powered: bool,
     /// It boots, or its motion software is stopped.
-    #[serde(default)]
+    #[cfg_attr(feature = "summary", serde(default))]
     pub not_ready: bool,
 }
 

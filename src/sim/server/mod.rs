@@ -18,7 +18,7 @@ mod tests;
 
 use std::io;
 use std::net::SocketAddrV4;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
 
 use nix::sys::eventfd::{EfdFlags, EventFd};
@@ -105,7 +105,7 @@ impl SimServer {
         let stop = Arc::new(EventFd::from_flags(EfdFlags::EFD_CLOEXEC | EfdFlags::EFD_NONBLOCK)?);
         let mut service = Service::open(simulated.into(), &stop)?;
         let (stats, lines) = service.stats();
-        let (granted, answer) = mpsc::channel();
+        let (granted, answer) = crossbeam_channel::bounded(1);
         let thread = thread::Builder::new().name("fieldbeat-sim".into()).spawn(move || {
             // Nobody waits for the answer any more only if the start itself was given up.
             let _ = granted.send(schedule(options));

@@ -15,20 +15,21 @@ pub mod list;
 pub mod story;
 
 use std::collections::{BTreeMap, VecDeque};
-use std::fmt;
 use std::path::{Path, PathBuf};
 use std::thread::JoinHandle;
 use std::time::SystemTime;
 
 use nix::unistd::User;
-use serde::Serialize;
 
 use self::file::{Axis, Channel, Header};
 use crate::axis::{Fault, FaultNames, Link, MonitorChannel, StopCause};
 use crate::cycle::Plan;
 use crate::cycle::record::{DriveRecord, Record};
+use crate::master::Setup;
 use crate::rt::host;
 use crate::telemetry::file::save;
+use crate::telemetry::recorder::Keep;
+pub use crate::telemetry::recorder::Written;
 use crate::time::MS;
 
 /// So much of what follows is kept too: how the stop went.
@@ -38,35 +39,6 @@ const AFTERMATH_NS: u64 = 200 * MS;
 /// where it began, and the newest.
 const FIRST_FILES: usize = 8;
 const NEWEST_FILES: usize = 8;
-
-/// A file that was written, or was to be.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct Written {
-    /// Why.
-    pub why: String,
-    /// In which cycle that was.
-    pub cycle: u64,
-    /// Where.
-    pub path: PathBuf,
-    /// Why it could not be written.
-    pub error: Option<String>,
-    /// Which of the run's it is, from 1.
-    #[serde(skip)]
-    pub number: usize,
-    /// The file that made room for it.
-    #[serde(skip)]
-    pub replaced: Option<PathBuf>,
-}
-
-impl fmt::Display for Written {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Written { why, cycle, path, error, .. } = self;
-        match error {
-            None => write!(f, "black box: {} ({why}, cycle {cycle})", path.display()),
-            Some(error) => write!(f, "black box not written: {error} ({why}, cycle {cycle})"),
-        }
-    }
-}
 
 /// What is kept.
 #[derive(Debug)]
@@ -161,23 +133,6 @@ impl BlackBox {
         })
     }
 
-    /// Takes a record in, and notices what fails.
-    pub fn enter(&mut self, record: &Record) {
-        if self.records.len() == self.room {
-            self.records.pop_front();
-        }
-        self.records.push_back(*record);
-        match record {
-            Record::Drive(drive) => self.look(drive),
-            Record::Monitor(_) | Record::Reference(_) => {}
-            Record::Cycle(_) | Record::Skipped(_) => self.newest = record.index(),
-        }
-        // At once: when the telemetry is late, the failure itself would leave the ring before it is written.
-        if let Some(due) = self.due.take_if(|due| self.newest >= due.from) {
-            self.start(due);
-        }
-    }
-
     fn look(&mut self, drive: &DriveRecord) {
         let axis = usize::from(drive.axis);
         let (Some(known), Some(names)) = (self.axes.get_mut(axis), self.fault_names.get(axis)) else {
@@ -227,24 +182,6 @@ impl BlackBox {
         }
     }
 
-    /// Somebody wants to see it.
-    pub fn ask(&mut self) {
-        let (cycle, from) = (self.newest, self.newest + self.aftermath);
-        self.due.get_or_insert(Due { why: "requested".to_owned(), cycle, from, failed: false });
-    }
-
-    /// Writes it if it is time; `last` waits for nothing more. Returns the files that were finished meanwhile.
-    pub fn write(&mut self, last: bool) -> Vec<Written> {
-        if last && let Some(due) = self.due.take() {
-            self.start(due);
-        }
-        let (done, writing) =
-            std::mem::take(&mut self.writing).into_iter().partition(|thread| last || thread.is_finished());
-        self.writing = writing;
-        let done: Vec<JoinHandle<Written>> = done;
-        done.into_iter().filter_map(|thread| thread.join().ok()).collect()
-    }
-
     fn start(&mut self, due: Due) {
         let Due { why, cycle, failed, .. } = due;
         let now = SystemTime::now();
@@ -280,6 +217,49 @@ impl BlackBox {
             // Without a thread there is no file; the next failure tries again.
             Err(_) => self.files -= 1,
         }
+    }
+}
+
+impl Keep for BlackBox {
+    fn enter(&mut self, record: &Record) {
+        if self.records.len() == self.room {
+            self.records.pop_front();
+        }
+        self.records.push_back(*record);
+        match record {
+            Record::Drive(drive) => self.look(drive),
+            Record::Monitor(_) | Record::Reference(_) => {}
+            Record::Cycle(_) | Record::Skipped(_) => self.newest = record.index(),
+        }
+        // At once, or what is to be told of has left it when the telemetry is late.
+        if let Some(due) = self.due.take_if(|due| self.newest >= due.from) {
+            self.start(due);
+        }
+    }
+
+    fn ask(&mut self) {
+        let (cycle, from) = (self.newest, self.newest + self.aftermath);
+        self.due.get_or_insert(Due { why: "requested".to_owned(), cycle, from, failed: false });
+    }
+
+    fn write(&mut self, last: bool) -> Vec<Written> {
+        if last && let Some(due) = self.due.take() {
+            self.start(due);
+        }
+        let (done, writing) =
+            std::mem::take(&mut self.writing).into_iter().partition(|thread| last || thread.is_finished());
+        self.writing = writing;
+        let done: Vec<JoinHandle<Written>> = done;
+        done.into_iter().filter_map(|thread| thread.join().ok()).collect()
+    }
+}
+
+impl Setup {
+    /// Where the black box writes its files. Without it there is none.
+    pub fn with_black_box(mut self, directory: impl Into<PathBuf>) -> Setup {
+        let black_box = BlackBox::new(self.plan(), &directory.into());
+        self.black_box = black_box.map(|black_box| Box::new(black_box) as Box<dyn Keep>);
+        self
     }
 }
 

@@ -17,7 +17,7 @@ mod wake;
 
 use thiserror::Error;
 
-use super::summary::{Run, Summary};
+use super::{Run, Summary};
 
 /// A plot could not be drawn.
 #[derive(Error)]

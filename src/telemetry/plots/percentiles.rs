@@ -9,7 +9,8 @@ use super::sheet::{Area, Axis, GREY, LEFT, MARGIN, PALETTE, RIGHT, Sheet, anchor
 use crate::cycle::status::Peak;
 use crate::telemetry::Quantiles;
 use crate::telemetry::histograms::{Quantity, SAMPLES_BEYOND, is_cut_off, supports};
-use crate::telemetry::summary::{Drive, Run, Summary};
+use crate::telemetry::summary::Drive;
+use crate::telemetry::{Run, Summary};
 use crate::time::Ns;
 
 /// Where the curves begin, in nines: what is below the median worries nobody.

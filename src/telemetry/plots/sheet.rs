@@ -12,7 +12,8 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 use super::PlotError;
 use crate::telemetry::Quantiles;
-use crate::telemetry::summary::{Run, Summary, plural};
+use crate::telemetry::summary::plural;
+use crate::telemetry::{Run, Summary};
 use crate::time::{MS, Ns, S, US, three_digits};
 
 /// Where a plot is drawn.

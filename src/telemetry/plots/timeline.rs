@@ -7,8 +7,9 @@ use super::PlotError;
 use super::sheet::{
     ALARM, Axis, GREY, LEFT, MARGIN, PALETTE, RIGHT, Sheet, anchored, label_us, text, time_unit, within,
 };
-use crate::telemetry::summary::{Run, Summary, plural};
+use crate::telemetry::summary::plural;
 use crate::telemetry::timeline::Stretch;
+use crate::telemetry::{Run, Summary};
 use crate::time::{Ns, S};
 
 /// A quantity: its place in a stretch, its name and colour.

@@ -10,7 +10,7 @@ use super::sheet::{
     text, within,
 };
 use crate::telemetry::histograms::{HIGHEST_NS, Quantity, is_cut_off};
-use crate::telemetry::summary::{Run, Summary};
+use crate::telemetry::{Run, Summary};
 use crate::time::Ns;
 
 /// Bins of a decade. A bin is at least 4 px wide on the longest axis, and wider than those of the histogram, which

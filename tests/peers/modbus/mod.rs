@@ -19,8 +19,8 @@ use std::io::{BufRead, BufReader, Write};
 use std::net::SocketAddrV4;
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
-use std::sync::mpsc::{Receiver, channel};
 
+use crossbeam_channel::{Receiver, unbounded};
 use fieldbeat::bus::modbus::{ModbusPlan, UnidriveDrive};
 use fieldbeat::cycle::{CyclePlan, Overrun, Plan};
 use fieldbeat::rt::Realtime;
@@ -76,7 +76,7 @@ impl Peer {
         program.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(file);
         let mut child =
             program.spawn().unwrap_or_else(|error| panic!("{program:?}: {error}; .ci/run installs it"));
-        let (tell, lines) = channel();
+        let (tell, lines) = unbounded();
         let out = BufReader::new(child.stdout.take().unwrap());
         std::thread::spawn(move || {
             out.lines().map_while(Result::ok).take_while(|line| tell.send(line.clone()).is_ok()).count()
