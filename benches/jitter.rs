@@ -34,7 +34,7 @@ struct Slots {
 
 fn main() -> ExitCode {
     let args = Args::parse("jitter");
-    let (rounds, slice_ns) = if args.quick { (12, 4 * S / 10) } else { (40, S / 2) };
+    let (rounds, slice_ns) = if args.quick { (8, 3 * S / 10) } else { (40, S / 2) };
     let granted = rig::introduce("jitter: wake-up latency against cyclictest");
     let rival = cyclictest(&granted, MS, 10);
     if let Err(why) = &rival {

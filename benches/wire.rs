@@ -25,7 +25,6 @@ use std::time::Duration;
 
 use criterion::{Criterion, Throughput};
 use fieldbeat::axis::{Link, State, Verb};
-use fieldbeat::bus::{ethercat, linudp};
 use fieldbeat::bus::ethercat::wire::frame::FRAME_MAX;
 use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};
 use fieldbeat::bus::linudp::native::Native;
@@ -40,6 +39,7 @@ use fieldbeat::bus::modbus::wire::{
 use fieldbeat::bus::modbus::words::ControlWord as UnidriveControl;
 use fieldbeat::bus::modbus::{self, Finding, Found};
 use fieldbeat::bus::{Bus, BusPlan, Counters, Cycle, Exchange, Order, Slot};
+use fieldbeat::bus::{ethercat, linudp};
 use fieldbeat::net::Frames;
 use fieldbeat::time::{MS, Time, US};
 use serde_json::{Value, json};
@@ -56,6 +56,7 @@ const LINE: usize = 16;
 const PERIOD_NS: u64 = MS;
 /// A shared machine makes it slower, never quicker: of so many rounds the quickest counts.
 const ROUNDS: usize = 12;
+const QUICK_ROUNDS: usize = 5;
 /// The parts that are measured.
 const LINUDP: [&str; 4] = ["exchange", "encode", "encode motion", "decode"];
 const MODBUS: [&str; 4] = ["exchange", "drive", "encode", "decode"];
@@ -361,7 +362,10 @@ const COUNTED: u64 = 128;
 
 /// The child: exchanges of an axis in operation.
 fn counted(scenario: Scenario) -> Ran {
-    let count = |turn: &mut dyn FnMut()| count::run(COUNTED, || count::counted(&mut *turn));
+    let count = |turn: &mut dyn FnMut()| {
+        count::instrument();
+        count::run(COUNTED, || count::counted(&mut *turn))
+    };
     match scenario.protocol {
         linudp::PROTOCOL => {
             let mut exchanged = Exchanged::operational();
@@ -395,9 +399,10 @@ fn main() -> ExitCode {
         (ethercat::PROTOCOL, &ETHERCAT[..]),
     ];
     let mut lines = [LINE, 1].map(Linked::operational);
+    let rounds = if args.quick { QUICK_ROUNDS } else { ROUNDS };
     let mut quickest = [const { Vec::new() }; 3];
     let mut counted = [(0, 0); 3];
-    for round in 0..ROUNDS {
+    for round in 0..rounds {
         let output = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("criterion/{round}"));
         // A new one each time: one that measures a part again gives it another name, and the first would be read for
         // ever.
@@ -421,7 +426,7 @@ fn main() -> ExitCode {
         }
     }
     let mut report = Report::default();
-    println!("\nencode + station + decode, ns, the quickest of {ROUNDS} rounds");
+    println!("\nencode + station + decode, ns, the quickest of {rounds} rounds");
     for (place, (protocol, names)) in protocols.into_iter().enumerate() {
         let of = |wanted: &str| {
             let found = names.iter().position(|name| *name == wanted)?;

@@ -29,6 +29,9 @@ pub const PRIORITY: u8 = 80;
 /// That of simulated drives: below the loop.
 const DRIVE_PRIORITY: u8 = 70;
 
+/// How long simulated drives may take until they are in operation, on the grid of their loop, ns.
+const BRING_UP_NS: u64 = 100 * S;
+
 /// Ends the bench: what it needs is not to be had.
 pub fn give_up(why: impl Display) -> ! {
     eprintln!("{why}");
@@ -320,7 +323,10 @@ impl Rig {
     }
 
     fn turn_until(&mut self, what: &str, done: impl Fn(&Status) -> bool, beside: &mut dyn FnMut(Time)) {
-        for _ in 0..100_000 {
+        // The grid is that of the last turn: there has to be one.
+        self.turn(|_| {});
+        let begin = self.grid;
+        while self.grid.since(begin) < BRING_UP_NS {
             if done(self.status()) {
                 return;
             }
