@@ -61,7 +61,7 @@ struct Match<'a> {
 
 fn main() -> ExitCode {
     let args = Args::parse("round_trip");
-    let (rounds, cycles, seconds) = if args.quick { (5, 250, 1) } else { (30, 1_000, 1) };
+    let (rounds, cycles, seconds) = if args.quick { (3, 250, 1) } else { (30, 1_000, 1) };
     let granted = rig::introduce("round_trip: one drive against a bare loop, sockperf and libmodbus");
     let with_sockperf = match sockperf(&granted, 1) {
         Ok(_) => true,

@@ -294,7 +294,7 @@ fn without_socket(
     drives: &[usize],
     mut slice: impl FnMut(usize, usize, usize) -> Vec<f64>,
 ) -> Vec<Without> {
-    let rounds = if quick { 7 } else { 21 };
+    let rounds = if quick { 5 } else { 21 };
     let steal = Steal::begin();
     // Medians of a cycle, ns: by number of drives, then by round.
     let mut medians: Vec<[Vec<f64>; 3]> = drives.iter().map(|_| Default::default()).collect();
@@ -563,7 +563,7 @@ fn on_sockets(
     budgets: &Budgets,
     report: &mut Report,
 ) -> Vec<OnSockets> {
-    let (rounds, cycles) = if quick { (5, 40) } else { (15, 100) };
+    let (rounds, cycles) = if quick { (3, 40) } else { (15, 100) };
     println!("\nthe loop on sockets against the bare loop, ns a drive and cycle, medians of {rounds} rounds");
     println!(
         "  drives   period   ours done  last bare reply   ratio                 ours CPU   bare CPU   ratio                 calls a cycle"
@@ -637,7 +637,7 @@ fn period(drives: usize) -> u64 {
 
 /// Both kinds in one cycle at 1 kHz, alone; then against the bare loop.
 fn together(granted: &Granted, quick: bool, budgets: &Budgets, report: &mut Report) -> Value {
-    let (alone, rounds, cycles) = if quick { (2_000, 5, 80) } else { (20_000, 15, 240) };
+    let (alone, rounds, cycles) = if quick { (2_000, 3, 80) } else { (20_000, 15, 240) };
     let steal = Steal::begin();
     let Alone { end, calls, on_connections, page_faults } = alone_at_1_khz(granted, TOGETHER, alone);
     let [mut ours, mut bare, mut ours_cpu, mut bare_cpu] = [const { Sample::new() }; 4];

@@ -5,6 +5,7 @@
 //! calls that a cycle has to make.
 
 use std::fmt::Write as _;
+use std::io;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -74,7 +75,7 @@ impl Budgets {
     /// The compiler that the instructions were counted with, if it is not this one.
     pub fn other_compiler(&self) -> Option<String> {
         let taken = self.comments.iter().find_map(|line| line.strip_prefix(COMPILER))?;
-        let this = compiler();
+        let this = compiler().ok()?;
         (taken != this).then(|| format!("the budgets were taken with {taken}\nthis is            {this}"))
     }
 
@@ -94,11 +95,12 @@ impl Budgets {
     ///
     /// # Errors
     ///
-    /// It cannot be written.
+    /// It cannot be written, or rustc does not say which one it is.
     pub fn write(&self) -> Result<(), String> {
+        let compiler = compiler().map_err(|error| format!("cannot run rustc -V: {error}"))?;
         let mut text = String::new();
         for line in &self.comments {
-            let line = if line.starts_with(COMPILER) { &format!("{COMPILER}{}", compiler()) } else { line };
+            let line = if line.starts_with(COMPILER) { &format!("{COMPILER}{compiler}") } else { line };
             let _ = writeln!(text, "{line}");
         }
         let _ = writeln!(text, "{COLUMNS}");
@@ -131,9 +133,9 @@ fn path() -> PathBuf {
 }
 
 /// The compiler, and what the profile of a release says of code generation.
-fn compiler() -> String {
-    let said = Command::new(option_env!("RUSTC").unwrap_or("rustc")).arg("-V").output();
-    let version = said.map(|output| String::from_utf8_lossy(&output.stdout).trim().to_owned());
+fn compiler() -> io::Result<String> {
+    let said = Command::new("rustc").arg("-V").output()?;
+    let version = String::from_utf8_lossy(&said.stdout).trim().to_owned();
     let manifest = Path::new(env!("CARGO_MANIFEST_DIR")).join("Cargo.toml");
     let manifest = std::fs::read_to_string(manifest).unwrap_or_default();
     // Profiles that a bench is built with; `bench` inherits from `release`.
@@ -145,5 +147,5 @@ fn compiler() -> String {
         is_part && !line.is_empty() && !line.starts_with('#')
     };
     let profile: Vec<_> = manifest.lines().map(str::trim).filter(is_part_of_profile).collect();
-    format!("{}; {}", version.unwrap_or_else(|_| "an unknown rustc".to_owned()), profile.join(" "))
+    Ok(format!("{version}; {}", profile.join(" ")))
 }
