@@ -40,10 +40,6 @@ use support::{Args, Report, Steal, in_turns, shown};
 
 /// Every so often one of the contenders has its exchange.
 const TURN_NS: u64 = MS;
-/// Budgets.
-const BARE_P50_RATIO: f64 = 1.05;
-const SOCKPERF_P50_RATIO: f64 = 1.0;
-const LIBMODBUS_P50_RATIO: f64 = 1.0;
 
 /// One protocol in one wait mode: ours, and who takes turns with it.
 #[derive(Debug)]
@@ -65,7 +61,7 @@ struct Match<'a> {
 
 fn main() -> ExitCode {
     let args = Args::parse("round_trip");
-    let (rounds, cycles, seconds) = if args.quick { (10, 400, 1) } else { (30, 1_000, 1) };
+    let (rounds, cycles, seconds) = if args.quick { (3, 250, 1) } else { (30, 1_000, 1) };
     let granted = rig::introduce("round_trip: one drive against a bare loop, sockperf and libmodbus");
     let with_sockperf = match sockperf(&granted, 1) {
         Ok(_) => true,
@@ -115,8 +111,7 @@ fn main() -> ExitCode {
             one.enter(&mut object);
         }
         if protocol == modbus::PROTOCOL && libmodbus.is_none() {
-            for (wait, mode) in MODES {
-                report.time(format!("{protocol} {mode}: p50 / libmodbus p50"), None, LIBMODBUS_P50_RATIO, "");
+            for (wait, _) in MODES {
                 enter_ratio(part(&mut object, wait), "libmodbus", None);
             }
         }
@@ -126,14 +121,6 @@ fn main() -> ExitCode {
                 let ratio = one.ours.ratio(&from_sockperf, 0.5);
                 println!("  {} ours / sockperf p50: {}", one.mode, shown(ratio));
                 enter_ratio(part(&mut object, one.wait), "sockperf", ratio);
-                if one.wait == Wait::Spin {
-                    report.time(
-                        format!("{protocol} spin: p50 / sockperf p50"),
-                        ratio,
-                        SOCKPERF_P50_RATIO,
-                        "",
-                    );
-                }
             }
         }
         report.enter(protocol, object);
@@ -185,7 +172,13 @@ impl<'a> Match<'a> {
             calls: &Calls::default(),
             rival: self.rival,
         };
-        let outcome = duel.fight();
+        let outcome = match duel.fight() {
+            Ok(outcome) => outcome,
+            Err(why) => {
+                println!("a slice without {}: {why}", self.against());
+                return;
+            }
+        };
         self.ours.push(outcome.ours.round_trips);
         self.theirs.push(outcome.theirs.round_trips);
         let status = outcome.end.status;
@@ -199,16 +192,16 @@ impl<'a> Match<'a> {
         }
     }
 
-    /// Who it is held against, and the budget of the ratio.
-    fn against(&self) -> (&'static str, f64) {
+    /// Who it is held against.
+    fn against(&self) -> &'static str {
         match self.rival {
-            Rival::Bare => ("bare", BARE_P50_RATIO),
-            Rival::Libmodbus(_) => ("libmodbus", LIBMODBUS_P50_RATIO),
+            Rival::Bare => "bare",
+            Rival::Libmodbus(_) => "libmodbus",
         }
     }
 
     fn print(&self) {
-        let (mode, (rival, _)) = (self.mode, self.against());
+        let (mode, rival) = (self.mode, self.against());
         for (quantile, q) in [("p50", 0.5), ("p90", 0.9), ("p99", 0.99)] {
             let (ours, theirs) = (shown(self.ours.quantile(q)), shown(self.theirs.quantile(q)));
             let ratio = shown(self.ours.ratio(&self.theirs, q));
@@ -219,23 +212,18 @@ impl<'a> Match<'a> {
         println!("  {mode} ours: sent {sent} = answered {answered} + missed {missed}");
     }
 
-    /// Holds it against its budgets.
+    /// Checks its counts.
     fn judge(&self, report: &mut Report) {
         let Match { protocol, mode, planned, executed, skipped, sent, answered, missed, .. } = *self;
-        let (rival, budget) = self.against();
+        let rival = self.against();
         let what = format!("{protocol} {mode}, in turns with {rival}");
-        report.count(format!("{what}: planned = executed + skipped"), planned == executed + skipped);
-        report.count(format!("{what}: sent = answered + missed"), sent == answered + missed);
-        if protocol == modbus::PROTOCOL {
-            report.count(format!("{what}: none was lost"), missed == 0);
-        }
-        let ratio = self.ours.ratio(&self.theirs, 0.5);
-        report.time(format!("{protocol} {mode}: p50 / {rival} p50"), ratio, budget, "");
+        report.check(format!("{what}: planned = executed + skipped"), planned == executed + skipped);
+        report.check(format!("{what}: sent = answered + missed"), sent == answered + missed);
     }
 
     fn enter(&self, object: &mut Value) {
         let part = part(object, self.wait);
-        let (rival, _) = self.against();
+        let rival = self.against();
         if let Rival::Bare = self.rival {
             part["p50_ns"] = json!(self.ours.quantile(0.5).map(|p50| p50.value));
             part["p99_ns"] = json!(self.ours.quantile(0.99).map(|p99| p99.value));

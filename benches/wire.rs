@@ -25,7 +25,6 @@ use std::time::Duration;
 
 use criterion::{Criterion, Throughput};
 use fieldbeat::axis::{Link, State, Verb};
-use fieldbeat::bus::ethercat;
 use fieldbeat::bus::ethercat::wire::frame::FRAME_MAX;
 use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};
 use fieldbeat::bus::linudp::native::Native;
@@ -40,23 +39,24 @@ use fieldbeat::bus::modbus::wire::{
 use fieldbeat::bus::modbus::words::ControlWord as UnidriveControl;
 use fieldbeat::bus::modbus::{self, Finding, Found};
 use fieldbeat::bus::{Bus, BusPlan, Counters, Cycle, Exchange, Order, Slot};
+use fieldbeat::bus::{ethercat, linudp};
 use fieldbeat::net::Frames;
 use fieldbeat::time::{MS, Time, US};
 use serde_json::{Value, json};
+use support::count::{self, Ran, Scenario, paused};
+use support::counted::CountedNet;
 use support::line::{self, NullLine, NullLines, Settled};
+use support::rig::Calls;
 use support::stats::Interval;
 use support::unidrive::{self, Canned};
-use support::{Args, Report, fleet};
+use support::{Args, Report, fleet, shown};
 
-/// Budgets of an exchange, ns.
-const LINUDP_NS: f64 = 60.0;
-const MODBUS_NS: f64 = 40.0;
-const ETHERCAT_NS: f64 = 60.0;
-/// Drives of the line that is held against its budget; the frame of a single one is shown.
+/// Drives of the line; the frame of a single one is measured too.
 const LINE: usize = 16;
 const PERIOD_NS: u64 = MS;
 /// A shared machine makes it slower, never quicker: of so many rounds the quickest counts.
 const ROUNDS: usize = 12;
+const QUICK_ROUNDS: usize = 5;
 /// The parts that are measured.
 const LINUDP: [&str; 4] = ["exchange", "encode", "encode motion", "decode"];
 const MODBUS: [&str; 4] = ["exchange", "drive", "encode", "decode"];
@@ -195,7 +195,7 @@ impl Asked {
         self.exchange(Canned::answer);
     }
 
-    /// One exchange; `answer` is the drive's part of it, which is included.
+    /// One exchange; `answer` is the drive's part of it. It is measured too, but not counted.
     #[inline]
     fn exchange(&mut self, answer: impl FnOnce(&mut Canned, &mut [u8]) -> usize) {
         let sent_at = advance(&mut self.cycle);
@@ -204,9 +204,9 @@ impl Asked {
         self.station.prepare(&self.cycle, &mut self.slot);
         let request = black_box(self.station.to_send());
         let count = request.len();
-        assert!(self.drive.hear(request), "it is a request to all of it");
+        assert!(paused(|| self.drive.hear(request)), "it is a request to all of it");
         self.station.sent(sent_at, count, &self.cycle, &mut self.slot);
-        let count = answer(&mut self.drive, black_box(self.station.room()));
+        let count = paused(|| answer(&mut self.drive, black_box(self.station.room())));
         let taken = self.station.take(sent_at + 40 * US, count, &mut self.slot);
         assert!(taken.is_ok() && matches!(self.slot.exchange, Exchange::Answered { .. }));
         black_box(&self.slot);
@@ -260,6 +260,7 @@ impl Linked {
         let plan = line::plan("local:wire", drives);
         let settled = Settled::default();
         let lines = NullLines(plan.clone(), line_now, Settled::clone(&settled));
+        let lines = CountedNet::over(lines, &Calls::default());
         let bus = BusPlan::open(&plan, PERIOD_NS, &lines).expect("a line in memory");
         let slot = Slot { due: true, link: Link::Online, ..Slot::default() };
         let mut linked = Linked { bus, slots: vec![slot; drives], cycle: BEGIN, settled };
@@ -350,20 +351,58 @@ impl Unlinked {
     }
 }
 
+/// What is counted in place of being measured.
+const SCENARIOS: [Scenario; 3] = [
+    Scenario { protocol: linudp::PROTOCOL, drives: 1, caches: false },
+    Scenario { protocol: modbus::PROTOCOL, drives: 1, caches: false },
+    Scenario { protocol: ethercat::PROTOCOL, drives: LINE, caches: false },
+];
+/// Exchanges that are counted.
+const COUNTED: u64 = 128;
+
+/// The child: exchanges of an axis in operation.
+fn counted(scenario: Scenario) -> Ran {
+    let count = |turn: &mut dyn FnMut()| {
+        count::instrument();
+        count::run(COUNTED, || count::counted(&mut *turn))
+    };
+    match scenario.protocol {
+        linudp::PROTOCOL => {
+            let mut exchanged = Exchanged::operational();
+            count(&mut || exchanged.turn())
+        }
+        modbus::PROTOCOL => {
+            let mut asked = Asked::operational();
+            count(&mut || asked.exchange(Canned::answer_again))
+        }
+        _ => {
+            let mut linked = Linked::operational(scenario.drives);
+            count(&mut || linked.turn())
+        }
+    }
+}
+
 fn main() -> ExitCode {
+    if count::is_child(&SCENARIOS, counted) {
+        return ExitCode::SUCCESS;
+    }
     let args = Args::parse("wire");
+    if args.count {
+        return count::gate("wire", &args, &SCENARIOS);
+    }
     println!("wire: one exchange without a socket");
     // The resamples are criterion's own arithmetic: with its 100 000 they take longer than what they judge.
     let (warm_up, measurement, resamples) = if args.quick { (50, 250, 5_000) } else { (250, 1_250, 100_000) };
     let protocols = [
-        ("linudp-v2", &LINUDP[..], LINUDP_NS),
-        (modbus::PROTOCOL, &MODBUS[..], MODBUS_NS),
-        (ethercat::PROTOCOL, &ETHERCAT[..], ETHERCAT_NS),
+        (linudp::PROTOCOL, &LINUDP[..]),
+        (modbus::PROTOCOL, &MODBUS[..]),
+        (ethercat::PROTOCOL, &ETHERCAT[..]),
     ];
     let mut lines = [LINE, 1].map(Linked::operational);
+    let rounds = if args.quick { QUICK_ROUNDS } else { ROUNDS };
     let mut quickest = [const { Vec::new() }; 3];
     let mut counted = [(0, 0); 3];
-    for round in 0..ROUNDS {
+    for round in 0..rounds {
         let output = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("criterion/{round}"));
         // A new one each time: one that measures a part again gives it another name, and the first would be read for
         // ever.
@@ -374,7 +413,7 @@ fn main() -> ExitCode {
             .warm_up_time(Duration::from_millis(warm_up))
             .measurement_time(Duration::from_millis(measurement));
         let counters = [linudp(&mut criterion), modbus(&mut criterion), ethercat(&mut criterion, &mut lines)];
-        for (place, (protocol, names, _)) in protocols.iter().enumerate() {
+        for (place, (protocol, names)) in protocols.iter().enumerate() {
             let found: Vec<_> = names.iter().map(|name| estimate_of(&output, protocol, name)).collect();
             // The whole exchange is the first of them.
             let whole =
@@ -387,7 +426,8 @@ fn main() -> ExitCode {
         }
     }
     let mut report = Report::default();
-    for (place, (protocol, names, budget)) in protocols.into_iter().enumerate() {
+    println!("\nencode + station + decode, ns, the quickest of {rounds} rounds");
+    for (place, (protocol, names)) in protocols.into_iter().enumerate() {
         let of = |wanted: &str| {
             let found = names.iter().position(|name| *name == wanted)?;
             quickest[place].get(found).copied().flatten()
@@ -402,9 +442,9 @@ fn main() -> ExitCode {
         let own = of("exchange").map(|whole| without(whole, of("drive")));
         // All drives of the line share it.
         let own = if protocol == ethercat::PROTOCOL { own.map(a_drive) } else { own };
-        report.time(format!("{protocol}: encode + station + decode"), own, budget, "ns");
+        println!("  {protocol:12} {}", shown(own));
         let (sent, answered) = counted[place];
-        report.count(format!("{protocol}: sent {sent} = answered {answered}"), sent == answered);
+        report.check(format!("{protocol}: sent {sent} = answered {answered}"), sent == answered);
     }
     report.finish(&args)
 }

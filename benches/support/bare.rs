@@ -93,7 +93,11 @@ impl Duel<'_> {
     /// Lets our loop and its rival run in turns: each has its own grid, half a period behind that of the other, and its
     /// own drives, all in operation and served by one thread. Whatever the machine does in between, it does to both,
     /// and each finds the caches as the other has left them.
-    pub fn fight(&self) -> Outcome {
+    ///
+    /// # Errors
+    ///
+    /// What kept the rival from measuring.
+    pub fn fight(&self) -> Result<Outcome, String> {
         let (side, fleet) = match self.rival {
             Rival::Bare => (Side::Bare, self.fleet),
             Rival::Libmodbus(_) => (Side::Libmodbus, Fleet::unidrives(1)),
@@ -105,17 +109,15 @@ impl Duel<'_> {
         let outcome = match self.rival {
             Rival::Bare => rig::on_loop_thread(|_| self.against_bare()),
             Rival::Libmodbus(libmodbus) => {
-                let client = libmodbus.start(self.granted).unwrap_or_else(|why| give_up(why));
+                let client = libmodbus.start(self.granted)?;
                 rig::on_loop_thread(|_| self.against_libmodbus(client))
             }
         };
-        let outcome = match outcome {
-            Ok(Ok(outcome)) => outcome,
-            Ok(Err(error)) => give_up(error),
-            Err(error) => give_up(error),
-        };
         drop(server);
-        outcome
+        match outcome {
+            Ok(outcome) => outcome.map_err(|error| error.to_string()),
+            Err(error) => give_up(error),
+        }
     }
 
     fn rig(&self) -> Rig {
@@ -150,7 +152,7 @@ impl Duel<'_> {
             rig.turn(|record| ours.note(&record));
         }
         rig.settle();
-        let round_trips = client.end().unwrap_or_else(|why| give_up(why));
+        let round_trips = client.end().map_err(io::Error::other)?;
         Ok(Outcome { ours, theirs: Measured { round_trips, ..Measured::default() }, end: rig.end() })
     }
 

@@ -1,4 +1,4 @@
-//! The operating system's carriers, with an eye on their system calls.
+//! Carriers with an eye on their system calls: those of the operating system, or what they would make of those in memory.
 
 use std::io;
 use std::net::SocketAddrV4;
@@ -13,19 +13,26 @@ use fieldbeat::net::{
 use fieldbeat::rt::Regions;
 use fieldbeat::time::Time;
 
+use super::count::paused;
 use super::rig::{self, Calls};
 
-/// The operating system's carriers, counting what they call.
-pub struct CountedNet {
-    net: Os,
+/// Carriers, counting what they call.
+pub struct CountedNet<N = Os> {
+    net: N,
     calls: Calls,
     on_connections: Calls,
 }
 
 impl CountedNet {
-    /// Counts in `calls`.
+    /// Those of the operating system. Counts in `calls`.
     pub fn new(calls: &Calls) -> CountedNet {
-        let net = Os::beside(fieldbeat::rt::thread::default_core());
+        CountedNet::over(Os::beside(fieldbeat::rt::thread::default_core()), calls)
+    }
+}
+
+impl<N> CountedNet<N> {
+    /// These. Counts in `calls`.
+    pub fn over(net: N, calls: &Calls) -> CountedNet<N> {
         CountedNet { net, calls: Calls::clone(calls), on_connections: Calls::default() }
     }
 
@@ -40,7 +47,7 @@ struct Counted {
     calls: Calls,
 }
 
-impl Carriers for CountedNet {
+impl<N: Carriers> Carriers for CountedNet<N> {
     fn datagrams(&self, bind: SocketAddrV4, options: &UdpOptions) -> io::Result<Box<dyn Datagrams>> {
         Ok(Box::new(Counted { net: self.net.datagrams(bind, options)?, calls: Calls::clone(&self.calls) }))
     }
@@ -64,14 +71,18 @@ impl Datagrams for Counted {
 
     fn send(&mut self, outbox: &mut Outbox) {
         // One call for each 64 messages. One that is refused would cost one more; on loopback none is.
-        let posted = (0..outbox.len()).filter(|index| outbox.sent(*index) == Sent::Posted).count();
-        rig::add(&self.calls, posted.div_ceil(64) as u64);
-        self.net.send(outbox);
+        paused(|| {
+            let posted = (0..outbox.len()).filter(|index| outbox.sent(*index) == Sent::Posted).count();
+            rig::add(&self.calls, posted.div_ceil(64) as u64);
+            self.net.send(outbox);
+        });
     }
 
     fn receive(&mut self, take: &mut dyn FnMut(Received<'_>)) -> io::Result<usize> {
-        rig::add(&self.calls, 1);
-        self.net.receive(take)
+        paused(|| {
+            rig::add(&self.calls, 1);
+            self.net.receive(take)
+        })
     }
 
     fn batch(&self) -> usize {
@@ -99,13 +110,17 @@ impl Frames for CountedFrames {
     }
 
     fn send(&mut self, frame: &[u8]) -> Result<Time, Unsent> {
-        rig::add(&self.calls, 1);
-        self.net.send(frame)
+        paused(|| {
+            rig::add(&self.calls, 1);
+            self.net.send(frame)
+        })
     }
 
     fn receive(&mut self, room: &mut [u8]) -> Option<(Time, usize)> {
-        rig::add(&self.calls, 1);
-        self.net.receive(room)
+        paused(|| {
+            rig::add(&self.calls, 1);
+            self.net.receive(room)
+        })
     }
 
     fn now(&mut self) -> Time {
@@ -144,31 +159,39 @@ impl Streams for CountedStreams {
     }
 
     fn opened(&mut self) -> Option<usize> {
-        let opened = self.net.opened();
-        // It is added to the epoll, if there is one.
-        rig::add(&self.calls, self.look * u64::from(opened.is_some()));
-        opened
+        paused(|| {
+            let opened = self.net.opened();
+            // It is added to the epoll, if there is one.
+            rig::add(&self.calls, self.look * u64::from(opened.is_some()));
+            opened
+        })
     }
 
     fn look(&mut self) {
-        rig::add(&self.calls, self.look);
-        self.net.look();
+        paused(|| {
+            rig::add(&self.calls, self.look);
+            self.net.look();
+        });
     }
 
     fn ready(&mut self) -> Option<usize> {
-        self.net.ready()
+        paused(|| self.net.ready())
     }
 
     fn receive(&mut self, index: usize, room: &mut [u8]) -> Result<Option<(Time, usize)>, Broken> {
-        let result = self.net.receive(index, room);
-        self.count(&result);
-        result
+        paused(|| {
+            let result = self.net.receive(index, room);
+            self.count(&result);
+            result
+        })
     }
 
     fn send(&mut self, index: usize, bytes: &[u8]) -> Result<(Time, usize), Broken> {
-        let result = self.net.send(index, bytes);
-        self.count(&result);
-        result
+        paused(|| {
+            let result = self.net.send(index, bytes);
+            self.count(&result);
+            result
+        })
     }
 
     fn abandon(&mut self, index: usize, why: &'static str) {

@@ -2,7 +2,9 @@
 //!
 //! | file | what |
 //! |---|---|
-//! | `mod` | arguments, turns, budgets, the JSON file, stolen time |
+//! | `mod` | arguments, turns, checks, the JSON file, stolen time |
+//! | `budgets` | `benches/budgets.csv`: the budgets of what is counted |
+//! | `count` | instructions of one scenario, counted by callgrind |
 //! | `stats` | quantiles, and ratios with bootstrap intervals |
 //! | `rig` | the loop driven by hand on a real-time thread |
 //! | `fleet`, `unidrive`, `line` | the drives it runs; a Unidrive, and a line of Kollmorgen drives, that answer from memory |
@@ -11,9 +13,12 @@
 //! | `null`, `counted` | carriers without a network; those of the operating system, counting system calls |
 //!
 //! Absolute times say little on a shared machine. So each contender runs in short slices, in turns with its rivals, on
-//! the same core, priority and grid; what is judged is the ratio, with an interval that comes from the slices.
+//! the same core, priority and grid; the ratio is printed with an interval that comes from the slices. Times and ratios
+//! never fail a bench. Counts and errors do.
 
 pub mod bare;
+pub mod budgets;
+pub mod count;
 pub mod counted;
 pub mod fleet;
 pub mod libmodbus;
@@ -30,13 +35,17 @@ use std::process::ExitCode;
 use fieldbeat::rt::host;
 use serde_json::{Map, Value, json};
 
-use stats::Interval;
+use budgets::Budgets;
 
 /// The command line of a bench.
 #[derive(Debug)]
 pub struct Args {
-    /// Short slices and few of them: a look, not a verdict.
+    /// Short slices and few of them.
     pub quick: bool,
+    /// Count instructions instead of measuring times.
+    pub count: bool,
+    /// Write what was counted into the file of budgets instead of comparing it.
+    pub write_budgets: bool,
     /// Where the numbers go.
     json: Option<PathBuf>,
 }
@@ -46,7 +55,7 @@ impl Args {
     ///
     /// A plain word chooses benches by a part of their name, as in `cargo bench jitter`: the others end at once.
     pub fn parse(name: &str) -> Args {
-        let mut args = Args { quick: false, json: None };
+        let mut args = Args { quick: false, count: false, write_budgets: false, json: None };
         let mut chosen = None;
         let mut words = std::env::args().skip(1);
         while let Some(word) = words.next() {
@@ -54,6 +63,8 @@ impl Args {
                 // From cargo.
                 "--bench" => {}
                 "--quick" => args.quick = true,
+                "--count" if count::BENCHES.contains(&name) => args.count = true,
+                "--write-budgets" if args.count => args.write_budgets = true,
                 "--json" => match words.next() {
                     Some(path) => args.json = Some(path.into()),
                     None => usage("--json needs a file"),
@@ -70,7 +81,10 @@ impl Args {
 }
 
 fn usage(mistake: &str) -> ! {
-    eprintln!("{mistake}; usage: cargo bench [NAME] -- [--quick] [--json FILE]");
+    eprintln!(
+        "{mistake}; usage: cargo bench [NAME] -- [--quick] [--json FILE], \
+         or cargo bench --bench wire|scale -- --count [--write-budgets] [--json FILE]"
+    );
     std::process::exit(2)
 }
 
@@ -105,13 +119,13 @@ pub fn shown<T: Display>(value: Option<T>) -> String {
     value.map_or_else(|| "-".to_owned(), |value| value.to_string())
 }
 
-/// `numbers` of one bench, and what is held against its budgets.
+/// The numbers of one bench, and the checks of what it counted.
 #[derive(Debug, Default)]
 pub struct Report {
     numbers: Map<String, Value>,
     list: Vec<Value>,
-    verdicts: Vec<String>,
-    missed: bool,
+    checks: Vec<String>,
+    failed: bool,
 }
 
 impl Report {
@@ -125,30 +139,27 @@ impl Report {
         self.list.push(value);
     }
 
-    /// A time or a ratio of times: missed only if the whole interval is beyond the budget.
-    pub fn time(&mut self, what: impl Display, interval: Option<Interval>, budget: f64, unit: &str) {
-        let Some(Interval { value, low, high }) = interval else {
-            return self.verdicts.push(format!("  unmeasured  {what} <= {budget} {unit}"));
-        };
-        let word = match () {
-            () if low > budget => "MISSED    ",
-            () if high > budget => "undecided ",
-            () => "kept      ",
-        };
-        self.missed |= low > budget;
-        self.verdicts.push(format!("  {word}  {what} <= {budget} {unit}: {value:.3} [{low:.3}, {high:.3}]"));
+    /// A count, or an identity of counts.
+    pub fn check(&mut self, what: impl Display, right: bool) {
+        self.failed |= !right;
+        self.checks.push(format!("  {}  {what}", if right { "ok    " } else { "FAILED" }));
     }
 
-    /// A count: missed if it is wrong.
-    pub fn count(&mut self, what: impl Display, kept: bool) {
-        self.missed |= !kept;
-        self.verdicts.push(format!("  {}  {what}", if kept { "kept      " } else { "MISSED    " }));
+    /// A count and its budget.
+    pub fn within(&mut self, budgets: &Budgets, scenario: &str, count: f64) {
+        let (is_within, what) = budgets.compare(scenario, count);
+        self.check(what, is_within);
     }
 
-    /// Prints the verdicts, writes the JSON file and gives the exit code: 1 if a budget was missed.
+    /// What is not compared here, and why. This is no failure.
+    pub fn not_compared(&mut self, what: impl Display, why: impl Display) {
+        self.checks.push(format!("  -       {what}: {why}"));
+    }
+
+    /// Prints the checks, writes the JSON file and gives the exit code: 1 if a check failed.
     pub fn finish(self, args: &Args) -> ExitCode {
-        println!("\nbudgets (a time is missed only if its whole interval is beyond):");
-        self.verdicts.iter().for_each(|line| println!("{line}"));
+        println!("\ncounts:");
+        self.checks.iter().for_each(|line| println!("{line}"));
         if let Some(path) = &args.json {
             let numbers = if self.list.is_empty() { Value::Object(self.numbers) } else { json!(self.list) };
             let text = format!("{numbers:#}\n");
@@ -157,6 +168,6 @@ impl Report {
                 return ExitCode::from(2);
             }
         }
-        ExitCode::from(u8::from(self.missed))
+        ExitCode::from(u8::from(self.failed))
     }
 }

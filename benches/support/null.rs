@@ -16,6 +16,7 @@ use fieldbeat::rt::{MonotonicClock, Regions};
 use fieldbeat::sim::SimDrive;
 use fieldbeat::time::Time;
 
+use super::count::resumed;
 use super::rig;
 use super::unidrive::{self, Canned};
 
@@ -208,7 +209,8 @@ impl Datagrams for NullCarrier {
                 ]);
                 length += RtcBlock::SIZE;
             }
-            take(Received { from: *from, at, bytes: &reply[..length], truncated: false });
+            let received = Received { from: *from, at, bytes: &reply[..length], truncated: false };
+            resumed(|| take(received));
         }
         self.next = end;
         Ok(count)

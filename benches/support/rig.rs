@@ -2,7 +2,7 @@
 
 use std::fmt::Display;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use fieldbeat::axis::Verb;
 use fieldbeat::axis::acyclic::Acyclic;
@@ -22,10 +22,15 @@ use fieldbeat::time::{S, Time};
 use nix::sys::time::TimeSpec;
 use nix::time::{ClockId, clock_gettime};
 
+use super::count::counted;
+
 /// The loop's priority; cyclictest gets the same.
 pub const PRIORITY: u8 = 80;
 /// That of simulated drives: below the loop.
 const DRIVE_PRIORITY: u8 = 70;
+
+/// How long simulated drives may take until they are in operation, on the grid of their loop, ns.
+const BRING_UP_NS: u64 = 100 * S;
 
 /// Ends the bench: what it needs is not to be had.
 pub fn give_up(why: impl Display) -> ! {
@@ -115,8 +120,22 @@ pub enum Pace {
 /// How far the clock of the loop that runs has jumped ahead so far, ns. A bench has one loop at a time.
 static AHEAD_NS: AtomicU64 = AtomicU64::new(0);
 
+/// Where that clock begins if it is virtual, and what reading it takes then, ns.
+const VIRTUAL_BEGIN_NS: u64 = 1_000 * S;
+const VIRTUAL_READ_NS: u64 = 50;
+/// Only leaps and readings move the clock, so that each run is the same.
+static VIRTUAL: AtomicBool = AtomicBool::new(false);
+
+/// From now on time is virtual.
+pub fn be_virtual() {
+    VIRTUAL.store(true, Ordering::Relaxed);
+}
+
 /// Now, by the clock of the loop that runs.
 pub fn now() -> Time {
+    if VIRTUAL.load(Ordering::Relaxed) {
+        return Time(VIRTUAL_BEGIN_NS + AHEAD_NS.fetch_add(VIRTUAL_READ_NS, Ordering::Relaxed));
+    }
     MonotonicClock::read() + AHEAD_NS.load(Ordering::Relaxed)
 }
 
@@ -126,8 +145,11 @@ pub fn leap(ns: u64) {
 }
 
 /// So much time has passed for nobody: what a simulation in memory takes is not the loop's. It must have leapt ahead
-/// before.
+/// before. In virtual time it has taken none.
 pub fn forget(ns: u64) {
+    if VIRTUAL.load(Ordering::Relaxed) {
+        return;
+    }
     AHEAD_NS.store(AHEAD_NS.load(Ordering::Relaxed).saturating_sub(ns), Ordering::Relaxed);
 }
 
@@ -160,6 +182,8 @@ impl Clock for Meter {
                 MonotonicClock.sleep_until(Time(at.0 - AHEAD_NS.load(Ordering::Relaxed)));
             }
             Pace::BackToBack => {
+                // What it would be on the grid.
+                add(&self.calls, 1);
                 AHEAD_NS.fetch_add(at.since(now()), Ordering::Relaxed);
             }
         }
@@ -167,7 +191,8 @@ impl Clock for Meter {
 
     fn wait(&mut self, set: &mut PollSet, until: Time) -> bool {
         add(&self.calls, 1);
-        MonotonicClock.wait(set, until)
+        // In virtual time all replies are there.
+        VIRTUAL.load(Ordering::Relaxed) || MonotonicClock.wait(set, until)
     }
 
     fn spin(&mut self) {
@@ -250,6 +275,15 @@ impl Rig {
         Turn { busy_ns, calls }
     }
 
+    /// One turn that is counted; its records are not.
+    pub fn counted_turn(&mut self) {
+        let engine = &mut self.assembly.engine;
+        engine.clock().woke = None;
+        counted(|| engine.step());
+        self.grid = engine.clock().grid;
+        while self.assembly.records.pop().is_ok() {}
+    }
+
     /// From now on it goes from cycle to cycle like this.
     pub fn set_pace(&mut self, pace: Pace) {
         self.assembly.engine.clock().pace = pace;
@@ -289,7 +323,10 @@ impl Rig {
     }
 
     fn turn_until(&mut self, what: &str, done: impl Fn(&Status) -> bool, beside: &mut dyn FnMut(Time)) {
-        for _ in 0..100_000 {
+        // The grid is that of the last turn: there has to be one.
+        self.turn(|_| {});
+        let begin = self.grid;
+        while self.grid.since(begin) < BRING_UP_NS {
             if done(self.status()) {
                 return;
             }
