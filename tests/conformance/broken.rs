@@ -3,11 +3,11 @@
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-use crate::subject::Subject;
-use crate::subjects::ethercat::{Defect as LineDefect, EtherCat};
-use crate::subjects::modbus::{Defect as StreamDefect, Modbus};
-use crate::subjects::toy::{Defect, Toy};
-use crate::{acyclic, exchanges, neighbours, orders, replies, reports, whole};
+use crate::conformance::subject::Subject;
+use crate::conformance::subjects::ethercat::{Defect as LineDefect, EtherCat};
+use crate::conformance::subjects::modbus::{Defect as StreamDefect, Modbus};
+use crate::conformance::subjects::toy::{Defect, Toy};
+use crate::conformance::{acyclic, exchanges, neighbours, orders, replies, reports, whole};
 
 type Clause = fn(&'static dyn Subject);
 

@@ -6,9 +6,9 @@ use fieldbeat::bus::{Counters, Exchange, OWN_COUNTERS};
 use fieldbeat::sim::FaultPlan;
 use fieldbeat::time::US;
 
-use crate::line::{LATENCY, Line, PERIOD, Seen, WINDOW};
-use crate::rules;
-use crate::subject::{Subject, not_applicable};
+use crate::conformance::line::{LATENCY, Line, PERIOD, Seen, WINDOW};
+use crate::conformance::rules;
+use crate::conformance::subject::{Subject, not_applicable};
 
 /// Between two windows.
 const BETWEEN: u64 = WINDOW + 140 * US;
@@ -460,7 +460,7 @@ pub fn the_accounts_hold_in_any_weather(subject: &'static dyn Subject) {
         for _ in 0..if line.can.stream { 20_000 } else { 800 } {
             let index = random.usize(..3);
             if random.u8(..20) == 0 {
-                let verbs = crate::line::verbs(&line, index);
+                let verbs = crate::conformance::line::verbs(&line, index);
                 line.order(index, verbs[random.usize(..verbs.len())]);
             }
             line.wire.log().drives[index].jammed = random.u8(..20) == 0;

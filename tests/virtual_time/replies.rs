@@ -9,7 +9,7 @@ use fieldbeat::cycle::status::Numbers;
 use fieldbeat::sim::FaultPlan;
 use fieldbeat::time::{MS, US};
 
-use crate::support::*;
+use crate::virtual_time::support::*;
 
 /// Online, and in a motion so slow that it goes on, but each cycle has another position.
 fn moving(rig: Rig) -> Bench {

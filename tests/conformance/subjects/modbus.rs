@@ -19,7 +19,7 @@ use fieldbeat::rt::Regions;
 use fieldbeat::sim::SimDrive;
 use fieldbeat::time::US;
 
-use crate::subject::{Calls, Can, Drive, NoMessage, Said, Subject};
+use crate::conformance::subject::{Calls, Can, Drive, NoMessage, Said, Subject};
 
 /// One of the two ways to the cyclic parameters, sound or with one thing wrong.
 pub struct Modbus {

@@ -1,6 +1,5 @@
 //! The configuration as a user meets it: every mistake on a line of its own, the samples, and the defaults.
 
-#[path = "config/ethercat.rs"]
 mod ethercat;
 
 use std::net::Ipv4Addr;
@@ -60,7 +59,7 @@ fn mistakes(text: &str) -> Vec<String> {
 }
 
 /// Section and fragment (`;;` is a line end), then the lines expected, without the file's name.
-const MISTAKES: &str = include_str!("config/mistakes.txt");
+const MISTAKES: &str = include_str!("mistakes.txt");
 
 #[test]
 fn every_mistake_says_where_it_is_and_what_would_be_right() {
@@ -965,7 +964,7 @@ proptest! {
         ),
         of_kollmorgen: bool,
     ) {
-        let samples = [include_str!("../rt-config/linmot.toml"), include_str!("../rt-config/kollmorgen.toml")];
+        let samples = [include_str!("../../rt-config/linmot.toml"), include_str!("../../rt-config/kollmorgen.toml")];
         let sample = samples[usize::from(of_kollmorgen)].replace("\n# stop", "\nstop").replace("\n# sim", "\nsim");
         let mut lines: Vec<String> = sample.lines().map(str::to_owned).collect();
         for (line, value) in changes {
