@@ -35,6 +35,8 @@ struct Rig {
     /// What waits in the drive's mailbox, and what was put into the other one.
     mail: VecDeque<Vec<u8>>,
     posted: [u8; SDO_SIZE],
+    /// Nothing comes back.
+    muted: bool,
     rows: VecDeque<Row>,
     row: u64,
     fresh: bool,
@@ -87,6 +89,7 @@ impl Rig {
             outputs: vec![0; plan.outputs.size()],
             mail: VecDeque::new(),
             posted: [0; SDO_SIZE],
+            muted: false,
             rows: VecDeque::new(),
             row: 0,
             fresh: false,
@@ -181,8 +184,13 @@ impl Rig {
     fn hear(&mut self) {
         let inputs = self.inputs.clone();
         let at = self.now + 50_000;
-        self.station.take(at, &inputs, self.al, &mut self.slot);
-        assert!(matches!(self.slot.exchange, Exchange::Answered { suspect: false, .. }));
+        if self.muted {
+            self.slot.counters.missed += 1;
+            self.slot.exchange = Exchange::Missed;
+        } else {
+            self.station.take(at, &inputs, self.al, &mut self.slot);
+            assert!(matches!(self.slot.exchange, Exchange::Answered { suspect: false, .. }));
+        }
         self.fresh = std::mem::take(&mut self.slot.report.fresh);
         self.restarted |= std::mem::take(&mut self.slot.report.restarted);
         self.slot.report.emergency = None;
@@ -213,7 +221,7 @@ impl Rig {
             let (working_counter, data) = came.get(place)?;
             Some(Answer { working_counter: *working_counter, data })
         };
-        let answers = [answer(0), answer(1)];
+        let answers = if self.muted { [None, None] } else { [answer(0), answer(1)] };
         self.station.service().heard(self.now, &answers, &mut self.slot.counters);
         self.station.mailbox_heard(&mut self.slot);
     }
@@ -798,6 +806,27 @@ fn a_jog_ends_at_the_position_limit() {
     let mut rig = Rig::enabled(plan);
     assert!(matches!(rig.run(Rig::by(2.0)), Err(Failure::Limit { .. })));
     rig.assert_standing();
+}
+
+#[test]
+fn an_order_is_not_done_by_what_was_heard_before_it() {
+    for (first, second, powered) in [
+        (Verb::Disable, Verb::Enable, true),
+        (Verb::Disable, STOP, false),
+        (Verb::Disable, Verb::QuickStop, false),
+    ] {
+        let mut rig = Rig::enabled(velocity());
+        rig.muted = true;
+        rig.order(first);
+        rig.turns(1);
+        rig.order(second);
+        rig.muted = false;
+        rig.until("an end", 1_000, |rig| rig.end().is_some());
+        assert_eq!(rig.end(), Some(Ok(())), "{second:?}");
+        assert_eq!(rig.drive.axis_state().is_powered(), powered, "{second:?}");
+        rig.turns(300);
+        assert_eq!(rig.drive.axis_state().is_powered(), powered, "{second:?}");
+    }
 }
 
 #[test]
