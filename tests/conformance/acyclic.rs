@@ -5,8 +5,8 @@ use std::time::Duration;
 use fieldbeat::axis::Link;
 use fieldbeat::axis::acyclic::{Answer, Call, CallError, CallTicket, PostError};
 
-use crate::machine::Machine;
-use crate::subject::Subject;
+use crate::conformance::machine::Machine;
+use crate::conformance::subject::Subject;
 
 /// Longer than any call of a subject takes.
 const LIMIT: Duration = Duration::from_secs(1);

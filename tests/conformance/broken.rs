@@ -3,11 +3,11 @@
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-use crate::subject::Subject;
-use crate::subjects::ethercat::{Defect as LineDefect, EtherCat};
-use crate::subjects::modbus::{Defect as StreamDefect, Modbus};
-use crate::subjects::toy::{Defect, Toy};
-use crate::{acyclic, exchanges, neighbours, orders, replies, reports, whole};
+use crate::conformance::subject::Subject;
+use crate::conformance::subjects::ethercat::{Defect as LineDefect, EtherCat};
+use crate::conformance::subjects::modbus::{Defect as StreamDefect, Modbus};
+use crate::conformance::subjects::toy::{Defect, Toy};
+use crate::conformance::{acyclic, exchanges, neighbours, orders, replies, reports, whole};
 
 type Clause = fn(&'static dyn Subject);
 
@@ -32,13 +32,15 @@ const CAUGHT: [(Defect, Clause); 15] = [
     (Defect::ForgetsItsCalls, acyclic::a_drive_that_is_not_there_is_told_of_at_once),
 ];
 
-const CAUGHT_ON_STREAMS: [(StreamDefect, Clause); 3] = [
+const CAUGHT_ON_STREAMS: [(StreamDefect, Clause); 5] = [
     (
         StreamDefect::NeverGivesUp,
         exchanges::what_is_not_answered_in_its_window_is_open_until_the_loop_calls_it_missed,
     ),
     (StreamDefect::AsksTwice, exchanges::each_due_slot_is_one_request_and_one_exchange),
     (StreamDefect::BeginsAgain, exchanges::a_request_that_the_wire_takes_in_pieces_is_heard_once_and_whole),
+    (StreamDefect::GivesUpAll, replies::no_bytes_whatever_upset_it),
+    (StreamDefect::TrustsCounts, replies::no_bytes_whatever_upset_it),
 ];
 
 const CAUGHT_ON_LINES: [(LineDefect, Clause); 5] = [

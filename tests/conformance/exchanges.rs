@@ -6,8 +6,8 @@ use fieldbeat::rt::Clock;
 use fieldbeat::sim::FaultPlan;
 use fieldbeat::time::US;
 
-use crate::line::{LATENCY, Line, PERIOD, WINDOW, near_velocity};
-use crate::subject::{Subject, not_applicable};
+use crate::conformance::line::{LATENCY, Line, PERIOD, WINDOW, near_velocity};
+use crate::conformance::subject::{Subject, not_applicable};
 
 pub fn nothing_is_sent_for_a_slot_that_is_not_due(subject: &'static dyn Subject) {
     let mut line = Line::new(subject, 3);
@@ -69,7 +69,7 @@ pub fn a_request_that_is_built_again_is_the_same_to_the_byte(subject: &'static d
         let mut line = Line::new(subject, 2);
         line.builds = builds;
         line.ready();
-        for (turn, verb) in crate::line::verbs(&line, 0).into_iter().enumerate() {
+        for (turn, verb) in crate::conformance::line::verbs(&line, 0).into_iter().enumerate() {
             line.faults(0, FaultPlan { seed: turn as u64, drop: 0.1, ..FaultPlan::default() });
             line.stream(0, 0.01, 40);
             line.order(0, verb);

@@ -15,9 +15,9 @@ use fieldbeat::sim::world::{World, WorldOptions};
 use fieldbeat::simulation::Simulation;
 use fieldbeat::time::{Time, US};
 
-use crate::line::{self, PERIOD};
-use crate::subject::{Can, Drive, Subject};
-use crate::wire::{Tape, Wire};
+use crate::conformance::line::{self, PERIOD};
+use crate::conformance::subject::{Can, Drive, Subject};
+use crate::conformance::wire::{Tape, Wire};
 
 pub struct Machine {
     pub can: Can,

@@ -5,8 +5,8 @@ use fieldbeat::bus::Counters;
 use fieldbeat::sim::FaultPlan;
 use fieldbeat::time::US;
 
-use crate::line::{Line, PERIOD};
-use crate::subject::{Said, Subject};
+use crate::conformance::line::{Line, PERIOD};
+use crate::conformance::subject::{Said, Subject};
 
 /// Two drives move while `befall` happens to the first in each cycle: they end as they would have, and no count of
 /// theirs differs.
@@ -142,7 +142,7 @@ pub fn restarts_of_one_trouble_no_other(subject: &'static dyn Subject) {
 pub fn orders_to_one_trouble_no_other(subject: &'static dyn Subject) {
     unnoticed(subject, |line, turn| {
         if turn % 7 == 0 {
-            let verbs = crate::line::verbs(line, 0);
+            let verbs = crate::conformance::line::verbs(line, 0);
             line.order(0, verbs[turn as usize / 7 % verbs.len()]);
         }
         if turn == 590 {

@@ -4,8 +4,8 @@ use fieldbeat::bus::BusPlan;
 use fieldbeat::rt::Regions;
 use fieldbeat::time::S;
 
-use crate::line::{Line, PERIOD, drives};
-use crate::subject::{Subject, not_applicable};
+use crate::conformance::line::{Line, PERIOD, drives};
+use crate::conformance::subject::{Subject, not_applicable};
 
 pub fn a_plan_tells_of_its_drives_in_slot_order(subject: &'static dyn Subject) {
     let plan = subject.plan(&drives(subject, 3, |index, drive| drive.axis.name = format!("n{}", 7 - index)));

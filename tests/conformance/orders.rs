@@ -7,9 +7,9 @@ use fieldbeat::axis::{Failure, Jog, Move, Profile, State, Target, Verb};
 use fieldbeat::sim::FaultPlan;
 use fieldbeat::time::{S, US};
 
-use crate::line::{Line, Motion, PERIOD, WINDOW, near_velocity, verbs};
-use crate::rules::near;
-use crate::subject::{Drive, Subject, not_applicable};
+use crate::conformance::line::{Line, Motion, PERIOD, WINDOW, near_velocity, verbs};
+use crate::conformance::rules::near;
+use crate::conformance::subject::{Drive, Subject, not_applicable};
 
 const STOP: Verb = Verb::Stop { deceleration: None };
 

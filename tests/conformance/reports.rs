@@ -3,9 +3,9 @@
 use fieldbeat::axis::{Units, Verb};
 use fieldbeat::bus::{Report, Slot};
 
-use crate::line::Line;
-use crate::rules::{is_as_told, near};
-use crate::subject::{Drive, Subject, not_applicable};
+use crate::conformance::line::Line;
+use crate::conformance::rules::{is_as_told, near};
+use crate::conformance::subject::{Drive, Subject, not_applicable};
 
 /// The drive's own units, another scale, another zero, another direction.
 fn various(index: usize, drive: &mut Drive) {

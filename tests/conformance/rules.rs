@@ -4,8 +4,8 @@ use fieldbeat::axis::Units;
 use fieldbeat::bus::{Counters, Cycle, Exchange, Report, Slot};
 use fieldbeat::time::Time;
 
-use crate::subject::{Can, Drive, Said};
-use crate::wire::Tape;
+use crate::conformance::subject::{Can, Drive, Said};
+use crate::conformance::wire::Tape;
 
 /// One drive's slot around a call: the slot before it and behind it.
 pub struct Around<'a> {

@@ -10,9 +10,9 @@ use fieldbeat::sim::FaultPlan;
 use fieldbeat::sim::world::WorldOptions;
 use fieldbeat::time::{MS, US};
 
-use crate::line::PERIOD;
-use crate::machine::Machine;
-use crate::subject::{Can, Subject, not_applicable};
+use crate::conformance::line::PERIOD;
+use crate::conformance::machine::Machine;
+use crate::conformance::subject::{Can, Subject, not_applicable};
 
 pub fn good_exchanges_in_a_row_bring_the_link_up(subject: &'static dyn Subject) {
     let gate = 6;

@@ -16,7 +16,7 @@ use fieldbeat::rt::Regions;
 use fieldbeat::sim::world::World;
 use fieldbeat::sim::{FaultPlan, SimDrive, SimLine, Simulated};
 
-use crate::subject::{Drive, NoMessage, Said, Subject};
+use crate::conformance::subject::{Drive, NoMessage, Said, Subject};
 
 /// ENOBUFS: what a full send buffer answers.
 const NO_BUFFER: i32 = 105;

@@ -9,6 +9,7 @@
 //! | `ethercat` | frames of EtherCAT, and a master of the crate ethercrab |
 //! | `linudp` | frames of LinUDP |
 //! | `modbus` | Modbus TCP: frames, and servers and clients of libmodbus and pymodbus |
+//! | `readers` | distributions and metrics, not on a wire: HdrHistogram's JavaScript port, Prometheus' Python client |
 //!
 //! Each test owns 127.x.n.0/24, by the number n of its machine, which is unique in all of these files.
 
@@ -16,5 +17,6 @@ mod capture;
 mod ethercat;
 mod linudp;
 mod modbus;
+mod readers;
 #[path = "../support/mod.rs"]
 mod support;

@@ -12,8 +12,8 @@ use fieldbeat::bus::linudp::wire::{Refusal, RtcBlock, RtcCommand};
 use fieldbeat::sim::FaultPlan;
 use fieldbeat::time::{MS, S};
 
-use crate::carrier::LIMIT;
-use crate::support::*;
+use crate::virtual_time::carrier::LIMIT;
+use crate::virtual_time::support::*;
 
 /// Variables 1 and 2 of the command table, which nobody uses here, and two parameters.
 const SCRATCH: [u16; 4] = [0x1E72, 0x1E73, 0x14BE, 0x14C0];

@@ -8,7 +8,7 @@ use fieldbeat::bus::linudp::wire::{ControlWord, MotionBlock, StatusWord};
 use fieldbeat::cycle::Overrun;
 use fieldbeat::time::MS;
 
-use crate::support::*;
+use crate::virtual_time::support::*;
 
 /// No control word, and no motion command but the one that does nothing.
 fn assert_only_read(b: &Bench, index: usize) {

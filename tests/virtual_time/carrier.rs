@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use fieldbeat::axis::acyclic::{Acyclic, Answer, Call, CallError, CallTicket, Carrier, Condition, Series};
 
-use crate::support::Bench;
+use crate::virtual_time::support::Bench;
 
 /// Turns after which a call that has not ended never will: 200 s.
 const MOST: u64 = 200_000;

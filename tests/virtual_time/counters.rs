@@ -9,7 +9,7 @@ use fieldbeat::cycle::status::Numbers;
 use fieldbeat::sim::FaultPlan;
 use fieldbeat::time::US;
 
-use crate::support::*;
+use crate::virtual_time::support::*;
 
 /// All counters by name. A new one breaks the build here, and then it wants a case below.
 fn named(counters: Counters, strangers: Strangers) -> [(&'static str, i64); 12] {

@@ -14,7 +14,7 @@ use fieldbeat::bus::linudp::wire::{
 use fieldbeat::config::stop_bound_cycles;
 use fieldbeat::time::{MS, Time};
 
-use crate::support::*;
+use crate::virtual_time::support::*;
 
 const STOP_COMMAND: u16 = 0x017;
 

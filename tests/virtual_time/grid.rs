@@ -8,7 +8,7 @@ use fieldbeat::bus::linudp::StreamCommand;
 use fieldbeat::cycle::{Guard, Overrun, Wait};
 use fieldbeat::time::{MS, Time, US};
 
-use crate::support::*;
+use crate::virtual_time::support::*;
 
 /// A task that writes down the cycles it sees, and the cell to read them from.
 fn watched(rig: Rig) -> (Rig, Arc<Mutex<Vec<Cycle>>>) {

@@ -8,7 +8,7 @@ use fieldbeat::bus::linudp::wire::{ControlWord, MotionBlock};
 use fieldbeat::sim::FaultPlan;
 use fieldbeat::time::Time;
 
-use crate::support::*;
+use crate::virtual_time::support::*;
 
 /// Machines of so many axes that stop together; those of `members` have joined and are in operation.
 fn rig(count: usize) -> Rig {

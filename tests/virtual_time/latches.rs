@@ -7,7 +7,7 @@ use fieldbeat::bus::linudp::wire::ErrorCode;
 use fieldbeat::cycle::engine::Flow;
 use fieldbeat::time::MS;
 
-use crate::support::*;
+use crate::virtual_time::support::*;
 
 /// How one cause comes about in a machine of three axes: 0 is the one that is looked at, 1 is of its group, 2 is alone.
 struct Case {

@@ -2,7 +2,7 @@
 
 use fieldbeat::axis::{Abort, Failure, Jog, Move, Outcome, Profile, Target, Unit, Units, Verb};
 
-use crate::support::*;
+use crate::virtual_time::support::*;
 
 const STOP: Verb = Verb::Stop { deceleration: None };
 

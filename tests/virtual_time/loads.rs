@@ -6,7 +6,7 @@ use fieldbeat::axis::{
 use fieldbeat::bus::linudp::wire::ControlWord;
 use fieldbeat::time::MS;
 
-use crate::support::*;
+use crate::virtual_time::support::*;
 
 fn vertical(held_by: HeldBy) -> Rig {
     Rig::new(1).each(move |_, drive| {

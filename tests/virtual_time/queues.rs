@@ -2,7 +2,7 @@
 
 use fieldbeat::axis::{EventKind, Outcome, Verb};
 
-use crate::support::*;
+use crate::virtual_time::support::*;
 
 #[test]
 fn every_cycle_is_sampled_exactly_once() {

@@ -13,7 +13,7 @@ use fieldbeat::bus::linudp::wire::{ControlWord, ErrorCode, MainState};
 use fieldbeat::cycle::engine::Flow;
 use fieldbeat::sim::FaultPlan;
 
-use crate::support::*;
+use crate::virtual_time::support::*;
 
 /// One state of the master.
 struct Case {

@@ -17,8 +17,8 @@ use fieldbeat::bus::linudp::wire::{ErrorCode, Refusal, RtcCommand};
 use fieldbeat::sim::FaultPlan;
 use fieldbeat::time::S;
 
-use crate::carrier::Turning;
-use crate::support::*;
+use crate::virtual_time::carrier::Turning;
+use crate::virtual_time::support::*;
 
 fn services<'a>(carrier: &'a dyn Carrier) -> Services<'a> {
     Services::over("x0", carrier).unwrap()

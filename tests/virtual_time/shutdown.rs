@@ -10,7 +10,7 @@ use fieldbeat::axis::{
 use fieldbeat::bus::linudp::wire::{ControlWord, ErrorCode, MainState, StatusWord};
 use fieldbeat::cycle::engine::Flow;
 
-use crate::support::*;
+use crate::virtual_time::support::*;
 
 /// No motion was cut short: when the control word went low for good, the drive did not move.
 fn assert_braked_before_power_off(b: &Bench, index: usize) {

@@ -12,7 +12,7 @@ use fieldbeat::sim::FaultPlan;
 use fieldbeat::sim::world::WorldOptions;
 use fieldbeat::time::{MS, US};
 
-use crate::support::*;
+use crate::virtual_time::support::*;
 
 /// Counts add up for every drive.
 fn assert_accounts(b: Bench, what: &str) {

@@ -4,7 +4,7 @@ use fieldbeat::axis::{Abort, EventKind, Failure, Outcome, Row, StopCause, Underr
 use fieldbeat::bus::linudp::StreamCommand;
 use fieldbeat::time::{MS, US};
 
-use crate::support::*;
+use crate::virtual_time::support::*;
 
 /// A smooth way from `begin` by `way` in `rows` rows of `period_s`: position, velocity and acceleration of half a
 /// cosine.

@@ -11,7 +11,7 @@ use fieldbeat::bus::linudp::wire::{
 };
 use fieldbeat::time::{MS, Time, US};
 
-use crate::support::*;
+use crate::virtual_time::support::*;
 
 const STOP: Verb = Verb::Stop { deceleration: None };
 

@@ -6,7 +6,7 @@ use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velo
 use fieldbeat::bus::linudp::native::{Native, NativeOutput};
 use fieldbeat::time::MS;
 
-use crate::support::*;
+use crate::virtual_time::support::*;
 
 const VELOCITY: Verb = Verb::Velocity { acceleration: 5_000.0 };
 

@@ -23,8 +23,8 @@ use fieldbeat::net::{Carriers, Datagrams, Frames, StreamPeer, Streams, UdpOption
 use fieldbeat::rt::Regions;
 use fieldbeat::sim::{SimDrive, SimLine};
 
-use crate::line::PERIOD;
-use crate::subject::{Calls, Can, Drive, Said, Subject};
+use crate::conformance::line::PERIOD;
+use crate::conformance::subject::{Calls, Can, Drive, Said, Subject};
 
 /// By what the drives are led; sound, or with one thing wrong.
 pub struct EtherCat {

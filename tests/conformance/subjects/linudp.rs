@@ -11,7 +11,7 @@ use fieldbeat::bus::linudp::wire::{
 };
 use fieldbeat::bus::linudp::{COUNTS_PER_MM, LinUdpDrive, LinUdpPlan};
 
-use crate::subject::{Calls, Can, Drive, Said, Subject};
+use crate::conformance::subject::{Calls, Can, Drive, Said, Subject};
 
 /// With a tag each reply names its request; without it the protocol has nothing of the kind.
 pub struct LinUdp {

@@ -19,7 +19,7 @@ use fieldbeat::rt::Regions;
 use fieldbeat::sim::SimDrive;
 use fieldbeat::time::US;
 
-use crate::subject::{Calls, Can, Drive, NoMessage, Said, Subject};
+use crate::conformance::subject::{Calls, Can, Drive, NoMessage, Said, Subject};
 
 /// One of the two ways to the cyclic parameters, sound or with one thing wrong.
 pub struct Modbus {
@@ -36,6 +36,10 @@ pub enum Defect {
     AsksTwice,
     /// What the wire does not take is sent again from its begin.
     BeginsAgain,
+    /// A connection that is given up takes the other one with it.
+    GivesUpAll,
+    /// The count of bytes in a message is taken for true.
+    TrustsCounts,
 }
 
 /// What menu 0 shows from its first place on, as set up by default.
@@ -274,7 +278,15 @@ impl Streams for Misused {
     }
 
     fn receive(&mut self, index: usize, room: &mut [u8]) -> Result<Option<(Time, usize)>, net::Broken> {
-        self.streams.receive(index, room)
+        let taken = self.streams.receive(index, room)?;
+        if let Some((_, count @ 9..)) = taken
+            && self.defect == Defect::TrustsCounts
+            && matches!(room[7], 3 | 23)
+        {
+            let room = &room[..count];
+            let _ = &room[9..9 + usize::from(room[8])];
+        }
+        Ok(taken)
     }
 
     fn send(&mut self, index: usize, bytes: &[u8]) -> Result<(Time, usize), net::Broken> {
@@ -290,8 +302,10 @@ impl Streams for Misused {
     }
 
     fn abandon(&mut self, index: usize, why: &'static str) {
-        if self.defect != Defect::NeverGivesUp {
-            self.streams.abandon(index, why);
+        match self.defect {
+            Defect::NeverGivesUp => {}
+            Defect::GivesUpAll => (0..self.begun.len()).for_each(|index| self.streams.abandon(index, why)),
+            _ => self.streams.abandon(index, why),
         }
     }
 

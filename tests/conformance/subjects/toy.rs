@@ -19,8 +19,8 @@ use fieldbeat::sim::physics::Generator;
 use fieldbeat::sim::{FaultPlan, SimDrive};
 use fieldbeat::time::{Time, US, nanos};
 
-use crate::line::PERIOD;
-use crate::subject::{Calls, Can, Drive, Said, Subject};
+use crate::conformance::line::PERIOD;
+use crate::conformance::subject::{Calls, Can, Drive, Said, Subject};
 
 /// The toy, sound or with one thing wrong.
 pub struct Toy(pub Option<Defect>);

@@ -23,7 +23,7 @@ use fieldbeat::time::{MS, US};
 use super::Fault::{self, *};
 use super::watch::{Stopped, Stream, Watch, says};
 use super::{DRIVE, LINK, MACHINE, STREAM, Table};
-use crate::support::*;
+use crate::virtual_time::support::*;
 
 /// One fault and what has to come of it.
 struct Strike {

@@ -844,10 +844,10 @@ fn the_stop_of_a_drive_that_is_out_of_reach_is_latched_within_its_bound_and_made
 
 /// 32 of them with a divisor of 8, phases spread, beside 32 LinMots in every cycle.
 fn fleet(seed: u64) -> (u64, String, Numbers) {
-    let linmots = (0..32).map(crate::support::drive).collect();
+    let linmots = (0..32).map(crate::virtual_time::support::drive).collect();
     let linudp = LinUdpPlan {
         name: "linudp".into(),
-        bind: crate::support::MASTER,
+        bind: crate::virtual_time::support::MASTER,
         send: SendMode::Batch,
         drives: linmots,
     };

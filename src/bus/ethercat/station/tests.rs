@@ -2,7 +2,6 @@
 //! mailbox.
 
 use std::collections::VecDeque;
-use std::time::Duration;
 
 use super::*;
 use crate::axis::{Failure, Jog, Link, Move, Profile, Row, Target, Verb};
@@ -807,20 +806,6 @@ fn a_jog_ends_at_the_position_limit() {
     let mut rig = Rig::enabled(plan);
     assert!(matches!(rig.run(Rig::by(2.0)), Err(Failure::Limit { .. })));
     rig.assert_standing();
-}
-
-#[test]
-fn orders_with_a_time_limit_end_even_if_nobody_answers() {
-    for verb in [Verb::Enable, Verb::Disable, Verb::Home] {
-        let mut plan = position();
-        plan.axis.enable_timeout = Duration::from_millis(200);
-        plan.axis.home_timeout = Duration::from_millis(200);
-        let mut rig = Rig::new(plan);
-        rig.muted = true;
-        rig.order(verb);
-        rig.until("an end", 300, |rig| rig.end().is_some());
-        assert!(matches!(rig.end(), Some(Err(Failure::TimedOut(_)))), "{verb:?}: {:?}", rig.end());
-    }
 }
 
 #[test]

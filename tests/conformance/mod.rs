@@ -16,9 +16,6 @@
 //! `linudp::replies::a_duplicate_is_counted_and_answers_nothing`: subject, chapter, clause. What means nothing for a
 //! subject is said on standard error and never passed over in silence.
 
-#[path = "../support/forward.rs"]
-mod forward;
-
 mod acyclic;
 mod broken;
 mod exchanges;
@@ -158,7 +155,7 @@ macro_rules! clauses {
         $(mod $chapter {
             $(#[test]
             fn $clause() {
-                crate::$chapter::$clause(super::SUBJECT);
+                crate::conformance::$chapter::$clause(super::SUBJECT);
             })*
         })*
     };
@@ -168,18 +165,18 @@ macro_rules! clauses {
 macro_rules! subjects {
     ($($name:ident: $subject:expr,)*) => {
         $(mod $name {
-            const SUBJECT: &dyn crate::subject::Subject = &$subject;
+            const SUBJECT: &dyn crate::conformance::subject::Subject = &$subject;
             clauses!();
         })*
     };
 }
 
 subjects! {
-    linudp: crate::subjects::linudp::LinUdp { reply_tag: false },
-    linudp_tagged: crate::subjects::linudp::LinUdp { reply_tag: true },
-    modbus_menu_0: crate::subjects::modbus::Modbus { direct: false, defect: None },
-    modbus_direct: crate::subjects::modbus::Modbus { direct: true, defect: None },
-    ethercat_velocity: crate::subjects::ethercat::EtherCat { positions: false, defect: None },
-    ethercat_position: crate::subjects::ethercat::EtherCat { positions: true, defect: None },
-    toy: crate::subjects::toy::Toy(None),
+    linudp: crate::conformance::subjects::linudp::LinUdp { reply_tag: false },
+    linudp_tagged: crate::conformance::subjects::linudp::LinUdp { reply_tag: true },
+    modbus_menu_0: crate::conformance::subjects::modbus::Modbus { direct: false, defect: None },
+    modbus_direct: crate::conformance::subjects::modbus::Modbus { direct: true, defect: None },
+    ethercat_velocity: crate::conformance::subjects::ethercat::EtherCat { positions: false, defect: None },
+    ethercat_position: crate::conformance::subjects::ethercat::EtherCat { positions: true, defect: None },
+    toy: crate::conformance::subjects::toy::Toy(None),
 }

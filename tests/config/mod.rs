@@ -1,6 +1,5 @@
 //! The configuration as a user meets it: every mistake on a line of its own, the samples, and the defaults.
 
-#[path = "config/ethercat.rs"]
 mod ethercat;
 
 use std::net::Ipv4Addr;
@@ -66,7 +65,7 @@ fn mistakes(text: &str) -> Vec<String> {
 
 /// Section and fragment (`;;` is a line end), then the lines expected, two columns in and without the file's name; what
 /// is four columns in goes on where the line before it ends.
-const MISTAKES: &str = include_str!("config/mistakes.txt");
+const MISTAKES: &str = include_str!("mistakes.txt");
 
 #[test]
 fn every_mistake_says_where_it_is_and_what_would_be_right() {
@@ -1149,7 +1148,7 @@ proptest! {
         ),
         of_kollmorgen: bool,
     ) {
-        let samples = [include_str!("../rt-config/linmot.toml"), include_str!("../rt-config/kollmorgen.toml")];
+        let samples = [include_str!("../../rt-config/linmot.toml"), include_str!("../../rt-config/kollmorgen.toml")];
         let sample = samples[usize::from(of_kollmorgen)].replace("\n# stop", "\nstop").replace("\n# sim", "\nsim");
         let mut lines: Vec<String> = sample.lines().map(str::to_owned).collect();
         for (line, value) in changes {

@@ -1,20 +1,16 @@
 //! What programs that others wrote make of what we write for them: HdrHistogram's JavaScript port of our distributions,
 //! and the parsers of Prometheus' Python client of our metrics. `.ci/run` installs both below `target/peers`.
-//!
-//!     cargo test --test readers -- --ignored --test-threads 1
-
-mod support;
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::process::{Command, Stdio};
 
+use crate::support::{LONG, Machine, Program, checkout, plan, until};
 use fieldbeat::cycle::status::Peak;
 use fieldbeat::sim::server::{ServerOptions, SimServer};
 use fieldbeat::telemetry::hgrm::distribution;
 use hdrhistogram::Histogram;
 use libc::SIGINT;
-use support::{LONG, Machine, Program, checkout, plan, until};
 
 /// What `command` prints about `input`.
 fn tell(command: &mut Command, input: &str) -> String {
@@ -82,7 +78,7 @@ fn distributions_of_drives_are_those_of_another_implementation() {
 #[test]
 #[ignore = "needs python3 and prometheus_client"]
 fn the_parsers_of_prometheus_read_the_metrics() {
-    let machine = Machine::new(1);
+    let machine = Machine::new(40);
     let config = machine.showing();
     let _sim = SimServer::start(plan(&config).simulate(), ServerOptions::default()).unwrap();
     let endpoint = format!("{}:9464", machine.ip(1));

@@ -2,9 +2,6 @@
 //!
 //! Everything is deterministic: a test that fails, fails again. Where seeds are drawn they stand in the message.
 
-#[path = "../support/forward.rs"]
-mod forward;
-
 mod acyclic;
 mod bring_up;
 mod carrier;

@@ -1,0 +1,14 @@
+//! What needs no socket, no other process and no clock of the host: its result is the same on every host and in every
+//! run. One program, so that the library is linked once for all of it.
+//!
+//! | module | what |
+//! |---|---|
+//! | `config` | configurations: every mistake by its line, the samples, the defaults |
+//! | `conformance` | what every bus must do, clause by clause |
+//! | `virtual_time` | the whole machine in virtual time |
+
+mod config;
+mod conformance;
+#[path = "support/forward.rs"]
+mod forward;
+mod virtual_time;
