@@ -625,7 +625,7 @@ mod tests {
     #[test]
     fn the_demo_is_the_sample_file() {
         let sample = parse(DEMO, DEMO_FILE).unwrap();
-        let built = demo_plan(8, 1_000_000).unwrap();
+        let built = demo_plan(8, 1_000_000, 0).unwrap();
         assert_eq!(format!("{sample:?}"), format!("{built:?}"));
     }
 }
