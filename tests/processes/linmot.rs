@@ -386,7 +386,7 @@ const GO: &str = "acceleration=1000 deceleration=1000";
 #[test]
 fn a_motion_command_has_run_when_it_says_so_however_slow_the_cycle() {
     let machine = Machine::new(104);
-    let config = machine.config("wide.toml", 1, "period = \"200ms\"", "");
+    let config = machine.config("wide.toml", 1, "period = \"100ms\"", "");
     let _sim = serve(&config);
     let command = |what: &str| ask("linmot command", &config, &format!("d0 {what}"));
     let there = command(&format!("vai-go-to position=20 velocity=200 {GO} --home"));

@@ -38,19 +38,22 @@ enum Stage {
     Swinging,
 }
 
+/// Its sockets are where nobody else has any; root looks below TMPDIR, too.
+fn own<'a>(machine: &Machine, command: &'a mut Command) -> &'a mut Command {
+    command.env("XDG_RUNTIME_DIR", machine.path("")).env("TMPDIR", machine.path(""))
+}
+
 impl Demo<'_> {
     fn start(machine: &Machine) -> Demo<'_> {
         let mut command = Command::new(PROGRAM);
         command.args(["demo", "--drives", "2", "--json", "--for", "2min"]);
-        command.env("XDG_RUNTIME_DIR", machine.path(""));
-        Demo { machine, program: Program::spawn(&mut command) }
+        Demo { machine, program: Program::spawn(own(machine, &mut command)) }
     }
 
     /// The drives, once they can be asked for.
     fn drives(&self) -> Vec<Value> {
         let mut status = Command::new(PROGRAM);
-        status.args(["status", "--json"]).env("XDG_RUNTIME_DIR", self.machine.path(""));
-        let ended = Program::spawn(&mut status).end();
+        let ended = Program::spawn(own(self.machine, status.args(["status", "--json"]))).end();
         match ended.code {
             Some(0) => ended.json()["summary"]["drives"].as_array().unwrap().clone(),
             _ => Vec::new(),

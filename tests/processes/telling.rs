@@ -14,7 +14,9 @@ use serde_json::{Value, json};
 
 use super::simulation;
 use super::support::hold::{Hold, thread};
-use super::support::{Ended, LONG, Machine, NOBODY, PROGRAM, Program, as_ordinary_user, plan, run, until};
+use super::support::{
+    Ended, LONG, Machine, NOBODY, PROGRAM, Program, as_ordinary_user, period, plan, run, until,
+};
 
 /// A command of the program whose sockets and files are the machine's own.
 fn own(machine: &Machine, arguments: &[&str]) -> Command {
@@ -286,7 +288,10 @@ fn a_drive_that_nobody_can_connect_to_is_told_once_with_the_reason_and_stands_in
     let config = machine.write(
         "m.toml",
         format!(
-            "[cycle]\nrealtime = \"off\"\n[[bus]]\nprotocol = \"modbus-tcp\"\n[[bus.drive]]\nname = \"u1\"\naddress = \"{address}\"\n"
+            "[cycle]\nperiod = \"{}\"\nmax_skip = \"30s\"\nrealtime = \"off\"\n[[bus]]\nprotocol = \"modbus-tcp\"\n\
+             [[bus.drive]]\nname = \"u1\"\naddress = \"{address}\"\nhealth = {{ bucket = \"10s\", leak = 1 }}\n\
+             watchdog.timeout = \"10s\"\n",
+            period()
         ),
     );
     let mut master = Program::spawn(&mut own(&machine, &["run", config.to_str().unwrap(), "--json"]));
