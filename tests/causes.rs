@@ -169,11 +169,11 @@ impl Bench {
         let mut collect = |causes: &Causes| {
             let before = judged.last_key_value().map(|((index, _), _)| *index);
             let newest: Vec<Judged> = causes.newest(MOST).copied().collect();
-            let joins =
-                newest.len() < MOST || newest.iter().any(|late| before.is_some_and(|at| late.index <= at));
-            assert!(joins, "some were dropped");
+            let joins = |at| newest.len() < MOST || newest.iter().any(|late| late.index <= at);
+            assert!(before.is_none_or(joins), "some were dropped");
             judged.extend(newest.into_iter().map(|late| ((late.index, late.from), late)));
         };
+        self.master.measured(|measured| collect(&measured.causes));
         for round in 0..rounds {
             // Anywhere in a period.
             sleep(APART + Duration::from_nanos(random.u64(..PERIOD_NS)));
@@ -358,14 +358,22 @@ fn host() -> Found {
 fn hold(tid: libc::pid_t) {
     let mut clock = MonotonicClock;
     // SAFETY: takes no pointer and has no precondition.
-    let stat = format!("/proc/{}/task/{tid}/stat", unsafe { libc::getppid() });
+    let task = format!("/proc/{}/task/{tid}", unsafe { libc::getppid() });
+    let read = |file: &str| std::fs::read_to_string(format!("{task}/{file}")).unwrap();
     let thread = Hold::seize(tid);
     for line in std::io::stdin().lines() {
         assert_eq!(line.unwrap(), "go");
-        // `R` behind its name, which has no blank: it runs.
-        while !std::fs::read_to_string(&stat).unwrap().contains(") R ") {}
-        let from = MonotonicClock::read();
-        thread.stop();
+        let from = loop {
+            // `R` behind its name, which has no blank: it runs.
+            while !read("stat").contains(") R ") {}
+            let from = MonotonicClock::read();
+            thread.stop();
+            // In no system call, so that it spins (proc_pid_syscall(5)): a sleep that is held ends late, as by a timer.
+            if read("syscall").starts_with("-1 ") {
+                break from;
+            }
+            thread.go();
+        };
         clock.sleep_until(from + DISTURBANCE_NS);
         thread.go();
         println!("held {} {}", from.0, MonotonicClock::read().0);
