@@ -18,7 +18,8 @@ use support::controller::{self, RAMP, TARGET, Way};
 use support::counting::{Counting, count, watch};
 use support::onlooker::Onlooker;
 use support::{
-    CABLE_NET, Cable, DemoLock, LONG, Machine, PROGRAM, Program, again, assert_sums, drive, plan, role, until,
+    CABLE_NET, Cable, LONG, Machine, PROGRAM, Program, again, assert_sums, drive, most_probes, plan, role,
+    until,
 };
 
 #[global_allocator]
@@ -85,19 +86,28 @@ fn the_loop_is_real_time_and_does_not_fault_in_a_hundred_thousand_cycles() {
     for memory in ["process", "own"] {
         let machine = Machine::new(1);
         let cycle =
-            format!("period = \"250us\"\nrealtime = \"require\"\nmemory = \"{memory}\"\nmax_skip = 40000");
-        let config = machine.config("m.toml", 4, &cycle, "health = { bucket = 4000 }");
+            format!("period = \"250us\"\nrealtime = \"require\"\nmemory = \"{memory}\"\nmax_skip = \"30s\"");
+        // As long as a link may be judged (10 000 exchanges).
+        let config = machine.config("m.toml", 4, &cycle, "health = { bucket = \"2500ms\", leak = 1 }");
         let mut sim = start("sim", &config, &[]);
         sim.await_text("listening");
-        let mut master = start("run", &config, &["--for", "26s", "--json"]);
+        let mut master = start("run", &config, &["--json"]);
         master.await_text("all drives online");
         let (threads, locked) = (threads(master.pid()), locked_kib(master.pid()));
+        // However long it takes this host.
+        let executed = || {
+            let ended = start("status", &config, &["--json"]).end();
+            ended.expect(0).json()["summary"]["cycle"]["executed"].as_u64().unwrap()
+        };
+        assert!(until(10 * LONG, || {
+            sleep(Duration::from_millis(250));
+            executed() >= 100_000
+        }));
+        master.signal(libc::SIGINT);
         let ended = master.end();
         ended.expect(0);
         let summary = ended.json();
         assert_sums(&summary);
-        assert!(summary["cycle"]["planned"].as_u64().unwrap() >= 100_000, "{summary}");
-        assert!(summary["cycle"]["executed"].as_u64().unwrap() >= 50_000, "{summary}");
 
         let real = &summary["realtime"];
         assert_eq!(real["page_faults"], 0, "memory = {memory}: {real}");
@@ -124,9 +134,8 @@ fn the_loop_is_real_time_and_does_not_fault_in_a_hundred_thousand_cycles() {
 #[test]
 #[ignore = "needs root: SCHED_FIFO and locked memory"]
 fn homing_streams_and_moves_do_not_fault_either() {
-    let _lock = DemoLock::take();
     let ended = Program::start(["demo", "--for", "20s", "--drives", "4", "--json"]).end();
-    let summary = ended.json();
+    let summary = ended.expect(0).json();
     assert_sums(&summary);
     let real = &summary["realtime"];
     assert_eq!((&real["policy"], &real["memory_locked"]), (&"SCHED_FIFO".into(), &true.into()), "{real}");
@@ -159,7 +168,7 @@ fn a_million_cycles_neither_fault_nor_allocate_whatever_happens() {
     let axes = master.plan().axes().into_iter().map(|axis| master.axis(&axis.name).unwrap()).collect();
     let mut adventures = Adventures::begin(&machine, &config, axes, options);
     let goal = master.status().executed + 1_000_000;
-    while master.status().executed < goal {
+    while master.status().executed < goal || !adventures.have_done(5) {
         adventures.round();
     }
     adventures.set_out();
@@ -198,20 +207,22 @@ fn a_neighbour_that_is_dead_starves_nobody() {
     );
     let ended = master.end();
     ended.expect(1);
-    assert_eq!(ended.err, "fieldbeat: never answered: d3; look at their power, cables and addresses\n");
+    assert_eq!(
+        ended.err_but_host(),
+        "fieldbeat: never answered: d3; look at their power, cables and addresses"
+    );
     let summary = ended.json();
     assert_sums(&summary);
-    let cycles = summary["cycle"]["planned"].as_u64().unwrap();
     for name in ["d0", "d1", "d2"] {
         let drive = drive(&summary, name);
         let count = |key: &str| drive[key].as_u64().unwrap();
         assert_eq!((&drive["link"], count("losses"), count("unsent")), (&"online".into(), 0, 0), "{drive}");
-        assert!(count("missed") * 10 <= count("sent"), "{drive}");
+        // The period is one in which this host disturbs a fifth of the cycles at most.
+        assert!(count("missed") * 2 <= count("sent"), "{drive}");
     }
     let dead = drive(&summary, "d3");
     let asked = dead["sent"].as_u64().unwrap() + dead["unsent"].as_u64().unwrap();
-    // A probe every 100 ms, of cycles of 2 ms.
-    assert!((1..=cycles / 50 + 1).contains(&asked), "{cycles} cycles: {dead}");
+    assert!((1..=most_probes(&summary)).contains(&asked), "{summary}");
 }
 
 #[test]
@@ -219,7 +230,7 @@ fn a_neighbour_that_is_dead_starves_nobody() {
 fn a_cable_that_was_pulled_and_put_back_brings_all_drives_back() {
     let machine = Machine::new(3).on(CABLE_NET);
     let cable = Cable::new(3, &[11, 12]);
-    let config = machine.config("m.toml", 2, "", "health = { bucket = 50 }");
+    let config = machine.config("m.toml", 2, "", Machine::LOST_SOON);
     let mut sim = Program::spawn(Cable::command(&cable.drives, PROGRAM).arg("sim").arg(&config));
     sim.await_text("listening");
     let mut master =
@@ -250,7 +261,7 @@ fn a_neighbour_that_dies_in_mid_motion_takes_its_group_along_and_nobody_else() {
     }
     let machine = Machine::new(5).on(CABLE_NET);
     let cable = Cable::new(5, &[11, 12, 13, 250]);
-    let config = controller::config(&machine, "m.toml", 3, "", "health = { bucket = 200 }");
+    let config = controller::config(&machine, "m.toml", 3, "", Machine::LOST_SOON);
     let mut text = std::fs::read_to_string(config).unwrap();
     for drive in ["d0", "d1"] {
         let name = format!("name = \"{drive}\"");

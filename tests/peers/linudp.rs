@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use crate::capture::{Capture, dissect};
-use crate::support::{self, CABLE_NET, Cable, DemoLock, Machine, PROGRAM, Program, assert_sums, drive};
+use crate::support::{self, CABLE_NET, Cable, LONG, Machine, PROGRAM, Program, assert_sums, drive, until};
 
 /// One datagram, as the dissector has it.
 #[derive(Debug)]
@@ -205,14 +205,16 @@ fn tshark_finds_nothing_wrong_on_a_cable() {
 #[test]
 #[ignore = "needs root and tshark: captures on loopback"]
 fn tshark_finds_nothing_wrong_with_drives_in_motion() {
-    let _lock = DemoLock::take();
+    // The addresses of the first demo of this computer.
+    let free = || UdpSocket::bind("127.77.0.1:41136").is_ok();
+    assert!(until(LONG, free), "a demo runs on this computer: end it (ss -ulpn shows which)");
     let machine = Machine::new(3);
     let socket = UdpSocket::bind("127.77.0.240:0").unwrap();
     let capture =
         Capture::start(None, "lo", "udp and net 127.77.0.0/24", machine.path("lo.pcapng"), |text| {
             let _ = socket.send_to(text.as_bytes(), "127.77.0.241:9");
         });
-    let ended = Program::start(["demo", "--for", "2s", "--drives", "2", "--json"]).end();
+    let ended = Program::start(["demo", "--for", "15s", "--drives", "2", "--json"]).end();
     let summary = ended.json();
     let seen = judge(&frames(capture, false), "127.77.0.1:41136".parse().unwrap());
     // Read only at first; then the control word, alone and with a motion command.

@@ -3,11 +3,10 @@
 
 use std::path::Path;
 use std::thread::sleep;
-use std::time::Instant;
 
 use fieldbeat::axis::{AxisError, Failure, Link, Outcome, StopCause};
 use fieldbeat::master::Master;
-use libc::{SIGCONT, SIGINT, SIGSTOP, SIGTERM};
+use libc::{SIGCONT, SIGINT, SIGTERM};
 
 use super::support::controller::{self, LEASH, RAMP, TARGET, VELOCITY, Way, config, set_out, summary};
 use super::support::onlooker::Onlooker;
@@ -62,7 +61,7 @@ fn what_a_killed_controller_left_moving_the_next_master_stops_even_if_it_is_ende
     let onlooker = Onlooker::new(&machine);
     controller(Way::Move, &config).kill();
     let left = [0, 1].map(|index| onlooker.look(machine.drive(index)));
-    sleep(200 * MS);
+    onlooker.await_sight(machine.drive(0), |sight| sight.position > left[0].position + 10.0);
     let mut next = master(&config, &["--json"]);
     next.await_text("all drives online");
     // Down its ramp, most likely.
@@ -160,8 +159,7 @@ fn what_a_killed_controller_left_moving_can_be_left_alone_until_somebody_decides
 #[test]
 fn a_drive_that_lost_its_power_in_mid_motion_comes_back_off_and_not_homed() {
     let machine = Machine::new(28);
-    // Lost after 400 ms of silence.
-    let config = config(&machine, "m.toml", 1, "", "health = { bucket = 200 }");
+    let config = config(&machine, "m.toml", 1, "", Machine::LOST_SOON);
     let sim = simulation(&config);
     let onlooker = Onlooker::new(&machine);
     let master = Master::from_file(&config).unwrap().start().unwrap();
@@ -194,7 +192,7 @@ fn a_drive_that_lost_its_power_in_mid_motion_comes_back_off_and_not_homed() {
 #[test]
 fn a_drive_that_was_cut_off_in_mid_motion_is_stopped_when_it_is_heard_again() {
     let machine = Machine::new(29);
-    let config = config(&machine, "m.toml", 1, "", "health = { bucket = 200 }");
+    let config = config(&machine, "m.toml", 1, "", Machine::LOST_SOON);
     let sim = simulation(&config);
     let onlooker = Onlooker::new(&machine);
     let master = Master::from_file(&config).unwrap().start().unwrap();
@@ -204,11 +202,10 @@ fn a_drive_that_was_cut_off_in_mid_motion_is_stopped_when_it_is_heard_again() {
     axis.home().unwrap();
     set_out(&mut axis, false).unwrap();
     let before = onlooker.await_sight(machine.drive(0), |sight| sight.position > 10.0);
-    let begun = Instant::now();
-    sim.signal(SIGSTOP);
+    sim.hold();
     assert!(until(LONG, || axis.feedback().link == Link::Lost));
-    sleep(500 * MS);
-    let alone = VELOCITY * begun.elapsed().as_secs_f64();
+    // The second of misses that a loss takes.
+    let alone = VELOCITY;
     sim.signal(SIGCONT);
     let after = onlooker.await_sight(machine.drive(0), |sight| !sight.powered);
     assert!(!after.moving, "{after:?}");
@@ -231,17 +228,18 @@ fn a_drive_that_was_cut_off_in_mid_motion_is_stopped_when_it_is_heard_again() {
 #[test]
 fn a_controller_that_was_held_up_in_mid_motion_stops_its_axes_as_each_of_them_shall() {
     let machine = Machine::new(30);
-    // Half a second.
-    let config = config(&machine, "m.toml", 2, "max_skip = 250", "");
+    let config = config(&machine, "m.toml", 2, "max_skip = \"1s\"", "");
     let text = std::fs::read_to_string(&config).unwrap();
     let config =
         machine.write("m.toml", text.replace("name = \"d1\"", "name = \"d1\"\nstop.then = \"hold\""));
     let _sim = simulation(&config);
     let onlooker = Onlooker::new(&machine);
     let mut controller = controller(Way::Move, &config);
-    controller.signal(SIGSTOP);
+    controller.hold();
     let before = [0, 1].map(|index| onlooker.look(machine.drive(index)));
-    sleep(1000 * MS);
+    // The way of two seconds.
+    let far = before[0].position + 2.0 * VELOCITY;
+    onlooker.await_sight(machine.drive(0), |sight| sight.position > far);
     let meanwhile = [0, 1].map(|index| onlooker.look(machine.drive(index)));
     controller.signal(SIGCONT);
     for name in ["d0", "d1"] {

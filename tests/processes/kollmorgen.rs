@@ -3,10 +3,13 @@
 
 use std::path::PathBuf;
 
+use fieldbeat::time::MS;
 use libc::SIGTERM;
 
-use super::support::{LONG, Machine, Program, as_ordinary_user, assert_sums, checkout, drive, run, until};
-use super::{ask, master, simulation};
+use super::support::{
+    Machine, Program, as_ordinary_user, assert_sums, carried, checkout, drive, period, run,
+};
+use super::{ask, await_online, master, simulation};
 
 /// The name of a line that no other test has.
 fn line(test: u8) -> String {
@@ -16,11 +19,12 @@ fn line(test: u8) -> String {
 /// A line of a drive for velocities and one for positions, patient with a busy computer.
 fn text(interface: &str) -> String {
     format!(
-        "[cycle]\nperiod = \"2ms\"\nreceive_deadline = 0.8\nmax_skip = 2000\nrealtime = \"off\"\nreference = \"ethercat\"\n\
+        "[cycle]\nperiod = \"{}\"\nreceive_deadline = 0.8\nmax_skip = \"30s\"\nrealtime = \"off\"\nreference = \"ethercat\"\n\
          [[bus]]\nprotocol = \"ethercat\"\ninterface = \"{interface}\"\nsimulate = {{ drift_ppm = [30] }}\n\
-         [bus.defaults]\nhealth = {{ bucket = 1000 }}\nwatchdog = \"6s\"\n\
+         [bus.defaults]\nhealth = {{ bucket = \"5s\", leak = 1 }}\nwatchdog = \"6s\"\n\
          [[bus.drive]]\nname = \"turns\"\n\
-         [[bus.drive]]\nname = \"moves\"\npdo.outputs = \"0x1701\"\n"
+         [[bus.drive]]\nname = \"moves\"\npdo.outputs = \"0x1701\"\n",
+        period()
     )
 }
 
@@ -73,7 +77,7 @@ fn a_line_comes_up_whoever_is_there_first_and_the_run_says_how_the_grid_follows_
 #[test]
 fn a_simulation_that_is_killed_is_a_line_that_is_lost_and_it_comes_back() {
     let (machine, _) = machine(171);
-    let config = machine.write("line.toml", text(&line(171)).replace("bucket = 1000", "bucket = 50"));
+    let config = machine.write("line.toml", text(&line(171)).replace("bucket = \"5s\"", "bucket = \"1s\""));
     let sim = simulation(&config);
     let mut master = master(&config, &["--json"]);
     master.await_text("all drives online: 2");
@@ -115,15 +119,8 @@ fn objects_are_read_written_and_refused_alone_and_beside_a_master() {
             .failed(&["drive turns: read 0x7777:0", "0x06020000 no such object"]);
     };
     works();
-    let running = master(&config, &["--for", "60s", "--json"]);
-    let online = || {
-        let ended = ask("status", &config, "--json");
-        ended.code == Some(0)
-            && ended.json()["summary"]["drives"]
-                .as_array()
-                .is_some_and(|all| all.iter().all(|drive| drive["link"] == "online"))
-    };
-    assert!(until(LONG, online));
+    let running = master(&config, &["--json"]);
+    await_online(&config);
     works();
     running.signal(SIGTERM);
     assert_sums(&running.end().expect(0).json());
@@ -158,7 +155,9 @@ fn another_slave_than_configured_is_named_with_its_place() {
     ask("param get", &other, "moves 0x6041:0").failed(&["drive moves cannot be reached: place 1: "]);
     let beyond = text(&line(174)).replace("name = \"moves\"", "name = \"moves\"\nposition = 4");
     let beyond = machine.write("beyond.toml", beyond);
-    let ended = master(&beyond, &["--for", "3s"]).end();
+    // So many cycles that the bring-up comes to the missing slave.
+    let length = format!("{}ms", 2_500 * carried() / MS);
+    let ended = master(&beyond, &["--for", &length]).end();
     ended.expect(1);
     let last = ended.err.lines().last().unwrap();
     assert!(last.starts_with("fieldbeat: never answered: moves (place 4: nothing answers there"), "{last}");

@@ -260,10 +260,10 @@ fn a_master_that_ends_in_the_middle_of_a_transfer_waits_for_nobody() {
 #[test]
 fn what_is_saved_is_there_after_a_restart_though_the_drive_was_silent_meanwhile() {
     // Alone, with a link that is lost on the way; and beside a master that is patient.
-    for (number, bucket, beside) in [(96, 20, false), (97, 5_000, true)] {
+    for (number, bucket, beside) in [(96, "300ms", false), (97, "10s", true)] {
         let machine = Machine::new(number);
         let defaults = format!(
-            "health = {{ bucket = {bucket} }}\nsimulate = {{ flash = \"silent\", flash_time = \"1s\" }}"
+            "health = {{ bucket = \"{bucket}\", leak = 1 }}\nsimulate = {{ flash = \"silent\", flash_time = \"1s\" }}"
         );
         let config = machine.config("m.toml", 1, "", &defaults);
         let _sim = simulation(&config);
@@ -390,7 +390,7 @@ const GO: &str = "acceleration=1000 deceleration=1000";
 #[test]
 fn a_motion_command_has_run_when_it_says_so_however_slow_the_cycle() {
     let machine = Machine::new(104);
-    let config = machine.config("wide.toml", 1, "period = \"200ms\"", "");
+    let config = machine.config("wide.toml", 1, "period = \"100ms\"", "");
     let _sim = serve(&config);
     let command = |what: &str| ask("linmot command", &config, &format!("d0 {what}"));
     let there = command(&format!("vai-go-to position=20 velocity=200 {GO} --home"));

@@ -10,14 +10,14 @@ use fieldbeat::axis::Link;
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan};
 use fieldbeat::cycle::status::Status;
-use fieldbeat::cycle::{CyclePlan, Plan};
+use fieldbeat::cycle::{CyclePlan, Overrun, Plan};
 use fieldbeat::rt::Realtime;
 use fieldbeat::sim::server::{ServerOptions, SimServer};
 use fieldbeat::telemetry::metrics::Endpoint;
 use libc::SIGINT;
 
 use super::speed_drives::Speeds;
-use super::support::{LONG, Machine, Program, assert_sums, until};
+use super::support::{LONG, Machine, Program, assert_sums, carried, patient, until};
 use super::{assert_silent, master, serve, socket};
 
 /// Where the endpoint is, by what the program says.
@@ -147,7 +147,7 @@ fn a_scrape_tells_what_the_summary_tells_later() {
         }
     }
     assert_eq!(second.value("fieldbeat_axes_online"), 2.0);
-    assert_eq!(second.value("fieldbeat_cycle_period_seconds"), 0.002);
+    assert_eq!(second.value("fieldbeat_cycle_period_seconds"), carried() as f64 * 1e-9);
     for family in ["fieldbeat_wake_up_seconds", "fieldbeat_cycle_jitter_seconds"] {
         assert_eq!(second.buckets(family, "").len(), 16);
     }
@@ -331,11 +331,18 @@ fn what_only_a_protocol_counts_and_why_a_drive_is_not_connected_is_told_under_it
     let machine = Machine::new(77);
     let mut bus = LinUdpPlan::new(machine.ip(1), Vec::new());
     bus.drives.extend([0, 1].map(|index| LinUdpDrive::new(format!("d{index}"), *machine.drive(index).ip())));
-    bus.drives.iter_mut().for_each(|drive| drive.axis.limits.position = None);
+    for drive in &mut bus.drives {
+        (drive.axis.limits.position, drive.axis.health) = (None, patient());
+    }
     let speeds = Speeds::new(bus.clone());
     let plan = |bus: Box<dyn BusPlan>| Plan {
         source: None,
-        cycle: CyclePlan { realtime: Realtime::Off, ..CyclePlan::default() },
+        cycle: CyclePlan {
+            period_ns: carried(),
+            realtime: Realtime::Off,
+            overrun: Overrun::Skip { max_skip: u64::MAX },
+            ..CyclePlan::default()
+        },
         buses: vec![bus],
         groups: Vec::new(),
     };

@@ -5,7 +5,7 @@ use std::process::Command;
 
 use libc::SIGINT;
 
-use super::support::{Machine, PROGRAM, Program, as_ordinary_user, assert_sums, drive, run};
+use super::support::{Machine, PROGRAM, Program, as_ordinary_user, assert_sums, drive, period, run};
 use super::{master, serve, simulation};
 
 #[test]
@@ -97,7 +97,7 @@ fn all_mistakes_of_a_file_come_at_once() {
     let text = std::fs::read_to_string(machine.plain(1)).unwrap();
     let config = machine.write(
         "many.toml",
-        text.replace("\"2ms\"", "\"2 parsecs\"")
+        text.replace(&format!("\"{}\"", period()), "\"2 parsecs\"")
             .replace("0.8", "8")
             .replace("name = \"d0\"", "nmae = \"d0\""),
     );

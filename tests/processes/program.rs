@@ -5,11 +5,12 @@ use std::process::{Command, Stdio};
 
 use fieldbeat::axis::Link;
 use fieldbeat::master::Master;
+use fieldbeat::time::Ns;
 use libc::SIGTERM;
 use serde_json::Value;
 
 use super::support::{self, LONG, Machine, PROGRAM, assert_sums, checkout, drive, run};
-use super::{assert_powered_off, demo, master, serve, simulation};
+use super::{assert_powered_off, end_once_online, master, serve, simulation};
 
 /// All keys of an object, `a.b` for those inside, of the first element in lists.
 fn keys(value: &Value, path: &str, into: &mut Vec<String>) {
@@ -28,11 +29,17 @@ fn keys(value: &Value, path: &str, into: &mut Vec<String>) {
 
 #[test]
 fn the_demo_runs_by_itself_and_its_json_has_every_key() {
-    let ended = demo(&["--for", "2s"], |_| {});
+    let ended = run(["demo", "--drives", "2", "--json"]);
     ended.expect(0);
     let summary = ended.json();
+    assert_sums(&summary);
     assert_powered_off(&summary);
-    assert!(summary["cycle"]["executed"].as_u64().unwrap() > 2000, "{summary}");
+    // It has chosen its period, and says so first.
+    let period_ns = summary["cycle"]["period_ns"].as_u64().unwrap();
+    assert!([1, 2, 4, 8, 16].contains(&(period_ns / 1_000_000)), "{period_ns}");
+    let chosen = format!("fieldbeat: cycle of {}: ", Ns(period_ns));
+    assert!(ended.err.starts_with(&chosen), "{chosen}: {}", ended.err);
+    assert!(summary["cycle"]["executed"].as_u64().unwrap() > 100, "{summary}");
     for drive in summary["drives"].as_array().unwrap() {
         assert_eq!((&drive["link"], &drive["losses"]), (&"online".into(), &0.into()), "{drive}");
         assert!(drive["rtt_ns"]["p50"].as_u64().unwrap() > 0, "{drive}");
@@ -84,7 +91,8 @@ fn the_demo_runs_by_itself_and_its_json_has_every_key() {
          drives.suspect drives.unsent drives.rtt_ns drives.send_jitter_ns drives.age_ns drives.age_cycles drives.protocol_counters drives.position drives.inhibited drives.stopped drives.fault drives.fault_name drives.monitor devices buses \
          buses.name buses.unmatched buses.dropped buses.receive_errors buses.clock realtime realtime.policy realtime.priority realtime.core \
          realtime.memory_locked realtime.page_faults realtime.involuntary_switches realtime.telemetry_lost \
-         realtime.events_lost realtime.missing host host.name host.kernel host.preemption host.cpu host.steal_ms",
+         realtime.events_lost realtime.missing host host.name host.kernel host.preemption host.cpu host.steal_ms \
+         host.taken_ms",
     ]
     .iter()
     .flat_map(|keys| keys.split_whitespace().map(str::to_owned))
@@ -115,7 +123,7 @@ fn simulation_and_master_are_two_processes() {
     let machine = Machine::new(2);
     let config = machine.plain(3);
     let sim = simulation(&config);
-    let ended = master(&config, &["--for", "2s", "--json"]).end();
+    let ended = master(&config, &["--for", "5s", "--json"]).end();
     ended.expect(0);
     assert_eq!(ended.err, "all drives online: 3\n");
     let summary = ended.json();
@@ -126,7 +134,7 @@ fn simulation_and_master_are_two_processes() {
         assert_eq!((&drive["link"], &drive["rejected"]), (&"online".into(), &0.into()));
     }
     // The text form, with a table of the same drives.
-    let ended = master(&config, &["--for", "300ms"]).end();
+    let ended = end_once_online(master(&config, &[]));
     ended.expect(0);
     for part in ["planned", "wake-up latency", "d0 ", "d2 ", "host: "] {
         assert!(ended.out.contains(part), "no {part}: {}", ended.out);
@@ -288,7 +296,7 @@ fn an_output_that_nobody_takes_is_no_panic() {
 #[test]
 fn the_library_sees_the_same_as_the_program() {
     let machine = Machine::new(23);
-    let config = machine.plain(2);
+    let config = machine.config("m.toml", 2, "", Machine::LOST_SOON);
     let sim = serve(&config);
     let master = Master::from_file(&config).unwrap().start().unwrap();
     master.wait_online(LONG).unwrap();

@@ -1,7 +1,7 @@
 //! What an ordinary user may not do, and is told.
 
 use super::support::{Machine, Program, as_ordinary_user};
-use super::{assert_silent, serve, socket};
+use super::{assert_silent, end_once_online, serve, socket};
 
 #[test]
 fn required_rights_that_are_missing_are_named_and_nothing_is_sent() {
@@ -27,7 +27,7 @@ fn an_ordinary_user_is_told_once_that_the_numbers_are_not_real_time() {
     let _sim = serve(&config);
     let user = |arguments: &[&str]| {
         let mut command = as_ordinary_user(&machine);
-        Program::spawn(command.arg("run").arg(&config).args(["--for", "500ms"]).args(arguments)).end()
+        end_once_online(Program::spawn(command.arg("run").arg(&config).args(arguments)))
     };
     let ended = user(&["--json"]);
     ended.expect(0);

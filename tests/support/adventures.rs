@@ -34,7 +34,7 @@ pub fn drives(machine: &Machine, period: &str, bucket: u32, victim: u32) -> Path
     let config = machine.config(
         "m.toml",
         DRIVES,
-        &format!("period = \"{period}\"\nmax_skip = 100000"),
+        &format!("period = \"{period}\"\nmax_skip = \"30s\""),
         &format!(
             "health = {{ bucket = {bucket}, leak = 1, gate = 3, probe_interval = \"10ms\" }}\n\
              stream = \"off\"\nunderrun = \"hold\"\n\
@@ -220,6 +220,14 @@ impl Adventures {
         self.all([stop, stop, Some(Verb::QuickStop), None, stop]);
         self.victim = Some(serve(&self.config, self.options, |other| Some(other) == address));
         assert!(until(LONG, || self.axes[VICTIM].feedback().link == Link::Online));
+    }
+
+    /// Whether each drive has done so many commands, all calls were made, and the victim came to know both ends of them.
+    /// The rounds to that are few where the host is quiet, and more where commands are aborted by what it does.
+    pub fn have_done(&self, commands: u32) -> bool {
+        let ends = self.ends.iter().all(|ends| ends.done >= commands);
+        let calls = self.calls.iter().all(|calls| calls.done > 100 && calls.refused > 50);
+        ends && calls && self.ends[VICTIM].aborted > 0 && self.calls[VICTIM].failed > 0
     }
 
     /// Sends d1 on a fast way; what happens to it next is for whoever watches.

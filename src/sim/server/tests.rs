@@ -16,6 +16,9 @@ use crate::time::Time;
 use std::net::Ipv4Addr;
 use std::time::{Duration, Instant};
 
+/// Nothing takes this long, however busy the host.
+const LONG: Duration = Duration::from_secs(60);
+
 /// The tests of this file own 127.72.x.0/24, one x each.
 fn address(x: u8, host: u8) -> SocketAddrV4 {
     SocketAddrV4::new(Ipv4Addr::new(127, 72, x, host), 49360)
@@ -67,7 +70,7 @@ fn client(x: u8, timeout: Duration) -> UdpSocket {
 #[test]
 fn every_drive_answers_from_its_own_address() {
     let server = start(1, 10..40, &FaultPlan::default()).unwrap();
-    let client = client(1, Duration::from_secs(5));
+    let client = client(1, LONG);
     for round in 1..=20 {
         for host in 10..40 {
             client.send_to(&[host], address(1, host)).unwrap();
@@ -122,7 +125,7 @@ fn faults_are_injected_counted_and_accounted_for() {
             if stats.received == n && stats.answered == owed && right + wrong == owed {
                 break;
             }
-            assert!(begin.elapsed() < Duration::from_secs(5), "{stats:?}: {right} right, {wrong} wrong");
+            assert!(begin.elapsed() < LONG, "{stats:?}: {right} right, {wrong} wrong");
         }
     }
     let i = server.stop()[0].injected;
@@ -132,7 +135,7 @@ fn faults_are_injected_counted_and_accounted_for() {
 #[test]
 fn an_answer_takes_its_time() {
     let server = start(3, 10..12, &FaultPlan { answer_ns: 30 * MS, ..FaultPlan::default() }).unwrap();
-    let client = client(3, Duration::from_secs(5));
+    let client = client(3, LONG);
     let begin = Instant::now();
     client.send_to(&[1], address(3, 10)).unwrap();
     client.send_to(&[2], address(3, 11)).unwrap();
@@ -140,6 +143,7 @@ fn an_answer_takes_its_time() {
         let mut bytes = [0; 8];
         client.recv_from(&mut bytes).unwrap();
         assert_eq!(bytes[0], expected);
+        // Later on a busy host, never sooner.
         assert!(begin.elapsed() >= Duration::from_millis(30));
     }
     drop(server);
@@ -161,7 +165,7 @@ fn a_right_that_is_missing_is_reported_and_serves_all_the_same() {
     let drive = Box::new(Echo(address(5, 10), FaultPlan::default(), 0));
     let server = SimServer::start(vec![drive as Box<dyn SimDrive>], options).unwrap();
     assert!(!server.realtime());
-    let client = client(5, Duration::from_secs(5));
+    let client = client(5, LONG);
     client.send_to(&[1], address(5, 10)).unwrap();
     assert_eq!(client.recv(&mut [0; 8]).unwrap(), 2);
 }
@@ -241,7 +245,7 @@ fn serve(drive: Counter) -> SimServer {
 
 fn connect(x: u8) -> TcpStream {
     let socket = TcpStream::connect(address(x, 10)).unwrap();
-    socket.set_read_timeout(Some(Duration::from_secs(5))).unwrap();
+    socket.set_read_timeout(Some(LONG)).unwrap();
     socket.set_nodelay(true).unwrap();
     socket
 }
@@ -256,7 +260,7 @@ fn ask(socket: &mut TcpStream, number: u8) -> io::Result<[u8; 2]> {
 fn until(what: &str, mut done: impl FnMut() -> bool) {
     let begin = Instant::now();
     while !done() {
-        assert!(begin.elapsed() < Duration::from_secs(5), "{what}");
+        assert!(begin.elapsed() < LONG, "{what}");
         thread::sleep(Duration::from_millis(1));
     }
 }

@@ -686,12 +686,20 @@ mod tests {
         assert!(matches!(load(&pipe), Err(ReadError::Foreign(_))));
         // Sparse: it takes no room on the disk, and more memory than there is.
         File::create(&huge).unwrap().set_len(1 << 42).unwrap();
+        // proc_pid_io(5): all that this thread has read.
+        let read = || {
+            let io = std::fs::read_to_string("/proc/thread-self/io").unwrap();
+            io.lines().find_map(|line| line.strip_prefix("rchar: ")?.parse::<u64>().ok()).unwrap()
+        };
+        let before = read();
         assert!(matches!(load(&huge), Err(ReadError::Foreign(_))));
         for begin in [MARK.to_vec(), [&MARK[..], &u32::MAX.to_le_bytes()].concat()] {
             std::fs::write(&huge, &begin).unwrap();
             OpenOptions::new().write(true).open(&huge).unwrap().set_len(1 << 42).unwrap();
             assert!(matches!(load(&huge), Err(ReadError::Damaged { .. })));
         }
+        let bytes = read() - before;
+        assert!(bytes < 1 << 20, "{bytes} bytes of files that are none");
     }
 
     #[test]

@@ -572,7 +572,7 @@ mod tests {
         let back = loop {
             match master.receive(&mut frame) {
                 Some((_, length)) => break &frame[..length],
-                None => assert!(begin.elapsed().as_secs() < 5),
+                None => assert!(begin.elapsed().as_secs() < 60),
             }
         };
         let datagram = datagrams(back).unwrap().next().unwrap().unwrap();
