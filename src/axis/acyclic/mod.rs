@@ -3,8 +3,7 @@
 //! | file | what |
 //! |---|---|
 //! | `mod` | a call, its answer, why it has none |
-//! | `port` | the end of the executor that carries calls out: the loop, one slice per cycle, or a thread outside
-//! the loop |
+//! | `port` | the executor's end: the loop, one slice per cycle, or a thread outside the loop |
 //! | `queue` | the application's end: a bounded queue, tickets, series of calls |
 //! | `parameter` | typed values at addresses in the drive's own notation |
 //!
@@ -61,7 +60,8 @@ pub enum CallError {
     NotOnline,
     /// It did not end within its time.
     #[error(
-        "the drive did not finish it in time, and may have done it: check whether it is busy (flash, another tool), or allow more time"
+        "the drive did not finish it in time, and may have done it: check whether it is busy (flash, another \
+         tool), or allow more time"
     )]
     TimedOut,
     /// The drive restarted, or lost the state of a running call.

@@ -195,7 +195,8 @@ impl Notation for Parameters {
     fn reason(&self, status: u32) -> String {
         match (status, u8::try_from(status)) {
             (NOT_TAKEN, _) => {
-                "the drive did not take it, without a word: read-only, protected, or out of range".to_owned()
+                "the drive did not accept it and gave no error code: read-only, protected, or out of range"
+                    .to_owned()
             }
             (UNREACHABLE, _) => {
                 "it has no address in the addressing mode of this drive: look at `addressing`".to_owned()
