@@ -74,7 +74,7 @@ impl Clock for MonotonicClock {
     fn sleep_until(&mut self, at: Time) {
         let ts = libc::timespec { tv_sec: (at.0 / S) as _, tv_nsec: (at.0 % S) as libc::c_long };
         // An absolute sleep may be repeated as it stands when a signal interrupts it.
-        // SAFETY: `ts` is a valid timespec and the remainder is not asked for.
+        // SAFETY: `ts` is a valid timespec and the remainder is not requested.
         while unsafe {
             libc::clock_nanosleep(libc::CLOCK_MONOTONIC, libc::TIMER_ABSTIME, &ts, std::ptr::null_mut())
         } == libc::EINTR

@@ -268,7 +268,7 @@ fn loaded_segments() -> Vec<(usize, usize)> {
         0
     }
     let mut areas: Vec<(usize, usize)> = Vec::new();
-    // SAFETY: `collect` has the type that is asked for and `areas` outlives the walk.
+    // SAFETY: `collect` has the required type and `areas` outlives the walk.
     unsafe { libc::dl_iterate_phdr(Some(collect), ptr::from_mut(&mut areas).cast()) };
     areas
 }

@@ -516,7 +516,7 @@ mod tests {
         let expected = 1_000.0 * plan.drives[0].scaling.rpm_per_count;
         assert!((rpm(&master) - expected).abs() < 1.0, "{} {expected}", rpm(&master));
         assert_eq!(master.state(), (AlState::Op, None, State::OperationEnabled));
-        // Its line is in phase with its own clock.
+        // Its segment is in phase with its own clock.
         let left = master
             .world
             .look("local:test", |sim: &mut EthercatSim, now| sim.slave(0).unwrap().sync0_in_ns(now));

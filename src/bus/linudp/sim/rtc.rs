@@ -17,7 +17,7 @@
 //! | 35h, 36h in the state that they lead to | 00h, nothing happens |
 //! | an error log entry, an error or a part of a text that there is not | C2h |
 //! | 30h | 00h at once, then the drive starts anew and is silent until it has |
-//! | a save, or a write into ROM | its own telegram is answered (02h); a drive that saves silently hears nothing after it |
+//! | a save, or a write into ROM | its own telegram is answered (02h); a drive that saves silently receives nothing after it |
 
 use super::machine::Machine;
 use super::memory::Save;

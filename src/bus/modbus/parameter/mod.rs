@@ -4,7 +4,7 @@
 //! The number of a parameter always has its three digits, as the drive's keypad and manuals write it: `6.42` could be
 //! 042 to one reader and 420 to another, and is refused. Zeros in front of the menu may be left out, `6.042`.
 //!
-//! On the wire the address of a parameter counts parameters, with 16-bit and with 32-bit access alike; bit 14 asks for
+//! On the wire the address of a parameter counts parameters, with 16-bit and with 32-bit access alike; bit 14 requests
 //! 32 bits, bit 15 is reserved (SI-Ethernet guide):
 //!
 //! ```text

@@ -405,7 +405,7 @@ impl Machine {
         }
     }
 
-    /// Starts the task that the control word asks for, if it is another one.
+    /// Starts the task that the control word requests, if it is another one.
     fn change_task(&mut self, task: Task, control: ControlWord, rising: ControlWord) {
         use ControlWord as C;
         let initial = rising.has(C::GO_TO_INITIAL)
