@@ -206,7 +206,7 @@ pub enum Failure {
     )]
     TimedOut(State),
     /// The drive accepted none of the repeated motion commands.
-    #[error("the drive did not accept the motion command: look at its run mode (motion command interface?)")]
+    #[error("the drive did not take the motion command: check its run mode (motion command interface)")]
     NotTaken,
     /// The axis is latched as stopped.
     #[error("the axis is stopped ({0}): reset, then enable")]
@@ -243,7 +243,7 @@ pub enum Failure {
     #[error("the axis moves a vertical load: stop it first, power goes off at standstill")]
     LoadInMotion,
     /// Another member of the group could not begin, so that no member does.
-    #[error("another axis of the group could not begin: look at its outcome")]
+    #[error("another axis of the group could not do it: look at its outcome")]
     GroupRefused,
     /// Position limits mean nothing before homing.
     #[error("the axis has position limits and is not homed: home it first")]
@@ -258,7 +258,7 @@ pub enum Failure {
     #[error("this drive cannot do that: {0}")]
     Unsupported(&'static str),
     /// The stream ran out of rows and its policy is to stop.
-    #[error("the stream ran empty: queue more rows ahead or choose another underrun policy")]
+    #[error("the stream ran empty: queue more rows or choose another underrun policy")]
     Underrun,
     /// The drive left the state that the command needs while the command ran.
     #[error("the drive left operation (state {0})")]
@@ -295,7 +295,7 @@ impl Outcome {
 }
 
 fn reports(fault: Fault<'_>) -> String {
-    format!("the drive reports fault {fault}: fix its cause, then reset_fault")
+    format!("the drive reports fault {fault}: remove its cause, then reset_fault")
 }
 
 impl Verb {
@@ -396,7 +396,8 @@ mod tests {
     #[test]
     fn a_command_that_failed_by_a_fault_names_it_and_any_other_reads_as_ever() {
         let failed = Outcome::Failed(Failure::DriveFault(30));
-        let by = |fault| format!("failed: the drive reports fault {fault}: fix its cause, then reset_fault");
+        let by =
+            |fault| format!("failed: the drive reports fault {fault}: remove its cause, then reset_fault");
         assert_eq!(failed.to_string(), by("0x001e (30)"));
         assert_eq!(failed.told(None), failed.to_string());
         assert_eq!(failed.told(Some("watchdog")), by("0x001e (30, watchdog)"));

@@ -38,7 +38,7 @@ pub struct Units {
 
 /// A value that the wire cannot carry.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
-#[error("{value} {unit} is outside the drive's range ({low} ... {high}): give a value inside it")]
+#[error("{value} {unit} is outside the range of the drive ({low} ... {high}): give a value inside it")]
 pub struct RangeError {
     /// The requested value, in `unit`.
     pub value: f64,

@@ -74,7 +74,7 @@ fn a_line_is_told_as_a_table_and_as_json() {
 #[test]
 fn a_line_that_is_silent_or_goes_away_is_told_in_one_line() {
     let silent = Line::start(2, FaultPlan { drop: 1.0, ..FaultPlan::default() });
-    silent.scan(&[]).end().failed(&["no slave answers; look at power and cable"]);
+    silent.scan(&[]).end().failed(&["no slave answers; check power and cable"]);
     let line = Line::slow(3);
     let scan = line.scan(&["--json"]);
     scan.await_handler(SIGINT);

@@ -147,7 +147,7 @@ fn another_slave_than_configured_is_named_with_its_place() {
     let other = text(&line(174)).replace("name = \"moves\"", "name = \"moves\"\nproduct = 0x3000700");
     let other = machine.write("other.toml", other);
     let mut refused = master(&other, &["--json"]);
-    let why = "place 1: its product is 0x03000600: fix product, or the order of the slaves";
+    let why = "place 1: its product is 0x03000600: correct product, or the order of the segment";
     refused.await_text(&format!("drive moves: not connected: {why}"));
     refused.signal(SIGTERM);
     let summary = refused.end().json();

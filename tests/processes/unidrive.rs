@@ -72,7 +72,7 @@ fn parameters_are_read_written_and_listed_by_a_master_of_its_own_and_through_the
             let said = does("get", &format!("{name} preset-reference-2 --json")).expect(0).json();
             assert_eq!((&said["raw"], &said["value"]), (&1005.into(), &1005.into()));
         }
-        does("set", "u 03.002 5").failed(&["the drive did not accept it and gave no error code"]);
+        does("set", "u 03.002 5").failed(&["the drive did not take it and gave no error code"]);
         does("get", "u 18.011").failed(&["exception 02h no such parameter"]);
         does("get", "u 6.42").refused(&["no address of this drive; write 06.042"]);
         let listed = does("list", "u 06").expect(0).out.clone();

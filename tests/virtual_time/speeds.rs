@@ -51,7 +51,7 @@ fn machine(speeds: &Speeds) -> Simulation {
 fn velocities_are_taken_and_positions_are_refused_by_name() {
     let mut machine = machine(&speeds(1, 1_000.0));
     let refused =
-        Outcome::Failed(Failure::Unsupported("it reports no position, and so takes neither moves nor rows"));
+        Outcome::Failed(Failure::Unsupported("it reports no position, so it takes neither moves nor rows"));
     machine.axis(0).push_row(row(0.0)).unwrap();
     for verb in [to(10.0), by(1.0), Verb::Follow] {
         assert_eq!(machine.run_verb(0, verb, 100), Ok(Some(refused)), "{verb:?}");

@@ -75,7 +75,7 @@ pub enum CallError {
     Skipped,
     /// There was no room for it during its whole time: it was never sent.
     #[error(
-        "other calls filled the drive's queue all the time, it was never sent: repeat it, or enlarge the queue"
+        "other calls kept the drive's queue full, so it was never sent: try again, or raise parameter_queue"
     )]
     Full,
     /// The application uses the channel natively.
@@ -91,7 +91,7 @@ pub enum CallError {
     #[error("the master has ended: start it again")]
     Gone,
     /// The connection to the master broke. The last request may have been carried out.
-    #[error("the connection to the master broke: check whether it runs, and repeat the call")]
+    #[error("the connection to the master was lost: check that it runs, and try again")]
     Lost,
 }
 

@@ -43,13 +43,10 @@ pub const OWN: [OwnCounter; 13] = [
     OwnCounter { key: "al_errors", what: "AL errors that the drive reported" },
     OwnCounter { key: "circulated", what: "frames that went round without passing the master" },
     OwnCounter { key: "emergencies", what: "emergencies that the drive reported" },
-    OwnCounter {
-        key: "emergencies_lost",
-        what: "emergencies that found their queue full, and were not reported",
-    },
+    OwnCounter { key: "emergencies_lost", what: "emergencies that were lost because their queue was full" },
     OwnCounter { key: "aborts", what: "SDOs refused by an abort code" },
     OwnCounter { key: "mailbox_repeats", what: "mailbox requests and replies repeated" },
-    OwnCounter { key: "mailbox_strays", what: "mailbox messages that belong to no request" },
+    OwnCounter { key: "mailbox_strays", what: "mailbox messages that answer no request" },
     OwnCounter { key: "mailbox_broken", what: "mailbox messages that are malformed" },
     OwnCounter { key: "mailbox_silent", what: "SDOs that were not answered" },
 ];

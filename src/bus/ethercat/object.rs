@@ -70,8 +70,8 @@ fn own_reason(status: u32) -> Option<&'static str> {
         FULL => "the slave does not empty its mailbox",
         BROKEN => "the slave's answer is not an SDO",
         TOGGLE => "a segment of the answer came twice, or one is missing",
-        TRUNCATED => "the answer is shorter than the slave had announced",
-        ENDLESS => "the answer is longer than the slave had announced, or has no end",
+        TRUNCATED => "the answer is shorter than the slave announced",
+        ENDLESS => "the answer is longer than the slave announced, or has no end",
         NOT_READ => "there is no such part of the data read before",
         _ => return None,
     })

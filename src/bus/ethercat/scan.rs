@@ -125,7 +125,7 @@ pub enum ScanError {
     #[error("{}", unsent(.0))]
     Unsent(Unsent),
     /// Nothing came back.
-    #[error("no slave answers; look at power and cable, and whether the segment is at this interface")]
+    #[error("no slave answers; check power and cable, and whether the segment is at this interface")]
     Silent,
     /// A frame came back as it was sent.
     #[error("frames come back, but no slave has seen them; look for a loop behind this interface")]
@@ -142,7 +142,7 @@ pub enum ScanError {
     },
     /// Slaves came or went meanwhile.
     #[error(
-        "the segment has changed from {before} to {after} slaves meanwhile; scan again once it is at rest"
+        "the segment changed from {before} to {after} slaves during the scan; scan again when it is stable"
     )]
     Changed {
         /// How many there were.
@@ -151,7 +151,7 @@ pub enum ScanError {
         after: u16,
     },
     /// Another master works here.
-    #[error("another master ({}) has frames on this interface; end it, or list the slaves with it", Shown(.0))]
+    #[error("another master ({}) has frames on this interface; end it, or read its slaves from it", Shown(.0))]
     Foreign(Mac),
 }
 

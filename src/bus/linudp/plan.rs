@@ -226,7 +226,7 @@ impl LinUdpDrive {
                 continue;
             }
             let range = format!("{step} ... {most} {unit}/{per}");
-            let why = format!("{value} is outside the drive's range, {range}; change it or check scale");
+            let why = format!("{value} is outside the range of the drive, {range}; change it or check scale");
             faults.push(PlanFault::new(key, why));
             reported = Some((value, per));
         }

@@ -347,7 +347,7 @@ fn look(block: &Block) -> Request<'static> {
 }
 
 fn surprised() -> Greeted {
-    Greeted::Failed("the peer's answer does not match the request: is it a Unidrive's Modbus port?".into())
+    Greeted::Failed("the peer does not answer the request: is it a Unidrive's Modbus port?".into())
 }
 
 impl Greeting for UnidriveGreeting {

@@ -195,7 +195,7 @@ impl Notation for Parameters {
     fn reason(&self, status: u32) -> String {
         match (status, u8::try_from(status)) {
             (NOT_TAKEN, _) => {
-                "the drive did not accept it and gave no error code: read-only, protected, or out of range"
+                "the drive did not take it and gave no error code: read-only, protected, or out of range"
                     .to_owned()
             }
             (UNREACHABLE, _) => {

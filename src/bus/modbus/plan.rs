@@ -288,7 +288,7 @@ impl UnidriveDrive {
             let Some(rpm) = value.map(|value| self.rpm(value).abs()) else { continue };
             if !(least..=most).contains(&rpm) {
                 let why = format!(
-                    "{rpm} rpm of the motor are outside the drive's range, {least} ... {most} rpm; change it or check scale"
+                    "{rpm} rpm of the motor are outside the range of the drive, {least} ... {most} rpm; change it or check scale"
                 );
                 faults.push(PlanFault::new(key, why));
             }

@@ -189,7 +189,7 @@ impl Seat {
             Verb::Enable if self.feedback.inhibited => Err(Failure::Inhibited),
             // Neither its way nor its limits could be evaluated.
             Verb::Move(_) | Verb::Follow if self.feedback.demand.is_nan() => {
-                Err(Failure::Unsupported("it reports no position, and so takes neither moves nor rows"))
+                Err(Failure::Unsupported("it reports no position, so it takes neither moves nor rows"))
             }
             Verb::Disable if self.plan.load != Load::Level && state.is_powered() && !self.stands() => {
                 Err(Failure::LoadInMotion)

@@ -149,7 +149,7 @@ impl Connection {
                 self.greeted(now, greeted)
             }
             Phase::Greeting { done: true, .. } if !bytes.is_empty() => {
-                self.fail(now, format!("{} sent data that was not requested", self.peer.address))
+                self.fail(now, format!("{} sends something that nobody requested", self.peer.address))
             }
             _ => Action::Wait,
         }
@@ -448,7 +448,7 @@ mod tests {
         send(&mut connection, now, 99);
         assert_eq!(connection.received(now, b"welcome"), Action::Send);
         assert_eq!(connection.received(now, b"again"), Action::Close);
-        assert!(notes.get(0).unwrap().contains("was not requested"));
+        assert!(notes.get(0).unwrap().contains("nobody requested"));
         // And the next one begins from the start.
         let now = connect(&mut connection);
         assert_eq!(connection.connected(now), Action::Send);

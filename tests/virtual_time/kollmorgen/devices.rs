@@ -49,7 +49,7 @@ fn a_device_that_is_refused_is_told_by_its_name_and_one_in_operation_is_not() {
     let (drives, devices) = told(machine);
     assert_eq!(drives, [None]);
     let why = devices[0].clone().expect("it is refused");
-    assert!(why.starts_with("place 1: its product is 0x") && why.contains("fix product"), "{why}");
+    assert!(why.starts_with("place 1: its product is 0x") && why.contains("correct product"), "{why}");
 
     let mut machine = Machine::new(line(vec![drive(0, Family::S700)], vec![io(1)]));
     machine.run(3);

@@ -409,7 +409,7 @@ fn remedy(source: &std::io::Error) -> &'static str {
         ErrorKind::PermissionDenied => {
             "sudo setcap cap_sys_nice,cap_ipc_lock,cap_net_raw+ep on the program, or run it as root"
         }
-        ErrorKind::NotFound => "fix interface",
+        ErrorKind::NotFound => "correct interface",
         _ => "look at interface: a network interface like \"eth1\", or \"local:NAME\" for simulated drives",
     }
 }

@@ -165,25 +165,25 @@ impl Note {
             Note::None => return None,
             Note::Absent => "nothing answers there: look at its power and at the cable in front of it".into(),
             Note::Sii => "its SII cannot be read: look whether another master holds it".into(),
-            Note::Vendor(found) => format!("its vendor is {found:#010x}: fix vendor, or the order of the slaves"),
+            Note::Vendor(found) => format!("its vendor is {found:#010x}: correct vendor, or the order of the segment"),
             Note::Product(found) => {
-                format!("its product is {found:#010x}: fix product, or the order of the slaves")
+                format!("its product is {found:#010x}: correct product, or the order of the segment")
             }
-            Note::Revision(found) => format!("its revision is {found:#010x}: fix revision, or leave it out"),
+            Note::Revision(found) => format!("its revision is {found:#010x}: correct revision, or leave it out"),
             Note::WrongPlace(other) => {
                 format!("the slave there is the one of place {other}: look at the order of the cables")
             }
             Note::SyncManager { usage, start, length } => {
                 let what = ["", "mailbox out", "mailbox in", "outputs", "inputs"].get(usize::from(usage));
                 let what = what.unwrap_or(&"a buffer");
-                format!("its SII has {what} at {start:#06x}, {length} bytes: fix the configuration")
+                format!("its SII has {what} at {start:#06x}, {length} bytes: correct the configuration")
             }
             Note::Fmmus(count) => {
                 format!("it has {count} FMMUs, too few for outputs and inputs: leave one of them out")
             }
             Note::NoClock => "it has no distributed clock: take sync = false".into(),
             Note::NoLrw => "it does not know LRW: take lrw = false for its bus".into(),
-            Note::NoCoe => "its SII names no CoE: leave out mailbox, or look at the order of the slaves".into(),
+            Note::NoCoe => "its SII names no CoE: leave out mailbox, or check the order of the segment".into(),
             Note::State { to, code } => {
                 format!("it refuses {to}: AL status code {:#06x} ({})", code.0, code.name().unwrap_or("not known"))
             }
@@ -213,12 +213,12 @@ impl Note {
             }
             Note::Starting => "it is being brought up".into(),
             Note::Differs { object: Object { index: 0x608F, sub: 1 }, found } => format!(
-                "its increments a turn (0x608f:1) are {found}, not 2 to the power of prbase: fix prbase, or take check_prbase = false"
+                "its increments per turn (0x608f:1) are {found}, not 2 to the power of prbase: correct prbase, or use check_prbase = false"
             ),
             Note::Differs { object: Object { index, sub }, found } => {
-                format!("its {index:#06x}:{sub} is {found} ({found:#x}), which differs from the configuration: fix one of them")
+                format!("its {index:#06x}:{sub} is {found} ({found:#x}), not as configured: correct one of them")
             }
-            Note::Unsettled => "its clock does not synchronise to the segment's: look at its distributed clock".into(),
+            Note::Unsettled => "its clock does not synchronise with that of the segment: check its distributed clock".into(),
             Note::AddressTwice => "another slave has its station address: switch that one off and on".into(),
             Note::Unread(object) => {
                 format!("it does not answer when {:#06x}:{} is read", object.index, object.sub)

@@ -16,7 +16,7 @@ const HOME_ANSWERS: u32 = 3;
 const AHEAD: f64 = 3.0;
 
 const COLD_START: Failure = Failure::Unsupported(
-    "its fault needs a cold start: fix its cause, then switch the drive's auxiliary power off and on",
+    "its fault needs a cold start: remove its cause, then switch the drive's auxiliary power off and on",
 );
 const HOME_FAILED: Failure = Failure::Unsupported(
     "it reports a homing error: look at its method 6098h, its switches, and its homing velocities 6099h",

@@ -241,7 +241,7 @@ mod tests {
         assert!(EntryId::new(0).is_err() && EntryId::new(1).is_ok() && EntryId::new(255).is_ok());
         assert_eq!(
             EntryId::new(256).unwrap_err().to_string(),
-            "256 as a number is outside the drive's range (1 ... 255): give a value inside it"
+            "256 as a number is outside the range of the drive (1 ... 255): give a value inside it"
         );
         assert!(CurveId::new(0).is_err() && CurveId::new(100).is_ok() && CurveId::new(101).is_err());
         assert!(ControllerSet::new(1).is_ok() && ControllerSet::new(2).is_err());

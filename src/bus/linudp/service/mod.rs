@@ -83,7 +83,7 @@ pub enum ServiceError {
         error: CallError,
     },
     /// The drive is of another protocol.
-    #[error("drive {drive} is not a LinMot drive: only LinMot drives have these services")]
+    #[error("drive {drive} is not a LinMot drive, and only that has these services")]
     NotLinMot {
         /// The drive.
         drive: String,
