@@ -69,6 +69,7 @@ pub mod config;
 pub mod control;
 pub mod cycle;
 pub mod doctor;
+mod errors;
 pub mod master;
 pub mod net;
 pub mod rt;
@@ -84,7 +85,8 @@ pub use simulation::Simulation;
 pub use telemetry::Monitor;
 pub use time::Time;
 
-/// The README's program compiles, or the doctests fail.
+/// The programs of README.md and docs/ compile, or the doctests fail.
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
-struct Readme;
+#[doc = include_str!("../docs/src/library.md")]
+struct Programs;

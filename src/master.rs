@@ -58,7 +58,7 @@ pub struct Master {
 }
 
 /// Why a machine did not start. No drive was commanded. The message ends with the remedy.
-#[derive(Debug, Error)]
+#[derive(Error)]
 pub enum StartError {
     /// The plan contradicts itself.
     #[error(transparent)]
@@ -76,15 +76,16 @@ pub enum StartError {
     #[error("cannot start a thread: {0}; look at the limits of processes and memory (ulimit -u, ulimit -v)")]
     Thread(std::io::Error),
     /// The loop's thread ended before its first cycle.
-    #[error("the loop's thread ended at its start; its own message stands above")]
+    #[error("the loop's thread ended at its start; its own message is above")]
     Ended,
 }
+crate::errors::debug_as_display!(StartError);
 
 /// Why the application did not get an axis, or not in time.
-#[derive(Clone, Debug, PartialEq, Error)]
+#[derive(Clone, PartialEq, Error)]
 pub enum MasterError {
     /// No such axis.
-    #[error("there is no axis {name}; there are {known}")]
+    #[error("there is no axis {name}; there are: {known}")]
     NoAxis {
         /// The requested name.
         name: String,
@@ -92,7 +93,7 @@ pub enum MasterError {
         known: String,
     },
     /// The axis was taken already.
-    #[error("axis {0} was taken already: an axis has one owner; observers are for everybody else")]
+    #[error("axis {0} is already taken: an axis has one owner; read it through an observer")]
     Taken(String),
     /// No such device.
     #[error("there is no device {name}; there are: {known}")]
@@ -103,7 +104,7 @@ pub enum MasterError {
         known: String,
     },
     /// The device was taken already.
-    #[error("device {0} was taken already: its process data has one owner")]
+    #[error("device {0} is already taken: its process data has one owner")]
     DeviceTaken(String),
     /// The device is of another type.
     #[error("device {0} has process data of another type; request the type that its protocol names")]
@@ -131,6 +132,7 @@ pub enum MasterError {
     #[error("the master has ended: start it again")]
     Ended,
 }
+crate::errors::debug_as_display!(MasterError);
 
 /// Ends the machine from another thread, or from a signal's handler thread.
 #[derive(Clone, Debug)]

@@ -54,7 +54,7 @@ pub struct Simulation {
 }
 
 /// Why a simulation could not be built.
-#[derive(Debug, thiserror::Error)]
+#[derive(thiserror::Error)]
 pub enum SimulateError {
     /// The plan contradicts itself.
     #[error(transparent)]
@@ -66,6 +66,7 @@ pub enum SimulateError {
     #[error("cannot simulate the drives: {0}")]
     World(#[from] std::io::Error),
 }
+crate::errors::debug_as_display!(SimulateError);
 
 impl Setup {
     /// Builds the machine in virtual time, with all its drives simulated as their plans say.

@@ -4,14 +4,16 @@
 mod ethercat;
 
 use std::net::Ipv4Addr;
+use std::os::unix::fs::symlink;
+use std::path::Path;
 use std::time::Duration;
 
 use fieldbeat::axis::{FoundRunning, Health, StopHow, StopThen, StopTimeout, Underrun, Unit};
 use fieldbeat::bus::linudp::MonitorPlan;
 use fieldbeat::bus::linudp::upid::Upid;
 use fieldbeat::config::{
-    DEMO_PLACES, DEMO_STREAMS_UP_TO_NS, demo_plan, describe, load, parse, starvation, stop_bound,
-    stop_bound_cycles,
+    DEMO_PLACES, DEMO_STREAMS_UP_TO_NS, demo_plan, describe, is_demo, json, linmot_curve, load, parse,
+    starvation, stop_bound, stop_bound_cycles,
 };
 use fieldbeat::cycle::{CyclePlan, Guard, Overrun, Plan, Wait};
 use fieldbeat::rt::Realtime;
@@ -62,15 +64,22 @@ fn mistakes(text: &str) -> Vec<String> {
     }
 }
 
-/// Section and fragment (`;;` is a line end), then the lines expected, without the file's name.
+/// Section and fragment (`;;` is a line end), then the lines expected, two columns in and without the file's name; what
+/// is four columns in goes on where the line before it ends.
 const MISTAKES: &str = include_str!("config/mistakes.txt");
 
 #[test]
 fn every_mistake_says_where_it_is_and_what_would_be_right() {
     let mut cases: Vec<(&str, String, Vec<String>)> = Vec::new();
     for line in MISTAKES.lines().filter(|line| !line.is_empty()) {
-        match (line.strip_prefix("  "), cases.last_mut()) {
-            (Some(expected), Some((_, _, lines))) => lines.push(format!("m.toml:{expected}")),
+        let (indent, text) = line.split_at(line.len() - line.trim_start().len());
+        match (indent.len(), cases.last_mut()) {
+            (4, Some((.., lines))) => {
+                let last = lines.last_mut().unwrap();
+                *last += " ";
+                *last += text;
+            }
+            (2, Some((.., lines))) => lines.push(format!("m.toml:{text}")),
             _ => {
                 let (section, fragment) = line.split_once(" | ").unwrap();
                 cases.push((section, fragment.replace(" ;; ", "\n"), Vec::new()));
@@ -118,14 +127,19 @@ address = "127.0.0.12"
     assert_eq!(
         mistakes(text),
         [
-            "m.toml:9: bus.drive.name = \"x\": is the drive of line 6 already; names are unique in the machine",
-            "m.toml:10: bus.drive.address = \"127.0.0.11:50000\": is the drive of line 7 already; one drive an IP address",
-            "m.toml:13: bus.drive.address = \"127.0.0.1:41136\": is the master's own, bind of line 4; give the drive's",
-            "m.toml:18: bus.bind = \"0.0.0.0\": is taken by the bus of line 4; one bus an address, put its drives there",
-            "m.toml:20: bus.drive.name = \"y\": is the drive of line 12 already; names are unique in the machine",
-            "m.toml:21: bus.drive.address = \"127.0.0.11\": is the drive of line 7 already; one drive an IP address",
-            "m.toml:23: bus.name: missing; the bus of line 2 is called linudp-v2 already",
-            "m.toml:25: bus.bind = \"127.0.0.11:49360\": is the drive of line 7; give the master's own address",
+            "m.toml:9: bus.drive.name = \"x\": is already the drive of line 6; names are unique in the machine",
+            "m.toml:10: bus.drive.address = \"127.0.0.11:50000\": is already that of the drive of line 7; one \
+             drive per IP address",
+            "m.toml:13: bus.drive.address = \"127.0.0.1:41136\": is the master's own address, bind of line 4; \
+             give the address of the drive",
+            "m.toml:18: bus.bind = \"0.0.0.0\": is taken by the bus of line 4; there is one bus per address, \
+             add the drives to that bus",
+            "m.toml:20: bus.drive.name = \"y\": is already the drive of line 12; names are unique in the machine",
+            "m.toml:21: bus.drive.address = \"127.0.0.11\": is already that of the drive of line 7; one drive \
+             per IP address",
+            "m.toml:23: bus.name: missing; the bus of line 2 already has the name linudp-v2",
+            "m.toml:25: bus.bind = \"127.0.0.11:49360\": is the address of the drive of line 7; give the \
+             master's own address",
         ]
     );
 }
@@ -154,10 +168,8 @@ fn addresses_are_ipv4_and_within_reach() {
     }
     assert_eq!(
         wrong("127.0.0.1", "10.0.0.2"),
-        [
-            "m.toml:9: bus.drive.address = \"10.0.0.2\": cannot be reached from bind = \"127.0.0.1\"; bind to the adapter that \
-          the drive is on"
-        ]
+        ["m.toml:9: bus.drive.address = \"10.0.0.2\": cannot be reached from bind = \"127.0.0.1\"; bind to \
+             the adapter of the drive's network"]
     );
     assert_eq!(
         wrong("10.0.0.1", "127.0.0.2"),
@@ -177,9 +189,8 @@ fn what_is_missing_is_asked_for() {
     assert_eq!(mistakes("\n[bus]\n"), ["m.toml:2: bus: must be a list of tables: write [[bus]]"]);
     assert_eq!(
         mistakes("\n[[bus]]\n"),
-        [
-            "m.toml:2: bus.protocol: missing; \"linudp-v2\" is LinMot LinUDP V2, \"modbus-tcp\" Nidec Unidrive, \"ethercat\" Kollmorgen S300 ... S700"
-        ]
+        ["m.toml:2: bus.protocol: missing; \"linudp-v2\" is LinMot LinUDP V2, \"modbus-tcp\" Nidec \
+             Unidrive, \"ethercat\" Kollmorgen S300 ... S700"]
     );
     assert_eq!(
         mistakes("[[bus]]\nprotocol = \"profibus\"\nwhatever = 1"),
@@ -188,15 +199,15 @@ fn what_is_missing_is_asked_for() {
     assert_eq!(
         mistakes("[[bus]]\nprotocol = \"linudp-v2\""),
         [
-            "m.toml:1: bus.bind: missing; the address of the adapter that the drives are on, like \"192.168.1.1\"",
+            "m.toml:1: bus.bind: missing; the address of the network adapter of the drives, like \"192.168.1.1\"",
             "m.toml:1: bus.drive: missing; a bus needs at least one [[bus.drive]]",
         ]
     );
     assert_eq!(
         mistakes("[[bus]]\nprotocol = \"linudp-v2\"\nbind = \"127.0.0.1\"\n\n[[bus.drive]]"),
         [
-            "m.toml:5: bus.drive.name: missing; every drive needs one, it is how programs and messages call it",
-            "m.toml:5: bus.drive.address: missing; where the drive listens, like \"192.168.1.10\"",
+            "m.toml:5: bus.drive.name: missing; every drive needs a name for programs and messages",
+            "m.toml:5: bus.drive.address: missing; the address of the drive, like \"192.168.1.10\"",
         ]
     );
 }
@@ -210,27 +221,148 @@ fn a_lonely_group_that_looks_like_another_is_named() {
         machine("", "") + &drive("y", 12, "gantry") + &drive("z", 13, "gantry") + &drive("w", 14, "gantyr");
     assert_eq!(
         mistakes(&text),
-        [
-            "m.toml:22: bus.drive.stop.group = \"gantyr\": no other drive is in this group; did you mean \"gantry\"? leave it \
-          out to stop alone"
-        ]
+        ["m.toml:22: bus.drive.stop.group = \"gantyr\": no other drive is in this group; did you mean \
+             \"gantry\"? leave it \
+          out to stop alone"]
     );
 }
 
 #[test]
 fn files_that_cannot_be_read_say_so() {
-    let error = |path: &str| load(path).unwrap_err().to_string();
+    let error = |path: &Path| load(path).unwrap_err().to_string();
     let remedy = "name an existing configuration, for example rt-config/demo.toml";
     assert_eq!(
-        error("no/such.toml"),
+        error("no/such.toml".as_ref()),
         format!("cannot read no/such.toml: No such file or directory; {remedy}")
     );
-    assert_eq!(error("src"), format!("cannot read src: Is a directory; {remedy}"));
-    let path = std::env::temp_dir().join(format!("fieldbeat-latin1-{}.toml", std::process::id()));
-    std::fs::write(&path, b"[cycle]\n# \xb5s\n").unwrap();
-    let latin1 = error(&path.display().to_string());
-    std::fs::remove_file(&path).unwrap();
-    assert_eq!(latin1, format!("{}:2: not UTF-8; save the file as UTF-8 text", path.display()));
+    assert_eq!(error("src".as_ref()), format!("cannot read src: Is a directory; {remedy}"));
+    // What `fn main() -> Result<(), Box<dyn Error>>` prints.
+    let shown = format!("{:?}", Box::<dyn std::error::Error>::from(load("src").unwrap_err()));
+    assert_eq!(shown, error("src".as_ref()));
+    let device = format!("cannot read /dev/zero: it is a device or a socket; {remedy}");
+    assert_eq!(error("/dev/zero".as_ref()), device);
+
+    let directory = tempfile::tempdir().unwrap();
+    let path = |name: &str| directory.path().join(name);
+    for (name, bytes, line) in [
+        ("latin1.toml", &b"[cycle]\n# \xb5s\n"[..], 2),
+        ("program", b"\x7fELF\x02\x01\x01\0\0\0", 1),
+        ("utf16.toml", b"\n\n[\0c\0y\0", 3),
+    ] {
+        std::fs::write(path(name), bytes).unwrap();
+        let expected =
+            format!("{}:{line}: not UTF-8 text; save the file as UTF-8 text", path(name).display());
+        assert_eq!(error(&path(name)), expected);
+    }
+
+    // Nobody writes into the pipe: opening it would wait for ever.
+    let pipe = std::ffi::CString::new(path("pipe").as_os_str().as_encoded_bytes()).unwrap();
+    // SAFETY: takes a string that ends in NUL, and a number.
+    assert_eq!(unsafe { libc::mkfifo(pipe.as_ptr(), 0o600) }, 0);
+    symlink("pipe", path("link")).unwrap();
+    for name in ["pipe", "link"] {
+        let path = path(name);
+        let what = "it is a pipe; write its content to a file, or pipe it into /dev/stdin";
+        assert_eq!(error(&path), format!("cannot read {}: {what}", path.display()));
+    }
+    for (size, what) in
+        [((16 << 20) + 1, format!("it has more than 16 MiB; {remedy}")), (16 << 20, String::new())]
+    {
+        let file = std::fs::File::create(path("long.toml")).unwrap();
+        file.set_len(size).unwrap();
+        let said = error(&path("long.toml"));
+        assert!(said.contains(&what) && (what.is_empty() == said.contains(":1: not UTF-8")), "{said}");
+    }
+    let curve = linmot_curve::load(path("pipe")).unwrap_err().to_string();
+    assert!(curve.contains("it is a pipe"), "{curve}");
+    symlink(std::fs::canonicalize("rt-config/demo.toml").unwrap(), path("demo.toml")).unwrap();
+    assert!(load(path("demo.toml")).is_ok() && is_demo(path("demo.toml")));
+    assert!(!is_demo("rt-config/linmot.toml") && !is_demo(path("pipe")));
+}
+
+#[test]
+fn a_file_that_is_no_toml_is_one_mistake() {
+    let prose = "Dear reader,\n\nthis is no configuration.\n# A heading\nIt is a letter, and it is long.\n";
+    let object = "{\n  \"cycle\": {\n    \"period\": \"1ms\",\n    \"core\": 3\n  }\n}\n";
+    let program = "#include <stdio.h>\nint main(void)\n{\n    puts(\"hello\");\n    return 0;\n}\n";
+    let yaml = "cycle:\n  period: 1ms\n  core: 3\nbus:\n  - protocol: linudp-v2\n";
+    for text in [prose, object, program, yaml] {
+        let mistakes = mistakes(text);
+        assert_eq!(mistakes.len(), 1, "{mistakes:#?}");
+        assert!(
+            mistakes[0].starts_with("m.toml:") && mistakes[0].ends_with("is this a TOML file?"),
+            "{mistakes:?}"
+        );
+    }
+    // One that is TOML but for a few slips has all of them named.
+    let slips = machine("drive", "divisor = 1ms\nphase = 2ms\nscale = 1 2\n");
+    let said = mistakes(&slips);
+    assert_eq!(said.len(), 3, "{said:#?}");
+    assert!(!said.iter().any(|line| line.contains("is this a TOML file?")), "{said:#?}");
+}
+
+#[test]
+fn a_plan_as_json_has_every_key() {
+    let plan = load("rt-config/demo.toml").unwrap();
+    let said = json(&plan, &[]);
+    let keys =
+        |value: &serde_json::Value| -> Vec<String> { value.as_object().unwrap().keys().cloned().collect() };
+    assert_eq!(keys(&said), ["buses", "cycle", "drives", "errors", "groups", "source"]);
+    assert_eq!(said["source"], "rt-config/demo.toml");
+    assert_eq!((&said["cycle"]["period_ns"], &said["errors"]), (&1_000_000.into(), &serde_json::json!([])));
+    let drives = said["drives"].as_array().unwrap();
+    let axes = plan.axes();
+    assert_eq!(drives.len(), axes.len());
+    let words = describe(&plan).join("\n");
+    for (index, (drive, axis)) in drives.iter().zip(&axes).enumerate() {
+        assert_eq!(
+            keys(drive),
+            [
+                "address",
+                "bus",
+                "divisor",
+                "drive_watchdog_ns",
+                "held_by",
+                "if_master_dies",
+                "limits",
+                "load",
+                "name",
+                "period_ns",
+                "phase",
+                "protocol",
+                "reply_within_ns",
+                "stop",
+                "stop_bound_cycles",
+                "stop_bound_ns",
+                "stops_with",
+                "unit",
+            ]
+        );
+        assert_eq!(keys(&drive["stop"]), ["deceleration", "how", "on_timeout", "then", "timeout_ns"]);
+        assert_eq!(keys(&drive["limits"]), ["acceleration", "position", "step", "torque", "velocity"]);
+        let bound = stop_bound(&plan, index);
+        assert_eq!(drive["name"], axis.name.as_str());
+        assert_eq!(
+            (&drive["stop_bound_cycles"], &drive["stop_bound_ns"]),
+            (&bound.into(), &(bound * MS).into())
+        );
+        let (address, death) =
+            (drive["address"].as_str().unwrap(), drive["if_master_dies"].as_str().unwrap());
+        assert!(
+            words.contains(&format!("drive {}: {address}", axis.name)) && words.contains(death),
+            "{drive}"
+        );
+        assert!(drive["stops_with"].as_array().unwrap().contains(&drive["name"]), "{drive}");
+        // A LinUDP drive has no watchdog, the others of the demo have one.
+        assert_eq!(drive["drive_watchdog_ns"].is_null(), drive["protocol"] == "linudp-v2", "{drive}");
+    }
+    let mistakes = parse("[cycle]\nperod = 1\n[[bus]]\n", "m.toml").unwrap_err();
+    let first = serde_json::to_value(mistakes.iter().next().unwrap()).unwrap();
+    assert_eq!(keys(&first), ["file", "key", "line", "message", "value"]);
+    assert_eq!(
+        (&first["file"], &first["line"], &first["key"]),
+        (&"m.toml".into(), &2.into(), &"cycle.perod".into())
+    );
 }
 
 #[test]
@@ -593,40 +725,47 @@ name = "w"
 address = "192.168.1.14"
 "#;
     let plan = read(text);
-    assert_eq!(describe(&plan).join("\n"), DESCRIPTION.trim());
+    assert_eq!(describe(&plan).join("\n"), DESCRIPTION.trim().replace("\n        ", " "));
     // x: 5 misses, then y's turn within 3 cycles. y: 4 misses every 3 cycles, then x and y in the next.
     let axes = plan.axes();
     assert_eq!([0, 1, 2].map(|index| stop_bound_cycles(axes[index], &axes)), [8, 13, 6]);
 }
 
+/// What is eight columns in goes on where the line before it ends.
 const DESCRIPTION: &str = r#"
 m.toml: 4 drives, 1 bus
 cycle: every 2 ms (500 Hz), on the last core, SCHED_FIFO 80 and all memory of the process locked if this host grants it
   wakes with a calibrated final spin, takes replies by poll until 1 ms into the cycle
   an overrun skips slots and keeps the grid, more than 10 in a row stop all axes
-  a cycle that is late by more than 200 us is counted, with its cause
+  a cycle that is late by more than 200 us is counted with its cause
 bus portal: linudp-v2, 4 drives
   drive x: 192.168.1.1:41136 -> 192.168.1.11:49360
     streams "pva", a setpoint every 2 ms (the drive takes 400 us ... 10 ms)
-    if the master dies: no watchdog in a LinUDP drive, a move runs to its target, jogs and cyclic velocities are refused, a stream ends in the drive's own underflow error
+    if the master dies: a LinUDP drive has no watchdog, a move runs to its target, jogs and cyclic velocities are
+        refused, a stream ends in the drive's own underflow error
     an exchange every cycle (2 ms)
-    link up after 10 good exchanges in a row, lost after 5 misses in a row: the stop request is on the wire within 8 cycles (16 ms) of the last good one; stop together: x, y
+    link up after 10 good exchanges in a row, lost after 5 misses in a row: the stop request is on the wire within 8
+        cycles (16 ms) of the last good one; stop together: x, y
     stop: ramp at 500 mm/s²; at standstill (below 5 mm/s for 20 exchanges) power off; without it after 3 s power off
     stopped by a velocity setpoint older than 10 cycles (20 ms) and by a jog not renewed for 500 ms
     limits: -10 ... 10.5 mm, 100 mm/s
   drive y: 192.168.1.1:41136 -> 192.168.1.12:49360
     no streams (stream = "off")
-    if the master dies: no watchdog in a LinUDP drive, a move runs to its target, a jog or cyclic velocity runs at most 7.5 mm further
+    if the master dies: a LinUDP drive has no watchdog, a move runs to its target, a jog or cyclic velocity runs at
+        most 7.5 mm further
     an exchange every 3 cycles (6 ms), phase 1
-    link up after 10 good exchanges in a row, lost after 4 misses in a row: the stop request is on the wire within 13 cycles (26 ms) of the last good one; stop together: x, y
+    link up after 10 good exchanges in a row, lost after 4 misses in a row: the stop request is on the wire within 13
+        cycles (26 ms) of the last good one; stop together: x, y
     stop: power off at once
     stopped by a velocity setpoint older than 10 cycles (20 ms) and by a jog not renewed for 500 ms
     limits: only the drive's own
   drive z: 192.168.1.1:41136 -> 192.168.1.13:49360
     streams "pva", a setpoint every 2 ms (the drive takes 400 us ... 10 ms)
-    if the master dies: no watchdog in a LinUDP drive, a move runs to its target, jogs and cyclic velocities are refused, a stream ends in the drive's own underflow error
+    if the master dies: a LinUDP drive has no watchdog, a move runs to its target, jogs and cyclic velocities are
+        refused, a stream ends in the drive's own underflow error
     an exchange every cycle (2 ms)
-    link up after 10 good exchanges in a row, lost after 5 misses in a row: the stop request is on the wire within 6 cycles (12 ms) of the last good one
+    link up after 10 good exchanges in a row, lost after 5 misses in a row: the stop request is on the wire within 6
+        cycles (12 ms) of the last good one
     stop: ramp at 1000 mm/s²; at standstill (below 5 mm/s for 20 exchanges) power off; without it after 3 s power off
     stopped by a velocity setpoint older than 10 cycles (20 ms) and by a jog not renewed for 500 ms
     limits: only the drive's own
@@ -686,14 +825,21 @@ stop.group = "own"
         of("direct"),
         [
             "drive direct: 192.168.1.21:502",
-            "one request every 8 ms writes what changed, and reads a part: status and speed within 3 requests, all of it within 12 requests",
-            "a reply counts for 50 ms; a drive that is silent for 100 ms cannot be told anything: its connection is opened anew, with pauses, and a stop leaves with the first exchange on it; until then its own watchdog is what stops it",
+            "one request every 8 ms writes what changed and reads a part: status and speed within 3 requests, \
+             all parameters within 12 requests",
+            "a reply counts for 50 ms; after 100 ms of silence its connection is opened again, with pauses: a \
+             stop request leaves with the first exchange on the new one, and until then only the drive's own \
+             watchdog stops it",
             "takes velocities; no moves, no streams, no homing",
             "shows percentage-load",
-            "if the master dies: the drive trips within 500 ms and its motor coasts (Pr 4.15.009, set so before it is enabled)",
+            "if the master dies: the drive trips within 500 ms and its motor coasts (Pr 4.15.009, set by the \
+             master before it is enabled)",
             "an exchange every 8 cycles (8 ms), phase 0",
-            "link up after 10 good exchanges in a row, lost after 5 misses in a row: the stop request is on the wire within 290 cycles (290 ms) of the last good one, if it still answers; stop together: direct, menu",
-            "stop: ramp at 10 rev/s²; at standstill (below 0.05 rev/s for 20 exchanges) power off; without it after 3 s power off",
+            "link up after 10 good exchanges in a row, lost after 5 misses in a row: the stop request is on \
+             the wire within 290 cycles (290 ms) of the last good one, if it still answers; stop together: \
+             direct, menu",
+            "stop: ramp at 10 rev/s²; at standstill (below 0.05 rev/s for 20 exchanges) power off; without it \
+             after 3 s power off",
             "stopped by a velocity setpoint older than 10 cycles (10 ms) and by a jog not renewed for 500 ms",
             "limits: only the drive's own",
         ]
@@ -701,20 +847,21 @@ stop.group = "own"
     for (name, line) in [
         (
             "menu",
-            "one request every 8 ms writes and reads all of it, side by side in menu 0 from Pr 00.011 on (Pr 22.011 and on are set so)",
+            "one request every 8 ms writes and reads all parameters, in a row in menu 0 from Pr 00.011 (the \
+             master sets Pr 22.011 and those after it)",
         ),
         (
             "menu",
-            "set_up = false: the drive is not set to anything, and not enabled unless it is set as needed",
+            "set_up = false: the master writes no settings, and enables the drive only if they are as needed",
         ),
         ("menu", "if the master dies: the drive trips within 1 s and its motor coasts (the keypad watchdog)"),
         (
             "unwatched",
-            "if the master dies: nothing stops the drive, it goes on at its last speed (no_drive_watchdog = \"accept\")",
+            "if the master dies: nothing stops the drive: it keeps its last speed (no_drive_watchdog = \"accept\")",
         ),
         (
             "refused",
-            "if the master dies: nothing would stop the drive, so that it is not enabled (no_drive_watchdog = \"refuse\")",
+            "if the master dies: nothing would stop the drive, so it is not enabled (no_drive_watchdog = \"refuse\")",
         ),
     ] {
         assert!(of(name).contains(&line), "{line}\n{:#?}", of(name));
@@ -740,8 +887,10 @@ fn values_of_a_unidrive_arrive_where_they_belong() {
         "",
         "unit = 1\nslot = 3\naddressing = \"modified\"\nvia = \"menu-0\"\nreply_within = \"20ms\"\nset_up = false\n\
          units = \"mm\"\nscale = 0.5\ninvert = true\n\
-         map.control = { parameter = \"06.042\", bits = 32 }\nmap.speed = { parameter = \"18.011\", bits = 16, decimals = 2 }\n\
-         map.trip = \"off\"\nmonitor = [\"dc-bus-voltage\", \"04.001\"]\nalso_read = [\"20.021 ... 20.023\", \"05.001\"]\n\
+         map.control = { parameter = \"06.042\", bits = 32 }\nmap.speed = { parameter = \"18.011\", bits = \
+             16, decimals = 2 }\n\
+         map.trip = \"off\"\nmonitor = [\"dc-bus-voltage\", \"04.001\"]\nalso_read = [\"20.021 ... 20.023\", \
+             \"05.001\"]\n\
          watchdog = { timeout = \"off\", keypad = true }\nno_drive_watchdog = \"accept\"\n\
          simulate = { running = -2, rated_speed = 1500, fc23 = false, menu_0 = false, connections = 2, cut = 0.5, split = 0.25 }",
     );
@@ -781,8 +930,9 @@ fn a_connection_of_its_own_is_told_by_address_and_port() {
     assert_eq!(
         mistakes(&text),
         [
-            "m.toml:14: bus.drive.address = \"127.0.0.21:502\": is the drive of line 7 already; one drive an address and port",
-            "m.toml:20: bus.drive.address = \"127.0.0.21\": is the drive of line 7 already; one drive an IP address",
+            "m.toml:14: bus.drive.address = \"127.0.0.21:502\": is already that of the drive of line 7; one drive per address and port",
+            "m.toml:20: bus.drive.address = \"127.0.0.21\": is already that of the drive of line 7; one drive \
+             per IP address",
         ]
     );
     for address in ["::1", "0.0.0.0", "224.0.0.1", "10.0.0.2:0", "u.local"] {
@@ -793,7 +943,7 @@ fn a_connection_of_its_own_is_told_by_address_and_port() {
     }
     assert_eq!(
         mistakes("[[bus]]\nprotocol = \"modbus-tcp\"\n[[bus.drive]]\nname = \"u\""),
-        ["m.toml:3: bus.drive.address: missing; where the drive listens, like \"192.168.1.20\""]
+        ["m.toml:3: bus.drive.address: missing; the address of the drive, like \"192.168.1.20\""]
     );
 }
 
@@ -827,7 +977,7 @@ divisor = 2
 #[test]
 fn a_group_that_cannot_act_together_is_refused_with_the_reason() {
     for (group, expected) in [
-        ("axes = [\"x\", \"y\"]", "25: group.name: missing; how programs ask for it"),
+        ("axes = [\"x\", \"y\"]", "25: group.name: missing; the name by which programs use the group"),
         ("name = \"g\"", "25: group.axes: missing; the names of its drives, like [\"x\", \"y\"]"),
         (
             "name = \"g\"\naxes = \"x\"",
@@ -837,12 +987,16 @@ fn a_group_that_cannot_act_together_is_refused_with_the_reason() {
             "name = \"g\"\naxes = [1]",
             "27: group.axes = [1]: must be the names of drives, like [\"x\", \"y\"]",
         ),
-        ("name = \"g\"\naxes = [\"x\"]", "27: group.axes = [\"x\"]: a group of 1: it takes two axes or more"),
-        ("name = \"g\"\naxes = [\"x\", \"x\"]", "27: group.axes = [\"x\", \"x\"]: x is in it twice"),
+        (
+            "name = \"g\"\naxes = [\"x\"]",
+            "27: group.axes = [\"x\"]: a group of 1: a group needs two axes or more",
+        ),
+        ("name = \"g\"\naxes = [\"x\", \"x\"]", "27: group.axes = [\"x\", \"x\"]: x is listed twice"),
         ("name = \"g\"\naxes = [\"x\", \"w\"]", "27: group.axes = [\"x\", \"w\"]: there is no drive w"),
         (
             "name = \"g\"\naxes = [\"x\", \"z\"]",
-            "27: group.axes = [\"x\", \"z\"]: axes x and z exchange in different cycles: give them one divisor and phase",
+            "27: group.axes = [\"x\", \"z\"]: axes x and z exchange in different cycles: give them one \
+             divisor and phase",
         ),
         (
             "name = \"g\"\naxes = [\"x\", \"y\"]\nspeed = 1",
@@ -874,11 +1028,13 @@ fn who_holds_the_load_and_who_watches_the_application_is_said() {
     let plan = read(&format!("{THREE}[[group]]\nname = \"g\"\naxes = [\"y\", \"x\"]\n"));
     let told = describe(&plan).join("\n");
     for line in [
-        "  an application that is silent for 250 ms stops all enabled axes",
-        "    vertical load: power goes off at standstill, or by the time-out; set the drive to close its brake before it lets go",
+        "  a silence of the application of 250 ms stops all enabled axes",
+        "    vertical load: power goes off at standstill, or by the time-out; set the drive to close its \
+         brake before its power stage goes off",
         "    vertical load: only the powered drive holds it, so the master never powers it off",
         "    stopped by a velocity setpoint older than 10 cycles (10 ms); a jog runs until something replaces it",
-        "group g: y, x act in the same cycle, all or none; 3 rounds in which any of them missed an exchange stop them in motion",
+        "group g: y, x act in the same cycle, all or none; 3 rounds with a missed exchange of any of \
+             them stop the group in motion",
     ] {
         assert!(told.contains(line), "{line}\n{told}");
     }
@@ -905,7 +1061,7 @@ fn a_plan_built_in_code_is_checked_by_the_same_rules() {
         "cycle: a period of 0 is outside",
         "drive x: its name is taken",
         "drive \"../y\": its name must be 1 to 32 letters, digits, - _ or .",
-        "drive x: scale: has to be a finite number",
+        "drive x: scale: must be a finite number",
         "drive x: phase: must be below divisor = 1",
         "drive x: stop.how: would let a vertical load drop",
         "drive x: address: is taken by another drive",
@@ -943,8 +1099,10 @@ fn spinning_under_throttling_starves_the_host() {
     }
     assert_eq!(
         starvation(&starving[2], &throttled).unwrap(),
-        "cycle: guard (250 us) and spinning receive (500 us) would hold the core for 750 us of every 1 ms, and this kernel \
-         takes it away from real-time threads after 950 ms of every 1 s; take wait = \"poll\" or a shorter guard, or on a \
+        "cycle: guard (250 us) and spinning receive (500 us) would hold the core for 750 us of every 1 ms, \
+         and this kernel \
+         takes it away from real-time threads after 950 ms of every 1 s; use wait = \"poll\" or a shorter \
+             guard, or on a \
          core of its own: sysctl kernel.sched_rt_runtime_us=-1"
     );
 }
@@ -969,7 +1127,8 @@ proptest! {
     }
 
     #[test]
-    fn arbitrary_toml_never_panics(lines in prop::collection::vec("(\\[{0,2}|[a-z\"_.]{1,8} ?= ?)[\\PC\n]{0,20}\\]{0,2}", 0..20)) {
+    fn arbitrary_toml_never_panics(lines in prop::collection::vec("(\\[{0,2}|[a-z\"_.]{1,8} ?= \
+        ?)[\\PC\n]{0,20}\\]{0,2}", 0..20)) {
         never_panics(&lines.join("\n"));
     }
 

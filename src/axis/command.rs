@@ -189,7 +189,7 @@ pub enum Abort {
 }
 
 /// Why a command failed.
-#[derive(Clone, Copy, Debug, PartialEq, Error)]
+#[derive(Clone, Copy, PartialEq, Error)]
 pub enum Failure {
     /// The drive is in a state in which this cannot start.
     #[error("the drive is in state {0}: bring it to OperationEnabled first (enable)")]
@@ -229,7 +229,7 @@ pub enum Failure {
         high: f64,
     },
     /// A value has to be above zero and is not.
-    #[error("{what} {value} has to be above 0")]
+    #[error("{what} {value} must be above 0")]
     NotPositive {
         /// The quantity.
         what: &'static str,
@@ -264,6 +264,7 @@ pub enum Failure {
     #[error("the drive left operation (state {0})")]
     Dropped(State),
 }
+crate::errors::debug_as_display!(Failure);
 
 impl fmt::Display for Outcome {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

@@ -54,10 +54,10 @@ impl GroupCommand {
 }
 
 /// Why a request to a group failed.
-#[derive(Clone, Debug, PartialEq, Error)]
+#[derive(Clone, PartialEq, Error)]
 pub enum GroupError {
     /// A group of fewer than two.
-    #[error("a group of {0}: it takes two axes or more")]
+    #[error("a group of {0}: a group needs two axes or more")]
     TooFew(usize),
     /// Axes of two machines have no cycle in common.
     #[error("axes {0} and {1} belong to two masters: a group has one")]
@@ -89,9 +89,10 @@ pub enum GroupError {
     #[error(transparent)]
     Axis(#[from] AxisError),
 }
+crate::errors::debug_as_display!(GroupError);
 
 /// Axes that cannot form a group, given back.
-#[derive(Debug, Error)]
+#[derive(Error)]
 #[error("{reason}")]
 pub struct GroupRefused {
     /// The reason.
@@ -99,6 +100,7 @@ pub struct GroupRefused {
     /// The axes.
     pub axes: Vec<Axis>,
 }
+crate::errors::debug_as_display!(GroupRefused);
 
 impl Group {
     /// A group of these axes, two or more, of one machine, with one divisor, phase and stop group.

@@ -76,7 +76,7 @@ pub struct AxisEnds {
 }
 
 /// Why a request to an axis failed.
-#[derive(Clone, Debug, PartialEq, Error)]
+#[derive(Clone, PartialEq, Error)]
 pub enum AxisError {
     /// Refused on submission.
     #[error("axis {axis}: {verb} refused: {failure}")]
@@ -129,6 +129,7 @@ pub enum AxisError {
         axis: String,
     },
 }
+crate::errors::debug_as_display!(AxisError);
 
 impl AxisError {
     /// It ended so only because another axis of its group did.

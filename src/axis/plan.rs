@@ -137,10 +137,10 @@ impl AxisPlan {
         let mut wrong = |key, message: String| faults.push(PlanFault::new(key, message));
         let units = &self.units;
         if !positive(units.counts_per_unit.abs()) || !units.offset.is_finite() {
-            wrong("scale", "has to be a finite number other than 0, and so has offset".into());
+            wrong("scale", "must be a finite number other than 0, and offset must be finite".into());
         }
         if units.modulo.is_some_and(|turn| !positive(turn)) {
-            wrong("modulo", "has to be above 0: the length of one turn".into());
+            wrong("modulo", "must be above 0: the length of one turn".into());
         }
         if let Some((low, high)) = self.limits.position {
             // NaN is not a limit either.
@@ -159,7 +159,7 @@ impl AxisPlan {
         ];
         for (key, limit) in most {
             if limit.is_some_and(|limit| !positive(limit)) {
-                wrong(key, "has to be above 0; leave it out for no limit".into());
+                wrong(key, "must be above 0; leave it out for no limit".into());
             }
         }
         let profile = [
@@ -169,9 +169,9 @@ impl AxisPlan {
         ];
         for (key, value, limit, most) in profile {
             match most {
-                _ if !positive(value) => wrong(key, "has to be above 0".into()),
+                _ if !positive(value) => wrong(key, "must be above 0".into()),
                 Some(most) if value > most => {
-                    wrong(key, format!("is over limits.{limit} = {most}; lower it or raise the limit"));
+                    wrong(key, format!("exceeds limits.{limit} = {most}; lower it or raise the limit"));
                 }
                 _ => {}
             }
@@ -202,7 +202,7 @@ impl AxisPlan {
             ("event_queue", self.event_queue),
         ] {
             if room == 0 {
-                faults.push(PlanFault::new(key, "must have room for one entry at least"));
+                faults.push(PlanFault::new(key, "must have room for at least one entry"));
             }
         }
     }
@@ -211,10 +211,10 @@ impl AxisPlan {
     fn check_stop(&self, faults: &mut Vec<PlanFault>) {
         let (stop, unit) = (&self.stop, self.units.unit);
         if !(stop.deceleration > 0.0 && stop.deceleration.is_finite()) {
-            return faults.push(PlanFault::new("stop.deceleration", "has to be above 0"));
+            return faults.push(PlanFault::new("stop.deceleration", "must be above 0"));
         }
         if !(stop.standstill > 0.0 && stop.standstill.is_finite()) {
-            faults.push(PlanFault::new("stop.standstill", "has to be above 0"));
+            faults.push(PlanFault::new("stop.standstill", "must be above 0"));
         }
         let velocity = self.limits.velocity.unwrap_or(self.profile.velocity);
         let needed = velocity / stop.deceleration;
@@ -223,7 +223,8 @@ impl AxisPlan {
             faults.push(PlanFault::new(
                 "stop.timeout",
                 format!(
-                    "the ramp from {velocity} {unit}/s at {} {unit}/s² takes {needed_ns}, longer than {}; allow more, or \
+                    "the ramp from {velocity} {unit}/s at {} {unit}/s² takes {needed_ns}, longer than {}; \
+                     allow more, or \
                      raise stop.deceleration",
                     stop.deceleration,
                     Ns(nanos(stop.timeout)),
@@ -237,10 +238,11 @@ impl AxisPlan {
         let Load::Vertical(held_by) = self.load else { return };
         let mut wrong = |key, message| faults.push(PlanFault::new(key, message));
         if self.stop.how == StopHow::Coast {
-            wrong("stop.how", "would let a vertical load drop; take \"ramp\" or \"quick\"");
+            wrong("stop.how", "would let a vertical load drop; use \"ramp\" or \"quick\"");
         }
         if held_by == HeldBy::Drive {
-            let remedy = "would drop a load that only the drive holds; take \"hold\", or name a brake: held_by = \"brake\"";
+            let remedy = "would drop a load that only the drive holds; use \"hold\", or name a brake: held_by \
+                = \"brake\"";
             if self.stop.then == StopThen::Disable {
                 wrong("stop.then", remedy);
             }

@@ -37,7 +37,7 @@ pub struct Units {
 }
 
 /// A value that the wire cannot carry.
-#[derive(Clone, Copy, Debug, PartialEq, Error)]
+#[derive(Clone, Copy, PartialEq, Error)]
 #[error("{value} {unit} is outside the range of the drive ({low} ... {high}): give a value inside it")]
 pub struct RangeError {
     /// The requested value, in `unit`.
@@ -49,6 +49,7 @@ pub struct RangeError {
     /// The largest value that fits.
     pub high: f64,
 }
+crate::errors::debug_as_display!(RangeError);
 
 impl Units {
     /// Millimetres on a drive that counts so many per millimetre.

@@ -57,6 +57,11 @@ pub trait BusPlan: Debug + Send + Sync {
     /// master dies. One paragraph per drive, in slot order, one sentence per line; the address is the first line.
     fn describe(&self, period_ns: u64) -> Vec<String>;
 
+    /// Drive `index` stops by itself within this time if the master dies, ns: its own watchdog. `None`: it does not.
+    fn drive_watchdog_ns(&self, _index: usize) -> Option<u64> {
+        None
+    }
+
     /// Opens the sockets and builds the bus for a cycle of `period_ns`. Sends nothing.
     fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError>;
 
@@ -105,7 +110,7 @@ pub trait BusPlan: Debug + Send + Sync {
 }
 
 /// Why a bus could not be opened. The message ends with the remedy.
-#[derive(Debug, Error)]
+#[derive(Error)]
 pub enum OpenError {
     /// A socket could not be opened.
     #[error("bus {bus}: cannot bind {address}: {source}; {remedy}")]
@@ -142,7 +147,7 @@ pub enum OpenError {
         remedy: &'static str,
     },
     /// The plan of a drive contradicts itself.
-    #[error("bus {bus}, drive {drive}: its cyclic parameters cannot be exchanged; `check` says why")]
+    #[error("bus {bus}, drive {drive}: its cyclic parameters cannot be exchanged; `check` shows why")]
     Plan {
         /// The bus.
         bus: String,
@@ -150,6 +155,7 @@ pub enum OpenError {
         drive: String,
     },
 }
+crate::errors::debug_as_display!(OpenError);
 
 /// One open bus on the real-time thread. `slots` are those of its own drives, in the order of its plan.
 pub trait Bus: Send {

@@ -13,10 +13,10 @@ use super::{Stop, print};
 pub struct BlackBox {
     /// A file that the master wrote at a fault, a lost drive, another stop, or SIGUSR1.
     file: PathBuf,
-    /// So many cycles before the failure are shown as a table, and a quarter of it after it.
+    /// Show this many cycles before the failure as a table, and a quarter as many after it.
     #[arg(long, value_name = "N", default_value_t = 20)]
     cycles: u64,
-    /// Print the header, what happened and the tables of the drives as one JSON object.
+    /// Print header, events and the tables of the drives as one JSON object.
     #[arg(long)]
     json: bool,
 }

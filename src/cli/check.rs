@@ -1,31 +1,54 @@
-//! `fieldbeat check`: the plan in words.
+//! `fieldbeat check`: the plan in words, or as JSON.
 
 use std::path::PathBuf;
 
 use clap::Args;
+use fieldbeat::config::{self, ConfigError};
 use fieldbeat::rt::host::rt_throttling;
+use serde_json::json;
 
-use super::{Stop, load, print};
+use super::{Stop, print};
 
 /// Arguments of `check`.
 #[derive(Debug, Args)]
 pub struct Check {
     /// The configuration.
     config: PathBuf,
+    /// Print one JSON object: the plan, or with mistakes only `errors`.
+    ///
+    /// Keys of a plan: `source`, `cycle`, `buses`, `drives` (each with `name`, `protocol`, `address`,
+    /// `stop_bound_cycles`, `stop_bound_ns`, `drive_watchdog_ns`, `if_master_dies` and more), `groups`, and `errors`,
+    /// empty unless this host cannot carry the plan. Each error has `file`, `line`, `key`, `value` and `message`. With
+    /// errors the exit code is 2.
+    #[arg(long)]
+    json: bool,
 }
 
 impl Check {
     /// Runs it.
     pub fn run(self) -> Result<(), Stop> {
-        let plan = load(&self.config)?;
-        for line in fieldbeat::config::describe(&plan) {
-            print(line)?;
-        }
+        let plan = match config::load(&self.config) {
+            Ok(plan) => plan,
+            Err(errors) => {
+                if self.json {
+                    print(json!({ "errors": errors.iter().collect::<Vec<_>>() }))?;
+                }
+                return Err(Stop::usage(errors));
+            }
+        };
         // What cannot work on this host is refused here too, with the plan above it.
         let throttling = rt_throttling();
-        match throttling.and_then(|throttling| fieldbeat::config::starvation(&plan.cycle, &throttling)) {
-            Some(why) => Err(Stop::usage(why)),
-            None => Ok(()),
+        let starving = throttling.and_then(|throttling| config::starvation(&plan.cycle, &throttling));
+        if self.json {
+            let file = self.config.display().to_string();
+            let of_host = |message| ConfigError { file, line: None, key: None, value: None, message };
+            let errors: Vec<ConfigError> = starving.clone().map(of_host).into_iter().collect();
+            print(config::json(&plan, &errors))?;
+        } else {
+            for line in config::describe(&plan) {
+                print(line)?;
+            }
         }
+        starving.map_or(Ok(()), |why| Err(Stop::usage(why)))
     }
 }

@@ -41,8 +41,12 @@ const RENEW_EVERY: Duration = Duration::from_millis(100);
 
 /// The wave ends so long before the show: the axes stop, make one move and are powered off.
 const CLOSING: Duration = Duration::from_secs(2);
-/// The end of the closing moves is not waited for beyond this much of the closing time.
+/// Whatever goes on then is stopped so long before the end: all axes ramp down and are powered off.
 const RAMP: Duration = Duration::from_millis(250);
+
+/// Without `--for`: the drives are waited for so long, on a very busy computer, and the show takes so long.
+const PATIENCE: Duration = Duration::from_secs(60);
+const SHOW: Duration = Duration::from_secs(10);
 
 /// Periods to choose from. In the last one LinMots take no streams.
 const PERIODS_NS: [u64; 5] = [MS, 2 * MS, 4 * MS, 8 * MS, 16 * MS];
@@ -50,9 +54,9 @@ const PERIODS_NS: [u64; 5] = [MS, 2 * MS, 4 * MS, 8 * MS, 16 * MS];
 /// Arguments of `demo`.
 #[derive(Debug, Args)]
 pub struct Demo {
-    /// Length of the whole demo, the wait for the drives included.
-    #[arg(long = "for", value_name = "TIME", value_parser = span, default_value = "15s")]
-    duration: Duration,
+    /// Length of the whole demo, the wait for the drives included; without it, 10 s from then on.
+    #[arg(long = "for", value_name = "TIME", value_parser = span)]
+    duration: Option<Duration>,
     /// How many LinMot drives, next to two Unidrives and two Kollmorgens.
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u16).range(1..=128))]
     drives: u16,
@@ -77,7 +81,7 @@ struct Show {
 impl Demo {
     /// Runs it.
     pub fn run(self) -> Result<(), Stop> {
-        let end = Instant::now() + self.duration;
+        let begun = Instant::now();
         let interrupt = Interrupt::catch().map_err(Stop::failed)?;
         let output = self.output.prepare()?;
         let period_ns = period_ns(self.period)?;
@@ -96,8 +100,14 @@ impl Demo {
         let axes = movers.iter().chain(&turners).map(|name| master.axis(name));
         let axes = axes.collect::<Result<_, _>>().map_err(Stop::failed)?;
         let attendant = Attendant::new(&master, &interrupt);
+        let end = begun + self.duration.unwrap_or(PATIENCE);
         let mut show = Show { master, axes, movers: movers.len(), end, attendant };
-        let result = show.play();
+        let result = show.wait_online().and_then(|()| {
+            if self.duration.is_none() {
+                show.end = Instant::now() + SHOW;
+            }
+            show.play()
+        });
         show.attendant.end(&show.master);
         let (summary, told) = output.finish(show.master);
         server.stop();
@@ -222,7 +232,7 @@ enum Error {
     Axis(#[from] AxisError),
     #[error(transparent)]
     Master(#[from] MasterError),
-    #[error("{0}; --for gives them more time")]
+    #[error("{0}; --for 60s gives them more time")]
     NotOnline(MasterError),
     /// The time for the show has passed. No failure: what goes on is stopped in order.
     #[error("the time of --for has passed")]
@@ -231,7 +241,6 @@ enum Error {
 
 impl Show {
     fn play(&mut self) -> Result<(), Error> {
-        self.wait_online()?;
         let (all, movers, turners) = (0..self.axes.len(), 0..self.movers, self.movers..self.axes.len());
         self.together("enable", &all, |_| Verb::Enable)?;
         self.together("home", &movers, |_| Verb::Home)?;
@@ -302,15 +311,11 @@ impl Show {
         Ok(())
     }
 
-    /// The travelling wave, streamed row by row, a quarter of a second deep; and meanwhile there and back. Left out
-    /// where it has no time to grow and die away.
+    /// The travelling wave, streamed row by row, a quarter of a second deep; and meanwhile there and back.
     fn wave(&mut self) -> Result<(), Error> {
         let length_s = self.left().as_secs_f64();
-        if length_s < 2.0 * FADE_S {
-            return Ok(());
-        }
         let period_ns = self.master.plan().cycle.period_ns;
-        if period_ns > DEMO_STREAMS_UP_TO_NS {
+        if length_s < 2.0 * FADE_S || period_ns > DEMO_STREAMS_UP_TO_NS {
             return self.swing();
         }
         let period_s = period_ns as f64 / S as f64;
@@ -345,7 +350,7 @@ impl Show {
         self.wait_all("wave", &(0..self.movers), &ids)
     }
 
-    /// Where the period is too long for streams: moves there and back, until it is time to close.
+    /// Where the period is too long for streams, or the time too short: moves there and back, until it is time to close.
     fn swing(&mut self) -> Result<(), Error> {
         let mut turning = Turning::default();
         while !self.left().is_zero() {

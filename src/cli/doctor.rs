@@ -1,4 +1,4 @@
-//! `fieldbeat doctor`: what this host is worth for real time, and how to mend it.
+//! `fieldbeat doctor`: how well this host suits real time, and how to fix it.
 
 use std::io::{IsTerminal, Write};
 use std::path::PathBuf;
@@ -14,7 +14,7 @@ use super::{Stop, complain, load, print, span};
 /// Arguments of `doctor`.
 #[derive(Debug, Args)]
 pub struct Doctor {
-    /// The machine that this host shall carry; without it, a cycle alone.
+    /// The configuration of the machine; without it, only a cycle is examined.
     config: Option<PathBuf>,
     /// Period of the cycle.
     #[arg(long, value_name = "TIME", value_parser = period, conflicts_with = "config", default_value = "1ms")]
@@ -23,15 +23,16 @@ pub struct Doctor {
     #[arg(short = 'a', long, conflicts_with = "config", value_parser = clap::value_parser!(u16).range(..1024))]
     core: Option<u16>,
     /// SCHED_FIFO priority of the loop.
-    #[arg(short, long, conflicts_with = "config", value_parser = clap::value_parser!(u8).range(1..=99), default_value = "80")]
+    #[arg(short, long, conflicts_with = "config", default_value = "80")]
+    #[arg(value_parser = clap::value_parser!(u8).range(1..=99))]
     priority: u8,
-    /// Try what can be tried at run time, and judge the period by what was measured.
+    /// Measure as well, and judge the period by the result.
     #[arg(long)]
     measure: bool,
-    /// Measure for about so long.
+    /// Duration of the measurement, approximately.
     #[arg(long = "for", value_name = "TIME", value_parser = effort, requires = "measure", default_value = "50s")]
     duration: Duration,
-    /// The share of late cycles that the machine bears; a minute cannot tell less than a few in ten thousand.
+    /// The share of late cycles that the machine tolerates; one minute cannot show less than a few in ten thousand.
     #[arg(long, value_name = "SHARE", value_parser = miss_rate, requires = "measure", default_value = "0.001")]
     miss_rate: f64,
     /// Print the report as one JSON object.

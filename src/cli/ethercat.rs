@@ -1,4 +1,4 @@
-//! `fieldbeat ethercat`: what is on an EtherCAT line.
+//! `fieldbeat ethercat`: the slaves of an EtherCAT segment.
 
 use std::fmt::Write;
 use std::io;
@@ -24,7 +24,7 @@ pub struct Ethercat {
 
 #[derive(Debug, Subcommand)]
 enum What {
-    /// The slaves of a line, with their states and what they say of themselves; changes nothing.
+    /// Lists the slaves of a segment with their states and the content of their SII; changes nothing.
     Scan(Scan),
 }
 
@@ -32,7 +32,7 @@ enum What {
 struct Scan {
     /// The network interface, for example eth1.
     interface: String,
-    /// Read the SII of slaves in SAFEOP and OP, too, and of those whose processor owns it.
+    /// Also read the SII of slaves in SAFEOP and OP, and of those whose processor owns it.
     #[arg(long)]
     sii: bool,
     /// Print JSON.
@@ -92,7 +92,7 @@ fn failed(interface: &str, error: ScanError) -> Stop {
             format!("{interface}: no cable, or nothing with power at its other end; plug it in")
         }
         ScanError::Unsent(Unsent::Down) if interface.starts_with("local:") => {
-            format!("{interface}: nobody serves this line; start it: fieldbeat sim CONFIG")
+            format!("{interface}: nothing serves this segment; start it: fieldbeat sim CONFIG")
         }
         ScanError::Unsent(Unsent::Down) => {
             format!("{interface}: the interface is down; set it up: sudo ip link set {interface} up")
@@ -209,11 +209,11 @@ fn notes(slave: &Slave) -> Vec<String> {
     match &slave.sii {
         Ok(sii) => {
             if !sii.sound {
-                notes.push("its SII is blank or damaged: the check is wrong".to_owned());
+                notes.push("its SII is blank or damaged: the checksum is wrong".to_owned());
             }
             let (outputs, inputs) = sii.process_data();
             if (outputs, inputs) != (0, 0) && (outputs, inputs) != slave.process_data() {
-                notes.push(format!("as delivered {outputs} bytes of outputs, {inputs} of inputs"));
+                notes.push(format!("by default {outputs} bytes of outputs, {inputs} of inputs"));
             }
         }
         Err(Unread::InUse) => notes.push("SII not read in this state; --sii reads it".to_owned()),
@@ -229,7 +229,7 @@ fn counted(errors: &Errors) -> Vec<String> {
     let ports = [
         (errors.invalid, "invalid frames"),
         (errors.physical, "physical errors"),
-        (errors.forwarded, "errors from before"),
+        (errors.forwarded, "forwarded errors"),
         (errors.lost_links, "lost links"),
     ];
     let by_port = ports.into_iter().flat_map(|(counts, what)| {

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
 use fieldbeat::bus::linudp::curve::Curve;
-use fieldbeat::bus::linudp::service::{CurvePut, Part, Saved, Services};
+use fieldbeat::bus::linudp::service::{CurvePut, LoggedError, Part, Saved, Services};
 use fieldbeat::config::{ConfigErrors, linmot_curve, linmot_table};
 use fieldbeat::telemetry::file::save;
 use serde_json::{Value, json};
@@ -30,9 +30,9 @@ enum What {
     /// The command table, as a TOML file.
     #[command(subcommand)]
     Table(TableDoes),
-    /// The error log, with the drive's own texts.
+    /// Prints the error log, with the drive's own texts.
     Errors(Shown),
-    /// Restarts the drive: what is in RAM only is lost, and it has to be homed again.
+    /// Restarts the drive: settings that are only in RAM are lost, and it has to be homed again.
     Restart(Drive),
     /// Stops or starts motion control and application software.
     #[command(subcommand)]
@@ -41,13 +41,13 @@ enum What {
     Command(motion::Command),
     /// Lists the motion commands, with their fields and units.
     Commands(motion::Commands),
-    /// Resets a part of the parameters in flash to their defaults; they hold after a restart.
+    /// Resets a part of the parameters in flash to their defaults, which take effect after a restart.
     Defaults(Defaults),
 }
 
 #[derive(Debug, Subcommand)]
 enum CurveDoes {
-    /// The numbers of the curves that the drive has.
+    /// Lists the numbers of the curves in the drive.
     List(Shown),
     /// Reads a curve into a new file.
     Get(CurveGet),
@@ -61,11 +61,11 @@ enum CurveDoes {
 
 #[derive(Debug, Subcommand)]
 enum TableDoes {
-    /// The entries that the drive has.
+    /// Lists the entries in the drive.
     List(Shown),
     /// Reads the whole command table into a new file.
     Get(Get),
-    /// Makes the drive's table in RAM that of a file, and reads it back.
+    /// Writes the table of a file to the drive's RAM, and reads it back.
     Put(Put),
     /// Deletes all entries in the drive's RAM.
     Delete(Delete),
@@ -75,9 +75,9 @@ enum TableDoes {
 
 #[derive(Debug, Subcommand)]
 enum SoftwareDoes {
-    /// Its status is 0 from then on, and flash can be written.
+    /// Stops both: the status word is 0 from then on, and flash can be written.
     Stop(Drive),
-    /// The drive has to be homed again.
+    /// Starts both; the drive has to be homed again.
     Start(Drive),
 }
 
@@ -116,10 +116,10 @@ struct Put {
     drive: Drive,
     /// The file to read.
     file: PathBuf,
-    /// Save it to flash, too: the drive is silent meanwhile, for minutes perhaps, and has to be homed again.
+    /// Also save it to flash: the drive may be silent for minutes, and has to be homed again.
     #[arg(long)]
     save: bool,
-    /// Write although the drive is switched on, and may be running what is written.
+    /// Write even if the drive is switched on and may be using what is written.
     #[arg(long, conflicts_with = "save")]
     live: bool,
 }
@@ -128,7 +128,7 @@ struct Put {
 struct Delete {
     #[command(flatten)]
     drive: Drive,
-    /// Delete although the drive is switched on, and may be running what is deleted.
+    /// Delete even if the drive is switched on and may be using what is deleted.
     #[arg(long)]
     live: bool,
 }
@@ -171,7 +171,7 @@ impl LinMot {
             }),
             What::Defaults(defaults) => with(&defaults.drive, &interrupt, |services| {
                 services.reset_to_default(defaults.part).map_err(Stop::failed)?;
-                done(services, "the defaults hold after a restart; home it")
+                done(services, "the defaults take effect after a restart; home it")
             }),
         }
     }
@@ -210,7 +210,7 @@ impl CurveDoes {
             CurveDoes::Delete(Delete { drive, live }) => with(&drive, interrupt, |services| {
                 allow(services, live, "deleting its curves")?;
                 services.delete_curves().map_err(Stop::failed)?;
-                done(services, "has no curves in RAM; those in flash come back with a restart")
+                done(services, "has no curves in RAM; a restart loads those in flash again")
             }),
             CurveDoes::Save(drive) => with(&drive, interrupt, save_curves),
         }
@@ -244,7 +244,7 @@ impl TableDoes {
             TableDoes::Delete(Delete { drive, live }) => with(&drive, interrupt, |services| {
                 allow(services, live, "deleting its command table")?;
                 services.delete_table().map_err(Stop::failed)?;
-                done(services, "has no entries in RAM; those in flash come back with a restart")
+                done(services, "has no entries in RAM; a restart loads those in flash again")
             }),
             TableDoes::Save(drive) => with(&drive, interrupt, save_table),
         }
@@ -294,8 +294,9 @@ fn put_curve(services: &Services<'_>, curve: &Curve, put: &Put, interrupt: &Inte
     allow(services, put.live, "writing a curve")?;
     if services.plan_curve(curve).map_err(Stop::failed)? == CurvePut::Rebuild {
         complain(&format!(
-            "drive {} has a curve {} of another size, and can only delete all curves at once: the others are read first and written again. \
-             If this computer dies meanwhile, restart the drive: it comes up with the curves that its flash holds, and what was not saved is lost",
+            "drive {} has a curve {} of another size, and can only delete all curves at once: the others are \
+             read first and written again afterwards. If this computer fails meanwhile, restart the drive: it \
+             loads the curves in its flash, and curves that were not saved are lost",
             services.drive(),
             curve.id
         ));
@@ -323,7 +324,7 @@ fn kept(saved: Saved, what: &str) -> String {
         Saved::Acknowledged => format!("{what}; home it"),
         Saved::Silently => {
             format!(
-                "{what} as far as can be told: it went silent and came back without a word; restart it and look"
+                "{what} as far as can be seen: it fell silent and came back without an error code; restart it and check"
             )
         }
     }
@@ -333,7 +334,7 @@ fn kept(saved: Saved, what: &str) -> String {
 fn announce_save(services: &Services<'_>) -> Result<(), Stop> {
     services.require_off("saving to flash").map_err(Stop::failed)?;
     complain(&format!(
-        "drive {} saves to flash: it may be silent for minutes; leave its power on, this cannot be broken off",
+        "drive {} saves to flash: it may be silent for minutes; leave its power on, the save cannot be interrupted",
         services.drive()
     ));
     Ok(())
@@ -342,7 +343,7 @@ fn announce_save(services: &Services<'_>) -> Result<(), Stop> {
 fn errors(services: &Services<'_>, as_json: bool) -> Result<(), Stop> {
     let log = services.error_log().map_err(Stop::failed)?;
     if as_json {
-        let entry = |entry: &fieldbeat::bus::linudp::service::LoggedError| json!({ "code": entry.code, "text": entry.text, "hours": entry.hours, "ms": entry.ms });
+        let entry = |entry: &LoggedError| json!({ "code": entry.code, "text": entry.text, "hours": entry.hours, "ms": entry.ms });
         let entries: Vec<Value> = log.entries.iter().map(entry).collect();
         return print(json!({ "logged": log.logged, "occurred": log.occurred, "entries": entries }));
     }

@@ -11,6 +11,8 @@ mod ethercat;
 mod interrupt;
 mod linmot;
 mod live;
+mod manual;
+mod masters;
 mod meter;
 mod motion;
 mod output;
@@ -46,21 +48,25 @@ enum Command {
     Sim(sim::Sim),
     /// The master of CONFIG: brings the drives online and exchanges with them every cycle.
     Run(run::Run),
-    /// The plan of CONFIG in words; refuses what cannot work, with the reason.
+    /// The plan of CONFIG in words or as JSON; refuses what cannot work, with the reason.
     Check(check::Check),
-    /// A running master: what it measured so far.
+    /// The state of a running master, and what it measured so far.
     Status(status::Status),
-    /// Parameters of a drive: beside a running master through it, else by a master of its own that moves nothing.
+    /// Parameters of a drive: through its running master, or else by a master of its own that moves nothing.
     Param(param::Param),
     /// Curves, command table, error log and software of a LinMot drive.
     #[command(name = "linmot")]
     LinMot(linmot::LinMot),
-    /// What is on an EtherCAT line.
+    /// The slaves of an EtherCAT segment.
     Ethercat(ethercat::Ethercat),
     /// What led up to a failure, from the file that the master's black box wrote.
     Blackbox(blackbox::BlackBox),
-    /// What this host is worth for real time, and how to mend it; changes nothing.
+    /// How well this host suits real time, and how to fix it; changes nothing.
     Doctor(doctor::Doctor),
+    /// The script that completes the arguments of this program in a shell.
+    Completions(manual::Completions),
+    /// The manual page of this program.
+    Man(manual::Manual),
 }
 
 /// Why a command ended otherwise than well: what to print, and the exit code.
@@ -95,6 +101,8 @@ pub fn main() -> ExitCode {
         Command::Ethercat(ethercat) => ethercat.run(),
         Command::Blackbox(blackbox) => blackbox.run(),
         Command::Doctor(doctor) => doctor.run(),
+        Command::Completions(completions) => completions.run(),
+        Command::Man(manual) => manual.run(),
     });
     match result {
         Ok(()) => ExitCode::SUCCESS,

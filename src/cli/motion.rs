@@ -23,13 +23,13 @@ pub struct Command {
     drive: Drive,
     /// Its name, as `linmot commands` lists it, or its number as 0x010.
     command: String,
-    /// Its fields in their units, as position=12.5; of a number its words, as words=0x1,0x2.
+    /// Its fields in their units, as position=12.5; for a number its words, as words=0x1,0x2.
     #[arg(value_name = "FIELD=VALUE")]
     fields: Vec<String>,
     /// Acknowledge a fault of the drive first.
     #[arg(long)]
     reset: bool,
-    /// Home the drive first, unless it is.
+    /// Home the drive first, unless it is homed.
     #[arg(long)]
     home: bool,
 }
@@ -37,7 +37,7 @@ pub struct Command {
 /// Arguments of `linmot commands`.
 #[derive(Debug, Args)]
 pub struct Commands {
-    /// Only those with this in their name.
+    /// List only the commands with this in their names.
     part: Option<String>,
 }
 
@@ -84,7 +84,7 @@ impl Command {
         let master = run::start(Master::from_plan(plan), interrupt)?;
         let mut axis = master.axis(&name).map_err(Stop::failed)?;
         let Some(mut native) = axis.native::<Native>() else {
-            return Err(Stop::usage(format!("drive {name} is no LinMot drive")));
+            return Err(Stop::usage(format!("drive {name} is not a LinMot drive")));
         };
         await_idle(&master, &axis, interrupt)?;
         let done = self.execute(&master, &mut axis, &mut native, command, interrupt);
@@ -187,7 +187,7 @@ fn await_idle(master: &Master, axis: &Axis, interrupt: &Interrupt) -> Result<(),
     let found = axis.feedback();
     if found.state.is_powered() || found.moving {
         return Err(Stop::failed(format!(
-            "drive {} is switched on ({}): somebody else moves it, and is left alone",
+            "drive {} is switched on ({}): another master moves it; end that first",
             axis.name(),
             found.state
         )));
@@ -248,14 +248,14 @@ fn parse(name: &str, fields: &[String]) -> Result<MotionCommand, String> {
         .collect::<Result<_, _>>()?;
     if let Some(digits) = name.strip_prefix("0x") {
         let id = u16::from_str_radix(digits, 16).ok().filter(|id| *id <= 0xFFF);
-        let id = id.ok_or_else(|| format!("{name}: no number of a command, 0x000 ... 0xFFF"))?;
+        let id = id.ok_or_else(|| format!("{name}: not the number of a command, 0x000 ... 0xFFF"))?;
         return raw(id, &pairs).and_then(allowed);
     }
     let Some(info) = CommandInfo::named(name) else {
-        return Err(format!("{name}: no motion command; `fieldbeat linmot commands` lists them"));
+        return Err(format!("{name}: not a motion command; `fieldbeat linmot commands` lists them"));
     };
     if info.is(Mark::TableOnly) {
-        return Err(format!("{name} does something in the command table only; put it into an entry"));
+        return Err(format!("{name} works in the command table only; put it into an entry"));
     }
     let mut values = Vec::new();
     for field in info.fields {
@@ -300,7 +300,7 @@ fn raw(id: u16, pairs: &[(&str, &str)]) -> Result<MotionCommand, String> {
             Some(digits) => u16::from_str_radix(digits, 16).ok(),
             None => word.parse().ok(),
         };
-        let value = value.ok_or_else(|| format!("{word}: no word of 16 bits"))?;
+        let value = value.ok_or_else(|| format!("{word}: not a word of 16 bits"))?;
         let place = room.next().ok_or("a command has 15 words at most")?;
         place.copy_from_slice(&value.to_le_bytes());
     }

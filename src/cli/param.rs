@@ -12,6 +12,7 @@ use fieldbeat::cycle::Plan;
 use serde_json::json;
 
 use super::interrupt::Interrupt;
+use super::masters::Wanted;
 use super::reach::{self, Reach};
 use super::{Stop, print};
 use list::List;
@@ -36,17 +37,21 @@ enum What {
 /// Which drive.
 #[derive(Debug, Args)]
 pub struct Drive {
-    /// The configuration of its machine.
+    /// The configuration of the machine.
     config: PathBuf,
     /// The name of the drive.
     drive: String,
+    /// The process id of its master, where several of this configuration run.
+    #[arg(long, value_name = "PID")]
+    pid: Option<u32>,
 }
 
 impl Drive {
     /// Its plan without the other drives, for a master of its own that moves it; refused beside one that runs.
     pub fn alone(&self) -> Result<(Plan, String), Stop> {
         let (plan, _) = reach::find(&self.config, &self.drive)?;
-        if reach::running(&self.config, &self.drive)?.is_some() {
+        let wanted = Wanted { config: Some(&self.config), pid: self.pid };
+        if reach::running(wanted, &self.drive)?.is_some() {
             let why = "a master runs, and it alone moves its drives: end it first";
             return Err(Stop::failed(format!("drive {}: {why}", self.drive)));
         }
@@ -64,7 +69,7 @@ impl Drive {
 
     /// The way to it.
     pub fn reach(&self, interrupt: &Interrupt) -> Result<Reach, Stop> {
-        Reach::open(&self.config, &self.drive, |_| Ok(()), interrupt)
+        Reach::open(&self.config, &self.drive, self.pid, |_| Ok(()), interrupt)
     }
 
     /// The same to read or write `address`, once `check` has nothing against it.
@@ -81,7 +86,7 @@ impl Drive {
                 failed(ParameterError::Notation { drive, access, address, error })
             })
         };
-        Reach::open(&self.config, &self.drive, check, interrupt)
+        Reach::open(&self.config, &self.drive, self.pid, check, interrupt)
     }
 }
 
@@ -89,8 +94,8 @@ impl Drive {
 struct Get {
     #[command(flatten)]
     drive: Drive,
-    /// As the drive's manual writes it: 0x20A8, 0x20A8.rom, .min, .max, .default of a LinMot, 06.042 of a Unidrive,
-    /// 0x6041:0 (with a type 0x6041:0.u16, all subindices 0x1C12:ca) of a drive on EtherCAT, or a name.
+    /// The address as the drive's manual writes it: 0x20A8, 0x20A8.rom, .min, .max, .default of a LinMot, 06.042 of a
+    /// Unidrive, 0x6041:0 (with a type 0x6041:0.u16, all subindices 0x1C12:ca) of a drive on EtherCAT, or a name.
     address: String,
     /// Print one JSON object.
     #[arg(long)]
@@ -101,10 +106,10 @@ struct Get {
 struct Set {
     #[command(flatten)]
     drive: Drive,
-    /// As the drive's manual writes it: 0x20A8 (RAM), 0x20A8.rom, 0x20A8.both of a LinMot, 06.042 of a Unidrive,
-    /// 0x6060:0 (with a type 0x6060:0.i8) of a drive on EtherCAT, or a name.
+    /// The address as the drive's manual writes it: 0x20A8 (RAM), 0x20A8.rom, 0x20A8.both of a LinMot, 06.042 of a
+    /// Unidrive, 0x6060:0 (with a type 0x6060:0.i8) of a drive on EtherCAT, or a name.
     address: String,
-    /// A whole number, or its bits as 0x....; with a point, 1500.0, a scaled one of a Unidrive.
+    /// A whole number, or its bits as 0x....; for a Unidrive also a scaled value with a point, 1500.0.
     #[arg(allow_negative_numbers = true)]
     value: String,
     /// Print one JSON object.

@@ -7,11 +7,12 @@ use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 use fieldbeat::axis::acyclic::{Acyclic, Carrier, Notation};
-use fieldbeat::control::{AskError, Remote, place};
+use fieldbeat::control::{AskError, Remote};
 use fieldbeat::cycle::Plan;
 use fieldbeat::master::Master;
 
 use super::interrupt::{Interrupt, LOOK_EVERY};
+use super::masters::{Wanted, others};
 use super::{Stop, load};
 
 /// A drive that is there answers sooner.
@@ -37,12 +38,13 @@ impl Reach {
     pub fn open(
         config: &Path,
         drive: &str,
+        pid: Option<u32>,
         check: impl FnOnce(&dyn Notation) -> Result<(), Stop>,
         interrupt: &Interrupt,
     ) -> Result<Reach, Stop> {
         let (plan, notation) = find(config, drive)?;
         check(&*notation)?;
-        let way = match running(config, drive)? {
+        let way = match running(Wanted { config: Some(config), pid }, drive)? {
             Some(remote) => Way::Running(remote),
             None => alone(&plan, drive, interrupt)?,
         };
@@ -90,23 +92,24 @@ pub fn find(config: &Path, drive: &str) -> Result<(Plan, Arc<dyn Notation>), Sto
     Ok((plan, notation))
 }
 
-/// The drive of a master that runs, if one does.
-pub fn running(config: &Path, drive: &str) -> Result<Option<Remote>, Stop> {
-    for path in place::find(Some(config)) {
-        match Remote::open(&path, drive) {
-            Ok(remote) => return Ok(Some(remote)),
-            Err(AskError::Nobody(_) | AskError::Dead(_)) => {}
-            Err(error) => return Err(Stop::failed(error)),
-        }
+/// The drive of the master that is meant, if that runs.
+pub fn running(wanted: Wanted<'_>, drive: &str) -> Result<Option<Remote>, Stop> {
+    let Some(master) = wanted.find()? else {
+        // Who names a process means that one, and no master of its own.
+        return if wanted.pid.is_none() { Ok(None) } else { Err(Stop::failed(wanted.missing())) };
+    };
+    match Remote::open(&master.path, drive) {
+        Ok(remote) => Ok(Some(remote)),
+        Err(AskError::Nobody(_) | AskError::Dead(_)) => Ok(None),
+        Err(error) => Err(Stop::failed(error)),
     }
-    Ok(None)
 }
 
 fn alone(plan: &Plan, drive: &str, interrupt: &Interrupt) -> Result<Way, Stop> {
     if plan.find_device(drive).is_some() {
         // Its outputs would fall with a master of its own.
         return Err(Stop::failed(format!(
-            "{drive} is no drive, and is asked by its running master only; start that with `fieldbeat run`"
+            "{drive} is not a drive: only a running master can access it; start one with `fieldbeat run`"
         )));
     }
     let Some(plan) = plan.reaching(drive) else {
@@ -114,7 +117,11 @@ fn alone(plan: &Plan, drive: &str, interrupt: &Interrupt) -> Result<Way, Stop> {
             "drive {drive} cannot be reached alone; start its master with `fieldbeat run`"
         )));
     };
-    let master = Master::from_plan(plan).start().map_err(Stop::usage)?;
+    let master = Master::from_plan(plan).start().map_err(|error| {
+        // It may be what stands in the way.
+        let others = others();
+        Stop::usage(if others.is_empty() { error.to_string() } else { format!("{error}; {others}") })
+    })?;
     let Some(acyclic) = master.acyclics().iter().find(|acyclic| acyclic.axis() == drive).cloned() else {
         return Err(Stop::failed(format!("drive {drive} has no acyclic access")));
     };

@@ -21,7 +21,7 @@ pub struct Sim {
     /// End after this time; without it, at Ctrl-C.
     #[arg(long = "for", value_name = "TIME", value_parser = span)]
     duration: Option<Duration>,
-    /// The core to serve on; without it, wherever the kernel likes.
+    /// The core for the simulation; without it, the kernel chooses.
     #[arg(long)]
     core: Option<usize>,
 }

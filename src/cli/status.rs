@@ -1,15 +1,16 @@
-//! `fieldbeat status`: a running master, asked through its control socket.
+//! `fieldbeat status`: a running master, through its control socket.
 
 use std::io::{IsTerminal, Write};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 use clap::Args;
-use fieldbeat::control::{AskError, ask, place};
-use serde_json::{Value, json};
+use fieldbeat::control::AskError;
+use serde_json::Value;
 
 use super::interrupt::{Interrupt, LOOK_EVERY};
+use super::masters::{Running, Wanted, question};
 use super::{Stop, print, span};
 
 /// Arguments of `status`.
@@ -17,10 +18,13 @@ use super::{Stop, print, span};
 pub struct Status {
     /// The configuration of the master; without it, the one that runs.
     config: Option<PathBuf>,
-    /// Print one JSON object: what it measured so far under `summary`, with the keys of `run --json`.
+    /// The process id of the master, where several of one configuration run.
+    #[arg(long, value_name = "PID")]
+    pid: Option<u32>,
+    /// Print one JSON object; `summary` has the measurements so far, with the keys of `run --json`.
     #[arg(long)]
     json: bool,
-    /// Ask again and again until Ctrl-C, once in this time (100ms or more).
+    /// Repeat until Ctrl-C, once in this time (100ms or more).
     #[arg(long, value_name = "TIME", value_parser = pause, num_args = 0..=1, default_missing_value = "1s")]
     watch: Option<Duration>,
 }
@@ -33,7 +37,10 @@ impl Status {
                 format!("{}: there is no such file; name the configuration of the master", config.display());
             return Err(Stop::usage(why));
         }
-        let (path, first) = self.choose()?;
+        let wanted = Wanted { config: self.config.as_deref(), pid: self.pid };
+        let Some(Running { path, status: first }) = wanted.find()? else {
+            return Err(Stop::failed(wanted.missing()));
+        };
         let Some(every) = self.watch else { return self.show(&first) };
         let interrupt = Interrupt::catch().map_err(Stop::failed)?;
         self.show(&first)?;
@@ -53,35 +60,6 @@ impl Status {
             }
         }
         Ok(())
-    }
-
-    /// The one master that is meant, and its first answer.
-    fn choose(&self) -> Result<(PathBuf, Value), Stop> {
-        let (mut living, mut refused) = (Vec::new(), Vec::new());
-        for path in place::find(self.config.as_deref()) {
-            match question(&path) {
-                Ok(status) => living.push((path, status)),
-                Err(error) => refused.push(error),
-            }
-        }
-        match (living.len(), refused.pop()) {
-            (1, _) => Ok(living.remove(0)),
-            (0, Some(error)) => Err(Stop::failed(error)),
-            (0, None) => {
-                let of =
-                    self.config.as_ref().map_or(String::new(), |config| format!(" of {}", config.display()));
-                let else_try = match nix::unistd::geteuid().is_root() {
-                    true => "",
-                    false => ", or find that of another user with sudo",
-                };
-                Err(Stop::failed(format!("no master{of} runs; start it with `fieldbeat run`{else_try}")))
-            }
-            _ => {
-                let known: Vec<_> =
-                    living.iter().filter_map(|(_, status)| status["config"].as_str()).collect();
-                Err(Stop::usage(format!("several masters run: name one of {}", known.join(", "))))
-            }
-        }
     }
 
     fn show(&self, status: &Value) -> Result<(), Stop> {
@@ -110,19 +88,13 @@ impl Status {
     }
 }
 
-fn question(path: &Path) -> Result<Value, AskError> {
-    ask(path, &json!({ "ask": "status" }))
-}
-
 /// The fastest that anybody can read.
 const SHORTEST_PAUSE: Duration = Duration::from_millis(100);
 
 fn pause(text: &str) -> Result<Duration, String> {
     let pause = span(text)?;
     if pause < SHORTEST_PAUSE {
-        return Err(
-            "must be 100ms or more: each question takes time from the computer of the master".to_owned()
-        );
+        return Err("must be 100ms or more: each request costs the master's computer time".to_owned());
     }
     Ok(pause)
 }

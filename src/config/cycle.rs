@@ -39,11 +39,19 @@ pub(super) fn cycle(table: &mut Table<'_>) -> CyclePlan {
         heartbeat_ns: table.time(
             "heartbeat",
             period_ns..=3600 * S,
-            "the application may be silent for so long while an axis is enabled; leave it out, and nobody watches",
+            "the longest silence of the application while an axis is enabled; leave it out for no limit",
         ),
-        late_ns: table.time("late", US..=period_ns, "a cycle later than this is counted as late, with its cause"),
+        late_ns: table.time(
+            "late",
+            US..=period_ns,
+            "the lateness above which a cycle is counted as late, with its cause",
+        ),
         black_box_ns: table
-            .time("black_box", 0..=60 * S, "so much of the past is kept for when something fails; 0s keeps none")
+            .time(
+                "black_box",
+                0..=60 * S,
+                "the length of the recording that is kept for a failure; 0s keeps none",
+            )
             .unwrap_or(default.black_box_ns),
         reference: table.text("reference", "the name of a bus, whose clock leads the grid", plain_name),
     }
@@ -58,11 +66,11 @@ pub(super) fn check_reference(root: &Table<'_>, cycle: &CyclePlan, buses: &[Box<
     }
     let what = match buses.iter().find(|bus| bus.name() == reference) {
         Some(bus) => format!("is a bus without a clock ({})", bus.protocol()),
-        None => "is no bus of this machine".to_owned(),
+        None => "is not a bus of this machine".to_owned(),
     };
     let remedy = match clocked.as_slice() {
         [] => "no bus here has a clock, leave it out".to_owned(),
-        names => format!("take {}", alternatives(names.iter().copied())),
+        names => format!("use {}", alternatives(names.iter().copied())),
     };
     root.fault("cycle.reference", format!("{what}; {remedy}"));
 }
@@ -77,13 +85,11 @@ fn guard(table: &mut Table<'_>) -> Option<Guard> {
 
 fn overrun(table: &mut Table<'_>, period_ns: u64) -> Option<Overrun> {
     let skips = table.word("overrun", &[("skip", true), ("stop", false)]);
-    let max_skip = table.count("max_skip", 1..=1_000_000, period_ns, "so many slots in a row may be skipped");
+    let max_skip =
+        table.count("max_skip", 1..=1_000_000, period_ns, "the most slots that may be skipped in a row");
     match (skips, max_skip) {
         (Some(false), Some(_)) => {
-            table.fault(
-                "max_skip",
-                "goes with overrun = \"skip\"; \"stop\" skips nothing, leave max_skip out",
-            );
+            table.fault("max_skip", "needs overrun = \"skip\"; \"stop\" skips nothing, leave max_skip out");
             None
         }
         (Some(false), None) => Some(Overrun::Stop),
@@ -115,23 +121,23 @@ pub(super) fn check_period(root: &Table<'_>, cycle: &CyclePlan, drives: usize) {
     let mut parts = vec![format!("replies until {}", Ns(deadline_ns))];
     let mut key = "cycle.receive_deadline";
     if task_ns > 0 {
-        parts.push(format!("the in-loop task's {}", Ns(task_ns)));
+        parts.push(format!("an in-loop task of {}", Ns(task_ns)));
         key = "cycle.task_budget";
     }
     if guard_ns > 0 {
-        parts.push(format!("the guard's {}", Ns(guard_ns)));
+        parts.push(format!("a guard of {}", Ns(guard_ns)));
         key = "cycle.guard";
     }
     // Whole per cents, downwards, so that the advice itself fits.
     let fitting = cycle.period_ns.saturating_sub(rest) * 100 / cycle.period_ns;
     let remedy = match fitting {
         0..5 => "lengthen the period".to_owned(),
-        share => format!("receive_deadline = {} would fit", share.min(95) as f64 / 100.0),
+        share => format!("receive_deadline = {} fits", share.min(95) as f64 / 100.0),
     };
     root.fault(
         key,
         format!(
-            "{} and {} to prepare {drives} drive{} are more than the period of {}; {remedy}",
+            "{} and {} to prepare {drives} drive{} exceed the period of {}; {remedy}",
             parts.join(", "),
             Ns(preparation_ns),
             if drives == 1 { "" } else { "s" },
@@ -162,7 +168,7 @@ pub fn starvation(cycle: &CyclePlan, host: &Throttling) -> Option<String> {
     (busy_ns > cycle.period_ns / 2).then(|| {
         format!(
             "cycle: guard ({}) and spinning receive ({}) would hold the core for {} of every {}, and this kernel takes \
-             it away from real-time threads after {} of every {}; take wait = \"poll\" or a shorter guard, or on a core \
+             it away from real-time threads after {} of every {}; use wait = \"poll\" or a shorter guard, or on a core \
              of its own: sysctl kernel.sched_rt_runtime_us=-1",
             Ns(guard_ns),
             Ns(receive_ns),

@@ -46,7 +46,8 @@ pub fn describe(plan: &Plan) -> Vec<String> {
         let members = axes.iter().filter(|axis| group.axes.contains(&axis.name));
         let bucket = members.map(|axis| axis.health.bucket).min().unwrap_or(0);
         lines.push(format!(
-            "group {}: {} act in the same cycle, all or none; {bucket} rounds in which any of them missed an exchange stop them in motion",
+            "group {}: {} act in the same cycle, all or none; {bucket} rounds with a missed exchange of any \
+             of them stop the group in motion",
             group.name,
             group.axes.join(", "),
         ));
@@ -103,10 +104,10 @@ fn cycle(cycle: &CyclePlan) -> Vec<String> {
         lines.push(format!("  the in-loop task has {} a cycle, more stops all axes", Ns(budget)));
     }
     if let Some(limit) = cycle.heartbeat_ns {
-        lines.push(format!("  an application that is silent for {} stops all enabled axes", Ns(limit)));
+        lines.push(format!("  a silence of the application of {} stops all enabled axes", Ns(limit)));
     }
     lines.push(format!(
-        "  a cycle that is late by more than {} is counted, with its cause",
+        "  a cycle that is late by more than {} is counted with its cause",
         Ns(cycle.late_ns())
     ));
     lines
@@ -125,7 +126,8 @@ fn black_box(plan: &Plan) -> String {
     match plan.black_box_records() {
         0 => "no black box".to_owned(),
         records => format!(
-            "the black box holds the last {} in {:.1} MB, written to a file at a fault, a lost drive, another stop, and SIGUSR1",
+            "the black box holds the last {} in {:.1} MB, written to a file at a fault, a lost drive, another \
+             stop, and SIGUSR1",
             Ns(plan.cycle.black_box_ns),
             (records * size_of::<Record>()) as f64 / 1e6
         ),
@@ -210,6 +212,13 @@ pub fn stop_bound_cycles(axis: &AxisPlan, all: &[&AxisPlan]) -> u64 {
     bound(&Paced { axis, owed: None }, &all)
 }
 
+/// The names of the drives that stop when that of slot `index` does, itself included.
+pub(super) fn stopping_with(plan: &Plan, index: usize) -> Vec<String> {
+    let all = paced(plan);
+    let with = all.get(index).into_iter().flat_map(|drive| group(drive, &all));
+    with.map(|one| one.axis.name.clone()).collect()
+}
+
 fn bound(drive: &Paced<'_>, all: &[Paced<'_>]) -> u64 {
     let Paced { axis, owed } = drive;
     let others = group(drive, all).filter(|one| one.axis.name != axis.name);
@@ -227,8 +236,8 @@ fn link(drive: &Paced<'_>, all: &[Paced<'_>], period_ns: u64) -> String {
     };
     let taken = if drive.owed.is_some() { ", if it still answers" } else { "" };
     format!(
-        "link up after {} good exchanges in a row, lost after {} misses in a row: the stop request is on the wire within \
-         {cycles} cycles ({}) of the last good one{taken}{together}",
+        "link up after {} good exchanges in a row, lost after {} misses in a row: the stop request is on the \
+         wire within {cycles} cycles ({}) of the last good one{taken}{together}",
         health.gate,
         health.bucket,
         Ns(cycles.saturating_mul(period_ns)),
@@ -264,7 +273,8 @@ fn load(axis: &AxisPlan) -> Option<String> {
         HeldBy::Brake => {
             let late = if axis.stop.on_timeout == StopTimeout::Disable { ", or by the time-out" } else { "" };
             format!(
-                "vertical load: power goes off at standstill{late}; set the drive to close its brake before it lets go"
+                "vertical load: power goes off at standstill{late}; set the drive to close its brake before \
+                 its power stage goes off"
             )
         }
         HeldBy::Drive => {

@@ -25,17 +25,16 @@ pub(super) struct Counts {
 
 /// Reads the common keys of a drive that counts `counts`.
 pub(super) fn axis(table: &mut Table<'_>, machine: &mut Machine, counts: Counts) -> AxisPlan {
-    let name =
-        name(table, machine, "drive", "every drive needs one, it is how programs and messages call it");
+    let name = name(table, machine, "drive", "every drive needs a name for programs and messages");
     let units = units(table, counts);
     let default = AxisPlan::new(name, units);
     let limits = limits(table, &units);
     let profile = profile(table, &default.profile, &limits);
     let load = load(table);
     let stop = stop(table, machine, &default.stop, load, &profile);
-    let divisor = table.integer("divisor", 1..=1000, "1 exchanges every cycle").unwrap_or(1);
+    let divisor = table.integer("divisor", 1..=1000, "1 is an exchange every cycle").unwrap_or(1);
     let phase = table
-        .integer("phase", 0..=999, "it says in which of its divisor cycles a drive exchanges")
+        .integer("phase", 0..=999, "the one of its divisor cycles in which the drive has its exchange")
         .unwrap_or(0);
     let queue = |table: &mut Table<'_>, key, least, default| {
         table.integer(key, least..=1_000_000, "room in entries").unwrap_or(default)
@@ -53,23 +52,17 @@ pub(super) fn axis(table: &mut Table<'_>, machine: &mut Machine, counts: Counts)
             .unwrap_or(default.on_found_running),
         load,
         setpoint_age: table
-            .integer("setpoint_age", 1..=1_000_000, "cycles that a velocity setpoint counts")
+            .integer("setpoint_age", 1..=1_000_000, "the cycles for which a velocity setpoint is valid")
             .unwrap_or(default.setpoint_age),
         jog_deadman: jog_deadman(table).unwrap_or(default.jog_deadman),
         enable_timeout: time(
             table,
             "enable_timeout",
             600,
-            "the longest that power on may take",
+            "the longest time until power is on",
             default.enable_timeout,
         ),
-        home_timeout: time(
-            table,
-            "home_timeout",
-            3600,
-            "the longest that homing may take",
-            default.home_timeout,
-        ),
+        home_timeout: time(table, "home_timeout", 3600, "the longest time for homing", default.home_timeout),
         command_queue: queue(table, "command_queue", 1, default.command_queue),
         stream_queue: queue(table, "stream_queue", 1, default.stream_queue),
         event_queue: queue(table, "event_queue", 1, default.event_queue),
@@ -93,10 +86,11 @@ fn load(table: &mut Table<'_>) -> Load {
             if vertical && !table.gives("held_by") {
                 table.fault(
                     "held_by",
-                    "missing; a vertical load drops when nothing holds it: name its \"brake\", or the \"drive\" that stays on",
+                    "missing; a vertical load drops when nothing holds it: \"brake\", or \"drive\" if the \
+                     drive always stays powered",
                 );
             } else if held_by.is_some() && !table.gives("load") {
-                table.fault("held_by", "goes with load = \"vertical\"; add that, or leave held_by out");
+                table.fault("held_by", "needs load = \"vertical\"; add that, or leave held_by out");
             }
             Load::Level
         }
@@ -105,7 +99,7 @@ fn load(table: &mut Table<'_>) -> Load {
 
 /// A time, or "off": the jog then runs until something replaces it.
 fn jog_deadman(table: &mut Table<'_>) -> Option<Option<Duration>> {
-    let hint = "a jog that is not renewed for so long is stopped; or \"off\"";
+    let hint = "a jog that is not renewed within this time is stopped; or \"off\"";
     table.read("jog_deadman", |value| match value.as_str() {
         Some("off") => Ok(None),
         _ => time_of(value, &(MS..=60 * S), hint).map(|ns| Some(Duration::from_nanos(ns))),
@@ -131,10 +125,10 @@ pub(super) fn plain_name(text: &str) -> Option<String> {
 fn units(table: &mut Table<'_>, counts: Counts) -> Units {
     let unit =
         table.word("units", &[("mm", Unit::Millimetre), ("rev", Unit::Revolution)]).unwrap_or(counts.unit);
-    let hint = format!("{} in one unit; invert = true turns the direction", counts.what);
+    let hint = format!("{} in one unit; invert = true reverses the direction", counts.what);
     let given = table.number("scale", 1e-6..=1e12, &hint);
     if unit != counts.unit && !table.gives("scale") {
-        table.fault("scale", format!("missing; say how many {} are one {unit}", counts.what));
+        table.fault("scale", format!("missing; give the number of {} in one {unit}", counts.what));
     }
     // Where it is missing, something usual stands in: one mistake, one message.
     let scale = given.unwrap_or(counts.per_unit) * counts.wire;
@@ -171,7 +165,7 @@ fn limits(table: &mut Table<'_>, units: &Units) -> Limits {
             table.fault(
                 "limits.position",
                 format!(
-                    "goes beyond the drive's 32-bit counts, {} ... {} {}; narrow it or check scale and offset",
+                    "exceeds the range of the drive's 32-bit counts, {} ... {} {}; narrow it or check scale and offset",
                     reach.0, reach.1, units.unit
                 ),
             );
@@ -201,17 +195,17 @@ fn health(table: &mut Table<'_>, exchange_ns: u64) -> Health {
     let default = Health::default();
     table.table("health", |table| Health {
         bucket: table
-            .count("bucket", 1..=10_000, exchange_ns, "so many misses in a row are a lost link")
+            .count("bucket", 1..=10_000, exchange_ns, "the misses in a row after which the link is lost")
             .unwrap_or(default.bucket),
         leak: table
-            .integer("leak", 1..=1_000_000, "so many good exchanges in a row outweigh one miss")
+            .integer("leak", 1..=1_000_000, "the good exchanges in a row that outweigh one miss")
             .unwrap_or(default.leak),
         gate: table
-            .integer("gate", 1..=1_000_000, "so many good exchanges in a row bring a link up")
+            .integer("gate", 1..=1_000_000, "the good exchanges in a row after which the link is up")
             .unwrap_or(default.gate),
         // Faster, and the requests to an absent drive can fill the send buffer of the living.
         probe_interval: table
-            .time("probe_interval", 10 * MS..=10 * S, "an absent drive is asked this often")
+            .time("probe_interval", 10 * MS..=10 * S, "the time between two requests to an absent drive")
             .map_or(default.probe_interval, Duration::from_nanos),
     })
 }
@@ -241,7 +235,7 @@ fn stop(
             .word("on_timeout", &[("hold", StopTimeout::Hold), ("disable", StopTimeout::Disable)])
             .unwrap_or(on_timeout),
         standstill: table
-            .number("standstill", POSITIVE, "units/s; slower than this is standstill")
+            .number("standstill", POSITIVE, "units/s; a lower speed is standstill")
             .unwrap_or(default.standstill),
         standstill_for: table
             .integer("standstill_for", 1..=100_000, "good exchanges in a row below the standstill speed")

@@ -3,9 +3,11 @@
 use std::error::Error;
 use std::fmt;
 
+use serde::Serialize;
+
 /// One mistake. Its `Display` is the whole line, remedy included:
 /// `machine.toml:12: bus.drive.divisor = 0: must be at least 1; 1 exchanges every cycle`.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, PartialEq, Eq, Serialize)]
 pub struct ConfigError {
     /// The file, as it was named.
     pub file: String,
@@ -36,7 +38,7 @@ impl fmt::Display for ConfigError {
 impl Error for ConfigError {}
 
 /// All mistakes of a configuration in the order of the file, at least one. Its `Display` is one line each.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, PartialEq, Eq)]
 pub struct ConfigErrors(Vec<ConfigError>);
 
 impl ConfigErrors {
@@ -86,3 +88,5 @@ impl fmt::Display for ConfigErrors {
 }
 
 impl Error for ConfigErrors {}
+
+crate::errors::debug_as_display!(ConfigError, ConfigErrors);

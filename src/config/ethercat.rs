@@ -29,7 +29,11 @@ pub(super) fn bus(table: &mut Table<'_>, machine: &mut Machine, cycle: &CyclePla
     let (mut drives, mut devices) = (drive_tables(table, &["name", "position"]), table.tables("device"));
     let mut plan = EthercatPlan {
         name,
-        ahead_of_sync_ns: table.time("sync_ahead", US..=S, "so long before SYNC0 a frame leaves the master"),
+        ahead_of_sync_ns: table.time(
+            "sync_ahead",
+            US..=S,
+            "the time between the departure of a frame and SYNC0",
+        ),
         lrw: table.flag("lrw").unwrap_or(true),
         simulate: table.table("simulate", |table| line(table, cycle.period_ns)),
         drives: drives.iter_mut().map(|table| drive(table, machine)).collect(),
@@ -53,7 +57,7 @@ pub(super) fn bus(table: &mut Table<'_>, machine: &mut Machine, cycle: &CyclePla
 fn interface(table: &mut Table<'_>, machine: &mut Machine) -> Option<String> {
     table.require(
         "interface",
-        "the network interface that the slaves are behind, like \"eth1\", or \"local:NAME\" for simulated ones on this computer",
+        "the network interface of the segment, like \"eth1\", or \"local:NAME\" for simulated slaves on this computer",
     );
     let interface = table.text("interface", "the name of a network interface, like \"eth1\"", |text| {
         (!text.is_empty()).then(|| text.to_owned())
@@ -70,7 +74,7 @@ fn place<'a>(plan: &mut EthercatPlan, drives: &mut [Table<'a>], devices: &mut [T
     slaves.sort_by_key(|(_, table)| table.line());
     let mut next = 0;
     for (slave, table) in slaves {
-        let hint = "its place on the line: 0 is next to the master";
+        let hint = "its place in the segment: 0 is next to the master";
         slave.place = table.integer("position", 0..=LAST_PLACE.into(), hint).unwrap_or(next);
         next = slave.place.saturating_add(1);
     }
@@ -115,7 +119,7 @@ pub(super) fn slave(table: &mut Table<'_>, slave: &mut SlavePlan) {
     slave.sync = table.flag("sync").unwrap_or(slave.sync);
     slave.check_sii = table.flag("check_sii").unwrap_or(slave.check_sii);
     slave.start_up = table.read("start_up", start_up).unwrap_or_default();
-    let hint = "without outputs for so long it falls back by itself; or \"off\"";
+    let hint = "the slave stops by itself after this time without outputs; or \"off\"";
     let watchdog = table.read("watchdog", |value| match value.as_str() {
         Some("off") => Ok(None),
         _ => time(value, &(100 * US..=WATCHDOG_MAX_NS), hint).map(Some),
@@ -183,11 +187,7 @@ fn mode_name(mode: Mode) -> String {
 fn scaling(table: &mut Table<'_>, default: Scaling) -> Scaling {
     Scaling {
         prbase: table
-            .integer(
-                "prbase",
-                1..=31,
-                "2 to the power of it are the increments of a turn, PRBASE of the drive",
-            )
+            .integer("prbase", 1..=31, "the increments per turn as a power of two, PRBASE of the drive")
             .unwrap_or(default.prbase),
         rpm_per_count: table
             .number("velocity_rpm_per_count", POSITIVE, "rpm of a count of the velocity setpoint")
@@ -213,11 +213,11 @@ fn line(table: &mut Table<'_>, period_ns: u64) -> LineSettings {
                 one(value)
                     .map(|ppm| vec![ppm])
                     .or_else(several)
-                    .ok_or("must be a number, or a list of them by place, -1000 ... 1000".into())
+                    .ok_or("must be a number, or a list of numbers by place, -1000 ... 1000".into())
             })
             .unwrap_or(default.drift_ppm),
         delay_ns: table
-            .time("line_delay", 0..=100 * US, "what a frame takes from one slave to the next")
+            .time("line_delay", 0..=100 * US, "the time of a frame from one slave to the next")
             .unwrap_or(default.delay_ns),
         short_clocks: table.flag("short_clocks").unwrap_or(default.short_clocks),
         faults: faults(table, Carrier::Datagrams, period_ns.min(10 * MS), 0),
@@ -246,7 +246,7 @@ fn simulate(table: &mut Table<'_>, drive: &KollmorgenDrive) -> DriveSettings {
             .read("home", |value| match value.as_str() {
                 Some("none") => Ok(None),
                 _ => number(value).filter(|turns| turns.abs() <= 1_000.0).map(Some).ok_or(
-                    "must be turns of the motor from where it is at power-on, -1000 ... 1000, or \"none\""
+                    "must be turns of the motor from its position at power-on, -1000 ... 1000, or \"none\""
                         .into(),
                 ),
             })
@@ -274,20 +274,20 @@ fn motor(table: &mut Table<'_>, default: MotorSettings) -> MotorSettings {
         peak_permille: value(
             "peak_torque",
             1.0..=10_000.0,
-            "the most that the motor pushes, per mille of the rated torque",
+            "the peak torque of the motor, per mille of the rated torque",
             default.peak_permille,
         ),
         max_rpm: value("max_speed", 1.0..=100_000.0, "the highest speed of the motor, rpm", default.max_rpm),
         inertia_kgm2: value(
             "inertia",
             1e-9..=1e6,
-            "the inertia of all that turns, kg m²",
+            "the inertia of all rotating parts, kg m²",
             default.inertia_kgm2,
         ),
         friction_nm: value(
             "friction",
             0.0..=100_000.0,
-            "what the machine takes at any speed, N m",
+            "the friction torque of the machine at any speed, N m",
             default.friction_nm,
         ),
     }

@@ -16,8 +16,7 @@ const WATCHDOG_NS: u64 = 100 * MS;
 
 /// Reads one; its place comes later.
 pub(super) fn device(table: &mut Table<'_>, machine: &mut Machine) -> Device {
-    let name =
-        name(table, machine, "device", "every device needs one, it is how programs and messages call it");
+    let name = name(table, machine, "device", "every device needs a name for programs and messages");
     let outputs = area(table, "outputs");
     let inputs = area(table, "inputs");
     let watchdog_ns = (outputs.length > 0).then_some(WATCHDOG_NS);
@@ -35,12 +34,12 @@ fn area(table: &mut Table<'_>, key: &'static str) -> Area {
     let given = table.gives(key);
     table.table(key, |table| {
         if given {
-            table.require("start", "where they begin in its memory, like 0x1000");
-            table.require("length", "how many bytes they are");
+            table.require("start", "their start address, like 0x1000");
+            table.require("length", "their number of bytes");
         }
         Area {
             start: start(table, "start").unwrap_or(0x1000),
-            length: table.integer("length", 1..=MOST_BYTES, "how many bytes they are").unwrap_or(0),
+            length: table.integer("length", 1..=MOST_BYTES, "their number of bytes").unwrap_or(0),
         }
     })
 }

@@ -55,7 +55,7 @@ pub(super) fn mailbox(table: &mut Table<'_>, default: Option<[Area; 2]>) -> Opti
         let [out, read] = default.unwrap_or_default();
         if default.is_none() {
             for key in ["out", "in"] {
-                table.require(key, "where that mailbox is: [start, bytes], like [0x1800, 128]");
+                table.require(key, "the place of that mailbox: [start, bytes], like [0x1800, 128]");
             }
         }
         Some([area(table, "out").unwrap_or(out), area(table, "in").unwrap_or(read)])
@@ -79,7 +79,8 @@ pub(super) fn start(table: &mut Table<'_>, key: &'static str) -> Option<u16> {
     table.read(key, |value| word(value).ok_or("must be an address of 16 bits, like 0x1100".into()))
 }
 
-const OBJECT: &str = "an object like \"0x6041:0\" or \"status-word\", with its type behind it where it is not known here: \"0x3612:0.i32\"";
+const OBJECT: &str = "an object like \"0x6041:0\" or \"status-word\", with its type behind it where it is not \
+    known here: \"0x3612:0.i32\"";
 
 /// An object and its type.
 fn object(value: &DeValue<'_>) -> Result<Entry, String> {
@@ -91,7 +92,7 @@ fn object(value: &DeValue<'_>) -> Result<Entry, String> {
         })?;
     let kind = target.kind.ok_or_else(|| {
         let object = target.object;
-        format!("{object} is not one that is known here; write its type behind it, like \"{object}.i32\"")
+        format!("{object} is not known here; write its type behind it, like \"{object}.i32\"")
     })?;
     Ok(Entry { object: target.object, kind })
 }
@@ -141,7 +142,7 @@ fn known(value: &DeValue<'_>, family: Family) -> Result<Layout, String> {
     fixed.iter().find(|layout| layout.pdo == index).cloned().ok_or_else(|| {
         let list: Vec<String> = fixed.iter().map(|layout| format!("{:#06X}", layout.pdo)).collect();
         format!(
-            "is not one that is known of this type ({}); say what is in it: {{ pdo = \"{index:#06X}\", objects = [...] }}",
+            "is not a known PDO of this type ({}); list its objects: {{ pdo = \"{index:#06X}\", objects = [...] }}",
             list.join(", ")
         )
     })

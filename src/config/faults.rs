@@ -11,7 +11,7 @@ pub(super) fn faults(table: &mut Table<'_>, carrier: Carrier, period_ns: u64, in
         Carrier::Stream => ("message", true),
     };
     let each = format!("a probability for each {what}");
-    let late = format!("how much later a delayed {what} comes");
+    let late = format!("the delay of a delayed {what}");
     let rate = |table: &mut Table<'_>, key| table.number(key, 0.0..=1.0, &each).unwrap_or(0.0);
     let of_stream = |table: &mut Table<'_>, key| if stream { rate(table, key) } else { 0.0 };
     let seed: u64 =
@@ -37,6 +37,6 @@ pub(super) fn faults(table: &mut Table<'_>, carrier: Carrier, period_ns: u64, in
         wrong_id: rate(table, "wrong_id"),
         split: of_stream(table, "split"),
         cut: of_stream(table, "cut"),
-        answer_ns: table.time("answer_time", ..=S, "from a request to its answer").unwrap_or(0),
+        answer_ns: table.time("answer_time", ..=S, "the time from a request to its reply").unwrap_or(0),
     }
 }

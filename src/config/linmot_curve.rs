@@ -1,47 +1,9 @@
-//! A curve of a LinMot drive as a file: CSV with a head, a row each setpoint.
-//!
-//! Knows no drive. What was read from a drive and written to a file is the same to the last byte when it is read again.
-//! Numbers are written in the shortest form that gives back the same wire integer, and rounded to one where they are
-//! read.
-//!
-//! ```csv
-//! # id = 5
-//! # name = "lift"
-//! # kind = "time"
-//! # length = 200
-//! time_ms,position_mm
-//! 0,0
-//! 100,12.5
-//! 200,0
-//! ```
-//!
-//! The head is TOML behind a `#` in each line; `##` begins a comment:
-//!
-//! | key | default | meaning |
-//! |---|---|---|
-//! | `id` | - | 1 ... 100 |
-//! | `name` | none | at most 22 printable ASCII characters |
-//! | `name_bytes` | none | instead of `name`: 22 bytes that are none |
-//! | `kind` | - | `"time"`, or `"cam"` over the counts of an encoder |
-//! | `length` | - | from the first setpoint to the last: ms, steps of 0.01; counts of a cam |
-//! | `x_dimension` | that of the kind: `26`, `27` | the drive's number of the unit of x: 26 time, 27 encoder, 5 position |
-//! | `y_dimension` | `5` | of the setpoints |
-//! | `wizard` | `0` | how the vendor's tool made the curve |
-//! | `wizard_parameters` | zeros | of that, 7 numbers |
-//!
-//! Then a line with the two columns, which say their units, and the rows:
-//!
-//! | column | of dimension | smallest step |
-//! |---|---|---|
-//! | `time_ms` | 26 | 0.01 |
-//! | `encoder_counts` | 27 | 1 |
-//! | `x_position_mm`, `position_mm` | 5 | 0.0001 |
-//! | `x_raw`, `y_raw` | any other | 1 |
-//!
-//! The drive keeps no x of a setpoint: setpoints are equidistant over the length. So the first column is there to be
-//! read and to be checked: rows that are not equidistant, to a twentieth of their distance, are mistakes.
+//! A curve of a LinMot drive as a file: CSV with a head, a row each setpoint. Knows no drive.
 //!
 //! No CSV library reads this: two columns of numbers have no quotes, and a mistake has to name its line.
+//!
+//! What follows is the reference of docs/.
+#![doc = include_str!("../../docs/src/linmot-curve.md")]
 
 use std::fmt::Write;
 use std::path::Path;
@@ -80,7 +42,7 @@ pub fn parse(text: &str, file: &str) -> Result<Curve, ConfigErrors> {
     let rows: Vec<(usize, &str)> = (first..).zip(text.lines().skip(first - 1)).collect();
     let rows: Vec<(usize, &str)> = rows.into_iter().filter(|(_, line)| !line.trim().is_empty()).collect();
     let Some((columns, rows)) = rows.split_first() else {
-        let message = format!("{file} has no rows; a curve is a head, a line of columns and its setpoints");
+        let message = format!("{file} has no rows; a curve has a head, a line of columns and its setpoints");
         return Err(whole_file(file, None, message));
     };
     let page = Page::new(file, &head);
@@ -153,14 +115,14 @@ fn y_column(dimension: Dimension) -> Column {
 
 /// The whole file. What is wrong is noted on the page, and the curve is not handed out then.
 fn curve(page: &Page<'_>, mut head: Table<'_>, columns: (usize, &str), rows: &[(usize, &str)]) -> Curve {
-    head.require("id", "curves are told apart by it, 1 to 100");
+    head.require("id", "the number of the curve, 1 to 100");
     head.require("kind", "\"time\" or \"cam\"");
     head.require("length", "from the first setpoint to the last, in the unit of the first column");
     let hint = "at most 22 printable ASCII characters";
     let name = head.text("name", hint, |name| Curve::name_bytes(name).ok());
     let name_bytes = head.bytes::<NAME_SIZE>("name_bytes");
     if head.gives("name") && head.gives("name_bytes") {
-        head.fault("name_bytes", "cannot stand beside name; keep one");
+        head.fault("name_bytes", "cannot be used together with name; keep one");
     }
     let kind = head.word("kind", &[("time", CurveKind::Time), ("cam", CurveKind::Cam)]);
     let x_dimension = dimension(&mut head, "x_dimension").or(kind.map(|kind| usual(kind).0));
@@ -239,7 +201,7 @@ fn has_columns(page: &Page<'_>, (line, text): (usize, &str), expected: [&str; 2]
     for (index, (found, expected)) in found.iter().zip(expected).enumerate() {
         if *found != expected {
             let message =
-                format!("must be {expected}, as the head has it; convert the rows if their unit is another");
+                format!("must be {expected}, as in the head; convert the rows if their unit is another");
             page.report(Place::in_row(line, &format!("column {}", index + 1), found), message);
             right = false;
         }
@@ -338,14 +300,14 @@ fn check_grid(page: &Page<'_>, length: &Place, (name, decimals): Column, x_lengt
         Some((gap, row)) => {
             let (gap, usual) = (show(gap), show(usual));
             let message = format!(
-                "is {gap} behind the row before, others are {usual} apart: a row is missing, doubled or shifted; \
+                "is {gap} after the row before, the others are {usual} apart: a row is missing, doubled or shifted; \
                  setpoints are equidistant"
             );
             page.report(Place::in_row(row.line, name, row.text), message);
         }
         None => {
             let last = rows.last().map_or(0.0, |row| row.x);
-            let message = format!("but the last row is at {}; both must be the same", show(last));
+            let message = format!("but the last row is at {}; both must be equal", show(last));
             page.report(length.clone(), message);
         }
     }

@@ -1,47 +1,7 @@
-//! The command table of a LinMot drive as a file: TOML, one `[[entry]]` each, values in user units.
+//! The command table of a LinMot drive as a file: TOML, one `[[entry]]` each, values in user units. Knows no drive.
 //!
-//! Knows no drive. A file says what the drive holds to the last byte: what was read from a drive and written to a file
-//! is the same when it is read again. Numbers are written in the shortest form that gives back the same wire integer,
-//! and rounded to one where they are read.
-//!
-//! | key | meaning |
-//! |---|---|
-//! | `incomplete` | `true`: entries may lead to ones that are not there, as a drive may hold them (default `false`) |
-//! | `entry` | the entries; `entry = []` is an empty table |
-//!
-//! `[[entry]]`:
-//!
-//! | key | default | meaning |
-//! |---|---|---|
-//! | `id` | - | 1 ... 255 |
-//! | `name` | none | at most 15 printable ASCII characters |
-//! | `command` | - | a name of the [catalogue](crate::bus::linudp::motion::CATALOGUE), or the number of a command that is not in it |
-//! | `next` | none | the entry that follows; without one the sequence ends here |
-//! | the fields of the command | - | `position`, `velocity` ... in the units below |
-//! | `parameters` | none | of a command by its number: words of 16 bits |
-//! | `unused` | none | of a command by its name: the words behind its last field, where a drive holds other than zeros |
-//! | `name_bytes` | none | instead of `name`: 16 bytes that are none |
-//! | `reserved` | zeros | the last 10 bytes of the entry |
-//! | `count` | `0` | the lowest 4 bits of the command's header |
-//!
-//! Commands and fields are named like the [constructors](crate::bus::linudp::motion::MotionCommand) and their
-//! arguments, commands with `-` for `_`: `vai-go-to` has `position`, `velocity`, `acceleration` and `deceleration`.
-//!
-//! Of a command that is marked [`Assumed`](crate::bus::linudp::motion::Mark::Assumed) the sources are not certain: see
-//! what the drive makes of it before a machine relies on it. That holds for all branches but those that compare a
-//! masked word.
-//!
-//! | fields | unit | smallest step |
-//! |---|---|---|
-//! | positions, distances, their limits and targets | mm | 0.0001 |
-//! | velocities | mm/s | 0.001 |
-//! | accelerations, decelerations | mm/s² | 0.01 |
-//! | jerks | mm/s³ | 0.1 |
-//! | currents | mA | 1 |
-//! | forces | N | 0.1 |
-//! | times of curves; times to wait | ms | 0.01; 0.1 |
-//! | time scales; amplitudes | % | 0.01; 0.1 |
-//! | all others | as they stand on the wire | 1 |
+//! What follows is the reference of docs/.
+#![doc = include_str!("../../docs/src/linmot-table.md")]
 
 use std::collections::HashMap;
 use std::fmt::Write;
@@ -160,15 +120,15 @@ fn entries_of(mut root: Table<'_>) -> table::Table {
     let mut places: HashMap<EntryId, Place> = HashMap::new();
     let mut leads: HashMap<(EntryId, &str), Place> = HashMap::new();
     if !root.gives("entry") {
-        root.fault("entry", "missing; a command table has an [[entry]] each, or is entry = []");
+        root.fault("entry", "missing; a command table has an [[entry]] for each entry, or is entry = []");
     }
     let empty = root.read("entry", |value| Ok(value.as_array().is_some_and(|entries| entries.is_empty())));
     let tables = if empty == Some(true) { Vec::new() } else { root.tables("entry") };
     for mut table in tables {
-        table.require("id", "entries are told apart by it, 1 to 255");
+        table.require("id", "the number of the entry, 1 to 255");
         let id = table.integer("id", 1..=255, "ids are 1 to 255").and_then(|id| EntryId::new(id).ok());
         if let Some(first) = id.and_then(|id| places.get(&id)) {
-            table.fault("id", format!("is the entry of {first} already; ids are unique"));
+            table.fault("id", format!("is already the entry of {first}; ids are unique"));
         } else if let Some(id) = id {
             places.insert(id, table.place("id"));
         }
@@ -184,7 +144,10 @@ fn entries_of(mut root: Table<'_>) -> table::Table {
         let wrong = places.keys().any(|id| i64::from(id.wire()) == end.to);
         if let (false, false, Some(place)) = (incomplete, wrong, leads.get(&(end.entry, end.by))) {
             let to = end.to;
-            root.report(place, format!("leads to entry {to}, which is not there; add it or lead elsewhere"));
+            root.report(
+                place,
+                format!("leads to entry {to}, which does not exist; add it or change the reference"),
+            );
         }
     }
     root.finish();
@@ -211,7 +174,7 @@ fn entry(table: &mut Table<'_>, command: Command, incomplete: bool) -> Option<En
     let name = table.text("name", hint, |name| Entry::name_bytes(name).ok());
     let name_bytes = table.bytes::<NAME_SIZE>("name_bytes");
     if table.gives("name") && table.gives("name_bytes") {
-        table.fault("name_bytes", "cannot stand beside name; keep one");
+        table.fault("name_bytes", "cannot be used together with name; keep one");
     }
     let count: u16 = table.integer("count", 0..=15, "the lowest 4 bits of the header").unwrap_or(0);
     let reserved = table.bytes::<RESERVED_SIZE>("reserved").unwrap_or_default();
@@ -247,7 +210,7 @@ fn field(table: &mut Table<'_>, field: &Field) -> Option<i64> {
     let [low, high] = [low, high].map(|bound| value::decimal(bound.into(), kind.decimals()));
     let range = format!("{low} to {high} {}", kind.unit());
     let range = range.trim_end();
-    table.require(field.name, &format!("the command carries it, {range}"));
+    table.require(field.name, &format!("a parameter of the command, {range}"));
     table.read(field.name, |value| match kind.decimals() {
         0 => (integer(value).and_then(|value| i64::try_from(value).ok()))
             .filter(|value| kind.check(*value).is_ok())

@@ -34,7 +34,7 @@ const COUNTS: Counts =
     Counts { what: "drive counts", unit: Unit::Millimetre, per_unit: COUNTS_PER_MM, wire: 1.0 };
 
 fn bind(table: &mut Table<'_>, machine: &mut Machine) -> Option<SocketAddrV4> {
-    table.require("bind", "the address of the adapter that the drives are on, like \"192.168.1.1\"");
+    table.require("bind", "the address of the network adapter of the drives, like \"192.168.1.1\"");
     let hint = "the IPv4 address of an adapter, like \"192.168.1.1\", or with a port other than 41136";
     let bind = table.text("bind", hint, |text| station(text, MASTER_PORT))?;
     machine.claim_bind(table, bind);
@@ -42,7 +42,7 @@ fn bind(table: &mut Table<'_>, machine: &mut Machine) -> Option<SocketAddrV4> {
 }
 
 fn address(table: &mut Table<'_>, machine: &mut Machine, bind: Option<SocketAddrV4>) -> Option<SocketAddrV4> {
-    table.require("address", "where the drive listens, like \"192.168.1.10\"");
+    table.require("address", "the address of the drive, like \"192.168.1.10\"");
     let hint = "the IPv4 address of a drive, like \"192.168.1.10\", or with a port other than 49360";
     let address = table.text("address", hint, |text| {
         station(text, DRIVE_PORT).filter(|address| !address.ip().is_unspecified())
@@ -52,7 +52,8 @@ fn address(table: &mut Table<'_>, machine: &mut Machine, bind: Option<SocketAddr
     if let Some(bind) = bind.filter(|bind| !bind.ip().is_unspecified()) {
         let (near, far) = (bind.ip().is_loopback(), address.ip().is_loopback());
         if near != far {
-            let adapter = if near { "bind to the adapter that the drive is on" } else { "bind to 127.0.0.1" };
+            let adapter =
+                if near { "bind to the adapter of the drive's network" } else { "bind to 127.0.0.1" };
             table.fault("address", format!("cannot be reached from bind = \"{}\"; {adapter}", bind.ip()));
         }
     }
@@ -96,7 +97,8 @@ fn stream(table: &mut Table<'_>, period_ns: u64) -> Option<StreamCommand> {
 
 /// `true`, `false`, or up to four variables by name or number.
 fn monitor(table: &mut Table<'_>) -> Option<MonitorPlan> {
-    const FORMS: &str = "must be true, false, or up to four variables like [\"demand-velocity\", \"0x1E10\"] or UPIDs as numbers";
+    const FORMS: &str = "must be true, false, or up to four variables like [\"demand-velocity\", \"0x1E10\"] \
+        or UPIDs as numbers";
     table.read("monitor", |value| {
         if let Some(flag) = value.as_bool() {
             return Ok(if flag { MonitorPlan::AsSet } else { MonitorPlan::Off });
@@ -136,8 +138,7 @@ fn leash(table: &mut Table<'_>) -> Option<f64> {
         Some(false) => None,
         None => {
             if leash.is_some() {
-                table
-                    .fault("leash", "goes with no_drive_watchdog = \"accept\"; add that, or leave leash out");
+                table.fault("leash", "needs no_drive_watchdog = \"accept\"; add that, or leave leash out");
             }
             None
         }

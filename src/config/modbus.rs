@@ -57,7 +57,7 @@ fn drive(table: &mut Table<'_>, machine: &mut Machine, cycle: &CyclePlan, index:
         map: map(table, default.map),
         via: via(table).unwrap_or(default.via),
         reply_within_ns: table
-            .time("reply_within", 100 * US..=10 * S, "a reply counts for so long")
+            .time("reply_within", 100 * US..=10 * S, "the time within which a reply counts")
             .unwrap_or(default.reply_within_ns),
         watchdog: watchdog(table, default.watchdog),
         set_up: table.flag("set_up").unwrap_or(default.set_up),
@@ -71,7 +71,7 @@ fn drive(table: &mut Table<'_>, machine: &mut Machine, cycle: &CyclePlan, index:
 }
 
 fn address(table: &mut Table<'_>, machine: &mut Machine) -> Option<SocketAddrV4> {
-    table.require("address", "where the drive listens, like \"192.168.1.20\"");
+    table.require("address", "the address of the drive, like \"192.168.1.20\"");
     let hint = "the IPv4 address of a drive, like \"192.168.1.20\", or with a port other than 502";
     let address = table
         .text("address", hint, |text| station(text, PORT).filter(|address| !address.ip().is_unspecified()))?;
@@ -135,7 +135,8 @@ fn one(value: &DeValue<'_>) -> Result<Mapped, String> {
     }
 }
 
-const FORMS: &str = "must be a parameter like \"06.042\" or \"control-word\", or { parameter = \"18.011\", bits = 32, decimals = 1 }";
+const FORMS: &str = "must be a parameter like \"06.042\" or \"control-word\", or { parameter = \"18.011\", \
+    bits = 32, decimals = 1 }";
 
 /// A parameter that is known, or one with its size in a table: or several in a row, `"20.021 ... 20.030"`.
 fn span(value: &DeValue<'_>) -> Result<Vec<Mapped>, String> {
@@ -194,7 +195,8 @@ impl Size {
         let known = parameter.known();
         let width = self.width.or(known.map(|known| known.width)).ok_or_else(|| {
             format!(
-                "{parameter} is not one that is known here; write {{ parameter = \"{parameter}\", bits = .., decimals = .. }} if your drive has it"
+                "{parameter} is not known here; write {{ parameter = \"{parameter}\", bits = .., decimals = \
+                 .. }} if your drive has it"
             )
         })?;
         let decimals = self.decimals.or(known.map(|known| known.decimals)).unwrap_or(0);
@@ -220,7 +222,7 @@ fn via(table: &mut Table<'_>) -> Option<Via> {
 }
 
 fn watchdog(table: &mut Table<'_>, default: Watchdog) -> Watchdog {
-    let hint = "without Modbus traffic for so long the drive trips; or \"off\"";
+    let hint = "the drive trips after this time without Modbus traffic; or \"off\"";
     let watchdog = table.table("watchdog", |table| Watchdog {
         timeout_ns: table
             .read("timeout", |value| match value.as_str() {
@@ -241,7 +243,7 @@ fn simulate(table: &mut Table<'_>, drive: &UnidriveDrive, period_ns: u64, index:
         read_write: table.flag("fc23").unwrap_or(default.interface.read_write),
         menu_zero: table.flag("menu_0").unwrap_or(default.interface.menu_zero),
         connections: table
-            .integer("connections", 1..=64, "the most masters at a time")
+            .integer("connections", 1..=64, "the largest number of masters at a time")
             .unwrap_or(default.interface.connections),
         drive_units: drive.unit.map_or(default.interface.drive_units, |unit| vec![unit]),
         ..default.interface
@@ -273,19 +275,19 @@ fn motor(table: &mut Table<'_>, default: MotorSettings) -> MotorSettings {
         inertia_kgm2: value(
             "inertia",
             1e-9..=1e6,
-            "the inertia of all that turns, kg m²",
+            "the inertia of all rotating parts, kg m²",
             default.inertia_kgm2,
         ),
         load_nm: value(
             "load",
             0.0..=100_000.0,
-            "what the machine takes at rated speed, N m",
+            "the load torque of the machine at rated speed, N m",
             default.load_nm,
         ),
         friction_nm: value(
             "friction",
             0.0..=100_000.0,
-            "what the machine takes at any speed, N m",
+            "the friction torque of the machine at any speed, N m",
             default.friction_nm,
         ),
         ..default

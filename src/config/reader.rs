@@ -44,20 +44,36 @@ impl<'a> Page<'a> {
     }
 
     /// Parses the text. With a mistake of syntax nothing behind it can be trusted, so the first one of each line is
-    /// reported, and nothing else.
+    /// reported, and nothing else. A file that is wrong in most of its lines is no TOML at all, and only its first
+    /// mistake is reported.
     pub(super) fn parse(&self) -> Result<DeTable<'a>, ConfigErrors> {
         let (root, errors) = DeTable::parse_recoverable(self.text);
         if errors.is_empty() {
             return Ok(root.into_inner());
         }
-        let mut mistakes: Vec<(bool, ConfigError)> = errors
+        let mut mistakes: Vec<(usize, bool, &toml::de::Error)> = errors
             .iter()
             // A second key of one name may only be the echo of a broken line.
-            .map(|error| (error.message() == "duplicate key", self.syntax(error)))
+            .map(|error| {
+                (self.line(error.span().unwrap_or(0..0).start), error.message() == "duplicate key", error)
+            })
             .collect();
-        mistakes.sort_by_key(|(echo, mistake)| (mistake.line, *echo));
-        mistakes.dedup_by_key(|(_, mistake)| mistake.line);
-        Err(ConfigErrors::new(mistakes.into_iter().map(|(_, mistake)| mistake).collect()))
+        mistakes.sort_by_key(|(line, echo, _)| (*line, *echo));
+        mistakes.dedup_by_key(|(line, ..)| *line);
+        let lines = self
+            .text
+            .lines()
+            .map(str::trim)
+            .filter(|line| !line.is_empty() && !line.starts_with('#'))
+            .count();
+        if let [(_, _, first), .., _] = mistakes[..]
+            && mistakes.len() * 2 > lines
+        {
+            let mut error = self.syntax(first);
+            error.message += "; most lines are wrong: is this a TOML file?";
+            return Err(error.into());
+        }
+        Err(ConfigErrors::new(mistakes.into_iter().map(|(.., error)| self.syntax(error)).collect()))
     }
 
     /// In the words of `toml`, but for the slips that happen to everybody.
@@ -70,7 +86,7 @@ impl<'a> Page<'a> {
             ("key with no value", _) => "a key needs a value: key = value".into(),
             ("string values must be quoted", None) => "a value is missing after =".into(),
             ("string values must be quoted", Some(found)) => {
-                format!("{found} is no value; text stands in quotes")
+                format!("{found} is not a value; write text in quotes")
             }
             (_, Some(found)) => format!("{found}: {}", error.message()),
             (_, None) => error.message().to_owned(),
@@ -298,7 +314,7 @@ impl<'a> Table<'a> {
         self.read(key, |value| {
             let number = integer(value).ok_or_else(|| format!("must be a whole number; {hint}"))?;
             inside(number, &range, hint, |bound| bound)?;
-            T::try_from(number).map_err(|_| format!("is out of reach; {hint}"))
+            T::try_from(number).map_err(|_| format!("is out of range; {hint}"))
         })
     }
 

@@ -4,10 +4,12 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 
 use crate::time::{MS, S, US};
 
-/// A time as whole nanoseconds: digits, an optional fraction, a unit, nothing else. `"250us"`, `"0.5s"`.
+/// A time as whole nanoseconds: digits, an optional fraction, a unit; spaces around and between number and unit.
+/// `"250us"`, `"0.5s"`, `"1 ms"`.
 pub(super) fn duration(text: &str) -> Option<u64> {
+    let text = text.trim_matches(' ');
     let (number, unit) = text.split_at(text.find(|c: char| !c.is_ascii_digit() && c != '.')?);
-    let unit = match unit {
+    let unit = match unit.trim_start_matches(' ') {
         "ns" => 1,
         "us" => US,
         "ms" => MS,
@@ -111,6 +113,8 @@ mod tests {
             ("0us", 0),
             ("7ns", 7),
             ("1.5us", 1_500),
+            ("1 ms", MS),
+            (" 0.5  s ", 500 * MS),
         ] {
             assert_eq!(duration(text), Some(ns), "{text}");
         }
@@ -125,9 +129,13 @@ mod tests {
             ".5s",
             "1.s",
             "1..5s",
-            "1 ms",
-            " 1ms",
-            "1ms ",
+            "1 ",
+            "1 m s",
+            "1 .5ms",
+            "1 000us",
+            "1\tms",
+            "1ms\n",
+            "1\u{a0}ms",
             "-1ms",
             "+1ms",
             "1e3us",

@@ -20,7 +20,7 @@ const PATIENCE: Duration = Duration::from_secs(5);
 const LONGEST_ANSWER: usize = 16 << 20;
 
 /// Why there is no answer. The message ends with the remedy.
-#[derive(Debug, Error)]
+#[derive(Error)]
 pub enum AskError {
     /// There is no socket.
     #[error("no master answers at {0}; start it with `fieldbeat run`")]
@@ -29,11 +29,11 @@ pub enum AskError {
     #[error("the master of {0} is dead and left its socket behind; start it again with `fieldbeat run`")]
     Dead(PathBuf),
     /// It is another user's.
-    #[error("{0} is another user's: only its owner and root may ask; use sudo")]
+    #[error("{0} belongs to another user: only its owner and root may use it; use sudo")]
     NotOurs(PathBuf),
     /// Somebody listens there whose place it is not.
     #[error(
-        "{path} is answered by user {user}, whose directory it is not; remove it, and start the master again"
+        "{path} is answered by user {user}, who does not own its directory; remove it, and start the master again"
     )]
     Stranger {
         /// The socket.
@@ -42,7 +42,7 @@ pub enum AskError {
         user: u32,
     },
     /// The conversation broke off.
-    #[error("no answer from {path}: {error}; ask once more, and look whether the master is held up")]
+    #[error("no answer from {path}: {error}; try again, and check whether the master is held up")]
     Io {
         /// The socket.
         path: PathBuf,
@@ -50,15 +50,16 @@ pub enum AskError {
         error: io::Error,
     },
     /// It broke off before: an answer that is still on its way would be taken for that to another question.
-    #[error("the conversation with {0} broke off before: begin another one")]
+    #[error("the connection to {0} was lost before: open another one")]
     Broken(PathBuf),
     /// It answered something else.
-    #[error("{0} gives no answer of this program; is it another version?")]
+    #[error("the answer of {0} is not one of this program; is it another version?")]
     Foreign(PathBuf),
     /// It knows the question, and says no.
     #[error("{0}")]
     Refused(String),
 }
+crate::errors::debug_as_display!(AskError);
 
 /// Asks the master at `path` one question. It is this user's, root's, or that of whoever owns the directory. Its answer
 /// may be shown on a terminal as it is: no text in it has control characters but the end of a line.

@@ -31,7 +31,7 @@ const MOST_CONVERSATIONS: usize = 8;
 const LONGEST_QUESTION: usize = 16 << 10;
 
 /// Why there is no control socket. The message ends with the remedy.
-#[derive(Debug, Error)]
+#[derive(Error)]
 pub enum ServeError {
     /// Another process answers there.
     #[error("another master already answers at {0}; end it, or give this one another configuration")]
@@ -45,6 +45,7 @@ pub enum ServeError {
         error: io::Error,
     },
 }
+crate::errors::debug_as_display!(ServeError);
 
 /// A control socket that is answered. Dropping it removes the socket; a conversation that is under way then breaks off,
 /// so that nobody who asks can hold up the end of the program.

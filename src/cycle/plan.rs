@@ -39,9 +39,10 @@ pub fn is_plain_name(name: &str) -> bool {
 }
 
 /// What is wrong with a plan that was built in code: one line each.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{}", .0.join("\n"))]
 pub struct PlanErrors(pub Vec<String>);
+crate::errors::debug_as_display!(PlanErrors);
 
 /// The largest black box, bytes.
 const MOST_BLACK_BOX: usize = 150_000_000;
@@ -76,7 +77,8 @@ impl Plan {
         }
         let share = self.cycle.receive_deadline;
         if !(share > 0.0 && share < 1.0) {
-            errors.push(format!("cycle: a receive deadline of {share} is no share of the period, 0 ... 1"));
+            errors
+                .push(format!("cycle: a receive deadline of {share} is not a share of the period, 0 ... 1"));
         }
         if let Some(why) = self.black_box_fault() {
             errors.push(format!("cycle: {why}"));
@@ -133,7 +135,7 @@ impl Plan {
             _ => format!("name one that has: {}", clocks.join(", ")),
         };
         match named[..] {
-            [] => Some(format!("reference = {name:?} names no bus; {remedy}")),
+            [] => Some(format!("reference = {name:?} is not a bus; {remedy}")),
             [bus] if bus.has_clock() => None,
             [bus] => {
                 let protocol = bus.protocol();
@@ -248,7 +250,7 @@ impl GroupPlan {
                 return Some(format!("there is no drive {name}"));
             };
             if members.iter().any(|member| member.name == *name) {
-                return Some(format!("{name} is in it twice"));
+                return Some(format!("{name} is listed twice"));
             }
             members.push(axis);
         }

@@ -22,7 +22,7 @@ pub(super) enum Capability {
 }
 
 /// A right that is missing. The text is one line and ends with the remedy.
-#[derive(Debug, thiserror::Error)]
+#[derive(thiserror::Error)]
 pub enum Denied {
     /// The user may not use SCHED_FIFO at this priority.
     #[error(
@@ -67,6 +67,7 @@ pub enum Denied {
         error: io::Error,
     },
 }
+crate::errors::debug_as_display!(Denied);
 
 /// True if the calling thread holds `capability` with effect on the whole machine. Inside a user namespace (a rootless
 /// container) it does not, whatever its sets say: RT priorities and memory locks are checked against the initial one.

@@ -34,7 +34,7 @@ pub struct Report {
 }
 
 /// Why there is no report, or not all of it. The message ends with the remedy.
-#[derive(Debug, Error)]
+#[derive(Error)]
 pub enum ReportError {
     /// There is something else of that name.
     #[error("report {0} is no directory: name one, or a place where one can be made")]
@@ -69,6 +69,7 @@ pub enum ReportError {
     #[error("report pictures are not written: {0}; all other files are")]
     Plot(#[from] PlotError),
 }
+crate::errors::debug_as_display!(ReportError);
 
 impl Report {
     /// Finds out whether a report can be written to `directory`, before the run: makes it, and writes a file to it and

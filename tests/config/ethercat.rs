@@ -81,14 +81,16 @@ name = "c"
     let plan = read(text);
     assert_eq!(places(&plan), ["0 a", "1 io", "2 b", "7 far", "8 c"]);
     let told = describe(&plan);
-    let gap = "  places 3 ... 6: not listed: what stands there passes the frames on, and is left as it is";
+    let gap = "  places 3 ... 6: not listed: a slave there forwards the frames and is not configured";
     assert!(told.iter().any(|line| line == gap), "{told:#?}");
     assert_eq!(plan.buses[0].devices(), ["io", "far"]);
     assert_eq!(
         mistakes(&text.replace("position = 7", "position = 1")),
         [
-            "m.toml:13: bus.device.position = 1: 1 is the place of io already; each slave has its own, counted from 0 at the master",
-            "m.toml:14: bus.drive.position: 2 is the place of b already; each slave has its own, counted from 0 at the master",
+            "m.toml:13: bus.device.position = 1: 1 is already the place of io; each slave has its own, \
+             counted from 0 at the master",
+            "m.toml:14: bus.drive.position: 2 is already the place of b; each slave has its own, counted from \
+             0 at the master",
         ]
     );
 }
@@ -118,17 +120,20 @@ name = "b"
     assert_eq!(
         mistakes(text),
         [
-            "m.toml:8: bus.device.name = \"a\": is the drive of line 6 already; names are unique in the machine",
-            "m.toml:12: bus.interface = \"eth1\": is that of the bus of line 4 already; one bus an interface, put its drives there",
-            "m.toml:13: bus.device.position: 0 is the place of b already; each slave has its own, counted from 0 at the master",
-            "m.toml:14: bus.device.name = \"io\": is the drive of line 16 already; names are unique in the machine",
+            "m.toml:8: bus.device.name = \"a\": is already the drive of line 6; names are unique in the machine",
+            "m.toml:12: bus.interface = \"eth1\": is already that of the bus of line 4; there is one bus \
+             per interface, add the drives to that bus",
+            "m.toml:13: bus.device.position: 0 is already the place of b; each slave has its own, counted \
+             from 0 at the master",
+            "m.toml:14: bus.device.name = \"io\": is already the drive of line 16; names are unique in the machine",
         ]
     );
     // No slaves of its own: nothing else is reported.
     assert_eq!(
         mistakes("[[bus]]\nprotocol = \"ethercat\"")[..],
         [
-            "m.toml:1: bus.interface: missing; the network interface that the slaves are behind, like \"eth1\", or \"local:NAME\" for simulated ones on this computer",
+            "m.toml:1: bus.interface: missing; the network interface of the segment, like \"eth1\", or \
+             \"local:NAME\" for simulated slaves on this computer",
             "m.toml:1: bus.drive: missing; a bus needs at least one [[bus.drive]]",
         ]
     );
@@ -146,8 +151,8 @@ fn only_a_bus_with_a_clock_can_lead_the_grid() {
     assert!(says(&plan, "  its clock leads: the grid follows it ([cycle] reference)"));
     assert!(says(&read(&line("", "")), "  its clock follows the grid ([cycle] reference would let it lead)"));
     for (reference, drive, message) in [
-        ("ethercta", "", "is no bus of this machine; take \"ethercat\""),
-        ("modbus-tcp", "", "is a bus without a clock (modbus-tcp); take \"ethercat\""),
+        ("ethercta", "", "is not a bus of this machine; use \"ethercat\""),
+        ("modbus-tcp", "", "is a bus without a clock (modbus-tcp); use \"ethercat\""),
         (
             "ethercat",
             "sync = false",
@@ -215,7 +220,8 @@ held_by = "brake"
         "drop: 0.25",
         "Expected { vendor: Some(106), product: None, revision: Some(16) }",
         "mailbox: Some([Area { start: 5120, length: 128 }, Area { start: 7168, length: 16 }])",
-        "outputs: Area { start: 4352, length: 6 }, inputs: Area { start: 4480, length: 8 }, watchdog_ns: None, sync: false",
+        "outputs: Area { start: 4352, length: 6 }, inputs: Area { start: 4480, length: 8 }, watchdog_ns: \
+         None, sync: false",
         "Start { object: Object { index: 13781, sub: 1 }, kind: I32, raw: 2 }",
         "Start { object: Object { index: 13842, sub: 0 }, kind: I16, raw: 65535 }",
         &format!("mode: Some({:?})", Mode::TRAJECTORY),
@@ -237,21 +243,25 @@ held_by = "brake"
 fn what_is_not_looked_at_is_said() {
     let told = |section, fragment: &str| describe(&read(&line(section, fragment))).join("\n");
     for (section, fragment, words) in [
-        ("bus", "lrw = false", "outputs and inputs apart (lrw = false), whatever their divisors: 122 bytes"),
+        (
+            "bus",
+            "lrw = false",
+            "outputs and inputs in separate datagrams (lrw = false), whatever the divisors: 122 bytes",
+        ),
         (
             "",
             "check_prbase = false",
-            "\n    its increments a turn (608Fh) are not held against prbase (check_prbase = false)\n",
+            "\n    its increments per turn (608Fh) are not compared with prbase (check_prbase = false)\n",
         ),
         (
             "",
             "check_sii = false",
-            "any revision, its SII not held against the configuration (check_sii = false)\n",
+            "any revision, its SII is not compared with the configuration (check_sii = false)\n",
         ),
         (
             "device",
             "check_sii = false",
-            "any revision, its SII not held against the configuration (check_sii = false); 0 bytes",
+            "any revision, its SII is not compared with the configuration (check_sii = false); 0 bytes",
         ),
     ] {
         assert!(told(section, fragment).contains(words), "{words}\n{}", told(section, fragment));
@@ -302,32 +312,42 @@ held_by = "brake"
                 .any(|all| line.trim().starts_with(all))
         })
         .collect();
-    assert_eq!(of_bus.join("\n"), DESCRIPTION.trim());
+    assert_eq!(of_bus.join("\n"), DESCRIPTION.trim().replace("\n        ", " "));
 }
 
+/// What is eight columns in goes on where the line before it ends.
 const DESCRIPTION: &str = r#"
 bus portal: ethercat, 3 drives
   drive x: eth1, place 0
     S300 ... S700, vendor 0x6A, product 0x3000600, any revision
-    writes 1702h = 0x606B:0 velocity-setpoint, 0x6040:0 control-word (6 bytes); reads 1B03h = 0x6064:0 position, 0x6077:0 torque, 0x6041:0 status-word (8 bytes); selected by 1C12h and 1C13h
+    writes 1702h = 0x606B:0 velocity-setpoint, 0x6040:0 control-word (6 bytes); reads 1B03h = 0x6064:0 position,
+        0x6077:0 torque, 0x6041:0 status-word (8 bytes); selected by 1C12h and 1C13h
     mode 0x80 (digital velocity): velocities by 0x606B:0, 0.228882 rpm a count
     takes velocities, jogs and homing; no moves, no streams
-    its cycle is SYNC0 every 1 ms, 500 us behind the frame; its window is 320 us: the second in a row outside of it is fault F28
-    if the master dies: the drive stops by itself within 20 ms without a frame (SyncManager watchdog), and its power goes off
+    its cycle is SYNC0 every 1 ms, 500 us after the frame; its window is 320 us: the second interrupt in a row outside
+        it is fault F28
+    if the master dies: the drive stops by itself within 20 ms without a frame (SyncManager watchdog) and switches its
+        power off
   drive y: eth1, place 1; else as x
   drive z: eth1, place 4
     AKD, vendor 0x6A, any product, any revision
-    writes 1724h = 0x607A:0 target-position, 0x6040:0 control-word, 0x60B2:0 torque-feed-forward (8 bytes); reads 1B24h = 0x6064:0 position, 0x6041:0 status-word (6 bytes); selected by 1C12h and 1C13h
-    mode 0x08 (cyclic synchronous position): positions by 0x607A:0, 1048576 increments a turn
+    writes 1724h = 0x607A:0 target-position, 0x6040:0 control-word, 0x60B2:0 torque-feed-forward (8 bytes); reads 1B24h
+        = 0x6064:0 position, 0x6041:0 status-word (6 bytes); selected by 1C12h and 1C13h
+    mode 0x08 (cyclic synchronous position): positions by 0x607A:0, 1048576 increments per turn
     takes moves, streams, jogs, velocities and homing
-    its cycle is SYNC0 every 1 ms, 500 us behind the frame; its window is 320 us: the second in a row outside of it is fault F28
-    shows 0x6077:0 torque, read by its mailbox in turns
-    if the master dies: its watchdog is off, and it holds its last position setpoint, under power; without power only the brake holds the load
-    vertical load: power goes off at standstill, or by the time-out; set the drive to close its brake before it lets go
-  device io: eth1, place 2; any vendor, any product, any revision; 2 bytes out, 2 in; its outputs go off by themselves within 100 ms without a frame
-  place 3: not listed: what stands there passes the frames on, and is left as it is
-  one frame every 1 ms carries all that 4 slaves exchange, whatever their divisors: 148 bytes, 13.76 us on the wire at 100 Mbit/s and about 1 us a slave; with acyclic access up to 428 bytes and 36.16 us
-  the clock of x (place 0) is that of the line; SYNC0 comes 500 us behind the frame
+    its cycle is SYNC0 every 1 ms, 500 us after the frame; its window is 320 us: the second interrupt in a row outside
+        it is fault F28
+    shows 0x6077:0 torque, read through its mailbox in turn
+    if the master dies: its watchdog is off, so it holds its last position setpoint under power; without power only the
+        brake holds the load
+    vertical load: power goes off at standstill, or by the time-out; set the drive to close its brake before its power
+        stage goes off
+  device io: eth1, place 2; any vendor, any product, any revision; 2 bytes out, 2 in; its outputs go off within 100 ms
+        without a frame
+  place 3: not listed: a slave there forwards the frames and is not configured
+  one frame every 1 ms carries the process data of 4 slaves, whatever the divisors: 148 bytes, 13.76 us on the wire at
+        100 Mbit/s plus about 1 us per slave; with acyclic access up to 428 bytes and 36.16 us
+  the clock of x (place 0) is the clock of the segment; SYNC0 comes 500 us after the frame
   its clock follows the grid ([cycle] reference would let it lead)
 "#;
 
@@ -341,13 +361,13 @@ fn a_period_has_to_suit_the_drives() {
     for period in ["250us", "750us", "1ms", "2ms", "10ms"] {
         assert_eq!(told(period, ""), None, "{period}");
     }
-    let s700 = "drive k takes whole multiples of 250 us, up to 31.75 ms; take one of them";
+    let s700 = "drive k needs a period that is a whole multiple of 250 us, up to 31.75 ms";
     for period in ["100us", "300us", "1.1ms", "32ms"] {
         assert_eq!(told(period, "").unwrap(), format!("m.toml:2: cycle.period = \"{period}\": {s700}"));
     }
     let odd = told("3.25ms", "").unwrap();
     assert!(
-        odd.contains("drive k is told its cycle as 1 ... 255 times a power of ten (object 60C2h)"),
+        odd.contains("drive k takes as its cycle 1 ... 255 times a power of ten (object 60C2h)"),
         "{odd}"
     );
     let akd = "type = \"akd\"\nsync = false";
@@ -362,8 +382,8 @@ fn more_slaves_than_a_frame_has_room_for_go_by_more_frames() {
         let text = line("", "") + &(0..count).map(device).collect::<String>();
         describe(&read(&text)).join("\n")
     };
-    assert!(told(4).contains("one frame every 1 ms carries all that 5 slaves exchange"), "{}", told(4));
-    assert!(told(6).contains("2 frames every 1 ms carry all that 7 slaves exchange"), "{}", told(6));
+    assert!(told(4).contains("one frame every 1 ms carries the process data of 5 slaves"), "{}", told(4));
+    assert!(told(6).contains("2 frames every 1 ms carry the process data of 7 slaves"), "{}", told(6));
 }
 
 #[test]
@@ -391,9 +411,9 @@ fn a_line_built_in_code_is_checked_by_the_same_rules() {
         "0 phase: must be below divisor = 1",
         "0 device: k0: its name is taken",
         "0 device: \"a b\": its name must be",
-        "0 period: drive k0 takes whole multiples of 250 us",
-        "1 watchdog: is counted in whole steps of 100 us",
-        "0 device: k0: position: 1 is the place of k1 already",
+        "0 period: drive k0 needs a period that is a whole multiple of 250 us",
+        "1 watchdog: must be a whole multiple of 100 us",
+        "0 device: k0: position: 1 is already the place of k1",
         "0 device: k0: watchdog: trips after 100 us without outputs",
     ] {
         assert!(told.iter().any(|line| line.starts_with(begin)), "{begin}\n{told:#?}");

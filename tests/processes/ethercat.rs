@@ -50,7 +50,7 @@ fn a_line_is_told_as_a_table_and_as_json() {
     assert_eq!(rows[0][..5], ["place", "station", "state", "name", "vendor"]);
     assert_eq!(rows[2][..6], ["1", "0x0000", "INIT", "S700", "0x0000006a", "0x03000600"]);
     assert_eq!(rows[2][8..], ["CoE", "16", "0", "0", "64", "bit", "0", "1", "8/8"]);
-    assert!(ended.out.contains("place 2: as delivered 6 bytes of outputs, 8 of inputs\n"), "{}", ended.out);
+    assert!(ended.out.contains("place 2: by default 6 bytes of outputs, 8 of inputs\n"), "{}", ended.out);
     assert!(ended.out.lines().all(|line| line == line.trim_end()), "{}", ended.out);
 
     let ended = line.scan(&["--json"]).end();
@@ -79,7 +79,7 @@ fn a_line_that_is_silent_or_goes_away_is_told_in_one_line() {
     let scan = line.scan(&["--json"]);
     scan.await_handler(SIGINT);
     drop(line.server);
-    scan.end().failed(&["nobody serves this line"]);
+    scan.end().failed(&["nothing serves this segment"]);
 }
 
 #[test]
@@ -97,7 +97,7 @@ fn what_is_no_line_is_told_in_one_line() {
         .refused(&["there is no network interface eth-none-here", "ip link"]);
     run(["ethercat", "scan", "local:"]).refused(&["a name has 1 to"]);
     run(["ethercat", "scan", "local:nobody"])
-        .failed(&["nobody serves this line; start it: fieldbeat sim CONFIG"]);
+        .failed(&["nothing serves this segment; start it: fieldbeat sim CONFIG"]);
     run(["ethercat", "scan"]).refused(&["<INTERFACE>; see `fieldbeat ethercat scan --help`"]);
 }
 

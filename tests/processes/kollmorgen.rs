@@ -50,7 +50,7 @@ fn a_line_comes_up_whoever_is_there_first_and_the_run_says_how_the_grid_follows_
     let (_machine, config) = machine(170);
     let mut master = master(&config, &["--json"]);
     let nobody =
-        format!("drive turns: not connected: nobody serves {}: start it: fieldbeat sim CONFIG", line(170));
+        format!("drive turns: not connected: nothing serves {}: start it: fieldbeat sim CONFIG", line(170));
     master.await_text(&nobody);
     let sim = simulation(&config);
     master.await_text("all drives online: 2");
@@ -133,7 +133,7 @@ fn objects_are_read_written_and_refused_alone_and_beside_a_master() {
 fn what_is_no_object_is_refused_before_anything_is_sent() {
     let (_machine, config) = machine(173);
     let says = |what: &str, rest: &str| ask(&format!("param {what}"), &config, rest);
-    says("get", "turns banana").refused(&["read banana: no address of this drive; write 0x6041:0"]);
+    says("get", "turns banana").refused(&["read banana: not an address of this drive; write 0x6041:0"]);
     says("set", "turns 0x6041:0 3").refused(&["cannot be written"]);
     says("get", "nobody 0x6041:0").refused(&["has no drive nobody; it has turns, moves"]);
     let listed = says("list", "turns").expect(0).out.clone();
@@ -196,7 +196,7 @@ fn a_device_that_is_refused_is_named_on_the_terminal_and_asked_through_its_maste
     let asked = || ask("param get", &config, "io 0x1018:1");
     let alone = asked();
     alone.expect(1);
-    assert!(alone.err.contains("io is no drive, and is asked by its running master only"), "{}", alone.err);
+    assert!(alone.err.contains("io is not a drive: only a running master can access it"), "{}", alone.err);
 
     let mut master = master(&config, &["--json"]);
     let refused = "place 2: its product is 0x";

@@ -149,7 +149,7 @@ fn a_wrong_file_is_told_before_anything_is_sent() {
             "table",
             "link.toml",
             table.replace("next = 3", "next = 99"),
-            ["link.toml", "leads to entry 99, which is not there"],
+            ["link.toml", "leads to entry 99, which does not exist"],
         ),
         (
             "table",
@@ -198,9 +198,13 @@ fn an_interrupted_transfer_leaves_what_was_there() {
     let putting = under_way(&machine, &config, "d0");
     putting.signal(SIGINT);
     let ended = putting.end();
-    assert_eq!((ended.expect(1).out.as_str(), ended.err.matches("broken off").count()), ("", 1), "{ended:?}");
+    assert_eq!(
+        (ended.expect(1).out.as_str(), ended.err.matches("was interrupted").count()),
+        ("", 1),
+        "{ended:?}"
+    );
     let last = ended.err.lines().last().unwrap();
-    assert!(last.ends_with("writing curve 9 was broken off; the drive has what it had before"), "{last}");
+    assert!(last.ends_with("writing curve 9 was interrupted; the drive has what it had before"), "{last}");
     assert_eq!(curves(&config, "d0").json(), serde_json::json!([4]));
 }
 
@@ -374,7 +378,7 @@ fn its_software_stops_and_starts_and_parameters_go_back_to_their_defaults() {
     let before = get("predefined-velocity");
     ask("param set", &config, "d0 predefined-velocity.both 7").expect(0);
     ask("param set", &config, "d0 0x3100.both 8").expect(0);
-    assert_eq!(does("defaults", " mc"), "drive d0: the defaults hold after a restart; home it\n");
+    assert_eq!(does("defaults", " mc"), "drive d0: the defaults take effect after a restart; home it\n");
     assert_eq!((get("predefined-velocity.rom"), get("0x3100.rom")), (before.clone(), 8.into()));
     assert_eq!(get("predefined-velocity"), 7);
     does("restart", "");

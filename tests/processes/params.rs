@@ -142,7 +142,7 @@ fn an_interrupted_list_is_none() {
         let ended = listing.end();
         assert_eq!(ended.expect(1).out, "");
         let last = ended.err.lines().last().unwrap();
-        assert!(last.contains("drive d0: ") && last.contains("its parameters was broken off"), "{last}");
+        assert!(last.contains("drive d0: ") && last.contains("its parameters was interrupted"), "{last}");
     }
 }
 
@@ -169,8 +169,9 @@ fn mistakes_of_the_asker_are_one_line_and_no_telegram() {
     for address in ["0x", "20A8", "0x120A8", "speed", "0x20A8.eeprom", ""] {
         if !address.is_empty() {
             get(&format!("d0 {address}"))
-                .refused(&[&format!("drive d0: read {address}: no address"), "write 0x20A8"]);
-            set(&format!("d0 {address} 1")).refused(&[&format!("drive d0: write {address}"), "no address"]);
+                .refused(&[&format!("drive d0: read {address}: not an address"), "write 0x20A8"]);
+            set(&format!("d0 {address} 1"))
+                .refused(&[&format!("drive d0: write {address}"), "not an address"]);
         }
     }
     for variant in ["min", "max", "default"] {
@@ -195,7 +196,7 @@ fn mistakes_of_the_asker_are_one_line_and_no_telegram() {
     ] {
         set(&format!("d0 {address} {value}")).failed(&[&format!("drive d0: write {address}"), value, range]);
     }
-    ask("param list", &config, "d0 --from speed").refused(&["--from speed: no UPID"]);
+    ask("param list", &config, "d0 --from speed").refused(&["--from speed: not a UPID"]);
     ask("param", &config, "").refused(&["--help"]);
     drives.iter().for_each(assert_silent);
 }
@@ -263,7 +264,7 @@ fn a_master_that_may_not_be_asked_is_named() {
     let own = sockets.filter(|path| path.to_str().unwrap().contains("closed87-"));
     // Those of runs that were killed lie there, too.
     own.for_each(|socket| fs::set_permissions(socket, PermissionsExt::from_mode(0o000)).unwrap());
-    ordinary(&["param", "get", path, "d0", "0x20A8"]).end().failed(&["is another user's", "use sudo"]);
+    ordinary(&["param", "get", path, "d0", "0x20A8"]).end().failed(&["belongs to another user", "use sudo"]);
     master.signal(SIGTERM);
     master.end().expect(0);
 }

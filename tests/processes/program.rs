@@ -149,6 +149,95 @@ fn check_says_the_plan_and_what_it_is_not() {
     }
 }
 
+#[test]
+fn check_as_json_is_one_object_with_the_plan_or_the_mistakes() {
+    let file = checkout("rt-config/demo.toml");
+    let said = run(["check".into(), file.clone(), "--json".into()]).expect(0).json();
+    assert_eq!((&said["drives"][0]["name"], &said["errors"]), (&"a1".into(), &serde_json::json!([])));
+    assert_eq!(said["source"], file.to_str().unwrap());
+
+    let machine = Machine::new(180);
+    let text = std::fs::read_to_string(machine.plain(1)).unwrap();
+    let config = machine.write("m.toml", text.replace("d0", "d 0") + "divisor = 0\n");
+    let ended = run(["check".as_ref(), config.as_os_str(), "--json".as_ref()]);
+    ended.expect(2);
+    let said = ended.json();
+    assert_eq!(said.as_object().unwrap().keys().collect::<Vec<_>>(), ["errors"]);
+    let errors = said["errors"].as_array().unwrap();
+    let of = |key: &str| {
+        errors.iter().find(|error| error["key"] == key).unwrap_or_else(|| panic!("{key}: {said}"))
+    };
+    assert_eq!(of("bus.drive.divisor")["value"], "0");
+    assert_eq!(of("bus.drive.name")["file"], config.to_str().unwrap());
+    assert!(errors.iter().all(|error| error["line"].is_u64() && error["message"].is_string()), "{said}");
+    // People read the same on standard error.
+    assert_eq!(ended.err.lines().count(), errors.len(), "{}", ended.err);
+}
+
+/// What a shell with this script makes of half a line.
+#[test]
+fn the_completions_of_bash_are_a_script_that_knows_all_commands() {
+    let script = run(["completions", "bash"]).expect(0).out.clone();
+    let complete = |before: &str, current: &str| {
+        let last = before.split_whitespace().count();
+        let words = format!("COMP_WORDS=({before} '{current}') COMP_CWORD={last}");
+        let call = format!("_fieldbeat fieldbeat '{current}' x || true; echo \"${{COMPREPLY[@]}}\"");
+        let script = format!("{script}\n{words}\n{call}");
+        let output = Command::new("bash").args(["--norc", "-c", &script]).output().unwrap();
+        assert!(output.status.success() && output.stderr.is_empty(), "{output:?}");
+        String::from_utf8(output.stdout).unwrap()
+    };
+    let known = complete("fieldbeat", "");
+    for command in commands() {
+        assert!(known.split_whitespace().any(|word| word == command), "no {command}: {known}");
+    }
+    assert_eq!(complete("fieldbeat", "che").trim(), "check");
+    assert!(complete("fieldbeat check", "--j").contains("--json"));
+    for shell in ["zsh", "fish", "elvish", "powershell"] {
+        assert!(run(["completions", shell]).expect(0).out.contains("blackbox"), "{shell}");
+    }
+    run(["completions", "tcsh"]).refused(&["tcsh", "bash", "zsh"]);
+}
+
+#[test]
+fn the_manual_names_every_command_and_has_a_page_for_each() {
+    let page = run(["man"]).expect(0).out.clone();
+    let machine = Machine::new(181);
+    let directory = machine.path("man1");
+    run(["man".as_ref(), "--dir".as_ref(), directory.as_os_str()]).expect(0);
+    for command in commands() {
+        assert!(page.contains(&format!(".SH FIELDBEAT {}", command.to_uppercase())), "no {command}: {page}");
+        let own = std::fs::read_to_string(directory.join(format!("fieldbeat-{command}.1"))).unwrap();
+        assert!(own.contains(".SH SYNOPSIS"), "{own}");
+    }
+    let whole = std::fs::read_to_string(directory.join("fieldbeat.1")).unwrap();
+    assert!(whole.contains("safety function") && page.contains("safety function"), "{whole}");
+    assert!(directory.join("fieldbeat-param-get.1").is_file());
+    // Not every computer has man.
+    let file = std::fs::File::open(machine.write("page.1", &page)).unwrap();
+    if let Ok(rendered) = Command::new("man").args(["--warnings", "-l", "-"]).stdin(file).output() {
+        assert!(rendered.status.success() && rendered.stderr.is_empty(), "{rendered:?}");
+        assert!(String::from_utf8_lossy(&rendered.stdout).contains("FIELDBEAT CHECK"), "{rendered:?}");
+    }
+    let way = machine.write("way", "");
+    run(["man".as_ref(), "--dir".as_ref(), way.as_os_str()]).failed(&[
+        "cannot write to ",
+        "way",
+        "name another",
+    ]);
+}
+
+/// The commands as the help lists them.
+fn commands() -> Vec<String> {
+    let help = run(["--help"]).expect(0).out.clone();
+    let list = help.split("Commands:").nth(1).unwrap().split("Options:").next().unwrap();
+    let names = list.lines().filter(|line| line.starts_with("  ") && !line.starts_with("   "));
+    let names: Vec<String> =
+        names.filter_map(|line| Some(line.split_whitespace().next()?.to_owned())).collect();
+    assert!(names.len() >= 12, "{help}");
+    names.into_iter().filter(|name| name != "help").collect()
+}
+
 /// What goes in by a pipe is a configuration like any other.
 #[test]
 fn a_configuration_may_come_through_a_pipe() {

@@ -1,20 +1,24 @@
 //! What a master tells of itself while it runs, and after something failed: its control socket, its black box, and its
 //! service manager.
 
-use std::fs;
-use std::os::unix::fs::PermissionsExt;
+use std::fs::{self, DirBuilder};
+use std::net::UdpSocket;
+use std::os::unix::fs::{DirBuilderExt, PermissionsExt};
 use std::os::unix::net::UnixDatagram;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{Duration, Instant};
 
 use fieldbeat::Master;
+use fieldbeat::control::Server;
 use libc::{SIGTERM, SIGUSR1};
 use serde_json::{Value, json};
 
 use super::simulation;
 use super::support::hold::{Hold, thread};
-use super::support::{Ended, LONG, Machine, NOBODY, PROGRAM, Program, as_ordinary_user, plan, run, until};
+use super::support::{
+    DemoLock, Ended, LONG, Machine, NOBODY, PROGRAM, Program, as_ordinary_user, checkout, plan, run, until,
+};
 
 /// A command of the program whose sockets and files are the machine's own.
 fn own(machine: &Machine, arguments: &[&str]) -> Command {
@@ -106,6 +110,84 @@ fn of_two_masters_one_is_named_and_a_dead_one_is_called_dead() {
     let again = master(&machine, &first, &[]);
     let answer = status(&machine, &[first.to_str().unwrap(), "--json"]).expect(0).json();
     assert_eq!(answer["pid"], again.pid());
+}
+
+/// Somebody who answers like a master of this process id and configuration.
+fn answering(machine: &Machine, socket: &str, pid: u32, config: Option<&str>) -> Server {
+    let directory = machine.path("run/fieldbeat");
+    DirBuilder::new().mode(0o700).recursive(true).create(&directory).unwrap();
+    let status = json!({ "pid": pid, "version": "0", "config": config, "text": "", "summary": {} });
+    let answer = move |question: &Value| match question["ask"].as_str() {
+        Some("status") => Ok(status.clone()),
+        _ => Err(format!("this is {pid}")),
+    };
+    Server::start(&directory.join(socket), || {}, move || answer.clone()).unwrap()
+}
+
+#[test]
+fn the_demos_are_found_by_their_configuration_and_told_apart_by_their_process() {
+    let machine = Machine::new(182);
+    let demo = checkout("rt-config/demo.toml").to_str().unwrap().to_owned();
+    let pid = |arguments: &[&str]| {
+        status(&machine, &[arguments, &["--json"]].concat()).expect(0).json()["pid"].clone()
+    };
+    let get = |more: &[&str]| {
+        let all = [&["param", "get", &demo, "a1", "0x20A8"], more].concat();
+        Program::spawn(&mut own(&machine, &all)).end()
+    };
+    let _one = answering(&machine, "demo.sock", 11, None);
+    for arguments in [&[][..], &[&*demo], &["--pid", "11"], &[&*demo, "--pid", "11"]] {
+        assert_eq!(pid(arguments), 11, "{arguments:?}");
+    }
+    get(&[]).failed(&["this is 11"]);
+
+    let _other = answering(&machine, "demo-2.sock", 12, Some("rt-config/demo.toml"));
+    let _machine = answering(&machine, "demo-01234567.sock", 13, Some("/etc/demo.toml"));
+    let both =
+        ["several masters run: ", "rt-config/demo.toml (pid 12)", "the demo (pid 11)", "choose one by --pid"];
+    status(&machine, &[&demo]).refused(&both);
+    get(&[]).refused(&both);
+    assert!(!status(&machine, &[&demo]).err.contains("13"));
+    status(&machine, &[]).refused(&["(pid 11)", "(pid 12)", "/etc/demo.toml (pid 13)"]);
+    for number in [11, 12, 13] {
+        assert_eq!(pid(&["--pid", &number.to_string()]), number);
+    }
+    assert_eq!(pid(&[&demo, "--pid", "12"]), 12);
+    get(&["--pid", "12"]).failed(&["this is 12"]);
+    status(&machine, &[&demo, "--pid", "13"]).failed(&["with pid 13 runs", "(pid 11)"]);
+    get(&["--pid", "14"]).failed(&["no master of ", "demo.toml with pid 14 runs"]);
+}
+
+#[test]
+fn the_master_of_another_configuration_is_named_as_such() {
+    let machine = Machine::new(183);
+    let config = machine.plain(1);
+    let text = config.to_str().unwrap();
+    let _other = answering(&machine, "press-01234567.sock", 21, Some("/etc/press.toml"));
+    let no = format!("no master of {text} runs; the master of /etc/press.toml (pid 21) runs\n");
+    let ended = status(&machine, &[text]);
+    ended.failed(&[]);
+    assert_eq!(ended.err, format!("fieldbeat: {no}"));
+    // Its sockets are the reason why this one cannot have its own: the one that stands in the way is named.
+    let _taken = UdpSocket::bind(machine.master()).unwrap();
+    let ended = Program::spawn(&mut own(&machine, &["param", "get", text, "d0", "0x20A8"])).end();
+    ended.refused(&["cannot bind", "the master of /etc/press.toml (pid 21) runs"]);
+}
+
+#[test]
+fn a_running_demo_is_found_from_anywhere() {
+    let _lock = DemoLock::take();
+    let machine = Machine::new(184);
+    let demo = checkout("rt-config/demo.toml").to_str().unwrap().to_owned();
+    let arguments = ["demo", "--drives", "1", "--period", "8ms", "--for", "60s"];
+    // In a directory that has no such file.
+    let mut program = Program::spawn(own(&machine, &arguments).current_dir(machine.path("run")));
+    program.await_text("all drives online");
+    assert_eq!(status(&machine, &[&demo, "--json"]).expect(0).json()["pid"], program.pid());
+    assert_eq!(status(&machine, &["--json"]).expect(0).json()["pid"], program.pid());
+    let get = ["param", "get", &demo, "a1", "0x20A8"];
+    let ended = Program::spawn(&mut own(&machine, &get)).end();
+    assert_eq!(ended.expect(0).out, "a1 0x20A8: 7695 (0x1E0F)\n");
 }
 
 #[test]

@@ -43,7 +43,7 @@ fn a_mapping_that_cannot_be_is_refused_by_check_with_the_reason() {
     let machine = Machine::new(110);
     let text = std::fs::read_to_string(mixed(&machine)).unwrap();
     for (fragment, reason) in [
-        ("map.speed = \"18.011\"", "18.011 is not one that is known here"),
+        ("map.speed = \"18.011\"", "18.011 is not known here"),
         (
             "also_read = [{ parameter = \"18.001 ... 18.061\", bits = 32 }]",
             "122 registers from 18.001 on are more than the 120",
@@ -74,7 +74,7 @@ fn parameters_are_read_written_and_listed_by_a_master_of_its_own_and_through_the
         }
         does("set", "u 03.002 5").failed(&["the drive did not take it and gave no error code"]);
         does("get", "u 18.011").failed(&["exception 02h no such parameter"]);
-        does("get", "u 6.42").refused(&["no address of this drive; write 06.042"]);
+        does("get", "u 6.42").refused(&["not an address of this drive; write 06.042"]);
         let listed = does("list", "u 06").expect(0).out.clone();
         assert!(listed.contains("06.042  16 read write  ") && listed.contains("control-word\n"), "{listed}");
         assert!(!listed.contains("06.002"), "it has none: {listed}");
@@ -104,7 +104,7 @@ fn what_is_no_menu_is_refused_before_anything_is_sent() {
     let config = mixed(&machine);
     for (rest, reason) in [
         ("u", "drive u lists by menu; name one, like 06"),
-        ("u 06.042", "06.042: no menu"),
+        ("u 06.042", "06.042: not a menu"),
         ("u 06 --values", "leave --modified, --values and --from out"),
         ("x 06", "drive x has no menus; leave 06 out"),
     ] {

@@ -53,7 +53,7 @@ fn numbers_that_are_none_and_those_beyond_the_limits_are_refused_at_the_door() {
         Verb::Stop { deceleration: Some(-5.0) },
     ] {
         let told = refused(&mut b, verb);
-        let named = told.contains("outside its limit") || told.contains("has to be above 0");
+        let named = told.contains("outside its limit") || told.contains("must be above 0");
         assert!(named, "{verb:?}: {told}");
     }
     for row in [row(-0.001), row(200.1), fieldbeat::axis::Row { velocity: -1_000.1, ..row(5.0) }] {

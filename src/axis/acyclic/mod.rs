@@ -50,7 +50,7 @@ pub struct Answer {
 }
 
 /// Why a call was not carried out.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Error, Serialize, Deserialize)]
+#[derive(Clone, Copy, PartialEq, Eq, Error, Serialize, Deserialize)]
 pub enum CallError {
     /// The drive refused, with its own status.
     #[error("the drive refused it with status {0:#04x}")]
@@ -94,6 +94,7 @@ pub enum CallError {
     #[error("the connection to the master was lost: check that it runs, and try again")]
     Lost,
 }
+crate::errors::debug_as_display!(CallError);
 
 /// The result of a series of calls: the answers up to the first failure.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]

@@ -52,10 +52,10 @@ pub trait Notation: Debug + Send + Sync {
 }
 
 /// A mistake in an address or a value, found before anything is sent.
-#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[derive(Clone, PartialEq, Eq, Error)]
 pub enum NotationError {
     /// No address of this protocol.
-    #[error("no address of this drive; write {form}")]
+    #[error("not an address of this drive; write {form}")]
     Address {
         /// A correct form.
         form: &'static str,
@@ -77,7 +77,7 @@ pub enum NotationError {
         high: i64,
     },
     /// Not a value of this parameter.
-    #[error("{value} is no value of this parameter; write {form}")]
+    #[error("{value} is not a value of this parameter; write {form}")]
     Value {
         /// The given value.
         value: String,
@@ -85,9 +85,10 @@ pub enum NotationError {
         form: String,
     },
 }
+crate::errors::debug_as_display!(NotationError);
 
 /// Why a parameter was not read or written.
-#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[derive(Clone, PartialEq, Eq, Error)]
 pub enum ParameterError {
     /// Nothing was sent.
     #[error("drive {drive}: {access} {address}: {error}")]
@@ -135,6 +136,7 @@ pub enum ParameterError {
         why: CallError,
     },
 }
+crate::errors::debug_as_display!(ParameterError);
 
 fn of(value: &Option<String>) -> String {
     value.as_ref().map_or(String::new(), |value| format!(" = {value}"))

@@ -78,7 +78,7 @@ struct Ends {
 }
 
 /// Why a call was not accepted.
-#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[derive(Clone, PartialEq, Eq, Error)]
 pub enum PostError {
     /// Its queue has no room.
     #[error("axis {axis}: its queue of {capacity} acyclic calls is full: wait for earlier ones to end")]
@@ -95,6 +95,7 @@ pub enum PostError {
         axis: String,
     },
 }
+crate::errors::debug_as_display!(PostError);
 
 impl PostError {
     /// Room may become free later.

@@ -191,7 +191,7 @@ impl TerminalInputs {
 }
 
 /// Why outputs were not accepted.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum TerminalError {
     /// The image is of another size.
     #[error("the device has {has} bytes of outputs, not {given}: write all of them at once")]
@@ -205,6 +205,7 @@ pub enum TerminalError {
     #[error("the previous outputs have not gone out yet: write at most once per cycle")]
     Full,
 }
+crate::errors::debug_as_display!(TerminalError);
 
 impl Terminals {
     /// The newest inputs.

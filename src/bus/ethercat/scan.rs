@@ -116,7 +116,7 @@ impl Slave {
 }
 
 /// Why a scan did not complete. Nothing was changed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[derive(Clone, Copy, PartialEq, Eq, Error)]
 pub enum ScanError {
     /// The caller interrupted it.
     #[error("interrupted")]
@@ -128,7 +128,7 @@ pub enum ScanError {
     #[error("no slave answers; check power and cable, and whether the segment is at this interface")]
     Silent,
     /// A frame came back as it was sent.
-    #[error("frames come back, but no slave has seen them; look for a loop behind this interface")]
+    #[error("frames come back, but no slave has processed them; look for a loop behind this interface")]
     Loop,
     /// A slave was there, and no longer is.
     #[error(
@@ -154,6 +154,7 @@ pub enum ScanError {
     #[error("another master ({}) has frames on this interface; end it, or read its slaves from it", Shown(.0))]
     Foreign(Mac),
 }
+crate::errors::debug_as_display!(ScanError);
 
 fn unsent(unsent: &Unsent) -> String {
     match unsent {

@@ -215,7 +215,7 @@ impl BusPlan for LinUdpPlan {
             let all = drive.axis.faults().into_iter().chain(drive.faults(own));
             faults.extend(all.map(|fault| (index, fault)));
             if self.drives[..index].iter().any(|other| other.address.ip() == drive.address.ip()) {
-                let taken = PlanFault::new("address", "is taken by another drive; one drive an IP address");
+                let taken = PlanFault::new("address", "is taken by another drive; one drive per IP address");
                 faults.push((index, taken));
             }
         }

@@ -88,7 +88,7 @@ impl Dimension {
 }
 
 /// Why a curve is invalid for a drive.
-#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[derive(Clone, PartialEq, Eq, Error)]
 pub enum CurveError {
     /// The info block.
     #[error("an info block of {0} bytes; it has 70: transfer the curve again")]
@@ -120,6 +120,7 @@ pub enum CurveError {
     #[error("the name {0:?}; use at most 22 printable ASCII characters")]
     Name(String),
 }
+crate::errors::debug_as_display!(CurveError);
 
 impl Curve {
     /// The bytes of a name, at most 22 printable ASCII characters.

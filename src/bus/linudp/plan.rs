@@ -180,16 +180,16 @@ impl LinUdpDrive {
         let mut faults = self.wire_faults();
         faults.extend(self.stream.and_then(|command| self.stream_fault(command, period_ns)));
         if let Some(name) = self.monitor.shown_twice() {
-            faults.push(PlanFault::new("monitor", format!("has {name} twice; name each variable once")));
+            faults.push(PlanFault::new("monitor", format!("has {name} twice; list each variable once")));
         }
         if self.axis.limits.torque.is_some() {
-            let why = "limits nothing: a LinUDP drive is told no torques; leave it out";
+            let why = "has no effect: a LinUDP drive takes no torque setpoints; leave it out";
             faults.push(PlanFault::new("limits.torque", why));
         }
         let unit = self.axis.units.unit;
         match (self.leash, self.axis.limits.position) {
             (Some(leash), _) if !(leash > 0.0 && leash.is_finite()) => {
-                faults.push(PlanFault::new("leash", "has to be above 0"));
+                faults.push(PlanFault::new("leash", "must be above 0"));
             }
             (Some(leash), Some((low, high))) if leash > high - low => {
                 let range = high - low;
@@ -243,12 +243,12 @@ impl LinUdpDrive {
             .map(|other| format!("\"{}\"", other.name()))
             .collect();
         let remedy = match fitting.is_empty() {
-            true => "no streaming command fits, take \"off\" or another period".to_owned(),
-            false => format!("take {} or \"off\"", fitting.join(", ")),
+            true => "no streaming command fits, use \"off\" or another period".to_owned(),
+            false => format!("use {} or \"off\"", fitting.join(", ")),
         };
         let (low, high) = command.period_range_ns();
         let why = format!(
-            "takes a setpoint every {} ... {}, this drive gets one every {} (period x divisor {}); {remedy}",
+            "needs a setpoint every {} ... {}, and this drive gets one every {} (period x divisor {}); {remedy}",
             Ns(low),
             Ns(high),
             Ns(period_ns),
@@ -280,13 +280,15 @@ impl LinUdpDrive {
         match self.monitor {
             MonitorPlan::Off => {}
             MonitorPlan::AsSet => {
-                lines.push("shows its monitoring channels as they are set in it".to_owned())
+                lines.push("shows its monitoring channels as the drive has them set".to_owned())
             }
             MonitorPlan::Sources(_) => {
                 let names: Vec<String> =
                     self.monitor.channels().into_iter().flatten().map(|channel| channel.name).collect();
                 let names = names.join(", ");
-                lines.push(format!("shows {names}: set so, in its RAM, whenever it comes online"));
+                lines.push(format!(
+                    "shows {names}: the master sets this, in RAM, whenever the drive comes online"
+                ));
             }
         }
         let jog = match self.leash {
@@ -298,7 +300,7 @@ impl LinUdpDrive {
             None => "",
         };
         lines.push(format!(
-            "if the master dies: no watchdog in a LinUDP drive, a move runs to its target, {jog}{stream}"
+            "if the master dies: a LinUDP drive has no watchdog, a move runs to its target, {jog}{stream}"
         ));
         lines.join("\n")
     }

@@ -43,7 +43,7 @@ pub struct Entry {
 }
 
 /// Why bytes are not an entry, or a name is invalid.
-#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[derive(Clone, PartialEq, Eq, Error)]
 pub enum EntryError {
     /// The length.
     #[error("an entry of {0} bytes; it has 64: transfer it again")]
@@ -55,6 +55,7 @@ pub enum EntryError {
     #[error("the name {0:?}; use at most 15 printable ASCII characters")]
     Name(String),
 }
+crate::errors::debug_as_display!(EntryError);
 
 impl Entry {
     /// An entry that runs `command` and continues with `next`.
@@ -143,8 +144,8 @@ pub struct Table {
 }
 
 /// An entry leads to one that does not exist: the drive would end in error 008Ah.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-#[error("{by} of entry {} leads to entry {to}, which is not there; add it or lead elsewhere", .entry.wire())]
+#[derive(Clone, Copy, PartialEq, Eq, Error)]
+#[error("{by} of entry {} leads to entry {to}, which does not exist; add it or change the reference", .entry.wire())]
 pub struct DeadEnd {
     /// The entry with the link.
     pub entry: EntryId,
@@ -153,6 +154,7 @@ pub struct DeadEnd {
     /// The missing entry.
     pub to: i64,
 }
+crate::errors::debug_as_display!(DeadEnd);
 
 impl Table {
     /// No entry.
@@ -282,7 +284,7 @@ mod tests {
         assert_eq!(table.dead_ends(), expected);
         assert_eq!(
             expected[1].to_string(),
-            "if_false of entry 2 leads to entry 4, which is not there; add it or lead elsewhere"
+            "if_false of entry 2 leads to entry 4, which does not exist; add it or change the reference"
         );
         assert!(Table::new().dead_ends().is_empty() && Table::new().is_empty());
     }

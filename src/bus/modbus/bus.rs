@@ -256,7 +256,7 @@ impl BusPlan for ModbusPlan {
             faults.extend(all.map(|fault| (index, fault)));
             if self.drives[..index].iter().any(|other| other.address == drive.address) {
                 let taken =
-                    PlanFault::new("address", "is taken by another drive; one drive an address and port");
+                    PlanFault::new("address", "is taken by another drive; one drive per address and port");
                 faults.push((index, taken));
             }
         }
@@ -265,6 +265,10 @@ impl BusPlan for ModbusPlan {
 
     fn reply_within_ns(&self, index: usize) -> Option<u64> {
         self.drives.get(index).map(|drive| drive.reply_within_ns)
+    }
+
+    fn drive_watchdog_ns(&self, index: usize) -> Option<u64> {
+        self.drives.get(index)?.watchdog.within_ns()
     }
 
     fn describe(&self, period_ns: u64) -> Vec<String> {

@@ -275,7 +275,7 @@ impl UnidriveGreeting {
             }
             (Step::Menu0, Some(code)) => {
                 return Greeted::Failed(format!(
-                    "the drive does not give its menu 0 as it was set up: {code}; take via = \"direct\""
+                    "the drive does not give its menu 0 as it was set up: {code}; use via = \"direct\""
                 ));
             }
             (Step::Menu0, None) => {
@@ -330,7 +330,7 @@ impl UnidriveGreeting {
     fn end(&mut self) -> Greeted {
         if let Some(setting) = self.unmet(Purpose::Menu0).filter(|_| self.may_set()) {
             return Greeted::Failed(format!(
-                "Pr {} does not take {}, so that menu 0 cannot show the cyclic parameters; take via = \"direct\"",
+                "Pr {} does not take {}, so that menu 0 cannot show the cyclic parameters; use via = \"direct\"",
                 setting.parameter, setting.value
             ));
         }

@@ -207,7 +207,7 @@ impl Mapping {
             .collect();
         if map.also.len() > ALSO_MAX {
             let why = format!(
-                "names {} parameters, a request has {REGISTERS_MAX} registers; name fewer",
+                "names {} parameters, and a request has {REGISTERS_MAX} registers; name fewer",
                 map.also.len()
             );
             return Err(PlanFault::new("also_read", why));
@@ -218,7 +218,7 @@ impl Mapping {
                 all[..place].iter().find(|(_, other)| other.parameter == mapped.parameter)
             {
                 let why =
-                    format!("{} is {} already; name each parameter once", mapped.parameter, other.key());
+                    format!("{} is already {}; name each parameter once", mapped.parameter, other.key());
                 return Err(PlanFault::new(role.key(), why));
             }
             if mapped.parameter.slot != 0 {
@@ -231,7 +231,7 @@ impl Mapping {
             drive.address_of(*role, mapped.parameter, mapped.width)?;
             if drive.via != Via::Direct && mapped.parameter.to_setup().is_none() {
                 let why = format!(
-                    "{} cannot be shown in menu 0 (menus up to 59); take via = \"direct\"",
+                    "{} cannot be shown in menu 0 (menus up to 59); use via = \"direct\"",
                     mapped.parameter
                 );
                 return Err(PlanFault::new(role.key(), why));
@@ -265,9 +265,7 @@ impl Mapping {
                             *role,
                             Mapped { parameter: Parameter::new(0, number), width: Width::Long, ..*mapped },
                         )),
-                        None => {
-                            Err(PlanFault::new("via", "menu 0 has places 1 ... 80; begin further in front"))
-                        }
+                        None => Err(PlanFault::new("via", "menu 0 has places 1 ... 80; use a lower number")),
                     }
                 };
                 let placed = all.iter().enumerate().map(place).collect::<Result<Vec<_>, _>>()?;
@@ -390,7 +388,7 @@ fn check_lengths(writes: &[Block], reads: &[Block]) -> Result<(), PlanFault> {
         Some(block) => Err(PlanFault::new(
             "map",
             format!(
-                "{} registers from {} on are more than the {REGISTERS_MAX} of one request; map fewer",
+                "{} registers from {} on exceed the {REGISTERS_MAX} of one request; map fewer",
                 block.registers, block.first
             ),
         )),
@@ -454,7 +452,7 @@ mod tests {
         assert!(mapping.reads().iter().any(|block| block.registers == 120 && block.roles.len() == 60));
         let fault = Mapping::new(&drive(also(61))).unwrap_err();
         assert!(
-            fault.message.contains("122 registers from 20.001 on are more than the 120 of one request"),
+            fault.message.contains("122 registers from 20.001 on exceed the 120 of one request"),
             "{fault:?}"
         );
     }
@@ -468,7 +466,7 @@ mod tests {
         let missing = fault(|drive| drive.map.speed.parameter = Parameter::new(163, 1));
         assert!(missing.starts_with("map.speed: 163.001 has no Modbus address"), "{missing}");
         let twice = fault(|drive| drive.map.speed.parameter = Parameter::STATUS_WORD);
-        assert_eq!(twice, "map.speed: 10.040 is map.status already; name each parameter once");
+        assert_eq!(twice, "map.speed: 10.040 is already map.status; name each parameter once");
         let slot = fault(|drive| drive.map.trip = Some(Mapped::new(Parameter::new(15, 9).in_slot(4))));
         assert!(slot.starts_with("map.trip: 4.15.009 is in an option slot"), "{slot}");
         let place = fault(|drive| drive.via = Via::Menu0 { first: 76 });

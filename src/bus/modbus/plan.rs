@@ -241,15 +241,22 @@ impl UnidriveDrive {
             wrong("reply_within", "must be above 0 and at most 10 s");
         }
         if self.slot == 0 || self.slot > 4 {
-            wrong("slot", "must be that of the Ethernet interface: 4 onboard, 1 ... 3 an SI-Ethernet option");
+            wrong(
+                "slot",
+                "must be the slot of the Ethernet interface: 4 onboard, 1 ... 3 an SI-Ethernet option",
+            );
         }
         if self.axis.limits.torque.is_some() {
-            wrong("limits.torque", "limits nothing: the drive is told speeds, no torques; leave it out");
+            wrong(
+                "limits.torque",
+                "has no effect: the drive takes speed setpoints, no torques; leave it out",
+            );
         }
         if self.axis.load == Load::Vertical(HeldBy::Drive) {
             wrong(
                 "held_by",
-                "a Unidrive that trips lets its motor go, by its watchdog, too, and the load drops; name a brake: held_by = \"brake\"",
+                "a Unidrive that trips, by its watchdog too, coasts, and the load drops; name a brake: \
+                 held_by = \"brake\"",
             );
         }
         faults
@@ -267,7 +274,7 @@ impl UnidriveDrive {
         .into_iter()
         .filter(|(_, given)| *given)
         .map(|(key, _)| {
-            PlanFault::new(key, "is of positions, and this protocol has speeds only; leave it out")
+            PlanFault::new(key, "concerns positions, and this protocol has speeds only; leave it out")
         })
         .collect()
     }
@@ -288,7 +295,8 @@ impl UnidriveDrive {
             let Some(rpm) = value.map(|value| self.rpm(value).abs()) else { continue };
             if !(least..=most).contains(&rpm) {
                 let why = format!(
-                    "{rpm} rpm of the motor are outside the range of the drive, {least} ... {most} rpm; change it or check scale"
+                    "{rpm} rpm of the motor are outside the range of the drive, {least} ... {most} rpm; \
+                     change it or check scale"
                 );
                 faults.push(PlanFault::new(key, why));
             }
@@ -307,15 +315,13 @@ impl UnidriveDrive {
         let heard_ns = period_ns.max(self.reply_within_ns);
         match self.watchdog.timeout_ns {
             Some(ns) if ns == 0 || ns > WATCHDOG_MAX_NS || !ns.is_multiple_of(MS) => {
-                wrong(
-                    "watchdog.timeout",
-                    "is set in the drive in whole milliseconds; take 1ms ... 65535ms".to_owned(),
-                );
+                wrong("watchdog.timeout", "must be in whole milliseconds; use 1ms ... 65535ms".to_owned());
             }
             Some(ns) if ns < heard_ns.saturating_mul(2) => wrong(
                 "watchdog.timeout",
                 format!(
-                    "trips the drive after {} without traffic, but {} may pass until the next request; allow twice that, exchange more often, or lower reply_within",
+                    "trips the drive after {} without traffic, but {} may pass until the next request; allow \
+                     twice that, exchange more often, or lower reply_within",
                     Ns(ns),
                     Ns(heard_ns)
                 ),
@@ -327,7 +333,8 @@ impl UnidriveDrive {
             wrong(
                 "watchdog.keypad",
                 format!(
-                    "trips the drive when its control word is not written for {}, but {} may pass until it is; exchange more often, or take the timeout",
+                    "trips the drive when its control word is not written for {}, but {} may pass between two \
+                     writes; exchange more often, or use the timeout",
                     Ns(KEYPAD_WATCHDOG_NS),
                     Ns(written_ns)
                 ),
@@ -351,7 +358,9 @@ impl UnidriveDrive {
         let mut lines = vec![self.address.to_string()];
         lines.extend(self.describe_exchange(every));
         lines.push(format!(
-            "a reply counts for {}; a drive that is silent for {} cannot be told anything: its connection is opened anew, with pauses, and a stop leaves with the first exchange on it; until then its own watchdog is what stops it",
+            "a reply counts for {}; after {} of silence its connection is opened again, with pauses: a stop \
+             request leaves with the first exchange on the new one, and until then only the drive's own \
+             watchdog stops it",
             Ns(self.reply_within_ns),
             Ns(2 * self.reply_within_ns)
         ));
@@ -362,7 +371,9 @@ impl UnidriveDrive {
         }
         if !self.set_up {
             lines.push(
-                "set_up = false: the drive is not set to anything, and not enabled unless it is set as needed".to_owned(),
+                "set_up = false: the master writes no settings, and enables the drive only if they are as \
+                 needed"
+                    .to_owned(),
             );
         }
         lines.push(format!("if the master dies: {}", self.describe_death()));
@@ -372,14 +383,15 @@ impl UnidriveDrive {
     /// Which blocks go with a request.
     fn describe_exchange(&self, every: Ns) -> Option<String> {
         let mapping = Mapping::new(self).ok()?;
-        let all = "writes and reads all of it";
+        let all = "writes and reads all parameters";
         Some(match (self.via, mapping.turns()) {
             (Via::Menu0 { first }, _) => format!(
-                "one request every {every} {all}, side by side in menu 0 from Pr 00.{first:03} on (Pr 22.{first:03} and on are set so)"
+                "one request every {every} {all}, in a row in menu 0 from Pr 00.{first:03} (the master sets \
+                 Pr 22.{first:03} and those after it)"
             ),
             (Via::Direct, 1) => format!("one request every {every} {all}"),
             (Via::Direct, turns) => format!(
-                "one request every {every} writes what changed, and reads a part: {}, all of it within {}",
+                "one request every {every} writes what changed and reads a part: {}, all parameters within {}",
                 match mapping.hot() {
                     1 => "status and speed in two of three".to_owned(),
                     hot => format!("status and speed within {}", count(hot + 1, "request")),
@@ -390,7 +402,8 @@ impl UnidriveDrive {
     }
 
     fn describe_death(&self) -> String {
-        let done = if self.set_up { "set so before it is enabled" } else { "which has to be set so" };
+        let done =
+            if self.set_up { "set by the master before it is enabled" } else { "which must be set to it" };
         let timeout = format!("Pr {}.15.009, {done}", self.slot);
         let how = match self.watchdog {
             Watchdog { timeout_ns: Some(_), keypad: true, .. } => {
@@ -402,13 +415,10 @@ impl UnidriveDrive {
         match self.watchdog.within_ns() {
             Some(within) => format!("the drive trips within {} and its motor coasts ({how})", Ns(within)),
             None if self.watchdog.accept_none => {
-                "nothing stops the drive, it goes on at its last speed (no_drive_watchdog = \"accept\")"
-                    .to_owned()
+                "nothing stops the drive: it keeps its last speed (no_drive_watchdog = \"accept\")".to_owned()
             }
-            None => {
-                "nothing would stop the drive, so that it is not enabled (no_drive_watchdog = \"refuse\")"
-                    .to_owned()
-            }
+            None => "nothing would stop the drive, so it is not enabled (no_drive_watchdog = \"refuse\")"
+                .to_owned(),
         }
     }
 }

@@ -25,15 +25,15 @@ use super::{Drive, access, failed};
 pub struct List {
     #[command(flatten)]
     drive: Drive,
-    /// The menu of a Unidrive, 06, or of the module in a slot of it, 4.15. All that it has there is read.
+    /// The menu of a Unidrive, 06, or of the module in one of its slots, 4.15. All its parameters are read.
     menu: Option<String>,
-    /// Of a LinMot, only those whose value in flash is not their default, with that value.
+    /// For a LinMot: list only parameters whose value in flash is not the default, with that value.
     #[arg(long)]
     modified: bool,
-    /// Of a LinMot or a drive on EtherCAT, read the value in use of each, too.
+    /// For a LinMot or a drive on EtherCAT: also read the current value of each.
     #[arg(long, conflicts_with = "modified")]
     values: bool,
-    /// Of a LinMot, begin with this parameter [default: 0x0000]; of a drive on EtherCAT with this object [default:
+    /// Begin with this parameter of a LinMot [default: 0x0000], or this object of a drive on EtherCAT [default:
     /// 0x1000].
     #[arg(long, value_name = "ADDRESS")]
     from: Option<String>,
@@ -102,7 +102,7 @@ impl List {
         }
         let from = self.from.as_deref().unwrap_or("0x0000");
         let Some(first) = Upid::parse(from) else {
-            return Err(Stop::usage(format!("--from {from}: no UPID; write 0x1450, or a name")));
+            return Err(Stop::usage(format!("--from {from}: not a UPID; write 0x1450, or a name")));
         };
         let reach = self.drive.reach(interrupt)?;
         reach.require_protocol(linudp::PROTOCOL)?;
@@ -144,7 +144,7 @@ impl List {
         }
         let from = self.from.as_deref().unwrap_or("0x1000");
         let Some(first) = Object::parse(from) else {
-            return Err(Stop::usage(format!("--from {from}: no object; write 0x6041:0")));
+            return Err(Stop::usage(format!("--from {from}: not an object; write 0x6041:0")));
         };
         let key = |object: Object| (object.index, object.sub);
         let all: Vec<&Known> = catalogue::all().filter(|known| key(known.object) >= key(first)).collect();
@@ -189,7 +189,9 @@ impl List {
             )));
         };
         let Ok(first) = format!("{menu}.001").parse::<Parameter>() else {
-            return Err(Stop::usage(format!("{menu}: no menu; write 06, or 4.15 of the module in slot 4")));
+            return Err(Stop::usage(format!(
+                "{menu}: not a menu; write 06, or 4.15 of the module in slot 4"
+            )));
         };
         let reach = self.drive.reach(interrupt)?;
         let mut watch = Meter::new(interrupt).watch();
@@ -250,5 +252,5 @@ fn usage_of(known: &Known) -> String {
 }
 
 fn broken_off(reach: &Reach) -> Stop {
-    Stop::failed(format!("drive {}: reading its parameters was broken off", reach.drive()))
+    Stop::failed(format!("drive {}: reading its parameters was interrupted", reach.drive()))
 }

@@ -83,7 +83,8 @@ fn the_sample_is_a_lift() {
     assert_eq!(load("rt-config/linmot-curve.csv"), Ok(curve));
     assert_eq!(
         load("rt-config/none.csv").unwrap_err().to_string(),
-        "cannot read rt-config/none.csv: No such file or directory; name a curve, for example rt-config/linmot-curve.csv"
+        "cannot read rt-config/none.csv: No such file or directory; name a curve, for example \
+         rt-config/linmot-curve.csv"
     );
 }
 
@@ -115,7 +116,7 @@ fn every_mistake_says_where_it_is_and_what_would_be_right() {
     assert!(cases > 20);
     for nothing in ["", "\n\n", "# id = 5\n"] {
         let error = parse(nothing, "c.csv").unwrap_err().to_string();
-        assert_eq!(error, "c.csv has no rows; a curve is a head, a line of columns and its setpoints");
+        assert_eq!(error, "c.csv has no rows; a curve has a head, a line of columns and its setpoints");
     }
 }
 

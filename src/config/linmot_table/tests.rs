@@ -94,7 +94,10 @@ fn every_mistake_says_where_it_is_and_what_would_be_right() {
     }
     assert!(cases > 20);
     let missing = parse("", "t.toml").unwrap_err().to_string();
-    assert_eq!(missing, "t.toml:1: entry: missing; a command table has an [[entry]] each, or is entry = []");
+    assert_eq!(
+        missing,
+        "t.toml:1: entry: missing; a command table has an [[entry]] for each entry, or is entry = []"
+    );
 }
 
 /// Entries as a drive may hold them: any bytes, more often than not with a command that has a name.

@@ -13,7 +13,7 @@ use crate::time::{MS, Time, US};
 pub(super) struct Setting {
     /// Its core.
     pub core: usize,
-    /// SCHED_FIFO at this priority; `None` = an ordinary thread with exact sleeps, as the loop has it without the
+    /// SCHED_FIFO at this priority; `None` = an ordinary thread that runs promptly, as the loop has it without the
     /// right.
     pub fifo: Option<u8>,
     /// Wakes before each grid point by the guard of the contender.
@@ -55,7 +55,7 @@ fn within<T: Send>(setting: &Setting, body: impl FnOnce() -> T + Send) -> Result
         thread::pin(setting.core)?;
         match setting.fifo {
             Some(priority) => thread::fifo(priority)?,
-            None => thread::exact_sleeps(),
+            None => thread::prompt(),
         }
         memory::prefault_stack();
         Ok(body())

@@ -161,7 +161,7 @@ fn lock<T>(stats: &Mutex<T>) -> MutexGuard<'_, T> {
 /// Gives the calling thread its core and priority; true if it now runs in real time as requested.
 fn schedule(options: ServerOptions) -> bool {
     // An ordinary thread's late sleeps would blur every answer time.
-    rt::thread::exact_sleeps();
+    rt::thread::prompt();
     let pinned = options.core.is_none_or(|core| rt::thread::pin(core).is_ok());
     options.priority.is_some_and(|priority| rt::thread::fifo(priority).is_ok()) && pinned
 }

@@ -95,7 +95,7 @@ pub struct Channel {
 }
 
 /// Why a file cannot be read. The message ends with the remedy.
-#[derive(Debug, Error)]
+#[derive(Error)]
 pub enum ReadError {
     /// The operating system refused.
     #[error("cannot read {path}: {error}; name a file that fieldbeat wrote (*.blackbox)")]
@@ -125,6 +125,7 @@ pub enum ReadError {
         what: &'static str,
     },
 }
+crate::errors::debug_as_display!(ReadError);
 
 /// The bytes of a file.
 pub fn encode<'a>(header: &Header, records: impl ExactSizeIterator<Item = &'a Record>) -> Vec<u8> {

@@ -39,7 +39,7 @@ const MOST_HEADERS: usize = 64;
 const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
 /// Why there is no endpoint. The message ends with the remedy.
-#[derive(Debug, Error)]
+#[derive(Error)]
 pub enum MetricsError {
     /// The address is not to be had.
     #[error("metrics address {address}: {error}; {}", remedy(.error))]
@@ -55,6 +55,7 @@ pub enum MetricsError {
     )]
     Thread(io::Error),
 }
+crate::errors::debug_as_display!(MetricsError);
 
 fn remedy(error: &io::Error) -> &'static str {
     match error.kind() {

@@ -20,9 +20,10 @@ use thiserror::Error;
 use super::summary::{Run, Summary};
 
 /// A picture could not be drawn.
-#[derive(Debug, Error)]
+#[derive(Error)]
 #[error("cannot draw it: {0}")]
 pub struct PlotError(String);
+crate::errors::debug_as_display!(PlotError);
 
 impl<E: std::error::Error + Send + Sync> From<plotters::drawing::DrawingAreaErrorKind<E>> for PlotError {
     fn from(error: plotters::drawing::DrawingAreaErrorKind<E>) -> PlotError {

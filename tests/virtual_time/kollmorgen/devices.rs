@@ -146,7 +146,7 @@ fn a_drive_with_another_resolution_is_refused_unless_that_is_not_looked_at() {
     assert_eq!(refused(20, 4, true), None, "as a ratio it is the same");
     let why = refused(19, 1, true).expect("it counts otherwise");
     assert!(
-        why.contains("its increments a turn (0x608f:1) are 524288") && why.contains("check_prbase = false")
+        why.contains("its increments per turn (0x608f:1) are 524288") && why.contains("check_prbase = false")
     );
     assert_eq!(refused(19, 1, false), None);
 }

@@ -573,6 +573,10 @@ impl BusPlan for EthercatPlan {
         EthercatPlan::faults(self, period_ns)
     }
 
+    fn drive_watchdog_ns(&self, index: usize) -> Option<u64> {
+        self.drives.get(index)?.slave.watchdog_ns
+    }
+
     fn describe(&self, period_ns: u64) -> Vec<String> {
         EthercatPlan::describe(self, period_ns)
     }

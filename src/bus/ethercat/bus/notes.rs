@@ -45,7 +45,7 @@ impl SlaveNotes {
         let interface = &self.interface;
         match self.wire.load(Ordering::Relaxed) {
             DOWN if local::name(interface).is_some() => {
-                Some(format!("nobody serves {interface}: start it: fieldbeat sim CONFIG"))
+                Some(format!("nothing serves {interface}: start it: fieldbeat sim CONFIG"))
             }
             DOWN => Some(format!("{interface} is down or has no cable: look at both, ip link shows it")),
             NOTHING_BACK => Some(format!(

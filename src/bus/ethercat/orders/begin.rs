@@ -21,7 +21,7 @@ const NO_VELOCITY: Failure = Failure::Unsupported(
 const NO_TORQUE: Failure =
     Failure::Unsupported("its setpoint is no torque: take outputs with one (PDO 1703h)");
 const FOUND_UNWATCHED: Failure = Failure::Unsupported(
-    "it was found in operation with another watchdog than configured: disable it first, then it is set up anew",
+    "it was found in operation with another watchdog than configured: disable it first, so that it can be set up again",
 );
 const NOT_WATCHED: Failure = Failure::Unsupported(
     "its SyncManager watchdog is off, nothing would stop it if the master dies: set watchdog, or no_drive_watchdog = \"accept\"",

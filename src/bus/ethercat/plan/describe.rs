@@ -44,7 +44,7 @@ impl EthercatPlan {
         let mut next = 0;
         let mut gaps = Vec::new();
         for (_, slave) in self.slaves() {
-            let left = "not listed: what stands there passes the frames on, and is left as it is";
+            let left = "not listed: a slave there forwards the frames and is not configured";
             match slave.place.checked_sub(next) {
                 None | Some(0) => {}
                 Some(1) => gaps.push(format!("  place {next}: {left}")),
@@ -59,16 +59,17 @@ impl EthercatPlan {
         let frames = self.frames()?;
         let usual: usize = frames.iter().sum();
         let all = match self.slaves().len() {
-            1 => "all that the slave exchanges".to_owned(),
-            slaves => format!("all that {slaves} slaves exchange"),
+            1 => "the process data of 1 slave".to_owned(),
+            slaves => format!("the process data of {slaves} slaves"),
         };
         let (what, carry) = match frames.len() {
             1 => ("one frame".to_owned(), "carries"),
             count => (format!("{count} frames"), "carry"),
         };
-        let apart = if self.lrw { "" } else { ", outputs and inputs apart (lrw = false)" };
+        let apart = if self.lrw { "" } else { ", outputs and inputs in separate datagrams (lrw = false)" };
         Some(format!(
-            "  {what} every {} {carry} {all}{apart}, whatever their divisors: {usual} bytes, {} on the wire at 100 Mbit/s and about 1 us a slave; with acyclic access up to {} bytes and {}",
+            "  {what} every {} {carry} {all}{apart}, whatever the divisors: {usual} bytes, {} on the wire at \
+             100 Mbit/s plus about 1 us per slave; with acyclic access up to {} bytes and {}",
             Ns(period_ns),
             Ns(frame::wire_ns(&frames)),
             usual + frame::ACYCLIC,
@@ -80,11 +81,11 @@ impl EthercatPlan {
         let ahead = Ns(self.ahead_ns(period_ns));
         match self.slaves().into_iter().find(|(_, slave)| slave.sync) {
             Some((owner, slave)) => format!(
-                "  the clock of {} (place {}) is that of the line; SYNC0 comes {ahead} behind the frame",
+                "  the clock of {} (place {}) is the clock of the segment; SYNC0 comes {ahead} after the frame",
                 self.name_of(owner),
                 slave.place
             ),
-            None => "  no clocks: each slave works when the frame passes it".into(),
+            None => "  no clocks: each slave works when the frame passes".into(),
         }
     }
 }
@@ -102,7 +103,7 @@ impl KollmorgenDrive {
         lines.extend(self.setpoint().map(|setpoint| verbs(setpoint).to_owned()));
         if !self.check_prbase {
             lines.push(
-                "its increments a turn (608Fh) are not held against prbase (check_prbase = false)".into(),
+                "its increments per turn (608Fh) are not compared with prbase (check_prbase = false)".into(),
             );
         }
         lines.push(self.describe_sync(period_ns, ahead_ns));
@@ -113,7 +114,7 @@ impl KollmorgenDrive {
             .map(|(object, kind)| entry(Entry { object: *object, kind: *kind }))
             .collect();
         if !shown.is_empty() {
-            lines.push(format!("shows {}, read by its mailbox in turns", shown.join(", ")));
+            lines.push(format!("shows {}, read through its mailbox in turn", shown.join(", ")));
         }
         lines.push(format!("if the master dies: {}", self.describe_death()));
         lines
@@ -132,7 +133,7 @@ impl KollmorgenDrive {
         let scaling = &self.scaling;
         let what = match setpoint {
             Setpoint::Position(object) => {
-                format!("positions by {object}, {} increments a turn", scaling.increments())
+                format!("positions by {object}, {} increments per turn", scaling.increments())
             }
             Setpoint::Velocity(object) => {
                 format!("velocities by {object}, {:.6} rpm a count", scaling.rpm_per_count)
@@ -150,15 +151,16 @@ impl KollmorgenDrive {
 
     fn describe_sync(&self, period_ns: u64, ahead_ns: u64) -> String {
         let window = Ns(if period_ns < MS { SHORT_WINDOW_NS } else { WINDOW_NS });
-        let fault = "the second in a row outside of it is fault F28";
+        let fault = "the second interrupt in a row outside it is fault F28";
         match self.slave.sync {
             true => format!(
-                "its cycle is SYNC0 every {}, {} behind the frame; its window is {window}: {fault}",
+                "its cycle is SYNC0 every {}, {} after the frame; its window is {window}: {fault}",
                 Ns(period_ns),
                 Ns(ahead_ns)
             ),
             false => format!(
-                "its cycle is the frame itself (sync = false): what the master is late by counts against its window of {window}, {fault}"
+                "its cycle is the frame itself (sync = false): the lateness of the master counts against its \
+                 window of {window}: {fault}"
             ),
         }
     }
@@ -171,17 +173,18 @@ impl KollmorgenDrive {
         };
         let end = match (self.slave.watchdog_ns, self.setpoint(), self.accept_no_watchdog) {
             (Some(ns), ..) => format!(
-                "the drive stops by itself within {} without a frame (SyncManager watchdog), and its power goes off",
+                "the drive stops by itself within {} without a frame (SyncManager watchdog) and switches its power off",
                 Ns(ns)
             ),
             (None, Some(Setpoint::Position(_)), _) => {
-                "its watchdog is off, and it holds its last position setpoint, under power".into()
+                "its watchdog is off, so it holds its last position setpoint under power".into()
             }
             (None, _, true) => {
-                "its watchdog is off, and it goes on at its last setpoint (no_drive_watchdog = \"accept\")".into()
+                "its watchdog is off, so it keeps its last setpoint (no_drive_watchdog = \"accept\")".into()
             }
             (None, _, false) => {
-                "its watchdog is off, so that velocities and torques are refused (no_drive_watchdog = \"refuse\")".into()
+                "its watchdog is off, so velocities and torques are refused (no_drive_watchdog = \"refuse\")"
+                    .into()
             }
         };
         end + held
@@ -226,7 +229,11 @@ impl Expected {
 impl SlavePlan {
     /// That nobody looks whether its memory is where the plan has it.
     fn unchecked(&self) -> &'static str {
-        if self.check_sii { "" } else { ", its SII not held against the configuration (check_sii = false)" }
+        if self.check_sii {
+            ""
+        } else {
+            ", its SII is not compared with the configuration (check_sii = false)"
+        }
     }
 }
 
@@ -235,9 +242,9 @@ impl Device {
         let SlavePlan { identity, outputs, inputs, watchdog_ns, .. } = &self.slave;
         let end = match watchdog_ns {
             Some(ns) if outputs.length > 0 => {
-                format!("; its outputs go off by themselves within {} without a frame", Ns(*ns))
+                format!("; its outputs go off within {} without a frame", Ns(*ns))
             }
-            None if outputs.length > 0 => "; nothing but the device itself ends its outputs".into(),
+            None if outputs.length > 0 => "; only the device itself ends its outputs".into(),
             _ => String::new(),
         };
         let bytes = if outputs.length == 1 { "byte" } else { "bytes" };

@@ -83,7 +83,7 @@ impl EthercatPlan {
         for (owner, slave) in self.slaves() {
             if let Some((_, first)) = last.filter(|(place, _)| *place == slave.place) {
                 let why = format!(
-                    "{} is the place of {} already; each slave has its own, counted from 0 at the master",
+                    "{} is already the place of {}; each slave has its own, counted from 0 at the master",
                     slave.place,
                     self.name_of(first)
                 );
@@ -105,18 +105,19 @@ impl EthercatPlan {
         if !is_interface(&self.interface) {
             wrong(
                 "interface",
-                "must be that of a network interface, at most 15 characters like \"eth1\"; or \"local:NAME\" for simulated drives on this computer".into(),
+                "must be the name of a network interface, at most 15 characters like \"eth1\"; or \
+                 \"local:NAME\" for simulated drives on this computer"
+                    .into(),
             );
         }
         match &self.simulate.interface {
             Some(_) if self.is_local() => wrong(
                 "simulate.interface",
-                "goes with a real interface; simulated drives on this computer need none, leave it out"
-                    .into(),
+                "needs a real interface; simulated drives on this computer have none, leave it out".into(),
             ),
             Some(far) if *far == self.interface => wrong(
                 "simulate.interface",
-                "is the master's own; name the one at the other end of the cable".into(),
+                "is the master's own interface; name the one at the other end of the cable".into(),
             ),
             Some(far) if !is_interface(far) => {
                 wrong("simulate.interface", "must be a network interface, like \"eth2\"".into());
@@ -132,7 +133,7 @@ impl EthercatPlan {
             wrong("period", message);
         }
         if self.frames().is_none() {
-            wrong("interface", "a slave of it exchanges more bytes than fit into a frame".into());
+            wrong("interface", "has a slave with more process data than fit into a frame".into());
         }
         faults
     }
@@ -145,7 +146,7 @@ impl EthercatPlan {
         let fits = period_ns.is_multiple_of(CONTROLLER_NS) && (CONTROLLER_NS..=longest).contains(&period_ns);
         if let Some(name) = of(Family::S700).filter(|_| !fits) {
             return Some(format!(
-                "drive {name} takes whole multiples of {}, up to {}; take one of them",
+                "drive {name} needs a period that is a whole multiple of {}, up to {}",
                 Ns(CONTROLLER_NS),
                 Ns(longest)
             ));
@@ -153,15 +154,17 @@ impl EthercatPlan {
         let synchronous = self.drives.iter().find(|drive| drive.slave.sync);
         if let Some(drive) = synchronous.filter(|_| !is_told_in_60c2(period_ns)) {
             return Some(format!(
-                "drive {} is told its cycle as 1 ... 255 times a power of ten (object 60C2h), and {} is none; take 1ms or 2ms, for example",
+                "drive {} takes as its cycle 1 ... 255 times a power of ten (object 60C2h), which {} is not; \
+                 use 1ms or 2ms, for example",
                 drive.axis.name,
                 Ns(period_ns)
             ));
         }
         let frames = self.frames().unwrap_or_default();
         let wire_ns = frame::wire_ns(&frames) + frame::wire_ns(&[frame::ACYCLIC]);
-        (wire_ns >= period_ns)
-            .then(|| format!("a frame of this line takes {} on the wire; lengthen the period", Ns(wire_ns)))
+        (wire_ns >= period_ns).then(|| {
+            format!("a frame of this segment takes {} on the wire; lengthen the period", Ns(wire_ns))
+        })
     }
 }
 
@@ -184,13 +187,14 @@ impl SlavePlan {
             || !(1..=WATCHDOG_STEPS).contains(&(watchdog_ns / WATCHDOG_STEP_NS))
         {
             wrong(format!(
-                "is counted in whole steps of {} (register 0420h); take 100us ... {}",
+                "must be a whole multiple of {} (register 0420h); use 100us ... {}",
                 Ns(WATCHDOG_STEP_NS),
                 "6553.5ms"
             ));
         } else if watchdog_ns <= period_ns.saturating_mul(2) {
             wrong(format!(
-                "trips after {} without outputs, and one lost frame makes two periods of it, {}; allow more than that",
+                "trips after {} without outputs, and one lost frame makes a gap of two periods, {}; allow \
+                 more than that",
                 Ns(watchdog_ns),
                 Ns(period_ns.saturating_mul(2))
             ));
@@ -204,7 +208,7 @@ impl SlavePlan {
         for (index, (key, name, bytes)) in areas.iter().enumerate() {
             if bytes.start < u32::from(MEMORY) || bytes.end > 1 << 16 {
                 let why = format!(
-                    "its {name} at {:#06X} ... {:#06X} are outside of its memory, 0x1000 ... 0xFFFF",
+                    "its {name} at {:#06X} ... {:#06X} are outside its memory, 0x1000 ... 0xFFFF",
                     bytes.start,
                     bytes.end - 1
                 );
@@ -230,12 +234,13 @@ impl SlavePlan {
             {
                 let most = u32::from(start - out) / BUFFERS;
                 format!(
-                    "; of {length} bytes of outputs, of which there are three buffers, {most} have room; make it less, or"
+                    "; the three buffers of the outputs have room for {most} bytes each, not for {length}; \
+                     use fewer, or"
                 )
             }
             _ => ";".into(),
         };
-        format!("its {} lie in its {}{remedy} move them apart", what(name, bytes), what(other, taken))
+        format!("its {} overlap its {}{remedy} move them apart", what(name, bytes), what(other, taken))
     }
 
     /// What it has in its memory: the key, the name, where. Nothing where there is none.
@@ -265,16 +270,16 @@ impl KollmorgenDrive {
         faults.extend(self.scaling_faults(period_ns));
         let mut wrong = |key, message: String| faults.push(PlanFault::new(key, message));
         match self.slave.mailbox {
-            None => wrong("mailbox", "missing; a drive is set up by it".into()),
+            None => wrong("mailbox", "missing; a drive is configured through it".into()),
             Some(areas) if areas.iter().any(|area| area.length < SDO) => {
-                wrong("mailbox", format!("has no room for a request; {SDO} bytes are the least"));
+                wrong("mailbox", format!("is too small for a request, which has {SDO} bytes"));
             }
             Some(_) => {}
         }
         let long = self.slave.start_up.iter().find(|start| start.bytes() > EXPEDITED);
         if let Some(start) = long.filter(|_| self.family == Family::S700) {
             let why = format!(
-                "{} has {} bytes, and the mailbox of this drive takes {EXPEDITED} in a value; leave it out",
+                "{} has {} bytes, and the mailbox of this drive takes values of at most {EXPEDITED}; leave it out",
                 start.object,
                 start.bytes()
             );
@@ -283,11 +288,13 @@ impl KollmorgenDrive {
         if self.axis.load == Load::Vertical(HeldBy::Drive) {
             wrong(
                 "held_by",
-                "a drive whose watchdog trips, or that loses the cycle (F28), stops and then switches its power off, and the load drops; name a brake: held_by = \"brake\"".into(),
+                "a drive whose watchdog trips, or that loses the cycle (F28), stops and then switches its \
+                 power off, and the load drops; name a brake: held_by = \"brake\""
+                    .into(),
             );
         }
         for (object, _) in self.show.iter().flatten().filter(|(_, kind)| *kind == Type::Text) {
-            wrong("monitor", format!("{object} is a text; show objects with numbers"));
+            wrong("monitor", format!("{object} is a text; monitor objects with numbers"));
         }
         faults
     }
@@ -303,7 +310,7 @@ impl KollmorgenDrive {
         for (key, layout, area, word, name, is_output) in pdos {
             if layout.is_output() != is_output {
                 let wanted = if is_output { "16xxh or 17xxh" } else { "1Axxh or 1Bxxh" };
-                wrong(key, format!("{:04X}h goes the other way; take one of {wanted}", layout.pdo));
+                wrong(key, format!("{:04X}h has the other direction; use one of {wanted}", layout.pdo));
             }
             if layout.place(word).is_none() {
                 wrong(key, format!("has no {name}; map {word}"));
@@ -320,17 +327,19 @@ impl KollmorgenDrive {
             if self.mapping == Mapping::Free && layout.pdo & 0x0100 != 0 {
                 let free = if is_output { "1600h" } else { "1A00h" };
                 let why =
-                    format!("{:04X}h is fixed, and mapping = \"free\" writes to it; take {free}", layout.pdo);
+                    format!("{:04X}h is fixed, and mapping = \"free\" writes to it; use {free}", layout.pdo);
                 wrong(key, why);
             }
             if usize::from(area.length) != layout.size() {
-                wrong(key, format!("has {} bytes, and its buffer {}", layout.size(), area.length));
+                wrong(key, format!("has {} bytes, and its buffer has {}", layout.size(), area.length));
             }
         }
         if self.setpoint().is_none() {
             wrong(
                 "pdo.outputs",
-                "has no setpoint; map one of 0x60C1:1 or 0x607A:0 (position), 0x606B:0 or 0x60FF:0 (velocity), 0x6074:0 or 0x6071:0 (torque)".into(),
+                "has no setpoint; map one of 0x60C1:1 or 0x607A:0 (position), 0x606B:0 or 0x60FF:0 \
+                 (velocity), 0x6074:0 or 0x6071:0 (torque)"
+                    .into(),
             );
         }
         if let Some((object, kind)) = self.setpoint().map(Setpoint::shape)
@@ -359,7 +368,7 @@ impl KollmorgenDrive {
             Family::S700 => "1, 3, 4, 6, 7 and 0x80 ... 0x88",
             Family::Akd => "1, 3, 4, 6, 7 and 8",
         };
-        (!known).then(|| PlanFault::new("mode", format!("is none of this drive; it has {has}")))
+        (!known).then(|| PlanFault::new("mode", format!("is not a mode of this drive; it has {has}")))
     }
 
     /// Numbers that the wire could not carry.
@@ -368,7 +377,7 @@ impl KollmorgenDrive {
         let mut wrong = |key, message: String| faults.push(PlanFault::new(key, message));
         let scaling = &self.scaling;
         if !(1..=31).contains(&scaling.prbase) {
-            wrong("prbase", "must be 1 ... 31; 20 makes 1048576 increments a turn".into());
+            wrong("prbase", "must be 1 ... 31; 20 makes 1048576 increments per turn".into());
         }
         let positive = |value: f64| value > 0.0 && value.is_finite();
         for (key, value) in [
@@ -411,14 +420,18 @@ impl KollmorgenDrive {
             && !(1.0..=most).contains(&(rpm / per_count))
         {
             return Some(format!(
-                "{rpm} rpm of the motor are outside what 32 bits can tell the drive, {per_count} ... {} rpm; change it, or check scale and velocity_rpm_per_count",
+                "{rpm} rpm of the motor are outside the range of the 32-bit setpoint, {per_count} ... {} rpm; \
+                 change it, or check scale and velocity_rpm_per_count",
                 per_count * most
             ));
         }
         // Farther, and nobody knows which way round it was.
         let way = (velocity * self.axis.units.counts_per_unit).abs() * period_ns as f64 / 1e9;
         (way >= most).then(|| {
-            format!("{rpm} rpm of the motor are more than half of its 32-bit counts in one cycle; lower it, or check scale and prbase")
+            format!(
+                "{rpm} rpm of the motor are more than half of its 32-bit counts in one cycle; lower it, \
+                or check scale and prbase"
+            )
         })
     }
 }
@@ -440,7 +453,8 @@ impl Device {
             if terminals.bytes() != usize::from(area.length) {
                 let Terminals { digital, analogue } = terminals;
                 let why = format!(
-                    "digital = {digital} and analogue = {analogue} are {} bytes, and it exchanges {}; make them the same",
+                    "digital = {digital} and analogue = {analogue} are {} bytes, and the device has {}; make \
+                     them equal",
                     terminals.bytes(),
                     area.length
                 );
@@ -448,7 +462,10 @@ impl Device {
             }
         }
         if self.slave.mailbox.is_none() && !self.slave.start_up.is_empty() {
-            wrong("start_up", "is written by its mailbox, and it has none; say where its mailbox is".into());
+            wrong(
+                "start_up",
+                "is written through the mailbox, and the device has none; give its mailbox".into(),
+            );
         }
         faults
     }

@@ -47,7 +47,7 @@ pub struct Information {
 }
 
 /// Why the SII was not read.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[derive(Clone, Copy, PartialEq, Eq, Error)]
 pub enum Unread {
     /// A master works with the slave.
     #[error("not read in this state")]
@@ -62,6 +62,7 @@ pub enum Unread {
     #[error("it refuses to be read")]
     Refused,
 }
+crate::errors::debug_as_display!(Unread);
 
 impl Information {
     /// Bytes of process data as delivered: outputs, inputs.

@@ -299,7 +299,7 @@ pub fn returned(sent: &[u8], received: &[u8], place: Place, stays: bool) -> Retu
 }
 
 /// Why bytes are not a valid frame.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[derive(Clone, Copy, PartialEq, Eq, Error)]
 pub enum FrameError {
     /// It ends within its header.
     #[error("{0} bytes are not a frame")]
@@ -322,6 +322,7 @@ pub enum FrameError {
     #[error("the datagram at byte {0} does not end within the frame")]
     Datagram(usize),
 }
+crate::errors::debug_as_display!(FrameError);
 
 /// A datagram as it was received.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -141,7 +141,7 @@ impl fmt::Display for MailboxError {
 }
 
 /// Why bytes are not a message.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[derive(Clone, Copy, PartialEq, Eq, Error)]
 pub enum MessageError {
     /// It ends too early.
     #[error("a mailbox message of {0} bytes is too short")]
@@ -158,6 +158,7 @@ pub enum MessageError {
     #[error("{0:#04x} is not an SDO answer")]
     Command(u8),
 }
+crate::errors::debug_as_display!(MessageError);
 
 /// How far a mailbox has to be read for the message of its first bytes: to its end if it is for us, otherwise no
 /// further than its header. `None` if it does not fit `mailbox` bytes.

@@ -60,7 +60,7 @@ impl std::fmt::Debug for Services<'_> {
 }
 
 /// Why a service failed.
-#[derive(Clone, Debug, PartialEq, Error)]
+#[derive(Clone, PartialEq, Error)]
 pub enum ServiceError {
     /// The drive refused a command, or did not carry it out.
     #[error("drive {drive}: {what}: {why}")]
@@ -119,7 +119,7 @@ pub enum ServiceError {
         start: Box<ServiceError>,
     },
     /// Cancelled. The drive has its previous content again.
-    #[error("drive {drive}: {what} was broken off; the drive has what it had before")]
+    #[error("drive {drive}: {what} was interrupted; the drive has what it had before")]
     BrokenOff {
         /// The drive.
         drive: String,
@@ -137,6 +137,7 @@ pub enum ServiceError {
         remedy: &'static str,
     },
 }
+crate::errors::debug_as_display!(ServiceError);
 
 /// The message part about what preceded the start of its software.
 fn before(failed: &Option<Box<ServiceError>>) -> String {

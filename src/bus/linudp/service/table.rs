@@ -35,7 +35,7 @@ impl Services<'_> {
         {
             if answer.address != offset {
                 let why =
-                    format!("the drive gives byte {} where byte {offset} was asked for", answer.address);
+                    format!("the drive gives byte {} where byte {offset} was requested", answer.address);
                 return Err(self.content("list of command table entries".to_owned(), why));
             }
             // A bit that is 0 is an entry that is used.

@@ -181,7 +181,7 @@ impl fmt::Debug for ResponseDef {
 }
 
 /// Why a datagram is not a telegram.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[derive(Clone, Copy, PartialEq, Eq, Error)]
 pub enum ParseError {
     /// Its definitions need more bytes than it has.
     #[error(
@@ -194,6 +194,7 @@ pub enum ParseError {
         have: usize,
     },
 }
+crate::errors::debug_as_display!(ParseError);
 
 /// The motion command block: a header word and 15 parameter words, raw. [`motion`](super::motion) has their
 /// meaning.

@@ -253,7 +253,7 @@ impl RtcStatus {
 }
 
 /// Why a drive did not execute a command, in the manual's meaning.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Error)]
+#[derive(Clone, Copy, PartialEq, Eq, Hash, Error)]
 pub enum Refusal {
     /// C0h.
     #[error("the drive has no such UPID (C0h)")]
@@ -289,6 +289,7 @@ pub enum Refusal {
     #[error("the drive's status {0:02X}h, which the manual does not list")]
     Unlisted(u8),
 }
+crate::errors::debug_as_display!(Refusal);
 
 impl Refusal {
     /// All that are known.

@@ -241,11 +241,12 @@ impl fmt::Display for Parameter {
 }
 
 /// Text that is not a parameter.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[derive(Clone, Copy, PartialEq, Eq, Error)]
 #[error(
     "no parameter; write menu.number with three digits of the number, 06.042, or slot.menu.number, 4.15.009"
 )]
 pub struct ParseError;
+crate::errors::debug_as_display!(ParseError);
 
 impl FromStr for Parameter {
     type Err = ParseError;

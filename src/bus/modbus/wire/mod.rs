@@ -75,7 +75,7 @@ pub mod function {
 }
 
 /// Why a stream is not Modbus. No mark shows where the next message begins: the connection has to be closed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[derive(Clone, Copy, PartialEq, Eq, Error)]
 pub enum FrameError {
     /// The protocol identifier is not 0.
     #[error("protocol {0:#06x} in the header where Modbus has 0: not a Modbus TCP peer, or bytes were lost")]
@@ -86,6 +86,7 @@ pub enum FrameError {
     )]
     Length(u16),
 }
+crate::errors::debug_as_display!(FrameError);
 
 /// The length of the whole message at the front of a stream, 8 ... [`ADU_MAX`]; `None` while it is incomplete. A
 /// fault is reported as soon as its field has arrived.
@@ -243,7 +244,7 @@ impl<'a> Request<'a> {
 }
 
 /// Why a message is not a request, and what an exception needs to answer it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[derive(Clone, Copy, PartialEq, Eq, Error)]
 #[error("function {function}: {fault}")]
 pub struct RequestError {
     /// The header of the message.
@@ -253,9 +254,10 @@ pub struct RequestError {
     /// The fault.
     pub fault: RequestFault,
 }
+crate::errors::debug_as_display!(RequestError);
 
 /// A fault of a request.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[derive(Clone, Copy, PartialEq, Eq, Error)]
 pub enum RequestFault {
     /// Not one of the four functions.
     #[error("not one of a Unidrive: 3, 6, 16 and 23 are")]
@@ -264,6 +266,7 @@ pub enum RequestFault {
     #[error("its lengths contradict each other: not a Modbus client, or bytes were lost")]
     Malformed,
 }
+crate::errors::debug_as_display!(RequestFault);
 
 /// A response, as client and server see it. The registers stay where they are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -374,7 +377,7 @@ impl<'a> Response<'a> {
 }
 
 /// Why a message is not a response.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[derive(Clone, Copy, PartialEq, Eq, Error)]
 pub enum ResponseError {
     /// It is not a message that [`frame`] finds.
     #[error("{bytes} bytes are not one message with a header")]
@@ -401,6 +404,7 @@ pub enum ResponseError {
         function: u8,
     },
 }
+crate::errors::debug_as_display!(ResponseError);
 
 /// Why a server did not carry out a request (Modbus Application Protocol v1.1b3, 7). A Unidrive has 1 and 2 only
 /// (SI-Ethernet guide); gateways and other servers the rest.

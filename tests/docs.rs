@@ -1,0 +1,568 @@
+//! README.md and docs/: what a reader copies from there works, and what they say of keys, pages and commands is whole.
+//!
+//! | code block | what is checked |
+//! |---|---|
+//! | `toml` | it is a whole configuration and is accepted |
+//! | `toml,PART` | it is accepted behind the lines that [`PARTS`] has for it |
+//! | `toml,table`, `csv` | it is a command table, a curve |
+//! | `sh` | commands, options, examples, tests and benches exist |
+//! | `console` | the same of each line behind `$` |
+//! | `console,run` | the commands run, against the simulated drives of the demo, and print what stands there |
+//! | `rust` | it compiles: src/lib.rs includes the page as a doctest |
+//!
+//! The tests own 127.p.250.0/23, p from the process as in `tests/support`.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+
+use fieldbeat::axis::{Link, Outcome, Verb};
+use fieldbeat::config;
+use fieldbeat::sim::world::WorldOptions;
+use fieldbeat::{Master, Simulation};
+
+/// The program as a user has it.
+const PROGRAM: &str = env!("CARGO_BIN_EXE_fieldbeat");
+
+/// The widest line: two panes fit on a screen.
+const WIDTH: usize = 120;
+
+/// What completes a part of a configuration.
+const PARTS: [(&str, &str); 3] = [
+    (
+        "linmot",
+        "[[bus]]\nprotocol = \"linudp-v2\"\nbind = \"127.0.0.1\"\n\
+         [[bus.drive]]\nname = \"x\"\naddress = \"127.0.0.2\"\n",
+    ),
+    (
+        "unidrive",
+        "[[bus]]\nprotocol = \"modbus-tcp\"\n[[bus.drive]]\nname = \"x\"\naddress = \"127.0.0.2\"\n",
+    ),
+    (
+        "kollmorgen",
+        "[[bus]]\nprotocol = \"ethercat\"\ninterface = \"local:docs\"\n[[bus.drive]]\nname = \"x\"\n",
+    ),
+];
+
+fn checkout(file: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join(file)
+}
+
+/// A Markdown file, named by its path in the checkout.
+struct Page {
+    name: String,
+    text: String,
+}
+
+impl Page {
+    fn read(name: &str) -> Page {
+        let text = fs::read_to_string(checkout(name)).unwrap_or_else(|error| panic!("{name}: {error}"));
+        Page { name: name.to_owned(), text }
+    }
+
+    /// Its fenced code blocks.
+    fn blocks(&self) -> Vec<Block<'_>> {
+        let mut blocks = Vec::new();
+        let mut open: Option<(usize, Block<'_>)> = None;
+        for (number, line) in (1..).zip(self.text.lines()) {
+            match (open.take(), line.trim_start().strip_prefix("```")) {
+                (None, Some(info)) => {
+                    // In a list the whole block is indented.
+                    let indent = line.len() - line.trim_start().len();
+                    open = Some((indent, Block { page: &self.name, line: number, info, lines: Vec::new() }));
+                }
+                (Some((_, block)), Some("")) => blocks.push(block),
+                (Some((indent, mut block)), _) => {
+                    block.lines.push(line.get(indent..).unwrap_or_default());
+                    open = Some((indent, block));
+                }
+                (None, None) => {}
+            }
+        }
+        assert!(open.is_none(), "{}: a code block without an end", self.name);
+        blocks
+    }
+}
+
+/// A fenced code block.
+struct Block<'a> {
+    page: &'a str,
+    /// Of its opening fence.
+    line: usize,
+    /// What stands behind the opening fence.
+    info: &'a str,
+    lines: Vec<&'a str>,
+}
+
+impl Block<'_> {
+    fn is(&self, language: &str) -> bool {
+        self.info.split(',').next() == Some(language)
+    }
+
+    /// The word behind the language.
+    fn part(&self) -> Option<&str> {
+        self.info.split_once(',').map(|(_, part)| part)
+    }
+
+    fn place(&self) -> String {
+        format!("{}:{}", self.page, self.line)
+    }
+}
+
+/// The pages of the book, without its table of contents.
+fn book() -> Vec<Page> {
+    let mut names: Vec<String> = fs::read_dir(checkout("docs/src"))
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        .filter(|name| name.ends_with(".md") && name != "SUMMARY.md")
+        .collect();
+    names.sort();
+    names.iter().map(|name| Page::read(&format!("docs/src/{name}"))).collect()
+}
+
+/// All that a user reads.
+fn pages() -> Vec<Page> {
+    let others = ["README.md", "rt-config/host/README.md"];
+    others.map(Page::read).into_iter().chain(book()).collect()
+}
+
+#[test]
+fn every_configuration_is_accepted() {
+    let mut whole = 0;
+    for page in pages() {
+        for block in page.blocks().iter().filter(|block| block.is("toml")) {
+            let (text, place) = (block.lines.join("\n"), block.place());
+            let result = match block.part() {
+                None => {
+                    whole += 1;
+                    config::parse(&text, &place).map(drop)
+                }
+                Some("table") => config::linmot_table::parse(&text, &place).map(drop),
+                Some(part) => {
+                    let known = PARTS.iter().find(|(name, _)| *name == part);
+                    let before = known.unwrap_or_else(|| panic!("{place}: {part}")).1;
+                    config::parse(&format!("{before}{text}"), &place).map(drop)
+                }
+            };
+            result.unwrap_or_else(|mistakes| panic!("{mistakes}"));
+        }
+        for block in page.blocks().iter().filter(|block| block.is("csv")) {
+            config::linmot_curve::parse(&block.lines.join("\n"), &block.place()).unwrap();
+        }
+    }
+    assert!(whole > 1, "{whole}");
+}
+
+/// Without a socket and without a clock: addresses and cores of a sample are nobody's here.
+#[test]
+fn every_machine_comes_up_in_virtual_time() {
+    for page in pages() {
+        for block in page.blocks().iter().filter(|block| block.info == "toml") {
+            let plan = config::parse(&block.lines.join("\n"), &block.place()).unwrap();
+            let axes = plan.axes().len();
+            let mut machine = Master::from_plan(plan).simulate(WorldOptions::default()).unwrap();
+            let online =
+                |machine: &Simulation| (0..axes).all(|axis| machine.feedback(axis).link == Link::Online);
+            assert!(machine.run_until(60_000, online), "{}", block.place());
+            for axis in 0..axes {
+                let ended = machine.run_verb(axis, Verb::Enable, 60_000).unwrap();
+                assert_eq!(ended, Some(Outcome::Done), "{}: axis {axis}", block.place());
+            }
+        }
+    }
+}
+
+/// Runs the program in the checkout.
+fn run(arguments: &[&str]) -> Output {
+    Command::new(PROGRAM).args(arguments).current_dir(checkout("")).stdin(Stdio::null()).output().unwrap()
+}
+
+/// The words of a command up to a comment, a pipe or a redirection.
+fn words(line: &str) -> Vec<&str> {
+    line.split_whitespace()
+        .take_while(|word| !matches!(*word, "#" | "|" | ">" | "2>" | "&" | "||" | ";"))
+        .collect()
+}
+
+/// What is wrong with a command of this project; other commands pass.
+fn mistake(line: &str) -> Option<String> {
+    let words = words(line);
+    let words = if words.first() == Some(&"sudo") { &words[1..] } else { &words[..] };
+    let arguments = match words {
+        ["fieldbeat" | "target/release/fieldbeat", arguments @ ..] => arguments,
+        ["cargo", "run", "--release", "--", arguments @ ..] => arguments,
+        ["cargo", ..] => {
+            let named = words.windows(2).filter_map(|pair| match *pair {
+                ["--example", name] => Some(vec![format!("examples/{name}.rs")]),
+                ["--bench", name] => Some(vec![format!("benches/{name}.rs")]),
+                ["--test", name] => Some(vec![format!("tests/{name}.rs"), format!("tests/{name}/main.rs")]),
+                _ => None,
+            });
+            let missing = |files: &Vec<String>| files.iter().all(|file| !checkout(file).exists());
+            return named.filter(missing).map(|files| format!("there is no {}", files[0])).next();
+        }
+        _ => return None,
+    };
+    // clap reads up to it, option by option and value by value, and then does nothing but print.
+    let ended = run(&[arguments, &["--help"]].concat());
+    (!ended.status.success()).then(|| String::from_utf8_lossy(&ended.stderr).into_owned())
+}
+
+#[test]
+fn every_command_exists() {
+    for wrong in ["run m.toml --no-such", "no-such", "run m.toml --for never", "linmot curve no-such"] {
+        assert!(mistake(&format!("fieldbeat {wrong}")).is_some(), "{wrong}");
+    }
+    assert!(mistake("cargo bench --bench no-such").is_some());
+    let mut commands = 0;
+    for page in pages() {
+        for block in page.blocks() {
+            let lines = block.lines.iter().filter_map(|line| match block.info {
+                "sh" => Some(*line),
+                _ if block.is("console") => line.strip_prefix("$ "),
+                _ => None,
+            });
+            for line in lines {
+                commands += 1;
+                assert_eq!(mistake(line), None, "{}: {line}", block.place());
+            }
+        }
+    }
+    assert!(commands > 30, "{commands}");
+}
+
+/// What the program says of its own commands and options stands on the page of the commands.
+#[test]
+fn no_command_and_no_option_is_left_out() {
+    fn visit(path: &[&str], page: &str) {
+        let help = String::from_utf8(run(&[path, &["--help"]].concat()).stdout).unwrap();
+        let mut in_commands = false;
+        for line in help.lines() {
+            in_commands = match line {
+                "Commands:" => true,
+                _ if !line.is_empty() && !line.starts_with(' ') => false,
+                _ => in_commands,
+            };
+            let Some(first) = line.split_whitespace().next().map(|word| word.trim_end_matches(',')) else {
+                continue;
+            };
+            let is_entry = line.starts_with("  ") && !line.starts_with("    ");
+            if in_commands && is_entry && first != "help" {
+                let command = [path, &[first]].concat();
+                assert!(page.contains(&format!("`fieldbeat {}", command.join(" "))), "{}", command.join(" "));
+                visit(&command, page);
+            }
+            for option in
+                line.split_whitespace().filter(|word| word.starts_with("--") && line.trim().starts_with('-'))
+            {
+                let option = option.trim_end_matches([',', ']']).split(['=', '[']).next().unwrap();
+                assert!(
+                    ["--help", "--version"].contains(&option) || page.contains(option),
+                    "{path:?}: {option}"
+                );
+            }
+        }
+    }
+    visit(&[], &Page::read("docs/src/commands.md").text);
+}
+
+/// The simulated drives of the demo at addresses of this process.
+struct Drives {
+    child: Child,
+    config: PathBuf,
+    names: [(&'static str, String); 3],
+}
+
+impl Drives {
+    fn start() -> Drives {
+        let id = std::process::id();
+        let p = 100 + id % 128;
+        let config = std::env::temp_dir().join(format!("fieldbeat-docs-{id}.toml"));
+        let names = [
+            ("rt-config/demo.toml", config.display().to_string()),
+            ("127.77.", format!("127.{p}.25")),
+            ("local:demo", format!("local:docs-{id}")),
+        ];
+        let text = fs::read_to_string(checkout("rt-config/demo.toml")).unwrap();
+        fs::write(&config, names[1..].iter().fold(text, |text, (ours, theirs)| text.replace(ours, theirs)))
+            .unwrap();
+        let mut child = Command::new(PROGRAM)
+            .arg("sim")
+            .arg(&config)
+            .stdout(Stdio::piped())
+            .spawn()
+            .expect("the program");
+        let mut line = String::new();
+        BufReader::new(child.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
+        let drives = Drives { child, config, names };
+        assert!(line.contains("listening"), "{line}");
+        drives
+    }
+
+    /// A command as the page has it, here.
+    fn here(&self, text: &str) -> String {
+        text.replace(self.names[0].0, &self.names[0].1)
+    }
+
+    /// What it printed, as the page has it.
+    fn there(&self, text: &str) -> String {
+        self.names.iter().fold(text.to_owned(), |text, (ours, theirs)| text.replace(theirs, ours))
+    }
+}
+
+impl Drop for Drives {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+        let _ = fs::remove_file(&self.config);
+    }
+}
+
+/// Whether `printed` is `expected`, where `...` stands for any lines.
+fn matches(expected: &[&str], printed: &[&str]) -> bool {
+    match (expected, printed) {
+        ([], []) => true,
+        (["...", rest @ ..], _) => (0..=printed.len()).any(|skipped| matches(rest, &printed[skipped..])),
+        ([first, expected @ ..], [line, printed @ ..]) => first == line && matches(expected, printed),
+        _ => false,
+    }
+}
+
+#[test]
+fn sessions_print_what_stands_there() {
+    assert!(
+        matches(&["a", "...", "d"], &["a", "b", "d"])
+            && !matches(&["a", "..."], &["b"])
+            && !matches(&["a"], &[])
+    );
+    let drives = Drives::start();
+    let mut commands = 0;
+    for page in pages() {
+        for block in page.blocks().iter().filter(|block| block.info == "console,run") {
+            for session in block
+                .lines
+                .split(|line| line.starts_with("$ "))
+                .skip(1)
+                .zip(block.lines.iter().filter_map(|line| line.strip_prefix("$ fieldbeat ")))
+            {
+                let (expected, command) = session;
+                commands += 1;
+                let here = drives.here(command);
+                let ended = run(&words(&here));
+                let printed = [ended.stdout, ended.stderr].concat();
+                let printed = drives.there(&String::from_utf8_lossy(&printed));
+                let lines: Vec<&str> = printed.lines().collect();
+                assert!(matches(expected, &lines), "{}: {command} printed\n{printed}", block.place());
+            }
+        }
+    }
+    assert!(commands > 5, "{commands}");
+}
+
+/// The keys that the reader accepts below `table`, by its own list of them: it is given one that does not exist.
+/// `machine` is a configuration with one line more in that table, `at` the table's path.
+fn accepted(machine: &dyn Fn(&str) -> String, at: &str, table: &str) -> BTreeSet<String> {
+    let wrong = format!("{table}no_such_key");
+    let mistakes =
+        config::parse(&machine(&format!("{wrong} = 1")), "m.toml").expect_err("no such key").to_string();
+    let valid = mistakes.lines().find_map(|line| {
+        line.strip_prefix("m.toml:")?
+            .split_once(&format!(": {at}.{wrong}: no such key; "))?
+            .1
+            .split_once("valid here: ")
+    });
+    match valid {
+        // `defaults` has the keys of a drive, and a section of its own.
+        Some((_, keys)) if table != "defaults." => {
+            keys.split(", ").flat_map(|key| accepted(machine, at, &format!("{table}{key}."))).collect()
+        }
+        _ => BTreeSet::from([table.trim_end_matches('.').to_owned()]),
+    }
+}
+
+/// The keys in the first columns of the tables in a section of `page`; none if it has no such section.
+fn listed(page: &Page, section: &str) -> BTreeSet<String> {
+    let heading = format!("`{section}`\n");
+    let text = page.text.split("\n## ").find_map(|part| part.strip_prefix(&heading)).unwrap_or_default();
+    let cells = text.lines().filter_map(|row| Some(row.strip_prefix("| `")?.split_once("` |")?.0));
+    cells.flat_map(|keys| keys.split("`, `")).map(str::to_owned).collect()
+}
+
+#[test]
+fn the_reference_has_the_keys_that_the_reader_accepts() {
+    let common = Page::read("docs/src/configuration.md");
+    let part = |part: &str| PARTS.iter().find(|(name, _)| *name == part).unwrap().1;
+    let linmot = part("linmot");
+    let mut wrong = Vec::new();
+    let mut hold = |what: &str, reference: BTreeSet<String>, at: &str, machine: &dyn Fn(&str) -> String| {
+        let accepted = accepted(machine, at, "");
+        assert!(accepted.len() > 1, "{what}: {accepted:?}");
+        let difference: Vec<&String> = reference.symmetric_difference(&accepted).collect();
+        if !difference.is_empty() {
+            wrong.push(format!("{what}: {difference:?}"));
+        }
+    };
+    hold("[cycle]", listed(&common, "[cycle]"), "cycle", &|line| format!("{linmot}[cycle]\n{line}"));
+    hold("[[group]]", listed(&common, "[[group]]"), "group", &|line| format!("{linmot}[[group]]\n{line}"));
+    for (page, name) in [("linudp", "linmot"), ("modbus", "unidrive"), ("ethercat", "kollmorgen")] {
+        let page = Page::read(&format!("docs/src/configuration-{page}.md"));
+        let both = |section: &str| &listed(&common, section) | &listed(&page, section);
+        let simulated = |keys: BTreeSet<String>| -> BTreeSet<String> {
+            keys.iter().map(|key| format!("simulate.{key}")).collect()
+        };
+        let faults = simulated(listed(&common, "simulate"));
+        // `simulate` is a table, and its keys stand in sections of their own. The faults of a segment are its bus'.
+        let [mut bus, mut drive] = [both("[[bus]]"), both("[[bus.drive]]")];
+        drive.remove("simulate");
+        drive.extend(simulated(listed(&page, "[bus.drive.simulate]")));
+        (if bus.remove("simulate") { &mut bus } else { &mut drive }).extend(faults);
+        bus.extend(simulated(listed(&page, "[bus.simulate]")));
+        let (head, tail) = part(name).split_once("[[bus.drive]]").unwrap();
+        let machine = |line: &str| format!("{head}{line}\n[[bus.drive]]{tail}");
+        hold(&format!("{} [[bus]]", page.name), bus, "bus", &machine);
+        let machine = |line: &str| format!("{head}[[bus.drive]]{tail}{line}");
+        hold(&format!("{} [[bus.drive]]", page.name), drive, "bus.drive", &machine);
+        let device = listed(&page, "[[bus.device]]");
+        if !device.is_empty() {
+            let machine = |line: &str| format!("{head}[[bus.drive]]{tail}[[bus.device]]\n{line}");
+            hold("[[bus.device]]", device, "bus.device", &machine);
+        }
+    }
+    assert!(wrong.is_empty(), "keys of the reference alone, or of the reader alone:\n{}", wrong.join("\n"));
+}
+
+#[test]
+fn every_counter_of_a_protocol_is_explained() {
+    let page = Page::read("docs/src/diagnosis.md");
+    let plans = PARTS.map(|(_, machine)| config::parse(machine, "m.toml").unwrap());
+    let counters: Vec<_> = plans.iter().flat_map(|plan| plan.own_counters().concat()).collect();
+    assert!(counters.len() > 20, "{counters:?}");
+    for counter in counters {
+        assert!(page.text.contains(&format!("`{}`", counter.key)), "{}", counter.key);
+    }
+}
+
+/// What `](` leads to in running text.
+fn links(page: &Page) -> Vec<String> {
+    let mut fenced = false;
+    let prose = page.text.lines().filter(|line| {
+        let fence = line.trim_start().starts_with("```");
+        fenced ^= fence;
+        !fenced && !fence
+    });
+    let text: Vec<&str> = prose.collect();
+    let text = text.join("\n");
+    text.split("](").skip(1).filter_map(|rest| Some(rest.split_once(')')?.0.to_owned())).collect()
+}
+
+/// The anchor of a heading, as the book has it.
+fn anchor(heading: &str) -> String {
+    let kept = heading.trim().to_lowercase();
+    kept.chars()
+        .filter_map(|c| match c {
+            ' ' => Some('-'),
+            c if c.is_alphanumeric() || matches!(c, '-' | '_') => Some(c),
+            _ => None,
+        })
+        .collect()
+}
+
+#[test]
+fn links_lead_somewhere() {
+    let mut seen = 0;
+    for page in
+        pages().iter().chain([&Page::read("docs/src/SUMMARY.md"), &Page::read("tests/fuzz/README.md")])
+    {
+        for link in links(page) {
+            if link.starts_with("http") {
+                continue;
+            }
+            seen += 1;
+            let (file, place) = link.split_once('#').unwrap_or((&link, ""));
+            let folder = Path::new(&page.name).parent().unwrap();
+            let target = if file.is_empty() { PathBuf::from(&page.name) } else { folder.join(file) };
+            assert!(checkout(target.to_str().unwrap()).exists(), "{}: {link}", page.name);
+            if !place.is_empty() {
+                let target = Page::read(target.to_str().unwrap());
+                let headings =
+                    target.text.lines().filter_map(|line| line.trim_start_matches('#').strip_prefix(' '));
+                assert!(headings.map(anchor).any(|anchor| anchor == place), "{}: {link}", page.name);
+            }
+        }
+    }
+    assert!(seen > 20, "{seen}");
+}
+
+#[test]
+fn the_book_has_every_page() {
+    let linked: BTreeSet<String> = links(&Page::read("docs/src/SUMMARY.md")).into_iter().collect();
+    let pages = book().into_iter().map(|page| page.name.trim_start_matches("docs/src/").to_owned());
+    assert_eq!(linked, pages.collect());
+}
+
+#[test]
+fn every_page_with_rust_in_it_is_compiled() {
+    let library = fs::read_to_string(checkout("src/lib.rs")).unwrap();
+    let mut seen = 0;
+    for page in pages() {
+        if page.blocks().iter().any(|block| block.is("rust")) {
+            seen += 1;
+            assert!(library.contains(&format!("include_str!(\"../{}\")", page.name)), "{}", page.name);
+        }
+    }
+    assert!(seen > 0);
+}
+
+/// The text files of the checkout that people read, by their paths in it.
+fn texts(folder: &Path, found: &mut Vec<PathBuf>) {
+    for entry in fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        let name = path.file_name().unwrap().to_str().unwrap_or_default();
+        if path.is_dir() {
+            if name != "target" && name != "corpus" && (!name.starts_with('.') || name == ".ci") {
+                texts(&path, found);
+            }
+        } else if matches!(path.extension().and_then(|end| end.to_str()), Some("rs" | "toml" | "md"))
+            || name == "run"
+        {
+            found.push(path);
+        }
+    }
+}
+
+/// How wide a line is. Tables, those of the library's documentation too, and where links lead cannot be broken.
+fn width(line: &str) -> usize {
+    let text = line.trim_start().trim_start_matches("//!").trim_start_matches("///").trim_start();
+    if text.starts_with('|') {
+        return 0;
+    }
+    let mut pieces = line.split("](");
+    let first = pieces.next().map_or(0, |piece| piece.chars().count());
+    let rest = pieces.map(|piece| piece.split_once(')').map_or(0, |(_, rest)| rest.chars().count()));
+    first + rest.sum::<usize>()
+}
+
+#[test]
+fn no_line_is_wider_than_two_panes() {
+    let mut files = Vec::new();
+    texts(&checkout(""), &mut files);
+    assert!(files.len() > 300, "{}", files.len());
+    let mut wide: BTreeMap<String, Vec<usize>> = BTreeMap::new();
+    for file in files {
+        let text = fs::read_to_string(&file).unwrap();
+        let name = file.strip_prefix(checkout("")).unwrap().display().to_string();
+        let markdown = name.ends_with(".md");
+        let mut printed = false;
+        for (number, line) in (1..).zip(text.lines()) {
+            if let Some(info) = line.trim_start().strip_prefix("```").filter(|_| markdown) {
+                printed = !printed && (info == "text" || info.starts_with("console"));
+            }
+            if !printed && width(line) > WIDTH {
+                wide.entry(name.clone()).or_default().push(number);
+            }
+        }
+    }
+    assert!(wide.is_empty(), "lines of more than {WIDTH} columns: {wide:#?}");
+}
