@@ -75,6 +75,7 @@ pub mod net;
 pub mod rt;
 pub mod sim;
 pub mod simulation;
+mod style;
 pub mod telemetry;
 pub mod time;
 

@@ -52,6 +52,13 @@ pub fn nanos(duration: Duration) -> u64 {
     u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX)
 }
 
+/// A span rounded to three significant digits: more than that no measurement repeats.
+pub fn three_digits(ns: u64) -> u64 {
+    let step = 10_u64.pow(ns.checked_ilog10().unwrap_or(0).saturating_sub(2));
+    // The largest spans have no room above them.
+    ns.saturating_add(step / 2) / step * step
+}
+
 /// A time span in nanoseconds as a person reads it: `1 ms`, `250 us`, `1.5 s`, at most three decimals.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Ns(pub u64);
@@ -73,6 +80,12 @@ impl fmt::Display for Ns {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn three_digits_are_enough() {
+        let cases = [(0, 0), (999, 999), (1_000, 1_000), (76_287, 76_300), (999_500, 1_000_000)];
+        assert!(cases.iter().all(|(ns, rounded)| three_digits(*ns) == *rounded));
+    }
 
     #[test]
     fn spans_read_naturally() {

@@ -50,7 +50,7 @@ fn class(cause: Cause) -> usize {
         Cause::Preempted => 0,
         Cause::PageFault => 1,
         // The stage of the in-loop task, and the one drive that is stopped.
-        Cause::Work(Stage::Exchange) => 2,
+        Cause::Work(Stage::Commands) => 2,
         Cause::Host => 3,
         Cause::Timer => 4,
         Cause::Drive(1) => 5,

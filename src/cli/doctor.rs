@@ -9,7 +9,7 @@ use fieldbeat::cycle::CyclePlan;
 use fieldbeat::doctor::{Effort, Measured, Progress, Report, Subject, examine, measure};
 use fieldbeat::time::{S, US, nanos};
 
-use super::{Stop, complain, load, print, span};
+use super::{Stop, complain, load, print, show, span};
 
 /// Arguments of `doctor`.
 #[derive(Debug, Args)]
@@ -58,7 +58,7 @@ impl Doctor {
         if self.json {
             print(serde_json::to_string(&report).map_err(Stop::failed)?)?;
         } else {
-            print(&report)?;
+            show(&report)?;
         }
         match report.ready {
             true => Ok(()),

@@ -32,7 +32,7 @@ impl Running {
     fn is_demo(&self) -> bool {
         let name = self.path.file_name().unwrap_or_default().to_string_lossy();
         let config = self.status["config"].as_str();
-        name.starts_with("demo") && config.is_none_or(|config| config == DEMO_FILE)
+        name.starts_with("demo") && config.is_none_or(|config| config.starts_with(DEMO_FILE))
     }
 
     /// What it is the master of, and its process.

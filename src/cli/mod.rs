@@ -27,6 +27,7 @@ use std::io::Write;
 use std::process::ExitCode;
 use std::time::Duration;
 
+use anstyle::AnsiColor;
 use clap::error::ErrorKind;
 use clap::{Parser, Subcommand};
 
@@ -107,7 +108,7 @@ pub fn main() -> ExitCode {
     match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(stop) => {
-            stop.message.lines().for_each(complain);
+            stop.message.lines().for_each(report);
             ExitCode::from(stop.code)
         }
     }
@@ -149,7 +150,15 @@ fn one_line(message: &str) -> String {
 /// Prints to standard output. A reader that has gone away (`| head`) is no error; a full disk is, since what was asked
 /// for is lost.
 fn print(text: impl std::fmt::Display) -> Result<(), Stop> {
-    let mut out = std::io::stdout().lock();
+    print_to(&mut std::io::stdout().lock(), format_args!("{text}"))
+}
+
+/// The same in the colours of the text's alternate form, where a terminal shows them.
+fn show(text: impl std::fmt::Display) -> Result<(), Stop> {
+    print_to(&mut anstream::stdout().lock(), format_args!("{text:#}"))
+}
+
+fn print_to(out: &mut impl Write, text: std::fmt::Arguments<'_>) -> Result<(), Stop> {
     match writeln!(out, "{text}").and_then(|()| out.flush()) {
         Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => {
             Err(Stop::failed(format!("cannot write to standard output: {error}; look at where it leads")))
@@ -161,6 +170,12 @@ fn print(text: impl std::fmt::Display) -> Result<(), Stop> {
 /// A line of its own on standard error. `eprintln!` would panic where nobody reads it.
 fn complain(line: &str) {
     let _ = writeln!(std::io::stderr().lock(), "fieldbeat: {line}");
+}
+
+/// The same for an error, which a terminal shows in colour.
+fn report(line: &str) {
+    let style = AnsiColor::Red.on_default().bold();
+    let _ = writeln!(anstream::stderr().lock(), "{style}fieldbeat:{style:#} {line}");
 }
 
 /// A configuration file, or the reasons why it is none.

@@ -12,7 +12,7 @@ use fieldbeat::telemetry::blackbox::default_directory;
 use fieldbeat::telemetry::metrics::{self, Endpoint, Server};
 use fieldbeat::telemetry::report::Report;
 
-use super::{Stop, complain, print};
+use super::{Stop, complain, print, show};
 
 /// Arguments of every command that runs a master.
 #[derive(Debug, Args)]
@@ -99,7 +99,7 @@ impl Running {
         let printed = if self.json {
             serde_json::to_string(&summary).map_err(Stop::failed).and_then(print)
         } else {
-            print(&summary)
+            show(&summary)
         };
         let written = match &self.report {
             Some(report) => report.write(&run, &summary).map_err(Stop::failed),

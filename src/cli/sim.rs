@@ -9,6 +9,7 @@ use fieldbeat::rt::Realtime;
 use fieldbeat::rt::host;
 use fieldbeat::rt::thread::{default_core, spare_core};
 use fieldbeat::sim::server::{ServerOptions, SimServer};
+use fieldbeat::telemetry::summary::plural;
 
 use super::interrupt::{Interrupt, LOOK_EVERY};
 use super::{Stop, load, print, span};
@@ -35,27 +36,27 @@ impl Sim {
             return Err(Stop::usage(format!("--core {core}: there is no such core; there are {cores:?}")));
         }
         let interrupt = Interrupt::catch().map_err(Stop::failed)?;
-        let count: usize = plan.buses.iter().map(|bus| bus.axes().len()).sum();
+        let count = plan.buses.iter().map(|bus| bus.axes().len() as u64).sum();
         let mut server = SimServer::start(plan.simulate(), serving(&plan, self.core))
             .map_err(|error| Stop::usage(format!("cannot simulate the drives: {error}")))?;
-        print(format_args!("{count} simulated drives are listening; Ctrl-C ends them"))?;
+        print(format_args!("{} listening; Ctrl-C ends the simulation", plural(count, "simulated drive")))?;
         let begun = Instant::now();
         while !interrupt.is_set() && self.duration.is_none_or(|duration| begun.elapsed() < duration) {
             std::thread::sleep(LOOK_EVERY);
         }
         server.end();
-        // A frame of a line is a request to all of it.
+        // A frame of an EtherCAT segment is one request to all of its slaves.
         let drives = server.stats().into_iter().map(|drive| (drive.received, drive.answered));
         let lines = server.lines().into_iter().map(|line| (line.received, line.answered));
         let (received, answered) = drives
             .chain(lines)
             .fold((0, 0), |(received, answered), one| (received + one.0, answered + one.1));
-        print(format_args!("{received} requests received, {answered} answered"))
+        print(format_args!("{} received, {answered} answered", plural(received, "request")))
     }
 }
 
 /// How the simulated drives of `plan` are served: below the loop, but above whatever else this computer does, and off
-/// the loop's core. No real drive waits for a compiler. Without the right it is an ordinary thread.
+/// the loop's core: a real drive shares no processor with a compiler. Without the right it is an ordinary thread.
 pub fn serving(plan: &Plan, core: Option<usize>) -> ServerOptions {
     let below = plan.cycle.priority.saturating_sub(10).max(1);
     ServerOptions {

@@ -170,7 +170,9 @@ pub fn demo_plan(drives: usize, period_ns: u64, place: usize) -> Result<Plan, Co
     if place >= DEMO_PLACES {
         return Err(whole_file(DEMO_FILE, None, format!("place {place}: there are {DEMO_PLACES}")));
     }
-    parse(&demo_text(drives, period_ns, place), DEMO_FILE)
+    // Each has a name of its own in messages, and so a control socket of its own.
+    let file = if place == 0 { DEMO_FILE.to_owned() } else { format!("{DEMO_FILE}#{}", place + 1) };
+    parse(&demo_text(drives, period_ns, place), &file)
 }
 
 /// The demo's file up to its first drive, with the period replaced, then as many drives as wanted: all that they share
@@ -487,7 +489,7 @@ mod tests {
     #[test]
     fn the_demo_is_the_sample_file() {
         let sample = parse(DEMO, DEMO_FILE).unwrap();
-        let built = demo_plan(8, 1_000_000).unwrap();
+        let built = demo_plan(8, 1_000_000, 0).unwrap();
         assert_eq!(format!("{sample:?}"), format!("{built:?}"));
     }
 }

@@ -1,4 +1,4 @@
-//! The asking side of the control socket.
+//! The client of the control socket.
 
 use std::io;
 use std::os::unix::net::UnixStream;
@@ -26,14 +26,14 @@ pub enum AskError {
     #[error("no master answers at {0}; start it with `fieldbeat run`")]
     Nobody(PathBuf),
     /// A process that died left it behind.
-    #[error("the master of {0} is dead and left its socket behind; start it again with `fieldbeat run`")]
+    #[error("the master of {0} has died, only its socket is left; start it again with `fieldbeat run`")]
     Dead(PathBuf),
     /// It is another user's.
-    #[error("{0} belongs to another user: only its owner and root may use it; use sudo")]
+    #[error("{0} belongs to another user: only its owner and root have access; use sudo")]
     NotOurs(PathBuf),
     /// Somebody listens there whose place it is not.
     #[error(
-        "{path} is answered by user {user}, who does not own its directory; remove it, and start the master again"
+        "{path} is served by user {user}, who does not own the directory; remove it, and start the master again"
     )]
     Stranger {
         /// The socket.
@@ -42,7 +42,7 @@ pub enum AskError {
         user: u32,
     },
     /// The conversation broke off.
-    #[error("no answer from {path}: {error}; try again, and check whether the master is held up")]
+    #[error("no answer from {path}: {error}; try again, and check the load of this computer")]
     Io {
         /// The socket.
         path: PathBuf,
@@ -50,10 +50,10 @@ pub enum AskError {
         error: io::Error,
     },
     /// It broke off before: an answer that is still on its way would be taken for that to another question.
-    #[error("the connection to {0} was lost before: open another one")]
+    #[error("the connection to {0} has failed before: open another one")]
     Broken(PathBuf),
     /// It answered something else.
-    #[error("the answer of {0} is not one of this program; is it another version?")]
+    #[error("{0} does not answer like this program; is it another version?")]
     Foreign(PathBuf),
     /// It knows the question, and says no.
     #[error("{0}")]
@@ -234,7 +234,7 @@ mod tests {
         assert!(matches!(asked(0o777), AskError::Stranger { user, .. } if user == nobody));
         assert!(matches!(asked(0o755), AskError::Stranger { user, .. } if user == nobody));
         chown(&directory, Some(nobody), None).unwrap();
-        // It is asked, and goes away.
+        // It gets the request, and ends.
         drop(std::thread::spawn(move || (0..3).for_each(|_| drop(listener.accept()))));
         assert!(!matches!(asked(0o755), AskError::Stranger { .. }));
     }

@@ -50,7 +50,7 @@ impl Desk {
         let name = question["drive"].as_str().unwrap_or_default();
         let Some(place) = self.drives.iter_mut().find(|place| place.acyclic.axis() == name) else {
             return Some(Err(format!(
-                "this master has no drive {name:?}; is its configuration another one?"
+                "this master has no drive {name:?}; does it run another configuration?"
             )));
         };
         let acyclic = &place.acyclic;
@@ -91,7 +91,7 @@ impl Desk {
         for place in &mut self.drives {
             let attended = Attended { acyclic: &place.acyclic, go_on };
             for call in std::mem::take(&mut place.legacy) {
-                // Whoever could be told has gone.
+                // The client has gone: there is nobody to report to.
                 let _ = attended.insist(call, LEGACY_LIMIT, LEGACY_PATIENCE);
             }
         }
@@ -101,7 +101,7 @@ impl Desk {
 /// The calls of a question.
 fn calls_of(acyclic: &Acyclic, question: &Value) -> Result<Vec<Call>, String> {
     let calls: Vec<Call> = serde_json::from_value(question["calls"].clone())
-        .map_err(|error| format!("no calls: {error}; is it another version?"))?;
+        .map_err(|error| format!("cannot read the calls: {error}; is it another version?"))?;
     if calls.len() > acyclic.capacity() {
         return Err(format!("{} calls at once; at most {}", calls.len(), acyclic.capacity()));
     }

@@ -1,13 +1,13 @@
-//! The control socket of a running master: a Unix socket in a directory of its owner, which answers questions from
+//! The control socket of a running master: a Unix socket in a directory of its owner, which answers requests of
 //! other processes. One JSON object a line, each way. Normal threads only; the loop knows nothing of it.
 //!
 //! | file | what |
 //! |---|---|
-//! | `place` | where the sockets are, and whose they may be |
+//! | `place` | where the sockets are, and who may own them |
 //! | `server` | the master's side |
-//! | `client` | the asking side |
+//! | `client` | the client's side |
 //! | `desk`, `remote` | acyclic access to the drives of a running master: its side, and that of another process |
-//! | `talk` | a line each way, in a time that the other side cannot prolong |
+//! | `talk` | one line each way, within a time that the other side cannot extend |
 
 mod client;
 mod desk;

@@ -46,7 +46,7 @@ pub fn prepare(config: Option<&Path>) -> io::Result<PathBuf> {
     }
     if !is_own(&directory) {
         return Err(io::Error::other(format!(
-            "{} is not this user's own, or others may write to it; remove it",
+            "{} does not belong to this user, or others may write to it; remove it",
             directory.display()
         )));
     }

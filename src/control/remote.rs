@@ -1,4 +1,4 @@
-//! Acyclic access to a drive of a master in another process: the asking side.
+//! Acyclic access to a drive of a master in another process: the client side.
 
 use std::any::Any;
 use std::path::{Path, PathBuf};
@@ -116,7 +116,7 @@ struct Claim(Arc<Asking>);
 
 impl Drop for Claim {
     fn drop(&mut self) {
-        // If nobody hears it, the conversation has ended, and the claim with it.
+        // If it does not arrive, the conversation has ended, and the claim with it.
         let _ = self.0.ask("release", Value::Null, MARGIN);
     }
 }

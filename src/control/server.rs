@@ -18,7 +18,7 @@ use thiserror::Error;
 
 use super::talk::{LOOK_EVERY, Talk, connect};
 
-/// Whoever asks has so long to say what, and so long to take the answer.
+/// A client has so long to send its request, and so long to take the answer.
 const PATIENCE: Duration = Duration::from_secs(1);
 
 /// Between two questions of one conversation.
@@ -34,7 +34,7 @@ const LONGEST_QUESTION: usize = 16 << 10;
 #[derive(Error)]
 pub enum ServeError {
     /// Another process answers there.
-    #[error("another master already answers at {0}; end it, or give this one another configuration")]
+    #[error("another master already listens at {0}; end it, or give this one another configuration")]
     Taken(PathBuf),
     /// The operating system refused.
     #[error("cannot listen at {path}: {error}; set XDG_RUNTIME_DIR to a directory of this user")]
@@ -48,7 +48,7 @@ pub enum ServeError {
 crate::errors::debug_as_display!(ServeError);
 
 /// A control socket that is answered. Dropping it removes the socket; a conversation that is under way then breaks off,
-/// so that nobody who asks can hold up the end of the program.
+/// so that no client can delay the end of the program.
 #[derive(Debug)]
 pub struct Server {
     path: PathBuf,
@@ -125,11 +125,11 @@ fn listen(path: &Path) -> Result<UnixListener, ServeError> {
     let failed = |error| ServeError::Io { path: path.to_owned(), error };
     match connect(path, PATIENCE) {
         Ok(_) => return Err(ServeError::Taken(path.to_owned())),
-        // Its process is dead. A file that is no socket refuses too, and is not ours to remove: bind will tell.
+        // Its process is dead. A file that is no socket refuses too, and is not ours to remove: bind reports it.
         Err(error) if error.kind() == io::ErrorKind::ConnectionRefused && is_socket(path) => {
             fs::remove_file(path).map_err(failed)?;
         }
-        // Not there; or something else, which bind will tell.
+        // Not there; or something else, which bind reports.
         Err(_) => {}
     }
     let listener = UnixListener::bind(path).map_err(failed)?;
@@ -182,12 +182,12 @@ fn converse(stream: &UnixStream, go_on: &dyn Fn() -> bool, answering: &mut impl 
                 match serde_json::from_slice(&line) {
                     Ok(question) => answering.answer(&question, &|| go_on() && !hung_up(stream)),
                     Err(_) if line.len() == LONGEST_QUESTION => {
-                        Err(format!("a question has at most {LONGEST_QUESTION} bytes"))
+                        Err(format!("a request has at most {LONGEST_QUESTION} bytes"))
                     }
-                    Err(error) => Err(format!("no JSON object in one line: {error}")),
+                    Err(error) => Err(format!("not a JSON object in one line: {error}")),
                 }
             }
-            false => Err("only the owner of this master may ask it".to_owned()),
+            false => Err("only the owner of this master has access".to_owned()),
         };
         let go_on_talking = reply.is_ok();
         let reply = match reply {

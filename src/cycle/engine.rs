@@ -298,9 +298,9 @@ impl<C: Clock> Engine<C> {
         let received = self.clock.now();
 
         // 3 evaluate
-        let missed = self.judge(cycle, received);
+        let missed = self.evaluate(cycle, received);
         self.steer(cycle);
-        let judged = self.clock.now();
+        let evaluated = self.clock.now();
 
         // 4 commands. The task comes first: its commands leave with the next send.
         let ended = self.end(cycle, received);
@@ -312,7 +312,7 @@ impl<C: Clock> Engine<C> {
             self.gates.open(cycle, received, &mut self.seats, &mut self.slots);
         }
 
-        let exchanged = self.clock.now();
+        let commanded = self.clock.now();
 
         // 5 prepare
         let next = self.cycle_at(cycle.index + 1, self.grid.next_at());
@@ -323,7 +323,7 @@ impl<C: Clock> Engine<C> {
         // 6 publish
         self.publish();
         let published = self.clock.now();
-        let ends = [woke, sent, received, judged, exchanged, prepared, published];
+        let ends = [woke, sent, received, evaluated, commanded, prepared, published];
         let stages_ns: [u64; 6] = std::array::from_fn(|stage| ends[stage + 1].since(ends[stage]));
         for (peak, ns) in self.status.stage_max.iter_mut().zip(stages_ns) {
             peak.see(ns, cycle.index);
@@ -369,7 +369,7 @@ impl<C: Clock> Engine<C> {
     }
 
     /// Evaluates all exchanges. Returns how many drives that were online have not answered.
-    fn judge(&mut self, cycle: &Cycle, now: Time) -> u16 {
+    fn evaluate(&mut self, cycle: &Cycle, now: Time) -> u16 {
         let mut missed = 0_u16;
         for (seat, slot) in self.seats.iter_mut().zip(&mut self.slots) {
             let online = seat.feedback().link == Link::Online;

@@ -45,9 +45,9 @@ pub enum Stage {
     /// Taking in replies until the window closes.
     Receive = 1,
     /// Link health, limits, stop sequences.
-    Judge = 2,
+    Evaluate = 2,
     /// Command queues and the in-loop task.
-    Exchange = 3,
+    Commands = 3,
     /// Building the next requests.
     Prepare = 4,
     /// Feedback, events, records.
@@ -57,15 +57,15 @@ pub enum Stage {
 impl Stage {
     /// All of them, in their order.
     pub const ALL: [Stage; 6] =
-        [Stage::Send, Stage::Receive, Stage::Judge, Stage::Exchange, Stage::Prepare, Stage::Publish];
+        [Stage::Send, Stage::Receive, Stage::Evaluate, Stage::Commands, Stage::Prepare, Stage::Publish];
 
     /// The name in reports.
     pub fn name(self) -> &'static str {
         match self {
             Stage::Send => "send",
             Stage::Receive => "receive",
-            Stage::Judge => "judge",
-            Stage::Exchange => "exchange",
+            Stage::Evaluate => "evaluate",
+            Stage::Commands => "commands",
             Stage::Prepare => "prepare",
             Stage::Publish => "publish",
         }
@@ -320,7 +320,7 @@ mod tests {
         assert_eq!(late(100, [40, 360, 100, 1, 1, 1], 0), None);
         assert_eq!(late(101, [40, 360, 1, 1, 1, 1], 1), Some(Lateness::Wake(101 * US)));
         assert_eq!(late(101, [140, 260, 1, 1, 1, 1], 0), Some(Lateness::Stage(Stage::Send, 140 * US)));
-        assert_eq!(late(9, [40, 1, 1, 900, 1, 1], 0), Some(Lateness::Stage(Stage::Exchange, 900 * US)));
+        assert_eq!(late(9, [40, 1, 1, 900, 1, 1], 0), Some(Lateness::Stage(Stage::Commands, 900 * US)));
         // The window may last until its deadline; a drive that is missing then is a cause of its own.
         assert_eq!(late(9, [40, 451, 1, 1, 1, 1], 1), Some(Lateness::Reply));
         assert_eq!(late(0, [50, 551, 1, 1, 1, 1], 1), Some(Lateness::Stage(Stage::Receive, 101 * US)));

@@ -44,8 +44,8 @@ fn source(root: &Root) -> Finding {
         Area::Clock,
         "clocksource",
         "the processor's own counter (tsc, arch_sys_counter, kvm-clock ...)",
-        "the loop reads the clock several times a cycle; other sources cost microseconds a read, or are too coarse, and the \
-         kernel turns to them when it does not trust the counter",
+        "the loop reads the clock several times a cycle; other sources cost microseconds a read or are too coarse; the \
+         kernel falls back to them when it does not trust the counter",
     );
     let path = format!("{CLOCKSOURCE}/current_clocksource");
     let current = match root.text(&path) {
@@ -57,9 +57,9 @@ fn source(root: &Root) -> Finding {
     }
     let available = root.get(&format!("{CLOCKSOURCE}/available_clocksource")).unwrap_or_default();
     let finding = match available.split_whitespace().find(|source| FAST.contains(source)) {
-        Some(better) => finding.mend(write(better, &path), write(&current, &path)),
+        Some(better) => finding.fix(write(better, &path), write(&current, &path)),
         None => finding
-            .advise("dmesg | grep -i -e tsc -e clocksource    tells why; newer firmware often mends it"),
+            .advise("dmesg | grep -i -e tsc -e clocksource    shows why; newer firmware often fixes it"),
     };
     if SLOW.contains(&current.as_str()) { finding.bad(current) } else { finding.poor(current) }
 }
@@ -72,7 +72,7 @@ fn read(ns: f64) -> Finding {
         Area::Clock,
         "clock read",
         format!("below {SLOW_READ_NS} ns"),
-        "each cycle reads it several times, a final spin without pause",
+        "each cycle reads it several times, and a final spin all the time",
     );
     let found = format!("{ns:.0} ns");
     match ns < SLOW_READ_NS {
@@ -89,7 +89,7 @@ const TIMER_MIGRATION: Sysctl = Sysctl {
     path: "kernel/timer_migration",
     wanted: 0,
     or_more: false,
-    why: "at 1 the kernel may move a timer to another core, and the loop is then woken by an interrupt between the cores",
+    why: "at 1 the kernel may move a timer to another core; the loop is then woken by an inter-processor interrupt",
 };
 
 fn hypervisor(root: &Root) -> Finding {
@@ -97,9 +97,9 @@ fn hypervisor(root: &Root) -> Finding {
         Area::Clock,
         "virtual machine",
         "none",
-        "its host runs other things on the same processors, and no setting in here changes that",
+        "its host runs other work on the same processors, and no setting in this machine changes that",
     );
-    let remedy = "on its host, pin this machine's processors to cores of their own\n\
+    let remedy = "on the host, pin this machine's processors to cores of their own\n\
                   or run on bare metal";
     let kind = root.get("sys/hypervisor/type").or_else(|| root.get("sys/class/dmi/id/sys_vendor"));
     let by = |kind: Option<String>| kind.map_or_else(|| "yes".to_owned(), |kind| format!("yes, {kind}"));
@@ -113,11 +113,11 @@ fn hypervisor(root: &Root) -> Finding {
     };
     // x86 only: bit 31 of CPUID 1, which hypervisors set.
     let Some(flags) = info.lines().find_map(|line| line.strip_prefix("flags")) else {
-        return finding.unknown("this processor does not tell");
+        return finding.unknown("this processor does not report it");
     };
     match flags.split_whitespace().any(|flag| flag == "hypervisor") {
         true => finding.poor(by(kind)).advise(remedy),
-        false => finding.good("none shows itself"),
+        false => finding.good("none detected"),
     }
 }
 
@@ -127,7 +127,7 @@ fn steal(root: &Root, subject: &Subject) -> Finding {
         Area::Clock,
         "stolen time",
         "none",
-        "so long this core was ready to run and the host of this virtual machine ran something else; counted by ticks",
+        "time in which this core was ready to run and the host of the virtual machine ran something else, in ticks",
     );
     let path = "proc/stat";
     let stat = match root.text(path) {
@@ -144,10 +144,10 @@ fn steal(root: &Root, subject: &Subject) -> Finding {
     let total: u64 =
         line.split_whitespace().skip(1).take(8).filter_map(|ticks| ticks.parse::<u64>().ok()).sum();
     if stolen == 0 {
-        return finding.good(format!("none on core {core} since the start"));
+        return finding.good(format!("none on core {core} since boot"));
     }
     let share = stolen as f64 * 100.0 / total.max(1) as f64;
-    finding.poor(format!("{share:.3} % of core {core} since the start")).advise("as for the virtual machine")
+    finding.poor(format!("{share:.3} % of core {core} since boot")).advise("as for the virtual machine")
 }
 
 #[cfg(test)]
@@ -165,9 +165,9 @@ mod tests {
             assert_eq!(check(&[(current, name)]).verdict, Good, "{name}");
         }
         let hpet = check(&[(current, "hpet\n"), (available, "hpet acpi_pm \n")]);
-        assert!(hpet.verdict == Bad && hpet.mend.unwrap().contains("dmesg") && hpet.undo.is_none());
+        assert!(hpet.verdict == Bad && hpet.fix.unwrap().contains("dmesg") && hpet.undo.is_none());
         let pm = check(&[(current, "acpi_pm\n"), (available, "tsc hpet acpi_pm \n")]);
-        assert_eq!(pm.mend.unwrap(), format!("echo tsc | sudo tee /{current}"));
+        assert_eq!(pm.fix.unwrap(), format!("echo tsc | sudo tee /{current}"));
         assert_eq!(pm.undo.unwrap(), format!("echo acpi_pm | sudo tee /{current}"));
         assert_eq!(check(&[(current, "xen\n")]).verdict, Poor);
         assert_eq!(check(&[]).verdict, Unknown);
@@ -195,7 +195,7 @@ mod tests {
     #[test]
     fn stolen_time_is_that_of_the_core() {
         let check = |text: &str| steal(&Host::new(&[("proc/stat", text)]).0.root, &subject());
-        assert_eq!(check("cpu3 50 0 50 890 0 0 0 10 7 0\n").found, "1.000 % of core 3 since the start");
+        assert_eq!(check("cpu3 50 0 50 890 0 0 0 10 7 0\n").found, "1.000 % of core 3 since boot");
         assert_eq!(check("cpu2 1 1 1 1 1 1 1 9\ncpu3 50 0 50 900 0 0 0 0 0 0\n").verdict, Good);
         assert_eq!(check("cpu3 1 2 3 4\n").verdict, Unknown);
         assert_eq!(steal(&Host::new(&[]).0.root, &subject()).verdict, Unknown);

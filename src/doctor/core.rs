@@ -1,5 +1,5 @@
-//! The core of the loop, and who else is on it: isolation, ticks, RCU, other real-time threads, the hyper-thread beside
-//! it.
+//! The core of the loop, and what else runs on it: isolation, ticks, RCU, other real-time threads, the hyper-thread
+//! next to it.
 //!
 //! Sources: Documentation/admin-guide/kernel-parameters.txt (isolcpus, nohz_full, rcu_nocbs), cpu-isolation of cpusets
 //! in cgroup-v2.rst, Documentation/ABI/testing/sysfs-devices-system-cpu.
@@ -32,7 +32,7 @@ fn presence(root: &Root, tried: &Result<(), RealtimeError>, subject: &Subject) -
         Area::Core,
         "core",
         "one that is online and that this process may use",
-        "the loop stays on one core: whoever moves starts with cold caches, and may be moved while a cycle waits",
+        "the loop stays on one core: a thread that migrates starts with cold caches, and may migrate within a cycle",
     );
     if let Err(error) = tried {
         let allowed = match error {
@@ -41,7 +41,7 @@ fn presence(root: &Root, tried: &Result<(), RealtimeError>, subject: &Subject) -
         };
         let online = root.get(&format!("{CPU}/online")).unwrap_or_default();
         return finding
-            .bad(format!("core {core} cannot be had; this process may use {allowed}, online are {online}"))
+            .bad(format!("core {core} is not available; this process may use {allowed}, online are {online}"))
             .advise(format!("core = {} in [cycle]", allowed.rsplit(", ").next().unwrap_or("0")));
     }
     let chosen = if subject.cycle.core.is_some() { "named" } else { "the last one, by default" };
@@ -63,7 +63,7 @@ fn isolation(root: &Root, subject: &Subject) -> Finding {
         Area::Core,
         "isolation",
         format!("core {core} isolated"),
-        "on a shared core the scheduler puts other threads, and their kernel work delays the loop whatever its priority",
+        "other threads on the same core cause kernel work there, which delays the loop whatever its priority",
     );
     let path = format!("{CPU}/isolated");
     let isolated = match root.text(&path) {
@@ -76,12 +76,14 @@ fn isolation(root: &Root, subject: &Subject) -> Finding {
     if let Some(free) = isolated.last() {
         return finding
             .poor(format!("core {core} is not isolated, {} is", list(&isolated)))
-            .mend(format!("core = {free} in [cycle]"), format!("core = {core}"));
+            .fix(format!("core = {free} in [cycle]"), format!("core = {core}"));
     }
     if others(root, core).is_empty() {
-        return finding.poor("the only core").advise("nothing to be done: a computer with two cores or more");
+        return finding
+            .poor("the only core")
+            .advise("no setting helps: use a computer with two cores or more");
     }
-    finding.poor("no core is").at_boot(format!("isolcpus=managed_irq,domain,{core}"))
+    finding.poor("no core is isolated").at_boot(format!("isolcpus=managed_irq,domain,{core}"))
 }
 
 /// rt-config/host/kernel-cmdline.txt leaves nohz_full out: it is made for threads that compute without end.
@@ -92,7 +94,7 @@ fn ticks(root: &Root, subject: &Subject) -> Finding {
         Area::Core,
         "nohz_full",
         "not this core, unless wait = \"spin\"",
-        "it makes each system call dearer, and a loop that sleeps in each cycle has no tick to lose while it sleeps",
+        "it slows each system call, and a loop that sleeps in every cycle gains nothing: an idle core has no tick",
     );
     let path = format!("{CPU}/nohz_full");
     let text = match root.text(&path) {
@@ -107,10 +109,9 @@ fn ticks(root: &Root, subject: &Subject) -> Finding {
     let cores = cores_of(&text).unwrap_or_default();
     match cores.contains(&core) {
         true if spins => finding.good(format!("core {core} is in it, and the loop spins")),
-        true => finding.poor(format!("core {core} is in it, and the loop sleeps")).mend(
-            format!("take {core} out of nohz_full= on the kernel command line, restart"),
-            "put it back",
-        ),
+        true => finding
+            .poor(format!("core {core} is in it, and the loop sleeps"))
+            .fix(format!("remove {core} from nohz_full= on the kernel command line, restart"), "put it back"),
         false => finding.good(format!("core {core} is not in it")),
     }
 }
@@ -121,7 +122,7 @@ fn callbacks(root: &Root, subject: &Subject) -> Finding {
         Area::Core,
         "rcu_nocbs",
         format!("core {core} in it"),
-        "RCU callbacks of the whole system otherwise run on this core too, in between; with it in threads elsewhere",
+        "otherwise RCU callbacks of the whole system also run on this core; with it they run in threads on other cores",
     );
     let path = "proc/cmdline";
     let words = match root.text(path) {
@@ -137,8 +138,8 @@ fn callbacks(root: &Root, subject: &Subject) -> Finding {
     finding.poor(format!("core {core} is not in it")).at_boot(format!("rcu_nocbs={core}"))
 }
 
-/// Real-time threads that may run on the core. Each core has its own of the kernel at 99 (migration/N); those are below
-/// nobody, and short.
+/// Real-time threads that may run on the core. Each core has its own of the kernel at 99 (migration/N); these have the
+/// highest priority, and are short.
 fn company(root: &Root, subject: &Subject) -> Finding {
     let (core, priority) = (subject.core, subject.cycle.priority);
     let finding = Finding::about(
@@ -175,7 +176,7 @@ fn company(root: &Root, subject: &Subject) -> Finding {
         above.iter().filter(mine).map(|thread| command(thread)).collect::<Vec<_>>().join("\n")
     };
     match above.iter().any(|thread| !thread.kernel) {
-        true if !away.is_empty() => finding.poor(found).mend(
+        true if !away.is_empty() => finding.poor(found).fix(
             each(&|thread| format!("sudo taskset -pc {away} {}", thread.tid)),
             each(&|thread| format!("sudo taskset -pc {} {}", list(&thread.cores), thread.tid)),
         ),
@@ -194,8 +195,8 @@ fn sibling(root: &Root, subject: &Subject) -> Finding {
     let finding = Finding::about(
         Area::Core,
         "hyper-threads",
-        format!("nobody on the other thread of core {core}"),
-        "both share one core's execution units and caches: the other one's work makes every cycle slower, unseen",
+        format!("nothing runs on the other hardware thread of core {core}"),
+        "both share one core's execution units and caches: work on the other one slows every cycle, unseen",
     );
     let path = format!("{CPU}/cpu{core}/topology/thread_siblings_list");
     let siblings = match root.text(&path) {
@@ -208,13 +209,13 @@ fn sibling(root: &Root, subject: &Subject) -> Finding {
     }
     let isolated = root.cores(&format!("{CPU}/isolated")).unwrap_or_default();
     if others.iter().all(|other| isolated.contains(other)) {
-        return finding.good(format!("{} beside it, isolated: leave it idle", list(&others)));
+        return finding.good(format!("{} is its sibling, isolated: leave it idle", list(&others)));
     }
     let each = |value: u8| {
         let switch = |other: &usize| write(value, &format!("{CPU}/cpu{other}/online"));
         others.iter().map(switch).collect::<Vec<_>>().join("\n")
     };
-    finding.poor(format!("{} beside it, open to everybody", list(&others))).mend(each(0), each(1))
+    finding.poor(format!("{} is its sibling, used by other threads", list(&others))).fix(each(0), each(1))
 }
 
 #[cfg(test)]
@@ -239,8 +240,8 @@ mod tests {
         plan.core = 9;
         let bad = presence(&host.0.root, &refused, &plan);
         assert_eq!(bad.verdict, Bad);
-        assert_eq!(bad.found, "core 9 cannot be had; this process may use 0, 1, 2, online are 0-3");
-        assert_eq!(bad.mend.unwrap(), "core = 2 in [cycle]");
+        assert_eq!(bad.found, "core 9 is not available; this process may use 0, 1, 2, online are 0-3");
+        assert_eq!(bad.fix.unwrap(), "core = 2 in [cycle]");
     }
 
     #[test]
@@ -248,9 +249,9 @@ mod tests {
         let check = |files: &[(&str, &str)]| isolation(&Host::new(files).0.root, &subject());
         assert_eq!(check(&[ONLINE, (ISOLATED, "2-3\n")]).verdict, Good);
         let other = check(&[ONLINE, (ISOLATED, "1-2\n")]);
-        assert_eq!((other.verdict, other.mend.as_deref()), (Poor, Some("core = 2 in [cycle]")));
+        assert_eq!((other.verdict, other.fix.as_deref()), (Poor, Some("core = 2 in [cycle]")));
         let none = check(&[ONLINE, (ISOLATED, "\n")]);
-        assert!(none.verdict == Poor && none.mend.unwrap().contains("isolcpus=managed_irq,domain,3 to"));
+        assert!(none.verdict == Poor && none.fix.unwrap().contains("isolcpus=managed_irq,domain,3 to"));
         assert_eq!(check(&[(ISOLATED, "\n")]).found, "the only core");
         assert_eq!(check(&[]).verdict, Unknown);
     }
@@ -275,7 +276,7 @@ mod tests {
             assert_eq!(check(line).verdict, Good, "{line}");
         }
         for line in ["", "rcu_nocbs=1-2", "quiet"] {
-            assert!(check(line).mend.unwrap().contains("add rcu_nocbs=3 to"), "{line}");
+            assert!(check(line).fix.unwrap().contains("add rcu_nocbs=3 to"), "{line}");
         }
         assert_eq!(callbacks(&Host::new(&[]).0.root, &subject()).verdict, Unknown);
     }
@@ -296,14 +297,14 @@ mod tests {
 
         let loud = check(Host::new(&init).thread(22, "jackd", false, libc::SCHED_RR, 80, "0-3"));
         assert_eq!((loud.verdict, loud.found.as_str()), (Poor, "jackd (22, SCHED_RR 80)"));
-        assert_eq!(loud.mend.unwrap(), "sudo taskset -pc 0-2 22");
+        assert_eq!(loud.fix.unwrap(), "sudo taskset -pc 0-2 22");
         assert_eq!(loud.undo.unwrap(), "sudo taskset -pc 0-3 22");
 
         let deadline = check(Host::new(&init).thread(23, "d", false, libc::SCHED_DEADLINE, 0, "3"));
         assert_eq!(deadline.verdict, Poor);
         // A thread of the kernel is not sent away.
         let kernel = check(Host::new(&init).thread(24, "irq/9-x", true, libc::SCHED_FIFO, 85, "3"));
-        assert_eq!(kernel.mend.unwrap(), "priority = 86 in [cycle]");
+        assert_eq!(kernel.fix.unwrap(), "priority = 86 in [cycle]");
     }
 
     #[test]
@@ -313,7 +314,7 @@ mod tests {
         assert_eq!(check(&[(file, "3\n")]).found, "none");
         let open = check(&[(file, "3,7\n")]);
         assert_eq!(
-            (open.verdict, open.mend.as_deref()),
+            (open.verdict, open.fix.as_deref()),
             (Poor, Some("echo 0 | sudo tee /sys/devices/system/cpu/cpu7/online"))
         );
         assert_eq!(check(&[(file, "3,7\n"), (ISOLATED, "3,7")]).verdict, Good);

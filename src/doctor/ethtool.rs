@@ -1,4 +1,4 @@
-//! Settings of a network interface, asked by the ioctl that ethtool(8) uses (linux/ethtool.h, netdevice(7)). It only
+//! Settings of a network interface, read by the ioctl that ethtool(8) uses (linux/ethtool.h, netdevice(7)). It only
 //! reads.
 
 use std::io;
@@ -6,7 +6,7 @@ use std::os::fd::AsRawFd;
 
 use nix::sys::socket::{AddressFamily, SockFlag, SockType, socket};
 
-/// What the driver says. A setting that it does not tell is an error.
+/// What the driver reports. A setting that it does not report is an error.
 #[derive(Debug)]
 pub(super) struct Nic {
     /// How long interrupts are held back.

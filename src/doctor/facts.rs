@@ -1,5 +1,5 @@
-//! What this host tells: files below a root directory, so that a test can hand in a made-up one, and the few things
-//! that are no files. Reads, and judges nothing.
+//! The facts of this host: files below a root directory, so that a test can use one of its own, and the few things that
+//! are not in files. Reads only.
 
 use std::fs;
 use std::io;
@@ -158,14 +158,14 @@ impl Thread {
     }
 }
 
-/// What has to be tried or asked, since no file tells it.
+/// Facts that are in no file and have to be tried.
 #[derive(Debug)]
 pub(super) struct Probes {
     /// A thread on the core of the loop.
     pub core: Result<(), RealtimeError>,
     /// A thread at the loop's priority.
     pub fifo: Result<(), Denied>,
-    /// The memory lock that the plan asks for.
+    /// The memory lock of the plan.
     pub memory: Result<(), Denied>,
     /// One read of the clock, ns.
     pub clock_read_ns: f64,
@@ -215,7 +215,7 @@ pub(super) fn on_a_thread<T: Send>(body: impl FnOnce() -> T + Send) -> T {
 fn try_memory(memory: Memory) -> Result<(), Denied> {
     match memory {
         Memory::Process => memory::lock_process(),
-        // What every loop locks besides its own structures: its stack, the program and its libraries.
+        // What every loop locks in addition to its own structures: its stack, the program and its libraries.
         Memory::Own => on_a_thread(|| Regions::new().lock()),
     }?;
     memory::unlock_process();
@@ -276,7 +276,7 @@ pub(super) enum Way {
 }
 
 impl Way {
-    /// That of a bus: the first carrier that it asks for. Refused, so that nothing is opened.
+    /// That of a bus: the first carrier that it opens. Refused, so that nothing is opened.
     pub(super) fn of(bus: &dyn BusPlan, period_ns: u64) -> Option<Way> {
         let asked = Asked::default();
         let _ = bus.open(period_ns, &asked);
@@ -291,13 +291,13 @@ impl Way {
     }
 }
 
-/// What a bus asks for.
+/// The carrier of a bus.
 enum Carrier {
     Datagrams(SocketAddrV4, UdpOptions),
     Frames(String),
 }
 
-/// Carriers that only note what they were asked for first.
+/// Carriers that only note what a bus opens first.
 #[derive(Default)]
 struct Asked(Mutex<Option<Carrier>>);
 

@@ -1,4 +1,4 @@
-//! What a check says: what is, what should be, why, and the way there and back.
+//! The result of a check: what was found, what is wanted, why, and the commands there and back.
 
 use std::io;
 
@@ -14,15 +14,15 @@ pub enum Area {
     Kernel,
     /// What this user may do.
     Rights,
-    /// The core of the loop, and who else is on it.
+    /// The core of the loop, and what else runs on it.
     Core,
     /// How deep that core sleeps.
     Power,
     /// Clocks, timers, and a host above this one.
     Clock,
-    /// What moves memory about.
+    /// What moves memory.
     Memory,
-    /// The way to the drives.
+    /// The network to the drives.
     Network,
     /// What was measured.
     Measured,
@@ -52,9 +52,9 @@ pub enum Verdict {
     Good,
     /// It would be better otherwise.
     Poor,
-    /// It refuses the plan, or makes it fail for certain: this host is not ready for real time.
+    /// The plan is refused or certain to fail: this host is not ready for real time.
     Bad,
-    /// This kernel does not tell, or not this user.
+    /// Not known: this kernel does not report it, or not to this user.
     Unknown,
 }
 
@@ -73,8 +73,8 @@ pub struct Finding {
     pub wanted: String,
     /// The reason.
     pub why: String,
-    /// The commands that mend it, or what to do where no command does; a line each. `None`: nothing to be done.
-    pub mend: Option<String>,
+    /// The commands that fix it, or what to do where no command does; a line each. `None`: nothing to be done.
+    pub fix: Option<String>,
     /// The commands that undo them.
     pub undo: Option<String>,
 }
@@ -95,7 +95,7 @@ impl Finding {
             found: String::new(),
             wanted,
             why,
-            mend: None,
+            fix: None,
             undo: None,
         }
     }
@@ -128,29 +128,29 @@ impl Finding {
     }
 
     /// What to do about it, and how to take it back.
-    pub(super) fn mend(self, mend: impl Into<String>, undo: impl Into<String>) -> Finding {
-        Finding { mend: Some(mend.into()), undo: Some(undo.into()), ..self }
+    pub(super) fn fix(self, fix: impl Into<String>, undo: impl Into<String>) -> Finding {
+        Finding { fix: Some(fix.into()), undo: Some(undo.into()), ..self }
     }
 
-    /// What to do about it, where taking it back goes without saying.
-    pub(super) fn advise(self, mend: impl Into<String>) -> Finding {
-        Finding { mend: Some(mend.into()), undo: None, ..self }
+    /// What to do about it, where nothing has to be undone.
+    pub(super) fn advise(self, fix: impl Into<String>) -> Finding {
+        Finding { fix: Some(fix.into()), undo: None, ..self }
     }
 
     /// Words for the kernel command line, as rt-config/host/kernel-cmdline.txt has them.
     pub(super) fn at_boot(self, words: impl std::fmt::Display) -> Finding {
-        self.mend(
+        self.fix(
             format!(
                 "add {words} to the kernel command line, restart\n(as in rt-config/host/kernel-cmdline.txt)"
             ),
-            format!("take {words} out of the kernel command line, restart"),
+            format!("remove {words} from the kernel command line, restart"),
         )
     }
 }
 
-/// Which file of the samples makes a setting stay.
+/// The sample file that makes a setting permanent.
 pub(super) fn keep(file: &str) -> String {
-    format!("(for good: rt-config/host/{file})")
+    format!("(permanently: rt-config/host/{file})")
 }
 
 /// The command that writes `value` into a file that only root may write.

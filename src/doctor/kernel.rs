@@ -28,8 +28,8 @@ fn preemption(root: &Root) -> Finding {
         Area::Kernel,
         "preemption",
         "PREEMPT_RT",
-        "other kernels keep latency short on average and bound nothing; this refuses no plan, realtime = \"require\" \
-         asks for rights only: whether it carries the period is for --measure to say",
+        "other kernels keep the latency short on average, without a bound; no plan is refused for it, since \
+         realtime = \"require\" concerns rights only: --measure shows whether this host carries the period",
     );
     let Some(model) = preemption_by(|path| root.get(path.trim_start_matches('/'))) else {
         return finding.unknown("/proc/version cannot be read");
@@ -42,24 +42,22 @@ fn preemption(root: &Root) -> Finding {
     let started = root.boot("preempt");
     let full = now.or(started.as_deref()) == Some("full");
     let finding = match (now, &started) {
-        (None, Some(mode)) if model == "PREEMPT_DYNAMIC" => {
-            finding.poor(format!("{model} ({mode}) at the start"))
-        }
+        (None, Some(mode)) if model == "PREEMPT_DYNAMIC" => finding.poor(format!("{model} ({mode}) at boot")),
         _ => finding.poor(&model),
     };
     let rt = "install a kernel with PREEMPT_RT (Debian: apt install linux-image-rt-amd64)";
     let back = "choose the old kernel in the boot loader";
     if full || !model.starts_with("PREEMPT_DYNAMIC") {
-        return finding.mend(rt, back);
+        return finding.fix(rt, back);
     }
     // At run time only where it is known what to go back to.
     let (step, undo) = match now {
         Some(old) => (write("full", PREEMPT), write(old, PREEMPT)),
         None => {
-            ("preempt=full on the kernel command line".to_owned(), "take preempt=full out again".to_owned())
+            ("preempt=full on the kernel command line".to_owned(), "remove preempt=full again".to_owned())
         }
     };
-    finding.mend(format!("{rt}\nor at least {step}"), format!("{back}\n{undo}"))
+    finding.fix(format!("{rt}\nor at least {step}"), format!("{back}\n{undo}"))
 }
 
 fn throttling(root: &Root, subject: &Subject) -> Finding {
@@ -67,8 +65,8 @@ fn throttling(root: &Root, subject: &Subject) -> Finding {
         Area::Kernel,
         "RT throttling",
         "a budget that this plan never uses up",
-        "real-time threads that use up their budget lose the core until the period ends; below it, the budget is the way \
-         back to a shell when a loop runs away",
+        "real-time threads that use up their budget lose the core until the period ends; the rest of the period keeps \
+         a shell usable when a loop never sleeps",
     );
     let file = |name: &str| root.text(&format!("proc/sys/kernel/{name}"));
     let (runtime, period) = match (file("sched_rt_runtime_us"), file("sched_rt_period_us")) {
@@ -86,10 +84,10 @@ fn throttling(root: &Root, subject: &Subject) -> Finding {
     };
     let found = share(runtime_us * 1_000, limits.period_us * 1_000);
     if runtime_us == 0 {
-        return finding.bad(format!("{found}: no real-time thread may run")).mend(set("950000"), set("0"));
+        return finding.bad(format!("{found}: no real-time thread may run")).fix(set("950000"), set("0"));
     }
     if starvation(&subject.cycle, &limits).is_some() {
-        return finding.bad(format!("{found}, and this plan spins for more than half of every period")).mend(
+        return finding.bad(format!("{found}, and this plan spins for more than half of every period")).fix(
             format!("wait = \"poll\" or a shorter guard in [cycle]\nor, on a core of its own, {}", set("-1")),
             set(&runtime),
         );
@@ -102,7 +100,7 @@ fn fair_server(root: &Root, subject: &Subject) -> Finding {
         Area::Kernel,
         "fair server",
         "a plan that leaves normal threads more than this",
-        "it takes the core for normal threads that a loop starves, whatever RT throttling is set to",
+        "it gives the core to normal threads that a loop starves, whatever RT throttling is set to",
     );
     let version = root.get("proc/sys/kernel/osrelease").and_then(|release| version(&release));
     if version.is_some_and(|version| version < FAIR_SERVER_SINCE) {
@@ -113,7 +111,7 @@ fn fair_server(root: &Root, subject: &Subject) -> Finding {
     let runtime_ns = match root.text(&path) {
         Ok(text) => text.parse::<u64>().ok(),
         Err(error) if error.kind() == ErrorKind::NotFound && !root.has("sys/kernel/debug/sched") => {
-            return finding.unknown("debugfs is not mounted, or this user may not look into it");
+            return finding.unknown("debugfs is not mounted, or this user may not read it");
         }
         Err(error) => return finding.unread(&path, &error),
     };
@@ -129,9 +127,9 @@ fn fair_server(root: &Root, subject: &Subject) -> Finding {
     if runtime_ns > 0 && starvation(&subject.cycle, &left).is_some() {
         return finding
             .poor(format!("{found}, and this plan spins for more than half of every period"))
-            .mend(write(0, &path), write(runtime_ns, &path));
+            .fix(write(0, &path), write(runtime_ns, &path));
     }
-    finding.good(format!("{found}, for normal threads that starve"))
+    finding.good(format!("{found}, for starving normal threads"))
 }
 
 fn share(part_ns: u64, whole_ns: u64) -> String {
@@ -166,7 +164,7 @@ impl Sysctl {
             Ok(text) => text,
             // What is not built in has no file.
             Err(error) if error.kind() == ErrorKind::NotFound => {
-                return finding.good("none: this kernel has no such setting");
+                return finding.good("this kernel has no such setting");
             }
             Err(error) => return finding.unread(&path, &error),
         };
@@ -175,8 +173,8 @@ impl Sysctl {
             Ok(_) => {
                 let key = self.path.replace('/', ".");
                 let set = |value: &str| format!("sudo sysctl -w {key}={value}");
-                let mend = format!("{}\n{}", set(&wanted.to_string()), keep("99-fieldbeat-sysctl.conf"));
-                finding.poor(text.as_str()).mend(mend, set(&text))
+                let fix = format!("{}\n{}", set(&wanted.to_string()), keep("99-fieldbeat-sysctl.conf"));
+                finding.poor(text.as_str()).fix(fix, set(&text))
             }
             Err(_) => finding.unknown(format!("/{path} says {text}")),
         }
@@ -200,15 +198,15 @@ mod tests {
 
         let blind = check(&[DYNAMIC]);
         assert_eq!((blind.verdict, blind.found.as_str()), (Poor, "PREEMPT_DYNAMIC"));
-        assert!(blind.mend.unwrap().contains("preempt=full on the kernel command line"));
+        assert!(blind.fix.unwrap().contains("preempt=full on the kernel command line"));
 
         let started = check(&[DYNAMIC, ("proc/cmdline", "quiet preempt=full")]);
-        assert_eq!(started.found, "PREEMPT_DYNAMIC (full) at the start");
-        assert!(!started.mend.unwrap().contains("preempt="));
+        assert_eq!(started.found, "PREEMPT_DYNAMIC (full) at boot");
+        assert!(!started.fix.unwrap().contains("preempt="));
 
         let lazy = check(&[DYNAMIC, ("sys/kernel/debug/sched/preempt", "none voluntary full (lazy)\n")]);
         assert_eq!(lazy.found, "PREEMPT_DYNAMIC (lazy)");
-        assert!(lazy.mend.unwrap().contains("echo full | sudo tee /sys/kernel/debug/sched/preempt"));
+        assert!(lazy.fix.unwrap().contains("echo full | sudo tee /sys/kernel/debug/sched/preempt"));
         assert!(lazy.undo.unwrap().contains("echo lazy | sudo tee /sys/kernel/debug/sched/preempt"));
 
         let old = check(&[("proc/version", "Linux version 4.19.0 #1 SMP Debian 4.19.1")]);
@@ -240,7 +238,7 @@ mod tests {
         plan.cycle.receive_deadline = 0.8;
         let spinning = check("950000\n", &plan);
         assert_eq!(spinning.verdict, Bad);
-        assert!(spinning.mend.unwrap().contains("kernel.sched_rt_runtime_us=-1"));
+        assert!(spinning.fix.unwrap().contains("kernel.sched_rt_runtime_us=-1"));
         assert_eq!(check("-1\n", &plan).verdict, Good);
     }
 
@@ -251,13 +249,13 @@ mod tests {
         let period = "sys/kernel/debug/sched/fair_server/cpu3/period";
         let check = |files: &[(&str, &str)], plan: &Subject| fair_server(&Host::new(files).0.root, plan);
         let usual = [(runtime, "50000000\n"), (period, "1000000000\n")];
-        assert_eq!(check(&usual, &plan).found, "50 ms of every 1 s, for normal threads that starve");
+        assert_eq!(check(&usual, &plan).found, "50 ms of every 1 s, for starving normal threads");
         assert_eq!(check(&usual, &plan).verdict, Good);
         plan.cycle.wait = Wait::Spin;
         plan.cycle.receive_deadline = 0.8;
         let spinning = check(&usual, &plan);
         assert_eq!(spinning.verdict, Poor);
-        assert_eq!(spinning.mend.unwrap(), format!("echo 0 | sudo tee /{runtime}"));
+        assert_eq!(spinning.fix.unwrap(), format!("echo 0 | sudo tee /{runtime}"));
         assert_eq!(spinning.undo.unwrap(), format!("echo 50000000 | sudo tee /{runtime}"));
         assert_eq!(check(&[(runtime, "0"), (period, "1000000000")], &plan).verdict, Good);
 
@@ -283,7 +281,7 @@ mod tests {
         assert_eq!(check("9\n", true).verdict, Poor);
         let more = check("11\n", false);
         assert_eq!((more.verdict, more.undo.as_deref()), (Poor, Some("sudo sysctl -w vm.x=11")));
-        assert!(more.mend.unwrap().starts_with("sudo sysctl -w vm.x=10\n"));
+        assert!(more.fix.unwrap().starts_with("sudo sysctl -w vm.x=10\n"));
         assert_eq!(check("ten\n", false).verdict, Unknown);
         assert_eq!(setting(false).check(&Host::new(&[]).0.root).verdict, Good);
     }

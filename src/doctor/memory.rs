@@ -1,4 +1,4 @@
-//! What moves memory about, also locked memory: huge pages, swap, compaction, statistics.
+//! What moves memory, locked memory included: huge pages, swap, compaction, statistics.
 //!
 //! Sources: Documentation/admin-guide/mm/transhuge.rst, Documentation/admin-guide/sysctl/vm.rst and kernel.rst.
 
@@ -21,7 +21,7 @@ const SYSCTLS: [Sysctl; 4] = [
         path: "vm/compact_unevictable_allowed",
         wanted: 0,
         or_more: false,
-        why: "at 1 the kernel may move locked pages to make room for large blocks, and the loop faults on them",
+        why: "at 1 the kernel may move locked pages to free large blocks, and the loop takes a page fault on them",
     },
     Sysctl {
         area: Area::Memory,
@@ -29,7 +29,7 @@ const SYSCTLS: [Sysctl; 4] = [
         path: "kernel/numa_balancing",
         wanted: 0,
         or_more: false,
-        why: "it unmaps pages to learn who uses them; the loop takes a fault on each",
+        why: "it unmaps pages to see which core uses them; the loop takes a page fault on each",
     },
     Sysctl {
         area: Area::Memory,
@@ -37,7 +37,7 @@ const SYSCTLS: [Sysctl; 4] = [
         path: "kernel/nmi_watchdog",
         wanted: 0,
         or_more: false,
-        why: "the hard-lockup detector takes a non-maskable interrupt on every core, now and then",
+        why: "the hard-lockup detector interrupts every core with a non-maskable interrupt every few seconds",
     },
     Sysctl {
         area: Area::Memory,
@@ -45,7 +45,7 @@ const SYSCTLS: [Sysctl; 4] = [
         path: "vm/stat_interval",
         wanted: 10,
         or_more: true,
-        why: "a worker on every core folds memory statistics every so many seconds",
+        why: "a worker on every core updates memory statistics at this interval, s",
     },
 ];
 
@@ -54,19 +54,19 @@ fn huge_pages(root: &Root) -> Finding {
         Area::Memory,
         "huge pages",
         "madvise or never",
-        "collapsing small pages into a huge one unmaps them for a moment; fieldbeat switches that off for itself where it \
-         locks the whole process, its neighbours pay for it still",
+        "collapsing small pages into a huge one unmaps them for a moment; fieldbeat switches that off for itself where \
+         it locks the whole process, but not for other programs",
     );
     let path = "sys/kernel/mm/transparent_hugepage/enabled";
     let text = match root.text(path) {
         Ok(text) => text,
         Err(error) if error.kind() == std::io::ErrorKind::NotFound && root.has("sys/kernel/mm") => {
-            return finding.good("none: not built into this kernel");
+            return finding.good("not built into this kernel");
         }
         Err(error) => return finding.unread(path, &error),
     };
     match text.split(['[', ']']).nth(1) {
-        Some("always") => finding.poor("always").mend(write("madvise", path), write("always", path)),
+        Some("always") => finding.poor("always").fix(write("madvise", path), write("always", path)),
         Some(mode) => finding.good(mode),
         None => finding.unknown(format!("/{path} says {text}")),
     }
@@ -80,7 +80,7 @@ fn swap(root: &Root) -> Finding {
         Area::Memory,
         "swap",
         format!("none, or vm.swappiness {SWAPPINESS} at most"),
-        "locked memory is never swapped; the application's other memory is, and its threads then feed the loop late",
+        "locked memory is never swapped; other memory of the application is, and its threads then feed the loop late",
     );
     let path = "proc/swaps";
     let text = match root.text(path) {
@@ -95,11 +95,11 @@ fn swap(root: &Root) -> Finding {
     let found = format!("{}, swappiness {}", areas.join(", "), swappiness.as_deref().unwrap_or("not known"));
     match swappiness.and_then(|value| value.parse::<u32>().ok()) {
         Some(value) if value <= SWAPPINESS => finding.good(found),
-        Some(value) => finding.poor(found).mend(
+        Some(value) => finding.poor(found).fix(
             format!("sudo swapoff -a\nor sudo sysctl -w vm.swappiness={SWAPPINESS}"),
             format!("sudo swapon -a\nor sudo sysctl -w vm.swappiness={value}"),
         ),
-        None => finding.poor(found).mend("sudo swapoff -a", "sudo swapon -a"),
+        None => finding.poor(found).fix("sudo swapoff -a", "sudo swapon -a"),
     }
 }
 
@@ -114,10 +114,7 @@ mod tests {
         let path = "sys/kernel/mm/transparent_hugepage/enabled";
         let check = |files: &[(&str, &str)]| huge_pages(&Host::new(files).0.root);
         let always = check(&[(path, "[always] madvise never\n")]);
-        assert_eq!(
-            (always.verdict, always.mend.unwrap()),
-            (Poor, format!("echo madvise | sudo tee /{path}"))
-        );
+        assert_eq!((always.verdict, always.fix.unwrap()), (Poor, format!("echo madvise | sudo tee /{path}")));
         assert_eq!(check(&[(path, "always [madvise] never\n")]).found, "madvise");
         assert_eq!(check(&[(path, "always madvise never\n")]).verdict, Unknown);
         assert_eq!(check(&[("sys/kernel/mm/ksm/run", "0")]).verdict, Good);

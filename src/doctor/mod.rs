@@ -1,13 +1,13 @@
-//! The doctor: what this host is worth for real time, and how to mend it. It changes nothing itself.
+//! The doctor: how well this host suits real time, and how to fix what does not. It changes nothing itself.
 //!
 //! | file | what |
 //! |---|---|
-//! | `facts` | what this host tells: files, and probes for what is none |
+//! | `facts` | what this host reports: files, and probes for what no file says |
 //! | `ethtool` | settings of a network interface |
-//! | `finding` | what a check says |
+//! | `finding` | the result of a check |
 //! | `kernel`, `rights`, `core`, `power`, `clock`, `memory` | the checks: facts in, findings out |
 //! | `network`, `nic` | the same for each bus, with a configuration only |
-//! | `measure` | what can be tried at run time, and what it is worth here |
+//! | `measure` | settings that can be tried at run time, and their effect here |
 //! | `stats` | quantiles and ratios with intervals; the benches use them too |
 //! | `report` | findings and measurements as text and as JSON |
 //!
@@ -17,8 +17,8 @@
 //! real-time, or would fail for certain. That is a right that is missing (unless `realtime = "off"`), a control group
 //! without real-time budget, a plan that starves its core, a core or an address that does not exist, a clock that is
 //! slow to read, and, if it was measured, a share of late cycles above the wanted one. [`Verdict::Poor`] is advice; a
-//! kernel without PREEMPT_RT is poor and not bad, as it bounds nothing but refuses nothing either: measure. What cannot
-//! be told is [`Verdict::Unknown`] and refuses nothing.
+//! kernel without PREEMPT_RT is poor and not bad: it guarantees no bound, but refuses nothing either, so measure. What
+//! is not known is [`Verdict::Unknown`] and refuses nothing.
 
 mod clock;
 mod core;
@@ -50,7 +50,7 @@ use crate::cycle::{CyclePlan, Plan};
 use crate::rt::thread::default_core;
 use facts::Way;
 
-/// What the host shall carry.
+/// The plan that the host is to run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Subject {
     /// Where the plan came from.
@@ -81,14 +81,14 @@ impl Subject {
 
     /// A cycle alone: nothing is known of its drives.
     pub fn cycle(cycle: CyclePlan) -> Subject {
-        // Every computer has a core 0, whatever its kernel tells.
+        // Every computer has a core 0, whatever its kernel reports.
         let core = cycle.core.or_else(default_core).unwrap_or(0);
         Subject { source: None, cycle, core, wires: Vec::new(), lines: Vec::new() }
     }
 }
 
 /// Looks at this host. Takes a fraction of a second: a thread of its own tries the core and the priority for a moment,
-/// and the memory lock that the plan asks for is taken and let go, with all other locks of this process; so not in a
+/// and the memory lock of the plan is taken and released, with all other locks of this process; so not in a
 /// process whose loop is running.
 pub fn examine(subject: &Subject) -> Vec<Finding> {
     judge(&facts::Facts::of_this_host(subject), subject)
@@ -111,7 +111,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_finding_of_a_host_that_tells_nothing_is_honest() {
+    fn every_finding_of_a_host_that_reports_nothing_is_honest() {
         let host = Host::new(&[]);
         let plan = Subject { wires: vec![network::tests::wire()], ..subject() };
         let findings = judge(&host.0, &plan);
@@ -120,10 +120,10 @@ mod tests {
             assert!(!finding.found.is_empty() && !finding.why.is_empty(), "{finding:?}");
             assert_ne!(finding.verdict, Verdict::Bad, "{finding:?}");
             // What is not as it should be says what to do.
-            assert_eq!(finding.verdict == Verdict::Poor, finding.mend.is_some(), "{finding:?}");
+            assert_eq!(finding.verdict == Verdict::Poor, finding.fix.is_some(), "{finding:?}");
             // Behind its label it fits into 100 columns.
             let mut commands =
-                [&finding.mend, &finding.undo].into_iter().flatten().flat_map(|text| text.lines());
+                [&finding.fix, &finding.undo].into_iter().flatten().flat_map(|text| text.lines());
             assert!(commands.all(|line| line.chars().count() <= 84), "{finding:?}");
         }
         let unknown = findings.iter().filter(|finding| finding.verdict == Verdict::Unknown).count();
@@ -131,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn this_host_is_examined_by_whoever_asks() {
+    fn this_host_is_examined_by_any_user() {
         let subject = Subject::of(&crate::config::demo_plan(1, 1_000_000, 0).unwrap());
         assert_eq!(subject.wires.len(), 1);
         let findings = examine(&subject);

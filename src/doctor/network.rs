@@ -1,5 +1,5 @@
-//! The way to the drives of a bus: its interface, neighbour entries, socket buffers, connection tracking. A bus without
-//! IP has an interface for itself, and nothing else.
+//! The network to the drives of a bus: its interface, neighbour entries, socket buffers, connection tracking. A bus
+//! without IP has an interface of its own, and nothing else.
 //!
 //! Sources: arp(7), socket(7), ip-neighbour(8), Documentation/networking/nf_conntrack-sysctl.rst.
 
@@ -22,9 +22,7 @@ fn bus(facts: &Facts, wire: &Wire, subject: &Subject) -> Vec<Finding> {
     let found = facts.probes.interface(local);
     let mut findings = vec![interface(root, wire, found)];
     if local.is_loopback() {
-        findings.push(
-            about(&wire.bus, "drives", "", "").good("on this computer itself: loopback, nothing to tune"),
-        );
+        findings.push(about(&wire.bus, "drives", "", "").good("on this computer: loopback, nothing to tune"));
     } else if let Some(name) = found {
         findings.extend(nic::check(facts, &wire.bus, name, subject));
         findings.extend(nic::check_ip(facts, &wire.bus, name));
@@ -45,14 +43,14 @@ pub(super) fn about(bus: &str, name: &str, wanted: &str, why: &str) -> Finding {
 
 fn line(facts: &Facts, line: &Line, subject: &Subject) -> Vec<Finding> {
     let (root, name) = (&facts.root, line.interface.as_str());
-    let wanted = format!("{name}, with the line plugged in");
-    let finding = about(&line.bus, "interface", &wanted, "the frames of the bus leave and come back there");
+    let wanted = format!("{name}, with the segment plugged in");
+    let finding = about(&line.bus, "interface", &wanted, "the frames of the bus leave and return through it");
     // The kernel's own names have no colon.
     if name.contains(':') {
-        return vec![finding.good("on this computer itself: simulated, nothing to tune")];
+        return vec![finding.good("on this computer: simulated, nothing to tune")];
     }
     if !root.has(&format!("sys/class/net/{name}")) {
-        let remedy = "`ip link` lists those that this computer has; put one of them into interface";
+        let remedy = "`ip link` lists those that this computer has; set interface to one of them";
         return vec![finding.bad(format!("no interface {name}")).advise(remedy)];
     }
     let mut findings = vec![state(root, finding, name)];
@@ -68,13 +66,13 @@ fn alone(facts: &Facts, line: &Line) -> Finding {
         &line.bus,
         "IP addresses",
         &format!("none on {name}"),
-        "the kernel's own packets wait for the same wire, and slaves pass on what is none of theirs",
+        "packets of the kernel take time on the same segment, and the slaves forward them",
     );
     let of_line = facts.probes.addresses.iter().filter(|(_, own)| own == name);
     let addresses: Vec<String> = of_line.map(|(address, _)| address.to_string()).collect();
     match addresses.is_empty() {
         true => finding.good("none"),
-        false => finding.poor(addresses.join(", ")).mend(
+        false => finding.poor(addresses.join(", ")).fix(
             format!("sudo ip addr flush dev {name}"),
             format!("sudo ip addr add ADDRESS/BITS dev {name}"),
         ),
@@ -84,12 +82,16 @@ fn alone(facts: &Facts, line: &Line) -> Finding {
 fn interface(root: &Root, wire: &Wire, found: Option<&str>) -> Finding {
     let local = wire.local.ip();
     let wanted = format!("{local} on an interface of this computer, with its cable plugged in");
-    let finding =
-        about(&wire.bus, "interface", &wanted, "the bus sends from this address, and replies come to it");
+    let finding = about(
+        &wire.bus,
+        "interface",
+        &wanted,
+        "the bus sends from this address and receives its replies there",
+    );
     if local.is_unspecified() {
         return finding
-            .poor("0.0.0.0: whichever the kernel chooses")
-            .advise("bind = the address of the adapter that the drives are on");
+            .poor("0.0.0.0: the kernel chooses the address")
+            .advise("bind = the address of the interface that leads to the drives");
     }
     let Some(name) = found else {
         // All of 127.0.0.0/8 is this computer.
@@ -98,7 +100,7 @@ fn interface(root: &Root, wire: &Wire, found: Option<&str>) -> Finding {
         }
         return finding
             .bad(format!("no interface has {local}"))
-            .advise("`ip -4 addr` lists those that this computer has; put one of them into bind");
+            .advise("`ip -4 addr` lists those that this computer has; set bind to one of them");
     };
     state(root, finding, name)
 }
@@ -114,16 +116,16 @@ fn state(root: &Root, finding: Finding, name: &str) -> Finding {
     match carrier.as_deref() {
         Some("1") => finding.good(format!("{parts}, up")),
         Some(_) => {
-            finding.poor(format!("{parts}, no carrier")).advise("plug the cable in, switch the drives on")
+            finding.poor(format!("{parts}, no carrier")).advise("plug in the cable, switch on the drives")
         }
         None if root.has(&format!("sys/class/net/{name}")) => finding
             .poor(format!("{parts}, down"))
-            .mend(format!("sudo ip link set {name} up"), format!("sudo ip link set {name} down")),
+            .fix(format!("sudo ip link set {name} up"), format!("sudo ip link set {name} down")),
         None => finding.good(parts),
     }
 }
 
-/// Entries with these flags are asked for never again (`NUD_PERMANENT` in /proc/net/arp, ATF_COM | ATF_PERM).
+/// Entries with these flags are never requested again (`NUD_PERMANENT` in /proc/net/arp, ATF_COM | ATF_PERM).
 const PERMANENT: &str = "0x6";
 
 fn neighbours(root: &Root, wire: &Wire, interface: &str) -> Finding {
@@ -131,8 +133,8 @@ fn neighbours(root: &Root, wire: &Wire, interface: &str) -> Finding {
         &wire.bus,
         "neighbour entries",
         "a permanent one for each drive",
-        "others grow old: the kernel then asks for the drive's hardware address in the middle of the run, and requests to a \
-         drive that is gone wait in the socket's buffer",
+        "other entries expire: the kernel then resolves the drive's hardware address again during the run, and \
+         requests to an absent drive wait in the socket's buffer",
     );
     let path = "proc/net/arp";
     let table = match root.text(path) {
@@ -164,15 +166,15 @@ fn neighbours(root: &Root, wire: &Wire, interface: &str) -> Finding {
     let lines = |line: &dyn Fn(&(&std::net::Ipv4Addr, String)) -> String| {
         missing.iter().map(line).collect::<Vec<_>>().join("\n")
     };
-    let mut mend = lines(&|(ip, hardware)| {
+    let mut fix = lines(&|(ip, hardware)| {
         format!("sudo ip neigh replace {ip} lladdr {hardware} dev {interface} nud permanent")
     });
     if missing.iter().any(|(_, hardware)| hardware == "MAC") {
-        mend += "\n(MAC: the hardware address on the drive's label)";
+        fix += "\n(MAC: the hardware address on the drive's label)";
     }
     finding
         .poor(format!("{} of {all} permanent", all - missing.len()))
-        .mend(mend, lines(&|(ip, _)| format!("sudo ip neigh del {ip} dev {interface}")))
+        .fix(fix, lines(&|(ip, _)| format!("sudo ip neigh del {ip} dev {interface}")))
 }
 
 fn buffer(root: &Root, wire: &Wire, name: &str, limit: &str, asked: usize) -> Finding {
@@ -180,7 +182,7 @@ fn buffer(root: &Root, wire: &Wire, name: &str, limit: &str, asked: usize) -> Fi
         &wire.bus,
         name,
         &format!("{asked} bytes or more (net.core.{limit})"),
-        "it holds what waits while the loop is held up, or a drive is gone; the kernel silently cuts it to this limit",
+        "it holds datagrams while the loop is delayed or a drive is absent; the kernel silently cuts it to this limit",
     );
     let path = format!("proc/sys/net/core/{limit}");
     let text = match root.text(&path) {
@@ -190,7 +192,7 @@ fn buffer(root: &Root, wire: &Wire, name: &str, limit: &str, asked: usize) -> Fi
     let set = |value: &dyn std::fmt::Display| format!("sudo sysctl -w net.core.{limit}={value}");
     match text.parse::<usize>() {
         Ok(most) if most >= asked => finding.good(format!("{asked} of at most {most} bytes")),
-        Ok(most) => finding.poor(format!("cut to {most} bytes")).mend(set(&asked), set(&most)),
+        Ok(most) => finding.poor(format!("cut to {most} bytes")).fix(set(&asked), set(&most)),
         Err(_) => finding.unknown(format!("/{path} says {text}")),
     }
 }
@@ -200,8 +202,8 @@ fn tracking(root: &Root, wire: &Wire) -> Finding {
         &wire.bus,
         "connection tracking",
         "not for the drives' datagrams",
-        "every datagram is looked up in a table, under locks that it shares with all other traffic, and is dropped when the \
-         table is full",
+        "every datagram is looked up in a table, under locks shared with all other traffic, and is dropped when \
+         the table is full",
     );
     if !root.has("proc/sys/net/netfilter/nf_conntrack_max") {
         return finding.good("not loaded");
@@ -223,14 +225,13 @@ fn tracking(root: &Root, wire: &Wire) -> Finding {
         // Whether a rule exempts them cannot be read, and without traffic there is no entry.
         return match is_bound(root, wire.local) {
             true => finding.good("loaded; the master runs, and no drive is in its table"),
-            false => {
-                finding.unknown("loaded, and no drive is in its table: look again while the master runs")
-            }
+            false => finding
+                .unknown("loaded, and no drive is in its table: run the doctor again while the master runs"),
         };
     };
     let port = first.port();
     let own = wire.local.port();
-    finding.poor(format!("{} of {} drives are in its table", tracked.len(), wire.drives.len())).mend(
+    finding.poor(format!("{} of {} drives are in its table", tracked.len(), wire.drives.len())).fix(
         format!(
             "sudo nft add table ip fieldbeat\n\
              sudo nft 'add chain ip fieldbeat sent {{ type filter hook output priority raw; }}'\n\
@@ -281,7 +282,7 @@ pub(super) mod tests {
             check("192.168.1.1:1", Some("eth0"), &[(carrier, "0\n"), ("sys/class/net/eth0/speed", "-1\n")]);
         assert_eq!((unplugged.verdict, unplugged.found.as_str()), (Poor, "eth0, no carrier"));
         let down = check("192.168.1.1:1", Some("eth0"), &[("sys/class/net/eth0/mtu", "1500")]);
-        assert_eq!(down.mend.unwrap(), "sudo ip link set eth0 up");
+        assert_eq!(down.fix.unwrap(), "sudo ip link set eth0 up");
         assert_eq!(check("192.168.1.1:1", None, &[]).verdict, Bad);
         assert_eq!(check("0.0.0.0:1", None, &[]).verdict, Poor);
         assert_eq!(check("127.77.0.1:1", None, &[]).verdict, Good);
@@ -304,7 +305,7 @@ pub(super) mod tests {
         assert_eq!((shared[0].verdict, shared[0].found.as_str()), (Poor, "eth0, no carrier"));
         let alone = shared.last().unwrap();
         assert_eq!((alone.verdict, alone.found.as_str()), (Poor, "192.168.1.1"));
-        assert_eq!(alone.mend.as_deref(), Some("sudo ip addr flush dev eth0"));
+        assert_eq!(alone.fix.as_deref(), Some("sudo ip addr flush dev eth0"));
         let gone = check("eth2", &carrier);
         assert_eq!((gone.len(), gone[0].verdict, gone[0].found.as_str()), (1, Bad, "no interface eth2"));
         assert_eq!(check("local:line", &[])[0].verdict, Good);
@@ -323,18 +324,18 @@ pub(super) mod tests {
         let learned = check(&format!("{one}{}", two.replace("0x6", "0x2")));
         assert_eq!((learned.verdict, learned.found.as_str()), (Poor, "1 of 2 permanent"));
         assert_eq!(
-            learned.mend.unwrap(),
+            learned.fix.unwrap(),
             "sudo ip neigh replace 192.168.1.12 lladdr 00:1a:4e:00:00:0c dev eth0 nud permanent"
         );
         assert_eq!(learned.undo.unwrap(), "sudo ip neigh del 192.168.1.12 dev eth0");
-        // Not there, still being asked for, or on another wire.
+        // Not there, still being resolved, or on another wire.
         for lines in [
             one.to_owned(),
             format!("{one}{}", two.replace("0x6", "0x0")),
             format!("{one}{}", two.replace("eth0", "eth1")),
         ] {
             let finding = check(&lines);
-            assert!(finding.mend.unwrap().contains("192.168.1.12 lladdr MAC dev eth0"), "{lines}");
+            assert!(finding.fix.unwrap().contains("192.168.1.12 lladdr MAC dev eth0"), "{lines}");
         }
         assert_eq!(neighbours(&Host::new(&[]).0.root, &wire(), "eth0").verdict, Unknown);
     }
@@ -349,10 +350,7 @@ pub(super) mod tests {
             "18432 of at most 212992 bytes"
         );
         let cut = check(&[("proc/sys/net/core/wmem_max", "8192\n")]);
-        assert_eq!(
-            (cut.verdict, cut.mend.as_deref()),
-            (Poor, Some("sudo sysctl -w net.core.wmem_max=18432"))
-        );
+        assert_eq!((cut.verdict, cut.fix.as_deref()), (Poor, Some("sudo sysctl -w net.core.wmem_max=18432")));
         assert_eq!(cut.undo.unwrap(), "sudo sysctl -w net.core.wmem_max=8192");
         assert_eq!(check(&[("proc/sys/net/core/wmem_max", "?")]).verdict, Unknown);
         assert_eq!(check(&[]).verdict, Unknown);
@@ -368,7 +366,7 @@ pub(super) mod tests {
         let table = ("proc/net/nf_conntrack", entry);
         let tracked = check(&[loaded, table]);
         assert_eq!((tracked.verdict, tracked.found.as_str()), (Poor, "1 of 2 drives are in its table"));
-        assert!(tracked.mend.unwrap().contains("udp dport 49360 notrack"));
+        assert!(tracked.fix.unwrap().contains("udp dport 49360 notrack"));
         // Nothing of ours in it, although the master runs.
         let empty = ("proc/net/nf_conntrack", "");
         let address = if cfg!(target_endian = "little") { "0101A8C0" } else { "C0A80101" };

@@ -1,4 +1,4 @@
-//! The network interface of a bus: where its interrupts land, who handles them, and what holds them back.
+//! The network interface of a bus: where its interrupts go, which threads handle them, and what delays them.
 //!
 //! Sources: Documentation/core-api/irq/irq-affinity.rst, Documentation/networking/scaling.rst and napi.rst, ethtool(8).
 
@@ -62,12 +62,12 @@ fn affinity(root: &Root, bus: &str, interrupts: &[u32], subject: &Subject) -> Fi
         bus,
         "interrupts",
         &format!("on other cores than {core}"),
-        "each packet, also of others on this network, otherwise interrupts the loop's core",
+        "otherwise each packet, those of others on this network included, interrupts the loop's core",
     );
     if interrupts.is_empty() {
         return finding.good("none of its own: a virtual interface");
     }
-    // Where they land now; older kernels tell only where they may.
+    // Where they go now; older kernels report only where they may.
     let file = |irq: u32, name: &str| root.text(&format!("proc/irq/{irq}/{name}"));
     let mut on_core = Vec::new();
     for irq in interrupts {
@@ -84,14 +84,14 @@ fn affinity(root: &Root, bus: &str, interrupts: &[u32], subject: &Subject) -> Fi
     let away = list(&others(root, core));
     let finding = finding.poor(format!("{} on core {core}", numbers(&on_core)));
     if away.is_empty() {
-        return finding.advise("nothing to be done: this is the only core");
+        return finding.advise("no setting helps: this is the only core");
     }
     let path = |irq: u32| format!("proc/irq/{irq}/smp_affinity_list");
     let each = |value: &dyn Fn(u32) -> String| {
         on_core.iter().map(|irq| write(value(*irq), &path(*irq))).collect::<Vec<_>>().join("\n")
     };
     let before = |irq: u32| root.get(&path(irq)).unwrap_or_else(|| core.to_string());
-    finding.mend(
+    finding.fix(
         format!("{}\nor irqaffinity={away} on the kernel command line", each(&|_| away.clone())),
         each(&before),
     )
@@ -112,7 +112,7 @@ fn threads(root: &Root, bus: &str, interrupts: &[u32], subject: &Subject) -> Fin
         bus,
         "interrupt threads",
         &format!("SCHED_FIFO {USUAL_PRIORITY} or above, away from a core whose loop spins"),
-        "a reply is seen only after they ran; on the core of a loop that spins at a higher priority they never run",
+        "a reply is delivered only after they ran; on the core of a spinning loop of higher priority they never run",
     );
     if interrupts.is_empty() {
         return finding.good("none: a virtual interface");
@@ -140,15 +140,16 @@ fn threads(root: &Root, bus: &str, interrupts: &[u32], subject: &Subject) -> Fin
         };
         return finding
             .poor(names(&low))
-            .mend(each(&|thread| format!("sudo chrt -f -p {USUAL_PRIORITY} {}", thread.tid)), each(&back));
+            .fix(each(&|thread| format!("sudo chrt -f -p {USUAL_PRIORITY} {}", thread.tid)), each(&back));
     }
     let spins = subject.cycle.wait == Wait::Spin;
     let starved = |thread: &&Thread| spins && thread.priority < priority && thread.cores == [core];
     let starved: Vec<&Thread> = threads.iter().filter(starved).collect();
     if !starved.is_empty() {
-        return finding
-            .poor(format!("{}, on core {core} below a loop that spins", names(&starved)))
-            .advise("send its interrupts to another core, as above; their threads follow\nor wait = \"poll\" in [cycle]");
+        return finding.poor(format!("{}, on core {core} below a loop that spins", names(&starved))).advise(
+            "move its interrupts to another core, as above; their threads follow\n\
+                 or set wait = \"poll\" in [cycle]",
+        );
     }
     finding.good(names(&threads.iter().collect::<Vec<_>>()))
 }
@@ -159,7 +160,7 @@ fn deferral(root: &Root, bus: &str, name: &str) -> Finding {
         bus,
         "deferred interrupts",
         "0 (gro_flush_timeout, napi_defer_hard_irqs)",
-        "with both, packets wait in the card for a timer instead of an interrupt",
+        "with both, packets wait in the network card for a timer instead of an interrupt",
     );
     let path = |file: &str| format!("sys/class/net/{name}/{file}");
     let [flush, defer] = [path("gro_flush_timeout"), path("napi_defer_hard_irqs")];
@@ -167,15 +168,15 @@ fn deferral(root: &Root, bus: &str, name: &str) -> Finding {
         (Ok(flush_ns), Ok(times)) => (flush_ns, times),
         // The older of both came with Linux 3.19, the other with 5.8.
         (_, Err(error)) if error.kind() == io::ErrorKind::NotFound && root.has(&path("mtu")) => {
-            return finding.good("none: this kernel does not defer them");
+            return finding.good("this kernel does not defer them");
         }
         (Err(error), _) | (_, Err(error)) => return finding.unread(&flush, &error),
     };
     match flush_ns == "0" || times == "0" {
         true => finding.good("off"),
         false => finding
-            .poor(format!("{times} times, until {flush_ns} ns passed"))
-            .mend(write(0, &defer), write(times, &defer)),
+            .poor(format!("{times} times, for up to {flush_ns} ns"))
+            .fix(write(0, &defer), write(times, &defer)),
     }
 }
 
@@ -187,11 +188,11 @@ fn coalescing(bus: &str, name: &str, said: &io::Result<Coalescing>) -> Finding {
         bus,
         "coalescing",
         &format!("rx and tx {COALESCING_US} us at most, not adaptive"),
-        "the card gathers packets for so long before it interrupts: it comes on top of every round trip",
+        "the network card collects packets for this time before it interrupts: it adds to every round trip",
     );
     let Coalescing { rx_us, tx_us, adaptive_rx, adaptive_tx } = match said {
         Ok(said) => *said,
-        Err(error) => return finding.unknown(format!("the driver of {name} does not tell ({error})")),
+        Err(error) => return finding.unknown(format!("the driver of {name} does not report it ({error})")),
     };
     let word = |on: bool| if on { "on" } else { "off" };
     let adaptive = if adaptive_rx || adaptive_tx { ", adaptive" } else { "" };
@@ -217,7 +218,7 @@ fn coalescing(bus: &str, name: &str, said: &io::Result<Coalescing>) -> Finding {
         format!("sudo ethtool -C {name}{}{}", one("rx", rx, of_rx, rx_then), one("tx", tx, of_tx, tx_then))
     };
     let least = |us: u32| (false, us.min(COALESCING_US));
-    finding.poor(found).mend(set(least(rx_us), least(tx_us)), set((adaptive_rx, rx_us), (adaptive_tx, tx_us)))
+    finding.poor(found).fix(set(least(rx_us), least(tx_us)), set((adaptive_rx, rx_us), (adaptive_tx, tx_us)))
 }
 
 fn offloads(bus: &str, name: &str, nic: &Nic) -> Finding {
@@ -225,11 +226,11 @@ fn offloads(bus: &str, name: &str, nic: &Nic) -> Finding {
         bus,
         "offloads",
         "gro and lro off",
-        "both gather packets of one stream before they hand them up; a cycle's replies are one packet a drive",
+        "both collect packets of one stream before they deliver them; a cycle has one packet a drive",
     );
     let known = [("gro", &nic.gro), ("lro", &nic.lro)];
     if let Some((what, Err(error))) = known.iter().find(|(_, said)| said.is_err()) {
-        return finding.unknown(format!("the driver of {name} does not tell {what} ({error})"));
+        return finding.unknown(format!("the driver of {name} does not report {what} ({error})"));
     }
     let on: Vec<&str> =
         known.iter().filter(|(_, said)| matches!(said, Ok(true))).map(|(what, _)| *what).collect();
@@ -240,7 +241,7 @@ fn offloads(bus: &str, name: &str, nic: &Nic) -> Finding {
         let each = on.iter().map(|what| format!(" {what} {word}")).collect::<String>();
         format!("sudo ethtool -K {name}{each}")
     };
-    finding.poor(format!("{} on", on.join(" and "))).mend(set("off"), set("on"))
+    finding.poor(format!("{} on", on.join(" and "))).fix(set("off"), set("on"))
 }
 
 #[cfg(test)]
@@ -281,12 +282,12 @@ mod tests {
         assert_eq!(check(&[ONLINE, (effective, "2\n"), allowed], &[31]).found, "irq 31 elsewhere");
         let here = check(&[ONLINE, (effective, "3\n"), allowed], &[31]);
         assert_eq!((here.verdict, here.found.as_str()), (Poor, "irq 31 on core 3"));
-        assert!(here.mend.unwrap().starts_with("echo 0-2 | sudo tee /proc/irq/31/smp_affinity_list\n"));
+        assert!(here.fix.unwrap().starts_with("echo 0-2 | sudo tee /proc/irq/31/smp_affinity_list\n"));
         assert_eq!(here.undo.unwrap(), "echo 0-3 | sudo tee /proc/irq/31/smp_affinity_list");
         assert_eq!(check(&[ONLINE, allowed], &[31]).verdict, Poor);
         assert_eq!(
-            check(&[(effective, "3\n")], &[31]).mend.unwrap(),
-            "nothing to be done: this is the only core"
+            check(&[(effective, "3\n")], &[31]).fix.unwrap(),
+            "no setting helps: this is the only core"
         );
         assert_eq!(check(&[], &[31]).verdict, Unknown);
         assert_eq!(check(&[], &[]).verdict, Good);
@@ -302,7 +303,7 @@ mod tests {
         let thread = |policy, priority, cores| host().thread(9, "irq/31-eth0", true, policy, priority, cores);
         assert_eq!(check(thread(libc::SCHED_FIFO, 50, "3"), &plan).found, "irq/31-eth0 SCHED_FIFO 50");
         let low = check(thread(libc::SCHED_OTHER, 0, "0-3"), &plan);
-        assert_eq!((low.verdict, low.mend.as_deref()), (Poor, Some("sudo chrt -f -p 50 9")));
+        assert_eq!((low.verdict, low.fix.as_deref()), (Poor, Some("sudo chrt -f -p 50 9")));
         assert_eq!(low.undo.unwrap(), "sudo chrt -o -p 0 9");
         plan.cycle.wait = Wait::Spin;
         assert!(check(thread(libc::SCHED_FIFO, 50, "3"), &plan).found.ends_with("below a loop that spins"));
@@ -341,7 +342,7 @@ mod tests {
         assert_eq!(check(3, 0, false).verdict, Good);
         let long = check(50, 3, true);
         assert_eq!((long.verdict, long.found.as_str()), (Poor, "rx 50 us, tx 3 us, adaptive"));
-        assert_eq!(long.mend.unwrap(), "sudo ethtool -C eth0 adaptive-rx off rx-usecs 10");
+        assert_eq!(long.fix.unwrap(), "sudo ethtool -C eth0 adaptive-rx off rx-usecs 10");
         assert_eq!(long.undo.unwrap(), "sudo ethtool -C eth0 adaptive-rx on rx-usecs 50");
         let silent = coalescing(BUS, "eth0", &Err(io::Error::from_raw_os_error(libc::EOPNOTSUPP)));
         assert_eq!(silent.verdict, Unknown);
@@ -352,7 +353,7 @@ mod tests {
         let nic = |gro, lro| Nic { coalescing: Err(io::ErrorKind::Unsupported.into()), gro, lro };
         let check = |gro, lro| offloads(BUS, "eth0", &nic(gro, lro));
         assert_eq!(check(Ok(false), Ok(false)).verdict, Good);
-        assert_eq!(check(Ok(true), Ok(false)).mend.unwrap(), "sudo ethtool -K eth0 gro off");
+        assert_eq!(check(Ok(true), Ok(false)).fix.unwrap(), "sudo ethtool -K eth0 gro off");
         assert_eq!(check(Ok(true), Ok(true)).undo.unwrap(), "sudo ethtool -K eth0 gro on lro on");
         assert_eq!(check(Ok(true), Err(io::ErrorKind::Unsupported.into())).verdict, Unknown);
     }

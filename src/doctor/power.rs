@@ -17,16 +17,16 @@ fn governor(root: &Root, subject: &Subject) -> Finding {
         Area::Power,
         "governor",
         "performance",
-        "others lower the clock of a core that is mostly idle, as the loop's is, and raise it again only after a while",
+        "others lower the clock of a mostly idle core, as the loop's is, and raise it again too late",
     );
     let path = format!("sys/devices/system/cpu/cpu{}/cpufreq/scaling_governor", subject.core);
     match root.text(&path) {
         Ok(governor) if governor == "performance" => finding.good(governor),
         Ok(governor) => finding
-            .mend(format!("{}\n{}", write("performance", &path), keep("tuned/")), write(&governor, &path))
+            .fix(format!("{}\n{}", write("performance", &path), keep("tuned/")), write(&governor, &path))
             .poor(governor),
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => finding
-            .unknown("the kernel does not set this core's frequency; in a virtual machine its host may"),
+            .unknown("the kernel does not control this core's frequency; in a virtual machine the host may"),
         Err(error) => finding.unread(&path, &error),
     }
 }
@@ -48,8 +48,8 @@ fn idle(root: &Root, subject: &Subject) -> Finding {
         Area::Power,
         "idle states",
         format!("none that takes longer than {most_us} us to leave"),
-        "the core is asleep when the loop's timer fires, and the way out comes on top of every wake-up; a tenth of what \
-         counts as late is allowed for it",
+        "the core sleeps when the loop's timer fires, and leaving the idle state adds to every wake-up; a tenth of the \
+         late limit is allowed for it",
     );
     let directory = format!("sys/devices/system/cpu/cpu{core}/cpuidle");
     let state = |number: String| {
@@ -62,7 +62,7 @@ fn idle(root: &Root, subject: &Subject) -> Finding {
     let mut states: Vec<State> = numbers.filter_map(state).collect();
     if states.is_empty() {
         return finding.unknown(
-            "the kernel does not manage this core's idle states; in a virtual machine its host does",
+            "the kernel does not control this core's idle states; in a virtual machine the host does",
         );
     }
     // The bound that somebody holds open keeps all cores out of what takes longer. Not everybody may read it.
@@ -83,8 +83,8 @@ fn idle(root: &Root, subject: &Subject) -> Finding {
         let switch = |state: &&State| write(value, &format!("{directory}/{}/disable", state.number));
         deep.iter().map(switch).collect::<Vec<_>>().join("\n")
     };
-    let mend = format!("{}\n{}", each(1), keep("tuned/"));
-    finding.poor(found).mend(mend, each(0))
+    let fix = format!("{}\n{}", each(1), keep("tuned/"));
+    finding.poor(found).fix(fix, each(0))
 }
 
 #[cfg(test)]
@@ -100,7 +100,7 @@ mod tests {
         assert_eq!(check(&[(path, "performance\n")]).verdict, Good);
         let saving = check(&[(path, "schedutil\n")]);
         assert_eq!((saving.verdict, saving.found.as_str()), (Poor, "schedutil"));
-        assert!(saving.mend.unwrap().starts_with(&format!("echo performance | sudo tee /{path}\n")));
+        assert!(saving.fix.unwrap().starts_with(&format!("echo performance | sudo tee /{path}\n")));
         assert_eq!(saving.undo.unwrap(), format!("echo schedutil | sudo tee /{path}"));
         assert_eq!(check(&[]).verdict, Unknown);
     }
@@ -122,7 +122,7 @@ mod tests {
         let deep = idle(&host().0.root, &plan);
         assert_eq!((deep.verdict, deep.found.as_str()), (Poor, "down to C6, 133 us to leave"));
         assert!(
-            deep.mend
+            deep.fix
                 .unwrap()
                 .starts_with("echo 1 | sudo tee /sys/devices/system/cpu/cpu3/cpuidle/state2/disable")
         );

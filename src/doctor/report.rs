@@ -1,4 +1,4 @@
-//! Findings as a person reads them, in 100 columns, and as the object that `--json` prints.
+//! Findings as text of 100 columns, and as the object that `--json` prints.
 
 use std::fmt::{self, Write as _};
 
@@ -7,15 +7,17 @@ use serde::Serialize;
 use super::measure::{Carries, Factor, Measured, percent, word};
 use super::{Finding, Subject, Verdict};
 use crate::rt::host;
+use crate::style::{BAD, GOOD, POOR, paint};
+use crate::telemetry::summary::plural;
 use crate::time::Ns;
 
-/// What the doctor says. Serialised, its keys are stable; values are in ns unless the key says otherwise; what is not
-/// known is null.
+/// The result of the doctor. Serialised, its keys are stable; values are in ns unless the key says otherwise; null
+/// means not known.
 #[derive(Clone, Debug, Serialize)]
 pub struct Report {
     /// No finding is bad.
     pub ready: bool,
-    /// What the host shall carry.
+    /// The plan that the host is to run.
     pub subject: Carried,
     /// How many findings there are of each verdict.
     pub counts: Counts,
@@ -27,14 +29,14 @@ pub struct Report {
     pub host: Host,
 }
 
-/// The plan, as far as the host has to do with it.
+/// The plan, as far as it concerns the host.
 #[derive(Clone, Debug, Serialize)]
 pub struct Carried {
     /// The configuration; null for the default plan.
     pub config: Option<String>,
     /// Period of the loop.
     pub period_ns: u64,
-    /// From when on a cycle is late.
+    /// The late limit: a cycle is late that begins more than this after its grid point.
     pub late_ns: u64,
     /// Core of the loop.
     pub core: usize,
@@ -49,7 +51,7 @@ pub struct Counts {
     pub good: usize,
     /// Advice.
     pub poor: usize,
-    /// In the way.
+    /// The plan is refused or certain to fail.
     pub bad: usize,
     /// Not known.
     pub unknown: usize,
@@ -98,27 +100,18 @@ impl Report {
         let Counts { poor, bad, unknown, .. } = self.counts;
         let mut line = match bad {
             0 => "ready".to_owned(),
-            1 => "not ready: 1 thing is in the way".to_owned(),
-            more => format!("not ready: {more} things are in the way"),
+            bad => format!("not ready: {}", plural(bad as u64, "problem")),
         };
         if bad > 0 {
             let names = self.findings.iter().filter(|finding| finding.verdict == Verdict::Bad);
             let names: Vec<&str> = names.map(|finding| finding.name.as_str()).collect();
             let _ = write!(line, " ({})", names.join(", "));
         }
-        match poor {
-            0 => {}
-            1 => line += "; 1 thing could be better",
-            more => {
-                let _ = write!(line, "; {more} things could be better");
-            }
+        if poor > 0 {
+            let _ = write!(line, "; {}", plural(poor as u64, "possible improvement"));
         }
-        match unknown {
-            0 => {}
-            1 => line += "; 1 is not known",
-            more => {
-                let _ = write!(line, "; {more} are not known");
-            }
+        if unknown > 0 {
+            let _ = write!(line, "; {unknown} not known");
         }
         line
     }
@@ -133,7 +126,7 @@ impl fmt::Display for Report {
         let source = config.as_deref().unwrap_or("the default plan");
         writeln!(
             f,
-            "{source}: a cycle every {} on core {core} at SCHED_FIFO {priority}, late from {} on",
+            "{source}: a cycle every {} on core {core} at SCHED_FIFO {priority}, late limit {}",
             Ns(*period_ns),
             Ns(*late_ns)
         )?;
@@ -150,26 +143,29 @@ impl fmt::Display for Report {
         if let Some(measured) = &self.measured {
             self::measured(f, measured)?;
         }
-        write!(f, "\n{}", self.verdict())
+        let style = if self.ready { GOOD } else { BAD };
+        write!(f, "\n{}", paint(&self.verdict(), style, f.alternate()))
     }
 }
 
 /// One line for what is good; with its reason and the ways there and back for what is not.
 fn finding(f: &mut fmt::Formatter<'_>, finding: &Finding, width: usize) -> fmt::Result {
-    let word = match finding.verdict {
-        Verdict::Good => "good",
-        Verdict::Poor => "poor",
-        Verdict::Bad => "BAD ",
-        Verdict::Unknown => "?   ",
+    let (word, style) = match finding.verdict {
+        Verdict::Good => ("good", GOOD),
+        Verdict::Poor => ("poor", POOR),
+        Verdict::Bad => ("BAD ", BAD),
+        Verdict::Unknown => ("?   ", POOR),
     };
-    paragraph(f, &format!("  {word}  {:width$}  ", finding.name), &finding.found)?;
+    let lines = paragraph(&format!("  {word}  {:width$}  ", finding.name), &finding.found);
+    // Not before the lines are broken: escape sequences have no width.
+    f.write_str(&lines.replacen(word, &paint(word, style, f.alternate()), 1))?;
     if !matches!(finding.verdict, Verdict::Poor | Verdict::Bad) {
         return Ok(());
     }
-    paragraph(f, "        wanted  ", &finding.wanted)?;
-    paragraph(f, "        why     ", &finding.why)?;
+    f.write_str(&paragraph("        wanted  ", &finding.wanted))?;
+    f.write_str(&paragraph("        why     ", &finding.why))?;
     // Commands stay whole, to be copied.
-    for (label, commands) in [("mend", &finding.mend), ("undo", &finding.undo)] {
+    for (label, commands) in [("fix", &finding.fix), ("undo", &finding.undo)] {
         let mut label = label;
         for line in commands.iter().flat_map(|commands| commands.lines()) {
             writeln!(f, "        {label:8}{line}")?;
@@ -184,10 +180,10 @@ fn measured(f: &mut fmt::Formatter<'_>, measured: &Measured) -> fmt::Result {
     let period = Ns(measured.period_ns);
     writeln!(
         f,
-        "\nwhat it is worth here: wake-up latency every {period}, in turns; ratios with their 95 % intervals"
+        "\neffect of each setting here: wake-up latency every {period}, in turns; ratios with their 95 % intervals"
     )?;
     writeln!(f, "  {:26}{:>17}{:>14}   with / without", "", "without", "with")?;
-    for Factor { name, without, with, p50_ratio, p99_ratio, mend } in &measured.factors {
+    for Factor { name, without, with, p50_ratio, p99_ratio, fix } in &measured.factors {
         let mut name = name.as_str();
         let lines = [
             ("p50", whole(without.p50_ns), whole(with.p50_ns), *p50_ratio),
@@ -195,25 +191,25 @@ fn measured(f: &mut fmt::Formatter<'_>, measured: &Measured) -> fmt::Result {
             ("max", without.max_ns, with.max_ns, None),
         ];
         for (label, without, with, ratio) in lines {
-            // Without enough values for the quantile there is still the longest one.
+            // Too few values for a quantile still have a longest one.
             let (Some(without), Some(with)) = (without, with) else { continue };
             let ratio = ratio.map_or(String::new(), |ratio| format!("   {ratio}  {}", word(&ratio)));
             let [without, with] = [without, with].map(|ns| Ns(ns).to_string());
             writeln!(f, "  {name:26}{label:>4}{without:>13}{with:>14}{ratio}")?;
             name = "";
         }
-        if let Some(mend) = mend {
-            writeln!(f, "        mend    {mend}")?;
+        if let Some(fix) = fix {
+            writeln!(f, "        fix     {fix}")?;
         }
     }
     for untried in &measured.untried {
-        paragraph(f, &format!("  not tried: {}: ", untried.name), &untried.why)?;
+        f.write_str(&paragraph(&format!("  not tried: {}: ", untried.name), &untried.why))?;
     }
-    writeln!(f, "\nperiods, late from the same share of each on; at most: with 95 % confidence")?;
+    writeln!(f, "\nperiods, the late limit is the same share of each; at most: with 95 % confidence")?;
     writeln!(
         f,
         "  {:>12}{:>14}{:>10}{:>8}{:>12}{:>12}",
-        "period", "late from", "cycles", "late", "share", "at most"
+        "period", "late limit", "cycles", "late", "share", "at most"
     )?;
     for Carries { period_ns, late_ns, cycles, late, share, at_most } in &measured.periods {
         let [period, from] = [*period_ns, *late_ns].map(|ns| Ns(ns).to_string());
@@ -221,7 +217,7 @@ fn measured(f: &mut fmt::Formatter<'_>, measured: &Measured) -> fmt::Result {
         writeln!(f, "  {period:>12}{from:>14}{cycles:>10}{late:>8}{share:>12}{at_most:>12}")?;
     }
     match measured.steal_ms {
-        Some(steal_ms) => writeln!(f, "stolen meanwhile: {steal_ms} ms"),
+        Some(steal_ms) => writeln!(f, "stolen time: {steal_ms} ms"),
         None => Ok(()),
     }
 }
@@ -232,13 +228,14 @@ fn whole(ns: Option<f64>) -> Option<u64> {
 }
 
 /// `text` behind `lead`, broken between words, further lines below its beginning.
-fn paragraph(f: &mut fmt::Formatter<'_>, lead: &str, text: &str) -> fmt::Result {
+fn paragraph(lead: &str, text: &str) -> String {
     let indent = lead.chars().count();
+    let mut lines = String::new();
     let mut line = lead.to_owned();
     let mut begun = false;
     for word in text.split_whitespace() {
         if begun && line.chars().count() + 1 + word.chars().count() > WIDTH {
-            writeln!(f, "{}", line.trim_end())?;
+            lines = lines + line.trim_end() + "\n";
             line = " ".repeat(indent);
             begun = false;
         }
@@ -248,7 +245,7 @@ fn paragraph(f: &mut fmt::Formatter<'_>, lead: &str, text: &str) -> fmt::Result 
         line += word;
         begun = true;
     }
-    writeln!(f, "{}", line.trim_end())
+    lines + line.trim_end() + "\n"
 }
 
 #[cfg(test)]
@@ -261,7 +258,7 @@ mod tests {
         let about = |name: &str| Finding::about(Area::Kernel, name, "this", "because ".repeat(30));
         vec![
             about("a").good("so"),
-            about("longer").poor("other").mend("do it\nor else", "do it not"),
+            about("longer").poor("other").fix("do it\nor else", "do it not"),
             about("b").unknown("silence"),
         ]
     }
@@ -271,19 +268,19 @@ mod tests {
         let report = Report::new(&subject(), findings(), None);
         let text = report.to_string();
         assert!(text.starts_with(
-            "the default plan: a cycle every 1 ms on core 3 at SCHED_FIFO 80, late from 100 us on\n"
+            "the default plan: a cycle every 1 ms on core 3 at SCHED_FIFO 80, late limit 100 us\n"
         ));
         assert!(
             text.contains("\n  good  a       so\n  poor  longer  other\n        wanted  this\n"),
             "{text}"
         );
         assert!(
-            text.contains("\n        mend    do it\n                or else\n        undo    do it not\n"),
+            text.contains("\n        fix     do it\n                or else\n        undo    do it not\n"),
             "{text}"
         );
         assert!(text.contains("\n  ?     b       not known: silence\n"), "{text}");
         assert!(text.lines().all(|line| line.chars().count() <= WIDTH && line.trim_end() == line), "{text}");
-        assert!(text.ends_with("\nready; 1 thing could be better; 1 is not known"), "{text}");
+        assert!(text.ends_with("\nready; 1 possible improvement; 1 not known"), "{text}");
     }
 
     #[test]
@@ -292,7 +289,7 @@ mod tests {
         all.push(Finding::about(Area::Rights, "clock", "", "").bad("broken"));
         let report = Report::new(&subject(), all, None);
         assert!(!report.ready);
-        assert!(report.verdict().starts_with("not ready: 1 thing is in the way (clock); 1 thing could"));
+        assert!(report.verdict().starts_with("not ready: 1 problem (clock); 1 possible improvement"));
     }
 
     #[test]
@@ -304,11 +301,11 @@ mod tests {
         assert_eq!(keys(&value), "counts findings host measured ready subject");
         assert_eq!(keys(&value["subject"]), "config core late_ns period_ns priority");
         assert_eq!(keys(&value["counts"]), "bad good poor unknown");
-        assert_eq!(keys(&value["findings"][0]), "area found mend name undo verdict wanted why");
+        assert_eq!(keys(&value["findings"][0]), "area fix found name undo verdict wanted why");
         assert_eq!(
             (&value["findings"][1]["verdict"], &value["findings"][1]["area"]),
             (&"poor".into(), &"kernel".into())
         );
-        assert!(value["findings"][0]["mend"].is_null());
+        assert!(value["findings"][0]["fix"].is_null());
     }
 }

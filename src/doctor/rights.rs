@@ -22,7 +22,7 @@ fn fifo(tried: &Result<(), Denied>, subject: &Subject) -> Finding {
         Area::Rights,
         "scheduling",
         format!("the right to {policy}"),
-        "an ordinary thread shares its core with every other one: its latency has no bound",
+        "an ordinary thread shares its core with all others: its latency has no bound",
     );
     match tried {
         Ok(()) => finding.good(format!("{policy} granted")),
@@ -33,9 +33,9 @@ fn fifo(tried: &Result<(), Denied>, subject: &Subject) -> Finding {
 fn memory(tried: &Result<(), Denied>, subject: &Subject) -> Finding {
     let (name, wanted) = match subject.cycle.memory {
         Memory::Process => ("memory lock", "the right to lock the whole process"),
-        Memory::Own => ("memory lock", "the right to lock what the loop touches"),
+        Memory::Own => ("memory lock", "the right to lock the memory of the loop"),
     };
-    let why = "a page that is not in memory costs the loop a fault, and a disk access if it was dropped";
+    let why = "a page that is not in memory costs the loop a page fault, and a disk access if it was dropped";
     let finding = Finding::about(Area::Rights, name, wanted, why);
     match tried {
         Ok(()) => finding.good("granted"),
@@ -45,22 +45,22 @@ fn memory(tried: &Result<(), Denied>, subject: &Subject) -> Finding {
 
 /// A right that the plan needs, and that this user does not have.
 fn refused(finding: Finding, denied: &Denied, subject: &Subject) -> Finding {
-    let limits = "rt-config/host/99-fieldbeat-limits.conf (people), fieldbeat.service (a service)";
+    let limits = "rt-config/host/99-fieldbeat-limits.conf (logins), fieldbeat.service (a service)";
     let undo = format!("sudo setcap -r {}", program());
     let granting = format!("{}\nor {limits}", setcap());
     let (found, finding) = match denied {
         Denied::Fifo { limit, .. } => {
-            (format!("refused: RLIMIT_RTPRIO is {limit}"), finding.mend(granting, undo))
+            (format!("refused: RLIMIT_RTPRIO is {limit}"), finding.fix(granting, undo))
         }
         Denied::Memlock { need_kib, limit_kib } => (
             format!("refused: {need_kib} KiB needed, RLIMIT_MEMLOCK is {limit_kib} KiB"),
-            finding.mend(granting, undo),
+            finding.fix(granting, undo),
         ),
         Denied::FifoGroup { .. } => (
             "refused although CAP_SYS_NICE is held: a control group or a container forbids it".to_owned(),
             finding.advise(
                 "start from the root control group, outside the container\n\
-                 or rt_group_sched=0 on the kernel command line, where the kernel knows it",
+                 or add rt_group_sched=0 to the kernel command line, where the kernel supports it",
             ),
         ),
         Denied::Call { call, error } => {
@@ -68,7 +68,7 @@ fn refused(finding: Finding, denied: &Denied, subject: &Subject) -> Finding {
         }
     };
     match subject.cycle.realtime {
-        Realtime::Off => finding.poor(format!("{found}; realtime = \"off\" does without")),
+        Realtime::Off => finding.poor(format!("{found}; not needed with realtime = \"off\"")),
         Realtime::Prefer | Realtime::Require => finding.bad(found),
     }
 }
@@ -84,7 +84,7 @@ fn group_budget(root: &Root, fifo: bool, subject: &Subject) -> Finding {
     );
     let Some(directory) = cpu_group(root) else {
         return match fifo {
-            true => finding.good("none is in the way"),
+            true => finding.good("not limited"),
             false => finding.unknown("the cpu controller of cgroup v1, which would show it, is not mounted"),
         };
     };
@@ -92,13 +92,13 @@ fn group_budget(root: &Root, fifo: bool, subject: &Subject) -> Finding {
     let runtime = match root.text(&path) {
         Ok(runtime) => runtime,
         Err(error) if error.kind() == std::io::ErrorKind::NotFound && fifo => {
-            return finding.good("none is in the way");
+            return finding.good("not limited");
         }
         Err(error) => return finding.unread(&path, &error),
     };
     match runtime.parse::<i64>() {
         Ok(0) => {
-            let finding = finding.mend(write(950_000, &path), write(0, &path));
+            let finding = finding.fix(write(950_000, &path), write(0, &path));
             match subject.cycle.realtime {
                 Realtime::Off => finding.poor("0 us: no real-time thread may run in this control group"),
                 _ => finding.bad("0 us: no real-time thread may run in this control group"),
@@ -144,16 +144,14 @@ mod tests {
         let denied = Err(Denied::Fifo { priority: 80, limit: 20 });
         let finding = fifo(&denied, &plan);
         assert_eq!((finding.verdict, finding.found.as_str()), (Bad, "refused: RLIMIT_RTPRIO is 20"));
-        let (mend, undo) = (finding.mend.unwrap(), finding.undo.unwrap());
-        assert!(
-            mend.starts_with("sudo setcap cap_sys_nice,cap_ipc_lock+ep ") && mend.contains("limits.conf")
-        );
+        let (fix, undo) = (finding.fix.unwrap(), finding.undo.unwrap());
+        assert!(fix.starts_with("sudo setcap cap_sys_nice,cap_ipc_lock+ep ") && fix.contains("limits.conf"));
         assert!(undo.starts_with("sudo setcap -r ") && undo.ends_with(&program()), "{undo}");
 
         let little = Err(Denied::Memlock { need_kib: 100_000, limit_kib: 8_192 });
         assert_eq!(memory(&little, &plan).found, "refused: 100000 KiB needed, RLIMIT_MEMLOCK is 8192 KiB");
         let group = fifo(&Err(Denied::FifoGroup { priority: 80 }), &plan);
-        assert!(group.verdict == Bad && group.mend.unwrap().contains("root control group"));
+        assert!(group.verdict == Bad && group.fix.unwrap().contains("root control group"));
 
         plan.cycle.realtime = Realtime::Off;
         assert_eq!(fifo(&denied, &plan).verdict, Poor);
@@ -168,7 +166,7 @@ mod tests {
         let check = |files: &[(&str, &str)], fifo| group_budget(&Host::new(files).0.root, fifo, &subject());
         let none = check(&[mounts, group, (path, "0\n")], false);
         assert_eq!(none.verdict, Bad);
-        assert_eq!(none.mend.unwrap(), format!("echo 950000 | sudo tee /{path}"));
+        assert_eq!(none.fix.unwrap(), format!("echo 950000 | sudo tee /{path}"));
         assert_eq!(check(&[mounts, group, (path, "950000\n")], true).found, "950000 us of every 1000000 us");
         assert_eq!(check(&[mounts, group, (path, "-1\n")], true).verdict, Good);
         assert_eq!(check(&[mounts, group, (path, "?\n")], true).verdict, Unknown);

@@ -3,8 +3,8 @@
 //! Values of one slice are not independent of each other: whatever disturbed the machine disturbed many of them. So
 //! whole slices are resampled, and those of two rivals that ran in the same round together.
 //!
-//! A ratio is the median of the rounds' ratios: a shared machine is in one mood for a second and in another one for the
-//! next, and in one round both rivals met the same. Pooled medians would compare the moods instead.
+//! A ratio is the median of the rounds' ratios: the load of a shared machine changes from second to second, and within
+//! one round both rivals had the same. Pooled medians would compare the loads instead.
 
 use std::fmt;
 

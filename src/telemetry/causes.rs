@@ -1,11 +1,11 @@
-//! Why a cycle was late, without a kernel tracer: what the loop saw itself, joined by time with what the kernel counted
-//! against its thread meanwhile.
+//! Why a cycle was late, without a kernel tracer: what the loop itself observed, joined by time with what the kernel
+//! counted for its thread.
 //!
 //! | evidence | cause |
 //! |---|---|
 //! | page faults since the look before | page fault |
-//! | it was awake, an involuntary switch was counted, and it waited for its core at least half of the delay | preempted |
-//! | it slept, and then waited for its core at least half of the delay, beyond what it usually waits (run delay) | preempted |
+//! | awake, an involuntary switch, and it waited for its core at least half of the delay | preempted |
+//! | asleep, then it waited for its core at least half of the delay beyond its usual run delay | preempted |
 //! | a stage took long, and not much longer than it usually does | own work, in that stage |
 //! | a stage with system calls or the in-loop task took long, and the thread ran for at least half of that | own work |
 //! | any other stage, or the final spin: a gap in straight code | the host took the core |
@@ -13,7 +13,7 @@
 //! | a sleep ended late, and the thread ran as soon as it was woken | its timer came late |
 //! | a drive that is online had not answered at the deadline, and the loop itself was in time | the drive, or several |
 //! | no sample around it, but page faults or involuntary switches since the look before | page fault, or preempted |
-//! | the samples around it are too far apart to tell whose delay they counted; or its record was lost | unknown |
+//! | the samples around it are too far apart to assign their delays; or its record was lost | unknown |
 //!
 //! A bound of half, because the delay and what explains it are never measured between the same two instants.
 
@@ -77,7 +77,7 @@ pub struct Judged {
 /// How many of the newest judgements are kept one by one.
 const MOST_JUDGED: usize = 1024;
 
-/// How long after a late wake-up a rise of the steal time still explains it: it is told in ticks of 10 ms.
+/// How long after a late wake-up a rise of the steal time still explains it: it is counted in ticks of 10 ms.
 const STEAL_TELLS_NS: u64 = S;
 
 /// How fast what is usual is learned: the weight of one more value.
@@ -86,13 +86,13 @@ const SLOWLY: f64 = 0.05;
 /// Up to so many times as long as usual a stage is only busy.
 const USUAL: f64 = 4.0;
 
-/// In a longer span than this a delay cannot be told from another one's.
+/// In a longer span than this one delay cannot be separated from another.
 const LONGEST_SPAN_NS: u64 = 50 * MS;
 
 /// Late cycles that wait for their sample. More at once are judged by what is known.
 const MOST_PENDING: usize = 4096;
 
-/// Samples kept: with one every 5 ms those of more than the time that a steal may take to be told.
+/// Samples kept: with one every 5 ms those of more than [`STEAL_TELLS_NS`].
 const MOST_SAMPLES: usize = 512;
 
 /// Joins late cycles and samples.
@@ -294,7 +294,7 @@ impl Causes {
         self.pending.push_back(late);
     }
 
-    /// Takes a sample in, after all records from before it, and judges what it tells about.
+    /// Takes a sample in, after all records from before it, and finds the causes that it shows.
     pub fn sample(&mut self, sample: ThreadSample) {
         if let Some(before) = self.newest.replace(sample) {
             let ran_ns = sample.run_ns.saturating_sub(before.run_ns);
@@ -322,7 +322,7 @@ impl Causes {
             });
         }
         (self.cycles, self.late) = (0, false);
-        // Not in the order they came: what waits for the steal to be told holds up nobody.
+        // Not in the order they came: one that waits for the steal time delays no other.
         for late in std::mem::take(&mut self.pending) {
             if late.to > sample.at {
                 self.pending.push_back(late);
@@ -405,8 +405,8 @@ impl Causes {
         let calls = match stage {
             Stage::Receive if late.slept() => return None,
             Stage::Send | Stage::Receive => true,
-            Stage::Exchange => self.task,
-            Stage::Judge | Stage::Prepare | Stage::Publish => false,
+            Stage::Commands => self.task,
+            Stage::Evaluate | Stage::Prepare | Stage::Publish => false,
         };
         let usual = ns as f64 <= USUAL * self.usual_stage_ns[stage as usize];
         if usual || calls && self.explains(late, |span| &mut span.run_ns) {

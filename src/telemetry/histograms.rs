@@ -163,18 +163,22 @@ pub struct Quantiles {
     pub max_cycle: Option<u64>,
 }
 
+/// Whether a sample of this size supports the quantile.
+pub fn supports(count: u64, quantile: f64) -> bool {
+    count as f64 * (1.0 - quantile) >= SAMPLES_BEYOND - 1e-9
+}
+
 impl Quantiles {
     /// Quantiles of `histogram`, with the exact maximum that the loop kept.
     ///
-    /// A quantile needs [`SAMPLES_BEYOND`] it. None is beyond the maximum, as the upper end of a bin may be, and none
-    /// is told that lies where the histogram ends.
+    /// A quantile needs [`SAMPLES_BEYOND`] it. None is beyond the maximum, as the upper end of a bin may be. One
+    /// that lies where the histogram ends is not known.
     pub fn of(histogram: &Quantity, peak: Peak) -> Quantiles {
         let count = histogram.len();
         let at = |quantile: f64| {
-            let beyond = count as f64 * (1.0 - quantile);
             let value = histogram.value_at_quantile(quantile);
-            let told = beyond >= SAMPLES_BEYOND - 1e-9 && !is_cut_off(histogram, value);
-            told.then(|| value.min(peak.ns.max(1)))
+            let is_known = supports(count, quantile) && !is_cut_off(histogram, value);
+            is_known.then(|| value.min(peak.ns.max(1)))
         };
         let any = peak != Peak::default() || count > 0;
         Quantiles {
@@ -223,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn beyond_the_end_of_the_histogram_no_quantile_is_told() {
+    fn beyond_the_end_of_the_histogram_no_quantile_is_known() {
         let mut histograms = Histograms::new(0);
         let skipped = SkippedRecord { count: 1_000, late_ns: 1_000 * MS, ..SkippedRecord::default() };
         histograms.enter(&Record::Skipped(skipped), MS);

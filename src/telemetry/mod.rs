@@ -1,4 +1,4 @@
-//! What the loop tells of itself: histograms, causes, a black box, and their reports. A normal thread, fed by a ring;
+//! What the loop reports: histograms, causes, a black box, and their reports. A normal thread, fed by a ring;
 //! the loop never waits for it.
 //!
 //! | file | what |
@@ -11,10 +11,11 @@
 //! | `blackbox` | the last cycles, written to a file when something fails |
 //! | `monitor` | a reader of a machine, for any thread |
 //! | `metrics` | the numbers of a running machine, over HTTP |
-//! | `plots` | the pictures of a run |
+//! | `plots` | the plots of a run |
 //! | `report` | a directory with all of it |
 //! | `file` | files that are whole or not there |
-//! | `summary` | the `--json` object and the table of a run |
+//! | `summary` | the `--json` object and the text of a run |
+//! | `table` | tables of text |
 //!
 //! Counts and maxima come from the loop itself and are exact; quantiles come from here.
 
@@ -29,6 +30,7 @@ pub mod plots;
 mod recorder;
 pub mod report;
 pub mod summary;
+mod table;
 pub mod timeline;
 
 pub use histograms::{Histograms, Quantiles};

@@ -22,7 +22,7 @@ use crate::time::S;
 const EMPTY_EVERY: Duration = Duration::from_millis(5);
 
 /// What the ring holds: the thread is a normal one, and on a busy host it waits for its turn far longer than it sleeps.
-/// With room for 100 ms, 5 923 records of 4 s were lost beside a compiler on every core.
+/// With room for 100 ms, 5 923 records of 4 s were lost next to a compiler on every core.
 const RING_NS: u64 = S;
 
 /// The most records in all. Their memory is locked; the loop counts what does not fit.
@@ -46,7 +46,7 @@ pub struct Measured {
     period_ns: u64,
 }
 
-/// So many files are told of, and emergencies.
+/// So many files and emergencies are kept for the application.
 const MOST_TOLD: usize = 64;
 
 /// An emergency of a drive.

@@ -1,4 +1,4 @@
-//! The report of a run: a directory with its summary, its histograms and its pictures.
+//! The report of a run: a directory with its summary, its histograms and its plots.
 //!
 //! | file | what |
 //! |---|---|
@@ -6,9 +6,9 @@
 //! | `wake.hgrm`, `jitter.hgrm`, `stage-S.hgrm` | the loop |
 //! | `reference.hgrm` | phase errors of the grid, where the clock of a bus leads it |
 //! | `rtt-D.hgrm`, `send-jitter-D.hgrm`, `age-D.hgrm` | drive D |
-//! | `wake.svg`, `percentiles.svg`, `rtt.svg`, `timeline.svg` | the pictures |
+//! | `wake.svg`, `percentiles.svg`, `rtt.svg`, `timeline.svg` | the plots |
 //!
-//! Of an earlier report in the same directory nothing stays: it would pass for this one's.
+//! Files of an earlier report in the same directory are removed: they would be taken for this one's.
 
 use std::fs;
 use std::io;
@@ -22,8 +22,8 @@ use super::plots::{self, PlotError};
 use super::summary::{Run, Summary};
 use crate::cycle::record::Stage;
 
-/// The pictures of every report.
-const PICTURES: [&str; 4] = ["wake.svg", "percentiles.svg", "rtt.svg", "timeline.svg"];
+/// The plots of every report.
+const PLOTS: [&str; 4] = ["wake.svg", "percentiles.svg", "rtt.svg", "timeline.svg"];
 
 /// A place for a report. Dropped without one, it removes the directories that it made.
 #[derive(Debug)]
@@ -37,7 +37,7 @@ pub struct Report {
 #[derive(Error)]
 pub enum ReportError {
     /// There is something else of that name.
-    #[error("report {0} is no directory: name one, or a place where one can be made")]
+    #[error("report {0} is not a directory; name one, or a place where one can be made")]
     NotADirectory(PathBuf),
     /// The directory cannot be made, or not written to.
     #[error("report {directory}: cannot write there: {error}; name a directory that this user may write to")]
@@ -49,7 +49,7 @@ pub enum ReportError {
     },
     /// A file could not be written. Those before it are whole.
     #[error(
-        "report file {file} is not written, nor are those after it: {error}; make room there, or name another directory"
+        "report file {file} and those after it are not written: {error}; make room there, or name another directory"
     )]
     File {
         /// The file.
@@ -58,15 +58,15 @@ pub enum ReportError {
         error: io::Error,
     },
     /// A file of an earlier report is still there. This one is whole.
-    #[error("report file {file} is of an earlier run and cannot be removed: {error}; remove it")]
+    #[error("report file {file} belongs to an earlier run and cannot be removed: {error}; remove it")]
     Earlier {
         /// The file.
         file: PathBuf,
         /// What the operating system said.
         error: io::Error,
     },
-    /// A picture could not be drawn.
-    #[error("report pictures are not written: {0}; all other files are")]
+    /// A plot could not be drawn.
+    #[error("the plots of the report are not written: {0}; all other files are")]
     Plot(#[from] PlotError),
 }
 crate::errors::debug_as_display!(ReportError);
@@ -108,13 +108,13 @@ impl Report {
             save(name, text)?;
         }
         for (name, svg) in plots::all(run, summary)? {
-            debug_assert!(PICTURES.contains(&name), "{name}");
+            debug_assert!(PLOTS.contains(&name), "{name}");
             save(name, &svg)?;
         }
         removed
     }
 
-    /// Removes the histograms and pictures of an earlier report that are not among `kept`.
+    /// Removes the histograms and plots of an earlier report that are not among `kept`.
     fn remove_all_but(&self, kept: &[(String, String)]) -> Result<(), ReportError> {
         let mut result = Ok(());
         for entry in fs::read_dir(&self.directory).into_iter().flatten().flatten() {
@@ -155,13 +155,13 @@ fn histograms(run: &Run) -> Vec<(String, String)> {
     files
 }
 
-/// Whether a histogram or picture of some report has that name; see the table above.
+/// Whether a histogram or plot of some report has that name; see the table above.
 fn is_ours(name: &str) -> bool {
     let histogram = |name: &str| {
         ["wake", "jitter", "reference"].contains(&name)
             || ["stage-", "rtt-", "send-jitter-", "age-"].iter().any(|kind| name.starts_with(kind))
     };
-    name.strip_suffix(".hgrm").is_some_and(histogram) || PICTURES.contains(&name)
+    name.strip_suffix(".hgrm").is_some_and(histogram) || PLOTS.contains(&name)
 }
 
 impl Drop for Report {

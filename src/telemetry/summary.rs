@@ -1,6 +1,6 @@
 //! A run in numbers: the object that `--json` prints, and the same as text.
 
-use std::fmt::{self, Write as _};
+use std::fmt;
 use std::sync::Arc;
 
 use serde::{Serialize, Serializer};
@@ -9,6 +9,7 @@ use super::blackbox::Written;
 use super::causes::{Cause, Judged, Tally};
 use super::histograms::{Quantiles, Quantity};
 use super::recorder::Measured;
+use super::table::{Cell, Table};
 use crate::axis::{Fault, Link, MonitorChannel, StopCause, Units};
 use crate::bus::BusClock;
 use crate::bus::{Counters, OwnCounter};
@@ -16,7 +17,8 @@ use crate::cycle::Plan;
 use crate::cycle::record::Stage;
 use crate::cycle::status::{DeviceEnd, Extent, Numbers, ReferenceStatus};
 use crate::rt::{Granted, host};
-use crate::time::{MS, Ns, S, US};
+use crate::style::{BAD, paint};
+use crate::time::{MS, Ns, S, US, three_digits};
 
 /// The end of a run: the loop's exact counts, what the telemetry measured, and how it was run.
 #[derive(Debug)]
@@ -45,19 +47,19 @@ impl Run {
 pub struct Summary {
     /// The cycle.
     pub cycle: CycleNumbers,
-    /// Begin of the cycles after their grid points; skipped slots are in it as late ones.
+    /// Wake-up latency: start of the cycles after their grid points; skipped slots count as late ones.
     pub wake_ns: Quantiles,
     /// Differences between the distance of two successive begins and that of their grid points.
     pub jitter_ns: Quantiles,
     /// Time of each stage.
     pub stages_ns: Stages,
-    /// Late cycles, and why they were.
+    /// Late cycles and their causes.
     pub late: Late,
     /// The drives, in the order of the plan.
     pub drives: Vec<Drive>,
-    /// What takes part without being a drive, in the order of the plan.
+    /// Devices that are not drives, in the order of the plan.
     pub devices: Vec<Device>,
-    /// The buses: what arrived and belongs to no drive, and their clocks.
+    /// The buses: datagrams that belong to no drive, and their clocks.
     pub buses: Vec<Bus>,
     /// How real-time the run was.
     pub realtime: RealtimeNumbers,
@@ -78,15 +80,15 @@ pub struct Summary {
 pub struct CycleNumbers {
     /// The period.
     pub period_ns: u64,
-    /// Slots that the grid laid out.
+    /// Slots of the grid.
     pub planned: u64,
     /// Cycles executed.
     pub executed: u64,
-    /// Slots passed over.
+    /// Slots skipped.
     pub skipped: u64,
     /// Times that a cycle was too late for the next slot.
     pub overruns: u64,
-    /// The clock that leads the grid; null: it is ours.
+    /// The reference clock of the grid; null: that of this computer.
     pub reference: Option<ReferenceNumbers>,
 }
 
@@ -125,15 +127,14 @@ impl ReferenceNumbers {
 
 impl fmt::Display for ReferenceNumbers {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let ReferenceNumbers { bus, locked, losses, samples, silent, error_ns, step_max_ns } = self;
-        let [p50, p99, max] = [error_ns.p50, error_ns.p99, error_ns.max].map(Or);
-        write!(f, "grid led by {bus}: {}", if *locked { "locked" } else { "NOT LOCKED" })?;
-        write!(f, ", error p50 {p50}  p99 {p99}  max {max}; largest step {}", Ns(*step_max_ns))?;
+        let ReferenceNumbers { bus, locked, losses, samples, silent, step_max_ns, .. } = self;
+        write!(f, "grid synchronised to bus {bus}: {}", if *locked { "locked" } else { "NOT LOCKED" })?;
+        write!(f, ", largest step {}", Ns(three_digits(*step_max_ns)))?;
         if *silent > 0 {
-            write!(f, "; not seen in {silent} of {} cycles", samples + silent)?;
+            write!(f, "; its clock was not seen in {silent} of {} cycles", samples + silent)?;
         }
         if *losses > 0 {
-            write!(f, "; lost {}", plural(*losses, "time"))?;
+            write!(f, "; lock lost {}", plural(*losses, "time"))?;
         }
         Ok(())
     }
@@ -146,10 +147,10 @@ pub struct Stages {
     pub send: Quantiles,
     /// Taking in replies.
     pub receive: Quantiles,
-    /// Link health, limits, stop ladders.
-    pub judge: Quantiles,
+    /// Link health, limits, stop sequences.
+    pub evaluate: Quantiles,
     /// Command queues and the in-loop task.
-    pub exchange: Quantiles,
+    pub commands: Quantiles,
     /// Building the next requests.
     pub prepare: Quantiles,
     /// Feedback, events, records.
@@ -161,9 +162,9 @@ pub struct Stages {
 pub struct Late {
     /// A cycle is late that began, or spent in a stage, more than this.
     pub threshold_ns: u64,
-    /// Cycles that were; exact.
+    /// Cycles that were late; exact.
     pub count: u64,
-    /// Why, the most frequent first. While the loop runs the newest are not judged yet.
+    /// Their causes, the most frequent first. While the loop runs the newest are not explained yet.
     pub causes: Vec<Found>,
     /// The newest of them one by one.
     pub newest: Vec<LateCycle>,
@@ -184,7 +185,7 @@ pub struct LateCycle {
     pub drive: Option<String>,
 }
 
-/// So many late cycles are told one by one.
+/// So many late cycles are listed one by one.
 const NEWEST: usize = 20;
 
 /// A cause of late cycles.
@@ -241,16 +242,16 @@ fn named(cause: Cause, plan: &Plan) -> (&'static str, Option<&'static str>, Opti
 impl fmt::Display for Found {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match (self.cause, &self.drive, self.stage) {
-            ("host", ..) => f.write_str("the host took the core"),
-            ("preempted", ..) => f.write_str("preempted or throttled: another thread had the core"),
+            ("host", ..) => f.write_str("the host took the core (hypervisor or firmware)"),
+            ("preempted", ..) => f.write_str("preempted or throttled: another thread ran on the core"),
             ("page_fault", ..) => f.write_str("page fault"),
-            ("work", _, Some(stage)) => write!(f, "own work, or an interrupt within it, in stage {stage}"),
-            (_, Some(drive), _) => write!(f, "drive {drive} had not answered at the deadline"),
-            ("drives", ..) => f.write_str("several drives had not answered at the deadline"),
+            ("work", _, Some(stage)) => write!(f, "own work or an interrupt in stage {stage}"),
+            (_, Some(drive), _) => write!(f, "no reply of drive {drive} by the receive deadline"),
+            ("drives", ..) => f.write_str("no reply of several drives by the receive deadline"),
             ("timer", ..) => {
-                f.write_str("its timer came late: idle state, interrupts off, firmware, or hypervisor")
+                f.write_str("the timer fired late: idle state, interrupts off, firmware or hypervisor")
             }
-            _ => f.write_str("unknown: nothing was seen"),
+            _ => f.write_str("unknown: no evidence"),
         }
     }
 }
@@ -296,7 +297,7 @@ pub struct Drive {
     pub age_cycles: u32,
     /// What only its protocol counts, by its key; empty if that counts nothing of its own.
     pub protocol_counters: ProtocolCounters,
-    /// Actual position at the end, user units; null if the drive tells none.
+    /// Actual position at the end, user units; null if the drive reports none, or was never seen.
     pub position: Option<f64>,
     /// The drive's hardware enable (STO) is missing.
     pub inhibited: bool,
@@ -306,7 +307,7 @@ pub struct Drive {
     pub fault: Option<u32>,
     /// What its protocol calls that; null if it has no name for it.
     pub fault_name: Option<&'static str>,
-    /// What it shows besides its process data, as planned.
+    /// Its monitored variables, as planned.
     pub monitor: Vec<Variable>,
 }
 
@@ -342,7 +343,7 @@ impl fmt::Display for ProtocolCounters {
     }
 }
 
-/// A variable that a drive shows besides its process data. Its numbers are exact, and null until it was seen.
+/// A monitored variable of a drive: not part of its process data. Its numbers are exact, and null until it was seen.
 #[derive(Clone, Debug, Serialize)]
 pub struct Variable {
     /// Its name.
@@ -373,7 +374,7 @@ impl fmt::Display for Variable {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Variable { name, unit, .. } = self;
         let (Some(value), Some(min), Some(max)) = (self.value, self.min, self.max) else {
-            return write!(f, "{name:18} not seen yet");
+            return write!(f, "{name:18} not received yet");
         };
         let [value, min, max] = [value, min, max].map(plain);
         write!(f, "{name:18} {}, from {min} to {max}", format!("{value} {unit}").trim_end())
@@ -385,8 +386,8 @@ impl fmt::Display for Variable {
 pub struct Bus {
     /// Its name.
     pub name: String,
-    /// Datagrams from addresses that are no drive's.
-    pub strangers: u64,
+    /// Datagrams from unknown senders: addresses that are no drive's.
+    pub unmatched: u64,
     /// Datagrams that the kernel dropped because the socket's buffer was full.
     pub dropped: u64,
     /// Errors of the receiving socket.
@@ -395,7 +396,7 @@ pub struct Bus {
     pub clock: Option<ClockNumbers>,
 }
 
-/// How the clock of a bus and the grid stand to each other.
+/// The clock of a bus relative to the grid.
 #[derive(Clone, Debug, Serialize)]
 pub struct ClockNumbers {
     /// The grid follows it; else it follows the grid.
@@ -406,7 +407,7 @@ pub struct ClockNumbers {
     pub error_ns: Option<i64>,
     /// The largest distance, late or early, from the first lock on.
     pub error_max_ns: u64,
-    /// How far off its drives bear it.
+    /// The largest distance that its drives tolerate.
     pub window_ns: u64,
 }
 
@@ -423,14 +424,21 @@ impl fmt::Display for ClockNumbers {
         let way = if leads { "leads the grid" } else { "follows the grid" };
         write!(f, "{way}, {}, error ", if locked { "locked" } else { "NOT LOCKED" })?;
         match error_ns {
-            Some(ns) => write!(f, "{}{}", if ns < 0 { "-" } else { "" }, Ns(ns.unsigned_abs()))?,
-            None => f.write_str("not seen")?,
+            Some(ns) => {
+                write!(f, "{}{}", if ns < 0 { "-" } else { "" }, Ns(three_digits(ns.unsigned_abs())))?
+            }
+            None => f.write_str("not known")?,
         }
-        write!(f, ", at most {} since its lock; its drives bear {}", Ns(error_max_ns), Ns(window_ns))
+        write!(
+            f,
+            ", at most {} since its lock; its drives tolerate {}",
+            Ns(three_digits(error_max_ns)),
+            Ns(window_ns)
+        )
     }
 }
 
-/// What takes part without being a drive.
+/// A device that is not a drive.
 #[derive(Clone, Debug, Serialize)]
 pub struct Device {
     /// Its name.
@@ -454,11 +462,11 @@ pub struct RealtimeNumbers {
     pub page_faults: Option<u64>,
     /// Times that the loop's thread was preempted while it ran.
     pub involuntary_switches: Option<u64>,
-    /// Records lost on the way to the histograms; counts and maxima are exact all the same.
+    /// Records lost before the histograms; counts and maxima are exact.
     pub telemetry_lost: u64,
     /// Events and samples for which the application's queues had no room.
     pub events_lost: u64,
-    /// What could not be had, one line each, with its remedy.
+    /// What the operating system did not grant, one line each, with its remedy.
     pub missing: Vec<String>,
 }
 
@@ -514,7 +522,7 @@ impl Summary {
                     age_ns: Quantiles::of(&measured.age, peaks.age),
                     age_cycles: feedback.age,
                     protocol_counters: ProtocolCounters::of(own, counters),
-                    position: told(feedback.position),
+                    position: told(feedback.position).filter(|_| feedback.link != Link::Unseen),
                     inhibited: feedback.inhibited,
                     stopped: feedback.stopped.map(|cause| cause.to_string()),
                     fault: (feedback.fault != 0).then_some(feedback.fault),
@@ -531,7 +539,7 @@ impl Summary {
         let buses = (numbers.buses.iter().zip(clocks))
             .map(|((name, strangers), clock)| Bus {
                 name: name.clone(),
-                strangers: strangers.datagrams,
+                unmatched: strangers.datagrams,
                 dropped: strangers.dropped,
                 receive_errors: strangers.errors,
                 clock: clock.map(|clock| ClockNumbers::of(clock, leads(name))),
@@ -553,8 +561,8 @@ impl Summary {
             stages_ns: Stages {
                 send: stage(Stage::Send),
                 receive: stage(Stage::Receive),
-                judge: stage(Stage::Judge),
-                exchange: stage(Stage::Exchange),
+                evaluate: stage(Stage::Evaluate),
+                commands: stage(Stage::Commands),
                 prepare: stage(Stage::Prepare),
                 publish: stage(Stage::Publish),
             },
@@ -614,6 +622,25 @@ impl Drive {
         self.missed > 0 && 2 * self.late > self.missed
     }
 
+    /// Why it was stopped, other than by the end of the run.
+    fn stopped_by(&self) -> Option<&String> {
+        self.stopped.as_ref().filter(|cause| **cause != StopCause::Shutdown.to_string())
+    }
+
+    /// What is wrong with it, a line each.
+    fn notes(&self) -> Vec<String> {
+        let mut notes = Vec::new();
+        if let Some(code) = self.fault {
+            notes.push(format!("fault {}", Fault { code, name: self.fault_name }));
+        }
+        notes.extend(self.stopped_by().map(|cause| format!("stopped: {cause}")));
+        if self.inhibited {
+            notes.push("hardware enable (STO) missing".to_owned());
+        }
+        notes.extend(self.not_connected.as_ref().map(|why| format!("not connected: {why}")));
+        notes
+    }
+
     /// Whether the axis was stopped by an overrun of the loop.
     pub fn was_overrun(&self) -> bool {
         self.stopped.as_ref().is_some_and(|cause| *cause == StopCause::Overrun.to_string())
@@ -635,7 +662,8 @@ fn bars(wake: &Quantity) -> Vec<(u64, u64)> {
     bars
 }
 
-fn plural(count: u64, what: &str) -> String {
+/// A count and its noun, singular or plural.
+pub fn plural(count: u64, what: &str) -> String {
     format!("{count} {what}{}", if count == 1 { "" } else { "s" })
 }
 
@@ -644,7 +672,7 @@ pub(super) fn plain(value: f64) -> f64 {
     (value * 1e4).round() / 1e4 + 0.0
 }
 
-/// A value that a drive tells; NaN is none.
+/// A value that a drive reports; NaN is none.
 pub(super) fn told(value: f64) -> Option<f64> {
     value.is_finite().then_some(value)
 }
@@ -654,120 +682,82 @@ pub(super) fn decimals(value: Option<f64>, decimals: usize) -> String {
     value.map_or("-".to_owned(), |value| format!("{value:.decimals$}"))
 }
 
-/// `None` as a dash.
-struct Or(Option<u64>);
+/// A span in us with three significant digits, or a dash.
+fn us(ns: Option<u64>) -> String {
+    let Some(ns) = ns.map(three_digits) else { return String::from("-") };
+    let digits = match ns {
+        0 | 100_000.. => 0,
+        10_000.. => 1,
+        1_000.. => 2,
+        _ => 3,
+    };
+    format!("{:.digits$}", ns as f64 / US as f64)
+}
 
-impl fmt::Display for Or {
+/// As text; the alternate form shows in colour what went wrong. Drives come first: where a terminal has few lines, they
+/// are what it shows.
+impl fmt::Display for Summary {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self.0 {
-            Some(ns) => f.pad(&Ns(ns).to_string()),
-            None => f.pad("-"),
-        }
+        let CycleNumbers { period_ns, planned, executed, skipped, overruns, .. } = self.cycle;
+        writeln!(
+            f,
+            "{} of {}: planned {planned} = executed {executed} + skipped {skipped}, {}",
+            plural(executed, "cycle"),
+            Ns(period_ns),
+            plural(overruns, "overrun")
+        )?;
+        self.drive_table(f)?;
+        self.bus_lines(f)?;
+        writeln!(f)?;
+        self.loop_table(f)?;
+        self.late_lines(f)?;
+        writeln!(f)?;
+        self.realtime_lines(f)
     }
 }
 
-impl fmt::Display for Summary {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let cycle = &self.cycle;
-        writeln!(
-            f,
-            "{} cycles of {}: planned {} = executed {} + skipped {}, {} overruns",
-            cycle.executed,
-            Ns(cycle.period_ns),
-            cycle.planned,
-            cycle.executed,
-            cycle.skipped,
-            cycle.overruns
-        )?;
-        let quantiles = |q: &Quantiles| {
-            format!("p50 {}  p99 {}  p99.9 {}  max {}", Or(q.p50), Or(q.p99), Or(q.p99_9), Or(q.max))
-        };
-        writeln!(f, "wake-up latency  {}", quantiles(&self.wake_ns))?;
-        let most = self.wake_bars.iter().map(|(_, count)| *count).max().unwrap_or(0);
-        for (end, count) in &self.wake_bars {
-            // Logarithmic: the rare late ones are what a reader looks for.
-            let width = if *count == 0 {
-                0
-            } else {
-                (40.0 * (*count as f64).ln_1p() / (most as f64).ln_1p()).ceil() as usize
-            };
-            let bin = format!("< {}", Ns(*end));
-            writeln!(f, "{}", format!("  {bin:>11} {count:>9} {}", "#".repeat(width)).trim_end())?;
-        }
-        writeln!(f, "cycle jitter     {}", quantiles(&self.jitter_ns))?;
-        if let Some(reference) = &cycle.reference {
-            writeln!(f, "{reference}")?;
-        }
-        let stages = &self.stages_ns;
-        for (name, stage) in [
-            ("send", &stages.send),
-            ("receive", &stages.receive),
-            ("judge", &stages.judge),
-            ("exchange", &stages.exchange),
-            ("prepare", &stages.prepare),
-            ("publish", &stages.publish),
-        ] {
-            writeln!(f, "stage {name:10} {}", quantiles(stage))?;
-        }
-        let late = &self.late;
-        writeln!(f, "{} late by more than {}", plural(late.count, "cycle"), Ns(late.threshold_ns))?;
-        for found in &late.causes {
-            let worst = found.worst_ns.map_or(String::new(), |ns| format!(", at most {}", Ns(ns)));
-            writeln!(f, "  {:>9}  {found}{worst} (cycle {})", found.count, found.worst_cycle)?;
-        }
-        writeln!(f)?;
-        let wide = self.drives.iter().map(|drive| drive.name.len()).max().unwrap_or(0).max(5);
-        writeln!(
-            f,
-            "{:wide$} {:18} {:>8} {:>8} {:>6} {:>5} {:>5} {:>6} {:>10} {:>10} {:>10} {:>12}",
-            "drive",
-            "state",
-            "sent",
-            "answered",
-            "missed",
-            "late",
-            "dupl.",
-            "reject",
-            "RTT p50",
-            "RTT p99",
-            "RTT max",
-            "position"
-        )?;
+impl Summary {
+    /// The drives in at most 80 columns, if their names are short. Counts that are 0 for all of them have no column.
+    fn drive_table(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        type Count = (&'static str, fn(&Drive) -> u64);
+        const RARE: [Count; 4] = [
+            ("late", |drive| drive.late),
+            ("dupl.", |drive| drive.duplicate),
+            ("reject", |drive| drive.rejected),
+            ("unsent", |drive| drive.unsent),
+        ];
+        let seen = RARE.into_iter().filter(|(_, count)| self.drives.iter().any(|drive| count(drive) > 0));
+        let seen: Vec<Count> = seen.collect();
+        let mut titles = vec!["drive", "state", "sent", "answered", "missed"];
+        titles.extend(seen.iter().map(|(title, _)| title));
+        titles.extend(["RTT p50", "p99", "max", "position"]);
+        let mut table = Table::new(&titles, 2..titles.len(), " ");
         for (drive, units) in self.drives.iter().zip(&self.units) {
             let state = if drive.is_online() { &drive.state } else { &drive.link };
-            let mut notes = String::new();
-            if let Some(cause) = drive.stopped.as_ref().filter(|cause| *cause != "shutdown") {
-                let _ = write!(notes, "  stopped: {cause}");
-            }
-            if drive.inhibited {
-                notes.push_str("  hardware enable (STO) missing");
-            }
-            if let Some(code) = drive.fault {
-                let _ = write!(notes, "  fault {}", Fault { code, name: drive.fault_name });
-            }
-            if drive.unsent > 0 {
-                let _ = write!(notes, "  {} unsent", drive.unsent);
-            }
-            if let Some(why) = &drive.not_connected {
-                let _ = write!(notes, "  not connected: {why}");
-            }
-            writeln!(
-                f,
-                "{:wide$} {state:18} {:>8} {:>8} {:>6} {:>5} {:>5} {:>6} {:>10} {:>10} {:>10} {:>9} {:<2}{notes}",
-                drive.name,
-                drive.sent,
-                drive.answered,
-                drive.missed,
-                drive.late,
-                drive.duplicate,
-                drive.rejected,
-                Or(drive.rtt_ns.p50).to_string(),
-                Or(drive.rtt_ns.p99).to_string(),
-                Or(drive.rtt_ns.max).to_string(),
-                decimals(drive.position, 3),
-                units.unit,
-            )?;
+            let is_bad = drive.fault.is_some() || drive.losses > 0 || drive.stopped_by().is_some();
+            let mut row = vec![
+                Cell::plain(&drive.name),
+                Cell::new(state, is_bad),
+                Cell::plain(drive.sent),
+                Cell::plain(drive.answered),
+                Cell::new(drive.missed, drive.missed > 0),
+            ];
+            row.extend(seen.iter().map(|(_, count)| count(drive)).map(|count| Cell::new(count, count > 0)));
+            row.extend([drive.rtt_ns.p50, drive.rtt_ns.p99, drive.rtt_ns.max].map(|ns| Cell::plain(us(ns))));
+            let unit = drive.position.map_or(String::new(), |_| format!(" {}", units.unit));
+            row.push(Cell::plain(decimals(drive.position, 3) + &unit));
+            table.row(row);
         }
+        writeln!(f, "\ndrives; round trip times (RTT) in us")?;
+        let mut lines = table.lines(f.alternate()).into_iter();
+        writeln!(f, "{}", lines.next().unwrap_or_default())?;
+        for (line, drive) in lines.zip(&self.drives) {
+            writeln!(f, "{line}")?;
+            for note in drive.notes() {
+                writeln!(f, "  {}", paint(&note, BAD, f.alternate()))?;
+            }
+        }
+        let wide = self.drives.iter().map(|drive| drive.name.len()).max().unwrap_or(0).max(5);
         for drive in self.drives.iter().filter(|drive| drive.protocol_counters.are_any()) {
             writeln!(f, "{:wide$} {}", drive.name, drive.protocol_counters)?;
         }
@@ -776,15 +766,22 @@ impl fmt::Display for Summary {
                 writeln!(f, "{:wide$} {variable}", drive.name)?;
             }
         }
-        for bus in self.buses.iter().filter(|bus| bus.strangers + bus.dropped + bus.receive_errors > 0) {
-            writeln!(
-                f,
-                "bus {}: {} datagrams from strangers, {} datagrams dropped by the kernel (its buffer was full), \
-                 {} receive errors",
-                bus.name, bus.strangers, bus.dropped, bus.receive_errors
-            )?;
+        Ok(())
+    }
+
+    fn bus_lines(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for Bus { name, unmatched, dropped, receive_errors, .. } in &self.buses {
+            if unmatched + dropped + receive_errors > 0 {
+                writeln!(
+                    f,
+                    "bus {name}: {} from unknown senders, {} dropped by the kernel (receive buffer full), {}",
+                    plural(*unmatched, "datagram"),
+                    plural(*dropped, "datagram"),
+                    plural(*receive_errors, "receive error")
+                )?;
+            }
         }
-        // What leads the grid has its line above.
+        // The clock that leads the grid is with the loop.
         for bus in &self.buses {
             if let Some(clock) = bus.clock.as_ref().filter(|clock| !clock.leads) {
                 writeln!(f, "bus {}: its clock {clock}", bus.name)?;
@@ -792,21 +789,81 @@ impl fmt::Display for Summary {
         }
         for Device { name, not_operational } in &self.devices {
             match not_operational {
-                Some(why) => writeln!(f, "device {name}: not in operation: {why}")?,
+                Some(why) => {
+                    let line = format!("device {name}: not in operation: {why}");
+                    writeln!(f, "{}", paint(&line, BAD, f.alternate()))?;
+                }
                 None => writeln!(f, "device {name}: in operation")?,
             }
         }
-        writeln!(f)?;
+        Ok(())
+    }
+
+    /// Wake-up latency, jitter and stages in one unit.
+    fn loop_table(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut table = Table::new(&["loop, times in us", "p50", "p99", "p99.9", "max"], 1..5, "  ");
+        let stages = &self.stages_ns;
+        let mut quantities = vec![("wake-up latency", &self.wake_ns), ("cycle jitter", &self.jitter_ns)];
+        quantities.extend(self.cycle.reference.as_ref().map(|led| ("phase error", &led.error_ns)));
+        quantities.extend([
+            ("stage send", &stages.send),
+            ("stage receive", &stages.receive),
+            ("stage evaluate", &stages.evaluate),
+            ("stage commands", &stages.commands),
+            ("stage prepare", &stages.prepare),
+            ("stage publish", &stages.publish),
+        ]);
+        for (name, of) in quantities {
+            let mut row = vec![Cell::plain(name)];
+            row.extend([of.p50, of.p99, of.p99_9, of.max].map(|ns| Cell::plain(us(ns))));
+            table.row(row);
+        }
+        for line in table.lines(f.alternate()) {
+            writeln!(f, "{line}")?;
+        }
+        if let Some(reference) = &self.cycle.reference {
+            writeln!(f, "{reference}")?;
+        }
+        let most = self.wake_bars.iter().map(|(_, count)| *count).max().unwrap_or(0);
+        if most > 0 {
+            writeln!(f, "\nwake-up latency in us, cycles (bars: log scale)")?;
+        }
+        for (end, count) in &self.wake_bars {
+            // Logarithmic: the rare late ones are what a reader looks for.
+            let width = (40.0 * (*count as f64).ln_1p() / (most as f64).ln_1p()).ceil() as usize;
+            let bin = format!("< {}", *end as f64 / US as f64);
+            writeln!(f, "{}", format!("  {bin:>9} {count:>9} {}", "#".repeat(width)).trim_end())?;
+        }
+        Ok(())
+    }
+
+    fn late_lines(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let late = &self.late;
+        writeln!(f, "\n{} late by more than {}", plural(late.count, "cycle"), Ns(late.threshold_ns))?;
+        for found in &late.causes {
+            let worst =
+                found.worst_ns.map_or(String::new(), |ns| format!(", at most {}", Ns(three_digits(ns))));
+            writeln!(f, "  {:>9}  {found}{worst} (cycle {})", found.count, found.worst_cycle)?;
+        }
+        Ok(())
+    }
+
+    fn realtime_lines(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let real = &self.realtime;
         let core = real.core.map_or(String::from("any core"), |core| format!("core {core}"));
         let priority = if real.priority > 0 { format!(" {}", real.priority) } else { String::new() };
         let locked = if real.memory_locked { "memory locked" } else { "memory not locked" };
-        let faults = real.page_faults.map_or(String::from("-"), |faults| faults.to_string());
-        let switches = real.involuntary_switches.map_or(String::from("-"), |switches| switches.to_string());
+        let counted = |count: Option<u64>, what| {
+            count.map_or_else(|| format!("{what}s not known"), |count| plural(count, what))
+        };
         writeln!(
             f,
-            "loop: {}{priority} on {core}, {locked}; {faults} page faults, {switches} involuntary switches, {} telemetry records lost, {} events lost",
-            real.policy, real.telemetry_lost, real.events_lost
+            "loop: {}{priority} on {core}, {locked}; {}, {}; {} and {} lost",
+            real.policy,
+            counted(real.page_faults, "page fault"),
+            counted(real.involuntary_switches, "preemption"),
+            plural(real.telemetry_lost, "telemetry record"),
+            plural(real.events_lost, "event")
         )?;
         let host = &self.host;
         let or = |text: &Option<String>| text.clone().unwrap_or_else(|| String::from("?"));
@@ -837,7 +894,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn own_counters_are_told_in_words_above_zero_and_all_by_their_keys() {
+    fn own_counters_above_zero_are_printed_and_all_are_in_the_object() {
         let own = ["exceptions", "opened", "closed"].map(|key| OwnCounter { key, what: key });
         let mut counters = Counters::default();
         (counters.own[0], counters.own[2]) = (3, u64::MAX);
@@ -847,6 +904,55 @@ mod tests {
         assert_eq!(serde_json::to_string(&told).unwrap(), json);
         let none = ProtocolCounters::of(&[], &counters);
         assert_eq!((none.are_any(), serde_json::to_string(&none).unwrap()), (false, "{}".to_owned()));
+    }
+
+    #[test]
+    fn the_drives_come_first_and_fit_80_columns() {
+        let mut summary = crate::telemetry::plots::tests::run("axis-1", 2_000).summary();
+        let drive = summary.drives[0].clone();
+        let (state, sent) = (String::from("OperationEnabled"), 9_999_999);
+        let usual = Drive {
+            link: Link::Online.to_string(),
+            state,
+            sent,
+            answered: sent,
+            position: Some(-1234.5),
+            ..drive.clone()
+        };
+        let lost = Drive { missed: 1, losses: 1, link: Link::Lost.to_string(), position: None, ..drive };
+        let fault = Drive { fault: Some(5), ..usual.clone() };
+        summary.units = vec![summary.units[0]; 3];
+        summary.drives = vec![usual, lost, fault];
+        let text = summary.to_string();
+        let lines: Vec<&str> = text.lines().collect();
+        assert_eq!(lines[0], "2000 cycles of 1 ms: planned 2000 = executed 2000 + skipped 0, 0 overruns");
+        let titles: Vec<&str> = lines[3].split_whitespace().collect();
+        let expected = "drive state sent answered missed RTT p50 p99 max position";
+        assert_eq!(titles.join(" "), expected, "{text}");
+        assert!(lines[4].starts_with("axis-1 OperationEnabled 9999999  9999999      0 "), "{text}");
+        assert!(lines[4].ends_with(" -1234.500 mm") && lines[5].ends_with(" -"), "{text}");
+        assert_eq!(lines[7], "  fault 0x0005 (5)");
+        assert!(lines[..20].iter().all(|line| line.chars().count() <= 80), "{text}");
+        // A count that is 0 for all of them has no column.
+        assert!(!text.contains("dupl."), "{text}");
+        summary.drives[0].duplicate = 1;
+        assert!(summary.to_string().contains(" missed dupl. RTT p50 "), "{summary}");
+        // Colours in the alternate form only.
+        assert!(!text.contains('\x1b'), "{text:?}");
+        let styled = format!("{summary:#}");
+        assert!(styled.contains("\x1b[31mlost\x1b[0m"), "{styled}");
+        assert!(styled.contains("  \x1b[1m\x1b[31mfault 0x0005 (5)\x1b[0m\n"), "{styled:?}");
+    }
+
+    #[test]
+    fn times_have_one_unit_and_three_digits() {
+        let ns = [0, 51, 847, 1_000, 9_996, 28_911, 99_950, 129_419, 12_345_678];
+        let expected = ["0", "0.051", "0.847", "1.00", "10.0", "28.9", "100", "129", "12300"];
+        assert_eq!(ns.map(|ns| us(Some(ns))), expected);
+        assert_eq!(
+            (us(None), plural(1, "cycle"), plural(0, "cycle")),
+            ("-".into(), "1 cycle".into(), "0 cycles".into())
+        );
     }
 
     #[test]
@@ -860,14 +966,12 @@ mod tests {
             error_ns: Quantiles { p50: Some(120), p99: Some(900), max: Some(1_500), ..Quantiles::default() },
             step_max_ns: 10_000,
         };
-        let line = "grid led by line: locked, error p50 120 ns  p99 900 ns  max 1.5 us; largest step 10 us";
-        assert_eq!(reference.to_string(), line);
+        assert_eq!(reference.to_string(), "grid synchronised to bus line: locked, largest step 10 us");
         reference = ReferenceNumbers { locked: false, losses: 1, silent: 10, ..reference };
-        reference.error_ns = Quantiles::default();
         assert_eq!(
             reference.to_string(),
-            "grid led by line: NOT LOCKED, error p50 -  p99 -  max -; largest step 10 us; not seen in 10 of 1000 \
-             cycles; lost 1 time"
+            "grid synchronised to bus line: NOT LOCKED, largest step 10 us; its clock was not seen in 10 of 1000 \
+             cycles; lock lost 1 time"
         );
     }
 
@@ -876,15 +980,15 @@ mod tests {
         let clock =
             BusClock { error_ns: Some(-1_250), locked: true, error_max_ns: 4_000, window_ns: 320_000 };
         let told = |clock| ClockNumbers::of(clock, false).to_string();
-        let line =
-            "follows the grid, locked, error -1.25 us, at most 4 us since its lock; its drives bear 320 us";
+        let line = "follows the grid, locked, error -1.25 us, at most 4 us since its lock; its drives tolerate 320 us";
         assert_eq!(told(clock), line);
-        let line = "follows the grid, NOT LOCKED, error not seen, at most 4 us since its lock; its drives bear 320 us";
+        let line = "follows the grid, NOT LOCKED, error not known, at most 4 us since its lock; its drives tolerate \
+                    320 us";
         assert_eq!(told(BusClock { error_ns: None, locked: false, ..clock }), line);
     }
 
     #[test]
-    fn what_is_not_told_is_a_dash() {
+    fn an_unknown_value_is_a_dash() {
         let text = |value| decimals(told(value), 3);
         assert_eq!([1.0, -0.25, f64::NAN, f64::INFINITY].map(text), ["1.000", "-0.250", "-", "-"]);
     }
@@ -898,7 +1002,7 @@ mod tests {
         let told = [
             ("mm/s", extent(0.1 + 0.2, -1e-9, 200.0), "0.3 mm/s, from 0 to 200"),
             ("", extent(4294967295.0, -12.5, 4294967295.0), "4294967295, from -12.5 to 4294967295"),
-            ("C", None, "not seen yet"),
+            ("C", None, "not received yet"),
         ];
         for (unit, extent, expected) in told {
             assert_eq!(text(unit, extent), format!("demand-velocity    {expected}"));

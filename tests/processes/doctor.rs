@@ -22,7 +22,7 @@ fn assert_consistent(ended: &Ended) -> Value {
             assert!(finding[key].is_string(), "{finding}");
         }
         if finding["verdict"] == "poor" || finding["verdict"] == "bad" {
-            assert!(finding["mend"].is_string(), "{finding}");
+            assert!(finding["fix"].is_string(), "{finding}");
         }
     }
     report
@@ -70,8 +70,8 @@ fn a_user_without_rights_is_told_and_measures_all_the_same() {
         let finding = finding(&report, name);
         assert_eq!(finding["verdict"], "bad", "{finding}");
         assert!(finding["found"].as_str().unwrap().contains(found), "{finding}");
-        let mend = finding["mend"].as_str().unwrap();
-        assert!(mend.contains("setcap cap_sys_nice,cap_ipc_lock+ep") && mend.contains(&program), "{finding}");
+        let fix = finding["fix"].as_str().unwrap();
+        assert!(fix.contains("setcap cap_sys_nice,cap_ipc_lock+ep") && fix.contains(&program), "{finding}");
     }
     let last = ended.err.lines().last().unwrap();
     assert!(last.starts_with("fieldbeat: not ready: "), "{last}");
@@ -121,8 +121,8 @@ fn the_keys_of_the_object_are_stable() {
     have.sort();
     have.dedup();
     let want = "\
-        counts.bad counts.good counts.poor counts.unknown findings.area findings.found findings.mend findings.name \
-        findings.undo findings.verdict findings.wanted findings.why host.cpu host.kernel measured.factors.mend \
+        counts.bad counts.good counts.poor counts.unknown findings.area findings.fix findings.found findings.name \
+        findings.undo findings.verdict findings.wanted findings.why host.cpu host.kernel measured.factors.fix \
         measured.factors.name measured.factors.p50_ratio measured.factors.p99_ratio measured.factors.with.count \
         measured.factors.with.max_ns measured.factors.with.p50_ns measured.factors.with.p99_ns \
         measured.factors.without.count measured.factors.without.max_ns measured.factors.without.p50_ns \
@@ -157,12 +157,12 @@ fn a_mistake_is_one_line_and_a_core_that_is_not_there_is_no_mistake() {
     }
     let ended = run(["doctor", "--core", "1000", "--measure", "--for", "1s"]);
     ended.expect(1);
-    assert!(ended.out.contains("core 1000 cannot be had"), "{}", ended.out);
+    assert!(ended.out.contains("core 1000 is not available"), "{}", ended.out);
     assert!(ended.err.contains("fieldbeat: not measured: core 1000 is not one that this process may run on"));
     assert!(ended.out.lines().last().unwrap().starts_with("not ready: "), "{}", ended.out);
 }
 
-/// The command that it gives mends what it found, and the other one takes it back.
+/// The command that it gives fixes what it found, and the other one takes it back.
 #[test]
 #[ignore = "needs root and iproute2: network namespaces"]
 fn what_it_advises_can_be_done_and_undone() {
@@ -185,7 +185,7 @@ fn what_it_advises_can_be_done_and_undone() {
     assert_eq!(finding(&report, "linudp-v2: interrupts")["found"], "none of its own: a virtual interface");
     let before = finding(&report, "linudp-v2: neighbour entries").clone();
     assert_eq!((&before["verdict"], &before["found"]), (&"poor".into(), &"0 of 1 permanent".into()));
-    follow(&before["mend"]);
+    follow(&before["fix"]);
     assert_eq!(finding(&doctor(), "linudp-v2: neighbour entries")["verdict"], "good");
     follow(&before["undo"]);
     assert_eq!(*finding(&doctor(), "linudp-v2: neighbour entries"), before);

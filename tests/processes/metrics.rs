@@ -151,7 +151,7 @@ fn a_scrape_tells_what_the_summary_tells_later() {
     for family in ["fieldbeat_wake_up_seconds", "fieldbeat_cycle_jitter_seconds"] {
         assert_eq!(second.buckets(family, "").len(), 16);
     }
-    for stage in ["send", "receive", "judge", "exchange", "prepare", "publish"] {
+    for stage in ["send", "receive", "evaluate", "commands", "prepare", "publish"] {
         second.buckets("fieldbeat_stage_seconds", &format!("stage=\"{stage}\""));
     }
     program.signal(SIGINT);
@@ -255,7 +255,7 @@ fn a_taken_or_foreign_address_is_refused_before_anything_is_sent() {
     // TEST-NET-1 of RFC 5737 is nobody's.
     for (address, parts) in [
         (taken.as_str(), ["Address already in use", "another program listens there"]),
-        ("192.0.2.1:9464", ["Cannot assign requested address", "take an address of this computer"]),
+        ("192.0.2.1:9464", ["Cannot assign requested address", "use an address of this computer"]),
         ("nowhere", ["'nowhere' for '--metrics <ADDR>'", "must be a port like 9464"]),
     ] {
         master(&config, &["--for", "1s", "--metrics", address]).end().refused(&parts);

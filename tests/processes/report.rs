@@ -12,7 +12,7 @@ use serde_json::Value;
 use super::support::{Ended, LONG, Machine, PROGRAM, Program, as_ordinary_user, assert_sums, command, until};
 use super::{assert_silent, master, serve, socket};
 
-const PICTURES: [&str; 4] = ["percentiles.svg", "rtt.svg", "timeline.svg", "wake.svg"];
+const PLOTS: [&str; 4] = ["percentiles.svg", "rtt.svg", "timeline.svg", "wake.svg"];
 
 fn files(directory: &Path) -> BTreeSet<String> {
     let entries = std::fs::read_dir(directory).unwrap();
@@ -23,7 +23,7 @@ fn read(directory: &Path, file: &str) -> String {
     std::fs::read_to_string(directory.join(file)).unwrap()
 }
 
-/// Every text of a picture, in the order it is drawn.
+/// Every text of a plot, in the order it is drawn.
 fn texts(svg: &str) -> Vec<String> {
     let document = roxmltree::Document::parse(svg).unwrap_or_else(|error| panic!("{error}"));
     assert_eq!(document.root_element().tag_name().name(), "svg");
@@ -48,7 +48,7 @@ fn total(hgrm: &str) -> u64 {
 }
 
 #[test]
-fn a_report_holds_summary_histograms_and_pictures() {
+fn a_report_holds_summary_histograms_and_plots() {
     let machine = Machine::new(60);
     let config = machine.plain(2);
     let _sim = serve(&config);
@@ -58,9 +58,9 @@ fn a_report_holds_summary_histograms_and_pictures() {
     let summary = ended.json();
     assert_sums(&summary);
 
-    let mut expected: BTreeSet<String> = PICTURES.map(String::from).into();
+    let mut expected: BTreeSet<String> = PLOTS.map(String::from).into();
     expected.insert(String::from("summary.json"));
-    let stages = ["send", "receive", "judge", "exchange", "prepare", "publish"];
+    let stages = ["send", "receive", "evaluate", "commands", "prepare", "publish"];
     let of_the_loop = ["wake", "jitter"].map(String::from).into_iter();
     let histograms = (of_the_loop.chain(stages.map(|stage| format!("stage-{stage}"))))
         .chain(["rtt", "send-jitter", "age"].iter().flat_map(|what| [0, 1].map(|d| format!("{what}-d{d}"))));
@@ -85,12 +85,14 @@ fn a_report_holds_summary_histograms_and_pictures() {
     let kernel = summary["host"]["kernel"].as_str().unwrap();
     let host = summary["host"]["name"].as_str().unwrap();
     let max = &summary["wake_ns"]["max_cycle"];
-    for (picture, labels) in [
+    for (plot, labels) in [
         (
             "wake.svg",
             vec![
-                String::from("latency (us), bins of 1 us"),
+                String::from("latency (us, log scale)"),
                 String::from("cycles"),
+                String::from("late limit 200 us"),
+                String::from("period 2 ms"),
                 format!("in cycle {max}"),
             ],
         ),
@@ -98,6 +100,9 @@ fn a_report_holds_summary_histograms_and_pictures() {
             "percentiles.svg",
             vec![
                 "latency (us)".into(),
+                "percentile (log scale)".into(),
+                "round trip of d".into(),
+                ", the worst of 2 by p".into(),
                 "50 %".into(),
                 "90 %".into(),
                 "max".into(),
@@ -107,17 +112,17 @@ fn a_report_holds_summary_histograms_and_pictures() {
         ("rtt.svg", vec!["round trip (us)".into(), "d0: p50".into(), "d1: p50".into()]),
         ("timeline.svg", vec!["time (s)".into(), "largest (us)".into(), "missed".into(), "skipped".into()]),
     ] {
-        let texts = texts(&read(&place, picture));
+        let texts = texts(&read(&place, plot));
         let has = |label: &str| texts.iter().any(|text| text.contains(label));
         for label in labels.iter().map(String::as_str).chain(["plain.toml: ", "cycles of 2 ms", host, kernel])
         {
-            assert!(has(label), "no \"{label}\" on {picture}: {texts:?}");
+            assert!(has(label), "no \"{label}\" on {plot}: {texts:?}");
         }
     }
 }
 
 #[test]
-fn the_pictures_of_many_drives_name_the_worst_of_them() {
+fn the_plots_of_many_drives_name_the_worst_of_them() {
     let machine = Machine::new(61);
     let config = machine.plain(12);
     let _sim = serve(&config);
@@ -128,6 +133,8 @@ fn the_pictures_of_many_drives_name_the_worst_of_them() {
     let named = texts.iter().filter(|text| text.starts_with('d') && text.contains(": p50 ")).count();
     assert_eq!(named, 5, "{texts:?}");
     assert!(texts.iter().any(|text| text == "the other 7 drives, none of them worse"), "{texts:?}");
+    let by = texts.iter().find(|text| text.starts_with("Worst first: 12 drives compared by p")).unwrap();
+    assert!(by.ends_with(", the highest quantile that each of them supports."), "{by}");
 }
 
 #[test]
@@ -166,8 +173,8 @@ fn a_run_without_answers_is_reported() {
     let ended = master(&config, &["--for", "100ms", "--json", "--report", place.to_str().unwrap()]).end();
     ended.expect(1);
     assert!(ended.err.contains("never answered: d0"), "{}", ended.err);
-    for picture in PICTURES {
-        texts(&read(&place, picture));
+    for plot in PLOTS {
+        texts(&read(&place, plot));
     }
     assert!(read(&place, "rtt-d0.hgrm").contains("Total count    =            0]"));
 }
@@ -179,7 +186,7 @@ fn a_file_in_the_way_is_refused_before_anything_is_sent() {
     let drive = socket(machine.drive(0));
     let file = machine.write("file", "mine");
     let below = file.join("report");
-    for (place, what) in [(&file, "is no directory"), (&below, "cannot write there: Not a directory")] {
+    for (place, what) in [(&file, "is not a directory"), (&below, "cannot write there: Not a directory")] {
         let ended = master(&config, &["--for", "1s", "--report", place.to_str().unwrap()]).end();
         ended.refused(&["fieldbeat: report ", place.to_str().unwrap(), what]);
     }

@@ -48,7 +48,7 @@ fn strangers_are_counted_and_change_nothing() {
     assert_sums(&summary);
     // Some may have been dropped by the kernel, and replies with them, while the loop was held up.
     let of_bus = |key: &str| summary["buses"][0][key].as_u64().unwrap();
-    let (counted, dropped) = (of_bus("strangers"), of_bus("dropped"));
+    let (counted, dropped) = (of_bus("unmatched"), of_bus("dropped"));
     let rejected = drive(&summary, "d0")["rejected"].as_u64().unwrap();
     assert!(counted <= by_strangers && rejected <= by_port, "{by_strangers}, {by_port}: {summary}");
     assert!(counted + rejected + dropped >= by_strangers + by_port, "{by_strangers}, {by_port}: {summary}");

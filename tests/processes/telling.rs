@@ -104,7 +104,7 @@ fn of_two_masters_one_is_named_and_a_dead_one_is_called_dead() {
     status(&machine, &[first.to_str().unwrap(), "--json"]).expect(0);
     one.kill();
     let dead = status(&machine, &[first.to_str().unwrap()]);
-    dead.failed(&["is dead and left its socket behind", "start it again"]);
+    dead.failed(&["has died, only its socket is left", "start it again"]);
     // The one that lives is meant then, and the next master takes the dead one's place.
     assert_eq!(status(&machine, &["--json"]).expect(0).json()["pid"], two.pid());
     let again = master(&machine, &first, &[]);
@@ -246,7 +246,7 @@ fn a_lost_drive_leaves_a_black_box_that_tells_how_it_came_to_it() {
     let mut master = master(&machine, &config, &["--json", "--black-box", directory.to_str().unwrap()]);
     // While it has no more to tell than that all is well.
     master.signal(SIGUSR1);
-    master.await_text("(asked for, cycle ");
+    master.await_text("(requested, cycle ");
     sim.kill();
     master.await_text("(drive d0: link lost, cycle ");
     master.signal(SIGTERM);
@@ -288,14 +288,16 @@ fn what_a_drive_shows_besides_is_told_meanwhile_at_the_end_and_in_the_black_box(
     let summary = || status(&machine, &["--json"]).expect(0).json()["summary"].clone();
     assert!(until(LONG, || summary()["drives"][1]["monitor"][1]["value"].as_f64() > Some(0.0)));
     let text = status(&machine, &[]).expect(0).out.clone();
-    for part in
-        ["\nd1    core-temperature   40 C, from 40 to 40\n", " us, from ", "0x9999             not seen yet"]
-    {
+    for part in [
+        "\nd1    core-temperature   40 C, from 40 to 40\n",
+        " us, from ",
+        "0x9999             not received yet",
+    ] {
         assert!(text.contains(part), "no {part}: {text}");
     }
     assert_eq!(text.matches("\nd0 ").count(), 1, "{text}");
     master.signal(SIGUSR1);
-    master.await_text("(asked for, cycle ");
+    master.await_text("(requested, cycle ");
     master.signal(SIGTERM);
     let ended = master.end();
     let summary = ended.expect(0).json();
@@ -394,14 +396,14 @@ fn a_damaged_or_foreign_black_box_is_one_clear_line() {
     let _sim = simulation(&config);
     let mut master = master(&machine, &config, &[]);
     master.signal(SIGUSR1);
-    master.await_text("(asked for, cycle ");
+    master.await_text("(requested, cycle ");
     drop(master);
     let [whole] = &files(&machine.path("state/fieldbeat"))[..] else { panic!() };
     let bytes = fs::read(whole).unwrap();
     for (name, bytes, what) in [
         ("cut.blackbox", &bytes[..bytes.len() / 2], "its end is missing"),
-        ("empty.blackbox", &[][..], "is no black box"),
-        ("foreign.blackbox", &b"<html>no</html>"[..], "is no black box"),
+        ("empty.blackbox", &[][..], "is not a black-box file"),
+        ("foreign.blackbox", &b"<html>no</html>"[..], "is not a black-box file"),
     ] {
         let path = machine.write(name, bytes);
         blackbox(&path, &[]).refused(&[name, what]);
@@ -410,8 +412,28 @@ fn a_damaged_or_foreign_black_box_is_one_clear_line() {
     changed[200] ^= 1;
     blackbox(&machine.write("changed.blackbox", changed), &[]).refused(&["its checksum is wrong"]);
     blackbox(&machine.path("none.blackbox"), &[]).refused(&["none.blackbox", "cannot read"]);
-    blackbox(&machine.path(""), &[]).refused(&["is no black box"]);
+    blackbox(&machine.path(""), &[]).refused(&["is not a black-box file"]);
+    blackbox(&machine.write("long.blackbox", [&bytes[..], b"x"].concat()), &[])
+        .refused(&["it has more bytes than its header says"]);
     blackbox(whole, &["--cycles", &u64::MAX.to_string()]).expect(0);
+
+    // The list of the default directory, and of another one.
+    let list = |rest: &[&str]| {
+        Program::spawn(own(&machine, &["blackbox", "--list"]).args(rest)).end().expect(0).out.clone()
+    };
+    let (name, machine_of) = (whole.file_name().unwrap().to_str().unwrap(), config.to_str().unwrap());
+    let text = list(&[]);
+    let row = text.lines().last().unwrap();
+    assert!(
+        text.contains(": 1 black-box file\n") && row.contains(name) && row.contains(machine_of),
+        "{text}"
+    );
+    assert!(row.contains("requested (cycle ") && !text.contains('\x1b'), "{text}");
+    let elsewhere = list(&["--black-box", machine.path("").to_str().unwrap(), "--json"]);
+    let listing: Value = serde_json::from_str(&elsewhere).unwrap();
+    let files = listing["files"].as_array().unwrap();
+    assert_eq!(files.iter().filter(|file| file["error"].is_string()).count(), files.len());
+    assert!(files.iter().any(|file| file["file"] == "cut.blackbox" && file["bytes"].is_u64()), "{listing}");
 }
 
 #[test]

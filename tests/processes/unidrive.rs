@@ -46,7 +46,7 @@ fn a_mapping_that_cannot_be_is_refused_by_check_with_the_reason() {
         ("map.speed = \"18.011\"", "18.011 is not known here"),
         (
             "also_read = [{ parameter = \"18.001 ... 18.061\", bits = 32 }]",
-            "122 registers from 18.001 on are more than the 120",
+            "122 registers from 18.001 on exceed the 120",
         ),
         (
             "addressing = \"modified\"\nmap.speed = { parameter = \"99.001\", bits = 32 }",

@@ -132,7 +132,7 @@ fn a_cycle_is_late_by_its_own_threshold_and_an_in_loop_task_by_its_stage() {
     *world.lock().unwrap() = Some(b.world());
     b.run(400);
     assert_eq!(b.status().late, 1);
-    let peak = b.status().stage_max[Stage::Exchange as usize];
+    let peak = b.status().stage_max[Stage::Commands as usize];
     assert!(peak.index == 300 && peak.ns >= 110 * US, "{peak:?}");
 }
 

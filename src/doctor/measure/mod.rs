@@ -1,9 +1,9 @@
-//! What can be tried at run time, and what it is worth here: each thing off and on, in short slices in turns, and then
-//! the plan itself.
+//! Settings that can be tried at run time, and their effect here: each one off and on, in short slices in turns, and
+//! then the plan itself.
 //!
 //! | file | what |
 //! |---|---|
-//! | `mod` | who competes with whom, and what came of it |
+//! | `mod` | what is compared, and the results |
 //! | `slice` | one slice: a thread set up in one way |
 //! | `glance` | what this host carries, in half a second |
 //!
@@ -22,6 +22,7 @@ use super::stats::{Interval, Sample, over_rounds};
 use crate::cycle::Guard;
 use crate::rt::thread::{fifo, permitted_cores};
 use crate::rt::{GuardTuner, Realtime, RealtimeError, host, memory};
+use crate::telemetry::summary::plural;
 use crate::time::{MS, Ns, S, US};
 use slice::{GAP_NS, Setting};
 
@@ -30,12 +31,12 @@ use slice::{GAP_NS, Setting};
 pub struct Effort {
     /// About so long in all, ns.
     pub span_ns: u64,
-    /// The share of late cycles that the machine bears.
+    /// The share of late cycles that the machine tolerates.
     pub miss_rate: f64,
 }
 
 impl Default for Effort {
-    /// 50 s, which are enough cycles at 1 ms to tell one late in a thousand, the wanted share.
+    /// 50 s, which are enough cycles at 1 ms to resolve one late in a thousand, the wanted share.
     fn default() -> Effort {
         Effort { span_ns: 50 * S, miss_rate: 1e-3 }
     }
@@ -90,7 +91,7 @@ pub struct Factor {
     /// 99 % quantile with / without.
     pub p99_ratio: Option<Interval>,
     /// How to have it, where it helps and the plan has it not.
-    pub mend: Option<String>,
+    pub fix: Option<String>,
 }
 
 impl Factor {
@@ -255,7 +256,7 @@ struct Bench<'a> {
     planned: Vec<(usize, usize)>,
 }
 
-/// Measures what this host is worth for `subject`, and tells meanwhile what it does. Takes about as long as `effort`
+/// Measures how well this host suits `subject`, and reports its progress. Takes about as long as `effort`
 /// says.
 ///
 /// Other threads of this process should sleep: they would be measured, too. Locks of memory that it holds are lost.
@@ -334,7 +335,7 @@ pub fn measure(
         factors.extend(bench.compare("cores", base, &cores, CORES)?);
     }
     if !left_out.is_empty() {
-        let why = "there is no time for more; --for gives it".to_owned();
+        let why = "no time left; a longer --for gives more".to_owned();
         untried.push(Untried { name: format!("{} more cores", left_out.len()), why });
     }
     let periods = bench.periods()?;
@@ -401,14 +402,14 @@ impl Bench<'_> {
             let (p50_ratio, p99_ratio) = (ratio(rival, 0.5), ratio(rival, 0.99));
             let words: Vec<&str> = [p50_ratio, p99_ratio].iter().flatten().map(word).collect();
             let helps = words.contains(&HELPS) && !words.contains(&HURTS);
-            let mend = (helps && *setting != self.base).then(|| Factor::remedy(&without.setting, setting));
+            let fix = (helps && *setting != self.base).then(|| Factor::remedy(&without.setting, setting));
             Factor {
                 name: name.clone(),
                 without: without.latency(),
                 with: rival.latency(),
                 p50_ratio,
                 p99_ratio,
-                mend,
+                fix,
             }
         };
         Ok(with.iter().zip(rivals).map(factor).collect())
@@ -482,8 +483,8 @@ impl Measured {
             format!("no gap of {} or more", Ns(late_ns)),
             match self.fifo {
                 true => {
-                    "interrupts, firmware and the host of a virtual machine take the core from a thread that never sleeps, \
-                     whatever its priority"
+                    "interrupts, firmware and the host of a virtual machine take the core from a thread that never \
+                     sleeps, whatever its priority"
                 }
                 false => "without SCHED_FIFO, other programs take the core too",
             },
@@ -492,7 +493,8 @@ impl Measured {
         let found = match gaps {
             0 => format!("no gap above {} in {}", Ns(gap_ns), Ns(looked_ns)),
             count => format!(
-                "{count} gaps above {} in {}, the longest {}, {share:.3} % of the time",
+                "{} above {} in {}, the longest {}, {share:.3} % of the time",
+                plural(count, "gap"),
                 Ns(gap_ns),
                 Ns(looked_ns),
                 Ns(longest_ns)
@@ -501,8 +503,8 @@ impl Measured {
         match longest_ns < late_ns {
             true => finding.good(found),
             false => finding.poor(found).advise(
-                "isolate the core, and send interrupts elsewhere\n\
-                 `rtla hwnoise` tells firmware (SMI) from interrupts\n\
+                "isolate the core, and move interrupts to other cores\n\
+                 `rtla hwnoise` separates firmware (SMI) from interrupts\n\
                  in a virtual machine, pin its processors on its host",
             ),
         }
@@ -516,27 +518,27 @@ impl Measured {
             format!("late cycles at {}", Ns(period_ns)),
             format!("{} at most", percent(miss_rate)),
             format!(
-                "a wake-up later than {} after its grid point is late, a slot passed over too",
+                "a wake-up more than {} after its grid point is late, and so is a skipped slot",
                 Ns(late_ns)
             ),
         );
         let found = format!(
-            "{late} of {cycles} ({}); {} at most may lie behind such a sample (95 %)",
+            "{late} of {cycles} ({}); the true share is {} at most (95 % confidence)",
             percent(share),
             percent(at_most)
         );
         let enough = (3.0 / miss_rate).ceil();
         match () {
             () if share > miss_rate => {
-                let mend = match self.shortest_period_ns {
+                let fix = match self.shortest_period_ns {
                     Some(shortest) if shortest > period_ns => format!("period = \"{}\" in [cycle]\nor ", key(shortest)),
                     _ => String::new(),
                 };
-                let mend = mend + "mend what is poor, take what helps below, and measure again";
-                finding.bad(found).advise(mend)
+                let fix = fix + "fix what is poor, use what helps below, and measure again";
+                finding.bad(found).advise(fix)
             }
             () if at_most > miss_rate => finding.unknown(format!(
-                "{found}; more than {enough} cycles without a late one, or a larger --miss-rate, would tell (--for)"
+                "{found}; certain only after {enough} cycles without a late one (--for), or with a larger --miss-rate"
             )),
             () => finding.good(found),
         }
@@ -549,7 +551,7 @@ impl Measured {
             "shortest period",
             format!("{} or shorter", Ns(period_ns)),
             format!(
-                "the shortest one tried that, like all longer ones, was late in {} of its cycles at most",
+                "the shortest period tried at which, as at all longer ones, {} of the cycles at most were late",
                 percent(self.miss_rate)
             ),
         );
@@ -559,20 +561,19 @@ impl Measured {
         match carried {
             Some(Carries { period_ns: shortest, late_ns, cycles, late, at_most, .. }) => {
                 let found = format!(
-                    "{} (late from {} on: {late} of {cycles}, {} at most)",
+                    "{} (late limit {}: {late} of {cycles}, {} at most)",
                     Ns(*shortest),
                     Ns(*late_ns),
                     percent(*at_most)
                 );
                 match *shortest <= period_ns {
-                    true if *at_most > self.miss_rate => {
-                        finding.unknown(format!("{found}; too few cycles to be sure, --for gives more"))
-                    }
+                    true if *at_most > self.miss_rate => finding
+                        .unknown(format!("{found}; too few cycles to be certain, a longer --for gives more")),
                     true => finding.good(found),
                     false => finding.poor(found).advise("as for the late cycles"),
                 }
             }
-            None => finding.poor("none of those tried").advise("as for the late cycles"),
+            None => finding.poor("none of the periods tried").advise("as for the late cycles"),
         }
     }
 }
@@ -658,17 +659,17 @@ mod tests {
         let late = |plan: &[(usize, usize)]| measured(plan, &[(MS, 50), (2 * MS, 0)]).late_cycles();
         let good = late(&[(0, 1_000); 10]);
         assert_eq!((good.verdict, good.name.as_str()), (Good, "late cycles at 1 ms"));
-        assert_eq!(good.found, "0 of 10000 (0 %); 0.03 % at most may lie behind such a sample (95 %)");
+        assert_eq!(good.found, "0 of 10000 (0 %); the true share is 0.03 % at most (95 % confidence)");
         let few = late(&[(0, 1_000)]);
         assert_eq!(few.verdict, Unknown);
         assert!(
-            few.found.contains("0.3 % at most") && few.found.contains("more than 3000 cycles"),
+            few.found.contains("0.3 % at most") && few.found.contains("only after 3000 cycles"),
             "{}",
             few.found
         );
         let bad = late(&[(2, 1_000); 10]);
         assert_eq!(
-            (bad.verdict, bad.mend.unwrap().lines().next()),
+            (bad.verdict, bad.fix.unwrap().lines().next()),
             (Bad, Some("period = \"2ms\" in [cycle]"))
         );
     }
@@ -678,12 +679,12 @@ mod tests {
         let shortest = |periods: &[(u64, usize)]| measured(&[(0, 10_000)], periods).shortest(&subject());
         let all = shortest(&[(250 * US, 0), (500 * US, 11), (MS, 2), (2 * MS, 0)]);
         assert_eq!(all.verdict, Good);
-        assert!(all.found.starts_with("1 ms (late from 100 us on: 2 of 10000, "), "{}", all.found);
+        assert!(all.found.starts_with("1 ms (late limit 100 us: 2 of 10000, "), "{}", all.found);
         // As often as wanted, but it may as well be more often.
         let unsure = shortest(&[(MS, 10), (2 * MS, 0)]);
         assert!(unsure.verdict == Unknown && unsure.found.contains("too few cycles"), "{unsure:?}");
         assert_eq!(shortest(&[(MS, 11), (2 * MS, 0)]).verdict, Poor);
-        assert_eq!(shortest(&[(MS, 0), (2 * MS, 11)]).found, "none of those tried");
+        assert_eq!(shortest(&[(MS, 0), (2 * MS, 11)]).found, "none of the periods tried");
     }
 
     #[test]

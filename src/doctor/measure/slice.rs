@@ -1,5 +1,5 @@
 //! One slice of a measurement: a thread of its own, set up in one way, that waits for its grid as the loop does; and
-//! one that only looks at the clock.
+//! one that only reads the clock.
 
 use std::fs::File;
 use std::io::Write;

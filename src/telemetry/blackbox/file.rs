@@ -1,6 +1,7 @@
 //! The file of a black box: a mark, a header in JSON, records of one size, and a checksum over all of it. Integers and
 //! floats are little-endian, so that a file may be read on another machine than its own.
 
+use std::cmp::Ordering;
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
 use std::io::{self, Read};
@@ -20,16 +21,19 @@ use crate::time::Time;
 /// What a file begins with: the name, and the version of its layout.
 const MARK: [u8; 8] = *b"FBBOX\0\x04\n";
 
-/// The oldest layout that is read. In layout 1 no drive showed anything besides its process data; up to layout 2 every
-/// drive told a position, and the header had no names of faults; up to layout 3 the grid was led by our own clock. What
-/// a drive tells by itself came later, in bytes that were 0 before: any layout may have it.
+/// The oldest layout that is read. Layout 1 has no monitored variables; up to layout 2 every drive has a
+/// position, and the header has no names of faults; up to layout 3 the grid follows the clock of the computer.
+/// Emergencies came later, in bytes that were 0 before: any layout may have them.
 const OLDEST: u8 = 1;
 
 /// Bytes of a record.
 const RECORD: usize = 72;
 
-/// A file that is larger is none of ours.
-const MOST_BYTES: u64 = 1 << 32;
+/// Bytes of a file without its header and its records: mark, length of the header, count of the records, checksum.
+const FRAME: u64 = 24;
+
+/// A header that is larger is none of ours: that of 256 axes has some 100 kB.
+const MOST_HEADER: u64 = 16 << 20;
 
 /// What the records are of.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -70,7 +74,7 @@ pub struct Axis {
     pub name: String,
     /// Its user unit.
     pub unit: String,
-    /// What its drive shows besides, channel by channel.
+    /// The monitored variables of its drive, channel by channel.
     #[serde(default)]
     pub monitor: [Option<Channel>; MONITOR_CHANNELS],
     /// What its protocol calls the fault codes that occur in the records.
@@ -85,7 +89,7 @@ impl Axis {
     }
 }
 
-/// A variable that a drive shows besides its process data.
+/// A monitored variable of a drive.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Channel {
     /// Its name.
@@ -106,10 +110,13 @@ pub enum ReadError {
         error: io::Error,
     },
     /// It does not begin like one.
-    #[error("{0} is no black box of fieldbeat; name a file that it wrote (*.blackbox)")]
+    #[error("{0} is not a black-box file; name a file that fieldbeat wrote (*.blackbox)")]
     Foreign(PathBuf),
     /// Of another version.
-    #[error("{path} has layout {found}, this program reads {OLDEST} to {}; read it with the version that wrote it", MARK[6])]
+    #[error(
+        "{path} has layout {found}, this program reads {OLDEST} to {}; read it with the version that wrote it",
+        MARK[6]
+    )]
     Version {
         /// The file.
         path: PathBuf,
@@ -117,7 +124,7 @@ pub enum ReadError {
         found: u8,
     },
     /// Cut off, or changed.
-    #[error("{path} is damaged: {what}; copy it once more from where it was written")]
+    #[error("{path} is damaged: {what}; copy it again from where it was written")]
     Damaged {
         /// The file.
         path: PathBuf,
@@ -126,6 +133,27 @@ pub enum ReadError {
     },
 }
 crate::errors::debug_as_display!(ReadError);
+
+impl ReadError {
+    /// The reason alone, for where the file is named already.
+    pub fn reason(&self) -> String {
+        match self {
+            ReadError::Io { error, .. } => error.to_string(),
+            ReadError::Foreign(_) => "not a black-box file".to_owned(),
+            ReadError::Version { found, .. } => format!("layout {found} of another version"),
+            ReadError::Damaged { what, .. } => (*what).to_owned(),
+        }
+    }
+
+    fn of(wrong: Wrong, path: &Path) -> ReadError {
+        let path = path.to_owned();
+        match wrong {
+            Wrong::Foreign => ReadError::Foreign(path),
+            Wrong::Version(found) => ReadError::Version { path, found },
+            Wrong::Damaged(what) => ReadError::Damaged { path, what },
+        }
+    }
+}
 
 /// The bytes of a file.
 pub fn encode<'a>(header: &Header, records: impl ExactSizeIterator<Item = &'a Record>) -> Vec<u8> {
@@ -149,23 +177,44 @@ pub fn encode<'a>(header: &Header, records: impl ExactSizeIterator<Item = &'a Re
 /// Reads a file.
 pub fn load(path: &Path) -> Result<(Header, Vec<Record>), ReadError> {
     let failed = |error| ReadError::Io { path: path.to_owned(), error };
-    let wrong = |wrong| match wrong {
-        Wrong::Foreign => ReadError::Foreign(path.to_owned()),
-        Wrong::Version(found) => ReadError::Version { path: path.to_owned(), found },
-        Wrong::Damaged(what) => ReadError::Damaged { path: path.to_owned(), what },
-    };
-    // A pipe without a writer would be waited for.
+    let (file, size) = open(path)?;
+    let mut bytes = read_begin(&file, size, path)?;
+    // Not more than there was: whoever writes to it meanwhile writes no black box.
+    (&file).take(size - bytes.len() as u64).read_to_end(&mut bytes).map_err(failed)?;
+    decode(&bytes).map_err(|wrong| ReadError::of(wrong, path))
+}
+
+/// Reads the header of a file alone; whether the records behind it are whole is seen by their number only.
+pub fn load_header(path: &Path) -> Result<Header, ReadError> {
+    let (file, size) = open(path)?;
+    let begin = read_begin(&file, size, path)?;
+    header_of(&begin).map_err(|wrong| ReadError::of(wrong, path))
+}
+
+/// Opens a file without waiting for anybody, as one would for the writer of a pipe; with its size.
+fn open(path: &Path) -> Result<(File, u64), ReadError> {
+    let failed = |error| ReadError::Io { path: path.to_owned(), error };
     let file = OpenOptions::new().read(true).custom_flags(libc::O_NONBLOCK).open(path).map_err(failed)?;
-    if !file.metadata().map_err(failed)?.is_file() {
+    let facts = file.metadata().map_err(failed)?;
+    if !facts.is_file() {
         return Err(ReadError::Foreign(path.to_owned()));
     }
+    Ok((file, facts.len()))
+}
+
+/// The bytes up to the records, step by step: what they say of themselves must agree with the size of the file before
+/// more is read, or a damaged one would take all of the memory.
+fn read_begin(mut file: &File, size: u64, path: &Path) -> Result<Vec<u8>, ReadError> {
     let mut bytes = Vec::new();
-    let take = |length, bytes: &mut Vec<u8>| (&file as &File).take(length).read_to_end(bytes).map_err(failed);
-    // Something else may be larger than the memory.
-    take(MARK.len() as u64, &mut bytes)?;
-    look_at_mark(&bytes).map_err(wrong)?;
-    take(MOST_BYTES, &mut bytes)?;
-    decode(&bytes).map_err(wrong)
+    let mut take = |length, bytes: &mut Vec<u8>| {
+        let failed = |error| ReadError::Io { path: path.to_owned(), error };
+        Read::by_ref(&mut file).take(length).read_to_end(bytes).map_err(failed)
+    };
+    take(MARK.len() as u64 + 4, &mut bytes)?;
+    let header = header_length(&bytes, size).map_err(|wrong| ReadError::of(wrong, path))?;
+    take(header + 8, &mut bytes)?;
+    look_at_size(&bytes, size).map_err(|wrong| ReadError::of(wrong, path))?;
+    Ok(bytes)
 }
 
 /// What is wrong with bytes.
@@ -191,24 +240,50 @@ fn look_at_mark(bytes: &[u8]) -> Result<(), Wrong> {
 
 /// What the bytes of a file say.
 pub fn decode(bytes: &[u8]) -> Result<(Header, Vec<Record>), Wrong> {
-    look_at_mark(bytes)?;
-    let cut = Wrong::Damaged("its end is missing");
-    let (rest, sum) = bytes.split_last_chunk::<4>().ok_or(cut)?;
-    let mut take = Take(rest.get(MARK.len()..).ok_or(cut)?);
-    let length = take.u32().ok_or(cut)? as usize;
-    let header = take.bytes(length).ok_or(cut)?;
-    let count = usize::try_from(take.u64().ok_or(cut)?).map_err(|_| cut)?;
-    if count.checked_mul(RECORD).is_none_or(|length| length > take.0.len()) {
-        return Err(cut);
-    }
+    let end = look_at_size(bytes, bytes.len() as u64)?;
+    let (rest, sum) = bytes.split_last_chunk::<4>().ok_or(CUT)?;
     if crc32fast::hash(rest) != u32::from_le_bytes(*sum) {
         return Err(Wrong::Damaged("its checksum is wrong"));
     }
-    let header: Header =
-        serde_json::from_slice(header).map_err(|_| Wrong::Damaged("its header cannot be read"))?;
-    let records = take.0.chunks_exact(RECORD).take(count).map(|bytes| get(bytes, header.axes.len()));
+    let header = header_of(bytes)?;
+    let records = rest.get(end..).ok_or(CUT)?.chunks_exact(RECORD);
+    let records = records.map(|bytes| get(bytes, header.axes.len()));
     let records = records.collect::<Option<_>>().ok_or(Wrong::Damaged("a record cannot be read"))?;
     Ok((header, records))
+}
+
+const CUT: Wrong = Wrong::Damaged("its end is missing");
+
+/// The length of the header of a file of `size` bytes that begins like this.
+fn header_length(begin: &[u8], size: u64) -> Result<u64, Wrong> {
+    look_at_mark(begin)?;
+    let length = Take(begin.get(MARK.len()..).ok_or(CUT)?).u32().ok_or(CUT)?;
+    match u64::from(length) {
+        length if length + FRAME > size => Err(CUT),
+        length if length > MOST_HEADER => Err(Wrong::Damaged("its header is too long")),
+        length => Ok(length),
+    }
+}
+
+/// Where the records of a file of `size` bytes begin, if it has as many bytes as its begin says.
+fn look_at_size(begin: &[u8], size: u64) -> Result<usize, Wrong> {
+    let header = header_length(begin, size)?;
+    let place = MARK.len() + 4 + header as usize;
+    let count = Take(begin.get(place..).ok_or(CUT)?).u64().ok_or(CUT)?;
+    let expected = count.checked_mul(RECORD as u64).and_then(|records| records.checked_add(FRAME + header));
+    match expected.map(|expected| size.cmp(&expected)) {
+        Some(Ordering::Equal) => Ok(place + 8),
+        Some(Ordering::Greater) => Err(Wrong::Damaged("it has more bytes than its header says")),
+        Some(Ordering::Less) | None => Err(CUT),
+    }
+}
+
+/// The header of a file whose size was looked at.
+fn header_of(begin: &[u8]) -> Result<Header, Wrong> {
+    let mut take = Take(begin.get(MARK.len()..).ok_or(CUT)?);
+    let length = take.u32().ok_or(CUT)? as usize;
+    let header = take.bytes(length).ok_or(CUT)?;
+    serde_json::from_slice(header).map_err(|_| Wrong::Damaged("its header cannot be read"))
 }
 
 const LOOKED: u8 = 1;
@@ -609,10 +684,36 @@ mod tests {
         // SAFETY: a string that ends with its zero.
         assert_eq!(unsafe { libc::mkfifo(name.as_ptr(), 0o600) }, 0);
         assert!(matches!(load(&pipe), Err(ReadError::Foreign(_))));
-        // Sparse: it takes no room, and long to read.
-        File::create(&huge).unwrap().set_len(1 << 33).unwrap();
-        let begun = std::time::Instant::now();
+        // Sparse: it takes no room on the disk, and more memory than there is.
+        File::create(&huge).unwrap().set_len(1 << 42).unwrap();
         assert!(matches!(load(&huge), Err(ReadError::Foreign(_))));
-        assert!(begun.elapsed().as_millis() < 500, "{:?}", begun.elapsed());
+        for begin in [MARK.to_vec(), [&MARK[..], &u32::MAX.to_le_bytes()].concat()] {
+            std::fs::write(&huge, &begin).unwrap();
+            OpenOptions::new().write(true).open(&huge).unwrap().set_len(1 << 42).unwrap();
+            assert!(matches!(load(&huge), Err(ReadError::Damaged { .. })));
+        }
+    }
+
+    #[test]
+    fn a_file_has_as_many_bytes_as_it_says() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("box");
+        let whole = encode(&header(), records().iter());
+        let cases = [
+            (whole.clone(), None),
+            (whole[..whole.len() - 1].to_vec(), Some("its end is missing")),
+            (whole[..40].to_vec(), Some("its end is missing")),
+            ([&whole[..], &[0]].concat(), Some("it has more bytes than its header says")),
+        ];
+        for (bytes, expected) in cases {
+            std::fs::write(&path, bytes).unwrap();
+            for what in [load(&path).map(drop), load_header(&path).map(drop)] {
+                match (what, expected) {
+                    (Ok(()), None) => {}
+                    (Err(ReadError::Damaged { what, .. }), Some(expected)) => assert_eq!(what, expected),
+                    (other, _) => panic!("{expected:?}: {other:?}"),
+                }
+            }
+        }
     }
 }

@@ -4,12 +4,14 @@
 //! |---|---|
 //! | `mod` | what is kept, and when it is written |
 //! | `file` | the file's bytes, both ways |
+//! | `list` | the files of a directory |
 //! | `story` | what led up to it, in words |
 //!
 //! It is fed by the telemetry thread, so that the loop pays nothing for it. A file is written by a thread of its own: a
 //! slow disk holds up nobody.
 
 pub mod file;
+pub mod list;
 pub mod story;
 
 use std::collections::{BTreeMap, VecDeque};
@@ -32,7 +34,7 @@ use crate::time::MS;
 /// So much of what follows is kept too: how the stop went.
 const AFTERMATH_NS: u64 = 200 * MS;
 
-/// A machine that fails again and again does not fill the disk: of the files that nobody asked for the first ones stay,
+/// A machine that fails again and again does not fill the disk: of the files that nobody requested the first ones stay,
 /// where it began, and the newest.
 const FIRST_FILES: usize = 8;
 const NEWEST_FILES: usize = 8;
@@ -97,7 +99,7 @@ struct Due {
     cycle: u64,
     /// Once this cycle has come.
     from: u64,
-    /// Something failed; otherwise somebody asked.
+    /// Something failed; otherwise the file was requested.
     failed: bool,
 }
 
@@ -170,7 +172,7 @@ impl BlackBox {
             Record::Monitor(_) | Record::Reference(_) => {}
             Record::Cycle(_) | Record::Skipped(_) => self.newest = record.index(),
         }
-        // At once, or what is to be told of has left it when the telemetry is late.
+        // At once: when the telemetry is late, the failure itself would leave the ring before it is written.
         if let Some(due) = self.due.take_if(|due| self.newest >= due.from) {
             self.start(due);
         }
@@ -202,7 +204,7 @@ impl BlackBox {
             from: (drive.index + self.aftermath).max(self.written_to.map_or(0, |to| to + self.cycles)),
             failed: true,
         };
-        // What failed first is what it is written for; it does not wait for one who only asked.
+        // The first failure is the reason that is written; a request does not delay it.
         if self.due.as_ref().is_none_or(|due| !due.failed) {
             self.due = Some(due);
         }
@@ -228,7 +230,7 @@ impl BlackBox {
     /// Somebody wants to see it.
     pub fn ask(&mut self) {
         let (cycle, from) = (self.newest, self.newest + self.aftermath);
-        self.due.get_or_insert(Due { why: "asked for".to_owned(), cycle, from, failed: false });
+        self.due.get_or_insert(Due { why: "requested".to_owned(), cycle, from, failed: false });
     }
 
     /// Writes it if it is time; `last` waits for nothing more. Returns the files that were finished meanwhile.
@@ -275,7 +277,7 @@ impl BlackBox {
         };
         match std::thread::Builder::new().name("fb-blackbox".into()).spawn(write) {
             Ok(thread) => self.writing.push(thread),
-            // Without a thread there is nobody to tell; the next failure tries again.
+            // Without a thread there is no file; the next failure tries again.
             Err(_) => self.files -= 1,
         }
     }
@@ -410,7 +412,7 @@ mod tests {
         let directory = tempfile::tempdir().unwrap();
         let mut black_box = BlackBox::new(&plan(100 * MS), directory.path()).unwrap();
         let mut written = Vec::new();
-        // A fault every ten cycles, at last none; then somebody asks.
+        // A fault every ten cycles, at last none; then a request.
         for index in 0..4_400 {
             cycle(&mut black_box, index, |drive| drive.fault = u32::from(index % 10 == 9 && index < 4_000));
             if index == 4_200 {
@@ -422,9 +424,9 @@ mod tests {
             }
         }
         let asked = written.pop().unwrap();
-        assert_eq!((asked.why.as_str(), asked.cycle, asked.path.exists()), ("asked for", 4_200, true));
+        assert_eq!((asked.why.as_str(), asked.cycle, asked.path.exists()), ("requested", 4_200, true));
         let all: Vec<u64> = written.iter().map(|one| one.cycle).collect();
-        // Each tells of what no other one holds yet.
+        // Each begins where the one before it ends.
         assert!(all.len() > 30 && all[1..].windows(2).all(|pair| pair[1] - pair[0] == 100), "{all:?}");
         let kept: Vec<u64> = written.iter().filter(|one| one.path.exists()).map(|one| one.cycle).collect();
         assert_eq!(kept, [&all[..FIRST_FILES], &all[all.len() - NEWEST_FILES..]].concat());
@@ -440,7 +442,7 @@ mod tests {
             cycle(&mut black_box, 3, |_| {});
             black_box.ask();
             let [written] = &black_box.write(true)[..] else { panic!() };
-            assert_eq!((written.why.as_str(), written.cycle), ("asked for", 3));
+            assert_eq!((written.why.as_str(), written.cycle), ("requested", 3));
             assert_eq!(written.error.is_none(), possible, "{written:?}");
         }
     }

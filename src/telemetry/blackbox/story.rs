@@ -12,8 +12,8 @@ use crate::axis::{Link, Verb};
 use crate::cycle::record::{
     CycleRecord, DriveRecord, Lateness, Record, ReferenceRecord, Reply, SkippedRecord, Stage,
 };
-use crate::telemetry::summary::{decimals, plain, told};
-use crate::time::{Ns, S};
+use crate::telemetry::summary::{decimals, plain, plural, told};
+use crate::time::{Ns, S, three_digits};
 
 /// Something that changed.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -24,28 +24,48 @@ pub struct Happening {
     pub at_s: f64,
     /// The drive; `None` = the loop.
     pub drive: Option<String>,
-    /// What, in words.
+    /// What, in words; of what happened several times, the first one.
     pub what: String,
-    /// In how many cycles in a row, skipped slots left out.
+    /// How often.
     pub times: u64,
+    /// The cycle of the last time.
+    pub until: u64,
+    /// The longest delay, ns; null for what is no delay.
+    pub worst_ns: Option<u64>,
 }
 
-/// What repeats is looked for among so many of the newest: all drives may miss at once.
-const MOST_AT_ONCE: usize = 1024;
+/// What a record adds to the story.
+struct News {
+    what: String,
+    /// A disturbance: its kind, and how long it was, ns. `None` = a change of state.
+    disturbance: Option<(&'static str, Option<u64>)>,
+}
+
+impl News {
+    fn change(what: String) -> News {
+        News { what, disturbance: None }
+    }
+
+    fn disturbance(kind: &'static str, ns: Option<u64>, what: String) -> News {
+        News { what, disturbance: Some((kind, ns)) }
+    }
+}
 
 /// A column of names is no wider: formatting panics beyond 65 535.
 const WIDEST_NAME: usize = 64;
 
-/// All that changed, in its order. What repeats from cycle to cycle is told once.
+/// All that happened, in its order, repetitions in one line. A disturbance (a missed reply, a late wake-up) belongs
+/// to the one before of its kind if nothing has changed since then, with its drive or, for the loop, with any: late
+/// cycles before a lost link are not those after it. A change belongs to the same one before, on the same side of the
+/// failure.
 pub fn happenings(header: &Header, records: &[Record]) -> Vec<Happening> {
     let mut known: Vec<Option<DriveRecord>> = vec![None; header.axes.len()];
     let mut told: Vec<Happening> = Vec::new();
     let (the_loop, the_reference) = (header.axes.len(), header.axes.len() + 1);
-    // The cycle of the record before, of each axis and, behind them, of the loop and of what leads its grid; and of the
-    // last time that something was told.
-    let mut before = vec![None; header.axes.len() + 2];
+    // What may be repeated: by its axis, or the loop, or what leads its grid, and its kind or its words.
+    let mut disturbances: BTreeMap<(usize, &'static str), usize> = BTreeMap::new();
+    let mut changed: BTreeMap<(usize, bool, String), usize> = BTreeMap::new();
     let mut led: Option<ReferenceRecord> = None;
-    let mut last: Vec<u64> = Vec::new();
     for record in records {
         let (cycle, place, news) = match record {
             Record::Drive(drive) => {
@@ -53,10 +73,11 @@ pub fn happenings(header: &Header, records: &[Record]) -> Vec<Happening> {
                 let Some(known) = known.get_mut(axis) else { continue };
                 let mut news = match known.replace(*drive) {
                     Some(known) => changes(&header.axes[axis], &known, drive),
-                    None => vec![format!("{}, {}{}", drive.link, drive.state, running(drive))],
+                    None => vec![News::change(format!("{}, {}{}", drive.link, drive.state, running(drive)))],
                 };
                 let fault = |code| header.axes[axis].fault(code);
-                news.extend(drive.emergency().map(|told| told.told(fault(told.code.into()))));
+                let emergency = drive.emergency().map(|told| told.told(fault(told.code.into())));
+                news.extend(emergency.map(News::change));
                 (drive.index, axis, news)
             }
             Record::Monitor(_) => continue,
@@ -66,34 +87,35 @@ pub fn happenings(header: &Header, records: &[Record]) -> Vec<Happening> {
             }
             Record::Cycle(cycle) => (cycle.index, the_loop, late(header, cycle).into_iter().collect()),
             Record::Skipped(SkippedRecord { first, count, given_up_ns, woke_late, .. }) => {
-                let why = if *woke_late { "the loop woke" } else { "the cycle before took too long," };
-                let news = format!("{count} skipped: {why} {} late", Ns(*given_up_ns));
-                (*first, the_loop, vec![news])
+                let why = if *woke_late { "the loop woke" } else { "the previous cycle ended" };
+                let what = format!("{} skipped: {why} {} late", plural(*count, "slot"), short(*given_up_ns));
+                (*first, the_loop, vec![News::disturbance("skipped", Some(*given_up_ns), what)])
             }
         };
-        let before = before[place].replace(cycle);
-        let drive = header.axes.get(place).map(|axis| &axis.name);
-        for what in news {
-            let same = |one: &Happening| one.drive.as_ref() == drive && one.what == what;
-            // Only what happened in the record before can go on.
-            let again = (0..told.len())
-                .rev()
-                .take(MOST_AT_ONCE)
-                .find(|one| Some(last[*one]) == before && same(&told[*one]));
-            match again {
-                Some(one) => {
-                    told[one].times += 1;
-                    last[one] = cycle;
-                }
-                None => {
-                    let at_s = seconds(header, cycle);
-                    told.push(Happening { cycle, at_s, drive: drive.cloned(), what, times: 1 });
-                    last.push(cycle);
-                }
+        for News { what, disturbance } in news {
+            let earlier = match disturbance {
+                Some((kind, _)) => *disturbances.entry((place, kind)).or_insert(told.len()),
+                None => *changed.entry((place, cycle >= header.cycle, what.clone())).or_insert(told.len()),
+            };
+            let ns = disturbance.and_then(|(_, ns)| ns);
+            if let Some(one) = told.get_mut(earlier) {
+                (one.times, one.until, one.worst_ns) = (one.times + 1, cycle, one.worst_ns.max(ns));
+                continue;
             }
+            if disturbance.is_none() {
+                disturbances.retain(|(of, _), _| *of != place && *of != the_loop);
+            }
+            let drive = header.axes.get(place).map(|axis| axis.name.clone());
+            let at_s = seconds(header, cycle);
+            told.push(Happening { cycle, at_s, drive, what, times: 1, until: cycle, worst_ns: ns });
         }
     }
     told
+}
+
+/// A span with three significant digits.
+fn short(ns: u64) -> Ns {
+    Ns(three_digits(ns))
 }
 
 fn seconds(header: &Header, cycle: u64) -> f64 {
@@ -111,47 +133,50 @@ fn verb(code: u8) -> &'static str {
     Verb::NAMES.get(usize::from(code)).copied().unwrap_or(Verb::NAMES[0])
 }
 
-fn late(header: &Header, cycle: &CycleRecord) -> Option<String> {
-    match cycle.lateness(header.late_ns, header.deadline_ns)? {
-        Lateness::Wake(ns) => Some(format!("woke {} late", Ns(ns))),
+fn late(header: &Header, cycle: &CycleRecord) -> Option<News> {
+    let (kind, ns, what) = match cycle.lateness(header.late_ns, header.deadline_ns)? {
+        Lateness::Wake(ns) => ("woke", ns, format!("woke {} late", short(ns))),
         Lateness::Stage(Stage::Receive, ns) => {
-            Some(format!("took replies until {} after the deadline", Ns(ns)))
+            ("receive", ns, format!("received until {} after the deadline", short(ns)))
         }
-        Lateness::Stage(stage, ns) => Some(format!("{} took {}", stage.name(), Ns(ns))),
-        // The drives say so themselves.
-        Lateness::Reply => None,
-    }
+        Lateness::Stage(stage, ns) => {
+            (stage.name(), ns, format!("stage {} took {}", stage.name(), short(ns)))
+        }
+        // The records of the drives say it.
+        Lateness::Reply => return None,
+    };
+    Some(News::disturbance(kind, Some(ns), what))
 }
 
 /// What is new with the clock that leads the grid.
-fn steered(header: &Header, before: Option<&ReferenceRecord>, now: &ReferenceRecord) -> Option<String> {
+fn steered(header: &Header, before: Option<&ReferenceRecord>, now: &ReferenceRecord) -> Option<News> {
     let name = header.reference.as_deref().unwrap_or("its reference");
     let was = before.is_some_and(|before| before.locked);
+    let change = |what| Some(News::change(what));
     match (before, now.error_ns) {
-        (None, _) if now.locked => Some(format!("grid locked to {name}")),
-        (None, _) => Some(format!("grid not locked to {name}")),
+        (None, _) if now.locked => change(format!("grid locked to {name}")),
+        (None, _) => change(format!("grid not locked to {name}")),
         (_, Some(error_ns)) if was != now.locked => {
             let (what, side) =
                 (if was { "lost" } else { "found" }, if error_ns < 0 { "early" } else { "late" });
-            Some(format!("lock to {name} {what}: {} {side}", Ns(error_ns.unsigned_abs().into())))
+            change(format!("lock to {name} {what}: {} {side}", short(error_ns.unsigned_abs().into())))
         }
-        (_, None) if was != now.locked => Some(format!("lock to {name} lost: it is silent")),
-        (_, None) => Some(format!("no phase from {name}")),
+        (_, None) if was != now.locked => change(format!("lock to {name} lost: it is silent")),
+        (_, None) => Some(News::disturbance("no phase", None, format!("no phase from {name}"))),
         _ => None,
     }
 }
 
-fn changes(axis: &Axis, before: &DriveRecord, now: &DriveRecord) -> Vec<String> {
-    let mut told = Vec::new();
-    match now.reply {
+fn changes(axis: &Axis, before: &DriveRecord, now: &DriveRecord) -> Vec<News> {
+    let disturbance = |what: &'static str| Some(News::disturbance(what, None, what.to_owned()));
+    let disturbance = match now.reply {
         // Probes of an absent drive are no news.
-        Reply::Missed if before.link != Link::Lost && before.link != Link::Unseen => {
-            told.push("no reply".to_owned())
-        }
-        Reply::Unsent => told.push("not sent: refused by the operating system".to_owned()),
-        Reply::Suspect => told.push("reply may be an earlier one".to_owned()),
-        _ => {}
-    }
+        Reply::Missed if before.link != Link::Lost && before.link != Link::Unseen => disturbance("no reply"),
+        Reply::Unsent => disturbance("not sent: refused by the operating system"),
+        Reply::Suspect => disturbance("the reply may belong to an earlier request"),
+        _ => None,
+    };
+    let mut told = Vec::new();
     if before.verb != now.verb {
         told.push(match now.verb {
             0 => format!("{} ended", verb(before.verb)),
@@ -162,7 +187,7 @@ fn changes(axis: &Axis, before: &DriveRecord, now: &DriveRecord) -> Vec<String> 
         told.push(format!("{} -> {}", before.state, now.state));
     }
     if before.inhibited != now.inhibited {
-        told.push(format!("hardware enable (STO) {}", if now.inhibited { "missing" } else { "there" }));
+        told.push(format!("hardware enable (STO) {}", if now.inhibited { "missing" } else { "present" }));
     }
     if before.warning != now.warning {
         told.push(format!("warning {:#06x} -> {:#06x}", before.warning, now.warning));
@@ -179,7 +204,7 @@ fn changes(axis: &Axis, before: &DriveRecord, now: &DriveRecord) -> Vec<String> 
             None => "stop reset".to_owned(),
         });
     }
-    told
+    disturbance.into_iter().chain(told.into_iter().map(News::change)).collect()
 }
 
 /// The story as text: what happened, and around the failure the last `cycles` cycles of the loop and of the drives that
@@ -205,18 +230,24 @@ fn write(text: &mut String, header: &Header, records: &[Record], cycles: u64) ->
     };
     writeln!(
         text,
-        "cycles {first} ... {last}: {:.3} s before it, {:.3} s after it; {} records",
+        "cycles {first} ... {last}: {:.3} s before it, {:.3} s after it; {}",
         -seconds(header, first),
         seconds(header, last),
-        records.len()
+        plural(records.len() as u64, "record")
     )?;
     writeln!(text, "\nwhat happened (0 s: the failure)")?;
     let happenings = happenings(header, records);
     let wide = header.axes.iter().map(|axis| axis.name.len()).max().unwrap_or(0).clamp(4, WIDEST_NAME);
     for one in &happenings {
         let who = one.drive.as_deref().unwrap_or("loop");
-        let times = if one.times > 1 { format!(" ({} cycles in a row)", one.times) } else { String::new() };
-        writeln!(text, "{:>+10.4} s  cycle {:<10} {who:wide$}  {}{times}", one.at_s, one.cycle, one.what)?;
+        write!(text, "{:>+10.4} s  cycle {:<10} {who:wide$}  {}", one.at_s, one.cycle, one.what)?;
+        if one.times > 1 {
+            write!(text, " ... {} times until cycle {}", one.times, one.until)?;
+            if let Some(worst_ns) = one.worst_ns {
+                write!(text, ", at most {}", short(worst_ns))?;
+            }
+        }
+        writeln!(text)?;
     }
     let shown = around(header, cycles);
     let loops = records.iter().filter_map(|record| match record {
@@ -300,7 +331,7 @@ pub struct Course {
     pub name: String,
     /// Its user unit.
     pub unit: String,
-    /// What it shows besides its process data.
+    /// Its monitored variables.
     pub monitor: Vec<Channel>,
     /// Its cycles.
     pub rows: Vec<Row>,
@@ -319,7 +350,7 @@ pub struct Row {
     pub link: String,
     /// State of the drive.
     pub state: String,
-    /// Actual position, user units; `None` = the drive tells none, like the three below.
+    /// Actual position, user units; `None` = the drive reports none, like the three below.
     pub position: Option<f64>,
     /// Demand position, user units.
     pub demand: Option<f64>,
@@ -327,7 +358,7 @@ pub struct Row {
     pub velocity: Option<f32>,
     /// Motor current, A.
     pub current: Option<f32>,
-    /// What it showed besides, in the order of [`Course::monitor`]; `None` = nothing in this cycle.
+    /// Its monitored variables, in the order of [`Course::monitor`]; `None` = nothing in this cycle.
     pub monitor: Vec<Option<f64>>,
 }
 
@@ -380,7 +411,7 @@ fn around(header: &Header, cycles: u64) -> RangeInclusive<u64> {
 
 /// The drives to which something happened around the failure; all of them if it was to none.
 fn concerned(header: &Header, happenings: &[Happening], cycles: u64) -> Vec<usize> {
-    let until = |one: &Happening| one.cycle.saturating_add(one.times).saturating_add(cycles);
+    let until = |one: &Happening| one.until.saturating_add(1).saturating_add(cycles);
     let near = |one: &Happening| until(one) > header.cycle && one.cycle <= header.cycle;
     let met = |axis: &usize| {
         happenings.iter().any(|one| near(one) && one.drive.as_ref() == Some(&header.axes[*axis].name))
@@ -465,8 +496,10 @@ mod tests {
             (103, 1, "lock to line lost: 250 us late"),
         ];
         assert_eq!(told, expected);
-        // Beside it the loop's own story is told as ever.
-        assert_eq!(happenings.iter().map(|one| one.times).max(), Some(16));
+        // The late wake-ups are counted between the changes of the lock.
+        let woke = happenings.iter().filter(|one| one.what.starts_with("woke"));
+        let counted: Vec<_> = woke.map(|one| (one.cycle, one.times, one.until)).collect();
+        assert_eq!(counted, [(90, 2, 91), (92, 11, 102), (103, 3, 105)]);
         let text = tell(&header, &records, 8);
         assert!(text.lines().any(|line| line.ends_with("phase      step")), "{text}");
         assert!(
@@ -510,7 +543,34 @@ mod tests {
         let text = tell(&header, &records, 4);
         assert!(text.contains("drive x, mm") && !text.contains("drive long, mm"), "{text}");
         assert!(text.contains("   -0.0040 s  cycle 99         loop  woke 412 us late"), "{text}");
-        assert!(text.contains("(4 cycles in a row)"), "{text}");
+        assert!(text.contains("no reply ... 4 times until cycle 103\n"), "{text}");
+    }
+
+    #[test]
+    fn repetitions_are_one_line_with_their_number_their_end_and_the_worst_of_them() {
+        let (header, _) = machine();
+        let mut records = Vec::new();
+        // Every other reply of x is missing, long warns now and then, and the loop wakes later and later.
+        for index in 60..100 {
+            let reply = if index % 2 == 0 { Reply::Missed } else { Reply::Answered };
+            let warning = u32::from(index % 4 == 3);
+            let link = Link::Online;
+            let x = DriveRecord { index, link, reply, ..DriveRecord::default() };
+            let long = DriveRecord { index, link, axis: 1, warning, ..DriveRecord::default() };
+            let cycle = CycleRecord { index, wake_ns: 1_000 * index as u32, ..CycleRecord::default() };
+            records.extend([Record::Drive(x), Record::Drive(long)]);
+            if index > 80 {
+                records.push(Record::Cycle(CycleRecord { wake_ns: 4 * cycle.wake_ns, ..cycle }));
+            }
+        }
+        let text = tell(&header, &records, 0);
+        for line in [
+            "cycle 62         x     no reply ... 19 times until cycle 98\n",
+            "cycle 63         long  warning 0x0000 -> 0x0001 ... 10 times until cycle 99\n",
+            "cycle 81         loop  woke 324 us late ... 19 times until cycle 99, at most 396 us\n",
+        ] {
+            assert!(text.contains(line), "no {line}{text}");
+        }
     }
 
     #[test]

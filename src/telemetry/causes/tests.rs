@@ -88,7 +88,7 @@ fn took(one: &Loop, stage: Stage, us: u64) -> CycleRecord {
 
 #[test]
 fn a_run_delay_is_a_preemption() {
-    for late in [woke, |one: &Loop, us| took(one, Stage::Judge, us)] {
+    for late in [woke, |one: &Loop, us| took(one, Stage::Evaluate, us)] {
         let mut one = Loop::new();
         one.switches = 1;
         one.enter(late(&one, 300), 0);
@@ -102,7 +102,7 @@ fn a_run_delay_is_a_preemption() {
 fn a_run_delay_of_others_or_the_usual_one_is_none() {
     let mut one = Loop::new();
     // Awake all the while, and never taken from its core: the delay was another one's.
-    one.enter(took(&one, Stage::Exchange, 300), 0);
+    one.enter(took(&one, Stage::Commands, 300), 0);
     (0..4).for_each(|_| one.enter(one.cycle(), 0));
     one.tick(300 * US, 200 * US, 0, 0);
     // A hundred cycles between two samples wait a little each.
@@ -113,12 +113,12 @@ fn a_run_delay_of_others_or_the_usual_one_is_none() {
     one.enter(woke(&one, 300), 0);
     (0..99).for_each(|_| one.enter(one.cycle(), 0));
     one.tick(95 * 50 * US, 338 * US, 0, 0);
-    assert_eq!(one.found(), [(Cause::Work(Stage::Exchange), 1), (Cause::Unknown, 1), (Cause::Timer, 1)]);
+    assert_eq!(one.found(), [(Cause::Work(Stage::Commands), 1), (Cause::Unknown, 1), (Cause::Timer, 1)]);
 }
 
 #[test]
 fn an_overrun_without_a_late_stage_is_its_longest_one_or_the_gap_behind() {
-    for (given_up_ns, cause) in [(50 * US, Cause::Work(Stage::Exchange)), (900 * US, Cause::Host)] {
+    for (given_up_ns, cause) in [(50 * US, Cause::Work(Stage::Commands)), (900 * US, Cause::Host)] {
         let mut one = Loop::new();
         let (mut cycle, us) = (one.cycle(), 90_000);
         cycle.stages_ns = [us, us, us, us + 1, us, us];
@@ -156,24 +156,24 @@ fn a_run_delay_explains_one_late_cycle_only() {
 #[test]
 fn a_fault_is_one_whatever_else_happened() {
     let mut one = Loop::new();
-    one.enter(took(&one, Stage::Exchange, 800), 200);
+    one.enter(took(&one, Stage::Commands, 800), 200);
     (0..4).for_each(|_| one.enter(one.cycle(), 0));
     one.tick(750 * US, 0, 200, 0);
     // The same count seen again is no new fault.
-    one.enter(took(&one, Stage::Exchange, 800), 0);
+    one.enter(took(&one, Stage::Commands, 800), 0);
     (0..4).for_each(|_| one.enter(one.cycle(), 0));
     one.tick(750 * US, 0, 0, 0);
-    assert_eq!(one.found(), [(Cause::PageFault, 1), (Cause::Work(Stage::Exchange), 1)]);
+    assert_eq!(one.found(), [(Cause::PageFault, 1), (Cause::Work(Stage::Commands), 1)]);
 }
 
 #[test]
 fn two_late_cycles_in_one_span_have_their_own_faults() {
     let mut one = Loop::new();
-    one.enter(took(&one, Stage::Exchange, 800), 7);
-    one.enter(took(&one, Stage::Exchange, 800), 7);
+    one.enter(took(&one, Stage::Commands, 800), 7);
+    one.enter(took(&one, Stage::Commands, 800), 7);
     (0..3).for_each(|_| one.enter(one.cycle(), 0));
     one.tick(1_500 * US, 0, 7, 0);
-    assert_eq!(one.found(), [(Cause::PageFault, 1), (Cause::Work(Stage::Exchange), 1)]);
+    assert_eq!(one.found(), [(Cause::PageFault, 1), (Cause::Work(Stage::Commands), 1)]);
 }
 
 #[test]
@@ -196,8 +196,8 @@ fn a_stage_that_is_always_long_is_work_and_one_that_never_is_is_not() {
         one.tick(5 * 90 * US, 0, 0, 0);
     }
     one.enter(took(&one, Stage::Publish, 150), 0);
-    // It ran all the while, as far as a kernel knows that is not told what its hypervisor does.
-    one.enter(took(&one, Stage::Judge, 150), 0);
+    // It ran all the while, as far as the kernel knows: its hypervisor reports no steal.
+    one.enter(took(&one, Stage::Evaluate, 150), 0);
     (0..3).for_each(|_| one.enter(one.cycle(), 0));
     one.tick(5 * 90 * US + 300 * US, 0, 0, 0);
     one.quiet(1);

@@ -35,7 +35,7 @@ const MOST_BYTES: usize = 4096;
 /// Header lines of a request.
 const MOST_HEADERS: usize = 64;
 
-/// What the library writes is OpenMetrics, which Prometheus asks for first.
+/// What the library writes is OpenMetrics, which Prometheus requests first.
 const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
 /// Why there is no endpoint. The message ends with the remedy.
@@ -51,7 +51,7 @@ pub enum MetricsError {
     },
     /// No thread.
     #[error(
-        "cannot start a thread for the metrics: {0}; look at the limits of processes and memory (ulimit -u, ulimit -v)"
+        "cannot start a thread for the metrics: {0}; raise the limits of processes and memory (ulimit -u, ulimit -v)"
     )]
     Thread(io::Error),
 }
@@ -59,10 +59,10 @@ crate::errors::debug_as_display!(MetricsError);
 
 fn remedy(error: &io::Error) -> &'static str {
     match error.kind() {
-        io::ErrorKind::AddrInUse => "another program listens there (ss -ltnp shows which), take another port",
-        io::ErrorKind::AddrNotAvailable => "take an address of this computer (ip address shows them)",
-        io::ErrorKind::PermissionDenied => "ports below 1024 need a right of their own, take a higher one",
-        _ => "take another address",
+        io::ErrorKind::AddrInUse => "another program listens there (ss -ltnp shows which): use another port",
+        io::ErrorKind::AddrNotAvailable => "use an address of this computer (ip address shows them)",
+        io::ErrorKind::PermissionDenied => "ports below 1024 need CAP_NET_BIND_SERVICE: use a higher one",
+        _ => "use another address",
     }
 }
 
@@ -123,8 +123,8 @@ pub struct Server(Arc<Shared>);
 impl Drop for Server {
     fn drop(&mut self) {
         self.0.end.store(true, Ordering::Release);
-        // Ends every wait in accept(2); Linux does so, and only here is it relied on. What it returns tells nothing
-        // new.
+        // Ends every wait in accept(2); Linux does so, and only here is it relied on. Its result is
+        // not needed.
         let _ = nix::sys::socket::shutdown(self.0.listener.as_raw_fd(), nix::sys::socket::Shutdown::Both);
     }
 }
@@ -188,7 +188,7 @@ fn answer(mut stream: TcpStream, page: &dyn Fn() -> String) -> io::Result<()> {
     stream.shutdown(Shutdown::Write)
 }
 
-/// What a request asks for.
+/// What is requested.
 #[derive(Debug, PartialEq)]
 enum Asked {
     Page,

@@ -48,7 +48,7 @@ pub fn page(monitor: &Monitor) -> String {
     text
 }
 
-/// A machine, looked at whenever the page is asked for.
+/// A machine, read at every request of the page.
 #[derive(Debug)]
 struct Machine(Monitor);
 
@@ -166,7 +166,7 @@ impl Sheet<'_> {
         let all = u64::from(granted.missing.is_empty());
         self.gauges(
             "realtime",
-            "1 if the loop got the scheduling and the locked memory that it asked for.",
+            "1 if the loop got the scheduling and the locked memory of its plan.",
             [([], all)],
         )?;
         let help = ("steal", "Time that the hypervisor took from all cores since the start.");
@@ -179,15 +179,19 @@ impl Sheet<'_> {
     fn cycle(&mut self, period_ns: u64, Numbers { status, .. }: &Numbers) -> fmt::Result {
         self.times("cycle_period", "The period of the cycle.", [([], period_ns)])?;
         for (name, help, count) in [
-            ("cycles_planned", "Slots that the grid laid out.", status.planned),
+            ("cycles_planned", "Slots of the grid.", status.planned),
             ("cycles_executed", "Cycles executed.", status.executed),
-            ("cycles_skipped", "Slots passed over.", status.skipped),
-            ("overruns", "Times that a cycle was too late for the next slot.", status.overruns),
-            ("late_cycles", "Cycles later than the threshold of the plan.", status.late),
-            ("telemetry_records_lost", "Records lost on the way to the histograms.", status.lost_records),
+            ("cycles_skipped", "Slots skipped.", status.skipped),
+            ("overruns", "Times that a cycle ended too late for the next slot.", status.overruns),
+            ("late_cycles", "Cycles later than the late limit of the plan.", status.late),
+            (
+                "telemetry_records_lost",
+                "Records lost before the histograms: the telemetry ring was full.",
+                status.lost_records,
+            ),
             (
                 "events_lost",
-                "Events and samples that the queues of the application had no room for.",
+                "Events and samples lost because a queue of the application was full.",
                 status.lost_events,
             ),
         ] {
@@ -197,7 +201,7 @@ impl Sheet<'_> {
         self.gauges("axes_operational", "Axes in operation.", [([], u64::from(status.operational))])?;
         self.times(
             "wake_up_max",
-            "Latest begin of a cycle after its grid point.",
+            "Largest wake-up latency: start of a cycle after its grid point.",
             [([], status.wake_max.ns)],
         )?;
         self.times("cycle_jitter_max", "Largest jitter of the cycle.", [([], status.jitter_max.ns)])?;
@@ -210,13 +214,17 @@ impl Sheet<'_> {
         let (led, bus) = (led.map(|(status, _)| status), led.map_or("", |(_, bus)| bus));
         let of = |value: fn(&ReferenceStatus) -> u64| led.map(|status| ([("bus", bus)], value(&status)));
         let locked = of(|status| status.locked.into());
-        self.gauges("reference_locked", "1 while the grid is locked to the clock that leads it.", locked)?;
+        self.gauges("reference_locked", "1 while the grid is locked to its reference clock.", locked)?;
         let losses = of(|status| status.losses);
         self.counters("reference_lock_losses", "Times that the grid lost its lock.", losses)?;
         let samples = of(|status| status.samples);
-        self.counters("reference_samples", "Executed cycles in which the leading clock was seen.", samples)?;
+        self.counters("reference_samples", "Executed cycles with a sample of the reference clock.", samples)?;
         let silent = of(|status| status.silent);
-        self.counters("reference_silent_cycles", "Executed cycles in which it was not.", silent)?;
+        self.counters(
+            "reference_silent_cycles",
+            "Executed cycles without a sample of the reference clock.",
+            silent,
+        )?;
         let error = of(|status| status.error_max.ns);
         self.times("reference_error_max", "Largest phase error of the grid since its first lock.", error)?;
         let step = of(|status| status.step_max.ns);
@@ -227,17 +235,17 @@ impl Sheet<'_> {
         type Field = (&'static str, &'static str, fn(&DriveEnd) -> u64);
         const COUNTS: [Field; 9] = [
             ("drive_requests_sent", "Requests sent.", |drive| drive.counters.sent),
-            ("drive_requests_unsent", "Requests refused by the operating system.", |drive| {
+            ("drive_requests_unsent", "Requests not sent: refused by the operating system.", |drive| {
                 drive.counters.unsent
             }),
             ("drive_replies_in_time", "Requests answered in time.", |drive| drive.counters.answered),
             ("drive_replies_missed", "Requests not answered in time.", |drive| drive.counters.missed),
-            ("drive_replies_late", "Replies after their window.", |drive| drive.counters.late),
-            ("drive_replies_duplicate", "Second replies.", |drive| drive.counters.duplicate),
-            ("drive_replies_suspect", "Replies that may be those to an earlier request.", |drive| {
+            ("drive_replies_late", "Replies after the receive deadline.", |drive| drive.counters.late),
+            ("drive_replies_duplicate", "Duplicate replies.", |drive| drive.counters.duplicate),
+            ("drive_replies_suspect", "Replies that may belong to an earlier request.", |drive| {
                 drive.counters.suspect
             }),
-            ("drive_datagrams_rejected", "Malformed and foreign datagrams from its address.", |drive| {
+            ("drive_datagrams_rejected", "Malformed and unmatched datagrams from its address.", |drive| {
                 drive.counters.malformed + drive.counters.foreign
             }),
             ("drive_link_losses", "Times that the link was lost.", |drive| drive.losses),
@@ -259,7 +267,9 @@ impl Sheet<'_> {
             ("drive_send_jitter_max", "The largest jitter of the requests.", |drive| {
                 drive.peaks.send_jitter.ns
             }),
-            ("drive_value_age_max", "The oldest values when a window closed.", |drive| drive.peaks.age.ns),
+            ("drive_value_age_max", "Largest age of the feedback at the receive deadline.", |drive| {
+                drive.peaks.age.ns
+            }),
         ];
         for (name, help, value) in COUNTS {
             self.counters(name, help, drives.iter().map(|drive| (name_of(drive), value(drive))))?;
@@ -280,7 +290,7 @@ impl Sheet<'_> {
                 .zip(drive.counters.own)
                 .map(move |(OwnCounter { key, .. }, count)| (labels(*key), count))
         });
-        self.counters("drive_protocol_events", "What only the protocol of the drive counts.", samples)
+        self.counters("drive_protocol_events", "Counters of the protocol of the drive.", samples)
     }
 
     fn connections(&mut self, monitor: &Monitor, drives: &[DriveEnd]) -> fmt::Result {
@@ -295,7 +305,7 @@ impl Sheet<'_> {
         const VALUES: [Field; 3] = [
             (
                 "drive_monitor",
-                "A variable that the drive shows besides its process data, while it does.",
+                "A monitored variable of the drive, while the drive reports it.",
                 |drive, channel| {
                     let DriveEnd { feedback, monitor, .. } = drive;
                     let shows = feedback.link == Link::Online && feedback.monitor[channel].is_some();
@@ -331,29 +341,37 @@ impl Sheet<'_> {
         let samples = devices
             .iter()
             .map(|device| ([("device", device.name.as_str())], u64::from(device.not_operational.is_some())));
-        self.gauges("device_not_operational", "1 while what is no drive is not in operation.", samples)?;
+        self.gauges(
+            "device_not_operational",
+            "1 while a device that is not a drive is not in operation.",
+            samples,
+        )?;
         let clocks: Vec<_> = buses
             .iter()
             .zip(clocks)
             .filter_map(|((name, _), clock)| Some(([("bus", name.as_str())], (*clock)?)))
             .collect();
         let locked = clocks.iter().map(|(bus, clock)| (*bus, u64::from(clock.locked)));
-        self.gauges("bus_clock_locked", "1 while the clock of the bus and the grid meet.", locked)?;
+        self.gauges(
+            "bus_clock_locked",
+            "1 while the clock of the bus and the grid are synchronised.",
+            locked,
+        )?;
         let error = clocks.iter().map(|(bus, clock)| (*bus, clock.error_max_ns));
         self.times(
             "bus_clock_error_max",
-            "Largest distance of that clock and the grid since they met.",
+            "Largest phase error of that clock and the grid since they were synchronised.",
             error,
         )
     }
 
     fn buses(&mut self, Numbers { buses, .. }: &Numbers) -> fmt::Result {
         let strangers = buses.iter().map(|(name, bus)| ([("bus", name.as_str())], bus.datagrams));
-        self.counters("bus_strangers", "Datagrams from addresses that are no drive's.", strangers)?;
+        self.counters("bus_unmatched", "Datagrams from unknown senders.", strangers)?;
         let dropped = buses.iter().map(|(name, bus)| ([("bus", name.as_str())], bus.dropped));
         self.counters(
             "bus_dropped",
-            "Datagrams that the kernel dropped because the buffer was full.",
+            "Datagrams dropped by the kernel because the receive buffer was full.",
             dropped,
         )?;
         let errors = buses.iter().map(|(name, bus)| ([("bus", name.as_str())], bus.errors));
@@ -364,12 +382,12 @@ impl Sheet<'_> {
         let Histograms { wake, jitter, .. } = histograms;
         self.distributions(
             "wake_up",
-            "Begin of the cycles after their grid points, skipped slots as late ones.",
+            "Wake-up latency: start of the cycles after their grid points; skipped slots count as late.",
             [([], wake)],
         )?;
         self.distributions(
             "cycle_jitter",
-            "Differences between the distance of two begins and that of their grid points.",
+            "Differences between the distance of two starts and that of their grid points.",
             [([], jitter)],
         )?;
         let stages = Stage::ALL.map(|stage| ([("stage", stage.name())], histograms.stage(stage)));
@@ -385,7 +403,7 @@ impl Sheet<'_> {
             jitter,
         )?;
         let age = drives().map(|(labels, drive)| (labels, &drive.age));
-        self.distributions("drive_value_age", "Age of the values when a window closed.", age)
+        self.distributions("drive_value_age", "Age of the feedback at the receive deadline.", age)
     }
 
     fn phase(&mut self, plan: &Plan, histograms: &Histograms) -> fmt::Result {
@@ -406,8 +424,8 @@ impl Sheet<'_> {
             )
         });
         self.counters(
-            "late_cycles_judged",
-            "Late cycles by what held them up; the newest are not judged yet.",
+            "late_cycles_explained",
+            "Late cycles by their cause; the newest are not explained yet.",
             samples,
         )
     }

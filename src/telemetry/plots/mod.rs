@@ -1,4 +1,4 @@
-//! The pictures of a run, as SVG.
+//! The plots of a run, as SVG.
 //!
 //! | file | what |
 //! |---|---|
@@ -7,8 +7,8 @@
 //! | `percentiles` | quantiles of the loop and of every drive |
 //! | `timeline` | the largest values over the time of the run |
 //!
-//! They show what was measured: a curve ends at the last quantile that its sample supports, a maximum stands by itself,
-//! and what got lost on the way is said.
+//! They show what was measured: a curve ends at the last quantile that its sample supports, a maximum has a mark of its
+//! own, and lost records are named.
 
 mod percentiles;
 mod sheet;
@@ -19,7 +19,7 @@ use thiserror::Error;
 
 use super::summary::{Run, Summary};
 
-/// A picture could not be drawn.
+/// A plot could not be drawn.
 #[derive(Error)]
 #[error("cannot draw it: {0}")]
 pub struct PlotError(String);
@@ -31,18 +31,18 @@ impl<E: std::error::Error + Send + Sync> From<plotters::drawing::DrawingAreaErro
     }
 }
 
-/// Every picture of a run: its file name, and its SVG. `summary` is that of the run.
+/// Every plot of a run: its file name, and its SVG. `summary` is that of the run.
 pub fn all(run: &Run, summary: &Summary) -> Result<[(&'static str, String); 4], PlotError> {
     Ok([
-        ("wake.svg", wake::picture(run, summary)?),
+        ("wake.svg", wake::plot(run, summary)?),
         ("percentiles.svg", percentiles::of_the_run(run, summary)?),
         ("rtt.svg", percentiles::of_the_drives(run, summary)?),
-        ("timeline.svg", timeline::picture(run, summary)?),
+        ("timeline.svg", timeline::plot(run, summary)?),
     ])
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use std::sync::Arc;
 
     use super::*;
@@ -55,7 +55,7 @@ mod tests {
     use crate::telemetry::Measured;
 
     /// A run of so many cycles, with a tail that grows with the cycle's number.
-    fn run(name: &str, cycles: u64) -> Run {
+    pub fn run(name: &str, cycles: u64) -> Run {
         let drives = vec![LinUdpDrive::new(name, [127, 0, 0, 2].into())];
         let plan = Plan {
             source: None,
@@ -103,7 +103,7 @@ mod tests {
         }
     }
 
-    /// Every text of a picture.
+    /// Every text of a plot.
     fn texts(svg: &str) -> String {
         let document = roxmltree::Document::parse(svg).unwrap();
         let texts = document.descendants().filter(|node| node.has_tag_name("text"));
@@ -111,9 +111,9 @@ mod tests {
     }
 
     #[test]
-    fn what_these_numbers_are_worth_stands_on_every_picture() {
+    fn what_these_numbers_are_worth_stands_on_every_plot() {
         let mut run = run("x", 2_000);
-        let lines = ["These numbers are not real-time", "3 records were lost on the way"];
+        let lines = ["These numbers are not real-time", "3 telemetry records lost"];
         for (name, svg) in all(&run, &run.summary()).unwrap() {
             assert!(lines.iter().all(|line| !texts(&svg).contains(line)), "{name}");
         }
@@ -125,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_of_nothing_is_drawn_too() {
+    fn a_plot_of_nothing_is_drawn_too() {
         let run = run("x", 0);
         for (_, svg) in all(&run, &run.summary()).unwrap() {
             assert!(texts(&svg).contains("0 cycles"), "{}", texts(&svg));

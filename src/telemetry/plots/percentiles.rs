@@ -8,7 +8,7 @@ use super::PlotError;
 use super::sheet::{Area, Axis, GREY, LEFT, MARGIN, PALETTE, RIGHT, Sheet, anchored, label_us, text, within};
 use crate::cycle::status::Peak;
 use crate::telemetry::Quantiles;
-use crate::telemetry::histograms::{Quantity, SAMPLES_BEYOND, is_cut_off};
+use crate::telemetry::histograms::{Quantity, SAMPLES_BEYOND, is_cut_off, supports};
 use crate::telemetry::summary::{Drive, Run, Summary};
 use crate::time::Ns;
 
@@ -57,11 +57,12 @@ pub fn of_the_run(run: &Run, summary: &Summary) -> Result<String, PlotError> {
     let jitter = Curve::of(&histograms.jitter, status.jitter_max, PALETTE[2], 2);
     sheet.explain_quantiles(PALETTE[2], "cycle jitter", &summary.jitter_ns);
     let mut curves = vec![wake, jitter];
-    if let Some(worst) = worst_first(&summary.drives).first() {
+    let ranking = Ranking::of(&summary.drives);
+    if let Some(worst) = ranking.order.first() {
         let drive = &summary.drives[*worst];
-        let what = match summary.drives.len() {
-            1 => format!("round trip of {}", drive.name),
-            all => format!("round trip of {}, worst of {all}", drive.name),
+        let what = match ranking.compared {
+            0 | 1 => format!("round trip of {}", drive.name),
+            all => format!("round trip of {}, the worst of {all} by {}", drive.name, ranking.by()),
         };
         curves.push(of_drive(run, *worst, PALETTE[3], 2));
         sheet.explain_quantiles(PALETTE[3], &what, &drive.rtt_ns);
@@ -73,7 +74,8 @@ pub fn of_the_run(run: &Run, summary: &Summary) -> Result<String, PlotError> {
 /// The round trips of each drive.
 pub fn of_the_drives(run: &Run, summary: &Summary) -> Result<String, PlotError> {
     let mut sheet = Sheet::new(run, summary, "Percentiles of each drive's round trip");
-    let ranked = worst_first(&summary.drives);
+    let ranking = Ranking::of(&summary.drives);
+    let ranked = &ranking.order;
     let named = if ranked.len() <= NAMED { NAMED } else { WORST };
     let (worst, others) = ranked.split_at(ranked.len().min(named));
     for (place, color) in worst.iter().zip(PALETTE) {
@@ -87,6 +89,11 @@ pub fn of_the_drives(run: &Run, summary: &Summary) -> Result<String, PlotError> 
     if !others.is_empty() {
         sheet.explain(Some(GREY), format!("the other {} drives, none of them worse", others.len()));
     }
+    if ranking.compared > 1 {
+        let by = ranking.by();
+        let why = ranking.quantile.map_or("", |_| ", the highest quantile that each of them supports");
+        sheet.explain(None, format!("Worst first: {} drives compared by {by}{why}.", ranking.compared));
+    }
     let deadline = run.plan.cycle.deadline_ns();
     sheet.draw(|area| chart(area, &curves, &[("receive deadline", deadline)], "round trip (us)"))
 }
@@ -96,15 +103,58 @@ fn of_drive(run: &Run, place: usize, color: RGBColor, width: u32) -> Curve {
     Curve::of(histogram, run.end.drives[place].peaks.rtt, color, width)
 }
 
-/// The places of the drives, by their tail.
-fn worst_first(drives: &[Drive]) -> Vec<usize> {
-    let tail = |place: &usize| {
-        let Quantiles { p99, p90, p50, max, .. } = drives[*place].rtt_ns;
-        (p99.or(p90).or(p50), max)
-    };
-    let mut ranked: Vec<usize> = (0..drives.len()).collect();
-    ranked.sort_by_key(|place| std::cmp::Reverse(tail(place)));
-    ranked
+/// A quantile: its name, its share, and its value.
+type Level = (&'static str, f64, fn(&Quantiles) -> Option<u64>);
+
+/// The quantiles by which drives are compared, the highest first.
+const LEVELS: [Level; 5] = [
+    ("p99.99", 0.9999, |of| of.p99_99),
+    ("p99.9", 0.999, |of| of.p99_9),
+    ("p99", 0.99, |of| of.p99),
+    ("p90", 0.9, |of| of.p90),
+    ("p50", 0.5, |of| of.p50),
+];
+
+/// The drives by their round trips. All are compared by the same quantile: the p99 of a fast drive may be above the p50
+/// of a slow one that has few samples.
+struct Ranking {
+    /// The highest quantile that all compared drives support; `None`: none supports any, so by their maxima.
+    quantile: Option<Level>,
+    /// The places of the drives, the worst first. Behind them those that are not compared: they have too few samples.
+    order: Vec<usize>,
+    compared: usize,
+}
+
+impl Ranking {
+    fn of(drives: &[Drive]) -> Ranking {
+        let (_, lowest, _) = LEVELS[LEVELS.len() - 1];
+        let supported = |drive: &&Drive| supports(drive.rtt_ns.count, lowest);
+        let fewest = drives.iter().filter(supported).map(|drive| drive.rtt_ns.count).min();
+        let quantile =
+            fewest.and_then(|count| LEVELS.into_iter().find(|(_, share, _)| supports(count, *share)));
+        // A quantile that is supported and not known lies where the histogram ends: it is above all others.
+        let tail = |place: &usize| {
+            let rtt = &drives[*place].rtt_ns;
+            let value =
+                quantile.map(
+                    |(_, share, value)| {
+                        if supports(rtt.count, share) { value(rtt).unwrap_or(u64::MAX) } else { 0 }
+                    },
+                );
+            (value, rtt.max)
+        };
+        let mut order: Vec<usize> = (0..drives.len()).collect();
+        order.sort_by_key(|place| std::cmp::Reverse(tail(place)));
+        let compared = match quantile {
+            Some(_) => drives.iter().filter(supported).count(),
+            None => drives.iter().filter(|drive| drive.rtt_ns.max.is_some()).count(),
+        };
+        Ranking { quantile, order, compared }
+    }
+
+    fn by(&self) -> &'static str {
+        self.quantile.map_or("maximum", |(name, ..)| name)
+    }
 }
 
 fn chart(area: &Area<'_>, curves: &[Curve], limits: &[(&str, u64)], unit: &str) -> Result<(), PlotError> {
@@ -130,7 +180,7 @@ fn chart(area: &Area<'_>, curves: &[Curve], limits: &[(&str, u64)], unit: &str) 
         .configure_mesh()
         .x_label_formatter(&|nines| if *nines == maxima { String::from("max") } else { percent(*nines) })
         .y_label_formatter(&label_us)
-        .x_desc("percentile, each nine the same room")
+        .x_desc("percentile (log scale)")
         .y_desc(unit)
         .label_style(text(12, BLACK))
         .axis_desc_style(text(13, BLACK))
@@ -190,5 +240,40 @@ mod tests {
     fn percentiles_read_naturally() {
         let labels = [0.0, 2_f64.log10(), 1.0, 2.0, 3.0, 5.0].map(percent);
         assert_eq!(labels, ["0 %", "50 %", "90 %", "99 %", "99.9 %", "99.999 %"]);
+    }
+
+    #[test]
+    fn drives_are_compared_by_the_highest_quantile_that_all_of_them_support() {
+        let drive = super::super::tests::run("x", 0).summary().drives.remove(0);
+        let (mut drives, us) = (Vec::new(), |us: u64| us * 1_000);
+        // Each with so many round trips, of which one in twenty takes the longer time.
+        let cases = [
+            ("many", 20_000, 100, 900),
+            ("few", 200, 300, 400),
+            ("silent", 0, 0, 0),
+            ("five", 5, 2_000, 2_000),
+        ];
+        for (name, count, usual, longer) in cases {
+            let mut histogram = Histograms::new(1).drives.remove(0).rtt;
+            for index in 0..count {
+                histogram.record(us(if index % 20 == 0 { longer } else { usual })).unwrap();
+            }
+            let peak = Peak { ns: us(longer), index: u64::from(count > 0) };
+            drives.push(Drive {
+                name: name.into(),
+                rtt_ns: Quantiles::of(&histogram, peak),
+                ..drive.clone()
+            });
+        }
+        let ranking = Ranking::of(&drives);
+        let names = |ranking: &Ranking| {
+            ranking.order.iter().map(|place| drives[*place].name.clone()).collect::<Vec<_>>()
+        };
+        // The p99 of "many" (900 us) is above the p90 of "few" (300 us); by p90 it is 100 us.
+        assert_eq!((ranking.by(), ranking.compared), ("p90", 2));
+        assert_eq!(names(&ranking), ["few", "many", "five", "silent"]);
+        let few = [drives[2].clone(), drives[3].clone()];
+        let ranking = Ranking::of(&few);
+        assert_eq!((ranking.by(), ranking.compared, ranking.order), ("maximum", 1, vec![1, 0]));
     }
 }

@@ -1,4 +1,4 @@
-//! What all pictures share: a page with its title, the facts without which a latency says little, the legend below, and
+//! What all plots share: a page with its title, the facts without which a latency says little, the legend below, and
 //! logarithmic axes.
 
 use std::ops::Range;
@@ -12,10 +12,10 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 use super::PlotError;
 use crate::telemetry::Quantiles;
-use crate::telemetry::summary::{Run, Summary};
-use crate::time::{MS, Ns, S, US};
+use crate::telemetry::summary::{Run, Summary, plural};
+use crate::time::{MS, Ns, S, US, three_digits};
 
-/// Where a picture is drawn.
+/// Where a plot is drawn.
 pub type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 
 /// Width of a page, px: that of a text column, at a size that can still be read there.
@@ -36,7 +36,7 @@ pub const LEFT: u32 = 80;
 /// Room right of the plot, px.
 pub const RIGHT: u32 = 24;
 
-/// Colours that can be told apart with any kind of colour vision: Okabe and Ito, Color Universal Design (2008), their
+/// Colours that differ for any kind of colour vision: Okabe and Ito, Color Universal Design (2008), their
 /// yellow darkened for white paper.
 pub const PALETTE: [RGBColor; 8] = [
     RGBColor(0, 114, 178),
@@ -145,12 +145,11 @@ impl<'a> Sheet<'a> {
         let core = realtime.core.map_or(String::from("any core"), |core| format!("core {core}"));
         let priority = if realtime.priority > 0 { format!(" {}", realtime.priority) } else { String::new() };
         format!(
-            "{machine}{} cycles of {} in {}, {} drive{}; {}{priority} on {core}",
-            cycle.executed,
+            "{machine}{} of {} in {}, {}; {}{priority} on {core}",
+            plural(cycle.executed, "cycle"),
             Ns(cycle.period_ns),
             Ns(cycle.planned.saturating_mul(cycle.period_ns)),
-            drives.len(),
-            if drives.len() == 1 { "" } else { "s" },
+            plural(drives.len() as u64, "drive"),
             realtime.policy,
         )
     }
@@ -164,7 +163,7 @@ impl<'a> Sheet<'a> {
         format!("host {name}: kernel {kernel}, {preemption}; {cpu}; steal {steal}")
     }
 
-    /// What has to be known before these numbers are believed.
+    /// What limits the meaning of these numbers.
     fn warnings(&self) -> Vec<String> {
         let real = &self.summary.realtime;
         let mut warnings = Vec::new();
@@ -173,8 +172,8 @@ impl<'a> Sheet<'a> {
         }
         if real.telemetry_lost > 0 {
             warnings.push(format!(
-                "{} records were lost on the way and are not in these curves; maxima and counts are exact all the same.",
-                real.telemetry_lost
+                "{} lost: not in these curves. Maxima and counts are exact.",
+                plural(real.telemetry_lost, "telemetry record")
             ));
         }
         warnings
@@ -193,11 +192,6 @@ pub fn numbers(quantiles: &Quantiles) -> String {
         or(quantiles.p99_9),
         quantiles.count
     )
-}
-
-fn three_digits(ns: u64) -> u64 {
-    let step = 10_u64.pow(ns.checked_ilog10().unwrap_or(0).saturating_sub(2));
-    (ns + step / 2) / step * step
 }
 
 /// An axis whose grid is said. A logarithmic one is a linear one of logarithms.
@@ -296,12 +290,6 @@ mod tests {
         assert_eq!(labels(&[0.3, 70_000.0]), "1 10 100 1000 10000 100000");
         assert_eq!(labels(&[0.03]), "0.02 0.05");
         assert_eq!(Axis::logarithmic(std::iter::empty()), Axis::logarithmic([1.0, 10.0].into_iter()));
-    }
-
-    #[test]
-    fn three_digits_are_enough() {
-        let cases = [(0, 0), (999, 999), (1_000, 1_000), (76_287, 76_300), (999_500, 1_000_000)];
-        assert!(cases.iter().all(|(ns, rounded)| three_digits(*ns) == *rounded));
     }
 
     #[test]

@@ -7,7 +7,7 @@ use super::PlotError;
 use super::sheet::{
     ALARM, Axis, GREY, LEFT, MARGIN, PALETTE, RIGHT, Sheet, anchored, label_us, text, time_unit, within,
 };
-use crate::telemetry::summary::{Run, Summary};
+use crate::telemetry::summary::{Run, Summary, plural};
 use crate::telemetry::timeline::Stretch;
 use crate::time::{Ns, S};
 
@@ -15,7 +15,7 @@ use crate::time::{Ns, S};
 type Quantity = (fn(&Stretch) -> u64, &'static str, RGBColor);
 
 const QUANTITIES: [Quantity; 3] = [
-    (|stretch| stretch.busy_ns, "from the begin of a cycle to its end", PALETTE[2]),
+    (|stretch| stretch.busy_ns, "execution time of a cycle", PALETTE[2]),
     (|stretch| stretch.rtt_ns, "round trip of any drive", PALETTE[3]),
     (|stretch| stretch.wake_ns, "wake-up latency", PALETTE[0]),
 ];
@@ -28,7 +28,7 @@ const MISHAPS: [Mishap; 2] = [(|stretch| stretch.missed, "missed"), (|stretch| s
 /// Height of the row of a mishap, px.
 const ROW: i32 = 18;
 
-pub fn picture(run: &Run, summary: &Summary) -> Result<String, PlotError> {
+pub fn plot(run: &Run, summary: &Summary) -> Result<String, PlotError> {
     let (timeline, period_ns) = (&run.measured.timeline, summary.cycle.period_ns);
     let stretches = timeline.stretches();
     let width_ns = timeline.width().saturating_mul(period_ns);
@@ -37,7 +37,7 @@ pub fn picture(run: &Run, summary: &Summary) -> Result<String, PlotError> {
     let step = width_ns as f64 / S as f64 / unit_s;
     let end = step * stretches.len().max(1) as f64;
 
-    let mut sheet = Sheet::new(run, summary, "Course of the run: the largest values of each stretch of time");
+    let mut sheet = Sheet::new(run, summary, "Course of the run: the largest value in each step of time");
     for (of, name, color) in QUANTITIES {
         let max = stretches.iter().map(of).max().filter(|max| *max > 0);
         let max = max.map_or(String::from("-"), |ns| Ns(ns).to_string());
@@ -46,12 +46,11 @@ pub fn picture(run: &Run, summary: &Summary) -> Result<String, PlotError> {
     sheet.explain(
         None,
         format!(
-            "A stretch is {} ({} cycle{}). In all {} exchanges missed, {} slots skipped.",
+            "One step is {} ({}). In all: {} missed, {} skipped.",
             Ns(width_ns),
-            timeline.width(),
-            if timeline.width() == 1 { "" } else { "s" },
-            run.end.status.missed,
-            summary.cycle.skipped
+            plural(timeline.width(), "cycle"),
+            plural(run.end.status.missed, "exchange"),
+            plural(summary.cycle.skipped, "slot")
         ),
     );
     sheet.draw(|area| {
