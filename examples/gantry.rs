@@ -1,5 +1,5 @@
-//! Two axes of a gantry as a group: every row of the path reaches both in the same cycle, and whatever stops one stops
-//! all. Then a jog, as from an operator's button, renewed for as long as it is held.
+//! Two axes of a gantry as a group: every row of the path reaches both in the same cycle, and whatever stops one
+//! stops all. Then a jog, as from an operator's button, renewed while it is held.
 //!
 //!     cargo run --release --example gantry
 
@@ -27,7 +27,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let rows = (6.0 / period.as_secs_f64()) as u32;
     let mut next = 0;
     let mut path = None;
-    // What stops the group ends the path; waiting for it then tells why.
+    // A stop of the group ends the path; the wait that follows returns the reason.
     while next < rows && xy.feedback().iter().all(|axis| axis.stopped.is_none()) {
         while next < rows && xy.stream_room() > 0 {
             xy.push_rows(&circles(next, rows, period))?;
@@ -44,7 +44,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let [x, y] = [0, 1].map(|index| xy.axes()[index].feedback().position);
     println!("three circles drawn, back at {x:.2}, {y:.2} mm");
 
-    // A button that is held for a second. Were this thread to hang, z would stop by itself after 200 ms.
+    // A button that is held for a second. If this thread hung, z would stop by itself after 200 ms.
     z.enable()?;
     z.home()?;
     z.jog(40.0)?;

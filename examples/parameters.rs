@@ -1,5 +1,6 @@
-//! Parameters while the cycle runs: read and written on the spot, or by tickets while an axis moves; and a curve that
-//! goes to a drive from a file. None of it costs the loop a cycle: it all rides on the requests that go out anyway.
+//! Parameters while the cycle runs: read and written with a blocking call, or by tickets while an axis moves; and a
+//! curve that goes to a drive from a file. None of it costs the loop a cycle: it rides on the requests that go out
+//! anyway.
 //!
 //!     cargo run --release --example parameters
 
@@ -22,12 +23,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     x.enable()?;
     x.home()?;
 
-    // On the spot. The type is what is made of the raw value; an address is a number of the drive's manual, or a name.
+    // Blocking. The requested type interprets the raw value; an address is a number of the drive's manual, or a
+    // name.
     let parameter = x.parameter();
     let gain: u16 = parameter.read("0x13A2")?;
     parameter.write("p-gain-a", gain + 10)?;
     println!("P gain {gain} -> {}", parameter.read::<u16>("p-gain-a")?);
-    // In flash it is what it was: what was written to RAM is forgotten when the drive restarts.
+    // The flash is unchanged: a value written to RAM is lost when the drive restarts.
     println!(
         "in flash {}, at most {}",
         parameter.read::<u16>("p-gain-a.rom")?,
@@ -45,11 +47,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         }
         sleep(Duration::from_millis(10));
     }
-    // A ticket that is dropped cancels what it asked for.
+    // A dropped ticket cancels its call.
     drop(asked);
     println!("at {:.1} mm, {:.1} C at most on the way", x.feedback().position, f64::from(hottest) / 10.0);
 
-    // Any thread may do the same for any drive. This curve goes to one that stands, switched off.
+    // Any thread may do the same for any drive. This curve goes to one that stands still, switched off.
     let curve = linmot_curve::load("rt-config/linmot-curve.csv")?;
     let y = master.parameter("a2")?;
     let services = Services::of(y.acyclic())?;

@@ -1,5 +1,5 @@
-//! A task inside the cycle: two axes of the sample configuration chase each other. Whoever arrives is sent back by code
-//! that runs on the real-time thread, one cycle after its feedback came in.
+//! A task inside the cycle: two axes of the sample configuration chase each other. An axis that arrives is sent
+//! back by code that runs on the real-time thread, one cycle after its feedback came in.
 //!
 //!     cargo run --release --example ping_pong
 
@@ -16,7 +16,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let _drives = SimServer::start(setup.plan().simulate(), ServerOptions::default())?;
     let profile = setup.plan().axes()[0].profile;
 
-    // What the task needs is made here: inside the cycle nothing may be allocated.
+    // What the task needs is allocated here: nothing may be allocated inside the cycle.
     let turns = Arc::new(AtomicU32::new(0));
     let counted = Arc::clone(&turns);
     let mut far = [false; 2];
@@ -31,7 +31,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                 if axes.command(index, Verb::Move(Move { target, profile })).is_ok() {
                     counted.fetch_add(1, Ordering::Relaxed);
                 }
-                // The drive needs a few cycles to say that it moves.
+                // The drive needs a few cycles until it reports motion.
                 not_before[index] = cycle.index + 50;
             }
         }

@@ -1,33 +1,34 @@
 //! Fieldbeat: a hard-real-time cyclic master for servo drives.
 //!
 //! One thread, SCHED_FIFO and pinned to a core, wakes on an absolute time grid. In every cycle it sends one
-//! preallocated request to every drive that is due, takes in the replies until a deadline, judges them, and publishes
-//! feedback. Application threads talk to it through wait-free queues and never make it wait.
+//! preallocated request to every drive that is due, takes in the replies until a deadline, evaluates them, and
+//! publishes feedback. Application threads talk to it through wait-free queues and never make it wait.
 //!
 //! **It is not a safety function.** A machine needs its own STO / emergency stop.
 //!
 //! # A tour
 //!
-//! - [`Master`] brings a machine up from a file or from a [`Plan`] built in code, and gives out its [`Axis`] handles.
-//! - [`Axis`] is the application's end of one drive: verbs ([`Verb`]) that each end in Done, Failed or Aborted,
+//! - [`Master`] brings a machine up from a file or from a [`Plan`] built in code, and hands out its [`Axis`] handles.
+//! - [`Axis`] is the application's end of one drive: commands ([`Verb`]) that each end in Done, Failed or Aborted,
 //!   streamed rows ([`Row`]), the newest [`Feedback`], events ([`Event`]).
-//! - [`Axis::parameter`] reads and writes the drive's parameters beside the cycle ([`axis::acyclic`]); what else a
-//!   LinMot drive offers, curves and command tables among it, is in [`bus::linudp::service`].
-//! - [`Group`] takes several axes: verbs and rows of all of them take effect in the same cycle's send, all or none.
-//! - An in-loop task ([`Setup::with_task`]) runs inside the cycle: it sees the feedback of cycle k, and what it asks
-//!   for leaves in cycle k + 1.
+//! - [`Axis::parameter`] reads and writes the drive's parameters outside the cycle ([`axis::acyclic`]); the other
+//!   services of a LinMot drive, such as curves and command tables, are in [`bus::linudp::service`].
+//! - [`Group`] takes several axes: commands and rows of all of them take effect in the same cycle's send, all or
+//!   none.
+//! - An in-loop task ([`Setup::with_task`]) runs inside the cycle: it sees the feedback of cycle k, and its
+//!   commands leave in cycle k + 1.
 //! - [`Monitor`] reads a running machine from any thread: its numbers, histograms, and why cycles were late
-//!   ([`telemetry`]); [`telemetry::metrics`] serves them to Prometheus, [`control`] to other processes of its owner,
-//!   and [`telemetry::report`] writes what a run came to.
+//!   ([`telemetry`]); [`telemetry::metrics`] serves them to Prometheus, [`control`] to other processes of the same
+//!   user, and [`telemetry::report`] writes the results of a run.
 //! - [`Setup::simulate`] builds the same machine in virtual time, with simulated drives and seeded faults: hours pass
 //!   in seconds, and the same seed gives the same bytes.
-//! - [`doctor`] tells what a host is worth for real time, and how to mend it.
+//! - [`doctor`] reports how fit a host is for real time, and how to fix what is not.
 //! - [`bus`] holds the contract between loop and protocol, and a folder for each protocol.
 //!
 //! # A complete program
 //!
-//! It starts the simulated drives of the sample configuration, so that it runs anywhere. Leave that line out, and it
-//! moves real ones.
+//! It starts the simulated drives of the sample configuration, so that it runs anywhere. Without that line it moves
+//! real drives.
 //!
 //! ```no_run
 //! use std::time::Duration;
@@ -77,10 +78,10 @@
 //! | `doctor` | [`doctor`]: what this host is worth; brings `summary` |
 //! | `cli` | the program, with all of them; the default |
 //!
-//! # The house
+//! # Architecture
 //!
 //! Arrows point down only: `cli` -> [`control`], [`doctor`], [`config`], [`master`] -> [`telemetry`] -> [`cycle`] ->
-//! [`axis`], [`rt`], [`bus`] (the trait); `bus/x` -> [`axis`], [`net`]; a `wire` module knows nothing at all.
+//! [`axis`], [`rt`], [`bus`] (the trait); `bus/x` -> [`axis`], [`net`]; a `wire` module depends on nothing.
 
 pub mod axis;
 pub mod bus;

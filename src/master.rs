@@ -1,4 +1,4 @@
-//! A machine: the checked plan, the open buses, the loop's thread and the application's handles, put together.
+//! A machine: the checked plan, the open buses, the loop's thread and the application's handles, joined.
 
 use std::any::Any;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -52,7 +52,7 @@ pub struct Master {
     thread: Option<JoinHandle<Numbers>>,
 }
 
-/// Why a machine did not start. Nothing was sent. The message ends with the remedy.
+/// Why a machine did not start. No drive was commanded. The message ends with the remedy.
 #[derive(Error)]
 pub enum StartError {
     /// The plan contradicts itself.
@@ -61,30 +61,30 @@ pub enum StartError {
     /// A bus could not be opened.
     #[error(transparent)]
     Open(#[from] OpenError),
-    /// Real-time scheduling was required and is not to be had.
+    /// Real-time scheduling is required and not available.
     #[error(transparent)]
     Realtime(#[from] RealtimeError),
-    /// The cycle would hold its core until the kernel takes it away.
+    /// The cycle would occupy its core until the kernel takes the core away.
     #[error("{0}")]
     Starving(String),
     /// A thread could not be started.
     #[error("cannot start a thread: {0}; look at the limits of processes and memory (ulimit -u, ulimit -v)")]
     Thread(std::io::Error),
-    /// The loop's thread ended before it began.
+    /// The loop's thread ended before its first cycle.
     #[error("the loop's thread ended at its start; its own message is above")]
     Ended,
 }
 crate::errors::debug_as_display!(StartError);
 
-/// Why the application got no axis, or not in time.
+/// Why the application did not get an axis, or not in time.
 #[derive(Clone, PartialEq, Error)]
 pub enum MasterError {
     /// No such axis.
     #[error("there is no axis {name}; there are: {known}")]
     NoAxis {
-        /// What was asked for.
+        /// The requested name.
         name: String,
-        /// What there is.
+        /// The names that exist.
         known: String,
     },
     /// The axis was taken already.
@@ -93,37 +93,37 @@ pub enum MasterError {
     /// No such device.
     #[error("there is no device {name}; there are: {known}")]
     NoDevice {
-        /// What was asked for.
+        /// The requested name.
         name: String,
-        /// What there is.
+        /// The names that exist.
         known: String,
     },
     /// The device was taken already.
     #[error("device {0} is already taken: its process data has one owner")]
     DeviceTaken(String),
     /// The device is of another type.
-    #[error("device {0} has process data of another type; ask for the one that its protocol names")]
+    #[error("device {0} has process data of another type; request the type that its protocol names")]
     DeviceType(String),
     /// No such group.
     #[error("there is no group {name}; there are: {known}")]
     NoGroup {
-        /// What was asked for.
+        /// The requested name.
         name: String,
-        /// What there is.
+        /// The names that exist.
         known: String,
     },
-    /// The axes of the group do not act together.
+    /// The axes of the group cannot act together.
     #[error(transparent)]
     NotAGroup(GroupError),
     /// Not all axes came online.
     #[error("not online after {waited:?}: {missing}; look at their power, cables and addresses")]
     NotOnline {
-        /// How long was waited.
+        /// How long the call waited.
         waited: Duration,
-        /// Who is missing, and why those have no connection that need one.
+        /// The axes that are missing, with the reason for those whose connection is not open.
         missing: String,
     },
-    /// The end was asked for meanwhile.
+    /// The end was requested meanwhile.
     #[error("the master has ended: start it again")]
     Ended,
 }
@@ -134,27 +134,26 @@ crate::errors::debug_as_display!(MasterError);
 pub struct StopHandle(Control);
 
 impl StopHandle {
-    /// Asks for the orderly end: all axes ramp down and are powered off. Asked again, the waits are shortened.
+    /// Requests the orderly end: all axes ramp down and are powered off. A second request shortens the waits.
     pub fn stop(&self) {
         self.0.stop();
     }
 }
 
-/// An engine, the axes it moves, and the rest of what hangs on it.
+/// An engine, its axes, and everything that belongs to them.
 #[derive(Debug)]
 pub struct Assembly<C> {
     /// The loop: [`begin`](Engine::begin), then [`step`](Engine::step).
     pub engine: Engine<C>,
     /// The application's ends, in the order of the plan.
     pub axes: Vec<Axis>,
-    /// Those of what takes part without being a drive.
+    /// The application's ends of the devices that are not drives.
     pub devices: Devices,
-    /// Acyclic access to their drives, and behind them to the devices that have any, for whoever is not the
-    /// application.
+    /// Acyclic access to the drives, followed by the devices that have it, for users other than the application.
     pub acyclics: Vec<Acyclic>,
     /// What the loop counts.
     pub gauges: Gauges,
-    /// What the loop tells the telemetry; to be emptied by whoever steps the engine, or records are lost.
+    /// The loop's records for the telemetry. Whoever steps the engine empties them, or records are lost.
     pub records: rtrb::Consumer<Record>,
     /// The application's sign of life.
     pub pulse: Pulse,
@@ -162,12 +161,13 @@ pub struct Assembly<C> {
     pub regions: Regions,
 }
 
-/// The application's ends of what takes part in the cycle without being a drive.
+/// The application's ends of the devices that take part in the cycle and are not drives.
 #[derive(Debug, Default)]
 pub struct Devices(Vec<(String, Option<Box<dyn Any + Send>>)>);
 
 impl Devices {
-    /// Takes the process data of a device; once, because it has one owner. `T` is the type that its protocol names.
+    /// Takes the process data of a device; only once, because it has one owner. `T` is the type that its protocol
+    /// names.
     pub fn take<T: 'static>(&mut self, name: &str) -> Result<T, MasterError> {
         let Some((_, end)) = self.0.iter_mut().find(|(known, _)| known == name) else {
             let known: Vec<&str> = self.0.iter().map(|(name, _)| name.as_str()).collect();
@@ -184,8 +184,8 @@ impl Devices {
     }
 }
 
-/// Opens the buses of `plan` over `carriers` and builds the loop, for whoever steps it by hand on a thread, clock and
-/// carriers of their own: virtual time and the benches. Sends nothing.
+/// Opens the buses of `plan` over `carriers` and builds the loop for a caller that steps it by hand on its own
+/// thread, clock and carriers: virtual time and the benches. Sends nothing.
 pub fn assemble<C: Clock>(
     plan: &Plan,
     clock: C,
@@ -223,10 +223,11 @@ pub fn assemble<C: Clock>(
                 feedback: writer,
                 samples: sample_in,
             };
-            // First probes are spread over a few cycles: so many at once would be a burst that no cycle has later.
+            // First probes are spread over a few cycles: all of them in one cycle would be a burst that never
+            // occurs later.
             let first_probe = (seats.len() / PROBES_A_CYCLE) as u64;
             let asked_every = Duration::from_nanos(period_ns.saturating_mul(axis.divisor.into()));
-            // A bus without acyclic access leaves nobody behind the queue.
+            // A bus without acyclic access leaves its end of the queue unused.
             let ends = bus.acyclic(index).unwrap_or_else(|| acyclic::queue(1).0);
             let observer = Observer(reader.clone());
             let acyclic = Acyclic::new(&axis.name, ends, bus_plan.notation(), observer, asked_every);
@@ -285,7 +286,7 @@ pub fn assemble<C: Clock>(
 /// How many drives are probed for the first time in one cycle.
 const PROBES_A_CYCLE: usize = 16;
 
-/// Stack that the loop is given; the part that it uses is touched before the first cycle.
+/// Stack size of the loop's thread; the part that it uses is touched before the first cycle.
 const STACK_BYTES: usize = 1024 * 1024;
 
 impl Master {
@@ -309,7 +310,7 @@ impl Master {
         self.monitor.granted()
     }
 
-    /// Takes an axis; once, because an axis has one producer of commands.
+    /// Takes an axis; only once, because an axis has one producer of commands.
     pub fn axis(&self, name: &str) -> Result<Axis, MasterError> {
         let mut axes = self.axes.lock().unwrap_or_else(PoisonError::into_inner);
         let observers = self.observers();
@@ -319,8 +320,8 @@ impl Master {
         axes[index].take().ok_or_else(|| MasterError::Taken(name.to_owned()))
     }
 
-    /// The parameters of the drive of axis `name`, or of a device that is no drive: beside whoever has taken the axis,
-    /// for any thread.
+    /// The parameters of the drive of axis `name`, or of a device that is not a drive: independent of the owner of
+    /// the axis, for any thread.
     pub fn parameter(&self, name: &str) -> Result<Parameters, MasterError> {
         match self.acyclics.iter().find(|acyclic| acyclic.axis() == name) {
             Some(acyclic) => Ok(acyclic.parameters()),
@@ -328,13 +329,13 @@ impl Master {
         }
     }
 
-    /// Acyclic access to all drives, in the order of the plan, and behind them to the devices that have any.
+    /// Acyclic access to all drives, in the order of the plan, followed by the devices that have it.
     pub fn acyclics(&self) -> &[Acyclic] {
         &self.acyclics
     }
 
-    /// Takes the process data of a device that is no drive, such as a digital input; once, because it has one owner.
-    /// `T` is the type that its protocol names.
+    /// Takes the process data of a device that is not a drive, such as a digital input; only once, because it has
+    /// one owner. `T` is the type that its protocol names.
     pub fn device<T: 'static>(&self, name: &str) -> Result<T, MasterError> {
         self.devices.lock().unwrap_or_else(PoisonError::into_inner).take(name)
     }
@@ -363,7 +364,7 @@ impl Master {
         Group::new(members).map_err(|refused| MasterError::NotAGroup(*refused.reason))
     }
 
-    /// Readers of all axes' newest feedback, in the order of the plan.
+    /// Readers of the newest feedback of all axes, in the order of the plan.
     pub fn observers(&self) -> &[(String, Observer)] {
         self.monitor.observers()
     }
@@ -421,7 +422,7 @@ impl Master {
         }
     }
 
-    /// A drive that is not online, and why, if that is known.
+    /// A drive that is not online, with the reason if it is known.
     fn absent(&self, index: usize) -> String {
         let (name, _) = &self.observers()[index];
         match self.monitor.not_connected(index) {
@@ -430,14 +431,14 @@ impl Master {
         }
     }
 
-    /// A sign of life for the heartbeat of the plan, where there is one. Accepted commands, rows and setpoints are such
-    /// a sign too, and so are the blocking calls while they wait.
+    /// A sign of life for the heartbeat of the plan, if it has one. Accepted commands, rows and setpoints count as
+    /// signs of life too, and so do the blocking calls while they wait.
     pub fn alive(&self) {
         self.pulse.beat();
     }
 
-    /// Asks for the orderly end if nobody has: asking again would shorten the waits. [`finish`](Master::finish) waits
-    /// for it.
+    /// Requests the orderly end, unless it was requested already: a second request would shorten the waits.
+    /// [`finish`](Master::finish) waits for the end.
     pub fn stop(&self) {
         if !self.control.is_stopping() {
             self.control.stop();
@@ -454,7 +455,7 @@ impl Master {
         self.thread.as_ref().is_some_and(|thread| !thread.is_finished())
     }
 
-    /// Stops all axes, powers them off, ends the loop and tells what was measured.
+    /// Stops all axes, powers them off, ends the loop and returns the measurements.
     ///
     /// # Panics
     ///
@@ -482,23 +483,23 @@ impl Drop for Master {
 }
 
 impl Setup {
-    /// The plan, to look at.
+    /// The plan.
     pub fn plan(&self) -> &Plan {
         &self.plan
     }
 
-    /// The application's code inside the cycle.
+    /// Sets the application's code inside the cycle.
     pub fn with_task(mut self, task: impl FnMut(&Cycle, &mut Axes<'_>) + Send + 'static) -> Setup {
         self.task = Some(Box::new(task));
         self
     }
 
-    /// The plan and the task, for the virtual twin.
+    /// The plan and the task, for the simulation in virtual time.
     pub(crate) fn into_parts(self) -> (Plan, Option<Task>) {
         (self.plan, self.task)
     }
 
-    /// Opens the buses and starts the loop. Until it returns, nothing has been sent but the first probes.
+    /// Opens the buses and starts the loop. When it returns, nothing but the first probes has been sent.
     pub fn start(mut self) -> Result<Master, StartError> {
         let black_box = self.black_box.take();
         let (plan, task) = self.into_parts();
@@ -553,7 +554,7 @@ impl Setup {
             Err(_) => return Err(StartError::Ended),
         };
         let core = granted.core;
-        // A kernel that tells nothing of it leaves more cycles without a cause.
+        // A kernel that does not report it leaves more cycles without a known cause.
         let watch = ThreadWatch::open(tid, core).ok();
         let measured = Measured::new(axes.len(), &plan.cycle, has_task);
         let aside = move || rt::thread::helper_thread(core);

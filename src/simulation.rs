@@ -1,8 +1,8 @@
-//! The whole machine in virtual time: the same loop, buses and stations as on the real clock, with simulated drives on
-//! a network in memory. Hours pass in seconds, and the same seed gives the same bytes.
+//! The whole machine in virtual time: the same loop, buses and stations as on the real clock, with simulated drives
+//! on a network in memory. Hours pass in seconds, and the same seed gives the same bytes.
 //!
-//! For an application it is the place to test its own motion logic: post commands, let cycles pass, look at events. The
-//! blocking conveniences of [`Axis`] would wait for ever, since time passes only here.
+//! An application tests its own motion logic here: post commands, let cycles pass, look at events. The blocking
+//! calls of [`Axis`] would wait for ever, since time passes only in this module.
 //!
 //! ```
 //! use fieldbeat::axis::{Link, Outcome, Verb};
@@ -97,7 +97,7 @@ impl Setup {
 }
 
 impl Simulation {
-    /// The world, to pull plugs and inject faults.
+    /// The simulated network and drives, for disconnecting drives and injecting faults.
     pub fn world(&self) -> &World {
         &self.world
     }
@@ -120,7 +120,7 @@ impl Simulation {
         self.axes[index].take().expect("the axis was taken")
     }
 
-    /// Takes the process data of a device that is no drive, as [`Master::device`](crate::Master::device).
+    /// Takes the process data of a device that is not a drive, as [`Master::device`](crate::Master::device).
     pub fn device<T: 'static>(&mut self, name: &str) -> Result<T, MasterError> {
         self.devices.take(name)
     }
@@ -145,7 +145,7 @@ impl Simulation {
         self.engine.status()
     }
 
-    /// What the telemetry has measured so far. Without a kernel to ask, causes other than the drives are unknown.
+    /// What the telemetry has measured so far. Without a kernel to query, causes other than the drives are unknown.
     pub fn measured(&self) -> &Measured {
         &self.measured
     }
@@ -159,14 +159,14 @@ impl Simulation {
         flow
     }
 
-    /// So many turns.
+    /// Runs so many turns.
     pub fn run(&mut self, turns: u64) {
         for _ in 0..turns {
             self.step();
         }
     }
 
-    /// Turns until `done` holds, at most `most`. Says whether it came to hold.
+    /// Runs turns until `done` holds, at most `most`. Returns whether it held.
     pub fn run_until(&mut self, most: u64, mut done: impl FnMut(&Simulation) -> bool) -> bool {
         for _ in 0..most {
             if done(self) {
@@ -200,7 +200,7 @@ impl Simulation {
         None
     }
 
-    /// Asks for the orderly end.
+    /// Requests the orderly end.
     pub fn stop(&self) {
         self.control.stop();
     }

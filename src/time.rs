@@ -47,7 +47,7 @@ impl fmt::Display for Time {
     }
 }
 
-/// Nanoseconds of a `Duration`, saturating: 584 years are enough for every setting.
+/// Nanoseconds of a `Duration`, saturating at 584 years, which is enough for every setting.
 pub fn nanos(duration: Duration) -> u64 {
     u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX)
 }

@@ -1,7 +1,7 @@
 //! The newest value for any number of readers: a sequence lock over atomic words, without `unsafe`.
 //!
-//! The one writer (the loop) never waits. A reader retries while a write is going on; it copies words that may be
-//! torn, and looks at the sequence before and after, so that it only ever unpacks a whole value.
+//! The one writer (the loop) never waits. A reader retries while a write is going on: it copies words that may be
+//! torn and compares the sequence before and after, so that it only ever unpacks a whole value.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering, fence};
@@ -12,7 +12,7 @@ use crate::rt::Regions;
 
 /// A fixed number of words: `[u64; N]`.
 pub trait Words: AsRef<[u64]> + AsMut<[u64]> {
-    /// As many that are shared, `[AtomicU64; N]`. Their number is known, so that a write is no loop.
+    /// As many shared words, `[AtomicU64; N]`. Their number is fixed, so that a write is no loop.
     type Shared: AsRef<[AtomicU64]> + std::fmt::Debug + Send + Sync;
     /// All zero.
     const ZERO: Self;
@@ -61,7 +61,7 @@ pub struct Reader<T: Packed> {
     shared: Arc<CachePadded<Shared<T::Words>>>,
 }
 
-/// A cell that holds `value`, as its two ends.
+/// A cell that holds `value`: its writer and its first reader.
 pub fn cell<T: Packed>(value: T) -> (Writer<T>, Reader<T>) {
     let shared = Shared { sequence: AtomicU64::new(0), words: T::Words::shared() };
     let shared = Arc::new(CachePadded::new(shared));
@@ -76,7 +76,8 @@ impl<T: Packed> Writer<T> {
         self.write_words(value.pack().as_ref().iter().copied());
     }
 
-    /// Publishes a value by its first words: those behind them stay as they were, for a type that tells how many count.
+    /// Publishes a value by its first words. The words behind them keep their values, for a type that says how many
+    /// count.
     #[inline]
     pub fn write_words(&mut self, words: impl Iterator<Item = u64>) {
         let sequence = self.shared.sequence.load(Ordering::Relaxed);
@@ -105,7 +106,7 @@ impl<T: Packed> Reader<T> {
                 for (word, shared) in words.as_mut().iter_mut().zip(self.shared.words.as_ref()) {
                     *word = shared.load(Ordering::Relaxed);
                 }
-                // The words are read before the sequence is looked at again.
+                // The words are read before the sequence is read again.
                 fence(Ordering::Acquire);
                 if self.shared.sequence.load(Ordering::Relaxed) == before {
                     return T::unpack(&words);

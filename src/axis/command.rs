@@ -1,9 +1,9 @@
-//! Verbs an application gives to an axis, their ids, and how they end.
+//! The commands that an application gives to an axis, their ids, and how they end.
 //!
-//! Every accepted command ends in exactly one of Done, Failed or Aborted, told by an
-//! [`Event`](crate::axis::Event). The order is simple: a command waits until the one before it has ended, except that
-//! a motion replaces a running motion at once (PLCopen's "aborting" mode), and that Stop, QuickStop and Disable act at
-//! once and abort everything queued before them.
+//! Every accepted command ends in exactly one of Done, Failed or Aborted, reported by an
+//! [`Event`](crate::axis::Event). A command waits until the one before it has ended, with two exceptions: a motion
+//! replaces a running motion at once (PLCopen's "aborting" mode), and Stop, QuickStop and Disable act at once and
+//! abort everything queued before them.
 
 use std::fmt;
 
@@ -12,14 +12,14 @@ use thiserror::Error;
 use super::feedback::{Fault, State, StopCause};
 use super::units::RangeError;
 
-/// Names one accepted command of one axis. Ids grow by one; 0 is never given.
+/// The id of one accepted command of one axis. Ids grow by one; 0 is never used.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct CommandId(pub u64);
 
 /// One command on its way to the loop.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Command {
-    /// Its id, given when it was accepted.
+    /// Its id, assigned on submission.
     pub id: CommandId,
     /// What to do.
     pub verb: Verb,
@@ -40,8 +40,8 @@ pub struct Ticket {
     pub number: u64,
 }
 
-/// A row on its way to the loop, and the stream that it belongs to: a follow runs the rows of its own stream only,
-/// whatever an earlier one has left behind.
+/// A row on its way to the loop, and its stream: a follow runs the rows of its own stream only, and ignores
+/// leftovers of earlier streams.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StreamRow {
     /// Streams are counted up.
@@ -55,13 +55,13 @@ pub struct StreamRow {
 /// One velocity or torque on its way to the loop.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Setpoint {
-    /// The [`Verb::Jog`], [`Verb::Velocity`] or [`Verb::Torque`] that it was given for.
+    /// The [`Verb::Jog`], [`Verb::Velocity`] or [`Verb::Torque`] that it belongs to.
     pub of: CommandId,
     /// User units/s, or per cent of the rated torque.
     pub value: f64,
 }
 
-/// What an axis can be asked to do.
+/// A command to an axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Verb {
     /// Power on, up to `OperationEnabled`. Refused while the axis is latched as stopped.
@@ -72,38 +72,39 @@ pub enum Verb {
     Home,
     /// A profile move.
     Move(Move),
-    /// Constant velocity until something replaces it, or until it is not renewed within the axis' dead-man time.
+    /// Constant velocity until another command replaces it, or until it is not renewed within the axis' dead-man
+    /// time.
     Jog(Jog),
-    /// Follow the axis' cyclic velocity setpoints. One that is older than the axis allows stops it.
+    /// Follow the axis' cyclic velocity setpoints. A setpoint older than the axis allows stops the axis.
     Velocity {
         /// User units/s², towards each new setpoint.
         acceleration: f64,
     },
     /// Follow the rows of the axis' stream (or of the in-loop task), one an exchange.
     Follow,
-    /// Follow the axis' cyclic torque setpoints, 0 until the first one comes. One that is older than the axis allows
-    /// stops it.
+    /// Follow the axis' cyclic torque setpoints, 0 until the first one comes. A setpoint older than the axis allows
+    /// stops the axis.
     ///
-    /// Torques are in per cent of the motor's rated torque, as CiA 402 drives count them (6071h, in per mille); above 0
-    /// they accelerate towards higher positions. What a torque leads to depends on the load: the axis stops at its
-    /// velocity limit, without which the verb is refused, and where it could not stop inside its position limits any
-    /// more. A vertical load would drop, and is refused.
+    /// Torques are in per cent of the motor's rated torque, as CiA 402 drives count them (6071h, in per mille);
+    /// above 0 they accelerate towards higher positions. The motion depends on the load: the axis stops at its
+    /// velocity limit, without which the command is refused, and where it could no longer stop inside its position
+    /// limits. A vertical load would drop, and is refused.
     Torque {
         /// Per cent of the rated torque a second, towards each new setpoint (CiA 402: 6087h).
         slope: f64,
     },
     /// Ramp down and stay enabled.
     Stop {
-        /// Deceleration in user units/s²; `None` takes the axis' profile.
+        /// Deceleration in user units/s²; `None` takes that of the axis' profile.
         deceleration: Option<f64>,
     },
-    /// The drive's fastest controlled stop; stays enabled where the drive can.
+    /// The drive's fastest controlled stop; the drive stays enabled if it can.
     QuickStop,
-    /// Acknowledge a fault of the drive. Ends powered off.
+    /// Acknowledge a fault of the drive. Ends with power off.
     ResetFault,
-    /// Clear the stop latch of the axis, so that Enable is taken again. Moves nothing.
+    /// Clear the stop latch of the axis, so that Enable is accepted again. Moves nothing.
     Reset,
-    /// Hand the drive's native process data to the application; see the protocol's own types.
+    /// Give the application control of the drive's native process data; see the protocol's own types.
     Native(NativeOwner),
 }
 
@@ -119,18 +120,18 @@ pub enum NativeOwner {
 /// A move along a profile.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Move {
-    /// Where to.
+    /// Its target.
     pub target: Target,
-    /// How.
+    /// Its profile.
     pub profile: Profile,
 }
 
-/// Where a move goes.
+/// The target of a move.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Target {
-    /// To a position, user units.
+    /// A position, user units.
     Absolute(f64),
-    /// By a distance from the demand position at the moment the move starts, user units.
+    /// A distance from the demand position at the moment the move starts, user units.
     Relative(f64),
 }
 
@@ -170,11 +171,11 @@ pub struct Row {
 /// How a command ended.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Outcome {
-    /// It did what it said.
+    /// It was carried out.
     Done,
-    /// It could not.
+    /// It was not carried out.
     Failed(Failure),
-    /// Something took precedence.
+    /// Another command or a stop took precedence.
     Aborted(Abort),
 }
 
@@ -199,12 +200,12 @@ pub enum Failure {
     /// The drive reports a fault.
     #[error("{}", reports(Fault { code: *.0, name: None }))]
     DriveFault(u32),
-    /// The drive did not get there in time.
+    /// The drive did not finish in time.
     #[error(
         "the drive did not finish in time (state {0}): look at its state and enables, or raise the time-out"
     )]
     TimedOut(State),
-    /// The drive took none of the repeated motion commands.
+    /// The drive accepted none of the repeated motion commands.
     #[error("the drive did not take the motion command: check its run mode (motion command interface)")]
     NotTaken,
     /// The axis is latched as stopped.
@@ -218,21 +219,21 @@ pub enum Failure {
         "{what} {value} is outside its limit ({low} ... {high}): change the command or limits in the configuration"
     )]
     Limit {
-        /// Of what.
+        /// The limited quantity.
         what: &'static str,
-        /// What was asked.
+        /// The requested value.
         value: f64,
         /// The lower limit.
         low: f64,
         /// The upper limit.
         high: f64,
     },
-    /// What has to be above zero is not.
+    /// A value has to be above zero and is not.
     #[error("{what} {value} must be above 0")]
     NotPositive {
-        /// What.
+        /// The quantity.
         what: &'static str,
-        /// What was asked.
+        /// The requested value.
         value: f64,
     },
     /// Power cannot come on.
@@ -241,7 +242,7 @@ pub enum Failure {
     /// Power off in motion would let the load drop.
     #[error("the axis moves a vertical load: stop it first, power goes off at standstill")]
     LoadInMotion,
-    /// Another member of the group could not, so that none of them does.
+    /// Another member of the group could not begin, so that no member does.
     #[error("another axis of the group could not do it: look at its outcome")]
     GroupRefused,
     /// Position limits mean nothing before homing.
@@ -250,8 +251,8 @@ pub enum Failure {
     /// A value that the wire cannot carry.
     #[error(transparent)]
     Range(#[from] RangeError),
-    /// A number that is no number.
-    #[error("a value is not a finite number: look at the computation that made it")]
+    /// Not a finite number.
+    #[error("a value is not a finite number: look at its computation")]
     NotFinite,
     /// This drive or its configuration cannot do it.
     #[error("this drive cannot do that: {0}")]
@@ -259,7 +260,7 @@ pub enum Failure {
     /// The stream ran out of rows and its policy is to stop.
     #[error("the stream ran empty: queue more rows or choose another underrun policy")]
     Underrun,
-    /// The drive left the state that the command needs while it ran.
+    /// The drive left the state that the command needs while the command ran.
     #[error("the drive left operation (state {0})")]
     Dropped(State),
 }
@@ -285,7 +286,7 @@ impl Outcome {
         }
     }
 
-    /// In words, with what the protocol calls the fault of the drive if that is why it failed.
+    /// In words, with the protocol's name for the fault of the drive if that is why it failed.
     pub fn told(&self, name: Option<&str>) -> String {
         match self.fault() {
             Some(code) => format!("failed: {}", reports(Fault { code, name })),
@@ -299,12 +300,12 @@ fn reports(fault: Fault<'_>) -> String {
 }
 
 impl Verb {
-    /// Acts at once and aborts everything before it.
+    /// It acts at once and aborts everything before it.
     pub fn is_urgent(&self) -> bool {
         matches!(self, Verb::Disable | Verb::Stop { .. } | Verb::QuickStop)
     }
 
-    /// A motion: it may replace a running motion.
+    /// It is a motion: it may replace a running motion.
     pub fn is_motion(&self) -> bool {
         matches!(self, Verb::Move(_) | Verb::Follow | Verb::Native(_))
             || self.takes_velocities()
@@ -321,7 +322,7 @@ impl Verb {
         matches!(self, Verb::Torque { .. })
     }
 
-    /// The names, by [`code`](Verb::code); 0 is none of them.
+    /// The names, by [`code`](Verb::code); 0 is no command.
     pub const NAMES: [&str; 14] = [
         "-",
         "enable",

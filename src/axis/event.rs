@@ -1,4 +1,4 @@
-//! What happened to an axis, told once each, in order.
+//! What happened to an axis: each event reported once, in order.
 
 use std::fmt;
 
@@ -17,17 +17,17 @@ pub struct Event {
     pub kind: EventKind,
 }
 
-/// What a drive says by itself of something that went wrong, or of its end: an emergency (CiA 301).
+/// A drive's own report of an error, or of the error's end: an emergency (CiA 301).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Emergency {
-    /// Its error code, by the names of faults of the drive's protocol; 0 = an error is over.
+    /// Its error code, named like the faults of the drive's protocol; 0 = an error is over.
     pub code: u16,
     /// The error register of the drive, 1001h.
     pub register: u8,
 }
 
 impl Emergency {
-    /// In words; `fault` is its code with the name that it has.
+    /// In words; `fault` is its code with the name, if it has one.
     pub fn told(self, fault: Fault<'_>) -> String {
         match self.code {
             0 => format!("emergency: error over, register {:#04x}", self.register),
@@ -41,11 +41,11 @@ impl Emergency {
 pub enum EventKind {
     /// A command ended.
     Ended {
-        /// Which.
+        /// Its id.
         id: CommandId,
-        /// The verb's name.
+        /// The command's name.
         verb: &'static str,
-        /// How.
+        /// Its end.
         outcome: Outcome,
     },
     /// The link changed.
@@ -56,22 +56,22 @@ pub enum EventKind {
     Fault(u32),
     /// The drive's warning word changed.
     Warning(u32),
-    /// The drive told an emergency, whether a fault or a warning follows from it or not.
+    /// The drive reported an emergency, whether or not a fault or a warning follows from it.
     /// [`Axis::fault`](crate::Axis::fault) has the name of its code.
     Emergency(Emergency),
     /// The master stopped the axis; latched until reset.
     Stopped(StopCause),
-    /// The drive's hardware enable (STO) is there, or is missing.
+    /// The drive's hardware enable (STO) is closed (true) or missing (false).
     HardwareEnable(bool),
     /// An exchange of this axis was missed while its group was in motion: the other members went on.
     MissedInGroup,
-    /// A stream has run empty; its policy says what follows. Told once, until rows come again.
+    /// A stream ran empty; its policy says what follows. Reported once, until rows come again.
     Underrun,
-    /// The drive was restarted or replaced, or its software was stopped: what was known of it was forgotten.
+    /// The drive was restarted or replaced, or its software was stopped: earlier knowledge of it was discarded.
     Restarted,
-    /// The drive will not show the variable of this monitoring channel, from 0; its status says why.
+    /// The drive refuses to report the variable of this monitoring channel; its status says why.
     MonitorRefused {
-        /// The channel.
+        /// The channel, from 0.
         channel: u8,
         /// The drive's own status.
         status: u32,

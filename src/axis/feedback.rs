@@ -1,4 +1,4 @@
-//! What a drive last said, in user units.
+//! What a drive reported last, in user units.
 
 use std::fmt;
 
@@ -58,18 +58,18 @@ impl fmt::Display for State {
     }
 }
 
-/// How the loop judges the link to a drive.
+/// The link to a drive as the loop evaluates it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 #[repr(u8)]
 pub enum Link {
-    /// Never answered since the start; probed slowly.
+    /// No answer since the start; probed slowly.
     #[default]
     Unseen = 0,
     /// Answers, but not yet often enough in a row (quality gate).
     Qualifying = 1,
     /// Up.
     Online = 2,
-    /// Was up and went silent; probed slowly.
+    /// Was up and became silent; probed slowly.
     Lost = 3,
 }
 
@@ -106,7 +106,7 @@ pub enum StopCause {
     Limit = 6,
     /// The in-loop task panicked or overran its budget.
     Task = 7,
-    /// The drive was found enabled or moving when the master came.
+    /// The drive was found enabled or moving when the master started.
     FoundRunning = 8,
     /// Another axis of its stop group was stopped.
     Group = 9,
@@ -116,7 +116,7 @@ pub enum StopCause {
     HardwareEnable = 11,
     /// The application gave no sign of life within the heartbeat time.
     Heartbeat = 12,
-    /// A velocity or torque setpoint grew older than the axis allows.
+    /// The application gave no sign of life within the heartbeat time.
     StaleSetpoint = 13,
     /// A jog was not renewed within its dead-man time.
     DeadMan = 14,
@@ -170,20 +170,20 @@ impl fmt::Display for StopCause {
     }
 }
 
-/// What a protocol calls the fault codes of its drives; `None` = not known.
+/// The protocol's names for the fault codes of its drives; `None` = not known.
 pub type FaultNames = fn(u32) -> Option<&'static str>;
 
-/// A fault of a drive as it is told: its code, as manuals write it in hex or in decimal, and its name.
+/// A fault of a drive for messages: its code, in hex and in decimal as manuals write it, and its name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Fault<'a> {
     /// Fault code, 0 = none.
     pub code: u32,
-    /// What its protocol calls it.
+    /// The protocol's name for it.
     pub name: Option<&'a str>,
 }
 
 impl Fault<'static> {
-    /// The fault of this code, by the names of its protocol.
+    /// The fault with this code, named by `names` of its protocol.
     pub fn new(code: u32, names: FaultNames) -> Fault<'static> {
         Fault { code, name: names(code) }
     }
@@ -205,7 +205,7 @@ impl fmt::Display for Fault<'_> {
 pub struct Feedback {
     /// The cycle that published it.
     pub cycle: u64,
-    /// Cycles since the values below left the drive: 0 = from this cycle. A missed exchange holds the values.
+    /// Cycles since the values below left the drive: 0 = from this cycle. A missed exchange keeps the values.
     pub age: u32,
     /// When the values were taken in.
     pub at: Time,
@@ -215,17 +215,17 @@ pub struct Feedback {
     pub state: State,
     /// The latch: why the master stopped this axis.
     pub stopped: Option<StopCause>,
-    /// Homed, as the drive says.
+    /// Homed, as the drive reports it.
     pub homed: bool,
     /// The drive's setpoint generator is running.
     pub moving: bool,
-    /// In the target window, as the drive says.
+    /// In the target window, as the drive reports it.
     pub in_target: bool,
     /// The drive's hardware enable (STO) is missing: power cannot come on.
     pub inhibited: bool,
     /// The reply could be that of an earlier request (no sequence number on this wire).
     pub suspect: bool,
-    /// Actual position, user units; NaN if the drive tells none, like the three below.
+    /// Actual position, user units; NaN if the drive reports none, like the three below.
     pub position: f64,
     /// Demand position as the drive reports it, user units.
     pub demand: f64,
@@ -239,15 +239,15 @@ pub struct Feedback {
     pub fault: u32,
     /// Round trip of the last clean exchange, ns.
     pub rtt_ns: Option<u32>,
-    /// What the drive shows besides, in the units of its plan; `None` where nothing was asked for, or is not set up
-    /// yet.
+    /// The monitored variables, in the units of the plan; `None` where no variable is configured, or it is not set
+    /// up yet.
     pub monitor: [Option<f64>; MONITOR_CHANNELS],
 }
 
-/// How many variables a drive may show besides its process data.
+/// The most variables that a drive may report in addition to its process data.
 pub const MONITOR_CHANNELS: usize = 4;
 
-/// What a drive shows besides, as small as it is kept: the values, and a bit for each channel that has one.
+/// The monitored values in compact form: the values, and a bit for each channel that has one.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Shown {
     mask: u8,
@@ -273,12 +273,12 @@ impl Shown {
         std::array::from_fn(|channel| (self.mask >> channel & 1 != 0).then_some(self.values[channel]))
     }
 
-    /// The bits of the channels, that of the first lowest, and the values as bits.
+    /// The bits of the channels (the first is the lowest), and the values as bits.
     pub(crate) fn to_words(self) -> (u8, [u64; MONITOR_CHANNELS]) {
         (self.mask, self.values.map(f64::to_bits))
     }
 
-    /// What [`to_words`](Self::to_words) gave; `None` if there is a bit of no channel.
+    /// The inverse of [`to_words`](Self::to_words); `None` if a bit belongs to no channel.
     pub(crate) fn from_words(mask: u8, words: [u64; MONITOR_CHANNELS]) -> Option<Shown> {
         (mask >> MONITOR_CHANNELS == 0).then(|| Shown { mask, values: words.map(f64::from_bits) })
     }

@@ -1,10 +1,10 @@
-//! Several axes with one queue: verbs and rows of all members take effect in the same cycle's send, all or none.
+//! Several axes with one queue: commands and rows of all members take effect in the same cycle's send, all or none.
 //!
-//! A group takes its axes by value, so that nobody else commands them. Each member's command has its own id and its own
-//! end. What one member refuses is refused to all; a motion or homing that fails at one of them, a member that is
-//! stopped or taken out of a motion of the group takes the others along by their stop group. After a failed enable
-//! those that came up stay up. A stop is never refused to one member because of another, and waits for the others' no
-//! longer than two cycles.
+//! A group takes its axes by value, so that no other owner commands them. Each member's command has its own id and
+//! its own end. What one member refuses is refused to all. A failed motion or homing of one member stops the others
+//! by their stop group, and so does a member that is stopped or taken out of a motion of the group. After a failed
+//! enable the members that came up stay up. A stop is never refused to one member because of another, and waits for
+//! the others no longer than two cycles.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
@@ -35,8 +35,8 @@ pub struct Group {
     axes: Vec<Axis>,
 }
 
-/// Calls to all groups of this process, rows included. Axes may go from one group to another, and no two calls shall be
-/// taken for one.
+/// Counts the calls to all groups of this process, rows included. Axes may move from one group to another, and no
+/// two calls may have the same number.
 static CALLS: AtomicU64 = AtomicU64::new(1);
 
 /// One command to each member, in the order of the group.
@@ -48,13 +48,13 @@ pub struct GroupCommand {
 }
 
 impl GroupCommand {
-    /// The ids under which the members' events tell its end.
+    /// The ids in the members' events.
     pub fn ids(&self) -> &[CommandId] {
         &self.ids
     }
 }
 
-/// Why something asked of a group did not come about.
+/// Why a request to a group failed.
 #[derive(Clone, PartialEq, Error)]
 pub enum GroupError {
     /// A group of fewer than two.
@@ -69,10 +69,10 @@ pub enum GroupError {
     /// One member would be stopped without the other.
     #[error("axes {0} and {1} do not stop together: put them into one stop.group")]
     TwoStopGroups(String, String),
-    /// Not one value a member.
+    /// The number of values is not the number of members.
     #[error("{given} values for a group of {members}: give one for each axis")]
     Count {
-        /// How many there were.
+        /// How many values were given.
         given: usize,
         /// How many members there are.
         members: usize,
@@ -80,23 +80,23 @@ pub enum GroupError {
     /// Rows are for all members.
     #[error("some members follow and some do not: give follow to all of them")]
     MixedFollow,
-    /// An empty stream would lead the members apart.
+    /// Different underrun policies would separate the members.
     #[error("axes {0} and {1} do different things when their streams run empty: give them one underrun")]
     TwoUnderruns(String, String),
     /// A stream ends for all members or for none.
     #[error("some rows are the last one and some are not: mark all of them or none")]
     MixedEnd,
-    /// A member refused, or did not do it. Of what was refused no member has anything.
+    /// A member refused, or did not carry it out. If it was refused, no member has begun it.
     #[error(transparent)]
     Axis(#[from] AxisError),
 }
 crate::errors::debug_as_display!(GroupError);
 
-/// Axes that make no group, given back.
+/// Axes that cannot form a group, given back.
 #[derive(Error)]
 #[error("{reason}")]
 pub struct GroupRefused {
-    /// Why.
+    /// The reason.
     pub reason: Box<GroupError>,
     /// The axes.
     pub axes: Vec<Axis>,
@@ -113,12 +113,12 @@ impl Group {
         }
     }
 
-    /// The members, to look at.
+    /// The members.
     pub fn axes(&self) -> &[Axis] {
         &self.axes
     }
 
-    /// Ends the group and gives its axes back. What they do goes on.
+    /// Ends the group and gives its axes back. Running commands continue.
     pub fn into_axes(self) -> Vec<Axis> {
         self.axes
     }
@@ -133,8 +133,8 @@ impl Group {
         self.axes.get_mut(index)?.event()
     }
 
-    /// Gives one verb to each member and returns at once. They begin in one cycle, as soon as each member may; if one
-    /// of them cannot, all of them fail.
+    /// Gives one command to each member and returns at once. They begin in one cycle, as soon as each member may;
+    /// if one of them cannot, all of them fail.
     pub fn post(&mut self, verbs: &[Verb]) -> Result<GroupCommand, GroupError> {
         self.count(verbs.len())?;
         if verbs.contains(&Verb::Follow) && verbs.iter().any(|verb| *verb != Verb::Follow) {
@@ -155,7 +155,7 @@ impl Group {
         Ok(GroupCommand { verb: verbs.first().map_or("", Verb::name), ids })
     }
 
-    /// Gives the same verb to each member.
+    /// Gives the same command to each member.
     pub fn post_all(&mut self, verb: Verb) -> Result<GroupCommand, GroupError> {
         self.post(&vec![verb; self.axes.len()])
     }
@@ -215,12 +215,12 @@ impl Group {
         self.run_all(Verb::Enable, |axis| axis.plan().enable_timeout)
     }
 
-    /// Powers all members off and waits until they are.
+    /// Powers all members off and waits until they are off.
     pub fn disable(&mut self) -> Result<(), GroupError> {
         self.run_all(Verb::Disable, |axis| axis.plan().enable_timeout)
     }
 
-    /// Homes all members and waits until they are done.
+    /// Homes all members and waits until homing is complete.
     pub fn home(&mut self) -> Result<(), GroupError> {
         self.run_all(Verb::Home, |axis| axis.plan().home_timeout)
     }
@@ -255,7 +255,7 @@ impl Group {
         self.run_all(Verb::ResetFault, |axis| axis.plan().enable_timeout)
     }
 
-    /// Opens the latches of all members.
+    /// Clears the stop latches of all members.
     pub fn reset(&mut self) -> Result<(), GroupError> {
         self.run_all(Verb::Reset, |axis| axis.plan().stop.timeout * 2)
     }
@@ -286,7 +286,7 @@ impl Group {
     }
 }
 
-/// What keeps `axes` from being a group.
+/// Why `axes` cannot form a group.
 fn mismatch(axes: &[Axis]) -> Option<GroupError> {
     let [first, others @ ..] = axes else { return Some(GroupError::TooFew(0)) };
     if others.is_empty() {
@@ -300,7 +300,7 @@ fn mismatch(axes: &[Axis]) -> Option<GroupError> {
     })
 }
 
-/// What keeps two axes from acting together.
+/// Why two axes cannot act together.
 pub(crate) fn out_of_step(first: &AxisPlan, other: &AxisPlan) -> Option<GroupError> {
     let names = (first.name.clone(), other.name.clone());
     if (first.divisor, first.phase) != (other.divisor, other.phase) {

@@ -24,7 +24,7 @@ use super::plan::AxisPlan;
 use super::pulse::Pulse;
 use super::streams::Streams;
 
-/// How often the blocking conveniences look for news.
+/// How often the blocking calls look for events.
 pub(super) const LOOK_EVERY: Duration = Duration::from_micros(500);
 
 /// Places in each command queue that only a stop, quick stop or power off takes.
@@ -37,7 +37,7 @@ pub(crate) const SETPOINT_QUEUE: usize = 64;
 #[derive(Debug)]
 pub struct Axis {
     plan: AxisPlan,
-    /// Its place in the machine.
+    /// Its index in the machine.
     index: usize,
     pulse: Pulse,
     acyclic: Acyclic,
@@ -49,7 +49,7 @@ pub struct Axis {
     pressing: CommandId,
     /// Events taken from the queue while waiting for another one.
     kept: VecDeque<Event>,
-    /// Kept events that nobody asked for and that had to make room.
+    /// Kept events that the application did not take and that had to make room.
     dropped: u64,
     streams: Streams,
 }
@@ -67,23 +67,23 @@ pub struct AxisEnds {
     pub events: Consumer<Event>,
     /// The newest feedback.
     pub feedback: Reader<Feedback>,
-    /// Every cycle's feedback, where the plan asks for it.
+    /// Every cycle's feedback, where the plan requests it.
     pub samples: Option<Consumer<Feedback>>,
     /// The protocol's own process data.
     pub native: Option<Box<dyn Any + Send>>,
-    /// What the protocol calls the fault codes of its drives.
+    /// The protocol's names for the fault codes of its drives.
     pub faults: FaultNames,
 }
 
-/// Why something asked of an axis did not come about.
+/// Why a request to an axis failed.
 #[derive(Clone, PartialEq, Error)]
 pub enum AxisError {
-    /// Refused at the door.
+    /// Refused on submission.
     #[error("axis {axis}: {verb} refused: {failure}")]
     Refused {
         /// The axis.
         axis: String,
-        /// The verb.
+        /// The command.
         verb: &'static str,
         /// Why.
         failure: Failure,
@@ -93,31 +93,31 @@ pub enum AxisError {
     Full {
         /// The axis.
         axis: String,
-        /// The verb.
+        /// The command.
         verb: &'static str,
         /// Room of the queue.
         capacity: usize,
     },
-    /// It ended otherwise than done.
+    /// It ended in another way than Done.
     #[error("axis {axis}: {verb} {}", outcome.told(*fault))]
     Ended {
         /// The axis.
         axis: String,
-        /// The verb.
+        /// The command.
         verb: &'static str,
-        /// How it ended.
+        /// Its end.
         outcome: Outcome,
-        /// What the protocol calls the fault of the drive, if that is why.
+        /// The protocol's name for the fault of the drive, if that is the reason.
         fault: Option<&'static str>,
     },
-    /// It did not end in the time given. It goes on: stop it, or wait longer.
+    /// It did not end in the given time. It continues: stop it, or wait longer.
     #[error("axis {axis}: {verb} has not ended after {waited:?} (state {state}): stop it, or wait longer")]
     TimedOut {
         /// The axis.
         axis: String,
-        /// The verb.
+        /// The command.
         verb: &'static str,
-        /// How long was waited.
+        /// How long the call waited.
         waited: Duration,
         /// The drive's state.
         state: super::State,
@@ -160,7 +160,7 @@ impl Axis {
         }
     }
 
-    /// Its place in the machine, in the order of the plan.
+    /// Its index in the machine, in the order of the plan.
     pub fn index(&self) -> usize {
         self.index
     }
@@ -180,7 +180,7 @@ impl Axis {
         &self.plan
     }
 
-    /// The profile that moves take when they name none.
+    /// The profile of moves that name none.
     pub fn profile(&self) -> Profile {
         self.plan.profile
     }
@@ -195,7 +195,7 @@ impl Axis {
         Observer(self.ends.feedback.clone())
     }
 
-    /// The feedback of every cycle, if the plan gave the axis a sample queue; taken once.
+    /// The feedback of every cycle, if the plan gave the axis a sample queue; can be taken once.
     pub fn samples(&mut self) -> Option<Consumer<Feedback>> {
         self.ends.samples.take()
     }
@@ -205,7 +205,7 @@ impl Axis {
         Fault::new(code, self.ends.faults)
     }
 
-    /// The protocol's own process data, unscaled and complete, by the protocol's own type; taken once.
+    /// The protocol's own process data, unscaled and complete, by the protocol's own type; can be taken once.
     ///
     /// `None` if it was taken before or is of another protocol.
     pub fn native<T: 'static>(&mut self) -> Option<Box<T>> {
@@ -215,7 +215,7 @@ impl Axis {
         self.ends.native.take()?.downcast().ok()
     }
 
-    /// The drive's parameters, at addresses in its own notation. Clone it for as many threads as needed.
+    /// The drive's parameters, at addresses in its own notation. Clone the handle for as many threads as needed.
     pub fn parameter(&self) -> Parameters {
         self.acyclic.parameters()
     }
@@ -230,19 +230,19 @@ impl Axis {
         self.kept.pop_front().or_else(|| self.take_event())
     }
 
-    /// Events that were kept while waiting for another one, never asked for, and had to make room for newer ones.
+    /// Events that were kept during a wait for another event, not taken, and dropped to make room for newer ones.
     pub fn events_dropped(&self) -> u64 {
         self.dropped
     }
 
-    /// Gives a command to the loop and returns at once. Its end is an [`EventKind::Ended`] with this id.
+    /// Submits a command and returns at once. Its end is an [`EventKind::Ended`] with this id.
     pub fn post(&mut self, verb: Verb) -> Result<CommandId, AxisError> {
         self.accepts(&verb)?;
         self.enqueue(verb, None)
     }
 
-    /// Whether `verb` would be taken now: its numbers, and room in the queue. The last places are kept for what stops
-    /// the axis.
+    /// Whether `verb` would be accepted now: its numbers, and room in the queue. The last places are reserved for
+    /// commands that stop the axis.
     pub(super) fn accepts(&self, verb: &Verb) -> Result<(), AxisError> {
         check_verb(&self.plan, verb).map_err(|failure| self.refused(verb.name(), failure))?;
         let kept = if verb.is_urgent() { 0 } else { URGENT_ROOM };
@@ -253,7 +253,7 @@ impl Axis {
         }
     }
 
-    /// Queues a verb that was accepted.
+    /// Queues a command that was accepted.
     pub(super) fn enqueue(&mut self, verb: Verb, ticket: Option<Ticket>) -> Result<CommandId, AxisError> {
         if self.ends.commands.is_abandoned() {
             return Err(self.gone());
@@ -277,15 +277,15 @@ impl Axis {
         Ok(id)
     }
 
-    /// The velocity setpoint of a running [`Verb::Velocity`] or [`Verb::Jog`], user units/s. The newest counts; it has
-    /// to be given again before it is older than `setpoint_age` or the dead-man time of the axis.
+    /// The velocity setpoint of a running [`Verb::Velocity`] or [`Verb::Jog`], user units/s. The newest counts. It
+    /// has to be renewed before it is older than `setpoint_age` or the dead-man time of the axis.
     pub fn set_velocity(&mut self, velocity: f64) -> Result<(), AxisError> {
         self.accepts_velocity(velocity)?;
         self.enqueue_setpoint("velocity", Setpoint { of: self.rolling, value: velocity })
     }
 
-    /// The torque setpoint of a running [`Verb::Torque`], per cent of the rated torque. The newest counts; it has to be
-    /// given again before it is older than `setpoint_age`.
+    /// The torque setpoint of a running [`Verb::Torque`], per cent of the rated torque. The newest counts. It has
+    /// to be renewed before it is older than `setpoint_age`.
     pub fn set_torque(&mut self, torque: f64) -> Result<(), AxisError> {
         self.accepts_torque(torque)?;
         self.enqueue_setpoint("torque", Setpoint { of: self.pressing, value: torque })
@@ -299,13 +299,13 @@ impl Axis {
         Ok(())
     }
 
-    /// Whether `velocity` would be taken now.
+    /// Whether `velocity` would be accepted now.
     pub(super) fn accepts_velocity(&self, velocity: f64) -> Result<(), AxisError> {
         check_velocity(&self.plan, velocity).map_err(|failure| self.refused("velocity", failure))?;
         if self.ends.setpoints.is_abandoned() { Err(self.gone()) } else { Ok(()) }
     }
 
-    /// Whether `torque` would be taken now.
+    /// Whether `torque` would be accepted now.
     pub(super) fn accepts_torque(&self, torque: f64) -> Result<(), AxisError> {
         check_torque(&self.plan, torque).map_err(|failure| self.refused("torque", failure))?;
         if self.ends.setpoints.is_abandoned() { Err(self.gone()) } else { Ok(()) }
@@ -316,17 +316,17 @@ impl Axis {
         self.ends.rows.slots()
     }
 
-    /// Queues a row for [`Verb::Follow`], one an exchange. Row by row it is checked against the limits.
+    /// Queues a row for [`Verb::Follow`], one per exchange. Each row is checked against the limits.
     ///
-    /// After a row marked `last`, and after the application has seen (by [`event`](Self::event) or while waiting) that
-    /// the stream ended or the axis was stopped, rows belong to the next stream.
+    /// After a row marked `last`, and after the application has seen (by [`event`](Self::event) or during a wait)
+    /// that the stream ended or the axis was stopped, rows belong to the next stream.
     pub fn push_row(&mut self, row: Row) -> Result<(), AxisError> {
         self.accepts_row(&row)?;
         self.enqueue_row(row, 0);
         Ok(())
     }
 
-    /// Whether `row` would be taken now: its numbers, and room in the queue.
+    /// Whether `row` would be accepted now: its numbers, and room in the queue.
     pub(super) fn accepts_row(&self, row: &Row) -> Result<(), AxisError> {
         check_row(&self.plan, row, self.streams.before()).map_err(|failure| self.refused("row", failure))?;
         if self.ends.rows.is_abandoned() {
@@ -335,7 +335,7 @@ impl Axis {
         if self.ends.rows.slots() == 0 { Err(self.full("row", self.plan.stream_queue)) } else { Ok(()) }
     }
 
-    /// Queues a row that was accepted. This is the one producer, so that the room is still there.
+    /// Queues a row that was accepted. This is the only producer, so that the room is still there.
     pub(super) fn enqueue_row(&mut self, row: Row, number: u64) {
         if self.ends.rows.push(StreamRow { stream: self.streams.pushing(), number, row }).is_ok() {
             self.pulse.beat();
@@ -354,13 +354,13 @@ impl Axis {
         self.run(Verb::Enable, limit)
     }
 
-    /// Powers the drive off and waits until it is.
+    /// Powers the drive off and waits until it is off.
     pub fn disable(&mut self) -> Result<(), AxisError> {
         let limit = self.plan.enable_timeout;
         self.run(Verb::Disable, limit)
     }
 
-    /// Homes the axis and waits until it is done.
+    /// Homes the axis and waits until homing is complete.
     pub fn home(&mut self) -> Result<(), AxisError> {
         let limit = self.plan.home_timeout;
         self.run(Verb::Home, limit)
@@ -394,7 +394,7 @@ impl Axis {
         self.run(Verb::Stop { deceleration: None }, limit)
     }
 
-    /// The drive's fastest controlled stop; waits for standstill. The drive stays enabled where it can.
+    /// The drive's fastest controlled stop; waits for standstill. The drive stays enabled if it can.
     pub fn quick_stop(&mut self) -> Result<(), AxisError> {
         let limit = self.plan.stop.timeout + GRACE;
         self.run(Verb::QuickStop, limit)
@@ -406,7 +406,7 @@ impl Axis {
         self.run(Verb::ResetFault, limit)
     }
 
-    /// Opens the latch of a stopped axis; waits for a ladder that is still running.
+    /// Clears the latch of a stopped axis; waits for a stop sequence that is still running.
     pub fn reset(&mut self) -> Result<(), AxisError> {
         let limit = self.plan.stop.timeout * 2;
         self.run(Verb::Reset, limit)
@@ -431,10 +431,10 @@ impl Axis {
         self.wait(id, verb.name(), limit + GRACE)
     }
 
-    /// Waits for the end of a posted command. Events of other things are kept for [`event`](Self::event).
+    /// Waits for the end of a posted command. Other events are kept for [`event`](Self::event).
     pub fn wait(&mut self, id: CommandId, verb: &'static str, limit: Duration) -> Result<(), AxisError> {
         let begun = Instant::now();
-        // Its end may have come while another command was waited for.
+        // Its end may have come during the wait for another command.
         if let Some(place) = self.kept.iter().position(|event| ended(event, id).is_some())
             && let Some(outcome) = self.kept.remove(place).and_then(|event| ended(&event, id))
         {
@@ -475,7 +475,7 @@ impl Axis {
         Some(event)
     }
 
-    /// Bounded like the queue itself: whoever never asks for events loses the oldest.
+    /// Bounded like the queue itself: an application that never takes events loses the oldest.
     fn keep(&mut self, event: Event) {
         if self.kept.len() >= self.plan.event_queue {
             self.kept.pop_front();
@@ -509,7 +509,7 @@ fn ended(event: &Event, id: CommandId) -> Option<Outcome> {
     }
 }
 
-/// What the loop's own time-out is given on top before the application stops waiting for its verdict.
+/// The application waits this much longer than the loop's own time-out, so that the loop's result comes first.
 pub(super) const GRACE: Duration = Duration::from_millis(500);
 
 /// Twice the time that a move should take, for the wait only.

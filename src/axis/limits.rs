@@ -1,10 +1,10 @@
-//! The limits of an axis: a command, setpoint or row that breaks one is refused, at the door where that can be told
-//! there.
+//! The limits of an axis: a command, setpoint or row that breaks one is refused, on submission where the limit can
+//! be checked there.
 
 use super::command::{Failure, Jog, Move, Profile, Row, Target, Verb};
 use super::plan::{AxisPlan, Limits, Load};
 
-/// `Ok` if `verb` keeps to what the plan allows, as far as that can be told without knowing where the axis is.
+/// `Ok` if `verb` keeps to what the plan allows, as far as it can be checked without the position of the axis.
 pub fn check_verb(plan: &AxisPlan, verb: &Verb) -> Result<(), Failure> {
     match verb {
         Verb::Move(Move { target, profile }) => {
@@ -20,10 +20,10 @@ pub fn check_verb(plan: &AxisPlan, verb: &Verb) -> Result<(), Failure> {
         }
         Verb::Velocity { acceleration } => positive("acceleration", *acceleration, plan.limits.acceleration),
         Verb::Torque { .. } if plan.limits.velocity.is_none() => Err(Failure::Unsupported(
-            "nothing but a limit of the velocity ends a runaway under torque: set limits.velocity",
+            "only a velocity limit ends a runaway under torque: set limits.velocity",
         )),
         Verb::Torque { .. } if plan.load != Load::Level => Err(Failure::Unsupported(
-            "a vertical load drops where the torque does not hold it: give velocities or positions",
+            "a vertical load drops if the torque does not hold it: command velocities or positions",
         )),
         Verb::Torque { slope } => positive("torque slope", *slope, None),
         Verb::Stop { deceleration: Some(deceleration) } => positive("deceleration", *deceleration, None),
@@ -64,7 +64,7 @@ pub fn check_row(plan: &AxisPlan, row: &Row, from: Option<f64>) -> Result<(), Fa
     }
 }
 
-/// A step of just the largest size is not refused for its last binary digit.
+/// A step of exactly the largest size is not refused for its last binary digit.
 const EXACT: f64 = 1.0 + 1e-9;
 
 /// `Ok` if the axis may go from one position to the next in `seconds`.
@@ -77,7 +77,7 @@ pub fn check_reach(plan: &AxisPlan, from: f64, to: f64, reach: f64) -> Result<()
     check_way(plan, "speed between rows", from, to, reach)
 }
 
-/// Nothing is near a position that is not known.
+/// No position is near an unknown one.
 fn check_way(plan: &AxisPlan, what: &'static str, from: f64, to: f64, most: f64) -> Result<(), Failure> {
     match plan.units.way(from, to).abs() <= most * EXACT {
         true => Ok(()),
@@ -85,8 +85,8 @@ fn check_way(plan: &AxisPlan, what: &'static str, from: f64, to: f64, most: f64)
     }
 }
 
-/// `Ok` if an axis that goes from one position to the next in `seconds` could still come to a stop inside its range,
-/// had it begun to brake at the first of them.
+/// `Ok` if an axis that goes from one position to the next in `seconds` could still stop inside its range if it
+/// began to brake at the first of them.
 pub fn check_braking(plan: &AxisPlan, from: f64, to: f64, seconds: f64) -> Result<(), Failure> {
     let Some((low, high)) = plan.limits.position else { return Ok(()) };
     let velocity = (to - from) / seconds;

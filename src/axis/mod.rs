@@ -1,19 +1,19 @@
-//! What an application holds and speaks: axes, commands, feedback, events, units.
+//! The application's interface: axes, commands, feedback, events, units.
 //!
 //! | file | what |
 //! |---|---|
 //! | `plan` | one axis as configured: units, limits, schedule, health, stop behaviour |
 //! | `units` | user units <-> wire counts, with rounding and range checks |
-//! | `command` | verbs, their ids and how they end |
-//! | `feedback` | what a drive last said, in user units; states of CiA 402 |
-//! | `event` | what happened, once each |
+//! | `command` | commands, their ids and how they end |
+//! | `feedback` | what a drive reported last, in user units; states of CiA 402 |
+//! | `event` | what happened, each event once |
 //! | `cell` | the newest value for any number of readers, without a lock |
-//! | `limits` | what is refused at the door |
+//! | `limits` | what is refused on submission |
 //! | `streams` | which stream a row belongs to |
-//! | `acyclic` | calls beside the cycle: parameters, and what else a protocol offers |
+//! | `acyclic` | calls outside the cycle: parameters, and other services of a protocol |
 //! | `pulse` | the application's sign of life |
-//! | `handle` | `Axis`: the application's end of one axis, with the blocking conveniences |
-//! | `group` | `Group`: several axes with one queue, in step |
+//! | `handle` | `Axis`: the application's end of one axis, with the blocking calls |
+//! | `group` | `Group`: several axes with one queue, synchronised |
 //!
 //! Nothing here knows a protocol, a socket or the loop.
 

@@ -6,8 +6,8 @@ use super::command::Profile;
 use super::units::{Unit, Units};
 use crate::time::{Ns, S, nanos};
 
-/// What the loop and the application need to know of one axis; what only its protocol needs stands in the protocol's
-/// own drive plan.
+/// What the loop and the application need to know of one axis. Settings that only its protocol needs are in the
+/// protocol's own drive plan.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AxisPlan {
     /// Its name, unique in the machine.
@@ -16,11 +16,11 @@ pub struct AxisPlan {
     pub units: Units,
     /// Limits in user units.
     pub limits: Limits,
-    /// The profile that moves take when they name none.
+    /// The profile of moves that name none.
     pub profile: Profile,
     /// An exchange every so many cycles, at least 1.
     pub divisor: u32,
-    /// In which of these cycles, `0 .. divisor`.
+    /// The cycle of these in which it exchanges, `0 .. divisor`.
     pub phase: u32,
     /// When a link counts as up and as lost.
     pub health: Health,
@@ -32,9 +32,10 @@ pub struct AxisPlan {
     pub on_found_running: FoundRunning,
     /// What its load does when nothing holds it.
     pub load: Load,
-    /// A cyclic velocity or torque setpoint that is older than so many cycles stops the axis.
+    /// A cyclic velocity or torque setpoint older than so many cycles stops the axis.
     pub setpoint_age: u32,
-    /// A jog that is not renewed within this time stops the axis; `None`: it runs until something replaces it.
+    /// A jog that is not renewed within this time stops the axis; `None`: it runs until another command replaces
+    /// it.
     pub jog_deadman: Option<Duration>,
     /// Longest time for Enable, Disable and ResetFault.
     pub enable_timeout: Duration,
@@ -52,19 +53,19 @@ pub struct AxisPlan {
     pub parameter_queue: usize,
 }
 
-/// A variable that a drive shows with its process data.
+/// A variable that a drive reports in addition to its process data.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct MonitorChannel {
     /// Its name.
     pub name: String,
-    /// Of its values; empty for a plain number.
+    /// The unit of its values; empty for a plain number.
     pub unit: &'static str,
 }
 
 impl AxisPlan {
-    /// An axis of this name and unit with everything else as it is when a configuration says nothing of it.
+    /// An axis of this name and unit, with the defaults of the configuration for everything else.
     pub fn new(name: impl Into<String>, units: Units) -> AxisPlan {
-        // What is usual in a unit: speed, acceleration, and the speed that counts as standstill.
+        // Usual values of the unit: speed, acceleration, and the speed that counts as standstill.
         let (velocity, acceleration, standstill) = match units.unit {
             Unit::Millimetre => (100.0, 1000.0, 5.0),
             Unit::Revolution => (1.0, 10.0, 0.05),
@@ -103,7 +104,7 @@ impl AxisPlan {
     }
 }
 
-/// What is wrong with a plan: the key as the configuration calls it, and what would be right.
+/// A mistake in a plan: the key as the configuration calls it, and what would be right.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PlanFault {
     /// The key below the axis, like `stop.then`.
@@ -120,7 +121,8 @@ impl PlanFault {
 }
 
 impl AxisPlan {
-    /// What contradicts itself in this plan, or would not work: the same for a file and for a plan built in code.
+    /// What contradicts itself in this plan, or would not work: the same checks for a file and for a plan built in
+    /// code.
     pub fn faults(&self) -> Vec<PlanFault> {
         let mut faults = Vec::new();
         self.check_numbers(&mut faults);
@@ -141,7 +143,7 @@ impl AxisPlan {
             wrong("modulo", "must be above 0: the length of one turn".into());
         }
         if let Some((low, high)) = self.limits.position {
-            // NaN is no limit either.
+            // NaN is not a limit either.
             if low.partial_cmp(&high) != Some(std::cmp::Ordering::Less) {
                 wrong("limits.position", "must rise: [lowest, highest]".into());
             }
@@ -205,7 +207,7 @@ impl AxisPlan {
         }
     }
 
-    /// A ramp that cannot end in time would end in `on_timeout` every time.
+    /// A ramp that cannot end in time would always end by `on_timeout`.
     fn check_stop(&self, faults: &mut Vec<PlanFault>) {
         let (stop, unit) = (&self.stop, self.units.unit);
         if !(stop.deceleration > 0.0 && stop.deceleration.is_finite()) {
@@ -264,10 +266,10 @@ pub enum Load {
 /// What holds a vertical load while the axis stands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HeldBy {
-    /// A brake that the drive is set to close before it powers off. Power goes off at standstill, or by the stop's
-    /// time-out.
+    /// A brake that the drive is configured to close before it powers off. Power goes off at standstill, or by the
+    /// stop's time-out.
     Brake,
-    /// The powered drive alone. The master never powers it off by itself, not at its own end either.
+    /// The powered drive alone. The master never powers it off by itself, not even at its own end.
     Drive,
 }
 
@@ -295,12 +297,12 @@ pub struct Health {
     pub leak: u32,
     /// So many good exchanges in a row bring a link up.
     pub gate: u32,
-    /// A drive never seen, or lost, is asked this often.
+    /// Interval of the requests to a drive that was never seen, or is lost.
     pub probe_interval: Duration,
 }
 
 impl Default for Health {
-    /// Lost after 5 misses not outweighed by 20 good exchanges each, up after 10 in a row, probed every 100 ms.
+    /// Lost after 5 misses (20 good exchanges in a row cancel one), up after 10 in a row, probed every 100 ms.
     fn default() -> Health {
         Health { bucket: 5, leak: 20, gate: 10, probe_interval: Duration::from_millis(100) }
     }
@@ -309,7 +311,7 @@ impl Default for Health {
 /// How the master stops an axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StopPlan {
-    /// The way down.
+    /// How the axis is brought to standstill.
     pub how: StopHow,
     /// Deceleration of the ramp, units/s².
     pub deceleration: f64,
@@ -327,7 +329,7 @@ pub struct StopPlan {
     pub group: Option<u16>,
 }
 
-/// The way to standstill.
+/// How an axis is brought to standstill.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StopHow {
     /// Along the stop plan's deceleration.
@@ -372,6 +374,6 @@ pub enum Underrun {
 pub enum FoundRunning {
     /// Take over the control bits as found, then stop it as the stop plan says.
     Stop,
-    /// Only read; touch nothing until the application decides.
+    /// Only read it; write nothing until the application commands the axis.
     Refuse,
 }

@@ -7,7 +7,8 @@ use crossbeam::utils::CachePadded;
 
 use crate::rt::Regions;
 
-/// A counter that the application moves and the loop watches. Clones are the same pulse; each machine has its own.
+/// A counter that the application increments and the loop watches. Clones are the same pulse; each machine has its
+/// own.
 #[derive(Clone, Debug, Default)]
 pub struct Pulse(Arc<CachePadded<AtomicU64>>);
 
@@ -17,12 +18,12 @@ impl Pulse {
         self.0.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// How often it has beaten.
+    /// The number of beats so far.
     pub fn count(&self) -> u64 {
         self.0.load(Ordering::Relaxed)
     }
 
-    /// What it points to, to be locked.
+    /// The memory that it points to, to be locked.
     pub(crate) fn memory(&self, regions: &mut Regions) {
         regions.add(&*self.0);
     }

@@ -1,7 +1,8 @@
-//! Which stream a row belongs to, counted on the application's side.
+//! The stream that a row belongs to, counted on the application's side.
 //!
-//! Rows are pushed without waiting, so some may still be pushed for a stream that has already ended: before the
-//! application has seen that. Each row carries its stream's number, and a follow runs the rows of its own stream only.
+//! Rows are pushed without waiting, so the application may still push rows for a stream that has already ended,
+//! before it has seen the end. Each row carries its stream's number, and a follow runs the rows of its own stream
+//! only.
 
 use super::command::{CommandId, Row};
 use super::event::{Event, EventKind};
@@ -13,7 +14,7 @@ pub(super) struct Streams {
     pushing: u32,
     /// The stream that the next follow runs.
     to_follow: u32,
-    /// The last follow that was posted and not seen to end.
+    /// The last follow that was posted and not yet seen to end.
     running: Option<(CommandId, u32)>,
     /// The row before the next one.
     before: Option<Row>,
@@ -36,7 +37,7 @@ impl Streams {
         self.to_follow
     }
 
-    /// Where the row before the next one stands, if there is one in this stream.
+    /// The position of the row before the next one, if there is one in this stream.
     pub(super) fn before(&self) -> Option<f64> {
         self.before.map(|row| row.position)
     }
@@ -61,7 +62,8 @@ impl Streams {
         }
     }
 
-    /// The application sees an event: a stream that has ended takes no more rows, and a stop has dropped all of them.
+    /// The application sees an event: a stream that has ended accepts no more rows, and a stop has dropped all of
+    /// them.
     pub(super) fn saw(&mut self, event: &Event) {
         match (event.kind, self.running) {
             (EventKind::Ended { id, .. }, Some((follow, stream))) if id == follow => {

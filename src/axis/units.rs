@@ -40,7 +40,7 @@ pub struct Units {
 #[derive(Clone, Copy, PartialEq, Error)]
 #[error("{value} {unit} is outside the range of the drive ({low} ... {high}): give a value inside it")]
 pub struct RangeError {
-    /// The value asked for, in `unit`.
+    /// The requested value, in `unit`.
     pub value: f64,
     /// The unit of all three numbers.
     pub unit: &'static str,
@@ -71,7 +71,7 @@ impl Units {
         counts / self.counts_per_unit
     }
 
-    /// The way from one user position to another: on a rotary axis the shorter one, at most half a turn.
+    /// The distance from one user position to another: on a rotary axis the shorter way, at most half a turn.
     pub fn way(&self, from: f64, to: f64) -> f64 {
         match self.modulo {
             Some(turn) => {
@@ -82,13 +82,13 @@ impl Units {
         }
     }
 
-    /// A user position to wire counts, rounded to nearest, still unbounded.
+    /// A user position to wire counts, rounded to nearest, not yet range-checked.
     pub fn counts(&self, position: f64) -> f64 {
         ((position - self.offset) * self.counts_per_unit).round()
     }
 }
 
-/// Rounds `value` to nearest and fits it into an `i32`; the error speaks in user units (`value / scale`).
+/// Rounds `value` to nearest and fits it into an `i32`; the error is in user units (`value / scale`).
 pub fn to_i32(value: f64, scale: f64, unit: &'static str) -> Result<i32, RangeError> {
     let rounded = value.round();
     if rounded >= f64::from(i32::MIN) && rounded <= f64::from(i32::MAX) {
@@ -99,7 +99,7 @@ pub fn to_i32(value: f64, scale: f64, unit: &'static str) -> Result<i32, RangeEr
     }
 }
 
-/// Rounds `value` to nearest and fits it into a `u32`; the error speaks in user units (`value / scale`).
+/// Rounds `value` to nearest and fits it into a `u32`; the error is in user units (`value / scale`).
 pub fn to_u32(value: f64, scale: f64, unit: &'static str) -> Result<u32, RangeError> {
     let rounded = value.round();
     if rounded >= 0.0 && rounded <= f64::from(u32::MAX) {
@@ -126,7 +126,7 @@ impl Unwrap {
         next
     }
 
-    /// Forgets the history: the next count stands for itself (after a restart of the drive).
+    /// Discards the history: the next count stands for itself (after a restart of the drive).
     pub fn reset(&mut self) {
         self.last = None;
     }

@@ -1,7 +1,7 @@
-//! The contract between the loop and a protocol, and one folder a protocol.
+//! The contract between the loop and a protocol, and one folder for each protocol.
 //!
 //! All of [`Bus`] runs on the real-time thread: bounded work, no allocation, no lock, no wait, and no panic on any
-//! bytes. No protocol knows another. A protocol has these rooms:
+//! bytes. No protocol knows another. Each protocol has these modules:
 //!
 //! | file | what | must not know |
 //! |---|---|---|
@@ -10,7 +10,7 @@
 //! | `bus` | stations + sockets = one [`Bus`] | the loop |
 //! | `sim` | the simulated drive: the same wire from the other end | the master's station |
 //!
-//! What a bus owes the loop is put to the test clause by clause in `tests/conformance`, which every protocol runs.
+//! `tests/conformance` tests this contract clause by clause, for every protocol.
 
 pub mod ethercat;
 pub mod linudp;
@@ -44,17 +44,17 @@ pub trait BusPlan: Debug + Send + Sync {
     /// Its axes, in slot order.
     fn axes(&self) -> Vec<&AxisPlan>;
 
-    /// What contradicts itself or would not work in a cycle of `period_ns`, each with the place of its axis.
+    /// What contradicts itself or would not work in a cycle of `period_ns`, each with the index of its axis.
     fn faults(&self, period_ns: u64) -> Vec<(usize, PlanFault)>;
 
-    /// How long a reply of drive `index` counts on its connection, ns: the next request waits for it. `None`: there is
-    /// no connection, and replies come in the cycle that asks.
+    /// How long a reply of drive `index` counts on its connection, ns; the next request waits for it. `None`: there
+    /// is no connection, and a reply comes in the cycle of its request.
     fn reply_within_ns(&self, _index: usize) -> Option<u64> {
         None
     }
 
-    /// What `check` says of each drive beyond its [`AxisPlan`]: address, modes, what happens if the master dies. A
-    /// paragraph a drive, in slot order, a sentence a line; the address is its first line.
+    /// What `check` prints of each drive in addition to its [`AxisPlan`]: address, modes, what happens if the
+    /// master dies. One paragraph per drive, in slot order, one sentence per line; the address is the first line.
     fn describe(&self, period_ns: u64) -> Vec<String>;
 
     /// Drive `index` stops by itself within this time if the master dies, ns: its own watchdog. `None`: it does not.
@@ -65,7 +65,7 @@ pub trait BusPlan: Debug + Send + Sync {
     /// Opens the sockets and builds the bus for a cycle of `period_ns`. Sends nothing.
     fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError>;
 
-    /// What drive `index` shows besides its process data, each variable once.
+    /// The variables that drive `index` reports in addition to its process data, each once.
     fn monitored(&self, index: usize) -> [Option<MonitorChannel>; MONITOR_CHANNELS];
 
     /// What [`Counters::own`] counts on this bus, in order.
@@ -81,19 +81,19 @@ pub trait BusPlan: Debug + Send + Sync {
     /// How its drives write addresses and values for acyclic access.
     fn notation(&self) -> Arc<dyn Notation>;
 
-    /// This bus with drive `index` only, and with nothing that it shows besides. What is found running there is left
-    /// so.
+    /// This bus with drive `index` only, and without anything that the drive monitors. Devices found running stay
+    /// running.
     fn reaching(&self, index: usize) -> Option<Box<dyn BusPlan>>;
 
-    /// The drives of this bus, simulated, in slot order; none if they are on a line.
+    /// The drives of this bus, simulated, in slot order; empty if they are on a segment.
     fn simulate(&self) -> Vec<Box<dyn SimDrive>>;
 
-    /// The line of this bus, simulated, if its drives are on one.
+    /// The segment of this bus, simulated, if its drives are on one.
     fn simulate_line(&self) -> Option<Box<dyn SimLine>> {
         None
     }
 
-    /// Drive `index` makes moves and follows streams; else it turns only.
+    /// Drive `index` makes moves and follows streams; otherwise it has velocity modes only.
     fn takes_positions(&self, _index: usize) -> bool {
         true
     }
@@ -103,7 +103,7 @@ pub trait BusPlan: Debug + Send + Sync {
         false
     }
 
-    /// The names of what takes part without being a drive, in the order of [`Bus::device`].
+    /// The names of the devices that are not drives, in the order of [`Bus::device`].
     fn devices(&self) -> Vec<&str> {
         Vec::new()
     }
@@ -117,11 +117,11 @@ pub enum OpenError {
     Bind {
         /// The bus.
         bus: String,
-        /// Where it wanted to listen.
+        /// The address to bind.
         address: std::net::SocketAddrV4,
-        /// What the operating system said.
+        /// The operating system's error.
         source: std::io::Error,
-        /// What to do about it.
+        /// The remedy.
         remedy: &'static str,
     },
     /// The connections of a bus could not be set up.
@@ -131,7 +131,7 @@ pub enum OpenError {
     Streams {
         /// The bus.
         bus: String,
-        /// What the operating system said.
+        /// The operating system's error.
         source: std::io::Error,
     },
     /// An interface could not be opened.
@@ -141,9 +141,9 @@ pub enum OpenError {
         bus: String,
         /// The interface.
         interface: String,
-        /// What the operating system said.
+        /// The operating system's error.
         source: std::io::Error,
-        /// What to do about it.
+        /// The remedy.
         remedy: &'static str,
     },
     /// The plan of a drive contradicts itself.
@@ -162,89 +162,91 @@ pub trait Bus: Send {
     /// Its name in messages.
     fn name(&self) -> &str;
 
-    /// Adds the memory that it touches on the real-time thread, to be locked with `memory = "own"`.
+    /// Adds the memory that the bus touches on the real-time thread, to be locked with `memory = "own"`.
     fn memory(&self, regions: &mut Regions);
 
-    /// The descriptor that is readable while a reply waits to be taken in; `None`: nothing can be waited for at
-    /// present. Asked anew before each wait: a connection that returns may have another one. A bus with several has an
-    /// epoll over them.
+    /// The descriptor that is readable while a reply waits to be taken in; `None`: there is nothing to wait for at
+    /// present. Queried before each wait, because a connection that returns may have another one. A bus with
+    /// several sockets returns an epoll descriptor over them.
     fn fd(&self) -> Option<RawFd>;
 
-    /// Empties the sockets of what came too late, then hands the prepared requests of the due slots to the kernel and
-    /// opens their exchanges, one each. Where replies may come cycles later, one that came since the last window still
-    /// closes an owed exchange here, and a due slot whose exchange is still owed is passed over. A due slot whose drive
-    /// cannot be asked now, having no connection, ends as unsent.
+    /// Empties the sockets of replies that came too late, then hands the prepared requests of the due slots to the
+    /// kernel and opens their exchanges, one each. Where replies may come cycles later, a reply that came since the
+    /// last window still closes an owed exchange here, and a due slot whose exchange is still owed is passed over.
+    /// A due slot whose drive has no connection ends as unsent.
     fn send(&mut self, cycle: &Cycle, slots: &mut [Slot]);
 
-    /// Takes in what has arrived, a bounded part of a flood. Never waits, sends nothing. True once every exchange that
-    /// this window waits for is closed: those owed by its deadline, and those sent in it and awaited. Not called in a
-    /// cycle that waits for none.
+    /// Takes in what has arrived, up to a bounded amount. Never waits, sends nothing. True once every exchange that
+    /// this window waits for is closed: those owed by its deadline, and those sent in it and awaited. Not called in
+    /// a cycle that waits for none.
     fn receive(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool;
 
     /// Builds the requests of the slots that are due at the next send, in place, from the orders that now stand in
-    /// them. May be called more than once for the same send, with the same bytes as the result, and again for a later
-    /// slot if the first was passed over. An order that was replaced before its request went out is never carried out.
+    /// them. May be called more than once for the same send, with the same bytes as the result, and again for a
+    /// later slot if the first was passed over. An order that was replaced before its request left is never carried
+    /// out.
     fn prepare(&mut self, cycle: &Cycle, slots: &mut [Slot]);
 
-    /// Starts or continues the orderly end; true once nothing more is owed to the wire. Called behind the window of a
+    /// Starts or continues the orderly end; true once nothing more has to be sent. Called after the window of a
     /// cycle, until it is true.
     fn shut_down(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool;
 
-    /// What was received and belongs to no drive.
+    /// Counters of what was received and belongs to no drive.
     fn strangers(&self) -> Strangers;
 
     /// The application's end of the native process data of drive `index`, taken once before the start.
     fn native(&mut self, index: usize) -> Option<Box<dyn Any + Send>>;
 
-    /// Why its drives cannot be asked, for normal threads; `None` for a bus that needs no connection to ask them.
+    /// Why its drives cannot be reached, for normal threads; `None` for a bus without connections.
     fn notes(&self) -> Option<Arc<dyn Notes>> {
         None
     }
 
-    /// Its clock leads the grid from now on; asked once before the start, of one bus at most. Any other bus with a
-    /// clock slaves it to the grid.
+    /// From now on the clock of this bus leads the grid; called once before the start, on one bus at most. Any
+    /// other bus with a clock synchronises its clock to the grid.
     fn lead(&mut self) {}
 
-    /// How far a slot of the grid was from where the clock of this bus wants it, ns: positive is late. At most one a
-    /// cycle, `None` from a cycle that was not answered. Taken behind the window; what was taken is not told again.
+    /// Distance of a slot of the grid from where the clock of this bus wants it, ns: positive is late. At most one
+    /// a cycle, `None` from a cycle that was not answered. Taken after the window; each value is returned once.
     fn phase_error(&mut self) -> Option<i64> {
         None
     }
 
-    /// The application's end of the process data of the device `index`, that is no drive, taken once before the start.
+    /// The application's end of the process data of device `index`, which is not a drive; taken once before the
+    /// start.
     fn device(&mut self, _index: usize) -> Option<Box<dyn Any + Send>> {
         None
     }
 
-    /// How its clock and the grid stand to each other, if it has one. Asked now and then.
+    /// The relation of its clock and the grid, if it has a clock. Queried now and then.
     fn clock(&self) -> Option<BusClock> {
         None
     }
 
-    /// The application's end of the acyclic access to the device `index`, that is no drive, and whether it can be
-    /// asked, as the link of its feedback; taken once before the start. `None`: it has none.
+    /// The application's end of the acyclic access to device `index`, which is not a drive, and whether it can be
+    /// reached, as the link of its feedback; taken once before the start. `None`: the device has no acyclic access.
     fn device_acyclic(&mut self, _index: usize) -> Option<(AcyclicEnds, Observer)> {
         None
     }
 
-    /// The application's end of the acyclic access to drive `index`, taken once before the start. What is posted there
-    /// is carried out in slices of bounded work, and ends: done, refused by the drive, or not to be had. It adds no
-    /// telegram to a cycle and moves none.
+    /// The application's end of the acyclic access to drive `index`, taken once before the start. Posted calls are
+    /// carried out in slices of bounded work, and end as done, refused by the drive, or unavailable. They add no
+    /// telegram to a cycle and delay none.
     fn acyclic(&mut self, index: usize) -> Option<AcyclicEnds>;
 }
 
-/// Why the drives of a bus cannot be asked, in words: read by normal threads, whoever writes it. Where the real-time
-/// thread does, it leaves numbers only, and the words are made by the reader.
+/// Why the drives of a bus cannot be reached, in words: read by normal threads. A real-time writer leaves numbers
+/// only, and the reader makes the words.
 pub trait Notes: Debug + Send + Sync {
     /// Why drive `index` has no connection; `None`: it has one, or its first opening is under way.
     fn get(&self, index: usize) -> Option<String>;
 
-    /// Why the device `index`, that is no drive, is not in operation; `None`: it is.
+    /// Why device `index`, which is not a drive, is not in operation; `None`: it is.
     fn device(&self, _index: usize) -> Option<String> {
         None
     }
 
-    /// What the kernel dropped of what arrived, as far as only a normal thread may ask for it.
+    /// How many of the arrived datagrams the kernel dropped, where only a normal thread may query it.
     fn dropped(&self) -> u64 {
         0
     }
@@ -257,7 +259,7 @@ impl Notes for LinkNotes {
     }
 }
 
-/// What a bus is told of the cycle it works in.
+/// What a bus knows of the cycle it works in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Cycle {
     /// The slot of the grid, counted from the start. Skipped slots count.
@@ -271,8 +273,8 @@ pub struct Cycle {
 }
 
 impl Cycle {
-    /// Whether what is owed by `reply_by` is owed in this window. That time was laid down some cycles before, and a
-    /// clock that leads the grid moves the windows a little against it: it means the nearest one.
+    /// Whether what is owed by `reply_by` is owed in this window. That time was set some cycles before, and a clock
+    /// that leads the grid moves the windows slightly against it: the nearest window counts.
     pub fn closes(&self, reply_by: Time) -> bool {
         reply_by <= self.deadline + self.period_ns / 2
     }
@@ -284,8 +286,8 @@ pub struct Slot {
     // Written by the loop.
     /// An exchange is due at the next send.
     pub due: bool,
-    /// The link as judged. A drive without an order is only read, whatever its link; an order that stands goes out with
-    /// every request, with the probes of a lost link too: it may be the stop.
+    /// The link as evaluated by the loop. A drive without an order is only read, whatever its link; an order goes
+    /// out with every request, including the probes of a lost link, since it may be the stop.
     pub link: Link,
     /// What the drive shall do.
     pub order: Order,
@@ -301,27 +303,28 @@ pub struct Slot {
     // Written by the bus.
     /// The exchange of this drive.
     pub exchange: Exchange,
-    /// How far the order is.
+    /// Progress of the order.
     pub progress: Progress,
-    /// What the drive last said.
+    /// What the drive reported last.
     pub report: Report,
-    /// What was sent and what came of it.
+    /// Exact counts of its exchanges.
     pub counters: Counters,
-    /// A drive that could not be asked can be asked from now on: it is due next, whatever its link. The loop clears it.
+    /// A drive without a connection has one from now on: it is due next, whatever its link. The loop clears it.
     pub reachable: bool,
-    /// The drive was asked for something that makes it silent, and its power is off: its silence is nobody else's
-    /// affair.
+    /// The drive was requested to do something that makes it silent, and its power is off: its silence is expected,
+    /// is no link loss, and does not stop its stop group.
     pub excused: bool,
 }
 
-/// What a drive shall do. A new serial is a new order and replaces the one before it; the same one is carried out once.
-/// It outlives missed exchanges and refused sends. What the drive cannot do ends as unsupported in the first `prepare`.
-/// A relative move and a jog keep to the position limits of the axis: only the bus knows where they lead.
+/// What a drive shall do. A new serial is a new order and replaces the one before it; the same serial is carried
+/// out once. An order outlives missed exchanges and refused sends. What the drive cannot do ends as unsupported in
+/// the first `prepare`. A relative move and a jog keep to the position limits of the axis; only the bus knows where
+/// they lead.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Order {
     /// 0 = none yet.
     pub serial: u64,
-    /// What; `None` = keep the state the drive is in.
+    /// The command; `None` = keep the state the drive is in.
     pub verb: Option<Verb>,
 }
 
@@ -337,9 +340,9 @@ pub struct NumberedRow {
 /// How far the station is with the order of this serial.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Progress {
-    /// Of which order.
+    /// The serial of the order.
     pub serial: u64,
-    /// `None` = still working on it.
+    /// `None` = still under way.
     pub end: Option<Result<(), Failure>>,
 }
 
@@ -355,7 +358,7 @@ pub enum Exchange {
         sent_at: Time,
         /// Until when the reply counts: the deadline of this cycle, or of a later one.
         reply_by: Time,
-        /// The window in which it was sent stays open for it, although it may come later.
+        /// The window in which it was sent stays open for the reply, although the reply may come later.
         awaited: bool,
     },
     /// Answered.
@@ -368,9 +371,9 @@ pub enum Exchange {
         /// measure one.
         suspect: bool,
     },
-    /// It was sent, and what came back says that this drive was not part of it. The loop calls it missed.
+    /// It was sent, and the reply shows that this drive did not take part in it. The loop counts it as missed.
     Absent,
-    /// `reply_by` passed. The loop says so.
+    /// `reply_by` passed. Set by the loop.
     Missed,
     /// The operating system refused to send.
     Unsent,
@@ -388,7 +391,7 @@ impl Exchange {
     }
 }
 
-/// What a drive last said, in user units.
+/// What a drive reported last, in user units.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Report {
     /// New since the loop last looked; the loop clears it.
@@ -399,17 +402,17 @@ pub struct Report {
     pub at: Time,
     /// State of the drive.
     pub state: State,
-    /// Homed, as the drive says.
+    /// Homed, as the drive reports it.
     pub homed: bool,
     /// The drive's setpoint generator is running.
     pub moving: bool,
-    /// In the target window, as the drive says.
+    /// In the target window, as the drive reports it.
     pub in_target: bool,
     /// The drive's hardware enable (STO) is missing.
     pub inhibited: bool,
-    /// It may be one request old.
+    /// The report may be one request old.
     pub suspect: bool,
-    /// Actual position, user units; NaN if the drive tells none, like the three below.
+    /// Actual position, user units; NaN if the drive reports none, like the three below.
     pub position: f64,
     /// Demand position, user units.
     pub demand: f64,
@@ -421,14 +424,14 @@ pub struct Report {
     pub warning: u32,
     /// Fault code, 0 = none.
     pub fault: u32,
-    /// What the drive shows besides.
+    /// The additional variables that the drive reports.
     pub monitor: [Option<f64>; MONITOR_CHANNELS],
-    /// `monitor` came with the newest reply: not every one says something of it. The loop clears it.
+    /// `monitor` came with the newest reply: not every reply carries it. The loop clears it.
     pub monitor_fresh: bool,
-    /// The drive refused to show a variable: which channel, and its status. The loop clears it.
+    /// The drive refused to report a variable: its channel, and the drive's status. The loop clears it.
     pub monitor_refused: Option<(u8, u32)>,
-    /// The drive told an emergency, whether an exchange brought anything new or not. The loop takes it in each cycle:
-    /// the next one waits until it has.
+    /// The drive reported an emergency, with or without a fresh exchange. The loop takes one in each cycle; the
+    /// next one waits until then.
     pub emergency: Option<Emergency>,
 }
 
@@ -449,11 +452,11 @@ pub struct Counters {
     pub duplicate: u64,
     /// Answered exchanges whose reply may be that of an earlier request.
     pub suspect: u64,
-    /// What came from the drive and is no reply of this protocol.
+    /// Datagrams from the drive that are no reply of this protocol.
     pub malformed: u64,
-    /// Well-formed replies to something that was not asked, or from the wrong port.
+    /// Well-formed replies to something that was not requested, or from the wrong port.
     pub foreign: u64,
-    /// What only this protocol counts, as its [`BusPlan::own_counters`] name them.
+    /// Counts that only this protocol has, as its [`BusPlan::own_counters`] name them.
     pub own: [u64; OWN_COUNTERS],
 }
 
@@ -469,24 +472,24 @@ pub struct OwnCounter {
     pub what: &'static str,
 }
 
-/// How the clock of a bus and the grid stand to each other, whichever of them leads.
+/// The relation of the clock of a bus and the grid, whichever of them leads.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct BusClock {
-    /// How far the newest slot was from where that clock wants it, ns: positive is late; `None`: it was not seen yet,
-    /// or is not any more.
+    /// Distance of the newest slot from where that clock wants it, ns: positive is late; `None`: not measured yet,
+    /// or not any more.
     pub error_ns: Option<i64>,
-    /// It has been where its drives want it for a while.
+    /// The distance has been inside the window for a while.
     pub locked: bool,
-    /// The largest distance since that was so for the first time, ns.
+    /// The largest distance since the first lock, ns.
     pub error_max_ns: u64,
-    /// How far off its drives bear it, ns.
+    /// The distance that its drives tolerate, ns.
     pub window_ns: u64,
 }
 
-/// Exact counts of what arrived at a bus and is put down to none of its drives.
+/// Exact counts of what arrived at a bus and belongs to none of its drives.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Strangers {
-    /// Datagrams from an address that is no drive's.
+    /// Datagrams from an address that is not a drive's.
     pub datagrams: u64,
     /// Datagrams that the kernel dropped because the socket's buffer was full, whoever sent them.
     pub dropped: u64,

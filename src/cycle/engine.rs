@@ -26,7 +26,7 @@ use crate::bus::{BusClock, Cycle, Slot, Strangers};
 use crate::rt::{Clock, GuardTuner, Regions};
 use crate::time::{MS, Time, nanos};
 
-/// What the outside asks of the loop.
+/// Requests to the loop from other threads.
 #[derive(Clone, Debug, Default)]
 pub struct Control(Arc<CachePadded<AtomicU8>>);
 
@@ -35,13 +35,13 @@ const STOP: u8 = 1;
 const HURRY: u8 = 2;
 
 impl Control {
-    /// Asks for the orderly end: all axes ramp down and are powered off. Asked again, the waits are shortened.
+    /// Requests the orderly end: all axes ramp down and are powered off. A second request shortens the waits.
     pub fn stop(&self) {
         let _ =
             self.0.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |asked| Some((asked + 1).min(HURRY)));
     }
 
-    /// Whether the end was asked for.
+    /// Whether the end was requested.
     pub fn is_stopping(&self) -> bool {
         self.0.load(Ordering::Relaxed) != RUN
     }
@@ -51,23 +51,23 @@ impl Control {
     }
 }
 
-/// The queues of the loop itself.
+/// The loop's own queues.
 #[derive(Debug)]
 pub struct Outlets {
     /// Records to the telemetry thread.
     pub records: Producer<Record>,
     /// The numbers of the loop, newest only.
     pub status: Writer<Status>,
-    /// Those of each drive, in the order of the plan.
+    /// The numbers of each drive, in the order of the plan.
     pub drives: Vec<Writer<DriveNumbers>>,
-    /// Those of each bus.
+    /// The unmatched counters of each bus.
     pub strangers: Vec<Writer<Strangers>>,
     /// The clock of each bus.
     pub clocks: Vec<Writer<Option<BusClock>>>,
 }
 
 impl Outlets {
-    /// Tells the telemetry, or counts what it lost.
+    /// Sends a record to the telemetry, or counts it as lost.
     fn record(&mut self, record: Record, lost: &mut u64) {
         *lost += u64::from(self.records.push(record).is_err());
     }
@@ -89,7 +89,7 @@ pub struct Engine<C> {
     slots: Vec<Slot>,
     seats: Vec<Seat>,
     names: Vec<(String, &'static str)>,
-    /// What takes part without being a drive: its bus, its place there, its name.
+    /// The devices that are not drives: bus, index on it, name.
     devices: Vec<(usize, usize, String)>,
     task: Option<Task>,
     task_id: u64,
@@ -100,13 +100,13 @@ pub struct Engine<C> {
     status: Status,
     /// The loop was awake before the grid point of this slot.
     spun: bool,
-    /// The executed cycle before was late.
+    /// The previous executed cycle was late.
     was_late: bool,
-    /// How late the executed cycle before began.
+    /// How late the previous executed cycle began.
     wake_before_ns: Option<u64>,
     /// Slots passed over since the last executed one.
     skipped_in_a_row: u64,
-    /// The shutdown has begun: since when, and how much of it was asked for.
+    /// The shutdown: when it began, and how many times it was requested.
     ending: Option<(Time, u8)>,
     buses_down: bool,
 }
@@ -120,10 +120,10 @@ impl<C> std::fmt::Debug for Engine<C> {
     }
 }
 
-/// Whether the loop goes on.
+/// Whether the loop continues.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Flow {
-    /// It does.
+    /// It continues.
     Continue,
     /// The shutdown is complete.
     End,
@@ -132,18 +132,18 @@ pub enum Flow {
 /// Wake-ups measured before the first cycle to choose the guard.
 const CALIBRATION_SLEEPS: u32 = 200;
 
-/// The numbers of a drive and of a bus are published once in so many executed cycles, the drives in turns: nobody reads
-/// them faster. At long periods once in so much time.
+/// The numbers of drives and buses are published once in so many executed cycles, the drives in turns: nobody reads
+/// them faster. With long periods the interval is a fixed time.
 const NUMBERS_EVERY: u64 = 64;
 const NUMBERS_EVERY_NS: u64 = 100 * MS;
 
-/// What a shutdown is given beyond the time-outs of its axes.
+/// The time limit of a shutdown beyond the time-outs of its axes.
 const END_MARGIN_NS: u64 = 1_000 * MS;
 
 impl<C: Clock> Engine<C> {
-    /// An engine over open buses, one of which leads the grid if the plan names it. `names` are those of the axes and
-    /// their protocols, in slot order.
-    #[expect(clippy::too_many_arguments, reason = "the parts of the loop, put together in one place only")]
+    /// An engine over open buses, one of which leads the grid if the plan names it. `names` are those of the axes
+    /// and their protocols, in slot order.
+    #[expect(clippy::too_many_arguments, reason = "the parts of the loop, joined in one place only")]
     pub fn new(
         clock: C,
         plan: CyclePlan,
@@ -157,7 +157,7 @@ impl<C: Clock> Engine<C> {
         outlets: Outlets,
     ) -> Engine<C> {
         let window = Window::new(plan.wait, buses.len());
-        // Standstill and power off have their time-out each, and a hold may have to be left first.
+        // Standstill and power off have a time-out each, and a hold may have to be left first.
         let stops = seats.iter().map(|seat| nanos(seat.plan().stop.timeout)).max().unwrap_or(0);
         let leads = |seat: &BusSeat| plan.reference.as_deref() == Some(seat.bus.name());
         let reference = buses.iter().position(leads).map(|place| Reference::new(place, plan.period_ns));
@@ -200,8 +200,8 @@ impl<C: Clock> Engine<C> {
         }
     }
 
-    /// Adds the memory that the loop touches besides its rings and the engine itself, to be locked. What the in-loop
-    /// task has captured is its owner's to lock.
+    /// Adds the memory that the loop touches besides its rings and the engine itself, to be locked. Memory captured
+    /// by the in-loop task is for its owner to lock.
     pub fn memory(&self, regions: &mut Regions) {
         regions.add(&*self.slots);
         regions.add(&*self.seats);
@@ -225,7 +225,7 @@ impl<C: Clock> Engine<C> {
         }
     }
 
-    /// Lays the grid: the first slot is two periods from now. Calibrates the guard before.
+    /// Calibrates the guard, then starts the grid: the first slot is two periods from now.
     pub fn begin(&mut self) {
         self.guard.calibrate(&mut self.clock, CALIBRATION_SLEEPS);
         let now = self.clock.now();
@@ -240,7 +240,7 @@ impl<C: Clock> Engine<C> {
         while self.step() == Flow::Continue {}
     }
 
-    /// One slot of the grid: waits for it and executes it, or passes over what came too late.
+    /// One slot of the grid: waits for it and executes it, or passes over slots that came too late.
     pub fn step(&mut self) -> Flow {
         let guard_ns = self.guard.guard_ns();
         self.clock.sleep_until(self.grid.at() - guard_ns);
@@ -252,8 +252,8 @@ impl<C: Clock> Engine<C> {
             self.clock.spin();
             now = self.clock.now();
         }
-        // A slot may begin late by half of its receive window. Later, and the drives would be charged for what is our
-        // own.
+        // A slot may begin late by half of its receive window. Later, the drives would be charged for our own
+        // delay.
         let late = self.grid.passed(now, self.deadline_ns / 2);
         if late > 0 {
             self.pass_over(now, late, true);
@@ -303,7 +303,7 @@ impl<C: Clock> Engine<C> {
         self.steer(cycle);
         let evaluated = self.clock.now();
 
-        // 4 commands. The task comes first: what it asks for leaves with the next send.
+        // 4 commands. The task comes first: its commands leave with the next send.
         let ended = self.end(cycle, received);
         if self.ending.is_none() {
             self.run_task(cycle, received);
@@ -343,8 +343,8 @@ impl<C: Clock> Engine<C> {
         if ended { Flow::End } else { Flow::Continue }
     }
 
-    /// Tells of an executed cycle. If it was late it is looked at, at the cost of a system call, what the kernel has
-    /// counted against this thread.
+    /// Reports an executed cycle. If it was late, it also reads, with a system call, what the kernel has counted
+    /// against this thread.
     fn account(&mut self, mut record: CycleRecord) {
         self.was_late = record.lateness(self.late_ns, self.deadline_ns).is_some();
         if self.was_late {
@@ -359,7 +359,7 @@ impl<C: Clock> Engine<C> {
         Look { faults: usage.page_faults() as u32, switches: usage.involuntary_switches as u32 }
     }
 
-    /// Lays the next slot after the clock that leads.
+    /// Sets the next slot by the clock that leads.
     fn steer(&mut self, cycle: &Cycle) {
         let Some(reference) = &mut self.reference else { return };
         let error_ns = self.buses[reference.bus()].bus.phase_error();
@@ -395,7 +395,7 @@ impl<C: Clock> Engine<C> {
         missed
     }
 
-    /// An axis that was stopped takes its stop group along.
+    /// An axis that was stopped stops its stop group.
     fn take_groups_along(&mut self, cycle: &Cycle, now: Time) {
         if !self.seats.iter().any(Seat::just_stopped) {
             return;
@@ -421,7 +421,7 @@ impl<C: Clock> Engine<C> {
         }
     }
 
-    /// The orderly end, once asked for. True when nothing more is to be done.
+    /// The orderly end, once requested. True when it is complete.
     fn end(&mut self, cycle: &Cycle, now: Time) -> bool {
         let asked = self.control.asked();
         if asked == RUN {
@@ -448,7 +448,7 @@ impl<C: Clock> Engine<C> {
         let mut axes = Axes::new(&mut self.seats, &mut self.task_id, cycle, before);
         let result = catch_unwind(AssertUnwindSafe(|| task(cycle, &mut axes)));
         let panicked = result.is_err();
-        // Neither the panic's payload nor the task is dropped: freeing memory is not for this thread.
+        // Neither the panic's payload nor the task is dropped: this thread must not free memory.
         std::mem::forget(result);
         let over = match self.plan.task_budget_ns {
             Some(budget) => self.clock.now().since(before) > budget,
@@ -462,7 +462,7 @@ impl<C: Clock> Engine<C> {
         }
     }
 
-    /// Makes everything ready for the send of `next`: who is due, what row it follows, and its bytes.
+    /// Prepares the send of `next`: which drives are due, their rows, and their bytes.
     fn arm(&mut self, next: &Cycle, now: Time) {
         for (seat, slot) in self.seats.iter_mut().zip(&mut self.slots) {
             slot.due = seat.is_due(next.index);
@@ -471,17 +471,17 @@ impl<C: Clock> Engine<C> {
         for (seat, slot) in self.seats.iter_mut().zip(&mut self.slots) {
             seat.feed(next, now, slot, &self.gates);
         }
-        // What stopped since it was judged leaves with the same send.
+        // What stopped since the evaluation leaves with the same send.
         self.take_groups_along(next, now);
         for seat in &mut self.buses {
             seat.bus.prepare(next, &mut self.slots[seat.first..seat.end]);
         }
     }
 
-    /// Passes over slots that cannot be executed any more: the loop woke too late for them, or the cycle before took
-    /// too long.
+    /// Passes over slots that cannot be executed any more: the loop woke too late for them, or the previous cycle
+    /// took too long.
     fn pass_over(&mut self, now: Time, count: u64, woke_late: bool) {
-        // What a skipped slot owed comes with the next one that is executed, at the earliest.
+        // A reply owed to a skipped slot comes with the next executed one, at the earliest.
         let next_ns = count.saturating_mul(self.plan.period_ns);
         let (first, given_up_ns) = (self.grid.index(), now.since(self.grid.at()));
         let late_ns = given_up_ns.max(next_ns);
@@ -490,7 +490,7 @@ impl<C: Clock> Engine<C> {
         self.skipped_in_a_row += count;
         self.status.longest_skip = self.status.longest_skip.max(self.skipped_in_a_row);
         self.status.wake_max.see(late_ns, first);
-        // An overrun is late, but the cycle before may have been counted for it already.
+        // An overrun is late, but the previous cycle may have been counted for it already.
         let late = woke_late || !self.was_late;
         self.status.late += u64::from(late);
         let look = late.then(|| self.look());
@@ -517,7 +517,7 @@ impl<C: Clock> Engine<C> {
         if stop {
             self.stop_axes(&cycle, now, StopCause::Overrun, |_| true);
         }
-        // The requests were built for another slot: who is due may have changed, and a stop may have come.
+        // The requests were built for another slot: other drives may be due, and a stop may have come.
         self.arm(&cycle, now);
     }
 
@@ -556,7 +556,7 @@ impl<C: Clock> Engine<C> {
         self.outlets.record(record, &mut self.status.lost_records);
     }
 
-    /// The clock, for whoever drives the engine by hand.
+    /// The clock, for a caller that steps the engine by hand.
     pub fn clock(&mut self) -> &mut C {
         &mut self.clock
     }
@@ -566,7 +566,7 @@ impl<C: Clock> Engine<C> {
         &self.status
     }
 
-    /// The exact end of the run.
+    /// Ends the run and returns its exact numbers.
     pub fn finish(self) -> Numbers {
         let status = Status { planned: self.grid.planned(), ..self.status };
         let mut not_connected = self.buses.iter().flat_map(BusSeat::not_connected);

@@ -1,19 +1,19 @@
-//! What keeps the members of a group together: a command of all waits at its gate until each member has it and may
-//! begin, and rows are taken by all members or by none.
+//! Group synchronisation: a command of all members waits until each member has it and may begin, and rows are taken
+//! by all members or by none.
 //!
-//! The application pushes one command into each member's queue. The loop may look between two pushes, so what it finds
-//! is held back until it is complete.
+//! The application pushes one command into each member's queue. The loop may look between two pushes, so an
+//! incomplete command is held back until it is complete.
 
 use super::seat::{Closed, Seat};
 use crate::axis::{Failure, Outcome, Ticket};
 use crate::bus::{Cycle, Slot};
 use crate::time::Time;
 
-/// The gates of all groups, each at the place of its first member.
+/// The synchronisation of all groups, each at the index of its first member.
 #[derive(Debug)]
 pub struct Gates {
     gates: Vec<Gate>,
-    /// A group has been commanded at all; until then nothing here costs anything.
+    /// A group has received a command; until then this module costs nothing.
     used: bool,
 }
 
@@ -24,13 +24,13 @@ struct Gate {
     number: u64,
     /// Commands up to this call have ended at some member before they began.
     dropped: u64,
-    /// Members that have its command and may begin.
+    /// Members that have the command and may begin.
     waiting: u32,
-    /// The call that the members follow rows by ...
+    /// The call whose rows the members follow ...
     following: u64,
-    /// ... the foremost of their next rows ...
+    /// ... the highest number among their next rows ...
     front: u64,
-    /// ... and how many have it next.
+    /// ... and how many members have that row next.
     rows: u32,
     /// Members in motion.
     moving: u32,
@@ -38,7 +38,7 @@ struct Gate {
     closed: u32,
     /// ... and whether one of them was missed.
     missed: bool,
-    /// The rules of the most sensitive member.
+    /// The health rules of the most sensitive member.
     bucket: u32,
     leak: u32,
     /// The leaky bucket of the group.
@@ -48,17 +48,17 @@ struct Gate {
 }
 
 impl Gates {
-    /// Gates for a machine of so many axes.
+    /// For a machine of so many axes.
     pub fn new(axes: usize) -> Gates {
         Gates { gates: vec![Gate::default(); axes], used: false }
     }
 
-    /// What it touches besides itself.
+    /// The memory that it touches besides itself.
     pub fn memory(&self, regions: &mut crate::rt::Regions) {
         regions.add(&*self.gates);
     }
 
-    /// Lets the commands begin that all members have. One member that cannot keeps all others from it.
+    /// Starts the commands that all members have. One member that cannot begin keeps all others from it.
     pub fn open(&mut self, cycle: &Cycle, now: Time, seats: &mut [Seat], slots: &mut [Slot]) {
         let mut complete = false;
         for seat in seats.iter_mut() {
@@ -113,7 +113,7 @@ impl Gates {
         }
     }
 
-    /// Finds the row that all members have next, and counts who has it.
+    /// Finds the row that all members have next, and counts the members that have it.
     pub fn count_rows(&mut self, seats: &mut [Seat], slots: &[Slot]) {
         if !self.used {
             return;
@@ -121,7 +121,8 @@ impl Gates {
         for gate in &mut self.gates {
             (gate.following, gate.front, gate.rows) = (0, 0, 0);
         }
-        // What one member has come to is the least that can be next: the others' rows before it belong to nothing.
+        // The row that the foremost member has next is the least that can be next: earlier rows of the others
+        // belong to no common point.
         for find in [true, false] {
             for (seat, _) in seats.iter_mut().zip(slots).filter(|(_, slot)| slot.due) {
                 let lead = seat.moves_in_group().map(|ticket| ticket.lead as usize);
@@ -184,7 +185,7 @@ impl Gate {
         if self.moving == 0 {
             (self.level, self.good) = (0, 0);
         } else if self.missed {
-            // A round counts once: what holds all of them up at once is no worse for the group than for each of them.
+            // A round counts once: a delay of all members at once is no worse for the group than for each of them.
             self.good = 0;
             self.level += 1;
         } else if self.closed > 0 {
@@ -253,7 +254,7 @@ mod tests {
         turn(&mut seats);
         assert_eq!([outcomes(&mut of_x), outcomes(&mut of_y)], [[(1, Outcome::Done)], [(1, Outcome::Done)]]);
 
-        // The loop stops both between two pushes: what comes to y later has nobody to wait for.
+        // The loop stops both between two pushes: the command that reaches y later has no other member to wait for.
         to_x.push(call(2)).unwrap();
         turn(&mut seats);
         for seat in &mut seats {
@@ -263,7 +264,7 @@ mod tests {
         (0..2).for_each(|_| turn(&mut seats));
         assert!(matches!(outcomes(&mut of_x)[..], [(2, Outcome::Aborted(_))]));
         assert_eq!(outcomes(&mut of_y), [(2, Outcome::Failed(Failure::GroupRefused))]);
-        // The next call finds the gate as it was.
+        // The next call finds no leftovers.
         to_x.push(call(3)).unwrap();
         to_y.push(call(3)).unwrap();
         turn(&mut seats);

@@ -1,5 +1,5 @@
-//! The time grid: `g_k = g_(k-1) + T + c_k`, computed and never re-based on "now". `c_k` is 0 unless a clock that is
-//! not ours leads the grid.
+//! The time grid: `g_k = g_(k-1) + T + c_k`, computed and never re-based on "now". `c_k` is 0 unless another clock
+//! leads the grid.
 
 use crate::time::Time;
 
@@ -32,7 +32,7 @@ impl Grid {
         self.at
     }
 
-    /// Lays the next slot so much later than a period behind the current one; all behind it follow.
+    /// Sets the next slot to a period and `step_ns` after the current one; all later ones follow.
     pub fn steer(&mut self, step_ns: i64) {
         self.step_ns = step_ns;
     }
@@ -50,13 +50,14 @@ impl Grid {
         self.steered_ns += step_ns;
     }
 
-    /// How many slots, from the current one on, can no longer be executed at `now` when a slot may begin up to
+    /// How many slots, from the current one on, can no longer be executed at `now` if a slot may begin up to
     /// `tolerance_ns` late.
     pub fn passed(&self, now: Time, tolerance_ns: u64) -> u64 {
         now.since(self.at + tolerance_ns).div_ceil(self.period_ns)
     }
 
-    /// How many slots the grid has laid out before the current one: from the instants and the steps, not from a count.
+    /// How many slots the grid has laid out before the current one: from the instants and the steps, not from a
+    /// count.
     pub fn planned(&self) -> u64 {
         shifted(self.at, -self.steered_ns).since(self.origin) / self.period_ns
     }
@@ -111,6 +112,6 @@ mod tests {
             (at, slots) = (at + (1 + skipped as i64) * 100 + step, slots + 1 + skipped);
             assert_eq!((grid.at(), grid.index(), grid.planned()), (Time(at as u64), slots, slots));
         }
-        assert_eq!(at, 1_000 + 51 * 100 - 2, "the steps are in it");
+        assert_eq!(at, 1_000 + 51 * 100 - 2, "the steps are included");
     }
 }

@@ -1,9 +1,9 @@
-//! Link health of one drive: a leaky bucket over its exchanges, and when to ask it.
+//! Link health of one drive: a leaky bucket over its exchanges, and the schedule of its requests.
 
 use crate::axis::{Health, Link};
 use crate::time::nanos;
 
-/// The link to one drive as the loop judges it.
+/// The link to one drive as the loop evaluates it.
 #[derive(Clone, Copy, Debug)]
 pub struct LinkHealth {
     rules: Health,
@@ -40,8 +40,9 @@ impl LinkHealth {
         self.link
     }
 
-    /// Whether an exchange is due in slot `index`: each of its own slots while it answers, one probe an interval while
-    /// it does not. A dead address would otherwise fill the shared socket's send buffer and starve the living.
+    /// Whether an exchange is due in slot `index`: every own slot while the drive answers, one probe per interval
+    /// while it does not. Requests to a dead address would otherwise fill the shared socket's send buffer and
+    /// starve the other drives.
     pub fn is_due(&self, index: u64) -> bool {
         match self.link {
             Link::Unseen | Link::Lost => index >= self.next_probe,
@@ -49,14 +50,14 @@ impl LinkHealth {
         }
     }
 
-    /// Notes that an exchange was sent (or tried) in slot `index`.
+    /// Notes that an exchange was sent (or attempted) in slot `index`.
     pub fn asked(&mut self, index: u64) {
         if matches!(self.link, Link::Unseen | Link::Lost) {
             self.next_probe = index + self.probe_every;
         }
     }
 
-    /// It can be asked from slot `index` on: no probe interval is waited for.
+    /// It can be reached from slot `index` on, without waiting for a probe interval.
     pub fn reachable(&mut self, index: u64) {
         self.next_probe = index;
     }
@@ -94,7 +95,7 @@ impl LinkHealth {
                 self.level += 1;
                 if self.level >= self.rules.bucket {
                     self.link = Link::Lost;
-                    // The stop request goes out with the very next slot, as the first probe.
+                    // The stop request leaves with the very next slot, as the first probe.
                     self.next_probe = index + 1;
                 }
             }

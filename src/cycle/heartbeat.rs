@@ -1,14 +1,14 @@
-//! The watch over the application's sign of life.
+//! Watches the application's sign of life.
 
 use crate::axis::Pulse;
 use crate::bus::Cycle;
 use crate::rt::Regions;
 
-/// Counts the slots since the application was heard of.
+/// Counts the slots since the application's last beat.
 #[derive(Debug)]
 pub struct Heartbeat {
     pulse: Pulse,
-    /// The most slots without a beat; `None`: nobody watches.
+    /// The most slots without a beat; `None`: not watched.
     most: Option<u64>,
     beats: u64,
     /// The slot in which the last beat was seen.
@@ -22,12 +22,12 @@ impl Heartbeat {
         Heartbeat { beats: pulse.count(), pulse, most, heard_at: 0 }
     }
 
-    /// What it touches besides itself.
+    /// The memory that it touches besides itself.
     pub fn memory(&self, regions: &mut Regions) {
         self.pulse.memory(regions);
     }
 
-    /// Whether the application was silent for too long, to be asked once a cycle.
+    /// Whether the application was silent for too long; called once a cycle.
     pub fn is_silent(&mut self, cycle: &Cycle) -> bool {
         let Some(most) = self.most else { return false };
         let beats = self.pulse.count();

@@ -1,18 +1,18 @@
-//! The way down: what the loop asks of a drive after it stopped the axis, one rung after the other.
+//! The stop sequence: what the loop requests of a drive after it stopped the axis, phase by phase.
 //!
-//! Ramp (or the drive's quick stop) -> standstill -> hold or power off. Each rung is an order to the station and has an
-//! end; the ladder never climbs up again by itself.
+//! Ramp (or the drive's quick stop) -> standstill -> hold or power off. Each phase is an order to the station and
+//! has an end; the sequence never goes back by itself.
 
 use std::time::Duration;
 
 use crate::axis::{HeldBy, Load, StopHow, StopPlan, StopThen, StopTimeout, Verb};
 use crate::time::{Time, nanos};
 
-/// What is left for each rung after [`Ladder::hurry`], and for power off where nobody has answered for long: a probe or
-/// two.
+/// The time left for each phase after [`Ladder::hurry`], and for power off where no drive has answered for long:
+/// one or two probes.
 const HURRIED: Duration = Duration::from_millis(250);
 
-/// Where on the way down an axis is.
+/// The phase of a stop sequence.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Rung {
     /// Braking; `still` good exchanges in a row were below the standstill window.
@@ -29,22 +29,22 @@ pub enum Rung {
     },
     /// At the end, with power on: at standstill, or by the time-out's policy.
     Holding,
-    /// At the end: power off was asked for, and the drive said so or had its time.
+    /// At the end: power off was requested, and the drive reported it or its time has passed.
     Off,
 }
 
-/// The ladder of one axis.
+/// The stop sequence of one axis.
 #[derive(Clone, Copy, Debug)]
 pub struct Ladder {
     plan: StopPlan,
-    /// Nothing but the drive holds the load: it is never powered off from here.
+    /// Only the drive holds the load: the sequence never powers it off.
     keeps_power: bool,
     rung: Rung,
     /// The master is shutting down.
     ending: bool,
-    /// Since when the drive is not heard.
+    /// Since when nothing was received from the drive.
     unheard: Option<Time>,
-    /// It was heard again in the shutdown: what is left of its time runs on from there.
+    /// It was received again in the shutdown: the rest of its time runs from then on.
     returned: bool,
     /// The ramp failed, and the quick stop was ordered in its place.
     escalated: bool,
@@ -55,9 +55,9 @@ pub struct Ladder {
 pub struct Sight {
     /// New values came in.
     pub fresh: bool,
-    /// The link carries replies, so that what is asked for reaches the drive.
+    /// The link carries replies, so that requests reach the drive.
     pub heard: bool,
-    /// The drive could not do what the ladder last asked for.
+    /// The drive could not do the last request of the sequence.
     pub failed: bool,
     /// The power stage may be on.
     pub powered: bool,
@@ -68,7 +68,7 @@ pub struct Sight {
 }
 
 impl Ladder {
-    /// Steps onto the ladder; the second value is the first order for the drive.
+    /// Starts the sequence; the second value is the first order for the drive.
     pub fn start(plan: StopPlan, load: Load, now: Time) -> (Ladder, Verb) {
         let (rung, verb) = match plan.how {
             StopHow::Ramp => {
@@ -89,7 +89,7 @@ impl Ladder {
         (ladder, verb)
     }
 
-    /// The order of the first rung.
+    /// The order of the first phase.
     fn brake(&self) -> Verb {
         if self.escalated {
             Verb::QuickStop
@@ -98,14 +98,14 @@ impl Ladder {
         }
     }
 
-    /// Whether the last rung is reached.
+    /// Whether the last phase is reached.
     pub fn is_down(&self) -> bool {
         matches!(self.rung, Rung::Holding | Rung::Off)
     }
 
-    /// A shutdown powers off whatever `then` says, since nobody will be there to hold the axis; but not before
-    /// standstill, and not a drive that alone holds its load. A drive that is off already is told so all the same: its
-    /// control word would stay high for good.
+    /// A shutdown powers off whatever `then` says, since no master remains to hold the axis; but not before
+    /// standstill, and not a drive that alone holds its load. A drive that is off already is powered off all the
+    /// same: its control word would otherwise stay high.
     pub fn shut_down(&mut self, now: Time, powered: bool) {
         if self.keeps_power && powered {
             self.ending = true;
@@ -117,7 +117,8 @@ impl Ladder {
         }
     }
 
-    /// The application asked for the quick stop of an axis that is braking already; it goes on waiting for standstill.
+    /// The application requested the quick stop of an axis that is braking already; the wait for standstill goes
+    /// on.
     pub fn quicken(&mut self) {
         self.escalated = true;
     }
@@ -127,15 +128,15 @@ impl Ladder {
         matches!(self.rung, Rung::Braking { .. })
     }
 
-    /// One cycle on the ladder; returns the order to give when a new rung is reached.
+    /// One cycle of the sequence; returns the order to give when a new phase is reached.
     ///
-    /// While the drive is not heard, its time does not run: the probes carry the stop, and the first thing that it
-    /// hears must not be power off in mid-motion. Only a shutdown does not wait for ever.
+    /// While nothing is received from the drive, its time does not run: the probes carry the stop, and power off in
+    /// mid-motion must not be the first request that reaches it. Only a shutdown does not wait for ever.
     pub fn step(&mut self, now: Time, sight: Sight) -> Option<Verb> {
         let back = self.unheard.is_some() && sight.heard;
         self.unheard = if sight.heard { None } else { self.unheard.or(Some(now)) };
         let late = |since: Time| now.since(since) >= nanos(self.plan.timeout);
-        // Both rungs had their time while nobody was there.
+        // Both phases had their time while the drive was absent.
         let gone =
             self.ending && self.unheard.is_some_and(|since| now.since(since) >= 2 * nanos(self.plan.timeout));
         match self.rung {
@@ -147,7 +148,7 @@ impl Ladder {
                     (true, true) => still + 1,
                     (true, false) => 0,
                 };
-                // A link that comes and goes may put off the end of the braking, but once only that of the master.
+                // An intermittent link may extend the braking, but the master's end only once.
                 let again = back && !(self.ending && std::mem::replace(&mut self.returned, true));
                 let since = if again { now } else { since };
                 self.rung = Rung::Braking { since, still };
@@ -156,7 +157,7 @@ impl Ladder {
                     return Some(Verb::QuickStop);
                 }
                 if back {
-                    // What was asked while nobody heard it is asked again.
+                    // Requests sent while nothing was received are repeated.
                     return Some(self.brake());
                 }
                 let power_off = if sight.fresh && !sight.powered {
@@ -173,7 +174,7 @@ impl Ladder {
                 power_off.then_some(Verb::Disable)
             }
             Rung::Disabling { since } => {
-                // What the drive said before it was asked is no answer.
+                // A report from before the request is no answer.
                 if (sight.fresh && !sight.powered && now > since)
                     || late(since)
                     || (gone && now.since(since) >= nanos(HURRIED))
@@ -185,7 +186,8 @@ impl Ladder {
         }
     }
 
-    /// Shortens the waits (a second Ctrl-C): the fastest controlled stop, and little time left for it. Never skips it.
+    /// Shortens the waits (a second Ctrl-C): the fastest controlled stop, and little time left for it. Never skips
+    /// it.
     pub fn hurry(&mut self, now: Time) -> Option<Verb> {
         let timeout = self.plan.timeout.min(HURRIED);
         match self.rung {
@@ -287,7 +289,7 @@ mod tests {
         let lost = Sight { fresh: false, heard: false, ..MOVING };
         assert_eq!(ladder.step(Time(5_000), lost), None, "its time does not run");
         let stop = Verb::Stop { deceleration: Some(100.0) };
-        assert_eq!(ladder.step(Time(6_000), MOVING), Some(stop), "asked again when it is heard again");
+        assert_eq!(ladder.step(Time(6_000), MOVING), Some(stop), "requested again when it is received again");
         assert_eq!(ladder.step(Time(6_500), MOVING), None);
         assert_eq!(ladder.step(Time(7_000), MOVING), Some(Verb::Disable), "and from then on its time runs");
         let (mut ladder, _) = Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0));
@@ -305,7 +307,7 @@ mod tests {
             let sight = if n % 2 == 0 { MOVING } else { lost };
             ladder.step(Time(300 * n), sight) == Some(Verb::Disable)
         });
-        assert_eq!(off, Some(7), "its time runs once more from where it came back first");
+        assert_eq!(off, Some(7), "its time runs once more from its first return");
     }
 
     #[test]
@@ -315,7 +317,7 @@ mod tests {
         assert!(!ladder.is_down(), "its reply is older than the order");
         assert_eq!(ladder.step(Time(6), OFF), None);
         assert!(ladder.is_down());
-        // Held until now, and then it dropped out by itself.
+        // Held until now, then it dropped out by itself.
         let (mut ladder, _) = Ladder::start(plan(StopHow::Quick, StopThen::Hold), Load::Level, Time(0));
         (0..3).for_each(|_| assert_eq!(ladder.step(Time(1), STANDING), None));
         ladder.shut_down(Time(2), true);

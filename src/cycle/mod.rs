@@ -8,12 +8,12 @@
 //! | `window` | waiting for replies until the deadline |
 //! | `seat` | the loop's side of one axis |
 //! | `health` | the link to one drive: leaky bucket, schedule, probes |
-//! | `ladder` | the way down after a stop |
-//! | `gates` | what keeps the members of a group together |
-//! | `reference`, `phase_lock` | a clock that is not ours leads the grid |
-//! | `heartbeat` | the watch over the application's sign of life |
+//! | `ladder` | the stop sequence |
+//! | `gates` | group synchronisation |
+//! | `reference`, `phase_lock` | a bus clock that leads the grid |
+//! | `heartbeat` | watches the application's sign of life |
 //! | `task` | the application's code inside the cycle |
-//! | `status`, `record` | what the loop counts, and what it tells the telemetry |
+//! | `status`, `record` | what the loop counts, and its records for the telemetry |
 //!
 //! The loop knows the [`Bus`](crate::bus::Bus) contract, no protocol.
 

@@ -1,11 +1,12 @@
-//! Steers the grid after a clock that is not ours: a PI controller whose output is a small step of the next slot.
-//!
-//! The error is what the bus tells of a slot: where the other clock saw it, less where it shall be. It is free of our
-//! wake-up jitter, since the bus takes off how late its request left. A slot without an error steers nothing.
+//! Steers the grid after a bus clock: a PI controller whose output is a small step of the next slot.
+//! The error is what the bus reports of a slot: where its clock saw the slot, less where the slot shall be. It is
+//! free of our wake-up jitter, since the bus subtracts how late its request left. A slot without an error steers
+//! nothing.
 
-/// The share of the error that a slot takes away.
+/// The share of the error that one slot corrects.
 const PROPORTIONAL: f64 = 0.05;
-/// The share of the sum of all errors: a quarter of the square of the other, so that it settles without swinging.
+/// The share of the sum of all errors: a quarter of the square of the other, so that it settles without
+/// oscillation.
 const INTEGRAL: f64 = PROPORTIONAL * PROPORTIONAL / 4.0;
 /// A step is at most this part of the period.
 const MOST: u64 = 100;
@@ -14,9 +15,9 @@ const MOST: u64 = 100;
 #[derive(Clone, Copy, Debug)]
 pub struct PhaseLock {
     most_ns: f64,
-    /// What the drift of the two clocks needs in each slot, ns.
+    /// The step per slot that compensates the drift of the two clocks, ns.
     drift_ns: f64,
-    /// What the last step owed: it is a whole number, and a drift need not be.
+    /// The rounding rest of the last step: a step is a whole number, and a drift need not be.
     owed_ns: f64,
 }
 
@@ -26,7 +27,7 @@ impl PhaseLock {
         PhaseLock { most_ns: (period_ns / MOST) as f64, drift_ns: 0.0, owed_ns: 0.0 }
     }
 
-    /// A slot came `error_ns` too late; gives the step of the next one, ns: positive ones make it later.
+    /// A slot came `error_ns` too late; returns the step of the next one, ns: positive steps make it later.
     pub fn step(&mut self, error_ns: i64) -> i64 {
         let (error, most) = (error_ns as f64, self.most_ns);
         let wanted = self.owed_ns - (PROPORTIONAL * error + self.drift_ns);
@@ -35,7 +36,7 @@ impl PhaseLock {
             self.owed_ns = wanted - step;
             self.drift_ns = (self.drift_ns + INTEGRAL * error).clamp(-most, most);
         } else {
-            // What cannot be done is neither summed up nor owed.
+            // What exceeds the bound is neither summed up nor carried over.
             self.owed_ns = 0.0;
         }
         step as i64
@@ -49,13 +50,13 @@ mod tests {
 
     const PERIODS: [u64; 4] = [250 * US, 500 * US, MS, 4 * MS];
 
-    /// A clock that runs beside a grid, as the bus that has it sees them.
+    /// A clock that runs next to a grid, as its bus sees it.
     #[derive(Clone, Copy)]
     struct Beside {
         period_ns: u64,
-        /// It is quicker than ours by so much.
+        /// How much quicker it is than ours.
         ppm: f64,
-        /// It begins so far ahead.
+        /// How far ahead it begins.
         phase_ns: u64,
     }
 
@@ -134,8 +135,8 @@ mod tests {
 
     #[test]
     fn what_was_out_of_reach_for_long_leaves_nothing_behind() {
-        // Far beyond what steps of a hundredth of the period can follow: the error goes round and round. Then it is
-        // right.
+        // Far beyond what steps of a hundredth of the period can follow: the error wraps around again and again.
+        // That is right.
         let mut lock = PhaseLock::new(MS);
         let wild = Beside { period_ns: MS, ppm: 50_000.0, phase_ns: 0 };
         let mut grid = 0;

@@ -14,7 +14,7 @@ use crate::time::{MS, Ns, S, US};
 /// A whole machine.
 #[derive(Debug)]
 pub struct Plan {
-    /// Where it came from, for messages; `None` if built in code.
+    /// Its file, for messages; `None` if built in code.
     pub source: Option<PathBuf>,
     /// The cycle.
     pub cycle: CyclePlan,
@@ -45,7 +45,7 @@ pub fn is_plain_name(name: &str) -> bool {
 pub struct PlanErrors(pub Vec<String>);
 crate::errors::debug_as_display!(PlanErrors);
 
-/// The most that a black box may take, bytes.
+/// The largest black box, bytes.
 const MOST_BLACK_BOX: usize = 150_000_000;
 
 impl Plan {
@@ -54,23 +54,23 @@ impl Plan {
         self.buses.iter().flat_map(|bus| bus.axes()).collect()
     }
 
-    /// What the drives show besides their process data, in slot order.
+    /// The monitored variables of the drives, in slot order.
     pub fn monitored(&self) -> Vec<[Option<MonitorChannel>; MONITOR_CHANNELS]> {
         let channels =
             self.buses.iter().flat_map(|bus| (0..bus.axes().len()).map(|index| bus.monitored(index)));
         channels.collect()
     }
 
-    /// How many records the loop makes in a cycle, at most: one a drive, one more of a drive that shows something
-    /// besides, one of the bus whose clock leads, and one of its own.
+    /// The most records that the loop makes in a cycle: one per drive, one more per drive that reports monitored
+    /// variables, one of the bus whose clock leads, and one of its own.
     pub fn records_a_cycle(&self) -> usize {
         let monitored = self.monitored();
         let showing = monitored.iter().filter(|channels| channels.iter().any(Option::is_some));
         monitored.len() + showing.count() + usize::from(self.cycle.reference.is_some()) + 1
     }
 
-    /// Whether this plan can work: contradictions, and what would be found out only by a machine that does not stop. A
-    /// file is held to more than that while it is read.
+    /// Whether this plan can work: contradictions, and mistakes that only a machine that does not stop would show.
+    /// A file passes more checks than these while it is read.
     pub fn check(&self) -> Result<(), PlanErrors> {
         let mut errors = Vec::new();
         if !(50 * US..=S).contains(&self.cycle.period_ns) {
@@ -146,7 +146,7 @@ impl Plan {
         }
     }
 
-    /// What is wrong with the names of what takes part without being a drive.
+    /// What is wrong with the names of the devices that are not drives.
     fn device_faults(&self, axes: &[&AxisPlan]) -> Vec<String> {
         let devices: Vec<&str> = self.buses.iter().flat_map(|bus| bus.devices()).collect();
         let fault = |(index, name): (usize, &&str)| {
@@ -175,8 +175,8 @@ impl Plan {
         })
     }
 
-    /// This plan with the drive of axis `name` only, to move it: the cycle is as it was. A drive that is found running
-    /// is left alone. `None`: there is no such axis, or it cannot be reached alone.
+    /// This plan with the drive of axis `name` only, to move it: the cycle is unchanged. A drive that is found
+    /// running is left as it is. `None`: there is no such axis, or it cannot be reached alone.
     pub fn alone(&self, name: &str) -> Option<Plan> {
         let (bus, index) = self.find(name)?;
         Some(Plan {
@@ -191,8 +191,8 @@ impl Plan {
         })
     }
 
-    /// The least of this plan that reaches the drive of axis `name`: for acyclic access alone, on an ordinary thread,
-    /// which may be as late as it likes. Nothing is to be moved by it. `None` as of [`alone`](Self::alone).
+    /// The least of this plan that reaches the drive of axis `name`: for acyclic access only, on an ordinary
+    /// thread, which may be arbitrarily late. It must not be used for motion. `None` as of [`alone`](Self::alone).
     pub fn reaching(&self, name: &str) -> Option<Plan> {
         let plan = self.alone(name)?;
         let cycle = CyclePlan {
@@ -206,7 +206,7 @@ impl Plan {
         Some(Plan { cycle, ..plan })
     }
 
-    /// What the protocol of each drive counts besides, in slot order.
+    /// The counters of each drive that only its protocol has, in slot order.
     pub fn own_counters(&self) -> Vec<&'static [OwnCounter]> {
         self.of_each_drive(|bus| bus.own_counters())
     }
@@ -220,7 +220,7 @@ impl Plan {
         self.buses.iter().flat_map(|bus| vec![of(&**bus); bus.axes().len()]).collect()
     }
 
-    /// The bus of axis `name`, and its place there.
+    /// The bus of axis `name`, and its index there.
     pub fn find(&self, name: &str) -> Option<(&dyn BusPlan, usize)> {
         self.buses.iter().find_map(|bus| {
             let index = bus.axes().iter().position(|axis| axis.name == name)?;
@@ -228,7 +228,7 @@ impl Plan {
         })
     }
 
-    /// The bus that has a device of this name, that is no drive.
+    /// The bus that has a device of this name that is not a drive.
     pub fn find_device(&self, name: &str) -> Option<&dyn BusPlan> {
         self.buses.iter().find(|bus| bus.devices().contains(&name)).map(|bus| &**bus)
     }
@@ -243,7 +243,7 @@ impl Plan {
 }
 
 impl GroupPlan {
-    /// What keeps its members, found by name among `axes`, from acting together.
+    /// Why its members, found by name among `axes`, cannot act together.
     pub fn fault(&self, axes: &[&AxisPlan]) -> Option<String> {
         let mut members: Vec<&AxisPlan> = Vec::with_capacity(self.axes.len());
         for name in &self.axes {
@@ -278,20 +278,20 @@ pub struct CyclePlan {
     pub receive_deadline: f64,
     /// How replies are waited for.
     pub wait: Wait,
-    /// What an overrun does.
+    /// The reaction to an overrun.
     pub overrun: Overrun,
     /// The bus whose clock leads the grid, by name. `None` = ours does.
     pub reference: Option<String>,
-    /// How badly real-time scheduling is wanted.
+    /// Whether real-time scheduling is required.
     pub realtime: Realtime,
     /// What memory is locked.
     pub memory: Memory,
-    /// Longest the in-loop task may run, ns; over it is a stop. `None` = no budget.
+    /// Longest time that the in-loop task may run, ns; longer is a stop. `None` = no budget.
     pub task_budget_ns: Option<u64>,
-    /// Longest the application may be silent while an axis is enabled, ns; longer is a stop of all axes that are.
-    /// `None` = nobody watches.
+    /// Longest silence of the application while an axis is enabled, ns; longer is a stop of all enabled axes.
+    /// `None` = not watched.
     pub heartbeat_ns: Option<u64>,
-    /// A cycle is late that begins, or spends in a stage, more than this, ns. `None` = a tenth of the period.
+    /// A cycle that begins later, or spends longer in a stage, counts as late, ns. `None` = a tenth of the period.
     pub late_ns: Option<u64>,
     /// How far back the black box reaches, ns.
     pub black_box_ns: u64,
@@ -303,14 +303,14 @@ impl CyclePlan {
         (self.period_ns as f64 * self.receive_deadline).round() as u64
     }
 
-    /// From when on a cycle is late, ns.
+    /// The delay from which a cycle is late, ns.
     pub fn late_ns(&self) -> u64 {
         self.late_ns.unwrap_or(self.period_ns / 10)
     }
 }
 
 impl Default for CyclePlan {
-    /// 1 kHz, SCHED_FIFO 80 if it can be had, no guard, replies until half of the period by poll, up to 10 slots
+    /// 1 kHz, SCHED_FIFO 80 if available, no guard, replies until half of the period by poll, up to 10 slots
     /// skipped in a row.
     fn default() -> CyclePlan {
         CyclePlan {
@@ -335,7 +335,7 @@ impl Default for CyclePlan {
 /// How long before a grid point the loop wakes to spin up to it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Guard {
-    /// No spin: what the sleep gives.
+    /// No spin: the sleep alone.
     Off,
     /// A fixed time, ns.
     Fixed(u64),
@@ -348,14 +348,14 @@ pub enum Guard {
 pub enum Wait {
     /// Sleep until the socket is readable.
     Poll,
-    /// Ask the socket again and again: shorter, and it takes the core for itself.
+    /// Read the socket again and again: lower latency, and it occupies the core.
     Spin,
 }
 
-/// What the loop does when the work of a cycle passes the next grid point.
+/// The reaction of the loop when the work of a cycle passes the next grid point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Overrun {
-    /// Keep the grid and leave the missed slots out; more than `max_skip` in a row are a stop.
+    /// Keep the grid and leave out the missed slots; more than `max_skip` in a row are a stop.
     Skip {
         /// The most slots skipped in a row.
         max_skip: u64,

@@ -1,6 +1,7 @@
-//! What the loop tells the telemetry thread: fixed-size records through a ring, one a drive, a second one of a drive
-//! that shows variables besides, one of the clock that leads the grid, if it is not ours, and one a cycle. A full ring
-//! loses records, never truth: the counts and extremes that the loop keeps itself are exact, and the loss is counted.
+//! The loop's reports to the telemetry thread: fixed-size records through a ring, one per drive, a second one per
+//! drive that reports monitored variables, one of the bus clock that leads the grid, if any, and one per cycle. A
+//! full ring loses records, never truth: the counts and extremes that the loop keeps itself are exact, and the loss
+//! is counted.
 
 use std::num::NonZeroU32;
 
@@ -12,9 +13,9 @@ use crate::time::Time;
 pub enum Record {
     /// One drive in an executed cycle.
     Drive(DriveRecord),
-    /// What a drive showed in an executed cycle besides, behind its other record.
+    /// The monitored variables of a drive in an executed cycle, after its other record.
     Monitor(MonitorRecord),
-    /// The clock that leads the grid in an executed cycle; not if it is ours.
+    /// The bus clock that leads the grid in an executed cycle; absent if ours leads.
     Reference(ReferenceRecord),
     /// One executed cycle.
     Cycle(CycleRecord),
@@ -23,7 +24,7 @@ pub enum Record {
 }
 
 impl Record {
-    /// The slot that it is of; the first of those passed over.
+    /// Its slot; of slots passed over, the first.
     pub fn index(&self) -> u64 {
         match self {
             Record::Drive(DriveRecord { index, .. })
@@ -58,7 +59,7 @@ impl Stage {
     pub const ALL: [Stage; 6] =
         [Stage::Send, Stage::Receive, Stage::Evaluate, Stage::Commands, Stage::Prepare, Stage::Publish];
 
-    /// As in reports.
+    /// The name in reports.
     pub fn name(self) -> &'static str {
         match self {
             Stage::Send => "send",
@@ -82,28 +83,28 @@ pub struct CycleRecord {
     pub wake_ns: u32,
     /// The loop was awake before the grid point and spun up to it.
     pub spun: bool,
-    /// By how much the distance to the begin of the cycle before differs from that of their grid points, ns.
+    /// Difference between the distance to the begin of the cycle before and that of their grid points, ns.
     pub jitter_ns: u32,
     /// How long each [`Stage`] took, ns.
     pub stages_ns: [u32; 6],
     /// Exchanges with drives that are online, not answered in this window.
     pub missed: u16,
-    /// What the kernel had counted against the loop's thread; looked at only after a late cycle.
+    /// What the kernel had counted against the loop's thread; read only after a late cycle.
     pub look: Option<Look>,
 }
 
-/// What the clock that leads the grid had to say of an executed cycle.
+/// A report of the clock that leads the grid in an executed cycle.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ReferenceRecord {
     /// The slot.
     pub index: u64,
-    /// How far it was from where that clock wants it, ns: positive is late; `None` = not told.
+    /// How far the slot was from where that clock wants it, ns: positive is late; `None` = not reported.
     pub error_ns: Option<i32>,
-    /// By how much more than a period the next slot is behind it, ns.
+    /// How much longer than a period the distance to the next slot is, ns.
     pub step_ns: i32,
     /// The grid is locked.
     pub locked: bool,
-    /// The grid was locked before, or is: its errors count.
+    /// The grid is locked, or was locked before: its errors count.
     pub counts: bool,
 }
 
@@ -116,9 +117,9 @@ pub struct SkippedRecord {
     pub grid: Time,
     /// How many.
     pub count: u64,
-    /// How late the first of them is when the next one begins, ns; each further one is a period less.
+    /// How late the first of them is when the next executed one begins, ns; each further one is a period less.
     pub late_ns: u64,
-    /// How late it was when it was given up, ns.
+    /// How late the first was when it was given up, ns.
     pub given_up_ns: u64,
     /// The loop woke too late to begin; otherwise the cycle before took too long.
     pub woke_late: bool,
@@ -139,7 +140,7 @@ pub struct Look {
     pub switches: u32,
 }
 
-/// What became of a drive's exchange in a cycle.
+/// The result of a drive's exchange in a cycle.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 #[repr(u8)]
 pub enum Reply {
@@ -173,7 +174,7 @@ pub struct DriveRecord {
     pub axis: u16,
     /// The exchange.
     pub reply: Reply,
-    /// The link as judged.
+    /// The link as evaluated.
     pub link: Link,
     /// The link was up before that.
     pub was_online: bool,
@@ -183,15 +184,15 @@ pub struct DriveRecord {
     pub stopped: Option<StopCause>,
     /// The command that runs, as [`Verb::code`](crate::Verb::code); 0 = none.
     pub verb: u8,
-    /// Moving, as the drive says.
+    /// Moving, as the drive reports it.
     pub moving: bool,
     /// The drive's hardware enable (STO) is missing.
     pub inhibited: bool,
     /// The request left so long after the grid point, ns; `None` = none left in this cycle.
     pub phase_ns: Option<NonZeroU32>,
-    /// By how much the distance to its request before differs from that of their grid points, ns.
+    /// Difference between the distance to its request before and that of their grid points, ns.
     pub jitter_ns: Option<NonZeroU32>,
-    /// From the send stamp to the taking in, ns; not of a suspect reply.
+    /// From the send stamp until the reply was taken in, ns; `None` for a suspect reply.
     pub rtt_ns: Option<NonZeroU32>,
     /// How old the values were when the window closed, ns; `None` before the first, and while the link is down.
     pub age_ns: Option<NonZeroU32>,
@@ -199,7 +200,7 @@ pub struct DriveRecord {
     pub fault: u32,
     /// Warning word, 0 = none.
     pub warning: u32,
-    /// What it told by itself in this cycle.
+    /// The emergency that it reported in this cycle.
     pub emergency: Option<ShortEmergency>,
     /// Motor current, A.
     pub current: f32,
@@ -211,7 +212,7 @@ pub struct DriveRecord {
     pub demand: f64,
 }
 
-/// An emergency in the least room.
+/// An emergency in compact form.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ShortEmergency([u8; 2], u8);
 
@@ -228,13 +229,13 @@ impl From<ShortEmergency> for Emergency {
 }
 
 impl DriveRecord {
-    /// What it told by itself in this cycle.
+    /// The emergency that it reported in this cycle.
     pub fn emergency(&self) -> Option<Emergency> {
         self.emergency.map(Emergency::from)
     }
 }
 
-/// What a drive showed besides its process data, in the units of its plan: only of cycles in which it did.
+/// The monitored variables of a drive, in the units of the plan: only of cycles in which it reported some.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct MonitorRecord {
     /// The slot.
@@ -245,7 +246,7 @@ pub struct MonitorRecord {
     pub shown: Shown,
 }
 
-/// Nanoseconds in a record: beyond 4.29 s they stay there.
+/// Nanoseconds in a record: saturate at 4.29 s.
 pub fn short(ns: u64) -> u32 {
     u32::try_from(ns).unwrap_or(u32::MAX)
 }
@@ -260,7 +261,7 @@ pub fn measured(ns: u64) -> Option<NonZeroU32> {
 pub enum Lateness {
     /// It began so long after its grid point, ns.
     Wake(u64),
-    /// A stage took so long, ns. Of the receive stage: so long beyond the deadline.
+    /// A stage took so long, ns. For the receive stage: so long beyond the deadline.
     Stage(Stage, u64),
     /// A drive that is online had not answered at the deadline.
     Reply,
@@ -277,8 +278,8 @@ impl Lateness {
 }
 
 impl CycleRecord {
-    /// Whether this cycle is late, by more than `late_ns`, with replies taken until `deadline_ns` after the grid point.
-    /// The longest of its delays is named: the others follow from it.
+    /// Whether this cycle is late, by more than `late_ns`, with replies taken until `deadline_ns` after the grid
+    /// point. The longest of its delays is named: the others follow from it.
     pub fn lateness(&self, late_ns: u64, deadline_ns: u64) -> Option<Lateness> {
         let wake_ns = u64::from(self.wake_ns);
         let mut worst = (wake_ns > late_ns).then_some(Lateness::Wake(wake_ns));
@@ -323,7 +324,7 @@ mod tests {
         // The window may last until its deadline; a drive that is missing then is a cause of its own.
         assert_eq!(late(9, [40, 451, 1, 1, 1, 1], 1), Some(Lateness::Reply));
         assert_eq!(late(0, [50, 551, 1, 1, 1, 1], 1), Some(Lateness::Stage(Stage::Receive, 101 * US)));
-        // A window that began beyond its deadline is not charged for what came before it.
+        // A window that began beyond its deadline is not charged for earlier delays.
         assert_eq!(late(90, [450, 99, 1, 1, 1, 1], 0), Some(Lateness::Stage(Stage::Send, 450 * US)));
     }
 }

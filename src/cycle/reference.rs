@@ -1,5 +1,4 @@
-//! The bus whose clock leads the grid: its phase error is asked for once an executed cycle, and the next slot is laid
-//! after it.
+//! The bus whose clock leads the grid: its phase error is read once per executed cycle, and sets the next slot.
 
 use super::phase_lock::PhaseLock;
 use super::record::ReferenceRecord;
@@ -10,14 +9,14 @@ use crate::time::US;
 const SETTLED: u32 = 50;
 /// ... or within this, if that is more, ns: the stamps of an ordinary network card are no better.
 const LEAST_WITHIN_NS: u64 = 5 * US;
-/// It is no longer when this many times that bound ...
+/// The lock is lost when this many times that bound ...
 const LOST_TIMES: u64 = 4;
 /// ... was passed so many times in a row: one wrong stamp is no lost lock ...
 const ASTRAY: u32 = 3;
-/// ... or so many executed cycles in a row told nothing.
+/// ... or when so many executed cycles in a row reported nothing.
 const SILENT: u32 = 100;
 
-/// What leads the grid.
+/// The clock that leads the grid.
 #[derive(Debug)]
 pub struct Reference {
     bus: usize,
@@ -35,7 +34,7 @@ pub struct Reference {
 }
 
 impl Reference {
-    /// The clock of the bus at this place leads a grid of this period.
+    /// The clock of the bus at this index leads a grid of this period.
     pub fn new(bus: usize, period_ns: u64) -> Reference {
         Reference {
             bus,
@@ -50,20 +49,19 @@ impl Reference {
         }
     }
 
-    /// The place of its bus.
+    /// The index of its bus.
     pub fn bus(&self) -> usize {
         self.bus
     }
 
-    /// What is counted of it.
+    /// Its counts.
     pub fn status(&self) -> ReferenceStatus {
         self.status
     }
 
-    /// The executed cycle `index` was so far from where it shall be, if it is known. The step of the next slot is in
-    /// the record.
+    /// The error of executed cycle `index`, if it is known. The step of the next slot is in the record.
     pub fn take(&mut self, index: u64, error_ns: Option<i64>) -> ReferenceRecord {
-        // No bus tells more; the record has no room for it.
+        // No bus reports more; the record has no room for it.
         let error_ns = error_ns.map(|error| error.clamp(-self.half_ns, self.half_ns));
         let step_ns = match error_ns {
             Some(error) => self.sample(index, error),
@@ -141,7 +139,7 @@ mod tests {
         assert!(take(Some(10_000)));
         let status = reference.status();
         assert_eq!((status.samples, status.silent, status.losses), (100, 49, 0));
-        assert_eq!(status.error_max.ns, 10_000, "what was before the lock is not in it");
+        assert_eq!(status.error_max.ns, 10_000, "errors before the lock are not in it");
     }
 
     #[test]
@@ -153,7 +151,7 @@ mod tests {
             assert!(reference.take(100 + index as u64, Some(error)).locked);
         }
         assert!(!reference.take(107, Some(-400_000)).locked);
-        // The error that lost it counts, and those until it is found again.
+        // The error that lost the lock counts, and so do those until it is locked again.
         assert!(reference.take(108, Some(499_000)).counts);
         let status = reference.status();
         assert_eq!((status.losses, status.error_max.ns, status.error_max.index), (1, 499_000, 108));

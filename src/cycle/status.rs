@@ -33,37 +33,38 @@ pub struct Status {
     pub online: u32,
     /// Exchanges missed by all drives.
     pub missed: u64,
-    /// Records that the telemetry ring had no room for.
+    /// Records for which the telemetry ring had no room.
     pub lost_records: u64,
-    /// Events and samples that the application's queues had no room for.
+    /// Events and samples for which the application's queues had no room.
     pub lost_events: u64,
-    /// The clock that leads the grid; `None`: it is ours.
+    /// The bus clock that leads the grid; `None`: ours leads.
     pub reference: Option<ReferenceStatus>,
 }
 
 /// How the grid follows the clock of the bus that the plan names as its reference.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ReferenceStatus {
-    /// The grid is locked: 50 errors in a row were within a hundredth of the period, or 5 us if that is more, and since
-    /// then neither were three in a row beyond four times that, nor were 100 executed cycles in a row without one.
+    /// The grid is locked: 50 errors in a row were within a hundredth of the period, or 5 us if that is more, and
+    /// since then neither were three in a row beyond four times that, nor were 100 executed cycles in a row without
+    /// one.
     pub locked: bool,
     /// Times that the lock was lost.
     pub losses: u64,
-    /// Executed cycles whose error was told.
+    /// Executed cycles with a reported error.
     pub samples: u64,
-    /// Executed cycles whose error was not: they steered nothing.
+    /// Executed cycles without one: they steered nothing.
     pub silent: u64,
     /// The last error, ns: positive is late.
     pub error_ns: i64,
     /// The largest error, late or early, since the grid was locked for the first time.
     pub error_max: Peak,
-    /// The last step of the grid, ns: positive ones make the next slot later.
+    /// The last step of the grid, ns: positive steps make the next slot later.
     pub step_ns: i64,
     /// The largest step, later or earlier.
     pub step_max: Peak,
 }
 
-/// The largest value seen, and the slot it was seen in. All zero: none was.
+/// The largest value seen, and its slot. All zero: none was seen.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Peak {
     /// ns.
@@ -178,7 +179,7 @@ pub struct Peaks {
     pub age: Peak,
 }
 
-/// The course of a variable that a drive shows, in three numbers.
+/// The range of a monitored variable: newest, smallest and largest value.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Extent {
     /// The newest value.
@@ -200,18 +201,18 @@ impl Extent {
 /// What the loop counts of one drive, published in turns.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct DriveNumbers {
-    /// What was sent and what came of it.
+    /// Its exchanges.
     pub counters: Counters,
     /// Times that the link was lost.
     pub losses: u64,
     /// Its largest times.
     pub peaks: Peaks,
-    /// What it shows besides; `None` = not seen yet.
+    /// Its monitored variables; `None` = not seen yet.
     pub monitor: [Option<Extent>; MONITOR_CHANNELS],
 }
 
-/// Words of the counts and times of a drive. The protocol's own counts follow, one that says which channels are seen,
-/// and three of each channel.
+/// Words of the counts and times of a drive. The protocol's own counts follow, one word that says which channels
+/// are seen, and three of each channel.
 const COUNTS: usize = 16;
 const SEEN: usize = COUNTS + OWN_COUNTERS;
 
@@ -327,20 +328,20 @@ impl Packed for Option<BusClock> {
     }
 }
 
-/// Readers of what the loop counts, for any thread.
+/// Readers of the loop's counts, for any thread.
 #[derive(Debug)]
 pub struct Gauges {
     /// The numbers of the loop, newest.
     pub status: Reader<Status>,
-    /// Those of each drive, in the order of the plan; at most 64 cycles or 100 ms old.
+    /// The numbers of each drive, in the order of the plan; at most 64 cycles or 100 ms old.
     pub drives: Vec<Reader<DriveNumbers>>,
-    /// Those of each bus; at most 64 cycles or 100 ms old.
+    /// The unmatched counters of each bus; at most 64 cycles or 100 ms old.
     pub strangers: Vec<Reader<Strangers>>,
-    /// The clock of each bus, as old.
+    /// The clock of each bus, at most as old.
     pub clocks: Vec<Reader<Option<BusClock>>>,
-    /// What each bus tells of itself besides.
+    /// What each bus reports of itself in addition.
     pub notes: Vec<Option<Arc<dyn Notes>>>,
-    /// Of each drive that has a connection, what is told of it, and where.
+    /// For each drive that has a connection: its notes, and its index there.
     pub links: Vec<Option<(Arc<dyn Notes>, usize)>>,
 }
 
@@ -356,7 +357,7 @@ impl Gauges {
         self.notes.get(bus)?.as_ref()?.device(index)
     }
 
-    /// What arrived at each bus and is put down to none of its drives.
+    /// What arrived at each bus and belongs to none of its drives.
     pub fn strangers(&self) -> impl Iterator<Item = Strangers> {
         self.strangers
             .iter()
@@ -365,12 +366,12 @@ impl Gauges {
     }
 }
 
-/// What a bus counted, with what only a normal thread may ask the kernel for.
+/// The counts of a bus, with those that only a normal thread may read from the kernel.
 pub fn whole(strangers: Strangers, notes: Option<&dyn Notes>) -> Strangers {
     Strangers { dropped: strangers.dropped + notes.map_or(0, Notes::dropped), ..strangers }
 }
 
-/// What takes part without being a drive.
+/// A device that takes part in the cycle and is not a drive.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DeviceEnd {
     /// Its name.
@@ -390,13 +391,13 @@ pub struct DriveEnd {
     pub feedback: Feedback,
     /// Why it has no connection; `None`: it has one, needs none, or its first opening is under way.
     pub not_connected: Option<String>,
-    /// What was sent and what came of it.
+    /// Its exchanges.
     pub counters: Counters,
     /// Times that the link was lost.
     pub losses: u64,
     /// Its largest times.
     pub peaks: Peaks,
-    /// What it shows besides, in the order of its channels; `None` = not seen yet.
+    /// Its monitored variables, in the order of its channels; `None` = not seen yet.
     pub monitor: [Option<Extent>; MONITOR_CHANNELS],
 }
 
@@ -407,11 +408,11 @@ pub struct Numbers {
     pub status: Status,
     /// The drives, in the order of the plan.
     pub drives: Vec<DriveEnd>,
-    /// The buses: name, and what belonged to none of their drives.
+    /// The buses: name, and unmatched counters.
     pub buses: Vec<(String, Strangers)>,
-    /// Their clocks, in the same order; `None`: it has none.
+    /// Their clocks, in the same order; `None`: no clock.
     pub clocks: Vec<Option<BusClock>>,
-    /// What takes part without being a drive, in the order of the plan.
+    /// The devices that are not drives, in the order of the plan.
     pub devices: Vec<DeviceEnd>,
     /// Page faults and involuntary switches of the loop's thread while it ran; `None` before its end, and in virtual
     /// time.

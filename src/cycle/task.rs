@@ -5,11 +5,13 @@ use crate::axis::{Command, CommandId, Failure, Feedback, Row, Verb};
 use crate::bus::Cycle;
 use crate::time::Time;
 
-/// Runs on the real-time thread once a cycle, between judging the replies and building the next requests: it sees the
-/// feedback of cycle k, and what it asks for leaves in cycle k + 1. It must not allocate, lock or wait.
+/// Runs on the real-time thread once a cycle, between the evaluation of the replies and the building of the next
+/// requests: it sees the feedback of cycle k, and its commands leave in cycle k + 1. It must not allocate, lock or
+/// wait.
 pub type Task = Box<dyn FnMut(&Cycle, &mut Axes<'_>) + Send>;
 
-/// Ids of commands from the in-loop task have this bit, so that they never meet those of an [`Axis`](crate::Axis).
+/// Ids of commands from the in-loop task have this bit, so that they never collide with those of an
+/// [`Axis`](crate::Axis).
 pub const TASK_ID: u64 = 1 << 63;
 
 /// All axes of the machine, as the in-loop task sees them, in the order of the plan.
@@ -26,7 +28,7 @@ impl<'a> Axes<'a> {
         Axes { seats, next_id, cycle, now }
     }
 
-    /// How many axes there are.
+    /// The number of axes.
     pub fn len(&self) -> usize {
         self.seats.len()
     }
@@ -36,7 +38,7 @@ impl<'a> Axes<'a> {
         self.seats.is_empty()
     }
 
-    /// The place of the axis of this name.
+    /// The index of the axis of this name.
     pub fn find(&self, name: &str) -> Option<usize> {
         self.seats.iter().position(|seat| seat.plan().name == name)
     }
@@ -56,14 +58,14 @@ impl<'a> Axes<'a> {
     }
 
     /// The velocity of axis `index` at its next exchange, user units/s, while it runs [`Verb::Velocity`] or
-    /// [`Verb::Jog`]; to be given again before it is too old.
+    /// [`Verb::Jog`]; to be renewed before it is too old.
     pub fn set_velocity(&mut self, index: usize, velocity: f64) -> Result<(), Failure> {
         let seat = self.seats.get_mut(index).ok_or(Failure::Unsupported("there is no such axis"))?;
         seat.velocity_from_task(self.cycle.index, velocity)
     }
 
-    /// The torque of axis `index` at its next exchange, per cent of the rated torque, while it runs [`Verb::Torque`];
-    /// to be given again before it is too old.
+    /// The torque of axis `index` at its next exchange, per cent of the rated torque, while it runs
+    /// [`Verb::Torque`]; to be renewed before it is too old.
     pub fn set_torque(&mut self, index: usize, torque: f64) -> Result<(), Failure> {
         let seat = self.seats.get_mut(index).ok_or(Failure::Unsupported("there is no such axis"))?;
         seat.torque_from_task(self.cycle.index, torque)

@@ -1,7 +1,8 @@
 //! The receive window: takes replies in until every owed exchange is closed or the deadline has passed.
 //!
-//! Waiting by poll costs two system calls a look. A look for every reply would be far too many with 64 drives, so after
-//! the first replies came in, the window sleeps once for as long as the rest usually takes, and then looks again.
+//! Waiting by poll costs two system calls a look. With 64 drives a look for every reply would be far too many, so
+//! after the first replies came in, the window sleeps once for as long as the rest usually takes, and then looks
+//! again.
 
 use super::plan::Wait;
 use crate::bus::{Bus, Cycle, Slot};
@@ -16,23 +17,23 @@ const SHORTEST_NAP_NS: u64 = 5 * US;
 pub struct Window {
     wait: Wait,
     poll_set: PollSet,
-    /// From the first look that brought something to the last reply, ns, as learned: a nap that was enough makes it a
-    /// sixteenth shorter, one that was not makes it a quarter longer.
+    /// The learned time from the first look that found replies to the last reply, ns: a sufficient nap makes it a
+    /// sixteenth shorter, one that was too short a quarter longer.
     nap_ns: u64,
 }
 
-/// One bus and the slots that are its own.
+/// One bus and its slots.
 pub struct BusSeat {
     /// The bus.
     pub bus: Box<dyn Bus>,
     /// Its first slot.
     pub first: usize,
-    /// One behind its last slot.
+    /// One past its last slot.
     pub end: usize,
 }
 
 impl BusSeat {
-    /// Why its drives have no connection, each; for the end, not for the cycle.
+    /// Why its drives have no connection, one entry each; for the end, not for the cycle.
     pub fn not_connected(&self) -> Vec<Option<String>> {
         let notes = self.bus.notes();
         let note = |index| notes.as_ref().and_then(|notes| notes.get(index));
@@ -52,7 +53,7 @@ impl Window {
         Window { wait, poll_set: PollSet::with_room(buses), nap_ns: 4 * SHORTEST_NAP_NS }
     }
 
-    /// Adds what it touches besides itself, to be locked.
+    /// Adds the memory that it touches besides itself, to be locked.
     pub fn memory(&self, regions: &mut Regions) {
         self.poll_set.memory(regions);
     }
@@ -83,7 +84,7 @@ impl Window {
                     clock.wait(&mut self.poll_set, cycle.deadline);
                 }
             }
-            // What lies in the sockets at the deadline still counts.
+            // Replies that are in the sockets at the deadline still count.
             let mut closed = true;
             for seat in buses.iter_mut() {
                 closed &= seat.bus.receive(cycle, &mut slots[seat.first..seat.end]);

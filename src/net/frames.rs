@@ -7,7 +7,8 @@ use std::sync::Arc;
 use crate::rt::Regions;
 use crate::time::Time;
 
-/// The address of every carrier that is no network card: without the bit that the first slave of an EtherCAT line sets.
+/// The address of every carrier that is not a network card: without the bit that the first slave of an EtherCAT
+/// segment sets.
 pub const MAC: [u8; 6] = [0x10; 6];
 
 /// A carrier of Ethernet frames on one interface: never waits, never allocates.
@@ -15,26 +16,25 @@ pub trait Frames: Send {
     /// The descriptor that becomes readable when a frame arrives; `None` for a carrier without one.
     fn fd(&self) -> Option<RawFd>;
 
-    /// Hands a frame to the wire; when it was begun. An error: it was not sent.
+    /// Hands a frame to the wire; returns when that began. An error: it was not sent.
     fn send(&mut self, frame: &[u8]) -> Result<Time, Unsent>;
 
-    /// Takes in one frame: when, and how many bytes it has; `None`: there is none. One that is longer than `room` is
-    /// cut off, and its length says so.
+    /// Takes in one frame: its arrival time and its length in bytes; `None`: there is none. A frame longer than
+    /// `room` is cut off, and its length shows it.
     fn receive(&mut self, room: &mut [u8]) -> Option<(Time, usize)>;
 
-    /// Now, by the clock of its stamps.
+    /// The present time, by the clock of its stamps.
     fn now(&mut self) -> Time;
 
     /// The Ethernet address of the interface.
     fn mac(&self) -> [u8; 6];
 
-    /// Errors of the interface that it met when it took frames in.
+    /// Errors of the interface while frames were taken in.
     fn errors(&self) -> u64 {
         0
     }
 
-    /// Who knows what was dropped of what arrived, for normal threads; `None`: a carrier that drops nothing without a
-    /// word.
+    /// The counter of dropped incoming frames, for normal threads; `None`: the carrier never drops frames silently.
     fn dropped(&self) -> Option<Arc<dyn Dropped>> {
         None
     }
@@ -43,8 +43,8 @@ pub trait Frames: Send {
     fn memory(&self, regions: &mut Regions);
 }
 
-/// What a carrier dropped of what arrived, because nobody took it in soon enough. To be asked by normal threads: it may
-/// be a system call.
+/// Incoming frames that a carrier dropped because they were not taken in soon enough. For normal threads: reading
+/// it may be a system call.
 pub trait Dropped: Debug + Send + Sync {
     /// All frames since the beginning.
     fn count(&self) -> u64;

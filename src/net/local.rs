@@ -1,8 +1,8 @@
-//! A line on this host without an interface: whole Ethernet frames as datagrams between Unix sockets (unix(7)).
+//! A segment on this host without an interface: whole Ethernet frames as datagrams between Unix sockets (unix(7)).
 //!
-//! The line of `local:NAME` listens at the abstract address `fieldbeat-local/NAME` of its network namespace; a master
-//! has an address of its own, by which it gets its frames back. Nobody needs any right for it, and nothing is left
-//! behind in the file system. A line that is not there yet, or no more, is like an interface that is down.
+//! The segment of `local:NAME` listens at the abstract address `fieldbeat-local/NAME` of its network namespace; a
+//! master has an address of its own, to which its frames return. This needs no rights and leaves nothing in the
+//! file system. A segment that does not exist yet, or no longer, is like an interface that is down.
 
 use std::io;
 use std::mem::{offset_of, zeroed};
@@ -15,28 +15,29 @@ use super::stamp;
 use crate::rt::{MonotonicClock, Regions};
 use crate::time::Time;
 
-/// What such an interface's name begins with.
+/// Prefix of such an interface's name.
 pub const PREFIX: &str = "local:";
-/// What the addresses of all lines begin with, behind the zero that makes them abstract.
+/// Prefix of the addresses of all segments, after the zero that makes them abstract.
 const SPACE: &str = "fieldbeat-local/";
 
-/// The name of the line that an interface is; `None`: it is a real one.
+/// The name of the segment that an interface stands for; `None`: it is a real one.
 pub fn name(interface: &str) -> Option<&str> {
     interface.strip_prefix(PREFIX)
 }
 
-/// One end of a line on this host.
+/// One end of a segment on this host.
 #[derive(Debug)]
 pub struct Local {
     socket: OwnedFd,
-    /// Where its frames go.
+    /// The destination of its frames.
     peer: Address,
-    /// It is the line's end: to whom it heard last, and when its frames were sent, however late it looks.
+    /// It is the segment's end: it answers the sender it received from last, and reports send times, however late
+    /// it reads.
     answers: bool,
 }
 
 impl Local {
-    /// The master's end of the line `name`; the line need not be there yet.
+    /// The master's end of the segment `name`; the segment need not exist yet.
     ///
     /// # Errors
     ///
@@ -44,16 +45,16 @@ impl Local {
     pub fn open(name: &str) -> io::Result<Local> {
         let peer = Address::of(name)?;
         let socket = socket()?;
-        // An address by itself, for the frames that come back.
+        // An address of its own, for the returning frames.
         bind(&socket, &Address::UNNAMED)?;
         Ok(Local { socket, peer, answers: false })
     }
 
-    /// The line's end: its frames go to whom it heard last.
+    /// The segment's end: its frames go to the sender that it received from last.
     ///
     /// # Errors
     ///
-    /// As above, and [`AddrInUse`](io::ErrorKind::AddrInUse) if the line is served already.
+    /// As above, and [`AddrInUse`](io::ErrorKind::AddrInUse) if the segment is served already.
     pub fn serve(name: &str) -> io::Result<Local> {
         let own = Address::of(name)?;
         let socket = socket()?;
@@ -62,7 +63,7 @@ impl Local {
         Ok(Local { socket, peer: Address::UNNAMED, answers: true })
     }
 
-    /// The line's end: a frame, when it was sent, and by whom.
+    /// The segment's end: a frame, when it was sent, and by whom.
     fn hear(&mut self, room: &mut [u8]) -> Option<(Time, usize)> {
         let mut from = Address::UNNAMED;
         let heard = stamp::receive(&self.socket, room, Some((&mut from.whole, &mut from.length)))?;
@@ -88,7 +89,7 @@ fn bind(socket: &OwnedFd, address: &Address) -> io::Result<()> {
     if result < 0 { Err(io::Error::last_os_error()) } else { Ok(()) }
 }
 
-/// An address, and how much of it counts.
+/// An address, and its used length.
 #[derive(Clone, Copy)]
 struct Address {
     whole: libc::sockaddr_un,
@@ -98,7 +99,7 @@ struct Address {
 const PATH: usize = offset_of!(libc::sockaddr_un, sun_path);
 
 impl Address {
-    /// Nobody's: to bind to it is to get one.
+    /// No address: binding to it assigns one.
     const UNNAMED: Address = Address {
         // SAFETY: all bytes zero but the family are a valid address.
         whole: libc::sockaddr_un { sun_family: libc::AF_UNIX as u16, ..unsafe { zeroed() } },
@@ -139,7 +140,7 @@ impl Frames for Local {
         let begin = MonotonicClock::read();
         let Address { whole, length } = &self.peer;
         if *length as usize <= PATH {
-            // Nobody was heard yet.
+            // Nothing was received yet.
             return Err(Unsent::Down);
         }
         // SAFETY: the kernel reads the bytes of a live slice and of a live address.
@@ -206,7 +207,7 @@ mod tests {
         let name = own("there-and-back");
         let mut line = Local::serve(&name).unwrap();
         let mut masters = [Local::open(&name).unwrap(), Local::open(&name).unwrap()];
-        assert_eq!(line.send(&[0]), Err(Unsent::Down), "nobody was heard yet");
+        assert_eq!(line.send(&[0]), Err(Unsent::Down), "nothing was received yet");
         for (end, byte) in [(0, 1), (1, 2), (0, 3)] {
             let end = &mut masters[end];
             assert_eq!(receive(end), None);

@@ -1,6 +1,6 @@
 //! Sockets and file descriptors, and nothing of any protocol.
 //!
-//! A bus speaks to a carrier through [`Datagrams`], [`Streams`] or [`Frames`]; the carrier stamps what it sends and
+//! A bus uses a carrier through [`Datagrams`], [`Streams`] or [`Frames`]; the carrier stamps what it sends and
 //! takes in, so that the same bus runs over real sockets and in virtual time.
 //!
 //! | file | what |
@@ -8,12 +8,12 @@
 //! | `outbox` | preallocated requests, patched in place |
 //! | `udp` | batched UDP: `sendmmsg`, `recvmmsg` |
 //! | `stream` | connections as the loop and a protocol see them |
-//! | `link` | opens, greets and re-opens connections, beside the loop |
+//! | `link` | opens, initialises and re-opens connections, outside the loop |
 //! | `tcp` | TCP connections on the real-time thread |
 //! | `frames` | Ethernet frames as a protocol sees them |
-//! | `packet` | those of a network interface |
-//! | `local` | those of a line on this host, without an interface |
-//! | `stamp` | when a frame arrived at the end of a line |
+//! | `packet` | frames of a network interface |
+//! | `local` | frames of a segment on this host, without an interface |
+//! | `stamp` | when a frame arrived at the end of a segment |
 
 use std::io;
 use std::net::SocketAddrV4;
@@ -47,8 +47,8 @@ pub trait Datagrams: Send {
     /// The descriptor that becomes readable when something arrives; `None` for a carrier without one.
     fn fd(&self) -> Option<RawFd>;
 
-    /// Hands every posted message of `outbox` to the wire and notes in it how each one fared: one failing message
-    /// never holds up another.
+    /// Hands every posted message of `outbox` to the wire and notes in it the result of each: one failing message
+    /// never delays another.
     fn send(&mut self, outbox: &mut Outbox);
 
     /// Takes in what has arrived, at most one batch, and calls `take` for each datagram. Returns how many there were;
@@ -58,8 +58,8 @@ pub trait Datagrams: Send {
     /// The most datagrams that one `receive` takes.
     fn batch(&self) -> usize;
 
-    /// How many datagrams arrived and were dropped, since those before them had not been taken in. Those behind the
-    /// last one that was taken in may be told with the next one. A carrier that is not said to drop any drops none.
+    /// How many datagrams arrived and were dropped because earlier ones had not been taken in. Those after the last
+    /// datagram taken in may be reported with the next one. By default a carrier drops none.
     fn dropped(&self) -> u64 {
         0
     }
@@ -73,35 +73,34 @@ pub trait Carriers {
     /// A carrier of datagrams bound to `bind`.
     fn datagrams(&self, bind: SocketAddrV4, options: &UdpOptions) -> io::Result<Box<dyn Datagrams>>;
 
-    /// A carrier of connections to `peers`, in this order. Their opening begins at once, and goes on beside the loop.
-    /// Unless it is said otherwise, there are none.
+    /// A carrier of connections to `peers`, in this order. Their opening begins at once and goes on outside the
+    /// loop. The default implementation has none.
     fn streams(&self, _peers: Vec<StreamPeer>) -> io::Result<Box<dyn Streams>> {
         Err(io::ErrorKind::Unsupported.into())
     }
 
-    /// A carrier of the Ethernet frames of one Ethertype on `interface`. Unless it is said otherwise, there are none.
-    ///
+    /// A carrier of the Ethernet frames of one Ethertype on `interface`. The default implementation has none.
     /// # Errors
     ///
     /// [`NotFound`](io::ErrorKind::NotFound): there is no such interface.
-    /// [`PermissionDenied`](io::ErrorKind::PermissionDenied): the right for raw frames is missing. An interface that is
-    /// down is no error: to send on it is [`Down`](frames::Unsent::Down).
+    /// [`PermissionDenied`](io::ErrorKind::PermissionDenied): the right for raw frames is missing. An interface
+    /// that is down is no error here: sending on it gives [`Down`](frames::Unsent::Down).
     fn frames(&self, _interface: &str, _ethertype: u16) -> io::Result<Box<dyn Frames>> {
         Err(io::ErrorKind::Unsupported.into())
     }
 }
 
-/// How a UDP carrier works.
+/// Options of a UDP carrier.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct UdpOptions {
     /// How many peers it serves; sizes the batches.
     pub peers: usize,
-    /// How many datagrams to one peer that is gone are sent before it is given up. They wait in the kernel, which asks
-    /// for its hardware address in vain, and take their room from the send buffer of all.
+    /// How many datagrams are sent to one absent peer before it is given up. They wait in the kernel, whose address
+    /// resolution times out, and take their room from the send buffer of all peers.
     pub waiting: usize,
     /// The longest datagram that has to fit.
     pub room: usize,
-    /// One system call for all requests, or one each with its own stamp.
+    /// One system call for all requests, or one per request with its own stamp.
     pub send: SendMode,
 }
 
@@ -112,14 +111,14 @@ pub enum SendMode {
     /// never shown shorter than they are.
     #[default]
     Batch,
-    /// One `sendto` a request: an exact stamp for each.
+    /// One `sendto` per request: an exact stamp for each.
     Each,
 }
 
 /// The operating system's own carriers.
 ///
-/// The first one with connections starts the link thread; all from one `Os` share it, and it ends with the last of
-/// them.
+/// The first carrier with connections starts the link thread; all from one `Os` share it, and it ends with the last
+/// of them.
 #[derive(Debug, Default)]
 pub struct Os {
     core_of_loop: Option<usize>,
@@ -127,7 +126,7 @@ pub struct Os {
 }
 
 impl Os {
-    /// Whose link thread keeps off this core, that of the loop.
+    /// Its link thread keeps off this core, which is that of the loop.
     pub fn beside(core_of_loop: Option<usize>) -> Os {
         Os { core_of_loop, ..Os::default() }
     }
@@ -163,11 +162,11 @@ impl Carriers for Os {
 /// One datagram that arrived.
 #[derive(Clone, Copy, Debug)]
 pub struct Received<'a> {
-    /// Who sent it.
+    /// Its sender.
     pub from: SocketAddrV4,
     /// When it was taken in.
     pub at: Time,
-    /// Its bytes. Longer than the carrier's room = cut off there and marked.
+    /// Its bytes, cut off at the carrier's room and then marked.
     pub bytes: &'a [u8],
     /// The datagram was longer than the room for it.
     pub truncated: bool,

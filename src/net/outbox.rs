@@ -1,11 +1,11 @@
-//! Preallocated requests, one a peer, patched in place and posted when they are due.
+//! Preallocated requests, one per peer, patched in place and posted when they are due.
 
 use std::net::SocketAddrV4;
 
 use crate::rt::Regions;
 use crate::time::Time;
 
-/// How the last posting of a message fared.
+/// The result of the last posting of a message.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Sent {
     /// Not posted in this cycle.
@@ -19,7 +19,7 @@ pub enum Sent {
     Failed(i32),
 }
 
-/// One message an index, each with its own room and its fixed peer.
+/// One message per index, each with its own room and its fixed peer.
 #[derive(Debug)]
 pub struct Outbox {
     room: usize,
@@ -60,7 +60,7 @@ impl Outbox {
         self.messages.is_empty()
     }
 
-    /// The whole room of message `index`, to build it in.
+    /// The whole room of message `index`, to build the message in.
     pub fn room(&mut self, index: usize) -> &mut [u8] {
         &mut self.bytes[index * self.room..(index + 1) * self.room]
     }
@@ -70,27 +70,27 @@ impl Outbox {
         &self.bytes[index * self.room..][..self.messages[index].length]
     }
 
-    /// Says how long the message built in [`room`](Self::room) is.
+    /// Sets the length of the message built in [`room`](Self::room).
     pub fn set_length(&mut self, index: usize, length: usize) {
         self.messages[index].length = length.min(self.room);
     }
 
-    /// Who message `index` goes to.
+    /// The peer of message `index`.
     pub fn peer(&self, index: usize) -> SocketAddrV4 {
         self.messages[index].peer
     }
 
-    /// Posts message `index` for the next `send`, or takes it out.
+    /// Posts message `index` for the next `send`, or removes it.
     pub fn post(&mut self, index: usize, due: bool) {
         self.messages[index].sent = if due { Sent::Posted } else { Sent::Idle };
     }
 
-    /// How message `index` fared.
+    /// The result of message `index`.
     pub fn sent(&self, index: usize) -> Sent {
         self.messages[index].sent
     }
 
-    /// For the carrier: notes how message `index` fared.
+    /// For the carrier: notes the result of message `index`.
     pub fn note(&mut self, index: usize, sent: Sent) {
         self.messages[index].sent = sent;
     }

@@ -1,10 +1,10 @@
 //! Ethernet frames of one Ethertype on a real interface: AF_PACKET behind [`Frames`] (packet(7)).
 //!
-//! The socket is bound to the Ethertype and the interface, so that the kernel hands over no other frame; it does not
-//! hear what it sends itself (PACKET_IGNORE_OUTGOING), and what it sends goes by the driver's queue alone
-//! (PACKET_QDISC_BYPASS). It needs CAP_NET_RAW. What the kernel drops because nobody took it in, it counts
-//! (PACKET_STATISTICS); it is asked by normal threads only. When the interface goes down it stays bound, and goes on
-//! when that comes back; not so if it is removed.
+//! The socket is bound to the Ethertype and the interface, so that the kernel delivers no other frame. It does not
+//! receive its own frames (PACKET_IGNORE_OUTGOING), and sends directly to the driver's queue (PACKET_QDISC_BYPASS).
+//! It needs CAP_NET_RAW. The kernel counts frames that it drops because they were not taken in (PACKET_STATISTICS);
+//! only normal threads read that count. When the interface goes down the socket stays bound, and works again when
+//! the interface is back; not so if the interface is removed.
 
 use std::ffi::CString;
 use std::io;
@@ -27,25 +27,25 @@ type Name = [libc::c_char; libc::IFNAMSIZ];
 pub struct Packet {
     socket: Arc<OwnedFd>,
     mac: [u8; 6],
-    /// The interface, as the kernel wants it to be asked for.
+    /// The name of the interface, in the form of the kernel's requests.
     name: Name,
-    /// It is the line's end: it tells when its frames arrived, however late it looks.
+    /// It is the segment's end: it reports when its frames arrived, however late it reads.
     answers: bool,
     errors: u64,
     drops: Arc<Drops>,
 }
 
-/// What the kernel dropped. It forgets its count when it tells it.
+/// Frames dropped by the kernel, which resets its count on each read.
 #[derive(Debug)]
 struct Drops {
-    /// Whoever asks later must not keep it open.
+    /// A later reader must not keep it open.
     socket: Weak<OwnedFd>,
     told: AtomicU64,
 }
 
 impl Drop for Packet {
     fn drop(&mut self) {
-        // What was dropped since it was asked last.
+        // Frames dropped since the last read.
         self.drops.count();
     }
 }
@@ -81,8 +81,7 @@ impl Packet {
     pub fn open(interface: &str, ethertype: u16) -> io::Result<Packet> {
         let (index, name) = find(interface)?;
         let flags = libc::SOCK_RAW | libc::SOCK_NONBLOCK | libc::SOCK_CLOEXEC;
-        // Protocol 0: it hears nothing until it is bound.
-        // SAFETY: plain numbers.
+        // Protocol 0: it receives nothing until it is bound. SAFETY: plain numbers.
         let fd = unsafe { libc::socket(libc::AF_PACKET, flags, 0) };
         if fd < 0 {
             return Err(refused(interface, io::Error::last_os_error()));
@@ -110,7 +109,7 @@ impl Packet {
         Ok(Packet { socket, mac: [a, b, c, d, e, f], name, answers: false, errors: 0, drops })
     }
 
-    /// The same for a line's end of the cable.
+    /// The same for a segment's end of the cable.
     ///
     /// # Errors
     ///
@@ -122,7 +121,7 @@ impl Packet {
         Ok(packet)
     }
 
-    /// There is a cable, and the interface is up. Asked only when the kernel did not take a frame.
+    /// There is a cable, and the interface is up. Queried only when the kernel did not accept a frame.
     fn is_running(&self) -> bool {
         // SAFETY: all bytes zero are a valid request.
         let mut request = libc::ifreq { ifr_name: self.name, ..unsafe { zeroed() } };
@@ -209,7 +208,7 @@ impl Frames for Packet {
         let count =
             unsafe { libc::recv(self.socket.as_raw_fd(), room.as_mut_ptr().cast(), room.len(), flags) };
         let Ok(count) = usize::try_from(count) else {
-            // An error is that of the interface, told once; there is no frame.
+            // An error is that of the interface, reported once; there is no frame.
             self.errors += u64::from(Errno::last() != Errno::EAGAIN);
             return None;
         };
@@ -257,7 +256,7 @@ mod tests {
         assert!(done.success(), "ip {arguments}");
     }
 
-    /// Both ends of a cable, in a network of this thread's own, that goes when it ends.
+    /// Both ends of a cable, in a network namespace of this thread's own that disappears with it.
     fn cable() {
         unshare(CloneFlags::CLONE_NEWNET).expect("it runs as root");
         ip(&format!("link add {NEAR} address 02:00:00:00:00:01 type veth peer name {FAR}"));
@@ -294,7 +293,7 @@ mod tests {
     /// Nothing takes this long, however busy the host.
     const LONG: Duration = Duration::from_secs(60);
 
-    /// Until the interface has followed its other end.
+    /// Waits until the interface has followed its other end.
     fn until_sent(socket: &mut Packet, sent: impl Fn(Result<Time, Unsent>) -> bool) {
         let begin = Instant::now();
         while !sent(socket.send(&frame(TYPE, 60))) {
@@ -318,7 +317,7 @@ mod tests {
             assert_eq!(receive(&mut far, &mut room), Some(length));
             assert_eq!(room[..length], frame(TYPE, length));
         }
-        // A foreign one in between reaches its own socket alone.
+        // A foreign frame in between reaches its own socket alone.
         near.send(&frame(0x88B5, 61)).unwrap();
         near.send(&frame(TYPE, 62)).unwrap();
         assert_eq!(receive(&mut other, &mut room), Some(61));
@@ -326,7 +325,7 @@ mod tests {
         assert!(near.receive(&mut room).is_none(), "what it sent itself");
         near.send(&frame(TYPE, 100)).unwrap();
         let mut short = [0; 40];
-        assert_eq!(receive(&mut far, &mut short), Some(100), "cut off and told");
+        assert_eq!(receive(&mut far, &mut short), Some(100), "cut off and reported");
         assert!(far.receive(&mut room).is_none() && other.receive(&mut room).is_none());
     }
 
@@ -336,7 +335,7 @@ mod tests {
         cable();
         let mut near = Packet::open(NEAR, TYPE).unwrap();
         let mut far = Packet::serve(FAR, TYPE).unwrap();
-        // The kernel begins to stamp a while after it was asked to.
+        // The kernel begins to stamp a while after the request.
         let has_its_time = (0..50).any(|_| {
             near.send(&frame(TYPE, 60)).unwrap();
             let sent_by = near.now();
@@ -347,7 +346,7 @@ mod tests {
         });
         assert!(has_its_time);
         near.send(&frame(TYPE, 100)).unwrap();
-        assert_eq!(receive(&mut far, &mut [0; 40]), Some(100), "cut off and told");
+        assert_eq!(receive(&mut far, &mut [0; 40]), Some(100), "cut off and reported");
         assert!(far.receive(&mut [0; 40]).is_none());
     }
 
@@ -364,7 +363,7 @@ mod tests {
         assert_eq!((dropped.count(), far.errors()), (0, 0));
         let mut before = 0;
         for _ in 0..2 {
-            // More than any receive buffer holds; nobody takes them in meanwhile.
+            // More than any receive buffer holds; nothing is taken in meanwhile.
             let sent = (0..20_000).filter(|_| near.send(&frame(TYPE, 1_000)).is_ok()).count() as u64;
             let lost = dropped.count() - before;
             let mut taken = 0;
@@ -373,7 +372,7 @@ mod tests {
             }
             assert!(lost > 0 && taken > 0 && taken + lost <= sent, "{taken} + {lost} of {sent}");
             before += lost;
-            assert_eq!(dropped.count(), before, "told once, and kept");
+            assert_eq!(dropped.count(), before, "reported once, and kept");
         }
         ip(&format!("link set {FAR} down"));
         assert!(far.receive(&mut room).is_none() && far.receive(&mut room).is_none());

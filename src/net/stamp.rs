@@ -1,4 +1,4 @@
-//! When something arrived, by the kernel's stamp, however late it is looked at (socket(7), SO_TIMESTAMPNS).
+//! Arrival times by the kernel's stamps, however late a socket is read (socket(7), SO_TIMESTAMPNS).
 
 use std::io;
 use std::mem::{size_of, zeroed};
@@ -7,7 +7,7 @@ use std::os::fd::{AsRawFd, OwnedFd};
 use crate::rt::MonotonicClock;
 use crate::time::{S, Time};
 
-/// The kernel stamps what arrives at `socket`.
+/// Lets the kernel stamp what arrives at `socket`.
 pub(super) fn switch_on(socket: &OwnedFd) -> io::Result<()> {
     let on: libc::c_int = 1;
     // SAFETY: the kernel reads one int.
@@ -23,8 +23,8 @@ pub(super) fn switch_on(socket: &OwnedFd) -> io::Result<()> {
     if result < 0 { Err(io::Error::last_os_error()) } else { Ok(()) }
 }
 
-/// What has come, without waiting: when, and its bytes, of which `room` has as many as fit. Who sent it is written to
-/// `from`, with its length.
+/// Reads one datagram without waiting: its arrival time, and its length; `room` has as many of its bytes as fit.
+/// Its sender is written to `from`, with its length.
 pub(super) fn receive<A>(
     socket: &OwnedFd,
     room: &mut [u8],
@@ -54,7 +54,7 @@ pub(super) fn receive<A>(
     Some((arrived_at(&message), count))
 }
 
-/// When `message` arrived, by the clock of all other stamps; now, if the kernel does not say.
+/// When `message` arrived, by the clock of all other stamps; now, if the kernel does not report it.
 fn arrived_at(message: &libc::msghdr) -> Time {
     let now = MonotonicClock::read();
     // SAFETY: the kernel has filled the control buffer of a live message.
@@ -71,7 +71,7 @@ fn arrived_at(message: &libc::msghdr) -> Time {
     // SAFETY: the kernel writes a live value.
     unsafe { libc::clock_gettime(libc::CLOCK_REALTIME, &raw mut today) };
     let ns = |time: libc::timespec| i128::from(time.tv_sec) * 1_000_000_000 + i128::from(time.tv_nsec);
-    // The clock of the day may have been set meanwhile.
+    // The wall clock may have been set meanwhile.
     let ago = u64::try_from(ns(today) - ns(stamp)).ok().filter(|ago| *ago < S);
     Time(now.0.saturating_sub(ago.unwrap_or(0)))
 }

@@ -1,8 +1,8 @@
 //! Connections as the loop and a protocol see them.
 //!
-//! The loop holds those that are ready and takes turns of bounded work with them: what can block, opening, greeting and
-//! closing, is done beside it by [`link`](super::link). Each connection has one owner at any time, and changes hands by
-//! wait-free queues.
+//! The loop owns the connections that are ready and does bounded work on them. Blocking work (opening, handshake
+//! and closing) is done outside the loop by [`link`](super::link). Each connection has one owner at any time, and
+//! changes owners by wait-free queues.
 
 use std::fmt::Debug;
 use std::net::SocketAddrV4;
@@ -14,31 +14,32 @@ use crate::time::{MS, S, Time};
 
 /// A carrier of connections to fixed peers on the real-time thread: never waits, never allocates.
 pub trait Streams: Send {
-    /// The descriptor that is readable while something waits to be received on any of them, and while a broken one has
-    /// not been given up. Asked anew before each wait: that of an only connection is its own. `None`: nothing can be
-    /// waited for at present.
+    /// The descriptor that is readable while something waits to be received on any of them, and while a broken one
+    /// has not been given up. Queried before each wait: a single connection has its own descriptor. `None`: there
+    /// is nothing to wait for at present.
     fn fd(&self) -> Option<RawFd>;
 
-    /// Takes over a connection that became ready since, if there is one: nothing of an earlier connection to that peer
-    /// is left.
+    /// Takes over a connection that became ready since the last call, if there is one: nothing of an earlier
+    /// connection to that peer is left.
     fn opened(&mut self) -> Option<usize>;
 
-    /// Looks which connections have something to receive, a bounded number; then [`ready`](Self::ready) names them.
+    /// Looks for connections with something to receive, a bounded number; then [`ready`](Self::ready) returns them.
     fn look(&mut self);
 
-    /// The next one that the last look found.
+    /// The next connection that the last look found.
     fn ready(&mut self) -> Option<usize>;
 
-    /// Takes in what arrived on connection `index`, at most all of `room`, and when. `None`: nothing.
+    /// Takes in what arrived on connection `index`, at most all of `room`, with the time. `None`: nothing.
     fn receive(&mut self, index: usize, room: &mut [u8]) -> Result<Option<(Time, usize)>, Broken>;
 
-    /// Hands the front of `bytes` to connection `index`: when, and how many the wire took, 0 if it takes none now.
+    /// Hands the front of `bytes` to connection `index`; returns the time and how many the wire took, 0 if it takes
+    /// none now.
     fn send(&mut self, index: usize, bytes: &[u8]) -> Result<(Time, usize), Broken>;
 
-    /// Gives connection `index` up, for this reason. It is closed and opened anew, after a pause.
+    /// Gives connection `index` up for this reason. It is closed, and opened anew after a pause.
     fn abandon(&mut self, index: usize, why: &'static str);
 
-    /// What is told of the opening of connections, for normal threads.
+    /// Notes on the opening of connections, for normal threads.
     fn notes(&self) -> LinkNotes;
 
     /// Adds the memory that it touches, to be locked with `memory = "own"`.
@@ -48,7 +49,7 @@ pub trait Streams: Send {
 /// A connection that can no longer be used. It has to be given up by [`Streams::abandon`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Broken {
-    /// There is none: it is not open yet, or was given up.
+    /// There is no connection: it is not open yet, or was given up.
     Absent,
     /// The peer has closed it.
     Closed,
@@ -59,20 +60,20 @@ pub enum Broken {
 /// One peer to be connected to, and kept connected.
 #[derive(Debug)]
 pub struct StreamPeer {
-    /// Where it listens.
+    /// The address that it listens at.
     pub address: SocketAddrV4,
-    /// The longest that opening a connection may take, ns.
+    /// The longest opening of a connection, ns.
     pub connect_ns: u64,
-    /// The longest that the greeting may take, ns.
+    /// The longest handshake, ns.
     pub greeting_ns: u64,
-    /// The pause after a first failure, ns; it doubles with each one in a row ... Each is shorter by up to an eighth,
-    /// for each peer another one, so that many that died together are not asked together.
+    /// The pause after a first failure, ns; it doubles with each one in a row ... Each is shortened by up to an
+    /// eighth, differently for each peer, so that many peers that failed together are not tried together.
     pub least_pause_ns: u64,
     /// ... up to this. A connection that was in use for so long begins with the least pause again.
     pub most_pause_ns: u64,
     /// Sent bytes that the peer's host does not acknowledge for so long break the connection, ns.
     pub unacknowledged_ns: u64,
-    /// What is said on a new connection before the loop has it.
+    /// The handshake on a new connection before the loop gets it.
     pub greeting: Box<dyn Greeting>,
 }
 
@@ -91,28 +92,28 @@ impl StreamPeer {
     }
 }
 
-/// What a protocol says on a new connection before the loop has it: on a normal thread, without sockets or waits. What
-/// it finds out it shares with its station; the handing over of the connection orders both.
+/// A protocol's handshake on a new connection before the loop gets it: on a normal thread, without sockets or
+/// waits. It shares its findings with its station; handing the connection over orders both.
 pub trait Greeting: Debug + Send {
-    /// A connection was opened at `now`. Appends what is to be sent to `out`.
+    /// A connection was opened at `now`. Appends the bytes to send to `out`.
     fn begin(&mut self, now: Time, out: &mut Vec<u8>) -> Greeted;
 
-    /// Takes in what arrived, split anywhere, and appends what is to be sent to `out`.
+    /// Takes in what arrived, split anywhere, and appends the bytes to send to `out`.
     fn take(&mut self, now: Time, bytes: &[u8], out: &mut Vec<u8>) -> Greeted;
 }
 
-/// How far a greeting is.
+/// The state of a handshake.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Greeted {
     /// It waits for an answer.
     More,
-    /// It is done: nothing is owed on the connection.
+    /// It is complete: nothing is owed on the connection.
     Done,
-    /// It cannot be used as it is, for this reason; the connection is closed.
+    /// The connection cannot be used, for this reason; it is closed.
     Failed(String),
 }
 
-/// The last word on each connection of a carrier: why it is not open, in words. Clones are the same notes.
+/// The last note on each connection of a carrier: why it is not open, in words. Clones are the same notes.
 #[derive(Clone, Debug, Default)]
 pub struct LinkNotes(Arc<Mutex<Vec<Option<String>>>>);
 
@@ -127,7 +128,7 @@ impl LinkNotes {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).get(index).cloned().flatten()
     }
 
-    /// For whoever opens connections.
+    /// For the thread that opens connections.
     pub fn set(&self, index: usize, note: Option<String>) {
         let mut notes = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(place) = notes.get_mut(index) {

@@ -1,12 +1,13 @@
 //! TCP connections on the real-time thread, behind [`Streams`].
 //!
-//! Two system calls a request and its reply, `sendto` and `recvfrom`, and one `epoll_wait` for all connections
-//! together; an only connection has no epoll and is waited for itself, which wakes the loop sooner. Sockets come from
-//! the link thread when they are ready and go back to it to be closed: nothing here opens, waits, closes or allocates.
+//! Two system calls per request and reply, `sendto` and `recvfrom`, and one `epoll_wait` for all connections
+//! together; a single connection has no epoll and is waited for itself, which wakes the loop sooner. Sockets come
+//! from the link thread when they are ready and return to it to be closed: nothing here opens, waits, closes or
+//! allocates.
 //!
-//! An epoll is this side's alone. The kernel guards it with a lock that may sleep: were the link thread to add a socket
-//! to it, a normal thread that is preempted just then would hold up the loop. So the loop adds a socket when it takes
-//! it over and removes it before it gives it back, one `epoll_ctl` a connection each.
+//! The epoll belongs to this side alone. The kernel guards it with a lock that may sleep: if the link thread added
+//! a socket to it, a normal thread that is preempted just then would delay the loop. So the loop adds a socket when
+//! it takes it over and removes it before it returns it, one `epoll_ctl` per connection each.
 
 use std::io;
 use std::os::fd::{AsRawFd, OwnedFd, RawFd};
@@ -20,15 +21,16 @@ use super::stream::{Broken, LinkNotes, StreamPeer, Streams};
 use crate::rt::{MonotonicClock, Regions};
 use crate::time::Time;
 
-/// Connections to fixed peers. Dropped when the loop has ended: what it has open then it closes in order, so that the
+/// Connections to fixed peers. When dropped at the loop's end it closes its open connections in order, so that the
 /// last outputs arrive.
 #[derive(Debug)]
 pub struct Tcp {
-    /// `None`: an only connection is asked itself.
+    /// `None`: a single connection is read itself.
     epoll: Option<Epoll>,
-    /// What is open.
+    /// The open sockets.
     sockets: Box<[Option<OwnedFd>]>,
-    /// What the last look found, and how far it was asked for. Room for all, so that none waits behind busier ones.
+    /// The result of the last look, and how much of it was read. Room for all, so that none waits behind busier
+    /// ones.
     events: Box<[EpollEvent]>,
     found: usize,
     next: usize,
@@ -54,7 +56,7 @@ impl Tcp {
         self.sockets.get(index).and_then(Option::as_ref).map(AsRawFd::as_raw_fd).ok_or(Broken::Absent)
     }
 
-    /// Has the epoll watch it, if there is one.
+    /// Adds it to the epoll, if there is one.
     fn watch(&self, index: usize, socket: &OwnedFd) -> nix::Result<()> {
         let event = EpollEvent::new(EpollFlags::EPOLLIN, index as u64);
         self.epoll.as_ref().map_or(Ok(()), |epoll| epoll.add(socket, event))
@@ -97,9 +99,9 @@ impl Streams for Tcp {
     fn look(&mut self) {
         self.next = 0;
         self.found = match &self.epoll {
-            // An error could only be EINTR: next time.
+            // The only possible error is EINTR: next time.
             Some(epoll) => epoll.wait(&mut self.events, EpollTimeout::ZERO).unwrap_or(0),
-            // Nothing to receive costs the same call. Its event has the index 0 as it stands.
+            // Nothing to receive costs the same call. The event's index is 0 already.
             None => usize::from(self.socket(0).is_ok()),
         };
     }
@@ -137,8 +139,8 @@ impl Streams for Tcp {
     fn abandon(&mut self, index: usize, why: &'static str) {
         if let Some(socket) = self.sockets.get_mut(index).and_then(Option::take) {
             if let Some(epoll) = &self.epoll {
-                // Removed here, so that the end of the connection wakes up the loop no more. It was added: this cannot
-                // fail.
+                // Removed here, so that the end of the connection no longer wakes up the loop. It was added: this
+                // cannot fail.
                 let _ = epoll.delete(&socket);
             }
             self.give_back(index, socket, why);
@@ -231,7 +233,7 @@ mod tests {
                 drives[index].write_all(&[index as u8, round as u8]).unwrap();
             }
             let mut heard = Vec::new();
-            until("all heard", || {
+            until("all received", || {
                 tcp.look();
                 while let Some(index) = tcp.ready() {
                     let mut room = [0; 8];
@@ -348,7 +350,7 @@ mod tests {
         assert_eq!(tcp.send(0, b"request"), Err(Broken::Failed(libc::EPIPE)));
     }
 
-    /// Lets the peer's host hear nothing any more, as if its cable were out: not even acknowledge.
+    /// Makes the peer's host receive nothing any more, as if its cable were out: it does not even acknowledge.
     fn vanish(drive: &TcpStream) {
         let mut nothing =
             libc::sock_filter { code: (libc::BPF_RET | libc::BPF_K) as u16, jt: 0, jf: 0, k: 0 };

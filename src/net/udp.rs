@@ -2,10 +2,10 @@
 //!
 //! Nothing here knows what the bytes mean. Nothing waits or allocates after the socket is open.
 //!
-//! What the kernel drops because the socket's buffer is full it counts, and it tells the count with each datagram that
-//! it took in since (SO_RXQ_OVFL, socket(7)). That costs two words a header, and nothing in the kernel until the first
-//! loss. To ask for the count (SO_MEMINFO) would be a system call more, and one more that the real-time thread may
-//! make, to learn of losses before the next datagram comes.
+//! The kernel counts what it drops because the socket's buffer is full, and reports the count with each datagram
+//! that it accepted since (SO_RXQ_OVFL, socket(7)). That costs two words per header, and nothing in the kernel
+//! until the first loss. Reading the count directly (SO_MEMINFO) would be one more system call, and one more that
+//! the real-time thread may make, to learn of losses before the next datagram comes.
 
 use std::io;
 use std::mem::{MaybeUninit, size_of};
@@ -22,24 +22,24 @@ use crate::rt::{MonotonicClock, Regions};
 /// one stamp of a batch close to each of its messages.
 const SEND_BATCH: usize = 64;
 
-/// The most datagrams of one `recvmmsg`. Twice as many: at 256 drives that is two system calls a cycle less (`cargo
+/// The most datagrams of one `recvmmsg`. Twice as many: at 256 drives that saves two system calls a cycle (`cargo
 /// bench --bench scale`).
 const RECEIVE_BATCH: usize = 128;
 
-/// What the kernel books for one small datagram besides its bytes: the packet's head and its descriptor (`truesize`,
-/// 768 on x86-64), generously.
+/// What the kernel charges for one small datagram besides its bytes: the packet's head and its descriptor
+/// (`truesize`, 768 on x86-64), rounded up.
 const OVERHEAD: usize = 1024;
 
-/// Datagrams of each peer that a socket buffer holds: those of a few cycles, should the loop be held up.
+/// Datagrams of each peer that a socket buffer holds: those of a few cycles, in case the loop is delayed.
 const DEPTH: usize = 8;
 
 impl UdpOptions {
-    /// The send buffer that the socket asks for, bytes.
+    /// The requested size of the send buffer, bytes.
     pub fn send_buffer(&self) -> usize {
         self.space(self.waiting.max(DEPTH))
     }
 
-    /// The receive buffer that the socket asks for, bytes.
+    /// The requested size of the receive buffer, bytes.
     pub fn receive_buffer(&self) -> usize {
         self.space(DEPTH)
     }
@@ -63,13 +63,13 @@ pub struct Udp {
     room: usize,
     /// One room after the other, for the datagrams of one `recvmmsg`.
     inbox: Box<[u8]>,
-    /// The kernel's count of what it dropped, which wraps around, as it was last told ...
+    /// The kernel's count of dropped datagrams, which wraps around, as last reported ...
     told: u32,
-    /// ... and all that it dropped.
+    /// ... and the number of all dropped datagrams.
     dropped: u64,
 }
 
-/// Room for the one ancillary message that a datagram may come with, a count.
+/// Room for the one ancillary message that a datagram may carry, a count.
 #[repr(C, align(8))]
 struct Control([u8; CONTROL]);
 
@@ -84,22 +84,22 @@ impl Udp {
     ///
     /// # Errors
     ///
-    /// What `socket` and `bind` say: EADDRINUSE if another process has the address, EADDRNOTAVAIL if no interface has
-    /// it.
+    /// The errors of `socket` and `bind`: EADDRINUSE if another process has the address, EADDRNOTAVAIL if no
+    /// interface has it.
     pub fn bind(bind: SocketAddrV4, options: &UdpOptions) -> io::Result<Udp> {
         let socket = UdpSocket::bind(bind)?;
         socket.set_nonblocking(true)?;
         setsockopt(&socket, sockopt::SndBuf, &options.send_buffer())?;
         setsockopt(&socket, sockopt::RcvBuf, &options.receive_buffer())?;
         setsockopt(&socket, sockopt::RxqOvfl, &1)?;
-        // Twice the peers: the reply of each, and one that is late, without a second call. Few peers need few headers;
-        // what a stranger sends is still taken in by the handful.
+        // Twice the peers: the reply of each, and one that is late, without a second call. Few peers need few
+        // headers; datagrams of an unknown sender are still taken in several at a time.
         let batch = (options.peers * 2).clamp(8, RECEIVE_BATCH);
         let inbox = vec![0; batch * options.room].into();
         Ok(Udp { socket, mode: options.send, batch, room: options.room, inbox, told: 0, dropped: 0 })
     }
 
-    /// Takes up the kernel's count of what it dropped, if the newest datagram came with it.
+    /// Takes over the kernel's count of dropped datagrams, if the newest datagram carries it.
     fn count_dropped(&mut self, newest: &libc::msghdr) {
         // SAFETY: the header is one that the kernel filled in: it points to `Control`, of which so many bytes are
         // filled. CMSG_FIRSTHDR is null if there is no whole message in them.
@@ -114,8 +114,8 @@ impl Udp {
         }
     }
 
-    /// One `sendmmsg` for each [`SEND_BATCH`] posted messages. The messages of a batch are sent, or charged with their
-    /// own error; the call resumes behind a failing one. Each turn settles at least one message.
+    /// One `sendmmsg` per [`SEND_BATCH`] posted messages. The messages of a batch are sent, or charged with their
+    /// own error; the call resumes after a failing one. Each turn settles at least one message.
     fn send_batches(&mut self, outbox: &mut Outbox) {
         let mut next = 0;
         loop {
@@ -462,7 +462,7 @@ mod tests {
         for round in 1..4 {
             let before = udp.dropped();
             burst(&mut udp, 2_000, &mut taken);
-            // Those behind the last one that had room are told with the next one.
+            // Datagrams after the last one that had room are reported with the next one.
             let sent = burst(&mut udp, 1, &mut taken);
             assert_eq!(taken + udp.dropped(), sent, "round {round}");
             assert!(udp.dropped() > before + 500, "{}", udp.dropped());

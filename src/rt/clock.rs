@@ -43,7 +43,7 @@ pub trait Clock: Send {
     /// Waits until a descriptor of `set` is readable (true) or `until` has passed (false).
     fn wait(&mut self, set: &mut PollSet, until: Time) -> bool;
 
-    /// One turn of a spinning wait: keeps the processor, lets nobody else run.
+    /// One turn of a spinning wait: keeps the processor, lets no other thread run.
     fn spin(&mut self);
 
     /// What the kernel counts against the calling thread; nothing in virtual time.
@@ -57,7 +57,7 @@ pub trait Clock: Send {
 pub struct MonotonicClock;
 
 impl MonotonicClock {
-    /// The current instant, for whoever has no `&mut Clock` at hand.
+    /// The current instant, for callers without a `&mut Clock`.
     pub fn read() -> Time {
         let mut ts = libc::timespec { tv_sec: 0, tv_nsec: 0 };
         // SAFETY: `ts` is a valid timespec; CLOCK_MONOTONIC exists on every Linux, so the call cannot fail.
@@ -74,7 +74,7 @@ impl Clock for MonotonicClock {
     fn sleep_until(&mut self, at: Time) {
         let ts = libc::timespec { tv_sec: (at.0 / S) as _, tv_nsec: (at.0 % S) as libc::c_long };
         // An absolute sleep may be repeated as it stands when a signal interrupts it.
-        // SAFETY: `ts` is a valid timespec and the remainder is not asked for.
+        // SAFETY: `ts` is a valid timespec and the remainder is not requested.
         while unsafe {
             libc::clock_nanosleep(libc::CLOCK_MONOTONIC, libc::TIMER_ABSTIME, &ts, std::ptr::null_mut())
         } == libc::EINTR

@@ -1,7 +1,8 @@
 //! How long before a grid point the loop wakes to spin up to it: a fixed time, or one learned from how late this
 //! machine's sleeps really end.
 //!
-//! Knows no period but the number it is given and no clock but the one it is handed, so it is tested in virtual time.
+//! Knows no period but the number that it is given and no clock but the one passed to it, so it is tested in
+//! virtual time.
 
 use super::Clock;
 use crate::time::MS;
@@ -10,12 +11,12 @@ use crate::time::MS;
 /// and the last thousandth costs more than all the others together.
 const LATE_SHARE: f64 = 0.001;
 
-/// By what factor one late wake-up raises the guard. A shift of the latencies to the double is followed after
+/// The factor by which one late wake-up raises the guard. A shift of the latencies to the double is followed after
 /// ln 2 / ln 1.05 = 15 late wake-ups; a single outlier, however large, moves the guard by one twentieth.
 const STEP: f64 = 0.05;
 
-/// The shortest learned guard, ns. About the shortest wake-up of any machine; it also keeps the steps, which are shares
-/// of the guard, from dying out at zero.
+/// The shortest learned guard, ns. About the shortest wake-up of any machine; it also keeps the steps, which are
+/// shares of the guard, from vanishing at zero.
 const FLOOR_NS: f64 = 1_000.0;
 
 /// The longest that calibration may take, ns.
@@ -39,8 +40,8 @@ impl GuardTuner {
         GuardTuner { guard_ns: ns as f64, limit_ns: None }
     }
 
-    /// A learned guard for cycles of `period_ns`, at most a quarter of it: what would need more has to be mended in
-    /// the host, not spun away.
+    /// A learned guard for cycles of `period_ns`, at most a quarter of it: larger latencies have to be fixed in the
+    /// host, not spun away.
     pub fn auto(period_ns: u64) -> GuardTuner {
         let limit_ns = (period_ns / 4) as f64;
         GuardTuner { guard_ns: FLOOR_NS.min(limit_ns), limit_ns: Some(limit_ns) }
@@ -79,7 +80,8 @@ impl GuardTuner {
         self.set(second as f64);
     }
 
-    /// Learns from one more sleep of the loop: how much later than asked it ended, ns. Constant time, no system call.
+    /// Learns from one more sleep of the loop: how much later than requested it ended, ns. Constant time, no system
+    /// call.
     #[inline]
     pub fn observe(&mut self, wake_latency_ns: u64) {
         if self.limit_ns.is_none() {

@@ -1,8 +1,7 @@
-//! Facts about this host for a summary beside the numbers: without kernel, preemption model and stolen time, a latency
-//! says little.
+//! Facts about this host for a summary: without kernel, preemption model and stolen time, a latency says little.
 //!
-//! Plain functions over /proc and /sys, for normal threads (they open files and allocate). What this kernel does not
-//! tell is `None`, never a guess.
+//! Plain functions over /proc and /sys, for normal threads (they open files and allocate). What this kernel does
+//! not report is `None`, never a guess.
 
 use std::fs;
 
@@ -18,7 +17,7 @@ pub fn kernel() -> Option<String> {
 
 /// The preemption model: `PREEMPT_RT`, `PREEMPT_DYNAMIC (full)`, `PREEMPT_DYNAMIC`, `PREEMPT`, or `none or voluntary`.
 ///
-/// The mode in brackets is what PREEMPT_DYNAMIC is set to now; it is known only to who may read debugfs.
+/// The mode in brackets is the present setting of PREEMPT_DYNAMIC; only a reader of debugfs can know it.
 pub fn preemption() -> Option<String> {
     preemption_by(line)
 }
@@ -43,8 +42,8 @@ pub fn cpu() -> Option<String> {
     cpu_of(&info).or_else(|| line("/proc/device-tree/model"))
 }
 
-/// Time that the hypervisor gave to others while this machine wanted to run, ms since boot, of one core or (`None`) of
-/// all together (`steal` of /proc/stat, proc(5)). Counted by ticks: as coarse as 10 ms. 0 on bare metal.
+/// Time that the hypervisor gave to others while this machine wanted to run, ms since boot, of one core or (`None`)
+/// of all together (`steal` of /proc/stat, proc(5)). Counted by ticks: as coarse as 10 ms. 0 on bare metal.
 pub fn steal_ms(core: Option<usize>) -> Option<u64> {
     steal_ms_of(&fs::read_to_string("/proc/stat").ok()?, core)
 }

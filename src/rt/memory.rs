@@ -80,7 +80,7 @@ pub fn prefault<T>(slice: &mut [MaybeUninit<T>]) {
     }
 }
 
-/// A ring of `capacity` elements with every page present, entered into `regions`.
+/// A ring of `capacity` elements with every page present, added to `regions`.
 pub fn ring<T>(capacity: usize, regions: &mut Regions) -> (Producer<T>, Consumer<T>) {
     let (mut producer, consumer) = RingBuffer::new(capacity);
     regions.add(producer.buffer());
@@ -112,10 +112,10 @@ pub fn lock_process() -> Result<(), Denied> {
         .map_err(|errno| Denied::Call { call: "mlockall", error: errno.into() })
 }
 
-/// Undoes every lock of the process, those of [`Regions::lock`] too (munlockall(2)); for who only tries what a lock is
-/// worth.
+/// Undoes every lock of the process, those of [`Regions::lock`] too (munlockall(2)); for callers that only test
+/// whether locking works.
 pub fn unlock_process() {
-    // Cannot fail: it asks for no right.
+    // Cannot fail: it requires no right.
     let _ = nix::sys::mman::munlockall();
 }
 
@@ -139,20 +139,21 @@ impl Regions {
         self.areas.push((ptr::from_ref(value).cast::<u8>() as usize, size_of_val(value)));
     }
 
-    /// Adds all that `other` holds: what was collected while it was built, and kept until it was asked for.
+    /// Adds all regions of `other`, which were collected earlier.
     pub fn extend(&mut self, other: &Regions) {
         self.areas.extend_from_slice(&other.areas);
     }
 
-    /// Whether `value` lies within what was added.
+    /// Whether `value` lies within the added regions.
     #[cfg(test)]
     pub(crate) fn covers<T>(&self, value: &[T]) -> bool {
         let (begin, size) = (value.as_ptr() as usize, size_of_val(value));
         self.areas.iter().any(|(area, length)| *area <= begin && begin + size <= area + length)
     }
 
-    /// Locks all of it (mlock(2)), and besides what every thread touches: the calling thread's stack around the
-    /// present depth, the code and the static data of the program and its libraries. For good: nothing unlocks it.
+    /// Locks all of it (mlock(2)), and with it what every thread touches: the calling thread's stack around the
+    /// present depth, the code and the static data of the program and its libraries. It is permanent: nothing
+    /// unlocks it.
     ///
     /// The limit counts for all of them together; a few MiB for a program of its own, much more inside a host with
     /// large libraries.
@@ -267,7 +268,7 @@ fn loaded_segments() -> Vec<(usize, usize)> {
         0
     }
     let mut areas: Vec<(usize, usize)> = Vec::new();
-    // SAFETY: `collect` has the type that is asked for and `areas` outlives the walk.
+    // SAFETY: `collect` has the required type and `areas` outlives the walk.
     unsafe { libc::dl_iterate_phdr(Some(collect), ptr::from_mut(&mut areas).cast()) };
     areas
 }

@@ -6,7 +6,7 @@
 //! | `guard` | how long before a grid point the loop wakes to spin up to it |
 //! | `host` | facts about this host, for the summary |
 //! | `memory` | memory that is present before the loop starts and locked while it runs |
-//! | `rights` | limits and capabilities, and the words for those that are missing |
+//! | `rights` | limits and capabilities, and the messages for those that are missing |
 //! | `thread` | what the loop's thread does to itself at the start |
 //! | `usage` | page faults and context switches of a thread |
 //! | `watch` | run time, run delay, faults and steal of another thread |
@@ -29,19 +29,19 @@ pub use rights::Denied;
 pub use thread::{Granted, RealtimeError, RealtimePlan};
 pub use usage::Usage;
 
-/// How badly real-time scheduling is wanted.
+/// Whether real-time scheduling is required.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Realtime {
     /// Refuse to start without SCHED_FIFO and locked memory.
     Require,
-    /// Take what can be had and say clearly what could not.
+    /// Use what is available and report clearly what is not.
     #[default]
     Prefer,
     /// An ordinary thread, on purpose.
     Off,
 }
 
-/// What memory is locked against paging.
+/// Which memory is locked against paging.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Memory {
     /// All of the process, now and in future (`mlockall`).

@@ -1,5 +1,5 @@
-//! What this process may do, and the words for what it may not: limits and capabilities, read before they are needed,
-//! and refusals that end with their remedy.
+//! What this process may do, and the messages for what it may not: limits and capabilities, read before they are
+//! needed, and refusals that end with their remedy.
 //!
 //! Knows nothing of plans: whether a refusal is an error is for `thread` to say.
 
@@ -21,7 +21,7 @@ pub(super) enum Capability {
     SysNice = 23,
 }
 
-/// A right that is missing. The text is one line and ends with what to do.
+/// A right that is missing. The text is one line and ends with the remedy.
 #[derive(thiserror::Error)]
 pub enum Denied {
     /// The user may not use SCHED_FIFO at this priority.
@@ -31,19 +31,19 @@ pub enum Denied {
         setcap()
     )]
     Fifo {
-        /// The priority asked for.
+        /// The requested priority.
         priority: u8,
         /// The highest priority allowed, 0 = none.
         limit: u64,
     },
-    /// The kernel refuses SCHED_FIFO to a privileged thread: it looks at more than capabilities.
+    /// The kernel refuses SCHED_FIFO to a privileged thread: it checks more than capabilities.
     #[error(
         "SCHED_FIFO {priority} is refused although CAP_SYS_NICE is held: a control group without real-time budget or a \
          container's system call filter forbids it; start from the root control group (or set its cpu.rt_runtime_us), \
          outside the container"
     )]
     FifoGroup {
-        /// The priority asked for.
+        /// The requested priority.
         priority: u8,
     },
     /// The user may not lock so much memory.
@@ -53,9 +53,9 @@ pub enum Denied {
         setcap()
     )]
     Memlock {
-        /// What it takes, KiB.
+        /// The required size, KiB.
         need_kib: u64,
-        /// The most allowed, KiB.
+        /// The highest allowed size, KiB.
         limit_kib: u64,
     },
     /// A system call failed for another reason.
@@ -63,7 +63,7 @@ pub enum Denied {
     Call {
         /// The name of the call.
         call: &'static str,
-        /// What the kernel said.
+        /// The kernel's error.
         error: io::Error,
     },
 }
@@ -104,12 +104,12 @@ fn effective(status: &str) -> u64 {
         .unwrap_or(0)
 }
 
-/// The command that grants this very program both rights.
+/// The command that grants both rights to this very program.
 pub(crate) fn setcap() -> String {
     format!("sudo setcap cap_sys_nice,cap_ipc_lock+ep {}", program())
 }
 
-/// This very program, as a shell takes it.
+/// This very program, quoted for a shell.
 pub(crate) fn program() -> String {
     let program = std::env::current_exe().map_or("PROGRAM".to_owned(), |path| path.display().to_string());
     let plain = |c: char| c.is_ascii_alphanumeric() || "/._-+".contains(c);

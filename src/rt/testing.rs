@@ -1,4 +1,5 @@
-//! What the tests of this folder share: things that must not happen to the process that runs all the other tests.
+//! Common parts of the tests of this folder: things that must not happen to the process that runs all the other
+//! tests.
 
 use std::process::Command;
 

@@ -16,12 +16,12 @@ use super::memory::{self, Regions};
 use super::rights::{Capability, Denied, holds, rtprio_limit};
 use super::{Memory, Realtime};
 
-/// What the loop's thread shall be.
+/// What the loop's thread shall become.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RealtimePlan {
-    /// How badly.
+    /// Whether real-time scheduling is required.
     pub realtime: Realtime,
-    /// What memory is locked.
+    /// Which memory is locked.
     pub memory: Memory,
     /// SCHED_FIFO priority, 1 ... 99. Above 50 it precedes the threads of interrupts on PREEMPT_RT, also that of its
     /// own network card; 99 is the kernel's own.
@@ -31,8 +31,8 @@ pub struct RealtimePlan {
 }
 
 impl RealtimePlan {
-    /// The core that [`enter`] will pin the loop's thread to, for threads that start before it: the same one if it is
-    /// asked by a thread that may use the same cores.
+    /// The core that [`enter`] will pin the loop's thread to, for threads that start before it: the same one if the
+    /// calling thread may use the same cores.
     pub fn core_to_be(&self) -> Option<usize> {
         match self.realtime {
             Realtime::Off => self.core,
@@ -41,7 +41,7 @@ impl RealtimePlan {
     }
 }
 
-/// What the loop's thread became, as the kernel tells it.
+/// What the loop's thread became, as the kernel reports it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Granted {
     /// The scheduling policy: `SCHED_FIFO`, or what the thread was started with, usually `SCHED_OTHER`.
@@ -50,24 +50,24 @@ pub struct Granted {
     pub priority: u8,
     /// The core it is pinned to.
     pub core: Option<usize>,
-    /// True if what [`RealtimePlan::memory`] asks for is locked.
+    /// True if the memory that [`RealtimePlan::memory`] requests is locked.
     pub memory_locked: bool,
-    /// What could not be had, one line each with its remedy. Not empty: the numbers are not real-time.
+    /// What was not available, one line each with its remedy. Not empty: the numbers are not real-time.
     pub missing: Vec<String>,
 }
 
-/// Why the loop's thread cannot become what the plan asks for.
+/// Why the loop's thread cannot become what the plan requests.
 #[derive(thiserror::Error)]
 pub enum RealtimeError {
-    /// The core is not there or not for this process.
+    /// The core does not exist or is not available to this process.
     #[error(
         "core {core} is not one that this process may run on: set `core` to one of {allowed}, or leave it out for the \
          last one"
     )]
     Core {
-        /// The core asked for.
+        /// The requested core.
         core: usize,
-        /// Those that can be had, as a list.
+        /// The available cores, as a list.
         allowed: String,
     },
     /// Not a priority of SCHED_FIFO.
@@ -82,8 +82,8 @@ crate::errors::debug_as_display!(RealtimeError);
 /// Turns the calling thread into the loop's: pinned, SCHED_FIFO, memory locked and the stack present, in that order, so
 /// that memory is made present from the core that will use it, and a refused thread leaves nothing locked behind.
 ///
-/// `own` is what [`Memory::Own`] locks; [`Memory::Process`] does not look at it. [`Realtime::Off`] does no more than
-/// pin the thread to a core that was asked for by number.
+/// `own` is what [`Memory::Own`] locks; [`Memory::Process`] does not use it. [`Realtime::Off`] does no more than
+/// pin the thread to a core that was named by number.
 ///
 /// Children and new threads do not inherit SCHED_FIFO (SCHED_RESET_ON_FORK, sched(7)); new threads do inherit the core,
 /// see [`helper_thread`].
@@ -125,8 +125,8 @@ pub fn enter(plan: &RealtimePlan, own: &Regions) -> Result<Granted, RealtimeErro
     Ok(Granted { policy, priority, core, memory_locked, missing })
 }
 
-/// Leaves all signals to the other threads: a handler would interrupt the loop's sleep and run in its time. Those that
-/// tell of a mistake of the thread itself cannot wait.
+/// Leaves all signals to the other threads: a handler would interrupt the loop's sleep and run in its time. Signals
+/// that report a fault of the thread itself cannot be blocked.
 fn deaf() {
     let mut signals = SigSet::all();
     for own in
@@ -149,8 +149,8 @@ pub fn helper_thread(core_of_loop: Option<usize>) {
     confine(cores().into_iter().filter(|core| Some(*core) != core_of_loop));
 }
 
-/// A core for work that must not disturb the loop but has its own deadlines, such as simulated drives: the first one
-/// that the calling thread may use and that is not the loop's.
+/// A core for work that must not disturb the loop but has its own deadlines, such as simulated drives: the first
+/// one that the calling thread may use and that is not the loop's.
 pub fn spare_core(core_of_loop: Option<usize>) -> Option<usize> {
     cores().into_iter().find(|core| Some(*core) != core_of_loop)
 }
@@ -166,9 +166,9 @@ fn cores() -> Vec<usize> {
     core_affinity::get_core_ids().unwrap_or_default().into_iter().map(|core| core.id).collect()
 }
 
-/// Pins the calling thread to `core`: any that is online and in its control group's cpuset, whether or not the thread
-/// may use it now. A core of `isolcpus=` is in nobody's set of cores at the start (kernel-parameters.txt), and is just
-/// the one wanted.
+/// Pins the calling thread to `core`: any that is online and in its control group's cpuset, whether or not the
+/// thread may use it now. A core of `isolcpus=` is in no thread's set of cores at the start
+/// (kernel-parameters.txt), and is exactly the one wanted.
 pub(crate) fn pin(core: usize) -> Result<(), RealtimeError> {
     // A core beyond the size of the set would not be refused but panic.
     if core < CpuSet::count() && core_affinity::set_for_current(CoreId { id: core }) {
@@ -178,7 +178,8 @@ pub(crate) fn pin(core: usize) -> Result<(), RealtimeError> {
     Err(RealtimeError::Core { core, allowed })
 }
 
-/// The cores that [`pin`] takes: the kernel cuts a wish for all of them down to what it grants (sched_setaffinity(2)).
+/// The cores that [`pin`] accepts: the kernel reduces a request for all of them to what it grants
+/// (sched_setaffinity(2)).
 pub(crate) fn permitted_cores() -> Vec<usize> {
     let now = cores();
     confine(0..CpuSet::count());
@@ -192,7 +193,7 @@ pub(crate) fn permitted_cores() -> Vec<usize> {
 fn confine(cores: impl Iterator<Item = usize>) {
     let mut set = CpuSet::new();
     for core in cores {
-        // One beyond the size of the set cannot be named, nor did the kernel name it.
+        // A core beyond the size of the set cannot be named, nor did the kernel name it.
         let _ = set.set(core);
     }
     let _ = sched_setaffinity(Pid::from_raw(0), &set);
@@ -209,7 +210,8 @@ pub(crate) fn fifo(priority: u8) -> Result<(), Denied> {
     })
 }
 
-/// What there is without the right to the priority asked for: SCHED_FIFO at the highest one allowed, else a prompt thread.
+/// The best without the right to the requested priority: SCHED_FIFO at the highest one allowed, otherwise a prompt
+/// thread.
 fn second_best() {
     // The limit may hold any number; a useless one is refused like none at all.
     let limit = u8::try_from(rtprio_limit()).unwrap_or(0);
@@ -219,19 +221,19 @@ fn second_best() {
 }
 
 /// Lets the calling thread, one without SCHED_FIFO, run when it should: its sleeps end exactly, where a normal thread's
-/// may end 50 us late to save wake-ups (PR_SET_TIMERSLACK, prctl(2)), and it asks for a short slice.
+/// may end 50 us late to save wake-ups (PR_SET_TIMERSLACK, prctl(2)), and it requests a short slice.
 pub(crate) fn prompt() {
-    // Cannot fail: every slack above 0 is taken.
+    // Cannot fail: every slack above 0 is accepted.
     let _ = nix::sys::prctl::set_timerslack(1);
     // Without it the thread only waits longer.
     let _ = short_slice();
 }
 
-/// The shortest slice that a normal thread may ask for (sched_setattr(2), `sched_runtime`; Linux 6.12).
+/// The shortest slice that a normal thread may request (sched_setattr(2), `sched_runtime`; Linux 6.12).
 const SLICE_NS: u64 = 100_000;
 
-/// Asks for a short slice: the scheduler lets a thread that wakes with one run before threads that compute, whose slices
-/// are some milliseconds. It takes nothing from their share, and needs no right. Kernels before 6.12 ignore it.
+/// Requests a short slice: the scheduler lets a thread that wakes with one run before threads that compute, whose
+/// slices are some milliseconds. It takes nothing from their share, and needs no right. Kernels before 6.12 ignore it.
 fn short_slice() -> io::Result<()> {
     const SIZE: u32 = size_of::<libc::sched_attr>() as u32;
     // SAFETY: all bytes zero are a valid value of this structure of integers.
@@ -426,7 +428,7 @@ mod tests {
                 assert_eq!((granted.policy, granted.priority), ("SCHED_FIFO", 80));
                 assert!(granted.memory_locked && granted.missing.is_empty());
                 assert!(locked_kib() > 1_000);
-                // Whoever it starts is an ordinary thread again.
+                // Threads that it starts are ordinary again.
                 assert_eq!(on_a_thread(scheduling), ("SCHED_OTHER", 0));
                 let before = Usage::of_thread();
                 for round in 0..1_000_u64 {

@@ -10,7 +10,7 @@ pub struct Usage {
     pub minor_faults: u64,
     /// Page faults that waited for a disk.
     pub major_faults: u64,
-    /// Times the thread gave up the processor itself: about one a sleep.
+    /// Times the thread gave up the processor itself: about once per sleep.
     pub voluntary_switches: u64,
     /// Times it was taken from the thread. Under SCHED_FIFO only a higher priority, or throttling, can do that.
     pub involuntary_switches: u64,
@@ -24,7 +24,7 @@ impl Usage {
         getrusage(UsageWho::RUSAGE_THREAD).map(Usage::from).unwrap_or_default()
     }
 
-    /// What was added since `earlier`, a snapshot of the same thread.
+    /// The increase since `earlier`, a snapshot of the same thread.
     pub fn since(self, earlier: Usage) -> Usage {
         Usage {
             minor_faults: self.minor_faults.saturating_sub(earlier.minor_faults),

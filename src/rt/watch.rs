@@ -1,4 +1,4 @@
-//! What the kernel tells of another thread of this process, for a normal thread that looks over the loop's shoulder.
+//! What the kernel reports of another thread of this process, for a normal thread that watches the loop.
 //!
 //! Reads /proc, so that the watched thread pays nothing. Knows nothing of cycles.
 
@@ -12,9 +12,9 @@ use crate::time::Time;
 /// Totals since the thread began, at one instant.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ThreadSample {
-    /// When.
+    /// The instant.
     pub at: Time,
-    /// Time on a processor, ns. A kernel that knows its hypervisor leaves out what that took.
+    /// Time on a processor, ns. A kernel that knows its hypervisor leaves out stolen time.
     pub run_ns: u64,
     /// Time that it could have run and waited for a processor, ns.
     pub delay_ns: u64,
@@ -65,7 +65,7 @@ impl ThreadWatch {
         let (run_ns, delay_ns) = times(read(&self.schedstat, &mut buffer)?)?;
         let faults = faults(read(&self.stat, &mut buffer)?)?;
         let switches = switches(read(&self.status, &mut buffer)?)?;
-        // What is behind the last line break is cut off.
+        // Text after the last line break is cut off.
         let all = read(&self.all, &mut self.buffer).and_then(|stat| Some(stat.rsplit_once('\n')?.0));
         if let Some(steal_ms) = all.and_then(|stat| host::steal_ms_of(stat, self.core)) {
             self.steal_ms = steal_ms;
@@ -75,10 +75,10 @@ impl ThreadWatch {
     }
 }
 
-/// A file of /proc is made anew whenever it is read from its begin.
+/// A file of /proc is generated anew whenever it is read from its begin.
 fn read<'a>(file: &File, buffer: &'a mut [u8]) -> Option<&'a str> {
     let length = file.read_at(buffer, 0).ok()?;
-    // Cut off in the middle of a character: none of these files has any.
+    // Cut off in the middle of a character: none of these files has multi-byte ones.
     std::str::from_utf8(&buffer[..length]).ok()
 }
 

@@ -1,8 +1,8 @@
 //! Seeded faults between a master and one simulated drive, and the queue of what is under way.
 //!
-//! The n-th parcel of a direction, a datagram or what was handed to a stream at once, meets the same fault whenever it
-//! comes: decisions depend on the seed and the count alone. Knows no socket, no protocol and no clock: instants come as
-//! arguments.
+//! The n-th parcel of a direction (a datagram, or the bytes handed to a stream at once) always meets the same
+//! fault: decisions depend on the seed and the count alone. This file knows no socket, no protocol and no clock:
+//! instants come as arguments.
 
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, VecDeque};
@@ -11,13 +11,13 @@ use std::net::SocketAddrV4;
 use super::{Carrier, FaultPlan, SimDrive, SimLine};
 use crate::time::Time;
 
-/// Between two bytes that come one at a time, ns: about a byte's time on 10 Mbit/s Ethernet.
+/// Time between two bytes that come one at a time, ns: about a byte's time on 10 Mbit/s Ethernet.
 const BYTE_NS: u64 = 1_000;
 
-/// What every buffer has room for from the beginning, bytes: any usual telegram, so that none grows in use.
+/// The initial capacity of every buffer, bytes: any usual telegram, so that none grows in use.
 const LEAST_ROOM: usize = 512;
 
-/// Which way a datagram goes.
+/// The direction of a datagram.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Way {
     /// From the master to the drive.
@@ -26,42 +26,42 @@ pub enum Way {
     Reply,
 }
 
-/// One datagram under way, or what was handed to a stream at once.
+/// One datagram under way, or the bytes handed to a stream at once.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Datagram<'a> {
-    /// Who sent it.
+    /// Its sender.
     pub from: SocketAddrV4,
-    /// Where it goes.
+    /// Its destination.
     pub to: SocketAddrV4,
     /// Its payload.
     pub bytes: &'a [u8],
 }
 
-/// What a parcel means on its connection. All datagrams are bytes.
+/// The meaning of a parcel on its connection. All datagrams are bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Signal {
-    /// Its bytes, and no more.
+    /// Its bytes only.
     #[default]
     Bytes,
-    /// A connection is asked for.
+    /// A connection is requested.
     Open,
-    /// It is granted.
+    /// The connection is accepted.
     Accept,
-    /// The sender has ended it, behind these bytes.
+    /// The sender has ended the connection after these bytes.
     End,
-    /// It is refused, or broken off.
+    /// The connection is refused or reset.
     Reset,
 }
 
-/// Exact counts of the faults that one drive's wire made, both ways together. What is said of datagrams goes for what
-/// was handed to a stream at once.
+/// Exact counts of the faults on one drive's wire, both directions together. What is said of datagrams holds for
+/// the bytes handed to a stream at once, too.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Injected {
     /// Datagrams lost.
     pub dropped: u64,
     /// Datagrams that came twice.
     pub duplicated: u64,
-    /// Datagrams with one flipped bit. A frame with one is lost.
+    /// Datagrams with one flipped bit. On a segment such a frame is lost.
     pub corrupted: u64,
     /// Datagrams that came later by `delay_ns`.
     pub delayed: u64,
@@ -69,21 +69,21 @@ pub struct Injected {
     pub reordered: u64,
     /// Stalls begun.
     pub stalls: u64,
-    /// Requests lost in a stall; on a stream, held up by it.
+    /// Requests lost in a stall; on a stream, delayed by it.
     pub stalled: u64,
-    /// Restarts; the request at which one happens is lost with it.
+    /// Restarts; the request that triggers one is lost with it.
     pub restarts: u64,
     /// Times that the hardware enable was opened.
     pub inhibits: u64,
     /// Replies from a wrong port, or, on a stream, to something else.
     pub wrong_id: u64,
-    /// What came a byte at a time.
+    /// Parcels that came one byte at a time.
     pub split: u64,
     /// Connections that ended in the middle of a reply.
     pub cut: u64,
 }
 
-/// What befalls the drive itself when a datagram passes.
+/// A fault of the drive itself, injected when a datagram passes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Blow {
     /// It is switched off and on again; the request is lost.
@@ -93,7 +93,7 @@ pub enum Blow {
 }
 
 impl Blow {
-    /// Lets it happen to `drive`.
+    /// Injects it into `drive`.
     pub(super) fn strike(self, now: Time, drive: &mut dyn SimDrive) {
         match self {
             Blow::Restart => drive.restart(now),
@@ -101,7 +101,7 @@ impl Blow {
         }
     }
 
-    /// Lets it happen on `line`, where `injected` is what its wire has done: each time to the next one.
+    /// Injects it into `line`, where `injected` counts the faults of its wire: each time into the next slave.
     pub(super) fn strike_line(self, now: Time, line: &mut dyn SimLine, injected: Injected) {
         let nth = |count: u64| count.saturating_sub(1) as usize % line.slaves().max(1);
         match self {
@@ -116,7 +116,7 @@ impl Blow {
 pub struct Injector {
     plan: FaultPlan,
     carrier: Carrier,
-    /// What is broken does not pass the check sequence of its receiver.
+    /// The receiver's check sequence rejects corrupted parcels.
     checked: bool,
     /// By [`Way`].
     lanes: [Lane; 2],
@@ -124,16 +124,16 @@ pub struct Injector {
     injected: Injected,
 }
 
-/// One direction: its own random numbers, so that the order in which the two directions are asked does not matter.
+/// One direction: its own random numbers, so that the order in which the two directions are used does not matter.
 #[derive(Debug)]
 struct Lane {
     random: fastrand::Rng,
     held: Option<Parcel>,
-    /// On a stream, the instant by which all that left before has arrived.
+    /// On a stream, the instant by which all earlier parcels have arrived.
     behind: Time,
 }
 
-/// What one parcel draws.
+/// The random decisions for one parcel.
 struct Lot {
     drop: bool,
     duplicate: bool,
@@ -154,12 +154,13 @@ impl Lane {
         Lane { random: fastrand::Rng::with_seed(seed), held: None, behind: Time::default() }
     }
 
-    /// Draws whether a fault of this rate happens. Always draws, so that one rate does not shift another's decisions.
+    /// Draws whether a fault of this rate happens. Always draws, so that one rate does not shift another's
+    /// decisions.
     fn strikes(&mut self, rate: f64) -> bool {
         self.random.f64() < rate
     }
 
-    /// Puts `parcel` on its way. On a stream it arrives behind all that left before.
+    /// Puts `parcel` under way. On a stream it arrives after all earlier ones.
     fn send(&mut self, carrier: Carrier, due: Time, parcel: Parcel, queue: &mut Queue) {
         let due = match carrier {
             Carrier::Datagrams => due,
@@ -171,7 +172,7 @@ impl Lane {
 
     fn draw(&mut self, plan: &FaultPlan, way: Way, carrier: Carrier) -> Lot {
         let (request, stream) = (way == Way::Request, carrier == Carrier::Stream);
-        // In this order for ever: a seed shall make the same faults in every version.
+        // This order is fixed: a seed shall make the same faults in every version.
         Lot {
             drop: self.strikes(plan.drop),
             duplicate: self.strikes(plan.duplicate),
@@ -189,13 +190,13 @@ impl Lane {
     }
 }
 
-/// What a request meets at the drive.
+/// The state of the drive when a request arrives.
 enum Met {
-    /// A drive that listens.
+    /// A drive that receives.
     Listening,
-    /// One that hears nothing for a while.
+    /// A drive that receives nothing for a while.
     Deaf,
-    /// One that this befalls.
+    /// A drive with this fault.
     Struck(Blow),
 }
 
@@ -212,30 +213,30 @@ impl Injector {
         }
     }
 
-    /// The same for whole Ethernet frames: of one with a flipped bit the check sequence is wrong, and no network card
-    /// takes it.
+    /// The same for whole Ethernet frames: one with a flipped bit has a wrong check sequence, and no network card
+    /// accepts it.
     pub(super) fn of_frames(plan: FaultPlan) -> Injector {
         Injector { checked: true, ..Injector::new(plan, Carrier::Datagrams) }
     }
 
-    /// From now on the faults of `plan`; the counts begin anew. What is under way on a stream is not overtaken.
+    /// Uses the faults of `plan` from now on; the counts restart. Parcels under way on a stream are not overtaken.
     pub(super) fn change(&mut self, plan: FaultPlan) {
         let behind = self.lanes.each_ref().map(|lane| lane.behind);
         *self = Injector { checked: self.checked, ..Injector::new(plan, self.carrier) };
         self.lanes.iter_mut().zip(behind).for_each(|(lane, behind)| lane.behind = behind);
     }
 
-    /// What it has done so far.
+    /// The counts so far.
     pub fn injected(&self) -> Injected {
         self.injected
     }
 
-    /// Sends `datagram` on its way at `now`, to arrive at `due` if nothing befalls it: puts what becomes of it into
-    /// `queue`. Returns what befalls the drive, at whose wire this is, meanwhile. `mislabel` gives an answer on a
-    /// stream the identity of another one.
+    /// Sends `datagram` at `now`, to arrive at `due` without a fault: puts the resulting parcels into `queue`.
+    /// Returns the fault that the drive at this wire meets meanwhile. `mislabel` gives an answer on a stream the
+    /// identity of another one.
     ///
-    /// On a stream nothing overtakes but what is to be reordered, and a stall holds up instead of losing: the sender's
-    /// host sends again until it is heard.
+    /// On a stream only `reorder` lets parcels overtake, and a stall delays instead of losing: the sender's host
+    /// repeats until it is acknowledged.
     pub fn pass(
         &mut self,
         way: Way,
@@ -283,7 +284,7 @@ impl Injector {
         blow
     }
 
-    /// Sends a signal of a stream, to arrive at `due`, or behind what is under way in its direction.
+    /// Sends a signal of a stream, to arrive at `due`, or after the parcels under way in its direction.
     pub(super) fn signal(&mut self, way: Way, due: Time, parcel: Parcel, queue: &mut Queue) {
         self.lanes[way as usize].send(Carrier::Stream, due, parcel, queue);
     }
@@ -311,7 +312,7 @@ impl Injector {
         Met::Listening
     }
 
-    /// Puts `parcel` into `queue`, alone or not, whole or not, or holds it back.
+    /// Puts `parcel` into `queue`, with the faults drawn for it, or holds it back.
     fn enqueue(&mut self, way: Way, due: Time, mut parcel: Parcel, lot: &Lot, queue: &mut Queue) {
         let Injector { lanes, carrier, checked, injected, .. } = self;
         let lane = &mut lanes[way as usize];
@@ -349,7 +350,7 @@ impl Injector {
     }
 }
 
-/// Where the replies of the drive at `address` come from when they carry a wrong identity.
+/// The source of replies with a wrong identity of the drive at `address`.
 pub(super) fn wrong_port(address: SocketAddrV4) -> SocketAddrV4 {
     SocketAddrV4::new(*address.ip(), address.port() ^ 1)
 }
@@ -357,15 +358,15 @@ pub(super) fn wrong_port(address: SocketAddrV4) -> SocketAddrV4 {
 /// One datagram with its own bytes, or a part of a stream.
 #[derive(Debug)]
 pub struct Parcel {
-    /// Who sent it.
+    /// Its sender.
     pub from: SocketAddrV4,
-    /// Where it goes.
+    /// Its destination.
     pub to: SocketAddrV4,
     /// Its payload.
     pub bytes: Vec<u8>,
-    /// What it means besides.
+    /// Its signal.
     pub(super) signal: Signal,
-    /// It comes a byte at a time.
+    /// It comes one byte at a time.
     dribbles: bool,
 }
 
@@ -375,22 +376,22 @@ impl Parcel {
         Datagram { from: self.from, to: self.to, bytes: &self.bytes }
     }
 
-    /// From its first byte to behind its last, ns.
+    /// From its first byte to the end of its last, ns.
     fn span(&self) -> u64 {
         if self.dribbles { self.bytes.len() as u64 * BYTE_NS } else { 0 }
     }
 }
 
-/// What is under way, in the order of arrival; of two that arrive at the same instant, the one that left first.
+/// The parcels under way, in the order of arrival; of two that arrive at the same instant, the one that left first.
 ///
-/// Bounded: what finds no room is lost and counted, as in a switch. Buffers are used again, so that a queue in steady
+/// Bounded: what finds no room is lost and counted, as in a switch. Buffers are reused, so that a queue in steady
 /// state does not allocate.
 #[derive(Debug)]
 pub struct Queue {
     room: usize,
-    /// What arrives in the order in which it left, as most does ...
+    /// Parcels that arrive in the order in which they left, as most do ...
     line: VecDeque<Ticket>,
-    /// ... and what was overtaken.
+    /// ... and those that overtake or are overtaken.
     overtaken: BinaryHeap<Reverse<Ticket>>,
     slots: Vec<Option<Parcel>>,
     free: Vec<usize>,
@@ -421,7 +422,7 @@ impl Queue {
         }
     }
 
-    /// A parcel with the datagram's content, in a buffer that was used before if there is one.
+    /// A parcel with the datagram's content, in a reused buffer if there is one.
     pub fn parcel(&mut self, datagram: Datagram<'_>) -> Parcel {
         let mut bytes = self.spare.pop().unwrap_or_else(|| Vec::with_capacity(LEAST_ROOM));
         bytes.clear();
@@ -434,14 +435,14 @@ impl Queue {
         Parcel { signal, ..self.parcel(Datagram { from, to, bytes: &[] }) }
     }
 
-    /// Gives a parcel's buffer back.
+    /// Returns a parcel's buffer for reuse.
     pub fn recycle(&mut self, parcel: Parcel) {
         if self.spare.len() < self.room {
             self.spare.push(parcel.bytes);
         }
     }
 
-    /// Puts `parcel` on its way, to arrive at `due`.
+    /// Puts `parcel` under way, to arrive at `due`.
     pub fn push(&mut self, due: Time, parcel: Parcel) {
         let Some(slot) = self.free.pop() else {
             self.overflowed += 1;
@@ -456,7 +457,7 @@ impl Queue {
         self.pushed += 1;
     }
 
-    /// When the next one arrives.
+    /// When the next parcel arrives.
     pub fn next_due(&self) -> Option<Time> {
         self.next().map(|ticket| ticket.due)
     }
@@ -468,7 +469,7 @@ impl Queue {
         }
     }
 
-    /// Takes out the next one that has arrived by `now`, with the instant of its arrival.
+    /// Takes out the next parcel that has arrived by `now`, with the instant of its arrival.
     pub fn pop(&mut self, now: Time) -> Option<(Time, Parcel)> {
         let next = self.next().filter(|ticket| ticket.due <= now)?;
         let ticket = match self.line.front() {
@@ -481,7 +482,7 @@ impl Queue {
         Some((ticket.due, if dribbles { self.first_byte(ticket.due, parcel) } else { parcel }))
     }
 
-    /// The first byte of what arrives from `due` on a byte at a time. The others follow.
+    /// The first byte of a parcel that arrives from `due` on one byte at a time. The others follow.
     fn first_byte(&mut self, due: Time, mut parcel: Parcel) -> Parcel {
         let first = self.parcel(Datagram { bytes: &parcel.bytes[..1], ..parcel.datagram() });
         parcel.bytes.remove(0);
@@ -489,7 +490,7 @@ impl Queue {
         first
     }
 
-    /// How many found no room.
+    /// How many parcels found no room.
     pub fn overflowed(&self) -> u64 {
         self.overflowed
     }
@@ -526,7 +527,7 @@ mod tests {
 
     type Arrived = Vec<(u64, SocketAddrV4, Vec<u8>)>;
 
-    /// What arrives of `count` numbered datagrams, one each microsecond.
+    /// Which of `count` numbered datagrams arrive, one sent each microsecond.
     fn run(plan: FaultPlan, way: Way, count: u32) -> (Arrived, Injected, u64) {
         let mut injector = Injector::new(plan, Carrier::Datagrams);
         let mut queue = Queue::new(64);

@@ -1,11 +1,11 @@
-//! What all simulated drives share.
+//! Common parts of all simulated drives.
 //!
 //! | file | what |
 //! |---|---|
 //! | `physics` | an axis: setpoint generator, mass, limits, following error |
 //! | `fault` | seeded fault injection |
-//! | `wire` | a line and the faults of its wire |
-//! | `server` | the threads that serve simulated drives and lines on real sockets |
+//! | `wire` | a segment and the faults of its wire |
+//! | `server` | the threads that serve simulated drives and segments on real sockets |
 //! | `world` | virtual time, and an in-memory network with the same drives |
 
 pub mod fault;
@@ -21,7 +21,7 @@ use std::net::SocketAddrV4;
 
 use crate::time::Time;
 
-/// What carries a simulated drive's bytes.
+/// The kind of transport of a simulated drive.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Carrier {
     /// Datagrams, each whole.
@@ -33,19 +33,19 @@ pub enum Carrier {
 
 /// A simulated drive: the same object behind a real socket and in virtual time.
 pub trait SimDrive: Send {
-    /// Where it listens.
+    /// The address that it listens at.
     fn address(&self) -> SocketAddrV4;
 
     /// The faults between it and the master.
     fn faults(&self) -> FaultPlan;
 
-    /// What carries its bytes.
+    /// Its transport.
     fn carrier(&self) -> Carrier {
         Carrier::Datagrams
     }
 
-    /// Takes one datagram, or what came on the connection of `from`, split anywhere. Writes the answer into `reply`
-    /// (cleared by the caller) and returns where it goes, or `None` for no answer.
+    /// Takes one datagram, or bytes that came on the connection of `from`, split anywhere. Writes the answer into
+    /// `reply` (cleared by the caller) and returns its destination, or `None` for no answer.
     fn receive(
         &mut self,
         now: Time,
@@ -54,19 +54,19 @@ pub trait SimDrive: Send {
         reply: &mut Vec<u8>,
     ) -> Option<SocketAddrV4>;
 
-    /// A connection from `from` is asked for; false refuses it. Of streams only, like the three below. No two at a time
-    /// have the same `from`.
+    /// A connection from `from` is requested; false refuses it. For streams only, like the three below. No two
+    /// connections at a time have the same `from`.
     fn connect(&mut self, _now: Time, _from: SocketAddrV4) -> bool {
         true
     }
 
-    /// Whether the drive itself ends the connection of `from`, behind its answer; asked behind each `receive`.
+    /// Whether the drive itself ends the connection of `from` after its answer; called after each `receive`.
     fn hangs_up(&mut self, _from: SocketAddrV4) -> bool {
         false
     }
 
-    /// The connection of `from`, that it took, has ended, by either side; once for each. Nothing more comes from there.
-    /// Those that a restart ends are told before it.
+    /// The accepted connection of `from` has ended, by either side; called once for each. Nothing more comes from
+    /// there. For connections that a restart ends, it is called before the restart.
     fn disconnected(&mut self, _now: Time, _from: SocketAddrV4) {}
 
     /// Gives an answer the identity of another one.
@@ -79,10 +79,10 @@ pub trait SimDrive: Send {
     fn inhibit(&mut self, until: Time);
 }
 
-/// Simulated drives on one line: each frame passes through all of them and comes back. The same object behind a real
-/// interface and in virtual time.
+/// Simulated drives on one segment: each frame passes through all of them and comes back. The same object behind a
+/// real interface and in virtual time.
 ///
-/// What befalls a drive when a datagram passes befalls the slaves of a line by turns.
+/// A fault of the drive itself, injected when a datagram passes, hits the slaves of a segment in turn.
 pub trait SimLine: Any + Send {
     /// The master's interface, as its bus names it.
     fn interface(&self) -> &str;
@@ -93,28 +93,28 @@ pub trait SimLine: Any + Send {
     /// The Ethertype of its frames.
     fn ethertype(&self) -> u16;
 
-    /// The faults between the master and the first drive; each frame is a datagram of theirs.
+    /// The faults between the master and the first drive; each frame counts as a datagram.
     fn faults(&self) -> FaultPlan;
 
-    /// How many slaves it has.
+    /// The number of slaves.
     fn slaves(&self) -> usize;
 
-    /// What a frame takes through all that it reaches now and back, ns.
+    /// The time that a frame takes through all slaves that it reaches now and back, ns.
     fn delay_ns(&self) -> u64;
 
-    /// Carries a frame through all that it reaches, in place. False: it does not come back.
+    /// Carries a frame through all slaves that it reaches, in place. False: it does not come back.
     fn pass(&mut self, now: Time, frame: &mut [u8]) -> bool;
 
     /// Gives a frame that comes back the identity of another one.
     fn mislabel(&self, _frame: &mut [u8]) {}
 
-    /// Time has come to `now`, with or without a frame.
+    /// Time has advanced to `now`, with or without a frame.
     fn live(&mut self, now: Time);
 
-    /// Cuts the cable in front of the slave at `place`, counted from 0 at the master, or mends it.
+    /// Cuts the cable in front of the slave at `place`, counted from 0 at the master; `None` repairs it.
     fn cut(&mut self, place: Option<usize>);
 
-    /// The slave at `place` passes frames on and hears none of them, until this is taken back.
+    /// The slave at `place` forwards frames without receiving them, until this is taken back.
     fn deafen(&mut self, place: usize, deaf: bool);
 
     /// Power cycle of the slave at `place`: everything volatile is lost.
@@ -124,12 +124,12 @@ pub trait SimLine: Any + Send {
     fn inhibit(&mut self, place: usize, until: Time);
 }
 
-/// What a machine's drives are, simulated.
+/// The drives of a machine, simulated.
 #[derive(Default)]
 pub struct Simulated {
-    /// Those with an address of their own, in slot order.
+    /// Drives with an address of their own, in slot order.
     pub drives: Vec<Box<dyn SimDrive>>,
-    /// Those on lines.
+    /// Segments.
     pub lines: Vec<Box<dyn SimLine>>,
 }
 
@@ -148,8 +148,8 @@ impl From<Vec<Box<dyn SimDrive>>> for Simulated {
     }
 }
 
-/// Seeded faults between a master and a simulated drive. All rates are probabilities a datagram, or what was handed to
-/// a stream at once, 0 ... 1, each way unless it says otherwise.
+/// Seeded faults between a master and a simulated drive. All rates are probabilities per datagram, or per bytes
+/// handed to a stream at once, 0 ... 1, in each direction unless stated otherwise.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FaultPlan {
     /// Seed of the random numbers; the same seed gives the same faults.
@@ -158,30 +158,31 @@ pub struct FaultPlan {
     pub drop: f64,
     /// A datagram comes twice.
     pub duplicate: f64,
-    /// A datagram has one flipped bit; the frame of a line is lost by that, since its check sequence is wrong.
+    /// A datagram has one flipped bit; the frame of a segment is lost by that, since its check sequence is wrong.
     pub corrupt: f64,
     /// A datagram comes later, by `delay_ns`.
     pub delay: f64,
-    /// How much later.
+    /// The delay, ns.
     pub delay_ns: u64,
     /// A datagram is held until the next one of its direction has passed. Nothing else overtakes on a stream.
     pub reorder: f64,
-    /// A request meets a drive that hears nothing for `stall_ns`, this request included: datagrams are lost, a stream
-    /// waits.
+    /// A request meets a drive that receives nothing for `stall_ns`, this request included: datagrams are lost, a
+    /// stream waits.
     pub stall: f64,
-    /// How long.
+    /// The length of a stall, ns.
     pub stall_ns: u64,
-    /// A request meets a drive that restarts, and is lost.
+    /// A request makes the drive restart, and is lost.
     pub restart: f64,
-    /// A request meets a drive whose hardware enable (STO) is open from now on for `inhibit_ns`.
+    /// At a request, the drive's hardware enable (STO) opens for `inhibit_ns`.
     pub inhibit: f64,
-    /// How long.
+    /// How long it stays open, ns.
     pub inhibit_ns: u64,
-    /// A reply has a wrong identity: it comes from a wrong port, or, on a stream or a line, answers something else.
+    /// A reply has a wrong identity: it comes from a wrong port, or, on a stream or a segment, answers something
+    /// else.
     pub wrong_id: f64,
-    /// What passes on a stream comes a byte at a time. Changes nothing for datagrams.
+    /// Parcels on a stream come one byte at a time. No effect on datagrams.
     pub split: f64,
-    /// A connection ends in the middle of a reply. Changes nothing for datagrams.
+    /// A connection ends in the middle of a reply. No effect on datagrams.
     pub cut: f64,
     /// Time from a request's arrival to its answer, ns.
     pub answer_ns: u64,

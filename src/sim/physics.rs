@@ -8,16 +8,16 @@ use crate::time::S;
 /// Limits outside this span are clamped into it, so that no wire value makes a division by zero or an infinity.
 const LIMIT_SPAN: (f64, f64) = (1e-9, 1e12);
 
-/// A position or velocity that the generator can work with: a number, and small enough for its squares.
+/// A position or velocity that the generator can work with: a number, and small enough to be squared.
 fn usable(value: f64) -> bool {
     value.abs() <= LIMIT_SPAN.1
 }
 
-/// A stopping distance this close (relative) to the way left counts as equal: a motion replaced by itself while it
-/// brakes goes on braking.
+/// A stopping distance this close (relative) to the remaining distance counts as equal: a motion replaced by itself
+/// while it brakes goes on braking.
 const SAME: f64 = 1e-9;
 
-/// The magnitude of a limit; what is not a number counts as the smallest.
+/// The magnitude of a limit; NaN counts as the smallest.
 fn limit(value: f64) -> f64 {
     value.abs().max(LIMIT_SPAN.0).min(LIMIT_SPAN.1)
 }
@@ -48,7 +48,7 @@ pub struct Generator {
     current: usize,
     /// Since the motion was planned: whole nanoseconds, so that steps add up without rounding.
     elapsed_ns: u64,
-    /// The last segment is one of motion, not of standing.
+    /// The last segment is one of motion, not of standstill.
     endless: bool,
     position: f64,
     velocity: f64,
@@ -258,9 +258,9 @@ pub struct PlantPlan {
     pub damping: f64,
     /// How much of the demand acceleration is fed forward, 0 ... 1; the rest becomes following error. Default 0.9.
     pub feed_forward: f64,
-    /// Most that the motor pushes, N. Default 200.
+    /// Largest force of the motor, N. Default 200.
     pub peak_force_n: f64,
-    /// Dry friction, N, which ends the run-out without power. With power the controller makes up for it. Default 5.
+    /// Dry friction, N, which ends the run-out without power. With power the controller compensates it. Default 5.
     pub friction_n: f64,
 }
 
@@ -290,7 +290,7 @@ pub struct Plant {
     position: f64,
     velocity: f64,
     force: f64,
-    /// Most that the motor pushes now, N.
+    /// The present force limit of the motor, N.
     limit_n: f64,
 }
 
@@ -312,7 +312,7 @@ impl Plant {
         self.velocity
     }
 
-    /// What the motor pushes, N, signed.
+    /// The force of the motor, N, signed.
     pub fn force(&self) -> f64 {
         self.force
     }
@@ -329,13 +329,13 @@ impl Plant {
         self.stops();
     }
 
-    /// From now on the motor pushes with at most this force, N, without sign; `None`: with what the plan allows.
+    /// Limits the force of the motor, N, without sign, from now on; `None`: to the limit of the plan.
     pub fn limit_force(&mut self, force_n: Option<f64>) {
         self.limit_n =
             force_n.map_or(self.plan.peak_force_n, |force| force.abs().min(self.plan.peak_force_n));
     }
 
-    /// Lets `dt_ns` nanoseconds pass while the motor pushes with this force, N, whatever becomes of the position. It
+    /// Lets `dt_ns` nanoseconds pass while the motor pushes with this force, N, without position control. The force
     /// has to overcome the dry friction first.
     pub fn advance_with_force(&mut self, force_n: f64, dt_ns: u64) {
         let count = dt_ns.div_ceil(SUBSTEP_NS).clamp(1, SUBSTEPS);
@@ -370,7 +370,7 @@ impl Plant {
         }
         for left in (0..count).rev() {
             if powered {
-                // The demand at the end of this substep, followed back from that at the end of the step.
+                // The demand at the end of this substep, calculated back from that at the end of the step.
                 let back = left as f64 * h;
                 let velocity = demand_velocity - demand_acceleration * back;
                 let position = demand_position - (demand_velocity + velocity) / 2.0 * back;
@@ -403,7 +403,7 @@ impl Plant {
         self.velocity -= self.velocity.clamp(-slower, slower);
     }
 
-    /// The hard stops take all speed that goes into them.
+    /// The hard stops absorb all speed towards them.
     fn stops(&mut self) {
         let (low, high) = self.plan.range;
         if self.position <= low {

@@ -1,4 +1,4 @@
-//! What the tests of this folder share.
+//! Common parts of the tests of this folder.
 
 use std::net::SocketAddrV4;
 use std::sync::{Arc, Mutex};
@@ -6,8 +6,7 @@ use std::sync::{Arc, Mutex};
 use super::{FaultPlan, SimLine};
 use crate::time::Time;
 
-/// Who is connected to the drive of a test, each with the begin of a request. It has no patience with whoever serves
-/// the drive.
+/// The peers connected to the drive of a test, each with the begin of a request. It never waits for a peer.
 #[derive(Clone, Default)]
 pub struct Peers(Arc<Mutex<Vec<Peer>>>);
 
@@ -17,12 +16,12 @@ struct Peer {
 }
 
 impl Peers {
-    /// How many there are.
+    /// How many peers there are.
     pub fn count(&self) -> usize {
         self.0.lock().unwrap().len()
     }
 
-    /// The one who is connected longest.
+    /// The peer that has been connected longest.
     pub fn first(&self) -> Option<SocketAddrV4> {
         self.0.lock().unwrap().first().map(|peer| peer.address)
     }
@@ -37,7 +36,7 @@ impl Peers {
         room
     }
 
-    /// The whole requests, of two bytes each, that stand there with these.
+    /// The whole requests, of two bytes each, that these bytes complete.
     pub fn requests(&self, from: SocketAddrV4, bytes: &[u8]) -> Vec<[u8; 2]> {
         let mut peers = self.0.lock().unwrap();
         let peer = peers.iter_mut().find(|peer| peer.address == from).expect("nobody unknown speaks");
@@ -57,7 +56,8 @@ impl Peers {
     }
 }
 
-/// Two slaves; each that is reached and not deaf adds 1 to the second byte of a frame, and both tell what befell them.
+/// Two slaves; each one that is reached and receives adds 1 to the second byte of a frame, and both report the
+/// faults injected.
 #[derive(Default)]
 pub struct Tally {
     faults: FaultPlan,

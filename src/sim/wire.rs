@@ -1,4 +1,4 @@
-//! The wire between a master and a simulated line, with its faults: what both carriers of frames have in common.
+//! The wire between a master and a simulated segment, with its faults: common to both carriers of frames.
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 
@@ -8,15 +8,15 @@ use crate::time::Time;
 
 /// The most frames under way in one direction; more are lost.
 const UNDER_WAY: usize = 1_024;
-/// What stands for the two ends, where faults and digests need an address.
+/// Placeholder addresses of the two ends, where faults and digests need an address.
 const MASTER: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, 0);
 const LINE: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, 2);
 
-/// A line and its wire.
+/// A segment and its wire.
 pub(super) struct Wire {
     line: Box<dyn SimLine>,
     injector: Injector,
-    /// What is under way, by [`Way`].
+    /// The frames under way, by [`Way`].
     under_way: [Queue; 2],
 }
 
@@ -37,17 +37,17 @@ impl Wire {
         &mut *self.line
     }
 
-    /// From now on the faults of `plan`; the counts begin anew.
+    /// Uses the faults of `plan` from now on; the counts restart.
     pub(super) fn change(&mut self, plan: FaultPlan) {
         self.injector.change(plan);
     }
 
-    /// What it has done to frames.
+    /// The faults of its frames so far.
     pub(super) fn injected(&self) -> Injected {
         self.injector.injected()
     }
 
-    /// A frame leaves at one end, to be at the other one at `due` if nothing befalls it.
+    /// A frame leaves at one end, to be at the other one at `due` without a fault.
     pub(super) fn depart(&mut self, way: Way, now: Time, due: Time, bytes: &[u8]) {
         let (from, to) = match way {
             Way::Request => (MASTER, LINE),
@@ -67,8 +67,8 @@ impl Wire {
         queue.push(due, parcel);
     }
 
-    /// A frame that has arrived at the line passes through it, and leaves again to be at the master at `due`; false: it
-    /// does not come back.
+    /// A frame that has arrived at the segment passes through it, and leaves again to be at the master at `due`;
+    /// false: it does not come back.
     pub(super) fn pass(&mut self, now: Time, due: Time, frame: &mut [u8]) -> bool {
         let comes_back = self.line.pass(now, frame);
         if comes_back {
@@ -94,7 +94,7 @@ impl Wire {
         Some((at, Way::Reply, parcel))
     }
 
-    /// Gives the buffer of what was taken out back.
+    /// Returns the buffer of a parcel that was taken out.
     pub(super) fn recycle(&mut self, way: Way, parcel: Parcel) {
         self.under_way[way as usize].recycle(parcel);
     }

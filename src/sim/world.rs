@@ -1,15 +1,16 @@
 //! Virtual time, and a network in memory with simulated drives on it.
 //!
 //! The world is a clock and a carrier at once: time passes only when the code under test reads the clock, sleeps or
-//! waits, and whatever is due by then happens on the way, in order. The same seed and the same calls give the same
-//! bytes at the same instants; [`World::digest`] says so in one number. Nothing here is specific to a protocol.
+//! waits, and everything due by then happens on the way, in order. The same seed and the same calls give the same
+//! bytes at the same instants; [`World::digest`] expresses this in one number. Nothing here is specific to a
+//! protocol.
 //!
 //! | file | what |
 //! |---|---|
 //! | `clock` | its clock |
 //! | `datagrams` | datagrams from carrier to drive and back |
 //! | `streams` | connections |
-//! | `lines` | lines, and their frames |
+//! | `lines` | segments, and their frames |
 
 mod clock;
 mod datagrams;
@@ -45,7 +46,7 @@ const INBOX: usize = 4_096;
 const BATCH: usize = 64;
 /// Connections of a drive without a further allocation.
 const PEERS: usize = 16;
-/// What one turn of a spinning wait takes, ns.
+/// The time of one turn of a spinning wait, ns.
 const SPIN_NS: u64 = 50;
 
 /// How a world behaves.
@@ -55,11 +56,11 @@ pub struct WorldOptions {
     pub seed: u64,
     /// When the world begins. Default: 1000 s, since no machine's clock stands at zero.
     pub start: Time,
-    /// What one reading of the clock takes, ns. Default 50.
+    /// The time of one reading of the clock, ns. Default 50.
     pub read_ns: u64,
     /// Time of a datagram from one end of the wire to the other, ns. Default 20 000.
     pub latency_ns: u64,
-    /// The most that a sleep or a wait wakes up late, ns; evenly spread from 0. Default 0.
+    /// The most that a sleep or a wait wakes up late, ns; uniformly distributed from 0. Default 0.
     pub wake_ns: u64,
 }
 
@@ -84,7 +85,7 @@ impl World {
     ///
     /// # Errors
     ///
-    /// Two drives with one address, or two lines on one interface.
+    /// Two drives with one address, or two segments on one interface.
     pub fn new(simulated: impl Into<Simulated>, options: WorldOptions) -> io::Result<World> {
         let Simulated { drives, lines } = simulated.into();
         let mut stations: Vec<_> = drives.into_iter().map(Station::new).collect();
@@ -114,19 +115,19 @@ impl World {
         WorldClock(self.clone())
     }
 
-    /// The present instant. Reading it here takes no time.
+    /// The present instant. This reading takes no time.
     pub fn now(&self) -> Time {
         self.lock().now
     }
 
-    /// Lets `ns` pass, as work that takes so long.
+    /// Lets `ns` pass, as work of that length.
     pub fn advance(&self, ns: u64) {
         let mut inner = self.lock();
         let at = inner.now + ns;
         inner.run(at);
     }
 
-    /// Holds up the next sleep that ends: it wakes up `ns` later than it would have, as if the machine had been busy.
+    /// Delays the next sleep that ends: it wakes up `ns` later than it would have, as if the machine had been busy.
     pub fn delay_next_wake(&self, ns: u64) {
         self.lock().hold_up_ns = ns;
     }
@@ -139,20 +140,21 @@ impl World {
         inner.under_way.push(due, parcel);
     }
 
-    /// Pulls the network plug of the drive at `address`; it goes on by itself. Datagrams are lost; what is sent on a
-    /// connection waits, until the plug is back or the connection is given up. False if there is no such drive.
+    /// Unplugs the network cable of the drive at `address`; the drive goes on by itself. Datagrams are lost; bytes
+    /// sent on a connection wait until the cable is back or the connection is given up. False if there is no such
+    /// drive.
     pub fn unplug(&self, address: SocketAddrV4) -> bool {
         self.with(address, |station, _| station.plugged = false).is_some()
     }
 
-    /// Puts the network plug back. False if there is no such drive.
+    /// Plugs the network cable in again. False if there is no such drive.
     pub fn plug(&self, address: SocketAddrV4) -> bool {
         let mut inner = self.lock();
         let index = inner.station(address);
         index.map(|index| inner.plug(index)).is_some()
     }
 
-    /// Switches the drive at `address` off and on again; its connections are broken off. False if there is no such
+    /// Switches the drive at `address` off and on again; its connections are reset. False if there is no such
     /// drive.
     pub fn restart(&self, address: SocketAddrV4) -> bool {
         let mut inner = self.lock();
@@ -165,23 +167,23 @@ impl World {
         self.with(address, |station, now| station.drive.inhibit(now + ns)).is_some()
     }
 
-    /// From now on the wire of the drive at `address` has the faults of `plan`; its counters begin anew. False if there
-    /// is no such drive.
+    /// The wire of the drive at `address` has the faults of `plan` from now on; its counters restart. False if
+    /// there is no such drive.
     pub fn set_faults(&self, address: SocketAddrV4, plan: FaultPlan) -> bool {
         self.with(address, |station, _| station.injector.change(plan)).is_some()
     }
 
-    /// What the wire of the drive at `address` has done to its datagrams.
+    /// The faults of the wire of the drive at `address` so far.
     pub fn injected(&self, address: SocketAddrV4) -> Option<Injected> {
         self.with(address, |station, _| station.injector.injected())
     }
 
-    /// A hash over all that was delivered so far, datagrams and frames: instants, addresses and bytes, in order.
+    /// A hash over everything delivered so far, datagrams and frames: instants, addresses and bytes, in order.
     pub fn digest(&self) -> u64 {
         self.lock().digest
     }
 
-    /// How many datagrams and frames were delivered so far, to drives, lines and carriers.
+    /// How many datagrams and frames were delivered so far, to drives, segments and carriers.
     pub fn delivered(&self) -> u64 {
         self.lock().delivered
     }
@@ -231,12 +233,12 @@ fn taken(address: impl std::fmt::Display) -> io::Error {
 struct Inner {
     now: Time,
     random: fastrand::Rng,
-    /// Of the next sleep.
+    /// Delay of the next sleep.
     hold_up_ns: u64,
     options: WorldOptions,
     /// By address.
     stations: Vec<Station>,
-    /// The one behind the one that was found last.
+    /// The index after the one found last.
     next_station: usize,
     ports: Vec<Port>,
     links: Links,
@@ -264,7 +266,7 @@ struct Station {
     injector: Injector,
     plugged: bool,
     carrier: Carrier,
-    /// Who has a connection with it.
+    /// The peers that have a connection with it.
     peers: Vec<SocketAddrV4>,
 }
 
@@ -275,7 +277,7 @@ impl Station {
         Station { address, drive, injector, plugged: true, carrier, peers: Vec::with_capacity(PEERS) }
     }
 
-    /// Sends a request to it on its way, to arrive at `due` if nothing befalls it.
+    /// Puts a request to it under way, to arrive at `due` without a fault.
     fn pass_request(
         &mut self,
         now: Time,
@@ -288,7 +290,7 @@ impl Station {
 }
 
 impl Inner {
-    /// A master asks its drives in order, so that it mostly is the next one.
+    /// A master addresses its drives in order, so that the next one is the usual match.
     fn station(&mut self, address: SocketAddrV4) -> Option<usize> {
         let index = match self.stations.get(self.next_station) {
             Some(station) if station.address == address => self.next_station,
@@ -312,8 +314,8 @@ impl Inner {
         }
     }
 
-    /// Lets everything happen that is due by `at`, then it is `at`. Of what is due at one instant datagrams come first,
-    /// then frames.
+    /// Lets everything happen that is due by `at`; then it is `at`. Of what is due at one instant datagrams come
+    /// first, then frames.
     fn run(&mut self, at: Time) {
         while let Some(due) = self.next_due().filter(|due| *due <= at) {
             self.now = self.now.max(due);

@@ -176,7 +176,6 @@ fn the_master_of_another_configuration_is_named_as_such() {
 
 #[test]
 fn a_running_demo_is_found_from_anywhere() {
-    let _lock = DemoLock::take();
     let machine = Machine::new(184);
     let demo = checkout("rt-config/demo.toml").to_str().unwrap().to_owned();
     let arguments = ["demo", "--drives", "1", "--period", "8ms", "--for", "60s"];

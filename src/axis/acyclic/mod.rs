@@ -3,11 +3,11 @@
 //! | file | what |
 //! |---|---|
 //! | `mod` | a call, its answer, why it has none |
-//! | `port` | the end of whoever carries calls out: the loop, a slice a cycle, or a thread beside it |
+//! | `port` | the executor's end: the loop, one slice per cycle, or a thread outside the loop |
 //! | `queue` | the application's end: a bounded queue, tickets, series of calls |
 //! | `parameter` | typed values at addresses in the drive's own notation |
 //!
-//! What the numbers of a call mean is the protocol's own; its [`Notation`] turns what people write into calls.
+//! The meaning of a call's numbers is the protocol's own; its [`Notation`] turns what people write into calls.
 
 mod parameter;
 mod port;
@@ -26,15 +26,15 @@ pub use queue::{Acyclic, AcyclicEnds, CallTicket, PostError, queue};
 
 use super::feedback::{Link, State};
 
-/// One call to a drive. What its numbers mean is the protocol's own.
+/// One call to a drive. The meaning of its numbers is the protocol's own.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "summary", derive(serde::Serialize, serde::Deserialize))]
 pub struct Call {
-    /// What to do.
+    /// The service.
     pub service: u32,
-    /// With what: a parameter, an entry, a curve.
+    /// Its address: a parameter, an entry, a curve.
     pub address: u32,
-    /// What the service takes along.
+    /// Its argument.
     pub value: u64,
 }
 
@@ -42,11 +42,11 @@ pub struct Call {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "summary", derive(serde::Serialize, serde::Deserialize))]
 pub struct Answer {
-    /// How it went; 0 = done.
+    /// The drive's status; 0 = done.
     pub status: u32,
-    /// Of what.
+    /// The address that it answers.
     pub address: u32,
-    /// What the service gives.
+    /// The result of the service.
     pub value: u64,
 }
 
@@ -54,28 +54,28 @@ pub struct Answer {
 #[derive(Clone, Copy, PartialEq, Eq, Error)]
 #[cfg_attr(feature = "summary", derive(serde::Serialize, serde::Deserialize))]
 pub enum CallError {
-    /// The drive said no, with its own status.
+    /// The drive refused, with its own status.
     #[error("the drive refused it with status {0:#04x}")]
     Refused(u32),
     /// The link is not up.
     #[error("the drive is not online: look at its power, cable and address")]
     NotOnline,
-    /// No end of it within its time.
+    /// It did not end within its time.
     #[error(
         "the drive did not finish it in time, and may have done it: check whether it is busy (flash, another \
          tool), or allow more time"
     )]
     TimedOut,
-    /// The drive restarted, or lost what it was in the middle of.
-    #[error("the drive restarted meanwhile: begin again")]
+    /// The drive restarted, or lost the state of a running call.
+    #[error("the drive restarted meanwhile: repeat it")]
     Restarted,
-    /// The application did not want it any more. If it had gone out, the drive may have done it.
+    /// The application cancelled it. If it was already sent, the drive may have carried it out.
     #[error("it was cancelled")]
     Cancelled,
-    /// A call before it in its series had failed.
-    #[error("a call before it in the same series had failed")]
+    /// An earlier call of its series had failed.
+    #[error("an earlier call of the same series had failed")]
     Skipped,
-    /// There was no room for it all the time: it was never sent.
+    /// There was no room for it during its whole time: it was never sent.
     #[error(
         "other calls kept the drive's queue full, so it was never sent: try again, or raise parameter_queue"
     )]
@@ -92,23 +92,23 @@ pub enum CallError {
     /// The master has ended.
     #[error("the master has ended: start it again")]
     Gone,
-    /// The conversation with the master broke off. What was asked last may have been done.
+    /// The connection to the master broke. The last request may have been carried out.
     #[error("the connection to the master was lost: check that it runs, and try again")]
     Lost,
 }
 crate::errors::debug_as_display!(CallError);
 
-/// What came of a series of calls: the answers up to the first that failed.
+/// The result of a series of calls: the answers up to the first failure.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "summary", derive(serde::Serialize, serde::Deserialize))]
 pub struct Series {
     /// In the order of the calls.
     pub answers: Vec<Answer>,
-    /// Why it ended before its end.
+    /// Why the series ended early.
     pub failed: Option<CallError>,
 }
 
-/// How a drive is, as far as those who call it need to know.
+/// The state of a drive, as far as callers need to know it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "summary", derive(serde::Serialize, serde::Deserialize))]
 pub struct Condition {
@@ -122,7 +122,7 @@ pub struct Condition {
 }
 
 impl Condition {
-    /// Of a drive with this link and state.
+    /// The condition of a drive with this link and state.
     pub fn of(link: Link, state: State) -> Condition {
         Condition {
             online: link == Link::Online,
@@ -132,20 +132,20 @@ impl Condition {
     }
 }
 
-/// Between two attempts at a call that must not be left undone.
+/// Pause between two attempts at a call that must not be left undone.
 const AGAIN: Duration = Duration::from_millis(200);
 
-/// Whoever carries calls to one drive: the queue of a master in this process, or that of another process through its
+/// The way for calls to one drive: the queue of a master in this process, or that of another process through its
 /// control socket. Blocking; for normal threads.
 pub trait Carrier {
-    /// Carries out `calls` one after the other, each within `limit`. The first that fails ends the series: none behind
-    /// it is carried out.
+    /// Carries out `calls` one after the other, each within `limit`. The first that fails ends the series: later
+    /// calls are not carried out.
     fn run(&self, calls: &[Call], limit: Duration) -> Series;
 
-    /// How the drive is.
+    /// The drive's condition.
     fn condition(&self) -> Result<Condition, CallError>;
 
-    /// Claims what the drive has one of, its lists and block transfers, until the guard is dropped.
+    /// Claims the drive's lists and block transfers, of which it has one of each, until the guard is dropped.
     fn claim(&self) -> Result<Box<dyn Any + Send>, CallError>;
 
     /// The longest series that is carried out without a pause.
@@ -154,15 +154,15 @@ pub trait Carrier {
     /// Lets so much time pass.
     fn pause(&self, time: Duration);
 
-    /// From now on `calls` are carried out should whoever holds this go away without a word; none: nothing any more. A
-    /// process that is the master itself takes the carrier along when it goes: there is nothing to do then.
+    /// From now on `calls` are carried out if the holder of this carrier disappears without notice; an empty slice
+    /// cancels this. In the master's own process the carrier ends with its holder: there is nothing to do then.
     fn bequeath(&self, calls: &[Call]) -> Result<(), CallError> {
         let _ = calls;
         Ok(())
     }
 
-    /// Has a call carried out that must not be left undone, attempt after attempt for `patience`: the drive may be
-    /// busy, silent or on its way back. A refusal ends it, and so does that nobody carries calls any more.
+    /// Carries out a call that must not be left undone, attempt after attempt for `patience`: the drive may be
+    /// busy, silent or restarting. A refusal ends it, and so does the end of the master or of its connection.
     fn insist(&self, call: Call, limit: Duration, patience: Duration) -> Result<Answer, CallError> {
         let mut waited = Duration::ZERO;
         loop {

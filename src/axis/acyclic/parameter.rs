@@ -9,7 +9,7 @@ use thiserror::Error;
 
 use super::{Acyclic, Answer, Call, CallError, CallTicket, Carrier, PostError};
 
-/// How long a drive is given for one parameter, unless its notation says otherwise.
+/// The time limit of one parameter access, unless the notation sets another.
 const LIMIT: Duration = Duration::from_secs(1);
 
 /// How the drives of a protocol write addresses and values.
@@ -23,19 +23,19 @@ pub trait Notation: Debug + Send + Sync {
     /// The call that writes the raw `value` to `address`.
     fn write(&self, address: &str, value: u64) -> Result<Call, NotationError>;
 
-    /// The raw value that `text` says for `address`.
+    /// The raw value of `text` for `address`.
     fn value(&self, address: &str, text: &str) -> Result<u64, NotationError>;
 
-    /// The raw value of `address` as a number in its own type, as far as that is known.
+    /// The raw value of `address` as a number in its own type, if the type is known.
     fn number(&self, address: &str, raw: u64) -> i64;
 
     /// A raw value of `address` as people read it.
     fn show(&self, address: &str, raw: u64) -> String;
 
-    /// What the drive means by this status.
+    /// The meaning of a status of the drive.
     fn reason(&self, status: u32) -> String;
 
-    /// How long a drive is given for `call`.
+    /// The time limit of `call`.
     fn limit(&self, _call: &Call) -> Duration {
         LIMIT
     }
@@ -45,43 +45,43 @@ pub trait Notation: Debug + Send + Sync {
         vec![address.to_owned()]
     }
 
-    /// Whether a drive that gives `read` for `address` has the value that was `written`.
+    /// Whether a drive that returns `read` for `address` has the value that was `written`.
     fn is_same(&self, address: &str, written: u64, read: u64) -> bool {
         self.number(address, written) == self.number(address, read)
     }
 }
 
-/// What is wrong with an address or a value, before anything is sent.
+/// A mistake in an address or a value, found before anything is sent.
 #[derive(Clone, PartialEq, Eq, Error)]
 pub enum NotationError {
     /// No address of this protocol.
     #[error("not an address of this drive; write {form}")]
     Address {
-        /// What would be right.
+        /// A correct form.
         form: &'static str,
     },
     /// This variant of the address cannot be written.
     #[error("cannot be written; write to {instead}")]
     ReadOnly {
-        /// What can.
+        /// The address that can be written.
         instead: &'static str,
     },
     /// A number that this parameter cannot have.
     #[error("{value} is out of the range of its type, {low} ... {high}")]
     Range {
-        /// What was given.
+        /// The given value.
         value: String,
         /// The lowest.
         low: i64,
         /// The highest.
         high: i64,
     },
-    /// No value of this parameter.
+    /// Not a value of this parameter.
     #[error("{value} is not a value of this parameter; write {form}")]
     Value {
-        /// What was given.
+        /// The given value.
         value: String,
-        /// What would be right.
+        /// A correct form.
         form: String,
     },
 }
@@ -95,30 +95,30 @@ pub enum ParameterError {
     Notation {
         /// The drive.
         drive: String,
-        /// What was asked.
+        /// The access: read or write.
         access: &'static str,
-        /// Of what.
+        /// Its address.
         address: String,
-        /// Why not.
+        /// The reason.
         error: NotationError,
     },
-    /// The queue did not take it.
+    /// The queue did not accept it.
     #[error(transparent)]
     Post(#[from] PostError),
-    /// The drive said no.
+    /// The drive refused.
     #[error("drive {drive}: {access} {address}{}: {reason}", of(.value))]
     Refused {
         /// The drive.
         drive: String,
-        /// What was asked.
+        /// The access: read or write.
         access: &'static str,
-        /// Of what.
+        /// Its address.
         address: String,
         /// The value that was to be written.
         value: Option<String>,
         /// The drive's status.
         status: u32,
-        /// What it means.
+        /// The meaning of the status.
         reason: String,
     },
     /// It was not carried out.
@@ -126,13 +126,13 @@ pub enum ParameterError {
     Failed {
         /// The drive.
         drive: String,
-        /// What was asked.
+        /// The access: read or write.
         access: &'static str,
-        /// Of what.
+        /// Its address.
         address: String,
         /// The value that was to be written.
         value: Option<String>,
-        /// Why not.
+        /// The reason.
         why: CallError,
     },
 }
@@ -184,7 +184,7 @@ impl Scalar for f32 {
     }
 }
 
-/// What a write gives.
+/// The result of a write.
 impl Scalar for () {
     fn from_raw(_raw: u64) {}
     fn to_raw(self) -> u64 {
@@ -194,9 +194,9 @@ impl Scalar for () {
 
 /// The parameters of one drive, for any number of threads.
 ///
-/// An address is written as the drive's manual does; LinUDP: `0x20A8` is the value in RAM, `0x20A8.rom`, `.min`, `.max`
-/// and `.default` its variants, and `.both` writes RAM and ROM. Everything here blocks or polls on normal threads; the
-/// loop carries out one step a cycle, in the request that goes out anyway.
+/// An address is written as in the drive's manual; LinUDP: `0x20A8` is the value in RAM, `0x20A8.rom`, `.min`,
+/// `.max` and `.default` its variants, and `.both` writes RAM and ROM. All calls here block or poll on normal
+/// threads; the loop carries out one step per cycle, in the request that goes out anyway.
 #[derive(Clone, Debug)]
 pub struct Parameters(Acyclic);
 
@@ -205,7 +205,7 @@ impl Parameters {
         Parameters(acyclic)
     }
 
-    /// The queue below.
+    /// The queue of calls below.
     pub fn acyclic(&self) -> &Acyclic {
         &self.0
     }
@@ -220,7 +220,7 @@ impl Parameters {
         self.post_write(address, value)?.wait()
     }
 
-    /// Asks for a parameter and returns at once.
+    /// Requests a parameter and returns at once.
     pub fn post_read<T: Scalar>(&self, address: &str) -> Result<ParameterTicket<T>, ParameterError> {
         let asked = Asked::read(self.0.axis(), address);
         let call = self.0.notation().read(address).map_err(|error| asked.wrong(error))?;
@@ -246,7 +246,7 @@ impl Parameters {
     }
 }
 
-/// A read or write under way. Dropped before its end, it is cancelled.
+/// A read or write under way. If dropped before its end, it is cancelled.
 #[derive(Debug)]
 pub struct ParameterTicket<T> {
     asked: Asked,
@@ -256,25 +256,25 @@ pub struct ParameterTicket<T> {
 }
 
 impl<T: Scalar> ParameterTicket<T> {
-    /// Its end, once, if it has come. Never waits.
+    /// Its result, once, if it has ended. Never waits.
     pub fn poll(&mut self) -> Option<Result<T, ParameterError>> {
         let result = self.ticket.poll()?;
         Some(self.asked.verdict(result, &*self.notation).map(T::from_raw))
     }
 
-    /// Waits for its end.
+    /// Waits for its result.
     pub fn wait(mut self) -> Result<T, ParameterError> {
         let result = self.ticket.wait();
         self.asked.verdict(result, &*self.notation).map(T::from_raw)
     }
 
-    /// Waits no longer than `limit`: cancelled then.
+    /// Waits no longer than `limit`, then cancels it.
     pub fn wait_for(mut self, limit: Duration) -> Result<T, ParameterError> {
         let result = self.ticket.wait_for(limit);
         self.asked.verdict(result, &*self.notation).map(T::from_raw)
     }
 
-    /// No longer wanted; see [`CallTicket::cancel`].
+    /// Cancels it; see [`CallTicket::cancel`].
     pub fn cancel(&self) {
         self.ticket.cancel();
     }
@@ -287,7 +287,7 @@ pub struct Access<'a> {
     pub drive: &'a str,
     /// How it writes addresses.
     pub notation: &'a dyn Notation,
-    /// The way to it.
+    /// The carrier of its calls.
     pub carrier: &'a dyn Carrier,
 }
 
@@ -324,7 +324,7 @@ impl Access<'_> {
     }
 }
 
-/// What was asked, for messages.
+/// The request, for messages.
 #[derive(Clone, Debug)]
 struct Asked {
     drive: String,

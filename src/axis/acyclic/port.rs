@@ -1,4 +1,4 @@
-//! The end of whoever carries calls out. On the real-time thread: bounded work, no allocation, no lock, no wait.
+//! The executor's end of the calls. On the real-time thread: bounded work, no allocation, no lock, no wait.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -8,19 +8,19 @@ use rtrb::{Consumer, Producer};
 use super::{Answer, Call, CallError};
 use crate::rt::Regions;
 
-/// Calls that end in one cycle without having been carried out, at most.
+/// The most calls that end in one cycle without having been carried out.
 const MOST_ENDS: usize = 64;
 
 /// A call on its way.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Posted {
-    /// Names it. Numbers grow by one; 0 is never given.
+    /// Its id. Numbers grow by one; 0 is never used.
     pub number: u64,
-    /// Calls of one series have this in common: the first that fails ends it. 0 = a call alone.
+    /// Common to all calls of one series, of which the first failure ends the series. 0 = a single call.
     pub series: u64,
-    /// How long it may take from the moment at which it is taken up, ns.
+    /// Its time limit, from the start of its execution, ns.
     pub limit_ns: u64,
-    /// What to do.
+    /// The call.
     pub call: Call,
 }
 
@@ -31,7 +31,8 @@ pub(super) struct Ended {
     pub result: Result<Answer, CallError>,
 }
 
-/// The numbers of cancelled calls, each in the place of its number: there are never more calls under way than places.
+/// The numbers of cancelled calls, each at the index of its number modulo the length: there are never more calls
+/// under way than places.
 #[derive(Clone, Debug)]
 pub(super) struct Cancelled(Arc<[AtomicU64]>);
 
@@ -45,7 +46,7 @@ impl Cancelled {
         &self.0[(number % self.0.len() as u64) as usize]
     }
 
-    /// A number that has ended takes nothing away from a later one in its place.
+    /// A number that has ended does not cancel a later one in its place.
     pub(super) fn set(&self, number: u64) {
         self.place(number).fetch_max(number, Ordering::Relaxed);
     }
@@ -55,7 +56,7 @@ impl Cancelled {
     }
 }
 
-/// Where calls come from, and where their ends go.
+/// The source of calls and the destination of their ends.
 #[derive(Debug)]
 pub struct Port {
     calls: Consumer<Posted>,
@@ -82,22 +83,22 @@ impl Port {
         regions.add(&*self.cancelled.0);
     }
 
-    /// Nothing was posted.
+    /// Nothing is posted.
     #[inline]
     pub fn is_empty(&self) -> bool {
         self.calls.is_empty()
     }
 
-    /// The next call to carry out. What was cancelled, and what belongs to a series that has failed, ends here, a
-    /// bounded part of it in one cycle.
+    /// The next call to carry out. Cancelled calls, and calls of a series that has failed, end here, a bounded
+    /// number in one cycle.
     #[inline]
     pub fn take(&mut self) -> Option<Posted> {
-        // Almost always.
+        // The usual case.
         if self.calls.is_empty() { None } else { self.take_next() }
     }
 
     fn take_next(&mut self) -> Option<Posted> {
-        // Bounded by what stands there now: the application may go on posting.
+        // Bounded by what is queued now: the application may go on posting.
         for _ in 0..self.calls.slots().min(MOST_ENDS) {
             let posted = self.calls.pop().ok()?;
             if self.is_cancelled(&posted) {
@@ -111,7 +112,7 @@ impl Port {
         None
     }
 
-    /// Ends what stands in the queue now, a bounded part of it in one cycle.
+    /// Ends the calls that are queued now, a bounded number in one cycle.
     pub fn refuse_all(&mut self, why: CallError) {
         for _ in 0..self.calls.slots().min(MOST_ENDS) {
             let Ok(posted) = self.calls.pop() else { return };
@@ -119,17 +120,17 @@ impl Port {
         }
     }
 
-    /// Whether the application no longer wants this call.
+    /// Whether the application has cancelled this call.
     pub fn is_cancelled(&self, posted: &Posted) -> bool {
         self.cancelled.has(posted.number)
     }
 
-    /// Ends a call that was taken up.
+    /// Ends a call whose execution had begun.
     pub fn end(&mut self, posted: &Posted, result: Result<Answer, CallError>) {
         if result.is_err() && posted.series != 0 {
             self.failed = posted.series;
         }
-        // There is room for the end of every call that was accepted.
+        // There is room for the end of every accepted call.
         let _ = self.ends.push(Ended { number: posted.number, result });
     }
 }

@@ -1,6 +1,6 @@
 //! The application's end: a bounded queue of calls for any number of threads, tickets, and series of calls.
 //!
-//! The lock is between threads of the application only: the loop takes from a wait-free ring, whatever happens to them.
+//! The lock is between threads of the application only: the loop takes from a wait-free ring, whatever they do.
 
 use std::any::Any;
 use std::collections::HashMap;
@@ -19,7 +19,7 @@ use crate::axis::pulse::Pulse;
 use crate::rt::{self, Regions};
 use crate::time::nanos;
 
-/// A call gets at least so many exchanges with its drive, however long its cycle is.
+/// A call gets at least so many exchanges with its drive, however long the cycle is.
 const EXCHANGES: u32 = 20;
 
 /// The queue of one drive, before it has a name.
@@ -31,7 +31,7 @@ pub struct AcyclicEnds {
     capacity: usize,
 }
 
-/// A queue of `capacity` calls: the application's end, and that of whoever carries them out.
+/// A queue of `capacity` calls: the application's end, and that of the executor.
 pub fn queue(capacity: usize) -> (AcyclicEnds, Port) {
     let capacity = capacity.max(1);
     let mut regions = Regions::new();
@@ -46,7 +46,7 @@ pub fn queue(capacity: usize) -> (AcyclicEnds, Port) {
 #[derive(Clone, Debug)]
 pub struct Acyclic {
     shared: Arc<Shared>,
-    /// Whoever waits here is the application: a sign of its life.
+    /// An application that waits here is alive: each look is a sign of life.
     pulse: Option<Pulse>,
 }
 
@@ -55,7 +55,7 @@ struct Shared {
     axis: String,
     notation: Arc<dyn Notation>,
     observer: Observer,
-    /// The shortest time that a call is given.
+    /// The shortest time limit of a call.
     least: Duration,
     capacity: usize,
     cancelled: Cancelled,
@@ -71,7 +71,7 @@ struct Ends {
     next_series: u64,
     /// Posted, and not known to have ended.
     under_way: usize,
-    /// Ended, and somebody holds their ticket.
+    /// Ended, and their ticket is still held.
     ended: HashMap<u64, Result<Answer, CallError>>,
     /// Tickets that were dropped before their call ended.
     forgotten: Vec<u64>,
@@ -98,7 +98,7 @@ pub enum PostError {
 crate::errors::debug_as_display!(PostError);
 
 impl PostError {
-    /// There may be room later.
+    /// Room may become free later.
     pub fn is_full(&self) -> bool {
         matches!(self, PostError::Full { .. })
     }
@@ -114,7 +114,7 @@ impl From<PostError> for CallError {
 }
 
 impl Acyclic {
-    /// That of axis `axis`, whose drive is asked every `period`.
+    /// The acyclic access of axis `axis`, whose drive is exchanged with every `period`.
     pub(crate) fn new(
         axis: &str,
         ends: AcyclicEnds,
@@ -145,7 +145,7 @@ impl Acyclic {
         Acyclic { shared, pulse: None }
     }
 
-    /// The same, for the application with this sign of life: it lives while it waits here.
+    /// The same for the application with this sign of life: a wait here beats its pulse.
     pub(crate) fn of_application(&self, pulse: &Pulse) -> Acyclic {
         Acyclic { pulse: Some(pulse.clone()), ..self.clone() }
     }
@@ -163,7 +163,7 @@ impl Acyclic {
         &self.shared.axis
     }
 
-    /// How its drive writes addresses and values.
+    /// The notation of its drive for addresses and values.
     pub fn notation(&self) -> &Arc<dyn Notation> {
         &self.shared.notation
     }
@@ -180,7 +180,7 @@ impl Acyclic {
         Ok(self.enqueue(&mut ends, 0, call, limit))
     }
 
-    /// Posts calls that belong together, all or none: the first that fails ends those behind it.
+    /// Posts calls that belong together, all or none: the first failure ends the later ones.
     pub fn post_series(&self, calls: &[Call], limit: Duration) -> Result<Vec<CallTicket>, PostError> {
         let mut ends = self.ends();
         self.room(&mut ends, calls.len())?;
@@ -189,8 +189,8 @@ impl Acyclic {
         Ok(calls.iter().map(|call| self.enqueue(&mut ends, series, *call, limit)).collect())
     }
 
-    /// As [`Carrier::run`], for whoever has something to do meanwhile: between two looks `rest` is called, and once it
-    /// says no, what has not ended is cancelled.
+    /// As [`Carrier::run`], for a caller that has other work meanwhile: `rest` is called between two looks, and
+    /// once it returns false, the calls that have not ended are cancelled.
     pub fn run_while(&self, calls: &[Call], limit: Duration, mut rest: impl FnMut() -> bool) -> Series {
         let mut series = Series::default();
         for calls in calls.chunks(self.shared.capacity) {
@@ -201,7 +201,7 @@ impl Acyclic {
         series
     }
 
-    /// So many as the queue has room for.
+    /// Runs as many calls as the queue has room for.
     fn run_some(
         &self,
         calls: &[Call],
@@ -234,7 +234,7 @@ impl Acyclic {
 
     fn room(&self, ends: &mut Ends, calls: usize) -> Result<(), PostError> {
         let axis = || self.shared.axis.clone();
-        // Nobody polls for what was forgotten.
+        // Dropped tickets are not polled.
         self.collect(ends);
         if ends.calls.is_abandoned() {
             return Err(PostError::Gone { axis: axis() });
@@ -253,15 +253,15 @@ impl Acyclic {
         let posted = Posted { number, series, limit_ns: nanos(limit), call };
         match ends.calls.push(posted) {
             Ok(()) => ends.under_way += 1,
-            // What is under way is never more than the ring has places.
+            // Never more calls are under way than the ring has places.
             Err(_) => drop(ends.ended.insert(number, Err(CallError::Gone))),
         }
         CallTicket { acyclic: self.clone(), number, limit, over: false }
     }
 
-    /// Sorts what has ended to those who hold the tickets.
+    /// Hands the ended calls to the holders of their tickets.
     fn collect(&self, ends: &mut Ends) {
-        // Asked first: what ends between the two is found the next time.
+        // Read first: what ends between the two reads is found the next time.
         let gone = ends.ends.is_abandoned();
         while let Ok(Ended { number, result }) = ends.ends.pop() {
             ends.under_way -= 1;
@@ -311,7 +311,7 @@ impl Carrier for Acyclic {
     }
 }
 
-/// What a drive has only one of, held until this is dropped.
+/// A resource that a drive has only one of, held until this is dropped.
 #[derive(Debug)]
 struct Claim(Arc<Shared>);
 
@@ -321,18 +321,18 @@ impl Drop for Claim {
     }
 }
 
-/// A call under way. Dropped before its end, it is cancelled.
+/// A call under way. If dropped before its end, it is cancelled.
 #[derive(Debug)]
 pub struct CallTicket {
     acyclic: Acyclic,
     number: u64,
     limit: Duration,
-    /// Its end was told.
+    /// Its end was returned.
     over: bool,
 }
 
 impl CallTicket {
-    /// The end of the call, once, if it has come. Never waits for the loop.
+    /// The result of the call, once, if it has ended. Never waits for the loop.
     pub fn poll(&mut self) -> Option<Result<Answer, CallError>> {
         if self.over {
             return None;
@@ -345,8 +345,8 @@ impl CallTicket {
         Some(result)
     }
 
-    /// Waits for the end of the call. Its own time begins when it is taken up; what stands before it in the queue is
-    /// waited for too.
+    /// Waits for the result of the call. Its own time limit begins with its execution; the calls before it in the
+    /// queue are waited for too.
     pub fn wait(&mut self) -> Result<Answer, CallError> {
         loop {
             if let Some(result) = self.poll() {
@@ -359,7 +359,7 @@ impl CallTicket {
         }
     }
 
-    /// Waits no longer than `limit`: cancelled then.
+    /// Waits no longer than `limit`, then cancels it.
     pub fn wait_for(&mut self, limit: Duration) -> Result<Answer, CallError> {
         let begun = Instant::now();
         while begun.elapsed() < limit {
@@ -372,13 +372,13 @@ impl CallTicket {
         Err(CallError::TimedOut)
     }
 
-    /// How long the drive is given for it.
+    /// The time limit of the call.
     pub fn limit(&self) -> Duration {
         self.limit
     }
 
-    /// The call is no longer wanted: it ends as cancelled, unless it has ended already. If it has gone out, the drive
-    /// may carry it out all the same.
+    /// Cancels the call: it ends as cancelled, unless it has ended already. If it was already sent, the drive may
+    /// still carry it out.
     pub fn cancel(&self) {
         self.acyclic.shared.cancelled.set(self.number);
     }

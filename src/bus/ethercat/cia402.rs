@@ -1,7 +1,8 @@
 //! CiA 402: control word 6040h and status word 6041h, the states and the transitions between them.
 //!
-//! Knows no bus and no drive: what a mode makes of its bits is said elsewhere. Facts: CAN manual of the S300 and S700
-//! ("Device control"), EtherCAT manual, IEC 61800-7-201. The state is [`State`], onto which all protocols map theirs.
+//! Knows no bus and no drive; the mode-specific bits are interpreted elsewhere. Facts: CAN manual of the S300 and
+//! S700 ("Device control"), EtherCAT manual, IEC 61800-7-201. The state is [`State`], onto which all protocols map
+//! theirs.
 
 use std::fmt;
 
@@ -66,7 +67,7 @@ impl ControlWord {
         self.0 & !before.0 & bits != 0
     }
 
-    /// What it commands; `None`: bit 7 is set, or bits 0 ... 3 are no command.
+    /// Its command; `None`: bit 7 is set, or bits 0 ... 3 are no command.
     pub fn command(self) -> Option<Command> {
         Command::ALL.into_iter().find(|command| {
             let (mask, value) = command.bits();
@@ -86,7 +87,7 @@ impl fmt::Debug for ControlWord {
     }
 }
 
-/// What bits 0 ... 3 of a control word say. A fault reset is no command: it is the rising edge of bit 7.
+/// The command in bits 0 ... 3 of a control word. A fault reset is no command: it is the rising edge of bit 7.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Command {
     /// Be ready to switch on.
@@ -97,7 +98,7 @@ pub enum Command {
     EnableOperation,
     /// Power off, at once.
     DisableVoltage,
-    /// Stop as fast as set up for it.
+    /// Stop as fast as configured for it.
     QuickStop,
 }
 
@@ -111,7 +112,7 @@ impl Command {
         Command::QuickStop,
     ];
 
-    /// The control word that says it, with every other bit 0.
+    /// The control word of the command, with every other bit 0.
     pub const fn word(self) -> ControlWord {
         ControlWord(match self {
             Command::Shutdown => 0x0006,
@@ -122,7 +123,7 @@ impl Command {
         })
     }
 
-    /// The bits that matter, and what they are.
+    /// The relevant bits, and their values.
     pub const fn bits(self) -> (u16, u16) {
         let mask = match self {
             Command::Shutdown => 0x87,
@@ -148,11 +149,11 @@ pub enum Cause {
 pub struct Transition {
     /// Its number in the standard.
     pub number: u8,
-    /// From where.
+    /// The state before.
     pub from: State,
-    /// To where.
+    /// The state after.
     pub to: State,
-    /// By what.
+    /// Its cause.
     pub cause: Cause,
 }
 
@@ -161,7 +162,7 @@ impl Transition {
         Transition { number, from, to, cause: Cause::Command(command) }
     }
 
-    /// All of them, by number. Where two commands cause the same one, the plainer comes first.
+    /// All of them, by number. Where two commands cause the same one, the simpler comes first.
     pub const ALL: [Transition; 15] = {
         use Command::{DisableVoltage, EnableOperation, QuickStop, Shutdown, SwitchOn};
         use State::{
@@ -186,7 +187,7 @@ impl Transition {
         ]
     };
 
-    /// The one that leads from one state to another; `None`: it takes more than one, or there is no way.
+    /// The one that leads from one state to another; `None`: it takes more than one, or there is none.
     pub fn between(from: State, to: State) -> Option<Transition> {
         Self::ALL.into_iter().find(|transition| (transition.from, transition.to) == (from, to))
     }
@@ -212,7 +213,7 @@ impl Transition {
     }
 }
 
-/// The status word, 6041h. Nothing of it is valid outside of SAFEOP and OP.
+/// The status word, 6041h. It is not valid outside of SAFEOP and OP.
 #[derive(Clone, Copy, Default, PartialEq, Eq, Hash)]
 pub struct StatusWord(pub u16);
 
@@ -231,7 +232,7 @@ impl StatusWord {
     pub const NO_QUICK_STOP: u16 = 1 << 5;
     /// Bit 6: switching on is disabled.
     pub const SWITCH_ON_DISABLED: u16 = 1 << 6;
-    /// Bit 7: a warning stands.
+    /// Bit 7: a warning is present.
     pub const WARNING: u16 = 1 << 7;
     /// Bit 9: remote. A Kollmorgen drive always has it: its status word is never 0.
     pub const REMOTE: u16 = 1 << 9;
@@ -263,7 +264,7 @@ impl StatusWord {
         None,
     ];
 
-    /// The bits of each state that matter, and what they are. The CAN manual of the S300 prints bit 6 of the first as
+    /// The relevant bits of each state, and their values. The CAN manual of the S300 prints bit 6 of the first as
     /// 1; the standard and the AKD have 0.
     const STATES: [(State, u16, u16); 8] = [
         (State::NotReadyToSwitchOn, 0x4F, 0x00),
@@ -286,13 +287,13 @@ impl StatusWord {
         StatusWord(self.0 | bits)
     }
 
-    /// The state that it says; [`State::Unknown`]: none that there is.
+    /// Its state; [`State::Unknown`]: no valid one.
     pub fn state(self) -> State {
         let known = Self::STATES.iter().find(|(_, mask, value)| self.0 & mask == *value);
         known.map_or(State::Unknown, |(state, ..)| *state)
     }
 
-    /// The bits of a state, and nothing else.
+    /// The bits of a state, and no others.
     pub fn of(state: State) -> StatusWord {
         let known = Self::STATES.iter().find(|(known, ..)| *known == state);
         StatusWord(known.map_or(0, |(.., value)| *value))
@@ -328,7 +329,7 @@ fn write_word(
     f.write_str(")")
 }
 
-/// A mode of operation as 6060h and 6061h have it.
+/// A mode of operation as in 6060h and 6061h.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Mode(pub i8);
 
@@ -354,7 +355,8 @@ impl Mode {
     /// 88h, OPMODE 8: motion task.
     pub const MOTION_TASK: Mode = Mode(0x88_u8 as i8);
 
-    /// The ones of the S300 ... S700: 1, 3, 4, 6, 7 and 80h ... 88h (CAN manual). That 80h + n is OPMODE n is assumed.
+    /// The modes of the S300 ... S700: 1, 3, 4, 6, 7 and 80h ... 88h (CAN manual). That 80h + n is OPMODE n is
+    /// assumed.
     pub const fn is_of_s700(self) -> bool {
         matches!(self.0, 1 | 3 | 4 | 6 | 7 | -128..=-120)
     }
@@ -404,7 +406,7 @@ mod tests {
     fn words_of_the_sheet_are_the_states_it_says() {
         assert_eq!(StatusWord(0x0637).state(), State::OperationEnabled);
         assert_eq!(StatusWord(0x0633).state(), State::SwitchedOn);
-        // Ready, but neither switched on nor not stopped quickly: no row.
+        // Ready with bit 5 = 0, or with bit 6 = 1: no row.
         assert_eq!(StatusWord(0x0001).state(), State::Unknown);
         assert_eq!(StatusWord(0x0060 | 0x0001).state(), State::Unknown);
         assert_eq!(StatusWord::of(State::Unknown), StatusWord(0));
@@ -412,7 +414,7 @@ mod tests {
 
     #[test]
     fn every_row_of_the_command_table_is_its_command_whatever_the_other_bits() {
-        // Bits 7, 3, 2, 1, 0; x = whatever.
+        // Bits 7, 3, 2, 1, 0; x = any.
         for (command, bits, word) in [
             (Command::Shutdown, "0x110", 0x0006),
             (Command::SwitchOn, "00111", 0x0007),

@@ -1,34 +1,34 @@
-//! What only EtherCAT counts.
+//! Counters that only EtherCAT has.
 
 use crate::bus::{Counters, OwnCounter};
 
-/// The places of the counters in [`Counters::own`].
+/// The indices of the counters in [`Counters::own`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(usize)]
 pub enum Own {
-    /// A frame came back without this slave having been part of it.
+    /// A frame came back without this slave having taken part.
     PassedBy,
     /// A frame whose working counter fits no set of slaves.
     WrongCount,
-    /// A reply of a slave below OP: it takes no outputs.
+    /// A reply of a slave below OP: outputs do not reach it.
     NotOperational,
     /// It was brought up, the first time included.
     BroughtUp,
-    /// It told an AL error.
+    /// It reported an AL error.
     AlErrors,
     /// Frames that went round without passing the master.
     Circulated,
     /// Emergencies.
     Emergencies,
-    /// Emergencies that found their queue full: they are no events.
+    /// Emergencies for which the queue had no room: no events were made of them.
     EmergenciesLost,
     /// SDOs that were refused by an abort code.
     Aborts,
     /// Requests and replies of its mailbox that had to be repeated.
     MailboxRepeats,
-    /// Messages of its mailbox that answer nothing that was asked.
+    /// Messages of its mailbox that belong to no request.
     MailboxStrays,
-    /// Messages of its mailbox that are none.
+    /// Messages of its mailbox that are malformed.
     MailboxBroken,
     /// SDOs that were not answered.
     MailboxSilent,
@@ -47,7 +47,7 @@ pub const OWN: [OwnCounter; 13] = [
     OwnCounter { key: "aborts", what: "SDOs refused by an abort code" },
     OwnCounter { key: "mailbox_repeats", what: "mailbox requests and replies repeated" },
     OwnCounter { key: "mailbox_strays", what: "mailbox messages that answer no request" },
-    OwnCounter { key: "mailbox_broken", what: "mailbox messages that are none" },
+    OwnCounter { key: "mailbox_broken", what: "mailbox messages that are malformed" },
     OwnCounter { key: "mailbox_silent", what: "SDOs that were not answered" },
 ];
 

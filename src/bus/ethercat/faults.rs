@@ -1,10 +1,11 @@
-//! Faults of a Kollmorgen S300 ... S700: the number on its display, and what its emergency says.
+//! Faults of a Kollmorgen S300 ... S700: the number on its display, and the content of its emergency.
 //!
-//! Codes: CAN manual of the S300 and S700, "Emergency". What these do not show is marked [`assumed`](Fault::assumed).
+//! Codes: CAN manual of the S300 and S700, "Emergency". Entries that are not in it are marked
+//! [`assumed`](Fault::assumed).
 
 use super::wire::mailbox::Emergency;
 
-/// How a fault can be cleared: the first byte of the maker's in an emergency (CAN manual).
+/// How a fault can be cleared: the first vendor byte of an emergency (CAN manual).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[repr(u8)]
 pub enum Clearing {
@@ -16,12 +17,12 @@ pub enum Clearing {
     Pdo = 3,
     /// Not at all.
     Never = 4,
-    /// A warning: it goes by itself.
+    /// A warning: it clears by itself.
     Warning = 5,
 }
 
 impl Clearing {
-    /// What an emergency says; `None`: none of these, or the end of one.
+    /// The clearing in an emergency; `None`: an unknown one, or the end of an error.
     pub const fn of(emergency: &Emergency) -> Option<Clearing> {
         match emergency {
             Emergency { code: 0, .. } => None,
@@ -46,7 +47,7 @@ pub struct Fault {
     pub register: u8,
     /// How it can be cleared. Which fault has which is assumed.
     pub clearing: Clearing,
-    /// What it says.
+    /// Its meaning.
     pub name: &'static str,
     /// Its code is not from a document.
     pub assumed: bool,
@@ -75,7 +76,7 @@ impl Fault {
     pub const MOTOR_TEMPERATURE: Fault = Fault::new(6, 0x4310, register::TEMPERATURE, "motor temperature");
     /// F12: a phase of the motor is missing.
     pub const MOTOR_PHASE: Fault = Fault::new(12, 0x2380, register::CURRENT, "motor phase").cold();
-    /// F13: it is too hot around the drive.
+    /// F13: the ambient temperature of the drive is too high.
     pub const AMBIENT: Fault = Fault::new(13, 0x4110, register::TEMPERATURE, "ambient temperature");
     /// F16: the mains are missing.
     pub const MAINS: Fault = Fault::new(16, 0x3100, register::VOLTAGE, "mains");
@@ -114,17 +115,17 @@ impl Fault {
         Fault { assumed: true, ..self }
     }
 
-    /// The one whose emergency has this error code.
+    /// The fault with this error code in its emergency.
     pub fn of_code(code: u16) -> Option<&'static Fault> {
         Self::ALL.iter().find(|fault| fault.code == code)
     }
 
-    /// What the error register, 1001h, is while it stands.
+    /// The error register, 1001h, while it is present.
     pub const fn error_register(&self) -> u8 {
         self.register | register::GENERIC
     }
 
-    /// What the drive says when it comes. The register is the one of the sheet's example: without bit 0.
+    /// The emergency that the drive sends with it. The register is the one of the sheet's example: without bit 0.
     pub const fn emergency(&self) -> Emergency {
         Emergency { code: self.code, register: self.register, vendor: [self.clearing as u8, 0, 0, 0, 0] }
     }

@@ -1,15 +1,15 @@
-//! The process data of a line, and the frames that carry them: built once, and the same from cycle to cycle but for
-//! what they carry.
+//! The process data of a segment, and the frames that carry them: built once; only their contents change from cycle
+//! to cycle.
 //!
 //! | first frame | the others |
 //! |---|---|
-//! | clock: the reference's time to all, and behind it ours to the reference if that is the one that follows | |
+//! | clock: the reference's time to all, followed by ours to the reference if the reference follows the grid | |
 //! | process data of the first slaves: outputs, then AL status and inputs of each | those of the next slaves |
 //! | states of all slaves, or-ed | |
 //! | the acyclic slot, of two datagrams at most | |
 //!
-//! The input area leaves the master as zeros. A slave that takes part puts its AL status there, which is never zero:
-//! one working counter for all of them does not tell which one is missing, this does.
+//! The input area leaves the master as zeros. A slave that takes part puts its AL status there, which is never
+//! zero: one working counter for all slaves does not show which one is missing, the AL status does.
 
 use std::ops::Range;
 
@@ -24,25 +24,25 @@ use crate::rt::Regions;
 
 /// The logical address space of one master: each frame has a piece of its own in it.
 const FRAME_SPACE: u32 = 0x1000;
-/// Who sent a frame, and which one it is: in a datagram that no slave touches, in front of all others.
+/// The sender of a frame, and its number: in a datagram that no slave touches, before all others.
 const MARK_SIZE: usize = 8;
 /// Bytes of an AL status in the image.
 pub const AL_SIZE: usize = 2;
-/// Bytes of the time of a line: the lower half, which every clock has.
+/// Bytes of the time of a segment: the lower half, which every clock has.
 const TIME_SIZE: usize = 4;
-/// What the clock, the states and the slot take of the first frame beside the process data.
+/// Bytes of clock, states and slot in the first frame, besides the process data.
 const FIRST_OVERHEAD: usize = 2 * (12 + TIME_SIZE) + 14 + 2 * 12 + super::slot::ROOM;
-/// What the mark takes of each frame.
+/// Bytes of the mark in each frame.
 const MARK_OVERHEAD: usize = 12 + MARK_SIZE;
 /// The most datagrams of a frame: mark, clock, time, process data in two, states, and the slot.
 const PLACES: usize = 6 + super::slot::DATAGRAMS;
 /// The header of a second datagram of process data.
 const SPLIT_OVERHEAD: usize = 12;
 
-/// Where the process data of one slave stand: bytes of its frame, and logical addresses.
+/// The offsets of the process data of one slave: bytes of its frame, and logical addresses.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Spot {
-    /// Which frame.
+    /// The index of the frame.
     pub frame: usize,
     /// Its outputs.
     pub outputs: Range<usize>,
@@ -65,7 +65,7 @@ pub struct Logical {
     pub inputs: u32,
 }
 
-/// All frames of a line.
+/// All frames of a segment.
 #[derive(Debug)]
 pub struct Image {
     frames: Box<[Frame]>,
@@ -75,9 +75,9 @@ pub struct Image {
 #[derive(Debug)]
 pub struct Frame {
     bytes: Box<[u8; FRAME_MAX]>,
-    /// The outputs of the next one, in the same places.
+    /// The outputs of the next send, at the same offsets.
     next: Box<[u8; FRAME_MAX]>,
-    /// The outputs of the one before.
+    /// The outputs of the last send.
     sent: Box<[u8]>,
     outputs: Range<usize>,
     length: usize,
@@ -91,24 +91,24 @@ pub struct Frame {
     read: Option<Place>,
     states: Option<Place>,
     slot: [Option<Place>; super::slot::DATAGRAMS],
-    /// All of them, in their order: so many, the first ones for good.
+    /// All datagrams, in their order: so many, the first ones permanent.
     places: [Place; PLACES],
     count: usize,
     fixed: usize,
     logical: u32,
 }
 
-/// Who sent a frame, and which one of its frames it is.
+/// The sender of a frame, and the number of the frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Mark {
-    /// Names the master.
+    /// Identifies the master.
     pub master: u32,
     /// Counts its frames.
     pub number: u32,
 }
 
 impl Mark {
-    /// That of a frame that came in; `None`: it has none.
+    /// The mark of a received frame; `None`: it has none.
     pub fn of(received: &[u8]) -> Option<Mark> {
         let (number, bytes) = first_datagram::<MARK_SIZE>(received)?;
         let [a, b, c, d, e, f, g, h] = *Some(bytes).filter(|_| number == Command::Nop.number())?;
@@ -116,20 +116,20 @@ impl Mark {
     }
 }
 
-/// What a frame that was sent says as it comes back.
+/// The result of comparing a returned frame with the sent one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Read {
-    /// It is the one; the working counter of its process data.
+    /// It is the sent one; the working counter of its process data.
     Good(u16),
-    /// It is, but went round without passing the master.
+    /// It is the sent one, but circulated without passing the master.
     Circulated,
     /// It is another one.
     Other,
 }
 
 impl Image {
-    /// The image of these slaves, in their order on the line, and where each has its place: logical addresses from
-    /// `base` on. `None`: one of them fits into no frame.
+    /// The image of these slaves, in their order on the segment, and the offsets of each: logical addresses from
+    /// `base` on. `None`: one of them does not fit into a frame.
     pub fn new(
         slaves: &[(Owner, &SlavePlan)],
         base: u32,
@@ -241,10 +241,10 @@ impl Frame {
         })
     }
 
-    /// Where each of its slaves has its place.
+    /// The offsets of each of its slaves.
     fn spots(&self, frame: usize, slaves: &[(Owner, &SlavePlan)]) -> Vec<Spot> {
         let outputs: usize = slaves.iter().map(|(_, slave)| usize::from(slave.outputs.length)).sum();
-        // Inputs go on behind the outputs, in the same datagram or in the next one.
+        // Inputs follow the outputs, in the same datagram or in the next one.
         let behind = self.read.map_or(self.data.data().start + outputs, |read| read.data().start);
         let (mut out, mut input) = (0, 0);
         let spot = |(_, slave): &(Owner, &SlavePlan)| {
@@ -272,13 +272,13 @@ impl Frame {
         &self.bytes[..self.length]
     }
 
-    /// The next outputs of a slave with this place: they stay until others are written there.
+    /// The next outputs of the slave at these offsets: they stay until others are written there.
     #[inline]
     pub fn outputs(&mut self, spot: &Spot) -> &mut [u8] {
         self.next.get_mut(spot.outputs.clone()).unwrap_or_default()
     }
 
-    /// Its next outputs are those of before.
+    /// Its next outputs are the previous ones.
     pub fn keep_outputs(&mut self, spot: &Spot) {
         let range = spot.outputs.clone();
         if let (Some(next), Some(sent)) = (self.next.get_mut(range.clone()), self.bytes.get(range)) {
@@ -294,14 +294,14 @@ impl Frame {
         self.bytes[range.clone()].copy_from_slice(&self.next[range]);
     }
 
-    /// The frame did not go out: the outputs in it are those of before again.
+    /// The frame was not sent: the outputs in it are the previous ones again.
     pub fn unload_outputs(&mut self) {
         let range = self.outputs.clone();
         self.bytes[range.clone()].copy_from_slice(&self.sent[..range.len()]);
     }
 
-    /// The slave with this station address is the reference from now on; `to_all`: its time goes to all others, else it
-    /// is only read; `follows`: it is given our time.
+    /// The slave with this station address is the reference from now on. `to_all`: its time goes to all others,
+    /// otherwise it is only read; `follows`: it receives our time.
     pub fn refer_to(&mut self, station: Option<u16>, to_all: bool, follows: bool) {
         let read = |station| match to_all {
             true => Command::Frmw(station, address::DC_TIME),
@@ -317,14 +317,14 @@ impl Frame {
         }
     }
 
-    /// Our time for the reference; and for all, if the reference is not there to put its own in its place.
+    /// Our time for the reference; and for all, if the reference is absent and cannot replace it with its own.
     pub fn set_time(&mut self, ns: u64) {
         for place in [self.clock, self.time].into_iter().flatten() {
             self.bytes[place.data()].copy_from_slice(&(ns as u32).to_le_bytes());
         }
     }
 
-    /// Puts what is asked into the slot, in place of what was there.
+    /// Puts the request into the slot, replacing the previous one.
     pub fn ask(&mut self, ask: &Ask) {
         if ask.is_empty() && self.slot[0].is_none() {
             return;
@@ -350,10 +350,10 @@ impl Frame {
         }
     }
 
-    /// Holds a frame that came in against this one, which was sent.
+    /// Compares a received frame with this one, which was sent.
     pub fn read(&self, received: &[u8]) -> Read {
         let mut count: u16 = 0;
-        // States and slot come last: what they ask of may be a position.
+        // States and slot come last: their addresses may be positions.
         let stays = self.states.map_or(FRAME_MAX, |states| states.at);
         for place in &self.places[..self.count] {
             match returned(&*self.bytes, received, *place, place.at < stays) {
@@ -368,8 +368,8 @@ impl Frame {
         Read::Good(count)
     }
 
-    /// The time of the reference in a frame that was read, if it was there: without it the others count, and have what
-    /// was sent.
+    /// The time of the reference in a frame that was read, if the reference took part: otherwise the other slaves
+    /// count the datagram, and it has what was sent.
     pub fn time_of(&self, received: &[u8]) -> Option<u32> {
         let place = self.clock?;
         let answer = answer(received, place)?;
@@ -383,7 +383,7 @@ impl Frame {
         Some((answer.working_counter, u16::from_le_bytes(answer.data.try_into().ok()?)))
     }
 
-    /// What came of the slot.
+    /// The answers of the slot.
     pub fn answers_of<'a>(&self, received: &'a [u8]) -> Answers<'a> {
         self.slot.map(|place| answer(received, place?))
     }

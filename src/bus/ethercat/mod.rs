@@ -1,22 +1,22 @@
-//! EtherCAT with CoE to Kollmorgen S300, S400, S600 and S700: one frame serves all drives of a line.
+//! EtherCAT with CoE to Kollmorgen S300, S400, S600 and S700: one frame serves all drives of a segment.
 //!
 //! | file | what |
 //! |---|---|
 //! | `wire` | bytes <-> values |
 //! | `cia402`, `faults` | control word, status word, states, transitions; numbers of faults |
-//! | `object` | objects of a drive: what is known of them, how people write them, what its PDOs are made of |
-//! | `plan` | the line as configured |
-//! | `counters` | what only EtherCAT counts |
+//! | `object` | objects of a drive: what is known of them, how people write them, the contents of its PDOs |
+//! | `plan` | the segment as configured |
+//! | `counters` | counters that only EtherCAT has |
 //! | `bus` | stations, devices and frames as one bus |
-//! | `image` | the process data of the line, and its frames |
-//! | `line` | the slaves on their way to OP, and the clock of the line |
+//! | `image` | the process data of the segment, and its frames |
+//! | `line` | bringing the slaves to OP, and the clock of the segment |
 //! | `slot` | the acyclic slot of a frame |
 //! | `service` | SDOs and emergencies of a slave |
-//! | `station`, `orders`, `trajectory` | the master's view of one drive; what an order does; where its axis shall be |
-//! | `start_up` | what is written to a drive before its process data run |
-//! | `native` | native process data of drives, and of devices that are no drives |
-//! | `scan` | what is on a line, for people |
-//! | `sim` | a simulated line: slave controllers, and what drives and I/O do behind them |
+//! | `station`, `orders`, `trajectory` | the master's view of one drive; the steps of an order; the setpoint of its axis over time |
+//! | `start_up` | objects written to a drive before its process data run |
+//! | `native` | native process data of drives, and of devices that are not drives |
+//! | `scan` | lists the slaves of a segment, for people |
+//! | `sim` | a simulated segment: slave controllers, and the drives and I/O behind them |
 
 pub mod cia402;
 pub mod counters;

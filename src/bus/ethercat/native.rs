@@ -1,5 +1,5 @@
-//! Native process data, unscaled and complete, for the application: those of a drive, and those of a device that is no
-//! drive.
+//! Native process data, unscaled and complete, for the application: those of a drive, and those of a device that is
+//! not a drive.
 
 use std::sync::Arc;
 
@@ -12,13 +12,13 @@ use crate::axis::cell::{self, Packed, Reader, Writer};
 use crate::rt::{self, Regions};
 use crate::time::Time;
 
-/// Most bytes that a drive's PDO has here.
+/// The largest PDO of a drive, bytes.
 pub const PDO_MAX: usize = 64;
-/// Most bytes of inputs, and of outputs, of a device.
+/// The most bytes of inputs, and of outputs, of a device.
 pub const TERMINAL_MAX: usize = 256;
 /// How many outputs the application may queue.
 const OUTPUTS: usize = 16;
-/// How many emergencies of a device wait for it.
+/// How many emergencies of a device are kept for the application.
 const EMERGENCIES: usize = 16;
 /// Bytes of a word of a cell.
 const WORD: usize = size_of::<u64>();
@@ -31,12 +31,12 @@ pub struct Native {
     layouts: Arc<[Layout; 2]>,
 }
 
-/// What the drive last said.
+/// The last inputs of the drive.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NativeInputs<'a> {
     /// When it was taken in.
     pub at: Time,
-    /// Native mode ran when the outputs of this exchange were built: what is written from now on goes out.
+    /// Native mode ran when the outputs of this exchange were built: outputs written from now on go out.
     pub running: bool,
     layout: &'a Layout,
     bytes: [u8; PDO_MAX],
@@ -55,8 +55,7 @@ impl NativeInputs<'_> {
     }
 }
 
-/// An output PDO, whole: it stays until the next one. With `NativeOwner::Master` the control word in it counts for
-/// nothing.
+/// An output PDO, whole: it stays until the next one. With `NativeOwner::Master` its control word is ignored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NativeOutput {
     bytes: [u8; PDO_MAX],
@@ -64,7 +63,7 @@ pub struct NativeOutput {
 }
 
 impl NativeOutput {
-    /// These bytes; `None`: more than a PDO has.
+    /// An output of these bytes; `None`: more than a PDO has.
     pub fn new(bytes: &[u8]) -> Option<NativeOutput> {
         let mut output = NativeOutput { bytes: [0; PDO_MAX], length: u8::try_from(bytes.len()).ok()? };
         output.bytes.get_mut(..bytes.len())?.copy_from_slice(bytes);
@@ -90,8 +89,8 @@ impl Native {
         }
     }
 
-    /// An output PDO with these values; what is not named is 0. `None`: an object is not mapped, or its value does not
-    /// fit.
+    /// An output PDO with these values; objects that are not named are 0. `None`: an object is not mapped, or its
+    /// value does not fit.
     pub fn output(&self, values: &[(Object, i64)]) -> Option<NativeOutput> {
         let layout = &self.layouts[0];
         let mut output = NativeOutput::new(&[0; PDO_MAX][..layout.size().min(PDO_MAX)])?;
@@ -107,8 +106,8 @@ impl Native {
         Some(output)
     }
 
-    /// Queues an output for the axis in native mode; gives it back if the queue is full. What is written before the
-    /// mode runs ([`NativeInputs::running`]) is dropped as it begins.
+    /// Queues an output for the axis in native mode; returns it if the queue is full. An output written before the
+    /// mode runs ([`NativeInputs::running`]) is dropped when the mode begins.
     pub fn write(&mut self, output: NativeOutput) -> Result<(), NativeOutput> {
         self.outputs.push(output).map_err(|rtrb::PushError::Full(output)| output)
     }
@@ -155,8 +154,8 @@ impl NativePort {
         self.outputs.pop().ok()
     }
 
-    /// Drops what was written for a native mode that is over; not what the application writes meanwhile, which would
-    /// have no end.
+    /// Drops the outputs of a native mode that has ended; not those that the application writes meanwhile, which
+    /// would have no end.
     pub(super) fn flush(&mut self) {
         for _ in 0..self.outputs.slots().min(OUTPUTS) {
             let _ = self.outputs.pop();
@@ -164,7 +163,7 @@ impl NativePort {
     }
 }
 
-/// The application's end of a device that is no drive.
+/// The application's end of a device that is not a drive.
 #[derive(Debug)]
 pub struct Terminals {
     inputs: Reader<Image<{ FRONT + TERMINAL_MAX / WORD }>>,
@@ -173,12 +172,12 @@ pub struct Terminals {
     sizes: (usize, usize),
 }
 
-/// What a device last said.
+/// The last inputs of a device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TerminalInputs {
     /// When it was taken in.
     pub at: Time,
-    /// Its inputs are of now, and it takes outputs: it is in OP.
+    /// Its inputs are current, and outputs reach it: it is in OP.
     pub operational: bool,
     bytes: [u8; TERMINAL_MAX],
     length: usize,
@@ -191,19 +190,19 @@ impl TerminalInputs {
     }
 }
 
-/// Why outputs were not taken.
+/// Why outputs were not accepted.
 #[derive(Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum TerminalError {
     /// The image is of another size.
     #[error("the device has {has} bytes of outputs, not {given}: write all of them at once")]
     Size {
-        /// What it has.
+        /// The device's size.
         has: usize,
-        /// What was given.
+        /// The given size.
         given: usize,
     },
-    /// The loop has not taken those before yet.
-    #[error("the outputs before these have not gone out yet: write once a cycle at most")]
+    /// The loop has not taken the previous ones yet.
+    #[error("the previous outputs have not gone out yet: write at most once per cycle")]
     Full,
 }
 crate::errors::debug_as_display!(TerminalError);
@@ -217,7 +216,7 @@ impl Terminals {
         TerminalInputs { at: image.at(), operational: image.flag(), bytes, length: self.sizes.1 }
     }
 
-    /// The next emergency that it told by its mailbox. The oldest ones are kept while nobody asks.
+    /// The next emergency that it reported by its mailbox. If the application takes none, the oldest ones are kept.
     pub fn emergency(&mut self) -> Option<Emergency> {
         self.emergencies.pop().ok()
     }
@@ -227,8 +226,8 @@ impl Terminals {
         self.sizes
     }
 
-    /// Writes all outputs at once: they go out with the next frame, if no newer ones were written by then, and stay
-    /// until the next ones, or until the device leaves OP: then they are zeros until they are written anew.
+    /// Writes all outputs at once: they go out with the next frame, unless newer ones are written by then, and stay
+    /// until the next ones, or until the device leaves OP: then they are zeros until they are written again.
     pub fn write(&mut self, outputs: &[u8]) -> Result<(), TerminalError> {
         let mut image = [0; TERMINAL_MAX];
         match image.get_mut(..self.sizes.0) {
@@ -239,22 +238,22 @@ impl Terminals {
     }
 }
 
-/// The line's end of a device.
+/// The segment's end of a device.
 #[derive(Debug)]
 pub struct TerminalPort {
     inputs: Writer<Image<{ FRONT + TERMINAL_MAX / WORD }>>,
     outputs: Consumer<[u8; TERMINAL_MAX]>,
     emergencies: Producer<Emergency>,
     newest: [u8; TERMINAL_MAX],
-    /// Those of the next frame were taken: built again, it has the same.
+    /// The outputs of the next frame were taken: built again, it has the same.
     taken: bool,
-    /// The application wrote some.
+    /// The application wrote outputs.
     written: bool,
     size: usize,
     regions: Regions,
 }
 
-/// Both ends of a device with so many bytes of outputs and inputs; of more than [`TERMINAL_MAX`] the rest is cut off.
+/// Both ends of a device with so many bytes of outputs and inputs; bytes beyond [`TERMINAL_MAX`] are cut off.
 pub fn terminals(outputs: usize, inputs: usize) -> (Terminals, TerminalPort) {
     let (writer, reader) = cell::cell(Image::EMPTY);
     let mut regions = Regions::new();
@@ -298,7 +297,7 @@ impl TerminalPort {
         &self.newest[..self.size]
     }
 
-    /// The application wrote some, and they still count.
+    /// The application wrote outputs, and they are still valid.
     pub fn is_written(&self) -> bool {
         self.written
     }
@@ -308,7 +307,7 @@ impl TerminalPort {
         !self.emergencies.is_full()
     }
 
-    /// It told an emergency; nothing, if there is no room.
+    /// Queues an emergency that it reported; dropped if there is no room.
     pub fn tell(&mut self, emergency: Emergency) {
         let _ = self.emergencies.push(emergency);
     }
@@ -318,7 +317,7 @@ impl TerminalPort {
         self.taken = false;
     }
 
-    /// The device was lost: what was written for it before counts no more.
+    /// The device was lost: earlier outputs for it are no longer valid.
     pub fn forget(&mut self) {
         for _ in 0..self.outputs.slots().min(OUTPUTS) {
             let _ = self.outputs.pop();
@@ -336,7 +335,7 @@ impl TerminalPort {
 #[derive(Clone, Copy, Debug)]
 struct Image<const N: usize>([u64; N]);
 
-/// Words in front of the bytes.
+/// Words before the bytes.
 const FRONT: usize = 2;
 
 impl<const N: usize> Image<N> {
@@ -354,7 +353,7 @@ impl<const N: usize> Image<N> {
         usize::from(self.0[1] as u16)
     }
 
-    /// The bytes; behind those that were told there are others of before.
+    /// The bytes; after those that count there are older ones.
     fn bytes<const BYTES: usize>(&self) -> [u8; BYTES] {
         let mut bytes = [0; BYTES];
         for (place, word) in bytes.chunks_mut(WORD).zip(&self.0[FRONT..]) {
@@ -364,7 +363,7 @@ impl<const N: usize> Image<N> {
     }
 }
 
-/// The words of an image with these bytes; of its last word those that are not there are 0.
+/// The words of an image with these bytes; missing bytes of its last word are 0.
 #[inline]
 fn packed(at: Time, flag: bool, data: &[u8]) -> impl Iterator<Item = u64> {
     let (words, rest) = data.as_chunks::<WORD>();

@@ -1,4 +1,4 @@
-//! How people write objects of a drive and their values, and the calls that this makes.
+//! How people write objects of a drive and their values, and the calls made from them.
 //!
 //! | address | access |
 //! |---|---|
@@ -9,16 +9,16 @@
 //!
 //! | value | means |
 //! |---|---|
-//! | `-15000` | a count, as it goes over the wire |
+//! | `-15000` | a count, as sent on the wire |
 //! | `0x3A98` | the bits of a count |
 //! | `S700` | of a text, up to eight characters |
 //!
 //! In a [`Call`] the service is [`READ`] or [`WRITE`], the address a packed [`Target`], the value the raw bits of a
-//! count, or the characters of a text, the first in the lowest byte. The status of its answer is 0 or the drive's abort
-//! code, or one of the [statuses](NO_MAILBOX) of the master.
+//! count, or the characters of a text, the first in the lowest byte. The status of its answer is 0 or the drive's
+//! abort code, or one of the [statuses](NO_MAILBOX) of the master.
 //!
-//! An object that is longer than the value of a call is read by a series of calls: [`READ`], and behind it [`SIZE`] and
-//! [`PART`]s of what it has brought. [`long::read`] does it.
+//! An object that is longer than the value of a call is read by a series of calls: [`READ`], followed by [`SIZE`]
+//! and [`PART`]s of the data read. [`long::read`] does it.
 
 pub mod catalogue;
 pub mod long;
@@ -36,10 +36,10 @@ pub const READ: u32 = 1;
 /// The service of a call that writes.
 pub const WRITE: u32 = 2;
 
-/// The service of a call that tells how many bytes the call that read the same target before it in its series has
-/// brought.
+/// The service of a call that returns how many bytes the preceding [`READ`] of the same target in its series has
+/// read.
 pub const SIZE: u32 = 3;
-/// The service of a call that gives eight of those bytes, of the first 64, from the one on that `value` says.
+/// The service of a call that returns eight of those bytes, of the first 64, starting at `value`.
 pub const PART: u32 = 4;
 
 /// Status of a call: the slave has no mailbox. This status and those below are the master's own; abort codes begin far
@@ -47,37 +47,37 @@ pub const PART: u32 = 4;
 pub const NO_MAILBOX: u32 = 0x01;
 /// Status of a call: there is no such call.
 pub const NO_CALL: u32 = 0x02;
-/// Status of a call: the slave did not take the message before it out of its mailbox.
+/// Status of a call: the slave did not take the previous message out of its mailbox.
 pub const FULL: u32 = 0x03;
-/// Status of a call: what the slave answered is no SDO.
+/// Status of a call: the slave's answer is not an SDO.
 pub const BROKEN: u32 = 0x04;
 /// Status of a call: a segment came twice, or one is missing.
 pub const TOGGLE: u32 = 0x05;
-/// Status of a call: the object ended before the size that the slave had told.
+/// Status of a call: the object ended before the size that the slave had announced.
 pub const TRUNCATED: u32 = 0x06;
 /// Status of a call: the object does not end.
 pub const ENDLESS: u32 = 0x07;
-/// Status of a call: there is no such part of what was read before it in its series.
+/// Status of a call: there is no such part of the data read before it in its series.
 pub const NOT_READ: u32 = 0x08;
 /// Status of a call: the slave could not use the mailbox message; its [`MailboxError`] is added.
 pub const MAILBOX: u32 = 0x1_0000;
 
-/// What a status of the master's own means.
+/// The meaning of a status of the master's own.
 fn own_reason(status: u32) -> Option<&'static str> {
     Some(match status {
         NO_MAILBOX => "the slave has no mailbox",
         NO_CALL => "there is no such call",
         FULL => "the slave does not empty its mailbox",
-        BROKEN => "the slave's answer is no SDO",
+        BROKEN => "the slave's answer is not an SDO",
         TOGGLE => "a segment of the answer came twice, or one is missing",
         TRUNCATED => "the answer is shorter than the slave announced",
         ENDLESS => "the answer is longer than the slave announced, or has no end",
-        NOT_READ => "there is no such part of what was read before",
+        NOT_READ => "there is no such part of the data read before",
         _ => return None,
     })
 }
 
-/// Which drives: their objects, PDOs and modes differ.
+/// The drive family: objects, PDOs and modes differ.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Family {
     /// S300, S400, S600, S700.
@@ -137,7 +137,7 @@ impl Type {
         matches!(self, Type::I8 | Type::I16 | Type::I32)
     }
 
-    /// The lowest and the highest value; of a text, of nothing.
+    /// The lowest and the highest value; meaningless for a text.
     pub const fn range(self) -> (i64, i64) {
         let bits = 8 * self.bytes();
         match self {
@@ -147,7 +147,7 @@ impl Type {
         }
     }
 
-    /// The value of raw bits. What stands above them is not looked at.
+    /// The value of raw bits. Higher bits are ignored.
     pub const fn number(self, raw: u64) -> i64 {
         let above = 64 - 8 * self.bytes() as u32;
         match self.is_signed() {
@@ -193,12 +193,12 @@ fn decimal(text: &str) -> Option<u8> {
     text.parse().ok().filter(|_| is_one)
 }
 
-/// What a call reads or writes.
+/// The object that a call reads or writes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Target {
-    /// Which object.
+    /// The object.
     pub object: Object,
-    /// In which type; `None`: as it comes, to read only.
+    /// Its type; `None`: as it comes, to read only.
     pub kind: Option<Type>,
     /// All its subindices together, to read only. It has no type.
     pub complete: bool,
@@ -206,7 +206,7 @@ pub struct Target {
 
 /// With the type of a packed target: complete access.
 const COMPLETE: u8 = 1 << 7;
-/// As people write it, behind the index.
+/// The suffix of the index, as people write it.
 const ALL_SUBS: &str = ":ca";
 
 impl Target {
@@ -217,7 +217,7 @@ impl Target {
         u32::from_be_bytes([kind, high, low, self.object.sub])
     }
 
-    /// From the address of a call; `None`: it is none.
+    /// From the address of a call; `None`: it is invalid.
     pub fn unpack(address: u32) -> Option<Target> {
         let [code, high, low, sub] = address.to_be_bytes();
         let complete = code == COMPLETE;
@@ -252,7 +252,7 @@ impl Target {
         Some(Target { object, kind: kind.or_else(own), complete: false })
     }
 
-    /// The value of raw bits; as unsigned ones where no type is known.
+    /// The value of raw bits; unsigned where no type is known.
     fn number(self, raw: u64) -> i64 {
         self.kind.map_or(i64::try_from(raw).unwrap_or(i64::MAX), |kind| kind.number(raw))
     }

@@ -1,14 +1,14 @@
-//! What is on a line: asked by a normal thread, for people. It leaves the line as it is.
+//! Lists the slaves of a segment for people, on a normal thread. It leaves the segment as it is.
 //!
 //! | file | what |
 //! |---|---|
-//! | `exchange` | a frame out and back, told apart from those of other masters |
+//! | `exchange` | a frame out and back, distinguished from those of other masters |
 //! | `information` | the SII |
 //!
-//! Registers are only read, and slaves are addressed by their places: no station address, no state and no process data
-//! is touched. Reading the SII takes writes to its own registers. Below SAFEOP nobody is disturbed by that, unless the
-//! slave's processor owns the SII; above it, or if it does, it is read only when asked for ([`Options::sii`]), and
-//! given back.
+//! Registers are only read, and slaves are addressed by their positions: no station address, no state and no
+//! process data is touched. Reading the SII takes writes to its own registers. Below SAFEOP this disturbs nobody,
+//! unless the slave's processor owns the SII; above it, or if the processor owns it, the SII is read only on
+//! request ([`Options::sii`]), and given back.
 
 mod exchange;
 mod information;
@@ -39,23 +39,23 @@ pub struct Options {
 /// A slave as it was found.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Slave {
-    /// Its place on the line: 0 is next to the master.
+    /// Its position on the segment: 0 is next to the master.
     pub place: u16,
     /// Its station address; 0: none was given.
     pub station: u16,
     /// Its alias; 0: none.
     pub alias: u16,
-    /// Its state, and whether it shows an error.
+    /// Its state, and whether it reports an error.
     pub status: AlStatus,
-    /// Why it does.
+    /// The AL status code of the error.
     pub code: AlCode,
-    /// What its controller can do.
+    /// The features of its controller.
     pub features: Features,
     /// Its ports.
     pub links: Links,
-    /// Bits 2n and 2n + 1 of what port n is.
+    /// Bits 2n and 2n + 1: the type of port n.
     pub ports: u8,
-    /// What its ports have counted.
+    /// The error counters of its ports.
     pub errors: Errors,
     /// Its SyncManagers as they are set.
     pub managers: Vec<SyncManager>,
@@ -63,11 +63,11 @@ pub struct Slave {
     pub fmmus: Vec<Fmmu>,
     /// Cycle of SYNC0, ns, if it is on.
     pub sync0_ns: Option<u32>,
-    /// What its SII says, or why that was not read.
+    /// The content of its SII, or why that was not read.
     pub sii: Result<Information, Unread>,
 }
 
-/// What a slave's controller has counted since it was powered on, or since a master cleared it.
+/// The counters of a slave's controller since it was powered on, or since a master cleared them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Errors {
     /// Frames with a wrong check sequence, by port.
@@ -109,16 +109,16 @@ impl Slave {
         (bytes(outputs), bytes(inputs))
     }
 
-    /// Whether its SII may be read without being asked for: then no master works with it.
+    /// Whether its SII may be read without a request: then no master works with it.
     fn is_idle(&self) -> bool {
         matches!(self.status.state(), Some(AlState::Init | AlState::PreOp))
     }
 }
 
-/// Why a line was not scanned to its end. Nothing was changed.
+/// Why a scan did not complete. Nothing was changed.
 #[derive(Clone, Copy, PartialEq, Eq, Error)]
 pub enum ScanError {
-    /// The caller wanted its end.
+    /// The caller interrupted it.
     #[error("interrupted")]
     Interrupted,
     /// The interface does not send.
@@ -130,14 +130,14 @@ pub enum ScanError {
     /// A frame came back as it was sent.
     #[error("frames come back, but no slave has processed them; look for a loop behind this interface")]
     Loop,
-    /// A slave was there, and is not any more.
+    /// A slave was there, and no longer is.
     #[error(
         "the slave at place {place} of {count} has stopped answering; look at its power and the cable in front of it"
     )]
     Lost {
-        /// Which.
+        /// Its position.
         place: u16,
-        /// So many there were.
+        /// How many slaves there were.
         count: u16,
     },
     /// Slaves came or went meanwhile.
@@ -145,9 +145,9 @@ pub enum ScanError {
         "the segment changed from {before} to {after} slaves during the scan; scan again when it is stable"
     )]
     Changed {
-        /// So many there were.
+        /// How many there were.
         before: u16,
-        /// So many there are.
+        /// How many there are.
         after: u16,
     },
     /// Another master works here.
@@ -178,7 +178,7 @@ impl fmt::Display for Shown<'_> {
     }
 }
 
-/// Asks all slaves of the line behind `frames` who they are. Waits, as long as `go_on` holds.
+/// Reads all slaves of the segment behind `frames`. Blocks as long as `go_on` holds.
 pub fn scan(
     frames: &mut dyn Frames,
     options: Options,
@@ -195,7 +195,7 @@ pub fn scan(
     if after == before { Ok(slaves) } else { Err(ScanError::Changed { before, after }) }
 }
 
-/// So many slaves there are.
+/// The number of slaves.
 fn count(exchange: &mut Exchange) -> Result<u16, ScanError> {
     let answers = exchange.ask(&[Ask::read(Command::Brd(address::TYPE), 2)])?.ok_or(ScanError::Silent)?;
     match answers.first().map_or(0, |answer| answer.count) {
@@ -204,7 +204,7 @@ fn count(exchange: &mut Exchange) -> Result<u16, ScanError> {
     }
 }
 
-/// The slave that is asked now.
+/// The slave that is being read.
 struct Visit<'e, 'a> {
     exchange: &'e mut Exchange<'a>,
     place: u16,
@@ -216,7 +216,8 @@ impl Visit<'_, '_> {
         ScanError::Lost { place: self.place, count: self.count }
     }
 
-    /// What stands in these registers, in one frame; zero in those that it does not have. The first one it must have.
+    /// The contents of these registers, in one frame; zero for those that it does not have. It must have the first
+    /// one.
     fn read<const N: usize>(&mut self, registers: [(u16, usize); N]) -> Result<[Vec<u8>; N], ScanError> {
         let asks = registers.map(|(register, length)| Ask::read_of(self.place, register, length));
         let answers =

@@ -1,6 +1,6 @@
-//! The acyclic slot of a frame: two datagrams at most, for one slave's affairs at a time.
+//! The acyclic slot of a frame: two datagrams at most, for one slave at a time.
 //!
-//! Whoever has the slot writes what it wants into an [`Ask`]; the [`Answers`] come with the reply to that frame, or
+//! The owner of the slot writes its request into an [`Ask`]; the [`Answers`] come with the reply to that frame, or
 //! empty if it was lost.
 
 use super::wire::frame::Command;
@@ -10,7 +10,7 @@ pub const ROOM: usize = 256;
 /// Datagrams of one slot.
 pub const DATAGRAMS: usize = 2;
 
-/// What a slot is to carry.
+/// The request in a slot.
 #[derive(Clone, Debug)]
 pub struct Ask {
     commands: [(Command, usize); DATAGRAMS],
@@ -19,7 +19,7 @@ pub struct Ask {
     filled: usize,
 }
 
-/// What came of one datagram.
+/// The answer of one datagram.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Answer<'a> {
     /// How often it was carried out.
@@ -28,7 +28,7 @@ pub struct Answer<'a> {
     pub data: &'a [u8],
 }
 
-/// What came of a slot, in the order of its datagrams; `None` where there was none, or the frame was lost.
+/// The answers of a slot, in the order of its datagrams; `None` where there was none, or the frame was lost.
 pub type Answers<'a> = [Option<Answer<'a>>; DATAGRAMS];
 
 impl Default for Ask {
@@ -38,12 +38,12 @@ impl Default for Ask {
 }
 
 impl Ask {
-    /// Nothing is asked any more.
+    /// Removes the request.
     pub fn clear(&mut self) {
         (self.count, self.filled) = (0, 0);
     }
 
-    /// Nothing is asked.
+    /// There is no request.
     pub fn is_empty(&self) -> bool {
         self.count == 0
     }
@@ -53,7 +53,7 @@ impl Ask {
         (self.count < DATAGRAMS).then_some(ROOM - self.filled)
     }
 
-    /// Reads so many bytes. False, and nothing asked, if they do not fit.
+    /// Reads so many bytes. False, and nothing added, if they do not fit.
     pub fn read(&mut self, command: Command, length: usize) -> bool {
         if self.room().is_none_or(|room| length > room) {
             return false;
@@ -64,7 +64,7 @@ impl Ask {
         true
     }
 
-    /// Writes these bytes. False, and nothing asked, if they do not fit.
+    /// Writes these bytes. False, and nothing added, if they do not fit.
     pub fn write(&mut self, command: Command, data: &[u8]) -> bool {
         let at = self.filled;
         if !self.read(command, data.len()) {
@@ -74,7 +74,7 @@ impl Ask {
         true
     }
 
-    /// Its datagrams, each with what it writes.
+    /// Its datagrams, each with the bytes that it writes.
     pub fn datagrams(&self) -> impl Iterator<Item = (Command, &[u8])> {
         self.commands[..self.count].iter().scan(0, |at, &(command, length)| {
             let begin = *at;

@@ -1,4 +1,5 @@
-//! What is written to a drive in PREOP, before its process data run (EtherCAT manual, "PDO assignment", "Cycle time").
+//! Objects written to a drive in PREOP, before its process data run (EtherCAT manual, "PDO assignment", "Cycle
+//! time").
 
 use super::object::pdo::Layout;
 use super::object::{Object, Type};
@@ -11,7 +12,7 @@ const MODE: Object = Object::new(0x6060, 0);
 /// Resolution of the position encoder: increments, in so many turns (CiA 402).
 const INCREMENTS: Object = Object::new(0x608F, 1);
 const TURNS: Object = Object::new(0x608F, 2);
-/// What the SyncManagers of outputs and of inputs carry.
+/// The assignment of the SyncManagers of outputs and of inputs.
 const OUTPUT_PDO: u16 = 0x1C12;
 const INPUT_PDO: u16 = 0x1C13;
 
@@ -47,8 +48,8 @@ fn select(assignment: u16, layout: &Layout, mapping: Mapping, list: &mut Vec<Sta
     list.push(start(assignment, 0, Type::U8, 1));
 }
 
-/// What is held against the drive then: how it counts a turn, if it tells (608Fh follows PRBASE: assumed, so that it
-/// may be left out).
+/// Objects that are then compared with the drive's: its increments per turn, if it reports them (608Fh follows
+/// PRBASE: assumed, so that it may be left out).
 pub fn verify(drive: &KollmorgenDrive) -> Vec<Start> {
     if !drive.check_prbase {
         return Vec::new();
@@ -57,7 +58,7 @@ pub fn verify(drive: &KollmorgenDrive) -> Vec<Start> {
     vec![Start::factor(TURNS, Type::U32), Start { object: INCREMENTS, kind: Type::U32, raw: increments }]
 }
 
-/// What a drive that is found in OP has to have: its PDOs, and what is in those that the master maps.
+/// Objects required of a drive that is found in OP: its PDOs, and the content of those that the master maps.
 pub fn verify_found(drive: &KollmorgenDrive) -> Vec<Start> {
     let mut list = Vec::new();
     for (assignment, layout) in [(OUTPUT_PDO, &drive.outputs), (INPUT_PDO, &drive.inputs)] {
@@ -78,7 +79,7 @@ pub fn verify_found(drive: &KollmorgenDrive) -> Vec<Start> {
     list
 }
 
-/// What a device that is found in OP has to have: what is written to each object last.
+/// Objects required of a device that is found in OP: the value that is written to each object last.
 pub fn last_written(start_up: &[Start]) -> Vec<Start> {
     let is_last = |(nth, start): &(usize, &Start)| {
         start_up.iter().skip(nth + 1).all(|later| later.object != start.object)
@@ -96,7 +97,7 @@ fn mapped(layout: &Layout) -> impl Iterator<Item = Start> {
     })
 }
 
-/// A period as units and their power of ten: 2 ms are (2, -3). `None`: it is none of those that a drive can be told.
+/// A period as units and their power of ten: 2 ms are (2, -3). `None`: the drive's object cannot express it.
 pub fn cycle_time(period_ns: u64) -> Option<(u8, i8)> {
     (-6..=0).rev().find_map(|power: i8| {
         let unit_ns = 10_u64.pow(u32::try_from(9 + i32::from(power)).ok()?);

@@ -1,4 +1,4 @@
-//! Where an axis shall be at an instant: piecewise constant acceleration, in closed form.
+//! The setpoint of an axis at an instant: piecewise constant acceleration, in closed form.
 //!
 //! Knows no drive, no wire and no clock. A motion begins at any point and velocity, and replaces the one before it at
 //! any time: it is planned once, and evaluated at the time since its begin, so that steps of any size lie on the same
@@ -13,12 +13,12 @@ pub(super) struct Point {
     pub velocity: f64,
 }
 
-/// Brake, speed up, cruise, brake, stand.
+/// Brake, speed up, cruise, brake, stand still.
 const SEGMENTS: usize = 5;
-/// A stopping distance that differs from the way by less than this part of it is the same: a motion that is replaced by
-/// itself while it brakes goes on braking.
+/// A stopping distance that differs from the remaining way by less than this part of it counts as equal: a motion
+/// that is replaced by itself while it brakes goes on braking.
 const SAME: f64 = 1e-9;
-/// Ramps are at least so steep: no plan makes a time without end of a deceleration of 0.
+/// The least slope of a ramp: a deceleration of 0 would take for ever.
 const LEAST: f64 = 1e-12;
 
 /// Constant acceleration, until the next segment begins.
@@ -34,27 +34,27 @@ struct Segment {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Trajectory {
     segments: [Segment; SEGMENTS],
-    /// Of them, at least 1; the last one has no end, and no acceleration.
+    /// The number of segments, at least 1; the last one has no end, and no acceleration.
     count: usize,
 }
 
 impl Trajectory {
-    /// Goes on from a point at its velocity; stands there, if that is 0.
+    /// Continues from a point at its velocity; stands still if that is 0.
     pub(super) fn on(from: Point) -> Trajectory {
         let mut plan = Plan::from(from);
         plan.push(0.0);
         plan.made()
     }
 
-    /// From a point to a velocity with this acceleration, up or down, and on at it.
+    /// From a point to a velocity with this acceleration, up or down, then constant.
     pub(super) fn run(from: Point, velocity: f64, acceleration: f64) -> Trajectory {
         let mut motion = Trajectory::on(from);
         motion.become_run(from, velocity, acceleration);
         motion
     }
 
-    /// Makes it a motion from a point to a velocity with this acceleration, up or down, and on at it. In place: the
-    /// velocity that an application gives may be another one in each exchange.
+    /// Makes it a motion from a point to a velocity with this acceleration, up or down, then constant. In place:
+    /// the application may give another velocity in each exchange.
     #[inline]
     pub(super) fn become_run(&mut self, from: Point, velocity: f64, acceleration: f64) {
         let (acceleration, change) = (acceleration.max(LEAST), velocity - from.velocity);
@@ -69,8 +69,8 @@ impl Trajectory {
         self.segments[self.count - 1] = Segment { begin_s, from: at, acceleration: 0.0 };
     }
 
-    /// From a point to a place, where it stands, in the shortest time with these limits, all above 0. What cannot brake
-    /// before the target passes it and comes back.
+    /// From a point to a position, to standstill there, in the shortest time with these limits, all above 0. If it
+    /// cannot brake before the target, it passes the target and comes back.
     pub(super) fn go_to(from: Point, target: f64, velocity: f64, up: f64, down: f64) -> Trajectory {
         let (velocity, up, down) = (velocity.max(LEAST), up.max(LEAST), down.max(LEAST));
         let mut plan = Plan::from(from);
@@ -78,7 +78,7 @@ impl Trajectory {
         let stop = from.velocity * from.velocity / (2.0 * down);
         let brakes = from.velocity * way > 0.0 && (stop - way.abs()).abs() <= SAME * stop;
         if brakes {
-            // On its braking curve, but for rounding: that is bent by so much.
+            // On its braking curve, but for rounding: the curve is bent by that much.
             plan.ramp(0.0, from.velocity * from.velocity / (2.0 * way.abs()));
         } else {
             if from.velocity * way < 0.0 || stop > way.abs() {
@@ -91,11 +91,11 @@ impl Trajectory {
         plan.made()
     }
 
-    /// The point so many ns behind the begin.
+    /// The point so many ns after the begin.
     #[inline]
     pub(super) fn at(&self, ns: u64) -> Point {
         let now_s = seconds(ns);
-        // The last one is where a motion is most of the time.
+        // A motion is in its last segment most of the time.
         let mut place = self.count - 1;
         while place > 0 && self.segments[place].begin_s > now_s {
             place -= 1;
@@ -108,7 +108,7 @@ impl Trajectory {
         }
     }
 
-    /// It has reached its last velocity, so many ns behind the begin: for ever.
+    /// It has reached its last velocity, so many ns after the begin: for ever.
     #[inline]
     pub(super) fn is_over(&self, ns: u64) -> bool {
         self.segments[self.count - 1].begin_s <= seconds(ns)

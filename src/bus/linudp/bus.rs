@@ -19,12 +19,12 @@ use crate::net::{Carriers, Datagrams, Outbox, Sent, UdpOptions};
 use crate::rt::Regions;
 use crate::sim::SimDrive;
 
-/// Room for one datagram: the longest telegram is 50 bytes, padding makes it 64 at most, and whatever is longer is not
-/// one of ours.
+/// Room for one datagram: the longest telegram is 50 bytes, padding makes it 64 at most, and anything longer is not
+/// a telegram of this protocol.
 const ROOM: usize = if RESPONSE_MAX > 128 { RESPONSE_MAX } else { 128 };
 
-/// Batches taken from the socket at most in one call: what does not fit waits for the next one, so that a flood of
-/// datagrams never holds the cycle.
+/// The most batches taken from the socket in one call: what does not fit waits for the next one, so that a flood of
+/// datagrams never delays the cycle.
 const MOST_BATCHES: usize = 4;
 
 /// One socket and its drives.
@@ -33,7 +33,7 @@ pub struct LinUdpBus {
     net: Box<dyn Datagrams>,
     outbox: Outbox,
     stations: Vec<Station>,
-    /// Addresses of the drives in order, each with the place of its station and its port.
+    /// Addresses of the drives in order, each with the index of its station and its port.
     by_address: Vec<(Ipv4Addr, u16, usize)>,
     natives: Vec<Option<Native>>,
     acyclics: Vec<Option<AcyclicEnds>>,
@@ -49,7 +49,7 @@ impl std::fmt::Debug for LinUdpBus {
 impl LinUdpBus {
     /// Opens the socket of `plan`.
     pub fn open(plan: &LinUdpPlan, carriers: &dyn Carriers) -> Result<LinUdpBus, OpenError> {
-        // Until its bucket is full, a drive that is gone is asked like any other.
+        // Until its bucket is full, an absent drive gets its requests like any other.
         let waiting = plan.drives.iter().map(|drive| drive.axis.health.bucket as usize).max().unwrap_or(0);
         let options = UdpOptions { peers: plan.drives.len(), waiting, room: ROOM, send: plan.send };
         let net = carriers.datagrams(plan.bind, &options).map_err(|source| OpenError::Bind {
@@ -81,7 +81,7 @@ impl LinUdpBus {
         })
     }
 
-    /// Takes in what lies in the socket and hands each datagram to the station of its sender.
+    /// Takes in what is in the socket and hands each datagram to the station of its sender.
     fn take_in(&mut self, in_window: bool, slots: &mut [Slot]) {
         let LinUdpBus { net, stations, by_address, strangers, .. } = self;
         for _ in 0..MOST_BATCHES {
@@ -177,7 +177,7 @@ impl Bus for LinUdpBus {
     }
 
     fn shut_down(&mut self, _cycle: &Cycle, _slots: &mut [Slot]) -> bool {
-        // The drives keep no connection: once the axes are down, nothing is owed.
+        // The drives keep no connection: once the axes are down, nothing more has to be sent.
         true
     }
 

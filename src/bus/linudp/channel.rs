@@ -1,6 +1,6 @@
 //! The motion command interface of one drive: counts and their echo.
 //!
-//! Knows no order and no motion: only which command is on its way, under which count, and whether the drive has it.
+//! Knows no order and no motion: only which command is under way, with which count, and whether the drive has it.
 
 use super::motion::MotionCommand;
 use super::wire::MotionBlock;
@@ -15,9 +15,9 @@ const MOST_COUNTS: u32 = 4;
 /// The motion command interface of one drive: a command runs only if its count differs from the last one it stored.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct MotionChannel {
-    /// The count that the drive stores now, as far as known.
+    /// The count stored in the drive, as far as known.
     pub(super) count: Option<u8>,
-    /// What is on its way, if anything is.
+    /// The command under way.
     pub(super) command: Option<MotionCommand>,
     /// The command is to be repeated until its echo comes.
     pending: bool,
@@ -32,7 +32,8 @@ impl MotionChannel {
         *self = MotionChannel { command: Some(command), pending: true, ..self.next_count() };
     }
 
-    /// Puts a streamed setpoint into the next requests; nobody waits for its echo, the next row has the next count.
+    /// Puts a streamed setpoint into the next requests; its echo is not awaited, since the next row has the next
+    /// count.
     pub(super) fn stream(&mut self, command: MotionCommand) {
         *self = MotionChannel { command: Some(command), pending: false, ..self.next_count() };
     }
@@ -44,17 +45,18 @@ impl MotionChannel {
         }
     }
 
-    /// Takes the command out; the count stays.
+    /// Removes the command; the count stays.
     pub(super) fn clear(&mut self) {
         *self = MotionChannel { count: self.count, ..MotionChannel::default() };
     }
 
-    /// Takes the echo of a reply, `clean` if it can be no older one. `Err` when the drive takes none of the counts.
+    /// Takes the echo of a reply, `clean` if it can be no older one. `Err` when the drive accepts none of the
+    /// counts.
     pub(super) fn take(&mut self, echo: u8, clean: bool) -> Result<(), Failure> {
         if self.command.is_none() {
-            // Nothing on its way: what the drive has stored is where we go on. This is read first after a start. A
-            // reply that may be older says nothing of now: the count after its one may be the very one that the drive
-            // has stored.
+            // Nothing under way: continue from the count stored in the drive. It is read first after a start. A
+            // reply that may be older says nothing of the present: the count after its own may be the very one that
+            // the drive has stored.
             if clean {
                 self.count = Some(echo);
             }

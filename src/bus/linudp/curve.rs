@@ -1,10 +1,10 @@
-//! Time curves and encoder cams: what the drive stores, byte for byte, and what it makes of it.
+//! Time curves and encoder cams: what the drive stores, byte for byte, and its meaning.
 //!
-//! Knows no file and no channel. A curve is an info block of [`INFO_SIZE`] bytes and its setpoints, 4 bytes each, which
-//! are equidistant over the curve's length. Curves of other layouts are refused, not guessed at.
+//! Knows no file and no channel. A curve is an info block of [`INFO_SIZE`] bytes and its setpoints, 4 bytes each,
+//! which are equidistant over the curve's length. Curves of other layouts are refused, not guessed at.
 //!
-//! Facts: "Drive Configuration over Fieldbus Interfaces" manual, curve info block; met by an independent master on real
-//! drives. That the setpoints are equidistant is inferred.
+//! Facts: "Drive Configuration over Fieldbus Interfaces" manual, curve info block; confirmed by an independent
+//! master on real drives. That the setpoints are equidistant is inferred.
 
 use thiserror::Error;
 
@@ -12,10 +12,10 @@ use thiserror::Error;
 pub const INFO_SIZE: usize = 70;
 /// Bytes of one setpoint.
 pub const SETPOINT_SIZE: usize = 4;
-/// Bytes of the name, all of which it may fill.
+/// Bytes of the name; it may fill all of them.
 pub const NAME_SIZE: usize = 22;
 
-/// Where things are in the info block.
+/// Offsets in the info block.
 mod field {
     use std::ops::Range;
 
@@ -32,30 +32,30 @@ mod field {
     pub const WIZARD_PARAMETERS: usize = 42;
 }
 
-/// A curve. Whether a drive would take it is told by [`check`](Curve::check).
+/// A curve. [`check`](Curve::check) says whether a drive would accept it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Curve {
     /// 1 ... 100.
     pub id: u16,
     /// Over time or over the counts of an encoder.
     pub kind: CurveKind,
-    /// As the drive holds it, whatever stands there; see [`name`](Curve::name).
+    /// As the drive holds it, whatever it contains; see [`name`](Curve::name).
     pub name: [u8; NAME_SIZE],
     /// From the first setpoint to the last, in the unit of `x_dimension`: 10 us of a time curve, counts of a cam.
     pub x_length: u32,
-    /// What x is.
+    /// The unit of x.
     pub x_dimension: Dimension,
-    /// What the setpoints are.
+    /// The unit of the setpoints.
     pub y_dimension: Dimension,
-    /// How the vendor's tool made the curve; for that tool only.
+    /// How the vendor's tool made the curve; used by that tool only.
     pub wizard: u16,
-    /// Of that, too.
+    /// Parameters of `wizard`.
     pub wizard_parameters: [u32; 7],
-    /// 2 ... 65535 of them; 0.1 um where `y_dimension` is a position.
+    /// The setpoints, 2 ... 65535 of them; 0.1 um where `y_dimension` is a position.
     pub setpoints: Vec<i32>,
 }
 
-/// What a curve runs over.
+/// The quantity that a curve runs over.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CurveKind {
     /// 0003h: position over time.
@@ -87,7 +87,7 @@ impl Dimension {
     pub const ENCODER: Dimension = Dimension(27);
 }
 
-/// Why a curve is none that a drive could hold.
+/// Why a curve is invalid for a drive.
 #[derive(Clone, PartialEq, Eq, Error)]
 pub enum CurveError {
     /// The info block.
@@ -105,9 +105,9 @@ pub enum CurveError {
     /// The data.
     #[error("{found} bytes of setpoints where the info block promises {promised}: transfer the curve again")]
     DataSize {
-        /// What there is.
+        /// The bytes that there are.
         found: usize,
-        /// What the info block says.
+        /// The bytes that the info block announces.
         promised: usize,
     },
     /// The number of setpoints.
@@ -134,14 +134,14 @@ impl Curve {
         Ok(bytes)
     }
 
-    /// Its name; `None` if its bytes are anything else than printable ASCII and zeros behind it.
+    /// Its name; `None` if its bytes are anything else than printable ASCII followed by zeros.
     pub fn name(&self) -> Option<&str> {
         let length = self.name.iter().position(|byte| *byte == 0).unwrap_or(NAME_SIZE);
         let name = std::str::from_utf8(&self.name[..length]).ok()?;
         Curve::name_bytes(name).is_ok_and(|bytes| bytes == self.name).then_some(name)
     }
 
-    /// Whether a drive would take it.
+    /// Whether a drive would accept it.
     pub fn check(&self) -> Result<(), CurveError> {
         if !(1..=100).contains(&self.id) {
             return Err(CurveError::Id(self.id));
@@ -152,7 +152,7 @@ impl Curve {
         Ok(())
     }
 
-    /// Info block and setpoints, as the drive takes them.
+    /// Info block and setpoints, in the drive's format.
     pub fn encode(&self) -> Result<([u8; INFO_SIZE], Vec<u8>), CurveError> {
         self.check()?;
         let mut info = [0; INFO_SIZE];
@@ -183,7 +183,7 @@ impl Curve {
         Ok((info, self.setpoints.iter().flat_map(|setpoint| setpoint.to_le_bytes()).collect()))
     }
 
-    /// The curve of an info block and its setpoints. Bytes behind the 70th are padding of the transfer.
+    /// The curve of an info block and its setpoints. Bytes after the 70th are padding of the transfer.
     pub fn decode(info: &[u8], data: &[u8]) -> Result<Curve, CurveError> {
         let Some(info) = info.first_chunk::<INFO_SIZE>() else {
             return Err(CurveError::InfoSize(info.len()));
@@ -226,8 +226,8 @@ impl Curve {
         Ok(curve)
     }
 
-    /// The setpoint at `x`, linear between two of them; the first one before the curve, the last one behind it. `x` is
-    /// counted from the first setpoint in the unit of `x_length`, and may have parts of it.
+    /// The setpoint at `x`, linear between two of them; the first one before the curve, the last one after it. `x`
+    /// is counted from the first setpoint in the unit of `x_length`, and may be fractional.
     pub fn position_at(&self, x: f64) -> f64 {
         let last = self.setpoints.len().saturating_sub(1);
         let setpoint = |index: usize| self.setpoints.get(index).map_or(0.0, |setpoint| f64::from(*setpoint));

@@ -10,7 +10,7 @@
 //! | `orders` | what an order does, step by step |
 //! | `channel` | motion command counts and their echo |
 //! | `rtc` | the real-time-config channel: one acyclic call after the other, in the requests that go out anyway |
-//! | `service` | what a drive offers beside its parameters: curves, command table, error log, software, flash |
+//! | `service` | what a drive offers besides its parameters: curves, command table, error log, software, flash |
 //! | `upid` | parameters by number and name |
 //! | `native` | unscaled process data for the application |
 //! | `bus` | all drives on one socket |
@@ -19,7 +19,7 @@
 //!
 //! Facts: "LinUDP V2 Interface" manual 0185-1108-E 1V9 and "User Manual Motion Control SW" (SG5) 4.3.4.
 
-/// Its word in a configuration.
+/// Its name in a configuration.
 pub const PROTOCOL: &str = "linudp-v2";
 
 pub mod bus;

@@ -23,22 +23,22 @@ pub struct Native {
 pub struct NativeInputs {
     /// When it was taken in.
     pub at: Time,
-    /// Native mode ran when the request that this answers was built: what is written from now on goes out.
+    /// Native mode ran when the request of this reply was built: outputs written from now on go out.
     pub running: bool,
-    /// The telegram. Blocks that were not asked for are `None`.
+    /// The telegram. Blocks that were not requested are `None`.
     pub response: Response,
 }
 
-/// What the application writes in native mode: one an exchange at most, in order. Each goes out: where an exchange is
-/// passed over or the system refuses to send it, with the next one.
+/// An output of the application in native mode: at most one per exchange, in order. Each one goes out: if an
+/// exchange is passed over or the system refuses to send it, the output goes with the next one.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct NativeOutput {
-    /// The control word, from here on; taken only with `NativeOwner::Application`.
+    /// The control word, from here on; used only with `NativeOwner::Application`.
     pub control: Option<ControlWord>,
-    /// A motion command. It is sent with the next count and repeated until its echo comes, with another count where
-    /// that stays out; after 4 counts the native mode fails. The next output with a motion waits until then, and so
-    /// does what is behind it. Outside of operation a drive echoes nothing: there the next motion replaces it. The
-    /// command that resets the firmware (00Fx) fails the native mode: under these counts the drive would restart again
+    /// A motion command. It is sent with the next count and repeated until its echo comes, with another count if
+    /// the echo does not come; after 4 counts native mode fails. The next output with a motion waits until then,
+    /// and so do later ones. Outside of operation a drive echoes nothing: there the next motion replaces it. The
+    /// command that resets the firmware (00Fx) fails native mode: with these counts the drive would restart again
     /// and again.
     pub motion: Option<MotionCommand>,
     /// A real-time-config block, count included, sent in one exchange only.
@@ -52,7 +52,7 @@ pub(super) struct NativePort {
     outputs: Consumer<NativeOutput>,
     /// Native mode runs.
     running: bool,
-    /// Those of the queue.
+    /// The memory of the queue.
     regions: Regions,
 }
 
@@ -69,13 +69,13 @@ impl Native {
     /// The newest inputs.
     pub fn inputs(&self) -> NativeInputs {
         let Telegram { at, running, length, bytes } = self.inputs.read();
-        // Only what the station has accepted is published, so this fails before the first reply only.
+        // Only accepted telegrams are published, so this fails before the first reply only.
         let response = Response::parse(&bytes[..length.min(ROOM)]).unwrap_or_default();
         NativeInputs { at, running, response }
     }
 
-    /// Queues an output for the axis in native mode; gives it back if the queue is full. What is written before the
-    /// mode runs ([`NativeInputs::running`]) is dropped as it begins.
+    /// Queues an output for the axis in native mode; returns it if the queue is full. An output written before the
+    /// mode runs ([`NativeInputs::running`]) is dropped when the mode begins.
     pub fn write(&mut self, output: NativeOutput) -> Result<(), NativeOutput> {
         self.outputs.push(output).map_err(|rtrb::PushError::Full(output)| output)
     }
@@ -88,7 +88,7 @@ impl NativePort {
         regions.extend(&self.regions);
     }
 
-    /// Says whether native mode runs, for whatever is published from here on.
+    /// Sets whether native mode runs, for everything published from here on.
     pub(super) fn runs(&mut self, running: bool) {
         self.running = running;
     }
@@ -105,8 +105,8 @@ impl NativePort {
         self.outputs.pop().ok()
     }
 
-    /// Drops what was written for a native mode that is over; not what the application writes meanwhile, which would
-    /// have no end.
+    /// Drops the outputs of a native mode that has ended; not those that the application writes meanwhile, which
+    /// would have no end.
     pub(super) fn flush(&mut self) {
         for _ in 0..self.outputs.slots().min(OUTPUTS) {
             let _ = self.outputs.pop();
@@ -114,7 +114,7 @@ impl NativePort {
     }
 }
 
-/// A reply as it came: the station publishes it whole, and whoever reads it takes it apart.
+/// A reply as it came: the station publishes it whole, and its reader decodes it.
 #[derive(Clone, Copy, Debug)]
 struct Telegram {
     at: Time,
@@ -123,7 +123,7 @@ struct Telegram {
     bytes: [u8; ROOM],
 }
 
-/// Room for the longest telegram, in whole words. What lies behind its blocks is never read.
+/// Room for the longest telegram, in whole words. Bytes after its blocks are never read.
 const ROOM: usize = RESPONSE_MAX.next_multiple_of(8);
 
 impl Telegram {

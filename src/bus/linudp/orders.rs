@@ -1,7 +1,7 @@
 //! What an order does to a LinMot drive, step by step: edges, counts, hold times.
 //!
-//! Every step waits for what the drive says in a reply to a request that was sent after the step began, never for a
-//! time. The control word stays what the last step left behind. Nothing is written before the first order.
+//! Every step waits for the drive's report in a reply to a request that was sent after the step began, never for a
+//! time. The control word stays as the last step left it. Nothing is written before the first order.
 //!
 //! Sources: SG5 manual 4.3.4, state machine and motion command interface (sheet, 3.5 and 4.1).
 
@@ -17,16 +17,16 @@ use crate::axis::{Failure, Limits, Move, Profile, RangeError, Row, State, Target
 use crate::bus::{Progress, Slot};
 use crate::time::{Time, nanos};
 
-/// A stream ends with at least so many rows that stand still and that the drive has taken: its output runs 1.5 of its
-/// periods behind, and what it has not reached when it leaves streaming it never reaches ...
+/// A stream ends with at least so many rows at standstill that the drive has accepted: its output runs 1.5 of its
+/// periods behind, and a position that it has not reached when it leaves streaming is never reached ...
 const LAST_ROWS: u32 = 3;
-/// ... and with at most so many, should its demand never be said to have arrived.
+/// ... and with at most so many, if its demand is never reported to have arrived.
 const MOST_LAST_ROWS: u32 = 50;
 
 /// Powered and holding, out of operation.
 const HELD: ControlWord = ControlWord(ControlWord::ON.0 & !ControlWord::ENABLE_OPERATION);
 
-/// What the drive last said, as far as orders need it.
+/// What the drive reported last, as far as orders need it.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Inputs {
     /// There was a reply at all.
@@ -43,7 +43,7 @@ pub(super) struct Inputs {
     pub state: StateVar,
     /// Unwrapped, 0.1 um.
     pub demand: i64,
-    /// Of the demand, user units/s.
+    /// Velocity of the demand, user units/s.
     pub velocity: f64,
     pub fault: ErrorCode,
 }
@@ -54,7 +54,7 @@ impl Inputs {
         self.settled_error() || (self.state.main() == MainState::QUICK_STOP && self.status.error())
     }
 
-    /// In error and braking no more: the only states in which an error can be acknowledged.
+    /// In error and no longer braking: the only states in which an error can be acknowledged.
     fn settled_error(&self) -> bool {
         matches!(self.state.main(), MainState::ERROR | MainState::SETUP_ERROR)
     }
@@ -89,16 +89,16 @@ pub(super) struct Orders {
     /// The control words of the last request that went out, and of the one before.
     control_sent: Option<ControlWord>,
     control_before: Option<ControlWord>,
-    /// What the running enable falls back to: off, or powered and out of operation, as it was found.
+    /// What the running enable falls back to: off, or powered and out of operation, as the drive was found.
     rest: ControlWord,
     channel: MotionChannel,
-    /// The native output that the next request carries. It stays until that has gone out: a request may be built more
-    /// than once for one send, and a send may fail.
+    /// The native output of the next request. It stays until that has gone out: a request may be built more than
+    /// once for one send, and a send may fail.
     native: Option<NativeOutput>,
     end: Option<Result<(), Failure>>,
 }
 
-/// Where an order is.
+/// The step of an order.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Step {
     Idle,
@@ -107,11 +107,11 @@ enum Step {
     /// Control word on until the drive is in operation.
     EnableHigh,
     Disabling,
-    /// The home bit is held until the drive says finished.
+    /// The home bit is held until the drive reports finished.
     Homing,
     /// The home bit is released until the drive is back in operation.
     HomeDone,
-    /// A motion command is on its way; the drive's setpoint generator runs it then.
+    /// A motion command is under way; the drive's setpoint generator runs it then.
     Moving,
     /// A velocity as a target that rolls ahead.
     Rolling(Rolling),
@@ -120,16 +120,16 @@ enum Step {
     Following {
         row: u64,
     },
-    /// The last row has been sent, and standing ones follow it; so many of all these were taken.
+    /// The last row has been sent, and rows at standstill follow it; so many of all these were accepted.
     FollowEnding {
         taken: u32,
         last: Row,
     },
-    /// /Abort is low until the drive stands.
+    /// /Abort is low until the drive stands still.
     Aborting,
     /// /Abort is high again until the drive is back in operation.
     AbortDone,
-    /// The drive brakes on its own with the control word as found: bit 0 low would let the axis coast.
+    /// The drive brakes by itself with the control word as found: bit 0 low would let the axis coast.
     AcknowledgeWaiting,
     /// Control word low, so that the acknowledge has an edge and the drive cannot switch on with it.
     AcknowledgeLow,
@@ -141,7 +141,7 @@ enum Step {
 /// A velocity as a target that rolls ahead of the axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Rolling {
-    /// Signed, user units/s; 0 = braking, or standing.
+    /// Signed, user units/s; 0 = braking, or at standstill.
     velocity: f64,
     acceleration: f64,
     leash: f64,
@@ -176,24 +176,25 @@ impl Orders {
         }
     }
 
-    /// The request that was built last has gone out.
+    /// The last built request has gone out.
     pub(super) fn sent(&mut self) {
         self.sent = self.sent.saturating_add(1);
         self.control_before = std::mem::replace(&mut self.control_sent, self.control);
         self.native = None;
     }
 
-    /// The drive says that its power stage may not come on although the last requests allowed it: an input of its own,
-    /// such as the hardware enable (STO), forbids it. The sheet calls the bit the control word's as the drive sees it,
-    /// its own inputs included; that a missing STO shows in it was not seen on hardware.
+    /// The drive reports that its power stage may not come on although the last requests allowed it: an input of
+    /// its own, such as the hardware enable (STO), prevents it. According to the sheet the bit is that of the
+    /// control word as the drive sees it, its own inputs included; that a missing STO shows in it was not seen on
+    /// hardware.
     pub(super) fn is_inhibited(&self, status: StatusWord) -> bool {
         let allowed =
             |word: Option<ControlWord>| word.is_some_and(|word| word.has(ControlWord::VOLTAGE_ENABLE));
-        // Almost always told by the first of them.
+        // Almost always decided by the first of them.
         !status.has(StatusWord::VOLTAGE_ENABLE) && allowed(self.control_sent) && allowed(self.control_before)
     }
 
-    /// The drive came back from a restart: its counts start anew, and so does what it was told.
+    /// The drive came back from a restart: its counts start anew, and earlier commands are lost.
     pub(super) fn drive_restarted(&mut self) {
         self.channel = MotionChannel::default();
         if self.control.is_some() {
@@ -204,7 +205,7 @@ impl Orders {
         }
     }
 
-    /// Works on the order in `slot` with what the drive last said, and gives the blocks of the next request.
+    /// Works on the order in `slot` with the drive's last report, and returns the blocks of the next request.
     pub(super) fn advance(
         &mut self,
         now: Time,
@@ -245,7 +246,7 @@ impl Orders {
         }
     }
 
-    /// Takes the next native output once the one before it has gone out, and the motion before it was echoed.
+    /// Takes the next native output once the previous one has gone out, and its motion was echoed.
     fn take_native(&mut self, now: Time, owner: NativeOwner, inputs: &Inputs, native: &mut NativePort) {
         if self.native.is_some() {
             return;
@@ -273,7 +274,7 @@ impl Orders {
 
     fn finish(&mut self, end: Result<(), Failure>) {
         if end.is_err() {
-            // What has failed for the application must not run once the drive can take it.
+            // A motion that has failed for the application must not run once the drive can accept it.
             self.channel.clear();
         }
         self.native = None;
@@ -337,7 +338,7 @@ impl Orders {
                 // The first row may have come with the order.
                 self.follow(now, inputs, slot);
             }
-            // It may go on saying that it is in operation for as long as its replies are lost.
+            // It may go on reporting that it is in operation for as long as its replies are lost.
             Some(Verb::Stop { .. } | Verb::QuickStop) if self.told_off() => {
                 self.control = Some(ControlWord::BASE);
                 self.enter(now, Step::Disabling);
@@ -479,8 +480,8 @@ impl Orders {
         self.enter(now, step);
     }
 
-    /// A motion that cannot go on. The one before it has ended for the application, so nothing shall move on behind its
-    /// back.
+    /// A motion that cannot continue. The one before it has ended for the application, so nothing shall move
+    /// unobserved.
     fn refuse(&mut self, now: Time, failure: Failure, inputs: &Inputs) {
         self.finish(Err(failure));
         if inputs.state.motion_active() == Some(true)
@@ -495,7 +496,7 @@ impl Orders {
         self.units.distance(inputs.demand as f64) + self.units.offset
     }
 
-    /// A move as "VAI go to position". A relative one is made absolute here: were its reply lost and the command
+    /// A move as "VAI go to position". A relative one is made absolute here: if its reply were lost and the command
     /// repeated, an increment would run twice.
     fn motion(&self, now: Time, motion: &Move, inputs: &Inputs) -> Result<MotionCommand, Failure> {
         let position = match motion.target {
@@ -529,13 +530,13 @@ impl Orders {
         ))
     }
 
-    /// The deceleration asked for, or what it takes to brake within the limits from where the axis will be at the next
-    /// send: what replaces a fast motion may be too weak for the way that is left. Never more than the limit of
-    /// acceleration, or than the axis' own profile where there is none.
+    /// The requested deceleration, or the one needed to brake within the limits from where the axis will be at the
+    /// next send: the deceleration of a motion that replaces a fast one may be too weak for the remaining way.
+    /// Never more than the limit of acceleration, or than the axis' own profile if there is no limit.
     fn braking(&self, now: Time, asked: f64, inputs: &Inputs) -> f64 {
         let velocity = inputs.velocity;
         let Some((low, high)) = self.limits.position else { return asked };
-        // Standing at the very end is no reason to brake, and before homing positions say nothing.
+        // Standstill at the very end is no reason to brake, and before homing positions mean nothing.
         if velocity == 0.0 || !inputs.status.homed() {
             return asked;
         }
@@ -590,7 +591,7 @@ impl Orders {
         }
     }
 
-    /// Sends the next target, a leash ahead of the demand; for no velocity a ramp.
+    /// Sends the next target, a leash ahead of the demand; for velocity 0 a ramp.
     fn roll_on(&mut self, now: Time, mut rolling: Rolling, inputs: &Inputs) {
         rolling.at_limit = false;
         if rolling.velocity == 0.0 {
@@ -603,7 +604,8 @@ impl Orders {
                 Err(range) => self.refuse(now, range.into(), inputs),
             };
         }
-        // Half of the leash is always ahead; the axis must be able to brake within it, or it would never get that fast.
+        // Half of the leash is always ahead; the axis must be able to brake within it, or it would never reach that
+        // speed.
         let most = (rolling.acceleration * rolling.leash).sqrt();
         if rolling.velocity.abs() > most {
             let (what, value) = ("velocity within the leash", rolling.velocity);
@@ -612,7 +614,7 @@ impl Orders {
         let demand = self.demand(inputs);
         rolling.target = demand + rolling.leash.copysign(rolling.velocity);
         if let Some((low, high)) = self.limits.position {
-            // Only the limit ahead ends it: from outside the range it leads back in.
+            // Only the limit ahead ends the motion: from outside the range it leads back in.
             let (ahead, beyond) = match rolling.velocity > 0.0 {
                 true => (high, rolling.target > high),
                 false => (low, rolling.target < low),
@@ -638,7 +640,7 @@ impl Orders {
         }
     }
 
-    /// One row an exchange. A row that came before (its slot was passed over) is not counted twice.
+    /// One row per exchange. A row that came before (its slot was passed over) is not counted twice.
     fn follow(&mut self, now: Time, inputs: &Inputs, slot: &Slot) {
         let Some(next) = slot.row else { return };
         if matches!(self.step, Step::Following { row, .. } if row == next.number) {
@@ -684,7 +686,7 @@ impl Orders {
         }
     }
 
-    /// A ramp. Where the drive does not take motion commands (homing, jogging by bits ...), /Abort stops it.
+    /// A ramp. Where the drive takes no motion commands (homing, jogging by bits ...), /Abort stops it.
     fn begin_stop(&mut self, now: Time, deceleration: Option<f64>, inputs: &Inputs) {
         if inputs.seen && inputs.state.main() != MainState::OPERATION_ENABLED {
             return self.begin_abort(now, inputs);
@@ -704,9 +706,9 @@ impl Orders {
     fn begin_abort(&mut self, now: Time, inputs: &Inputs) {
         let state = inputs.state.main();
         if inputs.seen && (state < MainState::OPERATION_ENABLED || state == MainState::BRAKE_DELAY) {
-            // Whatever is on its way up does not get there by itself: neither an enable that is stopped half-way, nor a
-            // drive that somebody has switched off and that the standing word switches on again. One that already holds
-            // its load goes on holding it, out of operation.
+            // A drive that is powering up does not complete it by itself: neither an enable that is stopped
+            // half-way, nor a drive that was switched off elsewhere and that the present word switches on again.
+            // One that already holds its load goes on holding it, out of operation.
             let holds = state > MainState::HW_TESTS && self.as_found(inputs).has(ControlWord::SWITCH_ON);
             let rising = matches!(self.step, Step::EnableLow | Step::EnableHigh);
             self.control = Some(match rising {
@@ -720,17 +722,18 @@ impl Orders {
         self.enter(now, Step::Aborting);
     }
 
-    /// Power off was the last that went out to the drive. What it says may be from before that.
+    /// Power off was the last request to the drive. Its reports may be from before that.
     fn told_off(&self) -> bool {
         self.control_sent.is_some_and(|word| !word.has(ControlWord::SWITCH_ON))
     }
 
-    /// The control word that changes nothing of a drive: on if it says that it is switched on and powered, else off.
+    /// The control word that changes nothing of a drive: on if it reports that it is switched on and powered,
+    /// otherwise off.
     ///
-    /// A drive that dropped out is never switched on again by it, and neither is one that was told to switch off,
-    /// whatever it has said since: that may be no more than what it was before it heard so. One in its own quick stop
-    /// (state 14) keeps its power until it stands; the way back into operation leads over a control word with bit 0 low
-    /// all the same.
+    /// It never switches on a drive that dropped out, nor one that was switched off, whatever that has reported
+    /// since: the report may be from before it received the request. A drive in its own quick stop (state 14) keeps
+    /// its power until standstill; the way back into operation leads over a control word with bit 0 low all the
+    /// same.
     fn as_found(&self, inputs: &Inputs) -> ControlWord {
         let on =
             inputs.status.has(StatusWord::SWITCH_ON_ACTIVE) && inputs.state.main() >= MainState::HW_TESTS;
@@ -738,7 +741,7 @@ impl Orders {
     }
 }
 
-/// Not zero: a drive that is told so would never arrive.
+/// Not zero: with a zero the drive would never arrive.
 fn at_least_one(value: f64, rounded: u32, scale: f64, unit: &'static str) -> Result<u32, RangeError> {
     if rounded > 0 {
         return Ok(rounded);

@@ -1,11 +1,11 @@
-//! The real-time-config channel of one drive: one acyclic call after the other, each a block in the requests that go
-//! out anyway. It moves no cycle, sends no telegram of its own, and is a slice of bounded work.
+//! The real-time-config channel of one drive: one acyclic call after the other, each as a block in the requests
+//! that go out anyway. It delays no cycle, sends no telegram of its own, and does a bounded slice of work.
 //!
 //! The channel has four bits of identity: a command runs only if its count differs from the one that the drive has
-//! stored, and the answer echoes the count (LinUDP V2 manual, chapter 7). So the stored count is learned first, by a
-//! command that does nothing; the same block then goes out with every request until its echo comes with a final status;
-//! and after every doubt (a time-out, a lost link, a restart, somebody else's block) it is learned anew. Only replies
-//! that can be no older ones are read.
+//! stored, and the answer echoes the count (LinUDP V2 manual, chapter 7). So the stored count is learned first, by
+//! a command that does nothing; the same block then goes out with every request until its echo comes with a final
+//! status; and after every doubt (a time-out, a lost link, a restart, a foreign block) it is learned anew. Only
+//! replies that can be no older ones are read.
 
 mod monitor;
 
@@ -17,12 +17,12 @@ use crate::axis::acyclic::{Answer, CallError, Port, Posted};
 use crate::rt::Regions;
 use crate::time::{MS, S, Time};
 
-/// A block that was not echoed for so long, ns, and in so many clean replies, was not taken: it goes out with another
-/// count. Masters in the field wait 200 ms.
+/// A block without an echo for so long, ns, and in so many clean replies, was not accepted: it goes out with
+/// another count. Masters in the field wait 200 ms.
 const TAKEN_WITHIN_NS: u64 = 200 * MS;
 const TAKEN_WITHIN: u32 = 5;
 
-/// What a call of the station's own is given.
+/// Time limit of a call of the station's own.
 const OWN_LIMIT_NS: u64 = S;
 
 /// Counts go from 1 to 14, as the vendor's own library counts: 0 is what a drive has stored after its start.
@@ -30,58 +30,58 @@ fn next(count: u8) -> u8 {
     if count >= 14 { 1 } else { count + 1 }
 }
 
-/// Status of a call whose command was followed by a silence without an acknowledge: it went out, and the drive is back.
-/// Whether it was done, a restart and a look will tell.
+/// Status of a call whose command was followed by silence without an acknowledge: it went out, and the drive is
+/// back. Only a restart and a check show whether it was done.
 pub const UNACKNOWLEDGED: u32 = 0x100;
 
-/// What every drive lets be read.
+/// A parameter that every drive allows to be read.
 const HARMLESS: Upid = Upid::MONITOR_SOURCE;
 
 /// The channel.
 #[derive(Debug)]
 pub(super) struct RtcChannel {
     port: Port,
-    /// The count of the last block of the channel's own that went out, and the one that was prepared last.
+    /// The count of the last own block that went out, and the last prepared one.
     sent: u8,
     prepared: Option<RtcBlock>,
-    /// What the drive has stored, if that is known.
+    /// The count stored in the drive, if it is known.
     stored: Option<u8>,
     /// The count by which it is being learned.
     learning: Option<u8>,
     active: Option<Active>,
-    /// Since the count of the block was chosen: when, and how many clean replies did not echo it.
+    /// Since the count of the block was chosen: the instant, and how many clean replies did not echo it.
     counted: Time,
     unechoed: u32,
     /// The last request was answered by a reply that can be no older one.
     answered: bool,
-    /// A call of the station's own came to nothing: one of the application goes first.
+    /// A call of the station's own failed: one of the application goes first.
     turn: bool,
     /// When the prepared request was built.
     now: Time,
-    /// The motion software was stopped through this channel: status 0 is no restart.
+    /// The motion software was stopped through this channel: status 0 is then no restart.
     software_stopped: bool,
-    /// The drive has restarted since a list or a block was started: it has forgotten it.
+    /// The drive has restarted since a list or a block was started: it has lost it.
     forgotten: bool,
     monitor: Monitor,
 }
 
-/// The call that is carried out.
+/// The call under way.
 #[derive(Clone, Copy, Debug)]
 struct Active {
     posted: Posted,
-    /// One of the station's own.
+    /// A call of the station's own.
     own: bool,
     command: RtcCommand,
-    /// The count it goes out with; 0 = not chosen yet.
+    /// The count of its command; 0 = not chosen yet.
     count: u8,
     since: Time,
     /// A request with it went out.
     gone_out: bool,
-    /// What followed.
+    /// The silence that followed.
     silence: Silence,
 }
 
-/// How silent a drive is since a command went out that may make it so.
+/// How silent a drive is after a command that may silence it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Silence {
     /// It answers.
@@ -100,9 +100,9 @@ impl Active {
     }
 }
 
-/// Commands during which a drive may fall silent, or drop the link: nothing is wrong with it then. Others said that a
-/// drive that saves gives no acknowledge at all; repeated into its silence, such a command might be done again and
-/// again.
+/// Commands during which a drive may become silent, or drop the link: that is no fault then. Other masters report
+/// that a saving drive gives no acknowledge at all; repeated into its silence, such a command might be done again
+/// and again.
 fn may_be_silent(command: RtcCommand) -> bool {
     matches!(
         command,
@@ -118,7 +118,7 @@ fn may_be_silent(command: RtcCommand) -> bool {
     )
 }
 
-/// Commands that are taken up only for a drive whose power is off: they stop its software, or may hold it up.
+/// Commands that are sent only to a drive whose power is off: they stop its software, or may delay it.
 fn needs_power_off(command: RtcCommand) -> bool {
     may_be_silent(command) || command == RtcCommand::STOP_SOFTWARE
 }
@@ -128,12 +128,12 @@ fn begins(command: RtcCommand) -> bool {
     matches!(command.0, 0x20 | 0x22 | 0x50 | 0x53 | 0x60 | 0x83 | 0x85)
 }
 
-/// ... and those that go on with it.
+/// ... and those that continue it.
 fn goes_on(command: RtcCommand) -> bool {
     matches!(command.0, 0x21 | 0x23 | 0x51 | 0x52 | 0x54 | 0x55 | 0x61 | 0x62 | 0x84 | 0x86)
 }
 
-/// Commands whose answer names the index that was asked for. One that names another is that of an earlier command.
+/// Commands whose answer names the requested index. An answer with another index is that of an earlier command.
 fn repeats_index(command: RtcCommand) -> bool {
     matches!(command.0, 0x10..=0x17 | 0x50..=0x55 | 0x60..=0x62 | 0x71..=0x74 | 0x82..=0x86)
 }
@@ -164,8 +164,8 @@ impl RtcChannel {
         self.port.memory(regions);
     }
 
-    /// The block of the next request, if the channel has something to say. The same until the request has gone out.
-    /// `powered` as the drive last said.
+    /// The block of the next request, if the channel has something to send. The same until the request has gone
+    /// out. `powered` as the drive last reported.
     pub(super) fn advance(&mut self, now: Time, link: Link, powered: bool) -> Option<RtcBlock> {
         self.now = now;
         let down = matches!(link, Link::Unseen | Link::Lost);
@@ -210,7 +210,7 @@ impl RtcChannel {
         self.prepared
     }
 
-    /// The next call: what the station itself has to set up comes first.
+    /// The next call: the station's own set-up comes first.
     fn take_up(&mut self, now: Time, powered: bool) {
         let first = if std::mem::take(&mut self.turn) { self.port.take() } else { None };
         let own = if first.is_some() { None } else { self.monitor.next() };
@@ -247,16 +247,18 @@ impl RtcChannel {
         }
         match active.silence {
             Silence::None => {}
-            // What was sent may be under way: until the drive answers, it is asked for nothing but its state.
+            // The sent block may be under way: until the drive answers, only its state is requested.
             Silence::Short => return None,
-            // Under the same count: a drive that has stored it says how it went, and any other reads what does no harm.
+            // With the same count: a drive that has stored it reports the result, and any other one executes a
+            // harmless read.
             Silence::Long => {
                 return Some(RtcBlock::call(active.count, RtcCommand::READ_RAM, HARMLESS.0, 0));
             }
         }
         let once = active.gone_out && may_be_silent(active.command);
         if active.count == 0 || unheard && !once {
-            // Not 0, not what went out before, and not what the drive has stored: that may be a native block's.
+            // Not 0, not the count that went out before, and not the one stored in the drive: that may be a native
+            // block's.
             let count = next(self.sent);
             active.count = if self.stored == Some(count) { next(count) } else { count };
             (self.counted, self.unechoed) = (now, 0);
@@ -264,12 +266,12 @@ impl RtcChannel {
         Some(active.block())
     }
 
-    /// Nothing is to be sent that the drive would store: it is silent, and may be in the middle of something.
+    /// Nothing is to be sent that the drive would store: it is silent, and may be busy with a command.
     pub(super) fn hushes(&self) -> bool {
         self.active.is_some_and(|active| active.silence != Silence::None)
     }
 
-    /// What the drive was asked for makes it silent, and its power is off: nobody has to stop because of that.
+    /// A request to the drive makes it silent, and its power is off: no other axis has to stop because of that.
     pub(super) fn excuses_silence(&self) -> bool {
         self.active.is_some_and(|active| active.gone_out && may_be_silent(active.command))
     }
@@ -281,9 +283,9 @@ impl RtcChannel {
         block
     }
 
-    /// The application puts a block of its own into the next request. From then on nothing is known of the stored
-    /// count, and what the drive echoes tells nothing: it may be busy and not take that block, or its reply an older
-    /// one. So the counts here go on from where they were, and the next one is learned by.
+    /// The application puts a block of its own into the next request. From then on the stored count is unknown, and
+    /// the drive's echo proves nothing: it may be busy and not accept that block, or its reply may be an older one.
+    /// So the own counts continue from where they were, and the next one is used to learn the stored count.
     pub(super) fn give_way(&mut self) {
         if self.active.is_some() {
             self.end(Err(CallError::Native));
@@ -302,7 +304,7 @@ impl RtcChannel {
             && active.count == block.count()
         {
             if !active.gone_out {
-                // The time that the count took to learn is not its own.
+                // The time that learning the count took does not count as its own.
                 active.since = self.now;
             }
             active.gone_out = true;
@@ -310,7 +312,7 @@ impl RtcChannel {
         }
     }
 
-    /// The block of a reply that can be no older one.
+    /// Takes the block of a reply that can be no older one.
     pub(super) fn take(&mut self, block: RtcBlock) {
         self.answered = true;
         let echo = block.count();
@@ -327,7 +329,7 @@ impl RtcChannel {
             self.unechoed = self.unechoed.saturating_add(1);
             return;
         }
-        // It was taken, however long it takes.
+        // It was accepted, however long it takes.
         (self.stored, self.unechoed) = (Some(echo), 0);
         let answer =
             Answer { status: block.code.into(), address: block.index().into(), value: block.value().into() };
@@ -352,7 +354,7 @@ impl RtcChannel {
         self.answered = true;
     }
 
-    /// Ends the call that is carried out.
+    /// Ends the call under way.
     fn end(&mut self, result: Result<Answer, CallError>) {
         let Some(active) = self.active.take() else { return };
         match (active.command, result) {
@@ -369,7 +371,7 @@ impl RtcChannel {
         }
         let written = matches!(active.command, RtcCommand::WRITE_RAM | RtcCommand::WRITE_BOTH);
         if written && !active.own && (0x20A8..=0x20AB).contains(&active.posted.call.address) {
-            // Somebody has chosen another source.
+            // Another tool has chosen another source.
             self.monitor.forget();
         }
         self.turn |= active.own && result.is_err();
@@ -380,7 +382,7 @@ impl RtcChannel {
         }
     }
 
-    /// What the drive has stored is to be learned anew.
+    /// The stored count is to be learned anew.
     fn doubt(&mut self) {
         (self.stored, self.learning) = (None, None);
         if let Some(active) = &mut self.active {
@@ -388,7 +390,7 @@ impl RtcChannel {
         }
     }
 
-    /// The drive says that it boots, or that its motion software is stopped.
+    /// The drive reports that it boots, or that its motion software is stopped.
     pub(super) fn drive_restarted(&mut self) {
         if self.software_stopped {
             return;
@@ -410,7 +412,7 @@ impl RtcChannel {
                 self.end(Ok(Answer::default()));
             }
             Some(active) if active.gone_out || active.own => self.end(Err(CallError::Restarted)),
-            // It has not gone out yet: the restarted drive is asked.
+            // It has not gone out yet: it goes to the restarted drive.
             Some(_) | None => {}
         }
         self.monitor.forget();
@@ -418,7 +420,7 @@ impl RtcChannel {
         self.doubt();
     }
 
-    /// The drive shows what it is to monitor, channel by channel.
+    /// The drive reports the values that it is to monitor, channel by channel.
     pub(super) fn monitors(&self, channel: usize) -> bool {
         self.monitor.shows(channel)
     }

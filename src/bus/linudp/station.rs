@@ -1,12 +1,12 @@
-//! The master's view of one drive: which reply answers which request, what the drive last said, and the next request.
-//!
-//! It takes `now` and slices, and knows no socket. What an order does, step by step, stands in `orders`.
+//! The master's view of one drive: which reply answers which request, what the drive reported last, and the next
+//! request.
+//! It takes `now` and slices, and knows no socket. The steps of an order are in `orders`.
 //!
 //! LinUDP has no sequence number. A reply counts by its sender, by the echo of both definitions, and by the open
-//! exchange; after a missed exchange the next reply may be the late one of before, so it is *suspect*: taken as
-//! feedback one cycle older, without a round-trip sample. The request after it asks for one block more or less, so that
-//! its echo is its own. With `reply_tag` a real-time-config no-operation carries a new count in every request and its
-//! echo names the request.
+//! exchange; after a missed exchange the next reply may be the late one of the exchange before, so it is *suspect*:
+//! taken as feedback one cycle older, without a round-trip sample. The request after it requests one block more or
+//! less, so that its echo is its own. With `reply_tag` a real-time-config no-operation carries a new count in every
+//! request and its echo names the request.
 
 use super::native::{Native, NativePort, native};
 use super::orders::{Inputs, Orders, Outputs};
@@ -26,12 +26,12 @@ use crate::time::Time;
 /// factory-fresh drives do not answer a telegram without any block (sheet, 1.3).
 const FULL_PROBE_EVERY: u8 = 4;
 
-/// The most requests whose replies may be mistaken for that to the next one; older ones are taken for lost.
+/// The most requests whose replies may be mistaken for that to the next one; older ones count as lost.
 const MOST_MISTAKABLE: u8 = 3;
 
 /// The most requests whose replies may still be under way ...
 const MOST_UNDER_WAY: u8 = 16;
-/// ... and are forgotten after so many exchanges without a miss: no reply takes that long.
+/// ... and are written off after so many exchanges without a miss: no reply takes that long.
 const FORGOTTEN_AFTER: u8 = 16;
 
 /// One drive.
@@ -56,21 +56,21 @@ pub struct Station {
     native: NativePort,
 }
 
-/// What tells the reply to the last request from any other.
+/// What distinguishes the reply to the last request from any other.
 #[derive(Clone, Copy, Debug, Default)]
 struct Identity {
     /// What the reply to the prepared request will echo.
     prepared: Echo,
     /// What the reply to the last request sent echoes.
     asked: Echo,
-    /// What those before it echoed, newest first, without repetitions in a row: as far back as late replies come from
-    /// while the link is still online.
+    /// The echoes of the requests before it, newest first, without repetitions in a row: as far back as late
+    /// replies come from while the link is still online.
     asked_before: [Echo; 3],
     /// An exchange was opened and no reply closed it.
     open: bool,
     /// Replies to earlier requests that may still come: such a one is late and no duplicate.
     under_way: u8,
-    /// Those among them that look like the reply to the request to come: it is suspect.
+    /// Those among them that look like the reply to the next request: that reply is suspect.
     mistakable: u8,
     /// Exchanges without a miss since the last one.
     without_miss: u8,
@@ -101,13 +101,13 @@ impl Echo {
         self.is_like(asked) && (asked.tag.is_none() || self.tag == asked.tag)
     }
 
-    /// The same but for the tag.
+    /// The same without the tag.
     fn is_like(&self, asked: &Echo) -> bool {
         (self.request, self.response) == (asked.request, asked.response)
     }
 }
 
-/// What was seen last, for differences.
+/// The last values, for differences.
 #[derive(Clone, Copy, Debug)]
 struct Seen {
     at: Time,
@@ -149,8 +149,8 @@ impl Station {
         self.rtc.memory(regions);
     }
 
-    /// Builds the request of the next send in `out` and returns its length. Built again for the same send, it is the
-    /// same: what moves on with every request does so in [`sent`](Self::sent).
+    /// Builds the request of the next send in `out` and returns its length. Built again for the same send, it is
+    /// the same: state that changes with every request changes in [`sent`](Self::sent).
     pub fn prepare(&mut self, cycle: &Cycle, slot: &mut Slot, out: &mut [u8]) -> usize {
         let silent = matches!(slot.link, Link::Unseen | Link::Lost);
         let outputs = self.orders.advance(cycle.grid, &self.inputs, slot, &mut self.native);
@@ -170,14 +170,14 @@ impl Station {
             self.rtc.give_way();
         }
         if self.identity.suspect {
-            // Asked for something else than the ones before, so that the echo tells its reply from all late ones: were
-            // they always one cycle behind, each would pass for the newest for ever.
+            // Its definition differs from the earlier ones, so that the echo tells its reply from all late ones: if
+            // they were always one cycle behind, each would pass for the newest for ever.
             request.response_def.0 ^= ResponseDef::MONITOR.0;
         }
         let tag = match (config, called) {
             _ if !self.tagged => None,
             (Some(_), _) => config,
-            // A call is repeated under one count, which tells nothing of the request.
+            // A call is repeated with one count, which does not identify the request.
             (None, Some(_)) => None,
             _ if self.rtc.hushes() => None,
             (None, None) => Some(self.rtc.tag()),
@@ -212,8 +212,8 @@ impl Station {
             identity.under_way = 0;
         }
         if !identity.open && identity.suspect {
-            // This request differs from those before: its reply cannot be mistaken for theirs. They may come all the
-            // same.
+            // This request differs from those before: its reply cannot be mistaken for theirs. Theirs may still
+            // come.
             identity.mistakable = 0;
         }
         (identity.open, identity.suspect) = (true, false);
@@ -236,7 +236,8 @@ impl Station {
         slot.exchange = Exchange::Unsent;
     }
 
-    /// A datagram from the drive came in. `in_window` is false for what lay in the socket before the send.
+    /// A datagram from the drive came in. `in_window` is false for datagrams that were in the socket before the
+    /// send.
     pub fn take(&mut self, at: Time, bytes: &[u8], in_window: bool, slot: &mut Slot) {
         let Ok(view) = ResponseView::new(bytes) else {
             slot.counters.malformed += 1;
@@ -265,7 +266,7 @@ impl Station {
         }
     }
 
-    /// A well-formed telegram that closes no exchange in its window: late, a duplicate, or never asked for.
+    /// A well-formed telegram that closes no exchange in its window: late, a duplicate, or never requested.
     fn unasked(
         &mut self,
         at: Time,
@@ -277,7 +278,7 @@ impl Station {
     ) {
         let identity = &mut self.identity;
         if answers && in_window && identity.suspect {
-            // Two replies in one window: the first was the late one, this one is the reply asked for.
+            // Two replies in one window: the first was the late one, this one is the requested reply.
             identity.suspect = false;
             identity.take_late();
             slot.counters.late += 1;
@@ -292,9 +293,10 @@ impl Station {
         if !like(&identity.asked) && !identity.asked_before.iter().any(like) {
             slot.counters.foreign += 1;
         } else if answers && identity.open {
-            // The reply to the last request, after its window. It may lie in that of a cycle in which none was due.
+            // The reply to the last request, after its window. It may arrive in the window of a cycle in which none
+            // was due.
             (identity.open, identity.suspect) = (false, false);
-            // It was a miss all the same.
+            // The exchange was missed all the same.
             identity.without_miss = 0;
             slot.counters.late += 1;
         } else if identity.under_way > 0 && !(answers && identity.asked.tag.is_some()) {
@@ -320,17 +322,17 @@ impl Station {
             self.rtc.software_runs();
         }
         if booting || self.inputs.booting {
-            // The positions of before, and those told while booting, are none to go on from.
+            // Earlier positions, and those reported while booting, are no base for differences.
             self.actual.reset();
             self.demand.reset();
             (report.velocity, self.inputs.velocity, self.last) = (0.0, 0.0, None);
         }
-        // Only an axis that turns without end comes around; on any other a broken value must not shift all that follow.
+        // Only a modulo axis wraps around; on any other a corrupted value must not shift all later ones.
         let endless = self.units.modulo.is_some();
         let follow = |count: &mut Unwrap, raw: i32| if endless { count.next(raw) } else { i64::from(raw) };
         let actual = follow(&mut self.actual, view.actual().unwrap_or_default());
         let demand = follow(&mut self.demand, view.demand().unwrap_or_default());
-        // A homing gives the positions another origin: no way was made by that.
+        // A homing gives the positions another origin: that was no motion.
         let mut speed = self.inputs.velocity;
         if let Some(last) = self.last
             && at > last.at
@@ -361,7 +363,8 @@ impl Station {
         report.suspect = suspect;
         report.state = drive_state(status, state, booting);
         report.homed = status.homed();
-        // In state 8 the sub state is sampled together with the count echo; elsewhere the status word has to do.
+        // In state 8 the sub state is sampled together with the count echo; elsewhere the status word has to be
+        // used.
         if !suspect {
             // A reply to an earlier request may answer another control word.
             report.inhibited = !booting && self.orders.is_inhibited(status);
@@ -381,7 +384,7 @@ impl Station {
 
     /// The monitored values and the answer on the real-time-config channel.
     fn take_config(&mut self, view: &ResponseView<'_>, slot: &mut Slot) {
-        // The values first: they were taken before the answer that says that their sources have changed.
+        // The values first: they were taken before the answer that reports the change of their sources.
         if let Some(raw) = view.monitor() {
             let rtc = &self.rtc;
             let value = |channel: usize| match self.monitor {
@@ -405,7 +408,7 @@ impl Station {
     }
 }
 
-/// LinMot's states on those of CiA 402.
+/// Maps LinMot's states onto those of CiA 402.
 ///
 /// An error being logged (3) and the quick stop of an error (14 with the error bit) are the fault reaction; aborting
 /// and freezing hold the axis under control after a quick stop.
@@ -425,7 +428,7 @@ fn drive_state(status: StatusWord, state: StateVar, booting: bool) -> State {
         MainState::QUICK_STOP if status.error() => State::FaultReactionActive,
         MainState::QUICK_STOP | MainState::ABORTING | MainState::FREEZING => State::QuickStopActive,
         MainState(8..=20) => State::OperationEnabled,
-        // A state of newer firmware: taken for powered, so that nothing is powered off because of it.
+        // A state of newer firmware: treated as powered, so that nothing is powered off because of it.
         _ => State::SwitchedOn,
     }
 }

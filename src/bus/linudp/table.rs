@@ -1,10 +1,10 @@
-//! The drive's command table: motion commands that it runs on its own, one after the other. Byte for byte.
+//! The drive's command table: motion commands that it runs by itself, one after the other. Byte for byte.
 //!
-//! Knows no file and no channel. Up to 255 entries of [`ENTRY_SIZE`] bytes, each with a motion command and the entry
-//! that follows it. An entry is kept as the drive holds it, to the last byte, sense or not.
+//! Knows no file and no channel. Up to 255 entries of [`ENTRY_SIZE`] bytes, each with a motion command and the
+//! entry that follows it. An entry is kept exactly as the drive holds it, valid or not.
 //!
-//! Facts: "Drive Configuration over Fieldbus Interfaces" manual, command table entry; met by an independent master on
-//! real drives.
+//! Facts: "Drive Configuration over Fieldbus Interfaces" manual, command table entry; confirmed by an independent
+//! master on real drives.
 
 use std::collections::BTreeMap;
 use std::collections::btree_map::Iter;
@@ -24,7 +24,7 @@ pub const RESERVED_SIZE: usize = 10;
 
 /// The only version of the layout that is known.
 const VERSION: u16 = 0xA701;
-/// As the next entry: none.
+/// Value of the next entry for "none".
 const NO_ENTRY: u16 = 0xFFFF;
 
 /// An entry, as the drive holds it.
@@ -34,7 +34,7 @@ pub struct Entry {
     pub next: Option<u16>,
     /// `id << 4` of its motion command; the count, bits 3-0, is 0.
     pub header: u16,
-    /// Of its motion command.
+    /// The parameters of its motion command.
     pub parameters: [u8; PARAMETERS_SIZE],
     /// ASCII, ended by a zero.
     pub name: [u8; NAME_SIZE],
@@ -42,7 +42,7 @@ pub struct Entry {
     pub reserved: [u8; RESERVED_SIZE],
 }
 
-/// Why bytes are no entry, or why a name is none.
+/// Why bytes are not an entry, or a name is invalid.
 #[derive(Clone, PartialEq, Eq, Error)]
 pub enum EntryError {
     /// The length.
@@ -58,7 +58,7 @@ pub enum EntryError {
 crate::errors::debug_as_display!(EntryError);
 
 impl Entry {
-    /// An entry that runs `command` and goes on with `next`.
+    /// An entry that runs `command` and continues with `next`.
     pub fn new(name: &str, command: MotionCommand, next: Option<EntryId>) -> Result<Entry, EntryError> {
         let mut entry = Entry {
             next: next.map(EntryId::wire),
@@ -82,21 +82,21 @@ impl Entry {
         Ok(bytes)
     }
 
-    /// Its name; `None` if its bytes are anything else than printable ASCII and zeros behind it.
+    /// Its name; `None` if its bytes are anything else than printable ASCII followed by zeros.
     pub fn name(&self) -> Option<&str> {
         let length = self.name.iter().position(|byte| *byte == 0)?;
         let name = std::str::from_utf8(&self.name[..length]).ok()?;
         Entry::name_bytes(name).is_ok_and(|bytes| bytes == self.name).then_some(name)
     }
 
-    /// Its motion command. Two parameter bytes are left behind, which no command uses.
+    /// Its motion command, without two parameter bytes that no command uses.
     pub fn command(&self) -> MotionCommand {
         let mut command = MotionCommand::new(self.header >> 4);
         command.parameters.copy_from_slice(&self.parameters[..30]);
         command
     }
 
-    /// Where it leads: `next`, and the fields of its command that are entries, with their names.
+    /// The entries that it leads to: `next`, and the fields of its command that are entries, with their names.
     pub fn leads_to(&self) -> impl Iterator<Item = (&'static str, i64)> {
         let fields = CommandInfo::of(self.header >> 4).map_or(&[][..], |info| info.fields);
         let entries = fields.iter().filter(|field| field.kind == Kind::EntryId);
@@ -143,15 +143,15 @@ pub struct Table {
     entries: BTreeMap<EntryId, Entry>,
 }
 
-/// An entry leads to one that is not there: the drive would end in error 008Ah.
+/// An entry leads to one that does not exist: the drive would end in error 008Ah.
 #[derive(Clone, Copy, PartialEq, Eq, Error)]
 #[error("{by} of entry {} leads to entry {to}, which does not exist; add it or change the reference", .entry.wire())]
 pub struct DeadEnd {
-    /// The entry that leads there.
+    /// The entry with the link.
     pub entry: EntryId,
     /// `next`, or the name of a field of its command.
     pub by: &'static str,
-    /// The entry that is not there.
+    /// The missing entry.
     pub to: i64,
 }
 crate::errors::debug_as_display!(DeadEnd);
@@ -162,12 +162,12 @@ impl Table {
         Table { entries: BTreeMap::new() }
     }
 
-    /// Puts an entry there; gives back what was there.
+    /// Puts an entry there; returns the one that was there.
     pub fn insert(&mut self, id: EntryId, entry: Entry) -> Option<Entry> {
         self.entries.insert(id, entry)
     }
 
-    /// Takes an entry out.
+    /// Removes an entry.
     pub fn remove(&mut self, id: EntryId) -> Option<Entry> {
         self.entries.remove(&id)
     }
@@ -182,17 +182,17 @@ impl Table {
         self.entries.iter()
     }
 
-    /// How many.
+    /// The number of entries.
     pub fn len(&self) -> usize {
         self.entries.len()
     }
 
-    /// None at all.
+    /// Whether there is none.
     pub fn is_empty(&self) -> bool {
         self.entries.is_empty()
     }
 
-    /// Every lead to an entry that is not there, those of raw commands included.
+    /// Every link to a missing entry, those of raw commands included.
     pub fn dead_ends(&self) -> Vec<DeadEnd> {
         let is_there = |to: i64| {
             let id = u16::try_from(to).ok().and_then(|id| EntryId::new(id).ok());

@@ -7,8 +7,8 @@
 //! | `0x20A8.both` | to write both |
 //! | `0x20A8.min`, `.max`, `.default` | its limits and its default, to read |
 //!
-//! Only some UPIDs are known here, and with them type and unit; all others are numbers of 32 bits. Facts: sheet of the
-//! UPIDs (SG5 manual, LinRS manual, masters in the field).
+//! Only some UPIDs are known here, with type and unit; all others are numbers of 32 bits. Facts: sheet of the UPIDs
+//! (SG5 manual, LinRS manual, masters in the field).
 
 use std::time::Duration;
 
@@ -85,7 +85,7 @@ impl Type {
         }
     }
 
-    /// The value of a raw one: smaller types stand in the low bits. What the others are, is not documented.
+    /// The value of a raw one: smaller types are in the low bits. The other bits are not documented.
     pub const fn number(self, raw: u32) -> i64 {
         let (bits, signed) = self.shape();
         let above = 32 - bits;
@@ -108,7 +108,7 @@ impl Type {
     }
 }
 
-/// What a drive says of a parameter: how it can be used (LinUDP V2 manual, UPID list).
+/// The drive's report on how a parameter can be used (LinUDP V2 manual, UPID list).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Usage(pub u16);
 
@@ -162,7 +162,7 @@ pub struct Known {
     pub kind: Type,
     /// One of the drive's counts is `10^-decimals` of the unit below.
     pub decimals: u32,
-    /// Of the scaled value; empty for a plain number.
+    /// The unit of the scaled value; empty for a plain number.
     pub unit: &'static str,
 }
 
@@ -193,8 +193,8 @@ const fn acceleration(upid: u16, name: &'static str, kind: Type) -> Known {
     known(upid, name, kind, 2, "mm/s2")
 }
 
-/// The UPIDs that are known by name, in the order of their numbers. A type that no source gives is the smallest that
-/// fits its meaning.
+/// The UPIDs that are known by name, in the order of their numbers. A type that no source states is the smallest
+/// that fits the meaning.
 pub const KNOWN: &[Known] = &[
     number(0x000C, "article-number", Type::Text),
     known(0x0082, "operating-hours-part", Type::U32, 0, "ms"),
@@ -260,18 +260,18 @@ pub const KNOWN: &[Known] = &[
     number(0x6300, "mode-in-state-6", Type::U16),
 ];
 
-/// Which of the values of a UPID.
+/// One of the values of a UPID.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Variant {
     /// In use now.
     Ram,
     /// In flash.
     Rom,
-    /// Both of them, to write.
+    /// RAM and ROM, to write.
     Both,
-    /// The lowest that the drive takes.
+    /// The lowest value that the drive accepts.
     Minimum,
-    /// The highest that the drive takes.
+    /// The highest value that the drive accepts.
     Maximum,
     /// After a reset to default.
     Default,
@@ -310,7 +310,7 @@ impl Variant {
     }
 }
 
-/// A UPID and which of its values, as people write them.
+/// A UPID and one of its values, as people write them.
 pub fn address(text: &str) -> Option<(Upid, Variant)> {
     let (upid, variant) = match text.rsplit_once('.') {
         Some((upid, word)) => {
@@ -329,10 +329,10 @@ pub const fn call(command: RtcCommand, index: u16, value: u32) -> Call {
 const FORM: &str =
     "0x20A8, 20A8h or a name, with .rom, .both, .min, .max or .default for another value than that in RAM";
 
-/// How long a drive is given to read a value, or to write one to RAM.
+/// Time limit for reading a value, or writing one to RAM.
 const RAM_LIMIT: Duration = Duration::from_secs(1);
-/// How long it is given to write one to flash: it may stall meanwhile (sheet, 5.6), for how long is not known. As long
-/// as stopping its software.
+/// Time limit for writing one to flash: the drive may stall meanwhile (sheet, 5.6), for how long is not known. As
+/// long as stopping its software.
 const FLASH_LIMIT: Duration = Duration::from_secs(20);
 
 /// Addresses and values of LinMot drives.
@@ -356,7 +356,7 @@ impl Notation for Upids {
 
     fn read(&self, address: &str) -> Result<Call, NotationError> {
         let (upid, variant) = Upids::find(address)?;
-        // What was written to both reads the same from either.
+        // A value written to both reads the same from either.
         let command = variant.read().unwrap_or(RtcCommand::READ_RAM);
         Ok(call(command, upid.0, 0))
     }
@@ -388,7 +388,7 @@ impl Notation for Upids {
                 Some(digits) if !digits.starts_with(['+', '-']) => {
                     i64::from_str_radix(digits, 16).ok().map(|bits| {
                         let raw = u32::try_from(bits).ok();
-                        // Bits that the type does not have are a number that it does not have.
+                        // Bits that the type does not have are out of its range.
                         raw.map_or(Some(bits), |raw| {
                             known.map_or(Some(bits), |known| known.kind.strict_number(raw))
                         })
@@ -399,7 +399,7 @@ impl Notation for Upids {
             },
         };
         match number {
-            // Cut to 32 bits, as a signed one goes over the wire.
+            // Cut to 32 bits, as a signed value is sent.
             Some(number) if (low..=high).contains(&number) => Ok(u64::from(number as u32)),
             Some(_) => Err(NotationError::Range { value: text.to_owned(), low, high }),
             None => Err(NotationError::Value {
@@ -430,7 +430,7 @@ impl Notation for Upids {
     }
 
     fn reason(&self, status: u32) -> String {
-        // The channel refuses with a byte of status.
+        // The channel refuses with a status byte.
         Refusal::of(status as u8).to_string()
     }
 

@@ -1,4 +1,4 @@
-//! All drives of one Modbus TCP bus, a connection each: stations and their carrier, as a [`Bus`].
+//! All drives of one Modbus TCP bus, one connection each: stations and their carrier, as a [`Bus`].
 
 use std::any::Any;
 use std::os::fd::RawFd;
@@ -23,7 +23,7 @@ use crate::rt::Regions;
 use crate::sim::SimDrive;
 use crate::time::Time;
 
-/// Some connections and their drives.
+/// Connections and their drives.
 pub struct ModbusBus {
     name: String,
     net: Box<dyn Streams>,
@@ -38,7 +38,7 @@ impl std::fmt::Debug for ModbusBus {
     }
 }
 
-/// The blocks of a drive where its parameters are, and those of menu 0 if they are to be used.
+/// The blocks of a drive at its parameters' own addresses, and those of menu 0 if they are to be used.
 fn mappings(drive: &UnidriveDrive) -> Option<(Mapping, Option<Mapping>)> {
     let own = Mapping::new(drive).ok()?;
     match drive.via {
@@ -125,7 +125,7 @@ impl ModbusBus {
         }
     }
 
-    /// Goes on with a request that the wire took in pieces.
+    /// Continues a request that the wire took in pieces.
     fn go_on(&mut self, index: usize, slot: &mut Slot) {
         let Some(station) = self.stations.get_mut(index) else { return };
         if station.rest().is_empty() {
@@ -169,14 +169,14 @@ impl Bus for ModbusBus {
     }
 
     fn send(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
-        // There is one connection a drive: each turn takes over another one.
+        // There is one connection per drive: each turn takes over another one.
         for _ in 0..self.stations.len() {
             let Some(index) = self.net.opened() else { break };
             if let (Some(station), Some(slot)) = (self.stations.get_mut(index), slots.get_mut(index)) {
                 station.connected(slot);
             }
         }
-        // Those that are passed over: what is still owed is not asked again, though it be answered now.
+        // Slots that are passed over: an owed exchange is not requested again, although it may be answered now.
         for (station, slot) in self.stations.iter_mut().zip(slots.iter()) {
             station.passed = matches!(slot.exchange, Exchange::Owed { .. });
         }
@@ -195,7 +195,8 @@ impl Bus for ModbusBus {
     }
 
     fn receive(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool {
-        // One piece of each: who dribbles is heard again with the next look, and never holds the cycle.
+        // One piece of each: a drive that sends byte by byte is read again with the next look, and never delays the
+        // cycle.
         self.take_in(slots);
         !slots.iter().any(|slot| slot.exchange.is_waited_for(cycle))
     }

@@ -1,5 +1,5 @@
-//! Acyclic calls on the connection of the cyclic exchange: each takes the place of one exchange now and then, and the
-//! rest go on.
+//! Acyclic calls on the connection of the cyclic exchange: each takes the place of one exchange now and then; the
+//! other exchanges continue.
 
 use super::notation::{NOT_TAKEN, READ, Target, UNREACHABLE, WRITE};
 use super::parameter::{Addressing, Width};
@@ -44,10 +44,10 @@ impl Calls {
         self.port.memory(regions);
     }
 
-    /// Takes up the next call, and ends what is over. True if the next exchange may be the call's.
+    /// Starts the next call, and ends the finished one. True if the next exchange may be the call's.
     #[inline]
     pub(super) fn advance(&mut self, now: Time, link: Link, on: bool) -> bool {
-        // Almost always there is none.
+        // Usually there is none.
         (self.active.is_some() || !self.port.is_empty()) && self.go_on(now, link, on)
     }
 
@@ -144,7 +144,7 @@ impl Calls {
         });
     }
 
-    /// The connection is gone: what was sent may have been done, or not.
+    /// The connection is gone: a sent request may have been carried out, or not.
     pub(super) fn lost(&mut self) {
         if self.active.is_some_and(|active| active.sent) {
             self.end(Err(CallError::TimedOut));

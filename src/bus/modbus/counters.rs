@@ -1,8 +1,8 @@
-//! What only Modbus counts.
+//! Counters that only Modbus has.
 
 use crate::bus::{Counters, OwnCounter};
 
-/// The places of the counters in [`Counters::own`].
+/// The indices of the counters in [`Counters::own`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(usize)]
 pub enum Own {
@@ -14,13 +14,13 @@ pub enum Own {
     WrongFunction,
     /// A reply whose lengths contradict each other, or the request.
     WrongLength,
-    /// What is no Modbus at all.
+    /// Bytes that are not Modbus.
     Garbage,
     /// The connection ended in the middle of a reply.
     CutOff,
     /// The connection ended between replies.
     Closed,
-    /// The master gave a connection up that was silent, or refused everything.
+    /// The master gave up a connection that was silent, or refused everything.
     GivenUp,
     /// Connections that were opened after the first one.
     Reopened,
@@ -38,7 +38,7 @@ pub const OWN: [OwnCounter; 12] = [
     OwnCounter { key: "wrong_unit", what: "replies with a wrong unit id" },
     OwnCounter { key: "wrong_function", what: "replies with a wrong function" },
     OwnCounter { key: "wrong_length", what: "replies with a wrong length" },
-    OwnCounter { key: "garbage", what: "bytes that are no Modbus, each ends its connection" },
+    OwnCounter { key: "garbage", what: "receptions that are not Modbus, each ends its connection" },
     OwnCounter { key: "cut_off", what: "connections that ended within a reply" },
     OwnCounter { key: "closed", what: "connections that ended between replies" },
     OwnCounter { key: "given_up", what: "connections given up by the master" },

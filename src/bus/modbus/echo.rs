@@ -1,20 +1,20 @@
-//! Whether the drive has taken what was written to it.
+//! Whether the drive has accepted the written values.
 //!
-//! A reply to FC23 says nothing of what was written, and a drive refuses a value without a word (Commander SE guide):
-//! it has taken what reads back. Whether a drive writes before it reads is not documented, so that what differs counts
-//! only if it was written by an earlier request, and only if it differs twice.
+//! A reply to FC23 says nothing of what was written, and a drive refuses a value without an error code (Commander
+//! SE guide): an accepted value reads back. Whether a drive writes before it reads is not documented, so a
+//! difference counts only if the value was written by an earlier request, and only if it differs twice.
 
 /// So many differing reads in a row are a refusal.
 const DIFFERENT: u8 = 2;
 
-/// No value. In a whole word each, they are read as they were written a moment ago, which a processor can do without a
-/// wait.
+/// No value. One whole word each: the values are read as they were written a moment ago, which a processor can do
+/// without a wait.
 const NONE: i64 = i64::MIN;
 
 /// One written parameter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Echo {
-    /// The value of the last request that was answered, and whether an earlier one had it, too.
+    /// The value of the last answered request, and whether an earlier one had it, too.
     written: i64,
     settled: bool,
     /// Reads in a row that differed.
@@ -29,7 +29,7 @@ impl Default for Echo {
 }
 
 impl Echo {
-    /// What the drive has taken for certain; `None`: not known.
+    /// The value that the drive has certainly accepted; `None`: not known.
     #[inline]
     pub(super) fn taken(&self) -> Option<i32> {
         (self.taken != NONE).then_some(self.taken as i32)
@@ -44,14 +44,14 @@ impl Echo {
         }
     }
 
-    /// The answer has said that it was written.
+    /// The answer has confirmed the write.
     #[inline]
     pub(super) fn confirm(&mut self, value: i32) {
         self.replied(value);
         self.taken = value.into();
     }
 
-    /// It reads as `value`. True if by now the drive has refused what was written.
+    /// It reads as `value`. True if by now the drive has refused the written value.
     #[inline]
     pub(super) fn read(&mut self, value: i32) -> bool {
         if self.written == i64::from(value) {
@@ -95,7 +95,7 @@ mod tests {
         echo.replied(5);
         assert!(echo.read(1));
         echo.replied(5);
-        assert!(!echo.read(1), "told once");
+        assert!(!echo.read(1), "reported once");
         assert_eq!(echo.taken(), None);
         echo.replied(7);
         assert!(!echo.read(7));

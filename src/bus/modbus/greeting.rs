@@ -1,9 +1,9 @@
-//! What is said on a new connection before the loop has it: what the drive is and does is read. On a normal thread, one
-//! request after the other.
+//! The handshake on a new connection before the loop gets it: it reads what the drive is and does. On a normal
+//! thread, one request after the other.
 //!
-//! Read are the unit id, every cyclic parameter, whether FC23 is known, and what the drive obeys and is watched by.
-//! Written is only what menu 0 shall show, and that to no drive that runs. What makes the drive follow the control word
-//! is written by the station, with the first order that needs it.
+//! It reads the unit id, every cyclic parameter, whether FC23 is known, and the drive's control source and
+//! watchdog. It writes only the set-up of menu 0, and that only to a drive that does not run. The settings that
+//! make the drive follow the control word are written by the station, with the first order that needs them.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -17,16 +17,16 @@ use super::words::{ControlWord, StatusWord};
 use crate::net::{Greeted, Greeting};
 use crate::time::{S, Time};
 
-/// What the greeting has found out, for the station.
+/// The findings of the handshake, for the station.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Finding {
-    /// The unit id that the drive answers to.
+    /// The unit id of the drive's answers.
     pub unit: u8,
     /// It knows FC23.
     pub read_write: bool,
     /// It shows the cyclic parameters in menu 0.
     pub menu_0: bool,
-    /// It obeys control word and reference.
+    /// It follows control word and reference.
     pub obeys: bool,
     /// Its time-out is set.
     pub watched: bool,
@@ -38,7 +38,7 @@ pub struct Finding {
     pub speed: i32,
 }
 
-/// The findings of the last greeting: written before the connection is handed over, and read after that.
+/// The findings of the last handshake: written before the connection is handed over, and read after that.
 #[derive(Debug, Default)]
 pub struct Found {
     /// Unit id, flags and control word; status word and speed.
@@ -63,7 +63,7 @@ impl Found {
         }
     }
 
-    /// For the greeting.
+    /// For the handshake.
     pub fn set(&self, finding: Finding) {
         let Finding { unit, read_write, menu_0, obeys, watched, control, status, speed } = finding;
         let flags = [read_write, menu_0, obeys, watched];
@@ -74,43 +74,43 @@ impl Found {
     }
 }
 
-/// One step of the conversation: a request and what its answer is for.
+/// One step of the handshake: a request and the use of its answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Step {
-    /// Which unit id is answered.
+    /// Which unit id answers.
     Unit,
-    /// Block so and so is there, and what it says.
+    /// Whether this block exists, and its values.
     Look(usize),
-    /// What setting so and so is.
+    /// The value of this setting.
     Find(usize),
     /// Whether FC23 is known: it reads and writes nothing.
     Probe,
-    /// Setting so and so of menu 0 is written ...
+    /// This setting of menu 0 is written ...
     Set(usize),
     /// ... and read back.
     Verify(usize),
-    /// Menu 0 shows what it should.
+    /// Menu 0 shows the configured parameters.
     Menu0,
 }
 
-/// The greeting of one drive.
+/// The handshake of one drive.
 #[derive(Debug)]
 pub(super) struct UnidriveGreeting {
     drive: UnidriveDrive,
-    /// The parameters where they are: what is missing there is missing.
+    /// The parameters at their own addresses: one that is missing there does not exist.
     direct: Mapping,
     /// The blocks of menu 0, if they are to be used.
     menu_0: Option<Mapping>,
     found: Arc<Found>,
     finding: Finding,
-    /// Unit ids to try, and which one is tried.
+    /// Unit ids to try, and the present one.
     units: Vec<u8>,
     unit: usize,
     step: Step,
     transaction: u16,
     image: Image,
     settings: Vec<Setting>,
-    /// What the drive has of each.
+    /// The drive's value of each setting.
     has: Vec<Option<i32>>,
     inbox: Vec<u8>,
 }
@@ -139,8 +139,8 @@ impl UnidriveGreeting {
         }
     }
 
-    /// The longest that it takes, ns: a request for each block and each setting, three for those of menu 0, each with
-    /// the time that a reply may take.
+    /// Its longest duration, ns: a request for each block and each setting, three for those of menu 0, each with
+    /// the time limit of a reply.
     pub(super) fn longest_ns(&self) -> u64 {
         let menu_0 = self.settings.iter().filter(|setting| setting.purpose == Purpose::Menu0).count();
         let requests = 4 + self.direct.reads().len() + self.settings.len() + 2 * menu_0;
@@ -171,7 +171,7 @@ impl UnidriveGreeting {
             Step::Find(index) | Step::Verify(index) => {
                 self.settings.get(index).and_then(|setting| read(setting.parameter, setting.width))
             }
-            // Nothing of nothing: a drive that knows the function says that the numbers are wrong.
+            // Zero registers: a drive that knows the function answers that the count is wrong.
             Step::Probe => {
                 let status = self.drive.map.status;
                 status.parameter.address(self.drive.addressing, status.width).map(|address| {
@@ -201,7 +201,7 @@ impl UnidriveGreeting {
         Greeted::More
     }
 
-    /// Takes the answer of the present step, and goes on to the next one.
+    /// Takes the answer of the present step, and continues with the next one.
     fn answer(&mut self, response: Response<'_>, out: &mut Vec<u8>) -> Greeted {
         let refused = match response {
             Response::Exception { code, .. } => Some(code),
@@ -217,7 +217,7 @@ impl UnidriveGreeting {
                 Some(Step::Unit)
             }
             (Step::Unit, Some(code)) => {
-                return Greeted::Failed(format!("the drive refuses to tell its status word: {code}"));
+                return Greeted::Failed(format!("the drive refuses to report its status word: {code}"));
             }
             (Step::Unit, None) => {
                 self.finding.unit = self.units[self.unit];
@@ -258,7 +258,8 @@ impl UnidriveGreeting {
                 Some(if index + 1 < self.settings.len() { Step::Find(index + 1) } else { Step::Probe })
             }
             (Step::Probe, _) => {
-                // Of this function: pymodbus answers what it thinks malformed with code 1 of none.
+                // Of this function: pymodbus answers a request that it considers malformed with code 1 and function
+                // 0.
                 const UNKNOWN: Response<'_> =
                     Response::Exception { function: function::READ_WRITE, code: ExceptionCode::FUNCTION };
                 self.finding.read_write = response != UNKNOWN;
@@ -334,7 +335,7 @@ impl UnidriveGreeting {
             ));
         }
         self.finding.obeys = self.are_met(Purpose::Obey);
-        // Where nothing is to be set nothing watches.
+        // Where nothing is to be set, nothing watches.
         self.finding.watched = self.drive.watchdog.timeout_ns.is_some() && self.are_met(Purpose::Watch);
         self.found.set(self.finding);
         Greeted::Done
@@ -356,7 +357,7 @@ impl Greeting for UnidriveGreeting {
         self.image = Image::default();
         self.has.clear();
         if self.step == Step::Unit && self.transaction != 0 {
-            // Not a word came the last time: it may listen to another unit id.
+            // No answer at all the last time: it may use another unit id.
             self.unit = (self.unit + 1) % self.units.len();
         }
         self.step = Step::Unit;

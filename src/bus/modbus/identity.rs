@@ -3,16 +3,16 @@
 /// How many earlier requests are remembered; the reply to an older one is foreign.
 const REMEMBERED: u32 = 64;
 
-/// Whose reply it is.
+/// The request that a reply belongs to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Whose {
-    /// That of the request that is open.
+    /// The open request.
     Open,
-    /// That of an earlier request, which had none.
+    /// An earlier request without a reply.
     Late,
-    /// A second one.
+    /// A request that has its reply already.
     Duplicate,
-    /// Of no request of this connection.
+    /// No request of this connection.
     Foreign,
 }
 
@@ -21,8 +21,8 @@ pub(super) enum Whose {
 pub(super) struct Identity {
     /// Bit n: the n-th request before the last one has its reply.
     answered: u64,
-    /// Of the request that went out last, 16 bits of it. A whole word, like all of these: small neighbours are read
-    /// together, and what was just written in parts is slow to read as a whole.
+    /// The last sent request, 16 bits of its count. A whole word, like all of these: small neighbours are read
+    /// together, and values just written in parts are slow to read as a whole.
     last: u32,
     /// So many requests went out on this connection, at most [`REMEMBERED`].
     sent: u32,
@@ -52,12 +52,12 @@ impl Identity {
         self.open != 0
     }
 
-    /// A new connection: nothing of the one before comes on it, and no id is used again.
+    /// A new connection: no reply of the earlier one arrives on it, and no id is used again.
     pub(super) fn reconnected(&mut self) {
         (self.answered, self.sent, self.open) = (0, 0, 0);
     }
 
-    /// Whose reply this id names.
+    /// The request that this id belongs to.
     #[inline]
     pub(super) fn whose(&self, id: u16) -> Whose {
         let before = self.before(id);
@@ -88,7 +88,7 @@ impl Identity {
         self.open = 0;
     }
 
-    /// So many requests went out behind the one with this id.
+    /// So many requests were sent after the one with this id.
     #[inline]
     fn before(&self, id: u16) -> u32 {
         (self.last as u16).wrapping_sub(id).into()

@@ -10,7 +10,7 @@ use crate::axis::PlanFault;
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::rt::Regions;
 
-/// What a cyclic parameter is for.
+/// The purpose of a cyclic parameter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Role {
     /// The control word.
@@ -23,23 +23,23 @@ pub enum Role {
     Speed,
     /// The trip number.
     Trip,
-    /// A channel that the drive shows.
+    /// A monitored channel.
     Shown(u8),
-    /// One of those that are read besides, for the native process data.
+    /// An additional parameter that is read for the native process data.
     Also(u8),
 }
 
-/// How many roles have a place in an [`Image`]: all but those read besides.
+/// How many roles have an index in an [`Image`]: all but the additional ones.
 pub const ROLES: usize = Role::FIRST_SHOWN + MONITOR_CHANNELS;
 
-/// The most parameters that are read besides.
+/// The most additional parameters.
 pub const ALSO_MAX: usize = REGISTERS_MAX as usize;
 
 impl Role {
-    /// The place of the first channel that is shown.
+    /// The index of the first monitored channel.
     pub const FIRST_SHOWN: usize = 5;
 
-    /// Its place in an [`Image`].
+    /// Its index in an [`Image`].
     #[inline]
     pub const fn index(self) -> Option<usize> {
         match self {
@@ -69,12 +69,12 @@ impl Role {
     }
 }
 
-/// A value for each role that has a place, once it was read.
+/// A value for each role that has an index, once it was read.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Image {
-    /// Bit n: the value in place n was read; the others are 0.
+    /// Bit n: the value at index n was read; the others are 0.
     seen: u32,
-    /// Two values each, as they are published: they would be slow to read together as soon as they were written apart.
+    /// Two values each, as they are published: values written apart would be slow to read together right after.
     pairs: [u64; Image::PAIRS],
 }
 
@@ -87,13 +87,13 @@ impl Image {
         Image { seen, pairs }
     }
 
-    /// What was read, and all values.
+    /// The bits of the values that were read, and all values.
     #[inline]
     pub(super) fn parts(&self) -> (u32, &[u64; Image::PAIRS]) {
         (self.seen, &self.pairs)
     }
 
-    /// The value in this place; `None`: not read yet.
+    /// The value at this index; `None`: not read yet.
     #[inline]
     pub fn get(&self, place: usize) -> Option<i32> {
         let pair = self.pairs.get(place / 2)?;
@@ -106,12 +106,12 @@ impl Image {
         role.index().and_then(|place| self.get(place))
     }
 
-    /// Puts all of a block in whose parameters stand side by side as they do here, from place 0 on.
+    /// Takes over all of a block whose parameters are in the order of this image, from index 0 on.
     #[inline]
     pub(super) fn set_front(&mut self, data: Registers<'_>) {
         let (pairs, rest) = data.bytes().as_chunks();
         for (pair, bytes) in self.pairs.iter_mut().zip(pairs) {
-            // On the wire the first one stands before the second, the high byte first.
+            // On the wire the first one comes before the second, the high byte first.
             *pair = u64::from_be_bytes(*bytes).rotate_left(32);
         }
         let count = data.len() / 2;
@@ -135,17 +135,17 @@ impl Image {
 /// Parameters side by side, of one width.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Block {
-    /// On the wire.
+    /// Its address on the wire.
     pub address: u16,
-    /// How many registers.
+    /// The number of registers.
     pub registers: u16,
-    /// The width of each.
+    /// The width of each parameter.
     pub width: Width,
-    /// What each is for, in order.
+    /// The role of each parameter, in order.
     pub roles: Box<[Role]>,
-    /// Its roles that have a place in an [`Image`].
+    /// Its roles that have an index in an [`Image`].
     pub(super) places: Places,
-    /// They are 32 bits wide, and their places in an [`Image`] are 0, 1, 2 ...
+    /// They are 32 bits wide, and their indices in an [`Image`] are 0, 1, 2 ...
     pub(super) in_order: bool,
     /// The first parameter, for messages.
     pub first: Parameter,
@@ -159,7 +159,7 @@ impl Block {
     }
 }
 
-/// Some of the roles that have a place in an [`Image`]: a bit each.
+/// Some of the roles that have an index in an [`Image`]: a bit each.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Places(u32);
 
@@ -175,9 +175,9 @@ impl Places {
 pub struct Mapping {
     writes: Box<[Block]>,
     reads: Box<[Block]>,
-    /// So many of `reads`, the first ones, have status or speed.
+    /// How many of `reads`, the first ones, have status or speed.
     hot: usize,
-    /// For menu 0: what its parameters are to show, from the first on.
+    /// For menu 0: the parameters that it is to show, from the first on.
     shown_in_menu_0: Box<[Parameter]>,
 }
 
@@ -186,7 +186,7 @@ impl Mapping {
     ///
     /// # Errors
     ///
-    /// A parameter that has no address, and one that stands in two roles.
+    /// A parameter that has no address, or that has two roles.
     pub fn new(drive: &UnidriveDrive) -> Result<Mapping, PlanFault> {
         let map = &drive.map;
         let outputs = [(Role::Control, map.control), (Role::Reference, map.reference)];
@@ -243,10 +243,10 @@ impl Mapping {
                 let mut reads = blocks(drive, &inputs)?;
                 let is_hot =
                     |block: &Block| block.roles.iter().any(|role| matches!(role, Role::Status | Role::Speed));
-                // The status first: without one there is no report.
+                // The status first: without it there is no report.
                 reads.sort_by_key(|block| (!block.has(Role::Status), !is_hot(block)));
                 let hot = reads.iter().filter(|block| is_hot(block)).count();
-                // What was written is read back now and then: a drive refuses a value by FC23 without a word.
+                // Written values are read back now and then: a drive refuses a value by FC23 without an error code.
                 reads.extend(writes.iter().cloned());
                 check_lengths(&writes, &reads)?;
                 Ok(Mapping {
@@ -257,7 +257,7 @@ impl Mapping {
                 })
             }
             Via::Menu0 { first } => {
-                // Side by side, what is written first: one block reads what was written back, too.
+                // Adjacent, the written ones first: one block reads the written values back, too.
                 let place = |(index, (role, mapped)): (usize, &(Role, Mapped))| {
                     let number = u16::from(first) + index as u16;
                     match u8::try_from(number).ok().filter(|number| (1..=80).contains(number)) {
@@ -300,16 +300,16 @@ impl Mapping {
         self.writes.iter().chain(&*self.reads).for_each(|block| regions.add(&*block.roles));
     }
 
-    /// What menu 0 is to show, from its first place on; empty unless it is used.
+    /// The parameters that menu 0 is to show, from its first place on; empty unless it is used.
     pub fn shown_in_menu_0(&self) -> &[Parameter] {
         &self.shown_in_menu_0
     }
 
-    /// Which block is read in turn `turn`: those with status or speed one after the other, then one of the rest.
+    /// The block that is read in turn `turn`: those with status or speed one after the other, then one of the rest.
     #[inline]
     pub fn read_in(&self, turn: u32) -> usize {
         let (hot, all) = (self.hot.max(1), self.reads.len());
-        // Of one there is nothing to divide.
+        // A single one needs no division.
         if all == 1 {
             return 0;
         }
@@ -322,7 +322,7 @@ impl Mapping {
         if place < round - 1 { place % hot } else { hot + number % (all - hot) }
     }
 
-    /// After so many turns everything was read.
+    /// The number of turns until everything was read.
     pub fn turns(&self) -> usize {
         let (hot, all) = (self.hot.max(1), self.reads.len());
         if all <= hot { all } else { (hot.max(2) + 1) * (all - hot) }

@@ -1,4 +1,4 @@
-//! Modbus TCP to Nidec Unidrive M700, M701 and M702: speed-controlled axes, a connection each.
+//! Modbus TCP to Nidec Unidrive M700, M701 and M702: speed-controlled axes, one connection each.
 //!
 //! | file | what |
 //! |---|---|
@@ -6,10 +6,10 @@
 //! | `parameter`, `notation` | parameters of a drive: addresses, what is known of them, how people write them |
 //! | `words`, `trips` | control word and status word, trip numbers |
 //! | `plan`, `mapping` | the bus as configured; its cyclic parameters as blocks |
-//! | `greeting` | what is said on a new connection before the loop has it |
+//! | `greeting` | the handshake on a new connection before the loop gets it |
 //! | `station` | the master's view of one drive |
-//! | `identity`, `orders`, `calls`, `native`, `counters` | its parts: whose reply, what an order does, acyclic calls, native process data, counts |
-//! | `setup`, `echo`, `template` | and what is set before the first order, what the drive has taken, what stays the same from exchange to exchange |
+//! | `identity`, `orders`, `calls`, `native`, `counters` | its parts: matching of replies, steps of an order, acyclic calls, native process data, counts |
+//! | `setup`, `echo`, `template` | settings before the first order, values that the drive has accepted, what stays the same between exchanges |
 //! | `bus` | stations and connections as one bus |
 //! | `sim` | the simulated drive |
 

@@ -23,13 +23,13 @@ pub struct Native {
     outputs: Producer<NativeOutput>,
 }
 
-/// What the drive last said, as counts on the wire; `None`: not read yet on this connection. The number of a trip stays
-/// when the trip is over: the status says whether there is one.
+/// The last values of the drive, as counts on the wire; `None`: not read yet on this connection. The number of a
+/// trip stays when the trip is over: the status says whether there is one.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct NativeInputs {
-    /// When the newest of it was taken in.
+    /// When the newest value was taken in.
     pub at: Time,
-    /// Native mode ran when the request that this answers was built: what is written from now on goes out.
+    /// Native mode ran when the request of this reply was built: outputs written from now on go out.
     pub running: bool,
     image: Image,
 }
@@ -51,12 +51,12 @@ impl NativeInputs {
     }
 }
 
-/// What the application writes in native mode, in order; it stays until the next one.
+/// An output of the application in native mode, in order; it stays until the next one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct NativeOutput {
-    /// The control word; taken only with `NativeOwner::Application`.
+    /// The control word; used only with `NativeOwner::Application`.
     pub control: ControlWord,
-    /// The speed reference as it goes over the wire.
+    /// The speed reference as sent on the wire.
     pub reference: i32,
 }
 
@@ -69,7 +69,7 @@ pub(super) struct NativePort {
     regions: Regions,
 }
 
-/// Both ends, with so many parameters that are read besides.
+/// Both ends, with so many additional parameters.
 pub(super) fn native(also: usize) -> (Native, NativePort) {
     let (writer, reader) = cell::cell(NativeInputs::default());
     let mut regions = Regions::new();
@@ -85,14 +85,14 @@ impl Native {
         self.inputs.read()
     }
 
-    /// The newest count of parameter `index` of those that are read besides, in the order of the plan; 0 before the
-    /// first one. Each for itself: two of them may be of two replies.
+    /// The newest count of additional parameter `index`, in the order of the plan; 0 before the first one. Each is
+    /// independent: two of them may be of two replies.
     pub fn also(&self, index: usize) -> Option<i32> {
         self.also.get(index).map(|count| count.load(Ordering::Relaxed))
     }
 
-    /// Queues an output for the axis in native mode; gives it back if the queue is full. What is written before the
-    /// mode runs ([`NativeInputs::running`]) is dropped as it begins.
+    /// Queues an output for the axis in native mode; returns it if the queue is full. An output written before the
+    /// mode runs ([`NativeInputs::running`]) is dropped when the mode begins.
     pub fn write(&mut self, output: NativeOutput) -> Result<(), NativeOutput> {
         self.outputs.push(output).map_err(|rtrb::PushError::Full(output)| output)
     }
@@ -122,8 +122,8 @@ impl NativePort {
         self.outputs.pop().ok().map(|NativeOutput { control, reference }| Outputs { control, reference })
     }
 
-    /// Drops what was written for a native mode that is over; not what the application writes meanwhile, which would
-    /// have no end.
+    /// Drops the outputs of a native mode that has ended; not those that the application writes meanwhile, which
+    /// would have no end.
     pub(super) fn flush(&mut self) {
         for _ in 0..self.outputs.slots().min(OUTPUTS) {
             let _ = self.outputs.pop();

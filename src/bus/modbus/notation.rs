@@ -1,4 +1,4 @@
-//! How people write parameters of a Unidrive and their values, and the calls that this makes.
+//! How people write parameters of a Unidrive and their values, and the calls made from them.
 //!
 //! | address | access |
 //! |---|---|
@@ -8,7 +8,7 @@
 //!
 //! | value | means |
 //! |---|---|
-//! | `15000` | a count, as it goes over the wire, whatever the decimals of the parameter |
+//! | `15000` | a count, as sent on the wire, whatever the decimals of the parameter |
 //! | `1500.0` | with a point: scaled, if decimals of the parameter are known here; 15000 of 01.021 |
 //! | `0x3A98` | the bits of a count |
 //! | `true`, `false` | 1, 0 |
@@ -25,19 +25,19 @@ pub const READ: u32 = 1;
 /// The service of a call that writes.
 pub const WRITE: u32 = 2;
 
-/// A status above those of the drive: it wrote fewer registers than it was sent, its silent refusal (Commander SE
+/// A status above those of the drive: it wrote fewer registers than it received, its silent refusal (Commander SE
 /// guide).
 pub const NOT_TAKEN: u32 = 0x100;
 /// A status above those of the drive: the parameter has no address in the addressing mode of this drive. Nothing was
 /// sent.
 pub const UNREACHABLE: u32 = 0x101;
 
-/// What a call reads or writes.
+/// The parameter that a call reads or writes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Target {
-    /// Which parameter.
+    /// The parameter.
     pub parameter: Parameter,
-    /// In which size.
+    /// The size of the access.
     pub width: Width,
 }
 
@@ -52,7 +52,7 @@ impl Target {
         u32::from_be_bytes([width, slot, menu, number])
     }
 
-    /// From the address of a call; `None`: it is none.
+    /// From the address of a call; `None`: it is invalid.
     pub const fn unpack(address: u32) -> Option<Target> {
         let [width, slot, menu, number] = address.to_be_bytes();
         let width = match width {
@@ -97,7 +97,7 @@ impl Target {
         self.width.number(raw, self.signed())
     }
 
-    /// The value of bits as people write them. Bits that this width does not have are a number that it does not have.
+    /// The value of bits as people write them. Bits that this width does not have are out of its range.
     fn of_bits(self, bits: u64) -> i64 {
         match u32::try_from(bits) {
             Ok(raw) if self.width.raw(raw.into()) == raw => self.number(raw),
@@ -106,7 +106,7 @@ impl Target {
     }
 }
 
-/// A name of the drive's, or behind `slot.` one of an Ethernet interface's.
+/// A name of the drive's parameters, or after `slot.` one of an Ethernet interface's.
 fn named(text: &str) -> Option<Parameter> {
     let Some((slot, name)) = text.split_once('.') else {
         return catalogue::named(text, false).map(|known| known.parameter);
@@ -235,7 +235,7 @@ fn count(text: &str, decimals: u32) -> Option<i64> {
     number.checked_mul(10_i64.pow(decimals - places))
 }
 
-/// What would be right.
+/// The correct form.
 fn form(decimals: u32, low: i64, high: i64) -> String {
     let whole = format!("a whole number, {low} ... {high}, its bits as 0x...");
     match decimals {

@@ -1,8 +1,8 @@
 //! What an order does to a Unidrive, step by step: the control word and the speed reference.
 //!
 //! In operation RUN is on, with a direction, and the drive follows the reference, at zero too: it holds its motor
-//! there. The reference is led along the ramp that was asked for; the drive's own ramps (02.011, 02.021) lie beneath
-//! it. RUN goes on only after the drive has acknowledged the reference that it begins with. Nothing is written before
+//! there. The reference follows the requested ramp; the drive's own ramps (02.011, 02.021) act below it. RUN is
+//! switched on only after the drive has acknowledged the reference that it begins with. Nothing is written before
 //! the first order.
 //!
 //! Sources: SI-PROFIBUS guide, control word 06.042 and status word 10.040.
@@ -16,15 +16,15 @@ use crate::axis::{Failure, State, Verb};
 use crate::bus::{Progress, Slot};
 use crate::time::{MS, Time, nanos};
 
-/// A drive that was told to run, and has acknowledged it, is active within this time, ns, or its hardware enable is
-/// missing.
+/// A drive that was commanded to run, and has acknowledged it, is active within this time, ns, or its hardware
+/// enable is missing.
 const ACTIVE_WITHIN_NS: u64 = 300 * MS;
-/// The longest step of a ramp, in intervals between two requests: after a pause it makes up for nothing.
+/// The longest step of a ramp, in intervals between two requests: a pause is not made up for.
 const MOST_STEP: u64 = 4;
-/// A trip is looked at for so long, ns, after the reset: what trips again at once looks like a reset that failed.
+/// A trip is watched for so long, ns, after the reset: a drive that trips again at once looks like a failed reset.
 const RESET_WITHIN_NS: u64 = 500 * MS;
 
-/// What the drive last said, and what it has acknowledged.
+/// The drive's last report, and the values that it has acknowledged.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Inputs {
     /// There was a status at all.
@@ -36,34 +36,34 @@ pub(super) struct Inputs {
     pub velocity: f64,
     /// The last trip; 0: not known.
     pub trip: u16,
-    /// Its number is known, as far as it ever will be.
+    /// Its number is known, as far as it will ever be.
     pub named: bool,
-    /// It is told to run, and its power stage stays off, or has gone.
+    /// It is commanded to run, and its power stage stays off, or has switched off.
     pub dark: bool,
     /// The drive tripped at this instant.
     pub tripped_at: Option<Time>,
-    /// The control word that the drive has taken; `None`: not known.
+    /// The control word that the drive has accepted; `None`: not known.
     pub control: Option<ControlWord>,
     /// Since when.
     pub control_since: Time,
-    /// The reference that the drive has taken.
+    /// The reference that the drive has accepted.
     pub reference: Option<i32>,
 }
 
-/// What the drive shall have; `None`: nothing is written.
+/// The values for the drive; `None`: nothing is written.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Outputs {
     pub control: ControlWord,
-    /// Not negative: the direction stands in the control word.
+    /// Not negative: the direction is in the control word.
     pub reference: i32,
 }
 
-/// Why a drive that does not follow the control word cannot be told anything.
+/// Why a drive that does not follow the control word cannot be commanded.
 const NOT_OBEYING: Failure = Failure::Unsupported(
     "it does not follow the control word: Pr 06.043 has to be 1, 01.014 and 01.015 0; set them, or let the master (set_up)",
 );
 
-/// Why a drive is not enabled that nothing would stop.
+/// Why a drive that nothing would stop is not enabled.
 const NOT_WATCHED: Failure = Failure::Unsupported(
     "its watchdog is not set, nothing would stop it if the master dies: look at Pr S.15.009 and watchdog, or no_drive_watchdog = \"accept\"",
 );
@@ -85,12 +85,12 @@ pub(super) struct Orders {
     /// The drive follows the control word; if not, it may be set so.
     obeys: bool,
     settable: bool,
-    /// The control word went out since the step began.
+    /// The control word was sent since the step began.
     told: bool,
     /// The bits of the control word while the drive is to be on.
     on: u16,
     serial: u64,
-    /// Nothing of this order went out yet.
+    /// Nothing of this order was sent yet.
     new: bool,
     step: Step,
     since: Time,
@@ -103,11 +103,11 @@ pub(super) struct Orders {
     native: Option<Outputs>,
     native_gone: (bool, bool),
     end: Option<Result<(), Failure>>,
-    /// `Slot::progress` says so.
+    /// `Slot::progress` reports it.
     progress_told: bool,
     /// Something is written.
     writes: bool,
-    /// The last direction that was told; it is kept at zero.
+    /// The last commanded direction; it is kept at zero.
     reverse: bool,
 }
 
@@ -122,25 +122,25 @@ enum Mode {
     Resetting,
 }
 
-/// The way to standstill.
+/// How the drive comes to standstill.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Way {
     Ramp(f64),
     Quick,
 }
 
-/// Where an order is. The tag is a plain byte: it is looked at several times a cycle.
+/// The step of an order. The tag is a plain byte: it is read several times a cycle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(u8)]
 enum Step {
     Idle,
-    /// Off and reference zero, until the drive has taken both.
+    /// Off and reference zero, until the drive has accepted both.
     EnableLow,
     /// RUN at zero until the drive is active.
     EnableHigh,
-    /// Running on at the speed that it was found with, until the drive follows the control word.
+    /// Running on at the speed at which it was found, until the drive follows the control word.
     TakingOver(Way),
-    /// RUN is off until the drive stands.
+    /// RUN is off until the drive stands still.
     DisablingRun,
     /// Off until the drive is not active.
     Disabling,
@@ -148,11 +148,11 @@ enum Step {
     Turning {
         acceleration: f64,
     },
-    /// The reference ramps down to zero, until the drive stands there.
+    /// The reference ramps down to zero, until the drive stands still there.
     Stopping {
         deceleration: f64,
     },
-    /// RUN is off until the drive stands ...
+    /// RUN is off until the drive stands still ...
     QuickStopping,
     /// ... and on again at zero.
     QuickStopped,
@@ -204,7 +204,7 @@ impl Orders {
         self.native_gone.1 = true;
     }
 
-    /// Works on the order in `slot`, and gives what the drive shall have with the request of `grid`.
+    /// Works on the order in `slot`, and returns the values for the request of `grid`.
     pub(super) fn advance(
         &mut self,
         grid: Time,
@@ -218,7 +218,7 @@ impl Orders {
             self.withdraw();
             self.new = true;
             if self.is_native() {
-                // What the application made of the drive is what there is now.
+                // The state that the application left the drive in is the present state.
                 self.claim(inputs);
             }
             (self.native, self.native_gone) = (None, (true, true));
@@ -242,8 +242,8 @@ impl Orders {
         matches!(self.step, Step::Native(_))
     }
 
-    /// Whether something stops the drive if the master dies, whether it follows the control word, and whether it can be
-    /// set so.
+    /// Whether something stops the drive if the master dies, whether it follows the control word, and whether it
+    /// can be configured to.
     pub(super) fn found(&mut self, watched: bool, obeys: bool, settable: bool) {
         (self.watched, self.obeys, self.settable) = (watched, obeys, settable);
         if !settable && matches!(self.step, Step::EnableLow | Step::TakingOver(_)) {
@@ -255,7 +255,8 @@ impl Orders {
         }
     }
 
-    /// The drive has to be set so that it follows the control word, or is watched: once it has what it is told now.
+    /// The drive has to be configured to follow the control word, or to be watched: once it has accepted the
+    /// present values.
     pub(super) fn wants_set_up(&self, inputs: &Inputs) -> bool {
         let enabling = self.step == Step::EnableLow && !(self.obeys && self.watched);
         let obeying = match self.step {
@@ -271,12 +272,12 @@ impl Orders {
         self.writes
     }
 
-    /// What has been written is waited for, to be read back.
+    /// Written values are waited for, to be read back.
     pub(super) fn waits(&self) -> bool {
         !matches!(self.step, Step::Idle | Step::Turning { .. } | Step::Native(_))
     }
 
-    /// The next request has to carry this order: nothing of it went out yet.
+    /// The next request has to carry this order: nothing of it was sent yet.
     pub(super) fn is_new(&self) -> bool {
         self.new && self.writes
     }
@@ -292,7 +293,7 @@ impl Orders {
         self.native_gone.0 = true;
     }
 
-    /// The drive is told to be on.
+    /// The drive is commanded to be on.
     pub(super) fn is_on(&self) -> bool {
         matches!(self.mode, Mode::Running | Mode::Stopping)
     }
@@ -302,7 +303,7 @@ impl Orders {
         self.mode == Mode::Running
     }
 
-    /// The drive's state on those of CiA 402.
+    /// Maps the drive's state onto those of CiA 402.
     pub(super) fn state(&self, status: StatusWord, inhibited: bool) -> State {
         match (status.healthy(), status.active(), self.mode) {
             (false, ..) => State::Fault,
@@ -318,7 +319,7 @@ impl Orders {
         }
     }
 
-    /// The drive was told to run and has taken it, and for so long as it needs.
+    /// The drive was commanded to run and has accepted it, for as long as it needs.
     pub(super) fn should_be_active(&self, now: Time, inputs: &Inputs) -> bool {
         self.mode == Mode::Running
             && inputs
@@ -327,7 +328,7 @@ impl Orders {
             && now.since(inputs.control_since) > ACTIVE_WITHIN_NS
     }
 
-    /// The drive has lost what it was told: nothing of before is written again.
+    /// The drive has lost its commands: no earlier value is written again.
     pub(super) fn drive_restarted(&mut self) {
         (self.native, self.native_gone) = (None, (true, true));
         self.velocity = 0.0;
@@ -340,10 +341,10 @@ impl Orders {
         }
     }
 
-    /// The drive did not take what was written, by what it reads back.
+    /// The drive did not accept a written value, as its read-back shows.
     pub(super) fn not_taken(&mut self, now: Time) {
         match self.step {
-            // Nobody leads it any more.
+            // It has no commander any more.
             Step::Turning { .. } => self.refuse(now, Failure::NotTaken),
             Step::EnableLow | Step::EnableHigh => self.give_up(Failure::NotTaken),
             _ => {}
@@ -362,14 +363,14 @@ impl Orders {
         Outputs { control, reference: (raw.abs() + 0.5) as i32 }
     }
 
-    /// Leads the velocity towards its target with the time that the request has been waited for.
+    /// Moves the velocity towards its target by the time since the last request.
     fn lead(&mut self, grid: Time, slot: &Slot) {
         let (target, rate, most_ns) = match self.step {
             Step::Turning { acceleration } => {
                 let target = slot.velocity.clamp(-self.most_velocity, self.most_velocity);
                 (target, acceleration, self.most_step_ns)
             }
-            // Nothing holds up a stop: on a lost link requests are far apart.
+            // Nothing delays a stop: on a lost link requests are far apart.
             Step::Stopping { deceleration } => (0.0, deceleration, u64::MAX),
             _ => return,
         };
@@ -392,7 +393,7 @@ impl Orders {
 
     #[inline(never)]
     fn take_native(&mut self, owner: NativeOwner, native: &mut NativePort) {
-        // Each goes out, whatever becomes of a request.
+        // Each one is sent, even if a request fails.
         if self.native_gone != (true, true) {
             return;
         }
@@ -407,7 +408,7 @@ impl Orders {
         }
     }
 
-    /// Of an order that never went out nothing is left.
+    /// Removes an order that was never sent.
     fn withdraw(&mut self) {
         if self.new && matches!(self.step, Step::Turning { .. }) {
             self.step = Step::Idle;
@@ -434,7 +435,7 @@ impl Orders {
         }
     }
 
-    /// Takes the drive over as it is: running on at the speed that it has, or off.
+    /// Takes the drive over as it is: running on at its present speed, or off.
     fn claim(&mut self, inputs: &Inputs) {
         if inputs.status.active() {
             self.set(Mode::Running);
@@ -469,7 +470,7 @@ impl Orders {
                 self.set(Mode::Off);
                 self.enter(now, Step::EnableLow);
             }
-            // By its terminals, or by something else that goes before the control word.
+            // By its terminals, or by another source that takes precedence over the control word.
             Some(Verb::Disable | Verb::Stop { .. } | Verb::QuickStop)
                 if status.active() && !self.obeys && !self.settable =>
             {
@@ -509,12 +510,12 @@ impl Orders {
             Some(Verb::Jog(jog)) => self.turn(now, jog.acceleration, running, slot),
             Some(Verb::Velocity { acceleration }) => self.turn(now, acceleration, running, slot),
             Some(Verb::Stop { .. } | Verb::QuickStop) if !self.is_on() => {
-                // It may go on saying that it is active for as long as its replies are lost.
+                // It may go on reporting that it is active for as long as its replies are lost.
                 self.set(Mode::Off);
                 self.enter(now, Step::Disabling);
             }
             Some(Verb::Stop { .. } | Verb::QuickStop) if !status.active() => {
-                // On its way up: it does not go on by itself.
+                // Powering up: it does not continue by itself.
                 self.set(Mode::Off);
                 self.enter(now, Step::Disabling);
             }
@@ -539,7 +540,7 @@ impl Orders {
         }
     }
 
-    /// Ends an order that cannot be, and brings what runs to a stop: nobody leads it any more.
+    /// Ends an order that cannot be carried out, and stops a running drive: it has no commander any more.
     fn refuse(&mut self, now: Time, failure: Failure) {
         self.finish(Err(failure));
         if self.mode == Mode::Running && self.velocity != 0.0 {
@@ -548,7 +549,7 @@ impl Orders {
     }
 
     fn brake(&mut self, now: Time, deceleration: f64) {
-        // It stands with power on, whatever was under way.
+        // It stands still with power on, whatever was under way.
         self.set(Mode::Running);
         self.enter(now, Step::Stopping { deceleration });
     }
@@ -649,12 +650,12 @@ impl Orders {
         }
     }
 
-    /// The drive has said something new, and has taken what it was told.
+    /// The drive has a new report, and has accepted the written values.
     fn answered(&self, inputs: &Inputs) -> bool {
         inputs.fresh && self.has_taken(inputs)
     }
 
-    /// The drive has taken what it was told.
+    /// The drive has accepted the written values.
     fn has_taken(&self, inputs: &Inputs) -> bool {
         let outputs = self.outputs();
         inputs.control == Some(outputs.control) && inputs.reference == Some(outputs.reference)
@@ -667,8 +668,8 @@ impl Orders {
     }
 }
 
-/// A step on the way from a velocity. Kept out of line: inlined it becomes a conditional move, and where no step is
-/// left to be made the rest of the cycle would wait for this one.
+/// A step on the way from a velocity. Kept out of line: inlined it becomes a conditional move, and when no step
+/// remains the rest of the cycle would wait for this one.
 #[inline(never)]
 fn on_the_way(from: f64, way: f64, step: f64) -> f64 {
     from + step.copysign(way)

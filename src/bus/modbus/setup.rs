@@ -1,4 +1,4 @@
-//! What a drive has to be set to, beside its cyclic parameters.
+//! Settings that a drive needs in addition to its cyclic parameters.
 
 use super::mapping::Mapping;
 use super::parameter::{Parameter, Width};
@@ -6,7 +6,7 @@ use super::plan::{Mapped, UnidriveDrive, Via};
 use super::wire::{Registers, RegistersBuffer, Request};
 use crate::time::MS;
 
-/// What for.
+/// The purpose of a setting.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Purpose {
     /// It follows the control word, and preset 1 is its reference (SI-PROFIBUS guide).
@@ -28,7 +28,7 @@ pub(super) struct Setting {
 }
 
 impl Setting {
-    /// What the drive has, as read.
+    /// The drive's value, as read.
     pub(super) fn read(&self, data: Registers<'_>) -> Option<i32> {
         match self.width {
             Width::Word => data.word(0).map(i32::from),
@@ -47,7 +47,7 @@ impl Setting {
 }
 
 /// The settings of `drive`. In this order a drive that runs by its terminals goes on at its speed: the control word
-/// counts when it says so, and only then the selectors of the reference change.
+/// counts once it says so, and only then the selectors of the reference change.
 pub(super) fn settings(drive: &UnidriveDrive, menu_0: Option<&Mapping>) -> Vec<Setting> {
     let setting = |parameter: Parameter, value, purpose| {
         let width = Mapped::new(parameter).width;
@@ -65,7 +65,7 @@ pub(super) fn settings(drive: &UnidriveDrive, menu_0: Option<&Mapping>) -> Vec<S
     }
     if let (Some(menu_0), Via::Menu0 { first }) = (menu_0, drive.via) {
         for (place, parameter) in menu_0.shown_in_menu_0().iter().enumerate() {
-            // The plan has none that cannot be shown.
+            // The plan contains only parameters that can be shown.
             let Some(value) = parameter.to_setup().map(i32::from) else { continue };
             let number = first.saturating_add(place as u8);
             settings.push(setting(Parameter::new(22, number), value, Purpose::Menu0));

@@ -1,27 +1,27 @@
-//! What is the same in every exchange of its kind: the request but for its id and its values, and the reply but for its
-//! values.
+//! The constant parts of an exchange of one kind: the request without its id and its values, and the reply without
+//! its values.
 //!
-//! A drive is asked the same in by far the most cycles. So its request is built over the last one, and a reply that
-//! comes just as it should is known at a glance. Everything else takes the long way.
+//! In most cycles the request to a drive is the same. So a request is built over the last one, and a reply that
+//! matches exactly is recognised at once. All others take the long way.
 
 use super::mapping::{Block, Places};
 use super::orders::Outputs;
 use super::parameter::Width;
 use super::wire::{ADU_MAX, Registers, function};
 
-/// Where a value stands in a message, and how wide it is: its first byte is at most 255, so that four always fit.
+/// The offset of a value in a message, and its width: its first byte is at most 255, so that four always fit.
 pub(super) type Place = (u8, Width);
 
-/// A cyclic request as it stands in its room.
+/// A cyclic request in its room.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Template {
     /// The blocks that it writes and reads.
     pub blocks: (Option<u8>, Option<u8>),
-    /// The drive has no others.
+    /// The drive has no other blocks.
     pub only: bool,
-    /// Of the whole message.
+    /// The length of the whole message.
     pub length: usize,
-    /// Where control word and reference stand, if it writes them.
+    /// The offsets of control word and reference, if it writes them.
     pub control: Option<Place>,
     pub reference: Option<Place>,
     /// The reply to it.
@@ -48,26 +48,26 @@ fn put(out: &mut [u8; ADU_MAX], place: Option<Place>, count: i32) {
     }
 }
 
-/// The reply to a request with function 23 as it comes when nothing is wrong: all of it but its values, which go to an
-/// image as they stand.
+/// The reply to a request with function 23 when nothing is wrong: all of it but its values, which are copied to an
+/// image.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Expected {
-    /// Of the whole message; 0: none is expected.
+    /// The length of the whole message; 0: none is expected.
     size: usize,
     /// Its first eight bytes, the first one highest.
     header: u64,
-    /// The bytes of its values, as it says itself.
+    /// Its count of value bytes.
     bytes: u8,
-    /// Where the values belong.
+    /// The indices of the values.
     pub places: Places,
 }
 
 impl Expected {
-    /// What stands before the values: header, function, number of bytes.
+    /// The bytes before the values: header, function, number of bytes.
     const FRONT: usize = 9;
 
-    /// To a request that reads `block`, whatever its id. None is expected to more than a message holds, nor to what is
-    /// to be sorted.
+    /// The reply to a request that reads `block`, whatever its id. There is none for a block longer than a message,
+    /// nor for one that has to be sorted.
     pub(super) fn new(block: &Block, unit: u8) -> Expected {
         let bytes = block.registers.checked_mul(2).and_then(|bytes| u8::try_from(bytes).ok());
         let Some(bytes) = bytes.filter(|_| block.in_order) else {
@@ -79,7 +79,7 @@ impl Expected {
         Expected { size: Self::FRONT + usize::from(bytes), header, bytes, places: block.places }
     }
 
-    /// To the request with this id.
+    /// The reply to the request with this id.
     #[inline]
     pub(super) fn to(self, transaction: u16) -> Expected {
         Expected { header: self.header | u64::from(transaction) << 48, ..self }
@@ -148,7 +148,7 @@ mod tests {
         assert_eq!(out[255..], [0, 0, 0, 0, 0xEE], "the last place there is");
     }
 
-    /// A block of so many registers, to be taken in as it stands.
+    /// A block of so many registers whose order is that of the image.
     fn block(registers: u16) -> Block {
         Block {
             address: 0x4000,
@@ -187,6 +187,6 @@ mod tests {
         assert_eq!(Expected::new(&block(u16::MAX), 255), Expected::default());
         assert_ne!(Expected::new(&block(6), 255), Expected::default());
         let mixed = Block { in_order: false, ..block(6) };
-        assert_eq!(Expected::new(&mixed, 255), Expected::default(), "what is to be sorted");
+        assert_eq!(Expected::new(&mixed, 255), Expected::default(), "a block that has to be sorted");
     }
 }

@@ -1,7 +1,7 @@
-//! Trips of a Unidrive: what Pr 10.020 says after a fault.
+//! Trips of a Unidrive: the meaning of Pr 10.020 after a fault.
 //!
-//! Facts: trip list of the M700, M702 user guide. What these do not show is marked [`assumed`](Trip::assumed): it is
-//! what drives of this family are known for.
+//! Facts: trip list of the M700, M702 user guide. Entries that it does not show are marked
+//! [`assumed`](Trip::assumed): they are known of drives of this family.
 
 use std::fmt;
 
@@ -18,7 +18,7 @@ impl Trip {
     pub const UNDER_VOLTS: Trip = Trip(1);
     /// 2: over-voltage of the DC bus.
     pub const OVER_VOLTS: Trip = Trip(2);
-    /// 3: instantaneous over-current. No reset is taken for 10 s.
+    /// 3: instantaneous over-current. No reset is accepted for 10 s.
     pub const OVER_CURRENT: Trip = Trip(3);
     /// 6: external trip (assumed).
     pub const EXTERNAL: Trip = Trip(6);
@@ -36,7 +36,7 @@ impl Trip {
     /// Written to Pr 10.038, the log is cleared instead of a trip (assumed).
     pub const USER_CLEAR: u16 = 255;
 
-    /// What it says, if known.
+    /// Its meaning, if known.
     pub const fn name(self) -> Option<&'static str> {
         match self.known() {
             Some((name, _)) => Some(name),
@@ -49,7 +49,7 @@ impl Trip {
         matches!(self.known(), Some((_, true)))
     }
 
-    /// How long after the trip a drive takes no reset, ns.
+    /// How long after the trip a drive accepts no reset, ns.
     pub const fn reset_after_ns(self) -> u64 {
         match self.0 {
             3 => 10 * S,

@@ -1,6 +1,7 @@
 //! Control word and status word of a Unidrive: bits with their names, nothing more.
 //!
-//! Facts: SI-PROFIBUS guide, control word and status word. What the copy at hand does not show is marked *assumed*.
+//! Facts: SI-PROFIBUS guide, control word and status word. What the available copy does not show is marked
+//! *assumed*.
 
 use std::fmt;
 
@@ -14,7 +15,7 @@ impl ControlWord {
     pub const ENABLE: u16 = 1 << 0;
     /// Bit 1: 1 = run forward; 0 = ramp down to a stop.
     pub const RUN_FORWARD: u16 = 1 << 1;
-    /// Bit 2: 1 = jog forward. Any of the run bits goes before.
+    /// Bit 2: 1 = jog forward. Any of the run bits takes precedence.
     pub const JOG_FORWARD: u16 = 1 << 2;
     /// Bit 3: 1 = run in reverse; 0 = ramp down to a stop.
     pub const RUN_REVERSE: u16 = 1 << 3;
@@ -29,7 +30,7 @@ impl ControlWord {
     /// Bit 8: 1 = the reference is preset 1, Pr 01.021; 0 = the analogue reference, Pr 01.036. Pr 01.014 and 01.015
     /// must be 0.
     pub const REMOTE: u16 = 1 << 8;
-    /// Bit 9: 1 = jog in reverse. Any of the run bits goes before.
+    /// Bit 9: 1 = jog in reverse. Any of the run bits takes precedence.
     pub const JOG_REVERSE: u16 = 1 << 9;
     /// Bit 12: a rising edge trips the drive (assumed).
     pub const TRIP: u16 = 1 << 12;
@@ -138,7 +139,7 @@ impl StatusWord {
     pub const REVERSE_RUNNING: u16 = 1 << 13;
     /// Bit 14: the mains are lost.
     pub const MAINS_LOSS: u16 = 1 << 14;
-    /// What a master may call a warning.
+    /// The bits that count as a warning.
     pub const WARNINGS: u16 = Self::CURRENT_LIMIT | Self::BRAKE_ALARM | Self::MAINS_LOSS;
 
     const NAMES: [Option<&'static str>; 16] = [

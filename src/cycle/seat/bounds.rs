@@ -1,9 +1,9 @@
-//! What the drive's demand may do while the axis is enabled, whatever commands it: the drive's own programs, its panel,
-//! or an application that writes the native process data.
+//! Bounds of the drive's demand while the axis is enabled, whatever commands it: the drive's own programs, its
+//! panel, or an application that writes the native process data.
 //!
-//! Moves, jogs and rows are checked before they are sent, so that this finds nothing wrong with them. A drive that
-//! tells no demand is watched by its actual speed, one under torque by that and its actual position; what such a one
-//! gains in speed until a stop reaches it is not known, and leads as much further.
+//! Moves, jogs and rows are checked before they are sent, so this watch finds nothing wrong with them. A drive that
+//! reports no demand is watched by its actual speed, one under torque by its actual speed and position. How much
+//! speed such a drive gains until a stop reaches it is not known; the way it makes is longer by as much.
 
 use crate::axis::AxisPlan;
 use crate::time::Time;
@@ -17,16 +17,17 @@ pub(super) struct Sample {
     pub(super) at: Time,
     /// Positions are counted from the reference.
     pub(super) homed: bool,
-    /// Its demand leads the drive; no position does under torque.
+    /// Its demand leads the drive; under torque no position does.
     pub(super) led: bool,
-    /// The demand, or the actual position of a drive that is not led by it, user units; NaN if the drive tells none.
+    /// The demand, or the actual position of a drive that is not led by it, user units; NaN if the drive reports
+    /// none.
     pub(super) position: f64,
     /// Actual velocity, user units/s.
     pub(super) velocity: f64,
 }
 
 impl Sample {
-    /// Whether its positions make the demand velocity.
+    /// Whether its positions give the demand velocity.
     fn tells_demand(&self) -> bool {
         self.led && !self.position.is_nan()
     }
@@ -36,23 +37,23 @@ impl Sample {
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Bounds {
     last: Option<Sample>,
-    /// Of the demand between the last two reports, or the actual one, user units/s.
+    /// Velocity of the demand between the last two reports, or the actual one, user units/s.
     velocity: f64,
     /// Reports in a row that were out of bounds in one direction.
     broken: u32,
-    /// That direction.
+    /// Their direction.
     forward: bool,
-    /// The last report is new since it was judged.
+    /// The last report is new since the last evaluation.
     fresh: bool,
 }
 
-/// So many reports in a row make sure of it: one that a disturbance has made leads there and back again.
+/// So many reports in a row are proof: one that a disturbance has made leads there and back again.
 const REPORTS: u32 = 3;
 
 /// A speed just at its limit is not refused for the rounding of positions and instants.
 const SPEED_MARGIN: f64 = 1.05;
 
-/// A motor overshoots what it is told: where only its actual speed is known, that has more room.
+/// A motor overshoots its setpoint: where only its actual speed is known, the margin is larger.
 const ACTUAL_SPEED_MARGIN: f64 = 1.2;
 
 /// How many counts of the drive may be due to rounding.
@@ -64,24 +65,24 @@ impl Bounds {
         self.velocity = match self.last {
             _ if !sample.tells_demand() => sample.velocity,
             Some(last) if last.homed == sample.homed && last.tells_demand() => {
-                // Which of the two ways a telegram was held up on is not known: the longer time is the sure one.
+                // Which of the two telegrams was delayed is not known: the longer time is the safe one.
                 let ns = sample.at.since(last.at).max(sample.sent_at.since(last.sent_at)).max(1);
                 let way = plan.units.way(last.position, sample.position);
                 let rounding = (COUNTS / plan.units.counts_per_unit).abs();
                 (way.abs() - rounding).max(0.0).copysign(way) * 1e9 / ns as f64
             }
-            // Homing gave the positions another origin, or there was none before: no way was made by that.
+            // Homing gave the positions another origin, or there was none before: that was no motion.
             _ => 0.0,
         };
         (self.last, self.fresh) = (Some(sample), true);
     }
 
-    /// Whether the drive does what the plan forbids. With `braking` it must also be able to stop inside its range, from
-    /// where it will be when a stop reaches it: after [`REPORTS`], and two exchanges `seconds` apart.
+    /// Whether the drive does what the plan forbids. With `braking` it must also be able to stop inside its range,
+    /// from where it will be when a stop reaches it: after [`REPORTS`], and two exchanges `seconds` apart.
     pub(super) fn are_broken(&mut self, plan: &AxisPlan, braking: bool, seconds: f64) -> bool {
         let Some(sample) = self.last.filter(|_| std::mem::take(&mut self.fresh)) else { return false };
         let velocity = self.velocity;
-        // Written so that what is not known is not inside.
+        // Written so that an unknown value is not inside.
         let margin = if sample.tells_demand() { SPEED_MARGIN } else { ACTUAL_SPEED_MARGIN };
         let slow = plan.limits.velocity.is_none_or(|most| velocity.abs() <= most * margin);
         let inside = plan.limits.position.filter(|_| sample.homed).is_none_or(|(low, high)| {
@@ -115,7 +116,7 @@ mod tests {
         plan
     }
 
-    /// Demands at 1 kHz of a drive that tells no speed; in which report the watch strikes.
+    /// Demands at 1 kHz of a drive that reports no speed; returns the report in which the watch trips.
     fn strikes(plan: &AxisPlan, braking: bool, homed: bool, demands: &[f64]) -> Option<usize> {
         let demands: Vec<_> = demands.iter().map(|demand| (*demand, f64::NAN)).collect();
         strikes_at(plan, braking, homed, &demands)
@@ -141,18 +142,18 @@ mod tests {
     fn under_torque_the_speed_and_the_place_of_the_motor_count_and_not_how_its_positions_change() {
         let mut free = plan();
         free.limits.position = None;
-        // 500 mm/s, with the margin of what is measured; its position need not change for that.
+        // 500 mm/s, with the margin of a measured speed; its position need not change for that.
         let at = |velocity: f64| told_at(&free, false, true, true, &[(50.0, velocity); 20]);
         assert_eq!((at(590.0), at(610.0), at(-610.0)), (None, Some(2), Some(2)));
         let noise = [(10.0, 0.0), (20.0, 0.0), (30.0, 0.0), (40.0, 0.0)];
         assert_eq!(told_at(&free, false, true, true, &noise), None, "noise is no speed");
         let struck = |told: &[(f64, f64)]| told_at(&plan(), false, true, true, told);
-        // 400 mm/s needs 80 mm at 1000 mm/s²: it strikes while there is room.
+        // 400 mm/s needs 80 mm at 1000 mm/s²: it trips while there is room.
         let told: Vec<_> = (0..250).map(|index| (f64::from(index) * 0.4, 400.0)).collect();
         let (place, velocity) = told[struck(&told).unwrap()];
         let end = place + velocity * 0.002 + velocity * velocity / 2_000.0;
         assert!((98.0..=100.001).contains(&end), "{end}");
-        // From the outside in is no harm.
+        // From the outside in is allowed.
         assert_eq!(struck(&[(105.0, -10.0); 9]), None);
         assert_eq!(struck(&[(105.0, 1.0); 9]), Some(2));
     }
@@ -160,7 +161,7 @@ mod tests {
     #[test]
     fn neither_the_begin_nor_the_end_of_a_torque_makes_a_speed() {
         let (plan, mut bounds) = (plan(), Bounds::default());
-        // The demand that is shown meanwhile stays where it was, or follows nobody knows what.
+        // The demand that is reported meanwhile stays where it was, or follows something unknown.
         for index in 0..40_u32 {
             let (led, position) = if index / 4 % 2 == 0 { (true, 20.0) } else { (false, 70.0) };
             let at = Time(MS * u64::from(index));
@@ -191,7 +192,7 @@ mod tests {
     #[test]
     fn a_speed_or_a_position_that_is_not_told_is_not_inside_its_limits() {
         let (mut plan, none) = (plan(), f64::NAN);
-        // Homed, as it says, but where?
+        // Homed, as it reports, but where?
         assert_eq!(strikes_at(&plan, true, true, &[(none, 100.0); 4]), Some(2));
         assert_eq!(strikes_at(&plan, true, true, &[(none, 0.0); 4]), None, "it stands");
         assert_eq!(

@@ -1,4 +1,4 @@
-//! What the application wants: commands in their order, and what each of them waits for or replaces.
+//! The application's commands in their order, and what each of them waits for or replaces.
 
 use super::bounds::Bounds;
 use super::{Claim, Latch, Seat};
@@ -12,14 +12,14 @@ use crate::bus::{Cycle, Slot};
 use crate::time::Time;
 
 impl Seat {
-    /// Drains what the application wants: ends the command that is done, aborts what an urgent one overtakes, starts
-    /// the next. The command of a group is left to its gate.
+    /// Drains the application's commands: ends the finished one, aborts those that an urgent one overtakes, starts
+    /// the next. The command of a group is left to the group synchronisation.
     pub fn exchange(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
         self.waiting = None;
         self.take_setpoints(cycle);
         self.end_active(cycle, now, slot);
         self.overtake(cycle, now);
-        // Bounded by what stands there now: the application may go on filling the queue.
+        // Bounded by what is queued now: the application may go on filling the queue.
         for _ in 0..=self.queues.commands.slots() {
             let next = self.task_command.or_else(|| self.queues.commands.peek().ok().copied());
             let Some(next) = next else { break };
@@ -30,8 +30,8 @@ impl Seat {
                 break;
             }
             if next.ticket.is_none() && self.moves_in_group().is_some() && self.admit(&next).is_ok() {
-                // Whoever takes a member out of a motion of its group stops the group: the others would go on without
-                // it.
+                // A command that takes a member out of a motion of its group stops the group: the others would go
+                // on without it.
                 self.stop(cycle, now, StopCause::GroupFailed, slot);
                 break;
             }
@@ -40,15 +40,15 @@ impl Seat {
             }
             match self.admit(&next) {
                 Ok(()) => self.begin(cycle, now, next, slot),
-                // Refused, it replaces nothing: what runs goes on, and is still told of.
+                // A refused command replaces nothing: the running one goes on, and its end is still reported.
                 Err(failure) => self.end(cycle, now, next, Outcome::Failed(failure)),
             }
         }
         self.age_setpoint(cycle, now, slot);
     }
 
-    /// Whether the command of a group has to be left to its gate. What stops is not held up for long: the application
-    /// may be held up itself, between one member and the next.
+    /// Whether the command has to be left to the group synchronisation. A stop is not delayed for long: the
+    /// application itself may be delayed between one member and the next.
     fn waits_at_gate(&mut self, cycle: &Cycle, next: &Command) -> bool {
         if self.at_gate.is_none_or(|(id, _)| id != next.id) {
             self.at_gate = Some((next.id, cycle.index));
@@ -59,17 +59,17 @@ impl Seat {
         waits
     }
 
-    /// The command of a group that all other members have to be ready for.
+    /// The group command that waits until all other members are ready for it.
     pub fn waiting(&self) -> Option<Ticket> {
         self.waiting.and_then(|command| command.ticket)
     }
 
-    /// The last command of a group that ended here before it began, once.
+    /// The last group command that ended here before it began, once.
     pub fn take_dropped(&mut self) -> Option<Ticket> {
         self.dropped.take()
     }
 
-    /// Whether the waiting command is refused to all members if one of them cannot.
+    /// Whether the waiting command is refused to all members if one of them cannot begin.
     pub fn waits_for_all(&self) -> bool {
         self.waiting.is_some_and(|command| !command.verb.is_urgent())
     }
@@ -93,7 +93,7 @@ impl Seat {
         self.end(cycle, now, command, outcome);
     }
 
-    /// The running command, as the station sees it.
+    /// Ends the running command by the station's progress.
     fn end_active(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
         let Some(active) = self.active else { return };
         if active.verb == Verb::Reset {
@@ -116,7 +116,7 @@ impl Seat {
                 let grouped = self.moves_in_group().is_some();
                 self.end(cycle, now, active, Outcome::Failed(failure));
                 if matches!(active.verb, Verb::Stop { .. }) && self.latch.is_open() {
-                    // A ramp that the drive does not take becomes its quick stop, as on the ladder.
+                    // A ramp that the drive refuses becomes its quick stop, as in the stop sequence.
                     self.order(slot, Some(Verb::QuickStop));
                 }
                 if matches!(failure, Failure::DriveFault(_)) {
@@ -129,7 +129,7 @@ impl Seat {
         }
     }
 
-    /// An urgent command aborts everything that stands before it in the queue.
+    /// An urgent command aborts everything before it in the queue.
     fn overtake(&mut self, cycle: &Cycle, now: Time) {
         let waiting = self.queues.commands.slots();
         let Ok(chunk) = self.queues.commands.read_chunk(waiting) else { return };
@@ -168,14 +168,14 @@ impl Seat {
         }
     }
 
-    /// Whether the command may start now. The door has looked at its numbers; here it is the axis that decides.
+    /// Whether the command may start now. Its numbers were checked on submission; here the axis decides.
     fn admit(&self, command: &Command) -> Result<(), Failure> {
         check_verb(&self.plan, &command.verb)?;
         match (command.verb, &self.latch) {
             (Verb::Reset, _) | (_, Latch::Open) => {}
             (Verb::ResetFault | Verb::Disable | Verb::Stop { .. } | Verb::QuickStop, latch)
                 if latch.is_settled() => {}
-            // Sooner than the ladder would.
+            // Sooner than the stop sequence would.
             (Verb::QuickStop, Latch::Down(_, ladder)) if ladder.is_braking() => {}
             (_, Latch::Kept(cause) | Latch::Down(cause, _)) => return Err(Failure::Latched(*cause)),
         }
@@ -187,7 +187,7 @@ impl Seat {
             Verb::Reset => Ok(()),
             _ if self.feedback.link != Link::Online => Err(Failure::NotOnline),
             Verb::Enable if self.feedback.inhibited => Err(Failure::Inhibited),
-            // Neither its way nor its limits could be judged.
+            // Neither its way nor its limits could be evaluated.
             Verb::Move(_) | Verb::Follow if self.feedback.demand.is_nan() => {
                 Err(Failure::Unsupported("it reports no position, so it takes neither moves nor rows"))
             }
@@ -208,25 +208,25 @@ impl Seat {
         }
     }
 
-    /// The axis stands, as far as can be known: nothing moves it, and what the drive says of it is of now.
+    /// The axis stands still, as far as it is known: nothing moves it, and the drive's report is current.
     fn stands(&self) -> bool {
         let moved = self.active.is_some_and(|active| active.verb.is_motion() || active.verb == Verb::Home);
         let slow = self.feedback.velocity.abs() <= self.plan.stop.standstill;
         !moved && !self.feedback.moving && slow && self.feedback.age < self.plan.divisor
     }
 
-    /// The latch opens once the ladder is down.
+    /// The latch opens once the stop sequence is complete.
     fn try_reset(&mut self, cycle: &Cycle, now: Time, command: Command, slot: &mut Slot) {
         if !self.latch.is_settled() {
             if !self.is_heard() {
-                // The ladder waits for the drive; so would the reset.
+                // The sequence waits for the drive; so would the reset.
                 self.end(cycle, now, command, Outcome::Failed(Failure::NotOnline));
             }
             return;
         }
         let found = matches!(self.latch, Latch::Kept(_));
         if found && self.feedback.link == Link::Online && self.feedback.state.is_powered() {
-            // A drive that was only read until now: from here on it is ours, in the state that it is in. It moves only
+            // A drive that was only read until now: from here on it is ours, in its present state. It moves only
             // after an Enable, which changes nothing of a drive in operation.
             self.order(slot, None);
         }
@@ -238,13 +238,15 @@ impl Seat {
     /// For the in-loop task: a command to be taken in this cycle, before the queue.
     pub fn command_from_task(&mut self, cycle: &Cycle, now: Time, command: Command) -> Result<(), Failure> {
         if self.task_command.is_some_and(|waiting| !command.verb.is_urgent() || waiting.verb.is_urgent()) {
-            return Err(Failure::Unsupported("one command an axis and cycle from the in-loop task"));
+            return Err(Failure::Unsupported("the in-loop task may give one command per axis and cycle"));
         }
         check_verb(&self.plan, &command.verb)?;
         if self.moves_in_group().is_some() && !command.verb.is_urgent() {
-            return Err(Failure::Unsupported("the axis moves in a group: only a stop reaches it alone"));
+            return Err(Failure::Unsupported(
+                "the axis moves in a group: only a stop can be given to it alone",
+            ));
         }
-        // A stop does not wait for what stands before it.
+        // A stop does not wait for the commands before it.
         if let Some(waiting) = self.task_command.replace(command) {
             self.end(cycle, now, waiting, Outcome::Aborted(Abort::Replaced(command.id)));
         }
@@ -270,7 +272,8 @@ impl Seat {
         Ok(())
     }
 
-    /// It is for the command that begins now or else runs, and nothing to one that does not take it.
+    /// The setpoint is for the command that begins now, or else for the running one; a command that takes no
+    /// setpoints ignores it.
     fn setpoint_from_task(&mut self, cycle: u64, value: f64, takes: fn(&Verb) -> bool) {
         if let Some(command) = self.task_command.or(self.active).filter(|command| takes(&command.verb)) {
             self.take_setpoint(cycle, Setpoint { of: command.id, value });
@@ -278,16 +281,16 @@ impl Seat {
     }
 }
 
-/// Cycles that a stop of a group waits for those of the other members.
+/// Cycles that a stop of a group waits for the stops of the other members.
 const URGENT_WAIT: u64 = 2;
 
-/// Whether `next` takes the place of the running `active` at once. Streams run one after the other.
+/// Whether `next` replaces the running `active` at once. Streams run one after the other.
 fn replaces(next: &Command, active: &Command) -> bool {
     let streams = active.verb == Verb::Follow && next.verb == Verb::Follow;
     next.verb.is_urgent() || active.verb.is_motion() && next.verb.is_motion() && !streams
 }
 
-/// The last urgent command of a queue: how many stand before it, and its id.
+/// The last urgent command of a queue: how many commands are before it, and its id.
 fn last_urgent<'a>(queue: impl Iterator<Item = &'a Command>) -> Option<(usize, CommandId)> {
     queue
         .enumerate()

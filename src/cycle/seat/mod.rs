@@ -1,11 +1,11 @@
-//! The loop's side of one axis: its queues, the command that runs, its setpoints, its latch and the ladder.
+//! The loop's side of one axis: its queues, the running command, its setpoints, its latch and the stop sequence.
 //!
 //! | file | what |
 //! |---|---|
-//! | `mod` | the drive as judged; stopping |
-//! | `commands` | what the application wants, in its order |
+//! | `mod` | the drive as evaluated; stopping |
+//! | `commands` | the application's commands, in their order |
 //! | `setpoints` | rows, velocities and torques for the next send, and their age |
-//! | `bounds` | what the drive's own demand may do, whatever commands it |
+//! | `bounds` | bounds of the drive's own demand, whatever commands it |
 
 mod bounds;
 mod commands;
@@ -42,7 +42,7 @@ pub struct Queues {
     pub events: Producer<Event>,
     /// The newest feedback.
     pub feedback: Writer<Feedback>,
-    /// Every cycle's feedback, where asked for.
+    /// Every cycle's feedback, where the plan requests it.
     pub samples: Option<Producer<Feedback>>,
 }
 
@@ -55,41 +55,41 @@ pub struct Seat {
     feedback: Feedback,
     claim: Claim,
     latch: Latch,
-    /// The command that runs.
+    /// The running command.
     active: Option<Command>,
     serial: u64,
     /// A command of the in-loop task, to be taken before the queue.
     task_command: Option<Command>,
     /// A row of the in-loop task, to be taken before the stream.
     task_row: Option<Row>,
-    /// The command of a group that stands at the head of the queue and could begin.
+    /// The group command at the head of the queue that could begin.
     waiting: Option<Command>,
-    /// The command that stands at the gate, and since which slot.
+    /// The group command that waits for the other members, and since which slot.
     at_gate: Option<(CommandId, u64)>,
-    /// The last command of a group that ended before it began: no other member shall wait for it.
+    /// The last group command that ended before it began: no other member shall wait for it.
     dropped: Option<Ticket>,
     follow: Follow,
-    /// The velocity or torque of the command that runs, and the newest one for a command to come.
+    /// The velocity or torque of the running command, and the newest one for a command to come.
     level: Level,
     ahead: Level,
     bounds: Bounds,
-    /// It homes, or has not stood still since.
+    /// It is homing, or has not stood still since.
     homing: bool,
     /// The drive was found restarted in this cycle.
     restarted: bool,
     /// How the exchange of this cycle was closed.
     closed: Option<Closed>,
-    /// The slot from which the values of the feedback are.
+    /// The slot of the values in the feedback.
     fresh_at: u64,
     /// The drive was online at least once.
     seen: bool,
-    /// Stopped since the loop last asked: its group goes with it.
+    /// Stopped since the loop last checked: its group stops with it.
     just_stopped: bool,
-    /// What the telemetry is told of this cycle.
+    /// The telemetry record of this cycle.
     record: DriveRecord,
-    /// What the drive showed in this cycle besides.
+    /// The monitored variables of this cycle.
     shown: Shown,
-    /// How long after its grid point the request before left.
+    /// How long after its grid point the previous request left.
     phase_ns: Option<u64>,
     /// Times that the link was lost.
     losses: u64,
@@ -97,20 +97,20 @@ pub struct Seat {
     ends: bool,
     /// The largest times.
     peaks: Peaks,
-    /// What the drive showed since the start.
+    /// The monitored variables since the start.
     monitor: [Option<Extent>; MONITOR_CHANNELS],
-    /// Events that found their queue full.
+    /// Events for which the queue had no room.
     pub lost_events: u64,
-    /// Samples that found their queue full.
+    /// Samples for which the queue had no room.
     pub lost_samples: u64,
 }
 
-/// Whose the drive is.
+/// Who owns the drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Claim {
     /// Only read so far: not ours to brake or to power off.
     Found,
-    /// Something was asked of it.
+    /// Something was requested of it.
     Ours,
     /// Enabled: it is expected to stay in operation.
     Armed,
@@ -120,9 +120,9 @@ enum Claim {
 #[derive(Clone, Copy, Debug)]
 enum Latch {
     Open,
-    /// Nothing was asked of the drive: it was not ours.
+    /// Nothing was requested of the drive: it was not ours.
     Kept(StopCause),
-    /// On the way down, or at its end.
+    /// In the stop sequence, or at its end.
     Down(StopCause, Ladder),
 }
 
@@ -196,7 +196,7 @@ impl Seat {
         }
     }
 
-    /// Adds what it touches besides itself and its rings, to be locked.
+    /// Adds the memory that it touches besides itself and its rings, to be locked.
     pub fn memory(&self, regions: &mut Regions) {
         self.queues.feedback.memory(regions);
     }
@@ -216,7 +216,7 @@ impl Seat {
         self.health.is_due(index)
     }
 
-    /// After the send stage: the request of `cycle` went out, or was tried.
+    /// After the send stage: the request of `cycle` was sent, or attempted.
     pub fn sent(&mut self, cycle: &Cycle, slot: &Slot) {
         self.health.asked(cycle.index);
         if let Exchange::Owed { sent_at, .. } = slot.exchange
@@ -231,11 +231,12 @@ impl Seat {
             }
         }
         // A row that the operating system refused is sent with the next request; in a group it is lost like any
-        // telegram, or this axis would be a row behind from then on.
+        // telegram, or this axis would be one row behind from then on.
         self.follow.held &= slot.exchange == Exchange::Unsent && self.moves_in_group().is_none();
     }
 
-    /// Judges this cycle's exchange, updates the feedback, and notices what changed. Says what became of it.
+    /// Evaluates this cycle's exchange, updates the feedback, and notices changes. Returns the result of the
+    /// exchange.
     pub fn judge(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) -> Reply {
         let mut rtt = None;
         let mut sent = None;
@@ -252,7 +253,7 @@ impl Seat {
             }
             Exchange::Unsent => {
                 slot.exchange = Exchange::Idle;
-                // One that its bus takes down at the orderly end is not lost by that.
+                // A link that its bus shuts down at the orderly end is not lost.
                 if !(self.ends && slot.excused) {
                     self.missed(cycle, now);
                 }
@@ -289,7 +290,7 @@ impl Seat {
         }
         self.take_report(cycle, now, slot, rtt);
         self.take_link(cycle, now, slot);
-        // A first answer need not be one that tells the drive's state.
+        // The first answer need not report the drive's state.
         if matches!(self.feedback.link, Link::Online | Link::Qualifying) && self.feedback.at != Time(0) {
             let age_ns = now.since(self.feedback.at);
             self.record.age_ns = measured(age_ns);
@@ -306,7 +307,7 @@ impl Seat {
         }
     }
 
-    /// The group that it moves in.
+    /// The group of its running motion.
     pub fn moves_in_group(&self) -> Option<Ticket> {
         let moves = |active: &Command| active.verb.is_motion() || active.verb == Verb::Home;
         self.active.filter(moves).and_then(|active| active.ticket)
@@ -317,7 +318,7 @@ impl Seat {
         self.closed.take()
     }
 
-    /// The drive's report into the feedback, with an event for each change.
+    /// Takes the drive's report into the feedback, with an event for each change.
     fn take_report(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot, rtt: Option<u32>) {
         let report = &mut slot.report;
         let before = self.feedback;
@@ -357,7 +358,7 @@ impl Seat {
                 }
             }
         }
-        // Almost never any of them.
+        // Rarely any of them.
         if report.restarted | report.monitor_refused.is_some() | report.emergency.is_some() {
             if let Some((channel, status)) = report.monitor_refused.take() {
                 self.tell(cycle, now, EventKind::MonitorRefused { channel, status });
@@ -382,7 +383,7 @@ impl Seat {
         }
     }
 
-    /// What the drive told by itself; it may, without an exchange.
+    /// Takes the emergency that the drive reported; it may come without an exchange.
     fn take_emergency(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
         if let Some(emergency) = slot.report.emergency.take() {
             self.record.emergency = Some(emergency.into());
@@ -390,7 +391,7 @@ impl Seat {
         }
     }
 
-    /// The link as judged: events, loss, and a drive found running.
+    /// The link as evaluated: events, loss, and a drive found running.
     fn take_link(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
         let (before, link) = (self.feedback.link, self.health.link());
         if before == link {
@@ -403,7 +404,7 @@ impl Seat {
         match link {
             Link::Lost if before == Link::Online => {
                 self.stop(cycle, now, StopCause::LinkLost, slot);
-                // Those who stop with it go on: it was asked for this silence, and holds or moves nothing.
+                // Its stop group goes on: this silence was requested, and the drive holds or moves nothing.
                 self.just_stopped &= !slot.excused;
             }
             Link::Online => {
@@ -413,7 +414,7 @@ impl Seat {
                     if self.latch.is_open() {
                         self.latch(cycle, now, StopCause::FoundRunning);
                     }
-                    // What this master has had under way is never only read again.
+                    // A drive that this master has commanded is never only read again.
                     if self.plan.on_found_running == FoundRunning::Stop || self.claim != Claim::Found {
                         self.brake(now, slot);
                     }
@@ -423,10 +424,10 @@ impl Seat {
         }
     }
 
-    /// The watch over an axis in operation, and one cycle of its ladder.
+    /// Watches an axis in operation, and runs one cycle of its stop sequence.
     pub fn watch(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
         let restarted = std::mem::take(&mut self.restarted);
-        // Where the application owns the control word, what state the drive is in is its own affair.
+        // Where the application owns the control word, the drive's state is the application's concern.
         let free = self.is_native(NativeOwner::Application);
         if (self.claim == Claim::Armed || free) && slot.report.fresh {
             let cause = match self.feedback.state {
@@ -434,8 +435,8 @@ impl Seat {
                     // Homing gives the positions another origin and has speeds of its own.
                     let home = self.active.is_some_and(|active| active.verb == Verb::Home);
                     self.homing = home || self.homing && self.feedback.moving;
-                    // Nobody but the drive knows how it will brake, if it was not told by this loop; under torque
-                    // nothing brakes it at all.
+                    // Only the drive knows how it will brake if this loop does not command it; under torque nothing
+                    // brakes it.
                     let native = free || self.is_native(NativeOwner::Master);
                     let braking = native || self.active.is_none() || under_torque(slot);
                     let broken = self.bounds.are_broken(&self.plan, braking, self.row_seconds(cycle));
@@ -470,13 +471,14 @@ impl Seat {
         }
     }
 
-    /// The drive answers, so that what is asked of it reaches it.
+    /// The drive answers, so that requests reach it.
     fn is_heard(&self) -> bool {
         matches!(self.feedback.link, Link::Qualifying | Link::Online)
     }
 
-    /// Stops the axis: latches the cause, flushes queue and stream, steps onto the ladder. The first cause stays. A
-    /// drive that was only read until now is not ours to brake: its axis is latched, and nothing is written.
+    /// Stops the axis: latches the cause, flushes queue and stream, starts the stop sequence. The first cause
+    /// stays. A drive that was only read until now is not ours to brake: its axis is latched, and nothing is
+    /// written.
     pub fn stop(&mut self, cycle: &Cycle, now: Time, cause: StopCause, slot: &mut Slot) {
         if !self.latch.is_open() {
             return;
@@ -487,7 +489,7 @@ impl Seat {
         }
     }
 
-    /// Stops the axis if it is enabled, or about to be; what is not can do no harm.
+    /// Stops the axis if it is enabled, or about to be; any other axis can do no harm.
     pub fn stop_if_armed(&mut self, cycle: &Cycle, now: Time, cause: StopCause, slot: &mut Slot) {
         let rising = self.active.is_some_and(|active| active.verb == Verb::Enable);
         if self.claim == Claim::Armed || rising || self.is_native(NativeOwner::Application) {
@@ -499,7 +501,7 @@ impl Seat {
         self.active.is_some_and(|active| active.verb == Verb::Native(owner))
     }
 
-    /// Steps onto the ladder of an axis that is latched.
+    /// Starts the stop sequence of an axis that is latched.
     fn brake(&mut self, now: Time, slot: &mut Slot) {
         let Some(cause) = self.latch.cause() else { return };
         let (ladder, verb) = Ladder::start(self.plan.stop, self.plan.load, now);
@@ -524,18 +526,18 @@ impl Seat {
         }
     }
 
-    /// Whether it was stopped since its group was asked for.
+    /// Whether it was stopped since its group was last checked.
     pub fn just_stopped(&self) -> bool {
         self.just_stopped
     }
 
-    /// The stop group to take along, once after each stop.
+    /// The stop group to stop with it, once after each stop.
     pub fn take_group_stop(&mut self) -> Option<u16> {
         if std::mem::take(&mut self.just_stopped) { self.plan.stop.group } else { None }
     }
 
-    /// The orderly end of the master: every axis goes down and off, and nothing new begins. True once nothing more is
-    /// to be done.
+    /// The orderly end of the master: every axis is stopped and powered off, and nothing new begins. True once it
+    /// is complete.
     pub fn shut_down(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot, hurry: bool) -> bool {
         self.ends = true;
         self.stop(cycle, now, StopCause::Shutdown, slot);
@@ -554,7 +556,7 @@ impl Seat {
         down
     }
 
-    /// Publishes the feedback; returns what the telemetry is told of this cycle, as that of axis `axis`.
+    /// Publishes the feedback; returns the telemetry record of this cycle, as that of axis `axis`.
     pub fn publish(&mut self, axis: u16) -> DriveRecord {
         self.queues.feedback.write(&self.feedback);
         if let Some(samples) = &mut self.queues.samples
@@ -578,12 +580,12 @@ impl Seat {
             velocity: feedback.velocity as f32,
             position: feedback.position,
             demand: feedback.demand,
-            // What sending and judging found out.
+            // What send and evaluation found.
             ..std::mem::take(&mut self.record)
         }
     }
 
-    /// What the telemetry is told besides of a drive that showed something in this cycle, once.
+    /// The monitored variables of this cycle for the telemetry, if the drive reported some; once.
     pub fn take_shown(&mut self, axis: u16) -> Option<MonitorRecord> {
         if self.shown.is_empty() {
             return None;
@@ -592,13 +594,13 @@ impl Seat {
         Some(MonitorRecord { index: self.feedback.cycle, axis, shown })
     }
 
-    /// What the loop counted of it so far, with what its bus did.
+    /// The loop's counts of it so far, with those of its bus.
     pub fn numbers(&self, slot: &Slot) -> DriveNumbers {
         let Seat { losses, peaks, monitor, .. } = *self;
         DriveNumbers { counters: slot.counters, losses, peaks, monitor }
     }
 
-    /// Ends everything that the application has asked for.
+    /// Ends everything that the application has requested.
     fn flush(&mut self, cycle: &Cycle, now: Time, why: Abort) {
         if let Some(active) = self.active {
             self.end(cycle, now, active, Outcome::Aborted(why));
@@ -613,7 +615,7 @@ impl Seat {
                 Err(_) => break,
             }
         }
-        // Of every stream there is: the application counts on from the stop.
+        // Of every stream: the application counts on from the stop.
         self.drop_rows(u32::MAX - 1);
     }
 
@@ -646,7 +648,7 @@ impl Seat {
     }
 }
 
-/// Whether no position leads the drive, and what it shows as its demand means nothing.
+/// Whether no position leads the drive, and its reported demand is meaningless.
 fn under_torque(slot: &Slot) -> bool {
     slot.order.verb.is_some_and(|verb| verb.takes_torques())
 }

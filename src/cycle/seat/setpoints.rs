@@ -1,4 +1,5 @@
-//! Rows, velocities and torques for the next send: which one, how old it may be, and what follows when there is none.
+//! Rows, velocities and torques for the next send: which one, how old it may be, and what follows when there is
+//! none.
 
 use super::Seat;
 use crate::axis::limits::{check_braking, check_reach, check_row, check_speed};
@@ -9,8 +10,8 @@ use crate::bus::{Cycle, NumberedRow, Slot};
 use crate::cycle::gates::Gates;
 use crate::time::{Time, nanos};
 
-/// The first row may be so many rows' ways ahead of the demand: the reply is one old, and a drive's output runs behind
-/// its setpoints.
+/// The first row may be so many rows' ways ahead of the demand: the reply is one exchange old, and a drive's output
+/// runs behind its setpoints.
 const FIRST_ROW_AHEAD: f64 = 4.0;
 
 /// Where an axis is in its stream.
@@ -22,14 +23,14 @@ pub(super) struct Follow {
     last: Option<Row>,
     /// Exchanges in a row for which the stream had nothing.
     empty: u32,
-    /// The row given has not been sent yet (its slot was passed over): it must not be replaced.
+    /// The given row has not been sent yet (its slot was passed over): it must not be replaced.
     pub(super) held: bool,
 }
 
-/// The velocity or torque that was asked for last.
+/// The last requested velocity or torque.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Level {
-    /// The command that it is for.
+    /// Its command.
     pub(super) of: CommandId,
     /// User units/s, or per cent of the rated torque.
     pub(super) value: f64,
@@ -47,7 +48,7 @@ impl Seat {
         }
     }
 
-    /// One that is not for the command that runs waits for its own.
+    /// A setpoint that is not for the running command waits for its own.
     pub(super) fn take_setpoint(&mut self, cycle: u64, setpoint: Setpoint) {
         let level = Level { of: setpoint.of, value: setpoint.value, at: cycle };
         match self.active {
@@ -56,12 +57,12 @@ impl Seat {
         }
     }
 
-    /// What a command that begins makes of the velocity or torque.
+    /// Sets the velocity or torque that a new command begins with.
     pub(super) fn begin_setpoints(&mut self, cycle: &Cycle, command: &Command) {
         let value = match command.verb {
             _ if self.ahead.of == command.id => self.ahead.value,
             Verb::Jog(jog) => jog.velocity,
-            // It stands, or gives no torque, until the first setpoint comes, and has the whole age for that.
+            // It stands still, or gives no torque, until the first setpoint comes, and has the whole age for that.
             _ => 0.0,
         };
         self.level = Level { of: command.id, value, at: cycle.index };
@@ -84,8 +85,8 @@ impl Seat {
         }
     }
 
-    /// The group that it follows rows with, and the number of its next one. Rows before `from` are dropped: a member
-    /// that has come to that one has done with them, or never had them.
+    /// The group that it follows rows with, and the number of its next one. Rows before `from` are dropped: a
+    /// member that has reached that one is done with them, or never had them.
     pub fn offers_row(&mut self, from: u64) -> Option<(Ticket, u64)> {
         let active = self.active.filter(|active| active.verb == Verb::Follow)?;
         let ticket = active.ticket?;
@@ -100,8 +101,8 @@ impl Seat {
         None
     }
 
-    /// Chooses the setpoint of the next send, if one is due. In a group a row is taken only if `gates` says that each
-    /// member has one.
+    /// Chooses the setpoint of the next send, if one is due. In a group a row is taken only if `gates` says that
+    /// each member has one.
     pub fn feed(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot, gates: &Gates) {
         (slot.velocity, slot.torque) = match slot.order.verb {
             Some(Verb::Torque { .. }) => (0.0, self.level.value),
@@ -164,7 +165,7 @@ impl Seat {
         cycle.period_ns as f64 * f64::from(self.plan.divisor) * 1e-9
     }
 
-    /// The first row starts near where the drive stands; later ones near the row before, and so that the axis can still
+    /// The first row starts near the axis' position; later ones near the row before, and so that the axis can still
     /// stop inside its range.
     fn check_row(&self, cycle: &Cycle, row: &Row, last: Option<Row>) -> Result<(), Failure> {
         let from = last.map_or(self.feedback.demand, |last| last.position);
@@ -189,7 +190,7 @@ impl Seat {
         self.stop(cycle, now, cause, slot);
     }
 
-    /// Drops what is left of the streams up to `stream`.
+    /// Drops the rest of the streams up to `stream`.
     pub(super) fn drop_rows(&mut self, stream: u32) {
         self.task_row = None;
         self.follow = Follow { number: self.follow.number, ..Follow::default() };

@@ -1,33 +1,34 @@
-//! One connection's life: pause, connect, greet, hand over, take back. A machine of state and time, without a socket or
-//! a clock, so that the link thread and a virtual world run the same one.
+//! One connection's life: pause, connect, handshake, hand over, take back. A machine of state and time, without a
+//! socket or a clock, so that the link thread and a virtual world run the same one.
 //!
-//! Whoever drives it has the socket. Every event returns the [`Action`] that follows from it; with
-//! [`poll`](Connection::poll) at [`next_due`](Connection::next_due) nothing is ever waited for longer than the peer's
-//! [`StreamPeer`] says.
+//! Its caller has the socket. Every event returns the [`Action`] that follows from it; with
+//! [`poll`](Connection::poll) at [`next_due`](Connection::next_due) no wait is longer than the peer's
+//! [`StreamPeer`] allows.
 
 use std::net::SocketAddrV4;
 
 use crate::net::stream::{Broken, Greeted, LinkNotes, StreamPeer};
 use crate::time::{MS, Ns, Time};
 
-/// No pause is shorter, ns: a setting of 0 shall not turn into a storm of connections.
+/// The shortest pause, ns: a setting of 0 shall not turn into a storm of connections.
 const SHORTEST_PAUSE_NS: u64 = MS;
 
 /// The fraction of a pause that is spread over the peers.
 const SPREAD: u64 = 8;
 
-/// What is to be done now.
+/// The next action.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Action {
     /// Nothing, until something happens or the next instant is due.
     Wait,
     /// Open a socket and begin to connect. Then [`connected`](Connection::connected) or [`failed`](Connection::failed).
     Connect,
-    /// Send of [`to_send`](Connection::to_send) what the wire takes, and say so with [`sent`](Connection::sent).
+    /// Send as much of [`to_send`](Connection::to_send) as the wire takes, and report it with
+    /// [`sent`](Connection::sent).
     Send,
     /// The connection is the loop's, until it is [`given_back`](Connection::given_back).
     HandOver,
-    /// Close the socket. What was not sent yet shall never arrive: it is meant for another time.
+    /// Close the socket. Unsent bytes shall never arrive: they are outdated.
     Close,
 }
 
@@ -54,19 +55,19 @@ enum Phase {
 pub struct Connection {
     peer: StreamPeer,
     notes: LinkNotes,
-    /// Its place in the notes.
+    /// Its index in the notes.
     index: usize,
     phase: Phase,
     /// The pause after the next failure.
     pause_ns: u64,
-    /// What the greeting says, and how much of it is sent.
+    /// The bytes of the handshake, and how many of them are sent.
     out: Vec<u8>,
     sent: usize,
 }
 
 impl Connection {
-    /// A connection that begins to open about `now`: peers of one moment knock within an eighth of their least pause.
-    /// Why it is not open it tells in `notes` at `index`.
+    /// A connection that begins to open about `now`: peers created together start within an eighth of their least
+    /// pause. The reason why it is not open goes to `notes` at `index`.
     pub fn new(now: Time, peer: StreamPeer, notes: LinkNotes, index: usize) -> Connection {
         let mut connection = Connection {
             phase: Phase::Pausing { until: now },
@@ -78,13 +79,13 @@ impl Connection {
             index,
         };
         connection.pause_ns = connection.least_pause();
-        // As if a pause were ending: the order of the peers stays what it is through all pauses.
+        // As if a pause were ending: the order of the peers stays the same through all pauses.
         let left = connection.pause_ns / SPREAD - connection.spread(connection.pause_ns);
         connection.phase = Phase::Pausing { until: now + left };
         connection
     }
 
-    /// Whom it leads to, and how.
+    /// Its peer.
     pub fn peer(&self) -> &StreamPeer {
         &self.peer
     }
@@ -94,7 +95,7 @@ impl Connection {
         matches!(self.phase, Phase::Connecting { .. })
     }
 
-    /// When [`poll`](Self::poll) has something to do at the latest; `None` while the loop has it.
+    /// The latest time for [`poll`](Self::poll); `None` while the loop has it.
     pub fn next_due(&self) -> Option<Time> {
         match self.phase {
             Phase::Pausing { until } | Phase::Connecting { until } | Phase::Greeting { until, .. } => {
@@ -120,7 +121,7 @@ impl Connection {
         }
     }
 
-    /// It is open: the greeting begins.
+    /// It is open: the handshake begins.
     pub fn connected(&mut self, now: Time) -> Action {
         let Phase::Connecting { .. } = self.phase else { return Action::Wait };
         self.phase = Phase::Greeting { until: now + self.peer.greeting_ns, done: false };
@@ -130,7 +131,7 @@ impl Connection {
         self.greeted(now, greeted)
     }
 
-    /// It could not be opened, or broke while it was greeted.
+    /// It could not be opened, or broke during the handshake.
     pub fn failed(&mut self, now: Time, why: Broken) -> Action {
         let greeting = match self.phase {
             Phase::Connecting { .. } => false,
@@ -154,7 +155,7 @@ impl Connection {
         }
     }
 
-    /// What is to be sent now.
+    /// The bytes to send now.
     pub fn to_send(&self) -> &[u8] {
         self.out.get(self.sent..).unwrap_or_default()
     }
@@ -199,7 +200,7 @@ impl Connection {
         }
     }
 
-    /// Pauses, the next time twice as long; a pause is shorter by the peer's share in the spread.
+    /// Pauses, the next time twice as long; a pause is shortened by the peer's share of the spread.
     fn fail(&mut self, now: Time, note: String) -> Action {
         self.notes.set(self.index, Some(note));
         self.phase = Phase::Pausing { until: now + (self.pause_ns - self.spread(self.pause_ns)) };
@@ -238,7 +239,7 @@ fn no_greeting(peer: SocketAddrV4, waited_ns: u64) -> String {
 fn broken(peer: SocketAddrV4, why: Broken, greeting: bool, connect_ns: u64) -> String {
     match why {
         Broken::Closed | Broken::Failed(libc::ECONNRESET | libc::EPIPE) | Broken::Absent => format!(
-            "{peer} ends the connection at once: it may have as many connections as it can serve, or not want this computer's"
+            "{peer} ends the connection at once: its connections may all be in use, or it may not accept this computer"
         ),
         Broken::Failed(libc::ECONNREFUSED) => {
             format!(
@@ -246,11 +247,13 @@ fn broken(peer: SocketAddrV4, why: Broken, greeting: bool, connect_ns: u64) -> S
             )
         }
         Broken::Failed(libc::ETIMEDOUT) if greeting => {
-            format!("{peer} has vanished while it was greeted: look at the cable and the drive's power")
+            format!("{peer} was lost during the handshake: look at the cable and the drive's power")
         }
         Broken::Failed(libc::ETIMEDOUT) => no_answer(peer, connect_ns),
         Broken::Failed(libc::EHOSTUNREACH) => {
-            format!("nobody has the address of {peer}: look at the address, the cable and the drive's power")
+            format!(
+                "no device has the address of {peer}: look at the address, the cable and the drive's power"
+            )
         }
         Broken::Failed(libc::ENETUNREACH) => {
             format!(
@@ -270,7 +273,7 @@ mod tests {
     use crate::time::S;
     use proptest::prelude::*;
 
-    /// Says `hello` and expects `welcome`; with nothing to say it is done at once.
+    /// Sends `hello` and expects `welcome`; with nothing to send it is complete at once.
     #[derive(Debug)]
     struct Hello {
         say: &'static [u8],
@@ -317,7 +320,7 @@ mod tests {
         now
     }
 
-    /// Everything that is to be sent, in pieces of `piece` bytes, and what followed.
+    /// Sends everything in pieces of `piece` bytes; returns the action that followed.
     fn send(connection: &mut Connection, now: Time, piece: usize) -> (Vec<u8>, Action) {
         let mut said = Vec::new();
         loop {
@@ -388,7 +391,7 @@ mod tests {
         let now = connect(&mut connection);
         assert_eq!(connection.connected(now), Action::Send);
         assert_eq!(connection.next_due(), Some(now + 2 * S));
-        // One that dribbles wins no time.
+        // One that sends byte by byte gains no time.
         for (k, byte) in b"welcom".iter().enumerate() {
             assert_eq!(connection.received(now + k as u64 * S / 4, &[*byte]), Action::Send);
         }
@@ -405,7 +408,7 @@ mod tests {
         let cases = [
             (libc::ECONNREFUSED, "refused: nobody listens at 192.168.1.20:502"),
             (libc::ETIMEDOUT, "no answer from 192.168.1.20:502 within 1 s"),
-            (libc::EHOSTUNREACH, "nobody has the address"),
+            (libc::EHOSTUNREACH, "no device has the address"),
             (libc::ENETUNREACH, "no network leads to"),
             (libc::ECONNRESET, "ends the connection at once"),
             (libc::EMFILE, "Too many open files"),
@@ -419,7 +422,7 @@ mod tests {
         }
         for (broken, words) in [
             (Broken::Closed, "ends the connection at once"),
-            (Broken::Failed(libc::ETIMEDOUT), "has vanished while it was greeted"),
+            (Broken::Failed(libc::ETIMEDOUT), "was lost during the handshake"),
         ] {
             let now = connect(&mut connection);
             connection.connected(now);
@@ -505,7 +508,7 @@ mod tests {
         for round in 0..8 {
             let mut dues: Vec<_> = connections.iter().map(|one| one.next_due().unwrap()).collect();
             dues.sort();
-            // 32 golden steps leave no gap below 1/89 of the whole, here 12.5 ms, nor anyone outside of it.
+            // 32 golden steps leave no gap below 1/89 of the whole, here 12.5 ms, and none outside of it.
             let gaps: Vec<_> = dues.windows(2).map(|pair| pair[1].since(pair[0])).collect();
             assert!(gaps.iter().all(|gap| *gap >= 100 * MS / SPREAD / 89), "round {round}: {gaps:?}");
             if round == 0 {

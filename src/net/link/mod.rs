@@ -1,9 +1,9 @@
-//! Opens, greets and re-opens connections, beside the loop.
+//! Opens, initialises and re-opens connections, outside the loop.
 //!
 //! | file | what |
 //! |---|---|
 //! | `connection` | one connection's life, without a socket or a clock |
-//! | `thread` | the thread that leads this life for all connections of a master |
+//! | `thread` | the thread that runs this life for all connections of a master |
 
 pub mod connection;
 mod thread;

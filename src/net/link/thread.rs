@@ -1,8 +1,8 @@
-//! The link thread: opens, greets and closes the sockets of all connections of a master, so that the loop never has to.
-//!
+//! The link thread: opens, initialises and closes the sockets of all connections of a master, so that the loop
+//! never has to.
 //! A normal thread off the loop's core. It never waits for one peer: every socket is non-blocking, and one `epoll`
-//! waits for all of them and for the next due instant. When to do what says [`Connection`]. A socket changes hands by
-//! two wait-free rings a carrier; the loop rings a bell, an eventfd, when it gives one back, and only then: the loop
+//! waits for all of them and for the next due instant. [`Connection`] says when to do what. A socket changes owners
+//! by two wait-free rings per carrier. The loop writes an eventfd when it returns a socket, and only then: the loop
 //! looks for new ones by itself.
 
 use std::io;
@@ -25,20 +25,21 @@ use crate::net::stream::{Broken, LinkNotes, StreamPeer};
 use crate::rt::{self, MonotonicClock, Regions};
 use crate::time::{MS, Time};
 
-/// The most events of one turn; what is left is reported by the next one, the others first.
+/// The most events of one turn; the others are reported by the next one, first.
 const EVENTS: usize = 64;
 
-/// What is taken in from a connection in one turn: the answers of a greeting are short.
+/// The most that is read from a connection in one turn: the answers of a handshake are short.
 const ROOM: usize = 2_048;
 
-/// The event that is no socket's.
+/// The event of no socket.
 const BELL: u64 = u64::MAX;
 
-/// An idle connection is asked after for the first time after so long, s, and then as often. The loop exchanges
-/// something on each of them all the while; this is for one whose drive is only probed, or not due for long.
+/// An idle connection gets its first keep-alive probe after so long, s, and further ones at the same interval. The
+/// loop exchanges something on each connection all the while; this is for one whose drive is only probed, or not
+/// due for long.
 const KEEPALIVE_S: u32 = 1;
 
-/// So many questions without an answer end it, should TCP_USER_TIMEOUT not have done so before.
+/// So many probes without an answer end it, if TCP_USER_TIMEOUT has not done so before.
 const KEEPALIVE_COUNT: u32 = 3;
 
 /// A connection that is ready, on its way to the loop.
@@ -56,8 +57,8 @@ pub(in crate::net) struct GivenBack {
     pub why: &'static str,
 }
 
-/// The loop's side of a carrier. Dropped in the order of its fields: the bell rings when the rings are gone, so that
-/// the thread finds them abandoned and closes what it still has of this carrier.
+/// The loop's side of a carrier. Its fields are dropped in order: the eventfd is written after the rings are gone,
+/// so that the thread finds them abandoned and closes what it still has of this carrier.
 #[derive(Debug)]
 pub(in crate::net) struct Ends {
     pub opened: Consumer<Opened>,
@@ -68,7 +69,7 @@ pub(in crate::net) struct Ends {
     pub bell: Bell,
 }
 
-/// Wakes up the link thread, and keeps it.
+/// Wakes up the link thread, and keeps it alive.
 #[derive(Debug)]
 pub(in crate::net) struct Bell(Arc<LinkThread>);
 
@@ -120,7 +121,7 @@ impl LinkThread {
         let (count, mut regions) = (peers.len(), Regions::new());
         let (opened, ready) = rt::memory::ring(count, &mut regions);
         let (given_back, back) = rt::memory::ring(count, &mut regions);
-        // What the loop touches to ring the bell.
+        // What the loop touches to wake the thread.
         regions.add(&**self);
         regions.add(&*self.shared);
         let (now, notes) = (MonotonicClock::read(), LinkNotes::new(count));
@@ -142,7 +143,7 @@ impl Drop for LinkThread {
         self.shared.ended.store(true, Ordering::Release);
         self.wake_up();
         if let Some(thread) = self.thread.take() {
-            // Not long: the thread waits for nothing but the bell. A panic of a greeting has been printed by it.
+            // Not long: the thread waits for the eventfd only. A panic of a handshake has been printed by it.
             let _ = thread.join();
         }
     }
@@ -164,7 +165,7 @@ impl Worker {
             let count = match self.epoll.wait(&mut events, self.timeout()) {
                 Ok(count) => count,
                 Err(Errno::EINTR) => 0,
-                // The descriptor and the buffer are our own, so that no other error can be.
+                // The descriptor and the buffer are our own, so that no other error is possible.
                 Err(_) => return,
             };
             if self.shared.ended.load(Ordering::Acquire) {
@@ -172,7 +173,7 @@ impl Worker {
             }
             for event in &events[..count] {
                 match event.data() {
-                    // Read to be silent; what it rang for is looked for in every turn.
+                    // Read to clear it; every turn looks at all carriers.
                     BELL => drop(self.shared.bell.read()),
                     token => self.happened(token, event.events()),
                 }
@@ -204,7 +205,7 @@ impl Worker {
         desk.follow(index, action, now, &self.epoll);
     }
 
-    /// Takes in carriers that are new.
+    /// Takes over new carriers.
     fn take_in(&mut self) {
         for desk in self.shared.arrivals.lock().unwrap_or_else(PoisonError::into_inner).drain(..) {
             self.desks.push(Desk { id: self.next_id, ..desk });
@@ -224,10 +225,10 @@ struct Desk {
 }
 
 impl Desk {
-    /// What was given back, and what is due. False if the carrier is gone.
+    /// Handles returned connections and due ones. False if the carrier is gone.
     fn turn(&mut self, epoll: &Epoll) -> bool {
         let now = MonotonicClock::read();
-        // Asked first: what was given back before it went is still closed as it should be.
+        // Read first: connections returned before it disappeared are still closed in order.
         let gone = self.back.is_abandoned();
         while let Ok(GivenBack { index, socket, why }) = self.back.pop() {
             let line = &mut self.lines[index];
@@ -244,7 +245,7 @@ impl Desk {
         !gone
     }
 
-    /// Does what is to be done, until there is nothing more to do now.
+    /// Carries out the actions until there is nothing more to do now.
     fn follow(&mut self, index: usize, mut action: Action, now: Time, epoll: &Epoll) {
         let token = u64::from(self.id) << 32 | index as u64;
         let line = &mut self.lines[index];
@@ -274,7 +275,7 @@ struct Line {
     connection: Connection,
     /// While it is this thread's.
     socket: Option<OwnedFd>,
-    /// What is waited for on it.
+    /// The events waited for on it.
     interest: EpollFlags,
 }
 
@@ -315,7 +316,7 @@ impl Line {
             };
         }
         if events == EpollFlags::EPOLLOUT {
-            // With nothing to send, as when the peer has to speak first, this ends the wait for room.
+            // With nothing to send, as when the peer has to send first, this ends the wait for room.
             return Action::Send;
         }
         match recv(socket.as_raw_fd(), bytes, MsgFlags::MSG_DONTWAIT) {
@@ -344,8 +345,8 @@ impl Line {
         action
     }
 
-    /// Closes the socket with a reset. An orderly end would go on delivering what was sent before: a setpoint of an
-    /// earlier moment, once the cable is back.
+    /// Closes the socket with a reset. An orderly end would go on delivering earlier bytes: an outdated setpoint,
+    /// once the cable is back.
     fn close(&mut self) {
         if let Some(socket) = self.socket.take() {
             // Without it the end is an orderly one, and TCP_USER_TIMEOUT bounds it.
@@ -365,7 +366,7 @@ fn open(peer: &StreamPeer) -> nix::Result<OwnedFd> {
     setsockopt(&socket, sockopt::TcpKeepInterval, &KEEPALIVE_S)?;
     setsockopt(&socket, sockopt::TcpKeepCount, &KEEPALIVE_COUNT)?;
     // A cable that is out for longer breaks the connection, instead of a quarter of an hour later (tcp(7)). 0 would
-    // mean just that.
+    // mean exactly that.
     let unacknowledged_ms = u32::try_from(peer.unacknowledged_ns / MS).unwrap_or(u32::MAX).max(1);
     setsockopt(&socket, sockopt::TcpUserTimeout, &unacknowledged_ms)?;
     Ok(socket)

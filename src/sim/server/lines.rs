@@ -1,4 +1,4 @@
-//! A line behind a real socket: an interface, or a line on this host.
+//! A segment behind a real socket: on a network interface, or local to this host.
 
 use std::io;
 use std::os::fd::BorrowedFd;
@@ -15,7 +15,7 @@ use crate::sim::fault::{Injected, Way};
 use crate::sim::wire::Wire;
 use crate::time::Time;
 
-/// A line, its wire and its socket.
+/// A segment, its wire and its socket.
 pub(super) struct Rail {
     wire: Wire,
     carrier: Box<dyn Frames>,
@@ -49,7 +49,7 @@ impl Rail {
         self.wire.next_due()
     }
 
-    /// Takes one frame, and sends it on its way, through the faults.
+    /// Takes one frame and puts it under way, through the faults.
     pub(super) fn receive(&mut self, room: &mut [u8], stats: &Mutex<LineStats>) {
         let Some((now, length)) = self.carrier.receive(room) else { return };
         // Longer than any frame: there is none.
@@ -60,9 +60,9 @@ impl Rail {
         stats.injected = self.wire.injected();
     }
 
-    /// Everything that is due by now: frames through the line, and back to the kernel. A frame passes the line when it
-    /// arrived there, however late this thread comes to it: else its clocks would show that. What it takes on the line
-    /// is a part of what the thread takes.
+    /// Everything that is due by now: frames through the segment, and back to the kernel. A frame passes the
+    /// segment at its arrival time, however late this thread runs: otherwise the slaves' clocks would show the
+    /// delay. Its time on the segment is a part of this thread's time.
     pub(super) fn run_due(&mut self, stats: &Mutex<LineStats>) {
         if self.wire.next_due().is_none() {
             return;
@@ -87,14 +87,14 @@ impl Rail {
     }
 }
 
-/// The socket at the line's end of the cable.
+/// The socket at the segment's end of the cable.
 fn carrier(line: &dyn SimLine) -> io::Result<Box<dyn Frames>> {
     let interface = line.interface();
     let Some(name) = local::name(interface) else {
         let Some(own) = line.own_interface() else {
             let message = format!(
-                "cannot simulate the line on {interface}: name the interface at the other end of its cable, or make it one like \
-                 {}line",
+                "cannot simulate the segment on {interface}: name the interface at the other end of its cable, \
+                 or use one like {}line",
                 local::PREFIX
             );
             return Err(io::Error::new(io::ErrorKind::InvalidInput, message));
@@ -105,7 +105,7 @@ fn carrier(line: &dyn SimLine) -> io::Result<Box<dyn Frames>> {
         Ok(local) => Ok(Box::new(local)),
         Err(error) if error.kind() == io::ErrorKind::AddrInUse => {
             let message = format!(
-                "{interface} is taken: another simulation serves it; end it, or give the line another name"
+                "{interface} is taken: another simulation serves it; end it, or give the segment another name"
             );
             Err(io::Error::new(error.kind(), message))
         }
@@ -124,7 +124,7 @@ mod tests {
     use crate::sim::{FaultPlan, Simulated};
     use crate::time::MS;
 
-    /// A line that no other test has.
+    /// A segment that no other test has.
     fn name(what: &str) -> String {
         format!("{}server-{what}-{}", local::PREFIX, std::process::id())
     }

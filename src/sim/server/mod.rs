@@ -1,14 +1,14 @@
-//! Simulated drives and lines on real sockets: one thread that waits for the requests of all of them.
+//! Simulated drives and segments on real sockets: one thread waits for the requests of all of them.
 //!
-//! Each drive has a socket bound to its own address, so that the master meets it where it would meet the real one: for
-//! datagrams, or one that listens, and its connections. Each line has one for its frames. Nothing here knows a
-//! protocol.
+//! Each drive has a socket bound to its own address, so that the master reaches it as it would reach the real one:
+//! a datagram socket, or a listening one and its connections. Each segment has a socket for its frames. Nothing
+//! here knows a protocol.
 //!
 //! | file | what |
 //! |---|---|
 //! | `sockets` | a drive, its sockets and connections |
-//! | `lines` | a line and its socket |
-//! | `service` | what the thread does |
+//! | `lines` | a segment and its socket |
+//! | `service` | the work of the thread |
 
 mod lines;
 mod service;
@@ -31,7 +31,7 @@ use crate::rt;
 /// How the thread of a [`SimServer`] runs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ServerOptions {
-    /// The core it is pinned to; not the loop's. Default: any.
+    /// The core that it is pinned to; not the loop's. Default: any.
     pub core: Option<usize>,
     /// Its SCHED_FIFO priority, 1 ... 99; below the loop's. Default: an ordinary thread.
     pub priority: Option<u8>,
@@ -42,13 +42,13 @@ pub struct ServerOptions {
 pub struct DriveStats {
     /// The drive.
     pub address: SocketAddrV4,
-    /// Datagrams that came to its socket, before any fault; on connections, what came at once.
+    /// Datagrams that came to its socket, before any fault; on connections, reads.
     pub received: u64,
-    /// Replies handed to the kernel, after all faults; each byte of one that is split.
+    /// Replies handed to the kernel, after all faults; each byte of a split reply.
     pub answered: u64,
     /// Replies that the kernel refused, or whose connection had ended.
     pub unsent: u64,
-    /// Its connections; none for a drive on datagrams.
+    /// Its connections; all zero for a drive on datagrams.
     pub connections: ConnectionStats,
     /// The faults that were injected.
     pub injected: Injected,
@@ -57,15 +57,15 @@ pub struct DriveStats {
 /// Exact counts of the connections of one drive.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ConnectionStats {
-    /// Those that were accepted.
+    /// Accepted connections.
     pub accepted: u64,
-    /// Those that were refused.
+    /// Refused connections.
     pub refused: u64,
-    /// Those that are open now.
+    /// Connections that are open now.
     pub open: u64,
 }
 
-/// Exact counts of one line behind a real socket.
+/// Exact counts of one segment behind a real socket.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LineStats {
     /// The master's interface.
@@ -93,10 +93,10 @@ pub struct SimServer {
 }
 
 impl SimServer {
-    /// Binds a socket for each drive and each line, and serves them on one thread. Start a second server for a second
-    /// thread.
+    /// Binds a socket for each drive and each segment, and serves them on one thread. Start a second server for a
+    /// second thread.
     ///
-    /// A core or priority that cannot be had is no error: see [`realtime`](Self::realtime).
+    /// A core or priority that is not available is no error: see [`realtime`](Self::realtime).
     ///
     /// # Errors
     ///
@@ -107,7 +107,7 @@ impl SimServer {
         let (stats, lines) = service.stats();
         let (granted, answer) = crossbeam_channel::bounded(1);
         let thread = thread::Builder::new().name("fieldbeat-sim".into()).spawn(move || {
-            // Nobody waits for the answer any more only if the start itself was given up.
+            // Nobody receives the answer only if the start itself was given up.
             let _ = granted.send(schedule(options));
             service.run();
         })?;
@@ -115,7 +115,7 @@ impl SimServer {
         Ok(SimServer { stats, lines, stop, thread: Some(thread), realtime })
     }
 
-    /// Whether the thread runs under SCHED_FIFO on the core, as asked. False too if no priority was asked for.
+    /// Whether the thread runs under SCHED_FIFO on the core, as requested. Also false if no priority was requested.
     pub fn realtime(&self) -> bool {
         self.realtime
     }
@@ -125,7 +125,7 @@ impl SimServer {
         self.stats.iter().map(|stats| *lock(stats)).collect()
     }
 
-    /// The counts of each line so far.
+    /// The counts of each segment so far.
     pub fn lines(&self) -> Vec<LineStats> {
         self.lines.iter().map(|stats| lock(stats).clone()).collect()
     }
@@ -136,7 +136,7 @@ impl SimServer {
         self.stats()
     }
 
-    /// The same without giving it away: the counts are final then.
+    /// The same by reference: the counts are final then.
     pub fn end(&mut self) {
         if let Some(thread) = self.thread.take() {
             // An eventfd refuses a 1 only when it is about to overflow, and then the thread wakes up all the same.
@@ -158,7 +158,7 @@ fn lock<T>(stats: &Mutex<T>) -> MutexGuard<'_, T> {
     stats.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Gives the calling thread its core and priority; true if it now runs in real time as asked.
+/// Gives the calling thread its core and priority; true if it now runs in real time as requested.
 fn schedule(options: ServerOptions) -> bool {
     // An ordinary thread's late sleeps would blur every answer time.
     rt::thread::prompt();

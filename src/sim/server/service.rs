@@ -1,4 +1,4 @@
-//! What the thread of a server does: it waits for all sockets, and serves what is due.
+//! The work of a server's thread: it waits for all sockets, and serves what is due.
 
 use std::io::{self, Read};
 use std::net::{SocketAddr, SocketAddrV4};
@@ -19,7 +19,7 @@ use crate::sim::Simulated;
 use crate::sim::fault::{Datagram, Parcel, Queue, Signal, Way, wrong_port};
 use crate::time::{S, Time};
 
-/// Datagrams under way a drive; more are lost and counted.
+/// Datagrams under way per drive; more are lost and counted.
 const UNDER_WAY: usize = 64;
 /// Longer than any UDP datagram.
 const ROOM: usize = 65_536;
@@ -27,7 +27,7 @@ const ROOM: usize = 65_536;
 const CHUNK: usize = 4_096;
 /// Connections that may wait at a socket that listens: those of [`TcpListener`](std::net::TcpListener).
 const BACKLOG: usize = 128;
-/// The event that is no socket's.
+/// The event of no socket.
 const STOP: u64 = u64::MAX;
 
 /// What the thread owns.
@@ -35,7 +35,7 @@ pub(super) struct Service {
     epoll: Epoll,
     /// By address.
     stations: Vec<Station>,
-    /// Their events are those of stations behind the last one.
+    /// Their events follow those of the stations.
     rails: Vec<Rail>,
     queue: Queue,
     reply: Vec<u8>,
@@ -72,7 +72,7 @@ impl Service {
         })
     }
 
-    /// The counts that it keeps, of the drives and of the lines.
+    /// The counts of the drives and of the segments.
     #[expect(clippy::type_complexity, reason = "each has its place in the server")]
     pub(super) fn stats(&self) -> (Arc<[Mutex<DriveStats>]>, Arc<[Mutex<LineStats>]>) {
         (Arc::clone(&self.stats), Arc::clone(&self.line_stats))
@@ -88,7 +88,7 @@ impl Service {
             let count = match self.wait(&mut events) {
                 Ok(count) => count,
                 Err(Errno::EINTR) => 0,
-                // The descriptor and the buffer are our own, so that no other error can be.
+                // The descriptor and the buffer are our own, so that no other error is possible.
                 Err(_) => return,
             };
             for event in &events[..count] {
@@ -118,8 +118,8 @@ impl Service {
         self.epoll.wait(events, EpollTimeout::ZERO)
     }
 
-    /// Does what a ready socket asks for. The epoll is level-triggered: what is left is reported again, which costs
-    /// less than asking each socket for the EAGAIN behind its usually only request.
+    /// Serves a ready socket. The epoll is level-triggered: what is left is reported again, which costs less than
+    /// reading each socket until EAGAIN after its usually only request.
     fn attend(&mut self, event: &EpollEvent, bytes: &mut [u8]) {
         let (index, number) = (event.data() as u32 as usize, (event.data() >> 32) as u32);
         let Some(station) = self.stations.get(index) else {
@@ -147,7 +147,7 @@ impl Service {
         }
     }
 
-    /// Takes in the connections that wait. Those that come meanwhile make an edge of their own.
+    /// Accepts the waiting connections. Connections that come meanwhile make an edge of their own.
     fn accept(&mut self, index: usize) {
         for _ in 0..=BACKLOG {
             let station = &mut self.stations[index];
@@ -155,7 +155,7 @@ impl Service {
             let (socket, peer) = match listener.accept() {
                 Ok((socket, SocketAddr::V4(peer))) => (socket, peer),
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => return,
-                // It was broken off already, or there is no descriptor for it.
+                // It was reset already, or there is no descriptor for it.
                 _ => continue,
             };
             let welcome = station.welcome(index, &self.epoll, socket, peer);
@@ -165,7 +165,7 @@ impl Service {
         }
     }
 
-    /// Takes what came on a connection, once, and goes on with what its peer left unread.
+    /// Reads from a connection, once, and continues with what its peer left unread.
     fn hear(&mut self, index: usize, number: u32, events: EpollFlags, bytes: &mut [u8]) {
         let Some(connection) = self.stations[index].door.by_number(number) else { return };
         if events.contains(EpollFlags::EPOLLOUT) && connection.go_on(&self.epoll, index).is_err() {
@@ -191,7 +191,7 @@ impl Service {
         lock(&self.stats[index]).connections.open = station.door.connections().len() as u64;
     }
 
-    /// Sends what came on the rest of its way, through the faults.
+    /// Puts received bytes under way, through the faults.
     fn came(&mut self, index: usize, from: SocketAddrV4, bytes: &[u8]) {
         let now = MonotonicClock::read();
         let station = &mut self.stations[index];
@@ -277,7 +277,7 @@ impl Service {
         *(if sent { &mut stats.answered } else { &mut stats.unsent }) += 1;
     }
 
-    /// A reply to its connection: whether the kernel has it. `None`: there was nothing to be said.
+    /// Sends a reply on its connection: whether the kernel has it. `None`: there was nothing to send.
     fn say(&mut self, index: usize, parcel: &Parcel) -> Option<bool> {
         let speaks = !parcel.bytes.is_empty();
         let Some(connection) = self.stations[index].door.by_peer(parcel.to) else {

@@ -1,4 +1,4 @@
-//! A drive behind real sockets: for datagrams, or one that listens, and its connections.
+//! A drive behind real sockets: a datagram socket, or a listening one and its connections.
 
 use std::io::{self, Write};
 use std::net::{SocketAddrV4, TcpListener, TcpStream, UdpSocket};
@@ -14,12 +14,12 @@ use crate::time::Time;
 
 /// The most that the peer of a connection leaves unread beyond what the kernel holds, bytes; then the connection ends.
 pub(super) const UNREAD: usize = 65_536;
-/// Connections of a drive; more are refused, whatever the drive says. Sixty drives then fit into the usual 1024
+/// Connections per drive; more are refused, whatever the drive decides. Sixty drives then fit into the usual 1024
 /// descriptors.
 pub(super) const CONNECTIONS: usize = 16;
-/// A peer that is silent for so long is asked for a sign of life, s, ...
+/// A peer that is silent for so long gets a keep-alive probe, s, ...
 const KEEP_IDLE: u32 = 10;
-/// ... so often, in pauses of so many seconds; then its connection ends, as it does with real drives.
+/// ... so many of them, each after so many seconds; then its connection ends, as with real drives.
 const KEEP_PROBES: u32 = 3;
 
 /// One drive and its sockets.
@@ -30,11 +30,11 @@ pub(super) struct Station {
     pub(super) door: Door,
 }
 
-/// Where a drive is spoken to.
+/// The socket of a drive.
 pub(super) enum Door {
     Datagrams {
         socket: UdpSocket,
-        /// Where replies with a wrong identity come from, if there are any.
+        /// The source of replies with a wrong identity, if there are any.
         wrong: Option<UdpSocket>,
     },
     Stream {
@@ -54,10 +54,10 @@ pub(super) struct Connection {
     pub(super) unsent: Vec<u8>,
 }
 
-/// The number that is no connection's: where new ones come from.
+/// The number of no connection: the source of new ones.
 pub(super) const DOOR: u32 = 0;
 
-/// What an event of connection `number` of station `index` is known by.
+/// The event token of connection `number` of station `index`.
 pub(super) fn token(index: usize, number: u32) -> u64 {
     u64::from(number) << 32 | index as u64
 }
@@ -78,14 +78,15 @@ impl Door {
     pub(super) fn watch(&self, epoll: &Epoll, token: u64) -> nix::Result<()> {
         match self {
             Door::Datagrams { socket, .. } => epoll.add(socket, EpollEvent::new(EpollFlags::EPOLLIN, token)),
-            // By edges: a connection that cannot be taken for want of descriptors would wake up the thread for ever.
+            // Edge-triggered: a connection that cannot be accepted for lack of descriptors would wake up the thread
+            // for ever.
             Door::Stream { listener, .. } => {
                 epoll.add(listener, EpollEvent::new(EpollFlags::EPOLLIN | EpollFlags::EPOLLET, token))
             }
         }
     }
 
-    /// How many descriptors it has at most.
+    /// The most descriptors that it has.
     pub(super) fn descriptors(&self) -> usize {
         match self {
             Door::Datagrams { .. } => 1,
@@ -118,7 +119,7 @@ impl Door {
 /// How a connection ends.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Farewell {
-    /// Behind all that was sent.
+    /// After everything that was sent.
     Close,
     /// At once; nothing more arrives.
     Reset,
@@ -177,11 +178,11 @@ pub(super) fn not_now(error: &io::Error) -> bool {
 
 /// Closes `socket` so that its peer knows at once.
 fn reset(socket: TcpStream) {
-    // Where it fails, the peer is told in the ordinary way.
+    // If this fails, the peer gets an ordinary end.
     let _ = setsockopt(&socket, sockopt::Linger, &libc::linger { l_onoff: 1, l_linger: 0 });
 }
 
-/// Makes an accepted socket one of ours.
+/// Prepares an accepted socket.
 pub(super) fn prepare(socket: &TcpStream) -> io::Result<()> {
     socket.set_nonblocking(true)?;
     socket.set_nodelay(true)?;
@@ -210,7 +211,7 @@ impl Station {
         }
     }
 
-    /// Whether what comes from `peer` reaches the drive: a connection may have ended meanwhile.
+    /// Whether data from `peer` reaches the drive: a connection may have ended meanwhile.
     pub(super) fn hears(&mut self, peer: SocketAddrV4) -> bool {
         matches!(self.door, Door::Datagrams { .. }) || self.door.by_peer(peer).is_some()
     }
@@ -223,7 +224,7 @@ impl Station {
         }
     }
 
-    /// What befalls the drive; a restart ends its connections.
+    /// Injects a fault of the drive itself; a restart ends its connections.
     pub(super) fn strike(&mut self, now: Time, blow: Blow) {
         if blow == Blow::Restart {
             while let Some(number) = self.door.connections().first().map(|connection| connection.number) {
@@ -233,7 +234,7 @@ impl Station {
         blow.strike(now, &mut *self.drive);
     }
 
-    /// Accepts one connection, if the drive wants it.
+    /// Accepts one connection, if the drive accepts it.
     pub(super) fn welcome(
         &mut self,
         index: usize,
@@ -241,7 +242,7 @@ impl Station {
         socket: TcpStream,
         peer: SocketAddrV4,
     ) -> bool {
-        // The kernel has forgotten it, the news has not come yet.
+        // The kernel has dropped it, and its event has not come yet.
         while let Some(number) = self.door.by_peer(peer).map(|old| old.number) {
             self.end(number, Farewell::Close);
         }
@@ -274,7 +275,7 @@ fn listen(address: SocketAddrV4) -> io::Result<TcpListener> {
         .map_err(|error| unbound(address, Carrier::Stream, error))
 }
 
-/// Why a drive has no socket, and what to do.
+/// Why a drive has no socket, and the remedy.
 pub(super) fn unbound(address: SocketAddrV4, carrier: Carrier, error: io::Error) -> io::Error {
     let remedy = match (error.kind(), carrier) {
         (io::ErrorKind::AddrInUse, Carrier::Datagrams) => {
@@ -284,7 +285,7 @@ pub(super) fn unbound(address: SocketAddrV4, carrier: Carrier, error: io::Error)
             "another simulation serves this drive: end it (ss -tlpn shows which), or give the drive another address"
         }
         (io::ErrorKind::AddrNotAvailable, _) => {
-            "a simulated drive lives on this computer: give it an address like 127.0.0.11, and its bus one to bind to"
+            "a simulated drive runs on this computer: give it an address like 127.0.0.11, and its bus one to bind to"
         }
         (io::ErrorKind::PermissionDenied, _) if address.port() < 1024 => {
             "ports below 1024 need rights: run as root or give the drive a port like 1502"

@@ -1,4 +1,4 @@
-//! The clock of a world: time passes by being looked at.
+//! The clock of a world: time passes when it is read.
 
 use super::*;
 

@@ -6,7 +6,7 @@ use super::*;
 pub(super) struct Port {
     pub(super) address: SocketAddrV4,
     pub(super) inbox: VecDeque<Parcel>,
-    /// What found no room there.
+    /// Datagrams for which there was no room.
     pub(super) dropped: u64,
 }
 
@@ -79,7 +79,7 @@ pub(super) struct Socket {
     pub(super) world: World,
     pub(super) address: SocketAddrV4,
     pub(super) options: UdpOptions,
-    /// Those of the present `receive`.
+    /// The datagrams of the present `receive`.
     pub(super) taken: Vec<Parcel>,
 }
 

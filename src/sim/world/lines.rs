@@ -1,6 +1,6 @@
-//! Lines in a world: their frames, and what can be done to them.
+//! Segments in a world: their frames, and their faults.
 //!
-//! A frame takes the world's latency to the line, what the line takes, and the latency back.
+//! A frame takes the world's latency to the segment, the segment's own time, and the latency back.
 
 use std::any::Any;
 use std::collections::VecDeque;
@@ -16,7 +16,7 @@ use crate::sim::wire::Wire;
 use crate::sim::{FaultPlan, SimLine};
 use crate::time::Time;
 
-/// A wire from the master to a line, and the master's end of it.
+/// A wire from the master to a segment, and the master's end of it.
 struct Rail {
     wire: Wire,
     /// A carrier is open there.
@@ -40,7 +40,7 @@ impl Rail {
 pub(super) struct Wires(Vec<Rail>);
 
 impl Wires {
-    /// To these lines.
+    /// Wires to these segments.
     pub(super) fn new(lines: Vec<Box<dyn SimLine>>) -> io::Result<Wires> {
         let mut wires = Wires::default();
         for line in lines {
@@ -88,14 +88,14 @@ impl Inner {
     }
 }
 
-/// What can be done to the line of an interface. Each says false, or nothing, if there is no such line.
+/// Faults of the segment of an interface. Each returns false, or nothing, if there is no such segment.
 impl World {
-    /// Cuts the cable in front of the slave at `place`, counted from 0 at the master, or mends all.
+    /// Cuts the cable in front of the slave at `place`, counted from 0 at the master; `None` repairs it.
     pub fn cut(&self, interface: &str, place: Option<usize>) -> bool {
         self.with_wire(interface, |wire, _| wire.line_mut().cut(place)).is_some()
     }
 
-    /// The slave at `place` passes frames on and hears none of them, until this is taken back.
+    /// The slave at `place` forwards frames without receiving them, until this is taken back.
     pub fn deafen(&self, interface: &str, place: usize, deaf: bool) -> bool {
         self.with_wire(interface, |wire, _| wire.line_mut().deafen(place, deaf)).is_some()
     }
@@ -110,12 +110,12 @@ impl World {
         self.with_wire(interface, |wire, now| wire.line_mut().inhibit(place, now + ns)).is_some()
     }
 
-    /// From now on the wire to the line has the faults of `plan`; its counters begin anew.
+    /// The wire to the segment has the faults of `plan` from now on; its counters restart.
     pub fn set_line_faults(&self, interface: &str, plan: FaultPlan) -> bool {
         self.with_wire(interface, |wire, _| wire.change(plan)).is_some()
     }
 
-    /// What the wire to the line has done to its frames.
+    /// The faults of the wire to the segment so far.
     pub fn line_injected(&self, interface: &str) -> Option<Injected> {
         self.with_wire(interface, |wire, _| wire.injected())
     }
@@ -125,7 +125,7 @@ impl World {
         self.with_wire(interface, |wire, now| wire.inject(at.max(now), bytes)).is_some()
     }
 
-    /// Looks at the line itself, as it is now; nothing also if it is no `L`.
+    /// Looks at the segment itself, as it is now; nothing also if it is no `L`.
     pub fn look<L: SimLine, R>(&self, interface: &str, look: impl FnOnce(&mut L, Time) -> R) -> Option<R> {
         self.with_wire(interface, |wire, now| {
             wire.line_mut().live(now);
@@ -146,7 +146,7 @@ impl World {
         let is_it = |line: &dyn SimLine| line.interface() == interface && line.ethertype() == ethertype;
         let Some(index) = lines.position(is_it) else {
             let names: Vec<&str> = inner.wires.0.iter().map(|rail| rail.wire.line().interface()).collect();
-            let message = format!("no line on {interface} in this world; there are: {}", names.join(", "));
+            let message = format!("no segment on {interface} in this world; there are: {}", names.join(", "));
             return Err(io::Error::new(io::ErrorKind::NotFound, message));
         };
         if std::mem::replace(&mut inner.wires.0[index].open, true) {
@@ -200,7 +200,7 @@ impl Frames for Carriage {
     fn memory(&self, _regions: &mut Regions) {}
 }
 
-/// The line is free again, as when a socket is closed.
+/// The segment is free again, as when a socket is closed.
 impl Drop for Carriage {
     fn drop(&mut self) {
         let mut inner = self.world.lock();
@@ -241,7 +241,7 @@ mod tests {
         std::iter::from_fn(|| carrier.receive(&mut room).map(|(_, length)| room[..length].to_vec())).collect()
     }
 
-    /// What comes back of a frame within 1 ms.
+    /// The reply to a frame within 1 ms.
     fn exchange(world: &World, carrier: &mut dyn Frames, number: u8) -> Vec<Vec<u8>> {
         carrier.send(&[number, 0, 9]).unwrap();
         world.advance(MS);
@@ -263,7 +263,7 @@ mod tests {
         assert_eq!(
             carrier.receive(&mut room),
             Some((back, 3)),
-            "what is longer than the room is cut off and told"
+            "what is longer than the room is cut off and reported"
         );
         assert_eq!(room, [1, 2]);
         assert_eq!(carrier.receive(&mut room), None);
@@ -275,7 +275,10 @@ mod tests {
     fn an_interface_without_a_line_is_told_with_those_that_there_are() {
         let (world, carrier) = world(FaultPlan::default());
         let refused = |name, kind| world.frames(name, kind).map(|_| ()).unwrap_err();
-        assert_eq!(refused("eth8", TYPE).to_string(), "no line on eth8 in this world; there are: eth6, eth7");
+        assert_eq!(
+            refused("eth8", TYPE).to_string(),
+            "no segment on eth8 in this world; there are: eth6, eth7"
+        );
         assert_eq!(refused(NAME, 0x0800).kind(), io::ErrorKind::NotFound);
         assert_eq!(refused(NAME, TYPE).kind(), io::ErrorKind::AddrInUse);
         drop(carrier);

@@ -1,9 +1,9 @@
 //! Connections in a virtual world.
 //!
-//! The master's ends are opened, greeted and re-opened by the machine that the link thread uses on real sockets. Each
-//! connection has a local address that none had before, so that what is under way to an old one is nobody's. A drive
-//! without its plug is silent: what is sent waits, as a host sends again what is not acknowledged, until the plug is
-//! back or the connection is given up.
+//! The master's ends are opened, initialised (handshake) and re-opened by the machine that the link thread uses on
+//! real sockets. Each connection has a new local address, so that parcels under way to an old one reach nobody. An
+//! unplugged drive is silent: sent bytes wait, as a host repeats what is not acknowledged, until the cable is back
+//! or the connection is given up.
 
 use std::collections::VecDeque;
 use std::io;
@@ -18,15 +18,15 @@ use crate::sim::Carrier;
 use crate::sim::fault::{Blow, Datagram, Parcel, Signal, Way};
 use crate::time::Time;
 
-/// What came on a connection and was not taken, bytes. A drive that says more to a master that does not listen loses
-/// it.
+/// Received bytes on a connection that were not taken. A drive that sends more to a master that does not read loses
+/// the excess.
 const INBOX: usize = 16_384;
-/// What the wire takes while nobody acknowledges, bytes.
+/// Bytes that the wire accepts without an acknowledgement.
 const WINDOW: usize = 2_048;
 /// The master's ends of connections: RFC 2544 keeps 198.18.0.0/15 free for tests. The ports are those for such ends
 /// (RFC 6335).
 const FIRST_LOCAL: (Ipv4Addr, u16) = (Ipv4Addr::new(198, 18, 0, 0), 49_152);
-/// How many there are at one address.
+/// The number of ports at one address.
 const PORTS: u32 = 16_384;
 
 /// All connections of a world, open or not.
@@ -35,9 +35,9 @@ pub(super) struct Links {
     sets_made: u64,
     /// How many were opened so far.
     opened: u32,
-    /// When time itself makes something happen next.
+    /// When time alone makes something happen next.
     alarm: Option<Time>,
-    /// Around the work of a normal thread.
+    /// Called around the work of a normal thread.
     beside: fn(&mut dyn FnMut()),
 }
 
@@ -45,7 +45,7 @@ pub(super) struct Links {
 struct Set {
     id: u64,
     links: Vec<Link>,
-    /// Those that the loop may have.
+    /// Connections ready for the loop.
     opened: VecDeque<usize>,
 }
 
@@ -57,20 +57,20 @@ struct Link {
     /// Its address; `None`: closed.
     local: Option<SocketAddrV4>,
     hold: Hold,
-    /// What came for the loop ...
+    /// Received bytes for the loop ...
     inbox: VecDeque<u8>,
-    /// ... and how it ended behind that.
+    /// ... and how the connection ended after them.
     broken: Option<Broken>,
-    /// What waits for the plug of the drive, both ways.
+    /// Parcels that wait for the cable of the drive, both ways.
     stalled: VecDeque<Parcel>,
     /// Since when bytes to the drive wait there.
     unheard: Option<Time>,
 }
 
-/// Who has a connection.
+/// The owner of a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Hold {
-    /// It is closed, or opened beside the loop.
+    /// It is closed, or being opened outside the loop.
     Beside,
     /// It is ready for the loop.
     Offered,
@@ -105,7 +105,7 @@ impl Link {
         self.unheard.map(|since| since + self.machine.peer().unacknowledged_ns)
     }
 
-    /// When time itself makes something happen next.
+    /// When time alone makes something happen next.
     fn next_due(&self) -> Option<Time> {
         [self.machine.next_due(), self.given_up_at()].into_iter().flatten().min()
     }
@@ -122,7 +122,7 @@ impl Default for Links {
 }
 
 impl Links {
-    /// When time itself makes something happen next.
+    /// When time alone makes something happen next.
     pub(super) fn alarm(&self) -> Option<Time> {
         self.alarm
     }
@@ -165,8 +165,8 @@ impl Links {
 }
 
 impl World {
-    /// From now on what a normal thread does on a real machine, opening, greeting and closing connections, is done
-    /// within `around`, so that who watches the loop's thread can look away meanwhile.
+    /// From now on the work of a normal thread on a real machine (opening, handshake and closing of connections) is
+    /// done within `around`, so that a watcher of the loop's thread can exclude it.
     pub fn set_beside(&self, around: fn(&mut dyn FnMut())) {
         self.lock().links.beside = around;
     }
@@ -190,7 +190,7 @@ impl World {
 
 /// The master's ends.
 impl Inner {
-    /// Everything that time itself makes happen now.
+    /// Everything that time alone makes happen now.
     pub(super) fn ring(&mut self) {
         for set in 0..self.links.sets.len() {
             for link in 0..self.links.sets[set].links.len() {
@@ -207,7 +207,7 @@ impl Inner {
         self.links.set_alarm();
     }
 
-    /// Tells the machine of a link what happens, and does what follows.
+    /// Passes an event to the machine of a link, and carries out the resulting actions.
     fn work(&mut self, place: Place, happens: impl FnOnce(&mut Connection, Time) -> Action) {
         let mut action = self.ask(place, happens);
         loop {
@@ -249,7 +249,7 @@ impl Inner {
         action
     }
 
-    /// Sends what the greeting says.
+    /// Sends the bytes of the handshake.
     fn greet(&mut self, place: Place) -> usize {
         let link = &self.links.sets[place.0].links[place.1];
         let (Some(station), Some(from)) = (link.station, link.local) else { return 0 };
@@ -260,7 +260,7 @@ impl Inner {
         count
     }
 
-    /// Closes the master's end. What is under way to it is nobody's.
+    /// Closes the master's end. Parcels under way to it reach nobody.
     fn hang_up(&mut self, place: Place) {
         let link = self.links.at(place);
         let Some(local) = link.local.take() else { return };
@@ -281,7 +281,7 @@ impl Inner {
         }
     }
 
-    /// Something comes to an address that may be the master's end of a connection. Gives back what is used up.
+    /// A parcel comes to an address that may be the master's end of a connection. Returns a used buffer.
     pub(super) fn arrive(&mut self, parcel: Parcel) -> Option<Parcel> {
         let Some(place) = self.links.by_local(parcel.to) else { return Some(parcel) };
         if self.links.at(place).station.is_some_and(|station| !self.stations[station].plugged) {
@@ -319,7 +319,7 @@ impl Inner {
         }
     }
 
-    /// The plug is out: what is on its way waits, in order.
+    /// The cable is out: parcels under way wait, in order.
     fn stall(&mut self, place: Place, parcel: Parcel) -> Option<Parcel> {
         let now = self.now;
         let link = self.links.at(place);
@@ -353,7 +353,7 @@ impl Inner {
 
 /// The drives' ends.
 impl Inner {
-    /// Something of a stream comes to a drive. Gives back what is used up.
+    /// A parcel of a stream comes to a drive. Returns a used buffer.
     pub(super) fn hear(&mut self, index: usize, parcel: Parcel) -> Option<Parcel> {
         let (now, of) = (self.now, self.links.by_local(parcel.from));
         let station = &mut self.stations[index];
@@ -366,7 +366,7 @@ impl Inner {
         record(&mut self.digest, now, &parcel);
         self.delivered += 1;
         match parcel.signal {
-            // Given up while it was under way, it is as if it had been closed at once.
+            // Given up while it was under way: as if it had been closed at once.
             Signal::Open if of.is_some() => {
                 let welcome = station.carrier == Carrier::Stream && station.drive.connect(now, parcel.from);
                 if welcome {
@@ -408,7 +408,7 @@ impl Inner {
         station.injector.signal(Way::Reply, due, parcel, &mut self.under_way);
     }
 
-    /// The drive at `address` hears that its connection with `peer` has ended, if it had one.
+    /// The drive at `address` learns that its connection with `peer` has ended, if it had one.
     fn forget(&mut self, address: SocketAddrV4, peer: SocketAddrV4) {
         let (Some(index), now) = (self.station(address), self.now) else { return };
         let station = &mut self.stations[index];
@@ -418,7 +418,7 @@ impl Inner {
         }
     }
 
-    /// Lets a blow happen to drive `index`. A restart breaks its connections off.
+    /// Injects a fault into drive `index`. A restart resets its connections.
     pub(super) fn strike(&mut self, index: usize, blow: Option<Blow>) {
         let (Some(blow), now) = (blow, self.now) else { return };
         while blow == Blow::Restart
@@ -430,7 +430,8 @@ impl Inner {
         blow.strike(now, &mut *self.stations[index].drive);
     }
 
-    /// Puts the plug of drive `index` back: what waited comes, and the drive hears whose connections have ended.
+    /// Plugs the cable of drive `index` in again: waiting parcels arrive, and the drive learns which connections
+    /// have ended.
     pub(super) fn plug(&mut self, index: usize) {
         let now = self.now;
         self.stations[index].plugged = true;
@@ -459,7 +460,7 @@ pub(super) struct StreamCarrier {
     world: World,
     id: u64,
     notes: LinkNotes,
-    /// What the last look found.
+    /// The connections that the last look found.
     ready: VecDeque<usize>,
 }
 
@@ -569,15 +570,15 @@ mod tests {
     use crate::sim::{FaultPlan, SimDrive};
     use crate::time::{MS, S, US};
 
-    /// One way.
+    /// One direction.
     const LATENCY: u64 = 20 * US;
 
     fn drive(n: u8) -> SocketAddrV4 {
         SocketAddrV4::new(Ipv4Addr::new(10, 0, 2, n), 1502)
     }
 
-    /// Answers each request of two bytes, a number and its complement, with the number and how often it was asked since
-    /// its start; hangs up at what is none.
+    /// Answers each request of two bytes, a number and its complement, with the number and the count of requests
+    /// since its start; ends the connection at anything else.
     struct Line {
         address: SocketAddrV4,
         carrier: Carrier,
@@ -640,7 +641,7 @@ mod tests {
         }
     }
 
-    /// Asks once, with 77.
+    /// Sends one request, 77.
     #[derive(Debug)]
     struct Ask(Vec<u8>);
 
@@ -665,9 +666,9 @@ mod tests {
     struct Rig {
         world: World,
         carrier: Box<dyn Streams>,
-        /// Those of each drive.
+        /// The peers of each drive.
         peers: Vec<Peers>,
-        /// What came back.
+        /// The received bytes.
         heard: Vec<Vec<u8>>,
         open: Vec<bool>,
         broken: Vec<(usize, Broken)>,
@@ -704,7 +705,7 @@ mod tests {
             Rig { world, carrier, peers, heard, open, broken: Vec::new() }
         }
 
-        /// Takes in what is there, as a bus does.
+        /// Takes in what has arrived, as a bus does.
         fn take(&mut self) {
             while let Some(index) = self.carrier.opened() {
                 assert!(!std::mem::replace(&mut self.open[index], true));
@@ -730,7 +731,7 @@ mod tests {
             self.carrier.send(index, &[number, !number])
         }
 
-        /// Lets `ns` pass, with the eyes open.
+        /// Lets `ns` pass while reading.
         fn pass(&mut self, ns: u64) {
             let (mut clock, until) = (self.world.clock(), self.world.now() + ns);
             while clock.wait(&mut PollSet::default(), until) {
@@ -775,7 +776,7 @@ mod tests {
         assert!(rig.world.clock().wait(&mut set, begin + MS));
         assert_eq!(rig.world.now(), begin + 140 * US);
         rig.take();
-        // The first request was the greeting.
+        // The first request was the handshake.
         assert_eq!(rig.heard[0], [5, 2]);
         assert!(!rig.world.clock().wait(&mut set, begin + MS));
     }
@@ -902,7 +903,7 @@ mod tests {
         assert!(rig.world.restart(drive(0)));
         rig.pass(MS);
         assert_eq!(rig.broken, [(0, Broken::Failed(libc::ECONNRESET))]);
-        // What was asked of the old one reached nobody.
+        // The requests to the old one reached nobody.
         assert_eq!((&rig.heard[0][..], rig.open[1]), (&[][..], true));
         rig.opened(0);
         rig.ask(0, 2).unwrap();
@@ -1009,7 +1010,7 @@ mod tests {
             (rig.ask(0, 1), rig.carrier.receive(0, &mut [0; 8])),
             (Err(Broken::Absent), Err(Broken::Absent))
         );
-        // The pause ends before the late answer comes, the greeting behind it.
+        // The pause ends before the late answer comes, and the handshake follows it.
         rig.opened(0);
         assert_ne!(mine(&rig), first);
         rig.pass(S);
@@ -1079,7 +1080,7 @@ mod tests {
                     }
                 }
                 rig.pass(MS);
-                // Now and then a plug, as if somebody stumbled over it.
+                // Now and then the cable is unplugged.
                 match round % 1_000 {
                     400 => drop(rig.world.unplug(drive((round / 1_000) as u8))),
                     900 => drop(rig.world.plug(drive((round / 1_000) as u8))),
@@ -1106,7 +1107,7 @@ mod tests {
             static BESIDE: Cell<(bool, u32)> = const { Cell::new((false, 0)) };
         }
 
-        /// A greeting that looks where it is.
+        /// A handshake that looks where it runs.
         #[derive(Debug)]
         struct Look(Ask);
 

@@ -69,7 +69,7 @@ fn tshark_finds_nothing_wrong_with_a_scan() {
 #[ignore = "needs root and iproute2"]
 fn what_is_wrong_with_an_interface_is_told_in_one_line() {
     let cable = cable(34);
-    scan(&cable, &[]).failed(&["wire: no slave answers; look at power and cable"]);
+    scan(&cable, &[]).failed(&["wire: no slave answers; check power and cable"]);
     cable.plug("down");
     scan(&cable, &[]).failed(&["wire: no cable, or nothing with power at its other end"]);
     command(&["ip", "-n", &cable.master, "link", "set", WIRE, "down"]);

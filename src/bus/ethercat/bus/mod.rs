@@ -1,9 +1,9 @@
-//! All slaves of one line behind one interface: stations, devices and their frames, as a [`Bus`].
+//! All slaves of one segment behind one interface: stations, devices and their frames, as a [`Bus`].
 //!
 //! | file | what |
 //! |---|---|
-//! | `mod` | the frames on their way, and the bus |
-//! | `seats` | those behind the members of the line: drives and devices |
+//! | `mod` | the frames under way, and the bus |
+//! | `seats` | the drives and devices behind the members of the segment |
 //! | `notes` | why one is not in operation |
 
 mod notes;
@@ -42,23 +42,23 @@ use crate::rt::Regions;
 use crate::sim::{SimDrive, SimLine};
 use crate::time::{Time, US};
 
-/// Frames that are remembered: one that comes back later is not known any more.
+/// Frames that are remembered: one that comes back later is unknown.
 const KNOWN: usize = 256;
-/// The logical addresses of masters that are started one after the other: each has others, so that what an earlier one
-/// has left behind in a slave takes no part.
+/// Masters that are started one after the other use different logical addresses, so that settings that an earlier
+/// one has left in a slave take no part.
 const LOGICAL: u32 = 0x1000_0000;
 const LOGICAL_EACH: u32 = 0x8_0000;
 const LOGICAL_COUNT: u64 = 0x1800;
 /// Calls for the objects of a device that may wait.
 const DEVICE_CALLS: usize = 64;
-/// Frames that are taken in at once beyond those that are due.
+/// The most frames taken in at once beyond those that are due.
 const MORE_AT_ONCE: usize = 4;
-/// So many cycles in a row without a frame that comes back are no accident.
+/// So many cycles in a row without a returned frame are reported as a fault of the wire.
 const SILENT: u8 = 100;
 /// The bit of an Ethernet address that the first slave sets in passing.
 const PASSED: u8 = 1 << 1;
 
-/// A line of drives and devices.
+/// A segment of drives and devices.
 pub struct EthercatBus {
     name: String,
     net: Box<dyn Frames>,
@@ -66,18 +66,18 @@ pub struct EthercatBus {
     image: Image,
     line: Line,
     crew: Seats,
-    /// Names this master in its frames, and counts them.
+    /// Identifies this master in its frames, and counts them.
     mark: Mark,
-    /// What became of the last frames, each in the place of its number.
+    /// The state of the last frames, each at the index of its number.
     known: Box<[Known; KNOWN]>,
-    /// Of each frame of the image: when it was sent, and whether it is still under way.
+    /// For each frame of the image: when it was sent, and whether it is still under way.
     flights: Box<[Flight]>,
     room: Box<[u8]>,
     /// The first frame is prepared for the next send.
     prepared: bool,
-    /// The line is on its way down: it owes no exchanges any more.
+    /// The segment is being shut down: it owes no exchanges any more.
     ending: bool,
-    /// How it is with the wire, for normal threads; and the cycles in a row from which nothing came back.
+    /// The state of the wire, for normal threads; and the cycles in a row from which nothing came back.
     wire: Arc<AtomicU8>,
     silent: u8,
     interface: String,
@@ -96,7 +96,7 @@ struct Known {
     answered: bool,
 }
 
-/// A frame of the image on its way: sent and not yet back, back, or not sent at all.
+/// A frame of the image: sent and not yet back, back, or not sent at all.
 #[derive(Clone, Copy, Debug, Default)]
 struct Flight {
     number: u32,
@@ -214,9 +214,9 @@ impl EthercatBus {
         })
     }
 
-    /// Takes in what has come, a bounded part of a flood. Once all that was sent is back, nothing is waited for, and it
-    /// is not asked whether there is more: that would be a system call in each cycle. What there is is taken in with
-    /// the next frames.
+    /// Takes in what has come, up to a bounded amount. Once all sent frames are back, nothing more is waited for,
+    /// and the socket is not read again: that would be a system call in each cycle. Further frames are taken in
+    /// with the next ones.
     fn take_in(&mut self, in_window: bool, slots: &mut [Slot]) {
         for _ in 0..self.flights.len() + MORE_AT_ONCE {
             let Some((at, length)) = self.net.receive(&mut self.room) else { return };
@@ -234,7 +234,7 @@ impl EthercatBus {
 
     /// One frame.
     fn take(&mut self, at: Time, length: usize, in_window: bool, slots: &mut [Slot]) {
-        // Out of the bus's hands while it is looked at.
+        // Taken out of the bus while it is read.
         let room = std::mem::take(&mut self.room);
         match room.get(..length) {
             Some(received) => self.sort(at, received, in_window, slots),
@@ -244,7 +244,7 @@ impl EthercatBus {
         self.room = room;
     }
 
-    /// Whose frame it is, and which one.
+    /// The sender of a frame, and its number.
     fn sort(&mut self, at: Time, received: &[u8], in_window: bool, slots: &mut [Slot]) {
         let number = match own_number(received, &self.source, self.mark.master) {
             Ok(number) => number,
@@ -253,7 +253,7 @@ impl EthercatBus {
                 return;
             }
             Err(Stranger::Unknown) => return self.count(None, slots, |counters| counters.foreign += 1),
-            // Of which frame it was, nobody can tell.
+            // Its frame cannot be identified.
             Err(Stranger::Broken) => return self.count(None, slots, |counters| counters.malformed += 1),
         };
         let place = number as usize % KNOWN;
@@ -277,7 +277,7 @@ impl EthercatBus {
                 self.silent = 0;
                 self.wire.store(WELL, Ordering::Relaxed);
                 if !in_window {
-                    // Too late for the drives that were asked, but not for what goes on step by step.
+                    // Too late for the exchanges of the drives, but not for what proceeds step by step.
                     self.count_late(frame, &sent, slots);
                 }
                 let back =
@@ -289,7 +289,7 @@ impl EthercatBus {
         }
     }
 
-    /// Counts something of each drive in a frame that takes part; of all drives, if it is no frame of these.
+    /// Counts something of each drive in a frame; of all drives, if the frame is unknown.
     fn count(&self, frame: Option<usize>, slots: &mut [Slot], count: impl Fn(&mut Counters)) {
         for ((slot, spot), member) in slots.iter_mut().zip(&self.crew.spots).zip(&self.crew.members) {
             if frame.is_none_or(|frame| frame == spot.frame) && self.line.is_operational(*member) {
@@ -298,7 +298,7 @@ impl EthercatBus {
         }
     }
 
-    /// Counts frame `number`, which came behind its window, as late for the drives that were asked with it.
+    /// Counts frame `number`, which came after its window, as late for the drives of its exchanges.
     fn count_late(&self, number: usize, sent: &Sent, slots: &mut [Slot]) {
         let Seats { stations, spots, members, .. } = &self.crew;
         for (((slot, station), spot), member) in slots.iter_mut().zip(stations).zip(spots).zip(members) {
@@ -309,7 +309,7 @@ impl EthercatBus {
         }
     }
 
-    /// Gets the first frame ready, once nothing of the one before is under way.
+    /// Completes the first frame, once nothing of the one before is under way.
     fn finish(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
         if !self.prepared {
             if let Some(first) = self.image.frames_mut().first_mut() {
@@ -330,7 +330,8 @@ impl EthercatBus {
             }
             *built = sent_at.is_none();
             let is_asked = settled || self.line.is_operational(*member);
-            // The frame goes out in each cycle, and with it what was told last: so what is told goes on in each.
+            // The frame is sent in each cycle with the last outputs: so the counting of sent outputs advances in
+            // each.
             slot.reachable |= is_asked && slot.link == Link::Lost;
             match sent_at.filter(|_| is_asked) {
                 Some(sent_at) if settled || self.line.outputs_count(*member) => {
@@ -338,7 +339,7 @@ impl EthercatBus {
                 }
                 Some(sent_at) => station.asked(sent_at, cycle.deadline, slot),
                 None => {
-                    // Of one that is taken down nobody is to wonder.
+                    // The silence of a slave that is being shut down is expected.
                     slot.excused |= self.ending;
                     station.unsent(slot);
                 }
@@ -375,10 +376,10 @@ impl EthercatBus {
     }
 }
 
-/// What is no frame of this master.
+/// A frame that is not one of this master's last frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Stranger {
-    /// Of somebody else.
+    /// Of an unknown sender.
     Foreign,
     /// From here, but not of this master.
     Unknown,
@@ -402,7 +403,7 @@ fn own_number(received: &[u8], source: &[u8; 6], master: u32) -> Result<u32, Str
     }
 }
 
-/// What to do about an interface that cannot be used.
+/// The remedy for an interface that cannot be used.
 fn remedy(source: &std::io::Error) -> &'static str {
     match source.kind() {
         ErrorKind::PermissionDenied => {
@@ -600,7 +601,7 @@ impl BusPlan for EthercatPlan {
         Arc::new(Objects)
     }
 
-    /// The whole line has to come up for one drive: it is the line of this drive alone, the others in INIT.
+    /// The whole segment has to come up for one drive: the plan is reduced to this drive, the others stay in INIT.
     fn reaching(&self, index: usize) -> Option<Box<dyn BusPlan>> {
         let mut drive = self.drives.get(index)?.clone();
         drive.axis.on_found_running = FoundRunning::Refuse;

@@ -8,7 +8,7 @@ use crate::bus::ethercat::line::note::Notes as LineNotes;
 use crate::net::frames::Dropped;
 use crate::net::local;
 
-/// How it is with the wire.
+/// The state of the wire.
 pub(super) const WELL: u8 = 0;
 pub(super) const DOWN: u8 = 1;
 pub(super) const NOTHING_BACK: u8 = 2;
@@ -17,7 +17,7 @@ pub(super) const NOTHING_BACK: u8 = 2;
 #[derive(Debug)]
 pub(super) struct SlaveNotes {
     pub(super) notes: LineNotes,
-    /// The member of each drive, and its place.
+    /// The member of each drive, and its position.
     pub(super) members: Vec<(usize, u16)>,
     /// The same of each device.
     pub(super) devices: Vec<(usize, u16)>,

@@ -1,4 +1,4 @@
-//! Those behind the members of a line: the stations of drives, and what the master has of devices.
+//! The drives and devices behind the members of a segment: the stations of drives, and the ports of devices.
 
 use crate::axis::cell::Writer;
 use crate::axis::{Emergency, Feedback, Link};
@@ -14,10 +14,10 @@ use crate::bus::ethercat::wire::registers::AlState;
 use crate::bus::{Counters, Exchange, Slot};
 use crate::time::Time;
 
-/// Those behind the members of the line.
+/// The drives and devices behind the members of the segment.
 pub(super) struct Seats {
     pub(super) stations: Vec<Station>,
-    /// Of each drive: outputs are built that have not gone out.
+    /// For each drive: outputs are built that have not been sent.
     pub(super) built: Vec<bool>,
     pub(super) spots: Vec<Spot>,
     /// The members of the drives.
@@ -25,10 +25,10 @@ pub(super) struct Seats {
     pub(super) devices: Vec<DeviceSeat>,
 }
 
-/// A device as the master has it.
+/// The master's side of a device.
 pub(super) struct DeviceSeat {
     pub(super) service: Service,
-    /// Whether its objects can be asked for.
+    /// Whether its objects can be accessed.
     pub(super) reached: Writer<Feedback>,
     pub(super) port: TerminalPort,
     pub(super) spot: Spot,
@@ -36,7 +36,7 @@ pub(super) struct DeviceSeat {
 }
 
 impl DeviceSeat {
-    /// Its mailbox was looked at: the application is told of the next emergency, if it has room for it.
+    /// Its mailbox was read: reports the next emergency to the application, if there is room for it.
     fn mailbox_heard(&mut self) {
         if self.port.may_tell()
             && let Some(emergency) = self.service.take_emergency()
@@ -45,7 +45,7 @@ impl DeviceSeat {
         }
     }
 
-    /// The slave has come to this state; `None`: below SAFEOP, or not on the line.
+    /// The slave has entered this state; `None`: below SAFEOP, or not on the segment.
     fn state(&mut self, al: Option<AlState>) {
         let was_operational = std::mem::replace(&mut self.operational, al == Some(AlState::Op));
         if was_operational && !self.operational {

@@ -1,41 +1,42 @@
-//! The time of the line: that of its reference, the first slave with a clock, and how far the grid is from it.
-//!
-//! SYNC0 comes at whole periods of that time, and a slot of the grid shall stand a fixed while before it. So the master
-//! knows what the reference should show whenever a frame passes it: `slot * T + target + (sent - g_k)`. What it shows
-//! instead, less that, is the phase error: our own wake-up jitter is no part of it. Clocks of 32 bits start again every
-//! 4.3 s; since the error is small against that, it comes out of the difference of the lower halves.
+//! The time of the segment: that of its reference, the first slave with a clock, and the distance of the grid from
+//! it.
+//! SYNC0 comes at whole periods of that time, and a slot of the grid shall be a fixed time before it. So the master
+//! knows what the reference should show whenever a frame passes it: `slot * T + target + (sent - g_k)`. The time
+//! shown instead, less that, is the phase error: our own wake-up jitter is not part of it. Clocks of 32 bits wrap
+//! around every 4.3 s; since the error is small against that, it is the difference of the lower halves.
 
 use crate::bus::{BusClock, Cycle};
 use crate::time::{MS, Time, US};
 
-/// A drive takes cycles that are off by so much, at a period of 1 ms and above, and below (EtherCAT manual).
+/// A drive tolerates cycles that are off by so much, at a period of 1 ms and above, and below (EtherCAT manual).
 const WINDOW_NS: i64 = 320 * US as i64;
 const WINDOW_SHORT_NS: i64 = 70 * US as i64;
-/// A clock is led by this part of the time at most: half of what a drive takes for a cycle that is off all the time
-/// (EtherCAT manual).
+/// A clock is adjusted by this part of the time at most: half of what a drive tolerates for a cycle that is off all
+/// the time (EtherCAT manual).
 const SLEW: u64 = 2_000;
-/// About where the line's time begins: above all that a clock of 32 bits may be off.
+/// Approximate begin of the segment's time: above any error of a clock of 32 bits.
 const ORIGIN_NS: u64 = 1 << 36;
-/// Times that are not further apart than this part of the window are one.
+/// Times that differ by at most this part of the window are the same.
 const SAME: i64 = 4;
-/// So many samples in a row inside of half of the window are a lock: the other half is for the jitter of the frames.
+/// So many samples in a row inside of half of the window are a lock: the other half is for the jitter of the
+/// frames.
 const SAMPLES: u32 = 64;
 
-/// Where the grid stands in the time of the line.
+/// The relation of the grid and the segment's time.
 #[derive(Clone, Copy, Debug)]
 pub struct LineClock {
     period_ns: u64,
-    /// What it should be at slot 0 of the grid.
+    /// Its intended value at slot 0 of the grid.
     origin_ns: u64,
-    /// Where in the periods of the line's time SYNC0 comes.
+    /// The offset of SYNC0 in the periods of the segment's time.
     phase_ns: u64,
     window_ns: i64,
     error_ns: i64,
-    /// The newest error was not told yet.
+    /// The newest error was not returned yet.
     new: bool,
     /// A sample was taken since the reference was found.
     seen: bool,
-    /// How far the reference was from where the grid wants it, of what it has not been told yet.
+    /// The part of the reference's distance from the grid that it has not been adjusted by yet.
     slew_ns: i64,
     good: u32,
     /// It was locked once, and the largest error since.
@@ -43,13 +44,13 @@ pub struct LineClock {
     error_max_ns: u64,
 }
 
-/// How far a drive's cycles may be off, ns.
+/// The deviation that a drive's cycles may have, ns.
 pub const fn window_ns(period_ns: u64) -> i64 {
     if period_ns >= MS { WINDOW_NS } else { WINDOW_SHORT_NS }
 }
 
 impl LineClock {
-    /// A grid of this period, whose slots shall stand so long before SYNC0.
+    /// A grid of this period, whose slots shall be so long before SYNC0.
     pub fn new(period_ns: u64, ahead_ns: u64) -> LineClock {
         let target = period_ns - ahead_ns % period_ns;
         LineClock {
@@ -68,25 +69,25 @@ impl LineClock {
         }
     }
 
-    /// What the line's time shall be at `at`, seen from the slot of `cycle`.
+    /// The intended segment time at `at`, seen from the slot of `cycle`.
     pub fn time(&self, cycle: &Cycle, at: Time) -> u64 {
         let slot = cycle.index.wrapping_mul(self.period_ns).wrapping_add(self.origin_ns);
         slot.wrapping_add(at.0).wrapping_sub(cycle.grid.0)
     }
 
-    /// What the reference shows at `at`, as far as is known: what it should, and the newest error.
+    /// The reference's time at `at`, as far as is known: the intended one, and the newest error.
     pub fn shows(&self, cycle: &Cycle, at: Time) -> u64 {
         self.time(cycle, at).wrapping_add(self.error_ns as u64)
     }
 
-    /// A slave that showed `time` as a frame sent at `at` passed it runs on this time.
+    /// A slave that showed `time` when a frame sent at `at` passed it runs on this time.
     pub fn is_time_of(&self, cycle: &Cycle, at: Time, time: u32) -> bool {
         let off = time.wrapping_sub(self.shows(cycle, at) as u32) as i32;
         i64::from(off).abs() <= self.window_ns / SAME
     }
 
-    /// A slave that runs showed `time`: the line's time is its time from now on, and SYNC0 comes where it has it, if
-    /// that is known.
+    /// A running slave showed `time`: the segment's time is its time from now on, with SYNC0 where that slave has
+    /// it, if that is known.
     pub fn lend(&mut self, cycle: &Cycle, at: Time, time: u32, phase_ns: Option<u64>) {
         if let Some(phase_ns) = phase_ns {
             self.origin_ns = self.origin_ns.wrapping_sub(self.phase_ns).wrapping_add(phase_ns);
@@ -97,37 +98,37 @@ impl LineClock {
         self.error_ns = error;
     }
 
-    /// How far `time` is from what it should be; and that without whole periods, the phase error.
+    /// The distance of `time` from its intended value; and the same without whole periods, the phase error.
     fn off(&self, cycle: &Cycle, at: Time, time: u32) -> (i64, i64) {
         let period = self.period_ns as i64;
         let off = i64::from(time.wrapping_sub(self.time(cycle, at) as u32) as i32);
         (off, (off + period / 2).rem_euclid(period) - period / 2)
     }
 
-    /// Whole periods of a time that somebody else has set are no error.
+    /// Whole periods of a time that another master has set are no error.
     fn take_whole(&mut self, off: i64, error: i64) {
         self.origin_ns = self.origin_ns.wrapping_add((off - error) as u64);
     }
 
-    /// What a reference that follows is told at `at`: the line's time, once it has been led there. A clock that drives
-    /// make SYNC0 of must not be pulled faster than they can bear.
+    /// The time sent at `at` to a reference that follows: the segment's time, once the reference has been adjusted
+    /// to it. A clock from which drives make SYNC0 must not be adjusted faster than they tolerate.
     pub fn told(&self, cycle: &Cycle, at: Time) -> u64 {
         self.time(cycle, at).wrapping_add(self.slew_ns as u64)
     }
 
-    /// A slot has passed: the reference is led on.
+    /// A slot has passed: the reference is adjusted further.
     pub fn lead_on(&mut self) {
         let most = (self.period_ns / SLEW) as i64;
         self.slew_ns -= self.slew_ns.clamp(-most, most);
     }
 
-    /// The first SYNC0 that is not before `ns`, by the line's time.
+    /// The first SYNC0 that is not before `ns`, by the segment's time.
     pub fn sync_from(&self, ns: u64) -> u64 {
         let since = ns.wrapping_sub(self.phase_ns);
         since.div_ceil(self.period_ns).wrapping_mul(self.period_ns).wrapping_add(self.phase_ns)
     }
 
-    /// Where in the periods of the line's time SYNC0 comes.
+    /// The offset of SYNC0 in the periods of the segment's time.
     pub fn phase_ns(&self) -> u64 {
         self.phase_ns
     }
@@ -162,13 +163,13 @@ impl LineClock {
         }
     }
 
-    /// How far the newest slot was from where the drives want it, ns: positive is late; `None`: the reference was not
-    /// seen.
+    /// Distance of the newest slot from where the drives want it, ns: positive is late; `None`: the reference was
+    /// not seen.
     pub fn error_ns(&self) -> Option<i64> {
         self.seen.then_some(self.error_ns)
     }
 
-    /// How it and the grid stand to each other.
+    /// The relation of it and the grid.
     pub fn status(&self) -> BusClock {
         BusClock {
             error_ns: self.error_ns(),
@@ -178,7 +179,7 @@ impl LineClock {
         }
     }
 
-    /// What was not told by now is old.
+    /// An error that was not returned by now is old.
     pub fn pass(&mut self) {
         self.new = false;
     }
@@ -194,9 +195,9 @@ impl LineClock {
     }
 }
 
-/// How much later than the reference a slave receives: half of what a frame is longer under way behind the one than
-/// behind the other. `loop_ns`: from the first port to the last one, 0 of the last slave; forwarding through a slave
-/// counts as cable.
+/// How much later than the reference a slave receives: half of the difference of the times that a frame is under
+/// way behind each of them. `loop_ns`: from the first port to the last one, 0 of the last slave; forwarding through
+/// a slave counts as cable.
 pub fn delay_ns(reference_loop_ns: u32, loop_ns: u32) -> u32 {
     reference_loop_ns.saturating_sub(loop_ns) / 2
 }
@@ -301,6 +302,6 @@ mod tests {
     #[test]
     fn delays_add_up_along_the_line() {
         assert_eq!([3_000, 2_000, 1_000, 0].map(|own| delay_ns(3_000, own)), [0, 500, 1_000, 1_500]);
-        assert_eq!(delay_ns(0, 40), 0, "nothing is behind the reference");
+        assert_eq!(delay_ns(0, 40), 0, "no slave is behind the reference");
     }
 }

@@ -1,5 +1,5 @@
-//! Slaves on the line that are not configured: they stay as they are, but must not answer in the name of one that is,
-//! nor be dragged to a time that is not theirs.
+//! Unconfigured slaves on the segment: they stay as they are, but must not answer in the name of a configured one,
+//! nor have their clocks adjusted to another time.
 
 use super::running::Running;
 use crate::bus::ethercat::plan::FIRST_STATION;
@@ -9,39 +9,39 @@ use crate::bus::ethercat::wire::registers::{AlState, AlStatus, Features, address
 use crate::rt::Regions;
 use crate::time::{MS, Time};
 
-/// Places that are looked at, at most.
+/// The most positions that are read.
 const MOST: u16 = 1_024;
-/// Between two looks, once each place was looked at: while the line has no time yet, and then.
+/// Pause between two looks, once each position was read: while the segment has no time yet, and after that.
 const WAIT_NS: u64 = 10 * MS;
 const IDLE_NS: u64 = 100 * MS;
-/// And members have so many slots between two of theirs.
+/// Slots for the members between two of the unconfigured slaves'.
 const TURNS: u64 = 4;
-/// Bytes from its type to its station address, and where its features stand.
+/// Bytes from its type to its station address, and the offset of its features.
 const LOOK: usize = 0x12;
 const FEATURES: usize = (address::FEATURES - address::TYPE) as usize;
 const STATION: usize = (address::STATION - address::TYPE) as usize;
 
-/// The look at each place that nobody has, again and again: what stands there may be changed.
+/// Reads each unconfigured position, again and again: the slave there may be changed.
 #[derive(Debug)]
 pub struct Guests {
-    /// Places that nobody has, in front of the last one that is configured; behind it all are free.
+    /// Unconfigured positions before the last configured one; all positions after it are unconfigured.
     gaps: Box<[u16]>,
     behind: u16,
-    /// The next of them to look at, and what is asked there.
+    /// The next of them to read, and what is requested there.
     next: u16,
     step: Step,
-    /// An address of ours is taken away from it then.
+    /// One of our addresses is taken away from it then.
     is_ours: bool,
     not_before: Time,
-    /// Each was looked at.
+    /// Each was read.
     looked: bool,
-    /// One that runs on another time than the line's: in this round, and in the last one.
+    /// A slave that runs on a time other than the segment's: in this round, and in the last one.
     found: Option<u16>,
     stranger: Option<u16>,
     ended: bool,
 }
 
-/// What is asked at a place.
+/// What is requested at a position.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Step {
     Look,
@@ -50,7 +50,7 @@ enum Step {
 }
 
 impl Guests {
-    /// On a line with slaves configured at these places.
+    /// On a segment with slaves configured at these positions.
     pub fn new(taken: &[u16]) -> Guests {
         let behind = taken.iter().max().map_or(0, |last| last.saturating_add(1)).min(MOST);
         Guests {
@@ -72,29 +72,30 @@ impl Guests {
         regions.add(&*self.gaps);
     }
 
-    /// Nothing is looked at any more; tells whether that was so already.
+    /// Stops all looks; returns whether they were stopped already.
     pub fn end(&mut self) -> bool {
         std::mem::replace(&mut self.ended, true)
     }
 
-    /// All that there are were looked at.
+    /// All of them were read.
     pub fn are_looked_at(&self) -> bool {
         self.looked
     }
 
-    /// One that runs on another time than the line's.
+    /// A slave that runs on a time other than the segment's.
     pub fn stranger(&self) -> Option<u16> {
         self.found.or(self.stranger)
     }
 
-    /// The place that is looked at.
+    /// The position that is being read.
     pub fn place(&self) -> u16 {
         let gaps = self.gaps.len() as u16;
         let behind = self.behind.saturating_add(self.next.saturating_sub(gaps));
         self.gaps.get(usize::from(self.next)).copied().unwrap_or(behind)
     }
 
-    /// Asks for the next place, on a line of so many slaves, `timed`: that has its time; false: nobody's turn has come.
+    /// Requests the next look, on a segment of so many slaves; `timed`: it has its time. False: it is not their
+    /// turn.
     #[inline]
     pub fn ask(&mut self, now: Time, count: u16, timed: bool, period_ns: u64, ask: &mut Ask) -> bool {
         if now < self.not_before || self.ended || count == 0 {
@@ -127,7 +128,7 @@ impl Guests {
         self.not_before = now + IDLE_NS.max(TURNS * period_ns);
     }
 
-    /// What came of it; gives what the clock of one shows that runs.
+    /// Takes the answer; returns the time of a running clock.
     pub fn heard(&mut self, answers: &Answers<'_>) -> Option<Running> {
         let first = answers[0]?;
         let is_there = first.working_counter > 0;
@@ -157,13 +158,13 @@ impl Guests {
         });
     }
 
-    /// The next question; a look is that at the next place.
+    /// The next request; a look is that at the next position.
     fn enter(&mut self, step: Step) {
         self.next = self.next.saturating_add(u16::from(step == Step::Look));
         self.step = step;
     }
 
-    /// The slave at this place runs on another time than the line's.
+    /// The slave at this position runs on a time other than the segment's.
     pub fn is_strange(&mut self, place: u16) {
         self.found = Some(place);
     }

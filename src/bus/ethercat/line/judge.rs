@@ -1,9 +1,9 @@
-//! Who took part in a frame that has come back.
+//! Which slaves took part in a frame that has come back.
 //!
-//! One working counter stands for all slaves of a frame. Each one's AL status in it says whether it was there, and in
-//! which state; the counter has to be what those together make. If it is not, nothing in the frame counts. A slave that
-//! counts otherwise than it should for a while must not stop all others: then each is judged alone, by its AL status
-//! and by inputs that are not all zero, as the master sends them.
+//! One working counter stands for all slaves of a frame. The AL status of each in it shows whether it was there,
+//! and in which state; the counter has to be the sum of those. If it is not, nothing in the frame counts. A slave
+//! that counts wrongly for a while must not stop all others: then each is evaluated alone, by its AL status and by
+//! inputs that are not all zero, since the master sends zeros.
 
 use std::ops::Range;
 
@@ -16,14 +16,14 @@ use crate::bus::ethercat::plan::Owner;
 use crate::bus::ethercat::wire::registers::{AlState, AlStatus};
 use crate::time::Time;
 
-/// Frames in a row that come back without a slave, until it is taken for gone.
+/// Frames in a row that come back without a slave until it counts as lost.
 const GONE_AFTER: u8 = 3;
-/// What an unsound frame weighs; a sound one takes 1 away. From so much on each slave is judged alone: behind two in a
-/// row, or where more than every fourth one is unsound.
+/// The weight of an unsound frame; a sound one takes 1 away. From this sum on each slave is evaluated alone: after
+/// two in a row, or where more than every fourth one is unsound.
 const UNSOUND: u8 = 3;
 const UNSOUND_MANY: u8 = 3 * UNSOUND;
 const UNSOUND_MOST: u8 = 20 * UNSOUND;
-/// Frames in a row that do not come back, until what devices said last counts no more.
+/// Frames in a row that do not come back until the last inputs of devices are no longer valid.
 const DARK: u32 = 20;
 
 /// In OP, without an error.
@@ -37,25 +37,25 @@ fn take(member: &Member, al: AlState, back: &Back<'_>, crew: &mut impl Crew, slo
     }
 }
 
-/// How a frame is taken.
+/// How a frame is evaluated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Verdict {
-    /// All that it shows is so. `whole`: nobody is missing.
+    /// All of its content is valid. `whole`: no slave is missing.
     Sound { whole: bool },
-    /// Each slave is judged alone.
+    /// Each slave is evaluated alone.
     Alone,
     /// Nothing in it counts.
     Unsound,
 }
 
-/// What is known of one frame of the image.
+/// The state of one frame of the image.
 #[derive(Debug)]
 pub(super) struct FrameState {
-    /// Whose process data it carries.
+    /// The members whose process data it carries.
     range: Range<usize>,
     /// Its working counter when all of them are in operation.
     full: u16,
-    /// How often it was unsound of late.
+    /// How often it was unsound recently.
     unsound: u8,
 }
 
@@ -67,7 +67,7 @@ impl FrameState {
 }
 
 impl Line {
-    /// Who took part in the frame, and what that means.
+    /// Which slaves took part in the frame, and what follows.
     #[inline]
     pub(super) fn judge(&mut self, back: &Back<'_>, number: usize, crew: &mut impl Crew, slots: &mut [Slot]) {
         if !self.is_as_before(back, number, crew, slots) {
@@ -75,7 +75,7 @@ impl Line {
         }
     }
 
-    /// Almost always: all were in operation, and still are.
+    /// The usual case: all were in operation, and still are.
     #[inline]
     fn is_as_before(&self, back: &Back<'_>, number: usize, crew: &mut impl Crew, slots: &mut [Slot]) -> bool {
         let Some(frame) = self.frames.get(number) else { return false };
@@ -132,7 +132,7 @@ impl Line {
         }
     }
 
-    /// What a frame says of one member.
+    /// The content of a frame for one member.
     fn note_part(
         &mut self,
         index: usize,
@@ -162,7 +162,7 @@ impl Line {
                 crew.passed_by(member.owner, slots);
             }
             part.missing = part.missing.saturating_add(1);
-            // Without an AL status in the image it is looked at by itself.
+            // Without an AL status in the image it is read separately.
             if part.missing >= GONE_AFTER && member.is_settled() && member.has_al() {
                 member.lost(now);
             }
@@ -182,8 +182,7 @@ impl Line {
         }
     }
 
-    /// A frame that was sent did not come back in its time: what was asked with it is asked again. `first`: that with
-    /// the slot.
+    /// A sent frame did not come back in its time: its request is repeated. `first`: the frame with the slot.
     pub fn lost(&mut self, now: Time, first: bool, crew: &mut impl Crew, slots: &mut [Slot]) {
         if !first {
             return;
@@ -195,8 +194,8 @@ impl Line {
         if self.dark == DARK {
             // Both clocks run by themselves now.
             self.clock.forget();
-            // What a drive is in, its exchanges tell, and its stop leads on: it may hear what nobody hears of it. A
-            // device has none.
+            // The state of a drive is shown by its exchanges, and its stop continues: it may receive although
+            // nothing is received from it. A device has no exchanges.
             for part in self.members.iter_mut() {
                 if matches!(part.member.owner, Owner::Device(_)) && part.told.take().is_some() {
                     crew.state(part.member.owner, None, slots);

@@ -1,15 +1,15 @@
-//! The slaves of a line on their way to OP, and what its frames say of each.
+//! Brings the slaves of a segment to OP, and evaluates its frames for each.
 //!
 //! | file | what |
 //! |---|---|
-//! | `mod` | whose the slot of the next frame is |
-//! | `judge` | who took part in a frame that has come back |
-//! | `parts` | the members, and whether anything is to be asked about them |
+//! | `mod` | who owns the slot of the next frame |
+//! | `judge` | which slaves took part in a frame that has come back |
+//! | `parts` | the members, and whether any request about them is pending |
 //! | `member` | one slave, step by step |
-//! | `guests` | slaves that are not configured |
-//! | `running` | a slave that runs on a clock that others have set |
-//! | `sii` | what its EEPROM says |
-//! | `clock` | the time of the line |
+//! | `guests` | unconfigured slaves |
+//! | `running` | a slave that runs on a clock set by another master |
+//! | `sii` | the content of its EEPROM |
+//! | `clock` | the time of the segment |
 //! | `note` | why a slave is not in operation |
 
 pub mod clock;
@@ -40,23 +40,23 @@ use crate::bus::{BusClock, Counters, Cycle, Slot};
 use crate::rt::Regions;
 use crate::time::Time;
 
-/// Members that are asked for something for the slot of one frame; and while all of them are in operation, and only
-/// their mailboxes may have something.
+/// The members that are checked for a request for the slot of one frame; and while all of them are in operation,
+/// and only their mailboxes may have one.
 const ASKED_A_FRAME: usize = 8;
 const ASKED_STEADY: usize = 2;
 
-/// Those behind the members: drives and devices, with their mailboxes.
+/// The drives and devices behind the members, with their mailboxes.
 pub trait Crew {
     /// The mailbox of a member.
     fn service(&mut self, owner: Owner) -> Option<&mut Service>;
 
-    /// Its turn has come: its mailbox takes up what it was given meanwhile.
+    /// Its turn has come: its mailbox takes the requests that were posted meanwhile.
     fn advance(&mut self, owner: Owner, now: Time, slots: &[Slot]);
 
     /// Its replies count from now on, in this state, or not any more.
     fn state(&mut self, owner: Owner, al: Option<AlState>, slots: &mut [Slot]);
 
-    /// Its mailbox was looked at.
+    /// Its mailbox was read.
     fn mailbox_heard(&mut self, owner: Owner, slots: &mut [Slot]);
 
     /// It was switched off and on.
@@ -68,7 +68,7 @@ pub trait Crew {
     /// It was found in this mode of operation, and left so.
     fn found_in(&mut self, owner: Owner, mode: Mode);
 
-    /// It will be silent for a while, and that is the master's doing.
+    /// It will be silent for a while, caused by the master.
     fn excuse(&mut self, owner: Owner, slots: &mut [Slot]);
 
     /// A drive wants its outputs to go out.
@@ -77,7 +77,7 @@ pub trait Crew {
     /// The inputs of a member, as a frame brought them; `in_window`: in time for the exchange of a drive.
     fn take(&mut self, owner: Owner, taken: Taken<'_>, slots: &mut [Slot]);
 
-    /// The frame of this window came back without it, or says nothing of it.
+    /// The frame of this window came back without it, or contains nothing of it.
     fn passed_by(&mut self, owner: Owner, slots: &mut [Slot]);
 
     /// The counts of a member, if it is a drive.
@@ -97,23 +97,23 @@ pub struct Taken<'a> {
     pub in_window: bool,
 }
 
-/// The slaves of one line.
+/// The slaves of one segment.
 #[derive(Debug)]
 pub struct Line {
     members: Parts,
     frames: Box<[FrameState]>,
     clock: LineClock,
-    /// Whose clock is the line's, or is to be.
+    /// The member whose clock is the segment's, or is to be.
     reference: Option<usize>,
     leads: bool,
     /// The reference's time goes to all.
     timed: bool,
-    /// Before that: the place of the slave that ran already, and whose time the line's is.
+    /// Before that: the position of the slave that ran already, and whose time the segment has.
     lender: Option<u16>,
-    /// The member whose SYNC0 the line's phase is of, until it is joined.
+    /// The member whose SYNC0 sets the segment's phase, until it is joined.
     phase_lender: Option<usize>,
     count: u16,
-    /// Whose turn it is; and among those on their way up, if this slot is for them.
+    /// Whose turn it is; and among the members on their way up, whether this slot is for them.
     turn: usize,
     climb: usize,
     climbs: bool,
@@ -125,7 +125,7 @@ pub struct Line {
     ask: Ask,
 }
 
-/// Who has the slot of the frame that is under way.
+/// Who owns the slot of the frame that is under way.
 #[derive(Clone, Copy, Debug)]
 enum Asker {
     Member(usize),
@@ -136,9 +136,9 @@ enum Asker {
 /// A frame that was sent.
 #[derive(Clone, Copy, Debug)]
 pub struct Sent {
-    /// In which cycle.
+    /// Its cycle.
     pub cycle: Cycle,
-    /// When.
+    /// The instant.
     pub at: Time,
 }
 
@@ -160,7 +160,7 @@ pub struct Back<'a> {
 }
 
 impl Line {
-    /// The line of `plan`, with the places of its slaves.
+    /// The segment of `plan`, with the process data offsets of its slaves.
     pub fn new(plan: &EthercatPlan, spots: Vec<Spot>, period_ns: u64) -> Line {
         let slaves = plan.slaves();
         let places: Vec<u16> = slaves.iter().map(|(_, slave)| slave.place).collect();
@@ -201,7 +201,7 @@ impl Line {
         }
     }
 
-    /// Its clock leads the grid; else it is given the grid's time.
+    /// Its clock leads the grid; otherwise it receives the grid's time.
     pub fn lead(&mut self) {
         self.leads = true;
     }
@@ -219,7 +219,7 @@ impl Line {
         self.notes.clone()
     }
 
-    /// The time of the line.
+    /// The time of the segment.
     pub fn clock(&mut self) -> &mut LineClock {
         &mut self.clock
     }
@@ -241,7 +241,7 @@ impl Line {
         self.members.get(index).is_some_and(|part| part.member.mapped() == member::Mapped::All)
     }
 
-    /// How the clock of the line and the grid stand to each other; `None`: there is none.
+    /// The relation of the clock of the segment and the grid; `None`: there is none.
     pub fn clock_status(&self) -> Option<BusClock> {
         self.members.iter().any(|part| part.member.has_clock()).then(|| self.clock.status())
     }
@@ -251,7 +251,7 @@ impl Line {
         self.members.iter().position(|part| part.member.owner == owner)
     }
 
-    /// The place of each member.
+    /// The position of each member.
     pub fn places(&self) -> Vec<u16> {
         self.members.iter().map(|part| part.member.place()).collect()
     }
@@ -264,20 +264,20 @@ impl Line {
         if set.is_none() {
             self.clock.forget();
         }
-        // It is given our time once it has shown that this is about its own.
+        // It receives our time once it has shown that its own is near.
         first.refer_to(set, self.timed, self.timed && !self.leads && self.clock.is_seen());
         self.choose(cycle, crew, slots);
         first.ask(&self.ask);
     }
 
-    /// Whose clock is the line's: the nearest one that is set, for all others lie behind it; without any, the nearest
-    /// that is to be.
+    /// The slave whose clock is the segment's: the nearest one that is set, since all others are behind it; without
+    /// any, the nearest that is to be set.
     fn refer(&mut self) {
         let first = |has: fn(&Member) -> bool| self.members.iter().position(|part| has(&part.member));
         self.reference = first(Member::clock_is_set).or_else(|| first(Member::waits_for_clock));
     }
 
-    /// Its time goes to all, once it is known that nobody runs on another one.
+    /// Its time goes to all, once it is known that no slave runs on another one.
     fn begin_time(&mut self) {
         let is_set = self.set_clock().is_some();
         self.timed = is_set && (self.timed || self.may_have_time());
@@ -286,43 +286,43 @@ impl Line {
         }
     }
 
-    /// All that there are were looked at, and nobody runs on another time than the line's.
+    /// All slaves were read, and none runs on a time other than the segment's.
     fn may_have_time(&self) -> bool {
         let are_looked_at =
             self.guests.are_looked_at() && self.members.iter().all(|part| part.member.was_looked_at());
         are_looked_at && self.stranger().is_none()
     }
 
-    /// The place of one that runs on another time than the line's.
+    /// The position of a slave that runs on a time other than the segment's.
     fn stranger(&self) -> Option<u16> {
         let member = self.members.iter().find(|part| part.member.is_stranger());
         member.map(|part| part.member.place()).or_else(|| self.guests.stranger())
     }
 
-    /// The slave whose clock is the line's, if it is set.
+    /// The slave whose clock is the segment's, if it is set.
     fn set_clock(&self) -> Option<&Member> {
         let member = &self.members[self.reference?].member;
         member.clock_is_set().then_some(member)
     }
 
-    /// The line has a time that is not that of the slave at `place` alone.
+    /// The segment has a time that is not that of the slave at `place` alone.
     fn has_time(&self, place: u16) -> bool {
         self.timed || self.clock.is_seen() || self.lender.is_some_and(|lender| lender != place)
     }
 
-    /// Another member gave the line its phase, and is being joined.
+    /// Another member gave the segment its phase, and is being joined.
     fn is_lent_to(&self, index: usize) -> bool {
         let lender = self.phase_lender.filter(|lender| *lender != index);
         lender.is_some_and(|lender| self.members[lender].member.is_being_joined())
     }
 
-    /// The slave at `place` runs, and gives the line its time.
+    /// The slave at `place` runs, and gives the segment its time.
     fn lend(&mut self, place: u16, sent: &Sent, lent: Lent) {
         self.clock.lend(&sent.cycle, sent.at, lent.time, lent.phase_ns);
         self.lender = Some(place);
     }
 
-    /// What the clock of a slave shows that runs and is not configured.
+    /// The time of a running clock of an unconfigured slave.
     fn guest_runs(&mut self, place: u16, sent: &Sent, running: &Running) {
         if !self.has_time(place) {
             self.lend(place, sent, Lent { time: running.time(), phase_ns: None });
@@ -331,7 +331,7 @@ impl Line {
         }
     }
 
-    /// Whose the slot is.
+    /// Who owns the slot.
     fn choose(&mut self, cycle: &Cycle, crew: &mut impl Crew, slots: &mut [Slot]) {
         self.ask.clear();
         self.asker = None;
@@ -340,7 +340,8 @@ impl Line {
             return;
         }
         let settled = self.is_settled();
-        // On a long line there is always a mailbox to be looked at: every other slot is for those on their way up.
+        // On a long segment some mailbox always has to be read: every other slot is for the members on their way
+        // up.
         self.climbs = !settled && !self.climbs;
         if self.climbs {
             let from = self.climb;
@@ -354,8 +355,7 @@ impl Line {
         }
     }
 
-    /// The first of so many members that needs something, as far as it is asked for, in turns; and who is the next to
-    /// be looked at.
+    /// The first of so many members that has a request, in turns; and the next one to be checked.
     #[inline]
     fn choose_from(
         &mut self,
@@ -384,7 +384,7 @@ impl Line {
         from
     }
 
-    /// What member `index` needs.
+    /// The request of member `index`.
     fn ask_one(
         &mut self,
         index: usize,
@@ -396,7 +396,7 @@ impl Line {
         let owner = part.member.owner;
         crew.advance(owner, cycle.grid, slots);
         if part.member.wants_nothing() && part.open == part.member.has_mailbox() {
-            // Almost always: only its mailbox may have something.
+            // Usually only its mailbox may have a request.
             return self.ask_mailbox(index, cycle, crew);
         }
         let part = &mut self.members[index];
@@ -424,7 +424,7 @@ impl Line {
         self.ask_mailbox(index, cycle, crew)
     }
 
-    /// What the mailbox of member `index` needs.
+    /// The request of the mailbox of member `index`.
     fn ask_mailbox(&mut self, index: usize, cycle: &Cycle, crew: &mut impl Crew) -> Option<Asker> {
         let member = &self.members[index].member;
         if !member.has_mailbox() {
@@ -477,7 +477,7 @@ impl Line {
         }
     }
 
-    /// Tells the crew of a change.
+    /// Reports a change to the crew.
     fn tell(&mut self, index: usize, crew: &mut impl Crew, slots: &mut [Slot]) {
         let part = &mut self.members[index];
         let state = part.member.state_of_replies();
@@ -492,7 +492,7 @@ impl Line {
         }
     }
 
-    /// What came of the slot.
+    /// Takes the answer of the slot.
     fn answer(&mut self, back: &Back<'_>, crew: &mut impl Crew, slots: &mut [Slot]) {
         let answers = back.frame.answers_of(back.received);
         match self.asker.take() {
@@ -561,10 +561,10 @@ impl Line {
         crew.mailbox_heard(owner, slots);
     }
 
-    /// Takes all that is in operation down, and says when that is done.
+    /// Shuts down everything that is in operation; true once that is done.
     pub fn shut_down(&mut self, now: Time) -> bool {
         if !self.guests.end() {
-            // What was asked before is not what the slaves are at now.
+            // Earlier answers no longer match the state of the slaves.
             self.asker = None;
         }
         let mut done = true;

@@ -1,4 +1,5 @@
-//! Why a slave is not in operation, for normal threads: written by the cycle without a lock, made text by whoever asks.
+//! Why a slave is not in operation, for normal threads: written by the cycle without a lock, made text by the
+//! reader.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -13,76 +14,75 @@ pub enum Note {
     /// It is, or nothing is known yet.
     #[default]
     None,
-    /// Nothing answers at its place.
+    /// No slave answers at its position.
     Absent,
     /// Its SII cannot be read.
     Sii,
-    /// Its maker is another one than configured.
+    /// Its vendor is not the configured one.
     Vendor(u32),
     /// It is another product.
     Product(u32),
     /// It is another revision.
     Revision(u32),
-    /// The slave there is the one of another place.
+    /// The slave there is the one of another position.
     WrongPlace(u16),
-    /// Its SII has a SyncManager elsewhere.
+    /// Its SII has a SyncManager with other values.
     SyncManager {
         /// 1 mailbox out, 2 in, 3 outputs, 4 inputs.
         usage: u8,
-        /// Where it begins there.
+        /// Its start there.
         start: u16,
-        /// Its bytes there.
+        /// Its length there, bytes.
         length: u16,
     },
     /// It has too few FMMUs.
     Fmmus(u8),
     /// It has no distributed clock.
     NoClock,
-    /// It does not know LRW.
+    /// It does not support LRW.
     NoLrw,
     /// It has no mailbox for CoE.
     NoCoe,
-    /// It did not go to a state.
+    /// It did not enter a state.
     State {
-        /// Which one.
+        /// The state.
         to: AlState,
-        /// What it said.
+        /// Its AL status code.
         code: AlCode,
     },
-    /// It did not go to a state in time, and did not say why.
+    /// It did not enter a state in time, without an error code.
     Slow(AlState),
-    /// It did not take a value at start-up.
+    /// It did not accept a value at start-up.
     StartUp {
-        /// Which object.
+        /// The object.
         object: Object,
-        /// What it said; 0: nothing.
+        /// The abort code; 0: none.
         abort: AbortCode,
     },
-    /// Its watchdog reads back otherwise than set.
+    /// Its watchdog does not read back as set.
     Watchdog,
-    /// It waits for the clock of the line.
+    /// It waits for the clock of the segment.
     WaitsForClock,
-    /// It waits for the grid to come where its SYNC0 wants it, and so far is that from there, ns: positive is late.
-    /// `None`: it is not known.
+    /// It waits until the grid is at its SYNC0; the distance, ns: positive is late. `None`: it is not known.
     WaitsForLock(Option<i32>),
     /// It was found in OP with other process data than configured, and is left alone.
     FoundRunning,
     /// It is being brought up.
     Starting,
-    /// An object is otherwise than configured.
+    /// An object differs from its configuration.
     Differs {
-        /// Which.
+        /// The object.
         object: Object,
         /// Its value there.
         found: u32,
     },
-    /// Its clock does not come to run with the line's.
+    /// Its clock does not synchronise to the segment's.
     Unsettled,
     /// Another slave has its station address.
     AddressTwice,
-    /// An object does not come when it is read.
+    /// A read of an object is not answered.
     Unread(Object),
-    /// The slave at this place runs on another time than the line's.
+    /// The slave at this position runs on a time other than the segment's.
     OtherTime(u16),
 }
 
@@ -159,7 +159,7 @@ impl Note {
         }
     }
 
-    /// In words, for the slave at this place; `None`: there is nothing to say.
+    /// In words, for the slave at this position; `None`: there is nothing to report.
     pub fn text(self, place: u16) -> Option<String> {
         let what = match self {
             Note::None => return None,
@@ -187,7 +187,7 @@ impl Note {
             Note::State { to, code } => {
                 format!("it refuses {to}: AL status code {:#06x} ({})", code.0, code.name().unwrap_or("not known"))
             }
-            Note::Slow(to) => format!("it does not go to {to}, and does not say why"),
+            Note::Slow(to) => format!("it does not enter {to}, and gives no error code"),
             Note::StartUp { object, abort: AbortCode(0) } => {
                 format!("it does not answer when {:#06x}:{} is written", object.index, object.sub)
             }
@@ -202,7 +202,7 @@ impl Note {
             Note::WaitsForClock => "it waits for the clock of the first slave with sync".into(),
             Note::WaitsForLock(None) => "it waits for the grid to meet its SYNC0, and for its clock to be seen".into(),
             Note::WaitsForLock(Some(error)) => {
-                // To the next ten microseconds: whoever tells of each text is not to tell of each cycle.
+                // Rounded to ten microseconds: a reader that reports each new text shall not report each cycle.
                 let far = (error.unsigned_abs() + 5_000) / 10_000 * 10;
                 let side = if error < 0 { "early" } else { "late" };
                 format!("it waits for the grid to meet its SYNC0: a slot is about {far} us {side}")
@@ -224,14 +224,14 @@ impl Note {
                 format!("it does not answer when {:#06x}:{} is read", object.index, object.sub)
             }
             Note::OtherTime(other) => format!(
-                "the slave at place {other} runs on a clock that another master has set, and would be dragged off it: stop that one, or switch it off"
+                "the slave at place {other} runs on a clock that another master has set, and would lose it: stop that slave, or switch it off"
             ),
         };
         Some(format!("place {place}: {what}"))
     }
 }
 
-/// The notes of all slaves of a line.
+/// The notes of all slaves of a segment.
 #[derive(Clone, Debug)]
 pub struct Notes(Arc<[AtomicU64]>);
 
@@ -246,14 +246,14 @@ impl Notes {
         regions.add(&*self.0);
     }
 
-    /// Writes that of slave `index`.
+    /// Writes the note of slave `index`.
     pub fn set(&self, index: usize, note: Note) {
         if let Some(word) = self.0.get(index) {
             word.store(note.pack(), Ordering::Relaxed);
         }
     }
 
-    /// Reads that of slave `index`.
+    /// Reads the note of slave `index`.
     pub fn get(&self, index: usize) -> Note {
         self.0.get(index).map_or(Note::None, |word| Note::unpack(word.load(Ordering::Relaxed)))
     }

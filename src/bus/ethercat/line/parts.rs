@@ -1,4 +1,4 @@
-//! The members of a line, with what their frames say of each.
+//! The members of a segment, with the content of their frames.
 
 use std::ops::{Index, IndexMut, Range};
 
@@ -8,21 +8,21 @@ use crate::bus::ethercat::plan::Owner;
 use crate::bus::ethercat::wire::registers::{AlState, AlStatus};
 use crate::rt::Regions;
 
-/// A member and what its frames say of it.
+/// A member and the content of its frames.
 #[derive(Debug)]
 pub(super) struct Part {
     pub member: Member,
-    /// What the image shows of it; 0: nothing.
+    /// Its AL status in the image; 0: none.
     pub shown: AlStatus,
     pub missing: u8,
     /// It was in OP with all of its process data, its crew knows it, and the newest frame shows the same.
     pub steady: bool,
-    /// What its crew was told, and its mailbox.
+    /// The state last reported to its crew, and its mailbox.
     pub told: Option<AlState>,
     pub open: bool,
 }
 
-/// What a frame shows of a member in operation, and whose it is: all that is looked at from cycle to cycle.
+/// What a frame shows of a member in operation, and its owner: all that is read from cycle to cycle.
 #[derive(Debug)]
 pub(super) struct View {
     pub owner: Owner,
@@ -30,8 +30,8 @@ pub(super) struct View {
     al: usize,
 }
 
-/// All of them. Whoever is about to change one unsettles the line, until a frame has shown each of its own as it should
-/// be again.
+/// All members. Access that may change one unsettles the segment, until each of its frames has shown its members as
+/// expected again.
 #[derive(Debug)]
 pub(super) struct Parts {
     parts: Box<[Part]>,
@@ -82,13 +82,13 @@ impl Parts {
         self.parts.iter_mut()
     }
 
-    /// All are in operation with all of their process data, their crew knows it, and nobody has touched one since.
+    /// All are in operation with all of their process data, their crew knows it, and none has been changed since.
     #[inline]
     pub(super) fn are_settled(&self) -> bool {
         self.settled
     }
 
-    /// All were steady in the newest frame that carries them, and nothing has come up since.
+    /// All were steady in the newest frame that carries them, and none has changed since.
     pub(super) fn settle(&mut self) {
         let is_so = |part: &Part| part.steady && part.told == Some(AlState::Op) && part.member.is_steady();
         self.settled = self.parts.iter().all(is_so);

@@ -1,7 +1,6 @@
 //! A slave that runs on a clock that another master has set, or this one before it was restarted.
-//!
-//! The line's time goes to all slaves with a clock, listed or not. To one that runs it must be the time that it runs
-//! on: it would be dragged to any other one, and a drive goes into a fault by that (F28).
+//! The segment's time goes to all slaves with a clock, configured or not. For a running slave it must be the time
+//! that it runs on: any other time would move its clock, and a drive goes into a fault by that (F28).
 
 use super::clock::LineClock;
 use crate::bus::Cycle;
@@ -16,7 +15,7 @@ const SYNC: usize = (address::DC_CYCLE - address::DC_CONTROL) as usize + 4;
 const CYCLIC: u8 = 1;
 const SYNC0: u8 = 2;
 
-/// What its clock shows.
+/// The state of its clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Running {
     active: u8,
@@ -28,13 +27,13 @@ pub struct Running {
 }
 
 impl Running {
-    /// Asks for it, with a command that reaches the slave at a register.
+    /// Requests it, with a command that reaches the slave at a register.
     pub fn ask(read: impl Fn(u16) -> Command, ask: &mut Ask) {
         ask.read(read(address::DC_CONTROL), SYNC);
         ask.read(read(address::DC_TIME), 8);
     }
 
-    /// What came of that.
+    /// Takes the answer.
     pub fn heard(answers: &Answers<'_>) -> Option<Running> {
         let [Some(sync), Some(time)] = answers else { return None };
         let long = |at: u16| {
@@ -49,7 +48,7 @@ impl Running {
         })
     }
 
-    /// It does something at times of its clock.
+    /// It acts at times of its clock.
     pub fn is_cyclic(&self) -> bool {
         self.active & CYCLIC != 0
     }
@@ -59,7 +58,8 @@ impl Running {
         self.time
     }
 
-    /// Where in the periods of its time SYNC0 comes, if that is near to the line's; `None`: it has none of this period.
+    /// The offset of SYNC0 in the periods of its time, if that is near to the segment's; `None`: it has none of
+    /// this period.
     pub fn phase_ns(&self, clock: &LineClock, cycle: &Cycle, at: Time) -> Option<u64> {
         let period = clock.period_ns();
         if self.active & (CYCLIC | SYNC0) != CYCLIC | SYNC0 || u64::from(self.cycle_ns) != period {

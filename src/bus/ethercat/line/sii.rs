@@ -1,4 +1,4 @@
-//! Reads what the SII of a slave says of it, four bytes at a time: two slots a word pair.
+//! Reads the SII of a slave, four bytes at a time: two slots per pair of words.
 
 use crate::bus::ethercat::plan::Area;
 use crate::bus::ethercat::slot::{Answers, Ask};
@@ -6,29 +6,29 @@ use crate::bus::ethercat::wire::frame::Command;
 use crate::bus::ethercat::wire::registers::{SyncManager, address};
 use crate::bus::ethercat::wire::sii::{self, Category, Identity, Protocols, Status, Use, word};
 
-/// SyncManagers that are looked at.
+/// The most SyncManagers that are read.
 pub const MANAGERS: usize = 8;
-/// Categories that are walked through, at most.
+/// The most categories that are walked through.
 const CATEGORIES: u8 = 64;
-/// Looks at a busy SII before it is asked again, and askings, at most.
+/// The most polls of a busy SII before the command is repeated, and repetitions.
 const LOOKS: u8 = 200;
 const ASKINGS: u8 = 3;
-/// Control, address and data stand behind each other.
+/// Control, address and data follow each other.
 const POLL: usize = 14;
 const DATA_AT: usize = (address::SII_DATA - address::SII_CONTROL) as usize;
-/// Of an EEPROM that was never written.
+/// The value of an EEPROM that was never written.
 const BLANK: u32 = u32::MAX;
 
-/// What it says.
+/// Its content.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Contents {
-    /// Who the slave is.
+    /// The slave's identity.
     pub identity: Identity,
     /// Its mailboxes: out, in; at 0: it names none.
     pub mailboxes: [Area; 2],
     /// Their protocols.
     pub protocols: Protocols,
-    /// Its SyncManagers in their order, and what each is for.
+    /// Its SyncManagers in their order, and the use of each.
     pub managers: [Option<(SyncManager, Use)>; MANAGERS],
 }
 
@@ -56,7 +56,7 @@ enum Item {
     Done,
 }
 
-/// How far it is.
+/// The progress of reading.
 #[derive(Clone, Copy, Debug)]
 pub struct Reader {
     item: Item,
@@ -66,12 +66,12 @@ pub struct Reader {
     contents: Contents,
 }
 
-/// What became of it.
+/// The result of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reading {
-    /// It goes on.
+    /// It continues.
     On,
-    /// It is all read.
+    /// Everything is read.
     Done,
     /// It cannot be read.
     Failed,
@@ -84,7 +84,7 @@ impl Default for Reader {
 }
 
 impl Reader {
-    /// What was read so far.
+    /// The content read so far.
     pub fn contents(&self) -> &Contents {
         &self.contents
     }
@@ -103,7 +103,7 @@ impl Reader {
         })
     }
 
-    /// Asks on, with commands that reach the slave at a register.
+    /// Requests the next part, with commands that reach the slave at a register.
     pub fn ask(&self, read: impl Fn(u16) -> Command, write: impl Fn(u16) -> Command, ask: &mut Ask) {
         let Some(word) = self.word() else { return };
         if self.asked {
@@ -113,9 +113,9 @@ impl Reader {
         }
     }
 
-    /// What came of it.
+    /// Takes the answer.
     pub fn heard(&mut self, answers: &Answers<'_>) -> Reading {
-        // A lost frame: the same is asked again.
+        // A lost frame: the same is requested again.
         let Some(answer) = answers[0] else { return Reading::On };
         if !self.asked {
             self.asked = true;
@@ -212,7 +212,7 @@ impl Contents {
         matches!(self.identity.vendor, 0 | BLANK)
     }
 
-    /// The SyncManager for this, and its number.
+    /// The SyncManager of this use, and its number.
     pub fn manager(&self, usage: Use) -> Option<(u16, SyncManager)> {
         let found = |(number, entry): (usize, &Option<(SyncManager, Use)>)| {
             entry.filter(|(_, other)| *other == usage).map(|(manager, _)| (number as u16, manager))

@@ -1,10 +1,10 @@
 //! What is known of single objects, by index.
 //!
-//! Facts: CAN manual of the S300 and S700, EtherCAT manuals of this family and of the AKD, CiA 301 and 402. Types and
-//! ranges that stand in none of them are marked [`assumed`](Known::assumed). A drive has many more objects, and judges
-//! every value itself.
+//! Facts: CAN manual of the S300 and S700, EtherCAT manuals of this family and of the AKD, CiA 301 and 402. Types
+//! and ranges that are in none of them are marked [`assumed`](Known::assumed). A drive has many more objects, and
+//! checks every value itself.
 //!
-//! What differs in an AKD:
+//! Differences of an AKD:
 //!
 //! | object | S300 ... S700 | AKD |
 //! |---|---|---|
@@ -16,7 +16,7 @@
 
 use super::{Object, Type};
 
-/// What an object is for.
+/// The access to an object.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Access {
     /// To read.
@@ -27,7 +27,7 @@ pub enum Access {
     PreOp,
 }
 
-/// Which drives have an object.
+/// The drives that have an object.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Drives {
     /// All of them.
@@ -41,7 +41,7 @@ pub enum Drives {
 /// What is known of an object.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Known {
-    /// Which.
+    /// The object.
     pub object: Object,
     /// Its name here.
     pub name: &'static str,
@@ -49,7 +49,7 @@ pub struct Known {
     pub kind: Type,
     /// Whether it can be written.
     pub access: Access,
-    /// Of a count; empty for a plain number, or where settings of the drive say it.
+    /// The unit of a count; empty for a plain number, or where settings of the drive define it.
     pub unit: &'static str,
     /// The lowest count.
     pub min: i64,
@@ -164,7 +164,7 @@ const ALL: &[Known] = &[
     u8(0x1C33, 0, "input-sync-count").assume(),
     u16(0x1C33, 1, "input-sync-type").writable().assume(),
     u32(0x1C33, 2, "input-sync-cycle").unit("ns").assume(),
-    // The maker's.
+    // The manufacturer's.
     i32(0x2050, 0, "position-2").akd(),
     i32(0x2070, 2, "incremental-speed").s700().assume(),
     i32(0x20A0, 0, "latch-position").akd().assume(),

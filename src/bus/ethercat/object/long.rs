@@ -5,13 +5,13 @@ use std::time::Duration;
 use super::{PART, READ, SIZE, Target};
 use crate::axis::acyclic::{Answer, Call, CallError, Carrier};
 
-/// The most that is read of an object, bytes.
+/// The most bytes of an object that are read.
 pub const MOST: usize = 64;
-/// What one call brings.
+/// Bytes per call.
 const STEP: usize = 8;
 
-/// Reads an object of up to [`MOST`] bytes, of a longer one the first of them; less if the queue of the drive has less
-/// room than for ten calls. `limit` is what each of them is given.
+/// Reads an object of up to [`MOST`] bytes, of a longer one the first of them; less if the queue of the drive has
+/// less room than for ten calls. `limit` is the time limit of each call.
 pub fn read(carrier: &dyn Carrier, target: Target, limit: Duration) -> Result<Vec<u8>, CallError> {
     let address = target.pack();
     let first = [(READ, 0), (SIZE, 0)].into_iter();
@@ -21,7 +21,7 @@ pub fn read(carrier: &dyn Carrier, target: Target, limit: Duration) -> Result<Ve
         .map(|(service, value)| Call { service, address, value })
         .take(carrier.capacity().max(1))
         .collect();
-    // Behind its end the object has no parts: that ends the series.
+    // After its end the object has no parts: that ends the series.
     let series = carrier.run(&calls, limit);
     let Some((first, rest)) = series.answers.split_first() else {
         return Err(series.failed.unwrap_or(CallError::Gone));

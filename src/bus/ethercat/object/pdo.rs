@@ -1,4 +1,4 @@
-//! What PDOs are made of: objects back to back, without gaps (EtherCAT manual).
+//! The contents of PDOs: objects back to back, without gaps (EtherCAT manual).
 //!
 //! | PDO | S300 ... S700 | AKD |
 //! |---|---|---|
@@ -9,17 +9,17 @@
 //! | 1B01h in | 6063h, 6041h (assumed) | 6063h, 6041h |
 //! | 1B03h in | 6064h, 6077h, 6041h | - |
 //!
-//! The order differs from one to the next. What a drive has is therefore a setting, and these are only the ones that
-//! are known: 1702h, 1703h and 1B03h from the device description of a real S600, the AKD's from its own and its manual.
+//! The order differs from drive to drive. The PDOs of a drive are therefore a setting, and these are only the known
+//! ones: 1702h, 1703h and 1B03h from the device description of a real S600, the AKD's from its own and its manual.
 
 use super::{Family, Object, Type};
 
 /// One object in a PDO.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Entry {
-    /// Which.
+    /// The object.
     pub object: Object,
-    /// Its type: its size.
+    /// Its type, which gives its size.
     pub kind: Type,
 }
 
@@ -28,12 +28,12 @@ pub struct Entry {
 pub struct Layout {
     /// Its index, as 1C12h and 1C13h have it.
     pub pdo: u16,
-    /// What it is made of.
+    /// Its objects.
     pub entries: Vec<Entry>,
 }
 
 impl Layout {
-    /// Of objects that are known; `None`: one of them is not.
+    /// A PDO of known objects; `None`: one of them is not known.
     pub fn of_known(pdo: u16, objects: &[Object]) -> Option<Layout> {
         let entry = |object: &Object| Some(Entry { object: *object, kind: object.known()?.kind });
         Some(Layout { pdo, entries: objects.iter().map(entry).collect::<Option<_>>()? })
@@ -53,7 +53,7 @@ impl Layout {
         })
     }
 
-    /// Where an object begins in it.
+    /// The offset of an object in it.
     pub fn place(&self, object: Object) -> Option<usize> {
         self.places().find(|(_, entry)| entry.object == object).map(|(at, _)| at)
     }
@@ -103,7 +103,7 @@ const AKD: Fixed = &[
     (0x1B26, &[(0x6041, 0), (0x6064, 0), (0x6077, 0), (0x60FD, 0), (0x3470, 4), (0x60F4, 0)]),
 ];
 
-/// The fixed PDOs that are known of these drives.
+/// The known fixed PDOs of these drives.
 pub fn fixed(family: Family) -> Vec<Layout> {
     let known = match family {
         Family::S700 => S700,

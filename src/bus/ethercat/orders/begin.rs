@@ -31,20 +31,20 @@ const OTHER_MODE: Failure = Failure::Unsupported(
 );
 
 impl Orders {
-    /// Another order stands.
+    /// Another order is present.
     #[cold]
     pub(super) fn replace(&mut self, now: Time, inputs: &Inputs, slot: &Slot, native: &mut NativePort) {
         self.serial = slot.order.serial;
         (self.end, self.progress_told) = (None, false);
         if self.new {
-            // Of an order that never went out nothing is left.
+            // An order that was never sent leaves nothing behind.
             self.restore();
         } else {
             self.keep();
         }
         (self.new, self.reclaims) = (true, false);
         if self.is_native() {
-            // What the application made of the drive is what there is now.
+            // The state that the application left the drive in is the present state.
             self.claim(inputs);
         }
         if let Step::Following { .. } = self.step {
@@ -88,7 +88,7 @@ impl Orders {
         (self.motion, self.passed_ns, self.demand) = (motion, passed_ns, demand);
     }
 
-    /// Begins once the drive was seen: before, nothing is known of what is to be taken over.
+    /// Begins once the drive was seen: before, the state to be taken over is unknown.
     pub(super) fn begin_late(&mut self, now: Time, inputs: &Inputs, slot: &Slot) {
         if inputs.seen {
             self.begun = true;
@@ -105,29 +105,29 @@ impl Orders {
         }
     }
 
-    /// The drive was asked, but outputs do not reach it yet: what an order has claimed of it is old by the next
-    /// exchange.
+    /// The drive exchanges, but outputs do not reach it yet: the state that an order has taken over is old by the
+    /// next exchange.
     pub(in crate::bus::ethercat) fn held(&mut self) {
         if self.new && self.begun && self.writes && !self.before.writes {
             (self.begun, self.reclaims) = (false, true);
         }
     }
 
-    /// The same order, of the drive as it is now.
+    /// The same order, for the present state of the drive.
     fn begin_again(&mut self, now: Time, inputs: &Inputs, slot: &Slot) {
-        // What the application wrote natively was taken out of its queue already.
+        // The native output of the application was taken out of its queue already.
         let (since, native) = (self.since, self.native.take());
         self.restore();
         self.claim(inputs);
         if self.end.is_none() {
             self.begin(now, inputs, slot);
-            // What it has to wait for it has waited for already.
+            // It has waited already.
             self.since = since;
             if self.is_native() {
                 self.native = native;
             }
         } else if matches!(self.end, Some(Err(_))) {
-            // It was refused: what the drive was found at ends all the same.
+            // It was refused: a motion that the drive was found in ends all the same.
             self.halt |= self.is_free() && !self.stands();
             self.wind_down();
         }
@@ -138,7 +138,7 @@ impl Orders {
         !self.needs_watch || self.watched && !self.found_otherwise
     }
 
-    /// Why this drive cannot do that, whatever it is doing.
+    /// Why this drive cannot do that, in any state.
     fn cannot(&self, verb: Option<Verb>) -> Option<Failure> {
         match verb? {
             Verb::Reset => None,
@@ -157,7 +157,7 @@ impl Orders {
         }
     }
 
-    /// Takes the drive over as it is: with the control bits as found, at the velocity that it has.
+    /// Takes the drive over as it is: with the control bits as found, at its present velocity.
     fn claim(&mut self, inputs: &Inputs) {
         let word = match inputs.state {
             _ if !inputs.operational => ControlWord(0),
@@ -174,17 +174,17 @@ impl Orders {
         self.set(word);
     }
 
-    /// Where the setpoint of a drive begins that moves by itself.
+    /// The begin of the setpoint for a drive that moves by itself.
     fn found(&self, inputs: &Inputs) -> Point {
         let turns = inputs.velocity.abs() > self.standstill;
         let velocity = if turns { inputs.velocity } else { 0.0 };
-        // What it said is of an exchange ago.
+        // Its report is one exchange old.
         let position = inputs.position + velocity * self.interval_ns as f64 * 1e-9;
-        // What torque it has is none of the master's.
+        // Its present torque is not the master's.
         Point { position, velocity: if matches!(self.kind, Kind::Torque(_)) { 0.0 } else { velocity } }
     }
 
-    /// What comes now takes the place of a halt.
+    /// The new motion replaces a halt.
     pub(super) fn end_halt(&mut self, inputs: &Inputs) {
         if std::mem::take(&mut self.halt) {
             self.demand = self.found(inputs);
@@ -192,7 +192,7 @@ impl Orders {
         }
     }
 
-    /// The last word that went out, or the one as found, has it in operation, and it says that it is.
+    /// The last word that was sent, or the one as found, has it in operation, and it reports that it is.
     fn runs(&self, inputs: &Inputs) -> bool {
         let on = Command::EnableOperation.word().0;
         self.leads && inputs.operating() && self.control_sent.is_none_or(|word| word.has(on))
@@ -227,7 +227,7 @@ impl Orders {
         }
     }
 
-    /// What needs a drive that follows setpoints, and is in their mode.
+    /// An order that needs a drive that follows setpoints, in their mode.
     fn begin_motion(&mut self, now: Time, verb: Verb, inputs: &Inputs, slot: &Slot) {
         self.end_halt(inputs);
         match verb {
@@ -237,7 +237,7 @@ impl Orders {
             Verb::Torque { slope } => self.begin_turning(now, slope, inputs, slot),
             _ => {
                 self.enter(now, Step::FollowWaiting);
-                // What was under way ends here, and the first row may have come with the order.
+                // The running motion ends here, and the first row may have come with the order.
                 self.brake(self.deceleration);
                 self.follow(slot);
             }
@@ -246,7 +246,7 @@ impl Orders {
 
     fn begin_native(&mut self, now: Time, owner: NativeOwner, inputs: &Inputs) {
         self.end_halt(inputs);
-        // It stands still, or has no torque, until the application says something else.
+        // It stands still, or has no torque, until the application gives a setpoint.
         self.wind_down();
         self.enter(now, Step::Native(owner));
     }
@@ -280,7 +280,7 @@ impl Orders {
         self.enter(now, Step::Moving);
     }
 
-    /// On a rotary axis, the place of `position` that is nearest to the demand.
+    /// On a rotary axis, the position equal to `position` that is nearest to the demand.
     pub(super) fn near(&self, position: f64) -> f64 {
         match self.units.modulo {
             Some(_) => self.demand.position + self.units.way(self.demand.position, position),
@@ -289,7 +289,7 @@ impl Orders {
     }
 
     fn begin_turning(&mut self, now: Time, acceleration: f64, inputs: &Inputs, slot: &Slot) {
-        // No velocity or torque is this one: it is planned with the setpoint.
+        // NaN equals no velocity or torque: the motion is planned with the setpoint.
         self.enter(now, Step::Turning(Turning { acceleration, velocity: f64::NAN, limit: None }));
         self.turn_on(inputs, slot);
     }
@@ -301,14 +301,14 @@ impl Orders {
                 self.halt = verb == Verb::QuickStop;
                 self.enter(now, Step::HomeStopping(Ok(())));
             }
-            // On its way up: it does not go on by itself.
+            // Powering up: it does not continue by itself.
             (Step::Enabling, _) => {
                 let rest = self.rest;
                 self.set(rest);
                 self.enter(now, Step::Disabling);
             }
             _ if !self.leads => self.begin_stop_without_setpoint(now, inputs),
-            // One that is under way is not made softer.
+            // A stop that is under way is not made softer.
             _ if inputs.mode != ModeIs::Own || self.halt => self.halt(now, inputs),
             (_, Verb::Stop { deceleration }) => {
                 self.brake(deceleration.unwrap_or(self.deceleration));
@@ -318,7 +318,7 @@ impl Orders {
         }
     }
 
-    /// Nothing is led: what was told stays, and if that was to be off, that is waited for.
+    /// There is no setpoint: the last word stays, and if that was power off, its effect is waited for.
     fn begin_stop_without_setpoint(&mut self, now: Time, inputs: &Inputs) {
         if self.control.has(ControlWord::SWITCH_ON) || inputs.state == State::QuickStopActive {
             self.enter(now, Step::Stopping);
@@ -327,22 +327,22 @@ impl Orders {
         }
     }
 
-    /// As fast as the drive is set up for it, with its power on.
+    /// As fast as the drive is configured for it, with its power on.
     pub(super) fn halt(&mut self, now: Time, inputs: &Inputs) {
         let most = self.limits.acceleration.unwrap_or(self.deceleration).max(self.deceleration);
         self.halt = true;
         self.plan(match self.kind {
-            // In another mode its setpoint leads nowhere.
+            // In another mode its setpoint has no effect.
             Kind::Position if inputs.mode == ModeIs::Own => {
                 Trajectory::run(self.demand, 0.0, self.braking(most))
             }
-            // The drive's own ramp lies beneath it.
+            // The drive's own ramp acts below it.
             _ => Trajectory::on(Point { velocity: 0.0, ..self.demand }),
         });
         self.enter(now, Step::Halting);
     }
 
-    /// So many answers came to what was told in this step.
+    /// So many answers came to the word of this step.
     pub(super) fn is_answered(&self, inputs: &Inputs) -> bool {
         inputs.fresh && self.answers >= ANSWERS
     }
@@ -356,7 +356,7 @@ mod tests {
     use crate::bus::ethercat::plan::KollmorgenDrive;
     use crate::time::{MS, S};
 
-    /// Of a drive at 10 rev/s, so many ms on its way.
+    /// A drive at 10 rev/s, after so many ms.
     fn moving(n: u64) -> Inputs {
         let position = n as f64 * 0.01;
         let state = State::OperationEnabled;
@@ -390,7 +390,7 @@ mod tests {
             assert!((0.015..0.025).contains(&ahead), "{ahead} ahead of the drive in cycle {n}");
             orders.held();
         }
-        // From then on its setpoints lead on by themselves.
+        // From then on its setpoints advance by themselves.
         let mut last = advance(&mut orders, 20);
         orders.sent();
         for n in 21..1_021 {

@@ -8,11 +8,11 @@ use crate::bus::ethercat::cia402::{Command, ControlWord, StatusWord};
 use crate::bus::ethercat::trajectory::{Point, Trajectory};
 use crate::time::{MS, Time};
 
-/// A fault is looked at for so long, ns, after the reset: what fails again at once looks like a reset that failed.
+/// A fault is watched for so long, ns, after the reset: a drive that fails again at once looks like a failed reset.
 const RESET_WITHIN_NS: u64 = 500 * MS;
-/// Exchanges that a drive may take from its order to home until bit 12 is of this homing (assumed).
+/// Exchanges that a drive may take from its order to home until bit 12 refers to this homing (assumed).
 const HOME_ANSWERS: u32 = 3;
-/// A position limit is looked at so many intervals ahead of the way that braking takes.
+/// A position limit is checked so many intervals ahead of the braking distance.
 const AHEAD: f64 = 3.0;
 
 const COLD_START: Failure = Failure::Unsupported(
@@ -27,7 +27,7 @@ impl Orders {
     pub(super) fn go_on(&mut self, now: Time, inputs: &Inputs, slot: &Slot) {
         match self.step {
             Step::Idle => {}
-            // Where the application owns the control word, what it makes of the drive is its own affair.
+            // Where the application owns the control word, the drive's state is the application's concern.
             Step::Native(NativeOwner::Application) => {}
             Step::Enabling => self.enabling(now, inputs, slot),
             Step::Disabling => self.disabling(now, inputs, slot),
@@ -41,13 +41,13 @@ impl Orders {
         }
     }
 
-    /// The drive leaves operation under a motion: the order ends by why.
+    /// The drive leaves operation during a motion: the order ends with the reason.
     fn falls(&mut self, inputs: &Inputs, slot: &Slot) -> bool {
         if !inputs.fresh || inputs.operating() {
             return false;
         }
         if inputs.faulted() {
-            // Its name comes by another way, and may take its time.
+            // Its name comes by another way, and may come later.
             if inputs.named {
                 self.give_up(Failure::DriveFault(inputs.fault.into()));
             }
@@ -57,7 +57,7 @@ impl Orders {
         true
     }
 
-    /// What needs the drive in operation.
+    /// A step that needs the drive in operation.
     #[inline]
     fn moving(&mut self, inputs: &Inputs, slot: &Slot) {
         if self.leads && self.falls(inputs, slot) {
@@ -89,7 +89,7 @@ impl Orders {
                 self.foreign = false;
             }
             Step::Halting if settled && self.answers >= ANSWERS => {
-                // It goes on standing here, without.
+                // It stays at standstill here, without the halt.
                 self.hold(inputs.position);
                 if self.is_free() {
                     self.finish(Ok(()));
@@ -120,7 +120,7 @@ impl Orders {
             {
                 self.hold(inputs.position);
             }
-            // It stays there, if it is set up so.
+            // It stays there, if it is configured so.
             State::QuickStopActive
                 if fresh
                     && !self.leads
@@ -196,7 +196,7 @@ impl Orders {
             }
             _ => {}
         }
-        // One order, one time.
+        // One order, one start.
         self.since = since;
         if now.since(since) > self.home_timeout_ns {
             self.start = false;
@@ -242,7 +242,7 @@ impl Orders {
         }
     }
 
-    /// One row an exchange. A row that came before, its slot being passed over, is not counted twice.
+    /// One row per exchange. A row that came before, in a slot that was passed over, is not counted twice.
     pub(super) fn follow(&mut self, slot: &Slot) {
         let Some(next) = slot.row else { return };
         if matches!(self.step, Step::Following { row, .. } if row == next.number) {
@@ -262,7 +262,7 @@ impl Orders {
         self.step = Step::Following { row: next.number, last: next.row.last, point };
     }
 
-    /// Plans the velocity or torque that is asked for, if it is another one, up to a position limit.
+    /// Plans the requested velocity or torque, if it changed, up to a position limit.
     #[inline]
     pub(super) fn turn_on(&mut self, inputs: &Inputs, slot: &Slot) {
         let Step::Turning(Turning { acceleration: up, velocity: planned, limit }) = self.step else { return };
@@ -296,7 +296,7 @@ impl Orders {
         }
     }
 
-    /// That is what is planned for. In place: the whole step takes longer to write than the plan to make.
+    /// Plans for this value. In place: writing the whole step takes longer than making the plan.
     #[inline]
     fn turns(&mut self, planned: f64, leads_to: Option<f64>) {
         if let Step::Turning(Turning { velocity, limit, .. }) = &mut self.step {
@@ -321,7 +321,7 @@ impl Orders {
         }
     }
 
-    /// The same where only velocities are told: by where the axis is, once it knows.
+    /// The same where only velocities are commanded: by the position of the axis, once it is known.
     #[inline]
     fn watch_velocity(&mut self, acceleration: f64, asked: f64, inputs: &Inputs, slot: &Slot) {
         let Some((low, high)) = self.limits.position.filter(|_| slot.report.homed) else { return };

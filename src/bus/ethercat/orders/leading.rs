@@ -1,13 +1,13 @@
-//! Where the setpoint leads: the outputs of the next exchange.
+//! The setpoint: the outputs of the next exchange.
 
 use super::{Inputs, Kind, ModeIs, Orders, Outputs, Step};
 use crate::bus::Slot;
 use crate::bus::ethercat::cia402::{Command, ControlWord};
 use crate::bus::ethercat::trajectory::{Point, Trajectory};
 
-/// The most that a setpoint makes up for, in intervals between two exchanges.
+/// The most that a setpoint catches up, in intervals between two exchanges.
 const MOST_STEP: u64 = 2;
-/// A torque is taken away in this time at most, s, however flat its slope: while it lasts nothing brakes.
+/// The longest time in which a torque is removed, s, however flat its slope: meanwhile nothing brakes.
 const RELEASE_S: f64 = 0.1;
 
 impl Orders {
@@ -26,13 +26,13 @@ impl Orders {
         Outputs { control: self.control.with(mode | halt | own), setpoint }
     }
 
-    /// The lowest 32 bits of a count: the drive's own count goes round as well.
+    /// The lowest 32 bits of a count: the drive's own count wraps around as well.
     #[inline]
     fn wire_position(&self, position: f64) -> i32 {
         rounded((position - self.units.offset) * self.units.counts_per_unit) as i64 as i32
     }
 
-    /// Leads the setpoint on by the time that the exchange has been waited for.
+    /// Advances the setpoint by the time since the last exchange.
     #[inline]
     pub(super) fn lead(&mut self, inputs: &Inputs, slot: &Slot) {
         if self.leads {
@@ -51,7 +51,7 @@ impl Orders {
             _ => {}
         }
         let waited = self.sent_at.map_or(self.interval_ns, |sent_at| self.grid.since(sent_at));
-        // Nothing holds up the stop of a velocity or torque; a position that leaps is none.
+        // Nothing delays the stop of a velocity or torque; a position setpoint must not jump.
         let most = match self.kind {
             Kind::Velocity(_) | Kind::Torque(_)
                 if matches!(self.step, Step::Stopping | Step::Limited { .. }) =>
@@ -64,7 +64,7 @@ impl Orders {
         self.next = self.motion.at(self.next_ns);
     }
 
-    /// In another mode no setpoint counts: it is neutral there, and so is the first one behind it.
+    /// In another mode no setpoint counts: it is neutral there, and so is the first one after it.
     #[inline]
     fn watch_mode(&mut self, inputs: &Inputs) {
         if inputs.mode != ModeIs::Own {
@@ -76,30 +76,30 @@ impl Orders {
         }
     }
 
-    /// Takes up a motion behind what has gone out.
+    /// Starts a motion after the setpoints that were sent.
     pub(super) fn plan(&mut self, motion: Trajectory) {
         (self.motion, self.passed_ns) = (motion, 0);
     }
 
-    /// Takes up a motion to this velocity, and on at it.
+    /// Starts a motion to this velocity, then constant.
     #[inline]
     pub(super) fn plan_run(&mut self, velocity: f64, acceleration: f64) {
         self.motion.become_run(self.demand, velocity, acceleration);
         self.passed_ns = 0;
     }
 
-    /// The point of a row, one interval behind what has gone out.
+    /// The point of a row, one interval after the last sent one.
     pub(super) fn point_of_row(&self, position: f64) -> Point {
         let way = position - self.demand.position;
         Point { position, velocity: way * self.per_second }
     }
 
-    /// What the setpoint leads to is a standstill that has gone out.
+    /// The setpoint ends in a standstill that was sent.
     pub(super) fn stands(&self) -> bool {
         self.motion.is_over(self.passed_ns) && self.motion.last_velocity() == 0.0
     }
 
-    /// Setpoints count, and it stands where it is.
+    /// Setpoints count, and it stays where it is.
     pub(super) fn hold(&mut self, position: f64) {
         self.run_from(Point { position, velocity: 0.0 });
     }
@@ -126,9 +126,9 @@ impl Orders {
         self.plan_run(0.0, deceleration);
     }
 
-    /// The deceleration asked for, or what it takes to stop within the limits: what replaces a fast motion may be too
-    /// weak for the way that is left. Never more than the limit of acceleration, or than the axis' own profile where
-    /// there is none.
+    /// The requested deceleration, or the one needed to stop within the limits: the deceleration of a motion that
+    /// replaces a fast one may be too weak for the remaining way. Never more than the limit of acceleration, or
+    /// than the axis' own profile if there is no limit.
     pub(super) fn braking(&self, asked: f64) -> f64 {
         let (Some((low, high)), Kind::Position) = (self.limits.position, self.kind) else { return asked };
         let Point { position, velocity } = self.demand;

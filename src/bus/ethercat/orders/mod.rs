@@ -5,22 +5,22 @@
 //! | `mod` | the orders of a drive, and the outputs of the next exchange |
 //! | `begin` | a new order |
 //! | `going` | an order that is under way |
-//! | `leading` | where the setpoint leads |
+//! | `leading` | the setpoint |
 //!
-//! The master makes the setpoints: a position, a velocity on its ramp, or a torque on its slope. What is planned begins
-//! at the setpoint that last went out, so that what is replaced before it went out never was. While the drive does not
-//! follow setpoints, they are neutral: no velocity, no torque, the actual position. Nothing is written before the first
-//! order.
+//! The master makes the setpoints: a position, a velocity on its ramp, or a torque on its slope. A plan begins at
+//! the last sent setpoint, so that a motion that is replaced before it was sent has no effect. While the drive does
+//! not follow setpoints, they are neutral: no velocity, no torque, the actual position. Nothing is written before
+//! the first order.
 //!
-//! No ramp of velocities brakes a drive that follows torques. A stop takes the torque away along its slope, within 100
-//! ms at most, and then halts the drive until it stands; a quick stop, and an order that is refused, halt it at once.
-//! Then it is free: without a torque, as after it was enabled. One that halt does not brake coasts, until the stop of
-//! the axis takes its time-out.
+//! No ramp of velocities brakes a drive that follows torques. A stop removes the torque along its slope, within 100
+//! ms at most, and then halts the drive until standstill; a quick stop, and an order that is refused, halt it at
+//! once. Then it is free: without a torque, as after it was enabled. A drive that the halt does not brake coasts,
+//! until the axis' stop reaches its time-out.
 //!
-//! Inputs that come with a frame are of before its outputs: what is told is answered by the exchange after it.
+//! Inputs that come with a frame are from before its outputs: an output is answered by the exchange after it.
 //!
-//! Assumed, because the manuals are silent: halt, bit 8, holds in every mode and keeps power on; a drive that is told
-//! to switch on and stays off without a fault has no hardware enable.
+//! Assumed, because the manuals are silent: halt, bit 8, holds in every mode and keeps power on; a drive that is
+//! commanded to switch on and stays off without a fault has no hardware enable.
 
 mod begin;
 mod going;
@@ -35,18 +35,19 @@ use crate::axis::{Failure, Limits, State, Units};
 use crate::bus::{Progress, Slot};
 use crate::time::{MS, S, Time, nanos};
 
-/// An answer to what was told comes with so many exchanges.
+/// The answer to an output comes with so many exchanges.
 const ANSWERS: u32 = 2;
-/// A drive that is told to switch on does so within this time, ns, or its hardware enable is missing (assumed).
+/// A drive that is commanded to switch on does so within this time, ns, or its hardware enable is missing
+/// (assumed).
 const ON_WITHIN_NS: u64 = 500 * MS;
-/// A missing hardware enable is shown for so long, ns, after the drive was last told to switch on: only telling it
-/// again will show whether it is back.
+/// A missing hardware enable is reported for so long, ns, after the drive was last commanded to switch on: only the
+/// next such command shows whether it is back.
 const DARK_NS: u64 = S;
 
-/// What the drive last said.
+/// The drive's last report.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Inputs {
-    /// There was something at all.
+    /// There was a report at all.
     pub seen: bool,
     /// New since the outputs were last built.
     pub fresh: bool,
@@ -61,12 +62,12 @@ pub(super) struct Inputs {
     pub velocity: f64,
     /// Its fault; 0: not known.
     pub fault: u16,
-    /// Its fault is known, as far as it ever will be.
+    /// Its fault is known, as far as it will ever be.
     pub named: bool,
     /// Only switching it off and on ends its fault.
     pub cold: bool,
     pub mode: ModeIs,
-    /// It was asked whether it knows its reference since that may have changed.
+    /// It was read whether the drive has its reference, since that may have changed.
     pub referred: bool,
 }
 
@@ -92,7 +93,7 @@ pub(super) enum ModeIs {
     Other,
 }
 
-/// The mode of operation that it shall be in.
+/// The mode of operation that it shall have.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum ModeWanted {
     /// The one that it is in.
@@ -101,14 +102,14 @@ pub(super) enum ModeWanted {
     Homing,
 }
 
-/// What the drive shall have.
+/// The outputs for the drive.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Outputs {
     pub control: ControlWord,
     pub setpoint: i32,
 }
 
-/// What the setpoint is, and its scale.
+/// The quantity of the setpoint, and its scale.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Kind {
     Position,
@@ -116,7 +117,7 @@ pub(super) enum Kind {
     Velocity(f64),
     /// Raw setpoint of one per cent of the rated torque; negative if the axis is inverted.
     Torque(f64),
-    /// Of nothing that is known: it stays 0.
+    /// An unknown quantity: it stays 0.
     Zero,
 }
 
@@ -128,14 +129,14 @@ pub(super) struct Orders {
     kind: Kind,
     /// Bits that the mode of the setpoint needs while the drive is in operation.
     mode_bits: u16,
-    /// It has a control word; and tells no position, where its setpoint is one.
+    /// It has a control word; and it reports no position, although its setpoint is one.
     controlled: bool,
     blind: bool,
     /// Something stops the drive if the master dies, or nothing has to.
     watched: bool,
     /// Without that it takes no velocity and no torque.
     needs_watch: bool,
-    /// It was found with another watchdog, and is not set up anew yet.
+    /// It was found with another watchdog, and is not set up again yet.
     found_otherwise: bool,
     deceleration: f64,
     standstill: f64,
@@ -148,9 +149,9 @@ pub(super) struct Orders {
     serial: u64,
     /// The order has begun: the drive was seen.
     begun: bool,
-    /// Nothing of this order went out yet.
+    /// Nothing of this order was sent yet.
     new: bool,
-    /// Nor can it: the drive that it takes over goes on by itself, and is taken over again until it can.
+    /// Nor can it be: the drive that it takes over moves by itself, and is taken over again until outputs reach it.
     reclaims: bool,
     step: Step,
     since: Time,
@@ -158,12 +159,12 @@ pub(super) struct Orders {
     sent: u32,
     answers: u32,
     end: Option<Result<(), Failure>>,
-    /// `Slot::progress` says so.
+    /// `Slot::progress` reports it.
     progress_told: bool,
 
     /// Something is written.
     writes: bool,
-    /// It was found running in a mode that is not that of its setpoint: that is not touched before it stands.
+    /// It was found running in a mode that is not that of its setpoint: that is unchanged until standstill.
     foreign: bool,
     /// It is, or was, in another mode than that of its setpoint.
     away: bool,
@@ -176,19 +177,19 @@ pub(super) struct Orders {
     /// The control words of the last exchange that went out, and of the one before.
     control_sent: Option<ControlWord>,
     control_before: Option<ControlWord>,
-    /// Both tell it to be on.
+    /// Both command it to be on.
     told_on: bool,
 
-    /// The setpoint follows `motion`; without, it is neutral.
+    /// The setpoint follows `motion`; otherwise it is neutral.
     leads: bool,
     motion: Trajectory,
-    /// How much of it has gone out, and the point there.
+    /// How much of the motion was sent, and the point there.
     passed_ns: u64,
     demand: Point,
     /// The same with the exchange that is built.
     next_ns: u64,
     next: Point,
-    /// What stood before a new order.
+    /// The state before a new order.
     before: Before,
     grid: Time,
     sent_at: Option<Time>,
@@ -198,14 +199,14 @@ pub(super) struct Orders {
 
     native: Option<NativeOutput>,
     native_gone: bool,
-    /// It was powered while it was told to be; told since; off although it was told.
+    /// It was powered while it was commanded to be; commanded since; off although it was commanded on.
     was_powered: bool,
     told_on_since: Option<Time>,
     dark: bool,
     dark_at: Option<Time>,
 }
 
-/// What the outputs come from, as it stood before an order of which nothing went out yet.
+/// The state behind the outputs, from before an order of which nothing was sent yet.
 #[derive(Clone, Copy, Debug)]
 struct Before {
     writes: bool,
@@ -221,7 +222,7 @@ struct Before {
     demand: Point,
 }
 
-/// Where an order is.
+/// The step of an order.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(u8)]
 enum Step {
@@ -231,7 +232,7 @@ enum Step {
     Disabling,
     /// At a velocity or a torque, towards a position limit if there is one ahead.
     Turning(Turning),
-    /// A position limit comes near: it stops before it.
+    /// A position limit is near: it stops before it.
     Limited {
         limit: f64,
     },
@@ -242,19 +243,19 @@ enum Step {
         last: bool,
         point: Point,
     },
-    /// Without a setpoint that leads on: until it stands.
+    /// Without a setpoint that advances: until standstill.
     Stopping,
-    /// Halted until it stands; then it goes on standing without.
+    /// Halted until standstill; then it stays there without the halt.
     Halting,
     /// Homing: until the drive is known to be in operation ...
     HomeWaiting,
     /// ... until it is in the mode ...
     HomeMode,
-    /// ... until it says that it has found home ...
+    /// ... until it reports that it has found home ...
     Homing,
-    /// ... until it stands ...
+    /// ... until standstill ...
     HomeStopping(Result<(), Failure>),
-    /// ... until it is back in its own mode, and was asked for its reference.
+    /// ... until it is back in its own mode, and its reference was read.
     HomeLeaving(Result<(), Failure>),
     /// A fault whose reaction is under way, or whose name has not come.
     ResetWaiting,
@@ -268,9 +269,9 @@ enum Step {
 struct Turning {
     /// Of the velocity; the slope of a torque.
     acceleration: f64,
-    /// The velocity or torque that is planned for.
+    /// The planned velocity or torque.
     velocity: f64,
-    /// The limit that it leads to.
+    /// The limit in its direction.
     limit: Option<f64>,
 }
 
@@ -301,7 +302,7 @@ impl Orders {
                 .iter()
                 .any(|entry| entry.object == super::station::CONTROL_WORD),
             blind: kind == Kind::Position && !super::station::tells_position(drive),
-            // A position is held, whatever becomes of the master.
+            // A position is held, even if the master dies.
             watched: drive.slave.watchdog_ns.is_some(),
             needs_watch: !drive.accept_no_watchdog && kind != Kind::Position,
             found_otherwise: false,
@@ -363,7 +364,7 @@ impl Orders {
         }
     }
 
-    /// Works on the order in `slot`, and gives what the drive shall have with the request of `grid`.
+    /// Works on the order in `slot`, and returns the outputs for the request of `grid`.
     #[inline]
     pub(super) fn advance(
         &mut self,
@@ -394,7 +395,7 @@ impl Orders {
         self.built
     }
 
-    /// What the application wrote natively, if that is what goes out, and who owns the control word.
+    /// The native output of the application, if that is sent, and who owns the control word.
     #[inline]
     pub(super) fn native(&self) -> Option<(&NativeOutput, NativeOwner)> {
         match (&self.native, self.step) {
@@ -408,7 +409,7 @@ impl Orders {
         matches!(self.step, Step::Native(_))
     }
 
-    /// What its setpoint is.
+    /// The quantity of its setpoint.
     pub(super) fn kind(&self) -> Kind {
         self.kind
     }
@@ -423,7 +424,7 @@ impl Orders {
         self.writes
     }
 
-    /// The exchange that was built last went out.
+    /// The last built exchange was sent.
     #[inline]
     pub(super) fn sent(&mut self) {
         (self.passed_ns, self.demand) = (self.next_ns, self.next);
@@ -445,7 +446,7 @@ impl Orders {
         self.told_on = told(self.control_sent) && told(self.control_before);
     }
 
-    /// An exchange was answered, by a drive to which outputs count.
+    /// An exchange was answered, by a drive that outputs reach.
     #[inline]
     pub(super) fn answered(&mut self) {
         if self.sent > 0 {
@@ -453,7 +454,7 @@ impl Orders {
         }
     }
 
-    /// The drive does not take outputs any more: what runs has ended.
+    /// Outputs no longer reach the drive: the running motion has ended.
     pub(super) fn dropped(&mut self, state: State) {
         (self.was_powered, self.told_on_since, self.dark) = (false, None, false);
         if !self.writes {
@@ -468,7 +469,7 @@ impl Orders {
         }
     }
 
-    /// The drive has lost what it was told: nothing of before is written again.
+    /// The drive has lost its commands: no earlier value is written again.
     pub(super) fn drive_restarted(&mut self) {
         self.dropped(State::SwitchOnDisabled);
         if self.writes {
@@ -477,7 +478,7 @@ impl Orders {
         (self.control_sent, self.control_before, self.told_on) = (None, None, false);
     }
 
-    /// The mode of operation that the drive shall be in.
+    /// The mode of operation that the drive shall have.
     pub(super) fn mode_wanted(&self) -> ModeWanted {
         match self.step {
             _ if !self.writes || self.foreign => ModeWanted::AsIs,
@@ -488,7 +489,7 @@ impl Orders {
         }
     }
 
-    /// The drive will not go into the mode of homing, or cannot be told how to home.
+    /// The drive refuses the mode of homing, or its homing cannot be configured.
     pub(super) fn mode_refused(&mut self) {
         if matches!(self.step, Step::HomeMode) && self.end.is_none() {
             self.finish(Err(Failure::Unsupported(
@@ -497,13 +498,13 @@ impl Orders {
         }
     }
 
-    /// The setpoint of the last exchange that went out, as far as it is one.
+    /// The setpoint of the last sent exchange, if it is one.
     #[inline]
     pub(super) fn setpoint_sent(&self) -> i32 {
         self.setpoints.0
     }
 
-    /// Something leads the drive on: the setpoint of the last exchange that went out.
+    /// Something moves the drive: the setpoint of the last sent exchange.
     #[inline]
     pub(super) fn is_moving(&self) -> bool {
         match self.kind {
@@ -513,7 +514,7 @@ impl Orders {
         }
     }
 
-    /// The drive homes: its positions are about to begin anew.
+    /// The drive homes: its positions are about to change their origin.
     #[inline]
     pub(super) fn is_homing(&self) -> bool {
         matches!(self.step, Step::Homing | Step::HomeStopping(_) | Step::HomeLeaving(_))
@@ -525,13 +526,13 @@ impl Orders {
         matches!(self.step, Step::Homing | Step::HomeStopping(_))
     }
 
-    /// Its hardware enable was missing when it was last told to switch on, not long ago.
+    /// Its hardware enable was missing when it was last commanded to switch on, not long ago.
     #[inline]
     pub(super) fn is_inhibited(&self, now: Time) -> bool {
         self.dark_at.is_some_and(|dark_at| now.since(dark_at) < DARK_NS)
     }
 
-    /// Looks at what it says: whether it stays off although it is told to switch on.
+    /// Checks its report: whether it stays off although it is commanded to switch on.
     #[inline]
     pub(super) fn look(&mut self, inputs: &Inputs) {
         if !(inputs.operational && self.told_on) {
@@ -551,7 +552,7 @@ impl Orders {
 
     #[inline(never)]
     fn take_native(&mut self, native: &mut NativePort) {
-        // Each goes out, whatever becomes of a request.
+        // Each one is sent, even if a request fails.
         if self.native_gone
             && let Some(output) = native.next()
         {
@@ -569,14 +570,14 @@ impl Orders {
         self.start = false;
     }
 
-    /// Ends an order that cannot be, and brings what runs to a stop: nobody leads it any more.
+    /// Ends an order that cannot be carried out, and stops a running drive: it has no commander any more.
     fn refuse(&mut self, failure: Failure) {
         self.halt |= self.is_free() && !self.stands();
         self.wind_down();
         self.finish(Err(failure));
     }
 
-    /// Brings what leads on to its end.
+    /// Brings a running motion to its end.
     fn wind_down(&mut self) {
         if self.leads && !self.stands() {
             self.brake(self.deceleration);
@@ -588,7 +589,7 @@ impl Orders {
         matches!(self.kind, Kind::Torque(_)) && self.leads
     }
 
-    /// Ends the order as failed, and lets go of the drive.
+    /// Ends the order as failed, and releases the drive.
     fn give_up(&mut self, failure: Failure) {
         self.finish(Err(failure));
         self.let_go();

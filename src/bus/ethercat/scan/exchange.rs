@@ -1,7 +1,7 @@
 //! A frame out and back.
 //!
-//! In front of each frame stands a NOP with a mark: a reply counts by it alone, and an EtherCAT frame without it is
-//! that of another master. What arrives broken, circulated or late is passed over.
+//! Each frame begins with a NOP with a mark: a reply counts by it alone, and an EtherCAT frame without it is that
+//! of another master. Broken, circulated and late frames are skipped.
 
 use std::os::fd::BorrowedFd;
 
@@ -14,17 +14,17 @@ use crate::bus::ethercat::wire::frame::{
 use crate::net::Frames;
 use crate::time::{MS, Time};
 
-/// Slower than this no master is expected to be.
+/// No master is expected to be slower than this.
 const LISTEN_NS: u64 = 100 * MS;
-/// A line needs microseconds; the rest is for the two computers, one of which may be busy, or simulated.
+/// A segment needs microseconds; the rest is for the two computers, one of which may be busy, or simulated.
 const BACK_WITHIN_NS: u64 = 50 * MS;
 /// A frame may be lost, and so may its repetition.
 const ATTEMPTS: usize = 3;
-/// How often it looks whether it is to go on.
+/// How often it checks whether to go on.
 const LOOK_MS: u8 = 10;
 /// Sets the bit that the first slave sets in the source of a frame.
 const PASSED: u8 = 1 << 1;
-/// The mark: who, and which frame.
+/// The mark: sender and number of the frame.
 const MARK: usize = 8;
 
 /// A datagram to be sent.
@@ -39,17 +39,17 @@ impl Ask {
         Ask { command, data: vec![0; length] }
     }
 
-    /// Reads of the slave at a place.
+    /// Reads of the slave at a position.
     pub(super) fn read_of(place: u16, register: u16, length: usize) -> Ask {
         Ask::read(Command::Aprd(position(place), register), length)
     }
 
-    /// Writes to the slave at a place.
+    /// Writes to the slave at a position.
     pub(super) fn write_to(place: u16, register: u16, data: &[u8]) -> Ask {
         Ask { command: Command::Apwr(position(place), register), data: data.to_vec() }
     }
 
-    /// Whether this is what came back of it: slaves count positions, and leave the register.
+    /// Whether this is the reply to it: slaves count positions, and leave the register.
     fn is(&self, back: &Datagram) -> bool {
         (back.number, back.address >> 16, back.data.len())
             == (self.command.number(), self.command.address() >> 16, self.data.len())
@@ -60,15 +60,15 @@ impl Ask {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Answer {
     pub(super) data: Vec<u8>,
-    /// So many slaves have carried it out.
+    /// How many slaves have carried it out.
     pub(super) count: u16,
 }
 
-/// What a received frame is.
+/// The meaning of a received frame.
 #[derive(Debug, PartialEq, Eq)]
 enum Heard {
     Answers(Vec<Answer>),
-    /// Of no use, and nobody else's.
+    /// Of no use, and not another master's.
     Nothing,
     Foreign(Mac),
 }
@@ -91,7 +91,7 @@ impl<'a> Exchange<'a> {
         self.frames.now()
     }
 
-    /// Hears whether another master is there, before anything is sent.
+    /// Listens for another master before anything is sent.
     pub(super) fn listen(&mut self) -> Result<(), ScanError> {
         let until = self.now() + LISTEN_NS;
         self.hear(&[], until).map(drop)
@@ -182,7 +182,7 @@ impl<'a> Exchange<'a> {
         let Some(fd) = self.frames.fd() else { return };
         // SAFETY: the carrier holds it, and is held here.
         let fd = unsafe { BorrowedFd::borrow_raw(fd) };
-        // Woken by a signal, too: then the caller is asked whether to go on.
+        // A signal wakes it, too: then the caller decides whether to go on.
         let _ = poll(&mut [PollFd::new(fd, PollFlags::POLLIN)], PollTimeout::from(LOOK_MS));
     }
 }
@@ -221,7 +221,7 @@ mod tests {
         fn memory(&self, _: &mut Regions) {}
     }
 
-    /// A frame that begins with `mark`, and what came back of `asks`.
+    /// A frame that begins with `mark`, and the answers to `asks`.
     fn frame(mark: &[u8], asks: &[Ask]) -> Vec<u8> {
         let mut room = [0; FRAME_MAX];
         let mut frame = Builder::new(&mut room, BROADCAST, [0x12; 6]).unwrap();

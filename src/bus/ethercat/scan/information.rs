@@ -1,4 +1,4 @@
-//! What the SII of a slave says (ETG.2010), read word by word.
+//! The content of a slave's SII (ETG.2010), read word by word.
 
 use thiserror::Error;
 
@@ -9,30 +9,30 @@ use crate::bus::ethercat::wire::registers::{SyncManager, address};
 use crate::bus::ethercat::wire::sii::{self, Category, Identity, Protocols, Status, Use};
 use crate::time::MS;
 
-/// Longest that a command may take; 20 ms is usual, and this thread is a normal one.
+/// The longest time of a command; 20 ms is usual, and this thread is a normal one.
 const WITHIN_NS: u64 = 100 * MS;
-/// A command that failed is given once more.
+/// A command that failed is repeated once.
 const ATTEMPTS: usize = 2;
 /// More categories than any slave has: where the end is missing.
 const CATEGORIES_MAX: usize = 64;
-/// So much of a category is read.
+/// The most words of a category that are read.
 const WORDS_MAX: u16 = 1024;
-/// In the status: the slave has not loaded it, or its check is wrong.
+/// In the status: the slave has not loaded it, or its checksum is wrong.
 const UNSOUND: u16 = 1 << 11 | 1 << 12;
 /// In the status: the command failed.
 const FAILED: u16 = 1 << 13 | 1 << 14;
 /// From the control register to the end of the data.
 const REGISTERS: usize = 14;
 const DATA_AT: usize = (address::SII_DATA - address::SII_CONTROL) as usize;
-/// Which text the name is, in the general category.
+/// The offset of the name's text number in the general category.
 const NAME_AT: usize = 3;
 
-/// What the SII of a slave says.
+/// The content of a slave's SII.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Information {
-    /// Its check is right, and the slave has loaded it.
+    /// Its checksum is right, and the slave has loaded it.
     pub sound: bool,
-    /// Who it is.
+    /// The slave's identity.
     pub identity: Identity,
     /// Its serial number.
     pub serial: u32,
@@ -40,7 +40,7 @@ pub struct Information {
     pub name: String,
     /// The mailbox that the master writes, and the one that it reads.
     pub mailbox: Option<[Area; 2]>,
-    /// What is spoken there.
+    /// The mailbox protocols.
     pub protocols: Protocols,
     /// Its SyncManagers as delivered.
     pub managers: Vec<(SyncManager, Use)>,
@@ -52,10 +52,10 @@ pub enum Unread {
     /// A master works with the slave.
     #[error("not read in this state")]
     InUse,
-    /// The slave's processor has it.
+    /// The slave's processor owns it.
     #[error("owned by the slave's processor")]
     Owned,
-    /// No command comes to its end.
+    /// A command does not end.
     #[error("busy")]
     Busy,
     /// A command failed.
@@ -75,7 +75,7 @@ impl Information {
     }
 }
 
-/// Either ends the reading of one SII.
+/// What ends the reading of one SII.
 enum End {
     Scan(ScanError),
     Sii(Unread),
@@ -115,7 +115,7 @@ impl Visit<'_, '_> {
         self.write(address::SII_OWNER, owner).map(drop)
     }
 
-    /// Whether the slave took it.
+    /// Whether the slave accepted it.
     fn write(&mut self, register: u16, data: &[u8]) -> Result<bool, ScanError> {
         let asks = [Ask::write_to(self.place, register, data)];
         let answers = self.exchange.ask(&asks)?.ok_or_else(|| self.lost())?;
@@ -219,7 +219,7 @@ fn text(category: &[u8], number: u8) -> Option<&[u8]> {
     Some(behind.get(..usize::from(*length)).unwrap_or(behind))
 }
 
-/// What a terminal may show.
+/// Characters that a terminal may show.
 fn printable(text: &[u8]) -> String {
     let shown = |byte: &u8| if byte.is_ascii_graphic() || *byte == b' ' { char::from(*byte) } else { '?' };
     text.iter().map(shown).collect::<String>().trim().to_owned()

@@ -1,20 +1,21 @@
-//! The two mailboxes of a slave: how a message gets into the one, and out of the other (ETG.1000.4, 6.7; ETG.1000.6,
-//! 5.6).
+//! The two mailboxes of a slave: how a message gets into the one, and out of the other (ETG.1000.4, 6.7;
+//! ETG.1000.6, 5.6).
 //!
-//! Knows no SDO. What it wants is one slot at a time, and what it knows is only what came back:
+//! Knows no SDO. It requests one slot at a time, and knows only the answers:
 //!
-//! | what came back | is |
+//! | answer | meaning |
 //! |---|---|
 //! | a write, working counter 1 | the request is there |
-//! | a write, 0 | the mailbox is full: once more. After a write whose frame was lost: that one is there |
-//! | a write, no frame | it may be there or not: once more under the same count, which the slave ignores if it has it |
+//! | a write, 0 | the mailbox is full: repeat. After a write whose frame was lost: that one is there |
+//! | a write, no frame | it may be there or not: repeat with the same count, which the slave ignores if it has it |
 //! | the status, bit 3 | a message waits |
 //! | a read of the last byte, 1 | the message is taken |
-//! | a read of the last byte, no frame | it may be taken: if nothing stands there, the slave is asked for it again (0x080E, 0x080F) |
+//! | a read of the last byte, no frame | it may be taken: if there is none now, the slave is requested to repeat it (0x080E, 0x080F) |
 //!
-//! A message counts as written, or read, with the last byte of its area. So a message goes with the last byte behind it
-//! in the same frame, and one that is longer than a slot in pieces, the last byte at the end. With the status the first
-//! bytes of a longer mailbox are looked at: then its last byte and the rest of the message follow in the next slot.
+//! A message counts as written, or read, with the last byte of its area. So a message goes with the last byte
+//! behind it in the same frame, and one that is longer than a slot in pieces, the last byte at the end. With the
+//! status the first bytes of a longer mailbox are read: then its last byte and the rest of the message follow in
+//! the next slot.
 
 use super::super::counters::Own;
 use super::super::plan::Area;
@@ -29,19 +30,19 @@ use crate::time::{MS, Time, US};
 
 /// The most that is written at once; a Kollmorgen drive takes 16.
 const OUT_MAX: usize = 32;
-/// What is looked at with the status of a mailbox that is longer.
+/// Bytes that are read with the status of a mailbox that is longer.
 const HEAD: usize = 64;
-/// Between two looks while an answer is awaited: a drive's firmware takes up a request about once a millisecond.
+/// Interval of looks while an answer is awaited: a drive's firmware takes a request about once a millisecond.
 const LOOK_NS: u64 = 750 * US;
-/// A slave that has not answered the first request by then may have had its count from another master: it is repeated
-/// under the next.
+/// A slave that has not answered the first request by then may have had its count from another master: it is
+/// repeated with the next one.
 const UNCOUNTED_NS: u64 = 300 * MS;
-/// Between two looks for what nobody asked for.
+/// Interval of looks for unrequested messages.
 const IDLE_NS: u64 = 50 * MS;
 /// A mailbox that is still full then, and was so often, is not served.
 const FULL_NS: u64 = 20 * MS;
 const FULL: u32 = 3;
-/// A slave that has not acknowledged a repeat request then does not know them.
+/// A slave that has not acknowledged a repeat request by then does not support them.
 const REPEAT_NS: u64 = 100 * MS;
 /// In `activate` and in the slave's control behind it: the repeat request, and its acknowledgement, each a toggle.
 const TOGGLE: u8 = 1 << 1;
@@ -64,15 +65,15 @@ pub(super) struct Mailbox {
     read: Box<[u8]>,
     asked: Option<Asked>,
     looked: Option<Time>,
-    /// What stands there may answer something that is over.
+    /// The message there may answer a request that is over.
     stale: bool,
     /// A request was answered since the mailbox was opened: the slave counts as the master does.
     counts: bool,
-    /// So long it may be until it has the slot again, ns.
+    /// The longest time until it has the slot again, ns.
     turn_ns: u64,
 }
 
-/// How far the request is.
+/// The state of the request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Sending {
     /// There is none.
@@ -91,22 +92,22 @@ enum Sending {
     Written { twice: bool, since: Time },
 }
 
-/// How far the message in the other mailbox is.
+/// The state of the message in the other mailbox.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Reading {
-    /// None is known of.
+    /// None is known.
     Nothing,
     /// One is there, and so many bytes of it have been read.
     There(usize),
     /// It may have been taken by a frame that was lost.
     Lost,
-    /// It is to be asked for again, by this toggle.
+    /// Its repetition is to be requested, by this toggle.
     Repeat { toggle: u8, since: Time },
-    /// It was, and the slave has not acknowledged it yet.
+    /// It was requested, and the slave has not acknowledged it yet.
     Repeated { toggle: u8, since: Time },
 }
 
-/// What was asked last.
+/// The last request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Asked {
     Write,
@@ -124,10 +125,10 @@ struct Piece {
     closes: bool,
 }
 
-/// What came of a slot.
+/// The result of a slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Heard {
-    /// Nothing that ends anything.
+    /// Nothing ended.
     Nothing,
     /// The slave does not empty the mailbox: the request was given up.
     Full,
@@ -166,7 +167,7 @@ impl Mailbox {
         self.turn_ns = turn_ns;
     }
 
-    /// A time that is long enough for so many turns too.
+    /// A time that is also long enough for so many turns.
     fn within(&self, ns: u64, turns: u64) -> u64 {
         ns.max(turns * self.turn_ns)
     }
@@ -175,7 +176,7 @@ impl Mailbox {
         regions.add(&*self.read);
     }
 
-    /// All that was under way is forgotten. The count goes on: the slave may still know the last one.
+    /// Discards everything under way. The count continues: the slave may still know the last one.
     pub(super) fn reset(&mut self) {
         (self.sending, self.reading, self.asked) = (Sending::Nothing, Reading::Nothing, None);
         (self.looked, self.stale, self.counts) = (None, true, false);
@@ -220,20 +221,20 @@ impl Mailbox {
         self.sending = Sending::Nothing;
     }
 
-    /// Nobody waits for the answer any more; it may come all the same.
+    /// The answer is no longer awaited; it may still come.
     pub(super) fn abandon(&mut self) {
-        // What comes of its frame is not the next request's.
+        // The answer to its frame is not that of the next request.
         self.asked = self.asked.filter(|asked| *asked != Asked::Write);
         (self.sending, self.stale) = (Sending::Nothing, true);
     }
 
-    /// What was read last, and whatever stood behind it.
+    /// The last read bytes, and whatever was behind them.
     pub(super) fn message(&self) -> &[u8] {
         &self.read
     }
 
-    /// The last count of another master is not known: if it was this one, the slave takes the first request for that
-    /// again.
+    /// The last count of another master is not known: if it was this one, the slave takes the first request for a
+    /// repetition.
     fn recount(&mut self, now: Time) {
         let Sending::Written { since, .. } = self.sending else { return };
         if self.counts || self.reading != Reading::Nothing || now.since(since) < self.within(UNCOUNTED_NS, 6)
@@ -246,7 +247,7 @@ impl Mailbox {
         self.counts = true;
     }
 
-    /// What it wants of the next slot.
+    /// Its request for the next slot.
     pub(super) fn ask(&mut self, now: Time, ask: &mut Ask) {
         self.recount(now);
         let asked = self.next(now);
@@ -257,7 +258,7 @@ impl Mailbox {
             Some(Asked::Piece(piece)) => self.ask_piece(piece, ask),
             Some(Asked::Toggle(toggle)) => ask.write(Command::Fpwr(self.station, ACTIVATE), &[ON | toggle]),
         };
-        // What others left of the slot may be too small.
+        // The room that others left in the slot may be too small.
         self.asked = asked.filter(|_| is_asked);
     }
 
@@ -268,7 +269,7 @@ impl Mailbox {
             (Reading::Lost, _) => return Some(Asked::Look),
             (Reading::Nothing, Sending::Due { .. }) if self.stale => return Some(Asked::Look),
             (Reading::Nothing, Sending::Due { .. }) => return Some(Asked::Write),
-            // On a long line that leaves slots for others.
+            // On a long segment that leaves slots for others.
             (Reading::Nothing, Sending::Nothing) => self.within(IDLE_NS, 2),
             (Reading::Nothing, Sending::Written { .. }) | (Reading::Repeated { .. }, _) => LOOK_NS,
         };
@@ -283,7 +284,7 @@ impl Mailbox {
     }
 
     fn ask_look(&self, ask: &mut Ask) -> bool {
-        // A mailbox that is no longer would be taken by that.
+        // A mailbox that is no longer would be emptied by that.
         let head = self.read.len() <= HEAD || ask.room().is_none_or(|room| room < HEAD + 3);
         ask.read(Command::Fprd(self.station, STATUS), 3)
             && (head || ask.read(Command::Fprd(self.station, self.input.start), HEAD))
@@ -298,7 +299,7 @@ impl Mailbox {
         is_read && (!piece.closes || reaches_end || ask.read(last, 1))
     }
 
-    /// What is to be read behind the first `at` bytes.
+    /// The part to be read after the first `at` bytes.
     fn piece(&self, at: usize) -> Piece {
         if at < HEADER {
             let length = self.read.len().min(HEAD);
@@ -308,7 +309,7 @@ impl Mailbox {
         Piece { at, length: rest.min(ROOM - 1), closes: rest < ROOM }
     }
 
-    /// What came of what it asked.
+    /// Takes the answer to its request.
     pub(super) fn heard(&mut self, now: Time, answers: &Answers<'_>, counters: &mut Counters) -> Heard {
         match self.asked.take() {
             None => Heard::Nothing,
@@ -339,7 +340,7 @@ impl Mailbox {
             Own::MailboxRepeats.count(counters);
             self.sending = Sending::Due { answered, lost: true, full, since };
         } else if lost || parts.iter().all(done) {
-            // Full after a loss: with what was thought lost.
+            // Full after a loss: with the message that was thought lost.
             self.sending =
                 if answered { Sending::Written { twice: lost, since: now } } else { Sending::Nothing };
         } else {
@@ -355,7 +356,7 @@ impl Mailbox {
 
     fn heard_look(&mut self, now: Time, answers: &Answers<'_>, counters: &mut Counters) {
         let [Some(Answer { working_counter: 1, data: &[status, activate, control] }), head] = *answers else {
-            // Of a slave that does not answer at all, nothing is to be had by haste.
+            // Haste does not help with a slave that does not answer at all.
             if answers[0].is_some() {
                 self.looked = Some(now);
             }
@@ -395,7 +396,7 @@ impl Mailbox {
         let Some(data) = data.filter(|_| !is_lost && (!closes || taken)) else {
             self.reading = match (taken, is_lost) {
                 (true, _) => Reading::Lost,
-                // What has been read of it stands there still.
+                // The bytes that were read of it are still there.
                 (false, true) => self.reading,
                 (false, false) => Reading::Nothing,
             };
@@ -411,13 +412,13 @@ impl Mailbox {
         if !closes {
             return Heard::Nothing;
         }
-        // There may be another one behind it.
+        // Another one may follow.
         self.looked = None;
         Heard::Message
     }
 }
 
-/// What was read, if it is all that was asked for.
+/// The read bytes, if all requested ones are there.
 fn read<'a>(answer: &Option<Answer<'a>>, length: usize) -> Option<&'a [u8]> {
     answer
         .filter(|answer| answer.working_counter == 1 && answer.data.len() == length)

@@ -6,10 +6,10 @@
 //! | `mailbox` | how a message gets into the slave, and out of it |
 //! | `sdo` | one transfer, message by message |
 //!
-//! What a slave reads out is its answer only if it was asked, and if the count (where the slave gives it back), the
-//! object and the command are those of the request: drives differ in all else (EtherCAT manual, "Mail Input"). Every
-//! other SDO is a stray. An emergency may come in place of an answer, and at any time: the mailbox is looked at every
-//! 50 ms.
+//! An SDO from a slave is an answer only if one was requested, and if the count (where the slave returns it), the
+//! object and the command are those of the request: drives differ in everything else (EtherCAT manual, "Mail
+//! Input"). Every other SDO is a stray. An emergency may come in place of an answer, and at any time: the mailbox
+//! is read every 50 ms.
 //!
 //! It runs on the real-time thread: bounded, without allocation.
 
@@ -30,10 +30,10 @@ use crate::bus::Counters;
 use crate::rt::Regions;
 use crate::time::{MS, Time};
 
-/// What a transfer of the master is given.
+/// The time limit of a transfer of the master.
 const LIMIT_NS: u64 = 700 * MS;
 const LIMIT_TURNS: u64 = 12;
-/// Emergencies that wait to be taken; later ones are counted, and gone.
+/// Emergencies that wait to be taken; later ones are counted and dropped.
 const EMERGENCIES: usize = 8;
 
 /// An SDO of the master itself, of eight bytes at most.
@@ -43,7 +43,7 @@ pub enum Transfer {
     Read(Object),
     /// Writes the lowest `bytes` bytes of `raw`.
     Write {
-        /// What.
+        /// The object.
         object: Object,
         /// Its value.
         raw: u64,
@@ -57,7 +57,7 @@ pub enum Transfer {
 pub enum SdoFailure {
     /// The slave refused.
     Abort(AbortCode),
-    /// It did not answer, or nothing that can be used, or the mailbox was closed.
+    /// It did not answer, or nothing usable, or the mailbox was closed.
     Silent,
 }
 
@@ -67,7 +67,7 @@ pub struct Service {
     mailbox: Option<Mailbox>,
     port: Option<Port>,
     open: bool,
-    /// A transfer of the master that was not taken up yet, and how the last one ended.
+    /// A transfer of the master that was not started yet, and how the last one ended.
     waiting: Option<Transfer>,
     end: Option<Result<u32, SdoFailure>>,
     active: Option<Active>,
@@ -75,13 +75,13 @@ pub struct Service {
     emergencies: Emergencies,
     /// Transfers that were not answered, not counted yet.
     silent: u64,
-    /// The same of emergencies that nobody took.
+    /// Dropped emergencies, not counted yet.
     lost: u64,
-    /// So long it may be until its mailbox has the slot again, ns.
+    /// The longest time until its mailbox has the slot again, ns.
     turn_ns: u64,
 }
 
-/// The transfer that is carried out.
+/// The transfer under way.
 #[derive(Clone, Copy, Debug)]
 struct Active {
     by: By,
@@ -90,7 +90,7 @@ struct Active {
     limit_ns: u64,
 }
 
-/// Whose it is.
+/// Its owner.
 #[derive(Clone, Copy, Debug)]
 enum By {
     Master,
@@ -105,7 +105,7 @@ enum End {
     GivenUp(CallError),
 }
 
-/// What the last call that read has brought, for those behind it in its series.
+/// The data of the last read call, for the later calls of its series.
 #[derive(Clone, Copy, Debug)]
 struct Kept {
     series: u64,
@@ -115,7 +115,7 @@ struct Kept {
 }
 
 impl Kept {
-    /// The answer to a call for some of it.
+    /// The answer to a call for a part of it.
     fn answer(&self, posted: &Posted) -> Result<Answer, CallError> {
         let Call { service, address, value } = posted.call;
         let done = |value| Ok(Answer { status: 0, address, value });
@@ -189,7 +189,7 @@ impl Service {
         }
     }
 
-    /// So long it may be until its mailbox has the slot again, ns: on a long line all takes longer.
+    /// The longest time until its mailbox has the slot again, ns: on a long segment everything takes longer.
     pub fn set_turn(&mut self, turn_ns: u64) {
         self.turn_ns = turn_ns;
         if let Some(mailbox) = &mut self.mailbox {
@@ -207,15 +207,15 @@ impl Service {
         }
     }
 
-    /// The mailbox works from now on (PREOP and above), or not any more: what is under way ends.
+    /// The mailbox works from now on (PREOP and above), or not any more: the transfer under way ends.
     pub fn open(&mut self, open: bool) {
         if std::mem::replace(&mut self.open, open) == open {
             return;
         }
         if open {
-            // What ended meanwhile is nobody's any more.
+            // An end of meanwhile belongs to no user any more.
             (self.end, self.waiting) = (None, None);
-            // Nor what the slave told before: it may be another one.
+            // Nor do earlier emergencies: it may be another slave.
             self.lost += self.emergencies.count as u64;
             self.emergencies = Emergencies::default();
         } else {
@@ -235,7 +235,7 @@ impl Service {
         self.end.is_none() && self.waiting.is_none() && !is_active
     }
 
-    /// Begins a transfer of the master; it goes before those of the application.
+    /// Begins a transfer of the master; it precedes those of the application.
     pub fn begin(&mut self, transfer: Transfer) {
         match self.open && self.mailbox.is_some() {
             true => self.waiting = Some(transfer),
@@ -243,20 +243,20 @@ impl Service {
         }
     }
 
-    /// How the transfer of the master ended, once. Of a write `Ok` tells what was written, the first four bytes of it.
+    /// How the transfer of the master ended, once. Of a write `Ok` returns the written value, its first four bytes.
     pub fn take_end(&mut self) -> Option<Result<u32, SdoFailure>> {
         self.end.take()
     }
 
-    /// The next emergency that the slave has told.
+    /// The next emergency that the slave has reported.
     pub fn take_emergency(&mut self) -> Option<Emergency> {
         self.emergencies.pop()
     }
 
-    /// Takes up the next call of the application, and ends what is over.
+    /// Starts the next call of the application, and ends finished ones.
     #[inline]
     pub fn advance(&mut self, now: Time, link: Link) {
-        // Almost always there is nothing.
+        // Usually there is nothing.
         let is_called = self.port.as_ref().is_some_and(|port| !port.is_empty());
         if is_called || self.active.is_some() || self.waiting.is_some() {
             self.go_on(now, link);
@@ -333,8 +333,8 @@ impl Service {
         }
     }
 
-    /// Writes what it wants of the next frame into `ask`; nothing, if there is nothing to do. Asked again without
-    /// having been heard, the frame was not sent, and it asks the same.
+    /// Writes its request for the next frame into `ask`; nothing, if there is nothing to do. Called again without
+    /// an answer, the frame was not sent, and the request is the same.
     #[inline]
     pub fn ask(&mut self, now: Time, ask: &mut Ask) {
         if let Some(mailbox) = self.mailbox.as_mut().filter(|_| self.open) {
@@ -342,7 +342,7 @@ impl Service {
         }
     }
 
-    /// What came of what it asked.
+    /// Takes the answer to its request.
     pub fn heard(&mut self, now: Time, answers: &Answers<'_>, counters: &mut Counters) {
         counters.own[Own::MailboxSilent as usize] += std::mem::take(&mut self.silent);
         counters.own[Own::EmergenciesLost as usize] += std::mem::take(&mut self.lost);
@@ -458,7 +458,7 @@ impl Service {
     }
 }
 
-/// What a slave in the middle of a transfer is told when that ends: it would wait for the next segment.
+/// The abort to a slave in the middle of a transfer that ends: it would wait for the next segment.
 fn farewell(sdo: &Sdo, end: End) -> Option<AbortCode> {
     let code = match end {
         End::Failed(Failure::Unusable(object::TOGGLE)) => AbortCode::TOGGLE,

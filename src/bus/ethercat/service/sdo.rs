@@ -1,6 +1,6 @@
 //! One SDO: reading or writing an object, message by message (ETG.1000.6, 5.6.2; CiA 301).
 //!
-//! Knows neither the mailbox nor the time. Every step brings it nearer to its end, or ends it.
+//! Knows neither the mailbox nor the time. Every step brings it closer to its end, or ends it.
 
 use super::super::object::{ENDLESS, TOGGLE, TRUNCATED};
 use super::super::wire::mailbox::COE_HEADER;
@@ -8,7 +8,7 @@ use super::super::wire::sdo::{AbortCode, EXPEDITED_MAX, Object, Request, Respons
 
 /// The bytes of an object that are kept; the rest is read and counted.
 pub(super) const KEPT: usize = 64;
-/// Bytes above which an object is taken to have no end.
+/// The largest object, bytes; a longer one counts as endless.
 const MOST: usize = 1 << 16;
 
 /// A transfer.
@@ -18,12 +18,12 @@ pub(super) struct Sdo {
     complete: bool,
     writes: bool,
     data: [u8; KEPT],
-    /// Bytes that there are: to write, or by what the slave said.
+    /// The size: of the data to write, or as the slave announced it.
     size: Option<usize>,
-    /// Bytes that have come or gone, and that are on their way.
+    /// Bytes transferred, and under way.
     passed: usize,
     going: usize,
-    /// It goes on in segments, and the toggle of the next one.
+    /// It continues in segments, and the toggle of the next one.
     segments: bool,
     toggle: bool,
 }
@@ -33,14 +33,14 @@ pub(super) struct Sdo {
 pub(super) enum Failure {
     /// The slave refused.
     Abort(AbortCode),
-    /// What it answers cannot be used; a status of our own.
+    /// Its answer cannot be used; a status of our own.
     Unusable(u32),
 }
 
-/// What an answer means to a transfer.
+/// The effect of an answer on a transfer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Step {
-    /// Nothing: it answers something else.
+    /// None: it answers something else.
     Stray,
     /// The next request is due.
     Next,
@@ -73,22 +73,22 @@ impl Sdo {
         sdo
     }
 
-    /// Of what.
+    /// Its object.
     pub(super) fn object(&self) -> Object {
         self.object
     }
 
-    /// The slave is in the middle of it, and is to be told if it is given up.
+    /// The slave is in the middle of it, and has to be informed if it is given up.
     pub(super) fn is_begun(&self) -> bool {
         self.segments
     }
 
-    /// Bytes that were read, and as many of them as are kept; the others are 0.
+    /// The number of bytes read, and those that are kept; the others are 0.
     pub(super) fn value(&self) -> (usize, &[u8; KEPT]) {
         (self.passed, &self.data)
     }
 
-    /// The next request, of a message that has `room`.
+    /// The next request, for a message with `room`.
     pub(super) fn request(&mut self, room: usize) -> Request<'_> {
         let (object, complete, toggle) = (self.object, self.complete, self.toggle);
         if !self.writes {
@@ -114,7 +114,7 @@ impl Sdo {
         }
     }
 
-    /// What came back.
+    /// Takes the answer.
     pub(super) fn take(&mut self, response: &Response<'_>) -> Step {
         match *response {
             Response::Abort { object, code } if object == self.object || self.segments => {
@@ -172,13 +172,13 @@ impl Sdo {
                 Step::Failed(Failure::Unusable(TRUNCATED))
             }
             true => self.done(),
-            // Empty ones might come for ever.
+            // Empty ones could come for ever.
             false if data.is_empty() => Step::Failed(Failure::Unusable(ENDLESS)),
             false => Step::Next,
         }
     }
 
-    /// What was sent has arrived.
+    /// The sent part has arrived.
     fn gone(&mut self) -> Step {
         self.passed += std::mem::take(&mut self.going);
         match self.size {
@@ -192,7 +192,7 @@ impl Sdo {
         Step::Done
     }
 
-    /// Keeps what there is room for, and counts all.
+    /// Keeps as much as there is room for, and counts all.
     fn put(&mut self, data: &[u8]) {
         let room = self.data.get_mut(self.passed..).unwrap_or_default();
         room.iter_mut().zip(data).for_each(|(place, byte)| *place = *byte);

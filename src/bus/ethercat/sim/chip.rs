@@ -1,11 +1,11 @@
-//! Registers and memory of a slave controller: who may read and write what, and what that sets off.
+//! Registers and memory of a slave controller: access rights, and the effects of an access.
 //!
 //! | file | what |
 //! |---|---|
 //! | `chip` | the controller as its firmware has it, and its time |
 //! | `access` | what a master may read and write |
 //! | `fmmu` | the same by logical addresses |
-//! | `effects` | what writing sets off |
+//! | `effects` | the effects of a write |
 
 mod access;
 mod effects;
@@ -25,7 +25,7 @@ use crate::bus::ethercat::wire::registers::{
 use crate::time::Time;
 
 const SPACE: usize = 0x1_0000;
-/// What a master may use as it likes; digital outputs of small slaves begin here.
+/// Memory that a master may use freely; digital outputs of small slaves begin here.
 const USER: usize = 0x0F00;
 const PROCESS: usize = 0x1000;
 const AL_CODE: usize = 0x0134;
@@ -39,7 +39,7 @@ const REQUESTS: usize = 0x0220;
 const DEVICE_ID: u16 = 1 << 5;
 const ALIAS_ENABLE: usize = 0x0103;
 const WATCHDOG_COUNTER: usize = 0x0442;
-/// As the watchdog's divider and time are delivered: 100 us, 100 ms.
+/// The watchdog's divider and time as delivered: 100 us, 100 ms.
 const DIVIDER: u16 = 0x09C2;
 const TICKS: u16 = 1_000;
 /// SYNC0: cyclic operation and the pulse itself.
@@ -55,7 +55,7 @@ pub(super) struct Passage {
     pub(super) back_at: Option<Time>,
 }
 
-/// A slave controller without what is behind it.
+/// A slave controller without its firmware.
 #[derive(Debug)]
 pub(super) struct Chip {
     memory: Vec<u8>,
@@ -69,7 +69,7 @@ pub(super) struct Chip {
     passage: Passage,
     /// AL control was written, and when.
     asked: Option<Time>,
-    /// The mailbox was filled then.
+    /// When the mailbox was filled.
     filled: Option<Time>,
     /// Outputs were written.
     outputs: bool,
@@ -107,7 +107,7 @@ impl Chip {
         chip
     }
 
-    /// What a master finds out about it.
+    /// Its descriptive registers.
     fn describe(&mut self, settings: &Settings) {
         let Settings { kind, ram_kib, .. } = *settings;
         let [features, divider, ticks] = [self.features.0, DIVIDER, TICKS].map(u16::to_le_bytes);
@@ -160,7 +160,7 @@ impl Chip {
         }
     }
 
-    /// Shows a state, and locks what it does not use.
+    /// Shows a state, and locks the parts that it does not use.
     pub(super) fn show_state(&mut self, state: AlState, error: bool, code: AlCode) {
         let own = self.device_id.filter(|_| !error);
         let status = [(error, AlStatus::ERROR), (own.is_some(), DEVICE_ID)]
@@ -218,7 +218,7 @@ impl Chip {
         self.managers.get(1).is_some_and(|manager| manager.is_mailbox(false) && !manager.is_full())
     }
 
-    /// Puts a message there; behind it the old one stays.
+    /// Puts a message there; the old bytes after it stay.
     pub(super) fn put_message(&mut self, message: &[u8]) {
         let Some(manager) = self.managers.get_mut(1) else { return };
         manager.put();
@@ -229,7 +229,7 @@ impl Chip {
         self.show();
     }
 
-    /// The master asks for the last message again; told once.
+    /// The master requests the last message again; returned once.
     pub(super) fn takes_repeat(&mut self) -> bool {
         let asked = self.managers.get_mut(1).is_some_and(Manager::takes_repeat);
         if asked {
@@ -238,12 +238,12 @@ impl Chip {
         asked
     }
 
-    /// The outputs of all SyncManagers, in order; nothing of those that were not written yet.
+    /// The outputs of all SyncManagers, in order; without those that were not written yet.
     pub(super) fn outputs(&self) -> impl Iterator<Item = &u8> {
         self.managers.iter().filter(|manager| manager.is_process(true)).flat_map(Manager::taken)
     }
 
-    /// Outputs were written; told once.
+    /// Outputs were written; returned once.
     pub(super) fn takes_outputs(&mut self) -> bool {
         std::mem::take(&mut self.outputs)
     }
@@ -254,7 +254,7 @@ impl Chip {
         areas.flat_map(|area| self.memory.get(area).unwrap_or_default())
     }
 
-    /// Puts them there.
+    /// Writes them there.
     pub(super) fn put_inputs(&mut self, mut inputs: &[u8]) {
         for manager in self.managers.iter_mut().filter(|manager| manager.is_process(false)) {
             let Some(place) = self.memory.get_mut(manager.area()) else { continue };
@@ -268,7 +268,7 @@ impl Chip {
 
     // Time.
 
-    /// Lives up to `now`.
+    /// Advances to `now`.
     pub(super) fn advance(&mut self, now: Time) {
         self.clock.advance(now);
         if self.eeprom.live(now) {
@@ -304,13 +304,13 @@ impl Chip {
         self.expired && self.managers.iter().any(|manager| manager.is_process(true) && arms(manager))
     }
 
-    /// A frame begins: what changes by itself is shown as it is now.
+    /// A frame begins: registers that change by themselves are updated.
     pub(super) fn begin(&mut self, passage: Passage) {
         self.passage = passage;
         self.show();
     }
 
-    /// Writes what changes by itself into its registers.
+    /// Writes the values that change by themselves into its registers.
     fn show(&mut self) {
         for n in 0..self.managers.len() {
             let at = address::sync_manager(n as u16);
@@ -342,14 +342,14 @@ impl Chip {
         })
     }
 
-    /// Shows what was read, and the alias if it was loaded again.
+    /// Shows the read data, and the alias if it was loaded again.
     fn show_sii(&mut self) {
         let (data, alias) = (self.eeprom.data(), self.eeprom.alias());
         self.put(address::SII_DATA, &data);
         self.put(address::ALIAS, &alias.to_le_bytes());
     }
 
-    /// Takes the words of its EEPROM, for its next life.
+    /// Takes the words of its EEPROM, for its next start.
     pub(super) fn take_sii(&mut self) -> Vec<u16> {
         self.eeprom.take_words()
     }

@@ -1,23 +1,23 @@
 //! The distributed clock of a slave (ETG.1000.4, 6.5).
 //!
-//! Its own time runs with the drift of its quartz, and as fast or slow as the compensation makes it; the time of the
-//! line is its own one and the offset.
+//! Its own time runs with the drift of its quartz, adjusted by the compensation; the segment's time is its own time
+//! plus the offset.
 
 use crate::time::Time;
 
 /// The most that the compensation does, either way.
 const SPEED_MAX_PPM: f64 = 1_000.0;
-/// Quicker than in so many comparisons the compensation is not stable.
+/// With fewer comparisons than this the compensation is not stable.
 const QUICKEST: u16 = 4;
-/// So many passed SYNC0 are made up for, and older ones are not.
+/// So many passed SYNC0 are caught up, and older ones are not.
 const CATCH_UP: u64 = 1_000;
 
 /// SYNC0 as it runs.
 #[derive(Clone, Copy, Debug)]
 struct Sync {
-    /// When the next one is, in the time of the line.
+    /// When the next one is, in the segment's time.
     next: u64,
-    /// How long that is; not positive: it is due.
+    /// The time until then; not positive: it is due.
     left_ns: i128,
     /// 0: there is only one.
     cycle_ns: u64,
@@ -29,7 +29,7 @@ pub(super) struct Clock {
     mask: u64,
     drift_ppm: f64,
     trim_ppm: f64,
-    /// Its own time, and the part of a nanosecond that it is ahead.
+    /// Its own time, and the fraction of a nanosecond beyond it.
     own: u64,
     part: f64,
     lived: Option<Time>,
@@ -37,7 +37,7 @@ pub(super) struct Clock {
     delay: u32,
     /// When it was last compared, by its own time.
     compared: Option<u64>,
-    /// Comparisons: the difference is averaged over so many, and is taken away in so many.
+    /// Comparisons: the difference is averaged over so many, and is removed in so many.
     over: f64,
     within: f64,
     /// The average.
@@ -46,8 +46,8 @@ pub(super) struct Clock {
 }
 
 impl Clock {
-    /// Shows `start_ns` when it first lives. The compensation is critically damped, and takes `settling` comparisons
-    /// for the most of a difference.
+    /// Shows `start_ns` at its start. The compensation is critically damped, and takes `settling` comparisons for
+    /// most of a difference.
     pub(super) fn new(long: bool, start_ns: u64, drift_ppm: f64, settling: u16) -> Clock {
         Clock {
             mask: if long { u64::MAX } else { u32::MAX.into() },
@@ -71,7 +71,7 @@ impl Clock {
         self.over = f64::from(1_u16 << (depth & 0x0F));
     }
 
-    /// Lives up to `now`.
+    /// Advances to `now`.
     pub(super) fn advance(&mut self, now: Time) {
         let dt_ns = now.since(*self.lived.get_or_insert(now));
         self.lived = self.lived.max(Some(now));
@@ -98,12 +98,12 @@ impl Clock {
         self.own & self.mask
     }
 
-    /// The time of the line, ns.
+    /// The segment's time, ns.
     pub(super) fn line(&self) -> u64 {
         self.own.wrapping_add(self.offset) & self.mask
     }
 
-    /// The time of the line less its own.
+    /// The segment's time less its own.
     pub(super) fn set_offset(&mut self, offset: u64) {
         self.offset = offset;
         let line = self.line();
@@ -112,12 +112,12 @@ impl Clock {
         }
     }
 
-    /// How far behind the reference clock it is, ns.
+    /// Its delay to the reference clock, ns.
     pub(super) fn set_delay(&mut self, delay: u32) {
         self.delay = delay;
     }
 
-    /// Compares with the time of the reference clock, of which so many bits came, and goes after it.
+    /// Compares with the time of the reference clock, of which so many bits came, and adjusts to it.
     pub(super) fn compare(&mut self, reference: u64, bits: usize) {
         let at = reference.wrapping_add(self.delay.into());
         let ahead = self.line().wrapping_sub(at);
@@ -137,7 +137,7 @@ impl Clock {
         self.shift(-(error * 2.0 / self.within).clamp(-most, most));
     }
 
-    /// Forgets what it learned of the reference clock.
+    /// Resets the filter of the compensation.
     pub(super) fn reset_filter(&mut self) {
         (self.trim_ppm, self.compared, self.difference_ns) = (0.0, None, 0.0);
     }
@@ -149,7 +149,7 @@ impl Clock {
         if difference_ns >= 0.0 { magnitude | 1 << 31 } else { magnitude }
     }
 
-    /// SYNC0 begins at `start`, and comes again each `cycle_ns`, if that is not 0.
+    /// SYNC0 begins at `start`, and repeats every `cycle_ns`, if that is not 0.
     pub(super) fn start(&mut self, start: u64, cycle_ns: u32) {
         let next = start & self.mask;
         let left_ns = (next.wrapping_sub(self.line()) & self.mask).into();
@@ -166,12 +166,12 @@ impl Clock {
         self.sync.map(|sync| sync.next)
     }
 
-    /// How long it is until then, ns.
+    /// The time until then, ns.
     pub(super) fn left_to_sync(&self) -> Option<u64> {
         self.sync.map(|sync| u64::try_from(sync.left_ns).unwrap_or_default())
     }
 
-    /// Takes the next SYNC0 that has come; how long ago, ns.
+    /// Takes the next SYNC0 that has come; returns how long ago, ns.
     pub(super) fn take_sync(&mut self) -> Option<u64> {
         let sync = self.sync.as_mut().filter(|sync| sync.left_ns <= 0)?;
         let late_ns = u64::try_from(-sync.left_ns).unwrap_or(u64::MAX);

@@ -1,12 +1,12 @@
 //! Plain I/O: a slave without a mailbox, digital and analogue terminals in one image.
 //!
-//! Each output is wired to the input with its number, as far as there is one. Without outputs that count all of them
-//! are off.
+//! Each output is wired to the input with its number, if there is one. While no outputs are valid all of them are
+//! off.
 //!
 //! | bytes | what |
 //! |---|---|
 //! | 0- | digital, a bit each, filled up to a whole byte |
-//! | behind | analogue, 16 bits each |
+//! | after them | analogue, 16 bits each |
 
 use super::Application;
 use super::esc::{Esc, Settings};
@@ -18,7 +18,7 @@ use crate::time::Time;
 const NO_BOOT: AlCode = AlCode(0x0013);
 const OUTPUTS_WRONG: AlCode = AlCode(0x001D);
 const INPUTS_WRONG: AlCode = AlCode(0x001E);
-/// Where the outputs begin; the inputs come behind their three buffers.
+/// Where the outputs begin; the inputs follow their three buffers.
 const OUTPUTS_AT: u16 = 0x1000;
 /// The PDOs of its digital and analogue terminals, and the objects in them: outputs, inputs.
 const OUTPUTS: [(u16, u16); 2] = [(0x1600, 0x7000), (0x1601, 0x7010)];
@@ -44,7 +44,7 @@ impl Terminals {
         self.digital_bytes() + 2 * usize::from(self.analogue)
     }
 
-    /// Digital terminals are in it by bytes, analogue ones by words.
+    /// Its PDOs: digital terminals by bytes, analogue ones by words.
     fn pdos(self, objects: [(u16, u16); 2], manager: u8) -> Vec<Pdo> {
         let counts = [(self.digital_bytes() as u8, 8), (self.analogue, 16)];
         let pdo = |((index, object), (count, bits))| {
@@ -65,13 +65,13 @@ pub struct Coupler {
 }
 
 impl Coupler {
-    /// A slave with this coupler behind it, that says so in its EEPROM; `settings` gives the rest.
+    /// A slave with this coupler behind it, described in its EEPROM; `settings` gives the rest.
     pub fn slave(self, name: &'static str, identity: Identity, settings: Settings) -> Esc {
         let sii = self.contents(name, identity).image();
         Esc::new(Settings { sii, ..settings }, Box::new(self))
     }
 
-    /// What its EEPROM says.
+    /// The content of its EEPROM.
     pub fn contents(self, name: &'static str, identity: Identity) -> Contents {
         let managers = self.managers();
         let inputs_manager = managers.len().saturating_sub(1) as u8;
@@ -87,7 +87,7 @@ impl Coupler {
         }
     }
 
-    /// Its SyncManagers in order, outputs first; none for what it does not have.
+    /// Its SyncManagers in order, outputs first; none for a missing direction.
     pub fn managers(self) -> Vec<(SyncManager, Use)> {
         let (outputs, inputs) = (self.outputs.bytes() as u16, self.inputs.bytes() as u16);
         let inputs_at = OUTPUTS_AT + (3 * outputs).next_multiple_of(0x100);

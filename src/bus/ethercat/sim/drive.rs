@@ -1,18 +1,18 @@
 //! The firmware of a drive behind its slave controller: states of the bus, process data, CiA 402, modes, faults.
 //!
-//! Knows no register, no frame and no working counter: the slave controller asks it whether a state may be entered,
-//! hands it what was written to its mailbox, and calls it at each cyclic interrupt. The drive has no clock: whenever it
-//! is spoken to it lives through the time since then.
+//! Knows no register, no frame and no working counter: the slave controller asks whether a state may be entered,
+//! passes the messages of its mailbox, and calls it at each cyclic interrupt. The drive has no clock: on each call
+//! it advances by the time since the last one.
 //!
-//! Assumed, because the manuals are silent: units of ramps, what becomes of the power stage when OP is left, which
-//! faults are stopped before power goes, F28 at once when OP is asked for too early, and the defaults of the settings.
+//! Assumed, because the manuals are silent: units of ramps, the power stage when OP is left, which faults are
+//! stopped before power goes, F28 at once when OP is requested too early, and the defaults of the settings.
 //!
 //! | file | what |
 //! |---|---|
-//! | `drive` | its states on the bus, and its life from one instant to the next |
+//! | `drive` | its states on the bus, and its progress from one instant to the next |
 //! | `process` | process data |
 //! | `power` | the power stage and its faults |
-//! | `motion` | what its modes make of setpoints |
+//! | `motion` | how its modes use setpoints |
 //! | `shown` | status words and actual values |
 //! | `sdo` | SDOs |
 
@@ -48,11 +48,11 @@ const STEP_NS: u64 = 500 * US;
 const STEPS: u64 = 4_000;
 /// The most counts of 250 us of a cycle: PTBASE (EtherCAT manual).
 const QUANTA_MAX: u64 = 127;
-/// Within this of its setpoint a speed is reached, rad/s, and a place, rad (assumed).
+/// Within this of its setpoint a speed is reached, rad/s, and a position, rad (assumed).
 const REACHED: (f64, f64) = (5.0 * RPM, TAU / 1e3);
 /// rpm of one count of 2070h:2 (CAN manual).
 const INCREMENTAL_RPM: f64 = 1_875.0 / 262_144.0;
-/// Where a drive goes that comes up running, turns.
+/// The target of a drive that comes up running, turns.
 const FAR_TURNS: f64 = 1_000.0;
 
 const ERROR_REGISTER: Object = Object::new(0x1001, 0);
@@ -98,10 +98,10 @@ const CYCLE_POWER: Object = Object::new(0x60C2, 2);
 const FOLLOWING_ERROR: Object = Object::new(0x60F4, 0);
 const TARGET_VELOCITY: Object = Object::new(0x60FF, 0);
 
-/// Method 35: where it is, is home (CiA 402).
+/// Method 35: the present position is home (CiA 402).
 const HOME_HERE: i64 = 35;
 
-/// How far homing is.
+/// The progress of homing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Homing {
     Idle,
@@ -117,7 +117,7 @@ pub struct Drive {
     objects: Objects,
     mapping: Mapping,
     mailbox: Mailbox,
-    /// When it last sent what nobody asked for.
+    /// When it last sent an unrequested message.
     disturbed: Time,
     sync: Sync,
     motor: Motor,
@@ -126,21 +126,21 @@ pub struct Drive {
     dropped: Option<AlCode>,
     state: State,
     fault: Option<Fault>,
-    /// The one that was last obeyed, since OP.
+    /// The last control word that was followed, since OP.
     control: Option<ControlWord>,
     inhibited_until: Time,
     lived: Option<Time>,
-    /// `None`: the objects say none that there is.
+    /// `None`: its objects have no valid value.
     cycle_ns: Option<u64>,
     track: Track,
-    /// Where profile position and homing go.
+    /// The target of profile position and homing.
     goal: Option<Aim>,
-    /// Those of the outputs of a cycle, while they are looked at.
+    /// The outputs of a cycle, while they are evaluated.
     values: Vec<(Object, i64)>,
     acknowledged: bool,
     homing: Homing,
     homed: bool,
-    /// Where position 0 is, rad.
+    /// The position of count 0, rad.
     zero: f64,
 }
 
@@ -178,7 +178,7 @@ impl Drive {
         drive
     }
 
-    /// In operation, as another master has left it: at a velocity, or on a profile position that is far off.
+    /// In operation, as another master has left it: at a velocity, or on a profile position with a far target.
     fn run(&mut self, rpm: f64) {
         let outputs = self.selected(OUTPUT_PDO);
         let has = |object| outputs.is_some_and(|outputs| outputs.place(object).is_some());
@@ -202,7 +202,7 @@ impl Drive {
         self.refresh();
     }
 
-    /// The cycle of the bus as it is set; `None`: the objects say none that there is.
+    /// The configured cycle of the bus; `None`: the objects have no valid value.
     pub(super) fn cycle_ns(&self) -> Option<u64> {
         self.cycle_ns
     }
@@ -236,7 +236,7 @@ impl Drive {
         self.state
     }
 
-    /// The fault that stands.
+    /// The present fault.
     pub fn fault(&self) -> Option<Fault> {
         self.fault
     }
@@ -256,17 +256,17 @@ impl Drive {
         self.motor.speed() / RPM
     }
 
-    /// Actual position as it shows it, before it is cut to 32 bits.
+    /// Its reported actual position, before it is cut to 32 bits.
     pub fn position(&self) -> i64 {
         counts(self.motor.place() - self.zero, self.per_turn())
     }
 
-    /// Why it left OP by itself since this was last asked: it is in SAFEOP now.
+    /// Why it left OP by itself, once: it is in SAFEOP now.
     pub fn dropped(&mut self) -> Option<AlCode> {
         self.dropped.take()
     }
 
-    /// A fault happens.
+    /// Raises a fault.
     pub fn provoke(&mut self, fault: Fault) {
         self.fail(fault);
     }
@@ -276,8 +276,8 @@ impl Drive {
         self.inhibited_until = until;
     }
 
-    /// Enters a state of the bus if it may, or says why not. A transition that is no error but has to wait does not
-    /// exist: the drive is synchronous, or it refuses.
+    /// Enters a state of the bus if it may, or returns why not. No transition waits without an error: the drive is
+    /// synchronous, or it refuses.
     pub fn may_enter(&mut self, now: Time, state: AlState) -> Result<(), AlCode> {
         use AlState::{Boot, Init, Op, PreOp, SafeOp};
         self.live(now);
@@ -313,7 +313,7 @@ impl Drive {
             }
             AlState::PreOp => self.sync.start(None),
             AlState::SafeOp if left == AlState::PreOp => {
-                // Deletes what is not fatal by itself (EtherCAT manual).
+                // Clears warnings and faults that are not fatal (EtherCAT manual).
                 self.clear_fault();
                 self.sync.start(self.cycle_ns);
             }
@@ -322,8 +322,8 @@ impl Drive {
         }
     }
 
-    /// What the master wrote to the mailbox; true with the next message for it in `reply`, which may be an emergency in
-    /// place of the answer: the answer is then left for [`message`](Self::message).
+    /// Takes what the master wrote to the mailbox; true with the next message for it in `reply`, which may be an
+    /// emergency in place of the answer: the answer is then left for [`message`](Self::message).
     pub fn mailbox(&mut self, request: &[u8], reply: &mut Vec<u8>) -> bool {
         if matches!(self.al, AlState::Init | AlState::Boot) {
             return false;
@@ -350,8 +350,8 @@ impl Drive {
         message.is_some()
     }
 
-    /// A cyclic interrupt: outputs count in OP, inputs are written in SAFEOP and OP. Of areas that are shorter than the
-    /// PDOs nothing is looked at.
+    /// A cyclic interrupt: outputs count in OP, inputs are written in SAFEOP and OP. Areas that are shorter than
+    /// the PDOs are ignored.
     pub fn process(&mut self, now: Time, outputs: &[u8], inputs: &mut [u8]) {
         self.live(now);
         if !self.is_cyclic() {
@@ -367,8 +367,8 @@ impl Drive {
         self.give(inputs);
     }
 
-    /// Lives up to `now`. Without cyclic interrupts it is to be called now and then: only so the drive notices that
-    /// they are missing.
+    /// Advances to `now`. Without cyclic interrupts it has to be called now and then: otherwise the drive does not
+    /// notice that they are missing.
     pub fn live(&mut self, now: Time) {
         let mut at = *self.lived.get_or_insert(now);
         let longest = (now.since(at) / STEPS).max(STEP_NS);
@@ -446,7 +446,7 @@ impl Drive {
         ratio(FEED, FEED_TURNS) * ratio(FACTOR, DIVISOR)
     }
 
-    /// The angle that a position of 32 bits means: the nearest one to where the motor is.
+    /// The angle of a position of 32 bits: the one nearest to the motor's.
     fn place_of(&self, position: i64) -> f64 {
         let now = self.position();
         let way = (position as i32).wrapping_sub(now as i32);

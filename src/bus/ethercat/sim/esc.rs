@@ -1,4 +1,4 @@
-//! One slave: its controller and its firmware, and what the commands of a datagram do there (ETG.1000.4, 5.4).
+//! One slave: its controller and its firmware, and the effects of a datagram's commands (ETG.1000.4, 5.4).
 
 use super::chip::{Chip, Passage};
 use super::firmware::Firmware;
@@ -14,40 +14,40 @@ const NO_READ_WRITE: u16 = 1 << 10;
 /// The cyclic unit is the master's, SYNC0 is on.
 const SYNC0_ON: [u8; 2] = [0x00, 0x03];
 
-/// How a slave is.
+/// The settings of a slave.
 #[derive(Clone, Debug)]
 pub struct Settings {
     /// Type, revision and build.
     pub kind: [u8; 4],
-    /// What its controller can do.
+    /// The features of its controller.
     pub features: Features,
-    /// It has receive times, even if it has no clock: enough to find out delays.
+    /// It has receive times, even without a clock: enough to measure delays.
     pub receive_times: bool,
-    /// How many FMMUs it has, at most 32.
+    /// The number of its FMMUs, at most 32.
     pub fmmus: u8,
-    /// How many SyncManagers it has, at most 32.
+    /// The number of its SyncManagers, at most 32.
     pub sync_managers: u8,
     /// Its process memory from 1000h on, KiB, at most 60.
     pub ram_kib: u8,
     /// The words of its EEPROM; [`sii::Contents`](super::sii::Contents) makes them.
     pub sii: Vec<u16>,
-    /// How that is read.
+    /// The timing of EEPROM access.
     pub sii_access: Access,
-    /// What its clock shows when it first lives, ns.
+    /// The time of its clock at its start, ns.
     pub clock_ns: u64,
     /// How much faster than ours its clock runs.
     pub drift_ppm: f64,
-    /// Comparisons in which its clock takes away the most of a difference to the reference.
+    /// Comparisons in which its clock removes most of a difference to the reference.
     pub settling: u16,
     /// How long its firmware takes to read AL control or the mailbox.
     pub reaction_ns: u64,
-    /// Its device id, of a slave that shows one: bit 5 of its AL status, and the code behind that while there is no
-    /// error. Default: none.
+    /// Its device id, if it shows one: bit 5 of its AL status, and the code register while there is no error.
+    /// Default: none.
     pub device_id: Option<u16>,
-    /// With which code it falls back when no outputs come in time. Which one a Kollmorgen S300 ... S700 has is not
-    /// known; of those that its manual names only that of synchronisation would fit.
+    /// The code with which it falls back when outputs are missing. That of a Kollmorgen S300 ... S700 is not known;
+    /// of those that its manual names only that of synchronisation would fit.
     pub watchdog_code: AlCode,
-    /// What a frame takes from the slave before it to this one, each way.
+    /// The delay from the slave before it to this one, each way.
     pub delay_ns: u64,
 }
 
@@ -74,7 +74,7 @@ impl Default for Settings {
     }
 }
 
-/// A slave of the line.
+/// A slave of the segment.
 #[derive(Debug)]
 pub struct Esc {
     settings: Settings,
@@ -82,7 +82,7 @@ pub struct Esc {
     deaf: bool,
     chip: Chip,
     firmware: Firmware,
-    /// What came with a command that reads first.
+    /// The data that came with a command that reads first.
     sent: Vec<u8>,
 }
 
@@ -101,8 +101,8 @@ impl Esc {
         }
     }
 
-    /// It is in OP with these SyncManagers and this FMMU for its outputs, as another master has left it, and its drive
-    /// comes up running.
+    /// It is in OP with these SyncManagers and this FMMU for its outputs, as another master has left it, and its
+    /// drive comes up running.
     pub(super) fn run(&mut self, managers: &[SyncManager], outputs: Fmmu) {
         let Some(cycle_ns) = self.drive().and_then(|drive| drive.cycle_ns()) else { return };
         for (n, manager) in (0..).zip(managers) {
@@ -130,13 +130,13 @@ impl Esc {
         self.firmware.error()
     }
 
-    /// The time of the line as it has it at `now`, ns.
+    /// The segment's time that it has at `now`, ns.
     pub fn line_time(&mut self, now: Time) -> u64 {
         self.chip.advance(now);
         self.chip.clock().line()
     }
 
-    /// How long it is at `now` to its next SYNC0, ns; `None`: there is none.
+    /// The time at `now` until its next SYNC0, ns; `None`: there is none.
     pub fn sync0_in_ns(&mut self, now: Time) -> Option<u64> {
         self.live(now);
         self.chip.clock().left_to_sync()
@@ -147,12 +147,12 @@ impl Esc {
         self.firmware.drive()
     }
 
-    /// It passes frames on and carries out none of them, until this is taken back.
+    /// It forwards frames and carries out none of them, until this is taken back.
     pub fn deafen(&mut self, deaf: bool) {
         self.deaf = deaf;
     }
 
-    /// Power cycle: everything is lost but what its EEPROM holds.
+    /// Power cycle: everything is lost except its EEPROM.
     pub fn restart(&mut self, now: Time) {
         let sii = self.chip.take_sii();
         self.chip = Chip::new(&self.settings, sii);
@@ -160,7 +160,7 @@ impl Esc {
         self.firmware.restart(now);
     }
 
-    /// Lives up to `now`, whether a frame comes or not.
+    /// Advances to `now`, with or without a frame.
     pub fn live(&mut self, now: Time) {
         self.chip.advance(now);
         while let Some(late_ns) = self.chip.clock().take_sync() {
@@ -175,12 +175,12 @@ impl Esc {
         self.chip.link(ports);
     }
 
-    /// What a frame takes to it from the slave before it.
+    /// The delay from the slave before it.
     pub(super) fn delay_ns(&self) -> u64 {
         self.settings.delay_ns
     }
 
-    /// Lets a frame with datagrams in these places pass.
+    /// Lets a frame with datagrams at these offsets pass.
     pub(super) fn pass(&mut self, passage: Passage, frame: &mut [u8], places: &[Place]) {
         let Passage { at, .. } = passage;
         self.live(at);
@@ -218,7 +218,7 @@ impl Esc {
         header[8..].copy_from_slice(&interrupts.to_le_bytes());
     }
 
-    /// What it adds to the working counter.
+    /// Its share of the working counter.
     fn execute(&mut self, command: Command, first: u16, data: &mut [u8]) -> u16 {
         use Command::{Aprd, Aprw, Apwr, Armw, Brd, Brw, Bwr, Fprd, Fprw, Fpwr, Frmw, Lrd, Lrw, Lwr, Nop};
         let is_meant = match command {
@@ -238,7 +238,7 @@ impl Esc {
             Lrd(at) => self.chip.read_logical(at, data).into(),
             Lwr(at) => self.chip.write_logical(at, data).into(),
             Lrw(at) if !self.settings.features.lacks_lrw() => {
-                // Written is what came, not what is read.
+                // The received data are written, not the read data.
                 let written = self.chip.write_logical(at, data);
                 u16::from(self.chip.read_logical(at, data)) + 2 * u16::from(written)
             }
@@ -246,7 +246,7 @@ impl Esc {
         }
     }
 
-    /// Reads, then writes what came.
+    /// Reads, then writes the received data.
     fn exchange(&mut self, at: u16, data: &mut [u8], or: bool) -> u16 {
         if self.settings.features.0 & NO_READ_WRITE != 0 {
             return 0;

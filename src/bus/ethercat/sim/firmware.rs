@@ -1,5 +1,5 @@
-//! What the firmware of every slave does: the EtherCAT state machine, the mailbox, the cycle (ETG.1000.6, 6.4;
-//! ETG.1000.4, 6.7).
+//! The firmware of every slave: the EtherCAT state machine, the mailbox, the cycle (ETG.1000.6, 6.4; ETG.1000.4,
+//! 6.7).
 
 use std::ops::Range;
 
@@ -15,7 +15,7 @@ const MAILBOX: AlCode = AlCode(0x0016);
 /// Buffers below it are no memory, but outputs.
 const MEMORY: usize = 0x1000;
 
-/// The firmware in front of an application.
+/// The firmware without its application.
 #[derive(Debug)]
 pub(super) struct Firmware {
     application: Box<dyn Application>,
@@ -25,11 +25,11 @@ pub(super) struct Firmware {
     state: AlState,
     /// Why it refused, or fell back, until that is acknowledged.
     error: Option<AlCode>,
-    /// Where the application is to go, and cannot yet.
+    /// The requested state of the application that it cannot enter yet.
     pending: Option<AlState>,
-    /// What waits for room in the mailbox.
+    /// A message that waits for room in the mailbox.
     waiting: Option<Vec<u8>>,
-    /// What was put there last.
+    /// The last message put there.
     last: Vec<u8>,
     /// Process data of the present cycle.
     outputs: Vec<u8>,
@@ -68,7 +68,7 @@ impl Firmware {
         self.error
     }
 
-    /// The drive behind it, if it is one.
+    /// The drive behind it, if there is one.
     pub(super) fn drive(&mut self) -> Option<&mut Drive> {
         self.application.drive()
     }
@@ -92,7 +92,7 @@ impl Firmware {
         self.last.clear();
     }
 
-    /// Does what is to be done by `now`.
+    /// Does what is due by `now`.
     pub(super) fn work(&mut self, chip: &mut Chip, now: Time) {
         self.application.live(now);
         self.stay(chip, now);
@@ -134,7 +134,7 @@ impl Firmware {
         let code = match dropped {
             Some(code) => code,
             None if expired => {
-                // It is told, not asked.
+                // It is informed, not asked.
                 let _ = self.application.may_enter(at, AlState::SafeOp);
                 self.watchdog_code
             }
@@ -159,7 +159,7 @@ impl Firmware {
             Some(state) if state == self.state => {}
             Some(state) if !leads(self.state, state) => self.refuse(AlCode::INVALID_REQUEST),
             Some(state) if state < self.state => {
-                // It is told, not asked.
+                // It is informed, not asked.
                 let _ = self.application.may_enter(now, state);
                 self.enter(chip, state, now);
             }
@@ -172,7 +172,7 @@ impl Firmware {
         (self.error, self.pending) = (Some(code), None);
     }
 
-    /// Goes to a higher state, if everything is ready for it.
+    /// Enters a higher state, if everything is ready for it.
     fn rise(&mut self, chip: &mut Chip, state: AlState, now: Time) {
         match self.check(chip, state).and_then(|()| self.application.may_enter(now, state)) {
             Ok(()) => self.enter(chip, state, now),
@@ -196,7 +196,7 @@ impl Firmware {
         self.show(chip);
     }
 
-    /// What the SyncManagers have against a state.
+    /// Faults of the SyncManagers for a state.
     fn check(&self, chip: &Chip, state: AlState) -> Result<(), AlCode> {
         match state {
             AlState::PreOp if self.has_mailbox => {
@@ -249,7 +249,7 @@ impl Firmware {
         }
     }
 
-    /// Puts what waits into the mailbox, if that is empty.
+    /// Puts the waiting message into the mailbox, if that is empty.
     fn post(&mut self, chip: &mut Chip) {
         if !chip.has_room() {
             return;
@@ -267,7 +267,7 @@ fn overlap(mut areas: Vec<Range<usize>>) -> bool {
     areas.windows(2).any(|pair| pair[1].start < pair[0].end)
 }
 
-/// Whether a way leads from one state to another.
+/// Whether a transition leads from one state to another.
 fn leads(from: AlState, to: AlState) -> bool {
     use AlState::{Boot, Init, Op, PreOp, SafeOp};
     match (from, to) {
@@ -294,7 +294,7 @@ mod tests {
         bench.scripts[0].script()
     }
 
-    /// The first drive in this state, by the way that leads there.
+    /// The first drive in this state, by the transitions that lead there.
     fn at(state: S) -> Bench {
         let mut bench = Bench::drives(|_| {});
         let way: &[S] = match state {
@@ -338,11 +338,7 @@ mod tests {
         let mut bench = at(S::PreOp);
         bench.go(0, S::Op);
         assert_eq!(bench.read(0, address::AL_STATUS), Some([0x12, 0, 0, 0, 0x11, 0]));
-        assert_eq!(
-            bench.go(0, S::SafeOp),
-            (S::PreOp, Some(AlCode(0x0011))),
-            "a right one is not heard either"
-        );
+        assert_eq!(bench.go(0, S::SafeOp), (S::PreOp, Some(AlCode(0x0011))), "a valid one is ignored, too");
         assert_eq!(bench.go(0, S::Init), (S::PreOp, Some(AlCode(0x0011))));
         bench.control(0, AlStatus(0x12));
         assert_eq!(bench.read(0, address::AL_STATUS), Some([0x02, 0, 0, 0, 0, 0]));

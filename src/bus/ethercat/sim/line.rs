@@ -5,29 +5,29 @@ use super::esc::Esc;
 use crate::bus::ethercat::wire::frame::{DATAGRAMS_MAX, Place, datagrams};
 use crate::time::Time;
 
-/// Where the first byte of a frame's source stands, and the bit that the first slave sets there.
+/// The first byte of a frame's source, and the bit that the first slave sets there.
 const SOURCE: usize = 6;
 const PASSED: u8 = 1 << 1;
 
-/// A line of slaves. The master is at the first one; the last one turns the frames.
+/// A segment of slaves. The master is at the first one; the last one turns the frames.
 #[derive(Debug)]
 pub struct Line {
     slaves: Vec<Esc>,
     cut: Option<usize>,
-    /// Where the datagrams of the present frame are.
+    /// The offsets of the datagrams of the present frame.
     places: Vec<Place>,
 }
 
 impl Line {
-    /// A line of these, all cables whole.
+    /// A segment of these, all cables intact.
     pub fn new(slaves: Vec<Esc>) -> Line {
         let mut line = Line { slaves, cut: None, places: Vec::with_capacity(DATAGRAMS_MAX) };
         line.link();
         line
     }
 
-    /// Cuts the cable in front of slave `n`, counted from 0, or mends it. Frames turn at the slave before it; if there
-    /// is none, no slave is reached.
+    /// Cuts the cable in front of slave `n`, counted from 0, or repairs it. Frames turn at the slave before it; if
+    /// there is none, no slave is reached.
     pub fn cut(&mut self, n: Option<usize>) {
         self.cut = n;
         self.link();
@@ -38,12 +38,12 @@ impl Line {
         self.slaves.get_mut(n)
     }
 
-    /// How many slaves it has.
+    /// The number of slaves.
     pub fn slaves(&self) -> usize {
         self.slaves.len()
     }
 
-    /// What a frame takes through all slaves that it reaches and back to the master, ns.
+    /// The time of a frame through all slaves that it reaches and back to the master, ns.
     pub fn delay_ns(&self) -> u64 {
         2 * self.slaves.iter().take(self.reached()).map(Esc::delay_ns).sum::<u64>()
     }
@@ -53,13 +53,13 @@ impl Line {
         self.reached() > 0
     }
 
-    /// Lets all slaves live up to `now`, without a frame.
+    /// Advances all slaves to `now`, without a frame.
     pub fn live(&mut self, now: Time) {
         self.slaves.iter_mut().for_each(|slave| slave.live(now));
     }
 
-    /// Carries a frame, that the master sends at `now`, through all slaves that it reaches, in place. What is no
-    /// EtherCAT stays as it is; behind a broken datagram none is carried out.
+    /// Carries a frame that the master sends at `now` through all slaves that it reaches, in place. Frames that are
+    /// not EtherCAT stay as they are; datagrams after a broken one are not carried out.
     pub fn pass(&mut self, now: Time, frame: &mut [u8]) {
         let reached = self.reached();
         let (near, far) = self.slaves.split_at_mut(reached);
@@ -82,7 +82,7 @@ impl Line {
         }
     }
 
-    /// So many slaves does a frame reach.
+    /// How many slaves a frame reaches.
     fn reached(&self) -> usize {
         self.cut.unwrap_or(usize::MAX).min(self.slaves.len())
     }
@@ -266,11 +266,11 @@ mod tests {
         }
         let states = [0, 1].map(|n| bench.line.slave(n).unwrap().state());
         assert_eq!(states, [AlState::Op, AlState::SafeOp]);
-        assert_eq!(bench.scripts[1].script().asked.last(), Some(&AlState::SafeOp), "it was told at once");
+        assert_eq!(bench.scripts[1].script().asked.last(), Some(&AlState::SafeOp), "it was reported at once");
         assert!(bench.line.slave(2).is_none());
     }
 
-    /// What a master makes of the receive times: the delay from one slave to the next.
+    /// A master's use of the receive times: the delay from one slave to the next.
     fn delays(bench: &mut Bench) -> Vec<u32> {
         bench.send(Command::Bwr(address::DC_PORTS), &[0; 4]);
         let mut round = |n: u16| {
@@ -307,7 +307,7 @@ mod tests {
         }
         for cycle in 0..2_000 {
             bench.wait(MS);
-            // All of it: the slave with a short clock takes the half that it has.
+            // The slave with a short clock takes the lower half only.
             bench.send(Command::Frmw(0x1001, address::DC_TIME), &[0; 8]);
             if cycle < 1_000 {
                 continue;
@@ -354,7 +354,7 @@ mod tests {
                 let address = u32::from(first) | u32::from(at) << 16;
                 let Some(command) = Command::new(number, address) else { continue };
                 bench.wait(MS);
-                // The frame is read again behind the line: it must be sound.
+                // The frame is read again behind the segment: it must be intact.
                 let (back, count, _) = bench.send_whole(command, &data);
                 assert_eq!(back.len(), data.len());
                 assert!(count <= 6);

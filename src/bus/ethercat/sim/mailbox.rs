@@ -1,8 +1,8 @@
-//! The drive's mailbox: expedited SDOs of 16 bytes, longer ones where it can do them, and emergencies.
+//! The drive's mailbox: expedited SDOs of 16 bytes, longer ones if the drive supports them, and emergencies.
 //!
-//! Knows no object. One request at a time, and what is to be read stands in a queue: an emergency may come before an
-//! answer. A request with the counter of the one before is a repetition and is ignored; the manual's dialect has no
-//! counter (EtherCAT manual, "Mail Input"; ETG.1000.6).
+//! Knows no object. One request at a time; answers wait in a queue, since an emergency may come before an answer. A
+//! request with the counter of the previous one is a repetition and is ignored; the manual's dialect has no counter
+//! (EtherCAT manual, "Mail Input"; ETG.1000.6).
 
 use std::collections::VecDeque;
 
@@ -11,13 +11,13 @@ use super::transfer::{Step, Transfers};
 use crate::bus::ethercat::wire::mailbox::{Emergency, SDO_SIZE};
 use crate::bus::ethercat::wire::sdo::{AbortCode, EXPEDITED_MAX, Object};
 
-/// A message as it stands in the mailbox: at least the 16 bytes of an expedited one.
+/// A message in the mailbox: at least the 16 bytes of an expedited one.
 pub(super) type Message = Vec<u8>;
 
 /// Messages that wait to be read; emergencies above that are lost.
 const QUEUE: usize = 16;
 
-/// Where a mailbox message has its content.
+/// The offset of a mailbox message's content.
 const HEADER: usize = 6;
 const EOE: u8 = 2;
 const COE: u8 = 3;
@@ -33,37 +33,37 @@ mod error {
     pub const SIZE: u16 = 8;
 }
 
-/// What a request is about.
+/// The content of a request.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Request {
     counter: u8,
     pub object: Object,
-    /// Of all subindices.
+    /// For all subindices.
     pub complete: bool,
-    /// What to write; `None`: to read.
+    /// The value to write; `None`: read.
     pub data: Option<Vec<u8>>,
-    /// What answers a write that is no expedited one.
+    /// The answer to a write that is not expedited.
     answer: Option<Vec<u8>>,
 }
 
-/// What an answer says.
+/// The content of an answer.
 pub(super) type Answer = Result<Vec<u8>, AbortCode>;
 
 /// The mailbox of one drive.
 #[derive(Debug)]
 pub(super) struct Mailbox {
     dialect: Dialect,
-    /// Of a drive that can do more than expedited transfers.
+    /// Of a drive that supports more than expedited transfers.
     transfers: Option<Transfers>,
     /// Counter of the last request; 0: none.
     last: u8,
-    /// Data of the last answer: what stands behind a shorter one.
+    /// Data of the last answer: the bytes after a shorter one.
     stale: [u8; EXPEDITED_MAX],
     queue: VecDeque<Message>,
 }
 
 impl Mailbox {
-    /// `room`: bytes of the mailbox that the master reads, of a drive that can do more than expedited transfers.
+    /// `room`: bytes of the mailbox that the master reads, of a drive that supports more than expedited transfers.
     pub(super) fn new(dialect: Dialect, room: Option<usize>) -> Mailbox {
         let transfers = room.map(Transfers::new);
         Mailbox { dialect, transfers, last: 0, stale: [0; EXPEDITED_MAX], queue: VecDeque::new() }
@@ -76,7 +76,7 @@ impl Mailbox {
         self.transfers.iter_mut().for_each(Transfers::end);
     }
 
-    /// Takes what was written. What is no request is answered here.
+    /// Takes a written message. One that is not a request is answered here.
     pub(super) fn take(&mut self, written: &[u8]) -> Option<Request> {
         let Some(message) = written.first_chunk::<SDO_SIZE>() else {
             self.refuse(0, error::SHORT);
@@ -119,7 +119,7 @@ impl Mailbox {
                 transfers.begin_upload(object, complete, value)
             }
             (Ok(value), None, _) => {
-                // What is not used of the four bytes is old memory.
+                // Unused bytes of the four are old memory.
                 self.stale.iter_mut().zip(&value).for_each(|(stale, byte)| *stale = *byte);
                 let unused = EXPEDITED_MAX.saturating_sub(value.len()) as u8 & 3;
                 expedited(if complete { 0x53 } else { 0x43 } | unused << 2, object, self.stale)
@@ -128,7 +128,7 @@ impl Mailbox {
         self.reply(counter, body);
     }
 
-    /// An answer as the dialect has it.
+    /// An answer in the drive's dialect.
     fn reply(&mut self, counter: u8, body: Vec<u8>) {
         let (longer, counter, service) = match self.dialect {
             Dialect::Standard => (0, counter, RESPONSE),
@@ -139,14 +139,14 @@ impl Mailbox {
         self.push(longer, COE | counter << 4, &content);
     }
 
-    /// Says what happened in the drive.
+    /// Reports an event of the drive.
     pub(super) fn report(&mut self, emergency: Emergency) {
         let [low, high] = emergency.code.to_le_bytes();
         let [a, b, c, d, e] = emergency.vendor;
         self.push(0, COE, &[0, EMERGENCY << 4, low, high, emergency.register, a, b, c, d, e]);
     }
 
-    /// Ethernet over EtherCAT, of which the master knows nothing: the begin of a broadcast.
+    /// Ethernet over EtherCAT, unknown to the master: the begin of a broadcast.
     pub(super) fn disturb(&mut self) {
         self.push(0, EOE, &[0, 1, 0, 0, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF]);
     }
@@ -159,7 +159,7 @@ impl Mailbox {
         self.enqueue(message);
     }
 
-    /// A message with this content; it says that it is so much longer.
+    /// A message with this content; its length field is larger by `longer`.
     fn push(&mut self, longer: u16, kind: u8, content: &[u8]) {
         let length = content.len().max(SDO_SIZE - HEADER) as u16;
         let mut message = vec![0; HEADER];
@@ -187,7 +187,7 @@ impl Mailbox {
     }
 }
 
-/// What a message asks for.
+/// The request of a message.
 enum Asked {
     Read {
         object: Object,
@@ -199,9 +199,9 @@ enum Asked {
         data: Vec<u8>,
         answer: Option<Vec<u8>>,
     },
-    /// It goes on with a transfer: this is the answer.
+    /// It continues a transfer: this is the answer.
     Answer(Vec<u8>),
-    /// Asks for no answer.
+    /// It requires no answer.
     Nothing,
 }
 
@@ -221,7 +221,7 @@ enum Trouble {
     Abort(Object, AbortCode),
 }
 
-/// An answer of four bytes behind command and object.
+/// An answer of four bytes after command and object.
 fn expedited(command: u8, object: Object, data: [u8; EXPEDITED_MAX]) -> Vec<u8> {
     let [low, high] = object.index.to_le_bytes();
     let [a, b, c, d] = data;
@@ -232,7 +232,7 @@ fn abort(object: Object, code: AbortCode) -> Vec<u8> {
     expedited(0x80, object, code.0.to_le_bytes())
 }
 
-/// Reads a message: its first bytes, and all that was written.
+/// Reads a message: its first bytes, and all written bytes.
 fn read(
     message: &[u8; SDO_SIZE],
     written: &[u8],
@@ -276,7 +276,7 @@ fn read(
     step.map(Asked::from).map_err(refused)
 }
 
-/// What every drive can do.
+/// Requests that every drive supports.
 fn read_expedited(command: u8, object: Object, data: [u8; EXPEDITED_MAX]) -> Result<Asked, AbortCode> {
     match command {
         0x40 => Ok(Asked::Read { object, complete: false }),

@@ -1,4 +1,4 @@
-//! A SyncManager at work: who may touch its buffer, and when it is whole (ETG.1000.4, 6.7).
+//! A SyncManager: access to its buffer, and when the buffer is complete (ETG.1000.4, 6.7).
 
 use std::ops::Range;
 
@@ -7,7 +7,7 @@ use crate::bus::ethercat::wire::registers::{AlState, SyncManager};
 /// Bits of the status, as a real drive shows them: 0x09 full, 0x02 read.
 const WRITTEN: u8 = 1 << 0;
 const READ: u8 = 1 << 1;
-/// In `activate`: it is on; and this bit, toggled, asks for the last message again.
+/// In `activate`: it is on; and this bit, toggled, requests the last message again.
 const ON: u8 = 1 << 0;
 const REPEAT: u8 = 1 << 1;
 
@@ -18,14 +18,14 @@ pub(super) struct Manager {
     status: u8,
     /// The slave's side of the repeat bit.
     repeated: bool,
-    /// Of the slave: below the one that needs it the buffer is locked.
+    /// Of the slave: below the state that needs it the buffer is locked.
     state: AlState,
-    /// The outputs that were last written whole.
+    /// The last completely written outputs.
     taken: Vec<u8>,
 }
 
 impl Manager {
-    /// Takes over its registers. What it held is gone once it was off.
+    /// Takes over its registers. Its content is lost once it was off.
     pub(super) fn set(&mut self, setting: SyncManager) {
         let is_same = SyncManager { activate: self.setting.activate, ..setting } == self.setting;
         self.setting = setting;
@@ -72,7 +72,7 @@ impl Manager {
         start..start + if self.is_on() { usize::from(self.setting.length) } else { 0 }
     }
 
-    /// What it takes of the memory: process data is kept three times.
+    /// Its memory: process data has three buffers.
     pub(super) fn footprint(&self) -> Range<usize> {
         let area = self.area();
         let copies = if self.setting.is_mailbox() { 1 } else { 3 };
@@ -120,7 +120,7 @@ impl Manager {
         }
     }
 
-    /// The master has written this range of the memory; whether the buffer is whole by it.
+    /// The master has written this range of the memory; whether that completes the buffer.
     pub(super) fn has_written(&mut self, range: &Range<usize>, memory: &[u8]) -> bool {
         let area = self.area();
         if area.is_empty() || !self.may_write() || !range.contains(&(area.end - 1)) {
@@ -147,12 +147,12 @@ impl Manager {
         self.status = WRITTEN | full;
     }
 
-    /// The outputs that were last written whole; none until then.
+    /// The last completely written outputs; none until then.
     pub(super) fn taken(&self) -> &[u8] {
         &self.taken
     }
 
-    /// The master asks for the last message again; told once.
+    /// The master requests the last message again; returned once.
     pub(super) fn takes_repeat(&mut self) -> bool {
         let asked = self.setting.activate & REPEAT != 0;
         std::mem::replace(&mut self.repeated, asked) != asked

@@ -1,13 +1,13 @@
 //! PDOs that the master makes of the drive's objects: 1600h ... 1603h and 1A00h ... 1A03h (CiA 301, 7.4).
 //!
-//! Knows which entries stand where, not whether an object may be mapped.
+//! Knows which entries are where, not whether an object may be mapped.
 
 use super::objects::abort;
 use crate::bus::ethercat::object::pdo::{Entry, Layout};
 use crate::bus::ethercat::object::{Object, Type};
 use crate::bus::ethercat::wire::sdo::AbortCode;
 
-/// How many there are each way, and entries of each (assumed).
+/// PDOs in each direction, and entries of each (assumed).
 const PDOS: u16 = 4;
 const ENTRIES: usize = 8;
 const OUTPUTS: u16 = 0x1600;
@@ -17,7 +17,7 @@ const INPUTS: u16 = 0x1A00;
 #[derive(Debug)]
 struct Pdo {
     entries: [u32; ENTRIES],
-    /// What its count makes of them.
+    /// The entries that its count activates.
     layout: Layout,
 }
 
@@ -42,7 +42,7 @@ impl Mapping {
         self.0.iter().any(|pdo| pdo.layout.pdo == object.index)
     }
 
-    /// How many subindices there are behind the count.
+    /// The number of subindices after the count.
     pub(super) fn subs(&self) -> u8 {
         ENTRIES as u8
     }
@@ -57,8 +57,8 @@ impl Mapping {
         }
     }
 
-    /// Writes the count, or an entry while the count is 0. `kind` gives the type of an object that may be mapped that
-    /// way.
+    /// Writes the count, or an entry while the count is 0. `kind` returns the type of an object that may be mapped
+    /// that way.
     pub(super) fn write(
         &mut self,
         object: Object,
@@ -110,7 +110,7 @@ mod tests {
         assert_eq!(write(1, &[32, 1, 0xC1, 0x60]), Ok(()));
         assert_eq!(write(2, &[16, 0, 0x40, 0x60]), Ok(()));
         assert_eq!(write(0, &[2]), Ok(()));
-        assert_eq!(write(1, &[16, 0, 0x40, 0x60]), Err(abort::NOT_ZERO), "its count stands");
+        assert_eq!(write(1, &[16, 0, 0x40, 0x60]), Err(abort::NOT_ZERO), "its count is set");
         assert_eq!(write(0, &[3]), Err(abort::NOT_MAPPABLE), "there is no third one");
         assert_eq!(write(0, &[9]), Err(abort::HIGH));
         assert_eq!(write(9, &[0; 4]), Err(AbortCode::NO_SUB));

@@ -1,41 +1,41 @@
-//! A simulated line: slave controllers (ESC) from the other end of the wire, and strict.
+//! A simulated segment: slave controllers (ESC) from the other end of the wire, and strict.
 //!
-//! Knows the wire and the standard (ETG.1000.4, .6), not the master's line.
+//! Knows the wire and the standard (ETG.1000.4, .6), not the master's side of the segment.
 //!
 //! | file | what |
 //! |---|---|
 //! | `line` | slaves in order, propagation delays, a cut cable; carries a frame through all of them |
 //! | `esc` | one slave: its controller and its firmware; the commands of a datagram |
-//! | `chip` | registers and memory: who may read and write what, and what that sets off |
+//! | `chip` | registers and memory: access rights, and the effects of an access |
 //! | `manager` | SyncManagers: mailboxes and process data |
 //! | `clock` | the distributed clock: drift, compensation, SYNC0 |
 //! | `sii` | the EEPROM, and images for it |
 //! | `firmware` | the EtherCAT state machine, the mailbox, the cycle of the application |
-//! | `simulation` | the line of a plan |
-//! | `settings` | what a drive and a line are like |
+//! | `simulation` | the segment of a plan |
+//! | `settings` | the settings of a drive and a segment |
 //! | `drive` | the firmware of a drive behind its slave controller: states, process data, CiA 402, modes, faults |
-//! | `objects`, `mapping` | its objects and what may be written to them; PDOs that the master maps |
+//! | `objects`, `mapping` | its objects and which of them can be written; PDOs that the master maps |
 //! | `mailbox`, `transfer` | SDOs and emergencies; SDOs of more than four bytes |
 //! | `sync` | whether the cycle of the bus is regular enough |
 //! | `motor` | the motor and its setpoint generator |
 //! | `coupler` | an application: plain digital and analogue I/O |
 //!
-//! A slave has no thread: when a frame passes it lives through the time since the last one. Where the standard leaves
-//! it open it takes the strict side:
+//! A slave has no thread: when a frame passes it advances by the time since the last one. Where the standard leaves
+//! a choice it takes the strict side:
 //!
 //! | case | what the slave does |
 //! |---|---|
 //! | AL control is written again before the firmware has read it | does not take it: working counter 0 |
-//! | an error stands | every request is ignored but one that acknowledges it |
+//! | an error is present | every request is ignored but one that acknowledges it |
 //! | process data below SAFEOP, the mailbox in INIT | locked: working counter 0 |
 //! | the three buffers of process data reach into another SyncManager's | refuses SAFEOP: 0x0017 |
 //! | start or cycle of SYNC0 are written while it runs, or it is switched on again | counted, and nothing changes |
-//! | a start of SYNC0 that has passed, or an offset that leaps over it | there is none: until the clock has gone round, if it has 32 bits |
+//! | a start of SYNC0 that has passed, or an offset that skips it | there is none: until the clock has wrapped around, if it has 32 bits |
 //! | SAFEOP to OP before it is synchronous | AL code 001Ah, fault F28 |
 //! | two cycles in a row outside of the window | SAFEOP, AL code 001Ah, fault F28: stops, power off |
-//! | OP is left by request | quick stop, then power off; the control word counts for nothing until OP |
+//! | OP is left by request | quick stop, then power off; the control word is ignored until OP |
 //! | 000Fh while ready to switch on | nothing: 0007h has to come first |
-//! | bit 7 stands already when OP is reached | no reset: the edge counts |
+//! | bit 7 is set already when OP is reached | no reset: the edge counts |
 //! | a mapped object is written by SDO in SAFEOP or OP | abort 06010006h |
 //! | mode 7 without bit 4 of the control word | holds its position |
 
@@ -71,46 +71,46 @@ pub use simulation::EthercatSim;
 use super::wire::registers::{AlCode, AlState};
 use crate::time::Time;
 
-/// What a slave's firmware does behind its controller.
+/// The part of a slave's firmware behind its controller.
 pub trait Application: Debug + Send {
-    /// Takes what the master put into the mailbox, the whole of it: behind the message stands what was there before.
-    /// Writes the answer, or what is to be read before it, into `reply` (empty when called); false: there is none.
-    /// Whether it is the message before it again, is the application's to find out.
+    /// Takes the master's message from the mailbox, the whole buffer: after the message there are older bytes.
+    /// Writes the answer, or a message that precedes it, into `reply` (empty when called); false: there is none.
+    /// The application has to recognise a repetition itself.
     fn mailbox(&mut self, request: &[u8], reply: &mut Vec<u8>) -> bool;
 
-    /// Whether it can go to `state`. Asked when the controller has nothing against it, and if the answer is yes it is
-    /// there. [`AlCode::NONE`] as the refusal: not yet, it is asked again. A state below its own is not asked for but
-    /// told, and so is SAFEOP when the watchdog throws it out of OP: the answer does not count.
+    /// Whether it can enter `state`. Called when the controller has no objection; with a yes the state is entered.
+    /// The refusal [`AlCode::NONE`] means not yet: it is called again. For a state below its own the answer does
+    /// not count, nor for SAFEOP when the watchdog forces it out of OP.
     fn may_enter(&mut self, now: Time, state: AlState) -> Result<(), AlCode>;
 
-    /// Its cycle, in SAFEOP and OP: with SYNC0, or with each output if there is no SYNC0, or with each frame if there
-    /// are no outputs. `outputs` is empty as long as none count: below OP, and until they have come. `inputs` holds
-    /// what it last wrote there.
+    /// Its cycle, in SAFEOP and OP: with SYNC0, or with each output if there is no SYNC0, or with each frame if
+    /// there are no outputs. `outputs` is empty as long as none count: below OP, and until they have come. `inputs`
+    /// holds its last inputs.
     fn process(&mut self, now: Time, outputs: &[u8], inputs: &mut [u8]);
 
-    /// What it says to SyncManagers for so many bytes of outputs and inputs. Asked on the way to SAFEOP and to OP.
+    /// Checks SyncManagers for so many bytes of outputs and inputs. Called on the way to SAFEOP and to OP.
     fn check_sizes(&self, _outputs: usize, _inputs: usize) -> Result<(), AlCode> {
         Ok(())
     }
 
     /// Writes the next message that waits for the master into `message` (empty when called); false: there is none.
-    /// Asked when the mailbox is empty.
+    /// Called when the mailbox is empty.
     fn message(&mut self, _message: &mut Vec<u8>) -> bool {
         false
     }
 
-    /// Why it left OP by itself, told once: it is in SAFEOP now.
+    /// Why it left OP by itself, returned once: it is in SAFEOP now.
     fn dropped(&mut self) -> Option<AlCode> {
         None
     }
 
-    /// Time has come to `now`, with or without a cycle.
+    /// Time has advanced to `now`, with or without a cycle.
     fn live(&mut self, _now: Time) {}
 
     /// Power cycle: everything volatile is lost.
     fn restart(&mut self, _now: Time) {}
 
-    /// The drive, if it is one.
+    /// The drive, if there is one.
     fn drive(&mut self) -> Option<&mut Drive> {
         None
     }

@@ -1,4 +1,4 @@
-//! The motor, what it drives, and the setpoint generator in front of it.
+//! The motor, its load, and the setpoint generator in front of it.
 //!
 //! Knows no object and no state: angles are rad, speeds rad/s, torques N m.
 
@@ -14,18 +14,18 @@ pub(super) const RPM: f64 = TAU / 60.0;
 /// Bandwidth of the position controller, Hz.
 const BANDWIDTH_HZ: f64 = 60.0;
 
-/// What the drive asks of its motor.
+/// The demand of the drive to its motor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Aim {
     /// No power: it coasts.
     Off,
     /// Towards this speed, rad/s, up and down with so many rad/s^2.
     Velocity { speed: f64, up: f64, down: f64 },
-    /// At this place at this speed, now.
+    /// At this position at this speed, now.
     Follow { place: f64, speed: f64 },
-    /// Moves there and stands.
+    /// Moves there and stops.
     GoTo { place: f64, speed: f64, up: f64, down: f64 },
-    /// Pushes, N m.
+    /// Torque control, N m.
     Torque(f64),
 }
 
@@ -64,7 +64,7 @@ impl Motor {
     /// Lets `dt_ns` pass.
     pub(super) fn step(&mut self, aim: Aim, dt_ns: u64) {
         if aim != self.aim {
-            // One that is switched on while it turns, or meant to do something else, begins with what it does.
+            // A motor that is switched on while it turns, or gets another demand, begins at its present motion.
             if discriminant(&aim) != discriminant(&self.aim) {
                 self.generator.set(self.plant.position(), self.plant.velocity(), 0.0);
             }
@@ -83,7 +83,7 @@ impl Motor {
         self.generator.advance(dt_ns);
         let demand = &self.generator;
         let place = match self.aim {
-            // No place that was missed is caught up with.
+            // A missed position is not caught up with.
             Aim::Velocity { .. } => self.plant.position() + demand.velocity() * dt_ns as f64 / S as f64,
             _ => demand.position(),
         };
@@ -105,7 +105,7 @@ impl Motor {
         }
     }
 
-    /// Pushes, but no faster than the motor may turn.
+    /// Torque control, within the speed limit of the motor.
     fn push(&mut self, torque: f64, dt_ns: u64) {
         let speed = self.plant.velocity();
         let fast = speed.abs() >= self.max_speed && speed * torque > 0.0;
@@ -113,7 +113,7 @@ impl Motor {
         self.plant.advance_with_force(torque, dt_ns);
     }
 
-    /// Most torque, N m.
+    /// Largest torque, N m.
     pub(super) fn limit_torque(&mut self, torque: f64) {
         self.plant.limit_force(Some(torque));
     }
@@ -123,17 +123,17 @@ impl Motor {
         self.plant.position()
     }
 
-    /// rad/s.
+    /// Its speed, rad/s.
     pub(super) fn speed(&self) -> f64 {
         self.plant.velocity()
     }
 
-    /// What it pushes, N m.
+    /// Its torque, N m.
     pub(super) fn torque(&self) -> f64 {
         self.plant.force()
     }
 
-    /// Where it should be, rad: where it is, if only its speed or its torque is controlled.
+    /// Its demand position, rad: the actual one, if only its speed or its torque is controlled.
     pub(super) fn demand(&self) -> f64 {
         match self.aim {
             Aim::Follow { .. } | Aim::GoTo { .. } => self.generator.position(),

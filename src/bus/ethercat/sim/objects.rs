@@ -1,6 +1,6 @@
-//! The objects of a drive: their values, and what may be read and written.
+//! The objects of a drive: their values, and their access rights.
 //!
-//! Knows nothing of what an object does.
+//! Knows nothing of an object's effect.
 
 use super::settings::DriveSettings;
 use crate::bus::ethercat::object::pdo::Layout;
@@ -36,8 +36,8 @@ struct Row {
 #[derive(Debug)]
 pub(super) struct Objects {
     rows: Vec<Row>,
-    /// What its fixed PDOs are made of, read only: each is an object of its own number (ETG.1000.6, 5.6.7.4). Masters
-    /// read them to learn sizes.
+    /// The contents of its fixed PDOs, read only: each is an object with its own number (ETG.1000.6, 5.6.7.4).
+    /// Masters read them to learn sizes.
     fixed: Vec<(Object, Vec<u8>)>,
 }
 
@@ -63,12 +63,12 @@ impl Objects {
         self.rows.binary_search_by_key(&key, |row| row.key).ok()
     }
 
-    /// The value of an object; 0 of one that there is not.
+    /// The value of an object; 0 if it does not exist.
     pub(super) fn get(&self, object: Object) -> i64 {
         self.find(object).map_or(0, |place| self.rows[place].value)
     }
 
-    /// Gives it a value that was checked, or that is the drive's own. What its type does not hold is cut off.
+    /// Sets a value that was checked, or that is the drive's own. Bits beyond its type are cut off.
     pub(super) fn set(&mut self, object: Object, value: i64) {
         if let Some(place) = self.find(object) {
             let kind = self.rows[place].known.kind;
@@ -76,12 +76,12 @@ impl Objects {
         }
     }
 
-    /// What a fixed PDO says of itself there.
+    /// The entry of a fixed PDO.
     fn mapping(&self, object: Object) -> Option<&[u8]> {
         self.fixed.iter().find(|(own, _)| *own == object).map(|(_, bytes)| &bytes[..])
     }
 
-    /// What is known of an object that there is.
+    /// What is known of an existing object.
     fn known(&self, object: Object) -> Result<&'static Known, AbortCode> {
         match self.find(object) {
             Some(place) => Ok(self.rows[place].known),
@@ -104,7 +104,7 @@ impl Objects {
         Ok(raw[..length(known.kind)].to_vec())
     }
 
-    /// The bytes that an SDO has for it.
+    /// Its size in an SDO, bytes.
     pub(super) fn size(&self, object: Object) -> Result<usize, AbortCode> {
         self.known(object).map(|known| length(known.kind))
     }
@@ -147,7 +147,7 @@ impl Objects {
     }
 }
 
-/// The objects of a fixed PDO: how many entries, and index, subindex and bits of each.
+/// The objects of a fixed PDO: the number of entries, and index, subindex and bits of each.
 fn mapping(layout: &Layout) -> Vec<(Object, Vec<u8>)> {
     let count = (Object::new(layout.pdo, 0), vec![layout.entries.len() as u8]);
     let entries = (1..).zip(&layout.entries).map(|(sub, entry)| {
@@ -157,7 +157,7 @@ fn mapping(layout: &Layout) -> Vec<(Object, Vec<u8>)> {
     std::iter::once(count).chain(entries).collect()
 }
 
-/// By what objects are in order: index and subindex.
+/// The sort key of objects: index and subindex.
 fn key(object: Object) -> u32 {
     u32::from(object.index) << 8 | u32::from(object.sub)
 }

@@ -1,4 +1,4 @@
-//! What a simulated drive is like: its firmware, its motor, how it answers.
+//! The settings of a simulated drive: its firmware, its motor, its answers.
 
 use crate::bus::ethercat::cia402::Mode;
 use crate::bus::ethercat::object::pdo::{self, Layout};
@@ -9,7 +9,7 @@ use crate::sim::FaultPlan;
 /// How a drive answers an SDO. Both are reported of real ones, and a master must read both.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Dialect {
-    /// As the standard and a real AKD have it: length 10, service 3, the counter given back.
+    /// As in the standard and a real AKD: length 10, service 3, the counter returned.
     #[default]
     Standard,
     /// As the drive's manual prints it: length 14, service 2, no counter.
@@ -19,9 +19,9 @@ pub enum Dialect {
 /// A simulated drive. Where no document says what it does, the default is the strict side, and assumed.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DriveSettings {
-    /// Which drives it is one of: its objects and modes.
+    /// The drive family: its objects and modes.
     pub family: Family,
-    /// Who it says it is.
+    /// Its identity.
     pub identity: Identity,
     /// Its serial number. Default 0.
     pub serial: u32,
@@ -29,41 +29,41 @@ pub struct DriveSettings {
     pub dialect: Dialect,
     /// Its name, 1008h. Default: the family's; of an AKD a long one, since it can be read.
     pub name: String,
-    /// Bytes of the mailbox that the master reads, of a drive that can do more than SDOs of four bytes: normal and
-    /// segmented ones, and complete access. Default: 1024 of an AKD, and none of the others.
+    /// Bytes of the mailbox that the master reads, of a drive that supports more than SDOs of four bytes: normal
+    /// and segmented ones, and complete access. Default: 1024 of an AKD, and none of the others.
     pub long_sdos: Option<u16>,
-    /// Pauses in which it sends a mailbox message that nobody asked for, Ethernet over EtherCAT, as a real AKD does,
-    /// ns. Default: none.
+    /// Interval at which it sends an unrequested mailbox message, Ethernet over EtherCAT, as a real AKD does, ns.
+    /// Default: none.
     pub unasked_ns: Option<u64>,
     /// The PDOs that can be selected.
     pub layouts: Vec<Layout>,
-    /// The ones that are selected as delivered: outputs, inputs.
+    /// The PDOs selected as delivered: outputs, inputs.
     pub selected: (u16, u16),
-    /// Increments a turn as a power of two, 1 ... 31. Default 20.
+    /// Increments per turn as a power of two, 1 ... 31. Default 20.
     pub prbase: u8,
-    /// Turns in which it tells its increments in 608Fh: that many times more of them there. Default 1.
+    /// Turns to which its increments in 608Fh refer: the value there is larger by this factor. Default 1.
     pub resolution_turns: u32,
-    /// Position that it shows at power-on, increments. Default 0.
+    /// Its position at power-on, increments. Default 0.
     pub position: i32,
-    /// rpm a count of 606Bh, 606Ch, 60FFh, 6081h and 6099h. Default: increments per 250 us, as its sister AX2000 has
-    /// it; of an AKD 0.001.
+    /// rpm per count of 606Bh, 606Ch, 60FFh, 6081h and 6099h. Default: increments per 250 us, as its sister AX2000
+    /// has it; of an AKD 0.001.
     pub rpm_per_count: f64,
-    /// Per mille of the rated current a count of 6074h. Default 1.
+    /// Per mille of the rated current per count of 6074h. Default 1.
     pub permille_per_count: f64,
     /// rpm/s up and down: 6083h and 6084h as delivered, in these units like 609Ah (assumed). Default 10 000.
     pub ramps_rpm_s: (u32, u32),
     /// rpm/s of a quick stop and of the reaction to a fault. Default 50 000.
     pub stop_rpm_s: f64,
-    /// Where the home switch is, turns from where the motor is at power-on; `None`: nowhere. Default 0.5.
+    /// Position of the home switch, turns from the motor at power-on; `None`: nowhere. Default 0.5.
     pub home_turns: Option<f64>,
     /// Cyclic interrupts inside the window, one after the other, until the drive is synchronous. Default 100.
     pub interrupts_to_sync: u32,
-    /// It comes up in OP and in operation, turning at so many rpm, as if another master had died with its watchdog off.
-    /// Default: it comes up in INIT and stands.
+    /// It comes up in OP and in operation, turning at so many rpm, as if another master had died with its watchdog
+    /// off. Default: it comes up in INIT and stands still.
     pub running_rpm: Option<f64>,
     /// The hardware enable (STO) is wired and closed. Default true.
     pub hardware_enable: bool,
-    /// The motor and what it drives.
+    /// The motor and its load.
     pub motor: MotorSettings,
 }
 
@@ -75,7 +75,7 @@ const AKD: &str = "AKD-P00306-NBEC-0000 (a simulated drive)";
 const KOLLMORGEN: u32 = 0x6A;
 
 impl DriveSettings {
-    /// A drive with everything as usual.
+    /// A drive with default settings.
     pub fn new(family: Family) -> DriveSettings {
         let (product, rpm_per_count, selected) = match family {
             Family::S700 => (0x0300_0600, RPM_PER_COUNT, (0x1702, 0x1B03)),
@@ -109,7 +109,7 @@ impl DriveSettings {
         }
     }
 
-    /// Increments a turn.
+    /// Increments per turn.
     pub(super) fn increments(&self) -> u32 {
         1 << self.prbase.clamp(1, 31)
     }
@@ -187,26 +187,26 @@ impl DriveSettings {
     }
 }
 
-/// What a simulated line is like.
+/// The settings of a simulated segment.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LineSettings {
     /// The interface at the drives' end of the cable, where the master's is a real one.
     pub interface: Option<String>,
-    /// How much faster than ours the clock of the slave at a place runs, ppm; the last one counts for all behind it.
-    /// Default: 0.
+    /// How much faster than ours the clock of the slave at a position runs, ppm; the last value holds for all
+    /// further slaves. Default: 0.
     pub drift_ppm: Vec<f64>,
-    /// What a frame takes from one slave to the next, each way, ns. Default 500.
+    /// The delay from one slave to the next, each way, ns. Default 500.
     pub delay_ns: u64,
     /// The clocks have 32 bits. Default: they have 64.
     pub short_clocks: bool,
-    /// Frames with the time of the reference in which a clock takes away the most of a difference to it. Default: 32. A
-    /// real one, with its filters as delivered, takes about 1 000, and some thousand until it has settled (SOEM waits
-    /// 15 000; assumed).
+    /// Frames with the time of the reference in which a clock removes most of a difference to it. Default: 32. A
+    /// real one, with its filters as delivered, takes about 1 000, and some thousand until it has settled (SOEM
+    /// waits 15 000; assumed).
     pub settling: u16,
-    /// How many FMMUs the slave at a place has; the last one counts for all behind it. Default: 8. Small couplers have
-    /// 2 or 3, and none to spare for their state.
+    /// The number of FMMUs of the slave at a position; the last value holds for all further slaves. Default: 8.
+    /// Small couplers have 2 or 3, and none to spare for their state.
     pub fmmus: Vec<u8>,
-    /// Each slave shows its device id in its AL status: its place. Default: none does.
+    /// Each slave shows its device id in its AL status: its position. Default: none does.
     pub device_ids: bool,
     /// The faults between the master and the first slave.
     pub faults: FaultPlan,
@@ -227,12 +227,12 @@ impl Default for LineSettings {
     }
 }
 
-/// The motor and what it drives, in SI units.
+/// The motor and its load, in SI units.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MotorSettings {
     /// Rated torque, N m, over 0: 1000 per mille. Default 5.
     pub rated_nm: f64,
-    /// Most that it pushes, per mille of the rated torque. Default 3000.
+    /// Largest torque, per mille of the rated torque. Default 3000.
     pub peak_permille: f64,
     /// Highest speed, rpm. Default 6000.
     pub max_rpm: f64,

@@ -1,5 +1,5 @@
-//! The EEPROM of a slave (SII): what an image is made of, and how a master reads and writes it by registers
-//! (ETG.1000.4, 6.4; ETG.2010).
+//! The EEPROM of a slave (SII): the contents of an image, and access to it by registers (ETG.1000.4, 6.4;
+//! ETG.2010).
 
 use crate::bus::ethercat::wire::registers::SyncManager;
 use crate::bus::ethercat::wire::sii::{Category, Identity, Status, Use, crc, word};
@@ -31,30 +31,30 @@ pub struct Pdo {
     pub index: u16,
     /// Its SyncManager.
     pub manager: u8,
-    /// Index, subindex and bits of what is in it.
+    /// Index, subindex and bits of its entries.
     pub entries: Vec<(u16, u8, u8)>,
 }
 
-/// What an image is made of.
+/// The contents of an image.
 #[derive(Clone, Debug, Default)]
 pub struct Contents {
     /// The name of the type.
     pub name: &'static str,
-    /// Who it is.
+    /// The slave's identity.
     pub identity: Identity,
     /// Its serial number.
     pub serial: u32,
     /// Its alias; 0: none.
     pub alias: u16,
-    /// Its mailboxes, if it has some.
+    /// Its mailboxes, if there are any.
     pub mailboxes: Option<Mailboxes>,
-    /// What each FMMU is for: 1 outputs, 2 inputs, 3 the state of the mailbox.
+    /// The use of each FMMU: 1 outputs, 2 inputs, 3 the state of the mailbox.
     pub fmmus: Vec<u8>,
     /// Its SyncManagers.
     pub managers: Vec<(SyncManager, Use)>,
-    /// What it sends.
+    /// Its input PDOs.
     pub inputs: Vec<Pdo>,
-    /// What it takes.
+    /// Its output PDOs.
     pub outputs: Vec<Pdo>,
 }
 
@@ -137,7 +137,7 @@ fn entry((manager, usage): (SyncManager, Use)) -> [u8; 8] {
     entry
 }
 
-/// The check of the words in front of [`CHECK`].
+/// The checksum of the words before [`CHECK`].
 fn config_check(words: &[u16]) -> u8 {
     let mut config = [0; 2 * CHECK];
     for (pair, word) in config.chunks_mut(2).zip(words) {
@@ -158,18 +158,18 @@ mod bit {
     pub const BUSY: u16 = 1 << 15;
 }
 
-/// How an EEPROM is.
+/// The properties of an EEPROM.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Access {
-    /// Each command takes so long, ns.
+    /// The time of each command, ns.
     pub busy_ns: u64,
-    /// A read brings eight bytes, else four.
+    /// A read returns eight bytes, otherwise four.
     pub eight: bool,
-    /// The firmware plays it.
+    /// The firmware emulates it.
     pub emulated: bool,
 }
 
-/// What is to be done when the time has come.
+/// A command to be completed at its time.
 #[derive(Clone, Copy, Debug)]
 struct Job {
     done_at: Time,
@@ -201,17 +201,17 @@ impl Eeprom {
         self.error = if is_sound { 0 } else { bit::CHECKSUM };
     }
 
-    /// The alias in a sound image.
+    /// The alias in a valid image.
     pub(super) fn alias(&self) -> u16 {
         if self.error & bit::CHECKSUM != 0 { 0 } else { self.word(ALIAS as u32) }
     }
 
-    /// What stands there; behind the end nothing is programmed.
+    /// The word there; beyond the end nothing is programmed.
     fn word(&self, address: u32) -> u16 {
         usize::try_from(address).ok().and_then(|at| self.words.get(at)).copied().unwrap_or(0xFFFF)
     }
 
-    /// Takes the words as they are now: they outlive a restart.
+    /// Takes the words as they are now: they survive a restart.
     pub(super) fn take_words(&mut self) -> Vec<u16> {
         std::mem::take(&mut self.words)
     }
@@ -230,7 +230,7 @@ impl Eeprom {
             | self.job.map_or(0, |job| bit::BUSY | job.command)
     }
 
-    /// What was read.
+    /// The read data.
     pub(super) fn data(&self) -> [u8; 8] {
         self.data
     }
@@ -248,7 +248,7 @@ impl Eeprom {
         self.live(now)
     }
 
-    /// Ends the command whose time has come; whether there was one.
+    /// Completes a command whose time has come; whether there was one.
     pub(super) fn live(&mut self, now: Time) -> bool {
         let Some(job) = self.job.take_if(|job| now >= job.done_at) else { return false };
         match job.command {

@@ -1,4 +1,4 @@
-//! The line of a plan, simulated: which slaves it has, and what each says of itself in its EEPROM.
+//! The segment of a plan, simulated: its slaves, and the content of their EEPROMs.
 
 use super::coupler::Terminals;
 use super::sii::{Access, Contents, Mailboxes, Pdo};
@@ -14,31 +14,31 @@ use crate::bus::ethercat::wire::sii::{Identity, Use};
 use crate::sim::{FaultPlan, SimLine};
 use crate::time::{MS, Time, US};
 
-/// Where a frame's Ethertype stands, and the index of its first datagram.
+/// The Ethertype of a frame, and the index of its first datagram.
 const TYPE: std::ops::Range<usize> = 12..14;
 const INDEX: usize = 17;
-/// Its data, behind its header.
+/// Its data, after its header.
 const DATA: usize = 26;
-/// The firmware reads the mailbox and AL control so late: one interrupt of a drive (EtherCAT manual).
+/// The delay until the firmware reads the mailbox and AL control: one interrupt of a drive (EtherCAT manual).
 const REACTION_NS: u64 = 250 * US;
-/// What a command takes the EEPROM (assumed).
+/// The time of an EEPROM command (assumed).
 const SII_NS: u64 = 100 * US;
-/// From one slave to the next the clocks were switched on so much earlier.
+/// The clocks of neighbouring slaves were switched on so far apart.
 const CLOCKS_APART_NS: u64 = 617 * MS + 1_234;
-/// CoE, of the protocols that the SII tells.
+/// CoE, in the protocols of the SII.
 const COE: u16 = 1 << 2;
-/// What the FMMUs are for: outputs, inputs, the state of the mailbox.
+/// The use of the FMMUs: outputs, inputs, the state of the mailbox.
 const FMMUS: [u8; 3] = [1, 2, 3];
-/// The name of every slave that is no drive.
+/// The name of every slave that is not a drive.
 const IO: &str = "I/O";
-/// Where another master had the outputs of the first slave in the logical address space: where our own may well be.
+/// Where another master had the outputs of the first slave in the logical address space: our own may be there too.
 const LOGICAL: u32 = 0x0001_0000;
-/// Stands at each place that the plan leaves out: a coupler (Beckhoff EK1100) without terminals.
+/// The slave at each position that the plan leaves out: a coupler (Beckhoff EK1100) without terminals.
 const PLAIN: Identity = Identity { vendor: 2, product: 0x044C_2C52, revision: 0x0011_0000 };
 
-/// The simulated line of a plan.
+/// The simulated segment of a plan.
 ///
-/// A place between two slaves that the plan leaves out has a coupler without terminals, a mailbox or a clock.
+/// A position between two slaves that the plan leaves out has a coupler without terminals, a mailbox or a clock.
 #[derive(Debug)]
 pub struct EthercatSim {
     line: Line,
@@ -47,7 +47,7 @@ pub struct EthercatSim {
 }
 
 impl EthercatSim {
-    /// As the plan has it, just switched on.
+    /// As in the plan, just switched on.
     pub fn new(plan: &EthercatPlan) -> EthercatSim {
         let settings = plan.simulate.clone();
         let (mut slaves, mut logical) = (Vec::new(), LOGICAL);
@@ -66,7 +66,7 @@ impl EthercatSim {
         EthercatSim { line: Line::new(slaves), interface: plan.interface.clone(), settings }
     }
 
-    /// The line itself.
+    /// The segment itself.
     pub fn line(&mut self) -> &mut Line {
         &mut self.line
     }
@@ -107,7 +107,7 @@ impl SimLine for EthercatSim {
         self.line.delay_ns()
     }
 
-    /// A slave forwards nothing else than EtherCAT, as it is delivered.
+    /// A slave forwards EtherCAT only, as delivered.
     fn pass(&mut self, now: Time, frame: &mut [u8]) -> bool {
         self.line.pass(now, frame);
         frame.get(TYPE) == Some(&ETHERTYPE.to_be_bytes()) && self.line.is_reached()
@@ -202,8 +202,8 @@ fn drive(plan: &KollmorgenDrive, hardware: Settings, logical: u32) -> Esc {
     esc
 }
 
-/// The drive as it has to be for its plan: with the PDOs that are not mapped first, and, unless it was made another
-/// one, who the plan says.
+/// A drive that fits its plan: with the PDOs that are not mapped first, and, unless it was set otherwise, with the
+/// identity of the plan.
 fn drive_settings(plan: &KollmorgenDrive) -> DriveSettings {
     let mut settings = plan.simulate.clone();
     if settings.identity == DriveSettings::new(settings.family).identity {
@@ -240,7 +240,7 @@ fn device(plan: &Device, hardware: Settings) -> Esc {
     Esc::new(Settings { sii: contents.image(), ..hardware }, Box::new(coupler))
 }
 
-/// The numbers that are expected, and those of `other` where none is.
+/// The expected numbers, and those of `other` where none is expected.
 fn expected(expected: Expected, other: Identity) -> Identity {
     Identity {
         vendor: expected.vendor.unwrap_or(other.vendor),
@@ -253,7 +253,7 @@ fn mailboxes([out, input]: [Area; 2]) -> Mailboxes {
     Mailboxes { out: (out.start, out.length), input: (input.start, input.length), protocols: COE }
 }
 
-/// Its SyncManagers: mailboxes first. Without them one for process data that it does not have is left out.
+/// Its SyncManagers: mailboxes first. Without them one for missing process data is left out.
 fn managers(slave: &SlavePlan) -> Vec<(SyncManager, Use)> {
     let manager = |area: Area, control, usage| {
         (SyncManager { start: area.start, length: area.length, control, activate: 1 }, usage)
@@ -410,11 +410,11 @@ mod tests {
         sim.mislabel(&mut []);
     }
 
-    /// One drive in a world, and what its master does.
+    /// One drive in a world, and its master.
     struct Master {
         world: World,
         carrier: Box<dyn Frames>,
-        /// What it writes in each cycle.
+        /// Its outputs in each cycle.
         outputs: [u8; 6],
     }
 
@@ -445,7 +445,7 @@ mod tests {
             assert_eq!(self.send(Command::Apwr(0, at), data).unwrap().1, 1, "{at:#06x}");
         }
 
-        /// One cycle of process data; what comes of it, and its working counter.
+        /// One cycle of process data; returns the inputs, and the working counter.
         fn cycle(&mut self) -> (Vec<u8>, u16) {
             let mut image = [0; 14];
             image[..6].copy_from_slice(&self.outputs);
@@ -516,12 +516,12 @@ mod tests {
         let expected = 1_000.0 * plan.drives[0].scaling.rpm_per_count;
         assert!((rpm(&master) - expected).abs() < 1.0, "{} {expected}", rpm(&master));
         assert_eq!(master.state(), (AlState::Op, None, State::OperationEnabled));
-        // Its line is in phase with its own clock.
+        // Its segment is in phase with its own clock.
         let left = master
             .world
             .look("local:test", |sim: &mut EthercatSim, now| sim.slave(0).unwrap().sync0_in_ns(now));
         assert!(left.flatten().is_some_and(|left| left <= MS));
-        // Nobody sends any more: the watchdog of 100 ms, then the quick stop.
+        // No frames any more: the watchdog of 100 ms, then the quick stop.
         master.world.advance(99 * MS - MS);
         assert_eq!(master.state().0, AlState::Op);
         master.world.advance(2 * MS);

@@ -1,12 +1,12 @@
 //! Whether the cyclic interrupts of the bus are regular enough.
 //!
-//! Knows no state and no fault: it is told of interrupts, and says when they make the drive synchronous and when no
-//! longer.
+//! Knows no state and no fault: it receives interrupts, and reports when they make the drive synchronous and when
+//! no longer.
 //!
-//! Each interrupt is expected a cycle behind the one before. The expectation follows the bus slowly, by no more than
-//! 1000 ppm of a cycle, the mean deviation that the drive allows. One interrupt outside of the window is forgiven, the
-//! second in a row is not (EtherCAT manual). How fast the expectation follows, and how many interrupts make the drive
-//! synchronous, is assumed.
+//! Each interrupt is expected a cycle after the previous one. The expectation follows the bus slowly, by at most
+//! 1000 ppm of a cycle, the mean deviation that the drive allows. One interrupt outside of the window is tolerated,
+//! the second in a row is not (EtherCAT manual). How fast the expectation follows, and how many interrupts make the
+//! drive synchronous, is assumed.
 
 use crate::time::{MS, Time, US};
 
@@ -50,7 +50,7 @@ impl Sync {
         }
     }
 
-    /// Interrupts come from now on, so many ns apart; `None`: none do, or none that could be followed.
+    /// Interrupts come from now on, so many ns apart; `None`: none, or none that could be followed.
     pub(super) fn start(&mut self, cycle_ns: Option<u64>) {
         *self = Sync { cycle_ns, ..Sync::new(self.needed) };
     }
@@ -69,7 +69,7 @@ impl Sync {
         if cycle_ns >= MS { WINDOW_NS.0 } else { WINDOW_NS.1 }
     }
 
-    /// It is `now`: what should have come by then is missing. True if the drive is no longer synchronous.
+    /// It is `now`: interrupts due by then are missing. True if the drive is no longer synchronous.
     #[must_use]
     pub(super) fn pass(&mut self, now: Time) -> bool {
         let Some(cycle_ns) = self.cycle_ns else { return false };
@@ -107,7 +107,7 @@ impl Sync {
             self.synchronous |= self.inside >= self.needed;
             return false;
         }
-        // Too early, for what is late was passed above. It may be the one that was passed.
+        // Too early, since late ones were passed above. It may be the one that was passed.
         if std::mem::take(&mut self.owed) {
             return false;
         }

@@ -1,4 +1,4 @@
-//! A master for tests: it sends datagrams one by one, and an application that does as it is told.
+//! A master for tests: it sends datagrams one by one; and a scripted application.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -15,7 +15,7 @@ pub(super) fn bytes(hex: &str) -> Vec<u8> {
     digits.chunks(2).map(byte).collect()
 }
 
-/// What an application does, and what it was told.
+/// The behaviour of an application, and its calls.
 #[derive(Debug, Default)]
 pub(super) struct Script {
     pub(super) sizes: Option<(usize, usize)>,
@@ -92,7 +92,7 @@ pub(super) fn with_mailbox() -> Settings {
     Settings { sii: contents.image(), ..Settings::default() }
 }
 
-/// A line, and a master's notion of time.
+/// A segment, and a master's time.
 pub(super) struct Bench {
     pub(super) line: Line,
     pub(super) now: Time,
@@ -100,12 +100,12 @@ pub(super) struct Bench {
 }
 
 impl Bench {
-    /// A line of these, with station addresses from 0x1001 on.
+    /// A segment of these, with station addresses from 0x1001 on.
     pub(super) fn with(slaves: Vec<Esc>) -> Bench {
         Bench::of(Line::new(slaves))
     }
 
-    /// The same with a line that there is.
+    /// The same with an existing segment.
     pub(super) fn of(line: Line) -> Bench {
         let count = line.slaves() as u16;
         let mut bench = Bench { line, now: Time(S), scripts: Vec::new() };
@@ -116,7 +116,7 @@ impl Bench {
         bench
     }
 
-    /// A line of scripted slaves.
+    /// A segment of scripted slaves.
     pub(super) fn new(settings: Vec<Settings>) -> Bench {
         let scripts: Vec<Scripted> = settings.iter().map(|_| Scripted::default()).collect();
         let slaves = settings.into_iter().zip(&scripts);
@@ -181,7 +181,7 @@ impl Bench {
         (count == 1).then(|| data.try_into().unwrap())
     }
 
-    /// Asks for a state, and tells which one it is in then.
+    /// Requests a state, and returns the resulting one.
     pub(super) fn go(&mut self, n: u16, state: AlState) -> (AlState, Option<AlCode>) {
         self.control(n, AlStatus::request(state));
         self.state(n)
@@ -214,7 +214,7 @@ impl Bench {
         self.now = self.now + ns;
     }
 
-    /// Frames of nothing, one a millisecond.
+    /// Empty frames, one per millisecond.
     pub(super) fn idle(&mut self, ms: u64) {
         for _ in 0..ms {
             self.wait(MS);

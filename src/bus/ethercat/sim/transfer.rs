@@ -16,15 +16,15 @@ const LAST: u8 = 0x01;
 /// The data of a segment that is not full.
 const SEGMENT_LEAST: usize = 7;
 
-/// What an answer has behind the CoE header.
+/// The content of an answer after the CoE header.
 pub(super) type Body = Vec<u8>;
 
-/// What a message of the master leads to.
+/// The effect of a message of the master.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum Step {
-    /// This goes to the master, and nothing is done yet.
+    /// This is sent to the master, and nothing is done yet.
     Answer(Body),
-    /// All of an object has come: it is to be written, and that is answered by this.
+    /// All of an object has come: it is to be written; this is the answer.
     Write { object: Object, complete: bool, data: Vec<u8>, answer: Body },
 }
 
@@ -57,7 +57,7 @@ impl Transfers {
         Transfers { room: room.max(SDO_SIZE), upload: None, download: None }
     }
 
-    /// There is none any more.
+    /// There is no transfer any more.
     pub(super) fn end(&mut self) {
         (self.upload, self.download) = (None, None);
     }
@@ -71,7 +71,7 @@ impl Transfers {
         body
     }
 
-    /// The next piece is asked for.
+    /// The next piece is requested.
     pub(super) fn upload_segment(&mut self, command: u8) -> Result<Body, AbortCode> {
         let upload = self.upload.as_mut().ok_or(AbortCode::COMMAND)?;
         let toggle = command & TOGGLE != 0;
@@ -112,7 +112,7 @@ impl Transfers {
         Ok(Step::Answer(answer))
     }
 
-    /// A piece has come: `bytes` stand behind its command.
+    /// A piece has come: `bytes` follow its command.
     pub(super) fn download_segment(&mut self, command: u8, bytes: &[u8]) -> Result<Step, AbortCode> {
         let mut download = self.download.take().ok_or(AbortCode::COMMAND)?;
         if (command & TOGGLE != 0) != download.toggle {
@@ -135,7 +135,7 @@ impl Transfers {
     }
 }
 
-/// Command, object, and the four bytes behind it.
+/// Command, object, and the four bytes after it.
 fn head(command: u8, object: Object, value: u32) -> Body {
     let [low, high] = object.index.to_le_bytes();
     let [a, b, c, d] = value.to_le_bytes();
@@ -148,7 +148,7 @@ mod tests {
 
     const NAME: Object = Object::new(0x1008, 0);
 
-    /// What a master puts together of a text of 40 bytes, and in how many segments.
+    /// A text of 40 bytes as a master reads it, and the number of segments.
     fn uploaded(room: usize) -> (Vec<u8>, usize) {
         let mut transfers = Transfers::new(room);
         let text: Vec<u8> = (0..40).collect();

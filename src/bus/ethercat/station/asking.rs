@@ -1,7 +1,7 @@
-//! What the station itself reads and writes by SDO: one after the other, whenever its mailbox is free.
+//! The SDOs of the station itself: one after the other, whenever its mailbox is free.
 //!
-//! The mode of operation goes before all else, since a homing waits for it; then whether the drive knows its reference;
-//! then what is shown, in turns.
+//! The mode of operation comes first, since a homing waits for it; then whether the drive has its reference; then
+//! the monitored objects, in turns.
 
 use super::{HOMING_METHOD, MANUFACTURER_STATUS, MODE, MODE_DISPLAY};
 use crate::axis::feedback::MONITOR_CHANNELS;
@@ -14,12 +14,12 @@ use crate::time::{MS, Time};
 
 /// Bit 1 of the manufacturer's status, 1002h: the reference is set (CAN manual).
 const REFERENCE: u32 = 1 << 1;
-/// What was not answered is asked again after this time, ns.
+/// An unanswered SDO is repeated after this time, ns.
 const AGAIN_NS: u64 = 100 * MS;
-/// What is shown is read no faster than one object in this time, ns.
+/// Monitored objects are read no faster than one in this time, ns.
 const SHOW_EVERY_NS: u64 = 10 * MS;
 
-/// What is under way.
+/// The SDO under way.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Asked {
     Method,
@@ -35,19 +35,19 @@ pub(super) struct Asking {
     own: Option<Mode>,
     method: Option<i8>,
     show: [Option<(Object, Type)>; MONITOR_CHANNELS],
-    /// There is any.
+    /// There is any monitored object.
     shows: bool,
     asked: Option<Asked>,
     not_before: Time,
-    /// With this mode wanted there is nothing to ask, but for what is shown.
+    /// With this mode wanted there is nothing to do, except for monitored objects.
     content: Option<ModeWanted>,
     /// The mode that the drive is in; `None`: not known.
     mode: Option<Mode>,
-    /// It was written for this homing.
+    /// The method was written for this homing.
     method_written: bool,
     display_read: bool,
     homed: Option<bool>,
-    /// What is under way of it was asked too early.
+    /// The SDO under way began too early.
     outdated: bool,
     refused: bool,
     turn: usize,
@@ -84,21 +84,21 @@ impl Asking {
         }
     }
 
-    /// The drive is another one than before, or may be: all that was known of it is asked again.
+    /// The drive is another one than before, or may be: everything known of it is read again.
     pub(super) fn forget(&mut self) {
-        // The end of what was asked is nobody's any more.
+        // The end of the present SDO is nobody's any more.
         (self.asked, self.content) = (None, None);
         (self.mode, self.display_read, self.homed, self.method_written) = (None, false, None, false);
         (self.shown, self.show_refused, self.not_before) = ([None; _], [false; _], Time(0));
         self.show_again(Time(0));
     }
 
-    /// The drive shows this mode: nothing of the start was written to it.
+    /// The drive shows this mode: nothing of the start-up was written to it.
     pub(super) fn found_in(&mut self, mode: Mode) {
         (self.mode, self.display_read, self.content) = (Some(mode), true, None);
     }
 
-    /// What is shown is asked from then on; never, if there is nothing.
+    /// Monitored objects are read from then on; never, if there are none.
     fn show_again(&mut self, from: Time) {
         self.next_show = self.next_shown().map_or(Time(u64::MAX), |_| from);
     }
@@ -109,30 +109,30 @@ impl Asking {
         self.outdated |= self.asked == Some(Asked::Reference);
     }
 
-    /// The drive says that it has its reference; `None`: not known.
+    /// The drive reports that it has its reference; `None`: not known.
     pub(super) fn homed(&self) -> Option<bool> {
         self.homed
     }
 
-    /// The mode that it is in, as far as is known: what the start has written it to is its own.
+    /// The mode that it is in, as far as is known: a mode written at start-up counts as its own.
     pub(super) fn mode(&self) -> ModeIs {
         match self.mode {
             _ if matches!(self.asked, Some(Asked::Mode(_))) => ModeIs::Other,
             None => ModeIs::Own,
             mode if mode == self.own => ModeIs::Own,
             Some(Mode::HOMING) => ModeIs::Homing,
-            // Without a setpoint that is known, none is wrong.
+            // Without a known setpoint no mode is wrong.
             Some(_) if self.own.is_none() => ModeIs::Own,
             Some(_) => ModeIs::Other,
         }
     }
 
-    /// The drive has refused the mode of homing, or its method, since this was last asked.
+    /// The drive has refused the mode of homing, or its method, since this was last called.
     pub(super) fn take_refused(&mut self) -> bool {
         std::mem::take(&mut self.refused)
     }
 
-    /// What is shown, if it is new; and what was refused to be.
+    /// The monitored values, if they are new; and the refused ones.
     #[inline]
     pub(super) fn take_shown(&mut self) -> Option<&[Option<f64>; MONITOR_CHANNELS]> {
         std::mem::take(&mut self.shown_fresh).then_some(&self.shown)
@@ -142,7 +142,7 @@ impl Asking {
         self.refusal.take()
     }
 
-    /// Takes in what came of the last one, and begins the next; false: there was nothing to do.
+    /// Takes the result of the last SDO, and begins the next; false: there was nothing to do.
     #[inline]
     pub(super) fn advance(&mut self, now: Time, wanted: ModeWanted, service: &mut Service) -> bool {
         let rests = self.content == Some(wanted) && now < self.next_show;
@@ -232,11 +232,11 @@ impl Asking {
             }
             (Asked::Display, end) => {
                 self.display_read = true;
-                // One that does not tell its mode has the one that was written.
+                // A drive that does not report its mode has the one that was written.
                 self.mode = end.ok().map(|raw| Mode(raw as u8 as i8));
             }
             (Asked::Reference, _) if std::mem::take(&mut self.outdated) => {}
-            // What it does not tell is not set.
+            // A reference that it does not report is not set.
             (Asked::Reference, end) => self.homed = Some(end.is_ok_and(|raw| raw & REFERENCE != 0)),
             (Asked::Shown(channel), end) => self.take_value(now, channel, end),
         }

@@ -1,16 +1,16 @@
-//! The master's view of one drive: its process data, what it last said, and its mailbox.
+//! The master's view of one drive: its process data, its last report, and its mailbox.
 //!
 //! | file | what |
 //! |---|---|
 //! | `mod` | the station |
-//! | `places` | where in the process data what stands |
-//! | `asking` | what the station itself asks by SDO: mode, reference, what is shown |
+//! | `places` | the PDO offsets |
+//! | `asking` | the station's own SDOs: mode, reference, monitored objects |
 //!
-//! It takes instants and slices, and knows no frame. What an order does, step by step, stands in `orders`. The line
-//! tells it which state the slave is in, and whether inputs are of this exchange: an answer is never suspect.
+//! It takes instants and slices, and knows no frame. The steps of an order are in `orders`. The segment reports the
+//! state of the slave, and whether inputs are of this exchange: an answer is never suspect.
 //!
-//! Where the setpoint is no position, the demand is told as the actual position: there is no place where the axis
-//! should be.
+//! Where the setpoint is not a position, the actual position is reported as the demand: there is no demand
+//! position.
 
 mod asking;
 mod places;
@@ -47,8 +47,8 @@ const VELOCITY: Object = Object::new(0x606C, 0);
 const TORQUE: Object = Object::new(0x6077, 0);
 const HOMING_METHOD: Object = Object::new(0x6098, 0);
 
-/// The emergency with the number of a fault comes within this time, ns, or its number stays unknown: it is then this
-/// one, any error (CAN manual).
+/// The emergency with the number of a fault comes within this time, ns, or its number stays unknown: then it is
+/// this one, any error (CAN manual).
 const NAMED_WITHIN_NS: u64 = 100 * MS;
 const NAMED_TURNS: u64 = 6;
 const ANY_ERROR: u16 = 0x1000;
@@ -59,16 +59,16 @@ pub struct Station {
     units: Units,
     places: Places,
     unit_per_count: f64,
-    /// User units/s of a count of 606Ch; A of a per mille.
+    /// User units/s per count of 606Ch; A per per mille.
     velocity_per_count: f64,
     current_per_permille: f64,
     standstill: f64,
-    /// What is faster while it homes is no velocity.
+    /// A faster motion while it homes is not a valid velocity.
     most_velocity: f64,
     /// User units/s of one count in a usual interval.
     rate: f64,
     interval_ns: u64,
-    /// Its setpoint is a position, and it tells its own.
+    /// Its setpoint is a position, and it reports its own.
     has_place: bool,
     orders: Orders,
     inputs: Inputs,
@@ -79,7 +79,7 @@ pub struct Station {
     al: Option<AlState>,
     actual: Unwrap,
     demand: Unwrap,
-    /// The last position, and the slot of the grid that it came with.
+    /// The last position, and its slot of the grid.
     last: Option<(i64, Time)>,
     grid: Time,
     sent_grid: Time,
@@ -92,7 +92,7 @@ pub struct Station {
     faulted_at: Option<Time>,
     named_within_ns: u64,
     warning: u16,
-    /// It was found power-cycled, and that was not told yet.
+    /// It was found power-cycled, and that was not reported yet.
     was_restarted: bool,
 }
 
@@ -148,18 +148,18 @@ impl Station {
         self.service.memory(regions);
     }
 
-    /// So long it may be until its mailbox has the slot again, ns.
+    /// The longest time until its mailbox has the slot again, ns.
     pub fn set_turn(&mut self, turn_ns: u64) {
         self.named_within_ns = NAMED_WITHIN_NS.max(NAMED_TURNS * turn_ns);
         self.service.set_turn(turn_ns);
     }
 
-    /// Its mailbox: the line opens it, and gives it the acyclic slot.
+    /// Its mailbox: the segment opens it, and gives it the acyclic slot.
     pub fn service(&mut self) -> &mut Service {
         &mut self.service
     }
 
-    /// The slave has come to this state; `None`: below SAFEOP, or not on the line.
+    /// The slave has entered this state; `None`: below SAFEOP, or not on the segment.
     pub fn operational(&mut self, al: Option<AlState>, slot: &mut Slot) {
         let before = std::mem::replace(&mut self.al, al);
         if before == al {
@@ -181,7 +181,7 @@ impl Station {
         self.orders.dropped(below_op(self.inputs.state));
     }
 
-    /// The drive was found power-cycled. It is told with what it says next.
+    /// The drive was found power-cycled. It is reported with its next report.
     pub fn restarted(&mut self) {
         self.was_restarted = true;
         self.orders.drive_restarted();
@@ -192,7 +192,7 @@ impl Station {
         (self.emergency, self.faulted_at, self.warning) = (Emergency::default(), None, 0);
     }
 
-    /// Something stops it if the master dies, as far as it depends on its watchdog.
+    /// Whether something stops it if the master dies, as far as that depends on its watchdog.
     pub fn watched(&mut self, is_watched: bool) {
         self.orders.watched(is_watched);
     }
@@ -203,14 +203,14 @@ impl Station {
         self.inputs.mode = self.asking.mode();
     }
 
-    /// An order stands: the drive is driven from now on. Before, it is only read, and what was found in OP goes on as
-    /// it was.
+    /// An order is present: the drive is commanded from now on. Before, it is only read, and a drive found in OP
+    /// continues as it was.
     pub fn wants_outputs(&self) -> bool {
         self.orders.writes()
     }
 
-    /// Writes the output PDO of the next exchange, whole. Built again for the same send, it is the same: what moves on
-    /// with every exchange does so in [`sent`](Self::sent).
+    /// Writes the output PDO of the next exchange, whole. Built again for the same send, it is the same: state that
+    /// changes with every exchange changes in [`sent`](Self::sent).
     #[inline]
     pub fn prepare(&mut self, cycle: &Cycle, slot: &mut Slot, outputs: &mut [u8]) {
         self.grid = cycle.grid;
@@ -234,7 +234,7 @@ impl Station {
         self.orders.sent();
     }
 
-    /// A frame went out that only reads this drive: its outputs do not count there yet.
+    /// A frame was sent that only reads this drive: its outputs do not count there yet.
     #[inline]
     pub fn asked(&mut self, sent_at: Time, reply_by: Time, slot: &mut Slot) {
         self.open(sent_at, reply_by, slot);
@@ -249,7 +249,7 @@ impl Station {
         self.ask();
     }
 
-    /// Its own SDOs go on once an exchange went out: what comes of them counts for all builds of the next one.
+    /// Its own SDOs advance once an exchange was sent: their results hold for all builds of the next one.
     #[inline]
     fn ask(&mut self) {
         if self.al.is_none() {
@@ -265,12 +265,12 @@ impl Station {
         }
     }
 
-    /// The frame of this slot of the grid was the last one that asked it.
+    /// The frame of this slot of the grid was the last one with an exchange of it.
     pub fn was_asked(&self, grid: Time) -> bool {
         self.sent_grid == grid
     }
 
-    /// It could not be handed to the wire, or the slave cannot be asked.
+    /// It could not be handed to the wire, or the slave is not part of the exchange.
     pub fn unsent(&mut self, slot: &mut Slot) {
         slot.counters.unsent += 1;
         slot.exchange = Exchange::Unsent;
@@ -309,8 +309,8 @@ impl Station {
         }
     }
 
-    /// Its mailbox was looked at: takes in the next emergency, if the one before was told. A warning, a fault, or the
-    /// end of it.
+    /// Its mailbox was read: takes the next emergency, if the previous one was reported. A warning, a fault, or the
+    /// end of one.
     pub fn mailbox_heard(&mut self, slot: &mut Slot) {
         if slot.report.emergency.is_some() {
             return;
@@ -323,7 +323,7 @@ impl Station {
         slot.report.emergency = Some(axis::Emergency { code: emergency.code, register: emergency.register });
     }
 
-    /// What the drive said, in user units.
+    /// The drive's report, in user units.
     #[inline]
     fn read(&mut self, at: Time, said: Said, slot: &mut Slot) {
         let (status, before) = (StatusWord(said.status), self.inputs.status);
@@ -374,7 +374,7 @@ impl Station {
     fn take_position(&mut self, said: Said, before: StatusWord) -> Option<f64> {
         let homing = self.orders.is_homing();
         if homing {
-            // The positions begin anew.
+            // The positions have a new origin.
             self.actual.reset();
             self.demand.reset();
             if self.orders.is_finding_home() {
@@ -391,7 +391,7 @@ impl Station {
             if homing {
                 let attained = said.status & !before.0 & StatusWord::MODE_12 != 0;
                 if attained || self.inputs.velocity.abs() > self.most_velocity {
-                    // No way was made by that.
+                    // That was no motion.
                     self.inputs.velocity = velocity;
                 }
             }
@@ -400,7 +400,7 @@ impl Station {
         Some(count? as f64 * self.unit_per_count + self.units.offset)
     }
 
-    /// The velocity of a drive that tells none: the way since the last exchange.
+    /// The velocity of a drive that reports none: the distance since the last exchange.
     #[inline]
     fn differ(&mut self, count: i64) {
         let Some((last, grid)) = self.last else {
@@ -416,12 +416,12 @@ impl Station {
         }
     }
 
-    /// What is known of the fault that the status tells.
+    /// Takes what is known of the fault in the status.
     #[inline]
     fn take_fault(&mut self, at: Time, said: Said) {
         let inputs = &mut self.inputs;
         if !matches!(inputs.state, State::Fault | State::FaultReactionActive) {
-            // One that no fault has followed by then names none that comes later.
+            // An emergency that no fault has followed by then names no later one.
             let is_over = self.emergency.code != 0 && at.since(self.emergency_at) > self.named_within_ns;
             if self.faulted_at.take().is_some() || is_over {
                 self.emergency = Emergency::default();
@@ -446,7 +446,7 @@ pub(super) fn tells_position(drive: &KollmorgenDrive) -> bool {
     is_one(POSITION) || is_one(INCREMENTS)
 }
 
-/// What is told of a drive below OP: it follows no setpoint.
+/// The reported state of a drive below OP: it follows no setpoint.
 fn below_op(state: State) -> State {
     match state {
         State::OperationEnabled | State::QuickStopActive => State::SwitchedOn,

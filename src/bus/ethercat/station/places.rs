@@ -1,4 +1,4 @@
-//! Where in the process data of a drive what stands: looked up once.
+//! The PDO offsets of a drive: looked up once.
 
 use super::{CONTROL_WORD, FAULT_CODE, INCREMENTS, POSITION, STATUS_WORD, TORQUE, VELOCITY};
 use crate::bus::ethercat::native::PDO_MAX;
@@ -6,21 +6,21 @@ use crate::bus::ethercat::object::Object;
 use crate::bus::ethercat::object::pdo::{Entry, Layout};
 use crate::bus::ethercat::plan::{KollmorgenDrive, Setpoint};
 
-/// Most torque that a drive may make: 0 would be none. What the plan does not say is this, per mille (assumed: the
-/// drive's own limit lies beneath it).
+/// The largest torque of a drive: 0 would be none. If the plan does not set it, it is this, per mille (assumed: the
+/// drive's own limit acts below it).
 const MAXIMUM_TORQUE: Object = Object::new(0x6072, 0);
 const MOST_PERMILLE: u64 = 3_000;
 
-/// Where a value begins in its area; behind all of them, if it is not there.
+/// The offset of a value in its area; past the end, if it is not there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct At(u8);
 
 const NOWHERE: At = At(PDO_MAX as u8);
 
-/// Where values stand in the outputs and inputs.
+/// The offsets of the values in the outputs and inputs.
 #[derive(Clone, Debug)]
 pub(super) struct Places {
-    /// The outputs but for control word and setpoint.
+    /// The outputs without control word and setpoint.
     rest: [u8; PDO_MAX],
     size: usize,
     control: At,
@@ -34,7 +34,7 @@ pub(super) struct Places {
     fault: At,
 }
 
-/// What a drive said, as counts.
+/// The drive's report, as counts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Said {
     pub status: u16,
@@ -90,7 +90,7 @@ impl Places {
         self.write_control(control, outputs);
     }
 
-    /// Writes the control word, over what stands there.
+    /// Writes the control word over the present one.
     #[inline]
     pub(super) fn write_control(&self, control: u16, outputs: &mut [u8]) {
         put(outputs, self.control, control.to_le_bytes());
@@ -133,7 +133,7 @@ fn get<const N: usize>(inputs: &[u8], at: At) -> Option<[u8; N]> {
     inputs.get(usize::from(at.0)..)?.first_chunk().copied()
 }
 
-/// What the outputs are besides: as the plan writes the objects at the start, else 0.
+/// The other outputs: as the plan writes the objects at the start, otherwise 0.
 fn rest(drive: &KollmorgenDrive) -> [u8; PDO_MAX] {
     let mut rest = [0; PDO_MAX];
     for (at, entry) in drive.outputs.places() {

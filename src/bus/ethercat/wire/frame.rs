@@ -1,11 +1,11 @@
-//! Frames and datagrams (ETG.1000.4, 5; as real lines show them).
+//! Frames and datagrams (ETG.1000.4, 5; as seen on real segments).
 //!
 //! | bytes | field | |
 //! |---|---|---|
 //! | 0-5, 6-11 | destination, source | the first slave sets bit 1 of the source's first byte |
-//! | 12-13 | Ethertype | 88A4h, big-endian; all that follows is little-endian |
+//! | 12-13 | Ethertype | 88A4h, big-endian; everything after it is little-endian |
 //! | 14-15 | length, type | bits 0-10 bytes of all datagrams, bits 12-15 = 1 |
-//! | 16- | datagrams | ten bytes in front, data, working counter; then padding to 60 bytes |
+//! | 16- | datagrams | ten bytes of header, data, working counter; then padding to 60 bytes |
 //!
 //! The reply is the same frame: only data, positions, interrupts, working counters and the source have changed.
 
@@ -15,18 +15,18 @@ use thiserror::Error;
 pub const ETHERTYPE: u16 = 0x88A4;
 /// Ethernet and EtherCAT header.
 pub const HEADER: usize = 16;
-/// The shortest frame without its check sequence. Who builds pads up to it; who reads takes shorter ones too: a virtual
-/// wire does not pad.
+/// The shortest frame without its check sequence. A builder pads up to it; a reader accepts shorter ones too, since
+/// a virtual wire does not pad.
 pub const FRAME_MIN: usize = 60;
 /// The longest frame without its check sequence.
 pub const FRAME_MAX: usize = 1514;
-/// The most datagrams in one frame: what slaves of all makes take.
+/// The most datagrams in one frame: as many as slaves of all makes accept.
 pub const DATAGRAMS_MAX: usize = 15;
-/// In front of the data of a datagram.
+/// Bytes before the data of a datagram.
 pub const DATAGRAM_HEADER: usize = 10;
-/// The working counter behind it.
+/// Bytes of the working counter after the data.
 pub const WORKING_COUNTER: usize = 2;
-/// The most data in one datagram that is alone.
+/// The most data of a single datagram.
 pub const DATA_MAX: usize = FRAME_MAX - HEADER - DATAGRAM_HEADER - WORKING_COUNTER;
 
 const ETHERTYPE_AT: usize = 12;
@@ -42,7 +42,7 @@ pub type Mac = [u8; 6];
 /// The customary destination: everybody.
 pub const BROADCAST: Mac = [0xFF; 6];
 
-/// What a datagram does and where.
+/// The command and the address of a datagram.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Command {
     /// Nothing.
@@ -100,7 +100,7 @@ impl Command {
     }
 
     /// Its four bytes of address, as one number: for all but logical ones the station or position, and the register
-    /// above it.
+    /// in the upper half.
     pub const fn address(self) -> u32 {
         match self {
             Command::Nop => 0,
@@ -143,12 +143,12 @@ impl Command {
     }
 }
 
-/// The position of slave `index` of the line in a command that counts positions: it arrives there as 0.
+/// The position of slave `index` of the segment in a command that counts positions: it arrives there as 0.
 pub const fn position(index: u16) -> u16 {
     0_u16.wrapping_sub(index)
 }
 
-/// Where a datagram stands in its frame. It stays so: a frame is built once and sent again with other data.
+/// The offsets of a datagram in its frame. They are fixed: a frame is built once and sent again with other data.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Place {
     /// Its first byte.
@@ -158,12 +158,12 @@ pub struct Place {
 }
 
 impl Place {
-    /// Where its data stands.
+    /// The range of its data.
     pub const fn data(self) -> std::ops::Range<usize> {
         self.at + DATAGRAM_HEADER..self.at + DATAGRAM_HEADER + self.length
     }
 
-    /// One behind it.
+    /// One past its end.
     pub const fn end(self) -> usize {
         self.at + DATAGRAM_HEADER + self.length + WORKING_COUNTER
     }
@@ -200,7 +200,7 @@ impl<'a> Builder<'a> {
     pub fn push(&mut self, command: Command, index: u8, length: usize) -> Option<Place> {
         self.room().filter(|room| length <= *room)?;
         let place = Place { at: self.end, length };
-        // What stood there before a frame was taken back, its working counter too.
+        // Bytes from before a resume, including the working counter.
         self.out[place.at..place.end()].fill(0);
         let header = &mut self.out[place.at..place.at + DATAGRAM_HEADER];
         (header[0], header[1]) = (command.number(), index);
@@ -227,12 +227,12 @@ impl<'a> Builder<'a> {
         self.end.max(FRAME_MIN)
     }
 
-    /// Where it stands now: what comes behind may be taken back to here.
+    /// The present position: later datagrams may be removed back to here.
     pub const fn stem(&self) -> Stem {
         Stem { end: self.end, last: self.last, count: self.count }
     }
 
-    /// Goes on from a stem of the frame in `out`, and takes back what stands behind it. `None` if it is not there.
+    /// Continues from a stem of the frame in `out`, and removes what follows it. `None` if it is not there.
     pub fn resume(out: &'a mut [u8], stem: Stem) -> Option<Builder<'a>> {
         let room = out.len().min(FRAME_MAX);
         let out = out.get_mut(..room).filter(|out| out.len() >= FRAME_MIN.max(stem.end))?;
@@ -245,7 +245,7 @@ impl<'a> Builder<'a> {
     }
 }
 
-/// The part of a frame that stays as it is.
+/// The constant part of a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Stem {
     end: usize,
@@ -268,22 +268,22 @@ pub fn set_index(frame: &mut [u8], place: Place, index: u8) {
     }
 }
 
-/// What the reply to a datagram has to be like.
+/// The result of comparing a datagram with its reply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Returned {
     /// It is the reply, with this working counter.
     Counted(u16),
-    /// It is, but went round without passing the master.
+    /// It is the reply, but circulated without passing the master.
     Circulated,
     /// It is another one.
     Other,
 }
 
-/// Holds the datagram at `place` of a received frame against the one that was sent there: all that no slave changes is
-/// the same. `stays`: its address is not counted up by the slaves.
+/// Compares the datagram at `place` of a received frame with the one sent there: everything that no slave changes
+/// has to be the same. `stays`: its address is not counted up by the slaves.
 pub fn returned(sent: &[u8], received: &[u8], place: Place, stays: bool) -> Returned {
-    /// The bit of `CIRCULATED` in the first eight bytes; and the two lower ones of the address, in which a position is
-    /// counted up.
+    /// The bit of `CIRCULATED` in the first eight bytes; and the two lower ones of the address, in which a position
+    /// is counted up.
     const WENT_ROUND: u64 = (CIRCULATED as u64) << 48;
     const POSITION: u64 = 0xFFFF << 16;
     let header = |frame: &[u8]| frame.get(place.at..)?.first_chunk().map(|bytes| u64::from_le_bytes(*bytes));
@@ -298,11 +298,11 @@ pub fn returned(sent: &[u8], received: &[u8], place: Place, stays: bool) -> Retu
     }
 }
 
-/// What is wrong with bytes that are to be a frame.
+/// Why bytes are not a valid frame.
 #[derive(Clone, Copy, PartialEq, Eq, Error)]
 pub enum FrameError {
     /// It ends within its header.
-    #[error("{0} bytes are no frame")]
+    #[error("{0} bytes are not a frame")]
     Short(usize),
     /// Another protocol.
     #[error("Ethertype {0:#06x} is not EtherCAT")]
@@ -318,7 +318,7 @@ pub enum FrameError {
         /// In the frame.
         has: usize,
     },
-    /// A datagram goes on behind the end of its frame, or says that another one follows where none does.
+    /// A datagram extends past the end of its frame, or announces a following one that is missing.
     #[error("the datagram at byte {0} does not end within the frame")]
     Datagram(usize),
 }
@@ -329,17 +329,17 @@ crate::errors::debug_as_display!(FrameError);
 pub struct Datagram<'a> {
     /// Where it stands.
     pub place: Place,
-    /// Its number on the wire; what is no command is passed on like `NOP`.
+    /// Its number on the wire; an unknown command is forwarded like `NOP`.
     pub number: u8,
     /// Its four bytes of address.
     pub address: u32,
     /// As it was sent.
     pub index: u8,
-    /// It went round without passing the master: what it says is old.
+    /// It circulated without passing the master: its content is old.
     pub circulated: bool,
     /// Event bits of all slaves, or-ed.
     pub interrupts: u16,
-    /// What was read, or written.
+    /// The data that were read, or written.
     pub data: &'a [u8],
     /// How often it was carried out.
     pub working_counter: u16,
@@ -370,13 +370,13 @@ impl<'a> Datagram<'a> {
         Ok((datagram, flags & MORE != 0))
     }
 
-    /// What it does; `None`: no command.
+    /// Its command; `None`: an unknown one.
     pub fn command(&self) -> Option<Command> {
         Command::new(self.number, self.address)
     }
 }
 
-/// The datagrams of a received frame. Each is read when it is asked for; the first error ends them.
+/// The datagrams of a received frame. Each is read on request; the first error ends them.
 #[derive(Clone, Debug)]
 pub struct Datagrams<'a> {
     frame: &'a [u8],
@@ -384,7 +384,7 @@ pub struct Datagrams<'a> {
     end: usize,
 }
 
-/// Looks into a frame; what is not EtherCAT is told by the error.
+/// Reads a frame; the error names a frame that is not EtherCAT.
 pub fn datagrams(frame: &[u8]) -> Result<Datagrams<'_>, FrameError> {
     let header = frame.first_chunk::<HEADER>().ok_or(FrameError::Short(frame.len()))?;
     let ethertype = u16::from_be_bytes([header[12], header[13]]);
@@ -402,8 +402,8 @@ pub fn datagrams(frame: &[u8]) -> Result<Datagrams<'_>, FrameError> {
     Ok(Datagrams { frame, next: (says > 0).then_some(HEADER), end: HEADER + says })
 }
 
-/// The number and the data of the first datagram of a received frame, if that has `N` bytes: who it may be from, before
-/// all of it is looked at.
+/// The number and the data of the first datagram of a received frame, if that has `N` bytes: identifies the sender
+/// before all of the frame is read.
 #[inline]
 pub fn first_datagram<const N: usize>(frame: &[u8]) -> Option<(u8, &[u8; N])> {
     let header = frame.first_chunk::<{ HEADER + DATAGRAM_HEADER }>()?;

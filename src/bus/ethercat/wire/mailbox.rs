@@ -1,8 +1,8 @@
-//! Mailbox messages and what CoE puts into them (ETG.1000.6, 5.6; the drive's manual, "Mail Input").
+//! Mailbox messages and their CoE contents (ETG.1000.6, 5.6; the drive's manual, "Mail Input").
 //!
 //! | bytes | field | |
 //! |---|---|---|
-//! | 0-1 | length | of what follows the six bytes of the header; 10 for an SDO of the drive |
+//! | 0-1 | length | of the bytes after the six of the header; 10 for an SDO of the drive |
 //! | 2-3 | address | of the station |
 //! | 4 | channel, priority | 0 |
 //! | 5 | type, counter | bits 0-3: 3 = CoE; bits 4-6: 1 ... 7, 0 = not counted |
@@ -17,9 +17,9 @@ use super::sdo;
 
 /// The header of a mailbox message.
 pub const HEADER: usize = 6;
-/// With that of CoE behind it.
+/// With the CoE header after it.
 pub const COE_HEADER: usize = 8;
-/// What a Kollmorgen drive takes and answers: one SDO.
+/// The size of a Kollmorgen drive's messages: one SDO.
 pub const SDO_SIZE: usize = 16;
 /// Data of an emergency.
 const EMERGENCY: usize = 8;
@@ -37,7 +37,7 @@ mod service {
     pub const SDO_RESPONSE: u8 = 3;
 }
 
-/// Counts messages: 1 ... 7, and again. The same count again is the same message.
+/// Counts messages: 1 ... 7, cyclically. A message with the same count again is a repetition.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counter(u8);
 
@@ -48,14 +48,14 @@ impl Counter {
         Counter(if self.0 >= 7 { 1 } else { self.0 + 1 })
     }
 
-    /// As it stands in a message; 0: not counted.
+    /// As in a message; 0: not counted.
     pub const fn number(self) -> u8 {
         self.0
     }
 }
 
-/// Writes an SDO message in place and returns its size; 0, and nothing written, if `out` is too short for it. Behind it
-/// `out` is zero.
+/// Writes an SDO message in place and returns its size; 0, and nothing written, if `out` is too short for it. The
+/// rest of `out` is zero.
 pub fn emit(request: &sdo::Request<'_>, counter: Counter, out: &mut [u8]) -> usize {
     let size = COE_HEADER + request.size();
     let Some((message, rest)) = out.split_at_mut_checked(size) else { return 0 };
@@ -76,32 +76,32 @@ pub fn recount(message: &mut [u8], counter: Counter) {
     }
 }
 
-/// What a slave says of itself without being asked.
+/// An unrequested report of a slave.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Emergency {
-    /// What; 0: it is over.
+    /// The error code; 0: it is over.
     pub code: u16,
     /// Error register, 1001h.
     pub register: u8,
-    /// What its maker adds. In a Kollmorgen drive the first byte is how it can be cleared.
+    /// The vendor's data. In a Kollmorgen drive the first byte is how it can be cleared.
     pub vendor: [u8; 5],
 }
 
-/// What a message is.
+/// The content of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Message<'a> {
-    /// The answer to an SDO, whatever service it calls itself: drives differ.
+    /// The answer to an SDO, whatever its service field: drives differ.
     Sdo {
-        /// The count of the request, if the slave gives it back.
+        /// The count of the request, if the slave returns it.
         counter: u8,
-        /// What it says.
+        /// The answer.
         response: sdo::Response<'a>,
     },
     /// An emergency.
     Emergency(Emergency),
     /// The slave could not use the mailbox message.
     Refused(MailboxError),
-    /// Another protocol or service: not for us.
+    /// Another protocol or service: not for this master.
     Other {
         /// The type.
         kind: u8,
@@ -115,7 +115,7 @@ pub enum Message<'a> {
 pub struct MailboxError(pub u16);
 
 impl MailboxError {
-    /// What it stands for; `None`: none that is known.
+    /// Its meaning; `None`: an unknown one.
     pub const fn name(self) -> Option<&'static str> {
         Some(match self.0 {
             1 => "syntax of the header",
@@ -140,10 +140,10 @@ impl fmt::Display for MailboxError {
     }
 }
 
-/// Why bytes are no message.
+/// Why bytes are not a message.
 #[derive(Clone, Copy, PartialEq, Eq, Error)]
 pub enum MessageError {
-    /// It ends within what it begins.
+    /// It ends too early.
     #[error("a mailbox message of {0} bytes is too short")]
     Short(usize),
     /// It is longer than the mailbox.
@@ -154,14 +154,14 @@ pub enum MessageError {
         /// In the mailbox.
         has: usize,
     },
-    /// No answer to an SDO begins so.
-    #[error("{0:#04x} is no SDO answer")]
+    /// The command of no SDO answer.
+    #[error("{0:#04x} is not an SDO answer")]
     Command(u8),
 }
 crate::errors::debug_as_display!(MessageError);
 
-/// How far a mailbox has to be read for what its first bytes begin: to the end of a message that is for us, no further
-/// than the header of any other. What does not fit `mailbox` bytes is none.
+/// How far a mailbox has to be read for the message of its first bytes: to its end if it is for us, otherwise no
+/// further than its header. `None` if it does not fit `mailbox` bytes.
 pub fn extent(head: &[u8], mailbox: usize) -> usize {
     let Some(&[low, high, _, _, _, kind]) = head.first_chunk::<HEADER>() else { return HEADER };
     let size = HEADER + usize::from(u16::from_le_bytes([low, high]));
@@ -169,12 +169,13 @@ pub fn extent(head: &[u8], mailbox: usize) -> usize {
     if is_ours { size } else { HEADER }
 }
 
-/// Reads what a mailbox holds. Behind the message there may be anything: old memory.
+/// Reads a mailbox. After the message there may be anything: old memory.
 pub fn parse(mailbox: &[u8]) -> Result<Message<'_>, MessageError> {
     let header = mailbox.first_chunk::<HEADER>().ok_or(MessageError::Short(mailbox.len()))?;
     let (says, has) = (usize::from(u16::from_le_bytes([header[0], header[1]])), mailbox.len() - HEADER);
     let (kind, counter) = (header[5] & 0x0F, header[5] >> 4 & 7);
-    // A drive's manual shows a length of 14 for an answer of 10: what is there counts, if the rest is only a lie.
+    // A drive's manual shows a length of 14 for an answer of 10: the present bytes count, if only the length is
+    // wrong.
     let lies = says == SDO_SIZE - 2 && has == SDO_SIZE - HEADER;
     let length = if lies { has } else { says };
     let short = MessageError::Short(mailbox.len().min(HEADER + length));
@@ -192,7 +193,7 @@ pub fn parse(mailbox: &[u8]) -> Result<Message<'_>, MessageError> {
                     let code = u16::from_le_bytes([a, b]);
                     Ok(Message::Emergency(Emergency { code, register, vendor: [c, d, e, f, g] }))
                 }
-                // The drive's manual has its answers with the service of a request.
+                // In the drive's manual answers have the service of a request.
                 service::SDO_REQUEST | service::SDO_RESPONSE => {
                     let response = sdo::Response::parse(data).map_err(|error| match error {
                         sdo::ResponseError::Short => short,

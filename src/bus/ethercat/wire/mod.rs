@@ -1,13 +1,13 @@
 //! EtherCAT, both directions: bytes <-> values.
 //!
-//! Knows no state, clock, socket or allocation, and does not judge what a message means.
+//! Knows no state, clock, socket or allocation, and does not interpret a message.
 //!
 //! | file | what |
 //! |---|---|
 //! | `frame` | frames, datagrams, working counters |
-//! | `registers` | what stands in a slave controller, and where |
+//! | `registers` | the registers of a slave controller |
 //! | `mailbox`, `sdo` | mailbox messages, emergencies; reading and writing objects |
-//! | `sii` | what a slave says of itself |
+//! | `sii` | the slave information (EEPROM) |
 
 pub mod frame;
 pub mod mailbox;

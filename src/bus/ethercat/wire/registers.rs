@@ -18,11 +18,11 @@ pub mod address {
     pub const PORT_LOOPS: u16 = 0x0101;
     /// [`Links`](super::Links).
     pub const LINKS: u16 = 0x0110;
-    /// The state that is asked for.
+    /// The requested state.
     pub const AL_CONTROL: u16 = 0x0120;
     /// The state, and behind it from byte 4 on its [`AlCode`](super::AlCode).
     pub const AL_STATUS: u16 = 0x0130;
-    /// Which events a slave adds to each datagram.
+    /// The events that a slave adds to each datagram.
     pub const EVENT_MASK: u16 = 0x0200;
     /// Error counters; a write clears them.
     pub const ERRORS: u16 = 0x0300;
@@ -36,7 +36,7 @@ pub mod address {
     pub const SII_OWNER: u16 = 0x0500;
     /// Control and status of the SII, and behind it the word address.
     pub const SII_CONTROL: u16 = 0x0502;
-    /// What was read of the SII.
+    /// The data read from the SII.
     pub const SII_DATA: u16 = 0x0508;
     /// The first [`Fmmu`](super::Fmmu).
     pub const FMMU: u16 = 0x0600;
@@ -44,13 +44,13 @@ pub mod address {
     pub const SYNC_MANAGER: u16 = 0x0800;
     /// When each port received; a write latches all of them.
     pub const DC_PORTS: u16 = 0x0900;
-    /// The time of the line, ns.
+    /// The segment's time, ns.
     pub const DC_TIME: u16 = 0x0910;
     /// When the processing unit received, by the slave's own clock.
     pub const DC_RECEIVED: u16 = 0x0918;
-    /// The time of the line less the slave's own.
+    /// The segment's time less the slave's own.
     pub const DC_OFFSET: u16 = 0x0920;
-    /// How far behind the reference clock the slave is, ns.
+    /// The slave's delay to the reference clock, ns.
     pub const DC_DELAY: u16 = 0x0928;
     /// [`Difference`](super::Difference).
     pub const DC_DIFFERENCE: u16 = 0x092C;
@@ -58,7 +58,7 @@ pub mod address {
     pub const DC_SPEED: u16 = 0x0930;
     /// Depths of its filters.
     pub const DC_FILTER: u16 = 0x0934;
-    /// The cyclic unit: who controls it, and behind it what is active.
+    /// The cyclic unit: who controls it, followed by what is active.
     pub const DC_CONTROL: u16 = 0x0980;
     /// Bit 0: cyclic operation, 1: SYNC0, 2: SYNC1.
     pub const DC_ACTIVATION: u16 = 0x0981;
@@ -95,7 +95,7 @@ pub enum AlState {
 }
 
 impl AlState {
-    /// As it stands on the wire.
+    /// Its number on the wire.
     pub const fn number(self) -> u8 {
         match self {
             AlState::Init => 1,
@@ -139,20 +139,20 @@ impl AlStatus {
     /// In the status: it refused, or fell back. In the control: that is acknowledged.
     pub const ERROR: u16 = 1 << 4;
 
-    /// State and error; what else some slaves show there is not looked at.
+    /// State and error; other bits that some slaves show there are ignored.
     pub const SHOWN: u16 = 0x0F | Self::ERROR;
 
-    /// The control that asks for `state`.
+    /// The control word that requests `state`.
     pub const fn request(state: AlState) -> AlStatus {
         AlStatus(state.number() as u16)
     }
 
-    /// The control that acknowledges an error in the state that is shown.
+    /// The control word that acknowledges an error in the present state.
     pub const fn acknowledge(self) -> AlStatus {
         AlStatus(self.0 & 0x0F | Self::ERROR)
     }
 
-    /// The state; `None`: none there is.
+    /// The state; `None`: not a valid one.
     pub const fn state(self) -> Option<AlState> {
         AlState::new((self.0 & 0x0F) as u8)
     }
@@ -170,7 +170,7 @@ pub struct AlCode(pub u16);
 impl AlCode {
     /// No error.
     pub const NONE: AlCode = AlCode(0);
-    /// No way leads from its state to the one that was asked for.
+    /// No transition leads from its state to the requested one.
     pub const INVALID_REQUEST: AlCode = AlCode(0x0011);
     /// A SyncManager does not fit.
     pub const SYNC_MANAGER: AlCode = AlCode(0x0017);
@@ -179,7 +179,7 @@ impl AlCode {
     /// No outputs came in time.
     pub const WATCHDOG: AlCode = AlCode(0x001B);
 
-    /// What it stands for; `None`: one of its maker's.
+    /// Its meaning; `None`: a manufacturer's own.
     pub const fn name(self) -> Option<&'static str> {
         Some(match self.0 {
             0x0000 => "no error",
@@ -239,7 +239,7 @@ impl fmt::Display for AlCode {
     }
 }
 
-/// What a slave controller can do.
+/// The features of a slave controller.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Features(pub u16);
 
@@ -249,7 +249,7 @@ impl Features {
         self.0 & 1 << 2 != 0
     }
 
-    /// That clock has 64 bits; else it starts again every 4.3 s.
+    /// That clock has 64 bits; otherwise it wraps around every 4.3 s.
     pub const fn has_long_clock(self) -> bool {
         self.0 & 1 << 3 != 0
     }
@@ -270,13 +270,13 @@ impl Links {
         port < 4 && self.0 >> (4 + port) & 1 != 0
     }
 
-    /// Frames go out at port 0 ... 3; else they turn there.
+    /// Frames go out at port 0 ... 3; otherwise they turn there.
     pub const fn open(self, port: u8) -> bool {
         port < 4 && self.0 >> (8 + 2 * port) & 1 == 0
     }
 }
 
-/// How far a slave's clock is off that of the line.
+/// The difference of a slave's clock to that of the segment.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Difference(pub u32);
 
@@ -314,12 +314,12 @@ impl SyncManager {
     pub const OUTPUTS: u8 = 0x24;
     /// Inputs.
     pub const INPUTS: u8 = 0x20;
-    /// Where the status stands.
+    /// The offset of the status.
     pub const STATUS: u16 = 5;
     /// In the status: the mailbox is full.
     pub const FULL: u8 = 1 << 3;
 
-    /// As it is written: the status is the slave's.
+    /// As it is written: the status belongs to the slave.
     pub const fn to_bytes(self) -> [u8; Self::SIZE] {
         let ([a, b], [c, d]) = (self.start.to_le_bytes(), self.length.to_le_bytes());
         [a, b, c, d, self.control, 0, self.activate, 0]
@@ -347,7 +347,7 @@ impl SyncManager {
     }
 }
 
-/// A piece of the logical address space, and where it stands in a slave.
+/// A piece of the logical address space, and its address in a slave.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Fmmu {
     /// Where it begins in the logical space.
@@ -358,7 +358,7 @@ pub struct Fmmu {
     pub bits: (u8, u8),
     /// Where it begins in the slave, and with which bit.
     pub physical: (u16, u8),
-    /// The master writes it; else the master reads it.
+    /// The master writes it; otherwise the master reads it.
     pub output: bool,
     /// It is on.
     pub active: bool,

@@ -1,7 +1,7 @@
 //! SDO: reading and writing objects (ETG.1000.6, 5.6.2; CiA 301).
 //!
-//! A Kollmorgen drive speaks the expedited form only, four bytes at most. Other slaves have longer objects: their size
-//! comes first, and what does not fit the mailbox follows in segments.
+//! A Kollmorgen drive has the expedited form only, four bytes at most. Other slaves have longer objects: their size
+//! comes first, and data beyond the mailbox follow in segments.
 
 use std::fmt;
 
@@ -27,13 +27,13 @@ impl fmt::Display for Object {
     }
 }
 
-/// The most that a value in the message itself has, bytes.
+/// The largest value in the message itself, bytes.
 pub const EXPEDITED_MAX: usize = 4;
-/// Command, index, subindex, value: what every message has.
+/// Command, index, subindex, value: common to all messages.
 pub const SIZE: usize = 8;
-/// In front of the data of a segment.
+/// Bytes before the data of a segment.
 pub const SEGMENT_HEADER: usize = 1;
-/// The least data of a segment: shorter ones are filled.
+/// The least data of a segment: shorter ones are padded.
 const SEGMENT_MIN: usize = 7;
 
 mod command {
@@ -49,7 +49,7 @@ mod command {
     pub const SIZED: u8 = 0x01;
     pub const LAST: u8 = 0x01;
 
-    /// What kind of message: the bits that the others leave.
+    /// The kind of message: the bits that the others leave.
     pub const KIND: u8 = 0xE0;
     // Of answers.
     pub const SEGMENT: u8 = 0x00;
@@ -58,33 +58,33 @@ mod command {
     pub const DOWNLOADED: u8 = 0x60;
 }
 
-/// What a master asks.
+/// A request of the master.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Request<'a> {
     /// Reads an object.
     Upload {
-        /// Which.
+        /// The object.
         object: Object,
         /// All its subindices together.
         complete: bool,
     },
     /// The next segment of a read.
     UploadSegment {
-        /// Changes with each.
+        /// Alternates with each.
         toggle: bool,
     },
     /// Writes one to four bytes.
     Download {
-        /// Which object.
+        /// The object.
         object: Object,
-        /// The value, the first byte first.
+        /// The value, the lowest byte first.
         value: [u8; EXPEDITED_MAX],
         /// Its bytes, 1 ... 4.
         length: u8,
     },
     /// Begins to write more.
     DownloadBegin {
-        /// Which object.
+        /// The object.
         object: Object,
         /// All its subindices together.
         complete: bool,
@@ -95,18 +95,18 @@ pub enum Request<'a> {
     },
     /// The next segment of a write.
     DownloadSegment {
-        /// Changes with each.
+        /// Alternates with each.
         toggle: bool,
         /// None follows.
         last: bool,
-        /// What it brings.
+        /// Its data.
         data: &'a [u8],
     },
-    /// Gives up.
+    /// Aborts a transfer.
     Abort {
-        /// What was under way.
+        /// The object of the transfer.
         object: Object,
-        /// Why.
+        /// The reason.
         code: AbortCode,
     },
 }
@@ -123,7 +123,7 @@ impl Request<'_> {
         }
     }
 
-    /// Writes it into `out`, which has just its size.
+    /// Writes it into `out`, which has exactly its size.
     pub(super) fn emit(&self, out: &mut [u8]) {
         let toggled = |toggle: bool| if toggle { command::TOGGLE } else { 0 };
         let completed = |complete: bool| if complete { command::COMPLETE } else { 0 };
@@ -160,54 +160,54 @@ impl Request<'_> {
     }
 }
 
-/// What a slave answers.
+/// An answer of the slave.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Response<'a> {
-    /// A value that stands in the message.
+    /// A value in the message.
     Value {
-        /// Of which object.
+        /// The object.
         object: Object,
         /// One to four bytes.
         data: &'a [u8],
     },
     /// A longer one begins.
     Begun {
-        /// Of which object.
+        /// The object.
         object: Object,
-        /// Bytes in all, if it says so.
+        /// Bytes in all, if announced.
         size: Option<u32>,
         /// The first of them.
         data: &'a [u8],
     },
     /// The next segment of a read.
     Segment {
-        /// As it was asked.
+        /// As in the request.
         toggle: bool,
         /// None follows.
         last: bool,
-        /// What it brings.
+        /// Its data.
         data: &'a [u8],
     },
     /// A write is done, or begun.
     Downloaded {
-        /// Of which object.
+        /// The object.
         object: Object,
     },
-    /// A segment of a write was taken.
+    /// A segment of a write was accepted.
     SegmentTaken {
-        /// As it was sent.
+        /// As in the request.
         toggle: bool,
     },
-    /// It cannot be.
+    /// The slave aborts the transfer.
     Abort {
-        /// What was under way.
+        /// The object of the transfer.
         object: Object,
-        /// Why.
+        /// The reason.
         code: AbortCode,
     },
 }
 
-/// Why bytes are no answer.
+/// Why bytes are not an answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ResponseError {
     /// They end within it.
@@ -217,7 +217,7 @@ pub enum ResponseError {
 }
 
 impl<'a> Response<'a> {
-    /// Reads what follows the CoE header, and ends where the mailbox message does.
+    /// Reads the bytes after the CoE header, up to the end of the mailbox message.
     pub fn parse(message: &'a [u8]) -> Result<Response<'a>, ResponseError> {
         let &first = message.first().ok_or(ResponseError::Short)?;
         let toggle = first & command::TOGGLE != 0;
@@ -225,7 +225,7 @@ impl<'a> Response<'a> {
             command::SEGMENT => {
                 let unused = usize::from(first >> 1 & 7);
                 let data = &message[SEGMENT_HEADER..];
-                // A filled segment says what of it is filling; a longer one has none.
+                // A padded segment gives its padding; a longer one has none.
                 let used = if data.len() <= SEGMENT_MIN { SEGMENT_MIN - unused } else { data.len() };
                 let data = data.get(..used).ok_or(ResponseError::Short)?;
                 return Ok(Response::Segment { toggle, last: first & command::LAST != 0, data });
@@ -237,7 +237,7 @@ impl<'a> Response<'a> {
         let object = Object { index: u16::from_le_bytes([low, high]), sub };
         let value = || message.get(4..).and_then(<[u8]>::first_chunk::<4>).ok_or(ResponseError::Short);
         Ok(match first & command::KIND {
-            // Some slaves leave size and data of the request behind.
+            // Some slaves leave size and data of the request in the answer.
             command::DOWNLOADED => Response::Downloaded { object },
             command::UPLOADED if first & command::EXPEDITED != 0 => {
                 let unused = if first & command::SIZED != 0 { usize::from(first >> 2 & 3) } else { 0 };
@@ -255,7 +255,7 @@ impl<'a> Response<'a> {
     }
 }
 
-/// Why an SDO was given up.
+/// Why an SDO was aborted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct AbortCode(pub u32);
 
@@ -264,7 +264,7 @@ impl AbortCode {
     pub const TOGGLE: AbortCode = AbortCode(0x0503_0000);
     /// It took too long.
     pub const TIMED_OUT: AbortCode = AbortCode(0x0504_0000);
-    /// There is no such command.
+    /// An unknown command.
     pub const COMMAND: AbortCode = AbortCode(0x0504_0001);
     /// The object can only be written.
     pub const WRITE_ONLY: AbortCode = AbortCode(0x0601_0001);
@@ -274,18 +274,18 @@ impl AbortCode {
     pub const NOT_COMPLETE: AbortCode = AbortCode(0x0601_0004);
     /// There is no such object.
     pub const NO_OBJECT: AbortCode = AbortCode(0x0602_0000);
-    /// Its length is another one.
+    /// Its length differs.
     pub const LENGTH: AbortCode = AbortCode(0x0607_0010);
     /// There is no such subindex.
     pub const NO_SUB: AbortCode = AbortCode(0x0609_0011);
     /// The value is out of range.
     pub const RANGE: AbortCode = AbortCode(0x0609_0030);
-    /// For a reason that has no code.
+    /// A reason without a code.
     pub const GENERAL: AbortCode = AbortCode(0x0800_0000);
     /// Not in this state.
     pub const STATE: AbortCode = AbortCode(0x0800_0022);
 
-    /// What it stands for; `None`: none that is known.
+    /// Its meaning; `None`: an unknown one.
     pub const fn name(self) -> Option<&'static str> {
         Some(match self.0 {
             0x0503_0000 => "a segment came twice, or one is missing",

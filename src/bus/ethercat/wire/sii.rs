@@ -1,4 +1,4 @@
-//! The slave information, SII: what a slave's EEPROM says of it (ETG.2010; ETG.1000.4, 6.4).
+//! The slave information, SII: the content of a slave's EEPROM (ETG.2010; ETG.1000.4, 6.4).
 //!
 //! It is read word by word through two registers, and it may be absent or wrong: a configuration is checked against it,
 //! not made from it.
@@ -25,12 +25,12 @@ pub mod word {
     pub const CATEGORIES: u16 = 0x40;
 }
 
-/// What is written to the owner register: taken from the slave's processor ...
+/// Values of the owner register: taken from the slave's processor ...
 pub const FORCE: u8 = 2;
 /// ... and given to the master.
 pub const MASTER: u8 = 0;
 
-/// The bytes that begin to read from `word` on, for the control register and the address behind it.
+/// The bytes that start a read from `word` on, for the control register and the address after it.
 pub const fn read(word: u16) -> [u8; 6] {
     let ([a, b], [c, d]) = (Status::READ.to_le_bytes(), word.to_le_bytes());
     [a, b, c, d, 0, 0]
@@ -51,7 +51,7 @@ impl Status {
         self.0 & 1 << 15 != 0
     }
 
-    /// A read brings eight bytes, else four.
+    /// A read returns eight bytes, otherwise four.
     pub const fn reads_eight(self) -> bool {
         self.0 & 1 << 6 != 0
     }
@@ -62,7 +62,7 @@ impl Status {
     }
 }
 
-/// Which mailbox protocols a slave has.
+/// The mailbox protocols of a slave.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Protocols(pub u16);
 
@@ -73,14 +73,14 @@ impl Protocols {
     }
 }
 
-/// Who a slave is.
+/// The identity of a slave.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Identity {
-    /// Its maker.
+    /// Its vendor.
     pub vendor: u32,
-    /// What it is.
+    /// Its product code.
     pub product: u32,
-    /// Which form of it.
+    /// Its revision.
     pub revision: u32,
 }
 
@@ -98,7 +98,7 @@ impl Category {
     pub const STRINGS: u16 = 10;
     /// General.
     pub const GENERAL: u16 = 30;
-    /// What each FMMU is for.
+    /// The use of each FMMU.
     pub const FMMU: u16 = 40;
     /// SyncManagers, eight bytes each.
     pub const SYNC_MANAGERS: u16 = 41;
@@ -108,7 +108,7 @@ impl Category {
     pub const RX_PDO: u16 = 51;
     const END: u16 = 0xFFFF;
 
-    /// Reads its two words; `None`: there is none any more.
+    /// Reads its two words; `None`: no further category.
     pub const fn new(words: [u8; 4]) -> Option<Category> {
         let [a, b, c, d] = words;
         let (kind, words) = (u16::from_le_bytes([a, b]), u16::from_le_bytes([c, d]));
@@ -116,10 +116,10 @@ impl Category {
     }
 }
 
-/// What a SyncManager is for.
+/// The use of a SyncManager.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Use {
-    /// None, or its maker's.
+    /// None, or a manufacturer's own.
     Other(u8),
     /// The mailbox that the master writes.
     MailboxOut,
@@ -144,7 +144,7 @@ pub fn sync_manager(entry: [u8; 8]) -> (SyncManager, Use) {
     (SyncManager::new([a, b, c, d, control, 0, enable & 1, 0]), usage)
 }
 
-/// The check of the first 14 bytes that stands in word 7.
+/// The checksum of the first 14 bytes, which is in word 7.
 pub fn crc(config: &[u8; 14]) -> u8 {
     config.iter().fold(0xFF, |crc, byte| {
         (0..8).fold(crc ^ byte, |crc, _| if crc & 0x80 != 0 { crc << 1 ^ 0x07 } else { crc << 1 })
@@ -187,7 +187,7 @@ mod tests {
 
     #[test]
     fn the_check_is_that_of_its_polynomial() {
-        // Of nothing but the start value: fourteen bytes of 0 divide it on.
+        // Of the start value alone: fourteen bytes of 0 divide it further.
         let mut byte_by_byte = 0xFF_u8;
         for _ in 0..14 * 8 {
             byte_by_byte =

@@ -1,8 +1,8 @@
-//! What is known of each motion command, as data: its name, where it may be used, and the fields behind its header.
+//! What is known of each motion command, as data: its name, where it may be used, and the fields after its header.
 //!
 //! Knows the layout of the catalogue, not its contents: those are in `commands`.
 //!
-//! The fields of a command follow each other without a gap, the first one behind the header, so that their order is
+//! The fields of a command follow each other without a gap, the first one after the header, so that their order is
 //! their layout. No command has more than [`FIELDS`].
 
 use super::MotionCommand;
@@ -24,26 +24,26 @@ pub struct CommandInfo {
     pub id: u16,
     /// Its name in files: `vai-go-to`.
     pub name: &'static str,
-    /// What there is to know before it is sent.
+    /// What has to be known before it is sent.
     pub marks: &'static [Mark],
-    /// What it carries, in the order of the wire.
+    /// Its fields, in the order of the wire.
     pub fields: &'static [Field],
 }
 
-/// What there is to know of a command before it is sent.
+/// What has to be known of a command before it is sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mark {
-    /// It does something inside the command table only.
+    /// It has an effect inside the command table only.
     TableOnly,
     /// The drive needs a software key for it.
     SoftwareKey,
-    /// It is not in the manual of 2014: older firmware does not know it.
+    /// It is not in the manual of 2014: older firmware does not have it.
     Newer,
     /// Its layout, or which of two like commands it is, is not certain.
     Assumed,
 }
 
-/// A value behind a header.
+/// A value after a header.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Field {
     /// Its name in files: `velocity`.
@@ -71,13 +71,13 @@ impl CommandInfo {
         self.marks.contains(&mark)
     }
 
-    /// Bytes that its fields take behind the header.
+    /// Bytes of its fields after the header.
     pub fn size(&self) -> usize {
         self.fields.last().map_or(0, |field| field.at + field.kind.size() - HEADER)
     }
 
-    /// The wire integers of its fields in `parameters`, the bytes behind a header; 0 where it has no field. Some may be
-    /// out of their range, for a drive holds what it was given.
+    /// The wire integers of its fields in `parameters`, the bytes after a header; 0 where it has no field. Some may
+    /// be out of their range, since a drive stores what it was given.
     pub fn values(&self, parameters: &[u8]) -> [i64; FIELDS] {
         let mut values = [0; FIELDS];
         for (value, field) in values.iter_mut().zip(self.fields) {
@@ -86,8 +86,8 @@ impl CommandInfo {
         values
     }
 
-    /// The command with these wire integers in its fields, those left out 0; refused with the field that is out of its
-    /// range.
+    /// The command with these wire integers in its fields, missing ones 0; refused with the field that is out of
+    /// its range.
     pub fn command(&self, values: &[i64]) -> Result<MotionCommand, (Field, RangeError)> {
         let mut command = MotionCommand::new(self.id);
         for (index, field) in self.fields.iter().enumerate() {
@@ -100,7 +100,7 @@ impl CommandInfo {
 }
 
 impl Field {
-    /// Its wire integer in `parameters`, the bytes behind a header; bytes that are missing are 0.
+    /// Its wire integer in `parameters`, the bytes after a header; missing bytes are 0.
     pub fn read(&self, parameters: &[u8]) -> i64 {
         let place = parameters.get(self.at - HEADER..).unwrap_or_default();
         let mut bytes = [0; 4];
@@ -115,8 +115,8 @@ impl Field {
         }
     }
 
-    /// Writes a wire integer into `parameters`, the bytes behind a header. Its range is the caller's business; what
-    /// does not fit into its bytes is cut off.
+    /// Writes a wire integer into `parameters`, the bytes after a header. The caller checks its range; excess bits
+    /// are cut off.
     pub fn write(&self, parameters: &mut [u8], value: i64) {
         let place = parameters.get_mut(self.at - HEADER..).unwrap_or_default();
         for (byte, written) in place.iter_mut().zip(value.to_le_bytes()).take(self.kind.size()) {
@@ -125,7 +125,7 @@ impl Field {
     }
 }
 
-/// A command while its fields are filled in, one behind the other.
+/// A command while its fields are filled in, one after the other.
 pub(super) struct Filling {
     pub(super) command: MotionCommand,
     filled: usize,
@@ -150,7 +150,7 @@ impl Filling {
     }
 }
 
-/// The fields of these names and kinds, one behind the other.
+/// The fields of these names and kinds, one after the other.
 pub(super) const fn lay_out<const N: usize>(fields: [(&'static str, Kind); N]) -> [Field; N] {
     assert!(N <= FIELDS);
     let mut laid = [Field { name: "", at: HEADER, kind: Kind::Bits }; N];
@@ -176,7 +176,7 @@ pub(super) const fn kebab<const N: usize>(name: &str) -> [u8; N] {
     kebab
 }
 
-/// [`CommandInfo::of`] looks an id up by halving.
+/// [`CommandInfo::of`] looks an id up by binary search.
 pub(super) const fn rises(catalogue: &[CommandInfo]) -> bool {
     let mut index = 1;
     while index < catalogue.len() {

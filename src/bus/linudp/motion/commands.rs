@@ -1,7 +1,7 @@
 //! Every motion command of the manual: id, name, marks, fields in their order on the wire.
 //!
-//! The list from which all else is made: the constructors of [`MotionCommand`], the [`CATALOGUE`], and with that the
-//! names, layouts and ranges of the command-table files. The names are those files' and stay as they are. Where the
+//! The constructors of [`MotionCommand`] and the [`CATALOGUE`] are made from this list, and with that the names,
+//! layouts and ranges of the command-table files. The names are those of the files and stay as they are. Where the
 //! sources give a layout without a meaning, a command is called by its number.
 //!
 //! Sources: SG5 manual 4.3.4; the marks say where it does not reach. Where the header that it prints differs from the
@@ -28,7 +28,7 @@ commands! {
     controller_set = 0x005 [] (set: ControllerSet);
     /// Disarms trigger and after-actual commands.
     clear_events = 0x008 [] ();
-    /// The place where the motor stands is `position`, and it is homed.
+    /// The present position of the motor becomes `position`, and it is homed.
     master_homing = 0x009 [] (position: Position);
     /// Restarts the whole firmware. Send it with count 0 only, or the drive reboots in a loop.
     reset_firmware = 0x00F [] ();
@@ -210,13 +210,13 @@ commands! {
 
     /// Starts a cam `delay` counts behind the actual ones.
     cam_from_actual_counts = 0x064 [Assumed] (curve: CurveId, delay: Counts);
-    /// Starts a cam `delay` counts behind the rising edge of the trigger.
+    /// Starts a cam `delay` counts after the rising edge of the trigger.
     cam_on_rising_trigger = 0x069 [] (curve: CurveId, delay: Counts);
     /// Like 069x; the cam ends at `position` after `length` counts.
     cam_to_position_on_rising_trigger = 0x06A [] (
         curve: CurveId, delay: Counts, position: Position, length: Counts
     );
-    /// Starts a cam `delay` counts behind the falling edge of the trigger.
+    /// Starts a cam `delay` counts after the falling edge of the trigger.
     cam_on_falling_trigger = 0x06B [] (curve: CurveId, delay: Counts);
     /// Like 06Bx; the cam ends at `position` after `length` counts.
     cam_to_position_on_falling_trigger = 0x06C [] (

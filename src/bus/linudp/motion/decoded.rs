@@ -1,7 +1,7 @@
-//! A motion command as a drive reads it: all that it executes, whatever way it is spelled.
+//! A motion command as a drive reads it: everything that it executes, independent of its encoding.
 //!
-//! Values are wire integers, units as in `values`; they may be out of the range that means something, for a drive has
-//! to take what comes.
+//! Values are wire integers, units as in `values`; they may be out of their meaningful range, since a drive has to
+//! take what comes.
 
 use super::catalogue::CommandInfo;
 use super::meaning::meaning;
@@ -17,16 +17,16 @@ pub enum Decoded {
     ControlWord(u16),
     /// 002x.
     LiveParameter {
-        /// Which.
+        /// The parameter.
         upid: u16,
-        /// Raw.
+        /// Its raw value.
         value: u32,
     },
     /// 003x, 004x: digital outputs.
     Outputs {
         /// Of X6, else of X4 or X14.
         x6: bool,
-        /// Which of them.
+        /// The outputs that change.
         mask: u16,
         /// Their levels.
         value: u16,
@@ -123,11 +123,11 @@ pub enum Decoded {
     ModifyCurve {
         /// The curve's id.
         curve: u16,
-        /// Into its info block, else into its setpoints.
+        /// Into its info block, otherwise into its setpoints.
         info: bool,
-        /// Where.
+        /// The offset.
         offset: u16,
-        /// What.
+        /// The values.
         values: Written,
     },
     /// 064x ... 06Ex: an encoder cam that runs after a delay.
@@ -187,9 +187,9 @@ pub enum Decoded {
     ModifyEntry {
         /// Its id.
         entry: u16,
-        /// Where, counted from its beginning.
+        /// Offset from its beginning.
         offset: u16,
-        /// What.
+        /// The value.
         value: Written,
     },
     /// 210x ... 22Fx: the command table waits.
@@ -198,7 +198,7 @@ pub enum Decoded {
     Variable {
         /// 1 or 2.
         variable: u8,
-        /// Add, else set.
+        /// Add, otherwise set.
         add: bool,
         /// Raw.
         value: i32,
@@ -207,21 +207,21 @@ pub enum Decoded {
     VariableToUpid {
         /// 1 or 2.
         variable: u8,
-        /// Which parameter.
+        /// The parameter.
         upid: u16,
     },
     /// 24Cx, 24Dx: a variable is read from a parameter or variable of the drive.
     UpidToVariable {
         /// 1 or 2.
         variable: u8,
-        /// From where.
+        /// The source.
         upid: u16,
     },
     /// 24Ex: a parameter is copied from RAM to ROM.
     UpidToRom(u16),
     /// 250x ... 266x: the command table goes on with one of two entries.
     If {
-        /// On what it depends.
+        /// The condition.
         condition: Condition,
         /// The entry if it holds.
         if_true: u16,
@@ -230,7 +230,7 @@ pub enum Decoded {
     },
     /// 304x, 305x, 310x, 311x.
     Winding {
-        /// Which of them.
+        /// Its id.
         id: u16,
         /// Its number, if it has one.
         number: u16,
@@ -239,7 +239,7 @@ pub enum Decoded {
     },
     /// 380x ... 389x but for 382x: a move with force control.
     Force {
-        /// Which of them.
+        /// Its id.
         id: u16,
         /// A position or a distance, 0.1 um.
         value: i32,
@@ -378,31 +378,31 @@ pub struct CurveStart {
 pub enum CurveFit {
     /// Not at all.
     Plain,
-    /// So that it ends there.
+    /// So that it ends at this position.
     Target(i32),
-    /// So that it ends there after that time.
+    /// So that it ends at this position after this time.
     TargetInTime {
-        /// Where.
+        /// The position.
         target: i32,
-        /// After what time.
+        /// The time.
         time: i32,
     },
     /// By scales.
     Scaled {
         /// Added to each position.
         offset: i32,
-        /// Of its own time.
+        /// In relation to its own time.
         time_scale: u16,
-        /// Of its own amplitude.
+        /// In relation to its own amplitude.
         amplitude: i16,
     },
-    /// By an amplitude, and so that it takes that time.
+    /// By an amplitude, and so that it takes this time.
     InTime {
         /// Added to each position.
         offset: i32,
-        /// What it takes.
+        /// Its duration.
         time: i32,
-        /// Of its own amplitude.
+        /// In relation to its own amplitude.
         amplitude: i16,
     },
 }
@@ -412,13 +412,13 @@ pub enum CurveFit {
 pub enum CamFit {
     /// Not at all.
     Plain,
-    /// So that it ends there.
+    /// So that it ends at this position.
     Target(i32),
-    /// So that it ends there after that length.
+    /// So that it ends at this position after this length.
     TargetOver {
-        /// Where.
+        /// The position.
         target: i32,
-        /// After what length.
+        /// The length.
         length: i32,
     },
     /// From one position to another.
@@ -427,19 +427,19 @@ pub enum CamFit {
         start: i32,
         /// Where it ends.
         target: i32,
-        /// After what length.
+        /// The length.
         length: i32,
     },
     /// By an amplitude, over that length.
     Scaled {
-        /// Of its own amplitude.
+        /// In relation to its own amplitude.
         amplitude: i16,
-        /// How long it is.
+        /// Its length.
         length: i32,
     },
 }
 
-/// What is written into a curve or an entry.
+/// A value written into a curve or an entry.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Written {
     /// 16 bits.
@@ -468,11 +468,11 @@ pub enum Wait {
         /// The rising one, else the falling one.
         rising: bool,
     },
-    /// That this holds.
+    /// Until this holds.
     Until(Comparison),
 }
 
-/// Something that the drive knows, and a limit.
+/// A quantity of the drive, and a limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Comparison {
     /// What is compared.
@@ -506,25 +506,25 @@ pub enum Quantity {
     AnalogInput,
 }
 
-/// On what a branch depends.
+/// The condition of a branch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Condition {
-    /// That this holds.
+    /// This comparison holds.
     Compare(Comparison),
-    /// That a word equals `value` in the bits of `mask`.
+    /// A word equals `value` in the bits of `mask`.
     Masked {
-        /// Which word.
+        /// The word.
         word: Word,
         /// The bits that count.
         mask: u16,
-        /// What they must be.
+        /// Their required values.
         value: u16,
     },
     /// 266x: the sources do not say.
     Unknown(i32),
 }
 
-/// A word that a branch may look at.
+/// A word that a branch may read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Word {
     /// The inputs X4.
@@ -538,7 +538,7 @@ pub enum Word {
 }
 
 impl Decoded {
-    /// What `block` says; its count is not looked at.
+    /// The meaning of `block`; its count is ignored.
     pub fn of(block: &MotionBlock) -> Decoded {
         CommandInfo::of(block.header >> 4)
             .and_then(|info| meaning(info, info.values(&block.parameters)))

@@ -1,6 +1,5 @@
-//! One vector for each command, with offsets and types as the SG5 manual gives them: its constructor, and the block up
-//! to the last parameter, with count 5. No two bytes of a value are the same, so that none can stand in another's
-//! place.
+//! One vector for each command, with offsets and types as the SG5 manual gives them: its constructor, and the block
+//! up to the last parameter, with count 5. No two bytes of a value are the same, so that a swapped byte is found.
 
 use super::*;
 use crate::axis::RangeError;

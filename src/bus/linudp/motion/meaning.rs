@@ -1,6 +1,6 @@
-//! From the id of a command and the values of its fields to what it says.
+//! From the id of a command and the values of its fields to its meaning.
 //!
-//! Knows the meaning of every command of the catalogue and the place of none: fields come in their order.
+//! Knows the meaning of every command of the catalogue and the offsets of none: fields come in their order.
 
 use super::catalogue::{CommandInfo, FIELDS};
 use super::decoded::*;
@@ -223,8 +223,8 @@ fn jerk(info: &CommandInfo, values: [i64; FIELDS]) -> u32 {
     jerk.map_or(0, |(_, value)| value as u32)
 }
 
-/// A move of this kind. Of its fields there may be a position, then a velocity, then none, one or two accelerations; a
-/// single one is the deceleration too, but in the family 0B, which has none.
+/// A move of this kind. Its fields may be a position, then a velocity, then none, one or two accelerations; a
+/// single one is the deceleration too, except in the family 0B, which has none.
 fn profile(
     info: &CommandInfo,
     values: &[i64; FIELDS],

@@ -1,5 +1,5 @@
-//! The values that motion commands carry: one type a quantity, over its wire integer, so that no velocity is taken for
-//! an acceleration. And [`Kind`], the same quantities as data, for whoever walks the catalogue.
+//! The values of motion commands: one type per quantity, over its wire integer, so that a velocity cannot be passed
+//! as an acceleration; and [`Kind`], the same quantities as data, for code that walks the catalogue.
 //!
 //! Knows no command. One wire count is always a power of ten of the user unit, so that a value in user units has a
 //! finite number of decimals and goes to the wire and back without loss. Every conversion rounds to nearest and checks
@@ -48,7 +48,7 @@ macro_rules! kinds {
                 match self { $(Kind::$name => $decimals,)* }
             }
 
-            /// The smallest and the largest wire integer that means something.
+            /// The smallest and the largest valid wire integer.
             pub const fn range(self) -> (i64, i64) {
                 match self { $(Kind::$name => kinds!(@range $int $($low $high)?),)* }
             }
@@ -143,7 +143,7 @@ kinds! {
     CurveId: u16 in 1..=100, "", 0;
     /// A position controller set: 0 is A, 1 is B.
     ControllerSet: u16 in 0..=1, "", 0;
-    /// A mask, or what it is compared with, or a control word.
+    /// A mask, or the value that it is compared with, or a control word.
     Bits: u16, "", 0;
     /// A place inside a curve or an entry of the command table.
     Offset: u16, "", 0;
@@ -182,7 +182,7 @@ impl Kind {
         wire as f64 / self.scale()
     }
 
-    /// Whether a wire integer means something; the error counts in wire integers.
+    /// Whether a wire integer is valid; the error counts in wire integers.
     pub const fn check(self, wire: i64) -> Result<(), RangeError> {
         let (low, high) = self.range();
         if low <= wire && wire <= high {

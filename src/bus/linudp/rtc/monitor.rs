@@ -1,20 +1,20 @@
-//! What the drive is to show on its monitoring channels: looked at, and written where it differs.
+//! The sources of the drive's monitoring channels: read, and written where they differ.
 
 use super::super::upid::{self, Upid};
 use super::super::wire::RtcCommand;
 use crate::axis::acyclic::{Answer, Call, CallError};
 
-/// A channel that the drive has not answered for so often is given up.
+/// A channel that the drive has left unanswered so often is given up.
 const MOST_TRIES: u8 = 3;
 
-/// Has the drive monitor the sources of the plan: looks first, and writes (RAM only) what is different.
+/// Sets the sources of the plan in the drive: reads first, and writes (RAM only) what differs.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Monitor {
     sources: [Option<Upid>; 4],
     shown: [bool; 4],
     channel: usize,
     writing: bool,
-    /// Times that the present channel was asked for in vain.
+    /// Failed attempts on the present channel.
     tries: u8,
     /// A source that the drive refused, with its status, or with 0 if it never answered.
     pub(super) refused: Option<(u8, u32)>,
@@ -25,7 +25,7 @@ impl Monitor {
         Monitor { sources, shown: [false; 4], channel: 0, writing: false, tries: 0, refused: None }
     }
 
-    /// The drive may have forgotten.
+    /// The drive may have lost its settings.
     pub(super) fn forget(&mut self) {
         (self.shown, self.channel, self.writing, self.tries) = ([false; 4], 0, false, 0);
     }

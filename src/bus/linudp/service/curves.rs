@@ -1,4 +1,4 @@
-//! Curves: read, written, saved. They live in RAM until they are saved; the drive knows no way to delete a single one.
+//! Curves: read, written, saved. They live in RAM until they are saved; a single one cannot be deleted.
 
 use std::ops::ControlFlow;
 
@@ -7,19 +7,19 @@ use crate::bus::linudp::curve::Curve;
 use crate::bus::linudp::motion::Kind;
 use crate::bus::linudp::wire::{Refusal, RtcCommand};
 
-/// What putting a curve comes to.
+/// What writing a curve involves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CurvePut {
     /// The drive has none of this number: it is added.
     Add,
     /// The drive has one of the same size: it is overwritten in place.
     Modify,
-    /// The drive has one of another size. It can only delete all curves at once: the others are read first, and written
-    /// again.
+    /// The drive has one of another size. It can only delete all curves at once: the others are read first, and
+    /// written again.
     Rebuild,
 }
 
-/// A curve as the drive holds it, whatever its bytes mean.
+/// A curve as the drive holds it, valid or not.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Raw {
     info: Vec<u8>,
@@ -43,7 +43,7 @@ const ADD: Steps = [RtcCommand::ADD_CURVE, RtcCommand::ADD_CURVE_INFO, RtcComman
 const MODIFY: Steps =
     [RtcCommand::MODIFY_CURVE, RtcCommand::MODIFY_CURVE_INFO, RtcCommand::MODIFY_CURVE_DATA];
 
-/// What is to be done when RAM could not be put right.
+/// The remedy when RAM could not be restored.
 const REMEDY: &str =
     "restart the drive, it comes up with the curves that its flash holds; what was not saved is lost";
 
@@ -71,14 +71,14 @@ impl Services<'_> {
         }
     }
 
-    /// How [`put_curve`](Self::put_curve) would go about it.
+    /// How [`put_curve`](Self::put_curve) would write it.
     pub fn plan_curve(&self, curve: &Curve) -> Result<CurvePut, ServiceError> {
         let new = self.encoded(curve)?;
         self.way(curve.id, &new)
     }
 
-    /// Writes a curve to the drive's RAM and reads it back. Broken off or failed, what was there before is written
-    /// again, and read back too. A drive that is running this very curve may jerk.
+    /// Writes a curve to the drive's RAM and reads it back. If it is cancelled or fails, the previous content is
+    /// written again, and read back too. A drive that is running this very curve may jerk.
     pub fn put_curve(&self, curve: &Curve, watch: Watcher<'_>) -> Result<(), ServiceError> {
         let (id, new) = (curve.id, self.encoded(curve)?);
         let steps = match self.way(id, &new)? {
@@ -92,8 +92,8 @@ impl Services<'_> {
         Err(after(failed, self.restore_curve(id, old.as_ref()), REMEDY))
     }
 
-    /// Puts back what stood at `id`, whatever is there now: a part of another curve, or what flash held if the drive
-    /// has restarted.
+    /// Restores the previous curve at `id`, whatever is there now: a part of another curve, or the content of the
+    /// flash if the drive has restarted.
     fn restore_curve(&self, id: u16, old: Option<&Raw>) -> Result<(), ServiceError> {
         let Some(old) = old else {
             return match self.curve_sizes(id)? {
@@ -191,8 +191,8 @@ impl Services<'_> {
         }
     }
 
-    /// Deletes all curves and writes them again, that of `id` as `new`, or without it: what stands there then is a part
-    /// of one.
+    /// Deletes all curves and writes them again, that of `id` as `new`, or without it: the present one is then only
+    /// a part of a curve.
     fn rebuild(&self, id: u16, new: Option<&Raw>, watch: Watcher<'_>) -> Result<(), ServiceError> {
         let mut old = Vec::new();
         for known in self.curves()?.into_iter().filter(|known| new.is_some() || *known != id) {

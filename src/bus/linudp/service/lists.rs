@@ -1,4 +1,4 @@
-//! Which parameters a drive has, and which differ from their defaults.
+//! The parameters that a drive has, and those that differ from their defaults.
 
 use super::log::plain;
 use super::{Progress, ServiceError, Services, Watcher};
@@ -6,13 +6,13 @@ use crate::axis::acyclic::Answer;
 use crate::bus::linudp::upid::{Upid, Usage, call};
 use crate::bus::linudp::wire::{Refusal, RtcCommand};
 
-/// Pieces of a text, at most.
+/// The most pieces of a text.
 const LONGEST_TEXT: u16 = 16;
 
 /// One parameter of a list.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ListItem {
-    /// Which.
+    /// Its number.
     pub upid: Upid,
     /// How it can be used.
     pub usage: Usage,
@@ -36,7 +36,7 @@ impl Services<'_> {
         Ok(items.iter().map(|answer| (Upid(answer.address as u16), answer.value as u32)).collect())
     }
 
-    /// A text, from its first four bytes on: the pieces stand at consecutive UPIDs.
+    /// A text, from its first four bytes on: the pieces are at consecutive UPIDs.
     pub fn text(&self, first: Upid) -> Result<String, ServiceError> {
         let mut bytes = Vec::new();
         for piece in 0..LONGEST_TEXT {
@@ -59,7 +59,7 @@ impl Services<'_> {
         Ok(plain(&bytes))
     }
 
-    /// How far it is, is told by the numbers that it has come past: how many parameters there are, no drive says.
+    /// Progress is measured by the UPID numbers passed: no drive reports how many parameters it has.
     fn list(
         &self,
         start: RtcCommand,
@@ -69,7 +69,7 @@ impl Services<'_> {
     ) -> Result<Vec<Answer>, ServiceError> {
         self.command(start, first.0, 0, super::USUAL)?;
         let (more, mut items) = (vec![call(next, 0, 0); self.at_once()], Vec::new());
-        // There are no more UPIDs than numbers of 16 bits; a drive that goes on for ever is not believed.
+        // There are no more UPIDs than numbers of 16 bits; a longer list is refused.
         while items.len() <= usize::from(u16::MAX) {
             match self.until_refused(&more)? {
                 (answers, None) => {

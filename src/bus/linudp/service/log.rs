@@ -10,7 +10,7 @@ const ENTRIES: u16 = 21;
 /// A text is 8 pieces of 4 characters.
 const PIECES: u32 = 8;
 
-/// What a drive has logged.
+/// The drive's error log.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ErrorLog {
     /// Entries that it keeps.
@@ -62,7 +62,7 @@ impl Services<'_> {
     }
 }
 
-/// ASCII up to the first zero; what could steer a terminal is left out.
+/// ASCII up to the first zero; control characters for a terminal are removed.
 pub(super) fn plain(bytes: &[u8]) -> String {
     let text = bytes.split(|byte| *byte == 0).next().unwrap_or_default();
     text.iter().map(|byte| char::from(*byte)).filter(|c| c.is_ascii_graphic() || *c == ' ').collect()

@@ -1,18 +1,19 @@
-//! What a LinMot drive offers beside its parameters: lists, curves, command table, error log, its software, its flash.
+//! What a LinMot drive offers besides its parameters: lists, curves, command table, error log, its software, its
+//! flash.
 //!
-//! Everything here blocks, on normal threads, over any [`Carrier`]: the queue of a master in this process, or that of
-//! another process. Each service is a series of calls on the real-time-config channel, one a cycle at most.
+//! Everything here blocks, on normal threads, over any [`Carrier`]: the queue of a master in this process, or that
+//! of another process. Each service is a series of calls on the real-time-config channel, at most one per cycle.
 //!
 //! | file | what |
 //! |---|---|
 //! | `mod` | the services of one drive, their errors |
-//! | `lists` | which parameters there are, and which were changed |
+//! | `lists` | the parameters that exist, and those that were changed |
 //! | `software` | restart, stop and start, defaults |
 //! | `curves` | curves: read, written, saved |
 //! | `table` | the command table: read, written, saved |
 //! | `log` | the error log and the texts of errors |
 //!
-//! Facts: LinUDP V2 manual, chapter 7; what real drives do in the order of it is known from masters in the field.
+//! Facts: LinUDP V2 manual, chapter 7; the order in which real drives do it is known from masters in the field.
 
 mod curves;
 mod lists;
@@ -35,14 +36,14 @@ use super::upid::call;
 use super::wire::{Refusal, RtcCommand, RtcStatus};
 use crate::axis::acyclic::{Acyclic, Answer, Call, CallError, Carrier, Condition};
 
-/// A command that only looks or writes to RAM.
+/// A command that only reads or writes to RAM.
 const USUAL: Duration = Duration::from_secs(1);
 /// Stopping, starting, resetting to defaults.
 const SLOW: Duration = Duration::from_secs(20);
-/// Saving to flash: 39 to 75 s and more were met on a C1250, without any answer meanwhile.
+/// Saving to flash: 39 to 75 s and more were seen on a C1250, without any answer meanwhile.
 const FLASH: Duration = Duration::from_secs(180);
-/// Calls that are posted at once, at most: so often is there progress, and a chance to break off. A parameter that
-/// somebody else asks for meanwhile stands behind no more than these, and finds room in the queue.
+/// The most calls that are posted at once: progress is reported, and cancelling is possible, at this interval. A
+/// parameter request from elsewhere waits behind no more than these, and finds room in the queue.
 const AT_ONCE: usize = 16;
 
 /// The services of one drive. One holder at a time: a drive has one list and one block transfer.
@@ -58,7 +59,7 @@ impl std::fmt::Debug for Services<'_> {
     }
 }
 
-/// Why a service did not come about.
+/// Why a service failed.
 #[derive(Clone, PartialEq, Error)]
 pub enum ServiceError {
     /// The drive refused a command, or did not carry it out.
@@ -66,22 +67,22 @@ pub enum ServiceError {
     Call {
         /// The drive.
         drive: String,
-        /// The command, and of what.
+        /// The command, and its object.
         what: String,
-        /// Why not.
+        /// The reason.
         why: String,
         /// The same, to match on.
         error: CallError,
     },
-    /// Somebody else uses what the drive has one of.
+    /// A resource that a drive has only one of is in use.
     #[error("drive {drive}: {error}")]
     Claimed {
         /// The drive.
         drive: String,
-        /// Why not.
+        /// The reason.
         error: CallError,
     },
-    /// It is of another protocol.
+    /// The drive is of another protocol.
     #[error("drive {drive} is not a LinMot drive, and only that has these services")]
     NotLinMot {
         /// The drive.
@@ -92,22 +93,23 @@ pub enum ServiceError {
     Powered {
         /// The drive.
         drive: String,
-        /// What.
+        /// The service.
         what: &'static str,
     },
-    /// What was read is not what the manual says.
+    /// The data read do not match the manual.
     #[error("drive {drive}: {what}: {why}")]
     Content {
         /// The drive.
         drive: String,
-        /// Of what.
+        /// Their object.
         what: String,
         /// What is wrong with it.
         why: String,
     },
-    /// Its software was stopped for a service, and nobody knows that it runs again.
+    /// Its software was stopped for a service, and was not confirmed to run again.
     #[error(
-        "{}its software may be stopped still ({start}); `fieldbeat linmot software start` starts it once the drive answers",
+        "{}its software may still be stopped ({start}); `fieldbeat linmot software start` starts it once the \
+         drive answers",
         before(.failed)
     )]
     Stopped {
@@ -116,28 +118,28 @@ pub enum ServiceError {
         /// Why its software could not be started.
         start: Box<ServiceError>,
     },
-    /// Broken off. What the drive had before is there again.
+    /// Cancelled. The drive has its previous content again.
     #[error("drive {drive}: {what} was interrupted; the drive has what it had before")]
     BrokenOff {
         /// The drive.
         drive: String,
-        /// What.
+        /// The service.
         what: String,
     },
-    /// It failed, and so did putting back what the drive had before.
-    #[error("{failed}; and what the drive had before could not be put back ({restore}): {remedy}")]
+    /// It failed, and restoring the previous content failed too.
+    #[error("{failed}; and its previous content could not be restored ({restore}): {remedy}")]
     Half {
-        /// Why it failed.
+        /// The first failure.
         failed: Box<ServiceError>,
-        /// Why the old content is not back.
+        /// Why the previous content is not back.
         restore: Box<ServiceError>,
-        /// What is to be done.
+        /// The remedy.
         remedy: &'static str,
     },
 }
 crate::errors::debug_as_display!(ServiceError);
 
-/// What came before that its software was to be started.
+/// The message part about what preceded the start of its software.
 fn before(failed: &Option<Box<ServiceError>>) -> String {
     match failed {
         Some(failed) => format!("{failed}; and "),
@@ -155,22 +157,22 @@ impl ServiceError {
     }
 }
 
-/// How far a transfer is.
+/// The progress of a transfer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Progress {
-    /// What is going on.
+    /// The present activity.
     pub what: &'static str,
-    /// Of its steps, so many are done ...
+    /// Steps done ...
     pub done: usize,
     /// ... of so many.
     pub of: usize,
 }
 
-/// Whoever wants to know how far a transfer is; breaks it off by saying so.
+/// Receives the progress of a transfer; its return value can cancel it.
 pub type Watcher<'a> = &'a mut dyn FnMut(Progress) -> ControlFlow<()>;
 
 impl<'a> Services<'a> {
-    /// Those of a drive of a master in this process.
+    /// The services of a drive of a master in this process.
     pub fn of(acyclic: &'a Acyclic) -> Result<Services<'a>, ServiceError> {
         if acyclic.notation().protocol() != super::PROTOCOL {
             return Err(ServiceError::NotLinMot { drive: acyclic.axis().to_owned() });
@@ -178,7 +180,7 @@ impl<'a> Services<'a> {
         Services::over(acyclic.axis(), acyclic)
     }
 
-    /// Those of LinMot drive `drive` over `carrier`.
+    /// The services of LinMot drive `drive` over `carrier`.
     pub fn over(drive: &str, carrier: &'a dyn Carrier) -> Result<Services<'a>, ServiceError> {
         let claimed = carrier.claim();
         let claim = claimed.map_err(|error| ServiceError::Claimed { drive: drive.to_owned(), error })?;
@@ -213,7 +215,7 @@ impl<'a> Services<'a> {
         limit: Duration,
     ) -> Result<Answer, ServiceError> {
         let answers = self.series(&[call(command, index, value)], limit)?;
-        // A series without a failure has an answer a call.
+        // A series without a failure has one answer per call.
         Ok(answers.first().copied().unwrap_or_default())
     }
 
@@ -226,7 +228,7 @@ impl<'a> Services<'a> {
         }
     }
 
-    /// Commands until the drive refuses one, whose refusal comes with what it answered before.
+    /// Commands until the drive refuses one; returns the refusal with the earlier answers.
     fn until_refused(&self, calls: &[Call]) -> Result<(Vec<Answer>, Option<Refusal>), ServiceError> {
         let series = self.carrier.run(calls, USUAL);
         match series.failed {
@@ -282,8 +284,8 @@ impl<'a> Services<'a> {
         Ok(Some(block))
     }
 
-    /// A drive that takes the end of a block for its middle, or the other way round, counts otherwise than this master.
-    /// Within an entry of the command table a status of done is let pass: some drives say so.
+    /// A drive that takes the end of a block for its middle, or the other way round, counts differently from this
+    /// master. Within an entry of the command table a status of done is accepted: some drives report it.
     fn check_step(
         &self,
         command: RtcCommand,
@@ -293,7 +295,7 @@ impl<'a> Services<'a> {
     ) -> Result<(), ServiceError> {
         let in_table = matches!(command, RtcCommand::WRITE_ENTRY_DATA | RtcCommand::GET_ENTRY_DATA);
         let why = match RtcStatus::of(answer.status as u8) {
-            RtcStatus::BlockNotFinished if last => "the drive waits for more: it counts another size",
+            RtcStatus::BlockNotFinished if last => "the drive expects more data: it counts another size",
             RtcStatus::Done if !last && !in_table => "the drive ends too early: it counts another size",
             _ => return Ok(()),
         };
@@ -334,7 +336,7 @@ fn padded(piece: &[u8]) -> [u8; 4] {
     bytes
 }
 
-/// What is told after a failure, when the old content was put back, or was not.
+/// The message after a failure: whether the previous content was restored.
 fn after(failed: ServiceError, restored: Result<(), ServiceError>, remedy: &'static str) -> ServiceError {
     match restored {
         Ok(()) => failed,
@@ -342,7 +344,7 @@ fn after(failed: ServiceError, restored: Result<(), ServiceError>, remedy: &'sta
     }
 }
 
-/// For whoever wants to know nothing, and goes on.
+/// For callers without interest in progress; always continues.
 fn quiet(_: Progress) -> ControlFlow<()> {
     ControlFlow::Continue(())
 }

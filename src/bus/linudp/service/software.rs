@@ -1,4 +1,4 @@
-//! The drive's software: restart, stop and start, parameters back to their defaults.
+//! The drive's software: restart, stop and start, and resetting parameters to their defaults.
 
 use std::time::Duration;
 
@@ -8,8 +8,8 @@ use crate::bus::linudp::UNACKNOWLEDGED;
 use crate::bus::linudp::upid::call;
 use crate::bus::linudp::wire::{Refusal, RtcCommand};
 
-/// For so long a drive is asked to start its software again. It may be silent at first: beyond [`FLASH`], by which a
-/// save that is lost has failed, it has always answered.
+/// For so long, starting the drive's software is retried. The drive may be silent at first: it has always answered
+/// after [`FLASH`], by which a lost save has failed.
 const PATIENCE: Duration = Duration::from_secs(60);
 
 /// A part of a drive's parameters.
@@ -26,7 +26,7 @@ pub enum Part {
 }
 
 impl Part {
-    /// Each, with its word.
+    /// Each part, with its name.
     pub const WORDS: [(&'static str, Part); 4] = [
         ("os", Part::Os),
         ("mc", Part::MotionControl),
@@ -44,12 +44,13 @@ impl Part {
     }
 }
 
-/// How a save into flash ended.
+/// How a save to flash ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Saved {
-    /// The drive said so.
+    /// The drive acknowledged it.
     Acknowledged,
-    /// It went silent and came back without a word, as some drives do: a restart and a look tell.
+    /// The drive became silent and came back without an acknowledge, as some drives do: a restart and a check show
+    /// the result.
     Silently,
 }
 
@@ -60,7 +61,7 @@ impl Services<'_> {
         Ok(if answer.status == UNACKNOWLEDGED { Saved::Silently } else { Saved::Acknowledged })
     }
 
-    /// Restarts the drive. Its link drops, what is in RAM only is lost, and it has to be homed again.
+    /// Restarts the drive. Its link drops, values that are in RAM only are lost, and it has to be homed again.
     pub fn restart(&self) -> Result<(), ServiceError> {
         self.require_off("a restart")?;
         self.command(RtcCommand::RESTART, 0, 0, SLOW).map(drop)
@@ -77,20 +78,21 @@ impl Services<'_> {
         self.command(RtcCommand::START_SOFTWARE, 0, 0, SLOW).map(drop)
     }
 
-    /// Resets `part` of the parameters in ROM to defaults, with the software stopped meanwhile. Holds after a restart.
+    /// Resets `part` of the parameters in ROM to defaults, with the software stopped meanwhile. Takes effect after
+    /// a restart.
     pub fn reset_to_default(&self, part: Part) -> Result<(), ServiceError> {
         self.with_software_stopped(|| self.command(part.command(), 0, 0, FLASH).map(drop))
     }
 
-    /// Does `what` while the software is stopped, and starts it again whatever came of that, or of whoever asked for
-    /// it. Software that was stopped before stays so: somebody wants that.
+    /// Does `what` while the software is stopped, and starts it again whatever the result, and even if the caller
+    /// disappears. Software that was stopped before stays stopped: that is intended.
     pub(super) fn with_software_stopped<T>(
         &self,
         what: impl Fn() -> Result<T, ServiceError>,
     ) -> Result<T, ServiceError> {
         if self.off("stopping its software")?.not_ready {
             match what() {
-                // It was on its way up only.
+                // It was only starting up.
                 Err(error) if error.refusal() == Some(Refusal::SoftwareRuns) => {}
                 done => return done,
             }

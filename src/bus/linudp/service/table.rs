@@ -9,15 +9,15 @@ use crate::bus::linudp::table::{Entry, Table};
 use crate::bus::linudp::upid::call;
 use crate::bus::linudp::wire::{Refusal, RtcCommand};
 
-/// What is to be done when RAM could not be put right.
+/// The remedy when RAM could not be restored.
 const REMEDY: &str =
     "restart the drive, it comes up with the table that its flash holds; what was not saved is lost";
 
-/// A table as the drive holds it, whatever its bytes mean. An entry without bytes is there, but cannot be read: a
-/// transfer of it may have ended half-way.
+/// A table as the drive holds it, valid or not. An entry without bytes exists, but cannot be read: a transfer of it
+/// may have ended half-way.
 type Image = BTreeMap<EntryId, Vec<u8>>;
 
-/// Entries of one presence list, and the bytes of its bits, by which the drive says which list it gives.
+/// Entries of one presence list, and the bytes of its bits, which show the number of the list.
 const LISTED: u16 = 32;
 const LISTED_BYTES: u32 = 4;
 
@@ -58,9 +58,9 @@ impl Services<'_> {
         Ok(table)
     }
 
-    /// Makes the drive's table in RAM this one, entry by entry where they differ, and reads it back. Broken off or
-    /// failed, what was there before is put back the same way. A drive that is running its table meanwhile runs into
-    /// whatever stands there.
+    /// Writes this table into the drive's RAM, entry by entry where they differ, and reads it back. If it is
+    /// cancelled or fails, the previous content is restored the same way. A drive that is running its table
+    /// meanwhile executes whatever is there.
     pub fn put_table(&self, table: &Table, watch: Watcher<'_>) -> Result<(), ServiceError> {
         let new: Image = table.iter().map(|(id, entry)| (*id, entry.encode().to_vec())).collect();
         let old = self.image(&mut quiet)?;
@@ -74,7 +74,7 @@ impl Services<'_> {
         match written {
             Ok(()) => Ok(()),
             Err(failed) if begun => Err(after(failed, self.restore(&old), REMEDY)),
-            // Broken off before anything was sent.
+            // Cancelled before anything was sent.
             Err(failed) => Err(failed),
         }
     }
@@ -93,7 +93,7 @@ impl Services<'_> {
     /// From `old` to `new`.
     fn change(&self, old: &Image, new: &Image, watch: Watcher<'_>) -> Result<(), ServiceError> {
         let all: BTreeSet<EntryId> = old.keys().chain(new.keys()).copied().collect();
-        // What goes makes room first.
+        // Deletions make room first.
         let (gone, kept): (Vec<EntryId>, Vec<EntryId>) =
             all.into_iter().filter(|id| old.get(id) != new.get(id)).partition(|id| !new.contains_key(id));
         let of = gone.len() + kept.len();
@@ -112,8 +112,8 @@ impl Services<'_> {
         Ok(())
     }
 
-    /// Puts `old` back, with as few steps as what is there now allows: an entry may be half written. What could not be
-    /// read then cannot be written now.
+    /// Restores `old` with as few steps as the present content allows: an entry may be half written. What could not
+    /// be read then cannot be written now.
     fn restore(&self, old: &Image) -> Result<(), ServiceError> {
         let old: Image = old
             .iter()
@@ -155,7 +155,7 @@ impl Services<'_> {
     }
 
     fn write_entry(&self, id: EntryId, bytes: &[u8]) -> Result<(), ServiceError> {
-        // As the drive gave it, or as an entry is encoded: both have a size of 16 bits.
+        // As the drive returned it, or as an entry is encoded: both have a size of 16 bits.
         self.command(RtcCommand::WRITE_ENTRY, id.wire(), bytes.len() as u32, USUAL)?;
         let go_on = |_| ControlFlow::Continue(());
         self.send_block(RtcCommand::WRITE_ENTRY_DATA, id.wire(), bytes, go_on).map(drop)

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-/// On their way to the drive.
+/// A block under way to the drive.
 #[derive(Debug)]
 pub(super) struct Incoming {
     /// Of the curve or table entry.
@@ -17,12 +17,12 @@ impl Incoming {
         Incoming { id, bytes: Vec::with_capacity(size), size }
     }
 
-    /// How many are there.
+    /// How many bytes have come.
     pub(super) fn received(&self) -> usize {
         self.bytes.len()
     }
 
-    /// Four more. `None` while some are missing, else all of them.
+    /// Takes four more. `None` while some are missing, otherwise all of them.
     pub(super) fn put(&mut self, block: [u8; 4]) -> Option<&[u8]> {
         if self.bytes.len() < self.size {
             self.bytes.extend(block);
@@ -31,7 +31,7 @@ impl Incoming {
     }
 }
 
-/// On their way to the master.
+/// A block under way to the master.
 #[derive(Debug)]
 pub(super) struct Outgoing {
     /// Of the curve or table entry.
@@ -51,7 +51,7 @@ impl Outgoing {
         self.sent
     }
 
-    /// The next four, and whether they are the last ones; `None` behind the last ones.
+    /// The next four, and whether they are the last ones; `None` after the last ones.
     pub(super) fn take(&mut self) -> Option<([u8; 4], bool)> {
         let block = self.bytes.get(self.sent..)?.first_chunk().copied()?;
         self.sent += block.len();

@@ -1,11 +1,11 @@
-//! The curves in RAM and in flash, and how they come and go over the real-time-config channel.
+//! The curves in RAM and in flash, and their transfer over the real-time-config channel.
 //!
 //! Knows the blocks of a transfer and when a curve is whole, and nothing of running it.
 //!
-//! Chosen where the manuals are silent: the info block comes before the data, in both directions; a curve is there, or
-//! modified, once its last block has come, and the old one runs until then; another curve in between, or a block out of
-//! turn, ends the transfer (D1h). A curve whose info block contradicts what was announced, or that is none, is refused
-//! with its last block (D1h). There is room for 128 KiB.
+//! Chosen where the manuals are silent: the info block comes before the data, in both directions; a curve exists,
+//! or is modified, once its last block has come, and the old one runs until then; another curve in between, or a
+//! block out of turn, ends the transfer (D1h). A curve whose info block contradicts the announced sizes, or that is
+//! invalid, is refused with its last block (D1h). There is room for 128 KiB.
 
 use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
@@ -24,7 +24,7 @@ const STORAGE: usize = 128 * 1024;
 /// Ids of curves (Motion Control SW manual).
 const IDS: RangeInclusive<u16> = 1..=100;
 
-/// A curve as it came, and as it runs.
+/// A curve in its transferred form and in its running form.
 #[derive(Clone, Debug)]
 struct Stored {
     /// Its info block, padded to whole blocks, and its setpoints.
@@ -40,7 +40,7 @@ impl Stored {
     }
 }
 
-/// A curve on its way to the drive.
+/// A curve under way to the drive.
 #[derive(Debug)]
 struct Arriving {
     blocks: Incoming,
@@ -145,8 +145,9 @@ impl Curves {
         Some(Arc::clone(&stored.curve))
     }
 
-    /// Motion commands 05x: writes into the info block or into the setpoints of a curve. A running one goes on as it
-    /// was. What lies outside, or would leave no curve, is refused as a command that the drive does not know (chosen).
+    /// Motion commands 05x: writes into the info block or into the setpoints of a curve. A running one continues
+    /// unchanged. A write outside of it, or one that would make it invalid, is refused as an unknown command
+    /// (chosen).
     pub(super) fn modify(
         &mut self,
         id: u16,
@@ -180,7 +181,7 @@ impl Curves {
         self.rom.clear();
     }
 
-    /// The drive restarts: flash into RAM; nothing is under way any more.
+    /// The drive restarts: flash is copied to RAM; no transfer is under way any more.
     pub(super) fn load(&mut self) {
         self.ram.clone_from(&self.rom);
         (self.incoming, self.outgoing) = (None, None);

@@ -1,4 +1,4 @@
-//! The error log: what went wrong since the drive was made. It lies in flash and outlives every restart.
+//! The error log: all errors since the drive was made. It is in flash and outlives every restart.
 //!
 //! Knows no wire block. Entry 0 is the newest (chosen: the manuals count the entries and do not say from which end).
 
@@ -34,7 +34,7 @@ pub(super) struct ErrorLog {
 }
 
 impl ErrorLog {
-    /// An error, so long after the first power-on.
+    /// Records an error, so long after the first power-on.
     pub(super) fn record(&mut self, code: ErrorCode, operating_ns: u64) {
         self.entries.truncate(ROOM - 1);
         let (hours, ms) = hours_and_ms(operating_ns);
@@ -42,7 +42,7 @@ impl ErrorLog {
         self.occurred = self.occurred.saturating_add(1);
     }
 
-    /// Entries that are kept, and errors that there were; the latter counts to 65535 and stays there.
+    /// Entries that are kept, and errors that occurred; the latter saturates at 65535.
     pub(super) fn counters(&self) -> (u16, u16) {
         (self.entries.len() as u16, self.occurred)
     }
@@ -59,8 +59,8 @@ pub(super) fn hours_and_ms(ns: u64) -> (u32, u32) {
     ((ns / HOUR_NS) as u32, (ns % HOUR_NS / MS) as u32)
 }
 
-/// Four characters of the text of an error, 0-padded; what is longer than 32 is cut. `None`: no such error, or no such
-/// part.
+/// Four characters of the text of an error, 0-padded; text beyond 32 characters is cut. `None`: no such error, or
+/// no such part.
 pub(super) fn text(code: ErrorCode, part: u16) -> Option<[u8; 4]> {
     let at = usize::from(part) * 4;
     let text = code.name().filter(|_| at < TEXT)?.as_bytes();

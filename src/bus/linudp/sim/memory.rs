@@ -1,7 +1,7 @@
-//! What the drive remembers, and how it comes into flash.
+//! The drive's memories, and how values get into flash.
 //!
-//! Knows no wire block and no motion. Curves and command table have a copy in RAM, which is what runs, and one in
-//! flash, which is what a restart brings back.
+//! Knows no wire block and no motion. Curves and command table have a copy in RAM, which runs, and one in flash,
+//! which a restart loads.
 
 use super::curves::Curves;
 use super::log::ErrorLog;
@@ -10,8 +10,8 @@ use super::table::Tables;
 use crate::bus::linudp::plan::{FlashMode, SimPlan};
 use crate::time::Time;
 
-/// Writing one parameter takes this share of the time that a whole save takes. Masters in the field saw saves of 40 s
-/// and more, and of a single parameter that it "may stall the interface briefly".
+/// Writing one parameter takes this share of the time of a whole save. Masters in the field saw saves of 40 s and
+/// more, and of a single parameter that it "may stall the interface briefly".
 const PARAMETER_SHARE: u64 = 500;
 
 /// What is being written into flash.
@@ -25,14 +25,14 @@ pub(super) enum Save {
     Defaults(Part),
 }
 
-/// All that the drive remembers.
+/// All memories of the drive.
 #[derive(Debug)]
 pub(super) struct Memory {
     pub parameters: Parameters,
     pub log: ErrorLog,
     pub curves: Curves,
     pub table: Tables,
-    /// What is being written, and when it will be.
+    /// What is being written, and when that is complete.
     saving: Option<(Save, Time)>,
     save_ns: u64,
     mode: FlashMode,
@@ -68,7 +68,7 @@ impl Memory {
             Save::Curves => self.curves.save(),
             Save::Table => self.table.save(),
             Save::Parameter(upid, value) => {
-                // Checked when it was taken in, and the rules do not change.
+                // Checked on reception, and the rules do not change.
                 let _ = self.parameters.write_rom(upid, value);
             }
             Save::Defaults(part) => self.parameters.restore(part),
@@ -85,13 +85,13 @@ impl Memory {
         self.saving_until().filter(|_| self.mode != FlashMode::Busy)
     }
 
-    /// It begins to write, and tells nobody, not later either.
+    /// It begins to write without an acknowledge, then or later.
     pub(super) fn is_mute(&self) -> bool {
         self.saving.is_some() && self.mode == FlashMode::Mute
     }
 
-    /// The drive restarts: RAM is loaded from flash. A save of curves or of the command table that this cuts off has
-    /// erased the old ones already and leaves none; a parameter keeps its old value.
+    /// The drive restarts: RAM is loaded from flash. A save of curves or of the command table that this interrupts
+    /// has erased the old ones already and leaves none; a parameter keeps its old value.
     pub(super) fn restart(&mut self) {
         match self.saving.take() {
             Some((Save::Curves, _)) => self.curves.erase(),

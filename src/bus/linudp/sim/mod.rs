@@ -8,14 +8,14 @@
 //! | `rtc` | the real-time-config channel: counts, answers, what each command does |
 //! | `upids`, `parameters` | the parameters there are, and their values in ROM, in RAM and in use |
 //! | `log` | the error log |
-//! | `curves`, `table`, `blocks` | curves and command table, and how they come and go in blocks |
-//! | `memory` | all of these together, and how they come into flash |
-//! | `machine` | the state machine and the motor; the commands, the running command table, what the drive says of itself |
-//! | `motion`, `stream`, `time_curve` | what motion commands make of the demand |
+//! | `curves`, `table`, `blocks` | curves and command table, and their transfer in blocks |
+//! | `memory` | all of these together, and how they get into flash |
+//! | `machine` | the state machine and the motor; the commands, the running command table, the drive's reports |
+//! | `motion`, `stream`, `time_curve` | how motion commands determine the demand |
 //!
-//! The drive has no clock: on each datagram it lives through the time since the last one.
+//! The drive has no clock: on each datagram it advances by the time since the last one.
 //!
-//! Where the manuals are silent it takes the strict side; each file says what that is. What a master meets first:
+//! Where the manuals are silent it takes the strict side; each file names its choices. What a master meets first:
 //!
 //! | case | what the drive does |
 //! |---|---|
@@ -27,11 +27,11 @@
 //! | sine and Bestehorn moves while another motion runs | not run, and counted |
 //! | the shape of sine, Bestehorn and jerk-limited moves | a trapezoid within their limits: what a master sees of a shape is when it ends |
 //! | leaving a stream | what is still buffered is dropped |
-//! | 002x with what cannot be written | nothing is written; the command has no answer |
+//! | 002x to a parameter that cannot be written | nothing is written; the command has no answer |
 //! | 35h, whatever the motor is doing | power off at once; both state words 0, not homed, an error stays |
 //! | the control word across 35h and 36h | stays: with bit 0 set the drive is locked until it was 0 |
 //! | a restart by power, by 00Fx | answers with both state words 0 until it is up |
-//! | a restart by 30h | the command is answered, then silence until it is up; the stored count is 0 then, so that who goes on sending it restarts it again |
+//! | a restart by 30h | the command is answered, then silence until it is up with the stored count 0: sending it on restarts it again |
 
 mod blocks;
 mod curves;
@@ -60,7 +60,7 @@ const BOOT_NS: u64 = 100 * MS;
 
 /// One step of motor and state machine; also the drive's reaction time.
 const STEP_NS: u64 = 500 * US;
-/// After a silence the drive lives through so much of it in steps of [`STEP_NS`] ...
+/// After a silence the drive advances through so much of it in steps of [`STEP_NS`] ...
 const FINE_NS: u64 = S;
 /// ... and through the rest in at most so many longer ones. By then every stream has run dry and every stop has ended,
 /// and profiles do not depend on the step.
@@ -70,7 +70,7 @@ const COARSE_STEPS: u64 = 1_000;
 const IMAGE: usize = 64;
 const _: () = assert!(RESPONSE_MAX <= IMAGE);
 
-/// What the drive did not answer. There is no negative answer in this protocol: the master hears nothing.
+/// Requests that the drive did not answer. This protocol has no negative answer: the master receives nothing.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Ignored {
     /// Not from the master's port.
@@ -79,7 +79,7 @@ pub struct Ignored {
     pub malformed: u64,
     /// From a master that the filter does not let through.
     pub filtered: u64,
-    /// While it wrote into its flash, or restarted.
+    /// Requests while it wrote into its flash, or restarted.
     pub deaf: u64,
 }
 
@@ -93,14 +93,14 @@ pub struct LinMotSim {
     /// The one master of the filter that latches.
     master: Option<Ipv4Addr>,
     machine: Machine,
-    /// The instant that the drive has lived up to.
+    /// The instant up to which the drive has advanced.
     lived: Option<Time>,
     booted_at: Time,
-    /// Hears nothing until then.
+    /// Receives nothing until then.
     deaf_until: Time,
     channel: Channel,
     config_time_ns: u64,
-    /// The last answer. The padding of the next one is what is left of it, as met on real drives.
+    /// The last answer. The padding of the next one is its remainder, as seen on real drives.
     image: [u8; IMAGE],
     ignored: Ignored,
 }
@@ -133,7 +133,7 @@ impl LinMotSim {
         self.machine.fail(code);
     }
 
-    /// What it did not answer so far.
+    /// What it left unanswered so far.
     pub fn ignored(&self) -> Ignored {
         self.ignored
     }
@@ -143,7 +143,7 @@ impl LinMotSim {
         self.machine.setpoints.refused
     }
 
-    /// Lives up to `now`.
+    /// Advances to `now`.
     fn live(&mut self, now: Time) {
         let mut at = self.lived.unwrap_or_else(|| {
             self.machine.wake(now);
@@ -167,7 +167,7 @@ impl LinMotSim {
         }
     }
 
-    /// Takes in what a request brings; what follows once it has been answered.
+    /// Takes in the content of a request; returns what follows once it has been answered.
     fn take(&mut self, request: &Request, now: Time) -> After {
         let after = match &request.config {
             Some(config) => self.channel.take(config, &mut self.machine, now),

@@ -1,4 +1,4 @@
-//! What motion commands make of the demand: profiles, armed commands, and what `stream` and `time_curve` feed in.
+//! How motion commands determine the demand: profiles, armed commands, and the inputs of `stream` and `time_curve`.
 //!
 //! Knows no telegram, no command count and no state machine. Positions are in the drive's own coordinates, SI units.
 
@@ -28,13 +28,13 @@ pub(super) struct Demand {
     pub acceleration: f64,
 }
 
-/// The setpoint generator of the drive and what feeds it.
+/// The setpoint generator of the drive and its inputs.
 #[derive(Debug)]
 pub(super) struct Setpoints {
     generator: Generator,
     /// Of the last profile.
     target: f64,
-    /// The profile that a released freeze goes on with.
+    /// The profile that a released freeze continues with.
     resume: Option<Limits>,
     armed: Option<Armed>,
     feed: Option<Feed>,
@@ -71,7 +71,7 @@ pub(super) struct Order {
     pub limits: Vad,
 }
 
-/// What gives the demand instead of a profile.
+/// The source of the demand instead of a profile.
 #[derive(Debug)]
 enum Feed {
     Stream(Stream),
@@ -109,7 +109,7 @@ impl Setpoints {
         self.target
     }
 
-    /// What the last profile is held to.
+    /// The limits of the last profile.
     pub(super) fn limits(&self) -> Vad {
         self.limits
     }
@@ -132,7 +132,7 @@ impl Setpoints {
         self.armed.is_some()
     }
 
-    /// Forgets everything and stands at `position`.
+    /// Discards everything and stands still at `position`.
     pub(super) fn stand_at(&mut self, position: f64) {
         self.drop_all();
         self.generator.set(position, 0.0, 0.0);
@@ -146,7 +146,7 @@ impl Setpoints {
         self.generator.halt();
     }
 
-    /// Ramps down with the quick-stop deceleration, and forgets what it was doing.
+    /// Ramps down with the quick-stop deceleration, and discards its motion.
     pub(super) fn quick_stop(&mut self) {
         self.drop_all();
         self.generator.brake(QUICK_STOP);
@@ -159,7 +159,7 @@ impl Setpoints {
         self.resume = resume;
     }
 
-    /// Goes on with the profile that was frozen, if it was one.
+    /// Continues with the frozen profile, if there was one.
     pub(super) fn resume(&mut self) {
         if let Some(Limits(v, a, d)) = self.resume {
             self.generator.go_to(self.target, v, a, d);
@@ -183,7 +183,7 @@ impl Setpoints {
         (self.resume, self.armed, self.feed) = (None, None, None);
     }
 
-    /// Another motion takes over. What waits for the trigger goes on waiting: only 008x clears it.
+    /// Another motion takes over. A command that waits for the trigger goes on waiting: only 008x clears it.
     fn drop_motion(&mut self) {
         (self.resume, self.feed) = (None, None);
         self.armed.take_if(|armed| !matches!(armed, Armed::Trigger));
@@ -223,7 +223,7 @@ impl Setpoints {
         self.feed = Some(Feed::Curve(curve));
     }
 
-    /// Leaves streaming. What is still buffered is dropped: the strictest reading.
+    /// Leaves streaming. Buffered setpoints are dropped: the strictest reading.
     pub(super) fn end_stream(&mut self) {
         if let Some(Feed::Stream(_)) = self.feed {
             self.feed = None;
@@ -231,7 +231,8 @@ impl Setpoints {
         }
     }
 
-    /// A move, now or when its time has come. One that can only start from rest is not run while something moves.
+    /// A move, now or when its time has come. A move that can only start from standstill is not run while something
+    /// moves.
     pub(super) fn take_move(&mut self, order: Order, when: When, from_rest: bool, actual: Demand) {
         match when {
             When::Trigger { .. } => self.arm_trigger(),
@@ -241,7 +242,7 @@ impl Setpoints {
         }
     }
 
-    /// Every shape runs as a trapezoid within its limits: what a master sees of a shape is when it ends.
+    /// Every shape runs as a trapezoid within its limits: a master sees of a shape only when it ends.
     fn start(&mut self, order: Order, actual: Demand) {
         let base = match order.origin {
             Origin::Demand => self.generator.position(),
@@ -297,7 +298,7 @@ impl Setpoints {
                 self.generator.set(demand.position, demand.velocity, demand.acceleration);
                 self.target = demand.position;
             }
-            // Until the first setpoint of a stream is due, whatever ran before goes on.
+            // Until the first setpoint of a stream is due, the motion before it goes on.
             None => self.generator.advance(dt_ns),
         }
         if ended {

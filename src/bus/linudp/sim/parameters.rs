@@ -1,6 +1,6 @@
-//! The parameters' values: in flash (ROM), in memory (RAM), and what the software works with.
+//! The parameters' values: in flash (ROM), in memory (RAM), and those in use by the software.
 //!
-//! Knows the rules of access, no wire block, and nothing of what a parameter does.
+//! Knows the rules of access, no wire block, and nothing of a parameter's effect.
 //!
 //! | memory | written by | takes effect |
 //! |---|---|---|
@@ -8,8 +8,8 @@
 //! | RAM, live parameter | write RAM, write both, motion command 002x | at once |
 //! | RAM, other parameter | write RAM, write both | when the software is started next (36h); a restart of the drive loses it |
 //!
-//! The manuals say the first two. The third is chosen: RAM of a parameter that is not live can be written, and then it
-//! has to count at some time.
+//! The manuals state the first two. The third is chosen: RAM of a parameter that is not live can be written, and
+//! then it has to take effect at some time.
 
 use super::upids::{self, PARAMETERS, Parameter};
 use crate::bus::linudp::plan::SimPlan;
@@ -22,11 +22,11 @@ use crate::time::US;
 struct Value {
     rom: i64,
     ram: i64,
-    /// What the software works with.
+    /// The value in use by the software.
     used: i64,
 }
 
-/// Which of the limits of a parameter.
+/// One of the limits of a parameter.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Bound {
     Minimum,
@@ -54,7 +54,7 @@ pub(super) struct Parameters {
 }
 
 impl Parameters {
-    /// As the drive was commissioned: the defaults, and in ROM what the plan says.
+    /// As commissioned: the defaults, and in ROM the values of the plan.
     pub(super) fn new(plan: &SimPlan) -> Parameters {
         let values = PARAMETERS.iter().map(|p| Value { rom: p.default, ram: p.default, used: p.default });
         let mut parameters = Parameters { values: values.collect(), extend: plan.extend_sign };
@@ -84,7 +84,7 @@ impl Parameters {
         self.start();
     }
 
-    /// The software starts: it works with what is in RAM.
+    /// The software starts: it uses the values in RAM.
     pub(super) fn start(&mut self) {
         for value in &mut self.values {
             value.used = value.ram;
@@ -96,12 +96,12 @@ impl Parameters {
         Some((&PARAMETERS[index], self.values.get_mut(index)?))
     }
 
-    /// What the software works with. 0 for a UPID that there is not.
+    /// The value in use. 0 for an unknown UPID.
     pub(super) fn used(&self, upid: u16) -> i64 {
         upids::find(upid).map_or(0, |index| self.values[index].used)
     }
 
-    /// The value in RAM of the parameter that stands there.
+    /// The value in RAM of the parameter at this index.
     pub(super) fn ram(&self, index: usize) -> i64 {
         self.values[index].ram
     }
@@ -129,7 +129,7 @@ impl Parameters {
         ))
     }
 
-    /// A value of the parameter that stands there, as it goes over the wire.
+    /// A value of the parameter at this index, in wire form.
     pub(super) fn wire(&self, index: usize, value: i64) -> u32 {
         PARAMETERS[index].kind.raw(value, self.extend)
     }
@@ -173,7 +173,7 @@ impl Parameters {
         Some((PARAMETERS[index].upid, self.wire(index, self.values[index].rom)))
     }
 
-    /// Where the parameters stand that the monitoring channels show.
+    /// The indices of the parameters that the monitoring channels report.
     pub(super) fn monitored(&self) -> [Option<usize>; 4] {
         [0, 1, 2, 3].map(|channel| {
             let source = self.used(upids::MONITOR_SOURCE + channel);
@@ -182,17 +182,17 @@ impl Parameters {
     }
 }
 
-/// Where `upid` stands, if it can be used like this.
+/// The index of `upid`, if it can be used like this.
 pub(super) fn allowed(upid: u16, usage: u16) -> Result<usize, Refusal> {
     let index = upids::find(upid).ok_or(Refusal::NoSuchUpid)?;
     if PARAMETERS[index].usage.has(usage) { Ok(index) } else { Err(Refusal::AddressUsage) }
 }
 
-/// The number that is to be written, if it may be. Usage first, then type, then range.
+/// The number to be written, if it is allowed. Usage first, then type, then range.
 pub(super) fn check(upid: u16, raw: u32, usage: u16) -> Result<i64, Refusal> {
     let parameter = &PARAMETERS[allowed(upid, usage)?];
     let value = parameter.kind.strict_number(raw).ok_or(Refusal::WrongType)?;
-    // A channel can show what there is, or nothing.
+    // A channel can report an existing parameter, or nothing.
     let is_source = (upids::MONITOR_SOURCE..upids::MONITOR_SOURCE + 4).contains(&upid);
     let shown =
         !is_source || value == 0 || u16::try_from(value).is_ok_and(|upid| upids::find(upid).is_some());

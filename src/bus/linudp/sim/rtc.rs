@@ -1,11 +1,11 @@
-//! The drive's side of the real-time-config channel: counts, answers, and what each command does.
+//! The drive's side of the real-time-config channel: counts, answers, and the effect of each command.
 //!
-//! Knows the block, not the telegram around it. A command runs if its count differs from the stored one; the same count
-//! again gets the stored answer again. While a command takes its time (`config_time`) the answer is 02h and 05h in
-//! turn, and 02h while it writes into a flash that does not fall silent, with the words of the answer before, as met on
-//! real drives; a command with yet another count is not taken then, and its count not echoed.
+//! Knows the block, not the telegram around it. A command runs if its count differs from the stored one; the same
+//! count again gets the stored answer again. While a command takes its time (`config_time`) the answer is 02h and
+//! 05h in turn, and 02h while it writes into a flash without falling silent, with the words of the previous answer,
+//! as seen on real drives; a command with yet another count is not accepted then, and its count is not echoed.
 //!
-//! What the manuals leave open, and what is chosen here:
+//! What the manuals leave open, and the choices here:
 //!
 //! | case | answer |
 //! |---|---|
@@ -17,7 +17,7 @@
 //! | 35h, 36h in the state that they lead to | 00h, nothing happens |
 //! | an error log entry, an error or a part of a text that there is not | C2h |
 //! | 30h | 00h at once, then the drive starts anew and is silent until it has |
-//! | a save, or a write into ROM | its own telegram is answered (02h); a drive that saves silently hears nothing after it |
+//! | a save, or a write into ROM | its own telegram is answered (02h); a drive that saves silently receives nothing after it |
 
 use super::machine::Machine;
 use super::memory::Save;
@@ -28,7 +28,7 @@ use crate::bus::linudp::upid::Usage;
 use crate::bus::linudp::wire::{ErrorCode, Refusal, RtcBlock, RtcCommand, RtcStatus};
 use crate::time::Time;
 
-/// What follows a command when its telegram has been answered.
+/// What follows a command after its telegram has been answered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum After {
     Nothing,
@@ -63,7 +63,7 @@ impl Reply {
     }
 }
 
-/// Which list is being gone through, and what comes next.
+/// The list that is being read, and its next item.
 #[derive(Clone, Copy, Debug)]
 enum List {
     /// Of all UPIDs: the index in [`PARAMETERS`].
@@ -81,7 +81,7 @@ pub(super) struct Channel {
     before: [u16; 3],
     /// The answer is not given before then.
     busy_until: Time,
-    /// Which of the two codes for "busy" was given last.
+    /// The code for "busy" that was given last.
     polled: bool,
     list: Option<List>,
     /// How long a command takes.
@@ -124,7 +124,7 @@ impl Channel {
         After::Nothing
     }
 
-    /// What the drive says now; `saving`: it writes into its flash.
+    /// The drive's present answer; `saving`: it writes into its flash.
     pub(super) fn answer(&mut self, now: Time, saving: bool) -> RtcBlock {
         if now >= self.busy_until {
             return self.answer;

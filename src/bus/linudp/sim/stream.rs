@@ -12,7 +12,7 @@ use crate::time::{S, Time};
 /// How far the first interval may lie outside the period range of its command, in parts of 1: a real network jitters.
 const PERIOD_TOLERANCE: f64 = 0.25;
 
-/// Setpoints on their way to the demand (SG5 manual, streaming). The output runs 1.5 nominal periods behind and
+/// Setpoints under way to the demand (SG5 manual, streaming). The output runs 1.5 nominal periods behind and
 /// interpolates: straight lines between bare positions, cubics where the velocity is given too.
 #[derive(Debug)]
 pub(super) struct Stream {
@@ -25,7 +25,7 @@ pub(super) struct Stream {
     depth: usize,
     /// When the last command was received.
     received_at: Time,
-    /// What the output has not passed yet, and the one setpoint before.
+    /// Setpoints that the output has not passed yet, and the one before.
     points: VecDeque<Point>,
 }
 
@@ -68,8 +68,8 @@ impl Stream {
         };
         self.received_at = now;
         let at = if self.command.has_configured_period() {
-            // One period each, whenever they come; a setpoint that the output would already have passed makes the
-            // time base wait for it.
+            // One period each, independent of their arrival; a setpoint that the output would already have passed
+            // delays the time base.
             (last.at + nominal_ns).max(now - nominal_ns / 2)
         } else {
             now
@@ -109,7 +109,7 @@ impl Stream {
         let Some(from) = self.points.front().filter(|point| point.at <= at) else { return Ok(None) };
         let t = seconds(at.since(from.at));
         let Some(to) = self.points.get(1) else {
-            // Nothing to go to yet: straight on, but not further than to where the next one should have been.
+            // No next setpoint yet: straight on, but not further than to where the next one should have been.
             let position = from.demand.position + from.demand.velocity * t.min(seconds(nominal_ns));
             return Ok(Some(Demand { position, velocity: from.demand.velocity, acceleration: 0.0 }));
         };
@@ -128,7 +128,7 @@ fn seconds(ns: u64) -> f64 {
     ns as f64 / S as f64
 }
 
-/// The shortest and longest first interval that a drive takes, ns.
+/// The shortest and longest first interval that a drive accepts, ns.
 fn tolerated(command: StreamCommand) -> (u64, u64) {
     let (shortest, longest) = command.period_range_ns();
     ((shortest as f64 * (1.0 - PERIOD_TOLERANCE)) as u64, (longest as f64 * (1.0 + PERIOD_TOLERANCE)) as u64)

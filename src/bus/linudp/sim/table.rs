@@ -1,18 +1,18 @@
-//! The command table in RAM and in flash, and how its entries come and go over the real-time-config channel.
+//! The command table in RAM and in flash, and the transfer of its entries over the real-time-config channel.
 //!
 //! Knows the 64 bytes of an entry, and nothing of running it.
 //!
-//! Chosen where the manuals are silent: an entry that is there has to be deleted before it is written again, and one
-//! that is not there cannot be read (D1h both); deleting what is not there is no mistake. An entry is there once its
-//! last block has come; another entry in between, or a block out of turn, ends the transfer (D1h), and so do bytes that
-//! are no entry.
+//! Chosen where the manuals are silent: an existing entry has to be deleted before it is written again, and a
+//! missing one cannot be read (D1h both); deleting a missing one is no mistake. An entry exists once its last block
+//! has come; another entry in between, or a block out of turn, ends the transfer (D1h), and so do bytes that are
+//! not a valid entry.
 
 use super::blocks::{Incoming, Outgoing};
 use crate::bus::linudp::motion::EntryId;
 use crate::bus::linudp::table::{ENTRY_SIZE, Entry, Table};
 use crate::bus::linudp::wire::{ErrorCode, Refusal};
 
-/// The command table, twice.
+/// The command table in RAM and in flash.
 #[derive(Debug, Default)]
 pub(super) struct Tables {
     ram: Table,
@@ -78,7 +78,7 @@ impl Tables {
         self.incoming = None;
     }
 
-    /// Which of the 32 entries from `32 * group` on are there, a bit each.
+    /// Which of the 32 entries from `32 * group` on exist, one bit each.
     pub(super) fn used(&self, group: u16) -> u32 {
         (0..32).filter(|n| self.get(group * 32 + n).is_some()).fold(0, |bits, n| bits | 1 << n)
     }
@@ -88,8 +88,8 @@ impl Tables {
         self.ram.get(EntryId::new(entry).ok()?)
     }
 
-    /// Motion commands 208x, 209x: writes into an entry. What lies outside, or would leave no entry, is refused as a
-    /// command that the drive does not know (chosen).
+    /// Motion commands 208x, 209x: writes into an entry. A write outside of it, or one that would make it invalid,
+    /// is refused as an unknown command (chosen).
     pub(super) fn modify(&mut self, entry: u16, offset: usize, bytes: &[u8]) -> Result<(), ErrorCode> {
         let id = EntryId::new(entry).map_err(|_| ErrorCode::ENTRY_MISSING)?;
         let mut image = self.ram.get(id).ok_or(ErrorCode::ENTRY_MISSING)?.encode();
@@ -109,7 +109,7 @@ impl Tables {
         self.rom = Table::new();
     }
 
-    /// The drive restarts: flash into RAM; nothing is under way any more.
+    /// The drive restarts: flash is copied to RAM; no transfer is under way any more.
     pub(super) fn load(&mut self) {
         self.ram.clone_from(&self.rom);
         (self.incoming, self.outgoing) = (None, None);

@@ -2,10 +2,10 @@
 //!
 //! Knows the curve and how a command stretches it; no store and no state.
 //!
-//! Chosen where the manuals are silent: a curve's setpoints are positions of the axis, so that a curve that does not
-//! begin where the motor is makes it jump; the commands "to target" and "from actual position" shift and stretch it so
-//! that it begins where it is. A time scale of 200 % takes twice the time. Amplitudes beyond 2000 %, also those that
-//! "to target" would need, and time scales beyond 200 % are error 0089h.
+//! Chosen where the manuals are silent: a curve's setpoints are positions of the axis, so that a curve that does
+//! not begin at the motor's position makes it jump; the commands "to target" and "from actual position" shift and
+//! stretch it so that it begins at the motor's position. A time scale of 200 % takes twice the time. Amplitudes
+//! beyond 2000 %, including those that "to target" would need, and time scales beyond 200 % are error 0089h.
 
 use std::sync::Arc;
 
@@ -23,7 +23,7 @@ const TIME_NS: u64 = 10 * US;
 const AMPLITUDE: f64 = 20.0;
 const TIME_SCALE: f64 = 2.0;
 
-/// A curve on its way.
+/// A running curve.
 #[derive(Debug)]
 pub(super) struct TimeCurve {
     curve: Arc<Curve>,
@@ -35,7 +35,7 @@ pub(super) struct TimeCurve {
 }
 
 impl TimeCurve {
-    /// `curve` as the command says, for a motor that is at `position`.
+    /// `curve` with the settings of the command, for a motor at `position`.
     pub(super) fn new(curve: Arc<Curve>, start: &CurveStart, position: f64) -> Result<TimeCurve, ErrorCode> {
         let own_ns = u64::from(curve.x_length) * TIME_NS;
         let time_ns = |time: i32| u64::try_from(time).unwrap_or(0) * TIME_NS;
@@ -67,7 +67,7 @@ impl TimeCurve {
                 (offset.into(), f64::from(amplitude) / 1e3, time_ns(time))
             }
         };
-        // Also what is not a number: a curve that ends where it begins leads to no other target.
+        // Including NaN: a curve that ends where it begins leads to no other target.
         let possible = amplitude.abs() <= AMPLITUDE;
         if !possible {
             return Err(CURVE_SCALE);
@@ -91,7 +91,7 @@ impl TimeCurve {
 
     fn position(&self) -> f64 {
         let x = if self.elapsed_ns == self.duration_ns {
-            // Also if it takes no time at all.
+            // Even if it takes no time at all.
             f64::INFINITY
         } else {
             f64::from(self.curve.x_length) * (self.elapsed_ns as f64 / self.duration_ns as f64)

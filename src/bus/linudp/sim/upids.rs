@@ -1,15 +1,15 @@
 //! The parameters and variables of the simulated drive: every UPID whose meaning is known, one line each.
 //!
-//! Knows no values in use; those live in `parameters`. Numbers and meanings are those of the manuals (LinUDP V2, Motion
-//! Control SW) and of masters in the field. **Types, limits and defaults are chosen**, for the manuals that are at hand
-//! do not print them: only 13A2h (u16), the units of positions, velocities and accelerations, and the units of 0082h,
-//! 1BCDh, 1BCEh, 1BF3h and 1CAFh are known. What is live is chosen, too: what a master sets up or changes in operation
-//! is, what describes the machine is not.
+//! Knows no values in use; those live in `parameters`. Numbers and meanings are those of the manuals (LinUDP V2,
+//! Motion Control SW) and of masters in the field. **Types, limits and defaults are chosen**, since the available
+//! manuals do not print them: only 13A2h (u16), the units of positions, velocities and accelerations, and the units
+//! of 0082h, 1BCDh, 1BCEh, 1BF3h and 1CAFh are known. Which parameters are live is chosen, too: those that a master
+//! sets up or changes in operation are, those that describe the machine are not.
 
 use super::machine::Variable;
 use crate::bus::linudp::upid::{Type, Usage};
 
-/// Everything may be done to a parameter.
+/// A parameter without access restrictions.
 const CONFIG: u16 = Usage::RAM_READ | Usage::RAM_WRITE | Usage::ROM_READ | Usage::ROM_WRITE;
 
 /// One UPID.
@@ -21,7 +21,7 @@ pub(super) struct Parameter {
     pub high: i64,
     pub default: i64,
     pub usage: Usage,
-    /// Where the value comes from, if it is not a stored one.
+    /// The source of the value, if it is not a stored one.
     pub variable: Option<Variable>,
 }
 
@@ -45,7 +45,7 @@ impl Parameter {
         Parameter { usage, ..Parameter::config(upid, Type::Text, Type::Text.range(), default) }
     }
 
-    /// A value that the drive computes; in RAM only, and nobody else writes it.
+    /// A value that the drive computes; in RAM only, and not writable from outside.
     const fn variable(upid: u16, kind: Type, variable: Variable) -> Parameter {
         Parameter {
             usage: Usage(Usage::RAM_READ | Usage::NOT_HASHED),
@@ -54,7 +54,7 @@ impl Parameter {
         }
     }
 
-    /// A value in RAM that anybody may write.
+    /// A value in RAM that every client may write.
     const fn scratch(upid: u16, kind: Type) -> Parameter {
         let usage = Usage(Usage::RAM_READ | Usage::RAM_WRITE | Usage::LIVE | Usage::NOT_HASHED);
         Parameter { usage, ..Parameter::config(upid, kind, kind.range(), 0) }
@@ -87,7 +87,7 @@ pub(super) const MONITOR_SOURCE: u16 = 0x20A8;
 
 /// Positions, 0.1 um.
 const POSITION: (i64, i64) = Type::S32.range();
-/// A quarter of the range of u32: what no unit conversion overflows. 1 um/s and 1e-5 m/s2.
+/// A quarter of the range of u32, which no unit conversion overflows. 1 um/s and 1e-5 m/s2.
 const RATE: (i64, i64) = (1, 1 << 30);
 const WORD: (i64, i64) = Type::U16.range();
 /// What a position lag limit may be, 0.1 um: 1 um ... 1 m.
@@ -188,12 +188,12 @@ pub(super) const PARAMETERS: &[Parameter] = {
     ]
 };
 
-/// Where `upid`, or the next one behind it, stands in [`PARAMETERS`].
+/// The index of `upid`, or of the next one after it, in [`PARAMETERS`].
 pub(super) fn from(upid: u16) -> usize {
     PARAMETERS.partition_point(|parameter| parameter.upid < upid)
 }
 
-/// Where `upid` stands in [`PARAMETERS`].
+/// The index of `upid` in [`PARAMETERS`].
 pub(super) fn find(upid: u16) -> Option<usize> {
     let index = from(upid);
     PARAMETERS.get(index).is_some_and(|parameter| parameter.upid == upid).then_some(index)

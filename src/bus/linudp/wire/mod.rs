@@ -1,7 +1,7 @@
 //! The LinUDP V2 telegram, both directions: bytes <-> values.
 //!
-//! Knows no state, clock, socket or allocation, and does not judge what a telegram means: which reply belongs to which
-//! request is the station's business, what the drive does with a request is the drive's.
+//! Knows no state, clock, socket or allocation, and does not interpret a telegram: the station decides which reply
+//! belongs to which request, and the drive what it does with a request.
 //!
 //! Both directions begin with the same eight bytes, the *request definition* and the *response definition*, both
 //! little-endian like everything else. One bit a block; the blocks follow in bit order, only those whose bit is set
@@ -19,8 +19,8 @@
 //! | | | | | 7 | four monitoring channels | 16 |
 //! | | | | | 8 | real-time config, 4 words | 8 |
 //!
-//! One exception: the real-time-config block of a response is there if the *request* carried one, whatever bit 8 says
-//! (met by two independent masters on real drives).
+//! One exception: the real-time-config block of a response is present if the *request* carried one, whatever bit 8
+//! says (seen by two independent masters on real drives).
 //!
 //! [`RequestView`] and [`ResponseView`] check a datagram's length once and read single blocks; [`Request`] and
 //! [`Response`] are the plain values.
@@ -35,7 +35,7 @@ use thiserror::Error;
 pub use rtc::{Refusal, RtcBlock, RtcCommand, RtcStatus};
 pub use words::{ControlWord, ErrorCode, MainState, StateVar, StatusWord, WarnWord};
 
-/// Where things are inside the telegram and inside its blocks. The blocks themselves have no fixed place.
+/// Offsets in the telegram and in its blocks. The blocks themselves have no fixed offset.
 mod field {
     use std::ops::Range;
 
@@ -52,7 +52,7 @@ mod field {
     /// Bytes of response blocks 0 ... 7, in bit order.
     pub const RESPONSE: [u8; 8] = [2, 2, 4, 4, 2, 2, 2, 16];
 
-    /// Bytes of each combination of response blocks 0 ... 7: the place of a block is one look-up.
+    /// Bytes of each combination of response blocks 0 ... 7: the offset of a block is one look-up.
     pub const RESPONSE_SUM: [u8; 256] = {
         let mut sums = [0; 256];
         let mut definition = 0;
@@ -70,12 +70,12 @@ mod field {
     };
 }
 
-/// The longest request that the definitions can ask for, bytes.
+/// The longest request that the definitions can describe, bytes.
 pub const REQUEST_MAX: usize = field::HEADER + field::CONTROL + field::MOTION + field::CONFIG;
-/// The longest response that the definitions can ask for, bytes, without padding.
+/// The longest response that the definitions can describe, bytes, without padding.
 pub const RESPONSE_MAX: usize = field::HEADER + field::RESPONSE_SUM[0xFF] as usize + field::CONFIG;
 
-/// Which blocks a request carries (LinUDP V2 manual, 4.4.1). The reserved bits 3 ... 31 are kept as they come.
+/// The blocks of a request (LinUDP V2 manual, 4.4.1). The reserved bits 3 ... 31 are kept as they come.
 #[derive(Clone, Copy, Default, PartialEq, Eq, Hash)]
 pub struct RequestDef(pub u32);
 
@@ -88,7 +88,7 @@ impl RequestDef {
     pub const MOTION: RequestDef = RequestDef(1 << 1);
     /// Real-time config.
     pub const CONFIG: RequestDef = RequestDef(1 << 2);
-    /// What no block is known for; a master sends 0.
+    /// Bits without a known block; a master sends 0.
     pub const RESERVED: RequestDef = RequestDef(!0b111);
 
     /// All blocks of `other` are in `self`.
@@ -101,7 +101,7 @@ impl RequestDef {
         RequestDef(self.0 | other.0)
     }
 
-    /// Bytes of a whole request, both definitions included. Reserved bits count nothing.
+    /// Bytes of a whole request, both definitions included. Reserved bits add nothing.
     pub const fn size(self) -> usize {
         self.config_at() + if self.contains(RequestDef::CONFIG) { field::CONFIG } else { 0 }
     }
@@ -121,7 +121,7 @@ impl fmt::Debug for RequestDef {
     }
 }
 
-/// Which blocks a response carries (LinUDP V2 manual, 4.4.2). The reserved bits 9 ... 31 are kept as they come.
+/// The blocks of a response (LinUDP V2 manual, 4.4.2). The reserved bits 9 ... 31 are kept as they come.
 #[derive(Clone, Copy, Default, PartialEq, Eq, Hash)]
 pub struct ResponseDef(pub u32);
 
@@ -144,9 +144,9 @@ impl ResponseDef {
     pub const ERROR: ResponseDef = ResponseDef(1 << 6);
     /// The four monitoring channels.
     pub const MONITOR: ResponseDef = ResponseDef(1 << 7);
-    /// Real-time config. Set it together with [`RequestDef::CONFIG`], and the exception above is never met.
+    /// Real-time config. If it is set together with [`RequestDef::CONFIG`], the exception above does not matter.
     pub const CONFIG: ResponseDef = ResponseDef(1 << 8);
-    /// Status, state, positions, current, warnings and error: all that a cycle needs.
+    /// Status, state, positions, current, warnings and error: everything that a cycle needs.
     pub const CYCLIC: ResponseDef = ResponseDef(0x7F);
 
     /// All blocks of `other` are in `self`.
@@ -159,12 +159,12 @@ impl ResponseDef {
         ResponseDef(self.0 | other.0)
     }
 
-    /// Bytes of a whole response to `request`, both definitions included, padding not.
+    /// Bytes of a whole response to `request`, both definitions included, without padding.
     pub const fn size(self, request: RequestDef) -> usize {
         self.config_at() + if request.contains(RequestDef::CONFIG) { field::CONFIG } else { 0 }
     }
 
-    /// The place of one of the blocks 0 ... 7, behind those of the lower bits.
+    /// The offset of one of the blocks 0 ... 7, after those of the lower bits.
     const fn at(self, block: ResponseDef) -> usize {
         field::HEADER + field::RESPONSE_SUM[(self.0 & (block.0 - 1) & 0xFF) as usize] as usize
     }
@@ -180,24 +180,24 @@ impl fmt::Debug for ResponseDef {
     }
 }
 
-/// Why a datagram is no telegram.
+/// Why a datagram is not a telegram.
 #[derive(Clone, Copy, PartialEq, Eq, Error)]
 pub enum ParseError {
-    /// Its definitions ask for more than it has.
+    /// Its definitions need more bytes than it has.
     #[error(
-        "{have} bytes where the definitions ask for {need}: not a LinUDP V2 telegram, or cut off on its way"
+        "{have} bytes where the definitions need {need}: not a LinUDP V2 telegram, or cut off on its way"
     )]
     TooShort {
-        /// The fewest bytes that would have done.
+        /// The fewest bytes that would be enough.
         need: usize,
-        /// The bytes there are.
+        /// The bytes that it has.
         have: usize,
     },
 }
 crate::errors::debug_as_display!(ParseError);
 
-/// The motion command block: a header word and 15 parameter words, raw. See
-/// [`motion`](super::motion) for what they say.
+/// The motion command block: a header word and 15 parameter words, raw. [`motion`](super::motion) has their
+/// meaning.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct MotionBlock {
     /// Master id (bits 15-8), sub id (7-4), command count (3-0).
@@ -213,7 +213,7 @@ impl MotionBlock {
     }
 }
 
-/// Fills a slice from its front. Every length was checked before; what would not fit is left out.
+/// Fills a slice from its front. Every length was checked before; excess bytes are left out.
 struct Fill<'a>(&'a mut [u8]);
 
 impl Fill<'_> {
@@ -243,8 +243,8 @@ fn definitions(bytes: &[u8]) -> Result<(u32, u32), ParseError> {
     Ok((u32::from_le_bytes(words[0]), u32::from_le_bytes(words[1])))
 }
 
-/// A response in a datagram, as the master sees it: long enough for its definitions. What lies behind its blocks is
-/// padding, possibly left over from an earlier response, and is never read.
+/// A response in a datagram, as the master sees it: long enough for its definitions. Bytes after its blocks are
+/// padding, possibly left over from an earlier response, and are never read.
 #[derive(Clone, Copy, Debug)]
 pub struct ResponseView<'a> {
     bytes: &'a [u8],
@@ -264,7 +264,8 @@ impl<'a> ResponseView<'a> {
     pub fn new(bytes: &'a [u8]) -> Result<ResponseView<'a>, ParseError> {
         let (request, response) = definitions(bytes)?;
         let (request, response) = (RequestDef(request), ResponseDef(response));
-        // Without the config block: a drive that leaves it out although it was asked is eight bytes short, not wrong.
+        // Without the config block: a drive that leaves it out although it was requested is eight bytes short, not
+        // wrong.
         let need = response.config_at();
         if bytes.len() < need {
             return Err(ParseError::TooShort { need, have: bytes.len() });
@@ -332,7 +333,7 @@ impl<'a> ResponseView<'a> {
         self.block(ResponseDef::ERROR).map(|bytes| ErrorCode(u16::from_le_bytes(bytes)))
     }
 
-    /// The monitoring channels 1 ... 4, raw: what they show is configured in the drive (UPIDs 20A8h-20ABh).
+    /// The monitoring channels 1 ... 4, raw: their sources are configured in the drive (UPIDs 20A8h-20ABh).
     #[inline]
     pub fn monitor(&self) -> Option<[u32; 4]> {
         self.block::<16>(ResponseDef::MONITOR).map(|bytes| {
@@ -344,7 +345,8 @@ impl<'a> ResponseView<'a> {
         })
     }
 
-    /// The answer on the real-time-config channel: there if the request asked, and if the datagram has it.
+    /// The answer on the real-time-config channel: present if the request carried a block, and if the datagram has
+    /// it.
     #[inline]
     pub fn config(&self) -> Option<RtcBlock> {
         if !self.request.contains(RequestDef::CONFIG) {
@@ -406,8 +408,8 @@ impl Response {
         self.response_def.size(self.request_def)
     }
 
-    /// Writes the blocks that the two definitions ask for and returns their size; 0, and nothing written, if `out` is
-    /// too short. A block that is asked for and missing is written as 0; one that is not asked for is left out.
+    /// Writes the blocks of the two definitions and returns their size; 0, and nothing written, if `out` is too
+    /// short. A requested block that is missing is written as 0; one that is not requested is left out.
     pub fn emit(&self, out: &mut [u8]) -> usize {
         let size = self.size();
         let Some(out) = out.get_mut(..size) else { return 0 };
@@ -450,9 +452,9 @@ impl Response {
 
 /// A request in a datagram, as the drive sees it.
 ///
-/// The drive is more lenient than the manual says, and masters in the field rely on it: the last block may be cut short
-/// (a motion command down to its header, a config block down to its first word), the missing bytes are 0, and
-/// whatever comes behind the last block is ignored.
+/// The drive is more lenient than the manual says, and masters in the field rely on it: the last block may be cut
+/// short (a motion command down to its header, a config block down to its first word), the missing bytes are 0, and
+/// bytes after the last block are ignored.
 #[derive(Clone, Copy, Debug)]
 pub struct RequestView<'a> {
     bytes: &'a [u8],
@@ -523,7 +525,7 @@ impl<'a> RequestView<'a> {
 pub struct Request {
     /// Reserved bits of the request definition; a master sends none.
     pub reserved: RequestDef,
-    /// What the drive shall answer.
+    /// The blocks that the drive shall answer with.
     pub response_def: ResponseDef,
     /// Control word.
     pub control: Option<ControlWord>,

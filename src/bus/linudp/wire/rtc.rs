@@ -1,4 +1,4 @@
-//! The real-time-config channel's block, its commands, and what the drive answers to them.
+//! The real-time-config channel's block, its commands, and the drive's answers to them.
 //!
 //! Facts: LinUDP V2 manual 0185-1108-E 1V9, chapter 7. Its detail page calls the saving of the command table 75h; the
 //! list of commands, which is right, says 80h.
@@ -52,7 +52,7 @@ impl RtcBlock {
         (self.words[2] as u32) << 16 | self.words[1] as u32
     }
 
-    /// What the drive says, if the block comes from one.
+    /// The drive's status, if the block comes from a drive.
     pub const fn status(&self) -> RtcStatus {
         RtcStatus::of(self.code)
     }
@@ -78,7 +78,7 @@ macro_rules! commands {
         impl RtcCommand {
             $($(#[$doc])* pub const $name: RtcCommand = RtcCommand($code);)*
 
-            /// All that the manual lists.
+            /// All commands that the manual lists.
             pub const ALL: &[RtcCommand] = &[$(RtcCommand::$name),*];
 
             /// In words; `None` for one that the manual does not list.
@@ -212,7 +212,7 @@ impl fmt::Display for RtcCommand {
     }
 }
 
-/// What a drive says to a command: the parameter status.
+/// The drive's answer to a command: the parameter status.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum RtcStatus {
     /// 00h: done.
@@ -239,7 +239,7 @@ impl RtcStatus {
     /// 05h.
     pub const BUSY: u8 = 0x05;
 
-    /// What `code` means.
+    /// The meaning of `code`.
     pub const fn of(code: u8) -> RtcStatus {
         match code {
             RtcStatus::DONE => RtcStatus::Done,
@@ -252,7 +252,7 @@ impl RtcStatus {
     }
 }
 
-/// Why a drive did not do a command, in the manual's meaning.
+/// Why a drive did not execute a command, in the manual's meaning.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Error)]
 pub enum Refusal {
     /// C0h.
@@ -306,7 +306,7 @@ impl Refusal {
         Refusal::SoftwareRuns,
     ];
 
-    /// What `code`, C0h or above, means.
+    /// The meaning of `code`, C0h or above.
     pub const fn of(code: u8) -> Refusal {
         match code {
             0xC0 => Refusal::NoSuchUpid,

@@ -20,8 +20,8 @@ impl ControlWord {
     pub const ENABLE_OPERATION: u16 = 1 << 3;
     /// Bit 4: 0 = quick stop, stay controlled, motion command dropped.
     pub const NO_ABORT: u16 = 1 << 4;
-    /// Bit 5: 0 = quick stop, stay controlled; back to 1 resumes the target of a profile move. Not for a master's stop:
-    /// what resumes by itself is not stopped.
+    /// Bit 5: 0 = quick stop, stay controlled; back to 1 resumes the target of a profile move. Not for a master's
+    /// stop: a motion that resumes by itself is not stopped.
     pub const NO_FREEZE: u16 = 1 << 5;
     /// Bit 6: 1 = go to the parameterised position.
     pub const GO_TO_POSITION: u16 = 1 << 6;
@@ -157,8 +157,8 @@ impl fmt::Debug for StatusWord {
 
 /// The state variable: main state in the high byte, sub state in the low byte (SG5 manual).
 ///
-/// In state 8 the sub state carries the motion command count and three status bits, sampled together: alone a
-/// consistent handshake.
+/// In state 8 the sub state carries the motion command count and three status bits, sampled together: sufficient
+/// for a consistent handshake.
 #[derive(Clone, Copy, Default, PartialEq, Eq, Hash)]
 pub struct StateVar(pub u16);
 
@@ -189,7 +189,7 @@ impl StateVar {
         self.0 as u8
     }
 
-    /// The count of the last motion command that the drive took. Only state 8 carries it.
+    /// The count of the last motion command that the drive accepted. Only state 8 carries it.
     pub const fn count(self) -> Option<u8> {
         if self.operating() { Some(self.sub() & 0xF) } else { None }
     }
@@ -377,18 +377,18 @@ impl ErrorCode {
     pub const UNKNOWN_COMMAND: ErrorCode = ErrorCode(0x0081);
     /// 0082h: the buffer of streamed setpoints overflowed.
     pub const STREAM_OVERFLOW: ErrorCode = ErrorCode(0x0082);
-    /// 0083h: streamed setpoints stayed away.
+    /// 0083h: streamed setpoints did not come.
     pub const STREAM_UNDERFLOW: ErrorCode = ErrorCode(0x0083);
     /// 0084h: streamed setpoints come too fast.
     pub const STREAM_TOO_FAST: ErrorCode = ErrorCode(0x0084);
     /// 0085h: streamed setpoints come too slowly.
     pub const STREAM_TOO_SLOW: ErrorCode = ErrorCode(0x0085);
-    /// 0086h: motion command in a state that takes none.
+    /// 0086h: motion command in a state that accepts none.
     pub const WRONG_STATE: ErrorCode = ErrorCode(0x0086);
     /// 008Ah: the command table has no such entry.
     pub const ENTRY_MISSING: ErrorCode = ErrorCode(0x008A);
 
-    /// What it says, if known.
+    /// Its meaning, if known.
     pub const fn name(self) -> Option<&'static str> {
         Some(match self.0 {
             0x0000 => "no error",

@@ -1,12 +1,12 @@
 //! What is known of single parameters, by menu.
 //!
 //! Addresses and meanings are those of the SI-Ethernet and SI-PROFIBUS guides and of masters in the field. Width,
-//! decimals and range of most could not be looked up in a document here: those are marked [`assumed`](Known::assumed),
-//! and are what drives of this family are known for. A drive has many more parameters, and judges every value itself.
+//! decimals and range of most could not be looked up in a document: those are marked [`assumed`](Known::assumed),
+//! and are known of drives of this family. A drive has many more parameters, and checks every value itself.
 
 use super::{Parameter, SLOT_MAX, Width};
 
-/// What a parameter is for.
+/// The access to a parameter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Access {
     /// To read.
@@ -18,7 +18,7 @@ pub enum Access {
 /// What is known of a parameter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Known {
-    /// Which. Those of an Ethernet interface are given here in slot 4, and are the same in any other.
+    /// The parameter. Those of an Ethernet interface are given here in slot 4, and are the same in any other.
     pub parameter: Parameter,
     /// Its name here.
     pub name: &'static str,
@@ -28,7 +28,7 @@ pub struct Known {
     pub signed: bool,
     /// One count is `10^-decimals` of the unit below: decimals are never on the wire.
     pub decimals: u32,
-    /// Of the scaled value; empty for a plain number.
+    /// The unit of the scaled value; empty for a plain number.
     pub unit: &'static str,
     /// Whether it can be written.
     pub access: Access,
@@ -82,7 +82,7 @@ impl Known {
         count as f64 / f64::from(10_u32.pow(self.decimals))
     }
 
-    /// The count nearest to a scaled value; `None`: outside of [`min`](Self::min) ... [`max`](Self::max), or no number.
+    /// The count nearest to a scaled value; `None`: outside of [`min`](Self::min) ... [`max`](Self::max), or NaN.
     pub fn count(&self, value: f64) -> Option<i64> {
         let count = (value * f64::from(10_u32.pow(self.decimals))).round();
         // Whatever is within the range is within an i64, and NaN is within none.
@@ -344,7 +344,7 @@ pub fn find(parameter: Parameter) -> Option<&'static Known> {
     menu(parameter.slot, parameter.menu).find(|known| known.parameter.number == parameter.number)
 }
 
-/// The one of this name: of the drive itself, or of an Ethernet interface.
+/// The one with this name: of the drive itself, or of an Ethernet interface.
 pub fn named(name: &str, is_interface: bool) -> Option<&'static Known> {
     all().find(|known| known.name == name && (known.parameter.slot != 0) == is_interface)
 }

@@ -4,7 +4,7 @@
 //! The number of a parameter always has its three digits, as the drive's keypad and manuals write it: `6.42` could be
 //! 042 to one reader and 420 to another, and is refused. Zeros in front of the menu may be left out, `6.042`.
 //!
-//! On the wire the address of a parameter counts parameters, with 16-bit and with 32-bit access alike; bit 14 asks for
+//! On the wire the address of a parameter counts parameters, with 16-bit and with 32-bit access alike; bit 14 requests
 //! 32 bits, bit 15 is reserved (SI-Ethernet guide):
 //!
 //! ```text
@@ -34,18 +34,18 @@ pub const LONG: u16 = 1 << 14;
 /// Bit 15 of an address: reserved.
 pub const RESERVED: u16 = 1 << 15;
 
-/// How menus and numbers make an address: Pr S.15.013 (SI-Ethernet guide). Which value of it is which is assumed.
+/// How menus and numbers make an address: Pr S.15.013 (SI-Ethernet guide). The numbers of its values are assumed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Addressing {
-    /// A hundred addresses a menu: 0.
+    /// A hundred addresses per menu: 0.
     #[default]
     Standard,
-    /// 256 addresses a menu: 1.
+    /// 256 addresses per menu: 1.
     Modified,
 }
 
 impl Addressing {
-    /// Addresses a menu.
+    /// Addresses per menu.
     const fn stride(self) -> u16 {
         match self {
             Addressing::Standard => 100,
@@ -99,7 +99,7 @@ impl Width {
         }
     }
 
-    /// The value of raw bits. What stands above them is not looked at.
+    /// The value of raw bits. Higher bits are ignored.
     pub const fn number(self, raw: u32, signed: bool) -> i64 {
         let above = 32 - self.bits();
         match signed {
@@ -115,7 +115,7 @@ impl Width {
     }
 }
 
-/// A parameter: where it is and which.
+/// A parameter: its slot, menu and number.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Parameter {
     /// 0 = the drive's own, 1 ... 4 = that of an option module; 4 is on-board Ethernet.
@@ -131,13 +131,13 @@ impl Parameter {
     pub const CONTROL_WORD: Parameter = Parameter::new(6, 42);
     /// Whether the control word is obeyed.
     pub const CONTROL_WORD_ENABLE: Parameter = Parameter::new(6, 43);
-    /// The speed to go at: preset reference 1.
+    /// The commanded speed: preset reference 1.
     pub const REFERENCE: Parameter = Parameter::new(1, 21);
-    /// Where the reference comes from.
+    /// The source of the reference.
     pub const REFERENCE_SELECTOR: Parameter = Parameter::new(1, 14);
-    /// Which of the presets the reference is.
+    /// The preset that is the reference.
     pub const PRESET_SELECTOR: Parameter = Parameter::new(1, 15);
-    /// The speed that the motor goes at.
+    /// The speed of the motor.
     pub const SPEED: Parameter = Parameter::new(3, 2);
     /// Its load.
     pub const LOAD: Parameter = Parameter::new(4, 20);
@@ -148,7 +148,7 @@ impl Parameter {
     /// The firmware's version.
     pub const FIRMWARE: Parameter = Parameter::new(11, 29);
 
-    /// One of the drive itself.
+    /// A parameter of the drive itself.
     pub const fn new(menu: u8, number: u8) -> Parameter {
         Parameter { slot: 0, menu, number }
     }
@@ -164,7 +164,7 @@ impl Parameter {
             return None;
         }
         let place = self.menu as u16 * addressing.stride() + self.number as u16;
-        // The drive adds 1 to what it is sent: 00.000 is nowhere.
+        // The drive adds 1 to the address: 00.000 cannot be addressed.
         let Some(address) = place.checked_sub(1) else { return None };
         Some(match width {
             Width::Word => address,
@@ -172,7 +172,7 @@ impl Parameter {
         })
     }
 
-    /// What an address means to a drive; `None`: nothing. The slot is 0: see [`slot`].
+    /// The parameter at an address; `None`: there is none. The slot is 0: see [`slot`].
     pub const fn from_address(address: u16, addressing: Addressing) -> Option<(Parameter, Width)> {
         if address & RESERVED != 0 {
             return None;
@@ -186,12 +186,12 @@ impl Parameter {
         Some((Parameter::new(menu as u8, number as u8), width))
     }
 
-    /// The unit identifier to reach it by, in a drive that is `drive` itself.
+    /// Its unit identifier, in a drive whose own is `drive`.
     pub const fn unit(self, drive: u8) -> u8 {
         if self.slot == 0 { drive } else { self.slot }
     }
 
-    /// The one `count` numbers further in the same menu.
+    /// The parameter `count` numbers further in the same menu.
     pub const fn offset(self, count: u8) -> Option<Parameter> {
         match self.number.checked_add(count) {
             Some(number) => Some(Parameter { number, ..self }),
@@ -206,7 +206,7 @@ impl Parameter {
         if self.slot == 0 && setup <= catalogue::SETUP_MAX as u32 { Some(setup as u16) } else { None }
     }
 
-    /// What a set-up parameter of menu 22 shows; `None`: there is no such parameter.
+    /// The parameter that a set-up parameter of menu 22 shows; `None`: there is no such parameter.
     pub const fn from_setup(setup: u16) -> Option<Parameter> {
         let (menu, number) = (setup / 1000, setup % 1000);
         if setup > catalogue::SETUP_MAX || number > u8::MAX as u16 {
@@ -221,8 +221,7 @@ impl Parameter {
     }
 }
 
-/// The slot that a unit identifier means: 0 for the drive itself; `None`: none that a slot has, of which 254 is the
-/// interface.
+/// The slot of a unit identifier: 0 for the drive itself; `None`: no slot has it; 254 is the interface.
 pub const fn slot(unit: u8) -> Option<u8> {
     match unit {
         0 | DRIVE_UNIT => Some(0),
@@ -241,7 +240,7 @@ impl fmt::Display for Parameter {
     }
 }
 
-/// What is no parameter.
+/// Text that is not a parameter.
 #[derive(Clone, Copy, PartialEq, Eq, Error)]
 #[error(
     "no parameter; write menu.number with three digits of the number, 06.042, or slot.menu.number, 4.15.009"
@@ -252,7 +251,7 @@ crate::errors::debug_as_display!(ParseError);
 impl FromStr for Parameter {
     type Err = ParseError;
 
-    /// `06.042`, `6.042`, or with a slot 0 ... 4 `1.06.042`. Only what some addressing reaches is one.
+    /// `06.042`, `6.042`, or with a slot 0 ... 4 `1.06.042`. Refused unless some addressing reaches it.
     fn from_str(text: &str) -> Result<Parameter, ParseError> {
         let mut parts = text.rsplit('.');
         let number = parts.next().and_then(|part| digits(part, 3, 3)).ok_or(ParseError)?;

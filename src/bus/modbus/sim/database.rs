@@ -1,7 +1,6 @@
-//! The values of the parameters: in use, saved, and as the drive was delivered; and what menu 0 shows of them.
-//!
-//! Knows nothing of what a parameter does. A value that is written is lost at a restart unless it was saved: xx.000 =
-//! 1000 or 1001 in any menu, then a reset of the drive; 1233 and 1244 bring back the values as delivered (all four
+//! The values of the parameters: in use, saved, and as delivered; and the parameters that menu 0 shows.
+//! Knows nothing of a parameter's effect. A written value is lost at a restart unless it was saved: xx.000 = 1000
+//! or 1001 in any menu, then a reset of the drive; 1233 and 1244 restore the values as delivered (all four
 //! assumed).
 
 use super::settings::SimSettings;
@@ -19,7 +18,7 @@ pub(super) struct Database {
     used: Vec<i32>,
     saved: Vec<i32>,
     delivered: Vec<i32>,
-    /// What menu 0 shows, by the parameters' places in the table.
+    /// The parameters that menu 0 shows, by their index in the table.
     shown: [Option<usize>; table::SETUPS],
     menu_zero: bool,
     /// In use since the last start.
@@ -63,7 +62,7 @@ impl Database {
         database
     }
 
-    /// What was saved is in use again.
+    /// The saved values are in use again.
     pub(super) fn restart(&mut self) {
         for (place, row) in self.rows.iter().enumerate() {
             self.used[place] = if row.saved { self.saved[place] } else { row.default };
@@ -75,7 +74,7 @@ impl Database {
         self.show();
     }
 
-    /// The drive was reset: what stands in any xx.000 is done.
+    /// The drive was reset: commands in any xx.000 are carried out.
     pub(super) fn reset(&mut self) {
         let mut orders = [0; 2];
         for (row, value) in self.rows.iter().zip(&mut self.used).filter(|(row, _)| row.number == 0) {
@@ -96,7 +95,7 @@ impl Database {
         }
     }
 
-    /// The parameter that stands there.
+    /// The parameter at this index.
     pub(super) fn row(&self, place: usize) -> &'static Row {
         &self.rows[place]
     }
@@ -119,7 +118,7 @@ impl Database {
         }
     }
 
-    /// Where the parameter stands that one of the drive's, or of menu 0, means.
+    /// The index of a parameter of the drive, or of the one shown in menu 0.
     pub(super) fn find(&self, parameter: Parameter) -> Option<usize> {
         match parameter.menu {
             0 => *self.shown.get(usize::from(parameter.number).checked_sub(1)?)?,
@@ -128,7 +127,7 @@ impl Database {
         }
     }
 
-    /// The same of one of the interface's.
+    /// The same for a parameter of the interface.
     pub(super) fn find_own(&self, parameter: Parameter) -> Option<usize> {
         TABLE.find(parameter.menu.checked_add(table::INTERFACE)?, parameter.number)
     }
@@ -138,7 +137,7 @@ impl Database {
         self.addressing
     }
 
-    /// Looks up what menu 0 shows. It does not show itself.
+    /// Looks up the parameters that menu 0 shows. It does not show itself.
     fn show(&mut self) {
         for number in 1..=table::SETUPS {
             let setup = TABLE.find(table::SETUP_MENU, number as u8).map_or(0, |place| self.used[place]);

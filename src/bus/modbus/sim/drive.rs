@@ -11,7 +11,7 @@ use crate::bus::modbus::trips::Trip;
 use crate::bus::modbus::words::{ControlWord, StatusWord};
 use crate::time::{MS, Time};
 
-/// Steps in which a drive that is found running has come up to its speed: 60 s.
+/// Steps in which a drive that is found running has reached its speed: 60 s.
 const RUN_UP: (u32, u64) = (600, 100 * MS);
 
 /// A drive with its motor.
@@ -77,7 +77,7 @@ impl Drive {
         self.motor.step(demand, dt_ns);
     }
 
-    /// What the motor is to do.
+    /// The demand of the motor.
     fn demand(&self) -> Demand {
         let number = |place| f64::from(self.parameters.get(place));
         // A rate of 0 is no ramp, and so is a ramp that is switched off. Rates are ms to 1000 rpm.
@@ -100,7 +100,7 @@ impl Drive {
         self.motor.speed().abs() <= f64::from(self.parameters.get(table::ZERO_SPEED))
     }
 
-    /// The value of the parameter that stands there.
+    /// The value of the parameter at this index.
     pub(super) fn read(&self, place: usize) -> i32 {
         let row = self.parameters.row(place);
         match row.variable {
@@ -109,7 +109,7 @@ impl Drive {
         }
     }
 
-    /// Writes a value; false if nobody may write it.
+    /// Writes a value; false if it cannot be written.
     pub(super) fn write(&mut self, place: usize, value: i32) -> bool {
         if !self.parameters.row(place).takes(value) {
             return false;
@@ -162,7 +162,7 @@ impl Drive {
         }
     }
 
-    /// The status word. Braking transistor, its resistor and the mains are always well.
+    /// The status word. Braking transistor, its resistor and the mains are always in order.
     fn status(&self) -> StatusWord {
         use StatusWord as W;
         let number = |place| f64::from(self.parameters.get(place));

@@ -4,25 +4,25 @@
 //!
 //! | file | what |
 //! |---|---|
-//! | `settings` | what a drive is like, and how it is found |
-//! | `table`, `database` | the parameters there are, and their values; what menu 0 shows |
+//! | `settings` | the properties of a drive, and its state at the start |
+//! | `table`, `database` | the parameters, and their values; what menu 0 shows |
 //! | `sequencer` | control word, hardware enable, trips, watchdogs |
 //! | `motor` | the ramp, and the motor that follows it |
 //! | `drive` | these together: reading and writing parameters, the status word |
 //! | `server` | connections, messages, functions, exceptions |
 //!
-//! The drive has no clock: whenever it is spoken to it lives through the time since then, in whole steps of a
+//! The drive has no clock: on each message it advances by the time since the last one, in whole steps of a
 //! millisecond.
 //!
-//! Where the manuals are silent it takes the strict side; `sequencer`, `database` and `server` say what that is. What a
-//! master meets first:
+//! Where the manuals are silent it takes the strict side; `sequencer`, `database` and `server` name their choices.
+//! What a master meets first:
 //!
 //! | case | what the drive does |
 //! |---|---|
 //! | 06.043 = 0, as delivered | the control word does nothing at all |
 //! | a negative reference, as delivered (01.010 = 0) | stands still; run in reverse, or set 01.010 |
 //! | a trip is reset while a run bit stands | runs again, at once |
-//! | Modbus timeout S.15.009, 0 as delivered | supervises from the first request behind the write; its trip is "slot error" |
+//! | Modbus timeout S.15.009, 0 as delivered | supervises from the first request after the write; its trip is "slot error" |
 //! | a new addressing mode (S.15.013) | counts from the next start on |
 //! | a write that was not saved | is lost at a restart |
 
@@ -46,7 +46,7 @@ use crate::time::{MS, S, Time};
 
 /// One step of sequencer and motor; also the drive's reaction time.
 const STEP_NS: u64 = MS;
-/// After a silence the drive lives through so much of it in steps of [`STEP_NS`] ...
+/// After a silence the drive advances through so much of it in steps of [`STEP_NS`] ...
 const FINE_NS: u64 = S;
 /// ... and through the rest in at most so many longer ones. By then every watchdog has run out, and ramps do not depend
 /// on the step.
@@ -59,15 +59,15 @@ pub struct UnidriveSim {
     faults: FaultPlan,
     drive: Drive,
     server: Server,
-    /// The instant that the drive has lived up to.
+    /// The instant up to which the drive has advanced.
     lived: Option<Time>,
     boot_ns: u64,
-    /// Does not listen until then.
+    /// Does not receive until then.
     booted_at: Time,
 }
 
 impl UnidriveSim {
-    /// The drive as set up, listening. Its time begins when it is first spoken to.
+    /// The drive as set up, listening. Its time begins with the first message.
     pub fn new(settings: SimSettings) -> UnidriveSim {
         UnidriveSim {
             address: settings.address,
@@ -90,7 +90,7 @@ impl UnidriveSim {
         self.server.connections()
     }
 
-    /// Lives up to `now`, as far as whole steps lead.
+    /// Advances to `now`, in whole steps.
     fn live(&mut self, now: Time) {
         let mut at = *self.lived.get_or_insert(now);
         let fine_end = at + FINE_NS;

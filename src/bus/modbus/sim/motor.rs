@@ -15,18 +15,18 @@ const RPM: f64 = TAU / 60.0;
 /// The DC bus of a drive on 400 V mains, V.
 const DC_BUS: f64 = 565.0;
 
-/// What an active drive asks of its motor.
+/// The demand of an active drive to its motor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Demand {
-    /// Where the ramp goes, rpm.
+    /// The target of the ramp, rpm.
     pub speed: f64,
-    /// What is added behind the ramp, rpm.
+    /// An offset added after the ramp, rpm.
     pub hard: f64,
     /// rpm/s, over 0.
     pub acceleration: f64,
     /// rpm/s, over 0.
     pub deceleration: f64,
-    /// Most torque, % of the rated one.
+    /// Largest torque, % of the rated one.
     pub limit: f64,
 }
 
@@ -37,9 +37,9 @@ pub(super) struct Motor {
     plant: Plant,
     /// Post-ramp reference, rpm.
     ramp: f64,
-    /// The same with what is added behind it.
+    /// The same with the added offset.
     reference: f64,
-    /// What the motor pushes, N m.
+    /// The torque of the motor, N m.
     torque: f64,
     /// The torque limit holds the motor back.
     limited: bool,
@@ -89,14 +89,14 @@ impl Motor {
         self.limited = wanted.abs() > most;
     }
 
-    /// What the machine takes at the speed to which this step leads, N m: an implicit Euler step, stable at any length.
+    /// The load torque at the speed that this step leads to, N m: an implicit Euler step, stable at any length.
     fn load(&self, dt: f64) -> f64 {
         let speed = self.plant.velocity();
         let gain = (self.torque - self.friction(speed)) * dt / self.settings.inertia_kgm2;
         self.drag() * (speed + gain) / (1.0 + self.drag() * dt / self.settings.inertia_kgm2)
     }
 
-    /// The load, N m a rad/s.
+    /// The load, N m per rad/s.
     fn drag(&self) -> f64 {
         self.settings.load_nm / (self.settings.rated_rpm * RPM)
     }
@@ -152,7 +152,7 @@ impl Motor {
 fn ramped(from: f64, demand: &Demand, dt: f64) -> f64 {
     let Demand { speed, acceleration, deceleration, .. } = *demand;
     if from * speed < 0.0 || speed.abs() < from.abs() {
-        // Down to the new speed, or to zero and up on the other side with what is left of the time.
+        // Down to the new speed, or to zero and up on the other side in the remaining time.
         let end = if from * speed < 0.0 { 0.0 } else { speed };
         let needed = (from - end).abs() / deceleration;
         if dt < needed {

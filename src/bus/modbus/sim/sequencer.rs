@@ -1,7 +1,7 @@
-//! What the drive is told to do: control word, hardware enable, trips, watchdogs.
+//! What commands the drive: control word, hardware enable, trips, watchdogs.
 //!
-//! Knows the parameters by their values, and no motor: what it turns at comes as an argument. Facts: SI-PROFIBUS guide,
-//! control word; what the guide leaves open is assumed:
+//! Knows the parameters by their values, and no motion: the present speed comes as an argument. Facts: SI-PROFIBUS
+//! guide, control word; what the guide leaves open is assumed:
 //!
 //! | case | what the drive does |
 //! |---|---|
@@ -30,10 +30,10 @@ const LOG: usize = 10;
 
 /// Values of 06.004 with which run bits latch.
 const LATCHING: [i32; 2] = [1, 3];
-/// The value of 06.001 with which a stop is no ramp.
+/// The value of 06.001 with which a stop is not a ramp.
 const COASTING: i32 = 0;
 
-/// What the terminals would set, and the bits of the control word that do the same.
+/// The values of the terminals, and the bits of the control word with the same effect.
 const TERMINALS: [(usize, u16); 6] = [
     (table::RUN_FORWARD, ControlWord::RUN_FORWARD),
     (table::JOG_FORWARD, ControlWord::JOG_FORWARD),
@@ -53,11 +53,11 @@ struct Run {
 /// The sequencer of one drive.
 #[derive(Debug)]
 pub(super) struct Sequencer {
-    /// Is the trip whose cause stays.
+    /// The trip whose cause persists.
     persistent: Option<Trip>,
     watchdog: Watchdog,
     overcurrent_wait_ns: u64,
-    /// The trip of an interface that hears nothing any more.
+    /// The trip of an interface that receives nothing any more.
     link_trip: Trip,
     trip: Option<Trip>,
     /// Until the trip can be reset, ns.
@@ -66,7 +66,7 @@ pub(super) struct Sequencer {
     log: VecDeque<Trip>,
     /// Until the control word has to be written again, ns.
     served_ns: Option<u64>,
-    /// Until something has to be heard again, ns.
+    /// Until something has to be received again, ns.
     heard_ns: Option<u64>,
     latched: Option<Run>,
     running: Option<Run>,
@@ -94,7 +94,7 @@ impl Sequencer {
         sequencer
     }
 
-    /// Power came back: the log outlives it.
+    /// Power came back: the log survives it.
     pub(super) fn restart(&mut self) {
         (self.trip, self.wait_ns) = (None, 0);
         (self.served_ns, self.heard_ns) = (None, None);
@@ -161,7 +161,7 @@ impl Sequencer {
         self.heard_ns = u64::try_from(timeout_ms).ok().filter(|ms| *ms > 0).map(|ms| ms * MS);
     }
 
-    /// Lets `dt_ns` pass: watchdogs, then what the drive is told.
+    /// Lets `dt_ns` pass: watchdogs, then the commands.
     pub(super) fn step(&mut self, dt_ns: u64, parameters: &Database, hardware: bool, standing: bool) {
         self.wait_ns = self.wait_ns.saturating_sub(dt_ns);
         if runs_out(&mut self.served_ns, dt_ns) {
@@ -199,7 +199,7 @@ impl Sequencer {
         self.latched
     }
 
-    /// Where the ramp goes, 0.1 rpm.
+    /// The target of the ramp, 0.1 rpm.
     pub(super) fn pre_ramp(&self, parameters: &Database) -> i32 {
         let Some(run) = self.running else { return 0 };
         let reference = match run.jog {
@@ -214,17 +214,17 @@ impl Sequencer {
         self.active
     }
 
-    /// It is told to run.
+    /// It is commanded to run.
     pub(super) fn is_running(&self) -> bool {
         self.running.is_some()
     }
 
-    /// It is told to run backward.
+    /// It is commanded to run backward.
     pub(super) fn is_reversed(&self) -> bool {
         self.running.is_some_and(|run| run.reverse)
     }
 
-    /// The trip that stands.
+    /// The present trip.
     pub(super) fn standing_trip(&self) -> Option<Trip> {
         self.trip
     }
@@ -235,13 +235,13 @@ impl Sequencer {
     }
 }
 
-/// The control word, while it is obeyed.
+/// The control word, while it is followed.
 pub(super) fn obeyed(parameters: &Database) -> Option<ControlWord> {
     let word = ControlWord(parameters.get(table::CONTROL_WORD) as u16);
     (parameters.is_on(table::CONTROL_WORD_ENABLE) && word.has(ControlWord::AUTO)).then_some(word)
 }
 
-/// What stands at the terminals, as a control word.
+/// The state of the terminals, as a control word.
 fn terminals(parameters: &Database) -> ControlWord {
     let bits = TERMINALS.iter().filter(|(place, _)| parameters.is_on(*place));
     ControlWord(bits.fold(ControlWord::ENABLE, |word, (_, bit)| word | bit))
@@ -281,7 +281,7 @@ pub(super) fn selected(parameters: &Database) -> i32 {
     parameters.get(place).clamp(least, most)
 }
 
-/// Takes `dt_ns` from what is left; true once, when nothing is.
+/// Takes `dt_ns` from the rest; true once, when nothing is left.
 fn runs_out(left: &mut Option<u64>, dt_ns: u64) -> bool {
     *left = left.map(|left| left.saturating_sub(dt_ns));
     left.take_if(|left| *left == 0).is_some()

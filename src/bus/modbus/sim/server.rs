@@ -1,6 +1,6 @@
 //! The Modbus side of the drive: connections, messages, functions and exceptions.
 //!
-//! Knows no socket: bytes come as they were split, and answers go out whole. Facts: SI-Ethernet guide; what it leaves
+//! Knows no socket: bytes come split anywhere, and answers go out whole. Facts: SI-Ethernet guide; what it leaves
 //! open is assumed:
 //!
 //! | case | what the drive does |
@@ -8,7 +8,7 @@
 //! | a header that is no Modbus, lengths that contradict each other | the connection ends |
 //! | 0 registers, an odd number of them with 32-bit access, function 6 with 32-bit access, bit 15 | exception 02 |
 //! | a parameter that does not exist | exception 02, and nothing is written or read (a setting for reading) |
-//! | a value out of range, a parameter that is read only | function 16 stops there and counts what it has written; 6 and 23 say nothing |
+//! | a value out of range, a parameter that is read only | function 16 stops there and counts the registers that it has written; 6 and 23 give no error |
 //! | function 23 | writes, then reads |
 //! | a 16-bit write to a 32-bit parameter | carries the sign, if the parameter has one |
 
@@ -27,9 +27,9 @@ use crate::bus::modbus::wire::{
 #[derive(Debug)]
 struct Connection {
     from: SocketAddrV4,
-    /// What has come of messages that are not whole yet.
+    /// The bytes of an incomplete message.
     bytes: Vec<u8>,
-    /// What came last was no Modbus.
+    /// The last bytes were not Modbus.
     broken: bool,
 }
 
@@ -52,7 +52,7 @@ impl Server {
         }
     }
 
-    /// A client calls; false if there are too many.
+    /// A client connects; false if there are too many.
     pub(super) fn connect(&mut self, from: SocketAddrV4) -> bool {
         self.disconnect(from);
         let has_room = self.connections.len() < self.service.interface.connections;
@@ -62,17 +62,17 @@ impl Server {
         has_room
     }
 
-    /// A client is gone.
+    /// A client disconnects.
     pub(super) fn disconnect(&mut self, from: SocketAddrV4) {
         self.connections.retain(|connection| connection.from != from);
     }
 
-    /// All of them are.
+    /// All of them disconnect.
     pub(super) fn disconnect_all(&mut self) {
         self.connections.clear();
     }
 
-    /// How many there are.
+    /// The number of connections.
     pub(super) fn connections(&self) -> usize {
         self.connections.len()
     }
@@ -82,7 +82,7 @@ impl Server {
         !self.connections.iter().any(|connection| connection.from == from && !connection.broken)
     }
 
-    /// Takes in what came on the connection of `from`, and appends the answers.
+    /// Takes in bytes of the connection of `from`, and appends the answers.
     pub(super) fn take(&mut self, from: SocketAddrV4, bytes: &[u8], drive: &mut Drive, reply: &mut Vec<u8>) {
         let connection = self.connections.iter_mut().find(|connection| connection.from == from);
         let Some(connection) = connection.filter(|connection| !connection.broken) else { return };
@@ -111,22 +111,22 @@ impl Server {
     }
 }
 
-/// What a message cannot be: the connection has to end.
+/// A message that is not Modbus: the connection has to end.
 #[derive(Debug)]
 struct NoModbus;
 
-/// Whose parameters a unit id means.
+/// The owner of the parameters of a unit id.
 #[derive(Clone, Copy, Debug)]
 enum Unit {
     Drive,
     Interface,
 }
 
-/// What answers the messages.
+/// Answers the messages.
 #[derive(Debug)]
 struct Service {
     interface: Interface,
-    /// Where the parameters of a message stand in the table; `None` = a hole. First those that are written.
+    /// The table indices of the parameters of a message; `None` = a hole. The written ones come first.
     places: Vec<Option<usize>>,
     registers: RegistersBuffer,
 }
@@ -202,7 +202,7 @@ impl Service {
         }
     }
 
-    /// Looks up the parameters of a block, and tells how they are accessed.
+    /// Looks up the parameters of a block, and returns how they are accessed.
     fn look_up(
         &mut self,
         unit: Unit,
@@ -232,12 +232,13 @@ impl Service {
         Ok(width)
     }
 
-    /// What is written may have no holes, whatever is read.
+    /// A written block may have no holes, unlike a read one.
     fn refuse_holes(&self) -> Result<(), ExceptionCode> {
         if self.places.contains(&None) { Err(ExceptionCode::ADDRESS) } else { Ok(()) }
     }
 
-    /// Writes the parameters at the front, up to the first one that is refused; how many registers it took.
+    /// Writes the parameters at the front, up to the first one that is refused; returns how many registers were
+    /// written.
     fn write(&self, width: Width, data: Registers<'_>, drive: &mut Drive) -> u16 {
         let mut written = 0;
         for (index, place) in self.places.iter().flatten().enumerate() {

@@ -1,4 +1,4 @@
-//! What a simulated Unidrive is like: its network interface, its motor, and how it is found.
+//! The settings of a simulated Unidrive: its network interface, its motor, and its state at the start.
 
 use std::net::SocketAddrV4;
 
@@ -9,13 +9,13 @@ use crate::time::{MS, S};
 /// A simulated Unidrive. Where no document says what the drive does, the default is the strict side, and assumed.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SimSettings {
-    /// Where it listens.
+    /// The address that it listens at.
     pub address: SocketAddrV4,
     /// The faults between it and the master.
     pub faults: FaultPlan,
     /// The Modbus side.
     pub interface: Interface,
-    /// The motor and what it drives.
+    /// The motor and its load.
     pub motor: MotorSettings,
     /// Seconds to 1000 rpm and from there to standstill: Pr 02.011 and 02.021 as delivered. Default 0.2 each.
     pub ramps_s: (f64, f64),
@@ -31,13 +31,13 @@ pub struct SimSettings {
     pub overcurrent_wait_ns: u64,
     /// From power-on until it listens, ns. Default 500 ms.
     pub boot_ns: u64,
-    /// Saved parameters that differ from the drive's as delivered. Those that it does not have are left out, values out
-    /// of range are moved into it.
+    /// Saved parameters that differ from the values as delivered. Unknown ones are ignored, values out of range are
+    /// clamped.
     pub commissioned: Vec<(Parameter, i32)>,
 }
 
 impl SimSettings {
-    /// A drive with everything as usual.
+    /// A drive with default settings.
     pub fn new(address: SocketAddrV4) -> SimSettings {
         SimSettings {
             address,
@@ -69,11 +69,11 @@ pub struct Interface {
     pub read_write: bool,
     /// Menu 0 shows what Pr 22.001 ... 22.080 say. Without it there is no menu 0. Default true.
     pub menu_zero: bool,
-    /// The unit ids that mean the drive. Default 0 and 255 (SI-Ethernet guide).
+    /// The unit ids of the drive. Default 0 and 255 (SI-Ethernet guide).
     pub drive_units: Vec<u8>,
-    /// What is said to unit 0 is answered by unit 255, as met in the field. Default false.
+    /// Unit 255 answers requests to unit 0, as seen in the field. Default false.
     pub answers_as_255: bool,
-    /// A unit id that is nobody's gets exception 02, assumed; false: silence.
+    /// An unknown unit id gets exception 02, assumed; false: silence.
     pub refuses_units: bool,
     /// Of several requests that come at once all are answered, in order. False: the first one only.
     pub pipelining: bool,
@@ -98,17 +98,17 @@ impl Default for Interface {
     }
 }
 
-/// What becomes of a block with a parameter that does not exist in the midst of others.
+/// The result of a block with a missing parameter among existing ones.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Holes {
     /// Exception 02; nothing is read or written.
     #[default]
     Refused,
-    /// It reads as 0. Written, it is refused all the same.
+    /// It reads as 0. A write is refused all the same.
     Zero,
 }
 
-/// The motor and what it drives, in SI units.
+/// The motor and its load, in SI units.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MotorSettings {
     /// Rated speed, rpm, over 0: Pr 05.008 and the maximum reference 01.006 as delivered. Default 3000.
@@ -117,13 +117,13 @@ pub struct MotorSettings {
     pub rated_nm: f64,
     /// Rated current, A, at rated torque. Default 3.
     pub rated_a: f64,
-    /// Most that the drive lets it push, % of the rated torque: Pr 04.007 as delivered. Default 250.
+    /// Largest torque that the drive allows, % of the rated torque: Pr 04.007 as delivered. Default 250.
     pub limit_percent: f64,
     /// Pole pairs. Default 3.
     pub pole_pairs: u8,
     /// Inertia of everything that turns, kg m^2, over 0. Default 0.005.
     pub inertia_kgm2: f64,
-    /// What the machine takes at rated speed, N m; it grows with speed. Default 1.5.
+    /// Load torque at rated speed, N m; it grows with speed. Default 1.5.
     pub load_nm: f64,
     /// Dry friction, N m. Default 0.1.
     pub friction_nm: f64,
@@ -152,8 +152,8 @@ pub enum Start {
     Idle,
     /// With this trip, which can be reset.
     Tripped(u16),
-    /// Enabled by the control word of a master that is gone, and running at this speed, rpm; negative is reverse, 0
-    /// stands.
+    /// Enabled by the control word of a master that has disappeared, and running at this speed, rpm; negative is
+    /// reverse, 0 is standstill.
     Running(f64),
 }
 

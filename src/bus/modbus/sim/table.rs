@@ -1,8 +1,8 @@
-//! The parameters of the simulated drive: all that the catalogue knows, and what is special about some of them.
+//! The parameters of the simulated drive: all of the catalogue, and the special properties of some.
 //!
-//! Knows no values in use; those live in `database`. Widths and ranges are those of the catalogue. **Defaults and what
-//! is saved are chosen** where the manuals at hand do not print them. What is not listed here is stored, and has no
-//! effect.
+//! Knows no values in use; those live in `database`. Widths and ranges are those of the catalogue. **Defaults and
+//! saved parameters are chosen** where the available manuals do not print them. A parameter that is not listed here
+//! is stored, and has no effect.
 
 use std::collections::BTreeSet;
 use std::sync::LazyLock;
@@ -15,7 +15,7 @@ use crate::bus::modbus::parameter::{self, Parameter, Width};
 pub(super) enum Variable {
     /// The reference as selected, within its limits.
     Selected,
-    /// The same with its direction, and 0 while the drive does not run: where the ramp goes.
+    /// The same with its direction, and 0 while the drive does not run: the target of the ramp.
     PreRamp,
     PostRamp,
     FinalSpeed,
@@ -33,7 +33,7 @@ pub(super) enum Variable {
     Trip(u8),
 }
 
-/// What is special about a parameter.
+/// The special properties of a parameter.
 #[derive(Clone, Copy, Debug)]
 struct Special {
     menu: u8,
@@ -55,7 +55,7 @@ const fn shows(menu: u8, number: u8, variable: Variable) -> Special {
     Special { menu, number, default: 0, saved: false, variable: Some(variable) }
 }
 
-/// Where the menus of the Ethernet interface stand, whatever slot it is in: behind all that the drive can have.
+/// The menus of the Ethernet interface, whatever slot it is in: after all menus that the drive can have.
 pub(super) const INTERFACE: u8 = 200;
 
 const SPECIAL: &[Special] = &[
@@ -153,7 +153,7 @@ const SPECIAL: &[Special] = &[
     saved(INTERFACE + 15, 13, 0),  // Modbus register addressing mode
 ];
 
-/// Where a parameter stands in the table, when the program is compiled: the special ones are the first.
+/// The index of a parameter in the table, at compile time: the special ones come first.
 const fn at(menu: u8, number: u8) -> usize {
     let mut index = 0;
     while SPECIAL[index].menu != menu || SPECIAL[index].number != number {
@@ -239,7 +239,7 @@ impl Row {
         }
     }
 
-    /// Parameter 000 of a menu: what to do at the next reset.
+    /// Parameter 000 of a menu: the command of the next reset.
     fn order(menu: u8) -> Row {
         let (number, low, high) = (0, 0, u16::MAX.into());
         let (signed, writable, saved, variable) = (false, true, false, None);
@@ -251,17 +251,17 @@ impl Row {
         Row { default, saved, variable, ..self }
     }
 
-    /// Anybody may write this value.
+    /// Whether a client may write this value.
     pub(super) fn takes(&self, value: i32) -> bool {
         self.writable && (self.low..=self.high).contains(&value)
     }
 
-    /// The value next to this one that it can have.
+    /// The nearest permitted value.
     pub(super) fn clamp(&self, value: i32) -> i32 {
         value.clamp(self.low, self.high)
     }
 
-    /// The value that one register means.
+    /// The value of one register.
     pub(super) fn word(&self, register: u16) -> i32 {
         Width::Word.number(register.into(), self.signed) as i32
     }
@@ -275,7 +275,7 @@ impl Row {
 #[derive(Debug)]
 pub(super) struct Table {
     pub rows: Vec<Row>,
-    /// Menu and number, and where it stands; in order.
+    /// Menu and number, and the index; in order.
     index: Vec<(u16, usize)>,
 }
 
@@ -287,7 +287,7 @@ impl Table {
         let known: Vec<Row> = catalogue::all().map(Row::of).collect();
         let find =
             |special: &Special| known.iter().find(|row| row.key() == key(special.menu, special.number));
-        // The tests see to it that the catalogue has them all.
+        // A test checks that the catalogue has them all.
         let blank = |special: &Special| Row { number: special.number, ..Row::order(special.menu) };
         let mut rows: Vec<Row> = SPECIAL
             .iter()
@@ -303,7 +303,7 @@ impl Table {
         Table { rows, index }
     }
 
-    /// Where a parameter stands; those of the interface by [`INTERFACE`].
+    /// The index of a parameter; those of the interface by [`INTERFACE`].
     pub(super) fn find(&self, menu: u8, number: u8) -> Option<usize> {
         let at = self.index.binary_search_by_key(&key(menu, number), |(key, _)| *key).ok()?;
         Some(self.index[at].1)
@@ -338,7 +338,7 @@ mod tests {
             let known = Parameter::new(menu, special.number).in_slot(slot).known().expect(&name);
             assert_eq!(TABLE.find(special.menu, special.number), Some(place), "{name}");
             assert!((known.min..=known.max).contains(&special.default.into()), "{name}");
-            // Whatever the drive computes, nobody writes.
+            // Computed values are not writable.
             assert!(special.variable.is_none() || known.access == parameter::Access::ReadOnly, "{name}");
         }
     }

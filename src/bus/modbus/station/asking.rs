@@ -1,4 +1,4 @@
-//! The request of the next send: which one it is, its bytes, and what goes on once they are out.
+//! The request of the next send: its choice, its bytes, and what changes once they are sent.
 
 use super::{Blocks, End, Station, What, used};
 use crate::bus::modbus::counters::Own;
@@ -10,24 +10,24 @@ use crate::bus::modbus::wire::{Header, Request};
 use crate::bus::{Cycle, Exchange, Slot};
 use crate::time::Time;
 
-/// After so many references in a row the control word has its turn again, for the drive's watchdogs.
+/// After so many references in a row it is the control word's turn, for the drive's watchdogs.
 pub(in crate::bus::modbus) const REFERENCES_IN_A_ROW: u32 = 8;
 
 impl Station {
-    /// Builds the request of the next send. Built again for the same send, it is the same: what moves on with every
-    /// request does so in [`sent`](Self::sent).
+    /// Builds the request of the next send. Built again for the same send, it is the same: state that changes with
+    /// every request changes in [`sent`](Self::sent).
     pub fn prepare(&mut self, cycle: &Cycle, slot: &mut Slot) {
         let native = &mut self.native;
         let outputs = self.orders.advance(cycle.grid, &self.inputs, slot, native);
         self.inputs.fresh = false;
         let calls = self.calls.advance(cycle.grid, slot.link, self.orders.is_on());
-        // Whether the last one is answered by then, the send will see.
+        // Whether the last one is answered by then is known at the send.
         self.length = 0;
         if !self.connected || !self.rest().is_empty() {
             return;
         }
         self.grid = cycle.grid;
-        // A drive that does not follow the control word, and cannot be set so, is only read.
+        // A drive that does not follow the control word, and cannot be configured to, is only read.
         let outputs = if self.finding.obeys || self.settable { outputs } else { None };
         self.outputs = outputs.unwrap_or_default();
         let sets = self.end != End::NotYet || self.set < self.settings.len();
@@ -70,7 +70,7 @@ impl Station {
         let (read, confirms) = self.choose_read(outputs);
         let write = outputs.map(|outputs| self.choose_write(outputs) as u8);
         let both = Blocks { write, read: Some(read as u8), confirms, ..Blocks::default() };
-        // Without FC23 writing and reading take turns; what is urgent may go twice in a row.
+        // Without FC23 writing and reading take turns; an urgent one may go twice in a row.
         let urgent = self.control_changes(outputs) || self.orders.is_new();
         let most = if urgent { 2 } else { 1 };
         match write {
@@ -81,7 +81,7 @@ impl Station {
         }
     }
 
-    /// The block to read, and whether it is out of turn: to see what the drive has taken.
+    /// The block to read, and whether it is out of turn: to check what the drive has accepted.
     fn choose_read(&self, outputs: Option<Outputs>) -> (usize, bool) {
         let mapping = self.mapping();
         let turn = (mapping.read_in(self.reads), false);
@@ -106,7 +106,8 @@ impl Station {
         outputs.is_some_and(|outputs| self.inputs.control != Some(outputs.control))
     }
 
-    /// What differs from what the drive has, the control word first; else each in its turn, for the drive's watchdogs.
+    /// The value that differs from the drive's, the control word first; else each in its turn, for the drive's
+    /// watchdogs.
     fn choose_write(&self, outputs: Outputs) -> usize {
         let writes = self.mapping().writes();
         if writes.len() == 1 {
@@ -127,7 +128,7 @@ impl Station {
         block.unwrap_or_else(|| self.writes as usize % writes.len().max(1))
     }
 
-    /// Writes the next request into its room: over the last one, if that asked for the same blocks.
+    /// Writes the next request into its room: over the last one, if that had the same blocks.
     fn emit(&mut self, next: What) -> usize {
         let transaction = self.identity.next();
         if let What::Cyclic(blocks) = next
@@ -200,7 +201,7 @@ impl Station {
             place.and_then(|(at, width)| Some((u8::try_from(begin + at).ok()?, width)))
         };
         let places = (in_message(control), in_message(reference));
-        // A value that could not be found again would stay as it is.
+        // A value whose offset is not known would stay unchanged.
         let found = (places.0.is_some(), places.1.is_some()) == (control.is_some(), reference.is_some());
         let (control, reference) = places;
         let blocks = (blocks.write, blocks.read);
@@ -210,7 +211,7 @@ impl Station {
         length
     }
 
-    /// What is to be handed to the wire for a slot that is due; empty: nothing can be.
+    /// The bytes for the wire for a slot that is due; empty: nothing can be sent.
     pub fn to_send(&self) -> &[u8] {
         match self.connected && !self.identity.is_open() {
             true => self.out.get(..self.length).unwrap_or_default(),
@@ -218,7 +219,7 @@ impl Station {
         }
     }
 
-    /// What the wire has not taken yet of the request that is open.
+    /// The bytes of the open request that the wire has not taken yet.
     pub(in crate::bus::modbus) fn rest(&self) -> &[u8] {
         match self.connected && self.identity.is_open() {
             true => self.out.get(self.gone..self.open).unwrap_or_default(),
@@ -260,7 +261,7 @@ impl Station {
 
     /// These blocks went out.
     fn blocks_sent(&mut self, blocks: Blocks) {
-        // Where there is nothing to choose, turns are of no use.
+        // Where there is nothing to choose, turns have no effect.
         if self.template.as_ref().is_none_or(|template| !template.only) {
             self.confirmed = blocks.confirms;
             self.reads = self.reads.wrapping_add(u32::from(blocks.read.is_some() && !blocks.confirms));

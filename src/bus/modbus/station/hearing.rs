@@ -1,4 +1,4 @@
-//! What arrives: whose it is, what is wrong with it, and what it says of the drive.
+//! Received bytes: which request they belong to, their faults, and the drive's report in them.
 
 use super::{Blocks, End, ROOM, Station, What, Why, used};
 use crate::bus::modbus::counters::Own;
@@ -13,11 +13,11 @@ use crate::bus::modbus::words::{ControlWord, StatusWord};
 use crate::bus::{Exchange, Slot};
 use crate::time::{S, Time};
 
-/// A missing hardware enable is shown for so long, ns, after the drive was last told to run: only telling it again will
-/// show whether it is back.
+/// A missing hardware enable is reported for so long, ns, after the drive was last commanded to run: only the next
+/// such command shows whether it is back.
 const DARK_NS: u64 = S;
 
-const GARBAGE: Why = "what came is no Modbus";
+const GARBAGE: Why = "the received bytes are not Modbus";
 
 impl Station {
     /// The room for what arrives.
@@ -46,7 +46,7 @@ impl Station {
     /// Takes in what has arrived, message by message.
     #[inline(never)]
     fn take_messages(&mut self, at: Time, slot: &mut Slot) -> Result<(), Why> {
-        // Out of the station's hands while it takes the messages in.
+        // Taken out of the station while it takes the messages in.
         let mut inbox = std::mem::take(&mut self.inbox);
         let mut rest = &inbox[..self.filled];
         // Each turn takes a message of eight bytes at least out of the room.
@@ -134,7 +134,7 @@ impl Station {
     /// The response to a setting.
     fn set_answered(&mut self, index: usize, response: &Response<'_>) {
         if let End::Disarming(_) = self.end {
-            // Refused or not: asked once more it would say the same.
+            // Refused or not: a repetition would have the same result.
             self.end = End::Done;
             return;
         }
@@ -200,8 +200,8 @@ impl Station {
         }
     }
 
-    /// What was read in these places is in the image. It and what it calls are no calls: together they are most of an
-    /// exchange.
+    /// The values of these indices are in the image. This function and its callees are inlined: together they are
+    /// most of an exchange.
     #[inline(always)]
     fn cyclic_read(&mut self, at: Time, blocks: Blocks, places: Places, slot: &mut Slot) {
         (self.refused.1, self.busy_since) = (0, None);
@@ -268,7 +268,7 @@ impl Station {
         self.note_taken(at);
     }
 
-    /// What was read back against what was written.
+    /// Compares read-back values with the written ones.
     #[inline(always)]
     fn compare(&mut self, at: Time, control: bool, reference: bool, slot: &mut Slot) {
         let word = self.image.of(Role::Control).filter(|_| control).map(|count| i32::from(count as u16));
@@ -282,7 +282,7 @@ impl Station {
         }
     }
 
-    /// What the drive has taken by now.
+    /// The values that the drive has accepted by now.
     fn note_taken(&mut self, at: Time) {
         let control = self.control.taken().map(|count| ControlWord(count as u16));
         if control.is_some() && control != self.inputs.control {
@@ -300,17 +300,17 @@ impl Station {
         let inputs = &mut self.inputs;
         (inputs.seen, inputs.fresh, inputs.status) = (true, true, status);
         if status.healthy() {
-            // What is named is the trip of the last time.
+            // The present name is that of the last trip.
             (inputs.trip, inputs.tripped_at, self.trip_read) = (0, None, false);
         } else {
-            // What was read before this trip is that of another one.
+            // A number that was read before this trip is that of another one.
             self.trip_read &= named || inputs.tripped_at.is_some();
             inputs.tripped_at.get_or_insert(at);
             let number = self.image.of(Role::Trip).filter(|_| self.trip_read);
             inputs.trip = number.unwrap_or(0) as u16;
         }
         inputs.named = self.trip_read || !self.tells_trips;
-        // It has taken that it is to run; before, what it did is no answer to that.
+        // It has accepted the command to run; its earlier state is no answer to that.
         let running =
             self.orders.runs() && self.inputs.control.is_some_and(|word| word.has_any(ControlWord::ANY_RUN));
         self.was_active = running && (self.was_active || status.active());
@@ -323,7 +323,7 @@ impl Station {
         }
     }
 
-    /// What the drive said, in user units: a status and a speed that were both read since the last report.
+    /// The drive's report, in user units: a status and a speed that were both read since the last report.
     #[inline(always)]
     fn report(&mut self, at: Time, slot: &mut Slot) {
         let velocity = f64::from(self.image.of(Role::Speed).unwrap_or(0)) * self.velocity_per_count;

@@ -1,10 +1,10 @@
-//! The master's view of one Unidrive: one request after the other on its connection, and what came of each.
+//! The master's view of one Unidrive: one request after the other on its connection, and the result of each.
 //!
 //! | file | what |
 //! |---|---|
 //! | `mod` | the station, and the life of its connection |
 //! | `asking` | the next request |
-//! | `hearing` | what arrives |
+//! | `hearing` | received bytes |
 
 mod asking;
 mod hearing;
@@ -31,38 +31,38 @@ use crate::time::Time;
 
 pub(super) use asking::REFERENCES_IN_A_ROW;
 
-/// The end waits for the drive's time-out to be disarmed for so many times that a reply may take.
+/// The end waits so many reply times for the drive's time-out to be disarmed.
 const DISARM_WITHIN: u64 = 3;
-/// A cyclic exchange that is refused so often in a row is not what the greeting found: the drive is greeted again ...
+/// A cyclic exchange that is refused so often in a row does not match the handshake: the handshake is repeated ...
 const MOST_REFUSALS: u32 = 3;
-/// ... and so it is after it was busy for so many times that a reply may take.
+/// ... and so it is after the drive was busy for so many reply times.
 const BUSY_WITHIN: u64 = 4;
 
 /// One drive as the master sees it.
 #[derive(Debug)]
 pub struct Station {
-    /// The channels that it shows, and the counts in one unit of each.
+    /// The monitored channels, and the counts in one unit of each.
     shown: Box<[(usize, f64)]>,
     /// User units/s of one count of the speed feedback.
     velocity_per_count: f64,
-    /// It tells the numbers of its trips.
+    /// It reports the numbers of its trips.
     tells_trips: bool,
-    /// The blocks where they are, and those of menu 0.
+    /// The blocks at their own addresses, and those of menu 0.
     direct: Mapping,
     menu_0: Option<Mapping>,
     found: Arc<Found>,
     finding: Finding,
     /// No time-out has to be set in the drive before it is enabled.
     unwatched: bool,
-    /// What makes the drive follow the control word, and what watches it: written with the first order that needs it,
-    /// this far.
+    /// The settings that make the drive follow the control word and watch it: written with the first order that
+    /// needs them, so many so far.
     settings: Box<[Setting]>,
     set: usize,
     settable: bool,
     end: End,
     reply_within_ns: u64,
-    /// A window of this length is followed by so much time for a reply, in whole periods; at first it is longer than
-    /// any.
+    /// A window of this length is followed by so much time for a reply, in whole periods; at first it is longer
+    /// than any.
     window_ns: u64,
     beyond_ns: u64,
     orders: Orders,
@@ -73,7 +73,7 @@ pub struct Station {
     /// An exchange was owed as this cycle's send began: none is due.
     pub(super) passed: bool,
     identity: Identity,
-    /// What the open request is, and when it went out.
+    /// The open request, and when it was sent.
     asked: What,
     asked_at: Time,
     written: Outputs,
@@ -84,13 +84,14 @@ pub struct Station {
     /// What it writes, as registers.
     data: RegistersBuffer,
     out: [u8; ADU_MAX],
-    /// What stands there, if it is cyclic.
+    /// Its constant parts, if it is cyclic.
     template: Option<Template>,
-    /// The reply to the open request, if there is only one that is right.
+    /// The reply to the open request, if only one is right.
     expected: Expected,
-    /// Of the prepared request; 0: there is none.
+    /// Length of the prepared request; 0: there is none.
     length: usize,
-    /// Of the open one, and how much of it the wire has taken. The next one is built over it as soon as that is all.
+    /// Length of the open one, and how much of it the wire has taken. The next one is built over it once all is
+    /// taken.
     open: usize,
     gone: usize,
     /// The unit id of the open request.
@@ -108,36 +109,36 @@ pub struct Station {
     inputs: Inputs,
     control: Echo,
     reference: Echo,
-    /// The control word that the drive last took, and the one that last went out, on whatever connection.
+    /// The control word that the drive accepted last, and the one sent last, on whatever connection.
     control_taken: Option<ControlWord>,
     control_sent: Option<ControlWord>,
-    /// The trip number in the image is that of the trip that lasts; while none does, it was read since the last healthy
+    /// The trip number in the image is that of the present trip; without one, it was read since the last healthy
     /// status.
     trip_read: bool,
     /// A status, a speed was read since the last report.
     seen: (bool, bool),
-    /// The last read was for what is waited for to be taken.
+    /// The last read was to check whether a value was accepted.
     confirmed: bool,
     was_active: bool,
-    /// The power stage was last off then although the drive was told to run.
+    /// When the power stage was last off although the drive was commanded to run.
     dark_at: Option<Time>,
 }
 
-/// How far the orderly end is.
+/// The progress of the orderly end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum End {
     NotYet,
-    /// The drive is to be seen off, until this instant at the latest ...
+    /// The drive has to be seen off, until this instant at the latest ...
     Waiting(Time),
     /// ... then its time-out is disarmed.
     Disarming(Time),
     Done,
 }
 
-/// Room for what arrives: a whole message, and what came behind it.
+/// Room for received bytes: a whole message, and those after it.
 const ROOM: usize = 2 * ADU_MAX;
 
-/// What a request is for.
+/// The purpose of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum What {
     /// An acyclic call.
@@ -252,12 +253,12 @@ impl Station {
         }
     }
 
-    /// A new connection is there, greeted.
+    /// A new connection is there, with its handshake complete.
     pub fn connected(&mut self, slot: &mut Slot) {
         self.connected = true;
         self.finding = self.found.get();
         let finding = &self.finding;
-        // What is so already is not set again.
+        // A setting that is right already is not written again.
         let is_met = |setting: &&Setting| match setting.purpose {
             Purpose::Obey => finding.obeys,
             Purpose::Watch => finding.watched,
@@ -270,13 +271,13 @@ impl Station {
         (self.template, self.expected) = (None, Expected::default());
         (self.filled, self.length, self.open, self.gone) = (0, 0, 0, 0);
         (self.refused, self.busy_since, self.written_in_a_row) = ((0, 0), None, 0);
-        // What the drive has is not known until it reads back, nor what it does until it says so again.
+        // The drive's values are not known until they are read back, nor its state until it reports again.
         (self.control, self.reference) = (Echo::default(), Echo::default());
         let velocity = f64::from(finding.speed) * self.velocity_per_count;
         self.inputs = Inputs { seen: true, status: finding.status, velocity, ..Inputs::default() };
         (self.was_active, self.dark_at, self.trip_read) = (false, None, false);
         (self.image, self.reads, self.writes, self.seen) = (Image::default(), 0, 0, (false, false));
-        // It stands, and has neither what it last took nor what was last on its way.
+        // It stands still, and has neither the last accepted control word nor the last one sent.
         let known = [self.control_taken, self.control_sent];
         if self.control_sent.is_some() && !finding.status.active() && !known.contains(&Some(finding.control))
         {
@@ -309,7 +310,7 @@ impl Station {
         let busy = self.busy_since.is_some_and(|since| now.since(since) > BUSY_WITHIN * self.reply_within_ns);
         let why = match () {
             () if !self.connected => return None,
-            () if silent => "a request was not answered in twice its time",
+            () if silent => "a request was not answered within twice its time",
             () if busy => "the drive is busy all the time",
             () if self.refused.0.max(self.refused.1) >= MOST_REFUSALS => {
                 "the drive refuses its cyclic parameters"
@@ -321,13 +322,13 @@ impl Station {
         Some(why)
     }
 
-    /// Starts or continues the orderly end: true once nothing is owed to this drive any more.
+    /// Starts or continues the orderly end: true once nothing more has to be sent to this drive.
     pub(super) fn shut_down(&mut self, cycle: &Cycle) -> bool {
         let armed =
             self.connected && self.finding.watched && self.time_out().is_some() && self.orders.writes();
         let off = self.inputs.control == Some(ControlWord::IDLE) && !self.inputs.status.active();
         self.end = match self.end {
-            // A drive that is still on keeps what stops it.
+            // A drive that is still on keeps its watchdog.
             End::NotYet if !armed || self.orders.is_on() => End::Done,
             End::NotYet => End::Waiting(cycle.deadline + DISARM_WITHIN * self.reply_within_ns),
             End::Waiting(until) if off => End::Disarming(until),
@@ -337,12 +338,12 @@ impl Station {
         self.end == End::Done
     }
 
-    /// The place of the time-out among the settings.
+    /// The index of the time-out among the settings.
     fn time_out(&self) -> Option<usize> {
         self.settings.iter().position(|setting| setting.purpose == Purpose::Watch)
     }
 
-    /// The orderly end is over: nothing is asked any more.
+    /// The orderly end is complete: no more requests.
     pub(super) fn has_ended(&self) -> bool {
         self.end == End::Done
     }
@@ -352,7 +353,7 @@ impl Station {
     }
 }
 
-/// The blocks that the drive is asked by: those of menu 0 where it shows them there.
+/// The blocks of the drive's requests: those of menu 0 where it shows them.
 #[inline]
 fn used<'a>(direct: &'a Mapping, menu_0: &'a Option<Mapping>, in_menu_0: bool) -> &'a Mapping {
     menu_0.as_ref().filter(|_| in_menu_0).unwrap_or(direct)

@@ -1,7 +1,7 @@
 //! Modbus TCP, both directions: bytes <-> values.
 //!
-//! Knows no state, clock, socket or allocation, and does not judge what a message means: which response belongs to
-//! which request is the station's business, what a drive does with a request is the drive's.
+//! Knows no state, clock, socket or allocation, and does not interpret a message: the station decides which
+//! response belongs to which request, and the drive what it does with a request.
 //!
 //! A message (ADU) is the MBAP header and a PDU, everything big-endian (Modbus TCP Implementation Guide v1.0b, 3.1.3):
 //!
@@ -9,7 +9,7 @@
 //! |---|---|---|
 //! | 0-1 | transaction | chosen by the client, echoed |
 //! | 2-3 | protocol | 0 |
-//! | 4-5 | length | of what follows: the unit and the PDU, 2 ... 254 |
+//! | 4-5 | length | of the following bytes: the unit and the PDU, 2 ... 254 |
 //! | 6 | unit | which part of the drive |
 //! | 7 | function | the first byte of the PDU |
 //!
@@ -34,7 +34,7 @@ use thiserror::Error;
 
 pub use registers::{Registers, RegistersBuffer};
 
-/// Where things are inside a message.
+/// Offsets in a message.
 mod field {
     use std::ops::Range;
 
@@ -44,9 +44,9 @@ mod field {
     pub const UNIT: usize = 6;
     pub const FUNCTION: usize = 7;
 
-    /// What the length does not count: everything up to its own end.
+    /// Bytes that the length does not count: everything up to its own end.
     pub const BEFORE_UNIT: usize = 6;
-    /// A unit and a function without anything behind.
+    /// A unit and a function without anything after them.
     pub const LENGTH_MIN: u16 = 2;
     /// A unit and the longest PDU (Modbus Application Protocol v1.1b3, 4.1).
     pub const LENGTH_MAX: u16 = 254;
@@ -60,7 +60,7 @@ pub const HEADER: usize = 7;
 /// higher.
 pub const REGISTERS_MAX: u16 = 120;
 
-/// The functions, as they stand on the wire.
+/// The functions, as on the wire.
 pub mod function {
     /// Read holding registers.
     pub const READ: u8 = 3;
@@ -74,7 +74,7 @@ pub mod function {
     pub const EXCEPTION: u8 = 0x80;
 }
 
-/// Why a stream is no Modbus. There is no mark to find the next message by: the connection has to be closed.
+/// Why a stream is not Modbus. No mark shows where the next message begins: the connection has to be closed.
 #[derive(Clone, Copy, PartialEq, Eq, Error)]
 pub enum FrameError {
     /// The protocol identifier is not 0.
@@ -88,8 +88,8 @@ pub enum FrameError {
 }
 crate::errors::debug_as_display!(FrameError);
 
-/// The length of the whole message at the front of a stream, 8 ... [`ADU_MAX`]; `None` while it is not all there. What
-/// is wrong is said as soon as its field is there.
+/// The length of the whole message at the front of a stream, 8 ... [`ADU_MAX`]; `None` while it is incomplete. A
+/// fault is reported as soon as its field has arrived.
 #[inline]
 pub fn frame(bytes: &[u8]) -> Result<Option<usize>, FrameError> {
     let Some(protocol) = word(bytes, field::PROTOCOL.start) else { return Ok(None) };
@@ -104,7 +104,7 @@ pub fn frame(bytes: &[u8]) -> Result<Option<usize>, FrameError> {
     Ok((bytes.len() >= size).then_some(size))
 }
 
-/// What the header tells beside the length.
+/// The header without the length.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Header {
     /// Chosen by the client, echoed by the server.
@@ -114,7 +114,7 @@ pub struct Header {
 }
 
 impl Header {
-    /// That of a message; `None` if it is shorter than a header.
+    /// The header of a message; `None` if the message is shorter than a header.
     #[inline]
     pub fn parse(adu: &[u8]) -> Option<Header> {
         Some(Header { transaction: word(adu, field::TRANSACTION.start)?, unit: *adu.get(field::UNIT)? })
@@ -128,32 +128,32 @@ pub enum Request<'a> {
     Read {
         /// The first register.
         address: u16,
-        /// How many. Any number: what is too many is the server's to say.
+        /// The number of registers. Any number: the server decides which is too large.
         count: u16,
     },
     /// Function 6.
     WriteOne {
         /// The register.
         address: u16,
-        /// What to write.
+        /// The value.
         value: u16,
     },
     /// Function 16.
     Write {
         /// The first register.
         address: u16,
-        /// What to write.
+        /// The values.
         data: Registers<'a>,
     },
     /// Function 23: writes, then reads (Modbus Application Protocol v1.1b3, 6.17).
     ReadWrite {
         /// The first register to read.
         read: u16,
-        /// How many to read.
+        /// The number of registers to read.
         count: u16,
         /// The first register to write.
         write: u16,
-        /// What to write.
+        /// The values.
         data: Registers<'a>,
     },
 }
@@ -170,7 +170,7 @@ impl<'a> Request<'a> {
         }
     }
 
-    /// Bytes of the whole message. Over [`ADU_MAX`] it has too many registers to be one.
+    /// Bytes of the whole message. Over [`ADU_MAX`] it has too many registers for one message.
     #[inline]
     pub const fn size(&self) -> usize {
         HEADER
@@ -243,23 +243,23 @@ impl<'a> Request<'a> {
     }
 }
 
-/// Why a message is no request, and what an exception needs to answer it.
+/// Why a message is not a request, and what an exception needs to answer it.
 #[derive(Clone, Copy, PartialEq, Eq, Error)]
 #[error("function {function}: {fault}")]
 pub struct RequestError {
-    /// That of the message.
+    /// The header of the message.
     pub header: Header,
     /// Its function.
     pub function: u8,
-    /// What is wrong with it.
+    /// The fault.
     pub fault: RequestFault,
 }
 crate::errors::debug_as_display!(RequestError);
 
-/// What is wrong with a request.
+/// A fault of a request.
 #[derive(Clone, Copy, PartialEq, Eq, Error)]
 pub enum RequestFault {
-    /// None of the four functions.
+    /// Not one of the four functions.
     #[error("not one of a Unidrive: 3, 6, 16 and 23 are")]
     Unsupported,
     /// The lengths in it contradict each other.
@@ -273,14 +273,14 @@ crate::errors::debug_as_display!(RequestFault);
 pub enum Response<'a> {
     /// Function 3.
     Read {
-        /// What was read.
+        /// The registers.
         data: Registers<'a>,
     },
     /// Function 6.
     WriteOne {
         /// The register.
         address: u16,
-        /// What was written.
+        /// The written value.
         value: u16,
     },
     /// Function 16.
@@ -290,23 +290,23 @@ pub enum Response<'a> {
         /// How many were written: fewer than were sent if a value was refused on the way (Commander SE guide).
         count: u16,
     },
-    /// Function 23. Says nothing of what was written.
+    /// Function 23. It says nothing of what was written.
     ReadWritten {
-        /// What was read.
+        /// The registers.
         data: Registers<'a>,
     },
     /// It was not done.
     Exception {
-        /// The function of the request, 0 ... 7Fh. Not to be relied on: a pymodbus server says 0 if it could not read
+        /// The function of the request, 0 ... 7Fh. Not reliable: a pymodbus server returns 0 if it could not read
         /// the request.
         function: u8,
-        /// Why not.
+        /// The reason.
         code: ExceptionCode,
     },
 }
 
 impl<'a> Response<'a> {
-    /// The function as it stands on the wire.
+    /// The function as on the wire.
     #[inline]
     pub const fn function(&self) -> u8 {
         match self {
@@ -318,7 +318,7 @@ impl<'a> Response<'a> {
         }
     }
 
-    /// Bytes of the whole message. Over [`ADU_MAX`] it has too many registers to be one.
+    /// Bytes of the whole message. Over [`ADU_MAX`] it has too many registers for one message.
     #[inline]
     pub const fn size(&self) -> usize {
         HEADER
@@ -350,8 +350,8 @@ impl<'a> Response<'a> {
         size
     }
 
-    /// Reads a message that [`frame`] has found. It is as strict as the standard: every length in it has to agree with
-    /// every other. Whether it fits the request is not looked at.
+    /// Reads a message that [`frame`] has found. It is as strict as the standard: every length in it has to agree
+    /// with every other. Whether it fits the request is not checked.
     #[inline]
     pub fn parse(adu: &'a [u8]) -> Result<(Header, Response<'a>), ResponseError> {
         let wrong = ResponseError::Frame { bytes: adu.len() };
@@ -376,29 +376,29 @@ impl<'a> Response<'a> {
     }
 }
 
-/// Why a message is no response.
+/// Why a message is not a response.
 #[derive(Clone, Copy, PartialEq, Eq, Error)]
 pub enum ResponseError {
-    /// It is not what [`frame`] finds.
+    /// It is not a message that [`frame`] finds.
     #[error("{bytes} bytes are not one message with a header")]
     Frame {
-        /// The bytes there are.
+        /// Its length, bytes.
         bytes: usize,
     },
-    /// A function that nobody asks for here.
+    /// A function that this master never requests.
     #[error("function {function} was never requested: not a Unidrive, or another client's answer")]
     Function {
-        /// That of the message.
+        /// The header of the message.
         header: Header,
-        /// Which.
+        /// The function.
         function: u8,
     },
-    /// What stands in the PDU contradicts its length.
+    /// The content of the PDU contradicts its length.
     #[error(
         "function {function}: the lengths in it contradict each other: not a Modbus server, or bytes were lost"
     )]
     Length {
-        /// That of the message.
+        /// The header of the message.
         header: Header,
         /// Its function.
         function: u8,
@@ -406,7 +406,7 @@ pub enum ResponseError {
 }
 crate::errors::debug_as_display!(ResponseError);
 
-/// Why a server did not do something (Modbus Application Protocol v1.1b3, 7). A Unidrive knows 1 and 2 only
+/// Why a server did not carry out a request (Modbus Application Protocol v1.1b3, 7). A Unidrive has 1 and 2 only
 /// (SI-Ethernet guide); gateways and other servers the rest.
 #[derive(Clone, Copy, Default, PartialEq, Eq, Hash)]
 pub struct ExceptionCode(pub u8);
@@ -414,9 +414,9 @@ pub struct ExceptionCode(pub u8);
 impl ExceptionCode {
     /// 01: the function is not supported.
     pub const FUNCTION: ExceptionCode = ExceptionCode(0x01);
-    /// 02: no such register; a Unidrive's word for too many of them as well.
+    /// 02: no such register; a Unidrive uses it for too many registers as well.
     pub const ADDRESS: ExceptionCode = ExceptionCode(0x02);
-    /// 03: a value in the request that cannot be.
+    /// 03: an invalid value in the request.
     pub const VALUE: ExceptionCode = ExceptionCode(0x03);
     /// 04: the server failed.
     pub const DEVICE_FAILURE: ExceptionCode = ExceptionCode(0x04);
@@ -426,18 +426,18 @@ impl ExceptionCode {
     pub const BUSY: ExceptionCode = ExceptionCode(0x06);
     /// 0A: a gateway has no path.
     pub const NO_PATH: ExceptionCode = ExceptionCode(0x0A);
-    /// 0B: nobody answers behind a gateway.
+    /// 0B: no answer behind a gateway.
     pub const NO_RESPONSE: ExceptionCode = ExceptionCode(0x0B);
 
-    /// What it says, if known.
+    /// Its meaning, if known.
     pub const fn name(self) -> Option<&'static str> {
         Some(match self.0 {
             0x01 => "function not supported",
             0x02 => "no such parameter, or too many registers at once",
-            0x03 => "a value in the request that cannot be",
+            0x03 => "an invalid value in the request",
             0x04 => "the drive failed to do it",
-            0x05 => "accepted, but it takes long: ask again",
-            0x06 => "busy: ask again",
+            0x05 => "accepted, but it takes long: repeat the request",
+            0x06 => "busy: repeat the request",
             0x0A => "the gateway has no path to it",
             0x0B => "it does not answer the gateway",
             _ => return None,
@@ -457,12 +457,12 @@ impl fmt::Display for ExceptionCode {
     }
 }
 
-/// Fills a message from its front. Its size was checked before; what would not fit is left out.
+/// Fills a message from its front. Its size was checked before; excess bytes are left out.
 struct Fill<'a>(&'a mut [u8]);
 
 impl<'a> Fill<'a> {
-    /// The `size` bytes of a message, filled up to behind its function; `None`, and nothing is written, if there is no
-    /// such message or no room for it.
+    /// The `size` bytes of a message, filled up to the end of its function; `None`, and nothing is written, if the
+    /// size is impossible or there is no room.
     #[inline]
     fn message(out: &'a mut [u8], size: usize, header: Header, function: u8) -> Option<Fill<'a>> {
         if size > ADU_MAX {
@@ -493,7 +493,7 @@ impl<'a> Fill<'a> {
         self.put(word.to_be_bytes());
     }
 
-    /// The number of bytes, and the registers. Of a message that is not too long the number fits.
+    /// The number of bytes, and the registers. If the message is not too long the number fits.
     #[inline]
     fn data(&mut self, data: Registers<'_>) {
         self.byte(data.bytes().len() as u8);
@@ -510,7 +510,7 @@ impl<'a> Fill<'a> {
     }
 }
 
-/// What stands behind the function; `None` if these bytes are not exactly one message.
+/// The bytes after the function; `None` if these bytes are not exactly one message.
 #[inline]
 fn body(adu: &[u8]) -> Option<&[u8]> {
     match frame(adu) {
@@ -524,14 +524,14 @@ fn word(bytes: &[u8], at: usize) -> Option<u16> {
     bytes.get(at..)?.first_chunk().map(|word| u16::from_be_bytes(*word))
 }
 
-/// Two words and nothing else.
+/// Exactly two words.
 #[inline]
 fn pair(body: &[u8]) -> Option<[u16; 2]> {
     let &[a, b, c, d] = body else { return None };
     Some([u16::from_be_bytes([a, b]), u16::from_be_bytes([c, d])])
 }
 
-/// A number of bytes, and just so many of registers.
+/// A number of bytes, and exactly as many registers.
 #[inline]
 fn sized(body: &[u8]) -> Option<Registers<'_>> {
     let (bytes, data) = body.split_first()?;

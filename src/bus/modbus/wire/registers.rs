@@ -1,23 +1,22 @@
-//! Registers as they stand on the wire, to read and to build.
+//! Registers in wire order, to read and to build.
 
 use super::REGISTERS_MAX;
 
-/// Big-endian registers as they stand on the wire. Those of 32-bit access come in pairs, high word first (SI-Ethernet
-/// guide).
+/// Big-endian registers in wire order. Those of 32-bit access come in pairs, high word first (SI-Ethernet guide).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Registers<'a>(&'a [u8]);
 
 impl<'a> Registers<'a> {
-    /// None.
+    /// No registers.
     pub const EMPTY: Registers<'static> = Registers(&[]);
 
-    /// Of these bytes; `None` if half a register is among them.
+    /// Of these bytes; `None` if their number is odd.
     #[inline]
     pub const fn new(bytes: &'a [u8]) -> Option<Registers<'a>> {
         if bytes.len().is_multiple_of(2) { Some(Registers(bytes)) } else { None }
     }
 
-    /// How many.
+    /// The number of registers.
     #[inline]
     pub const fn len(self) -> usize {
         self.0.len() / 2
@@ -49,20 +48,20 @@ impl<'a> Registers<'a> {
         self.0.as_chunks().0.iter().map(|word| u16::from_be_bytes(*word))
     }
 
-    /// All of them in pairs, as values of 32-bit access; one that is left over is left out.
+    /// All of them in pairs, as values of 32-bit access; a single last one is left out.
     #[inline]
     pub fn longs(self) -> impl Iterator<Item = i32> + 'a {
         self.0.as_chunks().0.iter().map(|long| i32::from_be_bytes(*long))
     }
 
-    /// As they stand on the wire.
+    /// The bytes in wire order.
     #[inline]
     pub const fn bytes(self) -> &'a [u8] {
         self.0
     }
 }
 
-/// Room for as many registers as a Unidrive takes or gives at once.
+/// Room for as many registers as a Unidrive accepts or returns at once.
 #[derive(Clone, Copy, Debug)]
 pub struct RegistersBuffer {
     bytes: [u8; RegistersBuffer::BYTES],
@@ -77,7 +76,7 @@ impl RegistersBuffer {
         RegistersBuffer { bytes: [0; RegistersBuffer::BYTES], length: 0 }
     }
 
-    /// Forgets what it holds.
+    /// Removes its content.
     #[inline]
     pub fn clear(&mut self) {
         self.length = 0;
@@ -104,7 +103,7 @@ impl RegistersBuffer {
         true
     }
 
-    /// What it holds.
+    /// Its content.
     #[inline]
     pub fn registers(&self) -> Registers<'_> {
         Registers(self.bytes.get(..self.length).unwrap_or_default())

@@ -1,4 +1,4 @@
-//! What each step asks for.
+//! The request of each step.
 
 use super::{Around, Change, FMMUS_AT_ONCE, MANAGERS_AT_ONCE, Mapped, Member, Note, Step};
 use crate::bus::ethercat::plan::Owner;
@@ -15,13 +15,13 @@ use super::sync::sync_ahead_ns;
 pub(super) const LOOK: usize = 0x12;
 /// AL status and its code.
 pub(super) const AL_LOOK: usize = 6;
-/// A change of state takes at most so long; the last one, behind which the drive synchronises, so long.
+/// The time limit of a change of state; and of the last one, after which the drive synchronises.
 const STATE_NS: u64 = 3 * S;
 const OP_NS: u64 = 10 * S;
-/// A drive that is asked for OP before it has seen regular cycles for a while goes into a fault (F28); how many it
-/// needs is assumed.
+/// A drive for which OP is requested before it has seen regular cycles for a while goes into a fault (F28); how
+/// many it needs is assumed.
 const SYNCHRONISE_CYCLES: u64 = 200;
-/// The filters of a clock as it starts (SOEM, TwinCAT).
+/// The filters of a clock at its start (SOEM, TwinCAT).
 const SPEED_START: u16 = 0x1000;
 const FILTER_DEPTHS: u16 = 0x0C00;
 /// AssignActivate of the drive's description: the cyclic unit is the master's, SYNC0 is on.
@@ -30,7 +30,7 @@ const SYNC0_ON: [u8; 2] = [0x00, 0x03];
 const EVENT_MASK: u16 = 0x0004;
 
 impl Member {
-    /// Asks for what it needs of the next frame; nothing is asked, if it needs nothing.
+    /// Writes its request for the next frame, if it has one.
     pub fn ask(&mut self, around: &Around<'_>, ask: &mut Ask) {
         let now = around.cycle.grid;
         if self.ending && !matches!(self.step, Step::State(Change { to: AlState::Init, .. })) {
@@ -104,7 +104,7 @@ impl Member {
             Step::Up => {
                 let next = self.joined && self.go_on_joined(around);
                 if !next && !self.has_al && now.since(self.since) >= super::LOOK_EVERY_NS {
-                    // Nothing in the image says how it is.
+                    // The image does not show its state.
                     self.enter(now, Step::Code);
                 }
                 if !matches!(self.step, Step::Up) {
@@ -154,7 +154,7 @@ impl Member {
                 ask.read(self.reads(address::DC_DIFFERENCE), 4);
             }
             Step::LineTime => {
-                // Its start is not to be written while it comes.
+                // Its start must not be written while it is imminent.
                 ask.write(self.writes(address::DC_ACTIVATION), &[0]);
                 ask.read(self.reads(address::DC_TIME), 8);
             }
@@ -184,7 +184,7 @@ impl Member {
             ask.write(self.writes(register), &ZERO[..managers * SyncManager::SIZE]);
         }
         if ask.is_empty() {
-            // Without a clock these registers are not there.
+            // Without a clock these registers do not exist.
             if self.features.has_clock() {
                 ask.write(self.writes(address::DC_ACTIVATION), &[0]);
             }
@@ -220,7 +220,7 @@ impl Member {
             ask.read(self.reads(address::AL_STATUS), AL_LOOK);
             return;
         }
-        // INIT is asked for with the acknowledgement of whatever error stands.
+        // INIT is requested together with the acknowledgement of any present error.
         let wanted = match change.to {
             AlState::Init => AlStatus::request(AlState::Init).acknowledge(),
             to => AlStatus::request(to),
@@ -229,11 +229,11 @@ impl Member {
         ask.write(self.writes(address::AL_CONTROL), &control.0.to_le_bytes());
     }
 
-    /// Its outputs are let go.
+    /// Its outputs are released.
     pub(super) fn let_go(&mut self, now: Time) {
         self.mapped = Mapped::All;
         if self.is_device() {
-            // It lacks nothing of what it would have been set up with.
+            // It has everything that it would have been set up with.
             (self.joined, self.ours) = (false, true);
         }
         self.enter(now, Step::Up);

@@ -1,17 +1,17 @@
 //! A drive or device that is in OP already, as another master has left it, or this one before it was restarted.
-//!
 //! It is joined as it is if its SyncManagers, PDOs and SYNC0 are those of the configuration: its inputs first, its
-//! outputs with the first order; its station knows its mode before it hears of it, since a setpoint may not count in
-//! that. What is written to it until then is its station address and the FMMUs of its inputs and AL status, none of
-//! which another master writes by; objects are only read. Without the watchdog of the configuration it takes no motion
-//! until it was set up anew. That is as soon as it stands without power: at once, and without a word to its station, if
-//! it is found so.
+//! outputs with the first order; its station knows its mode before its state, since a setpoint may not count in
+//! that mode. Until then the master writes only its station address and the FMMUs of its inputs and AL status, none
+//! of which another master writes by; objects are only read. Without the watchdog of the configuration it takes no
+//! motion until it was set up again. That happens as soon as it is without power: at once, and without a report to
+//! its station, if it is found so.
 //!
-//! A device is joined the same way, if its watchdog is that of the configuration: its outputs stay as they are until
-//! the application writes some.
+//! A device is joined the same way, if its watchdog is that of the configuration: its outputs stay as they are
+//! until the application writes some.
 //!
-//! What cannot be joined is stopped by the drive itself as it leaves OP, or left alone, as `on_found_running` says.
-//! While one that is left alone runs on another time than the line's, that goes to nobody.
+//! A slave that cannot be joined is stopped by the drive itself as it leaves OP, or left alone, as
+//! `on_found_running` says. While one that is left alone runs on a time other than the segment's, the segment's
+//! time goes to no slave.
 
 use super::setup::WATCHDOG_DIVIDER;
 use super::{Around, Lent, List, Mapped, Member, Note, Step};
@@ -23,7 +23,7 @@ use crate::bus::ethercat::slot::{Answers, Ask};
 use crate::bus::ethercat::wire::registers::{AlState, Fmmu, SyncManager, address};
 use crate::time::{MS, Time};
 
-/// SyncManagers that are looked at, and the bytes from the divider of the watchdogs to that of the SyncManagers.
+/// SyncManagers that are read, and the bytes from the divider of the watchdogs to that of the SyncManagers.
 const MANAGERS: usize = 4 * SyncManager::SIZE;
 const WATCHDOGS: usize = (address::WATCHDOG - address::WATCHDOG_DIVIDER) as usize + 2;
 
@@ -41,7 +41,7 @@ impl Member {
         Running::ask(|register| self.reads(register), ask);
     }
 
-    /// Its inputs and AL status; behind the FMMU of its outputs.
+    /// Its inputs and AL status; after the FMMU of its outputs.
     pub(super) fn ask_join(&self, ask: &mut Ask) {
         ask.write(self.writes(address::STATION), &self.station().to_le_bytes());
         let (fmmus, length) = self.fmmus();
@@ -55,7 +55,7 @@ impl Member {
         let is_set = |(number, wanted): (u16, SyncManager)| {
             let at = usize::from(number) * SyncManager::SIZE;
             let bytes = managers.data.get(at..).and_then(<[u8]>::first_chunk::<{ SyncManager::SIZE }>);
-            // Whether it arms a watchdog, is another question.
+            // Whether it arms a watchdog is checked separately.
             let unwatched = |manager: SyncManager| SyncManager {
                 control: manager.control & !SyncManager::WATCHDOG,
                 ..manager
@@ -73,9 +73,9 @@ impl Member {
         self.watched = self.managers().all(arms)
             && (word(0), word(WATCHDOGS - 2)) == (Some(WATCHDOG_DIVIDER), Some(self.watchdog()));
         let is_own = self.has_al && self.managers().chain(self.mailbox_managers()).all(is_set);
-        // What a device goes without now, it would go without for good.
+        // A setting that a device lacks now would be missing for good.
         let is_safe = self.watched || !self.is_device() || self.plan.outputs.length == 0;
-        // Of one with SYNC0 the time is looked at again.
+        // With SYNC0 the time is read again.
         let in_time = self.plan.sync || !self.strange;
         if is_own && is_safe && in_time {
             self.enter(now, Step::FoundFmmus);
@@ -84,7 +84,7 @@ impl Member {
         }
     }
 
-    /// Its FMMUs: those of its inputs take the place of none that another master writes by.
+    /// Its FMMUs: those of its inputs replace none that another master writes by.
     pub(super) fn found_fmmus(&mut self, now: Time, data: &[u8]) {
         let behind = if self.plan.outputs.length > 0 { 1 } else { 0 };
         let written = data.as_chunks::<{ Fmmu::SIZE }>().0.iter().skip(behind).map(|bytes| Fmmu::new(*bytes));
@@ -97,7 +97,7 @@ impl Member {
         }
     }
 
-    /// It runs: on the line's time, or on another one. Its own is the line's, if that has none.
+    /// It runs: on the segment's time, or on another one. Its own becomes the segment's, if that has none.
     fn meet(&mut self, around: &Around<'_>, running: &Running) -> Option<Lent> {
         let is_same = around.clock.is_time_of(around.cycle, around.sent_at, running.time());
         self.strange = running.is_cyclic() && around.has_time && !is_same;
@@ -105,7 +105,7 @@ impl Member {
         lends.then_some(Lent { time: running.time(), phase_ns: None })
     }
 
-    /// On which time it runs, before anything else is asked.
+    /// The time that it runs on, read before anything else.
     pub(super) fn runs_on(
         &mut self,
         around: &Around<'_>,
@@ -123,8 +123,8 @@ impl Member {
         lent
     }
 
-    /// Its SYNC0: it has to run on the line's time, and come where all others have theirs. Gives that place if none
-    /// has.
+    /// Its SYNC0: it has to run on the segment's time, and come where all others have theirs. Returns that offset
+    /// if there is none yet.
     pub(super) fn found_clock(&mut self, around: &Around<'_>, answers: &Answers<'_>) -> Option<Lent> {
         let now = around.cycle.grid;
         let running = Running::heard(answers)?;
@@ -140,12 +140,12 @@ impl Member {
         phase_ns.map(|_| Lent { time: running.time(), phase_ns }).or(lent)
     }
 
-    /// Its clock fits, or the line's was made to.
+    /// Its clock fits, or the segment's was made to.
     pub fn is_being_joined(&self) -> bool {
         self.joined || matches!(self.step, Step::Join)
     }
 
-    /// It is part of the exchange: its PDOs and mode are still to be looked at.
+    /// It is part of the exchange: its PDOs and mode have still to be read.
     pub(super) fn join(&mut self, now: Time) {
         (self.addressed, self.joined, self.known, self.found_mode) = (true, true, true, None);
         (self.mapped, self.mailbox_open) = (Mapped::Inputs, self.plan.mailbox.is_some());
@@ -154,7 +154,7 @@ impl Member {
         self.enter(now, Step::Objects { list: List::Found, next: 0, begun: false });
     }
 
-    /// All of it is as configured, and this is its status word: the station is told of it if it has power.
+    /// All of it is as configured, and this is its status word: its station is informed if it has power.
     pub(super) fn joined_as(&mut self, now: Time, status: StatusWord) {
         if status.state().is_powered() {
             self.joined_whole(now);
@@ -179,8 +179,8 @@ impl Member {
         }
     }
 
-    /// It was set up here, and its frames were lost for a while only: where it goes on. `None`: it has to be brought
-    /// up.
+    /// It was set up here, and its frames were lost for a while only: where it continues. `None`: it has to be
+    /// brought up.
     pub(super) fn goes_on(&mut self, now: Time) -> bool {
         let Some(al) = self.al.filter(|al| self.ours && *al >= AlState::SafeOp) else { return false };
         self.strange = false;
@@ -198,18 +198,18 @@ impl Member {
         true
     }
 
-    /// What was only joined becomes what it should be, from INIT: found in OP again, it would be joined again, or taken
-    /// for ours although its outputs were never let go.
+    /// A slave that was only joined is set up completely, from INIT: found in OP again, it would be joined again,
+    /// or treated as ours although its outputs were never released.
     pub(super) fn set_up(&mut self, now: Time) {
         self.start_over(now, 0, Note::Starting);
         self.enter(now, Step::to(AlState::Init));
     }
 
-    /// A drive that was joined stands without power, or its outputs are wanted: what follows.
+    /// A joined drive is without power, or its outputs are wanted: what follows.
     pub(super) fn go_on_joined(&mut self, around: &Around<'_>) -> bool {
         let now = around.cycle.grid;
         match around.powered {
-            // Time to set it up as it should be.
+            // Time to set it up completely.
             Some((false, at)) if at > self.since + 10 * MS => {
                 self.set_up(now);
                 true

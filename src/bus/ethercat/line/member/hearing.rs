@@ -1,4 +1,4 @@
-//! What came of what a step asked for.
+//! The answers to the requests of a step.
 
 use super::asking::{AL_LOOK, LOOK};
 use super::setup::WATCHDOG_DIVIDER;
@@ -9,14 +9,14 @@ use crate::bus::ethercat::slot::{Answer, Answers};
 use crate::bus::ethercat::wire::registers::{AlCode, AlState, AlStatus, Features, SyncManager};
 use crate::time::Time;
 
-/// Answers of nobody in a row, until it is taken for gone.
+/// Missing answers in a row until it counts as lost.
 const SILENT: u8 = 3;
 /// Errors that are acknowledged on the way to one state.
 const ERRORS: u8 = 3;
 
 impl Member {
-    /// What came of what it asked; gives the time of a slave that runs, if the line has none or is to have its SYNC0
-    /// there.
+    /// Takes the answer to its request; returns the time of a running slave, if the segment has none or is to have
+    /// its SYNC0 there.
     pub fn heard(&mut self, around: &Around<'_>, answers: &Answers<'_>) -> (Happened, Option<Lent>) {
         let step = self.step;
         let happened = self.hear(around, answers);
@@ -31,13 +31,13 @@ impl Member {
 
     fn hear(&mut self, around: &Around<'_>, answers: &Answers<'_>) -> Happened {
         let now = around.cycle.grid;
-        // A lost frame: the same is asked again.
+        // A lost frame: the same is requested again.
         let Some(first) = answers[0] else { return Happened::Nothing };
-        // AL control may still be unread by the firmware, and not take a second request.
+        // AL control may still be unread by the firmware, and not accept a second request.
         let may_be_zero = matches!(self.step, Step::Latch | Step::State(Change { said: false, .. }));
         let nobody = |answer: &Option<Answer<'_>>| answer.is_some_and(|answer| answer.working_counter == 0);
         if answers.iter().any(nobody) && matches!(self.step, Step::ReferenceTimes { .. }) {
-            // It is the reference that does not answer.
+            // The reference itself does not answer.
             self.enter(now, Step::Latch);
             return Happened::Nothing;
         }
@@ -63,7 +63,7 @@ impl Member {
             Step::Join => self.join(now),
             Step::Ports => self.enter(now, Step::Clear(0)),
             Step::Clear(done) => {
-                // Behind the last ones comes what is not counted.
+                // The last ones are followed by one that is not counted.
                 let over = done >= self.fmmus.max(self.managers);
                 let next = done.saturating_add(FMMUS_AT_ONCE);
                 self.enter(now, if over { Step::Address } else { Step::Clear(next) });
@@ -135,7 +135,7 @@ impl Member {
         let station = u16::from_le_bytes([look[0x10], look[0x11]]);
         self.has_al = usize::from(self.fmmus) > self.wanted_fmmus();
         self.note = Note::Starting;
-        // Of a drive that runs nothing is taken by force; and first of all, on which time it does.
+        // Of a running drive nothing is taken by force; and the time that it runs on comes first.
         let runs = self.runs();
         let unusable = self.unusable(station);
         let others = runs && self.features.has_clock();
@@ -171,7 +171,7 @@ impl Member {
         self.al.is_some_and(|al| al >= AlState::SafeOp)
     }
 
-    /// It is another one: if it does not run, it must not keep an address that may be another place's.
+    /// It is another slave: if it does not run, it must not keep an address that may be another position's.
     fn turn_away(&mut self, now: Time, note: Note) {
         if self.runs() {
             self.refuse(now, note);
@@ -187,7 +187,7 @@ impl Member {
             _ if self.lrw && self.features.lacks_lrw() => Some(Note::NoLrw),
             _ if self.plan.sync && !self.features.has_clock() => Some(Note::NoClock),
             _ if usize::from(self.fmmus) < self.wanted_fmmus() => Some(Note::Fmmus(self.fmmus)),
-            // It was given this address at another place, and works there.
+            // It was given this address at another position, and works there.
             Some(place) if self.runs() => Some(Note::WrongPlace(place)),
             _ => None,
         }
@@ -224,7 +224,7 @@ impl Member {
         self.enter(now, if has_mailbox { Step::Mailbox } else { Step::to(AlState::PreOp) });
     }
 
-    /// What was set was read back.
+    /// The settings were read back.
     fn checked(&mut self, now: Time, is_set: bool, next: Step) {
         if is_set {
             self.enter(now, next);
@@ -233,7 +233,7 @@ impl Member {
         }
     }
 
-    /// A change of state goes on: what was said was taken, or the status was read.
+    /// A change of state continues: the request was accepted, or the status was read.
     fn went(&mut self, now: Time, mut change: Change, answers: &Answers<'_>) -> Happened {
         let Some(first) = answers[0] else { return Happened::Nothing };
         if !change.said {
@@ -251,7 +251,7 @@ impl Member {
         self.step = Step::State(change);
         match status.state() {
             Some(state) if state == change.to && change.said => return self.reached(now, state),
-            // It has fallen out of what the way to OP begins with.
+            // It has lost a precondition of OP.
             Some(state) if change.to == AlState::Op && state < AlState::SafeOp => {
                 self.start_over(now, 0, Note::Starting);
             }
@@ -305,10 +305,10 @@ impl Member {
         Happened::Nothing
     }
 
-    /// What it says of a fall out of OP.
+    /// The AL status code of a fall out of OP.
     fn told_code(&mut self, now: Time, data: &[u8]) -> Happened {
         let Some((status, code)) = al(data) else { return Happened::Nothing };
-        // Nothing in the image may have said so.
+        // The image may not have shown it.
         self.al = status.state();
         match status.state() {
             Some(AlState::Op) if !status.error() => self.enter(now, Step::Up),

@@ -1,26 +1,26 @@
-//! One slave on its way to OP, and back there when it falls: a step a slot.
+//! One slave on its way to OP, and back there when it falls: one step per slot.
 //!
 //! | file | what |
 //! |---|---|
 //! | `mod` | the slave, its steps, and how it leaves them |
-//! | `asking`, `hearing` | what a step asks for; what came of it |
+//! | `asking`, `hearing` | the request of a step; the answer to it |
 //! | `found` | a drive that is in OP already |
 //! | `sync` | its clock and SYNC0 |
 //! | `setup` | its SyncManagers, FMMUs and watchdog |
-//! | `part` | what the frames show of it |
+//! | `part` | its content in the frames |
 //!
 //! | step | what |
 //! |---|---|
-//! | look | is it there, which state is it in, what can its controller do, whose station address has it |
-//! | SII | who it is, and whether its buffers are where the configuration has them |
-//! | INIT | down, whatever it was; errors acknowledged |
+//! | look | whether it is there, its state, the features of its controller, its station address |
+//! | SII | its identity, and whether its buffers are where the configuration has them |
+//! | INIT | down, whatever its state was; errors acknowledged |
 //! | clear | ports, FMMUs, SyncManagers and SYNC0 of others; station address |
 //! | PREOP | the mailbox, then the objects of its start-up |
 //! | process data | watchdog, SyncManagers, FMMUs; read back |
-//! | clock | delay and offset, until its own clock runs with the line's; SYNC0 |
-//! | SAFEOP, OP | inputs count; outputs too, once the grid is locked to the line |
+//! | clock | delay and offset, until its own clock is synchronised to the segment's; SYNC0 |
+//! | SAFEOP, OP | inputs count; outputs too, once the grid is locked to the segment |
 //!
-//! A step is repeated while its frames are lost; it begins anew, after a while, with a slave that does not answer.
+//! A step is repeated while its frames are lost; with a slave that does not answer it begins anew after a while.
 
 mod asking;
 mod found;
@@ -45,48 +45,48 @@ use crate::bus::ethercat::wire::sdo::{AbortCode, Object};
 use crate::rt::Regions;
 use crate::time::{MS, S, Time, US};
 
-/// A place where nobody answers is looked at so often, and a slave that cannot be used.
+/// The interval of looks at a position where no slave answers, or one that cannot be used.
 const LOOK_EVERY_NS: u64 = 100 * MS;
 const REFUSED_FOR_NS: u64 = S;
-/// SYNC0 of a drive that is found in OP may be off its place by so much.
+/// The tolerance of SYNC0 of a drive that is found in OP.
 const SYNC_OFF_NS: i64 = 10 * US as i64;
 /// FMMUs and SyncManagers that are cleared in a slot.
 const FMMUS_AT_ONCE: u8 = 8;
 const MANAGERS_AT_ONCE: u8 = 8;
 
-/// What a step has to know of the line.
+/// What a step has to know of the segment.
 #[derive(Clone, Copy, Debug)]
 pub struct Around<'a> {
-    /// The cycle whose frame is built, or was heard.
+    /// The cycle whose frame is built, or was received.
     pub cycle: &'a Cycle,
     /// When that frame was sent.
     pub sent_at: Time,
-    /// The time of the line.
+    /// The time of the segment.
     pub clock: LineClock,
-    /// The station address of the slave whose clock is the line's, or is to be.
+    /// The station address of the slave whose clock is the segment's, or is to be.
     pub reference: Option<u16>,
     /// Its time goes to all.
     pub timed: bool,
     /// It does, or may begin to.
     pub may_begin: bool,
-    /// The place of one that runs on another time than the line's: it may not begin yet.
+    /// The position of a slave that runs on a time other than the segment's: it may not begin yet.
     pub stranger: Option<u16>,
-    /// The line has a time, and not from this slave.
+    /// The segment has a time, and not from this slave.
     pub has_time: bool,
-    /// A clock of the line is set: SYNC0 comes where that has it.
+    /// A clock of the segment is set: SYNC0 comes where that has it.
     pub phased: bool,
     /// Another slave reads receive times.
     pub timing_taken: bool,
-    /// So long a slave may wait for its turn, ns.
+    /// The longest wait of a slave for its turn, ns.
     pub turn_ns: u64,
     /// The drive wants its outputs to go out.
     pub wants_outputs: bool,
-    /// Its power stage may be on, by a report since this instant; `None`: there was none.
+    /// Whether its power stage may be on, by a report since this instant; `None`: there was none.
     pub powered: Option<(bool, Time)>,
 }
 
 impl Around<'_> {
-    /// SYNC0 of all others comes there.
+    /// SYNC0 of all others has this offset.
     fn is_phase(&self, phase_ns: u64) -> bool {
         let period = self.clock.period_ns() as i64;
         let off = phase_ns as i64 - self.clock.phase_ns() as i64;
@@ -106,17 +106,17 @@ pub enum Mapped {
     All,
 }
 
-/// Where it is.
+/// The step that it is at.
 #[derive(Clone, Copy, Debug)]
 enum Step {
     /// Nothing until then.
     Rest(Time),
     Look,
-    /// It runs: on which time. Then it is refused, or who it is.
+    /// It runs: the time that it runs on is read. Then it is refused, or its identity is read.
     Time(Option<Note>),
     SiiOwner,
     Sii(Reader),
-    /// It has the address of another place, and is refused without it.
+    /// It has the address of another position, and is refused without it.
     GiveBack(Note),
     /// In OP already: its SyncManagers and watchdog, then its FMMUs, its clock, ...
     Found,
@@ -157,7 +157,7 @@ enum Step {
         next: Time,
     },
     LineTime,
-    /// `ahead_ns`: its own time less the line's.
+    /// `ahead_ns`: its own time less the segment's.
     SyncStart {
         ahead_ns: u64,
         line_ns: u64,
@@ -168,25 +168,25 @@ enum Step {
     State(Change),
     Lock,
     Up,
-    /// Its outputs are let go.
+    /// Its outputs are released.
     LetGo,
-    /// It has told an error in operation.
+    /// It has reported an AL error in operation.
     Code,
 }
 
-/// What a drive is doing: the mode that it shows, and its status word.
+/// The state of a drive: the mode that it shows, and its status word.
 const MODE_SHOWN: Object = Object::new(0x6061, 0);
 const STATE: [Start; 2] = [
     Start { object: MODE_SHOWN, kind: Type::I8, raw: 0 },
     Start { object: Object::new(0x6041, 0), kind: Type::U16, raw: 0 },
 ];
 
-/// Which objects, and what is done with them.
+/// A list of objects, and what is done with them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum List {
     /// Written at start-up.
     Write,
-    /// Read, and held against the configuration.
+    /// Read, and compared with the configuration.
     Verify,
     /// The same of a drive that was found in OP.
     Found,
@@ -200,7 +200,7 @@ struct Change {
     to: AlState,
     said: bool,
     errors: u8,
-    /// What is said instead, to acknowledge an error.
+    /// Requested in its place, to acknowledge an error.
     acknowledge: Option<AlStatus>,
 }
 
@@ -210,12 +210,12 @@ impl Step {
     }
 }
 
-/// What a slave that runs already gives the line.
+/// What a running slave gives to the segment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Lent {
     /// Its time, as the frame passed it: the lower half.
     pub time: u32,
-    /// Where in the periods of that SYNC0 comes, if the line is to have it there.
+    /// The offset of SYNC0 in its periods, if the segment is to have it there.
     pub phase_ns: Option<u64>,
 }
 
@@ -226,18 +226,18 @@ pub enum Happened {
     Nothing,
     /// It came up to OP.
     Operational,
-    /// It told an AL error.
+    /// It reported an AL error.
     Error,
-    /// It has lost what it was given: it was switched off and on.
+    /// It has lost its settings: it was switched off and on.
     Restarted,
 }
 
-/// One slave of the line.
+/// One slave of the segment.
 #[derive(Debug)]
 pub struct Member {
-    /// Whose it is.
+    /// Its owner.
     pub owner: Owner,
-    /// Where its process data stand.
+    /// The offsets of its process data.
     pub spot: Spot,
     plan: SlavePlan,
     /// The process data go by LRW.
@@ -253,7 +253,7 @@ pub struct Member {
     contents: Contents,
     mapped: Mapped,
     has_al: bool,
-    /// The state that it is in, as far as is known; `None`: it is not there.
+    /// Its state, as far as is known; `None`: it is not there.
     al: Option<AlState>,
     /// It was joined in OP: not all of it was set up here.
     joined: bool,
@@ -263,19 +263,19 @@ pub struct Member {
     watched: bool,
     was_operational: bool,
     mailbox_open: bool,
-    /// Its clock was set to the line's, and it has not been away since.
+    /// Its clock was set to the segment's, and it has not been away since.
     clock_set: bool,
-    /// It was looked at, or does not answer.
+    /// It was read, or does not answer.
     looked_at: bool,
-    /// It runs on another time than the line's, as far as is known.
+    /// It runs on a time other than the segment's, as far as is known.
     strange: bool,
     /// It was given its station address, and has not been switched off since.
     known: bool,
-    /// All of it was set up here, and nothing has spoken against that since.
+    /// All of it was set up here, and nothing has contradicted that since.
     ours: bool,
-    /// The orderly end has begun: it is taken down.
+    /// The orderly end has begun: it is being shut down.
     ending: bool,
-    /// What the object that was read before says of the next one.
+    /// A factor for the next object, from the object that was read before.
     factor: u32,
     note: Note,
     /// Why it was refused last.
@@ -331,7 +331,7 @@ impl Member {
         self.plan.station()
     }
 
-    /// Its place on the line.
+    /// Its position on the segment.
     pub fn place(&self) -> u16 {
         self.plan.place
     }
@@ -341,13 +341,13 @@ impl Member {
         self.mapped
     }
 
-    /// The state of which its replies are; `None`: they do not count, since it has not been in OP, or its inputs are
-    /// not valid.
+    /// The state of its replies; `None`: they do not count, since it has not been in OP, or its inputs are not
+    /// valid.
     pub fn state_of_replies(&self) -> Option<AlState> {
         self.al.filter(|al| self.was_operational && *al >= AlState::SafeOp)
     }
 
-    /// Why it is not in operation: as it is tried again, why it was refused, until it gets further.
+    /// Why it is not in operation: while it is tried again, the last refusal, until it gets further.
     pub fn note(&self) -> Note {
         match self.note {
             Note::Starting if self.refused != Note::None => self.refused,
@@ -355,7 +355,7 @@ impl Member {
         }
     }
 
-    /// It is no drive: its inputs may all be zero.
+    /// It is not a drive: its inputs may all be zero.
     pub fn is_device(&self) -> bool {
         matches!(self.owner, Owner::Device(_))
     }
@@ -365,12 +365,12 @@ impl Member {
         matches!(self.step, Step::Up | Step::Lock)
     }
 
-    /// It is up, and stays so for all that is known here: it would ask for nothing.
+    /// It is up, and stays so as far as is known here: it has no request.
     pub fn wants_nothing(&self) -> bool {
         matches!(self.step, Step::Up) && self.mapped == Mapped::All && self.has_al && !self.joined
     }
 
-    /// It reads receive times: no other one may have them latched meanwhile.
+    /// It reads receive times: no other slave may have them latched meanwhile.
     pub fn is_timing(&self) -> bool {
         matches!(self.step, Step::ReferenceTimes { .. } | Step::OwnTimes { .. } | Step::Offset { .. })
     }
@@ -380,17 +380,17 @@ impl Member {
         self.plan.sync
     }
 
-    /// Its clock runs with the line's, or is about to be set.
+    /// Its clock is synchronised to the segment's, or is about to be set.
     pub fn clock_is_set(&self) -> bool {
         self.clock_set
     }
 
-    /// It was looked at, or does not answer.
+    /// It was read, or does not answer.
     pub fn was_looked_at(&self) -> bool {
         self.looked_at
     }
 
-    /// It runs on another time than the line's.
+    /// It runs on a time other than the segment's.
     pub fn is_stranger(&self) -> bool {
         self.strange
     }
@@ -449,20 +449,20 @@ impl Member {
         self.start_over(now, REFUSED_FOR_NS, note);
     }
 
-    /// Nobody answers at its place.
+    /// No slave answers at its position.
     fn absent(&mut self, now: Time) {
         (self.clock_set, self.looked_at, self.strange) = (false, true, false);
         self.refused = Note::None;
         self.start_over(now, LOOK_EVERY_NS, Note::Absent);
     }
 
-    /// The frames do not find it any more.
+    /// The frames no longer reach it.
     pub fn lost(&mut self, now: Time) {
         (self.clock_set, self.looked_at) = (false, false);
         self.start_over(now, 0, Note::Absent);
     }
 
-    /// Takes it down to INIT, if it is ours and anywhere else: true once it is there, or not to be reached.
+    /// Takes it down to INIT, if it is ours and in any other state: true once it is there, or unreachable.
     pub fn shut_down(&mut self, now: Time) -> bool {
         self.ending = true;
         match self.step {
@@ -487,7 +487,7 @@ impl Member {
         }
     }
 
-    /// Goes on with objects, over its mailbox.
+    /// Continues with objects, over its mailbox.
     pub fn objects(&mut self, now: Time, service: Option<&mut Service>) {
         let Step::Objects { list, next, begun } = self.step else { return };
         let objects = match list {
@@ -500,7 +500,7 @@ impl Member {
             return self.all_objects(now, list);
         };
         if !begun {
-            // What somebody else had asked for before is of no use any more.
+            // An earlier request of another user is of no use any more.
             let _ = service.take_end();
             if service.is_free() {
                 service.begin(match list {
@@ -529,7 +529,8 @@ impl Member {
             Ok(found) if list != List::Write && (found ^ wanted) & mask != 0 => {
                 self.differs(now, list, start.object, found);
             }
-            // What a slave does not have, or does not tell, cannot contradict; a drive has to tell its PDOs.
+            // An object that a slave does not have, or does not report, cannot contradict; a drive has to report
+            // its PDOs.
             Err(SdoFailure::Abort(_))
                 if matches!(list, List::Verify | List::State) || list == List::Found && self.is_device() =>
             {
@@ -555,7 +556,7 @@ impl Member {
             List::Write => self.enter(now, Step::Objects { list: List::Verify, next: 0, begun: false }),
             List::Verify if self.plan.outputs.length > 0 => self.enter(now, Step::Watchdog),
             List::Verify if self.plan.inputs.length > 0 => self.enter(now, Step::SyncManagers),
-            // A coupler's head exchanges nothing, but for its state.
+            // A coupler's head exchanges only its state.
             List::Verify if self.fmmus().1 > 0 => self.enter(now, Step::Fmmus),
             List::Verify => self.enter(now, Step::to(AlState::SafeOp)),
             List::Found if self.is_device() => self.joined_whole(now),

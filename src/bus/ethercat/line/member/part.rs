@@ -1,4 +1,4 @@
-//! What the frames show of a slave, and what it may have added to their working counters.
+//! The content of a slave in the frames, and its possible share of their working counters.
 
 use super::{Mapped, Member, Note, Step};
 use crate::bus::ethercat::image::AL_SIZE;
@@ -11,8 +11,8 @@ impl Member {
         self.has_al
     }
 
-    /// Its AL status in a frame that has come back; 0: it took no part. Without an FMMU for that, what it is known to
-    /// be in, if there is anything of its inputs.
+    /// Its AL status in a frame that has come back; 0: it took no part. Without an FMMU for that, its last known
+    /// state, if there is anything of its inputs.
     #[inline]
     pub fn shown(&self, received: &[u8]) -> AlStatus {
         if self.has_al {
@@ -27,7 +27,7 @@ impl Member {
         received.get(self.spot.inputs.clone()).unwrap_or_default().iter().any(|byte| *byte != 0)
     }
 
-    /// What it may have added to the working counter of such a frame, at least and at most.
+    /// Its possible share of the working counter of such a frame, at least and at most.
     #[inline]
     pub fn counts(&self, shown: AlStatus) -> (u16, u16) {
         let inputs = u16::from(self.has_al || self.plan.inputs.length > 0);
@@ -36,19 +36,19 @@ impl Member {
         let all = inputs + if self.plan.outputs.length > 0 { written } else { 0 };
         let full = if self.mapped == Mapped::Inputs { inputs } else { all };
         match shown.state() {
-            // Nothing tells whether it is there.
+            // Nothing shows whether it is there.
             _ if !self.has_al => (0, all),
             _ if shown.0 == 0 => (0, 0),
             Some(AlState::SafeOp | AlState::Op) if self.mapped != Mapped::None => match self.step {
                 Step::LetGo => (full, all),
                 _ => (full, full),
             },
-            // What it has from before: who was away and comes back may still take part, and who comes up not yet.
+            // Its earlier share: a slave that comes back may still take part, and one that comes up not yet.
             _ => (0, all),
         }
     }
 
-    /// It is in OP with all of its process data, and its image tells so.
+    /// It is in OP with all of its process data, and its image shows it.
     #[inline]
     pub fn is_steady(&self) -> bool {
         self.wants_nothing() && self.was_operational && self.al == Some(AlState::Op)

@@ -15,12 +15,12 @@ const WATCHDOG_TICK_NS: u64 = 100_000;
 pub(super) const FMMUS: usize = 3;
 
 impl Member {
-    /// FMMUs that it needs for its process data.
+    /// The number of FMMUs that it needs for its process data.
     pub(super) fn wanted_fmmus(&self) -> usize {
         usize::from(self.plan.outputs.length > 0) + usize::from(self.plan.inputs.length > 0)
     }
 
-    /// Its FMMUs one behind the other, and how many bytes they are.
+    /// Its FMMUs one after the other, and their length in bytes.
     pub(super) fn fmmus(&self) -> ([u8; FMMUS * Fmmu::SIZE], usize) {
         let logical = self.spot.logical;
         let area = |at, area: Area, output| {
@@ -63,7 +63,7 @@ impl Member {
         Some((number, SyncManager { start: area.start, length: area.length, control, activate: 1 }))
     }
 
-    /// Those of outputs and inputs, as far as there are any.
+    /// Those of outputs and inputs, if there are any.
     pub(super) fn managers(&self) -> impl Iterator<Item = (u16, SyncManager)> {
         [Use::Outputs, Use::Inputs].into_iter().filter_map(|usage| self.manager(usage))
     }
@@ -83,7 +83,7 @@ impl Member {
         u16::try_from(ticks).unwrap_or(u16::MAX)
     }
 
-    /// What the SII says otherwise than the configuration.
+    /// A difference between the SII and the configuration.
     pub(super) fn contradicts(&self, contents: &Contents) -> Option<Note> {
         if self.plan.mailbox.is_some() && !contents.protocols.coe() {
             return Some(Note::NoCoe);

@@ -1,8 +1,9 @@
-//! The clock of a slave: set to the line's, left to run with it, and SYNC0 made of it.
+//! The clock of a slave: set to the segment's, left to synchronise to it, and SYNC0 made of it.
 //!
-//! Delays are those of a straight line, whichever port it goes on at: behind a branch they are too long by half of what
-//! is in the other one. They are those behind the reference of that time. When one behind it becomes the reference, all
-//! others stay ahead of it by its own delay, about 1 us for each slave between the two, until they are set up anew.
+//! Delays are those of a straight line, whichever port it continues at: behind a branch they are too long by half
+//! of the time in the other one. They are relative to the reference of that time. When a slave behind it becomes
+//! the reference, all others stay ahead of it by its own delay, about 1 us for each slave between the two, until
+//! they are set up again.
 
 use super::{Around, Member, Note, Step};
 use crate::bus::ethercat::line::clock::delay_ns;
@@ -10,29 +11,29 @@ use crate::bus::ethercat::line::running::near;
 use crate::bus::ethercat::wire::registers::{AlState, Difference, Links, address};
 use crate::time::{MS, S, Time};
 
-/// It runs with the line's when it is not further off, for so many looks, each so long after the other; it is waited
-/// for so long, and for so many cycles: with each frame it takes away a part of what it is off.
+/// It is synchronised when its difference is not larger, for so many looks, each so long after the other; the wait
+/// is limited to so long, and to so many cycles: each frame removes a part of the difference.
 const SETTLED_NS: i64 = 1_000;
 const SETTLED_LOOKS: u8 = 3;
 const SETTLE_LOOK_NS: u64 = 10 * MS;
 const SETTLE_NS: u64 = 10 * S;
 const SETTLE_CYCLES: u64 = 20_000;
-/// SYNC0 begins so long after it was set up, and not sooner than so after it was switched on.
+/// SYNC0 begins so long after it was set up, and at least so long after it was switched on.
 const SYNC_AHEAD_NS: u64 = 100 * MS;
 /// That many turns of the slot lie between the two.
 const SYNC_TURNS: u64 = 4;
 const SYNC_LEFT_NS: u64 = 5 * MS;
 
-/// Where its offset stands behind the times of its ports.
+/// The offset of its offset register behind the times of its ports.
 const OFFSET_AT: usize = (address::DC_OFFSET - address::DC_PORTS) as usize;
 
 impl Member {
-    /// Its clock is the line's.
+    /// Its clock is the segment's.
     pub(super) fn is_reference(&self, around: &Around<'_>) -> bool {
         around.reference == Some(self.station())
     }
 
-    /// The times of the reference at the latch; `line_ns`: the line's, as the master has it.
+    /// The times of the reference at the latch; `line_ns`: the segment's, as the master has it.
     pub(super) fn referred(
         &mut self,
         now: Time,
@@ -43,9 +44,9 @@ impl Member {
     ) {
         let offset = times.get(OFFSET_AT..).and_then(<[u8]>::first_chunk::<8>);
         let line_ns = match (received_ns(times), offset) {
-            // The reference itself is set to what the master has.
+            // The reference itself is set to the master's value.
             _ if self.is_reference(around) && !around.timed => line_ns,
-            // Its upper half may be none.
+            // Its upper half may be missing.
             (Some(received), Some(offset)) => {
                 near(line_ns, received.wrapping_add(u64::from_le_bytes(*offset)) as u32)
             }
@@ -113,7 +114,7 @@ impl Member {
         if self.features.has_long_clock() { ns } else { u64::from(ns as u32) }
     }
 
-    /// What is written to its delay and offset was taken.
+    /// The values written to its delay and offset were accepted.
     pub(super) fn offset_set(&mut self, now: Time) {
         self.clock_set = true;
         self.enter(now, Step::Filter);
@@ -123,7 +124,7 @@ impl Member {
     pub(super) const TIMES: (u16, usize) = (address::DC_PORTS, OFFSET_AT + 8);
 }
 
-/// So long before it begins SYNC0 is set up.
+/// How long before its begin SYNC0 is set up.
 pub(super) fn sync_ahead_ns(around: &Around<'_>) -> u64 {
     SYNC_AHEAD_NS + SYNC_TURNS * around.turn_ns
 }
@@ -134,7 +135,7 @@ fn received_ns(times: &[u8]) -> Option<u64> {
     times.get(at..)?.first_chunk::<8>().map(|bytes| u64::from_le_bytes(*bytes))
 }
 
-/// From the first port to the last open one: how long a frame is under way behind this slave; 0: nobody is there.
+/// From the first port to the last open one: how long a frame is under way behind this slave; 0: there is no slave.
 fn loop_ns(times: &[u8], links: &[u8]) -> u32 {
     let links = Links(links.first_chunk::<2>().map_or(0, |bytes| u16::from_le_bytes(*bytes)));
     let port = |n: u8| {

@@ -49,7 +49,7 @@ impl Chip {
         }
     }
 
-    /// Reads what may be read; with `or` it is added to what is there. Whether anything could be read.
+    /// Reads what may be read; with `or` it is or-ed with the given data. Whether anything could be read.
     pub(in super::super) fn read(&mut self, at: u16, data: &mut [u8], or: bool) -> bool {
         let mut span = Span::default();
         for (at, byte) in (usize::from(at)..).zip(data) {
@@ -64,7 +64,7 @@ impl Chip {
     /// Writes what may be written. Whether anything could be written.
     pub(in super::super) fn write(&mut self, at: u16, data: &[u8]) -> bool {
         let mut span = Span::default();
-        // The pulse runs: its start and cycle are taken and thrown away (assumed; the manuals say only not to).
+        // The pulse runs: its start and cycle are accepted and discarded (assumed; the manuals only forbid it).
         let runs = self.memory[usize::from(address::DC_ACTIVATION)] & CYCLIC != 0;
         for (at, byte) in (usize::from(at)..).zip(data) {
             if self.may_write(at) {
@@ -77,7 +77,7 @@ impl Chip {
         self.has_written(span)
     }
 
-    /// What reading sets off; whether anything was read.
+    /// The effects of a read; whether anything was read.
     pub(super) fn has_read(&mut self, span: Span) -> bool {
         let Some(range) = span.range() else { return false };
         self.managers.iter_mut().for_each(|manager| manager.has_read(&range));

@@ -1,10 +1,10 @@
-//! What writing sets off.
+//! The effects of a write.
 
 use super::access::{Span, meets};
 use super::*;
 
 impl Chip {
-    /// What writing sets off; whether anything was written.
+    /// The effects of a write; whether anything was written.
     pub(super) fn has_written(&mut self, span: Span) -> bool {
         let Some(range) = span.range() else { return false };
         if range.start >= USER {
@@ -82,7 +82,7 @@ impl Chip {
             let bits = 8 * (range.end - usize::from(address::DC_TIME));
             let reference = self.quad(address::DC_TIME);
             self.clock.compare(reference, bits);
-            // What is read there is its own time, also behind that in the same frame.
+            // The value read there is its own time, also behind that in the same frame.
             let line = self.clock.line();
             self.put(address::DC_TIME, &line.to_le_bytes());
         }
@@ -102,7 +102,7 @@ impl Chip {
         if hit(address::DC_ACTIVATION, 1) {
             let is_on = self.memory[usize::from(address::DC_ACTIVATION)] & SYNC0 == SYNC0;
             match self.clock.next_sync() {
-                // It goes on as it is.
+                // It continues as it is.
                 Some(_) if is_on => {}
                 None if is_on => {
                     let (start, cycle) = (self.quad(address::DC_START), self.bytes(address::DC_CYCLE));
@@ -113,7 +113,7 @@ impl Chip {
         }
     }
 
-    /// Keeps when this frame came, and when it comes back.
+    /// Latches when this frame came, and when it comes back.
     fn latch(&mut self) {
         let own = self.clock.own();
         let Passage { at, back_at } = self.passage;

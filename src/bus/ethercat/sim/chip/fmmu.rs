@@ -1,4 +1,4 @@
-//! What FMMUs map: logical addresses to memory, bit by bit.
+//! The mapping of FMMUs: logical addresses to memory, bit by bit.
 
 use super::access::Span;
 use super::*;
@@ -61,7 +61,7 @@ struct Piece {
 }
 
 impl Piece {
-    /// Where its byte stands in data that begins at a logical address.
+    /// The offset of its byte in data that begins at a logical address.
     fn place(&self, at: u32) -> Option<usize> {
         usize::try_from(self.logical.checked_sub(at.into())?).ok()
     }
@@ -71,7 +71,7 @@ impl Piece {
     }
 }
 
-/// What an FMMU maps: the bits from the first to the last one, in a row on both sides.
+/// The mapping of an FMMU: the bits from the first to the last one, in a row on both sides.
 fn pieces(fmmu: Fmmu) -> impl Iterator<Item = Piece> {
     let (first, last) = (u32::from(fmmu.bits.0), u32::from(fmmu.bits.1));
     let (physical, physical_bit) = (usize::from(fmmu.physical.0), u32::from(fmmu.physical.1));

@@ -1,9 +1,9 @@
-//! What the mode of operation makes of setpoints.
+//! How the mode of operation uses setpoints.
 
 use super::*;
 
 impl Drive {
-    /// What a motion leads to.
+    /// Evaluates a motion.
     pub(super) fn watch(&mut self, aim: Aim) {
         if !matches!(aim, Aim::Follow { .. } | Aim::GoTo { .. }) {
             return;
@@ -24,13 +24,13 @@ impl Drive {
         (self.homing, self.homed, self.goal) = (Homing::Done, true, None);
     }
 
-    /// No setpoint counts that came before: it stands where it is.
+    /// Earlier setpoints no longer count: it stays where it is.
     pub(super) fn hold(&mut self) {
         self.track = Track::hold(self.motor.place());
         (self.goal, self.acknowledged, self.homing) = (None, false, Homing::Idle);
     }
 
-    /// rad/s of a count of an object.
+    /// rad/s per count of an object.
     pub(super) fn speed(&self, object: Object) -> f64 {
         self.objects.get(object) as f64 * self.settings.rpm_per_count * RPM
     }
@@ -92,7 +92,7 @@ impl Drive {
         };
     }
 
-    /// What the motor is to do.
+    /// The demand of the motor.
     pub(super) fn aim(&self, at: Time) -> Aim {
         let stop = self.settings.stop_rpm_s * RPM;
         match self.state {
@@ -104,7 +104,7 @@ impl Drive {
         }
     }
 
-    /// What the mode makes of the setpoints.
+    /// The demand from the setpoints of the mode.
     fn motion(&self, at: Time) -> Aim {
         let word = self.control.unwrap_or_default();
         let (up, down) = (self.ramp(ACCELERATION), self.ramp(DECELERATION));
@@ -132,7 +132,7 @@ impl Drive {
         }
     }
 
-    /// It is where, or as fast as, it should be.
+    /// It is at its target position, or speed.
     pub(super) fn is_reached(&self) -> bool {
         let is_there = |place: f64| (place - self.motor.place()).abs() < REACHED.1;
         match self.aim(self.lived.unwrap_or_default()) {
@@ -145,7 +145,7 @@ impl Drive {
     }
 }
 
-/// A position setpoint, reached within a cycle. A late one is made up for, for one cycle more.
+/// A position setpoint, reached within a cycle. A late one is extrapolated for one cycle more.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Track {
     pub(super) from: f64,
@@ -159,7 +159,7 @@ impl Track {
         Track { from: place, to: place, since: Time(0), over_ns: 0 }
     }
 
-    /// Place and speed at an instant.
+    /// Position and speed at an instant.
     fn at(&self, now: Time) -> (f64, f64) {
         if self.over_ns == 0 {
             return (self.to, 0.0);

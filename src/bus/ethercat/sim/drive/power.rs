@@ -3,7 +3,7 @@
 use super::*;
 
 impl Drive {
-    /// The cycle of the bus is not what it should be.
+    /// The cycle of the bus is not regular.
     pub(super) fn lose_sync(&mut self) {
         if self.al == AlState::Op {
             self.fail(Fault::SYNCHRONISATION);
@@ -21,13 +21,13 @@ impl Drive {
             self.fault = Some(fault);
             self.objects.set(ERROR_COUNT, 1);
             self.objects.set(LAST_ERROR, fault.code.into());
-            // What could burn is switched off at once, all else is stopped first.
+            // Faults that could destroy hardware switch off at once, all others stop first.
             let stops = self.state.is_powered() && fault.clearing == Clearing::Reset;
             self.state = if stops { State::FaultReactionActive } else { State::Fault };
         }
     }
 
-    /// Ends a fault that can be ended; false: it cannot, or its reaction is still under way.
+    /// Clears a clearable fault; false: it is not, or its reaction is still under way.
     pub(super) fn clear_fault(&mut self) -> bool {
         let clears =
             self.state == State::Fault && self.fault.is_some_and(|fault| fault.clearing == Clearing::Reset);
@@ -38,10 +38,10 @@ impl Drive {
         clears
     }
 
-    /// Obeys the control word.
+    /// Follows the control word.
     pub(super) fn obey(&mut self, now: Time) {
         let word = ControlWord(self.objects.get(CONTROL_WORD) as u16);
-        // A bit that stands already when the first word comes is no edge.
+        // A bit that is set already when the first word comes is not an edge.
         let before = self.control.replace(word).unwrap_or(word);
         if let Some(transition) = Transition::caused(self.state, word, before) {
             self.change(now, transition);

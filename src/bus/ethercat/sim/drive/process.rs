@@ -1,4 +1,4 @@
-//! Process data: the selected PDOs, and what is in them.
+//! Process data: the selected PDOs, and their contents.
 
 use super::*;
 
@@ -9,7 +9,7 @@ impl Drive {
         (size(OUTPUT_PDO), size(INPUT_PDO))
     }
 
-    /// What it says to P->S with SyncManagers of these lengths. A real AKD tells outputs apart, and so inputs
+    /// Its answer to P->S with SyncManagers of these lengths. A real AKD distinguishes outputs, and so inputs
     /// (assumed).
     pub fn check_sizes(&self, outputs: usize, inputs: usize) -> Result<(), AlCode> {
         let wanted = self.sizes();

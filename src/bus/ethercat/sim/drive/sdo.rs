@@ -1,4 +1,4 @@
-//! What SDOs do to a drive: reading and writing its objects, one by one or all subindices at once.
+//! The effects of SDOs on a drive: reading and writing its objects, one by one or all subindices at once.
 
 use super::*;
 use crate::bus::ethercat::sim::mailbox::Request;
@@ -9,7 +9,7 @@ const NAME: Object = Object::new(0x1008, 0);
 const COUNT: u8 = 0;
 
 impl Drive {
-    /// Carries out a request; what was read is the answer.
+    /// Carries out a request; the read data are the answer.
     pub(super) fn obey_sdo(&mut self, request: &Request) -> Result<Vec<u8>, AbortCode> {
         let object = request.object;
         match (&request.data, request.complete) {
@@ -30,7 +30,7 @@ impl Drive {
         }
     }
 
-    /// All subindices from that of `object` on, 0 or 1; the count is followed by a byte that fills up.
+    /// All subindices from that of `object` on, 0 or 1; the count is followed by a padding byte.
     fn read_all(&self, object: Object) -> Result<Vec<u8>, AbortCode> {
         let subs: Vec<u8> = match self.mapping.has(object) {
             true => (0..=self.mapping.subs()).collect(),
@@ -78,7 +78,7 @@ impl Drive {
         counted.map_or(Ok(()), |counted| self.write(count, &[counted]))
     }
 
-    /// Writes an entry of a PDO, or how many it has.
+    /// Writes an entry of a PDO, or its count.
     fn map(&mut self, object: Object, data: &[u8]) -> Result<(), AbortCode> {
         if self.al != AlState::PreOp {
             return Err(AbortCode::STATE);

@@ -1,4 +1,4 @@
-//! What the drive shows: status words and actual values.
+//! The drive's reports: status words and actual values.
 
 use super::*;
 
@@ -51,7 +51,7 @@ impl Drive {
         .fold(0, |word, (_, bit)| word | bit)
     }
 
-    /// Actual values. The status word stands still outside of SAFEOP and OP (EtherCAT manual).
+    /// Actual values. The status word is constant outside of SAFEOP and OP (EtherCAT manual).
     pub(super) fn refresh(&mut self) {
         let angle = self.motor.place() - self.zero;
         let increments = counts(angle, self.settings.increments().into());

@@ -1,7 +1,8 @@
-//! What each motion command does: which state takes it, what it means in SI units, and to whom it goes.
+//! The effect of each motion command: which state accepts it, its meaning in SI units, and its destination.
 //!
-//! Knows no bytes. What the drive has no hardware, no software key or no known meaning for is error 0081h, or nothing
-//! if the plan says so: encoder cams, indexing, winding, force control, analog positions, streams with time stamps.
+//! Knows no bytes. Commands for which the drive has no hardware, no software key or no known meaning are error
+//! 0081h, or nothing if the plan says so: encoder cams, indexing, winding, force control, analog positions, streams
+//! with time stamps.
 
 use super::super::motion::{METRE, METRE_PER_S, METRE_PER_S2, Order};
 use super::super::time_curve::TimeCurve;
@@ -15,7 +16,7 @@ use crate::time::Time;
 /// 0089h: a scale of a curve that is out of its range.
 pub(in super::super) const CURVE_SCALE: ErrorCode = ErrorCode(0x0089);
 
-/// What came of a motion command.
+/// The result of a motion command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in super::super) enum Taken {
     /// Run, refused or ignored.
@@ -24,7 +25,7 @@ pub(in super::super) enum Taken {
     Restart,
 }
 
-/// What the controller holds.
+/// The quantity that the controller holds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Effort {
     /// The position.
@@ -96,7 +97,7 @@ impl Machine {
             Decoded::ControlWord(word) => self.set_control(ControlWord(word), now),
             Decoded::LiveParameter { upid, value } => self.write_unheard(upid, value),
             Decoded::ControllerSet(set) => self.write_unheard(upids::CONTROLLER_SET, set.into()),
-            // They lead nowhere.
+            // They have no target.
             Decoded::Outputs { .. } => {}
             Decoded::ClearEvents => self.setpoints.clear_events(),
             Decoded::MasterHoming(position) => {
@@ -165,7 +166,7 @@ impl Machine {
             Decoded::CurrentMode(_) => self.setpoints.follow(actual),
             Decoded::PositionMode => self.setpoints.stop(None),
 
-            // What the command table alone does something with; it takes these before they come here.
+            // Effective in the command table only, which takes these before they come here.
             Decoded::Wait(_)
             | Decoded::If { .. }
             | Decoded::Variable { .. }
@@ -192,7 +193,7 @@ impl Machine {
         Ok(())
     }
 
-    /// What cannot be written is not written, and nobody hears of it: such a command has no answer.
+    /// A write that is not allowed is dropped without notice: such a command has no answer.
     pub(super) fn write_unheard(&mut self, upid: u16, value: u32) {
         let _ = self.write(upid, value);
     }
@@ -268,7 +269,7 @@ fn needs_home(command: &Decoded) -> bool {
     )
 }
 
-/// What is written into a curve or an entry, and how many bytes that are.
+/// The data written into a curve or an entry, and their length in bytes.
 fn bytes(written: Written) -> ([u8; 12], usize) {
     let mut bytes = [0; 12];
     let mut size = 0;

@@ -25,7 +25,7 @@ use crate::time::{MS, Time};
 /// Hardware tests of state 5 (SG5 manual: about 300 ms).
 const HW_TESTS_NS: u64 = 300 * MS;
 
-// What a real drive takes from its parameters: velocities in m/s, accelerations in m/s2, lengths in m.
+// Values that a real drive takes from its parameters: velocities in m/s, accelerations in m/s2, lengths in m.
 const HOMING_VELOCITY: f64 = 0.1;
 const JOG_VELOCITY: f64 = 0.02;
 const GO_TO_VELOCITY: f64 = 0.1;
@@ -42,10 +42,10 @@ const NEWTON_PER_AMPERE: f64 = 20.0;
 /// The motion of a drive that is found running: slow, so that it lasts, and this far from the ends of the range.
 const SHUTTLE_VELOCITY: f64 = 0.02;
 const SHUTTLE_MARGIN: f64 = 0.1;
-/// The command count that another master has left behind.
+/// The command count that another master left.
 const FOUND_COUNT: u8 = 5;
 
-/// What the drive is doing.
+/// The mode of the drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Mode {
     NotReady,
@@ -58,7 +58,7 @@ enum Mode {
     QuickStop { error: bool },
 }
 
-/// What an enabled drive is doing: states 8 and above.
+/// The task of an enabled drive: states 8 and above.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Task {
     Commands,
@@ -82,26 +82,26 @@ pub(super) struct Machine {
     seen: ControlWord,
     error: ErrorCode,
     homed: bool,
-    /// Of the last motion command that was taken in.
+    /// The count of the last accepted motion command.
     count: u8,
     pub(super) setpoints: Setpoints,
     plant: Plant,
     effort: Effort,
-    /// Where the command table is, if it runs.
+    /// The position in the command table, if it runs.
     sequence: Option<Sequence>,
     /// Drive coordinates = mechanical position + offset, m. 0 once the home switch was found.
     offset: f64,
-    /// Where a drive that was found running turns round, until somebody takes over.
+    /// Turning points of a drive that was found running, until a master takes over.
     shuttle: Option<(f64, f64)>,
     /// The hardware enable (STO) is open until then, whatever happens to the drive.
     inhibited_until: Time,
     inhibited: bool,
     pub(super) memory: Memory,
-    /// What of the parameters is in use.
+    /// The settings in use.
     settings: Settings,
     /// The motion control software does not run.
     stopped: bool,
-    /// The instant that it has lived up to, that of the last start, and that of the first one.
+    /// The instant up to which it has advanced, that of the last start, and that of the first one.
     now: Time,
     powered_at: Time,
     born_at: Time,
@@ -158,8 +158,8 @@ impl Machine {
         (self.now, self.powered_at, self.born_at) = (now, now, now);
     }
 
-    /// Power came back: everything volatile is lost, the motor stays where it is. The position sensor is incremental
-    /// and begins at the start position, wherever that is.
+    /// Power came back: everything volatile is lost, the motor stays where it is. The position sensor is
+    /// incremental and begins at the start position, wherever the motor is.
     pub(super) fn power_up(&mut self, now: Time) {
         self.powered_at = now;
         self.memory.restart();
@@ -208,7 +208,7 @@ impl Machine {
     /// Writes a parameter into RAM.
     pub(super) fn write(&mut self, upid: u16, raw: u32) -> Result<(), Refusal> {
         self.memory.parameters.write_ram(upid, raw)?;
-        // A command table may count with its variables in every step, and they are no settings.
+        // A command table may compute with its variables in every step, and they are no settings.
         if !matches!(upid, upids::VARIABLE_1 | upids::VARIABLE_2) {
             self.settings = Settings::of(&self.memory.parameters);
         }
@@ -264,7 +264,7 @@ impl Machine {
         }
     }
 
-    /// The motor does what the demand or the current says.
+    /// The motor follows the demand or the current.
     fn move_plant(&mut self, dt_ns: u64) {
         if let (Effort::Current(force), true) = (self.effort, self.powered()) {
             self.plant.advance_with_force(force, dt_ns);
@@ -285,7 +285,7 @@ impl Machine {
     fn watch(&mut self) {
         let demand = counts(self.setpoints.demand().position, METRE);
         let settings = &self.settings;
-        // A motor that presses against something is meant to stay behind.
+        // A motor that presses against something is meant to lag behind.
         let lag = if self.effort == Effort::Position { self.lag() } else { 0.0 };
         if self.homed && demand < settings.range.0 {
             self.fail(ErrorCode::MIN_POSITION);
@@ -298,7 +298,7 @@ impl Machine {
         }
     }
 
-    /// What follows when a motion of the drive's own has ended.
+    /// What follows the end of a motion of the drive's own.
     fn go_on(&mut self) {
         let Mode::Operating(task) = self.mode else { return };
         if self.setpoints.is_moving() {
@@ -333,7 +333,7 @@ impl Machine {
         self.setpoints.stand_at(position);
     }
 
-    /// At most one transition of the state machine, and what follows from it: what goes on by itself ends with state 8.
+    /// At most one transition of the state machine, and its consequences: internal motions end with state 8.
     fn transition(&mut self, now: Time) {
         let before = self.mode;
         self.change_mode(now);
@@ -405,7 +405,7 @@ impl Machine {
         }
     }
 
-    /// Starts the task that the control word asks for, if it is another one.
+    /// Starts the task that the control word requests, if it is another one.
     fn change_task(&mut self, task: Task, control: ControlWord, rising: ControlWord) {
         use ControlWord as C;
         let initial = rising.has(C::GO_TO_INITIAL)
@@ -461,7 +461,8 @@ impl Machine {
         self.inhibited_until = until;
     }
 
-    /// No command table goes on by itself, no motion of a drive that was found running, and only the position is held.
+    /// Ends a running command table, the motion of a drive that was found running, and pressing; only the position
+    /// is held.
     fn drop_tasks(&mut self) {
         (self.shuttle, self.sequence, self.effort) = (None, None, Effort::Position);
     }

@@ -1,4 +1,4 @@
-//! What the drive says of itself: state, status, warnings, and the variables that can be read and monitored.
+//! The drive's reports: state, status, warnings, and the variables that can be read and monitored.
 
 use super::super::log::hours_and_ms;
 use super::super::motion::{METRE, METRE_PER_S, METRE_PER_S2};
@@ -10,7 +10,7 @@ use crate::time::US;
 /// A value that the drive computes whenever it is read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in super::super) enum Variable {
-    /// Of hardware that this drive does not have.
+    /// A value of hardware that this drive does not have.
     Constant(i64),
     OperatingMs,
     TimerUs,
@@ -130,19 +130,19 @@ impl Machine {
         (self.plant.force() / NEWTON_PER_AMPERE * 1e3).round() as i16
     }
 
-    /// The value of the parameter that stands there.
+    /// The value of the parameter at this index.
     pub(super) fn number(&self, index: usize) -> i64 {
         let Some(variable) = PARAMETERS[index].variable else { return self.memory.parameters.ram(index) };
         let (low, high) = PARAMETERS[index].kind.range();
         self.value(variable).clamp(low, high)
     }
 
-    /// The same as it goes over the wire.
+    /// The same in wire form.
     pub(in super::super) fn read(&self, index: usize) -> u32 {
         self.memory.parameters.wire(index, self.number(index))
     }
 
-    /// The monitoring channels: the values of the UPIDs that stand in their parameters.
+    /// The monitoring channels: the values of the UPIDs in their parameters.
     pub(in super::super) fn monitor(&self) -> [u32; 4] {
         self.settings.monitored.map(|source| source.map_or(0, |index| self.read(index)))
     }

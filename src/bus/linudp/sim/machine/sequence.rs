@@ -1,6 +1,6 @@
 //! The command table runs: one entry after the other, waits and branches.
 //!
-//! Knows the entries as the table holds them. What the manuals do not say, and what is chosen:
+//! Knows the entries as the table holds them. What the manuals leave open, and the choices here:
 //!
 //! - An entry runs its command, and its link follows at once, motion or not: a table that has to wait for a motion says
 //!   so.
@@ -19,16 +19,16 @@ use crate::bus::linudp::upid::Usage;
 use crate::bus::linudp::wire::ErrorCode;
 use crate::time::{Time, US};
 
-/// The most entries that a step of the drive gets through.
+/// The most entries that the drive executes in one step.
 const ENTRIES: usize = 8;
 
-/// Where run mode 3 begins.
+/// The first entry of run mode 3.
 const FIRST: u16 = 1;
 
 /// One count of a waiting time, ns.
 const WAIT_NS: u64 = 100 * US;
 
-/// Where the table is.
+/// The position in the table.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Sequence {
     entry: u16,
@@ -64,7 +64,7 @@ impl Machine {
         }
     }
 
-    /// As far as the table gets now.
+    /// Runs the table as far as it gets now.
     pub(super) fn run_table(&mut self, now: Time) {
         for _ in 0..ENTRIES {
             let Some(sequence) = self.sequence.filter(|_| self.mode == Mode::Operating(Task::Commands))
@@ -79,7 +79,7 @@ impl Machine {
         }
     }
 
-    /// Runs an entry, or looks whether it is over; false while it waits.
+    /// Runs an entry, or checks whether it is over; false while it waits.
     fn run_entry(&mut self, sequence: Sequence, now: Time) -> Result<bool, ErrorCode> {
         // It may have been deleted meanwhile.
         let entry = *self.memory.table.get(sequence.entry).ok_or(ErrorCode::ENTRY_MISSING)?;
@@ -108,7 +108,7 @@ impl Machine {
             }
         };
         match next {
-            // Its control word may have led out of state 8.
+            // Its control word may have left state 8.
             Some(next) if self.sequence.is_some() => self.start_table(next)?,
             _ => self.sequence = None,
         }
@@ -131,7 +131,7 @@ impl Machine {
                     self.set_variable(variable, self.number(index) as i32);
                 }
             }
-            // Listed and not described: taken as what its name says. It takes no time here.
+            // Listed and not described: its name is taken as its meaning. It takes no time here.
             Decoded::UpidToRom(upid) => {
                 if let Ok(index) = allowed(upid, Usage::RAM_READ) {
                     let value = self.read(index);

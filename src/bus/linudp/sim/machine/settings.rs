@@ -1,4 +1,4 @@
-//! What the software takes from the parameters: read once after each change, not in every step.
+//! The values that the software takes from the parameters: read once after each change, not in every step.
 
 use super::super::motion::{METRE, Order};
 use super::super::parameters::Parameters;
@@ -11,7 +11,7 @@ use crate::time::US;
 pub(in super::super) enum RunMode {
     /// 1: motion commands.
     Commands,
-    /// 3: the command table runs as soon as the drive is in state 8 and homed; motion commands are taken, too.
+    /// 3: the command table runs as soon as the drive is in state 8 and homed; motion commands are accepted, too.
     Table,
     /// One that this drive has no inputs for: motion commands are refused.
     Other,
@@ -21,7 +21,7 @@ pub(in super::super) enum RunMode {
 #[derive(Clone, Copy, Debug)]
 pub(in super::super) struct Settings {
     pub run_mode: RunMode,
-    /// What the position is at the home switch, and where that is by the motor's own measure, m.
+    /// The position at the home switch, and the switch in the motor's own coordinates, m.
     pub home: f64,
     pub slider_home: f64,
     /// 0.1 um.
@@ -36,7 +36,7 @@ pub(in super::super) struct Settings {
     pub on_rise: Order,
     pub on_fall: Order,
     pub stream_period_ns: u64,
-    /// The parameters that the monitoring channels show, by their place in the list.
+    /// The indices of the parameters that the monitoring channels report.
     pub monitored: [Option<usize>; 4],
 }
 
