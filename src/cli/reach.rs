@@ -15,8 +15,11 @@ use super::interrupt::{Interrupt, LOOK_EVERY};
 use super::masters::{Wanted, others};
 use super::{Stop, load};
 
-/// A drive that is there answers sooner.
+/// A drive that is there answers sooner, and the bring-up of a bus comes to its next step sooner.
 const PATIENCE: Duration = Duration::from_secs(5);
+
+/// All of a bring-up. It takes thousands of cycles on an EtherCAT segment, and more of them where the host disturbs them.
+const BRING_UP: Duration = Duration::from_secs(30);
 
 /// The way to a drive.
 pub struct Reach {
@@ -126,12 +129,19 @@ fn alone(plan: &Plan, drive: &str, interrupt: &Interrupt) -> Result<Way, Stop> {
         return Err(Stop::failed(format!("drive {drive} has no acyclic access")));
     };
     let begun = Instant::now();
+    let (mut since, mut steps) = (begun, Vec::new());
     while !acyclic.condition().map_err(Stop::failed)?.online {
         if interrupt.is_set() {
             return Err(Stop::failed("interrupted; nothing was written"));
         }
-        if begun.elapsed() > PATIENCE {
-            return Err(Stop::failed(match master.not_connected(0) {
+        let why = master.not_connected(0);
+        // A step that was seen before is one of a bring-up that fails again and again.
+        if begun.elapsed() < BRING_UP && !steps.contains(&why) {
+            steps.push(why.clone());
+            since = Instant::now();
+        }
+        if since.elapsed() > PATIENCE {
+            return Err(Stop::failed(match why {
                 Some(why) => format!("drive {drive} cannot be reached: {why}"),
                 None => format!("drive {drive} does not answer; look at its power, cable and address"),
             }));
