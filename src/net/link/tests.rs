@@ -474,3 +474,12 @@ fn no_descriptor_is_left_behind() {
         assert_eq!(descriptors(), before);
     });
 }
+
+/// The last carrier wakes the thread when it goes, and so does the end. Both may come in one look of the thread: it
+/// must not clear the second one together with the first and wait for ever.
+#[test]
+fn an_end_that_comes_together_with_another_wake_up_is_seen() {
+    for _ in 0..3_000 {
+        drop(Os::default().streams(Vec::new()).unwrap());
+    }
+}

@@ -168,15 +168,16 @@ impl Worker {
                 // The descriptor and the buffer are our own, so that no other error is possible.
                 Err(_) => return,
             };
-            if self.shared.ended.load(Ordering::Acquire) {
-                return;
-            }
             for event in &events[..count] {
                 match event.data() {
                     // Read to clear it; every turn looks at all carriers.
                     BELL => drop(self.shared.bell.read()),
                     token => self.happened(token, event.events()),
                 }
+            }
+            // Behind the read: it may have cleared the wake-up of the end along with an earlier one.
+            if self.shared.ended.load(Ordering::Acquire) {
+                return;
             }
             self.take_in();
             self.desks.retain_mut(|desk| desk.turn(&self.epoll));
