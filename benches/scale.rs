@@ -566,7 +566,8 @@ fn on_sockets(
     let (rounds, cycles) = if quick { (3, 40) } else { (15, 100) };
     println!("\nthe loop on sockets against the bare loop, ns a drive and cycle, medians of {rounds} rounds");
     println!(
-        "  drives   period   ours done  last bare reply   ratio                 ours CPU   bare CPU   ratio                 calls a cycle"
+        "  drives   period   ours done  last bare reply   ratio                 \
+         ours CPU   bare CPU   ratio                 calls a cycle"
     );
     let mut table = Vec::new();
     for &count in drives {
@@ -656,7 +657,8 @@ fn together(granted: &Granted, quick: bool, budgets: &Budgets, report: &mut Repo
     let p50 = |sample: &Sample| sample.quantile(0.5).map(|p50| p50.value);
     let Fleet { linmots: of_linmots, unidrives: of_unidrives, every, .. } = TOGETHER;
     println!(
-        "\n{of_linmots} LinMots in every cycle and {of_unidrives} Unidrives in every {every}th, together at 1 kHz; steal {} ms",
+        "\n{of_linmots} LinMots in every cycle and {of_unidrives} Unidrives in every {every}th, together at 1 kHz; \
+         steal {} ms",
         shown(steal.ms())
     );
     println!("  planned {} = executed {} + skipped {}", status.planned, status.executed, status.skipped);
