@@ -1,8 +1,8 @@
 //! `benches/budgets.csv`: what may be counted at most, one line a scenario, with the reason.
 //!
-//! A line that begins with `#` is a comment. The columns are those of [`COLUMNS`]; the reason is the last one and may hold
-//! commas. What `--count` counts is written by `--count --write-budgets`; the rest by hand, since it follows from the
-//! calls that a cycle has to make.
+//! A line that begins with `#` is a comment. The columns are those of [`COLUMNS`]; the reason is the last one and may
+//! hold commas. What `--count` counts is written by `--count --write-budgets`; the rest by hand, since it follows from
+//! the calls that a cycle has to make.
 
 use std::fmt::Write as _;
 use std::io;
@@ -132,6 +132,9 @@ fn path() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("benches/budgets.csv")
 }
 
+/// What of a profile changes the code, and the header of what it says of one package.
+const CODE_GENERATION: [&str; 5] = ["lto", "codegen-units", "opt-level", "panic", "[profile.release.package"];
+
 /// The compiler, and what the profile of a release says of code generation.
 fn compiler() -> io::Result<String> {
     let said = Command::new("rustc").arg("-V").output()?;
@@ -144,7 +147,7 @@ fn compiler() -> io::Result<String> {
         if line.starts_with('[') {
             is_part = line.starts_with("[profile.release") || line.starts_with("[profile.bench");
         }
-        is_part && !line.is_empty() && !line.starts_with('#')
+        is_part && CODE_GENERATION.iter().any(|part| line.starts_with(part))
     };
     let profile: Vec<_> = manifest.lines().map(str::trim).filter(is_part_of_profile).collect();
     Ok(format!("{version}; {}", profile.join(" ")))

@@ -39,8 +39,8 @@ const COUNTED: &str = "FIELDBEAT_BENCH_COUNTED";
 /// glibc without what a processor may have or not: its string functions are chosen when it is loaded.
 const PLAIN_GLIBC: &str = "glibc.cpu.hwcaps=-AVX,-AVX2,-AVX2_Usable,-AVX_Fast_Unaligned_Load,-AVX512F,-AVX512VL,\
     -AVX512BW,-BMI1,-BMI2,-LZCNT,-MOVBE,-ERMS,-FSRM,-FMA,-FMA4,-SSSE3,-SSE4_1,-SSE4_2";
-/// Caches that callgrind simulates, in bytes, ways and bytes of a line: first level for data, and second level, which it
-/// calls the last one.
+/// Caches that callgrind simulates, in bytes, ways and bytes of a line: first level for data, and second level, which
+/// it calls the last one.
 const CACHES: [&str; 3] = ["--cache-sim=yes", "--D1=32768,8,64", "--LL=524288,8,64"];
 
 /// What one child runs.

@@ -1,4 +1,4 @@
-//! Carriers with an eye on their system calls: those of the operating system, or what they would make of those in memory.
+//! Carriers that count their system calls: those of the operating system, or those that carriers in memory stand for.
 
 use std::io;
 use std::net::SocketAddrV4;

@@ -98,7 +98,8 @@ impl Client {
         let round_trips: Vec<u64> = numbers.collect();
         if executed + skipped != self.slots as u64 || round_trips.len() as u64 != executed {
             return Err(format!(
-                "the client over libmodbus executed {executed} and skipped {skipped} of {} slots, and told {} round trips",
+                "the client over libmodbus executed {executed} and skipped {skipped} of {} slots, \
+                 and reported {} round trips",
                 self.slots,
                 round_trips.len()
             ));

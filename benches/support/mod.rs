@@ -7,7 +7,7 @@
 //! | `count` | instructions of one scenario, counted by callgrind |
 //! | `stats` | quantiles, and ratios with bootstrap intervals |
 //! | `rig` | the loop driven by hand on a real-time thread |
-//! | `fleet`, `unidrive`, `line` | the drives it runs; a Unidrive, and a line of Kollmorgen drives, that answer from memory |
+//! | `fleet`, `unidrive`, `line` | the drives it runs; a Unidrive and a line of Kollmorgens that answer from memory |
 //! | `bare` | the bare loop that it is measured against, and the loop in turns with a rival |
 //! | `libmodbus` | a client over libmodbus that takes turns with the loop |
 //! | `null`, `counted` | carriers without a network; those of the operating system, counting system calls |
