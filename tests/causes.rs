@@ -225,8 +225,8 @@ struct Found {
 
 impl Found {
     /// What was found of other classes than `done` and `excused`, beyond what the host does by itself: its count, and
-    /// three standard deviations of a Poisson one. Where the host does so in the midst of what was done, the delay is both;
-    /// that is one in ten of its own at most, since what was done takes a tenth of the time.
+    /// three standard deviations of a Poisson one. Where the host does so in the midst of what was done, the delay is
+    /// both; that is one in ten of its own at most, since what was done takes a tenth of the time.
     fn wrong(&self, done: usize, excused: Option<usize>) -> usize {
         let others = (0..CLASSES.len()).filter(|class| *class != done && Some(*class) != excused);
         let beyond = others.map(|class| {

@@ -95,8 +95,8 @@ impl<T: Packed> Writer<T> {
 }
 
 impl<T: Packed> Reader<T> {
-    /// The newest whole value. A reader that meets a write again and again gives its core away: the writer may need just
-    /// that one to finish.
+    /// The newest whole value. A reader that meets a write again and again gives its core away: the writer may need
+    /// just that one to finish.
     pub fn read(&self) -> T {
         let mut words = T::Words::ZERO;
         let backoff = Backoff::new();

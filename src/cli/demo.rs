@@ -350,7 +350,8 @@ impl Show {
         self.wait_all("wave", &(0..self.movers), &ids)
     }
 
-    /// Where the period is too long for streams, or the time too short: moves there and back, until it is time to close.
+    /// Where the period is too long for streams, or the time too short: moves there and back, until it is time to
+    /// close.
     fn swing(&mut self) -> Result<(), Error> {
         let mut turning = Turning::default();
         while !self.left().is_zero() {

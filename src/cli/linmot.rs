@@ -343,7 +343,7 @@ fn announce_save(services: &Services<'_>) -> Result<(), Stop> {
 fn errors(services: &Services<'_>, as_json: bool) -> Result<(), Stop> {
     let log = services.error_log().map_err(Stop::failed)?;
     if as_json {
-        let entry = |entry: &LoggedError| json!({ "code": entry.code, "text": entry.text, "hours": entry.hours, "ms": entry.ms });
+        let entry = |LoggedError { code, text, hours, ms, .. }: &LoggedError| json!({ "code": code, "text": text, "hours": hours, "ms": ms });
         let entries: Vec<Value> = log.entries.iter().map(entry).collect();
         return print(json!({ "logged": log.logged, "occurred": log.occurred, "entries": entries }));
     }

@@ -329,7 +329,7 @@ mod tests {
     #[test]
     fn what_is_wrong_is_named() {
         for (name, fields, why) in [
-            ("vai-go", &[][..], "no motion command"),
+            ("vai-go", &[][..], "not a motion command"),
             ("wait-time", &["time=1"], "in the command table only"),
             ("vai-stop", &[], "deceleration is missing; in mm/s²"),
             ("vai-stop", &["deceleration=1", "speed=2"], "no field speed; it has deceleration"),

@@ -18,7 +18,8 @@ use super::{Stop, load};
 /// A drive that is there answers sooner, and the bring-up of a bus comes to its next step sooner.
 const PATIENCE: Duration = Duration::from_secs(5);
 
-/// All of a bring-up. It takes thousands of cycles on an EtherCAT segment, and more of them where the host disturbs them.
+/// All of a bring-up. It takes thousands of cycles on an EtherCAT segment, and more of them where the host disturbs
+/// them.
 const BRING_UP: Duration = Duration::from_secs(30);
 
 /// The way to a drive.

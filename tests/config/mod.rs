@@ -891,7 +891,8 @@ fn values_of_a_unidrive_arrive_where_they_belong() {
          map.trip = \"off\"\nmonitor = [\"dc-bus-voltage\", \"04.001\"]\nalso_read = [\"20.021 ... 20.023\", \
              \"05.001\"]\n\
          watchdog = { timeout = \"off\", keypad = true }\nno_drive_watchdog = \"accept\"\n\
-         simulate = { running = -2, rated_speed = 1500, fc23 = false, menu_0 = false, connections = 2, cut = 0.5, split = 0.25 }",
+         simulate = { running = -2, rated_speed = 1500, fc23 = false, menu_0 = false, connections = 2, cut = 0.5, \
+         split = 0.25 }",
     );
     let told = format!("{:?}", read(&text));
     let long = |menu, number| format!("{:?}", Mapped::new(Parameter::new(menu, number)));
@@ -929,7 +930,8 @@ fn a_connection_of_its_own_is_told_by_address_and_port() {
     assert_eq!(
         mistakes(&text),
         [
-            "m.toml:14: bus.drive.address = \"127.0.0.21:502\": is already that of the drive of line 7; one drive per address and port",
+            "m.toml:14: bus.drive.address = \"127.0.0.21:502\": is already that of the drive of line 7; one drive \
+            per address and port",
             "m.toml:20: bus.drive.address = \"127.0.0.21\": is already that of the drive of line 7; one drive \
              per IP address",
         ]
@@ -1138,7 +1140,8 @@ proptest! {
             (
                 any::<prop::sample::Index>(),
                 prop::sample::select(vec![
-                    "", "0", "-1", "1e308", "-1e308", "5e-324", "9223372036854775807", "0xffff_ffff", "nan", "inf", "true",
+                    "", "0", "-1", "1e308", "-1e308", "5e-324", "9223372036854775807", "0xffff_ffff", "nan", "inf",
+                    "true",
                     "[]", "[[]]", "[0, 1]", "[-1e300, 1e300]", "{}", "{ extrapolate = 1 }", "{ velocity = 1e300 }",
                     "\"\"", "\"x\"", "\"1ms\"", "\"18446744073s\"", "\"0.0.0.0\"", "\"127.77.0.1:41136\"", "\"off\"",
                     "1979-05-27", "\"\"\"\n\u{1b}[2J\"\"\"", "\"\u{202e}\"",

@@ -131,7 +131,8 @@ fn the_keys_of_the_object_are_stable() {
         measured.periods.at_most measured.periods.cycles measured.periods.late measured.periods.late_ns \
         measured.periods.period_ns measured.periods.share measured.plan.at_most measured.plan.cycles \
         measured.plan.late measured.plan.late_ns measured.plan.period_ns measured.plan.share \
-        measured.shortest_period_ns measured.steal_ms measured.untried ready subject.config subject.core subject.late_ns \
+        measured.shortest_period_ns measured.steal_ms measured.untried ready subject.config subject.core \
+        subject.late_ns \
         subject.period_ns subject.priority";
     let want: Vec<&str> = want.split_whitespace().collect();
     assert_eq!(have, want, "keys are stable: programs read them");

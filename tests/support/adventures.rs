@@ -222,8 +222,8 @@ impl Adventures {
         assert!(until(LONG, || self.axes[VICTIM].feedback().link == Link::Online));
     }
 
-    /// Whether each drive has done so many commands, all calls were made, and the victim came to know both ends of them.
-    /// The rounds to that are few where the host is quiet, and more where commands are aborted by what it does.
+    /// Whether each drive has done so many commands, all calls were made, and the victim came to know both ends of
+    /// them. The rounds to that are few where the host is quiet, and more where commands are aborted by what it does.
     pub fn have_done(&self, commands: u32) -> bool {
         let ends = self.ends.iter().all(|ends| ends.done >= commands);
         let calls = self.calls.iter().all(|calls| calls.done > 100 && calls.refused > 50);

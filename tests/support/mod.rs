@@ -1,5 +1,5 @@
-//! What the whole-system tests share: configurations in a directory of their own, the period that this host carries, and
-//! the built program as a child that never outlives its test.
+//! What the whole-system tests share: configurations in a directory of their own, the period that this host carries,
+//! and the built program as a child that never outlives its test.
 #![allow(dead_code, reason = "every test program uses its own part")]
 
 pub mod adventures;
@@ -45,8 +45,8 @@ pub fn period() -> String {
     format!("{}ms", carried() / MS)
 }
 
-/// Link health of a drive that no busy host loses, in cycles of [`carried`] and with an exchange in each: ten seconds in
-/// which more replies are missed than come.
+/// Link health of a drive that no busy host loses, in cycles of [`carried`] and with an exchange in each: ten seconds
+/// in which more replies are missed than come.
 pub fn patient() -> Health {
     Health { bucket: (10 * S / carried()) as u32, leak: 1, ..Health::default() }
 }
@@ -140,8 +140,8 @@ impl Machine {
 
     /// A configuration of drives `d0`, `d1` ...; `cycle` and `defaults` are lines of `[cycle]` and `[bus.defaults]`.
     ///
-    /// It is made for any host: a period that it carries, and tolerances in seconds. A link is lost after ten of them in
-    /// which more replies are missed than come; a test that needs a loss has a shorter one ([`Machine::LOST_SOON`]).
+    /// It is made for any host: a period that it carries, and tolerances in seconds. A link is lost after ten of them
+    /// in which more replies are missed than come; a test that needs a loss has a shorter one ([`Machine::LOST_SOON`]).
     pub fn config(&self, file: &str, drives: usize, cycle: &str, defaults: &str) -> PathBuf {
         let period = format!("\"{}\"", period());
         let cycles = [

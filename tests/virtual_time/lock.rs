@@ -505,7 +505,7 @@ fn a_reference_that_cannot_lead_is_refused_with_one_line() {
     assert_eq!(refused(vec![drives(), clock("line")], "line"), Ok(()));
     assert_eq!(
         refused(vec![drives(), clock("line"), clock("b")], "lime"),
-        told("reference = \"lime\" names no bus; name one that has: line, b".into())
+        told("reference = \"lime\" is not a bus; name one that has: line, b".into())
     );
     assert_eq!(
         refused(vec![drives()], &linudp),

@@ -258,7 +258,8 @@ impl Target {
     }
 }
 
-const FORM: &str = "0x6041:0, index and subindex, 0x1C12:ca for all subindices, or a name; .u16 behind it for a type (i8, u8, i16, \
+const FORM: &str = "0x6041:0, index and subindex, 0x1C12:ca for all subindices, or a name; .u16 behind it for a \
+    type (i8, u8, i16, \
      u16, i32, u32, text)";
 
 /// Addresses and values of drives with objects.

@@ -245,7 +245,8 @@ mod tests {
     proptest! {
         #[test]
         fn no_step_is_larger_than_its_limits_allow_and_the_end_is_exact(
-            from in point(), target in -1e3..1e3_f64, velocity in 0.1..1e2_f64, up in 1.0..1e3_f64, down in 1.0..1e3_f64,
+            from in point(), target in -1e3..1e3_f64, velocity in 0.1..1e2_f64,
+            up in 1.0..1e3_f64, down in 1.0..1e3_f64,
         ) {
             let motion = Trajectory::go_to(from, target, velocity, up, down);
             let (most, steepest) = (velocity.max(from.velocity.abs()), up.max(down));
@@ -272,7 +273,8 @@ mod tests {
             for ms in 1..2_000 {
                 at = Trajectory::go_to(at, target, velocity, up, down).at(MS);
                 let should = whole.at(ms * MS);
-                prop_assert!((at.position - should.position).abs() < 1e-3, "{at:?} instead of {should:?} after {ms} ms");
+                prop_assert!((at.position - should.position).abs() < 1e-3, "{at:?} instead of {should:?} after {ms} \
+                    ms");
             }
         }
 

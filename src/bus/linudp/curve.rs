@@ -345,7 +345,10 @@ mod tests {
 
     proptest! {
         #[test]
-        fn any_bytes_are_read_or_refused(info in prop::collection::vec(any::<u8>(), 0..80), data in prop::collection::vec(any::<u8>(), 0..40)) {
+        fn any_bytes_are_read_or_refused(
+            info in prop::collection::vec(any::<u8>(), 0..80),
+            data in prop::collection::vec(any::<u8>(), 0..40),
+        ) {
             if let Ok(curve) = Curve::decode(&info, &data) {
                 let (again, same) = curve.encode().unwrap();
                 prop_assert_eq!((&again[..], &same[..]), (&info[..INFO_SIZE], &data[..]));

@@ -568,7 +568,8 @@ impl Orders {
 
     fn begin_rolling(&mut self, now: Time, velocity: f64, acceleration: f64, inputs: &Inputs) {
         let Some(leash) = self.leash else {
-            let why = "a LinUDP drive has no watchdog; allow jogs and velocities with no_drive_watchdog = \"accept\" and a leash";
+            let why = "a LinUDP drive has no watchdog; allow jogs and velocities with no_drive_watchdog = \
+                \"accept\" and a leash";
             return self.refuse(now, Failure::Unsupported(why), inputs);
         };
         self.roll_on(now, Rolling { velocity, acceleration, leash, target: 0.0, at_limit: false }, inputs);

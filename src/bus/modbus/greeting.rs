@@ -226,7 +226,8 @@ impl UnidriveGreeting {
             (Step::Look(index), Some(code)) => {
                 let block = &self.direct.reads()[index];
                 return Greeted::Failed(format!(
-                    "the drive does not give {} ({} registers from it on): {code}; look at map, monitor and also_read, and at the addressing",
+                    "the drive does not give {} ({} registers from it on): {code}; look at map, monitor and \
+                    also_read, and at the addressing",
                     block.first, block.registers
                 ));
             }

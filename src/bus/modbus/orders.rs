@@ -60,12 +60,14 @@ pub(super) struct Outputs {
 
 /// Why a drive that does not follow the control word cannot be commanded.
 const NOT_OBEYING: Failure = Failure::Unsupported(
-    "it does not follow the control word: Pr 06.043 has to be 1, 01.014 and 01.015 0; set them, or let the master (set_up)",
+    "it does not follow the control word: Pr 06.043 has to be 1, 01.014 and 01.015 0; set them, or let the master \
+    (set_up)",
 );
 
 /// Why a drive that nothing would stop is not enabled.
 const NOT_WATCHED: Failure = Failure::Unsupported(
-    "its watchdog is not set, nothing would stop it if the master dies: look at Pr S.15.009 and watchdog, or no_drive_watchdog = \"accept\"",
+    "its watchdog is not set, nothing would stop it if the master dies: look at Pr S.15.009 and watchdog, or \
+    no_drive_watchdog = \"accept\"",
 );
 
 /// The orders of one drive.

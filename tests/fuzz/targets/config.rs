@@ -384,7 +384,11 @@ const KEYS: &[(&str, &str, &[&str])] = &[
     (DRIVE, "stream_queue", &["1", "1024", "1000000"]),
     (DRIVE, "event_queue", &["1", "256", "1000000"]),
     (DRIVE, "sample_queue", &["0", "1", "64", "1000000"]),
-    (DRIVE, "stream", &["\"p\"", "\"pv\"", "\"p-configured\"", "\"pv-configured\"", "\"pva\"", "\"pva-configured\"", "\"off\""]),
+    (
+        DRIVE,
+        "stream",
+        &["\"p\"", "\"pv\"", "\"p-configured\"", "\"pv-configured\"", "\"pva\"", "\"pva-configured\"", "\"off\""],
+    ),
     (DRIVE, "monitor", &["true", "false"]),
     (DRIVE, "reply_tag", &["true", "false"]),
     (DRIVE, "no_drive_watchdog", &["\"accept\"", "\"refuse\""]),

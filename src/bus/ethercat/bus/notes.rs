@@ -49,7 +49,8 @@ impl SlaveNotes {
             }
             DOWN => Some(format!("{interface} is down or has no cable: look at both, ip link shows it")),
             NOTHING_BACK => Some(format!(
-                "no frame comes back on {interface}: look at its cable, and at the power of the slave next to the master"
+                "no frame comes back on {interface}: look at its cable, and at the power of the slave next to the \
+                master"
             )),
             _ => self.notes.get(member).text(place),
         }

@@ -208,23 +208,27 @@ impl Note {
                 format!("it waits for the grid to meet its SYNC0: a slot is about {far} us {side}")
             }
             Note::FoundRunning => {
-                "it was found in OP with other process data: stop it by its own master, or take on_found_running = \"stop\""
+                "it was found in OP with other process data: stop it by its own master, or take on_found_running = \
+                \"stop\""
                     .into()
             }
             Note::Starting => "it is being brought up".into(),
             Note::Differs { object: Object { index: 0x608F, sub: 1 }, found } => format!(
-                "its increments per turn (0x608f:1) are {found}, not 2 to the power of prbase: correct prbase, or use check_prbase = false"
+                "its increments per turn (0x608f:1) are {found}, not 2 to the power of prbase: correct prbase, or \
+                use check_prbase = false"
             ),
             Note::Differs { object: Object { index, sub }, found } => {
                 format!("its {index:#06x}:{sub} is {found} ({found:#x}), not as configured: correct one of them")
             }
-            Note::Unsettled => "its clock does not synchronise with that of the segment: check its distributed clock".into(),
+            Note::Unsettled => "its clock does not synchronise with that of the segment: check its distributed \
+                clock".into(),
             Note::AddressTwice => "another slave has its station address: switch that one off and on".into(),
             Note::Unread(object) => {
                 format!("it does not answer when {:#06x}:{} is read", object.index, object.sub)
             }
             Note::OtherTime(other) => format!(
-                "the slave at place {other} runs on a clock that another master has set, and would lose it: stop that slave, or switch it off"
+                "the slave at place {other} runs on a clock that another master has set, and would lose it: stop \
+                that slave, or switch it off"
             ),
         };
         Some(format!("place {place}: {what}"))

@@ -672,7 +672,8 @@ proptest! {
                 }));
             }
             for (place, came) in heard.iter_mut().zip(&fitted) {
-                *place = came.as_ref().map(|(working_counter, data)| slot::Answer { working_counter: *working_counter, data });
+                let answer = |(counter, data)| slot::Answer { working_counter: *counter, data };
+                *place = came.as_ref().map(|(counter, data)| answer((counter, data)));
             }
             service.heard(now, &heard, &mut counters);
         }

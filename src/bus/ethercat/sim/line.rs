@@ -344,7 +344,12 @@ mod tests {
         #[test]
         fn no_command_panics_and_nothing_moves(
             datagrams in proptest::collection::vec(
-                (0_u8..16, proptest::num::u16::ANY, 0_u16..0x2100, proptest::collection::vec(proptest::num::u8::ANY, 0..40)),
+                (
+                    0_u8..16,
+                    proptest::num::u16::ANY,
+                    0_u16..0x2100,
+                    proptest::collection::vec(proptest::num::u8::ANY, 0..40),
+                ),
                 1..60,
             ),
         ) {

@@ -563,7 +563,9 @@ mod tests {
         }
 
         #[test]
-        fn what_was_built_is_read(parts in proptest::collection::vec((0_u8..15, proptest::num::u32::ANY, 0_usize..90), 0..15)) {
+        fn what_was_built_is_read(
+            parts in proptest::collection::vec((0_u8..15, proptest::num::u32::ANY, 0_usize..90), 0..15),
+        ) {
             let mut out = [0; FRAME_MAX];
             let mut frame = Builder::new(&mut out, BROADCAST, [0x10; 6]).unwrap();
             let commands: Vec<_> = parts.iter().map(|(number, address, length)| {
