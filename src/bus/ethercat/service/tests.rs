@@ -672,8 +672,7 @@ proptest! {
                 }));
             }
             for (place, came) in heard.iter_mut().zip(&fitted) {
-                let answer = |(counter, data)| slot::Answer { working_counter: *counter, data };
-                *place = came.as_ref().map(|(counter, data)| answer((counter, data)));
+                *place = came.as_ref().map(|(counter, data)| slot::Answer { working_counter: *counter, data });
             }
             service.heard(now, &heard, &mut counters);
         }
