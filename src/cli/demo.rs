@@ -124,6 +124,10 @@ impl Demo {
 
 /// The period that is asked for, or the shortest that this host carries; one line says why.
 fn period_ns(asked_for: Option<Duration>) -> Result<u64, Stop> {
+    if let Some(period) = asked_for {
+        // A period that cannot be is refused before anything is measured.
+        demo_plan(1, nanos(period), 0).map_err(Stop::usage)?;
+    }
     let seen = glance(&CyclePlan::default()).map_err(Stop::usage)?;
     let carried = seen.shortest(&PERIODS_NS);
     let Some(period) = asked_for else {

@@ -253,7 +253,7 @@ fn a_master_that_ends_in_the_middle_of_a_transfer_waits_for_nobody() {
     let last = ended.expect(1).err.lines().last().unwrap();
     assert!(last.contains("drive d0: ") && last.contains("the master has ended"), "{last}");
     // What stands in the drive's RAM is half of it, and it says how to be rid of that.
-    assert!(last.contains("could not be put back") && last.contains("restart the drive"), "{last}");
+    assert!(last.contains("could not be restored") && last.contains("restart the drive"), "{last}");
     assert_eq!(ended.out, "");
 }
 

@@ -61,7 +61,7 @@ fn addresses_of_other_computers_are_refused() {
         "ip -4 addr",
     ]);
     let ended = Program::spawn(Command::new(PROGRAM).arg("sim").arg(&config)).end();
-    ended.refused(&["cannot bind 192.0.2.11:49360", "a simulated drive lives on this computer"]);
+    ended.refused(&["cannot bind 192.0.2.11:49360", "a simulated drive runs on this computer"]);
 }
 
 #[test]

@@ -95,8 +95,8 @@ fn a_report_holds_summary_histograms_and_plots() {
             vec![
                 String::from("latency (us, log scale)"),
                 String::from("cycles"),
-                String::from("late limit 200 us"),
-                String::from("period 2 ms"),
+                format!("late limit {}", Ns(carried() / 10)),
+                format!("period {}", Ns(carried())),
                 format!("in cycle {max}"),
             ],
         ),

@@ -9,8 +9,9 @@ use thiserror::Error;
 
 use super::{Acyclic, Answer, Call, CallError, CallTicket, Carrier, PostError};
 
-/// The time limit of one parameter access, unless the notation sets another.
-const LIMIT: Duration = Duration::from_secs(1);
+/// The time limit of one parameter access, unless the notation sets another: a drive answers within milliseconds, but a
+/// busy host may hold up every exchange of it.
+const LIMIT: Duration = Duration::from_secs(5);
 
 /// How the drives of a protocol write addresses and values.
 pub trait Notation: Debug + Send + Sync {

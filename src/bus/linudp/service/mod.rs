@@ -36,8 +36,8 @@ use super::upid::call;
 use super::wire::{Refusal, RtcCommand, RtcStatus};
 use crate::axis::acyclic::{Acyclic, Answer, Call, CallError, Carrier, Condition};
 
-/// A command that only reads or writes to RAM.
-const USUAL: Duration = Duration::from_secs(1);
+/// A command that only reads or writes to RAM. It takes milliseconds; a busy host may hold up every exchange of it.
+const USUAL: Duration = Duration::from_secs(5);
 /// Stopping, starting, resetting to defaults.
 const SLOW: Duration = Duration::from_secs(20);
 /// Saving to flash: 39 to 75 s and more were seen on a C1250, without any answer meanwhile.
