@@ -332,14 +332,14 @@ mod tests {
             ("vai-go", &[][..], "not a motion command"),
             ("wait-time", &["time=1"], "in the command table only"),
             ("vai-stop", &[], "deceleration is missing; in mm/s²"),
-            ("vai-stop", &["deceleration=1", "speed=2"], "no field speed; it has deceleration"),
+            ("vai-stop", &["deceleration=1", "speed=2"], "there is no field speed; it has deceleration"),
             ("vai-stop", &["deceleration=fast"], "no number"),
             ("vai-stop", &["deceleration=1e12"], "deceleration"),
             ("vai-stop", &["deceleration"], "write FIELD=VALUE"),
             ("0x1234", &[], "0x000 ... 0xFFF"),
             ("reset-firmware", &[], "use `fieldbeat linmot restart`"),
             ("0x00F", &[], "use `fieldbeat linmot restart`"),
-            ("0x010", &["words=70000"], "no word of 16 bits"),
+            ("0x010", &["words=70000"], "not a word of 16 bits"),
             ("0x010", &["words=0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0"], "15 words"),
         ] {
             let error = of(name, fields).unwrap_err();
