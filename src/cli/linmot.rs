@@ -7,7 +7,7 @@ use fieldbeat::bus::linudp::curve::Curve;
 use fieldbeat::bus::linudp::service::{CurvePut, LoggedError, Part, Saved, Services};
 use fieldbeat::config::{ConfigErrors, linmot_curve, linmot_table};
 use fieldbeat::telemetry::file::save;
-use serde_json::{Value, json};
+use serde_json::json;
 
 use super::interrupt::Interrupt;
 use super::meter::Meter;
@@ -343,8 +343,10 @@ fn announce_save(services: &Services<'_>) -> Result<(), Stop> {
 fn errors(services: &Services<'_>, as_json: bool) -> Result<(), Stop> {
     let log = services.error_log().map_err(Stop::failed)?;
     if as_json {
-        let entry = |LoggedError { code, text, hours, ms, .. }: &LoggedError| json!({ "code": code, "text": text, "hours": hours, "ms": ms });
-        let entries: Vec<Value> = log.entries.iter().map(entry).collect();
+        let mut entries = Vec::new();
+        for LoggedError { code, text, hours, ms } in &log.entries {
+            entries.push(json!({ "code": code, "text": text, "hours": hours, "ms": ms }));
+        }
         return print(json!({ "logged": log.logged, "occurred": log.occurred, "entries": entries }));
     }
     print(format_args!("{} errors occurred, {} are logged", log.occurred, log.logged))?;

@@ -171,7 +171,7 @@ pub fn is_demo(path: impl AsRef<Path>) -> bool {
 
 /// The demo with so many LinMots, 1 ... 128, two Unidrives and two Kollmorgens, and this period. A period that no
 /// Kollmorgen takes, as 333 us, leaves them out. `place`, below [`DEMO_PLACES`], chooses the addresses: 127.77.x.y and
-/// `local:demo` at 0, 127.78.x.y and `local:demo-2` at 1, and so on.
+/// `local:demo` at 0, 127.241.x.y and `local:demo-2` at 1, and so on.
 pub fn demo_plan(drives: usize, period_ns: u64, place: usize) -> Result<Plan, ConfigErrors> {
     if !(1..=128).contains(&drives) {
         return Err(whole_file(DEMO_FILE, None, format!("{drives} drives: the demo has 1 to 128")));
@@ -225,7 +225,7 @@ fn demo_text(drives: usize, period_ns: u64, place: usize) -> String {
         text.push('\n');
     }
     if place > 0 {
-        text = text.replace("127.77.", &format!("127.{}.", 77 + place));
+        text = text.replace("127.77.", &format!("127.{}.", 240 + place));
         text = text.replace("\"local:demo\"", &format!("\"local:demo-{}\"", place + 1));
     }
     text

@@ -488,7 +488,10 @@ fn the_summary_tells_who_leads_and_how_well() {
     assert!(told["error_ns"]["p99"].as_u64().is_some_and(|p99| p99 <= 10_000), "{told}");
     let count = told["error_ns"]["count"].as_u64().unwrap();
     assert!(count > 4_500 && count < reference.samples, "what was before the lock is not in it");
-    assert!(summary.to_string().contains("\ngrid led by line: locked, error p50 "), "{summary}");
+    assert!(
+        summary.to_string().contains("\ngrid synchronised to bus line: locked, largest step 10 us"),
+        "{summary}"
+    );
 }
 
 #[test]
