@@ -17,7 +17,7 @@ use super::interrupt::{Interrupt, LOOK_EVERY};
 use super::live::{Count, Live};
 use super::service::Service;
 
-/// Why a drive has no connection is told if that is still so, or again, so long after it was first seen: while one is
+/// The reason why a drive has no connection is reported if it still holds so long after it was first seen: while one is
 /// opened, it may be many things.
 const STANDS_FOR: Duration = Duration::from_secs(1);
 

@@ -1,5 +1,5 @@
 //! The way to one drive of a configuration: through the master that runs, or by one of its own that reads and moves
-//! nothing. Never beside a master that runs: a drive has one owner.
+//! nothing. Never next to a master that runs: a drive has one owner.
 
 use std::path::Path;
 use std::sync::Arc;
