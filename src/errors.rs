@@ -13,7 +13,7 @@ macro_rules! debug_as_display {
 }
 pub(crate) use debug_as_display;
 
-#[cfg(test)]
+#[cfg(all(test, feature = "cli"))]
 mod tests {
     use std::path::{Path, PathBuf};
 
