@@ -5,7 +5,7 @@
 //! neither the drives nor the way into operation is counted, and nothing has to be subtracted.
 //!
 //! The count is the same in each run on each host: the child's clock is virtual, it makes no thread and needs no right,
-//! its environment is empty, and glibc is told to use the string functions of the plain architecture instead of those
+//! its environment is empty, and glibc is set to use the string functions of the plain architecture instead of those
 //! that the host's processor chooses.
 //!
 //! No crate does this. iai-callgrind and gungraun need a runner program of exactly their own version to be installed,

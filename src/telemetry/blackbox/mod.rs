@@ -231,7 +231,7 @@ impl Keep for BlackBox {
             Record::Monitor(_) | Record::Reference(_) => {}
             Record::Cycle(_) | Record::Skipped(_) => self.newest = record.index(),
         }
-        // At once, or what is to be told of has left it when the telemetry is late.
+        // At once: when the telemetry is late, the failure itself would leave the ring before it is written.
         if let Some(due) = self.due.take_if(|due| self.newest >= due.from) {
             self.start(due);
         }
