@@ -80,8 +80,8 @@ pub fn mappings(drive: &UnidriveDrive) -> (Mapping, Option<Mapping>) {
     }
 }
 
-/// A drive that answers from memory: it reads back what was written, is in operation while it is commanded to run, and its
-/// speed is another one each time.
+/// A drive that answers from memory: it reads back what was written, is in operation while it is commanded to run, and
+/// its speed is another one each time.
 #[derive(Clone, Debug)]
 pub struct Canned {
     reply: [u8; ADU_MAX],
