@@ -114,6 +114,17 @@ fn end_once_online(mut master: Program) -> Ended {
     master.end()
 }
 
+/// Ends a master once each of its drives has answered so often that a plot shows a curve of it, and all are compared.
+#[track_caller]
+fn end_once_measured(master: Program, config: &std::path::Path) -> Ended {
+    await_status(config, |summary| {
+        let drives = summary["drives"].as_array();
+        drives.is_some_and(|all| all.iter().all(|drive| drive["rtt_ns"]["count"].as_u64() > Some(40)))
+    });
+    master.signal(libc::SIGINT);
+    master.end()
+}
+
 fn assert_powered_off(summary: &Value) {
     for drive in summary["drives"].as_array().unwrap() {
         let state = drive["state"].as_str().unwrap();

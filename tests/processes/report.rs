@@ -13,7 +13,7 @@ use serde_json::Value;
 use super::support::{
     Ended, LONG, Machine, PROGRAM, Program, as_ordinary_user, assert_sums, carried, command, drive, until,
 };
-use super::{assert_silent, await_status, end_once_online, master, serve, socket};
+use super::{assert_silent, await_status, end_once_measured, end_once_online, master, serve, socket};
 
 const PLOTS: [&str; 4] = ["percentiles.svg", "rtt.svg", "timeline.svg", "wake.svg"];
 
@@ -56,7 +56,7 @@ fn a_report_holds_summary_histograms_and_plots() {
     let config = machine.plain(2);
     let _sim = serve(&config);
     let place = machine.path("reports/first");
-    let ended = end_once_online(master(&config, &["--json", "--report", place.to_str().unwrap()]));
+    let ended = end_once_measured(master(&config, &["--json", "--report", place.to_str().unwrap()]), &config);
     ended.expect(0);
     let summary = ended.json();
     assert_sums(&summary);
@@ -130,7 +130,7 @@ fn the_plots_of_many_drives_name_the_worst_of_them() {
     let config = machine.plain(12);
     let _sim = serve(&config);
     let place = machine.path("report");
-    let ended = end_once_online(master(&config, &["--json", "--report", place.to_str().unwrap()]));
+    let ended = end_once_measured(master(&config, &["--json", "--report", place.to_str().unwrap()]), &config);
     ended.expect(0);
     let texts = texts(&read(&place, "rtt.svg"));
     let named = texts.iter().filter(|text| text.starts_with('d') && text.contains(": p50 ")).count();
