@@ -106,6 +106,9 @@ pub struct Machine {
 impl Machine {
     /// `test` is unique in its test program: the addresses are 127.p.`test`.0/24.
     pub fn new(test: u8) -> Machine {
+        // Under nohup this process ignores it, and so would every program that it starts.
+        // SAFETY: the default action replaces no handler of this process.
+        unsafe { libc::signal(libc::SIGHUP, libc::SIG_DFL) };
         let id = std::process::id();
         let directory = std::env::temp_dir().join(format!("fieldbeat-{id}-{test}"));
         std::fs::create_dir_all(&directory).unwrap();
