@@ -12,6 +12,7 @@ use crate::axis::cell;
 use crate::axis::handle::{SETPOINT_QUEUE, URGENT_ROOM};
 use crate::axis::{Axis, AxisEnds, Feedback, Group, GroupError, Link, Observer, Pulse};
 use crate::bus::{BusClock, Cycle, OpenError, Strangers};
+use crate::cycle::bound;
 use crate::cycle::engine::{Control, Engine, Outlets};
 use crate::cycle::record::Record;
 use crate::cycle::seat::{Queues, Seat};
@@ -199,6 +200,7 @@ pub fn assemble<C: Clock>(
     let (mut buses, mut seats, mut axes, mut names) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     let (mut acyclics, mut links, mut devices) = (Vec::new(), Vec::new(), Devices::default());
     let (mut of_devices, mut named, mut all_notes) = (Vec::new(), Vec::new(), Vec::new());
+    let paced = bound::paced(plan);
     for bus_plan in &plan.buses {
         let mut bus = bus_plan.open(period_ns, carriers)?;
         let (first, notes) = (seats.len(), bus.notes());
@@ -231,7 +233,8 @@ pub fn assemble<C: Clock>(
             let ends = bus.acyclic(index).unwrap_or_else(|| acyclic::queue(1).0);
             let observer = Observer(reader.clone());
             let acyclic = Acyclic::new(&axis.name, ends, bus_plan.notation(), observer, asked_every);
-            seats.push(Seat::new(axis.clone(), queues, period_ns, first_probe));
+            let silence = bound::silence(&paced[seats.len()], plan.cycle.overrun);
+            seats.push(Seat::new(axis.clone(), queues, period_ns, first_probe, silence));
             names.push((axis.name.clone(), bus_plan.protocol()));
             links.push(notes.clone().map(|notes| (notes, index)));
             axes.push(Axis::new(

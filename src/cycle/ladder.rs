@@ -67,34 +67,52 @@ pub struct Sight {
     pub velocity: f64,
 }
 
+/// A ramp ends in this share of the time-out, so that it is over before the sequence escalates.
+const RAMP_SHARE: f64 = 0.8;
+
+/// The deceleration of a stop: as requested, but enough to come to standstill from `velocity` within the stop's
+/// time-out. A velocity that is not known (NaN) raises nothing.
+pub fn deceleration_of(plan: &StopPlan, requested: f64, velocity: f64) -> f64 {
+    requested.max(velocity.abs() / (RAMP_SHARE * plan.timeout.as_secs_f64()))
+}
+
 impl Ladder {
-    /// Starts the sequence; the second value is the first order for the drive.
-    pub fn start(plan: StopPlan, load: Load, now: Time) -> (Ladder, Verb) {
-        let (rung, verb) = match plan.how {
-            StopHow::Ramp => {
-                (Rung::Braking { since: now, still: 0 }, Verb::Stop { deceleration: Some(plan.deceleration) })
-            }
-            StopHow::Quick => (Rung::Braking { since: now, still: 0 }, Verb::QuickStop),
-            StopHow::Coast => (Rung::Disabling { since: now }, Verb::Disable),
-        };
-        let ladder = Ladder {
+    /// Starts the sequence for an axis at `velocity`; the second value is the first order for the drive.
+    pub fn start(plan: StopPlan, load: Load, now: Time, velocity: f64) -> (Ladder, Verb) {
+        let mut ladder = Ladder {
             plan,
             keeps_power: load == Load::Vertical(HeldBy::Drive),
-            rung,
+            rung: Rung::Holding,
             ending: false,
             unheard: None,
             returned: false,
             escalated: plan.how != StopHow::Ramp,
         };
+        let verb = ladder.begin(now, velocity);
         (ladder, verb)
     }
 
+    /// Starts it once more for an axis that moves although the sequence was complete: by the drive's quick stop.
+    pub fn again(&mut self, now: Time, velocity: f64) -> Verb {
+        self.escalated = true;
+        self.begin(now, velocity)
+    }
+
+    fn begin(&mut self, now: Time, velocity: f64) -> Verb {
+        if self.plan.how == StopHow::Coast {
+            self.rung = Rung::Disabling { since: now };
+            return Verb::Disable;
+        }
+        self.rung = Rung::Braking { since: now, still: 0 };
+        self.brake(velocity)
+    }
+
     /// The order of the first phase.
-    fn brake(&self) -> Verb {
+    fn brake(&self, velocity: f64) -> Verb {
         if self.escalated {
             Verb::QuickStop
         } else {
-            Verb::Stop { deceleration: Some(self.plan.deceleration) }
+            Verb::Stop { deceleration: Some(deceleration_of(&self.plan, self.plan.deceleration, velocity)) }
         }
     }
 
@@ -158,7 +176,7 @@ impl Ladder {
                 }
                 if back {
                     // Requests sent while nothing was received are repeated.
-                    return Some(self.brake());
+                    return Some(self.brake(sight.velocity));
                 }
                 let power_off = if sight.fresh && !sight.powered {
                     // Nothing to brake any more; the control word still has to say so.
@@ -166,6 +184,11 @@ impl Ladder {
                 } else if still >= self.plan.standstill_for {
                     self.plan.then == StopThen::Disable
                 } else if late(since) && (sight.heard || self.ending) {
+                    if !std::mem::replace(&mut self.escalated, true) && sight.heard {
+                        // The ramp had its time; the quick stop has as much.
+                        self.rung = Rung::Braking { since: now, still: 0 };
+                        return Some(Verb::QuickStop);
+                    }
                     self.plan.on_timeout == StopTimeout::Disable
                 } else {
                     return None;
@@ -193,9 +216,6 @@ impl Ladder {
         match self.rung {
             Rung::Braking { .. } => {
                 self.plan.timeout = timeout;
-                if !self.keeps_power {
-                    self.plan.on_timeout = StopTimeout::Disable;
-                }
                 self.escalated = true;
                 self.rung = Rung::Braking { since: now, still: 0 };
                 Some(Verb::QuickStop)

@@ -26,6 +26,15 @@ pub(super) struct Sample {
     pub(super) velocity: f64,
 }
 
+/// What is watched of an axis.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Watched {
+    /// It homes: its positions change their origin, and it has a speed limit of its own.
+    pub(super) homing: bool,
+    /// It must also be able to stop inside its range.
+    pub(super) braking: bool,
+}
+
 impl Sample {
     /// Whether its positions give the demand velocity.
     fn tells_demand(&self) -> bool {
@@ -77,15 +86,22 @@ impl Bounds {
         (self.last, self.fresh) = (Some(sample), true);
     }
 
+    /// The speed in the last report, user units/s; NaN if it is not known.
+    pub(super) fn speed(&self) -> f64 {
+        self.velocity.abs()
+    }
+
     /// Whether the drive does what the plan forbids. With `braking` it must also be able to stop inside its range,
     /// from where it will be when a stop reaches it: after [`REPORTS`], and two exchanges `seconds` apart.
-    pub(super) fn are_broken(&mut self, plan: &AxisPlan, braking: bool, seconds: f64) -> bool {
+    pub(super) fn are_broken(&mut self, plan: &AxisPlan, watched: Watched, seconds: f64) -> bool {
+        let Watched { homing, braking } = watched;
         let Some(sample) = self.last.filter(|_| std::mem::take(&mut self.fresh)) else { return false };
         let velocity = self.velocity;
         // Written so that an unknown value is not inside.
         let margin = if sample.tells_demand() { SPEED_MARGIN } else { ACTUAL_SPEED_MARGIN };
-        let slow = plan.limits.velocity.is_none_or(|most| velocity.abs() <= most * margin);
-        let inside = plan.limits.position.filter(|_| sample.homed).is_none_or(|(low, high)| {
+        let most = if homing { plan.limits.homing_velocity() } else { plan.limits.velocity };
+        let slow = most.is_none_or(|most| velocity.abs() <= most * margin);
+        let inside = plan.limits.position.filter(|_| sample.homed && !homing).is_none_or(|(low, high)| {
             let reaction = f64::from(REPORTS + 2) * seconds;
             let time = if braking { velocity.abs() / (2.0 * plan.stop.deceleration) + reaction } else { 0.0 };
             let end = sample.position + velocity * time;
