@@ -2,10 +2,10 @@
 
 use serde_json::{Value, json};
 
-use crate::cycle::bound::{stop_bound, stopping_with};
 use super::error::ConfigError;
 use crate::axis::{AxisPlan, HeldBy, Load, StopHow, StopThen, StopTimeout};
 use crate::bus::BusPlan;
+use crate::cycle::bound::{stop_bound, stopping_with};
 use crate::cycle::{CyclePlan, Guard, Overrun, Plan, Wait};
 use crate::rt::{Memory, Realtime};
 use crate::time::nanos;

@@ -217,7 +217,7 @@ mod tests {
         let (feedback, _) = cell::cell(Feedback::default());
         let queues =
             Queues { commands: command_out, rows, setpoints, events: event_in, feedback, samples: None };
-        (Seat::new(AxisPlan::new(name, Units::millimetres(1.0)), queues, MS, 0), commands, events)
+        (Seat::new(AxisPlan::new(name, Units::millimetres(1.0)), queues, MS, 0, 100), commands, events)
     }
 
     /// A reset: it may begin at any time and is done at once.

@@ -19,8 +19,8 @@
 //!
 //! The loop knows the [`Bus`](crate::bus::Bus) contract, no protocol.
 
-pub mod engine;
 pub mod bound;
+pub mod engine;
 mod gates;
 mod grid;
 mod health;

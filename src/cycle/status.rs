@@ -461,6 +461,7 @@ mod tests {
             wake_max: peak(7),
             jitter_max: peak(9),
             stage_max: [11, 13, 15, 17, 19, 21].map(peak),
+            cut_off: true,
             operational: 23,
             online: 24,
             missed: 25,

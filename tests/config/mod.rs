@@ -12,8 +12,9 @@ use fieldbeat::bus::linudp::MonitorPlan;
 use fieldbeat::bus::linudp::upid::Upid;
 use fieldbeat::config::{
     DEMO_PLACES, DEMO_STREAMS_UP_TO_NS, demo_plan, describe, is_demo, json, linmot_curve, load, parse,
-    starvation, stop_bound, stop_bound_cycles,
+    starvation,
 };
+use fieldbeat::cycle::bound::{stop_bound, stop_bound_cycles};
 use fieldbeat::cycle::{CyclePlan, Guard, Overrun, Plan, Wait};
 use fieldbeat::rt::Realtime;
 use fieldbeat::rt::host::Throttling;

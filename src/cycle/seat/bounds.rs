@@ -150,7 +150,7 @@ mod tests {
             let at = Time(MS * index as u64);
             let (position, velocity) = (*demand, *velocity);
             bounds.take(Sample { sent_at: at, at, homed, led, position, velocity }, plan);
-            bounds.are_broken(plan, braking, 0.001)
+            bounds.are_broken(plan, Watched { homing: false, braking }, 0.001)
         })
     }
 
@@ -182,7 +182,7 @@ mod tests {
             let (led, position) = if index / 4 % 2 == 0 { (true, 20.0) } else { (false, 70.0) };
             let at = Time(MS * u64::from(index));
             bounds.take(Sample { sent_at: at, at, homed: true, led, position, velocity: 0.0 }, &plan);
-            assert!(!bounds.are_broken(&plan, true, 0.001), "{index}");
+            assert!(!bounds.are_broken(&plan, Watched { homing: false, braking: true }, 0.001), "{index}");
             assert_eq!(bounds.velocity, 0.0, "{index}");
         }
     }
@@ -266,13 +266,36 @@ mod tests {
     }
 
     #[test]
+    fn homing_has_a_speed_limit_of_its_own_and_no_range() {
+        let (mut plan, homing) = (plan(), Watched { homing: true, braking: true });
+        let mut trips = |limit: Option<f64>, speed: f64| {
+            (plan.limits.homing, plan.limits.position) = (limit, Some((0.0, 1.0)));
+            let mut bounds = Bounds::default();
+            (0..20_u32).position(|index| {
+                let (at, position) = (Time(MS * u64::from(index)), f64::from(index) * speed * 1e-3);
+                let sample = Sample { sent_at: at, at, homed: true, led: true, position, velocity: speed };
+                bounds.take(sample, &plan);
+                bounds.are_broken(&plan, homing, 0.001)
+            })
+        };
+        assert_eq!(
+            [(None, 490.0), (None, 600.0), (Some(50.0), 49.0), (Some(50.0), 60.0)]
+                .map(|(limit, speed)| trips(limit, speed)),
+            [None, Some(3), None, Some(3)]
+        );
+    }
+
+    #[test]
     fn a_report_that_was_held_up_makes_no_speed() {
         let (plan, mut bounds) = (plan(), Bounds::default());
         for (sent_ms, at_ms, demand) in [(0, 0, 0.0), (1, 4, 0.4), (2, 4, 0.8), (9, 9, 3.6), (10, 10, 4.0)] {
             let (sent_at, at) = (Time(sent_ms * MS), Time(at_ms * MS));
             let sample = Sample { sent_at, at, homed: true, led: true, position: demand, velocity: 0.0 };
             bounds.take(sample, &plan);
-            assert!(!bounds.are_broken(&plan, false, 0.001), "sent after {sent_ms} ms");
+            assert!(
+                !bounds.are_broken(&plan, Watched { homing: false, braking: false }, 0.001),
+                "sent after {sent_ms} ms"
+            );
         }
     }
 

@@ -710,7 +710,7 @@ impl Seat {
             self.active = None;
             if outcome != Outcome::Done {
                 // The drive may still be braking.
-                self.rest.failed();
+                self.rest.fail();
             }
         } else {
             self.dropped = command.ticket.or(self.dropped);
