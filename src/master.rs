@@ -9,7 +9,8 @@ use thiserror::Error;
 
 use crate::axis::acyclic::{self, Acyclic, Parameters};
 use crate::axis::cell;
-use crate::axis::handle::{SETPOINT_QUEUE, URGENT_ROOM};
+use crate::axis::handle::{URGENT_ROOM, room_for_ends};
+use crate::axis::newest;
 use crate::axis::{Axis, AxisEnds, Feedback, Group, GroupError, Link, Observer, Pulse};
 use crate::bus::{BusClock, Cycle, OpenError, Strangers};
 use crate::cycle::bound;
@@ -206,9 +207,9 @@ pub fn assemble<C: Clock>(
         let (first, notes) = (seats.len(), bus.notes());
         for (index, axis) in bus_plan.axes().into_iter().enumerate() {
             let (command_in, command_out) = rt::ring(axis.command_queue + URGENT_ROOM, &mut regions);
-            let (setpoint_in, setpoint_out) = rt::ring(SETPOINT_QUEUE, &mut regions);
+            let (setpoint_in, setpoint_out) = newest::newest();
             let (row_in, row_out) = rt::ring(axis.stream_queue, &mut regions);
-            let (event_in, event_out) = rt::ring(axis.event_queue, &mut regions);
+            let (event_in, event_out) = rt::ring(axis.event_queue + room_for_ends(axis), &mut regions);
             let (writer, reader) = cell::cell(Feedback::default());
             let (sample_in, sample_out) = match axis.sample_queue {
                 0 => (None, None),
@@ -222,6 +223,7 @@ pub fn assemble<C: Clock>(
                 rows: row_out,
                 setpoints: setpoint_out,
                 events: event_in,
+                room_for_ends: room_for_ends(axis),
                 feedback: writer,
                 samples: sample_in,
             };

@@ -174,7 +174,8 @@ fn link(drive: &Paced<'_>, all: &[Paced<'_>], cycle: &CyclePlan) -> String {
     let taken = if drive.owed.is_some() { ", if it still answers" } else { "" };
     format!(
         "link up after {} good exchanges in a row, lost after {} misses in a row: the stop request is on the \
-         wire within {cycles} cycles ({}) of the last good one{taken}; with slots skipped lost after {} at the latest{together}",
+         wire within {cycles} cycles ({}) of the last good one{taken}; with slots skipped lost after {} at the \
+         latest{together}",
         health.gate,
         health.bucket,
         Ns(cycles.saturating_mul(cycle.period_ns)),
@@ -197,11 +198,18 @@ fn stop(axis: &AxisPlan) -> String {
         StopHow::Ramp => format!("ramp at {} {unit}/s²", stop.deceleration),
         StopHow::Quick => "the drive's quick stop".into(),
     };
+    let timeout_ns = nanos(stop.timeout);
+    let without = match stop.how {
+        StopHow::Ramp => format!(
+            "without it after {} the drive's quick stop, after {} {late}",
+            Ns(timeout_ns),
+            Ns(timeout_ns.saturating_mul(2))
+        ),
+        _ => format!("without it after {} {late}", Ns(timeout_ns)),
+    };
     format!(
-        "stop: {how}; at standstill (below {} {unit}/s for {} exchanges) {then}; without it after {} {late}",
-        stop.standstill,
-        stop.standstill_for,
-        Ns(nanos(stop.timeout)),
+        "stop: {how}; at standstill (below {} {unit}/s for {} exchanges) {then}; {without}",
+        stop.standstill, stop.standstill_for,
     )
 }
 

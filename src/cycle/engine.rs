@@ -146,7 +146,7 @@ const NUMBERS_EVERY_NS: u64 = 100 * MS;
 /// The time limit of a shutdown beyond the time-outs of its axes.
 const END_MARGIN_NS: u64 = 1_000 * MS;
 
-/// The time limit of the orderly end of the buses, ns. Their own are shorter: one state of an EtherCAT segment takes 5 s
+/// The time limit of the orderly end of the buses, ns. Their own are shorter: a state of an EtherCAT segment takes 5 s
 /// at most (ETG.1020).
 const BUSES_END_NS: u64 = 10_000 * MS;
 

@@ -249,6 +249,11 @@ impl Seat {
             return Err(Failure::Unsupported("the in-loop task may give one command per axis and cycle"));
         }
         check_verb(&self.plan, &command.verb)?;
+        if self.queues.events.slots() <= self.queues.room_for_ends && !command.verb.is_urgent() {
+            return Err(Failure::Unsupported(
+                "the application takes no events: there is no room for its end",
+            ));
+        }
         if self.moves_in_group().is_some() && !command.verb.is_urgent() {
             return Err(Failure::Unsupported(
                 "the axis moves in a group: only a stop can be given to it alone",

@@ -24,9 +24,10 @@ use super::record::{DriveRecord, MonitorRecord, Reply, measured, short};
 use super::status::{DriveNumbers, Extent, Peaks};
 use crate::axis::cell::Writer;
 use crate::axis::command::NativeOwner;
+use crate::axis::newest::NewestOut;
 use crate::axis::{
     Abort, AxisPlan, Command, CommandId, Event, EventKind, Feedback, FoundRunning, Link, MONITOR_CHANNELS,
-    Outcome, Row, Setpoint, Shown, State, StopCause, StreamRow, Ticket, Verb,
+    Outcome, Row, Shown, State, StopCause, StreamRow, Ticket, Verb,
 };
 use crate::bus::{Cycle, Exchange, Order, Report, Slot};
 use crate::rt::Regions;
@@ -39,10 +40,12 @@ pub struct Queues {
     pub commands: Consumer<Command>,
     /// Rows of the application's stream.
     pub rows: Consumer<StreamRow>,
-    /// Velocity and torque setpoints of the application; the newest counts.
-    pub setpoints: Consumer<Setpoint>,
+    /// The newest velocity or torque setpoint of the application.
+    pub setpoints: NewestOut,
     /// Events to the application.
     pub events: Producer<Event>,
+    /// Places among them that only the ends of commands take.
+    pub room_for_ends: usize,
     /// The newest feedback.
     pub feedback: Writer<Feedback>,
     /// Every cycle's feedback, where the plan requests it.
@@ -203,6 +206,7 @@ impl Seat {
     /// Adds the memory that it touches besides itself and its rings, to be locked.
     pub fn memory(&self, regions: &mut Regions) {
         self.queues.feedback.memory(regions);
+        self.queues.setpoints.memory(regions);
     }
 
     /// The plan of the axis.
@@ -719,7 +723,10 @@ impl Seat {
     }
 
     fn tell(&mut self, cycle: &Cycle, now: Time, kind: EventKind) {
-        if self.queues.events.push(Event { cycle: cycle.index, at: now, kind }).is_err() {
+        // Every accepted command ends exactly once: the place for that is kept from all else.
+        let kept = if matches!(kind, EventKind::Ended { .. }) { 0 } else { self.queues.room_for_ends };
+        let room = self.queues.events.slots() > kept;
+        if !room || self.queues.events.push(Event { cycle: cycle.index, at: now, kind }).is_err() {
             self.lost_events += 1;
         }
     }
