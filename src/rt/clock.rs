@@ -71,8 +71,8 @@ impl MonotonicClock {
 
 fn read(clock: libc::clockid_t) -> Time {
     let mut ts = libc::timespec { tv_sec: 0, tv_nsec: 0 };
-    // SAFETY: `ts` is a valid timespec; the callers name clocks that exist on every Linux (CLOCK_BOOTTIME since 2.6.39),
-    // so the call cannot fail.
+    // SAFETY: `ts` is a valid timespec; the callers name clocks that exist on every Linux (CLOCK_BOOTTIME since
+    // 2.6.39), so the call cannot fail.
     unsafe { libc::clock_gettime(clock, &mut ts) };
     Time(ts.tv_sec as u64 * S + ts.tv_nsec as u64)
 }
