@@ -9,9 +9,11 @@ use thiserror::Error;
 
 use crate::axis::acyclic::{self, Acyclic, Parameters};
 use crate::axis::cell;
-use crate::axis::handle::{SETPOINT_QUEUE, URGENT_ROOM};
+use crate::axis::handle::{URGENT_ROOM, room_for_ends};
+use crate::axis::newest;
 use crate::axis::{Axis, AxisEnds, Feedback, Group, GroupError, Link, Observer, Pulse};
 use crate::bus::{BusClock, Cycle, OpenError, Strangers};
+use crate::cycle::bound;
 use crate::cycle::engine::{Control, Engine, Outlets};
 use crate::cycle::record::Record;
 use crate::cycle::seat::{Queues, Seat};
@@ -199,14 +201,15 @@ pub fn assemble<C: Clock>(
     let (mut buses, mut seats, mut axes, mut names) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     let (mut acyclics, mut links, mut devices) = (Vec::new(), Vec::new(), Devices::default());
     let (mut of_devices, mut named, mut all_notes) = (Vec::new(), Vec::new(), Vec::new());
+    let paced = bound::paced(plan);
     for bus_plan in &plan.buses {
         let mut bus = bus_plan.open(period_ns, carriers)?;
         let (first, notes) = (seats.len(), bus.notes());
         for (index, axis) in bus_plan.axes().into_iter().enumerate() {
             let (command_in, command_out) = rt::ring(axis.command_queue + URGENT_ROOM, &mut regions);
-            let (setpoint_in, setpoint_out) = rt::ring(SETPOINT_QUEUE, &mut regions);
+            let (setpoint_in, setpoint_out) = newest::newest();
             let (row_in, row_out) = rt::ring(axis.stream_queue, &mut regions);
-            let (event_in, event_out) = rt::ring(axis.event_queue, &mut regions);
+            let (event_in, event_out) = rt::ring(axis.event_queue + room_for_ends(axis), &mut regions);
             let (writer, reader) = cell::cell(Feedback::default());
             let (sample_in, sample_out) = match axis.sample_queue {
                 0 => (None, None),
@@ -220,6 +223,7 @@ pub fn assemble<C: Clock>(
                 rows: row_out,
                 setpoints: setpoint_out,
                 events: event_in,
+                room_for_ends: room_for_ends(axis),
                 feedback: writer,
                 samples: sample_in,
             };
@@ -231,7 +235,8 @@ pub fn assemble<C: Clock>(
             let ends = bus.acyclic(index).unwrap_or_else(|| acyclic::queue(1).0);
             let observer = Observer(reader.clone());
             let acyclic = Acyclic::new(&axis.name, ends, bus_plan.notation(), observer, asked_every);
-            seats.push(Seat::new(axis.clone(), queues, period_ns, first_probe));
+            let silence = bound::silence(&paced[seats.len()], plan.cycle.overrun);
+            seats.push(Seat::new(axis.clone(), queues, period_ns, first_probe, silence));
             names.push((axis.name.clone(), bus_plan.protocol()));
             links.push(notes.clone().map(|notes| (notes, index)));
             axes.push(Axis::new(

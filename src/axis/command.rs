@@ -16,6 +16,22 @@ use super::units::RangeError;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct CommandId(pub u64);
 
+/// Ids of commands from the in-loop task have this bit, so that they never collide with those of an
+/// [`Axis`](crate::Axis).
+const OF_TASK: u64 = 1 << 63;
+
+impl CommandId {
+    /// The `number`-th command of the in-loop task.
+    pub fn of_task(number: u64) -> CommandId {
+        CommandId(number | OF_TASK)
+    }
+
+    /// Whether the in-loop task has given it.
+    pub fn is_of_task(self) -> bool {
+        self.0 & OF_TASK != 0
+    }
+}
+
 /// One command on its way to the loop.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Command {

@@ -124,10 +124,16 @@ pub enum StopCause {
     GroupLink = 15,
     /// A motion of its group failed at this axis.
     GroupFailed = 16,
+    /// It moved, with power on, although nothing commanded it.
+    Uncommanded = 17,
+    /// A stop of the application took longer than the stop's time-out.
+    StopTimeout = 18,
+    /// The computer was suspended.
+    Suspended = 19,
 }
 
 impl StopCause {
-    pub(crate) const ALL: [StopCause; 16] = [
+    pub(crate) const ALL: [StopCause; 19] = [
         StopCause::Shutdown,
         StopCause::LinkLost,
         StopCause::DriveFault,
@@ -144,6 +150,9 @@ impl StopCause {
         StopCause::DeadMan,
         StopCause::GroupLink,
         StopCause::GroupFailed,
+        StopCause::Uncommanded,
+        StopCause::StopTimeout,
+        StopCause::Suspended,
     ];
 }
 
@@ -166,6 +175,9 @@ impl fmt::Display for StopCause {
             StopCause::DeadMan => "jog not renewed",
             StopCause::GroupLink => "too many misses in its group",
             StopCause::GroupFailed => "motion of its group failed",
+            StopCause::Uncommanded => "motion without a command",
+            StopCause::StopTimeout => "stop not complete in time",
+            StopCause::Suspended => "computer suspended",
         })
     }
 }

@@ -17,6 +17,7 @@ use super::plan::{CyclePlan, Guard, Overrun};
 use super::record::{CycleRecord, Look, Record, Reply, SkippedRecord, short};
 use super::reference::Reference;
 use super::seat::Seat;
+use super::skips::Skips;
 use super::status::{DeviceEnd, DriveEnd, DriveNumbers, Numbers, Status, whole};
 use super::task::{Axes, Task};
 use super::window::{BusSeat, Window};
@@ -104,10 +105,15 @@ pub struct Engine<C> {
     was_late: bool,
     /// How late the previous executed cycle began.
     wake_before_ns: Option<u64>,
-    /// Slots passed over since the last executed one.
+    /// Slots passed over since the last executed one, and among the last ones.
     skipped_in_a_row: u64,
+    skips: Skips,
+    /// For how long the computer was suspended so far, ns.
+    suspended_ns: u64,
     /// The shutdown: when it began, and how many times it was requested.
     ending: Option<(Time, u8)>,
+    /// When the orderly end of the buses began.
+    buses_ending: Option<Time>,
     buses_down: bool,
 }
 
@@ -140,6 +146,13 @@ const NUMBERS_EVERY_NS: u64 = 100 * MS;
 /// The time limit of a shutdown beyond the time-outs of its axes.
 const END_MARGIN_NS: u64 = 1_000 * MS;
 
+/// The time limit of the orderly end of the buses, ns. Their own are shorter: a state of an EtherCAT segment takes 5 s
+/// at most (ETG.1020).
+const BUSES_END_NS: u64 = 10_000 * MS;
+
+/// A computer that was suspended for longer has left its drives alone, ns.
+const SUSPENDED_NS: u64 = MS;
+
 impl<C: Clock> Engine<C> {
     /// An engine over open buses, one of which leads the grid if the plan names it. `names` are those of the axes
     /// and their protocols, in slot order.
@@ -157,7 +170,7 @@ impl<C: Clock> Engine<C> {
         outlets: Outlets,
     ) -> Engine<C> {
         let window = Window::new(plan.wait, buses.len());
-        // Standstill and power off have a time-out each, and a hold may have to be left first.
+        // The ramp, the quick stop and power off have a time-out each, and a hold may have to be left first.
         let stops = seats.iter().map(|seat| nanos(seat.plan().stop.timeout)).max().unwrap_or(0);
         let leads = |seat: &BusSeat| plan.reference.as_deref() == Some(seat.bus.name());
         let reference = buses.iter().position(leads).map(|place| Reference::new(place, plan.period_ns));
@@ -165,7 +178,7 @@ impl<C: Clock> Engine<C> {
             buses[reference.bus()].bus.lead();
         }
         Engine {
-            longest_end_ns: stops.saturating_mul(3).saturating_add(END_MARGIN_NS),
+            longest_end_ns: stops.saturating_mul(4).saturating_add(END_MARGIN_NS),
             deadline_ns: plan.deadline_ns(),
             late_ns: plan.late_ns(),
             numbers_every: (NUMBERS_EVERY_NS / plan.period_ns.max(1)).clamp(1, NUMBERS_EVERY),
@@ -193,7 +206,10 @@ impl<C: Clock> Engine<C> {
             was_late: false,
             wake_before_ns: None,
             skipped_in_a_row: 0,
+            skips: Skips::new(plan.max_skip_rate),
+            suspended_ns: 0,
             ending: None,
+            buses_ending: None,
             buses_down: false,
             clock,
             plan,
@@ -228,6 +244,7 @@ impl<C: Clock> Engine<C> {
     /// Calibrates the guard, then starts the grid: the first slot is two periods from now.
     pub fn begin(&mut self) {
         self.guard.calibrate(&mut self.clock, CALIBRATION_SLEEPS);
+        self.suspended_ns = self.clock.suspended_ns();
         let now = self.clock.now();
         self.grid = Grid::new(now + 2 * self.plan.period_ns, self.plan.period_ns);
         let cycle = self.cycle_at(self.grid.index(), self.grid.at());
@@ -260,6 +277,11 @@ impl<C: Clock> Engine<C> {
             return Flow::Continue;
         }
         let cycle = self.cycle_at(self.grid.index(), self.grid.at());
+        if self.was_suspended() {
+            self.stop_axes(&cycle, now, StopCause::Suspended, |_| true);
+            // The requests were built before.
+            self.arm(&cycle, now);
+        }
         let flow = self.execute(&cycle, now);
 
         self.grid.advance(1);
@@ -269,6 +291,13 @@ impl<C: Clock> Engine<C> {
             self.pass_over(now, passed, false);
         }
         flow
+    }
+
+    /// Whether the computer was suspended since the last slot: its clock stood still, the drives did not.
+    fn was_suspended(&mut self) -> bool {
+        let before_ns = self.suspended_ns;
+        self.suspended_ns = before_ns.max(self.clock.suspended_ns());
+        self.suspended_ns - before_ns > SUSPENDED_NS
     }
 
     fn cycle_at(&self, index: u64, grid: Time) -> Cycle {
@@ -287,6 +316,7 @@ impl<C: Clock> Engine<C> {
         }
         self.status.executed += 1;
         self.skipped_in_a_row = 0;
+        self.skips.executed();
         for (seat, slot) in self.seats.iter_mut().zip(&self.slots) {
             if slot.due {
                 seat.sent(cycle, slot);
@@ -435,10 +465,13 @@ impl<C: Clock> Engine<C> {
             down &= seat.shut_down(cycle, now, slot, hurry);
         }
         if down || now.since(since) > self.longest_end_ns {
-            self.buses_down = true;
+            let begun = *self.buses_ending.get_or_insert(now);
+            let mut done = true;
             for seat in &mut self.buses {
-                self.buses_down &= seat.bus.shut_down(cycle, &mut self.slots[seat.first..seat.end]);
+                done &= seat.bus.shut_down(cycle, &mut self.slots[seat.first..seat.end]);
             }
+            self.status.cut_off = !done && now.since(begun) > BUSES_END_NS;
+            self.buses_down = done || self.status.cut_off;
         }
         self.buses_down
     }
@@ -488,6 +521,7 @@ impl<C: Clock> Engine<C> {
         self.status.overruns += 1;
         self.status.skipped += count;
         self.skipped_in_a_row += count;
+        let too_many = self.skips.skipped(count);
         self.status.longest_skip = self.status.longest_skip.max(self.skipped_in_a_row);
         self.status.wake_max.see(late_ns, first);
         // An overrun is late, but the previous cycle may have been counted for it already.
@@ -512,7 +546,7 @@ impl<C: Clock> Engine<C> {
         let cycle = self.cycle_at(self.grid.index(), self.grid.at());
         let stop = match self.plan.overrun {
             Overrun::Stop => true,
-            Overrun::Skip { max_skip } => self.skipped_in_a_row > max_skip,
+            Overrun::Skip { max_skip } => self.skipped_in_a_row > max_skip || too_many,
         };
         if stop {
             self.stop_axes(&cycle, now, StopCause::Overrun, |_| true);

@@ -27,6 +27,8 @@ pub struct Status {
     pub jitter_max: Peak,
     /// The longest time of each stage.
     pub stage_max: [Peak; 6],
+    /// The orderly end of the buses did not complete in its time.
+    pub cut_off: bool,
     /// Axes in operation now.
     pub operational: u32,
     /// Axes online now.
@@ -94,7 +96,7 @@ impl Packed for Status {
             self.overruns,
             self.longest_skip,
             self.late,
-            u64::from(self.operational) | u64::from(self.online) << 32,
+            u64::from(self.operational) | u64::from(self.online) << 32 | u64::from(self.cut_off) << 63,
             self.missed,
             self.lost_records,
             self.lost_events,
@@ -121,7 +123,8 @@ impl Packed for Status {
             longest_skip: words[4],
             late: words[5],
             operational: words[6] as u32,
-            online: (words[6] >> 32) as u32,
+            online: (words[6] >> 32) as u32 & (u32::MAX >> 1),
+            cut_off: words[6] >> 63 != 0,
             missed: words[7],
             lost_records: words[8],
             lost_events: words[9],
@@ -458,6 +461,7 @@ mod tests {
             wake_max: peak(7),
             jitter_max: peak(9),
             stage_max: [11, 13, 15, 17, 19, 21].map(peak),
+            cut_off: true,
             operational: 23,
             online: 24,
             missed: 25,

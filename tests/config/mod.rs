@@ -12,8 +12,9 @@ use fieldbeat::bus::linudp::MonitorPlan;
 use fieldbeat::bus::linudp::upid::Upid;
 use fieldbeat::config::{
     DEMO_PLACES, DEMO_STREAMS_UP_TO_NS, demo_plan, describe, is_demo, json, linmot_curve, load, parse,
-    starvation, stop_bound, stop_bound_cycles,
+    starvation,
 };
+use fieldbeat::cycle::bound::{stop_bound, stop_bound_cycles};
 use fieldbeat::cycle::{CyclePlan, Guard, Overrun, Plan, Wait};
 use fieldbeat::rt::Realtime;
 use fieldbeat::rt::host::Throttling;
@@ -375,6 +376,7 @@ receive_deadline = 0.5
 wait = "poll"
 overrun = "skip"
 max_skip = 10
+max_skip_rate = 0.2
 realtime = "prefer"
 memory = "process"
 [[bus]]
@@ -736,7 +738,8 @@ const DESCRIPTION: &str = r#"
 m.toml: 4 drives, 1 bus
 cycle: every 2 ms (500 Hz), on the last core, SCHED_FIFO 80 and all memory of the process locked if this host grants it
   wakes with a calibrated final spin, takes replies by poll until 1 ms into the cycle
-  an overrun skips slots and keeps the grid, more than 10 in a row stop all axes
+  an overrun skips slots and keeps the grid, more than 10 in a row or 20 of the last 100
+        stop all axes
   a cycle that is late by more than 200 us is counted with its cause
 bus portal: linudp-v2, 4 drives
   drive x: 192.168.1.1:41136 -> 192.168.1.11:49360
@@ -745,8 +748,9 @@ bus portal: linudp-v2, 4 drives
         refused, a stream ends in the drive's own underflow error
     an exchange every cycle (2 ms)
     link up after 10 good exchanges in a row, lost after 5 misses in a row: the stop request is on the wire within 8
-        cycles (16 ms) of the last good one; stop together: x, y
-    stop: ramp at 500 mm/s²; at standstill (below 5 mm/s for 20 exchanges) power off; without it after 3 s power off
+        cycles (16 ms) of the last good one; with slots skipped lost after 40 ms at the latest; stop together: x, y
+    stop: ramp at 500 mm/s²; at standstill (below 5 mm/s for 20 exchanges) power off; without it after 3 s
+        the drive's quick stop, after 6 s power off
     stopped by a velocity setpoint older than 10 cycles (20 ms) and by a jog not renewed for 500 ms
     limits: -10 ... 10.5 mm, 100 mm/s
   drive y: 192.168.1.1:41136 -> 192.168.1.12:49360
@@ -755,7 +759,7 @@ bus portal: linudp-v2, 4 drives
         most 7.5 mm further
     an exchange every 3 cycles (6 ms), phase 1
     link up after 10 good exchanges in a row, lost after 4 misses in a row: the stop request is on the wire within 13
-        cycles (26 ms) of the last good one; stop together: x, y
+        cycles (26 ms) of the last good one; with slots skipped lost after 68 ms at the latest; stop together: x, y
     stop: power off at once
     stopped by a velocity setpoint older than 10 cycles (20 ms) and by a jog not renewed for 500 ms
     limits: only the drive's own
@@ -765,8 +769,9 @@ bus portal: linudp-v2, 4 drives
         refused, a stream ends in the drive's own underflow error
     an exchange every cycle (2 ms)
     link up after 10 good exchanges in a row, lost after 5 misses in a row: the stop request is on the wire within 6
-        cycles (12 ms) of the last good one
-    stop: ramp at 1000 mm/s²; at standstill (below 5 mm/s for 20 exchanges) power off; without it after 3 s power off
+        cycles (12 ms) of the last good one; with slots skipped lost after 40 ms at the latest
+    stop: ramp at 1000 mm/s²; at standstill (below 5 mm/s for 20 exchanges) power off; without it after 3 s
+        the drive's quick stop, after 6 s power off
     stopped by a velocity setpoint older than 10 cycles (20 ms) and by a jog not renewed for 500 ms
     limits: only the drive's own
   drive w: 192.168.1.1:41136 -> 192.168.1.14:49360; else as z
@@ -836,10 +841,10 @@ stop.group = "own"
              master before it is enabled)",
             "an exchange every 8 cycles (8 ms), phase 0",
             "link up after 10 good exchanges in a row, lost after 5 misses in a row: the stop request is on \
-             the wire within 290 cycles (290 ms) of the last good one, if it still answers; stop together: \
-             direct, menu",
+             the wire within 290 cycles (290 ms) of the last good one, if it still answers; with slots \
+             skipped lost after 574 ms at the latest; stop together: direct, menu",
             "stop: ramp at 10 rev/s²; at standstill (below 0.05 rev/s for 20 exchanges) power off; without it \
-             after 3 s power off",
+             after 3 s the drive's quick stop, after 6 s power off",
             "stopped by a velocity setpoint older than 10 cycles (10 ms) and by a jog not renewed for 500 ms",
             "limits: only the drive's own",
         ]

@@ -341,6 +341,7 @@ fn what_only_a_protocol_counts_and_why_a_drive_is_not_connected_is_told_under_it
             period_ns: carried(),
             realtime: Realtime::Off,
             overrun: Overrun::Skip { max_skip: u64::MAX },
+            max_skip_rate: 1.0,
             ..CyclePlan::default()
         },
         buses: vec![bus],

@@ -34,12 +34,14 @@ const CASE: Case = Case {
     others: [Some(StopCause::Group), None],
 };
 
-/// One line a cause. A new one breaks the build until it has its own.
+/// One line a cause. A new one breaks the build until it has its own, or a test of its own: an axis without a running
+/// motion has none to cut off.
 macro_rules! causes {
-    ($($cause:ident => $case:expr),+ $(,)?) => {
+    ($($cause:ident => $case:expr),+ ; $($own:ident),+) => {
         const CAUSES: &[(StopCause, Case)] = &[$((StopCause::$cause, $case)),+];
         const _: fn(StopCause) = |cause| match cause {
             $(StopCause::$cause => {})+
+            $(StopCause::$own => {})+
         };
     };
 }
@@ -149,6 +151,12 @@ causes! {
         fails: |failure| matches!(failure, Failure::Limit { what: "position", .. }),
         ..CASE
     },
+    Suspended => Case {
+        strike: |b| b.world().suspend(60_000 * MS),
+        others: [Some(StopCause::Suspended); 2],
+        ..CASE
+    };
+    Uncommanded, StopTimeout
 }
 
 /// Asks axis 0, and its whole group where it has joined one.

@@ -17,6 +17,7 @@ mod latches;
 mod limits;
 mod loads;
 mod lock;
+mod powered;
 mod queues;
 mod replies;
 mod restarts;

@@ -250,6 +250,7 @@ pub fn drive(index: usize) -> LinUdpDrive {
                 acceleration: Some(20_000.0),
                 step: None,
                 torque: None,
+                homing: None,
             },
             profile: Profile { velocity: 200.0, acceleration: 5_000.0, deceleration: 5_000.0 },
             stop: StopPlan {

@@ -9,6 +9,7 @@ use crate::axis::{
     Ticket, Verb,
 };
 use crate::bus::{Cycle, Slot};
+use crate::cycle::ladder::deceleration_of;
 use crate::time::Time;
 
 impl Seat {
@@ -151,6 +152,7 @@ impl Seat {
             self.end(cycle, now, active, Outcome::Aborted(Abort::Replaced(command.id)));
         }
         self.active = Some(command);
+        self.began = now;
         match command.verb {
             Verb::Reset => self.try_reset(cycle, now, command, slot),
             Verb::Disable => {
@@ -162,10 +164,16 @@ impl Seat {
                     ladder.quicken();
                 }
                 self.begin_setpoints(cycle, &command);
-                self.homing |= verb == Verb::Home;
-                self.order(slot, Some(verb));
+                self.order(slot, Some(self.bounded(verb)));
             }
         }
+    }
+
+    /// A stop that ends within the stop's time-out, however weak a deceleration was requested.
+    fn bounded(&self, verb: Verb) -> Verb {
+        let Verb::Stop { deceleration } = verb else { return verb };
+        let requested = deceleration.unwrap_or(self.plan.profile.deceleration);
+        Verb::Stop { deceleration: Some(deceleration_of(&self.plan.stop, requested, self.speed())) }
     }
 
     /// Whether the command may start now. Its numbers were checked on submission; here the axis decides.
@@ -241,6 +249,11 @@ impl Seat {
             return Err(Failure::Unsupported("the in-loop task may give one command per axis and cycle"));
         }
         check_verb(&self.plan, &command.verb)?;
+        if self.queues.events.slots() <= self.queues.room_for_ends && !command.verb.is_urgent() {
+            return Err(Failure::Unsupported(
+                "the application takes no events: there is no room for its end",
+            ));
+        }
         if self.moves_in_group().is_some() && !command.verb.is_urgent() {
             return Err(Failure::Unsupported(
                 "the axis moves in a group: only a stop can be given to it alone",

@@ -3,7 +3,8 @@
 use std::fmt::Write;
 
 use fieldbeat::axis::{Move, Row, Target, Verb};
-use fieldbeat::config::{ConfigErrors, demo_plan, describe, duration, parse, stop_bound_cycles};
+use fieldbeat::config::{ConfigErrors, demo_plan, describe, duration, parse};
+use fieldbeat::cycle::bound::stop_bound_cycles;
 use fieldbeat::cycle::engine::Flow;
 use fieldbeat::cycle::{Plan, Wait};
 use fieldbeat::master::Master;

@@ -83,6 +83,7 @@ impl Rig {
                 acceleration: Some(20_000.0),
                 step: None,
                 torque: None,
+                homing: None,
             };
         }
         let (station, native, _) = Station::new(&drive);

@@ -147,6 +147,7 @@ fn plan(drive: UnidriveDrive) -> Plan {
         period_ns: 2 * MS,
         receive_deadline: 0.8,
         overrun: Overrun::Skip { max_skip: 2000 },
+        max_skip_rate: 1.0,
         realtime: Realtime::Off,
         ..CyclePlan::default()
     };

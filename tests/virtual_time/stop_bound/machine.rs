@@ -12,8 +12,8 @@ use fieldbeat::axis::{
 use fieldbeat::bus::Cycle;
 use fieldbeat::bus::linudp::StreamCommand;
 use fieldbeat::bus::linudp::wire::{ControlWord, ErrorCode, Request, ResponseDef};
-use fieldbeat::config::stop_bound_cycles;
 use fieldbeat::cycle::Overrun;
+use fieldbeat::cycle::bound::stop_bound_cycles;
 use fieldbeat::cycle::engine::Flow;
 use fieldbeat::cycle::task::Axes;
 use fieldbeat::sim::FaultPlan;

@@ -827,7 +827,7 @@ fn the_stop_of_a_drive_that_is_out_of_reach_is_latched_within_its_bound_and_made
         b.turning(1, 4.0);
         let axes = b.plan.axes();
         let reply_by = b.plan.drives[0].reply_within_ns.div_ceil(MS);
-        let bound = fieldbeat::config::stop_bound_cycles(axes[0], &axes) + 2 * reply_by;
+        let bound = fieldbeat::cycle::bound::stop_bound_cycles(axes[0], &axes) + 2 * reply_by;
         assert!(b.sim.world().unplug(address(0)));
         assert_eq!(b.stopped(0, bound), StopCause::LinkLost);
         b.run(600);
