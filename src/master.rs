@@ -261,7 +261,7 @@ pub fn assemble<C: Clock>(
             }
         }
         all_notes.push(notes);
-        buses.push(BusSeat { bus, first, end: seats.len() });
+        buses.push(BusSeat { bus, first, end: seats.len(), is_at_work: false });
     }
     acyclics.extend(of_devices);
     let (record_in, records) = rt::ring(Recorder::ring_size(plan.records_a_cycle(), period_ns), &mut regions);

@@ -124,10 +124,14 @@ pub enum StopCause {
     GroupLink = 15,
     /// A motion of its group failed at this axis.
     GroupFailed = 16,
+    /// The loop panicked: an error of this software.
+    Panic = 17,
+    /// The thread that opens the connections of its bus ended: an error of this software.
+    LinkThread = 18,
 }
 
 impl StopCause {
-    pub(crate) const ALL: [StopCause; 16] = [
+    pub(crate) const ALL: [StopCause; 18] = [
         StopCause::Shutdown,
         StopCause::LinkLost,
         StopCause::DriveFault,
@@ -144,6 +148,8 @@ impl StopCause {
         StopCause::DeadMan,
         StopCause::GroupLink,
         StopCause::GroupFailed,
+        StopCause::Panic,
+        StopCause::LinkThread,
     ];
 }
 
@@ -166,6 +172,8 @@ impl fmt::Display for StopCause {
             StopCause::DeadMan => "jog not renewed",
             StopCause::GroupLink => "too many misses in its group",
             StopCause::GroupFailed => "motion of its group failed",
+            StopCause::Panic => "internal error (panic)",
+            StopCause::LinkThread => "link thread ended",
         })
     }
 }

@@ -78,7 +78,7 @@ impl Monitor {
         let buses = plan.buses.iter().map(|bus| bus.name().to_owned()).zip(gauges.strangers()).collect();
         let clocks = gauges.clocks.iter().map(Reader::read).collect();
         let (status, devices) = (self.status(), self.devices());
-        Numbers { status, drives, buses, clocks, devices, page_faults: None, involuntary_switches: None }
+        Numbers { status, drives, buses, clocks, devices, ..Numbers::default() }
     }
 
     /// What takes part without being a drive, in the order of the plan, and why it is not in operation.
