@@ -202,6 +202,12 @@ pub trait Bus: Send {
         None
     }
 
+    /// The thread outside of the loop that this bus depends on has ended unexpectedly: its axes are stopped. Queried
+    /// once a cycle.
+    fn helper_ended(&self) -> bool {
+        false
+    }
+
     /// From now on the clock of this bus leads the grid; called once before the start, on one bus at most. Any
     /// other bus with a clock synchronises its clock to the grid.
     fn lead(&mut self) {}

@@ -400,6 +400,14 @@ impl<C: Clock> Engine<C> {
             missed += u16::from(online && reply == Reply::Missed);
             seat.watch(cycle, now, slot);
         }
+        for bus in &self.buses {
+            if bus.bus.helper_ended() {
+                let seats = self.seats[bus.first..bus.end].iter_mut();
+                for (seat, slot) in seats.zip(&mut self.slots[bus.first..bus.end]) {
+                    seat.stop(cycle, now, StopCause::LinkThread, slot);
+                }
+            }
+        }
         if self.heartbeat.is_silent(cycle) {
             for (seat, slot) in self.seats.iter_mut().zip(&mut self.slots) {
                 seat.stop_if_armed(cycle, now, StopCause::Heartbeat, slot);

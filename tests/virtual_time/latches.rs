@@ -40,6 +40,8 @@ macro_rules! causes {
         const CAUSES: &[(StopCause, Case)] = &[$((StopCause::$cause, $case)),+];
         const _: fn(StopCause) = |cause| match cause {
             $(StopCause::$cause => {})+
+            // Errors of this software: in `panics`.
+            StopCause::Panic | StopCause::LinkThread => {}
         };
     };
 }

@@ -10,7 +10,7 @@ use std::any::Any;
 use std::fmt;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-use super::{Control, Engine, Flow, HURRY, RUN, STOP};
+use super::{Engine, Flow, Grid, HURRY, RUN, STOP};
 use crate::axis::{Link, StopCause};
 use crate::bus::{Cycle, Exchange};
 use crate::cycle::record::{CycleRecord, Record, Reply, SkippedRecord, Stage, short};
@@ -151,11 +151,15 @@ impl<C: Clock> Engine<C> {
         let stage = self.panics.stage;
         self.panics.note(slot, stage, bus.map_or(Part::Loop, Part::Bus), payload);
         if self.control.asked() == RUN {
-            Control::stop(&self.control);
+            self.control.stop();
         }
         let cycle = self.cycle_at(self.grid.index(), self.grid.at());
         let now = self.now_or(&cycle, cycle.grid);
         self.ending.get_or_insert((now, STOP));
+        if self.grid.at() == Time(0) {
+            // It was not begun yet.
+            self.grid = Grid::new(now + 2 * self.plan.period_ns, self.plan.period_ns);
+        }
         // A cycle that was begun is closed, so that no exchange stays open.
         if stage.is_some() && cycle.index == slot {
             self.judge_all(&cycle, now.max(cycle.deadline));
