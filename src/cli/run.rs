@@ -98,6 +98,8 @@ pub fn not_whole(summary: &Summary) -> Stop {
     .flatten()
     .chain(host_took(summary))
     .collect();
+    let failures = summary.failures.iter().filter(|failure| failure.fails_run);
+    let lines: Vec<String> = failures.map(|failure| failure.what.clone()).chain(lines).collect();
     Stop::failed(lines.join("; "))
 }
 

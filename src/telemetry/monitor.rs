@@ -113,6 +113,12 @@ impl Monitor {
         Some(rt::host::steal_ms(None)?.saturating_sub(self.0.steal_before_ms?))
     }
 
+    /// Notes that a part of the program failed that it starts by itself, such as a server of its own; `fails_run`: data
+    /// was lost. It stands in the summary from then on.
+    pub fn failed(&self, what: &str, fails_run: bool) {
+        self.0.recording.failed(what, fails_run);
+    }
+
     /// Writes the black box to a file, if there is one; see `Setup::with_black_box`.
     pub fn write_black_box(&self) {
         self.0.recording.write_black_box();

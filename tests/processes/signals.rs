@@ -113,7 +113,7 @@ fn a_signal_at_any_moment_ends_the_demo_in_order() {
     }
 }
 
-/// Each of these ends a process by default. Four demos at a time, so that it takes no longer than it must.
+/// Each of these ends a process by default. Three demos at a time, so that it takes no longer than it must.
 #[test]
 fn every_signal_that_would_end_the_program_in_mid_motion_ends_it_in_order() {
     let signals = [
@@ -131,7 +131,7 @@ fn every_signal_that_would_end_the_program_in_mid_motion_ends_it_in_order() {
         libc::SIGRTMAX(),
     ];
     let machine = Machine::new(231);
-    for (group, signals) in signals.chunks(4).enumerate() {
+    for (group, signals) in signals.chunks(3).enumerate() {
         std::thread::scope(|scope| {
             for (index, signal) in signals.iter().enumerate() {
                 let directory = machine.path(&format!("{group}-{index}"));
