@@ -1,6 +1,5 @@
 //! What a run tells besides what moves: its summary, and if they are asked for, a report, and its numbers meanwhile.
 
-use std::net::SocketAddr;
 use std::path::PathBuf;
 
 use clap::Args;
@@ -9,7 +8,7 @@ use fieldbeat::cycle::Plan;
 use fieldbeat::master::{Master, Setup};
 use fieldbeat::telemetry::Summary;
 use fieldbeat::telemetry::blackbox::default_directory;
-use fieldbeat::telemetry::metrics::{self, Endpoint, Server};
+use fieldbeat::telemetry::metrics::{self, Endpoint, MetricsError, Server};
 use fieldbeat::telemetry::report::Report;
 
 use super::{Stop, complain, print, show};
@@ -25,7 +24,7 @@ pub struct Output {
     report: Option<PathBuf>,
     /// Meanwhile answer at http://ADDR/metrics for Prometheus; a port alone is for this computer only.
     #[arg(long, value_name = "ADDR", value_parser = metrics::address)]
-    metrics: Option<SocketAddr>,
+    metrics: Option<metrics::Address>,
     /// Where the black box writes its files; without it the state directory of the service, or of the user.
     #[arg(long, value_name = "DIR")]
     black_box: Option<PathBuf>,
@@ -53,7 +52,12 @@ impl Output {
     /// Finds out whether it can be had, before anything is sent.
     pub fn prepare(self) -> Result<Prepared, Stop> {
         let report = self.report.map(Report::create).transpose().map_err(Stop::usage)?;
-        let endpoint = self.metrics.map(Endpoint::bind).transpose().map_err(Stop::usage)?;
+        let bind = |metrics::Address { socket, name }| {
+            let endpoint = Endpoint::bind(socket)?;
+            Ok(name.into_iter().fold(endpoint, Endpoint::named))
+        };
+        let endpoint =
+            self.metrics.map(bind).transpose().map_err(|error: MetricsError| Stop::usage(error))?;
         let black_box = self.black_box.unwrap_or_else(default_directory);
         Ok(Prepared { json: self.json, report, endpoint, black_box })
     }

@@ -371,6 +371,48 @@ mod tests {
         assert_eq!(measured.emergencies.len(), MOST_TOLD);
     }
 
+    /// A black box with an error of ours.
+    #[derive(Debug)]
+    struct Panics;
+
+    impl Keep for Panics {
+        fn enter(&mut self, _record: &Record) {
+            std::panic::resume_unwind(Box::new("on purpose"));
+        }
+
+        fn ask(&mut self) {}
+
+        fn conclude(&mut self, _why: &str) {}
+
+        fn write(&mut self, _last: bool) -> Vec<Written> {
+            Vec::new()
+        }
+    }
+
+    #[test]
+    fn a_telemetry_thread_that_panics_is_a_failure_of_the_run_and_holds_up_no_end() {
+        let (mut records, ring) = rtrb::RingBuffer::new(4);
+        let measured = Measured::new(1, &CyclePlan::default(), false);
+        let mut recorder = Recorder::start(ring, measured, None, Some(Box::new(Panics)), || {}).unwrap();
+        records.push(Record::Drive(DriveRecord::default())).unwrap();
+        let measured = recorder.finish(0, Some("the loop panicked".to_owned()));
+        let [first, second] = &measured.failures[..] else { panic!("{:?}", measured.failures) };
+        let mut both = [first, second].map(|failure| (failure.fails_run, &*failure.what));
+        both.sort();
+        assert!(both[0].1.starts_with("internal error: the telemetry panicked; "), "{both:?}");
+        assert_eq!((both[0].0, both[1]), (true, (true, "the loop panicked")));
+    }
+
+    #[test]
+    fn the_end_of_the_link_thread_is_told_once() {
+        let mut measured = Measured::new(1, &CyclePlan::default(), false);
+        for index in 0..3 {
+            let stopped = Some(StopCause::LinkThread);
+            measured.enter(&Record::Drive(DriveRecord { index, stopped, ..DriveRecord::default() }));
+        }
+        assert!(matches!(&measured.failures[..], [Failure { fails_run: true, .. }]), "{measured:?}");
+    }
+
     #[test]
     fn the_ring_holds_a_second_within_bounded_memory() {
         assert_eq!(Recorder::ring_size(9, MS), 9_000);
