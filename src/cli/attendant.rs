@@ -5,7 +5,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use fieldbeat::axis::{Fault, FaultNames, Link};
+use fieldbeat::axis::{Axis, Fault, FaultNames, Link};
 use fieldbeat::control::{Answering, Desk, Server, place};
 use fieldbeat::master::Master;
 use fieldbeat::rt::thread::helper_thread;
@@ -33,6 +33,8 @@ pub struct Attendant {
     interrupt: Interrupt,
     /// Answers `fieldbeat status` while it lives.
     control: Option<Server>,
+    /// Those whose events nobody else takes.
+    axes: Vec<Axis>,
     links: Vec<Link>,
     drives: Vec<Known>,
     devices: Vec<Known>,
@@ -59,6 +61,7 @@ impl Attendant {
             service: Service::ready(),
             interrupt: interrupt.clone(),
             control: control.ok(),
+            axes: Vec::new(),
             links: vec![Link::default(); master.observers().len()],
             drives: master.plan().fault_names().into_iter().map(Known::new).collect(),
             devices: master.devices().iter().map(|_| Known::new(|_| None)).collect(),
@@ -68,6 +71,12 @@ impl Attendant {
             failures: 0,
             is_blind: false,
         }
+    }
+
+    /// Takes the events of these axes, which nobody else wants.
+    pub fn taking(mut self, axes: Vec<Axis>) -> Attendant {
+        self.axes = axes;
+        self
     }
 
     /// To be called some fifty times a second. `what` is going on.
@@ -87,6 +96,9 @@ impl Attendant {
             master.write_black_box();
         }
         self.service.look(master);
+        for axis in &mut self.axes {
+            while axis.event().is_some() {}
+        }
         if self.control.as_ref().is_some_and(Server::has_failed) {
             let what = "internal error: the control socket panicked; `fieldbeat status` may get no answer; please report it";
             master.monitor().failed(what, false);

@@ -1,6 +1,8 @@
 //! What a run tells besides what moves: its summary, and if they are asked for, a report, and its numbers meanwhile.
 
 use std::path::PathBuf;
+use std::sync::mpsc;
+use std::time::Duration;
 
 use clap::Args;
 use fieldbeat::axis::{HeldBy, Load};
@@ -12,6 +14,9 @@ use fieldbeat::telemetry::metrics::{self, Endpoint, MetricsError, Server};
 use fieldbeat::telemetry::report::Report;
 
 use super::{Stop, complain, print, show};
+
+/// A disk that does not take the report within this time does not hold up the end.
+const PATIENCE: Duration = Duration::from_secs(30);
 
 /// Arguments of every command that runs a master.
 #[derive(Debug, Args)]
@@ -105,12 +110,32 @@ impl Running {
         } else {
             show(&summary)
         };
-        let written = match &self.report {
-            Some(report) => report.write(&run, &summary).map_err(Stop::failed),
+        let written = match self.report {
+            Some(report) => {
+                let (directory, summary) = (report.directory().display().to_string(), summary.clone());
+                let written = within(PATIENCE, move || report.write(&run, &summary).map_err(Stop::failed));
+                written.unwrap_or_else(|| {
+                    let seconds = PATIENCE.as_secs();
+                    Err(Stop::failed(format!(
+                        "report {directory} is not written: its disk does not answer for {seconds} s; look at that \
+                         disk"
+                    )))
+                })
+            }
             None => Ok(()),
         };
         (summary, both(printed, written))
     }
+}
+
+/// What `work` returns, if it does within `limit`; it is left to itself otherwise, up to the end of the process.
+fn within<R: Send + 'static>(limit: Duration, work: impl FnOnce() -> R + Send + 'static) -> Option<R> {
+    let (done, result) = mpsc::channel();
+    let thread = std::thread::Builder::new().name("fb-report".into()).spawn(move || {
+        // Too late, nobody takes it.
+        let _ = done.send(work());
+    });
+    thread.ok().and_then(|_| result.recv_timeout(limit).ok())
 }
 
 /// What both have to say.
@@ -120,5 +145,18 @@ pub fn both(one: Result<(), Stop>, other: Result<(), Stop>) -> Result<(), Stop> 
             Err(Stop { code: one.code, message: format!("{}\n{}", one.message, other.message) })
         }
         (one, other) => one.and(other),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_hangs_is_waited_for_only_so_long() {
+        let (release, hangs) = mpsc::channel::<()>();
+        assert_eq!(within(Duration::from_millis(20), move || hangs.recv().is_ok()), None);
+        drop(release);
+        assert_eq!(within(Duration::from_secs(60), || 7), Some(7));
     }
 }

@@ -96,6 +96,11 @@ impl Report {
         }
     }
 
+    /// Where it is written.
+    pub fn directory(&self) -> &Path {
+        &self.directory
+    }
+
     /// Writes the report; files of the same names are replaced, and others of an earlier report removed.
     pub fn write(&self, run: &Run, summary: &Summary) -> Result<(), ReportError> {
         let failed = |name: &str, error| ReportError::File { file: self.directory.join(name), error };
