@@ -27,7 +27,8 @@ pub struct Output {
     /// Write summary, histograms (.hgrm) and plots (.svg) to this directory at the end.
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
-    /// Meanwhile answer at http://ADDR/metrics for Prometheus; a port alone is for this computer only.
+    /// Meanwhile answer at http://ADDR/metrics for Prometheus; a port alone is for this computer only, NAME:PORT
+    /// for clients that use another name of this computer.
     #[arg(long, value_name = "ADDR", value_parser = metrics::address)]
     metrics: Option<metrics::Address>,
     /// Where the black box writes its files; without it the state directory of the service, or of the user.

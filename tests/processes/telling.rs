@@ -11,14 +11,20 @@ use std::process::Command;
 use std::time::Duration;
 
 use fieldbeat::Master;
+use fieldbeat::axis::{AxisError, StopCause};
+use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan};
 use fieldbeat::control::Server;
+use fieldbeat::cycle::{CyclePlan, Plan};
+use fieldbeat::rt::Realtime;
 use libc::{SIGTERM, SIGUSR1};
 use serde_json::{Value, json};
 
+use super::fuse::{Call, Fused};
 use super::simulation;
 use super::support::hold::{Hold, thread};
 use super::support::{
-    Ended, LONG, Machine, NOBODY, PROGRAM, Program, as_ordinary_user, checkout, period, plan, run, until,
+    Ended, LONG, Machine, NOBODY, PROGRAM, Program, as_ordinary_user, carried, checkout, patient, period,
+    plan, run, until,
 };
 
 /// A command of the program whose sockets and files are the machine's own.
@@ -465,6 +471,53 @@ fn a_black_box_that_cannot_be_written_is_told_and_the_run_goes_on() {
     let ended = master.end();
     let summary = ended.expect(0).json();
     assert!(summary["black_boxes"][0]["error"].as_str().is_some(), "{summary}");
+}
+
+/// An error of this software in the loop of a program that embeds it: the axes stop, the loop ends by itself, and the
+/// run says why.
+#[test]
+fn a_panic_of_the_loop_is_a_failed_run_with_a_black_box() {
+    let machine = Machine::new(238);
+    let config = machine.plain(2);
+    let _sim = simulation(&config);
+    for (call, times, left_out) in [(Call::Receive, 1, false), (Call::Prepare, u32::MAX, true)] {
+        let place = machine.path(&format!("{call:?}"));
+        let mut bus = LinUdpPlan::new(machine.ip(1), Vec::new());
+        bus.drives =
+            (0..2).map(|index| LinUdpDrive::new(format!("d{index}"), *machine.drive(index).ip())).collect();
+        bus.drives.iter_mut().for_each(|drive| {
+            (drive.axis.limits.position, drive.axis.health) = (Some((0.0, 400.0)), patient());
+        });
+        let fused = Fused::new(bus);
+        let plan = Plan {
+            source: None,
+            cycle: CyclePlan { period_ns: carried(), realtime: Realtime::Off, ..CyclePlan::default() },
+            buses: vec![Box::new(fused.clone())],
+            groups: Vec::new(),
+        };
+        let master = Master::from_plan(plan).with_black_box(&place).start().unwrap();
+        master.wait_online(LONG).unwrap();
+        let mut axis = master.axis("d0").unwrap();
+        axis.enable().unwrap();
+        fused.light(call, times);
+        assert!(until(LONG, || !master.is_running()), "the loop goes on");
+        assert!(matches!(axis.home(), Err(AxisError::Gone { .. } | AxisError::Refused { .. })));
+        let feedback = axis.feedback();
+        assert_eq!((feedback.stopped, feedback.state.is_powered()), (Some(StopCause::Panic), left_out));
+        let run = master.finish();
+        let panic = run.end.panic.as_ref().unwrap();
+        assert_eq!(panic.left_out.is_empty(), !left_out, "{panic}");
+        let summary = run.summary();
+        assert!(summary.has_failed() && !summary.is_whole());
+        assert_eq!(summary.failures[0].what, panic.to_string());
+        assert!(summary.to_string().contains("\ninternal error: the loop panicked in stage "), "{summary}");
+        let [written] = &run.measured.black_boxes[..] else { panic!("{:?}", run.measured.black_boxes) };
+        assert_eq!(written.why, "drive d0: stopped: internal error (panic)");
+        let told = blackbox(&written.path, &[]);
+        assert!(told.expect(0).out.contains("stopped: internal error (panic)"), "{told:?}");
+        // What was left powered is taken over and switched off by the next master.
+        drop(Master::from_file(&config).unwrap().start().map(|next| next.wait_online(LONG)));
+    }
 }
 
 /// `command` with a disk that never answers: each fsync(2) of the program waits for somebody who never comes

@@ -7,6 +7,8 @@ mod bring_up;
 mod carrier;
 mod counters;
 mod faults;
+#[path = "../support/fuse.rs"]
+mod fuse;
 mod grid;
 mod groups;
 mod kollmorgen;

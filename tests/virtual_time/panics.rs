@@ -1,134 +1,23 @@
 //! A panic of the loop, in every stage, once and for ever: all axes that can be stopped are stopped in order, the loop
 //! ends by itself, and its end says where it was.
 
-use std::any::Any;
-use std::os::fd::RawFd;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
-use std::sync::{Arc, Mutex};
 
-use fieldbeat::axis::acyclic::AcyclicEnds;
 use fieldbeat::axis::{Axis, EventKind, Link, Outcome, StopCause, Verb};
+use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::linudp::LinUdpPlan;
-use fieldbeat::bus::{Bus, BusPlan, Cycle, OpenError, Slot, Strangers};
 use fieldbeat::cycle::engine::{Control, Engine, Flow};
 use fieldbeat::cycle::status::Numbers;
 use fieldbeat::cycle::{CyclePlan, Plan};
 use fieldbeat::master::{Assembly, assemble};
-use fieldbeat::net::{Carriers, SendMode};
-use fieldbeat::rt::{Clock, PollSet, Regions};
-use fieldbeat::sim::SimDrive;
+use fieldbeat::net::SendMode;
+use fieldbeat::rt::{Clock, PollSet};
 use fieldbeat::sim::world::{World, WorldClock, WorldOptions};
 use fieldbeat::time::Time;
 
+use super::fuse::{Call, Fused};
 use crate::virtual_time::support::{drive, jog};
-
-/// The call of a bus that panics.
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Call {
-    Send,
-    Receive,
-    Prepare,
-    HelperEnded,
-    Strangers,
-    ShutDown,
-}
-
-/// Which call panics, and how often.
-type Fuse = Arc<Mutex<Option<(Call, u32)>>>;
-
-/// A LinUDP bus with a fuse.
-#[derive(Clone, Debug)]
-struct Fused {
-    plan: LinUdpPlan,
-    fuse: Fuse,
-    /// What its helper is said to be.
-    helper_ended: Arc<Mutex<bool>>,
-}
-
-impl BusPlan for Fused {
-    crate::forward_bus_plan!(plan);
-
-    fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
-        let bus = self.plan.open(period_ns, carriers)?;
-        Ok(Box::new(FusedBus { bus, of: self.clone() }))
-    }
-
-    fn simulate(&self) -> Vec<Box<dyn SimDrive>> {
-        self.plan.simulate()
-    }
-}
-
-struct FusedBus {
-    bus: Box<dyn Bus>,
-    of: Fused,
-}
-
-impl FusedBus {
-    fn burn(&self, call: Call) {
-        let mut fuse = self.of.fuse.lock().unwrap();
-        if let Some((at, left)) = &mut *fuse
-            && *at == call
-            && *left > 0
-        {
-            *left -= 1;
-            drop(fuse);
-            // Quietly: the message of a panic is not this test's.
-            std::panic::resume_unwind(Box::new("on purpose"));
-        }
-    }
-}
-
-impl Bus for FusedBus {
-    fn name(&self) -> &str {
-        self.bus.name()
-    }
-
-    fn memory(&self, regions: &mut Regions) {
-        self.bus.memory(regions);
-    }
-
-    fn fd(&self) -> Option<RawFd> {
-        self.bus.fd()
-    }
-
-    fn send(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
-        self.burn(Call::Send);
-        self.bus.send(cycle, slots);
-    }
-
-    fn receive(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool {
-        self.burn(Call::Receive);
-        self.bus.receive(cycle, slots)
-    }
-
-    fn prepare(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
-        self.burn(Call::Prepare);
-        self.bus.prepare(cycle, slots);
-    }
-
-    fn shut_down(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool {
-        self.burn(Call::ShutDown);
-        self.bus.shut_down(cycle, slots)
-    }
-
-    fn helper_ended(&self) -> bool {
-        self.burn(Call::HelperEnded);
-        *self.of.helper_ended.lock().unwrap()
-    }
-
-    fn strangers(&self) -> Strangers {
-        self.burn(Call::Strangers);
-        self.bus.strangers()
-    }
-
-    fn native(&mut self, index: usize) -> Option<Box<dyn Any + Send>> {
-        self.bus.native(index)
-    }
-
-    fn acyclic(&mut self, index: usize) -> Option<AcyclicEnds> {
-        self.bus.acyclic(index)
-    }
-}
 
 /// A clock that panics at its n-th call from now, and at some more from there.
 #[derive(Clone, Debug)]
@@ -186,7 +75,7 @@ impl Machine {
             let bind = std::net::SocketAddrV4::new([127, 0, 1 + index as u8, 1].into(), 41136);
             let name = format!("bus{index}");
             let plan = LinUdpPlan { name, bind, send: SendMode::Batch, drives };
-            Fused { plan, fuse: Fuse::default(), helper_ended: Arc::default() }
+            Fused::new(plan)
         };
         let buses = [bus(0), bus(1)];
         let plans = buses.iter().map(|bus| Box::new(bus.clone()) as Box<dyn BusPlan>);
@@ -308,7 +197,7 @@ fn a_panic_in_any_call_of_a_bus_stops_the_axes_of_all_buses_in_order() {
         (Call::Strangers, "in stage publish"),
     ] {
         let machine = Machine::moving();
-        *machine.buses[0].fuse.lock().unwrap() = Some((call, 1));
+        machine.buses[0].light(call, 1);
         let panic = machine.ends(&format!("{call:?}"), &[0, 1]).panic.unwrap();
         assert_eq!((&*panic.place, panic.count, panic.left_out.len()), (place, 1, 0), "{call:?}");
     }
@@ -319,7 +208,7 @@ fn a_bus_that_panics_for_ever_is_left_out_and_the_other_one_stops_in_order() {
     for call in [Call::Send, Call::Receive, Call::Prepare] {
         for (broken, healthy) in [(0, 1), (1, 0)] {
             let machine = Machine::moving();
-            *machine.buses[broken].fuse.lock().unwrap() = Some((call, u32::MAX));
+            machine.buses[broken].light(call, u32::MAX);
             let panic = machine.ends(&format!("{call:?} of bus {broken}"), &[healthy]).panic.unwrap();
             assert_eq!((panic.count, &*panic.left_out), (2, &[format!("bus bus{broken}")][..]), "{call:?}");
             assert!(!panic.cut_short && panic.to_string().contains("without a stop by the master: bus bus"));
@@ -331,7 +220,7 @@ fn a_bus_that_panics_for_ever_is_left_out_and_the_other_one_stops_in_order() {
 #[test]
 fn a_bus_that_panics_in_its_own_end_holds_up_no_end() {
     let machine = Machine::moving();
-    *machine.buses[0].fuse.lock().unwrap() = Some((Call::ShutDown, u32::MAX));
+    machine.buses[0].light(Call::ShutDown, u32::MAX);
     machine.control.stop();
     let Machine { mut engine, axes, .. } = machine;
     assert!((0..20_000).any(|_| engine.step() == Flow::End));

@@ -361,3 +361,25 @@ impl<C: Clock> Engine<C> {
         Some(LoopPanic { cycle, place, count: self.panics.count, left_out, cut_short: self.panics.cut_short })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_part_that_panics_twice_is_left_out_and_no_other() {
+        let mut panics = Panics::new(2, 2);
+        let fails = || std::panic::resume_unwind(Box::new("on purpose"));
+        for part in [Part::Axis(1), Part::Bus(0), Part::Clock, Part::Outlets] {
+            for left_out in [false, false, true] {
+                assert_eq!(panics.is_left_out(part), left_out);
+                assert_eq!(panics.guard::<()>(7, Some(Stage::Send), part, fails), None);
+            }
+            assert_eq!(panics.guard(8, None, part, || 1), None, "also what would not panic");
+        }
+        assert_eq!((panics.count, panics.first), (8, Some((7, Some(Stage::Send), Part::Axis(1)))));
+        for part in [Part::Axis(0), Part::Bus(1)] {
+            assert_eq!(panics.guard(8, None, part, || 1), Some(1));
+        }
+    }
+}
