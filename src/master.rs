@@ -266,7 +266,7 @@ pub fn assemble<C: Clock>(
             }
         }
         all_notes.push(notes);
-        buses.push(BusSeat { bus, first, end: seats.len() });
+        buses.push(BusSeat { bus, first, end: seats.len(), is_at_work: false });
     }
     acyclics.extend(of_devices);
     let (record_in, records) = rt::ring(Recorder::ring_size(plan.records_a_cycle(), period_ns), &mut regions);
@@ -460,19 +460,23 @@ impl Master {
         self.thread.as_ref().is_some_and(|thread| !thread.is_finished())
     }
 
-    /// Stops all axes, powers them off, ends the loop and returns the measurements.
-    ///
-    /// # Panics
-    ///
-    /// If the loop's thread panicked, with its panic.
+    /// Stops all axes, powers them off, ends the loop and returns the measurements. If the loop panicked, they say so:
+    /// [`Numbers::panic`], [`Measured::failures`].
     pub fn finish(mut self) -> Run {
         self.stop();
-        let end = match self.thread.take().map(JoinHandle::join) {
-            Some(Ok(end)) => end,
-            Some(Err(panic)) => std::panic::resume_unwind(panic),
-            None => Numbers::default(),
+        let (end, failed) = match self.thread.take().map(JoinHandle::join) {
+            Some(Ok(end)) => {
+                let failed = end.panic.as_ref().map(ToString::to_string);
+                (end, failed)
+            }
+            Some(Err(_)) => {
+                let failed =
+                    "internal error: the loop's thread panicked outside of its cycle; please report it";
+                (self.monitor.numbers(), Some(failed.to_owned()))
+            }
+            None => (Numbers::default(), None),
         };
-        let measured = self.recorder.finish(end.status.late);
+        let measured = self.recorder.finish(end.status.late, failed);
         let (plan, granted) = (self.monitor.shared_plan(), self.granted().clone());
         Run { end, measured, granted, plan, steal_ms: self.monitor.steal_ms() }
     }

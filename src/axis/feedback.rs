@@ -130,10 +130,14 @@ pub enum StopCause {
     StopTimeout = 18,
     /// The computer was suspended.
     Suspended = 19,
+    /// The loop panicked: an error of this software.
+    Panic = 20,
+    /// The thread that opens the connections of its bus ended: an error of this software.
+    LinkThread = 21,
 }
 
 impl StopCause {
-    pub(crate) const ALL: [StopCause; 19] = [
+    pub(crate) const ALL: [StopCause; 21] = [
         StopCause::Shutdown,
         StopCause::LinkLost,
         StopCause::DriveFault,
@@ -153,6 +157,8 @@ impl StopCause {
         StopCause::Uncommanded,
         StopCause::StopTimeout,
         StopCause::Suspended,
+        StopCause::Panic,
+        StopCause::LinkThread,
     ];
 }
 
@@ -178,6 +184,8 @@ impl fmt::Display for StopCause {
             StopCause::Uncommanded => "motion without a command",
             StopCause::StopTimeout => "stop not complete in time",
             StopCause::Suspended => "computer suspended",
+            StopCause::Panic => "internal error (panic)",
+            StopCause::LinkThread => "link thread ended",
         })
     }
 }

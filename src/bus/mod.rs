@@ -28,6 +28,7 @@ use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{
     AxisPlan, Emergency, Failure, FaultNames, Link, MonitorChannel, Observer, PlanFault, Row, State, Verb,
 };
+use crate::errors::no_descriptor;
 use crate::net::{Carriers, LinkNotes};
 use crate::rt::Regions;
 use crate::sim::{SimDrive, SimLine};
@@ -126,7 +127,8 @@ pub enum OpenError {
     },
     /// The connections of a bus could not be set up.
     #[error(
-        "bus {bus}: cannot set up its connections: {source}; look at the limits of open files and threads (ulimit -a)"
+        "bus {bus}: cannot set up its connections: {source}; {}",
+        no_descriptor(.source).unwrap_or("look at the limits of open files and threads (ulimit -a)")
     )]
     Streams {
         /// The bus.
@@ -200,6 +202,12 @@ pub trait Bus: Send {
     /// Why its drives cannot be reached, for normal threads; `None` for a bus without connections.
     fn notes(&self) -> Option<Arc<dyn Notes>> {
         None
+    }
+
+    /// The thread outside of the loop that this bus depends on has ended unexpectedly: its axes are stopped. Queried
+    /// once a cycle.
+    fn helper_ended(&self) -> bool {
+        false
     }
 
     /// From now on the clock of this bus leads the grid; called once before the start, on one bus at most. Any

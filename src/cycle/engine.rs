@@ -3,6 +3,8 @@
 //! The engine is generic over its clock, and its buses bring their carriers, so that the same code runs on a pinned
 //! SCHED_FIFO thread and in virtual time.
 
+mod panics;
+
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
@@ -10,11 +12,13 @@ use std::sync::atomic::{AtomicU8, Ordering};
 use crossbeam::utils::CachePadded;
 use rtrb::Producer;
 
+pub use self::panics::LoopPanic;
+use self::panics::Panics;
 use super::gates::Gates;
 use super::grid::Grid;
 use super::heartbeat::Heartbeat;
 use super::plan::{CyclePlan, Guard, Overrun};
-use super::record::{CycleRecord, Look, Record, Reply, SkippedRecord, short};
+use super::record::{CycleRecord, Look, Record, Reply, SkippedRecord, Stage, short};
 use super::reference::Reference;
 use super::seat::Seat;
 use super::skips::Skips;
@@ -115,6 +119,7 @@ pub struct Engine<C> {
     /// When the orderly end of the buses began.
     buses_ending: Option<Time>,
     buses_down: bool,
+    panics: Panics,
 }
 
 impl<C> std::fmt::Debug for Engine<C> {
@@ -177,6 +182,7 @@ impl<C: Clock> Engine<C> {
         if let Some(reference) = &reference {
             buses[reference.bus()].bus.lead();
         }
+        let panics = Panics::new(buses.len(), seats.len());
         Engine {
             longest_end_ns: stops.saturating_mul(4).saturating_add(END_MARGIN_NS),
             deadline_ns: plan.deadline_ns(),
@@ -211,6 +217,7 @@ impl<C: Clock> Engine<C> {
             ending: None,
             buses_ending: None,
             buses_down: false,
+            panics,
             clock,
             plan,
         }
@@ -243,12 +250,15 @@ impl<C: Clock> Engine<C> {
 
     /// Calibrates the guard, then starts the grid: the first slot is two periods from now.
     pub fn begin(&mut self) {
-        self.guard.calibrate(&mut self.clock, CALIBRATION_SLEEPS);
-        self.suspended_ns = self.clock.suspended_ns();
-        let now = self.clock.now();
-        self.grid = Grid::new(now + 2 * self.plan.period_ns, self.plan.period_ns);
-        let cycle = self.cycle_at(self.grid.index(), self.grid.at());
-        self.arm(&cycle, now);
+        self.guarded(|engine| {
+            engine.guard.calibrate(&mut engine.clock, CALIBRATION_SLEEPS);
+            engine.suspended_ns = engine.clock.suspended_ns();
+            let now = engine.clock.now();
+            engine.grid = Grid::new(now + 2 * engine.plan.period_ns, engine.plan.period_ns);
+            let cycle = engine.cycle_at(engine.grid.index(), engine.grid.at());
+            engine.arm(&cycle, now);
+            Flow::Continue
+        });
     }
 
     /// Runs until the shutdown is complete.
@@ -257,8 +267,14 @@ impl<C: Clock> Engine<C> {
         while self.step() == Flow::Continue {}
     }
 
-    /// One slot of the grid: waits for it and executes it, or passes over slots that came too late.
+    /// One slot of the grid: waits for it and executes it, or passes over slots that came too late. After a panic it
+    /// only stops.
     pub fn step(&mut self) -> Flow {
+        if self.panics.any() { self.stop_slot() } else { self.guarded(Engine::turn) }
+    }
+
+    fn turn(&mut self) -> Flow {
+        self.panics.stage = None;
         let guard_ns = self.guard.guard_ns();
         self.clock.sleep_until(self.grid.at() - guard_ns);
         let mut now = self.clock.now();
@@ -311,8 +327,9 @@ impl<C: Clock> Engine<C> {
         self.status.jitter_max.see(jitter_ns, cycle.index);
 
         // 1 send
+        self.panics.stage = Some(Stage::Send);
         for seat in &mut self.buses {
-            seat.bus.send(cycle, &mut self.slots[seat.first..seat.end]);
+            seat.work(&mut self.slots, |bus, slots| bus.send(cycle, slots));
         }
         self.status.executed += 1;
         self.skipped_in_a_row = 0;
@@ -325,15 +342,18 @@ impl<C: Clock> Engine<C> {
         let sent = self.clock.now();
 
         // 2 receive
+        self.panics.stage = Some(Stage::Receive);
         self.window.run(&mut self.clock, cycle, &mut self.buses, &mut self.slots);
         let received = self.clock.now();
 
         // 3 evaluate
+        self.panics.stage = Some(Stage::Evaluate);
         let missed = self.evaluate(cycle, received);
         self.steer(cycle);
         let evaluated = self.clock.now();
 
         // 4 commands. The task comes first: its commands leave with the next send.
+        self.panics.stage = Some(Stage::Commands);
         let ended = self.end(cycle, received);
         if self.ending.is_none() {
             self.run_task(cycle, received);
@@ -346,12 +366,14 @@ impl<C: Clock> Engine<C> {
         let commanded = self.clock.now();
 
         // 5 prepare
+        self.panics.stage = Some(Stage::Prepare);
         let next = self.cycle_at(cycle.index + 1, self.grid.next_at());
         self.arm(&next, received);
 
         let prepared = self.clock.now();
 
         // 6 publish
+        self.panics.stage = Some(Stage::Publish);
         self.publish();
         let published = self.clock.now();
         let ends = [woke, sent, received, evaluated, commanded, prepared, published];
@@ -392,7 +414,7 @@ impl<C: Clock> Engine<C> {
     /// Sets the next slot by the clock that leads.
     fn steer(&mut self, cycle: &Cycle) {
         let Some(reference) = &mut self.reference else { return };
-        let error_ns = self.buses[reference.bus()].bus.phase_error();
+        let error_ns = self.buses[reference.bus()].work(&mut self.slots, |bus, _| bus.phase_error());
         let record = reference.take(cycle.index, error_ns);
         self.status.reference = Some(reference.status());
         self.grid.steer(record.step_ns.into());
@@ -407,6 +429,14 @@ impl<C: Clock> Engine<C> {
             let reply = seat.judge(cycle, now, slot);
             missed += u16::from(online && reply == Reply::Missed);
             seat.watch(cycle, now, slot);
+        }
+        for bus in &self.buses {
+            if bus.bus.helper_ended() {
+                let seats = self.seats[bus.first..bus.end].iter_mut();
+                for (seat, slot) in seats.zip(&mut self.slots[bus.first..bus.end]) {
+                    seat.stop(cycle, now, StopCause::LinkThread, slot);
+                }
+            }
         }
         if self.heartbeat.is_silent(cycle) {
             for (seat, slot) in self.seats.iter_mut().zip(&mut self.slots) {
@@ -468,7 +498,7 @@ impl<C: Clock> Engine<C> {
             let begun = *self.buses_ending.get_or_insert(now);
             let mut done = true;
             for seat in &mut self.buses {
-                done &= seat.bus.shut_down(cycle, &mut self.slots[seat.first..seat.end]);
+                done &= seat.work(&mut self.slots, |bus, slots| bus.shut_down(cycle, slots));
             }
             self.status.cut_off = !done && now.since(begun) > BUSES_END_NS;
             self.buses_down = done || self.status.cut_off;
@@ -507,7 +537,7 @@ impl<C: Clock> Engine<C> {
         // What stopped since the evaluation leaves with the same send.
         self.take_groups_along(next, now);
         for seat in &mut self.buses {
-            seat.bus.prepare(next, &mut self.slots[seat.first..seat.end]);
+            seat.work(&mut self.slots, |bus, slots| bus.prepare(next, slots));
         }
     }
 
@@ -601,7 +631,8 @@ impl<C: Clock> Engine<C> {
     }
 
     /// Ends the run and returns its exact numbers.
-    pub fn finish(self) -> Numbers {
+    pub fn finish(mut self) -> Numbers {
+        let panic = self.loop_panic();
         let status = Status { planned: self.grid.planned(), ..self.status };
         let mut not_connected = self.buses.iter().flat_map(BusSeat::not_connected);
         let drives = (self.names.into_iter().zip(&self.seats).zip(&self.slots))
@@ -620,6 +651,15 @@ impl<C: Clock> Engine<C> {
                 DeviceEnd { name, not_operational: notes.and_then(|notes| notes.device(index)) }
             })
             .collect();
-        Numbers { status, drives, buses, clocks, devices, page_faults: None, involuntary_switches: None }
+        Numbers {
+            status,
+            drives,
+            buses,
+            clocks,
+            devices,
+            panic,
+            page_faults: None,
+            involuntary_switches: None,
+        }
     }
 }

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::engine::LoopPanic;
 use crate::axis::cell::{Packed, Reader, Words};
 use crate::axis::{Feedback, MONITOR_CHANNELS};
 use crate::bus::{BusClock, Counters, Notes, OWN_COUNTERS, Strangers};
@@ -417,6 +418,8 @@ pub struct Numbers {
     pub clocks: Vec<Option<BusClock>>,
     /// The devices that are not drives, in the order of the plan.
     pub devices: Vec<DeviceEnd>,
+    /// The loop panicked, and ended for that reason.
+    pub panic: Option<LoopPanic>,
     /// Page faults and involuntary switches of the loop's thread while it ran; `None` before its end, and in virtual
     /// time.
     pub page_faults: Option<u64>,

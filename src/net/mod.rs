@@ -13,6 +13,7 @@
 //! | `frames` | Ethernet frames as a protocol sees them |
 //! | `packet` | frames of a network interface |
 //! | `local` | frames of a segment on this host, without an interface |
+//! | `clients` | clients of a small server: bounded in number, bytes and time |
 //! | `stamp` | when a frame arrived at the end of a segment |
 
 use std::io;
@@ -20,6 +21,8 @@ use std::net::SocketAddrV4;
 use std::os::fd::RawFd;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 
+#[cfg(any(feature = "control", feature = "metrics"))]
+pub(crate) mod clients;
 pub mod frames;
 pub mod link;
 pub mod local;

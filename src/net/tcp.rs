@@ -147,6 +147,10 @@ impl Streams for Tcp {
         }
     }
 
+    fn has_ended(&self) -> bool {
+        self.link.bell.has_ended()
+    }
+
     fn notes(&self) -> LinkNotes {
         self.link.notes.clone()
     }

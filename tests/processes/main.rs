@@ -26,6 +26,8 @@
 mod deaths;
 mod doctor;
 mod ethercat;
+#[path = "../support/fuse.rs"]
+mod fuse;
 mod kollmorgen;
 mod links;
 mod linmot;

@@ -156,7 +156,7 @@ causes! {
         others: [Some(StopCause::Suspended); 2],
         ..CASE
     };
-    Uncommanded, StopTimeout
+    Uncommanded, StopTimeout, Panic, LinkThread
 }
 
 /// Asks axis 0, and its whole group where it has joined one.

@@ -7,6 +7,8 @@ mod bring_up;
 mod carrier;
 mod counters;
 mod faults;
+#[path = "../support/fuse.rs"]
+mod fuse;
 mod grid;
 mod groups;
 mod kollmorgen;
@@ -17,6 +19,7 @@ mod latches;
 mod limits;
 mod loads;
 mod lock;
+mod panics;
 mod powered;
 mod queues;
 mod replies;

@@ -15,6 +15,7 @@ use crate::axis::acyclic::{AcyclicEnds, Notation};
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, FaultNames, FoundRunning, MonitorChannel, PlanFault};
 use crate::bus::{Bus, BusPlan, Cycle, Exchange, OpenError, Slot, Strangers};
+use crate::errors::no_descriptor;
 use crate::net::{Carriers, Datagrams, Outbox, Sent, UdpOptions};
 use crate::rt::Regions;
 use crate::sim::SimDrive;
@@ -123,7 +124,7 @@ fn remedy(error: &std::io::Error) -> &'static str {
             "this host has no such address: `ip -4 addr` lists those it has; put one of them into bind"
         }
         std::io::ErrorKind::PermissionDenied => "ports below 1024 need CAP_NET_BIND_SERVICE",
-        _ => "look at the address in bind",
+        _ => no_descriptor(error).unwrap_or("look at the address in bind"),
     }
 }
 

@@ -221,6 +221,10 @@ impl Bus for ModbusBus {
         Strangers::default()
     }
 
+    fn helper_ended(&self) -> bool {
+        self.net.has_ended()
+    }
+
     fn notes(&self) -> Option<Arc<dyn Notes>> {
         Some(Arc::new(self.net.notes()))
     }

@@ -77,6 +77,11 @@ impl Bell {
     pub fn ring(&self) {
         self.0.wake_up();
     }
+
+    /// Whether the thread has ended although there is a carrier: it panicked.
+    pub fn has_ended(&self) -> bool {
+        self.0.shared.gone.load(Ordering::Relaxed)
+    }
 }
 
 impl Drop for Bell {
@@ -95,7 +100,10 @@ pub(in crate::net) struct LinkThread {
 #[derive(Debug)]
 struct Shared {
     bell: EventFd,
+    /// The thread is to end.
     ended: AtomicBool,
+    /// It has ended, requested or not.
+    gone: AtomicBool,
     arrivals: Mutex<Vec<Desk>>,
 }
 
@@ -105,10 +113,18 @@ impl LinkThread {
         let epoll = Epoll::new(EpollCreateFlags::EPOLL_CLOEXEC)?;
         let bell = EventFd::from_flags(EfdFlags::EFD_CLOEXEC | EfdFlags::EFD_NONBLOCK)?;
         epoll.add(&bell, EpollEvent::new(EpollFlags::EPOLLIN, BELL))?;
-        let shared = Arc::new(Shared { bell, ended: AtomicBool::new(false), arrivals: Mutex::default() });
+        let shared = Arc::new(Shared {
+            bell,
+            ended: AtomicBool::new(false),
+            gone: AtomicBool::new(false),
+            arrivals: Mutex::default(),
+        });
+        let end = Gone(Arc::clone(&shared));
         let mut worker =
             Worker { epoll, shared: Arc::clone(&shared), desks: Vec::new(), next_id: 0, bytes: [0; ROOM] };
         let thread = Builder::new().name("fb-link".into()).spawn(move || {
+            // Dropped last, also by a panic.
+            let _end = end;
             rt::thread::helper_thread(core_of_loop);
             worker.run();
         })?;
@@ -146,6 +162,15 @@ impl Drop for LinkThread {
             // Not long: the thread waits for the eventfd only. A panic of a handshake has been printed by it.
             let _ = thread.join();
         }
+    }
+}
+
+/// Held by the thread: reports its end to the loop.
+struct Gone(Arc<Shared>);
+
+impl Drop for Gone {
+    fn drop(&mut self) {
+        self.0.gone.store(true, Ordering::Relaxed);
     }
 }
 

@@ -36,6 +36,7 @@ use crate::axis::{AxisPlan, FaultNames, Feedback, FoundRunning, Link, MonitorCha
 use crate::bus::{
     Bus, BusClock, BusPlan, Counters, Cycle, Exchange, Notes, OpenError, OwnCounter, Slot, Strangers,
 };
+use crate::errors::no_descriptor;
 use crate::net::frames::Unsent;
 use crate::net::{Carriers, Frames};
 use crate::rt::Regions;
@@ -410,7 +411,9 @@ fn remedy(source: &std::io::Error) -> &'static str {
             "sudo setcap cap_sys_nice,cap_ipc_lock,cap_net_raw+ep on the program, or run it as root"
         }
         ErrorKind::NotFound => "correct interface",
-        _ => "look at interface: a network interface like \"eth1\", or \"local:NAME\" for simulated drives",
+        _ => no_descriptor(source).unwrap_or(
+            "look at interface: a network interface like \"eth1\", or \"local:NAME\" for simulated drives",
+        ),
     }
 }
 
