@@ -8,7 +8,7 @@
 //! | `plan`, `mapping` | the bus as configured; its cyclic parameters as blocks |
 //! | `greeting` | the handshake on a new connection before the loop gets it |
 //! | `station` | the master's view of one drive |
-//! | `identity`, `orders`, `calls`, `native`, `counters` | its parts: matching of replies, steps of an order, acyclic calls, native process data, counts |
+//! | `identity`, `pace`, `orders`, `calls`, `native`, `counters` | its parts: matching of replies, whether they come inside the window, steps of an order, acyclic calls, native process data, counts |
 //! | `setup`, `echo`, `template` | settings before the first order, values that the drive has accepted, what stays the same between exchanges |
 //! | `bus` | stations and connections as one bus |
 //! | `sim` | the simulated drive |
@@ -29,6 +29,7 @@ mod echo;
 mod greeting;
 mod identity;
 mod orders;
+mod pace;
 mod plan;
 mod setup;
 mod station;

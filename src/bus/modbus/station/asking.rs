@@ -254,9 +254,10 @@ impl Station {
             self.beyond_ns = more.div_ceil(cycle.period_ns) * cycle.period_ns;
             self.window_ns = window_ns;
         }
+        self.pace.sent(cycle);
         let reply_by = cycle.deadline + self.beyond_ns;
         slot.counters.sent += 1;
-        slot.exchange = Exchange::Owed { sent_at: at, reply_by, awaited: true };
+        slot.exchange = Exchange::Owed { sent_at: at, reply_by, awaited: self.pace.awaited() };
     }
 
     /// These blocks went out.

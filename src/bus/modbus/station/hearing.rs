@@ -6,6 +6,7 @@ use crate::bus::modbus::echo::Echo;
 use crate::bus::modbus::identity::Whose;
 use crate::bus::modbus::mapping::{Block, Image, Places, Role};
 use crate::bus::modbus::native::NativePort;
+use crate::bus::modbus::pace::Pace;
 use crate::bus::modbus::parameter::{DRIVE_UNIT, Parameter, Width};
 use crate::bus::modbus::setup::Purpose;
 use crate::bus::modbus::wire::{ExceptionCode, Header, Registers, Response, ResponseError, frame};
@@ -33,7 +34,7 @@ impl Station {
             && let Some(data) = self.expected.values(&self.inbox[..self.filled])
         {
             self.identity.answer_open();
-            if close(at, slot) {
+            if close(&mut self.pace, at, slot) {
                 self.image.set_front(data);
                 self.cyclic_read(at, blocks, self.expected.places, slot);
             }
@@ -121,7 +122,7 @@ impl Station {
         if self.asked == What::Call {
             self.calls.answer(response);
         }
-        if !close(at, slot) {
+        if !close(&mut self.pace, at, slot) {
             return;
         }
         match self.asked {
@@ -352,7 +353,8 @@ impl Station {
 
 /// Ends the exchange as answered, if its time has not passed.
 #[inline]
-fn close(at: Time, slot: &mut Slot) -> bool {
+fn close(pace: &mut Pace, at: Time, slot: &mut Slot) -> bool {
+    pace.answered(at);
     let Exchange::Owed { sent_at, .. } = slot.exchange else {
         slot.counters.late += 1;
         return false;

@@ -19,6 +19,7 @@ use super::identity::Identity;
 use super::mapping::{Image, Mapping};
 use super::native::{Native, NativePort, native};
 use super::orders::{Inputs, Orders, Outputs};
+use super::pace::Pace;
 use super::plan::UnidriveDrive;
 use super::setup::{Purpose, Setting, settings};
 use super::template::{Expected, Template};
@@ -65,6 +66,7 @@ pub struct Station {
     /// than any.
     window_ns: u64,
     beyond_ns: u64,
+    pace: Pace,
     orders: Orders,
     calls: Calls,
     native: NativePort,
@@ -199,6 +201,7 @@ impl Station {
             reply_within_ns: drive.reply_within_ns,
             window_ns: u64::MAX,
             beyond_ns: 0,
+            pace: Pace::new(),
             orders: Orders::new(drive, interval_ns),
             calls: Calls::new(port, drive.addressing),
             native,
@@ -294,6 +297,9 @@ impl Station {
     /// The connection is gone.
     pub(super) fn disconnected(&mut self) {
         self.connected = false;
+        if self.identity.is_open() {
+            self.pace.unanswered();
+        }
         self.calls.lost();
     }
 
