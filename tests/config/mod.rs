@@ -797,6 +797,7 @@ set_up = false
 [[bus.drive]]
 name = "unwatched"
 address = "192.168.1.22"
+function = "16+3"
 watchdog.timeout = "off"
 no_drive_watchdog = "accept"
 stop.group = "own"
@@ -804,6 +805,7 @@ divisor = 1
 [[bus.drive]]
 name = "refused"
 address = "192.168.1.23"
+function = "23"
 watchdog.timeout = "off"
 stop.group = "own"
 [[bus]]
@@ -827,6 +829,8 @@ stop.group = "own"
             "drive direct: 192.168.1.21:502",
             "one request every 8 ms writes what changed and reads a part: status and speed within 3 requests, \
              all parameters within 12 requests",
+            "by FC23; a drive that refuses or ignores it is written by FC16 and read by FC03 in turns (no_fc23 \
+             counts that)",
             "a reply counts for 50 ms; after 100 ms of silence its connection is opened again, with pauses: a \
              stop request leaves with the first exchange on the new one, and until then only the drive's own \
              watchdog stops it",
@@ -855,6 +859,8 @@ stop.group = "own"
             "set_up = false: the master writes no settings, and enables the drive only if they are as needed",
         ),
         ("menu", "if the master dies: the drive trips within 1 s and its motor coasts (the keypad watchdog)"),
+        ("unwatched", "writing (FC16) and reading (FC03) take turns"),
+        ("refused", "by FC23 and no other function"),
         (
             "unwatched",
             "if the master dies: nothing stops the drive: it keeps its last speed (no_drive_watchdog = \"accept\")",
@@ -885,7 +891,7 @@ fn values_of_a_unidrive_arrive_where_they_belong() {
     assert!(format!("{:?}", read(&unidrive("", ""))).contains(&format!("{usual:?}")));
     let text = unidrive(
         "",
-        "unit = 1\nslot = 3\naddressing = \"modified\"\nvia = \"menu-0\"\nreply_within = \"20ms\"\nset_up = false\n\
+        "unit = 1\nslot = 3\naddressing = \"modified\"\nvia = \"menu-0\"\nfunction = \"16+3\"\nreply_within = \"20ms\"\nset_up = false\n\
          units = \"mm\"\nscale = 0.5\ninvert = true\n\
          map.control = { parameter = \"06.042\", bits = 32 }\nmap.speed = { parameter = \"18.011\", bits = \
              16, decimals = 2 }\n\
@@ -905,10 +911,10 @@ fn values_of_a_unidrive_arrive_where_they_belong() {
         "trip: None",
         &format!("show: [Some({}), Some({}), None, None]", long(5, 5), long(4, 1)),
         &format!("also: [{}, {}, {}, {}]", long(20, 21), long(20, 22), long(20, 23), long(5, 1)),
-        "via: Menu0 { first: 1 }, reply_within_ns: 20000000",
+        "via: Menu0 { first: 1 }, functions: Apart, reply_within_ns: 20000000",
         "Watchdog { timeout_ns: None, keypad: true, accept_none: true }, set_up: false",
         "split: 0.25, cut: 0.5",
-        "connections: 2, read_write: false, menu_zero: false, drive_units: [1]",
+        "connections: 2, read_write: Refused, registers: 120, menu_zero: false, drive_units: [1]",
         "rated_rpm: 1500.0",
         // 2 mm/s backwards are a revolution a second of an inverted motor.
         "start: Running(60.0)",

@@ -39,6 +39,8 @@ pub struct UnidriveDrive {
     pub map: Map,
     /// How they are reached.
     pub via: Via,
+    /// By which functions they are written and read.
+    pub functions: Functions,
     /// A reply counts for so long, ns. A Unidrive answers from a background task, without a guaranteed time.
     pub reply_within_ns: u64,
     /// What stops the drive if the master dies.
@@ -130,6 +132,18 @@ pub enum Via {
     },
 }
 
+/// The Modbus functions of the cyclic exchange.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Functions {
+    /// FC23; FC16 and FC03 in turns where the drive refuses FC23, ignores it, or closes the connection on it.
+    #[default]
+    Auto,
+    /// FC23, which writes and reads.
+    ReadWrite,
+    /// FC16 and FC03 in turns.
+    Apart,
+}
+
 /// What makes the drive stop by itself when nothing comes any more.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Watchdog {
@@ -189,6 +203,7 @@ impl UnidriveDrive {
             addressing: Addressing::Standard,
             map: Map::default(),
             via: Via::default(),
+            functions: Functions::default(),
             reply_within_ns: 50 * MS,
             watchdog: Watchdog::default(),
             set_up: true,
@@ -357,6 +372,17 @@ impl UnidriveDrive {
         let every = Ns(period_ns.saturating_mul(self.axis.divisor.into()));
         let mut lines = vec![self.address.to_string()];
         lines.extend(self.describe_exchange(every));
+        lines.push(
+            match self.functions {
+                Functions::Auto => {
+                    "by FC23; a drive that refuses or ignores it is written by FC16 and read by FC03 in turns \
+                     (no_fc23 counts that)"
+                }
+                Functions::ReadWrite => "by FC23 and no other function",
+                Functions::Apart => "writing (FC16) and reading (FC03) take turns",
+            }
+            .to_owned(),
+        );
         lines.push(format!(
             "a reply counts for {}; after {} of silence its connection is opened again, with pauses: a stop \
              request leaves with the first exchange on the new one, and until then only the drive's own \

@@ -34,6 +34,7 @@ impl Station {
             && let Some(data) = self.expected.values(&self.inbox[..self.filled])
         {
             self.identity.answer_open();
+            self.functions.answered(blocks.registers);
             if close(&mut self.pace, at, slot) {
                 self.image.set_front(data);
                 self.cyclic_read(at, blocks, self.expected.places, slot);
@@ -94,6 +95,9 @@ impl Station {
             Whose::Late => {
                 self.identity.answer(header.transaction);
                 slot.counters.late += 1;
+                if matches!(response, Response::ReadWritten { .. }) {
+                    self.functions.answered_late();
+                }
                 return;
             }
             Whose::Duplicate => {
@@ -119,8 +123,17 @@ impl Station {
         if matches!(response, Response::Exception { .. }) {
             Own::Exceptions.count(&mut slot.counters);
         }
-        if self.asked == What::Call {
-            self.calls.answer(response);
+        match self.asked {
+            What::Cyclic(blocks) if blocks.is_both() => {
+                if matches!(response, Response::ReadWritten { .. }) {
+                    self.functions.answered(blocks.registers);
+                }
+            }
+            What::Call => {
+                self.functions.other_answered();
+                self.calls.answer(response);
+            }
+            _ => self.functions.other_answered(),
         }
         if !close(&mut self.pace, at, slot) {
             return;
@@ -188,7 +201,7 @@ impl Station {
     /// The response to a cyclic request.
     fn cyclic(&mut self, at: Time, blocks: Blocks, response: &Response<'_>, slot: &mut Slot) {
         let data = match *response {
-            Response::Exception { code, .. } => return self.refuse(at, blocks, code),
+            Response::Exception { code, .. } => return self.refuse(at, blocks, code, slot),
             Response::Written { count, .. } => return self.written(at, blocks, count, slot),
             Response::Read { data } | Response::ReadWritten { data } => data,
             Response::WriteOne { .. } => return,
@@ -236,14 +249,14 @@ impl Station {
     }
 
     /// The drive has refused a cyclic request.
-    fn refuse(&mut self, at: Time, blocks: Blocks, code: ExceptionCode) {
+    fn refuse(&mut self, at: Time, blocks: Blocks, code: ExceptionCode, slot: &mut Slot) {
         match code {
             ExceptionCode::ACKNOWLEDGE | ExceptionCode::BUSY => {
                 self.busy_since.get_or_insert(at);
             }
-            ExceptionCode::FUNCTION if blocks.write.is_some() && blocks.read.is_some() => {
-                self.finding.read_write = false;
-                self.template = None;
+            _ if blocks.is_both() && self.functions.refused(code, blocks.registers) => {
+                self.no_read_write(slot);
+                self.orders.refused(blocks.control, blocks.reference);
             }
             _ => {
                 self.refused.0 += u32::from(blocks.write.is_some());
