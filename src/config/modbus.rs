@@ -64,11 +64,14 @@ fn drive(table: &mut Table<'_>, machine: &mut Machine, cycle: &CyclePlan, index:
             .unwrap_or(default.functions),
         reply_within_ns: table
             .time("reply_within", 100 * US..=10 * S, "the time within which a reply counts")
-            .unwrap_or(default.reply_within_ns),
+            .unwrap_or(0),
         watchdog: watchdog(table, default.watchdog),
         set_up: table.flag("set_up").unwrap_or(default.set_up),
         simulate: default.simulate,
     };
+    if drive.reply_within_ns == 0 {
+        drive.reply_within_ns = UnidriveDrive::usual_reply_within(&drive.watchdog, period_ns);
+    }
     drive.simulate = table.table("simulate", |table| simulate(table, &drive, period_ns, index));
     for fault in drive.faults(period_ns) {
         table.fault(fault.key, fault.message);

@@ -104,7 +104,7 @@ fn what_was_carried_out_without_an_answer_is_not_commanded_twice() {
 }
 
 /// The reference that a request writes, unless the drive does not know its function.
-fn reference(request: &[u8]) -> Option<i32> {
+pub(super) fn reference(request: &[u8]) -> Option<i32> {
     let addresses = [Parameter::REFERENCE, Parameter::new(0, 11)]
         .map(|parameter| parameter.address(Addressing::Standard, Width::Long).unwrap());
     match Request::parse(request).ok()?.1 {

@@ -2,6 +2,7 @@
 
 mod care;
 mod functions;
+mod loss;
 mod pace;
 
 use std::net::{Ipv4Addr, SocketAddrV4};
