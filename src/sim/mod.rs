@@ -184,6 +184,10 @@ pub struct FaultPlan {
     pub split: f64,
     /// A connection ends in the middle of a reply. No effect on datagrams.
     pub cut: f64,
+    /// A segment of a stream is lost, and so is each of its repetitions. The sender's host repeats it after its
+    /// retransmission timeout, 200 ms, and after twice the time each time after that; later segments of its
+    /// direction wait behind it. No effect on datagrams.
+    pub segment_loss: f64,
     /// Time from a request's arrival to its answer, ns.
     pub answer_ns: u64,
 }

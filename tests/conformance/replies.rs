@@ -454,6 +454,7 @@ pub fn the_accounts_hold_in_any_weather(subject: &'static dyn Subject) {
                 wrong_id: 0.02 * rate,
                 split: 0.05,
                 cut: 0.002,
+                segment_loss: 0.0,
                 answer_ns: 10 * US,
             };
             line.faults(index, plan);

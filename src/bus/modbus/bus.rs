@@ -92,14 +92,7 @@ impl ModbusBus {
                     Err(why) => why,
                 },
                 Err(Broken::Absent) => continue,
-                Err(Broken::Closed) => {
-                    station.ended(slot);
-                    "the drive has closed the connection"
-                }
-                Err(Broken::Failed(_)) => {
-                    station.ended(slot);
-                    "the connection broke"
-                }
+                Err(broken) => station.ended(broken, slot),
             };
             self.net.abandon(index, why);
         }
@@ -118,8 +111,8 @@ impl ModbusBus {
             Err(broken) => {
                 station.unsent(slot);
                 if broken != Broken::Absent {
-                    station.ended(slot);
-                    self.net.abandon(index, "the connection broke");
+                    let why = station.ended(broken, slot);
+                    self.net.abandon(index, why);
                 }
             }
         }
@@ -134,9 +127,9 @@ impl ModbusBus {
         match self.net.send(index, station.rest()) {
             Ok((_, count)) => station.rest_sent(count),
             Err(Broken::Absent) => {}
-            Err(_) => {
-                station.ended(slot);
-                self.net.abandon(index, "the connection broke");
+            Err(broken) => {
+                let why = station.ended(broken, slot);
+                self.net.abandon(index, why);
             }
         }
     }

@@ -36,7 +36,7 @@ mod table;
 
 use std::net::SocketAddrV4;
 
-pub use self::settings::{Holes, Interface, MotorSettings, SimSettings, Start, Watchdog};
+pub use self::settings::{Holes, Interface, MotorSettings, ReadWrite, SimSettings, Start, Watchdog};
 
 use self::drive::Drive;
 use self::server::Server;

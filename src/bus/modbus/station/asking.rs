@@ -17,6 +17,9 @@ impl Station {
     /// Builds the request of the next send. Built again for the same send, it is the same: state that changes with
     /// every request changes in [`sent`](Self::sent).
     pub fn prepare(&mut self, cycle: &Cycle, slot: &mut Slot) {
+        if slot.exchange == Exchange::Missed {
+            self.look_for_silence(slot);
+        }
         let native = &mut self.native;
         let outputs = self.orders.advance(cycle.grid, &self.inputs, slot, native);
         self.inputs.fresh = false;
@@ -42,6 +45,16 @@ impl Station {
             return;
         }
         self.length = self.prepare_next(outputs, calls);
+    }
+
+    /// A missed request by FC23 may be one that the drive ignores. The next one goes out behind it.
+    #[cold]
+    fn look_for_silence(&mut self, slot: &mut Slot) {
+        if self.asks_both() && self.rest().is_empty() && self.functions.ignored() {
+            self.no_read_write(slot);
+            self.identity.give_up();
+            self.pace.unanswered();
+        }
     }
 
     /// Chooses and builds the next request.
@@ -75,7 +88,7 @@ impl Station {
         let most = if urgent { 2 } else { 1 };
         match write {
             None => both,
-            Some(_) if self.finding.read_write => both,
+            Some(_) if self.functions.is_used() => both,
             Some(_) if self.written_in_a_row < most => Blocks { read: None, confirms: false, ..both },
             Some(_) => Blocks { write: None, ..both },
         }
@@ -137,7 +150,8 @@ impl Station {
         {
             template.refill(&mut self.out, transaction, self.outputs);
             let (control, reference) = (template.control.is_some(), template.reference.is_some());
-            self.prepared = What::Cyclic(Blocks { control, reference, ..blocks });
+            self.prepared =
+                What::Cyclic(Blocks { control, reference, registers: template.registers, ..blocks });
             return template.length;
         }
         self.prepared = next;
@@ -181,6 +195,8 @@ impl Station {
         }
         (blocks.control, blocks.reference) = (control.is_some(), reference.is_some());
         let data = data.registers();
+        blocks.registers = data.len() as u16 + read.map_or(0, |read| read.registers);
+        let registers = blocks.registers;
         let unit = self.finding.unit;
         let request = match (write, read) {
             (Some(write), Some(read)) => {
@@ -206,7 +222,7 @@ impl Station {
         let (control, reference) = places;
         let blocks = (blocks.write, blocks.read);
         let only = mapping.writes().len() == 1 && mapping.reads().len() == 1 && blocks == (Some(0), Some(0));
-        let template = Template { blocks, only, length, control, reference, expected };
+        let template = Template { blocks, only, registers, length, control, reference, expected };
         self.template = (length > 0 && found).then_some(template);
         length
     }
@@ -254,9 +270,10 @@ impl Station {
             self.beyond_ns = more.div_ceil(cycle.period_ns) * cycle.period_ns;
             self.window_ns = window_ns;
         }
+        self.pace.sent(cycle);
         let reply_by = cycle.deadline + self.beyond_ns;
         slot.counters.sent += 1;
-        slot.exchange = Exchange::Owed { sent_at: at, reply_by, awaited: true };
+        slot.exchange = Exchange::Owed { sent_at: at, reply_by, awaited: self.pace.awaited() };
     }
 
     /// These blocks went out.

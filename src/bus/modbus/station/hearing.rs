@@ -6,6 +6,7 @@ use crate::bus::modbus::echo::Echo;
 use crate::bus::modbus::identity::Whose;
 use crate::bus::modbus::mapping::{Block, Image, Places, Role};
 use crate::bus::modbus::native::NativePort;
+use crate::bus::modbus::pace::Pace;
 use crate::bus::modbus::parameter::{DRIVE_UNIT, Parameter, Width};
 use crate::bus::modbus::setup::Purpose;
 use crate::bus::modbus::wire::{ExceptionCode, Header, Registers, Response, ResponseError, frame};
@@ -33,7 +34,8 @@ impl Station {
             && let Some(data) = self.expected.values(&self.inbox[..self.filled])
         {
             self.identity.answer_open();
-            if close(at, slot) {
+            self.functions.answered(blocks.registers);
+            if close(&mut self.pace, at, slot) {
                 self.image.set_front(data);
                 self.cyclic_read(at, blocks, self.expected.places, slot);
             }
@@ -93,6 +95,9 @@ impl Station {
             Whose::Late => {
                 self.identity.answer(header.transaction);
                 slot.counters.late += 1;
+                if matches!(response, Response::ReadWritten { .. }) {
+                    self.functions.answered_late();
+                }
                 return;
             }
             Whose::Duplicate => {
@@ -118,10 +123,19 @@ impl Station {
         if matches!(response, Response::Exception { .. }) {
             Own::Exceptions.count(&mut slot.counters);
         }
-        if self.asked == What::Call {
-            self.calls.answer(response);
+        match self.asked {
+            What::Cyclic(blocks) if blocks.is_both() => {
+                if matches!(response, Response::ReadWritten { .. }) {
+                    self.functions.answered(blocks.registers);
+                }
+            }
+            What::Call => {
+                self.functions.other_answered();
+                self.calls.answer(response);
+            }
+            _ => self.functions.other_answered(),
         }
-        if !close(at, slot) {
+        if !close(&mut self.pace, at, slot) {
             return;
         }
         match self.asked {
@@ -187,7 +201,7 @@ impl Station {
     /// The response to a cyclic request.
     fn cyclic(&mut self, at: Time, blocks: Blocks, response: &Response<'_>, slot: &mut Slot) {
         let data = match *response {
-            Response::Exception { code, .. } => return self.refuse(at, blocks, code),
+            Response::Exception { code, .. } => return self.refuse(at, blocks, code, slot),
             Response::Written { count, .. } => return self.written(at, blocks, count, slot),
             Response::Read { data } | Response::ReadWritten { data } => data,
             Response::WriteOne { .. } => return,
@@ -235,14 +249,14 @@ impl Station {
     }
 
     /// The drive has refused a cyclic request.
-    fn refuse(&mut self, at: Time, blocks: Blocks, code: ExceptionCode) {
+    fn refuse(&mut self, at: Time, blocks: Blocks, code: ExceptionCode, slot: &mut Slot) {
         match code {
             ExceptionCode::ACKNOWLEDGE | ExceptionCode::BUSY => {
                 self.busy_since.get_or_insert(at);
             }
-            ExceptionCode::FUNCTION if blocks.write.is_some() && blocks.read.is_some() => {
-                self.finding.read_write = false;
-                self.template = None;
+            _ if blocks.is_both() && self.functions.refused(code, blocks.registers) => {
+                self.no_read_write(slot);
+                self.orders.refused(blocks.control, blocks.reference);
             }
             _ => {
                 self.refused.0 += u32::from(blocks.write.is_some());
@@ -352,7 +366,8 @@ impl Station {
 
 /// Ends the exchange as answered, if its time has not passed.
 #[inline]
-fn close(at: Time, slot: &mut Slot) -> bool {
+fn close(pace: &mut Pace, at: Time, slot: &mut Slot) -> bool {
+    pace.answered(at);
     let Exchange::Owed { sent_at, .. } = slot.exchange else {
         slot.counters.late += 1;
         return false;

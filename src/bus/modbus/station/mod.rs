@@ -19,13 +19,16 @@ use super::identity::Identity;
 use super::mapping::{Image, Mapping};
 use super::native::{Native, NativePort, native};
 use super::orders::{Inputs, Orders, Outputs};
+use super::pace::Pace;
 use super::plan::UnidriveDrive;
+use super::read_write::ReadWrite;
 use super::setup::{Purpose, Setting, settings};
 use super::template::{Expected, Template};
 use super::wire::{ADU_MAX, RegistersBuffer};
 use super::words::ControlWord;
 use crate::axis::acyclic::{self, AcyclicEnds};
 use crate::bus::{Cycle, Slot};
+use crate::net::Broken;
 use crate::rt::Regions;
 use crate::time::Time;
 
@@ -52,6 +55,7 @@ pub struct Station {
     menu_0: Option<Mapping>,
     found: Arc<Found>,
     finding: Finding,
+    functions: ReadWrite,
     /// No time-out has to be set in the drive before it is enabled.
     unwatched: bool,
     /// The settings that make the drive follow the control word and watch it: written with the first order that
@@ -65,6 +69,7 @@ pub struct Station {
     /// than any.
     window_ns: u64,
     beyond_ns: u64,
+    pace: Pace,
     orders: Orders,
     calls: Calls,
     native: NativePort,
@@ -109,7 +114,7 @@ pub struct Station {
     inputs: Inputs,
     control: Echo,
     reference: Echo,
-    /// The control word that the drive accepted last, and the one sent last, on whatever connection.
+    /// The control word that the drive accepted last, or had at first, and the one sent last, on whatever connection.
     control_taken: Option<ControlWord>,
     control_sent: Option<ControlWord>,
     /// The trip number in the image is that of the present trip; without one, it was read since the last healthy
@@ -165,6 +170,15 @@ struct Blocks {
     reference: bool,
     /// The block to read is out of turn.
     confirms: bool,
+    /// The registers of both together.
+    registers: u16,
+}
+
+impl Blocks {
+    /// It writes and reads: FC23.
+    fn is_both(&self) -> bool {
+        self.write.is_some() && self.read.is_some()
+    }
 }
 
 /// Why a connection has to be given up.
@@ -190,6 +204,7 @@ impl Station {
             menu_0: mappings.1,
             found,
             finding: Finding::default(),
+            functions: ReadWrite::new(drive.functions),
             unwatched: drive.watchdog.timeout_ns.is_none()
                 && (drive.watchdog.keypad || drive.watchdog.accept_none),
             settings: if drive.set_up { settings(drive, None).into() } else { Box::default() },
@@ -199,6 +214,7 @@ impl Station {
             reply_within_ns: drive.reply_within_ns,
             window_ns: u64::MAX,
             beyond_ns: 0,
+            pace: Pace::new(),
             orders: Orders::new(drive, interval_ns),
             calls: Calls::new(port, drive.addressing),
             native,
@@ -268,6 +284,7 @@ impl Station {
         self.settable = !self.settings.is_empty();
         self.orders.found(finding.watched || self.unwatched, finding.obeys, self.settable);
         self.identity.reconnected();
+        self.functions.reconnected();
         (self.template, self.expected) = (None, Expected::default());
         (self.filled, self.length, self.open, self.gone) = (0, 0, 0, 0);
         (self.refused, self.busy_since, self.written_in_a_row) = ((0, 0), None, 0);
@@ -285,6 +302,8 @@ impl Station {
             (self.control_taken, self.control_sent) = (None, None);
             self.orders.drive_restarted();
         }
+        // Until it has accepted another one, this is no sign of a restart.
+        self.control_taken = self.control_taken.or(Some(finding.control));
         slot.reachable = true;
         if std::mem::replace(&mut self.opened_before, true) {
             Own::Reopened.count(&mut slot.counters);
@@ -294,14 +313,38 @@ impl Station {
     /// The connection is gone.
     pub(super) fn disconnected(&mut self) {
         self.connected = false;
+        if self.identity.is_open() {
+            self.pace.unanswered();
+        }
         self.calls.lost();
     }
 
-    /// The connection has ended at the other end.
-    pub(super) fn ended(&mut self, slot: &mut Slot) {
+    /// The open request writes and reads: FC23.
+    fn asks_both(&self) -> bool {
+        self.identity.is_open() && matches!(self.asked, What::Cyclic(blocks) if blocks.is_both())
+    }
+
+    /// FC23 was given up for this drive.
+    fn no_read_write(&mut self, slot: &mut Slot) {
+        self.template = None;
+        Own::NoReadWrite.count(&mut slot.counters);
+    }
+
+    /// The connection has ended at the other end, or broken: in words.
+    pub(super) fn ended(&mut self, broken: Broken, slot: &mut Slot) -> Why {
         let counter = if self.filled > 0 { Own::CutOff } else { Own::Closed };
         counter.count(&mut slot.counters);
+        let closed = matches!(broken, Broken::Closed | Broken::Failed(libc::ECONNRESET | libc::EPIPE));
+        let on_both = closed && self.asks_both() && self.functions.closed();
+        if on_both {
+            self.no_read_write(slot);
+        }
         self.disconnected();
+        match broken {
+            _ if on_both => "the drive closes it on FC23; FC16 and FC03 are used from now on",
+            Broken::Closed => "the drive has closed the connection",
+            _ => "the connection broke",
+        }
     }
 
     /// Why the connection has to be given up, if it has.
@@ -312,10 +355,11 @@ impl Station {
             () if !self.connected => return None,
             () if silent => "a request was not answered within twice its time",
             () if busy => "the drive is busy all the time",
-            () if self.refused.0.max(self.refused.1) >= MOST_REFUSALS => {
-                "the drive refuses its cyclic parameters"
+            () if self.refused.0.max(self.refused.1) < MOST_REFUSALS => return None,
+            () if self.functions.is_only() => {
+                "the drive refuses its requests by FC23: use function = \"auto\" if it does not have it"
             }
-            () => return None,
+            () => "the drive refuses its cyclic parameters",
         };
         Own::GivenUp.count(&mut slot.counters);
         self.disconnected();
