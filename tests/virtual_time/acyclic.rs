@@ -265,6 +265,19 @@ fn monitored_variables_are_in_the_feedback_in_their_units() {
 }
 
 #[test]
+fn a_variable_of_unknown_meaning_is_shown_raw_and_the_motor_temperature_in_degrees() {
+    let mut b = Rig::new(1)
+        .each(|_, drive| {
+            drive.monitor = MonitorPlan::Sources([Some(Upid(0x1B8D)), Some(Upid(0x1BF3)), None, None]);
+        })
+        .start();
+    b.online();
+    b.until("both are shown", 100, |b| b.feedback(0).monitor[1].is_some());
+    b.run(2);
+    assert_eq!(b.feedback(0).monitor, [Some(f64::from(0x8000_1B8D_u32)), Some(30.39), None, None]);
+}
+
+#[test]
 fn a_variable_that_the_drive_will_not_show_is_told_of_once() {
     let mut b = Rig::new(1)
         .each(|_, drive| {
