@@ -13,7 +13,7 @@ use crate::bus::BusPlan;
 use crate::bus::linudp::upid::{KNOWN, Upid};
 use crate::bus::linudp::{
     COUNTS_PER_MM, DRIVE_PORT, FlashMode, LinUdpDrive, LinUdpPlan, MASTER_PORT, MasterFilter, MonitorPlan,
-    PROTOCOL, SimPlan, StreamCommand, UnknownCommands,
+    PROTOCOL, ReplyTag, SimPlan, StreamCommand, UnknownCommands,
 };
 use crate::cycle::CyclePlan;
 use crate::net::SendMode;
@@ -74,7 +74,7 @@ fn drive(
         address,
         stream: stream(table, period_ns),
         monitor: monitor(table).unwrap_or_default(),
-        reply_tag: table.flag("reply_tag").unwrap_or(false),
+        reply_tag: table.word("reply_tag", &ReplyTag::WORDS).unwrap_or_default(),
         leash: leash(table),
         simulate: table.table("simulate", |table| simulate(table, &axis, period_ns, index)),
         axis,

@@ -404,7 +404,7 @@ sample_queue = 0
 parameter_queue = 64
 stream = "pva"
 monitor = false
-reply_tag = false
+reply_tag = "definition"
 no_drive_watchdog = "refuse"
 [bus.drive.stop]
 how = "ramp"

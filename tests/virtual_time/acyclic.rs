@@ -5,10 +5,10 @@ use std::collections::HashMap;
 use fieldbeat::axis::acyclic::{Call, CallError, CallTicket};
 use fieldbeat::axis::command::NativeOwner;
 use fieldbeat::axis::{EventKind, Health, Link, Verb};
-use fieldbeat::bus::linudp::MonitorPlan;
 use fieldbeat::bus::linudp::native::{Native, NativeOutput};
 use fieldbeat::bus::linudp::upid::{Upid, call};
 use fieldbeat::bus::linudp::wire::{Refusal, RtcBlock, RtcCommand};
+use fieldbeat::bus::linudp::{MonitorPlan, ReplyTag};
 use fieldbeat::sim::FaultPlan;
 use fieldbeat::time::{MS, S};
 
@@ -196,7 +196,8 @@ fn a_restart_ends_the_call_under_way_and_what_follows_is_of_the_new_life() {
 #[test]
 fn a_tag_in_each_request_and_calls_share_the_channel() {
     let weather = FaultPlan { seed: 3, drop: 0.05, delay: 0.05, delay_ns: MS, ..FaultPlan::default() };
-    let mut b = patient(Rig::new(1).each(|_, drive| drive.reply_tag = true).faults(weather)).start();
+    let mut b =
+        patient(Rig::new(1).each(|_, drive| drive.reply_tag = ReplyTag::Count).faults(weather)).start();
     b.online();
     b.write(0, "variable-1", 5).unwrap();
     let mut good = 0;

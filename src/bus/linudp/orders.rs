@@ -15,13 +15,18 @@ use crate::axis::limits::check_position;
 use crate::axis::units::{to_i32, to_u32};
 use crate::axis::{Failure, Limits, Move, Profile, RangeError, Row, State, Target, Units, Verb};
 use crate::bus::{Progress, Slot};
-use crate::time::{Time, nanos};
+use crate::time::{MS, Time, nanos};
 
 /// A stream ends with at least so many rows at standstill that the drive has accepted: its output runs 1.5 of its
 /// periods behind, and a position that it has not reached when it leaves streaming is never reached ...
 const LAST_ROWS: u32 = 3;
 /// ... and with at most so many, if its demand is never reported to have arrived.
 const MOST_LAST_ROWS: u32 = 50;
+
+/// A drive that is still in state 8 after so many answers ...
+const ABORT_WITHIN: u32 = 5;
+/// ... and so long, ns, does not obey /Abort. Its status may be some ms old (sheet, 3.5).
+const ABORT_WITHIN_NS: u64 = 20 * MS;
 
 /// Powered and holding, out of operation.
 const HELD: ControlWord = ControlWord(ControlWord::ON.0 & !ControlWord::ENABLE_OPERATION);
@@ -58,6 +63,12 @@ impl Inputs {
     fn settled_error(&self) -> bool {
         matches!(self.state.main(), MainState::ERROR | MainState::SETUP_ERROR)
     }
+
+    /// The setpoint generator runs. In state 8 the sub state is sampled together with the count echo; elsewhere the
+    /// status word has to be used.
+    pub(super) fn moving(&self) -> bool {
+        self.state.motion_active().unwrap_or(self.status.motion_active())
+    }
 }
 
 /// The blocks of the next request.
@@ -85,6 +96,11 @@ pub(super) struct Orders {
     answers: u32,
     /// Requests sent since the step began.
     sent: u32,
+    /// What the last of those replies said of the drive: main state, and whether its motion runs.
+    said: Option<(MainState, bool)>,
+    /// The last two of them say the same. A single reply that comes again, many cycles late, may look like the newest;
+    /// it is no reason to report that an order is done.
+    confirmed: bool,
     control: Option<ControlWord>,
     /// The control words of the last request that went out, and of the one before.
     control_sent: Option<ControlWord>,
@@ -166,6 +182,8 @@ impl Orders {
             since: Time(0),
             answers: 0,
             sent: 0,
+            said: None,
+            confirmed: false,
             control: None,
             control_sent: None,
             control_before: None,
@@ -181,6 +199,7 @@ impl Orders {
         self.sent = self.sent.saturating_add(1);
         self.control_before = std::mem::replace(&mut self.control_sent, self.control);
         self.native = None;
+        self.channel.sent();
     }
 
     /// The drive reports that its power stage may not come on although the last requests allowed it: an input of
@@ -194,9 +213,10 @@ impl Orders {
         !status.has(StatusWord::VOLTAGE_ENABLE) && allowed(self.control_sent) && allowed(self.control_before)
     }
 
-    /// The drive came back from a restart: its counts start anew, and earlier commands are lost.
+    /// The drive came back from a restart: earlier commands are lost. Its count starts anew, and is reported before the
+    /// next command is sent.
     pub(super) fn drive_restarted(&mut self) {
-        self.channel = MotionChannel::default();
+        self.channel.clear();
         if self.control.is_some() {
             self.control = Some(ControlWord::BASE);
         }
@@ -218,11 +238,16 @@ impl Orders {
             if inputs.clean && self.sent > 0 {
                 // A step may last for ever: at 1 kHz the count is full after 50 days.
                 self.answers = self.answers.saturating_add(1);
+                let said = Some((inputs.state.main(), inputs.moving()));
+                self.confirmed = std::mem::replace(&mut self.said, said) == said;
             }
             if let Some(echo) = inputs.state.count()
                 && let Err(failure) = self.channel.take(echo, inputs.clean)
             {
                 self.finish(Err(failure));
+            }
+            if self.channel.is_accepted() && !matches!(self.step, Step::Moving | Step::Rolling(_)) {
+                self.channel.clear();
             }
         }
         if slot.order.serial != self.serial {
@@ -251,7 +276,7 @@ impl Orders {
         if self.native.is_some() {
             return;
         }
-        let free = self.channel.command.is_none() || inputs.state.count().is_none();
+        let free = self.channel.is_free() || inputs.state.count().is_none();
         let Some(output) = native.next(free) else { return };
         if output.motion.is_some_and(|command| command.id == MotionCommand::reset_firmware().id) {
             // With any count but 0 the drive restarts again and again (sheet, 4.3), and with 0 it does nothing if that
@@ -270,13 +295,12 @@ impl Orders {
 
     fn enter(&mut self, now: Time, step: Step) {
         (self.step, self.since, self.answers, self.sent) = (step, now, 0, 0);
+        (self.said, self.confirmed) = (None, false);
     }
 
     fn finish(&mut self, end: Result<(), Failure>) {
-        if end.is_err() {
-            // A motion that has failed for the application must not run once the drive can accept it.
-            self.channel.clear();
-        }
+        // A motion that has failed for the application must not run once the drive can accept it.
+        self.channel.clear();
         self.native = None;
         self.end = Some(end);
         self.step = Step::Idle;
@@ -372,11 +396,16 @@ impl Orders {
 
     fn go_on(&mut self, now: Time, fresh: bool, inputs: &Inputs, slot: &mut Slot) {
         let state = inputs.state.main();
-        let answered = fresh && self.answers > 0;
+        let answered = fresh && inputs.clean && self.answers > 0;
+        let confirmed = answered && self.confirmed;
         let operating = state == MainState::OPERATION_ENABLED;
         let failed = inputs.failed();
         let drive_fault = Failure::DriveFault(u32::from(inputs.fault.0));
         let timed_out = |limit_ns: u64| now.since(self.since) > limit_ns;
+        if answered && failed && inputs.fault == ErrorCode::NONE && !confirmed {
+            // Every second reply has the error code (`station`); no order fails without it.
+            return;
+        }
         match self.step {
             Step::Idle => {}
             Step::EnableLow | Step::EnableHigh if answered && failed => self.finish(Err(drive_fault)),
@@ -390,14 +419,14 @@ impl Orders {
                 self.enter(now, Step::EnableHigh);
                 self.since = begun;
             }
-            Step::EnableHigh if answered && operating => self.finish(Ok(())),
+            Step::EnableHigh if confirmed && operating => self.finish(Ok(())),
             Step::EnableLow | Step::EnableHigh if timed_out(self.enable_timeout_ns) => {
                 self.control = Some(self.rest);
                 self.finish(Err(Failure::TimedOut(slot.report.state)));
             }
             Step::EnableLow | Step::EnableHigh => {}
 
-            Step::Disabling if answered && !slot.report.state.is_powered() => self.finish(Ok(())),
+            Step::Disabling if confirmed && !slot.report.state.is_powered() => self.finish(Ok(())),
             Step::Disabling if timed_out(self.enable_timeout_ns) => {
                 self.finish(Err(Failure::TimedOut(slot.report.state)));
             }
@@ -407,7 +436,7 @@ impl Orders {
                 self.control = Some(ControlWord::ON);
                 self.enter(now, Step::HomeDone);
             }
-            Step::HomeDone if answered && operating => self.finish(Ok(())),
+            Step::HomeDone if confirmed && operating => self.finish(Ok(())),
             Step::Homing | Step::HomeDone if answered && failed => self.finish(Err(drive_fault)),
             Step::Homing | Step::HomeDone if answered && !slot.report.state.is_powered() => {
                 self.finish(Err(Failure::Dropped(slot.report.state)));
@@ -418,14 +447,24 @@ impl Orders {
             }
             Step::Homing | Step::HomeDone => {}
 
+            // The drive does not quick stop: its parameters force this bit of the control word, as they often do (sheet,
+            // 3.1). The ramp is a motion command, which needs none.
+            Step::Aborting if answered && operating => {
+                if self.answers > ABORT_WITHIN && timed_out(ABORT_WITHIN_NS) {
+                    let most = self.limits.acceleration.unwrap_or(self.profile.deceleration);
+                    self.begin_stop(now, Some(most), inputs);
+                }
+            }
             Step::Aborting => {
-                let standing = !slot.report.moving && self.answers >= 2;
-                if answered && (standing || !slot.report.state.is_powered()) {
+                if confirmed && (!inputs.moving() || !slot.report.state.is_powered()) {
                     self.control = Some(self.as_found(inputs));
                     self.enter(now, Step::AbortDone);
                 }
             }
-            Step::AbortDone if answered && (operating || !slot.report.state.is_powered()) => {
+            Step::AbortDone if confirmed && operating && inputs.moving() => {
+                self.begin_stop(now, None, inputs);
+            }
+            Step::AbortDone if confirmed && (operating || !slot.report.state.is_powered()) => {
                 self.control = Some(self.as_found(inputs));
                 self.finish(Ok(()));
             }
@@ -436,7 +475,7 @@ impl Orders {
                 self.begin_acknowledge(now, inputs);
                 self.since = begun;
             }
-            Step::AcknowledgeWaiting if answered && !failed => self.finish(Ok(())),
+            Step::AcknowledgeWaiting if confirmed && !failed => self.finish(Ok(())),
             Step::AcknowledgeWaiting if timed_out(self.enable_timeout_ns) => self.finish(Err(drive_fault)),
             Step::AcknowledgeWaiting => {}
             Step::AcknowledgeLow if answered => {
@@ -449,7 +488,7 @@ impl Orders {
                 self.control = Some(ControlWord::BASE);
                 self.enter(now, Step::AcknowledgeDone);
             }
-            Step::AcknowledgeDone if answered && !failed => self.finish(Ok(())),
+            Step::AcknowledgeDone if confirmed && !failed => self.finish(Ok(())),
             Step::AcknowledgeLow | Step::Acknowledging | Step::AcknowledgeDone
                 if timed_out(self.enable_timeout_ns) =>
             {
@@ -463,11 +502,8 @@ impl Orders {
             Step::Native(NativeOwner::Application) => {}
             _ if answered && !operating => self.finish(Err(Failure::Dropped(slot.report.state))),
 
-            Step::Moving => {
-                if answered && self.channel.command.is_none() && !slot.report.moving {
-                    self.finish(Ok(()));
-                }
-            }
+            Step::Moving if answered && self.channel.is_over(inputs.state) => self.finish(Ok(())),
+            Step::Moving => {}
             Step::Rolling(rolling) => self.roll(now, answered, rolling, inputs, slot),
             Step::FollowWaiting | Step::Following { .. } => self.follow(now, inputs, slot),
             Step::FollowEnding { taken, last } => self.end_stream(now, taken, last, fresh, inputs),
@@ -576,14 +612,14 @@ impl Orders {
     }
 
     fn roll(&mut self, now: Time, answered: bool, rolling: Rolling, inputs: &Inputs, slot: &Slot) {
-        if self.channel.command.is_some() || !answered {
+        if !self.channel.is_accepted() || !answered {
             return;
         }
         let left = (rolling.target - self.demand(inputs)).abs();
         if slot.velocity != rolling.velocity {
             self.roll_on(now, Rolling { velocity: slot.velocity, ..rolling }, inputs);
         } else if rolling.at_limit {
-            if !slot.report.moving {
+            if self.channel.is_over(inputs.state) {
                 let (low, high) = self.limits.position.unwrap_or((rolling.target, rolling.target));
                 self.finish(Err(Failure::Limit { what: "position", value: rolling.target, low, high }));
             }
@@ -675,7 +711,8 @@ impl Orders {
             return;
         }
         self.sent = 0;
-        let taken = taken + u32::from(fresh && inputs.state.count() == self.channel.count);
+        let echoed = fresh && inputs.clean && inputs.state.count() == self.channel.count;
+        let taken = taken + u32::from(echoed);
         let arrived = self.position(last.position) == Ok(Position(inputs.demand as i32));
         if taken > LAST_ROWS && arrived || taken > MOST_LAST_ROWS {
             return self.command(now, MotionCommand::stream_end(), Step::Moving);

@@ -40,8 +40,8 @@ pub struct LinUdpDrive {
     pub stream: Option<StreamCommand>,
     /// What the four monitoring channels show, if they are asked for.
     pub monitor: MonitorPlan,
-    /// Carry a real-time-config NOP with a new count in each request: its echo tells which request a reply answers.
-    pub reply_tag: bool,
+    /// What tells which request a reply answers.
+    pub reply_tag: ReplyTag,
     /// How far a jog runs ahead at most, user units. A LinUDP drive has no watchdog, so a jog is a target that rolls
     /// ahead of the axis; if the master dies the axis runs this far. `None`: jogs are refused (`no_drive_watchdog`).
     pub leash: Option<f64>,
@@ -65,11 +65,32 @@ impl LinUdpDrive {
             address: SocketAddrV4::new(address, DRIVE_PORT),
             stream: Some(StreamCommand::Pva),
             monitor: MonitorPlan::Off,
-            reply_tag: false,
+            reply_tag: ReplyTag::default(),
             leash: None,
             simulate: SimPlan::default(),
         }
     }
+}
+
+/// What tells which request a reply answers: LinUDP has no sequence number.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ReplyTag {
+    /// Each request asks for other blocks than the one before it, and the reply echoes its definition: warn word, error
+    /// code and monitoring channels come in turn, in eight combinations; monitoring channels that are shown come in
+    /// each reply, and there are four.
+    #[default]
+    Definition,
+    /// A real-time-config no-operation with a new count in each request, which the reply echoes: fourteen values, eight
+    /// bytes more in both directions.
+    Count,
+    /// Nothing: all requests ask for the same blocks. After a missed exchange the next reply is suspect.
+    Off,
+}
+
+impl ReplyTag {
+    /// Its words in the configuration.
+    pub const WORDS: [(&'static str, ReplyTag); 3] =
+        [("definition", ReplyTag::Definition), ("count", ReplyTag::Count), ("off", ReplyTag::Off)];
 }
 
 /// What the four monitoring channels of a drive show (LinUDP V2 manual, 4.4.9).

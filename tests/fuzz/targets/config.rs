@@ -390,7 +390,7 @@ const KEYS: &[(&str, &str, &[&str])] = &[
         &["\"p\"", "\"pv\"", "\"p-configured\"", "\"pv-configured\"", "\"pva\"", "\"pva-configured\"", "\"off\""],
     ),
     (DRIVE, "monitor", &["true", "false"]),
-    (DRIVE, "reply_tag", &["true", "false"]),
+    (DRIVE, "reply_tag", &["\"definition\"", "\"count\"", "\"off\""]),
     (DRIVE, "no_drive_watchdog", &["\"accept\"", "\"refuse\""]),
     (DRIVE, "leash", &["20", "1e-300", "1e300"]),
     (DRIVE, "simulate.seed", &["0", "4294967295"]),
