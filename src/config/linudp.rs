@@ -1,6 +1,7 @@
 //! `protocol = "linudp-v2"`.
 
 use std::net::SocketAddrV4;
+use std::time::Duration;
 
 use super::drive::{Counts, axis};
 use super::faults::faults;
@@ -75,6 +76,9 @@ fn drive(
         stream: stream(table, period_ns),
         monitor: monitor(table).unwrap_or_default(),
         reply_tag: table.word("reply_tag", &ReplyTag::WORDS).unwrap_or_default(),
+        inhibit_after: table
+            .time("inhibit_after", ..=60 * S, "how long the hardware enable (STO) has to be missing")
+            .map_or(LinUdpDrive::INHIBIT_AFTER, Duration::from_nanos),
         leash: leash(table),
         simulate: table.table("simulate", |table| simulate(table, &axis, period_ns, index)),
         axis,
@@ -184,6 +188,9 @@ fn simulate(table: &mut Table<'_>, axis: &AxisPlan, period_ns: u64, index: usize
         stream_depth: table
             .integer("stream_depth", 1..=10_000, "setpoints that a stream holds ahead of its output")
             .unwrap_or(default.stream_depth),
+        status_lag_ns: table
+            .time("status_lag", ..=S, "how old the control word is that the status word reports")
+            .unwrap_or(default.status_lag_ns),
         force_enable_bits: table.flag("force_enable_bits").unwrap_or(false),
         start_running: table.flag("running").unwrap_or(false),
         config_time_ns: table

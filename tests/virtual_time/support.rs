@@ -272,6 +272,7 @@ pub fn drive(index: usize) -> LinUdpDrive {
         stream: Some(StreamCommand::Pva),
         monitor: MonitorPlan::Off,
         reply_tag: ReplyTag::default(),
+        inhibit_after: LinUdpDrive::INHIBIT_AFTER,
         leash: Some(20.0),
         simulate: SimPlan {
             faults: FaultPlan::default(),

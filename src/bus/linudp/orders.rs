@@ -89,6 +89,8 @@ pub(super) struct Orders {
     leash: Option<f64>,
     enable_timeout_ns: u64,
     home_timeout_ns: u64,
+    inhibit_after_ns: u64,
+    voltage: Voltage,
     serial: u64,
     step: Step,
     since: Time,
@@ -112,6 +114,19 @@ pub(super) struct Orders {
     /// once for one send, and a send may fail.
     native: Option<NativeOutput>,
     end: Option<Result<(), Failure>>,
+}
+
+/// Whether the drive lets its power stage come on, as the requests allow it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Voltage {
+    /// Not allowed, or not reported yet.
+    Unknown,
+    Present,
+    /// Since this reply; `lost` = it was present before.
+    Missing {
+        since: Time,
+        lost: bool,
+    },
 }
 
 /// The step of an order.
@@ -177,6 +192,8 @@ impl Orders {
             leash: drive.leash,
             enable_timeout_ns: nanos(drive.axis.enable_timeout),
             home_timeout_ns: nanos(drive.axis.home_timeout),
+            inhibit_after_ns: nanos(drive.inhibit_after),
+            voltage: Voltage::Unknown,
             serial: 0,
             step: Step::Idle,
             since: Time(0),
@@ -206,11 +223,25 @@ impl Orders {
     /// its own, such as the hardware enable (STO), prevents it. According to the sheet the bit is that of the
     /// control word as the drive sees it, its own inputs included; that a missing STO shows in it was not seen on
     /// hardware.
-    pub(super) fn is_inhibited(&self, status: StatusWord) -> bool {
+    ///
+    /// The status may be older than the control word (sheet, 3.5): a bit that was not there before has time to come. One
+    /// that was there and goes is no such lag, since the control word has not changed.
+    pub(super) fn inhibited(&mut self, at: Time, status: StatusWord, booting: bool) -> bool {
         let allowed =
             |word: Option<ControlWord>| word.is_some_and(|word| word.has(ControlWord::VOLTAGE_ENABLE));
-        // Almost always decided by the first of them.
-        !status.has(StatusWord::VOLTAGE_ENABLE) && allowed(self.control_sent) && allowed(self.control_before)
+        self.voltage = match self.voltage {
+            _ if booting || !allowed(self.control_sent) || !allowed(self.control_before) => Voltage::Unknown,
+            _ if status.has(StatusWord::VOLTAGE_ENABLE) => Voltage::Present,
+            Voltage::Unknown => Voltage::Missing { since: at, lost: false },
+            Voltage::Present => Voltage::Missing { since: at, lost: true },
+            missing @ Voltage::Missing { .. } => missing,
+        };
+        matches!(self.voltage, Voltage::Missing { lost: true, .. }) || self.lacks_voltage(at)
+    }
+
+    /// The same for long enough.
+    fn lacks_voltage(&self, at: Time) -> bool {
+        matches!(self.voltage, Voltage::Missing { since, .. } if at.since(since) >= self.inhibit_after_ns)
     }
 
     /// The drive came back from a restart: earlier commands are lost. Its count starts anew, and is reported before the
@@ -409,7 +440,7 @@ impl Orders {
         match self.step {
             Step::Idle => {}
             Step::EnableLow | Step::EnableHigh if answered && failed => self.finish(Err(drive_fault)),
-            Step::EnableLow | Step::EnableHigh if answered && self.is_inhibited(inputs.status) => {
+            Step::EnableLow | Step::EnableHigh if answered && self.lacks_voltage(inputs.at) => {
                 self.control = Some(ControlWord::BASE);
                 self.finish(Err(Failure::Inhibited));
             }

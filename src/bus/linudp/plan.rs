@@ -1,12 +1,13 @@
 //! A LinUDP bus as configured and checked.
 
 use std::net::{Ipv4Addr, SocketAddrV4};
+use std::time::Duration;
 
 use super::upid::Upid;
 use crate::axis::{AxisPlan, MonitorChannel, PlanFault, Units};
 use crate::net::SendMode;
 use crate::sim::FaultPlan;
-use crate::time::{MS, Ns, US};
+use crate::time::{MS, Ns, US, nanos};
 
 /// The master's port, source and destination of everything (manual, 4.3).
 pub const MASTER_PORT: u16 = 41136;
@@ -42,6 +43,9 @@ pub struct LinUdpDrive {
     pub monitor: MonitorPlan,
     /// What tells which request a reply answers.
     pub reply_tag: ReplyTag,
+    /// How long the drive has to report that its power stage may not come on, although the master allows it, until its
+    /// hardware enable (STO) counts as missing: its status may be some milliseconds older than the control word.
+    pub inhibit_after: Duration,
     /// How far a jog runs ahead at most, user units. A LinUDP drive has no watchdog, so a jog is a target that rolls
     /// ahead of the axis; if the master dies the axis runs this far. `None`: jogs are refused (`no_drive_watchdog`).
     pub leash: Option<f64>,
@@ -58,6 +62,9 @@ impl LinUdpPlan {
 }
 
 impl LinUdpDrive {
+    /// The usual `inhibit_after`: a status is up to 2 ms old (sheet, 3.5).
+    pub const INHIBIT_AFTER: Duration = Duration::from_millis(10);
+
     /// A drive at this address, in millimetres, with everything else as it is when a configuration says nothing of it.
     pub fn new(name: impl Into<String>, address: Ipv4Addr) -> LinUdpDrive {
         LinUdpDrive {
@@ -66,6 +73,7 @@ impl LinUdpDrive {
             stream: Some(StreamCommand::Pva),
             monitor: MonitorPlan::Off,
             reply_tag: ReplyTag::default(),
+            inhibit_after: LinUdpDrive::INHIBIT_AFTER,
             leash: None,
             simulate: SimPlan::default(),
         }
@@ -207,6 +215,11 @@ impl LinUdpDrive {
             let why = "has no effect: a LinUDP drive takes no torque setpoints; leave it out";
             faults.push(PlanFault::new("limits.torque", why));
         }
+        if self.inhibit_after >= self.axis.enable_timeout {
+            let why =
+                "must be shorter than enable_timeout, or no Enable would report a missing hardware enable";
+            faults.push(PlanFault::new("inhibit_after", why));
+        }
         let unit = self.axis.units.unit;
         match (self.leash, self.axis.limits.position) {
             (Some(leash), _) if !(leash > 0.0 && leash.is_finite()) => {
@@ -312,6 +325,16 @@ impl LinUdpDrive {
                 ));
             }
         }
+        lines.push(format!(
+            "tells late replies from new ones by {}; reports a missing hardware enable after {}",
+            match (self.reply_tag, self.monitor) {
+                (ReplyTag::Definition, MonitorPlan::Off) => "eight response definitions in turn",
+                (ReplyTag::Definition, _) => "four response definitions in turn",
+                (ReplyTag::Count, _) => "a count in each request",
+                (ReplyTag::Off, _) => "nothing: the reply after a missed exchange is not trusted",
+            },
+            Ns(nanos(self.inhibit_after))
+        ));
         let jog = match self.leash {
             Some(leash) => format!("a jog or cyclic velocity runs at most {leash} {unit} further"),
             None => "jogs and cyclic velocities are refused".to_owned(),
@@ -351,6 +374,8 @@ pub struct SimPlan {
     pub stream_patience: f64,
     /// Setpoints that a stream holds ahead of its output; one more ends in error 0082h. Not documented either.
     pub stream_depth: usize,
+    /// The drive's report of its control word, in the status word, is so old, ns.
+    pub status_lag_ns: u64,
     /// Bits 1-5 of the control word are forced to 1, as commonly parameterised.
     pub force_enable_bits: bool,
     /// Comes up with its motor enabled and a motion running, as if another master had died.
@@ -382,6 +407,7 @@ impl Default for SimPlan {
             stream_period_ns: MS,
             stream_patience: 2.5,
             stream_depth: 8,
+            status_lag_ns: 0,
             force_enable_bits: false,
             start_running: false,
             config_time_ns: 0,

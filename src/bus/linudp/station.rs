@@ -411,7 +411,7 @@ impl Station {
         report.homed = status.homed();
         if !suspect {
             // A reply to an earlier request may answer another control word.
-            report.inhibited = !booting && self.orders.is_inhibited(status);
+            report.inhibited = self.orders.inhibited(at, status, booting);
         }
         report.moving = self.inputs.moving();
         report.in_target = status.in_target();

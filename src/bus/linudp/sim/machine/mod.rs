@@ -11,6 +11,8 @@ mod settings;
 pub(super) use self::commands::{CURVE_SCALE, Taken};
 pub(super) use self::report::Variable;
 
+use std::collections::VecDeque;
+
 use self::commands::Effort;
 use self::sequence::Sequence;
 use self::settings::{RunMode, Settings};
@@ -96,6 +98,9 @@ pub(super) struct Machine {
     /// The hardware enable (STO) is open until then, whatever happens to the drive.
     inhibited_until: Time,
     inhibited: bool,
+    /// The control words that the status word is still to report, each with its time, and the one that it reports.
+    lagging: VecDeque<(Time, ControlWord)>,
+    reported: ControlWord,
     pub(super) memory: Memory,
     /// The settings in use.
     settings: Settings,
@@ -136,11 +141,14 @@ impl Machine {
             shuttle: None,
             inhibited_until: Time(0),
             inhibited: false,
+            lagging: VecDeque::new(),
+            reported: ControlWord(0),
         };
         machine.power_up(Time(0));
         if plan.start_running {
             machine.control = ControlWord::ON;
             machine.seen = machine.effective();
+            machine.reported = machine.seen;
             machine.mode = Mode::Operating(Task::Commands);
             machine.homed = true;
             machine.count = FOUND_COUNT;
@@ -165,6 +173,8 @@ impl Machine {
         self.memory.restart();
         self.stopped = false;
         self.control = ControlWord(0);
+        self.lagging.clear();
+        self.reported = self.effective();
         self.error = ErrorCode::NONE;
         self.offset = f64::from(self.plan.start_position) * METRE - self.plant.position();
         self.setpoints = Setpoints::at(self.actual().position, &self.plan);
@@ -221,6 +231,7 @@ impl Machine {
         if !self.stopped {
             self.transition(now);
         }
+        self.report_control(now);
     }
 
     /// Raises an error: a moving motor is stopped first. The first error stays.
@@ -244,6 +255,7 @@ impl Machine {
         self.now = now;
         self.memory.advance(now);
         self.inhibited = now < self.inhibited_until;
+        self.report_control(now);
         let actual = self.actual();
         if self.powered()
             && let Err(code) = self.setpoints.advance(now, dt_ns, actual)
@@ -331,6 +343,20 @@ impl Machine {
         self.offset = offset;
         self.homed = true;
         self.setpoints.stand_at(position);
+    }
+
+    /// The control word that the status word reports: the effective one, or an older one.
+    fn report_control(&mut self, now: Time) {
+        let effective = self.effective();
+        if self.lagging.back().map_or(self.reported, |(_, word)| *word) != effective {
+            self.lagging.push_back((now + self.plan.status_lag_ns, effective));
+        }
+        while let Some((due, word)) = self.lagging.front().copied()
+            && due <= now
+        {
+            self.lagging.pop_front();
+            self.reported = word;
+        }
     }
 
     /// At most one transition of the state machine, and its consequences: internal motions end with state 8.

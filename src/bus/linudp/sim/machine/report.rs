@@ -82,7 +82,7 @@ impl Machine {
             return StatusWord(0);
         }
         use StatusWord as W;
-        let control = self.effective();
+        let control = self.reported;
         let special = matches!(self.main().0, 9..=11 | 15..=17);
         let bits = [
             (self.main() >= MainState::OPERATION_ENABLED, W::OPERATION_ENABLED),

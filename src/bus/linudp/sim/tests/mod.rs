@@ -44,6 +44,7 @@ fn drive() -> LinUdpDrive {
         stream: Some(StreamCommand::P),
         monitor: MonitorPlan::Off,
         reply_tag: ReplyTag::default(),
+        inhibit_after: LinUdpDrive::INHIBIT_AFTER,
         leash: None,
         simulate: SimPlan {
             start_position: 2 * CM,
