@@ -151,7 +151,9 @@ fn leash(table: &mut Table<'_>) -> Option<f64> {
 
 fn simulate(table: &mut Table<'_>, axis: &AxisPlan, period_ns: u64, index: usize) -> SimPlan {
     let counts = |position: f64| counts(&axis.units, position);
-    let (low, high) = table.interval("range", "mechanical, in user units").unwrap_or({
+    let range = table.interval("range", "mechanical, in user units");
+    let endless = range.is_none() && axis.units.modulo.is_some();
+    let (low, high) = range.unwrap_or({
         match axis.limits.position {
             Some((low, high)) => (low - 5.0, high + 5.0),
             None => (-1000.0, 1000.0),
@@ -162,7 +164,7 @@ fn simulate(table: &mut Table<'_>, axis: &AxisPlan, period_ns: u64, index: usize
     };
     let home = inside(table, "home").unwrap_or(if low <= 0.0 && high >= 0.0 { 0.0 } else { low });
     let start = inside(table, "start").unwrap_or((low + high) / 2.0);
-    let ends = (counts(low), counts(high));
+    let ends = if endless { SimPlan::ENDLESS } else { (counts(low), counts(high)) };
     let default = SimPlan::default();
     SimPlan {
         faults: faults(table, Carrier::Datagrams, period_ns, index),

@@ -590,7 +590,7 @@ impl Orders {
         inputs: &Inputs,
     ) -> Result<MotionCommand, RangeError> {
         Ok(MotionCommand::vai_go_to(
-            self.position(position)?,
+            self.position(position, inputs)?,
             self.velocity(profile.velocity)?,
             self.acceleration(profile.acceleration)?,
             self.acceleration(self.braking(now, profile.deceleration, inputs))?,
@@ -616,8 +616,13 @@ impl Orders {
         asked.max(needed.min(most))
     }
 
-    fn position(&self, position: f64) -> Result<Position, RangeError> {
-        to_i32(self.units.counts(position), self.units.counts_per_unit, "units").map(Position)
+    /// The count of a rotary axis wraps around, in the drive as here: a target is at most half of its range away from
+    /// the demand, and the shorter way leads there.
+    fn position(&self, position: f64, inputs: &Inputs) -> Result<Position, RangeError> {
+        let from = if self.units.modulo.is_some() { inputs.demand } else { 0 };
+        let way = self.units.counts(position) - from as f64;
+        let way = to_i32(way, self.units.counts_per_unit, "units")?;
+        Ok(Position((from + i64::from(way)) as i32))
     }
 
     /// 1 um/s: ten times coarser than a count of 0.1 um.
@@ -715,7 +720,7 @@ impl Orders {
             return;
         }
         let row = Row { position: self.near(next.row.position, inputs), ..next.row };
-        if let Err(range) = self.stream_row(&row) {
+        if let Err(range) = self.stream_row(&row, inputs) {
             return self.refuse(now, range.into(), inputs);
         }
         self.step = if next.row.last {
@@ -726,10 +731,10 @@ impl Orders {
         (self.since, self.sent) = (now, 0);
     }
 
-    fn stream_row(&mut self, row: &Row) -> Result<(), RangeError> {
+    fn stream_row(&mut self, row: &Row, inputs: &Inputs) -> Result<(), RangeError> {
         let Some(command) = self.stream else { return Ok(()) };
         let scale = self.units.counts_per_unit;
-        let position = self.position(row.position)?;
+        let position = self.position(row.position, inputs)?;
         let velocity = SignedVelocity(to_i32(row.velocity * scale * 0.1, scale * 0.1, "units/s")?);
         let acceleration =
             SignedAcceleration(to_i32(row.acceleration * scale * 0.01, scale * 0.01, "units/s2")?);
@@ -744,13 +749,13 @@ impl Orders {
         self.sent = 0;
         let echoed = fresh && inputs.clean && inputs.state.count() == self.channel.count;
         let taken = taken + u32::from(echoed);
-        let arrived = self.position(last.position) == Ok(Position(inputs.demand as i32));
+        let arrived = self.position(last.position, inputs) == Ok(Position(inputs.demand as i32));
         if taken > LAST_ROWS && arrived || taken > MOST_LAST_ROWS {
             return self.command(now, MotionCommand::stream_end(), Step::Moving);
         }
         // The last row was in range, so is this one.
         let standing = Row { velocity: 0.0, acceleration: 0.0, ..last };
-        if self.stream_row(&standing).is_ok() {
+        if self.stream_row(&standing, inputs).is_ok() {
             self.step = Step::FollowEnding { taken, last };
         }
     }

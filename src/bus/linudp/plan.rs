@@ -361,7 +361,8 @@ pub struct SimPlan {
     pub filter: MasterFilter,
     /// The position at power-on, 0.1 um.
     pub start_position: i32,
-    /// Mechanical range, and the minimum and maximum position in ROM (UPIDs 146Eh and 146Fh), 0.1 um.
+    /// Mechanical range, and the minimum and maximum position in ROM (UPIDs 146Eh and 146Fh), 0.1 um. All counts: an
+    /// axis that turns without end, whose position count wraps around.
     pub range: (i32, i32),
     /// Moving mass, kg.
     pub mass_kg: f64,
@@ -416,6 +417,16 @@ impl Default for SimPlan {
             unknown_commands: UnknownCommands::default(),
             extend_sign: false,
         }
+    }
+}
+
+impl SimPlan {
+    /// The range of an axis that turns without end.
+    pub const ENDLESS: (i32, i32) = (i32::MIN, i32::MAX);
+
+    /// The axis turns without end.
+    pub fn is_endless(&self) -> bool {
+        self.range == SimPlan::ENDLESS
     }
 }
 

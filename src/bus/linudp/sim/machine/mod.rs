@@ -44,6 +44,10 @@ const NEWTON_PER_AMPERE: f64 = 20.0;
 /// The motion of a drive that is found running: slow, so that it lasts, and this far from the ends of the range.
 const SHUTTLE_VELOCITY: f64 = 0.02;
 const SHUTTLE_MARGIN: f64 = 0.1;
+/// As far as the motor of an endless axis turns, m.
+const ENDLESS: f64 = 1e9;
+/// All position counts, m: those of an endless axis wrap around.
+const ALL_COUNTS: f64 = 4_294_967_296.0 * METRE;
 /// The command count that another master left.
 const FOUND_COUNT: u8 = 5;
 
@@ -115,7 +119,10 @@ pub(super) struct Machine {
 impl Machine {
     pub(super) fn new(plan: &SimPlan) -> Machine {
         let metres = |count: i32| f64::from(count) * METRE;
-        let range = (metres(plan.range.0), metres(plan.range.1));
+        let range = match plan.is_endless() {
+            true => (-ENDLESS, ENDLESS),
+            false => (metres(plan.range.0), metres(plan.range.1)),
+        };
         let mut plant = Plant::new(PlantPlan { mass_kg: plan.mass_kg, range, ..PlantPlan::default() });
         plant.set_position(metres(plan.start_position));
         let memory = Memory::new(plan);
@@ -297,11 +304,12 @@ impl Machine {
     fn watch(&mut self) {
         let demand = counts(self.setpoints.demand().position, METRE);
         let settings = &self.settings;
+        let bounded = self.homed && !self.plan.is_endless();
         // A motor that presses against something is meant to lag behind.
         let lag = if self.effort == Effort::Position { self.lag() } else { 0.0 };
-        if self.homed && demand < settings.range.0 {
+        if bounded && demand < settings.range.0 {
             self.fail(ErrorCode::MIN_POSITION);
-        } else if self.homed && demand > settings.range.1 {
+        } else if bounded && demand > settings.range.1 {
             self.fail(ErrorCode::MAX_POSITION);
         } else if lag > settings.lag_moving {
             self.fail(ErrorCode::POSITION_LAG);
@@ -526,6 +534,15 @@ impl Machine {
     /// Following error, m, without sign.
     fn lag(&self) -> f64 {
         (self.setpoints.demand().position - self.actual().position).abs()
+    }
+
+    /// A position from the wire, in m. On an endless axis it is that of all its places which is nearest to the demand.
+    fn place(&self, position: f64) -> f64 {
+        if !self.plan.is_endless() {
+            return position;
+        }
+        let way = self.setpoints.demand().position - position;
+        position + (way / ALL_COUNTS).round() * ALL_COUNTS
     }
 
     fn in_target(&self) -> bool {
