@@ -326,12 +326,12 @@ impl LinUdpDrive {
             }
         }
         lines.push(format!(
-            "tells late replies from new ones by {}; reports a missing hardware enable after {}",
+            "a late reply is recognised by {}; a hardware enable (STO) counts as missing after {}",
             match (self.reply_tag, self.monitor) {
-                (ReplyTag::Definition, MonitorPlan::Off) => "eight response definitions in turn",
-                (ReplyTag::Definition, _) => "four response definitions in turn",
-                (ReplyTag::Count, _) => "a count in each request",
-                (ReplyTag::Off, _) => "nothing: the reply after a missed exchange is not trusted",
+                (ReplyTag::Definition, MonitorPlan::Off) => "its response definition, one of eight in turn",
+                (ReplyTag::Definition, _) => "its response definition, one of four in turn",
+                (ReplyTag::Count, _) => "its count, one of fourteen in turn",
+                (ReplyTag::Off, _) => "a missed exchange before it only",
             },
             Ns(nanos(self.inhibit_after))
         ));
