@@ -356,7 +356,13 @@ impl Station {
     fn read(&mut self, at: Time, view: &ResponseView<'_>, suspect: bool, slot: &mut Slot) {
         let (status, state) = (view.status().unwrap_or_default(), view.state().unwrap_or_default());
         // Blocks that this reply does not have are as in the last one that had them.
-        let fault = view.error().unwrap_or(ErrorCode(slot.report.fault as u16));
+        let fault = view.error().unwrap_or(match state.main() {
+            // The sub state is the low byte of the code, and no known code has more.
+            MainState::SETUP_ERROR | MainState::ERROR if slot.report.fault == 0 => {
+                ErrorCode(state.sub().into())
+            }
+            _ => ErrorCode(slot.report.fault as u16),
+        });
         let booting = status == StatusWord::default() && state == StateVar::default();
         let report = &mut slot.report;
         if booting && self.inputs.seen && !self.inputs.booting {

@@ -11,8 +11,8 @@ use fieldbeat::bus::linudp::motion::Decoded;
 use fieldbeat::bus::linudp::native::Native;
 use fieldbeat::bus::linudp::station::Station;
 use fieldbeat::bus::linudp::wire::{
-    ControlWord, ErrorCode, REQUEST_MAX, RESPONSE_MAX, Request, RequestDef, Response, ResponseDef, RtcBlock,
-    StateVar, StatusWord, WarnWord,
+    ControlWord, ErrorCode, MainState, REQUEST_MAX, RESPONSE_MAX, Request, RequestDef, Response, ResponseDef,
+    RtcBlock, StateVar, StatusWord, WarnWord,
 };
 use fieldbeat::bus::linudp::{COUNTS_PER_MM, LinUdpDrive, MonitorPlan, ReplyTag, StreamCommand};
 use fieldbeat::bus::{Cycle, Exchange, NumberedRow, Order, Progress, Report, Slot};
@@ -349,7 +349,12 @@ impl Rig {
         assert_eq!(report.current, response.current.map_or(before.current, |raw| f64::from(raw) * 1e-3));
         assert_eq!(report.warning, response.warn.map_or(before.warning, |raw| u32::from(raw.0)));
         let (status, state) = (response.status.unwrap_or_default(), response.state.unwrap_or_default());
-        let fault = response.error.map_or(before.fault, |raw| u32::from(raw.0));
+        // The sub state of the error states is the code.
+        let known = match state.main() {
+            MainState::SETUP_ERROR | MainState::ERROR if before.fault == 0 => u32::from(state.0 & 0xFF),
+            _ => before.fault,
+        };
+        let fault = response.error.map_or(known, |raw| u32::from(raw.0));
         assert_eq!((report.fault, report.homed), (if status.error() { fault } else { 0 }, status.homed()));
         let main = state.main().0;
         // Of a state that it cannot name it says nothing good.
