@@ -406,7 +406,8 @@ sample_queue = 0
 parameter_queue = 64
 stream = "pva"
 monitor = false
-reply_tag = false
+reply_tag = "definition"
+inhibit_after = "10ms"
 no_drive_watchdog = "refuse"
 [bus.drive.stop]
 how = "ramp"
@@ -436,6 +437,7 @@ home = 0
 start = 0
 mass = 1
 stream_period = "1ms"
+status_lag = "0us"
 force_enable_bits = false
 running = false
 config_time = "0us"
@@ -744,6 +746,8 @@ cycle: every 2 ms (500 Hz), on the last core, SCHED_FIFO 80 and all memory of th
 bus portal: linudp-v2, 4 drives
   drive x: 192.168.1.1:41136 -> 192.168.1.11:49360
     streams "pva", a setpoint every 2 ms (the drive takes 400 us ... 10 ms)
+    a late reply is recognised by its response definition, one of eight in turn; a hardware enable (STO) counts as
+        missing after 10 ms
     if the master dies: a LinUDP drive has no watchdog, a move runs to its target, jogs and cyclic velocities are
         refused, a stream ends in the drive's own underflow error
     an exchange every cycle (2 ms)
@@ -755,6 +759,8 @@ bus portal: linudp-v2, 4 drives
     limits: -10 ... 10.5 mm, 100 mm/s
   drive y: 192.168.1.1:41136 -> 192.168.1.12:49360
     no streams (stream = "off")
+    a late reply is recognised by its response definition, one of eight in turn; a hardware enable (STO) counts as
+        missing after 10 ms
     if the master dies: a LinUDP drive has no watchdog, a move runs to its target, a jog or cyclic velocity runs at
         most 7.5 mm further
     an exchange every 3 cycles (6 ms), phase 1
@@ -765,6 +771,8 @@ bus portal: linudp-v2, 4 drives
     limits: only the drive's own
   drive z: 192.168.1.1:41136 -> 192.168.1.13:49360
     streams "pva", a setpoint every 2 ms (the drive takes 400 us ... 10 ms)
+    a late reply is recognised by its response definition, one of eight in turn; a hardware enable (STO) counts as
+        missing after 10 ms
     if the master dies: a LinUDP drive has no watchdog, a move runs to its target, jogs and cyclic velocities are
         refused, a stream ends in the drive's own underflow error
     an exchange every cycle (2 ms)

@@ -48,7 +48,7 @@ pub fn drives(machine: &Machine, period: &str, bucket: u32, victim: u32) -> Path
         ("d1", "divisor = 5\nphase = 2"),
         (
             "d3",
-            "divisor = 4\nphase = 3\nmonitor = true\nreply_tag = true\nhealth.bucket = VICTIM\n\
+            "divisor = 4\nphase = 3\nmonitor = true\nreply_tag = \"count\"\nhealth.bucket = VICTIM\n\
              stop = { deceleration = 20000, timeout = \"1s\" }",
         ),
     ] {

@@ -6,6 +6,7 @@ mod acyclic;
 mod bring_up;
 mod carrier;
 mod counters;
+mod evidence;
 mod faults;
 #[path = "../support/fuse.rs"]
 mod fuse;

@@ -41,5 +41,5 @@ pub use rtc::UNACKNOWLEDGED;
 
 pub use plan::{
     COUNTS_PER_MM, DRIVE_PORT, FlashMode, LinUdpDrive, LinUdpPlan, MASTER_PORT, MasterFilter, MonitorPlan,
-    SimPlan, StreamCommand, UnknownCommands,
+    ReplyTag, SimPlan, StreamCommand, UnknownCommands,
 };

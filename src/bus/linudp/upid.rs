@@ -151,6 +151,15 @@ impl std::fmt::Display for Usage {
     }
 }
 
+/// How a raw value becomes one in its unit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scale {
+    /// One count is `10^-n` of the unit.
+    Decimals(u32),
+    /// Of the motor temperature: raw x 250/255 - 50 (a master in the field), to two decimals.
+    MotorTemperature,
+}
+
 /// What is known of a UPID.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Known {
@@ -160,8 +169,8 @@ pub struct Known {
     pub name: &'static str,
     /// Its type.
     pub kind: Type,
-    /// One of the drive's counts is `10^-decimals` of the unit below.
-    pub decimals: u32,
+    /// What a count of the drive is in the unit below.
+    pub scale: Scale,
     /// The unit of the scaled value; empty for a plain number.
     pub unit: &'static str,
 }
@@ -169,12 +178,16 @@ pub struct Known {
 impl Known {
     /// The scaled value of a raw one.
     pub fn value(&self, raw: u32) -> f64 {
-        self.kind.number(raw) as f64 / f64::from(10_u32.pow(self.decimals))
+        let number = self.kind.number(raw) as f64;
+        match self.scale {
+            Scale::Decimals(decimals) => number / f64::from(10_u32.pow(decimals)),
+            Scale::MotorTemperature => ((number * 250.0 / 255.0 - 50.0) * 100.0).round() / 100.0,
+        }
     }
 }
 
 const fn known(upid: u16, name: &'static str, kind: Type, decimals: u32, unit: &'static str) -> Known {
-    Known { upid: Upid(upid), name, kind, decimals, unit }
+    Known { upid: Upid(upid), name, kind, scale: Scale::Decimals(decimals), unit }
 }
 
 const fn number(upid: u16, name: &'static str, kind: Type) -> Known {
@@ -237,7 +250,8 @@ pub const KNOWN: &[Known] = &[
     known(0x1BCD, "core-temperature", Type::S16, 1, "C"),
     known(0x1BCE, "drive-temperature", Type::S16, 1, "C"),
     number(0x1BDD, "power-loss", Type::U16),
-    number(0x1BF3, "motor-temperature-raw", Type::U8),
+    // The low 16 bits.
+    Known { scale: Scale::MotorTemperature, ..known(0x1BF3, "motor-temperature", Type::U16, 0, "C") },
     number(0x1C00, "temperature-reserve", Type::S16),
     number(0x1C1B, "commutation-found", Type::S16),
     known(0x1CAF, "drive-timer", Type::U32, 0, "us"),
@@ -540,6 +554,10 @@ mod tests {
         assert_eq!(Upids.show("0x20A8", 0x1E0F), "7695 (0x1E0F)");
         assert_eq!(Upids.show("article-number", 0x4C45_4946), "\"FIEL\" (0x4C454946)");
         assert_eq!(Upids.number("core-temperature", 0xFFFE), -2);
+        for (raw, celsius) in [(0, -50.0), (51, 0.0), (82, 30.39), (255, 200.0), (0x7_0052, 30.39)] {
+            assert_eq!(Upid(0x1BF3).known().map(|known| known.value(raw)), Some(celsius), "{raw}");
+        }
+        assert_eq!(Upids.show("motor-temperature", 82), "82 (0x52) = 30.39 C");
         assert!(Upids.reason(0xC0).contains("no such UPID"));
     }
 

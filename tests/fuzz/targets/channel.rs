@@ -16,7 +16,7 @@ use fieldbeat::bus::linudp::native::{Native, NativeOutput};
 use fieldbeat::bus::linudp::upid::{Upid, call};
 use fieldbeat::bus::linudp::wire::{Request, Response, RtcBlock, RtcCommand, RtcStatus};
 use fieldbeat::bus::linudp::{
-    COUNTS_PER_MM, FlashMode, LinUdpDrive, LinUdpPlan, MonitorPlan, SimPlan, UNACKNOWLEDGED,
+    COUNTS_PER_MM, FlashMode, LinUdpDrive, LinUdpPlan, MonitorPlan, ReplyTag, SimPlan, UNACKNOWLEDGED,
 };
 use fieldbeat::bus::{Bus, BusPlan, OpenError};
 use fieldbeat::cycle::{CyclePlan, Overrun, Plan};
@@ -259,7 +259,7 @@ impl Bench {
         let sources = [Some(Upid(0x1E0F)), None, Some(Upid(0x1BCD)), None];
         let drive = LinUdpDrive {
             monitor: if has(1) { MonitorPlan::Sources(sources) } else { MonitorPlan::Off },
-            reply_tag: has(2),
+            reply_tag: if has(2) { ReplyTag::Count } else { ReplyTag::Definition },
             simulate: SimPlan {
                 config_time_ns: if has(3) { 25 * MS } else { 0 },
                 flash_time_ns: 150 * MS,

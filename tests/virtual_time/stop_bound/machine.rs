@@ -6,12 +6,12 @@ use std::time::Duration;
 
 use fastrand::Rng;
 use fieldbeat::axis::{
-    AxisPlan, EventKind, Feedback, Health, Link, Outcome, Row, StopCause, StopHow, StopPlan, StopThen,
-    Target, Verb,
+    AxisPlan, EventKind, Feedback, Health, Link, Outcome, Row, State as DriveState, StopCause, StopHow,
+    StopPlan, StopThen, Target, Verb,
 };
 use fieldbeat::bus::Cycle;
-use fieldbeat::bus::linudp::StreamCommand;
 use fieldbeat::bus::linudp::wire::{ControlWord, ErrorCode, Request, ResponseDef};
+use fieldbeat::bus::linudp::{ReplyTag, StreamCommand};
 use fieldbeat::cycle::Overrun;
 use fieldbeat::cycle::bound::stop_bound_cycles;
 use fieldbeat::cycle::engine::Flow;
@@ -147,7 +147,7 @@ impl Machine {
                 group: pick(&mut random, &[None, Some(1), Some(2), Some(3), Some(4)]),
                 ..axis.stop
             };
-            drive.reply_tag = random.bool();
+            drive.reply_tag = pick(&mut random, &ReplyTag::WORDS).1;
             drive.stream = Some(pick(&mut random, &[StreamCommand::Pva, StreamCommand::PvConfigured]))
                 .filter(|command| command.takes(every_ns));
             drive.simulate.stream_period_ns = every_ns;
@@ -308,7 +308,10 @@ impl Machine {
             let verb = match feedback.stopped {
                 _ if feedback.link != Link::Online || self.watches[axis].pending => None,
                 Some(_) => Some(Verb::Reset),
-                None if feedback.fault != 0 => Some(Verb::ResetFault),
+                // While the drive brakes by itself its code may still be to come.
+                None if feedback.fault != 0 || feedback.state == DriveState::FaultReactionActive => {
+                    Some(Verb::ResetFault)
+                }
                 None => {
                     assert!(!feedback.moving, "axis {axis} moves, and its latch is open: {feedback:?}");
                     continue;
