@@ -12,6 +12,7 @@ use super::native::{Native, NativePort, native};
 use super::orders::{Inputs, Orders, Outputs};
 use super::plan::{LinUdpDrive, MonitorPlan};
 use super::rtc::RtcChannel;
+use super::upid::commanding;
 use super::wire::{
     MainState, MotionBlock, Request, RequestDef, ResponseDef, ResponseView, RtcBlock, StateVar, StatusWord,
 };
@@ -119,7 +120,7 @@ impl Station {
     /// The station of `drive`, and the application's ends of its native process data and of its acyclic access.
     pub fn new(drive: &LinUdpDrive) -> (Station, Native, AcyclicEnds) {
         let (application, native) = native();
-        let (ends, port) = acyclic::queue(drive.axis.parameter_queue);
+        let (ends, port) = acyclic::queue(drive.axis.parameter_queue, commanding());
         let mut response_def = ResponseDef::CYCLIC;
         if drive.monitor != MonitorPlan::Off {
             response_def = response_def.with(ResponseDef::MONITOR);
@@ -157,7 +158,8 @@ impl Station {
         self.inputs.fresh = false;
         let Outputs { control, motion, config } = outputs;
         let powered = slot.report.state.is_powered();
-        let called = self.rtc.advance(cycle.grid, slot.link, powered);
+        let called = self.rtc.advance(cycle.grid, slot.link, powered, slot.guarded);
+        slot.commanded = self.rtc.commands();
         slot.excused = self.rtc.excuses_silence() && !powered;
         let mut request = Request {
             response_def: self.response_def,

@@ -8,7 +8,7 @@ use proptest::prelude::*;
 
 use self::server::{Server, coe, message};
 use super::*;
-use crate::axis::acyclic::{Acyclic, CallTicket, both};
+use crate::axis::acyclic::{Acyclic, CallTicket, both, both_of};
 use crate::bus::ethercat::object::{READ, WRITE};
 use crate::bus::ethercat::plan::Area;
 use crate::bus::ethercat::sim::sii::{Contents, Mailboxes};
@@ -59,7 +59,7 @@ impl Bench {
     fn new(length: u16, application: Box<dyn Application>) -> Bench {
         let mailboxes = Mailboxes { out: (0x1800, length), input: (0x1C00, length), protocols: 4 };
         let sii = Contents { mailboxes: Some(mailboxes), ..Contents::default() }.image();
-        let (acyclic, port) = both(16);
+        let (acyclic, port) = both_of(16, object::commanding([]));
         let mut bench = Bench {
             line: Line::new(vec![Esc::new(Settings { sii, ..Settings::default() }, application)]),
             service: Service::new(&plan(length), Some(port)),
@@ -107,7 +107,7 @@ impl Bench {
     /// One slot.
     fn step(&mut self) {
         self.now = self.now + MS;
-        self.service.advance(self.now, self.link);
+        self.service.advance(self.now, self.link, false);
         let (mut ask, mut again) = (Ask::default(), Ask::default());
         self.service.ask(self.now, &mut ask);
         self.service.ask(self.now, &mut again);
@@ -317,7 +317,7 @@ fn no_answer_ends_a_transfer_and_so_does_a_mailbox_that_stays_full() {
     while end.is_none() {
         bench.now = bench.now + MS;
         assert!(bench.now.since(begun) < 40 * MS, "it goes on for ever");
-        full.advance(bench.now, Link::Online);
+        full.advance(bench.now, Link::Online, false);
         let mut ask = Ask::default();
         full.ask(bench.now, &mut ask);
         let is_look = ask.datagrams().any(|(command, _)| command == Command::Fprd(STATION, 0x080D));
@@ -585,7 +585,7 @@ fn without_a_mailbox_or_with_a_closed_one_all_is_refused_at_once() {
     assert!(none.is_free());
     let call = Target::parse("mode").unwrap().read();
     let mut ticket = acyclic.post(call, LIMIT).unwrap();
-    none.advance(Time(S), Link::Online);
+    none.advance(Time(S), Link::Online, false);
     assert_eq!(ticket.poll(), Some(Err(CallError::Refused(object::NO_MAILBOX))));
     let mut ask = Ask::default();
     none.ask(Time(S), &mut ask);
@@ -657,7 +657,7 @@ proptest! {
         let mut end = None;
         for step in 0..110_u64 {
             let now = Time(S + step * MS);
-            service.advance(now, Link::Online);
+            service.advance(now, Link::Online, false);
             end = end.or(ticket.poll());
             let mut ask = Ask::default();
             service.ask(now, &mut ask);

@@ -7,7 +7,7 @@ use super::*;
 use crate::axis::acyclic::{Acyclic, Call, CallTicket, queue};
 use crate::axis::cell;
 use crate::axis::{Feedback, Observer};
-use crate::bus::linudp::upid::{Upids, call};
+use crate::bus::linudp::upid::{Upids, call, commanding};
 
 const READ: Call = call(RtcCommand::READ_RAM, 0x20A8, 0);
 
@@ -17,6 +17,7 @@ struct Bench {
     now: Time,
     link: Link,
     powered: bool,
+    guarded: bool,
 }
 
 impl Bench {
@@ -25,7 +26,7 @@ impl Bench {
     }
 
     fn monitoring(sources: [Option<Upid>; 4]) -> Bench {
-        let (ends, port) = queue(8);
+        let (ends, port) = queue(8, commanding());
         let (_, reader) = cell::cell(Feedback::default());
         let acyclic = Acyclic::new("x", ends, Arc::new(Upids), Observer(reader), Duration::from_millis(1));
         Bench {
@@ -34,6 +35,7 @@ impl Bench {
             now: Time(S),
             link: Link::Online,
             powered: false,
+            guarded: false,
         }
     }
 
@@ -44,9 +46,9 @@ impl Bench {
     /// One exchange: gives the block that went out, and takes what `answer` makes of it.
     fn turn(&mut self, answer: impl FnOnce(RtcBlock) -> Option<RtcBlock>) -> Option<RtcBlock> {
         self.now = self.now + MS;
-        let block = self.channel.advance(self.now, self.link, self.powered);
+        let block = self.channel.advance(self.now, self.link, self.powered, self.guarded);
         assert_eq!(
-            self.channel.advance(self.now, self.link, self.powered),
+            self.channel.advance(self.now, self.link, self.powered, self.guarded),
             block,
             "the same until it was sent"
         );
