@@ -6,10 +6,13 @@ use crate::virtual_time::commanding::{Subject, never_in_any_sequence, never_meet
 /// Preset reference 2, in 32 bits: the master never writes it.
 const WATCHED: Parameter = Parameter::new(1, 22);
 
-struct Unidrive(Bench);
+struct Unidrive {
+    bench: Bench,
+    received: usize,
+}
 
 fn unidrive(via: Via) -> Unidrive {
-    Unidrive(Bench::new(1, via, |_, _| {}))
+    Unidrive { bench: Bench::new(1, via, |_, _| {}), received: 0 }
 }
 
 impl Subject for Unidrive {
@@ -22,12 +25,12 @@ impl Subject for Unidrive {
     const HARMLESS: (&'static str, u64) = ("02.011", 77);
 
     fn sim(&mut self) -> &mut Simulation {
-        &mut self.0.sim
+        &mut self.bench.sim
     }
 
     fn is_on(&mut self) -> bool {
-        let now = self.0.now();
-        self.0.tap(0).status(now).active()
+        let now = self.bench.now();
+        self.bench.tap(0).status(now).active()
     }
 
     fn received(&mut self) -> usize {
@@ -36,7 +39,9 @@ impl Subject for Unidrive {
             Ok((_, Request::Write { address: written, .. })) => written == address,
             _ => false,
         };
-        self.0.tap(0).heard.iter().filter(is_one).count()
+        let heard = std::mem::take(&mut self.bench.tap(0).heard);
+        self.received += heard.iter().filter(is_one).count();
+        self.received
     }
 }
 
