@@ -244,7 +244,8 @@ impl RtcChannel {
                 Link::Qualifying => {}
             }
         }
-        let settles = self.unsettled && link == Link::Online;
+        // Nothing is sent into a silence.
+        let settles = self.unsettled && link == Link::Online && self.answered;
         self.prepared = if settles || self.active.is_some() { self.block(now) } else { None };
         self.prepared
     }

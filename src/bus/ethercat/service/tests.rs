@@ -41,6 +41,7 @@ struct Bench {
     counters: Counters,
     now: Time,
     link: Link,
+    guarded: bool,
     /// Of the next frames that carry something.
     fates: Vec<Fate>,
     /// What was asked, frame by frame.
@@ -67,6 +68,7 @@ impl Bench {
             counters: Counters::default(),
             now: Time(S),
             link: Link::Online,
+            guarded: false,
             fates: Vec::new(),
             frames: Vec::new(),
             no_repeat: false,
@@ -107,7 +109,7 @@ impl Bench {
     /// One slot.
     fn step(&mut self) {
         self.now = self.now + MS;
-        self.service.advance(self.now, self.link, false);
+        self.service.advance(self.now, self.link, self.guarded);
         let (mut ask, mut again) = (Ask::default(), Ask::default());
         self.service.ask(self.now, &mut ask);
         self.service.ask(self.now, &mut again);
@@ -573,6 +575,46 @@ fn a_call_that_is_cancelled_late_or_offline_ends_so_and_hurts_no_later_one() {
     bench.link = Link::Lost;
     assert_eq!(bench.wait(ticket), Err(CallError::NotOnline));
     assert_eq!(bench.read(MODE), Ok(7), "the master's own transfers bring the link up");
+}
+
+#[test]
+fn a_write_that_commands_the_drive_is_checked_until_a_frame_carries_it() {
+    let (mut bench, server) = Bench::server(16, &[(MODE, &[7]), (DEVICE_TYPE, &[1, 0, 0, 0])]);
+    // The first frame looks whether something is left of another master; meanwhile power comes on.
+    let ticket = bench.post(WRITE, "mode", 8);
+    bench.step();
+    assert!(bench.service.commands());
+    bench.guarded = true;
+    assert_eq!(bench.wait(ticket), Err(CallError::Commands));
+    assert!(!bench.service.commands() && server.shared().requests.is_empty(), "nothing of it was sent");
+    assert_eq!(bench.read(MODE), Ok(7), "the master's own are exempt");
+    assert_eq!(bench.transfer(Transfer::Write { object: MODE, raw: 6, bytes: 1 }), Ok(6));
+    // What a frame has carried goes on, and is known to be under way.
+    bench.guarded = false;
+    bench.step();
+    let ticket = bench.post(WRITE, "mode", 8);
+    bench.step();
+    bench.guarded = true;
+    assert!(bench.service.commands());
+    assert_eq!(bench.wait(ticket), Ok(8));
+    assert!(!bench.service.commands());
+}
+
+#[test]
+fn a_write_that_nobody_waits_for_is_under_way_until_a_later_request_is_answered() {
+    let (mut bench, server) = Bench::server(16, &[(MODE, &[7]), (DEVICE_TYPE, &[1, 0, 0, 0])]);
+    assert_eq!(bench.read(MODE), Ok(7));
+    let ticket = bench.post(WRITE, "mode", 8);
+    bench.fates = vec![Fate::Returns, Fate::NeverReturns, Fate::NeverReturns];
+    bench.step();
+    drop(ticket);
+    bench.step();
+    assert!(bench.service.commands(), "the drive may have it");
+    bench.steps(50);
+    assert!(!bench.service.commands());
+    let objects = server.shared().objects.clone();
+    assert!(objects.contains(&(MODE, vec![8])), "{objects:?}");
+    assert!(bench.service.is_free());
 }
 
 #[test]
