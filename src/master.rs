@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use thiserror::Error;
 
-use crate::axis::acyclic::{self, Acyclic, Parameters};
+use crate::axis::acyclic::{self, Acyclic, Commanding, Parameters};
 use crate::axis::cell;
 use crate::axis::handle::{URGENT_ROOM, room_for_ends};
 use crate::axis::newest;
@@ -232,7 +232,7 @@ pub fn assemble<C: Clock>(
             let first_probe = (seats.len() / PROBES_A_CYCLE) as u64;
             let asked_every = Duration::from_nanos(period_ns.saturating_mul(axis.divisor.into()));
             // A bus without acyclic access leaves its end of the queue unused.
-            let ends = bus.acyclic(index).unwrap_or_else(|| acyclic::queue(1).0);
+            let ends = bus.acyclic(index).unwrap_or_else(|| acyclic::queue(1, Commanding::none()).0);
             let observer = Observer(reader.clone());
             let acyclic = Acyclic::new(&axis.name, ends, bus_plan.notation(), observer, asked_every);
             let silence = bound::silence(&paced[seats.len()], plan.cycle.overrun);

@@ -80,7 +80,8 @@ pub struct Setpoint {
 /// A command to an axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Verb {
-    /// Power on, up to `OperationEnabled`. Refused while the axis is latched as stopped.
+    /// Power on, up to `OperationEnabled`. Refused while the axis is latched as stopped. It waits, no longer than its
+    /// own time-out, for the write of a parameter that may command the drive.
     Enable,
     /// Power off at once. Ends a motion without a ramp; use [`Verb::Stop`] first where the load matters.
     Disable,
@@ -264,6 +265,9 @@ pub enum Failure {
     /// Position limits mean nothing before homing.
     #[error("the axis has position limits and is not homed: home it first")]
     NotHomed,
+    /// A parameter that may command the drive is being written: it must not arrive with power on.
+    #[error("a write of a parameter that may command the drive has not ended: wait for its end, then enable")]
+    BeingWritten,
     /// A value that the wire cannot carry.
     #[error(transparent)]
     Range(#[from] RangeError),

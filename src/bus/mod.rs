@@ -294,6 +294,10 @@ pub struct Slot {
     // Written by the loop.
     /// An exchange is due at the next send.
     pub due: bool,
+    /// The drive's power is on, or may come on by an order of the loop: a call of the application that commands the
+    /// drive is refused, and checked for the last time when the first telegram with it is built. False where the
+    /// application owns the control word (native mode).
+    pub guarded: bool,
     /// The link as evaluated by the loop. A drive without an order is only read, whatever its link; an order goes
     /// out with every request, including the probes of a lost link, since it may be the stop.
     pub link: Link,
@@ -322,6 +326,9 @@ pub struct Slot {
     /// The drive was requested to do something that makes it silent, and its power is off: its silence is expected,
     /// is no link loss, and does not stop its stop group.
     pub excused: bool,
+    /// A call of the application that commands the drive is under way, or its end is not known: the loop begins no
+    /// enable until it is over.
+    pub commanded: bool,
 }
 
 /// What a drive shall do. A new serial is a new order and replaces the one before it; the same serial is carried

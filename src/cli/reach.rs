@@ -55,6 +55,11 @@ impl Reach {
         Ok(Reach { drive: drive.to_owned(), notation, way })
     }
 
+    /// No master ran: what the drive does is not this program's doing.
+    pub fn is_alone(&self) -> bool {
+        matches!(self.way, Way::Alone { .. })
+    }
+
     /// Its name.
     pub fn drive(&self) -> &str {
         &self.drive

@@ -529,6 +529,7 @@ impl<C: Clock> Engine<C> {
     fn arm(&mut self, next: &Cycle, now: Time) {
         for (seat, slot) in self.seats.iter_mut().zip(&mut self.slots) {
             slot.due = seat.is_due(next.index);
+            slot.guarded = seat.is_guarded();
         }
         self.gates.count_rows(&mut self.seats, &self.slots);
         for (seat, slot) in self.seats.iter_mut().zip(&mut self.slots) {

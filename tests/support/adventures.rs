@@ -138,7 +138,7 @@ impl Calls {
         while self.under_way.len() < 4 {
             let call = match self.posted % 3 {
                 0 => upid::call(RtcCommand::READ_RAM, 0x1E0F, 0),
-                1 => upid::call(RtcCommand::WRITE_RAM, 0x1E72, self.posted as u32),
+                1 => upid::call(RtcCommand::WRITE_RAM, 0x14BE, self.posted as u32),
                 _ => upid::call(RtcCommand::READ_RAM, 0x9999, 0),
             };
             self.posted += 1;

@@ -5,6 +5,7 @@
 mod acyclic;
 mod bring_up;
 mod carrier;
+mod commanding;
 mod counters;
 mod evidence;
 mod faults;

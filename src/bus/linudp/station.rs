@@ -16,6 +16,7 @@ use super::native::{Native, NativePort, native};
 use super::orders::{Inputs, Orders, Outputs};
 use super::plan::{LinUdpDrive, MonitorPlan, ReplyTag};
 use super::rtc::RtcChannel;
+use super::upid::commanding;
 use super::wire::{
     ErrorCode, MainState, MotionBlock, Request, RequestDef, ResponseDef, ResponseView, RtcBlock, StateVar,
     StatusWord,
@@ -147,7 +148,7 @@ impl Station {
     /// The station of `drive`, and the application's ends of its native process data and of its acyclic access.
     pub fn new(drive: &LinUdpDrive) -> (Station, Native, AcyclicEnds) {
         let (application, native) = native();
-        let (ends, port) = acyclic::queue(drive.axis.parameter_queue);
+        let (ends, port) = acyclic::queue(drive.axis.parameter_queue, commanding());
         let (mut response_def, shown) = (ResponseDef::CYCLIC, drive.monitor != MonitorPlan::Off);
         if shown {
             response_def = response_def.with(ResponseDef::MONITOR);
@@ -192,7 +193,8 @@ impl Station {
         self.inputs.fresh = false;
         let Outputs { control, motion, config } = outputs;
         let powered = slot.report.state.is_powered();
-        let called = self.rtc.advance(cycle.grid, slot.link, powered);
+        let called = self.rtc.advance(cycle.grid, slot.link, powered, slot.guarded);
+        slot.commanded = self.rtc.commands();
         slot.excused = self.rtc.excuses_silence() && !powered;
         let mut request = Request {
             response_def: self.identity.in_turn(self.response_def),

@@ -13,10 +13,30 @@
 use std::time::Duration;
 
 pub use super::motion::Upid;
+use super::rtc;
 use super::wire::{Refusal, RtcCommand};
-use crate::axis::acyclic::{Call, Notation, NotationError};
+use crate::axis::acyclic::{Call, Commanding, Notation, NotationError};
+
+/// The calls that command a drive.
+pub(super) fn commanding() -> Commanding {
+    Commanding::new(|call, _| rtc::refusal(call), [])
+}
 
 impl Upid {
+    /// Written in RAM while power is on, it moves nothing, and changes no state: gains and feed-forwards, limits,
+    /// predefined profiles, and what is monitored. All others may: the run mode (1450h), triggers and input functions,
+    /// triggered targets, cams, scales and variables of commands. Of most UPIDs, the force mask of the control word
+    /// among them, no public source says what they do: those count as commanding, too.
+    pub(super) fn is_harmless(self) -> bool {
+        matches!(
+            self.0,
+            0x13A0 | 0x13A2 | 0x13A6 | 0x13A8 | 0x13B4 | 0x13BA // Gains, feed-forwards, current limits.
+                | 0x146E | 0x146F | 0x1473 | 0x1475 // Position and lag limits.
+                | 0x14BE..=0x14C0 // The predefined profile, from the next command on.
+                | 0x20A8..=0x20AB // Monitored variables.
+        )
+    }
+
     /// The first of the four sources of the monitoring channels (LinUDP V2 manual, 4.4.9).
     pub const MONITOR_SOURCE: Upid = Upid(0x20A8);
 

@@ -83,6 +83,12 @@ pub struct Seat {
     rest: Rest,
     /// The drive was found restarted in this cycle.
     restarted: bool,
+    /// Reports of a drive without power until an enable that did not end as done can no longer bring it on.
+    rising: u8,
+    /// A call of the application that commands the drive is under way.
+    commanded: bool,
+    /// The enable that waits for its end, and since when.
+    held: Option<(CommandId, Time)>,
     /// How the exchange of this cycle was closed.
     closed: Option<Closed>,
     /// The slot of the values in the feedback.
@@ -187,6 +193,9 @@ impl Seat {
             bounds: Bounds::default(),
             rest: Rest::default(),
             restarted: false,
+            rising: 0,
+            commanded: false,
+            held: None,
             closed: None,
             fresh_at: 0,
             seen: false,
@@ -217,6 +226,19 @@ impl Seat {
     /// The feedback as last published.
     pub fn feedback(&self) -> &Feedback {
         &self.feedback
+    }
+
+    /// Whether the power of the drive is on, or may come on by an order of this master: the drive reports it, it was
+    /// commanded on and is not known to be off again, its stop sequence has not ended, or an enable waits. The
+    /// application's own control word is the application's concern.
+    #[inline]
+    pub fn is_guarded(&self) -> bool {
+        let on = self.feedback.state.is_powered()
+            || self.claim == Claim::Armed
+            || self.rising > 0
+            || self.held.is_some()
+            || !self.latch.is_settled();
+        on && !self.is_native(NativeOwner::Application)
     }
 
     /// Whether an exchange is due in slot `index`.
@@ -338,6 +360,9 @@ impl Seat {
             return self.take_emergency(cycle, now, slot);
         }
         self.fresh_at = cycle.index - u64::from(report.suspect).min(cycle.index);
+        if self.rising > 0 && self.active.is_none() && !report.state.is_powered() && !report.suspect {
+            self.rising -= 1;
+        }
         self.feedback = Feedback {
             cycle: cycle.index,
             age: u32::from(report.suspect),

@@ -90,9 +90,9 @@ impl Subject for LinUdp {
 
     fn calls(&self) -> Calls {
         Calls {
-            // Variable 1 of the command table, which nobody uses here.
-            read: upid::call(RtcCommand::READ_RAM, 0x1E72, 0),
-            write: upid::call(RtcCommand::WRITE_RAM, 0x1E72, 77),
+            // The predefined velocity, of commands that are not used here.
+            read: upid::call(RtcCommand::READ_RAM, 0x14BE, 0),
+            write: upid::call(RtcCommand::WRITE_RAM, 0x14BE, 77),
             refused: (upid::call(RtcCommand::READ_RAM, 0xFFFF, 0), Refusal::NoSuchUpid.code().into()),
         }
     }

@@ -524,6 +524,8 @@ impl Bench {
             Err(CallError::Native) => assert!(self.native_used, "{posted:?}"),
             // What may hold a drive up is not for one whose power is on.
             Err(CallError::Powered) => assert!(grave && !carried_out, "{posted:?}"),
+            // Nor is what commands it.
+            Err(CallError::Commands) => assert!(!carried_out, "{posted:?}"),
             Err(CallError::Claimed | CallError::Full | CallError::Gone | CallError::Lost) => {
                 panic!("{posted:?}: {end:?}")
             }

@@ -1,6 +1,7 @@
 //! Unidrives under the whole loop in virtual time: what the conformance suite does not ask of a protocol.
 
 mod care;
+mod commanding;
 mod functions;
 mod loss;
 mod pace;

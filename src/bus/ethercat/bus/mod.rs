@@ -29,7 +29,7 @@ use super::sim::EthercatSim;
 use super::start_up::{last_written, start_up, verify, verify_found};
 use super::station::Station;
 use super::wire::frame::{ETHERTYPE, FRAME_MAX, FrameError, datagrams};
-use crate::axis::acyclic::{self, AcyclicEnds, Notation};
+use crate::axis::acyclic::{self, AcyclicEnds, Commanding, Notation};
 use crate::axis::cell;
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, FaultNames, Feedback, FoundRunning, Link, MonitorChannel, Observer, PlanFault};
@@ -175,7 +175,7 @@ impl EthercatBus {
         for (index, device) in plan.devices.iter().enumerate() {
             let slave = &device.slave;
             let (application, port) = terminals(slave.outputs.length.into(), slave.inputs.length.into());
-            let (ends, calls) = acyclic::queue(DEVICE_CALLS);
+            let (ends, calls) = acyclic::queue(DEVICE_CALLS, Commanding::none());
             let (reached, reader) = cell::cell(Feedback::default());
             device_acyclics.push(Some((ends, Observer(reader))));
             crew.devices.push(DeviceSeat {

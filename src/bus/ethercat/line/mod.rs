@@ -51,7 +51,7 @@ pub trait Crew {
     fn service(&mut self, owner: Owner) -> Option<&mut Service>;
 
     /// Its turn has come: its mailbox takes the requests that were posted meanwhile.
-    fn advance(&mut self, owner: Owner, now: Time, slots: &[Slot]);
+    fn advance(&mut self, owner: Owner, now: Time, slots: &mut [Slot]);
 
     /// Its replies count from now on, in this state, or not any more.
     fn state(&mut self, owner: Owner, al: Option<AlState>, slots: &mut [Slot]);

@@ -21,7 +21,7 @@ use super::cia402::{Mode, StatusWord};
 use super::counters::Own;
 use super::faults::Clearing;
 use super::native::{Native, NativePort, native};
-use super::object::Object;
+use super::object::{Object, commanding};
 use super::orders::{Inputs, Kind, Orders};
 use super::plan::KollmorgenDrive;
 use super::service::Service;
@@ -101,7 +101,8 @@ impl Station {
     /// data and of its acyclic access.
     pub fn new(drive: &KollmorgenDrive, interval_ns: u64) -> (Station, Native, AcyclicEnds) {
         let (application, native) = native(&drive.outputs, &drive.inputs);
-        let (ends, port) = acyclic::queue(drive.axis.parameter_queue);
+        let outputs = drive.outputs.entries.iter().map(|entry| entry.object);
+        let (ends, port) = acyclic::queue(drive.axis.parameter_queue, commanding(outputs));
         let units = drive.axis.units;
         let unit_per_count = 1.0 / units.counts_per_unit;
         let per_minute = drive.scaling.increments() / 60.0 * unit_per_count;

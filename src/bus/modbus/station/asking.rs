@@ -23,7 +23,8 @@ impl Station {
         let native = &mut self.native;
         let outputs = self.orders.advance(cycle.grid, &self.inputs, slot, native);
         self.inputs.fresh = false;
-        let calls = self.calls.advance(cycle.grid, slot.link, self.orders.is_on());
+        let calls = self.calls.advance(cycle.grid, slot.link, self.orders.is_on(), slot.guarded);
+        slot.commanded = self.calls.commands();
         // Whether the last one is answered by then is known at the send.
         self.length = 0;
         if !self.connected || !self.rest().is_empty() {

@@ -11,7 +11,7 @@ mod hearing;
 
 use std::sync::Arc;
 
-use super::calls::Calls;
+use super::calls::{Calls, commanding};
 use super::counters::Own;
 use super::echo::Echo;
 use super::greeting::{Finding, Found};
@@ -194,7 +194,8 @@ impl Station {
         interval_ns: u64,
     ) -> (Station, Native, AcyclicEnds) {
         let (application, native) = native(drive.map.also.len());
-        let (ends, port) = acyclic::queue(drive.axis.parameter_queue);
+        let outputs = [drive.map.control.parameter, drive.map.reference.parameter];
+        let (ends, port) = acyclic::queue(drive.axis.parameter_queue, commanding(outputs));
         let shown = drive.map.show.iter().enumerate();
         let station = Station {
             velocity_per_count: drive.velocity(drive.map.speed.value(1)),
