@@ -17,6 +17,7 @@ mod latches;
 mod limits;
 mod loads;
 mod lock;
+mod oracle;
 mod queues;
 mod replies;
 mod restarts;
