@@ -118,6 +118,11 @@ impl Slots {
         }
     }
 
+    /// The last turn executed a cycle.
+    pub fn is_executed(&self) -> bool {
+        self.skipped.back().is_none_or(|skipped| !skipped)
+    }
+
     fn too_many(&self) -> bool {
         self.row > IN_A_ROW || self.skipped.iter().filter(|skipped| **skipped).count() > SKIPPED
     }
@@ -250,9 +255,8 @@ impl Watch {
 
         let latched = feedback.stopped.is_some();
         let running = self.running().filter(|_| !latched);
-        let moves = |verb: &Verb| verb.is_motion() || *verb == Verb::Home;
         // What has begun is not known to an application that does not read its events.
-        let any = blind && self.pending.values().any(|pending| moves(&pending.verb)) && !latched;
+        let any = blind && self.is_to_move() && !latched;
         let commanded = any || running.is_some_and(|(_, verb)| moves(&verb));
         let homing = blind || running.is_some_and(|(_, verb)| verb == Verb::Home);
         self.enabled &= truth.powered && !latched && running.is_none_or(|(_, verb)| verb != Verb::Disable);
@@ -269,7 +273,7 @@ impl Watch {
         } else {
             self.still = if moving { 0 } else { self.still + 1 };
             self.stood |= self.still >= STANDS;
-            self.idle_for += u32::from(reached);
+            self.idle_for = if moving { self.idle_for + u32::from(reached) } else { 0 };
         }
 
         let fast = moving && speed > FAST * self.scale.velocity && !homing;
@@ -340,10 +344,19 @@ impl Watch {
         }
     }
 
+    /// A command that moves it has not ended.
+    pub fn is_to_move(&self) -> bool {
+        self.pending.values().any(|pending| moves(&pending.verb))
+    }
+
     /// It stands, or has no power.
     pub fn rests(&self, truth: Truth) -> bool {
         !truth.powered || truth.velocity.abs() <= self.scale.still
     }
+}
+
+fn moves(verb: &Verb) -> bool {
+    verb.is_motion() || *verb == Verb::Home
 }
 
 fn breach(rule: &'static str, text: String) -> Breach {

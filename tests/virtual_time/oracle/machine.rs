@@ -244,7 +244,7 @@ fn shorten(axis: &mut AxisPlan, shape: Shape, velocity: f64, deceleration: f64) 
 }
 
 /// Of every axis.
-pub const STOP_TIMEOUT: Duration = Duration::from_millis(100);
+pub const STOP_TIMEOUT: Duration = Duration::from_millis(50);
 /// Room for events, so little that an application that does not read them for a moment fills it.
 const EVENTS: usize = 48;
 
@@ -275,6 +275,7 @@ fn kollmorgen(place: u16, shape: Shape) -> KollmorgenDrive {
     shorten(&mut drive.axis, shape, velocity, 400.0);
     let limits = &mut drive.axis.limits;
     limits.torque = Some(150.0);
+    drive.simulate.home_turns = Some(0.03);
     if outputs == 0x1701 {
         limits.position = Some((-5.0, 5.0));
     }
@@ -469,7 +470,7 @@ fn scale(kind: Kind, index: usize, plan: &AxisPlan) -> Scale {
         (Kind::LinMot, _) => scale,
         (Kind::Unidrive, _) => Scale { positions: false, homes: false, ..scale },
         // A position controller of 60 Hz comes to rest for a while.
-        (Kind::Kollmorgen, 0) => Scale { near: 0.02, still: 0.3, ..scale },
+        (Kind::Kollmorgen, 0) => Scale { near: 0.02, still: 0.6, ..scale },
         (Kind::Kollmorgen, 1) => Scale { positions: false, still: 0.3, ..scale },
         (Kind::Kollmorgen, _) => {
             Scale { positions: false, velocities: false, torques: true, still: 0.3, ..scale }

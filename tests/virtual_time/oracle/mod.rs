@@ -132,7 +132,8 @@ fn size(rounds: &[Round]) -> usize {
 /// A failure as a person reads it.
 fn report(seed: u64, shape: Shape, all: &[Round], found: &Found) -> String {
     let (short, found) = shortened(shape, all, found);
-    let (_, _, story) = Run::rounds(shape, &short, true);
+    let (again, _, story) = Run::rounds(shape, &short, true);
+    let found = again.err().unwrap_or(found);
     let tail = |text: String| {
         let lines: Vec<&str> = text.lines().collect();
         lines[lines.len().saturating_sub(150)..].join("\n")

@@ -177,7 +177,8 @@ impl Run {
 
     /// One turn of the loop, and the judgement of each axis.
     fn step(&mut self) -> Judged {
-        if self.turn < self.overload.1 {
+        // A turn in which slots are passed over executes none.
+        if self.turn < self.overload.1 && self.slots.is_executed() {
             self.machine.skip(self.overload.0);
             self.excuse();
         }
@@ -190,6 +191,10 @@ impl Run {
         self.turn += 1;
         self.tally.turns += 1;
         self.slots.turn(after.skipped - before.skipped, after.executed - before.executed);
+        if after.skipped > before.skipped {
+            let cycles = (after.skipped - before.skipped, after.executed - before.executed);
+            self.tell(0, || format!("all axes: {} slots skipped, {} executed", cycles.0, cycles.1));
+        }
         for axis in 0..AXES {
             self.judge(axis)?;
         }
@@ -314,7 +319,8 @@ impl Run {
                 for n in 1..=count {
                     let share = f64::from(n) / f64::from(count);
                     let position = from + way * share * share * (3.0 - 2.0 * share);
-                    let row = Row { position, last: *last && n == count, ..Row::default() };
+                    let velocity = way / (f64::from(count) * 1e-3) * 6.0 * share * (1.0 - share);
+                    let row = Row { position, velocity, last: *last && n == count, ..Row::default() };
                     let _ = self.machine.sim.axis(axis).push_row(row);
                 }
             }
@@ -380,7 +386,10 @@ impl Run {
             (around.deaf, around.level) = (0, None);
             around.unplugged = around.unplugged.map(|_| 0);
             around.lossy = around.lossy.map(|_| 0);
-            self.post(axis, Verb::Stop { deceleration: None })?;
+            // A stop that is under way has to end by itself.
+            if self.watches[axis].is_to_move() {
+                self.post(axis, Verb::Stop { deceleration: None })?;
+            }
         }
         for _ in 0..SETTLED {
             let rest = |axis: usize| self.watches[axis].rests(self.machine.truth(axis));

@@ -114,7 +114,7 @@ impl Command {
                 Verb::Jog(Jog { velocity: f64::from(percent) / 100.0 * velocity, acceleration })
             }
             Command::Velocity => Verb::Velocity { acceleration },
-            Command::Torque => Verb::Torque { slope: 2_000.0 },
+            Command::Torque => Verb::Torque { slope: 10_000.0 },
             Command::Follow => Verb::Follow,
             Command::Stop => Verb::Stop { deceleration: None },
             Command::StopAt(deceleration) => Verb::Stop { deceleration: Some(deceleration) },
@@ -255,8 +255,9 @@ fn command(random: &mut Rng, scale: &Scale) -> Command {
 fn op(random: &mut Rng, shape: Shape, scale: &Scale) -> Op {
     // What brings a segment down costs it seconds of its machine time.
     let rare = shape.kind == Kind::Kollmorgen && random.u8(..8) != 0;
+    let datagrams = shape.kind == Kind::LinMot;
     match random.u8(..64) {
-        0..=11 => Op::Level { percent: percent(random), turns: random.u8(5..100) },
+        0..=11 => Op::Level { percent: percent(random), turns: random.u8(5..150) },
         12 => Op::Burst { count: random.u8(1..100), percent: percent(random) },
         13..=16 => Op::Rows { count: random.u8(10..80), percent: percent(random), last: random.u8(..4) > 0 },
         17..=22 => {
@@ -271,12 +272,12 @@ fn op(random: &mut Rng, shape: Shape, scale: &Scale) -> Op {
         28 if !rare && random.u8(..4) == 0 => Op::Restart,
         29 => Op::Inhibit(random.u8(1..30)),
         30 => Op::Fault,
-        31..=35 => Op::RepeatRequest {
+        31..=35 if datagrams => Op::RepeatRequest {
             motion: random.u8(..4) > 0,
             back: *random.choice(&[0, 0, 1, 1, 2, 3, 5, 10, 30, 60]).unwrap_or(&0),
             us: random.u16(..2_000),
         },
-        36..=40 => Op::RepeatReply { back: random.u8(1..12), us: random.u16(..2_000) },
+        36..=40 if datagrams => Op::RepeatReply { back: random.u8(1..12), us: random.u16(..2_000) },
         41 => Op::Deaf(random.u8(10..200)),
         _ => Op::Post((0..random.u8(1..=3)).map(|_| command(random, scale)).collect()),
     }
@@ -293,12 +294,13 @@ pub fn round(random: &mut Rng, shape: Shape, scales: &[Scale], without: Without)
         let mut first: Vec<_> = (0..random.u8(0..2)).map(|_| command(random, scale)).collect();
         first.push(motion(random, scale));
         let first = Op::Post(first);
-        let rest: Vec<Op> = (0..random.u8(1..6)).map(|_| op(random, shape, scale)).collect();
+        let rest: Vec<Op> = (0..random.u8(1..8)).map(|_| op(random, shape, scale)).collect();
         for op in [first].into_iter().chain(rest) {
             if without.leaves(&op) {
                 round.push(Step { at, axis: axis as u8, op });
             }
-            let longest = random.u16(2..60);
+            // Often one thing right after the other.
+            let longest = *random.choice(&[1, 4, 15, 60]).unwrap_or(&1);
             at += random.u16(..longest);
         }
     }
