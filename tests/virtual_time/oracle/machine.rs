@@ -276,6 +276,7 @@ fn kollmorgen(place: u16, shape: Shape) -> KollmorgenDrive {
     let limits = &mut drive.axis.limits;
     limits.torque = Some(150.0);
     drive.simulate.home_turns = Some(0.03);
+    drive.simulate.ramps_rpm_s = (60_000, 60_000);
     if outputs == 0x1701 {
         limits.position = Some((-5.0, 5.0));
     }

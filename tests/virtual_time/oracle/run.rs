@@ -14,7 +14,7 @@ use super::steps::{Command, Op, Round, Step, writes};
 /// Turns after the last step of a round in which what it began goes on.
 const TAIL: u64 = 60;
 /// Turns in which all ends, after a round.
-const SETTLED: u64 = 900;
+const SETTLED: u64 = 4_000;
 /// Turns in which a line comes up, and attempts to make an axis ready.
 const UP: u64 = 12_000;
 const ATTEMPTS: u32 = 12;
