@@ -18,6 +18,7 @@ mod limits;
 mod loads;
 mod lock;
 mod oracle;
+mod oracle_found;
 mod queues;
 mod replies;
 mod restarts;

@@ -129,6 +129,16 @@ fn size(rounds: &[Round]) -> usize {
     rounds.len() + rounds.iter().flatten().map(commands).sum::<usize>()
 }
 
+/// The steps of some rounds break no rule; each step is its turn, its axis and what happens.
+pub fn holds(shape: Shape, all: &[&[(u16, u8, Op)]]) {
+    let step = |(at, axis, op): &(u16, u8, Op)| Step { at: *at, axis: *axis, op: op.clone() };
+    let all: Vec<Round> = all.iter().map(|round| round.iter().map(step).collect()).collect();
+    if let (Err(Found { rule, round, turn, axis, text }), _, story) = Run::rounds(shape, &all, true) {
+        let story = story.unwrap_or_default();
+        panic!("{shape:?}: rule {rule:?}, axis {axis}, turn {turn} of round {round}: {text}\n{story}");
+    }
+}
+
 /// A failure as a person reads it.
 fn report(seed: u64, shape: Shape, all: &[Round], found: &Found) -> String {
     let (short, found) = shortened(shape, all, found);
