@@ -50,8 +50,8 @@ fn a_reply_that_comes_again_takes_no_stop_away() {
 #[test]
 fn a_request_that_comes_again_moves_nothing_that_stands() {
     for shape in shapes(Kind::LinMot, false) {
-        let moves = [(0, 0, Post(vec![To(60)])), (60, 0, Post(vec![To(0)]))];
-        let again = (160, 0, RepeatRequest { motion: true, back: 1, us: 500 });
+        let moves = [(0, 0, Post(vec![To(90)])), (150, 0, Post(vec![To(0)]))];
+        let again = (340, 0, RepeatRequest { motion: true, back: 1, us: 500 });
         holds(shape, &[&[moves[0].clone(), moves[1].clone(), again]]);
     }
 }
@@ -81,9 +81,11 @@ fn a_latched_axis_that_holds_is_moved_by_no_parameter() {
 
 #[test]
 fn an_axis_in_motion_keeps_to_its_limits_whatever_parameters_are_written() {
-    let begin = (0, 2, Post(vec![Torque]));
-    let level = (3, 2, Level { percent: 5, turns: 120 });
-    holds(shape(Kind::Kollmorgen, true), &[&[begin, level, (15, 2, Write(vec![0, 7]))]]);
+    for (axis, command, percent) in [(1, Velocity, 20), (2, Torque, 5)] {
+        let begin = (0, axis, Post(vec![command]));
+        let level = (3, axis, Level { percent, turns: 150 });
+        holds(shape(Kind::Kollmorgen, true), &[&[begin, level, (15, axis, Write(vec![0, 7]))]]);
+    }
 }
 
 #[test]

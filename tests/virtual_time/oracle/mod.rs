@@ -133,6 +133,9 @@ fn size(rounds: &[Round]) -> usize {
 pub fn holds(shape: Shape, all: &[&[(u16, u8, Op)]]) {
     let step = |(at, axis, op): &(u16, u8, Op)| Step { at: *at, axis: *axis, op: op.clone() };
     let all: Vec<Round> = all.iter().map(|round| round.iter().map(step).collect()).collect();
+    if std::env::var("ORACLE_STORY").is_ok() {
+        println!("{}", Run::rounds(shape, &all, true).2.unwrap_or_default());
+    }
     if let (Err(Found { rule, round, turn, axis, text }), _, story) = Run::rounds(shape, &all, true) {
         let story = story.unwrap_or_default();
         panic!("{shape:?}: rule {rule:?}, axis {axis}, turn {turn} of round {round}: {text}\n{story}");

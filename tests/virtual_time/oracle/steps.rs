@@ -283,6 +283,17 @@ fn op(random: &mut Rng, shape: Shape, scale: &Scale) -> Op {
     }
 }
 
+/// What may come while nothing moves.
+fn quiet(random: &mut Rng, shape: Shape) -> Op {
+    match shape.kind {
+        Kind::LinMot => Op::RepeatRequest { motion: true, back: random.u8(..6), us: random.u16(..2_000) },
+        kind => {
+            let all = writes(kind).len() as u8;
+            Op::Write((0..3).map(|_| random.u8(..all)).collect())
+        }
+    }
+}
+
 /// A round of sequences, one for each axis. What is `without` was drawn all the same, and then left out: the others are
 /// the same.
 pub fn round(random: &mut Rng, shape: Shape, scales: &[Scale], without: Without) -> Round {
@@ -302,6 +313,14 @@ pub fn round(random: &mut Rng, shape: Shape, scales: &[Scale], without: Without)
             // Often one thing right after the other.
             let longest = *random.choice(&[1, 4, 15, 60]).unwrap_or(&1);
             at += random.u16(..longest);
+        }
+        // And sometimes, after all has come to rest, what should move nothing.
+        if random.u8(..4) == 0 {
+            at += random.u16(100..200);
+            let op = quiet(random, shape);
+            if without.leaves(&op) {
+                round.push(Step { at, axis: axis as u8, op });
+            }
         }
     }
     round.sort_by_key(|step| step.at);
