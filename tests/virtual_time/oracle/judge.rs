@@ -29,6 +29,8 @@ pub const GRACE: u64 = 60;
 const BACK: usize = 8;
 /// ... and is slower if by this share of the largest one.
 const SLOWER: f64 = 0.01;
+/// A motor that follows its demand with a lag comes to rest after it, at the latest so many turns after its stop is Done.
+const SETTLES: u32 = 25;
 /// A drive stands after so many turns.
 const STANDS: u32 = 20;
 /// A speed above its limit by this factor is one: a motor overshoots.
@@ -84,6 +86,8 @@ pub struct Watch {
     enabled: bool,
     /// The newest setpoint, since which slot it was not renewed and since which turn it has this value.
     newest: Option<Newest>,
+    /// A stop is done, and the motor has so many turns left to come to rest.
+    settling: Option<u32>,
     /// The running command, since which slot.
     running: (u64, u64),
 }
@@ -153,6 +157,7 @@ impl Watch {
             idle_for: 0,
             enabled: false,
             newest: None,
+            settling: None,
             running: (0, 0),
         }
     }
@@ -208,7 +213,7 @@ impl Watch {
         if fresh { self.done(pending, truth, feedback) } else { Ok(()) }
     }
 
-    fn done(&self, pending: Pending, truth: Truth, feedback: &Feedback) -> Result<(), Breach> {
+    fn done(&mut self, pending: Pending, truth: Truth, feedback: &Feedback) -> Result<(), Breach> {
         let speed = truth.velocity.abs();
         let stands = speed <= self.scale.still;
         let powered = self.powered.iter().any(|powered| *powered) || truth.powered;
@@ -221,7 +226,10 @@ impl Watch {
                 let near = |target: f64| (truth.position - target).abs() <= self.scale.near;
                 !truth.powered || stands && pending.target.is_none_or(near)
             }
-            Verb::Stop { .. } | Verb::QuickStop => !truth.powered || stands,
+            Verb::Stop { .. } | Verb::QuickStop => {
+                self.settling = (truth.powered && !stands).then_some(SETTLES);
+                true
+            }
             _ => true,
         };
         if is_true {
@@ -276,6 +284,7 @@ impl Watch {
             self.idle_for = if moving { self.idle_for + u32::from(reached) } else { 0 };
         }
 
+        self.settling = self.settling.filter(|_| moving && !commanded).map(|left| left.saturating_sub(1));
         let fast = moving && speed > FAST * self.scale.velocity && !homing;
         let outside = moving
             && truth.homed
@@ -301,6 +310,7 @@ impl Watch {
         };
         let counters = &mut self.counters;
         let broken = [
+            ("done", self.settling == Some(0)),
             ("limits", count(&mut counters.fast, fast && !slower)),
             ("limits", count(&mut counters.outside, outside && !slower)),
             ("idle", count(&mut counters.idle, idle && !slower)),
