@@ -79,6 +79,19 @@ pub trait SimDrive: Send {
     fn inhibit(&mut self, until: Time);
 }
 
+/// The true state of a simulated drive, whatever it reports and whatever its master knows.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Truth {
+    /// Its power stage is on.
+    pub powered: bool,
+    /// It has its reference.
+    pub homed: bool,
+    /// Position of the motor, counts of the drive.
+    pub position: f64,
+    /// Velocity of the motor, counts/s.
+    pub velocity: f64,
+}
+
 /// Simulated drives on one segment: each frame passes through all of them and comes back. The same object behind a
 /// real interface and in virtual time.
 ///

@@ -21,6 +21,8 @@ mod latches;
 mod limits;
 mod loads;
 mod lock;
+mod oracle;
+mod oracle_found;
 mod panics;
 mod powered;
 mod queues;

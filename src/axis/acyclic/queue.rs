@@ -4,12 +4,11 @@
 
 use std::any::Any;
 use std::collections::HashMap;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, PoisonError};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use rtrb::{Consumer, Producer};
 use thiserror::Error;
 
 use super::port::{Cancelled, Commanding, Ended, Guard, Port, Posted};
@@ -17,6 +16,7 @@ use super::{Answer, Call, CallError, Carrier, Condition, Notation, Parameters, S
 use crate::axis::handle::{GRACE, LOOK_EVERY, Observer};
 use crate::axis::pulse::Pulse;
 use crate::rt::{self, Regions};
+use crate::sync::{AtomicBool, Consumer, Mutex, MutexGuard, Producer};
 use crate::time::nanos;
 
 /// A call gets at least so many exchanges with its drive, however long the cycle is.

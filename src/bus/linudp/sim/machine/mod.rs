@@ -21,6 +21,7 @@ use super::motion::{Demand, METRE, Setpoints};
 use super::upids;
 use crate::bus::linudp::plan::SimPlan;
 use crate::bus::linudp::wire::{ControlWord, ErrorCode, Refusal};
+use crate::sim::Truth;
 use crate::sim::physics::{Plant, PlantPlan};
 use crate::time::{MS, Time};
 
@@ -528,6 +529,17 @@ impl Machine {
             position: self.plant.position() + self.offset,
             velocity: self.plant.velocity(),
             acceleration: 0.0,
+        }
+    }
+
+    /// What the motor really does, in wire counts.
+    pub(super) fn truth(&self) -> Truth {
+        let Demand { position, velocity, .. } = self.actual();
+        Truth {
+            powered: self.powered(),
+            homed: self.homed,
+            position: position / METRE,
+            velocity: velocity / METRE,
         }
     }
 
