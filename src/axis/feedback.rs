@@ -110,7 +110,7 @@ pub enum StopCause {
     FoundRunning = 8,
     /// Another axis of its stop group was stopped.
     Group = 9,
-    /// The drive left operation by itself (another master, its own panel).
+    /// The drive left operation by itself (its own panel, a limit switch).
     DriveDropped = 10,
     /// The drive's hardware enable (STO) went away.
     HardwareEnable = 11,
@@ -124,10 +124,12 @@ pub enum StopCause {
     GroupLink = 15,
     /// A motion of its group failed at this axis.
     GroupFailed = 16,
+    /// Another master commands the drive, or has frames on its segment.
+    OtherMaster = 17,
 }
 
 impl StopCause {
-    pub(crate) const ALL: [StopCause; 16] = [
+    pub(crate) const ALL: [StopCause; 17] = [
         StopCause::Shutdown,
         StopCause::LinkLost,
         StopCause::DriveFault,
@@ -144,6 +146,7 @@ impl StopCause {
         StopCause::DeadMan,
         StopCause::GroupLink,
         StopCause::GroupFailed,
+        StopCause::OtherMaster,
     ];
 }
 
@@ -166,6 +169,7 @@ impl fmt::Display for StopCause {
             StopCause::DeadMan => "jog not renewed",
             StopCause::GroupLink => "too many misses in its group",
             StopCause::GroupFailed => "motion of its group failed",
+            StopCause::OtherMaster => "another master",
         })
     }
 }

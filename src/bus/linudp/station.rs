@@ -10,6 +10,7 @@
 
 use super::native::{Native, NativePort, native};
 use super::orders::{Inputs, Orders, Outputs};
+use super::other::OtherMaster;
 use super::plan::{LinUdpDrive, MonitorPlan};
 use super::rtc::RtcChannel;
 use super::wire::{
@@ -47,6 +48,7 @@ pub struct Station {
     actual: Unwrap,
     demand: Unwrap,
     orders: Orders,
+    other: OtherMaster,
     rtc: RtcChannel,
     monitor: MonitorPlan,
     /// Probes that have gone out.
@@ -134,6 +136,7 @@ impl Station {
             actual: Unwrap::default(),
             demand: Unwrap::default(),
             orders: Orders::new(drive),
+            other: OtherMaster::default(),
             rtc: RtcChannel::new(port, drive.monitor.sources()),
             monitor: drive.monitor,
             probes: 0,
@@ -191,6 +194,7 @@ impl Station {
         if request.config.is_some() {
             request.response_def = request.response_def.with(ResponseDef::CONFIG);
         }
+        self.other.prepare(request.motion.map(|block| (block.header & 0xF) as u8));
         self.identity.prepared = Echo {
             request: request.definition(),
             response: request.response_def,
@@ -227,6 +231,7 @@ impl Station {
         slot.counters.sent += 1;
         slot.exchange = Exchange::Owed { sent_at, reply_by, awaited: false };
         self.orders.sent();
+        self.other.sent();
         self.rtc.sent();
     }
 
@@ -377,6 +382,7 @@ impl Station {
         report.warning = u32::from(view.warn().unwrap_or_default().0);
         report.fault = if status.error() { u32::from(fault.0) } else { 0 };
         if !suspect {
+            slot.report.other_master |= self.other.take(state.count());
             self.take_config(view, slot);
         }
         self.native.publish(at, view.bytes());

@@ -410,7 +410,10 @@ impl Seat {
             Link::Online => {
                 self.seen = true;
                 let running = self.feedback.state.is_powered() || self.feedback.moving;
-                if running && self.claim != Claim::Armed && !matches!(self.latch, Latch::Down(..)) {
+                // What a living master runs is not taken over.
+                let others = matches!(self.latch, Latch::Kept(StopCause::OtherMaster));
+                if running && self.claim != Claim::Armed && !matches!(self.latch, Latch::Down(..)) && !others
+                {
                     if self.latch.is_open() {
                         self.latch(cycle, now, StopCause::FoundRunning);
                     }
@@ -427,6 +430,10 @@ impl Seat {
     /// Watches an axis in operation, and runs one cycle of its stop sequence.
     pub fn watch(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
         let restarted = std::mem::take(&mut self.restarted);
+        // First: what follows from another master must not be named in its place.
+        if std::mem::take(&mut slot.report.other_master) {
+            self.stop(cycle, now, StopCause::OtherMaster, slot);
+        }
         // Where the application owns the control word, the drive's state is the application's concern.
         let free = self.is_native(NativeOwner::Application);
         if (self.claim == Claim::Armed || free) && slot.report.fresh {

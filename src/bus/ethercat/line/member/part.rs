@@ -70,6 +70,8 @@ impl Member {
         if !self.is_settled() || !status.error() && self.al == Some(AlState::Op) {
             return;
         }
+        // A slave that was only joined may have been on its way down.
+        self.fell = matches!(self.step, Step::Up) && !self.joined;
         // In SAFEOP it waits for the lock.
         let waits = matches!(self.step, Step::Lock) && status == AlStatus::request(AlState::SafeOp);
         match self.al {
