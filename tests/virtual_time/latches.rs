@@ -143,6 +143,7 @@ causes! {
     OtherMaster => Case {
         // It sends the drive elsewhere, with a count of its own.
         strike: |b| {
+            b.run(20);
             let command = MotionCommand::vai_go_to(
                 Position(10_000),
                 Velocity(10_000),

@@ -10,6 +10,7 @@
 //! | `station` | the master's view of one drive |
 //! | `identity`, `orders`, `calls`, `native`, `counters` | its parts: matching of replies, steps of an order, acyclic calls, native process data, counts |
 //! | `setup`, `echo`, `template` | settings before the first order, values that the drive has accepted, what stays the same between exchanges |
+//! | `other` | another master's values |
 //! | `bus` | stations and connections as one bus |
 //! | `sim` | the simulated drive |
 
@@ -29,6 +30,7 @@ mod echo;
 mod greeting;
 mod identity;
 mod orders;
+mod other;
 mod plan;
 mod setup;
 mod station;

@@ -34,7 +34,7 @@ impl Station {
         if let Some(template) = &self.template
             && template.only
             && outputs.is_some()
-            && !(calls || sets)
+            && !(calls || sets || self.other.is_check_due())
         {
             // There is nothing to choose, and `prepared` is this request already.
             template.refill(&mut self.out, self.identity.next(), self.outputs);
@@ -67,11 +67,18 @@ impl Station {
 
     /// The blocks of the next cyclic request.
     fn choose(&self, outputs: Option<Outputs>) -> Blocks {
+        let urgent = self.control_changes(outputs) || self.orders.is_new();
+        if self.other.is_check_due()
+            && !urgent
+            && let Some(read) = self.mapping().block_with(Role::Control)
+        {
+            // Whether our values stand: what FC23 reads it has written itself.
+            return Blocks { read: Some(read as u8), confirms: true, ..Blocks::default() };
+        }
         let (read, confirms) = self.choose_read(outputs);
         let write = outputs.map(|outputs| self.choose_write(outputs) as u8);
         let both = Blocks { write, read: Some(read as u8), confirms, ..Blocks::default() };
         // Without FC23 writing and reading take turns; an urgent one may go twice in a row.
-        let urgent = self.control_changes(outputs) || self.orders.is_new();
         let most = if urgent { 2 } else { 1 };
         match write {
             None => both,
@@ -268,6 +275,7 @@ impl Station {
             self.writes = self.writes.wrapping_add(u32::from(blocks.write.is_some()));
             self.written_in_a_row = if blocks.read.is_some() { 0 } else { self.written_in_a_row + 1 };
         }
+        self.other.sent(blocks.control || blocks.reference);
         if blocks.control {
             self.control_sent = Some(self.written.control);
             self.orders.control_sent();
