@@ -50,6 +50,12 @@ impl Echo {
         (self.taken != NONE).then_some(self.taken as i32)
     }
 
+    /// A request that writes `value` goes out: whether it is answered or not, it may change what the drive has.
+    #[inline]
+    pub(super) fn sent(&mut self, value: i32) {
+        self.stood &= self.written == i64::from(value);
+    }
+
     /// A request that wrote `value` was answered.
     #[inline]
     pub(super) fn replied(&mut self, value: i32) {
@@ -140,6 +146,9 @@ mod tests {
         assert_eq!((echo.read(5), echo.taken()), (Shown::Same, Some(5)));
         echo.replied(6);
         assert_eq!(echo.read(5), Shown::Other, "another value has not stood yet");
+        assert_eq!(echo.read(6), Shown::Same);
+        echo.sent(7);
+        assert_eq!(echo.read(7), Shown::Other, "our own, although its answer was lost");
     }
 
     #[test]

@@ -68,7 +68,10 @@ impl Station {
     /// The blocks of the next cyclic request.
     fn choose(&self, outputs: Option<Outputs>) -> Blocks {
         let urgent = self.control_changes(outputs) || self.orders.is_new();
-        if self.other.is_check_due()
+        // It delays no step of an order, a stop above all, and does not come between the two halves of a report.
+        let may_check = self.seen == (false, false) && !self.orders.waits() || self.other.is_in_doubt();
+        if may_check
+            && self.other.is_check_due()
             && !urgent
             && let Some(read) = self.mapping().block_with(Role::Control)
         {
@@ -277,10 +280,12 @@ impl Station {
         }
         self.other.sent(blocks.control || blocks.reference);
         if blocks.control {
+            self.control.sent(self.written.control.0.into());
             self.control_sent = Some(self.written.control);
             self.orders.control_sent();
         }
         if blocks.reference {
+            self.reference.sent(self.written.reference);
             self.orders.reference_sent(self.grid);
         }
         if blocks.write.is_some() {
