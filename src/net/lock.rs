@@ -11,6 +11,8 @@ use std::net::SocketAddrV4;
 use std::os::fd::AsRawFd;
 use std::os::linux::net::SocketAddrExt;
 use std::os::unix::net::{SocketAddr, UnixListener};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
 
 use nix::net::if_::if_nametoindex;
 use nix::sys::socket::{
@@ -19,6 +21,10 @@ use nix::sys::socket::{
 use thiserror::Error;
 
 use super::local;
+
+/// A lock is released within this time after its master has ended: a process that is just being started has a copy of
+/// it until it executes its program, and a process that was killed may take a moment to die.
+const RELEASED_WITHIN: Duration = Duration::from_millis(100);
 
 /// What has one master.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -82,27 +88,33 @@ impl Place<'_> {
         })
     }
 
-    /// Locks it.
+    /// Locks it. For normal threads: a place in use is tried again for a moment.
     pub fn lock(self) -> Result<Lock, Refused> {
         let Some(key) = self.key() else { return Ok(Lock::default()) };
         // A name that is too long is no segment's; opening it says so.
         let Ok(address) = SocketAddr::from_abstract_name(&key) else { return Ok(Lock::default()) };
-        // The owner may end between the two questions: once more then.
-        for _ in 0..2 {
+        let begun = Instant::now();
+        loop {
             match UnixListener::bind_addr(&address) {
                 Ok(socket) => return Ok(Lock(Some(socket))),
                 Err(error) if error.kind() == io::ErrorKind::AddrInUse => {}
                 Err(error) => return Err(Refused::Failed(error)),
             }
-            match owner(&key).map(|pid| (pid, pid.cast_unsigned())) {
-                Some((_, pid)) if pid == std::process::id() => return Err(Refused::Own),
-                // A process of a PID namespace that is not below ours has no id here.
-                Some((1.., pid)) => return Err(Refused::Process { pid: pid.cast_signed(), name: name(pid) }),
-                Some(_) => return Err(Refused::Unseen),
-                None => {}
+            if begun.elapsed() > RELEASED_WITHIN {
+                return Err(used_by(owner(&key)));
             }
+            sleep(RELEASED_WITHIN / 20);
         }
-        Err(Refused::Unseen)
+    }
+}
+
+/// Who uses a place, by the process that listens at its address.
+fn used_by(owner: Option<i32>) -> Refused {
+    match owner {
+        Some(pid) if pid.cast_unsigned() == std::process::id() => Refused::Own,
+        // A process of a PID namespace that is not below ours has no id here.
+        Some(pid) if pid > 0 => Refused::Process { pid, name: name(pid) },
+        _ => Refused::Unseen,
     }
 }
 
@@ -116,7 +128,7 @@ fn owner(key: &str) -> Option<i32> {
 }
 
 /// The name of a process in parentheses; empty if it cannot be read.
-fn name(pid: u32) -> String {
+fn name(pid: i32) -> String {
     let name = std::fs::read_to_string(format!("/proc/{pid}/comm")).unwrap_or_default();
     let name: String = name.trim_end().chars().filter(|char| !char.is_control()).collect();
     if name.is_empty() { name } else { format!(" ({name})") }
