@@ -17,6 +17,7 @@ mod latches;
 mod limits;
 mod loads;
 mod lock;
+mod other_masters;
 mod queues;
 mod replies;
 mod restarts;

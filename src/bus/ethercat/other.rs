@@ -3,7 +3,7 @@
 //! Each frame of this master begins with its mark: a frame without it was sent by somebody else. Such frames arrive
 //! here behind a hub or a tap, from a master at the far end of the segment, and from another program on the same
 //! interface; the source address proves nothing, since that program has the same one. They count as another master's
-//! only if they are whole EtherCAT frames of one sender, and if they come again and again: the last frames of a master
+//! only if they are whole EtherCAT frames of one sender and one kind, and if they come again and again: the last frames of a master
 //! that has ended may arrive in a burst.
 //!
 //! A state of a slave that nobody requested here is the second evidence (`line::member`): a slave that leaves OP by
@@ -44,21 +44,25 @@ pub struct OtherMaster {
     proved: Option<Time>,
 }
 
-/// Who sends frames.
+/// Who sends frames, and which: a master repeats those of its cycle, and damage is different each time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Sender {
     mac: Mac,
     /// The mark of another instance of this program.
     mark: Option<u32>,
+    /// Command and address of the first datagram.
+    first: (u8, u32),
 }
 
 impl Sender {
     fn of(received: &[u8]) -> Option<Sender> {
         let mut mac: Mac = *received.get(6..12)?.first_chunk()?;
         mac[0] &= !PASSED;
-        let mut datagrams = datagrams(received).ok()?.peekable();
-        let whole = datagrams.peek().is_some() && datagrams.all(|datagram| datagram.is_ok());
-        whole.then(|| Sender { mac, mark: Mark::of(received).map(|mark| mark.master) })
+        let mut datagrams = datagrams(received).ok()?;
+        let first = datagrams.next()?.ok()?;
+        let whole = datagrams.all(|datagram| datagram.is_ok());
+        let mark = Mark::of(received).map(|mark| mark.master);
+        whole.then_some(Sender { mac, mark, first: (first.number, first.address) })
     }
 }
 

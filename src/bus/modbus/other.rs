@@ -11,6 +11,7 @@
 //! a drive that leaves operation without a trip is reported only after a read has shown that our control word still
 //! stands, or the hardware enable would be blamed for what another master has done.
 
+use super::mapping::Role;
 use crate::time::{S, Time};
 
 /// One of so many exchanges that write is followed by one that only reads ...
@@ -37,8 +38,10 @@ pub(super) struct OtherMaster {
     first: Time,
     reference: u8,
     doubt: Doubt,
-    /// The values of the drive while nothing is written here.
-    found: Option<(i32, i32)>,
+    /// The values of the drive while nothing is written here: control word and reference.
+    found: [Option<i32>; 2],
+    /// The next check reads the reference, where that is not read with the control word.
+    turn: bool,
 }
 
 /// Whether a drive that was commanded to run has left operation by itself.
@@ -63,6 +66,7 @@ impl OtherMaster {
     /// An exchange went out.
     #[inline]
     pub(super) fn sent(&mut self, writes: bool) {
+        self.turn ^= !writes;
         self.writes = if writes { self.writes.saturating_add(1) } else { 0 };
     }
 
@@ -94,14 +98,24 @@ impl OtherMaster {
         proved
     }
 
-    /// The values of a drive that this master only reads. True if they prove another one, by the same count.
-    pub(super) fn read(&mut self, at: Time, control: i32, reference: i32) -> bool {
-        let Some((before, speed)) = self.found.replace((control, reference)) else { return false };
-        let (control, reference) = (control != before, reference != speed);
-        if !reference {
-            self.reference = 0;
+    /// The values of a drive that this master only reads: control word and reference, as far as they were read. True
+    /// if they prove another master, by the same count.
+    pub(super) fn read(&mut self, at: Time, values: [Option<i32>; 2]) -> bool {
+        let mut changes = [None; 2];
+        for ((change, found), value) in changes.iter_mut().zip(&mut self.found).zip(values) {
+            if let Some(value) = value {
+                *change = found.replace(value).map(|before| before != value);
+            }
         }
+        self.same(changes[0] == Some(false), changes[1] == Some(false));
+        let [control, reference] = changes.map(|change| change == Some(true));
         (control || reference) && self.changed(at, control, reference)
+    }
+
+    /// What the next check reads, if it cannot read both.
+    pub(super) fn check(&self) -> Role {
+        let reference = self.reference > 0 || self.turn && self.control == 0;
+        if reference && !self.is_in_doubt() { Role::Reference } else { Role::Control }
     }
 
     /// Whether the report of a drive has to wait until its control word was read: `may` it be in doubt, since it is
@@ -191,7 +205,8 @@ mod tests {
     fn a_drive_that_somebody_commands_is_seen_before_anything_is_written() {
         let proof = |values: fn(i32) -> (i32, i32)| {
             let mut other = OtherMaster::default();
-            (0..50).position(|n| other.read(Time(S + n as u64 * 10 * MS), values(n).0, values(n).1))
+            let read = |n: i32| [values(n).0, values(n).1].map(Some);
+            (0..50).position(|n| other.read(Time(S + n as u64 * 10 * MS), read(n)))
         };
         assert_eq!(proof(|n| (0x181, n)), Some(6));
         assert_eq!(proof(|n| (0x180 + n % 2, 500)), Some(3));

@@ -1,6 +1,7 @@
 //! Unidrives under the whole loop in virtual time: what the conformance suite does not ask of a protocol.
 
 mod care;
+mod others;
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::sync::{Arc, Mutex, MutexGuard};

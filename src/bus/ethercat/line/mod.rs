@@ -547,9 +547,8 @@ impl Line {
             self.phase_lender = lent.phase_ns.map(|_| index).or(self.phase_lender);
             self.lend(place, &back.sent, lent);
         }
-        self.lowered |= happened == Happened::Lowered;
         let counter = match happened {
-            Happened::Nothing | Happened::Lowered => None,
+            Happened::Nothing => None,
             Happened::Restarted => {
                 crew.restarted(owner);
                 None

@@ -73,7 +73,7 @@ impl Station {
         if may_check
             && self.other.is_check_due()
             && !urgent
-            && let Some(read) = self.mapping().block_with(Role::Control)
+            && let Some(read) = self.mapping().block_with(self.other.check())
         {
             // Whether our values stand: what FC23 reads it has written itself.
             return Blocks { read: Some(read as u8), confirms: true, ..Blocks::default() };

@@ -219,8 +219,9 @@ impl Station {
         let with_trip = places.has(Role::Trip);
         self.native.publish(at, self.orders.is_native(), &self.image);
         if control || reference {
-            let read_only = blocks.write.is_none();
-            self.compare(at, control, reference, read_only, slot);
+            // What this exchange has not written itself shows who did.
+            let unwritten = control && !blocks.control || reference && !blocks.reference;
+            self.compare(at, control, reference, unwritten, slot);
         } else if blocks.control || blocks.reference {
             self.note_taken(at);
         }
@@ -271,7 +272,7 @@ impl Station {
 
     /// Compares read-back values with the written ones.
     #[inline(always)]
-    fn compare(&mut self, at: Time, control: bool, reference: bool, read_only: bool, slot: &mut Slot) {
+    fn compare(&mut self, at: Time, control: bool, reference: bool, unwritten: bool, slot: &mut Slot) {
         let word = self.image.of(Role::Control).filter(|_| control).map(|count| i32::from(count as u16));
         let speed = self.image.of(Role::Reference).filter(|_| reference);
         let control = word.map(|word| self.control.read(word));
@@ -282,8 +283,8 @@ impl Station {
             Own::NotTaken.count(&mut slot.counters);
             self.orders.not_taken(at);
         }
-        if read_only || shown.contains(&Some(Shown::Changed)) {
-            self.look_for_others(at, shown, (word, speed), slot);
+        if unwritten || shown.contains(&Some(Shown::Changed)) {
+            self.look_for_others(at, shown, [word, speed], slot);
         }
     }
 
@@ -293,17 +294,16 @@ impl Station {
         &mut self,
         at: Time,
         shown: [Option<Shown>; 2],
-        values: (Option<i32>, Option<i32>),
+        values: [Option<i32>; 2],
         slot: &mut Slot,
     ) {
         let [control, reference] = shown.map(|shown| shown == Some(Shown::Changed));
         let [same_control, same_reference] = shown.map(|shown| shown == Some(Shown::Same));
-        let proved = match values {
-            (Some(word), Some(speed)) if !self.orders.writes() => self.other.read(at, word, speed),
-            _ => {
-                self.other.same(same_control, same_reference);
-                (control || reference) && self.other.changed(at, control, reference)
-            }
+        let proved = if self.orders.writes() {
+            self.other.same(same_control, same_reference);
+            (control || reference) && self.other.changed(at, control, reference)
+        } else {
+            self.other.read(at, values)
         };
         slot.report.other_master |= proved;
     }

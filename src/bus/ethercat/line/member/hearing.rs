@@ -310,7 +310,6 @@ impl Member {
         let Some((status, code)) = al(data) else { return Happened::Nothing };
         // The image may not have shown it.
         self.al = status.state();
-        let fell = std::mem::take(&mut self.fell);
         match status.state() {
             Some(AlState::Op) if !status.error() => self.enter(now, Step::Up),
             // Its own watchdog has stopped it.
@@ -324,12 +323,7 @@ impl Member {
             }
             _ => self.start_over(now, 0, Note::Starting),
         }
-        match status.state() {
-            _ if status.error() => Happened::Error,
-            // It is still in the state that its image showed, and has it from a request.
-            Some(AlState::SafeOp) if fell => Happened::Lowered,
-            _ => Happened::Nothing,
-        }
+        if status.error() { Happened::Error } else { Happened::Nothing }
     }
 }
 

@@ -230,8 +230,6 @@ pub enum Happened {
     Error,
     /// It has lost its settings: it was switched off and on.
     Restarted,
-    /// It left OP without an error of its own: another master has requested that (ETG.1000.6).
-    Lowered,
 }
 
 /// One slave of the segment.
@@ -264,8 +262,6 @@ pub struct Member {
     /// Its watchdog is set as configured.
     watched: bool,
     was_operational: bool,
-    /// Its image showed another state while it was in OP.
-    fell: bool,
     mailbox_open: bool,
     /// Its clock was set to the segment's, and it has not been away since.
     clock_set: bool,
@@ -310,7 +306,6 @@ impl Member {
             found_mode: None,
             watched: true,
             was_operational: false,
-            fell: false,
             mailbox_open: false,
             clock_set: false,
             looked_at: false,
@@ -443,7 +438,7 @@ impl Member {
     /// It begins anew, after a while.
     fn start_over(&mut self, now: Time, after_ns: u64, note: Note) {
         (self.addressed, self.mapped, self.mailbox_open) = (false, Mapped::None, false);
-        (self.joined, self.al, self.was_operational, self.fell) = (false, None, false, false);
+        (self.joined, self.al, self.was_operational) = (false, None, false);
         self.note = note;
         self.enter(now, Step::Rest(now + after_ns));
     }
