@@ -23,6 +23,8 @@ const CONTROL_CHANGES: u8 = 3;
 const WITHIN_NS: u64 = 2 * S;
 /// ... and so many of the reference, in checks in a row.
 const REFERENCE_CHANGES: u8 = 6;
+/// ... or so many before anything was written here, when nothing is at stake but the start.
+const FOUND_CHANGES: u8 = 3;
 /// A drive that has left operation is reported after so many exchanges at the latest.
 const DOUBT_EXCHANGES: u8 = 12;
 
@@ -67,6 +69,9 @@ impl OtherMaster {
     #[inline]
     pub(super) fn sent(&mut self, writes: bool) {
         self.turn ^= !writes;
+        if writes {
+            self.found = [None; 2];
+        }
         self.writes = if writes { self.writes.saturating_add(1) } else { 0 };
     }
 
@@ -91,7 +96,8 @@ impl OtherMaster {
             self.control += 1;
         }
         self.reference += u8::from(reference);
-        let proved = self.control >= CONTROL_CHANGES || self.reference >= REFERENCE_CHANGES;
+        let most = if self.found == [None; 2] { REFERENCE_CHANGES } else { FOUND_CHANGES };
+        let proved = self.control >= CONTROL_CHANGES || self.reference >= most;
         if proved {
             (self.control, self.reference) = (0, 0);
         }
@@ -208,7 +214,7 @@ mod tests {
             let read = |n: i32| [values(n).0, values(n).1].map(Some);
             (0..50).position(|n| other.read(Time(S + n as u64 * 10 * MS), read(n)))
         };
-        assert_eq!(proof(|n| (0x181, n)), Some(6));
+        assert_eq!(proof(|n| (0x181, n)), Some(3));
         assert_eq!(proof(|n| (0x180 + n % 2, 500)), Some(3));
         assert_eq!(proof(|_| (0x183, 500)), None, "a dead one has left it so");
         assert_eq!(proof(|n| (0x183, 500 + n / 10)), None, "somebody turns it up by its keypad");

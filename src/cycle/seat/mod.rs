@@ -411,7 +411,8 @@ impl Seat {
                 self.seen = true;
                 let running = self.feedback.state.is_powered() || self.feedback.moving;
                 // What a living master runs is not taken over.
-                let others = matches!(self.latch, Latch::Kept(StopCause::OtherMaster));
+                let others =
+                    slot.report.other_master || matches!(self.latch, Latch::Kept(StopCause::OtherMaster));
                 if running && self.claim != Claim::Armed && !matches!(self.latch, Latch::Down(..)) && !others
                 {
                     if self.latch.is_open() {

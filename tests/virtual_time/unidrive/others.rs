@@ -76,8 +76,7 @@ fn a_keypad_and_a_short_loss_of_the_hardware_enable_are_no_other_master() {
 
 #[test]
 fn a_drive_that_a_living_master_commands_is_not_taken_over() {
-    // Where the reference is read in turns with other values, its changes come too slowly.
-    for via in [Via::Menu0 { first: 11 }] {
+    for via in VIAS {
         let mut b = Bench::new(1, via, |_, drive| drive.simulate.start = Start::Running(300.0));
         for reference in 0..2_000 {
             let now = b.now();

@@ -99,8 +99,15 @@ impl Station {
             // A trip is named as soon as it is seen.
             return mapping.block_with(Role::Trip).map_or(turn, |block| (block, true));
         }
-        let Some(outputs) = outputs.filter(|_| !self.confirmed && mapping.reads().len() > 1) else {
+        if self.confirmed || mapping.reads().len() < 2 {
             return turn;
+        }
+        let Some(outputs) = outputs else {
+            // Whether somebody commands a drive that is found running, once its state is known.
+            let known = self.image.of(Role::Status).is_some() && self.image.of(Role::Speed).is_some();
+            let found = known && self.inputs.status.active();
+            let block = mapping.block_with(Role::Reference).filter(|_| found);
+            return block.map_or(turn, |block| (block, true));
         };
         let missing = if self.control_changes(Some(outputs)) {
             Some(Role::Control)
