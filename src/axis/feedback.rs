@@ -110,7 +110,7 @@ pub enum StopCause {
     FoundRunning = 8,
     /// Another axis of its stop group was stopped.
     Group = 9,
-    /// The drive left operation by itself (another master, its own panel).
+    /// The drive left operation by itself (its own panel, a limit switch).
     DriveDropped = 10,
     /// The drive's hardware enable (STO) went away.
     HardwareEnable = 11,
@@ -134,10 +134,12 @@ pub enum StopCause {
     Panic = 20,
     /// The thread that opens the connections of its bus ended: an error of this software.
     LinkThread = 21,
+    /// Another master commands the drive, or has frames on its segment.
+    OtherMaster = 22,
 }
 
 impl StopCause {
-    pub(crate) const ALL: [StopCause; 21] = [
+    pub(crate) const ALL: [StopCause; 22] = [
         StopCause::Shutdown,
         StopCause::LinkLost,
         StopCause::DriveFault,
@@ -159,6 +161,7 @@ impl StopCause {
         StopCause::Suspended,
         StopCause::Panic,
         StopCause::LinkThread,
+        StopCause::OtherMaster,
     ];
 }
 
@@ -186,6 +189,7 @@ impl fmt::Display for StopCause {
             StopCause::Suspended => "computer suspended",
             StopCause::Panic => "internal error (panic)",
             StopCause::LinkThread => "link thread ended",
+            StopCause::OtherMaster => "another master",
         })
     }
 }

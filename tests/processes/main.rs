@@ -9,6 +9,7 @@
 //! | `links` | drives that are lost, come back, or were never there |
 //! | `deaths` | controllers and drives that die in mid-motion, and who comes after them |
 //! | `mistakes` | wrong input: configurations, arguments, addresses that are taken |
+//! | `masters` | two masters on one segment or one drive |
 //! | `strangers` | datagrams of people who have no business here |
 //! | `telling` | what a master tells while it runs: control socket, black box, service manager |
 //! | `report` | the directory that a run leaves behind, and all that keeps it from being written |
@@ -31,6 +32,7 @@ mod fuse;
 mod kollmorgen;
 mod links;
 mod linmot;
+mod masters;
 mod metrics;
 mod mistakes;
 mod params;

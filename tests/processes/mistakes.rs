@@ -16,6 +16,11 @@ fn a_second_master_is_refused_and_the_first_one_does_not_notice() {
     let _sim = serve(&config);
     let mut first = master(&config, &["--json"]);
     first.await_text("all drives online");
+    // With a drive of its own, but the same port.
+    let text = std::fs::read_to_string(&config).unwrap();
+    let other = [0, 1].map(|index| machine.drive(index).ip().to_string());
+    let text = text.replace(&other[0], &machine.ip(200).to_string());
+    let config = machine.write("other.toml", text.replace(&other[1], &machine.ip(201).to_string()));
     for _ in 0..3 {
         let bind = format!("bus linudp-v2: cannot bind {}: Address already in use", machine.master());
         master(&config, &["--for", "1s"]).end().refused(&[

@@ -353,7 +353,7 @@ fn a_command_in_the_wrong_state_is_a_fault_of_the_drive_not_of_the_loop() {
 }
 
 /// A telegram of another master reaches the drive now.
-fn inject(b: &Bench, request: Request) {
+pub fn inject(b: &Bench, request: Request) {
     let request = Request { response_def: ResponseDef::CYCLIC, ..request };
     let mut bytes = [0; 64];
     let size = request.emit(&mut bytes);

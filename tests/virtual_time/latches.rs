@@ -3,10 +3,12 @@
 use std::time::Duration;
 
 use fieldbeat::axis::{Abort, CommandId, EventKind, Failure, Link, Outcome, StopCause, Verb};
-use fieldbeat::bus::linudp::wire::ErrorCode;
+use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};
+use fieldbeat::bus::linudp::wire::{ErrorCode, Request};
 use fieldbeat::cycle::engine::Flow;
 use fieldbeat::time::MS;
 
+use crate::virtual_time::faults::inject;
 use crate::virtual_time::support::*;
 
 /// How one cause comes about in a machine of three axes: 0 is the one that is looked at, 1 is of its group, 2 is alone.
@@ -138,6 +140,20 @@ causes! {
             }
         },
         others: [Some(StopCause::GroupLink), None],
+        ..CASE
+    },
+    OtherMaster => Case {
+        // It sends the drive elsewhere, with a count of its own.
+        strike: |b| {
+            b.run(20);
+            let command = MotionCommand::vai_go_to(
+                Position(10_000),
+                Velocity(10_000),
+                Acceleration(100_000),
+                Acceleration(100_000),
+            );
+            inject(b, Request { motion: Some(command.block(9)), ..Request::default() });
+        },
         ..CASE
     },
     GroupFailed => Case {

@@ -23,6 +23,7 @@ mod loads;
 mod lock;
 mod oracle;
 mod oracle_found;
+mod other_masters;
 mod panics;
 mod powered;
 mod queues;

@@ -1,17 +1,11 @@
 //! The executor's end of the calls. On the real-time thread: bounded work, no allocation, no lock, no wait.
 
 use std::sync::Arc;
-<<<<<<< HEAD
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-
-use rtrb::{Consumer, Producer};
-=======
 use std::sync::atomic::Ordering;
->>>>>>> w17-oracle
 
 use super::{Answer, Call, CallError};
 use crate::rt::Regions;
-use crate::sync::{AtomicU64, Consumer, Producer};
+use crate::sync::{AtomicBool, AtomicU64, Consumer, Producer};
 
 /// The most calls that end in one cycle without having been carried out.
 const MOST_ENDS: usize = 64;

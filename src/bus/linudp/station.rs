@@ -14,6 +14,7 @@
 
 use super::native::{Native, NativePort, native};
 use super::orders::{Inputs, Orders, Outputs};
+use super::other::OtherMaster;
 use super::plan::{LinUdpDrive, MonitorPlan, ReplyTag};
 use super::rtc::RtcChannel;
 use super::upid::commanding;
@@ -56,6 +57,7 @@ pub struct Station {
     actual: Unwrap,
     demand: Unwrap,
     orders: Orders,
+    other: OtherMaster,
     rtc: RtcChannel,
     monitor: MonitorPlan,
     /// Probes that have gone out.
@@ -170,6 +172,7 @@ impl Station {
             actual: Unwrap::default(),
             demand: Unwrap::default(),
             orders: Orders::new(drive),
+            other: OtherMaster::default(),
             rtc: RtcChannel::new(port, drive.monitor.sources()),
             monitor: drive.monitor,
             probes: 0,
@@ -228,6 +231,7 @@ impl Station {
         if request.config.is_some() {
             request.response_def = request.response_def.with(ResponseDef::CONFIG);
         }
+        self.other.prepare(request.motion.map(|block| (block.header & 0xF) as u8));
         self.identity.prepared = Echo {
             request: request.definition(),
             response: request.response_def,
@@ -266,6 +270,7 @@ impl Station {
         slot.counters.sent += 1;
         slot.exchange = Exchange::Owed { sent_at, reply_by, awaited: false };
         self.orders.sent();
+        self.other.sent();
         self.rtc.sent();
     }
 
@@ -429,6 +434,7 @@ impl Station {
         report.warning = view.warn().map_or(report.warning, |warning| u32::from(warning.0));
         report.fault = if status.error() { u32::from(fault.0) } else { 0 };
         if !suspect {
+            slot.report.other_master |= self.other.take(state.count());
             self.take_config(view, slot);
         }
         self.native.publish(at, view.bytes());

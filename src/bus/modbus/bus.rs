@@ -17,8 +17,8 @@ use super::trips::Trip;
 use crate::axis::acyclic::{AcyclicEnds, Notation};
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, FaultNames, FoundRunning, MonitorChannel, PlanFault};
-use crate::bus::{Bus, BusPlan, Cycle, Exchange, Notes, OpenError, OwnCounter, Slot, Strangers};
-use crate::net::{Broken, Carriers, StreamPeer, Streams};
+use crate::bus::{Bus, BusPlan, Cycle, Exchange, Notes, OpenError, OwnCounter, Slot, Strangers, lock_drives};
+use crate::net::{Broken, Carriers, Lock, StreamPeer, Streams};
 use crate::rt::Regions;
 use crate::sim::SimDrive;
 use crate::time::Time;
@@ -30,6 +30,8 @@ pub struct ModbusBus {
     stations: Vec<Station>,
     natives: Vec<Option<Native>>,
     acyclics: Vec<Option<AcyclicEnds>>,
+    /// The drives are this master's until their connections are given up.
+    _locks: Vec<Lock>,
 }
 
 impl std::fmt::Debug for ModbusBus {
@@ -53,6 +55,8 @@ fn mappings(drive: &UnidriveDrive) -> Option<(Mapping, Option<Mapping>)> {
 impl ModbusBus {
     /// Begins to connect to the drives of `plan`, which is free of faults.
     pub fn open(plan: &ModbusPlan, period_ns: u64, carriers: &dyn Carriers) -> Result<ModbusBus, OpenError> {
+        let drives = plan.drives.iter().map(|drive| (&drive.axis, drive.address));
+        let locks = lock_drives(&plan.name, drives, carriers)?;
         let (mut peers, mut stations) = (Vec::new(), Vec::new());
         let (mut natives, mut acyclics) = (Vec::new(), Vec::new());
         for drive in &plan.drives {
@@ -75,7 +79,7 @@ impl ModbusBus {
         let net = carriers
             .streams(peers)
             .map_err(|source| OpenError::Streams { bus: plan.name.clone(), source })?;
-        Ok(ModbusBus { name: plan.name.clone(), net, stations, natives, acyclics })
+        Ok(ModbusBus { name: plan.name.clone(), net, stations, natives, acyclics, _locks: locks })
     }
 
     /// Takes in what has arrived on the connections, one piece each.

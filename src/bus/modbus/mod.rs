@@ -11,6 +11,7 @@
 //! | `identity`, `pace`, `orders`, `calls`, `native`, `counters` | its parts: matching of replies, whether they come inside the window, steps of an order, acyclic calls, native process data, counts |
 //! | `read_write` | whether the drive has FC23 |
 //! | `setup`, `echo`, `template` | settings before the first order, values that the drive has accepted, what stays the same between exchanges |
+//! | `other` | another master's values |
 //! | `bus` | stations and connections as one bus |
 //! | `sim` | the simulated drive |
 
@@ -30,6 +31,7 @@ mod echo;
 mod greeting;
 mod identity;
 mod orders;
+mod other;
 mod pace;
 mod plan;
 mod read_write;

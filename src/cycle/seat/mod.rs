@@ -444,7 +444,11 @@ impl Seat {
             Link::Online => {
                 self.seen = true;
                 let running = self.feedback.state.is_powered() || self.feedback.moving;
-                if running && self.claim != Claim::Armed && !matches!(self.latch, Latch::Down(..)) {
+                // What a living master runs is not taken over.
+                let others =
+                    slot.report.other_master || matches!(self.latch, Latch::Kept(StopCause::OtherMaster));
+                if running && self.claim != Claim::Armed && !matches!(self.latch, Latch::Down(..)) && !others
+                {
                     if self.latch.is_open() {
                         self.latch(cycle, now, StopCause::FoundRunning);
                     }
@@ -461,6 +465,10 @@ impl Seat {
     /// Watches an axis that has power, and runs one cycle of its stop sequence.
     pub fn watch(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
         let restarted = std::mem::take(&mut self.restarted);
+        // First: what follows from another master must not be named in its place.
+        if std::mem::take(&mut slot.report.other_master) {
+            self.stop(cycle, now, StopCause::OtherMaster, slot);
+        }
         if slot.report.fresh {
             let cause = self.left_operation(restarted).or_else(|| self.watch_motion(cycle, now, slot));
             match cause {

@@ -12,7 +12,7 @@ use fieldbeat::bus::ethercat::sim::EthercatSim;
 use fieldbeat::bus::ethercat::{EthercatPlan, KollmorgenDrive};
 use fieldbeat::bus::linudp::sim::LinMotSim;
 use fieldbeat::bus::linudp::wire::{ErrorCode, Request};
-use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan};
+use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan, ReplyTag};
 use fieldbeat::bus::modbus::sim::UnidriveSim;
 use fieldbeat::bus::modbus::trips::Trip;
 use fieldbeat::bus::modbus::{ModbusPlan, UnidriveDrive, Via};
@@ -252,7 +252,7 @@ fn linmot(index: usize, shape: Shape) -> LinUdpDrive {
     let mut drive = support::drive(index);
     shorten(&mut drive.axis, shape, 200.0, 4_000.0);
     drive.axis.limits.acceleration = None;
-    drive.reply_tag = shape.other;
+    drive.reply_tag = if shape.other { ReplyTag::Count } else { ReplyTag::default() };
     // Short homing.
     drive.simulate.start_position = 10_000;
     drive

@@ -4,6 +4,7 @@ mod care;
 mod commanding;
 mod functions;
 mod loss;
+mod others;
 mod pace;
 
 use std::net::{Ipv4Addr, SocketAddrV4};

@@ -38,7 +38,7 @@ impl Station {
         if let Some(template) = &self.template
             && template.only
             && outputs.is_some()
-            && !(calls || sets)
+            && !(calls || sets || self.other.is_check_due())
         {
             // There is nothing to choose, and `prepared` is this request already.
             template.refill(&mut self.out, self.identity.next(), self.outputs);
@@ -81,11 +81,21 @@ impl Station {
 
     /// The blocks of the next cyclic request.
     fn choose(&self, outputs: Option<Outputs>) -> Blocks {
+        let urgent = self.control_changes(outputs) || self.orders.is_new();
+        // It delays no step of an order, a stop above all, and does not come between the two halves of a report.
+        let may_check = self.seen == (false, false) && !self.orders.waits() || self.other.is_in_doubt();
+        if may_check
+            && self.other.is_check_due()
+            && !urgent
+            && let Some(read) = self.mapping().block_with(self.other.check())
+        {
+            // Whether our values stand: what FC23 reads it has written itself.
+            return Blocks { read: Some(read as u8), confirms: true, ..Blocks::default() };
+        }
         let (read, confirms) = self.choose_read(outputs);
         let write = outputs.map(|outputs| self.choose_write(outputs) as u8);
         let both = Blocks { write, read: Some(read as u8), confirms, ..Blocks::default() };
         // Without FC23 writing and reading take turns; an urgent one may go twice in a row.
-        let urgent = self.control_changes(outputs) || self.orders.is_new();
         let most = if urgent { 2 } else { 1 };
         match write {
             None => both,
@@ -103,8 +113,15 @@ impl Station {
             // A trip is named as soon as it is seen.
             return mapping.block_with(Role::Trip).map_or(turn, |block| (block, true));
         }
-        let Some(outputs) = outputs.filter(|_| !self.confirmed && mapping.reads().len() > 1) else {
+        if self.confirmed || mapping.reads().len() < 2 {
             return turn;
+        }
+        let Some(outputs) = outputs else {
+            // Whether somebody commands a drive that is found running, once its state is known.
+            let known = self.image.of(Role::Status).is_some() && self.image.of(Role::Speed).is_some();
+            let found = known && self.inputs.status.active();
+            let block = mapping.block_with(Role::Reference).filter(|_| found);
+            return block.map_or(turn, |block| (block, true));
         };
         let missing = if self.control_changes(Some(outputs)) {
             Some(Role::Control)
@@ -286,11 +303,14 @@ impl Station {
             self.writes = self.writes.wrapping_add(u32::from(blocks.write.is_some()));
             self.written_in_a_row = if blocks.read.is_some() { 0 } else { self.written_in_a_row + 1 };
         }
+        self.other.sent(blocks.control || blocks.reference);
         if blocks.control {
+            self.control.sent(self.written.control.0.into());
             self.control_sent = Some(self.written.control);
             self.orders.control_sent();
         }
         if blocks.reference {
+            self.reference.sent(self.written.reference);
             self.orders.reference_sent(self.grid);
         }
         if blocks.write.is_some() {

@@ -19,6 +19,7 @@ use super::identity::Identity;
 use super::mapping::{Image, Mapping};
 use super::native::{Native, NativePort, native};
 use super::orders::{Inputs, Orders, Outputs};
+use super::other::OtherMaster;
 use super::pace::Pace;
 use super::plan::UnidriveDrive;
 use super::read_write::ReadWrite;
@@ -114,6 +115,7 @@ pub struct Station {
     inputs: Inputs,
     control: Echo,
     reference: Echo,
+    other: OtherMaster,
     /// The control word that the drive accepted last, or had at first, and the one sent last, on whatever connection.
     control_taken: Option<ControlWord>,
     control_sent: Option<ControlWord>,
@@ -248,6 +250,7 @@ impl Station {
             inputs: Inputs::default(),
             control: Echo::default(),
             reference: Echo::default(),
+            other: OtherMaster::default(),
             control_taken: None,
             control_sent: None,
             trip_read: false,
@@ -291,6 +294,7 @@ impl Station {
         (self.refused, self.busy_since, self.written_in_a_row) = ((0, 0), None, 0);
         // The drive's values are not known until they are read back, nor its state until it reports again.
         (self.control, self.reference) = (Echo::default(), Echo::default());
+        self.other = OtherMaster::default();
         let velocity = f64::from(finding.speed) * self.velocity_per_count;
         self.inputs = Inputs { seen: true, status: finding.status, velocity, ..Inputs::default() };
         (self.was_active, self.dark_at, self.trip_read) = (false, None, false);
