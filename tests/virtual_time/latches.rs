@@ -152,7 +152,8 @@ causes! {
                 Acceleration(100_000),
                 Acceleration(100_000),
             );
-            inject(b, Request { motion: Some(command.block(9)), ..Request::default() });
+            let own = b.tape(0).last().state.and_then(|state| state.count()).unwrap_or(0);
+            inject(b, Request { motion: Some(command.block((own + 7) & 0xF)), ..Request::default() });
         },
         ..CASE
     },

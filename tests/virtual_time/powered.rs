@@ -38,10 +38,11 @@ fn a_motion_that_an_old_request_starts_after_a_stop_is_stopped() {
     let mut b = Rig::new(1).start();
     b.ready();
     b.post(0, slowly_to(100.0));
-    b.run(200);
+    b.run(50);
+    // Older than 250 exchanges it would be another master's.
     let old = last_motion(&b);
     b.done(0, Verb::Stop { deceleration: None });
-    b.run(200);
+    b.run(100);
     let stood = b.feedback(0).demand;
     assert!(stood < 20.0 && stops(&b).is_empty(), "{stood}");
     repeat(&b, &old);
