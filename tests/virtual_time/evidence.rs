@@ -48,7 +48,7 @@ fn a_stop_in_mid_motion_is_not_lost_by_one_repeated_reply() {
             b.run(40);
             // The reply of just before the drive received this motion comes with the stop.
             b.post(0, slowly_to(190.0));
-            b.run(cycles as u64 + 1);
+            b.run(cycles as u64);
             repeat(&b, cycles);
             let id = b.post(0, Verb::Stop { deceleration: None });
             let begun = demand(&b);
