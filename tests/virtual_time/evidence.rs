@@ -72,8 +72,8 @@ fn a_move_is_not_done_at_its_start_by_one_repeated_reply() {
         b.ready();
         b.done(0, to(10.0));
         for late in 0..40 {
-            // The reply of before this motion, which is over, comes with the next one: the count after its own is the one
-            // that the drive has.
+            // The reply of before this motion, which is over, comes with the next one: the count after its own is the
+            // one that the drive has.
             let target = if late % 2 == 0 { 20.0 } else { 10.0 };
             b.post(0, to(target));
             b.until("its end", 200, |b| demand(b) == target);
