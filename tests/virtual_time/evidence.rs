@@ -48,7 +48,7 @@ fn a_stop_in_mid_motion_is_not_lost_by_one_repeated_reply() {
             b.run(40);
             // The reply of just before the drive received this motion comes with the stop.
             b.post(0, slowly_to(190.0));
-            b.run(cycles as u64 + 1);
+            b.run(cycles as u64);
             repeat(&b, cycles);
             let id = b.post(0, Verb::Stop { deceleration: None });
             let begun = demand(&b);
@@ -71,19 +71,15 @@ fn a_move_is_not_done_at_its_start_by_one_repeated_reply() {
         let mut b = rig.start();
         b.ready();
         b.done(0, to(10.0));
-        for cycles in 1..=40 {
-            // The reply of before the motion of 0.2 mm, whose count the drive has, comes with the next motion.
-            let target = if cycles % 2 == 0 { 10.0 } else { 20.0 };
+        for late in 0..40 {
+            // The reply of before this motion, which is over, comes with the next one: the count after its own is the
+            // one that the drive has.
+            let target = if late % 2 == 0 { 20.0 } else { 10.0 };
             b.post(0, to(target));
             b.until("its end", 200, |b| demand(b) == target);
             b.run(3);
-            let since = b
-                .tape(0)
-                .heard
-                .iter()
-                .rev()
-                .position(|heard| heard.request.motion.is_some() && heard.reply.is_some());
-            let cycles = since.unwrap() + 1 + cycles % 8;
+            let command = b.tape(0).heard.iter().rev().position(|heard| heard.request.motion.is_some());
+            let cycles = command.unwrap() + 1 + late % 8;
             repeat(&b, cycles);
             let id = b.post(0, to(target + 30.0));
             assert_eq!(b.ended(0, id), Outcome::Done);

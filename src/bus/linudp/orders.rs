@@ -224,8 +224,8 @@ impl Orders {
     /// control word as the drive sees it, its own inputs included; that a missing STO shows in it was not seen on
     /// hardware.
     ///
-    /// The status may be older than the control word (sheet, 3.5): a bit that was not there before has time to come. One
-    /// that was there and goes is no such lag, since the control word has not changed.
+    /// The status may be older than the control word (sheet, 3.5): a bit that was not there before has time to come.
+    /// One that was there and goes is no such lag, since the control word has not changed.
     pub(super) fn inhibited(&mut self, at: Time, status: StatusWord, booting: bool) -> bool {
         let allowed =
             |word: Option<ControlWord>| word.is_some_and(|word| word.has(ControlWord::VOLTAGE_ENABLE));
@@ -478,8 +478,8 @@ impl Orders {
             }
             Step::Homing | Step::HomeDone => {}
 
-            // The drive does not quick stop: its parameters force this bit of the control word, as they often do (sheet,
-            // 3.1). The ramp is a motion command, which needs none.
+            // The drive does not quick stop: its parameters force this bit of the control word, as they often do
+            // (sheet, 3.1). The ramp is a motion command, which needs none.
             Step::Aborting if answered && operating => {
                 if self.answers > ABORT_WITHIN && timed_out(ABORT_WITHIN_NS) {
                     let most = self.limits.acceleration.unwrap_or(self.profile.deceleration);

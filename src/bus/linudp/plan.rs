@@ -83,7 +83,7 @@ impl LinUdpDrive {
 /// What tells which request a reply answers: LinUDP has no sequence number.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ReplyTag {
-    /// Each request asks for other blocks than the one before it, and the reply echoes its definition: warn word, error
+    /// Each request names other blocks than the one before it, and the reply echoes its definition: warn word, error
     /// code and monitoring channels come in turn, in eight combinations; monitoring channels that are shown come in
     /// each reply, and there are four.
     #[default]
@@ -91,7 +91,7 @@ pub enum ReplyTag {
     /// A real-time-config no-operation with a new count in each request, which the reply echoes: fourteen values, eight
     /// bytes more in both directions.
     Count,
-    /// Nothing: all requests ask for the same blocks. After a missed exchange the next reply is suspect.
+    /// Nothing: all requests name the same blocks. After a missed exchange the next reply is suspect.
     Off,
 }
 

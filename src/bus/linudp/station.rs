@@ -102,7 +102,7 @@ impl Identity {
         self.mistakable = self.mistakable.saturating_sub(1);
     }
 
-    /// The blocks of `usual` that the next request asks for.
+    /// The blocks that the next request requests: those of `usual`, less or more those in turn.
     fn in_turn(&self, usual: ResponseDef) -> ResponseDef {
         let turned = |(bit, _): &(usize, &ResponseDef)| self.turn >> bit & 1 == 1;
         let blocks = IN_TURN.iter().enumerate().filter(turned);
@@ -579,8 +579,8 @@ mod tests {
         assert_eq!(stop, 6);
         let standing = |count: u8| (count, None);
         let moving = |count: u8| (StateVar::MOTION_ACTIVE | count, None);
-        // What the drive says, and the count of the next request. Replies of before the motion, in all respects like the
-        // newest; then its own echo; then somebody else's command has run.
+        // What the drive says, and the count of the next request. Replies of before the motion, in all respects like
+        // the newest; then its own echo; then somebody else's command has run.
         for ((sub, end), count) in [
             (standing(4), Some(6)),
             (moving(5), Some(6)),
