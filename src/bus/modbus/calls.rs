@@ -23,7 +23,7 @@ pub(super) fn commanding(mapped: impl IntoIterator<Item = Parameter>) -> Command
 /// Why a call of the application is refused while the power of its drive is on: it writes a parameter that is
 /// exchanged, or none that is known to be harmless.
 fn refusal(call: &Call, mapped: &[u32]) -> Option<CallError> {
-    let Some(target) = Target::unpack(call.address).filter(|_| call.service == WRITE) else { return None };
+    let target = Target::unpack(call.address).filter(|_| call.service == WRITE)?;
     let is_mapped = mapped.contains(&Target { width: Width::Word, ..target }.pack());
     (is_mapped || !is_harmless(target.parameter)).then_some(CallError::Commands)
 }
