@@ -186,8 +186,8 @@ impl Calls {
         });
     }
 
-    /// The connection is gone: a sent request may have been carried out, or not. It is over before an enable on the next
-    /// connection, whose handshake comes behind it (assumed: the drive answers in the order of arrival).
+    /// The connection is gone: a sent request may have been carried out, or not. It is over before an enable on the
+    /// next connection, whose handshake comes behind it (assumed: the drive answers in the order of arrival).
     pub(super) fn lost(&mut self) {
         self.owed = false;
         if self.active.is_some_and(|active| active.sent) {
