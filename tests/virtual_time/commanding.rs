@@ -10,6 +10,7 @@ use fieldbeat::axis::acyclic::{Acyclic, Call, CallError, CallTicket, ParameterEr
 use fieldbeat::axis::command::NativeOwner;
 use fieldbeat::axis::{CommandId, EventKind, Failure, Link, Outcome, State, StopCause, StopThen, Verb};
 use fieldbeat::bus::ethercat::cia402::Mode;
+use fieldbeat::bus::linudp::LinUdpDrive;
 use fieldbeat::bus::linudp::upid::call;
 use fieldbeat::bus::linudp::wire::{MainState, RtcBlock, RtcCommand};
 use fieldbeat::sim::FaultPlan;
@@ -326,6 +327,9 @@ fn a_linmot_is_not_commanded_by_parameters_while_its_power_is_on() {
     refuses_while_on(linmot(FaultPlan::default()));
     never_meet(linmot(FaultPlan::default()));
     never_meet(linmot(FaultPlan { seed: 3, drop: 0.1, ..FaultPlan::default() }));
+    // Busy with each write for longer than an enable takes to bring power on.
+    let busy = |_: usize, drive: &mut LinUdpDrive| drive.simulate.config_time_ns = 20 * MS;
+    never_meet(LinMot::new(Rig::new(1).each(busy)));
     for seed in 0..4 {
         let drop = if seed % 2 == 0 { 0.0 } else { 0.05 };
         never_in_any_sequence(linmot(FaultPlan { seed, drop, ..FaultPlan::default() }), seed, 150);

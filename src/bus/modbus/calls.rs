@@ -23,7 +23,7 @@ pub(super) fn commanding(mapped: impl IntoIterator<Item = Parameter>) -> Command
 /// Why a call of the application is refused while the power of its drive is on: it writes a parameter that is
 /// exchanged, or none that is known to be harmless.
 fn refusal(call: &Call, mapped: &[u32]) -> Option<CallError> {
-    let Some(target) = Target::unpack(call.address).filter(|_| call.service == WRITE) else { return None };
+    let target = Target::unpack(call.address).filter(|_| call.service == WRITE)?;
     let is_mapped = mapped.contains(&Target { width: Width::Word, ..target }.pack());
     (is_mapped || !is_harmless(target.parameter)).then_some(CallError::Commands)
 }
@@ -186,8 +186,8 @@ impl Calls {
         });
     }
 
-    /// The connection is gone: a sent request may have been carried out, or not. It is over before an enable on the next
-    /// connection, whose handshake comes behind it (assumed: the drive answers in the order of arrival).
+    /// The connection is gone: a sent request may have been carried out, or not. It is over before an enable on the
+    /// next connection, whose handshake comes behind it (assumed: the drive answers in the order of arrival).
     pub(super) fn lost(&mut self) {
         self.owed = false;
         if self.active.is_some_and(|active| active.sent) {

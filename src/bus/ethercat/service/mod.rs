@@ -264,7 +264,8 @@ impl Service {
         self.emergencies.pop()
     }
 
-    /// Starts the next call of the application, and ends finished ones. Calls that command a `guarded` drive are refused.
+    /// Starts the next call of the application, and ends finished ones. Calls that command a `guarded` drive are
+    /// refused.
     #[inline]
     pub fn advance(&mut self, now: Time, link: Link, guarded: bool) {
         let mut is_called = false;
