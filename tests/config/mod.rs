@@ -771,7 +771,7 @@ bus portal: linudp-v2, 4 drives
     limits: only the drive's own
   drive w: 192.168.1.1:41136 -> 192.168.1.14:49360; else as z
 one master each: another one of this host that has one of these interfaces or drives is named, and the start
-    refused
+        refused
 the black box holds the last 2 s in 0.4 MB, written to a file at a fault, a lost drive, another stop, and SIGUSR1
 Fieldbeat is not a safety function: the machine needs its own STO / emergency stop.
 "#;
