@@ -11,7 +11,7 @@ use crate::axis::acyclic::{self, Acyclic, Commanding, Parameters};
 use crate::axis::cell;
 use crate::axis::handle::{URGENT_ROOM, room_for_ends};
 use crate::axis::newest;
-use crate::axis::{Axis, AxisEnds, Feedback, Group, GroupError, Link, Observer, Pulse};
+use crate::axis::{Axis, AxisEnds, Feedback, Group, GroupError, Link, Observer, Pulse, StopCause};
 use crate::bus::{BusClock, Cycle, OpenError, Strangers};
 use crate::cycle::bound;
 use crate::cycle::engine::{Control, Engine, Outlets};
@@ -125,6 +125,9 @@ pub enum MasterError {
         /// The axes that are missing, with the reason for those whose connection is not open.
         missing: String,
     },
+    /// Another master commands a drive, or has frames on its segment.
+    #[error("another master commands {0}: end that one, then start this one again")]
+    OtherMaster(String),
     /// The end was requested meanwhile.
     #[error("the master has ended: start it again")]
     Ended,
@@ -404,7 +407,7 @@ impl Master {
         self.monitor.write_black_box();
     }
 
-    /// Waits until every axis is online.
+    /// Waits until every axis is online. An axis that another master commands ends the wait.
     pub fn wait_online(&self, limit: Duration) -> Result<(), MasterError> {
         let begun = Instant::now();
         loop {
@@ -412,6 +415,14 @@ impl Master {
                 .filter(|(_, (_, observer))| observer.feedback().link != Link::Online)
                 .map(|(index, _)| index)
                 .collect();
+            let stopped = self
+                .observers()
+                .iter()
+                .filter(|(_, observer)| observer.feedback().stopped == Some(StopCause::OtherMaster));
+            let others: Vec<&str> = stopped.map(|(name, _)| name.as_str()).collect();
+            if !others.is_empty() {
+                return Err(MasterError::OtherMaster(others.join(", ")));
+            }
             if missing.is_empty() {
                 return Ok(());
             }

@@ -5,7 +5,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use fieldbeat::axis::{Axis, Fault, FaultNames, Link};
+use fieldbeat::axis::{Axis, Fault, FaultNames, Link, StopCause};
 use fieldbeat::control::{Answering, Desk, Server, place};
 use fieldbeat::master::Master;
 use fieldbeat::rt::thread::helper_thread;
@@ -172,7 +172,8 @@ impl Attendant {
         for (index, ((name, observer), known)) in drives.enumerate() {
             let feedback = observer.feedback();
             let apart = known.not_connected(feedback.link, now, || master.not_connected(index));
-            for news in apart.into_iter().chain(known.fault(feedback.fault)) {
+            let other = known.other_master(feedback.stopped);
+            for news in apart.into_iter().chain(known.fault(feedback.fault)).chain(other) {
                 self.live.say(&format!("drive {name}: {news}"));
             }
         }
@@ -228,6 +229,8 @@ impl Attendant {
 struct Known {
     fault_names: FaultNames,
     fault: u32,
+    /// Its axis is stopped for another master.
+    other_master: bool,
     /// Why it had no connection since it was online.
     apart: Vec<Apart>,
 }
@@ -242,7 +245,7 @@ struct Apart {
 
 impl Known {
     fn new(fault_names: FaultNames) -> Known {
-        Known { fault_names, fault: 0, apart: Vec::new() }
+        Known { fault_names, fault: 0, other_master: false, apart: Vec::new() }
     }
 
     /// Why it has no connection, if that stands.
@@ -276,6 +279,13 @@ impl Known {
     }
 
     /// Its fault, if it is another one.
+    fn other_master(&mut self, stopped: Option<StopCause>) -> Option<String> {
+        let other = stopped == Some(StopCause::OtherMaster);
+        let before = std::mem::replace(&mut self.other_master, other);
+        (other && !before)
+            .then(|| "another master commands it: its axis is stopped; end that master".to_owned())
+    }
+
     fn fault(&mut self, code: u32) -> Option<String> {
         let before = std::mem::replace(&mut self.fault, code);
         match code {

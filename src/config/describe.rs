@@ -42,6 +42,11 @@ pub fn describe(plan: &Plan) -> Vec<String> {
         lines.extend(own);
         lines.extend(clock(&**bus, plan.cycle.reference.as_deref()));
     }
+    lines.push(
+        "one master each: another one of this host that has one of these interfaces or drives is named, and the start \
+        refused"
+            .into(),
+    );
     lines.push(black_box(plan));
     for group in &plan.groups {
         let members = axes.iter().filter(|axis| group.axes.contains(&axis.name));

@@ -783,6 +783,8 @@ bus portal: linudp-v2, 4 drives
     stopped by a velocity setpoint older than 10 cycles (20 ms) and by a jog not renewed for 500 ms
     limits: only the drive's own
   drive w: 192.168.1.1:41136 -> 192.168.1.14:49360; else as z
+one master each: another one of this host that has one of these interfaces or drives is named, and the start
+        refused
 the black box holds the last 2 s in 0.4 MB, written to a file at a fault, a lost drive, another stop, and SIGUSR1
 Fieldbeat is not a safety function: the machine needs its own STO / emergency stop.
 "#;
