@@ -54,6 +54,7 @@ fn weather(seed: u64, flips: bool) -> FaultPlan {
         wrong_id: 0.001,
         split: 0.0,
         cut: 0.0,
+        segment_loss: 0.0,
         answer_ns: 30 * US,
     }
 }
