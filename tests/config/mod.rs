@@ -897,8 +897,8 @@ stop.group = "own"
     assert!(!of("menu").iter().any(|line| line.starts_with("shows")));
     // A reply of 250 ms is owed for 250 cycles behind that of its request, so that with a divisor of 8 a turn takes 256
     // at most. direct: 8 until it is asked, 4 turns, 250, then menu's turn of 8. menu: 5 turns of 8, then that of
-    // direct. unwatched: 1, 4 turns of 251, 250, then refused's turn. refused: 8, 4 of 256, 250, then unwatched's. x: 5,
-    // then refused's.
+    // direct. unwatched: 1, 4 turns of 251, 250, then refused's turn. refused: 8, 4 of 256, 250, then unwatched's.
+    // x: 5, then refused's.
     let bounds = [0, 1, 2, 3, 4].map(|index| stop_bound(&plan, index));
     let (direct, unwatched) = (8 + 4 * 256 + 250, 1 + 4 * 251 + 250);
     assert_eq!(bounds, [direct + 8, 5 * 8 + 256, unwatched + 256, direct + 251, 5 + 256]);
@@ -914,7 +914,8 @@ fn values_of_a_unidrive_arrive_where_they_belong() {
     assert!(format!("{:?}", read(&unidrive("", ""))).contains(&format!("{usual:?}")));
     let text = unidrive(
         "",
-        "unit = 1\nslot = 3\naddressing = \"modified\"\nvia = \"menu-0\"\nfunction = \"16+3\"\nreply_within = \"20ms\"\nset_up = false\n\
+        "unit = 1\nslot = 3\naddressing = \"modified\"\nvia = \"menu-0\"\nfunction = \"16+3\"\n\
+         reply_within = \"20ms\"\nset_up = false\n\
          units = \"mm\"\nscale = 0.5\ninvert = true\n\
          map.control = { parameter = \"06.042\", bits = 32 }\nmap.speed = { parameter = \"18.011\", bits = \
              16, decimals = 2 }\n\

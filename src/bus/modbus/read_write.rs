@@ -20,6 +20,8 @@ pub(super) struct ReadWrite {
     suspected: bool,
     /// Connections that ended with such a suspicion.
     silences: u8,
+    /// How often it was given up.
+    given_up: u64,
 }
 
 /// After so many FC23 is given up: a server may answer nothing any more after a request that it does not know.
@@ -28,13 +30,19 @@ const MOST_SILENCES: u8 = 2;
 impl ReadWrite {
     pub(super) fn new(functions: Functions) -> ReadWrite {
         let (used, fixed) = (functions != Functions::Apart, functions != Functions::Auto);
-        ReadWrite { used, fixed, answered: 0, suspected: false, silences: 0 }
+        ReadWrite { used, fixed, answered: 0, suspected: false, silences: 0, given_up: 0 }
     }
 
     /// FC23 is used.
     #[inline]
     pub(super) fn is_used(&self) -> bool {
         self.used
+    }
+
+    /// How often it was given up so far.
+    #[inline]
+    pub(super) fn given_up(&self) -> u64 {
+        self.given_up
     }
 
     /// The configuration allows nothing else.
@@ -91,6 +99,7 @@ impl ReadWrite {
     fn give_up(&mut self) -> bool {
         let gives_up = self.used && !self.fixed;
         self.used &= !gives_up;
+        self.given_up += u64::from(gives_up);
         gives_up
     }
 }

@@ -213,13 +213,13 @@ fn our_master_exchanges_with_a_server_of_libmodbus_by_pairs() {
 #[test]
 #[ignore = "needs cc and libmodbus (libmodbus-dev)"]
 fn our_master_exchanges_with_a_server_of_libmodbus_that_ignores_function_23() {
-    exchange(16, Libmodbus, &["ignores-read-write"], false);
+    exchange(21, Libmodbus, &["ignores-read-write"], false);
 }
 
 #[test]
 #[ignore = "needs cc and libmodbus (libmodbus-dev)"]
 fn our_master_exchanges_with_a_server_of_libmodbus_that_closes_on_function_23() {
-    exchange(17, Libmodbus, &["closes-on-read-write"], false);
+    exchange(22, Libmodbus, &["closes-on-read-write"], false);
 }
 
 #[test]

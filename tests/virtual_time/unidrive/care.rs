@@ -199,8 +199,8 @@ fn a_drive_that_refuses_function_23_from_now_on_is_asked_in_turns_and_goes_on_tu
         let mut b = Bench::new(1, via, |_, _| {});
         b.ready();
         b.turning(0, 4.0);
-        b.tap(0).request = Some(Box::new(without_function_23));
-        b.tap(0).reply = Some(Box::new(as_function_23));
+        b.tap(0).request = Some(Box::new(|request| without_function_23(request)));
+        b.tap(0).reply = Some(Box::new(|reply| as_function_23(reply)));
         b.tap(0).heard.clear();
         b.run(500);
         let heard = std::mem::take(&mut b.tap(0).heard);

@@ -134,7 +134,7 @@ fn a_native_output_that_was_refused_with_its_function_goes_out_by_another() {
                 without_function_23(request);
             }
         }));
-        b.tap(0).reply = Some(Box::new(as_function_23));
+        b.tap(0).reply = Some(Box::new(|reply| as_function_23(reply)));
         for reference in 1..=3 {
             native.write(NativeOutput { control: ControlWord::FORWARD, reference }).unwrap();
         }

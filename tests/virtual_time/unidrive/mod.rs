@@ -390,14 +390,14 @@ fn spoil_reference(request: &mut Vec<u8>) {
 const NO_FUNCTION: u8 = 43;
 
 /// From now on the drive does not have FC23.
-fn without_function_23(request: &mut Vec<u8>) {
+fn without_function_23(request: &mut [u8]) {
     if request[7] == function::READ_WRITE {
         request[7] = NO_FUNCTION;
     }
 }
 
 /// Its refusals name FC23.
-fn as_function_23(reply: &mut Vec<u8>) {
+fn as_function_23(reply: &mut [u8]) {
     if reply.get(7) == Some(&(NO_FUNCTION | function::EXCEPTION)) {
         reply[7] = function::READ_WRITE | function::EXCEPTION;
     }

@@ -18,7 +18,7 @@ impl Station {
     /// every request changes in [`sent`](Self::sent).
     pub fn prepare(&mut self, cycle: &Cycle, slot: &mut Slot) {
         if slot.exchange == Exchange::Missed {
-            self.look_for_silence(slot);
+            self.look_for_silence();
         }
         let native = &mut self.native;
         let outputs = self.orders.advance(cycle.grid, &self.inputs, slot, native);
@@ -50,9 +50,9 @@ impl Station {
 
     /// A missed request by FC23 may be one that the drive ignores. The next one goes out behind it.
     #[cold]
-    fn look_for_silence(&mut self, slot: &mut Slot) {
+    fn look_for_silence(&mut self) {
         if self.asks_both() && self.rest().is_empty() && self.functions.ignored() {
-            self.no_read_write(slot);
+            self.template = None;
             self.identity.give_up();
             self.pace.unanswered();
         }
@@ -291,6 +291,7 @@ impl Station {
         self.pace.sent(cycle);
         let reply_by = cycle.deadline + self.beyond_ns;
         slot.counters.sent += 1;
+        slot.counters.own[Own::NoReadWrite as usize] = self.functions.given_up();
         slot.exchange = Exchange::Owed { sent_at: at, reply_by, awaited: self.pace.awaited() };
     }
 

@@ -201,7 +201,7 @@ impl Station {
     /// The response to a cyclic request.
     fn cyclic(&mut self, at: Time, blocks: Blocks, response: &Response<'_>, slot: &mut Slot) {
         let data = match *response {
-            Response::Exception { code, .. } => return self.refuse(at, blocks, code, slot),
+            Response::Exception { code, .. } => return self.refuse(at, blocks, code),
             Response::Written { count, .. } => return self.written(at, blocks, count, slot),
             Response::Read { data } | Response::ReadWritten { data } => data,
             Response::WriteOne { .. } => return,
@@ -251,13 +251,13 @@ impl Station {
     }
 
     /// The drive has refused a cyclic request.
-    fn refuse(&mut self, at: Time, blocks: Blocks, code: ExceptionCode, slot: &mut Slot) {
+    fn refuse(&mut self, at: Time, blocks: Blocks, code: ExceptionCode) {
         match code {
             ExceptionCode::ACKNOWLEDGE | ExceptionCode::BUSY => {
                 self.busy_since.get_or_insert(at);
             }
             _ if blocks.is_both() && self.functions.refused(code, blocks.registers) => {
-                self.no_read_write(slot);
+                self.template = None;
                 self.orders.refused(blocks.control, blocks.reference);
             }
             _ => {

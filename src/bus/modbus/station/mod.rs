@@ -329,21 +329,12 @@ impl Station {
         self.identity.is_open() && matches!(self.asked, What::Cyclic(blocks) if blocks.is_both())
     }
 
-    /// FC23 was given up for this drive.
-    fn no_read_write(&mut self, slot: &mut Slot) {
-        self.template = None;
-        Own::NoReadWrite.count(&mut slot.counters);
-    }
-
     /// The connection has ended at the other end, or broken: in words.
     pub(super) fn ended(&mut self, broken: Broken, slot: &mut Slot) -> Why {
         let counter = if self.filled > 0 { Own::CutOff } else { Own::Closed };
         counter.count(&mut slot.counters);
         let closed = matches!(broken, Broken::Closed | Broken::Failed(libc::ECONNRESET | libc::EPIPE));
         let on_both = closed && self.asks_both() && self.functions.closed();
-        if on_both {
-            self.no_read_write(slot);
-        }
         self.disconnected();
         match broken {
             _ if on_both => "the drive closes it on FC23; FC16 and FC03 are used from now on",
