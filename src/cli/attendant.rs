@@ -124,8 +124,8 @@ impl Attendant {
 
     /// Says what failed of the program itself.
     fn look_at_failures(&mut self, master: &Master) {
-        let told = self.failures;
-        let new: Vec<Failure> = master.measured(|measured| measured.failures[told..].to_vec());
+        let shown = self.failures;
+        let new: Vec<Failure> = master.measured(|measured| measured.failures[shown..].to_vec());
         self.failures += new.len();
         new.iter().for_each(|failure| self.live.say(&failure.what));
     }

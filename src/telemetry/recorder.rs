@@ -404,7 +404,7 @@ mod tests {
     }
 
     #[test]
-    fn the_end_of_the_link_thread_is_told_once() {
+    fn the_end_of_the_link_thread_is_reported_once() {
         let mut measured = Measured::new(1, &CyclePlan::default(), false);
         for index in 0..3 {
             let stopped = Some(StopCause::LinkThread);
