@@ -100,7 +100,8 @@ impl Attendant {
             while axis.event().is_some() {}
         }
         if self.control.as_ref().is_some_and(Server::has_failed) {
-            let what = "internal error: the control socket panicked; `fieldbeat status` may get no answer; please report it";
+            let what = "internal error: the control socket panicked; `fieldbeat status` may get no answer; please \
+                        report it";
             master.monitor().failed(what, false);
         }
         if self.is_blind {

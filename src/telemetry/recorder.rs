@@ -166,7 +166,8 @@ pub trait Keep: fmt::Debug + Send {
     /// failure.
     fn conclude(&mut self, why: &str);
 
-    /// Writes a file if it is time; `last` waits for nothing more, and not for ever for a disk. Returns the files that were finished meanwhile.
+    /// Writes a file if it is time; `last` waits for nothing more, and not for ever for a disk. Returns the files that
+    /// were finished meanwhile.
     fn write(&mut self, last: bool) -> Vec<Written>;
 }
 

@@ -115,8 +115,8 @@ impl Endpoint {
         Ok(Endpoint { listener, address, names: Names::default() })
     }
 
-    /// Clients may use this name for it, too. Without it they use the address, `localhost` or the name of this computer;
-    /// whatever was meant for another host is refused.
+    /// Clients may use this name for it, too. Without it they use the address, `localhost` or the name of this
+    /// computer; whatever was meant for another host is refused.
     pub fn named(mut self, name: String) -> Endpoint {
         self.names.add(name);
         self
