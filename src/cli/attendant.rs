@@ -100,7 +100,8 @@ impl Attendant {
             while axis.event().is_some() {}
         }
         if self.control.as_ref().is_some_and(Server::has_failed) {
-            let what = "internal error: the control socket panicked; `fieldbeat status` may get no answer; please report it";
+            let what = "internal error: the control socket panicked; `fieldbeat status` may get no answer; please \
+                        report it";
             master.monitor().failed(what, false);
         }
         if self.is_blind {
@@ -124,8 +125,8 @@ impl Attendant {
 
     /// Says what failed of the program itself.
     fn look_at_failures(&mut self, master: &Master) {
-        let told = self.failures;
-        let new: Vec<Failure> = master.measured(|measured| measured.failures[told..].to_vec());
+        let shown = self.failures;
+        let new: Vec<Failure> = master.measured(|measured| measured.failures[shown..].to_vec());
         self.failures += new.len();
         new.iter().for_each(|failure| self.live.say(&failure.what));
     }

@@ -21,7 +21,7 @@ const RESERVED: u64 = 64;
 /// After a refusal of the kernel to hand one over.
 const PAUSE: Duration = Duration::from_millis(50);
 
-/// A stream that can be told not to wait.
+/// A stream that can be set not to wait.
 pub trait Stream: Read + Write + AsFd {
     /// See `TcpStream::set_nonblocking`.
     fn set_nonblocking(&self, nonblocking: bool) -> io::Result<()>;
@@ -89,7 +89,7 @@ impl<S: Stream> Clients<S> {
         // Rounded up, so that it does not spin through the last millisecond.
         let ms = u16::try_from(timeout.as_millis() + 1).unwrap_or(u16::MAX);
         let _ = poll(&mut fds, PollTimeout::from(ms));
-        let knocks = fds[0].revents().is_some_and(|events| !events.is_empty());
+        let has_new = fds[0].revents().is_some_and(|events| !events.is_empty());
         drop(fds);
 
         let longest = self.longest;
@@ -102,7 +102,7 @@ impl<S: Stream> Clients<S> {
                 _ => {}
             }
         }
-        for _ in 0..if knocks { MOST_AT_ONCE } else { 0 } {
+        for _ in 0..if has_new { MOST_AT_ONCE } else { 0 } {
             match accept() {
                 Ok(stream) => {
                     if is_beyond_reserve(&stream) {
@@ -126,7 +126,7 @@ impl<S: Stream> Clients<S> {
                 // The client went away before it was taken in.
                 Err(error)
                     if matches!(error.kind(), ErrorKind::ConnectionAborted | ErrorKind::Interrupted) => {}
-                // No descriptor or no memory, perhaps: room is made, and the kernel asked again later.
+                // No descriptor or no memory, perhaps: room is made, and the kernel is called again later.
                 Err(_) => {
                     if !self.drop_oldest() {
                         std::thread::sleep(PAUSE);

@@ -166,7 +166,8 @@ pub trait Keep: fmt::Debug + Send {
     /// failure.
     fn conclude(&mut self, why: &str);
 
-    /// Writes a file if it is time; `last` waits for nothing more, and not for ever for a disk. Returns the files that were finished meanwhile.
+    /// Writes a file if it is time; `last` waits for nothing more, and not for ever for a disk. Returns the files that
+    /// were finished meanwhile.
     fn write(&mut self, last: bool) -> Vec<Written>;
 }
 
@@ -404,7 +405,7 @@ mod tests {
     }
 
     #[test]
-    fn the_end_of_the_link_thread_is_told_once() {
+    fn the_end_of_the_link_thread_is_reported_once() {
         let mut measured = Measured::new(1, &CyclePlan::default(), false);
         for index in 0..3 {
             let stopped = Some(StopCause::LinkThread);

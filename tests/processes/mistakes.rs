@@ -154,7 +154,7 @@ fn a_mistake_in_the_arguments_is_one_line() {
 
 /// A limit of open files that leaves one socket, for two buses.
 #[test]
-fn a_process_without_descriptors_is_told_which_limit_to_raise() {
+fn a_process_without_descriptors_learns_which_limit_to_raise() {
     let machine = Machine::new(236);
     let first = std::fs::read_to_string(machine.plain(1)).unwrap();
     let second = format!(

@@ -513,8 +513,8 @@ fn a_panic_of_the_loop_is_a_failed_run_with_a_black_box() {
         assert!(summary.to_string().contains("\ninternal error: the loop panicked in stage "), "{summary}");
         let [written] = &run.measured.black_boxes[..] else { panic!("{:?}", run.measured.black_boxes) };
         assert_eq!(written.why, "drive d0: stopped: internal error (panic)");
-        let told = blackbox(&written.path, &[]);
-        assert!(told.expect(0).out.contains("stopped: internal error (panic)"), "{told:?}");
+        let story = blackbox(&written.path, &[]);
+        assert!(story.expect(0).out.contains("stopped: internal error (panic)"), "{story:?}");
         // What was left powered is taken over and switched off by the next master.
         drop(Master::from_file(&config).unwrap().start().map(|next| next.wait_online(LONG)));
     }

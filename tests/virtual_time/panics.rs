@@ -216,7 +216,7 @@ fn a_bus_that_panics_for_ever_is_left_out_and_the_other_one_stops_in_order() {
     }
 }
 
-/// The end that an application asked for panics: it is gone through all the same.
+/// The end that an application requested panics: it is completed all the same.
 #[test]
 fn a_bus_that_panics_in_its_own_end_holds_up_no_end() {
     let machine = Machine::moving();

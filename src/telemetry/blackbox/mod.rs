@@ -486,7 +486,8 @@ mod tests {
         ];
         let [frozen, panicked] = &black_box.write(true)[..] else { panic!() };
         assert!(frozen.fails_run && panicked.fails_run);
-        let line = "black box not written: /frozen/a.blackbox: its disk does not answer for 0.02 s (requested, cycle 1)";
+        let line = "black box not written: /frozen/a.blackbox: its disk does not answer for 0.02 s (requested, cycle \
+                    1)";
         assert_eq!(frozen.to_string(), line);
         assert!(panicked.to_string().contains("its writer panicked"), "{panicked}");
         drop(release);

@@ -115,8 +115,8 @@ impl Endpoint {
         Ok(Endpoint { listener, address, names: Names::default() })
     }
 
-    /// Clients may use this name for it, too. Without it they use the address, `localhost` or the name of this computer;
-    /// whatever was meant for another host is refused.
+    /// Clients may use this name for it, too. Without it they use the address, `localhost` or the name of this
+    /// computer; whatever was meant for another host is refused.
     pub fn named(mut self, name: String) -> Endpoint {
         self.names.add(name);
         self
@@ -176,8 +176,8 @@ impl Shared {
                 let Ok(local) = client.stream.local_addr() else { continue };
                 let meant = |host: Meant<'_>| self.names.are_ours(host, local.ip());
                 // Cut off, it is nobody's request.
-                let Some(asked) = asked(&client.said, &meant) else { continue };
-                match catch_unwind(AssertUnwindSafe(|| answer(&asked, page))) {
+                let Some(request) = asked(&client.said, &meant) else { continue };
+                match catch_unwind(AssertUnwindSafe(|| answer(&request, page))) {
                     Ok(bytes) => clients.answer(client, bytes),
                     Err(_) => failed(),
                 }
@@ -187,8 +187,8 @@ impl Shared {
 }
 
 /// The whole answer.
-fn answer(asked: &Asked, page: &dyn Fn() -> String) -> Vec<u8> {
-    let (status, body) = match asked {
+fn answer(request: &Asked, page: &dyn Fn() -> String) -> Vec<u8> {
+    let (status, body) = match request {
         Asked::Page => ("200 OK", page()),
         Asked::Head => ("200 OK", String::new()),
         Asked::Refused(status) => (*status, format!("{status}; the metrics are at GET /metrics\n")),
