@@ -83,7 +83,7 @@ fn without_a_tag_a_missed_exchange_holds_the_values_and_the_next_reply_is_suspec
 
 #[test]
 fn with_definitions_in_turn_a_reply_is_suspect_only_after_as_many_misses() {
-    for (monitor, turns) in [(MonitorPlan::Off, 8), (MonitorPlan::AsSet, 4)] {
+    for (monitor, turns) in [(MonitorPlan::Off, 4), (MonitorPlan::AsSet, 2)] {
         for misses in [1, turns - 1, turns, turns + 3] {
             let mut b = moving(Rig::new(1).each(|_, drive| {
                 drive.monitor = monitor;
@@ -212,7 +212,8 @@ fn with_a_tag_feedback_is_exact_in_any_weather() {
             duplicate: 0.1,
             delay: 0.2,
             delay_ns: 900 * US,
-            reorder: 0.05,
+            // A reply that is held back may come four exchanges late, and only a count tells that one apart.
+            reorder: if tag == ReplyTag::Count { 0.05 } else { 0.0 },
             ..FaultPlan::default()
         };
         let rig = Rig::new(1).each(|_, drive| {
@@ -229,8 +230,8 @@ fn with_a_tag_feedback_is_exact_in_any_weather() {
         b.run(20);
         let c = counters(b);
         assert!(c.missed > 100 && c.late > 50 && c.duplicate > 50, "seed {seed}: {c:?}");
-        // In such weather eight exchanges in a row are missed now and then.
-        assert!(c.suspect <= if tag == ReplyTag::Count { 0 } else { 20 }, "seed {seed}: {c:?}");
+        // In such weather four exchanges in a row are missed now and then.
+        assert!(c.suspect <= if tag == ReplyTag::Count { 0 } else { 200 }, "seed {seed}: {c:?}");
     }
 }
 
@@ -377,21 +378,21 @@ fn any_bytes_from_a_drive_do_no_harm() {
 
 #[test]
 fn a_request_carries_exactly_what_is_needed() {
-    let needed = ResponseDef(0x1F);
-    let turns = ResponseDef::ERROR.with(ResponseDef::WARN).with(ResponseDef::MONITOR);
+    let needed = ResponseDef(0x5F);
+    let turns = ResponseDef::WARN.with(ResponseDef::MONITOR);
     for tag in [ReplyTag::Definition, ReplyTag::Off] {
         let mut b = moving(Rig::new(1).each(|_, drive| drive.reply_tag = tag));
-        b.run(16);
-        let heard: Vec<Request> = b.tape(0).heard.iter().rev().take(16).map(|heard| heard.request).collect();
+        b.run(8);
+        let heard: Vec<Request> = b.tape(0).heard.iter().rev().take(8).map(|heard| heard.request).collect();
         assert!(heard.iter().all(|r| r.control.is_some() && r.motion.is_none() && r.config.is_none()));
         let asked: Vec<ResponseDef> = heard.iter().map(|request| request.response_def).collect();
         if tag == ReplyTag::Off {
-            assert_eq!(asked, [ResponseDef::CYCLIC; 16]);
+            assert_eq!(asked, [ResponseDef::CYCLIC; 8]);
             continue;
         }
-        // Any eight in a row have eight definitions, without a block that nothing needs but those in turn.
-        assert_eq!(asked[..8], asked[8..]);
-        for (n, definition) in asked[..8].iter().enumerate() {
+        // Any four in a row have four definitions, without a block that nothing needs but those in turn.
+        assert_eq!(asked[..4], asked[4..]);
+        for (n, definition) in asked[..4].iter().enumerate() {
             assert_eq!(definition.0 & !turns.0, needed.0);
             assert!(!asked[..n].contains(definition), "{asked:?}");
         }

@@ -433,10 +433,6 @@ impl Orders {
         let failed = inputs.failed();
         let drive_fault = Failure::DriveFault(u32::from(inputs.fault.0));
         let timed_out = |limit_ns: u64| now.since(self.since) > limit_ns;
-        if answered && failed && inputs.fault == ErrorCode::NONE && !confirmed {
-            // Every second reply has the error code (`station`); no order fails without it.
-            return;
-        }
         match self.step {
             Step::Idle => {}
             Step::EnableLow | Step::EnableHigh if answered && failed => self.finish(Err(drive_fault)),

@@ -4,12 +4,12 @@
 //!
 //! LinUDP has no sequence number. A reply counts by its sender, by the echo of both definitions, and by the open
 //! exchange. By default the response definition changes from request to request ([`ReplyTag`]), so that a reply that is
-//! one to seven exchanges late echoes another one. A reply that could be that of a missed exchange all the same is
+//! one to three exchanges late echoes another one. A reply that could be that of a missed exchange all the same is
 //! *suspect*: taken as feedback one cycle older, without a round-trip sample. The request after it requests one block
 //! more or less, so that its echo is its own. With `reply_tag = "count"` a real-time-config no-operation carries a new
 //! count in every request and its echo names the request.
 //!
-//! An answered exchange whose reply comes once more, eight exchanges late, passes for the newest. So no single reply
+//! An answered exchange whose reply comes once more, four exchanges late, passes for the newest. So no single reply
 //! proves that an order is done (`orders`, `channel`).
 
 use super::native::{Native, NativePort, native};
@@ -19,8 +19,7 @@ use super::plan::{LinUdpDrive, MonitorPlan, ReplyTag};
 use super::rtc::RtcChannel;
 use super::upid::commanding;
 use super::wire::{
-    ErrorCode, MainState, MotionBlock, Request, RequestDef, ResponseDef, ResponseView, RtcBlock, StateVar,
-    StatusWord,
+    MainState, MotionBlock, Request, RequestDef, ResponseDef, ResponseView, RtcBlock, StateVar, StatusWord,
 };
 use crate::axis::acyclic::{self, AcyclicEnds};
 use crate::axis::units::Unwrap;
@@ -33,9 +32,8 @@ use crate::time::Time;
 /// factory-fresh drives do not answer a telegram without any block (sheet, 1.3).
 const FULL_PROBE_EVERY: u8 = 4;
 
-/// The blocks that come in turn, so that consecutive response definitions differ. They are the ones that a cycle can do
-/// without: the error code, which is absent from every second reply, the warn word, and the monitoring channels.
-const IN_TURN: [ResponseDef; 3] = [ResponseDef::ERROR, ResponseDef::WARN, ResponseDef::MONITOR];
+/// The blocks that come in turn, so that consecutive response definitions differ: the ones that a cycle can do without.
+const IN_TURN: [ResponseDef; 2] = [ResponseDef::WARN, ResponseDef::MONITOR];
 
 /// The most requests whose replies may still be under way: older ones count as lost ...
 const MOST_UNDER_WAY: u8 = 32;
@@ -70,7 +68,7 @@ pub struct Station {
 /// What distinguishes the reply to the last request from any other.
 #[derive(Clone, Copy, Debug, Default)]
 struct Identity {
-    /// How many response definitions take turns, 1 to 8, and the place of the next one.
+    /// How many response definitions take turns, and the place of the next one.
     turns: u8,
     turn: u8,
     /// The blocks by which the requests of one kind differ.
@@ -362,14 +360,7 @@ impl Station {
     /// The values of an accepted reply.
     fn read(&mut self, at: Time, view: &ResponseView<'_>, suspect: bool, slot: &mut Slot) {
         let (status, state) = (view.status().unwrap_or_default(), view.state().unwrap_or_default());
-        // Blocks that this reply does not have are as in the last one that had them.
-        let fault = view.error().unwrap_or(match state.main() {
-            // The sub state is the low byte of the code, and no known code has more.
-            MainState::SETUP_ERROR | MainState::ERROR if slot.report.fault == 0 => {
-                ErrorCode(state.sub().into())
-            }
-            _ => ErrorCode(slot.report.fault as u16),
-        });
+        let fault = view.error().unwrap_or_default();
         let booting = status == StatusWord::default() && state == StateVar::default();
         let report = &mut slot.report;
         if booting && self.inputs.seen && !self.inputs.booting {
@@ -430,6 +421,7 @@ impl Station {
         report.in_target = status.in_target();
         report.position = self.units.position(actual);
         report.demand = self.units.position(demand);
+        // Blocks that this reply does not have are as in the last one that had them.
         report.current = view.current().map_or(report.current, |current| f64::from(current) * 1e-3);
         report.warning = view.warn().map_or(report.warning, |warning| u32::from(warning.0));
         report.fault = if status.error() { u32::from(fault.0) } else { 0 };
@@ -547,8 +539,8 @@ mod tests {
     }
 
     #[test]
-    fn a_reply_that_is_up_to_seven_exchanges_late_is_never_the_newest() {
-        for (monitor, turns) in [(MonitorPlan::Off, 8), (MonitorPlan::AsSet, 4)] {
+    fn a_reply_that_is_up_to_three_exchanges_late_is_never_the_newest() {
+        for (monitor, turns) in [(MonitorPlan::Off, 4), (MonitorPlan::AsSet, 2)] {
             let mut b = Bench::new(&LinUdpDrive { monitor, ..LinUdpDrive::new("x", Ipv4Addr::LOCALHOST) });
             let mut before = Vec::new();
             for exchange in 0..100 {

@@ -11,8 +11,8 @@ use fieldbeat::bus::linudp::motion::Decoded;
 use fieldbeat::bus::linudp::native::Native;
 use fieldbeat::bus::linudp::station::Station;
 use fieldbeat::bus::linudp::wire::{
-    ControlWord, ErrorCode, MainState, REQUEST_MAX, RESPONSE_MAX, Request, RequestDef, Response, ResponseDef,
-    RtcBlock, StateVar, StatusWord, WarnWord,
+    ControlWord, ErrorCode, REQUEST_MAX, RESPONSE_MAX, Request, RequestDef, Response, ResponseDef, RtcBlock,
+    StateVar, StatusWord, WarnWord,
 };
 use fieldbeat::bus::linudp::{COUNTS_PER_MM, LinUdpDrive, MonitorPlan, ReplyTag, StreamCommand};
 use fieldbeat::bus::{Cycle, Exchange, NumberedRow, Order, Progress, Report, Slot};
@@ -181,7 +181,7 @@ impl Rig {
             self.count = (motion.header & 0xF) as u8;
         }
         if self.drive.reply_tag == ReplyTag::Definition {
-            let turns = if self.drive.monitor == MonitorPlan::Off { 7 } else { 3 };
+            let turns = if self.drive.monitor == MonitorPlan::Off { 3 } else { 1 };
             let like = |asked: &&Request| asked.response_def == request.response_def;
             assert_eq!(self.asked.iter().take(turns).find(like), None, "no two in a row look alike");
         }
@@ -350,13 +350,8 @@ impl Rig {
         assert_eq!(report.current, response.current.map_or(before.current, |raw| f64::from(raw) * 1e-3));
         assert_eq!(report.warning, response.warn.map_or(before.warning, |raw| u32::from(raw.0)));
         let (status, state) = (response.status.unwrap_or_default(), response.state.unwrap_or_default());
-        // The sub state of the error states is the code.
-        let known = match state.main() {
-            MainState::SETUP_ERROR | MainState::ERROR if before.fault == 0 => u32::from(state.0 & 0xFF),
-            _ => before.fault,
-        };
-        let fault = response.error.map_or(known, |raw| u32::from(raw.0));
-        assert_eq!((report.fault, report.homed), (if status.error() { fault } else { 0 }, status.homed()));
+        let fault = if status.error() { response.error.unwrap_or_default().0 } else { 0 };
+        assert_eq!((report.fault, report.homed), (u32::from(fault), status.homed()));
         let main = state.main().0;
         // Of a state that it cannot name it says nothing good.
         let booting = report.state == State::NotReadyToSwitchOn;
@@ -370,7 +365,7 @@ impl Rig {
         let request = Request::parse(&self.request[..self.length]).unwrap();
         assert_eq!((request.size(), request.reserved), (self.length, RequestDef::NONE));
         let needed = match self.drive.reply_tag {
-            ReplyTag::Definition => ResponseDef(0x0F),
+            ReplyTag::Definition => ResponseDef(0x4F),
             ReplyTag::Count | ReplyTag::Off => ResponseDef::CYCLIC,
         };
         assert!(request.response_def.contains(needed));

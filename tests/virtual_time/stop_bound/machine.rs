@@ -6,8 +6,8 @@ use std::time::Duration;
 
 use fastrand::Rng;
 use fieldbeat::axis::{
-    AxisPlan, EventKind, Feedback, Health, Link, Outcome, Row, State as DriveState, StopCause, StopHow,
-    StopPlan, StopThen, Target, Verb,
+    AxisPlan, EventKind, Feedback, Health, Link, Outcome, Row, StopCause, StopHow, StopPlan, StopThen,
+    Target, Verb,
 };
 use fieldbeat::bus::Cycle;
 use fieldbeat::bus::linudp::wire::{ControlWord, ErrorCode, Request, ResponseDef};
@@ -308,10 +308,7 @@ impl Machine {
             let verb = match feedback.stopped {
                 _ if feedback.link != Link::Online || self.watches[axis].pending => None,
                 Some(_) => Some(Verb::Reset),
-                // While the drive brakes by itself its code may still be to come.
-                None if feedback.fault != 0 || feedback.state == DriveState::FaultReactionActive => {
-                    Some(Verb::ResetFault)
-                }
+                None if feedback.fault != 0 => Some(Verb::ResetFault),
                 None => {
                     assert!(!feedback.moving, "axis {axis} moves, and its latch is open: {feedback:?}");
                     continue;

@@ -303,12 +303,7 @@ impl Watch {
         };
         let (status, state) = (reply.status.unwrap_or_default(), reply.state.unwrap_or_default());
         let moving = state.motion_active().unwrap_or(status.motion_active());
-        // Blocks that come in turn are as the last reply with them said.
-        let fault = match (status.error(), reply.error) {
-            (false, _) => 0,
-            (true, Some(code)) => u32::from(code.0),
-            (true, None) => feedback.fault,
-        };
+        let fault = if status.error() { u32::from(reply.error.unwrap_or_default().0) } else { 0 };
         position(reply.actual, feedback.position)
             && position(reply.demand, feedback.demand)
             && reply.current.is_none_or(|raw| feedback.current == f64::from(raw) * 1e-3)
