@@ -3,8 +3,8 @@
 //! Each frame of this master begins with its mark: a frame without it was sent by somebody else. Such frames arrive
 //! here behind a hub or a tap, from a master at the far end of the segment, and from another program on the same
 //! interface; the source address proves nothing, since that program has the same one. They count as another master's
-//! only if they are whole EtherCAT frames of one sender and one kind, and if they come again and again: the last frames of a master
-//! that has ended may arrive in a burst.
+//! only if they are whole EtherCAT frames of one sender and one kind, and if they come again and again: the last frames
+//! of a master that has ended may arrive in a burst.
 //!
 //! A state of a slave that nobody requested here is the second evidence (`line::member`): a slave that leaves OP by
 //! itself sets the error bit of its AL status (ETG.1000.6), one that another master takes down does not. Statusword and
