@@ -38,6 +38,8 @@ const FAST: f64 = 1.3;
 /// Slots over which skipped ones are counted, and how many are certainly too many: the default rate is 20 %.
 const SLOTS: usize = 100;
 const SKIPPED: usize = 25;
+/// Slots within which one was skipped while an overload goes on.
+const GOING_ON: usize = 5;
 /// As many in a row are certainly too many: the default is 10.
 const IN_A_ROW: u32 = 12;
 
@@ -127,8 +129,10 @@ impl Slots {
         self.skipped.back().is_none_or(|skipped| !skipped)
     }
 
+    /// Too many of late, and it goes on: an axis may be enabled again after a stop.
     fn too_many(&self) -> bool {
-        self.row > IN_A_ROW || self.skipped.iter().filter(|skipped| **skipped).count() > SKIPPED
+        let count = |slots: usize| self.skipped.iter().rev().take(slots).filter(|skipped| **skipped).count();
+        self.row > IN_A_ROW || count(SLOTS) > SKIPPED && count(GOING_ON) > 0
     }
 
     pub fn any(&self) -> bool {
