@@ -9,7 +9,7 @@ const KINDS: [Kind; 3] = [Kind::LinMot, Kind::Unidrive, Kind::Kollmorgen];
 
 /// `hold`: what follows the stops of its axes.
 fn shape(kind: Kind, hold: bool) -> Shape {
-    Shape { kind, hold, other: false }
+    Shape { kind, hold, other: false, free_writes: true }
 }
 
 /// The bus' other way as well: tagged replies, menu 0, a clock that leads.
@@ -69,8 +69,8 @@ fn a_request_that_comes_again_takes_no_move_and_no_stop_away() {
 
 #[test]
 fn a_latched_axis_that_holds_is_moved_by_no_parameter() {
-    // Each is latched, since its first setpoint does not come. Mode 3, then a target velocity; mode 1, a speed, a target
-    // and a control word that starts the move.
+    // Each is latched, since its first setpoint does not come. Mode 3, then a target velocity; mode 1, a speed, a
+    // target and a control word that starts the move.
     for writes in [vec![0, 7], vec![1, 10, 8, 4, 5]] {
         for (axis, command) in [(1, Velocity), (2, Torque)] {
             let begin = (0, axis, Post(vec![command]));

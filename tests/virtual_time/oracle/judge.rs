@@ -11,8 +11,8 @@
 //! | `stale` | a setpoint that is not renewed stops its axis |
 //! | `stop` | an axis that nothing moves any more comes to rest, whatever stops it |
 //!
-//! Bounds are counted in turns of the loop in which the drive can be reached. A drive is given [`REACTION`] of them: some
-//! reports prove a breach, the request goes out, the drive takes it and its motor slows down by what can be seen.
+//! Bounds are counted in turns of the loop in which the drive can be reached. A drive is given [`REACTION`] of them:
+//! some reports prove a breach, the request goes out, the drive takes it and its motor slows down by what can be seen.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -29,7 +29,8 @@ pub const GRACE: u64 = 60;
 const BACK: usize = 8;
 /// ... and is slower if by this share of the largest one.
 const SLOWER: f64 = 0.01;
-/// A motor that follows its demand with a lag comes to rest after it, at the latest so many turns after its stop is Done.
+/// A motor that follows its demand with a lag comes to rest after it, at the latest so many turns after its stop is
+/// Done.
 const SETTLES: u32 = 25;
 /// A drive stands after so many turns.
 const STANDS: u32 = 20;
@@ -356,6 +357,11 @@ impl Watch {
         if let Some(newest) = &mut self.newest {
             newest.same = 0;
         }
+    }
+
+    /// Native mode has not ended.
+    pub fn is_native(&self) -> bool {
+        self.pending.values().any(|pending| matches!(pending.verb, Verb::Native(_)))
     }
 
     /// A command that moves it has not ended.

@@ -53,6 +53,8 @@ pub struct Shape {
     pub hold: bool,
     /// The protocol's other way: tagged replies, menu 0, a leading clock.
     pub other: bool,
+    /// Parameters are written as well where the master does not refuse it: with power off, and in native mode.
+    pub free_writes: bool,
 }
 
 /// How an axis is judged, in its units.
@@ -316,7 +318,7 @@ fn bus(shape: Shape) -> (Box<dyn BusPlan>, Vec<Tap>) {
 impl Machine {
     /// How the axes of such a machine are judged.
     pub fn scales(kind: Kind) -> Vec<Scale> {
-        let (bus, _) = bus(Shape { kind, hold: false, other: false });
+        let (bus, _) = bus(Shape { kind, hold: false, other: false, free_writes: true });
         bus.axes().into_iter().enumerate().map(|(index, plan)| scale(kind, index, plan)).collect()
     }
 

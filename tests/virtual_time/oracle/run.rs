@@ -326,6 +326,8 @@ impl Run {
             }
             Op::Write(entries) => {
                 let list = writes(self.machine.shape.kind);
+                let is_free = !self.machine.truth(axis).powered || self.watches[axis].is_native();
+                let entries: &[u8] = if is_free && !self.machine.shape.free_writes { &[] } else { entries };
                 for entry in entries {
                     if let Some((address, value)) = list.get(usize::from(*entry)) {
                         self.machine.write(axis, address, value);

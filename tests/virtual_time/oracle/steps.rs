@@ -177,8 +177,12 @@ pub fn writes(kind: Kind) -> &'static [(&'static str, &'static str)] {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Without {
     pub writes: bool,
+    /// Those that the master does not refuse.
+    pub free_writes: bool,
     pub overload: bool,
     pub requests: bool,
+    /// Those without a motion command.
+    pub control_requests: bool,
     pub replies: bool,
     pub slow_stops: bool,
     pub deaf: bool,
@@ -191,8 +195,10 @@ impl Without {
         let has = |name: &str| text.split(',').any(|word| word.trim() == name);
         Without {
             writes: has("writes"),
+            free_writes: has("free_writes"),
             overload: has("overload"),
             requests: has("requests"),
+            control_requests: has("control_requests"),
             replies: has("replies"),
             slow_stops: has("slow_stops"),
             deaf: has("deaf"),
@@ -204,7 +210,7 @@ impl Without {
         match op {
             Op::Write(_) => !self.writes,
             Op::Late(_) | Op::Overload { .. } => !self.overload,
-            Op::RepeatRequest { .. } => !self.requests,
+            Op::RepeatRequest { motion, .. } => !self.requests && (*motion || !self.control_requests),
             Op::RepeatReply { .. } => !self.replies,
             Op::Deaf(_) | Op::Burst { .. } => !self.deaf,
             Op::Post(commands) => commands.iter().all(|command| match command {
