@@ -1,8 +1,12 @@
 //! What the oracle has found, as sequences of their own: each broke the rule that its name says.
 
+use fieldbeat::axis::command::NativeOwner;
+
 use super::oracle::holds;
 use super::oracle::machine::{Kind, Shape};
-use super::oracle::steps::Command::{Home, Jog, Stop, StopAt, To, Torque, Velocity};
+use super::oracle::steps::Command::{
+    Disable, Home, Jog, Native, Stop, StopAt, To, Torque, TorqueAlong, Velocity,
+};
 use super::oracle::steps::Op::{Burst, Level, Overload, Post, RepeatReply, RepeatRequest, Write};
 
 const KINDS: [Kind; 3] = [Kind::LinMot, Kind::Unidrive, Kind::Kollmorgen];
@@ -116,5 +120,53 @@ fn the_newest_of_many_setpoints_wins() {
         let begin = (0, axis, Post(vec![Velocity]));
         let most = (1, axis, Level { percent: 50, turns: 30 });
         holds(shape(kind, false), &[&[begin, most, (31, axis, Burst { count: 100, percent: 0 })]]);
+    }
+}
+
+#[test]
+fn a_limit_is_kept_however_flat_the_slope_of_a_torque_is() {
+    for slope in [2_000.0, 1e-9] {
+        let begin = (0, 2, Post(vec![TorqueAlong(2_000.0)]));
+        let level = (1, 2, Level { percent: -60, turns: 60 });
+        let flat = (30, 2, Post(vec![TorqueAlong(slope)]));
+        holds(shape(Kind::Kollmorgen, false), &[&[begin, level, flat]]);
+    }
+}
+
+#[test]
+fn a_mode_that_was_written_without_power_is_set_right_before_anything_moves() {
+    // Profile velocity with a target; torque with a target; profile position.
+    for writes in [vec![6, 0], vec![2, 9], vec![1, 10, 8]] {
+        for (axis, command) in [(0, Home), (0, To(50)), (1, Jog(20))] {
+            let off = [(0, axis, Post(vec![Disable])), (30, axis, Write(writes.clone()))];
+            let shape = shape(Kind::Kollmorgen, true);
+            holds(shape, &[&off, &[(12, axis, Post(vec![command]))]]);
+        }
+    }
+}
+
+#[test]
+fn a_mode_that_native_mode_has_left_is_set_right_before_a_move() {
+    for mode in [0, 1, 2, 3] {
+        let native = [(0, 0, Post(vec![Native(NativeOwner::Application)])), (3, 0, Write(vec![mode]))];
+        holds(shape(Kind::Kollmorgen, true), &[&native, &[(7, 0, Post(vec![To(100)]))]]);
+    }
+}
+
+#[test]
+fn a_reference_that_was_added_without_power_turns_no_unidrive() {
+    let off = [(0, 0, Post(vec![Disable])), (60, 0, Write(vec![4, 5]))];
+    for shape in shapes(Kind::Unidrive, false) {
+        holds(shape, &[&off, &[]]);
+    }
+}
+
+#[test]
+fn a_request_of_the_homing_that_comes_again_ends_no_move() {
+    for shape in shapes(Kind::LinMot, true) {
+        for back in [10, 30, 60] {
+            let again = (2, 2, RepeatRequest { motion: false, back, us: 1_285 });
+            holds(shape, &[&[(0, 2, Post(vec![To(50)])), again]]);
+        }
     }
 }

@@ -17,6 +17,8 @@ pub enum Command {
     Jog(i8),
     Velocity,
     Torque,
+    /// Along this slope, per cent a second.
+    TorqueAlong(f64),
     Follow,
     Stop,
     /// With this deceleration, units/s².
@@ -115,6 +117,7 @@ impl Command {
             }
             Command::Velocity => Verb::Velocity { acceleration },
             Command::Torque => Verb::Torque { slope: 10_000.0 },
+            Command::TorqueAlong(slope) => Verb::Torque { slope },
             Command::Follow => Verb::Follow,
             Command::Stop => Verb::Stop { deceleration: None },
             Command::StopAt(deceleration) => Verb::Stop { deceleration: Some(deceleration) },
@@ -239,6 +242,7 @@ fn motion(random: &mut Rng, scale: &Scale) -> Command {
         7 if random.u8(..4) == 0 => {
             Command::Native(if random.bool() { NativeOwner::Master } else { NativeOwner::Application })
         }
+        7 if scale.torques => Command::TorqueAlong(2_000.0),
         _ if scale.torques => Command::Torque,
         _ => Command::Velocity,
     }
