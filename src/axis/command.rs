@@ -225,6 +225,11 @@ pub enum Failure {
     /// The drive accepted none of the repeated motion commands.
     #[error("the drive did not take the motion command: check its run mode (motion command interface)")]
     NotTaken,
+    /// The drive has ended the motion at another position.
+    #[error(
+        "the drive ended the motion elsewhere: look at the limits in the drive, and whether something else moves it"
+    )]
+    NotArrived,
     /// The axis is latched as stopped.
     #[error("the axis is stopped ({0}): reset, then enable")]
     Latched(StopCause),

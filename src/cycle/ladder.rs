@@ -48,6 +48,10 @@ pub struct Ladder {
     returned: bool,
     /// The ramp failed, and the quick stop was ordered in its place.
     escalated: bool,
+    /// The speed at which the phase began, user units/s; NaN if it is not known.
+    from: f64,
+    /// How often the axis has moved after the end of the sequence.
+    moved: u32,
 }
 
 /// What the loop saw of the drive in this cycle.
@@ -70,6 +74,13 @@ pub struct Sight {
 /// A ramp ends in this share of the time-out, so that it is over before the sequence escalates.
 const RAMP_SHARE: f64 = 0.8;
 
+/// A ramp that has not slowed the axis down by a twentieth in a quarter of its time never will ...
+const SLOWED: f64 = 0.95;
+const SLOWED_WITHIN: u32 = 4;
+
+/// An axis that moves for the third time after the end of its stop does not follow this master: its power goes off.
+const MOST_MOVED: u32 = 3;
+
 /// The deceleration of a stop: as requested, but enough to come to standstill from `velocity` within the stop's
 /// time-out. A velocity that is not known (NaN) raises nothing.
 pub fn deceleration_of(plan: &StopPlan, requested: f64, velocity: f64) -> f64 {
@@ -87,14 +98,30 @@ impl Ladder {
             unheard: None,
             returned: false,
             escalated: plan.how != StopHow::Ramp,
+            from: velocity,
+            moved: 0,
         };
         let verb = ladder.begin(now, velocity);
         (ladder, verb)
     }
 
-    /// Starts it once more for an axis that moves although the sequence was complete: by the drive's quick stop.
+    /// Starts it by the drive's quick stop: no ramp would stop this axis.
+    pub fn start_escalated(plan: StopPlan, load: Load, now: Time, velocity: f64) -> (Ladder, Verb) {
+        let (mut ladder, _) = Ladder::start(plan, load, now, velocity);
+        ladder.escalated = true;
+        let verb = ladder.begin(now, velocity);
+        (ladder, verb)
+    }
+
+    /// Starts it once more for an axis that moves although the sequence was complete: by the drive's quick stop, and in
+    /// the end by power off, unless only the drive holds the load.
     pub fn again(&mut self, now: Time, velocity: f64) -> Verb {
         self.escalated = true;
+        self.moved += 1;
+        if self.moved >= MOST_MOVED && !self.keeps_power {
+            self.rung = Rung::Disabling { since: now };
+            return Verb::Disable;
+        }
         self.begin(now, velocity)
     }
 
@@ -103,6 +130,7 @@ impl Ladder {
             self.rung = Rung::Disabling { since: now };
             return Verb::Disable;
         }
+        self.from = velocity;
         self.rung = Rung::Braking { since: now, still: 0 };
         self.brake(velocity)
     }
@@ -170,8 +198,13 @@ impl Ladder {
                 let again = back && !(self.ending && std::mem::replace(&mut self.returned, true));
                 let since = if again { now } else { since };
                 self.rung = Rung::Braking { since, still };
-                if sight.failed && !self.escalated {
+                let no_slower = sight.fresh
+                    && !standing
+                    && sight.velocity.abs() > SLOWED * self.from
+                    && now.since(since) > nanos(self.plan.timeout / SLOWED_WITHIN);
+                if (sight.failed || no_slower) && !self.escalated {
                     self.escalated = true;
+                    self.rung = Rung::Braking { since: now, still: 0 };
                     return Some(Verb::QuickStop);
                 }
                 if back {

@@ -142,8 +142,8 @@ enum Step {
     Homing,
     /// The home bit is released until the drive is back in operation.
     HomeDone,
-    /// A motion command is under way; the drive's setpoint generator runs it then.
-    Moving,
+    /// A motion command is under way; the setpoint generator of the drive runs it then, to this position if it has one.
+    Moving(Option<Position>),
     /// A velocity as a target that rolls ahead.
     Rolling(Rolling),
     /// The first row has not come yet.
@@ -277,7 +277,7 @@ impl Orders {
             {
                 self.finish(Err(failure));
             }
-            if self.channel.is_accepted() && !matches!(self.step, Step::Moving | Step::Rolling(_)) {
+            if self.channel.is_accepted() && !matches!(self.step, Step::Moving(_) | Step::Rolling(_)) {
                 self.channel.clear();
             }
         }
@@ -373,7 +373,7 @@ impl Orders {
                 self.enter(now, Step::Homing);
             }
             Some(Verb::Move(motion)) => match self.motion(now, &motion, inputs) {
-                Ok(command) => self.command(now, command, Step::Moving),
+                Ok((command, target)) => self.command(now, command, Step::Moving(Some(target))),
                 Err(failure) => self.refuse(now, failure, inputs),
             },
             Some(Verb::Jog(jog)) => self.begin_rolling(now, jog.velocity, jog.acceleration, inputs),
@@ -529,8 +529,11 @@ impl Orders {
             Step::Native(NativeOwner::Application) => {}
             _ if answered && !operating => self.finish(Err(Failure::Dropped(slot.report.state))),
 
-            Step::Moving if answered && self.channel.is_over(inputs.state) => self.finish(Ok(())),
-            Step::Moving => {}
+            Step::Moving(target) if answered && self.channel.is_over(inputs.state) => {
+                let arrived = target.is_none_or(|target| is_near(target, inputs.demand));
+                self.finish(if arrived { Ok(()) } else { Err(Failure::NotArrived) });
+            }
+            Step::Moving(_) => {}
             Step::Rolling(rolling) => self.roll(now, answered, rolling, inputs, slot),
             Step::FollowWaiting | Step::Following { .. } => self.follow(now, inputs, slot),
             Step::FollowEnding { taken, last } => self.end_stream(now, taken, last, fresh, inputs),
@@ -561,13 +564,19 @@ impl Orders {
 
     /// A move as "VAI go to position". A relative one is made absolute here: if its reply were lost and the command
     /// repeated, an increment would run twice.
-    fn motion(&self, now: Time, motion: &Move, inputs: &Inputs) -> Result<MotionCommand, Failure> {
+    fn motion(
+        &self,
+        now: Time,
+        motion: &Move,
+        inputs: &Inputs,
+    ) -> Result<(MotionCommand, Position), Failure> {
         let position = match motion.target {
             Target::Absolute(position) => self.near(position, inputs),
             Target::Relative(distance) => self.demand(inputs) + distance,
         };
         check_position(&self.limits, position)?;
-        Ok(self.go_to(now, position, &motion.profile, inputs)?)
+        let command = self.go_to(now, position, &motion.profile, inputs)?;
+        Ok((command, self.position(position, inputs)?))
     }
 
     /// On a rotary axis, the place of `position` that is nearest to the demand.
@@ -747,7 +756,7 @@ impl Orders {
         let taken = taken + u32::from(echoed);
         let arrived = self.position(last.position, inputs) == Ok(Position(inputs.demand as i32));
         if taken > LAST_ROWS && arrived || taken > MOST_LAST_ROWS {
-            return self.command(now, MotionCommand::stream_end(), Step::Moving);
+            return self.command(now, MotionCommand::stream_end(), Step::Moving(None));
         }
         // The last row was in range, so is this one.
         let standing = Row { velocity: 0.0, acceleration: 0.0, ..last };
@@ -764,9 +773,11 @@ impl Orders {
         self.control = Some(self.as_found(inputs));
         let deceleration = deceleration.unwrap_or(self.profile.deceleration);
         match self.acceleration(self.braking(now, deceleration, inputs)) {
-            Ok(deceleration) => {
-                self.command(now, MotionCommand::vai_stop(deceleration.max(Acceleration(1))), Step::Moving)
-            }
+            Ok(deceleration) => self.command(
+                now,
+                MotionCommand::vai_stop(deceleration.max(Acceleration(1))),
+                Step::Moving(None),
+            ),
             Err(_) => self.begin_abort(now, inputs),
         }
     }
@@ -809,6 +820,12 @@ impl Orders {
             inputs.status.has(StatusWord::SWITCH_ON_ACTIVE) && inputs.state.main() >= MainState::HW_TESTS;
         if on && !self.told_off() { ControlWord::ON } else { ControlWord::BASE }
     }
+}
+
+/// Whether the demand has arrived there: the drive's generator ends exactly at its target, and a micrometre is left to
+/// its rounding.
+fn is_near(target: Position, demand: i64) -> bool {
+    target.0.wrapping_sub(demand as i32).unsigned_abs() <= 10
 }
 
 /// Not zero: with a zero the drive would never arrive.

@@ -481,8 +481,8 @@ impl Seat {
         }
         if self.is_stopping_too_long(now) {
             self.latch(cycle, now, StopCause::StopTimeout);
-            let (mut ladder, _) = Ladder::start(self.plan.stop, self.plan.load, now, self.speed());
-            let verb = ladder.again(now, self.speed());
+            let (stop, load) = (self.plan.stop, self.plan.load);
+            let (ladder, verb) = Ladder::start_escalated(stop, load, now, self.speed());
             self.latch = Latch::Down(StopCause::StopTimeout, ladder);
             self.order(slot, Some(verb));
         }
@@ -599,7 +599,9 @@ impl Seat {
     /// Starts the stop sequence of an axis that is latched.
     fn brake(&mut self, now: Time, slot: &mut Slot) {
         let Some(cause) = self.latch.cause() else { return };
-        let (ladder, verb) = Ladder::start(self.plan.stop, self.plan.load, now, self.speed());
+        // No ramp of velocities brakes a drive that follows torques: it would only lose its torque along the slope.
+        let start = if under_torque(slot) { Ladder::start_escalated } else { Ladder::start };
+        let (ladder, verb) = start(self.plan.stop, self.plan.load, now, self.speed());
         self.latch = Latch::Down(cause, ladder);
         self.order(slot, Some(verb));
     }

@@ -94,6 +94,8 @@ pub struct Station {
     warning: u16,
     /// It was found power-cycled, and that was not reported yet.
     was_restarted: bool,
+    /// The application commands the drive by a parameter, or in native mode.
+    commanded: bool,
 }
 
 impl Station {
@@ -139,6 +141,7 @@ impl Station {
             named_within_ns: NAMED_WITHIN_NS,
             warning: 0,
             was_restarted: false,
+            commanded: false,
         };
         (station, application, ends)
     }
@@ -255,6 +258,12 @@ impl Station {
     fn ask(&mut self) {
         if self.al.is_none() {
             return;
+        }
+        // Once the application no longer commands the drive, its mode is read again.
+        let commanded = self.service.commands() || self.orders.is_native_of_application();
+        if std::mem::replace(&mut self.commanded, commanded) && !commanded {
+            self.asking.doubt_mode();
+            self.inputs.mode = self.asking.mode();
         }
         if !self.asking.advance(self.grid, self.orders.mode_wanted(), &mut self.service) {
             return;
