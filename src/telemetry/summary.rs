@@ -14,7 +14,7 @@ use crate::bus::BusClock;
 use crate::bus::{Counters, OwnCounter};
 use crate::cycle::Plan;
 use crate::cycle::record::Stage;
-use crate::cycle::status::{DeviceEnd, Extent, Numbers, ReferenceStatus};
+use crate::cycle::status::{DeviceEnd, Extent, Numbers, ReferenceStatus, Status};
 use crate::master::Master;
 use crate::rt::{Granted, host};
 use crate::style::{BAD, paint};
@@ -489,6 +489,12 @@ pub struct Host {
     pub taken_ms: u64,
 }
 
+/// A bus that does not come to its end is left as it is.
+fn cut_off(status: &Status) -> Option<Failure> {
+    let what = "the orderly end of a bus did not complete in 10 s: look at its drives before the next start";
+    status.cut_off.then(|| Failure { what: what.into(), fails_run: true })
+}
+
 impl Summary {
     /// A run in numbers, ended or not.
     pub fn of(
@@ -597,7 +603,7 @@ impl Summary {
                 taken_ms: measured.causes.taken_ns() / MS,
             },
             black_boxes: measured.black_boxes.clone(),
-            failures: measured.failures.clone(),
+            failures: measured.failures.iter().cloned().chain(cut_off(status)).collect(),
             wake_bars: bars(&histograms.wake),
             units: plan.axes().iter().map(|axis| axis.units).collect(),
         }
