@@ -100,7 +100,6 @@ pub mod sim;
 pub mod simulation;
 #[cfg(feature = "summary")]
 mod style;
-mod sync;
 pub mod telemetry;
 pub mod time;
 

@@ -4,12 +4,11 @@
 //! torn and compares the sequence before and after, so that it only ever unpacks a whole value.
 
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicU64, Ordering, fence};
 
-use crossbeam::utils::CachePadded;
+use crossbeam::utils::{Backoff, CachePadded};
 
 use crate::rt::Regions;
-use crate::sync::{AtomicU64, Backoff, fence};
 
 /// A fixed number of words: `[u64; N]`.
 pub trait Words: AsRef<[u64]> + AsMut<[u64]> {
@@ -27,7 +26,7 @@ impl<const N: usize> Words for [u64; N] {
     const ZERO: Self = [0; N];
 
     fn shared() -> Self::Shared {
-        std::array::from_fn(|_| AtomicU64::new(0))
+        [const { AtomicU64::new(0) }; N]
     }
 }
 

@@ -14,8 +14,7 @@ use fieldbeat::axis::{
 use fieldbeat::bus::linudp::sim::LinMotSim;
 use fieldbeat::bus::linudp::wire::{ErrorCode, Request, Response};
 use fieldbeat::bus::linudp::{
-    DRIVE_PORT, LinUdpDrive, LinUdpPlan, MASTER_PORT, MasterFilter, MonitorPlan, ReplyTag, SimPlan,
-    StreamCommand,
+    DRIVE_PORT, LinUdpDrive, LinUdpPlan, MASTER_PORT, MasterFilter, MonitorPlan, SimPlan, StreamCommand,
 };
 use fieldbeat::bus::{Bus, BusPlan, Cycle, OpenError};
 use fieldbeat::cycle::engine::Flow;
@@ -251,7 +250,6 @@ pub fn drive(index: usize) -> LinUdpDrive {
                 acceleration: Some(20_000.0),
                 step: None,
                 torque: None,
-                homing: None,
             },
             profile: Profile { velocity: 200.0, acceleration: 5_000.0, deceleration: 5_000.0 },
             stop: StopPlan {
@@ -272,8 +270,7 @@ pub fn drive(index: usize) -> LinUdpDrive {
         address: address(index),
         stream: Some(StreamCommand::Pva),
         monitor: MonitorPlan::Off,
-        reply_tag: ReplyTag::default(),
-        inhibit_after: LinUdpDrive::INHIBIT_AFTER,
+        reply_tag: false,
         leash: Some(20.0),
         simulate: SimPlan {
             faults: FaultPlan::default(),

@@ -39,10 +39,12 @@ pub(super) struct Level {
 }
 
 impl Seat {
-    /// The newest setpoint of the application.
+    /// The newest setpoints of the application.
     pub(super) fn take_setpoints(&mut self, cycle: &Cycle) {
-        if let Some(setpoint) = self.queues.setpoints.take() {
-            self.take_setpoint(cycle.index, setpoint);
+        for _ in 0..self.queues.setpoints.slots() {
+            if let Ok(setpoint) = self.queues.setpoints.pop() {
+                self.take_setpoint(cycle.index, setpoint);
+            }
         }
     }
 

@@ -178,8 +178,7 @@ impl Subject for Modbus {
     }
 
     fn calls(&self) -> Calls {
-        // The upper limit of "at speed": a bit of the status word.
-        let free = Target { parameter: Parameter::new(3, 7), width: Width::Word };
+        let free = Target { parameter: Parameter::new(20, 21), width: Width::Long };
         let missing = Target { parameter: Parameter::new(99, 99), width: Width::Word };
         Calls {
             read: free.read(),

@@ -68,18 +68,16 @@ impl Crew for Seats {
         }
     }
 
-    fn advance(&mut self, owner: Owner, now: Time, slots: &mut [Slot]) {
+    fn advance(&mut self, owner: Owner, now: Time, slots: &[Slot]) {
         match owner {
             Owner::Drive(index) => {
-                if let (Some(station), Some(slot)) = (self.stations.get_mut(index), slots.get_mut(index)) {
-                    let service = station.service();
-                    service.advance(now, slot.link, slot.guarded);
-                    slot.commanded = service.commands();
+                if let (Some(station), Some(slot)) = (self.stations.get_mut(index), slots.get(index)) {
+                    station.service().advance(now, slot.link);
                 }
             }
             Owner::Device(index) => {
                 if let Some(device) = self.devices.get_mut(index) {
-                    device.service.advance(now, Link::Online, false);
+                    device.service.advance(now, Link::Online);
                 }
             }
         }

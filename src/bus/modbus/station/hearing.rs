@@ -2,11 +2,10 @@
 
 use super::{Blocks, End, ROOM, Station, What, Why, used};
 use crate::bus::modbus::counters::Own;
-use crate::bus::modbus::echo::{Echo, Shown};
+use crate::bus::modbus::echo::Echo;
 use crate::bus::modbus::identity::Whose;
 use crate::bus::modbus::mapping::{Block, Image, Places, Role};
 use crate::bus::modbus::native::NativePort;
-use crate::bus::modbus::pace::Pace;
 use crate::bus::modbus::parameter::{DRIVE_UNIT, Parameter, Width};
 use crate::bus::modbus::setup::Purpose;
 use crate::bus::modbus::wire::{ExceptionCode, Header, Registers, Response, ResponseError, frame};
@@ -34,8 +33,7 @@ impl Station {
             && let Some(data) = self.expected.values(&self.inbox[..self.filled])
         {
             self.identity.answer_open();
-            self.functions.answered(blocks.registers);
-            if close(&mut self.pace, at, slot) {
+            if close(at, slot) {
                 self.image.set_front(data);
                 self.cyclic_read(at, blocks, self.expected.places, slot);
             }
@@ -95,9 +93,6 @@ impl Station {
             Whose::Late => {
                 self.identity.answer(header.transaction);
                 slot.counters.late += 1;
-                if matches!(response, Response::ReadWritten { .. }) {
-                    self.functions.answered_late();
-                }
                 return;
             }
             Whose::Duplicate => {
@@ -123,19 +118,10 @@ impl Station {
         if matches!(response, Response::Exception { .. }) {
             Own::Exceptions.count(&mut slot.counters);
         }
-        match self.asked {
-            What::Cyclic(blocks) if blocks.is_both() => {
-                if matches!(response, Response::ReadWritten { .. }) {
-                    self.functions.answered(blocks.registers);
-                }
-            }
-            What::Call => {
-                self.functions.other_answered();
-                self.calls.answer(response);
-            }
-            _ => self.functions.other_answered(),
+        if self.asked == What::Call {
+            self.calls.answer(response);
         }
-        if !close(&mut self.pace, at, slot) {
+        if !close(at, slot) {
             return;
         }
         match self.asked {
@@ -233,9 +219,7 @@ impl Station {
         let with_trip = places.has(Role::Trip);
         self.native.publish(at, self.orders.is_native(), &self.image);
         if control || reference {
-            // What this exchange has not written itself shows who did.
-            let unwritten = control && !blocks.control || reference && !blocks.reference;
-            self.compare(at, control, reference, unwritten, slot);
+            self.compare(at, control, reference, slot);
         } else if blocks.control || blocks.reference {
             self.note_taken(at);
         }
@@ -244,7 +228,7 @@ impl Station {
         if status {
             self.take_status(at, with_trip);
         }
-        if self.seen == (true, true) && !self.other.is_in_doubt() {
+        if self.seen == (true, true) {
             self.seen = (false, false);
             self.report(at, slot);
         }
@@ -256,9 +240,9 @@ impl Station {
             ExceptionCode::ACKNOWLEDGE | ExceptionCode::BUSY => {
                 self.busy_since.get_or_insert(at);
             }
-            _ if blocks.is_both() && self.functions.refused(code, blocks.registers) => {
+            ExceptionCode::FUNCTION if blocks.write.is_some() && blocks.read.is_some() => {
+                self.finding.read_write = false;
                 self.template = None;
-                self.orders.refused(blocks.control, blocks.reference);
             }
             _ => {
                 self.refused.0 += u32::from(blocks.write.is_some());
@@ -286,40 +270,16 @@ impl Station {
 
     /// Compares read-back values with the written ones.
     #[inline(always)]
-    fn compare(&mut self, at: Time, control: bool, reference: bool, unwritten: bool, slot: &mut Slot) {
+    fn compare(&mut self, at: Time, control: bool, reference: bool, slot: &mut Slot) {
         let word = self.image.of(Role::Control).filter(|_| control).map(|count| i32::from(count as u16));
         let speed = self.image.of(Role::Reference).filter(|_| reference);
-        let control = word.map(|word| self.control.read(word));
-        let reference = speed.map(|speed| self.reference.read(speed));
+        let wrong_control = word.is_some_and(|word| self.control.read(word));
+        let wrong_reference = speed.is_some_and(|speed| self.reference.read(speed));
         self.note_taken(at);
-        let shown = [control, reference];
-        if shown.contains(&Some(Shown::Refused)) {
+        if wrong_control || wrong_reference {
             Own::NotTaken.count(&mut slot.counters);
             self.orders.not_taken(at);
         }
-        if unwritten || shown.contains(&Some(Shown::Changed)) {
-            self.look_for_others(at, shown, [word, speed], slot);
-        }
-    }
-
-    /// Whether somebody else has written the values that an exchange has shown.
-    #[inline(never)]
-    fn look_for_others(
-        &mut self,
-        at: Time,
-        shown: [Option<Shown>; 2],
-        values: [Option<i32>; 2],
-        slot: &mut Slot,
-    ) {
-        let [control, reference] = shown.map(|shown| shown == Some(Shown::Changed));
-        let [same_control, same_reference] = shown.map(|shown| shown == Some(Shown::Same));
-        let proved = if self.orders.writes() {
-            self.other.same(same_control, same_reference);
-            (control || reference) && self.other.changed(at, control, reference)
-        } else {
-            self.other.read(at, values)
-        };
-        slot.report.other_master |= proved;
     }
 
     /// The values that the drive has accepted by now.
@@ -337,15 +297,6 @@ impl Station {
     #[inline(always)]
     fn take_status(&mut self, at: Time, named: bool) {
         let Some(status) = self.image.of(Role::Status).map(|raw| StatusWord(raw as u16)) else { return };
-        // It has accepted the command to run; its earlier state is no answer to that.
-        let running =
-            self.orders.runs() && self.inputs.control.is_some_and(|word| word.has_any(ControlWord::ANY_RUN));
-        let was_active = running && (self.was_active || status.active());
-        let off = status.healthy() && !status.active();
-        let dark = running && off && (was_active || self.orders.should_be_active(at, &self.inputs));
-        if self.other.doubts(off && self.orders.runs(), dark) {
-            return;
-        }
         let inputs = &mut self.inputs;
         (inputs.seen, inputs.fresh, inputs.status) = (true, true, status);
         if status.healthy() {
@@ -359,9 +310,15 @@ impl Station {
             inputs.trip = number.unwrap_or(0) as u16;
         }
         inputs.named = self.trip_read || !self.tells_trips;
-        inputs.dark = dark;
-        self.was_active = was_active;
-        if dark {
+        // It has accepted the command to run; its earlier state is no answer to that.
+        let running =
+            self.orders.runs() && self.inputs.control.is_some_and(|word| word.has_any(ControlWord::ANY_RUN));
+        self.was_active = running && (self.was_active || status.active());
+        self.inputs.dark = running
+            && status.healthy()
+            && !status.active()
+            && (self.was_active || self.orders.should_be_active(at, &self.inputs));
+        if self.inputs.dark {
             self.dark_at = Some(at);
         }
     }
@@ -395,8 +352,7 @@ impl Station {
 
 /// Ends the exchange as answered, if its time has not passed.
 #[inline]
-fn close(pace: &mut Pace, at: Time, slot: &mut Slot) -> bool {
-    pace.answered(at);
+fn close(at: Time, slot: &mut Slot) -> bool {
     let Exchange::Owed { sent_at, .. } = slot.exchange else {
         slot.counters.late += 1;
         return false;

@@ -109,10 +109,7 @@ impl Machine {
             | Decoded::Press { motion, .. }
             // There is no integrator to reset.
             | Decoded::ResetIntegratorAndMove(motion) => {
-                let mut order = self.order(&motion)?;
-                if order.origin == Origin::Zero {
-                    order.value = self.place(order.value);
-                }
+                let order = self.order(&motion)?;
                 let from_rest = matches!(motion.shape, Shape::Sine | Shape::Bestehorn(_));
                 self.setpoints.take_move(order, motion.when, from_rest, actual);
             }
@@ -143,7 +140,7 @@ impl Machine {
 
             Decoded::Stream { command, position, velocity, acceleration } => {
                 let setpoint = Demand {
-                    position: self.place(f64::from(position) * METRE),
+                    position: f64::from(position) * METRE,
                     velocity: f64::from(velocity) * METRE_PER_S,
                     acceleration: f64::from(acceleration) * METRE_PER_S2,
                 };
