@@ -207,10 +207,10 @@ fn a_neighbour_that_is_dead_starves_nobody() {
     );
     let ended = master.end();
     ended.expect(1);
-    assert_eq!(
-        ended.err_but_host(),
-        "fieldbeat: never answered: d3; look at their power, cables and addresses"
-    );
+    // On a host that holds it up the run takes longer, and has a live line.
+    let complaints = ended.err_but_host();
+    let complaints: Vec<_> = complaints.lines().filter(|line| line.starts_with("fieldbeat: ")).collect();
+    assert_eq!(complaints, ["fieldbeat: never answered: d3; look at their power, cables and addresses"]);
     let summary = ended.json();
     assert_sums(&summary);
     for name in ["d0", "d1", "d2"] {
