@@ -167,7 +167,6 @@ impl Asked {
         let found = Arc::new(Found::default());
         found.set(Finding {
             unit: 255,
-            read_write: true,
             menu_0: true,
             obeys: true,
             watched: true,

@@ -13,6 +13,18 @@ macro_rules! debug_as_display {
 }
 pub(crate) use debug_as_display;
 
+/// The remedy where no descriptor is left, whatever was to be opened.
+pub(crate) fn no_descriptor(error: &std::io::Error) -> Option<&'static str> {
+    match error.raw_os_error()? {
+        libc::EMFILE => Some(
+            "this process has too many files and sockets open: raise its limit (ulimit -n, or LimitNOFILE= of the \
+             service)",
+        ),
+        libc::ENFILE => Some("this computer has too many files and sockets open: raise fs.file-max (sysctl)"),
+        _ => None,
+    }
+}
+
 #[cfg(all(test, feature = "cli"))]
 mod tests {
     use std::path::{Path, PathBuf};

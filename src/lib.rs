@@ -100,6 +100,7 @@ pub mod sim;
 pub mod simulation;
 #[cfg(feature = "summary")]
 mod style;
+mod sync;
 pub mod telemetry;
 pub mod time;
 

@@ -7,11 +7,13 @@ use std::time::{Duration, Instant};
 
 use thiserror::Error;
 
-use crate::axis::acyclic::{self, Acyclic, Parameters};
+use crate::axis::acyclic::{self, Acyclic, Commanding, Parameters};
 use crate::axis::cell;
-use crate::axis::handle::{SETPOINT_QUEUE, URGENT_ROOM};
-use crate::axis::{Axis, AxisEnds, Feedback, Group, GroupError, Link, Observer, Pulse};
+use crate::axis::handle::{URGENT_ROOM, room_for_ends};
+use crate::axis::newest;
+use crate::axis::{Axis, AxisEnds, Feedback, Group, GroupError, Link, Observer, Pulse, StopCause};
 use crate::bus::{BusClock, Cycle, OpenError, Strangers};
+use crate::cycle::bound;
 use crate::cycle::engine::{Control, Engine, Outlets};
 use crate::cycle::record::Record;
 use crate::cycle::seat::{Queues, Seat};
@@ -123,6 +125,9 @@ pub enum MasterError {
         /// The axes that are missing, with the reason for those whose connection is not open.
         missing: String,
     },
+    /// Another master commands a drive, or has frames on its segment.
+    #[error("another master commands {0}: end that one, then start this one again")]
+    OtherMaster(String),
     /// The end was requested meanwhile.
     #[error("the master has ended: start it again")]
     Ended,
@@ -199,14 +204,15 @@ pub fn assemble<C: Clock>(
     let (mut buses, mut seats, mut axes, mut names) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     let (mut acyclics, mut links, mut devices) = (Vec::new(), Vec::new(), Devices::default());
     let (mut of_devices, mut named, mut all_notes) = (Vec::new(), Vec::new(), Vec::new());
+    let paced = bound::paced(plan);
     for bus_plan in &plan.buses {
         let mut bus = bus_plan.open(period_ns, carriers)?;
         let (first, notes) = (seats.len(), bus.notes());
         for (index, axis) in bus_plan.axes().into_iter().enumerate() {
             let (command_in, command_out) = rt::ring(axis.command_queue + URGENT_ROOM, &mut regions);
-            let (setpoint_in, setpoint_out) = rt::ring(SETPOINT_QUEUE, &mut regions);
+            let (setpoint_in, setpoint_out) = newest::newest();
             let (row_in, row_out) = rt::ring(axis.stream_queue, &mut regions);
-            let (event_in, event_out) = rt::ring(axis.event_queue, &mut regions);
+            let (event_in, event_out) = rt::ring(axis.event_queue + room_for_ends(axis), &mut regions);
             let (writer, reader) = cell::cell(Feedback::default());
             let (sample_in, sample_out) = match axis.sample_queue {
                 0 => (None, None),
@@ -220,6 +226,7 @@ pub fn assemble<C: Clock>(
                 rows: row_out,
                 setpoints: setpoint_out,
                 events: event_in,
+                room_for_ends: room_for_ends(axis),
                 feedback: writer,
                 samples: sample_in,
             };
@@ -228,10 +235,11 @@ pub fn assemble<C: Clock>(
             let first_probe = (seats.len() / PROBES_A_CYCLE) as u64;
             let asked_every = Duration::from_nanos(period_ns.saturating_mul(axis.divisor.into()));
             // A bus without acyclic access leaves its end of the queue unused.
-            let ends = bus.acyclic(index).unwrap_or_else(|| acyclic::queue(1).0);
+            let ends = bus.acyclic(index).unwrap_or_else(|| acyclic::queue(1, Commanding::none()).0);
             let observer = Observer(reader.clone());
             let acyclic = Acyclic::new(&axis.name, ends, bus_plan.notation(), observer, asked_every);
-            seats.push(Seat::new(axis.clone(), queues, period_ns, first_probe));
+            let silence = bound::silence(&paced[seats.len()], plan.cycle.overrun);
+            seats.push(Seat::new(axis.clone(), queues, period_ns, first_probe, silence));
             names.push((axis.name.clone(), bus_plan.protocol()));
             links.push(notes.clone().map(|notes| (notes, index)));
             axes.push(Axis::new(
@@ -261,7 +269,7 @@ pub fn assemble<C: Clock>(
             }
         }
         all_notes.push(notes);
-        buses.push(BusSeat { bus, first, end: seats.len() });
+        buses.push(BusSeat { bus, first, end: seats.len(), is_at_work: false });
     }
     acyclics.extend(of_devices);
     let (record_in, records) = rt::ring(Recorder::ring_size(plan.records_a_cycle(), period_ns), &mut regions);
@@ -399,7 +407,7 @@ impl Master {
         self.monitor.write_black_box();
     }
 
-    /// Waits until every axis is online.
+    /// Waits until every axis is online. An axis that another master commands ends the wait.
     pub fn wait_online(&self, limit: Duration) -> Result<(), MasterError> {
         let begun = Instant::now();
         loop {
@@ -407,6 +415,14 @@ impl Master {
                 .filter(|(_, (_, observer))| observer.feedback().link != Link::Online)
                 .map(|(index, _)| index)
                 .collect();
+            let stopped = self
+                .observers()
+                .iter()
+                .filter(|(_, observer)| observer.feedback().stopped == Some(StopCause::OtherMaster));
+            let others: Vec<&str> = stopped.map(|(name, _)| name.as_str()).collect();
+            if !others.is_empty() {
+                return Err(MasterError::OtherMaster(others.join(", ")));
+            }
             if missing.is_empty() {
                 return Ok(());
             }
@@ -455,19 +471,23 @@ impl Master {
         self.thread.as_ref().is_some_and(|thread| !thread.is_finished())
     }
 
-    /// Stops all axes, powers them off, ends the loop and returns the measurements.
-    ///
-    /// # Panics
-    ///
-    /// If the loop's thread panicked, with its panic.
+    /// Stops all axes, powers them off, ends the loop and returns the measurements. If the loop panicked, they say so:
+    /// [`Numbers::panic`], [`Measured::failures`].
     pub fn finish(mut self) -> Run {
         self.stop();
-        let end = match self.thread.take().map(JoinHandle::join) {
-            Some(Ok(end)) => end,
-            Some(Err(panic)) => std::panic::resume_unwind(panic),
-            None => Numbers::default(),
+        let (end, failed) = match self.thread.take().map(JoinHandle::join) {
+            Some(Ok(end)) => {
+                let failed = end.panic.as_ref().map(ToString::to_string);
+                (end, failed)
+            }
+            Some(Err(_)) => {
+                let failed =
+                    "internal error: the loop's thread panicked outside of its cycle; please report it";
+                (self.monitor.numbers(), Some(failed.to_owned()))
+            }
+            None => (Numbers::default(), None),
         };
-        let measured = self.recorder.finish(end.status.late);
+        let measured = self.recorder.finish(end.status.late, failed);
         let (plan, granted) = (self.monitor.shared_plan(), self.granted().clone());
         Run { end, measured, granted, plan, steal_ms: self.monitor.steal_ms() }
     }

@@ -318,6 +318,7 @@ fn a_line_allocates_nothing_from_its_bring_up_to_its_end() {
     let cycle = CyclePlan {
         reference: Some(line.name.clone()),
         overrun: Overrun::Skip { max_skip: 1_000 },
+        max_skip_rate: 1.0,
         ..CyclePlan::default()
     };
     let plan = Plan { source: None, cycle, buses: vec![Box::new(LineUnwatched(line))], groups: Vec::new() };

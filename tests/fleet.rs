@@ -14,7 +14,7 @@ use fieldbeat::axis::{
     StopHow, StopPlan, StopThen, Target, Underrun, Verb,
 };
 use fieldbeat::bus::Counters;
-use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan, MonitorPlan, SimPlan, StreamCommand};
+use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan, MonitorPlan, ReplyTag, SimPlan, StreamCommand};
 use fieldbeat::cycle::engine::Flow;
 use fieldbeat::cycle::status::{Numbers, Status};
 use fieldbeat::cycle::{CyclePlan, Overrun, Plan};
@@ -54,6 +54,7 @@ fn weather(seed: u64, flips: bool) -> FaultPlan {
         wrong_id: 0.001,
         split: 0.0,
         cut: 0.0,
+        segment_loss: 0.0,
         answer_ns: 30 * US,
     }
 }
@@ -88,7 +89,7 @@ fn drive(index: usize, seed: u64) -> LinUdpDrive {
     // Some jogs are let go of, the others run until something replaces them.
     axis.jog_deadman = [None, Some(Duration::from_millis(200))][usize::from(index.is_multiple_of(8))];
     drive.leash = Some(20.0);
-    drive.reply_tag = index % 3 == 1;
+    drive.reply_tag = ReplyTag::WORDS[index % 3].1;
     drive.monitor = if index.is_multiple_of(7) { MonitorPlan::AsSet } else { MonitorPlan::Off };
     drive.stream = Some([StreamCommand::Pva, StreamCommand::PvConfigured][index % 2]);
     drive.simulate = SimPlan {

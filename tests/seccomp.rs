@@ -306,6 +306,7 @@ fn live_on_a_line() {
     let cycle = CyclePlan {
         reference: Some(line.name.clone()),
         overrun: Overrun::Skip { max_skip: u64::MAX },
+        max_skip_rate: 1.0,
         receive_deadline: 0.8,
         ..CyclePlan::default()
     };

@@ -92,7 +92,12 @@ pub fn serve(drives: impl Into<Simulated>, granted: &Granted) -> SimServer {
 
 /// A cycle of `period_ns` that nothing but the end of the bench stops.
 pub fn cycle(period_ns: u64) -> CyclePlan {
-    CyclePlan { period_ns, overrun: Overrun::Skip { max_skip: u64::MAX }, ..CyclePlan::default() }
+    CyclePlan {
+        period_ns,
+        overrun: Overrun::Skip { max_skip: u64::MAX },
+        max_skip_rate: 1.0,
+        ..CyclePlan::default()
+    }
 }
 
 /// A cycle with replies: taken until nine tenths of the period, so that a busy machine costs time and not exchanges.

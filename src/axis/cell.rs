@@ -4,11 +4,12 @@
 //! torn and compares the sequence before and after, so that it only ever unpacks a whole value.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering, fence};
+use std::sync::atomic::Ordering;
 
-use crossbeam::utils::{Backoff, CachePadded};
+use crossbeam::utils::CachePadded;
 
 use crate::rt::Regions;
+use crate::sync::{AtomicU64, Backoff, fence};
 
 /// A fixed number of words: `[u64; N]`.
 pub trait Words: AsRef<[u64]> + AsMut<[u64]> {
@@ -26,7 +27,7 @@ impl<const N: usize> Words for [u64; N] {
     const ZERO: Self = [0; N];
 
     fn shared() -> Self::Shared {
-        [const { AtomicU64::new(0) }; N]
+        std::array::from_fn(|_| AtomicU64::new(0))
     }
 }
 

@@ -16,6 +16,22 @@ use super::units::RangeError;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct CommandId(pub u64);
 
+/// Ids of commands from the in-loop task have this bit, so that they never collide with those of an
+/// [`Axis`](crate::Axis).
+const OF_TASK: u64 = 1 << 63;
+
+impl CommandId {
+    /// The `number`-th command of the in-loop task.
+    pub fn of_task(number: u64) -> CommandId {
+        CommandId(number | OF_TASK)
+    }
+
+    /// Whether the in-loop task has given it.
+    pub fn is_of_task(self) -> bool {
+        self.0 & OF_TASK != 0
+    }
+}
+
 /// One command on its way to the loop.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Command {
@@ -64,7 +80,8 @@ pub struct Setpoint {
 /// A command to an axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Verb {
-    /// Power on, up to `OperationEnabled`. Refused while the axis is latched as stopped.
+    /// Power on, up to `OperationEnabled`. Refused while the axis is latched as stopped. It waits, no longer than its
+    /// own time-out, for the write of a parameter that may command the drive.
     Enable,
     /// Power off at once. Ends a motion without a ramp; use [`Verb::Stop`] first where the load matters.
     Disable,
@@ -208,6 +225,11 @@ pub enum Failure {
     /// The drive accepted none of the repeated motion commands.
     #[error("the drive did not take the motion command: check its run mode (motion command interface)")]
     NotTaken,
+    /// The drive has ended the motion at another position.
+    #[error(
+        "the drive ended the motion elsewhere: look at the limits in the drive, and whether something else moves it"
+    )]
+    NotArrived,
     /// The axis is latched as stopped.
     #[error("the axis is stopped ({0}): reset, then enable")]
     Latched(StopCause),
@@ -248,6 +270,9 @@ pub enum Failure {
     /// Position limits mean nothing before homing.
     #[error("the axis has position limits and is not homed: home it first")]
     NotHomed,
+    /// A parameter that may command the drive is being written: it must not arrive with power on.
+    #[error("a write of a parameter that may command the drive has not ended: wait for its end, then enable")]
+    BeingWritten,
     /// A value that the wire cannot carry.
     #[error(transparent)]
     Range(#[from] RangeError),

@@ -110,7 +110,7 @@ pub enum StopCause {
     FoundRunning = 8,
     /// Another axis of its stop group was stopped.
     Group = 9,
-    /// The drive left operation by itself (another master, its own panel).
+    /// The drive left operation by itself (its own panel, a limit switch).
     DriveDropped = 10,
     /// The drive's hardware enable (STO) went away.
     HardwareEnable = 11,
@@ -124,10 +124,22 @@ pub enum StopCause {
     GroupLink = 15,
     /// A motion of its group failed at this axis.
     GroupFailed = 16,
+    /// It moved, with power on, although nothing commanded it.
+    Uncommanded = 17,
+    /// A stop of the application took longer than the stop's time-out.
+    StopTimeout = 18,
+    /// The computer was suspended.
+    Suspended = 19,
+    /// The loop panicked: an error of this software.
+    Panic = 20,
+    /// The thread that opens the connections of its bus ended: an error of this software.
+    LinkThread = 21,
+    /// Another master commands the drive, or has frames on its segment.
+    OtherMaster = 22,
 }
 
 impl StopCause {
-    pub(crate) const ALL: [StopCause; 16] = [
+    pub(crate) const ALL: [StopCause; 22] = [
         StopCause::Shutdown,
         StopCause::LinkLost,
         StopCause::DriveFault,
@@ -144,6 +156,12 @@ impl StopCause {
         StopCause::DeadMan,
         StopCause::GroupLink,
         StopCause::GroupFailed,
+        StopCause::Uncommanded,
+        StopCause::StopTimeout,
+        StopCause::Suspended,
+        StopCause::Panic,
+        StopCause::LinkThread,
+        StopCause::OtherMaster,
     ];
 }
 
@@ -166,6 +184,12 @@ impl fmt::Display for StopCause {
             StopCause::DeadMan => "jog not renewed",
             StopCause::GroupLink => "too many misses in its group",
             StopCause::GroupFailed => "motion of its group failed",
+            StopCause::Uncommanded => "motion without a command",
+            StopCause::StopTimeout => "stop not complete in time",
+            StopCause::Suspended => "computer suspended",
+            StopCause::Panic => "internal error (panic)",
+            StopCause::LinkThread => "link thread ended",
+            StopCause::OtherMaster => "another master",
         })
     }
 }

@@ -140,7 +140,7 @@ impl Group {
         if verbs.contains(&Verb::Follow) && verbs.iter().any(|verb| *verb != Verb::Follow) {
             return Err(GroupError::MixedFollow);
         }
-        for (axis, verb) in self.axes.iter().zip(verbs) {
+        for (axis, verb) in self.axes.iter_mut().zip(verbs) {
             axis.accepts(verb)?;
         }
         let ticket = Ticket {

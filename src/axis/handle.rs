@@ -20,6 +20,7 @@ use super::command::{
 use super::event::{Event, EventKind};
 use super::feedback::{Fault, FaultNames, Feedback, Link, StopCause};
 use super::limits::{check_row, check_torque, check_velocity, check_verb};
+use super::newest::NewestIn;
 use super::plan::AxisPlan;
 use super::pulse::Pulse;
 use super::streams::Streams;
@@ -30,8 +31,21 @@ pub(super) const LOOK_EVERY: Duration = Duration::from_micros(500);
 /// Places in each command queue that only a stop, quick stop or power off takes.
 pub(crate) const URGENT_ROOM: usize = 4;
 
-/// Room for velocity and torque setpoints between two cycles; only the newest counts.
-pub(crate) const SETPOINT_QUEUE: usize = 64;
+/// Places in the event queue for the ends of commands of the in-loop task: one runs, one waits.
+pub(crate) const TASK_ROOM: usize = 2;
+
+/// The most ends of commands that are kept for an application that takes none of its events.
+const KEPT_ENDS: usize = 65_536;
+
+/// Places in the event queue that only the ends of commands take: as many as commands can be under way, those that the
+/// loop has taken out of its queue included.
+pub(crate) fn room_for_ends(plan: &AxisPlan) -> usize {
+    most_unended(plan) + TASK_ROOM
+}
+
+fn most_unended(plan: &AxisPlan) -> usize {
+    plan.command_queue + URGENT_ROOM + 2
+}
 
 /// One axis of a running master.
 #[derive(Debug)]
@@ -47,8 +61,11 @@ pub struct Axis {
     rolling: CommandId,
     /// The last torque.
     pressing: CommandId,
-    /// Events taken from the queue while waiting for another one.
+    /// Commands whose ends were not taken out of the event queue yet: each has a place there.
+    unended: usize,
+    /// Events taken from the queue before the application took them, and how many of them are ends of commands.
     kept: VecDeque<Event>,
+    kept_ends: usize,
     /// Kept events that the application did not take and that had to make room.
     dropped: u64,
     streams: Streams,
@@ -62,7 +79,7 @@ pub struct AxisEnds {
     /// Rows to the loop.
     pub rows: Producer<StreamRow>,
     /// Velocity and torque setpoints to the loop.
-    pub setpoints: Producer<Setpoint>,
+    pub setpoints: NewestIn,
     /// Events from the loop.
     pub events: Consumer<Event>,
     /// The newest feedback.
@@ -154,7 +171,9 @@ impl Axis {
             next_id: 1,
             rolling: CommandId(0),
             pressing: CommandId(0),
+            unended: 0,
             kept: VecDeque::new(),
+            kept_ends: 0,
             dropped: 0,
             streams: Streams::default(),
         }
@@ -227,10 +246,13 @@ impl Axis {
 
     /// The next event, if there is one.
     pub fn event(&mut self) -> Option<Event> {
-        self.kept.pop_front().or_else(|| self.take_event())
+        let kept = self.kept.pop_front();
+        self.kept_ends -= usize::from(kept.as_ref().is_some_and(is_end));
+        kept.or_else(|| self.take_event())
     }
 
-    /// Events that were kept during a wait for another event, not taken, and dropped to make room for newer ones.
+    /// Events that were kept, not taken, and dropped to make room for newer ones. The ends of commands are not among
+    /// them, but for those that stop commands had to replace after 65 536 others.
     pub fn events_dropped(&self) -> u64 {
         self.dropped
     }
@@ -243,14 +265,26 @@ impl Axis {
 
     /// Whether `verb` would be accepted now: its numbers, and room in the queue. The last places are reserved for
     /// commands that stop the axis.
-    pub(super) fn accepts(&self, verb: &Verb) -> Result<(), AxisError> {
+    pub(super) fn accepts(&mut self, verb: &Verb) -> Result<(), AxisError> {
         check_verb(&self.plan, verb).map_err(|failure| self.refused(verb.name(), failure))?;
         let kept = if verb.is_urgent() { 0 } else { URGENT_ROOM };
-        if self.ends.commands.slots() <= kept {
+        let unread = self.kept_ends >= KEPT_ENDS && !verb.is_urgent();
+        if unread || self.ends.commands.slots() <= kept || !self.has_room_for_its_end() {
             Err(self.full(verb.name(), self.plan.command_queue))
         } else {
             Ok(())
         }
+    }
+
+    /// Whether there is a place for the end of one more command.
+    fn has_room_for_its_end(&mut self) -> bool {
+        if self.unended >= most_unended(&self.plan) {
+            // The application takes no events: their places are needed.
+            while let Some(event) = self.take_event() {
+                self.keep(event);
+            }
+        }
+        self.unended < most_unended(&self.plan)
     }
 
     /// Queues a command that was accepted.
@@ -264,6 +298,7 @@ impl Axis {
             return Err(self.full(verb.name(), self.plan.command_queue));
         }
         self.pulse.beat();
+        self.unended += 1;
         self.next_id += 1;
         if verb.takes_velocities() {
             self.rolling = id;
@@ -281,34 +316,33 @@ impl Axis {
     /// has to be renewed before it is older than `setpoint_age` or the dead-man time of the axis.
     pub fn set_velocity(&mut self, velocity: f64) -> Result<(), AxisError> {
         self.accepts_velocity(velocity)?;
-        self.enqueue_setpoint("velocity", Setpoint { of: self.rolling, value: velocity })
+        self.give(Setpoint { of: self.rolling, value: velocity });
+        Ok(())
     }
 
     /// The torque setpoint of a running [`Verb::Torque`], per cent of the rated torque. The newest counts. It has
     /// to be renewed before it is older than `setpoint_age`.
     pub fn set_torque(&mut self, torque: f64) -> Result<(), AxisError> {
         self.accepts_torque(torque)?;
-        self.enqueue_setpoint("torque", Setpoint { of: self.pressing, value: torque })
+        self.give(Setpoint { of: self.pressing, value: torque });
+        Ok(())
     }
 
-    fn enqueue_setpoint(&mut self, what: &'static str, setpoint: Setpoint) -> Result<(), AxisError> {
-        if self.ends.setpoints.push(setpoint).is_err() {
-            return Err(self.full(what, SETPOINT_QUEUE));
-        }
+    fn give(&mut self, setpoint: Setpoint) {
+        self.ends.setpoints.write(setpoint);
         self.pulse.beat();
-        Ok(())
     }
 
     /// Whether `velocity` would be accepted now.
     pub(super) fn accepts_velocity(&self, velocity: f64) -> Result<(), AxisError> {
         check_velocity(&self.plan, velocity).map_err(|failure| self.refused("velocity", failure))?;
-        if self.ends.setpoints.is_abandoned() { Err(self.gone()) } else { Ok(()) }
+        if self.ends.commands.is_abandoned() { Err(self.gone()) } else { Ok(()) }
     }
 
     /// Whether `torque` would be accepted now.
     pub(super) fn accepts_torque(&self, torque: f64) -> Result<(), AxisError> {
         check_torque(&self.plan, torque).map_err(|failure| self.refused("torque", failure))?;
-        if self.ends.setpoints.is_abandoned() { Err(self.gone()) } else { Ok(()) }
+        if self.ends.commands.is_abandoned() { Err(self.gone()) } else { Ok(()) }
     }
 
     /// How many rows the stream has room for.
@@ -438,6 +472,7 @@ impl Axis {
         if let Some(place) = self.kept.iter().position(|event| ended(event, id).is_some())
             && let Some(outcome) = self.kept.remove(place).and_then(|event| ended(&event, id))
         {
+            self.kept_ends -= 1;
             return self.verdict(verb, outcome);
         }
         loop {
@@ -471,16 +506,25 @@ impl Axis {
 
     fn take_event(&mut self) -> Option<Event> {
         let event = self.ends.events.pop().ok()?;
+        // Those of the in-loop task have their own places.
+        self.unended -= usize::from(is_end(&event) && !is_of_task(&event)).min(self.unended);
         self.streams.saw(&event);
         Some(event)
     }
 
-    /// Bounded like the queue itself: an application that never takes events loses the oldest.
+    /// Bounded like the queue itself: an application that never takes events loses the oldest, and those that end no
+    /// command before those that do.
     fn keep(&mut self, event: Event) {
-        if self.kept.len() >= self.plan.event_queue {
-            self.kept.pop_front();
+        let others = self.kept.len() - self.kept_ends;
+        let oldest = match others >= self.plan.event_queue {
+            true => self.kept.iter().position(|event| !is_end(event)),
+            false => (self.kept_ends > KEPT_ENDS + URGENT_ROOM).then_some(0),
+        };
+        if let Some(event) = oldest.and_then(|place| self.kept.remove(place)) {
+            self.kept_ends -= usize::from(is_end(&event));
             self.dropped += 1;
         }
+        self.kept_ends += usize::from(is_end(&event));
         self.kept.push_back(event);
     }
 
@@ -499,6 +543,14 @@ impl Axis {
     fn timed_out(&self, verb: &'static str, waited: Duration) -> AxisError {
         AxisError::TimedOut { axis: self.plan.name.clone(), verb, waited, state: self.feedback().state }
     }
+}
+
+fn is_end(event: &Event) -> bool {
+    matches!(event.kind, EventKind::Ended { .. })
+}
+
+fn is_of_task(event: &Event) -> bool {
+    matches!(event.kind, EventKind::Ended { id, .. } if id.is_of_task())
 }
 
 /// How command `id` ended, if `event` says so.

@@ -8,6 +8,7 @@
 //! | `feedback` | what a drive reported last, in user units; states of CiA 402 |
 //! | `event` | what happened, each event once |
 //! | `cell` | the newest value for any number of readers, without a lock |
+//! | `newest` | the newest setpoint from the application to the loop |
 //! | `limits` | what is refused on submission |
 //! | `streams` | which stream a row belongs to |
 //! | `acyclic` | calls outside the cycle: parameters, and other services of a protocol |
@@ -25,6 +26,7 @@ pub mod feedback;
 pub mod group;
 pub mod handle;
 pub mod limits;
+pub mod newest;
 pub mod plan;
 mod pulse;
 mod streams;

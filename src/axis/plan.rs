@@ -156,6 +156,7 @@ impl AxisPlan {
             ("limits.acceleration", self.limits.acceleration),
             ("limits.step", self.limits.step),
             ("limits.torque", self.limits.torque),
+            ("limits.homing", self.limits.homing),
         ];
         for (key, limit) in most {
             if limit.is_some_and(|limit| !positive(limit)) {
@@ -286,6 +287,15 @@ pub struct Limits {
     pub step: Option<f64>,
     /// Largest torque in either direction, per cent of the motor's rated torque.
     pub torque: Option<f64>,
+    /// Largest speed while it homes, units/s; `None` = as `velocity`.
+    pub homing: Option<f64>,
+}
+
+impl Limits {
+    /// Largest speed while it homes, units/s.
+    pub fn homing_velocity(&self) -> Option<f64> {
+        self.homing.or(self.velocity)
+    }
 }
 
 /// Link health: a leaky bucket over exchanges.

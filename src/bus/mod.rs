@@ -18,6 +18,7 @@ pub mod modbus;
 
 use std::any::Any;
 use std::fmt::Debug;
+use std::net::SocketAddrV4;
 use std::os::fd::RawFd;
 use std::sync::Arc;
 
@@ -28,7 +29,9 @@ use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{
     AxisPlan, Emergency, Failure, FaultNames, Link, MonitorChannel, Observer, PlanFault, Row, State, Verb,
 };
-use crate::net::{Carriers, LinkNotes};
+use crate::errors::no_descriptor;
+use crate::net::lock::Refused;
+use crate::net::{Carriers, LinkNotes, Lock, Place};
 use crate::rt::Regions;
 use crate::sim::{SimDrive, SimLine};
 use crate::time::Time;
@@ -64,6 +67,12 @@ pub trait BusPlan: Debug + Send + Sync {
 
     /// Opens the sockets and builds the bus for a cycle of `period_ns`. Sends nothing.
     fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError>;
+
+    /// Refuses a master that comes for one drive of this bus only, if that would disturb what is in use there. Only
+    /// reads, and blocks for a fraction of a second: for normal threads.
+    fn require_idle(&self, _carriers: &dyn Carriers) -> Result<(), OpenError> {
+        Ok(())
+    }
 
     /// The variables that drive `index` reports in addition to its process data, each once.
     fn monitored(&self, index: usize) -> [Option<MonitorChannel>; MONITOR_CHANNELS];
@@ -118,7 +127,7 @@ pub enum OpenError {
         /// The bus.
         bus: String,
         /// The address to bind.
-        address: std::net::SocketAddrV4,
+        address: SocketAddrV4,
         /// The operating system's error.
         source: std::io::Error,
         /// The remedy.
@@ -126,7 +135,8 @@ pub enum OpenError {
     },
     /// The connections of a bus could not be set up.
     #[error(
-        "bus {bus}: cannot set up its connections: {source}; look at the limits of open files and threads (ulimit -a)"
+        "bus {bus}: cannot set up its connections: {source}; {}",
+        no_descriptor(.source).unwrap_or("look at the limits of open files and threads (ulimit -a)")
     )]
     Streams {
         /// The bus.
@@ -146,6 +156,39 @@ pub enum OpenError {
         /// The remedy.
         remedy: &'static str,
     },
+    /// Another master of this host uses the same interface or drive.
+    #[error("bus {bus}: {what} {why}")]
+    InUse {
+        /// The bus.
+        bus: String,
+        /// The interface, or the drive with its address.
+        what: String,
+        /// Who uses it, and the remedy.
+        why: Refused,
+    },
+    /// Another master already exchanges frames on the segment.
+    #[error(
+        "bus {bus}: another master ({mac}) already has frames on {interface}: end it, or look where the cable leads"
+    )]
+    OtherMaster {
+        /// The bus.
+        bus: String,
+        /// Its interface.
+        interface: String,
+        /// The Ethernet address of that master.
+        mac: String,
+    },
+    /// The segment is in use, and a master for one drive only would disturb it.
+    #[error(
+        "bus {bus}: {what}, and nothing may disturb it: go through the master that runs it; if that has died, start \
+        it again with `fieldbeat run`, or switch the slave off and on"
+    )]
+    Running {
+        /// The bus.
+        bus: String,
+        /// What is in use.
+        what: String,
+    },
     /// The plan of a drive contradicts itself.
     #[error("bus {bus}, drive {drive}: its cyclic parameters cannot be exchanged; `check` shows why")]
     Plan {
@@ -156,6 +199,21 @@ pub enum OpenError {
     },
 }
 crate::errors::debug_as_display!(OpenError);
+
+/// Locks drives of `bus` at these addresses for this master, or none of them.
+fn lock_drives<'a>(
+    bus: &str,
+    drives: impl Iterator<Item = (&'a AxisPlan, SocketAddrV4)>,
+    carriers: &dyn Carriers,
+) -> Result<Vec<Lock>, OpenError> {
+    let lock = |(axis, address): (&AxisPlan, SocketAddrV4)| {
+        carriers.lock(Place::Drive(address)).map_err(|why| {
+            let what = format!("drive {} at {address}", axis.name);
+            OpenError::InUse { bus: bus.to_owned(), what, why }
+        })
+    };
+    drives.map(lock).collect()
+}
 
 /// One open bus on the real-time thread. `slots` are those of its own drives, in the order of its plan.
 pub trait Bus: Send {
@@ -200,6 +258,12 @@ pub trait Bus: Send {
     /// Why its drives cannot be reached, for normal threads; `None` for a bus without connections.
     fn notes(&self) -> Option<Arc<dyn Notes>> {
         None
+    }
+
+    /// The thread outside of the loop that this bus depends on has ended unexpectedly: its axes are stopped. Queried
+    /// once a cycle.
+    fn helper_ended(&self) -> bool {
+        false
     }
 
     /// From now on the clock of this bus leads the grid; called once before the start, on one bus at most. Any
@@ -286,6 +350,10 @@ pub struct Slot {
     // Written by the loop.
     /// An exchange is due at the next send.
     pub due: bool,
+    /// The drive's power is on, or may come on by an order of the loop: a call of the application that commands the
+    /// drive is refused, and checked for the last time when the first telegram with it is built. False where the
+    /// application owns the control word (native mode).
+    pub guarded: bool,
     /// The link as evaluated by the loop. A drive without an order is only read, whatever its link; an order goes
     /// out with every request, including the probes of a lost link, since it may be the stop.
     pub link: Link,
@@ -314,6 +382,9 @@ pub struct Slot {
     /// The drive was requested to do something that makes it silent, and its power is off: its silence is expected,
     /// is no link loss, and does not stop its stop group.
     pub excused: bool,
+    /// A call of the application that commands the drive is under way, or its end is not known: the loop begins no
+    /// enable until it is over.
+    pub commanded: bool,
 }
 
 /// What a drive shall do. A new serial is a new order and replaces the one before it; the same serial is carried
@@ -398,6 +469,9 @@ pub struct Report {
     pub fresh: bool,
     /// The drive was found restarted; the loop clears it.
     pub restarted: bool,
+    /// Another master was found to command the drive, or to have frames on its segment, with or without a fresh
+    /// exchange; the loop stops the axis, and clears it.
+    pub other_master: bool,
     /// When it was taken in.
     pub at: Time,
     /// State of the drive.

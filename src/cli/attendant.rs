@@ -1,15 +1,16 @@
 //! What the program does beside a running master: the live line, what happened to links and black boxes, the service
 //! manager, the control socket, and SIGUSR1.
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use fieldbeat::axis::{Fault, FaultNames, Link};
+use fieldbeat::axis::{Axis, Fault, FaultNames, Link, StopCause};
 use fieldbeat::control::{Answering, Desk, Server, place};
 use fieldbeat::master::Master;
 use fieldbeat::rt::thread::helper_thread;
 use fieldbeat::telemetry::blackbox::Written;
-use fieldbeat::telemetry::{DriveEmergency, Monitor};
+use fieldbeat::telemetry::{DriveEmergency, Failure, Monitor};
 use serde_json::{Value, json};
 
 use super::complain;
@@ -31,7 +32,9 @@ pub struct Attendant {
     service: Service,
     interrupt: Interrupt,
     /// Answers `fieldbeat status` while it lives.
-    _control: Option<Server>,
+    control: Option<Server>,
+    /// Those whose events nobody else takes.
+    axes: Vec<Axis>,
     links: Vec<Link>,
     drives: Vec<Known>,
     devices: Vec<Known>,
@@ -40,6 +43,10 @@ pub struct Attendant {
     /// The number of the last file of the black box that was told of, and of the last emergency.
     black_boxes: usize,
     emergencies: u64,
+    /// How many failures of the program itself were reported.
+    failures: usize,
+    /// What is shown here panicked: from then on nothing is.
+    is_blind: bool,
 }
 
 impl Attendant {
@@ -53,14 +60,23 @@ impl Attendant {
             live: Live::new(),
             service: Service::ready(),
             interrupt: interrupt.clone(),
-            _control: control.ok(),
+            control: control.ok(),
+            axes: Vec::new(),
             links: vec![Link::default(); master.observers().len()],
             drives: master.plan().fault_names().into_iter().map(Known::new).collect(),
             devices: master.devices().iter().map(|_| Known::new(|_| None)).collect(),
             complete: false,
             black_boxes: 0,
             emergencies: 0,
+            failures: 0,
+            is_blind: false,
         }
+    }
+
+    /// Takes the events of these axes, which nobody else wants.
+    pub fn taking(mut self, axes: Vec<Axis>) -> Attendant {
+        self.axes = axes;
+        self
     }
 
     /// To be called some fifty times a second. `what` is going on.
@@ -80,12 +96,39 @@ impl Attendant {
             master.write_black_box();
         }
         self.service.look(master);
-        self.look_at_links(master);
-        self.look_at_drives(master);
-        self.look_at_devices(master);
-        self.look_at_emergencies(master);
-        self.look_at_black_boxes(master);
-        self.live.show(master, what, count);
+        for axis in &mut self.axes {
+            while axis.event().is_some() {}
+        }
+        if self.control.as_ref().is_some_and(Server::has_failed) {
+            let what = "internal error: the control socket panicked; `fieldbeat status` may get no answer; please \
+                        report it";
+            master.monitor().failed(what, false);
+        }
+        if self.is_blind {
+            return;
+        }
+        let show = AssertUnwindSafe(|| {
+            self.look_at_failures(master);
+            self.look_at_links(master);
+            self.look_at_drives(master);
+            self.look_at_devices(master);
+            self.look_at_emergencies(master);
+            self.look_at_black_boxes(master);
+            self.live.show(master, what, count);
+        });
+        if catch_unwind(show).is_err() {
+            self.is_blind = true;
+            let what = "internal error: the live line panicked; the run goes on without it; please report it";
+            master.monitor().failed(what, false);
+        }
+    }
+
+    /// Says what failed of the program itself.
+    fn look_at_failures(&mut self, master: &Master) {
+        let shown = self.failures;
+        let new: Vec<Failure> = master.measured(|measured| measured.failures[shown..].to_vec());
+        self.failures += new.len();
+        new.iter().for_each(|failure| self.live.say(&failure.what));
     }
 
     /// Asks for the orderly end, and looks after the master until it has come to it.
@@ -130,7 +173,8 @@ impl Attendant {
         for (index, ((name, observer), known)) in drives.enumerate() {
             let feedback = observer.feedback();
             let apart = known.not_connected(feedback.link, now, || master.not_connected(index));
-            for news in apart.into_iter().chain(known.fault(feedback.fault)) {
+            let other = known.other_master(feedback.stopped);
+            for news in apart.into_iter().chain(known.fault(feedback.fault)).chain(other) {
                 self.live.say(&format!("drive {name}: {news}"));
             }
         }
@@ -186,6 +230,8 @@ impl Attendant {
 struct Known {
     fault_names: FaultNames,
     fault: u32,
+    /// Its axis is stopped for another master.
+    other_master: bool,
     /// Why it had no connection since it was online.
     apart: Vec<Apart>,
 }
@@ -200,7 +246,7 @@ struct Apart {
 
 impl Known {
     fn new(fault_names: FaultNames) -> Known {
-        Known { fault_names, fault: 0, apart: Vec::new() }
+        Known { fault_names, fault: 0, other_master: false, apart: Vec::new() }
     }
 
     /// Why it has no connection, if that stands.
@@ -234,6 +280,13 @@ impl Known {
     }
 
     /// Its fault, if it is another one.
+    fn other_master(&mut self, stopped: Option<StopCause>) -> Option<String> {
+        let other = stopped == Some(StopCause::OtherMaster);
+        let before = std::mem::replace(&mut self.other_master, other);
+        (other && !before)
+            .then(|| "another master commands it: its axis is stopped; end that master".to_owned())
+    }
+
     fn fault(&mut self, code: u32) -> Option<String> {
         let before = std::mem::replace(&mut self.fault, code);
         match code {

@@ -10,7 +10,9 @@ use std::os::unix::net::{SocketAddr, UnixListener};
 use std::time::{Duration, Instant};
 
 use clap::Args;
-use fieldbeat::axis::{Abort, Axis, AxisError, CommandId, Move, Outcome, Row, StopCause, Target, Unit, Verb};
+use fieldbeat::axis::{
+    Abort, Axis, AxisError, CommandId, EventKind, Move, Outcome, Row, StopCause, Target, Unit, Verb,
+};
 use fieldbeat::bus::ethercat;
 use fieldbeat::config::{DEMO_PLACES, DEMO_STREAMS_UP_TO_NS, demo_plan};
 use fieldbeat::cycle::{CyclePlan, Plan};
@@ -311,6 +313,8 @@ impl Show {
                     ended => break ended?,
                 }
             }
+            // No other end is waited for: what happened besides is shown by the attendant.
+            while axis.event().is_some() {}
         }
         Ok(())
     }
@@ -327,6 +331,7 @@ impl Show {
         let mut waves: Vec<Wave> =
             movers.map(|(place, axis)| Wave::new(axis, place, period_s, length_s)).collect();
         let mut ids = Vec::new();
+        let mut ended = vec![None; self.movers];
         let mut turning = Turning::default();
         while waves.iter().any(|wave| wave.next < wave.rows) {
             for (axis, wave) in self.axes.iter_mut().zip(&mut waves) {
@@ -341,6 +346,15 @@ impl Show {
                 ids = movers.iter_mut().map(Axis::follow).collect::<Result<_, _>>()?;
             }
             turning.go_on(turners)?;
+            for ((axis, id), ended) in movers.iter_mut().zip(&ids).zip(&mut ended) {
+                while let Some(event) = axis.event() {
+                    match event.kind {
+                        EventKind::Ended { id: of, outcome, .. } if of == *id => *ended = Some(outcome),
+                        _ => {}
+                    }
+                }
+            }
+            turners.iter_mut().for_each(|axis| while axis.event().is_some() {});
             self.attendant.look(&self.master, "wave");
             // A stopped axis takes no more rows; how its command ended says why.
             if self.axes.iter().any(|axis| axis.feedback().stopped.is_some()) {
@@ -351,7 +365,18 @@ impl Show {
             }
             std::thread::sleep(Duration::from_millis(5));
         }
-        self.wait_all("wave", &(0..self.movers), &ids)
+        for (index, ended) in ended.into_iter().enumerate() {
+            let axis = self.axes[index].name();
+            match ended {
+                Some(Outcome::Done) => {}
+                Some(outcome) => {
+                    let (axis, verb, fault) = (axis.to_owned(), "wave", None);
+                    return Err(AxisError::Ended { axis, verb, outcome, fault }.into());
+                }
+                None => self.wait_all("wave", &(index..index + 1), &ids[index..=index])?,
+            }
+        }
+        Ok(())
     }
 
     /// Where the period is too long for streams, or the time too short: moves there and back, until it is time to

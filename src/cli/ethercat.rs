@@ -9,7 +9,7 @@ use fieldbeat::bus::ethercat::wire::frame::ETHERTYPE;
 use fieldbeat::bus::ethercat::wire::registers::AlStatus;
 use fieldbeat::bus::ethercat::wire::sii::Protocols;
 use fieldbeat::net::frames::Unsent;
-use fieldbeat::net::{Carriers, Frames, Os};
+use fieldbeat::net::{Carriers, Frames, Os, Place};
 use serde_json::{Value, json};
 
 use super::interrupt::Interrupt;
@@ -52,7 +52,11 @@ impl Ethercat {
 impl Scan {
     fn run(self) -> Result<(), Stop> {
         let interrupt = Interrupt::catch().map_err(Stop::failed)?;
-        let mut frames = open(&self.interface)?;
+        let interface = &self.interface;
+        // Next to a master of this host it would read while that one writes.
+        let _lock =
+            Place::Interface(interface).lock().map_err(|why| Stop::failed(format!("{interface} {why}")))?;
+        let mut frames = open(interface)?;
         let options = Options { sii: self.sii };
         let slaves = scan(&mut *frames, options, &|| !interrupt.is_set())
             .map_err(|error| failed(&self.interface, error))?;

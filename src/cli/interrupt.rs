@@ -1,12 +1,39 @@
-//! Ctrl-C, SIGTERM, and SIGHUP of a terminal that goes away: the first asks for the orderly end, the second shortens
-//! its waits. Neither skips the stop. SIGUSR1 asks for the black box.
+//! Signals. Each one that would end the process by default requests the orderly end instead: the first stops the axes
+//! and powers them off, a second one shortens the waits. Neither skips the stop. SIGUSR1 requests the black box. A
+//! running master refuses to be suspended from the terminal.
+//!
+//! Left alone are the signals of a crash (SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGTRAP, SIGSYS): the instruction that
+//! raised one would be repeated. SIGKILL and SIGSTOP cannot be caught.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use fieldbeat::master::StopHandle;
-use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGUSR1, SIGXFSZ};
+use libc::c_int;
+use signal_hook::consts::{SIGTSTP, SIGTTIN, SIGTTOU, SIGUSR1, SIGXFSZ};
+
+use super::complain;
+
+/// What ends a process by default (signal(7)), without the real-time signals.
+const ENDING: [c_int; 14] = [
+    libc::SIGINT,
+    libc::SIGTERM,
+    libc::SIGHUP,
+    libc::SIGQUIT,
+    libc::SIGABRT,
+    libc::SIGALRM,
+    libc::SIGVTALRM,
+    libc::SIGPROF,
+    libc::SIGUSR2,
+    libc::SIGIO,
+    libc::SIGPWR,
+    libc::SIGSTKFLT,
+    // The limit of processor time (ulimit -t): the kernel repeats it each second, up to SIGKILL at the hard limit.
+    libc::SIGXCPU,
+    // Ignored from the start of every Rust program, and left so.
+    libc::SIGPIPE,
+];
 
 /// Set by the signals' handlers, which do nothing else.
 #[derive(Clone, Debug)]
@@ -23,9 +50,10 @@ impl Interrupt {
     /// Catches the signals from here on.
     pub fn catch() -> std::io::Result<Interrupt> {
         let interrupt = Interrupt { fresh: Arc::default(), ever: Arc::default(), black_box: Arc::default() };
-        for signal in [SIGINT, SIGTERM, SIGHUP] {
-            // Under nohup the program shall outlive its terminal.
-            if signal == SIGHUP && is_ignored(signal) {
+        for signal in ENDING.into_iter().chain(libc::SIGRTMIN()..=libc::SIGRTMAX()) {
+            // Under nohup the program shall outlive its terminal. The others are caught even if they were ignored: a
+            // shell does so with SIGINT and SIGQUIT of what it puts into the background.
+            if [libc::SIGHUP, libc::SIGPIPE].contains(&signal) && is_ignored(signal) {
                 continue;
             }
             signal_hook::flag::register(signal, Arc::clone(&interrupt.ever))?;
@@ -47,15 +75,26 @@ impl Interrupt {
         self.ever.load(Ordering::Relaxed)
     }
 
-    /// Passes every signal on to a master, for as long as the process lives.
+    /// Passes every signal on to a master, for as long as the process lives. From here on it is not suspended from the
+    /// terminal: the drives would be left without a master in mid-motion.
     pub fn stops(&self, handle: StopHandle) -> std::io::Result<()> {
-        let fresh = Arc::clone(&self.fresh);
+        let (fresh, suspend) = (Arc::clone(&self.fresh), Arc::new(AtomicBool::new(false)));
+        signal_hook::flag::register(SIGTSTP, Arc::clone(&suspend))?;
+        // Ignored, not caught: the write or read that caused one would be repeated for ever. So the write is made, and
+        // the read fails.
+        ignore(SIGTTIN)?;
+        ignore(SIGTTOU)?;
         std::thread::Builder::new()
             .name("fb-signals".into())
             .spawn(move || {
                 loop {
                     if fresh.swap(false, Ordering::Relaxed) {
                         handle.stop();
+                    }
+                    if suspend.swap(false, Ordering::Relaxed) {
+                        // By a thread of its own: standard error that nobody reads must not hold up a stop.
+                        let line = || complain("not suspended: the drives would have no master; use Ctrl-C");
+                        let _ = std::thread::Builder::new().spawn(line);
                     }
                     std::thread::sleep(LOOK_EVERY);
                 }
@@ -64,8 +103,16 @@ impl Interrupt {
     }
 }
 
+fn ignore(signal: c_int) -> std::io::Result<()> {
+    // SAFETY: takes two numbers; ignoring runs no code.
+    match unsafe { libc::signal(signal, libc::SIG_IGN) } {
+        libc::SIG_ERR => Err(std::io::Error::last_os_error()),
+        _ => Ok(()),
+    }
+}
+
 /// Whether whoever started the program had it ignore `signal`.
-fn is_ignored(signal: libc::c_int) -> bool {
+fn is_ignored(signal: c_int) -> bool {
     let mut action = std::mem::MaybeUninit::<libc::sigaction>::zeroed();
     // SAFETY: a null action changes nothing, and `action` has room for the present one; all zero is a valid one.
     unsafe {

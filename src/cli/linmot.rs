@@ -54,7 +54,7 @@ enum CurveDoes {
     /// Writes the curve of a file to the drive's RAM, and reads it back.
     Put(Put),
     /// Deletes all curves in the drive's RAM: it cannot delete a single one.
-    Delete(Delete),
+    Delete(Drive),
     /// Saves the curves in RAM to flash.
     Save(Drive),
 }
@@ -68,7 +68,7 @@ enum TableDoes {
     /// Writes the table of a file to the drive's RAM, and reads it back.
     Put(Put),
     /// Deletes all entries in the drive's RAM.
-    Delete(Delete),
+    Delete(Drive),
     /// Saves the table in RAM to flash.
     Save(Drive),
 }
@@ -119,18 +119,6 @@ struct Put {
     /// Also save it to flash: the drive may be silent for minutes, and has to be homed again.
     #[arg(long)]
     save: bool,
-    /// Write even if the drive is switched on and may be using what is written.
-    #[arg(long, conflicts_with = "save")]
-    live: bool,
-}
-
-#[derive(Debug, Args)]
-struct Delete {
-    #[command(flatten)]
-    drive: Drive,
-    /// Delete even if the drive is switched on and may be using what is deleted.
-    #[arg(long)]
-    live: bool,
 }
 
 #[derive(Debug, Args)]
@@ -207,8 +195,8 @@ impl CurveDoes {
                 let curve = put.read(linmot_curve::load)?;
                 with(&put.drive, interrupt, |services| put_curve(services, &curve, &put, interrupt))
             }
-            CurveDoes::Delete(Delete { drive, live }) => with(&drive, interrupt, |services| {
-                allow(services, live, "deleting its curves")?;
+            CurveDoes::Delete(drive) => with(&drive, interrupt, |services| {
+                services.require_off("deleting its curves").map_err(Stop::failed)?;
                 services.delete_curves().map_err(Stop::failed)?;
                 done(services, "has no curves in RAM; a restart loads those in flash again")
             }),
@@ -235,14 +223,14 @@ impl TableDoes {
             TableDoes::Put(put) => {
                 let table = put.read(linmot_table::load)?;
                 with(&put.drive, interrupt, |services| {
-                    allow(services, put.live, "writing its command table")?;
+                    services.require_off("writing its command table").map_err(Stop::failed)?;
                     services.put_table(&table, &mut Meter::new(interrupt).watch()).map_err(Stop::failed)?;
                     print(format_args!("{} entries are in RAM, read back and compared", table.len()))?;
                     if put.save { save_table(services) } else { Ok(()) }
                 })
             }
-            TableDoes::Delete(Delete { drive, live }) => with(&drive, interrupt, |services| {
-                allow(services, live, "deleting its command table")?;
+            TableDoes::Delete(drive) => with(&drive, interrupt, |services| {
+                services.require_off("deleting its command table").map_err(Stop::failed)?;
                 services.delete_table().map_err(Stop::failed)?;
                 done(services, "has no entries in RAM; a restart loads those in flash again")
             }),
@@ -291,7 +279,7 @@ fn only(services: &Services<'_>) -> Result<u16, Stop> {
 }
 
 fn put_curve(services: &Services<'_>, curve: &Curve, put: &Put, interrupt: &Interrupt) -> Result<(), Stop> {
-    allow(services, put.live, "writing a curve")?;
+    services.require_off("writing a curve").map_err(Stop::failed)?;
     if services.plan_curve(curve).map_err(Stop::failed)? == CurvePut::Rebuild {
         complain(&format!(
             "drive {} has a curve {} of another size, and can only delete all curves at once: the others are \
@@ -389,12 +377,4 @@ impl Put {
             false => Stop::usage(errors),
         })
     }
-}
-
-/// Refuses `what` for a drive that is switched on, unless that is meant.
-fn allow(services: &Services<'_>, live: bool, what: &'static str) -> Result<(), Stop> {
-    if live {
-        return Ok(());
-    }
-    services.require_off(what).map_err(|error| Stop::failed(format!("{error}, or use --live")))
 }

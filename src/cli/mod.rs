@@ -30,6 +30,7 @@ use std::time::Duration;
 use anstyle::AnsiColor;
 use clap::error::ErrorKind;
 use clap::{Parser, Subcommand};
+use nix::sys::resource::{Resource, getrlimit, setrlimit};
 
 /// A hard-real-time cyclic master for servo drives.
 ///
@@ -91,6 +92,11 @@ impl Stop {
 
 /// Parses the arguments and runs the command.
 pub fn main() -> ExitCode {
+    // As many descriptors as this process may have: those of status and metrics never take the last one of a drive.
+    if let Ok((_, hard)) = getrlimit(Resource::RLIMIT_NOFILE) {
+        // Refused, it is what it was.
+        let _ = setrlimit(Resource::RLIMIT_NOFILE, hard, hard);
+    }
     let result = arguments().and_then(|arguments| match arguments.command {
         Command::Demo(demo) => demo.run(),
         Command::Sim(sim) => sim.run(),

@@ -1,7 +1,8 @@
 //! What a run tells besides what moves: its summary, and if they are asked for, a report, and its numbers meanwhile.
 
-use std::net::SocketAddr;
 use std::path::PathBuf;
+use std::sync::mpsc;
+use std::time::Duration;
 
 use clap::Args;
 use fieldbeat::axis::{HeldBy, Load};
@@ -9,10 +10,13 @@ use fieldbeat::cycle::Plan;
 use fieldbeat::master::{Master, Setup};
 use fieldbeat::telemetry::Summary;
 use fieldbeat::telemetry::blackbox::default_directory;
-use fieldbeat::telemetry::metrics::{self, Endpoint, Server};
+use fieldbeat::telemetry::metrics::{self, Endpoint, MetricsError, Server};
 use fieldbeat::telemetry::report::Report;
 
 use super::{Stop, complain, print, show};
+
+/// A disk that does not take the report within this time does not hold up the end.
+const PATIENCE: Duration = Duration::from_secs(30);
 
 /// Arguments of every command that runs a master.
 #[derive(Debug, Args)]
@@ -23,9 +27,10 @@ pub struct Output {
     /// Write summary, histograms (.hgrm) and plots (.svg) to this directory at the end.
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
-    /// Meanwhile answer at http://ADDR/metrics for Prometheus; a port alone is for this computer only.
+    /// Meanwhile answer at http://ADDR/metrics for Prometheus; a port alone is for this computer only, NAME:PORT
+    /// for clients that use another name of this computer.
     #[arg(long, value_name = "ADDR", value_parser = metrics::address)]
-    metrics: Option<SocketAddr>,
+    metrics: Option<metrics::Address>,
     /// Where the black box writes its files; without it the state directory of the service, or of the user.
     #[arg(long, value_name = "DIR")]
     black_box: Option<PathBuf>,
@@ -53,7 +58,12 @@ impl Output {
     /// Finds out whether it can be had, before anything is sent.
     pub fn prepare(self) -> Result<Prepared, Stop> {
         let report = self.report.map(Report::create).transpose().map_err(Stop::usage)?;
-        let endpoint = self.metrics.map(Endpoint::bind).transpose().map_err(Stop::usage)?;
+        let bind = |metrics::Address { socket, name }| {
+            let endpoint = Endpoint::bind(socket)?;
+            Ok(name.into_iter().fold(endpoint, Endpoint::named))
+        };
+        let endpoint =
+            self.metrics.map(bind).transpose().map_err(|error: MetricsError| Stop::usage(error))?;
         let black_box = self.black_box.unwrap_or_else(default_directory);
         Ok(Prepared { json: self.json, report, endpoint, black_box })
     }
@@ -101,12 +111,32 @@ impl Running {
         } else {
             show(&summary)
         };
-        let written = match &self.report {
-            Some(report) => report.write(&run, &summary).map_err(Stop::failed),
+        let written = match self.report {
+            Some(report) => {
+                let (directory, summary) = (report.directory().display().to_string(), summary.clone());
+                let written = within(PATIENCE, move || report.write(&run, &summary).map_err(Stop::failed));
+                written.unwrap_or_else(|| {
+                    let seconds = PATIENCE.as_secs();
+                    Err(Stop::failed(format!(
+                        "report {directory} is not written: its disk does not answer for {seconds} s; look at that \
+                         disk"
+                    )))
+                })
+            }
             None => Ok(()),
         };
         (summary, both(printed, written))
     }
+}
+
+/// What `work` returns, if it does within `limit`; it is left to itself otherwise, up to the end of the process.
+fn within<R: Send + 'static>(limit: Duration, work: impl FnOnce() -> R + Send + 'static) -> Option<R> {
+    let (done, result) = mpsc::channel();
+    let thread = std::thread::Builder::new().name("fb-report".into()).spawn(move || {
+        // Too late, nobody takes it.
+        let _ = done.send(work());
+    });
+    thread.ok().and_then(|_| result.recv_timeout(limit).ok())
 }
 
 /// What both have to say.
@@ -116,5 +146,18 @@ pub fn both(one: Result<(), Stop>, other: Result<(), Stop>) -> Result<(), Stop> 
             Err(Stop { code: one.code, message: format!("{}\n{}", one.message, other.message) })
         }
         (one, other) => one.and(other),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_hangs_is_waited_for_only_so_long() {
+        let (release, hangs) = mpsc::channel::<()>();
+        assert_eq!(within(Duration::from_millis(20), move || hangs.recv().is_ok()), None);
+        drop(release);
+        assert_eq!(within(Duration::from_secs(60), || 7), Some(7));
     }
 }

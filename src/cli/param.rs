@@ -142,7 +142,19 @@ impl Set {
         };
         let reach = self.drive.reach_to("write", &self.address, check, interrupt)?;
         let notation = reach.notation();
-        let written = access(&reach).write(&self.address, &self.value).map_err(failed)?;
+        let written = access(&reach).write(&self.address, &self.value).map_err(|error| match error {
+            // There is no axis here to disable.
+            ParameterError::Failed { why: CallError::Commands, .. } if reach.is_alone() => {
+                Stop::failed(format!(
+                    "drive {}: write {} = {}: it may command the drive, which another master, or its own panel or \
+                     terminals, has switched on: disable it there first",
+                    reach.drive(),
+                    self.address,
+                    self.value
+                ))
+            }
+            error => failed(error),
+        })?;
         let mut values = Vec::new();
         for address in notation.read_back(&self.address) {
             let read = match access(&reach).read(&address) {

@@ -9,7 +9,8 @@ use std::time::{Duration, Instant};
 use fieldbeat::axis::acyclic::{Acyclic, Carrier, Notation};
 use fieldbeat::control::{AskError, Remote};
 use fieldbeat::cycle::Plan;
-use fieldbeat::master::Master;
+use fieldbeat::master::{Master, StartError};
+use fieldbeat::net::Os;
 
 use super::interrupt::{Interrupt, LOOK_EVERY};
 use super::masters::{Wanted, others};
@@ -53,6 +54,11 @@ impl Reach {
             None => alone(&plan, drive, interrupt)?,
         };
         Ok(Reach { drive: drive.to_owned(), notation, way })
+    }
+
+    /// No master ran: what the drive does is not this program's doing.
+    pub fn is_alone(&self) -> bool {
+        matches!(self.way, Way::Alone { .. })
     }
 
     /// Its name.
@@ -121,11 +127,15 @@ fn alone(plan: &Plan, drive: &str, interrupt: &Interrupt) -> Result<Way, Stop> {
             "drive {drive} cannot be reached alone; start its master with `fieldbeat run`"
         )));
     };
-    let master = Master::from_plan(plan).start().map_err(|error| {
+    let refused = |error: StartError| {
         // It may be what stands in the way.
         let others = others();
         Stop::usage(if others.is_empty() { error.to_string() } else { format!("{error}; {others}") })
-    })?;
+    };
+    for bus in &plan.buses {
+        bus.require_idle(&Os::default()).map_err(|error| refused(error.into()))?;
+    }
+    let master = Master::from_plan(plan).start().map_err(refused)?;
     let Some(acyclic) = master.acyclics().iter().find(|acyclic| acyclic.axis() == drive).cloned() else {
         return Err(Stop::failed(format!("drive {drive} has no acyclic access")));
     };

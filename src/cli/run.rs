@@ -34,7 +34,10 @@ impl Run {
         let output = self.output.prepare()?;
         let master = start(output.setup(plan), &interrupt)?;
         let output = output.serve(&master)?;
-        let mut attendant = Attendant::new(&master, &interrupt);
+        // Nobody else takes their events: untaken, they would count as lost.
+        let axes = master.observers().iter().map(|(name, _)| master.axis(name));
+        let axes = axes.collect::<Result<_, _>>().map_err(Stop::failed)?;
+        let mut attendant = Attendant::new(&master, &interrupt).taking(axes);
         let begun = Instant::now();
         while master.is_running() && self.duration.is_none_or(|duration| begun.elapsed() < duration) {
             attendant.look(&master, "run");
@@ -91,13 +94,15 @@ pub fn not_whole(summary: &Summary) -> Stop {
         of(
             "stopped by an overrun",
             &|drive| drive.was_overrun(),
-            "; this computer was too late for more than max_skip slots: give the loop its rights and a core of its own",
+            "; this computer was too late for more slots than max_skip or max_skip_rate allow: give the loop its rights and a core of its own",
         ),
     ]
     .into_iter()
     .flatten()
     .chain(host_took(summary))
     .collect();
+    let failures = summary.failures.iter().filter(|failure| failure.fails_run);
+    let lines: Vec<String> = failures.map(|failure| failure.what.clone()).chain(lines).collect();
     Stop::failed(lines.join("; "))
 }
 

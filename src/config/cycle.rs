@@ -25,6 +25,13 @@ pub(super) fn cycle(table: &mut Table<'_>) -> CyclePlan {
             .unwrap_or(default.receive_deadline),
         wait: table.word("wait", &[("poll", Wait::Poll), ("spin", Wait::Spin)]).unwrap_or(default.wait),
         overrun: overrun(table, period_ns).unwrap_or(default.overrun),
+        max_skip_rate: table
+            .number(
+                "max_skip_rate",
+                0.0..=1.0,
+                "the largest share of the last 100 slots that may be skipped; 1.0 is not watched",
+            )
+            .unwrap_or(default.max_skip_rate),
         realtime: table
             .word(
                 "realtime",

@@ -2,6 +2,7 @@
 
 use crate::axis::{AxisPlan, HeldBy, Load, StopHow, StopThen, StopTimeout};
 use crate::bus::BusPlan;
+use crate::cycle::bound::{Paced, bound, group, paced, silence};
 use crate::cycle::record::Record;
 use crate::cycle::{CyclePlan, Guard, Overrun, Plan, Wait};
 
@@ -25,7 +26,7 @@ pub fn describe(plan: &Plan) -> Vec<String> {
             let paragraph = own.next().unwrap_or_default();
             let mut told = paragraph.lines().map(str::to_owned);
             let first = told.next().unwrap_or_default();
-            let rest: Vec<String> = told.chain(axis(drive, &paced, plan.cycle.period_ns)).collect();
+            let rest: Vec<String> = told.chain(axis(drive, &paced, &plan.cycle)).collect();
             let drive = drive.axis;
             match &before {
                 Some((like, same)) if *same == rest => {
@@ -41,6 +42,11 @@ pub fn describe(plan: &Plan) -> Vec<String> {
         lines.extend(own);
         lines.extend(clock(&**bus, plan.cycle.reference.as_deref()));
     }
+    lines.push(
+        "one master each: another one of this host that has one of these interfaces or drives is named, and the start \
+        refused"
+            .into(),
+    );
     lines.push(black_box(plan));
     for group in &plan.groups {
         let members = axes.iter().filter(|axis| group.axes.contains(&axis.name));
@@ -86,9 +92,13 @@ fn cycle(cycle: &CyclePlan) -> Vec<String> {
         Wait::Spin => "spin",
     };
     let overrun = match cycle.overrun {
-        Overrun::Skip { max_skip } => {
+        Overrun::Skip { max_skip } if cycle.max_skip_rate >= 1.0 => {
             format!("skips slots and keeps the grid, more than {max_skip} in a row stop all axes")
         }
+        Overrun::Skip { max_skip } => format!(
+            "skips slots and keeps the grid, more than {max_skip} in a row or {:.0} of the last 100 stop all axes",
+            100.0 * cycle.max_skip_rate
+        ),
         Overrun::Stop => "stops all axes".to_owned(),
     };
     let mut lines = vec![
@@ -142,9 +152,9 @@ fn frequency(period_ns: u64) -> String {
 }
 
 /// What every protocol's axis has: schedule, link, stop, limits.
-fn axis(drive: &Paced<'_>, all: &[Paced<'_>], period_ns: u64) -> Vec<String> {
-    let axis = drive.axis;
-    let mut lines = vec![schedule(axis, period_ns), link(drive, all, period_ns), stop(axis)];
+fn axis(drive: &Paced<'_>, all: &[Paced<'_>], cycle: &CyclePlan) -> Vec<String> {
+    let (axis, period_ns) = (drive.axis, cycle.period_ns);
+    let mut lines = vec![schedule(axis, period_ns), link(drive, all, cycle), stop(axis)];
     lines.extend(load(axis));
     lines.extend([setpoints(axis, period_ns), limits(axis)]);
     lines
@@ -158,77 +168,9 @@ fn schedule(axis: &AxisPlan, period_ns: u64) -> String {
     }
 }
 
-/// An axis and how its exchanges follow each other.
-#[derive(Clone, Copy, Debug)]
-struct Paced<'a> {
-    axis: &'a AxisPlan,
-    /// For so many cycles behind the one that asked a reply counts, on a connection. `None`: there is none, and replies
-    /// come in the cycle that asks.
-    owed: Option<u64>,
-}
-
-impl Paced<'_> {
-    /// The most cycles between two requests: one whose reply is owed is waited for, and the next one has its turn then.
-    fn turn(&self) -> u64 {
-        let divisor = u64::from(self.axis.divisor.max(1));
-        (self.owed.unwrap_or(0) / divisor).saturating_add(1).saturating_mul(divisor)
-    }
-}
-
-/// All axes of `plan`, in slot order.
-fn paced(plan: &Plan) -> Vec<Paced<'_>> {
-    let (period_ns, deadline_ns) = (plan.cycle.period_ns.max(1), plan.cycle.deadline_ns());
-    let owed = |within_ns: u64| within_ns.saturating_sub(deadline_ns).div_ceil(period_ns);
-    let of = |bus: &'_ dyn BusPlan, index| bus.reply_within_ns(index).map(owed);
-    plan.buses
-        .iter()
-        .flat_map(|bus| {
-            bus.axes().into_iter().enumerate().map(|(index, axis)| Paced { axis, owed: of(&**bus, index) })
-        })
-        .collect()
-}
-
-/// The drives that stop when `drive` does, itself included.
-fn group<'a>(drive: &'a Paced<'a>, all: &'a [Paced<'a>]) -> impl Iterator<Item = &'a Paced<'a>> {
-    let group = drive.axis.stop.group;
-    all.iter().filter(move |one| {
-        one.axis.name == drive.axis.name || group.is_some() && one.axis.stop.group == group
-    })
-}
-
-/// A dead link stops axis `index` of `plan` and its group: at most so many cycles lie between the cycle that took in
-/// its last good reply and the one that has sent every stop request, as far as connections take them.
-///
-/// `bucket` exchanges are missed first. Each is judged when its reply no longer counts, and the next one follows in its
-/// turn. The lost drive is then asked in the very next cycle, and each other member of the group in its own next turn.
-pub fn stop_bound(plan: &Plan, index: usize) -> u64 {
-    let all = paced(plan);
-    all.get(index).map_or(0, |drive| bound(drive, &all))
-}
-
-/// The same for `axis` among `all`, whose replies come in the cycle that asks.
-pub fn stop_bound_cycles(axis: &AxisPlan, all: &[&AxisPlan]) -> u64 {
-    let all: Vec<Paced<'_>> = all.iter().map(|axis| Paced { axis, owed: None }).collect();
-    bound(&Paced { axis, owed: None }, &all)
-}
-
-/// The names of the drives that stop when that of slot `index` does, itself included.
-pub(super) fn stopping_with(plan: &Plan, index: usize) -> Vec<String> {
-    let all = paced(plan);
-    let with = all.get(index).into_iter().flat_map(|drive| group(drive, &all));
-    with.map(|one| one.axis.name.clone()).collect()
-}
-
-fn bound(drive: &Paced<'_>, all: &[Paced<'_>]) -> u64 {
-    let Paced { axis, owed } = drive;
-    let others = group(drive, all).filter(|one| one.axis.name != axis.name);
-    let slowest = others.map(Paced::turn).max().unwrap_or(1);
-    let misses = u64::from(axis.health.bucket.saturating_sub(1)).saturating_mul(drive.turn());
-    u64::from(axis.divisor).saturating_add(misses).saturating_add(owed.unwrap_or(0)).saturating_add(slowest)
-}
-
-fn link(drive: &Paced<'_>, all: &[Paced<'_>], period_ns: u64) -> String {
+fn link(drive: &Paced<'_>, all: &[Paced<'_>], cycle: &CyclePlan) -> String {
     let (health, cycles) = (&drive.axis.health, bound(drive, all));
+    let silent = silence(drive, cycle.overrun);
     let names: Vec<&str> = group(drive, all).map(|one| one.axis.name.as_str()).collect();
     let together = match names.len() {
         0 | 1 => String::new(),
@@ -237,10 +179,12 @@ fn link(drive: &Paced<'_>, all: &[Paced<'_>], period_ns: u64) -> String {
     let taken = if drive.owed.is_some() { ", if it still answers" } else { "" };
     format!(
         "link up after {} good exchanges in a row, lost after {} misses in a row: the stop request is on the \
-         wire within {cycles} cycles ({}) of the last good one{taken}{together}",
+         wire within {cycles} cycles ({}) of the last good one{taken}; with slots skipped lost after {} at the \
+         latest{together}",
         health.gate,
         health.bucket,
-        Ns(cycles.saturating_mul(period_ns)),
+        Ns(cycles.saturating_mul(cycle.period_ns)),
+        Ns(silent.saturating_mul(cycle.period_ns)),
     )
 }
 
@@ -259,11 +203,18 @@ fn stop(axis: &AxisPlan) -> String {
         StopHow::Ramp => format!("ramp at {} {unit}/s²", stop.deceleration),
         StopHow::Quick => "the drive's quick stop".into(),
     };
+    let timeout_ns = nanos(stop.timeout);
+    let without = match stop.how {
+        StopHow::Ramp => format!(
+            "without it after {} the drive's quick stop, after {} {late}",
+            Ns(timeout_ns),
+            Ns(timeout_ns.saturating_mul(2))
+        ),
+        _ => format!("without it after {} {late}", Ns(timeout_ns)),
+    };
     format!(
-        "stop: {how}; at standstill (below {} {unit}/s for {} exchanges) {then}; without it after {} {late}",
-        stop.standstill,
-        stop.standstill_for,
-        Ns(nanos(stop.timeout)),
+        "stop: {how}; at standstill (below {} {unit}/s for {} exchanges) {then}; {without}",
+        stop.standstill, stop.standstill_for,
     )
 }
 
@@ -306,6 +257,7 @@ fn limits(axis: &AxisPlan) -> String {
     set.extend(limits.position.map(|(low, high)| format!("{low} ... {high} {unit}")));
     set.extend(limits.velocity.map(|velocity| format!("{velocity} {unit}/s")));
     set.extend(limits.acceleration.map(|acceleration| format!("{acceleration} {unit}/s²")));
+    set.extend(limits.homing.map(|velocity| format!("{velocity} {unit}/s while it homes")));
     set.extend(limits.torque.map(|torque| format!("{torque} % of the rated torque")));
     set.extend(limits.step.map(|step| format!("{step} {unit} between two rows")));
     match set.is_empty() {

@@ -156,6 +156,7 @@ fn limits(table: &mut Table<'_>, units: &Units) -> Limits {
             POSITIVE,
             "per cent of the rated torque; leave it out for the drive's own limit",
         ),
+        homing: table.number("homing", POSITIVE, "units/s while it homes; leave it out for that of velocity"),
     });
     if let Some((low, high)) = limits.position {
         let counts = |end: i32| f64::from(end) / units.counts_per_unit + units.offset;

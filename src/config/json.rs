@@ -2,10 +2,10 @@
 
 use serde_json::{Value, json};
 
-use super::describe::{stop_bound, stopping_with};
 use super::error::ConfigError;
 use crate::axis::{AxisPlan, HeldBy, Load, StopHow, StopThen, StopTimeout};
 use crate::bus::BusPlan;
+use crate::cycle::bound::{stop_bound, stopping_with};
 use crate::cycle::{CyclePlan, Guard, Overrun, Plan, Wait};
 use crate::rt::{Memory, Realtime};
 use crate::time::nanos;
@@ -96,6 +96,7 @@ fn cycle(cycle: &CyclePlan) -> Value {
         "deadline_ns": cycle.deadline_ns(),
         "overrun": overrun,
         "max_skip": max_skip,
+        "max_skip_rate": cycle.max_skip_rate,
         "late_ns": cycle.late_ns(),
         "task_budget_ns": cycle.task_budget_ns,
         "heartbeat_ns": cycle.heartbeat_ns,

@@ -1,6 +1,7 @@
 //! `protocol = "linudp-v2"`.
 
 use std::net::SocketAddrV4;
+use std::time::Duration;
 
 use super::drive::{Counts, axis};
 use super::faults::faults;
@@ -13,7 +14,7 @@ use crate::bus::BusPlan;
 use crate::bus::linudp::upid::{KNOWN, Upid};
 use crate::bus::linudp::{
     COUNTS_PER_MM, DRIVE_PORT, FlashMode, LinUdpDrive, LinUdpPlan, MASTER_PORT, MasterFilter, MonitorPlan,
-    PROTOCOL, SimPlan, StreamCommand, UnknownCommands,
+    PROTOCOL, ReplyTag, SimPlan, StreamCommand, UnknownCommands,
 };
 use crate::cycle::CyclePlan;
 use crate::net::SendMode;
@@ -74,7 +75,10 @@ fn drive(
         address,
         stream: stream(table, period_ns),
         monitor: monitor(table).unwrap_or_default(),
-        reply_tag: table.flag("reply_tag").unwrap_or(false),
+        reply_tag: table.word("reply_tag", &ReplyTag::WORDS).unwrap_or_default(),
+        inhibit_after: table
+            .time("inhibit_after", ..=60 * S, "how long the hardware enable (STO) has to be missing")
+            .map_or(LinUdpDrive::INHIBIT_AFTER, Duration::from_nanos),
         leash: leash(table),
         simulate: table.table("simulate", |table| simulate(table, &axis, period_ns, index)),
         axis,
@@ -147,7 +151,9 @@ fn leash(table: &mut Table<'_>) -> Option<f64> {
 
 fn simulate(table: &mut Table<'_>, axis: &AxisPlan, period_ns: u64, index: usize) -> SimPlan {
     let counts = |position: f64| counts(&axis.units, position);
-    let (low, high) = table.interval("range", "mechanical, in user units").unwrap_or({
+    let range = table.interval("range", "mechanical, in user units");
+    let endless = range.is_none() && axis.units.modulo.is_some();
+    let (low, high) = range.unwrap_or({
         match axis.limits.position {
             Some((low, high)) => (low - 5.0, high + 5.0),
             None => (-1000.0, 1000.0),
@@ -158,7 +164,7 @@ fn simulate(table: &mut Table<'_>, axis: &AxisPlan, period_ns: u64, index: usize
     };
     let home = inside(table, "home").unwrap_or(if low <= 0.0 && high >= 0.0 { 0.0 } else { low });
     let start = inside(table, "start").unwrap_or((low + high) / 2.0);
-    let ends = (counts(low), counts(high));
+    let ends = if endless { SimPlan::ENDLESS } else { (counts(low), counts(high)) };
     let default = SimPlan::default();
     SimPlan {
         faults: faults(table, Carrier::Datagrams, period_ns, index),
@@ -184,6 +190,9 @@ fn simulate(table: &mut Table<'_>, axis: &AxisPlan, period_ns: u64, index: usize
         stream_depth: table
             .integer("stream_depth", 1..=10_000, "setpoints that a stream holds ahead of its output")
             .unwrap_or(default.stream_depth),
+        status_lag_ns: table
+            .time("status_lag", ..=S, "how old the control word is that the status word reports")
+            .unwrap_or(default.status_lag_ns),
         force_enable_bits: table.flag("force_enable_bits").unwrap_or(false),
         start_running: table.flag("running").unwrap_or(false),
         config_time_ns: table

@@ -48,7 +48,7 @@ use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-pub use describe::{describe, stop_bound, stop_bound_cycles};
+pub use describe::describe;
 pub use error::{ConfigError, ConfigErrors};
 pub use json::json;
 

@@ -13,9 +13,9 @@ use crate::axis::Unit;
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::bus::BusPlan;
 use crate::bus::modbus::parameter::{Addressing, Parameter, Width, catalogue};
-use crate::bus::modbus::sim::{Interface, MotorSettings, SimSettings, Start};
+use crate::bus::modbus::sim::{Interface, MotorSettings, ReadWrite, SimSettings, Start};
 use crate::bus::modbus::{
-    Map, Mapped, ModbusPlan, PORT, PROTOCOL, UnidriveDrive, Via, WATCHDOG_MAX_NS, Watchdog,
+    Functions, Map, Mapped, ModbusPlan, PORT, PROTOCOL, UnidriveDrive, Via, WATCHDOG_MAX_NS, Watchdog,
 };
 use crate::cycle::CyclePlan;
 use crate::sim::Carrier;
@@ -56,13 +56,22 @@ fn drive(table: &mut Table<'_>, machine: &mut Machine, cycle: &CyclePlan, index:
             .unwrap_or(default.addressing),
         map: map(table, default.map),
         via: via(table).unwrap_or(default.via),
+        functions: table
+            .word(
+                "function",
+                &[("auto", Functions::Auto), ("23", Functions::ReadWrite), ("16+3", Functions::Apart)],
+            )
+            .unwrap_or(default.functions),
         reply_within_ns: table
             .time("reply_within", 100 * US..=10 * S, "the time within which a reply counts")
-            .unwrap_or(default.reply_within_ns),
+            .unwrap_or(0),
         watchdog: watchdog(table, default.watchdog),
         set_up: table.flag("set_up").unwrap_or(default.set_up),
         simulate: default.simulate,
     };
+    if drive.reply_within_ns == 0 {
+        drive.reply_within_ns = UnidriveDrive::usual_reply_within(&drive.watchdog, period_ns);
+    }
     drive.simulate = table.table("simulate", |table| simulate(table, &drive, period_ns, index));
     for fault in drive.faults(period_ns) {
         table.fault(fault.key, fault.message);
@@ -240,7 +249,7 @@ fn watchdog(table: &mut Table<'_>, default: Watchdog) -> Watchdog {
 fn simulate(table: &mut Table<'_>, drive: &UnidriveDrive, period_ns: u64, index: usize) -> SimSettings {
     let default = SimSettings::new(drive.address);
     let interface = Interface {
-        read_write: table.flag("fc23").unwrap_or(default.interface.read_write),
+        read_write: fc23(table).unwrap_or(default.interface.read_write),
         menu_zero: table.flag("menu_0").unwrap_or(default.interface.menu_zero),
         connections: table
             .integer("connections", 1..=64, "the largest number of masters at a time")
@@ -258,6 +267,17 @@ fn simulate(table: &mut Table<'_>, drive: &UnidriveDrive, period_ns: u64, index:
         start: running.map_or(default.start, |velocity| Start::Running(drive.rpm(velocity))),
         ..default
     }
+}
+
+/// Whether the simulated drive has FC23, or what it does instead.
+fn fc23(table: &mut Table<'_>) -> Option<ReadWrite> {
+    table.read("fc23", |value| match (value.as_bool(), value.as_str()) {
+        (Some(true), _) => Ok(ReadWrite::Served),
+        (Some(false), _) => Ok(ReadWrite::Refused),
+        (_, Some("ignored")) => Ok(ReadWrite::Ignored),
+        (_, Some("closes")) => Ok(ReadWrite::Closes),
+        _ => Err("must be true, false, \"ignored\" or \"closes\"".into()),
+    })
 }
 
 fn motor(table: &mut Table<'_>, default: MotorSettings) -> MotorSettings {

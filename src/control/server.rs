@@ -1,15 +1,21 @@
 //! The master's side of the control socket.
+//!
+//! Clients that have not sent a whole request yet cost a descriptor each, and no thread: [`Clients`] bounds them. The
+//! first request begins a conversation on a thread of its own. If there are too many conversations, the one that has
+//! been silent for longest ends.
 
+use std::collections::VecDeque;
 use std::fs;
 use std::io;
 use std::os::fd::AsFd;
 use std::os::unix::fs::{FileTypeExt, PermissionsExt};
 use std::os::unix::net::{UnixListener, UnixStream};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::sys::socket::{getsockopt, sockopt};
@@ -17,6 +23,8 @@ use serde_json::{Value, json};
 use thiserror::Error;
 
 use super::talk::{LOOK_EVERY, Talk, connect};
+use crate::errors::no_descriptor;
+use crate::net::clients::{Client, Clients};
 
 /// A client has so long to send its request, and so long to take the answer.
 const PATIENCE: Duration = Duration::from_secs(1);
@@ -24,8 +32,11 @@ const PATIENCE: Duration = Duration::from_secs(1);
 /// Between two questions of one conversation.
 const PAUSE: Duration = Duration::from_secs(10);
 
-/// Conversations at a time; whoever comes meanwhile waits in the kernel's queue.
-const MOST_CONVERSATIONS: usize = 8;
+/// Conversations at a time. For a further one the longest silent of them ends; while none is silent, it waits.
+const MOST_CONVERSATIONS: usize = 16;
+
+/// Whole requests that wait for a conversation to end; each has its descriptor.
+const MOST_WAITING: usize = 32;
 
 /// Bytes of a question. The longest of this program is a series of 64 calls.
 const LONGEST_QUESTION: usize = 16 << 10;
@@ -37,7 +48,7 @@ pub enum ServeError {
     #[error("another master already listens at {0}; end it, or give this one another configuration")]
     Taken(PathBuf),
     /// The operating system refused.
-    #[error("cannot listen at {path}: {error}; set XDG_RUNTIME_DIR to a directory of this user")]
+    #[error("cannot listen at {path}: {error}; {}", remedy(.error))]
     Io {
         /// The socket.
         path: PathBuf,
@@ -47,13 +58,47 @@ pub enum ServeError {
 }
 crate::errors::debug_as_display!(ServeError);
 
+fn remedy(error: &io::Error) -> &'static str {
+    no_descriptor(error).unwrap_or("set XDG_RUNTIME_DIR to a directory of this user")
+}
+
 /// A control socket that is answered. Dropping it removes the socket; a conversation that is under way then breaks off,
 /// so that no client can delay the end of the program.
 #[derive(Debug)]
 pub struct Server {
     path: PathBuf,
     end: Arc<AtomicBool>,
+    failed: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
+}
+
+/// A conversation, from the side of the server.
+#[derive(Debug)]
+struct Conversation {
+    begun: Instant,
+    /// Since when it waits for the next question, ms from its begin; 0: an answer is under way.
+    silent_since: AtomicU64,
+    /// It has to make room.
+    dismissed: AtomicBool,
+    ended: AtomicBool,
+}
+
+impl Conversation {
+    fn new() -> Conversation {
+        let [dismissed, ended] = std::array::from_fn(|_| AtomicBool::new(false));
+        Conversation { begun: Instant::now(), silent_since: AtomicU64::new(0), dismissed, ended }
+    }
+
+    /// For how long it has been silent.
+    fn silence(&self) -> Option<Duration> {
+        let since = Duration::from_millis(self.silent_since.load(Ordering::Relaxed));
+        (!since.is_zero()).then(|| self.begun.elapsed().saturating_sub(since))
+    }
+
+    fn is_silent(&self, silent: bool) {
+        let now = u64::try_from(self.begun.elapsed().as_millis()).unwrap_or(u64::MAX).max(1);
+        self.silent_since.store(if silent { now } else { 0 }, Ordering::Relaxed);
+    }
 }
 
 impl Server {
@@ -68,40 +113,69 @@ impl Server {
         let failed = |error| ServeError::Io { path: path.to_owned(), error };
         let listener = listen(path)?;
         listener.set_nonblocking(true).map_err(failed)?;
-        let end = Arc::new(AtomicBool::new(false));
-        let ending = Arc::clone(&end);
+        let (end, failed_flag) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicBool::new(false)));
+        let (ending, has_failed) = (Arc::clone(&end), Arc::clone(&failed_flag));
         let thread = std::thread::Builder::new()
             .name("fb-control".into())
             .spawn(move || {
                 prepare();
                 let go_on = || !ending.load(Ordering::Relaxed);
-                let under_way = AtomicUsize::new(0);
-                let talk = |stream: UnixStream| {
-                    prepare();
+                let talk = |client: Client<UnixStream>, conversation: Arc<Conversation>| {
                     // Whoever went away or talks nonsense is not answered, and that is all.
-                    let mut answering = open();
-                    let _ = converse(&stream, &go_on, &mut answering);
-                    answering.end(&go_on);
-                    under_way.fetch_sub(1, Ordering::Relaxed);
+                    let work = AssertUnwindSafe(|| {
+                        prepare();
+                        let mut answering = open();
+                        let _ = converse(client, &go_on, &conversation, &mut answering);
+                        answering.end(&go_on);
+                    });
+                    if catch_unwind(work).is_err() {
+                        has_failed.store(true, Ordering::Relaxed);
+                    }
+                    conversation.ended.store(true, Ordering::Relaxed);
                 };
                 // All of them have ended when this does.
-                std::thread::scope(|scope| {
-                    while go_on() {
-                        let room = under_way.load(Ordering::Relaxed) < MOST_CONVERSATIONS;
-                        let Some(Ok((stream, _))) = room.then(|| listener.accept()) else {
-                            std::thread::sleep(LOOK_EVERY);
-                            continue;
-                        };
-                        under_way.fetch_add(1, Ordering::Relaxed);
-                        let thread = std::thread::Builder::new().name("fb-control-talk".into());
-                        if thread.spawn_scoped(scope, || talk(stream)).is_err() {
-                            under_way.fetch_sub(1, Ordering::Relaxed);
+                let serve = AssertUnwindSafe(|| {
+                    std::thread::scope(|scope| {
+                        let mut clients = Clients::new(PATIENCE, LONGEST_QUESTION);
+                        let (mut waiting, mut under_way) = (VecDeque::new(), Vec::<Arc<Conversation>>::new());
+                        while go_on() {
+                            let accept = || listener.accept().map(|(stream, _)| stream);
+                            let is_whole = |said: &[u8]| said.contains(&b'\n');
+                            waiting.extend(clients.turn(listener.as_fd(), LOOK_EVERY, accept, is_whole));
+                            waiting.truncate(MOST_WAITING);
+                            under_way.retain(|one| !one.ended.load(Ordering::Relaxed));
+                            while under_way.len() < MOST_CONVERSATIONS
+                                && let Some(client) = waiting.pop_front()
+                            {
+                                let conversation = Arc::new(Conversation::new());
+                                let thread = std::thread::Builder::new().name("fb-control-talk".into());
+                                let of_thread = Arc::clone(&conversation);
+                                if thread.spawn_scoped(scope, || talk(client, of_thread)).is_ok() {
+                                    under_way.push(conversation);
+                                }
+                            }
+                            let longest =
+                                under_way.iter().filter(|one| !one.dismissed.load(Ordering::Relaxed));
+                            if !waiting.is_empty()
+                                && let Some(silent) = longest.max_by_key(|one| one.silence())
+                                && silent.silence().is_some()
+                            {
+                                silent.dismissed.store(true, Ordering::Relaxed);
+                            }
                         }
-                    }
+                    });
                 });
+                if catch_unwind(serve).is_err() {
+                    has_failed.store(true, Ordering::Relaxed);
+                }
             })
             .map_err(failed)?;
-        Ok(Server { path: path.to_owned(), end, thread: Some(thread) })
+        Ok(Server { path: path.to_owned(), end, failed: failed_flag, thread: Some(thread) })
+    }
+
+    /// Whether one of its threads panicked.
+    pub fn has_failed(&self) -> bool {
+        self.failed.load(Ordering::Relaxed)
     }
 
     /// Where it answers.
@@ -166,27 +240,31 @@ fn hung_up(stream: &UnixStream) -> bool {
 }
 
 /// Answers question after question, until the other side ends it.
-fn converse(stream: &UnixStream, go_on: &dyn Fn() -> bool, answering: &mut impl Answering) -> io::Result<()> {
-    // An accepted socket waits, whatever its listener does.
+fn converse(
+    client: Client<UnixStream>,
+    go_on: &dyn Fn() -> bool,
+    conversation: &Conversation,
+    answering: &mut impl Answering,
+) -> io::Result<()> {
+    let Client { stream, said: mut line, .. } = client;
+    let stream = &stream;
     stream.set_nonblocking(false)?;
     let uid = getsockopt(stream, sockopt::PeerCredentials)?.uid();
     let ours = uid == 0 || uid == nix::unistd::geteuid().as_raw();
-    let mut patience = PATIENCE;
     loop {
+        if line.is_empty() {
+            return Ok(());
+        }
+        // What follows a line is nobody's.
+        line.truncate(line.iter().position(|byte| *byte == b'\n').map_or(line.len(), |end| end + 1));
         let reply = match ours {
-            true => {
-                let line = Talk::new(stream, patience, go_on)?.line(LONGEST_QUESTION)?;
-                if line.is_empty() {
-                    return Ok(());
+            true => match serde_json::from_slice(&line) {
+                Ok(question) => answering.answer(&question, &|| go_on() && !hung_up(stream)),
+                Err(_) if line.len() == LONGEST_QUESTION => {
+                    Err(format!("a request has at most {LONGEST_QUESTION} bytes"))
                 }
-                match serde_json::from_slice(&line) {
-                    Ok(question) => answering.answer(&question, &|| go_on() && !hung_up(stream)),
-                    Err(_) if line.len() == LONGEST_QUESTION => {
-                        Err(format!("a request has at most {LONGEST_QUESTION} bytes"))
-                    }
-                    Err(error) => Err(format!("not a JSON object in one line: {error}")),
-                }
-            }
+                Err(error) => Err(format!("not a JSON object in one line: {error}")),
+            },
             false => Err("only the owner of this master has access".to_owned()),
         };
         let go_on_talking = reply.is_ok();
@@ -198,7 +276,10 @@ fn converse(stream: &UnixStream, go_on: &dyn Fn() -> bool, answering: &mut impl 
         if !go_on_talking {
             return Ok(());
         }
-        patience = PAUSE;
+        conversation.is_silent(true);
+        let waits = || go_on() && !conversation.dismissed.load(Ordering::Relaxed);
+        line = Talk::new(stream, PAUSE, &waits)?.line(LONGEST_QUESTION)?;
+        conversation.is_silent(false);
     }
 }
 
@@ -288,6 +369,54 @@ mod tests {
             });
             assert!(!goes_on, "the end waits for who asks on");
         });
+    }
+
+    /// Clients that say nothing, and conversations that were begun and are silent since, delay nobody.
+    #[test]
+    fn silent_clients_by_the_thousand_hold_up_no_question() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.sock");
+        let server = Server::start(&path, || {}, || echo).unwrap();
+        let question = json!({ "ask": "echo" });
+        let limit = nix::sys::resource::getrlimit(nix::sys::resource::Resource::RLIMIT_NOFILE).unwrap().0;
+        let mut silent = std::collections::VecDeque::new();
+        for number in 0..3_000_u64 {
+            // The server hangs up on the oldest of them; here the newest few hundred stay open.
+            if number > limit / 4 {
+                silent.pop_front();
+            }
+            silent.push_back(connect(&path, LONG).unwrap());
+            if number % 500 == 499 {
+                assert_eq!(ask(&path, &question).unwrap(), question, "behind {number}");
+            }
+        }
+        let conversations: Vec<Conversation> = (0..4 * MOST_CONVERSATIONS)
+            .map(|_| {
+                let conversation = Conversation::open(&path).unwrap();
+                assert!(conversation.ask(&question, LONG).is_ok());
+                conversation
+            })
+            .collect();
+        assert_eq!(ask(&path, &question).unwrap(), question);
+        // The newest is none the worse for it.
+        assert!(conversations.last().unwrap().ask(&question, LONG).is_ok());
+        assert!(!server.has_failed());
+    }
+
+    #[test]
+    fn a_panic_in_an_answer_ends_its_conversation_and_no_other() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.sock");
+        let panics = |question: &Value| match question["ask"].as_str() {
+            Some("panic") => std::panic::resume_unwind(Box::new("on purpose")),
+            _ => echo(question),
+        };
+        let server = Server::start(&path, || {}, move || panics).unwrap();
+        for _ in 0..3 * MOST_CONVERSATIONS {
+            assert!(ask(&path, &json!({ "ask": "panic" })).is_err());
+        }
+        assert!(server.has_failed());
+        assert!(ask(&path, &json!({ "ask": "echo" })).is_ok());
     }
 
     #[test]

@@ -3,6 +3,8 @@
 //! The engine is generic over its clock, and its buses bring their carriers, so that the same code runs on a pinned
 //! SCHED_FIFO thread and in virtual time.
 
+mod panics;
+
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
@@ -10,13 +12,16 @@ use std::sync::atomic::{AtomicU8, Ordering};
 use crossbeam::utils::CachePadded;
 use rtrb::Producer;
 
+pub use self::panics::LoopPanic;
+use self::panics::Panics;
 use super::gates::Gates;
 use super::grid::Grid;
 use super::heartbeat::Heartbeat;
 use super::plan::{CyclePlan, Guard, Overrun};
-use super::record::{CycleRecord, Look, Record, Reply, SkippedRecord, short};
+use super::record::{CycleRecord, Look, Record, Reply, SkippedRecord, Stage, short};
 use super::reference::Reference;
 use super::seat::Seat;
+use super::skips::Skips;
 use super::status::{DeviceEnd, DriveEnd, DriveNumbers, Numbers, Status, whole};
 use super::task::{Axes, Task};
 use super::window::{BusSeat, Window};
@@ -104,11 +109,17 @@ pub struct Engine<C> {
     was_late: bool,
     /// How late the previous executed cycle began.
     wake_before_ns: Option<u64>,
-    /// Slots passed over since the last executed one.
+    /// Slots passed over since the last executed one, and among the last ones.
     skipped_in_a_row: u64,
+    skips: Skips,
+    /// For how long the computer was suspended so far, ns.
+    suspended_ns: u64,
     /// The shutdown: when it began, and how many times it was requested.
     ending: Option<(Time, u8)>,
+    /// When the orderly end of the buses began.
+    buses_ending: Option<Time>,
     buses_down: bool,
+    panics: Panics,
 }
 
 impl<C> std::fmt::Debug for Engine<C> {
@@ -140,6 +151,13 @@ const NUMBERS_EVERY_NS: u64 = 100 * MS;
 /// The time limit of a shutdown beyond the time-outs of its axes.
 const END_MARGIN_NS: u64 = 1_000 * MS;
 
+/// The time limit of the orderly end of the buses, ns. Their own are shorter: a state of an EtherCAT segment takes 5 s
+/// at most (ETG.1020).
+const BUSES_END_NS: u64 = 10_000 * MS;
+
+/// A computer that was suspended for longer has left its drives alone, ns.
+const SUSPENDED_NS: u64 = MS;
+
 impl<C: Clock> Engine<C> {
     /// An engine over open buses, one of which leads the grid if the plan names it. `names` are those of the axes
     /// and their protocols, in slot order.
@@ -157,15 +175,16 @@ impl<C: Clock> Engine<C> {
         outlets: Outlets,
     ) -> Engine<C> {
         let window = Window::new(plan.wait, buses.len());
-        // Standstill and power off have a time-out each, and a hold may have to be left first.
+        // The ramp, the quick stop and power off have a time-out each, and a hold may have to be left first.
         let stops = seats.iter().map(|seat| nanos(seat.plan().stop.timeout)).max().unwrap_or(0);
         let leads = |seat: &BusSeat| plan.reference.as_deref() == Some(seat.bus.name());
         let reference = buses.iter().position(leads).map(|place| Reference::new(place, plan.period_ns));
         if let Some(reference) = &reference {
             buses[reference.bus()].bus.lead();
         }
+        let panics = Panics::new(buses.len(), seats.len());
         Engine {
-            longest_end_ns: stops.saturating_mul(3).saturating_add(END_MARGIN_NS),
+            longest_end_ns: stops.saturating_mul(4).saturating_add(END_MARGIN_NS),
             deadline_ns: plan.deadline_ns(),
             late_ns: plan.late_ns(),
             numbers_every: (NUMBERS_EVERY_NS / plan.period_ns.max(1)).clamp(1, NUMBERS_EVERY),
@@ -193,8 +212,12 @@ impl<C: Clock> Engine<C> {
             was_late: false,
             wake_before_ns: None,
             skipped_in_a_row: 0,
+            skips: Skips::new(plan.max_skip_rate),
+            suspended_ns: 0,
             ending: None,
+            buses_ending: None,
             buses_down: false,
+            panics,
             clock,
             plan,
         }
@@ -227,11 +250,15 @@ impl<C: Clock> Engine<C> {
 
     /// Calibrates the guard, then starts the grid: the first slot is two periods from now.
     pub fn begin(&mut self) {
-        self.guard.calibrate(&mut self.clock, CALIBRATION_SLEEPS);
-        let now = self.clock.now();
-        self.grid = Grid::new(now + 2 * self.plan.period_ns, self.plan.period_ns);
-        let cycle = self.cycle_at(self.grid.index(), self.grid.at());
-        self.arm(&cycle, now);
+        self.guarded(|engine| {
+            engine.guard.calibrate(&mut engine.clock, CALIBRATION_SLEEPS);
+            engine.suspended_ns = engine.clock.suspended_ns();
+            let now = engine.clock.now();
+            engine.grid = Grid::new(now + 2 * engine.plan.period_ns, engine.plan.period_ns);
+            let cycle = engine.cycle_at(engine.grid.index(), engine.grid.at());
+            engine.arm(&cycle, now);
+            Flow::Continue
+        });
     }
 
     /// Runs until the shutdown is complete.
@@ -240,8 +267,14 @@ impl<C: Clock> Engine<C> {
         while self.step() == Flow::Continue {}
     }
 
-    /// One slot of the grid: waits for it and executes it, or passes over slots that came too late.
+    /// One slot of the grid: waits for it and executes it, or passes over slots that came too late. After a panic it
+    /// only stops.
     pub fn step(&mut self) -> Flow {
+        if self.panics.any() { self.stop_slot() } else { self.guarded(Engine::turn) }
+    }
+
+    fn turn(&mut self) -> Flow {
+        self.panics.stage = None;
         let guard_ns = self.guard.guard_ns();
         self.clock.sleep_until(self.grid.at() - guard_ns);
         let mut now = self.clock.now();
@@ -260,6 +293,11 @@ impl<C: Clock> Engine<C> {
             return Flow::Continue;
         }
         let cycle = self.cycle_at(self.grid.index(), self.grid.at());
+        if self.was_suspended() {
+            self.stop_axes(&cycle, now, StopCause::Suspended, |_| true);
+            // The requests were built before.
+            self.arm(&cycle, now);
+        }
         let flow = self.execute(&cycle, now);
 
         self.grid.advance(1);
@@ -269,6 +307,13 @@ impl<C: Clock> Engine<C> {
             self.pass_over(now, passed, false);
         }
         flow
+    }
+
+    /// Whether the computer was suspended since the last slot: its clock stood still, the drives did not.
+    fn was_suspended(&mut self) -> bool {
+        let before_ns = self.suspended_ns;
+        self.suspended_ns = before_ns.max(self.clock.suspended_ns());
+        self.suspended_ns - before_ns > SUSPENDED_NS
     }
 
     fn cycle_at(&self, index: u64, grid: Time) -> Cycle {
@@ -282,11 +327,13 @@ impl<C: Clock> Engine<C> {
         self.status.jitter_max.see(jitter_ns, cycle.index);
 
         // 1 send
+        self.panics.stage = Some(Stage::Send);
         for seat in &mut self.buses {
-            seat.bus.send(cycle, &mut self.slots[seat.first..seat.end]);
+            seat.work(&mut self.slots, |bus, slots| bus.send(cycle, slots));
         }
         self.status.executed += 1;
         self.skipped_in_a_row = 0;
+        self.skips.executed();
         for (seat, slot) in self.seats.iter_mut().zip(&self.slots) {
             if slot.due {
                 seat.sent(cycle, slot);
@@ -295,15 +342,18 @@ impl<C: Clock> Engine<C> {
         let sent = self.clock.now();
 
         // 2 receive
+        self.panics.stage = Some(Stage::Receive);
         self.window.run(&mut self.clock, cycle, &mut self.buses, &mut self.slots);
         let received = self.clock.now();
 
         // 3 evaluate
+        self.panics.stage = Some(Stage::Evaluate);
         let missed = self.evaluate(cycle, received);
         self.steer(cycle);
         let evaluated = self.clock.now();
 
         // 4 commands. The task comes first: its commands leave with the next send.
+        self.panics.stage = Some(Stage::Commands);
         let ended = self.end(cycle, received);
         if self.ending.is_none() {
             self.run_task(cycle, received);
@@ -316,12 +366,14 @@ impl<C: Clock> Engine<C> {
         let commanded = self.clock.now();
 
         // 5 prepare
+        self.panics.stage = Some(Stage::Prepare);
         let next = self.cycle_at(cycle.index + 1, self.grid.next_at());
         self.arm(&next, received);
 
         let prepared = self.clock.now();
 
         // 6 publish
+        self.panics.stage = Some(Stage::Publish);
         self.publish();
         let published = self.clock.now();
         let ends = [woke, sent, received, evaluated, commanded, prepared, published];
@@ -362,7 +414,7 @@ impl<C: Clock> Engine<C> {
     /// Sets the next slot by the clock that leads.
     fn steer(&mut self, cycle: &Cycle) {
         let Some(reference) = &mut self.reference else { return };
-        let error_ns = self.buses[reference.bus()].bus.phase_error();
+        let error_ns = self.buses[reference.bus()].work(&mut self.slots, |bus, _| bus.phase_error());
         let record = reference.take(cycle.index, error_ns);
         self.status.reference = Some(reference.status());
         self.grid.steer(record.step_ns.into());
@@ -377,6 +429,14 @@ impl<C: Clock> Engine<C> {
             let reply = seat.judge(cycle, now, slot);
             missed += u16::from(online && reply == Reply::Missed);
             seat.watch(cycle, now, slot);
+        }
+        for bus in &self.buses {
+            if bus.bus.helper_ended() {
+                let seats = self.seats[bus.first..bus.end].iter_mut();
+                for (seat, slot) in seats.zip(&mut self.slots[bus.first..bus.end]) {
+                    seat.stop(cycle, now, StopCause::LinkThread, slot);
+                }
+            }
         }
         if self.heartbeat.is_silent(cycle) {
             for (seat, slot) in self.seats.iter_mut().zip(&mut self.slots) {
@@ -435,10 +495,13 @@ impl<C: Clock> Engine<C> {
             down &= seat.shut_down(cycle, now, slot, hurry);
         }
         if down || now.since(since) > self.longest_end_ns {
-            self.buses_down = true;
+            let begun = *self.buses_ending.get_or_insert(now);
+            let mut done = true;
             for seat in &mut self.buses {
-                self.buses_down &= seat.bus.shut_down(cycle, &mut self.slots[seat.first..seat.end]);
+                done &= seat.work(&mut self.slots, |bus, slots| bus.shut_down(cycle, slots));
             }
+            self.status.cut_off = !done && now.since(begun) > BUSES_END_NS;
+            self.buses_down = done || self.status.cut_off;
         }
         self.buses_down
     }
@@ -466,6 +529,7 @@ impl<C: Clock> Engine<C> {
     fn arm(&mut self, next: &Cycle, now: Time) {
         for (seat, slot) in self.seats.iter_mut().zip(&mut self.slots) {
             slot.due = seat.is_due(next.index);
+            slot.guarded = seat.is_guarded();
         }
         self.gates.count_rows(&mut self.seats, &self.slots);
         for (seat, slot) in self.seats.iter_mut().zip(&mut self.slots) {
@@ -474,7 +538,7 @@ impl<C: Clock> Engine<C> {
         // What stopped since the evaluation leaves with the same send.
         self.take_groups_along(next, now);
         for seat in &mut self.buses {
-            seat.bus.prepare(next, &mut self.slots[seat.first..seat.end]);
+            seat.work(&mut self.slots, |bus, slots| bus.prepare(next, slots));
         }
     }
 
@@ -488,6 +552,7 @@ impl<C: Clock> Engine<C> {
         self.status.overruns += 1;
         self.status.skipped += count;
         self.skipped_in_a_row += count;
+        let too_many = self.skips.skipped(count);
         self.status.longest_skip = self.status.longest_skip.max(self.skipped_in_a_row);
         self.status.wake_max.see(late_ns, first);
         // An overrun is late, but the previous cycle may have been counted for it already.
@@ -512,7 +577,7 @@ impl<C: Clock> Engine<C> {
         let cycle = self.cycle_at(self.grid.index(), self.grid.at());
         let stop = match self.plan.overrun {
             Overrun::Stop => true,
-            Overrun::Skip { max_skip } => self.skipped_in_a_row > max_skip,
+            Overrun::Skip { max_skip } => self.skipped_in_a_row > max_skip || too_many,
         };
         if stop {
             self.stop_axes(&cycle, now, StopCause::Overrun, |_| true);
@@ -567,7 +632,8 @@ impl<C: Clock> Engine<C> {
     }
 
     /// Ends the run and returns its exact numbers.
-    pub fn finish(self) -> Numbers {
+    pub fn finish(mut self) -> Numbers {
+        let panic = self.loop_panic();
         let status = Status { planned: self.grid.planned(), ..self.status };
         let mut not_connected = self.buses.iter().flat_map(BusSeat::not_connected);
         let drives = (self.names.into_iter().zip(&self.seats).zip(&self.slots))
@@ -586,6 +652,15 @@ impl<C: Clock> Engine<C> {
                 DeviceEnd { name, not_operational: notes.and_then(|notes| notes.device(index)) }
             })
             .collect();
-        Numbers { status, drives, buses, clocks, devices, page_faults: None, involuntary_switches: None }
+        Numbers {
+            status,
+            drives,
+            buses,
+            clocks,
+            devices,
+            panic,
+            page_faults: None,
+            involuntary_switches: None,
+        }
     }
 }

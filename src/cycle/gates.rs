@@ -212,12 +212,19 @@ mod tests {
         let mut regions = Regions::default();
         let (commands, command_out) = ring(8, &mut regions);
         let (_, rows) = ring(8, &mut regions);
-        let (_, setpoints) = ring(8, &mut regions);
+        let (_, setpoints) = crate::axis::newest::newest();
         let (event_in, events) = ring(32, &mut regions);
         let (feedback, _) = cell::cell(Feedback::default());
-        let queues =
-            Queues { commands: command_out, rows, setpoints, events: event_in, feedback, samples: None };
-        (Seat::new(AxisPlan::new(name, Units::millimetres(1.0)), queues, MS, 0), commands, events)
+        let queues = Queues {
+            commands: command_out,
+            rows,
+            setpoints,
+            events: event_in,
+            room_for_ends: 0,
+            feedback,
+            samples: None,
+        };
+        (Seat::new(AxisPlan::new(name, Units::millimetres(1.0)), queues, MS, 0, 100), commands, events)
     }
 
     /// A reset: it may begin at any time and is done at once.

@@ -17,11 +17,23 @@ pub struct LinkHealth {
     level: u32,
     /// Good exchanges since the last miss or leak.
     good: u32,
+    /// The slot of the last good one.
+    good_at: u64,
+    /// The most slots since then, executed or not.
+    silence: u64,
 }
 
 impl LinkHealth {
-    /// A drive not seen yet. Its first probe goes out in slot `first_probe`.
-    pub fn new(rules: Health, divisor: u32, phase: u32, period_ns: u64, first_probe: u64) -> LinkHealth {
+    /// A drive not seen yet. Its first probe goes out in slot `first_probe`. `silence` slots without a good exchange
+    /// are a loss, however many of them were executed.
+    pub fn new(
+        rules: Health,
+        divisor: u32,
+        phase: u32,
+        period_ns: u64,
+        first_probe: u64,
+        silence: u64,
+    ) -> LinkHealth {
         let probe_every = nanos(rules.probe_interval).div_ceil(period_ns).max(1);
         LinkHealth {
             rules,
@@ -32,6 +44,8 @@ impl LinkHealth {
             link: Link::Unseen,
             level: 0,
             good: 0,
+            good_at: 0,
+            silence,
         }
     }
 
@@ -62,8 +76,9 @@ impl LinkHealth {
         self.next_probe = index;
     }
 
-    /// An exchange was answered.
-    pub fn answered(&mut self) {
+    /// An exchange was answered in slot `index`.
+    pub fn answered(&mut self, index: u64) {
+        self.good_at = index;
         self.good += 1;
         match self.link {
             Link::Unseen | Link::Lost => {
@@ -94,12 +109,23 @@ impl LinkHealth {
             Link::Online => {
                 self.level += 1;
                 if self.level >= self.rules.bucket {
-                    self.link = Link::Lost;
-                    // The stop request leaves with the very next slot, as the first probe.
-                    self.next_probe = index + 1;
+                    self.lose(index);
                 }
             }
         }
+    }
+
+    /// After the exchange of slot `index`, if there was one: most slots may have been skipped since the last good one.
+    pub fn watch_silence(&mut self, index: u64) {
+        if self.link == Link::Online && index.saturating_sub(self.good_at) > self.silence {
+            self.lose(index);
+        }
+    }
+
+    fn lose(&mut self, index: u64) {
+        self.link = Link::Lost;
+        // The stop request leaves with the very next slot, as the first probe.
+        self.next_probe = index + 1;
     }
 }
 
@@ -109,9 +135,9 @@ mod tests {
     use crate::time::MS;
 
     fn online() -> LinkHealth {
-        let mut health = LinkHealth::new(Health::default(), 1, 0, MS, 0);
+        let mut health = LinkHealth::new(Health::default(), 1, 0, MS, 0, 20);
         for _ in 0..10 {
-            health.answered();
+            health.answered(0);
         }
         assert_eq!(health.link(), Link::Online);
         health
@@ -119,12 +145,12 @@ mod tests {
 
     #[test]
     fn ten_good_exchanges_bring_it_up_and_one_miss_starts_over() {
-        let mut health = LinkHealth::new(Health::default(), 1, 0, MS, 3);
+        let mut health = LinkHealth::new(Health::default(), 1, 0, MS, 3, 20);
         assert!(!health.is_due(2) && health.is_due(3));
         health.asked(3);
         assert!(!health.is_due(4) && !health.is_due(102) && health.is_due(103));
         for _ in 0..9 {
-            health.answered();
+            health.answered(0);
         }
         assert_eq!(health.link(), Link::Qualifying);
         health.missed(120, false);
@@ -139,7 +165,7 @@ mod tests {
             health.missed(index, true);
         }
         assert_eq!(health.link(), Link::Online);
-        (0..20).for_each(|_| health.answered());
+        (0..20).for_each(|_| health.answered(0));
         health.missed(30, true);
         assert_eq!(health.link(), Link::Online, "one miss has leaked away");
         health.missed(31, true);
@@ -150,8 +176,22 @@ mod tests {
     }
 
     #[test]
+    fn too_many_slots_without_a_good_exchange_are_a_loss_however_few_were_executed() {
+        let mut health = online();
+        health.answered(100);
+        for index in [110, 120] {
+            health.watch_silence(index);
+            assert_eq!(health.link(), Link::Online, "{index}");
+        }
+        health.missed(121, true);
+        health.watch_silence(121);
+        assert_eq!(health.link(), Link::Lost);
+        assert!(health.is_due(122), "the stop request leaves with the next slot");
+    }
+
+    #[test]
     fn a_drive_that_can_be_asked_again_is_asked_at_once() {
-        let mut health = LinkHealth::new(Health::default(), 4, 3, MS, 0);
+        let mut health = LinkHealth::new(Health::default(), 4, 3, MS, 0, 40);
         health.asked(0);
         assert!(!health.is_due(10));
         health.reachable(10);
@@ -162,8 +202,8 @@ mod tests {
 
     #[test]
     fn divisor_and_phase_choose_the_slots() {
-        let mut health = LinkHealth::new(Health::default(), 4, 3, MS, 0);
-        (0..10).for_each(|_| health.answered());
+        let mut health = LinkHealth::new(Health::default(), 4, 3, MS, 0, 40);
+        (0..10).for_each(|_| health.answered(0));
         let due: Vec<u64> = (0..12).filter(|index| health.is_due(*index)).collect();
         assert_eq!(due, [3, 7, 11]);
     }

@@ -48,6 +48,10 @@ pub struct Ladder {
     returned: bool,
     /// The ramp failed, and the quick stop was ordered in its place.
     escalated: bool,
+    /// The speed at which the phase began, user units/s; NaN if it is not known.
+    from: f64,
+    /// How often the axis has moved after the end of the sequence.
+    moved: u32,
 }
 
 /// What the loop saw of the drive in this cycle.
@@ -67,34 +71,76 @@ pub struct Sight {
     pub velocity: f64,
 }
 
+/// A ramp ends in this share of the time-out, so that it is over before the sequence escalates.
+const RAMP_SHARE: f64 = 0.8;
+
+/// A ramp that has not slowed the axis down by a twentieth in a quarter of its time never will ...
+const SLOWED: f64 = 0.95;
+const SLOWED_WITHIN: u32 = 4;
+
+/// An axis that moves for the third time after the end of its stop does not follow this master: its power goes off.
+const MOST_MOVED: u32 = 3;
+
+/// The deceleration of a stop: as requested, but enough to come to standstill from `velocity` within the stop's
+/// time-out. A velocity that is not known (NaN) raises nothing.
+pub fn deceleration_of(plan: &StopPlan, requested: f64, velocity: f64) -> f64 {
+    requested.max(velocity.abs() / (RAMP_SHARE * plan.timeout.as_secs_f64()))
+}
+
 impl Ladder {
-    /// Starts the sequence; the second value is the first order for the drive.
-    pub fn start(plan: StopPlan, load: Load, now: Time) -> (Ladder, Verb) {
-        let (rung, verb) = match plan.how {
-            StopHow::Ramp => {
-                (Rung::Braking { since: now, still: 0 }, Verb::Stop { deceleration: Some(plan.deceleration) })
-            }
-            StopHow::Quick => (Rung::Braking { since: now, still: 0 }, Verb::QuickStop),
-            StopHow::Coast => (Rung::Disabling { since: now }, Verb::Disable),
-        };
-        let ladder = Ladder {
+    /// Starts the sequence for an axis at `velocity`; the second value is the first order for the drive.
+    pub fn start(plan: StopPlan, load: Load, now: Time, velocity: f64) -> (Ladder, Verb) {
+        let mut ladder = Ladder {
             plan,
             keeps_power: load == Load::Vertical(HeldBy::Drive),
-            rung,
+            rung: Rung::Holding,
             ending: false,
             unheard: None,
             returned: false,
             escalated: plan.how != StopHow::Ramp,
+            from: velocity,
+            moved: 0,
         };
+        let verb = ladder.begin(now, velocity);
         (ladder, verb)
     }
 
+    /// Starts it by the drive's quick stop: no ramp would stop this axis.
+    pub fn start_escalated(plan: StopPlan, load: Load, now: Time, velocity: f64) -> (Ladder, Verb) {
+        let (mut ladder, _) = Ladder::start(plan, load, now, velocity);
+        ladder.escalated = true;
+        let verb = ladder.begin(now, velocity);
+        (ladder, verb)
+    }
+
+    /// Starts it once more for an axis that moves although the sequence was complete: by the drive's quick stop, and in
+    /// the end by power off, unless only the drive holds the load.
+    pub fn again(&mut self, now: Time, velocity: f64) -> Verb {
+        self.escalated = true;
+        self.moved += 1;
+        if self.moved >= MOST_MOVED && !self.keeps_power {
+            self.rung = Rung::Disabling { since: now };
+            return Verb::Disable;
+        }
+        self.begin(now, velocity)
+    }
+
+    fn begin(&mut self, now: Time, velocity: f64) -> Verb {
+        if self.plan.how == StopHow::Coast {
+            self.rung = Rung::Disabling { since: now };
+            return Verb::Disable;
+        }
+        self.from = velocity;
+        self.rung = Rung::Braking { since: now, still: 0 };
+        self.brake(velocity)
+    }
+
     /// The order of the first phase.
-    fn brake(&self) -> Verb {
+    fn brake(&self, velocity: f64) -> Verb {
         if self.escalated {
             Verb::QuickStop
         } else {
-            Verb::Stop { deceleration: Some(self.plan.deceleration) }
+            Verb::Stop { deceleration: Some(deceleration_of(&self.plan, self.plan.deceleration, velocity)) }
         }
     }
 
@@ -152,13 +198,18 @@ impl Ladder {
                 let again = back && !(self.ending && std::mem::replace(&mut self.returned, true));
                 let since = if again { now } else { since };
                 self.rung = Rung::Braking { since, still };
-                if sight.failed && !self.escalated {
+                let no_slower = sight.fresh
+                    && !standing
+                    && sight.velocity.abs() > SLOWED * self.from
+                    && now.since(since) > nanos(self.plan.timeout / SLOWED_WITHIN);
+                if (sight.failed || no_slower) && !self.escalated {
                     self.escalated = true;
+                    self.rung = Rung::Braking { since: now, still: 0 };
                     return Some(Verb::QuickStop);
                 }
                 if back {
                     // Requests sent while nothing was received are repeated.
-                    return Some(self.brake());
+                    return Some(self.brake(sight.velocity));
                 }
                 let power_off = if sight.fresh && !sight.powered {
                     // Nothing to brake any more; the control word still has to say so.
@@ -166,6 +217,11 @@ impl Ladder {
                 } else if still >= self.plan.standstill_for {
                     self.plan.then == StopThen::Disable
                 } else if late(since) && (sight.heard || self.ending) {
+                    if !std::mem::replace(&mut self.escalated, true) && sight.heard {
+                        // The ramp had its time; the quick stop has as much.
+                        self.rung = Rung::Braking { since: now, still: 0 };
+                        return Some(Verb::QuickStop);
+                    }
                     self.plan.on_timeout == StopTimeout::Disable
                 } else {
                     return None;
@@ -193,9 +249,6 @@ impl Ladder {
         match self.rung {
             Rung::Braking { .. } => {
                 self.plan.timeout = timeout;
-                if !self.keeps_power {
-                    self.plan.on_timeout = StopTimeout::Disable;
-                }
                 self.escalated = true;
                 self.rung = Rung::Braking { since: now, still: 0 };
                 Some(Verb::QuickStop)
@@ -233,7 +286,8 @@ mod tests {
 
     #[test]
     fn power_goes_off_only_after_standstill() {
-        let (mut ladder, verb) = Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0));
+        let (mut ladder, verb) =
+            Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0), 0.0);
         assert_eq!(verb, Verb::Stop { deceleration: Some(100.0) });
         assert_eq!(ladder.step(Time(1), MOVING), None);
         assert_eq!(ladder.step(Time(2), STANDING), None);
@@ -251,7 +305,8 @@ mod tests {
 
     #[test]
     fn a_movement_in_between_starts_the_count_again() {
-        let (mut ladder, _) = Ladder::start(plan(StopHow::Quick, StopThen::Disable), Load::Level, Time(0));
+        let (mut ladder, _) =
+            Ladder::start(plan(StopHow::Quick, StopThen::Disable), Load::Level, Time(0), 0.0);
         for sight in [STANDING, STANDING, MOVING, STANDING, STANDING] {
             assert_eq!(ladder.step(Time(1), sight), None);
         }
@@ -260,7 +315,7 @@ mod tests {
 
     #[test]
     fn hold_stays_powered_but_a_shutdown_does_not() {
-        let (mut ladder, _) = Ladder::start(plan(StopHow::Ramp, StopThen::Hold), Load::Level, Time(0));
+        let (mut ladder, _) = Ladder::start(plan(StopHow::Ramp, StopThen::Hold), Load::Level, Time(0), 0.0);
         (0..3).for_each(|_| assert_eq!(ladder.step(Time(1), STANDING), None));
         assert!(ladder.is_down());
         ladder.shut_down(Time(2), true);
@@ -276,7 +331,7 @@ mod tests {
         for (timeout, left) in [(Duration::from_secs(20), 250_000_000), (Duration::from_nanos(1_000), 1_000)]
         {
             let plan = StopPlan { timeout, ..plan(StopHow::Ramp, StopThen::Disable) };
-            let (mut ladder, _) = Ladder::start(plan, Load::Level, Time(0));
+            let (mut ladder, _) = Ladder::start(plan, Load::Level, Time(0), 0.0);
             assert_eq!(ladder.hurry(Time(500)), Some(Verb::QuickStop));
             assert_eq!(ladder.step(Time(499 + left), MOVING), None);
             assert_eq!(ladder.step(Time(500 + left), MOVING), Some(Verb::Disable));
@@ -285,14 +340,16 @@ mod tests {
 
     #[test]
     fn nothing_is_switched_off_blindly() {
-        let (mut ladder, _) = Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0));
+        let (mut ladder, _) =
+            Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0), 0.0);
         let lost = Sight { fresh: false, heard: false, ..MOVING };
         assert_eq!(ladder.step(Time(5_000), lost), None, "its time does not run");
-        let stop = Verb::Stop { deceleration: Some(100.0) };
-        assert_eq!(ladder.step(Time(6_000), MOVING), Some(stop), "requested again when it is received again");
+        let again = ladder.step(Time(6_000), MOVING);
+        assert!(matches!(again, Some(Verb::Stop { .. })), "requested again when it is received again");
         assert_eq!(ladder.step(Time(6_500), MOVING), None);
-        assert_eq!(ladder.step(Time(7_000), MOVING), Some(Verb::Disable), "and from then on its time runs");
-        let (mut ladder, _) = Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0));
+        assert_eq!(ladder.step(Time(7_000), MOVING), Some(Verb::QuickStop), "and from then on its time runs");
+        let (mut ladder, _) =
+            Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0), 0.0);
         ladder.step(Time(500), lost);
         ladder.shut_down(Time(500), true);
         assert_eq!(ladder.step(Time(1_600), lost), Some(Verb::Disable), "a shutdown does not wait for ever");
@@ -300,7 +357,8 @@ mod tests {
 
     #[test]
     fn a_link_that_comes_and_goes_holds_no_shutdown_up() {
-        let (mut ladder, _) = Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0));
+        let (mut ladder, _) =
+            Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0), 0.0);
         ladder.shut_down(Time(0), true);
         let lost = Sight { fresh: false, heard: false, ..MOVING };
         let off = (1..).find(|n| {
@@ -312,13 +370,14 @@ mod tests {
 
     #[test]
     fn a_drive_that_is_off_already_is_told_so_all_the_same() {
-        let (mut ladder, verb) = Ladder::start(plan(StopHow::Coast, StopThen::Disable), Load::Level, Time(5));
+        let (mut ladder, verb) =
+            Ladder::start(plan(StopHow::Coast, StopThen::Disable), Load::Level, Time(5), 0.0);
         assert_eq!((verb, ladder.step(Time(5), OFF)), (Verb::Disable, None));
         assert!(!ladder.is_down(), "its reply is older than the order");
         assert_eq!(ladder.step(Time(6), OFF), None);
         assert!(ladder.is_down());
         // Held until now, then it dropped out by itself.
-        let (mut ladder, _) = Ladder::start(plan(StopHow::Quick, StopThen::Hold), Load::Level, Time(0));
+        let (mut ladder, _) = Ladder::start(plan(StopHow::Quick, StopThen::Hold), Load::Level, Time(0), 0.0);
         (0..3).for_each(|_| assert_eq!(ladder.step(Time(1), STANDING), None));
         ladder.shut_down(Time(2), true);
         assert_eq!(ladder.step(Time(3), OFF), Some(Verb::Disable));
@@ -326,7 +385,8 @@ mod tests {
 
     #[test]
     fn a_ramp_that_the_drive_does_not_take_becomes_its_quick_stop() {
-        let (mut ladder, _) = Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0));
+        let (mut ladder, _) =
+            Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0), 0.0);
         let failed = Sight { failed: true, ..MOVING };
         assert_eq!(ladder.step(Time(1), failed), Some(Verb::QuickStop));
         assert_eq!(ladder.step(Time(2), failed), None, "once");
@@ -334,32 +394,62 @@ mod tests {
 
     #[test]
     fn a_time_out_ends_by_its_policy() {
-        let (mut ladder, _) = Ladder::start(plan(StopHow::Ramp, StopThen::Hold), Load::Level, Time(0));
+        let (mut ladder, _) = Ladder::start(plan(StopHow::Ramp, StopThen::Hold), Load::Level, Time(0), 0.0);
         assert_eq!(ladder.step(Time(999), MOVING), None);
-        assert_eq!(ladder.step(Time(1_000), MOVING), Some(Verb::Disable));
+        assert_eq!(ladder.step(Time(1_000), MOVING), Some(Verb::QuickStop), "the ramp had its time");
+        assert_eq!(ladder.step(Time(1_999), MOVING), None);
+        assert_eq!(ladder.step(Time(2_000), MOVING), Some(Verb::Disable));
         let mut hold = plan(StopHow::Ramp, StopThen::Disable);
         hold.on_timeout = StopTimeout::Hold;
-        let (mut ladder, _) = Ladder::start(hold, Load::Level, Time(0));
-        assert_eq!(ladder.step(Time(1_000), MOVING), None);
+        let (mut ladder, _) = Ladder::start(hold, Load::Level, Time(0), 0.0);
+        assert_eq!(ladder.step(Time(1_000), MOVING), Some(Verb::QuickStop));
+        assert_eq!(ladder.step(Time(2_000), MOVING), None);
         assert!(ladder.is_down());
         // A shutdown gives it the time once more, and only once.
-        ladder.shut_down(Time(1_100), true);
-        assert!(!ladder.is_down());
-        assert_eq!(ladder.step(Time(2_100), MOVING), None);
         ladder.shut_down(Time(2_100), true);
+        assert!(!ladder.is_down());
+        assert_eq!(ladder.step(Time(3_100), MOVING), None);
+        ladder.shut_down(Time(3_100), true);
         assert!(ladder.is_down());
+    }
+
+    #[test]
+    fn a_stop_is_as_steep_as_its_time_requires() {
+        let plan = StopPlan { timeout: Duration::from_secs(2), ..plan(StopHow::Ramp, StopThen::Hold) };
+        // 100 from the plan; 1000 in 80 % of 2 s.
+        for (velocity, deceleration) in [(0.0, 100.0), (160.0, 100.0), (1_000.0, 625.0), (f64::NAN, 100.0)] {
+            let (_, verb) = Ladder::start(plan, Load::Level, Time(0), velocity);
+            assert_eq!(verb, Verb::Stop { deceleration: Some(deceleration) }, "{velocity}");
+            let weak = deceleration_of(&plan, 1e-9, velocity);
+            assert_eq!(weak, if velocity.is_nan() { 1e-9 } else { velocity / 1.6 }.max(1e-9));
+        }
+    }
+
+    #[test]
+    fn an_axis_that_moves_again_is_stopped_again_by_the_quick_stop() {
+        let (mut ladder, _) = Ladder::start(plan(StopHow::Ramp, StopThen::Hold), Load::Level, Time(0), 0.0);
+        (0..3).for_each(|_| assert_eq!(ladder.step(Time(1), STANDING), None));
+        assert!(ladder.is_down());
+        assert_eq!(ladder.again(Time(5), 50.0), Verb::QuickStop);
+        assert!(!ladder.is_down());
+        (0..3).for_each(|_| assert_eq!(ladder.step(Time(6), STANDING), None));
+        assert!(ladder.is_down());
+        let (mut ladder, _) =
+            Ladder::start(plan(StopHow::Coast, StopThen::Disable), Load::Level, Time(0), 0.0);
+        ladder.step(Time(1), OFF);
+        assert_eq!(ladder.again(Time(5), 50.0), Verb::Disable, "this axis is never braked");
     }
 
     #[test]
     fn a_load_that_only_the_drive_holds_keeps_its_power_to_the_very_end() {
         let hold = StopPlan { on_timeout: StopTimeout::Hold, ..plan(StopHow::Ramp, StopThen::Hold) };
         let load = Load::Vertical(HeldBy::Drive);
-        let (mut ladder, _) = Ladder::start(hold, load, Time(0));
+        let (mut ladder, _) = Ladder::start(hold, load, Time(0), 0.0);
         ladder.shut_down(Time(1), true);
         assert_eq!(ladder.hurry(Time(1)), Some(Verb::QuickStop));
         assert_eq!(ladder.step(Time(400_000_000), MOVING), None, "not by its time-out, however short");
         assert!(ladder.is_down());
-        let (mut ladder, _) = Ladder::start(hold, load, Time(0));
+        let (mut ladder, _) = Ladder::start(hold, load, Time(0), 0.0);
         (0..3).for_each(|_| assert_eq!(ladder.step(Time(1), STANDING), None));
         ladder.shut_down(Time(2), true);
         assert!(ladder.is_down());

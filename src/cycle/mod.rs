@@ -5,6 +5,8 @@
 //! | `plan` | the machine as configured |
 //! | `engine` | one cycle after the other: send, receive, evaluate, commands, prepare, publish |
 //! | `grid` | slots and their instants |
+//! | `skips` | the share of the slots that were skipped |
+//! | `bound` | from the loss of a drive to its stop request |
 //! | `window` | waiting for replies until the deadline |
 //! | `seat` | the loop's side of one axis |
 //! | `health` | the link to one drive: leaky bucket, schedule, probes |
@@ -17,6 +19,7 @@
 //!
 //! The loop knows the [`Bus`](crate::bus::Bus) contract, no protocol.
 
+pub mod bound;
 pub mod engine;
 mod gates;
 mod grid;
@@ -28,6 +31,7 @@ pub mod plan;
 pub mod record;
 mod reference;
 pub mod seat;
+mod skips;
 pub mod status;
 pub mod task;
 pub mod window;

@@ -81,6 +81,10 @@ impl Plan {
             errors
                 .push(format!("cycle: a receive deadline of {share} is not a share of the period, 0 ... 1"));
         }
+        let rate = self.cycle.max_skip_rate;
+        if !(0.0..=1.0).contains(&rate) {
+            errors.push(format!("cycle: a max_skip_rate of {rate} is not a share, 0 ... 1"));
+        }
         if let Some(why) = self.black_box_fault() {
             errors.push(format!("cycle: {why}"));
         }
@@ -201,6 +205,7 @@ impl Plan {
             realtime: Realtime::Off,
             black_box_ns: 0,
             overrun: Overrun::Skip { max_skip: u64::MAX },
+            max_skip_rate: 1.0,
             ..CyclePlan::default()
         };
         Some(Plan { cycle, ..plan })
@@ -280,6 +285,8 @@ pub struct CyclePlan {
     pub wait: Wait,
     /// The reaction to an overrun.
     pub overrun: Overrun,
+    /// With [`Overrun::Skip`], a larger share of the last 100 slots skipped is a stop, 0 ... 1. 1 = not watched.
+    pub max_skip_rate: f64,
     /// The bus whose clock leads the grid, by name. `None` = ours does.
     pub reference: Option<String>,
     /// Whether real-time scheduling is required.
@@ -311,7 +318,7 @@ impl CyclePlan {
 
 impl Default for CyclePlan {
     /// 1 kHz, SCHED_FIFO 80 if available, no guard, replies until half of the period by poll, up to 10 slots
-    /// skipped in a row.
+    /// skipped in a row and 20 % of the last 100.
     fn default() -> CyclePlan {
         CyclePlan {
             period_ns: MS,
@@ -321,6 +328,7 @@ impl Default for CyclePlan {
             receive_deadline: 0.5,
             wait: Wait::Poll,
             overrun: Overrun::Skip { max_skip: 10 },
+            max_skip_rate: 0.2,
             reference: None,
             realtime: Realtime::Prefer,
             memory: Memory::Process,

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::engine::LoopPanic;
 use crate::axis::cell::{Packed, Reader, Words};
 use crate::axis::{Feedback, MONITOR_CHANNELS};
 use crate::bus::{BusClock, Counters, Notes, OWN_COUNTERS, Strangers};
@@ -27,6 +28,8 @@ pub struct Status {
     pub jitter_max: Peak,
     /// The longest time of each stage.
     pub stage_max: [Peak; 6],
+    /// The orderly end of the buses did not complete in its time.
+    pub cut_off: bool,
     /// Axes in operation now.
     pub operational: u32,
     /// Axes online now.
@@ -94,7 +97,7 @@ impl Packed for Status {
             self.overruns,
             self.longest_skip,
             self.late,
-            u64::from(self.operational) | u64::from(self.online) << 32,
+            u64::from(self.operational) | u64::from(self.online) << 32 | u64::from(self.cut_off) << 63,
             self.missed,
             self.lost_records,
             self.lost_events,
@@ -121,7 +124,8 @@ impl Packed for Status {
             longest_skip: words[4],
             late: words[5],
             operational: words[6] as u32,
-            online: (words[6] >> 32) as u32,
+            online: (words[6] >> 32) as u32 & (u32::MAX >> 1),
+            cut_off: words[6] >> 63 != 0,
             missed: words[7],
             lost_records: words[8],
             lost_events: words[9],
@@ -414,6 +418,8 @@ pub struct Numbers {
     pub clocks: Vec<Option<BusClock>>,
     /// The devices that are not drives, in the order of the plan.
     pub devices: Vec<DeviceEnd>,
+    /// The loop panicked, and ended for that reason.
+    pub panic: Option<LoopPanic>,
     /// Page faults and involuntary switches of the loop's thread while it ran; `None` before its end, and in virtual
     /// time.
     pub page_faults: Option<u64>,
@@ -458,6 +464,7 @@ mod tests {
             wake_max: peak(7),
             jitter_max: peak(9),
             stage_max: [11, 13, 15, 17, 19, 21].map(peak),
+            cut_off: true,
             operational: 23,
             online: 24,
             missed: 25,

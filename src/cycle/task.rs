@@ -10,10 +10,6 @@ use crate::time::Time;
 /// wait.
 pub type Task = Box<dyn FnMut(&Cycle, &mut Axes<'_>) + Send>;
 
-/// Ids of commands from the in-loop task have this bit, so that they never collide with those of an
-/// [`Axis`](crate::Axis).
-pub const TASK_ID: u64 = 1 << 63;
-
 /// All axes of the machine, as the in-loop task sees them, in the order of the plan.
 #[derive(Debug)]
 pub struct Axes<'a> {
@@ -51,7 +47,7 @@ impl<'a> Axes<'a> {
     /// Gives a command to axis `index`, at most one a cycle. Its end is an event of the axis.
     pub fn command(&mut self, index: usize, verb: Verb) -> Result<CommandId, Failure> {
         let seat = self.seats.get_mut(index).ok_or(Failure::Unsupported("there is no such axis"))?;
-        let id = CommandId(*self.next_id | TASK_ID);
+        let id = CommandId::of_task(*self.next_id);
         seat.command_from_task(self.cycle, self.now, Command { id, verb, stream: 0, ticket: None })?;
         *self.next_id += 1;
         Ok(id)

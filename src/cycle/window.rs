@@ -30,9 +30,19 @@ pub struct BusSeat {
     pub first: usize,
     /// One past its last slot.
     pub end: usize,
+    /// A call of it is under way, or has panicked.
+    pub is_at_work: bool,
 }
 
 impl BusSeat {
+    /// Lets the bus do some work on its own of all `slots`.
+    pub fn work<R>(&mut self, slots: &mut [Slot], work: impl FnOnce(&mut dyn Bus, &mut [Slot]) -> R) -> R {
+        self.is_at_work = true;
+        let done = work(&mut *self.bus, &mut slots[self.first..self.end]);
+        self.is_at_work = false;
+        done
+    }
+
     /// Why its drives have no connection, one entry each; for the end, not for the cycle.
     pub fn not_connected(&self) -> Vec<Option<String>> {
         let notes = self.bus.notes();
@@ -87,7 +97,7 @@ impl Window {
             // Replies that are in the sockets at the deadline still count.
             let mut closed = true;
             for seat in buses.iter_mut() {
-                closed &= seat.bus.receive(cycle, &mut slots[seat.first..seat.end]);
+                closed &= seat.work(slots, |bus, slots| bus.receive(cycle, slots));
             }
             if nap {
                 self.learn(closed, cycle);

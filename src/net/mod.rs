@@ -13,16 +13,21 @@
 //! | `frames` | Ethernet frames as a protocol sees them |
 //! | `packet` | frames of a network interface |
 //! | `local` | frames of a segment on this host, without an interface |
+//! | `clients` | clients of a small server: bounded in number, bytes and time |
 //! | `stamp` | when a frame arrived at the end of a segment |
+//! | `lock` | one master for each interface and each drive of this host |
 
 use std::io;
 use std::net::SocketAddrV4;
 use std::os::fd::RawFd;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 
+#[cfg(any(feature = "control", feature = "metrics"))]
+pub(crate) mod clients;
 pub mod frames;
 pub mod link;
 pub mod local;
+pub mod lock;
 mod outbox;
 pub(crate) mod packet;
 mod stamp;
@@ -31,6 +36,7 @@ mod tcp;
 pub mod udp;
 
 pub use frames::Frames;
+pub use lock::{Lock, Place};
 pub use outbox::{Outbox, Sent};
 pub use stream::{Broken, Greeted, Greeting, LinkNotes, StreamPeer, Streams};
 
@@ -87,6 +93,12 @@ pub trait Carriers {
     /// that is down is no error here: sending on it gives [`Down`](frames::Unsent::Down).
     fn frames(&self, _interface: &str, _ethertype: u16) -> io::Result<Box<dyn Frames>> {
         Err(io::ErrorKind::Unsupported.into())
+    }
+
+    /// Locks `place` for one master, for as long as the lock lives; before anything is opened there. By default,
+    /// as in virtual time, there is no other master.
+    fn lock(&self, _place: Place<'_>) -> Result<Lock, lock::Refused> {
+        Ok(Lock::default())
     }
 }
 
@@ -156,6 +168,10 @@ impl Carriers for Os {
             Some(name) => Box::new(Local::open(name)?),
             None => Box::new(Packet::open(interface, ethertype)?),
         })
+    }
+
+    fn lock(&self, place: Place<'_>) -> Result<Lock, lock::Refused> {
+        place.lock()
     }
 }
 

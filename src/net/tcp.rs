@@ -147,6 +147,10 @@ impl Streams for Tcp {
         }
     }
 
+    fn has_ended(&self) -> bool {
+        self.link.bell.has_ended()
+    }
+
     fn notes(&self) -> LinkNotes {
         self.link.notes.clone()
     }
@@ -171,6 +175,7 @@ mod tests {
     use crate::net::link::tests::{
         Silent, accept, breaks, expect, listener, opened, patient, receive, reset, until,
     };
+    use crate::net::link::{REPEATED_US, TCP_RTO_MIN_US};
     use crate::rt::{Clock, PollSet};
     use crate::time::{MS, S};
 
@@ -209,10 +214,23 @@ mod tests {
         assert_eq!(getsockopt(socket, sockopt::TcpKeepInterval).unwrap(), 1);
         assert_eq!(getsockopt(socket, sockopt::TcpKeepCount).unwrap(), 3);
         assert_eq!(getsockopt(socket, sockopt::TcpUserTimeout).unwrap(), 1_000);
+        // Where the kernel has it; in whole ticks of its clock.
+        if let Some(repeated) = integer(socket, TCP_RTO_MIN_US) {
+            assert!((REPEATED_US..REPEATED_US + 10_000).contains(&repeated), "{repeated}");
+        }
         let wanted = libc::O_NONBLOCK | libc::O_CLOEXEC;
         assert_eq!(flags(socket.as_raw_fd()) & wanted, wanted);
         let (tcp, _drives, _listeners) = open(14, 2);
         assert_eq!(flags(tcp.epoll.unwrap().0.as_raw_fd()) & libc::O_CLOEXEC, libc::O_CLOEXEC);
+    }
+
+    /// An option of TCP that is a number; `None`: the kernel does not know it.
+    fn integer(socket: &OwnedFd, option: libc::c_int) -> Option<libc::c_int> {
+        let (mut value, mut length) = (0, size_of::<libc::c_int>() as libc::socklen_t);
+        let (at, fd) = ((&raw mut value).cast(), socket.as_raw_fd());
+        // SAFETY: the kernel writes one integer and its length, which outlive the call.
+        let result = unsafe { libc::getsockopt(fd, libc::IPPROTO_TCP, option, at, &raw mut length) };
+        (result == 0).then_some(value)
     }
 
     /// The flags of a descriptor, FD_CLOEXEC as O_CLOEXEC (proc(5)).

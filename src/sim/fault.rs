@@ -9,13 +9,18 @@ use std::collections::{BinaryHeap, VecDeque};
 use std::net::SocketAddrV4;
 
 use super::{Carrier, FaultPlan, SimDrive, SimLine};
-use crate::time::Time;
+use crate::time::{MS, Time};
 
 /// Time between two bytes that come one at a time, ns: about a byte's time on 10 Mbit/s Ethernet.
 const BYTE_NS: u64 = 1_000;
 
 /// The initial capacity of every buffer, bytes: any usual telegram, so that none grows in use.
 const LEAST_ROOM: usize = 512;
+
+/// The first retransmission timeout of a host for a segment that nothing follows, ns (Linux: TCP_RTO_MIN).
+pub const RETRANSMISSION_NS: u64 = 200 * MS;
+/// A segment that is lost so often in a row is not lost again.
+const MOST_LOSSES: u32 = 10;
 
 /// The direction of a datagram.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -81,6 +86,8 @@ pub struct Injected {
     pub split: u64,
     /// Connections that ended in the middle of a reply.
     pub cut: u64,
+    /// Segments lost, repetitions included.
+    pub segments: u64,
 }
 
 /// A fault of the drive itself, injected when a datagram passes.
@@ -131,6 +138,10 @@ struct Lane {
     held: Option<Parcel>,
     /// On a stream, the instant by which all earlier parcels have arrived.
     behind: Time,
+    /// Which segments are lost: random numbers of their own, so that they do not shift the other faults.
+    losses: fastrand::Rng,
+    /// The connections with a lost segment, by the master's end: nothing arrives on them until it has.
+    gaps: Vec<(SocketAddrV4, Time)>,
 }
 
 /// The random decisions for one parcel.
@@ -151,7 +162,13 @@ struct Lot {
 
 impl Lane {
     fn new(seed: u64) -> Lane {
-        Lane { random: fastrand::Rng::with_seed(seed), held: None, behind: Time::default() }
+        Lane {
+            random: fastrand::Rng::with_seed(seed),
+            held: None,
+            behind: Time::default(),
+            losses: fastrand::Rng::with_seed(seed.rotate_left(32) ^ 0x5E67),
+            gaps: Vec::new(),
+        }
     }
 
     /// Draws whether a fault of this rate happens. Always draws, so that one rate does not shift another's
@@ -160,14 +177,38 @@ impl Lane {
         self.random.f64() < rate
     }
 
+    /// Until when nothing arrives on the connection with this end.
+    fn gap(&self, peer: SocketAddrV4) -> Time {
+        self.gaps.iter().find(|(other, _)| *other == peer).map_or(Time::default(), |(_, until)| *until)
+    }
+
     /// Puts `parcel` under way. On a stream it arrives after all earlier ones.
     fn send(&mut self, carrier: Carrier, due: Time, parcel: Parcel, queue: &mut Queue) {
         let due = match carrier {
             Carrier::Datagrams => due,
             Carrier::Stream => due.max(self.behind),
         };
-        self.behind = due + parcel.span();
+        let span = parcel.span();
+        let gap = self.gaps.iter_mut().find(|(peer, until)| *until > due && parcel.has_end(*peer));
+        if let Some((_, until)) = gap {
+            let due = *until;
+            *until = due + span;
+            return queue.push(due, parcel);
+        }
+        self.behind = due + span;
         queue.push(due, parcel);
+    }
+
+    /// The next segment of the connection with this end may be lost, and so may its repetitions: nothing arrives on it
+    /// before the first one that is not. It would have arrived at `due`. Returns how many are lost.
+    fn lose(&mut self, rate: f64, due: Time, peer: SocketAddrV4) -> u64 {
+        let lost = (0..MOST_LOSSES).take_while(|_| self.losses.f64() < rate).count() as u32;
+        if lost > 0 {
+            let until = due + RETRANSMISSION_NS * ((1 << lost) - 1);
+            self.gaps.retain(|(other, until)| *other != peer && *until > due);
+            self.gaps.push((peer, until));
+        }
+        lost.into()
     }
 
     fn draw(&mut self, plan: &FaultPlan, way: Way, carrier: Carrier) -> Lot {
@@ -221,9 +262,11 @@ impl Injector {
 
     /// Uses the faults of `plan` from now on; the counts restart. Parcels under way on a stream are not overtaken.
     pub(super) fn change(&mut self, plan: FaultPlan) {
-        let behind = self.lanes.each_ref().map(|lane| lane.behind);
-        *self = Injector { checked: self.checked, ..Injector::new(plan, self.carrier) };
-        self.lanes.iter_mut().zip(behind).for_each(|(lane, behind)| lane.behind = behind);
+        let before =
+            std::mem::replace(self, Injector { checked: self.checked, ..Injector::new(plan, self.carrier) });
+        for (lane, before) in self.lanes.iter_mut().zip(before.lanes) {
+            (lane.behind, lane.gaps) = (before.behind, before.gaps);
+        }
     }
 
     /// The counts so far.
@@ -273,6 +316,12 @@ impl Injector {
             self.injected.delayed += 1;
             due = due + self.plan.delay_ns;
         }
+        if stream {
+            let peer = if way == Way::Request { datagram.from } else { datagram.to };
+            let lane = &mut self.lanes[way as usize];
+            let due = lane.gap(peer).max(due);
+            self.injected.segments += lane.lose(self.plan.segment_loss, due, peer);
+        }
         let mut parcel = queue.parcel(datagram);
         if lot.wrong_id {
             self.injected.wrong_id += 1;
@@ -287,6 +336,11 @@ impl Injector {
     /// Sends a signal of a stream, to arrive at `due`, or after the parcels under way in its direction.
     pub(super) fn signal(&mut self, way: Way, due: Time, parcel: Parcel, queue: &mut Queue) {
         self.lanes[way as usize].send(Carrier::Stream, due, parcel, queue);
+    }
+
+    /// The master has closed its end of a connection: what was lost on it is not repeated any more.
+    pub(super) fn closed(&mut self, end: SocketAddrV4) {
+        self.lanes.iter_mut().for_each(|lane| lane.gaps.retain(|(peer, _)| *peer != end));
     }
 
     fn meets(&mut self, now: Time, lot: &Lot) -> Met {
@@ -374,6 +428,11 @@ impl Parcel {
     /// As a view.
     pub fn datagram(&self) -> Datagram<'_> {
         Datagram { from: self.from, to: self.to, bytes: &self.bytes }
+    }
+
+    /// It is of the connection with this end.
+    fn has_end(&self, peer: SocketAddrV4) -> bool {
+        [self.from, self.to].contains(&peer)
     }
 
     /// From its first byte to the end of its last, ns.
@@ -521,6 +580,7 @@ mod tests {
             wrong_id: 0.1,
             split: 0.0,
             cut: 0.0,
+            segment_loss: 0.0,
             answer_ns: 100,
         }
     }
@@ -568,7 +628,7 @@ mod tests {
     #[test]
     fn the_faults_of_streams_change_nothing_for_datagrams() {
         for way in [Way::Request, Way::Reply] {
-            let plan = FaultPlan { split: 1.0, cut: 1.0, ..stormy() };
+            let plan = FaultPlan { split: 1.0, cut: 1.0, segment_loss: 1.0, ..stormy() };
             assert_eq!(run(plan, way, 2_000), run(stormy(), way, 2_000));
         }
     }

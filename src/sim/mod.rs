@@ -79,6 +79,19 @@ pub trait SimDrive: Send {
     fn inhibit(&mut self, until: Time);
 }
 
+/// The true state of a simulated drive, whatever it reports and whatever its master knows.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Truth {
+    /// Its power stage is on.
+    pub powered: bool,
+    /// It has its reference.
+    pub homed: bool,
+    /// Position of the motor, counts of the drive.
+    pub position: f64,
+    /// Velocity of the motor, counts/s.
+    pub velocity: f64,
+}
+
 /// Simulated drives on one segment: each frame passes through all of them and comes back. The same object behind a
 /// real interface and in virtual time.
 ///
@@ -184,6 +197,10 @@ pub struct FaultPlan {
     pub split: f64,
     /// A connection ends in the middle of a reply. No effect on datagrams.
     pub cut: f64,
+    /// A segment of a stream is lost, and so is each of its repetitions. The sender's host repeats it after its
+    /// retransmission timeout, 200 ms, and after twice the time each time after that; later segments of its
+    /// direction wait behind it. No effect on datagrams.
+    pub segment_loss: f64,
     /// Time from a request's arrival to its answer, ns.
     pub answer_ns: u64,
 }

@@ -97,6 +97,7 @@ impl World {
             now: options.start,
             random: fastrand::Rng::with_seed(options.seed),
             hold_up_ns: 0,
+            suspended_ns: 0,
             options,
             stations,
             next_station: 0,
@@ -130,6 +131,12 @@ impl World {
     /// Delays the next sleep that ends: it wakes up `ns` later than it would have, as if the machine had been busy.
     pub fn delay_next_wake(&self, ns: u64) {
         self.lock().hold_up_ns = ns;
+    }
+
+    /// Suspends the computer of the master for `ns`, which its clock does not count. The drives stand still meanwhile,
+    /// too.
+    pub fn suspend(&self, ns: u64) {
+        self.lock().suspended_ns += ns;
     }
 
     /// Puts a foreign datagram on the wire, to arrive at `to` at the instant `at`, or now if that has passed.
@@ -235,6 +242,7 @@ struct Inner {
     random: fastrand::Rng,
     /// Delay of the next sleep.
     hold_up_ns: u64,
+    suspended_ns: u64,
     options: WorldOptions,
     /// By address.
     stations: Vec<Station>,

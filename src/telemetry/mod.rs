@@ -43,6 +43,6 @@ pub mod timeline;
 
 pub use histograms::{Histograms, Quantiles};
 pub use monitor::Monitor;
-pub use recorder::{DriveEmergency, Keep, Measured, Recorder, Recording, Run, Written};
+pub use recorder::{DriveEmergency, Failure, Keep, Measured, Recorder, Recording, Run, Written};
 #[cfg(feature = "summary")]
 pub use summary::Summary;

@@ -78,7 +78,7 @@ impl Monitor {
         let buses = plan.buses.iter().map(|bus| bus.name().to_owned()).zip(gauges.strangers()).collect();
         let clocks = gauges.clocks.iter().map(Reader::read).collect();
         let (status, devices) = (self.status(), self.devices());
-        Numbers { status, drives, buses, clocks, devices, page_faults: None, involuntary_switches: None }
+        Numbers { status, drives, buses, clocks, devices, ..Numbers::default() }
     }
 
     /// What takes part without being a drive, in the order of the plan, and why it is not in operation.
@@ -111,6 +111,12 @@ impl Monitor {
     /// Time that the hypervisor took from all cores since the start, ms.
     pub fn steal_ms(&self) -> Option<u64> {
         Some(rt::host::steal_ms(None)?.saturating_sub(self.0.steal_before_ms?))
+    }
+
+    /// Notes that a part of the program failed that it starts by itself, such as a server of its own; `fails_run`: data
+    /// was lost. It stands in the summary from then on.
+    pub fn failed(&self, what: &str, fails_run: bool) {
+        self.0.recording.failed(what, fails_run);
     }
 
     /// Writes the black box to a file, if there is one; see `Setup::with_black_box`.

@@ -2,6 +2,7 @@
 
 use std::collections::VecDeque;
 use std::fmt;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -13,7 +14,7 @@ use rtrb::Consumer;
 use super::causes::Causes;
 use super::histograms::Histograms;
 use super::timeline::Timeline;
-use crate::axis::Emergency;
+use crate::axis::{Emergency, StopCause};
 use crate::cycle::record::Record;
 use crate::cycle::status::Numbers;
 use crate::cycle::{CyclePlan, Plan};
@@ -44,6 +45,8 @@ pub struct Measured {
     pub emergencies: VecDeque<DriveEmergency>,
     /// The files that the black box was written to, or could not be.
     pub black_boxes: Vec<Written>,
+    /// What failed of the program itself, each once.
+    pub failures: Vec<Failure>,
     /// How many that were, those that made room for newer ones included.
     files: usize,
     period_ns: u64,
@@ -51,6 +54,16 @@ pub struct Measured {
 
 /// So many files and emergencies are kept for the application.
 const MOST_TOLD: usize = 64;
+
+/// A part of the program failed: a panic, or a thread that ended too early.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "summary", derive(serde::Serialize))]
+pub struct Failure {
+    /// What failed, and what follows from it.
+    pub what: String,
+    /// The run has failed by it: axes were stopped, or data was lost.
+    pub fails_run: bool,
+}
 
 /// An emergency of a drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -74,6 +87,7 @@ impl Measured {
             causes: Causes::new(cycle, task),
             emergencies: VecDeque::new(),
             black_boxes: Vec::new(),
+            failures: Vec::new(),
             files: 0,
             period_ns: cycle.period_ns,
         }
@@ -84,10 +98,23 @@ impl Measured {
         self.histograms.enter(record, self.period_ns);
         self.timeline.enter(record);
         self.causes.record(record);
-        if let Record::Drive(drive) = record
-            && let Some(emergency) = drive.emergency()
-        {
+        let Record::Drive(drive) = record else { return };
+        if let Some(emergency) = drive.emergency() {
             self.tell(drive.index, drive.axis.into(), emergency);
+        }
+        if drive.stopped == Some(StopCause::LinkThread) {
+            self.failed(
+                "internal error: the thread that opens connections has ended; the axes of its buses were stopped; \
+                 restart the program",
+                true,
+            );
+        }
+    }
+
+    /// Notes that a part of the program failed, once.
+    fn failed(&mut self, what: &str, fails_run: bool) {
+        if self.failures.len() < MOST_TOLD && self.failures.iter().all(|failure| failure.what != what) {
+            self.failures.push(Failure { what: what.to_owned(), fails_run });
         }
     }
 
@@ -135,7 +162,12 @@ pub trait Keep: fmt::Debug + Send {
     /// A file is requested, though nothing failed.
     fn ask(&mut self);
 
-    /// Writes a file if it is time; `last` waits for nothing more. Returns the files that were finished meanwhile.
+    /// The run ends, since the program itself failed. Writes a file about it, unless there is one about an earlier
+    /// failure.
+    fn conclude(&mut self, why: &str);
+
+    /// Writes a file if it is time; `last` waits for nothing more, and not for ever for a disk. Returns the files that
+    /// were finished meanwhile.
     fn write(&mut self, last: bool) -> Vec<Written>;
 }
 
@@ -157,6 +189,9 @@ pub struct Written {
     /// The file that made room for it.
     #[cfg_attr(feature = "summary", serde(skip))]
     pub replaced: Option<PathBuf>,
+    /// Its disk did not answer in time, or its writer panicked: the run has failed.
+    #[cfg_attr(feature = "summary", serde(skip))]
+    pub fails_run: bool,
 }
 
 impl fmt::Display for Written {
@@ -175,6 +210,8 @@ pub struct Recording {
     measured: Mutex<Measured>,
     end: AtomicBool,
     black_box: AtomicBool,
+    /// Why the run ended, if the program itself failed.
+    conclusion: Mutex<Option<String>>,
 }
 
 impl Recording {
@@ -182,6 +219,11 @@ impl Recording {
     pub fn read(&self) -> MutexGuard<'_, Measured> {
         // A poisoned lock only means that a reader panicked; the numbers are whole.
         self.measured.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Notes that a part of the program failed; `fails_run`: axes were stopped by it, or data was lost.
+    pub fn failed(&self, what: &str, fails_run: bool) {
+        self.read().failed(what, fails_run);
     }
 
     /// Asks for the black box to be written.
@@ -210,10 +252,13 @@ impl Recorder {
             measured: Mutex::new(measured),
             end: AtomicBool::new(false),
             black_box: AtomicBool::new(false),
+            conclusion: Mutex::default(),
         });
         let shared = Arc::clone(&recording);
         let thread = std::thread::Builder::new().name("fb-telemetry".into()).spawn(move || {
             prepare();
+            let recording = Arc::clone(&shared);
+            let work = move || {
             let mut look = || {
                 if let Some(sample) = watch.as_mut().and_then(ThreadWatch::sample) {
                     shared.read().causes.sample(sample);
@@ -237,7 +282,13 @@ impl Recorder {
                     if shared.black_box.swap(false, Ordering::AcqRel) {
                         black_box.ask();
                     }
+                    if let Some(why) = shared.conclusion.lock().unwrap_or_else(PoisonError::into_inner).take() {
+                        black_box.conclude(&why);
+                    }
                     for written in black_box.write(last) {
+                        if written.fails_run {
+                            shared.failed(&written.to_string(), true);
+                        }
                         shared.read().wrote(written);
                     }
                 }
@@ -245,6 +296,14 @@ impl Recorder {
                     break;
                 }
                 std::thread::sleep(EMPTY_EVERY);
+            }
+            };
+            if catch_unwind(AssertUnwindSafe(work)).is_err() {
+                recording.failed(
+                    "internal error: the telemetry panicked; histograms, causes of late cycles and black box end \
+                     there; please report it",
+                    true,
+                );
             }
         })?;
         Ok(Recorder { recording, thread: Some(thread) })
@@ -261,8 +320,13 @@ impl Recorder {
         &self.recording
     }
 
-    /// Takes the last records and ends the thread. `late` is the loop's own count of late cycles.
-    pub fn finish(&mut self, late: u64) -> Measured {
+    /// Takes the last records and ends the thread. `late` is the loop's own count of late cycles, `failed` why the loop
+    /// ended if it failed itself.
+    pub fn finish(&mut self, late: u64, failed: Option<String>) -> Measured {
+        if let Some(why) = &failed {
+            self.recording.failed(why, true);
+        }
+        *self.recording.conclusion.lock().unwrap_or_else(PoisonError::into_inner) = failed;
         self.end();
         let mut measured = self.recording.read();
         measured.causes.finish(late);
@@ -306,6 +370,48 @@ mod tests {
         assert_eq!((first.number, first.cycle, first.axis), (27, 28, 1));
         assert_eq!((last.number, last.cycle, last.emergency.code), (90, 98, 98));
         assert_eq!(measured.emergencies.len(), MOST_TOLD);
+    }
+
+    /// A black box with an error of ours.
+    #[derive(Debug)]
+    struct Panics;
+
+    impl Keep for Panics {
+        fn enter(&mut self, _record: &Record) {
+            std::panic::resume_unwind(Box::new("on purpose"));
+        }
+
+        fn ask(&mut self) {}
+
+        fn conclude(&mut self, _why: &str) {}
+
+        fn write(&mut self, _last: bool) -> Vec<Written> {
+            Vec::new()
+        }
+    }
+
+    #[test]
+    fn a_telemetry_thread_that_panics_is_a_failure_of_the_run_and_holds_up_no_end() {
+        let (mut records, ring) = rtrb::RingBuffer::new(4);
+        let measured = Measured::new(1, &CyclePlan::default(), false);
+        let mut recorder = Recorder::start(ring, measured, None, Some(Box::new(Panics)), || {}).unwrap();
+        records.push(Record::Drive(DriveRecord::default())).unwrap();
+        let measured = recorder.finish(0, Some("the loop panicked".to_owned()));
+        let [first, second] = &measured.failures[..] else { panic!("{:?}", measured.failures) };
+        let mut both = [first, second].map(|failure| (failure.fails_run, &*failure.what));
+        both.sort();
+        assert!(both[0].1.starts_with("internal error: the telemetry panicked; "), "{both:?}");
+        assert_eq!((both[0].0, both[1]), (true, (true, "the loop panicked")));
+    }
+
+    #[test]
+    fn the_end_of_the_link_thread_is_reported_once() {
+        let mut measured = Measured::new(1, &CyclePlan::default(), false);
+        for index in 0..3 {
+            let stopped = Some(StopCause::LinkThread);
+            measured.enter(&Record::Drive(DriveRecord { index, stopped, ..DriveRecord::default() }));
+        }
+        assert!(matches!(&measured.failures[..], [Failure { fails_run: true, .. }]), "{measured:?}");
     }
 
     #[test]

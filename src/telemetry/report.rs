@@ -21,6 +21,7 @@ use super::hgrm::distribution;
 use super::plots::{self, PlotError};
 use super::{Run, Summary};
 use crate::cycle::record::Stage;
+use crate::errors::no_descriptor;
 
 /// The plots of every report.
 const PLOTS: [&str; 4] = ["wake.svg", "percentiles.svg", "rtt.svg", "timeline.svg"];
@@ -40,7 +41,10 @@ pub enum ReportError {
     #[error("report {0} is not a directory; name one, or a place where one can be made")]
     NotADirectory(PathBuf),
     /// The directory cannot be made, or not written to.
-    #[error("report {directory}: cannot write there: {error}; name a directory that this user may write to")]
+    #[error(
+        "report {directory}: cannot write there: {error}; {}",
+        no_descriptor(.error).unwrap_or("name a directory that this user may write to")
+    )]
     Directory {
         /// The directory.
         directory: PathBuf,
@@ -90,6 +94,11 @@ impl Report {
             Ok(()) => Ok(report),
             Err(error) => Err(ReportError::Directory { directory: directory.clone(), error }),
         }
+    }
+
+    /// Where it is written.
+    pub fn directory(&self) -> &Path {
+        &self.directory
     }
 
     /// Writes the report; files of the same names are replaced, and others of an earlier report removed.

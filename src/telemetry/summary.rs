@@ -7,14 +7,14 @@ use serde::{Serialize, Serializer};
 use super::causes::{Cause, Judged, Tally};
 use super::histograms::{Quantiles, Quantity};
 use super::monitor::Monitor;
-use super::recorder::{Measured, Run, Written};
+use super::recorder::{Failure, Measured, Run, Written};
 use super::table::{Cell, Table};
 use crate::axis::{Fault, Link, MonitorChannel, StopCause, Units};
 use crate::bus::BusClock;
 use crate::bus::{Counters, OwnCounter};
 use crate::cycle::Plan;
 use crate::cycle::record::Stage;
-use crate::cycle::status::{DeviceEnd, Extent, Numbers, ReferenceStatus};
+use crate::cycle::status::{DeviceEnd, Extent, Numbers, ReferenceStatus, Status};
 use crate::master::Master;
 use crate::rt::{Granted, host};
 use crate::style::{BAD, paint};
@@ -67,6 +67,8 @@ pub struct Summary {
     pub host: Host,
     /// What the black box wrote.
     pub black_boxes: Vec<Written>,
+    /// What failed of the program itself.
+    pub failures: Vec<Failure>,
     /// The histogram of the wake-ups, drawn by the text form only.
     #[serde(skip)]
     wake_bars: Vec<(u64, u64)>,
@@ -487,6 +489,12 @@ pub struct Host {
     pub taken_ms: u64,
 }
 
+/// A bus that does not come to its end is left as it is.
+fn cut_off(status: &Status) -> Option<Failure> {
+    let what = "the orderly end of a bus did not complete in 10 s: look at its drives before the next start";
+    status.cut_off.then(|| Failure { what: what.into(), fails_run: true })
+}
+
 impl Summary {
     /// A run in numbers, ended or not.
     pub fn of(
@@ -595,19 +603,23 @@ impl Summary {
                 taken_ms: measured.causes.taken_ns() / MS,
             },
             black_boxes: measured.black_boxes.clone(),
+            failures: measured.failures.iter().cloned().chain(cut_off(status)).collect(),
             wake_bars: bars(&histograms.wake),
             units: plan.axes().iter().map(|axis| axis.units).collect(),
         }
     }
 
-    /// Whether a drive was lost, or the loop came too late: a failure however the run was ended.
+    /// Whether a drive was lost, the loop came too late, or the program itself failed: a failure however the run was
+    /// ended.
     pub fn has_failed(&self) -> bool {
         self.drives.iter().any(|drive| drive.losses > 0 || drive.was_overrun())
+            || self.failures.iter().any(|failure| failure.fails_run)
     }
 
-    /// Whether every drive answered, none was lost on the way, and none was stopped because the loop came too late.
+    /// Whether every drive answered, none was lost on the way, none was stopped because the loop came too late, and
+    /// the program itself did not fail.
     pub fn is_whole(&self) -> bool {
-        self.drives.iter().all(|drive| drive.losses == 0 && drive.is_online() && !drive.was_overrun())
+        !self.has_failed() && self.drives.iter().all(Drive::is_online)
     }
 }
 
@@ -878,6 +890,9 @@ impl Summary {
         )?;
         for written in &self.black_boxes {
             writeln!(f, "{written}")?;
+        }
+        for failure in &self.failures {
+            writeln!(f, "{}", paint(&failure.what, BAD, f.alternate()))?;
         }
         if !real.missing.is_empty() {
             writeln!(f, "These numbers are not real-time:")?;

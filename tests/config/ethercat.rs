@@ -305,7 +305,7 @@ held_by = "brake"
         .iter()
         .map(String::as_str)
         .skip_while(|line| !line.starts_with("bus portal"))
-        .take_while(|line| !line.starts_with("the black box"))
+        .take_while(|line| !line.starts_with("one master each"))
         .filter(|line| {
             !["an exch", "link up", "stop: ", "stopped", "limits:"]
                 .iter()

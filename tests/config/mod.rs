@@ -12,8 +12,9 @@ use fieldbeat::bus::linudp::MonitorPlan;
 use fieldbeat::bus::linudp::upid::Upid;
 use fieldbeat::config::{
     DEMO_PLACES, DEMO_STREAMS_UP_TO_NS, demo_plan, describe, is_demo, json, linmot_curve, load, parse,
-    starvation, stop_bound, stop_bound_cycles,
+    starvation,
 };
+use fieldbeat::cycle::bound::{stop_bound, stop_bound_cycles};
 use fieldbeat::cycle::{CyclePlan, Guard, Overrun, Plan, Wait};
 use fieldbeat::rt::Realtime;
 use fieldbeat::rt::host::Throttling;
@@ -375,6 +376,7 @@ receive_deadline = 0.5
 wait = "poll"
 overrun = "skip"
 max_skip = 10
+max_skip_rate = 0.2
 realtime = "prefer"
 memory = "process"
 [[bus]]
@@ -404,7 +406,8 @@ sample_queue = 0
 parameter_queue = 64
 stream = "pva"
 monitor = false
-reply_tag = false
+reply_tag = "definition"
+inhibit_after = "10ms"
 no_drive_watchdog = "refuse"
 [bus.drive.stop]
 how = "ramp"
@@ -434,6 +437,7 @@ home = 0
 start = 0
 mass = 1
 stream_period = "1ms"
+status_lag = "0us"
 force_enable_bits = false
 running = false
 config_time = "0us"
@@ -736,40 +740,51 @@ const DESCRIPTION: &str = r#"
 m.toml: 4 drives, 1 bus
 cycle: every 2 ms (500 Hz), on the last core, SCHED_FIFO 80 and all memory of the process locked if this host grants it
   wakes with a calibrated final spin, takes replies by poll until 1 ms into the cycle
-  an overrun skips slots and keeps the grid, more than 10 in a row stop all axes
+  an overrun skips slots and keeps the grid, more than 10 in a row or 20 of the last 100
+        stop all axes
   a cycle that is late by more than 200 us is counted with its cause
 bus portal: linudp-v2, 4 drives
   drive x: 192.168.1.1:41136 -> 192.168.1.11:49360
     streams "pva", a setpoint every 2 ms (the drive takes 400 us ... 10 ms)
+    a late reply is recognised by its response definition, one of four in turn; a hardware enable (STO) counts as
+        missing after 10 ms
     if the master dies: a LinUDP drive has no watchdog, a move runs to its target, jogs and cyclic velocities are
         refused, a stream ends in the drive's own underflow error
     an exchange every cycle (2 ms)
     link up after 10 good exchanges in a row, lost after 5 misses in a row: the stop request is on the wire within 8
-        cycles (16 ms) of the last good one; stop together: x, y
-    stop: ramp at 500 mm/s²; at standstill (below 5 mm/s for 20 exchanges) power off; without it after 3 s power off
+        cycles (16 ms) of the last good one; with slots skipped lost after 40 ms at the latest; stop together: x, y
+    stop: ramp at 500 mm/s²; at standstill (below 5 mm/s for 20 exchanges) power off; without it after 3 s
+        the drive's quick stop, after 6 s power off
     stopped by a velocity setpoint older than 10 cycles (20 ms) and by a jog not renewed for 500 ms
     limits: -10 ... 10.5 mm, 100 mm/s
   drive y: 192.168.1.1:41136 -> 192.168.1.12:49360
     no streams (stream = "off")
+    a late reply is recognised by its response definition, one of four in turn; a hardware enable (STO) counts as
+        missing after 10 ms
     if the master dies: a LinUDP drive has no watchdog, a move runs to its target, a jog or cyclic velocity runs at
         most 7.5 mm further
     an exchange every 3 cycles (6 ms), phase 1
     link up after 10 good exchanges in a row, lost after 4 misses in a row: the stop request is on the wire within 13
-        cycles (26 ms) of the last good one; stop together: x, y
+        cycles (26 ms) of the last good one; with slots skipped lost after 68 ms at the latest; stop together: x, y
     stop: power off at once
     stopped by a velocity setpoint older than 10 cycles (20 ms) and by a jog not renewed for 500 ms
     limits: only the drive's own
   drive z: 192.168.1.1:41136 -> 192.168.1.13:49360
     streams "pva", a setpoint every 2 ms (the drive takes 400 us ... 10 ms)
+    a late reply is recognised by its response definition, one of four in turn; a hardware enable (STO) counts as
+        missing after 10 ms
     if the master dies: a LinUDP drive has no watchdog, a move runs to its target, jogs and cyclic velocities are
         refused, a stream ends in the drive's own underflow error
     an exchange every cycle (2 ms)
     link up after 10 good exchanges in a row, lost after 5 misses in a row: the stop request is on the wire within 6
-        cycles (12 ms) of the last good one
-    stop: ramp at 1000 mm/s²; at standstill (below 5 mm/s for 20 exchanges) power off; without it after 3 s power off
+        cycles (12 ms) of the last good one; with slots skipped lost after 40 ms at the latest
+    stop: ramp at 1000 mm/s²; at standstill (below 5 mm/s for 20 exchanges) power off; without it after 3 s
+        the drive's quick stop, after 6 s power off
     stopped by a velocity setpoint older than 10 cycles (20 ms) and by a jog not renewed for 500 ms
     limits: only the drive's own
   drive w: 192.168.1.1:41136 -> 192.168.1.14:49360; else as z
+one master each: another one of this host that has one of these interfaces or drives is named, and the start
+        refused
 the black box holds the last 2 s in 0.4 MB, written to a file at a fault, a lost drive, another stop, and SIGUSR1
 Fieldbeat is not a safety function: the machine needs its own STO / emergency stop.
 "#;
@@ -797,6 +812,7 @@ set_up = false
 [[bus.drive]]
 name = "unwatched"
 address = "192.168.1.22"
+function = "16+3"
 watchdog.timeout = "off"
 no_drive_watchdog = "accept"
 stop.group = "own"
@@ -804,6 +820,7 @@ divisor = 1
 [[bus.drive]]
 name = "refused"
 address = "192.168.1.23"
+function = "23"
 watchdog.timeout = "off"
 stop.group = "own"
 [[bus]]
@@ -827,19 +844,23 @@ stop.group = "own"
             "drive direct: 192.168.1.21:502",
             "one request every 8 ms writes what changed and reads a part: status and speed within 3 requests, \
              all parameters within 12 requests",
-            "a reply counts for 50 ms; after 100 ms of silence its connection is opened again, with pauses: a \
+            "by FC23; a drive that refuses or ignores it is written by FC16 and read by FC03 in turns (no_fc23 \
+             counts that)",
+            "a reply counts for 250 ms; after 500 ms of silence its connection is opened again, with pauses: a \
              stop request leaves with the first exchange on the new one, and until then only the drive's own \
              watchdog stops it",
+            "one lost frame delays an exchange by 200 ms, since TCP repeats it no sooner, and the link stays up: \
+             a stop request that waits for it leaves 218 ms later at most; a frame lost twice costs the link",
             "takes velocities; no moves, no streams, no homing",
             "shows percentage-load",
             "if the master dies: the drive trips within 500 ms and its motor coasts (Pr 4.15.009, set by the \
              master before it is enabled)",
             "an exchange every 8 cycles (8 ms), phase 0",
             "link up after 10 good exchanges in a row, lost after 5 misses in a row: the stop request is on \
-             the wire within 290 cycles (290 ms) of the last good one, if it still answers; stop together: \
-             direct, menu",
+             the wire within 1290 cycles (1.29 s) of the last good one, if it still answers; with slots \
+             skipped lost after 2.574 s at the latest; stop together: direct, menu",
             "stop: ramp at 10 rev/s²; at standstill (below 0.05 rev/s for 20 exchanges) power off; without it \
-             after 3 s power off",
+             after 3 s the drive's quick stop, after 6 s power off",
             "stopped by a velocity setpoint older than 10 cycles (10 ms) and by a jog not renewed for 500 ms",
             "limits: only the drive's own",
         ]
@@ -856,6 +877,13 @@ stop.group = "own"
         ),
         ("menu", "if the master dies: the drive trips within 1 s and its motor coasts (the keypad watchdog)"),
         (
+            "menu",
+            "one lost frame costs the link: TCP repeats it after 200 ms at the earliest; reply_within from 210 ms \
+             on would wait for it",
+        ),
+        ("unwatched", "writing (FC16) and reading (FC03) take turns"),
+        ("refused", "by FC23 and no other function"),
+        (
             "unwatched",
             "if the master dies: nothing stops the drive: it keeps its last speed (no_drive_watchdog = \"accept\")",
         ),
@@ -867,12 +895,13 @@ stop.group = "own"
         assert!(of(name).contains(&line), "{line}\n{:#?}", of(name));
     }
     assert!(!of("menu").iter().any(|line| line.starts_with("shows")));
-    // A reply of 50 ms is owed for 50 cycles behind that of its request, so that with a divisor of 8 a turn takes 56 at
-    // most. direct: 8 until it is asked, 4 turns, 50, then menu's turn of 8. menu: 5 turns of 8, then that of direct.
-    // unwatched: 1, 4 turns of 51, 50, then refused's turn. refused: 8, 4 of 56, 50, then unwatched's. x: 5, then
-    // refused's.
+    // A reply of 250 ms is owed for 250 cycles behind that of its request, so that with a divisor of 8 a turn takes 256
+    // at most. direct: 8 until it is asked, 4 turns, 250, then menu's turn of 8. menu: 5 turns of 8, then that of
+    // direct. unwatched: 1, 4 turns of 251, 250, then refused's turn. refused: 8, 4 of 256, 250, then unwatched's.
+    // x: 5, then refused's.
     let bounds = [0, 1, 2, 3, 4].map(|index| stop_bound(&plan, index));
-    assert_eq!(bounds, [8 + 4 * 56 + 50 + 8, 5 * 8 + 56, 1 + 4 * 51 + 50 + 56, 8 + 4 * 56 + 50 + 51, 5 + 56]);
+    let (direct, unwatched) = (8 + 4 * 256 + 250, 1 + 4 * 251 + 250);
+    assert_eq!(bounds, [direct + 8, 5 * 8 + 256, unwatched + 256, direct + 251, 5 + 256]);
 }
 
 #[test]
@@ -885,7 +914,8 @@ fn values_of_a_unidrive_arrive_where_they_belong() {
     assert!(format!("{:?}", read(&unidrive("", ""))).contains(&format!("{usual:?}")));
     let text = unidrive(
         "",
-        "unit = 1\nslot = 3\naddressing = \"modified\"\nvia = \"menu-0\"\nreply_within = \"20ms\"\nset_up = false\n\
+        "unit = 1\nslot = 3\naddressing = \"modified\"\nvia = \"menu-0\"\nfunction = \"16+3\"\n\
+         reply_within = \"20ms\"\nset_up = false\n\
          units = \"mm\"\nscale = 0.5\ninvert = true\n\
          map.control = { parameter = \"06.042\", bits = 32 }\nmap.speed = { parameter = \"18.011\", bits = \
              16, decimals = 2 }\n\
@@ -905,10 +935,10 @@ fn values_of_a_unidrive_arrive_where_they_belong() {
         "trip: None",
         &format!("show: [Some({}), Some({}), None, None]", long(5, 5), long(4, 1)),
         &format!("also: [{}, {}, {}, {}]", long(20, 21), long(20, 22), long(20, 23), long(5, 1)),
-        "via: Menu0 { first: 1 }, reply_within_ns: 20000000",
+        "via: Menu0 { first: 1 }, functions: Apart, reply_within_ns: 20000000",
         "Watchdog { timeout_ns: None, keypad: true, accept_none: true }, set_up: false",
         "split: 0.25, cut: 0.5",
-        "connections: 2, read_write: false, menu_zero: false, drive_units: [1]",
+        "connections: 2, read_write: Refused, registers: 120, menu_zero: false, drive_units: [1]",
         "rated_rpm: 1500.0",
         // 2 mm/s backwards are a revolution a second of an inverted motor.
         "start: Running(60.0)",

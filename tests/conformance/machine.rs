@@ -248,7 +248,7 @@ impl Machine {
     /// The stop bound that `check` states for an axis, and the cycles that a late answer of this protocol adds.
     pub fn stop_bound(&self, index: usize) -> u64 {
         let axes = self.wire.axes();
-        fieldbeat::config::stop_bound_cycles(axes[index], &axes) + u64::from(self.can.answers_after)
+        fieldbeat::cycle::bound::stop_bound_cycles(axes[index], &axes) + u64::from(self.can.answers_after)
     }
 
     /// Turns until the loop has ended.

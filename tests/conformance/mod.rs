@@ -172,8 +172,9 @@ macro_rules! subjects {
 }
 
 subjects! {
-    linudp: crate::conformance::subjects::linudp::LinUdp { reply_tag: false },
-    linudp_tagged: crate::conformance::subjects::linudp::LinUdp { reply_tag: true },
+    linudp: crate::conformance::subjects::linudp::LinUdp { reply_tag: fieldbeat::bus::linudp::ReplyTag::Definition },
+    linudp_counted: crate::conformance::subjects::linudp::LinUdp { reply_tag: fieldbeat::bus::linudp::ReplyTag::Count },
+    linudp_untagged: crate::conformance::subjects::linudp::LinUdp { reply_tag: fieldbeat::bus::linudp::ReplyTag::Off },
     modbus_menu_0: crate::conformance::subjects::modbus::Modbus { direct: false, defect: None },
     modbus_direct: crate::conformance::subjects::modbus::Modbus { direct: true, defect: None },
     ethercat_velocity: crate::conformance::subjects::ethercat::EtherCat { positions: false, defect: None },

@@ -19,6 +19,12 @@ pub trait Subject: Sync {
     /// What it can do by nature.
     fn can(&self) -> Can;
 
+    /// What names a request is used again some exchanges later: after an outage as long as that a reply is suspect,
+    /// although replies name their requests.
+    fn names_repeat(&self) -> bool {
+        false
+    }
+
     /// An axis as usual in this protocol: units and profile; the clauses change what they are about.
     fn axis(&self, name: &str) -> AxisPlan;
 

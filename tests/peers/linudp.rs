@@ -117,7 +117,7 @@ fn machine(machine: &Machine) -> PathBuf {
     let text = std::fs::read_to_string(machine.plain(3)).unwrap();
     machine.write(
         "m.toml",
-        text.replace("name = \"d1\"", "name = \"d1\"\nreply_tag = true")
+        text.replace("name = \"d1\"", "name = \"d1\"\nreply_tag = \"count\"")
             .replace("name = \"d2\"", "name = \"d2\"\nmonitor = true"),
     )
 }

@@ -1,9 +1,9 @@
 //! Drives that are lost, come back, or were never there.
 
-use libc::SIGTERM;
+use libc::{SIGCONT, SIGINT, SIGTERM};
 
 use super::support::{Machine, assert_sums, drive, most_probes};
-use super::{master, serve, simulation};
+use super::{await_online, await_status, master, serve, simulation};
 
 #[test]
 fn drives_that_die_are_lost_and_come_back() {
@@ -111,4 +111,26 @@ fn a_dead_address_costs_the_living_nothing() {
     let dead = drive(&summary, "d2");
     assert_eq!(dead["unsent"], 0);
     assert!(dead["sent"].as_u64().unwrap() <= most_probes(&summary), "{summary}");
+}
+
+/// Nobody else is there to take them: what `run` gets and shows is not lost.
+#[test]
+fn events_are_taken_by_the_run_and_none_counts_as_lost() {
+    let machine = Machine::new(237);
+    let few = format!("{}\nevent_queue = 8", Machine::LOST_SOON);
+    let config = machine.config("few.toml", 1, "", &few);
+    let sim = simulation(&config);
+    let mut master = master(&config, &["--json"]);
+    master.await_text("all drives online");
+    for time in 1..=3 {
+        sim.hold();
+        await_status(&config, |summary| drive(summary, "d0")["losses"] == time);
+        sim.signal(SIGCONT);
+        await_online(&config);
+    }
+    master.signal(SIGINT);
+    let ended = master.end();
+    // It lost a drive.
+    let summary = ended.expect(1).json();
+    assert_eq!(summary["realtime"]["events_lost"], 0, "{summary}");
 }

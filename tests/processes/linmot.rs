@@ -182,8 +182,6 @@ fn a_wrong_file_is_told_before_anything_is_sent() {
         ask(&format!("linmot {what} get"), &config, &format!("d0 {}", config.display()))
             .refused(&["exists", "--force"]);
     }
-    ask("linmot curve put", &config, &format!("d0 {} --save --live", sample(CURVE)))
-        .refused(&["--save", "--live"]);
     ask("linmot defaults", &config, "d0 everything").refused(&["os, mc, interface or application"]);
     ask("linmot restart", &config, "d7").refused(&["has no drive d7"]);
     assert_silent(&drive);
@@ -312,7 +310,7 @@ fn whoever_dies_while_the_software_is_stopped_leaves_it_running() {
 }
 
 #[test]
-fn a_drive_that_is_switched_on_is_written_to_only_if_that_is_meant() {
+fn what_a_drive_that_is_switched_on_may_be_using_is_not_changed() {
     let machine = Machine::new(98);
     let config = machine.config("m.toml", 1, "", "simulate = { running = true }");
     let _sim = serve(&config);
@@ -322,13 +320,11 @@ fn a_drive_that_is_switched_on_is_written_to_only_if_that_is_meant() {
     {
         let does =
             |options: &str| ask(&format!("linmot {what} put"), &config, &format!("d0 {file} {options}"));
-        does("").failed(&[&off(doing), "--live"]);
+        does("").failed(&[&off(doing)]);
         does("--save").failed(&[&off(doing)]);
-        does("--live").expect(0);
         let delete = |options: &str| ask(&format!("linmot {what} delete"), &config, &format!("d0 {options}"));
         let doing = if what == "curve" { "deleting its curves" } else { "deleting its command table" };
-        delete("").failed(&[&off(doing), "--live"]);
-        delete("--live").expect(0);
+        delete("").failed(&[&off(doing)]);
     }
     ask("linmot restart", &config, "d0").failed(&[&off("a restart")]);
     ask("linmot software stop", &config, "d0").failed(&[&off("stopping its software")]);

@@ -7,8 +7,10 @@
 //! | `program` | what a user runs, and what it prints |
 //! | `signals` | Ctrl-C and its like, at any moment; Ctrl-Z |
 //! | `links` | drives that are lost, come back, or were never there |
+//! | `churn` | drives that die and come back for long: memory and descriptors |
 //! | `deaths` | controllers and drives that die in mid-motion, and who comes after them |
 //! | `mistakes` | wrong input: configurations, arguments, addresses that are taken |
+//! | `masters` | two masters on one segment or one drive |
 //! | `strangers` | datagrams of people who have no business here |
 //! | `telling` | what a master tells while it runs: control socket, black box, service manager |
 //! | `report` | the directory that a run leaves behind, and all that keeps it from being written |
@@ -23,12 +25,16 @@
 //!
 //! Each test owns 127.x.n.0/24, by the number n of its machine, which is unique in all of these files.
 
+mod churn;
 mod deaths;
 mod doctor;
 mod ethercat;
+#[path = "../support/fuse.rs"]
+mod fuse;
 mod kollmorgen;
 mod links;
 mod linmot;
+mod masters;
 mod metrics;
 mod mistakes;
 mod params;

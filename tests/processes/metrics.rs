@@ -46,7 +46,7 @@ fn ask(address: SocketAddr, request: &[u8]) -> String {
 
 /// The page.
 pub fn scrape(address: SocketAddr) -> String {
-    let answer = ask(address, b"GET /metrics HTTP/1.1\r\nHost: here\r\nAccept: */*\r\n\r\n");
+    let answer = ask(address, b"GET /metrics HTTP/1.1\r\nHost: localhost\r\nAccept: */*\r\n\r\n");
     let (head, body) = answer.split_once("\r\n\r\n").unwrap_or_else(|| panic!("no answer: {answer}"));
     assert!(head.starts_with("HTTP/1.1 200 OK\r\n"), "{head}");
     assert!(head.contains("\r\nContent-Type: application/openmetrics-text; version=1.0.0;"), "{head}");
@@ -222,8 +222,10 @@ fn clients_that_say_nothing_or_nonsense_harm_nobody() {
     program.await_text("all drives online");
     let address = endpoint(&mut program);
     for (request, status) in [
-        (&b"GET / HTTP/1.1\r\n\r\n"[..], "404"),
-        (b"DELETE /metrics HTTP/1.1\r\n\r\n", "405"),
+        (&b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n"[..], "404"),
+        (b"DELETE /metrics HTTP/1.1\r\nHost: localhost\r\n\r\n", "405"),
+        (b"GET /metrics HTTP/1.1\r\nHost: evil.example\r\n\r\n", "403"),
+        (b"GET /metrics HTTP/1.1\r\n\r\n", "400"),
         (b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03", "400"),
         (&[b'A'; 5000], "431"),
     ] {
@@ -232,8 +234,11 @@ fn clients_that_say_nothing_or_nonsense_harm_nobody() {
         let reset = status == "431" && answer.is_empty();
         assert!(reset || answer.starts_with(&format!("HTTP/1.1 {status} ")), "{answer}");
     }
-    // As many as there are threads, and more.
-    let silent: Vec<TcpStream> = (0..6).map(|_| connect(address)).collect();
+    // More than are served at a time.
+    let silent: Vec<TcpStream> = (0..400).map(|_| connect(address)).collect();
+    // Those that ask and take nothing are as silent.
+    let asks = |mut stream: &TcpStream| stream.write_all(b"GET /metrics HTTP/1.0\r\n\r\n");
+    silent[350..].iter().for_each(|stream| drop(asks(stream)));
     let gone = connect(address);
     gone.shutdown(std::net::Shutdown::Both).unwrap();
     Page::parse(&scrape(address));
@@ -341,6 +346,7 @@ fn what_only_a_protocol_counts_and_why_a_drive_is_not_connected_is_told_under_it
             period_ns: carried(),
             realtime: Realtime::Off,
             overrun: Overrun::Skip { max_skip: u64::MAX },
+            max_skip_rate: 1.0,
             ..CyclePlan::default()
         },
         buses: vec![bus],

@@ -1,6 +1,7 @@
 //! Wrong input: addresses that are taken or foreign, configurations and arguments that are none.
 
 use std::os::unix::fs::PermissionsExt;
+use std::os::unix::process::CommandExt;
 use std::process::Command;
 
 use libc::SIGINT;
@@ -15,6 +16,11 @@ fn a_second_master_is_refused_and_the_first_one_does_not_notice() {
     let _sim = serve(&config);
     let mut first = master(&config, &["--json"]);
     first.await_text("all drives online");
+    // With a drive of its own, but the same port.
+    let text = std::fs::read_to_string(&config).unwrap();
+    let other = [0, 1].map(|index| machine.drive(index).ip().to_string());
+    let text = text.replace(&other[0], &machine.ip(200).to_string());
+    let config = machine.write("other.toml", text.replace(&other[1], &machine.ip(201).to_string()));
     for _ in 0..3 {
         let bind = format!("bus linudp-v2: cannot bind {}: Address already in use", machine.master());
         master(&config, &["--for", "1s"]).end().refused(&[
@@ -144,4 +150,33 @@ fn a_mistake_in_the_arguments_is_one_line() {
     let ended = run(["--help"]);
     ended.expect(0);
     assert!(ended.err.is_empty() && ended.out.contains("Not a safety function"), "{ended:?}");
+}
+
+/// A limit of open files that leaves one socket, for two buses.
+#[test]
+fn a_process_without_descriptors_learns_which_limit_to_raise() {
+    let machine = Machine::new(236);
+    let first = std::fs::read_to_string(machine.plain(1)).unwrap();
+    let second = format!(
+        "[[bus]]\nname = \"second\"\nprotocol = \"linudp-v2\"\nbind = \"{}\"\n[[bus.drive]]\nname = \"e0\"\n\
+         address = \"{}\"\nlimits = {{ position = [0, 400] }}\n",
+        machine.ip(2),
+        machine.ip(41)
+    );
+    let config = machine.write("two.toml", first + &second);
+    let mut command = Command::new(PROGRAM);
+    command.arg("run").arg(&config).args(["--for", "1s"]);
+    // SAFETY: between fork and exec, system calls only.
+    unsafe {
+        command.pre_exec(|| {
+            // Standard input and output, and one more.
+            let few = libc::rlimit { rlim_cur: 4, rlim_max: 4 };
+            match libc::setrlimit(libc::RLIMIT_NOFILE, &few) {
+                0 => Ok(()),
+                _ => Err(std::io::Error::last_os_error()),
+            }
+        });
+    }
+    let ended = Program::spawn(&mut command).end();
+    ended.refused(&["bus second: cannot bind", "Too many open files", "ulimit -n", "LimitNOFILE="]);
 }

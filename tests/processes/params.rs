@@ -215,6 +215,46 @@ fn what_the_drive_refuses_comes_with_its_reason() {
     ask("param set", &config, "d0 run-mode 16").expect(0);
 }
 
+/// Whoever has switched it on: a parameter that commands it is not written, by a master of the program's own or through
+/// one that runs.
+#[test]
+fn what_may_command_a_drive_that_is_switched_on_is_refused_with_the_remedy() {
+    let machine = Machine::new(226);
+    let config =
+        machine.config("on.toml", 1, "", "on_found_running = \"refuse\"\nsimulate = { running = true }");
+    let _sim = simulation(&config);
+    let set = |words: &str| ask("param set", &config, &format!("d0 {words}"));
+    let one_line = |ended: &Ended| {
+        assert_eq!((ended.err.lines().count(), ended.out.as_str()), (1, ""), "{ended:?}");
+    };
+    let alone = set("run-mode 16");
+    alone.failed(&[
+        "drive d0: write run-mode = 16: it may command the drive, which another master, ",
+        "disable it",
+    ]);
+    one_line(&alone);
+    // What moves nothing is written all the same.
+    assert_eq!(value(&set("p-gain-a 30 --json"), "value"), 30);
+
+    let mut master = master(&config, &["--json"]);
+    master.await_text("all drives online");
+    for words in ["run-mode 16", "0x1E72 5", "0x3100 1"] {
+        let refused = set(words);
+        let (address, number) = words.split_once(' ').unwrap();
+        refused.failed(&[
+            &format!("drive d0: write {address} = {number}: it may command the drive, whose power is on"),
+            "disable the axis first, or use native mode",
+        ]);
+        one_line(&refused);
+    }
+    set("run-mode.rom 16")
+        .failed(&["drive d0: write run-mode.rom = 16: the drive is switched on: disable it first"]);
+    assert_eq!(value(&set("p-gain-a 31 --json"), "value"), 31);
+    assert_eq!(value(&ask("param get", &config, "d0 run-mode --json"), "value"), 1);
+    master.signal(SIGTERM);
+    assert_sums(&master.end().expect(0).json());
+}
+
 #[test]
 fn a_drive_that_nobody_answers_for_is_told_after_a_while() {
     let machine = Machine::new(85);
@@ -314,7 +354,7 @@ fn the_help_says_how_to_write_everything() {
         ("linmot curve", &["list", "get", "put", "delete", "save", "CSV"]),
         ("linmot table", &["list", "get", "put", "delete", "save", "TOML"]),
         ("linmot curve get", &["--id <N>", "--force"]),
-        ("linmot curve put", &["--save", "--live", "silent"]),
+        ("linmot curve put", &["--save", "silent"]),
         ("linmot software", &["stop", "start"]),
         ("linmot defaults", &["os, mc, interface or application"]),
     ] {

@@ -1,19 +1,20 @@
-//! Ctrl-C, SIGTERM and SIGHUP at any moment, nohup, and Ctrl-Z.
+//! Ctrl-C, SIGTERM and SIGHUP at any moment, every other signal that ends a process by default, nohup, and Ctrl-Z.
 
+use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::thread::sleep;
 
 use fieldbeat::axis::{Profile, StopCause, Verb};
 use fieldbeat::master::Master;
-use libc::{SIGCONT, SIGHUP, SIGINT, SIGTERM};
+use libc::{SIGCONT, SIGHUP, SIGINT, SIGTERM, SIGTSTP, SIGTTIN, SIGTTOU};
 use serde_json::Value;
 
 use super::support::{self, LONG, Machine, PROGRAM, Program, assert_sums, carried, drive};
 use super::{MS, assert_powered_off, await_status, master, serve};
 
 /// A demo whose control socket is its own, so that it can be asked how far it is.
-struct Demo<'a> {
-    machine: &'a Machine,
+struct Demo {
+    directory: PathBuf,
     program: Program,
 }
 
@@ -39,21 +40,26 @@ enum Stage {
 }
 
 /// Its sockets are where nobody else has any; root looks below TMPDIR, too.
-fn own<'a>(machine: &Machine, command: &'a mut Command) -> &'a mut Command {
-    command.env("XDG_RUNTIME_DIR", machine.path("")).env("TMPDIR", machine.path(""))
+fn own<'a>(directory: &Path, command: &'a mut Command) -> &'a mut Command {
+    command.env("XDG_RUNTIME_DIR", directory).env("XDG_STATE_HOME", directory).env("TMPDIR", directory)
 }
 
-impl Demo<'_> {
-    fn start(machine: &Machine) -> Demo<'_> {
+impl Demo {
+    fn start(machine: &Machine) -> Demo {
+        Demo::in_directory(machine.path(""), "2")
+    }
+
+    fn in_directory(directory: PathBuf, drives: &str) -> Demo {
         let mut command = Command::new(PROGRAM);
-        command.args(["demo", "--drives", "2", "--json", "--for", "2min"]);
-        Demo { machine, program: Program::spawn(own(machine, &mut command)) }
+        command.args(["demo", "--drives", drives, "--json", "--for", "2min"]);
+        let program = Program::spawn(own(&directory, &mut command));
+        Demo { directory, program }
     }
 
     /// The drives, once they can be asked for.
     fn drives(&self) -> Vec<Value> {
         let mut status = Command::new(PROGRAM);
-        let ended = Program::spawn(own(self.machine, status.args(["status", "--json"]))).end();
+        let ended = Program::spawn(own(&self.directory, status.args(["status", "--json"]))).end();
         match ended.code {
             Some(0) => ended.json()["summary"]["drives"].as_array().unwrap().clone(),
             _ => Vec::new(),
@@ -104,6 +110,76 @@ fn a_signal_at_any_moment_ends_the_demo_in_order() {
         demo.reaches(stage);
         demo.program.signal(signal);
         demo.ends();
+    }
+}
+
+/// Each of these ends a process by default. Three demos at a time, so that it takes no longer than it must.
+#[test]
+fn every_signal_that_would_end_the_program_in_mid_motion_ends_it_in_order() {
+    let signals = [
+        libc::SIGQUIT,
+        libc::SIGABRT,
+        libc::SIGALRM,
+        libc::SIGVTALRM,
+        libc::SIGPROF,
+        libc::SIGUSR2,
+        libc::SIGIO,
+        libc::SIGPWR,
+        libc::SIGSTKFLT,
+        libc::SIGXCPU,
+        libc::SIGRTMIN(),
+        libc::SIGRTMAX(),
+    ];
+    let machine = Machine::new(231);
+    for (group, signals) in signals.chunks(3).enumerate() {
+        std::thread::scope(|scope| {
+            for (index, signal) in signals.iter().enumerate() {
+                let directory = machine.path(&format!("{group}-{index}"));
+                scope.spawn(move || {
+                    std::fs::create_dir(&directory).unwrap();
+                    let mut demo = Demo::in_directory(directory, "1");
+                    demo.reaches(Stage::SettingOut);
+                    demo.program.signal(*signal);
+                    demo.ends();
+                });
+            }
+        });
+    }
+}
+
+/// Suspended, the process would leave its axes to themselves.
+#[test]
+fn a_master_in_mid_motion_is_not_suspended_from_its_terminal() {
+    let machine = Machine::new(232);
+    let mut demo = Demo::start(&machine);
+    demo.reaches(Stage::Swinging);
+    for signal in [SIGTTIN, SIGTTOU, SIGTSTP] {
+        demo.program.signal(signal);
+    }
+    demo.program.await_text("fieldbeat: not suspended: ");
+    let executed = |demo: &Demo| {
+        let drives = demo.drives();
+        drives.first().and_then(|drive| drive["answered"].as_u64())
+    };
+    let before = executed(&demo);
+    assert!(support::until(LONG, || executed(&demo) > before), "its cycle stands");
+    demo.program.signal(SIGTERM);
+    let ended = demo.program.end();
+    ended.expect(0);
+    assert_powered_off(&ended.json());
+}
+
+#[test]
+fn a_simulation_ends_by_a_signal_like_a_run() {
+    let machine = Machine::new(233);
+    let config = machine.plain(1);
+    for signal in [SIGTERM, libc::SIGQUIT, libc::SIGUSR2, libc::SIGXCPU] {
+        let mut sim = Program::start(["sim", config.to_str().unwrap()]);
+        sim.await_text("listening");
+        sim.signal(signal);
+        let ended = sim.end();
+        ended.expect(0);
+        assert!(ended.out.contains("received, "), "{ended:?}");
     }
 }
 

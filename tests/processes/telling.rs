@@ -4,20 +4,27 @@
 use std::fs::{self, DirBuilder};
 use std::net::UdpSocket;
 use std::os::unix::fs::{DirBuilderExt, PermissionsExt};
-use std::os::unix::net::UnixDatagram;
+use std::os::unix::net::{UnixDatagram, UnixStream};
+use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
 use fieldbeat::Master;
+use fieldbeat::axis::{AxisError, StopCause};
+use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan};
 use fieldbeat::control::Server;
+use fieldbeat::cycle::{CyclePlan, Plan};
+use fieldbeat::rt::Realtime;
 use libc::{SIGTERM, SIGUSR1};
 use serde_json::{Value, json};
 
+use super::fuse::{Call, Fused};
 use super::simulation;
 use super::support::hold::{Hold, thread};
 use super::support::{
-    Ended, LONG, Machine, NOBODY, PROGRAM, Program, as_ordinary_user, checkout, period, plan, run, until,
+    Ended, LONG, Machine, NOBODY, PROGRAM, Program, as_ordinary_user, carried, checkout, patient, period,
+    plan, run, until,
 };
 
 /// A command of the program whose sockets and files are the machine's own.
@@ -371,7 +378,7 @@ fn a_drive_that_nobody_can_connect_to_is_told_once_with_the_reason_and_stands_in
     let config = machine.write(
         "m.toml",
         format!(
-            "[cycle]\nperiod = \"{}\"\nmax_skip = \"30s\"\nrealtime = \"off\"\n[[bus]]\nprotocol = \"modbus-tcp\"\n\
+            "[cycle]\nperiod = \"{}\"\nmax_skip = \"30s\"\nmax_skip_rate = 1.0\nrealtime = \"off\"\n[[bus]]\nprotocol = \"modbus-tcp\"\n\
              [[bus.drive]]\nname = \"u1\"\naddress = \"{address}\"\nhealth = {{ bucket = \"10s\", leak = 1 }}\n\
              watchdog.timeout = \"10s\"\n",
             period()
@@ -464,6 +471,127 @@ fn a_black_box_that_cannot_be_written_is_told_and_the_run_goes_on() {
     let ended = master.end();
     let summary = ended.expect(0).json();
     assert!(summary["black_boxes"][0]["error"].as_str().is_some(), "{summary}");
+}
+
+/// An error of this software in the loop of a program that embeds it: the axes stop, the loop ends by itself, and the
+/// run says why.
+#[test]
+fn a_panic_of_the_loop_is_a_failed_run_with_a_black_box() {
+    let machine = Machine::new(238);
+    let config = machine.plain(2);
+    let _sim = simulation(&config);
+    for (call, times, left_out) in [(Call::Receive, 1, false), (Call::Prepare, u32::MAX, true)] {
+        let place = machine.path(&format!("{call:?}"));
+        let mut bus = LinUdpPlan::new(machine.ip(1), Vec::new());
+        bus.drives =
+            (0..2).map(|index| LinUdpDrive::new(format!("d{index}"), *machine.drive(index).ip())).collect();
+        bus.drives.iter_mut().for_each(|drive| {
+            (drive.axis.limits.position, drive.axis.health) = (Some((0.0, 400.0)), patient());
+        });
+        let fused = Fused::new(bus);
+        let plan = Plan {
+            source: None,
+            cycle: CyclePlan { period_ns: carried(), realtime: Realtime::Off, ..CyclePlan::default() },
+            buses: vec![Box::new(fused.clone())],
+            groups: Vec::new(),
+        };
+        let master = Master::from_plan(plan).with_black_box(&place).start().unwrap();
+        master.wait_online(LONG).unwrap();
+        let mut axis = master.axis("d0").unwrap();
+        axis.enable().unwrap();
+        fused.light(call, times);
+        assert!(until(LONG, || !master.is_running()), "the loop goes on");
+        assert!(matches!(axis.home(), Err(AxisError::Gone { .. } | AxisError::Refused { .. })));
+        let feedback = axis.feedback();
+        assert_eq!((feedback.stopped, feedback.state.is_powered()), (Some(StopCause::Panic), left_out));
+        let run = master.finish();
+        let panic = run.end.panic.as_ref().unwrap();
+        assert_eq!(panic.left_out.is_empty(), !left_out, "{panic}");
+        let summary = run.summary();
+        assert!(summary.has_failed() && !summary.is_whole());
+        assert_eq!(summary.failures[0].what, panic.to_string());
+        assert!(summary.to_string().contains("\ninternal error: the loop panicked in stage "), "{summary}");
+        let [written] = &run.measured.black_boxes[..] else { panic!("{:?}", run.measured.black_boxes) };
+        assert_eq!(written.why, "drive d0: stopped: internal error (panic)");
+        let story = blackbox(&written.path, &[]);
+        assert!(story.expect(0).out.contains("stopped: internal error (panic)"), "{story:?}");
+        // What was left powered is taken over and switched off by the next master.
+        drop(Master::from_file(&config).unwrap().start().map(|next| next.wait_online(LONG)));
+    }
+}
+
+/// `command` with a disk that never answers: each fsync(2) of the program waits for somebody who never comes
+/// (seccomp_unotify(2)); the descriptor that he would read lives as long as the program.
+fn on_a_frozen_disk(command: &mut Command) -> &mut Command {
+    let step = |code: u32, k: u32, yes| libc::sock_filter { code: code as u16, jt: yes, jf: 0, k };
+    let mut filter = [
+        step(libc::BPF_LD | libc::BPF_W | libc::BPF_ABS, 0, 0),
+        step(libc::BPF_JMP | libc::BPF_JEQ | libc::BPF_K, libc::SYS_fsync as u32, 1),
+        step(libc::BPF_RET | libc::BPF_K, libc::SECCOMP_RET_ALLOW, 0),
+        step(libc::BPF_RET | libc::BPF_K, libc::SECCOMP_RET_USER_NOTIF, 0),
+    ];
+    // SAFETY: between fork and exec, system calls only; the program of the filter outlives them.
+    unsafe {
+        command.pre_exec(move || {
+            let program = libc::sock_fprog { len: filter.len() as u16, filter: filter.as_mut_ptr() };
+            if libc::prctl(libc::PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) != 0 {
+                return Err(std::io::Error::last_os_error());
+            }
+            let (mode, flags) = (libc::SECCOMP_SET_MODE_FILTER, libc::SECCOMP_FILTER_FLAG_NEW_LISTENER);
+            let listener = libc::syscall(libc::SYS_seccomp, mode, flags, &raw const program);
+            // The copy stays open across exec.
+            match listener >= 0 && libc::dup(listener as i32) >= 0 {
+                true => Ok(()),
+                false => Err(std::io::Error::last_os_error()),
+            }
+        })
+    }
+}
+
+#[test]
+fn a_frozen_disk_holds_up_no_end_and_is_named() {
+    let machine = Machine::new(234);
+    let config = machine.plain(1);
+    let _sim = simulation(&config);
+    let boxes = machine.path("boxes");
+    let arguments = ["run", config.to_str().unwrap(), "--json", "--black-box", boxes.to_str().unwrap()];
+    let mut master = Program::spawn(on_a_frozen_disk(&mut own(&machine, &arguments)));
+    master.await_text("all drives online");
+    master.signal(SIGUSR1);
+    // The temporary file is there, and stays so.
+    assert!(until(LONG, || fs::read_dir(&boxes).is_ok_and(|entries| entries.count() > 0)));
+    master.signal(SIGTERM);
+    let ended = master.end();
+    let summary = ended.expect(1).json();
+    let error = summary["black_boxes"][0]["error"].as_str().unwrap();
+    assert!(error.contains("its disk does not answer for 5 s"), "{summary}");
+    let last = ended.err.lines().last().unwrap();
+    assert!(last.starts_with("fieldbeat: black box not written: ") && last.contains(error), "{last}");
+    assert!(files(&boxes).is_empty());
+}
+
+/// Clients of the same user that say nothing.
+#[test]
+fn silent_connections_by_the_thousand_hold_up_no_status() {
+    let machine = Machine::new(235);
+    let config = machine.plain(1);
+    let _sim = simulation(&config);
+    let master = master(&machine, &config, &["--json"]);
+    let [socket] = &sockets(&machine)[..] else { panic!() };
+    let connect = || UnixStream::connect(socket).unwrap();
+    let mut silent = std::collections::VecDeque::new();
+    for number in 0..3_000 {
+        silent.push_back(connect());
+        // As many as this process may hold open.
+        if number > 200 {
+            silent.pop_front();
+        }
+    }
+    status(&machine, &["--json"]).expect(0).json();
+    let open = fs::read_dir(format!("/proc/{}/fd", master.pid())).unwrap().count();
+    assert!(open < 150, "{open} descriptors");
+    master.signal(SIGTERM);
+    assert_eq!(master.end().expect(0).json()["failures"], json!([]));
 }
 
 #[test]

@@ -48,7 +48,7 @@ pub fn drives(machine: &Machine, period: &str, bucket: u32, victim: u32) -> Path
         ("d1", "divisor = 5\nphase = 2"),
         (
             "d3",
-            "divisor = 4\nphase = 3\nmonitor = true\nreply_tag = true\nhealth.bucket = VICTIM\n\
+            "divisor = 4\nphase = 3\nmonitor = true\nreply_tag = \"count\"\nhealth.bucket = VICTIM\n\
              stop = { deceleration = 20000, timeout = \"1s\" }",
         ),
     ] {
@@ -138,7 +138,7 @@ impl Calls {
         while self.under_way.len() < 4 {
             let call = match self.posted % 3 {
                 0 => upid::call(RtcCommand::READ_RAM, 0x1E0F, 0),
-                1 => upid::call(RtcCommand::WRITE_RAM, 0x1E72, self.posted as u32),
+                1 => upid::call(RtcCommand::WRITE_RAM, 0x14BE, self.posted as u32),
                 _ => upid::call(RtcCommand::READ_RAM, 0x9999, 0),
             };
             self.posted += 1;

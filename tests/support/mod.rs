@@ -151,6 +151,7 @@ impl Machine {
             ("period", &*period),
             ("receive_deadline", "0.8"),
             ("max_skip", "\"30s\""),
+            ("max_skip_rate", "1.0"),
             ("realtime", "\"off\""),
         ];
         let axes = [

@@ -5,10 +5,10 @@ use std::collections::HashMap;
 use fieldbeat::axis::acyclic::{Call, CallError, CallTicket};
 use fieldbeat::axis::command::NativeOwner;
 use fieldbeat::axis::{EventKind, Health, Link, Verb};
-use fieldbeat::bus::linudp::MonitorPlan;
 use fieldbeat::bus::linudp::native::{Native, NativeOutput};
 use fieldbeat::bus::linudp::upid::{Upid, call};
 use fieldbeat::bus::linudp::wire::{Refusal, RtcBlock, RtcCommand};
+use fieldbeat::bus::linudp::{MonitorPlan, ReplyTag};
 use fieldbeat::sim::FaultPlan;
 use fieldbeat::time::{MS, S};
 
@@ -196,7 +196,8 @@ fn a_restart_ends_the_call_under_way_and_what_follows_is_of_the_new_life() {
 #[test]
 fn a_tag_in_each_request_and_calls_share_the_channel() {
     let weather = FaultPlan { seed: 3, drop: 0.05, delay: 0.05, delay_ns: MS, ..FaultPlan::default() };
-    let mut b = patient(Rig::new(1).each(|_, drive| drive.reply_tag = true).faults(weather)).start();
+    let mut b =
+        patient(Rig::new(1).each(|_, drive| drive.reply_tag = ReplyTag::Count).faults(weather)).start();
     b.online();
     b.write(0, "variable-1", 5).unwrap();
     let mut good = 0;
@@ -262,6 +263,19 @@ fn monitored_variables_are_in_the_feedback_in_their_units() {
     b.until("it has forgotten", 200, |b| b.feedback(0).monitor == [None; 4]);
     b.until("it is told again", 2_000, |b| b.feedback(0).monitor[2] == Some(40.0));
     assert_eq!(b.feedback(0).link, Link::Online);
+}
+
+#[test]
+fn a_variable_of_unknown_meaning_is_shown_raw_and_the_motor_temperature_in_degrees() {
+    let mut b = Rig::new(1)
+        .each(|_, drive| {
+            drive.monitor = MonitorPlan::Sources([Some(Upid(0x1B8D)), Some(Upid(0x1BF3)), None, None]);
+        })
+        .start();
+    b.online();
+    b.until("both are shown", 100, |b| b.feedback(0).monitor[1].is_some());
+    b.run(2);
+    assert_eq!(b.feedback(0).monitor, [Some(f64::from(0x8000_1B8D_u32)), Some(30.39), None, None]);
 }
 
 #[test]

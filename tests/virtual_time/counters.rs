@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 use std::net::{Ipv4Addr, SocketAddrV4};
 
+use fieldbeat::bus::linudp::ReplyTag;
 use fieldbeat::bus::linudp::wire::{RequestDef, Response};
 use fieldbeat::bus::{Counters, Strangers};
 use fieldbeat::cycle::status::Numbers;
@@ -181,7 +182,9 @@ fn inject(b: &mut Bench, from: SocketAddrV4, change: fn(Response) -> Response) {
 
 /// Three cycles with it, among as many without as it takes for all to be told.
 fn run(tagged: bool, provoke: fn(&mut Bench)) -> Numbers {
-    let mut b = Rig::new(2).each(|_, drive| drive.reply_tag = tagged).start();
+    let mut b = Rig::new(2)
+        .each(|_, drive| drive.reply_tag = if tagged { ReplyTag::Count } else { ReplyTag::Off })
+        .start();
     b.ready();
     for index in 0..2 {
         b.post(index, slowly_to(100.0));

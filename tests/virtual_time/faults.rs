@@ -11,7 +11,7 @@ use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand};
 use fieldbeat::bus::linudp::wire::{
     ControlWord, ErrorCode, MainState, Request, Response, ResponseDef, StatusWord,
 };
-use fieldbeat::config::stop_bound_cycles;
+use fieldbeat::cycle::bound::stop_bound_cycles;
 use fieldbeat::time::{MS, Time};
 
 use crate::virtual_time::support::*;
@@ -353,7 +353,7 @@ fn a_command_in_the_wrong_state_is_a_fault_of_the_drive_not_of_the_loop() {
 }
 
 /// A telegram of another master reaches the drive now.
-fn inject(b: &Bench, request: Request) {
+pub fn inject(b: &Bench, request: Request) {
     let request = Request { response_def: ResponseDef::CYCLIC, ..request };
     let mut bytes = [0; 64];
     let size = request.emit(&mut bytes);
@@ -451,28 +451,24 @@ fn axes_without_a_group_stop_alone() {
 }
 
 #[test]
-fn a_stop_that_reaches_a_limit_of_time_follows_its_policy() {
-    use fieldbeat::axis::StopTimeout;
-    for (on_timeout, off) in [(StopTimeout::Disable, true), (StopTimeout::Hold, false)] {
-        let mut b = Rig::new(2)
-            .each(|_, drive| {
-                drive.axis.stop.on_timeout = on_timeout;
-                drive.axis.stop.timeout = std::time::Duration::from_millis(100);
-                weak_ramp(drive, 100.0);
-                drive.axis.stop.group = Some(1);
-            })
-            .start();
-        b.ready();
-        b.post(0, with(fieldbeat::axis::Target::Absolute(190.0), 50.0, 5_000.0));
-        b.run(300);
-        b.tape(1).provoke = Some(ErrorCode(0x0B));
-        assert_eq!(b.stopped(0, 10), StopCause::Group);
-        b.run(95);
-        assert!(b.feedback(0).moving && b.feedback(0).state.is_powered());
-        b.run(20);
-        assert_eq!(b.feedback(0).state.is_powered(), !off, "{on_timeout:?}");
-        b.until("standstill", 1_000, |b| b.feedback(0).velocity.abs() < 0.5);
-    }
+fn a_ramp_that_is_too_weak_for_its_time_out_is_made_steeper() {
+    let mut b = Rig::new(2)
+        .each(|_, drive| {
+            drive.axis.stop.timeout = std::time::Duration::from_millis(100);
+            weak_ramp(drive, 100.0);
+            drive.axis.stop.group = Some(1);
+        })
+        .start();
+    b.ready();
+    b.post(0, with(fieldbeat::axis::Target::Absolute(190.0), 50.0, 5_000.0));
+    b.run(300);
+    b.tape(1).provoke = Some(ErrorCode(0x0B));
+    assert_eq!(b.stopped(0, 10), StopCause::Group);
+    b.run(60);
+    assert!(b.feedback(0).moving && b.feedback(0).state.is_powered());
+    b.run(40);
+    assert!(!b.feedback(0).moving, "80 ms at 625 mm/s² instead of 500 ms");
+    b.until("power off", 50, |b| !b.feedback(0).state.is_powered());
 }
 
 #[test]

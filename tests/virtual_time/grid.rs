@@ -139,7 +139,7 @@ fn more_than_max_skip_in_one_hold_up_stops_every_axis() {
 #[test]
 fn hold_ups_in_a_row_add_up_until_a_cycle_is_executed() {
     let hold_ups = |between: &[u64], executed_between: u64| {
-        let mut b = Rig::new(1).start();
+        let mut b = Rig::new(1).cycle(|cycle| cycle.max_skip_rate = 1.0).start();
         b.ready();
         for slots in between {
             // It ends before the next slot, so that hold-ups do not run into each other.
@@ -177,7 +177,9 @@ fn the_stop_policy_stops_at_the_first_slot() {
 fn there_are_no_bursts_to_catch_up() {
     for seed in 0..4 {
         let mut random = fastrand::Rng::with_seed(seed);
-        let mut b = Rig::new(2).cycle(|cycle| cycle.overrun = Overrun::Skip { max_skip: 1_000 }).start();
+        let mut b = Rig::new(2)
+            .cycle(|cycle| (cycle.overrun, cycle.max_skip_rate) = (Overrun::Skip { max_skip: 1_000 }, 1.0))
+            .start();
         b.online();
         for _ in 0..600 {
             if random.u8(..4) == 0 {
@@ -218,7 +220,7 @@ fn streamed_rows_are_never_jumped_over_when_slots_are_skipped() {
     for (divisor, seed) in [(1, 1), (1, 2), (4, 1), (4, 2)] {
         let mut random = fastrand::Rng::with_seed(seed);
         let mut b = Rig::new(4)
-            .cycle(|cycle| cycle.overrun = Overrun::Skip { max_skip: 1_000 })
+            .cycle(|cycle| (cycle.overrun, cycle.max_skip_rate) = (Overrun::Skip { max_skip: 1_000 }, 1.0))
             .each(|index, drive| {
                 (drive.axis.divisor, drive.axis.phase) = (divisor, index as u32 % divisor);
                 drive.simulate.stream_period_ns = u64::from(divisor) * MS;

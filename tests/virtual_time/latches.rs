@@ -3,10 +3,12 @@
 use std::time::Duration;
 
 use fieldbeat::axis::{Abort, CommandId, EventKind, Failure, Link, Outcome, StopCause, Verb};
-use fieldbeat::bus::linudp::wire::ErrorCode;
+use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};
+use fieldbeat::bus::linudp::wire::{ErrorCode, Request};
 use fieldbeat::cycle::engine::Flow;
 use fieldbeat::time::MS;
 
+use crate::virtual_time::faults::inject;
 use crate::virtual_time::support::*;
 
 /// How one cause comes about in a machine of three axes: 0 is the one that is looked at, 1 is of its group, 2 is alone.
@@ -34,12 +36,14 @@ const CASE: Case = Case {
     others: [Some(StopCause::Group), None],
 };
 
-/// One line a cause. A new one breaks the build until it has its own.
+/// One line a cause. A new one breaks the build until it has its own, or a test of its own: an axis without a running
+/// motion has none to cut off.
 macro_rules! causes {
-    ($($cause:ident => $case:expr),+ $(,)?) => {
+    ($($cause:ident => $case:expr),+ ; $($own:ident),+) => {
         const CAUSES: &[(StopCause, Case)] = &[$((StopCause::$cause, $case)),+];
         const _: fn(StopCause) = |cause| match cause {
             $(StopCause::$cause => {})+
+            $(StopCause::$own => {})+
         };
     };
 }
@@ -138,6 +142,21 @@ causes! {
         others: [Some(StopCause::GroupLink), None],
         ..CASE
     },
+    OtherMaster => Case {
+        // It sends the drive elsewhere, with a count of its own.
+        strike: |b| {
+            b.run(20);
+            let command = MotionCommand::vai_go_to(
+                Position(10_000),
+                Velocity(10_000),
+                Acceleration(100_000),
+                Acceleration(100_000),
+            );
+            let own = b.tape(0).last().state.and_then(|state| state.count()).unwrap_or(0);
+            inject(b, Request { motion: Some(command.block((own + 7) & 0xF)), ..Request::default() });
+        },
+        ..CASE
+    },
     GroupFailed => Case {
         // One of them into its limit, where the protocol ends the jog.
         lead: |b| {
@@ -149,6 +168,12 @@ causes! {
         fails: |failure| matches!(failure, Failure::Limit { what: "position", .. }),
         ..CASE
     },
+    Suspended => Case {
+        strike: |b| b.world().suspend(60_000 * MS),
+        others: [Some(StopCause::Suspended); 2],
+        ..CASE
+    };
+    Uncommanded, StopTimeout, Panic, LinkThread
 }
 
 /// Asks axis 0, and its whole group where it has joined one.

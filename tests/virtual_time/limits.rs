@@ -1,6 +1,7 @@
 //! How far and how fast: limits at the door and in the loop, jogs on their leash, turning and inverted axes.
 
-use fieldbeat::axis::{Abort, Failure, Jog, Move, Outcome, Profile, Target, Unit, Units, Verb};
+use fieldbeat::axis::{Abort, Failure, Jog, Move, Outcome, Profile, Row, Target, Unit, Units, Verb};
+use fieldbeat::bus::linudp::SimPlan;
 
 use crate::virtual_time::support::*;
 
@@ -270,6 +271,52 @@ fn a_rotary_axis_turns_on_over_its_modulo() {
     assert_eq!(b.outcome(0, id), None);
     assert_near(b.feedback(0).velocity, 100.0, 3.0);
     assert!(wire(&b) > 120.0);
+}
+
+#[test]
+fn a_rotary_axis_turns_on_over_the_end_of_its_counts() {
+    let mut b = Rig::new(1)
+        .each(|_, drive| {
+            drive.axis.units =
+                Units { unit: Unit::Millimetre, modulo: Some(20.0), ..Units::millimetres(PER_MM) };
+            drive.axis.limits.position = None;
+            drive.simulate.range = SimPlan::ENDLESS;
+            // 10 mm before the end, and homed 5 mm before it.
+            drive.simulate.start_position = i32::MAX - 100_000;
+            drive.simulate.home_position = i32::MAX - 50_000;
+        })
+        .start();
+    b.ready();
+    let wire = |b: &Bench| b.tape(0).last().demand.unwrap();
+    let home = b.feedback(0).demand;
+    assert_eq!(wire(&b), i32::MAX - 50_000);
+    for (distance, count) in [(8.0, i32::MIN + 29_999), (-8.0, i32::MAX - 50_000), (8.0, i32::MIN + 29_999)] {
+        b.done(0, by(distance));
+        assert_eq!(wire(&b), count, "over the end by {distance} mm");
+    }
+    assert_near(b.feedback(0).demand, (home + 8.0).rem_euclid(20.0), 1e-3);
+    // Back by the shorter way.
+    b.done(0, to(home));
+    assert_eq!(wire(&b), i32::MAX - 50_000);
+    let id = b.post(0, jog(100.0));
+    b.run(200);
+    assert_eq!(b.outcome(0, id), None);
+    assert_near(b.feedback(0).velocity, 100.0, 3.0);
+    assert!(wire(&b) < 0, "past the end");
+    b.done(0, Verb::Stop { deceleration: None });
+    b.done(0, to(home));
+    // In a stream, too; here it is a whole number of turns from the home position.
+    let from = b.feedback(0).demand;
+    let before = wire(&b);
+    for n in 0..=600 {
+        let position = (from + f64::from(n) * 0.08).rem_euclid(20.0);
+        b.sim.axis(0).push_row(Row { velocity: 80.0, last: n == 600, ..row(position) }).unwrap();
+    }
+    b.done(0, Verb::Follow);
+    assert_eq!(wire(&b), before.wrapping_add(480_000));
+    // Farther than half of all counts there is no shorter way.
+    let far = b.failed(0, by(300_000.0));
+    assert!(matches!(far, Failure::Range(_)), "{far}");
 }
 
 #[test]

@@ -1,5 +1,7 @@
 //! Loads that drop when nothing holds them, and the hardware enable (STO) that takes the power away.
 
+use std::time::Duration;
+
 use fieldbeat::axis::{
     Abort, EventKind, Failure, HeldBy, Load, Outcome, State, StopCause, StopThen, StopTimeout, Verb,
 };
@@ -120,6 +122,28 @@ fn an_enable_without_the_hardware_enable_fails_at_once_and_powers_nothing_on_lat
     b.run(3_000);
     assert!(!b.feedback(0).inhibited && !b.feedback(0).state.is_powered());
     b.done(0, Verb::Enable);
+}
+
+#[test]
+fn a_status_that_lags_behind_the_control_word_is_no_missing_hardware_enable() {
+    for (lag_ms, inhibit_after_ms, enabled) in
+        [(1, 10, true), (2, 10, true), (8, 10, true), (2, 0, false), (20, 10, false)]
+    {
+        let mut b = Rig::new(1)
+            .each(|_, drive| {
+                drive.simulate.status_lag_ns = lag_ms * MS;
+                drive.inhibit_after = Duration::from_millis(inhibit_after_ms);
+            })
+            .start();
+        b.online();
+        let what = format!("{lag_ms} ms, {inhibit_after_ms} ms");
+        match enabled {
+            true => b.done(0, Verb::Enable),
+            false => assert_eq!(b.failed(0, Verb::Enable), Failure::Inhibited, "{what}"),
+        }
+        let told = b.kinds(0).into_iter().any(|kind| matches!(kind, EventKind::HardwareEnable(_)));
+        assert_eq!(told, !enabled, "{what}");
+    }
 }
 
 #[test]

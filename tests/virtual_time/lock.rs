@@ -227,6 +227,7 @@ fn plan(period_ns: u64, buses: Vec<Box<dyn BusPlan>>) -> Plan {
         period_ns,
         reference: Some("line".to_owned()),
         overrun: Overrun::Skip { max_skip: 1_000 },
+        max_skip_rate: 1.0,
         ..CyclePlan::default()
     };
     Plan { source: None, cycle, buses, groups: Vec::new() }

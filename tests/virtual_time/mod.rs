@@ -5,8 +5,12 @@
 mod acyclic;
 mod bring_up;
 mod carrier;
+mod commanding;
 mod counters;
+mod evidence;
 mod faults;
+#[path = "../support/fuse.rs"]
+mod fuse;
 mod grid;
 mod groups;
 mod kollmorgen;
@@ -17,6 +21,11 @@ mod latches;
 mod limits;
 mod loads;
 mod lock;
+mod oracle;
+mod oracle_found;
+mod other_masters;
+mod panics;
+mod powered;
 mod queues;
 mod replies;
 mod restarts;

@@ -40,9 +40,57 @@ fn samples_that_find_no_room_are_counted() {
     assert_eq!(kept, (0..64).collect::<Vec<_>>(), "the oldest stay");
 }
 
+/// The newest always wins, and none is refused: neither loop nor application waits for the other.
+#[test]
+fn a_thousand_setpoints_between_two_cycles_come_to_the_last_one() {
+    let mut b = Rig::new(1).start();
+    b.ready();
+    b.post(0, Verb::Velocity { acceleration: 10_000.0 });
+    for last in [10.0, 0.0, -5.0, 0.0] {
+        for _ in 0..100 {
+            (0..1_000).for_each(|n| b.sim.axis(0).set_velocity(f64::from(n)).unwrap());
+            b.sim.axis(0).set_velocity(last).unwrap();
+            b.step();
+        }
+        assert_near(b.feedback(0).velocity, last, 0.5);
+    }
+}
+
+/// An application that posts and takes nothing for long, and then everything.
+#[test]
+fn each_accepted_command_ends_exactly_once_however_late_its_end_is_taken() {
+    let mut b = Rig::new(1).each(|_, drive| drive.axis.event_queue = 8).start();
+    b.ready();
+    let mut posted = Vec::new();
+    for round in 0..300 {
+        let verb = if round % 3 == 2 { Verb::Stop { deceleration: None } } else { by(0.01) };
+        while let Ok(id) = b.sim.axis(0).post(verb) {
+            posted.push(id);
+            if verb.is_urgent() {
+                break;
+            }
+        }
+        for _ in 0..40 {
+            b.sim.step();
+        }
+    }
+    for _ in 0..20_000 {
+        b.sim.step();
+    }
+    assert!(posted.len() > 10_000, "{}", posted.len());
+    let mut ended = Vec::new();
+    while let Some(event) = b.sim.axis(0).event() {
+        if let EventKind::Ended { id, .. } = event.kind {
+            ended.push(id);
+        }
+    }
+    ended.sort_unstable();
+    assert_eq!(ended, posted);
+}
+
 #[test]
 fn events_that_find_no_room_are_counted() {
-    let mut b = Rig::new(1).each(|_, drive| drive.axis.event_queue = 8).start();
+    let mut b = Rig::new(1).each(|_, drive| drive.axis.event_queue = 4).start();
     // The bench empties the queue after every step; this one does not.
     for _ in 0..50 {
         b.sim.step();
@@ -55,13 +103,16 @@ fn events_that_find_no_room_are_counted() {
         b.sim.step();
     }
     let lost = b.sim.status().lost_events;
-    let mut kept = 0;
-    while b.sim.axis(0).event().is_some() {
-        kept += 1;
+    let (mut others, mut ends) = (0, 0);
+    while let Some(event) = b.sim.axis(0).event() {
+        match event.kind {
+            EventKind::Ended { .. } => ends += 1,
+            _ => others += 1,
+        }
     }
-    assert_eq!(kept, 8);
-    // 40 ends, the states on the way up; and what came before.
-    assert!(lost > told && lost >= 40, "{lost}");
+    assert_eq!((others, ends), (4, 40), "the ends of commands have their own places");
+    // The states on the way up; and what came before.
+    assert!(lost > told, "{lost}");
     b.step();
     assert_eq!(b.sim.status().lost_events, lost);
 }

@@ -6,6 +6,7 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use fieldbeat::axis::Link;
 use fieldbeat::bus::Counters;
 use fieldbeat::bus::linudp::wire::{Request, RequestDef, Response, ResponseDef};
+use fieldbeat::bus::linudp::{MonitorPlan, ReplyTag};
 use fieldbeat::cycle::status::Numbers;
 use fieldbeat::sim::FaultPlan;
 use fieldbeat::time::{MS, US};
@@ -57,8 +58,8 @@ fn a_clean_wire_answers_everything() {
 }
 
 #[test]
-fn a_missed_exchange_holds_the_values_and_the_next_reply_is_suspect_once() {
-    let mut b = moving(Rig::new(1));
+fn without_a_tag_a_missed_exchange_holds_the_values_and_the_next_reply_is_suspect_once() {
+    let mut b = moving(Rig::new(1).each(|_, drive| drive.reply_tag = ReplyTag::Off));
     let samples = b.sim.measured().histograms.drives[0].rtt.len();
     let held = b.feedback(0).demand;
     b.tape(0).mute = true;
@@ -78,6 +79,60 @@ fn a_missed_exchange_holds_the_values_and_the_next_reply_is_suspect_once() {
     b.run(10);
     let c = counters(b);
     assert_eq!((c.missed, c.suspect, c.late, c.duplicate), (3, 1, 0, 0));
+}
+
+#[test]
+fn with_definitions_in_turn_a_reply_is_suspect_only_after_as_many_misses() {
+    for (monitor, turns) in [(MonitorPlan::Off, 4), (MonitorPlan::AsSet, 2)] {
+        for misses in [1, turns - 1, turns, turns + 3] {
+            let mut b = moving(Rig::new(1).each(|_, drive| {
+                drive.monitor = monitor;
+                drive.axis.health.bucket = 10_000;
+            }));
+            b.tape(0).mute = true;
+            b.run(misses);
+            b.tape(0).mute = false;
+            let suspect = misses >= turns;
+            b.step();
+            assert_eq!((b.feedback(0).age, b.feedback(0).suspect), (u32::from(suspect), suspect), "{misses}");
+            b.assert_honest(0);
+            for _ in 0..20 {
+                b.step();
+                assert_eq!((b.feedback(0).age, b.feedback(0).suspect), (0, false), "once, {misses} misses");
+                b.assert_honest(0);
+            }
+            let c = counters(b);
+            assert_eq!((c.missed, c.suspect, c.late, c.duplicate), (misses, suspect.into(), 0, 0));
+        }
+    }
+}
+
+#[test]
+fn a_burst_of_all_late_replies_at_once_is_never_taken_for_the_newest() {
+    // A drive that did not come to answer for so many cycles, and then answers everything that waited: in the window of
+    // the newest request, in order.
+    for late in 1..20 {
+        let mut b = moving(Rig::new(1).each(|_, drive| drive.axis.health.bucket = 10_000));
+        b.tape(0).mute = true;
+        b.tape(0).heard.clear();
+        b.run(late);
+        b.tape(0).mute = false;
+        let waiting: Vec<Response> = b.tape(0).heard.iter().filter_map(|heard| heard.reply).collect();
+        for (n, reply) in (0_u64..).zip(&waiting) {
+            let mut bytes = [0; 64];
+            let size = reply.emit(&mut bytes);
+            // Before the true reply, 40 us after the request.
+            b.world().inject(MASTER, address(0), &bytes[..size], b.grid() + MS + 10 * US + n);
+        }
+        for _ in 0..20 {
+            b.step();
+            if !b.feedback(0).suspect {
+                b.assert_honest(0);
+            }
+        }
+        let c = counters(b);
+        assert_eq!((c.missed, c.late, c.duplicate), (late, late, 0), "{late}: {c:?}");
+    }
 }
 
 #[test]
@@ -101,7 +156,8 @@ fn a_reply_behind_its_deadline_is_late_and_a_miss() {
 
 #[test]
 fn replies_that_are_always_one_cycle_behind_are_never_taken_for_fresh_ones() {
-    for (answer_us, reply_tag) in [(980, false), (1_100, false), (1_400, false), (980, true), (1_400, true)] {
+    let tags = ReplyTag::WORDS.map(|(_, tag)| tag);
+    for (answer_us, reply_tag) in [980, 1_100, 1_400].into_iter().flat_map(|us| tags.map(|tag| (us, tag))) {
         let mut b = moving(Rig::new(1).each(|_, drive| drive.reply_tag = reply_tag));
         let samples = b.sim.measured().histograms.drives[0].rtt.len();
         answer_after(&b, answer_us * US);
@@ -110,21 +166,22 @@ fn replies_that_are_always_one_cycle_behind_are_never_taken_for_fresh_ones() {
             b.assert_honest(0);
         }
         // No exchange is answered in its own window: that is a lost link, not a short round trip.
-        assert_eq!(b.feedback(0).link, Link::Lost, "{answer_us} us, tag {reply_tag}");
+        assert_eq!(b.feedback(0).link, Link::Lost, "{answer_us} us, {reply_tag:?}");
         assert_eq!(b.sim.measured().histograms.drives[0].rtt.len(), samples);
     }
 }
 
 #[test]
 fn late_replies_are_counted_as_late_each_and_nothing_as_a_duplicate() {
-    for (answer_us, reply_tag) in (600..=2_600).step_by(100).flat_map(|us| [(us, false), (us, true)]) {
+    let tags = ReplyTag::WORDS.map(|(_, tag)| tag);
+    for (answer_us, reply_tag) in (600..=2_600).step_by(100).flat_map(|us| tags.map(|tag| (us, tag))) {
         let mut b = moving(Rig::new(1).each(|_, drive| drive.reply_tag = reply_tag));
         answer_after(&b, answer_us * US);
         b.run(500);
         answer_after(&b, 0);
         b.run(500);
         let c = counters(b);
-        let what = format!("{answer_us} us, tag {reply_tag}: {c:?}");
+        let what = format!("{answer_us} us, {reply_tag:?}: {c:?}");
         assert!(c.missed > 0, "{what}");
         // Each request was answered once, sooner or later.
         assert_eq!((c.late, c.duplicate, c.foreign), (c.missed, 0, 0), "{what}");
@@ -148,18 +205,19 @@ fn a_loss_of_long_ago_makes_no_duplicate_late() {
 
 #[test]
 fn with_a_tag_feedback_is_exact_in_any_weather() {
-    for seed in 0..4 {
+    for (seed, tag) in (0..4).flat_map(|seed| [(seed, ReplyTag::Count), (seed, ReplyTag::Definition)]) {
         let weather = FaultPlan {
             seed,
             drop: 0.05,
             duplicate: 0.1,
             delay: 0.2,
             delay_ns: 900 * US,
-            reorder: 0.05,
+            // A reply that is held back may come four exchanges late, and only a count tells that one apart.
+            reorder: if tag == ReplyTag::Count { 0.05 } else { 0.0 },
             ..FaultPlan::default()
         };
         let rig = Rig::new(1).each(|_, drive| {
-            drive.reply_tag = true;
+            drive.reply_tag = tag;
             drive.axis.health.bucket = 10_000;
         });
         let mut b = moving(rig);
@@ -167,13 +225,13 @@ fn with_a_tag_feedback_is_exact_in_any_weather() {
         for _ in 0..2_000 {
             b.step();
             b.assert_honest(0);
-            assert!(!b.feedback(0).suspect, "seed {seed}");
         }
         b.world().set_faults(address(0), FaultPlan::default());
         b.run(20);
         let c = counters(b);
         assert!(c.missed > 100 && c.late > 50 && c.duplicate > 50, "seed {seed}: {c:?}");
-        assert_eq!(c.suspect, 0);
+        // In such weather four exchanges in a row are missed now and then.
+        assert!(c.suspect <= if tag == ReplyTag::Count { 0 } else { 200 }, "seed {seed}: {c:?}");
     }
 }
 
@@ -220,7 +278,7 @@ fn what_is_not_the_answer_is_counted_by_its_kind_and_never_matched() {
     let (drive, other_port) = (address(0), SocketAddrV4::new(*address(0).ip(), 5));
     let unknown = SocketAddrV4::new(Ipv4Addr::new(10, 9, 9, 9), drive.port());
     let asked = b.tape(0).heard.last().unwrap().reply.unwrap();
-    let (request_def, response_def) = (asked.request_def.0, asked.response_def.0);
+    let (request_def, response_def) = (asked.request_def.0, ResponseDef::CYCLIC.0);
     let mut inject = |from, bytes: &[u8]| {
         // Early in the window of the next cycle, before the true reply.
         let at = b.grid() + MS + 10 * US;
@@ -293,7 +351,7 @@ fn what_the_system_refuses_to_send_is_charged_to_its_drive_alone() {
 fn any_bytes_from_a_drive_do_no_harm() {
     for seed in 0..3 {
         let mut random = fastrand::Rng::with_seed(seed);
-        let mut b = moving(Rig::new(2).each(|index, drive| drive.reply_tag = index == 1));
+        let mut b = moving(Rig::new(2).each(|index, drive| drive.reply_tag = ReplyTag::WORDS[index].1));
         for index in 0..2 {
             let mut dice = random.fork();
             b.tape(index).tamper = Some(Box::new(move |reply| match dice.u8(..6) {
@@ -320,9 +378,23 @@ fn any_bytes_from_a_drive_do_no_harm() {
 
 #[test]
 fn a_request_carries_exactly_what_is_needed() {
-    let mut b = moving(Rig::new(1));
-    b.run(10);
-    let heard: Request = b.tape(0).heard.last().unwrap().request;
-    assert!(heard.control.is_some() && heard.motion.is_none() && heard.config.is_none());
-    assert_eq!(heard.response_def, ResponseDef::CYCLIC);
+    let needed = ResponseDef(0x5F);
+    let turns = ResponseDef::WARN.with(ResponseDef::MONITOR);
+    for tag in [ReplyTag::Definition, ReplyTag::Off] {
+        let mut b = moving(Rig::new(1).each(|_, drive| drive.reply_tag = tag));
+        b.run(8);
+        let heard: Vec<Request> = b.tape(0).heard.iter().rev().take(8).map(|heard| heard.request).collect();
+        assert!(heard.iter().all(|r| r.control.is_some() && r.motion.is_none() && r.config.is_none()));
+        let asked: Vec<ResponseDef> = heard.iter().map(|request| request.response_def).collect();
+        if tag == ReplyTag::Off {
+            assert_eq!(asked, [ResponseDef::CYCLIC; 8]);
+            continue;
+        }
+        // Any four in a row have four definitions, without a block that nothing needs but those in turn.
+        assert_eq!(asked[..4], asked[4..]);
+        for (n, definition) in asked[..4].iter().enumerate() {
+            assert_eq!(definition.0 & !turns.0, needed.0);
+            assert!(!asked[..n].contains(definition), "{asked:?}");
+        }
+    }
 }

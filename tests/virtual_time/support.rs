@@ -14,7 +14,8 @@ use fieldbeat::axis::{
 use fieldbeat::bus::linudp::sim::LinMotSim;
 use fieldbeat::bus::linudp::wire::{ErrorCode, Request, Response};
 use fieldbeat::bus::linudp::{
-    DRIVE_PORT, LinUdpDrive, LinUdpPlan, MASTER_PORT, MasterFilter, MonitorPlan, SimPlan, StreamCommand,
+    DRIVE_PORT, LinUdpDrive, LinUdpPlan, MASTER_PORT, MasterFilter, MonitorPlan, ReplyTag, SimPlan,
+    StreamCommand,
 };
 use fieldbeat::bus::{Bus, BusPlan, Cycle, OpenError};
 use fieldbeat::cycle::engine::Flow;
@@ -250,6 +251,7 @@ pub fn drive(index: usize) -> LinUdpDrive {
                 acceleration: Some(20_000.0),
                 step: None,
                 torque: None,
+                homing: None,
             },
             profile: Profile { velocity: 200.0, acceleration: 5_000.0, deceleration: 5_000.0 },
             stop: StopPlan {
@@ -270,7 +272,8 @@ pub fn drive(index: usize) -> LinUdpDrive {
         address: address(index),
         stream: Some(StreamCommand::Pva),
         monitor: MonitorPlan::Off,
-        reply_tag: false,
+        reply_tag: ReplyTag::default(),
+        inhibit_after: LinUdpDrive::INHIBIT_AFTER,
         leash: Some(20.0),
         simulate: SimPlan {
             faults: FaultPlan::default(),

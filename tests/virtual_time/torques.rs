@@ -116,6 +116,25 @@ fn a_torque_that_is_too_old_stops_the_axis_in_the_cycle_that_was_said() {
     }
 }
 
+/// The torque begins in the exchange in which the homing ends.
+#[test]
+fn a_torque_that_was_queued_behind_a_homing_is_watched_like_any_other() {
+    let mut speeds = torques(1);
+    let axis = &mut speeds.plan.drives[0].axis;
+    (axis.limits.velocity, axis.limits.homing, axis.profile.velocity) = (Some(5.0), Some(200.0), 5.0);
+    let mut machine = machine(&speeds);
+    machine.axis(0).post(Verb::Home).unwrap();
+    machine.axis(0).post(TORQUE).unwrap();
+    let mut fastest: f64 = 0.0;
+    let stopped = (0..30_000).any(|_| {
+        machine.axis(0).set_torque(100.0).unwrap();
+        machine.step();
+        fastest = fastest.max(machine.feedback(0).velocity.abs());
+        machine.feedback(0).stopped == Some(StopCause::Limit)
+    });
+    assert!(stopped && fastest < 20.0, "{fastest} mm/s");
+}
+
 #[test]
 fn a_torque_mode_without_a_first_setpoint_gives_none_and_is_stopped() {
     let mut machine = machine(&torques(1));

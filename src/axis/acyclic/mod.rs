@@ -19,9 +19,9 @@ use std::time::Duration;
 use thiserror::Error;
 
 pub use parameter::{Access, Notation, NotationError, ParameterError, ParameterTicket, Parameters, Scalar};
-pub use port::{Port, Posted};
+pub use port::{Commanding, Port, Posted};
 #[cfg(test)]
-pub(crate) use queue::tests::both;
+pub(crate) use queue::tests::{both, both_of};
 pub use queue::{Acyclic, AcyclicEnds, CallTicket, PostError, queue};
 
 use super::feedback::{Link, State};
@@ -86,6 +86,11 @@ pub enum CallError {
     /// The drive's power stage is on.
     #[error("the drive is switched on: disable it first")]
     Powered,
+    /// It may command the drive, whose power is on or coming on. Nothing was sent.
+    #[error(
+        "it may command the drive, whose power is on or coming on: disable the axis first, or use native mode"
+    )]
+    Commands,
     /// Another list or block transfer is under way on this drive, which has one of each.
     #[error("another list or transfer is under way on this drive: wait for its end")]
     Claimed,

@@ -216,7 +216,8 @@ impl Parameters {
         self.post_read(address)?.wait()
     }
 
-    /// Writes a parameter and waits until the drive has taken it.
+    /// Writes a parameter and waits until the drive has taken it. While the power of the drive is on, a parameter that
+    /// may command it is [refused](CallError::Commands).
     pub fn write<T: Scalar>(&self, address: &str, value: T) -> Result<(), ParameterError> {
         self.post_write(address, value)?.wait()
     }
@@ -242,7 +243,11 @@ impl Parameters {
 
     fn post<T: Scalar>(&self, asked: Asked, call: Call) -> Result<ParameterTicket<T>, ParameterError> {
         let notation = Arc::clone(self.0.notation());
-        let ticket = self.0.post(call, notation.limit(&call))?;
+        let ticket = match self.0.post(call, notation.limit(&call)) {
+            // In the same words as from the loop.
+            Err(PostError::Refused { why, .. }) => return Err(asked.failed(why)),
+            posted => posted?,
+        };
         Ok(ParameterTicket { asked, notation, ticket, value: PhantomData })
     }
 }
@@ -353,14 +358,19 @@ impl Asked {
         result: Result<Answer, CallError>,
         notation: &dyn Notation,
     ) -> Result<u64, ParameterError> {
-        let Asked { drive, access, address, value } = self.clone();
         match result {
             Ok(answer) => Ok(answer.value),
             Err(CallError::Refused(status)) => {
+                let Asked { drive, access, address, value } = self.clone();
                 let reason = notation.reason(status);
                 Err(ParameterError::Refused { drive, access, address, value, status, reason })
             }
-            Err(why) => Err(ParameterError::Failed { drive, access, address, value, why }),
+            Err(why) => Err(self.failed(why)),
         }
+    }
+
+    fn failed(&self, why: CallError) -> ParameterError {
+        let Asked { drive, access, address, value } = self.clone();
+        ParameterError::Failed { drive, access, address, value, why }
     }
 }

@@ -1,12 +1,11 @@
 //! The executor's end of the calls. On the real-time thread: bounded work, no allocation, no lock, no wait.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
-
-use rtrb::{Consumer, Producer};
+use std::sync::atomic::Ordering;
 
 use super::{Answer, Call, CallError};
 use crate::rt::Regions;
+use crate::sync::{AtomicBool, AtomicU64, Consumer, Producer};
 
 /// The most calls that end in one cycle without having been carried out.
 const MOST_ENDS: usize = 64;
@@ -56,12 +55,61 @@ impl Cancelled {
     }
 }
 
+/// The calls that command a drive: those that can move it, or switch its power on or off. The protocol answers it for
+/// each call, in its own folder.
+#[derive(Clone, Debug)]
+pub struct Commanding {
+    refusal: fn(&Call, &[u32]) -> Option<CallError>,
+    mapped: Arc<[u32]>,
+}
+
+impl Commanding {
+    /// `refusal` says why a call is refused while the power of its drive is on; `None`: it is not. It gets `mapped`
+    /// too: the addresses of the drive's cyclic outputs, which no call may write then.
+    pub fn new(
+        refusal: fn(&Call, &[u32]) -> Option<CallError>,
+        mapped: impl IntoIterator<Item = u32>,
+    ) -> Commanding {
+        Commanding { refusal, mapped: mapped.into_iter().collect() }
+    }
+
+    /// No call does: there is no power to switch.
+    pub fn none() -> Commanding {
+        Commanding::new(|_, _| None, [])
+    }
+
+    /// Why this call is refused while power is on.
+    pub(super) fn refusal(&self, call: &Call) -> Option<CallError> {
+        (self.refusal)(call, &self.mapped)
+    }
+}
+
+/// Whether the calls that command the drive are refused at present, and which those are.
+#[derive(Clone, Debug)]
+pub(super) struct Guard {
+    pub commanding: Commanding,
+    on: Arc<AtomicBool>,
+}
+
+impl Guard {
+    pub(super) fn new(commanding: Commanding) -> Guard {
+        Guard { commanding, on: Arc::default() }
+    }
+
+    /// Why this call is refused now.
+    pub(super) fn refusal(&self, call: &Call) -> Option<CallError> {
+        // The loop decides again when it builds the telegram: nothing else hangs on this flag.
+        if self.on.load(Ordering::Relaxed) { self.commanding.refusal(call) } else { None }
+    }
+}
+
 /// The source of calls and the destination of their ends.
 #[derive(Debug)]
 pub struct Port {
     calls: Consumer<Posted>,
     ends: Producer<Ended>,
     cancelled: Cancelled,
+    guard: Guard,
     /// The series whose call failed last.
     failed: u64,
     regions: Regions,
@@ -72,15 +120,36 @@ impl Port {
         calls: Consumer<Posted>,
         ends: Producer<Ended>,
         cancelled: Cancelled,
+        guard: Guard,
         regions: Regions,
     ) -> Port {
-        Port { calls, ends, cancelled, failed: 0, regions }
+        Port { calls, ends, cancelled, guard, failed: 0, regions }
     }
 
     /// Adds what it touches, to be locked.
     pub fn memory(&self, regions: &mut Regions) {
         regions.extend(&self.regions);
         regions.add(&*self.cancelled.0);
+        regions.add(&*self.guard.on);
+        regions.add(&*self.guard.commanding.mapped);
+    }
+
+    /// From now on the calls that command the drive are refused, or not.
+    #[inline]
+    pub fn guard(&mut self, on: bool) {
+        if self.guard.on.load(Ordering::Relaxed) != on {
+            self.guard.on.store(on, Ordering::Relaxed);
+        }
+    }
+
+    /// Why a call of which nothing was sent yet must not be sent now.
+    pub fn refusal(&self, posted: &Posted) -> Option<CallError> {
+        self.guard.refusal(&posted.call)
+    }
+
+    /// Whether a call commands the drive.
+    pub fn commands(&self, posted: &Posted) -> bool {
+        self.guard.commanding.refusal(&posted.call).is_some()
     }
 
     /// Nothing is posted.
@@ -89,8 +158,8 @@ impl Port {
         self.calls.is_empty()
     }
 
-    /// The next call to carry out. Cancelled calls, and calls of a series that has failed, end here, a bounded
-    /// number in one cycle.
+    /// The next call to carry out. Cancelled calls, those of a series that has failed, and those that command a
+    /// guarded drive end here, a bounded number in one cycle.
     #[inline]
     pub fn take(&mut self) -> Option<Posted> {
         // The usual case.
@@ -105,6 +174,8 @@ impl Port {
                 self.end(&posted, Err(CallError::Cancelled));
             } else if posted.series != 0 && posted.series == self.failed {
                 self.end(&posted, Err(CallError::Skipped));
+            } else if let Some(why) = self.refusal(&posted) {
+                self.end(&posted, Err(why));
             } else {
                 return Some(posted);
             }

@@ -4,19 +4,19 @@
 
 use std::any::Any;
 use std::collections::HashMap;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, PoisonError};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use rtrb::{Consumer, Producer};
 use thiserror::Error;
 
-use super::port::{Cancelled, Ended, Port, Posted};
+use super::port::{Cancelled, Commanding, Ended, Guard, Port, Posted};
 use super::{Answer, Call, CallError, Carrier, Condition, Notation, Parameters, Series};
 use crate::axis::handle::{GRACE, LOOK_EVERY, Observer};
 use crate::axis::pulse::Pulse;
 use crate::rt::{self, Regions};
+use crate::sync::{AtomicBool, Consumer, Mutex, MutexGuard, Producer};
 use crate::time::nanos;
 
 /// A call gets at least so many exchanges with its drive, however long the cycle is.
@@ -28,18 +28,19 @@ pub struct AcyclicEnds {
     calls: Producer<Posted>,
     ends: Consumer<Ended>,
     cancelled: Cancelled,
+    guard: Guard,
     capacity: usize,
 }
 
-/// A queue of `capacity` calls: the application's end, and that of the executor.
-pub fn queue(capacity: usize) -> (AcyclicEnds, Port) {
+/// A queue of `capacity` calls, some of them `commanding`: the application's end, and that of the executor.
+pub fn queue(capacity: usize, commanding: Commanding) -> (AcyclicEnds, Port) {
     let capacity = capacity.max(1);
     let mut regions = Regions::new();
     let (call_in, calls) = rt::ring(capacity, &mut regions);
     let (ends, end_out) = rt::ring(capacity, &mut regions);
-    let cancelled = Cancelled::new(capacity);
-    let port = Port::new(calls, ends, cancelled.clone(), regions);
-    (AcyclicEnds { calls: call_in, ends: end_out, cancelled, capacity }, port)
+    let (cancelled, guard) = (Cancelled::new(capacity), Guard::new(commanding));
+    let port = Port::new(calls, ends, cancelled.clone(), guard.clone(), regions);
+    (AcyclicEnds { calls: call_in, ends: end_out, cancelled, guard, capacity }, port)
 }
 
 /// Acyclic access to one drive, for any number of threads.
@@ -59,6 +60,7 @@ struct Shared {
     least: Duration,
     capacity: usize,
     cancelled: Cancelled,
+    guard: Guard,
     ends: Mutex<Ends>,
     claimed: AtomicBool,
 }
@@ -94,6 +96,14 @@ pub enum PostError {
         /// The axis.
         axis: String,
     },
+    /// It must not be carried out at present.
+    #[error("axis {axis}: {why}")]
+    Refused {
+        /// The axis.
+        axis: String,
+        /// The reason.
+        why: CallError,
+    },
 }
 crate::errors::debug_as_display!(PostError);
 
@@ -109,6 +119,7 @@ impl From<PostError> for CallError {
         match error {
             PostError::Full { .. } => CallError::Full,
             PostError::Gone { .. } => CallError::Gone,
+            PostError::Refused { why, .. } => why,
         }
     }
 }
@@ -122,7 +133,7 @@ impl Acyclic {
         observer: Observer,
         period: Duration,
     ) -> Acyclic {
-        let AcyclicEnds { calls, ends, cancelled, capacity } = ends;
+        let AcyclicEnds { calls, ends, cancelled, guard, capacity } = ends;
         let ends = Ends {
             calls,
             ends,
@@ -139,6 +150,7 @@ impl Acyclic {
             least: period * EXCHANGES,
             capacity,
             cancelled,
+            guard,
             ends: Mutex::new(ends),
             claimed: AtomicBool::new(false),
         });
@@ -176,14 +188,14 @@ impl Acyclic {
     /// Posts a call and returns at once.
     pub fn post(&self, call: Call, limit: Duration) -> Result<CallTicket, PostError> {
         let mut ends = self.ends();
-        self.room(&mut ends, 1)?;
+        self.room(&mut ends, &[call])?;
         Ok(self.enqueue(&mut ends, 0, call, limit))
     }
 
     /// Posts calls that belong together, all or none: the first failure ends the later ones.
     pub fn post_series(&self, calls: &[Call], limit: Duration) -> Result<Vec<CallTicket>, PostError> {
         let mut ends = self.ends();
-        self.room(&mut ends, calls.len())?;
+        self.room(&mut ends, calls)?;
         let series = ends.next_series;
         ends.next_series += 1;
         Ok(calls.iter().map(|call| self.enqueue(&mut ends, series, *call, limit)).collect())
@@ -232,14 +244,18 @@ impl Acyclic {
         self.shared.ends.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn room(&self, ends: &mut Ends, calls: usize) -> Result<(), PostError> {
+    /// Whether these calls can be posted now.
+    fn room(&self, ends: &mut Ends, calls: &[Call]) -> Result<(), PostError> {
         let axis = || self.shared.axis.clone();
         // Dropped tickets are not polled.
         self.collect(ends);
         if ends.calls.is_abandoned() {
             return Err(PostError::Gone { axis: axis() });
         }
-        if ends.under_way + calls > self.shared.capacity {
+        if let Some(why) = calls.iter().find_map(|call| self.shared.guard.refusal(call)) {
+            return Err(PostError::Refused { axis: axis(), why });
+        }
+        if ends.under_way + calls.len() > self.shared.capacity {
             return Err(PostError::Full { axis: axis(), capacity: self.shared.capacity });
         }
         Ok(())
@@ -409,7 +425,12 @@ pub(crate) mod tests {
 
     /// Both ends of axis `x`.
     pub(crate) fn both(capacity: usize) -> (Acyclic, Port) {
-        let (ends, port) = queue(capacity);
+        both_of(capacity, Commanding::none())
+    }
+
+    /// The same, of a drive that some calls command.
+    pub(crate) fn both_of(capacity: usize, commanding: Commanding) -> (Acyclic, Port) {
+        let (ends, port) = queue(capacity, commanding);
         let (_, reader) = cell::cell(Feedback::default());
         (Acyclic::new("x", ends, Arc::new(Upids), Observer(reader), Duration::from_millis(1)), port)
     }

@@ -14,6 +14,7 @@
 //! | `service` | SDOs and emergencies of a slave |
 //! | `station`, `orders`, `trajectory` | the master's view of one drive; the steps of an order; the setpoint of its axis over time |
 //! | `start_up` | objects written to a drive before its process data run |
+//! | `other` | another master's frames on the segment |
 //! | `native` | native process data of drives, and of devices that are not drives |
 //! | `scan` | lists the slaves of a segment, for people |
 //! | `sim` | a simulated segment: slave controllers, and the drives and I/O behind them |
@@ -31,6 +32,7 @@ mod image;
 mod line;
 mod native;
 mod orders;
+mod other;
 mod plan;
 mod service;
 mod slot;

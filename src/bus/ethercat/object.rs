@@ -26,7 +26,7 @@ pub mod pdo;
 
 use super::wire::mailbox::MailboxError;
 use super::wire::sdo::AbortCode;
-use crate::axis::acyclic::{Call, Notation, NotationError};
+use crate::axis::acyclic::{Call, CallError, Commanding, Notation, NotationError};
 
 pub use super::wire::sdo::Object;
 pub use catalogue::{Access, Drives, Known};
@@ -256,6 +256,39 @@ impl Target {
     fn number(self, raw: u64) -> i64 {
         self.kind.map_or(i64::try_from(raw).unwrap_or(i64::MAX), |kind| kind.number(raw))
     }
+}
+
+/// The calls that command a drive whose cyclic outputs are `mapped`.
+pub(super) fn commanding(mapped: impl IntoIterator<Item = Object>) -> Commanding {
+    Commanding::new(refusal, mapped.into_iter().map(key))
+}
+
+fn key(object: Object) -> u32 {
+    u32::from(object.index) << 8 | u32::from(object.sub)
+}
+
+/// Why a call of the application is refused while the power of its drive is on: it writes an object that is exchanged,
+/// or none that is known to be harmless.
+fn refusal(call: &Call, mapped: &[u32]) -> Option<CallError> {
+    let object = Target::unpack(call.address).filter(|_| call.service == WRITE)?.object;
+    (mapped.contains(&key(object)) || !is_harmless(object.index)).then_some(CallError::Commands)
+}
+
+/// Written while power is on, it moves nothing, and changes no state: windows, limits, profiles and the settings of the
+/// next homing. All others may: control word and mode, targets, offsets and factors, digital outputs (a brake), option
+/// codes, PDOs and their assignment (16xxh, 1Axxh, 1C1xh), stored and restored settings. Of the manufacturer's objects
+/// the public manuals say little (2308h and 2355h are setpoints; from 3500h on there are parameters and commands of the
+/// ASCII interface): those count as commanding, too.
+const fn is_harmless(index: u16) -> bool {
+    matches!(
+        index,
+        0x20A4 // Latch control.
+            | 0x6065..=0x6068 // Windows of following error and position.
+            | 0x6072 | 0x607D | 0x607F | 0x6080 // Limits of torque, position and velocity.
+            | 0x6081..=0x6087 // Profiles, from the next motion on.
+            | 0x6098 | 0x6099 | 0x609A // Method, velocities and acceleration of homing.
+            | 0x60C5 | 0x60C6 // Limits of acceleration.
+    )
 }
 
 const FORM: &str = "0x6041:0, index and subindex, 0x1C12:ca for all subindices, or a name; .u16 behind it for a \

@@ -19,7 +19,7 @@ use thiserror::Error;
 
 use self::exchange::{Ask, Exchange};
 pub use self::information::{Information, Unread};
-use super::wire::frame::{Command, Mac};
+use super::wire::frame::{Command, Mac, position};
 use super::wire::registers::{AlCode, AlState, AlStatus, Features, Fmmu, Links, SyncManager, address};
 use crate::net::Frames;
 use crate::net::frames::Unsent;
@@ -169,7 +169,7 @@ fn unsent(unsent: &Unsent) -> String {
 }
 
 /// An Ethernet address as people write it.
-struct Shown<'a>(&'a Mac);
+pub(super) struct Shown<'a>(pub(super) &'a Mac);
 
 impl fmt::Display for Shown<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -193,6 +193,50 @@ pub fn scan(
     }
     let after = count(&mut exchange)?;
     if after == before { Ok(slaves) } else { Err(ScanError::Changed { before, after }) }
+}
+
+/// Why a segment is not left to a master that comes for one drive only.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Busy {
+    /// Another master has frames there.
+    Other(Mac),
+    /// A slave is in use, whoever brought it there.
+    Running {
+        /// Its position.
+        place: u16,
+        /// Its state.
+        state: AlState,
+    },
+}
+
+/// Whether a master may come to the segment behind `frames` for one drive only: no slave is in OP, nor in SAFEOP without
+/// an error: that is one which its master is bringing up, while a drive whose watchdog has expired shows the error.
+/// It only reads. A segment that does not answer is idle.
+pub(super) fn require_idle(frames: &mut dyn Frames) -> Result<(), Busy> {
+    let mut exchange = Exchange::new(frames, &|| true);
+    let status = |exchange: &mut Exchange<'_>, command| match exchange.ask(&[Ask::read(command, 2)]) {
+        Ok(answers) => {
+            let answer = answers.and_then(|answers| answers.into_iter().next());
+            Ok(answer.map_or((0, AlStatus(0)), |answer| (answer.count, AlStatus(word(&answer.data, 0)))))
+        }
+        Err(ScanError::Foreign(mac)) => Err(Busy::Other(mac)),
+        Err(_) => Ok((0, AlStatus(0))),
+    };
+    // The states of all slaves, or-ed: each has a bit of its own but BOOT, which has those of INIT and PREOP.
+    let (count, all) = status(&mut exchange, Command::Brd(address::AL_STATUS))?;
+    let used = u16::from(AlState::SafeOp.number() | AlState::Op.number());
+    if all.0 & used == 0 {
+        return Ok(());
+    }
+    for place in 0..count {
+        let (_, status) = status(&mut exchange, Command::Aprd(position(place), address::AL_STATUS))?;
+        match status.state() {
+            Some(AlState::SafeOp) if status.error() => {}
+            Some(state @ (AlState::SafeOp | AlState::Op)) => return Err(Busy::Running { place, state }),
+            _ => {}
+        }
+    }
+    Ok(())
 }
 
 /// The number of slaves.

@@ -14,8 +14,9 @@ use super::wire::{ErrorCode, REQUEST_MAX, RESPONSE_MAX};
 use crate::axis::acyclic::{AcyclicEnds, Notation};
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, FaultNames, FoundRunning, MonitorChannel, PlanFault};
-use crate::bus::{Bus, BusPlan, Cycle, Exchange, OpenError, Slot, Strangers};
-use crate::net::{Carriers, Datagrams, Outbox, Sent, UdpOptions};
+use crate::bus::{Bus, BusPlan, Cycle, Exchange, OpenError, Slot, Strangers, lock_drives};
+use crate::errors::no_descriptor;
+use crate::net::{Carriers, Datagrams, Lock, Outbox, Sent, UdpOptions};
 use crate::rt::Regions;
 use crate::sim::SimDrive;
 
@@ -38,6 +39,8 @@ pub struct LinUdpBus {
     natives: Vec<Option<Native>>,
     acyclics: Vec<Option<AcyclicEnds>>,
     strangers: Strangers,
+    /// The drives are this master's until the socket is closed.
+    _locks: Vec<Lock>,
 }
 
 impl std::fmt::Debug for LinUdpBus {
@@ -49,6 +52,8 @@ impl std::fmt::Debug for LinUdpBus {
 impl LinUdpBus {
     /// Opens the socket of `plan`.
     pub fn open(plan: &LinUdpPlan, carriers: &dyn Carriers) -> Result<LinUdpBus, OpenError> {
+        let drives = plan.drives.iter().map(|drive| (&drive.axis, drive.address));
+        let locks = lock_drives(&plan.name, drives, carriers)?;
         // Until its bucket is full, an absent drive gets its requests like any other.
         let waiting = plan.drives.iter().map(|drive| drive.axis.health.bucket as usize).max().unwrap_or(0);
         let options = UdpOptions { peers: plan.drives.len(), waiting, room: ROOM, send: plan.send };
@@ -78,6 +83,7 @@ impl LinUdpBus {
             natives,
             acyclics,
             strangers: Strangers::default(),
+            _locks: locks,
         })
     }
 
@@ -123,7 +129,7 @@ fn remedy(error: &std::io::Error) -> &'static str {
             "this host has no such address: `ip -4 addr` lists those it has; put one of them into bind"
         }
         std::io::ErrorKind::PermissionDenied => "ports below 1024 need CAP_NET_BIND_SERVICE",
-        _ => "look at the address in bind",
+        _ => no_descriptor(error).unwrap_or("look at the address in bind"),
     }
 }
 

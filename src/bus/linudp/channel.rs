@@ -3,7 +3,7 @@
 //! Knows no order and no motion: only which command is under way, with which count, and whether the drive has it.
 
 use super::motion::MotionCommand;
-use super::wire::MotionBlock;
+use super::wire::{MotionBlock, StateVar};
 use crate::axis::Failure;
 
 /// A motion command whose echo has not come after so many answered exchanges is sent again with another count (sheet,
@@ -13,15 +13,24 @@ const ECHO_WITHIN: u32 = 5;
 const MOST_COUNTS: u32 = 4;
 
 /// The motion command interface of one drive: a command runs only if its count differs from the last one it stored.
+///
+/// From the first agreement on the master chooses the counts by itself: the count of an older reply is no news (sheet,
+/// 2.4). The echo of a command counts only in a clean reply to a request that carried it.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct MotionChannel {
-    /// The count stored in the drive, as far as known.
+    /// The count of the newest command; before the first one, the count that the drive has stored, as far as known.
     pub(super) count: Option<u8>,
-    /// The command under way.
-    pub(super) command: Option<MotionCommand>,
+    /// The count in the last reply, however old that was: no command gets this one.
+    reported: Option<u8>,
+    /// The command under way, or accepted and not over.
+    command: Option<MotionCommand>,
     /// The command is to be repeated until its echo comes.
     pending: bool,
-    /// Answered exchanges since it was sent with this count.
+    /// A request with it has gone out.
+    sent: bool,
+    /// Clean replies with its echo, the last one included.
+    echoes: u32,
+    /// Clean replies without it since it was sent with this count.
     answers: u32,
     counts_used: u32,
 }
@@ -39,40 +48,69 @@ impl MotionChannel {
     }
 
     fn next_count(&self) -> MotionChannel {
-        MotionChannel {
-            count: Some(self.count.unwrap_or(0).wrapping_add(1) & 0xF),
-            ..MotionChannel::default()
-        }
+        let after = |count: u8| count.wrapping_add(1) & 0xF;
+        let count = after(self.count.or(self.reported).unwrap_or(0));
+        let count = if self.reported == Some(count) { after(count) } else { count };
+        MotionChannel { count: Some(count), reported: self.reported, ..MotionChannel::default() }
     }
 
-    /// Removes the command; the count stays.
+    /// Removes the command; the counts stay.
     pub(super) fn clear(&mut self) {
-        *self = MotionChannel { count: self.count, ..MotionChannel::default() };
+        *self = MotionChannel { count: self.count, reported: self.reported, ..MotionChannel::default() };
+    }
+
+    /// The request with the block has gone out.
+    pub(super) fn sent(&mut self) {
+        self.sent = self.command.is_some();
+    }
+
+    /// No command is under way: there is none, or the drive has it.
+    pub(super) fn is_free(&self) -> bool {
+        self.command.is_none() || self.is_accepted()
+    }
+
+    /// The last clean reply had the echo of the command.
+    pub(super) fn is_accepted(&self) -> bool {
+        self.pending && self.echoes > 0
+    }
+
+    /// The motion of the command is over: a reply that is newer than the first one with its echo has the echo, too,
+    /// and the end of the motion. Both are sampled together (sheet, 3.4).
+    pub(super) fn is_over(&self, state: StateVar) -> bool {
+        self.pending && self.echoes > 1 && state.motion_active() == Some(false)
     }
 
     /// Takes the echo of a reply, `clean` if it can be no older one. `Err` when the drive accepts none of the
     /// counts.
     pub(super) fn take(&mut self, echo: u8, clean: bool) -> Result<(), Failure> {
-        if self.command.is_none() {
-            // Nothing under way: continue from the count stored in the drive. It is read first after a start. A
-            // reply that may be older says nothing of the present: the count after its own may be the very one that
-            // the drive has stored.
+        self.reported = Some(echo);
+        let Some(command) = self.command else {
+            // The first agreement. A reply that may be older says nothing of the present: the count after its own may
+            // be the very one that the drive has stored.
             if clean {
-                self.count = Some(echo);
+                self.count.get_or_insert(echo);
             }
-        } else if self.pending && self.count == Some(echo) {
-            self.clear();
+            return Ok(());
+        };
+        if !self.sent {
+            // The drive has the chosen count already, and would ignore the command.
+            if self.count == Some(echo) {
+                self.count = self.next_count().count;
+            }
+        } else if self.pending && clean && self.count == Some(echo) {
+            (self.echoes, self.answers) = (self.echoes.saturating_add(1), 0);
         } else if self.pending && clean {
             self.answers += 1;
-            if self.answers > ECHO_WITHIN {
+            // Something else has run in the drive since it accepted the command: an old request that was delivered
+            // once more, or another master's.
+            let replaced = self.echoes > 0;
+            if replaced || self.answers > ECHO_WITHIN {
                 if self.counts_used + 1 >= MOST_COUNTS {
                     self.clear();
                     return Err(Failure::NotTaken);
                 }
                 let counts_used = self.counts_used + 1;
-                if let Some(command) = self.command {
-                    self.send(command);
-                }
+                self.send(command);
                 self.counts_used = counts_used;
             }
         }
@@ -81,6 +119,9 @@ impl MotionChannel {
 
     /// The block of the next request.
     pub(super) fn block(&self) -> Option<MotionBlock> {
-        self.command.map(|command| command.block(self.count.unwrap_or(0)))
+        self.command.filter(|_| !self.is_accepted()).map(|command| command.block(self.count.unwrap_or(0)))
     }
 }
+
+#[cfg(test)]
+mod tests;

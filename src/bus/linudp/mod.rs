@@ -9,6 +9,7 @@
 //! | `station` | the master's view of one drive: identity of replies, feedback |
 //! | `orders` | what an order does, step by step |
 //! | `channel` | motion command counts and their echo |
+//! | `other` | another master's commands, by their counts |
 //! | `rtc` | the real-time-config channel: one acyclic call after the other, in the requests that go out anyway |
 //! | `service` | what a drive offers besides its parameters: curves, command table, error log, software, flash |
 //! | `upid` | parameters by number and name |
@@ -28,6 +29,7 @@ pub mod curve;
 pub mod motion;
 pub mod native;
 mod orders;
+mod other;
 pub mod plan;
 mod rtc;
 pub mod service;
@@ -41,5 +43,5 @@ pub use rtc::UNACKNOWLEDGED;
 
 pub use plan::{
     COUNTS_PER_MM, DRIVE_PORT, FlashMode, LinUdpDrive, LinUdpPlan, MASTER_PORT, MasterFilter, MonitorPlan,
-    SimPlan, StreamCommand, UnknownCommands,
+    ReplyTag, SimPlan, StreamCommand, UnknownCommands,
 };

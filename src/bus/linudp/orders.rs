@@ -15,13 +15,18 @@ use crate::axis::limits::check_position;
 use crate::axis::units::{to_i32, to_u32};
 use crate::axis::{Failure, Limits, Move, Profile, RangeError, Row, State, Target, Units, Verb};
 use crate::bus::{Progress, Slot};
-use crate::time::{Time, nanos};
+use crate::time::{MS, Time, nanos};
 
 /// A stream ends with at least so many rows at standstill that the drive has accepted: its output runs 1.5 of its
 /// periods behind, and a position that it has not reached when it leaves streaming is never reached ...
 const LAST_ROWS: u32 = 3;
 /// ... and with at most so many, if its demand is never reported to have arrived.
 const MOST_LAST_ROWS: u32 = 50;
+
+/// A drive that is still in state 8 after so many answers ...
+const ABORT_WITHIN: u32 = 5;
+/// ... and so long, ns, does not obey /Abort. Its status may be some ms old (sheet, 3.5).
+const ABORT_WITHIN_NS: u64 = 20 * MS;
 
 /// Powered and holding, out of operation.
 const HELD: ControlWord = ControlWord(ControlWord::ON.0 & !ControlWord::ENABLE_OPERATION);
@@ -58,6 +63,12 @@ impl Inputs {
     fn settled_error(&self) -> bool {
         matches!(self.state.main(), MainState::ERROR | MainState::SETUP_ERROR)
     }
+
+    /// The setpoint generator runs. In state 8 the sub state is sampled together with the count echo; elsewhere the
+    /// status word has to be used.
+    pub(super) fn moving(&self) -> bool {
+        self.state.motion_active().unwrap_or(self.status.motion_active())
+    }
 }
 
 /// The blocks of the next request.
@@ -78,6 +89,8 @@ pub(super) struct Orders {
     leash: Option<f64>,
     enable_timeout_ns: u64,
     home_timeout_ns: u64,
+    inhibit_after_ns: u64,
+    voltage: Voltage,
     serial: u64,
     step: Step,
     since: Time,
@@ -85,6 +98,11 @@ pub(super) struct Orders {
     answers: u32,
     /// Requests sent since the step began.
     sent: u32,
+    /// What the last of those replies said of the drive: main state, and whether its motion runs.
+    said: Option<(MainState, bool)>,
+    /// The last two of them say the same. A single reply that comes again, many cycles late, may look like the newest;
+    /// it is no reason to report that an order is done.
+    confirmed: bool,
     control: Option<ControlWord>,
     /// The control words of the last request that went out, and of the one before.
     control_sent: Option<ControlWord>,
@@ -96,6 +114,19 @@ pub(super) struct Orders {
     /// once for one send, and a send may fail.
     native: Option<NativeOutput>,
     end: Option<Result<(), Failure>>,
+}
+
+/// Whether the drive lets its power stage come on, as the requests allow it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Voltage {
+    /// Not allowed, or not reported yet.
+    Unknown,
+    Present,
+    /// Since this reply; `lost` = it was present before.
+    Missing {
+        since: Time,
+        lost: bool,
+    },
 }
 
 /// The step of an order.
@@ -111,8 +142,8 @@ enum Step {
     Homing,
     /// The home bit is released until the drive is back in operation.
     HomeDone,
-    /// A motion command is under way; the drive's setpoint generator runs it then.
-    Moving,
+    /// A motion command is under way; the setpoint generator of the drive runs it then, to this position if it has one.
+    Moving(Option<Position>),
     /// A velocity as a target that rolls ahead.
     Rolling(Rolling),
     /// The first row has not come yet.
@@ -161,11 +192,15 @@ impl Orders {
             leash: drive.leash,
             enable_timeout_ns: nanos(drive.axis.enable_timeout),
             home_timeout_ns: nanos(drive.axis.home_timeout),
+            inhibit_after_ns: nanos(drive.inhibit_after),
+            voltage: Voltage::Unknown,
             serial: 0,
             step: Step::Idle,
             since: Time(0),
             answers: 0,
             sent: 0,
+            said: None,
+            confirmed: false,
             control: None,
             control_sent: None,
             control_before: None,
@@ -181,22 +216,38 @@ impl Orders {
         self.sent = self.sent.saturating_add(1);
         self.control_before = std::mem::replace(&mut self.control_sent, self.control);
         self.native = None;
+        self.channel.sent();
     }
 
     /// The drive reports that its power stage may not come on although the last requests allowed it: an input of
     /// its own, such as the hardware enable (STO), prevents it. According to the sheet the bit is that of the
     /// control word as the drive sees it, its own inputs included; that a missing STO shows in it was not seen on
     /// hardware.
-    pub(super) fn is_inhibited(&self, status: StatusWord) -> bool {
+    ///
+    /// The status may be older than the control word (sheet, 3.5): a bit that was not there before has time to come.
+    /// One that was there and goes is no such lag, since the control word has not changed.
+    pub(super) fn inhibited(&mut self, at: Time, status: StatusWord, booting: bool) -> bool {
         let allowed =
             |word: Option<ControlWord>| word.is_some_and(|word| word.has(ControlWord::VOLTAGE_ENABLE));
-        // Almost always decided by the first of them.
-        !status.has(StatusWord::VOLTAGE_ENABLE) && allowed(self.control_sent) && allowed(self.control_before)
+        self.voltage = match self.voltage {
+            _ if booting || !allowed(self.control_sent) || !allowed(self.control_before) => Voltage::Unknown,
+            _ if status.has(StatusWord::VOLTAGE_ENABLE) => Voltage::Present,
+            Voltage::Unknown => Voltage::Missing { since: at, lost: false },
+            Voltage::Present => Voltage::Missing { since: at, lost: true },
+            missing @ Voltage::Missing { .. } => missing,
+        };
+        matches!(self.voltage, Voltage::Missing { lost: true, .. }) || self.lacks_voltage(at)
     }
 
-    /// The drive came back from a restart: its counts start anew, and earlier commands are lost.
+    /// The same for long enough.
+    fn lacks_voltage(&self, at: Time) -> bool {
+        matches!(self.voltage, Voltage::Missing { since, .. } if at.since(since) >= self.inhibit_after_ns)
+    }
+
+    /// The drive came back from a restart: earlier commands are lost. Its count starts anew, and is reported before the
+    /// next command is sent.
     pub(super) fn drive_restarted(&mut self) {
-        self.channel = MotionChannel::default();
+        self.channel.clear();
         if self.control.is_some() {
             self.control = Some(ControlWord::BASE);
         }
@@ -218,11 +269,16 @@ impl Orders {
             if inputs.clean && self.sent > 0 {
                 // A step may last for ever: at 1 kHz the count is full after 50 days.
                 self.answers = self.answers.saturating_add(1);
+                let said = Some((inputs.state.main(), inputs.moving()));
+                self.confirmed = std::mem::replace(&mut self.said, said) == said;
             }
             if let Some(echo) = inputs.state.count()
                 && let Err(failure) = self.channel.take(echo, inputs.clean)
             {
                 self.finish(Err(failure));
+            }
+            if self.channel.is_accepted() && !matches!(self.step, Step::Moving(_) | Step::Rolling(_)) {
+                self.channel.clear();
             }
         }
         if slot.order.serial != self.serial {
@@ -251,7 +307,7 @@ impl Orders {
         if self.native.is_some() {
             return;
         }
-        let free = self.channel.command.is_none() || inputs.state.count().is_none();
+        let free = self.channel.is_free() || inputs.state.count().is_none();
         let Some(output) = native.next(free) else { return };
         if output.motion.is_some_and(|command| command.id == MotionCommand::reset_firmware().id) {
             // With any count but 0 the drive restarts again and again (sheet, 4.3), and with 0 it does nothing if that
@@ -270,13 +326,12 @@ impl Orders {
 
     fn enter(&mut self, now: Time, step: Step) {
         (self.step, self.since, self.answers, self.sent) = (step, now, 0, 0);
+        (self.said, self.confirmed) = (None, false);
     }
 
     fn finish(&mut self, end: Result<(), Failure>) {
-        if end.is_err() {
-            // A motion that has failed for the application must not run once the drive can accept it.
-            self.channel.clear();
-        }
+        // A motion that has failed for the application must not run once the drive can accept it.
+        self.channel.clear();
         self.native = None;
         self.end = Some(end);
         self.step = Step::Idle;
@@ -318,7 +373,7 @@ impl Orders {
                 self.enter(now, Step::Homing);
             }
             Some(Verb::Move(motion)) => match self.motion(now, &motion, inputs) {
-                Ok(command) => self.command(now, command, Step::Moving),
+                Ok((command, target)) => self.command(now, command, Step::Moving(Some(target))),
                 Err(failure) => self.refuse(now, failure, inputs),
             },
             Some(Verb::Jog(jog)) => self.begin_rolling(now, jog.velocity, jog.acceleration, inputs),
@@ -372,7 +427,8 @@ impl Orders {
 
     fn go_on(&mut self, now: Time, fresh: bool, inputs: &Inputs, slot: &mut Slot) {
         let state = inputs.state.main();
-        let answered = fresh && self.answers > 0;
+        let answered = fresh && inputs.clean && self.answers > 0;
+        let confirmed = answered && self.confirmed;
         let operating = state == MainState::OPERATION_ENABLED;
         let failed = inputs.failed();
         let drive_fault = Failure::DriveFault(u32::from(inputs.fault.0));
@@ -380,7 +436,7 @@ impl Orders {
         match self.step {
             Step::Idle => {}
             Step::EnableLow | Step::EnableHigh if answered && failed => self.finish(Err(drive_fault)),
-            Step::EnableLow | Step::EnableHigh if answered && self.is_inhibited(inputs.status) => {
+            Step::EnableLow | Step::EnableHigh if answered && self.lacks_voltage(inputs.at) => {
                 self.control = Some(ControlWord::BASE);
                 self.finish(Err(Failure::Inhibited));
             }
@@ -390,14 +446,14 @@ impl Orders {
                 self.enter(now, Step::EnableHigh);
                 self.since = begun;
             }
-            Step::EnableHigh if answered && operating => self.finish(Ok(())),
+            Step::EnableHigh if confirmed && operating => self.finish(Ok(())),
             Step::EnableLow | Step::EnableHigh if timed_out(self.enable_timeout_ns) => {
                 self.control = Some(self.rest);
                 self.finish(Err(Failure::TimedOut(slot.report.state)));
             }
             Step::EnableLow | Step::EnableHigh => {}
 
-            Step::Disabling if answered && !slot.report.state.is_powered() => self.finish(Ok(())),
+            Step::Disabling if confirmed && !slot.report.state.is_powered() => self.finish(Ok(())),
             Step::Disabling if timed_out(self.enable_timeout_ns) => {
                 self.finish(Err(Failure::TimedOut(slot.report.state)));
             }
@@ -407,7 +463,7 @@ impl Orders {
                 self.control = Some(ControlWord::ON);
                 self.enter(now, Step::HomeDone);
             }
-            Step::HomeDone if answered && operating => self.finish(Ok(())),
+            Step::HomeDone if confirmed && operating => self.finish(Ok(())),
             Step::Homing | Step::HomeDone if answered && failed => self.finish(Err(drive_fault)),
             Step::Homing | Step::HomeDone if answered && !slot.report.state.is_powered() => {
                 self.finish(Err(Failure::Dropped(slot.report.state)));
@@ -418,14 +474,24 @@ impl Orders {
             }
             Step::Homing | Step::HomeDone => {}
 
+            // The drive does not quick stop: its parameters force this bit of the control word, as they often do
+            // (sheet, 3.1). The ramp is a motion command, which needs none.
+            Step::Aborting if answered && operating => {
+                if self.answers > ABORT_WITHIN && timed_out(ABORT_WITHIN_NS) {
+                    let most = self.limits.acceleration.unwrap_or(self.profile.deceleration);
+                    self.begin_stop(now, Some(most), inputs);
+                }
+            }
             Step::Aborting => {
-                let standing = !slot.report.moving && self.answers >= 2;
-                if answered && (standing || !slot.report.state.is_powered()) {
+                if confirmed && (!inputs.moving() || !slot.report.state.is_powered()) {
                     self.control = Some(self.as_found(inputs));
                     self.enter(now, Step::AbortDone);
                 }
             }
-            Step::AbortDone if answered && (operating || !slot.report.state.is_powered()) => {
+            Step::AbortDone if confirmed && operating && inputs.moving() => {
+                self.begin_stop(now, None, inputs);
+            }
+            Step::AbortDone if confirmed && (operating || !slot.report.state.is_powered()) => {
                 self.control = Some(self.as_found(inputs));
                 self.finish(Ok(()));
             }
@@ -436,7 +502,7 @@ impl Orders {
                 self.begin_acknowledge(now, inputs);
                 self.since = begun;
             }
-            Step::AcknowledgeWaiting if answered && !failed => self.finish(Ok(())),
+            Step::AcknowledgeWaiting if confirmed && !failed => self.finish(Ok(())),
             Step::AcknowledgeWaiting if timed_out(self.enable_timeout_ns) => self.finish(Err(drive_fault)),
             Step::AcknowledgeWaiting => {}
             Step::AcknowledgeLow if answered => {
@@ -449,7 +515,7 @@ impl Orders {
                 self.control = Some(ControlWord::BASE);
                 self.enter(now, Step::AcknowledgeDone);
             }
-            Step::AcknowledgeDone if answered && !failed => self.finish(Ok(())),
+            Step::AcknowledgeDone if confirmed && !failed => self.finish(Ok(())),
             Step::AcknowledgeLow | Step::Acknowledging | Step::AcknowledgeDone
                 if timed_out(self.enable_timeout_ns) =>
             {
@@ -463,11 +529,11 @@ impl Orders {
             Step::Native(NativeOwner::Application) => {}
             _ if answered && !operating => self.finish(Err(Failure::Dropped(slot.report.state))),
 
-            Step::Moving => {
-                if answered && self.channel.command.is_none() && !slot.report.moving {
-                    self.finish(Ok(()));
-                }
+            Step::Moving(target) if answered && self.channel.is_over(inputs.state) => {
+                let arrived = target.is_none_or(|target| is_near(target, inputs.demand));
+                self.finish(if arrived { Ok(()) } else { Err(Failure::NotArrived) });
             }
+            Step::Moving(_) => {}
             Step::Rolling(rolling) => self.roll(now, answered, rolling, inputs, slot),
             Step::FollowWaiting | Step::Following { .. } => self.follow(now, inputs, slot),
             Step::FollowEnding { taken, last } => self.end_stream(now, taken, last, fresh, inputs),
@@ -498,13 +564,19 @@ impl Orders {
 
     /// A move as "VAI go to position". A relative one is made absolute here: if its reply were lost and the command
     /// repeated, an increment would run twice.
-    fn motion(&self, now: Time, motion: &Move, inputs: &Inputs) -> Result<MotionCommand, Failure> {
+    fn motion(
+        &self,
+        now: Time,
+        motion: &Move,
+        inputs: &Inputs,
+    ) -> Result<(MotionCommand, Position), Failure> {
         let position = match motion.target {
             Target::Absolute(position) => self.near(position, inputs),
             Target::Relative(distance) => self.demand(inputs) + distance,
         };
         check_position(&self.limits, position)?;
-        Ok(self.go_to(now, position, &motion.profile, inputs)?)
+        let command = self.go_to(now, position, &motion.profile, inputs)?;
+        Ok((command, self.position(position, inputs)?))
     }
 
     /// On a rotary axis, the place of `position` that is nearest to the demand.
@@ -523,7 +595,7 @@ impl Orders {
         inputs: &Inputs,
     ) -> Result<MotionCommand, RangeError> {
         Ok(MotionCommand::vai_go_to(
-            self.position(position)?,
+            self.position(position, inputs)?,
             self.velocity(profile.velocity)?,
             self.acceleration(profile.acceleration)?,
             self.acceleration(self.braking(now, profile.deceleration, inputs))?,
@@ -549,8 +621,13 @@ impl Orders {
         asked.max(needed.min(most))
     }
 
-    fn position(&self, position: f64) -> Result<Position, RangeError> {
-        to_i32(self.units.counts(position), self.units.counts_per_unit, "units").map(Position)
+    /// The count of a rotary axis wraps around, in the drive as here: a target is at most half of its range away from
+    /// the demand, and the shorter way leads there.
+    fn position(&self, position: f64, inputs: &Inputs) -> Result<Position, RangeError> {
+        let from = if self.units.modulo.is_some() { inputs.demand } else { 0 };
+        let way = self.units.counts(position) - from as f64;
+        let way = to_i32(way, self.units.counts_per_unit, "units")?;
+        Ok(Position((from + i64::from(way)) as i32))
     }
 
     /// 1 um/s: ten times coarser than a count of 0.1 um.
@@ -576,14 +653,14 @@ impl Orders {
     }
 
     fn roll(&mut self, now: Time, answered: bool, rolling: Rolling, inputs: &Inputs, slot: &Slot) {
-        if self.channel.command.is_some() || !answered {
+        if !self.channel.is_accepted() || !answered {
             return;
         }
         let left = (rolling.target - self.demand(inputs)).abs();
         if slot.velocity != rolling.velocity {
             self.roll_on(now, Rolling { velocity: slot.velocity, ..rolling }, inputs);
         } else if rolling.at_limit {
-            if !slot.report.moving {
+            if self.channel.is_over(inputs.state) {
                 let (low, high) = self.limits.position.unwrap_or((rolling.target, rolling.target));
                 self.finish(Err(Failure::Limit { what: "position", value: rolling.target, low, high }));
             }
@@ -648,7 +725,7 @@ impl Orders {
             return;
         }
         let row = Row { position: self.near(next.row.position, inputs), ..next.row };
-        if let Err(range) = self.stream_row(&row) {
+        if let Err(range) = self.stream_row(&row, inputs) {
             return self.refuse(now, range.into(), inputs);
         }
         self.step = if next.row.last {
@@ -659,10 +736,10 @@ impl Orders {
         (self.since, self.sent) = (now, 0);
     }
 
-    fn stream_row(&mut self, row: &Row) -> Result<(), RangeError> {
+    fn stream_row(&mut self, row: &Row, inputs: &Inputs) -> Result<(), RangeError> {
         let Some(command) = self.stream else { return Ok(()) };
         let scale = self.units.counts_per_unit;
-        let position = self.position(row.position)?;
+        let position = self.position(row.position, inputs)?;
         let velocity = SignedVelocity(to_i32(row.velocity * scale * 0.1, scale * 0.1, "units/s")?);
         let acceleration =
             SignedAcceleration(to_i32(row.acceleration * scale * 0.01, scale * 0.01, "units/s2")?);
@@ -675,14 +752,15 @@ impl Orders {
             return;
         }
         self.sent = 0;
-        let taken = taken + u32::from(fresh && inputs.state.count() == self.channel.count);
-        let arrived = self.position(last.position) == Ok(Position(inputs.demand as i32));
+        let echoed = fresh && inputs.clean && inputs.state.count() == self.channel.count;
+        let taken = taken + u32::from(echoed);
+        let arrived = self.position(last.position, inputs) == Ok(Position(inputs.demand as i32));
         if taken > LAST_ROWS && arrived || taken > MOST_LAST_ROWS {
-            return self.command(now, MotionCommand::stream_end(), Step::Moving);
+            return self.command(now, MotionCommand::stream_end(), Step::Moving(None));
         }
         // The last row was in range, so is this one.
         let standing = Row { velocity: 0.0, acceleration: 0.0, ..last };
-        if self.stream_row(&standing).is_ok() {
+        if self.stream_row(&standing, inputs).is_ok() {
             self.step = Step::FollowEnding { taken, last };
         }
     }
@@ -695,9 +773,11 @@ impl Orders {
         self.control = Some(self.as_found(inputs));
         let deceleration = deceleration.unwrap_or(self.profile.deceleration);
         match self.acceleration(self.braking(now, deceleration, inputs)) {
-            Ok(deceleration) => {
-                self.command(now, MotionCommand::vai_stop(deceleration.max(Acceleration(1))), Step::Moving)
-            }
+            Ok(deceleration) => self.command(
+                now,
+                MotionCommand::vai_stop(deceleration.max(Acceleration(1))),
+                Step::Moving(None),
+            ),
             Err(_) => self.begin_abort(now, inputs),
         }
     }
@@ -740,6 +820,12 @@ impl Orders {
             inputs.status.has(StatusWord::SWITCH_ON_ACTIVE) && inputs.state.main() >= MainState::HW_TESTS;
         if on && !self.told_off() { ControlWord::ON } else { ControlWord::BASE }
     }
+}
+
+/// Whether the demand has arrived there: the drive's generator ends exactly at its target, and a micrometre is left to
+/// its rounding.
+fn is_near(target: Position, demand: i64) -> bool {
+    target.0.wrapping_sub(demand as i32).unsigned_abs() <= 10
 }
 
 /// Not zero: with a zero the drive would never arrive.

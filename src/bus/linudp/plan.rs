@@ -1,12 +1,13 @@
 //! A LinUDP bus as configured and checked.
 
 use std::net::{Ipv4Addr, SocketAddrV4};
+use std::time::Duration;
 
 use super::upid::Upid;
 use crate::axis::{AxisPlan, MonitorChannel, PlanFault, Units};
 use crate::net::SendMode;
 use crate::sim::FaultPlan;
-use crate::time::{MS, Ns, US};
+use crate::time::{MS, Ns, US, nanos};
 
 /// The master's port, source and destination of everything (manual, 4.3).
 pub const MASTER_PORT: u16 = 41136;
@@ -40,8 +41,11 @@ pub struct LinUdpDrive {
     pub stream: Option<StreamCommand>,
     /// What the four monitoring channels show, if they are asked for.
     pub monitor: MonitorPlan,
-    /// Carry a real-time-config NOP with a new count in each request: its echo tells which request a reply answers.
-    pub reply_tag: bool,
+    /// What tells which request a reply answers.
+    pub reply_tag: ReplyTag,
+    /// How long the drive has to report that its power stage may not come on, although the master allows it, until its
+    /// hardware enable (STO) counts as missing: its status may be some milliseconds older than the control word.
+    pub inhibit_after: Duration,
     /// How far a jog runs ahead at most, user units. A LinUDP drive has no watchdog, so a jog is a target that rolls
     /// ahead of the axis; if the master dies the axis runs this far. `None`: jogs are refused (`no_drive_watchdog`).
     pub leash: Option<f64>,
@@ -58,6 +62,9 @@ impl LinUdpPlan {
 }
 
 impl LinUdpDrive {
+    /// The usual `inhibit_after`: a status is up to 2 ms old (sheet, 3.5).
+    pub const INHIBIT_AFTER: Duration = Duration::from_millis(10);
+
     /// A drive at this address, in millimetres, with everything else as it is when a configuration says nothing of it.
     pub fn new(name: impl Into<String>, address: Ipv4Addr) -> LinUdpDrive {
         LinUdpDrive {
@@ -65,11 +72,33 @@ impl LinUdpDrive {
             address: SocketAddrV4::new(address, DRIVE_PORT),
             stream: Some(StreamCommand::Pva),
             monitor: MonitorPlan::Off,
-            reply_tag: false,
+            reply_tag: ReplyTag::default(),
+            inhibit_after: LinUdpDrive::INHIBIT_AFTER,
             leash: None,
             simulate: SimPlan::default(),
         }
     }
+}
+
+/// What tells which request a reply answers: LinUDP has no sequence number.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ReplyTag {
+    /// Each request names other blocks than the one before it, and the reply echoes its definition: warn word and
+    /// monitoring channels come in turn, in four combinations; monitoring channels that are shown come in each reply,
+    /// and there are two.
+    #[default]
+    Definition,
+    /// A real-time-config no-operation with a new count in each request, which the reply echoes: fourteen values, eight
+    /// bytes more in both directions.
+    Count,
+    /// Nothing: all requests name the same blocks. After a missed exchange the next reply is suspect.
+    Off,
+}
+
+impl ReplyTag {
+    /// Its words in the configuration.
+    pub const WORDS: [(&'static str, ReplyTag); 3] =
+        [("definition", ReplyTag::Definition), ("count", ReplyTag::Count), ("off", ReplyTag::Off)];
 }
 
 /// What the four monitoring channels of a drive show (LinUDP V2 manual, 4.4.9).
@@ -186,6 +215,11 @@ impl LinUdpDrive {
             let why = "has no effect: a LinUDP drive takes no torque setpoints; leave it out";
             faults.push(PlanFault::new("limits.torque", why));
         }
+        if self.inhibit_after >= self.axis.enable_timeout {
+            let why =
+                "must be shorter than enable_timeout, or no Enable would report a missing hardware enable";
+            faults.push(PlanFault::new("inhibit_after", why));
+        }
         let unit = self.axis.units.unit;
         match (self.leash, self.axis.limits.position) {
             (Some(leash), _) if !(leash > 0.0 && leash.is_finite()) => {
@@ -291,6 +325,16 @@ impl LinUdpDrive {
                 ));
             }
         }
+        lines.push(format!(
+            "a late reply is recognised by {}; a hardware enable (STO) counts as missing after {}",
+            match (self.reply_tag, self.monitor) {
+                (ReplyTag::Definition, MonitorPlan::Off) => "its response definition, one of four in turn",
+                (ReplyTag::Definition, _) => "its response definition, one of two in turn",
+                (ReplyTag::Count, _) => "its count, one of fourteen in turn",
+                (ReplyTag::Off, _) => "a missed exchange before it only",
+            },
+            Ns(nanos(self.inhibit_after))
+        ));
         let jog = match self.leash {
             Some(leash) => format!("a jog or cyclic velocity runs at most {leash} {unit} further"),
             None => "jogs and cyclic velocities are refused".to_owned(),
@@ -317,7 +361,8 @@ pub struct SimPlan {
     pub filter: MasterFilter,
     /// The position at power-on, 0.1 um.
     pub start_position: i32,
-    /// Mechanical range, and the minimum and maximum position in ROM (UPIDs 146Eh and 146Fh), 0.1 um.
+    /// Mechanical range, and the minimum and maximum position in ROM (UPIDs 146Eh and 146Fh), 0.1 um. All counts: an
+    /// axis that turns without end, whose position count wraps around.
     pub range: (i32, i32),
     /// Moving mass, kg.
     pub mass_kg: f64,
@@ -330,6 +375,8 @@ pub struct SimPlan {
     pub stream_patience: f64,
     /// Setpoints that a stream holds ahead of its output; one more ends in error 0082h. Not documented either.
     pub stream_depth: usize,
+    /// The drive's report of its control word, in the status word, is so old, ns.
+    pub status_lag_ns: u64,
     /// Bits 1-5 of the control word are forced to 1, as commonly parameterised.
     pub force_enable_bits: bool,
     /// Comes up with its motor enabled and a motion running, as if another master had died.
@@ -361,6 +408,7 @@ impl Default for SimPlan {
             stream_period_ns: MS,
             stream_patience: 2.5,
             stream_depth: 8,
+            status_lag_ns: 0,
             force_enable_bits: false,
             start_running: false,
             config_time_ns: 0,
@@ -369,6 +417,16 @@ impl Default for SimPlan {
             unknown_commands: UnknownCommands::default(),
             extend_sign: false,
         }
+    }
+}
+
+impl SimPlan {
+    /// The range of an axis that turns without end.
+    pub const ENDLESS: (i32, i32) = (i32::MIN, i32::MAX);
+
+    /// The axis turns without end.
+    pub fn is_endless(&self) -> bool {
+        self.range == SimPlan::ENDLESS
     }
 }
 

@@ -13,7 +13,7 @@ use self::monitor::Monitor;
 use super::upid::Upid;
 use super::wire::{RtcBlock, RtcCommand, RtcStatus};
 use crate::axis::Link;
-use crate::axis::acyclic::{Answer, CallError, Port, Posted};
+use crate::axis::acyclic::{Answer, Call, CallError, Port, Posted};
 use crate::rt::Regions;
 use crate::time::{MS, S, Time};
 
@@ -62,6 +62,9 @@ pub(super) struct RtcChannel {
     software_stopped: bool,
     /// The drive has restarted since a list or a block was started: it has lost it.
     forgotten: bool,
+    /// A call that commands the drive ended without the drive's answer: it may still be carried out, until the drive
+    /// has stored a later command.
+    unsettled: bool,
     monitor: Monitor,
 }
 
@@ -123,6 +126,29 @@ fn needs_power_off(command: RtcCommand) -> bool {
     may_be_silent(command) || command == RtcCommand::STOP_SOFTWARE
 }
 
+/// Why a call of the application is refused while the power of its drive is on. A table that runs goes on with
+/// whatever stands in it, and so does a curve; a new curve is used by nothing yet.
+pub(super) fn refusal(call: &Call) -> Option<CallError> {
+    let command = RtcCommand(call.service as u8);
+    match command {
+        command if needs_power_off(command) => Some(CallError::Powered),
+        RtcCommand::WRITE_RAM if Upid(call.address as u16).is_harmless() => None,
+        RtcCommand::WRITE_RAM
+        | RtcCommand::START_SOFTWARE
+        | RtcCommand::DELETE_CURVES
+        | RtcCommand::MODIFY_CURVE
+        | RtcCommand::MODIFY_CURVE_INFO
+        | RtcCommand::MODIFY_CURVE_DATA
+        | RtcCommand::DELETE_TABLE
+        | RtcCommand::DELETE_ENTRY
+        | RtcCommand::WRITE_ENTRY
+        | RtcCommand::WRITE_ENTRY_DATA => Some(CallError::Commands),
+        // A command that the manual does not list may do anything.
+        command if command.name().is_none() => Some(CallError::Commands),
+        _ => None,
+    }
+}
+
 /// Commands that begin a list or a block ...
 fn begins(command: RtcCommand) -> bool {
     matches!(command.0, 0x20 | 0x22 | 0x50 | 0x53 | 0x60 | 0x83 | 0x85)
@@ -155,6 +181,7 @@ impl RtcChannel {
             now: Time(0),
             software_stopped: false,
             forgotten: false,
+            unsettled: false,
             monitor: Monitor::new(sources),
         }
     }
@@ -165,9 +192,16 @@ impl RtcChannel {
     }
 
     /// The block of the next request, if the channel has something to send. The same until the request has gone
-    /// out. `powered` as the drive last reported.
-    pub(super) fn advance(&mut self, now: Time, link: Link, powered: bool) -> Option<RtcBlock> {
+    /// out. `powered` as the drive last reported; calls that command a `guarded` drive are refused.
+    pub(super) fn advance(
+        &mut self,
+        now: Time,
+        link: Link,
+        powered: bool,
+        guarded: bool,
+    ) -> Option<RtcBlock> {
         self.now = now;
+        self.port.guard(guarded);
         let down = matches!(link, Link::Unseen | Link::Lost);
         if down {
             self.port.refuse_all(CallError::NotOnline);
@@ -187,6 +221,10 @@ impl RtcChannel {
         if let Some(active) = self.active {
             if !active.own && self.port.is_cancelled(&active.posted) {
                 self.end(Err(CallError::Cancelled));
+            } else if let Some(why) = self.port.refusal(&active.posted)
+                && !(active.own || active.gone_out)
+            {
+                self.end(Err(why));
             } else if down && active.silence != Silence::Long {
                 self.end(Err(CallError::NotOnline));
             } else if self.forgotten && goes_on(active.command) {
@@ -206,8 +244,15 @@ impl RtcChannel {
                 Link::Qualifying => {}
             }
         }
-        self.prepared = self.block(now);
+        // Nothing is sent into a silence.
+        let settles = self.unsettled && link == Link::Online && self.answered;
+        self.prepared = if settles || self.active.is_some() { self.block(now) } else { None };
         self.prepared
+    }
+
+    /// A call of the application that commands the drive is under way, or may still be carried out.
+    pub(super) fn commands(&self) -> bool {
+        self.unsettled || self.active.is_some_and(|active| !active.own && self.port.commands(&active.posted))
     }
 
     /// The next call: the station's own set-up comes first.
@@ -236,7 +281,6 @@ impl RtcChannel {
     }
 
     fn block(&mut self, now: Time) -> Option<RtcBlock> {
-        let active = self.active.as_mut()?;
         let unheard = now.since(self.counted) > TAKEN_WITHIN_NS && self.unechoed >= TAKEN_WITHIN;
         if self.stored.is_none() {
             if self.learning.is_none() || unheard {
@@ -245,6 +289,7 @@ impl RtcChannel {
             }
             return self.learning.map(|count| RtcBlock::command(count, RtcCommand::NO_OPERATION));
         }
+        let active = self.active.as_mut()?;
         match active.silence {
             Silence::None => {}
             // The sent block may be under way: until the drive answers, only its state is requested.
@@ -317,9 +362,10 @@ impl RtcChannel {
         self.answered = true;
         let echo = block.count();
         let Some(active) = self.active.filter(|_| self.stored.is_some()) else {
-            if self.learning.is_none_or(|count| count == echo) {
+            // Only the count of a later command shows that an earlier one is over.
+            if self.learning.map_or(!self.unsettled, |count| count == echo) {
                 self.stored = Some(echo);
-                self.learning = None;
+                (self.learning, self.unsettled) = (None, false);
             } else {
                 self.unechoed = self.unechoed.saturating_add(1);
             }
@@ -366,9 +412,11 @@ impl RtcChannel {
             (RtcCommand::RESTART, Ok(_)) => self.doubt(),
             _ => {}
         }
-        if active.silence != Silence::None || !matches!(result, Ok(_) | Err(CallError::Refused(_))) {
+        let answered = matches!(result, Ok(_) | Err(CallError::Refused(_)));
+        if active.silence != Silence::None || !answered {
             self.doubt();
         }
+        self.unsettled |= active.gone_out && !answered && !active.own && self.port.commands(&active.posted);
         let written = matches!(active.command, RtcCommand::WRITE_RAM | RtcCommand::WRITE_BOTH);
         if written && !active.own && (0x20A8..=0x20AB).contains(&active.posted.call.address) {
             // Another tool has chosen another source.

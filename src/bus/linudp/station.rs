@@ -3,15 +3,21 @@
 //! It takes `now` and slices, and knows no socket. The steps of an order are in `orders`.
 //!
 //! LinUDP has no sequence number. A reply counts by its sender, by the echo of both definitions, and by the open
-//! exchange; after a missed exchange the next reply may be the late one of the exchange before, so it is *suspect*:
-//! taken as feedback one cycle older, without a round-trip sample. The request after it requests one block more or
-//! less, so that its echo is its own. With `reply_tag` a real-time-config no-operation carries a new count in every
-//! request and its echo names the request.
+//! exchange. By default the response definition changes from request to request ([`ReplyTag`]), so that a reply that is
+//! one to three exchanges late echoes another one. A reply that could be that of a missed exchange all the same is
+//! *suspect*: taken as feedback one cycle older, without a round-trip sample. The request after it requests one block
+//! more or less, so that its echo is its own. With `reply_tag = "count"` a real-time-config no-operation carries a new
+//! count in every request and its echo names the request.
+//!
+//! An answered exchange whose reply comes once more, four exchanges late, passes for the newest. So no single reply
+//! proves that an order is done (`orders`, `channel`).
 
 use super::native::{Native, NativePort, native};
 use super::orders::{Inputs, Orders, Outputs};
-use super::plan::{LinUdpDrive, MonitorPlan};
+use super::other::OtherMaster;
+use super::plan::{LinUdpDrive, MonitorPlan, ReplyTag};
 use super::rtc::RtcChannel;
+use super::upid::commanding;
 use super::wire::{
     MainState, MotionBlock, Request, RequestDef, ResponseDef, ResponseView, RtcBlock, StateVar, StatusWord,
 };
@@ -26,11 +32,11 @@ use crate::time::Time;
 /// factory-fresh drives do not answer a telegram without any block (sheet, 1.3).
 const FULL_PROBE_EVERY: u8 = 4;
 
-/// The most requests whose replies may be mistaken for that to the next one; older ones count as lost.
-const MOST_MISTAKABLE: u8 = 3;
+/// The blocks that come in turn, so that consecutive response definitions differ: the ones that a cycle can do without.
+const IN_TURN: [ResponseDef; 2] = [ResponseDef::WARN, ResponseDef::MONITOR];
 
-/// The most requests whose replies may still be under way ...
-const MOST_UNDER_WAY: u8 = 16;
+/// The most requests whose replies may still be under way: older ones count as lost ...
+const MOST_UNDER_WAY: u8 = 32;
 /// ... and are written off after so many exchanges without a miss: no reply takes that long.
 const FORGOTTEN_AFTER: u8 = 16;
 
@@ -40,6 +46,8 @@ pub struct Station {
     units: Units,
     response_def: ResponseDef,
     tagged: bool,
+    /// The block that the request after a suspect reply has or lacks.
+    odd: ResponseDef,
     identity: Identity,
     inputs: Inputs,
     /// The last fresh reply: state, and the positions for the velocity.
@@ -47,6 +55,7 @@ pub struct Station {
     actual: Unwrap,
     demand: Unwrap,
     orders: Orders,
+    other: OtherMaster,
     rtc: RtcChannel,
     monitor: MonitorPlan,
     /// Probes that have gone out.
@@ -59,18 +68,24 @@ pub struct Station {
 /// What distinguishes the reply to the last request from any other.
 #[derive(Clone, Copy, Debug, Default)]
 struct Identity {
+    /// How many response definitions take turns, and the place of the next one.
+    turns: u8,
+    turn: u8,
+    /// The blocks by which the requests of one kind differ.
+    varies: ResponseDef,
     /// What the reply to the prepared request will echo.
     prepared: Echo,
     /// What the reply to the last request sent echoes.
     asked: Echo,
-    /// The echoes of the requests before it, newest first, without repetitions in a row: as far back as late
+    /// The kinds of the requests before it, newest first, without repetitions in a row: as far back as late
     /// replies come from while the link is still online.
     asked_before: [Echo; 3],
     /// An exchange was opened and no reply closed it.
     open: bool,
     /// Replies to earlier requests that may still come: such a one is late and no duplicate.
     under_way: u8,
-    /// Those among them that look like the reply to the next request: that reply is suspect.
+    /// Those among them that were sent since the last clean reply. If there are as many as definitions, one of them
+    /// looks like the reply to the next request: that reply is suspect.
     mistakable: u8,
     /// Exchanges without a miss since the last one.
     without_miss: u8,
@@ -83,6 +98,24 @@ impl Identity {
     fn take_late(&mut self) {
         self.under_way = self.under_way.saturating_sub(1);
         self.mistakable = self.mistakable.saturating_sub(1);
+    }
+
+    /// The blocks that the next request requests: those of `usual`, less or more those in turn.
+    fn in_turn(&self, usual: ResponseDef) -> ResponseDef {
+        let turned = |(bit, _): &(usize, &ResponseDef)| self.turn >> bit & 1 == 1;
+        let blocks = IN_TURN.iter().enumerate().filter(turned);
+        ResponseDef(blocks.fold(usual.0, |definition, (_, block)| definition ^ block.0))
+    }
+
+    /// What the echoes of all requests of this kind have in common.
+    fn kind(&self, echo: Echo) -> Echo {
+        Echo { response: ResponseDef(echo.response.0 & !self.varies.0), tag: None, ..echo }
+    }
+
+    /// The echo is that of a request of the last kinds that were sent.
+    fn knows(&self, echo: Echo) -> bool {
+        let kind = self.kind(echo);
+        kind == self.kind(self.asked) || self.asked_before.contains(&kind)
     }
 }
 
@@ -98,12 +131,8 @@ struct Echo {
 impl Echo {
     /// Whether this echo of a reply can be that of the request that echoes `asked`.
     fn answers(&self, asked: &Echo) -> bool {
-        self.is_like(asked) && (asked.tag.is_none() || self.tag == asked.tag)
-    }
-
-    /// The same without the tag.
-    fn is_like(&self, asked: &Echo) -> bool {
         (self.request, self.response) == (asked.request, asked.response)
+            && (asked.tag.is_none() || self.tag == asked.tag)
     }
 }
 
@@ -119,21 +148,29 @@ impl Station {
     /// The station of `drive`, and the application's ends of its native process data and of its acyclic access.
     pub fn new(drive: &LinUdpDrive) -> (Station, Native, AcyclicEnds) {
         let (application, native) = native();
-        let (ends, port) = acyclic::queue(drive.axis.parameter_queue);
-        let mut response_def = ResponseDef::CYCLIC;
-        if drive.monitor != MonitorPlan::Off {
+        let (ends, port) = acyclic::queue(drive.axis.parameter_queue, commanding());
+        let (mut response_def, shown) = (ResponseDef::CYCLIC, drive.monitor != MonitorPlan::Off);
+        if shown {
             response_def = response_def.with(ResponseDef::MONITOR);
         }
+        let turning = drive.reply_tag == ReplyTag::Definition;
+        // The last block in turn stays if it is shown.
+        let in_turn = &IN_TURN[..if turning { IN_TURN.len() - usize::from(shown) } else { 0 }];
+        let odd = if turning { ResponseDef::CURRENT } else { ResponseDef::MONITOR };
+        let varies =
+            if turning { in_turn.iter().fold(odd, |all, block| all.with(*block)) } else { ResponseDef::NONE };
         let station = Station {
             units: drive.axis.units,
             response_def,
-            tagged: drive.reply_tag,
-            identity: Identity::default(),
+            tagged: drive.reply_tag == ReplyTag::Count,
+            odd,
+            identity: Identity { turns: 1 << in_turn.len(), varies, ..Identity::default() },
             inputs: Inputs::default(),
             last: None,
             actual: Unwrap::default(),
             demand: Unwrap::default(),
             orders: Orders::new(drive),
+            other: OtherMaster::default(),
             rtc: RtcChannel::new(port, drive.monitor.sources()),
             monitor: drive.monitor,
             probes: 0,
@@ -157,10 +194,11 @@ impl Station {
         self.inputs.fresh = false;
         let Outputs { control, motion, config } = outputs;
         let powered = slot.report.state.is_powered();
-        let called = self.rtc.advance(cycle.grid, slot.link, powered);
+        let called = self.rtc.advance(cycle.grid, slot.link, powered, slot.guarded);
+        slot.commanded = self.rtc.commands();
         slot.excused = self.rtc.excuses_silence() && !powered;
         let mut request = Request {
-            response_def: self.response_def,
+            response_def: self.identity.in_turn(self.response_def),
             control,
             motion,
             config: config.or(called),
@@ -172,7 +210,7 @@ impl Station {
         if self.identity.suspect {
             // Its definition differs from the earlier ones, so that the echo tells its reply from all late ones: if
             // they were always one cycle behind, each would pass for the newest for ever.
-            request.response_def.0 ^= ResponseDef::MONITOR.0;
+            request.response_def.0 ^= self.odd.0;
         }
         let tag = match (config, called) {
             _ if !self.tagged => None,
@@ -191,6 +229,7 @@ impl Station {
         if request.config.is_some() {
             request.response_def = request.response_def.with(ResponseDef::CONFIG);
         }
+        self.other.prepare(request.motion.map(|block| (block.header & 0xF) as u8));
         self.identity.prepared = Echo {
             request: request.definition(),
             response: request.response_def,
@@ -204,7 +243,7 @@ impl Station {
         let identity = &mut self.identity;
         if identity.open {
             identity.under_way = (identity.under_way + 1).min(MOST_UNDER_WAY);
-            identity.mistakable = (identity.mistakable + 1).min(MOST_MISTAKABLE);
+            identity.mistakable = (identity.mistakable + 1).min(MOST_UNDER_WAY);
             identity.without_miss = 0;
         } else if identity.without_miss < FORGOTTEN_AFTER {
             identity.without_miss += 1;
@@ -217,9 +256,11 @@ impl Station {
             identity.mistakable = 0;
         }
         (identity.open, identity.suspect) = (true, false);
-        if identity.prepared != identity.asked {
+        identity.turn = (identity.turn + 1) % identity.turns;
+        let asked = std::mem::replace(&mut identity.asked, identity.prepared);
+        if identity.kind(asked) != identity.kind(identity.asked) {
             identity.asked_before.rotate_right(1);
-            identity.asked_before[0] = std::mem::replace(&mut identity.asked, identity.prepared);
+            identity.asked_before[0] = identity.kind(asked);
         }
         if self.probing {
             self.probes = (self.probes + 1) % FULL_PROBE_EVERY;
@@ -227,6 +268,7 @@ impl Station {
         slot.counters.sent += 1;
         slot.exchange = Exchange::Owed { sent_at, reply_by, awaited: false };
         self.orders.sent();
+        self.other.sent();
         self.rtc.sent();
     }
 
@@ -255,8 +297,14 @@ impl Station {
         let answers = echo.answers(&self.identity.asked);
         match owed {
             Some(sent_at) if answers => {
-                let suspect = self.identity.asked.tag.is_none() && self.identity.mistakable > 0;
-                (self.identity.open, self.identity.suspect) = (false, suspect);
+                let identity = &mut self.identity;
+                let named = identity.asked.tag.is_some();
+                let suspect = !named && identity.mistakable >= identity.turns;
+                (identity.open, identity.suspect) = (false, suspect);
+                if !named && !suspect {
+                    // Replies come in the order of their requests: after this one the earlier ones count as lost.
+                    identity.mistakable = 0;
+                }
                 slot.exchange = Exchange::Answered { sent_at, at, suspect };
                 slot.counters.answered += 1;
                 slot.counters.suspect += u64::from(suspect);
@@ -278,19 +326,21 @@ impl Station {
     ) {
         let identity = &mut self.identity;
         if answers && in_window && identity.suspect {
-            // Two replies in one window: the first was the late one, this one is the requested reply.
-            identity.suspect = false;
+            // Two replies in one window: the first was a late one. This one is the requested reply, unless there may be
+            // more of them.
             identity.take_late();
+            let suspect = identity.mistakable >= identity.turns;
+            identity.suspect = suspect;
             slot.counters.late += 1;
             if let Exchange::Answered { suspect, .. } = &mut slot.exchange {
                 // The feedback is fresh again. The exchange stays without a round-trip sample.
                 *suspect = true;
             }
-            self.read(at, view, false, slot);
+            self.read(at, view, suspect, slot);
             return;
         }
-        let like = |asked: &Echo| echo.is_like(asked);
-        if !like(&identity.asked) && !identity.asked_before.iter().any(like) {
+        let named = identity.asked.tag.is_some() || (identity.turns > 1 && !identity.suspect);
+        if !identity.knows(echo) {
             slot.counters.foreign += 1;
         } else if answers && identity.open {
             // The reply to the last request, after its window. It may arrive in the window of a cycle in which none
@@ -299,7 +349,7 @@ impl Station {
             // The exchange was missed all the same.
             identity.without_miss = 0;
             slot.counters.late += 1;
-        } else if identity.under_way > 0 && !(answers && identity.asked.tag.is_some()) {
+        } else if identity.under_way > 0 && !(answers && named) {
             identity.take_late();
             slot.counters.late += 1;
         } else {
@@ -363,20 +413,20 @@ impl Station {
         report.suspect = suspect;
         report.state = drive_state(status, state, booting);
         report.homed = status.homed();
-        // In state 8 the sub state is sampled together with the count echo; elsewhere the status word has to be
-        // used.
         if !suspect {
             // A reply to an earlier request may answer another control word.
-            report.inhibited = !booting && self.orders.is_inhibited(status);
+            report.inhibited = self.orders.inhibited(at, status, booting);
         }
-        report.moving = state.motion_active().unwrap_or(status.motion_active());
+        report.moving = self.inputs.moving();
         report.in_target = status.in_target();
         report.position = self.units.position(actual);
         report.demand = self.units.position(demand);
-        report.current = f64::from(view.current().unwrap_or_default()) * 1e-3;
-        report.warning = u32::from(view.warn().unwrap_or_default().0);
+        // Blocks that this reply does not have are as in the last one that had them.
+        report.current = view.current().map_or(report.current, |current| f64::from(current) * 1e-3);
+        report.warning = view.warn().map_or(report.warning, |warning| u32::from(warning.0));
         report.fault = if status.error() { u32::from(fault.0) } else { 0 };
         if !suspect {
+            slot.report.other_master |= self.other.take(state.count());
             self.take_config(view, slot);
         }
         self.native.publish(at, view.bytes());
@@ -438,6 +488,107 @@ mod tests {
     use std::net::Ipv4Addr;
 
     use super::*;
+    use crate::axis::Verb;
+    use crate::bus::Order;
+    use crate::bus::linudp::wire::Response;
+    use crate::time::MS;
+
+    /// A station, and a drive of a few lines that says what it is made to say.
+    struct Bench {
+        station: Station,
+        slot: Slot,
+        cycle: Cycle,
+        request: Request,
+    }
+
+    impl Bench {
+        fn new(drive: &LinUdpDrive) -> Bench {
+            let (station, ..) = Station::new(drive);
+            let cycle = Cycle { index: 0, grid: Time(MS), period_ns: MS, deadline: Time(MS + MS / 2) };
+            Bench { station, slot: Slot::default(), cycle, request: Request::default() }
+        }
+
+        /// The next request goes out.
+        fn send(&mut self) -> Request {
+            let mut out = [0; 64];
+            self.cycle =
+                Cycle { grid: self.cycle.grid + MS, deadline: self.cycle.deadline + MS, ..self.cycle };
+            let length = self.station.prepare(&self.cycle, &mut self.slot, &mut out);
+            self.request = Request::parse(&out[..length]).unwrap();
+            self.station.sent(self.cycle.grid, self.cycle.deadline, &mut self.slot);
+            self.request
+        }
+
+        /// A reply to `request` comes in the window, from a drive in operation with this sub state.
+        fn reply(&mut self, request: &Request, sub: u8) {
+            let (mut bytes, fields) = ([0; 64], StateVar::new(MainState::OPERATION_ENABLED, sub));
+            let response = Response {
+                request_def: request.definition(),
+                response_def: request.response_def,
+                status: Some(StatusWord(0x0037)),
+                state: Some(fields),
+                ..Response::default()
+            };
+            let size = response.emit(&mut bytes);
+            self.station.take(self.cycle.grid + MS / 10, &bytes[..size], true, &mut self.slot);
+        }
+
+        fn order(&mut self, verb: Verb) {
+            self.slot.order = Order { serial: self.slot.order.serial + 1, verb: Some(verb) };
+        }
+    }
+
+    #[test]
+    fn a_reply_that_is_up_to_three_exchanges_late_is_never_the_newest() {
+        for (monitor, turns) in [(MonitorPlan::Off, 4), (MonitorPlan::AsSet, 2)] {
+            let mut b = Bench::new(&LinUdpDrive { monitor, ..LinUdpDrive::new("x", Ipv4Addr::LOCALHOST) });
+            let mut before = Vec::new();
+            for exchange in 0..100 {
+                let request = b.send();
+                for late in before.iter().rev().take(turns - 1) {
+                    b.reply(late, 9);
+                    assert!(matches!(b.slot.exchange, Exchange::Owed { .. }), "exchange {exchange}");
+                }
+                b.reply(&request, 1);
+                assert!(matches!(b.slot.exchange, Exchange::Answered { suspect: false, .. }));
+                before.push(request);
+            }
+            assert_eq!((b.slot.counters.late, b.slot.counters.foreign, b.slot.counters.suspect), (0, 0, 0));
+        }
+    }
+
+    #[test]
+    fn a_stop_is_done_by_two_replies_with_its_own_count_and_by_no_others() {
+        let mut b = Bench::new(&LinUdpDrive::new("x", Ipv4Addr::LOCALHOST));
+        // In motion, by a command whose count is 5.
+        for _ in 0..4 {
+            let request = b.send();
+            b.reply(&request, StateVar::MOTION_ACTIVE | 5);
+        }
+        b.order(Verb::Stop { deceleration: None });
+        let mut request = b.send();
+        let stop = request.motion.unwrap().header as u8 & 0xF;
+        assert_eq!(stop, 6);
+        let standing = |count: u8| (count, None);
+        let moving = |count: u8| (StateVar::MOTION_ACTIVE | count, None);
+        // What the drive says, and the count of the next request. Replies of before the motion, in all respects like
+        // the newest; then its own echo; then somebody else's command has run.
+        for ((sub, end), count) in [
+            (standing(4), Some(6)),
+            (moving(5), Some(6)),
+            (standing(4), Some(6)),
+            (standing(6), None),
+            (moving(5), Some(7)),
+            (moving(7), None),
+            (moving(7), None),
+            ((7, Some(Ok(()))), None),
+        ] {
+            b.reply(&request, sub);
+            request = b.send();
+            assert_eq!(request.motion.map(|motion| motion.header as u8 & 0xF), count, "after {sub:02X}h");
+            assert_eq!(b.slot.progress.end, end, "after {sub:02X}h");
+        }
+    }
 
     #[test]
     fn every_fourth_probe_that_goes_out_has_all_blocks() {

@@ -13,10 +13,30 @@
 use std::time::Duration;
 
 pub use super::motion::Upid;
+use super::rtc;
 use super::wire::{Refusal, RtcCommand};
-use crate::axis::acyclic::{Call, Notation, NotationError};
+use crate::axis::acyclic::{Call, Commanding, Notation, NotationError};
+
+/// The calls that command a drive.
+pub(super) fn commanding() -> Commanding {
+    Commanding::new(|call, _| rtc::refusal(call), [])
+}
 
 impl Upid {
+    /// Written in RAM while power is on, it moves nothing, and changes no state: gains and feed-forwards, limits,
+    /// predefined profiles, and what is monitored. All others may: the run mode (1450h), triggers and input functions,
+    /// triggered targets, cams, scales and variables of commands. Of most UPIDs, the force mask of the control word
+    /// among them, no public source says what they do: those count as commanding, too.
+    pub(super) fn is_harmless(self) -> bool {
+        matches!(
+            self.0,
+            0x13A0 | 0x13A2 | 0x13A6 | 0x13A8 | 0x13B4 | 0x13BA // Gains, feed-forwards, current limits.
+                | 0x146E | 0x146F | 0x1473 | 0x1475 // Position and lag limits.
+                | 0x14BE..=0x14C0 // The predefined profile, from the next command on.
+                | 0x20A8..=0x20AB // Monitored variables.
+        )
+    }
+
     /// The first of the four sources of the monitoring channels (LinUDP V2 manual, 4.4.9).
     pub const MONITOR_SOURCE: Upid = Upid(0x20A8);
 
@@ -151,6 +171,15 @@ impl std::fmt::Display for Usage {
     }
 }
 
+/// How a raw value becomes one in its unit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scale {
+    /// One count is `10^-n` of the unit.
+    Decimals(u32),
+    /// Of the motor temperature: raw x 250/255 - 50 (a master in the field), to two decimals.
+    MotorTemperature,
+}
+
 /// What is known of a UPID.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Known {
@@ -160,8 +189,8 @@ pub struct Known {
     pub name: &'static str,
     /// Its type.
     pub kind: Type,
-    /// One of the drive's counts is `10^-decimals` of the unit below.
-    pub decimals: u32,
+    /// What a count of the drive is in the unit below.
+    pub scale: Scale,
     /// The unit of the scaled value; empty for a plain number.
     pub unit: &'static str,
 }
@@ -169,12 +198,16 @@ pub struct Known {
 impl Known {
     /// The scaled value of a raw one.
     pub fn value(&self, raw: u32) -> f64 {
-        self.kind.number(raw) as f64 / f64::from(10_u32.pow(self.decimals))
+        let number = self.kind.number(raw) as f64;
+        match self.scale {
+            Scale::Decimals(decimals) => number / f64::from(10_u32.pow(decimals)),
+            Scale::MotorTemperature => ((number * 250.0 / 255.0 - 50.0) * 100.0).round() / 100.0,
+        }
     }
 }
 
 const fn known(upid: u16, name: &'static str, kind: Type, decimals: u32, unit: &'static str) -> Known {
-    Known { upid: Upid(upid), name, kind, decimals, unit }
+    Known { upid: Upid(upid), name, kind, scale: Scale::Decimals(decimals), unit }
 }
 
 const fn number(upid: u16, name: &'static str, kind: Type) -> Known {
@@ -237,7 +270,8 @@ pub const KNOWN: &[Known] = &[
     known(0x1BCD, "core-temperature", Type::S16, 1, "C"),
     known(0x1BCE, "drive-temperature", Type::S16, 1, "C"),
     number(0x1BDD, "power-loss", Type::U16),
-    number(0x1BF3, "motor-temperature-raw", Type::U8),
+    // The low 16 bits.
+    Known { scale: Scale::MotorTemperature, ..known(0x1BF3, "motor-temperature", Type::U16, 0, "C") },
     number(0x1C00, "temperature-reserve", Type::S16),
     number(0x1C1B, "commutation-found", Type::S16),
     known(0x1CAF, "drive-timer", Type::U32, 0, "us"),
@@ -540,6 +574,10 @@ mod tests {
         assert_eq!(Upids.show("0x20A8", 0x1E0F), "7695 (0x1E0F)");
         assert_eq!(Upids.show("article-number", 0x4C45_4946), "\"FIEL\" (0x4C454946)");
         assert_eq!(Upids.number("core-temperature", 0xFFFE), -2);
+        for (raw, celsius) in [(0, -50.0), (51, 0.0), (82, 30.39), (255, 200.0), (0x7_0052, 30.39)] {
+            assert_eq!(Upid(0x1BF3).known().map(|known| known.value(raw)), Some(celsius), "{raw}");
+        }
+        assert_eq!(Upids.show("motor-temperature", 82), "82 (0x52) = 30.39 C");
         assert!(Upids.reason(0xC0).contains("no such UPID"));
     }
 

@@ -17,8 +17,8 @@ use super::trips::Trip;
 use crate::axis::acyclic::{AcyclicEnds, Notation};
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, FaultNames, FoundRunning, MonitorChannel, PlanFault};
-use crate::bus::{Bus, BusPlan, Cycle, Exchange, Notes, OpenError, OwnCounter, Slot, Strangers};
-use crate::net::{Broken, Carriers, StreamPeer, Streams};
+use crate::bus::{Bus, BusPlan, Cycle, Exchange, Notes, OpenError, OwnCounter, Slot, Strangers, lock_drives};
+use crate::net::{Broken, Carriers, Lock, StreamPeer, Streams};
 use crate::rt::Regions;
 use crate::sim::SimDrive;
 use crate::time::Time;
@@ -30,6 +30,8 @@ pub struct ModbusBus {
     stations: Vec<Station>,
     natives: Vec<Option<Native>>,
     acyclics: Vec<Option<AcyclicEnds>>,
+    /// The drives are this master's until their connections are given up.
+    _locks: Vec<Lock>,
 }
 
 impl std::fmt::Debug for ModbusBus {
@@ -53,6 +55,8 @@ fn mappings(drive: &UnidriveDrive) -> Option<(Mapping, Option<Mapping>)> {
 impl ModbusBus {
     /// Begins to connect to the drives of `plan`, which is free of faults.
     pub fn open(plan: &ModbusPlan, period_ns: u64, carriers: &dyn Carriers) -> Result<ModbusBus, OpenError> {
+        let drives = plan.drives.iter().map(|drive| (&drive.axis, drive.address));
+        let locks = lock_drives(&plan.name, drives, carriers)?;
         let (mut peers, mut stations) = (Vec::new(), Vec::new());
         let (mut natives, mut acyclics) = (Vec::new(), Vec::new());
         for drive in &plan.drives {
@@ -75,7 +79,7 @@ impl ModbusBus {
         let net = carriers
             .streams(peers)
             .map_err(|source| OpenError::Streams { bus: plan.name.clone(), source })?;
-        Ok(ModbusBus { name: plan.name.clone(), net, stations, natives, acyclics })
+        Ok(ModbusBus { name: plan.name.clone(), net, stations, natives, acyclics, _locks: locks })
     }
 
     /// Takes in what has arrived on the connections, one piece each.
@@ -92,14 +96,7 @@ impl ModbusBus {
                     Err(why) => why,
                 },
                 Err(Broken::Absent) => continue,
-                Err(Broken::Closed) => {
-                    station.ended(slot);
-                    "the drive has closed the connection"
-                }
-                Err(Broken::Failed(_)) => {
-                    station.ended(slot);
-                    "the connection broke"
-                }
+                Err(broken) => station.ended(broken, slot),
             };
             self.net.abandon(index, why);
         }
@@ -118,8 +115,8 @@ impl ModbusBus {
             Err(broken) => {
                 station.unsent(slot);
                 if broken != Broken::Absent {
-                    station.ended(slot);
-                    self.net.abandon(index, "the connection broke");
+                    let why = station.ended(broken, slot);
+                    self.net.abandon(index, why);
                 }
             }
         }
@@ -134,9 +131,9 @@ impl ModbusBus {
         match self.net.send(index, station.rest()) {
             Ok((_, count)) => station.rest_sent(count),
             Err(Broken::Absent) => {}
-            Err(_) => {
-                station.ended(slot);
-                self.net.abandon(index, "the connection broke");
+            Err(broken) => {
+                let why = station.ended(broken, slot);
+                self.net.abandon(index, why);
             }
         }
     }
@@ -219,6 +216,10 @@ impl Bus for ModbusBus {
 
     fn strangers(&self) -> Strangers {
         Strangers::default()
+    }
+
+    fn helper_ended(&self) -> bool {
+        self.net.has_ended()
     }
 
     fn notes(&self) -> Option<Arc<dyn Notes>> {

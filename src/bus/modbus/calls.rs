@@ -2,10 +2,10 @@
 //! other exchanges continue.
 
 use super::notation::{NOT_TAKEN, READ, Target, UNREACHABLE, WRITE};
-use super::parameter::{Addressing, Width};
+use super::parameter::{Addressing, Parameter, Width};
 use super::wire::{RegistersBuffer, Request, Response};
 use crate::axis::Link;
-use crate::axis::acyclic::{Answer, CallError, Port, Posted};
+use crate::axis::acyclic::{Answer, Call, CallError, Commanding, Port, Posted};
 use crate::rt::Regions;
 use crate::time::Time;
 
@@ -13,6 +13,35 @@ use crate::time::Time;
 const EVERY_ON: u32 = 4;
 /// ... and while it is off.
 const EVERY_OFF: u32 = 2;
+
+/// The calls that command a drive whose cyclic outputs are `mapped`.
+pub(super) fn commanding(mapped: impl IntoIterator<Item = Parameter>) -> Commanding {
+    let key = |parameter| Target { parameter, width: Width::Word }.pack();
+    Commanding::new(refusal, mapped.into_iter().map(key))
+}
+
+/// Why a call of the application is refused while the power of its drive is on: it writes a parameter that is
+/// exchanged, or none that is known to be harmless.
+fn refusal(call: &Call, mapped: &[u32]) -> Option<CallError> {
+    let target = Target::unpack(call.address).filter(|_| call.service == WRITE)?;
+    let is_mapped = mapped.contains(&Target { width: Width::Word, ..target }.pack());
+    (is_mapped || !is_harmless(target.parameter)).then_some(CallError::Commands)
+}
+
+/// Written while power is on, it moves nothing, and changes no state: rates of ramps, thresholds, gains and limits. All
+/// others may: the control word and the bits of menu 6, references and their selectors in menus 1, 3 and 4, trips and
+/// resets of menu 10, xx.000, what menu 0 shows and its set-up in menu 22, the watchdog of an Ethernet interface. A
+/// user program may take menus 18 to 20 for references, and of most parameters no public source says what they do:
+/// those count as commanding, too.
+const fn is_harmless(parameter: Parameter) -> bool {
+    let Parameter { slot, menu, number } = parameter;
+    slot == 0
+        && matches!(
+            (menu, number),
+            // 01.006 is the maximum reference; 01.007, the minimum, would turn a motor.
+            (1, 6) | (2, 11 | 21) | (3, 5..=8 | 10..=12) | (4, 5..=7)
+        )
+}
 
 /// The calls to one drive.
 #[derive(Debug)]
@@ -22,6 +51,8 @@ pub(super) struct Calls {
     active: Option<Active>,
     /// Exchanges since the last call.
     since: u32,
+    /// A call that commands the drive was sent, and is not answered. Its ticket may be gone.
+    owed: bool,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -36,7 +67,7 @@ struct Active {
 
 impl Calls {
     pub(super) fn new(port: Port, addressing: Addressing) -> Calls {
-        Calls { port, addressing, active: None, since: 0 }
+        Calls { port, addressing, active: None, since: 0, owed: false }
     }
 
     /// Adds what it touches besides itself, to be locked.
@@ -44,9 +75,11 @@ impl Calls {
         self.port.memory(regions);
     }
 
-    /// Starts the next call, and ends the finished one. True if the next exchange may be the call's.
+    /// Starts the next call, and ends the finished one. True if the next exchange may be the call's. Calls that command
+    /// a `guarded` drive are refused.
     #[inline]
-    pub(super) fn advance(&mut self, now: Time, link: Link, on: bool) -> bool {
+    pub(super) fn advance(&mut self, now: Time, link: Link, on: bool, guarded: bool) -> bool {
+        self.port.guard(guarded);
         // Usually there is none.
         (self.active.is_some() || !self.port.is_empty()) && self.go_on(now, link, on)
     }
@@ -60,6 +93,7 @@ impl Calls {
                 _ if now.since(active.begun) > active.posted.limit_ns => Some(CallError::TimedOut),
                 _ if self.port.is_cancelled(&active.posted) => Some(CallError::Cancelled),
                 false if matches!(link, Link::Unseen | Link::Lost) => Some(CallError::NotOnline),
+                false => self.port.refusal(&active.posted),
                 _ => None,
             };
             if let Some(why) = over {
@@ -108,7 +142,14 @@ impl Calls {
         self.since = if call { 0 } else { self.since.saturating_add(1) };
         if let Some(active) = self.active.as_mut().filter(|_| call) {
             active.sent = true;
+            self.owed = self.port.commands(&active.posted);
         }
+    }
+
+    /// A call of the application that commands the drive is under way.
+    #[inline]
+    pub(super) fn commands(&self) -> bool {
+        self.owed || self.active.is_some_and(|active| self.port.commands(&active.posted))
     }
 
     /// Whether this response can be that of the call that was sent.
@@ -128,6 +169,7 @@ impl Calls {
 
     /// The response to the call that was sent. It may have ended before.
     pub(super) fn answer(&mut self, response: &Response<'_>) {
+        self.owed = false;
         let Some(active) = self.active.filter(|active| active.sent) else { return };
         let address = active.posted.call.address;
         let done = |value: u64| Ok(Answer { status: 0, address, value });
@@ -144,8 +186,10 @@ impl Calls {
         });
     }
 
-    /// The connection is gone: a sent request may have been carried out, or not.
+    /// The connection is gone: a sent request may have been carried out, or not. It is over before an enable on the
+    /// next connection, whose handshake comes behind it (assumed: the drive answers in the order of arrival).
     pub(super) fn lost(&mut self) {
+        self.owed = false;
         if self.active.is_some_and(|active| active.sent) {
             self.end(Err(CallError::TimedOut));
         }

@@ -30,10 +30,12 @@ pub enum Own {
     WrittenShort,
     /// A written value reads back as another one.
     NotTaken,
+    /// FC23 was given up for this drive.
+    NoReadWrite,
 }
 
 /// Their keys and meanings, in order.
-pub const OWN: [OwnCounter; 12] = [
+pub const OWN: [OwnCounter; 13] = [
     OwnCounter { key: "exceptions", what: "requests refused by an exception" },
     OwnCounter { key: "wrong_unit", what: "replies with a wrong unit id" },
     OwnCounter { key: "wrong_function", what: "replies with a wrong function" },
@@ -46,6 +48,10 @@ pub const OWN: [OwnCounter; 12] = [
     OwnCounter { key: "pieces", what: "requests that the wire took in pieces" },
     OwnCounter { key: "written_short", what: "blocks that the drive wrote in part only" },
     OwnCounter { key: "not_taken", what: "written values that read back as another one" },
+    OwnCounter {
+        key: "no_fc23",
+        what: "changes from FC23 to FC16 and FC3, since the drive does not answer FC23",
+    },
 ];
 
 impl Own {

@@ -11,6 +11,19 @@ const DIFFERENT: u8 = 2;
 /// without a wait.
 const NONE: i64 = i64::MIN;
 
+/// What a read has shown.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Shown {
+    /// The written value.
+    Same,
+    /// Another one, which proves nothing.
+    Other,
+    /// By now the drive has refused the written value.
+    Refused,
+    /// The drive had the written value, and has another one now.
+    Changed,
+}
+
 /// One written parameter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Echo {
@@ -19,12 +32,14 @@ pub(super) struct Echo {
     settled: bool,
     /// Reads in a row that differed.
     different: u8,
+    /// It was read as written since it was first written.
+    stood: bool,
     taken: i64,
 }
 
 impl Default for Echo {
     fn default() -> Echo {
-        Echo { written: NONE, settled: false, different: 0, taken: NONE }
+        Echo { written: NONE, settled: false, different: 0, stood: false, taken: NONE }
     }
 }
 
@@ -35,12 +50,18 @@ impl Echo {
         (self.taken != NONE).then_some(self.taken as i32)
     }
 
+    /// A request that writes `value` goes out: whether it is answered or not, it may change what the drive has.
+    #[inline]
+    pub(super) fn sent(&mut self, value: i32) {
+        self.stood &= self.written == i64::from(value);
+    }
+
     /// A request that wrote `value` was answered.
     #[inline]
     pub(super) fn replied(&mut self, value: i32) {
         self.settled = self.written == i64::from(value);
         if !self.settled {
-            (self.written, self.different, self.taken) = (value.into(), 0, NONE);
+            (self.written, self.different, self.stood, self.taken) = (value.into(), 0, false, NONE);
         }
     }
 
@@ -51,19 +72,23 @@ impl Echo {
         self.taken = value.into();
     }
 
-    /// It reads as `value`. True if by now the drive has refused the written value.
+    /// It reads as `value`.
     #[inline]
-    pub(super) fn read(&mut self, value: i32) -> bool {
+    pub(super) fn read(&mut self, value: i32) -> Shown {
         if self.written == i64::from(value) {
-            (self.different, self.taken) = (0, value.into());
-            return false;
+            (self.different, self.stood, self.taken) = (0, true, value.into());
+            return Shown::Same;
+        }
+        if self.stood {
+            self.taken = NONE;
+            return Shown::Changed;
         }
         if !self.settled {
-            return false;
+            return Shown::Other;
         }
         self.taken = NONE;
         self.different = self.different.saturating_add(1);
-        self.different == DIFFERENT
+        if self.different == DIFFERENT { Shown::Refused } else { Shown::Other }
     }
 }
 
@@ -77,9 +102,9 @@ mod tests {
         echo.replied(5);
         assert_eq!(echo.taken(), None);
         // A drive that reads before it writes.
-        assert!(!echo.read(0));
+        assert_eq!(echo.read(0), Shown::Other);
         echo.replied(5);
-        assert!(!echo.read(5));
+        assert_eq!(echo.read(5), Shown::Same);
         assert_eq!(echo.taken(), Some(5));
         echo.replied(6);
         assert_eq!(echo.taken(), None, "another value is another matter");
@@ -89,16 +114,16 @@ mod tests {
     fn two_reads_that_differ_are_a_refusal_told_once() {
         let mut echo = Echo::default();
         echo.replied(5);
-        assert!(!echo.read(1), "it may have been read first");
+        assert_eq!(echo.read(1), Shown::Other, "it may have been read first");
         echo.replied(5);
-        assert!(!echo.read(1), "once may be a slow drive");
+        assert_eq!(echo.read(1), Shown::Other, "once may be a slow drive");
         echo.replied(5);
-        assert!(echo.read(1));
+        assert_eq!(echo.read(1), Shown::Refused);
         echo.replied(5);
-        assert!(!echo.read(1), "reported once");
+        assert_eq!(echo.read(1), Shown::Other, "reported once");
         assert_eq!(echo.taken(), None);
         echo.replied(7);
-        assert!(!echo.read(7));
+        assert_eq!(echo.read(7), Shown::Same);
         assert_eq!(echo.taken(), Some(7));
     }
 
@@ -108,14 +133,28 @@ mod tests {
         echo.confirm(5);
         assert_eq!(echo.taken(), Some(5));
         echo.confirm(5);
-        assert!(!echo.read(4));
+        assert_eq!(echo.read(4), Shown::Other);
         assert_eq!(echo.taken(), None);
+    }
+
+    #[test]
+    fn a_value_that_stood_and_reads_otherwise_was_changed_by_somebody_else() {
+        let mut echo = Echo::default();
+        echo.replied(5);
+        assert_eq!((echo.read(5), echo.read(6), echo.taken()), (Shown::Same, Shown::Changed, None));
+        echo.replied(5);
+        assert_eq!((echo.read(5), echo.taken()), (Shown::Same, Some(5)));
+        echo.replied(6);
+        assert_eq!(echo.read(5), Shown::Other, "another value has not stood yet");
+        assert_eq!(echo.read(6), Shown::Same);
+        echo.sent(7);
+        assert_eq!(echo.read(7), Shown::Other, "our own, although its answer was lost");
     }
 
     #[test]
     fn a_value_that_nobody_wrote_is_none_of_ours() {
         let mut echo = Echo::default();
-        assert!(!echo.read(1) && !echo.read(2) && !echo.read(3));
+        assert!([1, 2, 3].into_iter().all(|value| echo.read(value) == Shown::Other));
         assert_eq!(echo.taken(), None);
     }
 }

@@ -1,9 +1,11 @@
 //! The handshake on a new connection before the loop gets it: it reads what the drive is and does. On a normal
 //! thread, one request after the other.
 //!
-//! It reads the unit id, every cyclic parameter, whether FC23 is known, and the drive's control source and
-//! watchdog. It writes only the set-up of menu 0, and that only to a drive that does not run. The settings that
-//! make the drive follow the control word are written by the station, with the first order that needs them.
+//! It reads the unit id, every cyclic parameter, and the drive's control source and watchdog, all by FC03. Whether
+//! the drive has FC23 is shown by the first exchange that writes: a server may ignore a request that is only made
+//! to find out, or close on it. It writes only the set-up of menu 0, and that only to a drive that does not run.
+//! The settings that make the drive follow the control word are written by the station, with the first order that
+//! needs them.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -12,7 +14,7 @@ use super::mapping::{Block, Image, Mapping, Role};
 use super::parameter::{DRIVE_UNIT, Parameter, Width};
 use super::plan::UnidriveDrive;
 use super::setup::{Purpose, Setting, settings};
-use super::wire::{ADU_MAX, ExceptionCode, Header, RegistersBuffer, Request, Response, frame, function};
+use super::wire::{ADU_MAX, Header, RegistersBuffer, Request, Response, frame};
 use super::words::{ControlWord, StatusWord};
 use crate::net::{Greeted, Greeting};
 use crate::time::{S, Time};
@@ -22,8 +24,6 @@ use crate::time::{S, Time};
 pub struct Finding {
     /// The unit id of the drive's answers.
     pub unit: u8,
-    /// It knows FC23.
-    pub read_write: bool,
     /// It shows the cyclic parameters in menu 0.
     pub menu_0: bool,
     /// It follows control word and reference.
@@ -53,10 +53,9 @@ impl Found {
         let flag = |bit: u32| bits >> bit & 1 != 0;
         Finding {
             unit: bits as u8,
-            read_write: flag(8),
-            menu_0: flag(9),
-            obeys: flag(10),
-            watched: flag(11),
+            menu_0: flag(8),
+            obeys: flag(9),
+            watched: flag(10),
             control: ControlWord((bits >> 16) as u16),
             status: StatusWord((state >> 32) as u16),
             speed: state as u32 as i32,
@@ -65,8 +64,8 @@ impl Found {
 
     /// For the handshake.
     pub fn set(&self, finding: Finding) {
-        let Finding { unit, read_write, menu_0, obeys, watched, control, status, speed } = finding;
-        let flags = [read_write, menu_0, obeys, watched];
+        let Finding { unit, menu_0, obeys, watched, control, status, speed } = finding;
+        let flags = [menu_0, obeys, watched];
         let flags = flags.iter().enumerate().map(|(bit, flag)| u64::from(*flag) << (8 + bit)).sum::<u64>();
         let [bits, state] = &self.words;
         bits.store(u64::from(unit) | flags | u64::from(control.0) << 16, Ordering::Release);
@@ -83,8 +82,6 @@ enum Step {
     Look(usize),
     /// The value of this setting.
     Find(usize),
-    /// Whether FC23 is known: it reads and writes nothing.
-    Probe,
     /// This setting of menu 0 is written ...
     Set(usize),
     /// ... and read back.
@@ -143,7 +140,7 @@ impl UnidriveGreeting {
     /// the time limit of a reply.
     pub(super) fn longest_ns(&self) -> u64 {
         let menu_0 = self.settings.iter().filter(|setting| setting.purpose == Purpose::Menu0).count();
-        let requests = 4 + self.direct.reads().len() + self.settings.len() + 2 * menu_0;
+        let requests = 3 + self.direct.reads().len() + self.settings.len() + 2 * menu_0;
         S + requests as u64 * self.drive.reply_within_ns
     }
 
@@ -171,21 +168,6 @@ impl UnidriveGreeting {
             Step::Find(index) | Step::Verify(index) => {
                 self.settings.get(index).and_then(|setting| read(setting.parameter, setting.width))
             }
-            // Zero registers: a drive that knows the function answers that the count is wrong.
-            Step::Probe => {
-                let status = self.drive.map.status;
-                status.parameter.address(self.drive.addressing, status.width).map(|address| {
-                    (
-                        status.parameter,
-                        Request::ReadWrite {
-                            read: address,
-                            count: 0,
-                            write: address,
-                            data: data.registers(),
-                        },
-                    )
-                })
-            }
             Step::Set(index) => self
                 .settings
                 .get(index)
@@ -208,7 +190,7 @@ impl UnidriveGreeting {
             _ => None,
         };
         let values = match response {
-            Response::Read { data } | Response::ReadWritten { data } => Some(data),
+            Response::Read { data } => Some(data),
             _ => None,
         };
         let next = match (self.step, refused) {
@@ -256,18 +238,14 @@ impl UnidriveGreeting {
                     return surprised();
                 }
                 self.has.push(value);
-                Some(if index + 1 < self.settings.len() { Step::Find(index + 1) } else { Step::Probe })
-            }
-            (Step::Probe, _) => {
-                // Of this function: pymodbus answers a request that it considers malformed with code 1 and function
-                // 0.
-                const UNKNOWN: Response<'_> =
-                    Response::Exception { function: function::READ_WRITE, code: ExceptionCode::FUNCTION };
-                self.finding.read_write = response != UNKNOWN;
-                self.finding.control = ControlWord(self.value(Role::Control) as u16);
-                self.finding.status = StatusWord(self.value(Role::Status) as u16);
-                self.finding.speed = self.value(Role::Speed);
-                self.next_setting(0)
+                if index + 1 < self.settings.len() {
+                    Some(Step::Find(index + 1))
+                } else {
+                    self.finding.control = ControlWord(self.value(Role::Control) as u16);
+                    self.finding.status = StatusWord(self.value(Role::Status) as u16);
+                    self.finding.speed = self.value(Role::Speed);
+                    self.next_setting(0)
+                }
             }
             (Step::Set(index), _) => Some(Step::Verify(index)),
             (Step::Verify(index), _) => {

@@ -52,6 +52,11 @@ impl Identity {
         self.open != 0
     }
 
+    /// The last request is not waited for any more: its reply would be late.
+    pub(super) fn give_up(&mut self) {
+        self.open = 0;
+    }
+
     /// A new connection: no reply of the earlier one arrives on it, and no id is used again.
     pub(super) fn reconnected(&mut self) {
         (self.answered, self.sent, self.open) = (0, 0, 0);

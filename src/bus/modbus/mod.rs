@@ -8,8 +8,10 @@
 //! | `plan`, `mapping` | the bus as configured; its cyclic parameters as blocks |
 //! | `greeting` | the handshake on a new connection before the loop gets it |
 //! | `station` | the master's view of one drive |
-//! | `identity`, `orders`, `calls`, `native`, `counters` | its parts: matching of replies, steps of an order, acyclic calls, native process data, counts |
+//! | `identity`, `pace`, `orders`, `calls`, `native`, `counters` | its parts: matching of replies, whether they come inside the window, steps of an order, acyclic calls, native process data, counts |
+//! | `read_write` | whether the drive has FC23 |
 //! | `setup`, `echo`, `template` | settings before the first order, values that the drive has accepted, what stays the same between exchanges |
+//! | `other` | another master's values |
 //! | `bus` | stations and connections as one bus |
 //! | `sim` | the simulated drive |
 
@@ -29,7 +31,10 @@ mod echo;
 mod greeting;
 mod identity;
 mod orders;
+mod other;
+mod pace;
 mod plan;
+mod read_write;
 mod setup;
 mod station;
 mod template;
@@ -37,7 +42,7 @@ mod template;
 pub use bus::ModbusBus;
 pub use greeting::{Finding, Found};
 pub use native::{Native, NativeInputs, NativeOutput};
-pub use plan::{Map, Mapped, ModbusPlan, PORT, UnidriveDrive, Via, WATCHDOG_MAX_NS, Watchdog};
+pub use plan::{Functions, Map, Mapped, ModbusPlan, PORT, UnidriveDrive, Via, WATCHDOG_MAX_NS, Watchdog};
 pub use station::{Station, Why};
 
 /// The protocol's name in configurations.

@@ -289,6 +289,16 @@ impl Orders {
         self.new = false;
     }
 
+    /// The drive refused the request as a whole: what it wrote has to go out again.
+    pub(super) fn refused(&mut self, control: bool, reference: bool) {
+        self.new = true;
+        self.told &= !control;
+        if self.native.is_some() {
+            self.native_gone.0 &= !control;
+            self.native_gone.1 &= !reference;
+        }
+    }
+
     /// The control word went out.
     pub(super) fn control_sent(&mut self) {
         self.told = true;

@@ -39,6 +39,8 @@ pub struct UnidriveDrive {
     pub map: Map,
     /// How they are reached.
     pub via: Via,
+    /// By which functions they are written and read.
+    pub functions: Functions,
     /// A reply counts for so long, ns. A Unidrive answers from a background task, without a guaranteed time.
     pub reply_within_ns: u64,
     /// What stops the drive if the master dies.
@@ -130,6 +132,18 @@ pub enum Via {
     },
 }
 
+/// The Modbus functions of the cyclic exchange.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Functions {
+    /// FC23; FC16 and FC03 in turns where the drive refuses FC23, ignores it, or closes the connection on it.
+    #[default]
+    Auto,
+    /// FC23, which writes and reads.
+    ReadWrite,
+    /// FC16 and FC03 in turns.
+    Apart,
+}
+
 /// What makes the drive stop by itself when nothing comes any more.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Watchdog {
@@ -149,6 +163,14 @@ impl Default for Watchdog {
         Watchdog { timeout_ns: Some(500 * MS), keypad: false, accept_none: false }
     }
 }
+
+/// A host repeats a lost segment that nothing follows after so long at the earliest, ns (Linux: TCP_RTO_MIN, and the
+/// drive's host may take as long or longer) ...
+const REPEATED_NS: u64 = 200 * MS;
+/// ... and its reply is there by then, on a local network.
+const REPEATED_BY_NS: u64 = REPEATED_NS + 10 * MS;
+/// How long a reply counts by default, ns: one lost frame does not cost the link.
+const USUAL_REPLY_NS: u64 = 250 * MS;
 
 /// What a keypad watchdog waits for, ns (assumed).
 pub const KEYPAD_WATCHDOG_NS: u64 = S;
@@ -189,11 +211,21 @@ impl UnidriveDrive {
             addressing: Addressing::Standard,
             map: Map::default(),
             via: Via::default(),
-            reply_within_ns: 50 * MS,
+            functions: Functions::default(),
+            reply_within_ns: USUAL_REPLY_NS,
             watchdog: Watchdog::default(),
             set_up: true,
             simulate: SimSettings::new(address),
         }
+    }
+
+    /// How long a reply counts by default with this watchdog and an exchange every `period_ns`. The drive hears of
+    /// nobody while a reply is waited for, and the next request follows in its turn: by then its watchdog must not
+    /// have run out.
+    pub fn usual_reply_within(watchdog: &Watchdog, period_ns: u64) -> u64 {
+        let Some(timeout) = watchdog.timeout_ns else { return USUAL_REPLY_NS };
+        // A cycle of rounding is at most a period.
+        USUAL_REPLY_NS.min(timeout.saturating_sub(period_ns.saturating_mul(2)).max(timeout / 2))
     }
 
     /// A speed in user units/s as revolutions a minute.
@@ -311,19 +343,19 @@ impl UnidriveDrive {
     fn watchdog_faults(&self, period_ns: u64) -> Vec<PlanFault> {
         let mut faults = Vec::new();
         let mut wrong = |key, message| faults.push(PlanFault::new(key, message));
-        // Any request is traffic.
-        let heard_ns = period_ns.max(self.reply_within_ns);
+        // Any request is traffic. The next one follows in its turn, when the reply no longer counts at the latest.
+        let silent_ns = period_ns.saturating_add(period_ns.max(self.reply_within_ns));
         match self.watchdog.timeout_ns {
             Some(ns) if ns == 0 || ns > WATCHDOG_MAX_NS || !ns.is_multiple_of(MS) => {
                 wrong("watchdog.timeout", "must be in whole milliseconds; use 1ms ... 65535ms".to_owned());
             }
-            Some(ns) if ns < heard_ns.saturating_mul(2) => wrong(
+            Some(ns) if ns < silent_ns => wrong(
                 "watchdog.timeout",
                 format!(
                     "trips the drive after {} without traffic, but {} may pass until the next request; allow \
-                     twice that, exchange more often, or lower reply_within",
+                     more, exchange more often, or lower reply_within",
                     Ns(ns),
-                    Ns(heard_ns)
+                    Ns(silent_ns)
                 ),
             ),
             _ => {}
@@ -357,6 +389,17 @@ impl UnidriveDrive {
         let every = Ns(period_ns.saturating_mul(self.axis.divisor.into()));
         let mut lines = vec![self.address.to_string()];
         lines.extend(self.describe_exchange(every));
+        lines.push(
+            match self.functions {
+                Functions::Auto => {
+                    "by FC23; a drive that refuses or ignores it is written by FC16 and read by FC03 in turns \
+                     (no_fc23 counts that)"
+                }
+                Functions::ReadWrite => "by FC23 and no other function",
+                Functions::Apart => "writing (FC16) and reading (FC03) take turns",
+            }
+            .to_owned(),
+        );
         lines.push(format!(
             "a reply counts for {}; after {} of silence its connection is opened again, with pauses: a stop \
              request leaves with the first exchange on the new one, and until then only the drive's own \
@@ -364,6 +407,7 @@ impl UnidriveDrive {
             Ns(self.reply_within_ns),
             Ns(2 * self.reply_within_ns)
         ));
+        lines.push(self.describe_loss(every.0));
         lines.push("takes velocities; no moves, no streams, no homing".to_owned());
         let shown: Vec<String> = self.shown().into_iter().flatten().map(|channel| channel.name).collect();
         if !shown.is_empty() {
@@ -399,6 +443,33 @@ impl UnidriveDrive {
                 count(turns, "request"),
             ),
         })
+    }
+
+    /// What one lost frame costs. A host repeats it after [`REPEATED_NS`], after the doubled time if it is lost again.
+    fn describe_loss(&self, every_ns: u64) -> String {
+        let repeated = Ns(REPEATED_NS);
+        let within_ns = self.reply_within_ns;
+        if within_ns >= REPEATED_BY_NS {
+            return format!(
+                "one lost frame delays an exchange by {repeated}, since TCP repeats it no sooner, and the link \
+                 stays up: a stop request that waits for it leaves {} later at most; a frame lost twice costs \
+                 the link",
+                Ns(REPEATED_BY_NS + every_ns)
+            );
+        }
+        // The connection is given up after twice the time; else the requests of the meantime are misses.
+        let misses = 1 + (REPEATED_BY_NS - within_ns) / every_ns.max(1);
+        let is_lost = 2 * within_ns < REPEATED_BY_NS || misses >= u64::from(self.axis.health.bucket);
+        let costs = if is_lost { "the link".to_owned() } else { count(misses as usize, "exchange") };
+        let remedy = match self.watchdog.timeout_ns {
+            Some(timeout_ns) if timeout_ns < REPEATED_BY_NS + 2 * every_ns => format!(
+                "; reply_within from {} on would wait for it, with a watchdog.timeout from {} on",
+                Ns(REPEATED_BY_NS),
+                Ns(REPEATED_BY_NS + 2 * every_ns)
+            ),
+            _ => format!("; reply_within from {} on would wait for it", Ns(REPEATED_BY_NS)),
+        };
+        format!("one lost frame costs {costs}: TCP repeats it after {repeated} at the earliest{remedy}")
     }
 
     fn describe_death(&self) -> String {

@@ -19,6 +19,8 @@ pub(super) struct Template {
     pub blocks: (Option<u8>, Option<u8>),
     /// The drive has no other blocks.
     pub only: bool,
+    /// The registers of both together.
+    pub registers: u16,
     /// The length of the whole message.
     pub length: usize,
     /// The offsets of control word and reference, if it writes them.
@@ -127,6 +129,7 @@ mod tests {
         let template = Template {
             blocks: (Some(0), Some(0)),
             only: true,
+            registers: 16,
             length,
             control: Some((length as u8 - 8, Width::Long)),
             reference: Some((length as u8 - 4, Width::Long)),

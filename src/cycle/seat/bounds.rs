@@ -26,6 +26,15 @@ pub(super) struct Sample {
     pub(super) velocity: f64,
 }
 
+/// What is watched of an axis.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Watched {
+    /// It homes: its positions change their origin, and it has a speed limit of its own.
+    pub(super) homing: bool,
+    /// It must also be able to stop inside its range.
+    pub(super) braking: bool,
+}
+
 impl Sample {
     /// Whether its positions give the demand velocity.
     fn tells_demand(&self) -> bool {
@@ -77,15 +86,22 @@ impl Bounds {
         (self.last, self.fresh) = (Some(sample), true);
     }
 
+    /// The speed in the last report, user units/s; NaN if it is not known.
+    pub(super) fn speed(&self) -> f64 {
+        self.velocity.abs()
+    }
+
     /// Whether the drive does what the plan forbids. With `braking` it must also be able to stop inside its range,
     /// from where it will be when a stop reaches it: after [`REPORTS`], and two exchanges `seconds` apart.
-    pub(super) fn are_broken(&mut self, plan: &AxisPlan, braking: bool, seconds: f64) -> bool {
+    pub(super) fn are_broken(&mut self, plan: &AxisPlan, watched: Watched, seconds: f64) -> bool {
+        let Watched { homing, braking } = watched;
         let Some(sample) = self.last.filter(|_| std::mem::take(&mut self.fresh)) else { return false };
         let velocity = self.velocity;
         // Written so that an unknown value is not inside.
         let margin = if sample.tells_demand() { SPEED_MARGIN } else { ACTUAL_SPEED_MARGIN };
-        let slow = plan.limits.velocity.is_none_or(|most| velocity.abs() <= most * margin);
-        let inside = plan.limits.position.filter(|_| sample.homed).is_none_or(|(low, high)| {
+        let most = if homing { plan.limits.homing_velocity() } else { plan.limits.velocity };
+        let slow = most.is_none_or(|most| velocity.abs() <= most * margin);
+        let inside = plan.limits.position.filter(|_| sample.homed && !homing).is_none_or(|(low, high)| {
             let reaction = f64::from(REPORTS + 2) * seconds;
             let time = if braking { velocity.abs() / (2.0 * plan.stop.deceleration) + reaction } else { 0.0 };
             let end = sample.position + velocity * time;
@@ -134,7 +150,7 @@ mod tests {
             let at = Time(MS * index as u64);
             let (position, velocity) = (*demand, *velocity);
             bounds.take(Sample { sent_at: at, at, homed, led, position, velocity }, plan);
-            bounds.are_broken(plan, braking, 0.001)
+            bounds.are_broken(plan, Watched { homing: false, braking }, 0.001)
         })
     }
 
@@ -166,7 +182,7 @@ mod tests {
             let (led, position) = if index / 4 % 2 == 0 { (true, 20.0) } else { (false, 70.0) };
             let at = Time(MS * u64::from(index));
             bounds.take(Sample { sent_at: at, at, homed: true, led, position, velocity: 0.0 }, &plan);
-            assert!(!bounds.are_broken(&plan, true, 0.001), "{index}");
+            assert!(!bounds.are_broken(&plan, Watched { homing: false, braking: true }, 0.001), "{index}");
             assert_eq!(bounds.velocity, 0.0, "{index}");
         }
     }
@@ -250,13 +266,36 @@ mod tests {
     }
 
     #[test]
+    fn homing_has_a_speed_limit_of_its_own_and_no_range() {
+        let (mut plan, homing) = (plan(), Watched { homing: true, braking: true });
+        let mut trips = |limit: Option<f64>, speed: f64| {
+            (plan.limits.homing, plan.limits.position) = (limit, Some((0.0, 1.0)));
+            let mut bounds = Bounds::default();
+            (0..20_u32).position(|index| {
+                let (at, position) = (Time(MS * u64::from(index)), f64::from(index) * speed * 1e-3);
+                let sample = Sample { sent_at: at, at, homed: true, led: true, position, velocity: speed };
+                bounds.take(sample, &plan);
+                bounds.are_broken(&plan, homing, 0.001)
+            })
+        };
+        assert_eq!(
+            [(None, 490.0), (None, 600.0), (Some(50.0), 49.0), (Some(50.0), 60.0)]
+                .map(|(limit, speed)| trips(limit, speed)),
+            [None, Some(3), None, Some(3)]
+        );
+    }
+
+    #[test]
     fn a_report_that_was_held_up_makes_no_speed() {
         let (plan, mut bounds) = (plan(), Bounds::default());
         for (sent_ms, at_ms, demand) in [(0, 0, 0.0), (1, 4, 0.4), (2, 4, 0.8), (9, 9, 3.6), (10, 10, 4.0)] {
             let (sent_at, at) = (Time(sent_ms * MS), Time(at_ms * MS));
             let sample = Sample { sent_at, at, homed: true, led: true, position: demand, velocity: 0.0 };
             bounds.take(sample, &plan);
-            assert!(!bounds.are_broken(&plan, false, 0.001), "sent after {sent_ms} ms");
+            assert!(
+                !bounds.are_broken(&plan, Watched { homing: false, braking: false }, 0.001),
+                "sent after {sent_ms} ms"
+            );
         }
     }
 

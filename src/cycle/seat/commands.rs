@@ -9,13 +9,16 @@ use crate::axis::{
     Ticket, Verb,
 };
 use crate::bus::{Cycle, Slot};
-use crate::time::Time;
+use crate::cycle::ladder::deceleration_of;
+use crate::time::{Time, nanos};
 
 impl Seat {
     /// Drains the application's commands: ends the finished one, aborts those that an urgent one overtakes, starts
     /// the next. The command of a group is left to the group synchronisation.
     pub fn exchange(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
         self.waiting = None;
+        self.commanded = slot.commanded;
+        let held = self.held.take();
         self.take_setpoints(cycle);
         self.end_active(cycle, now, slot);
         self.overtake(cycle, now);
@@ -25,6 +28,14 @@ impl Seat {
             let Some(next) = next else { break };
             if self.active.is_some_and(|active| !replaces(&next, &active)) {
                 break;
+            }
+            if self.admit(&next) == Err(Failure::BeingWritten) {
+                let since = held.filter(|(id, _)| *id == next.id).map_or(now, |(_, since)| since);
+                // Too long, and it is refused below.
+                if now.since(since) <= nanos(self.plan.enable_timeout) {
+                    self.held = Some((next.id, since));
+                    break;
+                }
             }
             if next.ticket.is_some() && self.waits_at_gate(cycle, &next) {
                 break;
@@ -110,10 +121,18 @@ impl Seat {
                     self.claim = Claim::Armed;
                     self.bounds = Bounds::default();
                 }
+                if matches!(active.verb, Verb::Enable | Verb::Disable) {
+                    // From here on the drive's report says it.
+                    self.rising = 0;
+                }
                 self.end(cycle, now, active, Outcome::Done);
             }
             Some(Err(failure)) => {
                 let grouped = self.moves_in_group().is_some();
+                if matches!(failure, Failure::Unsupported(_) | Failure::DriveFault(_)) {
+                    // Nothing was commanded, or a fault holds the power off.
+                    self.rising = 0;
+                }
                 self.end(cycle, now, active, Outcome::Failed(failure));
                 if matches!(active.verb, Verb::Stop { .. }) && self.latch.is_open() {
                     // A ramp that the drive refuses becomes its quick stop, as in the stop sequence.
@@ -151,6 +170,7 @@ impl Seat {
             self.end(cycle, now, active, Outcome::Aborted(Abort::Replaced(command.id)));
         }
         self.active = Some(command);
+        self.began = now;
         match command.verb {
             Verb::Reset => self.try_reset(cycle, now, command, slot),
             Verb::Disable => {
@@ -162,10 +182,19 @@ impl Seat {
                     ladder.quicken();
                 }
                 self.begin_setpoints(cycle, &command);
-                self.homing |= verb == Verb::Home;
-                self.order(slot, Some(verb));
+                if verb == Verb::Enable {
+                    self.rising = FALLEN_REPORTS;
+                }
+                self.order(slot, Some(self.bounded(verb)));
             }
         }
+    }
+
+    /// A stop that ends within the stop's time-out, however weak a deceleration was requested.
+    fn bounded(&self, verb: Verb) -> Verb {
+        let Verb::Stop { deceleration } = verb else { return verb };
+        let requested = deceleration.unwrap_or(self.plan.profile.deceleration);
+        Verb::Stop { deceleration: Some(deceleration_of(&self.plan.stop, requested, self.speed())) }
     }
 
     /// Whether the command may start now. Its numbers were checked on submission; here the axis decides.
@@ -187,6 +216,7 @@ impl Seat {
             Verb::Reset => Ok(()),
             _ if self.feedback.link != Link::Online => Err(Failure::NotOnline),
             Verb::Enable if self.feedback.inhibited => Err(Failure::Inhibited),
+            Verb::Enable if self.commanded => Err(Failure::BeingWritten),
             // Neither its way nor its limits could be evaluated.
             Verb::Move(_) | Verb::Follow if self.feedback.demand.is_nan() => {
                 Err(Failure::Unsupported("it reports no position, so it takes neither moves nor rows"))
@@ -241,6 +271,11 @@ impl Seat {
             return Err(Failure::Unsupported("the in-loop task may give one command per axis and cycle"));
         }
         check_verb(&self.plan, &command.verb)?;
+        if self.queues.events.slots() <= self.queues.room_for_ends && !command.verb.is_urgent() {
+            return Err(Failure::Unsupported(
+                "the application takes no events: there is no room for its end",
+            ));
+        }
         if self.moves_in_group().is_some() && !command.verb.is_urgent() {
             return Err(Failure::Unsupported(
                 "the axis moves in a group: only a stop can be given to it alone",
@@ -280,6 +315,10 @@ impl Seat {
         }
     }
 }
+
+/// After an enable that did not come to its end, so many reports without power show that its last control word had no
+/// effect: reports may be two exchanges older than the word.
+const FALLEN_REPORTS: u8 = 4;
 
 /// Cycles that a stop of a group waits for the stops of the other members.
 const URGENT_WAIT: u64 = 2;

@@ -6,14 +6,17 @@
 //! | `commands` | the application's commands, in their order |
 //! | `setpoints` | rows, velocities and torques for the next send, and their age |
 //! | `bounds` | bounds of the drive's own demand, whatever commands it |
+//! | `rest` | motion that nobody commands |
 
 mod bounds;
 mod commands;
+mod rest;
 mod setpoints;
 
 use rtrb::{Consumer, Producer};
 
-use self::bounds::{Bounds, Sample};
+use self::bounds::{Bounds, Sample, Watched};
+use self::rest::{Motion, Rest};
 use self::setpoints::{Follow, Level};
 use super::health::LinkHealth;
 use super::ladder::{Ladder, Sight};
@@ -21,13 +24,14 @@ use super::record::{DriveRecord, MonitorRecord, Reply, measured, short};
 use super::status::{DriveNumbers, Extent, Peaks};
 use crate::axis::cell::Writer;
 use crate::axis::command::NativeOwner;
+use crate::axis::newest::NewestOut;
 use crate::axis::{
     Abort, AxisPlan, Command, CommandId, Event, EventKind, Feedback, FoundRunning, Link, MONITOR_CHANNELS,
-    Outcome, Row, Setpoint, Shown, State, StopCause, StreamRow, Ticket, Verb,
+    Outcome, Row, Shown, State, StopCause, StreamRow, Ticket, Verb,
 };
 use crate::bus::{Cycle, Exchange, Order, Report, Slot};
 use crate::rt::Regions;
-use crate::time::Time;
+use crate::time::{Time, nanos};
 
 /// The ends of the queues that the loop holds for one axis.
 #[derive(Debug)]
@@ -36,10 +40,12 @@ pub struct Queues {
     pub commands: Consumer<Command>,
     /// Rows of the application's stream.
     pub rows: Consumer<StreamRow>,
-    /// Velocity and torque setpoints of the application; the newest counts.
-    pub setpoints: Consumer<Setpoint>,
+    /// The newest velocity or torque setpoint of the application.
+    pub setpoints: NewestOut,
     /// Events to the application.
     pub events: Producer<Event>,
+    /// Places among them that only the ends of commands take.
+    pub room_for_ends: usize,
     /// The newest feedback.
     pub feedback: Writer<Feedback>,
     /// Every cycle's feedback, where the plan requests it.
@@ -55,8 +61,9 @@ pub struct Seat {
     feedback: Feedback,
     claim: Claim,
     latch: Latch,
-    /// The running command.
+    /// The running command, and when it began.
     active: Option<Command>,
+    began: Time,
     serial: u64,
     /// A command of the in-loop task, to be taken before the queue.
     task_command: Option<Command>,
@@ -73,10 +80,15 @@ pub struct Seat {
     level: Level,
     ahead: Level,
     bounds: Bounds,
-    /// It is homing, or has not stood still since.
-    homing: bool,
+    rest: Rest,
     /// The drive was found restarted in this cycle.
     restarted: bool,
+    /// Reports of a drive without power until an enable that did not end as done can no longer bring it on.
+    rising: u8,
+    /// A call of the application that commands the drive is under way.
+    commanded: bool,
+    /// The enable that waits for its end, and since when.
+    held: Option<(CommandId, Time)>,
     /// How the exchange of this cycle was closed.
     closed: Option<Closed>,
     /// The slot of the values in the feedback.
@@ -158,8 +170,8 @@ pub enum Closed {
 
 impl Seat {
     /// A seat for the axis of `plan`.
-    pub fn new(plan: AxisPlan, queues: Queues, period_ns: u64, first_probe: u64) -> Seat {
-        let health = LinkHealth::new(plan.health, plan.divisor, plan.phase, period_ns, first_probe);
+    pub fn new(plan: AxisPlan, queues: Queues, period_ns: u64, first_probe: u64, silence: u64) -> Seat {
+        let health = LinkHealth::new(plan.health, plan.divisor, plan.phase, period_ns, first_probe, silence);
         Seat {
             plan,
             queues,
@@ -168,6 +180,7 @@ impl Seat {
             claim: Claim::Found,
             latch: Latch::Open,
             active: None,
+            began: Time(0),
             serial: 0,
             task_command: None,
             task_row: None,
@@ -178,8 +191,11 @@ impl Seat {
             level: Level::default(),
             ahead: Level::default(),
             bounds: Bounds::default(),
-            homing: false,
+            rest: Rest::default(),
             restarted: false,
+            rising: 0,
+            commanded: false,
+            held: None,
             closed: None,
             fresh_at: 0,
             seen: false,
@@ -199,6 +215,7 @@ impl Seat {
     /// Adds the memory that it touches besides itself and its rings, to be locked.
     pub fn memory(&self, regions: &mut Regions) {
         self.queues.feedback.memory(regions);
+        self.queues.setpoints.memory(regions);
     }
 
     /// The plan of the axis.
@@ -209,6 +226,19 @@ impl Seat {
     /// The feedback as last published.
     pub fn feedback(&self) -> &Feedback {
         &self.feedback
+    }
+
+    /// Whether the power of the drive is on, or may come on by an order of this master: the drive reports it, it was
+    /// commanded on and is not known to be off again, its stop sequence has not ended, or an enable waits. The
+    /// application's own control word is the application's concern.
+    #[inline]
+    pub fn is_guarded(&self) -> bool {
+        let on = self.feedback.state.is_powered()
+            || self.claim == Claim::Armed
+            || self.rising > 0
+            || self.held.is_some()
+            || !self.latch.is_settled();
+        on && !self.is_native(NativeOwner::Application)
     }
 
     /// Whether an exchange is due in slot `index`.
@@ -262,7 +292,7 @@ impl Seat {
             Exchange::Answered { sent_at, at, suspect } => {
                 slot.exchange = Exchange::Idle;
                 self.closed = Some(Closed::Answered);
-                self.health.answered();
+                self.health.answered(cycle.index);
                 if suspect {
                     Reply::Suspect
                 } else {
@@ -276,6 +306,7 @@ impl Seat {
             }
         };
         self.record.reply = reply;
+        self.health.watch_silence(cycle.index);
         if std::mem::take(&mut slot.reachable) {
             self.health.reachable(cycle.index + 1);
         }
@@ -329,6 +360,9 @@ impl Seat {
             return self.take_emergency(cycle, now, slot);
         }
         self.fresh_at = cycle.index - u64::from(report.suspect).min(cycle.index);
+        if self.rising > 0 && self.active.is_none() && !report.state.is_powered() && !report.suspect {
+            self.rising -= 1;
+        }
         self.feedback = Feedback {
             cycle: cycle.index,
             age: u32::from(report.suspect),
@@ -410,7 +444,11 @@ impl Seat {
             Link::Online => {
                 self.seen = true;
                 let running = self.feedback.state.is_powered() || self.feedback.moving;
-                if running && self.claim != Claim::Armed && !matches!(self.latch, Latch::Down(..)) {
+                // What a living master runs is not taken over.
+                let others =
+                    slot.report.other_master || matches!(self.latch, Latch::Kept(StopCause::OtherMaster));
+                if running && self.claim != Claim::Armed && !matches!(self.latch, Latch::Down(..)) && !others
+                {
                     if self.latch.is_open() {
                         self.latch(cycle, now, StopCause::FoundRunning);
                     }
@@ -424,32 +462,29 @@ impl Seat {
         }
     }
 
-    /// Watches an axis in operation, and runs one cycle of its stop sequence.
+    /// Watches an axis that has power, and runs one cycle of its stop sequence.
     pub fn watch(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
         let restarted = std::mem::take(&mut self.restarted);
-        // Where the application owns the control word, the drive's state is the application's concern.
-        let free = self.is_native(NativeOwner::Application);
-        if (self.claim == Claim::Armed || free) && slot.report.fresh {
-            let cause = match self.feedback.state {
-                State::OperationEnabled | State::QuickStopActive => {
-                    // Homing gives the positions another origin and has speeds of its own.
-                    let home = self.active.is_some_and(|active| active.verb == Verb::Home);
-                    self.homing = home || self.homing && self.feedback.moving;
-                    // Only the drive knows how it will brake if this loop does not command it; under torque nothing
-                    // brakes it.
-                    let native = free || self.is_native(NativeOwner::Master);
-                    let braking = native || self.active.is_none() || under_torque(slot);
-                    let broken = self.bounds.are_broken(&self.plan, braking, self.row_seconds(cycle));
-                    (broken && !self.homing).then_some(StopCause::Limit)
-                }
-                _ if free && !restarted => None,
-                State::Fault | State::FaultReactionActive => Some(StopCause::DriveFault),
-                _ if self.feedback.inhibited => Some(StopCause::HardwareEnable),
-                _ => Some(StopCause::DriveDropped),
-            };
-            if let Some(cause) = cause {
-                self.stop(cycle, now, cause, slot);
+        // First: what follows from another master must not be named in its place.
+        if std::mem::take(&mut slot.report.other_master) {
+            self.stop(cycle, now, StopCause::OtherMaster, slot);
+        }
+        if slot.report.fresh {
+            let cause = self.left_operation(restarted).or_else(|| self.watch_motion(cycle, now, slot));
+            match cause {
+                // A drive that was only read until now is not ours to brake.
+                Some(_) if self.claim == Claim::Found && !self.is_native(NativeOwner::Application) => {}
+                Some(cause) if self.latch.is_open() => self.stop(cycle, now, cause, slot),
+                Some(cause) => self.stop_again(cycle, now, cause, slot),
+                None => {}
             }
+        }
+        if self.is_stopping_too_long(now) {
+            self.latch(cycle, now, StopCause::StopTimeout);
+            let (stop, load) = (self.plan.stop, self.plan.load);
+            let (ladder, verb) = Ladder::start_escalated(stop, load, now, self.speed());
+            self.latch = Latch::Down(StopCause::StopTimeout, ladder);
+            self.order(slot, Some(verb));
         }
         let sight = Sight {
             fresh: slot.report.fresh,
@@ -469,6 +504,66 @@ impl Seat {
             }
             self.order(slot, Some(verb));
         }
+    }
+
+    /// Why an axis that is expected to stay in operation is not.
+    fn left_operation(&self, restarted: bool) -> Option<StopCause> {
+        // Where the application owns the control word, the drive's state is the application's concern.
+        let free = self.is_native(NativeOwner::Application);
+        if !(self.claim == Claim::Armed || free) {
+            return None;
+        }
+        match self.feedback.state {
+            State::OperationEnabled | State::QuickStopActive => None,
+            _ if free && !restarted => None,
+            State::Fault | State::FaultReactionActive => Some(StopCause::DriveFault),
+            _ if self.feedback.inhibited => Some(StopCause::HardwareEnable),
+            _ => Some(StopCause::DriveDropped),
+        }
+    }
+
+    /// What an axis with power must not do, in whatever state it is: leave its limits, or move without a command.
+    fn watch_motion(&mut self, cycle: &Cycle, now: Time, slot: &Slot) -> Option<StopCause> {
+        let state = self.feedback.state;
+        // A drive in its fault reaction brakes by itself, and takes no request.
+        if !state.is_powered() || state == State::FaultReactionActive {
+            self.rest.interrupt();
+            return None;
+        }
+        let seconds = self.row_seconds(cycle);
+        let braking = matches!(&self.latch, Latch::Down(_, ladder) if !ladder.is_down());
+        let commanded = self.active.is_some_and(|active| active.verb != Verb::Reset);
+        // Only the drive knows how it will brake if this loop does not command it; under torque nothing brakes it.
+        let native = self.active.is_some_and(|active| matches!(active.verb, Verb::Native(_)));
+        let watched = Watched {
+            homing: self.active.is_some_and(|active| active.verb == Verb::Home),
+            braking: native || self.active.is_none() || under_torque(slot),
+        };
+        let broken = self.bounds.are_broken(&self.plan, watched, seconds);
+        if braking || commanded {
+            self.rest.interrupt();
+        } else if !slot.report.suspect {
+            let motion = Motion { moving: self.feedback.moving, velocity: self.feedback.velocity };
+            if self.rest.moves(now, motion, &self.plan.stop, seconds) {
+                return Some(if broken { StopCause::Limit } else { StopCause::Uncommanded });
+            }
+        }
+        // The stop sequence has its own time-out.
+        (broken && !braking).then_some(StopCause::Limit)
+    }
+
+    /// The application's stop has not ended in its time, although the drive answers.
+    fn is_stopping_too_long(&self, now: Time) -> bool {
+        let stops = |active: Command| matches!(active.verb, Verb::Stop { .. } | Verb::QuickStop);
+        self.active.is_some_and(stops)
+            && self.latch.is_open()
+            && self.is_heard()
+            && now.since(self.began) > nanos(self.plan.stop.timeout)
+    }
+
+    /// The fastest speed at which it may be, user units/s.
+    fn speed(&self) -> f64 {
+        self.feedback.velocity.abs().max(self.bounds.speed())
     }
 
     /// The drive answers, so that requests reach it.
@@ -504,8 +599,25 @@ impl Seat {
     /// Starts the stop sequence of an axis that is latched.
     fn brake(&mut self, now: Time, slot: &mut Slot) {
         let Some(cause) = self.latch.cause() else { return };
-        let (ladder, verb) = Ladder::start(self.plan.stop, self.plan.load, now);
+        // No ramp of velocities brakes a drive that follows torques: it would only lose its torque along the slope.
+        let start = if under_torque(slot) { Ladder::start_escalated } else { Ladder::start };
+        let (ladder, verb) = start(self.plan.stop, self.plan.load, now, self.speed());
         self.latch = Latch::Down(cause, ladder);
+        self.order(slot, Some(verb));
+    }
+
+    /// Stops an axis that is latched and moves all the same. The first cause stays; the new one is reported.
+    fn stop_again(&mut self, cycle: &Cycle, now: Time, cause: StopCause, slot: &mut Slot) {
+        let speed = self.speed();
+        let verb = match &mut self.latch {
+            Latch::Down(_, ladder) if ladder.is_down() => ladder.again(now, speed),
+            Latch::Kept(_) => return self.brake(now, slot),
+            _ => return,
+        };
+        self.rest.interrupt();
+        self.just_stopped = true;
+        self.tell(cycle, now, EventKind::Stopped(cause));
+        self.flush(cycle, now, Abort::Stopped(cause));
         self.order(slot, Some(verb));
     }
 
@@ -635,6 +747,10 @@ impl Seat {
         }
         if self.active.is_some_and(|active| active.id == command.id) {
             self.active = None;
+            if outcome != Outcome::Done {
+                // The drive may still be braking.
+                self.rest.fail();
+            }
         } else {
             self.dropped = command.ticket.or(self.dropped);
         }
@@ -642,7 +758,10 @@ impl Seat {
     }
 
     fn tell(&mut self, cycle: &Cycle, now: Time, kind: EventKind) {
-        if self.queues.events.push(Event { cycle: cycle.index, at: now, kind }).is_err() {
+        // Every accepted command ends exactly once: the place for that is kept from all else.
+        let kept = if matches!(kind, EventKind::Ended { .. }) { 0 } else { self.queues.room_for_ends };
+        let room = self.queues.events.slots() > kept;
+        if !room || self.queues.events.push(Event { cycle: cycle.index, at: now, kind }).is_err() {
             self.lost_events += 1;
         }
     }

@@ -39,12 +39,10 @@ pub(super) struct Level {
 }
 
 impl Seat {
-    /// The newest setpoints of the application.
+    /// The newest setpoint of the application.
     pub(super) fn take_setpoints(&mut self, cycle: &Cycle) {
-        for _ in 0..self.queues.setpoints.slots() {
-            if let Ok(setpoint) = self.queues.setpoints.pop() {
-                self.take_setpoint(cycle.index, setpoint);
-            }
+        if let Some(setpoint) = self.queues.setpoints.take() {
+            self.take_setpoint(cycle.index, setpoint);
         }
     }
 

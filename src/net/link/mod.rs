@@ -10,6 +10,8 @@ mod thread;
 
 pub use connection::{Action, Connection};
 pub(super) use thread::{Ends, GivenBack, LinkThread, Opened};
+#[cfg(test)]
+pub(super) use thread::{REPEATED_US, TCP_RTO_MIN_US};
 
 #[cfg(test)]
 pub(super) mod tests;

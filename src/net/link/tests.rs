@@ -47,6 +47,20 @@ impl Greeting for Hello {
     }
 }
 
+/// A handshake with an error of ours.
+#[derive(Debug)]
+struct Panics;
+
+impl Greeting for Panics {
+    fn begin(&mut self, _now: Time, _out: &mut Vec<u8>) -> Greeted {
+        panic!("a handshake that panics, on purpose");
+    }
+
+    fn take(&mut self, _now: Time, _bytes: &[u8], _out: &mut Vec<u8>) -> Greeted {
+        Greeted::More
+    }
+}
+
 /// Says nothing.
 #[derive(Debug)]
 pub(in crate::net) struct Silent;
@@ -482,4 +496,21 @@ fn an_end_that_comes_together_with_another_wake_up_is_seen() {
     for _ in 0..3_000 {
         drop(Os::default().streams(Vec::new()).unwrap());
     }
+}
+
+#[test]
+fn the_loop_sees_that_the_link_thread_has_ended_and_keeps_what_is_open() {
+    let [good, bad] = [10, 11].map(|host| address(12, host));
+    let listeners = [good, bad].map(listener);
+    let os = Os::default();
+    let mut healthy = os.streams(vec![patient(good, Silent)]).unwrap();
+    let mut drive = accept(&listeners[0]);
+    opened(&mut *healthy);
+    assert!(!healthy.has_ended());
+    let other = os.streams(vec![patient(bad, Panics)]).unwrap();
+    let _peer = accept(&listeners[1]);
+    until("the end of the thread", || healthy.has_ended() && other.has_ended());
+    // A connection that the loop has is its own.
+    assert_eq!(healthy.send(0, b"stop").unwrap().1, 4);
+    expect(&mut drive, b"stop");
 }

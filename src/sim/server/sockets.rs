@@ -7,6 +7,7 @@ use nix::sys::epoll::{Epoll, EpollEvent, EpollFlags};
 use nix::sys::socket::{setsockopt, sockopt};
 
 use super::{ConnectionStats, DriveStats};
+use crate::errors::no_descriptor;
 use crate::rt::MonotonicClock;
 use crate::sim::fault::{Blow, Injector, wrong_port};
 use crate::sim::{Carrier, SimDrive};
@@ -290,7 +291,7 @@ pub(super) fn unbound(address: SocketAddrV4, carrier: Carrier, error: io::Error)
         (io::ErrorKind::PermissionDenied, _) if address.port() < 1024 => {
             "ports below 1024 need rights: run as root or give the drive a port like 1502"
         }
-        _ => "look at its address",
+        _ => no_descriptor(&error).unwrap_or("look at its address"),
     };
     io::Error::new(error.kind(), format!("cannot bind {address}: {error}; {remedy}"))
 }

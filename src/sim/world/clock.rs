@@ -43,4 +43,8 @@ impl Clock for WorldClock {
         let at = inner.now + SPIN_NS;
         inner.run(at);
     }
+
+    fn suspended_ns(&mut self) -> u64 {
+        self.0.lock().suspended_ns
+    }
 }

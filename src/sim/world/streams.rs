@@ -269,6 +269,9 @@ impl Inner {
         while let Some(parcel) = self.links.at(place).stalled.pop_front() {
             self.under_way.recycle(parcel);
         }
+        if let Some(station) = self.links.at(place).station {
+            self.stations[station].injector.closed(local);
+        }
         self.signal_drive(place, local, Signal::End);
     }
 
@@ -565,6 +568,7 @@ mod tests {
     use super::*;
     use crate::net::{Carriers, Greeted, Greeting};
     use crate::rt::{Clock, PollSet};
+    use crate::sim::fault::{Injector, Queue, RETRANSMISSION_NS};
     use crate::sim::testing::Peers;
     use crate::sim::world::WorldOptions;
     use crate::sim::{FaultPlan, SimDrive};
@@ -868,6 +872,60 @@ mod tests {
     }
 
     #[test]
+    fn a_lost_segment_comes_after_the_hosts_timeout_and_what_follows_waits_behind_it() {
+        let mut rig = Rig::new(1, FaultPlan::default());
+        rig.opened(0);
+        let lossy = |segment_loss| FaultPlan { segment_loss, ..FaultPlan::default() };
+        // The request is lost once, the seed says.
+        let seed = (0..).find(|seed| {
+            let mut losses = Injector::new(FaultPlan { seed: *seed, ..lossy(0.5) }, Carrier::Stream);
+            let mut queue = Queue::new(4);
+            let request = Datagram { from: drive(9), to: drive(0), bytes: &[1] };
+            losses.pass(Way::Request, Time(0), Time(0), request, |_| {}, &mut queue);
+            queue.next_due() == Some(Time(RETRANSMISSION_NS))
+        });
+        let plan = FaultPlan { seed: seed.unwrap(), ..lossy(0.5) };
+        assert!(rig.world.set_faults(drive(0), plan));
+        let begin = rig.world.now();
+        rig.ask(0, 1).unwrap();
+        rig.world.set_faults(drive(0), FaultPlan::default());
+        rig.pass(MS);
+        rig.ask(0, 2).unwrap();
+        let mut set = PollSet::default();
+        assert!(!rig.world.clock().wait(&mut set, begin + RETRANSMISSION_NS + 2 * LATENCY - 1));
+        assert!(rig.world.clock().wait(&mut set, begin + S));
+        assert_eq!(rig.world.now(), begin + RETRANSMISSION_NS + 2 * LATENCY);
+        rig.pass(0);
+        assert_eq!(rig.heard[0], [1, 2, 2, 3]);
+        // From now on nothing waits.
+        let begin = rig.world.now();
+        rig.ask(0, 3).unwrap();
+        assert!(rig.world.clock().wait(&mut set, begin + S));
+        assert_eq!(rig.world.now(), begin + 2 * LATENCY);
+    }
+
+    #[test]
+    fn a_segment_lost_again_and_again_comes_after_doubled_timeouts_unless_its_connection_is_closed() {
+        let mut rig = Rig::new(1, FaultPlan::default());
+        rig.opened(0);
+        let all = FaultPlan { segment_loss: 1.0, ..FaultPlan::default() };
+        assert!(rig.world.set_faults(drive(0), all));
+        rig.ask(0, 1).unwrap();
+        assert_eq!(rig.world.injected(drive(0)).unwrap().segments, 10);
+        rig.world.set_faults(drive(0), FaultPlan::default());
+        let begin = rig.world.now();
+        let timeouts = (1 << 10) - 1;
+        assert!(!rig.world.clock().wait(&mut PollSet::default(), begin + timeouts * RETRANSMISSION_NS - MS));
+        rig.carrier.abandon(0, "it takes too long");
+        rig.open[0] = false;
+        rig.opened(0);
+        rig.ask(0, 2).unwrap();
+        rig.pass(S);
+        // The handshake is the second request that the drive gets.
+        assert_eq!((&rig.heard[0][..], rig.connected(0)), (&[2, 3][..], 1));
+    }
+
+    #[test]
     fn a_cut_ends_the_connection_in_the_middle_of_a_reply() {
         let mut rig = Rig::new(1, FaultPlan::default());
         rig.opened(0);
@@ -1065,6 +1123,7 @@ mod tests {
             wrong_id: 0.01,
             split: 0.1,
             cut: 0.01,
+            segment_loss: 0.002,
             answer_ns: 30 * US,
             ..FaultPlan::default()
         };

@@ -157,6 +157,7 @@ fn the_same_seed_makes_the_same_world() {
         wrong_id: 0.05,
         split: 0.0,
         cut: 0.0,
+        segment_loss: 0.0,
         answer_ns: 30 * US,
     };
     let run = |faults: &FaultPlan, seed| {

@@ -17,7 +17,7 @@ pub mod story;
 use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
 use std::thread::JoinHandle;
-use std::time::SystemTime;
+use std::time::{Duration, Instant, SystemTime};
 
 use nix::unistd::User;
 
@@ -40,6 +40,12 @@ const AFTERMATH_NS: u64 = 200 * MS;
 const FIRST_FILES: usize = 8;
 const NEWEST_FILES: usize = 8;
 
+/// At the end a disk has so long for all files together.
+const PATIENCE: Duration = Duration::from_secs(5);
+
+/// How often it is looked whether they are written.
+const LOOK_EVERY: Duration = Duration::from_millis(2);
+
 /// What is kept.
 #[derive(Debug)]
 pub struct BlackBox {
@@ -61,7 +67,32 @@ pub struct BlackBox {
     failures: usize,
     /// Files of failures that make room for newer ones.
     newest_files: VecDeque<PathBuf>,
-    writing: Vec<JoinHandle<Written>>,
+    writing: Vec<Writing>,
+    patience: Duration,
+}
+
+/// A file under way.
+#[derive(Debug)]
+struct Writing {
+    written: Written,
+    thread: JoinHandle<Option<String>>,
+}
+
+impl Writing {
+    /// What became of it; a writer that has not ended by now is left to its disk.
+    fn end(self, patience: Duration) -> Written {
+        let Writing { mut written, thread } = self;
+        written.error = match thread.is_finished().then(|| thread.join()) {
+            Some(Ok(error)) => return Written { error, ..written },
+            Some(Err(_)) => Some("its writer panicked; please report it".to_owned()),
+            None => {
+                let (path, seconds) = (written.path.display(), patience.as_secs_f64());
+                Some(format!("{path}: its disk does not answer for {seconds} s"))
+            }
+        };
+        written.fails_run = true;
+        written
+    }
 }
 
 /// Why and when it is to be written.
@@ -108,6 +139,7 @@ impl BlackBox {
             failures: 0,
             newest_files: VecDeque::with_capacity(NEWEST_FILES + 1),
             writing: Vec::new(),
+            patience: PATIENCE,
             header: Header {
                 program: env!("CARGO_PKG_VERSION").to_owned(),
                 machine: plan.source.as_ref().map(|path| path.display().to_string()),
@@ -189,8 +221,15 @@ impl BlackBox {
         let name = format!("fieldbeat-{}-cycle-{cycle}.blackbox", stamp.replace([':', '-'], ""));
         let path = self.directory.join(name);
         self.files += 1;
-        let mut written =
-            Written { why: why.clone(), cycle, path, error: None, number: self.files, replaced: None };
+        let mut written = Written {
+            why: why.clone(),
+            cycle,
+            path,
+            error: None,
+            number: self.files,
+            replaced: None,
+            fails_run: false,
+        };
         if failed {
             self.written_to = Some(self.newest);
             self.failures += 1;
@@ -204,16 +243,16 @@ impl BlackBox {
         let mut header = Header { why, cycle, written: stamp, ..self.header.clone() };
         self.name_faults(&mut header);
         let bytes = file::encode(&header, self.records.iter());
+        let (path, replaced) = (written.path.clone(), written.replaced.clone());
         let write = move || {
-            if let Some(spare) = &written.replaced {
+            if let Some(spare) = &replaced {
                 // Gone already is as good.
                 let _ = std::fs::remove_file(spare);
             }
-            written.error = save(&written.path, &bytes).err().map(|error| error.to_string());
-            written
+            save(&path, &bytes).err().map(|error| error.to_string())
         };
         match std::thread::Builder::new().name("fb-blackbox".into()).spawn(write) {
-            Ok(thread) => self.writing.push(thread),
+            Ok(thread) => self.writing.push(Writing { written, thread }),
             // Without a thread there is no file; the next failure tries again.
             Err(_) => self.files -= 1,
         }
@@ -242,15 +281,27 @@ impl Keep for BlackBox {
         self.due.get_or_insert(Due { why: "requested".to_owned(), cycle, from, failed: false });
     }
 
+    fn conclude(&mut self, why: &str) {
+        if self.failures == 0 && self.due.as_ref().is_none_or(|due| !due.failed) {
+            self.due = Some(Due { why: why.to_owned(), cycle: self.newest, from: self.newest, failed: true });
+        }
+    }
+
     fn write(&mut self, last: bool) -> Vec<Written> {
         if last && let Some(due) = self.due.take() {
             self.start(due);
         }
-        let (done, writing) =
-            std::mem::take(&mut self.writing).into_iter().partition(|thread| last || thread.is_finished());
+        let begun = Instant::now();
+        let is_under_way = |writing: &Writing| !writing.thread.is_finished();
+        while last && begun.elapsed() < self.patience && self.writing.iter().any(is_under_way) {
+            std::thread::sleep(LOOK_EVERY);
+        }
+        let (done, writing) = std::mem::take(&mut self.writing)
+            .into_iter()
+            .partition(|writing| last || writing.thread.is_finished());
         self.writing = writing;
-        let done: Vec<JoinHandle<Written>> = done;
-        done.into_iter().filter_map(|thread| thread.join().ok()).collect()
+        let done: Vec<Writing> = done;
+        done.into_iter().map(|writing| writing.end(self.patience)).collect()
     }
 }
 
@@ -410,6 +461,50 @@ mod tests {
         assert!(all.len() > 30 && all[1..].windows(2).all(|pair| pair[1] - pair[0] == 100), "{all:?}");
         let kept: Vec<u64> = written.iter().filter(|one| one.path.exists()).map(|one| one.cycle).collect();
         assert_eq!(kept, [&all[..FIRST_FILES], &all[all.len() - NEWEST_FILES..]].concat());
+    }
+
+    #[test]
+    fn a_writer_that_hangs_or_panics_holds_up_no_end_and_is_a_failure() {
+        let directory = tempfile::tempdir().unwrap();
+        let mut black_box = BlackBox::new(&plan(100 * MS), directory.path()).unwrap();
+        black_box.patience = Duration::from_millis(20);
+        let (release, hangs) = std::sync::mpsc::channel::<()>();
+        let written = |number| Written {
+            why: "requested".into(),
+            cycle: 1,
+            path: "/frozen/a.blackbox".into(),
+            error: None,
+            number,
+            replaced: None,
+            fails_run: false,
+        };
+        let frozen = std::thread::spawn(move || hangs.recv().err().map(|error| error.to_string()));
+        let panics = std::thread::spawn(|| std::panic::resume_unwind(Box::new("on purpose")));
+        black_box.writing = vec![
+            Writing { written: written(1), thread: frozen },
+            Writing { written: written(2), thread: panics },
+        ];
+        let [frozen, panicked] = &black_box.write(true)[..] else { panic!() };
+        assert!(frozen.fails_run && panicked.fails_run);
+        let line = "black box not written: /frozen/a.blackbox: its disk does not answer for 0.02 s (requested, cycle \
+                    1)";
+        assert_eq!(frozen.to_string(), line);
+        assert!(panicked.to_string().contains("its writer panicked"), "{panicked}");
+        drop(release);
+    }
+
+    #[test]
+    fn a_run_that_the_program_itself_ended_has_a_file_and_no_second_one() {
+        for failed_before in [false, true] {
+            let directory = tempfile::tempdir().unwrap();
+            let mut black_box = BlackBox::new(&plan(100 * MS), directory.path()).unwrap();
+            (0..10).for_each(|index| {
+                cycle(&mut black_box, index, |drive| drive.fault = u32::from(failed_before))
+            });
+            black_box.conclude("the loop panicked");
+            let [written] = &black_box.write(true)[..] else { panic!() };
+            assert_eq!(written.why == "the loop panicked", !failed_before, "{written:?}");
+        }
     }
 
     #[test]

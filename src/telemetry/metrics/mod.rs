@@ -2,29 +2,34 @@
 //!
 //! | file | what |
 //! |---|---|
-//! | `mod` | the endpoint: a listener, and a few threads that answer one request a connection |
-//! | `page` | what they answer |
+//! | `mod` | the endpoint: a listener, and a thread that answers one request a connection |
+//! | `host` | for whom a request was meant |
+//! | `page` | what it answers |
 //!
-//! The threads are normal ones, off the loop's core. A client that is slow, or says nothing, has one of them for at
-//! most [`PATIENCE`]; whoever comes meanwhile waits in the kernel's queue. So neither time nor memory can be taken from
-//! anybody but other clients.
+//! The thread is a normal one, off the loop's core, and waits for no client: [`Clients`] bounds their number, bytes and
+//! time. A client that is slow, or says nothing, delays nobody.
 
+mod host;
 mod page;
 
-use std::io::{self, Read, Write};
-use std::net::{Ipv4Addr, Shutdown, SocketAddr, TcpListener, TcpStream};
-use std::os::fd::AsRawFd;
+use std::io;
+use std::net::{Ipv4Addr, SocketAddr, TcpListener, ToSocketAddrs};
+use std::os::fd::{AsFd, AsRawFd};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use thiserror::Error;
 
+use self::host::{Meant, Names};
+use crate::errors::no_descriptor;
+use crate::net::clients::Clients;
 use crate::rt;
 use crate::telemetry::Monitor;
 
-/// How many clients are served at once.
-const THREADS: usize = 4;
+/// How often the thread looks whether it is to end, at least.
+const LOOK_EVERY: Duration = Duration::from_secs(1);
 
 /// A client has so long to ask and to take its answer.
 pub const PATIENCE: Duration = Duration::from_secs(5);
@@ -62,20 +67,34 @@ fn remedy(error: &io::Error) -> &'static str {
         io::ErrorKind::AddrInUse => "another program listens there (ss -ltnp shows which): use another port",
         io::ErrorKind::AddrNotAvailable => "use an address of this computer (ip address shows them)",
         io::ErrorKind::PermissionDenied => "ports below 1024 need CAP_NET_BIND_SERVICE: use a higher one",
-        _ => "use another address",
+        _ => no_descriptor(error).unwrap_or("use another address"),
     }
 }
 
+/// Where the endpoint listens, and the name that clients may use for it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Address {
+    /// Where it listens.
+    pub socket: SocketAddr,
+    /// A name of this computer, if one was given instead of an address.
+    pub name: Option<String>,
+}
+
 /// An address as on a command line: a port alone is one of the loopback, which only this computer reaches.
-pub fn address(text: &str) -> Result<SocketAddr, String> {
+pub fn address(text: &str) -> Result<Address, String> {
     let port = text.strip_prefix(':').unwrap_or(text);
-    match (port.parse(), text.parse()) {
-        (Ok(port), _) => Ok((Ipv4Addr::LOCALHOST, port).into()),
-        (_, Ok(address)) => Ok(address),
-        _ => Err(String::from(
-            "must be a port like 9464, or an address and a port like 192.168.1.1:9464 or [::1]:9464",
-        )),
+    if let Ok(port) = port.parse::<u16>() {
+        return Ok(Address { socket: (Ipv4Addr::LOCALHOST, port).into(), name: None });
     }
+    if let Ok(socket) = text.parse::<SocketAddr>() {
+        return Ok(Address { socket, name: None });
+    }
+    let wrong = "must be a port like 9464, or an address or a name of this computer and a port like 192.168.1.1:9464, \
+                 [::1]:9464 or press1:9464";
+    let name = text.rsplit_once(':').map(|(name, _)| name).filter(|name| host::is_name(name)).ok_or(wrong)?;
+    let mut found = text.to_socket_addrs().map_err(|error| format!("{name}: {error}; {wrong}"))?;
+    let socket = found.next().ok_or_else(|| format!("{name} has no address; {wrong}"))?;
+    Ok(Address { socket, name: Some(name.to_owned()) })
 }
 
 /// An address that is ours.
@@ -83,6 +102,7 @@ pub fn address(text: &str) -> Result<SocketAddr, String> {
 pub struct Endpoint {
     listener: TcpListener,
     address: SocketAddr,
+    names: Names,
 }
 
 impl Endpoint {
@@ -90,8 +110,16 @@ impl Endpoint {
     pub fn bind(address: SocketAddr) -> Result<Endpoint, MetricsError> {
         let failed = |error| MetricsError::Bind { address, error };
         let listener = TcpListener::bind(address).map_err(failed)?;
+        listener.set_nonblocking(true).map_err(failed)?;
         let address = listener.local_addr().map_err(failed)?;
-        Ok(Endpoint { listener, address })
+        Ok(Endpoint { listener, address, names: Names::default() })
+    }
+
+    /// Clients may use this name for it, too. Without it they use the address, `localhost` or the name of this
+    /// computer; whatever was meant for another host is refused.
+    pub fn named(mut self, name: String) -> Endpoint {
+        self.names.add(name);
+        self
     }
 
     /// The address, with the port that the kernel chose for port 0.
@@ -101,30 +129,31 @@ impl Endpoint {
 
     /// Answers with the numbers of a machine.
     pub fn serve(self, monitor: Monitor) -> Result<Server, MetricsError> {
-        let shared = Arc::new(Shared { listener: self.listener, end: AtomicBool::new(false) });
+        let shared =
+            Arc::new(Shared { listener: self.listener, names: self.names, end: AtomicBool::new(false) });
         let server = Server(Arc::clone(&shared));
-        for _ in 0..THREADS {
-            let (shared, monitor) = (Arc::clone(&shared), monitor.clone());
-            let serve = move || {
-                rt::thread::helper_thread(monitor.granted().core);
-                shared.serve(&|| page::page(&monitor));
-            };
-            let thread = std::thread::Builder::new().name("fb-metrics".into());
-            thread.spawn(serve).map_err(MetricsError::Thread)?;
-        }
+        let serve = move || {
+            rt::thread::helper_thread(monitor.granted().core);
+            shared.serve(&|| page::page(&monitor), &|| {
+                monitor.failed(
+                    "internal error: the page for Prometheus panicked; the run goes on; please report it",
+                    false,
+                );
+            });
+        };
+        std::thread::Builder::new().name("fb-metrics".into()).spawn(serve).map_err(MetricsError::Thread)?;
         Ok(server)
     }
 }
 
-/// A served endpoint. Dropped, it is closed; an answer that is under way is still given.
+/// A served endpoint. Dropped, it is closed.
 #[derive(Debug)]
 pub struct Server(Arc<Shared>);
 
 impl Drop for Server {
     fn drop(&mut self) {
         self.0.end.store(true, Ordering::Release);
-        // Ends every wait in accept(2); Linux does so, and only here is it relied on. Its result is
-        // not needed.
+        // Ends every wait for the listener; Linux does so, and only here is it relied on. Its result is not needed.
         let _ = nix::sys::socket::shutdown(self.0.listener.as_raw_fd(), nix::sys::socket::Shutdown::Both);
     }
 }
@@ -132,61 +161,52 @@ impl Drop for Server {
 #[derive(Debug)]
 struct Shared {
     listener: TcpListener,
+    names: Names,
     end: AtomicBool,
 }
 
 impl Shared {
-    /// Serves one client after the other.
-    fn serve(&self, page: &dyn Fn() -> String) {
+    /// Serves all clients; `failed` is called where a page panicked.
+    fn serve(&self, page: &dyn Fn() -> String, failed: &dyn Fn()) {
+        let mut clients = Clients::new(PATIENCE, MOST_BYTES);
         while !self.end.load(Ordering::Acquire) {
-            match self.listener.accept() {
-                // A client that went away is its own affair.
-                Ok((stream, _)) => drop(answer(stream, page)),
-                // Too many open files, say: it may pass, and until then there is nothing to do.
-                Err(_) => std::thread::sleep(Duration::from_millis(100)),
+            let accept = || self.listener.accept().map(|(stream, _)| stream);
+            let is_whole = |said: &[u8]| asked(said, &|_| true).is_some();
+            for client in clients.turn(self.listener.as_fd(), LOOK_EVERY, accept, is_whole) {
+                let Ok(local) = client.stream.local_addr() else { continue };
+                let meant = |host: Meant<'_>| self.names.are_ours(host, local.ip());
+                // Cut off, it is nobody's request.
+                let Some(request) = asked(&client.said, &meant) else { continue };
+                match catch_unwind(AssertUnwindSafe(|| answer(&request, page))) {
+                    Ok(bytes) => clients.answer(client, bytes),
+                    Err(_) => failed(),
+                }
             }
         }
     }
 }
 
-/// Reads a request and answers it, all within [`PATIENCE`].
-fn answer(mut stream: TcpStream, page: &dyn Fn() -> String) -> io::Result<()> {
-    let until = Instant::now() + PATIENCE;
-    let left = || {
-        let left = until.saturating_duration_since(Instant::now());
-        if left.is_zero() { Err(io::Error::from(io::ErrorKind::TimedOut)) } else { Ok(Some(left)) }
-    };
-    let mut bytes = [0; MOST_BYTES];
-    let mut length = 0;
-    let (status, body) = loop {
-        stream.set_read_timeout(left()?)?;
-        match stream.read(&mut bytes[length..])? {
-            0 => return Ok(()),
-            more => length += more,
-        }
-        match asked(&bytes[..length]) {
-            None => {}
-            Some(Asked::Page) => break ("200 OK", page()),
-            Some(Asked::Head) => break ("200 OK", String::new()),
-            Some(Asked::Refused(status)) => {
-                break (status, format!("{status}; the metrics are at GET /metrics\n"));
-            }
-        }
+/// The whole answer.
+fn answer(request: &Asked, page: &dyn Fn() -> String) -> Vec<u8> {
+    let (status, body) = match request {
+        Asked::Page => ("200 OK", page()),
+        Asked::Head => ("200 OK", String::new()),
+        Asked::Refused(status) => (*status, format!("{status}; the metrics are at GET /metrics\n")),
+        Asked::Misdirected => (FORBIDDEN, format!("{FORBIDDEN}; {REMEDY}\n")),
     };
     let kind = if status.starts_with("200") { CONTENT_TYPE } else { "text/plain; charset=utf-8" };
+    let length = body.len();
     let head = format!(
-        "HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {}\r\nConnection: close\r\n\r\n",
-        body.len()
+        "HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {length}\r\nConnection: close\r\n\r\n"
     );
-    for part in [head, body] {
-        let mut rest = part.as_bytes();
-        while !rest.is_empty() {
-            stream.set_write_timeout(left()?)?;
-            rest = &rest[stream.write(rest)?..];
-        }
-    }
-    stream.shutdown(Shutdown::Write)
+    (head + &body).into_bytes()
 }
+
+const FORBIDDEN: &str = "403 Forbidden";
+
+/// What helps against it.
+const REMEDY: &str = "the Host of the request is no name of this endpoint: use its address, localhost or the name of \
+                      this computer, or start with --metrics NAME:PORT";
 
 /// What is requested.
 #[derive(Debug, PartialEq)]
@@ -195,10 +215,12 @@ enum Asked {
     /// Whether there is one.
     Head,
     Refused(&'static str),
+    /// It was meant for another host: a page from elsewhere whose name was bound to this address (DNS rebinding).
+    Misdirected,
 }
 
-/// `None` as long as its end is missing.
-fn asked(bytes: &[u8]) -> Option<Asked> {
+/// `None` as long as its end is missing. `is_ours`: whether it was meant for this endpoint.
+fn asked(bytes: &[u8], is_ours: &dyn Fn(Meant<'_>) -> bool) -> Option<Asked> {
     let mut headers = [httparse::EMPTY_HEADER; MOST_HEADERS];
     let mut request = httparse::Request::new(&mut headers);
     match request.parse(bytes) {
@@ -209,79 +231,134 @@ fn asked(bytes: &[u8]) -> Option<Asked> {
         Ok(httparse::Status::Complete(_)) => {}
         Err(_) => return Some(Asked::Refused("400 Bad Request")),
     }
+    let mut hosts = request.headers.iter().filter(|header| header.name.eq_ignore_ascii_case("host"));
     let path = request.path.unwrap_or_default().split('?').next();
-    Some(match (request.method, path) {
-        (_, path) if path != Some("/metrics") => Asked::Refused("404 Not Found"),
-        (Some("GET"), _) => Asked::Page,
-        (Some("HEAD"), _) => Asked::Head,
-        _ => Asked::Refused("405 Method Not Allowed"),
+    Some(match (hosts.next(), hosts.next()) {
+        // RFC 9112, 3.2: exactly one, but HTTP/1.0 has none.
+        (None, _) if request.version == Some(1) => Asked::Refused("400 Bad Request"),
+        (_, Some(_)) => Asked::Refused("400 Bad Request"),
+        (Some(host), None) if !Meant::parse(host.value).is_some_and(is_ours) => Asked::Misdirected,
+        _ => match request.method {
+            _ if path != Some("/metrics") => Asked::Refused("404 Not Found"),
+            Some("GET") => Asked::Page,
+            Some("HEAD") => Asked::Head,
+            _ => Asked::Refused("405 Method Not Allowed"),
+        },
     })
 }
 
 #[cfg(test)]
 mod tests {
+    use std::io::{Read, Write};
+    use std::net::{Shutdown, TcpStream};
+    use std::sync::atomic::AtomicU32;
+
     use super::*;
 
     #[test]
     fn a_port_alone_is_for_this_computer_only() {
-        let loopback = SocketAddr::from((Ipv4Addr::LOCALHOST, 9464));
-        assert_eq!([address("9464"), address(":9464")], [Ok(loopback), Ok(loopback)]);
-        assert_eq!(address("0.0.0.0:1"), Ok(SocketAddr::from((Ipv4Addr::UNSPECIFIED, 1))));
-        assert!(address("[::1]:9464").is_ok_and(|address| address.is_ipv6()));
-        for wrong in ["", ":", "65536", "0.0.0.0", "localhost:9464", "::1:9464x"] {
+        let of = |ip: Ipv4Addr, port| Ok(Address { socket: (ip, port).into(), name: None });
+        assert_eq!([address("9464"), address(":9464")], [(); 2].map(|()| of(Ipv4Addr::LOCALHOST, 9464)));
+        assert_eq!(address("0.0.0.0:1"), of(Ipv4Addr::UNSPECIFIED, 1));
+        assert!(
+            address("[::1]:9464").is_ok_and(|address| address.socket.is_ipv6() && address.name.is_none())
+        );
+        let named = address("localhost:9464").unwrap();
+        assert!(named.socket.ip().is_loopback() && named.name.as_deref() == Some("localhost"), "{named:?}");
+        for wrong in ["", ":", "65536", "0.0.0.0", "localhost:", "::1:9464x", "a b:9464"] {
             assert!(address(wrong).is_err(), "{wrong}");
         }
+    }
+
+    fn judged(bytes: &[u8]) -> Option<Asked> {
+        asked(bytes, &|host| host.name == "x")
     }
 
     #[test]
     fn a_request_is_judged_when_it_is_whole() {
         let get = b"GET /metrics HTTP/1.1\r\nHost: x\r\n\r\n";
         for end in 0..get.len() {
-            assert_eq!(asked(&get[..end]), None, "{end}");
+            assert_eq!(judged(&get[..end]), None, "{end}");
         }
-        assert_eq!(asked(get), Some(Asked::Page));
-        assert_eq!(asked(b"GET /metrics?x=1 HTTP/1.0\r\n\r\n"), Some(Asked::Page));
-        assert_eq!(asked(b"HEAD /metrics HTTP/1.1\r\n\r\n"), Some(Asked::Head));
-        let refused = |bytes: &[u8]| match asked(bytes) {
+        assert_eq!(judged(get), Some(Asked::Page));
+        assert_eq!(judged(b"GET /metrics?x=1 HTTP/1.0\r\n\r\n"), Some(Asked::Page));
+        assert_eq!(judged(b"HEAD /metrics HTTP/1.1\r\nhost:x:1\r\n\r\n"), Some(Asked::Head));
+        let refused = |bytes: &[u8]| match judged(bytes) {
             Some(Asked::Refused(status)) => status[..3].to_owned(),
             other => panic!("{other:?}"),
         };
-        assert_eq!(refused(b"POST /metrics HTTP/1.1\r\n\r\n"), "405");
-        assert_eq!(refused(b"GET / HTTP/1.1\r\n\r\n"), "404");
+        assert_eq!(refused(b"POST /metrics HTTP/1.1\r\nHost: x\r\n\r\n"), "405");
+        assert_eq!(refused(b"GET / HTTP/1.1\r\nHost: x\r\n\r\n"), "404");
         assert_eq!(refused(b"\x16\x03\x01\x02\x00\x01\x00"), "400");
+        assert_eq!(refused(b"GET /metrics HTTP/1.1\r\n\r\n"), "400");
+        assert_eq!(refused(b"GET /metrics HTTP/1.1\r\nHost: x\r\nHost: x\r\n\r\n"), "400");
         assert_eq!(refused(&[b'G'; MOST_BYTES]), "431");
         let many = format!("GET /metrics HTTP/1.1\r\n{}\r\n", "a: b\r\n".repeat(MOST_HEADERS + 1));
         assert_eq!(refused(many.as_bytes()), "431");
     }
 
-    /// Everything that `client` says, answered by a thread; what came back.
-    fn talk(client: impl FnOnce(&mut TcpStream)) -> String {
-        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-        let mut stream = TcpStream::connect(listener.local_addr().unwrap()).unwrap();
+    #[test]
+    fn a_request_for_another_host_is_refused_whatever_it_asks_for() {
+        for host in ["evil.example", "evil.example:9464", "", "x.evil.example", "x@evil.example", "[x]"] {
+            for request in ["GET /metrics HTTP/1.1", "GET / HTTP/1.1", "GET /metrics HTTP/1.0"] {
+                let request = format!("{request}\r\nHost: {host}\r\n\r\n");
+                assert_eq!(judged(request.as_bytes()), Some(Asked::Misdirected), "{request}");
+            }
+        }
+        let text = String::from_utf8(answer(&Asked::Misdirected, &String::new)).unwrap();
+        assert!(
+            text.starts_with("HTTP/1.1 403 Forbidden\r\n") && text.contains("--metrics NAME:PORT"),
+            "{text}"
+        );
+    }
+
+    /// Everything that `client` says to a server whose page is `page`; what came back, and how many pages panicked.
+    fn talk(page: fn() -> String, client: impl FnOnce(&mut TcpStream)) -> (String, u32) {
+        let endpoint = Endpoint::bind(SocketAddr::from((Ipv4Addr::LOCALHOST, 0))).unwrap();
+        let mut stream = TcpStream::connect(endpoint.address()).unwrap();
+        let Endpoint { listener, names, .. } = endpoint;
+        let shared = Arc::new(Shared { listener, names, end: AtomicBool::new(false) });
+        let server = Server(Arc::clone(&shared));
+        let panics = Arc::new(AtomicU32::new(0));
+        let counted = Arc::clone(&panics);
         let thread = std::thread::spawn(move || {
-            let _ = answer(listener.accept().unwrap().0, &|| String::from("# EOF\n"));
+            shared.serve(&page, &|| {
+                counted.fetch_add(1, Ordering::Relaxed);
+            });
         });
         client(&mut stream);
         let mut text = String::new();
         let _ = stream.read_to_string(&mut text);
+        drop(server);
         thread.join().unwrap();
-        text
+        (text, panics.load(Ordering::Relaxed))
     }
 
     #[test]
     fn a_request_in_pieces_is_answered_once() {
-        let text = talk(|stream| {
-            for piece in [&b"GET /met"[..], b"rics HTTP/1.1\r\nHost", b": x\r\n\r\n"] {
-                stream.write_all(piece).unwrap();
-                std::thread::sleep(Duration::from_millis(5));
-            }
-        });
+        let (text, _) = talk(
+            || String::from("# EOF\n"),
+            |stream| {
+                for piece in [&b"GET /met"[..], b"rics HTTP/1.1\r\nHost", b": localhost\r\n\r\n"] {
+                    stream.write_all(piece).unwrap();
+                    std::thread::sleep(Duration::from_millis(5));
+                }
+            },
+        );
         assert!(text.starts_with("HTTP/1.1 200 OK\r\n") && text.ends_with("\r\n\r\n# EOF\n"), "{text}");
         assert!(text.contains("Content-Length: 6\r\n"), "{text}");
     }
 
     #[test]
     fn a_client_that_goes_away_gets_nothing() {
-        assert_eq!(talk(|stream| stream.shutdown(Shutdown::Write).unwrap()), "");
+        let gone = |stream: &mut TcpStream| stream.shutdown(Shutdown::Write).unwrap();
+        assert_eq!(talk(String::new, gone), (String::new(), 0));
+    }
+
+    #[test]
+    fn a_page_that_panics_is_counted_and_the_next_client_is_served() {
+        let asks = |stream: &mut TcpStream| stream.write_all(b"GET /metrics HTTP/1.0\r\n\r\n").unwrap();
+        let panics = || std::panic::resume_unwind(Box::new("on purpose"));
+        assert_eq!(talk(panics, asks), (String::new(), 1));
     }
 }

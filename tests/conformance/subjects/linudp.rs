@@ -1,4 +1,4 @@
-//! LinUDP V2, with and without a tag in its requests.
+//! LinUDP V2, with each kind of tag in its requests.
 
 use std::net::Ipv4Addr;
 
@@ -7,15 +7,15 @@ use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::linudp::motion::MotionCommand;
 use fieldbeat::bus::linudp::upid;
 use fieldbeat::bus::linudp::wire::{
-    ControlWord, MainState, Refusal, Request, Response, ResponseDef, RtcCommand,
+    ControlWord, MainState, Refusal, Request, RequestDef, Response, ResponseDef, RtcCommand,
 };
-use fieldbeat::bus::linudp::{COUNTS_PER_MM, LinUdpDrive, LinUdpPlan};
+use fieldbeat::bus::linudp::{COUNTS_PER_MM, LinUdpDrive, LinUdpPlan, ReplyTag};
 
 use crate::conformance::subject::{Calls, Can, Drive, Said, Subject};
 
 /// With a tag each reply names its request; without it the protocol has nothing of the kind.
 pub struct LinUdp {
-    pub reply_tag: bool,
+    pub reply_tag: ReplyTag,
 }
 
 /// "Stop" of the motion command interface, 017xh.
@@ -25,7 +25,11 @@ const NO_SUCH_CURVE: u16 = 0x040;
 
 impl Subject for LinUdp {
     fn name(&self) -> &'static str {
-        if self.reply_tag { "linudp with reply_tag" } else { "linudp" }
+        match self.reply_tag {
+            ReplyTag::Definition => "linudp",
+            ReplyTag::Count => "linudp with counts",
+            ReplyTag::Off => "linudp without a tag",
+        }
     }
 
     fn can(&self) -> Can {
@@ -36,7 +40,7 @@ impl Subject for LinUdp {
             follow: true,
             torque: false,
             picks: true,
-            identified: self.reply_tag,
+            identified: self.reply_tag != ReplyTag::Off,
             round_trip: true,
             answers_after: 0,
             whole: true,
@@ -44,6 +48,10 @@ impl Subject for LinUdp {
             stream: false,
             shared: false,
         }
+    }
+
+    fn names_repeat(&self) -> bool {
+        self.reply_tag == ReplyTag::Definition
     }
 
     fn axis(&self, name: &str) -> AxisPlan {
@@ -82,9 +90,9 @@ impl Subject for LinUdp {
 
     fn calls(&self) -> Calls {
         Calls {
-            // Variable 1 of the command table, which nobody uses here.
-            read: upid::call(RtcCommand::READ_RAM, 0x1E72, 0),
-            write: upid::call(RtcCommand::WRITE_RAM, 0x1E72, 77),
+            // The predefined velocity, of commands that are not used here.
+            read: upid::call(RtcCommand::READ_RAM, 0x14BE, 0),
+            write: upid::call(RtcCommand::WRITE_RAM, 0x14BE, 77),
             refused: (upid::call(RtcCommand::READ_RAM, 0xFFFF, 0), Refusal::NoSuchUpid.code().into()),
         }
     }
@@ -107,7 +115,8 @@ impl Subject for LinUdp {
 
     fn malformed(&self, reply: &[u8]) -> Vec<Vec<u8>> {
         // Shorter than any telegram, than its own definition, and longer than any.
-        let mut cases: Vec<Vec<u8>> = [0, 1, 7, 8, 25].map(|length| reply[..length].to_vec()).into();
+        let whole = Response::parse(reply).map_or(0, |reply| reply.response_def.size(RequestDef::NONE));
+        let mut cases: Vec<Vec<u8>> = [0, 1, 7, 8, whole - 1].map(|length| reply[..length].to_vec()).into();
         cases.extend([vec![0; 129], vec![0; 1_400]]);
         cases
     }

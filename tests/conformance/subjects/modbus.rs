@@ -178,7 +178,8 @@ impl Subject for Modbus {
     }
 
     fn calls(&self) -> Calls {
-        let free = Target { parameter: Parameter::new(20, 21), width: Width::Long };
+        // The upper limit of "at speed": a bit of the status word.
+        let free = Target { parameter: Parameter::new(3, 7), width: Width::Word };
         let missing = Target { parameter: Parameter::new(99, 99), width: Width::Word };
         Calls {
             read: free.read(),

@@ -7,7 +7,9 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use std::os::fd::RawFd;
 use std::sync::Arc;
 
-use fieldbeat::axis::acyclic::{self, AcyclicEnds, Call, CallError, Notation, NotationError, Port};
+use fieldbeat::axis::acyclic::{
+    self, AcyclicEnds, Call, CallError, Commanding, Notation, NotationError, Port,
+};
 use fieldbeat::axis::limits::check_position;
 use fieldbeat::axis::{
     AxisPlan, Failure, Link, MonitorChannel, Move, PlanFault, State, Target, Unit, Units, Verb,
@@ -534,7 +536,7 @@ struct Station {
 
 impl Station {
     fn new(axis: AxisPlan, defect: Option<Defect>) -> Station {
-        let (ends, port) = acyclic::queue(axis.parameter_queue);
+        let (ends, port) = acyclic::queue(axis.parameter_queue, Commanding::none());
         Station {
             axis,
             defect,

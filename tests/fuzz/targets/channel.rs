@@ -16,7 +16,7 @@ use fieldbeat::bus::linudp::native::{Native, NativeOutput};
 use fieldbeat::bus::linudp::upid::{Upid, call};
 use fieldbeat::bus::linudp::wire::{Request, Response, RtcBlock, RtcCommand, RtcStatus};
 use fieldbeat::bus::linudp::{
-    COUNTS_PER_MM, FlashMode, LinUdpDrive, LinUdpPlan, MonitorPlan, SimPlan, UNACKNOWLEDGED,
+    COUNTS_PER_MM, FlashMode, LinUdpDrive, LinUdpPlan, MonitorPlan, ReplyTag, SimPlan, UNACKNOWLEDGED,
 };
 use fieldbeat::bus::{Bus, BusPlan, OpenError};
 use fieldbeat::cycle::{CyclePlan, Overrun, Plan};
@@ -259,7 +259,7 @@ impl Bench {
         let sources = [Some(Upid(0x1E0F)), None, Some(Upid(0x1BCD)), None];
         let drive = LinUdpDrive {
             monitor: if has(1) { MonitorPlan::Sources(sources) } else { MonitorPlan::Off },
-            reply_tag: has(2),
+            reply_tag: if has(2) { ReplyTag::Count } else { ReplyTag::Definition },
             simulate: SimPlan {
                 config_time_ns: if has(3) { 25 * MS } else { 0 },
                 flash_time_ns: 150 * MS,
@@ -524,6 +524,8 @@ impl Bench {
             Err(CallError::Native) => assert!(self.native_used, "{posted:?}"),
             // What may hold a drive up is not for one whose power is on.
             Err(CallError::Powered) => assert!(grave && !carried_out, "{posted:?}"),
+            // Nor is what commands it.
+            Err(CallError::Commands) => assert!(!carried_out, "{posted:?}"),
             Err(CallError::Claimed | CallError::Full | CallError::Gone | CallError::Lost) => {
                 panic!("{posted:?}: {end:?}")
             }

@@ -3,7 +3,8 @@
 use std::fmt::Write;
 
 use fieldbeat::axis::{Move, Row, Target, Verb};
-use fieldbeat::config::{ConfigErrors, demo_plan, describe, duration, parse, stop_bound_cycles};
+use fieldbeat::config::{ConfigErrors, demo_plan, describe, duration, parse};
+use fieldbeat::cycle::bound::stop_bound_cycles;
 use fieldbeat::cycle::engine::Flow;
 use fieldbeat::cycle::{Plan, Wait};
 use fieldbeat::master::Master;
@@ -390,7 +391,7 @@ const KEYS: &[(&str, &str, &[&str])] = &[
         &["\"p\"", "\"pv\"", "\"p-configured\"", "\"pv-configured\"", "\"pva\"", "\"pva-configured\"", "\"off\""],
     ),
     (DRIVE, "monitor", &["true", "false"]),
-    (DRIVE, "reply_tag", &["true", "false"]),
+    (DRIVE, "reply_tag", &["\"definition\"", "\"count\"", "\"off\""]),
     (DRIVE, "no_drive_watchdog", &["\"accept\"", "\"refuse\""]),
     (DRIVE, "leash", &["20", "1e-300", "1e300"]),
     (DRIVE, "simulate.seed", &["0", "4294967295"]),
@@ -414,6 +415,8 @@ const KEYS: &[(&str, &str, &[&str])] = &[
     (DRIVE, "simulate.stream_period", &["\"100us\"", "\"1ms\"", "\"1s\""]),
     (DRIVE, "simulate.stream_patience", &["1", "2.5", "1000"]),
     (DRIVE, "simulate.stream_depth", &["1", "8", "10000"]),
+    (DRIVE, "inhibit_after", &["\"0us\"", "\"10ms\"", "\"60s\""]),
+    (DRIVE, "simulate.status_lag", &["\"0us\"", "\"2ms\"", "\"1s\""]),
     (DRIVE, "simulate.force_enable_bits", &["true", "false"]),
     (DRIVE, "simulate.running", &["true", "false"]),
 ];

@@ -13,6 +13,8 @@ use std::sync::{Arc, Mutex, MutexGuard};
 
 use fieldbeat::axis::{Link, Verb};
 use fieldbeat::bus::modbus::counters::Own;
+use fieldbeat::bus::modbus::sim::ReadWrite;
+use fieldbeat::bus::modbus::wire::function::READ_WRITE;
 use fieldbeat::bus::modbus::wire::{REGISTERS_MAX, Request, frame};
 use fieldbeat::bus::modbus::{ModbusPlan, UnidriveDrive, Via};
 use fieldbeat::bus::{Bus, BusPlan, Cycle, Exchange, Order, Slot};
@@ -166,8 +168,12 @@ impl Streams for Wire {
         }
         let count = bytes.len().min(pipe.takes);
         assert!(count > 0 || pipe.takes == 0 || bytes.is_empty(), "nothing is sent for nothing");
+        // But behind one by FC23 that it takes for ignored.
+        let function = |request: &[u8]| request.get(7).copied();
+        let ignored = pipe.requests.last().is_some_and(|request| function(request) == Some(READ_WRITE))
+            && function(bytes) != Some(READ_WRITE);
         assert!(
-            !pipe.clean || !pipe.half.is_empty() || pipe.replies.is_empty(),
+            !pipe.clean || !pipe.half.is_empty() || pipe.replies.is_empty() || ignored,
             "a second request while the first is not answered"
         );
         pipe.half.extend_from_slice(&bytes[..count]);
@@ -205,7 +211,11 @@ impl Rig {
         let has = |bit: u8| features >> bit & 1 == 1;
         let mut drive = UnidriveDrive::new("u", Ipv4Addr::LOCALHOST);
         drive.via = if has(0) { Via::Menu0 { first: 1 } } else { Via::Direct };
-        drive.simulate.interface.read_write = !has(1);
+        drive.simulate.interface.read_write = if has(1) {
+            input.of(&[ReadWrite::Refused, ReadWrite::Ignored, ReadWrite::Closes, ReadWrite::UpTo(6)])
+        } else {
+            ReadWrite::Served
+        };
         drive.reply_within_ns = if has(2) { 300 * US } else { 5 * MS };
         drive.watchdog.keypad = has(3);
         drive.axis.units.counts_per_unit = if has(4) { -0.5 } else { 1.0 };

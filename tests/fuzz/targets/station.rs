@@ -14,8 +14,8 @@ use fieldbeat::bus::linudp::wire::{
     ControlWord, ErrorCode, REQUEST_MAX, RESPONSE_MAX, Request, RequestDef, Response, ResponseDef, RtcBlock,
     StateVar, StatusWord, WarnWord,
 };
-use fieldbeat::bus::linudp::{COUNTS_PER_MM, LinUdpDrive, MonitorPlan, StreamCommand};
-use fieldbeat::bus::{Cycle, Exchange, NumberedRow, Order, Progress, Slot};
+use fieldbeat::bus::linudp::{COUNTS_PER_MM, LinUdpDrive, MonitorPlan, ReplyTag, StreamCommand};
+use fieldbeat::bus::{Cycle, Exchange, NumberedRow, Order, Progress, Report, Slot};
 use fieldbeat::time::{MS, Time};
 
 use super::input::Input;
@@ -65,7 +65,11 @@ impl Rig {
         let features = input.byte();
         let has = |bit: u8| features >> bit & 1 == 1;
         let mut drive = LinUdpDrive::new("x", Ipv4Addr::LOCALHOST);
-        drive.reply_tag = has(0);
+        drive.reply_tag = match (has(0), has(7)) {
+            (true, _) => ReplyTag::Count,
+            (false, false) => ReplyTag::Definition,
+            (false, true) => ReplyTag::Off,
+        };
         drive.monitor = if has(1) { MonitorPlan::AsSet } else { MonitorPlan::Off };
         drive.leash = has(2).then_some(20.0);
         drive.stream = input.of(&[Some(StreamCommand::Pva), Some(StreamCommand::P), None]);
@@ -83,6 +87,7 @@ impl Rig {
                 acceleration: Some(20_000.0),
                 step: None,
                 torque: None,
+                homing: None,
             };
         }
         let (station, native, _) = Station::new(&drive);
@@ -175,6 +180,11 @@ impl Rig {
         if let Some(motion) = &request.motion {
             self.count = (motion.header & 0xF) as u8;
         }
+        if self.drive.reply_tag == ReplyTag::Definition {
+            let turns = if self.drive.monitor == MonitorPlan::Off { 3 } else { 1 };
+            let like = |asked: &&Request| asked.response_def == request.response_def;
+            assert_eq!(self.asked.iter().take(turns).find(like), None, "no two in a row look alike");
+        }
         self.asked.insert(0, request);
         self.asked.truncate(REMEMBERED);
         self.now = self.now + PERIOD_NS / 4;
@@ -182,6 +192,11 @@ impl Rig {
         self.judge();
         self.now = self.now + PERIOD_NS / 4 * 3;
         self.index += 1;
+    }
+
+    /// Each request has a count on the real-time-config channel.
+    fn counted(&self) -> bool {
+        self.drive.reply_tag == ReplyTag::Count
     }
 
     fn prepare(&mut self) {
@@ -293,8 +308,7 @@ impl Rig {
             assert_eq!((self.slot.exchange, self.slot.report), (before.exchange, before.report));
             return;
         };
-        let tag =
-            |config: Option<RtcBlock>| config.filter(|_| self.drive.reply_tag).map(|block| block.count());
+        let tag = |config: Option<RtcBlock>| config.filter(|_| self.counted()).map(|block| block.count());
         let echoes = self.asked.first().is_some_and(|asked| {
             (asked.definition(), asked.response_def, tag(asked.config))
                 == (response.request_def, response.response_def, tag(response.config))
@@ -311,7 +325,7 @@ impl Rig {
             assert!(c.answered == b.answered || !self.slot.report.fresh);
         } else {
             assert!(echoes && in_window, "only what was asked for is read: {response:?}");
-            self.check_report(&response);
+            self.check_report(&response, &before.report);
         }
         if c.answered == b.answered && self.slot.exchange != before.exchange {
             // The second of two replies in one window.
@@ -320,7 +334,7 @@ impl Rig {
     }
 
     /// The report is what this telegram says.
-    fn check_report(&self, response: &Response) {
+    fn check_report(&self, response: &Response, before: &Report) {
         let report = &self.slot.report;
         assert_eq!((report.fresh, report.at), (true, self.now));
         let units = &self.drive.axis.units;
@@ -332,8 +346,9 @@ impl Rig {
             }
         }
         assert!(report.velocity.is_finite());
-        assert_eq!(report.current, f64::from(response.current.unwrap_or_default()) * 1e-3);
-        assert_eq!(report.warning, u32::from(response.warn.unwrap_or_default().0));
+        // What was not asked for is as it was.
+        assert_eq!(report.current, response.current.map_or(before.current, |raw| f64::from(raw) * 1e-3));
+        assert_eq!(report.warning, response.warn.map_or(before.warning, |raw| u32::from(raw.0)));
         let (status, state) = (response.status.unwrap_or_default(), response.state.unwrap_or_default());
         let fault = if status.error() { response.error.unwrap_or_default().0 } else { 0 };
         assert_eq!((report.fault, report.homed), (u32::from(fault), status.homed()));
@@ -349,9 +364,13 @@ impl Rig {
     fn check_request(&mut self) {
         let request = Request::parse(&self.request[..self.length]).unwrap();
         assert_eq!((request.size(), request.reserved), (self.length, RequestDef::NONE));
-        assert!(request.response_def.contains(ResponseDef::CYCLIC));
+        let needed = match self.drive.reply_tag {
+            ReplyTag::Definition => ResponseDef(0x4F),
+            ReplyTag::Count | ReplyTag::Off => ResponseDef::CYCLIC,
+        };
+        assert!(request.response_def.contains(needed));
         assert_eq!(request.config.is_some(), request.response_def.contains(ResponseDef::CONFIG));
-        assert!(request.config.is_some() || !self.drive.reply_tag);
+        assert!(request.config.is_some() || !self.counted());
         let decoded = request.motion.as_ref().map(Decoded::of);
         if self.slot.order.serial == 0 {
             assert_eq!(request.control, None, "nothing is written before the first order");

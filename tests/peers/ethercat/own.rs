@@ -143,6 +143,7 @@ fn work(plan: EthercatPlan, leads: bool) -> u64 {
         period_ns: 2 * MS,
         receive_deadline: 0.8,
         overrun: Overrun::Skip { max_skip: 2_000 },
+        max_skip_rate: 1.0,
         reference: leads.then(|| plan.name.clone()),
         memory: Memory::Own,
         ..CyclePlan::default()

@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use fieldbeat::bus::ethercat::object::Family;
+use fieldbeat::bus::ethercat::{EthercatPlan, KollmorgenDrive};
 use fieldbeat::net::{Carriers, Os};
 
 use super::dissector::{APRD, APWR, Address, BRD, NOP, dissect, exchanges};
@@ -76,12 +77,9 @@ fn what_is_wrong_with_an_interface_is_told_in_one_line() {
     scan(&cable, &[]).failed(&["wire: the interface is down; set it up: sudo ip link set wire up"]);
 }
 
-#[test]
-#[ignore = "needs root and iproute2"]
-fn a_scan_beside_another_master_says_so_and_sends_nothing() {
-    let cable = cable(35);
-    let _line = serve(&cable, &plan(Family::S700, 1, false));
-    let mut master = at_master(&cable, || Os::default().frames(WIRE, ETHERTYPE).unwrap());
+/// Does something while another master, on the same interface, has a frame there every 2 ms.
+fn beside_another<R>(cable: &Cable, run: impl FnOnce() -> R) -> R {
+    let mut master = at_master(cable, || Os::default().frames(WIRE, ETHERTYPE).unwrap());
     let end = AtomicBool::new(false);
     std::thread::scope(|scope| {
         // BRD of the states, as a cycle has it.
@@ -96,8 +94,48 @@ fn a_scan_beside_another_master_says_so_and_sends_nothing() {
                 std::thread::sleep(Duration::from_millis(2));
             }
         });
-        let ended = scan(&cable, &["--json"]);
+        let result = run();
         end.store(true, Ordering::Relaxed);
-        ended.failed(&["wire: another master (10:10:10:10:10:10) has frames on this interface; end it"]);
+        result
+    })
+}
+
+#[test]
+#[ignore = "needs root and iproute2"]
+fn a_scan_beside_another_master_says_so_and_sends_nothing() {
+    let cable = cable(35);
+    let _line = serve(&cable, &plan(Family::S700, 1, false));
+    let ended = beside_another(&cable, || scan(&cable, &["--json"]));
+    ended.failed(&["wire: another master (10:10:10:10:10:10) has frames on this interface; end it"]);
+}
+
+#[test]
+#[ignore = "needs root and iproute2"]
+fn a_master_is_not_started_beside_another_one_and_one_that_comes_later_stops_it() {
+    let (machine, cable) = (Machine::new(36), cable(36));
+    let mut alone = EthercatPlan::new(WIRE, vec![KollmorgenDrive::new("d1", 0, Family::S700)]);
+    alone.simulate.interface = Some(WIRE.into());
+    let _line = serve(&cable, &alone);
+    let config = machine.write(
+        "line.toml",
+        format!(
+            "[cycle]\nperiod = \"4ms\"\nmax_skip = \"30s\"\nrealtime = \"off\"\nreference = \"ethercat\"\n[[bus]]\nprotocol = \"ethercat\"\n\
+             interface = \"{WIRE}\"\n[[bus.drive]]\nname = \"d1\"\nwatchdog = \"6s\"\nhealth = {{ bucket = \
+             \"5s\", leak = 1 }}\n"
+        ),
+    );
+    let master = |words: &[&str]| {
+        let mut master = Command::new(PROGRAM);
+        master.args(words).arg(&config);
+        Cable::enter(&cable.master, &master)
+    };
+    let refused = "another master (10:10:10:10:10:10) already has frames on wire: end it";
+    beside_another(&cable, || Program::spawn(&mut master(&["run"])).end()).refused(&[refused]);
+    let mut running = Program::spawn(&mut master(&["run"]));
+    running.await_text("all drives online");
+    beside_another(&cable, || {
+        running.await_text("drive d1: another master commands it: its axis is stopped")
     });
+    running.signal(libc::SIGTERM);
+    running.end();
 }

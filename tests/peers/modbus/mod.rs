@@ -5,6 +5,7 @@
 //! | `masters` | our master, and their servers |
 //! | `clients` | their clients, and our simulated drive |
 //! | `dissector` | our master and our simulated drive, and what tshark sees |
+//! | `loss` | our master and our simulated drive, and a socket filter that loses segments |
 //! | `programs` | their servers and clients, told by lines what to do |
 //!
 //! Both servers have one register for each address, where a drive has one parameter: what is exchanged with them must
@@ -12,6 +13,7 @@
 
 mod clients;
 mod dissector;
+mod loss;
 mod masters;
 
 use std::fs::File;
@@ -147,6 +149,7 @@ fn plan(drive: UnidriveDrive) -> Plan {
         period_ns: 2 * MS,
         receive_deadline: 0.8,
         overrun: Overrun::Skip { max_skip: 2000 },
+        max_skip_rate: 1.0,
         realtime: Realtime::Off,
         ..CyclePlan::default()
     };

@@ -625,8 +625,8 @@ fn objects_are_read_and_written_while_the_axis_moves() {
         assert_eq!(call(target("0x1018:1").read()), Ok(0x6A));
         assert_eq!(call(target("profile-acceleration").write(7_000)), Ok(7_000));
         assert_eq!(call(target("0x6083:0").read()), Ok(7_000));
-        // Read only, and not there.
-        assert_eq!(call(target("0x6041:0.u16").write(1)), Err(CallError::Refused(0x0601_0002)));
+        // Out of its range, and not there.
+        assert_eq!(call(target("homing-method").write(36)), Err(CallError::Refused(0x0609_0031)));
         assert_eq!(call(target("0x5FFF:0").read()), Err(CallError::Refused(0x0602_0000)));
         machine.assert_turns(index, 3.0);
     }

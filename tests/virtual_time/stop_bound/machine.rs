@@ -10,10 +10,10 @@ use fieldbeat::axis::{
     Target, Verb,
 };
 use fieldbeat::bus::Cycle;
-use fieldbeat::bus::linudp::StreamCommand;
 use fieldbeat::bus::linudp::wire::{ControlWord, ErrorCode, Request, ResponseDef};
-use fieldbeat::config::stop_bound_cycles;
+use fieldbeat::bus::linudp::{ReplyTag, StreamCommand};
 use fieldbeat::cycle::Overrun;
+use fieldbeat::cycle::bound::stop_bound_cycles;
 use fieldbeat::cycle::engine::Flow;
 use fieldbeat::cycle::task::Axes;
 use fieldbeat::sim::FaultPlan;
@@ -147,7 +147,7 @@ impl Machine {
                 group: pick(&mut random, &[None, Some(1), Some(2), Some(3), Some(4)]),
                 ..axis.stop
             };
-            drive.reply_tag = random.bool();
+            drive.reply_tag = pick(&mut random, &ReplyTag::WORDS).1;
             drive.stream = Some(pick(&mut random, &[StreamCommand::Pva, StreamCommand::PvConfigured]))
                 .filter(|command| command.takes(every_ns));
             drive.simulate.stream_period_ns = every_ns;

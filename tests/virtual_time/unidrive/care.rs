@@ -118,7 +118,7 @@ fn each_native_output_goes_out_however_often_the_wire_takes_none() {
 
 #[test]
 fn a_drive_without_function_23_is_read_as_ever_after_it_was_watched_for_long() {
-    let mut b = Bench::new(1, Via::Direct, |_, drive| drive.simulate.interface.read_write = false);
+    let mut b = Bench::new(1, Via::Direct, |_, drive| drive.functions = Functions::Apart);
     b.online();
     b.run(30_000);
     b.sim.axis(0).post(Verb::Enable).unwrap();
@@ -199,22 +199,12 @@ fn a_drive_that_refuses_function_23_from_now_on_is_asked_in_turns_and_goes_on_tu
         let mut b = Bench::new(1, via, |_, _| {});
         b.ready();
         b.turning(0, 4.0);
-        // No drive has it, so that it says what it says to a function that it does not have; but not of which.
-        const NONE: u8 = 43;
-        b.tap(0).request = Some(Box::new(|request| {
-            if request[7] == function::READ_WRITE {
-                request[7] = NONE;
-            }
-        }));
-        b.tap(0).reply = Some(Box::new(|reply| {
-            if reply.get(7) == Some(&(NONE | function::EXCEPTION)) {
-                reply[7] = function::READ_WRITE | function::EXCEPTION;
-            }
-        }));
+        b.tap(0).request = Some(Box::new(|request| without_function_23(request)));
+        b.tap(0).reply = Some(Box::new(|reply| as_function_23(reply)));
         b.tap(0).heard.clear();
         b.run(500);
         let heard = std::mem::take(&mut b.tap(0).heard);
-        let refused = heard.iter().filter(|request| request[7] == NONE).count();
+        let refused = heard.iter().filter(|request| request[7] == NO_FUNCTION).count();
         assert!((1..=2).contains(&refused), "{via:?}: {refused}, one may be on its way");
         let with = |function| heard.iter().any(|request| request[7] == function);
         assert!(with(function::READ) && with(function::WRITE), "{via:?}");
@@ -223,7 +213,8 @@ fn a_drive_that_refuses_function_23_from_now_on_is_asked_in_turns_and_goes_on_tu
         b.done(0, STOP);
         b.done(0, Verb::Disable);
         let counters = b.finish().drives[0].counters;
-        assert_eq!(own(&counters), [(key(Own::Exceptions), refused as u64)], "{via:?}");
+        let counted = [(key(Own::Exceptions), refused as u64), (key(Own::NoReadWrite), 1)];
+        assert_eq!(own(&counters), counted, "{via:?}");
     }
 }
 

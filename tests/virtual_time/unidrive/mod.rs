@@ -1,6 +1,11 @@
 //! Unidrives under the whole loop in virtual time: what the conformance suite does not ask of a protocol.
 
 mod care;
+mod commanding;
+mod functions;
+mod loss;
+mod others;
+mod pace;
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::sync::{Arc, Mutex, MutexGuard};
@@ -16,7 +21,7 @@ use fieldbeat::bus::modbus::sim::{Start, UnidriveSim};
 use fieldbeat::bus::modbus::trips::Trip;
 use fieldbeat::bus::modbus::wire::{Header, RegistersBuffer, Request, Response, function};
 use fieldbeat::bus::modbus::words::{ControlWord, StatusWord};
-use fieldbeat::bus::modbus::{ModbusPlan, UnidriveDrive, Via, Watchdog};
+use fieldbeat::bus::modbus::{Functions, ModbusPlan, UnidriveDrive, Via, Watchdog};
 use fieldbeat::bus::{Bus, BusPlan, Counters, OpenError};
 use fieldbeat::cycle::status::Numbers;
 use fieldbeat::cycle::{CyclePlan, Plan};
@@ -315,9 +320,9 @@ fn key(own: Own) -> &'static str {
 #[test]
 fn both_mappings_turn_a_motor_with_function_23_and_without() {
     for via in VIAS {
-        for read_write in [true, false] {
-            let what = format!("{via:?}, function 23: {read_write}");
-            let mut b = Bench::new(1, via, |_, drive| drive.simulate.interface.read_write = read_write);
+        for functions in [Functions::ReadWrite, Functions::Apart] {
+            let what = format!("{via:?}, {functions:?}");
+            let mut b = Bench::new(1, via, |_, drive| drive.functions = functions);
             b.online();
             b.tap(0).heard.clear();
             b.ready();
@@ -343,6 +348,7 @@ fn both_mappings_turn_a_motor_with_function_23_and_without() {
                     _ => {}
                 }
             }
+            let read_write = functions == Functions::ReadWrite;
             assert_eq!((both > 0, alone > 0), (read_write, !read_write), "{what}");
             let counters = b.finish().drives[0].counters;
             assert_eq!(own(&counters), [], "{what}");
@@ -380,12 +386,30 @@ fn spoil_reference(request: &mut Vec<u8>) {
     request.extend_from_slice(&out[..size]);
 }
 
+/// No drive has it, so that it says what it says to a function that it does not have; but not of which.
+const NO_FUNCTION: u8 = 43;
+
+/// From now on the drive does not have FC23.
+fn without_function_23(request: &mut [u8]) {
+    if request[7] == function::READ_WRITE {
+        request[7] = NO_FUNCTION;
+    }
+}
+
+/// Its refusals name FC23.
+fn as_function_23(reply: &mut [u8]) {
+    if reply.get(7) == Some(&(NO_FUNCTION | function::EXCEPTION)) {
+        reply[7] = function::READ_WRITE | function::EXCEPTION;
+    }
+}
+
 #[test]
 fn a_value_that_the_drive_refuses_is_found_out_and_ends_the_order() {
     for via in VIAS {
         for read_write in [true, false] {
             let what = format!("{via:?}, function 23: {read_write}");
-            let mut b = Bench::new(1, via, |_, drive| drive.simulate.interface.read_write = read_write);
+            let functions = if read_write { Functions::ReadWrite } else { Functions::Apart };
+            let mut b = Bench::new(1, via, |_, drive| drive.functions = functions);
             b.ready();
             b.tap(0).request = Some(Box::new(spoil_reference));
             let jog = Verb::Jog(Jog { velocity: 4.0, acceleration: 80.0 });
@@ -827,7 +851,7 @@ fn the_stop_of_a_drive_that_is_out_of_reach_is_latched_within_its_bound_and_made
         b.turning(1, 4.0);
         let axes = b.plan.axes();
         let reply_by = b.plan.drives[0].reply_within_ns.div_ceil(MS);
-        let bound = fieldbeat::config::stop_bound_cycles(axes[0], &axes) + 2 * reply_by;
+        let bound = fieldbeat::cycle::bound::stop_bound_cycles(axes[0], &axes) + 2 * reply_by;
         assert!(b.sim.world().unplug(address(0)));
         assert_eq!(b.stopped(0, bound), StopCause::LinkLost);
         b.run(600);

@@ -15,7 +15,7 @@ use std::os::fd::RawFd;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
 
-use self::notes::{DOWN, NOTHING_BACK, SlaveNotes, WELL};
+use self::notes::{DOWN, NOTHING_BACK, OTHER_MASTER, SlaveNotes, WELL};
 use self::seats::{DeviceSeat, Seats};
 use super::counters::{OWN, Own};
 use super::faults;
@@ -23,21 +23,24 @@ use super::image::{Image, Mark, Read};
 use super::line::{Back, Line, Sent};
 use super::native::{Native, Terminals, terminals};
 use super::object::Objects;
+use super::other::{OtherMaster, listen};
 use super::plan::{EthercatPlan, KollmorgenDrive, Owner, Setpoint};
+use super::scan::{Busy, Shown, require_idle};
 use super::service::Service;
 use super::sim::EthercatSim;
 use super::start_up::{last_written, start_up, verify, verify_found};
 use super::station::Station;
 use super::wire::frame::{ETHERTYPE, FRAME_MAX, FrameError, datagrams};
-use crate::axis::acyclic::{self, AcyclicEnds, Notation};
+use crate::axis::acyclic::{self, AcyclicEnds, Commanding, Notation};
 use crate::axis::cell;
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, FaultNames, Feedback, FoundRunning, Link, MonitorChannel, Observer, PlanFault};
 use crate::bus::{
     Bus, BusClock, BusPlan, Counters, Cycle, Exchange, Notes, OpenError, OwnCounter, Slot, Strangers,
 };
+use crate::errors::no_descriptor;
 use crate::net::frames::Unsent;
-use crate::net::{Carriers, Frames};
+use crate::net::{Carriers, Frames, Lock, Place};
 use crate::rt::Regions;
 use crate::sim::{SimDrive, SimLine};
 use crate::time::{Time, US};
@@ -82,10 +85,13 @@ pub struct EthercatBus {
     silent: u8,
     interface: String,
     strangers: Strangers,
+    other: OtherMaster,
     natives: Vec<Option<Native>>,
     acyclics: Vec<Option<AcyclicEnds>>,
     devices: Vec<Option<Terminals>>,
     device_acyclics: Vec<Option<(AcyclicEnds, Observer)>>,
+    /// The segment is this master's until its socket is closed.
+    _lock: Lock,
 }
 
 /// A frame that was sent.
@@ -120,12 +126,7 @@ impl EthercatBus {
         period_ns: u64,
         carriers: &dyn Carriers,
     ) -> Result<EthercatBus, OpenError> {
-        let mut net = carriers.frames(&plan.interface, ETHERTYPE).map_err(|source| OpenError::Interface {
-            bus: plan.name.clone(),
-            interface: plan.interface.clone(),
-            remedy: remedy(&source),
-            source,
-        })?;
+        let (mut net, lock) = open(plan, carriers)?;
         let mut plan = plan.clone();
         for drive in &mut plan.drives {
             drive.slave.start_up = start_up(drive, period_ns);
@@ -174,7 +175,7 @@ impl EthercatBus {
         for (index, device) in plan.devices.iter().enumerate() {
             let slave = &device.slave;
             let (application, port) = terminals(slave.outputs.length.into(), slave.inputs.length.into());
-            let (ends, calls) = acyclic::queue(DEVICE_CALLS);
+            let (ends, calls) = acyclic::queue(DEVICE_CALLS, Commanding::none());
             let (reached, reader) = cell::cell(Feedback::default());
             device_acyclics.push(Some((ends, Observer(reader))));
             crew.devices.push(DeviceSeat {
@@ -207,10 +208,12 @@ impl EthercatBus {
             silent: 0,
             interface: plan.interface.clone(),
             strangers: Strangers::default(),
+            other: OtherMaster::default(),
             natives,
             acyclics,
             devices,
             device_acyclics,
+            _lock: lock,
         })
     }
 
@@ -248,13 +251,18 @@ impl EthercatBus {
     fn sort(&mut self, at: Time, received: &[u8], in_window: bool, slots: &mut [Slot]) {
         let number = match own_number(received, &self.source, self.mark.master) {
             Ok(number) => number,
-            Err(Stranger::Foreign) => {
-                self.strangers.datagrams += 1;
+            Err(stranger) => {
+                match stranger {
+                    Stranger::Foreign => self.strangers.datagrams += 1,
+                    Stranger::Unknown => self.count(None, slots, |counters| counters.foreign += 1),
+                    // Its frame cannot be identified.
+                    Stranger::Broken => self.count(None, slots, |counters| counters.malformed += 1),
+                }
+                if self.other.see(at, received) {
+                    other_master(slots);
+                }
                 return;
             }
-            Err(Stranger::Unknown) => return self.count(None, slots, |counters| counters.foreign += 1),
-            // Its frame cannot be identified.
-            Err(Stranger::Broken) => return self.count(None, slots, |counters| counters.malformed += 1),
         };
         let place = number as usize % KNOWN;
         let known = self.known[place];
@@ -275,7 +283,8 @@ impl EthercatBus {
                 self.known[place].answered = true;
                 (self.flights[frame].sent, self.flights[frame].back) = (None, true);
                 self.silent = 0;
-                self.wire.store(WELL, Ordering::Relaxed);
+                let wire = if self.other.is_there(at) { OTHER_MASTER } else { WELL };
+                self.wire.store(wire, Ordering::Relaxed);
                 if !in_window {
                     // Too late for the exchanges of the drives, but not for what proceeds step by step.
                     self.count_late(frame, &sent, slots);
@@ -283,6 +292,9 @@ impl EthercatBus {
                 let back =
                     Back { sent, frame: &self.image.frames()[frame], at, received, counter, in_window };
                 self.line.heard(&back, frame, &mut self.crew, slots);
+                if self.line.take_lowered() {
+                    other_master(slots);
+                }
             }
             Read::Circulated => self.count(Some(frame), slots, |counters| Own::Circulated.count(counters)),
             Read::Other => self.count(Some(frame), slots, |counters| counters.malformed += 1),
@@ -312,6 +324,7 @@ impl EthercatBus {
     /// Completes the first frame, once nothing of the one before is under way.
     fn finish(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
         if !self.prepared {
+            self.line.leave(!self.ending && self.other.is_there(cycle.grid));
             if let Some(first) = self.image.frames_mut().first_mut() {
                 self.line.prepare(cycle, first, &mut self.crew, slots);
             }
@@ -403,6 +416,29 @@ fn own_number(received: &[u8], source: &[u8; 6], master: u32) -> Result<u32, Str
     }
 }
 
+/// Another master has frames on the segment of these drives.
+#[cold]
+fn other_master(slots: &mut [Slot]) {
+    slots.iter_mut().for_each(|slot| slot.report.other_master = true);
+}
+
+/// The interface of `plan`, with its lock; no other master has frames there.
+fn open(plan: &EthercatPlan, carriers: &dyn Carriers) -> Result<(Box<dyn Frames>, Lock), OpenError> {
+    let (bus, interface) = (plan.name.clone(), plan.interface.clone());
+    let lock = carriers.lock(Place::Interface(&interface)).map_err(|why| {
+        let what = format!("interface {interface}");
+        OpenError::InUse { bus: bus.clone(), what, why }
+    })?;
+    let mut net = carriers.frames(&interface, ETHERTYPE).map_err(|source| {
+        let (bus, interface, remedy) = (bus.clone(), interface.clone(), remedy(&source));
+        OpenError::Interface { bus, interface, source, remedy }
+    })?;
+    match listen(&interface, &mut *net) {
+        Some(mac) => Err(OpenError::OtherMaster { bus, interface, mac: Shown(&mac).to_string() }),
+        None => Ok((net, lock)),
+    }
+}
+
 /// The remedy for an interface that cannot be used.
 fn remedy(source: &std::io::Error) -> &'static str {
     match source.kind() {
@@ -410,7 +446,9 @@ fn remedy(source: &std::io::Error) -> &'static str {
             "sudo setcap cap_sys_nice,cap_ipc_lock,cap_net_raw+ep on the program, or run it as root"
         }
         ErrorKind::NotFound => "correct interface",
-        _ => "look at interface: a network interface like \"eth1\", or \"local:NAME\" for simulated drives",
+        _ => no_descriptor(source).unwrap_or(
+            "look at interface: a network interface like \"eth1\", or \"local:NAME\" for simulated drives",
+        ),
     }
 }
 
@@ -461,7 +499,8 @@ impl Bus for EthercatBus {
         if !self.flights.iter().any(|flight| flight.back) {
             self.silent = self.silent.saturating_add(1);
             if self.silent >= SILENT {
-                self.wire.store(NOTHING_BACK, Ordering::Relaxed);
+                let wire = if self.other.is_there(cycle.grid) { OTHER_MASTER } else { NOTHING_BACK };
+                self.wire.store(wire, Ordering::Relaxed);
             }
         }
         self.finish(cycle, slots);
@@ -583,6 +622,22 @@ impl BusPlan for EthercatPlan {
 
     fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
         Ok(Box::new(EthercatBus::open(self, period_ns, carriers)?))
+    }
+
+    fn require_idle(&self, carriers: &dyn Carriers) -> Result<(), OpenError> {
+        let (mut net, _lock) = open(self, carriers)?;
+        let (bus, interface) = (self.name.clone(), self.interface.clone());
+        match require_idle(&mut *net) {
+            // Whatever else is wrong there the start reports, with its remedy.
+            Ok(()) => Ok(()),
+            Err(Busy::Other(mac)) => {
+                Err(OpenError::OtherMaster { bus, interface, mac: Shown(&mac).to_string() })
+            }
+            Err(Busy::Running { place, state }) => {
+                let what = format!("the slave at place {place} of its segment is in {state}");
+                Err(OpenError::Running { bus, what })
+            }
+        }
     }
 
     fn monitored(&self, index: usize) -> [Option<MonitorChannel>; MONITOR_CHANNELS] {

@@ -12,6 +12,7 @@ use crate::net::local;
 pub(super) const WELL: u8 = 0;
 pub(super) const DOWN: u8 = 1;
 pub(super) const NOTHING_BACK: u8 = 2;
+pub(super) const OTHER_MASTER: u8 = 3;
 
 /// The notes of drives and devices, in the order of the plan.
 #[derive(Debug)]
@@ -52,6 +53,10 @@ impl SlaveNotes {
                 "no frame comes back on {interface}: look at its cable, and at the power of the slave next to the \
                 master"
             )),
+            // While it is there no slave is brought up; those that are in operation stay so.
+            OTHER_MASTER => self.notes.get(member).text(place).map(|_| {
+                format!("another master has frames on {interface}: end it, or look where its cable leads")
+            }),
             _ => self.notes.get(member).text(place),
         }
     }

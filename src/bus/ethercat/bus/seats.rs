@@ -68,16 +68,18 @@ impl Crew for Seats {
         }
     }
 
-    fn advance(&mut self, owner: Owner, now: Time, slots: &[Slot]) {
+    fn advance(&mut self, owner: Owner, now: Time, slots: &mut [Slot]) {
         match owner {
             Owner::Drive(index) => {
-                if let (Some(station), Some(slot)) = (self.stations.get_mut(index), slots.get(index)) {
-                    station.service().advance(now, slot.link);
+                if let (Some(station), Some(slot)) = (self.stations.get_mut(index), slots.get_mut(index)) {
+                    let service = station.service();
+                    service.advance(now, slot.link, slot.guarded);
+                    slot.commanded = service.commands();
                 }
             }
             Owner::Device(index) => {
                 if let Some(device) = self.devices.get_mut(index) {
-                    device.service.advance(now, Link::Online);
+                    device.service.advance(now, Link::Online, false);
                 }
             }
         }

@@ -170,6 +170,7 @@ impl Line {
         }
         part.missing = 0;
         if member.has_al() && (member.al() != part.shown.state() || part.shown.error()) {
+            self.lowered |= member.is_lowered(now, part.shown);
             member.show(now, part.shown);
         }
         let state = member.state_of_replies();

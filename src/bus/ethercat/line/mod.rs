@@ -51,7 +51,7 @@ pub trait Crew {
     fn service(&mut self, owner: Owner) -> Option<&mut Service>;
 
     /// Its turn has come: its mailbox takes the requests that were posted meanwhile.
-    fn advance(&mut self, owner: Owner, now: Time, slots: &[Slot]);
+    fn advance(&mut self, owner: Owner, now: Time, slots: &mut [Slot]);
 
     /// Its replies count from now on, in this state, or not any more.
     fn state(&mut self, owner: Owner, al: Option<AlState>, slots: &mut [Slot]);
@@ -121,6 +121,10 @@ pub struct Line {
     guests: Guests,
     /// Frames in a row that did not come back.
     dark: u32,
+    /// Another master is on the segment: no slave is brought up, and none of its registers is written.
+    left: bool,
+    /// A slave was taken out of OP, and not by this master nor by itself.
+    lowered: bool,
     notes: Notes,
     ask: Ask,
 }
@@ -196,6 +200,8 @@ impl Line {
             asker: None,
             guests: Guests::new(&places),
             dark: 0,
+            left: false,
+            lowered: false,
             notes,
             ask: Ask::default(),
         }
@@ -204,6 +210,18 @@ impl Line {
     /// Its clock leads the grid; otherwise it receives the grid's time.
     pub fn lead(&mut self) {
         self.leads = true;
+    }
+
+    /// The slaves are left as they are, or no longer.
+    #[inline]
+    pub fn leave(&mut self, left: bool) {
+        self.left = left;
+    }
+
+    /// A slave was taken out of OP since the last call, and not by this master nor by itself.
+    #[inline]
+    pub fn take_lowered(&mut self) -> bool {
+        std::mem::take(&mut self.lowered)
     }
 
     /// Adds what it touches besides itself, to be locked.
@@ -335,6 +353,9 @@ impl Line {
     fn choose(&mut self, cycle: &Cycle, crew: &mut impl Crew, slots: &mut [Slot]) {
         self.ask.clear();
         self.asker = None;
+        if self.left {
+            return;
+        }
         if self.guests.ask(cycle.grid, self.count, self.timed, cycle.period_ns, &mut self.ask) {
             self.asker = Some(Asker::Guests);
             return;

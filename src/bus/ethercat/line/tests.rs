@@ -32,7 +32,7 @@ impl Crew for Told {
         None
     }
 
-    fn advance(&mut self, _owner: Owner, _now: Time, _slots: &[Slot]) {}
+    fn advance(&mut self, _owner: Owner, _now: Time, _slots: &mut [Slot]) {}
 
     fn state(&mut self, owner: Owner, al: Option<AlState>, _slots: &mut [Slot]) {
         self.states.push((owner, al));

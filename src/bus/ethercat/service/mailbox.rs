@@ -209,6 +209,11 @@ impl Mailbox {
         true
     }
 
+    /// The request of the next frame is to be written with it.
+    pub(super) fn writes(&self) -> bool {
+        self.asked == Some(Asked::Write)
+    }
+
     /// The request is with the slave, and was not answered yet.
     pub(super) fn awaits(&self) -> bool {
         matches!(self.sending, Sending::Written { .. })

@@ -61,6 +61,9 @@ pub enum SdoFailure {
     Silent,
 }
 
+/// An object that every slave with a mailbox has.
+const DEVICE_TYPE: Object = Object::new(0x1000, 0);
+
 /// The mailbox of one slave.
 #[derive(Debug)]
 pub struct Service {
@@ -73,6 +76,9 @@ pub struct Service {
     active: Option<Active>,
     kept: Kept,
     emergencies: Emergencies,
+    /// A call that commands the drive ended without the drive's answer: the drive may still carry it out, until it has
+    /// answered a later request.
+    unsettled: bool,
     /// Transfers that were not answered, not counted yet.
     silent: u64,
     /// Dropped emergencies, not counted yet.
@@ -88,6 +94,8 @@ struct Active {
     sdo: Sdo,
     since: Time,
     limit_ns: u64,
+    /// A frame with its first request was built.
+    gone_out: bool,
 }
 
 /// Its owner.
@@ -95,6 +103,8 @@ struct Active {
 enum By {
     Master,
     Call(Posted, Option<Type>),
+    /// Nobody waits for it: its answer shows that the drive has carried out all requests before it.
+    Nobody,
 }
 
 /// How a transfer ends.
@@ -183,6 +193,7 @@ impl Service {
             active: None,
             kept: Kept { series: 0, address: 0, size: 0, data: [0; KEPT] },
             emergencies: Emergencies::default(),
+            unsettled: false,
             silent: 0,
             lost: 0,
             turn_ns: 0,
@@ -253,13 +264,30 @@ impl Service {
         self.emergencies.pop()
     }
 
-    /// Starts the next call of the application, and ends finished ones.
+    /// Starts the next call of the application, and ends finished ones. Calls that command a `guarded` drive are
+    /// refused.
     #[inline]
-    pub fn advance(&mut self, now: Time, link: Link) {
+    pub fn advance(&mut self, now: Time, link: Link, guarded: bool) {
+        let mut is_called = false;
+        if let Some(port) = &mut self.port {
+            port.guard(guarded);
+            is_called = !port.is_empty();
+        }
         // Usually there is nothing.
-        let is_called = self.port.as_ref().is_some_and(|port| !port.is_empty());
-        if is_called || self.active.is_some() || self.waiting.is_some() {
+        if is_called || self.active.is_some() || self.waiting.is_some() || self.unsettled {
             self.go_on(now, link);
+        }
+    }
+
+    /// A call of the application that commands the drive is under way, or may still be carried out.
+    pub fn commands(&self) -> bool {
+        self.unsettled || self.active.as_ref().is_some_and(|active| self.is_commanding(active))
+    }
+
+    fn is_commanding(&self, active: &Active) -> bool {
+        match (&active.by, &self.port) {
+            (By::Call(posted, _), Some(port)) => port.commands(posted),
+            _ => false,
         }
     }
 
@@ -274,7 +302,12 @@ impl Service {
         }
         if let Some(active) = &self.active {
             let is_over = now.since(active.since) > active.limit_ns;
+            let refusal = match (&active.by, &self.port) {
+                (By::Call(posted, _), Some(port)) if !active.gone_out => port.refusal(posted),
+                _ => None,
+            };
             let why = match &active.by {
+                _ if refusal.is_some() => refusal,
                 By::Call(posted, _) if self.port.as_ref().is_some_and(|port| port.is_cancelled(posted)) => {
                     Some(CallError::Cancelled)
                 }
@@ -295,13 +328,17 @@ impl Service {
 
     /// The next transfer: the master's first.
     fn take_up(&mut self, now: Time) {
+        let limit_ns = LIMIT_NS.max(LIMIT_TURNS * self.turn_ns);
         if let Some(transfer) = self.waiting.take() {
             let sdo = match transfer {
                 Transfer::Read(object) => Sdo::read(object, false),
                 Transfer::Write { object, raw, bytes } => Sdo::write(object, raw, bytes.into()),
             };
-            let limit_ns = LIMIT_NS.max(LIMIT_TURNS * self.turn_ns);
-            return self.start(now, Active { by: By::Master, sdo, since: now, limit_ns });
+            return self.start(now, Active { by: By::Master, sdo, since: now, limit_ns, gone_out: false });
+        }
+        if self.unsettled {
+            let (by, sdo) = (By::Nobody, Sdo::read(DEVICE_TYPE, false));
+            return self.start(now, Active { by, sdo, since: now, limit_ns, gone_out: false });
         }
         let Some(posted) = self.port.as_mut().and_then(Port::take) else { return };
         let call = posted.call;
@@ -317,7 +354,7 @@ impl Service {
             _ => return self.end_call(&posted, Err(CallError::Refused(object::NO_CALL))),
         };
         let (by, limit_ns) = (By::Call(posted, sdo.1), posted.limit_ns);
-        self.start(now, Active { by, sdo: sdo.0, since: now, limit_ns });
+        self.start(now, Active { by, sdo: sdo.0, since: now, limit_ns, gone_out: false });
     }
 
     fn start(&mut self, now: Time, active: Active) {
@@ -339,6 +376,9 @@ impl Service {
     pub fn ask(&mut self, now: Time, ask: &mut Ask) {
         if let Some(mailbox) = self.mailbox.as_mut().filter(|_| self.open) {
             mailbox.ask(now, ask);
+            if let Some(active) = &mut self.active {
+                active.gone_out |= mailbox.writes();
+            }
         }
     }
 
@@ -411,6 +451,13 @@ impl Service {
     /// Ends the transfer that is under way.
     fn finish(&mut self, now: Time, end: End) {
         let Some(active) = self.active.take() else { return };
+        self.unsettled = match end {
+            // It answers in the order of its requests.
+            End::Done | End::Failed(Failure::Abort(_)) => false,
+            End::Failed(Failure::Unusable(_)) | End::GivenUp(_) => {
+                self.unsettled || active.gone_out && self.is_commanding(&active)
+            }
+        };
         if let Some(mailbox) = &mut self.mailbox {
             match end {
                 End::GivenUp(_) => mailbox.abandon(),
@@ -448,6 +495,7 @@ impl Service {
                     },
                 );
             }
+            By::Nobody => {}
         }
     }
 

@@ -8,7 +8,7 @@ use proptest::prelude::*;
 
 use self::server::{Server, coe, message};
 use super::*;
-use crate::axis::acyclic::{Acyclic, CallTicket, both};
+use crate::axis::acyclic::{Acyclic, CallTicket, both, both_of};
 use crate::bus::ethercat::object::{READ, WRITE};
 use crate::bus::ethercat::plan::Area;
 use crate::bus::ethercat::sim::sii::{Contents, Mailboxes};
@@ -41,6 +41,7 @@ struct Bench {
     counters: Counters,
     now: Time,
     link: Link,
+    guarded: bool,
     /// Of the next frames that carry something.
     fates: Vec<Fate>,
     /// What was asked, frame by frame.
@@ -59,7 +60,7 @@ impl Bench {
     fn new(length: u16, application: Box<dyn Application>) -> Bench {
         let mailboxes = Mailboxes { out: (0x1800, length), input: (0x1C00, length), protocols: 4 };
         let sii = Contents { mailboxes: Some(mailboxes), ..Contents::default() }.image();
-        let (acyclic, port) = both(16);
+        let (acyclic, port) = both_of(16, object::commanding([]));
         let mut bench = Bench {
             line: Line::new(vec![Esc::new(Settings { sii, ..Settings::default() }, application)]),
             service: Service::new(&plan(length), Some(port)),
@@ -67,6 +68,7 @@ impl Bench {
             counters: Counters::default(),
             now: Time(S),
             link: Link::Online,
+            guarded: false,
             fates: Vec::new(),
             frames: Vec::new(),
             no_repeat: false,
@@ -107,7 +109,7 @@ impl Bench {
     /// One slot.
     fn step(&mut self) {
         self.now = self.now + MS;
-        self.service.advance(self.now, self.link);
+        self.service.advance(self.now, self.link, self.guarded);
         let (mut ask, mut again) = (Ask::default(), Ask::default());
         self.service.ask(self.now, &mut ask);
         self.service.ask(self.now, &mut again);
@@ -317,7 +319,7 @@ fn no_answer_ends_a_transfer_and_so_does_a_mailbox_that_stays_full() {
     while end.is_none() {
         bench.now = bench.now + MS;
         assert!(bench.now.since(begun) < 40 * MS, "it goes on for ever");
-        full.advance(bench.now, Link::Online);
+        full.advance(bench.now, Link::Online, false);
         let mut ask = Ask::default();
         full.ask(bench.now, &mut ask);
         let is_look = ask.datagrams().any(|(command, _)| command == Command::Fprd(STATION, 0x080D));
@@ -576,6 +578,46 @@ fn a_call_that_is_cancelled_late_or_offline_ends_so_and_hurts_no_later_one() {
 }
 
 #[test]
+fn a_write_that_commands_the_drive_is_checked_until_a_frame_carries_it() {
+    let (mut bench, server) = Bench::server(16, &[(MODE, &[7]), (DEVICE_TYPE, &[1, 0, 0, 0])]);
+    // The first frame looks whether something is left of another master; meanwhile power comes on.
+    let ticket = bench.post(WRITE, "mode", 8);
+    bench.step();
+    assert!(bench.service.commands());
+    bench.guarded = true;
+    assert_eq!(bench.wait(ticket), Err(CallError::Commands));
+    assert!(!bench.service.commands() && server.shared().requests.is_empty(), "nothing of it was sent");
+    assert_eq!(bench.read(MODE), Ok(7), "the master's own are exempt");
+    assert_eq!(bench.transfer(Transfer::Write { object: MODE, raw: 6, bytes: 1 }), Ok(6));
+    // What a frame has carried goes on, and is known to be under way.
+    bench.guarded = false;
+    bench.step();
+    let ticket = bench.post(WRITE, "mode", 8);
+    bench.step();
+    bench.guarded = true;
+    assert!(bench.service.commands());
+    assert_eq!(bench.wait(ticket), Ok(8));
+    assert!(!bench.service.commands());
+}
+
+#[test]
+fn a_write_that_nobody_waits_for_is_under_way_until_a_later_request_is_answered() {
+    let (mut bench, server) = Bench::server(16, &[(MODE, &[7]), (DEVICE_TYPE, &[1, 0, 0, 0])]);
+    assert_eq!(bench.read(MODE), Ok(7));
+    let ticket = bench.post(WRITE, "mode", 8);
+    bench.fates = vec![Fate::Returns, Fate::NeverReturns, Fate::NeverReturns];
+    bench.step();
+    drop(ticket);
+    bench.step();
+    assert!(bench.service.commands(), "the drive may have it");
+    bench.steps(50);
+    assert!(!bench.service.commands());
+    let objects = server.shared().objects.clone();
+    assert!(objects.contains(&(MODE, vec![8])), "{objects:?}");
+    assert!(bench.service.is_free());
+}
+
+#[test]
 fn without_a_mailbox_or_with_a_closed_one_all_is_refused_at_once() {
     let (acyclic, port) = both(4);
     let mut none = Service::new(&SlavePlan::new(0), Some(port));
@@ -585,7 +627,7 @@ fn without_a_mailbox_or_with_a_closed_one_all_is_refused_at_once() {
     assert!(none.is_free());
     let call = Target::parse("mode").unwrap().read();
     let mut ticket = acyclic.post(call, LIMIT).unwrap();
-    none.advance(Time(S), Link::Online);
+    none.advance(Time(S), Link::Online, false);
     assert_eq!(ticket.poll(), Some(Err(CallError::Refused(object::NO_MAILBOX))));
     let mut ask = Ask::default();
     none.ask(Time(S), &mut ask);
@@ -657,7 +699,7 @@ proptest! {
         let mut end = None;
         for step in 0..110_u64 {
             let now = Time(S + step * MS);
-            service.advance(now, Link::Online);
+            service.advance(now, Link::Online, false);
             end = end.or(ticket.poll());
             let mut ask = Ask::default();
             service.ask(now, &mut ask);

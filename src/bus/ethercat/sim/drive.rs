@@ -40,6 +40,7 @@ use crate::bus::ethercat::object::pdo::Layout;
 use crate::bus::ethercat::object::{Family, Object};
 use crate::bus::ethercat::wire::mailbox::Emergency;
 use crate::bus::ethercat::wire::registers::{AlCode, AlState};
+use crate::sim::Truth;
 use crate::time::{MS, S, Time, US};
 
 /// One step of the motor ...
@@ -249,6 +250,17 @@ impl Drive {
     /// It has its reference.
     pub fn is_homed(&self) -> bool {
         self.homed
+    }
+
+    /// Its true state; its counts are increments.
+    pub fn truth(&self) -> Truth {
+        let per_turn = self.per_turn();
+        Truth {
+            powered: self.state.is_powered(),
+            homed: self.homed,
+            position: (self.motor.place() - self.zero) / TAU * per_turn,
+            velocity: self.motor.speed() / TAU * per_turn,
+        }
     }
 
     /// Speed of the motor, rpm.

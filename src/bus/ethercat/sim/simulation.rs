@@ -114,7 +114,8 @@ impl SimLine for EthercatSim {
     }
 
     fn mislabel(&self, frame: &mut [u8]) {
-        for at in [INDEX, DATA, DATA + 4] {
+        // A number far from those in use. Its sender stays: another sender is another master.
+        for at in [INDEX, DATA + 6] {
             if let Some(byte) = frame.get_mut(at) {
                 *byte ^= 0x80;
             }

@@ -43,6 +43,8 @@ pub(super) struct Asking {
     content: Option<ModeWanted>,
     /// The mode that the drive is in; `None`: not known.
     mode: Option<Mode>,
+    /// Somebody else may have changed the mode: it counts as another one until it is read.
+    doubted: bool,
     /// The method was written for this homing.
     method_written: bool,
     display_read: bool,
@@ -70,6 +72,7 @@ impl Asking {
             not_before: Time(0),
             content: None,
             mode: None,
+            doubted: false,
             method_written: false,
             display_read: false,
             homed: None,
@@ -89,6 +92,7 @@ impl Asking {
         // The end of the present SDO is nobody's any more.
         (self.asked, self.content) = (None, None);
         (self.mode, self.display_read, self.homed, self.method_written) = (None, false, None, false);
+        self.doubted = false;
         (self.shown, self.show_refused, self.not_before) = ([None; _], [false; _], Time(0));
         self.show_again(Time(0));
     }
@@ -96,6 +100,12 @@ impl Asking {
     /// The drive shows this mode: nothing of the start-up was written to it.
     pub(super) fn found_in(&mut self, mode: Mode) {
         (self.mode, self.display_read, self.content) = (Some(mode), true, None);
+    }
+
+    /// The application may have changed the mode, by its object or in native mode.
+    pub(super) fn doubt_mode(&mut self) {
+        (self.doubted, self.display_read, self.content) = (true, false, None);
+        self.outdated |= self.asked == Some(Asked::Display);
     }
 
     /// Monitored objects are read from then on; never, if there are none.
@@ -117,7 +127,7 @@ impl Asking {
     /// The mode that it is in, as far as is known: a mode written at start-up counts as its own.
     pub(super) fn mode(&self) -> ModeIs {
         match self.mode {
-            _ if matches!(self.asked, Some(Asked::Mode(_))) => ModeIs::Other,
+            _ if self.doubted || matches!(self.asked, Some(Asked::Mode(_))) => ModeIs::Other,
             None => ModeIs::Own,
             mode if mode == self.own => ModeIs::Own,
             Some(Mode::HOMING) => ModeIs::Homing,
@@ -180,7 +190,7 @@ impl Asking {
             ModeWanted::Own => self.own.filter(|_| self.mode.is_some()),
             ModeWanted::Homing => Some(Mode::HOMING),
         };
-        if wants.is_some() && wants != self.mode {
+        if wants.is_some() && wants != self.mode && !self.doubted {
             return self.next_mode(wants?);
         }
         if !self.display_read {
@@ -230,12 +240,12 @@ impl Asking {
                 self.refused = true;
                 self.not_before = now + AGAIN_NS;
             }
+            (Asked::Display | Asked::Reference, _) if std::mem::take(&mut self.outdated) => {}
             (Asked::Display, end) => {
-                self.display_read = true;
+                (self.display_read, self.doubted) = (true, false);
                 // A drive that does not report its mode has the one that was written.
                 self.mode = end.ok().map(|raw| Mode(raw as u8 as i8));
             }
-            (Asked::Reference, _) if std::mem::take(&mut self.outdated) => {}
             // A reference that it does not report is not set.
             (Asked::Reference, end) => self.homed = Some(end.is_ok_and(|raw| raw & REFERENCE != 0)),
             (Asked::Shown(channel), end) => self.take_value(now, channel, end),

@@ -21,7 +21,7 @@ use super::cia402::{Mode, StatusWord};
 use super::counters::Own;
 use super::faults::Clearing;
 use super::native::{Native, NativePort, native};
-use super::object::Object;
+use super::object::{Object, commanding};
 use super::orders::{Inputs, Kind, Orders};
 use super::plan::KollmorgenDrive;
 use super::service::Service;
@@ -94,6 +94,8 @@ pub struct Station {
     warning: u16,
     /// It was found power-cycled, and that was not reported yet.
     was_restarted: bool,
+    /// The application commands the drive by a parameter, or in native mode.
+    commanded: bool,
 }
 
 impl Station {
@@ -101,7 +103,8 @@ impl Station {
     /// data and of its acyclic access.
     pub fn new(drive: &KollmorgenDrive, interval_ns: u64) -> (Station, Native, AcyclicEnds) {
         let (application, native) = native(&drive.outputs, &drive.inputs);
-        let (ends, port) = acyclic::queue(drive.axis.parameter_queue);
+        let outputs = drive.outputs.entries.iter().map(|entry| entry.object);
+        let (ends, port) = acyclic::queue(drive.axis.parameter_queue, commanding(outputs));
         let units = drive.axis.units;
         let unit_per_count = 1.0 / units.counts_per_unit;
         let per_minute = drive.scaling.increments() / 60.0 * unit_per_count;
@@ -138,6 +141,7 @@ impl Station {
             named_within_ns: NAMED_WITHIN_NS,
             warning: 0,
             was_restarted: false,
+            commanded: false,
         };
         (station, application, ends)
     }
@@ -254,6 +258,12 @@ impl Station {
     fn ask(&mut self) {
         if self.al.is_none() {
             return;
+        }
+        // Once the application no longer commands the drive, its mode is read again.
+        let commanded = self.service.commands() || self.orders.is_native_of_application();
+        if std::mem::replace(&mut self.commanded, commanded) && !commanded {
+            self.asking.doubt_mode();
+            self.inputs.mode = self.asking.mode();
         }
         if !self.asking.advance(self.grid, self.orders.mode_wanted(), &mut self.service) {
             return;

@@ -210,7 +210,7 @@ impl Rig {
     /// The acyclic slot of a frame.
     fn mails(&mut self) {
         let mut ask = Ask::default();
-        self.station.service().advance(self.now, self.slot.link);
+        self.station.service().advance(self.now, self.slot.link, self.slot.guarded);
         self.station.service().ask(self.now, &mut ask);
         let mut message = Vec::new();
         if self.mail.is_empty() && self.drive.message(&mut message) {

@@ -7,7 +7,7 @@ use super::*;
 use crate::axis::acyclic::{Acyclic, Call, CallTicket, queue};
 use crate::axis::cell;
 use crate::axis::{Feedback, Observer};
-use crate::bus::linudp::upid::{Upids, call};
+use crate::bus::linudp::upid::{Upids, call, commanding};
 
 const READ: Call = call(RtcCommand::READ_RAM, 0x20A8, 0);
 
@@ -17,6 +17,7 @@ struct Bench {
     now: Time,
     link: Link,
     powered: bool,
+    guarded: bool,
 }
 
 impl Bench {
@@ -25,7 +26,7 @@ impl Bench {
     }
 
     fn monitoring(sources: [Option<Upid>; 4]) -> Bench {
-        let (ends, port) = queue(8);
+        let (ends, port) = queue(8, commanding());
         let (_, reader) = cell::cell(Feedback::default());
         let acyclic = Acyclic::new("x", ends, Arc::new(Upids), Observer(reader), Duration::from_millis(1));
         Bench {
@@ -34,6 +35,7 @@ impl Bench {
             now: Time(S),
             link: Link::Online,
             powered: false,
+            guarded: false,
         }
     }
 
@@ -44,9 +46,9 @@ impl Bench {
     /// One exchange: gives the block that went out, and takes what `answer` makes of it.
     fn turn(&mut self, answer: impl FnOnce(RtcBlock) -> Option<RtcBlock>) -> Option<RtcBlock> {
         self.now = self.now + MS;
-        let block = self.channel.advance(self.now, self.link, self.powered);
+        let block = self.channel.advance(self.now, self.link, self.powered, self.guarded);
         assert_eq!(
-            self.channel.advance(self.now, self.link, self.powered),
+            self.channel.advance(self.now, self.link, self.powered, self.guarded),
             block,
             "the same until it was sent"
         );
@@ -169,6 +171,54 @@ fn a_cancelled_call_is_over_at_once_and_the_channel_is_learned_anew() {
     assert_eq!(b.turn(done).map(|block| block.code), Some(RtcCommand::NO_OPERATION.0));
     assert_eq!(b.turn(done).map(|block| block.code), Some(RtcCommand::READ_RAM.0));
     drop(next);
+}
+
+#[test]
+fn a_write_that_commands_the_drive_is_checked_until_its_block_has_gone_out() {
+    let run_mode = call(RtcCommand::WRITE_RAM, 0x1450, 1);
+    let mut b = Bench::new();
+    let mut ticket = b.post(run_mode);
+    // The count is learned first. Meanwhile power comes on.
+    assert_eq!(b.turn(|_| None).map(|block| block.code), Some(RtcCommand::NO_OPERATION.0));
+    assert!(b.channel.commands());
+    b.guarded = true;
+    assert_eq!(b.turn(done), None);
+    assert_eq!(ticket.poll(), Some(Err(CallError::Commands)));
+    assert!(!b.channel.commands(), "nothing of it was sent");
+    // What has gone out goes on, and is known to be under way.
+    b.guarded = false;
+    b.learn();
+    let mut ticket = b.post(run_mode);
+    b.turn(status(RtcStatus::BUSY));
+    b.guarded = true;
+    assert_eq!(b.turn(status(RtcStatus::BUSY)).map(|block| block.code), Some(RtcCommand::WRITE_RAM.0));
+    assert!(b.channel.commands());
+    b.turn(done);
+    assert!(ticket.poll().unwrap().is_ok() && !b.channel.commands());
+    // The station's own calls are exempt, and so is what is harmless.
+    let mut monitor = b.post(call(RtcCommand::WRITE_RAM, 0x20A8, 0x1E0F));
+    b.turn(done);
+    assert!(monitor.poll().unwrap().is_ok());
+}
+
+#[test]
+fn a_write_that_nobody_waits_for_is_under_way_until_the_drive_has_stored_a_later_command() {
+    let mut b = Bench::new();
+    b.learn();
+    let ticket = b.post(call(RtcCommand::WRITE_RAM, 0x1450, 1));
+    let sent = b.turn(status(RtcStatus::BUSY)).unwrap();
+    drop(ticket);
+    for _ in 0..10 {
+        let block = b.turn(|_| Some(RtcBlock::answer(sent.count(), RtcStatus::BUSY))).unwrap();
+        assert_eq!(block.code, RtcCommand::NO_OPERATION.0);
+        assert!(b.channel.commands());
+    }
+    b.turn(|_| None);
+    assert_eq!(b.turn(|_| None), None, "nothing is said into a silence");
+    b.channel.take_none();
+    b.turn(done);
+    assert_eq!(b.turn(done), None, "nothing more is to be found out");
+    assert!(!b.channel.commands());
 }
 
 #[test]

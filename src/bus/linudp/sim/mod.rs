@@ -52,7 +52,7 @@ use self::machine::{Machine, Taken};
 use self::rtc::{After, Channel};
 use super::plan::{LinUdpDrive, MASTER_PORT, MasterFilter};
 use super::wire::{ErrorCode, RESPONSE_MAX, Request, Response, StateVar, StatusWord};
-use crate::sim::{FaultPlan, SimDrive};
+use crate::sim::{FaultPlan, SimDrive, Truth};
 use crate::time::{MS, S, Time, US};
 
 /// From power-on until the motion software runs; until then status word and state variable are 0.
@@ -141,6 +141,12 @@ impl LinMotSim {
     /// Sine and Bestehorn moves that it did not run because another motion was still running.
     pub fn refused_moves(&self) -> u64 {
         self.machine.setpoints.refused
+    }
+
+    /// Its true state at `now`.
+    pub fn truth(&mut self, now: Time) -> Truth {
+        self.live(now);
+        self.machine.truth()
     }
 
     /// Advances to `now`.

@@ -156,12 +156,13 @@ pub(super) const PARAMETERS: &[Parameter] = {
         P::config(0x154C, U8, (0, 100), 0), // triggered cam 2: id
         P::config(0x154D, U32, Type::U32.range(), 0), // triggered cam 2: delay (counts)
         P::config(0x170C, U16, (0, 3), 0), // trigger mode
+        P::variable(0x1B8D, U32, V::Constant(0x8000_1B8D)), // a monitor source of unknown meaning
         P::variable(0x1B93, S16, V::DemandCurrent), // demand current (mA)
         P::variable(0x1BA9, Bool, V::Constant(0)), // cam enabled
         P::variable(0x1BCD, S16, V::Constant(400)), // drive core temperature (0.1 C)
         P::variable(0x1BCE, S16, V::Constant(412)), // highest drive temperature (0.1 C)
         P::variable(0x1BDD, U16, V::Constant(0)), // power loss
-        P::variable(0x1BF3, U8, V::Constant(82)), // motor temperature (x 250/255 - 50 C)
+        P::variable(0x1BF3, U16, V::Constant(82)), // motor temperature (x 250/255 - 50 C)
         P::variable(0x1C00, S16, V::Constant(35)), // temperature reserve (C)
         P::variable(0x1C1B, S16, V::Constant(0)), // commutation offset found
         P::variable(0x1CAF, U32, V::TimerUs), // drive timer (us)

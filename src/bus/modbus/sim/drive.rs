@@ -9,6 +9,7 @@ use super::settings::{SimSettings, Start};
 use super::table::{self, Variable};
 use crate::bus::modbus::trips::Trip;
 use crate::bus::modbus::words::{ControlWord, StatusWord};
+use crate::sim::Truth;
 use crate::time::{MS, Time};
 
 /// Steps in which a drive that is found running has reached its speed: 60 s.
@@ -62,6 +63,16 @@ impl Drive {
     pub(super) fn restart(&mut self) {
         self.parameters.restart();
         self.sequencer.restart();
+    }
+
+    /// What the motor really does, in revolutions.
+    pub(super) fn truth(&self) -> Truth {
+        Truth {
+            powered: self.sequencer.is_active(),
+            homed: false,
+            position: self.motor.place(),
+            velocity: self.motor.speed() / 60.0,
+        }
     }
 
     /// Opens the hardware enable until then.

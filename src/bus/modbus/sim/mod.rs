@@ -36,12 +36,12 @@ mod table;
 
 use std::net::SocketAddrV4;
 
-pub use self::settings::{Holes, Interface, MotorSettings, SimSettings, Start, Watchdog};
+pub use self::settings::{Holes, Interface, MotorSettings, ReadWrite, SimSettings, Start, Watchdog};
 
 use self::drive::Drive;
 use self::server::Server;
 use super::trips::Trip;
-use crate::sim::{Carrier, FaultPlan, SimDrive};
+use crate::sim::{Carrier, FaultPlan, SimDrive, Truth};
 use crate::time::{MS, S, Time};
 
 /// One step of sequencer and motor; also the drive's reaction time.
@@ -88,6 +88,12 @@ impl UnidriveSim {
     /// The connections that it holds.
     pub fn connections(&self) -> usize {
         self.server.connections()
+    }
+
+    /// Its true state at `now`; its counts are revolutions. This counts as no request of a master.
+    pub fn truth(&mut self, now: Time) -> Truth {
+        self.live(now);
+        self.drive.truth()
     }
 
     /// Advances to `now`, in whole steps.

@@ -106,6 +106,11 @@ impl Motor {
         if turning == 0.0 { 0.0 } else { self.settings.friction_nm.copysign(turning) }
     }
 
+    /// Where the motor is, revolutions.
+    pub(super) fn place(&self) -> f64 {
+        self.plant.position() / TAU
+    }
+
     /// Speed of the motor, rpm.
     pub(super) fn speed(&self) -> f64 {
         self.plant.velocity() / RPM

@@ -9,18 +9,18 @@
 //! | 0 registers, an odd number of them with 32-bit access, function 6 with 32-bit access, bit 15 | exception 02 |
 //! | a parameter that does not exist | exception 02, and nothing is written or read (a setting for reading) |
 //! | a value out of range, a parameter that is read only | function 16 stops there and counts the registers that it has written; 6 and 23 give no error |
-//! | function 23 | writes, then reads |
+//! | function 23 | writes, then reads (a setting: refuses it, ignores it, ends the connection, takes few registers) |
 //! | a 16-bit write to a 32-bit parameter | carries the sign, if the parameter has one |
 
 use std::net::SocketAddrV4;
 
 use super::drive::Drive;
-use super::settings::{Holes, Interface};
+use super::settings::{Holes, Interface, ReadWrite};
 use super::table;
 use crate::bus::modbus::parameter::{DRIVE_UNIT, INTERFACE_UNIT, Parameter, Width};
 use crate::bus::modbus::wire::{
     self, ADU_MAX, ExceptionCode, Header, REGISTERS_MAX, Registers, RegistersBuffer, Request, RequestError,
-    RequestFault, Response,
+    RequestFault, Response, function,
 };
 
 /// One client.
@@ -145,6 +145,14 @@ impl Service {
         if unit.is_none() && !self.interface.refuses_units {
             return Ok(());
         }
+        match (self.interface.read_write, function) {
+            (ReadWrite::Closes, function::READ_WRITE) => return Err(NoModbus),
+            (ReadWrite::Ignored, function::READ_WRITE) => {
+                drive.sequencer.hear(drive.parameters.get(table::MODBUS_TIMEOUT));
+                return Ok(());
+            }
+            _ => {}
+        }
         let answering =
             if header.unit == 0 && self.interface.answers_as_255 { DRIVE_UNIT } else { header.unit };
         let response = match (unit, request) {
@@ -190,8 +198,14 @@ impl Service {
                 self.refuse_holes()?;
                 Ok(Response::Written { address, count: self.write(width, data, drive) })
             }
-            Request::ReadWrite { .. } if !self.interface.read_write => Err(ExceptionCode::FUNCTION),
             Request::ReadWrite { read, count, write, data } => {
+                match self.interface.read_write {
+                    ReadWrite::Refused => return Err(ExceptionCode::FUNCTION),
+                    ReadWrite::UpTo(most) if data.len() + usize::from(count) > most.into() => {
+                        return Err(ExceptionCode::ADDRESS);
+                    }
+                    _ => {}
+                }
                 let written = self.look_up(unit, write, data.len(), drive)?;
                 self.refuse_holes()?;
                 let first = self.places.len();
@@ -213,7 +227,9 @@ impl Service {
         let addressing = drive.parameters.addressing();
         let (_, width) = Parameter::from_address(address, addressing).ok_or(ExceptionCode::ADDRESS)?;
         let each = usize::from(width.registers());
-        if !(1..=usize::from(REGISTERS_MAX)).contains(&registers) || !registers.is_multiple_of(each) {
+        if !(1..=usize::from(self.interface.registers)).contains(&registers)
+            || !registers.is_multiple_of(each)
+        {
             return Err(ExceptionCode::ADDRESS);
         }
         for index in 0..(registers / each) as u16 {

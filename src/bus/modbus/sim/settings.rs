@@ -3,6 +3,7 @@
 use std::net::SocketAddrV4;
 
 use crate::bus::modbus::parameter::{Addressing, Parameter};
+use crate::bus::modbus::wire::REGISTERS_MAX;
 use crate::sim::FaultPlan;
 use crate::time::{MS, S};
 
@@ -65,8 +66,10 @@ pub struct Interface {
     pub slot: u8,
     /// The most connections at a time; further ones are refused. Default 4, assumed.
     pub connections: usize,
-    /// FC23 is offered. Default true.
-    pub read_write: bool,
+    /// What it does with FC23. Default: it has it.
+    pub read_write: ReadWrite,
+    /// The most registers of a request in one direction. Default 120 (SI-Ethernet guide).
+    pub registers: u16,
     /// Menu 0 shows what Pr 22.001 ... 22.080 say. Without it there is no menu 0. Default true.
     pub menu_zero: bool,
     /// The unit ids of the drive. Default 0 and 255 (SI-Ethernet guide).
@@ -87,7 +90,8 @@ impl Default for Interface {
             addressing: Addressing::Standard,
             slot: 4,
             connections: 4,
-            read_write: true,
+            read_write: ReadWrite::default(),
+            registers: REGISTERS_MAX,
             menu_zero: true,
             drive_units: vec![0, 255],
             answers_as_255: false,
@@ -96,6 +100,22 @@ impl Default for Interface {
             holes: Holes::default(),
         }
     }
+}
+
+/// What a server does with FC23. Other servers than a Unidrive are known to do each of these.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ReadWrite {
+    /// It writes, then reads.
+    #[default]
+    Served,
+    /// Up to so many registers, both directions together; more are exception 02.
+    UpTo(u16),
+    /// Exception 01.
+    Refused,
+    /// Nothing: no answer.
+    Ignored,
+    /// It ends the connection.
+    Closes,
 }
 
 /// The result of a block with a missing parameter among existing ones.

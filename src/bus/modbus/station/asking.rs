@@ -17,10 +17,14 @@ impl Station {
     /// Builds the request of the next send. Built again for the same send, it is the same: state that changes with
     /// every request changes in [`sent`](Self::sent).
     pub fn prepare(&mut self, cycle: &Cycle, slot: &mut Slot) {
+        if slot.exchange == Exchange::Missed {
+            self.look_for_silence();
+        }
         let native = &mut self.native;
         let outputs = self.orders.advance(cycle.grid, &self.inputs, slot, native);
         self.inputs.fresh = false;
-        let calls = self.calls.advance(cycle.grid, slot.link, self.orders.is_on());
+        let calls = self.calls.advance(cycle.grid, slot.link, self.orders.is_on(), slot.guarded);
+        slot.commanded = self.calls.commands();
         // Whether the last one is answered by then is known at the send.
         self.length = 0;
         if !self.connected || !self.rest().is_empty() {
@@ -34,7 +38,7 @@ impl Station {
         if let Some(template) = &self.template
             && template.only
             && outputs.is_some()
-            && !(calls || sets)
+            && !(calls || sets || self.other.is_check_due())
         {
             // There is nothing to choose, and `prepared` is this request already.
             template.refill(&mut self.out, self.identity.next(), self.outputs);
@@ -42,6 +46,16 @@ impl Station {
             return;
         }
         self.length = self.prepare_next(outputs, calls);
+    }
+
+    /// A missed request by FC23 may be one that the drive ignores. The next one goes out behind it.
+    #[cold]
+    fn look_for_silence(&mut self) {
+        if self.asks_both() && self.rest().is_empty() && self.functions.ignored() {
+            self.template = None;
+            self.identity.give_up();
+            self.pace.unanswered();
+        }
     }
 
     /// Chooses and builds the next request.
@@ -67,15 +81,25 @@ impl Station {
 
     /// The blocks of the next cyclic request.
     fn choose(&self, outputs: Option<Outputs>) -> Blocks {
+        let urgent = self.control_changes(outputs) || self.orders.is_new();
+        // It delays no step of an order, a stop above all, and does not come between the two halves of a report.
+        let may_check = self.seen == (false, false) && !self.orders.waits() || self.other.is_in_doubt();
+        if may_check
+            && self.other.is_check_due()
+            && !urgent
+            && let Some(read) = self.mapping().block_with(self.other.check())
+        {
+            // Whether our values stand: what FC23 reads it has written itself.
+            return Blocks { read: Some(read as u8), confirms: true, ..Blocks::default() };
+        }
         let (read, confirms) = self.choose_read(outputs);
         let write = outputs.map(|outputs| self.choose_write(outputs) as u8);
         let both = Blocks { write, read: Some(read as u8), confirms, ..Blocks::default() };
         // Without FC23 writing and reading take turns; an urgent one may go twice in a row.
-        let urgent = self.control_changes(outputs) || self.orders.is_new();
         let most = if urgent { 2 } else { 1 };
         match write {
             None => both,
-            Some(_) if self.finding.read_write => both,
+            Some(_) if self.functions.is_used() => both,
             Some(_) if self.written_in_a_row < most => Blocks { read: None, confirms: false, ..both },
             Some(_) => Blocks { write: None, ..both },
         }
@@ -89,8 +113,15 @@ impl Station {
             // A trip is named as soon as it is seen.
             return mapping.block_with(Role::Trip).map_or(turn, |block| (block, true));
         }
-        let Some(outputs) = outputs.filter(|_| !self.confirmed && mapping.reads().len() > 1) else {
+        if self.confirmed || mapping.reads().len() < 2 {
             return turn;
+        }
+        let Some(outputs) = outputs else {
+            // Whether somebody commands a drive that is found running, once its state is known.
+            let known = self.image.of(Role::Status).is_some() && self.image.of(Role::Speed).is_some();
+            let found = known && self.inputs.status.active();
+            let block = mapping.block_with(Role::Reference).filter(|_| found);
+            return block.map_or(turn, |block| (block, true));
         };
         let missing = if self.control_changes(Some(outputs)) {
             Some(Role::Control)
@@ -137,7 +168,8 @@ impl Station {
         {
             template.refill(&mut self.out, transaction, self.outputs);
             let (control, reference) = (template.control.is_some(), template.reference.is_some());
-            self.prepared = What::Cyclic(Blocks { control, reference, ..blocks });
+            self.prepared =
+                What::Cyclic(Blocks { control, reference, registers: template.registers, ..blocks });
             return template.length;
         }
         self.prepared = next;
@@ -181,6 +213,8 @@ impl Station {
         }
         (blocks.control, blocks.reference) = (control.is_some(), reference.is_some());
         let data = data.registers();
+        blocks.registers = data.len() as u16 + read.map_or(0, |read| read.registers);
+        let registers = blocks.registers;
         let unit = self.finding.unit;
         let request = match (write, read) {
             (Some(write), Some(read)) => {
@@ -206,7 +240,7 @@ impl Station {
         let (control, reference) = places;
         let blocks = (blocks.write, blocks.read);
         let only = mapping.writes().len() == 1 && mapping.reads().len() == 1 && blocks == (Some(0), Some(0));
-        let template = Template { blocks, only, length, control, reference, expected };
+        let template = Template { blocks, only, registers, length, control, reference, expected };
         self.template = (length > 0 && found).then_some(template);
         length
     }
@@ -254,9 +288,11 @@ impl Station {
             self.beyond_ns = more.div_ceil(cycle.period_ns) * cycle.period_ns;
             self.window_ns = window_ns;
         }
+        self.pace.sent(cycle);
         let reply_by = cycle.deadline + self.beyond_ns;
         slot.counters.sent += 1;
-        slot.exchange = Exchange::Owed { sent_at: at, reply_by, awaited: true };
+        slot.counters.own[Own::NoReadWrite as usize] = self.functions.given_up();
+        slot.exchange = Exchange::Owed { sent_at: at, reply_by, awaited: self.pace.awaited() };
     }
 
     /// These blocks went out.
@@ -268,11 +304,14 @@ impl Station {
             self.writes = self.writes.wrapping_add(u32::from(blocks.write.is_some()));
             self.written_in_a_row = if blocks.read.is_some() { 0 } else { self.written_in_a_row + 1 };
         }
+        self.other.sent(blocks.control || blocks.reference);
         if blocks.control {
+            self.control.sent(self.written.control.0.into());
             self.control_sent = Some(self.written.control);
             self.orders.control_sent();
         }
         if blocks.reference {
+            self.reference.sent(self.written.reference);
             self.orders.reference_sent(self.grid);
         }
         if blocks.write.is_some() {

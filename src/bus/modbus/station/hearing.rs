@@ -2,10 +2,11 @@
 
 use super::{Blocks, End, ROOM, Station, What, Why, used};
 use crate::bus::modbus::counters::Own;
-use crate::bus::modbus::echo::Echo;
+use crate::bus::modbus::echo::{Echo, Shown};
 use crate::bus::modbus::identity::Whose;
 use crate::bus::modbus::mapping::{Block, Image, Places, Role};
 use crate::bus::modbus::native::NativePort;
+use crate::bus::modbus::pace::Pace;
 use crate::bus::modbus::parameter::{DRIVE_UNIT, Parameter, Width};
 use crate::bus::modbus::setup::Purpose;
 use crate::bus::modbus::wire::{ExceptionCode, Header, Registers, Response, ResponseError, frame};
@@ -33,7 +34,8 @@ impl Station {
             && let Some(data) = self.expected.values(&self.inbox[..self.filled])
         {
             self.identity.answer_open();
-            if close(at, slot) {
+            self.functions.answered(blocks.registers);
+            if close(&mut self.pace, at, slot) {
                 self.image.set_front(data);
                 self.cyclic_read(at, blocks, self.expected.places, slot);
             }
@@ -93,6 +95,9 @@ impl Station {
             Whose::Late => {
                 self.identity.answer(header.transaction);
                 slot.counters.late += 1;
+                if matches!(response, Response::ReadWritten { .. }) {
+                    self.functions.answered_late();
+                }
                 return;
             }
             Whose::Duplicate => {
@@ -118,10 +123,19 @@ impl Station {
         if matches!(response, Response::Exception { .. }) {
             Own::Exceptions.count(&mut slot.counters);
         }
-        if self.asked == What::Call {
-            self.calls.answer(response);
+        match self.asked {
+            What::Cyclic(blocks) if blocks.is_both() => {
+                if matches!(response, Response::ReadWritten { .. }) {
+                    self.functions.answered(blocks.registers);
+                }
+            }
+            What::Call => {
+                self.functions.other_answered();
+                self.calls.answer(response);
+            }
+            _ => self.functions.other_answered(),
         }
-        if !close(at, slot) {
+        if !close(&mut self.pace, at, slot) {
             return;
         }
         match self.asked {
@@ -219,7 +233,9 @@ impl Station {
         let with_trip = places.has(Role::Trip);
         self.native.publish(at, self.orders.is_native(), &self.image);
         if control || reference {
-            self.compare(at, control, reference, slot);
+            // What this exchange has not written itself shows who did.
+            let unwritten = control && !blocks.control || reference && !blocks.reference;
+            self.compare(at, control, reference, unwritten, slot);
         } else if blocks.control || blocks.reference {
             self.note_taken(at);
         }
@@ -228,7 +244,7 @@ impl Station {
         if status {
             self.take_status(at, with_trip);
         }
-        if self.seen == (true, true) {
+        if self.seen == (true, true) && !self.other.is_in_doubt() {
             self.seen = (false, false);
             self.report(at, slot);
         }
@@ -240,9 +256,9 @@ impl Station {
             ExceptionCode::ACKNOWLEDGE | ExceptionCode::BUSY => {
                 self.busy_since.get_or_insert(at);
             }
-            ExceptionCode::FUNCTION if blocks.write.is_some() && blocks.read.is_some() => {
-                self.finding.read_write = false;
+            _ if blocks.is_both() && self.functions.refused(code, blocks.registers) => {
                 self.template = None;
+                self.orders.refused(blocks.control, blocks.reference);
             }
             _ => {
                 self.refused.0 += u32::from(blocks.write.is_some());
@@ -270,16 +286,40 @@ impl Station {
 
     /// Compares read-back values with the written ones.
     #[inline(always)]
-    fn compare(&mut self, at: Time, control: bool, reference: bool, slot: &mut Slot) {
+    fn compare(&mut self, at: Time, control: bool, reference: bool, unwritten: bool, slot: &mut Slot) {
         let word = self.image.of(Role::Control).filter(|_| control).map(|count| i32::from(count as u16));
         let speed = self.image.of(Role::Reference).filter(|_| reference);
-        let wrong_control = word.is_some_and(|word| self.control.read(word));
-        let wrong_reference = speed.is_some_and(|speed| self.reference.read(speed));
+        let control = word.map(|word| self.control.read(word));
+        let reference = speed.map(|speed| self.reference.read(speed));
         self.note_taken(at);
-        if wrong_control || wrong_reference {
+        let shown = [control, reference];
+        if shown.contains(&Some(Shown::Refused)) {
             Own::NotTaken.count(&mut slot.counters);
             self.orders.not_taken(at);
         }
+        if unwritten || shown.contains(&Some(Shown::Changed)) {
+            self.look_for_others(at, shown, [word, speed], slot);
+        }
+    }
+
+    /// Whether somebody else has written the values that an exchange has shown.
+    #[inline(never)]
+    fn look_for_others(
+        &mut self,
+        at: Time,
+        shown: [Option<Shown>; 2],
+        values: [Option<i32>; 2],
+        slot: &mut Slot,
+    ) {
+        let [control, reference] = shown.map(|shown| shown == Some(Shown::Changed));
+        let [same_control, same_reference] = shown.map(|shown| shown == Some(Shown::Same));
+        let proved = if self.orders.writes() {
+            self.other.same(same_control, same_reference);
+            (control || reference) && self.other.changed(at, control, reference)
+        } else {
+            self.other.read(at, values)
+        };
+        slot.report.other_master |= proved;
     }
 
     /// The values that the drive has accepted by now.
@@ -297,6 +337,15 @@ impl Station {
     #[inline(always)]
     fn take_status(&mut self, at: Time, named: bool) {
         let Some(status) = self.image.of(Role::Status).map(|raw| StatusWord(raw as u16)) else { return };
+        // It has accepted the command to run; its earlier state is no answer to that.
+        let running =
+            self.orders.runs() && self.inputs.control.is_some_and(|word| word.has_any(ControlWord::ANY_RUN));
+        let was_active = running && (self.was_active || status.active());
+        let off = status.healthy() && !status.active();
+        let dark = running && off && (was_active || self.orders.should_be_active(at, &self.inputs));
+        if self.other.doubts(off && self.orders.runs(), dark) {
+            return;
+        }
         let inputs = &mut self.inputs;
         (inputs.seen, inputs.fresh, inputs.status) = (true, true, status);
         if status.healthy() {
@@ -310,15 +359,9 @@ impl Station {
             inputs.trip = number.unwrap_or(0) as u16;
         }
         inputs.named = self.trip_read || !self.tells_trips;
-        // It has accepted the command to run; its earlier state is no answer to that.
-        let running =
-            self.orders.runs() && self.inputs.control.is_some_and(|word| word.has_any(ControlWord::ANY_RUN));
-        self.was_active = running && (self.was_active || status.active());
-        self.inputs.dark = running
-            && status.healthy()
-            && !status.active()
-            && (self.was_active || self.orders.should_be_active(at, &self.inputs));
-        if self.inputs.dark {
+        inputs.dark = dark;
+        self.was_active = was_active;
+        if dark {
             self.dark_at = Some(at);
         }
     }
@@ -352,7 +395,8 @@ impl Station {
 
 /// Ends the exchange as answered, if its time has not passed.
 #[inline]
-fn close(at: Time, slot: &mut Slot) -> bool {
+fn close(pace: &mut Pace, at: Time, slot: &mut Slot) -> bool {
+    pace.answered(at);
     let Exchange::Owed { sent_at, .. } = slot.exchange else {
         slot.counters.late += 1;
         return false;

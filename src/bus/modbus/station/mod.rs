@@ -11,7 +11,7 @@ mod hearing;
 
 use std::sync::Arc;
 
-use super::calls::Calls;
+use super::calls::{Calls, commanding};
 use super::counters::Own;
 use super::echo::Echo;
 use super::greeting::{Finding, Found};
@@ -19,13 +19,17 @@ use super::identity::Identity;
 use super::mapping::{Image, Mapping};
 use super::native::{Native, NativePort, native};
 use super::orders::{Inputs, Orders, Outputs};
+use super::other::OtherMaster;
+use super::pace::Pace;
 use super::plan::UnidriveDrive;
+use super::read_write::ReadWrite;
 use super::setup::{Purpose, Setting, settings};
 use super::template::{Expected, Template};
 use super::wire::{ADU_MAX, RegistersBuffer};
 use super::words::ControlWord;
 use crate::axis::acyclic::{self, AcyclicEnds};
 use crate::bus::{Cycle, Slot};
+use crate::net::Broken;
 use crate::rt::Regions;
 use crate::time::Time;
 
@@ -52,6 +56,7 @@ pub struct Station {
     menu_0: Option<Mapping>,
     found: Arc<Found>,
     finding: Finding,
+    functions: ReadWrite,
     /// No time-out has to be set in the drive before it is enabled.
     unwatched: bool,
     /// The settings that make the drive follow the control word and watch it: written with the first order that
@@ -65,6 +70,7 @@ pub struct Station {
     /// than any.
     window_ns: u64,
     beyond_ns: u64,
+    pace: Pace,
     orders: Orders,
     calls: Calls,
     native: NativePort,
@@ -109,7 +115,8 @@ pub struct Station {
     inputs: Inputs,
     control: Echo,
     reference: Echo,
-    /// The control word that the drive accepted last, and the one sent last, on whatever connection.
+    other: OtherMaster,
+    /// The control word that the drive accepted last, or had at first, and the one sent last, on whatever connection.
     control_taken: Option<ControlWord>,
     control_sent: Option<ControlWord>,
     /// The trip number in the image is that of the present trip; without one, it was read since the last healthy
@@ -165,6 +172,15 @@ struct Blocks {
     reference: bool,
     /// The block to read is out of turn.
     confirms: bool,
+    /// The registers of both together.
+    registers: u16,
+}
+
+impl Blocks {
+    /// It writes and reads: FC23.
+    fn is_both(&self) -> bool {
+        self.write.is_some() && self.read.is_some()
+    }
 }
 
 /// Why a connection has to be given up.
@@ -180,7 +196,8 @@ impl Station {
         interval_ns: u64,
     ) -> (Station, Native, AcyclicEnds) {
         let (application, native) = native(drive.map.also.len());
-        let (ends, port) = acyclic::queue(drive.axis.parameter_queue);
+        let outputs = [drive.map.control.parameter, drive.map.reference.parameter];
+        let (ends, port) = acyclic::queue(drive.axis.parameter_queue, commanding(outputs));
         let shown = drive.map.show.iter().enumerate();
         let station = Station {
             velocity_per_count: drive.velocity(drive.map.speed.value(1)),
@@ -190,6 +207,7 @@ impl Station {
             menu_0: mappings.1,
             found,
             finding: Finding::default(),
+            functions: ReadWrite::new(drive.functions),
             unwatched: drive.watchdog.timeout_ns.is_none()
                 && (drive.watchdog.keypad || drive.watchdog.accept_none),
             settings: if drive.set_up { settings(drive, None).into() } else { Box::default() },
@@ -199,6 +217,7 @@ impl Station {
             reply_within_ns: drive.reply_within_ns,
             window_ns: u64::MAX,
             beyond_ns: 0,
+            pace: Pace::new(),
             orders: Orders::new(drive, interval_ns),
             calls: Calls::new(port, drive.addressing),
             native,
@@ -231,6 +250,7 @@ impl Station {
             inputs: Inputs::default(),
             control: Echo::default(),
             reference: Echo::default(),
+            other: OtherMaster::default(),
             control_taken: None,
             control_sent: None,
             trip_read: false,
@@ -268,11 +288,13 @@ impl Station {
         self.settable = !self.settings.is_empty();
         self.orders.found(finding.watched || self.unwatched, finding.obeys, self.settable);
         self.identity.reconnected();
+        self.functions.reconnected();
         (self.template, self.expected) = (None, Expected::default());
         (self.filled, self.length, self.open, self.gone) = (0, 0, 0, 0);
         (self.refused, self.busy_since, self.written_in_a_row) = ((0, 0), None, 0);
         // The drive's values are not known until they are read back, nor its state until it reports again.
         (self.control, self.reference) = (Echo::default(), Echo::default());
+        self.other = OtherMaster::default();
         let velocity = f64::from(finding.speed) * self.velocity_per_count;
         self.inputs = Inputs { seen: true, status: finding.status, velocity, ..Inputs::default() };
         (self.was_active, self.dark_at, self.trip_read) = (false, None, false);
@@ -285,6 +307,8 @@ impl Station {
             (self.control_taken, self.control_sent) = (None, None);
             self.orders.drive_restarted();
         }
+        // Until it has accepted another one, this is no sign of a restart.
+        self.control_taken = self.control_taken.or(Some(finding.control));
         slot.reachable = true;
         if std::mem::replace(&mut self.opened_before, true) {
             Own::Reopened.count(&mut slot.counters);
@@ -294,14 +318,29 @@ impl Station {
     /// The connection is gone.
     pub(super) fn disconnected(&mut self) {
         self.connected = false;
+        if self.identity.is_open() {
+            self.pace.unanswered();
+        }
         self.calls.lost();
     }
 
-    /// The connection has ended at the other end.
-    pub(super) fn ended(&mut self, slot: &mut Slot) {
+    /// The open request writes and reads: FC23.
+    fn asks_both(&self) -> bool {
+        self.identity.is_open() && matches!(self.asked, What::Cyclic(blocks) if blocks.is_both())
+    }
+
+    /// The connection has ended at the other end, or broken: in words.
+    pub(super) fn ended(&mut self, broken: Broken, slot: &mut Slot) -> Why {
         let counter = if self.filled > 0 { Own::CutOff } else { Own::Closed };
         counter.count(&mut slot.counters);
+        let closed = matches!(broken, Broken::Closed | Broken::Failed(libc::ECONNRESET | libc::EPIPE));
+        let on_both = closed && self.asks_both() && self.functions.closed();
         self.disconnected();
+        match broken {
+            _ if on_both => "the drive closes it on FC23; FC16 and FC03 are used from now on",
+            Broken::Closed => "the drive has closed the connection",
+            _ => "the connection broke",
+        }
     }
 
     /// Why the connection has to be given up, if it has.
@@ -312,10 +351,11 @@ impl Station {
             () if !self.connected => return None,
             () if silent => "a request was not answered within twice its time",
             () if busy => "the drive is busy all the time",
-            () if self.refused.0.max(self.refused.1) >= MOST_REFUSALS => {
-                "the drive refuses its cyclic parameters"
+            () if self.refused.0.max(self.refused.1) < MOST_REFUSALS => return None,
+            () if self.functions.is_only() => {
+                "the drive refuses its requests by FC23: use function = \"auto\" if it does not have it"
             }
-            () => return None,
+            () => "the drive refuses its cyclic parameters",
         };
         Own::GivenUp.count(&mut slot.counters);
         self.disconnected();

@@ -16,7 +16,7 @@ use fieldbeat::axis::{
 use fieldbeat::bus::linudp::native::Native;
 use fieldbeat::bus::linudp::wire::ErrorCode;
 use fieldbeat::bus::linudp::{
-    COUNTS_PER_MM, DRIVE_PORT, LinUdpDrive, LinUdpPlan, MonitorPlan, SimPlan, StreamCommand,
+    COUNTS_PER_MM, DRIVE_PORT, LinUdpDrive, LinUdpPlan, MonitorPlan, ReplyTag, SimPlan, StreamCommand,
 };
 use fieldbeat::cycle::engine::Flow;
 use fieldbeat::cycle::{CyclePlan, Overrun, Plan};
@@ -95,6 +95,7 @@ fn drive(index: usize, input: &mut Input<'_>) -> LinUdpDrive {
             acceleration: Some(20_000.0),
             step: has(2).then_some(2.0),
             torque: None,
+            homing: None,
         };
     }
     axis.profile = Profile { velocity: 200.0, acceleration: 5_000.0, deceleration: 5_000.0 };
@@ -127,7 +128,7 @@ fn drive(index: usize, input: &mut Input<'_>) -> LinUdpDrive {
     LinUdpDrive {
         stream: input.of(&[Some(StreamCommand::Pva), Some(StreamCommand::PvaConfigured), None]),
         monitor: if has(9) { MonitorPlan::AsSet } else { MonitorPlan::Off },
-        reply_tag: has(10),
+        reply_tag: if has(10) { ReplyTag::Count } else { ReplyTag::Definition },
         leash: (!has(11)).then_some(20.0),
         simulate: SimPlan {
             start_position: 10_000,

@@ -8,9 +8,9 @@ use std::collections::BTreeMap;
 use fieldbeat::axis::{
     Abort, Event, EventKind, Feedback, FoundRunning, NativeOwner, Outcome, StopCause, Verb,
 };
-use fieldbeat::bus::linudp::LinUdpDrive;
 use fieldbeat::bus::linudp::motion::Decoded;
 use fieldbeat::bus::linudp::wire::{ControlWord, Request, Response, RtcBlock, StatusWord};
+use fieldbeat::bus::linudp::{LinUdpDrive, ReplyTag};
 use fieldbeat::cycle::status::DriveEnd;
 use fieldbeat::time::Time;
 
@@ -287,8 +287,8 @@ impl Watch {
     }
 
     fn is_echo(&self, reply: &Response) -> bool {
-        let tag =
-            |config: Option<RtcBlock>| config.filter(|_| self.drive.reply_tag).map(|block| block.count());
+        let counted = self.drive.reply_tag == ReplyTag::Count;
+        let tag = |config: Option<RtcBlock>| config.filter(|_| counted).map(|block| block.count());
         self.asked.is_some_and(|asked| {
             (asked.definition(), asked.response_def, tag(asked.config))
                 == (reply.request_def, reply.response_def, tag(reply.config))
@@ -306,8 +306,8 @@ impl Watch {
         let fault = if status.error() { u32::from(reply.error.unwrap_or_default().0) } else { 0 };
         position(reply.actual, feedback.position)
             && position(reply.demand, feedback.demand)
-            && feedback.current == f64::from(reply.current.unwrap_or_default()) * 1e-3
-            && feedback.warning == u32::from(reply.warn.unwrap_or_default().0)
+            && reply.current.is_none_or(|raw| feedback.current == f64::from(raw) * 1e-3)
+            && reply.warn.is_none_or(|raw| feedback.warning == u32::from(raw.0))
             && (feedback.fault, feedback.homed) == (fault, status.homed())
             && (feedback.moving, feedback.in_target) == (moving, status.in_target())
             && feedback.state.is_powered() == matches!(state.main().0, 3 | 5..)

@@ -1,6 +1,6 @@
 /* A Modbus TCP server of libmodbus with one register for each address, told by lines what they hold.
  *
- *     server ADDRESS PORT [no-read-write]
+ *     server ADDRESS PORT [no-read-write | ignores-read-write | closes-on-read-write]
  *
  *     set ADDRESS VALUE...    ok
  *     get ADDRESS COUNT       ok VALUE...
@@ -49,8 +49,11 @@ static int told(void) {
     return 1;
 }
 
+/* What it does with function 23. */
+enum read_write { SERVED, REFUSED, IGNORED, CLOSES };
+
 /* One request on a connection; false if that has ended. */
-static int asked(int connection, int read_write) {
+static int asked(int connection, enum read_write read_write) {
     uint8_t request[MODBUS_TCP_MAX_ADU_LENGTH];
     modbus_set_socket(modbus, connection);
     int length = modbus_receive(modbus, request);
@@ -58,7 +61,8 @@ static int asked(int connection, int read_write) {
     int function = request[modbus_get_header_length(modbus)];
     total++;
     counts[function]++;
-    if (function == READ_WRITE && !read_write) {
+    if (function == READ_WRITE && read_write >= IGNORED) return read_write == IGNORED;
+    if (function == READ_WRITE && read_write == REFUSED) {
         modbus_reply_exception(modbus, request, MODBUS_EXCEPTION_ILLEGAL_FUNCTION);
     } else {
         modbus_reply(modbus, request, length, registers);
@@ -68,7 +72,11 @@ static int asked(int connection, int read_write) {
 
 int main(int count, char **words) {
     if (count < 3) return 2;
-    int read_write = count < 4;
+    const char *option = count < 4 ? "" : words[3];
+    enum read_write read_write = !strcmp(option, "ignores-read-write")     ? IGNORED
+                                 : !strcmp(option, "closes-on-read-write") ? CLOSES
+                                 : *option                                 ? REFUSED
+                                                                           : SERVED;
     setvbuf(stdout, NULL, _IOLBF, 0);
     /* What select tells is told of lines as they come, not of a buffer of theirs. */
     setvbuf(stdin, NULL, _IONBF, 0);

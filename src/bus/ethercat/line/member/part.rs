@@ -3,7 +3,10 @@
 use super::{Mapped, Member, Note, Step};
 use crate::bus::ethercat::image::AL_SIZE;
 use crate::bus::ethercat::wire::registers::{AlState, AlStatus};
-use crate::time::Time;
+use crate::time::{MS, Time};
+
+/// In OP for so long, ns, no frame of its way there comes back any more.
+const UP_FOR_NS: u64 = 10 * MS;
 
 impl Member {
     /// A spare FMMU puts its AL status into the image.
@@ -59,6 +62,13 @@ impl Member {
     pub fn full(&self) -> u16 {
         let written = if self.lrw { 2 } else { 1 };
         1 + if self.plan.outputs.length > 0 { written } else { 0 }
+    }
+
+    /// Another master has taken it out of OP, by the state that its image shows: a slave that falls by itself reports
+    /// an error (ETG.1000.6). It was in OP for a while: no older frame shows this.
+    pub fn is_lowered(&self, now: Time, status: AlStatus) -> bool {
+        let was_up = matches!(self.step, Step::Up) && !self.joined && self.al == Some(AlState::Op);
+        was_up && now.since(self.since) > UP_FOR_NS && status == AlStatus::request(AlState::SafeOp)
     }
 
     /// Its image shows another state than before, or an error.

@@ -109,7 +109,10 @@ impl Machine {
             | Decoded::Press { motion, .. }
             // There is no integrator to reset.
             | Decoded::ResetIntegratorAndMove(motion) => {
-                let order = self.order(&motion)?;
+                let mut order = self.order(&motion)?;
+                if order.origin == Origin::Zero {
+                    order.value = self.place(order.value);
+                }
                 let from_rest = matches!(motion.shape, Shape::Sine | Shape::Bestehorn(_));
                 self.setpoints.take_move(order, motion.when, from_rest, actual);
             }
@@ -140,7 +143,7 @@ impl Machine {
 
             Decoded::Stream { command, position, velocity, acceleration } => {
                 let setpoint = Demand {
-                    position: f64::from(position) * METRE,
+                    position: self.place(f64::from(position) * METRE),
                     velocity: f64::from(velocity) * METRE_PER_S,
                     acceleration: f64::from(acceleration) * METRE_PER_S2,
                 };

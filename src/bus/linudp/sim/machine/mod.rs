@@ -11,6 +11,8 @@ mod settings;
 pub(super) use self::commands::{CURVE_SCALE, Taken};
 pub(super) use self::report::Variable;
 
+use std::collections::VecDeque;
+
 use self::commands::Effort;
 use self::sequence::Sequence;
 use self::settings::{RunMode, Settings};
@@ -19,6 +21,7 @@ use super::motion::{Demand, METRE, Setpoints};
 use super::upids;
 use crate::bus::linudp::plan::SimPlan;
 use crate::bus::linudp::wire::{ControlWord, ErrorCode, Refusal};
+use crate::sim::Truth;
 use crate::sim::physics::{Plant, PlantPlan};
 use crate::time::{MS, Time};
 
@@ -42,6 +45,10 @@ const NEWTON_PER_AMPERE: f64 = 20.0;
 /// The motion of a drive that is found running: slow, so that it lasts, and this far from the ends of the range.
 const SHUTTLE_VELOCITY: f64 = 0.02;
 const SHUTTLE_MARGIN: f64 = 0.1;
+/// As far as the motor of an endless axis turns, m.
+const ENDLESS: f64 = 1e9;
+/// All position counts, m: those of an endless axis wrap around.
+const ALL_COUNTS: f64 = 4_294_967_296.0 * METRE;
 /// The command count that another master left.
 const FOUND_COUNT: u8 = 5;
 
@@ -96,6 +103,9 @@ pub(super) struct Machine {
     /// The hardware enable (STO) is open until then, whatever happens to the drive.
     inhibited_until: Time,
     inhibited: bool,
+    /// The control words that the status word is still to report, each with its time, and the one that it reports.
+    lagging: VecDeque<(Time, ControlWord)>,
+    reported: ControlWord,
     pub(super) memory: Memory,
     /// The settings in use.
     settings: Settings,
@@ -110,7 +120,10 @@ pub(super) struct Machine {
 impl Machine {
     pub(super) fn new(plan: &SimPlan) -> Machine {
         let metres = |count: i32| f64::from(count) * METRE;
-        let range = (metres(plan.range.0), metres(plan.range.1));
+        let range = match plan.is_endless() {
+            true => (-ENDLESS, ENDLESS),
+            false => (metres(plan.range.0), metres(plan.range.1)),
+        };
         let mut plant = Plant::new(PlantPlan { mass_kg: plan.mass_kg, range, ..PlantPlan::default() });
         plant.set_position(metres(plan.start_position));
         let memory = Memory::new(plan);
@@ -136,11 +149,14 @@ impl Machine {
             shuttle: None,
             inhibited_until: Time(0),
             inhibited: false,
+            lagging: VecDeque::new(),
+            reported: ControlWord(0),
         };
         machine.power_up(Time(0));
         if plan.start_running {
             machine.control = ControlWord::ON;
             machine.seen = machine.effective();
+            machine.reported = machine.seen;
             machine.mode = Mode::Operating(Task::Commands);
             machine.homed = true;
             machine.count = FOUND_COUNT;
@@ -165,6 +181,8 @@ impl Machine {
         self.memory.restart();
         self.stopped = false;
         self.control = ControlWord(0);
+        self.lagging.clear();
+        self.reported = self.effective();
         self.error = ErrorCode::NONE;
         self.offset = f64::from(self.plan.start_position) * METRE - self.plant.position();
         self.setpoints = Setpoints::at(self.actual().position, &self.plan);
@@ -221,6 +239,7 @@ impl Machine {
         if !self.stopped {
             self.transition(now);
         }
+        self.report_control(now);
     }
 
     /// Raises an error: a moving motor is stopped first. The first error stays.
@@ -244,6 +263,7 @@ impl Machine {
         self.now = now;
         self.memory.advance(now);
         self.inhibited = now < self.inhibited_until;
+        self.report_control(now);
         let actual = self.actual();
         if self.powered()
             && let Err(code) = self.setpoints.advance(now, dt_ns, actual)
@@ -285,11 +305,12 @@ impl Machine {
     fn watch(&mut self) {
         let demand = counts(self.setpoints.demand().position, METRE);
         let settings = &self.settings;
+        let bounded = self.homed && !self.plan.is_endless();
         // A motor that presses against something is meant to lag behind.
         let lag = if self.effort == Effort::Position { self.lag() } else { 0.0 };
-        if self.homed && demand < settings.range.0 {
+        if bounded && demand < settings.range.0 {
             self.fail(ErrorCode::MIN_POSITION);
-        } else if self.homed && demand > settings.range.1 {
+        } else if bounded && demand > settings.range.1 {
             self.fail(ErrorCode::MAX_POSITION);
         } else if lag > settings.lag_moving {
             self.fail(ErrorCode::POSITION_LAG);
@@ -331,6 +352,20 @@ impl Machine {
         self.offset = offset;
         self.homed = true;
         self.setpoints.stand_at(position);
+    }
+
+    /// The control word that the status word reports: the effective one, or an older one.
+    fn report_control(&mut self, now: Time) {
+        let effective = self.effective();
+        if self.lagging.back().map_or(self.reported, |(_, word)| *word) != effective {
+            self.lagging.push_back((now + self.plan.status_lag_ns, effective));
+        }
+        while let Some((due, word)) = self.lagging.front().copied()
+            && due <= now
+        {
+            self.lagging.pop_front();
+            self.reported = word;
+        }
     }
 
     /// At most one transition of the state machine, and its consequences: internal motions end with state 8.
@@ -497,9 +532,29 @@ impl Machine {
         }
     }
 
+    /// What the motor really does, in wire counts.
+    pub(super) fn truth(&self) -> Truth {
+        let Demand { position, velocity, .. } = self.actual();
+        Truth {
+            powered: self.powered(),
+            homed: self.homed,
+            position: position / METRE,
+            velocity: velocity / METRE,
+        }
+    }
+
     /// Following error, m, without sign.
     fn lag(&self) -> f64 {
         (self.setpoints.demand().position - self.actual().position).abs()
+    }
+
+    /// A position from the wire, in m. On an endless axis it is that of all its places which is nearest to the demand.
+    fn place(&self, position: f64) -> f64 {
+        if !self.plan.is_endless() {
+            return position;
+        }
+        let way = self.setpoints.demand().position - position;
+        position + (way / ALL_COUNTS).round() * ALL_COUNTS
     }
 
     fn in_target(&self) -> bool {

@@ -26,6 +26,11 @@ pub(in super::super) enum Variable {
     DemandAcceleration,
 }
 
+/// A position as a count of 32 bits, which wraps around.
+fn position(metres: f64) -> i32 {
+    (metres / METRE).round() as i64 as i32
+}
+
 impl Machine {
     fn main(&self) -> MainState {
         match self.mode {
@@ -82,7 +87,7 @@ impl Machine {
             return StatusWord(0);
         }
         use StatusWord as W;
-        let control = self.effective();
+        let control = self.reported;
         let special = matches!(self.main().0, 9..=11 | 15..=17);
         let bits = [
             (self.main() >= MainState::OPERATION_ENABLED, W::OPERATION_ENABLED),
@@ -117,12 +122,12 @@ impl Machine {
 
     /// Actual position, 0.1 um.
     pub(in super::super) fn actual_position(&self) -> i32 {
-        counts(self.actual().position, METRE)
+        position(self.actual().position)
     }
 
     /// Demand position, 0.1 um.
     pub(in super::super) fn demand_position(&self) -> i32 {
-        counts(self.setpoints.demand().position, METRE)
+        position(self.setpoints.demand().position)
     }
 
     /// Motor current, mA.
@@ -159,11 +164,11 @@ impl Machine {
             Variable::DemandCurrent => self.current().into(),
             Variable::Status => self.status().0.into(),
             Variable::Count => self.count.into(),
-            Variable::Target => whole(self.setpoints.target(), METRE),
+            Variable::Target => position(self.setpoints.target()).into(),
             Variable::LimitVelocity => limits.velocity.into(),
             Variable::LimitAcceleration => limits.acceleration.into(),
             Variable::LimitDeceleration => limits.deceleration.into(),
-            Variable::DemandPosition => whole(demand.position, METRE),
+            Variable::DemandPosition => position(demand.position).into(),
             Variable::DemandVelocity => whole(demand.velocity, METRE_PER_S),
             Variable::DemandAcceleration => whole(demand.acceleration, METRE_PER_S2),
         }

@@ -12,7 +12,7 @@ mod telegram;
 use super::*;
 use crate::axis::{AxisPlan, Units};
 use crate::bus::linudp::motion::{Acceleration, Bits, MotionCommand, Position, Raw, Upid, Vad, Velocity};
-use crate::bus::linudp::plan::{DRIVE_PORT, MonitorPlan, SimPlan, StreamCommand};
+use crate::bus::linudp::plan::{DRIVE_PORT, MonitorPlan, ReplyTag, SimPlan, StreamCommand};
 use crate::bus::linudp::wire::{
     ControlWord, MainState, MotionBlock, Refusal, ResponseDef, RtcBlock, RtcCommand, RtcStatus,
 };
@@ -43,7 +43,8 @@ fn drive() -> LinUdpDrive {
         address: SocketAddrV4::new(Ipv4Addr::new(127, 1, 1, 10), DRIVE_PORT),
         stream: Some(StreamCommand::P),
         monitor: MonitorPlan::Off,
-        reply_tag: false,
+        reply_tag: ReplyTag::default(),
+        inhibit_after: LinUdpDrive::INHIBIT_AFTER,
         leash: None,
         simulate: SimPlan {
             start_position: 2 * CM,

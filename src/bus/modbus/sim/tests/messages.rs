@@ -76,7 +76,7 @@ fn other_functions_get_exception_01() {
 
 #[test]
 fn a_drive_without_function_23_says_exception_01() {
-    let mut bench = Bench::new(|settings| settings.interface.read_write = false);
+    let mut bench = Bench::new(|settings| settings.interface.read_write = ReadWrite::Refused);
     let data = longs(&[77]);
     let address = bench.address(APPLICATION, Width::Long);
     let both = Request::ReadWrite { read: address, count: 2, write: address, data: data.registers() };
@@ -372,4 +372,32 @@ fn a_wrong_identity_is_another_transaction_and_nothing_else() {
     bench.sim.mislabel(&mut reply);
     assert_eq!((&reply[..2], &reply[2..]), (&[0x80, 0x2A][..], &hex(SEED_WRITTEN)[2..]));
     bench.sim.mislabel(&mut []);
+}
+
+#[test]
+fn function_23_may_be_ignored_end_the_connection_or_take_a_few_registers_only() {
+    let data = longs(&[77]);
+    let address = APPLICATION.address(Addressing::Standard, Width::Long).unwrap();
+    let both = Request::ReadWrite { read: address, count: 2, write: address, data: data.registers() };
+    for (read_write, hangs_up) in [(ReadWrite::Ignored, false), (ReadWrite::Closes, true)] {
+        let mut bench = Bench::new(|settings| settings.interface.read_write = read_write);
+        let bytes = bench.request(DRIVE_UNIT, &both);
+        assert!(bench.raw(&bytes).is_empty());
+        assert_eq!(bench.sim.hangs_up(MASTER), hangs_up, "{read_write:?}");
+        bench.sim.disconnected(bench.now, MASTER);
+        assert!(bench.sim.connect(bench.now, MASTER));
+        assert_eq!(bench.read(APPLICATION), 0, "nothing was written");
+    }
+    for (most, exception) in [(4, None), (3, ADDRESS)] {
+        let mut bench = Bench::new(|settings| settings.interface.read_write = ReadWrite::UpTo(most));
+        assert_eq!(bench.exception(&both), exception, "{most}");
+    }
+}
+
+#[test]
+fn a_server_may_take_fewer_registers_than_the_drive() {
+    let mut bench = Bench::new(|settings| settings.interface.registers = 6);
+    for (count, exception) in [(6, None), (8, ADDRESS)] {
+        assert_eq!(bench.exception(&Request::Read { address: 0x47E4, count }), exception, "{count}");
+    }
 }

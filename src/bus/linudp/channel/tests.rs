@@ -1,0 +1,101 @@
+//! Counts and their echoes, without a telegram.
+
+use super::*;
+use crate::bus::linudp::motion::Acceleration;
+use crate::bus::linudp::wire::MainState;
+
+const STOP: MotionCommand = MotionCommand::vai_stop(Acceleration(1));
+
+/// A channel whose first clean reply had this count.
+fn agreed(count: u8) -> MotionChannel {
+    let mut channel = MotionChannel::default();
+    channel.take(count, true).unwrap();
+    channel
+}
+
+fn count(channel: &MotionChannel) -> Option<u16> {
+    channel.block().map(|block| block.header & 0xF)
+}
+
+/// The channel, and whether the motion is over, after replies with these counts: each one of a drive that stands.
+fn after(channel: &mut MotionChannel, echoes: &[u8]) -> bool {
+    let mut over = false;
+    for echo in echoes {
+        channel.take(*echo, true).unwrap();
+        over = channel.is_over(StateVar::new(MainState::OPERATION_ENABLED, *echo));
+    }
+    over
+}
+
+#[test]
+fn an_older_count_is_no_news() {
+    let mut channel = agreed(3);
+    for expected in [4, 5] {
+        channel.send(STOP);
+        channel.sent();
+        assert!(after(&mut channel, &[expected, expected]));
+        channel.clear();
+        // A reply of before the command, in all respects like a clean one: the count after its own is the one that the
+        // drive has stored.
+        channel.take(expected - 1, true).unwrap();
+    }
+    channel.send(STOP);
+    assert_eq!(count(&channel), Some(6));
+}
+
+#[test]
+fn no_command_gets_the_count_that_the_drive_has() {
+    // An old request was delivered again, and the drive has stored its count: sixteen commands ago it was 4.
+    let mut channel = agreed(3);
+    channel.take(4, true).unwrap();
+    channel.send(STOP);
+    assert_eq!(count(&channel), Some(5));
+    // The same, but seen only after the count was chosen, and before the command left.
+    channel.take(5, false).unwrap();
+    assert_eq!(count(&channel), Some(6));
+    assert!(!channel.is_accepted());
+}
+
+#[test]
+fn only_a_clean_reply_to_a_request_with_the_command_is_its_echo() {
+    let mut channel = agreed(3);
+    channel.send(STOP);
+    channel.sent();
+    channel.take(4, false).unwrap();
+    assert!(!channel.is_accepted());
+    channel.take(4, true).unwrap();
+    assert!(channel.is_accepted() && channel.is_free());
+    assert_eq!(count(&channel), None);
+}
+
+#[test]
+fn a_motion_is_over_in_a_reply_that_is_newer_than_its_echo_and_has_it_too() {
+    let mut channel = agreed(3);
+    channel.send(STOP);
+    channel.sent();
+    assert!(!after(&mut channel, &[3, 4]), "the echo alone");
+    let moving = StateVar::new(MainState::OPERATION_ENABLED, StateVar::MOTION_ACTIVE | 4);
+    channel.take(4, true).unwrap();
+    assert!(!channel.is_over(moving));
+    assert!(after(&mut channel, &[4]));
+    // Outside state 8 there is no count, and the end of the motion proves nothing.
+    assert!(!channel.is_over(StateVar::new(MainState::READY_TO_OPERATE, 4)));
+}
+
+#[test]
+fn a_command_that_another_one_has_replaced_is_sent_again() {
+    let mut channel = agreed(3);
+    channel.send(STOP);
+    channel.sent();
+    assert!(!after(&mut channel, &[4, 2]), "an old request was delivered once more");
+    assert_eq!((channel.is_accepted(), count(&channel)), (false, Some(5)));
+    channel.sent();
+    assert!(after(&mut channel, &[5, 5]));
+    // Two masters take turns, and neither gets its way.
+    let fight = (0..8).map(|_| {
+        channel.sent();
+        let echo = channel.count.unwrap();
+        channel.take(echo, true).and_then(|()| channel.take(echo ^ 8, true))
+    });
+    assert_eq!(fight.collect::<Result<Vec<()>, _>>(), Err(Failure::NotTaken));
+}

@@ -1,0 +1,385 @@
+//! After a panic on the loop's thread: the stop sequence of every axis and the orderly end, by a cycle that does
+//! nothing else.
+//!
+//! The usual cycle is given up with its first panic, whatever its stage. From then on each call of a bus and each step
+//! of an axis is guarded by itself. What panics twice is left out: a bus, whose drives then end by their own watchdogs;
+//! an axis; or the clock, without which the loop ends at once. So the number of panics is bounded. A panic allocates
+//! and prints on this thread: it is the end of the run, and the deadline of a cycle no longer matters.
+
+use std::any::Any;
+use std::fmt;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+use super::{Engine, Flow, Grid, HURRY, RUN, STOP};
+use crate::axis::{Link, StopCause};
+use crate::bus::{Cycle, Exchange};
+use crate::cycle::record::{CycleRecord, Record, Reply, SkippedRecord, Stage, short};
+use crate::cycle::window::BusSeat;
+use crate::rt::Clock;
+use crate::time::Time;
+
+/// A part of the loop that panics so often is left out.
+const MOST: u8 = 2;
+
+/// A bus takes in at most so many batches in one cycle: what all of its drives sent, several times over.
+const MOST_LOOKS: u32 = 16;
+
+/// A panic of the loop, for its end.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LoopPanic {
+    /// The slot of the first one.
+    pub cycle: u64,
+    /// The stage, and the bus or axis if one is known.
+    pub place: String,
+    /// How many there were.
+    pub count: u32,
+    /// Buses and axes that were left out of the stop, since they panicked again. Their drives end by their own
+    /// watchdogs.
+    pub left_out: Vec<String>,
+    /// The loop ended before the orderly end was complete.
+    pub cut_short: bool,
+}
+
+impl fmt::Display for LoopPanic {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let LoopPanic { cycle, place, count, left_out, cut_short } = self;
+        write!(f, "internal error: the loop panicked {place} (cycle {cycle}")?;
+        if *count > 1 {
+            write!(f, ", {count} times in all")?;
+        }
+        f.write_str("); all axes were stopped and the master ended")?;
+        if !left_out.is_empty() {
+            write!(f, "; without a stop by the master: {}", left_out.join(", "))?;
+        }
+        if *cut_short {
+            f.write_str("; the stop is not complete: look at the drives")?;
+        }
+        f.write_str("; please report it with the message of the panic and the black box")
+    }
+}
+
+/// What panicked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Part {
+    /// The usual cycle, outside of its buses.
+    Loop,
+    Bus(usize),
+    Axis(usize),
+    Clock,
+    /// What goes out to other threads.
+    Outlets,
+}
+
+/// The panics so far.
+#[derive(Debug, Default)]
+pub(super) struct Panics {
+    /// The stage of the usual cycle; `None`: between two cycles.
+    pub stage: Option<Stage>,
+    first: Option<(u64, Option<Stage>, Part)>,
+    count: u32,
+    buses: Vec<u8>,
+    axes: Vec<u8>,
+    clock: u8,
+    outlets: u8,
+    cut_short: bool,
+}
+
+impl Panics {
+    pub fn new(buses: usize, axes: usize) -> Panics {
+        Panics { buses: vec![0; buses], axes: vec![0; axes], ..Panics::default() }
+    }
+
+    /// Whether there was one.
+    pub fn any(&self) -> bool {
+        self.count > 0
+    }
+
+    fn note(&mut self, cycle: u64, stage: Option<Stage>, part: Part, payload: Box<dyn Any + Send>) {
+        // To drop it may panic again.
+        std::mem::forget(payload);
+        self.first.get_or_insert((cycle, stage, part));
+        self.count += 1;
+        if let Some(count) = self.of(part) {
+            *count += 1;
+        }
+    }
+
+    fn of(&mut self, part: Part) -> Option<&mut u8> {
+        match part {
+            Part::Loop => None,
+            Part::Bus(bus) => self.buses.get_mut(bus),
+            Part::Axis(axis) => self.axes.get_mut(axis),
+            Part::Clock => Some(&mut self.clock),
+            Part::Outlets => Some(&mut self.outlets),
+        }
+    }
+
+    fn is_left_out(&mut self, part: Part) -> bool {
+        self.of(part).is_some_and(|count| *count >= MOST)
+    }
+
+    /// Runs the work of a part. `None`: it panicked, or it is left out.
+    fn guard<R>(
+        &mut self,
+        cycle: u64,
+        stage: Option<Stage>,
+        part: Part,
+        work: impl FnOnce() -> R,
+    ) -> Option<R> {
+        if self.is_left_out(part) {
+            return None;
+        }
+        match catch_unwind(AssertUnwindSafe(work)) {
+            Ok(done) => Some(done),
+            Err(payload) => {
+                self.note(cycle, stage, part, payload);
+                None
+            }
+        }
+    }
+}
+
+impl<C: Clock> Engine<C> {
+    /// Runs `turn` of the usual cycle. Its first panic stops all axes and requests the orderly end.
+    pub(super) fn guarded(&mut self, turn: impl FnOnce(&mut Engine<C>) -> Flow) -> Flow {
+        let slot = self.grid.index();
+        let payload = match catch_unwind(AssertUnwindSafe(|| turn(self))) {
+            Ok(flow) => return flow,
+            Err(payload) => payload,
+        };
+        let bus = self.buses.iter().position(|seat| seat.is_at_work);
+        let stage = self.panics.stage;
+        self.panics.note(slot, stage, bus.map_or(Part::Loop, Part::Bus), payload);
+        if self.control.asked() == RUN {
+            self.control.stop();
+        }
+        let cycle = self.cycle_at(self.grid.index(), self.grid.at());
+        let now = self.now_or(&cycle, cycle.grid);
+        self.ending.get_or_insert((now, STOP));
+        if self.grid.at() == Time(0) {
+            // It was not begun yet.
+            self.grid = Grid::new(now + 2 * self.plan.period_ns, self.plan.period_ns);
+        }
+        // A cycle that was begun is closed, so that no exchange stays open.
+        if stage.is_some() && cycle.index == slot {
+            self.judge_all(&cycle, now.max(cycle.deadline));
+            self.grid.advance(1);
+        }
+        let next = self.cycle_at(self.grid.index(), self.grid.at());
+        for (axis, (seat, slot)) in self.seats.iter_mut().zip(&mut self.slots).enumerate() {
+            self.panics.guard(next.index, stage, Part::Axis(axis), || {
+                seat.stop(&next, now, StopCause::Panic, slot);
+                seat.take_group_stop();
+            });
+        }
+        self.prepare_stop(&next);
+        self.publish_stop(
+            &next,
+            CycleRecord { index: cycle.index, grid: cycle.grid, ..CycleRecord::default() },
+        );
+        Flow::Continue
+    }
+
+    /// One slot of the grid after a panic.
+    pub(super) fn stop_slot(&mut self) -> Flow {
+        let mut cycle = self.cycle_at(self.grid.index(), self.grid.at());
+        self.sleep(&cycle, cycle.grid);
+        let woke = self.now_or(&cycle, cycle.grid);
+        let late = self.grid.passed(woke, self.deadline_ns / 2);
+        if late > 0 {
+            self.status.overruns += 1;
+            let (first, grid, given_up_ns) = (cycle.index, cycle.grid, woke.since(cycle.grid));
+            let late_ns = given_up_ns.max(late.saturating_mul(self.plan.period_ns));
+            let skipped =
+                SkippedRecord { first, grid, count: late, late_ns, given_up_ns, ..SkippedRecord::default() };
+            self.outlets.record(Record::Skipped(skipped), &mut self.status.lost_records);
+            self.grid.advance(late);
+            cycle = self.cycle_at(self.grid.index(), self.grid.at());
+            self.prepare_stop(&cycle);
+            return self.flow(false);
+        }
+        for bus in 0..self.buses.len() {
+            self.bus(&cycle, Stage::Send, bus, |seat, slots| seat.bus.send(&cycle, slots));
+            if self.panics.is_left_out(Part::Bus(bus)) {
+                let seat = &self.buses[bus];
+                let due = self.slots[seat.first..seat.end].iter_mut().filter(|slot| slot.due);
+                due.for_each(|slot| slot.exchange = Exchange::Unsent);
+            }
+        }
+        self.status.executed += 1;
+        for (axis, (seat, slot)) in self.seats.iter_mut().zip(&self.slots).enumerate() {
+            if slot.due {
+                self.panics
+                    .guard(cycle.index, Some(Stage::Send), Part::Axis(axis), || seat.sent(&cycle, slot));
+            }
+        }
+        // All that comes by the deadline is in the sockets then.
+        self.sleep(&cycle, cycle.deadline);
+        for bus in 0..self.buses.len() {
+            self.bus(&cycle, Stage::Receive, bus, |seat, slots| {
+                for _ in 0..MOST_LOOKS {
+                    if seat.bus.receive(&cycle, slots) {
+                        break;
+                    }
+                }
+            });
+        }
+        let now = self.now_or(&cycle, cycle.deadline);
+        let missed = self.judge_all(&cycle, now);
+        if let Some(reference) = &mut self.reference {
+            let leader = reference.bus();
+            let (bus, grid) = (&mut self.buses[leader].bus, &mut self.grid);
+            self.panics.guard(cycle.index, Some(Stage::Evaluate), Part::Bus(leader), || {
+                grid.steer(reference.take(cycle.index, bus.phase_error()).step_ns.into());
+            });
+        }
+        let ended = self.end_stop(&cycle, now);
+        let next = self.cycle_at(cycle.index + 1, self.grid.next_at());
+        self.prepare_stop(&next);
+        let wake_ns = short(woke.since(cycle.grid));
+        self.grid.advance(1);
+        let record =
+            CycleRecord { index: cycle.index, grid: cycle.grid, wake_ns, missed, ..CycleRecord::default() };
+        self.publish_stop(&cycle, record);
+        self.flow(ended)
+    }
+
+    fn flow(&mut self, ended: bool) -> Flow {
+        // Without a clock there is no cycle.
+        self.panics.cut_short = !ended && self.panics.is_left_out(Part::Clock);
+        if ended || self.panics.cut_short { Flow::End } else { Flow::Continue }
+    }
+
+    fn sleep(&mut self, cycle: &Cycle, until: Time) {
+        let clock = &mut self.clock;
+        self.panics.guard(cycle.index, None, Part::Clock, || clock.sleep_until(until));
+    }
+
+    fn now_or(&mut self, cycle: &Cycle, otherwise: Time) -> Time {
+        let clock = &mut self.clock;
+        self.panics.guard(cycle.index, None, Part::Clock, || clock.now()).unwrap_or(otherwise)
+    }
+
+    fn bus<R>(
+        &mut self,
+        cycle: &Cycle,
+        stage: Stage,
+        bus: usize,
+        work: impl FnOnce(&mut BusSeat, &mut [crate::bus::Slot]) -> R,
+    ) -> Option<R> {
+        let seat = &mut self.buses[bus];
+        let slots = &mut self.slots[seat.first..seat.end];
+        self.panics.guard(cycle.index, Some(stage), Part::Bus(bus), || work(seat, slots))
+    }
+
+    /// Evaluates all exchanges; returns how many drives that were online have not answered.
+    fn judge_all(&mut self, cycle: &Cycle, now: Time) -> u16 {
+        let mut missed = 0;
+        for (axis, (seat, slot)) in self.seats.iter_mut().zip(&mut self.slots).enumerate() {
+            self.panics.guard(cycle.index, Some(Stage::Evaluate), Part::Axis(axis), || {
+                let online = seat.feedback().link == Link::Online;
+                let reply = seat.judge(cycle, now, slot);
+                missed += u16::from(online && reply == Reply::Missed);
+                seat.watch(cycle, now, slot);
+            });
+        }
+        missed
+    }
+
+    /// The orderly end; true once it is complete.
+    fn end_stop(&mut self, cycle: &Cycle, now: Time) -> bool {
+        let asked = self.control.asked();
+        let (since, before) = *self.ending.get_or_insert((now, STOP));
+        let hurry = asked == HURRY && before == STOP;
+        self.ending = Some((since, asked));
+        let mut down = true;
+        for (axis, (seat, slot)) in self.seats.iter_mut().zip(&mut self.slots).enumerate() {
+            let work = || seat.shut_down(cycle, now, slot, hurry);
+            down &= self.panics.guard(cycle.index, None, Part::Axis(axis), work).unwrap_or(true);
+        }
+        let passed_ns = now.since(since);
+        if !down && passed_ns <= self.longest_end_ns {
+            return false;
+        }
+        let mut buses_down = true;
+        for bus in 0..self.buses.len() {
+            let shut_down =
+                self.bus(cycle, Stage::Commands, bus, |seat, slots| seat.bus.shut_down(cycle, slots));
+            buses_down &= shut_down.unwrap_or(true);
+        }
+        buses_down || passed_ns > self.longest_end_ns.saturating_mul(2)
+    }
+
+    /// Builds the requests of `next`: the stop, or whatever comes after it.
+    fn prepare_stop(&mut self, next: &Cycle) {
+        for (axis, (seat, slot)) in self.seats.iter_mut().zip(&mut self.slots).enumerate() {
+            let due = self.panics.guard(next.index, None, Part::Axis(axis), || seat.is_due(next.index));
+            slot.due = due.unwrap_or(false);
+        }
+        for bus in 0..self.buses.len() {
+            self.bus(next, Stage::Prepare, bus, |seat, slots| seat.bus.prepare(next, slots));
+        }
+    }
+
+    fn publish_stop(&mut self, cycle: &Cycle, record: CycleRecord) {
+        let (outlets, status) = (&mut self.outlets, &mut self.status);
+        (status.operational, status.online) = (0, 0);
+        for (axis, (seat, slot)) in self.seats.iter_mut().zip(&self.slots).enumerate() {
+            self.panics.guard(cycle.index, Some(Stage::Publish), Part::Axis(axis), || {
+                outlets.record(Record::Drive(seat.publish(axis as u16)), &mut status.lost_records);
+                outlets.drives[axis].write(&seat.numbers(slot));
+                status.operational += u32::from(seat.feedback().is_operational());
+                status.online += u32::from(seat.feedback().link == Link::Online);
+            });
+        }
+        let planned = self.grid.planned();
+        self.panics.guard(cycle.index, Some(Stage::Publish), Part::Outlets, || {
+            outlets.record(Record::Cycle(record), &mut status.lost_records);
+            // A cycle that a panic cut off counts as executed once its requests had left, else as skipped.
+            (status.planned, status.skipped) = (planned, planned.saturating_sub(status.executed));
+            outlets.status.write(status);
+        });
+    }
+
+    /// The panics of the run in words.
+    pub(super) fn loop_panic(&mut self) -> Option<LoopPanic> {
+        let (cycle, stage, part) = self.panics.first?;
+        let bus = |bus: usize| format!("bus {}", self.buses[bus].bus.name());
+        let axis = |axis: usize| format!("axis {}", self.names[axis].0);
+        let during =
+            stage.map_or("between two cycles".to_owned(), |stage| format!("in stage {}", stage.name()));
+        let place = match part {
+            Part::Bus(index) => format!("{during}, {}", bus(index)),
+            Part::Axis(index) => format!("{during}, {}", axis(index)),
+            Part::Loop | Part::Clock | Part::Outlets => during,
+        };
+        let of = |counts: &[u8]| -> Vec<usize> {
+            (0..counts.len()).filter(|index| counts[*index] >= MOST).collect()
+        };
+        let buses = of(&self.panics.buses).into_iter().map(bus);
+        let left_out = buses.chain(of(&self.panics.axes).into_iter().map(axis)).collect();
+        Some(LoopPanic { cycle, place, count: self.panics.count, left_out, cut_short: self.panics.cut_short })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_part_that_panics_twice_is_left_out_and_no_other() {
+        let mut panics = Panics::new(2, 2);
+        let fails = || std::panic::resume_unwind(Box::new("on purpose"));
+        for part in [Part::Axis(1), Part::Bus(0), Part::Clock, Part::Outlets] {
+            for left_out in [false, false, true] {
+                assert_eq!(panics.is_left_out(part), left_out);
+                assert_eq!(panics.guard::<()>(7, Some(Stage::Send), part, fails), None);
+            }
+            assert_eq!(panics.guard(8, None, part, || 1), None, "also what would not panic");
+        }
+        assert_eq!((panics.count, panics.first), (8, Some((7, Some(Stage::Send), Part::Axis(1)))));
+        for part in [Part::Axis(0), Part::Bus(1)] {
+            assert_eq!(panics.guard(8, None, part, || 1), Some(1));
+        }
+    }
+}

@@ -1,0 +1,159 @@
+//! Watch for motion that nobody commands, while the axis has power: idle, holding, or latched.
+//!
+//! A late duplicate of an old request, a parameter write, another master or the drive's own program can move a drive
+//! whose commands have all ended. What is left of an ended motion only decays: a speed that rises again, or that
+//! lasts, is a motion of its own.
+
+use crate::axis::StopPlan;
+use crate::time::{MS, Time, nanos};
+
+/// So many reports in a row, in one direction, are proof: a push or a disturbance leads there and back again.
+const REPORTS: u32 = 3;
+
+/// An axis whose command is done stands still within this time, ns, or within `standstill_for` exchanges if that is
+/// longer: its motor may lag its setpoint.
+const SETTLED_WITHIN_NS: u64 = 50 * MS;
+
+/// A clean report of the drive.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Motion {
+    /// The drive's setpoint generator runs, or the protocol sees the drive in motion.
+    pub(super) moving: bool,
+    /// User units/s; NaN if the drive reports none.
+    pub(super) velocity: f64,
+}
+
+/// What the axis may still do.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+enum Phase {
+    /// Move: something commands it, or it has no power.
+    #[default]
+    Commanded,
+    /// Brake: its command has failed. Since when, and the lowest speed since then, user units/s.
+    Braking { since: Option<Time>, slowest: f64 },
+    /// Come to rest, with the overshoot that belongs to it. Since when.
+    Settling(Time),
+    /// Nothing.
+    Resting,
+}
+
+/// The watch over one axis.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Rest {
+    phase: Phase,
+    /// Reports in a row of a motion of its own in one direction.
+    moved: u32,
+    forward: bool,
+}
+
+impl Rest {
+    /// Something commands the axis, or it has no power.
+    pub(super) fn interrupt(&mut self) {
+        if self.phase != Phase::Commanded {
+            *self = Rest::default();
+        }
+    }
+
+    /// The command has failed.
+    pub(super) fn fail(&mut self) {
+        *self = Rest { phase: Phase::Braking { since: None, slowest: f64::INFINITY }, ..Rest::default() };
+    }
+
+    /// A clean report of an axis with power that nothing commands. Exchanges are `seconds` apart. True if it moves
+    /// by itself.
+    pub(super) fn moves(&mut self, now: Time, motion: Motion, stop: &StopPlan, seconds: f64) -> bool {
+        let Motion { moving, velocity } = motion;
+        // Without a velocity only the protocol knows.
+        let speed = if velocity.is_nan() { 0.0 } else { velocity.abs() };
+        let stands = !moving && speed <= stop.standstill;
+        let own = match &mut self.phase {
+            Phase::Commanded => {
+                self.phase = Phase::Settling(now);
+                false
+            }
+            Phase::Braking { .. } if stands => {
+                self.phase = Phase::Settling(now);
+                false
+            }
+            Phase::Braking { since, slowest } => {
+                let faster = speed > *slowest + stop.standstill;
+                *slowest = slowest.min(speed);
+                if now.since(*since.get_or_insert(now)) > nanos(stop.timeout) {
+                    return true;
+                }
+                faster
+            }
+            Phase::Settling(since) => {
+                let exchanges_ns = (f64::from(stop.standstill_for) * seconds * 1e9) as u64;
+                if now.since(*since) >= SETTLED_WITHIN_NS.max(exchanges_ns) {
+                    self.phase = Phase::Resting;
+                }
+                false
+            }
+            Phase::Resting => !stands,
+        };
+        let forward = velocity >= 0.0;
+        let before = if forward == self.forward { self.moved } else { 0 };
+        (self.moved, self.forward) = (if own { before + 1 } else { 0 }, forward);
+        self.moved >= REPORTS
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::axis::{AxisPlan, Units};
+
+    /// The report, counted from 0, at which the watch trips after a command that is done or has failed; 1 kHz,
+    /// standstill below 5 mm/s.
+    fn trips(failed: bool, told: impl IntoIterator<Item = (bool, f64)>) -> Option<usize> {
+        let stop = AxisPlan::new("x", Units::millimetres(1_000.0)).stop;
+        let mut rest = Rest::default();
+        if failed {
+            rest.fail();
+        }
+        told.into_iter().enumerate().position(|(index, (moving, velocity))| {
+            rest.moves(Time(MS * index as u64), Motion { moving, velocity }, &stop, 0.001)
+        })
+    }
+
+    #[test]
+    fn three_reports_of_a_motion_in_one_direction_trip_it() {
+        let standing = [(false, 0.0); 60];
+        let then = |told: &[(bool, f64)]| trips(false, [&standing[..], told].concat());
+        assert_eq!(then(&[(false, 6.0); 5]), Some(62));
+        assert_eq!(then(&[(false, -6.0); 5]), Some(62));
+        assert_eq!(then(&[(true, 1.0); 5]), Some(62), "the generator runs, however slowly");
+        assert_eq!(then(&[(true, f64::NAN); 5]), Some(62));
+        assert_eq!(then(&[(false, 4.9); 500]), None, "noise below the window");
+        let shaken: Vec<_> =
+            (0..500).map(|index| (false, if index % 4 < 2 { 50.0 } else { -50.0 })).collect();
+        assert_eq!(then(&shaken), None, "a disturbance leads there and back again");
+    }
+
+    #[test]
+    fn an_axis_settles_in_its_time_and_no_longer() {
+        let ringing =
+            (0..2_000).map(|n| (false, 300.0 * (f64::from(n) * 0.2).sin() * (-0.1 * f64::from(n)).exp()));
+        assert_eq!(trips(false, ringing), None);
+        assert_eq!(trips(false, [(true, 40.0); 100]), Some(53), "done, and it goes on");
+    }
+
+    #[test]
+    fn an_axis_whose_command_failed_brakes_and_does_not_speed_up() {
+        let braking = |slope: f64| {
+            (0..4_000)
+                .map(move |n| (true, 400.0 - slope * f64::from(n)))
+                .map(|(moving, v)| (moving && v > 0.0, v.max(0.0)))
+        };
+        assert_eq!(trips(true, braking(0.2)), None, "2 s");
+        assert_eq!(trips(true, braking(0.1)), Some(3_001), "longer than the stop's time-out");
+        assert_eq!(
+            trips(true, (0..100).map(|n| (true, 100.0 + f64::from(n)))),
+            Some(8),
+            "faster three times"
+        );
+        let away = braking(2.0).take(300).chain([(true, 20.0); 100]);
+        assert_eq!(trips(true, away), Some(302), "it stood, settled, and goes on");
+    }
+}

@@ -1,0 +1,178 @@
+//! What holds in every interleaving: of two writes and readers of a cell, and of an application that posts, cancels and
+//! polls calls while the loop takes and ends them.
+
+use std::time::Duration;
+
+use fieldbeat_loom::axis::acyclic::{Acyclic, Answer, Call, CallError, CallTicket, Port};
+use fieldbeat_loom::axis::cell::{Packed, Reader, cell};
+use fieldbeat_loom::calls;
+use loom::thread;
+
+/// As many words as it takes to be torn.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Pair([u64; 2]);
+
+impl Packed for Pair {
+    type Words = [u64; 2];
+    fn pack(&self) -> [u64; 2] {
+        self.0
+    }
+    fn unpack(words: &[u64; 2]) -> Pair {
+        Pair(*words)
+    }
+}
+
+fn whole(reader: &Reader<Pair>) -> u64 {
+    let Pair([first, second]) = reader.read();
+    assert_eq!(first, second, "torn");
+    first
+}
+
+/// All interleavings with at most so many switches away from a thread that could go on.
+fn bounded(switches: usize, model: impl Fn() + Sync + Send + 'static) {
+    let mut builder = loom::model::Builder::new();
+    builder.preemption_bound = Some(switches);
+    builder.check(model);
+}
+
+#[test]
+fn a_reader_of_two_writes_sees_a_whole_value() {
+    loom::model(|| {
+        let (mut writer, reader) = cell(Pair([0; 2]));
+        let other = thread::spawn(move || whole(&reader));
+        for value in 1..=2 {
+            writer.write(&Pair([value; 2]));
+        }
+        assert!(other.join().unwrap() <= 2);
+    });
+}
+
+#[test]
+fn a_reader_never_sees_an_older_value_than_before() {
+    bounded(3, || {
+        let (mut writer, reader) = cell(Pair([0; 2]));
+        let other = thread::spawn(move || {
+            let first = whole(&reader);
+            assert!(whole(&reader) >= first, "went back");
+        });
+        for value in 1..=2 {
+            writer.write(&Pair([value; 2]));
+        }
+        other.join().unwrap();
+    });
+}
+
+fn post(acyclic: &Acyclic, value: u64) -> CallTicket {
+    acyclic.post(Call { value, ..Call::default() }, Duration::ZERO).expect("there is room")
+}
+
+fn end(ticket: &mut CallTicket) -> Result<u64, CallError> {
+    loop {
+        match ticket.poll() {
+            Some(end) => return end.map(|answer| answer.value),
+            None => thread::yield_now(),
+        }
+    }
+}
+
+/// The loop, for so many calls: what it took is answered by its own value.
+fn serve(port: &mut Port, calls: usize) {
+    let mut ended = 0;
+    while ended < calls {
+        match port.take() {
+            Some(posted) => {
+                port.end(&posted, Ok(Answer { value: posted.call.value, ..Answer::default() }));
+                ended += 1;
+            }
+            None => thread::yield_now(),
+        }
+    }
+}
+
+#[test]
+fn each_ticket_of_two_threads_gets_its_own_end() {
+    bounded(3, || {
+        let (acyclic, mut port) = calls(2);
+        let other = {
+            let acyclic = acyclic.clone();
+            thread::spawn(move || post(&acyclic, 1))
+        };
+        let executor = thread::spawn(move || {
+            let mut ended = 0;
+            while ended < 2
+                && let Some(posted) = port.take()
+            {
+                port.end(&posted, Ok(Answer { value: posted.call.value, ..Answer::default() }));
+                ended += 1;
+            }
+            (port, ended)
+        });
+        let mut own = post(&acyclic, 2);
+        let early = own.poll();
+        let mut others = other.join().unwrap();
+        let (mut port, ended) = executor.join().unwrap();
+        serve(&mut port, 2 - ended);
+        let own = early.or_else(|| own.poll()).expect("it has ended").map(|answer| answer.value);
+        assert_eq!((own, end(&mut others)), (Ok(2), Ok(1)));
+        // The room of both is free again.
+        drop([post(&acyclic, 3), post(&acyclic, 4)]);
+    });
+}
+
+#[test]
+fn a_ticket_that_is_dropped_at_any_moment_leaves_its_room() {
+    loom::model(|| {
+        let (acyclic, mut port) = calls(1);
+        let ticket = post(&acyclic, 1);
+        let executor = thread::spawn(move || {
+            if let Some(posted) = port.take() {
+                port.end(&posted, Ok(Answer::default()));
+            }
+            port
+        });
+        drop(ticket);
+        let mut port = executor.join().unwrap();
+        // Taken, or ended as cancelled.
+        assert_eq!(port.take(), None);
+        let mut next = post(&acyclic, 2);
+        serve(&mut port, 1);
+        assert_eq!(end(&mut next), Ok(2), "the earlier cancel is not of this one");
+    });
+}
+
+#[test]
+fn a_call_that_is_cancelled_while_it_is_taken_ends_once() {
+    loom::model(|| {
+        let (acyclic, mut port) = calls(1);
+        let mut ticket = post(&acyclic, 1);
+        let executor = thread::spawn(move || {
+            if let Some(posted) = port.take() {
+                let result = if port.is_cancelled(&posted) {
+                    Err(CallError::Cancelled)
+                } else {
+                    Ok(Answer::default())
+                };
+                port.end(&posted, result);
+            }
+            port
+        });
+        ticket.cancel();
+        let result = end(&mut ticket);
+        assert!(matches!(result, Ok(0) | Err(CallError::Cancelled)), "{result:?}");
+        assert_eq!(ticket.poll(), None);
+        drop(executor.join().unwrap());
+    });
+}
+
+#[test]
+fn what_ended_before_the_master_did_is_not_lost() {
+    loom::model(|| {
+        let (acyclic, mut port) = calls(1);
+        let mut ticket = post(&acyclic, 7);
+        let executor = thread::spawn(move || serve(&mut port, 1));
+        // The port is gone behind its last end.
+        assert_eq!(end(&mut ticket), Ok(7));
+        executor.join().unwrap();
+        assert!(acyclic.post(Call::default(), Duration::ZERO).is_err());
+    });
+}

@@ -1,0 +1,214 @@
+//! The feedback cell and the acyclic queue, built with the primitives of a model checker.
+//!
+//! The files are those of the library. What they need besides is here: its ring is a queue behind a lock, so that each
+//! access is a point at which another thread may run, and there is no memory to be locked.
+
+#[path = "."]
+pub mod axis {
+    //! As in the library.
+
+    #[path = "../../src/axis/acyclic/mod.rs"]
+    pub mod acyclic;
+    #[path = "../../src/axis/cell.rs"]
+    pub mod cell;
+    #[path = "../../src/axis/feedback.rs"]
+    pub mod feedback;
+    #[path = "../../src/axis/pulse.rs"]
+    pub mod pulse;
+
+    pub use feedback::Feedback;
+
+    pub mod handle {
+        //! What the queue needs of an axis.
+
+        use std::time::Duration;
+
+        use super::cell::Reader;
+        use super::feedback::Feedback;
+
+        pub const LOOK_EVERY: Duration = Duration::ZERO;
+        pub const GRACE: Duration = Duration::ZERO;
+
+        #[derive(Clone, Debug)]
+        pub struct Observer(pub Reader<Feedback>);
+
+        impl Observer {
+            pub fn feedback(&self) -> Feedback {
+                self.0.read()
+            }
+        }
+    }
+}
+#[path = "../../src/errors.rs"]
+mod errors;
+#[path = "../../src/time.rs"]
+pub mod time;
+
+pub mod rt {
+    //! Rings, and no memory to be locked.
+
+    use crate::sync::{Consumer, Producer};
+
+    #[derive(Clone, Debug, Default)]
+    pub struct Regions;
+
+    impl Regions {
+        pub fn new() -> Regions {
+            Regions
+        }
+
+        pub fn add<T: ?Sized>(&mut self, _part: &T) {}
+
+        pub fn extend(&mut self, _other: &Regions) {}
+    }
+
+    pub fn ring<T>(capacity: usize, _regions: &mut Regions) -> (Producer<T>, Consumer<T>) {
+        crate::sync::ring(capacity)
+    }
+}
+
+pub mod sync {
+    //! The primitives of the model checker, by the names of the library's.
+
+    use std::collections::VecDeque;
+    use std::sync::Arc;
+
+    pub use loom::sync::atomic::{AtomicBool, AtomicU64, Ordering, fence};
+    pub use loom::sync::{Mutex, MutexGuard};
+
+    /// A reader that has to wait lets the others run.
+    #[derive(Debug)]
+    pub struct Backoff;
+
+    impl Backoff {
+        pub fn new() -> Backoff {
+            Backoff
+        }
+
+        pub fn snooze(&self) {
+            loom::thread::yield_now();
+        }
+    }
+
+    #[derive(Debug)]
+    struct Ring<T> {
+        queue: Mutex<VecDeque<T>>,
+        capacity: usize,
+        abandoned: AtomicBool,
+    }
+
+    #[derive(Debug)]
+    pub struct Producer<T>(Arc<Ring<T>>);
+
+    #[derive(Debug)]
+    pub struct Consumer<T>(Arc<Ring<T>>);
+
+    pub fn ring<T>(capacity: usize) -> (Producer<T>, Consumer<T>) {
+        let queue = Mutex::new(VecDeque::new());
+        let ring = Arc::new(Ring { queue, capacity, abandoned: AtomicBool::new(false) });
+        (Producer(Arc::clone(&ring)), Consumer(ring))
+    }
+
+    impl<T> Ring<T> {
+        fn length(&self) -> usize {
+            self.queue.lock().unwrap().len()
+        }
+    }
+
+    impl<T> Producer<T> {
+        pub fn push(&mut self, value: T) -> Result<(), T> {
+            let mut queue = self.0.queue.lock().unwrap();
+            if queue.len() == self.0.capacity {
+                return Err(value);
+            }
+            queue.push_back(value);
+            Ok(())
+        }
+
+        pub fn is_abandoned(&self) -> bool {
+            self.0.abandoned.load(Ordering::Acquire)
+        }
+    }
+
+    impl<T> Consumer<T> {
+        pub fn pop(&mut self) -> Result<T, ()> {
+            self.0.queue.lock().unwrap().pop_front().ok_or(())
+        }
+
+        pub fn slots(&self) -> usize {
+            self.0.length()
+        }
+
+        pub fn is_empty(&self) -> bool {
+            self.0.length() == 0
+        }
+
+        pub fn is_abandoned(&self) -> bool {
+            self.0.abandoned.load(Ordering::Acquire)
+        }
+    }
+
+    impl<T> Drop for Producer<T> {
+        fn drop(&mut self) {
+            self.0.abandoned.store(true, Ordering::Release);
+        }
+    }
+
+    impl<T> Drop for Consumer<T> {
+        fn drop(&mut self) {
+            self.0.abandoned.store(true, Ordering::Release);
+        }
+    }
+}
+
+/// Both ends of a queue of calls.
+pub fn calls(capacity: usize) -> (axis::acyclic::Acyclic, axis::acyclic::Port) {
+    use std::sync::Arc;
+    use std::time::Duration;
+
+    use axis::acyclic::{Acyclic, queue};
+    use axis::cell::cell;
+    use axis::handle::Observer;
+
+    let (ends, port) = queue(capacity);
+    let (_, reader) = cell(axis::Feedback::default());
+    (Acyclic::new("x", ends, Arc::new(NoNotation), Observer(reader), Duration::ZERO), port)
+}
+
+/// Nothing here has an address.
+#[derive(Debug)]
+struct NoNotation;
+
+impl axis::acyclic::Notation for NoNotation {
+    fn protocol(&self) -> &'static str {
+        "none"
+    }
+
+    fn read(&self, _address: &str) -> Result<axis::acyclic::Call, axis::acyclic::NotationError> {
+        Ok(axis::acyclic::Call::default())
+    }
+
+    fn write(
+        &self,
+        _address: &str,
+        _value: u64,
+    ) -> Result<axis::acyclic::Call, axis::acyclic::NotationError> {
+        Ok(axis::acyclic::Call::default())
+    }
+
+    fn value(&self, _address: &str, _text: &str) -> Result<u64, axis::acyclic::NotationError> {
+        Ok(0)
+    }
+
+    fn number(&self, _address: &str, raw: u64) -> i64 {
+        raw as i64
+    }
+
+    fn show(&self, _address: &str, raw: u64) -> String {
+        raw.to_string()
+    }
+
+    fn reason(&self, status: u32) -> String {
+        status.to_string()
+    }
+}

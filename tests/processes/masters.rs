@@ -1,0 +1,146 @@
+//! Two masters: of one process, of two, of the shell; on one segment, on one Unidrive, on one LinMot.
+
+use std::path::{Path, PathBuf};
+
+use fieldbeat::Master;
+use libc::SIGTERM;
+
+use super::support::{Ended, LONG, Machine, assert_sums, drive, period, run};
+use super::{ask, await_online, master, simulation};
+
+/// Link health that no busy host comes to the end of.
+const PATIENT: &str = "{ bucket = \"10s\", leak = 1 }";
+
+/// A machine of one drive of each protocol, and what of it is in use by its master, as a refusal names it.
+fn machines(machine: &Machine) -> Vec<(PathBuf, &'static str, String)> {
+    let cycle = format!(
+        "[cycle]\nperiod = \"{}\"\nreceive_deadline = 0.8\nmax_skip = \"30s\"\nrealtime = \"off\"\n[[bus]]\n",
+        period()
+    );
+    let (bind, linmot, unidrive) = (machine.ip(1), machine.ip(10), machine.ip(20));
+    let segment = format!("local:two-masters-{}-{}", std::process::id(), machine.ip(0).octets()[2]);
+    let drive = |rest: String| format!("[[bus.drive]]\nname = \"x\"\nhealth = {PATIENT}\n{rest}");
+    let buses = [
+        (
+            "linmot.toml",
+            format!("protocol = \"linudp-v2\"\nbind = \"{bind}\"\n"),
+            format!("address = \"{linmot}\"\n"),
+            format!("drive x at {linmot}:49360 is in use by another master"),
+            "0x20A8",
+        ),
+        (
+            "unidrive.toml",
+            "protocol = \"modbus-tcp\"\n".to_owned(),
+            format!("address = \"{unidrive}:1502\"\nwatchdog.timeout = \"10s\"\n"),
+            format!("drive x at {unidrive}:1502 is in use by another master"),
+            "01.022",
+        ),
+        (
+            "kollmorgen.toml",
+            format!("protocol = \"ethercat\"\ninterface = \"{segment}\"\n"),
+            "watchdog = \"3s\"\n".to_owned(),
+            format!("interface {segment} is in use by another master"),
+            "0x6041:0",
+        ),
+    ];
+    let written = |(file, bus, rest, refusal, address): (&str, String, String, String, _)| {
+        (machine.write(file, format!("{cycle}{bus}{}", drive(rest))), address, refusal)
+    };
+    buses.into_iter().map(written).collect()
+}
+
+/// The one line of a start that is refused.
+#[track_caller]
+fn refused(config: &Path) -> String {
+    Master::from_file(config).unwrap().start().map(drop).unwrap_err().to_string()
+}
+
+#[track_caller]
+fn started(config: &Path) -> Master {
+    let master = Master::from_file(config).unwrap().start().unwrap();
+    master.wait_online(LONG).unwrap();
+    master
+}
+
+#[test]
+fn a_second_master_is_refused_by_name_and_the_first_one_does_not_notice() {
+    let machine = Machine::new(180);
+    for (config, address, in_use) in machines(&machine) {
+        let _sim = simulation(&config);
+        let mut first = master(&config, &["--json"]);
+        await_online(&config);
+        let name = format!("{in_use}, process {} (fieldbeat): end that one first", first.pid());
+        for _ in 0..2 {
+            master(&config, &["--for", "1s"]).end().refused(&[&name]);
+            assert!(refused(&config).contains(&name));
+        }
+        // The shell goes through the master that runs.
+        ask("param get", &config, &format!("x {address}")).expect(0);
+        assert!(first.is_running());
+        first.signal(SIGTERM);
+        let summary = first.end().expect(0).json();
+        assert_sums(&summary);
+        let drive = drive(&summary, "x");
+        assert_eq!(
+            (&drive["link"], &drive["losses"], &drive["rejected"]),
+            (&"online".into(), &0.into(), &0.into())
+        );
+        assert_eq!(drive["stopped"], "shutdown", "{drive}");
+    }
+}
+
+#[test]
+fn an_embedded_master_is_left_alone_by_a_second_one_and_by_the_shell_until_it_ends() {
+    let machine = Machine::new(181);
+    for (config, address, in_use) in machines(&machine) {
+        let _sim = simulation(&config);
+        let first = started(&config);
+        let own = format!("{in_use} or bus of this process: end that one first");
+        assert!(refused(&config).ends_with(&own), "{}", refused(&config));
+        // It has no control socket.
+        let name = format!("{in_use}, process {} (", std::process::id());
+        let get = |config: &Path| -> Ended { ask("param get", config, &format!("x {address}")) };
+        get(&config).refused(&[&name, "end that one first"]);
+        assert!(first.observers()[0].1.feedback().stopped.is_none());
+        drop(first);
+        // Its lock goes with it.
+        let second = started(&config);
+        drop(second.finish());
+        get(&config).expect(0);
+    }
+}
+
+#[test]
+fn what_a_killed_master_had_is_free_and_taken_over_and_the_shell_touches_no_slave_in_op() {
+    let machine = Machine::new(182);
+    for (config, address, _) in machines(&machine) {
+        let _sim = simulation(&config);
+        let first = master(&config, &[]);
+        await_online(&config);
+        first.kill();
+        if config.ends_with("kollmorgen.toml") {
+            // Its watchdog has not expired yet.
+            let get = ask("param get", &config, &format!("x {address}"));
+            get.refused(&[
+                "the slave at place 0 of its segment is in OP, and nothing may disturb it",
+                "fieldbeat run",
+            ]);
+        }
+        drop(started(&config));
+        ask("param get", &config, &format!("x {address}")).expect(0);
+    }
+}
+
+#[test]
+fn a_scan_does_not_come_between_a_master_and_its_segment() {
+    let machine = Machine::new(183);
+    let (config, _, in_use) = machines(&machine).pop().unwrap();
+    let interface = in_use.split(' ').nth(1).unwrap();
+    let _sim = simulation(&config);
+    let first = started(&config);
+    let scan = || run(["ethercat", "scan", interface]);
+    let name = format!("{interface} is in use by another master, process {}", std::process::id());
+    scan().failed(&[&name]);
+    drop(first);
+    scan().expect(0);
+}

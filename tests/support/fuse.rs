@@ -1,0 +1,131 @@
+//! A LinUDP bus whose calls panic when a test wants it.
+
+use std::any::Any;
+use std::os::fd::RawFd;
+use std::sync::{Arc, Mutex};
+
+use fieldbeat::axis::acyclic::AcyclicEnds;
+use fieldbeat::bus::linudp::LinUdpPlan;
+use fieldbeat::bus::{Bus, BusPlan, Cycle, OpenError, Slot, Strangers};
+use fieldbeat::net::Carriers;
+use fieldbeat::rt::Regions;
+use fieldbeat::sim::SimDrive;
+
+/// The call of a bus that panics.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Call {
+    Send,
+    Receive,
+    Prepare,
+    HelperEnded,
+    Strangers,
+    ShutDown,
+}
+
+/// Which call panics, and how often.
+pub type Fuse = Arc<Mutex<Option<(Call, u32)>>>;
+
+/// A LinUDP bus with a fuse.
+#[derive(Clone, Debug)]
+pub struct Fused {
+    pub plan: LinUdpPlan,
+    pub fuse: Fuse,
+    /// What its helper is said to be.
+    pub helper_ended: Arc<Mutex<bool>>,
+}
+
+impl Fused {
+    pub fn new(plan: LinUdpPlan) -> Fused {
+        Fused { plan, fuse: Fuse::default(), helper_ended: Arc::default() }
+    }
+
+    /// From now on so many of these calls panic.
+    pub fn light(&self, call: Call, times: u32) {
+        *self.fuse.lock().unwrap() = Some((call, times));
+    }
+}
+
+impl BusPlan for Fused {
+    crate::forward_bus_plan!(plan);
+
+    fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
+        let bus = self.plan.open(period_ns, carriers)?;
+        Ok(Box::new(FusedBus { bus, of: self.clone() }))
+    }
+
+    fn simulate(&self) -> Vec<Box<dyn SimDrive>> {
+        self.plan.simulate()
+    }
+}
+
+struct FusedBus {
+    bus: Box<dyn Bus>,
+    of: Fused,
+}
+
+impl FusedBus {
+    fn burn(&self, call: Call) {
+        let mut fuse = self.of.fuse.lock().unwrap();
+        if let Some((at, left)) = &mut *fuse
+            && *at == call
+            && *left > 0
+        {
+            *left -= 1;
+            drop(fuse);
+            // Quietly: the message of a panic is not this test's.
+            std::panic::resume_unwind(Box::new("on purpose"));
+        }
+    }
+}
+
+impl Bus for FusedBus {
+    fn name(&self) -> &str {
+        self.bus.name()
+    }
+
+    fn memory(&self, regions: &mut Regions) {
+        self.bus.memory(regions);
+    }
+
+    fn fd(&self) -> Option<RawFd> {
+        self.bus.fd()
+    }
+
+    fn send(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
+        self.burn(Call::Send);
+        self.bus.send(cycle, slots);
+    }
+
+    fn receive(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool {
+        self.burn(Call::Receive);
+        self.bus.receive(cycle, slots)
+    }
+
+    fn prepare(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
+        self.burn(Call::Prepare);
+        self.bus.prepare(cycle, slots);
+    }
+
+    fn shut_down(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool {
+        self.burn(Call::ShutDown);
+        self.bus.shut_down(cycle, slots)
+    }
+
+    fn helper_ended(&self) -> bool {
+        self.burn(Call::HelperEnded);
+        *self.of.helper_ended.lock().unwrap()
+    }
+
+    fn strangers(&self) -> Strangers {
+        self.burn(Call::Strangers);
+        self.bus.strangers()
+    }
+
+    fn native(&mut self, index: usize) -> Option<Box<dyn Any + Send>> {
+        self.bus.native(index)
+    }
+
+    fn acyclic(&mut self, index: usize) -> Option<AcyclicEnds> {
+        self.bus.acyclic(index)
+    }
+}

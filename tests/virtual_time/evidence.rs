@@ -1,0 +1,193 @@
+//! An order ends as done only when the drive did it, whatever comes late: LinUDP has no sequence number, and a reply
+//! that comes once more, many cycles late and without a missed exchange, may look like the newest one in every way.
+
+use fieldbeat::axis::{EventKind, Failure, Outcome, Verb};
+use fieldbeat::bus::linudp::wire::{ControlWord, ErrorCode, Response, ResponseDef};
+use fieldbeat::bus::linudp::{MonitorPlan, ReplyTag};
+use fieldbeat::time::{MS, US};
+
+use crate::virtual_time::support::*;
+
+/// The reply to the request of so many cycles before the next one comes once more, in the window of the next one and
+/// before its own reply.
+fn repeat(b: &Bench, cycles: usize) {
+    let reply: Response = {
+        let tape = b.tape(0);
+        tape.heard[tape.heard.len() - cycles].reply.expect("the drive answers everything")
+    };
+    let mut bytes = [0; 64];
+    let size = reply.emit(&mut bytes);
+    b.world().inject(MASTER, address(0), &bytes[..size], b.grid() + MS + 10 * US);
+}
+
+fn demand(b: &Bench) -> f64 {
+    f64::from(b.tape(0).last().demand.unwrap()) / PER_MM
+}
+
+fn moves(b: &Bench) -> bool {
+    let last = b.tape(0).last();
+    last.state.unwrap().motion_active().unwrap_or(last.status.unwrap().motion_active())
+}
+
+/// Every kind of tag, with the monitoring channels shown or not: what the tags leave to the counts.
+fn rigs() -> Vec<Rig> {
+    let tags = ReplyTag::WORDS.map(|(_, tag)| tag);
+    let plans = tags.into_iter().flat_map(|tag| [(tag, MonitorPlan::Off), (tag, MonitorPlan::AsSet)]);
+    let rig =
+        |(tag, monitor)| Rig::new(1).each(move |_, drive| (drive.reply_tag, drive.monitor) = (tag, monitor));
+    [Rig::new(1)].into_iter().chain(plans.map(rig)).collect()
+}
+
+#[test]
+fn a_stop_in_mid_motion_is_not_lost_by_one_repeated_reply() {
+    for rig in rigs() {
+        let mut b = rig.start();
+        b.ready();
+        for cycles in 1..=40 {
+            b.done(0, to(10.0));
+            b.run(40);
+            // The reply of just before the drive received this motion comes with the stop.
+            b.post(0, slowly_to(190.0));
+            b.run(cycles as u64);
+            repeat(&b, cycles);
+            let id = b.post(0, Verb::Stop { deceleration: None });
+            let begun = demand(&b);
+            assert_eq!(b.ended(0, id), Outcome::Done);
+            assert!(!moves(&b), "{cycles} cycles late: done in mid-motion");
+            assert!(
+                demand(&b) < begun + 1.0,
+                "{cycles} cycles late: stopped after {} mm",
+                demand(&b) - begun
+            );
+            b.run(3);
+            assert!(!moves(&b), "{cycles} cycles late: it runs on");
+        }
+    }
+}
+
+#[test]
+fn a_move_is_not_done_at_its_start_by_one_repeated_reply() {
+    for rig in rigs() {
+        let mut b = rig.start();
+        b.ready();
+        b.done(0, to(10.0));
+        for late in 0..40 {
+            // The reply of before this motion, which is over, comes with the next one: the count after its own is the
+            // one that the drive has.
+            let target = if late % 2 == 0 { 20.0 } else { 10.0 };
+            b.post(0, to(target));
+            b.until("its end", 200, |b| demand(b) == target);
+            b.run(3);
+            let command = b.tape(0).heard.iter().rev().position(|heard| heard.request.motion.is_some());
+            let cycles = command.unwrap() + 1 + late % 4;
+            repeat(&b, cycles);
+            let id = b.post(0, to(target + 30.0));
+            assert_eq!(b.ended(0, id), Outcome::Done);
+            assert_eq!((demand(&b), moves(&b)), (target + 30.0, false), "{cycles} cycles late");
+        }
+    }
+}
+
+#[test]
+fn no_order_ends_early_or_is_lost_whenever_one_reply_is_repeated() {
+    let mut random = fastrand::Rng::with_seed(17);
+    for (n, rig) in rigs().into_iter().enumerate() {
+        let mut b = rig.start();
+        b.ready();
+        for trial in 0..150 {
+            let what = format!("rig {n}, trial {trial}");
+            let (near, far) = (random.f64() * 50.0, 100.0 + random.f64() * 90.0);
+            // As late as comes, at any time around the command; twice in one of three.
+            let mut doubles: Vec<(u64, usize)> =
+                (0..1 + random.u8(..3) / 2).map(|_| (random.u64(..6), random.usize(1..=40))).collect();
+            let mut step = |b: &mut Bench, now: u64| {
+                if let Some(place) = doubles.iter().position(|(at, _)| *at == now) {
+                    let (_, cycles) = doubles.swap_remove(place);
+                    repeat(b, cycles);
+                }
+                b.step();
+            };
+            let posted = random.u64(..6);
+            match random.u8(..4) {
+                0 => {
+                    b.run(random.u64(..4));
+                    let from = demand(&b);
+                    let mut id = None;
+                    for now in 0..6 {
+                        if now == posted {
+                            id = Some(b.post(0, to(near)));
+                        }
+                        step(&mut b, now);
+                    }
+                    match b.ended(0, id.unwrap()) {
+                        Outcome::Done => assert_near(demand(&b), near, 1e-4),
+                        // The old reply may show the quick stop of before: then nothing begins.
+                        Outcome::Failed(Failure::WrongState(_)) => assert_eq!(demand(&b), from, "{what}"),
+                        other => panic!("{what}: {other}"),
+                    }
+                    assert!(!moves(&b), "{what}: done in mid-motion");
+                }
+                kind => {
+                    let verb = if kind == 3 { Verb::QuickStop } else { Verb::Stop { deceleration: None } };
+                    b.post(0, slowly_to(far));
+                    b.run(1 + random.u64(..50));
+                    let (mut id, mut begun) = (None, 0.0);
+                    for now in 0..6 {
+                        if now == posted {
+                            (id, begun) = (Some(b.post(0, verb)), demand(&b));
+                        }
+                        step(&mut b, now);
+                    }
+                    assert_eq!(b.ended(0, id.unwrap()), Outcome::Done, "{what}");
+                    assert!(
+                        (demand(&b) - begun).abs() < 1.0,
+                        "{what}: stopped after {begun} at {}",
+                        demand(&b)
+                    );
+                    assert!(!moves(&b), "{what}: done in mid-motion");
+                }
+            }
+            b.run(2);
+            assert!(!moves(&b), "{what}: it moves on after its end");
+            assert_eq!(b.feedback(0).stopped, None, "{what}");
+        }
+    }
+}
+
+#[test]
+fn an_error_is_reported_with_its_code_in_whichever_cycle_it_comes() {
+    for turn in 0..4 {
+        let mut b = Rig::new(1).start();
+        b.ready();
+        b.run(turn);
+        b.tape(0).provoke = Some(ErrorCode(0x0B));
+        b.run(3);
+        assert_eq!(b.feedback(0).fault, 0x0B, "{turn}");
+        let told = b.kinds(0).into_iter().filter(|kind| matches!(kind, EventKind::Fault(_)));
+        assert_eq!(told.collect::<Vec<_>>(), [EventKind::Fault(0x0B)], "{turn}");
+    }
+}
+
+#[test]
+fn a_quick_stop_of_a_drive_whose_parameters_force_that_bit_stops_it_by_a_ramp() {
+    let mut b = Rig::new(1).each(|_, drive| drive.simulate.force_enable_bits = true).start();
+    b.ready();
+    b.post(0, slowly_to(190.0));
+    b.run(300);
+    let begun = demand(&b);
+    b.done(0, Verb::QuickStop);
+    assert!(!moves(&b) && demand(&b) < begun + 2.0, "from {begun} to {}", demand(&b));
+    let held = ControlWord::ON;
+    assert_eq!(b.tape(0).heard.last().unwrap().request.control, Some(held));
+    b.done(0, to(10.0));
+}
+
+#[test]
+fn monitoring_channels_that_are_shown_come_with_every_reply() {
+    let mut b = Rig::new(1).each(|_, drive| drive.monitor = MonitorPlan::AsSet).start();
+    b.ready();
+    b.tape(0).heard.clear();
+    b.run(20);
+    assert!(b.tape(0).heard.iter().all(|heard| heard.request.response_def.contains(ResponseDef::MONITOR)));
+    assert!(b.feedback(0).monitor.iter().all(Option::is_some));
+}

@@ -1,0 +1,384 @@
+//! The statement about one axis, by the true state of its drive.
+//!
+//! | rule | statement |
+//! |---|---|
+//! | `limits` | powered and outside its limits leads to a stop request: it slows down, or its power goes off |
+//! | `idle` | so does powered and moving, once it stood and no motion command was begun since |
+//! | `skips` | a loop outside its skip limits stops an axis that is enabled |
+//! | `done` | Done means that the drive did it |
+//! | `ends` | each accepted command ends exactly once |
+//! | `newest` | the newest setpoint is taken, and wins |
+//! | `stale` | a setpoint that is not renewed stops its axis |
+//! | `stop` | an axis that nothing moves any more comes to rest, whatever stops it |
+//!
+//! Bounds are counted in turns of the loop in which the drive can be reached. A drive is given [`REACTION`] of them:
+//! some reports prove a breach, the request goes out, the drive takes it and its motor slows down by what can be seen.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use fieldbeat::axis::{EventKind, Feedback, Outcome, State, Verb};
+use fieldbeat::sim::Truth;
+
+use super::machine::{Scale, range};
+
+/// From a breach to a motor that slows down.
+pub const REACTION: u32 = 40;
+/// After the wire was bad: until the link is judged good and the stop has got through.
+pub const GRACE: u64 = 60;
+/// The speed of the motor is compared with that of so many turns ago ...
+const BACK: usize = 8;
+/// ... and is slower if by this share of the largest one.
+const SLOWER: f64 = 0.01;
+/// A motor that follows its demand with a lag comes to rest after it, at the latest so many turns after its stop is
+/// Done.
+const SETTLES: u32 = 25;
+/// A drive stands after so many turns.
+const STANDS: u32 = 20;
+/// A speed above its limit by this factor is one: a motor overshoots.
+const FAST: f64 = 1.3;
+/// Slots over which skipped ones are counted, and how many are certainly too many: the default rate is 20 %.
+const SLOTS: usize = 100;
+const SKIPPED: usize = 25;
+/// Slots within which one was skipped while an overload goes on.
+const GOING_ON: usize = 5;
+/// As many in a row are certainly too many: the default is 10.
+const IN_A_ROW: u32 = 12;
+
+/// A rule that was broken.
+#[derive(Clone, Debug)]
+pub struct Breach {
+    pub rule: &'static str,
+    pub text: String,
+}
+
+/// A command that was accepted and is not known to have ended.
+#[derive(Clone, Copy, Debug)]
+pub struct Pending {
+    pub verb: Verb,
+    /// Where a move ends.
+    pub target: Option<f64>,
+}
+
+/// How long conditions hold.
+#[derive(Clone, Copy, Debug, Default)]
+struct Counters {
+    fast: u32,
+    outside: u32,
+    idle: u32,
+    skips: u32,
+    stale: u32,
+    wrong: u32,
+}
+
+/// What is known of one axis.
+pub struct Watch {
+    scale: Scale,
+    stop_turns: u32,
+    setpoint_age: u64,
+    range: Option<(f64, f64)>,
+    pub pending: BTreeMap<u64, Pending>,
+    speeds: VecDeque<f64>,
+    /// Power and speed of the last turns: an end that is reported now may be of a turn ago.
+    powered: [bool; 4],
+    counters: Counters,
+    /// Turns of standstill in a row, and whether there were enough of them since the last motion.
+    still: u32,
+    stood: bool,
+    idle_for: u32,
+    /// Enabled, as the application knows it.
+    enabled: bool,
+    /// The newest setpoint, since which slot it was not renewed and since which turn it has this value.
+    newest: Option<Newest>,
+    /// A stop is done, and the motor has so many turns left to come to rest.
+    settling: Option<u32>,
+    /// The running command, since which slot.
+    running: (u64, u64),
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Newest {
+    of: u64,
+    value: f64,
+    renewed: u64,
+    same: u32,
+}
+
+/// The loop's slots of late.
+#[derive(Default)]
+pub struct Slots {
+    skipped: VecDeque<bool>,
+    row: u32,
+    planned: u64,
+}
+
+impl Slots {
+    /// So many were skipped before the one that was executed.
+    pub fn turn(&mut self, skipped: u64, executed: u64) {
+        self.planned += skipped + executed;
+        self.row = 0;
+        for is_skipped in (0..skipped).map(|_| true).chain((0..executed).map(|_| false)) {
+            if self.skipped.len() == SLOTS {
+                self.skipped.pop_front();
+            }
+            self.skipped.push_back(is_skipped);
+            self.row += u32::from(is_skipped);
+        }
+    }
+
+    /// The last turn executed a cycle.
+    pub fn is_executed(&self) -> bool {
+        self.skipped.back().is_none_or(|skipped| !skipped)
+    }
+
+    /// Too many of late, and it goes on: an axis may be enabled again after a stop.
+    fn too_many(&self) -> bool {
+        let count = |slots: usize| self.skipped.iter().rev().take(slots).filter(|skipped| **skipped).count();
+        self.row > IN_A_ROW || count(SLOTS) > SKIPPED && count(GOING_ON) > 0
+    }
+
+    pub fn any(&self) -> bool {
+        self.skipped.contains(&true)
+    }
+
+    pub fn planned(&self) -> u64 {
+        self.planned
+    }
+}
+
+impl Watch {
+    pub fn new(scale: Scale, plan: &fieldbeat::axis::AxisPlan) -> Watch {
+        let stop_turns = plan.stop.timeout.as_millis() as u32;
+        Watch {
+            scale,
+            stop_turns: stop_turns + stop_turns / 2 + REACTION,
+            setpoint_age: plan.setpoint_age.into(),
+            range: range(&plan.limits),
+            pending: BTreeMap::new(),
+            speeds: VecDeque::new(),
+            powered: [false; 4],
+            counters: Counters::default(),
+            still: 0,
+            stood: false,
+            idle_for: 0,
+            enabled: false,
+            newest: None,
+            settling: None,
+            running: (0, 0),
+        }
+    }
+
+    /// A command was accepted.
+    pub fn accepted(&mut self, id: u64, verb: Verb, truth: Truth) -> Result<(), Breach> {
+        use fieldbeat::axis::{Move, Target};
+        let stands = self.pending.is_empty() && truth.velocity.abs() < self.scale.still / 4.0;
+        let target = match verb {
+            Verb::Move(Move { target: Target::Absolute(position), .. }) => Some(position),
+            Verb::Move(Move { target: Target::Relative(distance), .. }) if stands => {
+                Some(truth.position + distance)
+            }
+            _ => None,
+        };
+        match self.pending.insert(id, Pending { verb, target }) {
+            None => Ok(()),
+            Some(_) => Err(breach("ends", format!("id {id} was given twice"))),
+        }
+    }
+
+    /// A setpoint was given for the newest command that takes it.
+    pub fn set(&mut self, slot: u64, value: f64, taken: Result<(), String>) -> Result<(), Breach> {
+        let takes = |verb: &Verb| verb.takes_velocities() || verb.takes_torques();
+        let Some((of, _)) = self.pending.iter().rev().find(|(_, pending)| takes(&pending.verb)) else {
+            return Ok(());
+        };
+        if let Err(why) = taken {
+            return Err(breach("newest", format!("the setpoint {value} was refused: {why}")));
+        }
+        let same = self.newest.filter(|newest| newest.value == value && newest.of == *of);
+        let same = same.map_or(0, |newest| newest.same);
+        self.newest = Some(Newest { of: *of, value, renewed: slot, same });
+        Ok(())
+    }
+
+    /// An event came; `fresh`: of this turn.
+    pub fn event(
+        &mut self,
+        kind: EventKind,
+        fresh: bool,
+        truth: Truth,
+        feedback: &Feedback,
+    ) -> Result<(), Breach> {
+        let EventKind::Ended { id, outcome, verb } = kind else { return Ok(()) };
+        let Some(pending) = self.pending.remove(&id.0) else {
+            return Err(breach("ends", format!("{verb} {} ended, {outcome}, and was not pending", id.0)));
+        };
+        if outcome != Outcome::Done {
+            return Ok(());
+        }
+        self.enabled |= pending.verb == Verb::Enable;
+        if fresh { self.done(pending, truth, feedback) } else { Ok(()) }
+    }
+
+    fn done(&mut self, pending: Pending, truth: Truth, feedback: &Feedback) -> Result<(), Breach> {
+        let speed = truth.velocity.abs();
+        let stands = speed <= self.scale.still;
+        let powered = self.powered.iter().any(|powered| *powered) || truth.powered;
+        let off = self.powered.iter().any(|powered| !powered) || !truth.powered;
+        let is_true = match pending.verb {
+            Verb::Enable => powered,
+            Verb::Disable => off,
+            Verb::Home => truth.homed || !truth.powered,
+            Verb::Move(_) => {
+                let near = |target: f64| (truth.position - target).abs() <= self.scale.near;
+                !truth.powered || stands && pending.target.is_none_or(near)
+            }
+            Verb::Stop { .. } | Verb::QuickStop => {
+                self.settling = (truth.powered && !stands).then_some(SETTLES);
+                true
+            }
+            _ => true,
+        };
+        if is_true {
+            return Ok(());
+        }
+        Err(breach("done", format!("{pending:?} is Done, but {truth:?}; {feedback:?}")))
+    }
+
+    /// What runs, by what the application knows: commands run in their order.
+    fn running(&self) -> Option<(u64, Verb)> {
+        self.pending.first_key_value().map(|(id, pending)| (*id, pending.verb))
+    }
+
+    /// One turn is over. `blind`: the application has not read its events. `reached`: the wire is good.
+    pub fn turn(
+        &mut self,
+        truth: Truth,
+        feedback: &Feedback,
+        slots: &Slots,
+        blind: bool,
+        reached: bool,
+    ) -> Result<(), Breach> {
+        let speed = truth.velocity.abs();
+        let moving = truth.powered && speed > self.scale.still;
+        self.speeds.push_front(speed);
+        self.speeds.truncate(BACK + 1);
+        let before = self.speeds.back().copied().unwrap_or(speed);
+        let slower = !moving || speed <= before - SLOWER * self.scale.velocity;
+        self.powered.rotate_right(1);
+        self.powered[0] = truth.powered;
+
+        let latched = feedback.stopped.is_some();
+        let running = self.running().filter(|_| !latched);
+        // What has begun is not known to an application that does not read its events.
+        let any = blind && self.is_to_move() && !latched;
+        let commanded = any || running.is_some_and(|(_, verb)| moves(&verb));
+        let homing = blind || running.is_some_and(|(_, verb)| verb == Verb::Home);
+        self.enabled &= truth.powered && !latched && running.is_none_or(|(_, verb)| verb != Verb::Disable);
+        let id = running.map_or(0, |(id, _)| id);
+        if self.running.0 != id {
+            self.running = (id, slots.planned());
+        }
+        if let Some(newest) = &mut self.newest {
+            newest.same += 1;
+        }
+
+        if commanded {
+            (self.still, self.stood, self.idle_for) = (0, false, 0);
+        } else {
+            self.still = if moving { 0 } else { self.still + 1 };
+            self.stood |= self.still >= STANDS;
+            self.idle_for = if moving { self.idle_for + u32::from(reached) } else { 0 };
+        }
+
+        self.settling = self.settling.filter(|_| moving && !commanded).map(|left| left.saturating_sub(1));
+        let fast = moving && speed > FAST * self.scale.velocity && !homing;
+        let outside = moving
+            && truth.homed
+            && !homing
+            && self.range.is_some_and(|(low, high)| {
+                let margin = 3.0 * self.scale.near;
+                truth.position > high + margin && truth.velocity > 0.0
+                    || truth.position < low - margin && truth.velocity < 0.0
+            });
+        let idle = moving && !commanded && self.stood;
+        let skips = slots.too_many() && self.enabled && feedback.state == State::OperationEnabled;
+        let stale = moving && !blind && self.is_stale(slots.planned(), running);
+        let wrong = !blind && !slots.any() && self.is_wrong(truth, running, reached);
+
+        // Each counts while it holds and nothing is done about it.
+        let count = |counter: &mut u32, holds: bool| {
+            *counter = match (holds, reached) {
+                (false, _) => 0,
+                (true, false) => *counter,
+                (true, true) => *counter + 1,
+            };
+            *counter > REACTION
+        };
+        let counters = &mut self.counters;
+        let broken = [
+            ("done", self.settling == Some(0)),
+            ("limits", count(&mut counters.fast, fast && !slower)),
+            ("limits", count(&mut counters.outside, outside && !slower)),
+            ("idle", count(&mut counters.idle, idle && !slower)),
+            ("skips", count(&mut counters.skips, skips)),
+            ("stale", count(&mut counters.stale, stale && !slower)),
+            ("newest", count(&mut counters.wrong, wrong)),
+            ("stop", moving && !commanded && !self.stood && self.idle_for > self.stop_turns),
+        ];
+        match broken.iter().find(|(_, is_broken)| *is_broken) {
+            None => Ok(()),
+            Some((rule, _)) => {
+                let pending: Vec<_> = self.pending.iter().collect();
+                Err(breach(rule, format!("{truth:?}; pending {pending:?}; {feedback:?}")))
+            }
+        }
+    }
+
+    /// A setpoint of the running command is too old, in slots.
+    fn is_stale(&self, slot: u64, running: Option<(u64, Verb)>) -> bool {
+        let Some((id, Verb::Velocity { .. } | Verb::Torque { .. })) = running else { return false };
+        let renewed = self.newest.filter(|newest| newest.of == id).map_or(0, |newest| newest.renewed);
+        slot - renewed.max(self.running.1) > self.setpoint_age + 2
+    }
+
+    /// The newest velocity of the running command is long since the present one, and the motor has another.
+    fn is_wrong(&self, truth: Truth, running: Option<(u64, Verb)>, reached: bool) -> bool {
+        let Some((id, Verb::Velocity { acceleration })) = running else { return false };
+        let Some(newest) = self.newest.filter(|newest| newest.of == id) else { return false };
+        let turns = 2.0 * self.scale.velocity / acceleration * 1e3 + f64::from(REACTION);
+        reached
+            && truth.powered
+            && f64::from(newest.same) > turns
+            && (truth.velocity - newest.value).abs() > 0.1 * self.scale.velocity
+    }
+
+    /// The wire was bad, or the loop was late: what was wrong until now does not count.
+    pub fn excuse(&mut self) {
+        self.counters.wrong = 0;
+        if let Some(newest) = &mut self.newest {
+            newest.same = 0;
+        }
+    }
+
+    /// Native mode has not ended.
+    pub fn is_native(&self) -> bool {
+        self.pending.values().any(|pending| matches!(pending.verb, Verb::Native(_)))
+    }
+
+    /// A command that moves it has not ended.
+    pub fn is_to_move(&self) -> bool {
+        self.pending.values().any(|pending| moves(&pending.verb))
+    }
+
+    /// It stands, or has no power.
+    pub fn rests(&self, truth: Truth) -> bool {
+        !truth.powered || truth.velocity.abs() <= self.scale.still
+    }
+}
+
+fn moves(verb: &Verb) -> bool {
+    verb.is_motion() || *verb == Verb::Home
+}
+
+fn breach(rule: &'static str, text: String) -> Breach {
+    Breach { rule, text }
+}

@@ -1,0 +1,487 @@
+//! Machines of each protocol with drives that show their true state, and that keep datagrams to be repeated.
+
+use std::collections::VecDeque;
+use std::net::{Ipv4Addr, SocketAddrV4};
+use std::sync::{Arc, Mutex, MutexGuard};
+use std::time::Duration;
+
+use fieldbeat::axis::acyclic::CallTicket;
+use fieldbeat::axis::{AxisPlan, Limits, Link, Profile, StopPlan, StopThen, StopTimeout, Unit, Units, Verb};
+use fieldbeat::bus::ethercat::object::Family;
+use fieldbeat::bus::ethercat::sim::EthercatSim;
+use fieldbeat::bus::ethercat::{EthercatPlan, KollmorgenDrive};
+use fieldbeat::bus::linudp::sim::LinMotSim;
+use fieldbeat::bus::linudp::wire::{ErrorCode, Request};
+use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan, ReplyTag};
+use fieldbeat::bus::modbus::sim::UnidriveSim;
+use fieldbeat::bus::modbus::trips::Trip;
+use fieldbeat::bus::modbus::{ModbusPlan, UnidriveDrive, Via};
+use fieldbeat::bus::{Bus, BusPlan, OpenError};
+use fieldbeat::cycle::{CyclePlan, Plan};
+use fieldbeat::master::Master;
+use fieldbeat::net::{Carriers, SendMode};
+use fieldbeat::sim::world::{World, WorldOptions};
+use fieldbeat::sim::{Carrier, FaultPlan, SimDrive, Truth};
+use fieldbeat::simulation::Simulation;
+use fieldbeat::time::{MS, Time};
+
+use crate::virtual_time::kollmorgen::{self, LINE};
+use crate::virtual_time::support::{self, MASTER};
+
+/// Axes of a machine.
+pub const AXES: usize = 3;
+
+/// Requests and replies that are kept to be repeated. A motion command that is repeated has another count than the
+/// present one: a drive counts to sixteen.
+const KEPT: usize = 64;
+const KEPT_MOTIONS: usize = 8;
+
+/// A protocol.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    LinMot,
+    Unidrive,
+    /// Positions (1701h), velocities (1702h) and torques (1703h) on one segment.
+    Kollmorgen,
+}
+
+/// A machine to be built.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Shape {
+    pub kind: Kind,
+    /// After a stop the axes hold; else their power goes off.
+    pub hold: bool,
+    /// The protocol's other way: tagged replies, menu 0, a leading clock.
+    pub other: bool,
+    /// Parameters are written as well where the master does not refuse it: with power off, and in native mode.
+    pub free_writes: bool,
+}
+
+/// How an axis is judged, in its units.
+#[derive(Clone, Copy, Debug)]
+pub struct Scale {
+    /// The largest speed that it may have, and the acceleration of its commands.
+    pub velocity: f64,
+    pub acceleration: f64,
+    /// Slower than that it stands.
+    pub still: f64,
+    /// As near as a move ends to its target.
+    pub near: f64,
+    pub positions: bool,
+    pub velocities: bool,
+    pub torques: bool,
+    pub homes: bool,
+}
+
+/// A LinMot or a Unidrive that the world and the test share.
+enum Drive {
+    LinMot(Box<LinMotSim>),
+    Unidrive(Box<UnidriveSim>),
+}
+
+/// Such a drive, and what was said on its wire.
+pub struct Shared {
+    drive: Drive,
+    requests: VecDeque<Vec<u8>>,
+    motions: VecDeque<Vec<u8>>,
+    replies: VecDeque<Vec<u8>>,
+    /// So many requests, or replies, are still to be lost.
+    pub lose: [u32; 2],
+}
+
+fn keep(kept: &mut VecDeque<Vec<u8>>, most: usize, bytes: &[u8]) {
+    let mut entry = if kept.len() == most { kept.pop_back().unwrap_or_default() } else { Vec::new() };
+    entry.clear();
+    entry.extend_from_slice(bytes);
+    kept.push_front(entry);
+}
+
+#[derive(Clone)]
+struct Tap(Arc<Mutex<Shared>>);
+
+impl Tap {
+    fn new(drive: Drive) -> Tap {
+        Tap(Arc::new(Mutex::new(Shared {
+            drive,
+            requests: VecDeque::new(),
+            motions: VecDeque::new(),
+            replies: VecDeque::new(),
+            lose: [0; 2],
+        })))
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Shared> {
+        self.0.lock().unwrap()
+    }
+
+    fn with<R>(&self, f: impl FnOnce(&mut dyn SimDrive) -> R) -> R {
+        match &mut self.lock().drive {
+            Drive::LinMot(drive) => f(drive.as_mut()),
+            Drive::Unidrive(drive) => f(drive.as_mut()),
+        }
+    }
+}
+
+impl std::fmt::Debug for Tap {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("Tap")
+    }
+}
+
+impl SimDrive for Tap {
+    fn address(&self) -> SocketAddrV4 {
+        self.with(|drive| drive.address())
+    }
+
+    fn faults(&self) -> FaultPlan {
+        self.with(|drive| drive.faults())
+    }
+
+    fn carrier(&self) -> Carrier {
+        self.with(|drive| drive.carrier())
+    }
+
+    fn receive(
+        &mut self,
+        now: Time,
+        from: SocketAddrV4,
+        bytes: &[u8],
+        reply: &mut Vec<u8>,
+    ) -> Option<SocketAddrV4> {
+        let mut shared = self.lock();
+        let shared = &mut *shared;
+        let drive = match &mut shared.drive {
+            // A connection carries its bytes in their order: none of them is repeated late.
+            Drive::Unidrive(drive) => return drive.receive(now, from, bytes, reply),
+            Drive::LinMot(drive) => drive,
+        };
+        if shared.lose[0] > 0 {
+            shared.lose[0] -= 1;
+            return None;
+        }
+        keep(&mut shared.requests, KEPT, bytes);
+        if Request::parse(bytes).is_ok_and(|request| request.motion.is_some())
+            && shared.motions.front().is_none_or(|last| last != bytes)
+        {
+            keep(&mut shared.motions, KEPT_MOTIONS, bytes);
+        }
+        let to = drive.receive(now, from, bytes, reply)?;
+        keep(&mut shared.replies, KEPT, reply);
+        if shared.lose[1] > 0 {
+            shared.lose[1] -= 1;
+            return None;
+        }
+        Some(to)
+    }
+
+    fn connect(&mut self, now: Time, from: SocketAddrV4) -> bool {
+        self.with(|drive| drive.connect(now, from))
+    }
+
+    fn hangs_up(&mut self, from: SocketAddrV4) -> bool {
+        self.with(|drive| drive.hangs_up(from))
+    }
+
+    fn disconnected(&mut self, now: Time, from: SocketAddrV4) {
+        self.with(|drive| drive.disconnected(now, from));
+    }
+
+    fn restart(&mut self, now: Time) {
+        self.with(|drive| drive.restart(now));
+    }
+
+    fn inhibit(&mut self, until: Time) {
+        self.with(|drive| drive.inhibit(until));
+    }
+}
+
+/// The plan of a bus whose drives are shared with the test.
+#[derive(Debug)]
+struct Tapped<P> {
+    plan: P,
+    taps: Vec<Tap>,
+}
+
+impl<P: BusPlan> BusPlan for Tapped<P> {
+    crate::forward_bus_plan!(plan);
+
+    fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
+        self.plan.open(period_ns, carriers)
+    }
+
+    fn simulate(&self) -> Vec<Box<dyn SimDrive>> {
+        self.taps.iter().map(|tap| Box::new(tap.clone()) as Box<dyn SimDrive>).collect()
+    }
+}
+
+/// A machine that runs.
+pub struct Machine {
+    pub sim: Simulation,
+    pub shape: Shape,
+    pub plans: Vec<AxisPlan>,
+    pub scales: Vec<Scale>,
+    taps: Vec<Tap>,
+    addresses: Vec<SocketAddrV4>,
+    /// Calls under way: a ticket that is dropped would cancel its call.
+    pub calls: Vec<CallTicket>,
+}
+
+/// A stop that ends soon, so that a sequence sees its end; jogs without a button to hold; a small event queue.
+fn shorten(axis: &mut AxisPlan, shape: Shape, velocity: f64, deceleration: f64) {
+    axis.limits.velocity = Some(velocity);
+    axis.profile = Profile { velocity, acceleration: deceleration, deceleration };
+    axis.stop = StopPlan {
+        deceleration,
+        then: if shape.hold { StopThen::Hold } else { StopThen::Disable },
+        timeout: STOP_TIMEOUT,
+        on_timeout: StopTimeout::Disable,
+        standstill_for: 5,
+        ..axis.stop
+    };
+    axis.jog_deadman = None;
+    axis.health.probe_interval = Duration::from_millis(10);
+    axis.enable_timeout = Duration::from_millis(1_500);
+    axis.home_timeout = Duration::from_millis(1_500);
+    axis.event_queue = EVENTS;
+}
+
+/// Of every axis.
+pub const STOP_TIMEOUT: Duration = Duration::from_millis(50);
+/// Room for events, so little that an application that does not read them for a moment fills it.
+const EVENTS: usize = 48;
+
+fn linmot(index: usize, shape: Shape) -> LinUdpDrive {
+    let mut drive = support::drive(index);
+    shorten(&mut drive.axis, shape, 200.0, 4_000.0);
+    drive.axis.limits.acceleration = None;
+    drive.reply_tag = if shape.other { ReplyTag::Count } else { ReplyTag::default() };
+    // Short homing.
+    drive.simulate.start_position = 10_000;
+    drive
+}
+
+fn unidrive(index: usize, shape: Shape) -> UnidriveDrive {
+    let address = Ipv4Addr::new(10, 0, 3, 1 + index as u8);
+    let mut drive = UnidriveDrive::new(format!("u{index}"), address);
+    drive.axis.units = Units { unit: Unit::Revolution, counts_per_unit: 1.0, offset: 0.0, modulo: None };
+    shorten(&mut drive.axis, shape, 8.0, 160.0);
+    drive.via = if shape.other { Via::Menu0 { first: 11 } } else { Via::Direct };
+    drive.reply_within_ns = 5 * MS;
+    drive.simulate.ramps_s = (0.005, 0.005);
+    drive
+}
+
+fn kollmorgen(place: u16, shape: Shape) -> KollmorgenDrive {
+    let (outputs, velocity) = [(0x1701, 20.0), (0x1702, 20.0), (0x1703, 5.0)][usize::from(place)];
+    let mut drive = kollmorgen::with(place, Family::S700, outputs, 0x1B03);
+    shorten(&mut drive.axis, shape, velocity, 400.0);
+    let limits = &mut drive.axis.limits;
+    limits.torque = Some(150.0);
+    drive.simulate.home_turns = Some(0.03);
+    drive.simulate.ramps_rpm_s = (60_000, 60_000);
+    if outputs == 0x1701 {
+        limits.position = Some((-5.0, 5.0));
+    }
+    drive
+}
+
+/// The bus of a machine, and its drives.
+fn bus(shape: Shape) -> (Box<dyn BusPlan>, Vec<Tap>) {
+    let places = 0..AXES;
+    let mut taps = Vec::new();
+    let bus: Box<dyn BusPlan> = match shape.kind {
+        Kind::LinMot => {
+            let drives: Vec<_> = places.map(|index| linmot(index, shape)).collect();
+            taps.extend(drives.iter().map(|drive| Tap::new(Drive::LinMot(LinMotSim::new(drive).into()))));
+            let plan = LinUdpPlan { name: "linudp".into(), bind: MASTER, send: SendMode::Batch, drives };
+            Box::new(Tapped { plan, taps: taps.clone() })
+        }
+        Kind::Unidrive => {
+            let drives: Vec<_> = places.map(|index| unidrive(index, shape)).collect();
+            let settings = |drive: &UnidriveDrive| {
+                let mut settings = drive.simulate.clone();
+                settings.address = drive.address;
+                settings
+            };
+            let drive = |drive| Drive::Unidrive(UnidriveSim::new(settings(drive)).into());
+            taps.extend(drives.iter().map(|plan| Tap::new(drive(plan))));
+            Box::new(Tapped { plan: ModbusPlan::new(drives), taps: taps.clone() })
+        }
+        Kind::Kollmorgen => {
+            let drives = places.map(|place| kollmorgen(place as u16, shape)).collect();
+            Box::new(EthercatPlan::new(LINE, drives))
+        }
+    };
+    (bus, taps)
+}
+
+impl Machine {
+    /// How the axes of such a machine are judged.
+    pub fn scales(kind: Kind) -> Vec<Scale> {
+        let (bus, _) = bus(Shape { kind, hold: false, other: false, free_writes: true });
+        bus.axes().into_iter().enumerate().map(|(index, plan)| scale(kind, index, plan)).collect()
+    }
+
+    pub fn new(shape: Shape) -> Machine {
+        let (bus, taps) = bus(shape);
+        let plans: Vec<AxisPlan> = bus.axes().into_iter().cloned().collect();
+        let reference = (shape.kind == Kind::Kollmorgen && shape.other).then(|| bus.name().to_owned());
+        let cycle = CyclePlan { reference, ..CyclePlan::default() };
+        let plan = Plan { source: None, cycle, buses: vec![bus], groups: Vec::new() };
+        let sim = Master::from_plan(plan).simulate(WorldOptions::default());
+        let addresses = taps.iter().map(SimDrive::address).collect();
+        Machine {
+            sim: sim.unwrap_or_else(|error| panic!("{error}")),
+            shape,
+            scales: plans.iter().enumerate().map(|(index, plan)| scale(shape.kind, index, plan)).collect(),
+            plans,
+            taps,
+            addresses,
+            calls: Vec::new(),
+        }
+    }
+
+    fn world(&self) -> &World {
+        self.sim.world()
+    }
+
+    /// The true state of a drive, in units of its axis.
+    pub fn truth(&self, index: usize) -> Truth {
+        let now = self.world().now();
+        let truth = match self.taps.get(index) {
+            Some(tap) => match &mut tap.lock().drive {
+                Drive::LinMot(drive) => drive.truth(now),
+                Drive::Unidrive(drive) => drive.truth(now),
+            },
+            None => {
+                let look = |line: &mut EthercatSim, _| line.drive(index).map(|drive| drive.truth());
+                self.world().look(LINE, look).flatten().expect("there is a drive")
+            }
+        };
+        let counts = self.plans[index].units.counts_per_unit;
+        Truth { position: truth.position / counts, velocity: truth.velocity / counts, ..truth }
+    }
+
+    pub fn online(&self) -> bool {
+        (0..AXES).all(|index| self.sim.feedback(index).link == Link::Online)
+    }
+
+    /// Disconnects a drive, or connects it again.
+    pub fn plug(&self, index: usize, plugged: bool) {
+        match self.addresses.get(index) {
+            Some(address) if plugged => drop(self.world().plug(*address)),
+            Some(address) => drop(self.world().unplug(*address)),
+            None => drop(self.world().deafen(LINE, index, !plugged)),
+        }
+    }
+
+    pub fn restart(&self, index: usize) {
+        match self.addresses.get(index) {
+            Some(address) => drop(self.world().restart(*address)),
+            None => drop(self.world().restart_slave(LINE, index)),
+        }
+    }
+
+    /// Opens the hardware enable.
+    pub fn inhibit(&self, index: usize, ns: u64) {
+        match self.addresses.get(index) {
+            Some(address) => drop(self.world().inhibit(*address, ns)),
+            None => drop(self.world().inhibit_slave(LINE, index, ns)),
+        }
+    }
+
+    /// A fault of the drive that can be reset.
+    pub fn provoke(&self, index: usize) {
+        match self.taps.get(index) {
+            Some(tap) => match &mut tap.lock().drive {
+                Drive::LinMot(drive) => drive.provoke(ErrorCode(0x0B)),
+                Drive::Unidrive(drive) => drive.provoke(Trip(40)),
+            },
+            None => {
+                let fault = fieldbeat::bus::ethercat::faults::Fault::FOLLOWING;
+                self.world().look(LINE, |line: &mut EthercatSim, _| {
+                    line.drive(index).expect("there is a drive").provoke(fault);
+                });
+            }
+        }
+    }
+
+    /// Loses the next datagrams: requests, replies. Frames of a segment are all drives'.
+    pub fn lose(&self, index: usize, requests: u32, replies: u32) {
+        match self.taps.get(index) {
+            Some(tap) => tap.lock().lose = [requests, replies],
+            None => self.plug(index, requests + replies == 0),
+        }
+    }
+
+    /// Repeats a request of long ago at the drive, so many microseconds from now.
+    pub fn repeat_request(&self, index: usize, motion: bool, back: usize, us: u64) {
+        let Some(tap) = self.taps.get(index) else { return };
+        let shared = tap.lock();
+        let kept = if motion { &shared.motions } else { &shared.requests };
+        let Some(bytes) = kept.get(back).cloned() else { return };
+        drop(shared);
+        if self.shape.kind == Kind::LinMot {
+            let at = self.world().now() + us * 1_000;
+            self.world().inject(self.addresses[index], MASTER, &bytes, at);
+        }
+    }
+
+    /// Repeats a reply of long ago at the master, so many microseconds from now.
+    pub fn repeat_reply(&self, index: usize, back: usize, us: u64) {
+        let Some(tap) = self.taps.get(index) else { return };
+        let Some(bytes) = tap.lock().replies.get(back).cloned() else { return };
+        let at = self.world().now() + us * 1_000;
+        self.world().inject(MASTER, self.addresses[index], &bytes, at);
+    }
+
+    /// Posts a write, and does not wait for it. What the notation refuses was refused.
+    pub fn write(&mut self, index: usize, address: &str, value: &str) {
+        let acyclic = self.sim.axis(index).acyclic().clone();
+        let notation = acyclic.notation();
+        let raw = notation.value(address, value).unwrap_or_else(|error| panic!("{address}: {error}"));
+        if let Ok(call) = notation.write(address, raw)
+            && let Ok(ticket) = acyclic.post(call, Duration::from_millis(300))
+        {
+            self.calls.push(ticket);
+        }
+    }
+
+    /// Lets so many slots pass before the next cycle.
+    pub fn skip(&self, slots: u32) {
+        self.world().delay_next_wake(u64::from(slots) * MS + MS / 2);
+    }
+
+    pub fn post(&mut self, index: usize, verb: Verb) -> Result<u64, fieldbeat::axis::AxisError> {
+        self.sim.axis(index).post(verb).map(|id| id.0)
+    }
+}
+
+fn scale(kind: Kind, index: usize, plan: &AxisPlan) -> Scale {
+    let velocity = plan.limits.velocity.expect("every axis here has a limit");
+    let scale = Scale {
+        velocity,
+        acceleration: plan.profile.acceleration,
+        still: 2.0 * plan.stop.standstill,
+        near: 0.3,
+        positions: true,
+        velocities: true,
+        torques: false,
+        homes: true,
+    };
+    match (kind, index) {
+        (Kind::LinMot, _) => scale,
+        (Kind::Unidrive, _) => Scale { positions: false, homes: false, ..scale },
+        // A position controller of 60 Hz comes to rest for a while.
+        (Kind::Kollmorgen, 0) => Scale { near: 0.02, still: 0.6, ..scale },
+        (Kind::Kollmorgen, 1) => Scale { positions: false, still: 0.3, ..scale },
+        (Kind::Kollmorgen, _) => {
+            Scale { positions: false, velocities: false, torques: true, still: 0.3, ..scale }
+        }
+    }
+}
+
+/// Whether limits of the position hold it in.
+pub fn range(limits: &Limits) -> Option<(f64, f64)> {
+    limits.position
+}

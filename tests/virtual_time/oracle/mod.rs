@@ -1,0 +1,241 @@
+//! The oracle: random sequences on every protocol, judged by one statement about the true state of each drive.
+//!
+//! A sequence is what an application queues, in pairs and triples, and what happens to it: setpoints that come late,
+//! parameter writes, a host that is late, drives that restart, datagrams that are lost, or come again long after. Each
+//! machine has three axes, each with its own sequence, at the same time. One seed is a machine and some rounds of
+//! sequences; a failure prints its seed and the steps that are left when all others are taken away.
+//!
+//! | file | what |
+//! |---|---|
+//! | `mod` | the runs, and how a failure is made short |
+//! | `machine` | the machines, and their drives as they really are |
+//! | `steps` | what may happen, and how it is drawn |
+//! | `run` | a run of sequences |
+//! | `judge` | the statement |
+//!
+//! | variable | what |
+//! |---|---|
+//! | `ORACLE_SEED` | only this seed |
+//! | `ORACLE_FROM`, `ORACLE_SEQUENCES` | the first seed, and how many sequences the long run has |
+//! | `ORACLE_WITHOUT` | what is left out, by the names of [`Without`] |
+
+mod judge;
+pub mod machine;
+pub mod run;
+pub mod steps;
+
+use std::env;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Instant;
+
+use fastrand::Rng;
+
+use self::machine::{AXES, Kind, Machine, Shape};
+use self::run::{Found, Run, Tally};
+use self::steps::{Op, Round, Step, Without};
+
+/// What breaks a rule as it is: a mode or a reference that was written with power off or in native mode stays when the
+/// master takes over, and a late request with a homing bit ends a move. `ORACLE_WITHOUT=` looks at these, too.
+const LEFT_OUT: &str = "free_writes,control_requests";
+/// Rounds of one seed.
+const ROUNDS: usize = 12;
+/// Runs that the shortening of a failure may take.
+const TRIES: usize = 600;
+
+/// The machine of a seed, and its rounds.
+fn drawn(seed: u64, without: Without) -> (Shape, Vec<Round>) {
+    let kind = [Kind::LinMot, Kind::Unidrive, Kind::Kollmorgen][(seed % 3) as usize];
+    let bits = seed / 3;
+    let (hold, other) = (bits & 1 != 0, bits & 2 != 0);
+    let shape = Shape { kind, hold, other, free_writes: !without.free_writes };
+    let scales = Machine::scales(kind);
+    let mut random = Rng::with_seed(seed);
+    (shape, (0..ROUNDS).map(|_| steps::round(&mut random, shape, &scales, without)).collect())
+}
+
+/// A run, with panics of the machine as failures.
+fn rounds(shape: Shape, rounds: &[Round]) -> (Result<(), Found>, Tally) {
+    let (judged, tally, _) = Run::rounds(shape, rounds, false);
+    (judged, tally)
+}
+
+/// The fewest steps that break the same rule, and what happened in them.
+pub fn shortened(shape: Shape, all: &[Round], found: &Found) -> (Vec<Round>, Found) {
+    let mut left = all[..=found.round.min(all.len() - 1)].to_vec();
+    let mut best = found.clone();
+    let mut tries = 0;
+    let mut attempt = |candidate: &[Round], best: &mut Found| -> bool {
+        tries += 1;
+        if tries > TRIES {
+            return false;
+        }
+        match rounds(shape, candidate).0 {
+            Err(found) if found.rule == best.rule => {
+                *best = found;
+                true
+            }
+            _ => false,
+        }
+    };
+    // The last round alone, the failing axis alone, then whatever can be left out.
+    let alone = left[left.len() - 1..].to_vec();
+    if left.len() > 1 && attempt(&alone, &mut best) {
+        left = alone;
+    }
+    let of_axis = |round: &Round| -> Round {
+        let concerns = |step: &&Step| {
+            usize::from(step.axis) == found.axis || matches!(step.op, Op::Late(_) | Op::Overload { .. })
+        };
+        round.iter().filter(concerns).cloned().collect()
+    };
+    let own: Vec<Round> = left.iter().map(of_axis).collect();
+    if attempt(&own, &mut best) {
+        left = own;
+    }
+    loop {
+        let before = size(&left);
+        let mut index = 0;
+        while index < left.len() && left.len() > 1 {
+            let mut fewer = left.clone();
+            fewer.remove(index);
+            if attempt(&fewer, &mut best) { left = fewer } else { index += 1 }
+        }
+        for round in 0..left.len() {
+            let mut index = 0;
+            while index < left[round].len() {
+                let mut fewer = left.clone();
+                fewer[round].remove(index);
+                if attempt(&fewer, &mut best) { left = fewer } else { index += 1 }
+            }
+            for step in 0..left[round].len() {
+                let mut index = 0;
+                while let Op::Post(commands) = &left[round][step].op
+                    && index < commands.len()
+                    && commands.len() > 1
+                {
+                    let mut fewer = left.clone();
+                    if let Op::Post(commands) = &mut fewer[round][step].op {
+                        commands.remove(index);
+                    }
+                    if attempt(&fewer, &mut best) { left = fewer } else { index += 1 }
+                }
+            }
+        }
+        if size(&left) == before {
+            return (left, best);
+        }
+    }
+}
+
+fn size(rounds: &[Round]) -> usize {
+    let commands = |step: &Step| if let Op::Post(commands) = &step.op { commands.len() } else { 1 };
+    rounds.len() + rounds.iter().flatten().map(commands).sum::<usize>()
+}
+
+/// The steps of some rounds break no rule; each step is its turn, its axis and what happens.
+pub fn holds(shape: Shape, all: &[&[(u16, u8, Op)]]) {
+    let step = |(at, axis, op): &(u16, u8, Op)| Step { at: *at, axis: *axis, op: op.clone() };
+    let all: Vec<Round> = all.iter().map(|round| round.iter().map(step).collect()).collect();
+    if std::env::var("ORACLE_STORY").is_ok() {
+        println!("{}", Run::rounds(shape, &all, true).2.unwrap_or_default());
+    }
+    if let (Err(Found { rule, round, turn, axis, text }), _, story) = Run::rounds(shape, &all, true) {
+        let story = story.unwrap_or_default();
+        panic!("{shape:?}: rule {rule:?}, axis {axis}, turn {turn} of round {round}: {text}\n{story}");
+    }
+}
+
+/// A failure as a person reads it.
+fn report(seed: u64, shape: Shape, all: &[Round], found: &Found) -> String {
+    let (short, found) = shortened(shape, all, found);
+    let (again, _, story) = Run::rounds(shape, &short, true);
+    let found = again.err().unwrap_or(found);
+    let tail = |text: String| {
+        let lines: Vec<&str> = text.lines().collect();
+        lines[lines.len().saturating_sub(150)..].join("\n")
+    };
+    format!(
+        "ORACLE_SEED={seed} {shape:?}: rule {:?} is broken by axis {} in turn {} of round {}:\n{}\n\
+         the shortest sequence:\n{}\nwhat happened in it:\n{}",
+        found.rule,
+        found.axis,
+        found.turn,
+        found.round,
+        found.text,
+        shown(&short),
+        story.map(tail).unwrap_or_default(),
+    )
+}
+
+/// Sequences as they are written in a test.
+fn shown(rounds: &[Round]) -> String {
+    let step = |step: &Step| format!("    {step:?}\n");
+    rounds.iter().map(|round| format!("[\n{}]\n", round.iter().map(step).collect::<String>())).collect()
+}
+
+fn variable<T: std::str::FromStr>(name: &str) -> Option<T> {
+    env::var(name).ok()?.parse().ok()
+}
+
+/// At least so many sequences from the first seed on, on so many threads; panics with the first failure.
+fn campaign(sequences: u64, threads: usize) -> Tally {
+    let begun = Instant::now();
+    let left_out = env::var("ORACLE_WITHOUT");
+    let without = Without::parse(left_out.as_deref().unwrap_or(LEFT_OUT));
+    let only: Option<u64> = variable("ORACLE_SEED");
+    let first = only.or(variable("ORACLE_FROM")).unwrap_or(0);
+    let seeds = only.map_or(sequences.div_ceil((ROUNDS * AXES) as u64), |_| 1);
+    let next = AtomicU64::new(first);
+    let failed: Mutex<Option<String>> = Mutex::new(None);
+    let most: u64 = variable("ORACLE_FAILURES").unwrap_or(1);
+    let failures = AtomicU64::new(0);
+    let work = || {
+        let mut tally = Tally::default();
+        loop {
+            let seed = next.fetch_add(1, Ordering::Relaxed);
+            if seed >= first + seeds || failures.load(Ordering::Relaxed) >= most {
+                return tally;
+            }
+            let (shape, all) = drawn(seed, without);
+            let (judged, own) = rounds(shape, &all);
+            tally.add(own);
+            if let Err(found) = judged {
+                failures.fetch_add(1, Ordering::Relaxed);
+                let text = report(seed, shape, &all, &found);
+                eprintln!("{text}");
+                failed.lock().unwrap().get_or_insert(text);
+            }
+        }
+    };
+    let tally = std::thread::scope(|scope| {
+        let workers: Vec<_> = (0..threads).map(|_| scope.spawn(work)).collect();
+        workers.into_iter().fold(Tally::default(), |mut sum, worker| {
+            sum.add(worker.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)));
+            sum
+        })
+    });
+    println!("seeds {first} ... {}, {:.1?}: {tally:?}", first + seeds - 1, begun.elapsed());
+    if let Some(text) = failed.into_inner().unwrap() {
+        panic!("{text}");
+    }
+    tally
+}
+
+#[test]
+fn nothing_moves_that_must_not_in_ten_thousand_sequences() {
+    let tally = campaign(10_000, 1);
+    // Each kind of end came about.
+    let Tally { sequences, accepted, done, failed, aborted, stops, .. } = tally;
+    if env::var("ORACLE_SEED").is_err() {
+        let least = sequences / 2;
+        assert!([accepted, done, failed, aborted, stops].iter().all(|count| *count > least), "{tally:?}");
+    }
+}
+
+#[test]
+#[ignore = "a million sequences: an hour of processor time, in a release build"]
+fn nothing_moves_that_must_not_in_a_million_sequences() {
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    campaign(variable("ORACLE_SEQUENCES").unwrap_or(1_000_000), threads);
+}

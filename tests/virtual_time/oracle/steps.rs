@@ -1,0 +1,338 @@
+//! Sequences: what an application, a wire, a drive and a host do to the axes of a machine.
+
+use fastrand::Rng;
+use fieldbeat::axis::command::NativeOwner;
+use fieldbeat::axis::{Jog, Move, Profile, Target, Verb};
+
+use super::machine::{AXES, Kind, Scale, Shape};
+
+/// A command, its numbers in per cent of what its axis can do.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Command {
+    Enable,
+    Disable,
+    Home,
+    To(i8),
+    By(i8),
+    Jog(i8),
+    Velocity,
+    Torque,
+    /// Along this slope, per cent a second.
+    TorqueAlong(f64),
+    Follow,
+    Stop,
+    /// With this deceleration, units/s².
+    StopAt(f64),
+    QuickStop,
+    Reset,
+    ResetFault,
+    Native(NativeOwner),
+}
+
+/// What happens to one axis.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Op {
+    /// These commands are queued at once.
+    Post(Vec<Command>),
+    /// A setpoint, per cent, given anew in each of so many turns.
+    Level {
+        percent: i8,
+        turns: u8,
+    },
+    /// So many setpoints in one turn; the newest one is this.
+    Burst {
+        count: u8,
+        percent: i8,
+    },
+    /// Rows of a smooth way, the last one marked or not.
+    Rows {
+        count: u8,
+        percent: i8,
+        last: bool,
+    },
+    /// Writes of parameters, by their places in the protocol's list.
+    Write(Vec<u8>),
+    /// Outputs of the native mode, per cent.
+    Outputs(i8),
+    /// The host is late once, by so many slots. It concerns all axes, and so does the next one.
+    Late(u8),
+    /// Before each of so many turns so many slots are passed over.
+    Overload {
+        slots: u8,
+        turns: u8,
+    },
+    /// The drive is disconnected for so many turns.
+    Unplug(u8),
+    /// The next requests and replies are lost.
+    Lose {
+        requests: u8,
+        replies: u8,
+    },
+    Restart,
+    /// The hardware enable is open for so many milliseconds.
+    Inhibit(u8),
+    /// The drive reports a fault.
+    Fault,
+    /// A request of long ago comes to the drive once more; `motion`: of those with a motion command.
+    RepeatRequest {
+        motion: bool,
+        back: u8,
+        us: u16,
+    },
+    /// A reply of long ago comes to the master once more.
+    RepeatReply {
+        back: u8,
+        us: u16,
+    },
+    /// The application reads no events for so many turns.
+    Deaf(u8),
+}
+
+/// One thing that happens, so many turns after the begin of its sequence.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Step {
+    pub at: u16,
+    pub axis: u8,
+    pub op: Op,
+}
+
+/// Sequences of all axes at the same time, from axes that are ready.
+pub type Round = Vec<Step>;
+
+impl Command {
+    /// Its verb, for an axis of this scale.
+    pub fn verb(self, scale: &Scale) -> Verb {
+        let Scale { velocity, acceleration, .. } = *scale;
+        let profile = Profile { velocity: 0.9 * velocity, acceleration, deceleration: acceleration };
+        // A tenth of a second at full speed.
+        let way = |percent: i8| f64::from(percent) / 100.0 * velocity / 10.0;
+        match self {
+            Command::Enable => Verb::Enable,
+            Command::Disable => Verb::Disable,
+            Command::Home => Verb::Home,
+            Command::To(percent) => Verb::Move(Move { target: Target::Absolute(way(percent)), profile }),
+            Command::By(percent) => Verb::Move(Move { target: Target::Relative(way(percent)), profile }),
+            Command::Jog(percent) => {
+                Verb::Jog(Jog { velocity: f64::from(percent) / 100.0 * velocity, acceleration })
+            }
+            Command::Velocity => Verb::Velocity { acceleration },
+            Command::Torque => Verb::Torque { slope: 10_000.0 },
+            Command::TorqueAlong(slope) => Verb::Torque { slope },
+            Command::Follow => Verb::Follow,
+            Command::Stop => Verb::Stop { deceleration: None },
+            Command::StopAt(deceleration) => Verb::Stop { deceleration: Some(deceleration) },
+            Command::QuickStop => Verb::QuickStop,
+            Command::Reset => Verb::Reset,
+            Command::ResetFault => Verb::ResetFault,
+            Command::Native(owner) => Verb::Native(owner),
+        }
+    }
+}
+
+/// Parameters that an application might write, wisely or not: address and value.
+pub fn writes(kind: Kind) -> &'static [(&'static str, &'static str)] {
+    match kind {
+        Kind::LinMot => &[
+            // Run mode: motion commands, table, one that refuses motions; a variable; the predefined profile.
+            ("0x1450", "1"),
+            ("0x1450", "3"),
+            ("0x1450", "2"),
+            ("0x1E72", "7"),
+            ("0x14BE", "1000"),
+            ("0x14C0", "100000"),
+        ],
+        Kind::Unidrive => &[
+            // Preset reference 1, control word, its enable; the added reference and its selector; drive enable; run
+            // forward of the terminals; bipolar; reference and preset selector; stop mode; a ramp.
+            ("01.021", "600.0"),
+            ("06.042", "387"),
+            ("06.043", "0"),
+            ("06.043", "1"),
+            ("03.022", "600.0"),
+            ("03.023", "1"),
+            ("06.015", "0"),
+            ("06.030", "1"),
+            ("01.010", "1"),
+            ("01.014", "0"),
+            ("01.015", "2"),
+            ("06.001", "0"),
+            ("10.038", "40"),
+        ],
+        Kind::Kollmorgen => &[
+            // Modes; control word; target velocity, position, torque; speed and ramp of profiles.
+            ("0x6060:0", "3"),
+            ("0x6060:0", "1"),
+            ("0x6060:0", "4"),
+            ("0x6060:0", "6"),
+            ("0x6040:0", "15"),
+            ("0x6040:0", "31"),
+            ("0x60FF:0", "30000000"),
+            ("0x60FF:0", "-3000000"),
+            ("0x607A:0", "100000000"),
+            ("0x6071:0", "500"),
+            ("0x6081:0", "30000000"),
+            ("0x6083:0", "20000"),
+        ],
+    }
+}
+
+/// Kinds of events that a run leaves out, to look at the others.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Without {
+    pub writes: bool,
+    /// Those that the master does not refuse.
+    pub free_writes: bool,
+    pub overload: bool,
+    pub requests: bool,
+    /// Those without a motion command.
+    pub control_requests: bool,
+    pub replies: bool,
+    pub slow_stops: bool,
+    pub deaf: bool,
+    pub homes: bool,
+}
+
+impl Without {
+    /// By names in a text, such as `writes,deaf`.
+    pub fn parse(text: &str) -> Without {
+        let has = |name: &str| text.split(',').any(|word| word.trim() == name);
+        Without {
+            writes: has("writes"),
+            free_writes: has("free_writes"),
+            overload: has("overload"),
+            requests: has("requests"),
+            control_requests: has("control_requests"),
+            replies: has("replies"),
+            slow_stops: has("slow_stops"),
+            deaf: has("deaf"),
+            homes: has("homes"),
+        }
+    }
+
+    fn leaves(self, op: &Op) -> bool {
+        match op {
+            Op::Write(_) => !self.writes,
+            Op::Late(_) | Op::Overload { .. } => !self.overload,
+            Op::RepeatRequest { motion, .. } => !self.requests && (*motion || !self.control_requests),
+            Op::RepeatReply { .. } => !self.replies,
+            Op::Deaf(_) | Op::Burst { .. } => !self.deaf,
+            Op::Post(commands) => commands.iter().all(|command| match command {
+                Command::StopAt(_) => !self.slow_stops,
+                Command::Home => !self.homes,
+                _ => true,
+            }),
+            _ => true,
+        }
+    }
+}
+
+fn percent(random: &mut Rng) -> i8 {
+    *random.choice(&[0, 5, 20, 50, 80, 100, -5, -30, -60, -100]).unwrap_or(&0)
+}
+
+/// A motion that the axis can do, mostly.
+fn motion(random: &mut Rng, scale: &Scale) -> Command {
+    let any = random.u8(..16) == 0;
+    match random.u8(..8) {
+        0 | 1 if scale.positions || any => Command::To(percent(random)),
+        2 if scale.positions || any => Command::By(percent(random)),
+        3 if scale.positions || any => Command::Follow,
+        4 if scale.torques || any => Command::Torque,
+        5 | 6 if scale.velocities || any => Command::Jog(percent(random)),
+        7 if random.u8(..4) == 0 => {
+            Command::Native(if random.bool() { NativeOwner::Master } else { NativeOwner::Application })
+        }
+        7 if scale.torques => Command::TorqueAlong(2_000.0),
+        _ if scale.torques => Command::Torque,
+        _ => Command::Velocity,
+    }
+}
+
+fn command(random: &mut Rng, scale: &Scale) -> Command {
+    match random.u8(..24) {
+        0 | 1 => Command::Enable,
+        2 => Command::Disable,
+        3 | 4 if scale.homes => Command::Home,
+        5..=7 => Command::Stop,
+        8 => Command::StopAt(*random.choice(&[1e-9, 1e-3, 1.0, 1e4, 1e9]).unwrap_or(&1.0)),
+        9 => Command::QuickStop,
+        10 => Command::Reset,
+        11 => Command::ResetFault,
+        _ => motion(random, scale),
+    }
+}
+
+fn op(random: &mut Rng, shape: Shape, scale: &Scale) -> Op {
+    // What brings a segment down costs it seconds of its machine time.
+    let rare = shape.kind == Kind::Kollmorgen && random.u8(..8) != 0;
+    let datagrams = shape.kind == Kind::LinMot;
+    match random.u8(..64) {
+        0..=11 => Op::Level { percent: percent(random), turns: random.u8(5..150) },
+        12 => Op::Burst { count: random.u8(1..100), percent: percent(random) },
+        13..=16 => Op::Rows { count: random.u8(10..80), percent: percent(random), last: random.u8(..4) > 0 },
+        17..=22 => {
+            let all = writes(shape.kind).len() as u8;
+            Op::Write((0..random.u8(1..=3)).map(|_| random.u8(..all)).collect())
+        }
+        23 => Op::Outputs(percent(random)),
+        24 => Op::Late(random.u8(1..14)),
+        25 if !rare => Op::Overload { slots: random.u8(1..10), turns: random.u8(5..60) },
+        26 if !rare => Op::Unplug(random.u8(1..60)),
+        27 => Op::Lose { requests: random.u8(..4), replies: random.u8(..4) },
+        28 if !rare && random.u8(..4) == 0 => Op::Restart,
+        29 => Op::Inhibit(random.u8(1..30)),
+        30 => Op::Fault,
+        31..=35 if datagrams => Op::RepeatRequest {
+            motion: random.u8(..4) > 0,
+            back: *random.choice(&[0, 0, 1, 1, 2, 3, 5, 10, 30, 60]).unwrap_or(&0),
+            us: random.u16(..2_000),
+        },
+        36..=40 if datagrams => Op::RepeatReply { back: random.u8(1..12), us: random.u16(..2_000) },
+        41 => Op::Deaf(random.u8(10..200)),
+        _ => Op::Post((0..random.u8(1..=3)).map(|_| command(random, scale)).collect()),
+    }
+}
+
+/// What may come while nothing moves.
+fn quiet(random: &mut Rng, shape: Shape) -> Op {
+    match shape.kind {
+        Kind::LinMot => Op::RepeatRequest { motion: true, back: random.u8(..6), us: random.u16(..2_000) },
+        kind => {
+            let all = writes(kind).len() as u8;
+            Op::Write((0..3).map(|_| random.u8(..all)).collect())
+        }
+    }
+}
+
+/// A round of sequences, one for each axis. What is `without` was drawn all the same, and then left out: the others are
+/// the same.
+pub fn round(random: &mut Rng, shape: Shape, scales: &[Scale], without: Without) -> Round {
+    let mut round = Round::new();
+    for axis in 0..AXES {
+        let scale = &scales[axis];
+        let mut at = 0;
+        // It begins with a motion.
+        let mut first: Vec<_> = (0..random.u8(0..2)).map(|_| command(random, scale)).collect();
+        first.push(motion(random, scale));
+        let first = Op::Post(first);
+        let rest: Vec<Op> = (0..random.u8(1..8)).map(|_| op(random, shape, scale)).collect();
+        for op in [first].into_iter().chain(rest) {
+            if without.leaves(&op) {
+                round.push(Step { at, axis: axis as u8, op });
+            }
+            // Often one thing right after the other.
+            let longest = *random.choice(&[1, 4, 15, 60]).unwrap_or(&1);
+            at += random.u16(..longest);
+        }
+        // And sometimes, after all has come to rest, what should move nothing.
+        if random.u8(..4) == 0 {
+            at += random.u16(100..200);
+            let op = quiet(random, shape);
+            if without.leaves(&op) {
+                round.push(Step { at, axis: axis as u8, op });
+            }
+        }
+    }
+    round.sort_by_key(|step| step.at);
+    round
+}

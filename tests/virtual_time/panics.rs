@@ -1,0 +1,262 @@
+//! A panic of the loop, in every stage, once and for ever: all axes that can be stopped are stopped in order, the loop
+//! ends by itself, and its end says where it was.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicI64, Ordering};
+
+use fieldbeat::axis::{Axis, EventKind, Link, Outcome, StopCause, Verb};
+use fieldbeat::bus::BusPlan;
+use fieldbeat::bus::linudp::LinUdpPlan;
+use fieldbeat::cycle::engine::{Control, Engine, Flow};
+use fieldbeat::cycle::status::Numbers;
+use fieldbeat::cycle::{CyclePlan, Plan};
+use fieldbeat::master::{Assembly, assemble};
+use fieldbeat::net::SendMode;
+use fieldbeat::rt::{Clock, PollSet};
+use fieldbeat::sim::world::{World, WorldClock, WorldOptions};
+use fieldbeat::time::Time;
+
+use super::fuse::{Call, Fused};
+use crate::virtual_time::support::{drive, jog};
+
+/// A clock that panics at its n-th call from now, and at some more from there.
+#[derive(Clone, Debug)]
+struct FusedClock {
+    clock: WorldClock,
+    /// Calls until the first panic; below 0: none.
+    left: Arc<AtomicI64>,
+    /// Panics to come.
+    panics: Arc<AtomicI64>,
+}
+
+impl FusedClock {
+    fn burn(&self) {
+        if self.panics.load(Ordering::Relaxed) > 0 && self.left.fetch_sub(1, Ordering::Relaxed) <= 0 {
+            self.panics.fetch_sub(1, Ordering::Relaxed);
+            std::panic::resume_unwind(Box::new("on purpose"));
+        }
+    }
+}
+
+impl Clock for FusedClock {
+    fn now(&mut self) -> Time {
+        self.burn();
+        self.clock.now()
+    }
+
+    fn sleep_until(&mut self, at: Time) {
+        self.burn();
+        self.clock.sleep_until(at);
+    }
+
+    fn wait(&mut self, set: &mut PollSet, until: Time) -> bool {
+        self.burn();
+        self.clock.wait(set, until)
+    }
+
+    fn spin(&mut self) {
+        self.clock.spin();
+    }
+}
+
+/// Two buses of one drive each.
+struct Machine {
+    engine: Engine<FusedClock>,
+    axes: Vec<Axis>,
+    buses: [Fused; 2],
+    clock: FusedClock,
+    control: Control,
+}
+
+impl Machine {
+    fn new() -> Machine {
+        let bus = |index: usize| {
+            let drives = vec![drive(index)];
+            let bind = std::net::SocketAddrV4::new([127, 0, 1 + index as u8, 1].into(), 41136);
+            let name = format!("bus{index}");
+            let plan = LinUdpPlan { name, bind, send: SendMode::Batch, drives };
+            Fused::new(plan)
+        };
+        let buses = [bus(0), bus(1)];
+        let plans = buses.iter().map(|bus| Box::new(bus.clone()) as Box<dyn BusPlan>);
+        let plan =
+            Plan { source: None, cycle: CyclePlan::default(), buses: plans.collect(), groups: Vec::new() };
+        plan.check().unwrap();
+        let world = World::new(plan.simulate(), WorldOptions::default()).unwrap();
+        let (left, panics) = (Arc::new(AtomicI64::new(0)), Arc::new(AtomicI64::new(0)));
+        let clock = FusedClock { clock: world.clock(), left, panics };
+        let control = Control::default();
+        let Assembly { mut engine, axes, .. } =
+            assemble(&plan, clock.clone(), &world, None, control.clone()).unwrap();
+        engine.begin();
+        Machine { engine, axes, buses, clock, control }
+    }
+
+    fn until(&mut self, what: &str, done: impl Fn(&[Axis]) -> bool) {
+        for _ in 0..40_000 {
+            if done(&self.axes) {
+                return;
+            }
+            assert_eq!(self.engine.step(), Flow::Continue, "{what}");
+        }
+        panic!("never: {what}");
+    }
+
+    /// Both axes jog at 100 mm/s.
+    fn moving() -> Machine {
+        let mut machine = Machine::new();
+        machine.until("online", |axes| axes.iter().all(|axis| axis.feedback().link == Link::Online));
+        for verb in [Verb::Enable, Verb::Home] {
+            for axis in 0..2 {
+                let id = machine.axes[axis].post(verb).unwrap();
+                let mut outcome = None;
+                while outcome.is_none() {
+                    machine.engine.step();
+                    while let Some(event) = machine.axes[axis].event() {
+                        match event.kind {
+                            EventKind::Ended { id: ended, outcome: how, .. } if ended == id => {
+                                outcome = Some(how)
+                            }
+                            _ => {}
+                        }
+                    }
+                }
+                assert_eq!(outcome, Some(Outcome::Done));
+            }
+        }
+        for axis in &mut machine.axes {
+            axis.post(jog(100.0)).unwrap();
+        }
+        machine.until("moving", |axes| axes.iter().all(|axis| axis.feedback().velocity > 95.0));
+        machine
+    }
+
+    /// To the end of the loop, which it reaches by itself; `stopped`: these axes go down their ramps and are off then.
+    #[track_caller]
+    fn ends(mut self, what: &str, stopped: &[usize]) -> Numbers {
+        let mut ramp = vec![0; self.axes.len()];
+        let mut turns = 0;
+        loop {
+            let flow = self.engine.step();
+            for axis in stopped {
+                let seen = self.axes[*axis].feedback();
+                // 100 mm/s at 5000 mm/s² take 20 ms.
+                ramp[*axis] += u32::from(seen.velocity > 5.0 && seen.velocity < 95.0);
+                assert!(
+                    seen.state.is_powered() || seen.velocity.abs() < 5.0,
+                    "{what}: powered off in motion"
+                );
+            }
+            turns += 1;
+            if flow == Flow::End {
+                break;
+            }
+            assert!(turns < 20_000, "{what}: no end");
+        }
+        for axis in stopped {
+            let seen = self.axes[*axis].feedback();
+            assert_eq!(seen.stopped, Some(StopCause::Panic), "{what}: axis {axis}");
+            assert!(!seen.state.is_powered() && seen.velocity.abs() < 1.0, "{what}: {seen:?}");
+            assert!(ramp[*axis] > 10, "{what}: {} cycles of a ramp", ramp[*axis]);
+        }
+        assert!(self.control.is_stopping(), "{what}");
+        let end = self.engine.finish();
+        assert_eq!(end.status.planned, end.status.executed + end.status.skipped, "{what}");
+        end
+    }
+}
+
+/// A panic in motion is a place in the end of the run, and nothing else is.
+#[test]
+fn a_panic_at_any_call_of_the_clock_stops_all_axes_in_order() {
+    let mut places = Vec::new();
+    for call in 0..14 {
+        let machine = Machine::moving();
+        machine.clock.left.store(call, Ordering::Relaxed);
+        machine.clock.panics.store(1, Ordering::Relaxed);
+        let panic = machine.ends(&format!("call {call}"), &[0, 1]).panic.unwrap();
+        assert_eq!((panic.count, panic.left_out.len(), panic.cut_short), (1, 0, false), "{panic:?}");
+        assert!(panic.to_string().starts_with("internal error: the loop panicked "), "{panic}");
+        places.push(panic.place);
+    }
+    let stages = ["send", "receive", "evaluate", "commands", "prepare", "publish"];
+    for place in
+        stages.map(|stage| format!("in stage {stage}")).iter().chain([&"between two cycles".to_owned()])
+    {
+        assert!(places.contains(place), "{place}: {places:?}");
+    }
+}
+
+#[test]
+fn a_panic_in_any_call_of_a_bus_stops_the_axes_of_all_buses_in_order() {
+    for (call, place) in [
+        (Call::Send, "in stage send, bus bus0"),
+        (Call::Receive, "in stage receive, bus bus0"),
+        (Call::HelperEnded, "in stage evaluate"),
+        (Call::Prepare, "in stage prepare, bus bus0"),
+        (Call::Strangers, "in stage publish"),
+    ] {
+        let machine = Machine::moving();
+        machine.buses[0].light(call, 1);
+        let panic = machine.ends(&format!("{call:?}"), &[0, 1]).panic.unwrap();
+        assert_eq!((&*panic.place, panic.count, panic.left_out.len()), (place, 1, 0), "{call:?}");
+    }
+}
+
+#[test]
+fn a_bus_that_panics_for_ever_is_left_out_and_the_other_one_stops_in_order() {
+    for call in [Call::Send, Call::Receive, Call::Prepare] {
+        for (broken, healthy) in [(0, 1), (1, 0)] {
+            let machine = Machine::moving();
+            machine.buses[broken].light(call, u32::MAX);
+            let panic = machine.ends(&format!("{call:?} of bus {broken}"), &[healthy]).panic.unwrap();
+            assert_eq!((panic.count, &*panic.left_out), (2, &[format!("bus bus{broken}")][..]), "{call:?}");
+            assert!(!panic.cut_short && panic.to_string().contains("without a stop by the master: bus bus"));
+        }
+    }
+}
+
+/// The end that an application requested panics: it is completed all the same.
+#[test]
+fn a_bus_that_panics_in_its_own_end_holds_up_no_end() {
+    let machine = Machine::moving();
+    machine.buses[0].light(Call::ShutDown, u32::MAX);
+    machine.control.stop();
+    let Machine { mut engine, axes, .. } = machine;
+    assert!((0..20_000).any(|_| engine.step() == Flow::End));
+    assert!(axes.iter().all(|axis| !axis.feedback().state.is_powered()));
+    let panic = engine.finish().panic.unwrap();
+    assert_eq!(panic.left_out, ["bus bus0"]);
+}
+
+#[test]
+fn a_clock_that_panics_for_ever_ends_the_loop_after_the_stop_has_left() {
+    let machine = Machine::moving();
+    machine.clock.panics.store(i64::MAX, Ordering::Relaxed);
+    let panic = machine.ends("no clock", &[]).panic.unwrap();
+    assert!(panic.cut_short && panic.count < 10, "{panic:?}");
+    assert!(panic.to_string().contains("the stop is not complete: look at the drives"), "{panic}");
+}
+
+#[test]
+fn a_panic_before_the_first_cycle_is_an_end_like_any_other() {
+    let mut machine = Machine::new();
+    machine.clock.panics.store(1, Ordering::Relaxed);
+    machine.engine.begin();
+    assert!((0..20_000).any(|_| machine.engine.step() == Flow::End));
+    let end = machine.engine.finish();
+    assert!(end.panic.is_some() && end.status.planned < 20_000, "{end:?}");
+}
+
+/// The thread that opens the connections of a bus is gone: its axes stop, and no other.
+#[test]
+fn the_end_of_its_helper_stops_the_axes_of_a_bus_and_no_other() {
+    let mut machine = Machine::moving();
+    *machine.buses[1].helper_ended.lock().unwrap() = true;
+    machine.until("a stop", |axes| axes[1].feedback().stopped.is_some());
+    assert_eq!(machine.axes[1].feedback().stopped, Some(StopCause::LinkThread));
+    machine.until("off", |axes| !axes[1].feedback().state.is_powered());
+    let other = machine.axes[0].feedback();
+    assert!(other.stopped.is_none() && other.velocity > 95.0, "{other:?}");
+    assert!(machine.engine.finish().panic.is_none());
+}

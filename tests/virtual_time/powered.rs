@@ -1,0 +1,209 @@
+//! What an axis with power must not do, in whatever state it is, and what stops it then.
+
+use std::time::Duration;
+
+use fieldbeat::axis::{EventKind, Outcome, StopCause, StopThen, StopTimeout, Verb};
+use fieldbeat::bus::linudp::wire::{ControlWord, REQUEST_MAX, Request, StateVar};
+use fieldbeat::cycle::Overrun;
+use fieldbeat::time::{MS, US};
+
+use super::support::*;
+
+/// The last request with a motion command that the drive has received, as it was on the wire.
+fn last_motion(b: &Bench) -> Vec<u8> {
+    let mut bytes = [0; REQUEST_MAX];
+    let tape = b.tape(0);
+    let motion = tape.heard.iter().rev().map(|heard| heard.request).find(|request| request.motion.is_some());
+    let length = motion.expect("a motion was commanded").emit(&mut bytes);
+    bytes[..length].to_vec()
+}
+
+/// A network delivers an old request once more.
+fn repeat(b: &Bench, request: &[u8]) {
+    let now = b.world().now();
+    assert!(Request::parse(request).is_ok());
+    b.world().inject(address(0), MASTER, request, now);
+}
+
+fn stops(b: &Bench) -> Vec<StopCause> {
+    let stop = |kind: EventKind| if let EventKind::Stopped(cause) = kind { Some(cause) } else { None };
+    b.kinds(0).into_iter().filter_map(stop).collect()
+}
+
+/// From the request that starts it: three reports of the motion, and what the generator takes to begin.
+const NOTICED_WITHIN: u64 = 8;
+
+#[test]
+fn a_motion_that_an_old_request_starts_after_a_stop_is_stopped() {
+    let mut b = Rig::new(1).start();
+    b.ready();
+    b.post(0, slowly_to(100.0));
+    b.run(50);
+    // Older than 250 exchanges it would be another master's.
+    let old = last_motion(&b);
+    b.done(0, Verb::Stop { deceleration: None });
+    b.run(100);
+    let stood = b.feedback(0).demand;
+    assert!(stood < 20.0 && stops(&b).is_empty(), "{stood}");
+    repeat(&b, &old);
+    b.until("a stop", NOTICED_WITHIN, |b| b.feedback(0).stopped == Some(StopCause::Uncommanded));
+    b.until("power off", 500, |b| !b.feedback(0).state.is_powered());
+    assert_near(b.feedback(0).demand, stood, 1.0);
+    b.recover(0);
+    b.done(0, to(10.0));
+}
+
+#[test]
+fn an_axis_that_holds_after_a_stop_is_watched_and_stopped_again_as_often_as_it_moves() {
+    let mut b = Rig::new(1).each(|_, drive| drive.axis.stop.then = StopThen::Hold).start();
+    b.ready();
+    // A drive executes no count twice in a row.
+    let old = [100.0, 110.0].map(|target| {
+        b.post(0, slowly_to(target));
+        b.run(100);
+        last_motion(&b)
+    });
+    b.world().suspend(2 * MS);
+    assert_eq!(b.stopped(0, 2), StopCause::Suspended);
+    b.run(500);
+    let stood = b.feedback(0).demand;
+    for again in 1..4 {
+        assert!(b.feedback(0).state.is_powered() && !b.feedback(0).moving);
+        repeat(&b, &old[again % 2]);
+        b.until("a further stop", NOTICED_WITHIN, |b| stops(b).len() == 1 + again);
+        b.run(300);
+        assert_eq!(b.feedback(0).stopped, Some(StopCause::Suspended), "the first cause stays");
+        assert_near(b.feedback(0).demand, stood, f64::from(again as u32));
+    }
+    assert_eq!(stops(&b)[1..], [StopCause::Uncommanded; 3]);
+}
+
+#[test]
+fn what_was_commanded_is_no_motion_without_a_command() {
+    for verb in
+        [Verb::Stop { deceleration: None }, Verb::QuickStop, Verb::Stop { deceleration: Some(3_000.0) }]
+    {
+        let mut b = Rig::new(1).start();
+        b.ready();
+        // Fast, and with all that an end can leave behind.
+        for target in [150.0, 20.0, 110.0] {
+            b.done(0, to(target));
+        }
+        b.post(0, to(190.0));
+        b.run(50);
+        b.done(0, verb);
+        b.run(1_000);
+        b.post(0, jog(50.0));
+        b.run(100);
+        b.done(0, verb);
+        b.done(0, Verb::Home);
+        b.run(1_000);
+        assert_eq!(stops(&b), [], "{verb:?}");
+    }
+}
+
+/// What is left of the time-out goes to the reaction.
+#[test]
+fn a_stop_ends_within_its_time_out_however_weak_it_was_requested() {
+    let mut b = Rig::new(1).start();
+    b.ready();
+    b.post(0, jog(80.0));
+    b.run(300);
+    let id = b.post(0, Verb::Stop { deceleration: Some(1e-9) });
+    b.run(2_000);
+    assert_eq!((b.outcome(0, id), stops(&b)), (Some(Outcome::Done), vec![]));
+    assert!(!b.feedback(0).moving);
+}
+
+/// The drive answers, and goes on as if it had not received the stop.
+#[test]
+fn a_stop_that_the_drive_does_not_follow_escalates_to_quick_stop_and_power_off() {
+    for (on_timeout, powered) in [(StopTimeout::Disable, false), (StopTimeout::Hold, true)] {
+        let mut b = Rig::new(1)
+            .each(|_, drive| {
+                drive.axis.limits.velocity = Some(200.0);
+                (drive.axis.stop.timeout, drive.axis.stop.on_timeout) =
+                    (Duration::from_millis(300), on_timeout);
+            })
+            .start();
+        b.ready();
+        b.post(0, jog(80.0));
+        b.run(100);
+        let id = b.post(0, Verb::Stop { deceleration: None });
+        b.tape(0).tamper = Some(Box::new(|reply| {
+            // Motion active, in the state var behind the definitions and the status word.
+            let at = 8 + 2;
+            let state = u16::from_le_bytes([reply[at], reply[at + 1]]);
+            if StateVar(state).count().is_some() {
+                reply[at] |= 1 << 5;
+            }
+        }));
+        b.run(295);
+        assert_eq!((b.outcome(0, id), stops(&b)), (None, vec![]));
+        b.run(20);
+        assert_eq!(stops(&b), [StopCause::StopTimeout]);
+        let quick = |request: &Request| request.control.is_some_and(|word| !word.has(ControlWord::NO_ABORT));
+        assert!(b.tape(0).heard.iter().any(|heard| quick(&heard.request)));
+        b.run(400);
+        assert_eq!(b.feedback(0).state.is_powered(), powered);
+    }
+}
+
+/// Each hold-up alone is allowed.
+#[test]
+fn a_loop_that_skips_most_of_its_slots_stops_every_axis() {
+    for (every, most, stopped) in [(2, 0.2, true), (6, 0.2, false), (2, 1.0, false)] {
+        let mut b = Rig::new(2).cycle(|cycle| cycle.max_skip_rate = most).start();
+        b.ready();
+        let _ = [0, 1].map(|index| b.post(index, slowly_to(100.0)));
+        b.run(100);
+        for turn in 0..100 {
+            if turn % every == 0 {
+                b.world().delay_next_wake(900 * US);
+            }
+            b.step();
+        }
+        let cause = stopped.then_some(StopCause::Overrun);
+        assert_eq!([0, 1].map(|index| b.feedback(index).stopped), [cause; 2], "{every} {most}");
+        b.assert_grid();
+    }
+}
+
+/// The link carries good replies now and then, and the loop executes a slot now and then: nothing is certain any more.
+#[test]
+fn a_link_is_lost_by_time_however_few_slots_were_executed() {
+    let mut b = Rig::new(1)
+        .cycle(|cycle| (cycle.overrun, cycle.max_skip_rate) = (Overrun::Skip { max_skip: 10 }, 1.0))
+        .start();
+    b.ready();
+    b.post(0, slowly_to(100.0));
+    b.run(100);
+    b.tape(0).mute = true;
+    // Three misses do not fill the bucket of five.
+    for _ in 0..3 {
+        b.world().delay_next_wake(8 * MS + MS / 2);
+        b.step();
+        assert_eq!(b.feedback(0).stopped, None);
+        b.step();
+    }
+    assert_eq!(b.feedback(0).stopped, Some(StopCause::LinkLost));
+}
+
+#[test]
+fn a_computer_that_was_suspended_stops_its_axes_with_the_first_send() {
+    let mut b = Rig::new(2).start();
+    b.ready();
+    let _ = [0, 1].map(|index| b.post(index, slowly_to(100.0)));
+    b.run(100);
+    b.tape(0).wire = Some(Vec::new());
+    b.world().suspend(MS);
+    b.step();
+    assert_eq!(b.feedback(0).stopped, None, "a millisecond is none");
+    b.world().suspend(60_000 * MS);
+    let before = b.tape(0).wire.as_ref().map_or(0, Vec::len);
+    b.step();
+    assert_eq!([0, 1].map(|index| b.feedback(index).stopped), [Some(StopCause::Suspended); 2]);
+    let first = b.tape(0).wire.as_ref().unwrap()[before];
+    assert!(first.request.motion.is_some_and(|block| block.header & 0xFFF0 != 0), "{first:?}");
+    b.until("power off", 500, |b| !b.feedback(0).state.is_powered());
+}

@@ -1,0 +1,207 @@
+//! Servers with FC23 and without: which functions the master uses, and what the drive carries out by them.
+
+use fieldbeat::bus::modbus::sim::ReadWrite;
+
+use super::*;
+
+const LACKING: [ReadWrite; 4] =
+    [ReadWrite::Refused, ReadWrite::UpTo(3), ReadWrite::Ignored, ReadWrite::Closes];
+
+/// A drive whose replies count for as long as usual.
+fn bench(via: Via, server: ReadWrite) -> Bench {
+    Bench::new(1, via, |_, drive| {
+        drive.reply_within_ns = 250 * MS;
+        drive.simulate.interface.read_write = server;
+    })
+}
+
+/// The requests that were sent to it by FC23.
+fn both(b: &Bench) -> usize {
+    b.tap(0).heard.iter().filter(|request| request[7] == function::READ_WRITE).count()
+}
+
+/// The control words that a drive carries out, each once, if it has FC23 or not.
+fn commanded(b: &Bench, has_both: bool) -> Vec<u16> {
+    let control = |address: u16| {
+        let (parameter, width) = Parameter::from_address(address, Addressing::Standard).unwrap();
+        (matches!(parameter, Parameter::CONTROL_WORD) || parameter == Parameter::new(0, 11)).then_some(width)
+    };
+    let tap = b.tap(0);
+    let written = tap.heard.iter().filter_map(|request| match Request::parse(request).unwrap().1 {
+        Request::Write { address, data } => Some((control(address)?, data)),
+        Request::ReadWrite { write, data, .. } if has_both => Some((control(write)?, data)),
+        _ => None,
+    });
+    let mut words: Vec<u16> = written
+        .map(|(width, data)| match width {
+            Width::Word => data.word(0).unwrap(),
+            Width::Long => data.long(0).unwrap() as u16,
+        })
+        .collect();
+    words.dedup();
+    words
+}
+
+/// Enabled, turning one way and the other, and off again.
+fn work(b: &mut Bench) {
+    b.ready();
+    b.turning(0, 4.0);
+    b.turning(0, -3.0);
+    b.done(0, STOP);
+    b.done(0, Verb::Disable);
+}
+
+#[test]
+fn a_server_without_function_23_is_commanded_as_one_that_has_it() {
+    for via in VIAS {
+        let mut served = bench(via, ReadWrite::Served);
+        work(&mut served);
+        let usual = commanded(&served, true);
+        assert!(usual.len() >= 4, "{usual:?}");
+        for server in LACKING {
+            let what = format!("{via:?}, {server:?}");
+            let mut b = bench(via, server);
+            work(&mut b);
+            // A first one that fits is answered.
+            let answers = matches!(server, ReadWrite::UpTo(_)) && via == Via::Direct;
+            if !answers {
+                assert_eq!((both(&b), commanded(&b, false)), (1, usual.clone()), "{what}");
+            }
+            // Another connection, and the drive is another one.
+            assert!(b.sim.world().restart(address(0)), "{what}");
+            b.tap(0).heard.clear();
+            b.stopped(0, 2_000);
+            b.online();
+            b.recover(0);
+            assert_eq!(both(&b), 0, "{what}: remembered");
+            let drive = &b.finish().drives[0];
+            assert_eq!(drive.counters.own[Own::NoReadWrite as usize], 1, "{what}");
+            assert_eq!(drive.losses, 1, "{what}: by the restart alone");
+        }
+    }
+}
+
+/// Its answers to FC23 are lost, so that nobody knows whether they were carried out.
+#[test]
+fn what_was_carried_out_without_an_answer_is_not_commanded_twice() {
+    for via in VIAS {
+        let mut served = bench(via, ReadWrite::Served);
+        work(&mut served);
+        let mut b = bench(via, ReadWrite::Served);
+        b.online();
+        b.tap(0).reply = Some(Box::new(|reply| {
+            if reply.get(7) == Some(&function::READ_WRITE) {
+                reply.clear();
+            }
+        }));
+        work(&mut b);
+        assert_eq!(both(&b), 1, "{via:?}");
+        assert_eq!(commanded(&b, true), commanded(&served, true), "{via:?}");
+        let counters = b.finish().drives[0].counters;
+        assert_eq!(own(&counters), [(key(Own::NoReadWrite), 1)], "{via:?}");
+        assert_eq!((counters.missed, counters.unsent), (1, counters.unsent), "{via:?}");
+    }
+}
+
+/// The reference that a request writes, unless the drive does not know its function.
+pub(super) fn reference(request: &[u8]) -> Option<i32> {
+    let addresses = [Parameter::REFERENCE, Parameter::new(0, 11)]
+        .map(|parameter| parameter.address(Addressing::Standard, Width::Long).unwrap());
+    match Request::parse(request).ok()?.1 {
+        Request::Write { address, data } | Request::ReadWrite { write: address, data, .. } => {
+            data.long(addresses.iter().position(|one| *one == address)?)
+        }
+        _ => None,
+    }
+}
+
+#[test]
+fn a_native_output_that_was_refused_with_its_function_goes_out_by_another() {
+    use fieldbeat::axis::command::NativeOwner;
+    use fieldbeat::bus::modbus::{Native, NativeOutput};
+    for via in VIAS {
+        let mut b = bench(via, ReadWrite::Served);
+        b.ready();
+        let mut native = b.sim.axis(0).native::<Native>().unwrap();
+        b.sim.axis(0).post(Verb::Native(NativeOwner::Application)).unwrap();
+        b.until("native mode", 100, |_| native.inputs().running);
+        b.tap(0).heard.clear();
+        let mut lacks = false;
+        b.tap(0).request = Some(Box::new(move |request| {
+            // From the first of them on.
+            lacks |= reference(request) == Some(1);
+            if lacks {
+                without_function_23(request);
+            }
+        }));
+        b.tap(0).reply = Some(Box::new(|reply| as_function_23(reply)));
+        for reference in 1..=3 {
+            native.write(NativeOutput { control: ControlWord::FORWARD, reference }).unwrap();
+        }
+        b.run(100);
+        let mut written: Vec<i32> = b.tap(0).heard.iter().filter_map(|request| reference(request)).collect();
+        written.dedup();
+        written.retain(|reference| *reference > 0);
+        assert_eq!(written, [1, 2, 3], "{via:?}");
+    }
+}
+
+#[test]
+fn a_slow_answer_is_no_missing_function() {
+    let mut b = Bench::new(1, VIAS[1], |_, _| {});
+    b.online();
+    b.sim.axis(0).post(Verb::Enable).unwrap();
+    let slow = FaultPlan { answer_ns: 8 * MS, ..FaultPlan::default() };
+    assert!(b.sim.world().set_faults(address(0), slow));
+    b.until("that it is given up", 100, |b| b.tap(0).heard.last().unwrap()[7] == function::WRITE);
+    b.sim.world().set_faults(address(0), FaultPlan::default());
+    b.run(50);
+    b.tap(0).heard.clear();
+    b.run(100);
+    assert_eq!((both(&b), b.tap(0).heard.len()), (100, 100));
+}
+
+#[test]
+fn a_drive_out_of_reach_is_not_without_function_23() {
+    for via in VIAS {
+        let mut b = bench(via, ReadWrite::Served);
+        b.online();
+        let slow = FaultPlan { answer_ns: 5 * MS, ..FaultPlan::default() };
+        assert!(b.sim.world().set_faults(address(0), slow));
+        b.sim.axis(0).post(Verb::Enable).unwrap();
+        b.until("the first of them", 100, |b| both(b) == 1);
+        assert!(b.sim.world().unplug(address(0)));
+        b.run(2_000);
+        b.sim.world().set_faults(address(0), FaultPlan::default());
+        assert!(b.sim.world().plug(address(0)));
+        b.online();
+        b.recover(0);
+        let again = both(&b);
+        assert!(again > 50, "{via:?}: {again} of {}", b.tap(0).heard.len());
+        let counters = b.finish().drives[0].counters;
+        assert_eq!(counters.own[Own::NoReadWrite as usize], 1, "{via:?}: it was suspected");
+    }
+}
+
+#[test]
+fn a_function_that_is_fixed_is_not_replaced() {
+    for server in [ReadWrite::Refused, ReadWrite::Ignored, ReadWrite::Closes] {
+        let mut b = Bench::new(1, Via::Direct, |_, drive| {
+            drive.functions = Functions::ReadWrite;
+            drive.simulate.interface.read_write = server;
+        });
+        b.online();
+        b.sim.axis(0).post(Verb::Enable).unwrap();
+        b.until("that it is lost", 2_000, |b| b.feedback(0).stopped.is_some());
+        let written = |b: &Bench| {
+            let control = Parameter::CONTROL_WORD.address(Addressing::Standard, Width::Word);
+            b.tap(0).heard.iter().any(|request| {
+                matches!(Request::parse(request), Ok((_, Request::Write { address, .. })) if Some(address) == control)
+            })
+        };
+        assert!(!written(&b), "{server:?}");
+        let note = b.sim.finish().drives[0].not_connected.clone();
+        let remedy = note.as_deref().is_some_and(|note| note.contains("function = \"auto\""));
+        assert_eq!(remedy, server == ReadWrite::Refused, "{note:?}");
+    }
+}
