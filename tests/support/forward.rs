@@ -21,6 +21,14 @@ macro_rules! forward_bus_plan {
             self.$field.faults(period_ns)
         }
 
+        fn reply_within_ns(&self, index: usize) -> Option<u64> {
+            self.$field.reply_within_ns(index)
+        }
+
+        fn drive_watchdog_ns(&self, index: usize) -> Option<u64> {
+            self.$field.drive_watchdog_ns(index)
+        }
+
         fn describe(&self, period_ns: u64) -> Vec<String> {
             self.$field.describe(period_ns)
         }
@@ -43,6 +51,10 @@ macro_rules! forward_bus_plan {
 
         fn fault_names(&self) -> fieldbeat::axis::FaultNames {
             self.$field.fault_names()
+        }
+
+        fn takes_positions(&self, index: usize) -> bool {
+            self.$field.takes_positions(index)
         }
 
         fn has_clock(&self) -> bool {

@@ -103,9 +103,8 @@ fn velocities_beyond_the_limits_are_refused_at_the_door() {
         b.step();
     }
     assert!(matches!(b.outcome(0, id), Some(Outcome::Failed(Failure::Limit { .. }))));
-    // The queue is bounded, and says so.
-    let full = (0..1_000).find_map(|_| b.sim.axis(0).set_velocity(1.0).err()).unwrap().to_string();
-    assert!(full.contains("full"), "{full}");
+    // The newest always has its place.
+    assert!((0..1_000).all(|_| b.sim.axis(0).set_velocity(1.0).is_ok()));
 }
 
 #[test]

@@ -158,7 +158,11 @@ fn a_slow_answer_is_no_missing_function() {
     b.run(50);
     b.tap(0).heard.clear();
     b.run(100);
-    assert_eq!((both(&b), b.tap(0).heard.len()), (100, 100));
+    let read = |request: &&Vec<u8>| request[7] == function::READ;
+    let checks = b.tap(0).heard.iter().filter(read).count();
+    // What FC23 reads it has written itself: whether that stands, a check reads now and then.
+    assert_eq!((both(&b) + checks, b.tap(0).heard.len()), (100, 100));
+    assert!(checks < 10, "{checks}");
 }
 
 #[test]
