@@ -80,9 +80,9 @@ impl MotionChannel {
         self.pending && self.echoes > 1 && state.motion_active() == Some(false)
     }
 
-    /// Takes the echo of a reply, `clean` if it can be no older one. `Err` when the drive accepts none of the
-    /// counts.
-    pub(super) fn take(&mut self, echo: u8, clean: bool) -> Result<(), Failure> {
+    /// Takes the echo of a reply, `clean` if it can be no older one, `foreign` if this master has not used it lately.
+    /// `Err` when the drive accepts none of the counts.
+    pub(super) fn take(&mut self, echo: u8, clean: bool, foreign: bool) -> Result<(), Failure> {
         self.reported = Some(echo);
         let Some(command) = self.command else {
             // The first agreement. A reply that may be older says nothing of the present: the count after its own may
@@ -101,9 +101,9 @@ impl MotionChannel {
             (self.echoes, self.answers) = (self.echoes.saturating_add(1), 0);
         } else if self.pending && clean {
             self.answers += 1;
-            // Something else has run in the drive since it accepted the command: an old request that was delivered
-            // once more, or another master's.
-            let replaced = self.echoes > 0;
+            // An old request, delivered once more, has run in the drive since it accepted the command. Another
+            // master's is answered by no motion: whether it is one, the next replies show.
+            let replaced = self.echoes > 0 && (!foreign || command.is_stop());
             if replaced || self.answers > ECHO_WITHIN {
                 if self.counts_used + 1 >= MOST_COUNTS {
                     self.clear();

@@ -40,6 +40,8 @@ pub(super) struct Inputs {
     pub fresh: bool,
     /// Not suspect.
     pub clean: bool,
+    /// Its count is none that this master has used lately.
+    pub foreign: bool,
     /// Status word and state var are 0: booting, or the motion software is stopped.
     pub booting: bool,
     /// When it came in.
@@ -273,7 +275,7 @@ impl Orders {
                 self.confirmed = std::mem::replace(&mut self.said, said) == said;
             }
             if let Some(echo) = inputs.state.count()
-                && let Err(failure) = self.channel.take(echo, inputs.clean)
+                && let Err(failure) = self.channel.take(echo, inputs.clean, inputs.foreign)
             {
                 self.finish(Err(failure));
             }

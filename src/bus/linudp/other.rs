@@ -56,6 +56,11 @@ impl OtherMaster {
         }
     }
 
+    /// The count of the newest reply is not explained.
+    pub(super) fn is_in_doubt(&self) -> bool {
+        self.strange > 0
+    }
+
     /// A clean reply with this count; `None`: the drive is not in operation. True if it proves another master.
     #[inline]
     pub(super) fn take(&mut self, count: Option<u8>) -> bool {

@@ -395,11 +395,13 @@ impl Station {
         }
         if !suspect {
             self.last = Some(Seen { at, actual, demand });
+            report.other_master |= self.other.take(state.count());
         }
         self.inputs = Inputs {
             seen: true,
             fresh: true,
             clean: !suspect,
+            foreign: self.other.is_in_doubt(),
             booting,
             at,
             status,
@@ -426,7 +428,6 @@ impl Station {
         report.warning = view.warn().map_or(report.warning, |warning| u32::from(warning.0));
         report.fault = if status.error() { u32::from(fault.0) } else { 0 };
         if !suspect {
-            slot.report.other_master |= self.other.take(state.count());
             self.take_config(view, slot);
         }
         self.native.publish(at, view.bytes());

@@ -54,6 +54,12 @@ impl MotionCommand {
         MotionCommand { id, parameters: [0; 30] }
     }
 
+    /// It is "VAI stop", whatever its deceleration.
+    #[inline]
+    pub const fn is_stop(&self) -> bool {
+        self.id == MotionCommand::vai_stop(Acceleration(0)).id
+    }
+
     /// The header word with this command count, 0 ... 15.
     #[inline]
     pub const fn header(&self, count: u8) -> u16 {
