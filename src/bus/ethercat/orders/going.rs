@@ -114,7 +114,10 @@ impl Orders {
                 self.set(rest);
                 return self.finish(Err(Failure::Inhibited));
             }
-            State::ReadyToSwitchOn if fresh => self.set(Command::SwitchOn.word()),
+            // No power in a mode that somebody else has left.
+            State::ReadyToSwitchOn if fresh && inputs.mode == ModeIs::Own => {
+                self.set(Command::SwitchOn.word());
+            }
             State::SwitchedOn
                 if fresh && !self.leads && self.answers >= ANSWERS && inputs.mode == ModeIs::Own =>
             {
