@@ -230,6 +230,11 @@ pub enum Failure {
         "the drive ended the motion elsewhere: look at the limits in the drive, and whether something else moves it"
     )]
     NotArrived,
+    /// The motor turns although the setpoint is zero.
+    #[error(
+        "the drive moves at a setpoint of zero: look at its own references (presets, hard or jog speed, inputs)"
+    )]
+    StillMoves,
     /// The axis is latched as stopped.
     #[error("the axis is stopped ({0}): reset, then enable")]
     Latched(StopCause),

@@ -630,6 +630,11 @@ impl Orders {
                 self.enter(now, Step::QuickStopped);
             }
             Step::QuickStopping => {}
+            Step::QuickStopped if self.answered(inputs) && status.active() && !status.zero_speed() => {
+                // RUN gave it back to a reference of its own: it stands only without.
+                self.set(Mode::Stopping);
+                self.finish(Err(Failure::StillMoves));
+            }
             Step::QuickStopped if self.answered(inputs) && status.active() => self.finish(Ok(())),
             Step::QuickStopped if self.answered(inputs) && inputs.dark => self.give_up(Failure::Inhibited),
             Step::QuickStopped => {}
