@@ -114,11 +114,11 @@ impl Ladder {
     }
 
     /// Starts it once more for an axis that moves although the sequence was complete: by the drive's quick stop, and in
-    /// the end by power off, unless only the drive holds the load.
+    /// the end by power off, if a stop that does not end may.
     pub fn again(&mut self, now: Time, velocity: f64) -> Verb {
         self.escalated = true;
         self.moved += 1;
-        if self.moved >= MOST_MOVED && !self.keeps_power {
+        if self.moved >= MOST_MOVED && self.plan.on_timeout == StopTimeout::Disable {
             self.rung = Rung::Disabling { since: now };
             return Verb::Disable;
         }
@@ -341,7 +341,7 @@ mod tests {
     #[test]
     fn nothing_is_switched_off_blindly() {
         let (mut ladder, _) =
-            Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0), 0.0);
+            Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0), 100.0);
         let lost = Sight { fresh: false, heard: false, ..MOVING };
         assert_eq!(ladder.step(Time(5_000), lost), None, "its time does not run");
         let again = ladder.step(Time(6_000), MOVING);
@@ -358,7 +358,7 @@ mod tests {
     #[test]
     fn a_link_that_comes_and_goes_holds_no_shutdown_up() {
         let (mut ladder, _) =
-            Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0), 0.0);
+            Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0), 100.0);
         ladder.shut_down(Time(0), true);
         let lost = Sight { fresh: false, heard: false, ..MOVING };
         let off = (1..).find(|n| {
@@ -394,14 +394,14 @@ mod tests {
 
     #[test]
     fn a_time_out_ends_by_its_policy() {
-        let (mut ladder, _) = Ladder::start(plan(StopHow::Ramp, StopThen::Hold), Load::Level, Time(0), 0.0);
+        let (mut ladder, _) = Ladder::start(plan(StopHow::Ramp, StopThen::Hold), Load::Level, Time(0), 100.0);
         assert_eq!(ladder.step(Time(999), MOVING), None);
         assert_eq!(ladder.step(Time(1_000), MOVING), Some(Verb::QuickStop), "the ramp had its time");
         assert_eq!(ladder.step(Time(1_999), MOVING), None);
         assert_eq!(ladder.step(Time(2_000), MOVING), Some(Verb::Disable));
         let mut hold = plan(StopHow::Ramp, StopThen::Disable);
         hold.on_timeout = StopTimeout::Hold;
-        let (mut ladder, _) = Ladder::start(hold, Load::Level, Time(0), 0.0);
+        let (mut ladder, _) = Ladder::start(hold, Load::Level, Time(0), 100.0);
         assert_eq!(ladder.step(Time(1_000), MOVING), Some(Verb::QuickStop));
         assert_eq!(ladder.step(Time(2_000), MOVING), None);
         assert!(ladder.is_down());
@@ -422,6 +422,55 @@ mod tests {
             assert_eq!(verb, Verb::Stop { deceleration: Some(deceleration) }, "{velocity}");
             let weak = deceleration_of(&plan, 1e-9, velocity);
             assert_eq!(weak, if velocity.is_nan() { 1e-9 } else { velocity / 1.6 }.max(1e-9));
+        }
+    }
+
+    #[test]
+    fn a_ramp_that_does_not_slow_the_axis_down_becomes_its_quick_stop() {
+        let sight = |velocity| Sight { velocity, ..MOVING };
+        let start = |velocity| {
+            let plan = plan(StopHow::Ramp, StopThen::Disable);
+            Ladder::start(plan, Load::Level, Time(0), velocity).0
+        };
+        // A quarter of its time is left to it.
+        for (velocity, at, escalates) in [
+            (96.0, 250, false),
+            (96.0, 251, true),
+            (-96.0, 251, true),
+            (94.0, 251, false),
+            (94.0, 999, false),
+        ] {
+            let verb = start(100.0).step(Time(at), sight(velocity));
+            assert_eq!(verb, escalates.then_some(Verb::QuickStop), "{velocity} after {at} ns");
+        }
+        let held = Sight { fresh: false, ..sight(100.0) };
+        assert_eq!(start(100.0).step(Time(999), held), None, "held values prove nothing");
+        assert_eq!(
+            start(f64::NAN).step(Time(999), sight(100.0)),
+            None,
+            "nor does a speed that was not known"
+        );
+        let mut ladder = start(100.0);
+        assert_eq!(ladder.step(Time(300), sight(100.0)), Some(Verb::QuickStop));
+        assert_eq!(ladder.step(Time(1_299), sight(100.0)), None, "once, and it has as much time");
+        assert_eq!(ladder.step(Time(1_300), sight(100.0)), Some(Verb::Disable));
+    }
+
+    #[test]
+    fn an_axis_that_moves_a_third_time_loses_its_power_if_a_time_out_may_take_it() {
+        for (on_timeout, third) in
+            [(StopTimeout::Disable, Verb::Disable), (StopTimeout::Hold, Verb::QuickStop)]
+        {
+            let plan = StopPlan { on_timeout, ..plan(StopHow::Ramp, StopThen::Hold) };
+            let (mut ladder, _) = Ladder::start(plan, Load::Level, Time(0), 0.0);
+            for verb in [Verb::QuickStop, Verb::QuickStop, third, third] {
+                for _ in 0..3 {
+                    ladder.step(Time(1), STANDING);
+                }
+                ladder.step(Time(2), OFF);
+                assert!(ladder.is_down(), "{on_timeout:?}");
+                assert_eq!(ladder.again(Time(1), 50.0), verb, "{on_timeout:?}");
+            }
         }
     }
 

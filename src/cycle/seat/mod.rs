@@ -454,7 +454,7 @@ impl Seat {
                     }
                     // A drive that this master has commanded is never only read again.
                     if self.plan.on_found_running == FoundRunning::Stop || self.claim != Claim::Found {
-                        self.brake(now, slot);
+                        self.brake(now, Braked::BySetpoints, slot);
                     }
                 }
             }
@@ -578,9 +578,11 @@ impl Seat {
         if !self.latch.is_open() {
             return;
         }
+        // What no command has begun follows no setpoint.
+        let own = self.active.is_none() && matches!(cause, StopCause::Uncommanded | StopCause::Limit);
         self.latch(cycle, now, cause);
         if self.claim != Claim::Found {
-            self.brake(now, slot);
+            self.brake(now, if own { Braked::ByTheDrive } else { Braked::BySetpoints }, slot);
         }
     }
 
@@ -597,10 +599,11 @@ impl Seat {
     }
 
     /// Starts the stop sequence of an axis that is latched.
-    fn brake(&mut self, now: Time, slot: &mut Slot) {
+    fn brake(&mut self, now: Time, braked: Braked, slot: &mut Slot) {
         let Some(cause) = self.latch.cause() else { return };
         // No ramp of velocities brakes a drive that follows torques: it would only lose its torque along the slope.
-        let start = if under_torque(slot) { Ladder::start_escalated } else { Ladder::start };
+        let by_the_drive = braked == Braked::ByTheDrive || under_torque(slot);
+        let start = if by_the_drive { Ladder::start_escalated } else { Ladder::start };
         let (ladder, verb) = start(self.plan.stop, self.plan.load, now, self.speed());
         self.latch = Latch::Down(cause, ladder);
         self.order(slot, Some(verb));
@@ -611,7 +614,7 @@ impl Seat {
         let speed = self.speed();
         let verb = match &mut self.latch {
             Latch::Down(_, ladder) if ladder.is_down() => ladder.again(now, speed),
-            Latch::Kept(_) => return self.brake(now, slot),
+            Latch::Kept(_) => return self.brake(now, Braked::ByTheDrive, slot),
             _ => return,
         };
         self.rest.interrupt();
@@ -655,7 +658,7 @@ impl Seat {
         self.stop(cycle, now, StopCause::Shutdown, slot);
         self.flush(cycle, now, Abort::Stopped(StopCause::Shutdown));
         if matches!(self.latch, Latch::Kept(_)) && self.claim != Claim::Found {
-            self.brake(now, slot);
+            self.brake(now, Braked::BySetpoints, slot);
         }
         // Only ever read: not ours to power off.
         let Latch::Down(_, ladder) = &mut self.latch else { return true };
@@ -765,6 +768,15 @@ impl Seat {
             self.lost_events += 1;
         }
     }
+}
+
+/// What brings an axis to standstill.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Braked {
+    /// The stop that its plan names: a ramp of setpoints, if it is one.
+    BySetpoints,
+    /// The quick stop of its drive, whatever its plan names.
+    ByTheDrive,
 }
 
 /// Whether no position leads the drive, and its reported demand is meaningless.
