@@ -19,6 +19,8 @@ use crate::time::{MS, Time, nanos};
 /// A drive that was commanded to run, and has acknowledged it, is active within this time, ns, or its hardware
 /// enable is missing.
 const ACTIVE_WITHIN_NS: u64 = 300 * MS;
+/// A drive that runs again after a quick stop stands still for so long, ns, before the stop is done.
+const STANDS_NS: u64 = 10 * MS;
 /// The longest step of a ramp, in intervals between two requests: a pause is not made up for.
 const MOST_STEP: u64 = 4;
 /// A trip is watched for so long, ns, after the reset: a drive that trips again at once looks like a failed reset.
@@ -156,8 +158,10 @@ enum Step {
     },
     /// RUN is off until the drive stands still ...
     QuickStopping,
-    /// ... and on again at zero.
+    /// ... and on again at zero ...
     QuickStopped,
+    /// ... at which it has to stay.
+    StandingStill,
     /// A trip that cannot be reset yet.
     ResetWaiting,
     /// Off, so that the reset has an edge.
@@ -610,12 +614,16 @@ impl Orders {
             Step::Disabling if timed_out => self.finish(Err(Failure::TimedOut(state))),
             Step::Disabling => {}
 
-            Step::Turning { .. } | Step::Stopping { .. } | Step::QuickStopping | Step::QuickStopped
+            Step::Turning { .. }
+            | Step::Stopping { .. }
+            | Step::QuickStopping
+            | Step::QuickStopped
+            | Step::StandingStill
                 if tripped =>
             {
                 self.give_up(Failure::DriveFault(inputs.trip.into()));
             }
-            Step::Turning { .. } | Step::Stopping { .. }
+            Step::Turning { .. } | Step::Stopping { .. } | Step::StandingStill
                 if inputs.fresh && status.healthy() && !status.active() =>
             {
                 self.give_up(Failure::Dropped(state));
@@ -630,14 +638,20 @@ impl Orders {
                 self.enter(now, Step::QuickStopped);
             }
             Step::QuickStopping => {}
-            Step::QuickStopped if self.answered(inputs) && status.active() && !status.zero_speed() => {
-                // RUN gave it back to a reference of its own: it stands only without.
+            Step::QuickStopped if self.answered(inputs) && status.active() => {
+                self.enter(now, Step::StandingStill);
+            }
+            Step::QuickStopped if self.answered(inputs) && inputs.dark => self.give_up(Failure::Inhibited),
+            Step::QuickStopped => {}
+            // A reference of its own turns it again: it stands only without RUN.
+            Step::StandingStill if self.answered(inputs) && !status.zero_speed() => {
                 self.set(Mode::Stopping);
                 self.finish(Err(Failure::StillMoves));
             }
-            Step::QuickStopped if self.answered(inputs) && status.active() => self.finish(Ok(())),
-            Step::QuickStopped if self.answered(inputs) && inputs.dark => self.give_up(Failure::Inhibited),
-            Step::QuickStopped => {}
+            Step::StandingStill if self.answered(inputs) && now.since(self.since) >= STANDS_NS => {
+                self.finish(Ok(()));
+            }
+            Step::StandingStill => {}
 
             Step::ResetWaiting => {
                 let wait_ns = Trip(inputs.trip).reset_after_ns();
