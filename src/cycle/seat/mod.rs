@@ -526,7 +526,11 @@ impl Seat {
     fn watch_motion(&mut self, cycle: &Cycle, now: Time, slot: &Slot) -> Option<StopCause> {
         let state = self.feedback.state;
         // A drive in its fault reaction brakes by itself, and takes no request.
-        if !state.is_powered() || state == State::FaultReactionActive {
+        if !state.is_powered() {
+            self.rest.power_off();
+            return None;
+        }
+        if state == State::FaultReactionActive {
             self.rest.interrupt();
             return None;
         }
@@ -554,7 +558,6 @@ impl Seat {
 
     /// The application's stop has not ended in its time, although the drive answers.
     fn is_stopping_too_long(&self, now: Time) -> bool {
-        let stops = |active: Command| matches!(active.verb, Verb::Stop { .. } | Verb::QuickStop);
         self.active.is_some_and(stops)
             && self.latch.is_open()
             && self.is_heard()
@@ -578,8 +581,9 @@ impl Seat {
         if !self.latch.is_open() {
             return;
         }
-        // What no command has begun follows no setpoint.
-        let own = self.active.is_none() && matches!(cause, StopCause::Uncommanded | StopCause::Limit);
+        // What no command has begun follows no setpoint, nor does what goes on under a stop.
+        let follows = self.active.is_some_and(|active| !stops(active));
+        let own = !follows && matches!(cause, StopCause::Uncommanded | StopCause::Limit);
         self.latch(cycle, now, cause);
         if self.claim != Claim::Found {
             self.brake(now, if own { Braked::ByTheDrive } else { Braked::BySetpoints }, slot);
@@ -777,6 +781,11 @@ enum Braked {
     BySetpoints,
     /// The quick stop of its drive, whatever its plan names.
     ByTheDrive,
+}
+
+/// Whether the application's command is a stop.
+fn stops(active: Command) -> bool {
+    matches!(active.verb, Verb::Stop { .. } | Verb::QuickStop)
 }
 
 /// Whether no position leads the drive, and its reported demand is meaningless.

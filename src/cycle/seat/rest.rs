@@ -26,7 +26,7 @@ pub(super) struct Motion {
 /// What the axis may still do.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 enum Phase {
-    /// Move: something commands it, or it has no power.
+    /// Move: something commands it.
     #[default]
     Commanded,
     /// Brake: its command has failed. Since when, and the lowest speed since then, user units/s.
@@ -47,11 +47,16 @@ pub(super) struct Rest {
 }
 
 impl Rest {
-    /// Something commands the axis, or it has no power.
+    /// Something commands the axis.
     pub(super) fn interrupt(&mut self) {
         if self.phase != Phase::Commanded {
             *self = Rest::default();
         }
+    }
+
+    /// It has no power: what comes with power that no command has switched on is a motion of its own.
+    pub(super) fn power_off(&mut self) {
+        *self = Rest { phase: Phase::Resting, ..Rest::default() };
     }
 
     /// The command has failed.

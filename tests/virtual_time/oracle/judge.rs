@@ -186,7 +186,8 @@ impl Watch {
 
     /// A setpoint was given for the newest command that takes it.
     pub fn set(&mut self, slot: u64, value: f64, taken: Result<(), String>) -> Result<(), Breach> {
-        let takes = |verb: &Verb| verb.takes_velocities() || verb.takes_torques();
+        let torques = self.scale.torques;
+        let takes = |verb: &Verb| if torques { verb.takes_torques() } else { verb.takes_velocities() };
         let Some((of, _)) = self.pending.iter().rev().find(|(_, pending)| takes(&pending.verb)) else {
             return Ok(());
         };
