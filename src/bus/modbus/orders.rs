@@ -100,6 +100,8 @@ pub(super) struct Orders {
     since: Time,
     mode: Mode,
     /// The velocity that the reference stands for, user units/s; the one of the last request that went out, and when.
+    /// RUN stays off, since with it the drive turned at a reference of zero.
+    halted: bool,
     velocity: f64,
     velocity_sent: f64,
     sent_at: Option<Time>,
@@ -162,6 +164,8 @@ enum Step {
     QuickStopped,
     /// ... at which it has to stay.
     StandingStill,
+    /// RUN stays off.
+    Halted,
     /// A trip that cannot be reset yet.
     ResetWaiting,
     /// Off, so that the reset has an edge.
@@ -191,6 +195,7 @@ impl Orders {
             step: Step::Idle,
             since: Time(0),
             mode: Mode::Off,
+            halted: false,
             velocity: 0.0,
             velocity_sent: 0.0,
             sent_at: None,
@@ -323,7 +328,10 @@ impl Orders {
     pub(super) fn state(&self, status: StatusWord, inhibited: bool) -> State {
         match (status.healthy(), status.active(), self.mode) {
             (false, ..) => State::Fault,
-            (true, true, _) if self.step == Step::QuickStopping => State::QuickStopActive,
+            // It follows no setpoint.
+            (true, true, Mode::Stopping) if self.step == Step::QuickStopping || self.halted => {
+                State::QuickStopActive
+            }
             (true, true, _) => State::OperationEnabled,
             (true, false, _) if inhibited => State::SwitchOnDisabled,
             // Its power stage comes and goes with RUN.
@@ -445,7 +453,7 @@ impl Orders {
 
     fn set(&mut self, mode: Mode) {
         self.writes = true;
-        self.mode = mode;
+        (self.mode, self.halted) = (mode, false);
         if matches!(mode, Mode::Off | Mode::Resetting) {
             (self.velocity, self.velocity_sent) = (0.0, 0.0);
         }
@@ -534,6 +542,14 @@ impl Orders {
                 // Powering up: it does not continue by itself.
                 self.set(Mode::Off);
                 self.enter(now, Step::Disabling);
+            }
+            // Only without RUN does it stand.
+            Some(Verb::Stop { .. } | Verb::QuickStop) if self.halted => self.enter(now, Step::Halted),
+            // A stop that is under way is not made softer.
+            Some(Verb::Stop { .. })
+                if matches!(self.step, Step::QuickStopping | Step::QuickStopped | Step::StandingStill) =>
+            {
+                self.quick_stop(now);
             }
             Some(Verb::Stop { deceleration }) => {
                 self.brake(now, deceleration.unwrap_or(self.profile_deceleration));
@@ -646,8 +662,13 @@ impl Orders {
             // A reference of its own turns it again: it stands only without RUN.
             Step::StandingStill if self.answered(inputs) && !status.zero_speed() => {
                 self.set(Mode::Stopping);
+                self.halted = true;
                 self.finish(Err(Failure::StillMoves));
             }
+            Step::Halted if self.answered(inputs) && (status.zero_speed() || !status.active()) => {
+                self.finish(Ok(()));
+            }
+            Step::Halted => {}
             Step::StandingStill if self.answered(inputs) && now.since(self.since) >= STANDS_NS => {
                 self.finish(Ok(()));
             }

@@ -24,7 +24,10 @@ impl Station {
         let outputs = self.orders.advance(cycle.grid, &self.inputs, slot, native);
         self.inputs.fresh = false;
         let calls = self.calls.advance(cycle.grid, slot.link, self.orders.is_on(), slot.guarded);
-        slot.commanded = self.calls.commands();
+        let commanded = self.calls.commands();
+        if std::mem::replace(&mut slot.commanded, commanded) && !commanded {
+            self.doubt_settings();
+        }
         // Whether the last one is answered by then is known at the send.
         self.length = 0;
         if !self.connected || !self.rest().is_empty() {
@@ -68,6 +71,14 @@ impl Station {
             None => What::Cyclic(self.choose(outputs)),
         };
         self.emit(next)
+    }
+
+    /// The application may have changed what the drive follows: it is set up again before it is enabled or stopped.
+    fn doubt_settings(&mut self) {
+        if self.settable {
+            (self.set, self.finding.obeys, self.finding.watched) = (0, false, false);
+            self.orders.found(self.unwatched, false, true);
+        }
     }
 
     /// The setting to write now, if there is one.
