@@ -27,7 +27,7 @@ const NOT_WATCHED: Failure = Failure::Unsupported(
     "its SyncManager watchdog is off, nothing would stop it if the master dies: set watchdog, or no_drive_watchdog \
     = \"accept\"",
 );
-const OTHER_MODE: Failure = Failure::Unsupported(
+pub(super) const OTHER_MODE: Failure = Failure::Unsupported(
     "it is not in the mode of its setpoint: look at 6061h, or wait for the end of a homing",
 );
 

@@ -1,5 +1,6 @@
 //! An order that is under way.
 
+use super::begin::OTHER_MODE;
 use super::{ANSWERS, Inputs, Kind, ModeIs, Orders, Step, Turning};
 use crate::axis::command::NativeOwner;
 use crate::axis::{Failure, State};
@@ -63,7 +64,14 @@ impl Orders {
         if self.leads && self.falls(inputs, slot) {
             return;
         }
-        if matches!(self.step, Step::Turning(_)) {
+        let turns = matches!(self.step, Step::Turning(_));
+        // No setpoint has led it since the mode changed under it, and the end of that is not the end of its motion.
+        if inputs.mode != ModeIs::Own
+            && (turns || matches!(self.step, Step::Moving | Step::FollowWaiting | Step::Following { .. }))
+        {
+            return self.refuse(OTHER_MODE);
+        }
+        if turns {
             return;
         }
         let settled = self.stands() && inputs.fresh && !slot.report.moving;

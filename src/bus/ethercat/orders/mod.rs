@@ -409,12 +409,6 @@ impl Orders {
         matches!(self.step, Step::Native(_))
     }
 
-    /// Native mode runs, and the application owns the control word.
-    #[inline]
-    pub(super) fn is_native_of_application(&self) -> bool {
-        self.step == Step::Native(NativeOwner::Application)
-    }
-
     /// The quantity of its setpoint.
     pub(super) fn kind(&self) -> Kind {
         self.kind

@@ -102,7 +102,7 @@ impl Asking {
         (self.mode, self.display_read, self.content) = (Some(mode), true, None);
     }
 
-    /// The application may have changed the mode, by its object or in native mode.
+    /// The application may have changed the mode.
     pub(super) fn doubt_mode(&mut self) {
         (self.doubted, self.display_read, self.content) = (true, false, None);
         self.outdated |= self.asked == Some(Asked::Display);

@@ -94,7 +94,7 @@ pub struct Station {
     warning: u16,
     /// It was found power-cycled, and that was not reported yet.
     was_restarted: bool,
-    /// The application commands the drive by a parameter, or in native mode.
+    /// The application writes a parameter that may command the drive.
     commanded: bool,
 }
 
@@ -259,8 +259,8 @@ impl Station {
         if self.al.is_none() {
             return;
         }
-        // Once the application no longer commands the drive, its mode is read again.
-        let commanded = self.service.commands() || self.orders.is_native_of_application();
+        // After a parameter that may command the drive its mode is read again.
+        let commanded = self.service.commands();
         if std::mem::replace(&mut self.commanded, commanded) && !commanded {
             self.asking.doubt_mode();
             self.inputs.mode = self.asking.mode();
