@@ -474,7 +474,13 @@ impl Seat {
             match cause {
                 // A drive that was only read until now is not ours to brake.
                 Some(_) if self.claim == Claim::Found && !self.is_native(NativeOwner::Application) => {}
-                Some(cause) if self.latch.is_open() => self.stop(cycle, now, cause, slot),
+                Some(cause) if self.latch.is_open() => {
+                    // What no command has begun follows no setpoint, nor does what goes on under a stop.
+                    let follows = self.active.is_some_and(|active| !stops(active));
+                    let own = !follows && matches!(cause, StopCause::Uncommanded | StopCause::Limit);
+                    let braked = if own { Braked::ByTheDrive } else { Braked::BySetpoints };
+                    self.stop_by(braked, cycle, now, cause, slot);
+                }
                 Some(cause) => self.stop_again(cycle, now, cause, slot),
                 None => {}
             }
@@ -544,7 +550,9 @@ impl Seat {
             braking: native || self.active.is_none() || under_torque(slot),
         };
         let broken = self.bounds.are_broken(&self.plan, watched, seconds);
-        if braking || commanded {
+        if braking {
+            self.rest.stop();
+        } else if commanded {
             self.rest.interrupt();
         } else if !slot.report.suspect {
             let motion = Motion { moving: self.feedback.moving, velocity: self.feedback.velocity };
@@ -578,15 +586,16 @@ impl Seat {
     /// stays. A drive that was only read until now is not ours to brake: its axis is latched, and nothing is
     /// written.
     pub fn stop(&mut self, cycle: &Cycle, now: Time, cause: StopCause, slot: &mut Slot) {
+        self.stop_by(Braked::BySetpoints, cycle, now, cause, slot);
+    }
+
+    fn stop_by(&mut self, braked: Braked, cycle: &Cycle, now: Time, cause: StopCause, slot: &mut Slot) {
         if !self.latch.is_open() {
             return;
         }
-        // What no command has begun follows no setpoint, nor does what goes on under a stop.
-        let follows = self.active.is_some_and(|active| !stops(active));
-        let own = !follows && matches!(cause, StopCause::Uncommanded | StopCause::Limit);
         self.latch(cycle, now, cause);
         if self.claim != Claim::Found {
-            self.brake(now, if own { Braked::ByTheDrive } else { Braked::BySetpoints }, slot);
+            self.brake(now, braked, slot);
         }
     }
 

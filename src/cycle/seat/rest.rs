@@ -14,6 +14,9 @@ const REPORTS: u32 = 3;
 /// longer: its motor may lag its setpoint.
 const SETTLED_WITHIN_NS: u64 = 50 * MS;
 
+/// A stopped motor overshoots by no more than the speed that its stop takes away in this time, s.
+const OVERSHOOT_SECONDS: f64 = 0.01;
+
 /// A clean report of the drive.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Motion {
@@ -31,8 +34,10 @@ enum Phase {
     Commanded,
     /// Brake: its command has failed. Since when, and the lowest speed since then, user units/s.
     Braking { since: Option<Time>, slowest: f64 },
-    /// Come to rest, with the overshoot that belongs to it. Since when.
-    Settling(Time),
+    /// Brake: its stop sequence runs, and ends at standstill.
+    Stopping,
+    /// Come to rest, with the overshoot that belongs to it. Since when, and the highest speed of that, user units/s.
+    Settling { since: Time, fastest: f64 },
     /// Nothing.
     Resting,
 }
@@ -59,6 +64,11 @@ impl Rest {
         *self = Rest { phase: Phase::Resting, ..Rest::default() };
     }
 
+    /// Its stop sequence runs.
+    pub(super) fn stop(&mut self) {
+        *self = Rest { phase: Phase::Stopping, ..Rest::default() };
+    }
+
     /// The command has failed.
     pub(super) fn fail(&mut self) {
         *self = Rest { phase: Phase::Braking { since: None, slowest: f64::INFINITY }, ..Rest::default() };
@@ -72,12 +82,17 @@ impl Rest {
         let speed = if velocity.is_nan() { 0.0 } else { velocity.abs() };
         let stands = !moving && speed <= stop.standstill;
         let own = match &mut self.phase {
+            Phase::Stopping => {
+                let overshoot = stop.standstill.max(stop.deceleration * OVERSHOOT_SECONDS);
+                self.phase = Phase::Settling { since: now, fastest: stop.standstill + overshoot };
+                false
+            }
             Phase::Commanded => {
-                self.phase = Phase::Settling(now);
+                self.phase = Phase::Settling { since: now, fastest: f64::INFINITY };
                 false
             }
             Phase::Braking { .. } if stands => {
-                self.phase = Phase::Settling(now);
+                self.phase = Phase::Settling { since: now, fastest: f64::INFINITY };
                 false
             }
             Phase::Braking { since, slowest } => {
@@ -88,12 +103,13 @@ impl Rest {
                 }
                 faster
             }
-            Phase::Settling(since) => {
+            Phase::Settling { since, fastest } => {
+                let faster = speed > *fastest;
                 let exchanges_ns = (f64::from(stop.standstill_for) * seconds * 1e9) as u64;
                 if now.since(*since) >= SETTLED_WITHIN_NS.max(exchanges_ns) {
                     self.phase = Phase::Resting;
                 }
-                false
+                faster
             }
             Phase::Resting => !stands,
         };
@@ -142,6 +158,36 @@ mod tests {
             (0..2_000).map(|n| (false, 300.0 * (f64::from(n) * 0.2).sin() * (-0.1 * f64::from(n)).exp()));
         assert_eq!(trips(false, ringing), None);
         assert_eq!(trips(false, [(true, 40.0); 100]), Some(53), "done, and it goes on");
+    }
+
+    #[test]
+    fn after_its_stop_an_axis_overshoots_no_more_than_its_stop_brakes_in_ten_milliseconds() {
+        let mut stop = AxisPlan::new("x", Units::millimetres(1_000.0)).stop;
+        (stop.deceleration, stop.standstill) = (4_000.0, 5.0);
+        let trips = |told: &[f64]| {
+            let mut rest = Rest::default();
+            rest.stop();
+            told.iter().enumerate().position(|(index, velocity)| {
+                let motion = Motion { moving: false, velocity: *velocity };
+                rest.moves(Time(MS * index as u64), motion, &stop, 0.001)
+            })
+        };
+        assert_eq!(trips(&[[0.0, 44.0].as_slice(), &[45.0; 30], &[0.0; 50]].concat()), None);
+        assert_eq!(trips(&[[0.0].as_slice(), &[46.0; 30]].concat()), Some(3));
+        // An old request starts it again, 4 m/s².
+        let away: Vec<f64> = (0..30).map(|n| f64::from(n) * 4.0).collect();
+        assert_eq!(trips(&away), Some(14));
+        assert_eq!(trips(&[6.0; 60]), Some(53), "slowly: once it had time to settle");
+    }
+
+    #[test]
+    fn what_comes_with_power_that_nobody_switched_on_trips_it_at_once() {
+        let stop = AxisPlan::new("x", Units::millimetres(1_000.0)).stop;
+        let mut rest = Rest::default();
+        rest.power_off();
+        let motion = Motion { moving: true, velocity: 1.0 };
+        let tripped = (0..9).find(|n| rest.moves(Time(MS * n), motion, &stop, 0.001));
+        assert_eq!(tripped, Some(2));
     }
 
     #[test]

@@ -23,6 +23,8 @@ use super::machine::{Scale, range};
 
 /// From a breach to a motor that slows down.
 pub const REACTION: u32 = 40;
+/// The same for a motion that nobody commands: an axis may first settle for 50 ms.
+const REACTION_IDLE: u32 = 60;
 /// After the wire was bad: until the link is judged good and the stop has got through.
 pub const GRACE: u64 = 60;
 /// The speed of the motor is compared with that of so many turns ago ...
@@ -306,20 +308,21 @@ impl Watch {
         let wrong = !blind && !slots.any() && self.is_wrong(truth, running, reached);
 
         // Each counts while it holds and nothing is done about it.
-        let count = |counter: &mut u32, holds: bool| {
+        let lasts = |counter: &mut u32, holds: bool, most: u32| {
             *counter = match (holds, reached) {
                 (false, _) => 0,
                 (true, false) => *counter,
                 (true, true) => *counter + 1,
             };
-            *counter > REACTION
+            *counter > most
         };
+        let count = |counter: &mut u32, holds: bool| lasts(counter, holds, REACTION);
         let counters = &mut self.counters;
         let broken = [
             ("done", self.settling == Some(0)),
             ("limits", count(&mut counters.fast, fast && !slower)),
             ("limits", count(&mut counters.outside, outside && !slower)),
-            ("idle", count(&mut counters.idle, idle && !slower)),
+            ("idle", lasts(&mut counters.idle, idle && !slower, REACTION_IDLE)),
             ("skips", count(&mut counters.skips, skips)),
             ("stale", count(&mut counters.stale, stale && !slower)),
             ("newest", count(&mut counters.wrong, wrong)),
