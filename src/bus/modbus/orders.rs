@@ -459,9 +459,13 @@ impl Orders {
         }
     }
 
-    /// Takes the drive over as it is: running on at its present speed, or off.
+    /// Takes the drive over as it is: running on at its present speed, without RUN, or off.
     fn claim(&mut self, inputs: &Inputs) {
-        if inputs.status.active() {
+        let runs = !self.obeys || inputs.control.is_none_or(|word| word.has_any(ControlWord::ANY_RUN));
+        if inputs.status.active() && !runs {
+            self.set(Mode::Stopping);
+            self.halted = true;
+        } else if inputs.status.active() {
             self.set(Mode::Running);
             (self.velocity, self.velocity_sent) = (inputs.velocity, inputs.velocity);
             self.reverse = inputs.velocity * self.raw_per_velocity < 0.0;
@@ -488,7 +492,8 @@ impl Orders {
             Some(Verb::Enable)
                 if status.active() && self.mode == Mode::Running && self.obeys && self.watched =>
             {
-                self.finish(Ok(()));
+                // A report of before may be old.
+                self.enter(now, Step::EnableHigh);
             }
             Some(Verb::Enable) => {
                 self.set(Mode::Off);
@@ -608,7 +613,7 @@ impl Orders {
                 self.enter(now, Step::EnableHigh);
                 self.since = begun;
             }
-            Step::EnableHigh if self.answered(inputs) && status.active() => self.finish(Ok(())),
+            Step::EnableHigh if self.told && self.answered(inputs) && status.active() => self.finish(Ok(())),
             Step::EnableHigh if self.answered(inputs) && inputs.dark => self.give_up(Failure::Inhibited),
             Step::EnableLow | Step::EnableHigh if timed_out => self.give_up(Failure::TimedOut(state)),
             Step::EnableLow | Step::EnableHigh => {}

@@ -444,21 +444,25 @@ impl Seat {
             Link::Online => {
                 self.seen = true;
                 let running = self.feedback.state.is_powered() || self.feedback.moving;
-                // What a living master runs is not taken over.
-                let others =
-                    slot.report.other_master || matches!(self.latch, Latch::Kept(StopCause::OtherMaster));
-                if running && self.claim != Claim::Armed && !matches!(self.latch, Latch::Down(..)) && !others
-                {
-                    if self.latch.is_open() {
-                        self.latch(cycle, now, StopCause::FoundRunning);
-                    }
-                    // A drive that this master has commanded is never only read again.
-                    if self.plan.on_found_running == FoundRunning::Stop || self.claim != Claim::Found {
-                        self.brake(now, Braked::BySetpoints, slot);
-                    }
+                if running && self.claim != Claim::Armed && !slot.report.other_master {
+                    self.find_running(cycle, now, Braked::BySetpoints, slot);
                 }
             }
             _ => {}
+        }
+    }
+
+    /// A drive runs that this master has not enabled: it was found so, or began later.
+    fn find_running(&mut self, cycle: &Cycle, now: Time, braked: Braked, slot: &mut Slot) {
+        match self.latch {
+            // What a living master runs is not taken over.
+            Latch::Down(..) | Latch::Kept(StopCause::OtherMaster) => return,
+            Latch::Kept(_) => {}
+            Latch::Open => self.latch(cycle, now, StopCause::FoundRunning),
+        }
+        // A drive that this master has commanded is never only read again.
+        if self.plan.on_found_running == FoundRunning::Stop || self.claim != Claim::Found {
+            self.brake(now, braked, slot);
         }
     }
 
@@ -472,8 +476,9 @@ impl Seat {
         if slot.report.fresh {
             let cause = self.left_operation(restarted).or_else(|| self.watch_motion(cycle, now, slot));
             match cause {
-                // A drive that was only read until now is not ours to brake.
-                Some(_) if self.claim == Claim::Found && !self.is_native(NativeOwner::Application) => {}
+                Some(_) if self.claim == Claim::Found && !self.is_native(NativeOwner::Application) => {
+                    self.find_running(cycle, now, Braked::ByTheDrive, slot);
+                }
                 Some(cause) if self.latch.is_open() => {
                     // What no command has begun follows no setpoint, nor does what goes on under a stop.
                     let follows = self.active.is_some_and(|active| !stops(active));
@@ -542,7 +547,12 @@ impl Seat {
         }
         let seconds = self.row_seconds(cycle);
         let braking = matches!(&self.latch, Latch::Down(_, ladder) if !ladder.is_down());
-        let commanded = self.active.is_some_and(|active| active.verb != Verb::Reset);
+        // What is on already is not moved by being enabled.
+        let commanded = self.active.is_some_and(|active| match active.verb {
+            Verb::Reset | Verb::ResetFault => false,
+            Verb::Enable => state != State::OperationEnabled,
+            _ => true,
+        });
         // Only the drive knows how it will brake if this loop does not command it; under torque nothing brakes it.
         let native = self.active.is_some_and(|active| matches!(active.verb, Verb::Native(_)));
         let watched = Watched {

@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `limits` | powered and outside its limits leads to a stop request: it slows down, or its power goes off |
 //! | `idle` | so does powered and moving, once it stood and no motion command was begun since |
+//! | `suspended` | a computer that slept stops an axis that is enabled |
 //! | `skips` | a loop outside its skip limits stops an axis that is enabled |
 //! | `done` | Done means that the drive did it |
 //! | `ends` | each accepted command ends exactly once |
@@ -93,6 +94,8 @@ pub struct Watch {
     newest: Option<Newest>,
     /// A stop is done, and the motor has so many turns left to come to rest.
     settling: Option<u32>,
+    /// The computer has slept, and the axis has so many turns left to be stopped.
+    slept: Option<u32>,
     /// The running command, since which slot.
     running: (u64, u64),
 }
@@ -150,11 +153,16 @@ impl Slots {
 impl Watch {
     pub fn new(scale: Scale, plan: &fieldbeat::axis::AxisPlan) -> Watch {
         let stop_turns = plan.stop.timeout.as_millis() as u32;
+        let stop_turns = stop_turns + stop_turns / 2 + REACTION;
+        Watch::empty(scale, stop_turns, plan.setpoint_age.into(), range(&plan.limits))
+    }
+
+    fn empty(scale: Scale, stop_turns: u32, setpoint_age: u64, range: Option<(f64, f64)>) -> Watch {
         Watch {
             scale,
-            stop_turns: stop_turns + stop_turns / 2 + REACTION,
-            setpoint_age: plan.setpoint_age.into(),
-            range: range(&plan.limits),
+            stop_turns,
+            setpoint_age,
+            range,
             pending: BTreeMap::new(),
             speeds: VecDeque::new(),
             powered: [false; 4],
@@ -165,6 +173,7 @@ impl Watch {
             enabled: false,
             newest: None,
             settling: None,
+            slept: None,
             running: (0, 0),
         }
     }
@@ -293,6 +302,8 @@ impl Watch {
         }
 
         self.settling = self.settling.filter(|_| moving && !commanded).map(|left| left.saturating_sub(1));
+        let awaits_stop = self.enabled && feedback.state == State::OperationEnabled;
+        self.slept = self.slept.filter(|_| awaits_stop).map(|left| left.saturating_sub(1));
         let fast = moving && speed > FAST * self.scale.velocity && !homing;
         let outside = moving
             && truth.homed
@@ -303,7 +314,7 @@ impl Watch {
                     || truth.position < low - margin && truth.velocity < 0.0
             });
         let idle = moving && !commanded && self.stood;
-        let skips = slots.too_many() && self.enabled && feedback.state == State::OperationEnabled;
+        let skips = slots.too_many() && awaits_stop;
         let stale = moving && !blind && self.is_stale(slots.planned(), running);
         let wrong = !blind && !slots.any() && self.is_wrong(truth, running, reached);
 
@@ -320,6 +331,7 @@ impl Watch {
         let counters = &mut self.counters;
         let broken = [
             ("done", self.settling == Some(0)),
+            ("suspended", self.slept == Some(0)),
             ("limits", count(&mut counters.fast, fast && !slower)),
             ("limits", count(&mut counters.outside, outside && !slower)),
             ("idle", lasts(&mut counters.idle, idle && !slower, REACTION_IDLE)),
@@ -361,6 +373,19 @@ impl Watch {
         if let Some(newest) = &mut self.newest {
             newest.same = 0;
         }
+    }
+
+    /// The computer has slept.
+    pub fn suspended(&mut self) {
+        self.slept = Some(REACTION);
+    }
+
+    /// Another master starts: what was commanded before has no end.
+    pub fn master_died(&mut self) {
+        let (speeds, powered) = (std::mem::take(&mut self.speeds), self.powered);
+        let Watch { scale, stop_turns, setpoint_age, range, .. } = *self;
+        let fresh = Watch { speeds, powered, ..Watch::empty(scale, stop_turns, setpoint_age, range) };
+        *self = fresh;
     }
 
     /// Native mode has not ended.

@@ -21,7 +21,7 @@ use fieldbeat::cycle::{CyclePlan, Plan};
 use fieldbeat::master::Master;
 use fieldbeat::net::{Carriers, SendMode};
 use fieldbeat::sim::world::{World, WorldOptions};
-use fieldbeat::sim::{Carrier, FaultPlan, SimDrive, Truth};
+use fieldbeat::sim::{Carrier, FaultPlan, SimDrive, SimLine, Truth};
 use fieldbeat::simulation::Simulation;
 use fieldbeat::time::{MS, Time};
 
@@ -35,6 +35,7 @@ pub const AXES: usize = 3;
 /// present one: a drive counts to sixteen.
 const KEPT: usize = 64;
 const KEPT_MOTIONS: usize = 8;
+const KEPT_FRAMES: usize = 16;
 
 /// A protocol.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -87,6 +88,8 @@ pub struct Shared {
     replies: VecDeque<Vec<u8>>,
     /// So many requests, or replies, are still to be lost.
     pub lose: [u32; 2],
+    /// The master's ends of its connections.
+    connected: Vec<SocketAddrV4>,
 }
 
 fn keep(kept: &mut VecDeque<Vec<u8>>, most: usize, bytes: &[u8]) {
@@ -107,6 +110,7 @@ impl Tap {
             motions: VecDeque::new(),
             replies: VecDeque::new(),
             lose: [0; 2],
+            connected: Vec::new(),
         })))
     }
 
@@ -175,6 +179,7 @@ impl SimDrive for Tap {
     }
 
     fn connect(&mut self, now: Time, from: SocketAddrV4) -> bool {
+        self.lock().connected.push(from);
         self.with(|drive| drive.connect(now, from))
     }
 
@@ -183,6 +188,7 @@ impl SimDrive for Tap {
     }
 
     fn disconnected(&mut self, now: Time, from: SocketAddrV4) {
+        self.lock().connected.retain(|one| *one != from);
         self.with(|drive| drive.disconnected(now, from));
     }
 
@@ -195,11 +201,85 @@ impl SimDrive for Tap {
     }
 }
 
-/// The plan of a bus whose drives are shared with the test.
+/// A segment that the world and the test share, and the frames that came back from it of late.
+#[derive(Clone)]
+struct TapLine(Arc<Mutex<(EthercatSim, VecDeque<Vec<u8>>)>>);
+
+impl TapLine {
+    fn with<R>(&self, f: impl FnOnce(&mut EthercatSim) -> R) -> R {
+        f(&mut self.0.lock().unwrap().0)
+    }
+}
+
+impl std::fmt::Debug for TapLine {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("TapLine")
+    }
+}
+
+impl SimLine for TapLine {
+    fn interface(&self) -> &str {
+        LINE
+    }
+
+    fn own_interface(&self) -> Option<&str> {
+        None
+    }
+
+    fn ethertype(&self) -> u16 {
+        self.with(|line| line.ethertype())
+    }
+
+    fn faults(&self) -> FaultPlan {
+        self.with(|line| SimLine::faults(line))
+    }
+
+    fn slaves(&self) -> usize {
+        AXES
+    }
+
+    fn delay_ns(&self) -> u64 {
+        self.with(|line| line.delay_ns())
+    }
+
+    fn pass(&mut self, now: Time, frame: &mut [u8]) -> bool {
+        let (line, frames) = &mut *self.0.lock().unwrap();
+        let returns = line.pass(now, frame);
+        keep(frames, KEPT_FRAMES, frame);
+        returns
+    }
+
+    fn mislabel(&self, frame: &mut [u8]) {
+        self.with(|line| line.mislabel(frame));
+    }
+
+    fn live(&mut self, now: Time) {
+        self.with(|line| line.live(now));
+    }
+
+    fn cut(&mut self, place: Option<usize>) {
+        self.with(|line| line.cut(place));
+    }
+
+    fn deafen(&mut self, place: usize, deaf: bool) {
+        self.with(|line| line.deafen(place, deaf));
+    }
+
+    fn restart(&mut self, now: Time, place: usize) {
+        self.with(|line| line.restart(now, place));
+    }
+
+    fn inhibit(&mut self, place: usize, until: Time) {
+        self.with(|line| SimLine::inhibit(line, place, until));
+    }
+}
+
+/// The plan of a bus whose drives, or segment, are shared with the test.
 #[derive(Debug)]
 struct Tapped<P> {
     plan: P,
     taps: Vec<Tap>,
+    line: Option<TapLine>,
 }
 
 impl<P: BusPlan> BusPlan for Tapped<P> {
@@ -212,6 +292,10 @@ impl<P: BusPlan> BusPlan for Tapped<P> {
     fn simulate(&self) -> Vec<Box<dyn SimDrive>> {
         self.taps.iter().map(|tap| Box::new(tap.clone()) as Box<dyn SimDrive>).collect()
     }
+
+    fn simulate_line(&self) -> Option<Box<dyn SimLine>> {
+        Some(Box::new(self.line.clone()?))
+    }
 }
 
 /// A machine that runs.
@@ -221,6 +305,7 @@ pub struct Machine {
     pub plans: Vec<AxisPlan>,
     pub scales: Vec<Scale>,
     taps: Vec<Tap>,
+    line: Option<TapLine>,
     addresses: Vec<SocketAddrV4>,
     /// Calls under way: a ticket that is dropped would cancel its call.
     pub calls: Vec<CallTicket>,
@@ -285,16 +370,18 @@ fn kollmorgen(place: u16, shape: Shape) -> KollmorgenDrive {
     drive
 }
 
-/// The bus of a machine, and its drives.
-fn bus(shape: Shape) -> (Box<dyn BusPlan>, Vec<Tap>) {
+/// The bus of a machine, on drives that are there already or on new ones.
+fn bus(shape: Shape, taps: &mut Vec<Tap>, line: &mut Option<TapLine>) -> Box<dyn BusPlan> {
     let places = 0..AXES;
-    let mut taps = Vec::new();
-    let bus: Box<dyn BusPlan> = match shape.kind {
+    let fresh = taps.is_empty();
+    match shape.kind {
         Kind::LinMot => {
             let drives: Vec<_> = places.map(|index| linmot(index, shape)).collect();
-            taps.extend(drives.iter().map(|drive| Tap::new(Drive::LinMot(LinMotSim::new(drive).into()))));
+            if fresh {
+                taps.extend(drives.iter().map(|drive| Tap::new(Drive::LinMot(LinMotSim::new(drive).into()))));
+            }
             let plan = LinUdpPlan { name: "linudp".into(), bind: MASTER, send: SendMode::Batch, drives };
-            Box::new(Tapped { plan, taps: taps.clone() })
+            Box::new(Tapped { plan, taps: taps.clone(), line: None })
         }
         Kind::Unidrive => {
             let drives: Vec<_> = places.map(|index| unidrive(index, shape)).collect();
@@ -304,45 +391,78 @@ fn bus(shape: Shape) -> (Box<dyn BusPlan>, Vec<Tap>) {
                 settings
             };
             let drive = |drive| Drive::Unidrive(UnidriveSim::new(settings(drive)).into());
-            taps.extend(drives.iter().map(|plan| Tap::new(drive(plan))));
-            Box::new(Tapped { plan: ModbusPlan::new(drives), taps: taps.clone() })
+            if fresh {
+                taps.extend(drives.iter().map(|plan| Tap::new(drive(plan))));
+            }
+            Box::new(Tapped { plan: ModbusPlan::new(drives), taps: taps.clone(), line: None })
         }
         Kind::Kollmorgen => {
             let drives = places.map(|place| kollmorgen(place as u16, shape)).collect();
-            Box::new(EthercatPlan::new(LINE, drives))
+            let plan = EthercatPlan::new(LINE, drives);
+            let new = || TapLine(Arc::new(Mutex::new((EthercatSim::new(&plan), VecDeque::new()))));
+            let line = Some(line.get_or_insert_with(new).clone());
+            Box::new(Tapped { plan, taps: Vec::new(), line })
         }
-    };
-    (bus, taps)
+    }
+}
+
+/// A master of such a machine, from `start` on.
+fn master(shape: Shape, bus: Box<dyn BusPlan>, start: Option<Time>) -> Simulation {
+    let reference = (shape.kind == Kind::Kollmorgen && shape.other).then(|| bus.name().to_owned());
+    let cycle = CyclePlan { reference, ..CyclePlan::default() };
+    let plan = Plan { source: None, cycle, buses: vec![bus], groups: Vec::new() };
+    let options = WorldOptions::default();
+    let options = WorldOptions { start: start.unwrap_or(options.start), ..options };
+    Master::from_plan(plan).simulate(options).unwrap_or_else(|error| panic!("{error}"))
 }
 
 impl Machine {
     /// How the axes of such a machine are judged.
     pub fn scales(kind: Kind) -> Vec<Scale> {
-        let (bus, _) = bus(Shape { kind, hold: false, other: false, free_writes: true });
+        let shape = Shape { kind, hold: false, other: false, free_writes: true };
+        let bus = bus(shape, &mut Vec::new(), &mut None);
         bus.axes().into_iter().enumerate().map(|(index, plan)| scale(kind, index, plan)).collect()
     }
 
     pub fn new(shape: Shape) -> Machine {
-        let (bus, taps) = bus(shape);
+        let (mut taps, mut line) = (Vec::new(), None);
+        let bus = bus(shape, &mut taps, &mut line);
         let plans: Vec<AxisPlan> = bus.axes().into_iter().cloned().collect();
-        let reference = (shape.kind == Kind::Kollmorgen && shape.other).then(|| bus.name().to_owned());
-        let cycle = CyclePlan { reference, ..CyclePlan::default() };
-        let plan = Plan { source: None, cycle, buses: vec![bus], groups: Vec::new() };
-        let sim = Master::from_plan(plan).simulate(WorldOptions::default());
-        let addresses = taps.iter().map(SimDrive::address).collect();
         Machine {
-            sim: sim.unwrap_or_else(|error| panic!("{error}")),
+            sim: master(shape, bus, None),
             shape,
             scales: plans.iter().enumerate().map(|(index, plan)| scale(shape.kind, index, plan)).collect(),
             plans,
+            addresses: taps.iter().map(SimDrive::address).collect(),
             taps,
-            addresses,
+            line,
             calls: Vec::new(),
         }
     }
 
+    /// The master's process dies without an end, and another one starts so many milliseconds later.
+    pub fn replace_master(&mut self, ms: u64) {
+        let now = self.world().now();
+        self.calls.clear();
+        for tap in &mut self.taps {
+            let connected = std::mem::take(&mut tap.lock().connected);
+            connected.into_iter().for_each(|from| tap.disconnected(now, from));
+        }
+        let bus = bus(self.shape, &mut self.taps, &mut self.line);
+        self.sim = master(self.shape, bus, Some(now + ms * MS));
+    }
+
+    /// The master's computer sleeps, and the drives with it.
+    pub fn suspend(&self, ms: u64) {
+        self.world().suspend(ms * MS);
+    }
+
     fn world(&self) -> &World {
         self.sim.world()
+    }
+
+    fn at_line<R>(&self, f: impl FnOnce(&mut EthercatSim) -> R) -> R {
+        self.line.as_ref().expect("there is a segment").with(f)
     }
 
     /// The true state of a drive, in units of its axis.
@@ -353,10 +473,10 @@ impl Machine {
                 Drive::LinMot(drive) => drive.truth(now),
                 Drive::Unidrive(drive) => drive.truth(now),
             },
-            None => {
-                let look = |line: &mut EthercatSim, _| line.drive(index).map(|drive| drive.truth());
-                self.world().look(LINE, look).flatten().expect("there is a drive")
-            }
+            None => self.at_line(|line| {
+                line.live(now);
+                line.drive(index).expect("there is a drive").truth()
+            }),
         };
         let counts = self.plans[index].units.counts_per_unit;
         Truth { position: truth.position / counts, velocity: truth.velocity / counts, ..truth }
@@ -399,9 +519,7 @@ impl Machine {
             },
             None => {
                 let fault = fieldbeat::bus::ethercat::faults::Fault::FOLLOWING;
-                self.world().look(LINE, |line: &mut EthercatSim, _| {
-                    line.drive(index).expect("there is a drive").provoke(fault);
-                });
+                self.at_line(|line| line.drive(index).expect("there is a drive").provoke(fault));
             }
         }
     }
@@ -416,7 +534,15 @@ impl Machine {
 
     /// Repeats a request of long ago at the drive, so many microseconds from now.
     pub fn repeat_request(&self, index: usize, motion: bool, back: usize, us: u64) {
-        let Some(tap) = self.taps.get(index) else { return };
+        let Some(tap) = self.taps.get(index) else {
+            // It passes the slaves once more, and returns.
+            if let Some(mut frame) = self.frame(back) {
+                let now = self.world().now();
+                self.at_line(|line| line.pass(now, &mut frame));
+                self.world().inject_frame(LINE, &frame, now + us * 1_000);
+            }
+            return;
+        };
         let shared = tap.lock();
         let kept = if motion { &shared.motions } else { &shared.requests };
         let Some(bytes) = kept.get(back).cloned() else { return };
@@ -429,10 +555,19 @@ impl Machine {
 
     /// Repeats a reply of long ago at the master, so many microseconds from now.
     pub fn repeat_reply(&self, index: usize, back: usize, us: u64) {
-        let Some(tap) = self.taps.get(index) else { return };
+        let Some(tap) = self.taps.get(index) else {
+            if let Some(frame) = self.frame(back) {
+                self.world().inject_frame(LINE, &frame, self.world().now() + us * 1_000);
+            }
+            return;
+        };
         let Some(bytes) = tap.lock().replies.get(back).cloned() else { return };
         let at = self.world().now() + us * 1_000;
         self.world().inject(MASTER, self.addresses[index], &bytes, at);
+    }
+
+    fn frame(&self, back: usize) -> Option<Vec<u8>> {
+        self.line.as_ref()?.0.lock().unwrap().1.get(back).cloned()
     }
 
     /// Posts a write, and does not wait for it. What the notation refuses was refused.

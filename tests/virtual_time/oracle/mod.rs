@@ -35,9 +35,6 @@ use self::machine::{AXES, Kind, Machine, Shape};
 use self::run::{Found, Run, Tally};
 use self::steps::{Op, Round, Step, Without};
 
-/// What breaks a rule as it is: a mode or a reference that was written with power off or in native mode stays when the
-/// master takes over, and a late request with a homing bit ends a move. `ORACLE_WITHOUT=` looks at these, too.
-const LEFT_OUT: &str = "free_writes,control_requests";
 /// Rounds of one seed.
 const ROUNDS: usize = 12;
 /// Runs that the shortening of a failure may take.
@@ -84,9 +81,7 @@ pub fn shortened(shape: Shape, all: &[Round], found: &Found) -> (Vec<Round>, Fou
         left = alone;
     }
     let of_axis = |round: &Round| -> Round {
-        let concerns = |step: &&Step| {
-            usize::from(step.axis) == found.axis || matches!(step.op, Op::Late(_) | Op::Overload { .. })
-        };
+        let concerns = |step: &&Step| usize::from(step.axis) == found.axis || step.op.is_of_all();
         round.iter().filter(concerns).cloned().collect()
     };
     let own: Vec<Round> = left.iter().map(of_axis).collect();
@@ -181,8 +176,7 @@ fn variable<T: std::str::FromStr>(name: &str) -> Option<T> {
 /// At least so many sequences from the first seed on, on so many threads; panics with the first failure.
 fn campaign(sequences: u64, threads: usize) -> Tally {
     let begun = Instant::now();
-    let left_out = env::var("ORACLE_WITHOUT");
-    let without = Without::parse(left_out.as_deref().unwrap_or(LEFT_OUT));
+    let without = Without::parse(&env::var("ORACLE_WITHOUT").unwrap_or_default());
     let only: Option<u64> = variable("ORACLE_SEED");
     let first = only.or(variable("ORACLE_FROM")).unwrap_or(0);
     let seeds = only.map_or(sequences.div_ceil((ROUNDS * AXES) as u64), |_| 1);

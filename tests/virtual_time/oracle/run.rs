@@ -361,12 +361,29 @@ impl Run {
                 self.machine.repeat_request(axis, *motion, (*back).into(), (*us).into());
             }
             Op::RepeatReply { back, us } => self.machine.repeat_reply(axis, (*back).into(), (*us).into()),
+            Op::Suspend(ms) => {
+                self.machine.suspend((*ms).into());
+                self.watches.iter_mut().for_each(Watch::suspended);
+            }
+            Op::Die(ms) => self.replace_master((*ms).into()),
             Op::Deaf(turns) => {
                 let around = &mut self.around[axis];
                 around.deaf = around.deaf.max(turn + u64::from(*turns));
             }
         }
         Ok(())
+    }
+
+    /// The process dies, and with it all that its application knew.
+    fn replace_master(&mut self, ms: u64) {
+        self.machine.replace_master(ms);
+        for axis in 0..AXES {
+            let around = &mut self.around[axis];
+            (around.level, around.deaf, around.stopped) = (None, 0, false);
+            around.bad = around.bad.max(self.turn + ms + GRACE);
+            around.native = self.machine.sim.axis(axis).native::<Native>();
+            self.watches[axis].master_died();
+        }
     }
 
     /// Native outputs, where there are some: a velocity, a torque, or the place where it is.

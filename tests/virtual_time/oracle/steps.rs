@@ -86,6 +86,17 @@ pub enum Op {
     },
     /// The application reads no events for so many turns.
     Deaf(u8),
+    /// The computer sleeps for so many milliseconds. It concerns all axes, and so does the next one.
+    Suspend(u8),
+    /// The process dies in motion, and another one starts so many milliseconds later.
+    Die(u8),
+}
+
+impl Op {
+    /// It happens to all axes.
+    pub fn is_of_all(&self) -> bool {
+        matches!(self, Op::Late(_) | Op::Overload { .. } | Op::Suspend(_) | Op::Die(_))
+    }
 }
 
 /// One thing that happens, so many turns after the begin of its sequence.
@@ -265,7 +276,7 @@ fn command(random: &mut Rng, scale: &Scale) -> Command {
 fn op(random: &mut Rng, shape: Shape, scale: &Scale) -> Op {
     // What brings a segment down costs it seconds of its machine time.
     let rare = shape.kind == Kind::Kollmorgen && random.u8(..8) != 0;
-    let datagrams = shape.kind == Kind::LinMot;
+    let repeats = shape.kind != Kind::Unidrive;
     match random.u8(..64) {
         0..=11 => Op::Level { percent: percent(random), turns: random.u8(5..150) },
         12 => Op::Burst { count: random.u8(1..100), percent: percent(random) },
@@ -282,13 +293,15 @@ fn op(random: &mut Rng, shape: Shape, scale: &Scale) -> Op {
         28 if !rare && random.u8(..4) == 0 => Op::Restart,
         29 => Op::Inhibit(random.u8(1..30)),
         30 => Op::Fault,
-        31..=35 if datagrams => Op::RepeatRequest {
+        31..=35 if repeats => Op::RepeatRequest {
             motion: random.u8(..4) > 0,
             back: *random.choice(&[0, 0, 1, 1, 2, 3, 5, 10, 30, 60]).unwrap_or(&0),
             us: random.u16(..2_000),
         },
-        36..=40 if datagrams => Op::RepeatReply { back: random.u8(1..12), us: random.u16(..2_000) },
+        36..=40 if repeats => Op::RepeatReply { back: random.u8(1..12), us: random.u16(..2_000) },
         41 => Op::Deaf(random.u8(10..200)),
+        42 if !rare && random.u8(..2) == 0 => Op::Suspend(random.u8(20..)),
+        42 if !rare => Op::Die(random.u8(1..)),
         _ => Op::Post((0..random.u8(1..=3)).map(|_| command(random, scale)).collect()),
     }
 }
