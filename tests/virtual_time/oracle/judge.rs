@@ -35,6 +35,8 @@ const SLOWER: f64 = 0.01;
 /// A motor that follows its demand with a lag comes to rest after it, at the latest so many turns after its stop is
 /// Done.
 const SETTLES: u32 = 25;
+/// A motor that was pushed by an old setpoint is back after so many turns.
+const PUSHED: u32 = 10;
 /// A drive stands after so many turns.
 const STANDS: u32 = 20;
 /// A speed above its limit by this factor is one: a motor overshoots.
@@ -94,6 +96,8 @@ pub struct Watch {
     newest: Option<Newest>,
     /// A stop is done, and the motor has so many turns left to come to rest.
     settling: Option<u32>,
+    /// An old setpoint has come to the drive: so many turns later its motor follows the newest one again.
+    pushed: u32,
     /// The computer has slept, and the axis has so many turns left to be stopped.
     slept: Option<u32>,
     /// The running command, since which slot.
@@ -174,6 +178,7 @@ impl Watch {
             newest: None,
             settling: None,
             slept: None,
+            pushed: 0,
             running: (0, 0),
         }
     }
@@ -241,7 +246,7 @@ impl Watch {
             Verb::Home => truth.homed || !truth.powered,
             Verb::Move(_) => {
                 let near = |target: f64| (truth.position - target).abs() <= self.scale.near;
-                !truth.powered || stands && pending.target.is_none_or(near)
+                !truth.powered || self.pushed > 0 || stands && pending.target.is_none_or(near)
             }
             Verb::Stop { .. } | Verb::QuickStop => {
                 self.settling = (truth.powered && !stands).then_some(SETTLES);
@@ -303,6 +308,7 @@ impl Watch {
 
         self.settling = self.settling.filter(|_| moving && !commanded).map(|left| left.saturating_sub(1));
         let awaits_stop = self.enabled && feedback.state == State::OperationEnabled;
+        self.pushed = self.pushed.saturating_sub(1);
         self.slept = self.slept.filter(|_| awaits_stop).map(|left| left.saturating_sub(1));
         let fast = moving && speed > FAST * self.scale.velocity && !homing;
         let outside = moving
@@ -373,6 +379,11 @@ impl Watch {
         if let Some(newest) = &mut self.newest {
             newest.same = 0;
         }
+    }
+
+    /// A request of before has come to it.
+    pub fn pushed(&mut self) {
+        self.pushed = PUSHED;
     }
 
     /// The computer has slept.

@@ -8,7 +8,7 @@ use fieldbeat::bus::ethercat::object::Object;
 use fieldbeat::time::MS;
 
 use super::judge::{Breach, GRACE, Slots, Watch};
-use super::machine::{AXES, Machine, Shape};
+use super::machine::{AXES, Kind, Machine, Shape};
 use super::steps::{Command, Op, Round, Step, writes};
 
 /// Turns after the last step of a round in which what it began goes on.
@@ -359,6 +359,10 @@ impl Run {
             Op::Fault => self.machine.provoke(axis),
             Op::RepeatRequest { motion, back, us } => {
                 self.machine.repeat_request(axis, *motion, (*back).into(), (*us).into());
+                if self.machine.shape.kind == Kind::Kollmorgen {
+                    // A frame has the setpoints of all.
+                    self.watches.iter_mut().for_each(Watch::pushed);
+                }
             }
             Op::RepeatReply { back, us } => self.machine.repeat_reply(axis, (*back).into(), (*us).into()),
             Op::Suspend(ms) => {

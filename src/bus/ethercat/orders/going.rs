@@ -1,7 +1,7 @@
 //! An order that is under way.
 
 use super::begin::OTHER_MODE;
-use super::{ANSWERS, Inputs, Kind, ModeIs, Orders, Step, Turning};
+use super::{ANSWERS, Inputs, Kind, ModeIs, Orders, Reference, Step, Turning};
 use crate::axis::command::NativeOwner;
 use crate::axis::{Failure, State};
 use crate::bus::Slot;
@@ -199,11 +199,13 @@ impl Orders {
             Step::HomeStopping(end) if answered && !slot.report.moving => {
                 self.enter(now, Step::HomeLeaving(end));
             }
-            Step::HomeLeaving(end)
-                if answered && inputs.referred && inputs.mode == ModeIs::Own && !slot.report.moving =>
-            {
-                self.hold(inputs.position);
-                return self.finish(end);
+            Step::HomeLeaving(end) if answered && inputs.mode == ModeIs::Own && !slot.report.moving => {
+                if let Some(reference) = inputs.reference {
+                    self.hold(inputs.position);
+                    // Attained, but begun anew before it was left.
+                    let lost = reference == Reference::Lost;
+                    return self.finish(if lost { end.and(Err(HOME_FAILED)) } else { end });
+                }
             }
             _ => {}
         }

@@ -67,8 +67,8 @@ pub(super) struct Inputs {
     /// Only switching it off and on ends its fault.
     pub cold: bool,
     pub mode: ModeIs,
-    /// It was read whether the drive has its reference, since that may have changed.
-    pub referred: bool,
+    /// Read since it may have changed; `None`: not yet.
+    pub reference: Option<Reference>,
 }
 
 impl Inputs {
@@ -79,6 +79,15 @@ impl Inputs {
     fn faulted(&self) -> bool {
         matches!(self.state, State::Fault | State::FaultReactionActive)
     }
+}
+
+/// Whether the drive has its reference, as it reports.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Reference {
+    Set,
+    Lost,
+    /// It does not report it.
+    Silent,
 }
 
 /// The mode of operation that the drive is in.

@@ -7,7 +7,7 @@ use super::{HOMING_METHOD, MANUFACTURER_STATUS, MODE, MODE_DISPLAY};
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::bus::ethercat::cia402::Mode;
 use crate::bus::ethercat::object::{Object, Type};
-use crate::bus::ethercat::orders::{ModeIs, ModeWanted};
+use crate::bus::ethercat::orders::{ModeIs, ModeWanted, Reference};
 use crate::bus::ethercat::plan::KollmorgenDrive;
 use crate::bus::ethercat::service::{SdoFailure, Service, Transfer};
 use crate::time::{MS, Time};
@@ -49,6 +49,8 @@ pub(super) struct Asking {
     method_written: bool,
     display_read: bool,
     homed: Option<bool>,
+    /// It does not report that.
+    unreferred: bool,
     /// The SDO under way began too early.
     outdated: bool,
     refused: bool,
@@ -76,6 +78,7 @@ impl Asking {
             method_written: false,
             display_read: false,
             homed: None,
+            unreferred: false,
             outdated: false,
             refused: false,
             turn: 0,
@@ -122,6 +125,15 @@ impl Asking {
     /// The drive reports that it has its reference; `None`: not known.
     pub(super) fn homed(&self) -> Option<bool> {
         self.homed
+    }
+
+    /// What a homing has left; `None`: not known yet.
+    pub(super) fn reference(&self) -> Option<Reference> {
+        self.homed.map(|homed| match homed {
+            true => Reference::Set,
+            false if self.unreferred => Reference::Silent,
+            false => Reference::Lost,
+        })
     }
 
     /// The mode that it is in, as far as is known: a mode written at start-up counts as its own.
@@ -247,7 +259,10 @@ impl Asking {
                 self.mode = end.ok().map(|raw| Mode(raw as u8 as i8));
             }
             // A reference that it does not report is not set.
-            (Asked::Reference, end) => self.homed = Some(end.is_ok_and(|raw| raw & REFERENCE != 0)),
+            (Asked::Reference, end) => {
+                self.unreferred = end.is_err();
+                self.homed = Some(end.is_ok_and(|raw| raw & REFERENCE != 0));
+            }
             (Asked::Shown(channel), end) => self.take_value(now, channel, end),
         }
     }

@@ -269,7 +269,7 @@ impl Station {
             return;
         }
         self.inputs.mode = self.asking.mode();
-        self.inputs.referred = self.asking.homed().is_some();
+        self.inputs.reference = self.asking.reference();
         if self.asking.take_refused() {
             self.orders.mode_refused();
         }
@@ -389,7 +389,7 @@ impl Station {
             self.demand.reset();
             if self.orders.is_finding_home() {
                 self.asking.ask_reference();
-                self.inputs.referred = false;
+                self.inputs.reference = None;
             }
         }
         let count = said.position.map(|raw| self.actual.next(raw));
