@@ -3,7 +3,7 @@
 use super::begin::OTHER_MODE;
 use super::{ANSWERS, Inputs, Kind, ModeIs, Orders, Reference, Step, Turning};
 use crate::axis::command::NativeOwner;
-use crate::axis::{Failure, State};
+use crate::axis::{Failure, State, Verb};
 use crate::bus::Slot;
 use crate::bus::ethercat::cia402::{Command, ControlWord, StatusWord};
 use crate::bus::ethercat::trajectory::{Point, Trajectory};
@@ -203,7 +203,7 @@ impl Orders {
                 if let Some(reference) = inputs.reference {
                     self.hold(inputs.position);
                     // Attained, but begun anew before it was left.
-                    let lost = reference == Reference::Lost;
+                    let lost = reference == Reference::Lost && slot.order.verb == Some(Verb::Home);
                     return self.finish(if lost { end.and(Err(HOME_FAILED)) } else { end });
                 }
             }
