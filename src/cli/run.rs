@@ -94,7 +94,8 @@ pub fn not_whole(summary: &Summary) -> Stop {
         of(
             "stopped by an overrun",
             &|drive| drive.was_overrun(),
-            "; this computer was too late for more slots than max_skip or max_skip_rate allow: give the loop its rights and a core of its own",
+            "; this computer was too late for more slots than max_skip or max_skip_rate allow: give the loop its \
+             rights and a core of its own",
         ),
     ]
     .into_iter()

@@ -19,7 +19,8 @@ fn line(test: u8) -> String {
 /// A line of a drive for velocities and one for positions, patient with a busy computer.
 fn text(interface: &str) -> String {
     format!(
-        "[cycle]\nperiod = \"{}\"\nreceive_deadline = 0.8\nmax_skip = \"30s\"\nmax_skip_rate = 1.0\nrealtime = \"off\"\nreference = \
+        "[cycle]\nperiod = \"{}\"\nreceive_deadline = 0.8\n\
+             max_skip = \"30s\"\nmax_skip_rate = 1.0\nrealtime = \"off\"\nreference = \
         \"ethercat\"\n\
          [[bus]]\nprotocol = \"ethercat\"\ninterface = \"{interface}\"\nsimulate = {{ drift_ppm = [30] }}\n\
          [bus.defaults]\nhealth = {{ bucket = \"5s\", leak = 1 }}\nwatchdog = \"6s\"\n\

@@ -378,7 +378,8 @@ fn a_drive_that_nobody_can_connect_to_is_told_once_with_the_reason_and_stands_in
     let config = machine.write(
         "m.toml",
         format!(
-            "[cycle]\nperiod = \"{}\"\nmax_skip = \"30s\"\nmax_skip_rate = 1.0\nrealtime = \"off\"\n[[bus]]\nprotocol = \"modbus-tcp\"\n\
+            "[cycle]\nperiod = \"{}\"\n\
+             max_skip = \"30s\"\nmax_skip_rate = 1.0\nrealtime = \"off\"\n[[bus]]\nprotocol = \"modbus-tcp\"\n\
              [[bus.drive]]\nname = \"u1\"\naddress = \"{address}\"\nhealth = {{ bucket = \"10s\", leak = 1 }}\n\
              watchdog.timeout = \"10s\"\n",
             period()

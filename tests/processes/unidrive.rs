@@ -18,7 +18,8 @@ fn mixed(machine: &Machine) -> PathBuf {
     machine.write(
         "mixed.toml",
         format!(
-            "[cycle]\nperiod = \"{}\"\nreceive_deadline = 0.8\nmax_skip = \"30s\"\nmax_skip_rate = 1.0\nrealtime = \"off\"\n\
+            "[cycle]\nperiod = \"{}\"\nreceive_deadline = 0.8\n\
+             max_skip = \"30s\"\nmax_skip_rate = 1.0\nrealtime = \"off\"\n\
              [[bus]]\nprotocol = \"linudp-v2\"\nbind = \"{bind}\"\n\
              [[bus.drive]]\nname = \"x\"\naddress = \"{linmot}\"\nhealth = {PATIENT}\n\
              [[bus]]\nprotocol = \"modbus-tcp\"\n\

@@ -61,14 +61,14 @@ pub fn drives(machine: &Machine, period: &str, bucket: u32, victim: u32) -> Path
 /// The same with what goes wrong on real sockets only, and with a bus that sends each request by a call of its own.
 ///
 /// Nobody is at the address of `dead`: the kernel answers with an ICMP error. It refuses to send to that of `refused`,
-/// the broadcast address of the loopback, since the socket is none for broadcasts; `dead` stands behind it in the
-/// batch.
+/// one for benchmarks only, from a socket of the loopback; `dead` stands behind it in the batch.
 pub fn drives_and_errors(machine: &Machine, period: &str, bucket: u32, victim: u32) -> PathBuf {
     let text = std::fs::read_to_string(drives(machine, period, bucket, victim)).unwrap();
     let (own, dead, each) = (machine.ip(2), machine.ip(98), machine.ip(99));
+    let [_, high, low, _] = own.octets();
     let text = text
         + &format!(
-            "[[bus.drive]]\nname = \"refused\"\naddress = \"127.255.255.255\"\n\
+            "[[bus.drive]]\nname = \"refused\"\naddress = \"198.18.{high}.{low}\"\n\
              [[bus.drive]]\nname = \"dead\"\naddress = \"{dead}\"\n\
              [[bus]]\nname = \"second\"\nprotocol = \"linudp-v2\"\nbind = \"{own}\"\nsend = \"each\"\n\
              [[bus.drive]]\nname = \"each\"\naddress = \"{each}\"\ndivisor = 4\nphase = 1\nstream = \"off\"\n\

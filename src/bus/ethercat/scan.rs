@@ -209,9 +209,9 @@ pub(super) enum Busy {
     },
 }
 
-/// Whether a master may come to the segment behind `frames` for one drive only: no slave is in OP, nor in SAFEOP without
-/// an error: that is one which its master is bringing up, while a drive whose watchdog has expired shows the error.
-/// It only reads. A segment that does not answer is idle.
+/// Whether a master may come to the segment behind `frames` for one drive only: no slave is in OP, nor in SAFEOP
+/// without an error: that is one which its master is bringing up, while a drive whose watchdog has expired shows the
+/// error. It only reads. A segment that does not answer is idle.
 pub(super) fn require_idle(frames: &mut dyn Frames) -> Result<(), Busy> {
     let mut exchange = Exchange::new(frames, &|| true);
     let status = |exchange: &mut Exchange<'_>, command| match exchange.ask(&[Ask::read(command, 2)]) {

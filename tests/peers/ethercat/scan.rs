@@ -119,7 +119,8 @@ fn a_master_is_not_started_beside_another_one_and_one_that_comes_later_stops_it(
     let config = machine.write(
         "line.toml",
         format!(
-            "[cycle]\nperiod = \"4ms\"\nmax_skip = \"30s\"\nrealtime = \"off\"\nreference = \"ethercat\"\n[[bus]]\nprotocol = \"ethercat\"\n\
+            "[cycle]\nperiod = \"4ms\"\n\
+             max_skip = \"30s\"\nrealtime = \"off\"\nreference = \"ethercat\"\n[[bus]]\nprotocol = \"ethercat\"\n\
              interface = \"{WIRE}\"\n[[bus.drive]]\nname = \"d1\"\nwatchdog = \"6s\"\nhealth = {{ bucket = \
              \"5s\", leak = 1 }}\n"
         ),
