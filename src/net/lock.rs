@@ -21,6 +21,7 @@ use nix::sys::socket::{
 use thiserror::Error;
 
 use super::local;
+use crate::errors::no_descriptor;
 
 /// A lock is released within this time after its master has ended: a process that is just being started has a copy of
 /// it until it executes its program, and a process that was killed may take a moment to die.
@@ -68,7 +69,8 @@ pub enum Refused {
     Unseen,
     /// The operating system refused.
     #[error(
-        "cannot be locked for this master: {0}; let this program open Unix sockets (ulimit -n, RestrictAddressFamilies)"
+        "cannot be locked for this master: {0}; {remedy}",
+        remedy = no_descriptor(.0).unwrap_or("let this program open Unix sockets (RestrictAddressFamilies)")
     )]
     Failed(io::Error),
 }

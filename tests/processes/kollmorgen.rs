@@ -173,7 +173,7 @@ fn an_interface_that_is_none_is_told_in_one_line() {
     ask("param get", &config, "turns 0x6041:0").refused(&["there is no network interface eth-none-77"]);
     ask("sim", &config, "").refused(&["name the interface at the other end of its cable"]);
     let wrong = machine.write("wrong.toml", text("local:no name"));
-    ask("check", &wrong, "").refused(&["wrong.toml:9: bus.interface = \"local:no name\""]);
+    ask("check", &wrong, "").refused(&["wrong.toml:10: bus.interface = \"local:no name\""]);
     let two = text(&line(175)).replace("reference = \"ethercat\"", "reference = \"line\"");
     let two = machine.write("two.toml", two);
     ask("check", &two, "").refused(&["cycle.reference", "ethercat"]);

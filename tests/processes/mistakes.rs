@@ -91,7 +91,7 @@ fn a_configuration_that_cannot_be_read_is_one_line() {
         refused("broken.toml", &["broken.toml:1: "]);
         refused("latin1.toml", &["latin1.toml:1: not UTF-8"]);
         refused("empty.toml", &["empty.toml:1: bus: missing"]);
-        refused("unknown.toml", &["unknown.toml:5: cycle.realtme", "realtime"]);
+        refused("unknown.toml", &["unknown.toml:6: cycle.realtme", "realtime"]);
         let ended = Program::spawn(as_ordinary_user(&machine).arg(command).arg(path("secret.toml"))).end();
         ended.refused(&["secret.toml: Permission denied; let this user read it"]);
     }
@@ -152,7 +152,7 @@ fn a_mistake_in_the_arguments_is_one_line() {
     assert!(ended.err.is_empty() && ended.out.contains("Not a safety function"), "{ended:?}");
 }
 
-/// A limit of open files that leaves one socket, for two buses.
+/// A limit of open files that leaves too few for the drives and sockets of two buses.
 #[test]
 fn a_process_without_descriptors_learns_which_limit_to_raise() {
     let machine = Machine::new(236);
@@ -164,19 +164,21 @@ fn a_process_without_descriptors_learns_which_limit_to_raise() {
         machine.ip(41)
     );
     let config = machine.write("two.toml", first + &second);
-    let mut command = Command::new(PROGRAM);
-    command.arg("run").arg(&config).args(["--for", "1s"]);
-    // SAFETY: between fork and exec, system calls only.
-    unsafe {
-        command.pre_exec(|| {
-            // Standard input and output, and one more.
-            let few = libc::rlimit { rlim_cur: 4, rlim_max: 4 };
-            match libc::setrlimit(libc::RLIMIT_NOFILE, &few) {
-                0 => Ok(()),
-                _ => Err(std::io::Error::last_os_error()),
-            }
-        });
+    // Standard input and output, then the place of a drive and the socket of each bus.
+    for (most, which) in [(4, "linudp-v2: cannot bind"), (5, "second: drive"), (6, "second: cannot bind")] {
+        let mut command = Command::new(PROGRAM);
+        command.arg("run").arg(&config).args(["--for", "1s"]);
+        // SAFETY: between fork and exec, system calls only.
+        unsafe {
+            command.pre_exec(move || {
+                let few = libc::rlimit { rlim_cur: most, rlim_max: most };
+                match libc::setrlimit(libc::RLIMIT_NOFILE, &few) {
+                    0 => Ok(()),
+                    _ => Err(std::io::Error::last_os_error()),
+                }
+            });
+        }
+        let ended = Program::spawn(&mut command).end();
+        ended.refused(&[which, "Too many open files", "ulimit -n", "LimitNOFILE="]);
     }
-    let ended = Program::spawn(&mut command).end();
-    ended.refused(&["bus second: cannot bind", "Too many open files", "ulimit -n", "LimitNOFILE="]);
 }

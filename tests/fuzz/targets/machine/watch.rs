@@ -225,12 +225,15 @@ impl Watch {
                 }
             }
             EventKind::Stopped(cause) => {
+                // An axis that moves all the same is stopped again; its first cause stays.
+                let moves = matches!(cause, StopCause::Uncommanded | StopCause::Limit);
                 assert!(
-                    self.latched.is_none() || self.deaf,
+                    self.latched.is_none() || moves || self.deaf,
                     "{event}: stopped twice, {:?} before",
                     self.latched
                 );
-                (self.latched, self.armed, self.stopped_at) = (Some(cause), false, executed);
+                let first = self.latched.filter(|_| moves && !self.deaf);
+                (self.latched, self.armed, self.stopped_at) = (first.or(Some(cause)), false, executed);
             }
             _ => {}
         }
