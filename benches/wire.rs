@@ -30,8 +30,8 @@ use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velo
 use fieldbeat::bus::linudp::native::Native;
 use fieldbeat::bus::linudp::station::Station;
 use fieldbeat::bus::linudp::wire::{
-    ControlWord, MainState, REQUEST_MAX, RESPONSE_MAX, Request, RequestDef, Response, ResponseDef, StateVar,
-    StatusWord,
+    ControlWord, ErrorCode, MainState, REQUEST_MAX, RESPONSE_MAX, Request, RequestDef, Response, ResponseDef,
+    StateVar, StatusWord, WarnWord,
 };
 use fieldbeat::bus::modbus::wire::{
     ADU_MAX, Header, Registers, RegistersBuffer, Request as ModbusRequest, Response as ModbusResponse,
@@ -80,14 +80,12 @@ struct Exchanged {
     slot: Slot,
     request: [u8; REQUEST_MAX],
     reply: [u8; RESPONSE_MAX],
-    reply_length: usize,
+    /// What the drive reports.
+    state: MainState,
     cycle: Cycle,
 }
 
 impl Exchanged {
-    /// Where the actual position is in a cyclic reply: behind definitions, status and state.
-    const POSITION: std::ops::Range<usize> = 12..16;
-
     /// An axis in operation and moving.
     fn operational() -> Exchanged {
         let (station, native, _acyclic) = Station::new(&fleet::linmot(Ipv4Addr::new(127, 90, 1, 10)));
@@ -97,47 +95,44 @@ impl Exchanged {
             slot: Slot { due: true, link: Link::Online, ..Slot::default() },
             request: [0; REQUEST_MAX],
             reply: [0; RESPONSE_MAX],
-            reply_length: 0,
+            state: MainState::READY_TO_SWITCH_ON,
             cycle: BEGIN,
         };
-        exchanged.answer(RequestDef::NONE, MainState::READY_TO_SWITCH_ON);
         exchanged.turn();
         exchanged.slot.order = Order { serial: 1, verb: Some(Verb::Enable) };
-        exchanged.answer(RequestDef::CONTROL, MainState::READY_TO_SWITCH_ON);
         (0..3).for_each(|_| exchanged.turn());
-        exchanged.answer(RequestDef::CONTROL, MainState::OPERATION_ENABLED);
+        exchanged.state = MainState::OPERATION_ENABLED;
         (0..3).for_each(|_| exchanged.turn());
         assert_eq!(exchanged.slot.report.state, State::OperationEnabled);
         assert_eq!(exchanged.slot.progress.end, Some(Ok(())));
         exchanged
     }
 
-    /// What the drive answers from now on.
-    fn answer(&mut self, request_def: RequestDef, state: MainState) {
-        self.reply_length = reply(request_def, state).emit(&mut self.reply);
-    }
-
     /// One exchange.
     fn turn(&mut self) {
         let sent_at = advance(&mut self.cycle);
-        black_box(self.station.prepare(&self.cycle, &mut self.slot, &mut self.request));
-        black_box(&self.request);
+        let length = self.station.prepare(&self.cycle, &mut self.slot, &mut self.request);
+        let request = black_box(&self.request[..length]);
         self.station.sent(sent_at, self.cycle.deadline, &mut self.slot);
-        let position = (self.cycle.index as i32).wrapping_mul(100);
-        self.reply[Self::POSITION].copy_from_slice(&position.to_le_bytes());
-        let reply = black_box(&self.reply[..self.reply_length]);
+        let length = paused(|| {
+            let request = Request::parse(request).expect("a request");
+            let position = (self.cycle.index as i32).wrapping_mul(100);
+            let reply = reply(request.definition(), request.response_def, self.state);
+            Response { actual: Some(position), ..reply }.emit(&mut self.reply)
+        });
+        let reply = black_box(&self.reply[..length]);
         self.station.take(sent_at + 40 * US, reply, true, &mut self.slot);
         black_box(&self.slot);
     }
 }
 
-fn reply(request_def: RequestDef, state: MainState) -> Response {
+fn reply(request_def: RequestDef, response_def: ResponseDef, state: MainState) -> Response {
     let operating = state == MainState::OPERATION_ENABLED;
     let on = StatusWord::OPERATION_ENABLED | StatusWord::SWITCH_ON_ACTIVE | StatusWord::MOTION_ACTIVE;
     let sub = if operating { StateVar::MOTION_ACTIVE | StateVar::HOMED } else { 0 };
     Response {
         request_def,
-        response_def: ResponseDef::CYCLIC,
+        response_def,
         // The hardware enable is there.
         status: Some(StatusWord(
             StatusWord::HOMED | StatusWord::VOLTAGE_ENABLE | if operating { on } else { 0 },
@@ -146,6 +141,9 @@ fn reply(request_def: RequestDef, state: MainState) -> Response {
         actual: Some(123_456),
         demand: Some(123_500),
         current: Some(250),
+        warn: response_def.contains(ResponseDef::WARN).then(WarnWord::default),
+        error: Some(ErrorCode(0)),
+        monitor: response_def.contains(ResponseDef::MONITOR).then_some([0; 4]),
         ..Response::default()
     }
 }
@@ -465,7 +463,8 @@ fn linudp(criterion: &mut Criterion) -> Counters {
         });
     }
     let mut bytes = [0; RESPONSE_MAX];
-    let length = reply(RequestDef::CONTROL, MainState::OPERATION_ENABLED).emit(&mut bytes);
+    let length =
+        reply(RequestDef::CONTROL, ResponseDef::CYCLIC, MainState::OPERATION_ENABLED).emit(&mut bytes);
     group.bench_function("decode", |bencher| bencher.iter(|| Response::parse(black_box(&bytes[..length]))));
     group.finish();
     exchanged.slot.counters

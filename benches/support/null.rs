@@ -129,10 +129,14 @@ pub struct NullCarrier {
     asked: Vec<(SocketAddrV4, [u8; 8], bool, Option<RtcBlock>)>,
     next: usize,
     batch: usize,
-    ready: [u8; RESPONSE_MAX],
-    operating: [u8; RESPONSE_MAX],
-    length: usize,
+    /// Ready and in operation, each with and without warn word and monitoring channels; and their lengths.
+    replies: [[([u8; RESPONSE_MAX], usize); 4]; 2],
     position: i32,
+}
+
+/// Which of four replies has the blocks that are asked for.
+fn variant(asked: ResponseDef) -> usize {
+    usize::from(asked.contains(ResponseDef::WARN)) + 2 * usize::from(asked.contains(ResponseDef::MONITOR))
 }
 
 impl NullCarrier {
@@ -140,27 +144,37 @@ impl NullCarrier {
     const POSITION: std::ops::Range<usize> = 12..16;
 
     pub fn new(peers: usize) -> NullCarrier {
-        let reply = |status: u16, state: StateVar, bytes: &mut [u8]| {
-            let response = Response {
-                request_def: RequestDef::NONE,
-                response_def: ResponseDef::CYCLIC,
-                status: Some(StatusWord(status)),
-                state: Some(state),
-                current: Some(250),
-                ..Response::default()
-            };
-            response.emit(bytes)
+        let least = ResponseDef(ResponseDef::CYCLIC.0 & !ResponseDef::WARN.0);
+        let reply = |status: u16, state: StateVar| {
+            [
+                least,
+                least.with(ResponseDef::WARN),
+                least.with(ResponseDef::MONITOR),
+                least.with(ResponseDef::WARN).with(ResponseDef::MONITOR),
+            ]
+            .map(|response_def| {
+                let response = Response {
+                    request_def: RequestDef::NONE,
+                    response_def,
+                    status: Some(StatusWord(status)),
+                    state: Some(state),
+                    current: Some(250),
+                    ..Response::default()
+                };
+                let mut bytes = [0; RESPONSE_MAX];
+                let length = response.emit(&mut bytes);
+                (bytes, length)
+            })
         };
-        let (mut ready, mut operating) = ([0; RESPONSE_MAX], [0; RESPONSE_MAX]);
         let homed = StatusWord::HOMED | StatusWord::VOLTAGE_ENABLE | StatusWord::NO_QUICK_STOP;
-        reply(homed, StateVar::new(MainState::READY_TO_SWITCH_ON, 0), &mut ready);
+        let ready = reply(homed, StateVar::new(MainState::READY_TO_SWITCH_ON, 0));
         let on = homed | StatusWord::OPERATION_ENABLED | StatusWord::SWITCH_ON_ACTIVE;
         let moving = StateVar::new(MainState::OPERATION_ENABLED, StateVar::MOTION_ACTIVE | StateVar::HOMED);
-        let length = reply(on | StatusWord::MOTION_ACTIVE, moving, &mut operating);
+        let replies = [ready, reply(on | StatusWord::MOTION_ACTIVE, moving)];
         // As real ones have it, so that as many calls of `receive` are made.
         let batch = (peers * 2).clamp(8, 128);
         let asked = Vec::with_capacity(peers);
-        NullCarrier { asked, next: 0, batch, ready, operating, length, position: 0 }
+        NullCarrier { asked, next: 0, batch, replies, position: 0 }
     }
 }
 
@@ -195,10 +209,12 @@ impl Datagrams for NullCarrier {
         let end = self.asked.len().min(self.next + self.batch);
         let count = end - self.next;
         for (from, definitions, on, read) in &self.asked[self.next..end] {
-            let reply = if *on { &mut self.operating } else { &mut self.ready };
+            let [.., low, middle, high, highest] = *definitions;
+            let asked = ResponseDef(u32::from_le_bytes([low, middle, high, highest]));
+            let (reply, length) = &mut self.replies[usize::from(*on)][variant(asked)];
             reply[..8].copy_from_slice(definitions);
             reply[Self::POSITION].copy_from_slice(&self.position.to_le_bytes());
-            let mut length = self.length;
+            let mut length = *length;
             if let Some(read) = read {
                 // Done: its count, status 0, the index, and a value.
                 reply[length..length + 4].copy_from_slice(&[

@@ -154,11 +154,11 @@ fn tshark_finds_nothing_wrong_with_modbus() {
     master.wait_online(LONG).unwrap();
     let mut axes: Vec<_> = (0..3).map(|index| master.axis(&format!("d{index}")).unwrap()).collect();
     for axis in &mut axes {
+        let parameter = axis.parameter();
+        parameter.write("20.021", 12_345).unwrap();
         axis.enable().unwrap();
         axis.post(Verb::Jog(Jog { velocity: -2.5, acceleration: 100.0 })).unwrap();
         assert!(until(LONG, || (axis.feedback().velocity + 2.5).abs() < 0.1), "{:?}", axis.feedback());
-        let parameter = axis.parameter();
-        parameter.write("20.021", 12_345).unwrap();
         assert_eq!(parameter.read::<i32>("20.021").unwrap(), 12_345);
         parameter.read::<i32>("17.099").unwrap_err();
         axis.stop().unwrap();

@@ -133,7 +133,7 @@ fn writes(peer: &mut Peer, axis: &mut Axis) {
     }
 }
 
-/// Acyclic calls beside the exchange.
+/// Acyclic calls, of parameters that a user program may take for references: while power is off.
 fn calls(peer: &mut Peer, axis: &Axis) {
     let parameter = axis.parameter();
     parameter.write("20.025.long", -123_456).unwrap();
@@ -158,8 +158,8 @@ fn exchange(test: u8, library: Library, options: &[&str], read_write: bool) {
     assert_eq!(peer.registers(MODBUS_TIMEOUT, 1), [0]);
     let native = axis.native::<Native>().unwrap();
     reads(&mut peer, &axis, &native);
-    writes(&mut peer, &mut axis);
     calls(&mut peer, &axis);
+    writes(&mut peer, &mut axis);
     let begun = counters(&master).sent;
     let done = until(LONG, || {
         master.alive();
