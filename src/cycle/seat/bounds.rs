@@ -253,6 +253,10 @@ mod tests {
         assert_eq!(strikes(&plan(), false, false, &out), None);
         assert_eq!(strikes(&plan(), false, true, &[103.0, 102.8, 102.6, 102.4]), None);
         assert_eq!(strikes(&plan(), false, true, &[0.0, -0.2, -0.4, -0.6]), Some(3));
+        let mut below = plan();
+        below.limits.position = Some((-50.0, 100.0));
+        assert_eq!(strikes(&below, false, true, &[-0.2, -0.4, -0.6, -0.8, -1.0]), None);
+        assert_eq!(strikes(&below, false, true, &[-49.9, -50.1, -50.3, -50.5]), Some(3));
     }
 
     #[test]

@@ -801,3 +801,6 @@ fn stops(active: Command) -> bool {
 fn under_torque(slot: &Slot) -> bool {
     slot.order.verb.is_some_and(|verb| verb.takes_torques())
 }
+
+#[cfg(test)]
+pub(super) mod tests;
