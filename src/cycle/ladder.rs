@@ -374,6 +374,8 @@ mod tests {
             Ladder::start(plan(StopHow::Coast, StopThen::Disable), Load::Level, Time(5), 0.0);
         assert_eq!((verb, ladder.step(Time(5), OFF)), (Verb::Disable, None));
         assert!(!ladder.is_down(), "its reply is older than the order");
+        assert_eq!(ladder.step(Time(6), Sight { fresh: false, ..OFF }), None);
+        assert!(!ladder.is_down(), "and a held one says nothing");
         assert_eq!(ladder.step(Time(6), OFF), None);
         assert!(ladder.is_down());
         // Held until now, then it dropped out by itself.
@@ -437,6 +439,7 @@ mod tests {
             (96.0, 250, false),
             (96.0, 251, true),
             (-96.0, 251, true),
+            (95.0, 251, false),
             (94.0, 251, false),
             (94.0, 999, false),
         ] {

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use super::*;
 use crate::axis::newest::{NewestIn, newest};
-use crate::axis::{Emergency, Failure, HeldBy, Load, Units, cell};
+use crate::axis::{Emergency, Failure, HeldBy, Load, StopThen, Underrun, Units, cell};
 use crate::bus::Progress;
 use crate::rt::ring;
 use crate::time::MS;
@@ -255,4 +255,223 @@ fn a_quick_stop_takes_the_place_of_a_ramp_and_not_of_the_power_off_after_it() {
     x.turn();
     assert_eq!(x.ended(), [(late, Outcome::Failed(Failure::Latched(StopCause::Overrun)))]);
     assert_eq!(x.slot.order.verb, Some(Verb::Disable));
+}
+
+/// Enabled, homed, between 0 and 100 mm; it brakes with 1000 mm/s².
+fn ranged() -> Alone {
+    let mut plan = plan();
+    plan.limits.position = Some((0.0, 100.0));
+    plan.limits.velocity = Some(500.0);
+    Alone::new(plan).enabled()
+}
+
+/// The position in mm at which it is stopped when its demand goes on by `step` a cycle, and by what.
+fn stopped_at(x: &mut Alone, step: f64) -> (f64, StopCause) {
+    for _ in 0..400 {
+        let report = &mut x.slot.report;
+        (report.moving, report.velocity) = (true, step * 1e3);
+        report.demand += step;
+        report.position = report.demand;
+        x.turn();
+        if let Some(cause) = x.seat.feedback().stopped {
+            return (x.seat.feedback().demand, cause);
+        }
+    }
+    panic!("not stopped");
+}
+
+#[test]
+fn native_data_are_stopped_where_the_axis_can_still_brake_and_a_move_at_its_limit() {
+    // 400 mm/s takes 80 mm to standstill.
+    for owner in [NativeOwner::Master, NativeOwner::Application] {
+        let mut x = ranged();
+        x.post(Verb::Native(owner));
+        x.turn();
+        let (at, cause) = stopped_at(&mut x, 0.4);
+        assert!((15.0..20.0).contains(&at) && cause == StopCause::Limit, "{owner:?} {at} {cause}");
+    }
+    let mut x = ranged();
+    x.post(Verb::Follow);
+    x.turn();
+    let (at, cause) = stopped_at(&mut x, 0.4);
+    assert!((100.0..102.0).contains(&at) && cause == StopCause::Limit, "{at} {cause}");
+}
+
+#[test]
+fn what_follows_no_setpoint_is_stopped_by_its_drive_and_all_else_by_a_ramp() {
+    let by_drive = |x: &Alone| x.slot.order.verb == Some(Verb::QuickStop);
+    // By itself.
+    let mut x = ranged();
+    x.turns(100);
+    assert_eq!(stopped_at(&mut x, 0.1).1, StopCause::Uncommanded);
+    assert!(by_drive(&x));
+    // Faster than its limit: under a motion, and under a stop.
+    for (verb, expected) in [(Verb::Follow, false), (Verb::Stop { deceleration: None }, true)] {
+        let mut x = ranged();
+        x.post(verb);
+        x.turn();
+        assert_eq!(stopped_at(&mut x, 0.6).1, StopCause::Limit);
+        assert_eq!(by_drive(&x), expected, "{verb:?}");
+    }
+    // It has left operation.
+    let mut x = ranged();
+    x.slot.report.state = State::SwitchedOn;
+    x.turn();
+    assert_eq!(x.seat.feedback().stopped, Some(StopCause::DriveDropped));
+    assert!(!by_drive(&x));
+}
+
+#[test]
+fn a_stop_is_as_steep_as_the_faster_of_demand_and_motor_requires() {
+    // In 80 % of 100 ms.
+    for (step, velocity, deceleration) in [(0.0, 0.0, 1_000.0), (0.2, 0.0, 2_500.0), (0.2, 320.0, 4_000.0)] {
+        let mut plan = plan();
+        plan.stop.timeout = Duration::from_millis(100);
+        let mut x = Alone::new(plan).enabled();
+        x.post(Verb::Follow);
+        for _ in 0..3 {
+            x.slot.report.demand += step;
+            x.slot.report.velocity = velocity;
+            x.turn();
+        }
+        x.seat.stop(&cycle(99), Time(99 * MS), StopCause::Overrun, &mut x.slot);
+        let Some(Verb::Stop { deceleration: Some(ordered) }) = x.slot.order.verb else { panic!() };
+        assert!((ordered / deceleration - 1.0).abs() < 0.01, "{ordered} at {step} and {velocity}");
+    }
+}
+
+#[test]
+fn the_motor_may_settle_after_each_motion_and_not_at_any_other_time() {
+    let mut x = Alone::new(plan()).enabled();
+    for settles in [true, true, false] {
+        x.slot.report.velocity = 0.0;
+        x.turns(100);
+        if settles {
+            x.post(Verb::Home);
+            x.turn();
+            x.slot.report.velocity = 100.0;
+            x.turns(9);
+            x.ends(Ok(()));
+        }
+        x.slot.report.velocity = 40.0;
+        x.turns(9);
+        assert_eq!(x.seat.feedback().stopped.is_none(), settles);
+    }
+}
+
+#[test]
+fn only_a_quick_stop_is_taken_while_an_axis_is_stopped() {
+    for verb in [Verb::Disable, Verb::Stop { deceleration: None }, Verb::ResetFault] {
+        let mut x = Alone::new(plan()).enabled();
+        (x.slot.report.moving, x.slot.report.velocity) = (true, 50.0);
+        x.seat.stop(&cycle(50), Time(20 * MS), StopCause::Overrun, &mut x.slot);
+        let order = x.slot.order;
+        let id = x.post(verb);
+        x.turn();
+        assert_eq!(x.ended(), [(id, Outcome::Failed(Failure::Latched(StopCause::Overrun)))]);
+        assert_eq!(x.slot.order, order, "{verb:?}");
+    }
+}
+
+#[test]
+fn a_reset_leaves_the_order_by_which_a_stopped_axis_holds() {
+    let mut plan = plan();
+    plan.stop.then = StopThen::Hold;
+    let standstill = plan.stop.standstill_for;
+    let mut x = Alone::new(plan).enabled();
+    x.seat.stop(&cycle(50), Time(20 * MS), StopCause::Overrun, &mut x.slot);
+    x.turns(standstill);
+    let order = x.slot.order;
+    assert!(matches!(order.verb, Some(Verb::Stop { .. })));
+    let id = x.post(Verb::Reset);
+    x.turn();
+    assert_eq!(x.ended(), [(id, Outcome::Done)]);
+    assert_eq!(x.slot.order, order);
+}
+
+#[test]
+fn an_axis_that_was_found_running_and_then_stopped_is_braked_when_it_moves_again() {
+    let plan = AxisPlan { on_found_running: FoundRunning::Refuse, ..plan() };
+    let mut x = Alone::new(plan);
+    x.slot.report.state = State::OperationEnabled;
+    x.turns(10);
+    x.done(Verb::Stop { deceleration: None }, State::OperationEnabled);
+    x.turns(100);
+    x.slot.report.velocity = 50.0;
+    x.turns(3);
+    assert_eq!(x.seat.feedback().stopped, Some(StopCause::FoundRunning));
+    assert_eq!(x.slot.order.verb, Some(Verb::QuickStop));
+}
+
+#[test]
+fn a_link_is_counted_as_lost_when_it_was_up_and_its_silence_was_not_requested() {
+    let mut x = Alone::new(plan());
+    let losses = |x: &Alone| x.seat.numbers(&x.slot).losses;
+    for (excused, expected) in [(false, 1), (true, 1), (false, 2)] {
+        x.turns(10);
+        x.slot.excused = excused;
+        x.slot.report.fresh = false;
+        (0..9).for_each(|_| x.miss());
+        assert_eq!((x.seat.feedback().link, losses(&x)), (Link::Lost, expected), "{excused}");
+        // A first answer, and silence again.
+        x.turn();
+        x.slot.report.fresh = false;
+        (0..9).for_each(|_| x.miss());
+        assert_eq!((x.seat.feedback().link, losses(&x)), (Link::Lost, expected), "{excused}");
+    }
+}
+
+/// An axis that follows, with these rows: the stream, the position, the velocity.
+fn following(plan: AxisPlan, rows: &[(u32, f64, f64)]) -> Alone {
+    let mut x = Alone::new(plan).enabled();
+    x.post(Verb::Follow);
+    for &(stream, position, velocity) in rows {
+        let row = Row { position, velocity, acceleration: 7.0, last: false };
+        x.rows.push(StreamRow { stream, number: 0, row }).unwrap();
+    }
+    x.turn();
+    x.slot.due = true;
+    x
+}
+
+impl Alone {
+    /// The row of the next send, which goes out.
+    fn fed(&mut self) -> Option<Row> {
+        self.slot.row = None;
+        let cycle = cycle(self.index);
+        self.seat.feed(&cycle, cycle.grid, &mut self.slot, &crate::cycle::gates::Gates::new(1));
+        self.seat.sent(&cycle, &self.slot);
+        self.slot.row.map(|row| row.row)
+    }
+}
+
+#[test]
+fn a_stream_that_runs_empty_holds_the_last_position_without_speed_and_takes_no_row_of_the_next_one() {
+    let plan = AxisPlan { underrun: Underrun::Hold, ..plan() };
+    let mut x = following(plan, &[(0, 0.01, 10.0), (1, 0.02, 10.0)]);
+    assert_eq!(x.fed(), Some(Row { position: 0.01, velocity: 10.0, acceleration: 7.0, last: false }));
+    assert_eq!(x.fed(), Some(Row { position: 0.01, velocity: 0.0, acceleration: 0.0, last: false }));
+}
+
+#[test]
+fn a_stream_that_runs_empty_goes_on_at_its_last_speed_for_so_many_rows() {
+    let plan = AxisPlan { underrun: Underrun::Extrapolate(2), divisor: 1, ..plan() };
+    let mut x = following(plan, &[(0, 0.01, 10.0)]);
+    x.fed();
+    for position in [0.02, 0.03] {
+        let row = x.fed().unwrap();
+        assert!((row.position - position).abs() < 1e-9, "{row:?}");
+        assert_eq!((row.velocity, row.acceleration), (10.0, 0.0));
+    }
+    assert_eq!(x.fed(), None);
+    assert_eq!(x.seat.feedback().stopped, Some(StopCause::Underrun));
+}
+
+#[test]
+fn the_first_row_is_at_most_four_ways_of_a_row_away() {
+    for (position, taken) in [(0.39, true), (-0.39, true), (0.41, false), (-0.41, false)] {
+        let mut plan = plan();
+        plan.limits.velocity = Some(100.0);
+        assert_eq!(following(plan, &[(0, position, 0.0)]).fed().is_some(), taken, "{position}");
+    }
 }
