@@ -207,4 +207,16 @@ mod tests {
         let due: Vec<u64> = (0..12).filter(|index| health.is_due(*index)).collect();
         assert_eq!(due, [3, 7, 11]);
     }
+
+    #[test]
+    fn only_good_exchanges_in_a_row_take_a_miss_out_of_the_bucket() {
+        let mut health = online();
+        let leak = Health::default().leak;
+        for misses in 1..=5 {
+            // One too few to be forgotten.
+            (1..leak).for_each(|_| health.answered(0));
+            health.missed(0, true);
+            assert_eq!(health.link() == Link::Lost, misses == 5, "{misses}");
+        }
+    }
 }

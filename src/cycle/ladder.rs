@@ -356,6 +356,20 @@ mod tests {
     }
 
     #[test]
+    fn a_quick_stop_of_the_application_is_what_is_repeated_to_a_drive_that_comes_back() {
+        for quickened in [false, true] {
+            let (mut ladder, ramp) =
+                Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0), 10.0);
+            if quickened {
+                ladder.quicken();
+            }
+            assert_eq!(ladder.step(Time(100), Sight { fresh: false, heard: false, ..MOVING }), None);
+            let again = ladder.step(Time(200), Sight { velocity: 10.0, ..MOVING });
+            assert_eq!(again, Some(if quickened { Verb::QuickStop } else { ramp }));
+        }
+    }
+
+    #[test]
     fn a_link_that_comes_and_goes_holds_no_shutdown_up() {
         let (mut ladder, _) =
             Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0), 100.0);

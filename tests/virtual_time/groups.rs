@@ -350,11 +350,11 @@ fn misses_of_all_members_together_stop_the_group() {
 }
 
 /// The strike, counted from 0, that stops the group: so many missed exchanges of a member, and so many rounds after it.
-fn struck(divisor: u32, leak: u32, buckets: [u32; 3], strikes: &[(usize, u64, u64)]) -> Option<usize> {
+fn struck(divisor: u32, leaks: [u32; 3], buckets: [u32; 3], strikes: &[(usize, u64, u64)]) -> Option<usize> {
     let mut b = rig(3)
         .each(|index, drive| {
             drive.axis.divisor = divisor;
-            drive.axis.health = Health { bucket: buckets[index], leak, ..Health::default() };
+            drive.axis.health = Health { bucket: buckets[index], leak: leaks[index], ..Health::default() };
         })
         .start();
     b.ready();
@@ -378,18 +378,23 @@ fn the_bucket_of_a_group_is_that_of_its_most_sensitive_member() {
         let mut buckets = [8; 3];
         buckets[sensitive] = 4;
         let strikes = [((sensitive + 1) % 3, 3, 5), ((sensitive + 2) % 3, 3, 5)];
-        assert_eq!(struck(1, 1_000, buckets, &strikes), Some(1), "{sensitive}");
+        assert_eq!(struck(1, [1_000; 3], buckets, &strikes), Some(1), "{sensitive}");
     }
 }
 
 #[test]
 fn a_group_forgets_a_miss_after_so_many_rounds_without_one() {
     let strikes = [(0, 4, 100), (1, 4, 100), (2, 4, 100)];
-    assert_eq!(struck(1, 10, [8; 3], &strikes), None);
+    assert_eq!(struck(1, [10; 3], [8; 3], &strikes), None);
+    for slow in 0..3 {
+        let mut leaks = [10; 3];
+        leaks[slow] = 1_000;
+        assert_eq!(struck(1, leaks, [8; 3], &strikes), Some(1), "as slowly as member {slow}");
+    }
     // Cycles between two exchanges are no rounds.
     let strikes = [(0, 1, 8), (1, 1, 8), (2, 1, 8), (0, 1, 8)];
-    assert_eq!(struck(4, 10, [4; 3], &strikes), Some(3));
-    assert_eq!(struck(4, 5, [4; 3], &strikes), None);
+    assert_eq!(struck(4, [10; 3], [4; 3], &strikes), Some(3));
+    assert_eq!(struck(4, [5; 3], [4; 3], &strikes), None);
 }
 
 #[test]

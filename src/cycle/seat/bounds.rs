@@ -264,6 +264,8 @@ mod tests {
         // 400 mm/s needs 80 mm at 1000 mm/s².
         let demands: Vec<f64> = (0..250).map(|index| f64::from(index) * 0.4).collect();
         let struck = strikes(&plan(), true, true, &demands).unwrap();
+        // Of the reports from 18.4 mm on the third one; 80 mm to brake, and 5 reports until a stop reaches it.
+        assert_eq!(struck, 48);
         let end = demands[struck] + 400.0 * 0.002 + 400.0 * 400.0 / 2_000.0;
         assert!((98.0..=100.0).contains(&end), "{end}");
         assert_eq!(strikes(&plan(), false, true, &demands), None);

@@ -161,6 +161,18 @@ mod tests {
     }
 
     #[test]
+    fn an_axis_of_few_exchanges_settles_in_as_many_as_prove_its_standstill() {
+        let mut stop = AxisPlan::new("x", Units::millimetres(1_000.0)).stop;
+        for (standstill_for, trips) in [(20, 23), (3, 8)] {
+            stop.standstill_for = standstill_for;
+            let mut rest = Rest::default();
+            let motion = Motion { moving: false, velocity: 40.0 };
+            let tripped = (0..99).find(|n| rest.moves(Time(10 * MS * n), motion, &stop, 0.010));
+            assert_eq!(tripped, Some(trips), "{standstill_for} exchanges of 10 ms");
+        }
+    }
+
+    #[test]
     fn after_its_stop_an_axis_overshoots_no_more_than_its_stop_brakes_in_ten_milliseconds() {
         let mut stop = AxisPlan::new("x", Units::millimetres(1_000.0)).stop;
         (stop.deceleration, stop.standstill) = (4_000.0, 5.0);

@@ -99,6 +99,14 @@ impl Alone {
         assert_eq!(self.ended(), [(id, Outcome::Done)]);
     }
 
+    /// The command ends in the cycle in which it begins.
+    fn done_at_once(&mut self, verb: Verb) {
+        let id = self.post(verb);
+        self.ended();
+        self.miss();
+        assert_eq!(self.ended(), [(id, Outcome::Done)]);
+    }
+
     /// Online, and homed as it says.
     pub fn online(mut self) -> Alone {
         (self.slot.report.state, self.slot.report.homed) = (State::ReadyToSwitchOn, true);
@@ -144,7 +152,21 @@ fn an_enable_that_failed_may_bring_power_on_until_four_clean_reports_without_it(
     x.slot.report.suspect = true;
     x.turns(9);
     assert!(x.seat.is_guarded(), "a report that may be an old one shows nothing");
+    (x.slot.report.suspect, x.slot.report.state) = (false, State::SwitchedOn);
+    x.turns(9);
+    x.slot.report.state = State::ReadyToSwitchOn;
+    x.slot.report.suspect = true;
+    x.turn();
+    assert!(x.seat.is_guarded(), "nor does one with power");
     x.slot.report.suspect = false;
+    x.turn();
+    assert!(!x.seat.is_guarded());
+    // With a fault there was no power, and no other command brings it.
+    x.post(Verb::Enable);
+    x.turn();
+    x.ends(Err(Failure::DriveFault(7)));
+    assert!(!x.seat.is_guarded());
+    x.post(Verb::ResetFault);
     x.turn();
     assert!(!x.seat.is_guarded());
 }
@@ -188,7 +210,7 @@ fn a_restart_an_emergency_and_a_refused_variable_in_one_report_are_all_told() {
 }
 
 #[test]
-fn a_vertical_load_that_homes_or_whose_report_is_old_keeps_its_power() {
+fn a_vertical_load_that_homes_or_moves_or_whose_report_is_old_keeps_its_power() {
     let vertical = AxisPlan { load: Load::Vertical(HeldBy::Brake), ..plan() };
     let mut x = Alone::new(vertical.clone()).enabled();
     // Its first report after the order shows no motion yet.
@@ -201,6 +223,12 @@ fn a_vertical_load_that_homes_or_whose_report_is_old_keeps_its_power() {
     let off = x.post(Verb::Disable);
     x.miss();
     assert_eq!(x.ended(), [(off, Outcome::Failed(Failure::LoadInMotion))]);
+    // A push is not yet a motion of its own.
+    x.slot.report.velocity = 50.0;
+    let off = x.post(Verb::Disable);
+    x.turn();
+    assert_eq!(x.ended(), [(off, Outcome::Failed(Failure::LoadInMotion))]);
+    x.slot.report.velocity = 0.0;
     let off = x.post(Verb::Disable);
     x.turn();
     x.ends(Ok(()));
@@ -215,6 +243,7 @@ fn a_drive_that_was_found_running_is_braked_at_the_end_once_a_reset_has_taken_it
         x.slot.report.state = State::OperationEnabled;
         x.turns(10);
         assert_eq!(x.seat.feedback().stopped, Some(StopCause::FoundRunning));
+        assert!(x.seat.is_guarded());
         if reset {
             let id = x.post(Verb::Reset);
             x.turn();
@@ -262,6 +291,7 @@ fn ranged() -> Alone {
     let mut plan = plan();
     plan.limits.position = Some((0.0, 100.0));
     plan.limits.velocity = Some(500.0);
+    plan.setpoint_age = 1_000;
     Alone::new(plan).enabled()
 }
 
@@ -291,6 +321,11 @@ fn native_data_are_stopped_where_the_axis_can_still_brake_and_a_move_at_its_limi
         assert!((15.0..20.0).contains(&at) && cause == StopCause::Limit, "{owner:?} {at} {cause}");
     }
     let mut x = ranged();
+    x.post(Verb::Torque { slope: 100.0 });
+    x.turn();
+    let (at, cause) = stopped_at(&mut x, 0.4);
+    assert!((15.0..20.0).contains(&at) && cause == StopCause::Limit, "torque {at} {cause}");
+    let mut x = ranged();
     x.post(Verb::Follow);
     x.turn();
     let (at, cause) = stopped_at(&mut x, 0.4);
@@ -304,6 +339,10 @@ fn what_follows_no_setpoint_is_stopped_by_its_drive_and_all_else_by_a_ramp() {
     let mut x = ranged();
     x.turns(100);
     assert_eq!(stopped_at(&mut x, 0.1).1, StopCause::Uncommanded);
+    assert!(by_drive(&x));
+    let mut x = ranged();
+    x.turns(100);
+    assert_eq!(stopped_at(&mut x, 0.6).1, StopCause::Limit);
     assert!(by_drive(&x));
     // Faster than its limit: under a motion, and under a stop.
     for (verb, expected) in [(Verb::Follow, false), (Verb::Stop { deceleration: None }, true)] {
@@ -474,4 +513,185 @@ fn the_first_row_is_at_most_four_ways_of_a_row_away() {
         plan.limits.velocity = Some(100.0);
         assert_eq!(following(plan, &[(0, position, 0.0)]).fed().is_some(), taken, "{position}");
     }
+}
+
+#[test]
+fn a_row_is_for_a_send_that_is_due_and_its_number_is_never_given_again() {
+    let rows = [(0, 0.01, 0.0), (0, 0.02, 0.0)];
+    let mut x = following(plan(), &rows);
+    x.slot.due = false;
+    assert_eq!(x.fed(), None);
+    x.slot.due = true;
+    assert_eq!(x.fed().map(|row| row.position), Some(0.01));
+    let number = x.slot.row.unwrap().number;
+    x.ends(Ok(()));
+    x.ended();
+    x.done(Verb::Home, State::OperationEnabled);
+    x.seat.row_from_task(Row { position: 0.03, ..Row::default() });
+    assert_eq!(x.fed(), None, "nothing is followed");
+    let row = StreamRow { stream: 0, number: 0, row: Row::default() };
+    x.rows.push(row).unwrap();
+    x.post(Verb::Follow);
+    x.turn();
+    assert_eq!(x.fed(), Some(row.row), "not the one that the task gave for an earlier send");
+    assert_eq!(x.slot.row.unwrap().number, number + 1);
+}
+
+#[test]
+fn a_motion_that_failed_may_brake_as_slowly_as_its_stop_and_not_speed_up() {
+    for (end, trips) in [(Err(Failure::NotArrived), None), (Ok(()), Some(54))] {
+        let mut x = Alone::new(plan()).enabled();
+        x.post(Verb::Home);
+        x.turn();
+        x.slot.report.velocity = 200.0;
+        x.ends(end);
+        let tripped = (1..180).find(|n| {
+            x.slot.report.velocity = 200.0 - f64::from(*n);
+            x.turn();
+            x.seat.feedback().stopped.is_some()
+        });
+        assert_eq!(tripped, trips, "{end:?}");
+    }
+}
+
+#[test]
+fn an_enable_without_the_hardware_enable_is_refused_before_the_bus_has_it() {
+    let mut x = Alone::new(plan()).online();
+    x.slot.report.inhibited = true;
+    x.turn();
+    let order = x.slot.order;
+    let id = x.post(Verb::Enable);
+    x.turn();
+    assert_eq!(x.ended(), [(id, Outcome::Failed(Failure::Inhibited))]);
+    assert_eq!(x.slot.order, order);
+}
+
+#[test]
+fn a_reset_that_waits_for_a_stop_ends_when_the_link_is_lost() {
+    let mut x = Alone::new(plan()).enabled();
+    x.slot.report.velocity = 50.0;
+    x.seat.stop(&cycle(50), Time(20 * MS), StopCause::Overrun, &mut x.slot);
+    let id = x.post(Verb::Reset);
+    x.turns(3);
+    assert_eq!(x.ended(), []);
+    (0..5).for_each(|_| x.miss());
+    assert_eq!(x.ended(), [(id, Outcome::Failed(Failure::NotOnline))]);
+}
+
+#[test]
+fn a_command_that_fails_by_a_fault_of_the_drive_stops_the_axis() {
+    for (failure, stop) in
+        [(Failure::DriveFault(7), Some(StopCause::DriveFault)), (Failure::NotArrived, None)]
+    {
+        let mut x = Alone::new(plan()).enabled();
+        x.post(Verb::Home);
+        x.turn();
+        x.ends(Err(failure));
+        assert_eq!(x.seat.feedback().stopped, stop, "{failure}");
+    }
+}
+
+#[test]
+fn an_application_with_the_control_word_loses_it_by_a_restart_or_its_own_silence() {
+    let native = || {
+        let mut x = Alone::new(plan()).online();
+        x.post(Verb::Native(NativeOwner::Application));
+        x.turn();
+        x
+    };
+    let mut x = native();
+    x.slot.report.state = State::SwitchOnDisabled;
+    x.turns(9);
+    assert_eq!(x.seat.feedback().stopped, None, "the state is its own concern");
+    x.slot.report.restarted = true;
+    x.turn();
+    assert_eq!(x.seat.feedback().stopped, Some(StopCause::DriveDropped));
+    let mut x = native();
+    x.seat.stop_if_armed(&cycle(50), Time(50 * MS), StopCause::Heartbeat, &mut x.slot);
+    assert_eq!(x.seat.feedback().stopped, Some(StopCause::Heartbeat));
+    // Without power and without a command there is nothing to stop.
+    let mut x = Alone::new(plan()).online();
+    x.seat.stop_if_armed(&cycle(50), Time(50 * MS), StopCause::Heartbeat, &mut x.slot);
+    assert_eq!(x.seat.feedback().stopped, None);
+}
+
+#[test]
+fn a_stop_of_the_application_has_its_time_and_then_the_drive_stops() {
+    let mut plan = plan();
+    plan.stop.timeout = Duration::from_millis(100);
+    let mut x = Alone::new(plan).enabled();
+    x.slot.report.velocity = 50.0;
+    x.post(Verb::Stop { deceleration: None });
+    x.turns(101);
+    assert_eq!(x.seat.feedback().stopped, None);
+    x.turn();
+    assert_eq!(x.seat.feedback().stopped, Some(StopCause::StopTimeout));
+    assert_eq!(x.slot.order.verb, Some(Verb::QuickStop));
+}
+
+#[test]
+fn a_ramp_that_the_drive_refuses_becomes_its_quick_stop_and_an_older_refusal_changes_nothing() {
+    let mut x = Alone::new(plan()).enabled();
+    x.slot.report.velocity = 50.0;
+    x.slot.progress = Progress { serial: x.slot.order.serial, end: Some(Err(Failure::NotTaken)) };
+    x.seat.stop(&cycle(50), Time(20 * MS), StopCause::Overrun, &mut x.slot);
+    x.turn();
+    assert!(matches!(x.slot.order.verb, Some(Verb::Stop { .. })));
+    x.ends(Err(Failure::NotTaken));
+    assert_eq!(x.slot.order.verb, Some(Verb::QuickStop));
+}
+
+#[test]
+fn a_link_that_never_came_back_stops_no_axis_once_more() {
+    let mut x = Alone::new(plan()).online();
+    (0..5).for_each(|_| x.miss());
+    assert_eq!(x.seat.feedback().stopped, Some(StopCause::LinkLost));
+    x.done_at_once(Verb::Reset);
+    x.turn();
+    assert_eq!(x.seat.feedback().link, Link::Qualifying);
+    x.miss();
+    assert_eq!((x.seat.feedback().link, x.seat.feedback().stopped), (Link::Lost, None));
+}
+
+#[test]
+fn a_request_that_could_not_be_sent_is_no_miss_only_once_the_bus_ends_the_link() {
+    for (excused, ends, link) in [
+        (false, false, Link::Lost),
+        (true, false, Link::Lost),
+        (false, true, Link::Lost),
+        (true, true, Link::Online),
+    ] {
+        let mut x = Alone::new(plan()).online();
+        x.slot.excused = excused;
+        if ends {
+            x.seat.shut_down(&cycle(x.index), Time(x.index * MS), &mut x.slot, false);
+        }
+        for index in x.index + 1..x.index + 10 {
+            x.slot.exchange = Exchange::Unsent;
+            x.seat.judge(&cycle(index), Time(index * MS), &mut x.slot);
+        }
+        assert_eq!(x.seat.feedback().link, link, "excused {excused}, at the end {ends}");
+    }
+}
+
+#[test]
+fn a_report_has_an_age_while_the_link_is_up() {
+    let mut x = Alone::new(plan()).online();
+    let oldest = |x: &Alone| x.seat.numbers(&x.slot).peaks.age.ns;
+    (0..5).for_each(|_| x.miss());
+    assert_eq!((x.seat.feedback().link, oldest(&x)), (Link::Lost, 4 * MS));
+    (0..50).for_each(|_| x.miss());
+    assert_eq!(oldest(&x), 4 * MS);
+}
+
+#[test]
+fn each_change_of_the_drive_is_told_once() {
+    let mut x = Alone::new(plan()).online();
+    x.told();
+    let report = &mut x.slot.report;
+    (report.state, report.fault, report.warning, report.inhibited) = (State::Fault, 5, 6, true);
+    x.turns(3);
+    let told = [EventKind::State(State::Fault), EventKind::Fault(5), EventKind::Warning(6)];
+    let inhibited = EventKind::HardwareEnable(false);
+    assert_eq!(x.told(), [[inhibited].as_slice(), &told].concat());
 }
