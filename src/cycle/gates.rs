@@ -355,4 +355,37 @@ mod tests {
             assert_eq!(slots.each_ref().map(|slot| slot.row.is_some()), [there; 2], "{of_x:?} {of_y:?}");
         }
     }
+
+    #[test]
+    fn rows_of_an_earlier_stream_are_dropped_and_those_of_a_later_one_are_left() {
+        let row = |stream, number| StreamRow { stream, number, row: Row::default() };
+        for (rows, offered) in [
+            ([row(0, 5), row(1, 6)], Some(6)),
+            ([row(1, 6), row(2, 7)], Some(6)),
+            ([row(2, 6), row(2, 7)], None),
+        ] {
+            let mut x = Alone::new(plan()).enabled();
+            let follow = Command { verb: Verb::Follow, stream: 1, ..call(101) };
+            x.commands.push(follow).unwrap();
+            rows.into_iter().for_each(|row| x.rows.push(row).unwrap());
+            let mut other = Alone::new(plan()).enabled();
+            other.commands.push(follow).unwrap();
+            let (mut seats, mut slots) = ([x.seat, other.seat], [x.slot, other.slot]);
+            turn(&mut Gates::new(2), 50, &mut seats, &mut slots);
+            assert_eq!(seats[0].offers_row(0).map(|(_, number)| number), offered);
+        }
+    }
+
+    #[test]
+    fn the_misses_of_one_motion_are_not_counted_in_the_next() {
+        let mut gate = Gate { moving: 2, bucket: 4, leak: 1_000, ..Gate::default() };
+        for _ in 0..3 {
+            (gate.closed, gate.missed) = (2, true);
+            gate.fill();
+        }
+        assert_eq!(gate.level, 3);
+        gate.moving = 0;
+        gate.fill();
+        assert_eq!((gate.level, gate.good), (0, 0));
+    }
 }

@@ -209,6 +209,16 @@ mod tests {
     }
 
     #[test]
+    fn a_link_that_comes_back_has_an_empty_bucket() {
+        let mut health = online();
+        (0..5).for_each(|_| health.missed(0, true));
+        assert_eq!(health.link(), Link::Lost);
+        (0..10).for_each(|_| health.answered(0));
+        (0..4).for_each(|_| health.missed(0, true));
+        assert_eq!(health.link(), Link::Online);
+    }
+
+    #[test]
     fn only_good_exchanges_in_a_row_take_a_miss_out_of_the_bucket() {
         let mut health = online();
         let leak = Health::default().leak;

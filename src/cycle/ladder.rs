@@ -335,6 +335,14 @@ mod tests {
             assert_eq!(ladder.hurry(Time(500)), Some(Verb::QuickStop));
             assert_eq!(ladder.step(Time(499 + left), MOVING), None);
             assert_eq!(ladder.step(Time(500 + left), MOVING), Some(Verb::Disable));
+            // The same while the power goes off.
+            let coast = StopPlan { how: StopHow::Coast, ..plan };
+            let (mut ladder, _) = Ladder::start(coast, Load::Level, Time(0), 0.0);
+            assert_eq!(ladder.hurry(Time(0)), None);
+            ladder.step(Time(left - 1), MOVING);
+            assert!(!ladder.is_down());
+            ladder.step(Time(left), MOVING);
+            assert!(ladder.is_down());
         }
     }
 
@@ -380,6 +388,13 @@ mod tests {
             ladder.step(Time(300 * n), sight) == Some(Verb::Disable)
         });
         assert_eq!(off, Some(7), "its time runs once more from its first return");
+        let (mut ladder, _) =
+            Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0), 100.0);
+        let off = (1..99).find(|n| {
+            let sight = if n % 2 == 0 { MOVING } else { lost };
+            ladder.step(Time(300 * n), sight) == Some(Verb::Disable)
+        });
+        assert_eq!(off, None, "without a shutdown it waits for the drive");
     }
 
     #[test]
@@ -467,6 +482,7 @@ mod tests {
             None,
             "nor does a speed that was not known"
         );
+        assert_eq!(start(0.4).step(Time(251), STANDING), None, "and at standstill nothing is slower");
         let mut ladder = start(100.0);
         assert_eq!(ladder.step(Time(300), sight(100.0)), Some(Verb::QuickStop));
         assert_eq!(ladder.step(Time(1_299), sight(100.0)), None, "once, and it has as much time");
@@ -487,6 +503,7 @@ mod tests {
                 ladder.step(Time(2), OFF);
                 assert!(ladder.is_down(), "{on_timeout:?}");
                 assert_eq!(ladder.again(Time(1), 50.0), verb, "{on_timeout:?}");
+                assert!(!ladder.is_down(), "{on_timeout:?}");
             }
         }
     }

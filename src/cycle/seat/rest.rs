@@ -147,6 +147,7 @@ mod tests {
         assert_eq!(then(&[(true, 1.0); 5]), Some(62), "the generator runs, however slowly");
         assert_eq!(then(&[(true, f64::NAN); 5]), Some(62));
         assert_eq!(then(&[(false, 4.9); 500]), None, "noise below the window");
+        assert_eq!(then(&[(false, f64::NAN); 500]), None, "no speed is known, and the generator stands");
         let shaken: Vec<_> =
             (0..500).map(|index| (false, if index % 4 < 2 { 50.0 } else { -50.0 })).collect();
         assert_eq!(then(&shaken), None, "a disturbance leads there and back again");

@@ -161,6 +161,16 @@ fn an_enable_that_failed_may_bring_power_on_until_four_clean_reports_without_it(
     x.slot.report.suspect = false;
     x.turn();
     assert!(!x.seat.is_guarded());
+    // Nor does the end of another command.
+    x.post(Verb::Enable);
+    x.turn();
+    x.ends(Err(Failure::TimedOut(State::ReadyToSwitchOn)));
+    x.slot.report.suspect = true;
+    x.post(Verb::ResetFault);
+    x.turn();
+    x.ends(Ok(()));
+    assert!(x.seat.is_guarded());
+    x.slot.report.suspect = false;
     // With a fault there was no power, and no other command brings it.
     x.post(Verb::Enable);
     x.turn();
@@ -228,7 +238,11 @@ fn a_vertical_load_that_homes_or_moves_or_whose_report_is_old_keeps_its_power() 
     let off = x.post(Verb::Disable);
     x.turn();
     assert_eq!(x.ended(), [(off, Outcome::Failed(Failure::LoadInMotion))]);
-    x.slot.report.velocity = 0.0;
+    (x.slot.report.velocity, x.slot.report.moving) = (0.0, true);
+    let off = x.post(Verb::Disable);
+    x.turn();
+    assert_eq!(x.ended(), [(off, Outcome::Failed(Failure::LoadInMotion))]);
+    x.slot.report.moving = false;
     let off = x.post(Verb::Disable);
     x.turn();
     x.ends(Ok(()));
@@ -521,19 +535,25 @@ fn a_row_is_for_a_send_that_is_due_and_its_number_is_never_given_again() {
     let mut x = following(plan(), &rows);
     x.slot.due = false;
     assert_eq!(x.fed(), None);
+    x.seat.row_from_task(Row { position: -0.01, ..Row::default() });
+    assert_eq!(x.fed(), None);
     x.slot.due = true;
+    assert_eq!(x.fed().map(|row| row.position), Some(-0.01), "that of the task first, when one is due");
     assert_eq!(x.fed().map(|row| row.position), Some(0.01));
     let number = x.slot.row.unwrap().number;
     x.ends(Ok(()));
     x.ended();
-    x.done(Verb::Home, State::OperationEnabled);
+    x.rows.push(StreamRow { stream: 0, number: 0, row: Row::default() }).unwrap();
+    x.post(Verb::Home);
+    x.turn();
+    assert_eq!((x.fed(), x.seat.queues.rows.slots()), (None, 1), "no row is for another motion");
+    x.ends(Ok(()));
+    x.ended();
     x.seat.row_from_task(Row { position: 0.03, ..Row::default() });
     assert_eq!(x.fed(), None, "nothing is followed");
-    let row = StreamRow { stream: 0, number: 0, row: Row::default() };
-    x.rows.push(row).unwrap();
     x.post(Verb::Follow);
     x.turn();
-    assert_eq!(x.fed(), Some(row.row), "not the one that the task gave for an earlier send");
+    assert_eq!(x.fed(), Some(Row::default()), "not the one that the task gave for an earlier send");
     assert_eq!(x.slot.row.unwrap().number, number + 1);
 }
 
@@ -694,4 +714,30 @@ fn each_change_of_the_drive_is_told_once() {
     let told = [EventKind::State(State::Fault), EventKind::Fault(5), EventKind::Warning(6)];
     let inhibited = EventKind::HardwareEnable(false);
     assert_eq!(x.told(), [[inhibited].as_slice(), &told].concat());
+}
+
+#[test]
+fn a_drive_that_was_found_running_and_went_off_by_itself_is_still_only_read_after_a_reset() {
+    let plan = AxisPlan { on_found_running: FoundRunning::Refuse, ..plan() };
+    let mut x = Alone::new(plan);
+    x.slot.report.state = State::OperationEnabled;
+    x.turns(10);
+    x.slot.report.state = State::ReadyToSwitchOn;
+    x.turn();
+    let order = x.slot.order;
+    x.done_at_once(Verb::Reset);
+    assert_eq!(x.slot.order, order);
+}
+
+#[test]
+fn native_motion_data_may_lead_out_of_a_quick_stop_and_no_move_does() {
+    let mut x = Alone::new(plan()).enabled();
+    x.slot.report.state = State::QuickStopActive;
+    let home = x.post(Verb::Home);
+    x.turn();
+    let refused = Failure::WrongState(State::QuickStopActive);
+    assert_eq!(x.ended(), [(home, Outcome::Failed(refused))]);
+    x.post(Verb::Native(NativeOwner::Master));
+    x.turn();
+    assert_eq!((x.ended(), x.slot.order.verb), (vec![], Some(Verb::Native(NativeOwner::Master))));
 }
