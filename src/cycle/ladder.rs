@@ -391,8 +391,8 @@ mod tests {
         let (mut ladder, _) =
             Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0), 100.0);
         let off = (1..99).find(|n| {
-            let sight = if n % 2 == 0 { MOVING } else { lost };
-            ladder.step(Time(300 * n), sight) == Some(Verb::Disable)
+            let sight = if n % 3 == 0 { lost } else { MOVING };
+            ladder.step(Time(200 * n), Sight { velocity: 90.0, ..sight }) == Some(Verb::Disable)
         });
         assert_eq!(off, None, "without a shutdown it waits for the drive");
     }

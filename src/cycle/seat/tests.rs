@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use super::*;
 use crate::axis::newest::{NewestIn, newest};
-use crate::axis::{Emergency, Failure, HeldBy, Load, StopThen, Underrun, Units, cell};
+use crate::axis::{Emergency, Failure, HeldBy, Load, Move, StopThen, Target, Underrun, Units, cell};
 use crate::bus::Progress;
 use crate::rt::ring;
 use crate::time::MS;
@@ -70,6 +70,7 @@ impl Alone {
         };
         slot.report.at = now;
         seat.judge(&cycle, now, slot);
+        assert!(matches!(slot.exchange, Exchange::Idle | Exchange::Missed), "taken once");
         seat.watch(&cycle, now, slot);
         seat.exchange(&cycle, now, slot);
     }
@@ -647,6 +648,10 @@ fn a_stop_of_the_application_has_its_time_and_then_the_drive_stops() {
     x.turn();
     assert_eq!(x.seat.feedback().stopped, Some(StopCause::StopTimeout));
     assert_eq!(x.slot.order.verb, Some(Verb::QuickStop));
+    x.slot.report.velocity = 0.0;
+    let standstill = x.seat.plan().stop.standstill_for;
+    x.turns(standstill);
+    assert_eq!(x.slot.order.verb, Some(Verb::Disable));
 }
 
 #[test]
@@ -740,4 +745,82 @@ fn native_motion_data_may_lead_out_of_a_quick_stop_and_no_move_does() {
     x.post(Verb::Native(NativeOwner::Master));
     x.turn();
     assert_eq!((x.ended(), x.slot.order.verb), (vec![], Some(Verb::Native(NativeOwner::Master))));
+}
+
+impl Alone {
+    /// The in-loop task gives a command.
+    fn task(&mut self, id: u64, verb: Verb) -> CommandId {
+        let id = CommandId::of_task(id);
+        let cycle = cycle(self.index);
+        let command = Command { id, verb, stream: 0, ticket: None };
+        self.seat.command_from_task(&cycle, cycle.grid, command).unwrap();
+        id
+    }
+}
+
+#[test]
+fn a_command_of_the_task_that_a_stop_overtakes_has_its_end() {
+    let mut x = Alone::new(plan()).enabled();
+    let (home, stop) = (x.task(1, Verb::Home), x.task(2, Verb::QuickStop));
+    assert_eq!(x.ended(), [(home.0, Outcome::Aborted(Abort::Replaced(stop)))]);
+    x.seat.stop(&cycle(50), Time(50 * MS), StopCause::Overrun, &mut x.slot);
+    assert_eq!(x.ended(), [(stop.0, Outcome::Aborted(Abort::Stopped(StopCause::Overrun)))]);
+}
+
+#[test]
+fn a_row_of_the_task_ends_with_the_motion_that_it_was_for() {
+    let mut x = following(plan(), &[]);
+    x.seat.row_from_task(Row { position: 0.01, ..Row::default() });
+    x.ends(Ok(()));
+    x.post(Verb::Follow);
+    x.turn();
+    assert_eq!(x.fed(), None);
+}
+
+#[test]
+fn power_that_no_command_has_switched_on_is_watched_from_its_first_report() {
+    let mut x = Alone::new(plan()).enabled();
+    x.done(Verb::Disable, State::ReadyToSwitchOn);
+    x.slot.report.velocity = 50.0;
+    x.turns(9);
+    assert_eq!(x.seat.feedback().stopped, None, "pushed by hand");
+    x.slot.report.state = State::OperationEnabled;
+    x.slot.report.suspect = true;
+    x.turns(9);
+    assert_eq!(x.seat.feedback().stopped, None, "it may be an old report");
+    x.slot.report.suspect = false;
+    x.turns(2);
+    assert_eq!(x.seat.feedback().stopped, None);
+    x.turn();
+    assert_eq!(x.seat.feedback().stopped, Some(StopCause::Uncommanded));
+}
+
+#[test]
+fn a_command_to_a_member_alone_stops_its_group_only_if_it_may_begin() {
+    for (distance, stop) in [(200.0, None), (20.0, Some(StopCause::GroupFailed))] {
+        let mut x = ranged();
+        let ticket = Some(Ticket { lead: 0, members: 2, number: 1 });
+        let command = Command { id: CommandId(90), verb: Verb::Home, stream: 0, ticket };
+        let native = Verb::Native(NativeOwner::Master);
+        x.commands.push(Command { verb: native, ..command }).unwrap();
+        x.turn();
+        x.seat.begin_waiting(&cycle(x.index), Time(x.index * MS), &mut x.slot);
+        let target = Target::Relative(distance);
+        x.post(Verb::Move(Move { target, profile: x.seat.plan().profile }));
+        x.turn();
+        assert_eq!(x.seat.feedback().stopped, stop, "{distance} mm");
+    }
+}
+
+#[test]
+fn a_reset_takes_no_drive_over_that_does_not_answer() {
+    let plan = AxisPlan { on_found_running: FoundRunning::Refuse, ..plan() };
+    let mut x = Alone::new(plan);
+    x.slot.report.state = State::OperationEnabled;
+    x.turns(10);
+    (0..5).for_each(|_| x.miss());
+    assert_eq!(x.seat.feedback().link, Link::Lost);
+    let order = x.slot.order;
+    x.done_at_once(Verb::Reset);
+    assert_eq!(x.slot.order, order);
 }
