@@ -219,6 +219,18 @@ mod tests {
     }
 
     #[test]
+    fn a_link_that_was_lost_by_silence_passes_its_gate_again() {
+        let mut health = online();
+        (0..15).for_each(|_| health.answered(100));
+        health.watch_silence(121);
+        assert_eq!(health.link(), Link::Lost);
+        (0..9).for_each(|_| health.answered(130));
+        assert_eq!(health.link(), Link::Qualifying);
+        health.answered(130);
+        assert_eq!(health.link(), Link::Online);
+    }
+
+    #[test]
     fn only_good_exchanges_in_a_row_take_a_miss_out_of_the_bucket() {
         let mut health = online();
         let leak = Health::default().leak;

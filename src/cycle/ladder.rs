@@ -352,6 +352,11 @@ mod tests {
             Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0), 100.0);
         let lost = Sight { fresh: false, heard: false, ..MOVING };
         assert_eq!(ladder.step(Time(5_000), lost), None, "its time does not run");
+        assert_eq!(
+            ladder.step(Time(5_001), Sight { powered: false, ..lost }),
+            None,
+            "held values prove nothing"
+        );
         let again = ladder.step(Time(6_000), MOVING);
         assert!(matches!(again, Some(Verb::Stop { .. })), "requested again when it is received again");
         assert_eq!(ladder.step(Time(6_500), MOVING), None);
@@ -536,5 +541,10 @@ mod tests {
         (0..3).for_each(|_| assert_eq!(ladder.step(Time(1), STANDING), None));
         ladder.shut_down(Time(2), true);
         assert!(ladder.is_down());
+        // Off already when the shutdown comes: its control word has to say so.
+        let (mut ladder, _) = Ladder::start(hold, load, Time(0), 0.0);
+        (0..3).for_each(|_| assert_eq!(ladder.step(Time(1), STANDING), None));
+        ladder.shut_down(Time(3), false);
+        assert_eq!(ladder.step(Time(4), OFF), Some(Verb::Disable));
     }
 }

@@ -489,13 +489,19 @@ fn following(plan: AxisPlan, rows: &[(u32, f64, f64)]) -> Alone {
 }
 
 impl Alone {
-    /// The row of the next send, which goes out.
-    fn fed(&mut self) -> Option<Row> {
+    /// The row of the next send.
+    fn fed_unsent(&mut self) -> Option<Row> {
         self.slot.row = None;
         let cycle = cycle(self.index);
         self.seat.feed(&cycle, cycle.grid, &mut self.slot, &crate::cycle::gates::Gates::new(1));
-        self.seat.sent(&cycle, &self.slot);
         self.slot.row.map(|row| row.row)
+    }
+
+    /// The row of the next send, which goes out.
+    fn fed(&mut self) -> Option<Row> {
+        let row = self.fed_unsent();
+        self.seat.sent(&cycle(self.index), &self.slot);
+        row
     }
 }
 
@@ -823,4 +829,12 @@ fn a_reset_takes_no_drive_over_that_does_not_answer() {
     let order = x.slot.order;
     x.done_at_once(Verb::Reset);
     assert_eq!(x.slot.order, order);
+}
+
+#[test]
+fn a_row_that_has_not_left_is_replaced_by_no_other() {
+    let mut x = following(plan(), &[(0, 0.01, 0.0), (0, 0.02, 0.0)]);
+    assert_eq!(x.fed_unsent().map(|row| row.position), Some(0.01));
+    assert_eq!(x.fed(), None);
+    assert_eq!(x.fed().map(|row| row.position), Some(0.02));
 }
