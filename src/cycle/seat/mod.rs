@@ -473,7 +473,7 @@ impl Seat {
             let cause = self.left_operation(restarted).or_else(|| self.watch_motion(cycle, now, slot));
             match cause {
                 // A drive that was only read until now is not ours to brake.
-                Some(_) if self.claim == Claim::Found && !self.is_native(NativeOwner::Application) => {}
+                Some(_) if self.claim == Claim::Found => {}
                 Some(cause) if self.latch.is_open() => {
                     // What no command has begun follows no setpoint, nor does what goes on under a stop.
                     let follows = self.active.is_some_and(|active| !stops(active));
