@@ -169,6 +169,16 @@ mod tests {
     }
 
     #[test]
+    fn a_row_too_far_away_is_refused_with_the_range_that_is_near() {
+        let mut plan = AxisPlan::new("x", Units::millimetres(1_000.0));
+        plan.limits.step = Some(5.0);
+        let row = Row { position: 60.0, ..Row::default() };
+        let refused = Failure::Limit { what: "step", value: 60.0, low: 45.0, high: 55.0 };
+        assert_eq!(check_row(&plan, &row, Some(50.0)), Err(refused));
+        assert_eq!(check_row(&plan, &row, None), Ok(()));
+    }
+
+    #[test]
     fn no_row_is_near_a_position_that_the_drive_does_not_tell() {
         let mut plan = AxisPlan::new("x", Units::millimetres(1_000.0));
         let limits = Limits { position: Some((0.0, 100.0)), velocity: Some(10.0), ..Limits::default() };

@@ -203,7 +203,9 @@ mod tests {
     use super::*;
     use crate::axis::cell;
     use crate::axis::{AxisPlan, Command, CommandId, Event, EventKind, Feedback, StopCause, Units, Verb};
+    use crate::axis::{Row, StreamRow};
     use crate::cycle::seat::Queues;
+    use crate::cycle::seat::tests::{Alone, cycle, plan};
     use crate::rt::{Regions, ring};
     use crate::time::MS;
 
@@ -276,5 +278,114 @@ mod tests {
         to_y.push(call(3)).unwrap();
         turn(&mut seats);
         assert_eq!([outcomes(&mut of_x), outcomes(&mut of_y)], [[(3, Outcome::Done)], [(3, Outcome::Done)]]);
+    }
+
+    /// One cycle of the commands of all.
+    fn turn(gates: &mut Gates, index: u64, seats: &mut [Seat], slots: &mut [Slot]) {
+        let cycle = cycle(index);
+        for (seat, slot) in seats.iter_mut().zip(&mut *slots) {
+            seat.exchange(&cycle, cycle.grid, slot);
+        }
+        gates.open(&cycle, cycle.grid, seats, slots);
+    }
+
+    #[test]
+    fn a_stop_waits_two_cycles_for_the_other_members_and_no_longer() {
+        let [mut x, mut y] = [plan(), plan()].map(|plan| Alone::new(plan).enabled());
+        let (mut seats, mut slots) = ([x.seat, y.seat], [x.slot, y.slot]);
+        let mut gates = Gates::new(2);
+        let all = |verb, slots: &[Slot; 2]| slots.each_ref().map(|slot| slot.order.verb == Some(verb));
+        let stop = Command { verb: Verb::QuickStop, ..call(101) };
+        x.commands.push(stop).unwrap();
+        turn(&mut gates, 50, &mut seats, &mut slots);
+        assert_eq!(all(stop.verb, &slots), [false; 2]);
+        y.commands.push(stop).unwrap();
+        turn(&mut gates, 51, &mut seats, &mut slots);
+        assert_eq!(all(stop.verb, &slots), [true; 2]);
+        let off = Command { verb: Verb::Disable, ..call(102) };
+        x.commands.push(off).unwrap();
+        for (index, begins) in [(60, false), (61, false), (62, true)] {
+            turn(&mut gates, index, &mut seats, &mut slots);
+            assert_eq!(all(off.verb, &slots), [begins, false], "{index}");
+        }
+    }
+
+    #[test]
+    fn a_complete_call_starts_no_other_group() {
+        let mut alone = [(); 4].map(|()| Alone::new(plan()).enabled());
+        let ticket = |lead| Some(Ticket { lead, members: 2, number: 7 });
+        for (index, lead) in [(0, 0), (1, 0), (3, 2)] {
+            let command = Command { verb: Verb::Home, ticket: ticket(lead), ..call(107) };
+            alone[index].commands.push(command).unwrap();
+        }
+        let (mut seats, mut slots): (Vec<_>, Vec<_>) =
+            alone.into_iter().map(|alone| (alone.seat, alone.slot)).unzip();
+        turn(&mut Gates::new(4), 50, &mut seats, &mut slots);
+        let homes: Vec<_> = slots.iter().map(|slot| slot.order.verb == Some(Verb::Home)).collect();
+        assert_eq!(homes, [true, true, false, false]);
+    }
+
+    #[test]
+    fn rows_of_a_group_are_there_once_each_member_has_the_same_one_next() {
+        let row = |number| StreamRow { stream: 0, number, row: Row::default() };
+        for (of_x, of_y, there) in [
+            (&[][..], &[][..], false),
+            (&[1], &[], false),
+            (&[], &[1], false),
+            (&[1], &[1], true),
+            (&[1, 2], &[2], true),
+            (&[2], &[1], false),
+            (&[2], &[1, 3], false),
+        ] {
+            let [mut x, mut y] = [plan(), plan()].map(|plan| Alone::new(plan).enabled());
+            let follow = Command { verb: Verb::Follow, ..call(101) };
+            for (one, rows) in [(&mut x, of_x), (&mut y, of_y)] {
+                one.commands.push(follow).unwrap();
+                rows.iter().for_each(|number| one.rows.push(row(*number)).unwrap());
+                one.slot.due = true;
+            }
+            let (mut seats, mut slots) = ([x.seat, y.seat], [x.slot, y.slot]);
+            let mut gates = Gates::new(2);
+            turn(&mut gates, 50, &mut seats, &mut slots);
+            gates.count_rows(&mut seats, &slots);
+            assert_eq!(gates.have_rows(follow.ticket.unwrap()), there, "{of_x:?} {of_y:?}");
+            for (seat, slot) in seats.iter_mut().zip(&mut slots) {
+                seat.feed(&cycle(51), Time(51 * MS), slot, &gates);
+            }
+            assert_eq!(slots.each_ref().map(|slot| slot.row.is_some()), [there; 2], "{of_x:?} {of_y:?}");
+        }
+    }
+
+    #[test]
+    fn rows_of_an_earlier_stream_are_dropped_and_those_of_a_later_one_are_left() {
+        let row = |stream, number| StreamRow { stream, number, row: Row::default() };
+        for (rows, offered) in [
+            ([row(0, 5), row(1, 6)], Some(6)),
+            ([row(1, 6), row(2, 7)], Some(6)),
+            ([row(2, 6), row(2, 7)], None),
+        ] {
+            let mut x = Alone::new(plan()).enabled();
+            let follow = Command { verb: Verb::Follow, stream: 1, ..call(101) };
+            x.commands.push(follow).unwrap();
+            rows.into_iter().for_each(|row| x.rows.push(row).unwrap());
+            let mut other = Alone::new(plan()).enabled();
+            other.commands.push(follow).unwrap();
+            let (mut seats, mut slots) = ([x.seat, other.seat], [x.slot, other.slot]);
+            turn(&mut Gates::new(2), 50, &mut seats, &mut slots);
+            assert_eq!(seats[0].offers_row(0).map(|(_, number)| number), offered);
+        }
+    }
+
+    #[test]
+    fn the_misses_of_one_motion_are_not_counted_in_the_next() {
+        let mut gate = Gate { moving: 2, bucket: 4, leak: 1_000, ..Gate::default() };
+        for _ in 0..3 {
+            (gate.closed, gate.missed) = (2, true);
+            gate.fill();
+        }
+        assert_eq!(gate.level, 3);
+        gate.moving = 0;
+        gate.fill();
+        assert_eq!((gate.level, gate.good), (0, 0));
     }
 }

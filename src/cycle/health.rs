@@ -207,4 +207,38 @@ mod tests {
         let due: Vec<u64> = (0..12).filter(|index| health.is_due(*index)).collect();
         assert_eq!(due, [3, 7, 11]);
     }
+
+    #[test]
+    fn a_link_that_comes_back_has_an_empty_bucket() {
+        let mut health = online();
+        (0..5).for_each(|_| health.missed(0, true));
+        assert_eq!(health.link(), Link::Lost);
+        (0..10).for_each(|_| health.answered(0));
+        (0..4).for_each(|_| health.missed(0, true));
+        assert_eq!(health.link(), Link::Online);
+    }
+
+    #[test]
+    fn a_link_that_was_lost_by_silence_passes_its_gate_again() {
+        let mut health = online();
+        (0..15).for_each(|_| health.answered(100));
+        health.watch_silence(121);
+        assert_eq!(health.link(), Link::Lost);
+        (0..9).for_each(|_| health.answered(130));
+        assert_eq!(health.link(), Link::Qualifying);
+        health.answered(130);
+        assert_eq!(health.link(), Link::Online);
+    }
+
+    #[test]
+    fn only_good_exchanges_in_a_row_take_a_miss_out_of_the_bucket() {
+        let mut health = online();
+        let leak = Health::default().leak;
+        for misses in 1..=5 {
+            // One too few to be forgotten.
+            (1..leak).for_each(|_| health.answered(0));
+            health.missed(0, true);
+            assert_eq!(health.link() == Link::Lost, misses == 5, "{misses}");
+        }
+    }
 }

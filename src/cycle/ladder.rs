@@ -335,6 +335,14 @@ mod tests {
             assert_eq!(ladder.hurry(Time(500)), Some(Verb::QuickStop));
             assert_eq!(ladder.step(Time(499 + left), MOVING), None);
             assert_eq!(ladder.step(Time(500 + left), MOVING), Some(Verb::Disable));
+            // The same while the power goes off.
+            let coast = StopPlan { how: StopHow::Coast, ..plan };
+            let (mut ladder, _) = Ladder::start(coast, Load::Level, Time(0), 0.0);
+            assert_eq!(ladder.hurry(Time(0)), None);
+            ladder.step(Time(left - 1), MOVING);
+            assert!(!ladder.is_down());
+            ladder.step(Time(left), MOVING);
+            assert!(ladder.is_down());
         }
     }
 
@@ -344,6 +352,11 @@ mod tests {
             Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0), 100.0);
         let lost = Sight { fresh: false, heard: false, ..MOVING };
         assert_eq!(ladder.step(Time(5_000), lost), None, "its time does not run");
+        assert_eq!(
+            ladder.step(Time(5_001), Sight { powered: false, ..lost }),
+            None,
+            "held values prove nothing"
+        );
         let again = ladder.step(Time(6_000), MOVING);
         assert!(matches!(again, Some(Verb::Stop { .. })), "requested again when it is received again");
         assert_eq!(ladder.step(Time(6_500), MOVING), None);
@@ -353,6 +366,20 @@ mod tests {
         ladder.step(Time(500), lost);
         ladder.shut_down(Time(500), true);
         assert_eq!(ladder.step(Time(1_600), lost), Some(Verb::Disable), "a shutdown does not wait for ever");
+    }
+
+    #[test]
+    fn a_quick_stop_of_the_application_is_what_is_repeated_to_a_drive_that_comes_back() {
+        for quickened in [false, true] {
+            let (mut ladder, ramp) =
+                Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0), 10.0);
+            if quickened {
+                ladder.quicken();
+            }
+            assert_eq!(ladder.step(Time(100), Sight { fresh: false, heard: false, ..MOVING }), None);
+            let again = ladder.step(Time(200), Sight { velocity: 10.0, ..MOVING });
+            assert_eq!(again, Some(if quickened { Verb::QuickStop } else { ramp }));
+        }
     }
 
     #[test]
@@ -366,6 +393,13 @@ mod tests {
             ladder.step(Time(300 * n), sight) == Some(Verb::Disable)
         });
         assert_eq!(off, Some(7), "its time runs once more from its first return");
+        let (mut ladder, _) =
+            Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0), 100.0);
+        let off = (1..99).find(|n| {
+            let sight = if n % 3 == 0 { lost } else { MOVING };
+            ladder.step(Time(200 * n), Sight { velocity: 90.0, ..sight }) == Some(Verb::Disable)
+        });
+        assert_eq!(off, None, "without a shutdown it waits for the drive");
     }
 
     #[test]
@@ -374,6 +408,8 @@ mod tests {
             Ladder::start(plan(StopHow::Coast, StopThen::Disable), Load::Level, Time(5), 0.0);
         assert_eq!((verb, ladder.step(Time(5), OFF)), (Verb::Disable, None));
         assert!(!ladder.is_down(), "its reply is older than the order");
+        assert_eq!(ladder.step(Time(6), Sight { fresh: false, ..OFF }), None);
+        assert!(!ladder.is_down(), "and a held one says nothing");
         assert_eq!(ladder.step(Time(6), OFF), None);
         assert!(ladder.is_down());
         // Held until now, then it dropped out by itself.
@@ -437,6 +473,7 @@ mod tests {
             (96.0, 250, false),
             (96.0, 251, true),
             (-96.0, 251, true),
+            (95.0, 251, false),
             (94.0, 251, false),
             (94.0, 999, false),
         ] {
@@ -450,6 +487,7 @@ mod tests {
             None,
             "nor does a speed that was not known"
         );
+        assert_eq!(start(0.4).step(Time(251), STANDING), None, "and at standstill nothing is slower");
         let mut ladder = start(100.0);
         assert_eq!(ladder.step(Time(300), sight(100.0)), Some(Verb::QuickStop));
         assert_eq!(ladder.step(Time(1_299), sight(100.0)), None, "once, and it has as much time");
@@ -470,6 +508,7 @@ mod tests {
                 ladder.step(Time(2), OFF);
                 assert!(ladder.is_down(), "{on_timeout:?}");
                 assert_eq!(ladder.again(Time(1), 50.0), verb, "{on_timeout:?}");
+                assert!(!ladder.is_down(), "{on_timeout:?}");
             }
         }
     }
@@ -502,5 +541,10 @@ mod tests {
         (0..3).for_each(|_| assert_eq!(ladder.step(Time(1), STANDING), None));
         ladder.shut_down(Time(2), true);
         assert!(ladder.is_down());
+        // Off already when the shutdown comes: its control word has to say so.
+        let (mut ladder, _) = Ladder::start(hold, load, Time(0), 0.0);
+        (0..3).for_each(|_| assert_eq!(ladder.step(Time(1), STANDING), None));
+        ladder.shut_down(Time(3), false);
+        assert_eq!(ladder.step(Time(4), OFF), Some(Verb::Disable));
     }
 }

@@ -119,3 +119,21 @@ impl Window {
 fn missing(cycle: &Cycle, slots: &[Slot]) -> usize {
     slots.iter().filter(|slot| slot.exchange.is_waited_for(cycle)).count()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::time::{MS, Time};
+
+    #[test]
+    fn a_nap_gets_a_sixteenth_shorter_or_a_quarter_longer_within_its_bounds() {
+        let mut window = Window::new(Wait::Poll, 1);
+        let cycle = Cycle { index: 9, grid: Time(MS), period_ns: MS, deadline: Time(MS + 400 * US) };
+        let mut naps = |enough, times| {
+            (0..times).for_each(|_| window.learn(enough, &cycle));
+            window.nap_ns
+        };
+        assert_eq!([naps(true, 1), naps(false, 1)], [18_750, 23_437]);
+        assert_eq!([naps(false, 99), naps(true, 999)], [100 * US, 5 * US]);
+    }
+}

@@ -32,11 +32,13 @@ pub struct Fused {
     pub fuse: Fuse,
     /// What its helper is said to be.
     pub helper_ended: Arc<Mutex<bool>>,
+    /// Its orderly end is never complete.
+    pub never_ends: Arc<Mutex<bool>>,
 }
 
 impl Fused {
     pub fn new(plan: LinUdpPlan) -> Fused {
-        Fused { plan, fuse: Fuse::default(), helper_ended: Arc::default() }
+        Fused { plan, fuse: Fuse::default(), helper_ended: Arc::default(), never_ends: Arc::default() }
     }
 
     /// From now on so many of these calls panic.
@@ -108,7 +110,7 @@ impl Bus for FusedBus {
 
     fn shut_down(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool {
         self.burn(Call::ShutDown);
-        self.bus.shut_down(cycle, slots)
+        self.bus.shut_down(cycle, slots) && !*self.of.never_ends.lock().unwrap()
     }
 
     fn helper_ended(&self) -> bool {

@@ -91,6 +91,8 @@ fn own_work_that_takes_too_long_is_an_overrun() {
         b.run(50);
         b.assert_grid();
         assert_eq!((b.status().skipped, b.status().overruns), (skipped, u64::from(skipped > 0)));
+        // The cycle itself and its overrun are one delay.
+        assert_eq!(b.status().late, 1, "{work_ns}");
         let seen = seen.lock().unwrap();
         assert_on_grid(&seen);
         assert_eq!(seen[51].index, 51 + skipped);
@@ -120,9 +122,16 @@ fn more_than_max_skip_in_one_hold_up_stops_every_axis() {
         b.ready();
         let moves: Vec<_> = (0..3).map(|index| b.post(index, slowly_to(100.0))).collect();
         b.run(200);
+        let heard: Vec<usize> = (0..3).map(|index| b.tape(index).heard.len()).collect();
         b.world().delay_next_wake(slots * MS + 200 * US);
         b.run(2);
         assert_eq!(b.status().skipped, slots);
+        for (index, from) in heard.into_iter().enumerate() {
+            let motion = |heard: &Heard| heard.request.motion;
+            let tape = b.tape(index);
+            let first = motion(&tape.heard[from]) != motion(&tape.heard[from - 1]);
+            assert_eq!(first, stop.is_some(), "a stop leaves with the first request after the hold-up");
+        }
         b.assert_grid();
         for (index, id) in moves.into_iter().enumerate() {
             assert_eq!(b.feedback(index).stopped, stop, "{slots} slots");

@@ -349,6 +349,68 @@ fn misses_of_all_members_together_stop_the_group() {
     assert!((0..3).all(|index| b.feedback(index).stopped.is_none()));
 }
 
+/// The strike, counted from 0, that stops the group: so many missed exchanges of a member, and so many rounds after it.
+fn struck(divisor: u32, leaks: [u32; 3], buckets: [u32; 3], strikes: &[(usize, u64, u64)]) -> Option<usize> {
+    let mut b = rig(3)
+        .each(|index, drive| {
+            drive.axis.divisor = divisor;
+            drive.axis.health = Health { bucket: buckets[index], leak: leaks[index], ..Health::default() };
+        })
+        .start();
+    b.ready();
+    b.join(&[0, 1, 2]);
+    b.group().post(&[slowly_to(150.0); 3]).unwrap();
+    b.run(100);
+    strikes.iter().position(|&(member, missed, rounds)| {
+        b.tape(member).mute = true;
+        b.run(missed * u64::from(divisor));
+        b.tape(member).mute = false;
+        b.run(rounds * u64::from(divisor));
+        let stopped = b.feedback(0).stopped;
+        assert!(stopped.is_none_or(|cause| cause == StopCause::GroupLink), "{stopped:?}");
+        stopped.is_some()
+    })
+}
+
+#[test]
+fn the_bucket_of_a_group_is_that_of_its_most_sensitive_member() {
+    for sensitive in 0..3 {
+        let mut buckets = [8; 3];
+        buckets[sensitive] = 4;
+        let strikes = [((sensitive + 1) % 3, 3, 5), ((sensitive + 2) % 3, 3, 5)];
+        assert_eq!(struck(1, [1_000; 3], buckets, &strikes), Some(1), "{sensitive}");
+    }
+}
+
+#[test]
+fn a_group_forgets_a_miss_after_so_many_rounds_without_one() {
+    let strikes = [(0, 4, 100), (1, 4, 100), (2, 4, 100)];
+    assert_eq!(struck(1, [10; 3], [8; 3], &strikes), None);
+    for slow in 0..3 {
+        let mut leaks = [10; 3];
+        leaks[slow] = 1_000;
+        assert_eq!(struck(1, leaks, [8; 3], &strikes), Some(1), "as slowly as member {slow}");
+    }
+    // Cycles between two exchanges are no rounds.
+    let strikes = [(0, 1, 8), (1, 1, 8), (2, 1, 8), (0, 1, 8)];
+    assert_eq!(struck(4, [10; 3], [4; 3], &strikes), Some(3));
+    assert_eq!(struck(4, [5; 3], [4; 3], &strikes), None);
+}
+
+#[test]
+fn homing_is_a_motion_of_the_group_and_an_enable_is_none() {
+    for (verb, counts) in [(Verb::Home, true), (Verb::Enable, false)] {
+        let mut b = joined(2, &[0, 1]);
+        b.group().post_all(verb).unwrap();
+        b.run(2);
+        b.tape(1).mute = true;
+        b.run(1);
+        b.tape(1).mute = false;
+        b.run(1);
+        assert_eq!(b.kinds(1).contains(&EventKind::MissedInGroup), counts, "{verb:?}");
+    }
+}
+
 #[test]
 fn a_row_that_could_not_be_sent_to_one_member_leaves_the_others_in_step() {
     let mut b = joined(2, &[0, 1]);

@@ -7,9 +7,15 @@ use std::time::Duration;
 use fieldbeat::axis::{
     Abort, Failure, FoundRunning, Link, Outcome, State, StopCause, StopHow, StopThen, Target, Verb,
 };
+use fieldbeat::bus::linudp::LinUdpPlan;
 use fieldbeat::bus::linudp::wire::{ControlWord, ErrorCode, MainState, StatusWord};
 use fieldbeat::cycle::engine::Flow;
+use fieldbeat::cycle::{CyclePlan, Plan};
+use fieldbeat::master::Master;
+use fieldbeat::net::SendMode;
+use fieldbeat::sim::world::WorldOptions;
 
+use super::fuse::Fused;
 use crate::virtual_time::support::*;
 
 /// No motion was cut short: when the control word went low for good, the drive did not move.
@@ -327,5 +333,36 @@ fn many_axes_end_together() {
         assert!(is_off(&b, index));
         assert_braked_before_power_off(&b, index);
         assert_eq!(b.feedback(index).stopped, Some(StopCause::Shutdown));
+    }
+}
+
+#[test]
+fn a_bus_that_does_not_end_is_left_after_ten_seconds() {
+    for (waits, cut_off) in [(None, true), (Some(9_000), false)] {
+        let plan =
+            LinUdpPlan { name: "linudp".into(), bind: MASTER, send: SendMode::Batch, drives: vec![drive(0)] };
+        let bus = Fused::new(plan);
+        let never_ends = Arc::clone(&bus.never_ends);
+        *never_ends.lock().unwrap() = true;
+        let plan = Plan {
+            source: None,
+            cycle: CyclePlan::default(),
+            buses: vec![Box::new(bus)],
+            groups: Vec::new(),
+        };
+        let mut sim = Master::from_plan(plan).simulate(WorldOptions::default()).unwrap();
+        for _ in 0..100 {
+            sim.step();
+        }
+        sim.stop();
+        let took = (1..20_000_u64).find(|turn| {
+            if waits == Some(*turn) {
+                *never_ends.lock().unwrap() = false;
+            }
+            sim.step() == Flow::End
+        });
+        let expected = waits.unwrap_or(10_002);
+        assert_eq!(took, Some(expected));
+        assert_eq!(sim.status().cut_off, cut_off);
     }
 }

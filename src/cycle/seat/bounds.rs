@@ -253,6 +253,10 @@ mod tests {
         assert_eq!(strikes(&plan(), false, false, &out), None);
         assert_eq!(strikes(&plan(), false, true, &[103.0, 102.8, 102.6, 102.4]), None);
         assert_eq!(strikes(&plan(), false, true, &[0.0, -0.2, -0.4, -0.6]), Some(3));
+        let mut below = plan();
+        below.limits.position = Some((-50.0, 100.0));
+        assert_eq!(strikes(&below, false, true, &[-0.2, -0.4, -0.6, -0.8, -1.0]), None);
+        assert_eq!(strikes(&below, false, true, &[-49.9, -50.1, -50.3, -50.5]), Some(3));
     }
 
     #[test]
@@ -260,6 +264,8 @@ mod tests {
         // 400 mm/s needs 80 mm at 1000 mm/s².
         let demands: Vec<f64> = (0..250).map(|index| f64::from(index) * 0.4).collect();
         let struck = strikes(&plan(), true, true, &demands).unwrap();
+        // Of the reports from 18.4 mm on the third one; 80 mm to brake, and 5 reports until a stop reaches it.
+        assert_eq!(struck, 48);
         let end = demands[struck] + 400.0 * 0.002 + 400.0 * 400.0 / 2_000.0;
         assert!((98.0..=100.0).contains(&end), "{end}");
         assert_eq!(strikes(&plan(), false, true, &demands), None);

@@ -476,7 +476,7 @@ impl Seat {
         if slot.report.fresh {
             let cause = self.left_operation(restarted).or_else(|| self.watch_motion(cycle, now, slot));
             match cause {
-                Some(_) if self.claim == Claim::Found && !self.is_native(NativeOwner::Application) => {
+                Some(_) if self.claim == Claim::Found => {
                     self.find_running(cycle, now, Braked::ByTheDrive, slot);
                 }
                 Some(cause) if self.latch.is_open() => {
@@ -811,3 +811,6 @@ fn stops(active: Command) -> bool {
 fn under_torque(slot: &Slot) -> bool {
     slot.order.verb.is_some_and(|verb| verb.takes_torques())
 }
+
+#[cfg(test)]
+pub(super) mod tests;

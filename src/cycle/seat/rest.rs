@@ -147,6 +147,7 @@ mod tests {
         assert_eq!(then(&[(true, 1.0); 5]), Some(62), "the generator runs, however slowly");
         assert_eq!(then(&[(true, f64::NAN); 5]), Some(62));
         assert_eq!(then(&[(false, 4.9); 500]), None, "noise below the window");
+        assert_eq!(then(&[(false, f64::NAN); 500]), None, "no speed is known, and the generator stands");
         let shaken: Vec<_> =
             (0..500).map(|index| (false, if index % 4 < 2 { 50.0 } else { -50.0 })).collect();
         assert_eq!(then(&shaken), None, "a disturbance leads there and back again");
@@ -158,6 +159,18 @@ mod tests {
             (0..2_000).map(|n| (false, 300.0 * (f64::from(n) * 0.2).sin() * (-0.1 * f64::from(n)).exp()));
         assert_eq!(trips(false, ringing), None);
         assert_eq!(trips(false, [(true, 40.0); 100]), Some(53), "done, and it goes on");
+    }
+
+    #[test]
+    fn an_axis_of_few_exchanges_settles_in_as_many_as_prove_its_standstill() {
+        let mut stop = AxisPlan::new("x", Units::millimetres(1_000.0)).stop;
+        for (standstill_for, trips) in [(20, 23), (3, 8)] {
+            stop.standstill_for = standstill_for;
+            let mut rest = Rest::default();
+            let motion = Motion { moving: false, velocity: 40.0 };
+            let tripped = (0..99).find(|n| rest.moves(Time(10 * MS * n), motion, &stop, 0.010));
+            assert_eq!(tripped, Some(trips), "{standstill_for} exchanges of 10 ms");
+        }
     }
 
     #[test]

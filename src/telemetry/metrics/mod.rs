@@ -6,7 +6,7 @@
 //! | `host` | for whom a request was meant |
 //! | `page` | what it answers |
 //!
-//! The thread is a normal one, off the loop's core, and waits for no client: [`Clients`] bounds their number, bytes and
+//! The thread is a normal one, off the loop's core, and waits for no client: `Clients` bounds their number, bytes and
 //! time. A client that is slow, or says nothing, delays nobody.
 
 mod host;

@@ -4,7 +4,7 @@ use fastrand::Rng;
 use fieldbeat::axis::command::NativeOwner;
 use fieldbeat::axis::{Jog, Move, Profile, Target, Verb};
 
-use super::machine::{AXES, Kind, Scale, Shape};
+use super::machine::{Kind, Scale, Shape};
 
 /// A command, its numbers in per cent of what its axis can do.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -321,8 +321,7 @@ fn quiet(random: &mut Rng, shape: Shape) -> Op {
 /// the same.
 pub fn round(random: &mut Rng, shape: Shape, scales: &[Scale], without: Without) -> Round {
     let mut round = Round::new();
-    for axis in 0..AXES {
-        let scale = &scales[axis];
+    for (axis, scale) in scales.iter().enumerate() {
         let mut at = 0;
         // It begins with a motion.
         let mut first: Vec<_> = (0..random.u8(0..2)).map(|_| command(random, scale)).collect();

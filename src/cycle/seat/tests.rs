@@ -1,0 +1,840 @@
+//! One axis without a bus: the tests write what its drive reports, and when an order is done.
+
+use std::time::Duration;
+
+use super::*;
+use crate::axis::newest::{NewestIn, newest};
+use crate::axis::{Emergency, Failure, HeldBy, Load, Move, StopThen, Target, Underrun, Units, cell};
+use crate::bus::Progress;
+use crate::rt::ring;
+use crate::time::MS;
+
+/// An axis, its slot, and the application's ends of its queues. A cycle takes 1 ms.
+pub(in crate::cycle) struct Alone {
+    pub seat: Seat,
+    pub slot: Slot,
+    pub commands: Producer<Command>,
+    pub rows: Producer<StreamRow>,
+    _setpoints: NewestIn,
+    events: Consumer<Event>,
+    index: u64,
+    id: u64,
+}
+
+pub(in crate::cycle) fn cycle(index: u64) -> Cycle {
+    let grid = Time(index * MS);
+    Cycle { index, grid, period_ns: MS, deadline: grid + MS / 2 }
+}
+
+pub(in crate::cycle) fn plan() -> AxisPlan {
+    AxisPlan::new("x", Units::millimetres(1_000.0))
+}
+
+impl Alone {
+    pub fn new(plan: AxisPlan) -> Alone {
+        let mut regions = Regions::default();
+        let (commands, command_out) = ring(8, &mut regions);
+        let (rows, row_out) = ring(8, &mut regions);
+        let (setpoints, setpoint_out) = newest();
+        let (event_in, events) = ring(64, &mut regions);
+        let (feedback, _) = cell::cell(Feedback::default());
+        let queues = Queues {
+            commands: command_out,
+            rows: row_out,
+            setpoints: setpoint_out,
+            events: event_in,
+            room_for_ends: 8,
+            feedback,
+            samples: None,
+        };
+        let seat = Seat::new(plan, queues, MS, 0, 100);
+        let slot = Slot::default();
+        Alone { seat, slot, commands, rows, _setpoints: setpoints, events, index: 0, id: 0 }
+    }
+
+    /// One cycle up to the commands. The drive answers with the report in the slot.
+    pub fn turn(&mut self) {
+        self.slot.report.fresh = true;
+        self.miss();
+    }
+
+    /// One cycle up to the commands, in which the report in the slot is not new unless it says so.
+    pub fn miss(&mut self) {
+        self.index += 1;
+        let cycle = cycle(self.index);
+        let now = cycle.grid;
+        let (seat, slot) = (&mut self.seat, &mut self.slot);
+        slot.exchange = match slot.report.fresh {
+            true => Exchange::Answered { sent_at: now, at: now, suspect: slot.report.suspect },
+            false => Exchange::Absent,
+        };
+        slot.report.at = now;
+        seat.judge(&cycle, now, slot);
+        assert!(matches!(slot.exchange, Exchange::Idle | Exchange::Missed), "taken once");
+        seat.watch(&cycle, now, slot);
+        seat.exchange(&cycle, now, slot);
+    }
+
+    pub fn turns(&mut self, count: u32) {
+        (0..count).for_each(|_| self.turn());
+    }
+
+    pub fn post(&mut self, verb: Verb) -> u64 {
+        self.id += 1;
+        self.commands.push(Command { id: CommandId(self.id), verb, stream: 0, ticket: None }).unwrap();
+        self.id
+    }
+
+    /// The bus ends the order; the loop looks at it in the same cycle.
+    pub fn ends(&mut self, end: Result<(), Failure>) {
+        self.slot.progress = Progress { serial: self.slot.order.serial, end: Some(end) };
+        self.turn();
+    }
+
+    /// The command is done, and the drive reports this state from then on.
+    pub fn done(&mut self, verb: Verb, state: State) {
+        let id = self.post(verb);
+        self.turn();
+        self.slot.report.state = state;
+        self.ends(Ok(()));
+        assert_eq!(self.ended(), [(id, Outcome::Done)]);
+    }
+
+    /// The command ends in the cycle in which it begins.
+    fn done_at_once(&mut self, verb: Verb) {
+        let id = self.post(verb);
+        self.ended();
+        self.miss();
+        assert_eq!(self.ended(), [(id, Outcome::Done)]);
+    }
+
+    /// Online, and homed as it says.
+    pub fn online(mut self) -> Alone {
+        (self.slot.report.state, self.slot.report.homed) = (State::ReadyToSwitchOn, true);
+        self.turns(10);
+        assert_eq!(self.seat.feedback().link, Link::Online);
+        self
+    }
+
+    /// In operation.
+    pub fn enabled(self) -> Alone {
+        let mut alone = self.online();
+        alone.done(Verb::Enable, State::OperationEnabled);
+        alone
+    }
+
+    /// The commands that have ended since the last look.
+    pub fn ended(&mut self) -> Vec<(u64, Outcome)> {
+        (self.told().into_iter())
+            .filter_map(|kind| match kind {
+                EventKind::Ended { id, outcome, .. } => Some((id.0, outcome)),
+                _ => None,
+            })
+            .collect()
+    }
+
+    /// All events since the last look.
+    pub fn told(&mut self) -> Vec<EventKind> {
+        std::iter::from_fn(|| self.events.pop().ok()).map(|event| event.kind).collect()
+    }
+}
+
+#[test]
+fn an_enable_that_failed_may_bring_power_on_until_four_clean_reports_without_it() {
+    let mut x = Alone::new(plan()).online();
+    assert!(!x.seat.is_guarded());
+    x.post(Verb::Enable);
+    x.turn();
+    assert!(x.seat.is_guarded());
+    x.ends(Err(Failure::TimedOut(State::ReadyToSwitchOn)));
+    // The report of the cycle in which it failed came while it ran.
+    x.turns(3);
+    assert!(x.seat.is_guarded());
+    x.slot.report.suspect = true;
+    x.turns(9);
+    assert!(x.seat.is_guarded(), "a report that may be an old one shows nothing");
+    (x.slot.report.suspect, x.slot.report.state) = (false, State::SwitchedOn);
+    x.turns(9);
+    x.slot.report.state = State::ReadyToSwitchOn;
+    x.slot.report.suspect = true;
+    x.turn();
+    assert!(x.seat.is_guarded(), "nor does one with power");
+    x.slot.report.suspect = false;
+    x.turn();
+    assert!(!x.seat.is_guarded());
+    // Nor does the end of another command.
+    x.post(Verb::Enable);
+    x.turn();
+    x.ends(Err(Failure::TimedOut(State::ReadyToSwitchOn)));
+    x.slot.report.suspect = true;
+    x.post(Verb::ResetFault);
+    x.turn();
+    x.ends(Ok(()));
+    assert!(x.seat.is_guarded());
+    x.slot.report.suspect = false;
+    // With a fault there was no power, and no other command brings it.
+    x.post(Verb::Enable);
+    x.turn();
+    x.ends(Err(Failure::DriveFault(7)));
+    assert!(!x.seat.is_guarded());
+    x.post(Verb::ResetFault);
+    x.turn();
+    assert!(!x.seat.is_guarded());
+}
+
+#[test]
+fn the_age_of_a_suspect_report_counts_from_the_exchange_before() {
+    let mut x = Alone::new(plan()).online();
+    x.miss();
+    assert_eq!(x.seat.feedback().age, 1);
+    x.slot.report.suspect = true;
+    x.turn();
+    assert_eq!(x.seat.feedback().age, 1);
+    x.miss();
+    assert_eq!(x.seat.feedback().age, 2);
+}
+
+#[test]
+fn a_restart_an_emergency_and_a_refused_variable_in_one_report_are_all_told() {
+    for (restarted, refused, emergency) in [
+        (true, false, false),
+        (false, true, false),
+        (false, false, true),
+        (true, true, false),
+        (true, false, true),
+        (false, true, true),
+        (true, true, true),
+    ] {
+        let mut x = Alone::new(plan()).online();
+        x.told();
+        let report = &mut x.slot.report;
+        report.restarted = restarted;
+        report.monitor_refused = refused.then_some((2, 7));
+        report.emergency = emergency.then_some(Emergency { code: 1, register: 0 });
+        x.turn();
+        let told = x.told();
+        let holds = |kind| told.contains(&kind);
+        assert_eq!(holds(EventKind::Restarted), restarted, "{told:?}");
+        assert_eq!(holds(EventKind::MonitorRefused { channel: 2, status: 7 }), refused, "{told:?}");
+        assert_eq!(holds(EventKind::Emergency(Emergency { code: 1, register: 0 })), emergency, "{told:?}");
+    }
+}
+
+#[test]
+fn a_vertical_load_that_homes_or_moves_or_whose_report_is_old_keeps_its_power() {
+    let vertical = AxisPlan { load: Load::Vertical(HeldBy::Brake), ..plan() };
+    let mut x = Alone::new(vertical.clone()).enabled();
+    // Its first report after the order shows no motion yet.
+    x.post(Verb::Home);
+    x.turn();
+    let off = x.post(Verb::Disable);
+    x.turn();
+    assert_eq!(x.ended(), [(off, Outcome::Failed(Failure::LoadInMotion))]);
+    let mut x = Alone::new(vertical).enabled();
+    let off = x.post(Verb::Disable);
+    x.miss();
+    assert_eq!(x.ended(), [(off, Outcome::Failed(Failure::LoadInMotion))]);
+    // A push is not yet a motion of its own.
+    x.slot.report.velocity = 50.0;
+    let off = x.post(Verb::Disable);
+    x.turn();
+    assert_eq!(x.ended(), [(off, Outcome::Failed(Failure::LoadInMotion))]);
+    (x.slot.report.velocity, x.slot.report.moving) = (0.0, true);
+    let off = x.post(Verb::Disable);
+    x.turn();
+    assert_eq!(x.ended(), [(off, Outcome::Failed(Failure::LoadInMotion))]);
+    x.slot.report.moving = false;
+    let off = x.post(Verb::Disable);
+    x.turn();
+    x.ends(Ok(()));
+    assert_eq!(x.ended(), [(off, Outcome::Done)]);
+}
+
+#[test]
+fn a_drive_that_was_found_running_is_braked_at_the_end_once_a_reset_has_taken_it_over() {
+    let plan = AxisPlan { on_found_running: FoundRunning::Refuse, ..plan() };
+    for reset in [false, true] {
+        let mut x = Alone::new(plan.clone());
+        x.slot.report.state = State::OperationEnabled;
+        x.turns(10);
+        assert_eq!(x.seat.feedback().stopped, Some(StopCause::FoundRunning));
+        assert!(x.seat.is_guarded());
+        if reset {
+            let id = x.post(Verb::Reset);
+            x.turn();
+            assert_eq!(x.ended(), [(id, Outcome::Done)]);
+        }
+        let left = x.seat.shut_down(&cycle(99), Time(99 * MS), &mut x.slot, false);
+        assert_eq!((left, x.slot.order.verb.is_some()), (!reset, reset));
+    }
+}
+
+#[test]
+fn a_task_command_needs_room_for_its_end_unless_it_is_a_stop() {
+    let mut x = Alone::new(plan()).enabled();
+    while x.seat.queues.events.slots() > x.seat.queues.room_for_ends {
+        x.seat.tell(&cycle(50), Time(50 * MS), EventKind::Restarted);
+    }
+    let mut takes = |verb| {
+        let command = Command { id: CommandId::of_task(1), verb, stream: 0, ticket: None };
+        x.seat.command_from_task(&cycle(50), Time(50 * MS), command).is_ok()
+    };
+    assert!(!takes(Verb::Home));
+    assert!(takes(Verb::QuickStop));
+}
+
+#[test]
+fn a_quick_stop_takes_the_place_of_a_ramp_and_not_of_the_power_off_after_it() {
+    let mut x = Alone::new(plan()).enabled();
+    x.seat.stop(&cycle(50), Time(20 * MS), StopCause::Overrun, &mut x.slot);
+    let ramp = x.post(Verb::QuickStop);
+    x.turn();
+    assert_eq!(x.slot.order.verb, Some(Verb::QuickStop));
+    // At standstill; the drive reports its power later.
+    let standstill = x.seat.plan().stop.standstill_for;
+    x.turns(standstill);
+    assert_eq!(x.slot.order.verb, Some(Verb::Disable));
+    assert_eq!(x.ended(), [(ramp, Outcome::Aborted(Abort::Stopped(StopCause::Overrun)))]);
+    let late = x.post(Verb::QuickStop);
+    x.turn();
+    assert_eq!(x.ended(), [(late, Outcome::Failed(Failure::Latched(StopCause::Overrun)))]);
+    assert_eq!(x.slot.order.verb, Some(Verb::Disable));
+}
+
+/// Enabled, homed, between 0 and 100 mm; it brakes with 1000 mm/s².
+fn ranged() -> Alone {
+    let mut plan = plan();
+    plan.limits.position = Some((0.0, 100.0));
+    plan.limits.velocity = Some(500.0);
+    plan.setpoint_age = 1_000;
+    Alone::new(plan).enabled()
+}
+
+/// The position in mm at which it is stopped when its demand goes on by `step` a cycle, and by what.
+fn stopped_at(x: &mut Alone, step: f64) -> (f64, StopCause) {
+    for _ in 0..400 {
+        let report = &mut x.slot.report;
+        (report.moving, report.velocity) = (true, step * 1e3);
+        report.demand += step;
+        report.position = report.demand;
+        x.turn();
+        if let Some(cause) = x.seat.feedback().stopped {
+            return (x.seat.feedback().demand, cause);
+        }
+    }
+    panic!("not stopped");
+}
+
+#[test]
+fn native_data_are_stopped_where_the_axis_can_still_brake_and_a_move_at_its_limit() {
+    // 400 mm/s takes 80 mm to standstill.
+    for owner in [NativeOwner::Master, NativeOwner::Application] {
+        let mut x = ranged();
+        x.post(Verb::Native(owner));
+        x.turn();
+        let (at, cause) = stopped_at(&mut x, 0.4);
+        assert!((15.0..20.0).contains(&at) && cause == StopCause::Limit, "{owner:?} {at} {cause}");
+    }
+    let mut x = ranged();
+    x.post(Verb::Torque { slope: 100.0 });
+    x.turn();
+    let (at, cause) = stopped_at(&mut x, 0.4);
+    assert!((15.0..20.0).contains(&at) && cause == StopCause::Limit, "torque {at} {cause}");
+    let mut x = ranged();
+    x.post(Verb::Follow);
+    x.turn();
+    let (at, cause) = stopped_at(&mut x, 0.4);
+    assert!((100.0..102.0).contains(&at) && cause == StopCause::Limit, "{at} {cause}");
+}
+
+#[test]
+fn what_follows_no_setpoint_is_stopped_by_its_drive_and_all_else_by_a_ramp() {
+    let by_drive = |x: &Alone| x.slot.order.verb == Some(Verb::QuickStop);
+    // By itself.
+    let mut x = ranged();
+    x.turns(100);
+    assert_eq!(stopped_at(&mut x, 0.1).1, StopCause::Uncommanded);
+    assert!(by_drive(&x));
+    let mut x = ranged();
+    x.turns(100);
+    assert_eq!(stopped_at(&mut x, 0.6).1, StopCause::Limit);
+    assert!(by_drive(&x));
+    // Faster than its limit: under a motion, and under a stop.
+    for (verb, expected) in [(Verb::Follow, false), (Verb::Stop { deceleration: None }, true)] {
+        let mut x = ranged();
+        x.post(verb);
+        x.turn();
+        assert_eq!(stopped_at(&mut x, 0.6).1, StopCause::Limit);
+        assert_eq!(by_drive(&x), expected, "{verb:?}");
+    }
+    // It has left operation.
+    let mut x = ranged();
+    x.slot.report.state = State::SwitchedOn;
+    x.turn();
+    assert_eq!(x.seat.feedback().stopped, Some(StopCause::DriveDropped));
+    assert!(!by_drive(&x));
+}
+
+#[test]
+fn a_stop_is_as_steep_as_the_faster_of_demand_and_motor_requires() {
+    // In 80 % of 100 ms.
+    for (step, velocity, deceleration) in [(0.0, 0.0, 1_000.0), (0.2, 0.0, 2_500.0), (0.2, 320.0, 4_000.0)] {
+        let mut plan = plan();
+        plan.stop.timeout = Duration::from_millis(100);
+        let mut x = Alone::new(plan).enabled();
+        x.post(Verb::Follow);
+        for _ in 0..3 {
+            x.slot.report.demand += step;
+            x.slot.report.velocity = velocity;
+            x.turn();
+        }
+        x.seat.stop(&cycle(99), Time(99 * MS), StopCause::Overrun, &mut x.slot);
+        let Some(Verb::Stop { deceleration: Some(ordered) }) = x.slot.order.verb else { panic!() };
+        assert!((ordered / deceleration - 1.0).abs() < 0.01, "{ordered} at {step} and {velocity}");
+    }
+}
+
+#[test]
+fn the_motor_may_settle_after_each_motion_and_not_at_any_other_time() {
+    let mut x = Alone::new(plan()).enabled();
+    for settles in [true, true, false] {
+        x.slot.report.velocity = 0.0;
+        x.turns(100);
+        if settles {
+            x.post(Verb::Home);
+            x.turn();
+            x.slot.report.velocity = 100.0;
+            x.turns(9);
+            x.ends(Ok(()));
+        }
+        x.slot.report.velocity = 40.0;
+        x.turns(9);
+        assert_eq!(x.seat.feedback().stopped.is_none(), settles);
+    }
+}
+
+#[test]
+fn only_a_quick_stop_is_taken_while_an_axis_is_stopped() {
+    for verb in [Verb::Disable, Verb::Stop { deceleration: None }, Verb::ResetFault] {
+        let mut x = Alone::new(plan()).enabled();
+        (x.slot.report.moving, x.slot.report.velocity) = (true, 50.0);
+        x.seat.stop(&cycle(50), Time(20 * MS), StopCause::Overrun, &mut x.slot);
+        let order = x.slot.order;
+        let id = x.post(verb);
+        x.turn();
+        assert_eq!(x.ended(), [(id, Outcome::Failed(Failure::Latched(StopCause::Overrun)))]);
+        assert_eq!(x.slot.order, order, "{verb:?}");
+    }
+}
+
+#[test]
+fn a_reset_leaves_the_order_by_which_a_stopped_axis_holds() {
+    let mut plan = plan();
+    plan.stop.then = StopThen::Hold;
+    let standstill = plan.stop.standstill_for;
+    let mut x = Alone::new(plan).enabled();
+    x.seat.stop(&cycle(50), Time(20 * MS), StopCause::Overrun, &mut x.slot);
+    x.turns(standstill);
+    let order = x.slot.order;
+    assert!(matches!(order.verb, Some(Verb::Stop { .. })));
+    let id = x.post(Verb::Reset);
+    x.turn();
+    assert_eq!(x.ended(), [(id, Outcome::Done)]);
+    assert_eq!(x.slot.order, order);
+}
+
+#[test]
+fn an_axis_that_was_found_running_and_then_stopped_is_braked_when_it_moves_again() {
+    let plan = AxisPlan { on_found_running: FoundRunning::Refuse, ..plan() };
+    let mut x = Alone::new(plan);
+    x.slot.report.state = State::OperationEnabled;
+    x.turns(10);
+    x.done(Verb::Stop { deceleration: None }, State::OperationEnabled);
+    x.turns(100);
+    x.slot.report.velocity = 50.0;
+    x.turns(3);
+    assert_eq!(x.seat.feedback().stopped, Some(StopCause::FoundRunning));
+    assert_eq!(x.slot.order.verb, Some(Verb::QuickStop));
+}
+
+#[test]
+fn a_link_is_counted_as_lost_when_it_was_up_and_its_silence_was_not_requested() {
+    let mut x = Alone::new(plan());
+    let losses = |x: &Alone| x.seat.numbers(&x.slot).losses;
+    for (excused, expected) in [(false, 1), (true, 1), (false, 2)] {
+        x.turns(10);
+        x.slot.excused = excused;
+        x.slot.report.fresh = false;
+        (0..9).for_each(|_| x.miss());
+        assert_eq!((x.seat.feedback().link, losses(&x)), (Link::Lost, expected), "{excused}");
+        // A first answer, and silence again.
+        x.turn();
+        x.slot.report.fresh = false;
+        (0..9).for_each(|_| x.miss());
+        assert_eq!((x.seat.feedback().link, losses(&x)), (Link::Lost, expected), "{excused}");
+    }
+}
+
+/// An axis that follows, with these rows: the stream, the position, the velocity.
+fn following(plan: AxisPlan, rows: &[(u32, f64, f64)]) -> Alone {
+    let mut x = Alone::new(plan).enabled();
+    x.post(Verb::Follow);
+    for &(stream, position, velocity) in rows {
+        let row = Row { position, velocity, acceleration: 7.0, last: false };
+        x.rows.push(StreamRow { stream, number: 0, row }).unwrap();
+    }
+    x.turn();
+    x.slot.due = true;
+    x
+}
+
+impl Alone {
+    /// The row of the next send.
+    fn fed_unsent(&mut self) -> Option<Row> {
+        self.slot.row = None;
+        let cycle = cycle(self.index);
+        self.seat.feed(&cycle, cycle.grid, &mut self.slot, &crate::cycle::gates::Gates::new(1));
+        self.slot.row.map(|row| row.row)
+    }
+
+    /// The row of the next send, which goes out.
+    fn fed(&mut self) -> Option<Row> {
+        let row = self.fed_unsent();
+        self.seat.sent(&cycle(self.index), &self.slot);
+        row
+    }
+}
+
+#[test]
+fn a_stream_that_runs_empty_holds_the_last_position_without_speed_and_takes_no_row_of_the_next_one() {
+    let plan = AxisPlan { underrun: Underrun::Hold, ..plan() };
+    let mut x = following(plan, &[(0, 0.01, 10.0), (1, 0.02, 10.0)]);
+    assert_eq!(x.fed(), Some(Row { position: 0.01, velocity: 10.0, acceleration: 7.0, last: false }));
+    assert_eq!(x.fed(), Some(Row { position: 0.01, velocity: 0.0, acceleration: 0.0, last: false }));
+}
+
+#[test]
+fn a_stream_that_runs_empty_goes_on_at_its_last_speed_for_so_many_rows() {
+    let plan = AxisPlan { underrun: Underrun::Extrapolate(2), divisor: 1, ..plan() };
+    let mut x = following(plan, &[(0, 0.01, 10.0)]);
+    x.fed();
+    for position in [0.02, 0.03] {
+        let row = x.fed().unwrap();
+        assert!((row.position - position).abs() < 1e-9, "{row:?}");
+        assert_eq!((row.velocity, row.acceleration), (10.0, 0.0));
+    }
+    assert_eq!(x.fed(), None);
+    assert_eq!(x.seat.feedback().stopped, Some(StopCause::Underrun));
+}
+
+#[test]
+fn the_first_row_is_at_most_four_ways_of_a_row_away() {
+    for (position, taken) in [(0.39, true), (-0.39, true), (0.41, false), (-0.41, false)] {
+        let mut plan = plan();
+        plan.limits.velocity = Some(100.0);
+        assert_eq!(following(plan, &[(0, position, 0.0)]).fed().is_some(), taken, "{position}");
+    }
+}
+
+#[test]
+fn a_row_is_for_a_send_that_is_due_and_its_number_is_never_given_again() {
+    let rows = [(0, 0.01, 0.0), (0, 0.02, 0.0)];
+    let mut x = following(plan(), &rows);
+    x.slot.due = false;
+    assert_eq!(x.fed(), None);
+    x.seat.row_from_task(Row { position: -0.01, ..Row::default() });
+    assert_eq!(x.fed(), None);
+    x.slot.due = true;
+    assert_eq!(x.fed().map(|row| row.position), Some(-0.01), "that of the task first, when one is due");
+    assert_eq!(x.fed().map(|row| row.position), Some(0.01));
+    let number = x.slot.row.unwrap().number;
+    x.ends(Ok(()));
+    x.ended();
+    x.rows.push(StreamRow { stream: 0, number: 0, row: Row::default() }).unwrap();
+    x.post(Verb::Home);
+    x.turn();
+    assert_eq!((x.fed(), x.seat.queues.rows.slots()), (None, 1), "no row is for another motion");
+    x.ends(Ok(()));
+    x.ended();
+    x.seat.row_from_task(Row { position: 0.03, ..Row::default() });
+    assert_eq!(x.fed(), None, "nothing is followed");
+    x.post(Verb::Follow);
+    x.turn();
+    assert_eq!(x.fed(), Some(Row::default()), "not the one that the task gave for an earlier send");
+    assert_eq!(x.slot.row.unwrap().number, number + 1);
+}
+
+#[test]
+fn a_motion_that_failed_may_brake_as_slowly_as_its_stop_and_not_speed_up() {
+    for (end, trips) in [(Err(Failure::NotArrived), None), (Ok(()), Some(54))] {
+        let mut x = Alone::new(plan()).enabled();
+        x.post(Verb::Home);
+        x.turn();
+        x.slot.report.velocity = 200.0;
+        x.ends(end);
+        let tripped = (1..180).find(|n| {
+            x.slot.report.velocity = 200.0 - f64::from(*n);
+            x.turn();
+            x.seat.feedback().stopped.is_some()
+        });
+        assert_eq!(tripped, trips, "{end:?}");
+    }
+}
+
+#[test]
+fn an_enable_without_the_hardware_enable_is_refused_before_the_bus_has_it() {
+    let mut x = Alone::new(plan()).online();
+    x.slot.report.inhibited = true;
+    x.turn();
+    let order = x.slot.order;
+    let id = x.post(Verb::Enable);
+    x.turn();
+    assert_eq!(x.ended(), [(id, Outcome::Failed(Failure::Inhibited))]);
+    assert_eq!(x.slot.order, order);
+}
+
+#[test]
+fn a_reset_that_waits_for_a_stop_ends_when_the_link_is_lost() {
+    let mut x = Alone::new(plan()).enabled();
+    x.slot.report.velocity = 50.0;
+    x.seat.stop(&cycle(50), Time(20 * MS), StopCause::Overrun, &mut x.slot);
+    let id = x.post(Verb::Reset);
+    x.turns(3);
+    assert_eq!(x.ended(), []);
+    (0..5).for_each(|_| x.miss());
+    assert_eq!(x.ended(), [(id, Outcome::Failed(Failure::NotOnline))]);
+}
+
+#[test]
+fn a_command_that_fails_by_a_fault_of_the_drive_stops_the_axis() {
+    for (failure, stop) in
+        [(Failure::DriveFault(7), Some(StopCause::DriveFault)), (Failure::NotArrived, None)]
+    {
+        let mut x = Alone::new(plan()).enabled();
+        x.post(Verb::Home);
+        x.turn();
+        x.ends(Err(failure));
+        assert_eq!(x.seat.feedback().stopped, stop, "{failure}");
+    }
+}
+
+#[test]
+fn an_application_with_the_control_word_loses_it_by_a_restart_or_its_own_silence() {
+    let native = || {
+        let mut x = Alone::new(plan()).online();
+        x.post(Verb::Native(NativeOwner::Application));
+        x.turn();
+        x
+    };
+    let mut x = native();
+    x.slot.report.state = State::SwitchOnDisabled;
+    x.turns(9);
+    assert_eq!(x.seat.feedback().stopped, None, "the state is its own concern");
+    x.slot.report.restarted = true;
+    x.turn();
+    assert_eq!(x.seat.feedback().stopped, Some(StopCause::DriveDropped));
+    let mut x = native();
+    x.seat.stop_if_armed(&cycle(50), Time(50 * MS), StopCause::Heartbeat, &mut x.slot);
+    assert_eq!(x.seat.feedback().stopped, Some(StopCause::Heartbeat));
+    // Without power and without a command there is nothing to stop.
+    let mut x = Alone::new(plan()).online();
+    x.seat.stop_if_armed(&cycle(50), Time(50 * MS), StopCause::Heartbeat, &mut x.slot);
+    assert_eq!(x.seat.feedback().stopped, None);
+}
+
+#[test]
+fn a_stop_of_the_application_has_its_time_and_then_the_drive_stops() {
+    let mut plan = plan();
+    plan.stop.timeout = Duration::from_millis(100);
+    let mut x = Alone::new(plan).enabled();
+    x.slot.report.velocity = 50.0;
+    x.post(Verb::Stop { deceleration: None });
+    x.turns(101);
+    assert_eq!(x.seat.feedback().stopped, None);
+    x.turn();
+    assert_eq!(x.seat.feedback().stopped, Some(StopCause::StopTimeout));
+    assert_eq!(x.slot.order.verb, Some(Verb::QuickStop));
+    x.slot.report.velocity = 0.0;
+    let standstill = x.seat.plan().stop.standstill_for;
+    x.turns(standstill);
+    assert_eq!(x.slot.order.verb, Some(Verb::Disable));
+}
+
+#[test]
+fn a_ramp_that_the_drive_refuses_becomes_its_quick_stop_and_an_older_refusal_changes_nothing() {
+    let mut x = Alone::new(plan()).enabled();
+    x.slot.report.velocity = 50.0;
+    x.slot.progress = Progress { serial: x.slot.order.serial, end: Some(Err(Failure::NotTaken)) };
+    x.seat.stop(&cycle(50), Time(20 * MS), StopCause::Overrun, &mut x.slot);
+    x.turn();
+    assert!(matches!(x.slot.order.verb, Some(Verb::Stop { .. })));
+    x.ends(Err(Failure::NotTaken));
+    assert_eq!(x.slot.order.verb, Some(Verb::QuickStop));
+}
+
+#[test]
+fn a_link_that_never_came_back_stops_no_axis_once_more() {
+    let mut x = Alone::new(plan()).online();
+    (0..5).for_each(|_| x.miss());
+    assert_eq!(x.seat.feedback().stopped, Some(StopCause::LinkLost));
+    x.done_at_once(Verb::Reset);
+    x.turn();
+    assert_eq!(x.seat.feedback().link, Link::Qualifying);
+    x.miss();
+    assert_eq!((x.seat.feedback().link, x.seat.feedback().stopped), (Link::Lost, None));
+}
+
+#[test]
+fn a_request_that_could_not_be_sent_is_no_miss_only_once_the_bus_ends_the_link() {
+    for (excused, ends, link) in [
+        (false, false, Link::Lost),
+        (true, false, Link::Lost),
+        (false, true, Link::Lost),
+        (true, true, Link::Online),
+    ] {
+        let mut x = Alone::new(plan()).online();
+        x.slot.excused = excused;
+        if ends {
+            x.seat.shut_down(&cycle(x.index), Time(x.index * MS), &mut x.slot, false);
+        }
+        for index in x.index + 1..x.index + 10 {
+            x.slot.exchange = Exchange::Unsent;
+            x.seat.judge(&cycle(index), Time(index * MS), &mut x.slot);
+        }
+        assert_eq!(x.seat.feedback().link, link, "excused {excused}, at the end {ends}");
+    }
+}
+
+#[test]
+fn a_report_has_an_age_while_the_link_is_up() {
+    let mut x = Alone::new(plan()).online();
+    let oldest = |x: &Alone| x.seat.numbers(&x.slot).peaks.age.ns;
+    (0..5).for_each(|_| x.miss());
+    assert_eq!((x.seat.feedback().link, oldest(&x)), (Link::Lost, 4 * MS));
+    (0..50).for_each(|_| x.miss());
+    assert_eq!(oldest(&x), 4 * MS);
+}
+
+#[test]
+fn each_change_of_the_drive_is_told_once() {
+    let mut x = Alone::new(plan()).online();
+    x.told();
+    let report = &mut x.slot.report;
+    (report.state, report.fault, report.warning, report.inhibited) = (State::Fault, 5, 6, true);
+    x.turns(3);
+    let told = [EventKind::State(State::Fault), EventKind::Fault(5), EventKind::Warning(6)];
+    let inhibited = EventKind::HardwareEnable(false);
+    assert_eq!(x.told(), [[inhibited].as_slice(), &told].concat());
+}
+
+#[test]
+fn a_drive_that_was_found_running_and_went_off_by_itself_is_still_only_read_after_a_reset() {
+    let plan = AxisPlan { on_found_running: FoundRunning::Refuse, ..plan() };
+    let mut x = Alone::new(plan);
+    x.slot.report.state = State::OperationEnabled;
+    x.turns(10);
+    x.slot.report.state = State::ReadyToSwitchOn;
+    x.turn();
+    let order = x.slot.order;
+    x.done_at_once(Verb::Reset);
+    assert_eq!(x.slot.order, order);
+}
+
+#[test]
+fn native_motion_data_may_lead_out_of_a_quick_stop_and_no_move_does() {
+    let mut x = Alone::new(plan()).enabled();
+    x.slot.report.state = State::QuickStopActive;
+    let home = x.post(Verb::Home);
+    x.turn();
+    let refused = Failure::WrongState(State::QuickStopActive);
+    assert_eq!(x.ended(), [(home, Outcome::Failed(refused))]);
+    x.post(Verb::Native(NativeOwner::Master));
+    x.turn();
+    assert_eq!((x.ended(), x.slot.order.verb), (vec![], Some(Verb::Native(NativeOwner::Master))));
+}
+
+impl Alone {
+    /// The in-loop task gives a command.
+    fn task(&mut self, id: u64, verb: Verb) -> CommandId {
+        let id = CommandId::of_task(id);
+        let cycle = cycle(self.index);
+        let command = Command { id, verb, stream: 0, ticket: None };
+        self.seat.command_from_task(&cycle, cycle.grid, command).unwrap();
+        id
+    }
+}
+
+#[test]
+fn a_command_of_the_task_that_a_stop_overtakes_has_its_end() {
+    let mut x = Alone::new(plan()).enabled();
+    let (home, stop) = (x.task(1, Verb::Home), x.task(2, Verb::QuickStop));
+    assert_eq!(x.ended(), [(home.0, Outcome::Aborted(Abort::Replaced(stop)))]);
+    x.seat.stop(&cycle(50), Time(50 * MS), StopCause::Overrun, &mut x.slot);
+    assert_eq!(x.ended(), [(stop.0, Outcome::Aborted(Abort::Stopped(StopCause::Overrun)))]);
+}
+
+#[test]
+fn a_row_of_the_task_ends_with_the_motion_that_it_was_for() {
+    let mut x = following(plan(), &[]);
+    x.seat.row_from_task(Row { position: 0.01, ..Row::default() });
+    x.ends(Ok(()));
+    x.post(Verb::Follow);
+    x.turn();
+    assert_eq!(x.fed(), None);
+}
+
+#[test]
+fn power_that_no_command_has_switched_on_is_watched_from_its_first_report() {
+    let mut x = Alone::new(plan()).enabled();
+    x.done(Verb::Disable, State::ReadyToSwitchOn);
+    x.slot.report.velocity = 50.0;
+    x.turns(9);
+    assert_eq!(x.seat.feedback().stopped, None, "pushed by hand");
+    x.slot.report.state = State::OperationEnabled;
+    x.slot.report.suspect = true;
+    x.turns(9);
+    assert_eq!(x.seat.feedback().stopped, None, "it may be an old report");
+    x.slot.report.suspect = false;
+    x.turns(2);
+    assert_eq!(x.seat.feedback().stopped, None);
+    x.turn();
+    assert_eq!(x.seat.feedback().stopped, Some(StopCause::Uncommanded));
+}
+
+#[test]
+fn a_command_to_a_member_alone_stops_its_group_only_if_it_may_begin() {
+    for (distance, stop) in [(200.0, None), (20.0, Some(StopCause::GroupFailed))] {
+        let mut x = ranged();
+        let ticket = Some(Ticket { lead: 0, members: 2, number: 1 });
+        let command = Command { id: CommandId(90), verb: Verb::Home, stream: 0, ticket };
+        let native = Verb::Native(NativeOwner::Master);
+        x.commands.push(Command { verb: native, ..command }).unwrap();
+        x.turn();
+        x.seat.begin_waiting(&cycle(x.index), Time(x.index * MS), &mut x.slot);
+        let target = Target::Relative(distance);
+        x.post(Verb::Move(Move { target, profile: x.seat.plan().profile }));
+        x.turn();
+        assert_eq!(x.seat.feedback().stopped, stop, "{distance} mm");
+    }
+}
+
+#[test]
+fn a_reset_takes_no_drive_over_that_does_not_answer() {
+    let plan = AxisPlan { on_found_running: FoundRunning::Refuse, ..plan() };
+    let mut x = Alone::new(plan);
+    x.slot.report.state = State::OperationEnabled;
+    x.turns(10);
+    (0..5).for_each(|_| x.miss());
+    assert_eq!(x.seat.feedback().link, Link::Lost);
+    let order = x.slot.order;
+    x.done_at_once(Verb::Reset);
+    assert_eq!(x.slot.order, order);
+}
+
+#[test]
+fn a_row_that_has_not_left_is_replaced_by_no_other() {
+    let mut x = following(plan(), &[(0, 0.01, 0.0), (0, 0.02, 0.0)]);
+    assert_eq!(x.fed_unsent().map(|row| row.position), Some(0.01));
+    assert_eq!(x.fed(), None);
+    assert_eq!(x.fed().map(|row| row.position), Some(0.02));
+}
