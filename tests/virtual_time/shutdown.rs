@@ -321,6 +321,20 @@ fn the_task_is_not_called_once_the_end_was_asked_for() {
 }
 
 #[test]
+fn the_status_counts_the_axes_in_operation() {
+    let mut b = Rig::new(3).start();
+    b.online();
+    let counts = |b: &Bench| (b.status().online, b.status().operational);
+    assert_eq!(counts(&b), (3, 0));
+    for index in 0..2 {
+        b.done(index, Verb::Enable);
+    }
+    assert_eq!(counts(&b), (3, 2));
+    b.shut_down(1_000);
+    assert_eq!(counts(&b), (3, 0));
+}
+
+#[test]
 fn many_axes_end_together() {
     let mut b = Rig::new(8).start();
     b.ready();

@@ -106,9 +106,10 @@ impl Seat {
             Some(Verb::Torque { .. }) => (0.0, self.level.value),
             _ => (self.level.value, 0.0),
         };
+        let follows = self.active.is_some_and(|active| active.verb == Verb::Follow);
         let Some(active) = self.active.filter(|_| slot.due && slot.order.verb == Some(Verb::Follow)) else {
-            // A row of the task is for the send that it was given for.
-            if slot.order.verb != Some(Verb::Follow) {
+            // A row of the task is for the send that it was given for, and begins no later stream.
+            if !follows {
                 self.task_row = None;
             }
             return;

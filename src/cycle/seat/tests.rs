@@ -537,6 +537,20 @@ fn the_first_row_is_at_most_four_ways_of_a_row_away() {
 }
 
 #[test]
+fn a_row_that_the_task_gave_for_no_stream_begins_none_later() {
+    let mut x = following(plan(), &[]);
+    x.ends(Ok(()));
+    x.ended();
+    // The order of the stream that has ended stands until there is another one.
+    x.seat.row_from_task(Row { position: 0.03, ..Row::default() });
+    assert_eq!(x.fed(), None);
+    x.rows.push(StreamRow { stream: 0, number: 0, row: Row::default() }).unwrap();
+    x.post(Verb::Follow);
+    x.turn();
+    assert_eq!(x.fed(), Some(Row::default()));
+}
+
+#[test]
 fn a_row_is_for_a_send_that_is_due_and_its_number_is_never_given_again() {
     let rows = [(0, 0.01, 0.0), (0, 0.02, 0.0)];
     let mut x = following(plan(), &rows);
