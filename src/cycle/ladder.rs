@@ -157,8 +157,10 @@ impl Ladder {
             self.ending = true;
             return;
         }
-        self.plan.then = StopThen::Disable;
-        if !std::mem::replace(&mut self.ending, true) && self.rung == Rung::Holding {
+        let held = std::mem::replace(&mut self.plan.then, StopThen::Disable) == StopThen::Hold;
+        let began = !std::mem::replace(&mut self.ending, true);
+        // Once; and once more a drive that has held its load alone until its power went.
+        if self.rung == Rung::Holding && (began || held && self.keeps_power) {
             self.rung = Rung::Braking { since: now, still: 0 };
         }
     }
@@ -540,6 +542,12 @@ mod tests {
         let (mut ladder, _) = Ladder::start(hold, load, Time(0), 0.0);
         (0..3).for_each(|_| assert_eq!(ladder.step(Time(1), STANDING), None));
         ladder.shut_down(Time(2), true);
+        assert!(ladder.is_down());
+        // Its power goes while the shutdown waits for others.
+        ladder.shut_down(Time(3), false);
+        assert_eq!(ladder.step(Time(4), OFF), Some(Verb::Disable));
+        assert_eq!(ladder.step(Time(5), OFF), None);
+        ladder.shut_down(Time(6), false);
         assert!(ladder.is_down());
         // Off already when the shutdown comes: its control word has to say so.
         let (mut ladder, _) = Ladder::start(hold, load, Time(0), 0.0);
