@@ -1086,10 +1086,11 @@ fn a_plan_built_in_code_is_checked_by_the_same_rules() {
     let nameless = LinUdpDrive::new("../y", [127, 0, 0, 12].into());
     let bus = LinUdpPlan::new([127, 0, 0, 1].into(), vec![drive.clone(), drive, nameless]);
     let groups = vec![GroupPlan { name: "g".into(), axes: vec!["x".into(), "w".into()] }];
-    let cycle = CyclePlan { period_ns: 0, ..CyclePlan::default() };
+    let cycle = CyclePlan { period_ns: 0, receive_deadline: 1.0, ..CyclePlan::default() };
     let plan = Plan { source: None, cycle, buses: vec![Box::new(bus)], groups };
     let told = plan.check().unwrap_err().to_string();
     for part in [
+        "cycle: a receive deadline of 1 is not a share",
         "cycle: a period of 0 is outside",
         "drive x: its name is taken",
         "drive \"../y\": its name must be 1 to 32 letters, digits, - _ or .",
