@@ -17,7 +17,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use fieldbeat::axis::{EventKind, Feedback, Outcome, State, Verb};
+use fieldbeat::axis::{EventKind, Feedback, Outcome, State, StopCause, Verb};
 use fieldbeat::sim::Truth;
 
 use super::machine::{Scale, range};
@@ -92,6 +92,8 @@ pub struct Watch {
     idle_for: u32,
     /// Enabled, as the application knows it.
     enabled: bool,
+    /// This master has enabled it, or has begun with it: what another master commands it leaves alone until then.
+    ours: bool,
     /// The newest setpoint, since which slot it was not renewed and since which turn it has this value.
     newest: Option<Newest>,
     /// A stop is done, and the motor has so many turns left to come to rest.
@@ -175,6 +177,7 @@ impl Watch {
             stood: false,
             idle_for: 0,
             enabled: false,
+            ours: true,
             newest: None,
             settling: None,
             slept: None,
@@ -232,6 +235,7 @@ impl Watch {
             return Ok(());
         }
         self.enabled |= pending.verb == Verb::Enable;
+        self.ours |= pending.verb == Verb::Enable;
         if fresh { self.done(pending, truth, feedback) } else { Ok(()) }
     }
 
@@ -275,7 +279,8 @@ impl Watch {
         reached: bool,
     ) -> Result<(), Breach> {
         let speed = truth.velocity.abs();
-        let moving = truth.powered && speed > self.scale.still;
+        let foreign = !self.ours && feedback.stopped == Some(StopCause::OtherMaster);
+        let moving = truth.powered && speed > self.scale.still && !foreign;
         self.speeds.push_front(speed);
         self.speeds.truncate(BACK + 1);
         let before = self.speeds.back().copied().unwrap_or(speed);
@@ -395,7 +400,8 @@ impl Watch {
     pub fn master_died(&mut self) {
         let (speeds, powered) = (std::mem::take(&mut self.speeds), self.powered);
         let Watch { scale, stop_turns, setpoint_age, range, .. } = *self;
-        let fresh = Watch { speeds, powered, ..Watch::empty(scale, stop_turns, setpoint_age, range) };
+        let fresh =
+            Watch { speeds, powered, ours: false, ..Watch::empty(scale, stop_turns, setpoint_age, range) };
         *self = fresh;
     }
 
