@@ -5,8 +5,14 @@
 //! Whoever watches a loop lets it live through this. Nothing here minds how a command ends: on a busy computer it ends
 //! otherwise now and then. What came of it all is counted.
 
+use std::io::ErrorKind;
 use std::net::{Ipv4Addr, SocketAddrV4, UdpSocket};
+use std::os::linux::net::SocketAddrExt;
+use std::os::unix::net::{SocketAddr, UnixListener};
 use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
+use std::thread::sleep;
+use std::time::Duration;
 
 use fieldbeat::axis::acyclic::{Acyclic, CallError, CallTicket};
 use fieldbeat::axis::{Axis, CommandId, EventKind, Link, Move, Outcome, Profile, Row, Target, Verb};
@@ -58,17 +64,33 @@ pub fn drives(machine: &Machine, period: &str, bucket: u32, victim: u32) -> Path
     machine.write("m.toml", text.replace("VICTIM", &victim.to_string()))
 }
 
+/// The loopback refuses one address only, and one master may have it: this process, until it ends.
+static HELD: OnceLock<UnixListener> = OnceLock::new();
+
+/// Waits until no other process of these tests has the address.
+fn only_one() -> UnixListener {
+    let name = SocketAddr::from_abstract_name("fieldbeat-test-refused").unwrap();
+    loop {
+        match UnixListener::bind_addr(&name) {
+            Ok(held) => return held,
+            Err(error) if error.kind() == ErrorKind::AddrInUse => sleep(Duration::from_millis(20)),
+            Err(error) => panic!("{error}"),
+        }
+    }
+}
+
 /// The same with what goes wrong on real sockets only, and with a bus that sends each request by a call of its own.
 ///
 /// Nobody is at the address of `dead`: the kernel answers with an ICMP error. It refuses to send to that of `refused`,
-/// one for benchmarks only, from a socket of the loopback; `dead` stands behind it in the batch.
+/// the broadcast address of the loopback, since the socket is none for broadcasts; `dead` stands behind it in the
+/// batch.
 pub fn drives_and_errors(machine: &Machine, period: &str, bucket: u32, victim: u32) -> PathBuf {
     let text = std::fs::read_to_string(drives(machine, period, bucket, victim)).unwrap();
     let (own, dead, each) = (machine.ip(2), machine.ip(98), machine.ip(99));
-    let [_, high, low, _] = own.octets();
+    HELD.get_or_init(only_one);
     let text = text
         + &format!(
-            "[[bus.drive]]\nname = \"refused\"\naddress = \"198.18.{high}.{low}\"\n\
+            "[[bus.drive]]\nname = \"refused\"\naddress = \"127.255.255.255\"\n\
              [[bus.drive]]\nname = \"dead\"\naddress = \"{dead}\"\n\
              [[bus]]\nname = \"second\"\nprotocol = \"linudp-v2\"\nbind = \"{own}\"\nsend = \"each\"\n\
              [[bus.drive]]\nname = \"each\"\naddress = \"{each}\"\ndivisor = 4\nphase = 1\nstream = \"off\"\n\

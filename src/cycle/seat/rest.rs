@@ -127,13 +127,13 @@ mod tests {
 
     /// The report, counted from 0, at which the watch trips after a command that is done or has failed; 1 kHz,
     /// standstill below 5 mm/s.
-    fn trips(failed: bool, told: impl IntoIterator<Item = (bool, f64)>) -> Option<usize> {
+    fn trips(failed: bool, reports: impl IntoIterator<Item = (bool, f64)>) -> Option<usize> {
         let stop = AxisPlan::new("x", Units::millimetres(1_000.0)).stop;
         let mut rest = Rest::default();
         if failed {
             rest.fail();
         }
-        told.into_iter().enumerate().position(|(index, (moving, velocity))| {
+        reports.into_iter().enumerate().position(|(index, (moving, velocity))| {
             rest.moves(Time(MS * index as u64), Motion { moving, velocity }, &stop, 0.001)
         })
     }
@@ -141,7 +141,7 @@ mod tests {
     #[test]
     fn three_reports_of_a_motion_in_one_direction_trip_it() {
         let standing = [(false, 0.0); 60];
-        let then = |told: &[(bool, f64)]| trips(false, [&standing[..], told].concat());
+        let then = |reports: &[(bool, f64)]| trips(false, [&standing[..], reports].concat());
         assert_eq!(then(&[(false, 6.0); 5]), Some(62));
         assert_eq!(then(&[(false, -6.0); 5]), Some(62));
         assert_eq!(then(&[(true, 1.0); 5]), Some(62), "the generator runs, however slowly");
@@ -177,10 +177,10 @@ mod tests {
     fn after_its_stop_an_axis_overshoots_no_more_than_its_stop_brakes_in_ten_milliseconds() {
         let mut stop = AxisPlan::new("x", Units::millimetres(1_000.0)).stop;
         (stop.deceleration, stop.standstill) = (4_000.0, 5.0);
-        let trips = |told: &[f64]| {
+        let trips = |reports: &[f64]| {
             let mut rest = Rest::default();
             rest.stop();
-            told.iter().enumerate().position(|(index, velocity)| {
+            reports.iter().enumerate().position(|(index, velocity)| {
                 let motion = Motion { moving: false, velocity: *velocity };
                 rest.moves(Time(MS * index as u64), motion, &stop, 0.001)
             })
