@@ -26,7 +26,8 @@ fn config(machine: &Machine) -> PathBuf {
     machine.write(
         "churn.toml",
         format!(
-            "[cycle]\nperiod = \"{}\"\nreceive_deadline = 0.8\nmax_skip = \"30s\"\nrealtime = \"off\"\n\
+            "[cycle]\nperiod = \"{}\"\nreceive_deadline = 0.8\nmax_skip = \"30s\"\n\
+             max_skip_rate = 1.0\nrealtime = \"off\"\n\
              [[bus]]\nprotocol = \"linudp-v2\"\nbind = \"{bind}\"\n[bus.defaults]\n{health}\n\
              [[bus.drive]]\nname = \"a\"\naddress = \"{a}\"\n[[bus.drive]]\nname = \"b\"\naddress = \"{b}\"\n\
              [[bus]]\nprotocol = \"modbus-tcp\"\n[bus.defaults]\ndivisor = 4\n{health}\n\

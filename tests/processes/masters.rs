@@ -14,7 +14,8 @@ const PATIENT: &str = "{ bucket = \"10s\", leak = 1 }";
 /// A machine of one drive of each protocol, and what of it is in use by its master, as a refusal names it.
 fn machines(machine: &Machine) -> Vec<(PathBuf, &'static str, String)> {
     let cycle = format!(
-        "[cycle]\nperiod = \"{}\"\nreceive_deadline = 0.8\nmax_skip = \"30s\"\nrealtime = \"off\"\n[[bus]]\n",
+        "[cycle]\nperiod = \"{}\"\nreceive_deadline = 0.8\nmax_skip = \"30s\"\nmax_skip_rate = 1.0\n\
+         realtime = \"off\"\n[[bus]]\n",
         period()
     );
     let (bind, linmot, unidrive) = (machine.ip(1), machine.ip(10), machine.ip(20));

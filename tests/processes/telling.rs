@@ -14,7 +14,7 @@ use fieldbeat::Master;
 use fieldbeat::axis::{AxisError, StopCause};
 use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan};
 use fieldbeat::control::Server;
-use fieldbeat::cycle::{CyclePlan, Plan};
+use fieldbeat::cycle::{CyclePlan, Overrun, Plan};
 use fieldbeat::rt::Realtime;
 use libc::{SIGTERM, SIGUSR1};
 use serde_json::{Value, json};
@@ -492,7 +492,13 @@ fn a_panic_of_the_loop_is_a_failed_run_with_a_black_box() {
         let fused = Fused::new(bus);
         let plan = Plan {
             source: None,
-            cycle: CyclePlan { period_ns: carried(), realtime: Realtime::Off, ..CyclePlan::default() },
+            cycle: CyclePlan {
+                period_ns: carried(),
+                overrun: Overrun::Skip { max_skip: 2_000 },
+                max_skip_rate: 1.0,
+                realtime: Realtime::Off,
+                ..CyclePlan::default()
+            },
             buses: vec![Box::new(fused.clone())],
             groups: Vec::new(),
         };
