@@ -134,6 +134,15 @@ fn compare(seen: &Seen, summary: &serde_json::Value, machine: &Machine) {
     }
 }
 
+/// These lengths, and no other but those of the request after a miss: it asks for no current, so that its reply differs
+/// from a late one, or next to a count for the monitoring channels, or not for them.
+fn assert_replies(seen: &Seen, lengths: &[usize]) {
+    let after_a_miss = lengths.iter().flat_map(|length| [length - 2, length + 16, length - 16]);
+    let allowed: BTreeSet<usize> = lengths.iter().copied().chain(after_a_miss).collect();
+    assert!(seen.replies.is_superset(&lengths.iter().copied().collect()), "{:?}", seen.replies);
+    assert!(seen.replies.is_subset(&allowed), "{:?}", seen.replies);
+}
+
 /// Of replies: status, state, positions, current and fault, in turn with the warn word, four channels, and both; with
 /// the warn word and the echo of a count.
 const LENGTHS: [usize; 5] = [24, 26, 34, 40, 42];
@@ -167,7 +176,7 @@ fn tshark_finds_nothing_wrong_on_loopback() {
     compare(&seen, &summary, &machine);
     // The definitions alone, and with a tag: nobody asked these drives for anything, so they are only read.
     assert_eq!(seen.requests, [8, 16].into());
-    assert_eq!(seen.replies, LENGTHS.into());
+    assert_replies(&seen, &LENGTHS);
 }
 
 /// Where a network card has to compute them, the sums of UDP are right too.
@@ -193,7 +202,7 @@ fn tshark_finds_nothing_wrong_on_a_cable() {
     let seen = judge(&frames(capture, true), machine.master());
     compare(&seen, &summary, &machine);
     assert_eq!(seen.requests, [8, 16].into());
-    assert_eq!(seen.replies, LENGTHS.into());
+    assert_replies(&seen, &LENGTHS);
 }
 
 #[test]
@@ -213,7 +222,7 @@ fn tshark_finds_nothing_wrong_with_drives_in_motion() {
     let seen = judge(&frames(capture, false), "127.77.0.1:41136".parse().unwrap());
     // Read only at first; then the control word, alone and with a motion command.
     assert_eq!(seen.requests, [8, 10, 42].into());
-    assert_eq!(seen.replies, [24, 26, 40, 42].into());
+    assert_replies(&seen, &[24, 26, 40, 42]);
     for (host, name) in [(11, "a1"), (12, "a2")] {
         let (requests, replies) = seen.by_drive[&Ipv4Addr::new(127, 77, 0, host)];
         let drive = drive(&summary, name);

@@ -88,7 +88,7 @@ fn the_parsers_of_prometheus_read_the_metrics() {
     let mut answer = String::new();
     let shows = || {
         let mut stream = TcpStream::connect(&endpoint).unwrap();
-        stream.write_all(b"GET /metrics HTTP/1.1\r\n\r\n").unwrap();
+        write!(stream, "GET /metrics HTTP/1.1\r\nHost: {endpoint}\r\n\r\n").unwrap();
         answer.clear();
         stream.read_to_string(&mut answer).unwrap();
         answer.contains("drive-timer")

@@ -192,7 +192,8 @@ fn exchange(test: u8, library: Library, options: &[&str], read_write: bool) {
     assert_eq!(end, expected);
     let [_, read, _, write, both] = counts[..] else { panic!("{counts:?}") };
     match read_write {
-        true => assert!(both > EXCHANGES, "{counts:?}"),
+        // Now and then whether the values stand is read alone.
+        true => assert!(both + read > EXCHANGES && both > 10 * read, "{counts:?}"),
         // Asked for once, and never again.
         false => assert!(both == 1 && read > EXCHANGES / 3 && write > EXCHANGES / 3, "{counts:?}"),
     }
