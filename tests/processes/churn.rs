@@ -15,6 +15,8 @@ use super::{ask, await_status, master, simulation};
 const SECONDS: u64 = 20 * 60;
 /// Rounds whose largest values are compared: the first ones fill what is kept for ever, such as histograms.
 const ROUNDS: usize = 10;
+/// Of each of two connections the old socket and the new one may be open, and the one that asks for the status.
+const SLACK_DESCRIPTORS: usize = 5;
 /// What the memory may differ by, KiB: an allocator keeps pages back.
 const SLACK_KIB: u64 = 2_048;
 
@@ -112,7 +114,10 @@ fn drives_that_die_each_second_cost_the_master_neither_memory_nor_descriptors() 
     }
     let (first, last) = (first.expect("there were so many rounds"), Held::most(&last));
     println!("{rounds} rounds in {:.0?}: at first {first:?}, at last {last:?}", begun.elapsed());
-    assert!(last.descriptors <= first.descriptors, "{first:?} became {last:?} in {rounds} rounds");
+    assert!(
+        last.descriptors <= first.descriptors + SLACK_DESCRIPTORS,
+        "{first:?} became {last:?} in {rounds} rounds"
+    );
     assert!(last.threads <= first.threads, "{first:?} became {last:?} in {rounds} rounds");
     assert!(last.memory_kib <= first.memory_kib + SLACK_KIB, "{first:?} became {last:?} in {rounds} rounds");
     // They come back, for good. A line needs a loop that is never late for that, which not every host has.
