@@ -5,9 +5,9 @@ use fieldbeat::axis::command::NativeOwner;
 use super::oracle::holds;
 use super::oracle::machine::{Kind, Shape};
 use super::oracle::steps::Command::{
-    Disable, Home, Jog, Native, Stop, StopAt, To, Torque, TorqueAlong, Velocity,
+    By, Disable, Home, Jog, Native, Stop, StopAt, To, Torque, TorqueAlong, Velocity,
 };
-use super::oracle::steps::Op::{Burst, Level, Overload, Post, RepeatReply, RepeatRequest, Write};
+use super::oracle::steps::Op::{Burst, Late, Level, Overload, Post, RepeatReply, RepeatRequest, Write};
 
 const KINDS: [Kind; 3] = [Kind::LinMot, Kind::Unidrive, Kind::Kollmorgen];
 
@@ -169,4 +169,16 @@ fn a_request_of_the_homing_that_comes_again_ends_no_move() {
             holds(shape, &[&[(0, 2, Post(vec![To(50)])), again]]);
         }
     }
+}
+
+#[test]
+fn a_move_is_not_done_where_its_motor_turns_round() {
+    let coasts = [
+        (0, 0, Post(vec![To(50)])),
+        (49, 0, Post(vec![Disable])),
+        (62, 0, Late(9)),
+        (133, 1, Write(vec![10, 6, 6])),
+    ];
+    // It is enabled while it still turns.
+    holds(shape(Kind::Kollmorgen, true), &[&coasts, &[(0, 0, Post(vec![By(-5)]))]]);
 }

@@ -13,6 +13,8 @@ use crate::time::{MS, Time};
 const RESET_WITHIN_NS: u64 = 500 * MS;
 /// Exchanges that a drive may take from its order to home until bit 12 refers to this homing (assumed).
 const HOME_ANSWERS: u32 = 3;
+/// A motion is over with so many answers at standstill in a row.
+const SETTLED: u32 = 3;
 /// A position limit is checked so many intervals ahead of the braking distance.
 const AHEAD: f64 = 3.0;
 
@@ -74,7 +76,11 @@ impl Orders {
         if turns {
             return;
         }
-        let settled = self.stands() && inputs.fresh && !slot.report.moving;
+        // Between two directions of an overshoot the motor stands for a moment.
+        if inputs.fresh {
+            self.still = if self.stands() && !slot.report.moving { self.still.saturating_add(1) } else { 0 };
+        }
+        let settled = inputs.fresh && self.still >= SETTLED;
         match self.step {
             Step::Moving if settled && self.sent > 0 => self.finish(Ok(())),
             Step::Following { last: true, .. } if self.is_answered(inputs) && !slot.report.moving => {

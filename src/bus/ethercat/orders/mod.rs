@@ -166,6 +166,8 @@ pub(super) struct Orders {
     since: Time,
     /// Requests sent since the step began, and answers to them.
     sent: u32,
+    /// Answers at standstill in a row.
+    still: u32,
     answers: u32,
     end: Option<Result<(), Failure>>,
     /// `Slot::progress` reports it.
@@ -328,6 +330,7 @@ impl Orders {
             step: Step::Idle,
             since: Time(0),
             sent: 0,
+            still: 0,
             answers: 0,
             end: None,
             progress_told: true,
@@ -570,7 +573,8 @@ impl Orders {
     }
 
     fn enter(&mut self, now: Time, step: Step) {
-        (self.step, self.since, self.sent, self.answers) = (step, now, 0, 0);
+        (self.step, self.since) = (step, now);
+        (self.sent, self.still, self.answers) = (0, 0, 0);
     }
 
     fn finish(&mut self, end: Result<(), Failure>) {
