@@ -139,6 +139,7 @@ impl<S: Stream> Clients<S> {
     }
 
     /// Gives `client` its answer, as far as it takes it now; the rest follows.
+    #[cfg(any(test, feature = "metrics"))]
     pub fn answer(&mut self, mut client: Client<S>, answer: Vec<u8>) {
         (client.answer, client.is_whole) = (answer, false);
         client.until = Instant::now() + self.patience;
