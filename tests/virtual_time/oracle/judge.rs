@@ -250,7 +250,9 @@ impl Watch {
             Verb::Home => truth.homed || !truth.powered,
             Verb::Move(_) => {
                 let near = |target: f64| (truth.position - target).abs() <= self.scale.near;
-                !truth.powered || self.pushed > 0 || stands && pending.target.is_none_or(near)
+                // The setpoint has ended there; the motor lags.
+                self.settling = (truth.powered && !stands && self.pushed == 0).then_some(SETTLES);
+                !truth.powered || self.pushed > 0 || pending.target.is_none_or(near)
             }
             Verb::Stop { .. } | Verb::QuickStop => {
                 self.settling = (truth.powered && !stands).then_some(SETTLES);
