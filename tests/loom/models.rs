@@ -166,11 +166,11 @@ pub fn calls(capacity: usize) -> (axis::acyclic::Acyclic, axis::acyclic::Port) {
     use std::sync::Arc;
     use std::time::Duration;
 
-    use axis::acyclic::{Acyclic, queue};
+    use axis::acyclic::{Acyclic, Commanding, queue};
     use axis::cell::cell;
     use axis::handle::Observer;
 
-    let (ends, port) = queue(capacity);
+    let (ends, port) = queue(capacity, Commanding::none());
     let (_, reader) = cell(axis::Feedback::default());
     (Acyclic::new("x", ends, Arc::new(NoNotation), Observer(reader), Duration::ZERO), port)
 }

@@ -120,7 +120,8 @@ fn a_master_is_not_started_beside_another_one_and_one_that_comes_later_stops_it(
         "line.toml",
         format!(
             "[cycle]\nperiod = \"4ms\"\n\
-             max_skip = \"30s\"\nmax_skip_rate = 1.0\nrealtime = \"off\"\nreference = \"ethercat\"\n[[bus]]\nprotocol = \"ethercat\"\n\
+             max_skip = \"30s\"\nmax_skip_rate = 1.0\n\
+             realtime = \"off\"\nreference = \"ethercat\"\n[[bus]]\nprotocol = \"ethercat\"\n\
              interface = \"{WIRE}\"\n[[bus.drive]]\nname = \"d1\"\nwatchdog = \"6s\"\nhealth = {{ bucket = \
              \"5s\", leak = 1 }}\n"
         ),
