@@ -17,6 +17,8 @@ const SECONDS: u64 = 20 * 60;
 const ROUNDS: usize = 10;
 /// Of each of two connections the old socket and the new one may be open, and the one that asks for the status.
 const SLACK_DESCRIPTORS: usize = 5;
+/// The thread that answers the status may not have ended yet, and may have in all of the first rounds.
+const SLACK_THREADS: usize = 1;
 /// What the memory may differ by, KiB: an allocator keeps pages back.
 const SLACK_KIB: u64 = 2_048;
 
@@ -118,7 +120,7 @@ fn drives_that_die_each_second_cost_the_master_neither_memory_nor_descriptors() 
         last.descriptors <= first.descriptors + SLACK_DESCRIPTORS,
         "{first:?} became {last:?} in {rounds} rounds"
     );
-    assert!(last.threads <= first.threads, "{first:?} became {last:?} in {rounds} rounds");
+    assert!(last.threads <= first.threads + SLACK_THREADS, "{first:?} became {last:?} in {rounds} rounds");
     assert!(last.memory_kib <= first.memory_kib + SLACK_KIB, "{first:?} became {last:?} in {rounds} rounds");
     // They come back, for good. A line needs a loop that is never late for that, which not every host has.
     let _drives = simulation(&config);
