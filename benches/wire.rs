@@ -24,7 +24,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use criterion::{Criterion, Throughput};
-use fieldbeat::axis::{Link, State, Verb};
+use fieldbeat::axis::{Command, Link, State};
 use fieldbeat::bus::ethercat::wire::frame::FRAME_MAX;
 use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};
 use fieldbeat::bus::linudp::native::Native;
@@ -99,7 +99,7 @@ impl Exchanged {
             cycle: BEGIN,
         };
         exchanged.turn();
-        exchanged.slot.order = Order { serial: 1, verb: Some(Verb::Enable) };
+        exchanged.slot.order = Order { serial: 1, verb: Some(Command::Enable) };
         (0..3).for_each(|_| exchanged.turn());
         exchanged.state = MainState::OPERATION_ENABLED;
         (0..3).for_each(|_| exchanged.turn());
@@ -177,11 +177,11 @@ impl Asked {
         let mut asked = Asked { station, _native: native, slot, drive: Canned::new(), cycle: BEGIN };
         asked.station.connected(&mut asked.slot);
         asked.turn();
-        asked.slot.order = Order { serial: 1, verb: Some(Verb::Enable) };
+        asked.slot.order = Order { serial: 1, verb: Some(Command::Enable) };
         (0..5).for_each(|_| asked.turn());
         assert_eq!(asked.slot.report.state, State::OperationEnabled);
         assert_eq!(asked.slot.progress.end, Some(Ok(())));
-        asked.slot.order = Order { serial: 2, verb: Some(Verb::Velocity { acceleration: 1_000.0 }) };
+        asked.slot.order = Order { serial: 2, verb: Some(Command::Velocity { acceleration: 1_000.0 }) };
         (0..5).for_each(|_| asked.turn());
         assert_eq!(asked.slot.progress.end, None, "it goes on following");
         asked
@@ -264,9 +264,9 @@ impl Linked {
         linked.cycle.grid = Time(1_000 * PERIOD_NS);
         linked.bus.prepare(&linked.cycle, &mut linked.slots);
         linked.until("in operation", |slot| slot.report.fresh);
-        linked.order(Order { serial: 1, verb: Some(Verb::Enable) });
+        linked.order(Order { serial: 1, verb: Some(Command::Enable) });
         linked.until("enabled", |slot| slot.progress.end == Some(Ok(())));
-        linked.order(Order { serial: 2, verb: Some(Verb::Velocity { acceleration: 100.0 }) });
+        linked.order(Order { serial: 2, verb: Some(Command::Velocity { acceleration: 100.0 }) });
         (0..5_000).for_each(|_| linked.turn());
         for slot in &linked.slots {
             assert_eq!(slot.report.state, State::OperationEnabled);

@@ -12,7 +12,7 @@ use fieldbeat::axis::{Move, Target};
 use fieldbeat::bus::linudp::service::Services;
 use fieldbeat::config::linmot_curve;
 use fieldbeat::sim::server::{ServerOptions, SimServer};
-use fieldbeat::{Master, Verb};
+use fieldbeat::{Command, Master};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let setup = Master::from_file("rt-config/demo.toml")?;
@@ -37,7 +37,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     );
 
     // By tickets, while the axis moves: nothing here waits.
-    x.post(Verb::Move(Move { target: Target::Absolute(300.0), profile: x.profile() }))?;
+    x.post(Command::Move(Move { target: Target::Absolute(300.0), profile: x.profile() }))?;
     let mut hottest = i16::MIN;
     let mut asked = parameter.post_read::<i16>("core-temperature")?;
     for _ in 0..50 {

@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use fieldbeat::axis::{Move, Target};
 use fieldbeat::sim::server::{ServerOptions, SimServer};
-use fieldbeat::{Master, Verb};
+use fieldbeat::{Command, Master};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let setup = Master::from_file("rt-config/demo.toml")?;
@@ -28,7 +28,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             if standing && cycle.index >= not_before[index] {
                 far[index] = !far[index];
                 let target = Target::Absolute(if far[index] { 300.0 } else { 100.0 });
-                if axes.command(index, Verb::Move(Move { target, profile })).is_ok() {
+                if axes.command(index, Command::Move(Move { target, profile })).is_ok() {
                     counted.fetch_add(1, Ordering::Relaxed);
                 }
                 // The drive needs a few cycles until it reports motion.

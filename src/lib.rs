@@ -9,7 +9,7 @@
 //! # A tour
 //!
 //! - [`Master`] brings a machine up from a file or from a [`Plan`] built in code, and hands out its [`Axis`] handles.
-//! - [`Axis`] is the application's end of one drive: commands ([`Verb`]) that each end in Done, Failed or Aborted,
+//! - [`Axis`] is the application's end of one drive: commands ([`Command`]) that each end in Done, Failed or Aborted,
 //!   streamed rows ([`Row`]), the newest [`Feedback`], events ([`Event`]).
 //! - [`Axis::parameter`] reads and writes the drive's parameters outside the cycle ([`axis::acyclic`]); the other
 //!   services of a LinMot drive, such as curves and command tables, are in [`bus::linudp::service`].
@@ -92,6 +92,7 @@ pub mod control;
 pub mod cycle;
 #[cfg(feature = "doctor")]
 pub mod doctor;
+pub mod drive;
 mod errors;
 pub mod master;
 pub mod net;
@@ -104,7 +105,7 @@ mod sync;
 pub mod telemetry;
 pub mod time;
 
-pub use axis::{Axis, Event, EventKind, Feedback, Group, Profile, Row, Verb};
+pub use axis::{Axis, Command, Event, EventKind, Feedback, Group, Profile, Row};
 pub use cycle::Plan;
 pub use master::{Master, Setup};
 pub use simulation::Simulation;

@@ -12,15 +12,15 @@ use crate::axis::cell;
 use crate::axis::handle::{URGENT_ROOM, room_for_ends};
 use crate::axis::newest;
 use crate::axis::{Axis, AxisEnds, Feedback, Group, GroupError, Link, Observer, Pulse, StopCause};
-use crate::bus::{BusClock, Cycle, OpenError, Strangers};
+use crate::bus::{BusClock, Cycle, OpenError, Unmatched};
 use crate::cycle::bound;
 use crate::cycle::engine::{Control, Engine, Outlets};
 use crate::cycle::record::Record;
-use crate::cycle::seat::{Queues, Seat};
 use crate::cycle::status::{DeviceEnd, DriveNumbers, Gauges, Numbers, Status};
 use crate::cycle::task::{Axes, Task};
-use crate::cycle::window::BusSeat;
+use crate::cycle::window::OpenBus;
 use crate::cycle::{self, Plan, PlanErrors};
+use crate::drive::controller::{DriveController, Queues};
 use crate::net::{Carriers, Os};
 use crate::rt::watch::ThreadWatch;
 use crate::rt::{
@@ -201,13 +201,13 @@ pub fn assemble<C: Clock>(
     let period_ns = plan.cycle.period_ns;
     let pulse = Pulse::default();
     let mut regions = Regions::default();
-    let (mut buses, mut seats, mut axes, mut names) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    let (mut buses, mut controllers, mut axes, mut names) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     let (mut acyclics, mut links, mut devices) = (Vec::new(), Vec::new(), Devices::default());
     let (mut of_devices, mut named, mut all_notes) = (Vec::new(), Vec::new(), Vec::new());
     let paced = bound::paced(plan);
     for bus_plan in &plan.buses {
         let mut bus = bus_plan.open(period_ns, carriers)?;
-        let (first, notes) = (seats.len(), bus.notes());
+        let (first, notes) = (controllers.len(), bus.notes());
         for (index, axis) in bus_plan.axes().into_iter().enumerate() {
             let (command_in, command_out) = rt::ring(axis.command_queue + URGENT_ROOM, &mut regions);
             let (setpoint_in, setpoint_out) = newest::newest();
@@ -232,14 +232,14 @@ pub fn assemble<C: Clock>(
             };
             // First probes are spread over a few cycles: all of them in one cycle would be a burst that never
             // occurs later.
-            let first_probe = (seats.len() / PROBES_A_CYCLE) as u64;
+            let first_probe = (controllers.len() / PROBES_A_CYCLE) as u64;
             let asked_every = Duration::from_nanos(period_ns.saturating_mul(axis.divisor.into()));
             // A bus without acyclic access leaves its end of the queue unused.
             let ends = bus.acyclic(index).unwrap_or_else(|| acyclic::queue(1, Commanding::none()).0);
             let observer = Observer(reader.clone());
             let acyclic = Acyclic::new(&axis.name, ends, bus_plan.notation(), observer, asked_every);
-            let silence = bound::silence(&paced[seats.len()], plan.cycle.overrun);
-            seats.push(Seat::new(axis.clone(), queues, period_ns, first_probe, silence));
+            let silence = bound::silence(&paced[controllers.len()], plan.cycle.overrun);
+            controllers.push(DriveController::new(axis.clone(), queues, period_ns, first_probe, silence));
             names.push((axis.name.clone(), bus_plan.protocol()));
             links.push(notes.clone().map(|notes| (notes, index)));
             axes.push(Axis::new(
@@ -269,25 +269,26 @@ pub fn assemble<C: Clock>(
             }
         }
         all_notes.push(notes);
-        buses.push(BusSeat { bus, first, end: seats.len(), is_at_work: false });
+        buses.push(OpenBus { bus, first, end: controllers.len(), is_at_work: false });
     }
     acyclics.extend(of_devices);
     let (record_in, records) = rt::ring(Recorder::ring_size(plan.records_a_cycle(), period_ns), &mut regions);
     let (status_in, status) = cell::cell(Status::default());
-    let (drives_in, drives) = seats.iter().map(|_| cell::cell(DriveNumbers::default())).unzip();
-    let (strangers_in, strangers) = buses.iter().map(|_| cell::cell(Strangers::default())).unzip();
+    let (drives_in, drives) = controllers.iter().map(|_| cell::cell(DriveNumbers::default())).unzip();
+    let (strangers_in, unmatched) = buses.iter().map(|_| cell::cell(Unmatched::default())).unzip();
     let (clocks_in, clocks) = buses.iter().map(|_| cell::cell(None::<BusClock>)).unzip();
     let outlets = Outlets {
         records: record_in,
         status: status_in,
         drives: drives_in,
-        strangers: strangers_in,
+        unmatched: strangers_in,
         clocks: clocks_in,
     };
     let cycle = plan.cycle.clone();
-    let engine = Engine::new(clock, cycle, buses, seats, names, named, task, pulse.clone(), control, outlets);
+    let engine =
+        Engine::new(clock, cycle, buses, controllers, names, named, task, pulse.clone(), control, outlets);
     engine.memory(&mut regions);
-    let gauges = Gauges { status, drives, strangers, clocks, notes: all_notes, links };
+    let gauges = Gauges { status, drives, unmatched, clocks, notes: all_notes, links };
     Ok(Assembly { engine, axes, devices, acyclics, gauges, records, pulse, regions })
 }
 

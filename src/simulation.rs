@@ -5,7 +5,7 @@
 //! calls of [`Axis`] would wait for ever, since time passes only in this module.
 //!
 //! ```
-//! use fieldbeat::axis::{Link, Outcome, Verb};
+//! use fieldbeat::axis::{Link, Outcome, Command};
 //! use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan};
 //! use fieldbeat::cycle::{CyclePlan, Plan};
 //! use fieldbeat::sim::world::WorldOptions;
@@ -18,14 +18,14 @@
 //!
 //! let mut machine = Master::from_plan(plan).simulate(WorldOptions::default())?;
 //! assert!(machine.run_until(100, |machine| machine.feedback(0).link == Link::Online));
-//! assert_eq!(machine.run_verb(0, Verb::Enable, 1_000)?, Some(Outcome::Done));
+//! assert_eq!(machine.run_verb(0, Command::Enable, 1_000)?, Some(Outcome::Done));
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
 use rtrb::Consumer;
 
 use crate::axis::acyclic::Acyclic;
-use crate::axis::{Axis, Event, EventKind, Feedback, Observer, Outcome, Pulse, Verb};
+use crate::axis::{Axis, Command, Event, EventKind, Feedback, Observer, Outcome, Pulse};
 use crate::axis::{AxisError, CommandId};
 use crate::bus::OpenError;
 use crate::cycle::PlanErrors;
@@ -179,7 +179,7 @@ impl Simulation {
 
     /// Posts `verb` to axis `index` and lets the loop turn until it has ended, at most `most` turns. `None`: it has not
     /// ended. Other events are appended to [`events`](Simulation::events).
-    pub fn run_verb(&mut self, index: usize, verb: Verb, most: u64) -> Result<Option<Outcome>, AxisError> {
+    pub fn run_verb(&mut self, index: usize, verb: Command, most: u64) -> Result<Option<Outcome>, AxisError> {
         let id = self.axis(index).post(verb)?;
         Ok(self.run_command(index, id, most))
     }

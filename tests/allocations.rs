@@ -10,7 +10,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use fieldbeat::axis::acyclic::{CallTicket, Notation};
-use fieldbeat::axis::{CommandId, EventKind, Jog, Link, Verb};
+use fieldbeat::axis::{Command, CommandId, EventKind, Jog, Link};
 use fieldbeat::bus::ethercat::object::{Family, Object, Objects, Type};
 use fieldbeat::bus::ethercat::{EthercatPlan, KollmorgenDrive};
 use fieldbeat::bus::{Bus, BusPlan, OpenError};
@@ -156,7 +156,7 @@ fn a_million_cycles_in_virtual_time_allocate_nothing() {
 /// Enabling, homing, a stream, jogs, moves and stops; a drive whose plug is pulled on its way, and its return after a
 /// restart; noise, and a wake-up that comes too late.
 fn round(sim: &mut Simulation, machine: &Machine, ends: &mut [Ends; DRIVES], round: u32) {
-    for verb in [Verb::Reset, Verb::ResetFault, Verb::Enable, Verb::Home, to(200.0)] {
+    for verb in [Command::Reset, Command::ResetFault, Command::Enable, Command::Home, to(200.0)] {
         all(sim, ends, [Some(verb); DRIVES]);
     }
     let mut rows = (0_u64..).map(row);
@@ -171,8 +171,8 @@ fn round(sim: &mut Simulation, machine: &Machine, ends: &mut [Ends; DRIVES], rou
         }
         turn_for(sim, ends, &mut [None; DRIVES]);
     }
-    let stop = Some(Verb::Stop { deceleration: None });
-    all(sim, ends, [stop, stop, Some(Verb::QuickStop), None]);
+    let stop = Some(Command::Stop { deceleration: None });
+    all(sim, ends, [stop, stop, Some(Command::QuickStop), None]);
     assert!(sim.world().unplug(machine.drive(VICTIM)));
     sim.run(3_000);
     assert!(sim.world().plug(machine.drive(VICTIM)) && sim.world().restart(machine.drive(VICTIM)));
@@ -182,7 +182,7 @@ fn round(sim: &mut Simulation, machine: &Machine, ends: &mut [Ends; DRIVES], rou
 }
 
 /// Posts the verbs and lets the loop turn until they have ended.
-fn all(sim: &mut Simulation, ends: &mut [Ends; DRIVES], verbs: [Option<Verb>; DRIVES]) {
+fn all(sim: &mut Simulation, ends: &mut [Ends; DRIVES], verbs: [Option<Command>; DRIVES]) {
     let mut open = [None; DRIVES];
     for (index, verb) in verbs.into_iter().enumerate() {
         open[index] = verb.and_then(|verb| sim.axis(index).post(verb).ok());
@@ -290,7 +290,7 @@ fn line_is_up(sim: &mut Simulation) -> bool {
 }
 
 /// Posts a verb and turns the loop until it has ended. [`Simulation::run_verb`] keeps events, and allocates for them.
-fn end_of(sim: &mut Simulation, index: usize, verb: Verb) {
+fn end_of(sim: &mut Simulation, index: usize, verb: Command) {
     let Ok(posted) = sim.axis(index).post(verb) else { return };
     for _ in 0..8_000 {
         sim.step();
@@ -345,10 +345,10 @@ fn a_line_allocates_nothing_from_its_bring_up_to_its_end() {
         up = line_is_up(&mut sim);
         while up && sim.status().executed < 100_000 {
             let enable = |sim: &mut Simulation, index| {
-                for verb in [Verb::Reset, Verb::ResetFault, Verb::Enable] {
+                for verb in [Command::Reset, Command::ResetFault, Command::Enable] {
                     end_of(sim, index, verb);
                 }
-                let _ = sim.axis(index).post(Verb::Jog(Jog { velocity: 5.0, acceleration: 100.0 }));
+                let _ = sim.axis(index).post(Command::Jog(Jog { velocity: 5.0, acceleration: 100.0 }));
             };
             (0..3).for_each(|index| enable(&mut sim, index));
             // The application may allocate.
@@ -395,8 +395,8 @@ fn a_line_allocates_nothing_from_its_bring_up_to_its_end() {
             unwatched(|| drop(tickets));
             rounds += 1;
         }
-        end_of(&mut sim, 0, Verb::Enable);
-        let _ = sim.axis(0).post(Verb::Jog(Jog { velocity: 5.0, acceleration: 100.0 }));
+        end_of(&mut sim, 0, Command::Enable);
+        let _ = sim.axis(0).post(Command::Jog(Jog { velocity: 5.0, acceleration: 100.0 }));
         sim.run(1_000);
         sim.stop();
         while sim.step() == Flow::Continue {}

@@ -16,9 +16,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{self, Child, Output, Stdio};
 
-use fieldbeat::axis::{Link, Outcome, Verb};
+use fieldbeat::axis::{Command, Link, Outcome};
 use fieldbeat::config;
 use fieldbeat::sim::world::WorldOptions;
 use fieldbeat::{Master, Simulation};
@@ -167,7 +167,7 @@ fn every_machine_comes_up_in_virtual_time() {
                 |machine: &Simulation| (0..axes).all(|axis| machine.feedback(axis).link == Link::Online);
             assert!(machine.run_until(60_000, online), "{}", block.place());
             for axis in 0..axes {
-                let ended = machine.run_verb(axis, Verb::Enable, 60_000).unwrap();
+                let ended = machine.run_verb(axis, Command::Enable, 60_000).unwrap();
                 assert_eq!(ended, Some(Outcome::Done), "{}: axis {axis}", block.place());
             }
         }
@@ -176,7 +176,12 @@ fn every_machine_comes_up_in_virtual_time() {
 
 /// Runs the program in the checkout.
 fn run(arguments: &[&str]) -> Output {
-    Command::new(PROGRAM).args(arguments).current_dir(checkout("")).stdin(Stdio::null()).output().unwrap()
+    process::Command::new(PROGRAM)
+        .args(arguments)
+        .current_dir(checkout(""))
+        .stdin(Stdio::null())
+        .output()
+        .unwrap()
 }
 
 /// The words of a command up to a comment, a pipe or a redirection.
@@ -288,7 +293,7 @@ impl Drives {
         let text = fs::read_to_string(checkout("rt-config/demo.toml")).unwrap();
         fs::write(&config, names[1..].iter().fold(text, |text, (ours, theirs)| text.replace(ours, theirs)))
             .unwrap();
-        let mut child = Command::new(PROGRAM)
+        let mut child = process::Command::new(PROGRAM)
             .arg("sim")
             .arg(&config)
             .stdout(Stdio::piped())

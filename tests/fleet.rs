@@ -10,8 +10,8 @@ use std::time::{Duration, Instant};
 
 use fastrand::Rng;
 use fieldbeat::axis::{
-    Event, EventKind, Feedback, FoundRunning, Jog, Limits, Link, Move, Outcome, Profile, Row, StopCause,
-    StopHow, StopPlan, StopThen, Target, Underrun, Verb,
+    Command, Event, EventKind, Feedback, FoundRunning, Jog, Limits, Link, Move, Outcome, Profile, Row,
+    StopCause, StopHow, StopPlan, StopThen, Target, Underrun,
 };
 use fieldbeat::bus::Counters;
 use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan, MonitorPlan, ReplyTag, SimPlan, StreamCommand};
@@ -150,7 +150,7 @@ impl Axis {
                 let place =
                     place.ok_or_else(|| format!("{event}, though it had ended or was never posted"))?;
                 self.open.swap_remove(place);
-                self.enabled |= verb == Verb::Enable.name() && outcome == Outcome::Done;
+                self.enabled |= verb == Command::Enable.name() && outcome == Outcome::Done;
                 self.done +=
                     u64::from(["move", "follow", "home"].contains(&verb) && outcome == Outcome::Done);
             }
@@ -193,7 +193,7 @@ impl Axis {
     }
 
     /// What the application asks for next, if it asks for anything.
-    fn wants(&mut self, feedback: &Feedback) -> Option<Verb> {
+    fn wants(&mut self, feedback: &Feedback) -> Option<Command> {
         if feedback.link != Link::Online {
             return None;
         }
@@ -205,34 +205,36 @@ impl Axis {
             _ if self.random.u8(..20) != 0 => None,
             // Not every application knows that its axis is stopped.
             Some(_) if self.random.u8(..3) == 0 => Some(self.motion(feedback)),
-            Some(_) if feedback.fault != 0 => Some(Verb::ResetFault),
-            Some(_) => Some(Verb::Reset),
-            None if feedback.fault != 0 => Some(Verb::ResetFault),
-            None if !self.enabled => Some(Verb::Enable),
-            None if !feedback.homed => Some(Verb::Home),
+            Some(_) if feedback.fault != 0 => Some(Command::ResetFault),
+            Some(_) => Some(Command::Reset),
+            None if feedback.fault != 0 => Some(Command::ResetFault),
+            None if !self.enabled => Some(Command::Enable),
+            None if !feedback.homed => Some(Command::Home),
             None => Some(self.motion(feedback)),
         }
     }
 
-    fn motion(&mut self, feedback: &Feedback) -> Verb {
+    fn motion(&mut self, feedback: &Feedback) -> Command {
         let random = &mut self.random;
         let acceleration = random.f64() * 9_000.0 + 1_000.0;
         let velocity = random.f64() * 280.0 + 20.0;
         let profile = Profile { velocity, acceleration, deceleration: acceleration };
         match random.u8(..40) {
-            0 => Verb::Home,
-            1 => Verb::Disable,
-            2 => Verb::QuickStop,
-            3 | 4 => Verb::Stop { deceleration: None },
-            5..12 => Verb::Jog(Jog { velocity: [-0.25, 0.25][random.usize(..2)] * velocity, acceleration }),
+            0 => Command::Home,
+            1 => Command::Disable,
+            2 => Command::QuickStop,
+            3 | 4 => Command::Stop { deceleration: None },
+            5..12 => {
+                Command::Jog(Jog { velocity: [-0.25, 0.25][random.usize(..2)] * velocity, acceleration })
+            }
             12..20 => {
                 let velocity = if feedback.demand > 100.0 { -velocity / 4.0 } else { velocity / 4.0 };
                 self.rows = random.u32(20..400);
                 self.next = Row { position: feedback.demand, velocity, ..Row::default() };
-                Verb::Follow
+                Command::Follow
             }
-            20..26 => Verb::Move(Move { target: Target::Relative(random.f64() * 80.0 - 40.0), profile }),
-            _ => Verb::Move(Move { target: Target::Absolute(random.f64() * 200.0), profile }),
+            20..26 => Command::Move(Move { target: Target::Relative(random.f64() * 80.0 - 40.0), profile }),
+            _ => Command::Move(Move { target: Target::Absolute(random.f64() * 200.0), profile }),
         }
     }
 }

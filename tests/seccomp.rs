@@ -14,7 +14,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, OnceLock};
 
 use fieldbeat::axis::acyclic::Notation;
-use fieldbeat::axis::{Axis, Link, Verb};
+use fieldbeat::axis::{Axis, Command, Link};
 use fieldbeat::bus::Cycle;
 use fieldbeat::bus::ethercat::object::{Family, Objects};
 use fieldbeat::bus::ethercat::sim::Coupler;
@@ -255,7 +255,7 @@ fn live(crime: Option<fn()>) {
     let (dead, refused) = (drive("dead").counters, drive("refused").counters);
     assert!(dead.sent > 0 && dead.answered + dead.unsent == 0, "{dead:?}");
     assert!(refused.unsent > 0 && refused.sent == 0, "{refused:?}");
-    assert!(end.buses.iter().any(|(_, strangers)| strangers.datagrams > 0), "{:?}", end.buses);
+    assert!(end.buses.iter().any(|(_, unmatched)| unmatched.datagrams > 0), "{:?}", end.buses);
     println!("{LIVED}{} cycles, {losses} losses", status.executed);
 }
 
@@ -325,7 +325,7 @@ fn live_on_a_line() {
         assert!(until(LONG, || axes.iter().all(|axis| axis.feedback().link == Link::Online)));
         lives += 1;
         for axis in &mut axes {
-            for verb in [Verb::Reset, Verb::ResetFault, Verb::Enable] {
+            for verb in [Command::Reset, Command::ResetFault, Command::Enable] {
                 let _ = axis.post(verb);
             }
             let _ = axis.jog(1.0);

@@ -4,7 +4,7 @@ use std::fmt::Display;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
-use fieldbeat::axis::Verb;
+use fieldbeat::axis::Command;
 use fieldbeat::axis::acyclic::Acyclic;
 use fieldbeat::bus::BusPlan;
 use fieldbeat::cycle::engine::Control;
@@ -304,7 +304,7 @@ impl Rig {
         let drives = self.assembly.axes.len() as u32;
         self.turn_until("online", |status| status.online == drives, &mut beside);
         for axis in &mut self.assembly.axes {
-            if let Err(error) = axis.post(Verb::Enable) {
+            if let Err(error) = axis.post(Command::Enable) {
                 give_up(error)
             }
         }

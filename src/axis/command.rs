@@ -34,12 +34,12 @@ impl CommandId {
 
 /// One command on its way to the loop.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Command {
+pub struct QueuedCommand {
     /// Its id, assigned on submission.
     pub id: CommandId,
     /// What to do.
-    pub verb: Verb,
-    /// For [`Verb::Follow`]: which stream.
+    pub verb: Command,
+    /// For [`Command::Follow`]: which stream.
     pub stream: u32,
     /// For a command to a [`Group`](crate::axis::Group): it takes effect together with those of the other members.
     pub ticket: Option<Ticket>,
@@ -71,7 +71,7 @@ pub struct StreamRow {
 /// One velocity or torque on its way to the loop.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Setpoint {
-    /// The [`Verb::Jog`], [`Verb::Velocity`] or [`Verb::Torque`] that it belongs to.
+    /// The [`Command::Jog`], [`Command::Velocity`] or [`Command::Torque`] that it belongs to.
     pub of: CommandId,
     /// User units/s, or per cent of the rated torque.
     pub value: f64,
@@ -79,11 +79,11 @@ pub struct Setpoint {
 
 /// A command to an axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Verb {
+pub enum Command {
     /// Power on, up to `OperationEnabled`. Refused while the axis is latched as stopped. It waits, no longer than its
     /// own time-out, for the write of a parameter that may command the drive.
     Enable,
-    /// Power off at once. Ends a motion without a ramp; use [`Verb::Stop`] first where the load matters.
+    /// Power off at once. Ends a motion without a ramp; use [`Command::Stop`] first where the load matters.
     Disable,
     /// Run the drive's own homing.
     Home,
@@ -329,30 +329,30 @@ fn reports(fault: Fault<'_>) -> String {
     format!("the drive reports fault {fault}: remove its cause, then reset_fault")
 }
 
-impl Verb {
+impl Command {
     /// It acts at once and aborts everything before it.
     pub fn is_urgent(&self) -> bool {
-        matches!(self, Verb::Disable | Verb::Stop { .. } | Verb::QuickStop)
+        matches!(self, Command::Disable | Command::Stop { .. } | Command::QuickStop)
     }
 
     /// It is a motion: it may replace a running motion.
     pub fn is_motion(&self) -> bool {
-        matches!(self, Verb::Move(_) | Verb::Follow | Verb::Native(_))
+        matches!(self, Command::Move(_) | Command::Follow | Command::Native(_))
             || self.takes_velocities()
             || self.takes_torques()
     }
 
     /// It follows velocity setpoints.
     pub fn takes_velocities(&self) -> bool {
-        matches!(self, Verb::Jog(_) | Verb::Velocity { .. })
+        matches!(self, Command::Jog(_) | Command::Velocity { .. })
     }
 
     /// It follows torque setpoints.
     pub fn takes_torques(&self) -> bool {
-        matches!(self, Verb::Torque { .. })
+        matches!(self, Command::Torque { .. })
     }
 
-    /// The names, by [`code`](Verb::code); 0 is no command.
+    /// The names, by [`code`](Command::code); 0 is no command.
     pub const NAMES: [&str; 14] = [
         "-",
         "enable",
@@ -373,25 +373,25 @@ impl Verb {
     /// Its number in records, from 1.
     pub fn code(&self) -> u8 {
         match self {
-            Verb::Enable => 1,
-            Verb::Disable => 2,
-            Verb::Home => 3,
-            Verb::Move(_) => 4,
-            Verb::Jog(_) => 5,
-            Verb::Velocity { .. } => 6,
-            Verb::Follow => 7,
-            Verb::Stop { .. } => 8,
-            Verb::QuickStop => 9,
-            Verb::ResetFault => 10,
-            Verb::Reset => 11,
-            Verb::Native(_) => 12,
-            Verb::Torque { .. } => 13,
+            Command::Enable => 1,
+            Command::Disable => 2,
+            Command::Home => 3,
+            Command::Move(_) => 4,
+            Command::Jog(_) => 5,
+            Command::Velocity { .. } => 6,
+            Command::Follow => 7,
+            Command::Stop { .. } => 8,
+            Command::QuickStop => 9,
+            Command::ResetFault => 10,
+            Command::Reset => 11,
+            Command::Native(_) => 12,
+            Command::Torque { .. } => 13,
         }
     }
 
     /// Its name in events and messages.
     pub fn name(&self) -> &'static str {
-        Verb::NAMES[usize::from(self.code())]
+        Command::NAMES[usize::from(self.code())]
     }
 }
 
@@ -404,21 +404,21 @@ mod tests {
         let speed = Jog { velocity: 1.0, acceleration: 1.0 };
         let profile = Profile { velocity: 1.0, acceleration: 1.0, deceleration: 1.0 };
         let all = [
-            (Verb::Enable, "enable"),
-            (Verb::Disable, "disable"),
-            (Verb::Home, "home"),
-            (Verb::Move(Move { target: Target::Absolute(0.0), profile }), "move"),
-            (Verb::Jog(speed), "jog"),
-            (Verb::Velocity { acceleration: 1.0 }, "velocity"),
-            (Verb::Follow, "follow"),
-            (Verb::Stop { deceleration: None }, "stop"),
-            (Verb::QuickStop, "quick stop"),
-            (Verb::ResetFault, "reset fault"),
-            (Verb::Reset, "reset"),
-            (Verb::Native(NativeOwner::Master), "native"),
-            (Verb::Torque { slope: 1.0 }, "torque"),
+            (Command::Enable, "enable"),
+            (Command::Disable, "disable"),
+            (Command::Home, "home"),
+            (Command::Move(Move { target: Target::Absolute(0.0), profile }), "move"),
+            (Command::Jog(speed), "jog"),
+            (Command::Velocity { acceleration: 1.0 }, "velocity"),
+            (Command::Follow, "follow"),
+            (Command::Stop { deceleration: None }, "stop"),
+            (Command::QuickStop, "quick stop"),
+            (Command::ResetFault, "reset fault"),
+            (Command::Reset, "reset"),
+            (Command::Native(NativeOwner::Master), "native"),
+            (Command::Torque { slope: 1.0 }, "torque"),
         ];
-        assert_eq!(all.len() + 1, Verb::NAMES.len());
+        assert_eq!(all.len() + 1, Command::NAMES.len());
         for ((verb, name), code) in all.into_iter().zip(1..) {
             assert_eq!((verb.code(), verb.name()), (code, name));
         }

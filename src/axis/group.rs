@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 use thiserror::Error;
 
-use super::command::{CommandId, Move, Profile, Row, Target, Ticket, Verb};
+use super::command::{Command, CommandId, Move, Profile, Row, Target, Ticket};
 use super::event::Event;
 use super::feedback::Feedback;
 use super::handle::{Axis, AxisError, GRACE, longest};
@@ -135,9 +135,9 @@ impl Group {
 
     /// Gives one command to each member and returns at once. They begin in one cycle, as soon as each member may;
     /// if one of them cannot, all of them fail.
-    pub fn post(&mut self, verbs: &[Verb]) -> Result<GroupCommand, GroupError> {
+    pub fn post(&mut self, verbs: &[Command]) -> Result<GroupCommand, GroupError> {
         self.count(verbs.len())?;
-        if verbs.contains(&Verb::Follow) && verbs.iter().any(|verb| *verb != Verb::Follow) {
+        if verbs.contains(&Command::Follow) && verbs.iter().any(|verb| *verb != Command::Follow) {
             return Err(GroupError::MixedFollow);
         }
         for (axis, verb) in self.axes.iter_mut().zip(verbs) {
@@ -152,15 +152,15 @@ impl Group {
         for (axis, verb) in self.axes.iter_mut().zip(verbs) {
             ids.push(axis.enqueue(*verb, Some(ticket))?);
         }
-        Ok(GroupCommand { verb: verbs.first().map_or("", Verb::name), ids })
+        Ok(GroupCommand { verb: verbs.first().map_or("", Command::name), ids })
     }
 
     /// Gives the same command to each member.
-    pub fn post_all(&mut self, verb: Verb) -> Result<GroupCommand, GroupError> {
+    pub fn post_all(&mut self, verb: Command) -> Result<GroupCommand, GroupError> {
         self.post(&vec![verb; self.axes.len()])
     }
 
-    /// The velocity setpoints of all members, user units/s, while they run [`Verb::Velocity`] or [`Verb::Jog`].
+    /// The velocity setpoints of all members, user units/s, while they run [`Command::Velocity`] or [`Command::Jog`].
     pub fn set_velocities(&mut self, velocities: &[f64]) -> Result<(), GroupError> {
         self.count(velocities.len())?;
         for (axis, velocity) in self.axes.iter().zip(velocities) {
@@ -172,7 +172,7 @@ impl Group {
         Ok(())
     }
 
-    /// The torque setpoints of all members, per cent of the rated torque, while they run [`Verb::Torque`].
+    /// The torque setpoints of all members, per cent of the rated torque, while they run [`Command::Torque`].
     pub fn set_torques(&mut self, torques: &[f64]) -> Result<(), GroupError> {
         self.count(torques.len())?;
         for (axis, torque) in self.axes.iter().zip(torques) {
@@ -207,22 +207,22 @@ impl Group {
 
     /// Starts to follow the streams, whose first rows should be queued already. Ends with the rows marked `last`.
     pub fn follow(&mut self) -> Result<GroupCommand, GroupError> {
-        self.post_all(Verb::Follow)
+        self.post_all(Command::Follow)
     }
 
     /// Enables all members and waits until they are in operation.
     pub fn enable(&mut self) -> Result<(), GroupError> {
-        self.run_all(Verb::Enable, |axis| axis.plan().enable_timeout)
+        self.run_all(Command::Enable, |axis| axis.plan().enable_timeout)
     }
 
     /// Powers all members off and waits until they are off.
     pub fn disable(&mut self) -> Result<(), GroupError> {
-        self.run_all(Verb::Disable, |axis| axis.plan().enable_timeout)
+        self.run_all(Command::Disable, |axis| axis.plan().enable_timeout)
     }
 
     /// Homes all members and waits until homing is complete.
     pub fn home(&mut self) -> Result<(), GroupError> {
-        self.run_all(Verb::Home, |axis| axis.plan().home_timeout)
+        self.run_all(Command::Home, |axis| axis.plan().home_timeout)
     }
 
     /// Moves each member to its position (user units) along its own profile and waits until all have arrived. They
@@ -230,8 +230,8 @@ impl Group {
     pub fn move_to(&mut self, positions: &[f64]) -> Result<(), GroupError> {
         let profiles: Vec<Profile> = self.axes.iter().map(Axis::profile).collect();
         self.count(positions.len())?;
-        let verbs: Vec<Verb> = (positions.iter().zip(profiles))
-            .map(|(position, profile)| Verb::Move(Move { target: Target::Absolute(*position), profile }))
+        let verbs: Vec<Command> = (positions.iter().zip(profiles))
+            .map(|(position, profile)| Command::Move(Move { target: Target::Absolute(*position), profile }))
             .collect();
         let limit = (self.axes.iter().zip(positions))
             .map(|(axis, position)| longest((position - axis.feedback().demand).abs(), &axis.profile()))
@@ -242,22 +242,22 @@ impl Group {
 
     /// Ramps all members down and waits for standstill; the drives stay enabled.
     pub fn stop(&mut self) -> Result<(), GroupError> {
-        self.run_all(Verb::Stop { deceleration: None }, |axis| axis.plan().stop.timeout)
+        self.run_all(Command::Stop { deceleration: None }, |axis| axis.plan().stop.timeout)
     }
 
     /// The fastest controlled stop of all members; waits for standstill.
     pub fn quick_stop(&mut self) -> Result<(), GroupError> {
-        self.run_all(Verb::QuickStop, |axis| axis.plan().stop.timeout)
+        self.run_all(Command::QuickStop, |axis| axis.plan().stop.timeout)
     }
 
     /// Acknowledges the faults of all members.
     pub fn reset_fault(&mut self) -> Result<(), GroupError> {
-        self.run_all(Verb::ResetFault, |axis| axis.plan().enable_timeout)
+        self.run_all(Command::ResetFault, |axis| axis.plan().enable_timeout)
     }
 
     /// Clears the stop latches of all members.
     pub fn reset(&mut self) -> Result<(), GroupError> {
-        self.run_all(Verb::Reset, |axis| axis.plan().stop.timeout * 2)
+        self.run_all(Command::Reset, |axis| axis.plan().stop.timeout * 2)
     }
 
     /// Waits until `command` has ended at all members. The error is that of the member which caused it, if one did.
@@ -274,7 +274,7 @@ impl Group {
         }
     }
 
-    fn run_all(&mut self, verb: Verb, limit: impl Fn(&Axis) -> Duration) -> Result<(), GroupError> {
+    fn run_all(&mut self, verb: Command, limit: impl Fn(&Axis) -> Duration) -> Result<(), GroupError> {
         let limit = self.axes.iter().map(limit).max().unwrap_or_default();
         let command = self.post_all(verb)?;
         self.wait(&command, limit + GRACE)

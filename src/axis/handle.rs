@@ -14,8 +14,8 @@ use thiserror::Error;
 use super::acyclic::{Acyclic, Parameters};
 use super::cell::Reader;
 use super::command::{
-    Abort, Command, CommandId, Failure, Jog, Move, Outcome, Profile, Row, Setpoint, StreamRow, Target,
-    Ticket, Verb,
+    Abort, Command, CommandId, Failure, Jog, Move, Outcome, Profile, QueuedCommand, Row, Setpoint, StreamRow,
+    Target, Ticket,
 };
 use super::event::{Event, EventKind};
 use super::feedback::{Fault, FaultNames, Feedback, Link, StopCause};
@@ -75,7 +75,7 @@ pub struct Axis {
 #[derive(Debug)]
 pub struct AxisEnds {
     /// Commands to the loop.
-    pub commands: Producer<Command>,
+    pub commands: Producer<QueuedCommand>,
     /// Rows to the loop.
     pub rows: Producer<StreamRow>,
     /// Velocity and torque setpoints to the loop.
@@ -258,14 +258,14 @@ impl Axis {
     }
 
     /// Submits a command and returns at once. Its end is an [`EventKind::Ended`] with this id.
-    pub fn post(&mut self, verb: Verb) -> Result<CommandId, AxisError> {
+    pub fn post(&mut self, verb: Command) -> Result<CommandId, AxisError> {
         self.accepts(&verb)?;
         self.enqueue(verb, None)
     }
 
     /// Whether `verb` would be accepted now: its numbers, and room in the queue. The last places are reserved for
     /// commands that stop the axis.
-    pub(super) fn accepts(&mut self, verb: &Verb) -> Result<(), AxisError> {
+    pub(super) fn accepts(&mut self, verb: &Command) -> Result<(), AxisError> {
         check_verb(&self.plan, verb).map_err(|failure| self.refused(verb.name(), failure))?;
         let kept = if verb.is_urgent() { 0 } else { URGENT_ROOM };
         let unread = self.kept_ends >= KEPT_ENDS && !verb.is_urgent();
@@ -288,12 +288,12 @@ impl Axis {
     }
 
     /// Queues a command that was accepted.
-    pub(super) fn enqueue(&mut self, verb: Verb, ticket: Option<Ticket>) -> Result<CommandId, AxisError> {
+    pub(super) fn enqueue(&mut self, verb: Command, ticket: Option<Ticket>) -> Result<CommandId, AxisError> {
         if self.ends.commands.is_abandoned() {
             return Err(self.gone());
         }
         let id = CommandId(self.next_id);
-        let command = Command { id, verb, stream: self.streams.to_follow(), ticket };
+        let command = QueuedCommand { id, verb, stream: self.streams.to_follow(), ticket };
         if self.ends.commands.push(command).is_err() {
             return Err(self.full(verb.name(), self.plan.command_queue));
         }
@@ -306,21 +306,21 @@ impl Axis {
         if verb.takes_torques() {
             self.pressing = id;
         }
-        if verb == Verb::Follow {
+        if verb == Command::Follow {
             self.streams.followed(id);
         }
         Ok(id)
     }
 
-    /// The velocity setpoint of a running [`Verb::Velocity`] or [`Verb::Jog`], user units/s. The newest counts. It
-    /// has to be renewed before it is older than `setpoint_age` or the dead-man time of the axis.
+    /// The velocity setpoint of a running [`Command::Velocity`] or [`Command::Jog`], user units/s. The newest counts.
+    /// It has to be renewed before it is older than `setpoint_age` or the dead-man time of the axis.
     pub fn set_velocity(&mut self, velocity: f64) -> Result<(), AxisError> {
         self.accepts_velocity(velocity)?;
         self.give(Setpoint { of: self.rolling, value: velocity });
         Ok(())
     }
 
-    /// The torque setpoint of a running [`Verb::Torque`], per cent of the rated torque. The newest counts. It has
+    /// The torque setpoint of a running [`Command::Torque`], per cent of the rated torque. The newest counts. It has
     /// to be renewed before it is older than `setpoint_age`.
     pub fn set_torque(&mut self, torque: f64) -> Result<(), AxisError> {
         self.accepts_torque(torque)?;
@@ -350,7 +350,7 @@ impl Axis {
         self.ends.rows.slots()
     }
 
-    /// Queues a row for [`Verb::Follow`], one per exchange. Each row is checked against the limits.
+    /// Queues a row for [`Command::Follow`], one per exchange. Each row is checked against the limits.
     ///
     /// After a row marked `last`, and after the application has seen (by [`event`](Self::event) or during a wait)
     /// that the stream ended or the axis was stopped, rows belong to the next stream.
@@ -379,39 +379,39 @@ impl Axis {
 
     /// Starts to follow the stream, whose first rows should be queued already. Ends with the row marked `last`.
     pub fn follow(&mut self) -> Result<CommandId, AxisError> {
-        self.post(Verb::Follow)
+        self.post(Command::Follow)
     }
 
     /// Enables the drive and waits until it is in operation.
     pub fn enable(&mut self) -> Result<(), AxisError> {
         let limit = self.plan.enable_timeout;
-        self.run(Verb::Enable, limit)
+        self.run(Command::Enable, limit)
     }
 
     /// Powers the drive off and waits until it is off.
     pub fn disable(&mut self) -> Result<(), AxisError> {
         let limit = self.plan.enable_timeout;
-        self.run(Verb::Disable, limit)
+        self.run(Command::Disable, limit)
     }
 
     /// Homes the axis and waits until homing is complete.
     pub fn home(&mut self) -> Result<(), AxisError> {
         let limit = self.plan.home_timeout;
-        self.run(Verb::Home, limit)
+        self.run(Command::Home, limit)
     }
 
     /// Moves to `position` (user units) and waits until the motion has ended.
     pub fn move_to(&mut self, position: f64, profile: Profile) -> Result<(), AxisError> {
         let distance = (position - self.feedback().demand).abs();
         self.run(
-            Verb::Move(Move { target: Target::Absolute(position), profile }),
+            Command::Move(Move { target: Target::Absolute(position), profile }),
             longest(distance, &profile),
         )
     }
 
     /// Moves by `distance` (user units) and waits until the motion has ended.
     pub fn move_by(&mut self, distance: f64, profile: Profile) -> Result<(), AxisError> {
-        let verb = Verb::Move(Move { target: Target::Relative(distance), profile });
+        let verb = Command::Move(Move { target: Target::Relative(distance), profile });
         self.run(verb, longest(distance.abs(), &profile))
     }
 
@@ -419,31 +419,31 @@ impl Axis {
     /// [`set_velocity`](Self::set_velocity) within the dead-man time of the axis, as long as the operator holds the
     /// button.
     pub fn jog(&mut self, velocity: f64) -> Result<CommandId, AxisError> {
-        self.post(Verb::Jog(Jog { velocity, acceleration: self.plan.profile.acceleration }))
+        self.post(Command::Jog(Jog { velocity, acceleration: self.plan.profile.acceleration }))
     }
 
     /// Ramps down and waits for standstill; the drive stays enabled.
     pub fn stop(&mut self) -> Result<(), AxisError> {
         let limit = self.plan.stop.timeout + GRACE;
-        self.run(Verb::Stop { deceleration: None }, limit)
+        self.run(Command::Stop { deceleration: None }, limit)
     }
 
     /// The drive's fastest controlled stop; waits for standstill. The drive stays enabled if it can.
     pub fn quick_stop(&mut self) -> Result<(), AxisError> {
         let limit = self.plan.stop.timeout + GRACE;
-        self.run(Verb::QuickStop, limit)
+        self.run(Command::QuickStop, limit)
     }
 
     /// Acknowledges a fault of the drive and waits until it is gone. The drive is off then.
     pub fn reset_fault(&mut self) -> Result<(), AxisError> {
         let limit = self.plan.enable_timeout;
-        self.run(Verb::ResetFault, limit)
+        self.run(Command::ResetFault, limit)
     }
 
     /// Clears the latch of a stopped axis; waits for a stop sequence that is still running.
     pub fn reset(&mut self) -> Result<(), AxisError> {
         let limit = self.plan.stop.timeout * 2;
-        self.run(Verb::Reset, limit)
+        self.run(Command::Reset, limit)
     }
 
     /// Waits until the link is up.
@@ -460,7 +460,7 @@ impl Axis {
     }
 
     /// Posts `verb` and waits for its end.
-    pub fn run(&mut self, verb: Verb, limit: Duration) -> Result<(), AxisError> {
+    pub fn run(&mut self, verb: Command, limit: Duration) -> Result<(), AxisError> {
         let id = self.post(verb)?;
         self.wait(id, verb.name(), limit + GRACE)
     }

@@ -1,41 +1,43 @@
 //! The limits of an axis: a command, setpoint or row that breaks one is refused, on submission where the limit can
 //! be checked there.
 
-use super::command::{Failure, Jog, Move, Profile, Row, Target, Verb};
+use super::command::{Command, Failure, Jog, Move, Profile, Row, Target};
 use super::plan::{AxisPlan, Limits, Load};
 
 /// `Ok` if `verb` keeps to what the plan allows, as far as it can be checked without the position of the axis.
-pub fn check_verb(plan: &AxisPlan, verb: &Verb) -> Result<(), Failure> {
+pub fn check_verb(plan: &AxisPlan, verb: &Command) -> Result<(), Failure> {
     match verb {
-        Verb::Move(Move { target, profile }) => {
+        Command::Move(Move { target, profile }) => {
             check_profile(plan, profile)?;
             match *target {
                 Target::Absolute(position) => check_position(&plan.limits, position),
                 Target::Relative(distance) => finite(distance),
             }
         }
-        Verb::Jog(Jog { velocity, acceleration }) => {
+        Command::Jog(Jog { velocity, acceleration }) => {
             check_velocity(plan, *velocity)?;
             positive("acceleration", *acceleration, plan.limits.acceleration)
         }
-        Verb::Velocity { acceleration } => positive("acceleration", *acceleration, plan.limits.acceleration),
-        Verb::Torque { .. } if plan.limits.velocity.is_none() => Err(Failure::Unsupported(
+        Command::Velocity { acceleration } => {
+            positive("acceleration", *acceleration, plan.limits.acceleration)
+        }
+        Command::Torque { .. } if plan.limits.velocity.is_none() => Err(Failure::Unsupported(
             "only a velocity limit ends a runaway under torque: set limits.velocity",
         )),
-        Verb::Torque { .. } if plan.load != Load::Level => Err(Failure::Unsupported(
+        Command::Torque { .. } if plan.load != Load::Level => Err(Failure::Unsupported(
             "a vertical load drops if the torque does not hold it: command velocities or positions",
         )),
-        Verb::Torque { slope } => positive("torque slope", *slope, None),
-        Verb::Stop { deceleration: Some(deceleration) } => positive("deceleration", *deceleration, None),
-        Verb::Enable
-        | Verb::Disable
-        | Verb::Home
-        | Verb::Follow
-        | Verb::Stop { deceleration: None }
-        | Verb::QuickStop
-        | Verb::ResetFault
-        | Verb::Reset
-        | Verb::Native(_) => Ok(()),
+        Command::Torque { slope } => positive("torque slope", *slope, None),
+        Command::Stop { deceleration: Some(deceleration) } => positive("deceleration", *deceleration, None),
+        Command::Enable
+        | Command::Disable
+        | Command::Home
+        | Command::Follow
+        | Command::Stop { deceleration: None }
+        | Command::QuickStop
+        | Command::ResetFault
+        | Command::Reset
+        | Command::Native(_) => Ok(()),
     }
 }
 
@@ -136,7 +138,7 @@ mod tests {
     #[test]
     fn a_torque_needs_a_limit_of_the_velocity_and_a_load_that_does_not_drop() {
         let mut plan = AxisPlan::new("x", Units::millimetres(1_000.0));
-        let torque = |slope| Verb::Torque { slope };
+        let torque = |slope| Command::Torque { slope };
         assert!(
             matches!(check_verb(&plan, &torque(100.0)), Err(Failure::Unsupported(why)) if why.contains("velocity"))
         );

@@ -27,7 +27,7 @@ use thiserror::Error;
 use crate::axis::acyclic::{AcyclicEnds, Notation};
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{
-    AxisPlan, Emergency, Failure, FaultNames, Link, MonitorChannel, Observer, PlanFault, Row, State, Verb,
+    AxisPlan, Command, Emergency, Failure, FaultNames, Link, MonitorChannel, Observer, PlanFault, Row, State,
 };
 use crate::errors::no_descriptor;
 use crate::net::lock::Refused;
@@ -250,7 +250,7 @@ pub trait Bus: Send {
     fn shut_down(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool;
 
     /// Counters of what was received and belongs to no drive.
-    fn strangers(&self) -> Strangers;
+    fn unmatched(&self) -> Unmatched;
 
     /// The application's end of the native process data of drive `index`, taken once before the start.
     fn native(&mut self, index: usize) -> Option<Box<dyn Any + Send>>;
@@ -381,7 +381,7 @@ pub struct Slot {
     pub reachable: bool,
     /// The drive was requested to do something that makes it silent, and its power is off: its silence is expected,
     /// is no link loss, and does not stop its stop group.
-    pub excused: bool,
+    pub expected_silence: bool,
     /// A call of the application that commands the drive is under way, or its end is not known: the loop begins no
     /// enable until it is over.
     pub commanded: bool,
@@ -396,7 +396,7 @@ pub struct Order {
     /// 0 = none yet.
     pub serial: u64,
     /// The command; `None` = keep the state the drive is in.
-    pub verb: Option<Verb>,
+    pub verb: Option<Command>,
 }
 
 /// A row and its number: the same number is the same row, not to be run twice.
@@ -562,7 +562,7 @@ pub struct BusClock {
 
 /// Exact counts of what arrived at a bus and belongs to none of its drives.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Strangers {
+pub struct Unmatched {
     /// Datagrams from an address that is not a drive's.
     pub datagrams: u64,
     /// Datagrams that the kernel dropped because the socket's buffer was full, whoever sent them.

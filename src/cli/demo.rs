@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 use clap::Args;
 use fieldbeat::axis::{
-    Abort, Axis, AxisError, CommandId, EventKind, Move, Outcome, Row, StopCause, Target, Unit, Verb,
+    Abort, Axis, AxisError, Command, CommandId, EventKind, Move, Outcome, Row, StopCause, Target, Unit,
 };
 use fieldbeat::bus::ethercat;
 use fieldbeat::config::{DEMO_PLACES, DEMO_STREAMS_UP_TO_NS, demo_plan};
@@ -248,14 +248,14 @@ enum Error {
 impl Show {
     fn play(&mut self) -> Result<(), Error> {
         let (all, movers, turners) = (0..self.axes.len(), 0..self.movers, self.movers..self.axes.len());
-        self.together("enable", &all, |_| Verb::Enable)?;
-        self.together("home", &movers, |_| Verb::Home)?;
+        self.together("enable", &all, |_| Command::Enable)?;
+        self.together("home", &movers, |_| Command::Home)?;
         self.together("to the start", &movers, |axis| to(Swing::of(axis).centre, axis))?;
         self.wave()?;
-        self.together("stop", &turners, |_| Verb::Stop { deceleration: None })?;
+        self.together("stop", &turners, |_| Command::Stop { deceleration: None })?;
         self.together("profile move", &movers, |axis| to(Swing::of(axis).low(), axis))?;
-        self.together("stop", &all, |_| Verb::Stop { deceleration: None })?;
-        self.together("disable", &all, |_| Verb::Disable)
+        self.together("stop", &all, |_| Command::Stop { deceleration: None })?;
+        self.together("disable", &all, |_| Command::Disable)
     }
 
     /// Time that is left, without the closing.
@@ -290,7 +290,7 @@ impl Show {
         &mut self,
         what: &'static str,
         axes: &Range<usize>,
-        verb: impl Fn(&Axis) -> Verb,
+        verb: impl Fn(&Axis) -> Command,
     ) -> Result<(), Error> {
         let several = &mut self.axes[axes.clone()];
         let ids: Vec<CommandId> =
@@ -420,8 +420,8 @@ impl Turning {
     }
 }
 
-fn to(position: f64, axis: &Axis) -> Verb {
-    Verb::Move(Move { target: Target::Absolute(position), profile: axis.profile() })
+fn to(position: f64, axis: &Axis) -> Command {
+    Command::Move(Move { target: Target::Absolute(position), profile: axis.profile() })
 }
 
 /// How far an axis swings, in its units.

@@ -38,7 +38,7 @@ enum What {
     #[command(subcommand)]
     Software(SoftwareDoes),
     /// Runs one motion command by a master of its own: switches the drive on, waits for its end, switches it off.
-    Command(motion::Command),
+    Command(motion::MotionArguments),
     /// Lists the motion commands, with their fields and units.
     Commands(motion::Commands),
     /// Resets a part of the parameters in flash to their defaults, which take effect after a restart.

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use clap::Args;
 use fieldbeat::axis::command::NativeOwner;
-use fieldbeat::axis::{Axis, EventKind, Link, Verb};
+use fieldbeat::axis::{Axis, Command, EventKind, Link};
 use fieldbeat::bus::linudp::motion::{CATALOGUE, CommandInfo, Mark, MotionCommand};
 use fieldbeat::bus::linudp::native::{Native, NativeInputs, NativeOutput};
 use fieldbeat::bus::linudp::wire::StateVar;
@@ -18,7 +18,7 @@ use super::{Stop, print, run};
 
 /// Arguments of `linmot command`.
 #[derive(Debug, Args)]
-pub struct Command {
+pub struct MotionArguments {
     #[command(flatten)]
     drive: Drive,
     /// Its name, as `linmot commands` lists it, or its number as 0x010.
@@ -76,7 +76,7 @@ fn words(mark: Mark) -> &'static str {
     }
 }
 
-impl Command {
+impl MotionArguments {
     /// Does it.
     pub fn run(self, interrupt: &Interrupt) -> Result<(), Stop> {
         let command = parse(&self.command, &self.fields).map_err(Stop::usage)?;
@@ -126,7 +126,7 @@ impl Command {
         if self.home && !axis.feedback().homed {
             axis.home().map_err(Stop::failed)?;
         }
-        let mode = axis.post(Verb::Native(NativeOwner::Master)).map_err(Stop::failed)?;
+        let mode = axis.post(Command::Native(NativeOwner::Master)).map_err(Stop::failed)?;
         let mut motion = Motion::Waiting;
         while motion != Motion::Ended {
             if interrupt.is_set() {

@@ -14,20 +14,20 @@ use rtrb::Producer;
 
 pub use self::panics::LoopPanic;
 use self::panics::Panics;
-use super::gates::Gates;
 use super::grid::Grid;
 use super::heartbeat::Heartbeat;
 use super::plan::{CyclePlan, Guard, Overrun};
 use super::record::{CycleRecord, Look, Record, Reply, SkippedRecord, Stage, short};
 use super::reference::Reference;
-use super::seat::Seat;
 use super::skips::Skips;
 use super::status::{DeviceEnd, DriveEnd, DriveNumbers, Numbers, Status, whole};
 use super::task::{Axes, Task};
-use super::window::{BusSeat, Window};
+use super::window::{OpenBus, Window};
 use crate::axis::cell::Writer;
 use crate::axis::{Link, Pulse, StopCause};
-use crate::bus::{BusClock, Cycle, Slot, Strangers};
+use crate::bus::{BusClock, Cycle, Slot, Unmatched};
+use crate::drive::controller::DriveController;
+use crate::drive::groups::GroupSync;
 use crate::rt::{Clock, GuardTuner, Regions};
 use crate::time::{MS, Time, nanos};
 
@@ -66,7 +66,7 @@ pub struct Outlets {
     /// The numbers of each drive, in the order of the plan.
     pub drives: Vec<Writer<DriveNumbers>>,
     /// The unmatched counters of each bus.
-    pub strangers: Vec<Writer<Strangers>>,
+    pub unmatched: Vec<Writer<Unmatched>>,
     /// The clock of each bus.
     pub clocks: Vec<Writer<Option<BusClock>>>,
 }
@@ -90,15 +90,15 @@ pub struct Engine<C> {
     reference: Option<Reference>,
     guard: GuardTuner,
     window: Window,
-    buses: Vec<BusSeat>,
+    buses: Vec<OpenBus>,
     slots: Vec<Slot>,
-    seats: Vec<Seat>,
+    controllers: Vec<DriveController>,
     names: Vec<(String, &'static str)>,
     /// The devices that are not drives: bus, index on it, name.
     devices: Vec<(usize, usize, String)>,
     task: Option<Task>,
     task_id: u64,
-    gates: Gates,
+    groups: GroupSync,
     heartbeat: Heartbeat,
     control: Control,
     outlets: Outlets,
@@ -165,8 +165,8 @@ impl<C: Clock> Engine<C> {
     pub fn new(
         clock: C,
         plan: CyclePlan,
-        mut buses: Vec<BusSeat>,
-        seats: Vec<Seat>,
+        mut buses: Vec<OpenBus>,
+        controllers: Vec<DriveController>,
         names: Vec<(String, &'static str)>,
         devices: Vec<(usize, usize, String)>,
         task: Option<Task>,
@@ -176,13 +176,14 @@ impl<C: Clock> Engine<C> {
     ) -> Engine<C> {
         let window = Window::new(plan.wait, buses.len());
         // The ramp, the quick stop and power off have a time-out each, and a hold may have to be left first.
-        let stops = seats.iter().map(|seat| nanos(seat.plan().stop.timeout)).max().unwrap_or(0);
-        let leads = |seat: &BusSeat| plan.reference.as_deref() == Some(seat.bus.name());
+        let stops =
+            controllers.iter().map(|controller| nanos(controller.plan().stop.timeout)).max().unwrap_or(0);
+        let leads = |controller: &OpenBus| plan.reference.as_deref() == Some(controller.bus.name());
         let reference = buses.iter().position(leads).map(|place| Reference::new(place, plan.period_ns));
         if let Some(reference) = &reference {
             buses[reference.bus()].bus.lead();
         }
-        let panics = Panics::new(buses.len(), seats.len());
+        let panics = Panics::new(buses.len(), controllers.len());
         Engine {
             longest_end_ns: stops.saturating_mul(4).saturating_add(END_MARGIN_NS),
             deadline_ns: plan.deadline_ns(),
@@ -196,14 +197,14 @@ impl<C: Clock> Engine<C> {
             },
             window,
             buses,
-            slots: vec![Slot::default(); seats.len()],
+            slots: vec![Slot::default(); controllers.len()],
             names,
             devices,
             task,
             task_id: 1,
-            gates: Gates::new(seats.len()),
+            groups: GroupSync::new(controllers.len()),
             heartbeat: Heartbeat::new(pulse, plan.heartbeat_ns, plan.period_ns),
-            seats,
+            controllers,
             control,
             outlets,
             status: Status { reference: reference.as_ref().map(Reference::status), ..Status::default() },
@@ -227,8 +228,8 @@ impl<C: Clock> Engine<C> {
     /// by the in-loop task is for its owner to lock.
     pub fn memory(&self, regions: &mut Regions) {
         regions.add(&*self.slots);
-        regions.add(&*self.seats);
-        self.gates.memory(regions);
+        regions.add(&*self.controllers);
+        self.groups.memory(regions);
         self.heartbeat.memory(regions);
         regions.add(&*self.control.0);
         regions.add(&*self.buses);
@@ -236,15 +237,15 @@ impl<C: Clock> Engine<C> {
         self.outlets.status.memory(regions);
         regions.add(&*self.outlets.drives);
         self.outlets.drives.iter().for_each(|drive| drive.memory(regions));
-        regions.add(&*self.outlets.strangers);
-        self.outlets.strangers.iter().for_each(|strangers| strangers.memory(regions));
+        regions.add(&*self.outlets.unmatched);
+        self.outlets.unmatched.iter().for_each(|unmatched| unmatched.memory(regions));
         regions.add(&*self.outlets.clocks);
         self.outlets.clocks.iter().for_each(|clock| clock.memory(regions));
-        for seat in &self.seats {
-            seat.memory(regions);
+        for controller in &self.controllers {
+            controller.memory(regions);
         }
-        for seat in &self.buses {
-            seat.bus.memory(regions);
+        for controller in &self.buses {
+            controller.bus.memory(regions);
         }
     }
 
@@ -328,15 +329,15 @@ impl<C: Clock> Engine<C> {
 
         // 1 send
         self.panics.stage = Some(Stage::Send);
-        for seat in &mut self.buses {
-            seat.work(&mut self.slots, |bus, slots| bus.send(cycle, slots));
+        for controller in &mut self.buses {
+            controller.work(&mut self.slots, |bus, slots| bus.send(cycle, slots));
         }
         self.status.executed += 1;
         self.skipped_in_a_row = 0;
         self.skips.executed();
-        for (seat, slot) in self.seats.iter_mut().zip(&self.slots) {
+        for (controller, slot) in self.controllers.iter_mut().zip(&self.slots) {
             if slot.due {
-                seat.sent(cycle, slot);
+                controller.sent(cycle, slot);
             }
         }
         let sent = self.clock.now();
@@ -357,10 +358,10 @@ impl<C: Clock> Engine<C> {
         let ended = self.end(cycle, received);
         if self.ending.is_none() {
             self.run_task(cycle, received);
-            for (seat, slot) in self.seats.iter_mut().zip(&mut self.slots) {
-                seat.exchange(cycle, received, slot);
+            for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
+                controller.exchange(cycle, received, slot);
             }
-            self.gates.open(cycle, received, &mut self.seats, &mut self.slots);
+            self.groups.open(cycle, received, &mut self.controllers, &mut self.slots);
         }
 
         let commanded = self.clock.now();
@@ -424,30 +425,30 @@ impl<C: Clock> Engine<C> {
     /// Evaluates all exchanges. Returns how many drives that were online have not answered.
     fn evaluate(&mut self, cycle: &Cycle, now: Time) -> u16 {
         let mut missed = 0_u16;
-        for (seat, slot) in self.seats.iter_mut().zip(&mut self.slots) {
-            let online = seat.feedback().link == Link::Online;
-            let reply = seat.judge(cycle, now, slot);
+        for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
+            let online = controller.feedback().link == Link::Online;
+            let reply = controller.judge(cycle, now, slot);
             missed += u16::from(online && reply == Reply::Missed);
-            seat.watch(cycle, now, slot);
+            controller.watch(cycle, now, slot);
         }
         for bus in &self.buses {
             if bus.bus.helper_ended() {
-                let seats = self.seats[bus.first..bus.end].iter_mut();
-                for (seat, slot) in seats.zip(&mut self.slots[bus.first..bus.end]) {
-                    seat.stop(cycle, now, StopCause::LinkThread, slot);
+                let controllers = self.controllers[bus.first..bus.end].iter_mut();
+                for (controller, slot) in controllers.zip(&mut self.slots[bus.first..bus.end]) {
+                    controller.stop(cycle, now, StopCause::LinkThread, slot);
                 }
             }
         }
         if self.heartbeat.is_silent(cycle) {
-            for (seat, slot) in self.seats.iter_mut().zip(&mut self.slots) {
-                seat.stop_if_armed(cycle, now, StopCause::Heartbeat, slot);
+            for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
+                controller.stop_if_armed(cycle, now, StopCause::Heartbeat, slot);
             }
         }
-        self.gates.judge(&mut self.seats);
-        while let Some(lead) = self.gates.take_full() {
-            for (seat, slot) in self.seats.iter_mut().zip(&mut self.slots) {
-                if seat.moves_in_group().is_some_and(|ticket| ticket.lead as usize == lead) {
-                    seat.stop(cycle, now, StopCause::GroupLink, slot);
+        self.groups.judge(&mut self.controllers);
+        while let Some(lead) = self.groups.take_full() {
+            for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
+                if controller.moves_in_group().is_some_and(|ticket| ticket.lead as usize == lead) {
+                    controller.stop(cycle, now, StopCause::GroupLink, slot);
                 }
             }
         }
@@ -457,10 +458,10 @@ impl<C: Clock> Engine<C> {
 
     /// An axis that was stopped stops its stop group.
     fn take_groups_along(&mut self, cycle: &Cycle, now: Time) {
-        if !self.seats.iter().any(Seat::just_stopped) {
+        if !self.controllers.iter().any(DriveController::just_stopped) {
             return;
         }
-        while let Some(group) = self.seats.iter_mut().find_map(Seat::take_group_stop) {
+        while let Some(group) = self.controllers.iter_mut().find_map(DriveController::take_group_stop) {
             self.stop_axes(cycle, now, StopCause::Group, |other| other == Some(group));
         }
     }
@@ -473,10 +474,10 @@ impl<C: Clock> Engine<C> {
         cause: StopCause,
         chosen: impl Fn(Option<u16>) -> bool,
     ) {
-        for (seat, slot) in self.seats.iter_mut().zip(&mut self.slots) {
-            if chosen(seat.plan().stop.group) {
-                seat.stop(cycle, now, cause, slot);
-                seat.take_group_stop();
+        for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
+            if chosen(controller.plan().stop.group) {
+                controller.stop(cycle, now, cause, slot);
+                controller.take_group_stop();
             }
         }
     }
@@ -491,14 +492,14 @@ impl<C: Clock> Engine<C> {
         let hurry = asked == HURRY && before == STOP;
         self.ending = Some((since, asked));
         let mut down = true;
-        for (seat, slot) in self.seats.iter_mut().zip(&mut self.slots) {
-            down &= seat.shut_down(cycle, now, slot, hurry);
+        for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
+            down &= controller.shut_down(cycle, now, slot, hurry);
         }
         if down || now.since(since) > self.longest_end_ns {
             let begun = *self.buses_ending.get_or_insert(now);
             let mut done = true;
-            for seat in &mut self.buses {
-                done &= seat.work(&mut self.slots, |bus, slots| bus.shut_down(cycle, slots));
+            for controller in &mut self.buses {
+                done &= controller.work(&mut self.slots, |bus, slots| bus.shut_down(cycle, slots));
             }
             self.status.cut_off = !done && now.since(begun) > BUSES_END_NS;
             self.buses_down = done || self.status.cut_off;
@@ -508,7 +509,7 @@ impl<C: Clock> Engine<C> {
 
     fn run_task(&mut self, cycle: &Cycle, before: Time) {
         let Some(task) = &mut self.task else { return };
-        let mut axes = Axes::new(&mut self.seats, &mut self.task_id, cycle, before);
+        let mut axes = Axes::new(&mut self.controllers, &mut self.task_id, cycle, before);
         let result = catch_unwind(AssertUnwindSafe(|| task(cycle, &mut axes)));
         let panicked = result.is_err();
         // Neither the panic's payload nor the task is dropped: this thread must not free memory.
@@ -527,18 +528,18 @@ impl<C: Clock> Engine<C> {
 
     /// Prepares the send of `next`: which drives are due, their rows, and their bytes.
     fn arm(&mut self, next: &Cycle, now: Time) {
-        for (seat, slot) in self.seats.iter_mut().zip(&mut self.slots) {
-            slot.due = seat.is_due(next.index);
-            slot.guarded = seat.is_guarded();
+        for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
+            slot.due = controller.is_due(next.index);
+            slot.guarded = controller.is_guarded();
         }
-        self.gates.count_rows(&mut self.seats, &self.slots);
-        for (seat, slot) in self.seats.iter_mut().zip(&mut self.slots) {
-            seat.feed(next, now, slot, &self.gates);
+        self.groups.count_rows(&mut self.controllers, &self.slots);
+        for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
+            controller.feed(next, now, slot, &self.groups);
         }
         // What stopped since the evaluation leaves with the same send.
         self.take_groups_along(next, now);
-        for seat in &mut self.buses {
-            seat.work(&mut self.slots, |bus, slots| bus.prepare(next, slots));
+        for controller in &mut self.buses {
+            controller.work(&mut self.slots, |bus, slots| bus.prepare(next, slots));
         }
     }
 
@@ -590,26 +591,26 @@ impl<C: Clock> Engine<C> {
         let turn = self.status.executed;
         let (mut operational, mut online, mut lost) = (0, 0, 0);
         self.status.missed = 0;
-        for (axis, (seat, slot)) in self.seats.iter_mut().zip(&self.slots).enumerate() {
+        for (axis, (controller, slot)) in self.controllers.iter_mut().zip(&self.slots).enumerate() {
             self.status.missed += slot.counters.missed + slot.counters.unsent;
             let lost_records = &mut self.status.lost_records;
-            self.outlets.record(Record::Drive(seat.publish(axis as u16)), lost_records);
-            if let Some(record) = seat.take_shown(axis as u16) {
+            self.outlets.record(Record::Drive(controller.publish(axis as u16)), lost_records);
+            if let Some(record) = controller.take_shown(axis as u16) {
                 self.outlets.record(Record::Monitor(record), lost_records);
             }
             if (turn + axis as u64).is_multiple_of(self.numbers_every) {
-                self.outlets.drives[axis].write(&seat.numbers(slot));
+                self.outlets.drives[axis].write(&controller.numbers(slot));
             }
-            operational += u32::from(seat.feedback().is_operational());
-            online += u32::from(seat.feedback().link == Link::Online);
-            lost += seat.lost_events + seat.lost_samples;
+            operational += u32::from(controller.feedback().is_operational());
+            online += u32::from(controller.feedback().link == Link::Online);
+            lost += controller.lost_events + controller.lost_samples;
         }
         if turn.is_multiple_of(self.numbers_every) {
-            for (seat, strangers) in self.buses.iter().zip(&mut self.outlets.strangers) {
-                strangers.write(&seat.bus.strangers());
+            for (controller, unmatched) in self.buses.iter().zip(&mut self.outlets.unmatched) {
+                unmatched.write(&controller.bus.unmatched());
             }
-            for (seat, clock) in self.buses.iter().zip(&mut self.outlets.clocks) {
-                clock.write(&seat.bus.clock());
+            for (controller, clock) in self.buses.iter().zip(&mut self.outlets.clocks) {
+                clock.write(&controller.bus.clock());
             }
         }
         self.status.planned = self.grid.planned() + 1;
@@ -635,20 +636,25 @@ impl<C: Clock> Engine<C> {
     pub fn finish(mut self) -> Numbers {
         let panic = self.loop_panic();
         let status = Status { planned: self.grid.planned(), ..self.status };
-        let mut not_connected = self.buses.iter().flat_map(BusSeat::not_connected);
-        let drives = (self.names.into_iter().zip(&self.seats).zip(&self.slots))
-            .map(|(((name, protocol), seat), slot)| {
-                let DriveNumbers { counters, losses, peaks, monitor } = seat.numbers(slot);
-                let (feedback, not_connected) = (*seat.feedback(), not_connected.next().flatten());
+        let mut not_connected = self.buses.iter().flat_map(OpenBus::not_connected);
+        let drives = (self.names.into_iter().zip(&self.controllers).zip(&self.slots))
+            .map(|(((name, protocol), controller), slot)| {
+                let DriveNumbers { counters, losses, peaks, monitor } = controller.numbers(slot);
+                let (feedback, not_connected) = (*controller.feedback(), not_connected.next().flatten());
                 DriveEnd { name, protocol, feedback, not_connected, counters, losses, peaks, monitor }
             })
             .collect();
-        let strangers = |seat: &BusSeat| whole(seat.bus.strangers(), seat.bus.notes().as_deref());
-        let buses = self.buses.iter().map(|seat| (seat.bus.name().to_owned(), strangers(seat))).collect();
-        let clocks = self.buses.iter().map(|seat| seat.bus.clock()).collect();
+        let unmatched =
+            |controller: &OpenBus| whole(controller.bus.unmatched(), controller.bus.notes().as_deref());
+        let buses = self
+            .buses
+            .iter()
+            .map(|controller| (controller.bus.name().to_owned(), unmatched(controller)))
+            .collect();
+        let clocks = self.buses.iter().map(|controller| controller.bus.clock()).collect();
         let devices = (self.devices.into_iter())
             .map(|(bus, index, name)| {
-                let notes = self.buses.get(bus).and_then(|seat| seat.bus.notes());
+                let notes = self.buses.get(bus).and_then(|controller| controller.bus.notes());
                 DeviceEnd { name, not_operational: notes.and_then(|notes| notes.device(index)) }
             })
             .collect();

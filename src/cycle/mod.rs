@@ -8,30 +8,26 @@
 //! | `skips` | the share of the slots that were skipped |
 //! | `bound` | from the loss of a drive to its stop request |
 //! | `window` | waiting for replies until the deadline |
-//! | `seat` | the loop's side of one axis |
-//! | `health` | the link to one drive: leaky bucket, schedule, probes |
-//! | `ladder` | the stop sequence |
-//! | `gates` | group synchronisation |
+//! | `controller` | the loop's side of one axis |
+//! | `sequence` | the stop sequence |
+//! | `groups` | group synchronisation |
 //! | `reference`, `phase_lock` | a bus clock that leads the grid |
 //! | `heartbeat` | watches the application's sign of life |
 //! | `task` | the application's code inside the cycle |
 //! | `status`, `record` | what the loop counts, and its records for the telemetry |
 //!
-//! The loop knows the [`Bus`](crate::bus::Bus) contract, no protocol.
+//! The loop knows the [`Bus`](crate::bus::Bus) contract and the drive machine ([`drive`](crate::drive)); no protocol,
+//! and no motion.
 
 pub mod bound;
 pub mod engine;
-mod gates;
 mod grid;
-mod health;
 mod heartbeat;
-mod ladder;
 mod phase_lock;
 pub mod plan;
 pub mod record;
 mod reference;
-pub mod seat;
-mod skips;
+pub mod skips;
 pub mod status;
 pub mod task;
 pub mod window;

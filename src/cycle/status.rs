@@ -3,9 +3,10 @@
 use std::sync::Arc;
 
 use super::engine::LoopPanic;
-use crate::axis::cell::{Packed, Reader, Words};
+use crate::axis::cell::{Packed, Reader};
 use crate::axis::{Feedback, MONITOR_CHANNELS};
-use crate::bus::{BusClock, Counters, Notes, OWN_COUNTERS, Strangers};
+use crate::bus::{BusClock, Counters, Notes, Unmatched};
+pub use crate::drive::numbers::{DriveNumbers, Extent, Peak, Peaks};
 
 /// The loop in numbers, published every cycle.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -65,24 +66,6 @@ pub struct ReferenceStatus {
     pub step_ns: i64,
     /// The largest step, later or earlier.
     pub step_max: Peak,
-}
-
-/// The largest value seen, and its slot. All zero: none was seen.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Peak {
-    /// ns.
-    pub ns: u64,
-    /// The slot.
-    pub index: u64,
-}
-
-impl Peak {
-    /// Takes one more value in.
-    pub fn see(&mut self, ns: u64, index: u64) {
-        if ns > self.ns {
-            *self = Peak { ns, index };
-        }
-    }
 }
 
 impl Packed for Status {
@@ -172,138 +155,16 @@ impl ReferenceStatus {
     }
 }
 
-/// The largest times of one drive.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Peaks {
-    /// Of its round trips.
-    pub rtt: Peak,
-    /// Largest difference between the distance of two requests and that of their grid points.
-    pub send_jitter: Peak,
-    /// Age of its values when a window closed.
-    pub age: Peak,
-}
-
-/// The range of a monitored variable: newest, smallest and largest value.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Extent {
-    /// The newest value.
-    pub value: f64,
-    /// The smallest one.
-    pub min: f64,
-    /// The largest one.
-    pub max: f64,
-}
-
-impl Extent {
-    /// Takes one more value into `extent`; `None`: there was none yet.
-    pub fn see(extent: &mut Option<Extent>, value: f64) {
-        let Extent { min, max, .. } = extent.unwrap_or(Extent { value, min: value, max: value });
-        *extent = Some(Extent { value, min: min.min(value), max: max.max(value) });
-    }
-}
-
-/// What the loop counts of one drive, published in turns.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct DriveNumbers {
-    /// Its exchanges.
-    pub counters: Counters,
-    /// Times that the link was lost.
-    pub losses: u64,
-    /// Its largest times.
-    pub peaks: Peaks,
-    /// Its monitored variables; `None` = not seen yet.
-    pub monitor: [Option<Extent>; MONITOR_CHANNELS],
-}
-
-/// Words of the counts and times of a drive. The protocol's own counts follow, one word that says which channels
-/// are seen, and three of each channel.
-const COUNTS: usize = 16;
-const SEEN: usize = COUNTS + OWN_COUNTERS;
-
-impl Packed for DriveNumbers {
-    type Words = [u64; SEEN + 1 + 3 * MONITOR_CHANNELS];
-
-    fn pack(&self) -> Self::Words {
-        let (c, Peaks { rtt, send_jitter, age }) = (&self.counters, self.peaks);
-        let mut words = Self::Words::ZERO;
-        words[..COUNTS].copy_from_slice(&[
-            c.sent,
-            c.unsent,
-            c.answered,
-            c.missed,
-            c.late,
-            c.duplicate,
-            c.suspect,
-            c.malformed,
-            c.foreign,
-            self.losses,
-            rtt.ns,
-            rtt.index,
-            send_jitter.ns,
-            send_jitter.index,
-            age.ns,
-            age.index,
-        ]);
-        words[COUNTS..SEEN].copy_from_slice(&c.own);
-        let (seen, extents) = words[SEEN..].split_at_mut(1);
-        for (channel, extent) in self.monitor.iter().enumerate() {
-            let Some(Extent { value, min, max }) = extent else { continue };
-            seen[0] |= 1 << channel;
-            extents[3 * channel..][..3].copy_from_slice(&[value, min, max].map(|value| value.to_bits()));
-        }
-        words
-    }
-
-    fn unpack(words: &Self::Words) -> DriveNumbers {
-        let &[
-            sent,
-            unsent,
-            answered,
-            missed,
-            late,
-            duplicate,
-            suspect,
-            malformed,
-            foreign,
-            losses,
-            ref rest @ ..,
-        ] = words;
-        let peak = |at: usize| Peak { ns: rest[at], index: rest[at + 1] };
-        let (seen, extents) = (words[SEEN], &words[SEEN + 1..]);
-        let extent = |channel: usize| {
-            let [value, min, max] = std::array::from_fn(|at| f64::from_bits(extents[3 * channel + at]));
-            (seen >> channel & 1 != 0).then_some(Extent { value, min, max })
-        };
-        DriveNumbers {
-            counters: Counters {
-                sent,
-                unsent,
-                answered,
-                missed,
-                late,
-                duplicate,
-                suspect,
-                malformed,
-                foreign,
-                own: std::array::from_fn(|count| words[COUNTS + count]),
-            },
-            losses,
-            peaks: Peaks { rtt: peak(0), send_jitter: peak(2), age: peak(4) },
-            monitor: std::array::from_fn(extent),
-        }
-    }
-}
-
-impl Packed for Strangers {
+impl Packed for Unmatched {
     type Words = [u64; 3];
 
     fn pack(&self) -> [u64; 3] {
         [self.datagrams, self.dropped, self.errors]
     }
 
-    fn unpack(words: &[u64; 3]) -> Strangers {
+    fn unpack(words: &[u64; 3]) -> Unmatched {
         let [datagrams, dropped, errors] = *words;
-        Strangers { datagrams, dropped, errors }
+        Unmatched { datagrams, dropped, errors }
     }
 }
 
@@ -340,7 +201,7 @@ pub struct Gauges {
     /// The numbers of each drive, in the order of the plan; at most 64 cycles or 100 ms old.
     pub drives: Vec<Reader<DriveNumbers>>,
     /// The unmatched counters of each bus; at most 64 cycles or 100 ms old.
-    pub strangers: Vec<Reader<Strangers>>,
+    pub unmatched: Vec<Reader<Unmatched>>,
     /// The clock of each bus, at most as old.
     pub clocks: Vec<Reader<Option<BusClock>>>,
     /// What each bus reports of itself in addition.
@@ -362,17 +223,17 @@ impl Gauges {
     }
 
     /// What arrived at each bus and belongs to none of its drives.
-    pub fn strangers(&self) -> impl Iterator<Item = Strangers> {
-        self.strangers
+    pub fn unmatched(&self) -> impl Iterator<Item = Unmatched> {
+        self.unmatched
             .iter()
             .zip(&self.notes)
-            .map(|(strangers, notes)| whole(strangers.read(), notes.as_deref()))
+            .map(|(unmatched, notes)| whole(unmatched.read(), notes.as_deref()))
     }
 }
 
 /// The counts of a bus, with those that only a normal thread may read from the kernel.
-pub fn whole(strangers: Strangers, notes: Option<&dyn Notes>) -> Strangers {
-    Strangers { dropped: strangers.dropped + notes.map_or(0, Notes::dropped), ..strangers }
+pub fn whole(unmatched: Unmatched, notes: Option<&dyn Notes>) -> Unmatched {
+    Unmatched { dropped: unmatched.dropped + notes.map_or(0, Notes::dropped), ..unmatched }
 }
 
 /// A device that takes part in the cycle and is not a drive.
@@ -413,7 +274,7 @@ pub struct Numbers {
     /// The drives, in the order of the plan.
     pub drives: Vec<DriveEnd>,
     /// The buses: name, and unmatched counters.
-    pub buses: Vec<(String, Strangers)>,
+    pub buses: Vec<(String, Unmatched)>,
     /// Their clocks, in the same order; `None`: no clock.
     pub clocks: Vec<Option<BusClock>>,
     /// The devices that are not drives, in the order of the plan.
@@ -440,7 +301,7 @@ mod tests {
         let gauges = Gauges {
             status: cell(Status::default()).1,
             drives: Vec::new(),
-            strangers: Vec::new(),
+            unmatched: Vec::new(),
             clocks: Vec::new(),
             notes: Vec::new(),
             links: vec![None, Some((Arc::new(notes.clone()), 0)), Some((Arc::new(notes.clone()), 1))],
@@ -506,8 +367,8 @@ mod tests {
             let drive = DriveNumbers { counters, losses: 10, peaks, monitor };
             assert_eq!(DriveNumbers::unpack(&drive.pack()), drive);
         }
-        let strangers = Strangers { datagrams: 3, dropped: 4, errors: 5 };
-        assert_eq!(Strangers::unpack(&strangers.pack()), strangers);
+        let unmatched = Unmatched { datagrams: 3, dropped: 4, errors: 5 };
+        assert_eq!(Unmatched::unpack(&unmatched.pack()), unmatched);
         let clock = BusClock { error_ns: Some(-7), locked: true, error_max_ns: 8, window_ns: 9 };
         for clock in [None, Some(clock), Some(BusClock { error_ns: None, locked: false, ..clock })] {
             assert_eq!(<Option<BusClock>>::unpack(&clock.pack()), clock);

@@ -23,7 +23,7 @@ pub struct Window {
 }
 
 /// One bus and its slots.
-pub struct BusSeat {
+pub struct OpenBus {
     /// The bus.
     pub bus: Box<dyn Bus>,
     /// Its first slot.
@@ -34,7 +34,7 @@ pub struct BusSeat {
     pub is_at_work: bool,
 }
 
-impl BusSeat {
+impl OpenBus {
     /// Lets the bus do some work on its own of all `slots`.
     pub fn work<R>(&mut self, slots: &mut [Slot], work: impl FnOnce(&mut dyn Bus, &mut [Slot]) -> R) -> R {
         self.is_at_work = true;
@@ -51,9 +51,9 @@ impl BusSeat {
     }
 }
 
-impl std::fmt::Debug for BusSeat {
+impl std::fmt::Debug for OpenBus {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("BusSeat").field("first", &self.first).field("end", &self.end).finish_non_exhaustive()
+        f.debug_struct("OpenBus").field("first", &self.first).field("end", &self.end).finish_non_exhaustive()
     }
 }
 
@@ -69,7 +69,7 @@ impl Window {
     }
 
     /// Runs the window of `cycle`.
-    pub fn run<C: Clock>(&mut self, clock: &mut C, cycle: &Cycle, buses: &mut [BusSeat], slots: &mut [Slot]) {
+    pub fn run<C: Clock>(&mut self, clock: &mut C, cycle: &Cycle, buses: &mut [OpenBus], slots: &mut [Slot]) {
         let owed = missing(cycle, slots);
         if owed == 0 {
             return;
@@ -90,14 +90,14 @@ impl Window {
                     clock.sleep_until((now + self.nap_ns).min(cycle.deadline));
                 }
                 Wait::Poll => {
-                    self.poll_set.fill(buses.iter().filter_map(|seat| seat.bus.fd()));
+                    self.poll_set.fill(buses.iter().filter_map(|open| open.bus.fd()));
                     clock.wait(&mut self.poll_set, cycle.deadline);
                 }
             }
             // Replies that are in the sockets at the deadline still count.
             let mut closed = true;
-            for seat in buses.iter_mut() {
-                closed &= seat.work(slots, |bus, slots| bus.receive(cycle, slots));
+            for open in buses.iter_mut() {
+                closed &= open.work(slots, |bus, slots| bus.receive(cycle, slots));
             }
             if nap {
                 self.learn(closed, cycle);

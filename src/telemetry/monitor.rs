@@ -75,7 +75,7 @@ impl Monitor {
                 DriveEnd { name, protocol, feedback, not_connected, counters, losses, peaks, monitor }
             })
             .collect();
-        let buses = plan.buses.iter().map(|bus| bus.name().to_owned()).zip(gauges.strangers()).collect();
+        let buses = plan.buses.iter().map(|bus| bus.name().to_owned()).zip(gauges.unmatched()).collect();
         let clocks = gauges.clocks.iter().map(Reader::read).collect();
         let (status, devices) = (self.status(), self.devices());
         Numbers { status, drives, buses, clocks, devices, ..Numbers::default() }

@@ -545,11 +545,11 @@ impl Summary {
             .map(|DeviceEnd { name, not_operational }| Device { name, not_operational })
             .collect();
         let buses = (numbers.buses.iter().zip(clocks))
-            .map(|((name, strangers), clock)| Bus {
+            .map(|((name, unmatched), clock)| Bus {
                 name: name.clone(),
-                unmatched: strangers.datagrams,
-                dropped: strangers.dropped,
-                receive_errors: strangers.errors,
+                unmatched: unmatched.datagrams,
+                dropped: unmatched.dropped,
+                receive_errors: unmatched.errors,
                 clock: clock.map(|clock| ClockNumbers::of(clock, leads(name))),
             })
             .collect();

@@ -1,6 +1,6 @@
 //! When something is sent, what is owed for it, and how long a window stays open.
 
-use fieldbeat::axis::Verb;
+use fieldbeat::axis::Command;
 use fieldbeat::bus::{Counters, Exchange};
 use fieldbeat::rt::Clock;
 use fieldbeat::sim::FaultPlan;
@@ -77,7 +77,7 @@ pub fn a_request_that_is_built_again_is_the_same_to_the_byte(subject: &'static d
                 line.wire.log().drives[0].jammed = n % 40 == 20;
                 line.turn();
             }
-            line.order(0, Verb::Enable);
+            line.order(0, Command::Enable);
             line.turns(400);
         }
         [0, 1].map(|index| line.requests(index))
@@ -89,7 +89,7 @@ pub fn a_request_that_is_built_again_is_the_same_to_the_byte(subject: &'static d
 pub fn only_the_order_that_stands_at_the_last_build_is_carried_out(subject: &'static dyn Subject) {
     let mut line = Line::made_ready(subject, 1);
     let (before, distance) = (line.slots[0].report.demand, line.way(0, 0.1));
-    for instead in [None, Some(Verb::Stop { deceleration: None })] {
+    for instead in [None, Some(Command::Stop { deceleration: None })] {
         line.settle();
         line.order(0, line.go(0));
         line.prepare();
@@ -107,7 +107,7 @@ pub fn only_the_order_that_stands_at_the_last_build_is_carried_out(subject: &'st
     if !line.can.positions {
         let velocity = line.profile(0).velocity;
         line.until("its velocity", 1_000, |line| near_velocity(line, 0, velocity));
-        return line.done(0, Verb::Stop { deceleration: None });
+        return line.done(0, Command::Stop { deceleration: None });
     }
     assert_eq!(line.ended(0), Ok(()));
     line.turns(100);
@@ -232,7 +232,7 @@ pub fn a_flood_is_taken_in_by_bounded_bites(subject: &'static dyn Subject) {
     let stranger = "10.9.9.9:9".parse().expect("an address");
     for in_window in [false, true] {
         line.turns(2);
-        let before = line.wire.log().strangers;
+        let before = line.wire.log().unmatched;
         line.prepare();
         for _ in 0..flood {
             line.inject(0, stranger, &[0; 20], if in_window { US } else { 0 });
@@ -242,7 +242,7 @@ pub fn a_flood_is_taken_in_by_bounded_bites(subject: &'static dyn Subject) {
         line.send();
         line.world.advance(2 * US);
         line.receive();
-        let taken = line.wire.log().strangers - before;
+        let taken = line.wire.log().unmatched - before;
         assert!(
             (1..=2 * BITE.min(flood / 4)).contains(&taken),
             "{taken} of {flood} in one send and one receive"
@@ -252,7 +252,7 @@ pub fn a_flood_is_taken_in_by_bounded_bites(subject: &'static dyn Subject) {
         line.judge();
         line.turns(u64::from(line.can.answers_after));
         line.turns(if line.can.shared { 200 } else { 0 });
-        assert_eq!(line.wire.log().strangers - before, flood);
+        assert_eq!(line.wire.log().unmatched - before, flood);
         assert!(line.slots.iter().all(|slot| slot.counters.missed == 0));
     }
 }
@@ -368,7 +368,7 @@ pub fn the_end_comes_and_leaves_nothing_owed(subject: &'static dyn Subject) {
     for silent in [false, true] {
         let mut line = Line::made_ready(subject, 2);
         for index in 0..2 {
-            line.done(index, Verb::Disable);
+            line.done(index, Command::Disable);
         }
         line.mute(0, silent);
         line.turns(3);

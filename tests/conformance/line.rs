@@ -5,8 +5,8 @@ use std::f64::consts::TAU;
 use std::net::SocketAddrV4;
 
 use fieldbeat::axis::command::NativeOwner;
-use fieldbeat::axis::{Failure, Jog, Link, Move, Profile, Row, State, Target, Verb};
-use fieldbeat::bus::{Bus, BusPlan, Cycle, Exchange, NumberedRow, Order, Slot, Strangers};
+use fieldbeat::axis::{Command, Failure, Jog, Link, Move, Profile, Row, State, Target};
+use fieldbeat::bus::{Bus, BusPlan, Cycle, Exchange, NumberedRow, Order, Slot, Unmatched};
 use fieldbeat::rt::{Clock, PollSet};
 use fieldbeat::sim::FaultPlan;
 use fieldbeat::sim::world::{World, WorldClock, WorldOptions};
@@ -141,7 +141,7 @@ impl Line {
             let (axis, slot) = (&self.drives[index].axis, &mut self.slots[index]);
             let scheduled = cycle.index % u64::from(axis.divisor) == u64::from(axis.phase);
             slot.due = scheduled && !self.asleep[index] && !matches!(slot.exchange, Exchange::Owed { .. });
-            let following = slot.due && slot.order.verb == Some(Verb::Follow) && !self.held[index];
+            let following = slot.due && slot.order.verb == Some(Command::Follow) && !self.held[index];
             if following && let Some(row) = self.rows[index].pop_front() {
                 self.row_number += 1;
                 self.held[index] = true;
@@ -217,8 +217,8 @@ impl Line {
         for (slot, tape) in self.slots.iter().zip(&log.drives) {
             rules::accounts(slot, tape, &self.can);
         }
-        let Strangers { datagrams, dropped, errors } = self.bus.strangers();
-        assert_eq!((datagrams, dropped, errors), (log.strangers, 0, 0), "strangers");
+        let Unmatched { datagrams, dropped, errors } = self.bus.unmatched();
+        assert_eq!((datagrams, dropped, errors), (log.unmatched, 0, 0), "unmatched");
     }
 
     // The loop.
@@ -340,8 +340,8 @@ impl Line {
     /// All online, in operation, and homed.
     pub fn ready(&mut self) {
         self.online();
-        for verb in [Verb::Enable, Verb::Home] {
-            if verb == Verb::Home && !self.can.home {
+        for verb in [Command::Enable, Command::Home] {
+            if verb == Command::Home && !self.can.home {
                 continue;
             }
             for index in 0..self.slots.len() {
@@ -363,9 +363,9 @@ impl Line {
     // Orders.
 
     /// Gives an order.
-    pub fn order(&mut self, index: usize, verb: impl Into<Option<Verb>>) {
+    pub fn order(&mut self, index: usize, verb: impl Into<Option<Command>>) {
         let (slot, verb) = (&mut self.slots[index], verb.into());
-        if let Some(Verb::Jog(jog)) = verb {
+        if let Some(Command::Jog(jog)) = verb {
             slot.velocity = jog.velocity;
         }
         slot.order = Order { serial: slot.order.serial + 1, verb };
@@ -386,12 +386,12 @@ impl Line {
         self.end(index).expect("it has ended")
     }
 
-    pub fn run(&mut self, index: usize, verb: Verb) -> Result<(), Failure> {
+    pub fn run(&mut self, index: usize, verb: Command) -> Result<(), Failure> {
         self.order(index, verb);
         self.ended(index)
     }
 
-    pub fn done(&mut self, index: usize, verb: Verb) {
+    pub fn done(&mut self, index: usize, verb: Command) {
         assert_eq!(self.run(index, verb), Ok(()), "{verb:?} of drive {index}");
     }
 
@@ -405,22 +405,22 @@ impl Line {
         self.profile(index).velocity * seconds
     }
 
-    pub fn by(&self, index: usize, seconds: f64) -> Verb {
+    pub fn by(&self, index: usize, seconds: f64) -> Command {
         by(&self.drives[index], seconds)
     }
 
     /// A motion of many seconds at the profile's velocity.
-    pub fn go(&self, index: usize) -> Verb {
+    pub fn go(&self, index: usize) -> Command {
         go(&self.can, &self.drives[index])
     }
 
     /// A motion of many seconds in which no two reports are the same.
-    pub fn changing(&self, index: usize) -> Verb {
+    pub fn changing(&self, index: usize) -> Command {
         let Profile { velocity, .. } = self.profile(index);
         match self.can.positions {
             true => self.by(index, 20.0),
             // Position is one all the way, velocity only while it changes.
-            false => Verb::Jog(Jog { velocity: velocity * 5.0, acceleration: velocity * 0.5 }),
+            false => Command::Jog(Jog { velocity: velocity * 5.0, acceleration: velocity * 0.5 }),
         }
     }
 
@@ -432,7 +432,7 @@ impl Line {
         let velocity = self.way(index, 0.5);
         self.order(index, self.jog(index, 0.5));
         self.until("its velocity", 40_000, |line| near_velocity(line, index, velocity));
-        self.done(index, Verb::Stop { deceleration: None });
+        self.done(index, Command::Stop { deceleration: None });
         assert!(!self.said(index).moving, "it ends at standstill");
     }
 
@@ -449,9 +449,9 @@ impl Line {
         }
     }
 
-    pub fn jog(&self, index: usize, seconds: f64) -> Verb {
+    pub fn jog(&self, index: usize, seconds: f64) -> Command {
         let acceleration = self.profile(index).acceleration;
-        Verb::Jog(Jog { velocity: self.way(index, seconds), acceleration })
+        Command::Jog(Jog { velocity: self.way(index, seconds), acceleration })
     }
 
     /// Rows for so many exchanges, from where the drive stands to `seconds` of way beyond, gentle at both ends.
@@ -524,9 +524,9 @@ impl Line {
             Motion::Jog => self.jog(index, 0.5),
             Motion::Follow => {
                 self.stream(index, 0.1, 600);
-                Verb::Follow
+                Command::Follow
             }
-            Motion::Home => Verb::Home,
+            Motion::Home => Command::Home,
         };
         self.order(index, verb);
         self.until("a motion", LONG, |line| line.slots[index].report.moving);
@@ -664,35 +664,35 @@ pub fn near_velocity(line: &Line, index: usize, velocity: f64) -> bool {
 }
 
 /// A motion of many seconds at the velocity of the profile.
-pub fn go(can: &Can, drive: &Drive) -> Verb {
+pub fn go(can: &Can, drive: &Drive) -> Command {
     let Profile { velocity, acceleration, .. } = drive.axis.profile;
     match can.positions {
         true => by(drive, 20.0),
-        false => Verb::Jog(Jog { velocity, acceleration }),
+        false => Command::Jog(Jog { velocity, acceleration }),
     }
 }
 
 /// A move by the way that the profile's velocity makes in so many seconds.
-pub fn by(drive: &Drive, seconds: f64) -> Verb {
+pub fn by(drive: &Drive, seconds: f64) -> Command {
     let profile = drive.axis.profile;
-    Verb::Move(Move { target: Target::Relative(profile.velocity * seconds), profile })
+    Command::Move(Move { target: Target::Relative(profile.velocity * seconds), profile })
 }
 
 /// Verbs of each kind, as they may be asked of a drive that is ready.
-pub fn verbs(line: &Line, index: usize) -> Vec<Verb> {
+pub fn verbs(line: &Line, index: usize) -> Vec<Command> {
     vec![
-        Verb::Enable,
-        Verb::Disable,
-        Verb::Home,
+        Command::Enable,
+        Command::Disable,
+        Command::Home,
         line.by(index, 0.1),
         line.jog(index, 0.1),
-        Verb::Follow,
-        Verb::Torque { slope: 100.0 },
-        Verb::Stop { deceleration: None },
-        Verb::QuickStop,
-        Verb::ResetFault,
-        Verb::Native(NativeOwner::Master),
-        Verb::Native(NativeOwner::Application),
+        Command::Follow,
+        Command::Torque { slope: 100.0 },
+        Command::Stop { deceleration: None },
+        Command::QuickStop,
+        Command::ResetFault,
+        Command::Native(NativeOwner::Master),
+        Command::Native(NativeOwner::Application),
     ]
 }
 

@@ -5,7 +5,7 @@ use std::sync::MutexGuard;
 
 use fieldbeat::Master;
 use fieldbeat::axis::{
-    CommandId, EventKind, Failure, Feedback, Jog, Link, Outcome, Profile, StopCause, Verb,
+    Command, CommandId, EventKind, Failure, Feedback, Jog, Link, Outcome, Profile, StopCause,
 };
 use fieldbeat::bus::BusPlan;
 use fieldbeat::cycle::engine::Flow;
@@ -105,9 +105,9 @@ impl Machine {
     pub fn ready(&mut self) {
         self.online();
         for index in 0..self.drives.len() {
-            self.done(index, Verb::Enable);
+            self.done(index, Command::Enable);
             if self.can.home {
-                self.done(index, Verb::Home);
+                self.done(index, Command::Home);
             }
         }
     }
@@ -122,21 +122,21 @@ impl Machine {
     }
 
     /// A move by the way of so many seconds.
-    pub fn by(&self, index: usize, seconds: f64) -> Verb {
+    pub fn by(&self, index: usize, seconds: f64) -> Command {
         line::by(&self.drives[index], seconds)
     }
 
     /// A motion of many seconds.
-    pub fn go(&self, index: usize) -> Verb {
+    pub fn go(&self, index: usize) -> Command {
         line::go(&self.can, &self.drives[index])
     }
 
     /// A motion of many seconds in which no two requests are the same.
-    pub fn changing(&self, index: usize) -> Verb {
+    pub fn changing(&self, index: usize) -> Command {
         let Profile { velocity, .. } = self.drives[index].axis.profile;
         match self.can.positions {
             true => self.by(index, 20.0),
-            false => Verb::Jog(Jog { velocity: velocity * 5.0, acceleration: velocity * 1.5 }),
+            false => Command::Jog(Jog { velocity: velocity * 5.0, acceleration: velocity * 1.5 }),
         }
     }
 
@@ -147,11 +147,11 @@ impl Machine {
         }
         self.post(index, self.go(index));
         self.until("a motion", 1_000, |m| m.feedback(index).moving);
-        self.done(index, Verb::Stop { deceleration: None });
+        self.done(index, Command::Stop { deceleration: None });
         assert!(!self.feedback(index).moving);
     }
 
-    pub fn post(&mut self, index: usize, verb: Verb) -> CommandId {
+    pub fn post(&mut self, index: usize, verb: Command) -> CommandId {
         self.sim.axis(index).post(verb).unwrap_or_else(|error| panic!("{error}"))
     }
 
@@ -164,12 +164,12 @@ impl Machine {
         self.ends[&(index, id)]
     }
 
-    pub fn done(&mut self, index: usize, verb: Verb) {
+    pub fn done(&mut self, index: usize, verb: Command) {
         let id = self.post(index, verb);
         assert_eq!(self.ended(index, id), Outcome::Done, "{verb:?} of axis {index}");
     }
 
-    pub fn failed(&mut self, index: usize, verb: Verb) -> Failure {
+    pub fn failed(&mut self, index: usize, verb: Command) -> Failure {
         let id = self.post(index, verb);
         match self.ended(index, id) {
             Outcome::Failed(failure) => failure,
@@ -185,11 +185,11 @@ impl Machine {
 
     /// Out of the latch and enabled again.
     pub fn recover(&mut self, index: usize) {
-        for verb in [Verb::ResetFault, Verb::Reset, Verb::Enable] {
+        for verb in [Command::ResetFault, Command::Reset, Command::Enable] {
             self.done(index, verb);
         }
         if self.can.home {
-            self.done(index, Verb::Home);
+            self.done(index, Command::Home);
         }
     }
 

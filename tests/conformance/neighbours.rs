@@ -1,6 +1,6 @@
 //! One drive never hurts another: whatever befalls the first of three, the others do not notice.
 
-use fieldbeat::axis::Verb;
+use fieldbeat::axis::Command;
 use fieldbeat::bus::Counters;
 use fieldbeat::sim::FaultPlan;
 use fieldbeat::time::US;
@@ -23,7 +23,7 @@ fn unnoticed(subject: &'static dyn Subject, befall: impl Fn(&mut Line, u64)) {
         for turn in 0..600 {
             if turn == 300 && !line.can.positions {
                 for index in [1, 2] {
-                    line.order(index, Verb::Stop { deceleration: None });
+                    line.order(index, Command::Stop { deceleration: None });
                 }
             }
             befall(&mut line, turn);
@@ -146,7 +146,7 @@ pub fn orders_to_one_trouble_no_other(subject: &'static dyn Subject) {
             line.order(0, verbs[turn as usize / 7 % verbs.len()]);
         }
         if turn == 590 {
-            line.order(0, Verb::Disable);
+            line.order(0, Command::Disable);
         }
     });
 }

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use fieldbeat::axis::command::NativeOwner;
-use fieldbeat::axis::{Failure, Jog, Move, Profile, State, Target, Verb};
+use fieldbeat::axis::{Command, Failure, Jog, Move, Profile, State, Target};
 use fieldbeat::sim::FaultPlan;
 use fieldbeat::time::{S, US};
 
@@ -11,7 +11,7 @@ use crate::conformance::line::{Line, Motion, PERIOD, WINDOW, near_velocity, verb
 use crate::conformance::rules::near;
 use crate::conformance::subject::{Drive, Subject, not_applicable};
 
-const STOP: Verb = Verb::Stop { deceleration: None };
+const STOP: Command = Command::Stop { deceleration: None };
 
 /// An untouched drive is found as `running` says, and whatever the link does, it stays so until the first order.
 fn stays_as_found(subject: &'static dyn Subject, running: bool) {
@@ -64,12 +64,12 @@ pub fn an_order_without_a_verb_keeps_the_state_of_the_drive(subject: &'static dy
 }
 
 pub fn a_drive_found_running_is_taken_over_and_stopped_with_its_power_on(subject: &'static dyn Subject) {
-    for stop in [STOP, Verb::QuickStop] {
+    for stop in [STOP, Command::QuickStop] {
         let mut line = Line::with(subject, 1, |_, drive| drive.running = true);
         line.online();
         line.done(0, stop);
         assert_standing(&mut line, 0, true);
-        line.done(0, Verb::Disable);
+        line.done(0, Command::Disable);
         assert!(!line.said(0).powered);
     }
 }
@@ -77,11 +77,11 @@ pub fn a_drive_found_running_is_taken_over_and_stopped_with_its_power_on(subject
 pub fn each_verb_ends_in_what_it_says(subject: &'static dyn Subject) {
     let mut line = Line::new(subject, 2);
     line.online();
-    line.done(0, Verb::Enable);
+    line.done(0, Command::Enable);
     assert_eq!((line.state(0), line.said(0).powered), (State::OperationEnabled, true));
     assert!(!line.said(1).powered, "its neighbour was not asked");
     if line.can.home {
-        line.done(0, Verb::Home);
+        line.done(0, Command::Home);
         assert!(line.slots[0].report.homed && line.said(0).homed != Some(false));
     }
     if !line.can.positions {
@@ -97,23 +97,23 @@ pub fn each_verb_ends_in_what_it_says(subject: &'static dyn Subject) {
     ];
     for (target, expected) in targets.into_iter().filter(|_| subject.can().positions) {
         let profile = line.profile(0);
-        line.done(0, Verb::Move(Move { target, profile }));
+        line.done(0, Command::Move(Move { target, profile }));
         let demand = line.slots[0].report.demand;
         assert!((demand - expected).abs() < way * 1e-3, "{target:?}: at {demand} instead of {expected}");
         assert!(!line.said(0).moving);
     }
     line.done(0, STOP);
-    line.done(0, Verb::QuickStop);
+    line.done(0, Command::QuickStop);
     assert_eq!(line.state(0), State::OperationEnabled, "it stays enabled");
-    line.done(0, Verb::ResetFault);
-    line.order(0, Verb::Enable);
+    line.done(0, Command::ResetFault);
+    line.order(0, Command::Enable);
     line.until("the end of a second enable", 1_000, |line| {
         assert!(line.said(0).powered, "it is on already, and stays so");
         line.end(0) == Some(Ok(()))
     });
-    line.done(0, Verb::Disable);
+    line.done(0, Command::Disable);
     assert!(!line.said(0).powered && !line.state(0).is_powered());
-    line.done(0, Verb::Disable);
+    line.done(0, Command::Disable);
 }
 
 pub fn an_order_is_carried_out_once_and_its_end_stays_told(subject: &'static dyn Subject) {
@@ -149,8 +149,8 @@ pub fn a_move_keeps_to_its_profile_in_user_units(subject: &'static dyn Subject) 
         };
         let way = line.way(0, way);
         let verb = match line.can.positions {
-            true => Verb::Move(Move { target: Target::Relative(way), profile }),
-            false => Verb::Jog(Jog { velocity: profile.velocity, acceleration: profile.acceleration }),
+            true => Command::Move(Move { target: Target::Relative(way), profile }),
+            false => Command::Jog(Jog { velocity: profile.velocity, acceleration: profile.acceleration }),
         };
         line.order(0, verb);
         let seconds = |cycles: u64| (cycles * PERIOD) as f64 / S as f64;
@@ -186,7 +186,7 @@ pub fn a_new_order_replaces_the_one_before_it(subject: &'static dyn Subject) {
     let (at, way) = (line.slots[0].report.demand, line.way(0, 0.2));
     line.set_going(0, Motion::Move);
     let profile = line.profile(0);
-    line.done(0, Verb::Move(Move { target: Target::Absolute(at + way), profile }));
+    line.done(0, Command::Move(Move { target: Target::Absolute(at + way), profile }));
     // Here and not where the first one would have gone; and its end never comes up again (the referee sees to that).
     let standing = line.slots[0].report.demand;
     assert!((standing - at - way).abs() < way * 1e-3, "at {standing}");
@@ -195,7 +195,7 @@ pub fn a_new_order_replaces_the_one_before_it(subject: &'static dyn Subject) {
     // Orders in every cycle: the last one counts.
     for n in 0..30 {
         let target = Target::Absolute(at + way * f64::from(n) / 29.0);
-        line.order(0, Verb::Move(Move { target, profile }));
+        line.order(0, Command::Move(Move { target, profile }));
         line.turn();
     }
     assert_eq!(line.ended(0), Ok(()));
@@ -230,13 +230,13 @@ pub fn what_it_cannot_do_is_refused_by_name_at_once(subject: &'static dyn Subjec
     let mut line = Line::with(subject, 1, |_, drive| (drive.jog, drive.follow) = (false, false));
     line.ready();
     let acceleration = line.profile(0).acceleration;
-    let mut asked = if line.can.positions { Vec::new() } else { vec![line.by(0, 0.1), Verb::Follow] };
+    let mut asked = if line.can.positions { Vec::new() } else { vec![line.by(0, 0.1), Command::Follow] };
     if line.can.picks {
-        asked.extend([line.jog(0, 0.1), Verb::Velocity { acceleration }]);
-        asked.extend(line.can.positions.then_some(Verb::Follow));
+        asked.extend([line.jog(0, 0.1), Command::Velocity { acceleration }]);
+        asked.extend(line.can.positions.then_some(Command::Follow));
     }
-    asked.extend((!line.can.torque).then_some(Verb::Torque { slope: 100.0 }));
-    asked.extend((!line.can.home).then_some(Verb::Home));
+    asked.extend((!line.can.torque).then_some(Command::Torque { slope: 100.0 }));
+    asked.extend((!line.can.home).then_some(Command::Home));
     for verb in asked {
         line.stream(0, 0.1, 100);
         line.settle();
@@ -261,7 +261,7 @@ pub fn what_it_cannot_do_is_refused_by_name_at_once(subject: &'static dyn Subjec
 pub fn native_mode_is_refused_by_name_or_moves_nothing_by_itself(subject: &'static dyn Subject) {
     for owner in [NativeOwner::Master, NativeOwner::Application] {
         let mut line = Line::made_ready(subject, 1);
-        line.order(0, Verb::Native(owner));
+        line.order(0, Command::Native(owner));
         line.turns(50);
         match line.end(0) {
             Some(Err(Failure::Unsupported(why))) => assert!(why.len() > 10, "{why}"),
@@ -269,7 +269,7 @@ pub fn native_mode_is_refused_by_name_or_moves_nothing_by_itself(subject: &'stat
         }
         assert_standing(&mut line, 0, true);
         line.done(0, STOP);
-        line.done(0, Verb::Disable);
+        line.done(0, Command::Disable);
     }
 }
 
@@ -290,9 +290,9 @@ fn assert_standing(line: &mut Line, index: usize, powered: bool) {
 pub fn a_stop_from_every_motion_brings_standstill_with_power_on(subject: &'static dyn Subject) {
     let stops = [
         vec![STOP],
-        vec![Verb::QuickStop],
+        vec![Command::QuickStop],
         // Sooner, after all.
-        vec![STOP, Verb::QuickStop],
+        vec![STOP, Command::QuickStop],
         vec![STOP, STOP],
     ];
     for motion in Line::new(subject, 1).motions() {
@@ -316,7 +316,7 @@ pub fn a_stop_from_every_motion_brings_standstill_with_power_on(subject: &'stati
 }
 
 pub fn a_stop_ends_at_standstill_however_fast_the_motion_was(subject: &'static dyn Subject) {
-    for stop in [STOP, Verb::QuickStop] {
+    for stop in [STOP, Command::QuickStop] {
         let mut line = Line::made_ready(subject, 1);
         let usual = line.profile(0);
         let profile = Profile {
@@ -329,8 +329,8 @@ pub fn a_stop_ends_at_standstill_however_fast_the_motion_was(subject: &'static d
         line.order(
             0,
             match line.can.positions {
-                true => Verb::Move(Move { target, profile }),
-                false => Verb::Jog(Jog { velocity, acceleration }),
+                true => Command::Move(Move { target, profile }),
+                false => Command::Jog(Jog { velocity, acceleration }),
             },
         );
         line.until("its velocity", 500, |line| line.slots[0].report.velocity > profile.velocity * 0.98);
@@ -348,7 +348,7 @@ pub fn a_stop_ramps_down_as_fast_as_it_was_told(subject: &'static dyn Subject) {
         line.set_going(0, line.motion());
         line.turns(150);
         let Profile { velocity, deceleration, .. } = line.profile(0);
-        line.order(0, Verb::Stop { deceleration: Some(deceleration * part) });
+        line.order(0, Command::Stop { deceleration: Some(deceleration * part) });
         let braking = line.until("standstill", 5_000, |line| !line.slots[0].report.moving);
         let (took, should) = ((braking * PERIOD) as f64 * 1e-9, velocity / (deceleration * part));
         assert!((took - should).abs() < 0.01 + should * 0.05, "{took} s instead of {should} s");
@@ -357,7 +357,7 @@ pub fn a_stop_ramps_down_as_fast_as_it_was_told(subject: &'static dyn Subject) {
 }
 
 pub fn a_stop_at_standstill_or_without_power_changes_nothing(subject: &'static dyn Subject) {
-    for stop in [STOP, Verb::QuickStop] {
+    for stop in [STOP, Command::QuickStop] {
         let mut line = Line::new(subject, 1);
         line.online();
         line.run(0, stop).expect("a drive without power stands");
@@ -369,11 +369,11 @@ pub fn a_stop_at_standstill_or_without_power_changes_nothing(subject: &'static d
 }
 
 pub fn an_enable_that_is_stopped_half_way_does_not_go_on_by_itself(subject: &'static dyn Subject) {
-    for stop in [STOP, Verb::QuickStop, Verb::Disable] {
+    for stop in [STOP, Command::QuickStop, Command::Disable] {
         for after in [0, 1, 2, 5, 20, 100] {
             let mut line = Line::new(subject, 1);
             line.online();
-            line.order(0, Verb::Enable);
+            line.order(0, Command::Enable);
             line.turns(after);
             if line.end(0).is_some() {
                 continue;
@@ -390,28 +390,28 @@ pub fn an_enable_that_is_stopped_half_way_does_not_go_on_by_itself(subject: &'st
 pub fn an_order_is_not_done_by_what_was_heard_before_the_one_it_replaces(subject: &'static dyn Subject) {
     // The drive did the first, but its answer was lost: what is known of it is of before.
     for (first, second, powered) in [
-        (Verb::Disable, Verb::Enable, true),
-        (Verb::Enable, Verb::Disable, false),
-        (Verb::Disable, STOP, false),
-        (Verb::Disable, Verb::QuickStop, false),
+        (Command::Disable, Command::Enable, true),
+        (Command::Enable, Command::Disable, false),
+        (Command::Disable, STOP, false),
+        (Command::Disable, Command::QuickStop, false),
     ] {
         let mut line = Line::made_ready(subject, 1);
-        if first == Verb::Enable {
-            line.done(0, Verb::Disable);
+        if first == Command::Enable {
+            line.done(0, Command::Disable);
         }
         line.settle();
         line.mute(0, true);
         line.order(0, first);
         line.turns(u64::from(1 + line.can.answers_after));
         // A drive that takes two steps to go off has made the first one. A stop leaves its power as it is.
-        let took_two = line.can.stream && first == Verb::Disable && second != Verb::Enable;
+        let took_two = line.can.stream && first == Command::Disable && second != Command::Enable;
         let powered = if took_two { line.said(0).powered } else { powered };
         line.order(0, second);
         line.settle();
         line.mute(0, false);
         assert_eq!(line.ended(0), Ok(()), "{second:?} behind {first:?}");
         assert_eq!(line.said(0).powered, powered, "{second:?} behind {first:?} is done");
-        if second == Verb::Enable {
+        if second == Command::Enable {
             line.move_about(0);
         }
         line.turns(600);
@@ -420,11 +420,11 @@ pub fn an_order_is_not_done_by_what_was_heard_before_the_one_it_replaces(subject
 }
 
 pub fn a_stop_behind_a_disable_that_never_arrived_ends_at_standstill(subject: &'static dyn Subject) {
-    for stop in [STOP, Verb::QuickStop] {
+    for stop in [STOP, Command::QuickStop] {
         let mut line = Line::made_ready(subject, 1);
         line.set_going(0, line.motion());
         line.plug(0, false);
-        line.order(0, Verb::Disable);
+        line.order(0, Command::Disable);
         line.turns(4);
         line.order(0, stop);
         line.turns(4);
@@ -439,7 +439,7 @@ pub fn disable_powers_off_from_every_motion(subject: &'static dyn Subject) {
     for motion in Line::new(subject, 1).motions() {
         let mut line = Line::made_ready(subject, 1);
         line.set_going(0, motion);
-        line.done(0, Verb::Disable);
+        line.done(0, Command::Disable);
         assert!(!line.said(0).powered && !line.state(0).is_powered());
         line.turns(300);
         assert!(!line.said(0).powered, "and it stays off");
@@ -465,7 +465,7 @@ pub fn rows_are_followed_in_order_to_the_last(subject: &'static dyn Subject) {
             true => line.straight(index, 0.1, 300),
         };
         let steepest = rows.windows(2).map(|pair| pair[1].position - pair[0].position).fold(0.0, f64::max);
-        line.order(index, Verb::Follow);
+        line.order(index, Command::Follow);
         let mut before = line.slots[index].report.demand;
         for turn in 0..2_000 {
             // A row that was refused is sent with the next request, and none is jumped over.
@@ -528,7 +528,7 @@ pub fn a_velocity_is_followed_wherever_it_goes(subject: &'static dyn Subject) {
         return not_applicable(subject, "cyclic velocities", "it takes none; see what is refused by name");
     }
     let acceleration = line.profile(0).acceleration;
-    line.order(0, Verb::Velocity { acceleration });
+    line.order(0, Command::Velocity { acceleration });
     for seconds in [0.4, 0.2, -0.3, 0.0, 0.3] {
         let velocity = line.way(0, seconds);
         line.slots[0].velocity = velocity;
@@ -590,9 +590,9 @@ pub fn orders_survive_exchanges_that_are_missed(subject: &'static dyn Subject) {
         let delay_ns = PERIOD * u64::from(line.drives[0].axis.divisor);
         line.faults(0, FaultPlan { seed, drop, duplicate, delay, delay_ns, ..FaultPlan::default() });
         line.honest = line.can.identified;
-        line.done(0, Verb::Enable);
+        line.done(0, Command::Enable);
         if line.can.home {
-            line.done(0, Verb::Home);
+            line.done(0, Command::Home);
         }
         let (at, way, verb) = (line.said(0).demand, line.way(0, 0.02), line.by(0, 0.02));
         let counts = way * line.drives[0].axis.units.counts_per_unit;
@@ -612,7 +612,7 @@ pub fn orders_survive_exchanges_that_are_missed(subject: &'static dyn Subject) {
         line.set_going(0, line.motion());
         line.done(0, STOP);
         assert!(!line.said(0).moving);
-        line.done(0, Verb::Disable);
+        line.done(0, Command::Disable);
         assert!(!line.said(0).powered);
         let counters = line.slots[0].counters;
         assert!(counters.missed > 10, "nothing was missed: {counters:?}");
@@ -621,7 +621,7 @@ pub fn orders_survive_exchanges_that_are_missed(subject: &'static dyn Subject) {
 
 pub fn a_stop_reaches_a_drive_that_is_not_heard(subject: &'static dyn Subject) {
     // Only its replies are lost. The link is lost by then, and what is asked carries the order all the same.
-    for stop in [STOP, Verb::QuickStop] {
+    for stop in [STOP, Command::QuickStop] {
         let mut line = Line::made_ready(subject, 1);
         line.set_going(0, line.motion());
         // Where one is sent at a time, they come, but too late to count.
@@ -647,7 +647,7 @@ pub fn a_stop_reaches_a_drive_that_is_not_heard(subject: &'static dyn Subject) {
 
 pub fn the_request_after_an_order_carries_it(subject: &'static dyn Subject) {
     // The bound of the stop counts on this: no cycle passes between the order and its request.
-    for stop in [STOP, Verb::QuickStop] {
+    for stop in [STOP, Command::QuickStop] {
         let mut line = Line::made_ready(subject, 1);
         line.set_going(0, line.motion());
         // At its velocity, at whatever turn of its requests.
@@ -669,8 +669,8 @@ pub fn the_request_after_an_order_carries_it(subject: &'static dyn Subject) {
 }
 
 pub fn orders_with_a_time_limit_end_even_if_nobody_answers(subject: &'static dyn Subject) {
-    for verb in [Verb::Enable, Verb::Disable, Verb::Home, Verb::ResetFault] {
-        if verb == Verb::Home && !subject.can().home {
+    for verb in [Command::Enable, Command::Disable, Command::Home, Command::ResetFault] {
+        if verb == Command::Home && !subject.can().home {
             continue;
         }
         let mut line = Line::with(subject, 1, |_, drive| {
@@ -682,7 +682,7 @@ pub fn orders_with_a_time_limit_end_even_if_nobody_answers(subject: &'static dyn
         line.order(0, verb);
         line.until("an end", 300, |line| line.end(0).is_some());
         let end = line.end(0);
-        let known = verb == Verb::ResetFault && end == Some(Ok(()));
+        let known = verb == Command::ResetFault && end == Some(Ok(()));
         assert!(known || matches!(end, Some(Err(Failure::TimedOut(_)))), "{verb:?}: {end:?}");
     }
 }
@@ -690,7 +690,7 @@ pub fn orders_with_a_time_limit_end_even_if_nobody_answers(subject: &'static dyn
 pub fn an_enable_that_timed_out_does_not_come_up_later(subject: &'static dyn Subject) {
     let mut line = Line::with(subject, 1, |_, drive| drive.axis.enable_timeout = Duration::from_millis(2));
     line.online();
-    match line.run(0, Verb::Enable) {
+    match line.run(0, Command::Enable) {
         Ok(()) => not_applicable(subject, "an enable that times out", "it comes up within 2 ms"),
         Err(failure) => {
             assert!(matches!(failure, Failure::TimedOut(_)), "{failure:?}");
@@ -741,13 +741,13 @@ pub fn a_fault_of_the_drive_ends_its_orders_and_is_reset_to_power_off(subject: &
             "its neighbour"
         );
         let fault = line.slots[0].report.fault;
-        assert_eq!(line.run(0, Verb::Enable), Err(Failure::DriveFault(fault)), "not before it is reset");
-        line.done(0, Verb::ResetFault);
+        assert_eq!(line.run(0, Command::Enable), Err(Failure::DriveFault(fault)), "not before it is reset");
+        line.done(0, Command::ResetFault);
         let (report, said) = (line.slots[0].report, line.said(0));
         assert_eq!((report.fault, said.powered, said.moving), (0, false, false), "{report:?}");
         line.turns(300);
         assert!(!line.said(0).powered, "a reset never switches on");
-        line.done(0, Verb::Enable);
+        line.done(0, Command::Enable);
         line.move_about(0);
     }
 }
@@ -788,7 +788,7 @@ pub fn slots_that_are_passed_over_lose_no_order_and_no_row(subject: &'static dyn
     );
     if line.can.follow {
         let rows = line.stream(0, 0.1, 200);
-        line.order(0, Verb::Follow);
+        line.order(0, Command::Follow);
         to_the_end(&mut line);
         assert!(line.rows[0].is_empty(), "a row an exchange");
         let (demand, last) = (line.slots[0].report.demand, rows[rows.len() - 1].position);
@@ -810,9 +810,9 @@ pub fn whatever_is_asked_in_whatever_state_ends_or_goes_on(subject: &'static dyn
             line.turns(random.u64(..200));
         }
         line.run(0, STOP).ok();
-        line.done(0, Verb::Disable);
+        line.done(0, Command::Disable);
         if line.state(0) == State::Fault || line.slots[0].report.fault != 0 {
-            line.done(0, Verb::ResetFault);
+            line.done(0, Command::ResetFault);
         }
         line.ready();
         line.move_about(0);

@@ -283,14 +283,14 @@ fn only_counted(
     telegrams: impl Fn(&Line) -> Vec<Vec<u8>>,
     from: impl Fn(SocketAddrV4) -> SocketAddrV4,
     as_what: Counters,
-    strangers: u64,
+    unmatched: u64,
 ) -> bool {
     let mut line = moving(subject, 2);
     let telegrams = telegrams(&line);
     for telegram in &telegrams {
         for ns in [LATENCY / 2, BETWEEN] {
             let before = [0, 1].map(|index| line.slots[index].counters);
-            let of_nobody = line.bus.strangers().datagrams;
+            let of_nobody = line.bus.unmatched().datagrams;
             line.inject(0, from(line.wire.address(0)), telegram, ns);
             for _ in 0..2 {
                 for index in 0..2 {
@@ -312,7 +312,7 @@ fn only_counted(
             // A frame is everybody's.
             let other = if line.can.shared { as_what } else { Counters::default() };
             assert_eq!(got, [as_what, other], "{what}");
-            assert_eq!(line.bus.strangers().datagrams - of_nobody, strangers, "{what}");
+            assert_eq!(line.bus.unmatched().datagrams - of_nobody, unmatched, "{what}");
         }
     }
     !telegrams.is_empty()
@@ -386,7 +386,7 @@ pub fn what_comes_from_no_drive_of_its_own_is_a_strangers(subject: &'static dyn 
     };
     let stranger = |drive: SocketAddrV4| SocketAddrV4::new([10, 9, 9, 9].into(), drive.port());
     if !only_counted(subject, telegrams, stranger, Counters::default(), 1) {
-        not_applicable(subject, "strangers", "it listens nowhere");
+        not_applicable(subject, "unmatched", "it listens nowhere");
     }
 }
 
@@ -429,7 +429,7 @@ pub fn no_bytes_whatever_upset_it(subject: &'static dyn Subject) {
 }
 
 pub fn the_accounts_hold_in_any_weather(subject: &'static dyn Subject) {
-    // The referee counts after every call: telegrams, exchanges, strangers.
+    // The referee counts after every call: telegrams, exchanges, unmatched.
     let mut odd = 0;
     for seed in 0..4 {
         let mut line = Line::made_ready(subject, 3);

@@ -1,6 +1,6 @@
 //! What a drive says, in user units: only what it said, only when it said it.
 
-use fieldbeat::axis::{Units, Verb};
+use fieldbeat::axis::{Command, Units};
 use fieldbeat::bus::{Report, Slot};
 
 use crate::conformance::line::Line;
@@ -53,8 +53,10 @@ pub fn a_report_is_what_the_drive_said_in_user_units(subject: &'static dyn Subje
     }
     // All the way up, through a move, and down again.
     let motion = if line.can.positions { line.by(0, 0.2) } else { line.go(0) };
-    for verb in [Verb::Enable, Verb::Home, motion, Verb::Stop { deceleration: None }, Verb::Disable] {
-        if verb == Verb::Home && !line.can.home {
+    for verb in
+        [Command::Enable, Command::Home, motion, Command::Stop { deceleration: None }, Command::Disable]
+    {
+        if verb == Command::Home && !line.can.home {
             continue;
         }
         for index in 0..4 {
@@ -65,7 +67,7 @@ pub fn a_report_is_what_the_drive_said_in_user_units(subject: &'static dyn Subje
             for index in (0..4).filter(|index| line.seen[*index].fresh) {
                 assert_as_said(line, index);
             }
-            let goes_on = matches!(verb, Verb::Jog(_)) && line.index - begin > 500;
+            let goes_on = matches!(verb, Command::Jog(_)) && line.index - begin > 500;
             goes_on || (0..4).all(|index| line.end(index) == Some(Ok(())))
         });
     }
@@ -89,7 +91,7 @@ pub fn velocity_is_the_way_made_in_user_units_a_second(subject: &'static dyn Sub
         }
         for index in 0..4 {
             if !line.can.positions {
-                line.order(index, Verb::Stop { deceleration: None });
+                line.order(index, Command::Stop { deceleration: None });
             }
             assert_eq!(line.ended(index), Ok(()));
         }
@@ -162,9 +164,9 @@ pub fn a_restart_is_noticed_once_and_what_was_known_is_forgotten(subject: &'stat
         assert!(!report.state.is_powered() && !report.moving, "{report:?}");
     }
     // It can be brought up as ever; that its positions begin anew with a homing is no velocity either.
-    line.done(0, Verb::Enable);
+    line.done(0, Command::Enable);
     if line.can.home {
-        line.order(0, Verb::Home);
+        line.order(0, Command::Home);
         line.until("the end of a homing", 20_000, |line| {
             let velocity = line.slots[0].report.velocity;
             assert!(velocity.abs() < cruise * 2.0, "{velocity} while homing");

@@ -93,13 +93,13 @@ pub trait Subject: Sync {
 pub struct Can {
     /// It takes positions, and tells them. Without, it takes jogs, and tells its velocity.
     pub positions: bool,
-    /// `Verb::Home`; without it the drive knows where it is from the start.
+    /// `Command::Home`; without it the drive knows where it is from the start.
     pub home: bool,
-    /// `Verb::Jog`.
+    /// `Command::Jog`.
     pub jog: bool,
-    /// `Verb::Follow`.
+    /// `Command::Follow`.
     pub follow: bool,
-    /// `Verb::Torque`.
+    /// `Command::Torque`.
     pub torque: bool,
     /// Jogs and rows are taken by drives that are configured so, and by no others.
     pub picks: bool,

@@ -1,9 +1,9 @@
-//! The bus under the whole loop: link health, the ladder, and what the loop may count on.
+//! The bus under the whole loop: link health, the stop sequence, and what the loop may count on.
 
 use std::time::Duration;
 
 use fieldbeat::axis::{
-    Abort, Failure, FoundRunning, Health, Link, Outcome, State, StopCause, StopHow, StopThen, Verb,
+    Abort, Command, Failure, FoundRunning, Health, Link, Outcome, State, StopCause, StopHow, StopThen,
 };
 use fieldbeat::cycle::CyclePlan;
 use fieldbeat::sim::FaultPlan;
@@ -186,7 +186,7 @@ pub fn one_lost_drive_leaves_the_others_untouched(subject: &'static dyn Subject)
     }
     assert!([0, 2].iter().all(|index| m.outcome(*index, ids[*index]).is_none()), "they go on");
     for index in [0, 2] {
-        m.done(index, Verb::Stop { deceleration: None });
+        m.done(index, Command::Stop { deceleration: None });
     }
     let end = m.sim.finish();
     for index in [0, 2] {
@@ -227,17 +227,17 @@ pub fn a_lost_drive_comes_back_by_the_application_only_and_homed_is_read_again(
         let feedback = m.feedback(0);
         assert_eq!(feedback.stopped, Some(StopCause::LinkLost), "it stays latched");
         assert!(!feedback.state.is_powered() && !feedback.moving, "{feedback:?}");
-        for verb in [Verb::Enable, m.go(0)] {
+        for verb in [Command::Enable, m.go(0)] {
             assert_eq!(m.failed(0, verb), Failure::Latched(StopCause::LinkLost));
         }
-        m.done(0, Verb::Reset);
-        m.done(0, Verb::Enable);
+        m.done(0, Command::Reset);
+        m.done(0, Command::Enable);
         let said = m.tape(0, |tape| tape.said().homed);
         assert!(said.is_none_or(|homed| homed == m.feedback(0).homed));
         if restarted && m.can.home && m.can.positions {
             let verb = m.by(0, 0.05);
             assert_eq!(m.failed(0, verb), Failure::NotHomed);
-            m.done(0, Verb::Home);
+            m.done(0, Command::Home);
         }
         m.move_about(0);
     }
@@ -281,19 +281,19 @@ pub fn found_running_is_stopped_or_left_alone_as_its_plan_says(subject: &'static
     m.run(500);
     let (feedback, said) = (m.feedback(1), m.tape(1, |tape| tape.said()));
     assert!(said.powered && said.moving && feedback.moving, "only read: {feedback:?}");
-    for verb in [Verb::Enable, m.go(1)] {
+    for verb in [Command::Enable, m.go(1)] {
         assert_eq!(m.failed(1, verb), Failure::Latched(StopCause::FoundRunning));
     }
     assert!(m.tape(1, |tape| tape.said().moving));
     // It is the application that decides.
-    m.done(1, Verb::Stop { deceleration: None });
+    m.done(1, Command::Stop { deceleration: None });
     assert!(m.tape(1, |tape| tape.said().powered && !tape.said().moving));
     if m.can.shared {
         is_set_up_anew(&mut m);
     }
     for index in 0..2 {
-        m.done(index, Verb::Reset);
-        m.done(index, Verb::Enable);
+        m.done(index, Command::Reset);
+        m.done(index, Command::Enable);
         m.move_about(index);
     }
 }
@@ -302,11 +302,11 @@ pub fn found_running_is_stopped_or_left_alone_as_its_plan_says(subject: &'static
 /// nobody else notices.
 fn is_set_up_anew(m: &mut Machine) {
     m.online();
-    m.done(1, Verb::Reset);
-    let Failure::Unsupported(why) = m.failed(1, Verb::Enable) else { panic!("{:?}", m.feedback(1)) };
+    m.done(1, Command::Reset);
+    let Failure::Unsupported(why) = m.failed(1, Command::Enable) else { panic!("{:?}", m.feedback(1)) };
     assert!(why.len() > 10, "{why}");
     assert!(m.tape(1, |tape| tape.said().powered && !tape.said().moving), "it stands as it was stopped");
-    m.done(1, Verb::Disable);
+    m.done(1, Command::Disable);
     let alone = |m: &Machine| {
         let neighbour = m.feedback(0);
         assert_eq!((neighbour.link, neighbour.age), (Link::Online, 0), "{neighbour:?}");
@@ -345,7 +345,7 @@ pub fn a_fault_of_the_drive_latches_its_axis(subject: &'static dyn Subject) {
         },
         |m| m.feedback(0).fault != 0,
     );
-    // Down the ladder, before anything else is taken.
+    // The stop sequence runs to its end before anything else is taken.
     m.run(100);
     m.recover(0);
     assert_eq!(m.feedback(0).fault, 0);
@@ -378,7 +378,7 @@ fn storm(subject: &'static dyn Subject, seed: u64) -> (u64, u64, String) {
         let index = (cycle / 50 % 3) as usize;
         if cycle % 50 == 0 {
             let motion = if m.can.positions { m.by(index, 0.05) } else { m.go(index) };
-            let verbs = [Verb::Reset, Verb::ResetFault, Verb::Enable, Verb::Home, motion];
+            let verbs = [Command::Reset, Command::ResetFault, Command::Enable, Command::Home, motion];
             let verb = verbs[(cycle / 150 % 5) as usize];
             m.post(index, verb);
         }
@@ -422,9 +422,9 @@ pub fn the_end_of_the_master_leaves_every_drive_at_standstill_and_off(subject: &
     });
     m.online();
     for index in [0, 1, gone] {
-        m.done(index, Verb::Enable);
+        m.done(index, Command::Enable);
         if m.can.home {
-            m.done(index, Verb::Home);
+            m.done(index, Command::Home);
         }
         m.post(index, m.go(index));
     }

@@ -80,7 +80,7 @@ pub struct Log {
     /// In slot order.
     pub drives: Vec<Tape>,
     /// Datagrams that the bus took in from nobody of its own.
-    pub strangers: u64,
+    pub unmatched: u64,
     /// Where the bus listens.
     pub master: Option<SocketAddrV4>,
     /// Times that the bus handed something to a carrier.
@@ -470,7 +470,7 @@ impl Frames for TappedFrames {
         let (at, length) = self.carrier.receive(room)?;
         let mut log = self.wire.log();
         if room.get(..length).is_none_or(|frame| self.wire.subject.is_strange(frame)) {
-            log.strangers += 1;
+            log.unmatched += 1;
         } else {
             log.drives.iter_mut().for_each(|tape| tape.taken += 1);
         }
@@ -603,7 +603,7 @@ impl Datagrams for TappedCarrier {
             let mut log = wire.log();
             match log.drives.iter_mut().find(|tape| tape.address.ip() == datagram.from.ip()) {
                 Some(tape) => tape.taken += 1,
-                None => log.strangers += 1,
+                None => log.unmatched += 1,
             }
             drop(log);
             take(datagram);

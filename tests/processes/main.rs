@@ -11,7 +11,7 @@
 //! | `deaths` | controllers and drives that die in mid-motion, and who comes after them |
 //! | `mistakes` | wrong input: configurations, arguments, addresses that are taken |
 //! | `masters` | two masters on one segment or one drive |
-//! | `strangers` | datagrams of people who have no business here |
+//! | `unmatched` | datagrams of people who have no business here |
 //! | `telling` | what a master tells while it runs: control socket, black box, service manager |
 //! | `report` | the directory that a run leaves behind, and all that keeps it from being written |
 //! | `params` | parameters of the drives, alone and beside a running master |
@@ -44,11 +44,11 @@ mod rights;
 mod signals;
 #[path = "../support/speeds.rs"]
 mod speed_drives;
-mod strangers;
 #[path = "../support/mod.rs"]
 mod support;
 mod telling;
 mod unidrive;
+mod unmatched;
 
 use std::ffi::OsStr;
 use std::net::{SocketAddrV4, UdpSocket};

@@ -1,10 +1,10 @@
 //! Ctrl-C, SIGTERM and SIGHUP at any moment, every other signal that ends a process by default, nohup, and Ctrl-Z.
 
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process;
 use std::thread::sleep;
 
-use fieldbeat::axis::{Profile, StopCause, Verb};
+use fieldbeat::axis::{Command, Profile, StopCause};
 use fieldbeat::master::Master;
 use libc::{SIGCONT, SIGHUP, SIGINT, SIGTERM, SIGTSTP, SIGTTIN, SIGTTOU};
 use serde_json::Value;
@@ -40,7 +40,7 @@ enum Stage {
 }
 
 /// Its sockets are where nobody else has any; root looks below TMPDIR, too.
-fn own<'a>(directory: &Path, command: &'a mut Command) -> &'a mut Command {
+fn own<'a>(directory: &Path, command: &'a mut process::Command) -> &'a mut process::Command {
     command.env("XDG_RUNTIME_DIR", directory).env("XDG_STATE_HOME", directory).env("TMPDIR", directory)
 }
 
@@ -50,7 +50,7 @@ impl Demo {
     }
 
     fn in_directory(directory: PathBuf, drives: &str) -> Demo {
-        let mut command = Command::new(PROGRAM);
+        let mut command = process::Command::new(PROGRAM);
         command.args(["demo", "--drives", drives, "--json", "--for", "2min"]);
         let program = Program::spawn(own(&directory, &mut command));
         Demo { directory, program }
@@ -58,7 +58,7 @@ impl Demo {
 
     /// The drives, once they can be asked for.
     fn drives(&self) -> Vec<Value> {
-        let mut status = Command::new(PROGRAM);
+        let mut status = process::Command::new(PROGRAM);
         let ended = Program::spawn(own(&self.directory, status.args(["status", "--json"]))).end();
         match ended.code {
             Some(0) => ended.json()["summary"]["drives"].as_array().unwrap().clone(),
@@ -217,7 +217,7 @@ fn ending_a_master_that_is_stopping_already_keeps_its_ramp() {
     axis.home().unwrap();
     let profile = Profile { velocity: 200.0, acceleration: 2000.0, ..axis.profile() };
     let target = fieldbeat::axis::Target::Absolute(1900.0);
-    axis.post(Verb::Move(fieldbeat::axis::Move { target, profile })).unwrap();
+    axis.post(Command::Move(fieldbeat::axis::Move { target, profile })).unwrap();
     assert!(support::until(LONG, || axis.feedback().velocity > 150.0), "{:?}", axis.feedback());
     let begin = axis.feedback().position;
     master.stop_handle().stop();
@@ -248,7 +248,7 @@ fn under_nohup_the_master_outlives_its_terminal() {
     let machine = Machine::new(7);
     let config = machine.plain(1);
     let sim = serve(&config);
-    let mut command = Command::new(PROGRAM);
+    let mut command = process::Command::new(PROGRAM);
     // SAFETY: between fork and exec, one system call.
     unsafe {
         use std::os::unix::process::CommandExt;

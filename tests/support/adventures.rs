@@ -1,5 +1,5 @@
 //! A machine to which everything happens that happens to machines, on real sockets: streams, jogs and moves, a drive
-//! that dies and comes back, one that was never there, one that the kernel refuses to send to, strangers, a stop in
+//! that dies and comes back, one that was never there, one that the kernel refuses to send to, unmatched, a stop in
 //! mid-motion.
 //!
 //! Whoever watches a loop lets it live through this. Nothing here minds how a command ends: on a busy computer it ends
@@ -15,7 +15,7 @@ use std::thread::sleep;
 use std::time::Duration;
 
 use fieldbeat::axis::acyclic::{Acyclic, CallError, CallTicket};
-use fieldbeat::axis::{Axis, CommandId, EventKind, Link, Move, Outcome, Profile, Row, Target, Verb};
+use fieldbeat::axis::{Axis, Command, CommandId, EventKind, Link, Move, Outcome, Profile, Row, Target};
 use fieldbeat::bus::linudp::upid;
 use fieldbeat::bus::linudp::wire::RtcCommand;
 use fieldbeat::sim::server::{ServerOptions, SimServer};
@@ -101,9 +101,9 @@ pub fn drives_and_errors(machine: &Machine, period: &str, bucket: u32, victim: u
 }
 
 /// A move to `position` that takes a second for 400 mm.
-pub fn to(position: f64) -> Verb {
+pub fn to(position: f64) -> Command {
     let profile = Profile { velocity: 400.0, acceleration: 4000.0, deceleration: 4000.0 };
-    Verb::Move(Move { target: Target::Absolute(position), profile })
+    Command::Move(Move { target: Target::Absolute(position), profile })
 }
 
 /// A slow triangle around 200 mm, row by row, 1 ms each.
@@ -216,10 +216,10 @@ impl Adventures {
         adventures
     }
 
-    /// Enabling, homing, a stream, jogs and moves, while strangers send noise; a drive that dies on its way; stops; and
+    /// Enabling, homing, a stream, jogs and moves, while unmatched send noise; a drive that dies on its way; stops; and
     /// the drive's return.
     pub fn round(&mut self) {
-        for verb in [Verb::Reset, Verb::ResetFault, Verb::Enable, Verb::Home, to(200.0)] {
+        for verb in [Command::Reset, Command::ResetFault, Command::Enable, Command::Home, to(200.0)] {
             self.all([Some(verb); LIVING.len()]);
         }
         let mut rows = (0..).map(row);
@@ -238,8 +238,8 @@ impl Adventures {
             self.calls[VICTIM].keep_up(self.axes[VICTIM].acyclic());
             self.axes[VICTIM].feedback().link == Link::Lost
         }));
-        let stop = Some(Verb::Stop { deceleration: None });
-        self.all([stop, stop, Some(Verb::QuickStop), None, stop]);
+        let stop = Some(Command::Stop { deceleration: None });
+        self.all([stop, stop, Some(Command::QuickStop), None, stop]);
         self.victim = Some(serve(&self.config, self.options, |other| Some(other) == address));
         assert!(until(LONG, || self.axes[VICTIM].feedback().link == Link::Online));
     }
@@ -254,7 +254,7 @@ impl Adventures {
 
     /// Sends d1 on a fast way; what happens to it next is for whoever watches.
     pub fn set_out(&mut self) {
-        for verb in [Verb::Reset, Verb::ResetFault, Verb::Enable, Verb::Home] {
+        for verb in [Command::Reset, Command::ResetFault, Command::Enable, Command::Home] {
             self.all([Some(verb); LIVING.len()]);
         }
         let mut targets = [380.0, 20.0].into_iter().cycle();
@@ -271,7 +271,7 @@ impl Adventures {
     }
 
     /// Posts the verbs and waits until they have ended.
-    fn all(&mut self, verbs: [Option<Verb>; LIVING.len()]) {
+    fn all(&mut self, verbs: [Option<Command>; LIVING.len()]) {
         let mut open: Vec<Option<CommandId>> = (self.axes.iter_mut().zip(verbs))
             .map(|(axis, verb)| verb.and_then(|verb| axis.post(verb).ok()))
             .collect();

@@ -2,13 +2,13 @@
 //! program plays it in a process of its own, so that it can be stopped and killed in mid-motion.
 
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::sleep;
 use std::time::Duration;
 
-use fieldbeat::axis::{Axis, AxisError, Move, Profile, Target, Verb};
+use fieldbeat::axis::{Axis, AxisError, Command, Move, Profile, Target};
 use fieldbeat::master::Master;
 use serde_json::Value;
 
@@ -47,12 +47,12 @@ pub enum Way {
 }
 
 /// One as a child of the test program: `test` [`play`]s it if it has a role.
-pub fn child(test: &str, way: Way, config: &Path) -> Command {
+pub fn child(test: &str, way: Way, config: &Path) -> process::Command {
     again(test, &format!("{way:?} {}", config.display()))
 }
 
 /// Starts one and waits until its axes move.
-pub fn start(child: &mut Command) -> Program {
+pub fn start(child: &mut process::Command) -> Program {
     let mut controller = Program::spawn(child);
     controller.await_text(UNDER_WAY);
     controller
@@ -99,7 +99,7 @@ pub fn set_out(axis: &mut Axis, jog: bool) -> Result<(), AxisError> {
         return axis.jog(VELOCITY).map(drop);
     }
     let profile = Profile { velocity: VELOCITY, ..axis.profile() };
-    axis.post(Verb::Move(Move { target: Target::Absolute(TARGET), profile })).map(drop)
+    axis.post(Command::Move(Move { target: Target::Absolute(TARGET), profile })).map(drop)
 }
 
 /// The summary of a controller that ended in order.

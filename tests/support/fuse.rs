@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex};
 
 use fieldbeat::axis::acyclic::AcyclicEnds;
 use fieldbeat::bus::linudp::LinUdpPlan;
-use fieldbeat::bus::{Bus, BusPlan, Cycle, OpenError, Slot, Strangers};
+use fieldbeat::bus::{Bus, BusPlan, Cycle, OpenError, Slot, Unmatched};
 use fieldbeat::net::Carriers;
 use fieldbeat::rt::Regions;
 use fieldbeat::sim::SimDrive;
@@ -18,7 +18,7 @@ pub enum Call {
     Receive,
     Prepare,
     HelperEnded,
-    Strangers,
+    Unmatched,
     ShutDown,
 }
 
@@ -118,9 +118,9 @@ impl Bus for FusedBus {
         *self.of.helper_ended.lock().unwrap()
     }
 
-    fn strangers(&self) -> Strangers {
-        self.burn(Call::Strangers);
-        self.bus.strangers()
+    fn unmatched(&self) -> Unmatched {
+        self.burn(Call::Unmatched);
+        self.bus.unmatched()
     }
 
     fn native(&mut self, index: usize) -> Option<Box<dyn Any + Send>> {

@@ -8,9 +8,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 
 use fieldbeat::axis::acyclic::{AcyclicEnds, Notation};
-use fieldbeat::axis::{AxisPlan, FaultNames, MonitorChannel, PlanFault, Verb};
+use fieldbeat::axis::{AxisPlan, Command, FaultNames, MonitorChannel, PlanFault};
 use fieldbeat::bus::linudp::LinUdpPlan;
-use fieldbeat::bus::{Bus, BusPlan, Cycle, Notes, OpenError, OwnCounter, Report, Slot, Strangers};
+use fieldbeat::bus::{Bus, BusPlan, Cycle, Notes, OpenError, OwnCounter, Report, Slot, Unmatched};
 use fieldbeat::net::{Carriers, LinkNotes};
 use fieldbeat::rt::Regions;
 use fieldbeat::sim::SimDrive;
@@ -120,7 +120,7 @@ struct Inside {
     /// What it told its bus.
     truth: Report,
     /// The order, while its bus is told of a velocity instead of a torque.
-    order: Option<Verb>,
+    order: Option<Command>,
     /// The torque that it gives, and the velocity that came of it.
     torque: f64,
     velocity: f64,
@@ -131,7 +131,7 @@ struct Inside {
 impl Inside {
     /// Goes on for the time of a cycle.
     fn go(&mut self, slot: &Slot, seconds: f64) {
-        let Some(Verb::Torque { slope }) = slot.order.verb else {
+        let Some(Command::Torque { slope }) = slot.order.verb else {
             (self.torque, self.velocity, self.demand) = (0.0, 0.0, self.truth.demand);
             return;
         };
@@ -145,7 +145,7 @@ impl Inside {
         (report.position, report.demand) = (self.truth.position, self.truth.demand);
         (report.velocity, report.current) = (self.truth.velocity, self.truth.current);
         if slot.order.verb.is_some_and(|verb| verb.takes_torques()) {
-            self.order = slot.order.verb.replace(Verb::Velocity { acceleration: 5_000.0 });
+            self.order = slot.order.verb.replace(Command::Velocity { acceleration: 5_000.0 });
             // What the wire rounds to nothing is refused.
             slot.velocity = (self.velocity * 100.0).round() / 100.0;
         }
@@ -218,8 +218,8 @@ impl Bus for SpeedBus {
         self.bus.shut_down(cycle, slots)
     }
 
-    fn strangers(&self) -> Strangers {
-        self.bus.strangers()
+    fn unmatched(&self) -> Unmatched {
+        self.bus.unmatched()
     }
 
     fn native(&mut self, index: usize) -> Option<Box<dyn Any + Send>> {

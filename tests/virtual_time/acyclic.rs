@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use fieldbeat::axis::acyclic::{Call, CallError, CallTicket};
 use fieldbeat::axis::command::NativeOwner;
-use fieldbeat::axis::{EventKind, Health, Link, Verb};
+use fieldbeat::axis::{Command, EventKind, Health, Link};
 use fieldbeat::bus::linudp::native::{Native, NativeOutput};
 use fieldbeat::bus::linudp::upid::{Upid, call};
 use fieldbeat::bus::linudp::wire::{Refusal, RtcBlock, RtcCommand};
@@ -225,7 +225,7 @@ fn an_application_that_uses_the_channel_natively_ends_the_call_under_way() {
     let mut b = Rig::new(1).each(|_, drive| drive.simulate.config_time_ns = 50 * MS).start();
     b.ready();
     let mut native: Box<Native> = b.sim.axis(0).native().unwrap();
-    b.post(0, Verb::Native(NativeOwner::Master));
+    b.post(0, Command::Native(NativeOwner::Master));
     b.run(5);
     let mut ticket = b.call(0, read(0x20A8));
     b.run(10);

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use fieldbeat::axis::Failure;
-use fieldbeat::axis::{EventKind, FoundRunning, Health, Link, Outcome, State, StopCause, StopThen, Verb};
+use fieldbeat::axis::{Command, EventKind, FoundRunning, Health, Link, Outcome, State, StopCause, StopThen};
 use fieldbeat::bus::linudp::wire::{ControlWord, MotionBlock, StatusWord};
 use fieldbeat::cycle::Overrun;
 use fieldbeat::time::MS;
@@ -30,7 +30,7 @@ fn nothing_is_written_before_the_first_order() {
     assert_only_read(&b, 1);
     // Motion blocks go to the silent only: a drive that answers is not bothered with them.
     assert!(b.tape(0).heard.iter().all(|heard| heard.request.motion.is_none()));
-    let id = b.post(0, Verb::Enable);
+    let id = b.post(0, Command::Enable);
     b.step();
     b.step();
     assert_eq!(b.tape(0).heard.last().unwrap().request.control, Some(ControlWord::BASE));
@@ -44,7 +44,7 @@ fn a_stop_of_all_axes_writes_nothing_to_drives_that_never_got_an_order() {
     let mut b = Rig::new(3).cycle(|cycle| cycle.overrun = Overrun::Stop).start();
     b.world().unplug(address(1));
     b.until("two online", 200, |b| [0, 2].iter().all(|i| b.feedback(*i).link == Link::Online));
-    b.done(2, Verb::Enable);
+    b.done(2, Command::Enable);
     b.world().delay_next_wake(2 * MS);
     b.run(200);
     for index in 0..3 {
@@ -55,10 +55,10 @@ fn a_stop_of_all_axes_writes_nothing_to_drives_that_never_got_an_order() {
     assert_only_read(&b, 0);
     assert_only_read(&b, 1);
     for index in 0..2 {
-        assert_eq!(b.failed(index, Verb::Enable), Failure::Latched(StopCause::Overrun));
-        b.done(index, Verb::Reset);
+        assert_eq!(b.failed(index, Command::Enable), Failure::Latched(StopCause::Overrun));
+        b.done(index, Command::Reset);
         assert_only_read(&b, index);
-        b.done(index, Verb::Enable);
+        b.done(index, Command::Enable);
     }
 }
 
@@ -109,9 +109,9 @@ fn the_gate_wants_good_exchanges_in_a_row() {
 fn orders_wait_at_the_door_until_the_link_is_up() {
     let mut b = Rig::new(1).start();
     b.run(5);
-    assert_eq!(b.failed(0, Verb::Enable), Failure::NotOnline);
+    assert_eq!(b.failed(0, Command::Enable), Failure::NotOnline);
     b.online();
-    b.done(0, Verb::Enable);
+    b.done(0, Command::Enable);
 }
 
 #[test]
@@ -196,8 +196,8 @@ fn found_running_is_stopped_along_its_ramp_and_powered_off() {
     let standing = |heard: &&Heard| !heard.reply.unwrap().status.unwrap().has(StatusWord::MOTION_ACTIVE);
     let still = b.tape(0).heard.iter().rev().take_while(standing).count();
     assert!(still >= 20, "power went off only after standstill");
-    b.done(0, Verb::Reset);
-    b.done(0, Verb::Enable);
+    b.done(0, Command::Reset);
+    b.done(0, Command::Enable);
     b.done(0, to(50.0));
 }
 
@@ -214,17 +214,17 @@ fn found_running_can_be_refused_and_then_nothing_is_written() {
     b.run(500);
     assert_eq!(b.feedback(0).stopped, Some(StopCause::FoundRunning));
     assert!(b.feedback(0).moving);
-    for verb in [Verb::Enable, Verb::Home, to(10.0)] {
+    for verb in [Command::Enable, Command::Home, to(10.0)] {
         assert_eq!(b.failed(0, verb), Failure::Latched(StopCause::FoundRunning));
     }
     assert_only_read(&b, 0);
     // The application decides: a gentle stop is open to it, and then the drive is the master's, as it is.
-    b.done(0, Verb::Stop { deceleration: None });
+    b.done(0, Command::Stop { deceleration: None });
     assert!(!b.feedback(0).moving && b.feedback(0).stopped.is_some());
     assert_eq!(b.tape(0).heard.last().unwrap().request.control, Some(ControlWord::ON));
-    b.done(0, Verb::Reset);
+    b.done(0, Command::Reset);
     assert_eq!(b.failed(0, to(50.0)), Failure::NotEnabled);
-    b.done(0, Verb::Enable);
+    b.done(0, Command::Enable);
     b.done(0, to(50.0));
 }
 
@@ -253,8 +253,8 @@ fn a_restarted_master_goes_on_with_the_count_of_the_drive() {
         .start();
     b.online();
     b.until("standstill", 400, |b| !b.feedback(0).moving);
-    b.done(0, Verb::Reset);
-    b.done(0, Verb::Enable);
+    b.done(0, Command::Reset);
+    b.done(0, Command::Enable);
     b.tape(0).heard.clear();
     for n in 0..40 {
         b.done(0, to(10.0 + f64::from(n)));

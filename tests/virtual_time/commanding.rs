@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use fieldbeat::axis::acyclic::{Acyclic, Call, CallError, CallTicket, ParameterError, PostError};
 use fieldbeat::axis::command::NativeOwner;
-use fieldbeat::axis::{CommandId, EventKind, Failure, Link, Outcome, State, StopCause, StopThen, Verb};
+use fieldbeat::axis::{Command, CommandId, EventKind, Failure, Link, Outcome, State, StopCause, StopThen};
 use fieldbeat::bus::ethercat::cia402::Mode;
 use fieldbeat::bus::linudp::LinUdpDrive;
 use fieldbeat::bus::linudp::upid::call;
@@ -82,7 +82,7 @@ impl<S: Subject> Run<S> {
         panic!("not within {most} cycles: {what}; {:?}", self.subject.sim().feedback(0));
     }
 
-    fn post(&mut self, verb: Verb) -> CommandId {
+    fn post(&mut self, verb: Command) -> CommandId {
         self.subject.sim().axis(0).post(verb).unwrap_or_else(|error| panic!("{error}"))
     }
 
@@ -91,7 +91,7 @@ impl<S: Subject> Run<S> {
         self.ends[&id]
     }
 
-    fn done(&mut self, verb: Verb) {
+    fn done(&mut self, verb: Command) {
         let id = self.post(verb);
         assert_eq!(self.ended(id), Outcome::Done, "{verb:?}");
     }
@@ -134,7 +134,7 @@ impl<S: Subject> Run<S> {
 pub fn refuses_while_on<S: Subject>(subject: S) {
     let mut run = Run::new(subject);
     assert_eq!(run.write(), Ok(()), "off");
-    run.done(Verb::Enable);
+    run.done(Command::Enable);
     let received = run.subject.received();
     for address in S::COMMANDING.iter().chain([&S::WATCHED.0]) {
         let parameters = run.acyclic().parameters();
@@ -155,20 +155,20 @@ pub fn refuses_while_on<S: Subject>(subject: S) {
     let ticket = run.acyclic().post(call, LIMIT).unwrap();
     assert_eq!(run.call_ended(ticket), Ok(S::HARMLESS.1));
     assert_eq!(run.subject.received(), received);
-    run.done(Verb::Disable);
+    run.done(Command::Disable);
     assert_eq!(run.write(), Ok(()), "off again");
 
     // Native mode: exempt where the application owns the control word.
-    run.done(Verb::Enable);
-    run.post(Verb::Native(NativeOwner::Master));
+    run.done(Command::Enable);
+    run.post(Command::Native(NativeOwner::Master));
     run.steps(20);
     assert_eq!(run.write(), Err(CallError::Commands));
-    run.done(Verb::QuickStop);
+    run.done(Command::QuickStop);
     run.native = true;
-    run.post(Verb::Native(NativeOwner::Application));
+    run.post(Command::Native(NativeOwner::Application));
     run.steps(20);
     assert_eq!(run.write(), Ok(()), "native");
-    run.done(Verb::QuickStop);
+    run.done(Command::QuickStop);
     run.native = false;
     run.steps(20);
     if run.subject.is_on() {
@@ -186,7 +186,7 @@ pub fn never_meet<S: Subject>(subject: S) {
             for cancel in [None, Some(0), Some(1), Some(3)] {
                 let mut ticket = if write_first { Some(run.post_watched()) } else { None };
                 run.steps(if write_first { gap } else { 0 });
-                let enable = run.post(Verb::Enable);
+                let enable = run.post(Command::Enable);
                 run.steps(if write_first { 0 } else { gap });
                 let mut ticket = ticket.take().unwrap_or_else(|| run.post_watched());
                 if let Some(after) = cancel {
@@ -201,7 +201,7 @@ pub fn never_meet<S: Subject>(subject: S) {
                 assert!(known, "gap {gap}, write first: {write_first}: {end:?}");
                 *ends.entry(format!("{end:?}")).or_insert(0) += 1;
                 run.steps(30);
-                run.done(Verb::Disable);
+                run.done(Command::Disable);
             }
         }
     }
@@ -220,9 +220,9 @@ pub fn never_in_any_sequence<S: Subject>(subject: S, seed: u64, length: usize) {
     };
     for _ in 0..length {
         match random.u32(0..12) {
-            0..=1 => drop(run.post(Verb::Enable)),
-            2..=3 => drop(run.post(Verb::Disable)),
-            4 => drop(run.post(Verb::QuickStop)),
+            0..=1 => drop(run.post(Command::Enable)),
+            2..=3 => drop(run.post(Command::Disable)),
+            4 => drop(run.post(Command::QuickStop)),
             5..=7 => match run.post_watched() {
                 Ok(ticket) => tickets.push(ticket),
                 Err(_) => count(Err(CallError::Commands)),
@@ -235,18 +235,18 @@ pub fn never_in_any_sequence<S: Subject>(subject: S, seed: u64, length: usize) {
             9 if !tickets.is_empty() => drop(tickets.swap_remove(random.usize(0..tickets.len()))),
             10 => {
                 // Native mode, and back out of it. What is posted in it ends in it.
-                let power_off = run.post(Verb::Disable);
+                let power_off = run.post(Command::Disable);
                 run.ended(power_off);
                 for ticket in tickets.drain(..) {
                     count(run.call_ended(ticket).map(drop));
                 }
                 run.native = true;
-                run.post(Verb::Native(NativeOwner::Application));
+                run.post(Command::Native(NativeOwner::Application));
                 run.steps(random.u64(0..20));
                 if random.bool() {
                     count(run.write());
                 }
-                run.done(Verb::Disable);
+                run.done(Command::Disable);
                 run.native = false;
             }
             _ => {}
@@ -339,7 +339,7 @@ fn a_linmot_is_not_commanded_by_parameters_while_its_power_is_on() {
 #[test]
 fn what_a_linmot_runs_by_is_not_changed_under_it() {
     let mut run = Run::new(linmot(FaultPlan::default()));
-    run.done(Verb::Enable);
+    run.done(Command::Enable);
     for (command, why) in [
         (RtcCommand::DELETE_CURVES, CallError::Commands),
         (RtcCommand::MODIFY_CURVE, CallError::Commands),
@@ -361,10 +361,10 @@ fn what_a_linmot_runs_by_is_not_changed_under_it() {
     let added = run.acyclic().post(call(RtcCommand::ADD_CURVE, 7, 70 | 8 << 16), LIMIT).unwrap();
     assert!(run.call_ended(added).is_ok());
     // The drive's software must not stop under an enable.
-    run.done(Verb::Disable);
+    run.done(Command::Disable);
     let stop = run.acyclic().post(call(RtcCommand::STOP_SOFTWARE, 0, 0), LIMIT).unwrap();
     run.steps(1);
-    let enable = run.post(Verb::Enable);
+    let enable = run.post(Command::Enable);
     assert!(run.call_ended(stop).is_ok());
     assert_ne!(run.ended(enable), Outcome::Done);
     assert!(!run.subject.is_on());
@@ -380,21 +380,21 @@ fn an_enable_waits_for_a_write_no_longer_than_its_own_time() {
     // It is carried out in 300 ms.
     let ticket = run.post_watched().unwrap();
     run.steps(5);
-    let enable = run.post(Verb::Enable);
+    let enable = run.post(Command::Enable);
     // Others do not hold it up for ever.
     run.steps(5);
     assert!(matches!(run.post_watched(), Err(PostError::Refused { .. })));
     assert_eq!(run.call_ended(ticket), Ok(16));
     assert_eq!(run.ended(enable), Outcome::Done);
-    run.done(Verb::Disable);
+    run.done(Command::Disable);
     // Three of them in a row: only that under way is waited for.
     let tickets: Vec<_> = (0..3).map(|_| run.post_watched().unwrap()).collect();
     run.steps(5);
-    let enable = run.post(Verb::Enable);
+    let enable = run.post(Command::Enable);
     let ends: Vec<_> = tickets.into_iter().map(|ticket| run.call_ended(ticket).is_ok()).collect();
     assert_eq!(ends, [true, false, false]);
     assert_eq!(run.ended(enable), Outcome::Done);
-    run.done(Verb::Disable);
+    run.done(Command::Disable);
 }
 
 #[test]
@@ -406,17 +406,17 @@ fn what_a_drive_may_still_carry_out_holds_up_an_enable() {
     let mut run = Run::new(LinMot::new(rig));
     let ticket = run.post_watched().unwrap();
     run.steps(5);
-    let enable = run.post(Verb::Enable);
+    let enable = run.post(Command::Enable);
     assert_eq!(run.ended(enable), Outcome::Failed(Failure::BeingWritten));
     // Nobody waits for it any more, and the drive is busy with it all the same.
     drop(ticket);
     run.steps(20);
-    let enable = run.post(Verb::Enable);
+    let enable = run.post(Command::Enable);
     assert_eq!(run.ended(enable), Outcome::Failed(Failure::BeingWritten));
     assert!(!run.subject.is_on());
     // Once it is over that is found out without another call.
     run.steps(8_000);
-    run.done(Verb::Enable);
+    run.done(Command::Enable);
 }
 
 // Kollmorgen: the drive's mode tells what was written.
@@ -496,7 +496,7 @@ fn a_latched_axis_that_holds_is_not_moved_by_its_objects() {
     machine.assert_turns(0, 5.0);
     // It stops, and stays powered.
     let mut setpoint = machine.sim.axis(0);
-    setpoint.post(Verb::Velocity { acceleration: 100.0 }).unwrap();
+    setpoint.post(Command::Velocity { acceleration: 100.0 }).unwrap();
     machine.until("a stop", 2_000, |machine| machine.feedback(0).stopped == Some(StopCause::StaleSetpoint));
     machine.run(2_000);
     setpoint = machine.sim.axis(0);

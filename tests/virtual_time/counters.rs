@@ -5,7 +5,7 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 
 use fieldbeat::bus::linudp::ReplyTag;
 use fieldbeat::bus::linudp::wire::{RequestDef, Response};
-use fieldbeat::bus::{Counters, Strangers};
+use fieldbeat::bus::{Counters, Unmatched};
 use fieldbeat::cycle::status::Numbers;
 use fieldbeat::sim::FaultPlan;
 use fieldbeat::time::US;
@@ -13,11 +13,11 @@ use fieldbeat::time::US;
 use crate::virtual_time::support::*;
 
 /// All counters by name. A new one breaks the build here, and then it wants a case below.
-fn named(counters: Counters, strangers: Strangers) -> [(&'static str, i64); 12] {
+fn named(counters: Counters, unmatched: Unmatched) -> [(&'static str, i64); 12] {
     // A protocol's own counters have their tests beside it.
     let Counters { sent, unsent, answered, missed, late, duplicate, suspect, malformed, foreign, own: _ } =
         counters;
-    let Strangers { datagrams, dropped, errors } = strangers;
+    let Unmatched { datagrams, dropped, errors } = unmatched;
     [
         ("sent", sent),
         ("unsent", unsent),
@@ -224,7 +224,7 @@ fn every_counter_counts_its_own_cause_and_nothing_else() {
         let missed = provoked.drives.iter().map(|drive| drive.counters.missed + drive.counters.unsent);
         assert_eq!(provoked.status.missed, missed.sum::<u64>(), "{what}");
     }
-    for (name, _) in named(Counters::default(), Strangers::default()) {
+    for (name, _) in named(Counters::default(), Unmatched::default()) {
         assert!(CASES.iter().any(|case| case.counter == name), "no case is about {name}");
     }
 }

@@ -1,7 +1,7 @@
 //! An order ends as done only when the drive did it, whatever comes late: LinUDP has no sequence number, and a reply
 //! that comes once more, many cycles late and without a missed exchange, may look like the newest one in every way.
 
-use fieldbeat::axis::{EventKind, Failure, Outcome, Verb};
+use fieldbeat::axis::{Command, EventKind, Failure, Outcome};
 use fieldbeat::bus::linudp::wire::{ControlWord, ErrorCode, Response, ResponseDef};
 use fieldbeat::bus::linudp::{MonitorPlan, ReplyTag};
 use fieldbeat::time::{MS, US};
@@ -50,7 +50,7 @@ fn a_stop_in_mid_motion_is_not_lost_by_one_repeated_reply() {
             b.post(0, slowly_to(190.0));
             b.run(cycles as u64);
             repeat(&b, cycles);
-            let id = b.post(0, Verb::Stop { deceleration: None });
+            let id = b.post(0, Command::Stop { deceleration: None });
             let begun = demand(&b);
             assert_eq!(b.ended(0, id), Outcome::Done);
             assert!(!moves(&b), "{cycles} cycles late: done in mid-motion");
@@ -128,7 +128,8 @@ fn no_order_ends_early_or_is_lost_whenever_one_reply_is_repeated() {
                     assert!(!moves(&b), "{what}: done in mid-motion");
                 }
                 kind => {
-                    let verb = if kind == 3 { Verb::QuickStop } else { Verb::Stop { deceleration: None } };
+                    let verb =
+                        if kind == 3 { Command::QuickStop } else { Command::Stop { deceleration: None } };
                     b.post(0, slowly_to(far));
                     b.run(1 + random.u64(..50));
                     let (mut id, mut begun) = (None, 0.0);
@@ -175,7 +176,7 @@ fn a_quick_stop_of_a_drive_whose_parameters_force_that_bit_stops_it_by_a_ramp() 
     b.post(0, slowly_to(190.0));
     b.run(300);
     let begun = demand(&b);
-    b.done(0, Verb::QuickStop);
+    b.done(0, Command::QuickStop);
     assert!(!moves(&b) && demand(&b) < begun + 2.0, "from {begun} to {}", demand(&b));
     let held = ControlWord::ON;
     assert_eq!(b.tape(0).heard.last().unwrap().request.control, Some(held));

@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use fieldbeat::axis::command::NativeOwner;
 use fieldbeat::axis::{
-    Abort, AxisPlan, EventKind, Failure, Link, Outcome, Row, State, StopCause, StopThen, Verb,
+    Abort, AxisPlan, Command, EventKind, Failure, Link, Outcome, Row, State, StopCause, StopThen,
 };
 use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand};
 use fieldbeat::bus::linudp::wire::{
@@ -80,8 +80,14 @@ fn a_link_lost_in_mid_motion_latches_and_comes_back_by_the_application_only() {
     assert_eq!(b.stopped(0, 10), StopCause::LinkLost);
     assert_eq!(b.aborted(0, id), Abort::Stopped(StopCause::LinkLost));
     assert_eq!(b.feedback(0).link, Link::Lost);
-    for verb in [to(1.0), Verb::Home, Verb::Enable, jog(1.0), Verb::Follow, Verb::Stop { deceleration: None }]
-    {
+    for verb in [
+        to(1.0),
+        Command::Home,
+        Command::Enable,
+        jog(1.0),
+        Command::Follow,
+        Command::Stop { deceleration: None },
+    ] {
         assert_eq!(b.failed(0, verb), Failure::Latched(StopCause::LinkLost));
     }
     let age = b.feedback(0).age;
@@ -93,10 +99,10 @@ fn a_link_lost_in_mid_motion_latches_and_comes_back_by_the_application_only() {
     b.run(1_000);
     assert_eq!(b.feedback(0).stopped, Some(StopCause::LinkLost));
     assert!(!b.feedback(0).state.is_powered(), "nobody enables it but the application");
-    b.done(0, Verb::Reset);
+    b.done(0, Command::Reset);
     b.run(500);
     assert!(!b.feedback(0).state.is_powered());
-    b.done(0, Verb::Enable);
+    b.done(0, Command::Enable);
     b.done(0, to(5.0));
     assert_eq!(b.feedback(1).stopped, None);
     let links: Vec<_> = (b.kinds(0).into_iter())
@@ -122,7 +128,7 @@ fn a_link_lost_behind_a_power_off_switches_nothing_on_again() {
     let mut b = Rig::new(1).each(|_, drive| drive.axis.stop.then = StopThen::Hold).start();
     b.ready();
     b.tape(0).mute = true;
-    b.post(0, Verb::Disable);
+    b.post(0, Command::Disable);
     assert_eq!(b.stopped(0, 10), StopCause::LinkLost);
     b.run(1_000);
     b.tape(0).mute = false;
@@ -173,7 +179,9 @@ fn a_bucket_that_leaks_forgives_single_misses() {
 
 #[test]
 fn a_restart_in_mid_motion_is_noticed_and_nothing_is_enabled_by_itself() {
-    for verb in [Verb::Home, slowly_to(150.0), Verb::Follow, jog(20.0), Verb::Native(NativeOwner::Master)] {
+    for verb in
+        [Command::Home, slowly_to(150.0), Command::Follow, jog(20.0), Command::Native(NativeOwner::Master)]
+    {
         let mut b = Rig::new(1).start();
         b.ready();
         b.done(0, to(100.0));
@@ -254,7 +262,7 @@ fn a_broken_position_does_not_shift_those_that_follow() {
 fn a_restart_while_enabling_fails_the_enable() {
     let mut b = Rig::new(1).start();
     b.online();
-    let id = b.post(0, Verb::Enable);
+    let id = b.post(0, Command::Enable);
     b.run(100);
     assert_eq!(b.feedback(0).state, State::SwitchedOn);
     b.world().restart(address(0));
@@ -262,7 +270,7 @@ fn a_restart_while_enabling_fails_the_enable() {
     assert_eq!(b.outcome(0, id), Some(Outcome::Failed(Failure::Dropped(State::NotReadyToSwitchOn))));
     b.run(1_000);
     assert!(!b.feedback(0).state.is_powered());
-    b.done(0, Verb::Enable);
+    b.done(0, Command::Enable);
 }
 
 #[test]
@@ -274,11 +282,11 @@ fn a_restart_takes_the_control_word_back_even_if_the_axis_was_not_enabled() {
     b.stopped(0, 10);
     b.tape(0).mute = false;
     b.online().run(50);
-    b.done(0, Verb::Reset);
+    b.done(0, Command::Reset);
     b.world().restart(address(0));
     b.run(200);
     assert_eq!((b.feedback(0).stopped, b.feedback(0).state), (None, State::ReadyToSwitchOn));
-    b.done(0, Verb::Enable);
+    b.done(0, Command::Enable);
 }
 
 #[test]
@@ -324,7 +332,7 @@ fn a_fault_of_the_drive_latches_and_its_own_stop_is_never_cut_short() {
         assert!((20..=30).contains(&braking.len()), "{} cycles of braking", braking.len());
         assert!(braking.iter().all(|word| word.has(0xF)), "{braking:?}");
         assert!(b.kinds(0).contains(&EventKind::Fault(u32::from(code))));
-        for verb in [Verb::Enable, to(1.0)] {
+        for verb in [Command::Enable, to(1.0)] {
             assert_eq!(b.failed(0, verb), Failure::Latched(StopCause::DriveFault));
         }
         b.recover(0);
@@ -338,8 +346,8 @@ fn a_command_in_the_wrong_state_is_a_fault_of_the_drive_not_of_the_loop() {
     // Another master sends a motion command in the middle of a homing: error 0086h.
     let mut b = Rig::new(1).each(|_, drive| drive.simulate.start_position = 1_000_000).start();
     b.online();
-    b.done(0, Verb::Enable);
-    let home = b.post(0, Verb::Home);
+    b.done(0, Command::Enable);
+    let home = b.post(0, Command::Home);
     b.run(100);
     inject(
         &b,
@@ -539,12 +547,12 @@ fn a_task_gives_one_command_a_cycle_and_rows_that_are_checked() {
                     log.push(axes.command(7, to(20.0)));
                 }
                 2_000 => {
-                    log.lock().unwrap().push(axes.command(0, Verb::Follow));
+                    log.lock().unwrap().push(axes.command(0, Command::Follow));
                     axes.follow(0, row(position));
                 }
                 2_001..3_000 => axes.follow(0, row(position)),
                 3_000 => axes.follow(0, Row { last: true, ..row(position) }),
-                3_500 => log.lock().unwrap().push(axes.command(0, Verb::Follow)),
+                3_500 => log.lock().unwrap().push(axes.command(0, Command::Follow)),
                 3_501..3_600 => axes.follow(0, row(40.0)),
                 3_600 => axes.follow(0, row(f64::NAN)),
                 _ => {}
@@ -580,7 +588,7 @@ fn hold_and_reset_and_enable_after_a_stop_go_on_where_it_stands() {
     b.until("standstill", 200, |b| b.feedback(0).link == Link::Online && !b.feedback(0).moving);
     b.run(100);
     assert_eq!(b.feedback(0).state, State::OperationEnabled, "it holds");
-    b.done(0, Verb::Reset);
-    b.done(0, Verb::Enable);
+    b.done(0, Command::Reset);
+    b.done(0, Command::Enable);
     b.done(0, by(1.0));
 }

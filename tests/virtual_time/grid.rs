@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, Mutex};
 
-use fieldbeat::axis::{Outcome, Row, StopCause, Target, Verb};
+use fieldbeat::axis::{Command, Outcome, Row, StopCause, Target};
 use fieldbeat::bus::Cycle;
 use fieldbeat::bus::linudp::StreamCommand;
 use fieldbeat::cycle::{Guard, Overrun, Wait};
@@ -246,7 +246,7 @@ fn streamed_rows_are_never_jumped_over_when_slots_are_skipped() {
                 b.sim.axis(index).push_row(Row { last: n == ROWS, ..row(position) }).unwrap();
             }
             b.tape(index).heard.clear();
-            follows.push(b.post(index, Verb::Follow));
+            follows.push(b.post(index, Command::Follow));
         }
         for _ in 0..ROWS * divisor as i32 * 2 {
             if random.u8(..8) == 0 {
@@ -295,8 +295,8 @@ fn the_task_sees_this_cycle_and_its_orders_leave_with_the_next() {
         .start();
     b.until("standstill", 400, |b| (0..2).all(|i| b.feedback(i).stopped.is_some() && !b.feedback(i).moving));
     for index in 0..2 {
-        b.done(index, Verb::Reset);
-        b.done(index, Verb::Enable);
+        b.done(index, Command::Reset);
+        b.done(index, Command::Enable);
         b.tape(index).heard.clear();
     }
     b.run(K - b.feedback(0).cycle - 1);

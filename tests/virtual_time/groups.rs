@@ -1,7 +1,7 @@
 //! Groups: what takes effect for all members in one cycle's send, or for none; and what takes the whole group along.
 
 use fieldbeat::axis::{
-    Abort, EventKind, Failure, Group, GroupError, Health, Outcome, Row, StopCause, Target, Underrun, Verb,
+    Abort, Command, EventKind, Failure, Group, GroupError, Health, Outcome, Row, StopCause, Target, Underrun,
 };
 use fieldbeat::bus::linudp::LinUdpDrive;
 use fieldbeat::bus::linudp::wire::{ControlWord, MotionBlock};
@@ -50,7 +50,7 @@ fn a_verb_reaches_all_members_in_one_send_whatever_each_was_doing() {
     }
     // Members that are ready at different times begin together all the same: one has a longer way.
     let first = b.group().post(&[to(11.0), slowly_to(25.0), to(31.0)]).unwrap();
-    let second = b.group().post_all(Verb::Home).unwrap();
+    let second = b.group().post_all(Command::Home).unwrap();
     assert!(b.group_ended(&first).iter().all(|outcome| *outcome == Outcome::Done));
     assert!(b.group_ended(&second).iter().all(|outcome| *outcome == Outcome::Done));
     let begun: Vec<Time> = [2, 0, 3]
@@ -88,7 +88,7 @@ fn one_member_that_cannot_keeps_all_others_from_it() {
     b.group_done(&[to(100.0), to(100.0), to(100.0)]);
     let heard: Vec<usize> = (0..3).map(|index| b.tape(index).heard.len()).collect();
     // Refused in the loop: member 1 would leave its range. The others are told why they stay.
-    let command = b.group().post(&[Verb::Disable, Verb::Disable, Verb::Disable]).unwrap();
+    let command = b.group().post(&[Command::Disable, Command::Disable, Command::Disable]).unwrap();
     assert_eq!(b.group_ended(&command), [Outcome::Done; 3]);
     let command = b.group().post(&[to(10.0), to(10.0), to(10.0)]).unwrap();
     let outcomes = b.group_ended(&command);
@@ -97,7 +97,7 @@ fn one_member_that_cannot_keeps_all_others_from_it() {
         "{outcomes:?}"
     );
     // Member 1 alone is not in operation.
-    let on = b.group().post(&[Verb::Enable, Verb::Reset, Verb::Enable]).unwrap();
+    let on = b.group().post(&[Command::Enable, Command::Reset, Command::Enable]).unwrap();
     assert_eq!(b.group_ended(&on), [Outcome::Done; 3]);
     let command = b.group().post(&[to(10.0), to(10.0), to(10.0)]).unwrap();
     let outcomes = b.group_ended(&command);
@@ -288,7 +288,7 @@ fn a_member_that_is_stopped_takes_the_group_along_and_it_comes_back_together() {
         assert_eq!(b.outcome(index, command.ids()[index]), Some(Outcome::Aborted(Abort::Stopped(cause))));
     }
     b.run(1_000);
-    for verb in [Verb::ResetFault, Verb::Reset, Verb::Enable] {
+    for verb in [Command::ResetFault, Command::Reset, Command::Enable] {
         b.group_done(&[verb; 2]);
     }
     b.group_done(&[to(10.0), to(20.0)]);
@@ -298,10 +298,10 @@ fn a_member_that_is_stopped_takes_the_group_along_and_it_comes_back_together() {
 fn an_urgent_command_overtakes_what_waits_at_the_gate() {
     let mut b = joined(2, &[0, 1]);
     let moving = b.group().post(&[slowly_to(150.0), slowly_to(150.0)]).unwrap();
-    let homing = b.group().post_all(Verb::Home).unwrap();
+    let homing = b.group().post_all(Command::Home).unwrap();
     b.run(100);
     let from: Vec<usize> = (0..2).map(|index| b.tape(index).heard.len()).collect();
-    let stop = b.group().post_all(Verb::Stop { deceleration: None }).unwrap();
+    let stop = b.group().post_all(Command::Stop { deceleration: None }).unwrap();
     assert_eq!(b.group_ended(&stop), [Outcome::Done; 2]);
     for (command, index) in [(&moving, 0), (&moving, 1), (&homing, 0), (&homing, 1)] {
         let outcome = b.outcome(index, command.ids()[index]);
@@ -399,7 +399,7 @@ fn a_group_forgets_a_miss_after_so_many_rounds_without_one() {
 
 #[test]
 fn homing_is_a_motion_of_the_group_and_an_enable_is_none() {
-    for (verb, counts) in [(Verb::Home, true), (Verb::Enable, false)] {
+    for (verb, counts) in [(Command::Home, true), (Command::Enable, false)] {
         let mut b = joined(2, &[0, 1]);
         b.group().post_all(verb).unwrap();
         b.run(2);
@@ -533,7 +533,7 @@ fn the_task_reaches_a_member_in_motion_with_a_stop_only() {
     let mut b = rig(2)
         .task(|cycle, axes| match cycle.index {
             6_000..6_100 => assert!(axes.command(0, to(1.0)).is_err()),
-            6_100 => drop(axes.command(0, Verb::Stop { deceleration: None }).unwrap()),
+            6_100 => drop(axes.command(0, Command::Stop { deceleration: None }).unwrap()),
             _ => {}
         })
         .start();
@@ -556,8 +556,8 @@ fn a_stop_is_refused_to_no_member_because_of_another() {
     // Member 1 is lost and latched; member 0 was brought back by the task, alone, and moves.
     let mut b = rig(2)
         .task(|cycle, axes| match cycle.index {
-            9_000 => drop(axes.command(0, Verb::Reset)),
-            9_010 => drop(axes.command(0, Verb::Enable)),
+            9_000 => drop(axes.command(0, Command::Reset)),
+            9_010 => drop(axes.command(0, Command::Enable)),
             9_600 => drop(axes.command(0, slowly_to(150.0))),
             _ => {}
         })
@@ -568,7 +568,7 @@ fn a_stop_is_refused_to_no_member_because_of_another() {
     b.stopped(1, 50);
     b.until("the task moves member 0", 9_700, |b| b.status().planned > 9_650);
     assert!(b.feedback(0).moving);
-    let stop = b.group().post_all(Verb::QuickStop).unwrap();
+    let stop = b.group().post_all(Command::QuickStop).unwrap();
     assert_eq!(b.ended(0, stop.ids()[0]), Outcome::Done);
     assert_eq!(b.ended(1, stop.ids()[1]), Outcome::Failed(Failure::NotOnline));
     assert!(!b.feedback(0).moving);
@@ -578,7 +578,7 @@ fn a_stop_is_refused_to_no_member_because_of_another() {
 fn velocities_of_all_members_are_set_together_and_refused_together() {
     let mut b = joined(2, &[0, 1]);
     b.group_done(&[to(50.0), to(50.0)]);
-    let command = b.group().post_all(Verb::Velocity { acceleration: 2_000.0 }).unwrap();
+    let command = b.group().post_all(Command::Velocity { acceleration: 2_000.0 }).unwrap();
     for _ in 0..300 {
         b.group().set_velocities(&[20.0, 40.0]).unwrap();
         b.step();
@@ -586,7 +586,7 @@ fn velocities_of_all_members_are_set_together_and_refused_together() {
     assert_near(b.feedback(0).velocity, 20.0, 1.0);
     assert_near(b.feedback(1).velocity, 40.0, 1.0);
     assert!(b.group().set_velocities(&[1.0, 5_000.0]).is_err());
-    let mixed = b.group().post(&[Verb::Follow, Verb::Home]);
+    let mixed = b.group().post(&[Command::Follow, Command::Home]);
     assert_eq!(mixed, Err(GroupError::MixedFollow));
     b.run(12);
     assert!((0..2).all(|index| b.feedback(index).stopped.is_some()), "nobody sets them any more");

@@ -1,6 +1,6 @@
 //! Drives that another master has left in OP, and this one joins as they are, or does not.
 
-use fieldbeat::axis::{FoundRunning, Link, Outcome, StopCause, Verb};
+use fieldbeat::axis::{Command, FoundRunning, Link, Outcome, StopCause};
 use fieldbeat::bus::ethercat::cia402::Mode;
 use fieldbeat::bus::ethercat::object::pdo::Layout;
 use fieldbeat::bus::ethercat::object::{Family, Object};
@@ -103,7 +103,7 @@ fn a_drive_found_without_power_is_set_up_before_its_axis_hears_of_it() {
     first.online();
     let mut machine = take_over(first, &plan, FoundRunning::Stop);
     machine.online();
-    let id = machine.sim.axis(0).post(Verb::Enable).unwrap();
+    let id = machine.sim.axis(0).post(Command::Enable).unwrap();
     let mut lowest = AlState::Op;
     for _ in 0..3_000 {
         machine.run(1);

@@ -3,7 +3,7 @@
 
 use std::sync::{Arc, Mutex};
 
-use fieldbeat::axis::{Link, Verb};
+use fieldbeat::axis::{Command, Link};
 use fieldbeat::bus::Cycle;
 use fieldbeat::bus::ethercat::object::Family;
 use fieldbeat::bus::ethercat::sim::EthercatSim;
@@ -90,7 +90,7 @@ fn both_come_up_and_stay(drift_ppm: [f64; 2]) {
     }
     for index in 0..2 * DRIVES {
         assert!(pair.sim.run_until(500, |sim| sim.feedback(index).link == Link::Online));
-        pair.sim.run_verb(index, Verb::Enable, 2_000).unwrap().expect("it ends");
+        pair.sim.run_verb(index, Command::Enable, 2_000).unwrap().expect("it ends");
     }
     let mut worst = [0; 2];
     let end = pair.sim.world().now() + 5 * S;

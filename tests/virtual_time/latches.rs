@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use fieldbeat::axis::{Abort, CommandId, EventKind, Failure, Link, Outcome, StopCause, Verb};
+use fieldbeat::axis::{Abort, Command, CommandId, EventKind, Failure, Link, Outcome, StopCause};
 use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};
 use fieldbeat::bus::linudp::wire::{ErrorCode, Request};
 use fieldbeat::cycle::engine::Flow;
@@ -88,7 +88,7 @@ causes! {
             b.until("the first answer", 20, |b| b.feedback(0).link == Link::Qualifying);
             // The next one passes the quality gate; what is asked now waits for the end of that cycle.
             b.run(8);
-            b.post(0, Verb::Enable)
+            b.post(0, Command::Enable)
         },
         ..CASE
     },
@@ -102,7 +102,7 @@ causes! {
     StaleSetpoint => Case {
         lead: |b| {
             b.ready();
-            let id = b.post(0, Verb::Velocity { acceleration: 1_000.0 });
+            let id = b.post(0, Command::Velocity { acceleration: 1_000.0 });
             b.sim.axis(0).set_velocity(5.0).unwrap();
             b.run(5);
             id
@@ -177,14 +177,14 @@ causes! {
 }
 
 /// Asks axis 0, and its whole group where it has joined one.
-fn ask(b: &mut Bench, verb: Verb) -> CommandId {
+fn ask(b: &mut Bench, verb: Command) -> CommandId {
     match b.joined() {
         true => b.group().post_all(verb).unwrap_or_else(|error| panic!("{error}")).ids()[0],
         false => b.post(0, verb),
     }
 }
 
-fn failed(b: &mut Bench, verb: Verb) -> Failure {
+fn failed(b: &mut Bench, verb: Command) -> Failure {
     let id = ask(b, verb);
     match b.ended(0, id) {
         Outcome::Failed(failure) => failure,
@@ -192,7 +192,7 @@ fn failed(b: &mut Bench, verb: Verb) -> Failure {
     }
 }
 
-fn done(b: &mut Bench, verb: Verb) {
+fn done(b: &mut Bench, verb: Command) {
     let id = ask(b, verb);
     assert_eq!(b.ended(0, id), Outcome::Done, "{verb:?}");
 }
@@ -204,7 +204,7 @@ fn follow(b: &mut Bench, step: f64) -> CommandId {
         let position = 0.01 * f64::from(n) + if n == 49 { step } else { 0.0 };
         b.sim.axis(0).push_row(row(position)).unwrap();
     }
-    b.post(0, Verb::Follow)
+    b.post(0, Command::Follow)
 }
 
 fn try_cause(cause: StopCause, case: &Case) {
@@ -212,7 +212,7 @@ fn try_cause(cause: StopCause, case: &Case) {
         (case.rig)(Rig::new(3).each(|index, drive| drive.axis.stop.group = (index < 2).then_some(1))).start();
     let running = (case.lead)(&mut b);
     // Home waits for a motion, and a motion for Home.
-    let waiting = [Verb::Home, to(5.0)].map(|verb| ask(&mut b, verb));
+    let waiting = [Command::Home, to(5.0)].map(|verb| ask(&mut b, verb));
     assert!((0..3).all(|index| b.feedback(index).stopped.is_none()), "{cause}: alone");
     let before = b.events.len();
     (case.strike)(&mut b);
@@ -261,7 +261,7 @@ fn try_cause(cause: StopCause, case: &Case) {
 
 /// No motion is taken, and no other cause takes the place of the first one.
 fn assert_holds(b: &mut Bench, cause: StopCause) {
-    for verb in [Verb::Enable, Verb::Home, to(5.0), jog(5.0), Verb::Follow] {
+    for verb in [Command::Enable, Command::Home, to(5.0), jog(5.0), Command::Follow] {
         assert_eq!(failed(b, verb), Failure::Latched(cause), "{cause}: {verb:?}");
     }
     b.tape(0).mute = true;
@@ -278,21 +278,21 @@ fn assert_holds(b: &mut Bench, cause: StopCause) {
 
 /// Only reset opens it, and only enable after that lets it move.
 fn assert_opens(b: &mut Bench, cause: StopCause) {
-    done(b, Verb::ResetFault);
+    done(b, Command::ResetFault);
     assert_eq!(failed(b, to(5.0)), Failure::Latched(cause));
-    done(b, Verb::Reset);
+    done(b, Command::Reset);
     assert_eq!(b.feedback(0).stopped, None, "{cause}");
-    let failure = failed(b, Verb::Home);
+    let failure = failed(b, Command::Home);
     assert!(matches!(failure, Failure::WrongState(_) | Failure::NotEnabled), "{cause}: {failure}");
-    done(b, Verb::Enable);
-    done(b, Verb::Home);
+    done(b, Command::Enable);
+    done(b, Command::Home);
     done(b, to(5.0));
     assert_eq!(b.feedback(0).stopped, None, "{cause}");
 }
 
 /// The end of the master: nothing is taken any more.
 fn assert_ends(mut b: Bench, cause: StopCause) {
-    let asked = [Verb::Reset, Verb::Enable, to(5.0)].map(|verb| b.post(0, verb));
+    let asked = [Command::Reset, Command::Enable, to(5.0)].map(|verb| b.post(0, verb));
     let ended = (0..1_000).any(|_| b.step() == Flow::End);
     assert!(ended, "{cause}");
     for id in asked {

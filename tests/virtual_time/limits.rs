@@ -1,18 +1,18 @@
 //! How far and how fast: limits at the door and in the loop, jogs on their leash, turning and inverted axes.
 
-use fieldbeat::axis::{Abort, Failure, Jog, Move, Outcome, Profile, Row, Target, Unit, Units, Verb};
+use fieldbeat::axis::{Abort, Command, Failure, Jog, Move, Outcome, Profile, Row, Target, Unit, Units};
 use fieldbeat::bus::linudp::SimPlan;
 
 use crate::virtual_time::support::*;
 
-const STOP: Verb = Verb::Stop { deceleration: None };
+const STOP: Command = Command::Stop { deceleration: None };
 
 #[test]
 fn numbers_that_are_none_and_those_beyond_the_limits_are_refused_at_the_door() {
     let mut b = Rig::new(1).start();
     b.ready();
     let before = b.tape(0).heard.len();
-    let refused = |b: &mut Bench, verb: Verb| b.sim.axis(0).post(verb).expect_err("refused").to_string();
+    let refused = |b: &mut Bench, verb: Command| b.sim.axis(0).post(verb).expect_err("refused").to_string();
     for value in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
         for verb in [
             to(value),
@@ -20,8 +20,8 @@ fn numbers_that_are_none_and_those_beyond_the_limits_are_refused_at_the_door() {
             with(Target::Absolute(10.0), value, 1_000.0),
             with(Target::Absolute(10.0), 10.0, value),
             jog(value),
-            Verb::Jog(Jog { velocity: 1.0, acceleration: value }),
-            Verb::Stop { deceleration: Some(value) },
+            Command::Jog(Jog { velocity: 1.0, acceleration: value }),
+            Command::Stop { deceleration: Some(value) },
         ] {
             let told = refused(&mut b, verb);
             assert!(told.contains("finite"), "{verb:?}: {told}");
@@ -44,14 +44,14 @@ fn numbers_that_are_none_and_those_beyond_the_limits_are_refused_at_the_door() {
         with(in_range, 10.0, 20_001.0),
         with(in_range, 0.0, 10.0),
         with(in_range, -1.0, 10.0),
-        Verb::Move(Move { target: in_range, profile: Profile { deceleration: 0.0, ..slow } }),
-        Verb::Move(Move { target: in_range, profile: Profile { deceleration: 20_001.0, ..slow } }),
+        Command::Move(Move { target: in_range, profile: Profile { deceleration: 0.0, ..slow } }),
+        Command::Move(Move { target: in_range, profile: Profile { deceleration: 20_001.0, ..slow } }),
         jog(1_001.0),
         jog(-1_001.0),
-        Verb::Jog(Jog { velocity: 1.0, acceleration: 0.0 }),
-        Verb::Jog(Jog { velocity: 1.0, acceleration: 20_001.0 }),
-        Verb::Stop { deceleration: Some(0.0) },
-        Verb::Stop { deceleration: Some(-5.0) },
+        Command::Jog(Jog { velocity: 1.0, acceleration: 0.0 }),
+        Command::Jog(Jog { velocity: 1.0, acceleration: 20_001.0 }),
+        Command::Stop { deceleration: Some(0.0) },
+        Command::Stop { deceleration: Some(-5.0) },
     ] {
         let told = refused(&mut b, verb);
         let named = told.contains("outside its limit") || told.contains("must be above 0");
@@ -205,11 +205,11 @@ fn an_axis_in_motion_brakes_before_its_limit_whatever_replaces_its_motion() {
     let weak = 500.0;
     let slow = Profile { velocity: 10.0, acceleration: weak, deceleration: weak };
     for replacement in [
-        Verb::Stop { deceleration: Some(weak) },
-        Verb::Move(Move { target: Target::Absolute(100.0), profile: slow }),
-        Verb::Move(Move { target: Target::Absolute(199.0), profile: slow }),
-        Verb::Jog(Jog { velocity: -20.0, acceleration: weak }),
-        Verb::Jog(Jog { velocity: 20.0, acceleration: weak }),
+        Command::Stop { deceleration: Some(weak) },
+        Command::Move(Move { target: Target::Absolute(100.0), profile: slow }),
+        Command::Move(Move { target: Target::Absolute(199.0), profile: slow }),
+        Command::Jog(Jog { velocity: -20.0, acceleration: weak }),
+        Command::Jog(Jog { velocity: 20.0, acceleration: weak }),
     ] {
         let mut b = Rig::new(1).start();
         b.ready();
@@ -234,7 +234,7 @@ fn a_motion_that_cannot_start_leaves_no_other_running_behind_its_back() {
     assert!(matches!(b.failed(0, by(500.0)), Failure::Limit { .. }));
     assert!(b.feedback(0).moving && b.outcome(0, id).is_none());
     // Refused by the station, when the move before it has ended as replaced: the axis stops.
-    let beyond = b.post(0, Verb::Jog(Jog { velocity: 900.0, acceleration: 100.0 }));
+    let beyond = b.post(0, Command::Jog(Jog { velocity: 900.0, acceleration: 100.0 }));
     assert_eq!(b.aborted(0, id), Abort::Replaced(beyond));
     assert!(matches!(b.ended(0, beyond), Outcome::Failed(Failure::Limit { .. })));
     b.until("standstill", 100, |b| !b.feedback(0).moving);
@@ -303,7 +303,7 @@ fn a_rotary_axis_turns_on_over_the_end_of_its_counts() {
     assert_eq!(b.outcome(0, id), None);
     assert_near(b.feedback(0).velocity, 100.0, 3.0);
     assert!(wire(&b) < 0, "past the end");
-    b.done(0, Verb::Stop { deceleration: None });
+    b.done(0, Command::Stop { deceleration: None });
     b.done(0, to(home));
     // In a stream, too; here it is a whole number of turns from the home position.
     let from = b.feedback(0).demand;
@@ -312,7 +312,7 @@ fn a_rotary_axis_turns_on_over_the_end_of_its_counts() {
         let position = (from + f64::from(n) * 0.08).rem_euclid(20.0);
         b.sim.axis(0).push_row(Row { velocity: 80.0, last: n == 600, ..row(position) }).unwrap();
     }
-    b.done(0, Verb::Follow);
+    b.done(0, Command::Follow);
     assert_eq!(wire(&b), before.wrapping_add(480_000));
     // Farther than half of all counts there is no shorter way.
     let far = b.failed(0, by(300_000.0));
@@ -344,12 +344,12 @@ fn an_inverted_axis_moves_the_other_way() {
 fn an_axis_with_position_limits_moves_only_when_it_is_homed() {
     let mut b = Rig::new(1).start();
     b.online();
-    b.done(0, Verb::Enable);
-    for verb in [to(10.0), jog(5.0), Verb::Follow] {
+    b.done(0, Command::Enable);
+    for verb in [to(10.0), jog(5.0), Command::Follow] {
         assert_eq!(b.failed(0, verb), Failure::NotHomed);
     }
     assert_eq!(b.feedback(0).fault, 0, "nothing of it reached the drive");
-    b.done(0, Verb::Home);
+    b.done(0, Command::Home);
     b.done(0, to(10.0));
 }
 

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use fieldbeat::axis::{
-    Abort, EventKind, Failure, HeldBy, Load, Outcome, State, StopCause, StopThen, StopTimeout, Verb,
+    Abort, Command, EventKind, Failure, HeldBy, Load, Outcome, State, StopCause, StopThen, StopTimeout,
 };
 use fieldbeat::bus::linudp::wire::ControlWord;
 use fieldbeat::time::MS;
@@ -74,11 +74,11 @@ fn the_application_cannot_drop_a_load_in_motion() {
         b.ready();
         b.post(0, slowly_to(150.0));
         b.run(200);
-        assert_eq!(b.failed(0, Verb::Disable), Failure::LoadInMotion);
+        assert_eq!(b.failed(0, Command::Disable), Failure::LoadInMotion);
         assert!(b.feedback(0).moving, "refused, it has replaced nothing");
-        b.done(0, Verb::Stop { deceleration: None });
+        b.done(0, Command::Stop { deceleration: None });
         // At standstill it is the application's to decide: the load may be on its block.
-        b.done(0, Verb::Disable);
+        b.done(0, Command::Disable);
         assert_never_dropped(&b);
     }
 }
@@ -96,15 +96,15 @@ fn the_hardware_enable_is_seen_as_a_state_and_a_stop_of_its_own_name() {
     assert!(b.feedback(0).inhibited && !b.feedback(0).state.is_powered());
     assert_eq!(b.outcome(0, id), Some(Outcome::Aborted(Abort::Stopped(StopCause::HardwareEnable))));
     b.run(50);
-    b.done(0, Verb::Reset);
-    assert_eq!(b.failed(0, Verb::Enable), Failure::Inhibited, "named before anything is tried");
+    b.done(0, Command::Reset);
+    assert_eq!(b.failed(0, Command::Enable), Failure::Inhibited, "named before anything is tried");
     b.until("the hardware enable is back", 400, |b| !b.feedback(0).inhibited);
     b.run(100);
     assert!(!b.feedback(0).state.is_powered(), "and nothing comes on by itself");
     let told: Vec<EventKind> =
         b.kinds(0).into_iter().filter(|kind| matches!(kind, EventKind::HardwareEnable(_))).collect();
     assert_eq!(told, [EventKind::HardwareEnable(false), EventKind::HardwareEnable(true)]);
-    b.done(0, Verb::Enable);
+    b.done(0, Command::Enable);
     b.done(0, to(20.0));
 }
 
@@ -116,12 +116,12 @@ fn an_enable_without_the_hardware_enable_fails_at_once_and_powers_nothing_on_lat
     b.run(50);
     // The drive shows the control word of whoever wrote last: before anything is written, its bit says nothing.
     assert!(!b.feedback(0).inhibited);
-    let id = b.post(0, Verb::Enable);
+    let id = b.post(0, Command::Enable);
     b.until("the end of the enable", 20, |b| b.outcome(0, id).is_some());
     assert_eq!(b.outcome(0, id), Some(Outcome::Failed(Failure::Inhibited)));
     b.run(3_000);
     assert!(!b.feedback(0).inhibited && !b.feedback(0).state.is_powered());
-    b.done(0, Verb::Enable);
+    b.done(0, Command::Enable);
 }
 
 #[test]
@@ -138,8 +138,8 @@ fn a_status_that_lags_behind_the_control_word_is_no_missing_hardware_enable() {
         b.online();
         let what = format!("{lag_ms} ms, {inhibit_after_ms} ms");
         match enabled {
-            true => b.done(0, Verb::Enable),
-            false => assert_eq!(b.failed(0, Verb::Enable), Failure::Inhibited, "{what}"),
+            true => b.done(0, Command::Enable),
+            false => assert_eq!(b.failed(0, Command::Enable), Failure::Inhibited, "{what}"),
         }
         let told = b.kinds(0).into_iter().any(|kind| matches!(kind, EventKind::HardwareEnable(_)));
         assert_eq!(told, !enabled, "{what}");

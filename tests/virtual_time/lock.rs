@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex};
 use fieldbeat::axis::acyclic::{AcyclicEnds, Notation};
 use fieldbeat::axis::{AxisPlan, Link, MonitorChannel, PlanFault};
 use fieldbeat::bus::linudp::LinUdpPlan;
-use fieldbeat::bus::{Bus, BusPlan, Cycle, OpenError, Slot, Strangers};
+use fieldbeat::bus::{Bus, BusPlan, Cycle, OpenError, Slot, Unmatched};
 use fieldbeat::cycle::status::ReferenceStatus;
 use fieldbeat::cycle::{CyclePlan, Overrun, Plan};
 use fieldbeat::master::{Master, MasterError};
@@ -179,8 +179,8 @@ impl Bus for ClockBus {
         true
     }
 
-    fn strangers(&self) -> Strangers {
-        Strangers::default()
+    fn unmatched(&self) -> Unmatched {
+        Unmatched::default()
     }
 
     fn native(&mut self, _: usize) -> Option<Box<dyn Any + Send>> {

@@ -4,7 +4,7 @@ use fieldbeat::axis::command::NativeOwner;
 
 use super::oracle::holds;
 use super::oracle::machine::{Kind, Shape};
-use super::oracle::steps::Command::{
+use super::oracle::steps::Choice::{
     By, Disable, Home, Jog, Native, Stop, StopAt, To, Torque, TorqueAlong, Velocity,
 };
 use super::oracle::steps::Op::{Burst, Late, Level, Overload, Post, RepeatReply, RepeatRequest, Write};

@@ -4,7 +4,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
 
-use fieldbeat::axis::{Axis, EventKind, Link, Outcome, StopCause, Verb};
+use fieldbeat::axis::{Axis, Command, EventKind, Link, Outcome, StopCause};
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::linudp::LinUdpPlan;
 use fieldbeat::cycle::engine::{Control, Engine, Flow};
@@ -106,7 +106,7 @@ impl Machine {
     fn moving() -> Machine {
         let mut machine = Machine::new();
         machine.until("online", |axes| axes.iter().all(|axis| axis.feedback().link == Link::Online));
-        for verb in [Verb::Enable, Verb::Home] {
+        for verb in [Command::Enable, Command::Home] {
             for axis in 0..2 {
                 let id = machine.axes[axis].post(verb).unwrap();
                 let mut outcome = None;
@@ -194,7 +194,7 @@ fn a_panic_in_any_call_of_a_bus_stops_the_axes_of_all_buses_in_order() {
         (Call::Receive, "in stage receive, bus bus0"),
         (Call::HelperEnded, "in stage evaluate"),
         (Call::Prepare, "in stage prepare, bus bus0"),
-        (Call::Strangers, "in stage publish"),
+        (Call::Unmatched, "in stage publish"),
     ] {
         let machine = Machine::moving();
         machine.buses[0].light(call, 1);

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use fieldbeat::axis::{EventKind, Outcome, StopCause, StopThen, StopTimeout, Verb};
+use fieldbeat::axis::{Command, EventKind, Outcome, StopCause, StopThen, StopTimeout};
 use fieldbeat::bus::linudp::wire::{ControlWord, REQUEST_MAX, Request, StateVar};
 use fieldbeat::cycle::Overrun;
 use fieldbeat::time::{MS, US};
@@ -41,7 +41,7 @@ fn a_motion_that_an_old_request_starts_after_a_stop_is_stopped() {
     b.run(50);
     // Older than 250 exchanges it would be another master's.
     let old = last_motion(&b);
-    b.done(0, Verb::Stop { deceleration: None });
+    b.done(0, Command::Stop { deceleration: None });
     b.run(100);
     let stood = b.feedback(0).demand;
     assert!(stood < 20.0 && stops(&b).is_empty(), "{stood}");
@@ -80,9 +80,11 @@ fn an_axis_that_holds_after_a_stop_is_watched_and_stopped_again_as_often_as_it_m
 
 #[test]
 fn what_was_commanded_is_no_motion_without_a_command() {
-    for verb in
-        [Verb::Stop { deceleration: None }, Verb::QuickStop, Verb::Stop { deceleration: Some(3_000.0) }]
-    {
+    for verb in [
+        Command::Stop { deceleration: None },
+        Command::QuickStop,
+        Command::Stop { deceleration: Some(3_000.0) },
+    ] {
         let mut b = Rig::new(1).start();
         b.ready();
         // Fast, and with all that an end can leave behind.
@@ -96,7 +98,7 @@ fn what_was_commanded_is_no_motion_without_a_command() {
         b.post(0, jog(50.0));
         b.run(100);
         b.done(0, verb);
-        b.done(0, Verb::Home);
+        b.done(0, Command::Home);
         b.run(1_000);
         assert_eq!(stops(&b), [], "{verb:?}");
     }
@@ -109,7 +111,7 @@ fn a_stop_ends_within_its_time_out_however_weak_it_was_requested() {
     b.ready();
     b.post(0, jog(80.0));
     b.run(300);
-    let id = b.post(0, Verb::Stop { deceleration: Some(1e-9) });
+    let id = b.post(0, Command::Stop { deceleration: Some(1e-9) });
     b.run(2_000);
     assert_eq!((b.outcome(0, id), stops(&b)), (Some(Outcome::Done), vec![]));
     assert!(!b.feedback(0).moving);
@@ -129,7 +131,7 @@ fn a_stop_that_the_drive_does_not_follow_escalates_to_quick_stop_and_power_off()
         b.ready();
         b.post(0, jog(80.0));
         b.run(100);
-        let id = b.post(0, Verb::Stop { deceleration: None });
+        let id = b.post(0, Command::Stop { deceleration: None });
         b.tape(0).tamper = Some(Box::new(|reply| {
             // Motion active, in the state var behind the definitions and the status word.
             let at = 8 + 2;

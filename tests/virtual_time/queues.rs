@@ -1,6 +1,6 @@
 //! What the loop hands out: samples, events, observers; and that nothing is lost without being counted.
 
-use fieldbeat::axis::{EventKind, Outcome, Verb};
+use fieldbeat::axis::{Command, EventKind, Outcome};
 
 use crate::virtual_time::support::*;
 
@@ -45,7 +45,7 @@ fn samples_that_find_no_room_are_counted() {
 fn a_thousand_setpoints_between_two_cycles_come_to_the_last_one() {
     let mut b = Rig::new(1).start();
     b.ready();
-    b.post(0, Verb::Velocity { acceleration: 10_000.0 });
+    b.post(0, Command::Velocity { acceleration: 10_000.0 });
     for last in [10.0, 0.0, -5.0, 0.0] {
         for _ in 0..100 {
             (0..1_000).for_each(|n| b.sim.axis(0).set_velocity(f64::from(n)).unwrap());
@@ -63,7 +63,7 @@ fn each_accepted_command_ends_exactly_once_however_late_its_end_is_taken() {
     b.ready();
     let mut posted = Vec::new();
     for round in 0..300 {
-        let verb = if round % 3 == 2 { Verb::Stop { deceleration: None } } else { by(0.01) };
+        let verb = if round % 3 == 2 { Command::Stop { deceleration: None } } else { by(0.01) };
         while let Ok(id) = b.sim.axis(0).post(verb) {
             posted.push(id);
             if verb.is_urgent() {
@@ -97,7 +97,7 @@ fn events_that_find_no_room_are_counted() {
     }
     let told = b.sim.status().lost_events;
     for _ in 0..40 {
-        b.sim.axis(0).post(Verb::Enable).unwrap();
+        b.sim.axis(0).post(Command::Enable).unwrap();
     }
     for _ in 0..5_000 {
         b.sim.step();

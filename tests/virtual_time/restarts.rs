@@ -5,8 +5,8 @@ use std::time::Duration;
 
 use fieldbeat::axis::command::NativeOwner;
 use fieldbeat::axis::{
-    Abort, CommandId, EventKind, Failure, FoundRunning, Link, Outcome, State, StopCause, StopHow, StopThen,
-    Target, Underrun, Verb,
+    Abort, Command, CommandId, EventKind, Failure, FoundRunning, Link, Outcome, State, StopCause, StopHow,
+    StopThen, Target, Underrun,
 };
 use fieldbeat::bus::linudp::LinUdpDrive;
 use fieldbeat::bus::linudp::wire::{ControlWord, ErrorCode, MainState};
@@ -82,7 +82,7 @@ const CASES: [Case; 23] = [
         name: "enabling",
         lead: |b| {
             b.online();
-            let id = b.post(0, Verb::Enable);
+            let id = b.post(0, Command::Enable);
             b.step();
             Some(id)
         },
@@ -103,7 +103,7 @@ const CASES: [Case; 23] = [
         name: "homing",
         lead: |b| {
             b.ready().done(0, to(50.0));
-            Some(b.post(0, Verb::Home))
+            Some(b.post(0, Command::Home))
         },
         ..MOVING
     },
@@ -146,7 +146,7 @@ const CASES: [Case; 23] = [
         name: "native, the master keeps the control word",
         lead: |b| {
             b.ready();
-            Some(b.post(0, Verb::Native(NativeOwner::Master)))
+            Some(b.post(0, Command::Native(NativeOwner::Master)))
         },
         ..MOVING
     },
@@ -154,7 +154,7 @@ const CASES: [Case; 23] = [
         name: "native, the application owns the control word",
         lead: |b| {
             b.ready();
-            Some(b.post(0, Verb::Native(NativeOwner::Application)))
+            Some(b.post(0, Command::Native(NativeOwner::Application)))
         },
         ..MOVING
     },
@@ -207,7 +207,7 @@ const CASES: [Case; 23] = [
         plan: |drive| weak_ramp(drive, 200.0),
         lead: |b| {
             stop(b, 100.0);
-            Some(b.post(0, Verb::Reset))
+            Some(b.post(0, Command::Reset))
         },
         ends: Some(Outcome::Done),
         stopped: None,
@@ -220,7 +220,7 @@ const CASES: [Case; 23] = [
             b.tape(0).provoke = Some(ErrorCode(0x03));
             b.stopped(0, 10);
             b.run(20);
-            Some(b.post(0, Verb::ResetFault))
+            Some(b.post(0, Command::ResetFault))
         },
         lasts: 4,
         ends: Some(Outcome::Done),
@@ -290,7 +290,7 @@ fn stream(b: &mut Bench, rows: u32) -> Option<CommandId> {
     for n in 0..rows {
         b.sim.axis(0).push_row(row(f64::from(n) * 0.01)).unwrap();
     }
-    Some(b.post(0, Verb::Follow))
+    Some(b.post(0, Command::Follow))
 }
 
 /// In a motion of this speed when the other axis of the group fails.
@@ -383,19 +383,19 @@ fn try_case(case: &Case, divisor: u32, after: u64, blow: Blow) {
 
     // The way back, step by step, and no other.
     if let Some(cause) = case.stopped {
-        for verb in [Verb::Enable, Verb::Home, to(10.0)] {
+        for verb in [Command::Enable, Command::Home, to(10.0)] {
             assert_eq!(b.failed(0, verb), Failure::Latched(cause), "{what}");
         }
-        b.done(0, Verb::Reset);
+        b.done(0, Command::Reset);
     }
     b.run(400);
     assert_lies_still(&b, &what);
-    b.done(0, Verb::Enable);
+    b.done(0, Command::Enable);
     assert_eq!(b.failed(0, to(10.0)), Failure::NotHomed, "{what}");
-    b.done(0, Verb::Home);
+    b.done(0, Command::Home);
     b.done(0, to(10.0));
     assert!(b.feedback(0).homed && b.feedback(0).stopped.is_none(), "{what}");
-    let last = b.post(0, Verb::Reset);
+    let last = b.post(0, Command::Reset);
     b.ended(0, last);
     let ends = b.ends.keys().filter(|(axis, _)| *axis == 0).count() as u64;
     assert_eq!(ends, last.0, "{what}: not every command has ended");

@@ -6,7 +6,7 @@ use std::ops::ControlFlow;
 use std::time::Duration;
 
 use fieldbeat::axis::acyclic::{Answer, Call, CallError, Carrier, Condition, Series};
-use fieldbeat::axis::{Health, Link, State, StopCause, Verb};
+use fieldbeat::axis::{Command, Health, Link, State, StopCause};
 use fieldbeat::bus::linudp::FlashMode;
 use fieldbeat::bus::linudp::curve::{Curve, CurveKind, Dimension};
 use fieldbeat::bus::linudp::motion::{EntryId, MotionCommand, Position, WaitTime};
@@ -338,7 +338,7 @@ fn flash_is_saved_through_a_silence_that_loses_the_link_and_what_was_saved_outli
 fn the_silence_that_a_drive_was_asked_for_stops_nobody_else() {
     let mut b = Rig::new(2).each(|_, drive| drive.axis.stop.group = Some(0)).start();
     b.ready();
-    b.done(0, Verb::Disable);
+    b.done(0, Command::Disable);
     b.done(1, to(10.0));
     let motion = b.post(1, slowly_to(190.0));
     let turning = Turning::new(&mut b, 0);
@@ -353,7 +353,7 @@ fn the_silence_that_a_drive_was_asked_for_stops_nobody_else() {
     assert_eq!(b.feedback(1).stopped, None, "it is latched already, and off");
     b.world().plug(address(0));
     b.until("it is back", 2_000, |b| b.feedback(0).link == Link::Online);
-    b.done(0, Verb::Reset);
+    b.done(0, Command::Reset);
     b.world().unplug(address(0));
     b.stopped(1, 100);
 }
@@ -394,7 +394,7 @@ fn an_axis_moves_on_while_a_transfer_runs() {
     drop(turning);
     assert!(b.feedback(0).moving && b.feedback(0).stopped.is_none());
     assert_eq!(b.outcome(0, motion), None);
-    b.done(0, Verb::Stop { deceleration: None });
+    b.done(0, Command::Stop { deceleration: None });
 }
 
 /// A carrier some of whose calls fail: never sent, or done and their answers lost.

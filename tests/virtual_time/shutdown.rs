@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use fieldbeat::axis::{
-    Abort, Failure, FoundRunning, Link, Outcome, State, StopCause, StopHow, StopThen, Target, Verb,
+    Abort, Command, Failure, FoundRunning, Link, Outcome, State, StopCause, StopHow, StopThen, Target,
 };
 use fieldbeat::bus::linudp::LinUdpPlan;
 use fieldbeat::bus::linudp::wire::{ControlWord, ErrorCode, MainState, StatusWord};
@@ -56,23 +56,23 @@ fn from_every_state_each_axis_ends_powered_off() {
     let cases: [(&str, u64, Prepare); 12] = [
         ("never enabled", 2, |_| {}),
         ("enabling", 400, |b| {
-            b.post(0, Verb::Enable);
+            b.post(0, Command::Enable);
             b.run(100);
         }),
-        ("enabled", 30, |b| b.done(0, Verb::Enable)),
+        ("enabled", 30, |b| b.done(0, Command::Enable)),
         ("disabled again", 30, |b| {
-            b.done(0, Verb::Enable);
-            b.done(0, Verb::Disable);
+            b.done(0, Command::Enable);
+            b.done(0, Command::Disable);
         }),
         ("homing", 150, |b| {
-            b.done(0, Verb::Enable);
-            b.post(0, Verb::Home);
+            b.done(0, Command::Enable);
+            b.post(0, Command::Home);
             b.run(50);
         }),
         ("moving, with more in the queue", 80, |b| {
             b.ready();
             b.post(0, with(Target::Absolute(190.0), 200.0, 5_000.0));
-            b.post(0, Verb::Home);
+            b.post(0, Command::Home);
             b.post(0, to(20.0));
             b.run(100);
         }),
@@ -84,7 +84,7 @@ fn from_every_state_each_axis_ends_powered_off() {
         ("streaming", 50, |b| {
             b.ready();
             (0..500).for_each(|n| b.sim.axis(0).push_row(row(f64::from(n) * 0.02)).unwrap());
-            b.post(0, Verb::Follow);
+            b.post(0, Command::Follow);
             b.run(200);
         }),
         ("in fault", 10, |b| {
@@ -124,7 +124,7 @@ fn from_every_state_each_axis_ends_powered_off() {
                     .start();
                 b.online();
                 prepare(&mut b);
-                let last = b.post(0, Verb::Home).0;
+                let last = b.post(0, Command::Home).0;
                 let took = b.shut_down(5_000);
                 assert!(took <= *most, "{name}, {how:?}, {then:?}: {took} cycles");
                 assert!(
@@ -168,7 +168,7 @@ fn the_last_word_is_power_off_even_to_a_drive_that_is_off_already() {
         }),
         (FoundRunning::Refuse, |b| {
             b.online();
-            b.done(0, Verb::QuickStop);
+            b.done(0, Command::QuickStop);
         }),
     ];
     for (found, prepare) in cases {
@@ -195,8 +195,8 @@ fn an_unseen_drive_does_not_delay_the_end() {
     let mut b = Rig::new(2).start();
     b.world().unplug(address(0));
     b.run(100);
-    b.done(1, Verb::Enable);
-    let id = b.post(0, Verb::Enable);
+    b.done(1, Command::Enable);
+    let id = b.post(0, Command::Enable);
     assert!(b.shut_down(100) <= 30);
     assert_eq!(b.outcome(0, id), Some(Outcome::Aborted(Abort::Stopped(StopCause::Shutdown))));
     assert!(is_off(&b, 1));
@@ -281,7 +281,7 @@ fn nothing_new_begins_once_the_end_was_asked_for() {
     let mut ended = false;
     for _ in 0..5_000 {
         // Out of the latch and on: not any more.
-        for verb in [Verb::Reset, Verb::Enable, to(10.0), Verb::ResetFault] {
+        for verb in [Command::Reset, Command::Enable, to(10.0), Command::ResetFault] {
             last = b.post(0, verb).0;
         }
         if b.step() == Flow::End {
@@ -308,7 +308,7 @@ fn the_task_is_not_called_once_the_end_was_asked_for() {
     let mut b = Rig::new(1)
         .task(move |cycle, axes| {
             count.fetch_add(1, Ordering::Relaxed);
-            let verb = if cycle.index % 2 == 0 { Verb::Reset } else { Verb::Enable };
+            let verb = if cycle.index % 2 == 0 { Command::Reset } else { Command::Enable };
             let _ = axes.command(0, verb);
         })
         .start();
@@ -327,7 +327,7 @@ fn the_status_counts_the_axes_in_operation() {
     let counts = |b: &Bench| (b.status().online, b.status().operational);
     assert_eq!(counts(&b), (3, 0));
     for index in 0..2 {
-        b.done(index, Verb::Enable);
+        b.done(index, Command::Enable);
     }
     assert_eq!(counts(&b), (3, 2));
     b.shut_down(1_000);

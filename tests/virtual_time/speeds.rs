@@ -2,7 +2,7 @@
 
 use std::sync::atomic::Ordering;
 
-use fieldbeat::axis::{Failure, Group, Link, Move, Outcome, StopCause, Target, Verb};
+use fieldbeat::axis::{Command, Failure, Group, Link, Move, Outcome, StopCause, Target};
 use fieldbeat::bus::linudp::LinUdpPlan;
 use fieldbeat::cycle::engine::Control;
 use fieldbeat::cycle::{CyclePlan, Plan};
@@ -40,7 +40,7 @@ fn machine(speeds: &Speeds) -> Simulation {
     let online = |machine: &Simulation| (0..count).all(|index| machine.feedback(index).link == Link::Online);
     assert!(machine.run_until(1_000, online));
     for index in 0..count {
-        for verb in [Verb::Enable, Verb::Home] {
+        for verb in [Command::Enable, Command::Home] {
             assert_eq!(machine.run_verb(index, verb, 30_000), Ok(Some(Outcome::Done)));
         }
     }
@@ -53,7 +53,7 @@ fn velocities_are_taken_and_positions_are_refused_by_name() {
     let refused =
         Outcome::Failed(Failure::Unsupported("it reports no position, so it takes neither moves nor rows"));
     machine.axis(0).push_row(row(0.0)).unwrap();
-    for verb in [to(10.0), by(1.0), Verb::Follow] {
+    for verb in [to(10.0), by(1.0), Command::Follow] {
         assert_eq!(machine.run_verb(0, verb, 100), Ok(Some(refused)), "{verb:?}");
     }
     let jogging = machine.axis(0).post(jog(80.0)).unwrap();
@@ -66,7 +66,7 @@ fn velocities_are_taken_and_positions_are_refused_by_name() {
     assert_eq!(machine.run_verb(0, to(10.0), 100), Ok(Some(refused)));
     assert_near(machine.feedback(0).velocity, 80.0, 1.0);
     assert_eq!(machine.run_command(0, jogging, 10), None);
-    assert_eq!(machine.run_verb(0, Verb::Stop { deceleration: None }, 1_000), Ok(Some(Outcome::Done)));
+    assert_eq!(machine.run_verb(0, Command::Stop { deceleration: None }, 1_000), Ok(Some(Outcome::Done)));
     machine.run(200);
     assert_near(machine.feedback(0).velocity, 0.0, 0.1);
 }
@@ -77,7 +77,7 @@ fn a_group_refuses_positions_to_all_its_members() {
     let members = vec![machine.take_axis(0), machine.take_axis(1)];
     let mut group = Group::new(members).unwrap();
     let profile = speeds(1, 1.0).plan.drives[0].axis.profile;
-    let go = |target| Verb::Move(Move { target, profile });
+    let go = |target| Command::Move(Move { target, profile });
     let command = group.post(&[go(Target::Absolute(5.0)), go(Target::Relative(5.0))]).unwrap();
     machine.run(20);
     for (place, id) in command.ids().iter().enumerate() {

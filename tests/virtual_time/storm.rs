@@ -2,8 +2,8 @@
 
 use fieldbeat::axis::command::NativeOwner;
 use fieldbeat::axis::{
-    CommandId, EventKind, FoundRunning, Jog, Link, Move, Outcome, Profile, Row, StopThen, Target, Underrun,
-    Verb,
+    Command, CommandId, EventKind, FoundRunning, Jog, Link, Move, Outcome, Profile, Row, StopThen, Target,
+    Underrun,
 };
 use fieldbeat::bus::linudp::wire::ErrorCode;
 use fieldbeat::bus::linudp::{MonitorPlan, ReplyTag, StreamCommand};
@@ -99,14 +99,14 @@ fn eight_moving_axes(seed: u64, corrupt: f64, least_moves: u64) {
             let outcome = waiting.take().and_then(|(id, is_move)| is_move.then(|| b.outcome(index, id)));
             moves[index] += u64::from(outcome.flatten() == Some(Outcome::Done));
             let verb = match way_back(&b, index) {
-                Verb::Move(_) => {
+                Command::Move(_) => {
                     let acceleration = random.f64() * 9_000.0 + 1_000.0;
                     let velocity = random.f64() * 400.0 + 20.0;
                     with(Target::Absolute(random.f64() * 200.0), velocity, acceleration)
                 }
                 verb => verb,
             };
-            *waiting = Some((b.post(index, verb), matches!(verb, Verb::Move(_))));
+            *waiting = Some((b.post(index, verb), matches!(verb, Command::Move(_))));
         }
     }
     assert!(moves.iter().all(|moves| *moves >= least_moves), "seed {seed}: {moves:?}");
@@ -125,38 +125,38 @@ fn eight_moving_axes(seed: u64, corrupt: f64, least_moves: u64) {
 }
 
 /// Any verb, some of them beyond the limits.
-fn any_verb(random: &mut fastrand::Rng) -> Verb {
+fn any_verb(random: &mut fastrand::Rng) -> Command {
     let profile = Profile {
         velocity: random.f64() * 900.0 + 1.0,
         acceleration: random.f64() * 19_000.0 + 500.0,
         deceleration: random.f64() * 19_000.0 + 500.0,
     };
     match random.u8(..20) {
-        0 | 1 => Verb::Enable,
-        2 => Verb::Disable,
-        3 => Verb::Home,
-        4..=6 => Verb::Move(Move { target: Target::Absolute(random.f64() * 200.0), profile }),
-        7 | 8 => Verb::Move(Move { target: Target::Relative(random.f64() * 300.0 - 150.0), profile }),
+        0 | 1 => Command::Enable,
+        2 => Command::Disable,
+        3 => Command::Home,
+        4..=6 => Command::Move(Move { target: Target::Absolute(random.f64() * 200.0), profile }),
+        7 | 8 => Command::Move(Move { target: Target::Relative(random.f64() * 300.0 - 150.0), profile }),
         9 | 10 => {
-            Verb::Jog(Jog { velocity: random.f64() * 600.0 - 300.0, acceleration: profile.acceleration })
+            Command::Jog(Jog { velocity: random.f64() * 600.0 - 300.0, acceleration: profile.acceleration })
         }
-        11 | 12 => Verb::Follow,
-        13 => Verb::Stop { deceleration: random.bool().then_some(profile.deceleration) },
-        14 => Verb::QuickStop,
-        15 | 16 => Verb::ResetFault,
-        17 | 18 => Verb::Reset,
-        _ => Verb::Native(if random.bool() { NativeOwner::Master } else { NativeOwner::Application }),
+        11 | 12 => Command::Follow,
+        13 => Command::Stop { deceleration: random.bool().then_some(profile.deceleration) },
+        14 => Command::QuickStop,
+        15 | 16 => Command::ResetFault,
+        17 | 18 => Command::Reset,
+        _ => Command::Native(if random.bool() { NativeOwner::Master } else { NativeOwner::Application }),
     }
 }
 
 /// What the axis needs next to be ready for motions; then a move.
-fn way_back(b: &Bench, index: usize) -> Verb {
+fn way_back(b: &Bench, index: usize) -> Command {
     let feedback = b.feedback(index);
     match feedback.stopped {
-        Some(_) if feedback.fault != 0 => Verb::ResetFault,
-        Some(_) => Verb::Reset,
-        None if !feedback.is_operational() => Verb::Enable,
-        None if !feedback.homed => Verb::Home,
+        Some(_) if feedback.fault != 0 => Command::ResetFault,
+        Some(_) => Command::Reset,
+        None if !feedback.is_operational() => Command::Enable,
+        None if !feedback.homed => Command::Home,
         None => to(100.0),
     }
 }
@@ -276,7 +276,7 @@ fn digest(seed: u64, wake_seed: u64) -> (u64, u64) {
     for _ in 0..1_500 {
         b.step();
         if b.feedback(0).link == Link::Online && b.status().executed.is_multiple_of(100) {
-            b.post(0, Verb::Enable);
+            b.post(0, Command::Enable);
         }
     }
     (b.world().digest(), b.world().delivered())
@@ -298,9 +298,9 @@ fn the_events_of_a_storm_are_in_order() {
         b.step();
         for index in 0..2 {
             if b.feedback(index).stopped.is_some() && b.status().executed.is_multiple_of(50) {
-                b.post(index, Verb::Reset);
+                b.post(index, Command::Reset);
             } else if b.status().executed % 50 == 25 {
-                b.post(index, Verb::Enable);
+                b.post(index, Command::Enable);
             }
         }
     }

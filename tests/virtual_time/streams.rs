@@ -1,6 +1,6 @@
 //! Follow: rows of a stream, one an exchange, to the last one; and what happens when there are none.
 
-use fieldbeat::axis::{Abort, EventKind, Failure, Outcome, Row, StopCause, Underrun, Unit, Units, Verb};
+use fieldbeat::axis::{Abort, Command, EventKind, Failure, Outcome, Row, StopCause, Underrun, Unit, Units};
 use fieldbeat::bus::linudp::StreamCommand;
 use fieldbeat::time::{MS, US};
 
@@ -52,7 +52,7 @@ fn every_streaming_command_carries_its_axis_to_the_last_row() {
             b.sim.axis(0).push_row(row).unwrap();
         }
         b.tape(0).demand = None;
-        b.done(0, Verb::Follow);
+        b.done(0, Command::Follow);
         let what = format!("{command:?} every {period_ns} ns x {divisor}");
         assert_eq!(b.tape(0).last().demand, Some(1_200_000), "{what}");
         assert!(!b.feedback(0).moving && b.feedback(0).is_operational());
@@ -69,7 +69,7 @@ fn a_stream_without_a_command_that_fits_is_refused() {
     b.ready();
     let id = b.post(0, slowly_to(100.0));
     b.run(50);
-    let follow = b.post(0, Verb::Follow);
+    let follow = b.post(0, Command::Follow);
     assert_eq!(b.aborted(0, id), Abort::Replaced(follow));
     assert!(matches!(b.ended(0, follow), Outcome::Failed(Failure::Unsupported(_))));
     b.until("standstill", 100, |b| !b.feedback(0).moving);
@@ -80,7 +80,7 @@ fn rows_may_come_after_the_order() {
     let mut b = Rig::new(1).start();
     b.ready();
     b.done(0, to(20.0));
-    let id = b.post(0, Verb::Follow);
+    let id = b.post(0, Command::Follow);
     b.run(100);
     assert_eq!((b.outcome(0, id), b.feedback(0).moving), (None, false));
     for row in smooth(20.0, 10.0, 200, 0.001) {
@@ -99,7 +99,7 @@ fn runs_empty(underrun: Underrun) -> (Bench, fieldbeat::axis::CommandId) {
         let velocity = 50.0;
         b.sim.axis(0).push_row(Row { velocity, ..row(20.0 + f64::from(n) * velocity * 0.001) }).unwrap();
     }
-    let id = b.post(0, Verb::Follow);
+    let id = b.post(0, Command::Follow);
     b.run(99);
     assert!(!b.kinds(0).contains(&EventKind::Underrun));
     (b, id)
@@ -162,7 +162,7 @@ fn an_extrapolation_ends_at_the_limit() {
     for n in 0..60 {
         b.sim.axis(0).push_row(Row { velocity: 50.0, ..row(20.0 + f64::from(n) * 0.05) }).unwrap();
     }
-    b.post(0, Verb::Follow);
+    b.post(0, Command::Follow);
     b.run(800);
     let (_, high) = b.tape(0).demand.unwrap();
     assert!((24.5..=25.0).contains(&high), "{high}");
@@ -196,7 +196,7 @@ fn the_first_row_is_near_the_axis_and_the_next_ones_near_each_other() {
         assert!(door.is_ok());
         door = b.sim.axis(0).push_row(row(second + 0.51));
         assert!(door.unwrap_err().to_string().contains("limit"));
-        let id = b.post(0, Verb::Follow);
+        let id = b.post(0, Command::Follow);
         if accepted {
             assert_eq!(b.ended(0, id), Outcome::Done, "{first}");
         } else {
@@ -216,7 +216,7 @@ fn without_a_step_the_limit_of_velocity_holds_between_rows() {
         b.done(0, to(20.0));
         b.sim.axis(0).push_row(row(20.0)).unwrap();
         b.sim.axis(0).push_row(row(20.0 + step)).unwrap();
-        let id = b.post(0, Verb::Follow);
+        let id = b.post(0, Command::Follow);
         b.run(20);
         assert_eq!(b.outcome(0, id).is_none(), accepted, "{step}");
         if !accepted {
@@ -230,7 +230,7 @@ fn without_a_step_the_limit_of_velocity_holds_between_rows() {
     b.ready();
     b.done(0, to(20.0));
     b.sim.axis(0).push_row(row(100.0)).unwrap();
-    let id = b.post(0, Verb::Follow);
+    let id = b.post(0, Command::Follow);
     assert!(matches!(b.ended(0, id), Outcome::Failed(Failure::Limit { .. })));
 }
 
@@ -248,7 +248,7 @@ fn a_stream_must_be_able_to_brake_within_the_range() {
             position += velocity * 0.001;
             b.sim.axis(0).push_row(Row { velocity, ..row(position) }).unwrap();
         }
-        let id = b.post(0, Verb::Follow);
+        let id = b.post(0, Command::Follow);
         assert!(matches!(b.ended(0, id), Outcome::Failed(Failure::Limit { .. })), "{underrun:?}");
         assert_eq!(b.feedback(0).stopped, Some(StopCause::Limit));
         b.run(300);
@@ -276,7 +276,7 @@ fn a_stream_may_brake_right_at_the_limit() {
         let position = position.min(200.0);
         b.sim.axis(0).push_row(Row { velocity, last: n == 200, ..row(position) }).unwrap();
     }
-    b.done(0, Verb::Follow);
+    b.done(0, Command::Follow);
     assert_eq!(b.tape(0).last().demand, Some(2_000_000));
 }
 
@@ -288,14 +288,14 @@ fn a_stream_replaces_a_move_and_a_move_a_stream() {
     for n in 0..500 {
         b.sim.axis(0).push_row(row(20.0 + f64::from(n) * 0.02)).unwrap();
     }
-    let follow = b.post(0, Verb::Follow);
+    let follow = b.post(0, Command::Follow);
     b.run(100);
     let away = b.post(0, to(50.0));
     assert_eq!(b.aborted(0, follow), Abort::Replaced(away));
     assert_eq!(b.ended(0, away), Outcome::Done);
     assert_eq!(b.feedback(0).demand, 50.0);
     assert_eq!(b.sim.axis(0).stream_room(), 1024, "what was left of the stream is gone");
-    let stop = b.post(0, Verb::Stop { deceleration: None });
+    let stop = b.post(0, Command::Stop { deceleration: None });
     assert_eq!(b.ended(0, stop), Outcome::Done);
 }
 
@@ -306,11 +306,11 @@ fn streams_run_one_after_the_other() {
     b.done(0, to(20.0));
     let at = |n: i32| row(20.0 + f64::from(n) * 0.02);
     (0..100).for_each(|n| b.sim.axis(0).push_row(Row { last: n == 99, ..at(n) }).unwrap());
-    let first = b.post(0, Verb::Follow);
+    let first = b.post(0, Command::Follow);
     b.run(50);
     // The rows of the next one are queued first, as always; they are its own.
     (100..200).for_each(|n| b.sim.axis(0).push_row(Row { last: n == 199, ..at(n) }).unwrap());
-    let second = b.post(0, Verb::Follow);
+    let second = b.post(0, Command::Follow);
     assert_eq!(b.ended(0, first), Outcome::Done);
     assert_near(b.feedback(0).demand, at(99).position, 1e-4);
     assert_eq!(b.ended(0, second), Outcome::Done);
@@ -325,7 +325,7 @@ fn rows_pushed_for_a_stream_that_has_ended_are_never_run() {
     b.done(0, to(20.0));
     let at = |n: i32| row(20.0 + f64::from(n) * 0.02);
     (0..100).for_each(|n| b.sim.axis(0).push_row(at(n)).unwrap());
-    b.post(0, Verb::Follow);
+    b.post(0, Command::Follow);
     b.run(50);
     b.world().unplug(address(0));
     // The producer looks at no event, and has not noticed yet.
@@ -339,7 +339,7 @@ fn rows_pushed_for_a_stream_that_has_ended_are_never_run() {
     for n in 0..10 {
         b.sim.axis(0).push_row(Row { last: n == 9, ..row(before) }).unwrap();
     }
-    b.done(0, Verb::Follow);
+    b.done(0, Command::Follow);
     assert_near(b.feedback(0).demand, before, 1e-4);
 }
 
@@ -358,7 +358,7 @@ fn a_rotary_axis_streams_over_its_modulo() {
         let position = (f64::from(n) * 0.08).rem_euclid(20.0);
         b.sim.axis(0).push_row(Row { velocity: 80.0, last: n == 600, ..row(position) }).unwrap();
     }
-    b.done(0, Verb::Follow);
+    b.done(0, Command::Follow);
     assert_eq!(b.tape(0).last().demand, Some(480_000));
     assert_near(b.feedback(0).demand, 8.0, 1e-3);
 }
@@ -379,7 +379,7 @@ fn lost_telegrams_lose_rows_but_not_the_place() {
         smooth(20.0, 50.0, 500, 0.001).for_each(|row| b.sim.axis(0).push_row(row).unwrap());
         let faults = fieldbeat::sim::FaultPlan { seed, drop: 0.1, ..Default::default() };
         b.world().set_faults(address(0), faults);
-        b.done(0, Verb::Follow);
+        b.done(0, Command::Follow);
         assert_eq!(b.tape(0).last().demand, Some(700_000), "seed {seed}");
     }
 }
@@ -390,7 +390,7 @@ fn rows_of_a_stream_that_was_stopped_do_not_wait_for_the_next_one() {
     b.ready();
     b.done(0, to(20.0));
     (0..500).for_each(|n| b.sim.axis(0).push_row(row(20.0 + f64::from(n) * 0.02)).unwrap());
-    let id = b.post(0, Verb::Follow);
+    let id = b.post(0, Command::Follow);
     b.run(100);
     b.world().unplug(address(0));
     assert_eq!(b.stopped(0, 10), StopCause::LinkLost);
@@ -399,7 +399,7 @@ fn rows_of_a_stream_that_was_stopped_do_not_wait_for_the_next_one() {
     b.world().plug(address(0));
     b.run(300);
     b.recover(0);
-    let id = b.post(0, Verb::Follow);
+    let id = b.post(0, Command::Follow);
     b.run(50);
     assert_eq!((b.outcome(0, id), b.feedback(0).moving), (None, false));
 }

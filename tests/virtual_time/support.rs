@@ -8,8 +8,9 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
 use fieldbeat::axis::{
-    Abort, AxisPlan, CommandId, Event, EventKind, Failure, Feedback, Group, GroupCommand, Jog, Limits, Link,
-    Move, Outcome, Profile, Row, StopCause, StopHow, StopPlan, StopThen, StopTimeout, Target, Units, Verb,
+    Abort, AxisPlan, Command, CommandId, Event, EventKind, Failure, Feedback, Group, GroupCommand, Jog,
+    Limits, Link, Move, Outcome, Profile, Row, StopCause, StopHow, StopPlan, StopThen, StopTimeout, Target,
+    Units,
 };
 use fieldbeat::bus::linudp::sim::LinMotSim;
 use fieldbeat::bus::linudp::wire::{ErrorCode, Request, Response};
@@ -430,7 +431,7 @@ impl Bench {
         members.iter().zip(command.ids()).map(|(index, id)| self.ended(*index, *id)).collect()
     }
 
-    pub fn group_done(&mut self, verbs: &[Verb]) {
+    pub fn group_done(&mut self, verbs: &[Command]) {
         let command = self.group().post(verbs).unwrap_or_else(|error| panic!("{error}"));
         let outcomes = self.group_ended(&command);
         assert!(outcomes.iter().all(|outcome| *outcome == Outcome::Done), "{verbs:?}: {outcomes:?}");
@@ -490,7 +491,7 @@ impl Bench {
     /// All online, enabled and homed.
     pub fn ready(&mut self) -> &mut Bench {
         self.online();
-        for verb in [Verb::Enable, Verb::Home] {
+        for verb in [Command::Enable, Command::Home] {
             let ids: Vec<_> = (0..self.drives.len()).map(|index| self.post(index, verb)).collect();
             for (index, id) in ids.into_iter().enumerate() {
                 assert_eq!(self.ended(index, id), Outcome::Done, "{verb:?} of axis {index}");
@@ -499,7 +500,7 @@ impl Bench {
         self
     }
 
-    pub fn post(&mut self, index: usize, verb: Verb) -> CommandId {
+    pub fn post(&mut self, index: usize, verb: Command) -> CommandId {
         self.sim.axis(index).post(verb).unwrap_or_else(|error| panic!("{error}"))
     }
 
@@ -516,16 +517,16 @@ impl Bench {
     }
 
     /// Posts and turns until the end.
-    pub fn run_verb(&mut self, index: usize, verb: Verb) -> Outcome {
+    pub fn run_verb(&mut self, index: usize, verb: Command) -> Outcome {
         let id = self.post(index, verb);
         self.ended(index, id)
     }
 
-    pub fn done(&mut self, index: usize, verb: Verb) {
+    pub fn done(&mut self, index: usize, verb: Command) {
         assert_eq!(self.run_verb(index, verb), Outcome::Done, "{verb:?} of axis {index}");
     }
 
-    pub fn failed(&mut self, index: usize, verb: Verb) -> Failure {
+    pub fn failed(&mut self, index: usize, verb: Command) -> Failure {
         match self.run_verb(index, verb) {
             Outcome::Failed(failure) => failure,
             other => panic!("{verb:?} of axis {index} should have failed: {other}"),
@@ -548,11 +549,11 @@ impl Bench {
     /// Out of the latch, enabled again, homed if need be.
     pub fn recover(&mut self, index: usize) {
         self.online();
-        self.done(index, Verb::ResetFault);
-        self.done(index, Verb::Reset);
-        self.done(index, Verb::Enable);
+        self.done(index, Command::ResetFault);
+        self.done(index, Command::Reset);
+        self.done(index, Command::Enable);
         if !self.feedback(index).homed {
-            self.done(index, Verb::Home);
+            self.done(index, Command::Home);
         }
     }
 
@@ -608,29 +609,29 @@ impl Bench {
     }
 }
 
-pub fn to(position: f64) -> Verb {
+pub fn to(position: f64) -> Command {
     fast(Target::Absolute(position))
 }
 
-pub fn by(distance: f64) -> Verb {
+pub fn by(distance: f64) -> Command {
     fast(Target::Relative(distance))
 }
 
-fn fast(target: Target) -> Verb {
+fn fast(target: Target) -> Command {
     with(target, 500.0, 10_000.0)
 }
 
-pub fn with(target: Target, velocity: f64, acceleration: f64) -> Verb {
-    Verb::Move(Move { target, profile: Profile { velocity, acceleration, deceleration: acceleration } })
+pub fn with(target: Target, velocity: f64, acceleration: f64) -> Command {
+    Command::Move(Move { target, profile: Profile { velocity, acceleration, deceleration: acceleration } })
 }
 
 /// Slow enough to be in the middle of it for seconds.
-pub fn slowly_to(position: f64) -> Verb {
+pub fn slowly_to(position: f64) -> Command {
     with(Target::Absolute(position), 20.0, 1_000.0)
 }
 
-pub fn jog(velocity: f64) -> Verb {
-    Verb::Jog(Jog { velocity, acceleration: 5_000.0 })
+pub fn jog(velocity: f64) -> Command {
+    Command::Jog(Jog { velocity, acceleration: 5_000.0 })
 }
 
 pub fn row(position: f64) -> Row {

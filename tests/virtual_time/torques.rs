@@ -1,7 +1,7 @@
 //! Drives that follow torques: how old one may be, what is refused, and that a runaway ends.
 
 use fieldbeat::axis::{
-    Abort, EventKind, Failure, Group, HeldBy, Link, Load, Outcome, StopCause, StopThen, StopTimeout, Verb,
+    Abort, Command, EventKind, Failure, Group, HeldBy, Link, Load, Outcome, StopCause, StopThen, StopTimeout,
 };
 use fieldbeat::bus::linudp::LinUdpPlan;
 use fieldbeat::cycle::{CyclePlan, Plan};
@@ -14,8 +14,8 @@ use super::support::{RANGE, Rig, assert_near, drive, jog, slowly_to};
 
 /// Per cent of the rated torque a second.
 const SLOPE: f64 = 200.0;
-const TORQUE: Verb = Verb::Torque { slope: SLOPE };
-const STOP: Verb = Verb::Stop { deceleration: None };
+const TORQUE: Command = Command::Torque { slope: SLOPE };
+const STOP: Command = Command::Stop { deceleration: None };
 
 /// As many drives as said, of 200 mm/s and 150 % at most, that tell their positions and have no limits of them.
 fn torques(count: usize) -> Speeds {
@@ -42,7 +42,7 @@ fn ready(setup: Setup, count: usize) -> Simulation {
     let online = |machine: &Simulation| (0..count).all(|index| machine.feedback(index).link == Link::Online);
     assert!(machine.run_until(1_000, online));
     for index in 0..count {
-        for verb in [Verb::Enable, Verb::Home] {
+        for verb in [Command::Enable, Command::Home] {
             assert_eq!(machine.run_verb(index, verb, 30_000), Ok(Some(Outcome::Done)));
         }
     }
@@ -62,7 +62,7 @@ fn hold(machine: &mut Simulation, torque: f64, cycles: u64) {
 }
 
 /// Why it was refused at the door, in words.
-fn refused(machine: &mut Simulation, verb: Verb) -> String {
+fn refused(machine: &mut Simulation, verb: Command) -> String {
     machine.axis(0).post(verb).expect_err("refused").to_string()
 }
 
@@ -107,7 +107,7 @@ fn a_torque_that_is_too_old_stops_the_axis_in_the_cycle_that_was_said() {
         // Latched, like after any other stop.
         let latched = Outcome::Failed(Failure::Latched(StopCause::StaleSetpoint));
         assert_eq!(machine.run_verb(0, TORQUE, 100), Ok(Some(latched)));
-        for verb in [Verb::Reset, Verb::Enable] {
+        for verb in [Command::Reset, Command::Enable] {
             assert_eq!(machine.run_verb(0, verb, 5_000), Ok(Some(Outcome::Done)));
         }
         machine.axis(0).post(TORQUE).unwrap();
@@ -123,7 +123,7 @@ fn a_torque_that_was_queued_behind_a_homing_is_watched_like_any_other() {
     let axis = &mut speeds.plan.drives[0].axis;
     (axis.limits.velocity, axis.limits.homing, axis.profile.velocity) = (Some(5.0), Some(200.0), 5.0);
     let mut machine = machine(&speeds);
-    machine.axis(0).post(Verb::Home).unwrap();
+    machine.axis(0).post(Command::Home).unwrap();
     machine.axis(0).post(TORQUE).unwrap();
     let mut fastest: f64 = 0.0;
     let stopped = (0..30_000).any(|_| {
@@ -172,7 +172,7 @@ fn torques_beyond_their_limit_are_refused_at_the_door() {
         assert!(told.contains("torque refused"), "{told}");
     }
     for (slope, why) in [(0.0, "above 0"), (-5.0, "above 0"), (f64::NAN, "finite")] {
-        assert!(refused(&mut machine, Verb::Torque { slope }).contains(why), "{slope}");
+        assert!(refused(&mut machine, Command::Torque { slope }).contains(why), "{slope}");
     }
     machine.axis(0).set_torque(-150.0).unwrap();
     // The newest always has its place.
@@ -230,7 +230,7 @@ fn under_torque_an_axis_stops_inside_its_position_limits() {
         let mut machine = machine(&speeds);
         let profile = machine.axis(0).profile();
         let middle = fieldbeat::axis::Target::Absolute(100.0);
-        let middle = Verb::Move(fieldbeat::axis::Move { target: middle, profile });
+        let middle = Command::Move(fieldbeat::axis::Move { target: middle, profile });
         assert_eq!(machine.run_verb(0, middle, 5_000), Ok(Some(Outcome::Done)));
         machine.axis(0).post(TORQUE).unwrap();
         let (mut low, mut high) = RANGE;
@@ -259,7 +259,7 @@ fn not_homed_there_is_no_torque_within_position_limits() {
     assert!(machine.run_until(1_000, |machine| machine.feedback(0).link == Link::Online));
     let not_enabled = machine.run_verb(0, TORQUE, 100).unwrap();
     assert!(matches!(not_enabled, Some(Outcome::Failed(Failure::WrongState(_)))), "{not_enabled:?}");
-    assert_eq!(machine.run_verb(0, Verb::Enable, 5_000), Ok(Some(Outcome::Done)));
+    assert_eq!(machine.run_verb(0, Command::Enable, 5_000), Ok(Some(Outcome::Done)));
     assert_eq!(machine.run_verb(0, TORQUE, 100), Ok(Some(Outcome::Failed(Failure::NotHomed))));
 }
 

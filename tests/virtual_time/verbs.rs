@@ -2,7 +2,7 @@
 
 use fieldbeat::axis::command::NativeOwner;
 use fieldbeat::axis::{
-    Abort, EventKind, Failure, Link, Outcome, State, StopCause, StopHow, StopThen, Target, Verb,
+    Abort, Command, EventKind, Failure, Link, Outcome, State, StopCause, StopHow, StopThen, Target,
 };
 use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};
 use fieldbeat::bus::linudp::native::{Native, NativeOutput};
@@ -13,7 +13,7 @@ use fieldbeat::time::{MS, Time, US};
 
 use crate::virtual_time::support::*;
 
-const STOP: Verb = Verb::Stop { deceleration: None };
+const STOP: Command = Command::Stop { deceleration: None };
 
 /// The control words that the drive heard, each once in a row.
 fn controls(b: &Bench, index: usize) -> Vec<u16> {
@@ -27,7 +27,7 @@ fn controls(b: &Bench, index: usize) -> Vec<u16> {
 fn enable_goes_low_then_high_and_home_holds_its_bit() {
     let mut b = Rig::new(1).start();
     b.online();
-    b.done(0, Verb::Enable);
+    b.done(0, Command::Enable);
     assert_eq!(controls(&b, 0), [0x3E, 0x3F]);
     assert!(b.feedback(0).is_operational() && !b.feedback(0).homed);
     let states: Vec<_> = (b.kinds(0).into_iter())
@@ -36,16 +36,16 @@ fn enable_goes_low_then_high_and_home_holds_its_bit() {
     let expected =
         [State::SwitchOnDisabled, State::ReadyToSwitchOn, State::SwitchedOn, State::OperationEnabled];
     assert_eq!(states[states.len() - 4..], expected);
-    b.done(0, Verb::Home);
+    b.done(0, Command::Home);
     assert_eq!(controls(&b, 0), [0x3E, 0x3F, 0x83F, 0x3F]);
     assert!(b.feedback(0).homed);
     assert_near(b.feedback(0).position, 0.0, 0.01);
     // Enabled already: nothing is switched off on the way.
-    b.done(0, Verb::Enable);
-    b.done(0, Verb::Disable);
+    b.done(0, Command::Enable);
+    b.done(0, Command::Disable);
     assert_eq!(controls(&b, 0), [0x3E, 0x3F, 0x83F, 0x3F, 0x3E]);
     assert_eq!(b.failed(0, to(10.0)), Failure::WrongState(State::ReadyToSwitchOn));
-    b.done(0, Verb::Enable);
+    b.done(0, Command::Enable);
     assert!(b.feedback(0).homed, "homed survives power off");
 }
 
@@ -66,7 +66,7 @@ fn positions_that_get_another_origin_are_no_motion() {
     b.world().restart(address(0));
     slow(&mut b, 300);
     assert_near(b.feedback(0).position, 10.0, 0.1);
-    for verb in [Verb::Reset, Verb::Enable, Verb::Home] {
+    for verb in [Command::Reset, Command::Enable, Command::Home] {
         let id = b.post(0, verb);
         slow(&mut b, 1_200);
         assert_eq!(b.outcome(0, id), Some(Outcome::Done), "{verb:?}");
@@ -78,7 +78,7 @@ fn positions_that_get_another_origin_are_no_motion() {
 fn motions_need_operation_and_an_enable() {
     let mut b = Rig::new(1).each(|_, drive| drive.axis.stop.then = StopThen::Hold).start();
     b.online();
-    for verb in [to(10.0), jog(10.0), Verb::Follow, Verb::Home] {
+    for verb in [to(10.0), jog(10.0), Command::Follow, Command::Home] {
         assert_eq!(b.failed(0, verb), Failure::WrongState(State::SwitchOnDisabled));
     }
     b.ready();
@@ -87,13 +87,13 @@ fn motions_need_operation_and_an_enable() {
     assert_eq!(b.stopped(0, 10), StopCause::LinkLost);
     b.tape(0).mute = false;
     b.online();
-    b.done(0, Verb::Reset);
+    b.done(0, Command::Reset);
     assert!(b.feedback(0).is_operational());
-    let native = Verb::Native(NativeOwner::Master);
-    for verb in [to(10.0), by(1.0), jog(10.0), Verb::Follow, Verb::Home, native] {
+    let native = Command::Native(NativeOwner::Master);
+    for verb in [to(10.0), by(1.0), jog(10.0), Command::Follow, Command::Home, native] {
         assert_eq!(b.failed(0, verb), Failure::NotEnabled);
     }
-    b.done(0, Verb::Enable);
+    b.done(0, Command::Enable);
     b.done(0, to(10.0));
 }
 
@@ -122,9 +122,9 @@ fn stop_and_quick_stop_stay_enabled() {
     b.ready();
     for (verb, least, most) in [
         // 200 mm/s at the given 1000 mm/s², at the profile's 5000, and at the drive's own 20 m/s².
-        (Verb::Stop { deceleration: Some(1_000.0) }, 195, 210),
+        (Command::Stop { deceleration: Some(1_000.0) }, 195, 210),
         (STOP, 38, 50),
-        (Verb::QuickStop, 8, 25),
+        (Command::QuickStop, 8, 25),
     ] {
         b.done(0, to(10.0));
         let id = b.post(0, with(Target::Absolute(190.0), 200.0, 2_000.0));
@@ -145,7 +145,7 @@ fn stop_and_quick_stop_stay_enabled() {
     }
     // Standing already.
     b.done(0, STOP);
-    b.done(0, Verb::QuickStop);
+    b.done(0, Command::QuickStop);
     b.done(0, to(10.0));
 }
 
@@ -155,27 +155,30 @@ fn disable_cuts_the_power_and_is_no_stop_of_the_master() {
     b.ready();
     let id = b.post(0, slowly_to(100.0));
     b.run(100);
-    let off = b.post(0, Verb::Disable);
+    let off = b.post(0, Command::Disable);
     assert_eq!(b.aborted(0, id), Abort::Replaced(off));
     assert_eq!(b.ended(0, off), Outcome::Done);
     assert_eq!((b.feedback(0).state.is_powered(), b.feedback(0).stopped), (false, None));
     b.run(50);
     assert_eq!(b.feedback(0).stopped, None);
-    b.done(0, Verb::Disable);
+    b.done(0, Command::Disable);
 }
 
 #[test]
 fn a_command_waits_for_the_one_before_it() {
     let mut b = Rig::new(1).start();
     b.online();
-    let ids: Vec<_> =
-        [Verb::Enable, Verb::Home, to(20.0), Verb::Disable].map(|verb| b.post(0, verb)).into_iter().collect();
+    let ids: Vec<_> = [Command::Enable, Command::Home, to(20.0), Command::Disable]
+        .map(|verb| b.post(0, verb))
+        .into_iter()
+        .collect();
     // Disable is urgent: it aborts all that stand before it.
     for id in &ids[..3] {
         assert_eq!(b.aborted(0, *id), Abort::Replaced(ids[3]));
     }
     assert_eq!(b.ended(0, ids[3]), Outcome::Done);
-    let ids: Vec<_> = [Verb::Enable, Verb::Home, to(20.0)].map(|verb| b.post(0, verb)).into_iter().collect();
+    let ids: Vec<_> =
+        [Command::Enable, Command::Home, to(20.0)].map(|verb| b.post(0, verb)).into_iter().collect();
     for id in &ids {
         assert_eq!(b.ended(0, *id), Outcome::Done);
     }
@@ -199,14 +202,14 @@ fn a_motion_replaces_a_motion_at_once_and_nothing_else() {
     b.step();
     assert_eq!(b.outcome(0, second), Some(Outcome::Aborted(Abort::Replaced(third))));
     // Home and Enable are no motions of that kind: they wait.
-    let home = b.post(0, Verb::Home);
+    let home = b.post(0, Command::Home);
     b.run(300);
     assert_eq!((b.outcome(0, third), b.outcome(0, home)), (None, None));
     let stop = b.post(0, STOP);
     assert_eq!(b.aborted(0, third), Abort::Replaced(stop));
     assert_eq!(b.aborted(0, home), Abort::Replaced(stop));
     // A move behind a home waits for it, and a move behind that replaces it.
-    let ids = [Verb::Home, slowly_to(50.0), to(7.0)].map(|verb| b.post(0, verb));
+    let ids = [Command::Home, slowly_to(50.0), to(7.0)].map(|verb| b.post(0, verb));
     assert_eq!(b.ended(0, ids[0]), Outcome::Done);
     assert_eq!(b.aborted(0, ids[1]), Abort::Replaced(ids[2]));
     assert_eq!(b.ended(0, ids[2]), Outcome::Done);
@@ -217,7 +220,7 @@ fn a_motion_replaces_a_motion_at_once_and_nothing_else() {
 fn the_last_of_several_urgent_commands_wins() {
     let mut b = Rig::new(1).start();
     b.ready();
-    let ids = [slowly_to(50.0), STOP, to(3.0), Verb::QuickStop, to(4.0)].map(|verb| b.post(0, verb));
+    let ids = [slowly_to(50.0), STOP, to(3.0), Command::QuickStop, to(4.0)].map(|verb| b.post(0, verb));
     assert_eq!(b.ended(0, ids[4]), Outcome::Done);
     for id in &ids[..3] {
         assert_eq!(b.aborted(0, *id), Abort::Replaced(ids[3]));
@@ -230,12 +233,12 @@ fn the_last_of_several_urgent_commands_wins() {
 fn a_full_queue_is_told_at_once() {
     let mut b = Rig::new(1).each(|_, drive| drive.axis.command_queue = 4).start();
     b.ready();
-    let held = b.post(0, Verb::Home);
+    let held = b.post(0, Command::Home);
     b.step();
     for _ in 0..4 {
-        b.post(0, Verb::Enable);
+        b.post(0, Command::Enable);
     }
-    let error = b.sim.axis(0).post(Verb::Enable).unwrap_err().to_string();
+    let error = b.sim.axis(0).post(Command::Enable).unwrap_err().to_string();
     assert!(error.contains("queue of 4 is full"), "{error}");
     assert_eq!(b.ended(0, held), Outcome::Done);
     b.done(0, to(1.0));
@@ -246,19 +249,19 @@ fn reset_waits_for_the_way_down_and_opens_the_latch() {
     let mut b = Rig::new(1).start();
     b.ready();
     // Nothing latched: done at once.
-    b.done(0, Verb::Reset);
+    b.done(0, Command::Reset);
     let id = b.post(0, with(Target::Absolute(190.0), 200.0, 5_000.0));
     b.run(100);
     b.tape(0).mute = true;
     assert_eq!(b.stopped(0, 10), StopCause::LinkLost);
     assert_eq!(b.aborted(0, id), Abort::Stopped(StopCause::LinkLost));
     b.tape(0).mute = false;
-    let reset = b.post(0, Verb::Reset);
+    let reset = b.post(0, Command::Reset);
     b.run(30);
-    assert_eq!(b.outcome(0, reset), None, "the ladder is not down yet");
+    assert_eq!(b.outcome(0, reset), None, "the stop sequence is not over yet");
     assert_eq!(b.ended(0, reset), Outcome::Done);
     assert_eq!((b.feedback(0).stopped, b.feedback(0).state.is_powered()), (None, false));
-    b.done(0, Verb::Enable);
+    b.done(0, Command::Enable);
     b.done(0, to(5.0));
 }
 
@@ -266,19 +269,19 @@ fn reset_waits_for_the_way_down_and_opens_the_latch() {
 fn reset_fault_acknowledges_with_an_edge_and_ends_powered_off() {
     let mut b = Rig::new(1).start();
     b.ready();
-    b.done(0, Verb::ResetFault);
+    b.done(0, Command::ResetFault);
     b.tape(0).provoke = Some(ErrorCode(0x0003));
     assert_eq!(b.stopped(0, 10), StopCause::DriveFault);
     assert_eq!((b.feedback(0).state, b.feedback(0).fault), (State::Fault, 3));
     b.run(50);
     b.tape(0).heard.clear();
-    b.done(0, Verb::ResetFault);
+    b.done(0, Command::ResetFault);
     assert_eq!(controls(&b, 0), [0x3E, 0xBE, 0x3E]);
     assert_eq!(b.feedback(0).fault, 0);
     assert!(!b.feedback(0).state.is_powered());
-    assert_eq!(b.failed(0, Verb::Enable), Failure::Latched(StopCause::DriveFault));
-    b.done(0, Verb::Reset);
-    b.done(0, Verb::Enable);
+    assert_eq!(b.failed(0, Command::Enable), Failure::Latched(StopCause::DriveFault));
+    b.done(0, Command::Reset);
+    b.done(0, Command::Enable);
     assert!(b.feedback(0).homed);
     b.done(0, to(5.0));
 }
@@ -289,15 +292,15 @@ fn enable_names_the_fault_and_a_fatal_one_is_not_acknowledged() {
     b.online();
     b.tape(0).provoke = Some(ErrorCode(0x0003));
     b.run(3);
-    assert_eq!(b.failed(0, Verb::Enable), Failure::DriveFault(3));
+    assert_eq!(b.failed(0, Command::Enable), Failure::DriveFault(3));
     assert_eq!(b.feedback(0).stopped, None, "it was not in operation");
-    b.done(0, Verb::ResetFault);
+    b.done(0, Command::ResetFault);
     b.tape(0).provoke = Some(ErrorCode(0x000D));
     b.run(3);
-    assert_eq!(b.failed(0, Verb::ResetFault), Failure::DriveFault(0x0D));
+    assert_eq!(b.failed(0, Command::ResetFault), Failure::DriveFault(0x0D));
     b.world().restart(address(0));
     b.run(300);
-    b.done(0, Verb::Enable);
+    b.done(0, Command::Enable);
 }
 
 #[test]
@@ -310,25 +313,25 @@ fn verbs_that_do_not_get_there_time_out() {
         .start();
     b.online();
     // The hardware tests alone take 300 ms.
-    assert_eq!(b.failed(0, Verb::Enable), Failure::TimedOut(State::SwitchedOn));
+    assert_eq!(b.failed(0, Command::Enable), Failure::TimedOut(State::SwitchedOn));
     b.until("off again", 10, |b| !b.feedback(0).state.is_powered());
     assert_eq!(controls(&b, 0).last(), Some(&0x3E));
     let mut b =
         Rig::new(1).each(|_, drive| drive.axis.home_timeout = std::time::Duration::from_millis(50)).start();
     b.online();
-    b.done(0, Verb::Enable);
-    assert_eq!(b.failed(0, Verb::Home), Failure::TimedOut(State::OperationEnabled));
+    b.done(0, Command::Enable);
+    assert_eq!(b.failed(0, Command::Home), Failure::TimedOut(State::OperationEnabled));
     b.until("standstill", 50, |b| !b.feedback(0).moving && b.feedback(0).is_operational());
     assert_eq!(controls(&b, 0).last(), Some(&0x3F));
 }
 
 #[test]
 fn a_stop_during_homing_aborts_it() {
-    for verb in [STOP, Verb::QuickStop] {
+    for verb in [STOP, Command::QuickStop] {
         let mut b = Rig::new(1).each(|_, drive| drive.simulate.start_position = 1_000_000).start();
         b.online();
-        b.done(0, Verb::Enable);
-        let home = b.post(0, Verb::Home);
+        b.done(0, Command::Enable);
+        let home = b.post(0, Command::Home);
         b.run(300);
         assert!(b.feedback(0).moving);
         b.tape(0).heard.clear();
@@ -338,7 +341,7 @@ fn a_stop_during_homing_aborts_it() {
         assert!(b.feedback(0).is_operational() && !b.feedback(0).moving && !b.feedback(0).homed);
         // /Abort and never a word that cuts the power.
         assert!(controls(&b, 0).iter().all(|word| word & 0xF == 0xF), "{:x?}", controls(&b, 0));
-        b.done(0, Verb::Home);
+        b.done(0, Command::Home);
     }
 }
 
@@ -361,7 +364,7 @@ fn enable_takes_a_powered_drive_over_without_cutting_its_power() {
     b.run(10);
     assert_eq!(b.tape(0).last().state.unwrap().main(), MainState::HOMING);
     b.tape(0).heard.clear();
-    let ids = [Verb::Reset, Verb::Enable].map(|verb| b.post(0, verb));
+    let ids = [Command::Reset, Command::Enable].map(|verb| b.post(0, verb));
     assert_eq!(b.ended(0, ids[1]), Outcome::Done);
     assert!(
         b.tape(0).heard.iter().all(|heard| heard
@@ -384,7 +387,7 @@ fn native_mode_hands_the_motion_channel_over_and_keeps_the_drive_enabled() {
     b.ready();
     let mut native: Box<Native> = b.sim.axis(0).native().unwrap();
     assert!(b.sim.axis(0).native::<Native>().is_none(), "taken once");
-    let id = b.post(0, Verb::Native(NativeOwner::Master));
+    let id = b.post(0, Command::Native(NativeOwner::Master));
     b.run(3);
     let output = NativeOutput {
         control: Some(ControlWord::BASE),
@@ -402,7 +405,7 @@ fn native_mode_hands_the_motion_channel_over_and_keeps_the_drive_enabled() {
     native.write(output).unwrap();
     b.done(0, to(10.0));
     b.run(10);
-    b.post(0, Verb::Native(NativeOwner::Master));
+    b.post(0, Command::Native(NativeOwner::Master));
     b.run(100);
     assert_eq!(b.feedback(0).demand, 10.0);
     assert_eq!(b.feedback(0).link, Link::Online);
@@ -413,7 +416,7 @@ fn native_outputs_survive_slots_passed_over_and_lost_requests() {
     let mut b = Rig::new(1).start();
     b.ready();
     let mut native: Box<Native> = b.sim.axis(0).native().unwrap();
-    let id = b.post(0, Verb::Native(NativeOwner::Master));
+    let id = b.post(0, Command::Native(NativeOwner::Master));
     b.run(3);
     b.tape(0).heard.clear();
     for count in 1..=12 {
@@ -455,7 +458,7 @@ fn the_application_may_own_the_control_word() {
     let mut b = Rig::new(1).start();
     b.online();
     let mut native: Box<Native> = b.sim.axis(0).native().unwrap();
-    let id = b.post(0, Verb::Native(NativeOwner::Application));
+    let id = b.post(0, Command::Native(NativeOwner::Application));
     b.run(5);
     for control in [ControlWord::BASE, ControlWord::ON] {
         native.write(NativeOutput { control: Some(control), ..NativeOutput::default() }).unwrap();
@@ -463,7 +466,7 @@ fn the_application_may_own_the_control_word() {
     }
     assert_eq!(native.inputs().response.state.unwrap().main(), MainState::OPERATION_ENABLED);
     assert_eq!(b.outcome(0, id), None);
-    b.done(0, Verb::Disable);
+    b.done(0, Command::Disable);
     assert!(!b.feedback(0).state.is_powered());
 }
 
@@ -586,7 +589,7 @@ fn an_echo_that_hides_the_stored_count_costs_a_few_cycles_and_no_motion() {
 fn ids_grow_by_one_and_refused_commands_get_none() {
     let mut b = Rig::new(1).start();
     b.online();
-    let first = b.post(0, Verb::Reset).0;
+    let first = b.post(0, Command::Reset).0;
     assert!(b.sim.axis(0).post(to(f64::NAN)).is_err());
-    assert_eq!(b.post(0, Verb::Reset).0, first + 1);
+    assert_eq!(b.post(0, Command::Reset).0, first + 1);
 }

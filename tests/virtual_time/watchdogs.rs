@@ -1,14 +1,14 @@
 //! When the application grows silent: velocities too old, jogs that nobody holds, and its heartbeat; and what the drive
 //! does behind everybody's back.
 
-use fieldbeat::axis::{Abort, Axis, Failure, Outcome, StopCause, Verb};
+use fieldbeat::axis::{Abort, Axis, Command, Failure, Outcome, StopCause};
 use fieldbeat::bus::linudp::motion::{Acceleration, MotionCommand, Position, Velocity};
 use fieldbeat::bus::linudp::native::{Native, NativeOutput};
 use fieldbeat::time::MS;
 
 use crate::virtual_time::support::*;
 
-const VELOCITY: Verb = Verb::Velocity { acceleration: 5_000.0 };
+const VELOCITY: Command = Command::Velocity { acceleration: 5_000.0 };
 
 fn set(b: &mut Bench, velocity: f64) {
     b.sim.axis(0).set_velocity(velocity).unwrap();
@@ -43,7 +43,7 @@ fn cyclic_velocities_are_followed_in_both_directions() {
         b.step();
     }
     assert_near(b.feedback(0).velocity, 30.0, 1.0);
-    b.done(0, Verb::Stop { deceleration: None });
+    b.done(0, Command::Stop { deceleration: None });
     assert!(matches!(b.outcome(0, id), Some(Outcome::Aborted(Abort::Replaced(_)))));
 }
 
@@ -94,8 +94,8 @@ fn velocities_beyond_the_limits_are_refused_at_the_door() {
     for value in [f64::NAN, f64::INFINITY, 1_000.1, -1_000.1] {
         assert!(b.sim.axis(0).set_velocity(value).is_err(), "{value}");
     }
-    assert!(b.sim.axis(0).post(Verb::Velocity { acceleration: 0.0 }).is_err());
-    assert!(b.sim.axis(0).post(Verb::Velocity { acceleration: 20_001.0 }).is_err());
+    assert!(b.sim.axis(0).post(Command::Velocity { acceleration: 0.0 }).is_err());
+    assert!(b.sim.axis(0).post(Command::Velocity { acceleration: 20_001.0 }).is_err());
     // Faster than the leash lets it brake: only the drive's protocol knows.
     let id = b.post(0, VELOCITY);
     for _ in 0..10 {
@@ -130,7 +130,7 @@ fn a_jog_that_nobody_holds_stops() {
     b.recover(0);
     b.post(0, jog(-40.0));
     b.run(20);
-    b.done(0, Verb::Stop { deceleration: None });
+    b.done(0, Command::Stop { deceleration: None });
     b.run(200);
     assert_eq!(b.feedback(0).stopped, None);
 }
@@ -163,7 +163,7 @@ fn a_silent_application_stops_what_is_enabled_and_nothing_else() {
     b.run(200);
     assert_eq!(b.feedback(0).stopped, None, "nothing is enabled, so that nothing can happen");
     // Blocking calls feed it while they wait; here somebody has to.
-    let enabled = b.post(0, Verb::Enable);
+    let enabled = b.post(0, Command::Enable);
     b.until("enabled", 1_000, |b| {
         b.sim.alive();
         b.outcome(0, enabled).is_some()
@@ -177,7 +177,7 @@ fn a_silent_application_stops_what_is_enabled_and_nothing_else() {
     for turn in 0..30 {
         b.run(25);
         match turn % 2 {
-            0 => drop(b.post(0, Verb::Stop { deceleration: None })),
+            0 => drop(b.post(0, Command::Stop { deceleration: None })),
             _ => set(&mut b, 1.0),
         }
     }
@@ -218,7 +218,7 @@ fn limits_hold_for_native_process_data_too() {
     let mut b = Rig::new(1).start();
     b.ready();
     let mut raw = native(&mut b);
-    b.post(0, Verb::Native(NativeOwner::Master));
+    b.post(0, Command::Native(NativeOwner::Master));
     b.run(10);
     go(&mut raw, 190.0, 1_500.0);
     assert_eq!(b.stopped(0, 400), StopCause::Limit);
@@ -227,7 +227,7 @@ fn limits_hold_for_native_process_data_too() {
     let mut b = Rig::new(1).start();
     b.ready();
     let mut raw = native(&mut b);
-    b.post(0, Verb::Native(NativeOwner::Master));
+    b.post(0, Command::Native(NativeOwner::Master));
     b.run(10);
     go(&mut raw, 204.0, 400.0);
     assert_eq!(b.stopped(0, 2_000), StopCause::Limit);
@@ -238,7 +238,7 @@ fn limits_hold_for_native_process_data_too() {
     let mut b = Rig::new(1).start();
     b.ready();
     let mut raw = native(&mut b);
-    b.post(0, Verb::Native(NativeOwner::Master));
+    b.post(0, Command::Native(NativeOwner::Master));
     b.run(10);
     go(&mut raw, 150.0, 400.0);
     b.run(2_000);
@@ -252,10 +252,10 @@ fn room_for_a_stop_is_kept_in_a_full_queue() {
     b.ready();
     let moving = b.post(0, slowly_to(150.0));
     b.run(50);
-    let queued: Vec<_> = (0..4).map(|_| b.post(0, Verb::Home)).collect();
-    let full = b.sim.axis(0).post(Verb::Home).unwrap_err().to_string();
+    let queued: Vec<_> = (0..4).map(|_| b.post(0, Command::Home)).collect();
+    let full = b.sim.axis(0).post(Command::Home).unwrap_err().to_string();
     assert!(full.contains("its queue of 4 is full"), "{full}");
-    let stop = b.post(0, Verb::Stop { deceleration: None });
+    let stop = b.post(0, Command::Stop { deceleration: None });
     assert_eq!(b.ended(0, stop), Outcome::Done);
     for id in queued.into_iter().chain([moving]) {
         assert_eq!(b.outcome(0, id), Some(Outcome::Aborted(Abort::Replaced(stop))));
@@ -273,8 +273,8 @@ fn a_velocity_that_is_newer_than_its_jog_counts() {
     b.run(300);
     assert!(!b.feedback(0).moving);
     // While it waits for its turn, too.
-    b.done(0, Verb::Stop { deceleration: None });
-    let homing = b.post(0, Verb::Home);
+    b.done(0, Command::Stop { deceleration: None });
+    let homing = b.post(0, Command::Home);
     b.post(0, jog(40.0));
     set(&mut b, 25.0);
     b.ended(0, homing);
@@ -287,8 +287,8 @@ fn an_application_that_dies_while_it_enables_moves_nothing() {
     let beat = 50;
     let mut b = Rig::new(1).cycle(|cycle| cycle.heartbeat_ns = Some(beat * MS)).start();
     b.online();
-    b.post(0, Verb::Enable);
-    let home = b.post(0, Verb::Home);
+    b.post(0, Command::Enable);
+    let home = b.post(0, Command::Home);
     assert_eq!(b.stopped(0, beat + 3), StopCause::Heartbeat);
     assert_eq!(b.outcome(0, home), Some(Outcome::Aborted(Abort::Stopped(StopCause::Heartbeat))));
     b.run(1_000);
@@ -304,9 +304,9 @@ fn limits_hold_where_the_application_owns_the_control_word() {
     use fieldbeat::bus::linudp::wire::ControlWord;
     let mut b = Rig::new(1).start();
     b.ready();
-    b.done(0, Verb::Disable);
+    b.done(0, Command::Disable);
     let mut raw = native(&mut b);
-    b.post(0, Verb::Native(NativeOwner::Application));
+    b.post(0, Command::Native(NativeOwner::Application));
     b.run(10);
     let word = |control| NativeOutput { control: Some(control), ..NativeOutput::default() };
     raw.write(word(ControlWord::BASE)).unwrap();
@@ -329,9 +329,9 @@ fn a_command_of_the_task_that_waits_holds_up_no_stop() {
     b.ready();
     b.until("cycle 2990", 3_000, |b| b.status().planned >= 2_990);
     // Far away, so that homing takes its time; the move of the task waits for it.
-    let homing = b.post(0, Verb::Home);
+    let homing = b.post(0, Command::Home);
     b.run(12);
-    let stop = b.post(0, Verb::QuickStop);
+    let stop = b.post(0, Command::QuickStop);
     assert_eq!(b.ended(0, stop), Outcome::Done);
     assert!(matches!(b.outcome(0, homing), Some(Outcome::Aborted(_)) | Some(Outcome::Done)));
 }

@@ -68,8 +68,8 @@ impl ControlWord {
     }
 
     /// Its command; `None`: bit 7 is set, or bits 0 ... 3 are no command.
-    pub fn command(self) -> Option<Command> {
-        Command::ALL.into_iter().find(|command| {
+    pub fn command(self) -> Option<ControlCommand> {
+        ControlCommand::ALL.into_iter().find(|command| {
             let (mask, value) = command.bits();
             self.0 & mask == value
         })
@@ -89,7 +89,7 @@ impl fmt::Debug for ControlWord {
 
 /// The command in bits 0 ... 3 of a control word. A fault reset is no command: it is the rising edge of bit 7.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Command {
+pub enum ControlCommand {
     /// Be ready to switch on.
     Shutdown,
     /// Switch the power stage on; from operation: disable operation.
@@ -102,34 +102,34 @@ pub enum Command {
     QuickStop,
 }
 
-impl Command {
+impl ControlCommand {
     /// All of them.
-    pub const ALL: [Command; 5] = [
-        Command::Shutdown,
-        Command::SwitchOn,
-        Command::EnableOperation,
-        Command::DisableVoltage,
-        Command::QuickStop,
+    pub const ALL: [ControlCommand; 5] = [
+        ControlCommand::Shutdown,
+        ControlCommand::SwitchOn,
+        ControlCommand::EnableOperation,
+        ControlCommand::DisableVoltage,
+        ControlCommand::QuickStop,
     ];
 
     /// The control word of the command, with every other bit 0.
     pub const fn word(self) -> ControlWord {
         ControlWord(match self {
-            Command::Shutdown => 0x0006,
-            Command::SwitchOn => 0x0007,
-            Command::EnableOperation => 0x000F,
-            Command::DisableVoltage => 0x0000,
-            Command::QuickStop => 0x0002,
+            ControlCommand::Shutdown => 0x0006,
+            ControlCommand::SwitchOn => 0x0007,
+            ControlCommand::EnableOperation => 0x000F,
+            ControlCommand::DisableVoltage => 0x0000,
+            ControlCommand::QuickStop => 0x0002,
         })
     }
 
     /// The relevant bits, and their values.
     pub const fn bits(self) -> (u16, u16) {
         let mask = match self {
-            Command::Shutdown => 0x87,
-            Command::SwitchOn | Command::EnableOperation => 0x8F,
-            Command::DisableVoltage => 0x82,
-            Command::QuickStop => 0x86,
+            ControlCommand::Shutdown => 0x87,
+            ControlCommand::SwitchOn | ControlCommand::EnableOperation => 0x8F,
+            ControlCommand::DisableVoltage => 0x82,
+            ControlCommand::QuickStop => 0x86,
         };
         (mask, self.word().0)
     }
@@ -139,7 +139,7 @@ impl Command {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Cause {
     /// A control word.
-    Command(Command),
+    ControlCommand(ControlCommand),
     /// The rising edge of bit 7.
     FaultReset,
 }
@@ -158,13 +158,13 @@ pub struct Transition {
 }
 
 impl Transition {
-    const fn new(number: u8, from: State, to: State, command: Command) -> Transition {
-        Transition { number, from, to, cause: Cause::Command(command) }
+    const fn new(number: u8, from: State, to: State, command: ControlCommand) -> Transition {
+        Transition { number, from, to, cause: Cause::ControlCommand(command) }
     }
 
     /// All of them, by number. Where two commands cause the same one, the simpler comes first.
     pub const ALL: [Transition; 15] = {
-        use Command::{DisableVoltage, EnableOperation, QuickStop, Shutdown, SwitchOn};
+        use ControlCommand::{DisableVoltage, EnableOperation, QuickStop, Shutdown, SwitchOn};
         use State::{
             Fault, OperationEnabled, QuickStopActive, ReadyToSwitchOn, SwitchOnDisabled, SwitchedOn,
         };
@@ -198,7 +198,7 @@ impl Transition {
         Self::ALL.into_iter().find(|transition| {
             transition.from == from
                 && match transition.cause {
-                    Cause::Command(caused) => command == Some(caused),
+                    Cause::ControlCommand(caused) => command == Some(caused),
                     Cause::FaultReset => word.rises(before, ControlWord::FAULT_RESET),
                 }
         })
@@ -207,7 +207,7 @@ impl Transition {
     /// The control word that causes it. A reset needs one without its bit before.
     pub const fn word(self) -> ControlWord {
         match self.cause {
-            Cause::Command(command) => command.word(),
+            Cause::ControlCommand(command) => command.word(),
             Cause::FaultReset => ControlWord(ControlWord::FAULT_RESET),
         }
     }
@@ -416,11 +416,11 @@ mod tests {
     fn every_row_of_the_command_table_is_its_command_whatever_the_other_bits() {
         // Bits 7, 3, 2, 1, 0; x = any.
         for (command, bits, word) in [
-            (Command::Shutdown, "0x110", 0x0006),
-            (Command::SwitchOn, "00111", 0x0007),
-            (Command::EnableOperation, "01111", 0x000F),
-            (Command::DisableVoltage, "0xx0x", 0x0000),
-            (Command::QuickStop, "0x01x", 0x0002),
+            (ControlCommand::Shutdown, "0x110", 0x0006),
+            (ControlCommand::SwitchOn, "00111", 0x0007),
+            (ControlCommand::EnableOperation, "01111", 0x000F),
+            (ControlCommand::DisableVoltage, "0xx0x", 0x0000),
+            (ControlCommand::QuickStop, "0x01x", 0x0002),
         ] {
             assert_eq!(command.word(), ControlWord(word));
             assert_eq!(command.word().command(), Some(command));
@@ -438,14 +438,14 @@ mod tests {
     #[test]
     fn every_transition_is_caused_by_the_commands_of_the_sheet_and_no_other() {
         let numbers = |command| {
-            let of = Transition::ALL.into_iter().filter(|one| one.cause == Cause::Command(command));
+            let of = Transition::ALL.into_iter().filter(|one| one.cause == Cause::ControlCommand(command));
             of.map(|one| one.number).collect::<Vec<_>>()
         };
-        assert_eq!(numbers(Command::Shutdown), [2, 6, 8]);
-        assert_eq!(numbers(Command::SwitchOn), [3, 5]);
-        assert_eq!(numbers(Command::EnableOperation), [4, 16]);
-        assert_eq!(numbers(Command::DisableVoltage), [7, 9, 10, 12]);
-        assert_eq!(numbers(Command::QuickStop), [7, 10, 11]);
+        assert_eq!(numbers(ControlCommand::Shutdown), [2, 6, 8]);
+        assert_eq!(numbers(ControlCommand::SwitchOn), [3, 5]);
+        assert_eq!(numbers(ControlCommand::EnableOperation), [4, 16]);
+        assert_eq!(numbers(ControlCommand::DisableVoltage), [7, 9, 10, 12]);
+        assert_eq!(numbers(ControlCommand::QuickStop), [7, 10, 11]);
     }
 
     #[test]
@@ -487,7 +487,7 @@ mod tests {
         assert_eq!(caused(State::FaultReactionActive, ControlWord(0)), None);
         // No other word leaves a fault.
         assert!(
-            Command::ALL.iter().all(|command| {
+            ControlCommand::ALL.iter().all(|command| {
                 Transition::caused(State::Fault, command.word(), ControlWord(0)).is_none()
             })
         );

@@ -12,7 +12,7 @@
 //! | `line` | bringing the slaves to OP, and the clock of the segment |
 //! | `slot` | the acyclic slot of a frame |
 //! | `service` | SDOs and emergencies of a slave |
-//! | `station`, `orders`, `trajectory` | the master's view of one drive; the steps of an order; the setpoint of its axis over time |
+//! | `station`, `orders` | the master's view of one drive; the steps of an order |
 //! | `start_up` | objects written to a drive before its process data run |
 //! | `other` | another master's frames on the segment |
 //! | `native` | native process data of drives, and of devices that are not drives |
@@ -38,7 +38,6 @@ mod service;
 mod slot;
 mod start_up;
 mod station;
-mod trajectory;
 
 pub use bus::EthercatBus;
 pub use native::{

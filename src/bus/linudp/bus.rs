@@ -14,7 +14,7 @@ use super::wire::{ErrorCode, REQUEST_MAX, RESPONSE_MAX};
 use crate::axis::acyclic::{AcyclicEnds, Notation};
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, FaultNames, FoundRunning, MonitorChannel, PlanFault};
-use crate::bus::{Bus, BusPlan, Cycle, Exchange, OpenError, Slot, Strangers, lock_drives};
+use crate::bus::{Bus, BusPlan, Cycle, Exchange, OpenError, Slot, Unmatched, lock_drives};
 use crate::errors::no_descriptor;
 use crate::net::{Carriers, Datagrams, Lock, Outbox, Sent, UdpOptions};
 use crate::rt::Regions;
@@ -38,7 +38,7 @@ pub struct LinUdpBus {
     by_address: Vec<(Ipv4Addr, u16, usize)>,
     natives: Vec<Option<Native>>,
     acyclics: Vec<Option<AcyclicEnds>>,
-    strangers: Strangers,
+    unmatched: Unmatched,
     /// The drives are this master's until the socket is closed.
     _locks: Vec<Lock>,
 }
@@ -82,19 +82,19 @@ impl LinUdpBus {
             by_address,
             natives,
             acyclics,
-            strangers: Strangers::default(),
+            unmatched: Unmatched::default(),
             _locks: locks,
         })
     }
 
     /// Takes in what is in the socket and hands each datagram to the station of its sender.
     fn take_in(&mut self, in_window: bool, slots: &mut [Slot]) {
-        let LinUdpBus { net, stations, by_address, strangers, .. } = self;
+        let LinUdpBus { net, stations, by_address, unmatched, .. } = self;
         for _ in 0..MOST_BATCHES {
             let taken = net.receive(&mut |datagram| {
                 let found = by_address.binary_search_by_key(datagram.from.ip(), |(ip, _, _)| *ip);
                 let Some((_, port, index)) = found.ok().and_then(|place| by_address.get(place)) else {
-                    strangers.datagrams += 1;
+                    unmatched.datagrams += 1;
                     return;
                 };
                 let (Some(station), Some(slot)) = (stations.get_mut(*index), slots.get_mut(*index)) else {
@@ -112,7 +112,7 @@ impl LinUdpBus {
                 Ok(count) if count < net.batch() => break,
                 Ok(_) => {}
                 Err(_) => {
-                    strangers.errors += 1;
+                    unmatched.errors += 1;
                     break;
                 }
             }
@@ -187,8 +187,8 @@ impl Bus for LinUdpBus {
         true
     }
 
-    fn strangers(&self) -> Strangers {
-        Strangers { dropped: self.net.dropped(), ..self.strangers }
+    fn unmatched(&self) -> Unmatched {
+        Unmatched { dropped: self.net.dropped(), ..self.unmatched }
     }
 
     fn native(&mut self, index: usize) -> Option<Box<dyn Any + Send>> {

@@ -13,7 +13,7 @@ use super::wire::{ControlWord, ErrorCode, MainState, MotionBlock, RtcBlock, Stat
 use crate::axis::command::NativeOwner;
 use crate::axis::limits::check_position;
 use crate::axis::units::{to_i32, to_u32};
-use crate::axis::{Failure, Limits, Move, Profile, RangeError, Row, State, Target, Units, Verb};
+use crate::axis::{Command, Failure, Limits, Move, Profile, RangeError, Row, State, Target, Units};
 use crate::bus::{Progress, Slot};
 use crate::time::{MS, Time, nanos};
 
@@ -351,70 +351,72 @@ impl Orders {
                 self.control = Some(self.as_found(inputs));
                 self.finish(Ok(()));
             }
-            Some(Verb::Enable) if failed => self.finish(Err(Failure::DriveFault(u32::from(inputs.fault.0)))),
-            Some(Verb::Enable) if operating && !self.told_off() => {
+            Some(Command::Enable) if failed => {
+                self.finish(Err(Failure::DriveFault(u32::from(inputs.fault.0))))
+            }
+            Some(Command::Enable) if operating && !self.told_off() => {
                 self.control = Some(ControlWord::ON);
                 self.finish(Ok(()));
             }
-            Some(Verb::Enable) if state == MainState::QUICK_STOP => {
+            Some(Command::Enable) if state == MainState::QUICK_STOP => {
                 self.finish(Err(Failure::WrongState(slot.report.state)));
             }
-            Some(Verb::Enable) => {
+            Some(Command::Enable) => {
                 // A drive that is switched on already, but not in operation, is not switched off first.
                 let on = state >= MainState::HW_TESTS && !self.told_off();
                 self.control = Some(if on { ControlWord::ON } else { ControlWord::BASE });
                 self.rest = if on && state > MainState::HW_TESTS { HELD } else { ControlWord::BASE };
                 self.enter(now, if on { Step::EnableHigh } else { Step::EnableLow });
             }
-            Some(Verb::Disable) => {
+            Some(Command::Disable) => {
                 self.control = Some(ControlWord::BASE);
                 self.enter(now, Step::Disabling);
             }
-            Some(Verb::Home) => {
+            Some(Command::Home) => {
                 self.control = Some(ControlWord::HOME);
                 self.enter(now, Step::Homing);
             }
-            Some(Verb::Move(motion)) => match self.motion(now, &motion, inputs) {
+            Some(Command::Move(motion)) => match self.motion(now, &motion, inputs) {
                 Ok((command, target)) => self.command(now, command, Step::Moving(Some(target))),
                 Err(failure) => self.refuse(now, failure, inputs),
             },
-            Some(Verb::Jog(jog)) => self.begin_rolling(now, jog.velocity, jog.acceleration, inputs),
-            Some(Verb::Velocity { acceleration }) => {
+            Some(Command::Jog(jog)) => self.begin_rolling(now, jog.velocity, jog.acceleration, inputs),
+            Some(Command::Velocity { acceleration }) => {
                 self.begin_rolling(now, slot.velocity, acceleration, inputs);
             }
-            Some(Verb::Torque { .. }) => {
+            Some(Command::Torque { .. }) => {
                 let why = "it takes positions and velocities, no torques";
                 self.refuse(now, Failure::Unsupported(why), inputs);
             }
-            Some(Verb::Follow) if self.stream.is_none() => {
+            Some(Command::Follow) if self.stream.is_none() => {
                 let why = "no streaming command fits its cycle (stream = \"off\")";
                 self.refuse(now, Failure::Unsupported(why), inputs);
             }
-            Some(Verb::Follow) => {
+            Some(Command::Follow) => {
                 self.enter(now, Step::FollowWaiting);
                 // The first row may have come with the order.
                 self.follow(now, inputs, slot);
             }
             // It may go on reporting that it is in operation for as long as its replies are lost.
-            Some(Verb::Stop { .. } | Verb::QuickStop) if self.told_off() => {
+            Some(Command::Stop { .. } | Command::QuickStop) if self.told_off() => {
                 self.control = Some(ControlWord::BASE);
                 self.enter(now, Step::Disabling);
             }
-            Some(Verb::Stop { deceleration }) => self.begin_stop(now, deceleration, inputs),
-            Some(Verb::QuickStop) => self.begin_abort(now, inputs),
-            Some(Verb::ResetFault) if !failed => self.finish(Ok(())),
-            Some(Verb::ResetFault) if inputs.settled_error() => self.begin_acknowledge(now, inputs),
-            Some(Verb::ResetFault) => {
+            Some(Command::Stop { deceleration }) => self.begin_stop(now, deceleration, inputs),
+            Some(Command::QuickStop) => self.begin_abort(now, inputs),
+            Some(Command::ResetFault) if !failed => self.finish(Ok(())),
+            Some(Command::ResetFault) if inputs.settled_error() => self.begin_acknowledge(now, inputs),
+            Some(Command::ResetFault) => {
                 self.control = Some(self.as_found(inputs));
                 self.enter(now, Step::AcknowledgeWaiting);
             }
-            Some(Verb::Native(owner)) => {
+            Some(Command::Native(owner)) => {
                 if owner == NativeOwner::Application {
                     self.control = Some(self.as_found(inputs));
                 }
                 self.enter(now, Step::Native(owner));
             }
-            Some(Verb::Reset) => self.finish(Ok(())),
+            Some(Command::Reset) => self.finish(Ok(())),
         }
     }
 

@@ -196,7 +196,7 @@ impl Station {
         let powered = slot.report.state.is_powered();
         let called = self.rtc.advance(cycle.grid, slot.link, powered, slot.guarded);
         slot.commanded = self.rtc.commands();
-        slot.excused = self.rtc.excuses_silence() && !powered;
+        slot.expected_silence = self.rtc.excuses_silence() && !powered;
         let mut request = Request {
             response_def: self.identity.in_turn(self.response_def),
             control,
@@ -489,7 +489,7 @@ mod tests {
     use std::net::Ipv4Addr;
 
     use super::*;
-    use crate::axis::Verb;
+    use crate::axis::Command;
     use crate::bus::Order;
     use crate::bus::linudp::wire::Response;
     use crate::time::MS;
@@ -534,7 +534,7 @@ mod tests {
             self.station.take(self.cycle.grid + MS / 10, &bytes[..size], true, &mut self.slot);
         }
 
-        fn order(&mut self, verb: Verb) {
+        fn order(&mut self, verb: Command) {
             self.slot.order = Order { serial: self.slot.order.serial + 1, verb: Some(verb) };
         }
     }
@@ -566,7 +566,7 @@ mod tests {
             let request = b.send();
             b.reply(&request, StateVar::MOTION_ACTIVE | 5);
         }
-        b.order(Verb::Stop { deceleration: None });
+        b.order(Command::Stop { deceleration: None });
         let mut request = b.send();
         let stop = request.motion.unwrap().header as u8 & 0xF;
         assert_eq!(stop, 6);

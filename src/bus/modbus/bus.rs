@@ -17,7 +17,7 @@ use super::trips::Trip;
 use crate::axis::acyclic::{AcyclicEnds, Notation};
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, FaultNames, FoundRunning, MonitorChannel, PlanFault};
-use crate::bus::{Bus, BusPlan, Cycle, Exchange, Notes, OpenError, OwnCounter, Slot, Strangers, lock_drives};
+use crate::bus::{Bus, BusPlan, Cycle, Exchange, Notes, OpenError, OwnCounter, Slot, Unmatched, lock_drives};
 use crate::net::{Broken, Carriers, Lock, StreamPeer, Streams};
 use crate::rt::Regions;
 use crate::sim::SimDrive;
@@ -214,8 +214,8 @@ impl Bus for ModbusBus {
         done
     }
 
-    fn strangers(&self) -> Strangers {
-        Strangers::default()
+    fn unmatched(&self) -> Unmatched {
+        Unmatched::default()
     }
 
     fn helper_ended(&self) -> bool {

@@ -12,7 +12,7 @@ use super::plan::UnidriveDrive;
 use super::trips::Trip;
 use super::words::{ControlWord, StatusWord};
 use crate::axis::command::NativeOwner;
-use crate::axis::{Failure, State, Verb};
+use crate::axis::{Command, Failure, State};
 use crate::bus::{Progress, Slot};
 use crate::time::{MS, Time, nanos};
 
@@ -483,89 +483,89 @@ impl Orders {
             self.claim(inputs);
         }
         match slot.order.verb {
-            None | Some(Verb::Reset) => self.finish(Ok(())),
-            Some(Verb::Enable) if tripped => self.finish(Err(Failure::DriveFault(inputs.trip.into()))),
-            Some(Verb::Enable) if !self.obeys && !self.settable => self.finish(Err(NOT_OBEYING)),
-            Some(Verb::Enable) if !(self.watched || self.settable && self.watchable) => {
+            None | Some(Command::Reset) => self.finish(Ok(())),
+            Some(Command::Enable) if tripped => self.finish(Err(Failure::DriveFault(inputs.trip.into()))),
+            Some(Command::Enable) if !self.obeys && !self.settable => self.finish(Err(NOT_OBEYING)),
+            Some(Command::Enable) if !(self.watched || self.settable && self.watchable) => {
                 self.finish(Err(NOT_WATCHED));
             }
-            Some(Verb::Enable)
+            Some(Command::Enable)
                 if status.active() && self.mode == Mode::Running && self.obeys && self.watched =>
             {
                 // A report of before may be old.
                 self.enter(now, Step::EnableHigh);
             }
-            Some(Verb::Enable) => {
+            Some(Command::Enable) => {
                 self.set(Mode::Off);
                 self.enter(now, Step::EnableLow);
             }
             // By its terminals, or by another source that takes precedence over the control word.
-            Some(Verb::Disable | Verb::Stop { .. } | Verb::QuickStop)
+            Some(Command::Disable | Command::Stop { .. } | Command::QuickStop)
                 if status.active() && !self.obeys && !self.settable =>
             {
                 self.finish(Err(NOT_OBEYING));
             }
-            Some(Verb::Stop { deceleration }) if status.active() && !self.obeys => {
+            Some(Command::Stop { deceleration }) if status.active() && !self.obeys => {
                 self.claim(inputs);
                 self.enter(
                     now,
                     Step::TakingOver(Way::Ramp(deceleration.unwrap_or(self.profile_deceleration))),
                 );
             }
-            Some(Verb::QuickStop) if status.active() && !self.obeys => {
+            Some(Command::QuickStop) if status.active() && !self.obeys => {
                 self.claim(inputs);
                 self.enter(now, Step::TakingOver(Way::Quick));
             }
-            Some(Verb::Disable) if status.zero_speed() && self.is_on() => {
+            Some(Command::Disable) if status.zero_speed() && self.is_on() => {
                 self.set(Mode::Stopping);
                 self.enter(now, Step::DisablingRun);
             }
-            Some(Verb::Disable) => {
+            Some(Command::Disable) => {
                 self.set(Mode::Off);
                 self.enter(now, Step::Disabling);
             }
-            Some(Verb::Home | Verb::Move(_) | Verb::Follow) => {
+            Some(Command::Home | Command::Move(_) | Command::Follow) => {
                 self.refuse(
                     now,
                     Failure::Unsupported("it takes speeds, not positions: jog, or give it velocities"),
                 );
             }
-            Some(Verb::Torque { .. }) => {
+            Some(Command::Torque { .. }) => {
                 self.refuse(
                     now,
                     Failure::Unsupported("it takes speeds, not torques: jog, or give it velocities"),
                 );
             }
-            Some(Verb::Jog(jog)) => self.turn(now, jog.acceleration, running, slot),
-            Some(Verb::Velocity { acceleration }) => self.turn(now, acceleration, running, slot),
-            Some(Verb::Stop { .. } | Verb::QuickStop) if !self.is_on() => {
+            Some(Command::Jog(jog)) => self.turn(now, jog.acceleration, running, slot),
+            Some(Command::Velocity { acceleration }) => self.turn(now, acceleration, running, slot),
+            Some(Command::Stop { .. } | Command::QuickStop) if !self.is_on() => {
                 // It may go on reporting that it is active for as long as its replies are lost.
                 self.set(Mode::Off);
                 self.enter(now, Step::Disabling);
             }
-            Some(Verb::Stop { .. } | Verb::QuickStop) if !status.active() => {
+            Some(Command::Stop { .. } | Command::QuickStop) if !status.active() => {
                 // Powering up: it does not continue by itself.
                 self.set(Mode::Off);
                 self.enter(now, Step::Disabling);
             }
             // Only without RUN does it stand.
-            Some(Verb::Stop { .. } | Verb::QuickStop) if self.halted => self.enter(now, Step::Halted),
+            Some(Command::Stop { .. } | Command::QuickStop) if self.halted => self.enter(now, Step::Halted),
             // A stop that is under way is not made softer.
-            Some(Verb::Stop { .. })
+            Some(Command::Stop { .. })
                 if matches!(self.step, Step::QuickStopping | Step::QuickStopped | Step::StandingStill) =>
             {
                 self.quick_stop(now);
             }
-            Some(Verb::Stop { deceleration }) => {
+            Some(Command::Stop { deceleration }) => {
                 self.brake(now, deceleration.unwrap_or(self.profile_deceleration));
             }
-            Some(Verb::QuickStop) => self.quick_stop(now),
-            Some(Verb::ResetFault) if !tripped => self.finish(Ok(())),
-            Some(Verb::ResetFault) => {
+            Some(Command::QuickStop) => self.quick_stop(now),
+            Some(Command::ResetFault) if !tripped => self.finish(Ok(())),
+            Some(Command::ResetFault) => {
                 self.set(Mode::Off);
                 self.enter(now, Step::ResetWaiting);
             }
-            Some(Verb::Native(owner)) => self.enter(now, Step::Native(owner)),
+            Some(Command::Native(owner)) => self.enter(now, Step::Native(owner)),
         }
     }
 

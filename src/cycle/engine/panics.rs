@@ -14,7 +14,7 @@ use super::{Engine, Flow, Grid, HURRY, RUN, STOP};
 use crate::axis::{Link, StopCause};
 use crate::bus::{Cycle, Exchange};
 use crate::cycle::record::{CycleRecord, Record, Reply, SkippedRecord, Stage, short};
-use crate::cycle::window::BusSeat;
+use crate::cycle::window::OpenBus;
 use crate::rt::Clock;
 use crate::time::Time;
 
@@ -147,7 +147,7 @@ impl<C: Clock> Engine<C> {
             Ok(flow) => return flow,
             Err(payload) => payload,
         };
-        let bus = self.buses.iter().position(|seat| seat.is_at_work);
+        let bus = self.buses.iter().position(|controller| controller.is_at_work);
         let stage = self.panics.stage;
         self.panics.note(slot, stage, bus.map_or(Part::Loop, Part::Bus), payload);
         if self.control.asked() == RUN {
@@ -166,10 +166,10 @@ impl<C: Clock> Engine<C> {
             self.grid.advance(1);
         }
         let next = self.cycle_at(self.grid.index(), self.grid.at());
-        for (axis, (seat, slot)) in self.seats.iter_mut().zip(&mut self.slots).enumerate() {
+        for (axis, (controller, slot)) in self.controllers.iter_mut().zip(&mut self.slots).enumerate() {
             self.panics.guard(next.index, stage, Part::Axis(axis), || {
-                seat.stop(&next, now, StopCause::Panic, slot);
-                seat.take_group_stop();
+                controller.stop(&next, now, StopCause::Panic, slot);
+                controller.take_group_stop();
             });
         }
         self.prepare_stop(&next);
@@ -199,26 +199,27 @@ impl<C: Clock> Engine<C> {
             return self.flow(false);
         }
         for bus in 0..self.buses.len() {
-            self.bus(&cycle, Stage::Send, bus, |seat, slots| seat.bus.send(&cycle, slots));
+            self.bus(&cycle, Stage::Send, bus, |controller, slots| controller.bus.send(&cycle, slots));
             if self.panics.is_left_out(Part::Bus(bus)) {
-                let seat = &self.buses[bus];
-                let due = self.slots[seat.first..seat.end].iter_mut().filter(|slot| slot.due);
+                let controller = &self.buses[bus];
+                let due = self.slots[controller.first..controller.end].iter_mut().filter(|slot| slot.due);
                 due.for_each(|slot| slot.exchange = Exchange::Unsent);
             }
         }
         self.status.executed += 1;
-        for (axis, (seat, slot)) in self.seats.iter_mut().zip(&self.slots).enumerate() {
+        for (axis, (controller, slot)) in self.controllers.iter_mut().zip(&self.slots).enumerate() {
             if slot.due {
-                self.panics
-                    .guard(cycle.index, Some(Stage::Send), Part::Axis(axis), || seat.sent(&cycle, slot));
+                self.panics.guard(cycle.index, Some(Stage::Send), Part::Axis(axis), || {
+                    controller.sent(&cycle, slot)
+                });
             }
         }
         // All that comes by the deadline is in the sockets then.
         self.sleep(&cycle, cycle.deadline);
         for bus in 0..self.buses.len() {
-            self.bus(&cycle, Stage::Receive, bus, |seat, slots| {
+            self.bus(&cycle, Stage::Receive, bus, |controller, slots| {
                 for _ in 0..MOST_LOOKS {
-                    if seat.bus.receive(&cycle, slots) {
+                    if controller.bus.receive(&cycle, slots) {
                         break;
                     }
                 }
@@ -265,22 +266,22 @@ impl<C: Clock> Engine<C> {
         cycle: &Cycle,
         stage: Stage,
         bus: usize,
-        work: impl FnOnce(&mut BusSeat, &mut [crate::bus::Slot]) -> R,
+        work: impl FnOnce(&mut OpenBus, &mut [crate::bus::Slot]) -> R,
     ) -> Option<R> {
-        let seat = &mut self.buses[bus];
-        let slots = &mut self.slots[seat.first..seat.end];
-        self.panics.guard(cycle.index, Some(stage), Part::Bus(bus), || work(seat, slots))
+        let controller = &mut self.buses[bus];
+        let slots = &mut self.slots[controller.first..controller.end];
+        self.panics.guard(cycle.index, Some(stage), Part::Bus(bus), || work(controller, slots))
     }
 
     /// Evaluates all exchanges; returns how many drives that were online have not answered.
     fn judge_all(&mut self, cycle: &Cycle, now: Time) -> u16 {
         let mut missed = 0;
-        for (axis, (seat, slot)) in self.seats.iter_mut().zip(&mut self.slots).enumerate() {
+        for (axis, (controller, slot)) in self.controllers.iter_mut().zip(&mut self.slots).enumerate() {
             self.panics.guard(cycle.index, Some(Stage::Evaluate), Part::Axis(axis), || {
-                let online = seat.feedback().link == Link::Online;
-                let reply = seat.judge(cycle, now, slot);
+                let online = controller.feedback().link == Link::Online;
+                let reply = controller.judge(cycle, now, slot);
                 missed += u16::from(online && reply == Reply::Missed);
-                seat.watch(cycle, now, slot);
+                controller.watch(cycle, now, slot);
             });
         }
         missed
@@ -293,8 +294,8 @@ impl<C: Clock> Engine<C> {
         let hurry = asked == HURRY && before == STOP;
         self.ending = Some((since, asked));
         let mut down = true;
-        for (axis, (seat, slot)) in self.seats.iter_mut().zip(&mut self.slots).enumerate() {
-            let work = || seat.shut_down(cycle, now, slot, hurry);
+        for (axis, (controller, slot)) in self.controllers.iter_mut().zip(&mut self.slots).enumerate() {
+            let work = || controller.shut_down(cycle, now, slot, hurry);
             down &= self.panics.guard(cycle.index, None, Part::Axis(axis), work).unwrap_or(true);
         }
         let passed_ns = now.since(since);
@@ -303,8 +304,8 @@ impl<C: Clock> Engine<C> {
         }
         let mut buses_down = true;
         for bus in 0..self.buses.len() {
-            let shut_down =
-                self.bus(cycle, Stage::Commands, bus, |seat, slots| seat.bus.shut_down(cycle, slots));
+            let shut_down = self
+                .bus(cycle, Stage::Commands, bus, |controller, slots| controller.bus.shut_down(cycle, slots));
             buses_down &= shut_down.unwrap_or(true);
         }
         buses_down || passed_ns > self.longest_end_ns.saturating_mul(2)
@@ -312,24 +313,24 @@ impl<C: Clock> Engine<C> {
 
     /// Builds the requests of `next`: the stop, or whatever comes after it.
     fn prepare_stop(&mut self, next: &Cycle) {
-        for (axis, (seat, slot)) in self.seats.iter_mut().zip(&mut self.slots).enumerate() {
-            let due = self.panics.guard(next.index, None, Part::Axis(axis), || seat.is_due(next.index));
+        for (axis, (controller, slot)) in self.controllers.iter_mut().zip(&mut self.slots).enumerate() {
+            let due = self.panics.guard(next.index, None, Part::Axis(axis), || controller.is_due(next.index));
             slot.due = due.unwrap_or(false);
         }
         for bus in 0..self.buses.len() {
-            self.bus(next, Stage::Prepare, bus, |seat, slots| seat.bus.prepare(next, slots));
+            self.bus(next, Stage::Prepare, bus, |controller, slots| controller.bus.prepare(next, slots));
         }
     }
 
     fn publish_stop(&mut self, cycle: &Cycle, record: CycleRecord) {
         let (outlets, status) = (&mut self.outlets, &mut self.status);
         (status.operational, status.online) = (0, 0);
-        for (axis, (seat, slot)) in self.seats.iter_mut().zip(&self.slots).enumerate() {
+        for (axis, (controller, slot)) in self.controllers.iter_mut().zip(&self.slots).enumerate() {
             self.panics.guard(cycle.index, Some(Stage::Publish), Part::Axis(axis), || {
-                outlets.record(Record::Drive(seat.publish(axis as u16)), &mut status.lost_records);
-                outlets.drives[axis].write(&seat.numbers(slot));
-                status.operational += u32::from(seat.feedback().is_operational());
-                status.online += u32::from(seat.feedback().link == Link::Online);
+                outlets.record(Record::Drive(controller.publish(axis as u16)), &mut status.lost_records);
+                outlets.drives[axis].write(&controller.numbers(slot));
+                status.operational += u32::from(controller.feedback().is_operational());
+                status.online += u32::from(controller.feedback().link == Link::Online);
             });
         }
         let planned = self.grid.planned();

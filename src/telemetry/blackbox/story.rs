@@ -8,7 +8,7 @@ use std::ops::RangeInclusive;
 use serde::Serialize;
 
 use super::file::{Axis, Channel, Header};
-use crate::axis::{Link, Verb};
+use crate::axis::{Command, Link};
 use crate::cycle::record::{
     CycleRecord, DriveRecord, Lateness, Record, ReferenceRecord, Reply, SkippedRecord, Stage,
 };
@@ -130,7 +130,7 @@ fn running(drive: &DriveRecord) -> String {
 }
 
 fn verb(code: u8) -> &'static str {
-    Verb::NAMES.get(usize::from(code)).copied().unwrap_or(Verb::NAMES[0])
+    Command::NAMES.get(usize::from(code)).copied().unwrap_or(Command::NAMES[0])
 }
 
 fn late(header: &Header, cycle: &CycleRecord) -> Option<News> {

@@ -366,8 +366,8 @@ impl Sheet<'_> {
     }
 
     fn buses(&mut self, Numbers { buses, .. }: &Numbers) -> fmt::Result {
-        let strangers = buses.iter().map(|(name, bus)| ([("bus", name.as_str())], bus.datagrams));
-        self.counters("bus_unmatched", "Datagrams from unknown senders.", strangers)?;
+        let unmatched = buses.iter().map(|(name, bus)| ([("bus", name.as_str())], bus.datagrams));
+        self.counters("bus_unmatched", "Datagrams from unknown senders.", unmatched)?;
         let dropped = buses.iter().map(|(name, bus)| ([("bus", name.as_str())], bus.dropped));
         self.counters(
             "bus_dropped",

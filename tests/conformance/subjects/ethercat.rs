@@ -9,7 +9,7 @@ use std::os::fd::RawFd;
 
 use fieldbeat::Time;
 use fieldbeat::axis::{AxisPlan, Profile, Unit, Units};
-use fieldbeat::bus::ethercat::cia402::{Command as Operation, ControlWord, StatusWord};
+use fieldbeat::bus::ethercat::cia402::{ControlCommand as Operation, ControlWord, StatusWord};
 use fieldbeat::bus::ethercat::faults::Fault;
 use fieldbeat::bus::ethercat::object::{Family, Object, Target, Type, pdo};
 use fieldbeat::bus::ethercat::sim::EthercatSim;

@@ -12,9 +12,9 @@ use fieldbeat::axis::acyclic::{
 };
 use fieldbeat::axis::limits::check_position;
 use fieldbeat::axis::{
-    AxisPlan, Failure, Link, MonitorChannel, Move, PlanFault, State, Target, Unit, Units, Verb,
+    AxisPlan, Command, Failure, Link, MonitorChannel, Move, PlanFault, State, Target, Unit, Units,
 };
-use fieldbeat::bus::{Bus, BusPlan, Cycle, Exchange, OpenError, Progress, Slot, Strangers};
+use fieldbeat::bus::{Bus, BusPlan, Cycle, Exchange, OpenError, Progress, Slot, Unmatched};
 use fieldbeat::net::{Carriers, Datagrams, Outbox, SendMode, Sent, UdpOptions};
 use fieldbeat::rt::Regions;
 use fieldbeat::sim::physics::Generator;
@@ -242,7 +242,7 @@ impl BusPlan for ToyPlan {
             net,
             outbox: Outbox::new(&peers, REQUEST),
             stations: self.drives.iter().map(station).collect(),
-            strangers: Strangers::default(),
+            unmatched: Unmatched::default(),
             defect: self.defect,
         }))
     }
@@ -392,18 +392,18 @@ struct ToyBus {
     net: Box<dyn Datagrams>,
     outbox: Outbox,
     stations: Vec<Station>,
-    strangers: Strangers,
+    unmatched: Unmatched,
     defect: Option<Defect>,
 }
 
 impl ToyBus {
     fn take_in(&mut self, slots: &mut [Slot]) {
-        let ToyBus { net, outbox, stations, strangers, .. } = self;
+        let ToyBus { net, outbox, stations, unmatched, .. } = self;
         for _ in 0..4 {
             let taken = net.receive(&mut |datagram| {
                 let index = (0..outbox.len()).find(|index| outbox.peer(*index).ip() == datagram.from.ip());
                 let Some(index) = index else {
-                    strangers.datagrams += 1;
+                    unmatched.datagrams += 1;
                     return;
                 };
                 let slot = &mut slots[index];
@@ -497,8 +497,8 @@ impl Bus for ToyBus {
         !slots.iter().any(|slot| matches!(slot.exchange, Exchange::Owed { .. }))
     }
 
-    fn strangers(&self) -> Strangers {
-        self.strangers
+    fn unmatched(&self) -> Unmatched {
+        self.unmatched
     }
 
     fn acyclic(&mut self, index: usize) -> Option<AcyclicEnds> {
@@ -672,7 +672,7 @@ impl Station {
         }
     }
 
-    fn begin(&mut self, verb: Option<Verb>) {
+    fn begin(&mut self, verb: Option<Command>) {
         let counts = self.axis.units.counts_per_unit;
         let scale = |value: f64| (value * counts).abs();
         let usual = self.axis.profile.deceleration;
@@ -680,16 +680,16 @@ impl Station {
         // Of the order before only what is under way goes on.
         self.told.what = READ;
         match verb {
-            Some(Verb::Stop { .. } | Verb::QuickStop) if standing || self.is(Defect::IgnoresStops) => {
+            Some(Command::Stop { .. } | Command::QuickStop) if standing || self.is(Defect::IgnoresStops) => {
                 self.end = Some(Ok(()));
             }
-            Some(Verb::Enable) if self.answer.state == FAULT => {
+            Some(Command::Enable) if self.answer.state == FAULT => {
                 self.end = Some(Err(Failure::DriveFault(1)));
             }
-            Some(Verb::Enable) => self.tell(ENABLE, [0.0; 4]),
-            Some(Verb::Disable) => self.tell(DISABLE, [0.0; 4]),
-            Some(Verb::ResetFault) => self.tell(RESET, [0.0; 4]),
-            Some(Verb::Move(Move { target, profile })) => {
+            Some(Command::Enable) => self.tell(ENABLE, [0.0; 4]),
+            Some(Command::Disable) => self.tell(DISABLE, [0.0; 4]),
+            Some(Command::ResetFault) => self.tell(RESET, [0.0; 4]),
+            Some(Command::Move(Move { target, profile })) => {
                 let units = self.axis.units;
                 let target = match target {
                     Target::Absolute(position) => position,
@@ -701,27 +701,27 @@ impl Station {
                     Err(failure) => self.end = Some(Err(failure)),
                 }
             }
-            Some(Verb::Stop { deceleration }) => {
+            Some(Command::Stop { deceleration }) => {
                 self.tell(STOP, [scale(deceleration.unwrap_or(usual)), 0.0, 0.0, 0.0]);
             }
-            Some(Verb::QuickStop) => self.tell(STOP, [scale(4.0 * usual), 0.0, 0.0, 0.0]),
+            Some(Command::QuickStop) => self.tell(STOP, [scale(4.0 * usual), 0.0, 0.0, 0.0]),
             Some(
-                Verb::Home
-                | Verb::Jog(_)
-                | Verb::Velocity { .. }
-                | Verb::Torque { .. }
-                | Verb::Follow
-                | Verb::Native(_),
+                Command::Home
+                | Command::Jog(_)
+                | Command::Velocity { .. }
+                | Command::Torque { .. }
+                | Command::Follow
+                | Command::Native(_),
             ) => {
                 self.end = Some(Err(Failure::Unsupported("a toy can move and stop, no more")));
             }
-            None | Some(Verb::Reset) => self.end = Some(Ok(())),
+            None | Some(Command::Reset) => self.end = Some(Ok(())),
         }
     }
 
-    fn go_on(&mut self, now: Time, verb: Verb, slot: &Slot) -> Option<Result<(), Failure>> {
+    fn go_on(&mut self, now: Time, verb: Command, slot: &Slot) -> Option<Result<(), Failure>> {
         let Answer { state, moving, .. } = self.answer;
-        let limited = matches!(verb, Verb::Enable | Verb::Disable | Verb::ResetFault);
+        let limited = matches!(verb, Command::Enable | Command::Disable | Command::ResetFault);
         let late = now.since(self.begun) > nanos(self.axis.enable_timeout);
         if !self.taken {
             if limited && late && !self.is(Defect::NeverTimesOut) {
@@ -735,7 +735,7 @@ impl Station {
         }
         match (state, moving) {
             (FAULT, _) => Some(Err(Failure::DriveFault(1))),
-            (OFF, _) if matches!(verb, Verb::Move(_)) => Some(Err(Failure::Dropped(slot.report.state))),
+            (OFF, _) if matches!(verb, Command::Move(_)) => Some(Err(Failure::Dropped(slot.report.state))),
             (_, moving) => (!moving).then_some(Ok(())),
         }
     }

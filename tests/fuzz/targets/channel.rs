@@ -11,7 +11,7 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
 use fieldbeat::axis::acyclic::{Answer, Call, CallError, CallTicket, Carrier};
-use fieldbeat::axis::{AxisPlan, Health, Link, NativeOwner, Units, Verb};
+use fieldbeat::axis::{AxisPlan, Command, Health, Link, NativeOwner, Units};
 use fieldbeat::bus::linudp::native::{Native, NativeOutput};
 use fieldbeat::bus::linudp::upid::{Upid, call};
 use fieldbeat::bus::linudp::wire::{Request, Response, RtcBlock, RtcCommand, RtcStatus};
@@ -353,7 +353,7 @@ impl Bench {
             21 => self.bus.wire.lock().unwrap().jammed[0] ^= true,
             22 => {
                 let owner = input.of(&[NativeOwner::Master, NativeOwner::Application]);
-                let _ = self.sim.axis(0).post(Verb::Native(owner));
+                let _ = self.sim.axis(0).post(Command::Native(owner));
             }
             _ => {
                 self.native_used = true;

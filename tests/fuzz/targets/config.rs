@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use fieldbeat::axis::{Move, Row, Target, Verb};
+use fieldbeat::axis::{Command, Move, Row, Target};
 use fieldbeat::config::{ConfigErrors, demo_plan, describe, duration, parse};
 use fieldbeat::cycle::bound::stop_bound_cycles;
 use fieldbeat::cycle::engine::Flow;
@@ -107,16 +107,16 @@ fn run(mut plan: Plan) {
     for turn in 0..TURNS {
         for (index, axis) in axes.iter().enumerate() {
             let middle = axis.limits.position.map_or(0.0, |(low, high)| low + (high - low) / 2.0);
-            let motion = |target| Verb::Move(Move { target, profile: axis.profile });
+            let motion = |target| Command::Move(Move { target, profile: axis.profile });
             let verb = match (turn + index as u64) % 8 {
-                0 => Verb::Enable,
-                1 => Verb::Home,
+                0 => Command::Enable,
+                1 => Command::Home,
                 2 => motion(Target::Absolute(middle)),
                 3 => motion(Target::Relative(1.0)),
-                4 => Verb::Follow,
-                5 => Verb::Stop { deceleration: None },
-                6 => Verb::ResetFault,
-                _ => Verb::Reset,
+                4 => Command::Follow,
+                5 => Command::Stop { deceleration: None },
+                6 => Command::ResetFault,
+                _ => Command::Reset,
             };
             let _ = sim.axis(index).post(verb);
             let _ = sim.axis(index).push_row(Row { position: middle, ..Row::default() });

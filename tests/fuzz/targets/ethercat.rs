@@ -12,10 +12,10 @@ use std::net::SocketAddrV4;
 use std::os::fd::RawFd;
 use std::sync::{Arc, Mutex, MutexGuard};
 
-use fieldbeat::axis::{Link, Verb};
+use fieldbeat::axis::{Command, Link};
 use fieldbeat::bus::ethercat::object::Family;
 use fieldbeat::bus::ethercat::sim::EthercatSim;
-use fieldbeat::bus::ethercat::wire::frame::{Command, Returned, datagrams, returned};
+use fieldbeat::bus::ethercat::wire::frame::{Command as DatagramCommand, Returned, datagrams, returned};
 use fieldbeat::bus::ethercat::{EthercatPlan, KollmorgenDrive};
 use fieldbeat::bus::{Bus, BusPlan, Cycle, Exchange, Order, Slot};
 use fieldbeat::net::frames::{MAC, Unsent};
@@ -172,7 +172,7 @@ impl Rig {
             1 => self.slots[input.below(DRIVES)].velocity = input.number(),
             2 => {
                 let slot = &mut self.slots[0];
-                slot.order = Order { serial: slot.order.serial + 1, verb: Some(Verb::Enable) };
+                slot.order = Order { serial: slot.order.serial + 1, verb: Some(Command::Enable) };
             }
             3 => self.slots[input.below(DRIVES)].link = input.of(&[Link::Online, Link::Lost]),
             4 => self.cable.get().down = input.below(4) == 0,
@@ -243,10 +243,10 @@ fn said(sent: &[u8], frame: &[u8], index: usize) -> Option<(u16, u32)> {
     let (mut found, mut states) = (None, false);
     for datagram in datagrams(sent).ok()?.map_while(Result::ok) {
         let command = datagram.command()?;
-        let stays = !states && !matches!(command, Command::Brd(_));
-        states |= matches!(command, Command::Brd(_));
+        let stays = !states && !matches!(command, DatagramCommand::Brd(_));
+        states |= matches!(command, DatagramCommand::Brd(_));
         let Returned::Counted(_) = returned(sent, frame, datagram.place, stays) else { return None };
-        if matches!(command, Command::Lrw(_)) {
+        if matches!(command, DatagramCommand::Lrw(_)) {
             let at = datagram.place.data().start + DRIVES * OUTPUTS + index * INPUTS;
             let bytes = frame.get(at..at + INPUTS)?;
             let position = u32::from_le_bytes([bytes[2], bytes[3], bytes[4], bytes[5]]);

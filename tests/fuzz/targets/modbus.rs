@@ -11,7 +11,7 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use std::os::fd::RawFd;
 use std::sync::{Arc, Mutex, MutexGuard};
 
-use fieldbeat::axis::{Link, Verb};
+use fieldbeat::axis::{Command, Link};
 use fieldbeat::bus::modbus::counters::Own;
 use fieldbeat::bus::modbus::sim::ReadWrite;
 use fieldbeat::bus::modbus::wire::function::READ_WRITE;
@@ -338,7 +338,7 @@ impl Rig {
                 let serial = self.slots[0].order.serial + 1;
                 let verb = (input.below(8) != 0).then(|| verb(input));
                 self.slots[0].velocity = match verb {
-                    Some(Verb::Jog(jog)) => jog.velocity,
+                    Some(Command::Jog(jog)) => jog.velocity,
                     _ => self.slots[0].velocity,
                 };
                 self.slots[0].order = Order { serial, verb };

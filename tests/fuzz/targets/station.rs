@@ -6,7 +6,7 @@
 
 use std::net::Ipv4Addr;
 
-use fieldbeat::axis::{Limits, Link, Row, State, Units, Verb};
+use fieldbeat::axis::{Command, Limits, Link, Row, State, Units};
 use fieldbeat::bus::linudp::motion::Decoded;
 use fieldbeat::bus::linudp::native::Native;
 use fieldbeat::bus::linudp::station::Station;
@@ -55,7 +55,7 @@ struct Rig {
     /// Its state has the count that it heard.
     counts: bool,
     /// The verb of the present order.
-    verb: Option<Verb>,
+    verb: Option<Command>,
     /// The control word may be the application's own.
     wild: bool,
 }
@@ -278,7 +278,7 @@ impl Rig {
         bytes
     }
 
-    fn order(&mut self, verb: Option<Verb>) {
+    fn order(&mut self, verb: Option<Command>) {
         self.slot.order = Order { serial: self.slot.order.serial + 1, verb };
         self.slot.row = None;
         self.verb = verb;
@@ -377,7 +377,7 @@ impl Rig {
             assert!(matches!(decoded, None | Some(Decoded::NoOperation)), "{decoded:?}");
             return;
         }
-        if let Some(Verb::Native(_)) = self.verb {
+        if let Some(Command::Native(_)) = self.verb {
             self.wild = true;
             return;
         }
@@ -393,16 +393,16 @@ impl Rig {
         match decoded {
             None | Some(Decoded::NoOperation | Decoded::Stop(Some(_)) | Decoded::EndStream) => {}
             Some(Decoded::Stream { command, .. }) => {
-                assert_eq!((Some(command), self.verb), (self.drive.stream, Some(Verb::Follow)));
+                assert_eq!((Some(command), self.verb), (self.drive.stream, Some(Command::Follow)));
             }
             Some(Decoded::Move(to)) => {
                 let position = self.drive.axis.units.position(to.value.into());
                 let (low, high) = match (limits, self.verb) {
-                    (Some((low, high)), Some(Verb::Move(_))) => (low, high),
+                    (Some((low, high)), Some(Command::Move(_))) => (low, high),
                     // From outside the range a jog leads back in.
-                    (Some((low, _)), Some(Verb::Jog(jog))) if jog.velocity < 0.0 => (low, f64::INFINITY),
-                    (Some((_, high)), Some(Verb::Jog(_))) => (f64::NEG_INFINITY, high),
-                    (None, Some(Verb::Move(_) | Verb::Jog(_) | Verb::Velocity { .. })) => {
+                    (Some((low, _)), Some(Command::Jog(jog))) if jog.velocity < 0.0 => (low, f64::INFINITY),
+                    (Some((_, high)), Some(Command::Jog(_))) => (f64::NEG_INFINITY, high),
+                    (None, Some(Command::Move(_) | Command::Jog(_) | Command::Velocity { .. })) => {
                         (f64::NEG_INFINITY, f64::INFINITY)
                     }
                     (_, other) => panic!("{to:?} in {other:?}"),

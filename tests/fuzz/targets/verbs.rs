@@ -1,6 +1,6 @@
 //! What an application can ask for, wise or not.
 
-use fieldbeat::axis::{Jog, Move, NativeOwner, Profile, Row, Target, Verb};
+use fieldbeat::axis::{Command, Jog, Move, NativeOwner, Profile, Row, Target};
 use fieldbeat::bus::linudp::motion::MotionCommand;
 use fieldbeat::bus::linudp::native::NativeOutput;
 use fieldbeat::bus::linudp::wire::{ControlWord, RtcBlock, RtcCommand};
@@ -8,22 +8,22 @@ use fieldbeat::bus::linudp::wire::{ControlWord, RtcBlock, RtcCommand};
 use super::input::Input;
 
 /// Any verb.
-pub fn verb(input: &mut Input<'_>) -> Verb {
+pub fn verb(input: &mut Input<'_>) -> Command {
     match input.below(16) {
-        0 | 1 => Verb::Enable,
-        2 => Verb::Disable,
-        3 => Verb::Home,
-        4 => Verb::Velocity { acceleration: speed(input) },
-        5 | 6 => Verb::Move(Move { target: Target::Absolute(input.number()), profile: profile(input) }),
-        7 => Verb::Move(Move { target: Target::Relative(input.number()), profile: profile(input) }),
-        8 => Verb::Jog(Jog { velocity: input.number(), acceleration: speed(input) }),
-        9 => Verb::Follow,
-        10 => Verb::Torque { slope: speed(input) },
-        11 => Verb::Stop { deceleration: input.flag().then(|| speed(input)) },
-        12 => Verb::QuickStop,
-        13 => Verb::ResetFault,
-        14 => Verb::Reset,
-        _ => Verb::Native(input.of(&[NativeOwner::Master, NativeOwner::Application])),
+        0 | 1 => Command::Enable,
+        2 => Command::Disable,
+        3 => Command::Home,
+        4 => Command::Velocity { acceleration: speed(input) },
+        5 | 6 => Command::Move(Move { target: Target::Absolute(input.number()), profile: profile(input) }),
+        7 => Command::Move(Move { target: Target::Relative(input.number()), profile: profile(input) }),
+        8 => Command::Jog(Jog { velocity: input.number(), acceleration: speed(input) }),
+        9 => Command::Follow,
+        10 => Command::Torque { slope: speed(input) },
+        11 => Command::Stop { deceleration: input.flag().then(|| speed(input)) },
+        12 => Command::QuickStop,
+        13 => Command::ResetFault,
+        14 => Command::Reset,
+        _ => Command::Native(input.of(&[NativeOwner::Master, NativeOwner::Application])),
     }
 }
 

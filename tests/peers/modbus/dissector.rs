@@ -2,7 +2,7 @@
 
 use std::net::{Ipv4Addr, SocketAddrV4, UdpSocket};
 
-use fieldbeat::axis::Verb;
+use fieldbeat::axis::Command;
 use fieldbeat::axis::command::Jog;
 use fieldbeat::bus::modbus::sim::{ReadWrite, SimSettings, UnidriveSim};
 use fieldbeat::bus::modbus::{ModbusPlan, Via};
@@ -157,7 +157,7 @@ fn tshark_finds_nothing_wrong_with_modbus() {
         let parameter = axis.parameter();
         parameter.write("20.021", 12_345).unwrap();
         axis.enable().unwrap();
-        axis.post(Verb::Jog(Jog { velocity: -2.5, acceleration: 100.0 })).unwrap();
+        axis.post(Command::Jog(Jog { velocity: -2.5, acceleration: 100.0 })).unwrap();
         assert!(until(LONG, || (axis.feedback().velocity + 2.5).abs() < 0.1), "{:?}", axis.feedback());
         assert_eq!(parameter.read::<i32>("20.021").unwrap(), 12_345);
         parameter.read::<i32>("17.099").unwrap_err();

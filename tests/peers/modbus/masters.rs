@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use fieldbeat::axis::acyclic::ParameterError;
 use fieldbeat::axis::command::Jog;
-use fieldbeat::axis::{Axis, State, Verb};
+use fieldbeat::axis::{Axis, Command, State};
 use fieldbeat::bus::Counters;
 use fieldbeat::bus::modbus::counters::Own;
 use fieldbeat::bus::modbus::parameter::{Parameter, Width};
@@ -116,7 +116,7 @@ fn reads(peer: &mut Peer, axis: &Axis, native: &Native) {
 
 /// What the master writes arrives in the server.
 fn writes(peer: &mut Peer, axis: &mut Axis) {
-    let enable = axis.post(Verb::Enable).unwrap();
+    let enable = axis.post(Command::Enable).unwrap();
     // Enabled, run forward, by remote reference, automatic.
     await_registers(peer, CONTROL, &[0x0183]);
     peer.set(STATUS, &[HEALTHY | ACTIVE | STANDSTILL]);
@@ -126,7 +126,7 @@ fn writes(peer: &mut Peer, axis: &mut Axis) {
     assert_eq!(peer.registers(MODBUS_TIMEOUT, 1), [20_000]);
     peer.set(STATUS, &[HEALTHY | ACTIVE]);
     for (velocity, control) in [(2.5, 0x0183), (-1200.0, 0x0189)] {
-        axis.post(Verb::Jog(Jog { velocity, acceleration: 10_000.0 })).unwrap();
+        axis.post(Command::Jog(Jog { velocity, acceleration: 10_000.0 })).unwrap();
         // Tenths of revolutions a minute; the direction stands in the control word. The last one needs both registers.
         await_registers(peer, REFERENCE, &long((velocity.abs() * 600.0) as i32));
         await_registers(peer, CONTROL, &[control]);

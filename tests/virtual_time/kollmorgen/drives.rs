@@ -6,8 +6,8 @@ use std::time::Duration;
 use fieldbeat::axis::acyclic::{Call, CallError, CallTicket};
 use fieldbeat::axis::command::NativeOwner;
 use fieldbeat::axis::{
-    Abort, Emergency, Event, EventKind, Failure, FoundRunning, Link, Move, Outcome, Profile, Row, State,
-    StopCause, Target, Verb,
+    Abort, Command, Emergency, Event, EventKind, Failure, FoundRunning, Link, Move, Outcome, Profile, Row,
+    State, StopCause, Target,
 };
 use fieldbeat::bus::ethercat::counters::Own;
 use fieldbeat::bus::ethercat::faults::Fault;
@@ -37,8 +37,8 @@ fn line(drives: Vec<KollmorgenDrive>) -> EthercatPlan {
     EthercatPlan::new(LINE, drives)
 }
 
-fn go(target: Target) -> Verb {
-    Verb::Move(Move { target, profile: Profile { velocity: 5.0, acceleration: 50.0, deceleration: 50.0 } })
+fn go(target: Target) -> Command {
+    Command::Move(Move { target, profile: Profile { velocity: 5.0, acceleration: 50.0, deceleration: 50.0 } })
 }
 
 /// Drives that take positions: of an S700, and of an AKD in both of its modes.
@@ -75,7 +75,7 @@ fn velocities_are_followed_whoever_has_the_clock() {
         let options = WorldOptions { wake_ns: 20_000, ..WorldOptions::default() };
         let mut machine = Machine::with(line(drives), leads, options);
         machine.online();
-        machine.each(Verb::Enable);
+        machine.each(Command::Enable);
         for index in 0..3 {
             machine.post(index, jog(5.0));
         }
@@ -89,8 +89,8 @@ fn velocities_are_followed_whoever_has_the_clock() {
             machine.done(index, STOP);
             machine.post(index, jog(-2.0));
             machine.run(100);
-            machine.done(index, Verb::QuickStop);
-            machine.done(index, Verb::Disable);
+            machine.done(index, Command::QuickStop);
+            machine.done(index, Command::Disable);
             assert!(machine.feedback(index).velocity.abs() < 0.05);
         }
         let missed: u64 = machine.end().iter().map(|counters| counters.missed).sum();
@@ -142,7 +142,7 @@ fn a_position_stays_inside_of_its_limits() {
     let mut machine = Machine::enabled(line(vec![drive]));
     let refused = machine.ended(0, go(Target::Absolute(1.0)));
     assert_eq!(refused, Outcome::Failed(Failure::NotHomed));
-    machine.done(0, Verb::Home);
+    machine.done(0, Command::Home);
     assert!(machine.feedback(0).homed);
     machine.done(0, go(Target::Absolute(1.5)));
     let refused = machine.ended(0, go(Target::Relative(1.0)));
@@ -160,7 +160,7 @@ fn a_position_stays_inside_of_its_limits() {
 #[test]
 fn torques_are_given_along_their_slope_and_a_stop_halts_the_drive() {
     let mut machine = Machine::enabled(line(vec![torque(0), torque(1)]));
-    machine.post(0, Verb::Torque { slope: 20.0 });
+    machine.post(0, Command::Torque { slope: 20.0 });
     press(&mut machine, 0, 4.0, 400);
     // 4 % of 5 N m less 0.1 N m of friction, on 0.002 kg m^2: 8 rev/s^2, later by the slope and friction at its begin.
     let velocity = machine.feedback(0).velocity;
@@ -171,7 +171,7 @@ fn torques_are_given_along_their_slope_and_a_stop_halts_the_drive() {
     assert!(!feedback.moving && feedback.velocity.abs() < 0.05 && feedback.stopped.is_none(), "{feedback:?}");
     assert_eq!(feedback.state, State::OperationEnabled);
     // One that comes no more stops the axis.
-    machine.post(0, Verb::Torque { slope: 100.0 });
+    machine.post(0, Command::Torque { slope: 100.0 });
     press(&mut machine, 0, -4.0, 300);
     assert!(machine.feedback(0).velocity < -1.0);
     machine.until("stopped", 20, |machine| machine.feedback(0).stopped == Some(StopCause::StaleSetpoint));
@@ -179,7 +179,7 @@ fn torques_are_given_along_their_slope_and_a_stop_halts_the_drive() {
     assert!(machine.drive(0, |drive| drive.rpm()).abs() < 3.0, "power goes off at standstill");
     machine.recover(0);
     // And the limit of its velocity ends a runaway.
-    machine.post(0, Verb::Torque { slope: 1_000.0 });
+    machine.post(0, Command::Torque { slope: 1_000.0 });
     for _ in 0..400 {
         if machine.feedback(0).stopped.is_none() {
             press(&mut machine, 0, 20.0, 1);
@@ -211,7 +211,7 @@ fn pdos_are_mapped_freely_and_an_akd_takes_torques_by_one() {
     }
     let mut machine = Machine::enabled(line(vec![turning, pressing]));
     machine.post(0, jog(3.0));
-    machine.post(1, Verb::Torque { slope: 1_000.0 });
+    machine.post(1, Command::Torque { slope: 1_000.0 });
     press(&mut machine, 1, -5.0, 300);
     machine.assert_turns(0, 3.0);
     let feedback = machine.feedback(1);
@@ -229,7 +229,7 @@ fn home_is_found_by_the_drive_and_forgotten_when_it_is_switched_off() {
     let mut machine = Machine::enabled(line(drives));
     for index in 0..2 {
         assert!(!machine.feedback(index).homed);
-        machine.done(index, Verb::Home);
+        machine.done(index, Command::Home);
         machine.run(50);
         let feedback = machine.feedback(index);
         assert!(feedback.homed && feedback.position.abs() < 1e-3, "{index}: {feedback:?}");
@@ -247,7 +247,7 @@ fn home_is_found_by_the_drive_and_forgotten_when_it_is_switched_off() {
     }
     assert_eq!(restarts, 1, "told once");
     machine.recover(0);
-    machine.done(0, Verb::Home);
+    machine.done(0, Command::Home);
     assert!(machine.feedback(0).homed);
 }
 
@@ -260,7 +260,7 @@ fn a_restart_in_motion_is_latched_and_the_others_go_on() {
         for index in [0, 2, 3] {
             machine.post(index, jog(2.0));
         }
-        machine.post(1, Verb::Torque { slope: 100.0 });
+        machine.post(1, Command::Torque { slope: 100.0 });
         press(&mut machine, 1, 2.05, 500);
         machine.sim.world().restart_slave(LINE, restarted);
         for _ in 0..6_000 {
@@ -279,7 +279,7 @@ fn a_restart_in_motion_is_latched_and_the_others_go_on() {
         assert_eq!((feedback.link, feedback.stopped), (Link::Online, Some(StopCause::LinkLost)));
         assert_eq!(machine.drive(restarted, |drive| drive.axis_state()), State::SwitchOnDisabled);
         let latched = Outcome::Failed(Failure::Latched(StopCause::LinkLost));
-        let verb = if restarted == 1 { Verb::Torque { slope: 1.0 } } else { jog(1.0) };
+        let verb = if restarted == 1 { Command::Torque { slope: 1.0 } } else { jog(1.0) };
         assert_eq!(machine.ended(restarted, verb), latched);
         machine.recover(restarted);
         machine.run(300);
@@ -306,7 +306,7 @@ fn a_fault_stops_the_axis_by_its_name_and_is_reset() {
         assert_eq!(feedback.fault, u32::from(fault.code));
         assert_eq!(machine.sim.axis(0).fault(feedback.fault).name, Some(fault.name));
         machine.assert_turns(1, -5.0);
-        let reset = machine.ended(0, Verb::ResetFault);
+        let reset = machine.ended(0, Command::ResetFault);
         if heals {
             assert_eq!(reset, Outcome::Done);
             assert_eq!((machine.feedback(0).state, machine.feedback(0).fault), (State::SwitchOnDisabled, 0));
@@ -344,7 +344,7 @@ fn an_emergency_is_an_event_with_code_and_register_and_so_is_its_end() {
     let told = Emergency { code: 0x4310, register: 8 };
     assert_eq!(emergencies(&mut machine), [(1, told)]);
     assert_eq!(machine.sim.axis(1).fault(told.code.into()).name, Some("motor temperature"));
-    assert_eq!(machine.ended(1, Verb::ResetFault), Outcome::Done);
+    assert_eq!(machine.ended(1, Command::ResetFault), Outcome::Done);
     machine.run(100);
     let over = emergencies(&mut machine);
     assert!(matches!(over[..], [(1, Emergency { code: 0, .. })]), "{over:?}");
@@ -405,14 +405,14 @@ fn a_missing_hardware_enable_is_named_and_power_comes_back_only_when_asked() {
     assert!(machine.feedback(0).inhibited);
     machine.run(100);
     machine.assert_turns(1, 5.0);
-    machine.done(0, Verb::Reset);
-    assert_eq!(machine.ended(0, Verb::Enable), Outcome::Failed(Failure::Inhibited));
+    machine.done(0, Command::Reset);
+    assert_eq!(machine.ended(0, Command::Enable), Outcome::Failed(Failure::Inhibited));
     machine.run(3_500);
     assert_eq!(machine.drive(0, |drive| drive.axis_state()), State::SwitchOnDisabled);
     if machine.feedback(0).stopped.is_some() {
-        machine.done(0, Verb::Reset);
+        machine.done(0, Command::Reset);
     }
-    machine.done(0, Verb::Enable);
+    machine.done(0, Command::Enable);
     machine.post(0, jog(1.0));
     machine.run(300);
     machine.assert_turns(0, 1.0);
@@ -541,7 +541,7 @@ fn native_process_data_are_the_applications() {
         let mut machine = Machine::enabled(plan(1));
         let mut native = machine.sim.axis(0).native::<Native>().expect("the first to ask");
         assert!(machine.sim.axis(0).native::<Native>().is_none(), "there is one");
-        machine.post(0, Verb::Native(owner));
+        machine.post(0, Command::Native(owner));
         machine.run(5);
         assert!(native.inputs().running);
         let place = native.inputs().get(POSITION).unwrap();
@@ -573,7 +573,7 @@ fn terminals_between_drives_exchange_in_the_same_cycle() {
     assert!(machine.sim.device::<Terminals>("io").is_err(), "taken once");
     machine.online();
     for index in 0..2 {
-        machine.done(index, Verb::Enable);
+        machine.done(index, Command::Enable);
         machine.post(index, jog(1.0));
     }
     assert_eq!(io.sizes(), (4, 4));
@@ -680,7 +680,7 @@ fn without_its_master_each_drive_stops_within_its_watchdog() {
     for index in [0, 1, 3] {
         machine.post(index, jog(2.0));
     }
-    machine.post(2, Verb::Torque { slope: 100.0 });
+    machine.post(2, Command::Torque { slope: 100.0 });
     press(&mut machine, 2, 3.0, 500);
     let rpm = |machine: &Machine| rpm::<4>(machine).map(f64::abs);
     assert!(rpm(&machine).iter().all(|rpm| *rpm > 50.0));
@@ -712,10 +712,10 @@ fn the_end_leaves_every_drive_standing_without_power_in_init() {
         drives.push(drive(5, Family::S700));
         let mut machine = Machine::new(line(drives));
         machine.online();
-        (0..5).for_each(|index| machine.done(index, Verb::Enable));
+        (0..5).for_each(|index| machine.done(index, Command::Enable));
         if moving {
             (0..4).for_each(|index| machine.post(index, jog(4.0)));
-            machine.post(4, Verb::Torque { slope: 1_000.0 });
+            machine.post(4, Command::Torque { slope: 1_000.0 });
             press(&mut machine, 4, 4.0, 300);
         }
         let world = machine.sim.world().clone();
@@ -746,7 +746,7 @@ fn clocks_of_32_bits_that_go_round_are_noticed_by_nobody() {
         plan.simulate.drift_ppm = vec![80.0, -40.0];
         let mut machine = Machine::with(plan, leads, WorldOptions::default());
         machine.online();
-        machine.each(Verb::Enable);
+        machine.each(Command::Enable);
         for index in 0..2 {
             machine.post(index, jog(2.0));
         }

@@ -1,6 +1,6 @@
 //! Long lines: all slaves come up by the one slot of the first frame, a step of one of them at a time.
 
-use fieldbeat::axis::{Link, Verb};
+use fieldbeat::axis::{Command, Link};
 use fieldbeat::bus::ethercat::EthercatPlan;
 use fieldbeat::bus::ethercat::object::Family;
 use fieldbeat::bus::ethercat::wire::registers::AlState;
@@ -39,7 +39,7 @@ fn a_line_of_56_drives_comes_up_whole() {
 #[test]
 fn a_line_of_64_drives_comes_up_whole_in_one_frame_and_its_last_one_turns() {
     let mut machine = up(plan(64));
-    machine.done(63, Verb::Enable);
+    machine.done(63, Command::Enable);
     machine.post(63, jog(3.0));
     machine.run(300);
     machine.assert_turns(63, 3.0);
@@ -50,7 +50,7 @@ fn a_line_of_64_drives_comes_up_whole_in_one_frame_and_its_last_one_turns() {
 fn a_line_whose_process_data_take_more_than_one_frame_comes_up_whole() {
     let wide = |place| with(place, Family::Akd, 0x1702, 0x1B20);
     let mut machine = up(EthercatPlan::new(LINE, (0..40).map(wide).collect()));
-    machine.done(39, Verb::Enable);
+    machine.done(39, Command::Enable);
     machine.post(39, jog(3.0));
     machine.run(300);
     machine.assert_turns(39, 3.0);

@@ -16,7 +16,7 @@ mod slaves;
 
 use std::time::Duration;
 
-use fieldbeat::axis::{Feedback, Jog, Link, Outcome, State, Verb};
+use fieldbeat::axis::{Command, Feedback, Jog, Link, Outcome, State};
 use fieldbeat::bus::ethercat::object::{Family, pdo};
 use fieldbeat::bus::ethercat::sim::{Drive, EthercatSim};
 use fieldbeat::bus::ethercat::{EthercatPlan, KollmorgenDrive};
@@ -29,7 +29,7 @@ use fieldbeat::simulation::Simulation;
 
 /// The interface of the line.
 pub const LINE: &str = "local:line";
-pub const STOP: Verb = Verb::Stop { deceleration: None };
+pub const STOP: Command = Command::Stop { deceleration: None };
 /// Cycles in which a line comes up, with clocks that have to settle.
 const UP: u64 = 8_000;
 
@@ -61,8 +61,8 @@ pub fn plan(count: u16) -> EthercatPlan {
     EthercatPlan::new(LINE, (0..count).map(|place| drive(place, Family::S700)).collect())
 }
 
-pub fn jog(velocity: f64) -> Verb {
-    Verb::Jog(Jog { velocity, acceleration: 100.0 })
+pub fn jog(velocity: f64) -> Command {
+    Command::Jog(Jog { velocity, acceleration: 100.0 })
 }
 
 /// A line and its master.
@@ -93,7 +93,7 @@ impl Machine {
     pub fn enabled(plan: EthercatPlan) -> Machine {
         let mut machine = Machine::new(plan);
         machine.online();
-        machine.each(Verb::Enable);
+        machine.each(Command::Enable);
         machine
     }
 
@@ -137,28 +137,28 @@ impl Machine {
     }
 
     /// How a command ends.
-    pub fn ended(&mut self, index: usize, verb: Verb) -> Outcome {
+    pub fn ended(&mut self, index: usize, verb: Command) -> Outcome {
         let outcome = self.sim.run_verb(index, verb, 20_000).unwrap_or_else(|error| panic!("{error}"));
         outcome.unwrap_or_else(|| panic!("{verb:?} has no end: {:?}", self.feedback(index)))
     }
 
-    pub fn done(&mut self, index: usize, verb: Verb) {
+    pub fn done(&mut self, index: usize, verb: Command) {
         assert_eq!(self.ended(index, verb), Outcome::Done, "{verb:?}: {:?}", self.feedback(index));
     }
 
     /// All axes, one after the other.
-    pub fn each(&mut self, verb: Verb) {
+    pub fn each(&mut self, verb: Command) {
         (0..self.count).for_each(|index| self.done(index, verb));
     }
 
-    pub fn post(&mut self, index: usize, verb: Verb) {
+    pub fn post(&mut self, index: usize, verb: Command) {
         self.sim.axis(index).post(verb).unwrap_or_else(|error| panic!("{error}"));
     }
 
     /// After a stop by the master.
     pub fn recover(&mut self, index: usize) {
-        self.done(index, Verb::Reset);
-        self.done(index, Verb::Enable);
+        self.done(index, Command::Reset);
+        self.done(index, Command::Enable);
     }
 
     /// It turns, in operation, by fresh inputs.

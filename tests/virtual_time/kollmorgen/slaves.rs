@@ -1,7 +1,7 @@
 //! Slaves that are not like the usual ones: small couplers, such that show a device id, clocks that settle as slowly as
 //! real ones.
 
-use fieldbeat::axis::{Link, Verb};
+use fieldbeat::axis::{Command, Link};
 use fieldbeat::bus::ethercat::counters::Own;
 use fieldbeat::bus::ethercat::sim::Coupler;
 use fieldbeat::bus::ethercat::sim::coupler::Terminals as Wired;
@@ -31,7 +31,7 @@ fn works(plan: EthercatPlan) {
     let mut machine = Machine::new(plan);
     let mut terminals: Terminals = machine.sim.device("io").unwrap();
     machine.online();
-    machine.each(Verb::Enable);
+    machine.each(Command::Enable);
     for index in 0..2 {
         machine.post(index, jog(2.0));
     }
@@ -81,7 +81,7 @@ fn clocks_that_settle_as_slowly_as_real_ones_are_waited_for() {
             (0..3).all(|index| machine.feedback(index).link == Link::Online)
         });
         assert!(took > 2_000, "they need some thousand frames, not {took}");
-        machine.each(Verb::Enable);
+        machine.each(Command::Enable);
         machine.post(1, jog(2.0));
         machine.run(300);
         machine.assert_turns(1, 2.0);

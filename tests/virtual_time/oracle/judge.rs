@@ -17,7 +17,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use fieldbeat::axis::{EventKind, Feedback, Outcome, State, StopCause, Verb};
+use fieldbeat::axis::{Command, EventKind, Feedback, Outcome, State, StopCause};
 use fieldbeat::sim::Truth;
 
 use super::machine::{Scale, range};
@@ -59,7 +59,7 @@ pub struct Breach {
 /// A command that was accepted and is not known to have ended.
 #[derive(Clone, Copy, Debug)]
 pub struct Pending {
-    pub verb: Verb,
+    pub verb: Command,
     /// Where a move ends.
     pub target: Option<f64>,
 }
@@ -187,12 +187,12 @@ impl Watch {
     }
 
     /// A command was accepted.
-    pub fn accepted(&mut self, id: u64, verb: Verb, truth: Truth) -> Result<(), Breach> {
+    pub fn accepted(&mut self, id: u64, verb: Command, truth: Truth) -> Result<(), Breach> {
         use fieldbeat::axis::{Move, Target};
         let stands = self.pending.is_empty() && truth.velocity.abs() < self.scale.still / 4.0;
         let target = match verb {
-            Verb::Move(Move { target: Target::Absolute(position), .. }) => Some(position),
-            Verb::Move(Move { target: Target::Relative(distance), .. }) if stands => {
+            Command::Move(Move { target: Target::Absolute(position), .. }) => Some(position),
+            Command::Move(Move { target: Target::Relative(distance), .. }) if stands => {
                 Some(truth.position + distance)
             }
             _ => None,
@@ -206,7 +206,7 @@ impl Watch {
     /// A setpoint was given for the newest command that takes it.
     pub fn set(&mut self, slot: u64, value: f64, taken: Result<(), String>) -> Result<(), Breach> {
         let torques = self.scale.torques;
-        let takes = |verb: &Verb| if torques { verb.takes_torques() } else { verb.takes_velocities() };
+        let takes = |verb: &Command| if torques { verb.takes_torques() } else { verb.takes_velocities() };
         let Some((of, _)) = self.pending.iter().rev().find(|(_, pending)| takes(&pending.verb)) else {
             return Ok(());
         };
@@ -234,8 +234,8 @@ impl Watch {
         if outcome != Outcome::Done {
             return Ok(());
         }
-        self.enabled |= pending.verb == Verb::Enable;
-        self.ours |= pending.verb == Verb::Enable;
+        self.enabled |= pending.verb == Command::Enable;
+        self.ours |= pending.verb == Command::Enable;
         if fresh { self.done(pending, truth, feedback) } else { Ok(()) }
     }
 
@@ -245,16 +245,16 @@ impl Watch {
         let powered = self.powered.iter().any(|powered| *powered) || truth.powered;
         let off = self.powered.iter().any(|powered| !powered) || !truth.powered;
         let is_true = match pending.verb {
-            Verb::Enable => powered,
-            Verb::Disable => off,
-            Verb::Home => truth.homed || !truth.powered,
-            Verb::Move(_) => {
+            Command::Enable => powered,
+            Command::Disable => off,
+            Command::Home => truth.homed || !truth.powered,
+            Command::Move(_) => {
                 let near = |target: f64| (truth.position - target).abs() <= self.scale.near;
                 // The setpoint has ended there; the motor lags.
                 self.settling = (truth.powered && !stands && self.pushed == 0).then_some(SETTLES);
                 !truth.powered || self.pushed > 0 || pending.target.is_none_or(near)
             }
-            Verb::Stop { .. } | Verb::QuickStop => {
+            Command::Stop { .. } | Command::QuickStop => {
                 self.settling = (truth.powered && !stands).then_some(SETTLES);
                 true
             }
@@ -267,7 +267,7 @@ impl Watch {
     }
 
     /// What runs, by what the application knows: commands run in their order.
-    fn running(&self) -> Option<(u64, Verb)> {
+    fn running(&self) -> Option<(u64, Command)> {
         self.pending.first_key_value().map(|(id, pending)| (*id, pending.verb))
     }
 
@@ -295,8 +295,8 @@ impl Watch {
         // What has begun is not known to an application that does not read its events.
         let any = blind && self.is_to_move() && !latched;
         let commanded = any || running.is_some_and(|(_, verb)| moves(&verb));
-        let homing = blind || running.is_some_and(|(_, verb)| verb == Verb::Home);
-        self.enabled &= truth.powered && !latched && running.is_none_or(|(_, verb)| verb != Verb::Disable);
+        let homing = blind || running.is_some_and(|(_, verb)| verb == Command::Home);
+        self.enabled &= truth.powered && !latched && running.is_none_or(|(_, verb)| verb != Command::Disable);
         let id = running.map_or(0, |(id, _)| id);
         if self.running.0 != id {
             self.running = (id, slots.planned());
@@ -363,15 +363,15 @@ impl Watch {
     }
 
     /// A setpoint of the running command is too old, in slots.
-    fn is_stale(&self, slot: u64, running: Option<(u64, Verb)>) -> bool {
-        let Some((id, Verb::Velocity { .. } | Verb::Torque { .. })) = running else { return false };
+    fn is_stale(&self, slot: u64, running: Option<(u64, Command)>) -> bool {
+        let Some((id, Command::Velocity { .. } | Command::Torque { .. })) = running else { return false };
         let renewed = self.newest.filter(|newest| newest.of == id).map_or(0, |newest| newest.renewed);
         slot - renewed.max(self.running.1) > self.setpoint_age + 2
     }
 
     /// The newest velocity of the running command is long since the present one, and the motor has another.
-    fn is_wrong(&self, truth: Truth, running: Option<(u64, Verb)>, reached: bool) -> bool {
-        let Some((id, Verb::Velocity { acceleration })) = running else { return false };
+    fn is_wrong(&self, truth: Truth, running: Option<(u64, Command)>, reached: bool) -> bool {
+        let Some((id, Command::Velocity { acceleration })) = running else { return false };
         let Some(newest) = self.newest.filter(|newest| newest.of == id) else { return false };
         let turns = 2.0 * self.scale.velocity / acceleration * 1e3 + f64::from(REACTION);
         reached
@@ -409,7 +409,7 @@ impl Watch {
 
     /// Native mode has not ended.
     pub fn is_native(&self) -> bool {
-        self.pending.values().any(|pending| matches!(pending.verb, Verb::Native(_)))
+        self.pending.values().any(|pending| matches!(pending.verb, Command::Native(_)))
     }
 
     /// A command that moves it has not ended.
@@ -423,8 +423,8 @@ impl Watch {
     }
 }
 
-fn moves(verb: &Verb) -> bool {
-    verb.is_motion() || *verb == Verb::Home
+fn moves(verb: &Command) -> bool {
+    verb.is_motion() || *verb == Command::Home
 }
 
 fn breach(rule: &'static str, text: String) -> Breach {

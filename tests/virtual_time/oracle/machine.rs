@@ -6,7 +6,9 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
 use fieldbeat::axis::acyclic::CallTicket;
-use fieldbeat::axis::{AxisPlan, Limits, Link, Profile, StopPlan, StopThen, StopTimeout, Unit, Units, Verb};
+use fieldbeat::axis::{
+    AxisPlan, Command, Limits, Link, Profile, StopPlan, StopThen, StopTimeout, Unit, Units,
+};
 use fieldbeat::bus::ethercat::object::Family;
 use fieldbeat::bus::ethercat::sim::EthercatSim;
 use fieldbeat::bus::ethercat::{EthercatPlan, KollmorgenDrive};
@@ -587,7 +589,7 @@ impl Machine {
         self.world().delay_next_wake(u64::from(slots) * MS + MS / 2);
     }
 
-    pub fn post(&mut self, index: usize, verb: Verb) -> Result<u64, fieldbeat::axis::AxisError> {
+    pub fn post(&mut self, index: usize, verb: Command) -> Result<u64, fieldbeat::axis::AxisError> {
         self.sim.axis(index).post(verb).map(|id| id.0)
     }
 }

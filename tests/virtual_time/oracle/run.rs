@@ -2,14 +2,14 @@
 
 use std::fmt::Write as _;
 
-use fieldbeat::axis::{AxisError, Outcome, Row, Verb};
+use fieldbeat::axis::{AxisError, Command, Outcome, Row};
 use fieldbeat::bus::ethercat::Native;
 use fieldbeat::bus::ethercat::object::Object;
 use fieldbeat::time::MS;
 
 use super::judge::{Breach, GRACE, Slots, Watch};
 use super::machine::{AXES, Kind, Machine, Shape};
-use super::steps::{Command, Op, Round, Step, writes};
+use super::steps::{Choice, Op, Round, Step, writes};
 
 /// Turns after the last step of a round in which what it began goes on.
 const TAIL: u64 = 60;
@@ -279,7 +279,7 @@ impl Run {
         Ok(())
     }
 
-    fn post(&mut self, axis: usize, verb: Verb) -> Judged {
+    fn post(&mut self, axis: usize, verb: Command) -> Judged {
         let truth = self.machine.truth(axis);
         match self.machine.post(axis, verb) {
             Ok(id) => {
@@ -411,7 +411,7 @@ impl Run {
             around.lossy = around.lossy.map(|_| 0);
             // A stop that is under way has to end by itself.
             if self.watches[axis].is_to_move() {
-                self.post(axis, Verb::Stop { deceleration: None })?;
+                self.post(axis, Command::Stop { deceleration: None })?;
             }
         }
         for _ in 0..SETTLED {
@@ -465,14 +465,14 @@ impl Run {
     }
 
     /// What an axis needs next to be ready.
-    fn way_back(&self, axis: usize) -> Option<Command> {
+    fn way_back(&self, axis: usize) -> Option<Choice> {
         let feedback = self.machine.sim.feedback(axis);
         let homes = self.machine.plans[axis].limits.position.is_some();
         match feedback.stopped {
-            _ if feedback.fault != 0 => Some(Command::ResetFault),
-            Some(_) => Some(Command::Reset),
-            None if !feedback.is_operational() => Some(Command::Enable),
-            None if homes && !feedback.homed => Some(Command::Home),
+            _ if feedback.fault != 0 => Some(Choice::ResetFault),
+            Some(_) => Some(Choice::Reset),
+            None if !feedback.is_operational() => Some(Choice::Enable),
+            None if homes && !feedback.homed => Some(Choice::Home),
             None => None,
         }
     }

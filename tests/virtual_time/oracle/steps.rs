@@ -2,13 +2,13 @@
 
 use fastrand::Rng;
 use fieldbeat::axis::command::NativeOwner;
-use fieldbeat::axis::{Jog, Move, Profile, Target, Verb};
+use fieldbeat::axis::{Command, Jog, Move, Profile, Target};
 
 use super::machine::{Kind, Scale, Shape};
 
 /// A command, its numbers in per cent of what its axis can do.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Command {
+pub enum Choice {
     Enable,
     Disable,
     Home,
@@ -33,7 +33,7 @@ pub enum Command {
 #[derive(Clone, Debug, PartialEq)]
 pub enum Op {
     /// These commands are queued at once.
-    Post(Vec<Command>),
+    Post(Vec<Choice>),
     /// A setpoint, per cent, given anew in each of so many turns.
     Level {
         percent: i8,
@@ -110,32 +110,32 @@ pub struct Step {
 /// Sequences of all axes at the same time, from axes that are ready.
 pub type Round = Vec<Step>;
 
-impl Command {
+impl Choice {
     /// Its verb, for an axis of this scale.
-    pub fn verb(self, scale: &Scale) -> Verb {
+    pub fn verb(self, scale: &Scale) -> Command {
         let Scale { velocity, acceleration, .. } = *scale;
         let profile = Profile { velocity: 0.9 * velocity, acceleration, deceleration: acceleration };
         // A tenth of a second at full speed.
         let way = |percent: i8| f64::from(percent) / 100.0 * velocity / 10.0;
         match self {
-            Command::Enable => Verb::Enable,
-            Command::Disable => Verb::Disable,
-            Command::Home => Verb::Home,
-            Command::To(percent) => Verb::Move(Move { target: Target::Absolute(way(percent)), profile }),
-            Command::By(percent) => Verb::Move(Move { target: Target::Relative(way(percent)), profile }),
-            Command::Jog(percent) => {
-                Verb::Jog(Jog { velocity: f64::from(percent) / 100.0 * velocity, acceleration })
+            Choice::Enable => Command::Enable,
+            Choice::Disable => Command::Disable,
+            Choice::Home => Command::Home,
+            Choice::To(percent) => Command::Move(Move { target: Target::Absolute(way(percent)), profile }),
+            Choice::By(percent) => Command::Move(Move { target: Target::Relative(way(percent)), profile }),
+            Choice::Jog(percent) => {
+                Command::Jog(Jog { velocity: f64::from(percent) / 100.0 * velocity, acceleration })
             }
-            Command::Velocity => Verb::Velocity { acceleration },
-            Command::Torque => Verb::Torque { slope: 10_000.0 },
-            Command::TorqueAlong(slope) => Verb::Torque { slope },
-            Command::Follow => Verb::Follow,
-            Command::Stop => Verb::Stop { deceleration: None },
-            Command::StopAt(deceleration) => Verb::Stop { deceleration: Some(deceleration) },
-            Command::QuickStop => Verb::QuickStop,
-            Command::Reset => Verb::Reset,
-            Command::ResetFault => Verb::ResetFault,
-            Command::Native(owner) => Verb::Native(owner),
+            Choice::Velocity => Command::Velocity { acceleration },
+            Choice::Torque => Command::Torque { slope: 10_000.0 },
+            Choice::TorqueAlong(slope) => Command::Torque { slope },
+            Choice::Follow => Command::Follow,
+            Choice::Stop => Command::Stop { deceleration: None },
+            Choice::StopAt(deceleration) => Command::Stop { deceleration: Some(deceleration) },
+            Choice::QuickStop => Command::QuickStop,
+            Choice::Reset => Command::Reset,
+            Choice::ResetFault => Command::ResetFault,
+            Choice::Native(owner) => Command::Native(owner),
         }
     }
 }
@@ -228,8 +228,8 @@ impl Without {
             Op::RepeatReply { .. } => !self.replies,
             Op::Deaf(_) | Op::Burst { .. } => !self.deaf,
             Op::Post(commands) => commands.iter().all(|command| match command {
-                Command::StopAt(_) => !self.slow_stops,
-                Command::Home => !self.homes,
+                Choice::StopAt(_) => !self.slow_stops,
+                Choice::Home => !self.homes,
                 _ => true,
             }),
             _ => true,
@@ -242,33 +242,33 @@ fn percent(random: &mut Rng) -> i8 {
 }
 
 /// A motion that the axis can do, mostly.
-fn motion(random: &mut Rng, scale: &Scale) -> Command {
+fn motion(random: &mut Rng, scale: &Scale) -> Choice {
     let any = random.u8(..16) == 0;
     match random.u8(..8) {
-        0 | 1 if scale.positions || any => Command::To(percent(random)),
-        2 if scale.positions || any => Command::By(percent(random)),
-        3 if scale.positions || any => Command::Follow,
-        4 if scale.torques || any => Command::Torque,
-        5 | 6 if scale.velocities || any => Command::Jog(percent(random)),
+        0 | 1 if scale.positions || any => Choice::To(percent(random)),
+        2 if scale.positions || any => Choice::By(percent(random)),
+        3 if scale.positions || any => Choice::Follow,
+        4 if scale.torques || any => Choice::Torque,
+        5 | 6 if scale.velocities || any => Choice::Jog(percent(random)),
         7 if random.u8(..4) == 0 => {
-            Command::Native(if random.bool() { NativeOwner::Master } else { NativeOwner::Application })
+            Choice::Native(if random.bool() { NativeOwner::Master } else { NativeOwner::Application })
         }
-        7 if scale.torques => Command::TorqueAlong(2_000.0),
-        _ if scale.torques => Command::Torque,
-        _ => Command::Velocity,
+        7 if scale.torques => Choice::TorqueAlong(2_000.0),
+        _ if scale.torques => Choice::Torque,
+        _ => Choice::Velocity,
     }
 }
 
-fn command(random: &mut Rng, scale: &Scale) -> Command {
+fn command(random: &mut Rng, scale: &Scale) -> Choice {
     match random.u8(..24) {
-        0 | 1 => Command::Enable,
-        2 => Command::Disable,
-        3 | 4 if scale.homes => Command::Home,
-        5..=7 => Command::Stop,
-        8 => Command::StopAt(*random.choice(&[1e-9, 1e-3, 1.0, 1e4, 1e9]).unwrap_or(&1.0)),
-        9 => Command::QuickStop,
-        10 => Command::Reset,
-        11 => Command::ResetFault,
+        0 | 1 => Choice::Enable,
+        2 => Choice::Disable,
+        3 | 4 if scale.homes => Choice::Home,
+        5..=7 => Choice::Stop,
+        8 => Choice::StopAt(*random.choice(&[1e-9, 1e-3, 1.0, 1e4, 1e9]).unwrap_or(&1.0)),
+        9 => Choice::QuickStop,
+        10 => Choice::Reset,
+        11 => Choice::ResetFault,
         _ => motion(random, scale),
     }
 }

@@ -6,8 +6,8 @@ use std::time::Duration;
 
 use fastrand::Rng;
 use fieldbeat::axis::{
-    AxisPlan, EventKind, Feedback, Health, Link, Outcome, Row, StopCause, StopHow, StopPlan, StopThen,
-    Target, Verb,
+    AxisPlan, Command, EventKind, Feedback, Health, Link, Outcome, Row, StopCause, StopHow, StopPlan,
+    StopThen, Target,
 };
 use fieldbeat::bus::Cycle;
 use fieldbeat::bus::linudp::wire::{ControlWord, ErrorCode, Request, ResponseDef};
@@ -196,10 +196,10 @@ impl Machine {
         cycle - (cycle + divisor - phase) % divisor
     }
 
-    fn post(&mut self, axis: usize, verb: Verb) {
+    fn post(&mut self, axis: usize, verb: Command) {
         let watch = &mut self.watches[axis];
         watch.pending = true;
-        if verb == Verb::Enable {
+        if verb == Command::Enable {
             (watch.stopped, watch.stream) = (None, None);
         }
         self.b.post(axis, verb);
@@ -238,7 +238,7 @@ impl Machine {
                 }
                 EventKind::Ended { verb, outcome, .. } => {
                     watch.pending = false;
-                    watch.enabled |= verb == Verb::Enable.name() && outcome == Outcome::Done;
+                    watch.enabled |= verb == Command::Enable.name() && outcome == Outcome::Done;
                 }
                 EventKind::Link(Link::Online) => watch.online_at = event.cycle,
                 _ => {}
@@ -307,8 +307,8 @@ impl Machine {
             let feedback = self.b.feedback(axis);
             let verb = match feedback.stopped {
                 _ if feedback.link != Link::Online || self.watches[axis].pending => None,
-                Some(_) => Some(Verb::Reset),
-                None if feedback.fault != 0 => Some(Verb::ResetFault),
+                Some(_) => Some(Command::Reset),
+                None if feedback.fault != 0 => Some(Command::ResetFault),
                 None => {
                     assert!(!feedback.moving, "axis {axis} moves, and its latch is open: {feedback:?}");
                     continue;
@@ -322,7 +322,7 @@ impl Machine {
         }
         if !self.quiet && self.random.u8(..5) == 0 {
             // Struck on the way up.
-            axes.iter().for_each(|axis| self.post(*axis, Verb::Enable));
+            axes.iter().for_each(|axis| self.post(*axis, Command::Enable));
             let longest = 350 * MS / self.b.period_ns;
             let (fault, axis) = (pick(&mut self.random, &LINK), pick(&mut self.random, axes));
             return State::Moving(self.now() + self.random.u64(..longest), fault, axis);
@@ -337,8 +337,8 @@ impl Machine {
             let (watch, feedback) = (&self.watches[axis], self.b.feedback(axis));
             let verb = match feedback.homed {
                 _ if watch.pending => None,
-                _ if !watch.enabled => Some(Verb::Enable),
-                false => Some(Verb::Home),
+                _ if !watch.enabled => Some(Command::Enable),
+                false => Some(Command::Home),
                 // Where it ran out without power.
                 true if feedback.demand < 0.0 => Some(to(5.0)),
                 true => continue,
@@ -375,7 +375,7 @@ impl Machine {
             _ if self.watches[axis].stream.is_some() => {}
             _ if stream => self.stream(axis, demand, signed),
             0 => {}
-            1 => self.post(axis, Verb::Home),
+            1 => self.post(axis, Command::Home),
             2..4 => {
                 let target = Target::Absolute(self.random.f64() * 20.0);
                 self.post(axis, with(target, velocity, 2_000.0));
@@ -391,7 +391,7 @@ impl Machine {
         self.watches[axis].stream =
             Some(Stream { next: from, step, pushed: 0, starving: false, told: 0, told_at: 0, header: 0 });
         self.push_rows();
-        self.post(axis, Verb::Follow);
+        self.post(axis, Command::Follow);
     }
 
     /// Lets it happen.

@@ -33,7 +33,7 @@ fn neither_a_connection_nor_an_enable_runs_what_was_left_in_the_control_word() {
                 .all(|request| matches!(request[7], function::READ | function::READ_WRITE));
             assert!(reads, "nothing is written before the first order");
         }
-        b.sim.axis(0).post(Verb::Enable).unwrap();
+        b.sim.axis(0).post(Command::Enable).unwrap();
         for _ in 0..1_000 {
             b.run(1);
             assert_eq!(b.feedback(0).velocity, 0.0, "{via:?}");
@@ -72,12 +72,12 @@ fn a_stop_out_of_native_mode_goes_along_its_ramp_with_power_on() {
         let mut b = Bench::new(1, via, |_, _| {});
         b.ready();
         let mut native = b.sim.axis(0).native::<Native>().unwrap();
-        b.sim.axis(0).post(Verb::Native(owner)).unwrap();
+        b.sim.axis(0).post(Command::Native(owner)).unwrap();
         b.until("native mode", 100, |_| native.inputs().running);
         native.write(NativeOutput { control: ControlWord::FORWARD, reference: 3_000 }).unwrap();
         b.until("its speed", 2_000, |b| (b.feedback(0).velocity - 5.0).abs() < 0.1);
         assert!(native.inputs().control().is_some_and(|word| word.has(ControlWord::RUN_FORWARD)));
-        b.sim.axis(0).post(Verb::Stop { deceleration: Some(5.0) }).unwrap();
+        b.sim.axis(0).post(Command::Stop { deceleration: Some(5.0) }).unwrap();
         b.run(500);
         let feedback = b.feedback(0);
         assert!((2.0..3.0).contains(&feedback.velocity), "{owner:?} {via:?}: halfway down: {feedback:?}");
@@ -95,7 +95,7 @@ fn each_native_output_goes_out_however_often_the_wire_takes_none() {
     let mut b = Bench::new(1, Via::Direct, |_, _| {});
     b.ready();
     let mut native = b.sim.axis(0).native::<Native>().unwrap();
-    b.sim.axis(0).post(Verb::Native(NativeOwner::Application)).unwrap();
+    b.sim.axis(0).post(Command::Native(NativeOwner::Application)).unwrap();
     b.until("native mode", 100, |_| native.inputs().running);
     b.tap(0).heard.clear();
     for reference in 1..=10 {
@@ -121,7 +121,7 @@ fn a_drive_without_function_23_is_read_as_ever_after_it_was_watched_for_long() {
     let mut b = Bench::new(1, Via::Direct, |_, drive| drive.functions = Functions::Apart);
     b.online();
     b.run(30_000);
-    b.sim.axis(0).post(Verb::Enable).unwrap();
+    b.sim.axis(0).post(Command::Enable).unwrap();
     for _ in 0..200 {
         b.run(1);
         assert!(b.feedback(0).age < 20, "{:?}", b.feedback(0));
@@ -135,7 +135,7 @@ fn nothing_that_was_told_before_a_restart_is_told_after_it() {
         let mut b = Bench::new(1, via, |_, _| {});
         b.ready();
         let mut native = b.sim.axis(0).native::<Native>().unwrap();
-        b.sim.axis(0).post(Verb::Native(NativeOwner::Application)).unwrap();
+        b.sim.axis(0).post(Command::Native(NativeOwner::Application)).unwrap();
         b.until("native mode", 100, |_| native.inputs().running);
         native.write(NativeOutput { control: ControlWord::FORWARD, reference: 3_000 }).unwrap();
         b.until("its speed", 2_000, |b| (b.feedback(0).velocity - 5.0).abs() < 0.1);
@@ -211,7 +211,7 @@ fn a_drive_that_refuses_function_23_from_now_on_is_asked_in_turns_and_goes_on_tu
         assert!((b.feedback(0).velocity - 4.0).abs() < 0.1, "{via:?}: {:?}", b.feedback(0));
         b.turning(0, -3.0);
         b.done(0, STOP);
-        b.done(0, Verb::Disable);
+        b.done(0, Command::Disable);
         let counters = b.finish().drives[0].counters;
         let counted = [(key(Own::Exceptions), refused as u64), (key(Own::NoReadWrite), 1)];
         assert_eq!(own(&counters), counted, "{via:?}");

@@ -48,7 +48,7 @@ fn work(b: &mut Bench) {
     b.turning(0, 4.0);
     b.turning(0, -3.0);
     b.done(0, STOP);
-    b.done(0, Verb::Disable);
+    b.done(0, Command::Disable);
 }
 
 #[test]
@@ -123,7 +123,7 @@ fn a_native_output_that_was_refused_with_its_function_goes_out_by_another() {
         let mut b = bench(via, ReadWrite::Served);
         b.ready();
         let mut native = b.sim.axis(0).native::<Native>().unwrap();
-        b.sim.axis(0).post(Verb::Native(NativeOwner::Application)).unwrap();
+        b.sim.axis(0).post(Command::Native(NativeOwner::Application)).unwrap();
         b.until("native mode", 100, |_| native.inputs().running);
         b.tap(0).heard.clear();
         let mut lacks = false;
@@ -150,7 +150,7 @@ fn a_native_output_that_was_refused_with_its_function_goes_out_by_another() {
 fn a_slow_answer_is_no_missing_function() {
     let mut b = Bench::new(1, VIAS[1], |_, _| {});
     b.online();
-    b.sim.axis(0).post(Verb::Enable).unwrap();
+    b.sim.axis(0).post(Command::Enable).unwrap();
     let slow = FaultPlan { answer_ns: 8 * MS, ..FaultPlan::default() };
     assert!(b.sim.world().set_faults(address(0), slow));
     b.until("that it is given up", 100, |b| b.tap(0).heard.last().unwrap()[7] == function::WRITE);
@@ -172,7 +172,7 @@ fn a_drive_out_of_reach_is_not_without_function_23() {
         b.online();
         let slow = FaultPlan { answer_ns: 5 * MS, ..FaultPlan::default() };
         assert!(b.sim.world().set_faults(address(0), slow));
-        b.sim.axis(0).post(Verb::Enable).unwrap();
+        b.sim.axis(0).post(Command::Enable).unwrap();
         b.until("the first of them", 100, |b| both(b) == 1);
         assert!(b.sim.world().unplug(address(0)));
         b.run(2_000);
@@ -195,7 +195,7 @@ fn a_function_that_is_fixed_is_not_replaced() {
             drive.simulate.interface.read_write = server;
         });
         b.online();
-        b.sim.axis(0).post(Verb::Enable).unwrap();
+        b.sim.axis(0).post(Command::Enable).unwrap();
         b.until("that it is lost", 2_000, |b| b.feedback(0).stopped.is_some());
         let written = |b: &Bench| {
             let control = Parameter::CONTROL_WORD.address(Addressing::Standard, Width::Word);

@@ -12,7 +12,7 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
 use fieldbeat::axis::{
-    Failure, Feedback, FoundRunning, Jog, Link, Outcome, Profile, StopCause, Unit, Units, Verb,
+    Command, Failure, Feedback, FoundRunning, Jog, Link, Outcome, Profile, StopCause, Unit, Units,
 };
 use fieldbeat::bus::linudp::LinUdpPlan;
 use fieldbeat::bus::modbus::counters::{OWN, Own};
@@ -32,7 +32,7 @@ use fieldbeat::sim::{FaultPlan, SimDrive};
 use fieldbeat::simulation::Simulation;
 use fieldbeat::time::{MS, S, Time, US};
 
-const STOP: Verb = Verb::Stop { deceleration: None };
+const STOP: Command = Command::Stop { deceleration: None };
 /// Another master.
 const OTHER: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::new(10, 8, 8, 8), 8_888);
 
@@ -260,15 +260,15 @@ impl Bench {
         self.until("all online", 20_000, |b| (0..count).all(|index| b.feedback(index).link == Link::Online));
     }
 
-    fn outcome(&mut self, index: usize, verb: Verb) -> Outcome {
+    fn outcome(&mut self, index: usize, verb: Command) -> Outcome {
         self.sim.run_verb(index, verb, 40_000).unwrap().unwrap_or_else(|| panic!("no end of {verb:?}"))
     }
 
-    fn done(&mut self, index: usize, verb: Verb) {
+    fn done(&mut self, index: usize, verb: Command) {
         assert_eq!(self.outcome(index, verb), Outcome::Done, "{verb:?}");
     }
 
-    fn failed(&mut self, index: usize, verb: Verb) -> Failure {
+    fn failed(&mut self, index: usize, verb: Command) -> Failure {
         match self.outcome(index, verb) {
             Outcome::Failed(failure) => failure,
             other => panic!("{verb:?}: {other}"),
@@ -278,13 +278,13 @@ impl Bench {
     fn ready(&mut self) {
         self.online();
         for index in 0..self.taps.len() {
-            self.done(index, Verb::Enable);
+            self.done(index, Command::Enable);
         }
     }
 
     /// Turning at this speed.
     fn turning(&mut self, index: usize, velocity: f64) {
-        self.sim.axis(index).post(Verb::Jog(Jog { velocity, acceleration: 80.0 })).unwrap();
+        self.sim.axis(index).post(Command::Jog(Jog { velocity, acceleration: 80.0 })).unwrap();
         self.until("its speed", 2_000, |b| (b.feedback(index).velocity - velocity).abs() < 0.1);
     }
 
@@ -295,7 +295,7 @@ impl Bench {
 
     /// The whole way back.
     fn recover(&mut self, index: usize) {
-        for verb in [Verb::ResetFault, Verb::Reset, Verb::Enable] {
+        for verb in [Command::ResetFault, Command::Reset, Command::Enable] {
             self.done(index, verb);
         }
         self.turning(index, 2.0);
@@ -332,7 +332,7 @@ fn both_mappings_turn_a_motor_with_function_23_and_without() {
                 assert!((f64::from(rpm) / 600.0 - velocity).abs() < 0.1, "{what}: {rpm} tenths of rpm");
             }
             b.done(0, STOP);
-            b.done(0, Verb::Disable);
+            b.done(0, Command::Disable);
             assert!(!b.tap(0).status(b.now()).active(), "{what}");
             // Those of the control word, or of menu 0 from its place on; settings are written alone.
             let places = [Parameter::CONTROL_WORD, Parameter::new(0, 11)];
@@ -412,7 +412,7 @@ fn a_value_that_the_drive_refuses_is_found_out_and_ends_the_order() {
             let mut b = Bench::new(1, via, |_, drive| drive.functions = functions);
             b.ready();
             b.tap(0).request = Some(Box::new(spoil_reference));
-            let jog = Verb::Jog(Jog { velocity: 4.0, acceleration: 80.0 });
+            let jog = Command::Jog(Jog { velocity: 4.0, acceleration: 80.0 });
             assert_eq!(b.failed(0, jog), Failure::NotTaken, "{what}");
             b.tap(0).request = None;
             let counters = b.finish().drives[0].counters;
@@ -435,7 +435,7 @@ fn a_trip_latches_by_its_number_and_is_reset_by_the_application() {
             assert_eq!(b.stopped(0, 100), StopCause::DriveFault);
             b.until("its number", 100, |b| b.feedback(0).fault == u32::from(trip.0));
             assert_eq!((b.plan.fault_names())(trip.0.into()), trip.name());
-            assert_eq!(b.failed(0, Verb::Enable), Failure::Latched(StopCause::DriveFault));
+            assert_eq!(b.failed(0, Command::Enable), Failure::Latched(StopCause::DriveFault));
             b.run(500);
             assert!(!b.tap(0).status(b.now()).healthy(), "nobody resets it by himself");
             b.recover(0);
@@ -451,10 +451,10 @@ fn an_over_current_trip_is_reset_as_soon_as_the_drive_takes_it_and_not_before() 
     b.tap(0).drive.provoke(Trip::OVER_CURRENT);
     let begin = b.now();
     b.stopped(0, 100);
-    // Down the ladder, before anything else is taken.
+    // The stop sequence runs to its end before anything else is taken.
     b.run(100);
     b.tap(0).heard.clear();
-    b.done(0, Verb::ResetFault);
+    b.done(0, Command::ResetFault);
     let took = b.now().since(begin);
     assert!((10 * S..11 * S).contains(&took), "after {took} ns");
     let heard = std::mem::take(&mut b.tap(0).heard);
@@ -476,7 +476,7 @@ fn a_trip_that_comes_back_at_once_fails_its_reset_by_its_number() {
     for via in VIAS {
         let mut b = Bench::new(1, via, |_, drive| drive.simulate.persistent_trip = Some(20));
         b.online();
-        assert_eq!(b.failed(0, Verb::ResetFault), Failure::DriveFault(20));
+        assert_eq!(b.failed(0, Command::ResetFault), Failure::DriveFault(20));
         assert!(!b.tap(0).status(b.now()).active());
     }
 }
@@ -486,7 +486,7 @@ fn a_missing_hardware_enable_is_told_when_the_drive_does_not_come_up() {
     for via in VIAS {
         let mut b = Bench::new(1, via, |_, drive| drive.simulate.hardware_enable = false);
         b.online();
-        assert_eq!(b.failed(0, Verb::Enable), Failure::Inhibited);
+        assert_eq!(b.failed(0, Command::Enable), Failure::Inhibited);
         b.until("that it is shown", 50, |b| b.feedback(0).inhibited && !b.feedback(0).state.is_powered());
         let control = ControlWord(b.tap(0).read(b.now(), Parameter::CONTROL_WORD));
         assert!(!control.has(ControlWord::ENABLE), "it does not come up when the enable comes back");
@@ -834,9 +834,9 @@ fn without_a_watchdog_nothing_turns_unless_that_is_accepted() {
         let mut b = Bench::new(1, Via::Direct, |_, drive| drive.watchdog = watchdog);
         b.online();
         if accept_none {
-            b.done(0, Verb::Enable);
+            b.done(0, Command::Enable);
         } else {
-            let refused = b.failed(0, Verb::Enable);
+            let refused = b.failed(0, Command::Enable);
             assert!(matches!(refused, Failure::Unsupported(why) if why.contains("watchdog")), "{refused}");
         }
     }
@@ -883,7 +883,7 @@ fn fleet(seed: u64) -> (u64, String, Numbers) {
     b.ready();
     for index in 0..32 {
         let velocity = 1.0 + index as f64 / 8.0;
-        b.sim.axis(index).post(Verb::Jog(Jog { velocity, acceleration: 80.0 })).unwrap();
+        b.sim.axis(index).post(Command::Jog(Jog { velocity, acceleration: 80.0 })).unwrap();
     }
     b.run(2_000);
     for index in 0..32 {

@@ -36,7 +36,7 @@ use crate::axis::cell;
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, FaultNames, Feedback, FoundRunning, Link, MonitorChannel, Observer, PlanFault};
 use crate::bus::{
-    Bus, BusClock, BusPlan, Counters, Cycle, Exchange, Notes, OpenError, OwnCounter, Slot, Strangers,
+    Bus, BusClock, BusPlan, Counters, Cycle, Exchange, Notes, OpenError, OwnCounter, Slot, Unmatched,
 };
 use crate::errors::no_descriptor;
 use crate::net::frames::Unsent;
@@ -84,7 +84,7 @@ pub struct EthercatBus {
     wire: Arc<AtomicU8>,
     silent: u8,
     interface: String,
-    strangers: Strangers,
+    unmatched: Unmatched,
     other: OtherMaster,
     natives: Vec<Option<Native>>,
     acyclics: Vec<Option<AcyclicEnds>>,
@@ -207,7 +207,7 @@ impl EthercatBus {
             wire: Arc::default(),
             silent: 0,
             interface: plan.interface.clone(),
-            strangers: Strangers::default(),
+            unmatched: Unmatched::default(),
             other: OtherMaster::default(),
             natives,
             acyclics,
@@ -242,7 +242,7 @@ impl EthercatBus {
         match room.get(..length) {
             Some(received) => self.sort(at, received, in_window, slots),
             // Longer than any frame.
-            None => self.strangers.datagrams += 1,
+            None => self.unmatched.datagrams += 1,
         }
         self.room = room;
     }
@@ -253,7 +253,7 @@ impl EthercatBus {
             Ok(number) => number,
             Err(stranger) => {
                 match stranger {
-                    Stranger::Foreign => self.strangers.datagrams += 1,
+                    Stranger::Foreign => self.unmatched.datagrams += 1,
                     Stranger::Unknown => self.count(None, slots, |counters| counters.foreign += 1),
                     // Its frame cannot be identified.
                     Stranger::Broken => self.count(None, slots, |counters| counters.malformed += 1),
@@ -353,7 +353,7 @@ impl EthercatBus {
                 Some(sent_at) => station.asked(sent_at, cycle.deadline, slot),
                 None => {
                     // The silence of a slave that is being shut down is expected.
-                    slot.excused |= self.ending;
+                    slot.expected_silence |= self.ending;
                     station.unsent(slot);
                 }
             }
@@ -545,8 +545,8 @@ impl Bus for EthercatBus {
         self.line.shut_down(cycle.grid) && !owed
     }
 
-    fn strangers(&self) -> Strangers {
-        Strangers { errors: self.net.errors(), ..self.strangers }
+    fn unmatched(&self) -> Unmatched {
+        Unmatched { errors: self.net.errors(), ..self.unmatched }
     }
 
     fn notes(&self) -> Option<Arc<dyn Notes>> {

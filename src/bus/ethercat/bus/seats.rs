@@ -91,7 +91,7 @@ impl Crew for Seats {
                 if let (Some(station), Some(slot)) = (self.stations.get_mut(index), slots.get_mut(index)) {
                     station.operational(al, slot);
                     slot.reachable |= al.is_some();
-                    slot.excused &= al.is_none();
+                    slot.expected_silence &= al.is_none();
                 }
             }
             Owner::Device(index) => {
@@ -152,7 +152,7 @@ impl Crew for Seats {
         if let Owner::Drive(index) = owner
             && let Some(slot) = slots.get_mut(index)
         {
-            slot.excused = true;
+            slot.expected_silence = true;
         }
     }
 

@@ -3,11 +3,11 @@
 use super::{ANSWERS, Before, Inputs, Kind, ModeIs, Orders, Step, Turning};
 use crate::axis::command::NativeOwner;
 use crate::axis::limits::check_position;
-use crate::axis::{Failure, Move, State, Target, Verb};
+use crate::axis::{Command, Failure, Move, State, Target};
 use crate::bus::Slot;
-use crate::bus::ethercat::cia402::{Command, ControlWord};
+use crate::bus::ethercat::cia402::{ControlCommand, ControlWord};
 use crate::bus::ethercat::native::NativePort;
-use crate::bus::ethercat::trajectory::{Point, Trajectory};
+use crate::drive::planner::{Point, Trajectory};
 use crate::time::Time;
 
 const NO_CONTROL: Failure = Failure::Unsupported("its outputs have no control word: map 6040h");
@@ -140,18 +140,20 @@ impl Orders {
     }
 
     /// Why this drive cannot do that, in any state.
-    fn cannot(&self, verb: Option<Verb>) -> Option<Failure> {
+    fn cannot(&self, verb: Option<Command>) -> Option<Failure> {
         match verb? {
-            Verb::Reset => None,
+            Command::Reset => None,
             _ if !self.controlled => Some(NO_CONTROL),
-            Verb::Enable if self.found_otherwise && self.watched => Some(FOUND_UNWATCHED),
-            Verb::Enable if self.blind => Some(BLIND),
-            Verb::Move(_) | Verb::Follow if self.kind != Kind::Position => Some(NO_POSITION),
-            Verb::Jog(_) | Verb::Velocity { .. } if matches!(self.kind, Kind::Torque(_) | Kind::Zero) => {
+            Command::Enable if self.found_otherwise && self.watched => Some(FOUND_UNWATCHED),
+            Command::Enable if self.blind => Some(BLIND),
+            Command::Move(_) | Command::Follow if self.kind != Kind::Position => Some(NO_POSITION),
+            Command::Jog(_) | Command::Velocity { .. }
+                if matches!(self.kind, Kind::Torque(_) | Kind::Zero) =>
+            {
                 Some(NO_VELOCITY)
             }
-            Verb::Torque { .. } if !matches!(self.kind, Kind::Torque(_)) => Some(NO_TORQUE),
-            Verb::Jog(_) | Verb::Velocity { .. } | Verb::Torque { .. } if !self.is_watched() => {
+            Command::Torque { .. } if !matches!(self.kind, Kind::Torque(_)) => Some(NO_TORQUE),
+            Command::Jog(_) | Command::Velocity { .. } | Command::Torque { .. } if !self.is_watched() => {
                 Some(NOT_WATCHED)
             }
             _ => None,
@@ -167,9 +169,9 @@ impl Orders {
                 self.foreign = inputs.mode == ModeIs::Other;
                 return;
             }
-            State::SwitchedOn => Command::SwitchOn.word(),
-            State::ReadyToSwitchOn => Command::Shutdown.word(),
-            State::QuickStopActive => Command::QuickStop.word(),
+            State::SwitchedOn => ControlCommand::SwitchOn.word(),
+            State::ReadyToSwitchOn => ControlCommand::Shutdown.word(),
+            State::QuickStopActive => ControlCommand::QuickStop.word(),
             _ => ControlWord(0),
         };
         self.set(word);
@@ -195,7 +197,7 @@ impl Orders {
 
     /// The last word that was sent, or the one as found, has it in operation, and it reports that it is.
     fn runs(&self, inputs: &Inputs) -> bool {
-        let on = Command::EnableOperation.word().0;
+        let on = ControlCommand::EnableOperation.word().0;
         self.leads && inputs.operating() && self.control_sent.is_none_or(|word| word.has(on))
     }
 
@@ -203,25 +205,25 @@ impl Orders {
         let Some(verb) = slot.order.verb else { return self.finish(Ok(())) };
         let fault = Failure::DriveFault(inputs.fault.into());
         match verb {
-            Verb::Reset => self.finish(Ok(())),
-            Verb::Enable if inputs.faulted() && inputs.named => self.finish(Err(fault)),
-            Verb::Enable if self.runs(inputs) && inputs.mode == ModeIs::Own => self.finish(Ok(())),
-            Verb::Enable => self.begin_enable(now, inputs),
-            Verb::Disable => {
+            Command::Reset => self.finish(Ok(())),
+            Command::Enable if inputs.faulted() && inputs.named => self.finish(Err(fault)),
+            Command::Enable if self.runs(inputs) && inputs.mode == ModeIs::Own => self.finish(Ok(())),
+            Command::Enable => self.begin_enable(now, inputs),
+            Command::Disable => {
                 self.set(ControlWord(0));
                 self.enter(now, Step::Disabling);
             }
-            Verb::Home => {
+            Command::Home => {
                 self.wind_down();
                 self.enter(now, Step::HomeWaiting);
             }
-            Verb::Stop { .. } | Verb::QuickStop => self.begin_stop(now, verb, inputs),
-            Verb::ResetFault if !inputs.faulted() => self.finish(Ok(())),
-            Verb::ResetFault => {
+            Command::Stop { .. } | Command::QuickStop => self.begin_stop(now, verb, inputs),
+            Command::ResetFault if !inputs.faulted() => self.finish(Ok(())),
+            Command::ResetFault => {
                 self.set(ControlWord(0));
                 self.enter(now, Step::ResetWaiting);
             }
-            Verb::Native(owner) => self.begin_native(now, owner, inputs),
+            Command::Native(owner) => self.begin_native(now, owner, inputs),
             _ if !self.runs(inputs) => self.finish(Err(Failure::WrongState(slot.report.state))),
             _ if inputs.mode != ModeIs::Own => self.refuse(OTHER_MODE),
             _ => self.begin_motion(now, verb, inputs, slot),
@@ -229,13 +231,13 @@ impl Orders {
     }
 
     /// An order that needs a drive that follows setpoints, in their mode.
-    fn begin_motion(&mut self, now: Time, verb: Verb, inputs: &Inputs, slot: &Slot) {
+    fn begin_motion(&mut self, now: Time, verb: Command, inputs: &Inputs, slot: &Slot) {
         self.end_halt(inputs);
         match verb {
-            Verb::Move(motion) => self.begin_move(now, &motion),
-            Verb::Jog(jog) => self.begin_turning(now, jog.acceleration, inputs, slot),
-            Verb::Velocity { acceleration } => self.begin_turning(now, acceleration, inputs, slot),
-            Verb::Torque { slope } => self.begin_turning(now, slope, inputs, slot),
+            Command::Move(motion) => self.begin_move(now, &motion),
+            Command::Jog(jog) => self.begin_turning(now, jog.acceleration, inputs, slot),
+            Command::Velocity { acceleration } => self.begin_turning(now, acceleration, inputs, slot),
+            Command::Torque { slope } => self.begin_turning(now, slope, inputs, slot),
             _ => {
                 self.enter(now, Step::FollowWaiting);
                 // The running motion ends here, and the first row may have come with the order.
@@ -255,13 +257,13 @@ impl Orders {
     fn begin_enable(&mut self, now: Time, inputs: &Inputs) {
         let off = self.control_sent.is_some_and(|word| !word.has(ControlWord::SWITCH_ON));
         let held = inputs.operational && !off && inputs.state == State::SwitchedOn;
-        self.rest = if held { Command::SwitchOn.word() } else { ControlWord(0) };
+        self.rest = if held { ControlCommand::SwitchOn.word() } else { ControlWord(0) };
         match inputs.state {
             State::OperationEnabled | State::QuickStopActive if inputs.operational && !off => {
                 self.hold(inputs.position);
             }
-            _ if held => self.set(Command::SwitchOn.word()),
-            _ => self.set(Command::Shutdown.word()),
+            _ if held => self.set(ControlCommand::SwitchOn.word()),
+            _ => self.set(ControlCommand::Shutdown.word()),
         }
         self.enter(now, Step::Enabling);
     }
@@ -295,11 +297,11 @@ impl Orders {
         self.turn_on(inputs, slot);
     }
 
-    fn begin_stop(&mut self, now: Time, verb: Verb, inputs: &Inputs) {
+    fn begin_stop(&mut self, now: Time, verb: Command, inputs: &Inputs) {
         match (self.step, verb) {
             (Step::HomeMode | Step::Homing | Step::HomeStopping(_) | Step::HomeLeaving(_), _) => {
                 self.start = false;
-                self.halt = verb == Verb::QuickStop;
+                self.halt = verb == Command::QuickStop;
                 self.enter(now, Step::HomeStopping(Ok(())));
             }
             // Powering up: it does not continue by itself.
@@ -311,7 +313,7 @@ impl Orders {
             _ if !self.leads => self.begin_stop_without_setpoint(now, inputs),
             // A stop that is under way is not made softer.
             _ if inputs.mode != ModeIs::Own || self.halt => self.halt(now, inputs),
-            (_, Verb::Stop { deceleration }) => {
+            (_, Command::Stop { deceleration }) => {
                 self.brake(deceleration.unwrap_or(self.deceleration));
                 self.enter(now, Step::Stopping);
             }
@@ -380,10 +382,10 @@ mod tests {
         let mut orders = Orders::new(&drive, MS);
         let (_application, mut native) = native(&drive.outputs, &drive.inputs);
         let mut slot = Slot::default();
-        (slot.order.serial, slot.order.verb) = (1, Some(Verb::Stop { deceleration: Some(10.0) }));
+        (slot.order.serial, slot.order.verb) = (1, Some(Command::Stop { deceleration: Some(10.0) }));
         let mut advance = |orders: &mut Orders, n: u64| {
             let out = orders.advance(Time(S + n * MS), &moving(n), &mut slot, &mut native);
-            assert!(orders.writes() && out.control == Command::EnableOperation.word());
+            assert!(orders.writes() && out.control == ControlCommand::EnableOperation.word());
             f64::from(out.setpoint) / f64::from(1 << 20)
         };
         for n in 0..20 {

@@ -3,10 +3,10 @@
 use super::begin::OTHER_MODE;
 use super::{ANSWERS, Inputs, Kind, ModeIs, Orders, Reference, Step, Turning};
 use crate::axis::command::NativeOwner;
-use crate::axis::{Failure, State, Verb};
+use crate::axis::{Command, Failure, State};
 use crate::bus::Slot;
-use crate::bus::ethercat::cia402::{Command, ControlWord, StatusWord};
-use crate::bus::ethercat::trajectory::{Point, Trajectory};
+use crate::bus::ethercat::cia402::{ControlCommand, ControlWord, StatusWord};
+use crate::drive::planner::{Point, Trajectory};
 use crate::time::{MS, Time};
 
 /// A fault is watched for so long, ns, after the reset: a drive that fails again at once looks like a failed reset.
@@ -117,7 +117,7 @@ impl Orders {
 
     fn enabling(&mut self, now: Time, inputs: &Inputs, slot: &Slot) {
         let fresh = inputs.fresh && inputs.operational && self.answers > 0;
-        let on = Command::EnableOperation.word();
+        let on = ControlCommand::EnableOperation.word();
         let told = |word: Option<ControlWord>| word.is_some_and(|word| word.has(on.0));
         match inputs.state {
             State::Fault | State::FaultReactionActive if fresh && inputs.named => {
@@ -130,7 +130,7 @@ impl Orders {
             }
             // No power in a mode that somebody else has left.
             State::ReadyToSwitchOn if fresh && inputs.mode == ModeIs::Own => {
-                self.set(Command::SwitchOn.word());
+                self.set(ControlCommand::SwitchOn.word());
             }
             State::SwitchedOn
                 if fresh && !self.leads && self.answers >= ANSWERS && inputs.mode == ModeIs::Own =>
@@ -209,7 +209,7 @@ impl Orders {
                 if let Some(reference) = inputs.reference {
                     self.hold(inputs.position);
                     // Attained, but begun anew before it was left.
-                    let lost = reference == Reference::Lost && slot.order.verb == Some(Verb::Home);
+                    let lost = reference == Reference::Lost && slot.order.verb == Some(Command::Home);
                     return self.finish(if lost { end.and(Err(HOME_FAILED)) } else { end });
                 }
             }

@@ -2,8 +2,8 @@
 
 use super::{Inputs, Kind, ModeIs, Orders, Outputs, Step};
 use crate::bus::Slot;
-use crate::bus::ethercat::cia402::{Command, ControlWord};
-use crate::bus::ethercat::trajectory::{Point, Trajectory};
+use crate::bus::ethercat::cia402::{ControlCommand, ControlWord};
+use crate::drive::planner::{Point, Trajectory};
 
 /// The most that a setpoint catches up, in intervals between two exchanges.
 const MOST_STEP: u64 = 2;
@@ -14,7 +14,7 @@ impl Orders {
     pub(super) fn outputs(&self) -> Outputs {
         let mode = if self.start { ControlWord::START } else { 0 };
         let halt = if self.halt { ControlWord::HALT } else { 0 };
-        let operates = self.control.has(Command::EnableOperation.word().0);
+        let operates = self.control.has(ControlCommand::EnableOperation.word().0);
         // The start of a homing needs an edge of the same bit.
         let homes = self.is_homing() || matches!(self.step, Step::HomeMode);
         let own = if operates && !homes { self.mode_bits } else { 0 };
@@ -106,7 +106,7 @@ impl Orders {
 
     pub(super) fn run_from(&mut self, point: Point) {
         self.writes = true;
-        (self.control, self.leads, self.halt) = (Command::EnableOperation.word(), true, false);
+        (self.control, self.leads, self.halt) = (ControlCommand::EnableOperation.word(), true, false);
         self.demand = point;
         self.plan(Trajectory::on(point));
     }

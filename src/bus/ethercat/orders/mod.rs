@@ -26,13 +26,13 @@ mod begin;
 mod going;
 mod leading;
 
-use super::cia402::{Command, ControlWord, Mode, StatusWord};
+use super::cia402::{ControlCommand, ControlWord, Mode, StatusWord};
 use super::native::{NativeOutput, NativePort};
 use super::plan::{KollmorgenDrive, Setpoint};
-use super::trajectory::{Point, Trajectory};
 use crate::axis::command::NativeOwner;
 use crate::axis::{Failure, Limits, State, Units};
 use crate::bus::{Progress, Slot};
+use crate::drive::planner::{Point, Trajectory};
 use crate::time::{MS, S, Time, nanos};
 
 /// The answer to an output comes with so many exchanges.
@@ -610,7 +610,7 @@ impl Orders {
 
     /// The drive has left operation, or is to: it stops, if it still turns, and does not come back by itself.
     fn let_go(&mut self) {
-        self.set(Command::QuickStop.word());
+        self.set(ControlCommand::QuickStop.word());
     }
 
     /// Setpoints do not count with this word.

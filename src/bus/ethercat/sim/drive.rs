@@ -34,7 +34,7 @@ use super::objects::Objects;
 use super::settings::DriveSettings;
 use super::sync::{QUANTUM_NS, Sync};
 use crate::axis::State;
-use crate::bus::ethercat::cia402::{Cause, Command, ControlWord, Mode, StatusWord, Transition};
+use crate::bus::ethercat::cia402::{Cause, ControlCommand, ControlWord, Mode, StatusWord, Transition};
 use crate::bus::ethercat::faults::{Clearing, Fault};
 use crate::bus::ethercat::object::pdo::Layout;
 use crate::bus::ethercat::object::{Family, Object};
@@ -191,7 +191,7 @@ impl Drive {
         };
         self.objects.set(MODE, mode.0.into());
         self.objects.set(setpoint, count);
-        let word = Command::EnableOperation.word();
+        let word = ControlCommand::EnableOperation.word();
         self.objects.set(CONTROL_WORD, word.0.into());
         self.sync.start(self.cycle_ns);
         (self.al, self.state, self.control) = (AlState::Op, State::OperationEnabled, Some(word));

@@ -4,21 +4,21 @@
 use std::collections::VecDeque;
 
 use super::*;
-use crate::axis::{Failure, Jog, Link, Move, Profile, Row, Target, Verb};
+use crate::axis::{Command, Failure, Jog, Link, Move, Profile, Row, Target};
 use crate::bus::ethercat::cia402::Mode;
 use crate::bus::ethercat::faults::Fault;
 use crate::bus::ethercat::object::{Family, Type, pdo};
 use crate::bus::ethercat::sim::{Drive, DriveSettings};
 use crate::bus::ethercat::slot::{Answer, Ask};
 use crate::bus::ethercat::start_up::start_up;
-use crate::bus::ethercat::wire::frame::Command;
+use crate::bus::ethercat::wire::frame::Command as DatagramCommand;
 use crate::bus::ethercat::wire::mailbox::{Counter, SDO_SIZE, emit};
 use crate::bus::ethercat::wire::sdo::Request;
 use crate::bus::{NumberedRow, Order};
 use crate::time::S;
 
 const PERIOD: u64 = MS;
-const STOP: Verb = Verb::Stop { deceleration: None };
+const STOP: Command = Command::Stop { deceleration: None };
 const PROFILE: Profile = Profile { velocity: 1.0, acceleration: 10.0, deceleration: 10.0 };
 
 /// One drive, and the line in between.
@@ -139,7 +139,7 @@ impl Rig {
     /// Builds the outputs, twice as often as not.
     fn prepare(&mut self) {
         let cycle = self.cycle();
-        if self.slot.order.verb == Some(Verb::Follow)
+        if self.slot.order.verb == Some(Command::Follow)
             && let Some(row) = self.rows.front()
         {
             self.slot.row = Some(NumberedRow { number: self.row + 1, row: *row });
@@ -226,11 +226,11 @@ impl Rig {
         self.station.mailbox_heard(&mut self.slot);
     }
 
-    fn carry(&mut self, command: Command, data: &[u8]) -> (u16, Vec<u8>) {
+    fn carry(&mut self, command: DatagramCommand, data: &[u8]) -> (u16, Vec<u8>) {
         let [out, input] = self.plan.slave.mailbox.unwrap();
         let mut data = data.to_vec();
         match command {
-            Command::Fpwr(_, at) if (out.start..out.start + out.length).contains(&at) => {
+            DatagramCommand::Fpwr(_, at) if (out.start..out.start + out.length).contains(&at) => {
                 let at = usize::from(at - out.start);
                 self.posted[at..at + data.len()].copy_from_slice(&data);
                 if at + data.len() == SDO_SIZE {
@@ -241,7 +241,7 @@ impl Rig {
                 }
                 (1, data)
             }
-            Command::Fprd(_, at) if (input.start..input.start + input.length).contains(&at) => {
+            DatagramCommand::Fprd(_, at) if (input.start..input.start + input.length).contains(&at) => {
                 let at = usize::from(at - input.start);
                 let Some(message) = self.mail.front() else { return (0, data) };
                 for (place, byte) in data.iter_mut().zip(message.iter().skip(at)) {
@@ -252,7 +252,7 @@ impl Rig {
                 }
                 (1, data)
             }
-            Command::Fprd(_, 0x080D) => {
+            DatagramCommand::Fprd(_, 0x080D) => {
                 data[0] = if self.mail.is_empty() { 0 } else { 1 << 3 };
                 (1, data)
             }
@@ -260,9 +260,9 @@ impl Rig {
         }
     }
 
-    fn order(&mut self, verb: impl Into<Option<Verb>>) {
+    fn order(&mut self, verb: impl Into<Option<Command>>) {
         let verb = verb.into();
-        if let Some(Verb::Jog(jog)) = verb {
+        if let Some(Command::Jog(jog)) = verb {
             self.slot.velocity = jog.velocity;
         }
         self.slot.order = Order { serial: self.slot.order.serial + 1, verb };
@@ -283,19 +283,19 @@ impl Rig {
         panic!("not within {most} cycles: {what}; {:?}, {:?}", self.slot, self.station.orders);
     }
 
-    fn run(&mut self, verb: Verb) -> Result<(), Failure> {
+    fn run(&mut self, verb: Command) -> Result<(), Failure> {
         self.order(verb);
         self.until(&format!("the end of {verb:?}"), 20_000, |rig| rig.end().is_some());
         self.end().unwrap()
     }
 
-    fn done(&mut self, verb: Verb) {
+    fn done(&mut self, verb: Command) {
         assert_eq!(self.run(verb), Ok(()), "{verb:?}");
     }
 
     fn enabled(plan: KollmorgenDrive) -> Rig {
         let mut rig = Rig::new(plan);
-        rig.done(Verb::Enable);
+        rig.done(Command::Enable);
         rig
     }
 
@@ -303,16 +303,16 @@ impl Rig {
         self.slot.report.state
     }
 
-    fn by(way: f64) -> Verb {
-        Verb::Move(Move { target: Target::Relative(way), profile: PROFILE })
+    fn by(way: f64) -> Command {
+        Command::Move(Move { target: Target::Relative(way), profile: PROFILE })
     }
 
-    fn to(place: f64) -> Verb {
-        Verb::Move(Move { target: Target::Absolute(place), profile: PROFILE })
+    fn to(place: f64) -> Command {
+        Command::Move(Move { target: Target::Absolute(place), profile: PROFILE })
     }
 
-    fn jog(velocity: f64) -> Verb {
-        Verb::Jog(Jog { velocity, acceleration: 10.0 })
+    fn jog(velocity: f64) -> Command {
+        Command::Jog(Jog { velocity, acceleration: 10.0 })
     }
 
     /// It stands, and goes on standing, with power.
@@ -348,7 +348,7 @@ fn nothing_is_written_but_neutral_outputs_before_the_first_order() {
 fn enable_goes_from_state_to_state_each_seen() {
     for plan in [velocity(), position(), planned(0x1703, 0x1B03)] {
         let mut rig = Rig::new(plan);
-        rig.order(Verb::Enable);
+        rig.order(Command::Enable);
         let mut told = vec![];
         while rig.end().is_none() {
             rig.turn();
@@ -360,10 +360,10 @@ fn enable_goes_from_state_to_state_each_seen() {
         assert_eq!(told, [6, 7, 0x0F]);
         assert_eq!((rig.state(), rig.drive.axis_state()), (State::OperationEnabled, State::OperationEnabled));
         rig.assert_standing();
-        rig.order(Verb::Enable);
+        rig.order(Command::Enable);
         rig.prepare();
         assert_eq!((rig.end(), rig.control()), (Some(Ok(())), 0x0F), "it is on already");
-        rig.done(Verb::Disable);
+        rig.done(Command::Disable);
         assert_eq!((rig.control(), rig.drive.axis_state()), (0, State::SwitchOnDisabled));
     }
 }
@@ -387,7 +387,7 @@ fn a_jog_turns_the_motor_at_its_velocity_and_a_stop_ramps_it_down() {
         rig.assert_standing();
         rig.order(Rig::jog(1.0));
         rig.turns(300);
-        rig.done(Verb::QuickStop);
+        rig.done(Command::QuickStop);
         rig.assert_standing();
         rig.order(Rig::jog(1.0));
         rig.turns(300);
@@ -430,7 +430,7 @@ fn a_move_that_is_replaced_before_it_goes_out_never_was() {
     // Nor does power go off for a disable that another order replaces in time.
     rig.order(Rig::by(10.0));
     rig.turns(300);
-    rig.order(Verb::Disable);
+    rig.order(Command::Disable);
     rig.prepare();
     assert_eq!(rig.control(), 0);
     rig.done(STOP);
@@ -452,7 +452,7 @@ fn rows_are_followed_to_the_last_one_an_exchange() {
         let place = at + 0.2 * phase * phase * (3.0 - 2.0 * phase);
         rig.rows.push_back(Row { position: place, last: n == 300, ..Row::default() });
     }
-    rig.order(Verb::Follow);
+    rig.order(Command::Follow);
     rig.until("the end", 1_000, |rig| rig.end().is_some());
     assert_eq!(rig.end(), Some(Ok(())));
     assert!(rig.rows.is_empty());
@@ -463,7 +463,7 @@ fn rows_are_followed_to_the_last_one_an_exchange() {
         let place = at + 0.2 + 0.001 * f64::from(n);
         rig.rows.push_back(Row { position: place, last: false, ..Row::default() });
     }
-    rig.order(Verb::Follow);
+    rig.order(Command::Follow);
     rig.turns(200);
     rig.rows.clear();
     rig.steepest = 0;
@@ -480,7 +480,7 @@ fn what_it_cannot_do_is_refused_at_once_by_name() {
         matches!(rig.end(), Some(Err(Failure::Unsupported(_))))
     };
     let mut rig = Rig::enabled(velocity());
-    assert!(unsupported(&mut rig, Rig::by(1.0)) && unsupported(&mut rig, Verb::Follow));
+    assert!(unsupported(&mut rig, Rig::by(1.0)) && unsupported(&mut rig, Command::Follow));
     let mut rig = Rig::enabled(planned(0x1703, 0x1B03));
     assert!(unsupported(&mut rig, Rig::jog(1.0)) && unsupported(&mut rig, Rig::by(1.0)));
     let mut plan = velocity();
@@ -500,7 +500,7 @@ fn what_it_cannot_do_is_refused_at_once_by_name() {
     let mut plan = velocity();
     plan.outputs.entries.retain(|entry| entry.object != CONTROL_WORD);
     let mut station = Station::new(&plan, PERIOD).0;
-    let mut slot = Slot { order: Order { serial: 1, verb: Some(Verb::Enable) }, ..Slot::default() };
+    let mut slot = Slot { order: Order { serial: 1, verb: Some(Command::Enable) }, ..Slot::default() };
     let cycle = Cycle { index: 0, grid: Time(0), period_ns: PERIOD, deadline: Time(1) };
     station.prepare(&cycle, &mut slot, &mut [0; 6]);
     assert!(matches!(slot.progress.end, Some(Err(Failure::Unsupported(_)))));
@@ -517,7 +517,7 @@ fn a_torque_follows_its_slope_and_its_side() {
         assert_eq!((rig.setpoint(), rig.control()), (0, 0x0F), "it is enabled without a torque");
         rig.slot.torque = 2.0;
         rig.steepest = 0;
-        rig.order(Verb::Torque { slope: 50.0 });
+        rig.order(Command::Torque { slope: 50.0 });
         rig.turns(10);
         assert_eq!(rig.setpoint(), side * 10, "a count is half a per mille");
         rig.turns(100);
@@ -537,7 +537,7 @@ fn a_stop_takes_the_torque_away_and_halts_what_turns() {
     let turning = |slope: f64| {
         let mut rig = Rig::enabled(planned(0x1703, 0x1B03));
         rig.slot.torque = 5.0;
-        rig.order(Verb::Torque { slope });
+        rig.order(Command::Torque { slope });
         rig.turns((5_000.0 / slope) as u64 + 200);
         assert!(rig.slot.report.velocity > 1.0 && rig.setpoint() == 50, "{:?}", rig.slot.report);
         rig
@@ -558,24 +558,24 @@ fn a_stop_takes_the_torque_away_and_halts_what_turns() {
         rig.assert_standing();
     }
     let mut rig = turning(100.0);
-    rig.order(Verb::QuickStop);
+    rig.order(Command::QuickStop);
     rig.prepare();
     assert_eq!((rig.setpoint(), rig.control()), (0, 0x10F), "at once");
-    rig.done(Verb::QuickStop);
+    rig.done(Command::QuickStop);
     rig.assert_standing();
     // What it cannot do does not let it turn on, and the next torque ends the halt.
     let mut rig = turning(100.0);
     assert!(matches!(rig.run(Rig::jog(1.0)), Err(Failure::Unsupported(_))));
     rig.turns(500);
     assert!(!rig.slot.report.moving && rig.drive.rpm().abs() < 1.0);
-    rig.order(Verb::Torque { slope: 100.0 });
+    rig.order(Command::Torque { slope: 100.0 });
     rig.turns(300);
     assert!(rig.slot.report.velocity > 1.0 && rig.control() == 0x0F);
-    rig.done(Verb::Home);
+    rig.done(Command::Home);
     assert!(rig.drive.is_homed());
     rig.assert_standing();
     let mut rig = turning(100.0);
-    rig.done(Verb::Disable);
+    rig.done(Command::Disable);
     assert_eq!((rig.setpoint(), rig.control()), (0, 0));
 }
 
@@ -585,7 +585,7 @@ fn a_halt_that_is_not_over_ends_with_the_next_motion() {
         let mut rig = Rig::enabled(plan);
         rig.order(Rig::jog(3.0));
         rig.turns(600);
-        rig.order(Verb::QuickStop);
+        rig.order(Command::QuickStop);
         rig.turns(5);
         assert_eq!(rig.control(), 0x10F);
         rig.order(Rig::jog(2.0));
@@ -640,7 +640,7 @@ fn homing_is_done_by_the_drive_in_its_own_mode_and_without_a_leap_of_the_velocit
     for plan in [position(), velocity()] {
         let mut rig = Rig::enabled(plan);
         assert!(!rig.slot.report.homed);
-        rig.order(Verb::Home);
+        rig.order(Command::Home);
         rig.until("home", 20_000, |rig| {
             assert!(rig.slot.report.velocity.abs() < 2.0, "{:?}", rig.slot.report);
             assert!(rig.drive.rpm().abs() < 90.0, "the motor leaps: {}", rig.drive.rpm());
@@ -668,7 +668,7 @@ fn an_akd_interpolates_with_its_bit_and_homes_by_an_edge_of_it() {
     let mut rig = Rig::enabled(plan);
     assert_eq!(rig.control(), 0x1F);
     rig.done(Rig::by(0.5));
-    rig.done(Verb::Home);
+    rig.done(Command::Home);
     rig.turns(50);
     assert!(rig.slot.report.homed && rig.slot.report.position.abs() < 1e-2);
     rig.done(Rig::to(1.0));
@@ -678,9 +678,9 @@ fn an_akd_interpolates_with_its_bit_and_homes_by_an_edge_of_it() {
 
 #[test]
 fn a_homing_that_is_stopped_or_fails_leads_back_to_its_own_mode() {
-    for stop in [STOP, Verb::QuickStop] {
+    for stop in [STOP, Command::QuickStop] {
         let mut rig = Rig::enabled(position());
-        rig.order(Verb::Home);
+        rig.order(Command::Home);
         rig.turns(200);
         assert!(rig.slot.report.moving, "{:?}", rig.station.orders);
         rig.done(stop);
@@ -691,8 +691,8 @@ fn a_homing_that_is_stopped_or_fails_leads_back_to_its_own_mode() {
     let mut plan = position();
     plan.home_method = Some(1);
     let mut rig = Rig::with(plan, |settings| settings.home_turns = None);
-    rig.done(Verb::Enable);
-    assert!(matches!(rig.run(Verb::Home), Err(Failure::Unsupported(why)) if why.contains("homing error")));
+    rig.done(Command::Enable);
+    assert!(matches!(rig.run(Command::Home), Err(Failure::Unsupported(why)) if why.contains("homing error")));
     rig.assert_standing();
     rig.done(Rig::by(0.1));
 }
@@ -708,19 +708,19 @@ fn a_fault_ends_the_motion_by_its_number_and_is_reset_to_power_off() {
         assert_eq!(rig.end(), Some(Err(Failure::DriveFault(0x3110))));
         assert_eq!(rig.slot.report.fault, 0x3110);
         rig.until("standstill", 500, |rig| rig.state() == State::Fault);
-        assert_eq!(rig.run(Verb::Enable), Err(Failure::DriveFault(0x3110)));
-        rig.done(Verb::ResetFault);
+        assert_eq!(rig.run(Command::Enable), Err(Failure::DriveFault(0x3110)));
+        rig.done(Command::ResetFault);
         assert_eq!((rig.state(), rig.slot.report.fault), (State::SwitchOnDisabled, 0));
         rig.turns(300);
         assert_eq!(rig.drive.axis_state(), State::SwitchOnDisabled, "a reset never switches on");
-        rig.done(Verb::Enable);
+        rig.done(Command::Enable);
         rig.assert_standing();
     }
     let mut rig = Rig::enabled(velocity());
     rig.drive.provoke(Fault::EARTH);
     rig.turns(200);
     assert!(
-        matches!(rig.run(Verb::ResetFault), Err(Failure::Unsupported(why)) if why.contains("cold start"))
+        matches!(rig.run(Command::ResetFault), Err(Failure::Unsupported(why)) if why.contains("cold start"))
     );
 }
 
@@ -728,11 +728,11 @@ fn a_fault_ends_the_motion_by_its_number_and_is_reset_to_power_off() {
 fn a_missing_hardware_enable_is_named() {
     let mut rig = Rig::new(velocity());
     rig.drive.inhibit(rig.now + 2 * S);
-    assert_eq!(rig.run(Verb::Enable), Err(Failure::Inhibited));
+    assert_eq!(rig.run(Command::Enable), Err(Failure::Inhibited));
     assert!(rig.slot.report.inhibited);
     rig.turns(2_500);
     assert!(!rig.slot.report.inhibited, "only telling it again will show whether it is back");
-    rig.done(Verb::Enable);
+    rig.done(Command::Enable);
     rig.order(Rig::jog(1.0));
     rig.turns(200);
     rig.drive.inhibit(rig.now + S);
@@ -761,14 +761,14 @@ fn a_drive_that_falls_to_safeop_is_not_told_as_enabled_and_does_not_come_back_by
         rig.turn();
         assert!(!rig.state().is_powered());
     }
-    rig.done(Verb::Enable);
+    rig.done(Command::Enable);
     rig.assert_standing();
 }
 
 #[test]
 fn a_restart_is_told_and_what_ran_has_ended() {
     let mut rig = Rig::enabled(position());
-    rig.done(Verb::Home);
+    rig.done(Command::Home);
     rig.order(Rig::by(100.0));
     rig.turns(300);
     rig.drive.restart(rig.now);
@@ -778,7 +778,7 @@ fn a_restart_is_told_and_what_ran_has_ended() {
     assert!(rig.restarted && matches!(rig.end(), Some(Err(Failure::Dropped(_)))));
     assert_eq!((rig.control(), rig.slot.report.homed), (0, false));
     assert!(rig.slot.report.velocity.abs() < 2.0);
-    rig.done(Verb::Enable);
+    rig.done(Command::Enable);
     rig.done(Rig::by(0.1));
 }
 
@@ -788,7 +788,7 @@ fn a_jog_ends_at_the_position_limit() {
         let mut plan = plan;
         plan.axis.limits.position = Some((-1.0, 1.0));
         let mut rig = Rig::enabled(plan);
-        rig.done(Verb::Home);
+        rig.done(Command::Home);
         rig.turns(50);
         for direction in [1.0, -1.0] {
             let end = rig.run(Rig::jog(direction));
@@ -811,9 +811,9 @@ fn a_jog_ends_at_the_position_limit() {
 #[test]
 fn an_order_is_not_done_by_what_was_heard_before_it() {
     for (first, second, powered) in [
-        (Verb::Disable, Verb::Enable, true),
-        (Verb::Disable, STOP, false),
-        (Verb::Disable, Verb::QuickStop, false),
+        (Command::Disable, Command::Enable, true),
+        (Command::Disable, STOP, false),
+        (Command::Disable, Command::QuickStop, false),
     ] {
         let mut rig = Rig::enabled(velocity());
         rig.muted = true;
@@ -832,7 +832,7 @@ fn an_order_is_not_done_by_what_was_heard_before_it() {
 #[test]
 fn native_outputs_go_out_as_they_are_and_the_master_keeps_its_control_word() {
     let mut rig = Rig::enabled(velocity());
-    rig.order(Verb::Native(NativeOwner::Master));
+    rig.order(Command::Native(NativeOwner::Master));
     rig.turns(5);
     assert!(rig.native.inputs().running);
     let rpm = 60.0;
@@ -844,14 +844,14 @@ fn native_outputs_go_out_as_they_are_and_the_master_keeps_its_control_word() {
     assert!((rig.drive.rpm() - rpm).abs() < 1.0, "{}", rig.drive.rpm());
     rig.done(STOP);
     rig.assert_standing();
-    rig.order(Verb::Native(NativeOwner::Application));
+    rig.order(Command::Native(NativeOwner::Application));
     rig.turns(5);
     let output = rig.native.output(&[(CONTROL_WORD, 7)]).unwrap();
     rig.native.write(output).unwrap();
     rig.turns(5);
     assert_eq!(rig.native.inputs().get(STATUS_WORD).unwrap() & 0x6F, 0x23);
     assert_eq!((rig.end(), rig.drive.axis_state()), (None, State::SwitchedOn));
-    rig.done(Verb::Disable);
+    rig.done(Command::Disable);
 }
 
 #[test]

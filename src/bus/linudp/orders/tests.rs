@@ -15,7 +15,7 @@ fn says(state: MainState, sub: u8) -> Inputs {
 }
 
 /// Orders that are about `verb`, told by a drive in operation whose count is 3.
-fn about(verb: Verb) -> (Orders, Slot, Native, NativePort) {
+fn about(verb: Command) -> (Orders, Slot, Native, NativePort) {
     let mut orders = Orders::new(&LinUdpDrive::new("x", Ipv4Addr::LOCALHOST));
     let (native, mut port) = native();
     let mut slot = Slot { order: Order { serial: 1, verb: Some(verb) }, ..Slot::default() };
@@ -40,8 +40,8 @@ fn a_stop_lets_no_drive_rise_into_operation() {
         (MainState::READY_TO_OPERATE, held),
         (MainState::OPERATION_ENABLED, ControlWord::ON),
     ] {
-        let (mut orders, mut slot, _native, mut port) = about(Verb::Native(NativeOwner::Master));
-        slot.order = Order { serial: 2, verb: Some(Verb::Stop { deceleration: None }) };
+        let (mut orders, mut slot, _native, mut port) = about(Command::Native(NativeOwner::Master));
+        slot.order = Order { serial: 2, verb: Some(Command::Stop { deceleration: None }) };
         let status = StatusWord(StatusWord::SWITCH_ON_ACTIVE | StatusWord::ENABLE_OPERATION);
         let inputs = Inputs { status, ..says(state, 0) };
         let outputs = orders.advance(Time(0), &inputs, &mut slot, &mut port);
@@ -51,8 +51,8 @@ fn a_stop_lets_no_drive_rise_into_operation() {
 
 #[test]
 fn an_error_is_acknowledged_only_when_the_drive_has_braked() {
-    let (mut orders, mut slot, _native, mut port) = about(Verb::Native(NativeOwner::Master));
-    slot.order = Order { serial: 2, verb: Some(Verb::ResetFault) };
+    let (mut orders, mut slot, _native, mut port) = about(Command::Native(NativeOwner::Master));
+    slot.order = Order { serial: 2, verb: Some(Command::ResetFault) };
     let mut exchange = |inputs: Inputs| {
         let control = orders.advance(Time(0), &inputs, &mut slot, &mut port).control;
         orders.sent();
@@ -75,8 +75,8 @@ fn an_error_is_acknowledged_only_when_the_drive_has_braked() {
 
 #[test]
 fn a_fatal_error_is_told_when_the_drive_has_braked() {
-    let (mut orders, mut slot, _native, mut port) = about(Verb::Native(NativeOwner::Master));
-    slot.order = Order { serial: 2, verb: Some(Verb::ResetFault) };
+    let (mut orders, mut slot, _native, mut port) = about(Command::Native(NativeOwner::Master));
+    slot.order = Order { serial: 2, verb: Some(Command::ResetFault) };
     for (state, control, end) in [
         (MainState::QUICK_STOP, ControlWord::ON, None),
         (MainState::ERROR, ControlWord::BASE, Some(Err(Failure::DriveFault(0x0B)))),
@@ -90,8 +90,8 @@ fn a_fatal_error_is_told_when_the_drive_has_braked() {
 
 #[test]
 fn a_stop_takes_no_power_off_back() {
-    for verb in [Verb::Stop { deceleration: None }, Verb::QuickStop] {
-        let (mut orders, mut slot, _native, mut port) = about(Verb::Disable);
+    for verb in [Command::Stop { deceleration: None }, Command::QuickStop] {
+        let (mut orders, mut slot, _native, mut port) = about(Command::Disable);
         slot.order = Order { serial: 2, verb: Some(verb) };
         let on = StatusWord(StatusWord::SWITCH_ON_ACTIVE);
         // What it said before it was told, what may be as old as that, and what it said before it did as told.
@@ -108,7 +108,7 @@ fn a_stop_takes_no_power_off_back() {
 fn a_motion_that_has_failed_is_not_sent_any_more() {
     // The drive has begun a motion of its own before it heard the command.
     let profile = Profile { velocity: 1.0, acceleration: 1.0, deceleration: 1.0 };
-    let verb = Verb::Move(Move { target: Target::Absolute(1.0), profile });
+    let verb = Command::Move(Move { target: Target::Absolute(1.0), profile });
     let (mut orders, mut slot, _native, mut port) = about(verb);
     let mut exchange = || {
         let inputs = says(MainState::CLEARANCE_CHECK, 0);
@@ -122,7 +122,7 @@ fn a_motion_that_has_failed_is_not_sent_any_more() {
 
 #[test]
 fn a_step_may_last_for_more_than_fifty_days() {
-    let (mut orders, mut slot, _native, mut port) = about(Verb::Native(NativeOwner::Master));
+    let (mut orders, mut slot, _native, mut port) = about(Command::Native(NativeOwner::Master));
     (orders.answers, orders.sent) = (u32::MAX, u32::MAX);
     orders.advance(Time(0), &says(MainState::OPERATION_ENABLED, 3), &mut slot, &mut port);
     orders.sent();
@@ -131,7 +131,7 @@ fn a_step_may_last_for_more_than_fifty_days() {
 
 #[test]
 fn a_suspect_reply_teaches_no_count() {
-    let (mut orders, mut slot, mut native, mut port) = about(Verb::Native(NativeOwner::Master));
+    let (mut orders, mut slot, mut native, mut port) = about(Command::Native(NativeOwner::Master));
     let older = Inputs { clean: false, ..says(MainState::OPERATION_ENABLED, 2) };
     orders.advance(Time(0), &older, &mut slot, &mut port);
     let motion = Some(MotionCommand::vai_stop(Acceleration(1)));
@@ -144,7 +144,7 @@ fn a_suspect_reply_teaches_no_count() {
 
 #[test]
 fn a_native_output_stays_until_it_has_gone_out() {
-    let (mut orders, mut slot, mut native, mut port) = about(Verb::Native(NativeOwner::Application));
+    let (mut orders, mut slot, mut native, mut port) = about(Command::Native(NativeOwner::Application));
     for count in 1..=3 {
         let control = Some(ControlWord(u16::from(count)));
         let config = Some(RtcBlock::command(count, RtcCommand::NO_OPERATION));
@@ -166,7 +166,7 @@ fn a_native_output_stays_until_it_has_gone_out() {
 
 #[test]
 fn a_native_motion_waits_for_the_echo_of_the_one_before_it() {
-    let (mut orders, mut slot, mut native, mut port) = about(Verb::Native(NativeOwner::Master));
+    let (mut orders, mut slot, mut native, mut port) = about(Command::Native(NativeOwner::Master));
     for increment in [1, 2] {
         let motion = Some(MotionCommand::vai_stop(Acceleration(increment)));
         native.write(NativeOutput { motion, ..NativeOutput::default() }).unwrap();
@@ -186,7 +186,7 @@ fn a_native_motion_waits_for_the_echo_of_the_one_before_it() {
 
 #[test]
 fn a_native_motion_is_given_up_after_four_counts() {
-    let (mut orders, mut slot, mut native, mut port) = about(Verb::Native(NativeOwner::Master));
+    let (mut orders, mut slot, mut native, mut port) = about(Command::Native(NativeOwner::Master));
     let motion = Some(MotionCommand::vai_stop(Acceleration(1)));
     native.write(NativeOutput { motion, ..NativeOutput::default() }).unwrap();
     let mut counts = Vec::new();
@@ -203,7 +203,7 @@ fn a_native_motion_is_given_up_after_four_counts() {
 
 #[test]
 fn a_native_motion_outside_of_operation_holds_nothing_up() {
-    let (mut orders, mut slot, mut native, mut port) = about(Verb::Native(NativeOwner::Application));
+    let (mut orders, mut slot, mut native, mut port) = about(Command::Native(NativeOwner::Application));
     for increment in [1, 2] {
         let motion = Some(MotionCommand::vai_stop(Acceleration(increment)));
         native.write(NativeOutput { motion, ..NativeOutput::default() }).unwrap();
@@ -218,7 +218,7 @@ fn a_native_motion_outside_of_operation_holds_nothing_up() {
 
 #[test]
 fn the_firmware_is_not_reset_by_a_count_that_does_it_again_and_again() {
-    let (mut orders, mut slot, mut native, mut port) = about(Verb::Native(NativeOwner::Master));
+    let (mut orders, mut slot, mut native, mut port) = about(Command::Native(NativeOwner::Master));
     let motion = Some(MotionCommand::reset_firmware());
     native.write(NativeOutput { motion, ..NativeOutput::default() }).unwrap();
     for _ in 0..3 {
@@ -231,7 +231,7 @@ fn the_firmware_is_not_reset_by_a_count_that_does_it_again_and_again() {
 
 #[test]
 fn the_application_is_told_when_native_mode_runs() {
-    let (mut orders, mut slot, native, mut port) = about(Verb::Stop { deceleration: None });
+    let (mut orders, mut slot, native, mut port) = about(Command::Stop { deceleration: None });
     let mut running = |serial, verb, state| {
         slot.order = Order { serial, verb: Some(verb) };
         orders.advance(Time(0), &says(state, 3), &mut slot, &mut port);
@@ -239,8 +239,8 @@ fn the_application_is_told_when_native_mode_runs() {
         port.publish(Time(1), &[]);
         native.inputs().running
     };
-    let mode = Verb::Native(NativeOwner::Master);
-    assert!(!running(1, Verb::Stop { deceleration: None }, MainState::OPERATION_ENABLED));
+    let mode = Command::Native(NativeOwner::Master);
+    assert!(!running(1, Command::Stop { deceleration: None }, MainState::OPERATION_ENABLED));
     assert!(running(2, mode, MainState::OPERATION_ENABLED));
     // It drops out of operation, and the mode with it.
     running(2, mode, MainState::READY_TO_OPERATE);

@@ -10,8 +10,8 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
 use fieldbeat::axis::{
-    AxisPlan, FoundRunning, Health, Limits, Profile, Row, StopHow, StopPlan, StopThen, StopTimeout, Underrun,
-    Units, Verb,
+    AxisPlan, Command, FoundRunning, Health, Limits, Profile, Row, StopHow, StopPlan, StopThen, StopTimeout,
+    Underrun, Units,
 };
 use fieldbeat::bus::linudp::native::Native;
 use fieldbeat::bus::linudp::wire::ErrorCode;
@@ -55,10 +55,10 @@ pub fn machine(data: &[u8]) {
 /// What the in-loop task is to do in its next calls.
 #[derive(Default)]
 struct TaskScript {
-    verbs: VecDeque<(usize, Verb)>,
+    verbs: VecDeque<(usize, Command)>,
     rows: VecDeque<(usize, Row)>,
     /// Commands that were taken: axis, id, verb.
-    accepted: Vec<(usize, u64, Verb)>,
+    accepted: Vec<(usize, u64, Command)>,
 }
 
 struct Machine {
@@ -70,7 +70,7 @@ struct Machine {
     natives: Vec<Native>,
     drives: Vec<LinUdpDrive>,
     period_ns: u64,
-    strangers: u64,
+    unmatched: u64,
     turns: u64,
     was_jammed: bool,
     /// The turns when the end was asked for.
@@ -193,7 +193,7 @@ impl Machine {
             watches: drives.iter().cloned().map(Watch::new).collect(),
             drives,
             period_ns,
-            strangers: 0,
+            unmatched: 0,
             turns: 0,
             was_jammed: false,
             asked_at: None,
@@ -262,7 +262,7 @@ impl Machine {
         }
     }
 
-    fn post(&mut self, axis: usize, verb: Verb) {
+    fn post(&mut self, axis: usize, verb: Command) {
         if !self.ended
             && let Ok(id) = self.sim.axis(axis).post(verb)
         {
@@ -275,10 +275,10 @@ impl Machine {
         for _ in 0..4 {
             let feedback = self.sim.feedback(axis);
             let verb = match feedback.stopped {
-                Some(_) if feedback.fault != 0 => Verb::ResetFault,
-                Some(_) => Verb::Reset,
-                None if !feedback.is_operational() => Verb::Enable,
-                None if !feedback.homed => Verb::Home,
+                Some(_) if feedback.fault != 0 => Command::ResetFault,
+                Some(_) => Command::Reset,
+                None if !feedback.is_operational() => Command::Enable,
+                None if !feedback.homed => Command::Home,
                 None => return,
             };
             let ended = self.watches[axis].ended;
@@ -403,7 +403,7 @@ impl Machine {
             }
         }
         let known = |ip| (0..self.drives.len()).any(|axis| *address(axis).ip() == ip);
-        self.strangers += wire.came.iter().filter(|came| !known(*came.from.ip())).count() as u64;
+        self.unmatched += wire.came.iter().filter(|came| !known(*came.from.ip())).count() as u64;
     }
 
     /// The orderly end, within its bound, and the books of the whole run.
@@ -429,7 +429,7 @@ impl Machine {
         }
         assert_eq!(end.status.missed, missed);
         assert_eq!(end.status.planned, end.status.executed + end.status.skipped);
-        assert_eq!(end.buses[0].1.datagrams, self.strangers);
+        assert_eq!(end.buses[0].1.datagrams, self.unmatched);
         let (accepted, ended) =
             self.watches.iter().fold((0, 0), |sum, watch| (sum.0 + watch.accepted, sum.1 + watch.ended));
         assert!(accepted <= ended + lost, "{accepted} accepted, {ended} ended, {lost} events lost");

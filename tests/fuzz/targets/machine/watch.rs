@@ -6,7 +6,7 @@
 use std::collections::BTreeMap;
 
 use fieldbeat::axis::{
-    Abort, Event, EventKind, Feedback, FoundRunning, NativeOwner, Outcome, StopCause, Verb,
+    Abort, Command, Event, EventKind, Feedback, FoundRunning, NativeOwner, Outcome, StopCause,
 };
 use fieldbeat::bus::linudp::motion::Decoded;
 use fieldbeat::bus::linudp::wire::{ControlWord, Request, Response, RtcBlock, StatusWord};
@@ -20,7 +20,7 @@ use super::hostile::{Asked, Came};
 pub struct Watch {
     drive: LinUdpDrive,
     /// Commands that were accepted and have not ended.
-    alive: BTreeMap<u64, Verb>,
+    alive: BTreeMap<u64, Command>,
     pub accepted: u64,
     pub ended: u64,
     /// Stopped, and not reset since.
@@ -75,7 +75,7 @@ impl Watch {
         }
     }
 
-    pub fn accepted(&mut self, id: u64, verb: Verb) {
+    pub fn accepted(&mut self, id: u64, verb: Command) {
         assert_eq!(self.alive.insert(id, verb), None, "the id {id} was given twice");
         self.accepted += 1;
     }
@@ -84,7 +84,7 @@ impl Watch {
         self.deaf = true;
     }
 
-    fn runs(&self, chosen: impl Fn(&Verb) -> bool) -> bool {
+    fn runs(&self, chosen: impl Fn(&Command) -> bool) -> bool {
         self.alive.values().any(chosen)
     }
 
@@ -99,8 +99,8 @@ impl Watch {
         if self.deaf {
             return;
         }
-        let native = self.runs(|verb| matches!(verb, Verb::Native(_)));
-        self.wild |= self.runs(|verb| *verb == Verb::Native(NativeOwner::Application));
+        let native = self.runs(|verb| matches!(verb, Command::Native(_)));
+        self.wild |= self.runs(|verb| *verb == Command::Native(NativeOwner::Application));
         if on(self.word) && !on(said) && !self.wild {
             self.check_switch_on(asked.at, said);
         }
@@ -119,7 +119,7 @@ impl Watch {
         let status = self.reply.and_then(|reply| reply.status).unwrap_or_default();
         let as_found = said.is_none() && status.has(StatusWord::SWITCH_ON_ACTIVE);
         // An Enable of a drive that says that it is in operation is done before the next request.
-        let enabling = self.armed || self.latched.is_none() && self.runs(|verb| *verb == Verb::Enable);
+        let enabling = self.armed || self.latched.is_none() && self.runs(|verb| *verb == Command::Enable);
         let (latched, feedback) = (self.latched, &self.feedback);
         assert!(
             enabling || as_found,
@@ -139,9 +139,9 @@ impl Watch {
         }
         self.wild &= native;
         if !self.wild {
-            let homes = self.latched.is_none() && self.runs(|verb| *verb == Verb::Home);
+            let homes = self.latched.is_none() && self.runs(|verb| *verb == Command::Home);
             assert!(homes || word != C::HOME, "homing that nobody asked for: {:?}", self.alive);
-            let resets = self.acknowledging || self.runs(|verb| *verb == Verb::ResetFault);
+            let resets = self.acknowledging || self.runs(|verb| *verb == Command::ResetFault);
             assert!(
                 resets || word != C::ACKNOWLEDGE,
                 "an acknowledge that nobody asked for: {:?}",
@@ -168,8 +168,8 @@ impl Watch {
         match motion {
             Decoded::Move(to) => {
                 // From outside the range a jog leads back in.
-                let jogs = self.runs(|verb| matches!(verb, Verb::Jog(_) | Verb::Velocity { .. }));
-                let moves = self.runs(|verb| matches!(verb, Verb::Move(_)));
+                let jogs = self.runs(|verb| matches!(verb, Command::Jog(_) | Command::Velocity { .. }));
+                let moves = self.runs(|verb| matches!(verb, Command::Move(_)));
                 assert!(moves || jogs, "{to:?} belongs to none of {:?}", self.alive);
                 if let (Some((low, high)), false) = (limits, jogs) {
                     inside(low, high, to.value);
@@ -177,7 +177,7 @@ impl Watch {
             }
             Decoded::Stream { position, .. } => {
                 assert!(
-                    self.runs(|verb| *verb == Verb::Follow),
+                    self.runs(|verb| *verb == Command::Follow),
                     "{motion:?} belongs to none of {:?}",
                     self.alive
                 );
@@ -187,7 +187,7 @@ impl Watch {
             }
             Decoded::EndStream => {
                 assert!(
-                    self.runs(|verb| *verb == Verb::Follow),
+                    self.runs(|verb| *verb == Command::Follow),
                     "{motion:?} belongs to none of {:?}",
                     self.alive
                 );
@@ -211,14 +211,14 @@ impl Watch {
                 );
                 self.ended += 1;
                 match (ended, outcome) {
-                    (Some(Verb::Reset), Outcome::Done) => (self.latched, self.reset_at) = (None, executed),
-                    (Some(Verb::Enable), Outcome::Done) => {
+                    (Some(Command::Reset), Outcome::Done) => (self.latched, self.reset_at) = (None, executed),
+                    (Some(Command::Enable), Outcome::Done) => {
                         assert_eq!(self.latched, None, "{event} of a stopped axis");
                         self.armed = true;
                     }
                     // One that was replaced may never have begun.
-                    (Some(Verb::Disable), Outcome::Done) => self.armed = false,
-                    (Some(Verb::ResetFault), Outcome::Aborted(Abort::Stopped(StopCause::Shutdown))) => {
+                    (Some(Command::Disable), Outcome::Done) => self.armed = false,
+                    (Some(Command::ResetFault), Outcome::Aborted(Abort::Stopped(StopCause::Shutdown))) => {
                         self.acknowledging = true;
                     }
                     _ => {}

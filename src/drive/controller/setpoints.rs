@@ -1,13 +1,14 @@
 //! Rows, velocities and torques for the next send: which one, how old it may be, and what follows when there is
 //! none.
 
-use super::Seat;
+use super::DriveController;
 use crate::axis::limits::{check_braking, check_reach, check_row, check_speed};
 use crate::axis::{
-    Command, CommandId, EventKind, Failure, Outcome, Row, Setpoint, StopCause, Ticket, Underrun, Verb,
+    Command, CommandId, EventKind, Failure, Outcome, QueuedCommand, Row, Setpoint, StopCause, Ticket,
+    Underrun,
 };
 use crate::bus::{Cycle, NumberedRow, Slot};
-use crate::cycle::gates::Gates;
+use crate::drive::groups::GroupSync;
 use crate::time::{Time, nanos};
 
 /// The first row may be so many rows' ways ahead of the demand: the reply is one exchange old, and a drive's output
@@ -38,7 +39,7 @@ pub(super) struct Level {
     pub(super) at: u64,
 }
 
-impl Seat {
+impl DriveController {
     /// The newest setpoint of the application.
     pub(super) fn take_setpoints(&mut self, cycle: &Cycle) {
         if let Some(setpoint) = self.queues.setpoints.take() {
@@ -56,10 +57,10 @@ impl Seat {
     }
 
     /// Sets the velocity or torque that a new command begins with.
-    pub(super) fn begin_setpoints(&mut self, cycle: &Cycle, command: &Command) {
+    pub(super) fn begin_setpoints(&mut self, cycle: &Cycle, command: &QueuedCommand) {
         let value = match command.verb {
             _ if self.ahead.of == command.id => self.ahead.value,
-            Verb::Jog(jog) => jog.velocity,
+            Command::Jog(jog) => jog.velocity,
             // It stands still, or gives no torque, until the first setpoint comes, and has the whole age for that.
             _ => 0.0,
         };
@@ -69,10 +70,10 @@ impl Seat {
     /// Stops an axis whose velocity or torque is older than it may be.
     pub(super) fn age_setpoint(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
         let (most, cause) = match self.active.map(|active| active.verb) {
-            Some(Verb::Velocity { .. } | Verb::Torque { .. }) => {
+            Some(Command::Velocity { .. } | Command::Torque { .. }) => {
                 (u64::from(self.plan.setpoint_age), StopCause::StaleSetpoint)
             }
-            Some(Verb::Jog(_)) => match self.plan.jog_deadman {
+            Some(Command::Jog(_)) => match self.plan.jog_deadman {
                 Some(limit) => (nanos(limit).div_ceil(cycle.period_ns), StopCause::DeadMan),
                 None => return,
             },
@@ -86,7 +87,7 @@ impl Seat {
     /// The group that it follows rows with, and the number of its next one. Rows before `from` are dropped: a
     /// member that has reached that one is done with them, or never had them.
     pub fn offers_row(&mut self, from: u64) -> Option<(Ticket, u64)> {
-        let active = self.active.filter(|active| active.verb == Verb::Follow)?;
+        let active = self.active.filter(|active| active.verb == Command::Follow)?;
         let ticket = active.ticket?;
         for _ in 0..self.queues.rows.slots() {
             self.next_row(active.stream)?;
@@ -99,15 +100,16 @@ impl Seat {
         None
     }
 
-    /// Chooses the setpoint of the next send, if one is due. In a group a row is taken only if `gates` says that
+    /// Chooses the setpoint of the next send, if one is due. In a group a row is taken only if `groups` says that
     /// each member has one.
-    pub fn feed(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot, gates: &Gates) {
+    pub fn feed(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot, groups: &GroupSync) {
         (slot.velocity, slot.torque) = match slot.order.verb {
-            Some(Verb::Torque { .. }) => (0.0, self.level.value),
+            Some(Command::Torque { .. }) => (0.0, self.level.value),
             _ => (self.level.value, 0.0),
         };
-        let follows = self.active.is_some_and(|active| active.verb == Verb::Follow);
-        let Some(active) = self.active.filter(|_| slot.due && slot.order.verb == Some(Verb::Follow)) else {
+        let follows = self.active.is_some_and(|active| active.verb == Command::Follow);
+        let Some(active) = self.active.filter(|_| slot.due && slot.order.verb == Some(Command::Follow))
+        else {
             // A row of the task is for the send that it was given for, and begins no later stream.
             if !follows {
                 self.task_row = None;
@@ -118,7 +120,7 @@ impl Seat {
             return;
         }
         let row = match active.ticket {
-            Some(ticket) if !gates.have_rows(ticket) => None,
+            Some(ticket) if !groups.have_rows(ticket) => None,
             Some(_) => self.take_row(active.stream),
             None => self.task_row.take().or_else(|| self.take_row(active.stream)),
         };

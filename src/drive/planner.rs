@@ -6,7 +6,7 @@
 
 /// Where the axis is, and how fast.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Point {
+pub(crate) struct Point {
     /// User units, not folded into one turn.
     pub position: f64,
     /// User units/s.
@@ -32,7 +32,7 @@ struct Segment {
 
 /// A motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Trajectory {
+pub(crate) struct Trajectory {
     segments: [Segment; SEGMENTS],
     /// The number of segments, at least 1; the last one has no end, and no acceleration.
     count: usize,
@@ -40,14 +40,14 @@ pub(super) struct Trajectory {
 
 impl Trajectory {
     /// Continues from a point at its velocity; stands still if that is 0.
-    pub(super) fn on(from: Point) -> Trajectory {
+    pub(crate) fn on(from: Point) -> Trajectory {
         let mut plan = Plan::from(from);
         plan.push(0.0);
         plan.made()
     }
 
     /// From a point to a velocity with this acceleration, up or down, then constant.
-    pub(super) fn run(from: Point, velocity: f64, acceleration: f64) -> Trajectory {
+    pub(crate) fn run(from: Point, velocity: f64, acceleration: f64) -> Trajectory {
         let mut motion = Trajectory::on(from);
         motion.become_run(from, velocity, acceleration);
         motion
@@ -56,7 +56,7 @@ impl Trajectory {
     /// Makes it a motion from a point to a velocity with this acceleration, up or down, then constant. In place:
     /// the application may give another velocity in each exchange.
     #[inline]
-    pub(super) fn become_run(&mut self, from: Point, velocity: f64, acceleration: f64) {
+    pub(crate) fn become_run(&mut self, from: Point, velocity: f64, acceleration: f64) {
         let (acceleration, change) = (acceleration.max(LEAST), velocity - from.velocity);
         let (mut begin_s, mut at) = (0.0, from);
         self.count = 1;
@@ -71,7 +71,7 @@ impl Trajectory {
 
     /// From a point to a position, to standstill there, in the shortest time with these limits, all above 0. If it
     /// cannot brake before the target, it passes the target and comes back.
-    pub(super) fn go_to(from: Point, target: f64, velocity: f64, up: f64, down: f64) -> Trajectory {
+    pub(crate) fn go_to(from: Point, target: f64, velocity: f64, up: f64, down: f64) -> Trajectory {
         let (velocity, up, down) = (velocity.max(LEAST), up.max(LEAST), down.max(LEAST));
         let mut plan = Plan::from(from);
         let way = target - from.position;
@@ -93,7 +93,7 @@ impl Trajectory {
 
     /// The point so many ns after the begin.
     #[inline]
-    pub(super) fn at(&self, ns: u64) -> Point {
+    pub(crate) fn at(&self, ns: u64) -> Point {
         let now_s = seconds(ns);
         // A motion is in its last segment most of the time.
         let mut place = self.count - 1;
@@ -110,12 +110,12 @@ impl Trajectory {
 
     /// It has reached its last velocity, so many ns after the begin: for ever.
     #[inline]
-    pub(super) fn is_over(&self, ns: u64) -> bool {
+    pub(crate) fn is_over(&self, ns: u64) -> bool {
         self.segments[self.count - 1].begin_s <= seconds(ns)
     }
 
     /// The velocity that it ends with.
-    pub(super) fn last_velocity(&self) -> f64 {
+    pub(crate) fn last_velocity(&self) -> f64 {
         self.segments[self.count - 1].from.velocity
     }
 }

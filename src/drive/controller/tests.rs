@@ -10,10 +10,10 @@ use crate::rt::ring;
 use crate::time::MS;
 
 /// An axis, its slot, and the application's ends of its queues. A cycle takes 1 ms.
-pub(in crate::cycle) struct Alone {
-    pub seat: Seat,
+pub(in crate::drive) struct Alone {
+    pub controller: DriveController,
     pub slot: Slot,
-    pub commands: Producer<Command>,
+    pub commands: Producer<QueuedCommand>,
     pub rows: Producer<StreamRow>,
     _setpoints: NewestIn,
     events: Consumer<Event>,
@@ -21,12 +21,12 @@ pub(in crate::cycle) struct Alone {
     id: u64,
 }
 
-pub(in crate::cycle) fn cycle(index: u64) -> Cycle {
+pub(in crate::drive) fn cycle(index: u64) -> Cycle {
     let grid = Time(index * MS);
     Cycle { index, grid, period_ns: MS, deadline: grid + MS / 2 }
 }
 
-pub(in crate::cycle) fn plan() -> AxisPlan {
+pub(in crate::drive) fn plan() -> AxisPlan {
     AxisPlan::new("x", Units::millimetres(1_000.0))
 }
 
@@ -47,9 +47,9 @@ impl Alone {
             feedback,
             samples: None,
         };
-        let seat = Seat::new(plan, queues, MS, 0, 100);
+        let controller = DriveController::new(plan, queues, MS, 0, 100);
         let slot = Slot::default();
-        Alone { seat, slot, commands, rows, _setpoints: setpoints, events, index: 0, id: 0 }
+        Alone { controller, slot, commands, rows, _setpoints: setpoints, events, index: 0, id: 0 }
     }
 
     /// One cycle up to the commands. The drive answers with the report in the slot.
@@ -63,25 +63,25 @@ impl Alone {
         self.index += 1;
         let cycle = cycle(self.index);
         let now = cycle.grid;
-        let (seat, slot) = (&mut self.seat, &mut self.slot);
+        let (controller, slot) = (&mut self.controller, &mut self.slot);
         slot.exchange = match slot.report.fresh {
             true => Exchange::Answered { sent_at: now, at: now, suspect: slot.report.suspect },
             false => Exchange::Absent,
         };
         slot.report.at = now;
-        seat.judge(&cycle, now, slot);
+        controller.judge(&cycle, now, slot);
         assert!(matches!(slot.exchange, Exchange::Idle | Exchange::Missed), "taken once");
-        seat.watch(&cycle, now, slot);
-        seat.exchange(&cycle, now, slot);
+        controller.watch(&cycle, now, slot);
+        controller.exchange(&cycle, now, slot);
     }
 
     pub fn turns(&mut self, count: u32) {
         (0..count).for_each(|_| self.turn());
     }
 
-    pub fn post(&mut self, verb: Verb) -> u64 {
+    pub fn post(&mut self, verb: Command) -> u64 {
         self.id += 1;
-        self.commands.push(Command { id: CommandId(self.id), verb, stream: 0, ticket: None }).unwrap();
+        self.commands.push(QueuedCommand { id: CommandId(self.id), verb, stream: 0, ticket: None }).unwrap();
         self.id
     }
 
@@ -92,7 +92,7 @@ impl Alone {
     }
 
     /// The command is done, and the drive reports this state from then on.
-    pub fn done(&mut self, verb: Verb, state: State) {
+    pub fn done(&mut self, verb: Command, state: State) {
         let id = self.post(verb);
         self.turn();
         self.slot.report.state = state;
@@ -101,7 +101,7 @@ impl Alone {
     }
 
     /// The command ends in the cycle in which it begins.
-    fn done_at_once(&mut self, verb: Verb) {
+    fn done_at_once(&mut self, verb: Command) {
         let id = self.post(verb);
         self.ended();
         self.miss();
@@ -112,14 +112,14 @@ impl Alone {
     pub fn online(mut self) -> Alone {
         (self.slot.report.state, self.slot.report.homed) = (State::ReadyToSwitchOn, true);
         self.turns(10);
-        assert_eq!(self.seat.feedback().link, Link::Online);
+        assert_eq!(self.controller.feedback().link, Link::Online);
         self
     }
 
     /// In operation.
     pub fn enabled(self) -> Alone {
         let mut alone = self.online();
-        alone.done(Verb::Enable, State::OperationEnabled);
+        alone.done(Command::Enable, State::OperationEnabled);
         alone
     }
 
@@ -142,56 +142,56 @@ impl Alone {
 #[test]
 fn an_enable_that_failed_may_bring_power_on_until_four_clean_reports_without_it() {
     let mut x = Alone::new(plan()).online();
-    assert!(!x.seat.is_guarded());
-    x.post(Verb::Enable);
+    assert!(!x.controller.is_guarded());
+    x.post(Command::Enable);
     x.turn();
-    assert!(x.seat.is_guarded());
+    assert!(x.controller.is_guarded());
     x.ends(Err(Failure::TimedOut(State::ReadyToSwitchOn)));
     // The report of the cycle in which it failed came while it ran.
     x.turns(3);
-    assert!(x.seat.is_guarded());
+    assert!(x.controller.is_guarded());
     x.slot.report.suspect = true;
     x.turns(9);
-    assert!(x.seat.is_guarded(), "a report that may be an old one shows nothing");
+    assert!(x.controller.is_guarded(), "a report that may be an old one shows nothing");
     (x.slot.report.suspect, x.slot.report.state) = (false, State::SwitchedOn);
     x.turns(9);
     x.slot.report.state = State::ReadyToSwitchOn;
     x.slot.report.suspect = true;
     x.turn();
-    assert!(x.seat.is_guarded(), "nor does one with power");
+    assert!(x.controller.is_guarded(), "nor does one with power");
     x.slot.report.suspect = false;
     x.turn();
-    assert!(!x.seat.is_guarded());
+    assert!(!x.controller.is_guarded());
     // Nor does the end of another command.
-    x.post(Verb::Enable);
+    x.post(Command::Enable);
     x.turn();
     x.ends(Err(Failure::TimedOut(State::ReadyToSwitchOn)));
     x.slot.report.suspect = true;
-    x.post(Verb::ResetFault);
+    x.post(Command::ResetFault);
     x.turn();
     x.ends(Ok(()));
-    assert!(x.seat.is_guarded());
+    assert!(x.controller.is_guarded());
     x.slot.report.suspect = false;
     // With a fault there was no power, and no other command brings it.
-    x.post(Verb::Enable);
+    x.post(Command::Enable);
     x.turn();
     x.ends(Err(Failure::DriveFault(7)));
-    assert!(!x.seat.is_guarded());
-    x.post(Verb::ResetFault);
+    assert!(!x.controller.is_guarded());
+    x.post(Command::ResetFault);
     x.turn();
-    assert!(!x.seat.is_guarded());
+    assert!(!x.controller.is_guarded());
 }
 
 #[test]
 fn the_age_of_a_suspect_report_counts_from_the_exchange_before() {
     let mut x = Alone::new(plan()).online();
     x.miss();
-    assert_eq!(x.seat.feedback().age, 1);
+    assert_eq!(x.controller.feedback().age, 1);
     x.slot.report.suspect = true;
     x.turn();
-    assert_eq!(x.seat.feedback().age, 1);
+    assert_eq!(x.controller.feedback().age, 1);
     x.miss();
-    assert_eq!(x.seat.feedback().age, 2);
+    assert_eq!(x.controller.feedback().age, 2);
 }
 
 #[test]
@@ -225,26 +225,26 @@ fn a_vertical_load_that_homes_or_moves_or_whose_report_is_old_keeps_its_power() 
     let vertical = AxisPlan { load: Load::Vertical(HeldBy::Brake), ..plan() };
     let mut x = Alone::new(vertical.clone()).enabled();
     // Its first report after the order shows no motion yet.
-    x.post(Verb::Home);
+    x.post(Command::Home);
     x.turn();
-    let off = x.post(Verb::Disable);
+    let off = x.post(Command::Disable);
     x.turn();
     assert_eq!(x.ended(), [(off, Outcome::Failed(Failure::LoadInMotion))]);
     let mut x = Alone::new(vertical).enabled();
-    let off = x.post(Verb::Disable);
+    let off = x.post(Command::Disable);
     x.miss();
     assert_eq!(x.ended(), [(off, Outcome::Failed(Failure::LoadInMotion))]);
     // A push is not yet a motion of its own.
     x.slot.report.velocity = 50.0;
-    let off = x.post(Verb::Disable);
+    let off = x.post(Command::Disable);
     x.turn();
     assert_eq!(x.ended(), [(off, Outcome::Failed(Failure::LoadInMotion))]);
     (x.slot.report.velocity, x.slot.report.moving) = (0.0, true);
-    let off = x.post(Verb::Disable);
+    let off = x.post(Command::Disable);
     x.turn();
     assert_eq!(x.ended(), [(off, Outcome::Failed(Failure::LoadInMotion))]);
     x.slot.report.moving = false;
-    let off = x.post(Verb::Disable);
+    let off = x.post(Command::Disable);
     x.turn();
     x.ends(Ok(()));
     assert_eq!(x.ended(), [(off, Outcome::Done)]);
@@ -257,14 +257,14 @@ fn a_drive_that_was_found_running_is_braked_at_the_end_once_a_reset_has_taken_it
         let mut x = Alone::new(plan.clone());
         x.slot.report.state = State::OperationEnabled;
         x.turns(10);
-        assert_eq!(x.seat.feedback().stopped, Some(StopCause::FoundRunning));
-        assert!(x.seat.is_guarded());
+        assert_eq!(x.controller.feedback().stopped, Some(StopCause::FoundRunning));
+        assert!(x.controller.is_guarded());
         if reset {
-            let id = x.post(Verb::Reset);
+            let id = x.post(Command::Reset);
             x.turn();
             assert_eq!(x.ended(), [(id, Outcome::Done)]);
         }
-        let left = x.seat.shut_down(&cycle(99), Time(99 * MS), &mut x.slot, false);
+        let left = x.controller.shut_down(&cycle(99), Time(99 * MS), &mut x.slot, false);
         assert_eq!((left, x.slot.order.verb.is_some()), (!reset, reset));
     }
 }
@@ -272,33 +272,33 @@ fn a_drive_that_was_found_running_is_braked_at_the_end_once_a_reset_has_taken_it
 #[test]
 fn a_task_command_needs_room_for_its_end_unless_it_is_a_stop() {
     let mut x = Alone::new(plan()).enabled();
-    while x.seat.queues.events.slots() > x.seat.queues.room_for_ends {
-        x.seat.tell(&cycle(50), Time(50 * MS), EventKind::Restarted);
+    while x.controller.queues.events.slots() > x.controller.queues.room_for_ends {
+        x.controller.tell(&cycle(50), Time(50 * MS), EventKind::Restarted);
     }
     let mut takes = |verb| {
-        let command = Command { id: CommandId::of_task(1), verb, stream: 0, ticket: None };
-        x.seat.command_from_task(&cycle(50), Time(50 * MS), command).is_ok()
+        let command = QueuedCommand { id: CommandId::of_task(1), verb, stream: 0, ticket: None };
+        x.controller.command_from_task(&cycle(50), Time(50 * MS), command).is_ok()
     };
-    assert!(!takes(Verb::Home));
-    assert!(takes(Verb::QuickStop));
+    assert!(!takes(Command::Home));
+    assert!(takes(Command::QuickStop));
 }
 
 #[test]
 fn a_quick_stop_takes_the_place_of_a_ramp_and_not_of_the_power_off_after_it() {
     let mut x = Alone::new(plan()).enabled();
-    x.seat.stop(&cycle(50), Time(20 * MS), StopCause::Overrun, &mut x.slot);
-    let ramp = x.post(Verb::QuickStop);
+    x.controller.stop(&cycle(50), Time(20 * MS), StopCause::Overrun, &mut x.slot);
+    let ramp = x.post(Command::QuickStop);
     x.turn();
-    assert_eq!(x.slot.order.verb, Some(Verb::QuickStop));
+    assert_eq!(x.slot.order.verb, Some(Command::QuickStop));
     // At standstill; the drive reports its power later.
-    let standstill = x.seat.plan().stop.standstill_for;
+    let standstill = x.controller.plan().stop.standstill_for;
     x.turns(standstill);
-    assert_eq!(x.slot.order.verb, Some(Verb::Disable));
+    assert_eq!(x.slot.order.verb, Some(Command::Disable));
     assert_eq!(x.ended(), [(ramp, Outcome::Aborted(Abort::Stopped(StopCause::Overrun)))]);
-    let late = x.post(Verb::QuickStop);
+    let late = x.post(Command::QuickStop);
     x.turn();
     assert_eq!(x.ended(), [(late, Outcome::Failed(Failure::Latched(StopCause::Overrun)))]);
-    assert_eq!(x.slot.order.verb, Some(Verb::Disable));
+    assert_eq!(x.slot.order.verb, Some(Command::Disable));
 }
 
 /// Enabled, homed, between 0 and 100 mm; it brakes with 1000 mm/s².
@@ -318,8 +318,8 @@ fn stopped_at(x: &mut Alone, step: f64) -> (f64, StopCause) {
         report.demand += step;
         report.position = report.demand;
         x.turn();
-        if let Some(cause) = x.seat.feedback().stopped {
-            return (x.seat.feedback().demand, cause);
+        if let Some(cause) = x.controller.feedback().stopped {
+            return (x.controller.feedback().demand, cause);
         }
     }
     panic!("not stopped");
@@ -330,18 +330,18 @@ fn native_data_are_stopped_where_the_axis_can_still_brake_and_a_move_at_its_limi
     // 400 mm/s takes 80 mm to standstill.
     for owner in [NativeOwner::Master, NativeOwner::Application] {
         let mut x = ranged();
-        x.post(Verb::Native(owner));
+        x.post(Command::Native(owner));
         x.turn();
         let (at, cause) = stopped_at(&mut x, 0.4);
         assert!((15.0..20.0).contains(&at) && cause == StopCause::Limit, "{owner:?} {at} {cause}");
     }
     let mut x = ranged();
-    x.post(Verb::Torque { slope: 100.0 });
+    x.post(Command::Torque { slope: 100.0 });
     x.turn();
     let (at, cause) = stopped_at(&mut x, 0.4);
     assert!((15.0..20.0).contains(&at) && cause == StopCause::Limit, "torque {at} {cause}");
     let mut x = ranged();
-    x.post(Verb::Follow);
+    x.post(Command::Follow);
     x.turn();
     let (at, cause) = stopped_at(&mut x, 0.4);
     assert!((100.0..102.0).contains(&at) && cause == StopCause::Limit, "{at} {cause}");
@@ -349,7 +349,7 @@ fn native_data_are_stopped_where_the_axis_can_still_brake_and_a_move_at_its_limi
 
 #[test]
 fn what_follows_no_setpoint_is_stopped_by_its_drive_and_all_else_by_a_ramp() {
-    let by_drive = |x: &Alone| x.slot.order.verb == Some(Verb::QuickStop);
+    let by_drive = |x: &Alone| x.slot.order.verb == Some(Command::QuickStop);
     // By itself.
     let mut x = ranged();
     x.turns(100);
@@ -360,7 +360,7 @@ fn what_follows_no_setpoint_is_stopped_by_its_drive_and_all_else_by_a_ramp() {
     assert_eq!(stopped_at(&mut x, 0.6).1, StopCause::Limit);
     assert!(by_drive(&x));
     // Faster than its limit: under a motion, and under a stop.
-    for (verb, expected) in [(Verb::Follow, false), (Verb::Stop { deceleration: None }, true)] {
+    for (verb, expected) in [(Command::Follow, false), (Command::Stop { deceleration: None }, true)] {
         let mut x = ranged();
         x.post(verb);
         x.turn();
@@ -371,7 +371,7 @@ fn what_follows_no_setpoint_is_stopped_by_its_drive_and_all_else_by_a_ramp() {
     let mut x = ranged();
     x.slot.report.state = State::SwitchedOn;
     x.turn();
-    assert_eq!(x.seat.feedback().stopped, Some(StopCause::DriveDropped));
+    assert_eq!(x.controller.feedback().stopped, Some(StopCause::DriveDropped));
     assert!(!by_drive(&x));
 }
 
@@ -382,14 +382,14 @@ fn a_stop_is_as_steep_as_the_faster_of_demand_and_motor_requires() {
         let mut plan = plan();
         plan.stop.timeout = Duration::from_millis(100);
         let mut x = Alone::new(plan).enabled();
-        x.post(Verb::Follow);
+        x.post(Command::Follow);
         for _ in 0..3 {
             x.slot.report.demand += step;
             x.slot.report.velocity = velocity;
             x.turn();
         }
-        x.seat.stop(&cycle(99), Time(99 * MS), StopCause::Overrun, &mut x.slot);
-        let Some(Verb::Stop { deceleration: Some(ordered) }) = x.slot.order.verb else { panic!() };
+        x.controller.stop(&cycle(99), Time(99 * MS), StopCause::Overrun, &mut x.slot);
+        let Some(Command::Stop { deceleration: Some(ordered) }) = x.slot.order.verb else { panic!() };
         assert!((ordered / deceleration - 1.0).abs() < 0.01, "{ordered} at {step} and {velocity}");
     }
 }
@@ -401,7 +401,7 @@ fn the_motor_may_settle_after_each_motion_and_not_at_any_other_time() {
         x.slot.report.velocity = 0.0;
         x.turns(100);
         if settles {
-            x.post(Verb::Home);
+            x.post(Command::Home);
             x.turn();
             x.slot.report.velocity = 100.0;
             x.turns(9);
@@ -409,16 +409,16 @@ fn the_motor_may_settle_after_each_motion_and_not_at_any_other_time() {
         }
         x.slot.report.velocity = 40.0;
         x.turns(9);
-        assert_eq!(x.seat.feedback().stopped.is_none(), settles);
+        assert_eq!(x.controller.feedback().stopped.is_none(), settles);
     }
 }
 
 #[test]
 fn only_a_quick_stop_is_taken_while_an_axis_is_stopped() {
-    for verb in [Verb::Disable, Verb::Stop { deceleration: None }, Verb::ResetFault] {
+    for verb in [Command::Disable, Command::Stop { deceleration: None }, Command::ResetFault] {
         let mut x = Alone::new(plan()).enabled();
         (x.slot.report.moving, x.slot.report.velocity) = (true, 50.0);
-        x.seat.stop(&cycle(50), Time(20 * MS), StopCause::Overrun, &mut x.slot);
+        x.controller.stop(&cycle(50), Time(20 * MS), StopCause::Overrun, &mut x.slot);
         let order = x.slot.order;
         let id = x.post(verb);
         x.turn();
@@ -433,11 +433,11 @@ fn a_reset_leaves_the_order_by_which_a_stopped_axis_holds() {
     plan.stop.then = StopThen::Hold;
     let standstill = plan.stop.standstill_for;
     let mut x = Alone::new(plan).enabled();
-    x.seat.stop(&cycle(50), Time(20 * MS), StopCause::Overrun, &mut x.slot);
+    x.controller.stop(&cycle(50), Time(20 * MS), StopCause::Overrun, &mut x.slot);
     x.turns(standstill);
     let order = x.slot.order;
-    assert!(matches!(order.verb, Some(Verb::Stop { .. })));
-    let id = x.post(Verb::Reset);
+    assert!(matches!(order.verb, Some(Command::Stop { .. })));
+    let id = x.post(Command::Reset);
     x.turn();
     assert_eq!(x.ended(), [(id, Outcome::Done)]);
     assert_eq!(x.slot.order, order);
@@ -449,36 +449,36 @@ fn an_axis_that_was_found_running_and_then_stopped_is_braked_when_it_moves_again
     let mut x = Alone::new(plan);
     x.slot.report.state = State::OperationEnabled;
     x.turns(10);
-    x.done(Verb::Stop { deceleration: None }, State::OperationEnabled);
+    x.done(Command::Stop { deceleration: None }, State::OperationEnabled);
     x.turns(100);
     x.slot.report.velocity = 50.0;
     x.turns(3);
-    assert_eq!(x.seat.feedback().stopped, Some(StopCause::FoundRunning));
-    assert_eq!(x.slot.order.verb, Some(Verb::QuickStop));
+    assert_eq!(x.controller.feedback().stopped, Some(StopCause::FoundRunning));
+    assert_eq!(x.slot.order.verb, Some(Command::QuickStop));
 }
 
 #[test]
 fn a_link_is_counted_as_lost_when_it_was_up_and_its_silence_was_not_requested() {
     let mut x = Alone::new(plan());
-    let losses = |x: &Alone| x.seat.numbers(&x.slot).losses;
-    for (excused, expected) in [(false, 1), (true, 1), (false, 2)] {
+    let losses = |x: &Alone| x.controller.numbers(&x.slot).losses;
+    for (expected_silence, expected) in [(false, 1), (true, 1), (false, 2)] {
         x.turns(10);
-        x.slot.excused = excused;
+        x.slot.expected_silence = expected_silence;
         x.slot.report.fresh = false;
         (0..9).for_each(|_| x.miss());
-        assert_eq!((x.seat.feedback().link, losses(&x)), (Link::Lost, expected), "{excused}");
+        assert_eq!((x.controller.feedback().link, losses(&x)), (Link::Lost, expected), "{expected_silence}");
         // A first answer, and silence again.
         x.turn();
         x.slot.report.fresh = false;
         (0..9).for_each(|_| x.miss());
-        assert_eq!((x.seat.feedback().link, losses(&x)), (Link::Lost, expected), "{excused}");
+        assert_eq!((x.controller.feedback().link, losses(&x)), (Link::Lost, expected), "{expected_silence}");
     }
 }
 
 /// An axis that follows, with these rows: the stream, the position, the velocity.
 fn following(plan: AxisPlan, rows: &[(u32, f64, f64)]) -> Alone {
     let mut x = Alone::new(plan).enabled();
-    x.post(Verb::Follow);
+    x.post(Command::Follow);
     for &(stream, position, velocity) in rows {
         let row = Row { position, velocity, acceleration: 7.0, last: false };
         x.rows.push(StreamRow { stream, number: 0, row }).unwrap();
@@ -493,14 +493,14 @@ impl Alone {
     fn fed_unsent(&mut self) -> Option<Row> {
         self.slot.row = None;
         let cycle = cycle(self.index);
-        self.seat.feed(&cycle, cycle.grid, &mut self.slot, &crate::cycle::gates::Gates::new(1));
+        self.controller.feed(&cycle, cycle.grid, &mut self.slot, &crate::drive::groups::GroupSync::new(1));
         self.slot.row.map(|row| row.row)
     }
 
     /// The row of the next send, which goes out.
     fn fed(&mut self) -> Option<Row> {
         let row = self.fed_unsent();
-        self.seat.sent(&cycle(self.index), &self.slot);
+        self.controller.sent(&cycle(self.index), &self.slot);
         row
     }
 }
@@ -524,7 +524,7 @@ fn a_stream_that_runs_empty_goes_on_at_its_last_speed_for_so_many_rows() {
         assert_eq!((row.velocity, row.acceleration), (10.0, 0.0));
     }
     assert_eq!(x.fed(), None);
-    assert_eq!(x.seat.feedback().stopped, Some(StopCause::Underrun));
+    assert_eq!(x.controller.feedback().stopped, Some(StopCause::Underrun));
 }
 
 #[test]
@@ -542,10 +542,10 @@ fn a_row_that_the_task_gave_for_no_stream_begins_none_later() {
     x.ends(Ok(()));
     x.ended();
     // The order of the stream that has ended stands until there is another one.
-    x.seat.row_from_task(Row { position: 0.03, ..Row::default() });
+    x.controller.row_from_task(Row { position: 0.03, ..Row::default() });
     assert_eq!(x.fed(), None);
     x.rows.push(StreamRow { stream: 0, number: 0, row: Row::default() }).unwrap();
-    x.post(Verb::Follow);
+    x.post(Command::Follow);
     x.turn();
     assert_eq!(x.fed(), Some(Row::default()));
 }
@@ -556,7 +556,7 @@ fn a_row_is_for_a_send_that_is_due_and_its_number_is_never_given_again() {
     let mut x = following(plan(), &rows);
     x.slot.due = false;
     assert_eq!(x.fed(), None);
-    x.seat.row_from_task(Row { position: -0.01, ..Row::default() });
+    x.controller.row_from_task(Row { position: -0.01, ..Row::default() });
     assert_eq!(x.fed(), None);
     x.slot.due = true;
     assert_eq!(x.fed().map(|row| row.position), Some(-0.01), "that of the task first, when one is due");
@@ -565,14 +565,14 @@ fn a_row_is_for_a_send_that_is_due_and_its_number_is_never_given_again() {
     x.ends(Ok(()));
     x.ended();
     x.rows.push(StreamRow { stream: 0, number: 0, row: Row::default() }).unwrap();
-    x.post(Verb::Home);
+    x.post(Command::Home);
     x.turn();
-    assert_eq!((x.fed(), x.seat.queues.rows.slots()), (None, 1), "no row is for another motion");
+    assert_eq!((x.fed(), x.controller.queues.rows.slots()), (None, 1), "no row is for another motion");
     x.ends(Ok(()));
     x.ended();
-    x.seat.row_from_task(Row { position: 0.03, ..Row::default() });
+    x.controller.row_from_task(Row { position: 0.03, ..Row::default() });
     assert_eq!(x.fed(), None, "nothing is followed");
-    x.post(Verb::Follow);
+    x.post(Command::Follow);
     x.turn();
     assert_eq!(x.fed(), Some(Row::default()), "not the one that the task gave for an earlier send");
     assert_eq!(x.slot.row.unwrap().number, number + 1);
@@ -582,14 +582,14 @@ fn a_row_is_for_a_send_that_is_due_and_its_number_is_never_given_again() {
 fn a_motion_that_failed_may_brake_as_slowly_as_its_stop_and_not_speed_up() {
     for (end, trips) in [(Err(Failure::NotArrived), None), (Ok(()), Some(54))] {
         let mut x = Alone::new(plan()).enabled();
-        x.post(Verb::Home);
+        x.post(Command::Home);
         x.turn();
         x.slot.report.velocity = 200.0;
         x.ends(end);
         let tripped = (1..180).find(|n| {
             x.slot.report.velocity = 200.0 - f64::from(*n);
             x.turn();
-            x.seat.feedback().stopped.is_some()
+            x.controller.feedback().stopped.is_some()
         });
         assert_eq!(tripped, trips, "{end:?}");
     }
@@ -601,7 +601,7 @@ fn an_enable_without_the_hardware_enable_is_refused_before_the_bus_has_it() {
     x.slot.report.inhibited = true;
     x.turn();
     let order = x.slot.order;
-    let id = x.post(Verb::Enable);
+    let id = x.post(Command::Enable);
     x.turn();
     assert_eq!(x.ended(), [(id, Outcome::Failed(Failure::Inhibited))]);
     assert_eq!(x.slot.order, order);
@@ -611,8 +611,8 @@ fn an_enable_without_the_hardware_enable_is_refused_before_the_bus_has_it() {
 fn a_reset_that_waits_for_a_stop_ends_when_the_link_is_lost() {
     let mut x = Alone::new(plan()).enabled();
     x.slot.report.velocity = 50.0;
-    x.seat.stop(&cycle(50), Time(20 * MS), StopCause::Overrun, &mut x.slot);
-    let id = x.post(Verb::Reset);
+    x.controller.stop(&cycle(50), Time(20 * MS), StopCause::Overrun, &mut x.slot);
+    let id = x.post(Command::Reset);
     x.turns(3);
     assert_eq!(x.ended(), []);
     (0..5).for_each(|_| x.miss());
@@ -625,10 +625,10 @@ fn a_command_that_fails_by_a_fault_of_the_drive_stops_the_axis() {
         [(Failure::DriveFault(7), Some(StopCause::DriveFault)), (Failure::NotArrived, None)]
     {
         let mut x = Alone::new(plan()).enabled();
-        x.post(Verb::Home);
+        x.post(Command::Home);
         x.turn();
         x.ends(Err(failure));
-        assert_eq!(x.seat.feedback().stopped, stop, "{failure}");
+        assert_eq!(x.controller.feedback().stopped, stop, "{failure}");
     }
 }
 
@@ -636,24 +636,24 @@ fn a_command_that_fails_by_a_fault_of_the_drive_stops_the_axis() {
 fn an_application_with_the_control_word_loses_it_by_a_restart_or_its_own_silence() {
     let native = || {
         let mut x = Alone::new(plan()).online();
-        x.post(Verb::Native(NativeOwner::Application));
+        x.post(Command::Native(NativeOwner::Application));
         x.turn();
         x
     };
     let mut x = native();
     x.slot.report.state = State::SwitchOnDisabled;
     x.turns(9);
-    assert_eq!(x.seat.feedback().stopped, None, "the state is its own concern");
+    assert_eq!(x.controller.feedback().stopped, None, "the state is its own concern");
     x.slot.report.restarted = true;
     x.turn();
-    assert_eq!(x.seat.feedback().stopped, Some(StopCause::DriveDropped));
+    assert_eq!(x.controller.feedback().stopped, Some(StopCause::DriveDropped));
     let mut x = native();
-    x.seat.stop_if_armed(&cycle(50), Time(50 * MS), StopCause::Heartbeat, &mut x.slot);
-    assert_eq!(x.seat.feedback().stopped, Some(StopCause::Heartbeat));
+    x.controller.stop_if_armed(&cycle(50), Time(50 * MS), StopCause::Heartbeat, &mut x.slot);
+    assert_eq!(x.controller.feedback().stopped, Some(StopCause::Heartbeat));
     // Without power and without a command there is nothing to stop.
     let mut x = Alone::new(plan()).online();
-    x.seat.stop_if_armed(&cycle(50), Time(50 * MS), StopCause::Heartbeat, &mut x.slot);
-    assert_eq!(x.seat.feedback().stopped, None);
+    x.controller.stop_if_armed(&cycle(50), Time(50 * MS), StopCause::Heartbeat, &mut x.slot);
+    assert_eq!(x.controller.feedback().stopped, None);
 }
 
 #[test]
@@ -662,16 +662,16 @@ fn a_stop_of_the_application_has_its_time_and_then_the_drive_stops() {
     plan.stop.timeout = Duration::from_millis(100);
     let mut x = Alone::new(plan).enabled();
     x.slot.report.velocity = 50.0;
-    x.post(Verb::Stop { deceleration: None });
+    x.post(Command::Stop { deceleration: None });
     x.turns(101);
-    assert_eq!(x.seat.feedback().stopped, None);
+    assert_eq!(x.controller.feedback().stopped, None);
     x.turn();
-    assert_eq!(x.seat.feedback().stopped, Some(StopCause::StopTimeout));
-    assert_eq!(x.slot.order.verb, Some(Verb::QuickStop));
+    assert_eq!(x.controller.feedback().stopped, Some(StopCause::StopTimeout));
+    assert_eq!(x.slot.order.verb, Some(Command::QuickStop));
     x.slot.report.velocity = 0.0;
-    let standstill = x.seat.plan().stop.standstill_for;
+    let standstill = x.controller.plan().stop.standstill_for;
     x.turns(standstill);
-    assert_eq!(x.slot.order.verb, Some(Verb::Disable));
+    assert_eq!(x.slot.order.verb, Some(Command::Disable));
 }
 
 #[test]
@@ -679,52 +679,56 @@ fn a_ramp_that_the_drive_refuses_becomes_its_quick_stop_and_an_older_refusal_cha
     let mut x = Alone::new(plan()).enabled();
     x.slot.report.velocity = 50.0;
     x.slot.progress = Progress { serial: x.slot.order.serial, end: Some(Err(Failure::NotTaken)) };
-    x.seat.stop(&cycle(50), Time(20 * MS), StopCause::Overrun, &mut x.slot);
+    x.controller.stop(&cycle(50), Time(20 * MS), StopCause::Overrun, &mut x.slot);
     x.turn();
-    assert!(matches!(x.slot.order.verb, Some(Verb::Stop { .. })));
+    assert!(matches!(x.slot.order.verb, Some(Command::Stop { .. })));
     x.ends(Err(Failure::NotTaken));
-    assert_eq!(x.slot.order.verb, Some(Verb::QuickStop));
+    assert_eq!(x.slot.order.verb, Some(Command::QuickStop));
 }
 
 #[test]
 fn a_link_that_never_came_back_stops_no_axis_once_more() {
     let mut x = Alone::new(plan()).online();
     (0..5).for_each(|_| x.miss());
-    assert_eq!(x.seat.feedback().stopped, Some(StopCause::LinkLost));
-    x.done_at_once(Verb::Reset);
+    assert_eq!(x.controller.feedback().stopped, Some(StopCause::LinkLost));
+    x.done_at_once(Command::Reset);
     x.turn();
-    assert_eq!(x.seat.feedback().link, Link::Qualifying);
+    assert_eq!(x.controller.feedback().link, Link::Qualifying);
     x.miss();
-    assert_eq!((x.seat.feedback().link, x.seat.feedback().stopped), (Link::Lost, None));
+    assert_eq!((x.controller.feedback().link, x.controller.feedback().stopped), (Link::Lost, None));
 }
 
 #[test]
 fn a_request_that_could_not_be_sent_is_no_miss_only_once_the_bus_ends_the_link() {
-    for (excused, ends, link) in [
+    for (expected_silence, ends, link) in [
         (false, false, Link::Lost),
         (true, false, Link::Lost),
         (false, true, Link::Lost),
         (true, true, Link::Online),
     ] {
         let mut x = Alone::new(plan()).online();
-        x.slot.excused = excused;
+        x.slot.expected_silence = expected_silence;
         if ends {
-            x.seat.shut_down(&cycle(x.index), Time(x.index * MS), &mut x.slot, false);
+            x.controller.shut_down(&cycle(x.index), Time(x.index * MS), &mut x.slot, false);
         }
         for index in x.index + 1..x.index + 10 {
             x.slot.exchange = Exchange::Unsent;
-            x.seat.judge(&cycle(index), Time(index * MS), &mut x.slot);
+            x.controller.judge(&cycle(index), Time(index * MS), &mut x.slot);
         }
-        assert_eq!(x.seat.feedback().link, link, "excused {excused}, at the end {ends}");
+        assert_eq!(
+            x.controller.feedback().link,
+            link,
+            "expected_silence {expected_silence}, at the end {ends}"
+        );
     }
 }
 
 #[test]
 fn a_report_has_an_age_while_the_link_is_up() {
     let mut x = Alone::new(plan()).online();
-    let oldest = |x: &Alone| x.seat.numbers(&x.slot).peaks.age.ns;
+    let oldest = |x: &Alone| x.controller.numbers(&x.slot).peaks.age.ns;
     (0..5).for_each(|_| x.miss());
-    assert_eq!((x.seat.feedback().link, oldest(&x)), (Link::Lost, 4 * MS));
+    assert_eq!((x.controller.feedback().link, oldest(&x)), (Link::Lost, 4 * MS));
     (0..50).for_each(|_| x.miss());
     assert_eq!(oldest(&x), 4 * MS);
 }
@@ -750,7 +754,7 @@ fn a_drive_that_was_found_running_and_went_off_by_itself_is_still_only_read_afte
     x.slot.report.state = State::ReadyToSwitchOn;
     x.turn();
     let order = x.slot.order;
-    x.done_at_once(Verb::Reset);
+    x.done_at_once(Command::Reset);
     assert_eq!(x.slot.order, order);
 }
 
@@ -758,22 +762,22 @@ fn a_drive_that_was_found_running_and_went_off_by_itself_is_still_only_read_afte
 fn native_motion_data_may_lead_out_of_a_quick_stop_and_no_move_does() {
     let mut x = Alone::new(plan()).enabled();
     x.slot.report.state = State::QuickStopActive;
-    let home = x.post(Verb::Home);
+    let home = x.post(Command::Home);
     x.turn();
     let refused = Failure::WrongState(State::QuickStopActive);
     assert_eq!(x.ended(), [(home, Outcome::Failed(refused))]);
-    x.post(Verb::Native(NativeOwner::Master));
+    x.post(Command::Native(NativeOwner::Master));
     x.turn();
-    assert_eq!((x.ended(), x.slot.order.verb), (vec![], Some(Verb::Native(NativeOwner::Master))));
+    assert_eq!((x.ended(), x.slot.order.verb), (vec![], Some(Command::Native(NativeOwner::Master))));
 }
 
 impl Alone {
     /// The in-loop task gives a command.
-    fn task(&mut self, id: u64, verb: Verb) -> CommandId {
+    fn task(&mut self, id: u64, verb: Command) -> CommandId {
         let id = CommandId::of_task(id);
         let cycle = cycle(self.index);
-        let command = Command { id, verb, stream: 0, ticket: None };
-        self.seat.command_from_task(&cycle, cycle.grid, command).unwrap();
+        let command = QueuedCommand { id, verb, stream: 0, ticket: None };
+        self.controller.command_from_task(&cycle, cycle.grid, command).unwrap();
         id
     }
 }
@@ -781,18 +785,18 @@ impl Alone {
 #[test]
 fn a_command_of_the_task_that_a_stop_overtakes_has_its_end() {
     let mut x = Alone::new(plan()).enabled();
-    let (home, stop) = (x.task(1, Verb::Home), x.task(2, Verb::QuickStop));
+    let (home, stop) = (x.task(1, Command::Home), x.task(2, Command::QuickStop));
     assert_eq!(x.ended(), [(home.0, Outcome::Aborted(Abort::Replaced(stop)))]);
-    x.seat.stop(&cycle(50), Time(50 * MS), StopCause::Overrun, &mut x.slot);
+    x.controller.stop(&cycle(50), Time(50 * MS), StopCause::Overrun, &mut x.slot);
     assert_eq!(x.ended(), [(stop.0, Outcome::Aborted(Abort::Stopped(StopCause::Overrun)))]);
 }
 
 #[test]
 fn a_row_of_the_task_ends_with_the_motion_that_it_was_for() {
     let mut x = following(plan(), &[]);
-    x.seat.row_from_task(Row { position: 0.01, ..Row::default() });
+    x.controller.row_from_task(Row { position: 0.01, ..Row::default() });
     x.ends(Ok(()));
-    x.post(Verb::Follow);
+    x.post(Command::Follow);
     x.turn();
     assert_eq!(x.fed(), None);
 }
@@ -800,19 +804,19 @@ fn a_row_of_the_task_ends_with_the_motion_that_it_was_for() {
 #[test]
 fn power_that_no_command_has_switched_on_is_watched_from_its_first_report() {
     let mut x = Alone::new(plan()).enabled();
-    x.done(Verb::Disable, State::ReadyToSwitchOn);
+    x.done(Command::Disable, State::ReadyToSwitchOn);
     x.slot.report.velocity = 50.0;
     x.turns(9);
-    assert_eq!(x.seat.feedback().stopped, None, "pushed by hand");
+    assert_eq!(x.controller.feedback().stopped, None, "pushed by hand");
     x.slot.report.state = State::OperationEnabled;
     x.slot.report.suspect = true;
     x.turns(9);
-    assert_eq!(x.seat.feedback().stopped, None, "it may be an old report");
+    assert_eq!(x.controller.feedback().stopped, None, "it may be an old report");
     x.slot.report.suspect = false;
     x.turns(2);
-    assert_eq!(x.seat.feedback().stopped, None);
+    assert_eq!(x.controller.feedback().stopped, None);
     x.turn();
-    assert_eq!(x.seat.feedback().stopped, Some(StopCause::Uncommanded));
+    assert_eq!(x.controller.feedback().stopped, Some(StopCause::Uncommanded));
 }
 
 #[test]
@@ -820,15 +824,15 @@ fn a_command_to_a_member_alone_stops_its_group_only_if_it_may_begin() {
     for (distance, stop) in [(200.0, None), (20.0, Some(StopCause::GroupFailed))] {
         let mut x = ranged();
         let ticket = Some(Ticket { lead: 0, members: 2, number: 1 });
-        let command = Command { id: CommandId(90), verb: Verb::Home, stream: 0, ticket };
-        let native = Verb::Native(NativeOwner::Master);
-        x.commands.push(Command { verb: native, ..command }).unwrap();
+        let command = QueuedCommand { id: CommandId(90), verb: Command::Home, stream: 0, ticket };
+        let native = Command::Native(NativeOwner::Master);
+        x.commands.push(QueuedCommand { verb: native, ..command }).unwrap();
         x.turn();
-        x.seat.begin_waiting(&cycle(x.index), Time(x.index * MS), &mut x.slot);
+        x.controller.begin_waiting(&cycle(x.index), Time(x.index * MS), &mut x.slot);
         let target = Target::Relative(distance);
-        x.post(Verb::Move(Move { target, profile: x.seat.plan().profile }));
+        x.post(Command::Move(Move { target, profile: x.controller.plan().profile }));
         x.turn();
-        assert_eq!(x.seat.feedback().stopped, stop, "{distance} mm");
+        assert_eq!(x.controller.feedback().stopped, stop, "{distance} mm");
     }
 }
 
@@ -839,9 +843,9 @@ fn a_reset_takes_no_drive_over_that_does_not_answer() {
     x.slot.report.state = State::OperationEnabled;
     x.turns(10);
     (0..5).for_each(|_| x.miss());
-    assert_eq!(x.seat.feedback().link, Link::Lost);
+    assert_eq!(x.controller.feedback().link, Link::Lost);
     let order = x.slot.order;
-    x.done_at_once(Verb::Reset);
+    x.done_at_once(Command::Reset);
     assert_eq!(x.slot.order, order);
 }
 

@@ -35,10 +35,10 @@ fn strangers_are_counted_and_change_nothing() {
     let sim = serve(&config);
     let mut master = master(&config, &["--json"]);
     master.await_text("all drives online");
-    let strangers =
+    let unmatched =
         [socket(SocketAddrV4::new(machine.ip(200), 49360)), socket(SocketAddrV4::new(machine.ip(1), 0))];
     let wrong_port = [socket(SocketAddrV4::new(*machine.drive(0).ip(), 49361))];
-    let by_strangers = pester(&strangers, machine.master(), 300);
+    let by_strangers = pester(&unmatched, machine.master(), 300);
     let by_port = pester(&wrong_port, machine.master(), 300);
     let before = sim.stats()[1].received;
     assert!(support::until(LONG, || sim.stats()[1].received > before + 100));

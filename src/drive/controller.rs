@@ -1,33 +1,25 @@
 //! The loop's side of one axis: its queues, the running command, its setpoints, its latch and the stop sequence.
 //!
-//! | file | what |
-//! |---|---|
-//! | `mod` | the drive as evaluated; stopping |
-//! | `commands` | the application's commands, in their order |
-//! | `setpoints` | rows, velocities and torques for the next send, and their age |
-//! | `bounds` | bounds of the drive's own demand, whatever commands it |
-//! | `rest` | motion that nobody commands |
+//! Here: the drive as evaluated, and stopping.
 
-mod bounds;
 mod commands;
-mod rest;
 mod setpoints;
 
 use rtrb::{Consumer, Producer};
 
-use self::bounds::{Bounds, Sample, Watched};
-use self::rest::{Motion, Rest};
 use self::setpoints::{Follow, Level};
+use super::bounds::{Bounds, Sample, Watched};
 use super::health::LinkHealth;
-use super::ladder::{Ladder, Sight};
+use super::numbers::{DriveNumbers, Extent, Peaks};
 use super::record::{DriveRecord, MonitorRecord, Reply, measured, short};
-use super::status::{DriveNumbers, Extent, Peaks};
+use super::rest::{Motion, Rest};
+use super::stop::{Sight, StopSequence};
 use crate::axis::cell::Writer;
 use crate::axis::command::NativeOwner;
 use crate::axis::newest::NewestOut;
 use crate::axis::{
     Abort, AxisPlan, Command, CommandId, Event, EventKind, Feedback, FoundRunning, Link, MONITOR_CHANNELS,
-    Outcome, Row, Shown, State, StopCause, StreamRow, Ticket, Verb,
+    Outcome, QueuedCommand, Row, Shown, State, StopCause, StreamRow, Ticket,
 };
 use crate::bus::{Cycle, Exchange, Order, Report, Slot};
 use crate::rt::Regions;
@@ -37,7 +29,7 @@ use crate::time::{Time, nanos};
 #[derive(Debug)]
 pub struct Queues {
     /// Commands of the application.
-    pub commands: Consumer<Command>,
+    pub commands: Consumer<QueuedCommand>,
     /// Rows of the application's stream.
     pub rows: Consumer<StreamRow>,
     /// The newest velocity or torque setpoint of the application.
@@ -54,7 +46,7 @@ pub struct Queues {
 
 /// What the loop keeps of one axis.
 #[derive(Debug)]
-pub struct Seat {
+pub struct DriveController {
     plan: AxisPlan,
     queues: Queues,
     health: LinkHealth,
@@ -62,15 +54,15 @@ pub struct Seat {
     claim: Claim,
     latch: Latch,
     /// The running command, and when it began.
-    active: Option<Command>,
+    active: Option<QueuedCommand>,
     began: Time,
     serial: u64,
     /// A command of the in-loop task, to be taken before the queue.
-    task_command: Option<Command>,
+    task_command: Option<QueuedCommand>,
     /// A row of the in-loop task, to be taken before the stream.
     task_row: Option<Row>,
     /// The group command at the head of the queue that could begin.
-    waiting: Option<Command>,
+    waiting: Option<QueuedCommand>,
     /// The group command that waits for the other members, and since which slot.
     at_gate: Option<(CommandId, u64)>,
     /// The last group command that ended before it began: no other member shall wait for it.
@@ -135,7 +127,7 @@ enum Latch {
     /// Nothing was requested of the drive: it was not ours.
     Kept(StopCause),
     /// In the stop sequence, or at its end.
-    Down(StopCause, Ladder),
+    Down(StopCause, StopSequence),
 }
 
 impl Latch {
@@ -154,7 +146,7 @@ impl Latch {
     fn is_settled(&self) -> bool {
         match self {
             Latch::Open | Latch::Kept(_) => true,
-            Latch::Down(_, ladder) => ladder.is_down(),
+            Latch::Down(_, sequence) => sequence.is_down(),
         }
     }
 }
@@ -168,11 +160,17 @@ pub enum Closed {
     Missed,
 }
 
-impl Seat {
-    /// A seat for the axis of `plan`.
-    pub fn new(plan: AxisPlan, queues: Queues, period_ns: u64, first_probe: u64, silence: u64) -> Seat {
+impl DriveController {
+    /// A controller for the axis of `plan`.
+    pub fn new(
+        plan: AxisPlan,
+        queues: Queues,
+        period_ns: u64,
+        first_probe: u64,
+        silence: u64,
+    ) -> DriveController {
         let health = LinkHealth::new(plan.health, plan.divisor, plan.phase, period_ns, first_probe, silence);
-        Seat {
+        DriveController {
             plan,
             queues,
             health,
@@ -284,7 +282,7 @@ impl Seat {
             Exchange::Unsent => {
                 slot.exchange = Exchange::Idle;
                 // A link that its bus shuts down at the orderly end is not lost.
-                if !(self.ends && slot.excused) {
+                if !(self.ends && slot.expected_silence) {
                     self.missed(cycle, now);
                 }
                 Reply::Unsent
@@ -340,7 +338,7 @@ impl Seat {
 
     /// The group of its running motion.
     pub fn moves_in_group(&self) -> Option<Ticket> {
-        let moves = |active: &Command| active.verb.is_motion() || active.verb == Verb::Home;
+        let moves = |active: &QueuedCommand| active.verb.is_motion() || active.verb == Command::Home;
         self.active.filter(moves).and_then(|active| active.ticket)
     }
 
@@ -434,12 +432,12 @@ impl Seat {
         self.feedback.link = link;
         slot.link = link;
         self.tell(cycle, now, EventKind::Link(link));
-        self.losses += u64::from(link == Link::Lost && before == Link::Online && !slot.excused);
+        self.losses += u64::from(link == Link::Lost && before == Link::Online && !slot.expected_silence);
         match link {
             Link::Lost if before == Link::Online => {
                 self.stop(cycle, now, StopCause::LinkLost, slot);
                 // Its stop group goes on: this silence was requested, and the drive holds or moves nothing.
-                self.just_stopped &= !slot.excused;
+                self.just_stopped &= !slot.expected_silence;
             }
             Link::Online => {
                 self.seen = true;
@@ -493,8 +491,8 @@ impl Seat {
         if self.is_stopping_too_long(now) {
             self.latch(cycle, now, StopCause::StopTimeout);
             let (stop, load) = (self.plan.stop, self.plan.load);
-            let (ladder, verb) = Ladder::start_escalated(stop, load, now, self.speed());
-            self.latch = Latch::Down(StopCause::StopTimeout, ladder);
+            let (sequence, verb) = StopSequence::start_escalated(stop, load, now, self.speed());
+            self.latch = Latch::Down(StopCause::StopTimeout, sequence);
             self.order(slot, Some(verb));
         }
         let sight = Sight {
@@ -506,11 +504,11 @@ impl Seat {
             velocity: self.feedback.velocity,
         };
         slot.report.fresh = false;
-        if let Latch::Down(cause, ladder) = &mut self.latch
-            && let Some(verb) = ladder.step(now, sight)
+        if let Latch::Down(cause, sequence) = &mut self.latch
+            && let Some(verb) = sequence.step(now, sight)
         {
             let why = Abort::Stopped(*cause);
-            if let Some(active) = self.active.filter(|active| active.verb != Verb::Reset) {
+            if let Some(active) = self.active.filter(|active| active.verb != Command::Reset) {
                 self.end(cycle, now, active, Outcome::Aborted(why));
             }
             self.order(slot, Some(verb));
@@ -546,17 +544,17 @@ impl Seat {
             return None;
         }
         let seconds = self.row_seconds(cycle);
-        let braking = matches!(&self.latch, Latch::Down(_, ladder) if !ladder.is_down());
+        let braking = matches!(&self.latch, Latch::Down(_, sequence) if !sequence.is_down());
         // What is on already is not moved by being enabled.
         let commanded = self.active.is_some_and(|active| match active.verb {
-            Verb::Reset | Verb::ResetFault => false,
-            Verb::Enable => state != State::OperationEnabled,
+            Command::Reset | Command::ResetFault => false,
+            Command::Enable => state != State::OperationEnabled,
             _ => true,
         });
         // Only the drive knows how it will brake if this loop does not command it; under torque nothing brakes it.
-        let native = self.active.is_some_and(|active| matches!(active.verb, Verb::Native(_)));
+        let native = self.active.is_some_and(|active| matches!(active.verb, Command::Native(_)));
         let watched = Watched {
-            homing: self.active.is_some_and(|active| active.verb == Verb::Home),
+            homing: self.active.is_some_and(|active| active.verb == Command::Home),
             braking: native || self.active.is_none() || under_torque(slot),
         };
         let broken = self.bounds.are_broken(&self.plan, watched, seconds);
@@ -611,14 +609,14 @@ impl Seat {
 
     /// Stops the axis if it is enabled, or about to be; any other axis can do no harm.
     pub fn stop_if_armed(&mut self, cycle: &Cycle, now: Time, cause: StopCause, slot: &mut Slot) {
-        let rising = self.active.is_some_and(|active| active.verb == Verb::Enable);
+        let rising = self.active.is_some_and(|active| active.verb == Command::Enable);
         if self.claim == Claim::Armed || rising || self.is_native(NativeOwner::Application) {
             self.stop(cycle, now, cause, slot);
         }
     }
 
     fn is_native(&self, owner: NativeOwner) -> bool {
-        self.active.is_some_and(|active| active.verb == Verb::Native(owner))
+        self.active.is_some_and(|active| active.verb == Command::Native(owner))
     }
 
     /// Starts the stop sequence of an axis that is latched.
@@ -626,9 +624,9 @@ impl Seat {
         let Some(cause) = self.latch.cause() else { return };
         // No ramp of velocities brakes a drive that follows torques: it would only lose its torque along the slope.
         let by_the_drive = braked == Braked::ByTheDrive || under_torque(slot);
-        let start = if by_the_drive { Ladder::start_escalated } else { Ladder::start };
-        let (ladder, verb) = start(self.plan.stop, self.plan.load, now, self.speed());
-        self.latch = Latch::Down(cause, ladder);
+        let start = if by_the_drive { StopSequence::start_escalated } else { StopSequence::start };
+        let (sequence, verb) = start(self.plan.stop, self.plan.load, now, self.speed());
+        self.latch = Latch::Down(cause, sequence);
         self.order(slot, Some(verb));
     }
 
@@ -636,7 +634,7 @@ impl Seat {
     fn stop_again(&mut self, cycle: &Cycle, now: Time, cause: StopCause, slot: &mut Slot) {
         let speed = self.speed();
         let verb = match &mut self.latch {
-            Latch::Down(_, ladder) if ladder.is_down() => ladder.again(now, speed),
+            Latch::Down(_, sequence) if sequence.is_down() => sequence.again(now, speed),
             Latch::Kept(_) => return self.brake(now, Braked::ByTheDrive, slot),
             _ => return,
         };
@@ -684,10 +682,10 @@ impl Seat {
             self.brake(now, Braked::BySetpoints, slot);
         }
         // Only ever read: not ours to power off.
-        let Latch::Down(_, ladder) = &mut self.latch else { return true };
-        ladder.shut_down(now, self.feedback.state.is_powered());
-        let verb = if hurry { ladder.hurry(now) } else { None };
-        let down = ladder.is_down();
+        let Latch::Down(_, sequence) = &mut self.latch else { return true };
+        sequence.shut_down(now, self.feedback.state.is_powered());
+        let verb = if hurry { sequence.hurry(now) } else { None };
+        let down = sequence.is_down();
         if verb.is_some() {
             self.order(slot, verb);
         }
@@ -734,7 +732,7 @@ impl Seat {
 
     /// The loop's counts of it so far, with those of its bus.
     pub fn numbers(&self, slot: &Slot) -> DriveNumbers {
-        let Seat { losses, peaks, monitor, .. } = *self;
+        let DriveController { losses, peaks, monitor, .. } = *self;
         DriveNumbers { counters: slot.counters, losses, peaks, monitor }
     }
 
@@ -757,7 +755,7 @@ impl Seat {
         self.drop_rows(u32::MAX - 1);
     }
 
-    fn order(&mut self, slot: &mut Slot, verb: Option<Verb>) {
+    fn order(&mut self, slot: &mut Slot, verb: Option<Command>) {
         self.serial += 1;
         if self.claim == Claim::Found {
             self.claim = Claim::Ours;
@@ -767,8 +765,8 @@ impl Seat {
         self.follow.held = false;
     }
 
-    fn end(&mut self, cycle: &Cycle, now: Time, command: Command, outcome: Outcome) {
-        if command.verb == Verb::Follow {
+    fn end(&mut self, cycle: &Cycle, now: Time, command: QueuedCommand, outcome: Outcome) {
+        if command.verb == Command::Follow {
             self.drop_rows(command.stream);
         }
         if self.active.is_some_and(|active| active.id == command.id) {
@@ -803,8 +801,8 @@ enum Braked {
 }
 
 /// Whether the application's command is a stop.
-fn stops(active: Command) -> bool {
-    matches!(active.verb, Verb::Stop { .. } | Verb::QuickStop)
+fn stops(active: QueuedCommand) -> bool {
+    matches!(active.verb, Command::Stop { .. } | Command::QuickStop)
 }
 
 /// Whether no position leads the drive, and its reported demand is meaningless.

@@ -1,18 +1,18 @@
 //! The application's commands in their order, and what each of them waits for or replaces.
 
-use super::bounds::Bounds;
-use super::{Claim, Latch, Seat};
+use super::{Claim, DriveController, Latch};
 use crate::axis::command::NativeOwner;
 use crate::axis::limits::{check_position, check_torque, check_velocity, check_verb};
 use crate::axis::{
-    Abort, Command, CommandId, Failure, Link, Load, Move, Outcome, Row, Setpoint, State, StopCause, Target,
-    Ticket, Verb,
+    Abort, Command, CommandId, Failure, Link, Load, Move, Outcome, QueuedCommand, Row, Setpoint, State,
+    StopCause, Target, Ticket,
 };
 use crate::bus::{Cycle, Slot};
-use crate::cycle::ladder::deceleration_of;
+use crate::drive::bounds::Bounds;
+use crate::drive::stop::deceleration_of;
 use crate::time::{Time, nanos};
 
-impl Seat {
+impl DriveController {
     /// Drains the application's commands: ends the finished one, aborts those that an urgent one overtakes, starts
     /// the next. The command of a group is left to the group synchronisation.
     pub fn exchange(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
@@ -60,7 +60,7 @@ impl Seat {
 
     /// Whether the command has to be left to the group synchronisation. A stop is not delayed for long: the
     /// application itself may be delayed between one member and the next.
-    fn waits_at_gate(&mut self, cycle: &Cycle, next: &Command) -> bool {
+    fn waits_at_gate(&mut self, cycle: &Cycle, next: &QueuedCommand) -> bool {
         if self.at_gate.is_none_or(|(id, _)| id != next.id) {
             self.at_gate = Some((next.id, cycle.index));
         }
@@ -107,7 +107,7 @@ impl Seat {
     /// Ends the running command by the station's progress.
     fn end_active(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
         let Some(active) = self.active else { return };
-        if active.verb == Verb::Reset {
+        if active.verb == Command::Reset {
             self.try_reset(cycle, now, active, slot);
             return;
         }
@@ -117,11 +117,11 @@ impl Seat {
         match slot.progress.end {
             None => {}
             Some(Ok(())) => {
-                if active.verb == Verb::Enable {
+                if active.verb == Command::Enable {
                     self.claim = Claim::Armed;
                     self.bounds = Bounds::default();
                 }
-                if matches!(active.verb, Verb::Enable | Verb::Disable) {
+                if matches!(active.verb, Command::Enable | Command::Disable) {
                     // From here on the drive's report says it.
                     self.rising = 0;
                 }
@@ -134,9 +134,9 @@ impl Seat {
                     self.rising = 0;
                 }
                 self.end(cycle, now, active, Outcome::Failed(failure));
-                if matches!(active.verb, Verb::Stop { .. }) && self.latch.is_open() {
+                if matches!(active.verb, Command::Stop { .. }) && self.latch.is_open() {
                     // A ramp that the drive refuses becomes its quick stop, as in the stop sequence.
-                    self.order(slot, Some(Verb::QuickStop));
+                    self.order(slot, Some(Command::QuickStop));
                 }
                 if matches!(failure, Failure::DriveFault(_)) {
                     self.stop_if_armed(cycle, now, StopCause::DriveFault, slot);
@@ -165,24 +165,24 @@ impl Seat {
         }
     }
 
-    fn begin(&mut self, cycle: &Cycle, now: Time, command: Command, slot: &mut Slot) {
+    fn begin(&mut self, cycle: &Cycle, now: Time, command: QueuedCommand, slot: &mut Slot) {
         if let Some(active) = self.active {
             self.end(cycle, now, active, Outcome::Aborted(Abort::Replaced(command.id)));
         }
         self.active = Some(command);
         self.began = now;
         match command.verb {
-            Verb::Reset => self.try_reset(cycle, now, command, slot),
-            Verb::Disable => {
+            Command::Reset => self.try_reset(cycle, now, command, slot),
+            Command::Disable => {
                 self.disarm();
-                self.order(slot, Some(Verb::Disable));
+                self.order(slot, Some(Command::Disable));
             }
             verb => {
-                if let (Verb::QuickStop, Latch::Down(_, ladder)) = (verb, &mut self.latch) {
-                    ladder.quicken();
+                if let (Command::QuickStop, Latch::Down(_, sequence)) = (verb, &mut self.latch) {
+                    sequence.quicken();
                 }
                 self.begin_setpoints(cycle, &command);
-                if verb == Verb::Enable {
+                if verb == Command::Enable {
                     self.rising = FALLEN_REPORTS;
                 }
                 self.order(slot, Some(self.bounded(verb)));
@@ -191,37 +191,37 @@ impl Seat {
     }
 
     /// A stop that ends within the stop's time-out, however weak a deceleration was requested.
-    fn bounded(&self, verb: Verb) -> Verb {
-        let Verb::Stop { deceleration } = verb else { return verb };
+    fn bounded(&self, verb: Command) -> Command {
+        let Command::Stop { deceleration } = verb else { return verb };
         let requested = deceleration.unwrap_or(self.plan.profile.deceleration);
-        Verb::Stop { deceleration: Some(deceleration_of(&self.plan.stop, requested, self.speed())) }
+        Command::Stop { deceleration: Some(deceleration_of(&self.plan.stop, requested, self.speed())) }
     }
 
     /// Whether the command may start now. Its numbers were checked on submission; here the axis decides.
-    fn admit(&self, command: &Command) -> Result<(), Failure> {
+    fn admit(&self, command: &QueuedCommand) -> Result<(), Failure> {
         check_verb(&self.plan, &command.verb)?;
         match (command.verb, &self.latch) {
-            (Verb::Reset, _) | (_, Latch::Open) => {}
-            (Verb::ResetFault | Verb::Disable | Verb::Stop { .. } | Verb::QuickStop, latch)
+            (Command::Reset, _) | (_, Latch::Open) => {}
+            (Command::ResetFault | Command::Disable | Command::Stop { .. } | Command::QuickStop, latch)
                 if latch.is_settled() => {}
             // Sooner than the stop sequence would.
-            (Verb::QuickStop, Latch::Down(_, ladder)) if ladder.is_braking() => {}
+            (Command::QuickStop, Latch::Down(_, sequence)) if sequence.is_braking() => {}
             (_, Latch::Kept(cause) | Latch::Down(cause, _)) => return Err(Failure::Latched(*cause)),
         }
         let state = self.feedback.state;
-        let motion = command.verb.is_motion() || command.verb == Verb::Home;
-        let native = |owner| command.verb == Verb::Native(owner);
+        let motion = command.verb.is_motion() || command.verb == Command::Home;
+        let native = |owner| command.verb == Command::Native(owner);
         match command.verb {
-            Verb::Reset if !self.latch.is_settled() && !self.is_heard() => Err(Failure::NotOnline),
-            Verb::Reset => Ok(()),
+            Command::Reset if !self.latch.is_settled() && !self.is_heard() => Err(Failure::NotOnline),
+            Command::Reset => Ok(()),
             _ if self.feedback.link != Link::Online => Err(Failure::NotOnline),
-            Verb::Enable if self.feedback.inhibited => Err(Failure::Inhibited),
-            Verb::Enable if self.commanded => Err(Failure::BeingWritten),
+            Command::Enable if self.feedback.inhibited => Err(Failure::Inhibited),
+            Command::Enable if self.commanded => Err(Failure::BeingWritten),
             // Neither its way nor its limits could be evaluated.
-            Verb::Move(_) | Verb::Follow if self.feedback.demand.is_nan() => {
+            Command::Move(_) | Command::Follow if self.feedback.demand.is_nan() => {
                 Err(Failure::Unsupported("it reports no position, so it takes neither moves nor rows"))
             }
-            Verb::Disable if self.plan.load != Load::Level && state.is_powered() && !self.stands() => {
+            Command::Disable if self.plan.load != Load::Level && state.is_powered() && !self.stands() => {
                 Err(Failure::LoadInMotion)
             }
             _ if !motion || native(NativeOwner::Application) => Ok(()),
@@ -229,9 +229,9 @@ impl Seat {
                 Err(Failure::WrongState(state))
             }
             _ if self.claim != Claim::Armed => Err(Failure::NotEnabled),
-            Verb::Home | Verb::Native(_) => Ok(()),
+            Command::Home | Command::Native(_) => Ok(()),
             _ if self.plan.limits.position.is_some() && !self.feedback.homed => Err(Failure::NotHomed),
-            Verb::Move(Move { target: Target::Relative(distance), .. }) => {
+            Command::Move(Move { target: Target::Relative(distance), .. }) => {
                 check_position(&self.plan.limits, self.feedback.demand + distance)
             }
             _ => Ok(()),
@@ -240,13 +240,13 @@ impl Seat {
 
     /// The axis stands still, as far as it is known: nothing moves it, and the drive's report is current.
     fn stands(&self) -> bool {
-        let moved = self.active.is_some_and(|active| active.verb.is_motion() || active.verb == Verb::Home);
+        let moved = self.active.is_some_and(|active| active.verb.is_motion() || active.verb == Command::Home);
         let slow = self.feedback.velocity.abs() <= self.plan.stop.standstill;
         !moved && !self.feedback.moving && slow && self.feedback.age < self.plan.divisor
     }
 
     /// The latch opens once the stop sequence is complete.
-    fn try_reset(&mut self, cycle: &Cycle, now: Time, command: Command, slot: &mut Slot) {
+    fn try_reset(&mut self, cycle: &Cycle, now: Time, command: QueuedCommand, slot: &mut Slot) {
         if !self.latch.is_settled() {
             if !self.is_heard() {
                 // The sequence waits for the drive; so would the reset.
@@ -266,7 +266,12 @@ impl Seat {
     }
 
     /// For the in-loop task: a command to be taken in this cycle, before the queue.
-    pub fn command_from_task(&mut self, cycle: &Cycle, now: Time, command: Command) -> Result<(), Failure> {
+    pub fn command_from_task(
+        &mut self,
+        cycle: &Cycle,
+        now: Time,
+        command: QueuedCommand,
+    ) -> Result<(), Failure> {
         if self.task_command.is_some_and(|waiting| !command.verb.is_urgent() || waiting.verb.is_urgent()) {
             return Err(Failure::Unsupported("the in-loop task may give one command per axis and cycle"));
         }
@@ -296,20 +301,20 @@ impl Seat {
     /// For the in-loop task: the velocity of the next send.
     pub fn velocity_from_task(&mut self, cycle: u64, velocity: f64) -> Result<(), Failure> {
         check_velocity(&self.plan, velocity)?;
-        self.setpoint_from_task(cycle, velocity, Verb::takes_velocities);
+        self.setpoint_from_task(cycle, velocity, Command::takes_velocities);
         Ok(())
     }
 
     /// For the in-loop task: the torque of the next send.
     pub fn torque_from_task(&mut self, cycle: u64, torque: f64) -> Result<(), Failure> {
         check_torque(&self.plan, torque)?;
-        self.setpoint_from_task(cycle, torque, Verb::takes_torques);
+        self.setpoint_from_task(cycle, torque, Command::takes_torques);
         Ok(())
     }
 
     /// The setpoint is for the command that begins now, or else for the running one; a command that takes no
     /// setpoints ignores it.
-    fn setpoint_from_task(&mut self, cycle: u64, value: f64, takes: fn(&Verb) -> bool) {
+    fn setpoint_from_task(&mut self, cycle: u64, value: f64, takes: fn(&Command) -> bool) {
         if let Some(command) = self.task_command.or(self.active).filter(|command| takes(&command.verb)) {
             self.take_setpoint(cycle, Setpoint { of: command.id, value });
         }
@@ -324,13 +329,13 @@ const FALLEN_REPORTS: u8 = 4;
 const URGENT_WAIT: u64 = 2;
 
 /// Whether `next` replaces the running `active` at once. Streams run one after the other.
-fn replaces(next: &Command, active: &Command) -> bool {
-    let streams = active.verb == Verb::Follow && next.verb == Verb::Follow;
+fn replaces(next: &QueuedCommand, active: &QueuedCommand) -> bool {
+    let streams = active.verb == Command::Follow && next.verb == Command::Follow;
     next.verb.is_urgent() || active.verb.is_motion() && next.verb.is_motion() && !streams
 }
 
 /// The last urgent command of a queue: how many commands are before it, and its id.
-fn last_urgent<'a>(queue: impl Iterator<Item = &'a Command>) -> Option<(usize, CommandId)> {
+fn last_urgent<'a>(queue: impl Iterator<Item = &'a QueuedCommand>) -> Option<(usize, CommandId)> {
     queue
         .enumerate()
         .filter(|(_, command)| command.verb.is_urgent())

@@ -5,16 +5,16 @@
 
 use std::time::Duration;
 
-use crate::axis::{HeldBy, Load, StopHow, StopPlan, StopThen, StopTimeout, Verb};
+use crate::axis::{Command, HeldBy, Load, StopHow, StopPlan, StopThen, StopTimeout};
 use crate::time::{Time, nanos};
 
-/// The time left for each phase after [`Ladder::hurry`], and for power off where no drive has answered for long:
+/// The time left for each phase after [`StopSequence::hurry`], and for power off where no drive has answered for long:
 /// one or two probes.
 const HURRIED: Duration = Duration::from_millis(250);
 
 /// The phase of a stop sequence.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Rung {
+pub enum Phase {
     /// Braking; `still` good exchanges in a row were below the standstill window.
     Braking {
         /// When it began.
@@ -35,11 +35,11 @@ pub enum Rung {
 
 /// The stop sequence of one axis.
 #[derive(Clone, Copy, Debug)]
-pub struct Ladder {
+pub struct StopSequence {
     plan: StopPlan,
     /// Only the drive holds the load: the sequence never powers it off.
     keeps_power: bool,
-    rung: Rung,
+    phase: Phase,
     /// The master is shutting down.
     ending: bool,
     /// Since when nothing was received from the drive.
@@ -87,13 +87,13 @@ pub fn deceleration_of(plan: &StopPlan, requested: f64, velocity: f64) -> f64 {
     requested.max(velocity.abs() / (RAMP_SHARE * plan.timeout.as_secs_f64()))
 }
 
-impl Ladder {
+impl StopSequence {
     /// Starts the sequence for an axis at `velocity`; the second value is the first order for the drive.
-    pub fn start(plan: StopPlan, load: Load, now: Time, velocity: f64) -> (Ladder, Verb) {
-        let mut ladder = Ladder {
+    pub fn start(plan: StopPlan, load: Load, now: Time, velocity: f64) -> (StopSequence, Command) {
+        let mut sequence = StopSequence {
             plan,
             keeps_power: load == Load::Vertical(HeldBy::Drive),
-            rung: Rung::Holding,
+            phase: Phase::Holding,
             ending: false,
             unheard: None,
             returned: false,
@@ -101,52 +101,54 @@ impl Ladder {
             from: velocity,
             moved: 0,
         };
-        let verb = ladder.begin(now, velocity);
-        (ladder, verb)
+        let verb = sequence.begin(now, velocity);
+        (sequence, verb)
     }
 
     /// Starts it by the drive's quick stop: no ramp would stop this axis.
-    pub fn start_escalated(plan: StopPlan, load: Load, now: Time, velocity: f64) -> (Ladder, Verb) {
-        let (mut ladder, _) = Ladder::start(plan, load, now, velocity);
-        ladder.escalated = true;
-        let verb = ladder.begin(now, velocity);
-        (ladder, verb)
+    pub fn start_escalated(plan: StopPlan, load: Load, now: Time, velocity: f64) -> (StopSequence, Command) {
+        let (mut sequence, _) = StopSequence::start(plan, load, now, velocity);
+        sequence.escalated = true;
+        let verb = sequence.begin(now, velocity);
+        (sequence, verb)
     }
 
     /// Starts it once more for an axis that moves although the sequence was complete: by the drive's quick stop, and in
     /// the end by power off, if a stop that does not end may.
-    pub fn again(&mut self, now: Time, velocity: f64) -> Verb {
+    pub fn again(&mut self, now: Time, velocity: f64) -> Command {
         self.escalated = true;
         self.moved += 1;
         if self.moved >= MOST_MOVED && self.plan.on_timeout == StopTimeout::Disable {
-            self.rung = Rung::Disabling { since: now };
-            return Verb::Disable;
+            self.phase = Phase::Disabling { since: now };
+            return Command::Disable;
         }
         self.begin(now, velocity)
     }
 
-    fn begin(&mut self, now: Time, velocity: f64) -> Verb {
+    fn begin(&mut self, now: Time, velocity: f64) -> Command {
         if self.plan.how == StopHow::Coast {
-            self.rung = Rung::Disabling { since: now };
-            return Verb::Disable;
+            self.phase = Phase::Disabling { since: now };
+            return Command::Disable;
         }
         self.from = velocity;
-        self.rung = Rung::Braking { since: now, still: 0 };
+        self.phase = Phase::Braking { since: now, still: 0 };
         self.brake(velocity)
     }
 
     /// The order of the first phase.
-    fn brake(&self, velocity: f64) -> Verb {
+    fn brake(&self, velocity: f64) -> Command {
         if self.escalated {
-            Verb::QuickStop
+            Command::QuickStop
         } else {
-            Verb::Stop { deceleration: Some(deceleration_of(&self.plan, self.plan.deceleration, velocity)) }
+            Command::Stop {
+                deceleration: Some(deceleration_of(&self.plan, self.plan.deceleration, velocity)),
+            }
         }
     }
 
     /// Whether the last phase is reached.
     pub fn is_down(&self) -> bool {
-        matches!(self.rung, Rung::Holding | Rung::Off)
+        matches!(self.phase, Phase::Holding | Phase::Off)
     }
 
     /// A shutdown powers off whatever `then` says, since no master remains to hold the axis; but not before
@@ -160,8 +162,8 @@ impl Ladder {
         let held = std::mem::replace(&mut self.plan.then, StopThen::Disable) == StopThen::Hold;
         let began = !std::mem::replace(&mut self.ending, true);
         // Once; and once more a drive that has held its load alone until its power went.
-        if self.rung == Rung::Holding && (began || held && self.keeps_power) {
-            self.rung = Rung::Braking { since: now, still: 0 };
+        if self.phase == Phase::Holding && (began || held && self.keeps_power) {
+            self.phase = Phase::Braking { since: now, still: 0 };
         }
     }
 
@@ -173,23 +175,23 @@ impl Ladder {
 
     /// Whether it brakes, and a quick stop would be sooner.
     pub fn is_braking(&self) -> bool {
-        matches!(self.rung, Rung::Braking { .. })
+        matches!(self.phase, Phase::Braking { .. })
     }
 
     /// One cycle of the sequence; returns the order to give when a new phase is reached.
     ///
     /// While nothing is received from the drive, its time does not run: the probes carry the stop, and power off in
     /// mid-motion must not be the first request that reaches it. Only a shutdown does not wait for ever.
-    pub fn step(&mut self, now: Time, sight: Sight) -> Option<Verb> {
+    pub fn step(&mut self, now: Time, sight: Sight) -> Option<Command> {
         let back = self.unheard.is_some() && sight.heard;
         self.unheard = if sight.heard { None } else { self.unheard.or(Some(now)) };
         let late = |since: Time| now.since(since) >= nanos(self.plan.timeout);
         // Both phases had their time while the drive was absent.
         let gone =
             self.ending && self.unheard.is_some_and(|since| now.since(since) >= 2 * nanos(self.plan.timeout));
-        match self.rung {
-            Rung::Holding | Rung::Off => None,
-            Rung::Braking { since, still } => {
+        match self.phase {
+            Phase::Holding | Phase::Off => None,
+            Phase::Braking { since, still } => {
                 let standing = !sight.moving && sight.velocity.abs() <= self.plan.standstill;
                 let still = match (sight.fresh, standing) {
                     (false, _) => still,
@@ -199,15 +201,15 @@ impl Ladder {
                 // An intermittent link may extend the braking, but the master's end only once.
                 let again = back && !(self.ending && std::mem::replace(&mut self.returned, true));
                 let since = if again { now } else { since };
-                self.rung = Rung::Braking { since, still };
+                self.phase = Phase::Braking { since, still };
                 let no_slower = sight.fresh
                     && !standing
                     && sight.velocity.abs() > SLOWED * self.from
                     && now.since(since) > nanos(self.plan.timeout / SLOWED_WITHIN);
                 if (sight.failed || no_slower) && !self.escalated {
                     self.escalated = true;
-                    self.rung = Rung::Braking { since: now, still: 0 };
-                    return Some(Verb::QuickStop);
+                    self.phase = Phase::Braking { since: now, still: 0 };
+                    return Some(Command::QuickStop);
                 }
                 if back {
                     // Requests sent while nothing was received are repeated.
@@ -221,23 +223,23 @@ impl Ladder {
                 } else if late(since) && (sight.heard || self.ending) {
                     if !std::mem::replace(&mut self.escalated, true) && sight.heard {
                         // The ramp had its time; the quick stop has as much.
-                        self.rung = Rung::Braking { since: now, still: 0 };
-                        return Some(Verb::QuickStop);
+                        self.phase = Phase::Braking { since: now, still: 0 };
+                        return Some(Command::QuickStop);
                     }
                     self.plan.on_timeout == StopTimeout::Disable
                 } else {
                     return None;
                 };
-                self.rung = if power_off { Rung::Disabling { since: now } } else { Rung::Holding };
-                power_off.then_some(Verb::Disable)
+                self.phase = if power_off { Phase::Disabling { since: now } } else { Phase::Holding };
+                power_off.then_some(Command::Disable)
             }
-            Rung::Disabling { since } => {
+            Phase::Disabling { since } => {
                 // A report from before the request is no answer.
                 if (sight.fresh && !sight.powered && now > since)
                     || late(since)
                     || (gone && now.since(since) >= nanos(HURRIED))
                 {
-                    self.rung = Rung::Off;
+                    self.phase = Phase::Off;
                 }
                 None
             }
@@ -246,20 +248,20 @@ impl Ladder {
 
     /// Shortens the waits (a second Ctrl-C): the fastest controlled stop, and little time left for it. Never skips
     /// it.
-    pub fn hurry(&mut self, now: Time) -> Option<Verb> {
+    pub fn hurry(&mut self, now: Time) -> Option<Command> {
         let timeout = self.plan.timeout.min(HURRIED);
-        match self.rung {
-            Rung::Braking { .. } => {
+        match self.phase {
+            Phase::Braking { .. } => {
                 self.plan.timeout = timeout;
                 self.escalated = true;
-                self.rung = Rung::Braking { since: now, still: 0 };
-                Some(Verb::QuickStop)
+                self.phase = Phase::Braking { since: now, still: 0 };
+                Some(Command::QuickStop)
             }
-            Rung::Disabling { .. } => {
+            Phase::Disabling { .. } => {
                 self.plan.timeout = timeout;
                 None
             }
-            Rung::Holding | Rung::Off => None,
+            Phase::Holding | Phase::Off => None,
         }
     }
 }
@@ -288,43 +290,44 @@ mod tests {
 
     #[test]
     fn power_goes_off_only_after_standstill() {
-        let (mut ladder, verb) =
-            Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0), 0.0);
-        assert_eq!(verb, Verb::Stop { deceleration: Some(100.0) });
-        assert_eq!(ladder.step(Time(1), MOVING), None);
-        assert_eq!(ladder.step(Time(2), STANDING), None);
-        assert_eq!(ladder.step(Time(3), STANDING), None);
+        let (mut sequence, verb) =
+            StopSequence::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0), 0.0);
+        assert_eq!(verb, Command::Stop { deceleration: Some(100.0) });
+        assert_eq!(sequence.step(Time(1), MOVING), None);
+        assert_eq!(sequence.step(Time(2), STANDING), None);
+        assert_eq!(sequence.step(Time(3), STANDING), None);
         assert_eq!(
-            ladder.step(Time(4), Sight { fresh: false, ..STANDING }),
+            sequence.step(Time(4), Sight { fresh: false, ..STANDING }),
             None,
             "held values prove nothing"
         );
-        assert_eq!(ladder.step(Time(5), STANDING), Some(Verb::Disable));
-        assert!(!ladder.is_down());
-        assert_eq!(ladder.step(Time(6), OFF), None);
-        assert!(ladder.is_down());
+        assert_eq!(sequence.step(Time(5), STANDING), Some(Command::Disable));
+        assert!(!sequence.is_down());
+        assert_eq!(sequence.step(Time(6), OFF), None);
+        assert!(sequence.is_down());
     }
 
     #[test]
     fn a_movement_in_between_starts_the_count_again() {
-        let (mut ladder, _) =
-            Ladder::start(plan(StopHow::Quick, StopThen::Disable), Load::Level, Time(0), 0.0);
+        let (mut sequence, _) =
+            StopSequence::start(plan(StopHow::Quick, StopThen::Disable), Load::Level, Time(0), 0.0);
         for sight in [STANDING, STANDING, MOVING, STANDING, STANDING] {
-            assert_eq!(ladder.step(Time(1), sight), None);
+            assert_eq!(sequence.step(Time(1), sight), None);
         }
-        assert_eq!(ladder.step(Time(1), STANDING), Some(Verb::Disable));
+        assert_eq!(sequence.step(Time(1), STANDING), Some(Command::Disable));
     }
 
     #[test]
     fn hold_stays_powered_but_a_shutdown_does_not() {
-        let (mut ladder, _) = Ladder::start(plan(StopHow::Ramp, StopThen::Hold), Load::Level, Time(0), 0.0);
-        (0..3).for_each(|_| assert_eq!(ladder.step(Time(1), STANDING), None));
-        assert!(ladder.is_down());
-        ladder.shut_down(Time(2), true);
-        assert!(!ladder.is_down());
-        assert_eq!(ladder.step(Time(3), STANDING), None, "power goes off only after standstill here, too");
-        assert_eq!(ladder.step(Time(3), STANDING), None);
-        assert_eq!(ladder.step(Time(3), STANDING), Some(Verb::Disable));
+        let (mut sequence, _) =
+            StopSequence::start(plan(StopHow::Ramp, StopThen::Hold), Load::Level, Time(0), 0.0);
+        (0..3).for_each(|_| assert_eq!(sequence.step(Time(1), STANDING), None));
+        assert!(sequence.is_down());
+        sequence.shut_down(Time(2), true);
+        assert!(!sequence.is_down());
+        assert_eq!(sequence.step(Time(3), STANDING), None, "power goes off only after standstill here, too");
+        assert_eq!(sequence.step(Time(3), STANDING), None);
+        assert_eq!(sequence.step(Time(3), STANDING), Some(Command::Disable));
     }
 
     #[test]
@@ -333,122 +336,132 @@ mod tests {
         for (timeout, left) in [(Duration::from_secs(20), 250_000_000), (Duration::from_nanos(1_000), 1_000)]
         {
             let plan = StopPlan { timeout, ..plan(StopHow::Ramp, StopThen::Disable) };
-            let (mut ladder, _) = Ladder::start(plan, Load::Level, Time(0), 0.0);
-            assert_eq!(ladder.hurry(Time(500)), Some(Verb::QuickStop));
-            assert_eq!(ladder.step(Time(499 + left), MOVING), None);
-            assert_eq!(ladder.step(Time(500 + left), MOVING), Some(Verb::Disable));
+            let (mut sequence, _) = StopSequence::start(plan, Load::Level, Time(0), 0.0);
+            assert_eq!(sequence.hurry(Time(500)), Some(Command::QuickStop));
+            assert_eq!(sequence.step(Time(499 + left), MOVING), None);
+            assert_eq!(sequence.step(Time(500 + left), MOVING), Some(Command::Disable));
             // The same while the power goes off.
             let coast = StopPlan { how: StopHow::Coast, ..plan };
-            let (mut ladder, _) = Ladder::start(coast, Load::Level, Time(0), 0.0);
-            assert_eq!(ladder.hurry(Time(0)), None);
-            ladder.step(Time(left - 1), MOVING);
-            assert!(!ladder.is_down());
-            ladder.step(Time(left), MOVING);
-            assert!(ladder.is_down());
+            let (mut sequence, _) = StopSequence::start(coast, Load::Level, Time(0), 0.0);
+            assert_eq!(sequence.hurry(Time(0)), None);
+            sequence.step(Time(left - 1), MOVING);
+            assert!(!sequence.is_down());
+            sequence.step(Time(left), MOVING);
+            assert!(sequence.is_down());
         }
     }
 
     #[test]
     fn nothing_is_switched_off_blindly() {
-        let (mut ladder, _) =
-            Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0), 100.0);
+        let (mut sequence, _) =
+            StopSequence::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0), 100.0);
         let lost = Sight { fresh: false, heard: false, ..MOVING };
-        assert_eq!(ladder.step(Time(5_000), lost), None, "its time does not run");
+        assert_eq!(sequence.step(Time(5_000), lost), None, "its time does not run");
         assert_eq!(
-            ladder.step(Time(5_001), Sight { powered: false, ..lost }),
+            sequence.step(Time(5_001), Sight { powered: false, ..lost }),
             None,
             "held values prove nothing"
         );
-        let again = ladder.step(Time(6_000), MOVING);
-        assert!(matches!(again, Some(Verb::Stop { .. })), "requested again when it is received again");
-        assert_eq!(ladder.step(Time(6_500), MOVING), None);
-        assert_eq!(ladder.step(Time(7_000), MOVING), Some(Verb::QuickStop), "and from then on its time runs");
-        let (mut ladder, _) =
-            Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0), 0.0);
-        ladder.step(Time(500), lost);
-        ladder.shut_down(Time(500), true);
-        assert_eq!(ladder.step(Time(1_600), lost), Some(Verb::Disable), "a shutdown does not wait for ever");
+        let again = sequence.step(Time(6_000), MOVING);
+        assert!(matches!(again, Some(Command::Stop { .. })), "requested again when it is received again");
+        assert_eq!(sequence.step(Time(6_500), MOVING), None);
+        assert_eq!(
+            sequence.step(Time(7_000), MOVING),
+            Some(Command::QuickStop),
+            "and from then on its time runs"
+        );
+        let (mut sequence, _) =
+            StopSequence::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0), 0.0);
+        sequence.step(Time(500), lost);
+        sequence.shut_down(Time(500), true);
+        assert_eq!(
+            sequence.step(Time(1_600), lost),
+            Some(Command::Disable),
+            "a shutdown does not wait for ever"
+        );
     }
 
     #[test]
     fn a_quick_stop_of_the_application_is_what_is_repeated_to_a_drive_that_comes_back() {
         for quickened in [false, true] {
-            let (mut ladder, ramp) =
-                Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0), 10.0);
+            let (mut sequence, ramp) =
+                StopSequence::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0), 10.0);
             if quickened {
-                ladder.quicken();
+                sequence.quicken();
             }
-            assert_eq!(ladder.step(Time(100), Sight { fresh: false, heard: false, ..MOVING }), None);
-            let again = ladder.step(Time(200), Sight { velocity: 10.0, ..MOVING });
-            assert_eq!(again, Some(if quickened { Verb::QuickStop } else { ramp }));
+            assert_eq!(sequence.step(Time(100), Sight { fresh: false, heard: false, ..MOVING }), None);
+            let again = sequence.step(Time(200), Sight { velocity: 10.0, ..MOVING });
+            assert_eq!(again, Some(if quickened { Command::QuickStop } else { ramp }));
         }
     }
 
     #[test]
     fn a_link_that_comes_and_goes_holds_no_shutdown_up() {
-        let (mut ladder, _) =
-            Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0), 100.0);
-        ladder.shut_down(Time(0), true);
+        let (mut sequence, _) =
+            StopSequence::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0), 100.0);
+        sequence.shut_down(Time(0), true);
         let lost = Sight { fresh: false, heard: false, ..MOVING };
         let off = (1..).find(|n| {
             let sight = if n % 2 == 0 { MOVING } else { lost };
-            ladder.step(Time(300 * n), sight) == Some(Verb::Disable)
+            sequence.step(Time(300 * n), sight) == Some(Command::Disable)
         });
         assert_eq!(off, Some(7), "its time runs once more from its first return");
-        let (mut ladder, _) =
-            Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0), 100.0);
+        let (mut sequence, _) =
+            StopSequence::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0), 100.0);
         let off = (1..99).find(|n| {
             let sight = if n % 3 == 0 { lost } else { MOVING };
-            ladder.step(Time(200 * n), Sight { velocity: 90.0, ..sight }) == Some(Verb::Disable)
+            sequence.step(Time(200 * n), Sight { velocity: 90.0, ..sight }) == Some(Command::Disable)
         });
         assert_eq!(off, None, "without a shutdown it waits for the drive");
     }
 
     #[test]
     fn a_drive_that_is_off_already_is_told_so_all_the_same() {
-        let (mut ladder, verb) =
-            Ladder::start(plan(StopHow::Coast, StopThen::Disable), Load::Level, Time(5), 0.0);
-        assert_eq!((verb, ladder.step(Time(5), OFF)), (Verb::Disable, None));
-        assert!(!ladder.is_down(), "its reply is older than the order");
-        assert_eq!(ladder.step(Time(6), Sight { fresh: false, ..OFF }), None);
-        assert!(!ladder.is_down(), "and a held one says nothing");
-        assert_eq!(ladder.step(Time(6), OFF), None);
-        assert!(ladder.is_down());
+        let (mut sequence, verb) =
+            StopSequence::start(plan(StopHow::Coast, StopThen::Disable), Load::Level, Time(5), 0.0);
+        assert_eq!((verb, sequence.step(Time(5), OFF)), (Command::Disable, None));
+        assert!(!sequence.is_down(), "its reply is older than the order");
+        assert_eq!(sequence.step(Time(6), Sight { fresh: false, ..OFF }), None);
+        assert!(!sequence.is_down(), "and a held one says nothing");
+        assert_eq!(sequence.step(Time(6), OFF), None);
+        assert!(sequence.is_down());
         // Held until now, then it dropped out by itself.
-        let (mut ladder, _) = Ladder::start(plan(StopHow::Quick, StopThen::Hold), Load::Level, Time(0), 0.0);
-        (0..3).for_each(|_| assert_eq!(ladder.step(Time(1), STANDING), None));
-        ladder.shut_down(Time(2), true);
-        assert_eq!(ladder.step(Time(3), OFF), Some(Verb::Disable));
+        let (mut sequence, _) =
+            StopSequence::start(plan(StopHow::Quick, StopThen::Hold), Load::Level, Time(0), 0.0);
+        (0..3).for_each(|_| assert_eq!(sequence.step(Time(1), STANDING), None));
+        sequence.shut_down(Time(2), true);
+        assert_eq!(sequence.step(Time(3), OFF), Some(Command::Disable));
     }
 
     #[test]
     fn a_ramp_that_the_drive_does_not_take_becomes_its_quick_stop() {
-        let (mut ladder, _) =
-            Ladder::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0), 0.0);
+        let (mut sequence, _) =
+            StopSequence::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0), 0.0);
         let failed = Sight { failed: true, ..MOVING };
-        assert_eq!(ladder.step(Time(1), failed), Some(Verb::QuickStop));
-        assert_eq!(ladder.step(Time(2), failed), None, "once");
+        assert_eq!(sequence.step(Time(1), failed), Some(Command::QuickStop));
+        assert_eq!(sequence.step(Time(2), failed), None, "once");
     }
 
     #[test]
     fn a_time_out_ends_by_its_policy() {
-        let (mut ladder, _) = Ladder::start(plan(StopHow::Ramp, StopThen::Hold), Load::Level, Time(0), 100.0);
-        assert_eq!(ladder.step(Time(999), MOVING), None);
-        assert_eq!(ladder.step(Time(1_000), MOVING), Some(Verb::QuickStop), "the ramp had its time");
-        assert_eq!(ladder.step(Time(1_999), MOVING), None);
-        assert_eq!(ladder.step(Time(2_000), MOVING), Some(Verb::Disable));
+        let (mut sequence, _) =
+            StopSequence::start(plan(StopHow::Ramp, StopThen::Hold), Load::Level, Time(0), 100.0);
+        assert_eq!(sequence.step(Time(999), MOVING), None);
+        assert_eq!(sequence.step(Time(1_000), MOVING), Some(Command::QuickStop), "the ramp had its time");
+        assert_eq!(sequence.step(Time(1_999), MOVING), None);
+        assert_eq!(sequence.step(Time(2_000), MOVING), Some(Command::Disable));
         let mut hold = plan(StopHow::Ramp, StopThen::Disable);
         hold.on_timeout = StopTimeout::Hold;
-        let (mut ladder, _) = Ladder::start(hold, Load::Level, Time(0), 100.0);
-        assert_eq!(ladder.step(Time(1_000), MOVING), Some(Verb::QuickStop));
-        assert_eq!(ladder.step(Time(2_000), MOVING), None);
-        assert!(ladder.is_down());
+        let (mut sequence, _) = StopSequence::start(hold, Load::Level, Time(0), 100.0);
+        assert_eq!(sequence.step(Time(1_000), MOVING), Some(Command::QuickStop));
+        assert_eq!(sequence.step(Time(2_000), MOVING), None);
+        assert!(sequence.is_down());
         // A shutdown gives it the time once more, and only once.
-        ladder.shut_down(Time(2_100), true);
-        assert!(!ladder.is_down());
-        assert_eq!(ladder.step(Time(3_100), MOVING), None);
-        ladder.shut_down(Time(3_100), true);
-        assert!(ladder.is_down());
+        sequence.shut_down(Time(2_100), true);
+        assert!(!sequence.is_down());
+        assert_eq!(sequence.step(Time(3_100), MOVING), None);
+        sequence.shut_down(Time(3_100), true);
+        assert!(sequence.is_down());
     }
 
     #[test]
@@ -456,8 +469,8 @@ mod tests {
         let plan = StopPlan { timeout: Duration::from_secs(2), ..plan(StopHow::Ramp, StopThen::Hold) };
         // 100 from the plan; 1000 in 80 % of 2 s.
         for (velocity, deceleration) in [(0.0, 100.0), (160.0, 100.0), (1_000.0, 625.0), (f64::NAN, 100.0)] {
-            let (_, verb) = Ladder::start(plan, Load::Level, Time(0), velocity);
-            assert_eq!(verb, Verb::Stop { deceleration: Some(deceleration) }, "{velocity}");
+            let (_, verb) = StopSequence::start(plan, Load::Level, Time(0), velocity);
+            assert_eq!(verb, Command::Stop { deceleration: Some(deceleration) }, "{velocity}");
             let weak = deceleration_of(&plan, 1e-9, velocity);
             assert_eq!(weak, if velocity.is_nan() { 1e-9 } else { velocity / 1.6 }.max(1e-9));
         }
@@ -468,7 +481,7 @@ mod tests {
         let sight = |velocity| Sight { velocity, ..MOVING };
         let start = |velocity| {
             let plan = plan(StopHow::Ramp, StopThen::Disable);
-            Ladder::start(plan, Load::Level, Time(0), velocity).0
+            StopSequence::start(plan, Load::Level, Time(0), velocity).0
         };
         // A quarter of its time is left to it.
         for (velocity, at, escalates) in [
@@ -480,7 +493,7 @@ mod tests {
             (94.0, 999, false),
         ] {
             let verb = start(100.0).step(Time(at), sight(velocity));
-            assert_eq!(verb, escalates.then_some(Verb::QuickStop), "{velocity} after {at} ns");
+            assert_eq!(verb, escalates.then_some(Command::QuickStop), "{velocity} after {at} ns");
         }
         let held = Sight { fresh: false, ..sight(100.0) };
         assert_eq!(start(100.0).step(Time(999), held), None, "held values prove nothing");
@@ -490,69 +503,70 @@ mod tests {
             "nor does a speed that was not known"
         );
         assert_eq!(start(0.4).step(Time(251), STANDING), None, "and at standstill nothing is slower");
-        let mut ladder = start(100.0);
-        assert_eq!(ladder.step(Time(300), sight(100.0)), Some(Verb::QuickStop));
-        assert_eq!(ladder.step(Time(1_299), sight(100.0)), None, "once, and it has as much time");
-        assert_eq!(ladder.step(Time(1_300), sight(100.0)), Some(Verb::Disable));
+        let mut sequence = start(100.0);
+        assert_eq!(sequence.step(Time(300), sight(100.0)), Some(Command::QuickStop));
+        assert_eq!(sequence.step(Time(1_299), sight(100.0)), None, "once, and it has as much time");
+        assert_eq!(sequence.step(Time(1_300), sight(100.0)), Some(Command::Disable));
     }
 
     #[test]
     fn an_axis_that_moves_a_third_time_loses_its_power_if_a_time_out_may_take_it() {
         for (on_timeout, third) in
-            [(StopTimeout::Disable, Verb::Disable), (StopTimeout::Hold, Verb::QuickStop)]
+            [(StopTimeout::Disable, Command::Disable), (StopTimeout::Hold, Command::QuickStop)]
         {
             let plan = StopPlan { on_timeout, ..plan(StopHow::Ramp, StopThen::Hold) };
-            let (mut ladder, _) = Ladder::start(plan, Load::Level, Time(0), 0.0);
-            for verb in [Verb::QuickStop, Verb::QuickStop, third, third] {
+            let (mut sequence, _) = StopSequence::start(plan, Load::Level, Time(0), 0.0);
+            for verb in [Command::QuickStop, Command::QuickStop, third, third] {
                 for _ in 0..3 {
-                    ladder.step(Time(1), STANDING);
+                    sequence.step(Time(1), STANDING);
                 }
-                ladder.step(Time(2), OFF);
-                assert!(ladder.is_down(), "{on_timeout:?}");
-                assert_eq!(ladder.again(Time(1), 50.0), verb, "{on_timeout:?}");
-                assert!(!ladder.is_down(), "{on_timeout:?}");
+                sequence.step(Time(2), OFF);
+                assert!(sequence.is_down(), "{on_timeout:?}");
+                assert_eq!(sequence.again(Time(1), 50.0), verb, "{on_timeout:?}");
+                assert!(!sequence.is_down(), "{on_timeout:?}");
             }
         }
     }
 
     #[test]
     fn an_axis_that_moves_again_is_stopped_again_by_the_quick_stop() {
-        let (mut ladder, _) = Ladder::start(plan(StopHow::Ramp, StopThen::Hold), Load::Level, Time(0), 0.0);
-        (0..3).for_each(|_| assert_eq!(ladder.step(Time(1), STANDING), None));
-        assert!(ladder.is_down());
-        assert_eq!(ladder.again(Time(5), 50.0), Verb::QuickStop);
-        assert!(!ladder.is_down());
-        (0..3).for_each(|_| assert_eq!(ladder.step(Time(6), STANDING), None));
-        assert!(ladder.is_down());
-        let (mut ladder, _) =
-            Ladder::start(plan(StopHow::Coast, StopThen::Disable), Load::Level, Time(0), 0.0);
-        ladder.step(Time(1), OFF);
-        assert_eq!(ladder.again(Time(5), 50.0), Verb::Disable, "this axis is never braked");
+        let (mut sequence, _) =
+            StopSequence::start(plan(StopHow::Ramp, StopThen::Hold), Load::Level, Time(0), 0.0);
+        (0..3).for_each(|_| assert_eq!(sequence.step(Time(1), STANDING), None));
+        assert!(sequence.is_down());
+        assert_eq!(sequence.again(Time(5), 50.0), Command::QuickStop);
+        assert!(!sequence.is_down());
+        (0..3).for_each(|_| assert_eq!(sequence.step(Time(6), STANDING), None));
+        assert!(sequence.is_down());
+        let (mut sequence, _) =
+            StopSequence::start(plan(StopHow::Coast, StopThen::Disable), Load::Level, Time(0), 0.0);
+        sequence.step(Time(1), OFF);
+        assert_eq!(sequence.again(Time(5), 50.0), Command::Disable, "this axis is never braked");
     }
 
     #[test]
     fn a_load_that_only_the_drive_holds_keeps_its_power_to_the_very_end() {
         let hold = StopPlan { on_timeout: StopTimeout::Hold, ..plan(StopHow::Ramp, StopThen::Hold) };
         let load = Load::Vertical(HeldBy::Drive);
-        let (mut ladder, _) = Ladder::start(hold, load, Time(0), 0.0);
-        ladder.shut_down(Time(1), true);
-        assert_eq!(ladder.hurry(Time(1)), Some(Verb::QuickStop));
-        assert_eq!(ladder.step(Time(400_000_000), MOVING), None, "not by its time-out, however short");
-        assert!(ladder.is_down());
-        let (mut ladder, _) = Ladder::start(hold, load, Time(0), 0.0);
-        (0..3).for_each(|_| assert_eq!(ladder.step(Time(1), STANDING), None));
-        ladder.shut_down(Time(2), true);
-        assert!(ladder.is_down());
+        let (mut sequence, _) = StopSequence::start(hold, load, Time(0), 0.0);
+        sequence.shut_down(Time(1), true);
+        assert_eq!(sequence.hurry(Time(1)), Some(Command::QuickStop));
+        assert_eq!(sequence.step(Time(400_000_000), MOVING), None, "not by its time-out, however short");
+        assert!(sequence.is_down());
+        let (mut sequence, _) = StopSequence::start(hold, load, Time(0), 0.0);
+        (0..3).for_each(|_| assert_eq!(sequence.step(Time(1), STANDING), None));
+        sequence.shut_down(Time(2), true);
+        assert!(sequence.is_down());
         // Its power goes while the shutdown waits for others.
-        ladder.shut_down(Time(3), false);
-        assert_eq!(ladder.step(Time(4), OFF), Some(Verb::Disable));
-        assert_eq!(ladder.step(Time(5), OFF), None);
-        ladder.shut_down(Time(6), false);
-        assert!(ladder.is_down());
+        sequence.shut_down(Time(3), false);
+        assert_eq!(sequence.step(Time(4), OFF), Some(Command::Disable));
+        assert_eq!(sequence.step(Time(5), OFF), None);
+        sequence.shut_down(Time(6), false);
+        assert!(sequence.is_down());
         // Off already when the shutdown comes: its control word has to say so.
-        let (mut ladder, _) = Ladder::start(hold, load, Time(0), 0.0);
-        (0..3).for_each(|_| assert_eq!(ladder.step(Time(1), STANDING), None));
-        ladder.shut_down(Time(3), false);
-        assert_eq!(ladder.step(Time(4), OFF), Some(Verb::Disable));
+        let (mut sequence, _) = StopSequence::start(hold, load, Time(0), 0.0);
+        (0..3).for_each(|_| assert_eq!(sequence.step(Time(1), STANDING), None));
+        sequence.shut_down(Time(3), false);
+        assert_eq!(sequence.step(Time(4), OFF), Some(Command::Disable));
     }
 }

@@ -1,0 +1,27 @@
+//! The drive machine: what the loop keeps and does for one drive, whatever its protocol.
+//!
+//! | file | what |
+//! |---|---|
+//! | `controller` | the loop's side of one drive: its queues, the running command, its latch |
+//! | `controller/commands` | the application's commands in their order |
+//! | `controller/setpoints` | rows, velocities and torques for the next send, and their age |
+//! | `stop` | the stop sequence |
+//! | `groups` | group synchronisation |
+//! | `bounds` | bounds of the drive's own demand, whatever commands it |
+//! | `rest` | motion that nobody commands |
+//! | `planner` | the setpoint at an instant |
+//! | `health` | the link to one drive: leaky bucket, schedule, probes |
+//! | `record`, `numbers` | what the loop reports and counts of one drive |
+//!
+//! It reads the instants of the grid and the stamps of exchanges, and never a clock: the same code runs in virtual
+//! time.
+
+mod bounds;
+pub mod controller;
+pub mod groups;
+mod health;
+pub mod numbers;
+pub(crate) mod planner;
+pub mod record;
+mod rest;
+mod stop;

@@ -1,0 +1,122 @@
+//! The records of one drive: what it did in an executed cycle. With those of the loop they go to the telemetry thread
+//! through a ring.
+
+use std::num::NonZeroU32;
+
+use crate::axis::{Emergency, Link, Shown, State, StopCause};
+
+/// The result of a drive's exchange in a cycle.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[repr(u8)]
+pub enum Reply {
+    /// None was under way.
+    #[default]
+    None = 0,
+    /// Owed in a later window.
+    Owed = 1,
+    /// Answered.
+    Answered = 2,
+    /// Answered, but possibly by the reply to an earlier request.
+    Suspect = 3,
+    /// Not answered in time.
+    Missed = 4,
+    /// Refused by the operating system.
+    Unsent = 5,
+}
+
+impl Reply {
+    /// All of them, in the order of their numbers.
+    pub const ALL: [Reply; 6] =
+        [Reply::None, Reply::Owed, Reply::Answered, Reply::Suspect, Reply::Missed, Reply::Unsent];
+}
+
+/// One drive in an executed cycle, as it was published.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct DriveRecord {
+    /// The slot.
+    pub index: u64,
+    /// The axis, in the order of the plan.
+    pub axis: u16,
+    /// The exchange.
+    pub reply: Reply,
+    /// The link as evaluated.
+    pub link: Link,
+    /// The link was up before that.
+    pub was_online: bool,
+    /// State of the drive.
+    pub state: State,
+    /// The latch.
+    pub stopped: Option<StopCause>,
+    /// The command that runs, as [`Command::code`](crate::Command::code); 0 = none.
+    pub verb: u8,
+    /// Moving, as the drive reports it.
+    pub moving: bool,
+    /// The drive's hardware enable (STO) is missing.
+    pub inhibited: bool,
+    /// The request left so long after the grid point, ns; `None` = none left in this cycle.
+    pub phase_ns: Option<NonZeroU32>,
+    /// Difference between the distance to its request before and that of their grid points, ns.
+    pub jitter_ns: Option<NonZeroU32>,
+    /// From the send stamp until the reply was taken in, ns; `None` for a suspect reply.
+    pub rtt_ns: Option<NonZeroU32>,
+    /// How old the values were when the window closed, ns; `None` before the first, and while the link is down.
+    pub age_ns: Option<NonZeroU32>,
+    /// Fault code, 0 = none.
+    pub fault: u32,
+    /// Warning word, 0 = none.
+    pub warning: u32,
+    /// The emergency that it reported in this cycle.
+    pub emergency: Option<ShortEmergency>,
+    /// Motor current, A.
+    pub current: f32,
+    /// Actual velocity, user units/s.
+    pub velocity: f32,
+    /// Actual position, user units.
+    pub position: f64,
+    /// Demand position, user units.
+    pub demand: f64,
+}
+
+/// An emergency in compact form.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ShortEmergency([u8; 2], u8);
+
+impl From<Emergency> for ShortEmergency {
+    fn from(Emergency { code, register }: Emergency) -> ShortEmergency {
+        ShortEmergency(code.to_le_bytes(), register)
+    }
+}
+
+impl From<ShortEmergency> for Emergency {
+    fn from(ShortEmergency(code, register): ShortEmergency) -> Emergency {
+        Emergency { code: u16::from_le_bytes(code), register }
+    }
+}
+
+impl DriveRecord {
+    /// The emergency that it reported in this cycle.
+    pub fn emergency(&self) -> Option<Emergency> {
+        self.emergency.map(Emergency::from)
+    }
+}
+
+/// The monitored variables of a drive, in the units of the plan: only of cycles in which it reported some.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct MonitorRecord {
+    /// The slot.
+    pub index: u64,
+    /// The axis, in the order of the plan.
+    pub axis: u16,
+    /// The values.
+    pub shown: Shown,
+}
+
+/// Nanoseconds in a record: saturate at 4.29 s.
+pub fn short(ns: u64) -> u32 {
+    u32::try_from(ns).unwrap_or(u32::MAX)
+}
+
+/// A measured time in a record, at least 1 ns.
+pub fn measured(ns: u64) -> Option<NonZeroU32> {
+    NonZeroU32::new(short(ns.max(1)))
+}
