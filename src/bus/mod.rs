@@ -12,6 +12,7 @@
 //!
 //! `tests/conformance` tests this contract clause by clause, for every protocol.
 
+pub mod desired;
 pub mod ethercat;
 pub mod linudp;
 pub mod modbus;
@@ -24,6 +25,7 @@ use std::sync::Arc;
 
 use thiserror::Error;
 
+use self::desired::{Capabilities, Desired, Evidence, Gone};
 use crate::axis::acyclic::{AcyclicEnds, Notation};
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{
@@ -101,6 +103,9 @@ pub trait BusPlan: Debug + Send + Sync {
     fn simulate_line(&self) -> Option<Box<dyn SimLine>> {
         None
     }
+
+    /// What drive `index` can do, in a cycle of `period_ns`.
+    fn capabilities(&self, index: usize, period_ns: u64) -> Option<Capabilities>;
 
     /// Drive `index` makes moves and follows streams; otherwise it has velocity modes only.
     fn takes_positions(&self, _index: usize) -> bool {
@@ -359,6 +364,8 @@ pub struct Slot {
     pub link: Link,
     /// What the drive shall do.
     pub order: Order,
+    /// The same in the words of the drive machine.
+    pub desired: Desired,
     /// The row to follow at the next send, while the order is to follow.
     pub row: Option<NumberedRow>,
     /// The velocity to go at from the next send on, user units/s, while the order is a jog or cyclic velocity. A jog
@@ -375,6 +382,10 @@ pub struct Slot {
     pub progress: Progress,
     /// What the drive reported last.
     pub report: Report,
+    /// What proves it.
+    pub evidence: Evidence,
+    /// What has left of what is desired.
+    pub gone: Gone,
     /// Exact counts of its exchanges.
     pub counters: Counters,
     /// A drive without a connection has one from now on: it is due next, whatever its link. The loop clears it.

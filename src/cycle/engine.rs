@@ -335,7 +335,7 @@ impl<C: Clock> Engine<C> {
         self.status.executed += 1;
         self.skipped_in_a_row = 0;
         self.skips.executed();
-        for (controller, slot) in self.controllers.iter_mut().zip(&self.slots) {
+        for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
             if slot.due {
                 controller.sent(cycle, slot);
             }
@@ -538,6 +538,9 @@ impl<C: Clock> Engine<C> {
         }
         // What stopped since the evaluation leaves with the same send.
         self.take_groups_along(next, now);
+        for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
+            controller.propose(next, slot);
+        }
         for controller in &mut self.buses {
             controller.work(&mut self.slots, |bus, slots| bus.prepare(next, slots));
         }

@@ -10,6 +10,7 @@ use rtrb::{Consumer, Producer};
 use self::setpoints::{Follow, Level};
 use super::bounds::{Bounds, Sample, Watched};
 use super::health::LinkHealth;
+use super::machine::Machine;
 use super::numbers::{DriveNumbers, Extent, Peaks};
 use super::record::{DriveRecord, MonitorRecord, Reply, measured, short};
 use super::rest::{Motion, Rest};
@@ -18,9 +19,10 @@ use crate::axis::cell::Writer;
 use crate::axis::command::NativeOwner;
 use crate::axis::newest::NewestOut;
 use crate::axis::{
-    Abort, AxisPlan, Command, CommandId, Event, EventKind, Feedback, FoundRunning, Link, MONITOR_CHANNELS,
-    Outcome, QueuedCommand, Row, Shown, State, StopCause, StreamRow, Ticket,
+    Abort, AxisPlan, Command, CommandId, Event, EventKind, Failure, Feedback, FoundRunning, Link,
+    MONITOR_CHANNELS, Outcome, QueuedCommand, Row, Shown, State, StopCause, StreamRow, Ticket,
 };
+use crate::bus::desired::Capabilities;
 use crate::bus::{Cycle, Exchange, Order, Report, Slot};
 use crate::rt::Regions;
 use crate::time::{Time, nanos};
@@ -47,6 +49,7 @@ pub struct Queues {
 /// What the loop keeps of one axis.
 #[derive(Debug)]
 pub struct DriveController {
+    machine: Option<Machine>,
     plan: AxisPlan,
     queues: Queues,
     health: LinkHealth,
@@ -164,13 +167,16 @@ impl DriveController {
     /// A controller for the axis of `plan`.
     pub fn new(
         plan: AxisPlan,
+        can: Option<Capabilities>,
         queues: Queues,
         period_ns: u64,
         first_probe: u64,
         silence: u64,
     ) -> DriveController {
+        let machine = can.map(|can| Machine::new(&plan, can, period_ns));
         let health = LinkHealth::new(plan.health, plan.divisor, plan.phase, period_ns, first_probe, silence);
         DriveController {
+            machine,
             plan,
             queues,
             health,
@@ -245,7 +251,10 @@ impl DriveController {
     }
 
     /// After the send stage: the request of `cycle` was sent, or attempted.
-    pub fn sent(&mut self, cycle: &Cycle, slot: &Slot) {
+    pub fn sent(&mut self, cycle: &Cycle, slot: &mut Slot) {
+        if let (Some(machine), Some(grid)) = (&mut self.machine, slot.gone.grid.take()) {
+            machine.commit(grid);
+        }
         self.health.asked(cycle.index);
         if let Exchange::Owed { sent_at, .. } = slot.exchange
             && sent_at >= cycle.grid
@@ -340,6 +349,21 @@ impl DriveController {
     pub fn moves_in_group(&self) -> Option<Ticket> {
         let moves = |active: &QueuedCommand| active.verb.is_motion() || active.verb == Command::Home;
         self.active.filter(moves).and_then(|active| active.ticket)
+    }
+
+    /// Writes what is desired of the drive with the send of `next`, if one is due then.
+    pub fn propose(&mut self, next: &Cycle, slot: &mut Slot) {
+        if let Some(machine) = &mut self.machine
+            && slot.due
+        {
+            machine.propose(next.grid, slot);
+        }
+    }
+
+    /// How the newest request has ended: `Some(None)`: it is under way.
+    fn progress(&self, slot: &Slot) -> Option<Option<Result<(), Failure>>> {
+        let progress = self.machine.as_ref().map_or(slot.progress, Machine::progress);
+        (progress.serial == self.serial).then_some(progress.end)
     }
 
     /// How the exchange of this cycle was closed, once.
@@ -467,6 +491,9 @@ impl DriveController {
     /// Watches an axis that has power, and runs one cycle of its stop sequence.
     pub fn watch(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
         let restarted = std::mem::take(&mut self.restarted);
+        if let Some(machine) = &mut self.machine {
+            machine.observe(cycle.grid, restarted, slot);
+        }
         // First: what follows from another master must not be named in its place.
         if std::mem::take(&mut slot.report.other_master) {
             self.stop(cycle, now, StopCause::OtherMaster, slot);
@@ -498,7 +525,7 @@ impl DriveController {
         let sight = Sight {
             fresh: slot.report.fresh,
             heard: self.is_heard(),
-            failed: slot.progress.serial == self.serial && matches!(slot.progress.end, Some(Err(_))),
+            failed: matches!(self.progress(slot), Some(Some(Err(_)))),
             powered: self.feedback.state.is_powered(),
             moving: self.feedback.moving,
             velocity: self.feedback.velocity,
@@ -761,6 +788,9 @@ impl DriveController {
             self.claim = Claim::Ours;
         }
         slot.order = Order { serial: self.serial, verb };
+        if let Some(machine) = &mut self.machine {
+            machine.start(self.serial, verb);
+        }
         slot.row = None;
         self.follow.held = false;
     }

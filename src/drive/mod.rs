@@ -9,6 +9,7 @@
 //! | `groups` | group synchronisation |
 //! | `bounds` | bounds of the drive's own demand, whatever commands it |
 //! | `rest` | motion that nobody commands |
+//! | `machine` | what a command does to a drive, step by step; `power`: the states of CiA 402 |
 //! | `planner` | the setpoint at an instant |
 //! | `health` | the link to one drive: leaky bucket, schedule, probes |
 //! | `record`, `numbers` | what the loop reports and counts of one drive |
@@ -20,8 +21,10 @@ mod bounds;
 pub mod controller;
 pub mod groups;
 mod health;
+mod machine;
 pub mod numbers;
 pub(crate) mod planner;
+mod power;
 pub mod record;
 mod rest;
 mod stop;

@@ -49,6 +49,14 @@ macro_rules! forward_bus_plan {
             self.$field.own_counters()
         }
 
+        fn capabilities(
+            &self,
+            index: usize,
+            period_ns: u64,
+        ) -> Option<fieldbeat::bus::desired::Capabilities> {
+            self.$field.capabilities(index, period_ns)
+        }
+
         fn fault_names(&self) -> fieldbeat::axis::FaultNames {
             self.$field.fault_names()
         }

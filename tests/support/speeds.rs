@@ -88,6 +88,10 @@ impl BusPlan for Speeds {
         &OWN
     }
 
+    fn capabilities(&self, _: usize, _: u64) -> Option<fieldbeat::bus::desired::Capabilities> {
+        None
+    }
+
     fn fault_names(&self) -> FaultNames {
         self.plan.fault_names()
     }

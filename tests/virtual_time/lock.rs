@@ -116,6 +116,10 @@ impl BusPlan for ClockPlan {
         Ok(Box::new(ClockBus { plan: self.clone(), period_ns, told: VecDeque::with_capacity(4) }))
     }
 
+    fn capabilities(&self, _: usize, _: u64) -> Option<fieldbeat::bus::desired::Capabilities> {
+        None
+    }
+
     fn monitored(&self, _: usize) -> [Option<MonitorChannel>; 4] {
         [const { None }; 4]
     }

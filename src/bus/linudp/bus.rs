@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use super::native::Native;
 use super::plan::{LinUdpPlan, MonitorPlan};
+use super::profile;
 use super::sim::LinMotSim;
 use super::station::Station;
 use super::upid::Upids;
@@ -14,6 +15,7 @@ use super::wire::{ErrorCode, REQUEST_MAX, RESPONSE_MAX};
 use crate::axis::acyclic::{AcyclicEnds, Notation};
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, FaultNames, FoundRunning, MonitorChannel, PlanFault};
+use crate::bus::desired::Capabilities;
 use crate::bus::{Bus, BusPlan, Cycle, Exchange, OpenError, Slot, Unmatched, lock_drives};
 use crate::errors::no_descriptor;
 use crate::net::{Carriers, Datagrams, Lock, Outbox, Sent, UdpOptions};
@@ -238,6 +240,10 @@ impl BusPlan for LinUdpPlan {
 
     fn monitored(&self, index: usize) -> [Option<MonitorChannel>; MONITOR_CHANNELS] {
         self.drives.get(index).map_or([const { None }; MONITOR_CHANNELS], |drive| drive.monitor.channels())
+    }
+
+    fn capabilities(&self, index: usize, _period_ns: u64) -> Option<Capabilities> {
+        self.drives.get(index).map(profile::capabilities)
     }
 
     fn fault_names(&self) -> FaultNames {

@@ -7,7 +7,7 @@
 //! | `curve` | time curves and encoder cams |
 //! | `table` | the drive's command table |
 //! | `station` | the master's view of one drive: identity of replies, feedback |
-//! | `orders` | what an order does, step by step |
+//! | `profile` | what is desired as blocks of a request, and what replies prove |
 //! | `channel` | motion command counts and their echo |
 //! | `other` | another master's commands, by their counts |
 //! | `rtc` | the real-time-config channel: one acyclic call after the other, in the requests that go out anyway |
@@ -28,9 +28,9 @@ mod channel;
 pub mod curve;
 pub mod motion;
 pub mod native;
-mod orders;
 mod other;
 pub mod plan;
+mod profile;
 mod rtc;
 pub mod service;
 pub mod sim;

@@ -1,6 +1,6 @@
 //! The master's view of one drive: which reply answers which request, what the drive reported last, and the next
 //! request.
-//! It takes `now` and slices, and knows no socket. The steps of an order are in `orders`.
+//! It takes `now` and slices, and knows no socket. What is desired of it becomes blocks in `profile`.
 //!
 //! LinUDP has no sequence number. A reply counts by its sender, by the echo of both definitions, and by the open
 //! exchange. By default the response definition changes from request to request ([`ReplyTag`]), so that a reply that is
@@ -10,12 +10,12 @@
 //! count in every request and its echo names the request.
 //!
 //! An answered exchange whose reply comes once more, four exchanges late, passes for the newest. So no single reply
-//! proves that an order is done (`orders`, `channel`).
+//! proves that a command is done (`profile`, `channel`).
 
 use super::native::{Native, NativePort, native};
-use super::orders::{Inputs, Orders, Outputs};
 use super::other::OtherMaster;
 use super::plan::{LinUdpDrive, MonitorPlan, ReplyTag};
+use super::profile::{Inputs, Outputs, Profile};
 use super::rtc::RtcChannel;
 use super::upid::commanding;
 use super::wire::{
@@ -24,6 +24,7 @@ use super::wire::{
 use crate::axis::acyclic::{self, AcyclicEnds};
 use crate::axis::units::Unwrap;
 use crate::axis::{Link, State, Units};
+use crate::bus::desired::Power;
 use crate::bus::{Cycle, Exchange, Slot};
 use crate::rt::Regions;
 use crate::time::Time;
@@ -50,11 +51,13 @@ pub struct Station {
     odd: ResponseDef,
     identity: Identity,
     inputs: Inputs,
+    /// The slot that the prepared request is for.
+    grid: Time,
     /// The last fresh reply: state, and the positions for the velocity.
     last: Option<Seen>,
     actual: Unwrap,
     demand: Unwrap,
-    orders: Orders,
+    profile: Profile,
     other: OtherMaster,
     rtc: RtcChannel,
     monitor: MonitorPlan,
@@ -166,10 +169,11 @@ impl Station {
             odd,
             identity: Identity { turns: 1 << in_turn.len(), varies, ..Identity::default() },
             inputs: Inputs::default(),
+            grid: Time(0),
             last: None,
             actual: Unwrap::default(),
             demand: Unwrap::default(),
-            orders: Orders::new(drive),
+            profile: Profile::new(drive),
             other: OtherMaster::default(),
             rtc: RtcChannel::new(port, drive.monitor.sources()),
             monitor: drive.monitor,
@@ -190,8 +194,8 @@ impl Station {
     /// the same: state that changes with every request changes in [`sent`](Self::sent).
     pub fn prepare(&mut self, cycle: &Cycle, slot: &mut Slot, out: &mut [u8]) -> usize {
         let silent = matches!(slot.link, Link::Unseen | Link::Lost);
-        let outputs = self.orders.advance(cycle.grid, &self.inputs, slot, &mut self.native);
-        self.inputs.fresh = false;
+        let outputs = self.profile.encode(&slot.desired, &self.inputs, &mut self.native);
+        self.grid = cycle.grid;
         let Outputs { control, motion, config } = outputs;
         let powered = slot.report.state.is_powered();
         let called = self.rtc.advance(cycle.grid, slot.link, powered, slot.guarded);
@@ -221,7 +225,7 @@ impl Station {
             (None, None) => Some(self.rtc.tag()),
         };
         request.config = request.config.or(tag);
-        self.probing = silent && slot.order.serial == 0;
+        self.probing = silent && slot.desired.power.value == Power::Untouched;
         if self.probing && self.probes == FULL_PROBE_EVERY - 1 {
             request.motion = Some(MotionBlock::default());
             request.config = request.config.or(Some(RtcBlock::default()));
@@ -267,7 +271,8 @@ impl Station {
         }
         slot.counters.sent += 1;
         slot.exchange = Exchange::Owed { sent_at, reply_by, awaited: false };
-        self.orders.sent();
+        self.profile.sent();
+        slot.gone.grid = Some(self.grid);
         self.other.sent();
         self.rtc.sent();
     }
@@ -365,7 +370,7 @@ impl Station {
         let report = &mut slot.report;
         if booting && self.inputs.seen && !self.inputs.booting {
             report.restarted = true;
-            self.orders.drive_restarted();
+            self.profile.drive_restarted();
             self.rtc.drive_restarted();
         }
         if !booting && self.inputs.booting {
@@ -375,7 +380,7 @@ impl Station {
             // Earlier positions, and those reported while booting, are no base for differences.
             self.actual.reset();
             self.demand.reset();
-            (report.velocity, self.inputs.velocity, self.last) = (0.0, 0.0, None);
+            (report.velocity, slot.evidence.demand_velocity, self.last) = (0.0, 0.0, None);
         }
         // Only a modulo axis wraps around; on any other a corrupted value must not shift all later ones.
         let endless = self.units.modulo.is_some();
@@ -383,7 +388,6 @@ impl Station {
         let actual = follow(&mut self.actual, view.actual().unwrap_or_default());
         let demand = follow(&mut self.demand, view.demand().unwrap_or_default());
         // A homing gives the positions another origin: that was no motion.
-        let mut speed = self.inputs.velocity;
         if let Some(last) = self.last
             && at > last.at
             && !suspect
@@ -391,25 +395,15 @@ impl Station {
         {
             let rate = self.units.distance(1e9 / at.since(last.at) as f64);
             report.velocity = (actual - last.actual) as f64 * rate;
-            speed = (demand - last.demand) as f64 * rate;
+            slot.evidence.demand_velocity = (demand - last.demand) as f64 * rate;
         }
         if !suspect {
             self.last = Some(Seen { at, actual, demand });
             report.other_master |= self.other.take(state.count());
         }
-        self.inputs = Inputs {
-            seen: true,
-            fresh: true,
-            clean: !suspect,
-            foreign: self.other.is_in_doubt(),
-            booting,
-            at,
-            status,
-            state,
-            demand,
-            velocity: speed,
-            fault,
-        };
+        let foreign = self.other.is_in_doubt();
+        self.inputs = Inputs { seen: true, foreign, booting, status, state, demand, fault };
+        self.profile.take(&self.inputs, !suspect, &mut slot.evidence);
         report.fresh = true;
         report.at = at;
         report.suspect = suspect;
@@ -417,12 +411,14 @@ impl Station {
         report.homed = status.homed();
         if !suspect {
             // A reply to an earlier request may answer another control word.
-            report.inhibited = self.orders.inhibited(at, status, booting);
+            report.inhibited = self.profile.inhibited(at, &self.inputs);
         }
         report.moving = self.inputs.moving();
         report.in_target = status.in_target();
         report.position = self.units.position(actual);
         report.demand = self.units.position(demand);
+        let place = |count: i64| self.units.distance(count as f64) + self.units.offset;
+        (slot.evidence.position, slot.evidence.demand) = (place(actual), place(demand));
         // Blocks that this reply does not have are as in the last one that had them.
         report.current = view.current().map_or(report.current, |current| f64::from(current) * 1e-3);
         report.warning = view.warn().map_or(report.warning, |warning| u32::from(warning.0));

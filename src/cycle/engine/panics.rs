@@ -207,7 +207,7 @@ impl<C: Clock> Engine<C> {
             }
         }
         self.status.executed += 1;
-        for (axis, (controller, slot)) in self.controllers.iter_mut().zip(&self.slots).enumerate() {
+        for (axis, (controller, slot)) in self.controllers.iter_mut().zip(&mut self.slots).enumerate() {
             if slot.due {
                 self.panics.guard(cycle.index, Some(Stage::Send), Part::Axis(axis), || {
                     controller.sent(&cycle, slot)
@@ -316,6 +316,7 @@ impl<C: Clock> Engine<C> {
         for (axis, (controller, slot)) in self.controllers.iter_mut().zip(&mut self.slots).enumerate() {
             let due = self.panics.guard(next.index, None, Part::Axis(axis), || controller.is_due(next.index));
             slot.due = due.unwrap_or(false);
+            self.panics.guard(next.index, None, Part::Axis(axis), || controller.propose(next, slot));
         }
         for bus in 0..self.buses.len() {
             self.bus(next, Stage::Prepare, bus, |controller, slots| controller.bus.prepare(next, slots));

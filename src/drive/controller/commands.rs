@@ -111,12 +111,9 @@ impl DriveController {
             self.try_reset(cycle, now, active, slot);
             return;
         }
-        if slot.progress.serial != self.serial {
-            return;
-        }
-        match slot.progress.end {
-            None => {}
-            Some(Ok(())) => {
+        match self.progress(slot) {
+            None | Some(None) => {}
+            Some(Some(Ok(()))) => {
                 if active.verb == Command::Enable {
                     self.claim = Claim::Armed;
                     self.bounds = Bounds::default();
@@ -127,7 +124,7 @@ impl DriveController {
                 }
                 self.end(cycle, now, active, Outcome::Done);
             }
-            Some(Err(failure)) => {
+            Some(Some(Err(failure))) => {
                 let grouped = self.moves_in_group().is_some();
                 if matches!(failure, Failure::Unsupported(_) | Failure::DriveFault(_)) {
                     // Nothing was commanded, or a fault holds the power off.

@@ -47,7 +47,7 @@ impl Alone {
             feedback,
             samples: None,
         };
-        let controller = DriveController::new(plan, queues, MS, 0, 100);
+        let controller = DriveController::new(plan, None, queues, MS, 0, 100);
         let slot = Slot::default();
         Alone { controller, slot, commands, rows, _setpoints: setpoints, events, index: 0, id: 0 }
     }
@@ -500,7 +500,7 @@ impl Alone {
     /// The row of the next send, which goes out.
     fn fed(&mut self) -> Option<Row> {
         let row = self.fed_unsent();
-        self.controller.sent(&cycle(self.index), &self.slot);
+        self.controller.sent(&cycle(self.index), &mut self.slot);
         row
     }
 }

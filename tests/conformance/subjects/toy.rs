@@ -247,6 +247,10 @@ impl BusPlan for ToyPlan {
         }))
     }
 
+    fn capabilities(&self, _: usize, _: u64) -> Option<fieldbeat::bus::desired::Capabilities> {
+        None
+    }
+
     fn monitored(&self, _index: usize) -> [Option<MonitorChannel>; 4] {
         [const { None }; 4]
     }

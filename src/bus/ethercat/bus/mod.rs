@@ -648,6 +648,10 @@ impl BusPlan for EthercatPlan {
         &OWN
     }
 
+    fn capabilities(&self, _index: usize, _period_ns: u64) -> Option<crate::bus::desired::Capabilities> {
+        None
+    }
+
     fn fault_names(&self) -> FaultNames {
         |code| u16::try_from(code).ok().and_then(faults::name)
     }

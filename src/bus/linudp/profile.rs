@@ -1,0 +1,365 @@
+//! What is desired of a LinMot drive as the blocks of the next request, and what its replies prove.
+//!
+//! The drive makes its own setpoints: a motion is a motion command with a new count. The control word stays as the last
+//! request left it.
+//!
+//! Sources: SG5 manual 4.3.4, state machine and motion command interface (sheet, 3.5 and 4.1).
+
+use super::channel::MotionChannel;
+use super::motion::{Acceleration, MotionCommand, Position, SignedAcceleration, SignedVelocity, Velocity};
+use super::native::{NativeOutput, NativePort};
+use super::plan::{LinUdpDrive, StreamCommand};
+use super::wire::{ControlWord, ErrorCode, MainState, MotionBlock, RtcBlock, StateVar, StatusWord};
+use crate::axis::Failure;
+use crate::axis::command::NativeOwner;
+use crate::axis::units::Units;
+use crate::bus::desired::{
+    Capabilities, Desired, Evidence, FaultIs, Generator, Homing, Intent, Lacks, Motion, Power, Ranges,
+    Reference, Resettable, Setpoint,
+};
+use crate::time::{Time, nanos};
+
+/// Powered and holding, out of operation.
+const HELD: ControlWord = ControlWord(ControlWord::ON.0 & !ControlWord::ENABLE_OPERATION);
+/// 1 um/s and 1e-5 m/s²: ten and a hundred times coarser than a count of 0.1 um.
+const VELOCITY: f64 = 0.1;
+const ACCELERATION: f64 = 0.01;
+/// The demand ends exactly at its target; a micrometre is left to its rounding, counts.
+const ARRIVAL: f64 = 10.0;
+
+/// What the drive reported last, as far as its profile needs it.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Inputs {
+    /// There was a reply at all.
+    pub seen: bool,
+    /// Its count is none that this master has used lately.
+    pub foreign: bool,
+    /// Status word and state var are 0: booting, or the motion software is stopped.
+    pub booting: bool,
+    pub status: StatusWord,
+    pub state: StateVar,
+    /// Unwrapped, 0.1 um.
+    pub demand: i64,
+    pub fault: ErrorCode,
+}
+
+impl Inputs {
+    /// In error, or in the quick stop that an error began.
+    fn failed(&self) -> bool {
+        self.settled_error() || (self.state.main() == MainState::QUICK_STOP && self.status.error())
+    }
+
+    /// In error and no longer braking: the only states in which an error can be acknowledged.
+    fn settled_error(&self) -> bool {
+        matches!(self.state.main(), MainState::ERROR | MainState::SETUP_ERROR)
+    }
+
+    /// The setpoint generator runs. In state 8 the sub state is sampled together with the count echo; elsewhere the
+    /// status word has to be used.
+    pub(super) fn moving(&self) -> bool {
+        self.state.motion_active().unwrap_or(self.status.motion_active())
+    }
+}
+
+/// The blocks of the next request.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Outputs {
+    pub control: Option<ControlWord>,
+    pub motion: Option<MotionBlock>,
+    pub config: Option<RtcBlock>,
+}
+
+/// The serials that a request carries.
+#[derive(Clone, Copy, Debug, Default)]
+struct Serials {
+    power: u64,
+    motion: u64,
+    row: u64,
+}
+
+/// The profile of one drive.
+#[derive(Debug)]
+pub(super) struct Profile {
+    units: Units,
+    stream: Option<StreamCommand>,
+    inhibit_after_ns: u64,
+    voltage: Voltage,
+    /// What the prepared request is built for.
+    motion: Intent<Motion>,
+    setpoint: Setpoint,
+    /// What the prepared request carries, and the last one that went out.
+    prepared: Serials,
+    sent: Serials,
+    control: Option<ControlWord>,
+    /// The control words of the last request that went out, and of the one before.
+    control_sent: Option<ControlWord>,
+    control_before: Option<ControlWord>,
+    channel: MotionChannel,
+    /// The motion is a command of the channel: its echo proves it.
+    is_command: bool,
+    /// None of the counts was taken, or the drive must not have this command.
+    refused: Option<Failure>,
+    /// The control word of the application, in native mode.
+    native_control: Option<ControlWord>,
+    /// The native output of the next request. It stays until that has gone out: a request may be built more than
+    /// once for one send, and a send may fail.
+    native: Option<NativeOutput>,
+}
+
+/// Whether the drive lets its power stage come on, as the requests allow it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Voltage {
+    /// Not allowed, or not reported yet.
+    Unknown,
+    Present,
+    /// Since this reply; `lost` = it was present before.
+    Missing {
+        since: Time,
+        lost: bool,
+    },
+}
+
+/// What a drive can do, and what its wire carries.
+pub(super) fn capabilities(drive: &LinUdpDrive) -> Capabilities {
+    let scale = drive.axis.units.counts_per_unit.abs();
+    let least = |count: f64| (1.0 / (scale * count), f64::from(u32::MAX) / (scale * count));
+    Capabilities {
+        generator: Generator::Drive { leash: drive.leash },
+        lacks: Lacks {
+            rows: drive.stream.is_none().then_some("no streaming command fits its cycle (stream = \"off\")"),
+            velocities: drive.leash.is_none().then_some(
+                "a LinUDP drive has no watchdog; allow jogs and velocities with no_drive_watchdog = \"accept\" and a \
+                leash",
+            ),
+            torques: Some("it takes positions and velocities, no torques"),
+            ..Lacks::default()
+        },
+        switches_on_at_once: true,
+        leaves_quick_stop: false,
+        // A single reply that comes again, many cycles late, may look like the newest.
+        power_reports: 2,
+        still_reports: 2,
+        stands_ns: 0,
+        arrival: ARRIVAL / scale,
+        ranges: Ranges {
+            position: (f64::from(i32::MIN) / scale, f64::from(i32::MAX) / scale),
+            velocity: least(VELOCITY),
+            acceleration: least(ACCELERATION),
+        },
+    }
+}
+
+impl Profile {
+    pub(super) fn new(drive: &LinUdpDrive) -> Profile {
+        Profile {
+            units: drive.axis.units,
+            stream: drive.stream,
+            inhibit_after_ns: nanos(drive.inhibit_after),
+            voltage: Voltage::Unknown,
+            motion: Intent::default(),
+            setpoint: Setpoint::default(),
+            prepared: Serials::default(),
+            sent: Serials::default(),
+            control: None,
+            control_sent: None,
+            control_before: None,
+            channel: MotionChannel::default(),
+            is_command: false,
+            refused: None,
+            native_control: None,
+            native: None,
+        }
+    }
+
+    /// The blocks of the next request.
+    pub(super) fn encode(&mut self, desired: &Desired, inputs: &Inputs, native: &mut NativePort) -> Outputs {
+        let Desired { power, motion, setpoint, .. } = desired;
+        // What was never sent may be replaced by something else of the same serial.
+        if *motion != self.motion {
+            self.motion = *motion;
+            self.begin(motion.value, inputs, native);
+        }
+        if motion.value == Motion::Follow && *setpoint != self.setpoint {
+            self.setpoint = *setpoint;
+            self.stream_row(setpoint, inputs);
+        }
+        self.prepared = Serials { power: power.serial, motion: motion.serial, row: setpoint.row };
+        let owner = match motion.value {
+            Motion::Native(owner) => Some(owner),
+            _ => None,
+        };
+        native.runs(owner.is_some());
+        if let Some(owner) = owner {
+            self.take_native(owner, inputs, native);
+        }
+        self.control = self.native_control.or_else(|| control(power.value, motion.value));
+        Outputs {
+            control: self.control,
+            motion: self.channel.block(),
+            config: self.native.and_then(|output| output.config),
+        }
+    }
+
+    /// Another motion is desired.
+    fn begin(&mut self, motion: Motion, inputs: &Inputs, native: &mut NativePort) {
+        self.channel.clear();
+        (self.native, self.native_control, self.refused) = (None, None, None);
+        native.flush();
+        let command = match motion {
+            Motion::Move { position, profile } => Some(MotionCommand::vai_go_to(
+                self.position(position, inputs),
+                Velocity(self.unsigned(profile.velocity, VELOCITY)),
+                self.acceleration(profile.acceleration),
+                self.acceleration(profile.deceleration),
+            )),
+            Motion::Ramp { deceleration } => Some(MotionCommand::vai_stop(self.acceleration(deceleration))),
+            Motion::EndStream => Some(MotionCommand::stream_end()),
+            Motion::Hold | Motion::Follow | Motion::Halt | Motion::Home | Motion::Native(_) => None,
+        };
+        self.is_command = command.is_some();
+        if let Some(command) = command {
+            self.channel.send(command);
+        }
+    }
+
+    /// The last built request has gone out.
+    pub(super) fn sent(&mut self) {
+        self.sent = self.prepared;
+        self.control_before = std::mem::replace(&mut self.control_sent, self.control);
+        self.native = None;
+        self.channel.sent();
+    }
+
+    /// The drive came back from a restart: earlier commands are lost. Its count starts anew, and is reported before the
+    /// next command is sent.
+    pub(super) fn drive_restarted(&mut self) {
+        self.channel.clear();
+        self.native_control = self.native_control.map(|_| ControlWord::BASE);
+    }
+
+    /// What a reply proves; `clean`: it can be no older one.
+    pub(super) fn take(&mut self, inputs: &Inputs, clean: bool, evidence: &mut Evidence) {
+        if let Some(echo) = inputs.state.count() {
+            if clean && self.sent.row != 0 && self.channel.count == Some(echo) {
+                evidence.accepted.row = self.sent.row;
+            }
+            if let Err(failure) = self.channel.take(echo, clean, inputs.foreign) {
+                self.refused = Some(failure);
+            }
+        }
+        if clean {
+            evidence.accepted.power = self.sent.power;
+            if !self.is_command || self.channel.is_accepted() {
+                evidence.accepted.motion = self.sent.motion;
+            }
+        }
+        if self.is_command && !self.channel.is_accepted() {
+            // Somebody else's command has run since.
+            evidence.accepted.motion = evidence.accepted.motion.min(self.sent.motion.saturating_sub(1));
+        }
+        evidence.outputs_count = true;
+        evidence.ready = !matches!(inputs.state.main(), MainState(9..=20));
+        evidence.homing = match inputs.state.main() == MainState::HOMING && inputs.state.finished() {
+            true => Homing::Attained,
+            false => Homing::Open,
+        };
+        evidence.reference = Some(Reference::Silent);
+        evidence.refused = self.refused;
+        evidence.fault =
+            FaultIs { active: inputs.failed(), named: true, resettable: Self::resettable(inputs) };
+    }
+
+    fn resettable(inputs: &Inputs) -> Resettable {
+        match () {
+            () if !inputs.settled_error() => Resettable::At(Time(u64::MAX)),
+            () if inputs.status.fatal() => Resettable::Never(Failure::DriveFault(u32::from(inputs.fault.0))),
+            () => Resettable::Now,
+        }
+    }
+
+    /// Takes the next native output once the previous one has gone out, and its motion was echoed.
+    fn take_native(&mut self, owner: NativeOwner, inputs: &Inputs, native: &mut NativePort) {
+        if self.native.is_some() || self.refused.is_some() {
+            return;
+        }
+        let free = self.channel.is_free() || inputs.state.count().is_none();
+        let Some(output) = native.next(free) else { return };
+        if output.motion.is_some_and(|command| command.id == MotionCommand::reset_firmware().id) {
+            // With any count but 0 the drive restarts again and again (sheet, 4.3), and with 0 it does nothing if that
+            // is what it has stored.
+            let why = "00Fx needs a count that this master does not send; restart the drive by its parameter channel";
+            self.refused = Some(Failure::Unsupported(why));
+            return;
+        }
+        if owner == NativeOwner::Application && output.control.is_some() {
+            self.native_control = output.control;
+        }
+        if let Some(command) = output.motion {
+            self.channel.send(command);
+        }
+        self.native = Some(output);
+    }
+
+    fn stream_row(&mut self, setpoint: &Setpoint, inputs: &Inputs) {
+        let Some(command) = self.stream else { return };
+        let position = self.position(setpoint.position, inputs);
+        let signed = |value: f64, scale: f64| (value * self.units.counts_per_unit * scale).round() as i32;
+        let velocity = SignedVelocity(signed(setpoint.velocity, VELOCITY));
+        let acceleration = SignedAcceleration(signed(setpoint.acceleration, ACCELERATION));
+        self.channel.stream(MotionCommand::stream(command, position, velocity, acceleration));
+    }
+
+    /// The count of a rotary axis wraps around, in the drive as here.
+    fn position(&self, position: f64, inputs: &Inputs) -> Position {
+        let from = if self.units.modulo.is_some() { inputs.demand } else { 0 };
+        let way = (self.units.counts(position) - from as f64) as i32;
+        Position((from + i64::from(way)) as i32)
+    }
+
+    fn acceleration(&self, acceleration: f64) -> Acceleration {
+        Acceleration(self.unsigned(acceleration, ACCELERATION))
+    }
+
+    /// Not zero: with a zero the drive would never arrive. What the wire cannot carry was refused before.
+    fn unsigned(&self, value: f64, scale: f64) -> u32 {
+        ((value * self.units.counts_per_unit.abs() * scale).round() as u32).max(1)
+    }
+
+    /// The drive reports that its power stage may not come on although the last requests allowed it: an input of
+    /// its own, such as the hardware enable (STO), prevents it. According to the sheet the bit is that of the
+    /// control word as the drive sees it, its own inputs included; that a missing STO shows in it was not seen on
+    /// hardware.
+    ///
+    /// The status may be older than the control word (sheet, 3.5): a bit that was not there before has time to come.
+    /// One that was there and goes is no such lag, since the control word has not changed.
+    pub(super) fn inhibited(&mut self, at: Time, inputs: &Inputs) -> bool {
+        let allowed =
+            |word: Option<ControlWord>| word.is_some_and(|word| word.has(ControlWord::VOLTAGE_ENABLE));
+        self.voltage = match self.voltage {
+            _ if inputs.booting || !allowed(self.control_sent) || !allowed(self.control_before) => {
+                Voltage::Unknown
+            }
+            _ if inputs.status.has(StatusWord::VOLTAGE_ENABLE) => Voltage::Present,
+            Voltage::Unknown => Voltage::Missing { since: at, lost: false },
+            Voltage::Present => Voltage::Missing { since: at, lost: true },
+            missing @ Voltage::Missing { .. } => missing,
+        };
+        matches!(self.voltage, Voltage::Missing { since, lost } if lost || at.since(since) >= self.inhibit_after_ns)
+    }
+}
+
+/// The control word of a power and a motion.
+fn control(power: Power, motion: Motion) -> Option<ControlWord> {
+    Some(match power {
+        Power::Untouched => return None,
+        Power::Off | Power::Shutdown => ControlWord::BASE,
+        Power::SwitchOn => HELD,
+        Power::FaultReset => ControlWord::ACKNOWLEDGE,
+        Power::EnableOperation | Power::QuickStop => match motion {
+            Motion::Home => ControlWord::HOME,
+            // Never /Freeze (it would run on) and never OFF3 (it ends in power off, and the load drops).
+            Motion::Halt => ControlWord(ControlWord::ON.0 & !ControlWord::NO_ABORT),
+            _ => ControlWord::ON,
+        },
+    })
+}

@@ -1,0 +1,287 @@
+//! A new command: what it asks of the drive as it is now.
+
+use super::{Start, State, Step, View};
+use crate::axis::command::NativeOwner;
+use crate::axis::limits::check_position;
+use crate::axis::{Command, Failure, Move, State as Cia402, Target};
+use crate::bus::desired::{Mode, ModeIs, Motion, Power, Quantity};
+use crate::drive::planner::Point;
+use crate::drive::power::as_found;
+use crate::time::Time;
+
+pub(super) const OTHER_MODE: Failure = Failure::Unsupported(
+    "it is not in the mode of its setpoint: look at 6061h, or wait for the end of a homing",
+);
+
+/// How a command has ended at once; `None`: it is under way.
+type End = Option<Result<(), Failure>>;
+
+impl State {
+    /// Begins a command that waits since `since`.
+    pub(super) fn begin(&mut self, start: Start, since: Time, view: &View) -> End {
+        if let Start::Command(command) = start
+            && command.needs_outputs()
+        {
+            if let Some(failure) = view.rules.can.refuses(&command) {
+                return self.refuse(failure, view);
+            }
+            if view.report.state == Cia402::Unknown {
+                // What is to be taken over is not known yet.
+                return None;
+            }
+        }
+        if !self.writes() || matches!(self.step, Step::Native(_)) {
+            // The state that the application left the drive in is the present state.
+            self.claim(view);
+        }
+        let Start::Command(command) = start else { return self.done() };
+        match command {
+            Command::Reset => self.done(),
+            Command::Enable => self.begin_enable(since, view),
+            Command::Disable => {
+                self.set(Power::Off);
+                self.fall(since)
+            }
+            Command::Home => self.begin_home(since, view),
+            Command::Stop { .. } | Command::QuickStop => self.begin_stop(command, view),
+            Command::ResetFault if !view.evidence.fault.active => self.done(),
+            Command::ResetFault => self.begin_reset(since, view),
+            Command::Native(owner) => self.begin_native(owner, view),
+            _ if !self.runs(view) => self.fail(Failure::WrongState(view.report.state)),
+            _ if view.evidence.mode != ModeIs::Own => self.refuse(OTHER_MODE, view),
+            Command::Move(motion) => self.begin_move(&motion, view),
+            Command::Jog(jog) => self.begin_velocity(jog.acceleration, view),
+            Command::Velocity { acceleration } => self.begin_velocity(acceleration, view),
+            Command::Torque { slope } => self.begin_velocity(slope, view),
+            Command::Follow => self.begin_follow(view),
+        }
+    }
+
+    /// Takes the drive over as it is, at its present velocity.
+    fn claim(&mut self, view: &View) {
+        let power = if view.evidence.outputs_count { as_found(view.report.state) } else { Power::Off };
+        self.set(power);
+        if power == Power::EnableOperation {
+            self.run_from(self.found(view));
+            self.found_otherwise = view.evidence.mode == ModeIs::Other;
+        }
+    }
+
+    /// The begin of the setpoint for a drive that moves by itself.
+    pub(super) fn found(&self, view: &View) -> Point {
+        let turns = view.report.velocity.abs() > view.rules.standstill;
+        let velocity = if turns { view.report.velocity } else { 0.0 };
+        // Its report is one exchange old.
+        let position = view.evidence.position + velocity * view.rules.interval_ns as f64 * 1e-9;
+        // Its present torque is not the master's.
+        let torque = view.quantity() == Some(Quantity::Torque);
+        Point { position, velocity: if torque { 0.0 } else { velocity } }
+    }
+
+    /// Power off was the last request. Reports may be from before that.
+    pub(super) fn was_switched_off(&self) -> bool {
+        self.writes() && self.power.value.is_off()
+    }
+
+    /// The drive is commanded to be in operation, and reports that it is.
+    pub(super) fn runs(&self, view: &View) -> bool {
+        view.operates() && self.power.value == Power::EnableOperation
+    }
+
+    /// Ends a command that cannot be carried out, and stops a running drive: nothing commands it any more.
+    pub(super) fn refuse(&mut self, failure: Failure, view: &View) -> End {
+        self.wind_down(view);
+        self.enter(Step::Idle);
+        Some(Err(failure))
+    }
+
+    fn fall(&mut self, since: Time) -> End {
+        self.begin_step(since, Step::Falling);
+        None
+    }
+
+    fn begin_enable(&mut self, since: Time, view: &View) -> End {
+        let (evidence, state) = (view.evidence, view.report.state);
+        if evidence.fault.active && evidence.fault.named {
+            return self.fail(view.failed());
+        }
+        if let Some(obstacle) = evidence.obstacle {
+            return self.fail(obstacle);
+        }
+        let on = evidence.outputs_count && !self.was_switched_off();
+        let can = &view.rules.can;
+        let rest = if on && state == Cia402::SwitchedOn { Power::SwitchOn } else { Power::Off };
+        match state {
+            // What runs already is not switched off first.
+            Cia402::OperationEnabled if on => self.operate(view),
+            Cia402::QuickStopActive if on && !can.leaves_quick_stop => {
+                return self.fail(Failure::WrongState(state));
+            }
+            Cia402::QuickStopActive if on => {}
+            Cia402::SwitchedOn if on && can.switches_on_at_once => self.hold(evidence.position),
+            Cia402::SwitchedOn if on => self.set(Power::SwitchOn),
+            _ => self.set(Power::Shutdown),
+        }
+        self.begin_step(since, Step::Enabling { rest });
+        None
+    }
+
+    /// In operation, without a motion.
+    pub(super) fn operate(&mut self, view: &View) {
+        if self.power.value != Power::EnableOperation || !self.course.leads() {
+            self.hold(view.evidence.position);
+        }
+    }
+
+    fn begin_home(&mut self, since: Time, view: &View) -> End {
+        self.wind_down(view);
+        if view.drive_makes_setpoints() {
+            self.want_motion(Motion::Home);
+            self.begin_step(since, Step::Homing);
+        } else {
+            self.begin_step(since, Step::HomeWaiting);
+        }
+        None
+    }
+
+    fn begin_stop(&mut self, command: Command, view: &View) -> End {
+        let now = view.now;
+        match self.step {
+            // Powering up: it does not go on by itself.
+            Step::Enabling { rest } => {
+                self.set(rest);
+                return self.fall(now);
+            }
+            // It may go on reporting that it is in operation for as long as its replies are lost.
+            _ if self.was_switched_off() => return self.fall(now),
+            _ if self.power.value != Power::EnableOperation || !self.can_brake(view) => {
+                // There is no setpoint, and nothing to brake with: power stays as it is.
+                return self.fall(now);
+            }
+            Step::Halted | Step::Halting => {}
+            _ => {
+                if let Command::Stop { deceleration } = command
+                    && view.evidence.mode == ModeIs::Own
+                    && view.evidence.ready
+                    && !self.is_homing()
+                    && self.motion.value != Motion::Halt
+                {
+                    self.brake(deceleration.unwrap_or(view.rules.profile.deceleration), view);
+                    self.begin_step(now, Step::Stopping);
+                    return None;
+                }
+            }
+        }
+        self.halt(view);
+        None
+    }
+
+    /// The drive may be in motion with its power on.
+    fn can_brake(&self, view: &View) -> bool {
+        !matches!(view.report.state, Cia402::SwitchedOn | Cia402::ReadyToSwitchOn | Cia402::SwitchOnDisabled)
+            || !view.evidence.outputs_count
+    }
+
+    /// As fast as the drive is configured for it, with its power on.
+    pub(super) fn halt(&mut self, view: &View) {
+        let limits = &view.rules.limits;
+        let own = view.rules.profile.deceleration;
+        let most = limits.acceleration.unwrap_or(own).max(own);
+        self.want_motion(Motion::Halt);
+        self.course.halt(most, view);
+        self.begin_step(view.now, Step::Halting);
+    }
+
+    fn begin_reset(&mut self, since: Time, view: &View) -> End {
+        // A drive that reacts to its fault brakes with its power on.
+        if view.report.state == Cia402::Fault {
+            self.set(Power::Off);
+        }
+        self.begin_step(since, Step::ResetWaiting);
+        None
+    }
+
+    fn begin_native(&mut self, owner: NativeOwner, view: &View) -> End {
+        // It stands still, or has no torque, until the application gives a setpoint.
+        self.end_halt(view);
+        self.wind_down(view);
+        self.want_motion(Motion::Native(owner));
+        self.begin_step(view.now, Step::Native(owner));
+        None
+    }
+
+    /// The new motion replaces a halt.
+    pub(super) fn end_halt(&mut self, view: &View) {
+        if self.motion.value == Motion::Halt {
+            let point = self.found(view);
+            self.want_motion(Motion::Hold);
+            self.course.begin_at(point);
+        }
+    }
+
+    fn begin_move(&mut self, motion: &Move, view: &View) -> End {
+        self.end_halt(view);
+        let from = self.demand(view);
+        let target = match motion.target {
+            Target::Absolute(position) => view.near(from, position),
+            Target::Relative(distance) => from + distance,
+        };
+        if let Err(failure) = check_position(&view.rules.limits, target) {
+            return self.refuse(failure, view);
+        }
+        if view.drive_makes_setpoints() {
+            return self.move_by_drive(target, &motion.profile, Step::Moving(Some(target)), view);
+        }
+        self.course.go_to(target, &motion.profile, view);
+        self.want_motion(Motion::Hold);
+        self.begin_step(view.now, Step::Moving(Some(target)));
+        None
+    }
+
+    fn begin_velocity(&mut self, acceleration: f64, view: &View) -> End {
+        self.end_halt(view);
+        if view.drive_makes_setpoints() {
+            self.begin_rolling(acceleration, view)
+        } else {
+            self.begin_turning(acceleration, view)
+        }
+    }
+
+    fn begin_follow(&mut self, view: &View) -> End {
+        self.end_halt(view);
+        self.begin_step(view.now, Step::FollowWaiting);
+        if !view.drive_makes_setpoints() {
+            // The running motion ends here.
+            self.brake(view.rules.profile.deceleration, view);
+        }
+        self.want_motion(Motion::Follow);
+        // The first row may have come with the command.
+        self.follow(view)
+    }
+
+    /// It homes, or is on its way there or back.
+    pub(super) fn is_homing(&self) -> bool {
+        matches!(self.step, Step::HomeMode | Step::Homing | Step::HomeStopping(_) | Step::HomeLeaving(_))
+    }
+
+    /// Brings a running motion to its end.
+    pub(super) fn wind_down(&mut self, view: &View) {
+        let free = view.quantity() == Some(Quantity::Torque) && self.course.leads();
+        if free && !self.course.stands() {
+            self.want_motion(Motion::Halt);
+        }
+        if view.drive_makes_setpoints() {
+            if self.runs(view) && view.report.moving {
+                self.brake(view.rules.profile.deceleration, view);
+            } else if self.motion.value != Motion::Hold {
+                self.want_motion(Motion::Hold);
+            }
+        } else if self.course.leads() && !self.course.stands() {
+            self.brake(view.rules.profile.deceleration, view);
+        }
+    }
+
+    pub(super) fn want_own_mode(&mut self) {
+        self.want_mode(Mode::Own);
+    }
+}

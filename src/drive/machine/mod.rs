@@ -1,0 +1,446 @@
+//! One drive machine for all protocols: what a command does to a drive, step by step. Commands go in, the desired state
+//! of the drive comes out.
+//!
+//! | file | what |
+//! |---|---|
+//! | `mod` | the machine: a command waits, its first request leaves, its end is seen |
+//! | `begin` | a new command |
+//! | `steps` | a command that is under way, with each report of the drive |
+//! | `motion` | moves, velocities and rows of drives that make their own setpoints |
+//! | `setpoint` | the setpoint of the next send, where the master makes it |
+//!
+//! [`propose`](Machine::propose) changes nothing but what it proposes: it may be called again, for the same send or for a
+//! later one. What it proposes becomes the state with [`commit`](Machine::commit), once the request has gone out. So a
+//! command that is replaced before it left has no effect. Reports of the drive change the state in
+//! [`observe`](Machine::observe): they are facts.
+//!
+//! Each end needs two things: the drive has accepted the request, as far as its wire can prove, and reports after that
+//! that it is done.
+
+mod begin;
+mod motion;
+mod setpoint;
+mod steps;
+
+use self::motion::Rolling;
+use self::setpoint::{Course, Turning};
+use super::planner::Point;
+use crate::axis::command::NativeOwner;
+use crate::axis::{AxisPlan, Command, Failure, Limits, Profile, Row, State as Cia402, Units};
+use crate::bus::desired::{
+    Capabilities, Desired, Evidence, Generator, Intent, Mode, Motion, Power, Quantity, Setpoint,
+};
+use crate::bus::{NumberedRow, Progress, Report, Slot};
+use crate::time::{Time, nanos};
+
+/// The machine of one drive.
+#[derive(Debug)]
+pub(super) struct Machine {
+    rules: Rules,
+    /// What the requests that went out have led to.
+    state: State,
+    /// The same with the request that is prepared.
+    proposed: State,
+    /// The command of which nothing has left yet.
+    waiting: Option<Waiting>,
+    progress: Progress,
+    /// The slot of the grid that was observed last.
+    now: Time,
+}
+
+/// What does not change.
+#[derive(Debug)]
+struct Rules {
+    can: Capabilities,
+    units: Units,
+    limits: Limits,
+    profile: Profile,
+    standstill: f64,
+    interval_ns: u64,
+    enable_timeout_ns: u64,
+    home_timeout_ns: u64,
+}
+
+/// A command before its first request.
+#[derive(Clone, Copy, Debug)]
+struct Waiting {
+    /// `None`: it has failed, and what it has replaced ends.
+    command: Option<Start>,
+    since: Time,
+}
+
+/// What a command asks of the machine.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Start {
+    /// To take the drive over as it is.
+    TakeOver,
+    Command(Command),
+}
+
+/// The state of a drive as the master wants it, and how far it is on its way there.
+#[derive(Clone, Debug)]
+struct State {
+    step: Step,
+    /// When the command began; a step that begins its time anew sets it again.
+    since: Time,
+    /// Reports in a row that show the end of the step.
+    agree: u8,
+    power: Intent<Power>,
+    mode: Intent<Mode>,
+    motion: Intent<Motion>,
+    serial: u64,
+    /// It was found running in a mode that is not that of its setpoint: that is unchanged until standstill.
+    found_otherwise: bool,
+    /// The number of the last row of the application that was sent.
+    row: u64,
+    setpoint: Setpoint,
+    course: Course,
+    /// Sends since the step began.
+    sent: u32,
+}
+
+/// The step of a command.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Step {
+    Idle,
+    /// From state to state into operation, each seen; it falls back to this.
+    Enabling {
+        rest: Power,
+    },
+    /// Out of operation, or off.
+    Falling,
+    /// Homing: until standstill ...
+    HomeWaiting,
+    /// ... until the drive is in the mode ...
+    HomeMode,
+    /// ... until it reports that it has found home ...
+    Homing,
+    /// ... until standstill ...
+    HomeStopping(Result<(), Failure>),
+    /// ... until it is back in its own mode, and its reference was read.
+    HomeLeaving(Result<(), Failure>),
+    /// A fault that cannot be acknowledged yet.
+    ResetWaiting,
+    /// Without the reset, so that it has an edge.
+    ResetLow,
+    Resetting,
+    ResetDone,
+    /// To a target, if it has one.
+    Moving(Option<f64>),
+    /// A velocity as a target of the drive that rolls ahead.
+    Rolling(Rolling),
+    /// At a velocity or a torque of the master, towards a position limit if there is one ahead.
+    Turning(Turning),
+    /// A position limit is near: it stops before it.
+    Limited(f64),
+    FollowWaiting,
+    Following,
+    /// The last row has been sent, and rows at standstill follow it; so many of all these were accepted.
+    FollowEnding {
+        taken: u32,
+        last: Row,
+    },
+    /// Along a ramp, to standstill.
+    Stopping,
+    /// Halted until standstill ...
+    Halting,
+    /// ... then released, and still there.
+    Released,
+    /// It moves without a setpoint: it stands only while it is halted.
+    Halted,
+    Native(NativeOwner),
+}
+
+/// What the machine works with.
+#[derive(Clone, Copy)]
+struct View<'a> {
+    rules: &'a Rules,
+    /// The slot of the grid: of the next send, or of the one whose answer came.
+    now: Time,
+    report: &'a Report,
+    evidence: &'a Evidence,
+    /// The velocity and the torque that the application wants, and its next row.
+    velocity: f64,
+    torque: f64,
+    row: Option<NumberedRow>,
+}
+
+impl<'a> View<'a> {
+    fn of(rules: &'a Rules, now: Time, slot: &'a Slot) -> View<'a> {
+        View {
+            rules,
+            now,
+            report: &slot.report,
+            evidence: &slot.evidence,
+            velocity: slot.velocity,
+            torque: slot.torque,
+            row: slot.row,
+        }
+    }
+
+    fn drive_makes_setpoints(&self) -> bool {
+        matches!(self.rules.can.generator, Generator::Drive { .. })
+    }
+
+    fn quantity(&self) -> Option<Quantity> {
+        match self.rules.can.generator {
+            Generator::Master(quantity) => Some(quantity),
+            Generator::Drive { .. } => None,
+        }
+    }
+
+    /// It reports that it is in operation, and what is written counts there.
+    fn operates(&self) -> bool {
+        self.evidence.outputs_count && self.report.state == Cia402::OperationEnabled
+    }
+
+    fn failed(&self) -> Failure {
+        Failure::DriveFault(self.report.fault)
+    }
+
+    /// On a rotary axis, the place of `position` that is nearest to `from`.
+    fn near(&self, from: f64, position: f64) -> f64 {
+        match self.rules.units.modulo {
+            Some(_) => from + self.rules.units.way(from, position),
+            None => position,
+        }
+    }
+}
+
+impl Machine {
+    pub(super) fn new(axis: &AxisPlan, can: Capabilities, period_ns: u64) -> Machine {
+        let rules = Rules {
+            can,
+            units: axis.units,
+            limits: axis.limits,
+            profile: axis.profile,
+            standstill: axis.stop.standstill,
+            interval_ns: period_ns.saturating_mul(axis.divisor.into()),
+            enable_timeout_ns: nanos(axis.enable_timeout),
+            home_timeout_ns: nanos(axis.home_timeout),
+        };
+        let state = State {
+            step: Step::Idle,
+            since: Time(0),
+            agree: 0,
+            power: Intent::default(),
+            mode: Intent::default(),
+            motion: Intent::default(),
+            serial: 0,
+            found_otherwise: false,
+            row: 0,
+            setpoint: Setpoint::default(),
+            course: Course::new(&rules.can),
+            sent: 0,
+        };
+        Machine {
+            rules,
+            proposed: state.clone(),
+            state,
+            waiting: None,
+            progress: Progress::default(),
+            now: Time(0),
+        }
+    }
+
+    /// A new command, in place of the one before; `None`: to take the drive over as it is.
+    pub(super) fn start(&mut self, serial: u64, command: Option<Command>) {
+        let (now, start) = (self.now, command.map_or(Start::TakeOver, Start::Command));
+        self.waiting = Some(Waiting { command: Some(start), since: now });
+        self.progress = Progress { serial, end: None };
+    }
+
+    /// How far the newest command is.
+    pub(super) fn progress(&self) -> Progress {
+        self.progress
+    }
+
+    /// Writes what is desired of the drive with the send in slot `grid`.
+    pub(super) fn propose(&mut self, grid: Time, slot: &mut Slot) {
+        self.proposed.clone_from(&self.state);
+        let view = View::of(&self.rules, grid, slot);
+        if let Some(waiting) = &mut self.waiting {
+            let end = match waiting.command {
+                Some(start) => self.proposed.begin(start, waiting.since, &view),
+                None => {
+                    self.proposed.wind_down(&view);
+                    None
+                }
+            };
+            if let Some(end) = end {
+                self.progress.end = self.progress.end.or(Some(end));
+                if end.is_err() {
+                    waiting.command = None;
+                }
+            }
+        }
+        self.proposed.lead(&view);
+        slot.desired = self.proposed.desired();
+    }
+
+    /// The proposed request has gone out in this slot of the grid.
+    pub(super) fn commit(&mut self, grid: Time) {
+        self.waiting = None;
+        std::mem::swap(&mut self.state, &mut self.proposed);
+        self.state.sent(grid);
+    }
+
+    /// The reports of a cycle.
+    pub(super) fn observe(&mut self, now: Time, restarted: bool, slot: &Slot) {
+        self.now = now;
+        let view = View::of(&self.rules, now, slot);
+        let end = match &self.waiting {
+            _ if restarted => self.state.drive_restarted(&view),
+            // What it replaces has ended for the application.
+            Some(Waiting { command: Some(start), since }) => {
+                let late = now.since(*since) > self.rules.enable_timeout_ns && start.has_a_time_limit();
+                late.then_some(Err(Failure::TimedOut(slot.report.state)))
+            }
+            Some(Waiting { command: None, .. }) => None,
+            None => self.state.go_on(&view),
+        };
+        if let Some(end) = end
+            && self.progress.end.is_none()
+        {
+            self.progress.end = Some(end);
+            if let Some(waiting) = &mut self.waiting {
+                waiting.command = None;
+            }
+        }
+    }
+}
+
+impl Start {
+    /// It fails if no request with it leaves in time. A stop waits for as long as it takes.
+    fn has_a_time_limit(self) -> bool {
+        matches!(
+            self,
+            Start::Command(Command::Enable | Command::Disable | Command::Home | Command::ResetFault)
+        )
+    }
+}
+
+impl State {
+    fn desired(&self) -> Desired {
+        Desired { power: self.power, mode: self.mode, motion: self.motion, setpoint: self.setpoint }
+    }
+
+    /// Something is written.
+    fn writes(&self) -> bool {
+        self.power.serial > 0
+    }
+
+    fn sent(&mut self, grid: Time) {
+        self.sent = self.sent.saturating_add(1);
+        self.course.sent(grid);
+    }
+
+    fn next_serial(&mut self) -> u64 {
+        self.serial += 1;
+        self.serial
+    }
+
+    fn want_power(&mut self, value: Power) {
+        if self.power.value != value || self.power.serial == 0 {
+            self.power = Intent { serial: self.next_serial(), value };
+        }
+    }
+
+    fn want_mode(&mut self, value: Mode) {
+        if self.mode.value != value {
+            self.mode = Intent { serial: self.next_serial(), value };
+        }
+    }
+
+    /// A motion is a new one, even if it looks like the one before.
+    fn want_motion(&mut self, value: Motion) {
+        if value != Motion::Hold || self.motion.value != Motion::Hold {
+            self.motion = Intent { serial: self.next_serial(), value };
+        }
+    }
+
+    /// Its time goes on.
+    fn enter(&mut self, step: Step) {
+        (self.step, self.agree, self.sent) = (step, 0, 0);
+    }
+
+    /// Its time begins.
+    fn begin_step(&mut self, now: Time, step: Step) {
+        self.since = now;
+        self.enter(step);
+    }
+
+    /// The command is over, and so is its motion: what the drive does from now on is no part of it.
+    fn done(&mut self) -> Option<Result<(), Failure>> {
+        self.want_motion(Motion::Hold);
+        self.enter(Step::Idle);
+        Some(Ok(()))
+    }
+
+    /// The command is over. A motion that has failed for the application must not run once the drive can accept it.
+    fn fail(&mut self, failure: Failure) -> Option<Result<(), Failure>> {
+        self.want_motion(Motion::Hold);
+        self.enter(Step::Idle);
+        Some(Err(failure))
+    }
+
+    /// The drive has the newest power and motion.
+    fn is_accepted(&self, view: &View) -> bool {
+        self.has_power(view) && view.evidence.accepted.motion >= self.motion.serial
+    }
+
+    fn has_power(&self, view: &View) -> bool {
+        view.report.fresh && !view.report.suspect && view.evidence.accepted.power >= self.power.serial
+    }
+
+    /// So many reports in a row show it, this one included.
+    fn agrees(&mut self, shown: bool, reports: u8, view: &View) -> bool {
+        if !view.report.fresh || view.report.suspect {
+            return false;
+        }
+        self.agree = if shown { self.agree.saturating_add(1) } else { 0 };
+        self.agree >= reports
+    }
+
+    /// Off, and neutral.
+    fn set(&mut self, power: Power) {
+        self.want_power(power);
+        self.want_motion(Motion::Hold);
+        self.course.end();
+        self.found_otherwise = false;
+    }
+
+    /// The drive has left operation, or is to: it stops, if it still moves, and does not come back by itself.
+    fn let_go(&mut self, view: &View) {
+        let off = !view.report.state.is_powered() && view.evidence.outputs_count;
+        self.set(if off { Power::Off } else { Power::QuickStop });
+    }
+
+    /// In operation, at this place.
+    fn hold(&mut self, position: f64) {
+        self.run_from(Point { position, velocity: 0.0 });
+    }
+
+    fn run_from(&mut self, point: Point) {
+        self.want_power(Power::EnableOperation);
+        self.want_motion(Motion::Hold);
+        self.course.begin_at(point);
+    }
+
+    /// The drive has lost its commands: no earlier value is written again.
+    fn drive_restarted(&mut self, view: &View) -> Option<Result<(), Failure>> {
+        if self.writes() {
+            self.set(Power::Off);
+        }
+        match self.step {
+            // What they wait for comes all the same.
+            Step::Idle
+            | Step::Falling
+            | Step::ResetWaiting
+            | Step::ResetLow
+            | Step::Resetting
+            | Step::ResetDone => None,
+            _ => self.fail(Failure::Dropped(view.report.state)),
+        }
+    }
+}

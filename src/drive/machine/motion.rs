@@ -1,0 +1,201 @@
+//! Drives that make their own setpoints: moves, a velocity as a target that rolls ahead, and rows that are streamed.
+
+use super::{State, Step, View};
+use crate::axis::{Failure, Profile, RangeError, Row};
+use crate::bus::desired::{Generator, Motion, Ranges, Setpoint};
+
+type End = Option<Result<(), Failure>>;
+
+/// A stream ends with at least so many rows at standstill that the drive has accepted: its output runs 1.5 of its
+/// periods behind, and a position that it has not reached when it leaves streaming is never reached ...
+const LAST_ROWS: u32 = 3;
+/// ... and with at most so many, if its demand is never reported to have arrived.
+const MOST_LAST_ROWS: u32 = 50;
+/// The next target of a velocity is sent when so much of its leash is left.
+const LEASH_LEFT: f64 = 0.75;
+
+/// A velocity as a target that rolls ahead of the axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Rolling {
+    /// Signed, user units/s; 0 = braking, or at standstill.
+    velocity: f64,
+    acceleration: f64,
+    leash: f64,
+    /// The last target sent, user units.
+    target: f64,
+    /// The target is the position limit: it rolls no further.
+    at_limit: bool,
+}
+
+impl State {
+    pub(super) fn move_by_drive(&mut self, position: f64, profile: &Profile, step: Step, view: &View) -> End {
+        let deceleration = self.braking_by_drive(profile.deceleration, view);
+        let profile = Profile { deceleration, ..*profile };
+        if let Err(range) = view.rules.can.ranges.check(position - self.origin(view), &profile) {
+            return self.refuse(range.into(), view);
+        }
+        self.want_motion(Motion::Move { position, profile });
+        self.begin_step(view.now, step);
+        None
+    }
+
+    /// Positions on the wire are counted from here: the count of a rotary axis wraps around, in the drive as in the
+    /// master, so that a target is at most half of its range away from the demand.
+    fn origin(&self, view: &View) -> f64 {
+        if view.rules.units.modulo.is_some() { view.evidence.demand } else { view.rules.units.offset }
+    }
+
+    pub(super) fn brake_by_drive(&mut self, deceleration: f64, view: &View) {
+        let least = view.rules.can.ranges.acceleration.0;
+        let deceleration = self.braking_by_drive(deceleration, view).max(least);
+        self.want_motion(Motion::Ramp {
+            deceleration: deceleration.min(view.rules.can.ranges.acceleration.1),
+        });
+    }
+
+    /// The requested deceleration, or the one needed to brake within the limits from where the axis will be at the next
+    /// send: the deceleration of a motion that replaces a fast one may be too weak for the remaining way. Never more
+    /// than the limit of acceleration, or than the axis' own profile if there is no limit.
+    fn braking_by_drive(&self, requested: f64, view: &View) -> f64 {
+        let velocity = view.evidence.demand_velocity;
+        let Some((low, high)) = view.rules.limits.position else { return requested };
+        // Standstill at the very end is no reason to brake, and before homing positions mean nothing.
+        if velocity == 0.0 || !view.report.homed {
+            return requested;
+        }
+        let demand = view.evidence.demand;
+        let room = if velocity > 0.0 { high - demand } else { demand - low };
+        // Twice the way until then: the telegram may have to be repeated.
+        let left = room - 2.0 * velocity.abs() * view.now.since(view.report.at) as f64 * 1e-9;
+        let most = view.rules.limits.acceleration.unwrap_or(view.rules.profile.deceleration);
+        let needed = if left > 0.0 { velocity * velocity / (2.0 * left) } else { most };
+        requested.max(needed.min(most))
+    }
+
+    pub(super) fn begin_rolling(&mut self, acceleration: f64, view: &View) -> End {
+        let Generator::Drive { leash } = view.rules.can.generator else { return None };
+        let leash = leash.unwrap_or_default();
+        self.roll_on(
+            Rolling { velocity: view.velocity, acceleration, leash, target: 0.0, at_limit: false },
+            view,
+        )
+    }
+
+    pub(super) fn roll(&mut self, rolling: Rolling, view: &View) -> End {
+        if !self.is_accepted(view) {
+            return None;
+        }
+        let left = (rolling.target - view.evidence.demand).abs();
+        if view.velocity != rolling.velocity {
+            return self.roll_on(Rolling { velocity: view.velocity, ..rolling }, view);
+        }
+        if rolling.at_limit {
+            if self.agrees(!view.report.moving, view.rules.can.still_reports, view) {
+                let (low, high) = view.rules.limits.position.unwrap_or((rolling.target, rolling.target));
+                return self.fail(Failure::Limit { what: "position", value: rolling.target, low, high });
+            }
+        } else if rolling.velocity != 0.0 && left <= rolling.leash * LEASH_LEFT {
+            return self.roll_on(rolling, view);
+        }
+        None
+    }
+
+    /// The next target, a leash ahead of the demand; for velocity 0 a ramp.
+    fn roll_on(&mut self, mut rolling: Rolling, view: &View) -> End {
+        rolling.at_limit = false;
+        if rolling.velocity == 0.0 {
+            self.brake_by_drive(rolling.acceleration, view);
+            self.begin_step(view.now, Step::Rolling(rolling));
+            return None;
+        }
+        // Half of the leash is always ahead; the axis must be able to brake within it, or it would never reach that
+        // speed.
+        let most = (rolling.acceleration * rolling.leash).sqrt();
+        if rolling.velocity.abs() > most {
+            let (what, value) = ("velocity within the leash", rolling.velocity);
+            return self.refuse(Failure::Limit { what, value, low: -most, high: most }, view);
+        }
+        let demand = view.evidence.demand;
+        rolling.target = demand + rolling.leash.copysign(rolling.velocity);
+        if let Some((low, high)) = view.rules.limits.position {
+            // Only the limit ahead ends the motion: from outside the range it leads back in.
+            let forward = rolling.velocity > 0.0;
+            let (ahead, beyond) =
+                if forward { (high, rolling.target > high) } else { (low, rolling.target < low) };
+            if beyond && (ahead - demand) * rolling.velocity <= 0.0 {
+                return self
+                    .refuse(Failure::Limit { what: "position", value: rolling.target, low, high }, view);
+            }
+            rolling.at_limit = beyond;
+            rolling.target = if beyond { ahead } else { rolling.target };
+        }
+        let (velocity, acceleration) = (rolling.velocity.abs(), rolling.acceleration);
+        let profile = Profile { velocity, acceleration, deceleration: acceleration };
+        self.move_by_drive(rolling.target, &profile, Step::Rolling(rolling), view)
+    }
+
+    /// One row a send. A row that came before, in a slot that was passed over, is not counted twice.
+    pub(super) fn follow_by_drive(&mut self, view: &View) -> End {
+        let next = view.row?;
+        if next.number == self.row {
+            return None;
+        }
+        let row = Row { position: view.near(view.evidence.demand, next.row.position), ..next.row };
+        if let Err(range) = view.rules.can.ranges.check_row(row.position - self.origin(view), &row) {
+            return self.refuse(range.into(), view);
+        }
+        self.row = next.number;
+        self.stream(row);
+        if next.row.last {
+            self.enter(Step::FollowEnding { taken: 0, last: row });
+        } else if self.step != Step::Following {
+            self.enter(Step::Following);
+        }
+        None
+    }
+
+    fn stream(&mut self, row: Row) {
+        let Row { position, velocity, acceleration, .. } = row;
+        self.setpoint = Setpoint { position, velocity, acceleration, torque: 0.0, row: self.next_serial() };
+    }
+
+    /// The rows of the next send: those of the application, and at the end ones at standstill.
+    pub(super) fn lead_rows(&mut self, view: &View) -> End {
+        match self.step {
+            Step::FollowWaiting | Step::Following => self.follow_by_drive(view),
+            Step::FollowEnding { taken, last } if self.sent > 0 => {
+                let arrived = (view.evidence.demand - last.position).abs() <= view.rules.can.arrival;
+                if taken > LAST_ROWS && arrived || taken > MOST_LAST_ROWS {
+                    self.want_motion(Motion::EndStream);
+                    self.begin_step(view.now, Step::Moving(None));
+                    return None;
+                }
+                // The last row was in range, so is this one.
+                self.stream(Row { velocity: 0.0, acceleration: 0.0, ..last });
+                self.enter(Step::FollowEnding { taken, last });
+                None
+            }
+            _ => None,
+        }
+    }
+}
+
+impl Ranges {
+    fn check(&self, position: f64, profile: &Profile) -> Result<(), RangeError> {
+        within(position, self.position, "units")?;
+        within(profile.velocity, self.velocity, "units/s")?;
+        within(profile.acceleration, self.acceleration, "units/s2")?;
+        within(profile.deceleration, self.acceleration, "units/s2")
+    }
+
+    fn check_row(&self, position: f64, row: &Row) -> Result<(), RangeError> {
+        within(position, self.position, "units")?;
+        within(row.velocity.abs(), (0.0, self.velocity.1), "units/s")?;
+        within(row.acceleration.abs(), (0.0, self.acceleration.1), "units/s2")
+    }
+}
+
+/// Written so that no number is not inside.
+fn within(value: f64, (low, high): (f64, f64), unit: &'static str) -> Result<(), RangeError> {
+    if value >= low && value <= high { Ok(()) } else { Err(RangeError { value, unit, low, high }) }
+}

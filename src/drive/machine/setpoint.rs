@@ -1,0 +1,333 @@
+//! The setpoint of the next send, where the master makes it: a position, a velocity on its ramp, or a torque on its
+//! slope.
+//!
+//! A motion is planned from the last setpoint that was sent. While the drive does not follow setpoints they are neutral:
+//! no velocity, no torque, the actual position.
+//!
+//! No ramp of velocities brakes a drive that follows torques. A stop removes the torque along its slope, within 100 ms
+//! at most, and then halts the drive until standstill; a quick stop, and a command that is refused, halt it at once.
+//! Then it is free: without a torque, as after it was enabled. A drive that the halt does not brake coasts, until the
+//! axis' stop reaches its time-out.
+
+use super::{State, Step, View};
+use crate::axis::{Failure, Profile, Row};
+use crate::bus::desired::{Capabilities, Generator, ModeIs, Motion, Quantity, Setpoint};
+use crate::drive::planner::{Point, Trajectory};
+use crate::time::Time;
+
+type End = Option<Result<(), Failure>>;
+
+/// The most that a setpoint catches up, in intervals between two exchanges: a position must not jump.
+const MOST_STEP: u64 = 2;
+/// The longest time in which a torque is removed, s, however flat its slope: meanwhile nothing brakes.
+const RELEASE_S: f64 = 0.1;
+/// A position limit is checked so many intervals ahead of the braking distance.
+const AHEAD: f64 = 3.0;
+
+/// The setpoint over time.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Course {
+    /// The master makes the setpoints.
+    is_used: bool,
+    /// The setpoint follows `motion`; otherwise it is neutral.
+    leads: bool,
+    /// The drive is, or was, in another mode than that of its setpoint.
+    away: bool,
+    motion: Trajectory,
+    /// How much of the motion was sent, and the point there.
+    passed_ns: u64,
+    demand: Point,
+    /// The same with the next send.
+    next_ns: u64,
+    next: Point,
+    sent_at: Option<Time>,
+}
+
+/// At a velocity or a torque.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Turning {
+    /// Of the velocity; the slope of a torque.
+    acceleration: f64,
+    /// The planned velocity or torque; NaN: none yet.
+    velocity: f64,
+    /// The position limit in its direction.
+    limit: Option<f64>,
+}
+
+impl Course {
+    pub(super) fn new(can: &Capabilities) -> Course {
+        Course {
+            is_used: matches!(can.generator, Generator::Master(_)),
+            leads: false,
+            away: false,
+            motion: Trajectory::on(Point::default()),
+            passed_ns: 0,
+            demand: Point::default(),
+            next_ns: 0,
+            next: Point::default(),
+            sent_at: None,
+        }
+    }
+
+    pub(super) fn leads(&self) -> bool {
+        self.leads
+    }
+
+    /// The setpoint ends in a standstill that was sent; so does one that leads nothing.
+    pub(super) fn stands(&self) -> bool {
+        !self.leads || self.motion.is_over(self.passed_ns) && self.motion.last_velocity() == 0.0
+    }
+
+    /// The last setpoint that was sent.
+    pub(super) fn demand_position(&self) -> f64 {
+        self.demand.position
+    }
+
+    pub(super) fn end(&mut self) {
+        (self.leads, self.away) = (false, false);
+    }
+
+    /// From this point on at its velocity.
+    pub(super) fn begin_at(&mut self, point: Point) {
+        (self.leads, self.demand) = (self.is_used, point);
+        self.plan(Trajectory::on(point));
+    }
+
+    pub(super) fn sent(&mut self, grid: Time) {
+        (self.passed_ns, self.demand, self.sent_at) = (self.next_ns, self.next, Some(grid));
+    }
+
+    /// Starts a motion after the setpoints that were sent.
+    fn plan(&mut self, motion: Trajectory) {
+        (self.motion, self.passed_ns) = (motion, 0);
+    }
+
+    /// Starts a motion to this velocity, then constant.
+    fn run(&mut self, velocity: f64, acceleration: f64) {
+        self.motion.become_run(self.demand, velocity, acceleration);
+        self.passed_ns = 0;
+    }
+
+    pub(super) fn go_to(&mut self, target: f64, profile: &Profile, view: &View) {
+        let down = self.braking(profile.deceleration, view);
+        self.plan(Trajectory::go_to(self.demand, target, profile.velocity, profile.acceleration, down));
+    }
+
+    /// What the setpoint does while the drive halts.
+    pub(super) fn halt(&mut self, most: f64, view: &View) {
+        let own = view.evidence.mode == ModeIs::Own;
+        match view.quantity() {
+            // In another mode its setpoint has no effect.
+            Some(Quantity::Position) if own => self.run(0.0, self.braking(most, view)),
+            // The drive's own ramp acts below it.
+            _ => self.plan(Trajectory::on(Point { velocity: 0.0, ..self.demand })),
+        }
+    }
+
+    /// The requested deceleration, or the one needed to stop within the limits: the deceleration of a motion that
+    /// replaces a fast one may be too weak for the remaining way. Never more than the limit of acceleration, or than
+    /// the axis' own profile if there is no limit.
+    fn braking(&self, requested: f64, view: &View) -> f64 {
+        let Some((low, high)) =
+            view.rules.limits.position.filter(|_| view.quantity() == Some(Quantity::Position))
+        else {
+            return requested;
+        };
+        let Point { position, velocity } = self.demand;
+        if velocity == 0.0 {
+            return requested;
+        }
+        let room = if velocity > 0.0 { high - position } else { position - low };
+        let most = view.rules.limits.acceleration.unwrap_or(view.rules.profile.deceleration);
+        let needed = if room > 0.0 { velocity * velocity / (2.0 * room) } else { most };
+        requested.max(needed.min(most))
+    }
+
+    /// In another mode no setpoint counts: it is neutral there, and so is the first one after it.
+    fn watch_mode(&mut self, view: &View) {
+        if view.evidence.mode != ModeIs::Own {
+            self.away = true;
+        } else if self.away {
+            self.away = false;
+            self.begin_at(Point { position: view.evidence.position, velocity: 0.0 });
+        }
+    }
+}
+
+impl State {
+    /// Where the setpoint is.
+    pub(super) fn demand(&self, view: &View) -> f64 {
+        if view.drive_makes_setpoints() { view.evidence.demand } else { self.course.demand.position }
+    }
+
+    /// Chooses the setpoint of the next send.
+    pub(super) fn lead(&mut self, view: &View) -> End {
+        let Some(quantity) = view.quantity() else { return self.lead_rows(view) };
+        let end = self.advance(view);
+        let Point { position, velocity } = self.course.next;
+        let torque = quantity == Quantity::Torque;
+        self.setpoint = Setpoint {
+            position,
+            velocity: if torque { 0.0 } else { velocity },
+            torque: if torque { velocity } else { 0.0 },
+            ..self.setpoint
+        };
+        end
+    }
+
+    /// Advances the setpoint by the time since the last send.
+    fn advance(&mut self, view: &View) -> End {
+        if self.course.leads {
+            self.course.watch_mode(view);
+        }
+        if !self.course.leads || self.course.away {
+            self.course.next = Point { position: view.evidence.position, velocity: 0.0 };
+            self.course.next_ns = 0;
+            return None;
+        }
+        let end = match self.step {
+            Step::Turning(turning) => self.turn_on(turning, view),
+            Step::FollowWaiting | Step::Following | Step::FollowEnding { .. } => self.follow(view),
+            _ => None,
+        };
+        if matches!(self.step, Step::Following | Step::FollowEnding { .. }) {
+            return end;
+        }
+        let course = &mut self.course;
+        let waited = course.sent_at.map_or(view.rules.interval_ns, |sent_at| view.now.since(sent_at));
+        // Nothing delays the stop of a velocity or torque; a position must not jump.
+        let stops = matches!(self.step, Step::Stopping | Step::Limited(_));
+        let most = match view.quantity() {
+            Some(Quantity::Velocity | Quantity::Torque) if stops => u64::MAX,
+            _ => view.rules.interval_ns.saturating_mul(MOST_STEP),
+        };
+        course.next_ns = course.passed_ns.saturating_add(waited.min(most));
+        course.next = course.motion.at(course.next_ns);
+        end
+    }
+
+    /// Along a ramp to a standstill, or to no torque.
+    pub(super) fn brake(&mut self, deceleration: f64, view: &View) {
+        if view.drive_makes_setpoints() {
+            return self.brake_by_drive(deceleration, view);
+        }
+        let deceleration = match view.quantity() {
+            Some(Quantity::Torque) => {
+                let slope = match self.step {
+                    Step::Turning(turning) => turning.acceleration,
+                    _ => f64::INFINITY,
+                };
+                slope.max(self.course.demand.velocity.abs() / RELEASE_S)
+            }
+            _ => self.course.braking(deceleration, view),
+        };
+        self.want_motion(Motion::Hold);
+        self.course.run(0.0, deceleration);
+    }
+
+    pub(super) fn begin_turning(&mut self, acceleration: f64, view: &View) -> End {
+        let turning = Turning { acceleration, velocity: f64::NAN, limit: None };
+        self.want_motion(Motion::Hold);
+        self.begin_step(view.now, Step::Turning(turning));
+        self.turn_on(turning, view)
+    }
+
+    /// Plans the requested velocity or torque, if it changed, up to a position limit.
+    fn turn_on(&mut self, turning: Turning, view: &View) -> End {
+        let quantity = view.quantity();
+        let (wanted, most) = match quantity {
+            Some(Quantity::Torque) => (view.torque, view.rules.limits.torque),
+            _ => (view.velocity, view.rules.limits.velocity),
+        };
+        let most = most.unwrap_or(f64::INFINITY);
+        let velocity = wanted.clamp(-most, most);
+        if velocity == turning.velocity {
+            return self.watch_limit(turning, view);
+        }
+        if !velocity.is_finite() {
+            return self.refuse(Failure::NotFinite, view);
+        }
+        let up = turning.acceleration;
+        let braking = self.course.braking(up, view);
+        let range =
+            view.rules.limits.position.filter(|_| quantity == Some(Quantity::Position) && velocity != 0.0);
+        let Some((low, high)) = range else {
+            self.course.run(velocity, braking);
+            let turning = Turning { velocity, limit: None, ..turning };
+            self.step = Step::Turning(turning);
+            return self.watch_limit(turning, view);
+        };
+        let limit = if velocity > 0.0 { high } else { low };
+        let position = self.course.demand.position;
+        if (limit - position) * velocity <= 0.0 {
+            return self.refuse(Failure::Limit { what: "position", value: position, low, high }, view);
+        }
+        self.course.plan(Trajectory::go_to(self.course.demand, limit, velocity.abs(), up, braking));
+        self.step = Step::Turning(Turning { velocity, limit: Some(limit), ..turning });
+        None
+    }
+
+    /// A jog that comes to its limit ends there.
+    fn watch_limit(&mut self, turning: Turning, view: &View) -> End {
+        match (view.quantity(), turning.limit) {
+            (Some(Quantity::Position), Some(limit)) if self.course.stands() => {
+                self.enter(Step::Limited(limit))
+            }
+            (Some(Quantity::Velocity), _) => return self.watch_velocity(turning, view),
+            _ => {}
+        }
+        None
+    }
+
+    /// The same where only velocities are commanded: by the position of the axis, once it is known.
+    fn watch_velocity(&mut self, turning: Turning, view: &View) -> End {
+        let (low, high) = view.rules.limits.position.filter(|_| view.report.homed)?;
+        let from = self.course.demand;
+        let velocity = if from.velocity == 0.0 { turning.velocity } else { from.velocity };
+        if velocity == 0.0 {
+            return None;
+        }
+        let limit = if velocity > 0.0 { high } else { low };
+        let reaction = AHEAD * view.rules.interval_ns as f64 * 1e-9;
+        let position = view.evidence.position;
+        let room = (limit - position) * velocity.signum() - velocity.abs() * reaction;
+        if room > 0.0 && 2.0 * turning.acceleration * room > velocity * velocity {
+            return None;
+        }
+        if from.velocity == 0.0 {
+            return self.refuse(Failure::Limit { what: "position", value: position, low, high }, view);
+        }
+        self.course.plan(Trajectory::run(Point { position, ..from }, 0.0, turning.acceleration));
+        self.enter(Step::Limited(limit));
+        None
+    }
+
+    /// One row a send. A row that came before, in a slot that was passed over, is not counted twice.
+    pub(super) fn follow(&mut self, view: &View) -> End {
+        if view.drive_makes_setpoints() {
+            return self.follow_by_drive(view);
+        }
+        let next = view.row?;
+        if next.number == self.row {
+            if self.sent > 0 {
+                self.course.next.velocity = 0.0;
+            }
+            return None;
+        }
+        let from = self.course.demand.position;
+        let position = view.near(from, next.row.position);
+        if !position.is_finite() {
+            return self.refuse(Failure::NotFinite, view);
+        }
+        let velocity = (position - from) * 1e9 / view.rules.interval_ns.max(1) as f64;
+        (self.course.next, self.course.next_ns) = (Point { position, velocity }, 0);
+        (self.row, self.setpoint.row) = (next.number, self.next_serial());
+        if next.row.last {
+            let last = Row { position, ..next.row };
+            self.enter(Step::FollowEnding { taken: 0, last });
+        } else if self.step != Step::Following {
+            self.enter(Step::Following);
+        }
+        None
+    }
+}

@@ -1,0 +1,398 @@
+//! A command that is under way: what each report of the drive means for it.
+
+use super::begin::OTHER_MODE;
+use super::{State, Step, View};
+use crate::axis::command::NativeOwner;
+use crate::axis::{Command, Failure, Row, State as Cia402};
+use crate::bus::desired::{Homing, Mode, ModeIs, Motion, Power, Quantity, Reference, Resettable};
+use crate::drive::power::towards_operation;
+use crate::time::MS;
+
+type End = Option<Result<(), Failure>>;
+
+/// A drive that fails again so soon after a reset, ns, looks like one whose reset has failed.
+const RESET_WITHIN_NS: u64 = 500 * MS;
+/// A drive that is still in operation, in motion, after so many sends of a halt ...
+const HALT_WITHIN: u32 = 5;
+/// ... and so long, ns, does not obey it. Its status may be some ms old (LinUDP sheet, 3.5).
+const HALT_WITHIN_NS: u64 = 20 * MS;
+
+const HOME_FAILED: Failure = Failure::Unsupported(
+    "it reports a homing error: look at its method 6098h, its switches, and its homing velocities 6099h",
+);
+
+impl State {
+    /// Goes on with the command by the present report; how it has ended.
+    pub(super) fn go_on(&mut self, view: &View) -> End {
+        match self.step {
+            Step::Idle => {
+                let fell = self.power.value == Power::EnableOperation && !self.is_in_operation(view);
+                if fell && self.has_power(view) {
+                    // It fell out of operation: it does not return by itself.
+                    self.let_go(view);
+                }
+                None
+            }
+            // Where the application owns the control word, the drive's state is the application's concern.
+            Step::Native(NativeOwner::Application) => None,
+            Step::Enabling { rest } => self.enabling(rest, view),
+            Step::Falling => self.falling(view),
+            Step::HomeWaiting
+            | Step::HomeMode
+            | Step::Homing
+            | Step::HomeStopping(_)
+            | Step::HomeLeaving(_) => self.homing(view),
+            Step::ResetWaiting | Step::ResetLow | Step::Resetting | Step::ResetDone => self.resetting(view),
+            Step::Halting | Step::Released | Step::Halted => self.halting(view),
+            _ => self.moving(view),
+        }
+    }
+
+    /// It follows its motion, or its own quick stop.
+    fn is_in_operation(&self, view: &View) -> bool {
+        view.evidence.outputs_count
+            && matches!(view.report.state, Cia402::OperationEnabled | Cia402::QuickStopActive)
+    }
+
+    fn is_late(&self, view: &View, limit_ns: u64) -> bool {
+        view.now.since(self.since) > limit_ns
+    }
+
+    /// Ends the command as failed, and releases the drive.
+    fn give_up(&mut self, failure: Failure, view: &View) -> End {
+        self.let_go(view);
+        self.fail(failure)
+    }
+
+    fn enabling(&mut self, rest: Power, view: &View) -> End {
+        let (state, evidence) = (view.report.state, view.evidence);
+        if self.has_power(view) && evidence.outputs_count {
+            if evidence.fault.active {
+                return if evidence.fault.named { self.give_up(view.failed(), view) } else { None };
+            }
+            if view.report.inhibited {
+                self.set(rest);
+                return self.fail(Failure::Inhibited);
+            }
+            if let Some(obstacle) = evidence.obstacle {
+                self.set(rest);
+                return self.fail(obstacle);
+            }
+            let own = evidence.mode == ModeIs::Own && evidence.ready;
+            let there =
+                own && state == Cia402::OperationEnabled && self.power.value == Power::EnableOperation;
+            if self.agrees(there, view.rules.can.power_reports, view) {
+                return self.done();
+            }
+            // No power in a mode that somebody else has left.
+            match towards_operation(state, self.power.value, &view.rules.can).filter(|_| own) {
+                Some(Power::EnableOperation) if state == Cia402::QuickStopActive => {
+                    if view.report.velocity.abs() <= view.rules.standstill {
+                        self.hold(evidence.position);
+                    }
+                }
+                Some(Power::EnableOperation) => self.hold(evidence.position),
+                Some(next) => self.set(next),
+                None => {}
+            }
+        }
+        if self.is_late(view, view.rules.enable_timeout_ns) {
+            self.set(rest);
+            return self.fail(Failure::TimedOut(state));
+        }
+        None
+    }
+
+    fn falling(&mut self, view: &View) -> End {
+        let state = view.report.state;
+        let there = match self.power.value {
+            Power::SwitchOn => !state.is_powered() || state == Cia402::SwitchedOn,
+            Power::QuickStop => !view.report.moving,
+            _ => !state.is_powered(),
+        };
+        if self.has_power(view) && self.agrees(there, view.rules.can.power_reports, view) {
+            return self.done();
+        }
+        if self.is_late(view, view.rules.enable_timeout_ns) {
+            return self.fail(Failure::TimedOut(state));
+        }
+        None
+    }
+
+    /// The drive leaves operation during a motion: the command ends with the reason, once that is known.
+    fn falls(&mut self, view: &View) -> Option<End> {
+        if !self.has_power(view) || self.is_in_operation(view) {
+            return None;
+        }
+        let fault = view.evidence.fault;
+        Some(match fault.active {
+            true if !fault.named => None,
+            true => self.give_up(view.failed(), view),
+            false => self.give_up(Failure::Dropped(view.report.state), view),
+        })
+    }
+
+    /// A step that needs the drive in operation.
+    fn moving(&mut self, view: &View) -> End {
+        if let Some(end) = self.falls(view) {
+            return end;
+        }
+        let follows = matches!(
+            self.step,
+            Step::Turning(_)
+                | Step::Moving(_)
+                | Step::FollowWaiting
+                | Step::Following
+                | Step::FollowEnding { .. }
+        );
+        // No setpoint has led it since the mode changed under it, and the end of that is not the end of its motion.
+        if follows && view.evidence.mode != ModeIs::Own {
+            return self.refuse(OTHER_MODE, view);
+        }
+        if !view.report.fresh || view.report.suspect {
+            return None;
+        }
+        let still = self.is_accepted(view) && !view.report.moving && self.course.stands();
+        let settled = self.agrees(still, view.rules.can.still_reports, view);
+        if let Some(failure) = view.evidence.refused {
+            return self.fail(failure);
+        }
+        match self.step {
+            Step::Moving(target) if settled => {
+                let demand = view.evidence.demand;
+                let near = |target: f64| (target - demand).abs() <= view.rules.can.arrival;
+                match target.is_none_or(near) {
+                    true => self.done(),
+                    false => self.fail(Failure::NotArrived),
+                }
+            }
+            Step::Stopping if self.is_free(view) && self.course.stands() => {
+                self.halt(view);
+                None
+            }
+            Step::Stopping if settled => self.done(),
+            Step::Limited(limit) if settled => {
+                let (low, high) = view.rules.limits.position.unwrap_or((limit, limit));
+                self.fail(Failure::Limit { what: "position", value: limit, low, high })
+            }
+            Step::Rolling(rolling) => self.roll(rolling, view),
+            Step::FollowEnding { taken, last } => self.end_rows(taken, last, view),
+            _ => None,
+        }
+    }
+
+    /// The last row has gone out.
+    fn end_rows(&mut self, taken: u32, last: Row, view: &View) -> End {
+        let has_it = self.sent > 0 && view.evidence.accepted.row >= self.setpoint.row;
+        if view.drive_makes_setpoints() {
+            // Rows at standstill follow, until it has taken enough of them.
+            self.step = Step::FollowEnding { taken: taken + u32::from(has_it), last };
+            return None;
+        }
+        if self.agrees(has_it && !view.report.moving, view.rules.can.still_reports, view) {
+            self.hold(self.course.demand_position());
+            return self.done();
+        }
+        None
+    }
+
+    /// It follows torques: without one nothing brakes it.
+    pub(super) fn is_free(&self, view: &View) -> bool {
+        view.quantity() == Some(Quantity::Torque) && self.course.leads()
+    }
+
+    fn halting(&mut self, view: &View) -> End {
+        if let Some(end) = self.falls(view) {
+            return end;
+        }
+        if !self.is_accepted(view) {
+            return None;
+        }
+        let (report, can) = (view.report, &view.rules.can);
+        let still = !report.moving && self.course.stands();
+        let settled = self.agrees(still, can.still_reports, view);
+        match self.step {
+            Step::Halting if !settled => self.disobeys(view),
+            // In the mode in which it was found it would go on without the halt.
+            Step::Halting if view.evidence.mode != ModeIs::Own => {
+                self.found_otherwise = false;
+                self.want_mode(Mode::Own);
+                None
+            }
+            Step::Halting => {
+                let free = self.is_free(view);
+                // It stays at standstill here, without the halt.
+                self.hold(view.evidence.position);
+                if free {
+                    return self.done();
+                }
+                self.begin_step(view.now, Step::Released);
+                None
+            }
+            Step::Released if report.inhibited => self.give_up(Failure::Inhibited, view),
+            Step::Released if report.state != Cia402::OperationEnabled => None,
+            Step::Released if report.moving && can.stands_ns > 0 => {
+                // A reference of its own moves it: it stands only while it is halted.
+                self.want_motion(Motion::Halt);
+                self.enter(Step::Idle);
+                Some(Err(Failure::StillMoves))
+            }
+            Step::Released if report.moving && view.drive_makes_setpoints() && view.evidence.ready => {
+                self.brake(view.rules.profile.deceleration, view);
+                self.begin_step(view.now, Step::Stopping);
+                None
+            }
+            Step::Released if settled && !self.stands_too_short(view) => self.done(),
+            Step::Halted if still || !report.state.is_powered() => self.done(),
+            _ => None,
+        }
+    }
+
+    fn stands_too_short(&self, view: &View) -> bool {
+        view.now.since(self.since) < view.rules.can.stands_ns
+    }
+
+    /// A drive that makes its own setpoints and does not halt: its settings keep it from that. The ramp is a motion, and
+    /// needs no such bit.
+    fn disobeys(&mut self, view: &View) -> End {
+        let there = view.drive_makes_setpoints() && view.operates() && view.evidence.ready;
+        if there && self.sent > HALT_WITHIN && self.is_late(view, HALT_WITHIN_NS) {
+            let own = view.rules.profile.deceleration;
+            self.want_motion(Motion::Hold);
+            self.brake(view.rules.limits.acceleration.unwrap_or(own), view);
+            self.begin_step(view.now, Step::Stopping);
+        }
+        None
+    }
+
+    fn homing(&mut self, view: &View) -> End {
+        if let Some(end) = self.falls(view) {
+            return end;
+        }
+        let (accepted, evidence) = (self.is_accepted(view), view.evidence);
+        match self.step {
+            Step::HomeWaiting if accepted && !self.course.leads() => {
+                return self.fail(Failure::WrongState(view.report.state));
+            }
+            Step::HomeWaiting if accepted && self.course.stands() => {
+                if !view.report.moving {
+                    self.end_halt(view);
+                    self.want_mode(Mode::Homing);
+                    self.enter(Step::HomeMode);
+                } else if self.is_free(view) && self.motion.value != Motion::Halt {
+                    self.want_motion(Motion::Halt);
+                }
+            }
+            Step::HomeMode => {
+                if let Some(obstacle) = evidence.obstacle {
+                    self.want_mode(Mode::Own);
+                    return self.fail(obstacle);
+                }
+                if evidence.mode == ModeIs::Homing {
+                    self.want_motion(Motion::Home);
+                    self.enter(Step::Homing);
+                }
+            }
+            Step::Homing if accepted => match evidence.homing {
+                Homing::Open => {}
+                Homing::Attained => self.leave_home(Ok(()), view),
+                Homing::Failed => self.leave_home(Err(HOME_FAILED), view),
+            },
+            Step::HomeStopping(end) if accepted && !view.report.moving => {
+                self.want_mode(Mode::Own);
+                self.enter(Step::HomeLeaving(end));
+            }
+            Step::HomeLeaving(end) => {
+                let own = evidence.mode == ModeIs::Own && evidence.ready && !view.report.moving;
+                let there = accepted && own && view.operates();
+                if self.agrees(there, view.rules.can.power_reports, view)
+                    && let Some(reference) = evidence.reference
+                {
+                    self.hold(evidence.position);
+                    self.enter(Step::Idle);
+                    // Attained, but begun anew before it was left.
+                    return Some(if reference == Reference::Lost { end.and(Err(HOME_FAILED)) } else { end });
+                }
+            }
+            _ => {}
+        }
+        if self.is_late(view, view.rules.home_timeout_ns) {
+            self.want_mode(Mode::Own);
+            self.hold(evidence.position);
+            return self.fail(Failure::TimedOut(view.report.state));
+        }
+        None
+    }
+
+    fn leave_home(&mut self, end: Result<(), Failure>, view: &View) {
+        self.want_motion(Motion::Hold);
+        self.enter(if view.drive_makes_setpoints() {
+            Step::HomeLeaving(end)
+        } else {
+            Step::HomeStopping(end)
+        });
+    }
+
+    fn resetting(&mut self, view: &View) -> End {
+        let fault = view.evidence.fault;
+        if self.has_power(view) {
+            match (self.step, fault.active) {
+                (Step::ResetWaiting, false) => {
+                    if self.agrees(true, view.rules.can.power_reports, view) {
+                        self.set(Power::Off);
+                        return self.done();
+                    }
+                }
+                (Step::ResetWaiting, true) => {
+                    self.agree = 0;
+                    match fault.resettable {
+                        _ if !fault.named => {}
+                        Resettable::Never(why) => return self.fail(why),
+                        Resettable::At(at) if view.now < at => {}
+                        Resettable::Now | Resettable::At(_) => {
+                            self.set(Power::Off);
+                            self.enter(Step::ResetLow);
+                        }
+                    }
+                }
+                (Step::ResetLow, _) => {
+                    self.want_power(Power::FaultReset);
+                    self.begin_step(view.now, Step::Resetting);
+                }
+                (Step::Resetting, false) => {
+                    self.set(Power::Off);
+                    self.enter(Step::ResetDone);
+                }
+                (Step::Resetting, true) if self.is_late(view, RESET_WITHIN_NS) => {
+                    self.set(Power::Off);
+                    return self.fail(view.failed());
+                }
+                (Step::ResetDone, true) if fault.named => return self.fail(view.failed()),
+                (Step::ResetDone, false) => {
+                    let off = !view.report.state.is_powered();
+                    if self.agrees(off, view.rules.can.power_reports, view) {
+                        return self.done();
+                    }
+                }
+                _ => {}
+            }
+        }
+        if self.is_late(view, view.rules.enable_timeout_ns) {
+            self.set(Power::Off);
+            let end = if fault.active && fault.named {
+                view.failed()
+            } else {
+                Failure::TimedOut(view.report.state)
+            };
+            return self.fail(end);
+        }
+        None
+    }
+}
+
+/// It needs nothing of the drive to begin.
+impl Command {
+    pub(super) fn needs_outputs(&self) -> bool {
+        !matches!(self, Command::Reset)
+    }
+}

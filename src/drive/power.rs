@@ -1,0 +1,28 @@
+//! The power states of CiA 402: the one transition to request next.
+
+use crate::axis::State;
+use crate::bus::desired::{Capabilities, Power};
+
+/// The next request on the way into operation of a drive in this state, which has taken the last one; `None`: it makes
+/// the next step by itself, or has none to make.
+pub fn towards_operation(state: State, wanted: Power, can: &Capabilities) -> Option<Power> {
+    match state {
+        State::ReadyToSwitchOn if can.switches_on_at_once => Some(Power::EnableOperation),
+        State::ReadyToSwitchOn => Some(Power::SwitchOn),
+        State::SwitchedOn => Some(Power::EnableOperation),
+        State::QuickStopActive if can.leaves_quick_stop => Some(Power::EnableOperation),
+        _ => None,
+    }
+    .filter(|next| *next != wanted)
+}
+
+/// The request that changes nothing of a drive in this state. It never switches on a drive that is off.
+pub fn as_found(state: State) -> Power {
+    match state {
+        State::OperationEnabled => Power::EnableOperation,
+        State::SwitchedOn => Power::SwitchOn,
+        State::QuickStopActive | State::FaultReactionActive => Power::QuickStop,
+        State::ReadyToSwitchOn => Power::Shutdown,
+        State::Unknown | State::NotReadyToSwitchOn | State::SwitchOnDisabled | State::Fault => Power::Off,
+    }
+}
