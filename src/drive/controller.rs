@@ -86,6 +86,8 @@ pub struct DriveController {
     held: Option<(CommandId, Time)>,
     /// How the exchange of this cycle was closed.
     closed: Option<Closed>,
+    /// The slot of the grid that was evaluated last.
+    grid: Time,
     /// The slot of the values in the feedback.
     fresh_at: u64,
     /// The drive was online at least once.
@@ -201,6 +203,7 @@ impl DriveController {
             commanded: false,
             held: None,
             closed: None,
+            grid: Time(0),
             fresh_at: 0,
             seen: false,
             just_stopped: false,
@@ -277,7 +280,7 @@ impl DriveController {
     pub fn judge(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) -> Reply {
         let mut rtt = None;
         let mut sent = None;
-        self.closed = None;
+        (self.closed, self.grid) = (None, cycle.grid);
         self.record.was_online = self.feedback.link == Link::Online;
         let reply = match slot.exchange {
             Exchange::Idle | Exchange::Missed => Reply::None,
@@ -789,7 +792,7 @@ impl DriveController {
         }
         slot.order = Order { serial: self.serial, verb };
         if let Some(machine) = &mut self.machine {
-            machine.start(self.serial, verb);
+            machine.start(self.grid, self.serial, verb);
         }
         slot.row = None;
         self.follow.held = false;

@@ -10,7 +10,11 @@ pub fn towards_operation(state: State, wanted: Power, can: &Capabilities) -> Opt
         State::ReadyToSwitchOn if can.switches_on_at_once => Some(Power::EnableOperation),
         State::ReadyToSwitchOn => Some(Power::SwitchOn),
         State::SwitchedOn => Some(Power::EnableOperation),
-        State::QuickStopActive if can.leaves_quick_stop => Some(Power::EnableOperation),
+        // One that the master has requested ends with the request.
+        State::QuickStopActive if can.leaves_quick_stop || wanted == Power::QuickStop => {
+            Some(Power::EnableOperation)
+        }
+        State::SwitchOnDisabled => Some(Power::Shutdown),
         _ => None,
     }
     .filter(|next| *next != wanted)

@@ -21,6 +21,8 @@ use crate::time::{Time, nanos};
 
 /// Powered and holding, out of operation.
 const HELD: ControlWord = ControlWord(ControlWord::ON.0 & !ControlWord::ENABLE_OPERATION);
+/// Halting: never /Freeze (it would run on) and never OFF3 (it ends in power off, and the load drops).
+const HALTED: ControlWord = ControlWord(ControlWord::ON.0 & !ControlWord::NO_ABORT);
 /// 1 um/s and 1e-5 m/s²: ten and a hundred times coarser than a count of 0.1 um.
 const VELOCITY: f64 = 0.1;
 const ACCELERATION: f64 = 0.01;
@@ -355,10 +357,10 @@ fn control(power: Power, motion: Motion) -> Option<ControlWord> {
         Power::Off | Power::Shutdown => ControlWord::BASE,
         Power::SwitchOn => HELD,
         Power::FaultReset => ControlWord::ACKNOWLEDGE,
-        Power::EnableOperation | Power::QuickStop => match motion {
+        Power::QuickStop => HALTED,
+        Power::EnableOperation => match motion {
             Motion::Home => ControlWord::HOME,
-            // Never /Freeze (it would run on) and never OFF3 (it ends in power off, and the load drops).
-            Motion::Halt => ControlWord(ControlWord::ON.0 & !ControlWord::NO_ABORT),
+            Motion::Halt => HALTED,
             _ => ControlWord::ON,
         },
     })

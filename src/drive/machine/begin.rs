@@ -114,7 +114,9 @@ impl State {
         match state {
             // What runs already is not switched off first.
             Cia402::OperationEnabled if on => self.operate(view),
-            Cia402::QuickStopActive if on && !can.leaves_quick_stop => {
+            Cia402::QuickStopActive
+                if on && !can.leaves_quick_stop && self.power.value != Power::QuickStop =>
+            {
                 return self.fail(Failure::WrongState(state));
             }
             Cia402::QuickStopActive if on => {}
@@ -155,7 +157,9 @@ impl State {
             // It may go on reporting that it is in operation for as long as its replies are lost.
             _ if self.was_switched_off() => return self.fall(now),
             _ if self.power.value != Power::EnableOperation || !self.can_brake(view) => {
-                // There is no setpoint, and nothing to brake with: power stays as it is.
+                // There is nothing to brake with: power stays as it is, and does not come on any more.
+                let on = self.power.value == Power::EnableOperation;
+                self.set(if on { as_found(view.report.state) } else { self.power.value });
                 return self.fall(now);
             }
             Step::Halted | Step::Halting => {}
@@ -178,8 +182,7 @@ impl State {
 
     /// The drive may be in motion with its power on.
     fn can_brake(&self, view: &View) -> bool {
-        !matches!(view.report.state, Cia402::SwitchedOn | Cia402::ReadyToSwitchOn | Cia402::SwitchOnDisabled)
-            || !view.evidence.outputs_count
+        view.report.state == Cia402::OperationEnabled || !view.evidence.outputs_count
     }
 
     /// As fast as the drive is configured for it, with its power on.

@@ -44,8 +44,6 @@ pub(super) struct Machine {
     /// The command of which nothing has left yet.
     waiting: Option<Waiting>,
     progress: Progress,
-    /// The slot of the grid that was observed last.
-    now: Time,
 }
 
 /// What does not change.
@@ -233,19 +231,12 @@ impl Machine {
             course: Course::new(&rules.can),
             sent: 0,
         };
-        Machine {
-            rules,
-            proposed: state.clone(),
-            state,
-            waiting: None,
-            progress: Progress::default(),
-            now: Time(0),
-        }
+        Machine { rules, proposed: state.clone(), state, waiting: None, progress: Progress::default() }
     }
 
     /// A new command, in place of the one before; `None`: to take the drive over as it is.
-    pub(super) fn start(&mut self, serial: u64, command: Option<Command>) {
-        let (now, start) = (self.now, command.map_or(Start::TakeOver, Start::Command));
+    pub(super) fn start(&mut self, now: Time, serial: u64, command: Option<Command>) {
+        let start = command.map_or(Start::TakeOver, Start::Command);
         self.waiting = Some(Waiting { command: Some(start), since: now });
         self.progress = Progress { serial, end: None };
     }
@@ -287,7 +278,6 @@ impl Machine {
 
     /// The reports of a cycle.
     pub(super) fn observe(&mut self, now: Time, restarted: bool, slot: &Slot) {
-        self.now = now;
         let view = View::of(&self.rules, now, slot);
         let end = match &self.waiting {
             _ if restarted => self.state.drive_restarted(&view),
