@@ -252,12 +252,14 @@ impl Machine {
         for (axis, watch) in self.watches.iter_mut().enumerate() {
             let Some(stream) = watch.stream.as_mut().filter(|_| watch.stopped.is_none()) else { continue };
             while !stream.starving && stream.pushed < stream.told + 4 {
-                self.b.sim.axis(axis).push_row(row(stream.next)).unwrap();
+                // Its drive interpolates by the velocity, too.
+                let row = Row { position: stream.next, velocity: stream.velocity, ..Row::default() };
+                self.b.sim.axis(axis).push_row(row).unwrap();
                 // Turning round early enough to be able to brake inside the range.
                 if stream.next + stream.step < 5.0 && stream.step < 0.0
                     || stream.next > 150.0 && stream.step > 0.0
                 {
-                    stream.step = -stream.step;
+                    (stream.step, stream.velocity) = (-stream.step, -stream.velocity);
                 }
                 (stream.next, stream.pushed) = (stream.next + stream.step, stream.pushed + 1);
             }
@@ -311,7 +313,11 @@ impl Machine {
                 None if feedback.fault != 0 => Some(Command::ResetFault),
                 None => {
                     assert!(!feedback.moving, "axis {axis} moves, and its latch is open: {feedback:?}");
-                    continue;
+                    if feedback.velocity.abs() <= self.b.drives[axis].axis.stop.standstill {
+                        continue;
+                    }
+                    // It runs out without power, and out of its range: with power on it would be stopped for that.
+                    None
                 }
             };
             clear = false;
@@ -388,8 +394,9 @@ impl Machine {
 
     fn stream(&mut self, axis: usize, from: f64, velocity: f64) {
         let step = velocity * (self.b.period_ns * self.divisor(axis)) as f64 * 1e-9;
-        self.watches[axis].stream =
-            Some(Stream { next: from, step, pushed: 0, starving: false, told: 0, told_at: 0, header: 0 });
+        let stream =
+            Stream { next: from, step, velocity, pushed: 0, starving: false, told: 0, told_at: 0, header: 0 };
+        self.watches[axis].stream = Some(stream);
         self.push_rows();
         self.post(axis, Command::Follow);
     }

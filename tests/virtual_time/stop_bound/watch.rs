@@ -64,6 +64,7 @@ pub struct Stopped {
 pub struct Stream {
     pub next: f64,
     pub step: f64,
+    pub velocity: f64,
     pub pushed: u32,
     /// No more of them.
     pub starving: bool,
