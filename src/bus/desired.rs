@@ -301,6 +301,15 @@ pub struct Ranges {
     pub acceleration: (f64, f64),
 }
 
+impl Ranges {
+    /// Those of a drive whose setpoints wrap around or saturate.
+    pub const UNLIMITED: Ranges = Ranges {
+        position: (f64::NEG_INFINITY, f64::INFINITY),
+        velocity: (0.0, f64::INFINITY),
+        acceleration: (0.0, f64::INFINITY),
+    };
+}
+
 impl Capabilities {
     /// Why this drive cannot do that, in any state.
     pub fn refuses(&self, command: &Command) -> Option<Failure> {

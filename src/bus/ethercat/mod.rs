@@ -12,7 +12,7 @@
 //! | `line` | bringing the slaves to OP, and the clock of the segment |
 //! | `slot` | the acyclic slot of a frame |
 //! | `service` | SDOs and emergencies of a slave |
-//! | `station`, `orders` | the master's view of one drive; the steps of an order |
+//! | `station`, `profile` | the master's view of one drive; what is desired as outputs, and what answers prove |
 //! | `start_up` | objects written to a drive before its process data run |
 //! | `other` | another master's frames on the segment |
 //! | `native` | native process data of drives, and of devices that are not drives |
@@ -31,9 +31,9 @@ mod bus;
 mod image;
 mod line;
 mod native;
-mod orders;
 mod other;
 mod plan;
+mod profile;
 mod service;
 mod slot;
 mod start_up;

@@ -63,7 +63,10 @@ impl State {
         self.set(power);
         if power == Power::EnableOperation {
             self.run_from(self.found(view));
-            self.found_otherwise = view.evidence.mode == ModeIs::Other;
+            if view.evidence.mode == ModeIs::Other {
+                // It moves in that mode, which is unchanged until standstill.
+                self.want_mode(Mode::AsIs);
+            }
         }
     }
 
@@ -209,6 +212,9 @@ impl State {
         self.end_halt(view);
         self.wind_down(view);
         self.want_motion(Motion::Native(owner));
+        if owner == NativeOwner::Application {
+            self.want_mode(Mode::AsIs);
+        }
         self.begin_step(view.now, Step::Native(owner));
         None
     }
@@ -282,9 +288,5 @@ impl State {
         } else if self.course.leads() && !self.course.stands() {
             self.brake(view.rules.profile.deceleration, view);
         }
-    }
-
-    pub(super) fn want_own_mode(&mut self) {
-        self.want_mode(Mode::Own);
     }
 }

@@ -87,8 +87,6 @@ struct State {
     mode: Intent<Mode>,
     motion: Intent<Motion>,
     serial: u64,
-    /// It was found running in a mode that is not that of its setpoint: that is unchanged until standstill.
-    found_otherwise: bool,
     /// The number of the last row of the application that was sent.
     row: u64,
     setpoint: Setpoint,
@@ -225,7 +223,6 @@ impl Machine {
             mode: Intent::default(),
             motion: Intent::default(),
             serial: 0,
-            found_otherwise: false,
             row: 0,
             setpoint: Setpoint::default(),
             course: Course::new(&rules.can),
@@ -395,9 +392,9 @@ impl State {
     /// Off, and neutral.
     fn set(&mut self, power: Power) {
         self.want_power(power);
+        self.want_mode(Mode::Own);
         self.want_motion(Motion::Hold);
         self.course.end();
-        self.found_otherwise = false;
     }
 
     /// The drive has left operation, or is to: it stops, if it still moves, and does not come back by itself.

@@ -24,6 +24,11 @@ const HOME_FAILED: Failure = Failure::Unsupported(
 impl State {
     /// Goes on with the command by the present report; how it has ended.
     pub(super) fn go_on(&mut self, view: &View) -> End {
+        let waits = matches!(self.step, Step::Idle | Step::Falling | Step::ResetWaiting);
+        if view.report.fresh && !view.evidence.outputs_count && !waits {
+            // It came to this step by an output.
+            return self.give_up(Failure::Dropped(view.report.state), view);
+        }
         match self.step {
             Step::Idle => {
                 let fell = self.power.value == Power::EnableOperation && !self.is_in_operation(view);
@@ -215,7 +220,6 @@ impl State {
             Step::Halting if !settled => self.disobeys(view),
             // In the mode in which it was found it would go on without the halt.
             Step::Halting if view.evidence.mode != ModeIs::Own => {
-                self.found_otherwise = false;
                 self.want_mode(Mode::Own);
                 None
             }

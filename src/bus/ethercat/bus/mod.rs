@@ -25,6 +25,7 @@ use super::native::{Native, Terminals, terminals};
 use super::object::Objects;
 use super::other::{OtherMaster, listen};
 use super::plan::{EthercatPlan, KollmorgenDrive, Owner, Setpoint};
+use super::profile;
 use super::scan::{Busy, Shown, require_idle};
 use super::service::Service;
 use super::sim::EthercatSim;
@@ -35,6 +36,7 @@ use crate::axis::acyclic::{self, AcyclicEnds, Commanding, Notation};
 use crate::axis::cell;
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, FaultNames, Feedback, FoundRunning, Link, MonitorChannel, Observer, PlanFault};
+use crate::bus::desired::Capabilities;
 use crate::bus::{
     Bus, BusClock, BusPlan, Counters, Cycle, Exchange, Notes, OpenError, OwnCounter, Slot, Unmatched,
 };
@@ -648,8 +650,8 @@ impl BusPlan for EthercatPlan {
         &OWN
     }
 
-    fn capabilities(&self, _index: usize, _period_ns: u64) -> Option<crate::bus::desired::Capabilities> {
-        None
+    fn capabilities(&self, index: usize, _period_ns: u64) -> Option<Capabilities> {
+        self.drives.get(index).map(profile::capabilities)
     }
 
     fn fault_names(&self) -> FaultNames {

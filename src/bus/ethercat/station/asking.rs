@@ -5,9 +5,9 @@
 
 use super::{HOMING_METHOD, MANUFACTURER_STATUS, MODE, MODE_DISPLAY};
 use crate::axis::feedback::MONITOR_CHANNELS;
+use crate::bus::desired::{Mode as ModeWanted, ModeIs, Reference};
 use crate::bus::ethercat::cia402::Mode;
 use crate::bus::ethercat::object::{Object, Type};
-use crate::bus::ethercat::orders::{ModeIs, ModeWanted, Reference};
 use crate::bus::ethercat::plan::KollmorgenDrive;
 use crate::bus::ethercat::service::{SdoFailure, Service, Transfer};
 use crate::time::{MS, Time};

@@ -6,7 +6,7 @@
 //! | `places` | the PDO offsets |
 //! | `asking` | the station's own SDOs: mode, reference, monitored objects |
 //!
-//! It takes instants and slices, and knows no frame. The steps of an order are in `orders`. The segment reports the
+//! It takes instants and slices, and knows no frame. What is desired of it becomes outputs in `profile`. The segment reports the
 //! state of the slave, and whether inputs are of this exchange: an answer is never suspect.
 //!
 //! Where the setpoint is not a position, the actual position is reported as the demand: there is no demand
@@ -22,8 +22,8 @@ use super::counters::Own;
 use super::faults::Clearing;
 use super::native::{Native, NativePort, native};
 use super::object::{Object, commanding};
-use super::orders::{Inputs, Kind, Orders};
 use super::plan::KollmorgenDrive;
+use super::profile::{Inputs, Profile};
 use super::service::Service;
 use super::wire::mailbox::Emergency;
 use super::wire::registers::AlState;
@@ -31,6 +31,7 @@ use crate::axis::acyclic::{self, AcyclicEnds};
 use crate::axis::command::NativeOwner;
 use crate::axis::units::Unwrap;
 use crate::axis::{self, State, Units};
+use crate::bus::desired::Quantity;
 use crate::bus::{Cycle, Exchange, Slot};
 use crate::rt::Regions;
 use crate::time::{MS, Time};
@@ -70,7 +71,7 @@ pub struct Station {
     interval_ns: u64,
     /// Its setpoint is a position, and it reports its own.
     has_place: bool,
-    orders: Orders,
+    profile: Profile,
     inputs: Inputs,
     native: NativePort,
     asking: Asking,
@@ -109,7 +110,7 @@ impl Station {
         let unit_per_count = 1.0 / units.counts_per_unit;
         let per_minute = drive.scaling.increments() / 60.0 * unit_per_count;
         let places = Places::new(drive);
-        let orders = Orders::new(drive, interval_ns);
+        let profile = Profile::new(drive);
         let station = Station {
             units,
             unit_per_count,
@@ -120,9 +121,9 @@ impl Station {
                 * drive.axis.limits.velocity.unwrap_or_default().max(drive.axis.profile.velocity),
             rate: unit_per_count * 1e9 / interval_ns.max(1) as f64,
             interval_ns,
-            has_place: orders.kind() == Kind::Position && tells_position(drive),
+            has_place: profile.quantity() == Quantity::Position && tells_position(drive),
             places,
-            orders,
+            profile,
             inputs: Inputs::default(),
             native,
             asking: Asking::new(drive),
@@ -182,13 +183,13 @@ impl Station {
 
     fn leave_operation(&mut self) {
         (self.inputs.operational, self.led) = (false, false);
-        self.orders.dropped(below_op(self.inputs.state));
+        self.profile.dropped();
     }
 
     /// The drive was found power-cycled. It is reported with its next report.
     pub fn restarted(&mut self) {
         self.was_restarted = true;
-        self.orders.drive_restarted();
+        self.profile.drive_restarted();
         self.asking.forget();
         self.actual.reset();
         self.demand.reset();
@@ -198,19 +199,18 @@ impl Station {
 
     /// Whether something stops it if the master dies, as far as that depends on its watchdog.
     pub fn watched(&mut self, is_watched: bool) {
-        self.orders.watched(is_watched);
+        self.profile.watched(is_watched);
     }
 
     /// It was found in this mode of operation, and left so.
     pub fn found_in(&mut self, mode: Mode) {
         self.asking.found_in(mode);
-        self.inputs.mode = self.asking.mode();
     }
 
     /// An order is present: the drive is commanded from now on. Before, it is only read, and a drive found in OP
     /// continues as it was.
     pub fn wants_outputs(&self) -> bool {
-        self.orders.writes()
+        self.profile.writes()
     }
 
     /// Writes the output PDO of the next exchange, whole. Built again for the same send, it is the same: state that
@@ -218,10 +218,9 @@ impl Station {
     #[inline]
     pub fn prepare(&mut self, cycle: &Cycle, slot: &mut Slot, outputs: &mut [u8]) {
         self.grid = cycle.grid;
-        let out = self.orders.advance(cycle.grid, &self.inputs, slot, &mut self.native);
-        self.inputs.fresh = false;
+        let out = self.profile.encode(cycle.grid, &slot.desired, &mut self.native);
         self.places.write(out.control.0, out.setpoint, outputs);
-        if let Some((native, owner)) = self.orders.native() {
+        if let Some((native, owner)) = self.profile.native() {
             let size = native.bytes().len().min(outputs.len());
             outputs[..size].copy_from_slice(&native.bytes()[..size]);
             if owner == NativeOwner::Master {
@@ -235,14 +234,14 @@ impl Station {
     pub fn sent(&mut self, sent_at: Time, reply_by: Time, slot: &mut Slot) {
         self.open(sent_at, reply_by, slot);
         self.reached = true;
-        self.orders.sent();
+        self.profile.sent();
+        slot.gone.grid = Some(self.grid);
     }
 
     /// A frame was sent that only reads this drive: its outputs do not count there yet.
     #[inline]
     pub fn asked(&mut self, sent_at: Time, reply_by: Time, slot: &mut Slot) {
         self.open(sent_at, reply_by, slot);
-        self.orders.held();
     }
 
     #[inline]
@@ -263,15 +262,12 @@ impl Station {
         let commanded = self.service.commands();
         if std::mem::replace(&mut self.commanded, commanded) && !commanded {
             self.asking.doubt_mode();
-            self.inputs.mode = self.asking.mode();
         }
-        if !self.asking.advance(self.grid, self.orders.mode_wanted(), &mut self.service) {
+        if !self.asking.advance(self.grid, self.profile.mode_wanted(), &mut self.service) {
             return;
         }
-        self.inputs.mode = self.asking.mode();
-        self.inputs.reference = self.asking.reference();
         if self.asking.take_refused() {
-            self.orders.mode_refused();
+            self.profile.mode_refused();
         }
     }
 
@@ -304,16 +300,16 @@ impl Station {
         slot.counters.answered += 1;
         let operational = al == AlState::Op;
         if operational {
-            self.orders.answered();
+            self.profile.answered();
         } else {
             Own::NotOperational.count(&mut slot.counters);
             if self.inputs.operational {
                 self.leave_operation();
             }
         }
-        self.led = operational && self.reached && self.orders.writes();
+        self.led = operational && self.reached && self.profile.writes();
         self.inputs.operational = operational;
-        self.native.publish(at, self.orders.is_native(), inputs);
+        self.native.publish(at, self.profile.is_native(), inputs);
         if let Some(said) = said {
             self.read(at, said, slot);
         }
@@ -344,7 +340,7 @@ impl Station {
         let position = self.take_position(said, before);
         self.take_fault(at, said);
         let inputs = &mut self.inputs;
-        (inputs.seen, inputs.fresh, inputs.position) = (true, true, position.unwrap_or(0.0));
+        (inputs.seen, inputs.position) = (true, position.unwrap_or(0.0));
         let report = &mut slot.report;
         report.fresh = true;
         report.at = at;
@@ -352,19 +348,22 @@ impl Station {
         report.restarted |= std::mem::take(&mut self.was_restarted);
         report.state = if inputs.operational { inputs.state } else { below_op(inputs.state) };
         let powered = report.state.is_powered();
-        self.orders.look(inputs);
-        report.inhibited = !powered && self.orders.is_inhibited(self.grid);
-        report.moving = powered && (self.orders.is_moving() || inputs.velocity.abs() > self.standstill);
-        let homing = self.orders.is_homing();
-        let led = self.has_place && self.led && !homing && !self.orders.is_native();
-        report.in_target = status.has(StatusWord::TARGET_REACHED) && !(led && self.orders.is_moving());
+        self.profile.look(inputs);
+        self.profile.prove(inputs, self.asking.mode(), &mut slot.evidence);
+        slot.evidence.reference = self.asking.reference();
+        let report = &mut slot.report;
+        report.inhibited = !powered && self.profile.is_inhibited(self.grid);
+        report.moving = powered && (self.profile.is_moving() || inputs.velocity.abs() > self.standstill);
+        let homing = self.profile.is_homing();
+        let led = self.has_place && self.led && !homing && !self.profile.is_native();
+        report.in_target = status.has(StatusWord::TARGET_REACHED) && !(led && self.profile.is_moving());
         report.homed = !homing && self.asking.homed() == Some(true);
         let units = &self.units;
         let folded = |position: f64| units.modulo.map_or(position, |turn| position.rem_euclid(turn));
         report.position = position.map_or(f64::NAN, folded);
         report.demand = report.position;
         if led {
-            let count = self.demand.next(self.orders.setpoint_sent());
+            let count = self.demand.next(self.profile.setpoint_sent());
             report.demand = folded(count as f64 * self.unit_per_count + units.offset);
         }
         report.velocity = inputs.velocity;
@@ -382,14 +381,13 @@ impl Station {
     /// The actual position, not folded, and the velocity.
     #[inline]
     fn take_position(&mut self, said: Said, before: StatusWord) -> Option<f64> {
-        let homing = self.orders.is_homing();
+        let homing = self.profile.is_homing();
         if homing {
             // The positions have a new origin.
             self.actual.reset();
             self.demand.reset();
-            if self.orders.is_finding_home() {
+            if self.profile.is_finding_home() {
                 self.asking.ask_reference();
-                self.inputs.reference = None;
             }
         }
         let count = said.position.map(|raw| self.actual.next(raw));
