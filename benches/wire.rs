@@ -172,7 +172,7 @@ impl Asked {
             ..Finding::default()
         });
         let mappings = unidrive::mappings(&drive);
-        let (station, native, _acyclic) = modbus::Station::new(&drive, mappings, found, PERIOD_NS);
+        let (station, native, _acyclic) = modbus::Station::new(&drive, mappings, found);
         let slot = Slot { due: true, link: Link::Online, ..Slot::default() };
         let mut asked = Asked { station, _native: native, slot, drive: Canned::new(), cycle: BEGIN };
         asked.station.connected(&mut asked.slot);

@@ -130,6 +130,10 @@ pub struct Evidence {
     pub outputs_count: bool,
     /// It can take the next motion.
     pub ready: bool,
+    /// It follows what is written.
+    pub follows: Follows,
+    /// Its settings are those of its plan; they are written before its power comes on.
+    pub is_set_up: bool,
     /// Its mode.
     pub mode: ModeIs,
     /// How far its homing is.
@@ -159,6 +163,18 @@ pub struct Accepted {
     pub motion: u64,
     /// The number of the newest row.
     pub row: u64,
+}
+
+/// Whether a drive follows what is written to it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Follows {
+    /// It does.
+    #[default]
+    Yes,
+    /// It will: a setting is being written.
+    NotYet,
+    /// It does not, for this reason.
+    Never(Failure),
 }
 
 /// The mode of operation that a drive is in.

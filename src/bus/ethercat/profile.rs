@@ -423,6 +423,7 @@ impl Profile {
         accepted.power = self.power.accepted(accepted.power);
         accepted.motion = self.motion.accepted(accepted.motion);
         accepted.row = self.row.accepted(accepted.row);
+        evidence.is_set_up = true;
         evidence.outputs_count = inputs.operational;
         evidence.ready = true;
         evidence.mode = mode;

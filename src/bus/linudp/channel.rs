@@ -74,12 +74,6 @@ impl MotionChannel {
         self.pending && self.echoes > 0
     }
 
-    /// The motion of the command is over: a reply that is newer than the first one with its echo has the echo, too,
-    /// and the end of the motion. Both are sampled together (sheet, 3.4).
-    pub(super) fn is_over(&self, state: StateVar) -> bool {
-        self.pending && self.echoes > 1 && state.motion_active() == Some(false)
-    }
-
     /// Takes the echo of a reply, `clean` if it can be no older one, `foreign` if this master has not used it lately.
     /// `Err` when the drive accepts none of the counts.
     pub(super) fn take(&mut self, echo: u8, clean: bool, foreign: bool) -> Result<(), Failure> {

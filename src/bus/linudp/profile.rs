@@ -259,6 +259,7 @@ impl Profile {
             // Somebody else's command has run since.
             evidence.accepted.motion = evidence.accepted.motion.min(self.sent.motion.saturating_sub(1));
         }
+        evidence.is_set_up = true;
         evidence.outputs_count = true;
         evidence.ready = !matches!(inputs.state.main(), MainState(9..=20));
         evidence.homing = match inputs.state.main() == MainState::HOMING && inputs.state.finished() {

@@ -10,6 +10,7 @@ use super::mapping::Mapping;
 use super::native::Native;
 use super::notation::Parameters;
 use super::plan::{ModbusPlan, UnidriveDrive, Via};
+use super::profile;
 use super::sim::UnidriveSim;
 
 use super::station::Station;
@@ -17,6 +18,7 @@ use super::trips::Trip;
 use crate::axis::acyclic::{AcyclicEnds, Notation};
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, FaultNames, FoundRunning, MonitorChannel, PlanFault};
+use crate::bus::desired::Capabilities;
 use crate::bus::{Bus, BusPlan, Cycle, Exchange, Notes, OpenError, OwnCounter, Slot, Unmatched, lock_drives};
 use crate::net::{Broken, Carriers, Lock, StreamPeer, Streams};
 use crate::rt::Regions;
@@ -54,7 +56,7 @@ fn mappings(drive: &UnidriveDrive) -> Option<(Mapping, Option<Mapping>)> {
 
 impl ModbusBus {
     /// Begins to connect to the drives of `plan`, which is free of faults.
-    pub fn open(plan: &ModbusPlan, period_ns: u64, carriers: &dyn Carriers) -> Result<ModbusBus, OpenError> {
+    pub fn open(plan: &ModbusPlan, carriers: &dyn Carriers) -> Result<ModbusBus, OpenError> {
         let drives = plan.drives.iter().map(|drive| (&drive.axis, drive.address));
         let locks = lock_drives(&plan.name, drives, carriers)?;
         let (mut peers, mut stations) = (Vec::new(), Vec::new());
@@ -70,8 +72,7 @@ impl ModbusBus {
                 unacknowledged_ns: 2 * drive.reply_within_ns,
                 ..StreamPeer::new(drive.address, Box::new(greeting))
             });
-            let interval_ns = period_ns.saturating_mul(u64::from(drive.axis.divisor));
-            let (station, native, acyclic) = Station::new(drive, mappings, found, interval_ns);
+            let (station, native, acyclic) = Station::new(drive, mappings, found);
             stations.push(station);
             natives.push(Some(native));
             acyclics.push(Some(acyclic));
@@ -276,8 +277,8 @@ impl BusPlan for ModbusPlan {
         self.drives.iter().map(|drive| drive.describe(period_ns)).collect()
     }
 
-    fn open(&self, period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
-        Ok(Box::new(ModbusBus::open(self, period_ns, carriers)?))
+    fn open(&self, _period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
+        Ok(Box::new(ModbusBus::open(self, carriers)?))
     }
 
     fn monitored(&self, index: usize) -> [Option<MonitorChannel>; MONITOR_CHANNELS] {
@@ -288,8 +289,8 @@ impl BusPlan for ModbusPlan {
         &OWN
     }
 
-    fn capabilities(&self, _index: usize, _period_ns: u64) -> Option<crate::bus::desired::Capabilities> {
-        None
+    fn capabilities(&self, index: usize, _period_ns: u64) -> Option<Capabilities> {
+        self.drives.get(index).map(profile::capabilities)
     }
 
     fn fault_names(&self) -> FaultNames {

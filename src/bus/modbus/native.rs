@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicI32, Ordering};
 use rtrb::{Consumer, Producer};
 
 use super::mapping::{Image, Role};
-use super::orders::Outputs;
+use super::profile::Outputs;
 use super::words::{ControlWord, StatusWord};
 use crate::axis::cell::{self, Packed, Reader, Words, Writer};
 use crate::rt::{self, Regions};

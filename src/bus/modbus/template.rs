@@ -5,8 +5,8 @@
 //! matches exactly is recognised at once. All others take the long way.
 
 use super::mapping::{Block, Places};
-use super::orders::Outputs;
 use super::parameter::Width;
+use super::profile::Outputs;
 use super::wire::{ADU_MAX, Registers, function};
 
 /// The offset of a value in a message, and its width: its first byte is at most 255, so that four always fit.

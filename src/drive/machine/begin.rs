@@ -4,7 +4,7 @@ use super::{Start, State, Step, View};
 use crate::axis::command::NativeOwner;
 use crate::axis::limits::check_position;
 use crate::axis::{Command, Failure, Move, State as Cia402, Target};
-use crate::bus::desired::{Mode, ModeIs, Motion, Power, Quantity};
+use crate::bus::desired::{Follows, Mode, ModeIs, Motion, Power, Quantity};
 use crate::drive::planner::Point;
 use crate::drive::power::as_found;
 use crate::time::Time;
@@ -37,6 +37,12 @@ impl State {
         let Start::Command(command) = start else { return self.done() };
         match command {
             Command::Reset => self.done(),
+            Command::Disable | Command::Stop { .. } | Command::QuickStop
+                if view.report.state.is_powered()
+                    && let Follows::Never(why) = view.evidence.follows =>
+            {
+                self.fail(why)
+            }
             Command::Enable => self.begin_enable(since, view),
             Command::Disable => {
                 self.set(Power::Off);
@@ -116,7 +122,7 @@ impl State {
         let rest = if on && state == Cia402::SwitchedOn { Power::SwitchOn } else { Power::Off };
         match state {
             // What runs already is not switched off first.
-            Cia402::OperationEnabled if on => self.operate(view),
+            Cia402::OperationEnabled if on && evidence.is_set_up => self.operate(view),
             Cia402::QuickStopActive
                 if on && !can.leaves_quick_stop && self.power.value != Power::QuickStop =>
             {
@@ -149,8 +155,15 @@ impl State {
         None
     }
 
-    fn begin_stop(&mut self, command: Command, view: &View) -> End {
+    pub(super) fn begin_stop(&mut self, command: Command, view: &View) -> End {
         let now = view.now;
+        if view.operates()
+            && view.evidence.follows == Follows::NotYet
+            && self.power.value == Power::EnableOperation
+        {
+            self.begin_step(now, Step::TakingOver(command));
+            return None;
+        }
         match self.step {
             // Powering up: it does not go on by itself.
             Step::Enabling { rest } => {
@@ -165,7 +178,12 @@ impl State {
                 self.set(if on { as_found(view.report.state) } else { self.power.value });
                 return self.fall(now);
             }
-            Step::Halted | Step::Halting => {}
+            // Only while it is halted does it stand.
+            Step::Idle | Step::Halted if self.motion.value == Motion::Halt => {
+                self.begin_step(now, Step::Halted);
+                return None;
+            }
+            Step::Halting => {}
             _ => {
                 if let Command::Stop { deceleration } = command
                     && view.evidence.mode == ModeIs::Own

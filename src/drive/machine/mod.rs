@@ -136,6 +136,8 @@ enum Step {
         taken: u32,
         last: Row,
     },
+    /// It moves, and does not follow what is written yet: what is to be done then.
+    TakingOver(Command),
     /// Along a ramp, to standstill.
     Stopping,
     /// Halted until standstill ...

@@ -4,9 +4,9 @@ use super::begin::OTHER_MODE;
 use super::{State, Step, View};
 use crate::axis::command::NativeOwner;
 use crate::axis::{Command, Failure, Row, State as Cia402};
-use crate::bus::desired::{Homing, Mode, ModeIs, Motion, Power, Quantity, Reference, Resettable};
+use crate::bus::desired::{Follows, Homing, Mode, ModeIs, Motion, Power, Quantity, Reference, Resettable};
 use crate::drive::power::towards_operation;
-use crate::time::MS;
+use crate::time::{MS, Time};
 
 type End = Option<Result<(), Failure>>;
 
@@ -49,6 +49,7 @@ impl State {
             | Step::HomeLeaving(_) => self.homing(view),
             Step::ResetWaiting | Step::ResetLow | Step::Resetting | Step::ResetDone => self.resetting(view),
             Step::Halting | Step::Released | Step::Halted => self.halting(view),
+            Step::TakingOver(command) => self.taking_over(command, view),
             _ => self.moving(view),
         }
     }
@@ -79,11 +80,11 @@ impl State {
                 self.set(rest);
                 return self.fail(Failure::Inhibited);
             }
-            if let Some(obstacle) = evidence.obstacle {
+            if let Some(obstacle) = evidence.obstacle.or(evidence.refused) {
                 self.set(rest);
                 return self.fail(obstacle);
             }
-            let own = evidence.mode == ModeIs::Own && evidence.ready;
+            let own = evidence.mode == ModeIs::Own && evidence.ready && evidence.is_set_up;
             let there =
                 own && state == Cia402::OperationEnabled && self.power.value == Power::EnableOperation;
             if self.agrees(there, view.rules.can.power_reports, view) {
@@ -160,7 +161,7 @@ impl State {
         let still = self.is_accepted(view) && !view.report.moving && self.course.stands();
         let settled = self.agrees(still, view.rules.can.still_reports, view);
         if let Some(failure) = view.evidence.refused {
-            return self.fail(failure);
+            return self.refuse(failure, view);
         }
         match self.step {
             Step::Moving(target) if settled => {
@@ -204,6 +205,21 @@ impl State {
     /// It follows torques: without one nothing brakes it.
     pub(super) fn is_free(&self, view: &View) -> bool {
         view.quantity() == Some(Quantity::Torque) && self.course.leads()
+    }
+
+    /// It runs on at the speed at which it was found, until it follows.
+    fn taking_over(&mut self, command: Command, view: &View) -> End {
+        match view.evidence.follows {
+            _ if !view.report.fresh => None,
+            _ if !view.operates() || view.evidence.fault.active => {
+                self.set(Power::Off);
+                self.begin_step(view.now, Step::Falling);
+                None
+            }
+            Follows::Yes => self.begin_stop(command, view),
+            Follows::NotYet => None,
+            Follows::Never(why) => self.fail(why),
+        }
     }
 
     fn halting(&mut self, view: &View) -> End {
@@ -352,7 +368,9 @@ impl State {
                     match fault.resettable {
                         _ if !fault.named => {}
                         Resettable::Never(why) => return self.fail(why),
-                        Resettable::At(at) if view.now < at => {}
+                        Resettable::At(Time(u64::MAX)) => {}
+                        // The drive takes none before, however long that is.
+                        Resettable::At(at) if view.now < at => self.since = view.now,
                         Resettable::Now | Resettable::At(_) => {
                             self.set(Power::Off);
                             self.enter(Step::ResetLow);

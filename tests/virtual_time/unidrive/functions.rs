@@ -72,6 +72,8 @@ fn a_server_without_function_23_is_commanded_as_one_that_has_it() {
             b.tap(0).heard.clear();
             b.stopped(0, 2_000);
             b.online();
+            // The stop sequence runs to its end before anything else is taken.
+            b.run(100);
             b.recover(0);
             assert_eq!(both(&b), 0, "{what}: remembered");
             let drive = &b.finish().drives[0];

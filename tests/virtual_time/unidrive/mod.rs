@@ -488,6 +488,8 @@ fn a_missing_hardware_enable_is_told_when_the_drive_does_not_come_up() {
         b.online();
         assert_eq!(b.failed(0, Command::Enable), Failure::Inhibited);
         b.until("that it is shown", 50, |b| b.feedback(0).inhibited && !b.feedback(0).state.is_powered());
+        // It leaves with the next request.
+        b.run(2);
         let control = ControlWord(b.tap(0).read(b.now(), Parameter::CONTROL_WORD));
         assert!(!control.has(ControlWord::ENABLE), "it does not come up when the enable comes back");
     }

@@ -3,8 +3,8 @@
 use super::{Blocks, End, Station, What, used};
 use crate::bus::modbus::counters::Own;
 use crate::bus::modbus::mapping::{Block, Role};
-use crate::bus::modbus::orders::Outputs;
 use crate::bus::modbus::parameter::Width;
+use crate::bus::modbus::profile::Outputs;
 use crate::bus::modbus::template::{Expected, Template};
 use crate::bus::modbus::wire::{Header, Request};
 use crate::bus::{Cycle, Exchange, Slot};
@@ -21,9 +21,8 @@ impl Station {
             self.look_for_silence();
         }
         let native = &mut self.native;
-        let outputs = self.orders.advance(cycle.grid, &self.inputs, slot, native);
-        self.inputs.fresh = false;
-        let calls = self.calls.advance(cycle.grid, slot.link, self.orders.is_on(), slot.guarded);
+        let outputs = self.profile.encode(&slot.desired, &self.inputs, native);
+        let calls = self.calls.advance(cycle.grid, slot.link, self.profile.is_on(), slot.guarded);
         let commanded = self.calls.commands();
         if std::mem::replace(&mut slot.commanded, commanded) && !commanded {
             self.doubt_settings();
@@ -64,7 +63,7 @@ impl Station {
     /// Chooses and builds the next request.
     #[inline(never)]
     fn prepare_next(&mut self, outputs: Option<Outputs>, calls: bool) -> usize {
-        let goes_first = || self.control_changes(outputs) || outputs.is_some() && self.orders.is_new();
+        let goes_first = || self.control_changes(outputs) || outputs.is_some() && self.profile.is_new();
         let next = match self.next_setting() {
             Some(setting) => setting,
             None if calls && !goes_first() => What::Call,
@@ -77,7 +76,7 @@ impl Station {
     fn doubt_settings(&mut self) {
         if self.settable {
             (self.set, self.finding.obeys, self.finding.watched) = (0, false, false);
-            self.orders.found(self.unwatched, false, true);
+            self.profile.found(self.unwatched, false, true);
         }
     }
 
@@ -86,15 +85,15 @@ impl Station {
         if let End::Disarming(_) = self.end {
             return self.time_out().map(|index| What::Set { index: index as u8, value: 0 });
         }
-        let setting = self.settings.get(self.set).filter(|_| self.orders.wants_set_up(&self.inputs))?;
+        let setting = self.settings.get(self.set).filter(|_| self.profile.wants_set_up(&self.inputs))?;
         Some(What::Set { index: self.set as u8, value: setting.value })
     }
 
     /// The blocks of the next cyclic request.
     fn choose(&self, outputs: Option<Outputs>) -> Blocks {
-        let urgent = self.control_changes(outputs) || self.orders.is_new();
+        let urgent = self.control_changes(outputs) || self.profile.is_new();
         // It delays no step of an order, a stop above all, and does not come between the two halves of a report.
-        let may_check = self.seen == (false, false) && !self.orders.waits() || self.other.is_in_doubt();
+        let may_check = self.seen == (false, false) && !self.profile.waits() || self.other.is_in_doubt();
         if may_check
             && self.other.is_check_due()
             && !urgent
@@ -136,7 +135,7 @@ impl Station {
         };
         let missing = if self.control_changes(Some(outputs)) {
             Some(Role::Control)
-        } else if self.inputs.reference != Some(outputs.reference) && self.orders.waits() {
+        } else if self.inputs.reference != Some(outputs.reference) && self.profile.waits() {
             Some(Role::Reference)
         } else {
             None
@@ -159,7 +158,7 @@ impl Station {
         let control_turn = self.writes.is_multiple_of(REFERENCES_IN_A_ROW);
         let block = if self.control_changes(Some(outputs)) {
             with(Role::Control)
-        } else if self.inputs.reference != Some(outputs.reference) && (self.orders.is_new() || !control_turn)
+        } else if self.inputs.reference != Some(outputs.reference) && (self.profile.is_new() || !control_turn)
         {
             with(Role::Reference)
         } else if control_turn {
@@ -290,7 +289,7 @@ impl Station {
         (self.asked, self.asked_at, self.written) = (self.prepared, at, self.outputs);
         self.calls.sent(self.asked == What::Call);
         if let What::Cyclic(blocks) = self.asked {
-            self.blocks_sent(blocks);
+            self.blocks_sent(blocks, slot);
         }
         let window_ns = cycle.deadline.since(cycle.grid);
         if self.window_ns != window_ns {
@@ -307,7 +306,7 @@ impl Station {
     }
 
     /// These blocks went out.
-    fn blocks_sent(&mut self, blocks: Blocks) {
+    fn blocks_sent(&mut self, blocks: Blocks, slot: &mut Slot) {
         // Where there is nothing to choose, turns have no effect.
         if self.template.as_ref().is_none_or(|template| !template.only) {
             self.confirmed = blocks.confirms;
@@ -319,14 +318,15 @@ impl Station {
         if blocks.control {
             self.control.sent(self.written.control.0.into());
             self.control_sent = Some(self.written.control);
-            self.orders.control_sent();
+            self.profile.control_sent();
         }
         if blocks.reference {
             self.reference.sent(self.written.reference);
-            self.orders.reference_sent(self.grid);
+            self.profile.reference_sent();
         }
         if blocks.write.is_some() {
-            self.orders.sent();
+            slot.gone.grid = Some(self.grid);
+            self.profile.sent();
         }
     }
 

@@ -168,7 +168,7 @@ impl Station {
             self.finding.obeys = is_met(Purpose::Obey);
             self.finding.watched = is_met(Purpose::Watch) && self.time_out().is_some();
         }
-        self.orders.found(self.finding.watched || self.unwatched, self.finding.obeys, self.settable);
+        self.profile.found(self.finding.watched || self.unwatched, self.finding.obeys, self.settable);
     }
 
     /// What does not fit the open request in a response that names it.
@@ -231,7 +231,7 @@ impl Station {
         let (control, reference) = (places.has(Role::Control), places.has(Role::Reference));
         let (status, speed) = (places.has(Role::Status), places.has(Role::Speed));
         let with_trip = places.has(Role::Trip);
-        self.native.publish(at, self.orders.is_native(), &self.image);
+        self.native.publish(at, self.profile.is_native(), &self.image);
         if control || reference {
             // What this exchange has not written itself shows who did.
             let unwritten = control && !blocks.control || reference && !blocks.reference;
@@ -258,7 +258,7 @@ impl Station {
             }
             _ if blocks.is_both() && self.functions.refused(code, blocks.registers) => {
                 self.template = None;
-                self.orders.refused(blocks.control, blocks.reference);
+                self.profile.refused(blocks.control, blocks.reference);
             }
             _ => {
                 self.refused.0 += u32::from(blocks.write.is_some());
@@ -273,7 +273,7 @@ impl Station {
         let block = blocks.write.and_then(|index| self.mapping().writes().get(usize::from(index)));
         if block.is_some_and(|block| count < block.registers) {
             Own::WrittenShort.count(&mut slot.counters);
-            return self.orders.not_taken(at);
+            return self.profile.not_taken();
         }
         if blocks.control {
             self.control.confirm(i32::from(self.written.control.0));
@@ -295,7 +295,7 @@ impl Station {
         let shown = [control, reference];
         if shown.contains(&Some(Shown::Refused)) {
             Own::NotTaken.count(&mut slot.counters);
-            self.orders.not_taken(at);
+            self.profile.not_taken();
         }
         if unwritten || shown.contains(&Some(Shown::Changed)) {
             self.look_for_others(at, shown, [word, speed], slot);
@@ -313,7 +313,7 @@ impl Station {
     ) {
         let [control, reference] = shown.map(|shown| shown == Some(Shown::Changed));
         let [same_control, same_reference] = shown.map(|shown| shown == Some(Shown::Same));
-        let proved = if self.orders.writes() {
+        let proved = if self.profile.writes() {
             self.other.same(same_control, same_reference);
             (control || reference) && self.other.changed(at, control, reference)
         } else {
@@ -339,15 +339,15 @@ impl Station {
         let Some(status) = self.image.of(Role::Status).map(|raw| StatusWord(raw as u16)) else { return };
         // It has accepted the command to run; its earlier state is no answer to that.
         let running =
-            self.orders.runs() && self.inputs.control.is_some_and(|word| word.has_any(ControlWord::ANY_RUN));
+            self.profile.runs() && self.inputs.control.is_some_and(|word| word.has_any(ControlWord::ANY_RUN));
         let was_active = running && (self.was_active || status.active());
         let off = status.healthy() && !status.active();
-        let dark = running && off && (was_active || self.orders.should_be_active(at, &self.inputs));
-        if self.other.doubts(off && self.orders.runs(), dark) {
+        let dark = running && off && (was_active || self.profile.should_be_active(at, &self.inputs));
+        if self.other.doubts(off && self.profile.runs(), dark) {
             return;
         }
         let inputs = &mut self.inputs;
-        (inputs.seen, inputs.fresh, inputs.status) = (true, true, status);
+        (inputs.seen, inputs.status) = (true, status);
         if status.healthy() {
             // The present name is that of the last trip.
             (inputs.trip, inputs.tripped_at, self.trip_read) = (0, None, false);
@@ -373,12 +373,13 @@ impl Station {
         self.inputs.velocity = velocity;
         let status = self.inputs.status;
         let was_dark = self.dark_at.is_some_and(|dark_at| at.since(dark_at) < DARK_NS);
+        self.profile.prove(&self.inputs, &mut slot.evidence);
         let report = &mut slot.report;
         report.fresh = true;
         report.at = at;
         report.suspect = false;
         report.inhibited = was_dark && !status.active();
-        report.state = self.orders.state(status, report.inhibited);
+        report.state = self.profile.state(status, report.inhibited);
         report.moving = status.active() && !status.zero_speed();
         report.in_target = status.at_speed();
         report.velocity = velocity;

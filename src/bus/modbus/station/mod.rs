@@ -18,16 +18,17 @@ use super::greeting::{Finding, Found};
 use super::identity::Identity;
 use super::mapping::{Image, Mapping};
 use super::native::{Native, NativePort, native};
-use super::orders::{Inputs, Orders, Outputs};
 use super::other::OtherMaster;
 use super::pace::Pace;
 use super::plan::UnidriveDrive;
+use super::profile::{Inputs, Outputs, Profile};
 use super::read_write::ReadWrite;
 use super::setup::{Purpose, Setting, settings};
 use super::template::{Expected, Template};
 use super::wire::{ADU_MAX, RegistersBuffer};
 use super::words::ControlWord;
 use crate::axis::acyclic::{self, AcyclicEnds};
+use crate::bus::desired::Accepted;
 use crate::bus::{Cycle, Slot};
 use crate::net::Broken;
 use crate::rt::Regions;
@@ -71,7 +72,7 @@ pub struct Station {
     window_ns: u64,
     beyond_ns: u64,
     pace: Pace,
-    orders: Orders,
+    profile: Profile,
     calls: Calls,
     native: NativePort,
     connected: bool,
@@ -187,13 +188,12 @@ impl Blocks {
 pub type Why = &'static str;
 
 impl Station {
-    /// The station of `drive` for an exchange every `interval_ns`, and the application's ends of its native process
+    /// The station of `drive`, and the application's ends of its native process
     /// data and of its acyclic access.
     pub fn new(
         drive: &UnidriveDrive,
         mappings: (Mapping, Option<Mapping>),
         found: Arc<Found>,
-        interval_ns: u64,
     ) -> (Station, Native, AcyclicEnds) {
         let (application, native) = native(drive.map.also.len());
         let outputs = [drive.map.control.parameter, drive.map.reference.parameter];
@@ -218,7 +218,7 @@ impl Station {
             window_ns: u64::MAX,
             beyond_ns: 0,
             pace: Pace::new(),
-            orders: Orders::new(drive, interval_ns),
+            profile: Profile::new(drive),
             calls: Calls::new(port, drive.addressing),
             native,
             connected: false,
@@ -286,7 +286,7 @@ impl Station {
         };
         self.set = self.settings.iter().take_while(is_met).count();
         self.settable = !self.settings.is_empty();
-        self.orders.found(finding.watched || self.unwatched, finding.obeys, self.settable);
+        self.profile.found(finding.watched || self.unwatched, finding.obeys, self.settable);
         self.identity.reconnected();
         self.functions.reconnected();
         (self.template, self.expected) = (None, Expected::default());
@@ -305,10 +305,12 @@ impl Station {
         {
             slot.report.restarted = true;
             (self.control_taken, self.control_sent) = (None, None);
-            self.orders.drive_restarted();
+            self.profile.drive_restarted();
         }
         // Until it has accepted another one, this is no sign of a restart.
         self.control_taken = self.control_taken.or(Some(finding.control));
+        slot.evidence.accepted = Accepted::default();
+        self.profile.prove(&self.inputs, &mut slot.evidence);
         slot.reachable = true;
         if std::mem::replace(&mut self.opened_before, true) {
             Own::Reopened.count(&mut slot.counters);
@@ -365,11 +367,11 @@ impl Station {
     /// Starts or continues the orderly end: true once nothing more has to be sent to this drive.
     pub(super) fn shut_down(&mut self, cycle: &Cycle) -> bool {
         let armed =
-            self.connected && self.finding.watched && self.time_out().is_some() && self.orders.writes();
+            self.connected && self.finding.watched && self.time_out().is_some() && self.profile.writes();
         let off = self.inputs.control == Some(ControlWord::IDLE) && !self.inputs.status.active();
         self.end = match self.end {
             // A drive that is still on keeps its watchdog.
-            End::NotYet if !armed || self.orders.is_on() => End::Done,
+            End::NotYet if !armed || self.profile.is_on() => End::Done,
             End::NotYet => End::Waiting(cycle.deadline + DISARM_WITHIN * self.reply_within_ns),
             End::Waiting(until) if off => End::Disarming(until),
             End::Waiting(until) | End::Disarming(until) if !self.connected || cycle.grid > until => End::Done,

@@ -1,0 +1,371 @@
+//! What is desired of a Unidrive as control word and speed reference, and what it reports as accepted.
+//!
+//! In operation RUN is on, with a direction, and the drive follows the reference, at zero too: it holds its motor
+//! there. The drive's own ramps (02.011, 02.021) act below it. Nothing is written before something is desired.
+//!
+//! Sources: SI-PROFIBUS guide, control word 06.042 and status word 10.040.
+
+use super::native::NativePort;
+use super::plan::UnidriveDrive;
+use super::trips::Trip;
+use super::words::{ControlWord, StatusWord};
+use crate::axis::command::NativeOwner;
+use crate::axis::{Failure, State};
+use crate::bus::desired::{
+    Capabilities, Desired, Evidence, FaultIs, Follows, Generator, Intent, Lacks, Motion, Power, Quantity,
+    Ranges, Resettable,
+};
+use crate::time::{MS, Time};
+
+/// A drive that was commanded to run, and has acknowledged it, is active within this time, ns, or its hardware
+/// enable is missing.
+const ACTIVE_WITHIN_NS: u64 = 300 * MS;
+/// A drive that runs again after a halt stands still for so long, ns, before the stop is done.
+const STANDS_NS: u64 = 10 * MS;
+
+const NO_POSITION: &str = "it takes speeds, not positions: jog, or give it velocities";
+const NO_TORQUE: &str = "it takes speeds, not torques: jog, or give it velocities";
+/// Why a drive that does not follow the control word cannot be commanded.
+const NOT_OBEYING: Failure = Failure::Unsupported(
+    "it does not follow the control word: Pr 06.043 has to be 1, 01.014 and 01.015 0; set them, or let the master \
+    (set_up)",
+);
+/// Why a drive that nothing would stop is not enabled.
+const NOT_WATCHED: Failure = Failure::Unsupported(
+    "its watchdog is not set, nothing would stop it if the master dies: look at Pr S.15.009 and watchdog, or \
+    no_drive_watchdog = \"accept\"",
+);
+
+/// The drive's last report, and the values that it has acknowledged.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Inputs {
+    /// There was a status at all.
+    pub seen: bool,
+    pub status: StatusWord,
+    /// User units/s.
+    pub velocity: f64,
+    /// The last trip; 0: not known.
+    pub trip: u16,
+    /// Its number is known, as far as it will ever be.
+    pub named: bool,
+    /// It is commanded to run, and its power stage stays off, or has switched off.
+    pub dark: bool,
+    /// The drive tripped at this instant.
+    pub tripped_at: Option<Time>,
+    /// The control word that the drive has accepted; `None`: not known.
+    pub control: Option<ControlWord>,
+    /// Since when.
+    pub control_since: Time,
+    /// The reference that the drive has accepted.
+    pub reference: Option<i32>,
+}
+
+/// The values for the drive.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Outputs {
+    pub control: ControlWord,
+    /// Not negative: the direction is in the control word.
+    pub reference: i32,
+}
+
+/// The profile of one drive.
+#[derive(Debug)]
+pub(super) struct Profile {
+    /// Raw reference for one user unit/s; negative if the axis is inverted.
+    raw_per_velocity: f64,
+    /// Something stops the drive if the master dies, or nothing needs to.
+    watched: bool,
+    /// A time-out can be set in it for that.
+    watchable: bool,
+    /// The drive follows the control word; if not, it may be set so.
+    obeys: bool,
+    settable: bool,
+    /// The bits of the control word while the drive is to be on.
+    on: u16,
+    /// What the prepared request is built for, and what something was last sent of.
+    desired: Desired,
+    sent: (u64, u64),
+    outputs: Outputs,
+    /// The last commanded direction; it is kept at zero.
+    reverse: bool,
+    /// The reference and direction that were sent last.
+    turning: Option<bool>,
+    /// RUN goes off before ENABLE does.
+    releasing: bool,
+    /// RUN was off for a halt, and the power stage has not come back since.
+    halted: bool,
+    refused: Option<Failure>,
+    /// It has accepted all that is desired.
+    taken: bool,
+    /// The native values, and whether each went out.
+    native: Option<Outputs>,
+    native_gone: (bool, bool),
+    native_motion: Intent<Motion>,
+}
+
+/// What a drive can do.
+pub(super) fn capabilities(_drive: &UnidriveDrive) -> Capabilities {
+    Capabilities {
+        generator: Generator::Master(Quantity::Velocity),
+        lacks: Lacks {
+            moves: Some(NO_POSITION),
+            rows: Some(NO_POSITION),
+            homing: Some(NO_POSITION),
+            torques: Some(NO_TORQUE),
+            ..Lacks::default()
+        },
+        switches_on_at_once: true,
+        leaves_quick_stop: true,
+        power_reports: 1,
+        still_reports: 1,
+        stands_ns: STANDS_NS,
+        arrival: f64::INFINITY,
+        ranges: Ranges::UNLIMITED,
+    }
+}
+
+impl Profile {
+    pub(super) fn new(drive: &UnidriveDrive) -> Profile {
+        Profile {
+            raw_per_velocity: drive.map.reference.raw(drive.rpm(1.0)),
+            watched: false,
+            watchable: drive.watchdog.timeout_ns.is_some(),
+            obeys: false,
+            settable: false,
+            on: ControlWord::ENABLE | if drive.watchdog.keypad { ControlWord::KEYPAD_WATCHDOG } else { 0 },
+            desired: Desired::default(),
+            sent: (0, 0),
+            outputs: Outputs::default(),
+            reverse: false,
+            turning: None,
+            releasing: false,
+            halted: false,
+            refused: None,
+            taken: false,
+            native: None,
+            native_gone: (true, true),
+            native_motion: Intent::default(),
+        }
+    }
+
+    /// The values of the next request; `None`: nothing is written.
+    pub(super) fn encode(
+        &mut self,
+        desired: &Desired,
+        inputs: &Inputs,
+        native: &mut NativePort,
+    ) -> Option<Outputs> {
+        let before = std::mem::replace(&mut self.desired, *desired);
+        if (before.power, before.motion) != (desired.power, desired.motion) {
+            (self.refused, self.taken) = (None, false);
+        }
+        if desired.motion != self.native_motion {
+            self.native_motion = desired.motion;
+            (self.native, self.native_gone) = (None, (true, true));
+            native.flush();
+        }
+        if desired.power.value == Power::Untouched {
+            return None;
+        }
+        // A drive at standstill holds its motor until RUN is off, and drops it with ENABLE.
+        let off = desired.power.value == Power::Off;
+        self.releasing = off
+            && inputs.status.active()
+            && (self.releasing
+                || inputs.status.zero_speed() && self.outputs.control.has_any(ControlWord::ANY_RUN));
+        self.halted |= self.is_halted();
+        self.outputs = self.built();
+        if let Motion::Native(owner) = desired.motion.value {
+            self.take_native(owner, native);
+        }
+        Some(self.values())
+    }
+
+    fn values(&self) -> Outputs {
+        self.native.unwrap_or(self.outputs)
+    }
+
+    fn built(&mut self) -> Outputs {
+        let Desired { power, setpoint, .. } = self.desired;
+        let runs = self.runs();
+        let raw = if runs { setpoint.velocity * self.raw_per_velocity } else { 0.0 };
+        let mut reference = raw.abs();
+        let reverse = if raw == 0.0 { self.reverse } else { raw < 0.0 };
+        if self.turning == Some(!reverse) {
+            // Direction and speed may go out one after the other: it changes at zero.
+            reference = 0.0;
+        } else {
+            self.reverse = reverse;
+        }
+        let run = if self.reverse { ControlWord::RUN_REVERSE } else { ControlWord::RUN_FORWARD };
+        let control = ControlWord::IDLE
+            .with(if self.is_on() || self.releasing { self.on } else { 0 })
+            .with(if runs { run } else { 0 })
+            .with(if power.value == Power::FaultReset { ControlWord::RESET } else { 0 });
+        // Rounded by hand: without SSE4.1 `round` is a call. A plan whose velocities do not fit is refused; the rest
+        // saturates.
+        Outputs { control, reference: (reference + 0.5) as i32 }
+    }
+
+    #[inline(never)]
+    fn take_native(&mut self, owner: NativeOwner, native: &mut NativePort) {
+        // Each one is sent, even if a request fails.
+        if self.native_gone != (true, true) {
+            return;
+        }
+        if let Some(output) = native.next() {
+            self.native = Some(match owner {
+                NativeOwner::Application => output,
+                // The master keeps the drive running, in its own direction.
+                NativeOwner::Master => Outputs { control: self.outputs.control, ..output },
+            });
+            self.native_gone = (false, false);
+        }
+    }
+
+    /// Native mode runs.
+    pub(super) fn is_native(&self) -> bool {
+        matches!(self.desired.motion.value, Motion::Native(_))
+    }
+
+    /// Whether something stops the drive if the master dies, whether it follows the control word, and whether it
+    /// can be configured to.
+    pub(super) fn found(&mut self, watched: bool, obeys: bool, settable: bool) {
+        (self.watched, self.obeys, self.settable) = (watched, obeys, settable);
+    }
+
+    /// The drive has to be configured to follow the control word, or to be watched: once it has accepted the
+    /// present values.
+    pub(super) fn wants_set_up(&self, inputs: &Inputs) -> bool {
+        let power = self.desired.power.value;
+        let enabling = power == Power::Shutdown && !(self.obeys && self.watched);
+        let obeying = power != Power::Untouched && !self.obeys && inputs.status.active();
+        self.settable && (enabling || obeying) && self.has_taken(inputs)
+    }
+
+    /// Something is desired of it.
+    pub(super) fn writes(&self) -> bool {
+        self.desired.power.serial > 0
+    }
+
+    /// Written values are waited for, to be read back.
+    pub(super) fn waits(&self) -> bool {
+        self.desired.setpoint.velocity == 0.0 && !self.is_native() && !self.taken
+    }
+
+    /// The next request has to carry this: nothing of it was sent yet.
+    pub(super) fn is_new(&self) -> bool {
+        self.writes() && self.sent != (self.desired.power.serial, self.desired.motion.serial)
+    }
+
+    /// Something was written.
+    pub(super) fn sent(&mut self) {
+        self.sent = (self.desired.power.serial, self.desired.motion.serial);
+    }
+
+    /// The control word went out.
+    pub(super) fn control_sent(&mut self) {
+        self.native_gone.0 = true;
+        self.releasing = false;
+    }
+
+    /// The reference went out.
+    pub(super) fn reference_sent(&mut self) {
+        self.native_gone.1 = true;
+        self.turning = (self.outputs.reference != 0).then_some(self.reverse);
+    }
+
+    /// The drive refused the request as a whole: what it wrote has to go out again.
+    pub(super) fn refused(&mut self, control: bool, reference: bool) {
+        self.sent = (0, 0);
+        if self.native.is_some() {
+            self.native_gone.0 &= !control;
+            self.native_gone.1 &= !reference;
+        }
+    }
+
+    /// The drive is commanded to be on.
+    pub(super) fn is_on(&self) -> bool {
+        matches!(self.desired.power.value, Power::EnableOperation | Power::QuickStop)
+    }
+
+    fn is_halted(&self) -> bool {
+        self.desired.power.value == Power::QuickStop || self.desired.motion.value == Motion::Halt
+    }
+
+    /// RUN is on.
+    pub(super) fn runs(&self) -> bool {
+        self.desired.power.value == Power::EnableOperation && !self.is_halted()
+    }
+
+    /// Maps the drive's state onto those of CiA 402.
+    pub(super) fn state(&mut self, status: StatusWord, inhibited: bool) -> State {
+        if status.active() && self.runs() {
+            self.halted = false;
+        }
+        match (status.healthy(), status.active()) {
+            (false, _) => State::Fault,
+            // It follows no setpoint.
+            (true, true) if self.is_on() && self.is_halted() => State::QuickStopActive,
+            (true, true) => State::OperationEnabled,
+            (true, false) if inhibited => State::SwitchOnDisabled,
+            // Its power stage comes and goes with RUN.
+            (true, false) if self.is_on() && self.halted => State::QuickStopActive,
+            (true, false) if self.is_on() => State::SwitchedOn,
+            (true, false) => State::ReadyToSwitchOn,
+        }
+    }
+
+    /// The drive was commanded to run and has accepted it, for as long as it needs.
+    pub(super) fn should_be_active(&self, now: Time, inputs: &Inputs) -> bool {
+        self.runs()
+            && inputs.control.is_some_and(|word| word.has_any(ControlWord::ANY_RUN))
+            && now.since(inputs.control_since) > ACTIVE_WITHIN_NS
+    }
+
+    /// The drive has lost its commands: no earlier value is written again.
+    pub(super) fn drive_restarted(&mut self) {
+        (self.native, self.native_gone, self.turning) = (None, (true, true), None);
+        (self.halted, self.releasing) = (false, false);
+    }
+
+    /// The drive did not accept a written value, as its read-back shows.
+    pub(super) fn not_taken(&mut self) {
+        self.refused = Some(Failure::NotTaken);
+    }
+
+    /// The drive has accepted the written values.
+    fn has_taken(&self, inputs: &Inputs) -> bool {
+        let values = self.values();
+        inputs.control == Some(values.control) && inputs.reference == Some(values.reference)
+    }
+
+    /// What a report proves.
+    pub(super) fn prove(&mut self, inputs: &Inputs, evidence: &mut Evidence) {
+        let (power, motion) = self.sent;
+        self.taken = !self.is_new() && self.has_taken(inputs);
+        let taken = self.taken;
+        let since = |serial: u64| if taken { serial } else { serial.saturating_sub(1) };
+        (evidence.accepted.power, evidence.accepted.motion) = (since(power), since(motion));
+        evidence.outputs_count = true;
+        evidence.ready = true;
+        evidence.follows = match (self.obeys, self.settable) {
+            (true, _) => Follows::Yes,
+            (false, true) => Follows::NotYet,
+            (false, false) => Follows::Never(NOT_OBEYING),
+        };
+        evidence.is_set_up = self.obeys && self.watched;
+        evidence.obstacle = match () {
+            () if !self.obeys && !self.settable => Some(NOT_OBEYING),
+            () if self.watched || self.settable && self.watchable => None,
+            () => Some(NOT_WATCHED),
+        };
+        evidence.refused = self.refused;
+        let wait_ns = Trip(inputs.trip).reset_after_ns();
+        evidence.fault = FaultIs {
+            active: inputs.seen && !inputs.status.healthy(),
+            named: inputs.named,
+            resettable: inputs.tripped_at.map_or(Resettable::Now, |at| Resettable::At(at + wait_ns)),
+        };
+    }
+}
