@@ -21,7 +21,7 @@ mod bounds;
 pub mod controller;
 pub mod groups;
 mod health;
-mod machine;
+pub mod machine;
 pub mod numbers;
 pub(crate) mod planner;
 mod power;

@@ -7,6 +7,7 @@ use std::net::SocketAddrV4;
 use fieldbeat::axis::command::NativeOwner;
 use fieldbeat::axis::{Command, Failure, Jog, Link, Move, Profile, Row, State, Target};
 use fieldbeat::bus::{Bus, BusPlan, Cycle, Exchange, NumberedRow, Order, Slot, Unmatched};
+use fieldbeat::drive::machine::Machine;
 use fieldbeat::rt::{Clock, PollSet};
 use fieldbeat::sim::FaultPlan;
 use fieldbeat::sim::world::{World, WorldClock, WorldOptions};
@@ -66,6 +67,8 @@ pub struct Line {
     pub world: World,
     pub bus: Box<dyn Bus>,
     pub slots: Vec<Slot>,
+    /// What commands each drive, where its protocol leaves that to the drive machine; and the serial of its order.
+    machines: Vec<Option<(Machine, u64)>>,
     /// What the last cycle brought to each drive.
     pub seen: Vec<Seen>,
     /// Drives that are never due, whatever their schedule says.
@@ -102,6 +105,11 @@ impl Line {
         let options = WorldOptions { latency_ns: LATENCY, ..WorldOptions::default() };
         let world = World::new(wire.simulated(), options).expect("each drive has its own address");
         let bus = wire.open(PERIOD, &world).expect("the bus can be opened");
+        let machine = |index: usize| {
+            let can = wire.capabilities(index, PERIOD)?;
+            Some((Machine::new(&drives[index].axis, can, PERIOD), 0))
+        };
+        let machines = (0..count).map(machine).collect();
         let idle = Seen { exchange: Exchange::Idle, fresh: false, suspect: false, restarted: false };
         Line {
             can: subject.can(),
@@ -109,6 +117,7 @@ impl Line {
             origin: world.now() + 2 * PERIOD,
             world,
             wire,
+            machines,
             bus,
             slots: vec![Slot::default(); count],
             seen: vec![idle; count],
@@ -155,6 +164,19 @@ impl Line {
 
     /// Has the requests built, for `cycle`.
     pub fn build(&mut self, cycle: &Cycle) {
+        for (machine, slot) in self.machines.iter_mut().zip(&mut self.slots) {
+            let Some((machine, serial)) = machine else { continue };
+            if slot.order.serial != *serial {
+                *serial = slot.order.serial;
+                machine.start(cycle.grid, *serial, slot.order.verb);
+            }
+            if slot.due {
+                machine.propose(cycle.grid, slot);
+            }
+            if *serial != 0 {
+                slot.progress = machine.progress();
+            }
+        }
         let (sends, before) = (self.wire.log().sends, self.slots.clone());
         let begin = self.world.now();
         self.bus.prepare(cycle, &mut self.slots);
@@ -172,6 +194,11 @@ impl Line {
         let begin = self.world.now();
         self.bus.send(&cycle, &mut self.slots);
         let span = (begin, self.world.now());
+        for (machine, slot) in self.machines.iter_mut().zip(&mut self.slots) {
+            if let (Some((machine, _)), Some(grid)) = (machine, slot.gone.grid.take()) {
+                machine.commit(grid);
+            }
+        }
         assert!(span.1.since(span.0) <= self.readings(), "sending does not wait");
         for (index, (before, after)) in before.iter().zip(&self.slots).enumerate() {
             Around { before, after, span }.send(&cycle, &self.can);
@@ -249,8 +276,15 @@ impl Line {
     /// What the loop makes of the cycle; then the next one is next.
     pub fn judge(&mut self) {
         let deadline = self.cycle().deadline;
+        let grid = self.cycle().grid;
         for index in 0..self.slots.len() {
             let slot = &mut self.slots[index];
+            if let Some((machine, serial)) = &mut self.machines[index] {
+                machine.observe(grid, slot.report.restarted, slot);
+                if *serial != 0 {
+                    slot.progress = machine.progress();
+                }
+            }
             if self.honest && slot.report.fresh && !slot.report.suspect {
                 let tape = &self.wire.log().drives[index];
                 rules::honest(slot, tape, &self.drives[index], &self.can, self.sent_at[index]);

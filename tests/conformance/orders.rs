@@ -403,9 +403,6 @@ pub fn an_order_is_not_done_by_what_was_heard_before_the_one_it_replaces(subject
         line.mute(0, true);
         line.order(0, first);
         line.turns(u64::from(1 + line.can.answers_after));
-        // A drive that takes two steps to go off has made the first one. A stop leaves its power as it is.
-        let took_two = line.can.stream && first == Command::Disable && second != Command::Enable;
-        let powered = if took_two { line.said(0).powered } else { powered };
         line.order(0, second);
         line.settle();
         line.mute(0, false);

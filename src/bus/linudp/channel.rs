@@ -3,7 +3,7 @@
 //! Knows no order and no motion: only which command is under way, with which count, and whether the drive has it.
 
 use super::motion::MotionCommand;
-use super::wire::{MotionBlock, StateVar};
+use super::wire::MotionBlock;
 use crate::axis::Failure;
 
 /// A motion command whose echo has not come after so many answered exchanges is sent again with another count (sheet,

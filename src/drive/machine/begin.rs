@@ -122,7 +122,11 @@ impl State {
         let rest = if on && state == Cia402::SwitchedOn { Power::SwitchOn } else { Power::Off };
         match state {
             // What runs already is not switched off first.
-            Cia402::OperationEnabled if on && evidence.is_set_up => self.operate(view),
+            Cia402::OperationEnabled if on && evidence.is_set_up => {
+                self.operate(view);
+                // Its reports are from before this command.
+                self.power.serial = self.next_serial();
+            }
             Cia402::QuickStopActive
                 if on && !can.leaves_quick_stop && self.power.value != Power::QuickStop =>
             {
@@ -170,6 +174,11 @@ impl State {
                 self.set(rest);
                 return self.fall(now);
             }
+            // A stop that is under way is not made softer.
+            Step::Halting | Step::Released if self.motion.value == Motion::Halt => {
+                self.halt(view);
+                return None;
+            }
             // It may go on reporting that it is in operation for as long as its replies are lost.
             _ if self.was_switched_off() => return self.fall(now),
             _ if self.power.value != Power::EnableOperation || !self.can_brake(view) => {
@@ -183,7 +192,6 @@ impl State {
                 self.begin_step(now, Step::Halted);
                 return None;
             }
-            Step::Halting => {}
             _ => {
                 if let Command::Stop { deceleration } = command
                     && view.evidence.mode == ModeIs::Own
@@ -260,7 +268,7 @@ impl State {
             return self.move_by_drive(target, &motion.profile, Step::Moving(Some(target)), view);
         }
         self.course.go_to(target, &motion.profile, view);
-        self.want_motion(Motion::Hold);
+        self.follow_course();
         self.begin_step(view.now, Step::Moving(Some(target)));
         None
     }

@@ -35,7 +35,7 @@ use crate::time::{Time, nanos};
 
 /// The machine of one drive.
 #[derive(Debug)]
-pub(super) struct Machine {
+pub struct Machine {
     rules: Rules,
     /// What the requests that went out have led to.
     state: State,
@@ -206,7 +206,8 @@ impl<'a> View<'a> {
 }
 
 impl Machine {
-    pub(super) fn new(axis: &AxisPlan, can: Capabilities, period_ns: u64) -> Machine {
+    /// A machine for the drive of `axis`, in a cycle of `period_ns`.
+    pub fn new(axis: &AxisPlan, can: Capabilities, period_ns: u64) -> Machine {
         let rules = Rules {
             can,
             units: axis.units,
@@ -234,19 +235,19 @@ impl Machine {
     }
 
     /// A new command, in place of the one before; `None`: to take the drive over as it is.
-    pub(super) fn start(&mut self, now: Time, serial: u64, command: Option<Command>) {
+    pub fn start(&mut self, now: Time, serial: u64, command: Option<Command>) {
         let start = command.map_or(Start::TakeOver, Start::Command);
         self.waiting = Some(Waiting { command: Some(start), since: now });
         self.progress = Progress { serial, end: None };
     }
 
     /// How far the newest command is.
-    pub(super) fn progress(&self) -> Progress {
+    pub fn progress(&self) -> Progress {
         self.progress
     }
 
     /// Writes what is desired of the drive with the send in slot `grid`.
-    pub(super) fn propose(&mut self, grid: Time, slot: &mut Slot) {
+    pub fn propose(&mut self, grid: Time, slot: &mut Slot) {
         self.proposed.clone_from(&self.state);
         let view = View::of(&self.rules, grid, slot);
         if let Some(waiting) = &mut self.waiting {
@@ -269,14 +270,14 @@ impl Machine {
     }
 
     /// The proposed request has gone out in this slot of the grid.
-    pub(super) fn commit(&mut self, grid: Time) {
+    pub fn commit(&mut self, grid: Time) {
         self.waiting = None;
         std::mem::swap(&mut self.state, &mut self.proposed);
         self.state.sent(grid);
     }
 
     /// The reports of a cycle.
-    pub(super) fn observe(&mut self, now: Time, restarted: bool, slot: &Slot) {
+    pub fn observe(&mut self, now: Time, restarted: bool, slot: &Slot) {
         let view = View::of(&self.rules, now, slot);
         let end = match &self.waiting {
             _ if restarted => self.state.drive_restarted(&view),
@@ -346,6 +347,11 @@ impl State {
         if value != Motion::Hold || self.motion.value != Motion::Hold {
             self.motion = Intent { serial: self.next_serial(), value };
         }
+    }
+
+    /// Another course of the setpoint, which the master makes.
+    fn follow_course(&mut self) {
+        self.motion = Intent { serial: self.next_serial(), value: Motion::Hold };
     }
 
     /// Its time goes on.

@@ -11,7 +11,7 @@
 
 use super::{State, Step, View};
 use crate::axis::{Failure, Profile, Row};
-use crate::bus::desired::{Capabilities, Generator, ModeIs, Motion, Quantity, Setpoint};
+use crate::bus::desired::{Capabilities, Generator, ModeIs, Quantity, Setpoint};
 use crate::drive::planner::{Point, Trajectory};
 use crate::time::Time;
 
@@ -221,13 +221,13 @@ impl State {
             }
             _ => self.course.braking(deceleration, view),
         };
-        self.want_motion(Motion::Hold);
+        self.follow_course();
         self.course.run(0.0, deceleration);
     }
 
     pub(super) fn begin_turning(&mut self, acceleration: f64, view: &View) -> End {
         let turning = Turning { acceleration, velocity: f64::NAN, limit: None };
-        self.want_motion(Motion::Hold);
+        self.follow_course();
         self.begin_step(view.now, Step::Turning(turning));
         self.turn_on(turning, view)
     }
