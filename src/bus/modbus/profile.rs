@@ -85,6 +85,8 @@ pub(super) struct Profile {
     /// What the prepared request is built for, and what something was last sent of.
     desired: Desired,
     sent: (u64, u64),
+    /// The same when the newest status was read: a speed may come later.
+    at_status: (u64, u64),
     outputs: Outputs,
     /// The last commanded direction; it is kept at zero.
     reverse: bool,
@@ -135,6 +137,7 @@ impl Profile {
             on: ControlWord::ENABLE | if drive.watchdog.keypad { ControlWord::KEYPAD_WATCHDOG } else { 0 },
             desired: Desired::default(),
             sent: (0, 0),
+            at_status: (0, 0),
             outputs: Outputs::default(),
             reverse: false,
             turning: None,
@@ -329,6 +332,11 @@ impl Profile {
         (self.halted, self.releasing) = (false, false);
     }
 
+    /// A status was read in an exchange that was sent after what was sent last.
+    pub(super) fn status_read(&mut self) {
+        self.at_status = self.sent;
+    }
+
     /// The drive did not accept a written value, as its read-back shows.
     pub(super) fn not_taken(&mut self) {
         self.refused = Some(Failure::NotTaken);
@@ -343,7 +351,7 @@ impl Profile {
     /// What a report proves.
     pub(super) fn prove(&mut self, inputs: &Inputs, evidence: &mut Evidence) {
         let (power, motion) = self.sent;
-        self.taken = !self.is_new() && self.has_taken(inputs);
+        self.taken = !self.is_new() && self.at_status == self.sent && self.has_taken(inputs);
         let taken = self.taken;
         let since = |serial: u64| if taken { serial } else { serial.saturating_sub(1) };
         (evidence.accepted.power, evidence.accepted.motion) = (since(power), since(motion));

@@ -348,6 +348,7 @@ impl Station {
         }
         let inputs = &mut self.inputs;
         (inputs.seen, inputs.status) = (true, status);
+        self.profile.status_read();
         if status.healthy() {
             // The present name is that of the last trip.
             (inputs.trip, inputs.tripped_at, self.trip_read) = (0, None, false);
