@@ -486,13 +486,15 @@ mod tests {
 
     use super::*;
     use crate::axis::Command;
-    use crate::bus::Order;
+    use crate::bus::linudp::profile::capabilities;
     use crate::bus::linudp::wire::Response;
+    use crate::drive::machine::Machine;
     use crate::time::MS;
 
     /// A station, and a drive of a few lines that says what it is made to say.
     struct Bench {
         station: Station,
+        machine: Machine,
         slot: Slot,
         cycle: Cycle,
         request: Request,
@@ -502,7 +504,9 @@ mod tests {
         fn new(drive: &LinUdpDrive) -> Bench {
             let (station, ..) = Station::new(drive);
             let cycle = Cycle { index: 0, grid: Time(MS), period_ns: MS, deadline: Time(MS + MS / 2) };
-            Bench { station, slot: Slot::default(), cycle, request: Request::default() }
+            let machine = Machine::new(&drive.axis, capabilities(drive), MS);
+            let slot = Slot { due: true, link: Link::Online, ..Slot::default() };
+            Bench { station, machine, slot, cycle, request: Request::default() }
         }
 
         /// The next request goes out.
@@ -510,9 +514,13 @@ mod tests {
             let mut out = [0; 64];
             self.cycle =
                 Cycle { grid: self.cycle.grid + MS, deadline: self.cycle.deadline + MS, ..self.cycle };
+            self.machine.observe(self.cycle.grid, false, &self.slot);
+            self.slot.report.fresh = false;
+            self.machine.propose(self.cycle.grid, &mut self.slot);
             let length = self.station.prepare(&self.cycle, &mut self.slot, &mut out);
             self.request = Request::parse(&out[..length]).unwrap();
             self.station.sent(self.cycle.grid, self.cycle.deadline, &mut self.slot);
+            self.machine.commit(self.cycle.grid);
             self.request
         }
 
@@ -531,7 +539,7 @@ mod tests {
         }
 
         fn order(&mut self, verb: Command) {
-            self.slot.order = Order { serial: self.slot.order.serial + 1, verb: Some(verb) };
+            self.machine.start(self.cycle.grid, 1, Some(verb));
         }
     }
 
@@ -578,12 +586,13 @@ mod tests {
             (moving(5), Some(7)),
             (moving(7), None),
             (moving(7), None),
+            (standing(7), None),
             ((7, Some(Ok(()))), None),
         ] {
             b.reply(&request, sub);
             request = b.send();
             assert_eq!(request.motion.map(|motion| motion.header as u8 & 0xF), count, "after {sub:02X}h");
-            assert_eq!(b.slot.progress.end, end, "after {sub:02X}h");
+            assert_eq!(b.machine.progress().end, end, "after {sub:02X}h");
         }
     }
 

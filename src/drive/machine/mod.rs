@@ -258,14 +258,13 @@ impl Machine {
                     None
                 }
             };
-            if let Some(end) = end {
-                self.progress.end = self.progress.end.or(Some(end));
-                if end.is_err() {
-                    waiting.command = None;
-                }
+            if matches!(end, Some(Err(_))) {
+                waiting.command = None;
             }
+            self.progress.end = self.progress.end.or(end);
         }
-        self.proposed.lead(&view);
+        let end = self.proposed.lead(&view);
+        self.progress.end = self.progress.end.or(end);
         slot.desired = self.proposed.desired();
     }
 

@@ -8,6 +8,7 @@ use crate::axis::{Command, Failure, Jog, Link, Move, Profile, Row, Target};
 use crate::bus::ethercat::cia402::Mode;
 use crate::bus::ethercat::faults::Fault;
 use crate::bus::ethercat::object::{Family, Type, pdo};
+use crate::bus::ethercat::profile::capabilities;
 use crate::bus::ethercat::sim::{Drive, DriveSettings};
 use crate::bus::ethercat::slot::{Answer, Ask};
 use crate::bus::ethercat::start_up::start_up;
@@ -15,6 +16,7 @@ use crate::bus::ethercat::wire::frame::Command as DatagramCommand;
 use crate::bus::ethercat::wire::mailbox::{Counter, SDO_SIZE, emit};
 use crate::bus::ethercat::wire::sdo::Request;
 use crate::bus::{NumberedRow, Order};
+use crate::drive::machine::Machine;
 use crate::time::S;
 
 const PERIOD: u64 = MS;
@@ -25,6 +27,7 @@ const PROFILE: Profile = Profile { velocity: 1.0, acceleration: 10.0, decelerati
 struct Rig {
     drive: Drive,
     station: Station,
+    machine: Machine,
     native: Native,
     plan: KollmorgenDrive,
     slot: Slot,
@@ -79,6 +82,7 @@ impl Rig {
         change(&mut settings);
         let (station, native, _) = Station::new(&plan, PERIOD * u64::from(plan.axis.divisor));
         let mut rig = Rig {
+            machine: Machine::new(&plan.axis, capabilities(&plan), PERIOD),
             drive: Drive::new(settings),
             station,
             native,
@@ -145,6 +149,11 @@ impl Rig {
             self.slot.row = Some(NumberedRow { number: self.row + 1, row: *row });
         }
         let before = self.setpoint();
+        if self.machine.progress().serial != self.slot.order.serial {
+            self.machine.start(self.now, self.slot.order.serial, self.slot.order.verb);
+        }
+        self.machine.propose(self.now, &mut self.slot);
+        self.slot.progress = self.machine.progress();
         self.station.prepare(&cycle, &mut self.slot, &mut self.outputs);
         let built = self.outputs.clone();
         self.station.prepare(&cycle, &mut self.slot, &mut self.outputs);
@@ -174,11 +183,18 @@ impl Rig {
     fn send(&mut self) {
         let deadline = self.now + PERIOD / 2;
         self.station.sent(self.now, deadline, &mut self.slot);
+        self.commit();
         if !self.rows.is_empty() && self.slot.row.is_some() {
             self.rows.pop_front();
             self.row += 1;
         }
         self.mails();
+    }
+
+    fn commit(&mut self) {
+        if let Some(grid) = self.slot.gone.grid.take() {
+            self.machine.commit(grid);
+        }
     }
 
     fn hear(&mut self) {
@@ -191,6 +207,8 @@ impl Rig {
             self.station.take(at, &inputs, self.al, &mut self.slot);
             assert!(matches!(self.slot.exchange, Exchange::Answered { suspect: false, .. }));
         }
+        self.machine.observe(self.now, self.slot.report.restarted, &self.slot);
+        self.slot.progress = self.machine.progress();
         self.fresh = std::mem::take(&mut self.slot.report.fresh);
         self.restarted |= std::mem::take(&mut self.slot.report.restarted);
         self.slot.report.emergency = None;
@@ -280,7 +298,7 @@ impl Rig {
             }
             self.turn();
         }
-        panic!("not within {most} cycles: {what}; {:?}, {:?}", self.slot, self.station.orders);
+        panic!("not within {most} cycles: {what}; {:?}, {:?}", self.slot, self.machine);
     }
 
     fn run(&mut self, verb: Command) -> Result<(), Failure> {
@@ -361,8 +379,11 @@ fn enable_goes_from_state_to_state_each_seen() {
         assert_eq!((rig.state(), rig.drive.axis_state()), (State::OperationEnabled, State::OperationEnabled));
         rig.assert_standing();
         rig.order(Command::Enable);
-        rig.prepare();
-        assert_eq!((rig.end(), rig.control()), (Some(Ok(())), 0x0F), "it is on already");
+        for _ in 0..4 {
+            rig.turn();
+            assert_eq!(rig.control(), 0x0F, "it is on already");
+        }
+        assert_eq!(rig.end(), Some(Ok(())));
         rig.done(Command::Disable);
         assert_eq!((rig.control(), rig.drive.axis_state()), (0, State::SwitchOnDisabled));
     }
@@ -499,11 +520,8 @@ fn what_it_cannot_do_is_refused_at_once_by_name() {
     }
     let mut plan = velocity();
     plan.outputs.entries.retain(|entry| entry.object != CONTROL_WORD);
-    let mut station = Station::new(&plan, PERIOD).0;
-    let mut slot = Slot { order: Order { serial: 1, verb: Some(Command::Enable) }, ..Slot::default() };
-    let cycle = Cycle { index: 0, grid: Time(0), period_ns: PERIOD, deadline: Time(1) };
-    station.prepare(&cycle, &mut slot, &mut [0; 6]);
-    assert!(matches!(slot.progress.end, Some(Err(Failure::Unsupported(_)))));
+    let refused = capabilities(&plan).refuses(&Command::Enable);
+    assert!(matches!(refused, Some(Failure::Unsupported(_))));
 }
 
 #[test]
@@ -682,7 +700,7 @@ fn a_homing_that_is_stopped_or_fails_leads_back_to_its_own_mode() {
         let mut rig = Rig::enabled(position());
         rig.order(Command::Home);
         rig.turns(200);
-        assert!(rig.slot.report.moving, "{:?}", rig.station.orders);
+        assert!(rig.slot.report.moving, "{:?}", rig.machine);
         rig.done(stop);
         rig.assert_standing();
         assert!(!rig.slot.report.homed);
