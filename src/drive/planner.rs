@@ -95,17 +95,27 @@ impl Trajectory {
     #[inline]
     pub(crate) fn at(&self, ns: u64) -> Point {
         let now_s = seconds(ns);
-        // A motion is in its last segment most of the time.
-        let mut place = self.count - 1;
-        while place > 0 && self.segments[place].begin_s > now_s {
-            place -= 1;
-        }
-        let Segment { begin_s, from, acceleration } = self.segments[place];
+        let Segment { begin_s, from, acceleration } = *self.segment(now_s);
         let t = now_s - begin_s;
         Point {
             position: from.position + (from.velocity + acceleration * t * 0.5) * t,
             velocity: from.velocity + acceleration * t,
         }
+    }
+
+    /// The acceleration at that time; between two segments that of the later one.
+    pub(crate) fn acceleration(&self, ns: u64) -> f64 {
+        self.segment(seconds(ns)).acceleration
+    }
+
+    #[inline]
+    fn segment(&self, now_s: f64) -> &Segment {
+        // A motion is in its last segment most of the time.
+        let mut place = self.count - 1;
+        while place > 0 && self.segments[place].begin_s > now_s {
+            place -= 1;
+        }
+        &self.segments[place]
     }
 
     /// It has reached its last velocity, so many ns after the begin: for ever.
