@@ -227,11 +227,15 @@ mod tests {
     }
 
     #[test]
-    fn a_way_back_brakes_first_and_a_faster_motion_slows_down_to_its_velocity() {
+    fn a_way_back_and_a_target_that_is_too_near_brake_first_and_a_faster_motion_slows_down() {
         let from = Point { position: 0.0, velocity: 10.0 };
         let back = Trajectory::go_to(from, -5.0, 10.0, 10.0, 10.0);
         assert_eq!(back.at(S), Point { position: 5.0, velocity: 0.0 });
         assert_eq!(back.at(60 * S), Point { position: -5.0, velocity: 0.0 });
+        // It stands after 5 at the earliest.
+        let passed = Trajectory::go_to(from, 1.0, 10.0, 10.0, 10.0);
+        assert_eq!(passed.at(S), Point { position: 5.0, velocity: 0.0 });
+        assert_eq!(passed.at(60 * S), Point { position: 1.0, velocity: 0.0 });
         let slower = Trajectory::go_to(from, 100.0, 2.0, 10.0, 10.0);
         assert!((slower.at(800 * MS).velocity - 2.0).abs() < 1e-9);
         assert_eq!(slower.at(100 * S).position, 100.0);
