@@ -359,7 +359,7 @@ impl Orders {
                 self.finish(Ok(()));
             }
             Some(Command::Enable) if state == MainState::QUICK_STOP => {
-                self.finish(Err(Failure::WrongState(slot.report.state)));
+                self.finish(Err(Failure::WrongState(slot.status.state)));
             }
             Some(Command::Enable) => {
                 // A drive that is switched on already, but not in operation, is not switched off first.
@@ -453,13 +453,13 @@ impl Orders {
             Step::EnableHigh if confirmed && operating => self.finish(Ok(())),
             Step::EnableLow | Step::EnableHigh if timed_out(self.enable_timeout_ns) => {
                 self.control = Some(self.rest);
-                self.finish(Err(Failure::TimedOut(slot.report.state)));
+                self.finish(Err(Failure::TimedOut(slot.status.state)));
             }
             Step::EnableLow | Step::EnableHigh => {}
 
-            Step::Disabling if confirmed && !slot.report.state.is_powered() => self.finish(Ok(())),
+            Step::Disabling if confirmed && !slot.status.state.is_powered() => self.finish(Ok(())),
             Step::Disabling if timed_out(self.enable_timeout_ns) => {
-                self.finish(Err(Failure::TimedOut(slot.report.state)));
+                self.finish(Err(Failure::TimedOut(slot.status.state)));
             }
             Step::Disabling => {}
 
@@ -469,12 +469,12 @@ impl Orders {
             }
             Step::HomeDone if confirmed && operating => self.finish(Ok(())),
             Step::Homing | Step::HomeDone if answered && failed => self.finish(Err(drive_fault)),
-            Step::Homing | Step::HomeDone if answered && !slot.report.state.is_powered() => {
-                self.finish(Err(Failure::Dropped(slot.report.state)));
+            Step::Homing | Step::HomeDone if answered && !slot.status.state.is_powered() => {
+                self.finish(Err(Failure::Dropped(slot.status.state)));
             }
             Step::Homing | Step::HomeDone if timed_out(self.home_timeout_ns) => {
                 self.control = Some(ControlWord::ON);
-                self.finish(Err(Failure::TimedOut(slot.report.state)));
+                self.finish(Err(Failure::TimedOut(slot.status.state)));
             }
             Step::Homing | Step::HomeDone => {}
 
@@ -487,7 +487,7 @@ impl Orders {
                 }
             }
             Step::Aborting => {
-                if confirmed && (!inputs.moving() || !slot.report.state.is_powered()) {
+                if confirmed && (!inputs.moving() || !slot.status.state.is_powered()) {
                     self.control = Some(self.as_found(inputs));
                     self.enter(now, Step::AbortDone);
                 }
@@ -495,7 +495,7 @@ impl Orders {
             Step::AbortDone if confirmed && operating && inputs.moving() => {
                 self.begin_stop(now, None, inputs);
             }
-            Step::AbortDone if confirmed && (operating || !slot.report.state.is_powered()) => {
+            Step::AbortDone if confirmed && (operating || !slot.status.state.is_powered()) => {
                 self.control = Some(self.as_found(inputs));
                 self.finish(Ok(()));
             }
@@ -531,7 +531,7 @@ impl Orders {
             // All that follows needs the drive in operation.
             _ if answered && failed => self.finish(Err(drive_fault)),
             Step::Native(NativeOwner::Application) => {}
-            _ if answered && !operating => self.finish(Err(Failure::Dropped(slot.report.state))),
+            _ if answered && !operating => self.finish(Err(Failure::Dropped(slot.status.state))),
 
             Step::Moving(target) if answered && self.channel.is_over(inputs.state) => {
                 let arrived = target.is_none_or(|target| is_near(target, inputs.demand));

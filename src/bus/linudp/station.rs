@@ -193,7 +193,7 @@ impl Station {
         let outputs = self.orders.advance(cycle.grid, &self.inputs, slot, &mut self.native);
         self.inputs.fresh = false;
         let Outputs { control, motion, config } = outputs;
-        let powered = slot.report.state.is_powered();
+        let powered = slot.status.state.is_powered();
         let called = self.rtc.advance(cycle.grid, slot.link, powered, slot.guarded);
         slot.commanded = self.rtc.commands();
         slot.expected_silence = self.rtc.excuses_silence() && !powered;
@@ -362,9 +362,9 @@ impl Station {
         let (status, state) = (view.status().unwrap_or_default(), view.state().unwrap_or_default());
         let fault = view.error().unwrap_or_default();
         let booting = status == StatusWord::default() && state == StateVar::default();
-        let report = &mut slot.report;
+        let Slot { status: report, notices, .. } = slot;
         if booting && self.inputs.seen && !self.inputs.booting {
-            report.restarted = true;
+            notices.restarted = true;
             self.orders.drive_restarted();
             self.rtc.drive_restarted();
         }
@@ -395,7 +395,7 @@ impl Station {
         }
         if !suspect {
             self.last = Some(Seen { at, actual, demand });
-            report.other_master |= self.other.take(state.count());
+            notices.other_master |= self.other.take(state.count());
         }
         self.inputs = Inputs {
             seen: true,
@@ -410,7 +410,7 @@ impl Station {
             velocity: speed,
             fault,
         };
-        report.fresh = true;
+        notices.fresh = true;
         report.at = at;
         report.suspect = suspect;
         report.state = drive_state(status, state, booting);
@@ -446,15 +446,15 @@ impl Station {
                     Some(source.known().map_or(f64::from(raw[channel]), |known| known.value(raw[channel])))
                 }
             };
-            slot.report.monitor = std::array::from_fn(value);
-            slot.report.monitor_fresh = true;
+            slot.status.monitor = std::array::from_fn(value);
+            slot.notices.monitor_fresh = true;
         }
         match view.config() {
             Some(block) => self.rtc.take(block),
             None => self.rtc.take_none(),
         }
         if let Some(refused) = self.rtc.take_monitor_refusal() {
-            slot.report.monitor_refused = Some(refused);
+            slot.notices.monitor_refused = Some(refused);
         }
     }
 }

@@ -573,7 +573,7 @@ impl Orders {
         if running {
             self.enter(now, Step::Turning { acceleration });
         } else {
-            self.finish(Err(Failure::WrongState(slot.report.state)));
+            self.finish(Err(Failure::WrongState(slot.status.state)));
         }
     }
 
@@ -601,7 +601,7 @@ impl Orders {
         let status = inputs.status;
         let tripped = inputs.fresh && !status.healthy() && inputs.named;
         let timed_out = now.since(self.since) > self.enable_timeout_ns;
-        let state = slot.report.state;
+        let state = slot.status.state;
         match self.step {
             Step::Idle | Step::Native(_) => {}
             Step::EnableLow | Step::EnableHigh if tripped => {

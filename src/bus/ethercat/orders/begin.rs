@@ -102,7 +102,7 @@ impl Orders {
             self.begin(now, inputs, slot);
         } else if now.since(self.since) > self.enable_timeout_ns {
             self.begun = true;
-            self.finish(Err(Failure::TimedOut(slot.report.state)));
+            self.finish(Err(Failure::TimedOut(slot.status.state)));
         }
     }
 
@@ -224,7 +224,7 @@ impl Orders {
                 self.enter(now, Step::ResetWaiting);
             }
             Command::Native(owner) => self.begin_native(now, owner, inputs),
-            _ if !self.runs(inputs) => self.finish(Err(Failure::WrongState(slot.report.state))),
+            _ if !self.runs(inputs) => self.finish(Err(Failure::WrongState(slot.status.state))),
             _ if inputs.mode != ModeIs::Own => self.refuse(OTHER_MODE),
             _ => self.begin_motion(now, verb, inputs, slot),
         }

@@ -55,7 +55,7 @@ impl Orders {
                 self.give_up(Failure::DriveFault(inputs.fault.into()));
             }
         } else {
-            self.give_up(Failure::Dropped(slot.report.state));
+            self.give_up(Failure::Dropped(slot.status.state));
         }
         true
     }
@@ -78,17 +78,17 @@ impl Orders {
         }
         // Between two directions of an overshoot the motor stands for a moment.
         if inputs.fresh {
-            self.still = if self.stands() && !slot.report.moving { self.still.saturating_add(1) } else { 0 };
+            self.still = if self.stands() && !slot.status.moving { self.still.saturating_add(1) } else { 0 };
         }
         let settled = inputs.fresh && self.still >= SETTLED;
         match self.step {
             Step::Moving if settled && self.sent > 0 => self.finish(Ok(())),
-            Step::Following { last: true, .. } if self.is_answered(inputs) && !slot.report.moving => {
+            Step::Following { last: true, .. } if self.is_answered(inputs) && !slot.status.moving => {
                 self.plan(Trajectory::on(self.demand));
                 self.finish(Ok(()));
             }
             Step::FollowWaiting | Step::Following { .. } => self.follow(slot),
-            Step::Stopping if !self.leads && self.is_answered(inputs) && !slot.report.moving => {
+            Step::Stopping if !self.leads && self.is_answered(inputs) && !slot.status.moving => {
                 self.finish(Ok(()));
             }
             Step::Stopping if self.is_free() && self.stands() => self.halt(self.grid, inputs),
@@ -160,7 +160,7 @@ impl Orders {
         if now.since(self.since) > self.enable_timeout_ns {
             let rest = self.rest;
             self.set(rest);
-            self.finish(Err(Failure::TimedOut(slot.report.state)));
+            self.finish(Err(Failure::TimedOut(slot.status.state)));
         }
     }
 
@@ -169,7 +169,7 @@ impl Orders {
         if self.is_answered(inputs) && (!inputs.state.is_powered() || holds) {
             self.finish(Ok(()));
         } else if now.since(self.since) > self.enable_timeout_ns {
-            self.finish(Err(Failure::TimedOut(slot.report.state)));
+            self.finish(Err(Failure::TimedOut(slot.status.state)));
         }
     }
 
@@ -181,10 +181,10 @@ impl Orders {
         }
         match self.step {
             Step::HomeWaiting if answered && !self.leads => {
-                return self.finish(Err(Failure::WrongState(slot.report.state)));
+                return self.finish(Err(Failure::WrongState(slot.status.state)));
             }
             Step::HomeWaiting if answered && self.stands() => {
-                if slot.report.moving {
+                if slot.status.moving {
                     self.halt |= self.is_free();
                 } else {
                     self.end_halt(inputs);
@@ -202,10 +202,10 @@ impl Orders {
                     self.leave_home(now, Ok(()));
                 }
             }
-            Step::HomeStopping(end) if answered && !slot.report.moving => {
+            Step::HomeStopping(end) if answered && !slot.status.moving => {
                 self.enter(now, Step::HomeLeaving(end));
             }
-            Step::HomeLeaving(end) if answered && inputs.mode == ModeIs::Own && !slot.report.moving => {
+            Step::HomeLeaving(end) if answered && inputs.mode == ModeIs::Own && !slot.status.moving => {
                 if let Some(reference) = inputs.reference {
                     self.hold(inputs.position);
                     // Attained, but begun anew before it was left.
@@ -220,7 +220,7 @@ impl Orders {
         if now.since(since) > self.home_timeout_ns {
             self.start = false;
             self.hold(inputs.position);
-            self.finish(Err(Failure::TimedOut(slot.report.state)));
+            self.finish(Err(Failure::TimedOut(slot.status.state)));
         }
     }
 
@@ -257,7 +257,7 @@ impl Orders {
         self.since = since;
         if now.since(since) > self.enable_timeout_ns {
             self.set(ControlWord(0));
-            self.finish(Err(Failure::TimedOut(slot.report.state)));
+            self.finish(Err(Failure::TimedOut(slot.status.state)));
         }
     }
 
@@ -343,7 +343,7 @@ impl Orders {
     /// The same where only velocities are commanded: by the position of the axis, once it is known.
     #[inline]
     fn watch_velocity(&mut self, acceleration: f64, asked: f64, inputs: &Inputs, slot: &Slot) {
-        let Some((low, high)) = self.limits.position.filter(|_| slot.report.homed) else { return };
+        let Some((low, high)) = self.limits.position.filter(|_| slot.status.homed) else { return };
         let velocity = if self.demand.velocity == 0.0 { asked } else { self.demand.velocity };
         if velocity == 0.0 {
             return;

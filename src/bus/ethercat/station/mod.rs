@@ -322,7 +322,7 @@ impl Station {
     /// Its mailbox was read: takes the next emergency, if the previous one was reported. A warning, a fault, or the
     /// end of one.
     pub fn mailbox_heard(&mut self, slot: &mut Slot) {
-        if slot.report.emergency.is_some() {
+        if slot.notices.emergency.is_some() {
             return;
         }
         let Some(emergency) = self.service.take_emergency() else { return };
@@ -330,7 +330,7 @@ impl Station {
             Some(Clearing::Warning) => self.warning = emergency.code,
             _ => (self.emergency, self.emergency_at) = (emergency, self.grid),
         }
-        slot.report.emergency = Some(axis::Emergency { code: emergency.code, register: emergency.register });
+        slot.notices.emergency = Some(axis::Emergency { code: emergency.code, register: emergency.register });
     }
 
     /// The drive's report, in user units.
@@ -345,11 +345,11 @@ impl Station {
         self.take_fault(at, said);
         let inputs = &mut self.inputs;
         (inputs.seen, inputs.fresh, inputs.position) = (true, true, position.unwrap_or(0.0));
-        let report = &mut slot.report;
-        report.fresh = true;
+        let Slot { status: report, notices, .. } = slot;
+        notices.fresh = true;
         report.at = at;
         report.suspect = false;
-        report.restarted |= std::mem::take(&mut self.was_restarted);
+        notices.restarted |= std::mem::take(&mut self.was_restarted);
         report.state = if inputs.operational { inputs.state } else { below_op(inputs.state) };
         let powered = report.state.is_powered();
         self.orders.look(inputs);
@@ -372,9 +372,9 @@ impl Station {
         report.warning = if status.has(StatusWord::WARNING) { u32::from(self.warning.max(1)) } else { 0 };
         report.fault = u32::from(inputs.fault);
         if let Some(shown) = self.asking.take_shown() {
-            (report.monitor, report.monitor_fresh) = (*shown, true);
+            (report.monitor, notices.monitor_fresh) = (*shown, true);
             if let Some(refusal) = self.asking.take_refusal() {
-                report.monitor_refused = Some(refusal);
+                notices.monitor_refused = Some(refusal);
             }
         }
     }
