@@ -124,8 +124,8 @@ fn what_a_protocol_counts_of_its_own_is_exact_without_any_telemetry() {
     }
     assert!(engine.status().lost_records > 5_000);
     let replies = speeds.replies.lock().unwrap().clone();
-    for (gauge, replies) in gauges.drives.iter().zip(&replies) {
-        let read = gauge.read().counters.own;
+    for (gauge, replies) in gauges.axes.iter().zip(&replies) {
+        let read = gauge.numbers.read().counters.own;
         assert!(read[0] <= *replies && read[0] + 64 >= *replies && read[2] == u64::MAX, "{read:?} {replies}");
     }
     let end = engine.finish();
