@@ -103,7 +103,7 @@ impl Exchanged {
         (0..3).for_each(|_| exchanged.turn());
         exchanged.state = MainState::OPERATION_ENABLED;
         (0..3).for_each(|_| exchanged.turn());
-        assert_eq!(exchanged.slot.report.state, State::OperationEnabled);
+        assert_eq!(exchanged.slot.status.state, State::OperationEnabled);
         assert_eq!(exchanged.slot.progress.end, Some(Ok(())));
         exchanged
     }
@@ -179,7 +179,7 @@ impl Asked {
         asked.turn();
         asked.slot.order = Order { serial: 1, verb: Some(Command::Enable) };
         (0..5).for_each(|_| asked.turn());
-        assert_eq!(asked.slot.report.state, State::OperationEnabled);
+        assert_eq!(asked.slot.status.state, State::OperationEnabled);
         assert_eq!(asked.slot.progress.end, Some(Ok(())));
         asked.slot.order = Order { serial: 2, verb: Some(Command::Velocity { acceleration: 1_000.0 }) };
         (0..5).for_each(|_| asked.turn());
@@ -263,13 +263,13 @@ impl Linked {
         let mut linked = Linked { bus, slots: vec![slot; drives], cycle: BEGIN, settled };
         linked.cycle.grid = Time(1_000 * PERIOD_NS);
         linked.bus.prepare(&linked.cycle, &mut linked.slots);
-        linked.until("in operation", |slot| slot.report.fresh);
+        linked.until("in operation", |slot| slot.notices.fresh);
         linked.order(Order { serial: 1, verb: Some(Command::Enable) });
         linked.until("enabled", |slot| slot.progress.end == Some(Ok(())));
         linked.order(Order { serial: 2, verb: Some(Command::Velocity { acceleration: 100.0 }) });
         (0..5_000).for_each(|_| linked.turn());
         for slot in &linked.slots {
-            assert_eq!(slot.report.state, State::OperationEnabled);
+            assert_eq!(slot.status.state, State::OperationEnabled);
             assert_eq!(slot.progress.end, None, "it goes on following");
         }
         linked.slots.iter_mut().for_each(|slot| slot.counters = Counters::default());

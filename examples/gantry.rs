@@ -41,7 +41,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     if let Some(path) = path {
         xy.wait(&path, Duration::from_secs(10))?;
     }
-    let [x, y] = [0, 1].map(|index| xy.axes()[index].feedback().position);
+    let [x, y] = [0, 1].map(|index| xy.axes()[index].feedback().status.position);
     println!("three circles drawn, back at {x:.2}, {y:.2} mm");
 
     // A button that is held for a second. If this thread hung, z would stop by itself after 200 ms.
@@ -54,11 +54,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         z.set_velocity(40.0)?;
     }
     z.stop()?;
-    println!("z jogged to {:.1} mm", z.feedback().position);
+    println!("z jogged to {:.1} mm", z.feedback().status.position);
 
     let run = master.finish();
     for drive in &run.end.drives {
-        println!("{}: {} at the end", drive.name, drive.feedback.state);
+        println!("{}: {} at the end", drive.name, drive.feedback.status.state);
     }
     Ok(())
 }

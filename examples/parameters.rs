@@ -49,7 +49,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
     // A dropped ticket cancels its call.
     drop(asked);
-    println!("at {:.1} mm, {:.1} C at most on the way", x.feedback().position, f64::from(hottest) / 10.0);
+    println!(
+        "at {:.1} mm, {:.1} C at most on the way",
+        x.feedback().status.position,
+        f64::from(hottest) / 10.0
+    );
 
     // Any thread may do the same for any drive. This curve goes to one that stands still, switched off.
     let curve = linmot_curve::load("rt-config/linmot-curve.csv")?;

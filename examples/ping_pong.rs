@@ -24,7 +24,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let setup = setup.with_task(move |cycle, axes| {
         for index in 0..2 {
             let Some(feedback) = axes.feedback(index) else { continue };
-            let standing = feedback.is_operational() && feedback.homed && !feedback.moving;
+            let standing = feedback.is_operational() && feedback.status.homed && !feedback.status.moving;
             if standing && cycle.index >= not_before[index] {
                 far[index] = !far[index];
                 let target = Target::Absolute(if far[index] { 300.0 } else { 100.0 });

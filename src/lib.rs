@@ -51,7 +51,7 @@
 //!     x.home()?;
 //!     x.move_to(120.0, Profile { velocity: 200.0, ..x.profile() })?;
 //!     let feedback = x.feedback();
-//!     println!("{:.3} mm, {} cycles old", feedback.position, feedback.age);
+//!     println!("{:.3} mm, {} cycles old", feedback.status.position, feedback.age);
 //!     x.disable()?;
 //!
 //!     let run = master.finish();

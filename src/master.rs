@@ -13,10 +13,12 @@ use crate::axis::handle::{URGENT_ROOM, room_for_ends};
 use crate::axis::newest;
 use crate::axis::{Axis, AxisEnds, Feedback, Group, GroupError, Link, Observer, Pulse, StopCause};
 use crate::bus::{BusClock, Cycle, OpenError, Unmatched};
-use crate::cycle::bound;
-use crate::cycle::engine::{Control, Engine, Outlets};
+use crate::cycle::bound::{self, Paced};
+use crate::cycle::engine::{AxisEntry, AxisOutlet, Channels, Control, Engine};
 use crate::cycle::record::Record;
-use crate::cycle::status::{DeviceEnd, DriveNumbers, Gauges, Numbers, Status};
+use crate::cycle::status::{
+    AxisGauge, AxisInfo, BusGauge, BusInfo, DeviceEnd, DriveNumbers, Gauges, Numbers, Status,
+};
 use crate::cycle::task::{Axes, Task};
 use crate::cycle::window::OpenBus;
 use crate::cycle::{self, Plan, PlanErrors};
@@ -201,13 +203,14 @@ pub fn assemble<C: Clock>(
     let period_ns = plan.cycle.period_ns;
     let pulse = Pulse::default();
     let mut regions = Regions::default();
-    let (mut buses, mut controllers, mut axes, mut names) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-    let (mut acyclics, mut links, mut devices) = (Vec::new(), Vec::new(), Devices::default());
-    let (mut of_devices, mut named, mut all_notes) = (Vec::new(), Vec::new(), Vec::new());
-    let paced = bound::paced(plan);
+    let (mut entries, mut buses) = (Vec::new(), Vec::new());
+    let (mut axes, mut acyclics) = (Vec::new(), Vec::new());
+    let (mut devices, mut of_devices) = (Devices::default(), Vec::new());
+    let (status_in, status) = cell::cell(Status::default());
+    let mut gauges = Gauges { status, axes: Vec::new(), buses: Vec::new() };
     for bus_plan in &plan.buses {
         let mut bus = bus_plan.open(period_ns, carriers)?;
-        let (first, notes) = (controllers.len(), bus.notes());
+        let (first, notes) = (entries.len(), bus.notes());
         for (index, axis) in bus_plan.axes().into_iter().enumerate() {
             let (command_in, command_out) = rt::ring(axis.command_queue + URGENT_ROOM, &mut regions);
             let (setpoint_in, setpoint_out) = newest::newest();
@@ -232,24 +235,27 @@ pub fn assemble<C: Clock>(
             };
             // First probes are spread over a few cycles: all of them in one cycle would be a burst that never
             // occurs later.
-            let first_probe = (controllers.len() / PROBES_A_CYCLE) as u64;
-            let asked_every = Duration::from_nanos(period_ns.saturating_mul(axis.divisor.into()));
-            // A bus without acyclic access leaves its end of the queue unused.
-            let ends = bus.acyclic(index).unwrap_or_else(|| acyclic::queue(1, Commanding::none()).0);
-            let observer = Observer(reader.clone());
-            let acyclic = Acyclic::new(&axis.name, ends, bus_plan.notation(), observer, asked_every);
-            let silence = bound::silence(&paced[controllers.len()], plan.cycle.overrun);
-            let can = bus_plan.capabilities(index, period_ns);
-            controllers.push(DriveController::new(
+            let first_probe = (entries.len() / PROBES_A_CYCLE) as u64;
+            let paced = Paced::of(&plan.cycle, &**bus_plan, index, axis);
+            let silence = bound::silence(&paced, plan.cycle.overrun);
+            let controller = DriveController::new(
                 axis.clone(),
-                can,
+                bus_plan.capabilities(index, period_ns),
                 queues,
                 period_ns,
                 first_probe,
                 silence,
-            ));
-            names.push((axis.name.clone(), bus_plan.protocol()));
-            links.push(notes.clone().map(|notes| (notes, index)));
+            );
+            let asked_every = Duration::from_nanos(period_ns.saturating_mul(axis.divisor.into()));
+            // A bus without acyclic access leaves its end of the queue unused.
+            let ends = bus.acyclic(index).unwrap_or_else(|| acyclic::queue(1, Commanding::none()).0);
+            let observer = Observer(reader.clone());
+            let acyclic = Acyclic::new(&axis.name, ends, bus_plan.notation(), observer.clone(), asked_every);
+            let (numbers_in, numbers) = cell::cell(DriveNumbers::default());
+            let connection = notes.clone().map(|notes| (notes, index));
+            let info = AxisInfo { name: axis.name.clone(), protocol: bus_plan.protocol(), connection };
+            gauges.axes.push(AxisGauge { info: info.clone(), observer, numbers });
+            entries.push(AxisEntry { controller, outlet: AxisOutlet { info, numbers: numbers_in } });
             axes.push(Axis::new(
                 axis.clone(),
                 axes.len(),
@@ -268,35 +274,34 @@ pub fn assemble<C: Clock>(
             ));
             acyclics.push(acyclic);
         }
-        for (index, name) in bus_plan.devices().into_iter().enumerate() {
-            devices.0.push((name.to_owned(), bus.device(index)));
-            named.push((buses.len(), index, name.to_owned()));
+        let names = bus_plan.devices();
+        for (index, name) in names.iter().enumerate() {
+            devices.0.push(((*name).to_owned(), bus.device(index)));
             if let Some((ends, observer)) = bus.device_acyclic(index) {
                 let period = Duration::from_nanos(period_ns);
                 of_devices.push(Acyclic::new(name, ends, bus_plan.notation(), observer, period));
             }
         }
-        all_notes.push(notes);
-        buses.push(OpenBus { bus, first, end: controllers.len(), is_at_work: false });
+        let (unmatched_in, unmatched) = cell::cell(Unmatched::default());
+        let (clock_in, clock) = cell::cell(None::<BusClock>);
+        let devices = names.into_iter().map(str::to_owned).collect();
+        let info = BusInfo { name: bus_plan.name().to_owned(), devices, notes };
+        gauges.buses.push(BusGauge { info: info.clone(), unmatched, clock });
+        buses.push(OpenBus {
+            bus,
+            info,
+            first,
+            end: entries.len(),
+            is_at_work: false,
+            unmatched: unmatched_in,
+            clock: clock_in,
+        });
     }
     acyclics.extend(of_devices);
     let (record_in, records) = rt::ring(Recorder::ring_size(plan.records_a_cycle(), period_ns), &mut regions);
-    let (status_in, status) = cell::cell(Status::default());
-    let (drives_in, drives) = controllers.iter().map(|_| cell::cell(DriveNumbers::default())).unzip();
-    let (strangers_in, unmatched) = buses.iter().map(|_| cell::cell(Unmatched::default())).unzip();
-    let (clocks_in, clocks) = buses.iter().map(|_| cell::cell(None::<BusClock>)).unzip();
-    let outlets = Outlets {
-        records: record_in,
-        status: status_in,
-        drives: drives_in,
-        unmatched: strangers_in,
-        clocks: clocks_in,
-    };
-    let cycle = plan.cycle.clone();
-    let engine =
-        Engine::new(clock, cycle, buses, controllers, names, named, task, pulse.clone(), control, outlets);
+    let channels = Channels { control, pulse: pulse.clone(), records: record_in, status: status_in };
+    let engine = Engine::new(clock, plan.cycle.clone(), entries, buses, task, channels);
     engine.memory(&mut regions);
-    let gauges = Gauges { status, drives, unmatched, clocks, notes: all_notes, links };
     Ok(Assembly { engine, axes, devices, acyclics, gauges, records, pulse, regions })
 }
 
@@ -551,7 +556,6 @@ impl Setup {
         let steal_before_ms = rt::host::steal_ms(None);
         let Assembly { mut engine, axes, devices, acyclics, gauges, records, pulse, regions } =
             assemble(&plan, MonotonicClock, &Os::beside(realtime.core_to_be()), task, control.clone())?;
-        let observers: Vec<_> = axes.iter().map(|axis| (axis.name().to_owned(), axis.observer())).collect();
 
         let (tell, told) = crossbeam_channel::bounded(1);
         let thread = std::thread::Builder::new()
@@ -595,8 +599,8 @@ impl Setup {
                 return Err(StartError::Thread(error));
             }
         };
-        let monitor =
-            Monitor::new(plan, granted, observers, gauges, Arc::clone(recorder.recording()), steal_before_ms);
+        let recording = Arc::clone(recorder.recording());
+        let monitor = Monitor::new(plan, granted, gauges, recording, steal_before_ms);
         let axes = Mutex::new(axes.into_iter().map(Some).collect());
         Ok(Master {
             axes,

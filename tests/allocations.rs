@@ -412,7 +412,7 @@ fn a_line_allocates_nothing_from_its_bring_up_to_its_end() {
     }
     let counters = end.drives[0].counters;
     assert!(counters.missed > 0 && counters.late > 0 && counters.duplicate > 0, "{counters:?}");
-    assert!(end.drives.iter().all(|drive| !drive.feedback.state.is_powered()), "{:?}", end.drives);
+    assert!(end.drives.iter().all(|drive| !drive.feedback.status.state.is_powered()), "{:?}", end.drives);
 }
 
 /// The loop on real sockets, watched from inside: its task runs on its thread.
@@ -436,7 +436,7 @@ fn twenty_thousand_cycles_on_real_sockets_allocate_nothing() {
     adventures.set_out();
     master.stop_handle().stop();
     let moving = || adventures.axes()[1].feedback();
-    assert!(until(LONG, || moving().stopped.is_some() && moving().velocity.abs() < 250.0));
+    assert!(until(LONG, || moving().stopped.is_some() && moving().status.velocity.abs() < 250.0));
     // The end of the thread itself may free what it likes.
     assert!(master.is_running());
     let count = count() - before;

@@ -166,7 +166,7 @@ impl Axis {
         let ours = feedback.stopped.is_some_and(|cause| cause != StopCause::FoundRunning);
         let latched = ours && feedback.link == Link::Online;
         self.latched = if latched { self.latched + 1 } else { 0 };
-        match feedback.moving && self.latched > BRAKED_AFTER {
+        match feedback.status.moving && self.latched > BRAKED_AFTER {
             true => Err(format!("latched, and moves: {feedback:?}")),
             false => Ok(()),
         }
@@ -205,11 +205,11 @@ impl Axis {
             _ if self.random.u8(..20) != 0 => None,
             // Not every application knows that its axis is stopped.
             Some(_) if self.random.u8(..3) == 0 => Some(self.motion(feedback)),
-            Some(_) if feedback.fault != 0 => Some(Command::ResetFault),
+            Some(_) if feedback.status.fault != 0 => Some(Command::ResetFault),
             Some(_) => Some(Command::Reset),
-            None if feedback.fault != 0 => Some(Command::ResetFault),
+            None if feedback.status.fault != 0 => Some(Command::ResetFault),
             None if !self.enabled => Some(Command::Enable),
-            None if !feedback.homed => Some(Command::Home),
+            None if !feedback.status.homed => Some(Command::Home),
             None => Some(self.motion(feedback)),
         }
     }
@@ -228,9 +228,9 @@ impl Axis {
                 Command::Jog(Jog { velocity: [-0.25, 0.25][random.usize(..2)] * velocity, acceleration })
             }
             12..20 => {
-                let velocity = if feedback.demand > 100.0 { -velocity / 4.0 } else { velocity / 4.0 };
+                let velocity = if feedback.status.demand > 100.0 { -velocity / 4.0 } else { velocity / 4.0 };
                 self.rows = random.u32(20..400);
-                self.next = Row { position: feedback.demand, velocity, ..Row::default() };
+                self.next = Row { position: feedback.status.demand, velocity, ..Row::default() };
                 Command::Follow
             }
             20..26 => Command::Move(Move { target: Target::Relative(random.f64() * 80.0 - 40.0), profile }),
@@ -337,7 +337,7 @@ fn assert_accounts(end: &Numbers, samples: &[u64], seed: u64) {
             drive.name
         );
         assert!(
-            !drive.feedback.state.is_powered() || drive.feedback.link != Link::Online,
+            !drive.feedback.status.state.is_powered() || drive.feedback.link != Link::Online,
             "seed {seed}: {drive:?}"
         );
     }

@@ -174,7 +174,7 @@ fn a_million_cycles_neither_fault_nor_allocate_whatever_happens() {
     adventures.set_out();
     master.stop_handle().stop();
     let moving = || adventures.axes()[1].feedback();
-    assert!(until(LONG, || moving().stopped.is_some() && moving().velocity.abs() < 250.0));
+    assert!(until(LONG, || moving().stopped.is_some() && moving().status.velocity.abs() < 250.0));
     let (allocations, granted) = (count(), master.granted().clone());
     assert!(master.is_running() && locked_kib(std::process::id()) > 10_000);
     let end = master.finish().end;

@@ -237,7 +237,7 @@ fn live(crime: Option<fn()>) {
     adventures.set_out();
     confined.control.stop();
     let moving = || adventures.axes()[1].feedback();
-    assert!(until(LONG, || moving().stopped.is_some() && moving().velocity.abs() < 250.0));
+    assert!(until(LONG, || moving().stopped.is_some() && moving().status.velocity.abs() < 250.0));
     confined.control.stop();
     let end = confined.end();
 
@@ -248,7 +248,7 @@ fn live(crime: Option<fn()>) {
     let drive = |name: &str| end.drives.iter().find(|drive| drive.name == name).unwrap();
     for (axis, ends) in adventures.axes().iter().zip(&adventures.ends) {
         let drive = drive(axis.name());
-        assert!(!drive.feedback.state.is_powered(), "{ends:?} {drive:?}");
+        assert!(!drive.feedback.status.state.is_powered(), "{ends:?} {drive:?}");
     }
     let losses = end.drives[VICTIM].losses;
     assert!(losses > 0, "{:?}", end.drives[VICTIM]);

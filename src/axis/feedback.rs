@@ -224,21 +224,13 @@ impl fmt::Display for Fault<'_> {
     }
 }
 
-/// The newest feedback of one axis.
+/// What a drive reported last, in user units.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Feedback {
-    /// The cycle that published it.
-    pub cycle: u64,
-    /// Cycles since the values below left the drive: 0 = from this cycle. A missed exchange keeps the values.
-    pub age: u32,
+pub struct DriveStatus {
     /// When the values were taken in.
     pub at: Time,
-    /// Link health.
-    pub link: Link,
     /// The drive's state.
     pub state: State,
-    /// The latch: why the master stopped this axis.
-    pub stopped: Option<StopCause>,
     /// Homed, as the drive reports it.
     pub homed: bool,
     /// The drive's setpoint generator is running.
@@ -261,11 +253,26 @@ pub struct Feedback {
     pub warning: u32,
     /// The drive's fault code, 0 = none.
     pub fault: u32,
-    /// Round trip of the last clean exchange, ns.
-    pub rtt_ns: Option<u32>,
     /// The monitored variables, in the units of the plan; `None` where no variable is configured, or it is not set
     /// up yet.
     pub monitor: [Option<f64>; MONITOR_CHANNELS],
+}
+
+/// The newest feedback of one axis.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Feedback {
+    /// The cycle that published it.
+    pub cycle: u64,
+    /// Cycles since the status left the drive: 0 = from this cycle. A missed exchange keeps the status.
+    pub age: u32,
+    /// Link health.
+    pub link: Link,
+    /// The latch: why the master stopped this axis.
+    pub stopped: Option<StopCause>,
+    /// Round trip of the last clean exchange, ns.
+    pub rtt_ns: Option<u32>,
+    /// What the drive reported last.
+    pub status: DriveStatus,
 }
 
 /// The most variables that a drive may report in addition to its process data.
@@ -311,7 +318,7 @@ impl Shown {
 impl Feedback {
     /// Ready for motion commands.
     pub fn is_operational(&self) -> bool {
-        self.link == Link::Online && self.state == State::OperationEnabled
+        self.link == Link::Online && self.status.state == State::OperationEnabled
     }
 }
 
@@ -319,26 +326,27 @@ impl Packed for Feedback {
     type Words = [u64; 13];
 
     fn pack(&self) -> [u64; 13] {
-        let flags = u64::from(self.homed)
-            | u64::from(self.moving) << 1
-            | u64::from(self.in_target) << 2
-            | u64::from(self.suspect) << 3
+        let status = &self.status;
+        let flags = u64::from(status.homed)
+            | u64::from(status.moving) << 1
+            | u64::from(status.in_target) << 2
+            | u64::from(status.suspect) << 3
             | u64::from(self.rtt_ns.is_some()) << 4
-            | u64::from(self.inhibited) << 5
+            | u64::from(status.inhibited) << 5
             | (self.link as u64) << 8
-            | (self.state as u64) << 16
+            | (status.state as u64) << 16
             | self.stopped.map_or(0, |cause| cause as u64) << 24
             | u64::from(self.age) << 32;
-        let (shown, [first, second, third, fourth]) = Shown::from(self.monitor).to_words();
+        let (shown, [first, second, third, fourth]) = Shown::from(status.monitor).to_words();
         [
             self.cycle,
             flags,
-            self.at.0,
-            self.position.to_bits(),
-            self.demand.to_bits(),
-            self.velocity.to_bits(),
-            self.current.to_bits(),
-            u64::from(self.warning) | u64::from(self.fault) << 32,
+            status.at.0,
+            status.position.to_bits(),
+            status.demand.to_bits(),
+            status.velocity.to_bits(),
+            status.current.to_bits(),
+            u64::from(status.warning) | u64::from(status.fault) << 32,
             u64::from(self.rtt_ns.unwrap_or(0)) | u64::from(shown) << 32,
             first,
             second,
@@ -351,13 +359,9 @@ impl Packed for Feedback {
         let flags = words[1];
         let byte = |shift: u32| usize::from((flags >> shift) as u8);
         let shown = Shown::from_words((words[8] >> 32) as u8, [words[9], words[10], words[11], words[12]]);
-        Feedback {
-            cycle: words[0],
-            age: (flags >> 32) as u32,
+        let status = DriveStatus {
             at: Time(words[2]),
-            link: Link::ALL.get(byte(8)).copied().unwrap_or_default(),
             state: State::ALL.get(byte(16)).copied().unwrap_or_default(),
-            stopped: byte(24).checked_sub(1).and_then(|index| StopCause::ALL.get(index).copied()),
             homed: flags & 1 != 0,
             moving: flags & 2 != 0,
             in_target: flags & 4 != 0,
@@ -369,8 +373,15 @@ impl Packed for Feedback {
             current: f64::from_bits(words[6]),
             warning: words[7] as u32,
             fault: (words[7] >> 32) as u32,
-            rtt_ns: (flags & 16 != 0).then_some(words[8] as u32),
             monitor: shown.unwrap_or_default().values(),
+        };
+        Feedback {
+            cycle: words[0],
+            age: (flags >> 32) as u32,
+            link: Link::ALL.get(byte(8)).copied().unwrap_or_default(),
+            stopped: byte(24).checked_sub(1).and_then(|index| StopCause::ALL.get(index).copied()),
+            rtt_ns: (flags & 16 != 0).then_some(words[8] as u32),
+            status,
         }
     }
 }
@@ -389,9 +400,14 @@ mod tests {
     #[test]
     fn what_a_drive_does_not_tell_comes_out_as_it_went_in() {
         let none = f64::NAN;
-        let told =
-            Feedback { position: none, demand: none, current: none, velocity: 2.5, ..Feedback::default() };
-        let read = Feedback::unpack(&told.pack());
+        let status = DriveStatus {
+            position: none,
+            demand: none,
+            current: none,
+            velocity: 2.5,
+            ..DriveStatus::default()
+        };
+        let read = Feedback::unpack(&Feedback { status, ..Feedback::default() }.pack()).status;
         assert!(read.position.is_nan() && read.demand.is_nan() && read.current.is_nan());
         assert_eq!(read.velocity, 2.5);
     }
@@ -403,13 +419,9 @@ mod tests {
             (Link::Lost, State::Fault, Some(StopCause::Shutdown)),
             (Link::Unseen, State::Unknown, Some(StopCause::GroupFailed)),
         ] {
-            let feedback = Feedback {
-                cycle: u64::MAX,
-                age: 77,
+            let status = DriveStatus {
                 at: Time(12),
-                link,
                 state,
-                stopped,
                 homed: true,
                 moving: false,
                 in_target: true,
@@ -421,9 +433,10 @@ mod tests {
                 current: 0.1,
                 warning: 0x80,
                 fault: 0xFFFF_FFFF,
-                rtt_ns: Some(4_000_000_000),
                 monitor: [None, Some(-0.5), None, Some(1e9)],
             };
+            let rtt_ns = Some(4_000_000_000);
+            let feedback = Feedback { cycle: u64::MAX, age: 77, link, stopped, rtt_ns, status };
             assert_eq!(Feedback::unpack(&feedback.pack()), feedback);
         }
     }

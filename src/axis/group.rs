@@ -234,7 +234,9 @@ impl Group {
             .map(|(position, profile)| Command::Move(Move { target: Target::Absolute(*position), profile }))
             .collect();
         let limit = (self.axes.iter().zip(positions))
-            .map(|(axis, position)| longest((position - axis.feedback().demand).abs(), &axis.profile()))
+            .map(|(axis, position)| {
+                longest((position - axis.feedback().status.demand).abs(), &axis.profile())
+            })
             .max();
         let command = self.post(&verbs)?;
         self.wait(&command, limit.unwrap_or_default() + GRACE)

@@ -219,7 +219,8 @@ impl Axis {
         self.ends.samples.take()
     }
 
-    /// A fault code of its drive, as in [`Feedback::fault`] and [`EventKind::Fault`], with its name.
+    /// A fault code of its drive, as in [`DriveStatus::fault`](super::DriveStatus::fault) and [`EventKind::Fault`],
+    /// with its name.
     pub fn fault(&self, code: u32) -> Fault<'static> {
         Fault::new(code, self.ends.faults)
     }
@@ -402,7 +403,7 @@ impl Axis {
 
     /// Moves to `position` (user units) and waits until the motion has ended.
     pub fn move_to(&mut self, position: f64, profile: Profile) -> Result<(), AxisError> {
-        let distance = (position - self.feedback().demand).abs();
+        let distance = (position - self.feedback().status.demand).abs();
         self.run(
             Command::Move(Move { target: Target::Absolute(position), profile }),
             longest(distance, &profile),
@@ -541,7 +542,12 @@ impl Axis {
     }
 
     fn timed_out(&self, verb: &'static str, waited: Duration) -> AxisError {
-        AxisError::TimedOut { axis: self.plan.name.clone(), verb, waited, state: self.feedback().state }
+        AxisError::TimedOut {
+            axis: self.plan.name.clone(),
+            verb,
+            waited,
+            state: self.feedback().status.state,
+        }
     }
 }
 

@@ -37,7 +37,9 @@ pub use command::{
     Setpoint, StreamRow, Target, Ticket,
 };
 pub use event::{Emergency, Event, EventKind};
-pub use feedback::{Fault, FaultNames, Feedback, Link, MONITOR_CHANNELS, Shown, State, StopCause};
+pub use feedback::{
+    DriveStatus, Fault, FaultNames, Feedback, Link, MONITOR_CHANNELS, Shown, State, StopCause,
+};
 pub use group::{Group, GroupCommand, GroupError, GroupRefused};
 pub use handle::{Axis, AxisEnds, AxisError, Observer};
 pub use plan::{

@@ -29,7 +29,8 @@ use self::desired::{Capabilities, Desired, Evidence, Gone};
 use crate::axis::acyclic::{AcyclicEnds, Notation};
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{
-    AxisPlan, Command, Emergency, Failure, FaultNames, Link, MonitorChannel, Observer, PlanFault, Row, State,
+    AxisPlan, Command, DriveStatus, Emergency, Failure, FaultNames, Link, MonitorChannel, Observer,
+    PlanFault, Row,
 };
 use crate::errors::no_descriptor;
 use crate::net::lock::Refused;
@@ -381,10 +382,12 @@ pub struct Slot {
     /// Progress of the order.
     pub progress: Progress,
     /// What the drive reported last.
-    pub report: Report,
-    /// What proves it.
+    pub status: DriveStatus,
+    /// What else is new of it.
+    pub notices: Notices,
+    /// What proves that the drive has what is desired.
     pub evidence: Evidence,
-    /// What has left of what is desired.
+    /// What has left of that.
     pub gone: Gone,
     /// Exact counts of its exchanges.
     pub counters: Counters,
@@ -473,50 +476,22 @@ impl Exchange {
     }
 }
 
-/// What a drive reported last, in user units.
+/// What a bus reports of a drive in addition to its status. The loop clears each of them when it has taken it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Report {
-    /// New since the loop last looked; the loop clears it.
+pub struct Notices {
+    /// The status is new.
     pub fresh: bool,
-    /// The drive was found restarted; the loop clears it.
+    /// The drive was found restarted.
     pub restarted: bool,
     /// Another master was found to command the drive, or to have frames on its segment, with or without a fresh
-    /// exchange; the loop stops the axis, and clears it.
+    /// status; the loop stops the axis.
     pub other_master: bool,
-    /// When it was taken in.
-    pub at: Time,
-    /// State of the drive.
-    pub state: State,
-    /// Homed, as the drive reports it.
-    pub homed: bool,
-    /// The drive's setpoint generator is running.
-    pub moving: bool,
-    /// In the target window, as the drive reports it.
-    pub in_target: bool,
-    /// The drive's hardware enable (STO) is missing.
-    pub inhibited: bool,
-    /// The report may be one request old.
-    pub suspect: bool,
-    /// Actual position, user units; NaN if the drive reports none, like the three below.
-    pub position: f64,
-    /// Demand position, user units.
-    pub demand: f64,
-    /// Actual velocity, user units/s.
-    pub velocity: f64,
-    /// Motor current, A.
-    pub current: f64,
-    /// Warning word, 0 = none.
-    pub warning: u32,
-    /// Fault code, 0 = none.
-    pub fault: u32,
-    /// The additional variables that the drive reports.
-    pub monitor: [Option<f64>; MONITOR_CHANNELS],
-    /// `monitor` came with the newest reply: not every reply carries it. The loop clears it.
+    /// The monitored variables of the status came with the newest reply: not every reply carries them.
     pub monitor_fresh: bool,
-    /// The drive refused to report a variable: its channel, and the drive's status. The loop clears it.
+    /// The drive refused to report a variable: its channel, and the drive's status.
     pub monitor_refused: Option<(u8, u32)>,
-    /// The drive reported an emergency, with or without a fresh exchange. The loop takes one in each cycle; the
-    /// next one waits until then.
+    /// The drive reported an emergency, with or without a fresh status. The loop takes one in each cycle; the next
+    /// one waits until then.
     pub emergency: Option<Emergency>,
 }
 

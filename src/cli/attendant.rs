@@ -174,7 +174,7 @@ impl Attendant {
             let feedback = observer.feedback();
             let apart = known.not_connected(feedback.link, now, || master.not_connected(index));
             let other = known.other_master(feedback.stopped);
-            for news in apart.into_iter().chain(known.fault(feedback.fault)).chain(other) {
+            for news in apart.into_iter().chain(known.fault(feedback.status.fault)).chain(other) {
                 self.live.say(&format!("drive {name}: {news}"));
             }
         }

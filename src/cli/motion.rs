@@ -98,12 +98,13 @@ impl MotionArguments {
         drop(master.finish());
         match done {
             Ok(()) => {
-                print(format_args!("drive {name}: {:.4} {}", feedback.position, axis.plan().units.unit))
+                let position = feedback.status.position;
+                print(format_args!("drive {name}: {position:.4} {}", axis.plan().units.unit))
             }
             Err(_) if interrupted => {
-                let left = match feedback.state.is_powered() {
+                let left = match feedback.status.state.is_powered() {
                     false => "switched off".to_owned(),
-                    true => format!("left in {}", feedback.state),
+                    true => format!("left in {}", feedback.status.state),
                 };
                 Err(Stop::failed(format!("drive {name}: interrupted; ramped down and {left}")))
             }
@@ -119,11 +120,11 @@ impl MotionArguments {
         command: MotionCommand,
         interrupt: &Interrupt,
     ) -> Result<(), Stop> {
-        if self.reset && axis.feedback().fault != 0 {
+        if self.reset && axis.feedback().status.fault != 0 {
             axis.reset_fault().map_err(Stop::failed)?;
         }
         axis.enable().map_err(Stop::failed)?;
-        if self.home && !axis.feedback().homed {
+        if self.home && !axis.feedback().status.homed {
             axis.home().map_err(Stop::failed)?;
         }
         let mode = axis.post(Command::Native(NativeOwner::Master)).map_err(Stop::failed)?;
@@ -153,7 +154,7 @@ impl MotionArguments {
                         return Err(Stop::failed(format!("drive {}: {}", axis.name(), outcome.told(name))));
                     }
                     EventKind::Stopped(cause) => {
-                        let fault = axis.feedback().fault;
+                        let fault = axis.feedback().status.fault;
                         let why = match fault {
                             0 => cause.to_string(),
                             code => format!("{cause} {}", axis.fault(code)),
@@ -185,11 +186,11 @@ fn await_idle(master: &Master, axis: &Axis, interrupt: &Interrupt) -> Result<(),
         master.alive();
     }
     let found = axis.feedback();
-    if found.state.is_powered() || found.moving {
+    if found.status.state.is_powered() || found.status.moving {
         return Err(Stop::failed(format!(
             "drive {} is switched on ({}): another master moves it; end that first",
             axis.name(),
-            found.state
+            found.status.state
         )));
     }
     Ok(())

@@ -99,7 +99,7 @@ impl Running {
         let summary = run.summary();
         let loads = run.plan.axes().into_iter().zip(&run.end.drives);
         for (axis, drive) in loads {
-            if axis.load == Load::Vertical(HeldBy::Drive) && drive.feedback.state.is_powered() {
+            if axis.load == Load::Vertical(HeldBy::Drive) && drive.feedback.status.state.is_powered() {
                 complain(&format!(
                     "drive {} stays powered: only the drive holds its vertical load",
                     axis.name

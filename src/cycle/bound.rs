@@ -1,7 +1,7 @@
 //! How long it takes from the loss of a drive to the stop request on the wire: what `check` states, tests prove and
 //! the loop itself keeps to.
 
-use super::plan::{Overrun, Plan};
+use super::plan::{CyclePlan, Overrun, Plan};
 use crate::axis::AxisPlan;
 use crate::bus::BusPlan;
 
@@ -15,7 +15,14 @@ pub struct Paced<'a> {
     pub owed: Option<u64>,
 }
 
-impl Paced<'_> {
+impl<'a> Paced<'a> {
+    /// Axis `index` of `bus`.
+    pub fn of(cycle: &CyclePlan, bus: &dyn BusPlan, index: usize, axis: &'a AxisPlan) -> Paced<'a> {
+        let owed =
+            |within_ns: u64| within_ns.saturating_sub(cycle.deadline_ns()).div_ceil(cycle.period_ns.max(1));
+        Paced { axis, owed: bus.reply_within_ns(index).map(owed) }
+    }
+
     /// The most cycles between two requests: one whose reply is owed is waited for, and the next one has its turn then.
     fn turn(&self) -> u64 {
         let divisor = u64::from(self.axis.divisor.max(1));
@@ -25,13 +32,11 @@ impl Paced<'_> {
 
 /// All axes of `plan`, in slot order.
 pub fn paced(plan: &Plan) -> Vec<Paced<'_>> {
-    let (period_ns, deadline_ns) = (plan.cycle.period_ns.max(1), plan.cycle.deadline_ns());
-    let owed = |within_ns: u64| within_ns.saturating_sub(deadline_ns).div_ceil(period_ns);
-    let of = |bus: &'_ dyn BusPlan, index| bus.reply_within_ns(index).map(owed);
     plan.buses
         .iter()
         .flat_map(|bus| {
-            bus.axes().into_iter().enumerate().map(|(index, axis)| Paced { axis, owed: of(&**bus, index) })
+            let axes = bus.axes().into_iter().enumerate();
+            axes.map(move |(index, axis)| Paced::of(&plan.cycle, &**bus, index, axis))
         })
         .collect()
 }

@@ -20,12 +20,12 @@ use super::plan::{CyclePlan, Guard, Overrun};
 use super::record::{CycleRecord, Look, Record, Reply, SkippedRecord, Stage, short};
 use super::reference::Reference;
 use super::skips::Skips;
-use super::status::{DeviceEnd, DriveEnd, DriveNumbers, Numbers, Status, whole};
+use super::status::{AxisInfo, DriveNumbers, Numbers, Status};
 use super::task::{Axes, Task};
 use super::window::{OpenBus, Window};
 use crate::axis::cell::Writer;
 use crate::axis::{Link, Pulse, StopCause};
-use crate::bus::{BusClock, Cycle, Slot, Unmatched};
+use crate::bus::{Cycle, Slot};
 use crate::drive::controller::DriveController;
 use crate::drive::groups::GroupSync;
 use crate::rt::{Clock, GuardTuner, Regions};
@@ -56,22 +56,38 @@ impl Control {
     }
 }
 
-/// The loop's own queues.
+/// What the loop itself shares with other threads.
 #[derive(Debug)]
-pub struct Outlets {
+pub struct Channels {
+    /// Their requests.
+    pub control: Control,
+    /// The application's sign of life.
+    pub pulse: Pulse,
     /// Records to the telemetry thread.
     pub records: Producer<Record>,
     /// The numbers of the loop, newest only.
     pub status: Writer<Status>,
-    /// The numbers of each drive, in the order of the plan.
-    pub drives: Vec<Writer<DriveNumbers>>,
-    /// The unmatched counters of each bus.
-    pub unmatched: Vec<Writer<Unmatched>>,
-    /// The clock of each bus.
-    pub clocks: Vec<Writer<Option<BusClock>>>,
 }
 
-impl Outlets {
+/// One axis, as the loop takes it.
+#[derive(Debug)]
+pub struct AxisEntry {
+    /// The loop's side of its drive.
+    pub controller: DriveController,
+    /// The rest.
+    pub outlet: AxisOutlet,
+}
+
+/// What the loop keeps of an axis apart from what it touches in every cycle.
+#[derive(Debug)]
+pub struct AxisOutlet {
+    /// What stays the same of it.
+    pub info: AxisInfo,
+    /// Its numbers.
+    pub numbers: Writer<DriveNumbers>,
+}
+
+impl Channels {
     /// Sends a record to the telemetry, or counts it as lost.
     fn record(&mut self, record: Record, lost: &mut u64) {
         *lost += u64::from(self.records.push(record).is_err());
@@ -93,15 +109,12 @@ pub struct Engine<C> {
     buses: Vec<OpenBus>,
     slots: Vec<Slot>,
     controllers: Vec<DriveController>,
-    names: Vec<(String, &'static str)>,
-    /// The devices that are not drives: bus, index on it, name.
-    devices: Vec<(usize, usize, String)>,
+    axes: Vec<AxisOutlet>,
     task: Option<Task>,
     task_id: u64,
     groups: GroupSync,
     heartbeat: Heartbeat,
-    control: Control,
-    outlets: Outlets,
+    channels: Channels,
     status: Status,
     /// The loop was awake before the grid point of this slot.
     spun: bool,
@@ -159,26 +172,25 @@ const BUSES_END_NS: u64 = 10_000 * MS;
 const SUSPENDED_NS: u64 = MS;
 
 impl<C: Clock> Engine<C> {
-    /// An engine over open buses, one of which leads the grid if the plan names it. `names` are those of the axes
-    /// and their protocols, in slot order.
-    #[expect(clippy::too_many_arguments, reason = "the parts of the loop, joined in one place only")]
+    /// An engine over axes, in slot order, and their open buses, one of which leads the grid if the plan names it.
     pub fn new(
         clock: C,
         plan: CyclePlan,
+        axes: Vec<AxisEntry>,
         mut buses: Vec<OpenBus>,
-        controllers: Vec<DriveController>,
-        names: Vec<(String, &'static str)>,
-        devices: Vec<(usize, usize, String)>,
         task: Option<Task>,
-        pulse: Pulse,
-        control: Control,
-        outlets: Outlets,
+        channels: Channels,
     ) -> Engine<C> {
+        let (controllers, axes): (Vec<_>, Vec<_>) =
+            axes.into_iter().map(|AxisEntry { controller, outlet }| (controller, outlet)).unzip();
         let window = Window::new(plan.wait, buses.len());
         // The ramp, the quick stop and power off have a time-out each, and a hold may have to be left first.
-        let stops =
-            controllers.iter().map(|controller| nanos(controller.plan().stop.timeout)).max().unwrap_or(0);
-        let leads = |controller: &OpenBus| plan.reference.as_deref() == Some(controller.bus.name());
+        let stops = controllers
+            .iter()
+            .map(|axis: &DriveController| nanos(axis.plan().stop.timeout))
+            .max()
+            .unwrap_or(0);
+        let leads = |open: &OpenBus| plan.reference.as_deref() == Some(open.bus.name());
         let reference = buses.iter().position(leads).map(|place| Reference::new(place, plan.period_ns));
         if let Some(reference) = &reference {
             buses[reference.bus()].bus.lead();
@@ -198,15 +210,13 @@ impl<C: Clock> Engine<C> {
             window,
             buses,
             slots: vec![Slot::default(); controllers.len()],
-            names,
-            devices,
+            axes,
             task,
             task_id: 1,
             groups: GroupSync::new(controllers.len()),
-            heartbeat: Heartbeat::new(pulse, plan.heartbeat_ns, plan.period_ns),
+            heartbeat: Heartbeat::new(channels.pulse.clone(), plan.heartbeat_ns, plan.period_ns),
             controllers,
-            control,
-            outlets,
+            channels,
             status: Status { reference: reference.as_ref().map(Reference::status), ..Status::default() },
             reference,
             spun: false,
@@ -231,22 +241,14 @@ impl<C: Clock> Engine<C> {
         regions.add(&*self.controllers);
         self.groups.memory(regions);
         self.heartbeat.memory(regions);
-        regions.add(&*self.control.0);
+        regions.add(&*self.channels.control.0);
         regions.add(&*self.buses);
         self.window.memory(regions);
-        self.outlets.status.memory(regions);
-        regions.add(&*self.outlets.drives);
-        self.outlets.drives.iter().for_each(|drive| drive.memory(regions));
-        regions.add(&*self.outlets.unmatched);
-        self.outlets.unmatched.iter().for_each(|unmatched| unmatched.memory(regions));
-        regions.add(&*self.outlets.clocks);
-        self.outlets.clocks.iter().for_each(|clock| clock.memory(regions));
-        for controller in &self.controllers {
-            controller.memory(regions);
-        }
-        for controller in &self.buses {
-            controller.bus.memory(regions);
-        }
+        self.channels.status.memory(regions);
+        regions.add(&*self.axes);
+        self.axes.iter().for_each(|axis| axis.numbers.memory(regions));
+        self.controllers.iter().for_each(|controller| controller.memory(regions));
+        self.buses.iter().for_each(|open| open.memory(regions));
     }
 
     /// Calibrates the guard, then starts the grid: the first slot is two periods from now.
@@ -329,8 +331,8 @@ impl<C: Clock> Engine<C> {
 
         // 1 send
         self.panics.stage = Some(Stage::Send);
-        for controller in &mut self.buses {
-            controller.work(&mut self.slots, |bus, slots| bus.send(cycle, slots));
+        for open in &mut self.buses {
+            open.work(&mut self.slots, |bus, slots| bus.send(cycle, slots));
         }
         self.status.executed += 1;
         self.skipped_in_a_row = 0;
@@ -484,7 +486,7 @@ impl<C: Clock> Engine<C> {
 
     /// The orderly end, once requested. True when it is complete.
     fn end(&mut self, cycle: &Cycle, now: Time) -> bool {
-        let asked = self.control.asked();
+        let asked = self.channels.control.asked();
         if asked == RUN {
             return false;
         }
@@ -498,8 +500,8 @@ impl<C: Clock> Engine<C> {
         if down || now.since(since) > self.longest_end_ns {
             let begun = *self.buses_ending.get_or_insert(now);
             let mut done = true;
-            for controller in &mut self.buses {
-                done &= controller.work(&mut self.slots, |bus, slots| bus.shut_down(cycle, slots));
+            for open in &mut self.buses {
+                done &= open.work(&mut self.slots, |bus, slots| bus.shut_down(cycle, slots));
             }
             self.status.cut_off = !done && now.since(begun) > BUSES_END_NS;
             self.buses_down = done || self.status.cut_off;
@@ -541,8 +543,8 @@ impl<C: Clock> Engine<C> {
         for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
             controller.propose(next, slot);
         }
-        for controller in &mut self.buses {
-            controller.work(&mut self.slots, |bus, slots| bus.prepare(next, slots));
+        for open in &mut self.buses {
+            open.work(&mut self.slots, |bus, slots| bus.prepare(next, slots));
         }
     }
 
@@ -577,7 +579,7 @@ impl<C: Clock> Engine<C> {
         }));
         self.grid.advance(count);
         self.status.planned = self.grid.planned();
-        self.outlets.status.write(&self.status);
+        self.channels.status.write(&self.status);
         let cycle = self.cycle_at(self.grid.index(), self.grid.at());
         let stop = match self.plan.overrun {
             Overrun::Stop => true,
@@ -597,32 +599,27 @@ impl<C: Clock> Engine<C> {
         for (axis, (controller, slot)) in self.controllers.iter_mut().zip(&self.slots).enumerate() {
             self.status.missed += slot.counters.missed + slot.counters.unsent;
             let lost_records = &mut self.status.lost_records;
-            self.outlets.record(Record::Drive(controller.publish(axis as u16)), lost_records);
+            self.channels.record(Record::Drive(controller.publish(axis as u16)), lost_records);
             if let Some(record) = controller.take_shown(axis as u16) {
-                self.outlets.record(Record::Monitor(record), lost_records);
+                self.channels.record(Record::Monitor(record), lost_records);
             }
             if (turn + axis as u64).is_multiple_of(self.numbers_every) {
-                self.outlets.drives[axis].write(&controller.numbers(slot));
+                self.axes[axis].numbers.write(&controller.numbers(slot));
             }
             operational += u32::from(controller.feedback().is_operational());
             online += u32::from(controller.feedback().link == Link::Online);
             lost += controller.lost_events + controller.lost_samples;
         }
         if turn.is_multiple_of(self.numbers_every) {
-            for (controller, unmatched) in self.buses.iter().zip(&mut self.outlets.unmatched) {
-                unmatched.write(&controller.bus.unmatched());
-            }
-            for (controller, clock) in self.buses.iter().zip(&mut self.outlets.clocks) {
-                clock.write(&controller.bus.clock());
-            }
+            self.buses.iter_mut().for_each(OpenBus::publish);
         }
         self.status.planned = self.grid.planned() + 1;
         (self.status.operational, self.status.online, self.status.lost_events) = (operational, online, lost);
-        self.outlets.status.write(&self.status);
+        self.channels.status.write(&self.status);
     }
 
     fn record(&mut self, record: Record) {
-        self.outlets.record(record, &mut self.status.lost_records);
+        self.channels.record(record, &mut self.status.lost_records);
     }
 
     /// The clock, for a caller that steps the engine by hand.
@@ -639,28 +636,14 @@ impl<C: Clock> Engine<C> {
     pub fn finish(mut self) -> Numbers {
         let panic = self.loop_panic();
         let status = Status { planned: self.grid.planned(), ..self.status };
-        let mut not_connected = self.buses.iter().flat_map(OpenBus::not_connected);
-        let drives = (self.names.into_iter().zip(&self.controllers).zip(&self.slots))
-            .map(|(((name, protocol), controller), slot)| {
-                let DriveNumbers { counters, losses, peaks, monitor } = controller.numbers(slot);
-                let (feedback, not_connected) = (*controller.feedback(), not_connected.next().flatten());
-                DriveEnd { name, protocol, feedback, not_connected, counters, losses, peaks, monitor }
+        let drives = (self.axes.iter().zip(&self.controllers).zip(&self.slots))
+            .map(|((axis, controller), slot)| {
+                axis.info.with(*controller.feedback(), controller.numbers(slot))
             })
             .collect();
-        let unmatched =
-            |controller: &OpenBus| whole(controller.bus.unmatched(), controller.bus.notes().as_deref());
-        let buses = self
-            .buses
-            .iter()
-            .map(|controller| (controller.bus.name().to_owned(), unmatched(controller)))
-            .collect();
-        let clocks = self.buses.iter().map(|controller| controller.bus.clock()).collect();
-        let devices = (self.devices.into_iter())
-            .map(|(bus, index, name)| {
-                let notes = self.buses.get(bus).and_then(|controller| controller.bus.notes());
-                DeviceEnd { name, not_operational: notes.and_then(|notes| notes.device(index)) }
-            })
-            .collect();
+        let buses = self.buses.iter().map(|open| open.info.with(open.bus.unmatched())).collect();
+        let clocks = self.buses.iter().map(|open| open.bus.clock()).collect();
+        let devices = self.buses.iter().flat_map(|open| open.info.devices()).collect();
         Numbers {
             status,
             drives,

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::engine::LoopPanic;
 use crate::axis::cell::{Packed, Reader};
-use crate::axis::{Feedback, MONITOR_CHANNELS};
+use crate::axis::{Feedback, MONITOR_CHANNELS, Observer};
 use crate::bus::{BusClock, Counters, Notes, Unmatched};
 pub use crate::drive::numbers::{DriveNumbers, Extent, Peak, Peaks};
 
@@ -193,47 +193,90 @@ impl Packed for Option<BusClock> {
     }
 }
 
+/// What stays the same of an axis for the readers of its numbers.
+#[derive(Clone, Debug)]
+pub struct AxisInfo {
+    /// Its name.
+    pub name: String,
+    /// Its protocol's name.
+    pub protocol: &'static str,
+    /// If it needs a connection: the notes of its bus, and its index there.
+    pub connection: Option<(Arc<dyn Notes>, usize)>,
+}
+
+impl AxisInfo {
+    /// Why it has no connection; `None`: it has one, needs none, or its first opening is under way.
+    pub fn not_connected(&self) -> Option<String> {
+        let (notes, index) = self.connection.as_ref()?;
+        notes.get(*index)
+    }
+
+    /// The axis in numbers.
+    pub fn with(&self, feedback: Feedback, numbers: DriveNumbers) -> DriveEnd {
+        let DriveNumbers { counters, losses, peaks, monitor } = numbers;
+        let (name, not_connected) = (self.name.clone(), self.not_connected());
+        DriveEnd { name, protocol: self.protocol, feedback, not_connected, counters, losses, peaks, monitor }
+    }
+}
+
+/// What stays the same of a bus for the readers of its numbers.
+#[derive(Clone, Debug)]
+pub struct BusInfo {
+    /// Its name.
+    pub name: String,
+    /// The names of its devices that are not drives.
+    pub devices: Vec<String>,
+    /// What it reports of itself in addition.
+    pub notes: Option<Arc<dyn Notes>>,
+}
+
+impl BusInfo {
+    /// Its name and its counts, with those that only a normal thread may read from the kernel.
+    pub fn with(&self, unmatched: Unmatched) -> (String, Unmatched) {
+        let dropped = self.notes.as_ref().map_or(0, |notes| notes.dropped());
+        (self.name.clone(), Unmatched { dropped: unmatched.dropped + dropped, ..unmatched })
+    }
+
+    /// Its devices that are not drives.
+    pub fn devices(&self) -> impl Iterator<Item = DeviceEnd> {
+        self.devices.iter().enumerate().map(|(index, name)| DeviceEnd {
+            name: name.clone(),
+            not_operational: self.notes.as_ref().and_then(|notes| notes.device(index)),
+        })
+    }
+}
+
 /// Readers of the loop's counts, for any thread.
 #[derive(Debug)]
 pub struct Gauges {
     /// The numbers of the loop, newest.
     pub status: Reader<Status>,
-    /// The numbers of each drive, in the order of the plan; at most 64 cycles or 100 ms old.
-    pub drives: Vec<Reader<DriveNumbers>>,
-    /// The unmatched counters of each bus; at most 64 cycles or 100 ms old.
-    pub unmatched: Vec<Reader<Unmatched>>,
-    /// The clock of each bus, at most as old.
-    pub clocks: Vec<Reader<Option<BusClock>>>,
-    /// What each bus reports of itself in addition.
-    pub notes: Vec<Option<Arc<dyn Notes>>>,
-    /// For each drive that has a connection: its notes, and its index there.
-    pub links: Vec<Option<(Arc<dyn Notes>, usize)>>,
+    /// Those of the axes, in the order of the plan.
+    pub axes: Vec<AxisGauge>,
+    /// Those of the buses, in the order of the plan.
+    pub buses: Vec<BusGauge>,
 }
 
-impl Gauges {
-    /// Why drive `index` has no connection; `None`: it has one, needs none, or its first opening is under way.
-    pub fn not_connected(&self, index: usize) -> Option<String> {
-        let (notes, place) = self.links.get(index)?.as_ref()?;
-        notes.get(*place)
-    }
-
-    /// Why the device `index` of bus `bus` is not in operation; `None`: it is.
-    pub fn not_operational(&self, bus: usize, index: usize) -> Option<String> {
-        self.notes.get(bus)?.as_ref()?.device(index)
-    }
-
-    /// What arrived at each bus and belongs to none of its drives.
-    pub fn unmatched(&self) -> impl Iterator<Item = Unmatched> {
-        self.unmatched
-            .iter()
-            .zip(&self.notes)
-            .map(|(unmatched, notes)| whole(unmatched.read(), notes.as_deref()))
-    }
+/// Readers of one axis.
+#[derive(Debug)]
+pub struct AxisGauge {
+    /// What stays the same.
+    pub info: AxisInfo,
+    /// Its newest feedback.
+    pub observer: Observer,
+    /// Its numbers; at most 64 cycles or 100 ms old.
+    pub numbers: Reader<DriveNumbers>,
 }
 
-/// The counts of a bus, with those that only a normal thread may read from the kernel.
-pub fn whole(unmatched: Unmatched, notes: Option<&dyn Notes>) -> Unmatched {
-    Unmatched { dropped: unmatched.dropped + notes.map_or(0, Notes::dropped), ..unmatched }
+/// Readers of one bus; at most 64 cycles or 100 ms old.
+#[derive(Debug)]
+pub struct BusGauge {
+    /// What stays the same.
+    pub info: BusInfo,
+    /// Its unmatched counters.
+    pub unmatched: Reader<Unmatched>,
+    /// Its clock.
+    pub clock: Reader<Option<BusClock>>,
 }
 
 /// A device that takes part in the cycle and is not a drive.
@@ -291,25 +334,19 @@ pub struct Numbers {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::axis::cell::cell;
     use crate::net::LinkNotes;
 
     #[test]
     fn a_drive_without_a_connection_says_why_and_one_that_needs_none_says_nothing() {
         let notes = LinkNotes::new(2);
         notes.set(1, Some("refused".to_owned()));
-        let gauges = Gauges {
-            status: cell(Status::default()).1,
-            drives: Vec::new(),
-            unmatched: Vec::new(),
-            clocks: Vec::new(),
-            notes: Vec::new(),
-            links: vec![None, Some((Arc::new(notes.clone()), 0)), Some((Arc::new(notes.clone()), 1))],
+        let why = |index: Option<usize>| {
+            let connection = index.map(|index| (Arc::new(notes.clone()) as Arc<dyn Notes>, index));
+            AxisInfo { name: "x".to_owned(), protocol: "modbus-tcp", connection }.not_connected()
         };
-        let told = || [0, 1, 2, 3].map(|index| gauges.not_connected(index));
-        assert_eq!(told(), [None, None, Some("refused".to_owned()), None]);
+        assert_eq!([None, Some(0), Some(1)].map(why), [None, None, Some("refused".to_owned())]);
         notes.set(1, None);
-        assert_eq!(told(), [None, None, None, None]);
+        assert_eq!([None, Some(0), Some(1)].map(why), [None, None, None]);
     }
 
     #[test]

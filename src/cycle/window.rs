@@ -5,7 +5,9 @@
 //! again.
 
 use super::plan::Wait;
-use crate::bus::{Bus, Cycle, Slot};
+use super::status::BusInfo;
+use crate::axis::cell::Writer;
+use crate::bus::{Bus, BusClock, Cycle, Slot, Unmatched};
 use crate::rt::{Clock, PollSet, Regions};
 use crate::time::US;
 
@@ -22,16 +24,22 @@ pub struct Window {
     nap_ns: u64,
 }
 
-/// One bus and its slots.
+/// An open bus, its slots, and the outlets of its numbers.
 pub struct OpenBus {
     /// The bus.
     pub bus: Box<dyn Bus>,
+    /// What stays the same of it.
+    pub info: BusInfo,
     /// Its first slot.
     pub first: usize,
     /// One past its last slot.
     pub end: usize,
     /// A call of it is under way, or has panicked.
     pub is_at_work: bool,
+    /// Its unmatched counters.
+    pub unmatched: Writer<Unmatched>,
+    /// Its clock.
+    pub clock: Writer<Option<BusClock>>,
 }
 
 impl OpenBus {
@@ -43,11 +51,17 @@ impl OpenBus {
         done
     }
 
-    /// Why its drives have no connection, one entry each; for the end, not for the cycle.
-    pub fn not_connected(&self) -> Vec<Option<String>> {
-        let notes = self.bus.notes();
-        let note = |index| notes.as_ref().and_then(|notes| notes.get(index));
-        (0..self.end - self.first).map(note).collect()
+    /// Adds the memory that the loop touches for it, to be locked.
+    pub fn memory(&self, regions: &mut Regions) {
+        self.bus.memory(regions);
+        self.unmatched.memory(regions);
+        self.clock.memory(regions);
+    }
+
+    /// Publishes the numbers of the bus.
+    pub fn publish(&mut self) {
+        self.unmatched.write(&self.bus.unmatched());
+        self.clock.write(&self.bus.clock());
     }
 }
 

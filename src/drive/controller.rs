@@ -19,11 +19,11 @@ use crate::axis::cell::Writer;
 use crate::axis::command::NativeOwner;
 use crate::axis::newest::NewestOut;
 use crate::axis::{
-    Abort, AxisPlan, Command, CommandId, Event, EventKind, Failure, Feedback, FoundRunning, Link,
-    MONITOR_CHANNELS, Outcome, QueuedCommand, Row, Shown, State, StopCause, StreamRow, Ticket,
+    Abort, AxisPlan, Command, CommandId, DriveStatus, Event, EventKind, Failure, Feedback, FoundRunning,
+    Link, MONITOR_CHANNELS, Outcome, QueuedCommand, Row, Shown, State, StopCause, StreamRow, Ticket,
 };
 use crate::bus::desired::Capabilities;
-use crate::bus::{Cycle, Exchange, Order, Report, Slot};
+use crate::bus::{Cycle, Exchange, Order, Slot};
 use crate::rt::Regions;
 use crate::time::{Time, nanos};
 
@@ -240,7 +240,7 @@ impl DriveController {
     /// application's own control word is the application's concern.
     #[inline]
     pub fn is_guarded(&self) -> bool {
-        let on = self.feedback.state.is_powered()
+        let on = self.feedback.status.state.is_powered()
             || self.claim == Claim::Armed
             || self.rising > 0
             || self.held.is_some()
@@ -320,20 +320,20 @@ impl DriveController {
         if std::mem::take(&mut slot.reachable) {
             self.health.reachable(cycle.index + 1);
         }
-        if slot.report.restarted {
+        if slot.notices.restarted {
             self.bounds = Bounds::default();
-        } else if let Some(sent_at) = sent.filter(|_| slot.report.fresh) {
-            let report = &slot.report;
-            let Report { at, homed, position, demand, velocity, .. } = *report;
+        } else if let Some(sent_at) = sent.filter(|_| slot.notices.fresh) {
+            let DriveStatus { at, homed, position, demand, velocity, .. } = slot.status;
             let led = !under_torque(slot);
             let position = if led { demand } else { position };
             self.bounds.take(Sample { sent_at, at, homed, led, position, velocity }, &self.plan);
         }
-        self.take_report(cycle, now, slot, rtt);
+        self.take_status(cycle, now, slot, rtt);
         self.take_link(cycle, now, slot);
         // The first answer need not report the drive's state.
-        if matches!(self.feedback.link, Link::Online | Link::Qualifying) && self.feedback.at != Time(0) {
-            let age_ns = now.since(self.feedback.at);
+        if matches!(self.feedback.link, Link::Online | Link::Qualifying) && self.feedback.status.at != Time(0)
+        {
+            let age_ns = now.since(self.feedback.status.at);
             self.record.age_ns = measured(age_ns);
             self.peaks.age.see(age_ns, cycle.index);
         }
@@ -374,77 +374,60 @@ impl DriveController {
         self.closed.take()
     }
 
-    /// Takes the drive's report into the feedback, with an event for each change.
-    fn take_report(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot, rtt: Option<u32>) {
-        let report = &mut slot.report;
-        let before = self.feedback;
+    /// Takes the drive's status into the feedback, with an event for each change.
+    fn take_status(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot, rtt: Option<u32>) {
+        let Slot { status, notices, .. } = slot;
         self.feedback.cycle = cycle.index;
-        if !report.fresh {
+        if !notices.fresh {
             let age = cycle.index.saturating_sub(self.fresh_at);
             self.feedback.age = u32::try_from(age).unwrap_or(u32::MAX);
             return self.take_emergency(cycle, now, slot);
         }
-        self.fresh_at = cycle.index - u64::from(report.suspect).min(cycle.index);
-        if self.rising > 0 && self.active.is_none() && !report.state.is_powered() && !report.suspect {
+        self.fresh_at = cycle.index - u64::from(status.suspect).min(cycle.index);
+        if self.rising > 0 && self.active.is_none() && !status.state.is_powered() && !status.suspect {
             self.rising -= 1;
         }
-        self.feedback = Feedback {
-            cycle: cycle.index,
-            age: u32::from(report.suspect),
-            at: report.at,
-            link: before.link,
-            state: report.state,
-            stopped: before.stopped,
-            homed: report.homed,
-            moving: report.moving,
-            in_target: report.in_target,
-            inhibited: report.inhibited,
-            suspect: report.suspect,
-            position: report.position,
-            demand: report.demand,
-            velocity: report.velocity,
-            current: report.current,
-            warning: report.warning,
-            fault: report.fault,
-            rtt_ns: rtt.or(before.rtt_ns),
-            monitor: report.monitor,
-        };
-        if std::mem::take(&mut report.monitor_fresh) {
-            self.shown = report.monitor.into();
-            for (extent, value) in self.monitor.iter_mut().zip(report.monitor) {
+        let DriveStatus { state, inhibited, warning, fault, .. } = self.feedback.status;
+        self.feedback.status = *status;
+        self.feedback.age = u32::from(status.suspect);
+        self.feedback.rtt_ns = rtt.or(self.feedback.rtt_ns);
+        if std::mem::take(&mut notices.monitor_fresh) {
+            self.shown = status.monitor.into();
+            for (extent, value) in self.monitor.iter_mut().zip(status.monitor) {
                 if let Some(value) = value.filter(|value| !value.is_nan()) {
                     Extent::see(extent, value);
                 }
             }
         }
         // Rarely any of them.
-        if report.restarted | report.monitor_refused.is_some() | report.emergency.is_some() {
-            if let Some((channel, status)) = report.monitor_refused.take() {
+        if notices.restarted | notices.monitor_refused.is_some() | notices.emergency.is_some() {
+            if let Some((channel, status)) = notices.monitor_refused.take() {
                 self.tell(cycle, now, EventKind::MonitorRefused { channel, status });
             }
-            if std::mem::take(&mut report.restarted) {
+            if std::mem::take(&mut notices.restarted) {
                 self.restarted = true;
                 self.tell(cycle, now, EventKind::Restarted);
             }
             self.take_emergency(cycle, now, slot);
         }
-        if before.inhibited != self.feedback.inhibited {
-            self.tell(cycle, now, EventKind::HardwareEnable(!self.feedback.inhibited));
+        let reported = self.feedback.status;
+        if inhibited != reported.inhibited {
+            self.tell(cycle, now, EventKind::HardwareEnable(!reported.inhibited));
         }
-        if before.state != self.feedback.state {
-            self.tell(cycle, now, EventKind::State(self.feedback.state));
+        if state != reported.state {
+            self.tell(cycle, now, EventKind::State(reported.state));
         }
-        if before.fault != self.feedback.fault {
-            self.tell(cycle, now, EventKind::Fault(self.feedback.fault));
+        if fault != reported.fault {
+            self.tell(cycle, now, EventKind::Fault(reported.fault));
         }
-        if before.warning != self.feedback.warning {
-            self.tell(cycle, now, EventKind::Warning(self.feedback.warning));
+        if warning != reported.warning {
+            self.tell(cycle, now, EventKind::Warning(reported.warning));
         }
     }
 
     /// Takes the emergency that the drive reported; it may come without an exchange.
     fn take_emergency(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
-        if let Some(emergency) = slot.report.emergency.take() {
+        if let Some(emergency) = slot.notices.emergency.take() {
             self.record.emergency = Some(emergency.into());
             self.tell(cycle, now, EventKind::Emergency(emergency));
         }
@@ -468,8 +451,8 @@ impl DriveController {
             }
             Link::Online => {
                 self.seen = true;
-                let running = self.feedback.state.is_powered() || self.feedback.moving;
-                if running && self.claim != Claim::Armed && !slot.report.other_master {
+                let running = self.feedback.status.state.is_powered() || self.feedback.status.moving;
+                if running && self.claim != Claim::Armed && !slot.notices.other_master {
                     self.find_running(cycle, now, Braked::BySetpoints, slot);
                 }
             }
@@ -498,10 +481,10 @@ impl DriveController {
             machine.observe(cycle.grid, restarted, slot);
         }
         // First: what follows from another master must not be named in its place.
-        if std::mem::take(&mut slot.report.other_master) {
+        if std::mem::take(&mut slot.notices.other_master) {
             self.stop(cycle, now, StopCause::OtherMaster, slot);
         }
-        if slot.report.fresh {
+        if slot.notices.fresh {
             let cause = self.left_operation(restarted).or_else(|| self.watch_motion(cycle, now, slot));
             match cause {
                 Some(_) if self.claim == Claim::Found => {
@@ -526,14 +509,14 @@ impl DriveController {
             self.order(slot, Some(verb));
         }
         let sight = Sight {
-            fresh: slot.report.fresh,
+            fresh: slot.notices.fresh,
             heard: self.is_heard(),
             failed: matches!(self.progress(slot), Some(Some(Err(_)))),
-            powered: self.feedback.state.is_powered(),
-            moving: self.feedback.moving,
-            velocity: self.feedback.velocity,
+            powered: self.feedback.status.state.is_powered(),
+            moving: self.feedback.status.moving,
+            velocity: self.feedback.status.velocity,
         };
-        slot.report.fresh = false;
+        slot.notices.fresh = false;
         if let Latch::Down(cause, sequence) = &mut self.latch
             && let Some(verb) = sequence.step(now, sight)
         {
@@ -552,18 +535,18 @@ impl DriveController {
         if !(self.claim == Claim::Armed || free) {
             return None;
         }
-        match self.feedback.state {
+        match self.feedback.status.state {
             State::OperationEnabled | State::QuickStopActive => None,
             _ if free && !restarted => None,
             State::Fault | State::FaultReactionActive => Some(StopCause::DriveFault),
-            _ if self.feedback.inhibited => Some(StopCause::HardwareEnable),
+            _ if self.feedback.status.inhibited => Some(StopCause::HardwareEnable),
             _ => Some(StopCause::DriveDropped),
         }
     }
 
     /// What an axis with power must not do, in whatever state it is: leave its limits, or move without a command.
     fn watch_motion(&mut self, cycle: &Cycle, now: Time, slot: &Slot) -> Option<StopCause> {
-        let state = self.feedback.state;
+        let state = self.feedback.status.state;
         // A drive in its fault reaction brakes by itself, and takes no request.
         if !state.is_powered() {
             self.rest.power_off();
@@ -592,8 +575,9 @@ impl DriveController {
             self.rest.stop();
         } else if commanded {
             self.rest.interrupt();
-        } else if !slot.report.suspect {
-            let motion = Motion { moving: self.feedback.moving, velocity: self.feedback.velocity };
+        } else if !slot.status.suspect {
+            let motion =
+                Motion { moving: self.feedback.status.moving, velocity: self.feedback.status.velocity };
             if self.rest.moves(now, motion, &self.plan.stop, seconds) {
                 return Some(if broken { StopCause::Limit } else { StopCause::Uncommanded });
             }
@@ -612,7 +596,7 @@ impl DriveController {
 
     /// The fastest speed at which it may be, user units/s.
     fn speed(&self) -> f64 {
-        self.feedback.velocity.abs().max(self.bounds.speed())
+        self.feedback.status.velocity.abs().max(self.bounds.speed())
     }
 
     /// The drive answers, so that requests reach it.
@@ -713,7 +697,7 @@ impl DriveController {
         }
         // Only ever read: not ours to power off.
         let Latch::Down(_, sequence) = &mut self.latch else { return true };
-        sequence.shut_down(now, self.feedback.state.is_powered());
+        sequence.shut_down(now, self.feedback.status.state.is_powered());
         let verb = if hurry { sequence.hurry(now) } else { None };
         let down = sequence.is_down();
         if verb.is_some() {
@@ -730,24 +714,14 @@ impl DriveController {
         {
             self.lost_samples += 1;
         }
-        let feedback = &self.feedback;
         DriveRecord {
-            index: feedback.cycle,
+            index: self.feedback.cycle,
             axis,
-            link: feedback.link,
-            state: feedback.state,
-            stopped: feedback.stopped,
+            link: self.feedback.link,
+            stopped: self.feedback.stopped,
             verb: self.active.map_or(0, |active| active.verb.code()),
-            moving: feedback.moving,
-            inhibited: feedback.inhibited,
-            fault: feedback.fault,
-            warning: feedback.warning,
-            current: feedback.current as f32,
-            velocity: feedback.velocity as f32,
-            position: feedback.position,
-            demand: feedback.demand,
             // What send and evaluation found.
-            ..std::mem::take(&mut self.record)
+            ..std::mem::take(&mut self.record).showing(&self.feedback.status)
         }
     }
 

@@ -95,17 +95,27 @@ impl Trajectory {
     #[inline]
     pub(crate) fn at(&self, ns: u64) -> Point {
         let now_s = seconds(ns);
-        // A motion is in its last segment most of the time.
-        let mut place = self.count - 1;
-        while place > 0 && self.segments[place].begin_s > now_s {
-            place -= 1;
-        }
-        let Segment { begin_s, from, acceleration } = self.segments[place];
+        let Segment { begin_s, from, acceleration } = *self.segment(now_s);
         let t = now_s - begin_s;
         Point {
             position: from.position + (from.velocity + acceleration * t * 0.5) * t,
             velocity: from.velocity + acceleration * t,
         }
+    }
+
+    /// The acceleration at that time; between two segments that of the later one.
+    pub(crate) fn acceleration(&self, ns: u64) -> f64 {
+        self.segment(seconds(ns)).acceleration
+    }
+
+    #[inline]
+    fn segment(&self, now_s: f64) -> &Segment {
+        // A motion is in its last segment most of the time.
+        let mut place = self.count - 1;
+        while place > 0 && self.segments[place].begin_s > now_s {
+            place -= 1;
+        }
+        &self.segments[place]
     }
 
     /// It has reached its last velocity, so many ns after the begin: for ever.
@@ -217,11 +227,15 @@ mod tests {
     }
 
     #[test]
-    fn a_way_back_brakes_first_and_a_faster_motion_slows_down_to_its_velocity() {
+    fn a_way_back_and_a_target_that_is_too_near_brake_first_and_a_faster_motion_slows_down() {
         let from = Point { position: 0.0, velocity: 10.0 };
         let back = Trajectory::go_to(from, -5.0, 10.0, 10.0, 10.0);
         assert_eq!(back.at(S), Point { position: 5.0, velocity: 0.0 });
         assert_eq!(back.at(60 * S), Point { position: -5.0, velocity: 0.0 });
+        // It stands after 5 at the earliest.
+        let passed = Trajectory::go_to(from, 1.0, 10.0, 10.0, 10.0);
+        assert_eq!(passed.at(S), Point { position: 5.0, velocity: 0.0 });
+        assert_eq!(passed.at(60 * S), Point { position: 1.0, velocity: 0.0 });
         let slower = Trajectory::go_to(from, 100.0, 2.0, 10.0, 10.0);
         assert!((slower.at(800 * MS).velocity - 2.0).abs() < 1e-9);
         assert_eq!(slower.at(100 * S).position, 100.0);

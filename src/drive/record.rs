@@ -3,7 +3,7 @@
 
 use std::num::NonZeroU32;
 
-use crate::axis::{Emergency, Link, Shown, State, StopCause};
+use crate::axis::{DriveStatus, Emergency, Link, Shown, State, StopCause};
 
 /// The result of a drive's exchange in a cycle.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -94,6 +94,23 @@ impl From<ShortEmergency> for Emergency {
 }
 
 impl DriveRecord {
+    /// Takes over what it shows of a drive's status.
+    #[inline]
+    pub(crate) fn showing(self, status: &DriveStatus) -> DriveRecord {
+        DriveRecord {
+            state: status.state,
+            moving: status.moving,
+            inhibited: status.inhibited,
+            fault: status.fault,
+            warning: status.warning,
+            current: status.current as f32,
+            velocity: status.velocity as f32,
+            position: status.position,
+            demand: status.demand,
+            ..self
+        }
+    }
+
     /// The emergency that it reported in this cycle.
     pub fn emergency(&self) -> Option<Emergency> {
         self.emergency.map(Emergency::from)

@@ -5,10 +5,8 @@ use std::sync::Arc;
 
 use super::{Measured, Recording};
 use crate::axis::Observer;
-use crate::axis::cell::Reader;
-use crate::bus::BusPlan;
 use crate::cycle::Plan;
-use crate::cycle::status::{DeviceEnd, DriveEnd, DriveNumbers, Gauges, Numbers, Status};
+use crate::cycle::status::{DeviceEnd, Gauges, Numbers, Status};
 use crate::rt::{self, Granted};
 
 /// A reader of a machine; see [`Master::monitor`](crate::Master::monitor). Cheap to clone.
@@ -29,12 +27,13 @@ impl Monitor {
     pub(crate) fn new(
         plan: Plan,
         granted: Granted,
-        observers: Vec<(String, Observer)>,
         gauges: Gauges,
         recording: Arc<Recording>,
         steal_before_ms: Option<u64>,
     ) -> Monitor {
         let plan = Arc::new(plan);
+        let observers =
+            gauges.axes.iter().map(|axis| (axis.info.name.clone(), axis.observer.clone())).collect();
         Monitor(Arc::new(Watched { plan, granted, observers, gauges, recording, steal_before_ms }))
     }
 
@@ -65,42 +64,28 @@ impl Monitor {
 
     /// The loop and all drives in numbers. Those of a drive are at most 64 cycles or 100 ms old.
     pub fn numbers(&self) -> Numbers {
-        let Watched { plan, observers, gauges, .. } = &*self.0;
-        let protocols = plan.buses.iter().flat_map(|bus| bus.axes().into_iter().map(|_| bus.protocol()));
-        let drives = (observers.iter().zip(protocols).zip(&gauges.drives).enumerate())
-            .map(|(index, (((name, observer), protocol), numbers))| {
-                let DriveNumbers { counters, losses, peaks, monitor } = numbers.read();
-                let (name, feedback) = (name.clone(), observer.feedback());
-                let not_connected = gauges.not_connected(index);
-                DriveEnd { name, protocol, feedback, not_connected, counters, losses, peaks, monitor }
-            })
-            .collect();
-        let buses = plan.buses.iter().map(|bus| bus.name().to_owned()).zip(gauges.unmatched()).collect();
-        let clocks = gauges.clocks.iter().map(Reader::read).collect();
+        let Gauges { axes, buses, .. } = &self.0.gauges;
+        let drives =
+            axes.iter().map(|axis| axis.info.with(axis.observer.feedback(), axis.numbers.read())).collect();
+        let clocks = buses.iter().map(|bus| bus.clock.read()).collect();
+        let buses = buses.iter().map(|bus| bus.info.with(bus.unmatched.read())).collect();
         let (status, devices) = (self.status(), self.devices());
         Numbers { status, drives, buses, clocks, devices, ..Numbers::default() }
     }
 
     /// What takes part without being a drive, in the order of the plan, and why it is not in operation.
     pub fn devices(&self) -> Vec<DeviceEnd> {
-        let of_bus = |bus: usize, plan: &dyn BusPlan| {
-            let device = |(index, name): (usize, &str)| DeviceEnd {
-                name: name.to_owned(),
-                not_operational: self.0.gauges.not_operational(bus, index),
-            };
-            plan.devices().into_iter().enumerate().map(device).collect::<Vec<_>>()
-        };
-        self.0.plan.buses.iter().enumerate().flat_map(|(bus, plan)| of_bus(bus, &**plan)).collect()
+        self.0.gauges.buses.iter().flat_map(|bus| bus.info.devices()).collect()
     }
 
     /// Why drive `index` has no connection; `None`: it has one, needs none, or its first opening is under way.
     pub fn not_connected(&self, index: usize) -> Option<String> {
-        self.0.gauges.not_connected(index)
+        self.0.gauges.axes.get(index)?.info.not_connected()
     }
 
     /// Whether drive `index` is reached by a connection.
     pub fn has_connection(&self, index: usize) -> bool {
-        self.0.gauges.links.get(index).is_some_and(Option::is_some)
+        self.0.gauges.axes.get(index).is_some_and(|axis| axis.info.connection.is_some())
     }
 
     /// Looks at what the telemetry measured so far. The telemetry waits meanwhile, the loop does not.

@@ -88,7 +88,7 @@ pub fn a_request_that_is_built_again_is_the_same_to_the_byte(subject: &'static d
 
 pub fn only_the_order_that_stands_at_the_last_build_is_carried_out(subject: &'static dyn Subject) {
     let mut line = Line::made_ready(subject, 1);
-    let (before, distance) = (line.slots[0].report.demand, line.way(0, 0.1));
+    let (before, distance) = (line.slots[0].status.demand, line.way(0, 0.1));
     for instead in [None, Some(Command::Stop { deceleration: None })] {
         line.settle();
         line.order(0, line.go(0));
@@ -111,7 +111,7 @@ pub fn only_the_order_that_stands_at_the_last_build_is_carried_out(subject: &'st
     }
     assert_eq!(line.ended(0), Ok(()));
     line.turns(100);
-    let moved = line.slots[0].report.demand - before;
+    let moved = line.slots[0].status.demand - before;
     assert!((moved - distance).abs() < distance * 1e-3, "moved by {moved} instead of {distance}");
 }
 
@@ -316,7 +316,7 @@ pub fn a_refused_send_opens_nothing_and_is_made_up_for(subject: &'static dyn Sub
     let beside = line.slots[1].counters;
     line.wire.log().drives[0].jammed = true;
     // The order is given while nothing goes out.
-    let at = line.slots[0].report.demand;
+    let at = line.slots[0].status.demand;
     let verb = if line.can.positions { line.by(0, 0.1) } else { line.go(0) };
     line.order(0, verb);
     for unsent in 1..=4 {
@@ -330,7 +330,7 @@ pub fn a_refused_send_opens_nothing_and_is_made_up_for(subject: &'static dyn Sub
     assert!(seen.answered() && !seen.suspect, "nothing was under way that it could be mistaken for");
     if line.can.positions {
         assert_eq!(line.ended(0), Ok(()));
-        let (moved, asked) = (line.slots[0].report.demand - at, line.way(0, 0.1));
+        let (moved, asked) = (line.slots[0].status.demand - at, line.way(0, 0.1));
         assert!((moved - asked).abs() < asked * 1e-3, "moved by {moved}");
     } else {
         let velocity = line.profile(0).velocity;

@@ -280,12 +280,12 @@ impl Line {
         for index in 0..self.slots.len() {
             let slot = &mut self.slots[index];
             if let Some((machine, serial)) = &mut self.machines[index] {
-                machine.observe(grid, slot.report.restarted, slot);
+                machine.observe(grid, slot.notices.restarted, slot);
                 if *serial != 0 {
                     slot.progress = machine.progress();
                 }
             }
-            if self.honest && slot.report.fresh && !slot.report.suspect {
+            if self.honest && slot.notices.fresh && !slot.status.suspect {
                 let tape = &self.wire.log().drives[index];
                 rules::honest(slot, tape, &self.drives[index], &self.can, self.sent_at[index]);
             }
@@ -313,12 +313,12 @@ impl Line {
                 Link::Online if *missed >= BUCKET => Link::Lost,
                 same => same,
             };
-            slot.report.monitor_fresh = false;
+            slot.notices.monitor_fresh = false;
             self.seen[index] = Seen {
                 exchange,
-                fresh: std::mem::take(&mut slot.report.fresh),
-                suspect: slot.report.suspect,
-                restarted: std::mem::take(&mut slot.report.restarted),
+                fresh: std::mem::take(&mut slot.notices.fresh),
+                suspect: slot.status.suspect,
+                restarted: std::mem::take(&mut slot.notices.restarted),
             };
         }
         self.accounts();
@@ -472,10 +472,10 @@ impl Line {
 
     /// So many cycles in which nothing moves the drive.
     pub fn stands(&mut self, index: usize, cycles: u64) {
-        let at = self.slots[index].report.demand;
+        let at = self.slots[index].status.demand;
         for _ in 0..cycles {
             self.turn();
-            let report = &self.slots[index].report;
+            let report = &self.slots[index].status;
             match self.can.positions {
                 true => assert_eq!(report.demand, at, "it moves"),
                 false => assert!(!report.moving && !self.said(index).moving, "it turns: {report:?}"),
@@ -509,7 +509,7 @@ impl Line {
         count: u32,
         shape: impl Fn(f64) -> (f64, f64, f64),
     ) -> Vec<Row> {
-        let begin = if self.can.positions { self.slots[index].report.demand } else { 0.0 };
+        let begin = if self.can.positions { self.slots[index].status.demand } else { 0.0 };
         let way = self.way(index, seconds);
         let all = f64::from(count) * (PERIOD * u64::from(self.drives[index].axis.divisor)) as f64 * 1e-9;
         let row = |n| {
@@ -563,7 +563,7 @@ impl Line {
             Motion::Home => Command::Home,
         };
         self.order(index, verb);
-        self.until("a motion", LONG, |line| line.slots[index].report.moving);
+        self.until("a motion", LONG, |line| line.slots[index].status.moving);
         self.turns(50);
         assert!(self.said(index).moving && self.end(index).is_none(), "in the middle of {motion:?}");
     }
@@ -677,7 +677,7 @@ impl Line {
     }
 
     pub fn state(&self, index: usize) -> State {
-        self.slots[index].report.state
+        self.slots[index].status.state
     }
 }
 
@@ -694,7 +694,7 @@ pub enum Motion {
 
 /// Whether the drive reports this velocity.
 pub fn near_velocity(line: &Line, index: usize, velocity: f64) -> bool {
-    (line.slots[index].report.velocity - velocity).abs() < velocity.abs() * 0.02
+    (line.slots[index].status.velocity - velocity).abs() < velocity.abs() * 0.02
 }
 
 /// A motion of many seconds at the velocity of the profile.

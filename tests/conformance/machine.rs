@@ -117,7 +117,7 @@ impl Machine {
         self.ready();
         let ids = (0..self.drives.len()).map(|index| self.post(index, self.go(index))).collect();
         self.run(200);
-        assert!((0..self.drives.len()).all(|index| self.feedback(index).moving));
+        assert!((0..self.drives.len()).all(|index| self.feedback(index).status.moving));
         ids
     }
 
@@ -146,9 +146,9 @@ impl Machine {
             return self.done(index, self.by(index, 0.05));
         }
         self.post(index, self.go(index));
-        self.until("a motion", 1_000, |m| m.feedback(index).moving);
+        self.until("a motion", 1_000, |m| m.feedback(index).status.moving);
         self.done(index, Command::Stop { deceleration: None });
-        assert!(!self.feedback(index).moving);
+        assert!(!self.feedback(index).status.moving);
     }
 
     pub fn post(&mut self, index: usize, verb: Command) -> CommandId {

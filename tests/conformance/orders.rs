@@ -82,12 +82,12 @@ pub fn each_verb_ends_in_what_it_says(subject: &'static dyn Subject) {
     assert!(!line.said(1).powered, "its neighbour was not asked");
     if line.can.home {
         line.done(0, Command::Home);
-        assert!(line.slots[0].report.homed && line.said(0).homed != Some(false));
+        assert!(line.slots[0].status.homed && line.said(0).homed != Some(false));
     }
     if !line.can.positions {
         line.move_about(0);
     }
-    let (at, way) = (line.slots[0].report.demand, line.way(0, 0.1));
+    let (at, way) = (line.slots[0].status.demand, line.way(0, 0.1));
     let targets = [
         (Target::Relative(way), at + way),
         (Target::Absolute(at), at),
@@ -98,7 +98,7 @@ pub fn each_verb_ends_in_what_it_says(subject: &'static dyn Subject) {
     for (target, expected) in targets.into_iter().filter(|_| subject.can().positions) {
         let profile = line.profile(0);
         line.done(0, Command::Move(Move { target, profile }));
-        let demand = line.slots[0].report.demand;
+        let demand = line.slots[0].status.demand;
         assert!((demand - expected).abs() < way * 1e-3, "{target:?}: at {demand} instead of {expected}");
         assert!(!line.said(0).moving);
     }
@@ -118,7 +118,7 @@ pub fn each_verb_ends_in_what_it_says(subject: &'static dyn Subject) {
 
 pub fn an_order_is_carried_out_once_and_its_end_stays_told(subject: &'static dyn Subject) {
     let mut line = Line::made_ready(subject, 1);
-    let (at, way, verb) = (line.slots[0].report.demand, line.way(0, 0.05), line.by(0, 0.05));
+    let (at, way, verb) = (line.slots[0].status.demand, line.way(0, 0.05), line.by(0, 0.05));
     for n in 1..=20 {
         // The same again under a new serial is a new order.
         if !line.can.positions {
@@ -126,7 +126,7 @@ pub fn an_order_is_carried_out_once_and_its_end_stays_told(subject: &'static dyn
             continue;
         }
         line.done(0, verb);
-        let demand = line.slots[0].report.demand;
+        let demand = line.slots[0].status.demand;
         assert!((demand - at - f64::from(n) * way).abs() < way * 1e-2, "after {n}: {demand}");
     }
     for _ in 0..300 {
@@ -155,7 +155,7 @@ pub fn a_move_keeps_to_its_profile_in_user_units(subject: &'static dyn Subject) 
         line.order(0, verb);
         let seconds = |cycles: u64| (cycles * PERIOD) as f64 / S as f64;
         let begin = line.index;
-        line.until("its velocity", 5_000, |line| line.slots[0].report.velocity > profile.velocity * 0.98);
+        line.until("its velocity", 5_000, |line| line.slots[0].status.velocity > profile.velocity * 0.98);
         let speeding = seconds(line.index - begin);
         // Times of a trapezoid; the way is long enough for the velocity.
         let up = profile.velocity / profile.acceleration;
@@ -183,15 +183,15 @@ pub fn a_new_order_replaces_the_one_before_it(subject: &'static dyn Subject) {
     if !line.can.positions {
         return a_new_jog_replaces_the_one_before_it(line);
     }
-    let (at, way) = (line.slots[0].report.demand, line.way(0, 0.2));
+    let (at, way) = (line.slots[0].status.demand, line.way(0, 0.2));
     line.set_going(0, Motion::Move);
     let profile = line.profile(0);
     line.done(0, Command::Move(Move { target: Target::Absolute(at + way), profile }));
     // Here and not where the first one would have gone; and its end never comes up again (the referee sees to that).
-    let standing = line.slots[0].report.demand;
+    let standing = line.slots[0].status.demand;
     assert!((standing - at - way).abs() < way * 1e-3, "at {standing}");
     line.turns(500);
-    assert_eq!(line.slots[0].report.demand, standing);
+    assert_eq!(line.slots[0].status.demand, standing);
     // Orders in every cycle: the last one counts.
     for n in 0..30 {
         let target = Target::Absolute(at + way * f64::from(n) / 29.0);
@@ -199,7 +199,7 @@ pub fn a_new_order_replaces_the_one_before_it(subject: &'static dyn Subject) {
         line.turn();
     }
     assert_eq!(line.ended(0), Ok(()));
-    let standing = line.slots[0].report.demand;
+    let standing = line.slots[0].status.demand;
     assert!((standing - at - way).abs() < way * 1e-3, "at {standing}");
 }
 
@@ -275,12 +275,12 @@ pub fn native_mode_is_refused_by_name_or_moves_nothing_by_itself(subject: &'stat
 
 /// It stands, and goes on standing.
 fn assert_standing(line: &mut Line, index: usize, powered: bool) {
-    let standing = line.slots[index].report.demand;
+    let standing = line.slots[index].status.demand;
     let slow = line.profile(index).velocity * 0.01;
     line.turns(60);
     for _ in 0..150 {
         line.turn();
-        let (report, said) = (&line.slots[index].report, line.said(index));
+        let (report, said) = (&line.slots[index].status, line.said(index));
         assert!(!report.moving && !said.moving && report.velocity.abs() < slow, "{report:?}");
         assert!(!powered || !line.can.positions || near(report.demand, standing), "{report:?}");
         assert_eq!(said.powered, powered, "{report:?}");
@@ -304,7 +304,7 @@ pub fn a_stop_from_every_motion_brings_standstill_with_power_on(subject: &'stati
                 line.turns(3);
             }
             assert_eq!(line.ended(0), Ok(()), "{stop:?} of {motion:?}");
-            assert!(!line.slots[0].report.moving, "it ends at standstill");
+            assert!(!line.slots[0].status.moving, "it ends at standstill");
             assert_standing(&mut line, 0, true);
             assert_eq!(line.state(0), State::OperationEnabled);
             // The next motion goes as if nothing had been.
@@ -333,9 +333,9 @@ pub fn a_stop_ends_at_standstill_however_fast_the_motion_was(subject: &'static d
                 false => Command::Jog(Jog { velocity, acceleration }),
             },
         );
-        line.until("its velocity", 500, |line| line.slots[0].report.velocity > profile.velocity * 0.98);
+        line.until("its velocity", 500, |line| line.slots[0].status.velocity > profile.velocity * 0.98);
         line.done(0, stop);
-        let (report, said) = (line.slots[0].report, line.said(0));
+        let (report, said) = (line.slots[0].status, line.said(0));
         assert!(!report.moving && !said.moving, "{stop:?} ended too soon: {report:?}");
         assert!(report.velocity < usual.velocity * 0.2, "{stop:?} ended too soon: {report:?}");
         assert_standing(&mut line, 0, true);
@@ -349,7 +349,7 @@ pub fn a_stop_ramps_down_as_fast_as_it_was_told(subject: &'static dyn Subject) {
         line.turns(150);
         let Profile { velocity, deceleration, .. } = line.profile(0);
         line.order(0, Command::Stop { deceleration: Some(deceleration * part) });
-        let braking = line.until("standstill", 5_000, |line| !line.slots[0].report.moving);
+        let braking = line.until("standstill", 5_000, |line| !line.slots[0].status.moving);
         let (took, should) = ((braking * PERIOD) as f64 * 1e-9, velocity / (deceleration * part));
         assert!((took - should).abs() < 0.01 + should * 0.05, "{took} s instead of {should} s");
         assert_eq!(line.ended(0), Ok(()));
@@ -463,12 +463,12 @@ pub fn rows_are_followed_in_order_to_the_last(subject: &'static dyn Subject) {
         };
         let steepest = rows.windows(2).map(|pair| pair[1].position - pair[0].position).fold(0.0, f64::max);
         line.order(index, Command::Follow);
-        let mut before = line.slots[index].report.demand;
+        let mut before = line.slots[index].status.demand;
         for turn in 0..2_000 {
             // A row that was refused is sent with the next request, and none is jumped over.
             line.wire.log().drives[index].jammed = jammed && turn % 50 == 25;
             line.turn();
-            let demand = line.slots[index].report.demand;
+            let demand = line.slots[index].status.demand;
             let step = demand - before;
             // A drive that interpolates may overshoot where a straight stream stops dead.
             let back = if straight { steepest } else { 1e-9 };
@@ -480,7 +480,7 @@ pub fn rows_are_followed_in_order_to_the_last(subject: &'static dyn Subject) {
         }
         line.wire.log().drives[index].jammed = false;
         assert_eq!(line.ended(index), Ok(()));
-        let (demand, last) = (line.slots[index].report.demand, rows[rows.len() - 1].position);
+        let (demand, last) = (line.slots[index].status.demand, rows[rows.len() - 1].position);
         assert!((demand - last).abs() < steepest * 1e-2, "at {demand}, the last row is {last}");
         assert!(line.rows[index].is_empty());
         assert_standing(&mut line, index, true);
@@ -494,7 +494,7 @@ pub fn a_jog_goes_on_until_it_is_replaced(subject: &'static dyn Subject) {
         return not_applicable(subject, "jogs", "it takes none; see what is refused by name");
     }
     for direction in [1.0, -1.0] {
-        let at = [0, 1].map(|index| line.slots[index].report.demand);
+        let at = [0, 1].map(|index| line.slots[index].status.demand);
         for index in 0..2 {
             let verb = line.jog(index, 0.5 * direction);
             line.order(index, verb);
@@ -504,11 +504,11 @@ pub fn a_jog_goes_on_until_it_is_replaced(subject: &'static dyn Subject) {
             assert_eq!(line.end(index), None, "a jog has no end of its own");
             if !line.can.positions {
                 let velocity = line.way(index, 0.5 * direction);
-                assert!(near_velocity(&line, index, velocity), "{:?}", line.slots[index].report);
+                assert!(near_velocity(&line, index, velocity), "{:?}", line.slots[index].status);
                 line.done(index, STOP);
                 continue;
             }
-            let (moved, should) = (line.slots[index].report.demand - at, line.way(index, direction));
+            let (moved, should) = (line.slots[index].status.demand - at, line.way(index, direction));
             assert!(
                 (moved - should).abs() < should.abs() * 0.1,
                 "{moved} in two seconds instead of {should}"
@@ -530,14 +530,14 @@ pub fn a_velocity_is_followed_wherever_it_goes(subject: &'static dyn Subject) {
         let velocity = line.way(0, seconds);
         line.slots[0].velocity = velocity;
         line.turns(400);
-        let at = line.slots[0].report.demand;
+        let at = line.slots[0].status.demand;
         line.turns(1_000);
         if !line.can.positions {
-            let report = line.slots[0].report;
+            let report = line.slots[0].status;
             assert!(near_velocity(&line, 0, velocity) || velocity == report.velocity, "{report:?}");
             continue;
         }
-        let (moved, should) = (line.slots[0].report.demand - at, velocity * 1_000.0 * PERIOD as f64 * 1e-9);
+        let (moved, should) = (line.slots[0].status.demand - at, velocity * 1_000.0 * PERIOD as f64 * 1e-9);
         assert!((moved - should).abs() <= should.abs() * 0.1 + 1e-9, "{moved} instead of {should}");
     }
     assert_eq!(line.end(0), None, "it has no end of its own");
@@ -556,17 +556,17 @@ pub fn what_the_door_cannot_see_keeps_to_the_position_limits_all_the_same(subjec
     }
     for index in 0..2 {
         let reach = line.way(index, 0.2);
-        let at = line.slots[index].report.demand;
+        let at = line.slots[index].status.demand;
         for seconds in [0.5, -0.5].into_iter().filter(|_| subject.can().positions) {
             let end = line.run(index, line.by(index, seconds));
             assert!(matches!(end, Err(Failure::Limit { .. })), "{end:?}");
             line.turns(100);
-            assert_eq!(line.slots[index].report.demand, at, "a move that is refused moves nothing");
+            assert_eq!(line.slots[index].status.demand, at, "a move that is refused moves nothing");
         }
         for direction in [0.5, -0.5].into_iter().filter(|_| subject.can().jog) {
             let end = line.run(index, line.jog(index, direction));
             assert!(matches!(end, Err(Failure::Limit { .. })), "{end:?}");
-            let demand = line.slots[index].report.demand;
+            let demand = line.slots[index].status.demand;
             let over = demand.abs() - reach;
             assert!(over < reach * 1e-6 && over > -reach * 0.1, "it ends at {demand}, the limit is {reach}");
             assert_standing(&mut line, index, true);
@@ -652,7 +652,7 @@ pub fn the_request_after_an_order_carries_it(subject: &'static dyn Subject) {
         for _ in 0..40 {
             line.order(0, line.go(0));
             line.turns(7);
-            line.until("its velocity", 1_000, |line| line.slots[0].report.velocity > line.way(0, 0.95));
+            line.until("its velocity", 1_000, |line| line.slots[0].status.velocity > line.way(0, 0.95));
             line.settle();
             let heard = line.heard(0);
             line.order(0, stop);
@@ -726,21 +726,21 @@ pub fn a_fault_of_the_drive_ends_its_orders_and_is_reset_to_power_off(subject: &
         }
         let telegram = subject.fault(&line.reply(0)).unwrap_or(telegram);
         line.meddle(0, telegram);
-        line.until("the fault", 200, |line| line.slots[0].report.fault != 0);
+        line.until("the fault", 200, |line| line.slots[0].status.fault != 0);
         if motion.is_some() {
-            let fault = line.slots[0].report.fault;
+            let fault = line.slots[0].status.fault;
             assert_eq!(line.ended(0), Err(Failure::DriveFault(fault)));
         }
         line.until("its end", 500, |line| line.state(0) == State::Fault);
         assert_eq!(
-            (line.state(1), line.slots[1].report.fault),
+            (line.state(1), line.slots[1].status.fault),
             (State::OperationEnabled, 0),
             "its neighbour"
         );
-        let fault = line.slots[0].report.fault;
+        let fault = line.slots[0].status.fault;
         assert_eq!(line.run(0, Command::Enable), Err(Failure::DriveFault(fault)), "not before it is reset");
         line.done(0, Command::ResetFault);
-        let (report, said) = (line.slots[0].report, line.said(0));
+        let (report, said) = (line.slots[0].status, line.said(0));
         assert_eq!((report.fault, said.powered, said.moving), (0, false, false), "{report:?}");
         line.turns(300);
         assert!(!line.said(0).powered, "a reset never switches on");
@@ -767,7 +767,7 @@ pub fn slots_that_are_passed_over_lose_no_order_and_no_row(subject: &'static dyn
         }
         assert_eq!(line.end(0), Some(Ok(())));
     };
-    let (at, way, verb) = (line.slots[0].report.demand, line.way(0, 0.02), line.by(0, 0.02));
+    let (at, way, verb) = (line.slots[0].status.demand, line.way(0, 0.02), line.by(0, 0.02));
     for _ in 0..10 {
         if line.can.positions {
             line.order(0, verb);
@@ -777,7 +777,7 @@ pub fn slots_that_are_passed_over_lose_no_order_and_no_row(subject: &'static dyn
         }
         to_the_end(&mut line);
     }
-    let moved = line.slots[0].report.demand - at;
+    let moved = line.slots[0].status.demand - at;
     assert!(
         !line.can.positions || (moved - 10.0 * way).abs() < way * 0.01,
         "moved by {moved} instead of {}",
@@ -788,7 +788,7 @@ pub fn slots_that_are_passed_over_lose_no_order_and_no_row(subject: &'static dyn
         line.order(0, Command::Follow);
         to_the_end(&mut line);
         assert!(line.rows[0].is_empty(), "a row an exchange");
-        let (demand, last) = (line.slots[0].report.demand, rows[rows.len() - 1].position);
+        let (demand, last) = (line.slots[0].status.demand, rows[rows.len() - 1].position);
         assert!((demand - last).abs() < way * 0.01, "at {demand}, the last row is {last}");
     }
 }
@@ -808,7 +808,7 @@ pub fn whatever_is_asked_in_whatever_state_ends_or_goes_on(subject: &'static dyn
         }
         line.run(0, STOP).ok();
         line.done(0, Command::Disable);
-        if line.state(0) == State::Fault || line.slots[0].report.fault != 0 {
+        if line.state(0) == State::Fault || line.slots[0].status.fault != 0 {
             line.done(0, Command::ResetFault);
         }
         line.ready();

@@ -1,7 +1,8 @@
 //! What a drive says, in user units: only what it said, only when it said it.
 
+use fieldbeat::axis::DriveStatus;
 use fieldbeat::axis::{Command, Units};
-use fieldbeat::bus::{Report, Slot};
+use fieldbeat::bus::Slot;
 
 use crate::conformance::line::Line;
 use crate::conformance::rules::{is_as_told, near};
@@ -28,7 +29,7 @@ fn varied(subject: &'static dyn Subject) -> Line {
 }
 
 fn assert_as_said(line: &Line, index: usize) {
-    let (report, said) = (&line.slots[index].report, line.said(index));
+    let (report, said) = (&line.slots[index].status, line.said(index));
     let units = line.drives[index].axis.units;
     assert!(is_as_told(report, said, &units), "drive {index}: {report:?}, {said:?}");
     assert_eq!(report.moving, said.moving, "drive {index}: {:?}", report.state);
@@ -44,12 +45,12 @@ pub fn a_report_is_what_the_drive_said_in_user_units(subject: &'static dyn Subje
     line.online();
     for (index, start) in at_power_on.into_iter().enumerate() {
         if line.said(index).position.is_none() {
-            assert!(!line.can.positions && line.slots[index].report.position.is_nan(), "it has none");
+            assert!(!line.can.positions && line.slots[index].status.position.is_nan(), "it has none");
             continue;
         }
         let units = line.drives[index].axis.units;
         let counts = (start * units.counts_per_unit).round() as i64;
-        assert!(near(line.slots[index].report.position, units.position(counts)), "drive {index}");
+        assert!(near(line.slots[index].status.position, units.position(counts)), "drive {index}");
     }
     // All the way up, through a move, and down again.
     let motion = if line.can.positions { line.by(0, 0.2) } else { line.go(0) };
@@ -84,7 +85,7 @@ pub fn velocity_is_the_way_made_in_user_units_a_second(subject: &'static dyn Sub
         }
         line.turns(300);
         for index in 0..4 {
-            let (report, cruise) = (line.slots[index].report, line.profile(index).velocity);
+            let (report, cruise) = (line.slots[index].status, line.profile(index).velocity);
             let off = (report.velocity - cruise * seconds.signum()).abs();
             let in_target = report.in_target && line.can.positions;
             assert!(off < cruise * 0.02 && !in_target, "drive {index}: {report:?}, profile {cruise}");
@@ -97,20 +98,20 @@ pub fn velocity_is_the_way_made_in_user_units_a_second(subject: &'static dyn Sub
         }
         line.turns(100);
         for index in 0..4 {
-            let (report, cruise) = (line.slots[index].report, line.profile(index).velocity);
+            let (report, cruise) = (line.slots[index].status, line.profile(index).velocity);
             assert!(report.velocity.abs() < cruise * 0.01 && report.in_target, "standing: {report:?}");
         }
     }
 }
 
 /// Bit for bit: no number is no number.
-fn same(a: &Report, b: &Report) -> bool {
+fn same(a: &DriveStatus, b: &DriveStatus) -> bool {
     format!("{a:?}") == format!("{b:?}")
 }
 
 pub fn each_answer_is_fresh_once_and_silence_is_not(subject: &'static dyn Subject) {
     let mut line = Line::made_ready(subject, 1);
-    let mut before = line.slots[0].report;
+    let mut before = line.slots[0].status;
     let opened = line.wire.log().drives[0].opened;
     let (mut unfinished, mut answered) = (0, 0);
     for turn in 0..if line.can.stream { 2_000 } else { 200 } {
@@ -120,7 +121,7 @@ pub fn each_answer_is_fresh_once_and_silence_is_not(subject: &'static dyn Subjec
         answered += u64::from(seen.answered());
         unfinished += u64::from(seen.answered() && !seen.fresh);
         assert!(seen.answered() || !seen.fresh, "{seen:?}");
-        let report = line.slots[0].report;
+        let report = line.slots[0].status;
         assert_eq!(report.at > before.at, seen.fresh, "{report:?}");
         assert!(seen.fresh || same(&report, &before), "held as it was");
         before = report;
@@ -152,7 +153,7 @@ pub fn a_restart_is_noticed_once_and_what_was_known_is_forgotten(subject: &'stat
             assert!(!line.seen[1].restarted, "its neighbour");
             if line.seen[0].fresh {
                 assert_as_said(&line, 0);
-                let velocity = line.slots[0].report.velocity;
+                let velocity = line.slots[0].status.velocity;
                 assert!(
                     noticed == 0 || !line.can.positions || velocity.abs() < cruise,
                     "a jump of the position is no velocity: {velocity}"
@@ -160,7 +161,7 @@ pub fn a_restart_is_noticed_once_and_what_was_known_is_forgotten(subject: &'stat
             }
         }
         assert_eq!(noticed, 1, "silent for {silent} cycles");
-        let Slot { report, .. } = &line.slots[0];
+        let Slot { status: report, .. } = &line.slots[0];
         assert!(!report.state.is_powered() && !report.moving, "{report:?}");
     }
     // It can be brought up as ever; that its positions begin anew with a homing is no velocity either.
@@ -168,7 +169,7 @@ pub fn a_restart_is_noticed_once_and_what_was_known_is_forgotten(subject: &'stat
     if line.can.home {
         line.order(0, Command::Home);
         line.until("the end of a homing", 20_000, |line| {
-            let velocity = line.slots[0].report.velocity;
+            let velocity = line.slots[0].status.velocity;
             assert!(velocity.abs() < cruise * 2.0, "{velocity} while homing");
             line.end(0) == Some(Ok(()))
         });
@@ -181,12 +182,12 @@ pub fn homed_is_what_the_drive_says_after_a_restart_too(subject: &'static dyn Su
     if !line.can.home {
         return not_applicable(subject, "homed after a restart", "its drives are referenced by nature");
     }
-    assert!(line.slots[0].report.homed);
+    assert!(line.slots[0].status.homed);
     line.plug(0, false);
     line.turns(100);
     line.restart(0);
     line.turns(500);
     line.plug(0, true);
     line.online();
-    assert!(!line.slots[0].report.homed);
+    assert!(!line.slots[0].status.homed);
 }

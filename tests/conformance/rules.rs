@@ -1,7 +1,7 @@
 //! What holds after every call, whatever a clause is about: the referee of a line.
 
-use fieldbeat::axis::Units;
-use fieldbeat::bus::{Counters, Cycle, Exchange, Report, Slot};
+use fieldbeat::axis::{DriveStatus, Units};
+use fieldbeat::bus::{Counters, Cycle, Exchange, Notices, Slot};
 use fieldbeat::time::Time;
 
 use crate::conformance::subject::{Can, Drive, Said};
@@ -24,13 +24,13 @@ impl Around<'_> {
 
     /// What the drive last said stays as it was.
     fn keeps_the_report(&self) {
-        kept(&self.before.report, &self.after.report);
+        kept(self.before.notices, self.before, self.after);
     }
 
     /// The same, unless a new connection has found the drive restarted.
     fn keeps_the_report_but(&self, can: &Can) {
-        let restarted = self.before.report.restarted || can.stream && self.after.report.restarted;
-        kept(&Report { restarted, ..self.before.report }, &self.after.report);
+        let restarted = self.before.notices.restarted || can.stream && self.after.notices.restarted;
+        kept(Notices { restarted, ..self.before.notices }, self.before, self.after);
     }
 
     /// Counts only grow, and `missed` is the loop's.
@@ -58,8 +58,8 @@ impl Around<'_> {
                 assert_eq!(sent_at, same, "the reply closes the exchange that was open");
                 assert!(self.span.0 <= at && at <= self.span.1, "taken in at {at}, in {:?}", self.span);
                 assert_eq!(answered, 1, "one exchange, answered once");
-                let fresh = after.report.fresh && !before.report.fresh;
-                assert!(!fresh || after.report.at == at, "what is new came with it: {:?}", after.report);
+                let fresh = after.notices.fresh && !before.notices.fresh;
+                assert!(!fresh || after.status.at == at, "what is new came with it: {:?}", after.status);
                 true
             }
             // A second reply in the same window may tell that the first was an earlier one.
@@ -114,11 +114,11 @@ impl Around<'_> {
         self.counts_on();
         let sent = |slot: &Slot| (slot.counters.sent, slot.counters.unsent);
         assert_eq!(sent(self.before), sent(self.after), "nothing is sent while receiving");
-        let was_fresh = self.before.report.fresh;
+        let was_fresh = self.before.notices.fresh;
         let closed = self.answers_or_keeps(can);
-        let report = &self.after.report;
-        assert!(closed || report.fresh == was_fresh, "fresh without an answer");
-        assert!(report.fresh || !report.monitor_fresh, "shown without an answer: {report:?}");
+        let Slot { status, notices, .. } = self.after;
+        assert!(closed || notices.fresh == was_fresh, "fresh without an answer");
+        assert!(notices.fresh || !notices.monitor_fresh, "shown without an answer: {status:?}");
     }
 
     /// After `prepare`.
@@ -138,8 +138,9 @@ impl Around<'_> {
 }
 
 /// Bit for bit: no number is no number.
-fn kept(before: &Report, after: &Report) {
-    assert_eq!(format!("{before:?}"), format!("{after:?}"), "the report changed without an accepted reply");
+fn kept(notices: Notices, before: &Slot, after: &Slot) {
+    let (before, after) = ((before.status, notices), (after.status, after.notices));
+    assert_eq!(format!("{before:?}"), format!("{after:?}"), "the status changed without an accepted reply");
 }
 
 /// Every request is answered, missed or owed, and each telegram that was taken in is counted in one place.
@@ -168,13 +169,13 @@ pub fn honest(slot: &Slot, tape: &Tape, drive: &Drive, can: &Can, since: Time) {
     let newer = tape.heard.iter().rev().take_while(|heard| heard.at >= since).count();
     let recent = tape.heard.iter().rev().take(newer + before);
     let mut given = recent.filter_map(|heard| heard.told);
-    let given = given.any(|told| is_as_told(&slot.report, told, &units))
+    let given = given.any(|told| is_as_told(&slot.status, told, &units))
         || tape.heard.iter().all(|heard| heard.told.is_none());
-    assert!(given, "reported as new, but not said since {since}: {:?}", slot.report);
+    assert!(given, "reported as new, but not said since {since}: {:?}", slot.status);
 }
 
 /// Position, demand and velocity are as the drive told them, in its units.
-pub fn is_as_told(report: &Report, told: Said, units: &Units) -> bool {
+pub fn is_as_told(report: &DriveStatus, told: Said, units: &Units) -> bool {
     let at = |position: Option<i64>, reported| match position {
         Some(position) => near(units.position(position), reported),
         None => reported.is_nan(),

@@ -133,7 +133,7 @@ pub fn the_stop_request_is_on_the_wire_within_its_bound(subject: &'static dyn Su
         // It heard the stop, and stands.
         m.until("standstill", 1_000, |m| m.tape(0, |tape| !tape.said().moving));
         let neighbour =
-            (1..count).all(|index| m.feedback(index).stopped.is_none() && m.feedback(index).moving);
+            (1..count).all(|index| m.feedback(index).stopped.is_none() && m.feedback(index).status.moving);
         assert!(neighbour, "its neighbour goes on");
     }
 }
@@ -222,18 +222,20 @@ pub fn a_lost_drive_comes_back_by_the_application_only_and_homed_is_read_again(
             m.run(500);
         }
         m.plug(0, true);
-        m.until("off", 5_000, |m| m.feedback(0).link == Link::Online && !m.feedback(0).state.is_powered());
+        m.until("off", 5_000, |m| {
+            m.feedback(0).link == Link::Online && !m.feedback(0).status.state.is_powered()
+        });
         m.run(500);
         let feedback = m.feedback(0);
         assert_eq!(feedback.stopped, Some(StopCause::LinkLost), "it stays latched");
-        assert!(!feedback.state.is_powered() && !feedback.moving, "{feedback:?}");
+        assert!(!feedback.status.state.is_powered() && !feedback.status.moving, "{feedback:?}");
         for verb in [Command::Enable, m.go(0)] {
             assert_eq!(m.failed(0, verb), Failure::Latched(StopCause::LinkLost));
         }
         m.done(0, Command::Reset);
         m.done(0, Command::Enable);
         let said = m.tape(0, |tape| tape.said().homed);
-        assert!(said.is_none_or(|homed| homed == m.feedback(0).homed));
+        assert!(said.is_none_or(|homed| homed == m.feedback(0).status.homed));
         if restarted && m.can.home && m.can.positions {
             let verb = m.by(0, 0.05);
             assert_eq!(m.failed(0, verb), Failure::NotHomed);
@@ -271,7 +273,7 @@ pub fn found_running_is_stopped_or_left_alone_as_its_plan_says(subject: &'static
     for index in 0..2 {
         assert_eq!(m.feedback(index).stopped, Some(StopCause::FoundRunning));
     }
-    m.until("power off", 2_000, |m| !m.feedback(0).state.is_powered());
+    m.until("power off", 2_000, |m| !m.feedback(0).status.state.is_powered());
     let (heard, still) = m.tape(0, |tape| {
         let standing = tape.heard.iter().rev().filter_map(|heard| heard.said);
         let standing = standing.skip_while(|said| !said.powered);
@@ -280,7 +282,7 @@ pub fn found_running_is_stopped_or_left_alone_as_its_plan_says(subject: &'static
     assert!(still >= 20, "of {heard} requests only {still} between standstill and power off");
     m.run(500);
     let (feedback, said) = (m.feedback(1), m.tape(1, |tape| tape.said()));
-    assert!(said.powered && said.moving && feedback.moving, "only read: {feedback:?}");
+    assert!(said.powered && said.moving && feedback.status.moving, "only read: {feedback:?}");
     for verb in [Command::Enable, m.go(1)] {
         assert_eq!(m.failed(1, verb), Failure::Latched(StopCause::FoundRunning));
     }
@@ -320,7 +322,7 @@ fn is_set_up_anew(m: &mut Machine) {
         m.feedback(1).link == Link::Online
     });
     let feedback = m.feedback(1);
-    assert!(!feedback.state.is_powered(), "{feedback:?}");
+    assert!(!feedback.status.state.is_powered(), "{feedback:?}");
     assert_eq!(feedback.stopped, Some(StopCause::LinkLost), "and waits for the application");
 }
 
@@ -333,7 +335,7 @@ pub fn a_fault_of_the_drive_latches_its_axis(subject: &'static dyn Subject) {
     m.meddle(0, telegram);
     assert_eq!(m.stopped(0, 50), StopCause::DriveFault);
     assert_eq!(m.ended(0, ids[0]), Outcome::Aborted(Abort::Stopped(StopCause::DriveFault)));
-    m.until("the fault", 500, |m| m.feedback(0).state == State::Fault);
+    m.until("the fault", 500, |m| m.feedback(0).status.state == State::Fault);
     m.until(
         "its number",
         if m.can.shared {
@@ -343,12 +345,12 @@ pub fn a_fault_of_the_drive_latches_its_axis(subject: &'static dyn Subject) {
         } else {
             50
         },
-        |m| m.feedback(0).fault != 0,
+        |m| m.feedback(0).status.fault != 0,
     );
     // The stop sequence runs to its end before anything else is taken.
     m.run(100);
     m.recover(0);
-    assert_eq!(m.feedback(0).fault, 0);
+    assert_eq!(m.feedback(0).status.fault, 0);
     assert_eq!((m.feedback(1).stopped, m.outcome(1, ids[1])), (None, None), "its neighbour goes on");
 }
 
@@ -398,7 +400,7 @@ fn storm(subject: &'static dyn Subject, seed: u64) -> (u64, u64, String) {
     for drive in &end.drives {
         let c = drive.counters;
         assert_eq!(c.sent, c.answered + c.missed, "nothing is owed at the end: {c:?}");
-        assert!(!drive.feedback.state.is_powered(), "{:?}", drive.feedback);
+        assert!(!drive.feedback.status.state.is_powered(), "{:?}", drive.feedback);
     }
     assert_eq!(end.status.planned, end.status.executed + end.status.skipped);
     assert!(end.status.skipped > 0 && end.status.missed > 0, "{:?}", end.status);

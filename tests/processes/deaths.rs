@@ -103,7 +103,7 @@ fn a_jog_of_a_killed_controller_ends_with_its_leash_and_the_next_master_powers_i
     // Then it is an axis like any other; the drive has kept its reference.
     axis.reset().unwrap();
     axis.enable().unwrap();
-    assert!(axis.feedback().homed);
+    assert!(axis.feedback().status.homed);
     axis.move_to(end.position + 1.0, axis.profile()).unwrap();
 }
 
@@ -178,7 +178,7 @@ fn a_drive_that_lost_its_power_in_mid_motion_comes_back_off_and_not_homed() {
     let latched = Outcome::Failed(Failure::Latched(StopCause::LinkLost));
     assert_eq!(outcome(axis.enable()), latched);
     let back = onlooker.look(machine.drive(0));
-    assert!(!back.powered && !axis.feedback().homed, "{back:?}");
+    assert!(!back.powered && !axis.feedback().status.homed, "{back:?}");
     axis.reset().unwrap();
     axis.enable().unwrap();
     assert_eq!(outcome(axis.move_to(20.0, axis.profile())), Outcome::Failed(Failure::NotHomed));

@@ -346,7 +346,7 @@ fn the_error_log_tells_what_has_happened_to_the_drive() {
     axis.enable().unwrap();
     axis.home().unwrap();
     axis.move_to(300.0, axis.profile()).unwrap_err();
-    let fault = axis.feedback().fault;
+    let fault = axis.feedback().status.fault;
     drop((axis, master));
     let log = ask("linmot errors", &config, "d0 --json").json();
     assert_eq!((&log["occurred"], &log["logged"]), (&1.into(), &1.into()), "{log}");

@@ -218,14 +218,14 @@ fn ending_a_master_that_is_stopping_already_keeps_its_ramp() {
     let profile = Profile { velocity: 200.0, acceleration: 2000.0, ..axis.profile() };
     let target = fieldbeat::axis::Target::Absolute(1900.0);
     axis.post(Command::Move(fieldbeat::axis::Move { target, profile })).unwrap();
-    assert!(support::until(LONG, || axis.feedback().velocity > 150.0), "{:?}", axis.feedback());
-    let begin = axis.feedback().position;
+    assert!(support::until(LONG, || axis.feedback().status.velocity > 150.0), "{:?}", axis.feedback());
+    let begin = axis.feedback().status.position;
     master.stop_handle().stop();
     assert!(support::until(LONG, || axis.feedback().stopped == Some(StopCause::Shutdown)));
     let run = master.finish();
     let end = run.end.drives[0].feedback;
-    assert!(end.position - begin > 150.0, "{begin} mm -> {end:?}");
-    assert!(!end.state.is_powered());
+    assert!(end.status.position - begin > 150.0, "{begin} mm -> {end:?}");
+    assert!(!end.status.state.is_powered());
 }
 
 #[test]

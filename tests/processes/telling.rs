@@ -355,7 +355,7 @@ fn the_fault_of_a_drive_is_told_with_the_move_that_led_to_it() {
     axis.enable().unwrap();
     axis.home().unwrap();
     axis.move_to(300.0, axis.profile()).unwrap_err();
-    assert!(axis.feedback().fault != 0, "{:?}", axis.feedback());
+    assert!(axis.feedback().status.fault != 0, "{:?}", axis.feedback());
     let run = master.finish();
     let [written] = &run.measured.black_boxes[..] else { panic!("{:?}", run.measured.black_boxes) };
     assert!(written.why.starts_with("drive d1: fault 0x") && written.error.is_none(), "{written:?}");
@@ -510,7 +510,10 @@ fn a_panic_of_the_loop_is_a_failed_run_with_a_black_box() {
         assert!(until(LONG, || !master.is_running()), "the loop goes on");
         assert!(matches!(axis.home(), Err(AxisError::Gone { .. } | AxisError::Refused { .. })));
         let feedback = axis.feedback();
-        assert_eq!((feedback.stopped, feedback.state.is_powered()), (Some(StopCause::Panic), left_out));
+        assert_eq!(
+            (feedback.stopped, feedback.status.state.is_powered()),
+            (Some(StopCause::Panic), left_out)
+        );
         let run = master.finish();
         let panic = run.end.panic.as_ref().unwrap();
         assert_eq!(panic.left_out.is_empty(), !left_out, "{panic}");

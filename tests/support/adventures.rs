@@ -261,7 +261,7 @@ impl Adventures {
         assert!(until(LONG, || {
             self.all([None, targets.next().map(to), None, None, None]);
             let _ = self.axes[1].post(to(targets.next().unwrap()));
-            until(LONG / 60, || self.axes[1].feedback().velocity.abs() > 300.0)
+            until(LONG / 60, || self.axes[1].feedback().status.velocity.abs() > 300.0)
         }));
     }
 

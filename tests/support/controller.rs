@@ -76,7 +76,7 @@ pub fn play(role: &str) {
         set_out(axis, way == "Jog").unwrap();
     }
     // By then they are as fast as they will be.
-    assert!(until(LONG, || axes.iter().all(|axis| axis.feedback().position > 10.0)));
+    assert!(until(LONG, || axes.iter().all(|axis| axis.feedback().status.position > 10.0)));
     println!("{UNDER_WAY}");
 
     let mut told = vec![false; axes.len()];

@@ -8,9 +8,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 
 use fieldbeat::axis::acyclic::{AcyclicEnds, Notation};
-use fieldbeat::axis::{AxisPlan, Command, FaultNames, MonitorChannel, PlanFault};
+use fieldbeat::axis::{AxisPlan, Command, DriveStatus, FaultNames, MonitorChannel, PlanFault};
 use fieldbeat::bus::linudp::LinUdpPlan;
-use fieldbeat::bus::{Bus, BusPlan, Cycle, Notes, OpenError, OwnCounter, Report, Slot, Unmatched};
+use fieldbeat::bus::{Bus, BusPlan, Cycle, Notes, OpenError, OwnCounter, Slot, Unmatched};
 use fieldbeat::net::{Carriers, LinkNotes};
 use fieldbeat::rt::Regions;
 use fieldbeat::sim::SimDrive;
@@ -122,7 +122,7 @@ struct SpeedBus {
 #[derive(Clone, Debug, Default)]
 struct Inside {
     /// What it told its bus.
-    truth: Report,
+    truth: DriveStatus,
     /// The order, while its bus is told of a velocity instead of a torque.
     order: Option<Command>,
     /// The torque that it gives, and the velocity that came of it.
@@ -145,7 +145,7 @@ impl Inside {
 
     /// As its bus sees the slot ...
     fn enter(&mut self, slot: &mut Slot) {
-        let report = &mut slot.report;
+        let report = &mut slot.status;
         (report.position, report.demand) = (self.truth.position, self.truth.demand);
         (report.velocity, report.current) = (self.truth.velocity, self.truth.current);
         if slot.order.verb.is_some_and(|verb| verb.takes_torques()) {
@@ -157,10 +157,10 @@ impl Inside {
 
     /// ... and as the loop sees it.
     fn leave(&mut self, slot: &mut Slot, positions: bool, factor: f64) {
-        self.truth = slot.report;
+        self.truth = slot.status;
         let torque = self.order.take();
         slot.order.verb = torque.or(slot.order.verb);
-        let report = &mut slot.report;
+        let report = &mut slot.status;
         report.velocity *= factor;
         report.current = f64::NAN;
         match (positions, torque) {
@@ -182,7 +182,7 @@ impl SpeedBus {
         let factor = self.of.percent.load(Ordering::Relaxed) as f64 / 100.0;
         let mut replies = self.of.replies.lock().unwrap();
         for ((slot, drive), replies) in slots.iter_mut().zip(&mut self.drives).zip(&mut *replies) {
-            *replies += u64::from(slot.report.at != drive.truth.at);
+            *replies += u64::from(slot.status.at != drive.truth.at);
             drive.leave(slot, self.of.positions, factor);
             (slot.counters.own[0], slot.counters.own[2]) = (*replies, u64::MAX);
         }

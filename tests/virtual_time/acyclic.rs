@@ -252,16 +252,16 @@ fn monitored_variables_are_in_the_feedback_in_their_units() {
     for _ in 0..50 {
         b.step();
         let feedback = b.feedback(0);
-        let [position, none, temperature, velocity] = feedback.monitor;
-        assert_eq!((position, none), (Some(feedback.demand), None));
+        let [position, none, temperature, velocity] = feedback.status.monitor;
+        assert_eq!((position, none), (Some(feedback.status.demand), None));
         assert_eq!(temperature, Some(40.0));
-        assert_near(velocity.unwrap(), feedback.velocity, 0.2);
-        assert_eq!(b.feedback(1).monitor, [None; 4]);
+        assert_near(velocity.unwrap(), feedback.status.velocity, 0.2);
+        assert_eq!(b.feedback(1).status.monitor, [None; 4]);
     }
     // A drive that was restarted has forgotten, and is told again.
     b.world().restart(address(0));
-    b.until("it has forgotten", 200, |b| b.feedback(0).monitor == [None; 4]);
-    b.until("it is told again", 2_000, |b| b.feedback(0).monitor[2] == Some(40.0));
+    b.until("it has forgotten", 200, |b| b.feedback(0).status.monitor == [None; 4]);
+    b.until("it is told again", 2_000, |b| b.feedback(0).status.monitor[2] == Some(40.0));
     assert_eq!(b.feedback(0).link, Link::Online);
 }
 
@@ -273,9 +273,9 @@ fn a_variable_of_unknown_meaning_is_shown_raw_and_the_motor_temperature_in_degre
         })
         .start();
     b.online();
-    b.until("both are shown", 100, |b| b.feedback(0).monitor[1].is_some());
+    b.until("both are shown", 100, |b| b.feedback(0).status.monitor[1].is_some());
     b.run(2);
-    assert_eq!(b.feedback(0).monitor, [Some(f64::from(0x8000_1B8D_u32)), Some(30.39), None, None]);
+    assert_eq!(b.feedback(0).status.monitor, [Some(f64::from(0x8000_1B8D_u32)), Some(30.39), None, None]);
 }
 
 #[test]
@@ -286,9 +286,9 @@ fn a_variable_that_the_drive_will_not_show_is_told_of_once() {
         })
         .start();
     b.online();
-    b.until("the other is shown", 100, |b| b.feedback(0).monitor[1].is_some());
+    b.until("the other is shown", 100, |b| b.feedback(0).status.monitor[1].is_some());
     b.run(200);
-    assert_eq!(b.feedback(0).monitor[0], None);
+    assert_eq!(b.feedback(0).status.monitor[0], None);
     let refused = |kind: &EventKind| match kind {
         EventKind::MonitorRefused { channel, status } => Some((*channel, *status)),
         _ => None,
@@ -303,6 +303,6 @@ fn whatever_is_set_in_the_drive_is_shown_raw_and_not_touched() {
     b.online();
     b.run(10);
     // The status word of a drive that is switched off, on its fourth channel by default.
-    assert!(b.feedback(0).monitor[3].is_some_and(|word| word == word.trunc()));
+    assert!(b.feedback(0).status.monitor[3].is_some_and(|word| word == word.trunc()));
     assert!(b.tape(0).heard.iter().all(|heard| heard.request.config.is_none_or(|block| block.code == 0)));
 }

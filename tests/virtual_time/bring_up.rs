@@ -76,7 +76,7 @@ fn a_drive_found_running_is_stopped_even_if_its_axis_was_latched_before() {
     b.run(100);
     assert_eq!(b.feedback(0).stopped, Some(StopCause::Overrun));
     b.world().plug(address(0));
-    b.until("power off", 1_000, |b| b.feedback(0).state == State::ReadyToSwitchOn);
+    b.until("power off", 1_000, |b| b.feedback(0).status.state == State::ReadyToSwitchOn);
 }
 
 #[test]
@@ -192,7 +192,7 @@ fn found_running_is_stopped_along_its_ramp_and_powered_off() {
     assert_eq!(first.control, Some(ControlWord::ON));
     assert_eq!(first.motion.unwrap().header >> 4, 0x017);
     assert_eq!(first.motion.unwrap().header & 0xF, 6, "the other master left count 5");
-    b.until("power off", 200, |b| b.feedback(0).state == State::ReadyToSwitchOn);
+    b.until("power off", 200, |b| b.feedback(0).status.state == State::ReadyToSwitchOn);
     let standing = |heard: &&Heard| !heard.reply.unwrap().status.unwrap().has(StatusWord::MOTION_ACTIVE);
     let still = b.tape(0).heard.iter().rev().take_while(standing).count();
     assert!(still >= 20, "power went off only after standstill");
@@ -213,14 +213,14 @@ fn found_running_can_be_refused_and_then_nothing_is_written() {
     b.online();
     b.run(500);
     assert_eq!(b.feedback(0).stopped, Some(StopCause::FoundRunning));
-    assert!(b.feedback(0).moving);
+    assert!(b.feedback(0).status.moving);
     for verb in [Command::Enable, Command::Home, to(10.0)] {
         assert_eq!(b.failed(0, verb), Failure::Latched(StopCause::FoundRunning));
     }
     assert_only_read(&b, 0);
     // The application decides: a gentle stop is open to it, and then the drive is the master's, as it is.
     b.done(0, Command::Stop { deceleration: None });
-    assert!(!b.feedback(0).moving && b.feedback(0).stopped.is_some());
+    assert!(!b.feedback(0).status.moving && b.feedback(0).stopped.is_some());
     assert_eq!(b.tape(0).heard.last().unwrap().request.control, Some(ControlWord::ON));
     b.done(0, Command::Reset);
     assert_eq!(b.failed(0, to(50.0)), Failure::NotEnabled);
@@ -252,13 +252,13 @@ fn a_restarted_master_goes_on_with_the_count_of_the_drive() {
         })
         .start();
     b.online();
-    b.until("standstill", 400, |b| !b.feedback(0).moving);
+    b.until("standstill", 400, |b| !b.feedback(0).status.moving);
     b.done(0, Command::Reset);
     b.done(0, Command::Enable);
     b.tape(0).heard.clear();
     for n in 0..40 {
         b.done(0, to(10.0 + f64::from(n)));
-        assert_near(b.feedback(0).demand, 10.0 + f64::from(n), 1e-6);
+        assert_near(b.feedback(0).status.demand, 10.0 + f64::from(n), 1e-6);
     }
     // One telegram each: none had to be repeated, so each was taken with its first count.
     let counts: Vec<u16> = b

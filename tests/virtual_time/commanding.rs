@@ -509,5 +509,5 @@ fn a_latched_axis_that_holds_is_not_moved_by_its_objects() {
         machine.run(1);
         assert!(machine.drive(0, |drive| drive.rpm()).abs() < 1.0);
     }
-    assert_eq!(machine.feedback(0).state, State::OperationEnabled);
+    assert_eq!(machine.feedback(0).status.state, State::OperationEnabled);
 }

@@ -163,7 +163,7 @@ fn an_error_is_reported_with_its_code_in_whichever_cycle_it_comes() {
         b.run(turn);
         b.tape(0).provoke = Some(ErrorCode(0x0B));
         b.run(3);
-        assert_eq!(b.feedback(0).fault, 0x0B, "{turn}");
+        assert_eq!(b.feedback(0).status.fault, 0x0B, "{turn}");
         let told = b.kinds(0).into_iter().filter(|kind| matches!(kind, EventKind::Fault(_)));
         assert_eq!(told.collect::<Vec<_>>(), [EventKind::Fault(0x0B)], "{turn}");
     }
@@ -190,5 +190,5 @@ fn monitoring_channels_that_are_shown_come_with_every_reply() {
     b.tape(0).heard.clear();
     b.run(20);
     assert!(b.tape(0).heard.iter().all(|heard| heard.request.response_def.contains(ResponseDef::MONITOR)));
-    assert!(b.feedback(0).monitor.iter().all(Option::is_some));
+    assert!(b.feedback(0).status.monitor.iter().all(Option::is_some));
 }

@@ -61,7 +61,7 @@ fn the_stop_request_is_on_the_wire_exactly_within_the_bound_that_check_states() 
             assert_eq!(b.feedback(0).stopped, Some(StopCause::LinkLost));
             assert_eq!(b.feedback(1).stopped, Some(StopCause::Group));
             // Not of the group: it goes on.
-            assert_eq!((b.feedback(2).stopped, b.feedback(2).moving), (None, true));
+            assert_eq!((b.feedback(2).stopped, b.feedback(2).status.moving), (None, true));
         }
         assert_eq!(
             worst, bound,
@@ -95,13 +95,13 @@ fn a_link_lost_in_mid_motion_latches_and_comes_back_by_the_application_only() {
     assert_eq!(b.feedback(0).age, age + 3_000);
     // The drive went on alone all that time; with the plug it hears the stop and the power off.
     b.world().plug(address(0));
-    b.until("off", 2_000, |b| b.feedback(0).link == Link::Online && !b.feedback(0).state.is_powered());
+    b.until("off", 2_000, |b| b.feedback(0).link == Link::Online && !b.feedback(0).status.state.is_powered());
     b.run(1_000);
     assert_eq!(b.feedback(0).stopped, Some(StopCause::LinkLost));
-    assert!(!b.feedback(0).state.is_powered(), "nobody enables it but the application");
+    assert!(!b.feedback(0).status.state.is_powered(), "nobody enables it but the application");
     b.done(0, Command::Reset);
     b.run(500);
-    assert!(!b.feedback(0).state.is_powered());
+    assert!(!b.feedback(0).status.state.is_powered());
     b.done(0, Command::Enable);
     b.done(0, to(5.0));
     assert_eq!(b.feedback(1).stopped, None);
@@ -197,7 +197,7 @@ fn a_restart_in_mid_motion_is_noticed_and_nothing_is_enabled_by_itself() {
         assert!(b.kinds(0).contains(&EventKind::Restarted));
         b.tape(0).heard.clear();
         b.run(1_000);
-        assert!(!b.feedback(0).state.is_powered() && !b.feedback(0).homed);
+        assert!(!b.feedback(0).status.state.is_powered() && !b.feedback(0).status.homed);
         let on = |heard: &Heard| heard.request.control.is_some_and(|word| word.has(ControlWord::SWITCH_ON));
         assert!(!b.tape(0).heard.iter().any(on), "{verb:?}");
         assert_eq!(b.kinds(0).iter().filter(|kind| **kind == EventKind::Restarted).count(), 1);
@@ -229,17 +229,17 @@ fn positions_begin_anew_after_a_restart() {
     for count in (0..=6_u64).map(|n| n << 30) {
         demand.store(count, Ordering::Relaxed);
         b.run(2);
-        assert_eq!(b.feedback(0).demand, count as f64 / PER_MM);
+        assert_eq!(b.feedback(0).status.demand, count as f64 / PER_MM);
     }
     b.world().restart(address(0));
     demand.store(3 << 30, Ordering::Relaxed);
     b.until("the restart", 10, |b| b.kinds(0).contains(&EventKind::Restarted));
     for _ in 0..1_000 {
         b.step();
-        assert_eq!(b.feedback(0).velocity, 0.0);
+        assert_eq!(b.feedback(0).status.velocity, 0.0);
     }
     let alone = f64::from((3_u64 << 30) as i32) / PER_MM;
-    assert_near(b.feedback(0).demand, alone.rem_euclid(turn), 1e-4);
+    assert_near(b.feedback(0).status.demand, alone.rem_euclid(turn), 1e-4);
 }
 
 #[test]
@@ -253,7 +253,7 @@ fn a_broken_position_does_not_shift_those_that_follow() {
         b.step();
         b.tape(0).tamper = None;
         b.run(3);
-        assert_eq!(b.feedback(0).demand, 20.0);
+        assert_eq!(b.feedback(0).status.demand, 20.0);
     }
     b.done(0, by(1.0));
 }
@@ -264,12 +264,12 @@ fn a_restart_while_enabling_fails_the_enable() {
     b.online();
     let id = b.post(0, Command::Enable);
     b.run(100);
-    assert_eq!(b.feedback(0).state, State::SwitchedOn);
+    assert_eq!(b.feedback(0).status.state, State::SwitchedOn);
     b.world().restart(address(0));
     b.run(10);
     assert_eq!(b.outcome(0, id), Some(Outcome::Failed(Failure::Dropped(State::NotReadyToSwitchOn))));
     b.run(1_000);
-    assert!(!b.feedback(0).state.is_powered());
+    assert!(!b.feedback(0).status.state.is_powered());
     b.done(0, Command::Enable);
 }
 
@@ -285,7 +285,7 @@ fn a_restart_takes_the_control_word_back_even_if_the_axis_was_not_enabled() {
     b.done(0, Command::Reset);
     b.world().restart(address(0));
     b.run(200);
-    assert_eq!((b.feedback(0).stopped, b.feedback(0).state), (None, State::ReadyToSwitchOn));
+    assert_eq!((b.feedback(0).stopped, b.feedback(0).status.state), (None, State::ReadyToSwitchOn));
     b.done(0, Command::Enable);
 }
 
@@ -302,7 +302,7 @@ fn a_restart_behind_a_lost_link_never_switches_on_again() {
     b.tape(0).heard.clear();
     b.world().plug(address(0));
     b.online().run(500);
-    assert!(!b.feedback(0).homed && !b.feedback(0).state.is_powered());
+    assert!(!b.feedback(0).status.homed && !b.feedback(0).status.state.is_powered());
     let powered = |heard: &Heard| heard.reply.unwrap().state.unwrap().main() >= MainState::HW_TESTS;
     assert!(!b.tape(0).heard.iter().any(powered));
     b.recover(0);
@@ -321,9 +321,12 @@ fn a_fault_of_the_drive_latches_and_its_own_stop_is_never_cut_short() {
         b.tape(0).provoke = Some(ErrorCode(code));
         assert_eq!(b.stopped(0, 5), StopCause::DriveFault);
         assert_eq!(b.aborted(0, id), Abort::Stopped(StopCause::DriveFault));
-        assert_eq!((b.feedback(0).state, b.feedback(0).fault), (State::FaultReactionActive, u32::from(code)));
+        assert_eq!(
+            (b.feedback(0).status.state, b.feedback(0).status.fault),
+            (State::FaultReactionActive, u32::from(code))
+        );
         b.run(200);
-        assert_eq!(b.feedback(0).state, State::Fault);
+        assert_eq!(b.feedback(0).status.state, State::Fault);
         let braking: Vec<_> = (b.tape(0).heard.iter())
             .filter(|heard| heard.reply.unwrap().state.unwrap().main() == MainState::QUICK_STOP)
             .map(|heard| heard.request.control.unwrap())
@@ -356,7 +359,7 @@ fn a_command_in_the_wrong_state_is_a_fault_of_the_drive_not_of_the_loop() {
     assert_eq!(b.stopped(0, 10), StopCause::DriveFault);
     assert_eq!(b.aborted(0, home), Abort::Stopped(StopCause::DriveFault));
     b.run(100);
-    assert_eq!((b.feedback(0).fault, b.feedback(0).state), (0x86, State::Fault));
+    assert_eq!((b.feedback(0).status.fault, b.feedback(0).status.state), (0x86, State::Fault));
     b.recover(0);
 }
 
@@ -395,10 +398,10 @@ fn a_quick_stop_from_elsewhere_ends_in_power_off_and_is_waited_for() {
     // OFF3 once; the master's own word does not bring the drive back.
     inject(&b, Request { control: Some(ControlWord::QUICK_STOP), ..Request::default() });
     b.run(3);
-    assert_eq!(b.feedback(0).state, State::QuickStopActive);
+    assert_eq!(b.feedback(0).status.state, State::QuickStopActive);
     assert_eq!(b.stopped(0, 100), StopCause::DriveDropped);
     b.run(100);
-    assert!(!b.feedback(0).state.is_powered());
+    assert!(!b.feedback(0).status.state.is_powered());
     let tape = b.tape(0);
     let off = tape.heard.iter().position(|heard| {
         heard.request.control == Some(ControlWord::BASE)
@@ -423,7 +426,7 @@ fn groups_stop_together_and_others_go_on() {
     for (index, id) in ids.iter().enumerate().skip(2) {
         assert_eq!((b.feedback(index).stopped, b.outcome(index, *id)), (None, None), "axis {index}");
     }
-    b.until("both off", 500, |b| (0..2).all(|i| !b.feedback(i).state.is_powered()));
+    b.until("both off", 500, |b| (0..2).all(|i| !b.feedback(i).status.state.is_powered()));
     b.recover(0);
     b.recover(1);
     b.done(1, to(3.0));
@@ -473,10 +476,10 @@ fn a_ramp_that_is_too_weak_for_its_time_out_is_made_steeper() {
     b.tape(1).provoke = Some(ErrorCode(0x0B));
     assert_eq!(b.stopped(0, 10), StopCause::Group);
     b.run(60);
-    assert!(b.feedback(0).moving && b.feedback(0).state.is_powered());
+    assert!(b.feedback(0).status.moving && b.feedback(0).status.state.is_powered());
     b.run(40);
-    assert!(!b.feedback(0).moving, "80 ms at 625 mm/s² instead of 500 ms");
-    b.until("power off", 50, |b| !b.feedback(0).state.is_powered());
+    assert!(!b.feedback(0).status.moving, "80 ms at 625 mm/s² instead of 500 ms");
+    b.until("power off", 50, |b| !b.feedback(0).status.state.is_powered());
 }
 
 #[test]
@@ -498,7 +501,7 @@ fn a_task_that_panics_stops_every_axis_and_the_loop_goes_on() {
     for (index, id) in ids.into_iter().enumerate() {
         assert_eq!(b.aborted(index, id), Abort::Stopped(StopCause::Task));
         assert_eq!(b.feedback(index).stopped, Some(StopCause::Task));
-        b.until("off", 500, |b| !b.feedback(index).state.is_powered());
+        b.until("off", 500, |b| !b.feedback(index).status.state.is_powered());
     }
     assert_eq!(runs.load(Ordering::Relaxed), 901, "it is not called again");
     b.recover(0);
@@ -569,7 +572,7 @@ fn a_task_gives_one_command_a_cycle_and_rows_that_are_checked() {
     for id in [ids[1], ids[4]] {
         assert_eq!(b.outcome(0, id.unwrap()), Some(Outcome::Done));
     }
-    assert_near(b.feedback(0).demand, 40.0, 1e-4);
+    assert_near(b.feedback(0).status.demand, 40.0, 1e-4);
     assert_eq!(b.stopped(0, 300), StopCause::Limit);
     let last = told.lock().unwrap()[5].unwrap();
     assert_eq!(b.outcome(0, last), Some(Outcome::Failed(Failure::NotFinite)));
@@ -585,9 +588,9 @@ fn hold_and_reset_and_enable_after_a_stop_go_on_where_it_stands() {
     b.tape(0).mute = true;
     b.stopped(0, 10);
     b.tape(0).mute = false;
-    b.until("standstill", 200, |b| b.feedback(0).link == Link::Online && !b.feedback(0).moving);
+    b.until("standstill", 200, |b| b.feedback(0).link == Link::Online && !b.feedback(0).status.moving);
     b.run(100);
-    assert_eq!(b.feedback(0).state, State::OperationEnabled, "it holds");
+    assert_eq!(b.feedback(0).status.state, State::OperationEnabled, "it holds");
     b.done(0, Command::Reset);
     b.done(0, Command::Enable);
     b.done(0, by(1.0));

@@ -137,7 +137,7 @@ fn more_than_max_skip_in_one_hold_up_stops_every_axis() {
             assert_eq!(b.feedback(index).stopped, stop, "{slots} slots");
             if let Some(cause) = stop {
                 assert_eq!(b.aborted(index, id), fieldbeat::axis::Abort::Stopped(cause));
-                b.until("power off", 500, |b| !b.feedback(index).state.is_powered());
+                b.until("power off", 500, |b| !b.feedback(index).status.state.is_powered());
             } else {
                 assert_eq!(b.outcome(index, id), None);
             }
@@ -286,14 +286,16 @@ fn the_task_sees_this_cycle_and_its_orders_leave_with_the_next() {
             assert_eq!(feedback.cycle, cycle.index);
             if cycle.index > 100 {
                 assert_eq!(feedback.age, 0, "the reply of this cycle");
-                assert!(feedback.at >= cycle.grid && feedback.at <= cycle.deadline);
+                assert!(feedback.status.at >= cycle.grid && feedback.status.at <= cycle.deadline);
             }
             if cycle.index == K {
                 axes.command(0, to(20.0)).unwrap();
             }
         })
         .start();
-    b.until("standstill", 400, |b| (0..2).all(|i| b.feedback(i).stopped.is_some() && !b.feedback(i).moving));
+    b.until("standstill", 400, |b| {
+        (0..2).all(|i| b.feedback(i).stopped.is_some() && !b.feedback(i).status.moving)
+    });
     for index in 0..2 {
         b.done(index, Command::Reset);
         b.done(index, Command::Enable);

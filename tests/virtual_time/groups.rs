@@ -46,7 +46,7 @@ fn a_verb_reaches_all_members_in_one_send_whatever_each_was_doing() {
     assert!(sent.iter().all(|at| *at == sent[0]), "{sent:?}");
     assert!(motions(&b, 1, from[1]).is_empty(), "no member");
     for (index, position) in [(2, 10.0), (0, 20.0), (3, 30.0)] {
-        assert_near(b.feedback(index).demand, position, 0.001);
+        assert_near(b.feedback(index).status.demand, position, 0.001);
     }
     // Members that are ready at different times begin together all the same: one has a longer way.
     let first = b.group().post(&[to(11.0), slowly_to(25.0), to(31.0)]).unwrap();
@@ -122,7 +122,7 @@ fn numbers_are_checked_for_all_members_before_one_has_anything() {
     let mixed = [Row { last: true, ..row(1.0) }, row(1.0)];
     assert_eq!(b.group().push_rows(&mixed), Err(GroupError::MixedEnd));
     b.run(20);
-    assert!(!b.feedback(0).moving && !b.feedback(1).moving);
+    assert!(!b.feedback(0).status.moving && !b.feedback(1).status.moving);
     assert_eq!(b.group().stream_room(), 1024, "no row of a refused call stays behind");
     // A queue that is full at one member takes nothing at the other.
     b.group_done(&[to(10.0), to(10.0)]);
@@ -510,7 +510,7 @@ fn a_move_of_a_group_ends_where_each_member_was_told() {
     let mut b = joined(2, &[1, 0]);
     let command = b.group().post(&[by(5.0), with(Target::Absolute(77.0), 300.0, 5_000.0)]).unwrap();
     assert_eq!(b.group_ended(&command), [Outcome::Done; 2]);
-    assert_near(b.feedback(0).demand, 77.0, 0.001);
+    assert_near(b.feedback(0).status.demand, 77.0, 0.001);
     let axes = b.group().axes().iter().map(|axis| axis.name().to_owned()).collect::<Vec<_>>();
     assert_eq!(axes, ["x1", "x0"]);
 }
@@ -567,11 +567,11 @@ fn a_stop_is_refused_to_no_member_because_of_another() {
     b.world().unplug(address(1));
     b.stopped(1, 50);
     b.until("the task moves member 0", 9_700, |b| b.status().planned > 9_650);
-    assert!(b.feedback(0).moving);
+    assert!(b.feedback(0).status.moving);
     let stop = b.group().post_all(Command::QuickStop).unwrap();
     assert_eq!(b.ended(0, stop.ids()[0]), Outcome::Done);
     assert_eq!(b.ended(1, stop.ids()[1]), Outcome::Failed(Failure::NotOnline));
-    assert!(!b.feedback(0).moving);
+    assert!(!b.feedback(0).status.moving);
 }
 
 #[test]
@@ -583,8 +583,8 @@ fn velocities_of_all_members_are_set_together_and_refused_together() {
         b.group().set_velocities(&[20.0, 40.0]).unwrap();
         b.step();
     }
-    assert_near(b.feedback(0).velocity, 20.0, 1.0);
-    assert_near(b.feedback(1).velocity, 40.0, 1.0);
+    assert_near(b.feedback(0).status.velocity, 20.0, 1.0);
+    assert_near(b.feedback(1).status.velocity, 40.0, 1.0);
     assert!(b.group().set_velocities(&[1.0, 5_000.0]).is_err());
     let mixed = b.group().post(&[Command::Follow, Command::Home]);
     assert_eq!(mixed, Err(GroupError::MixedFollow));

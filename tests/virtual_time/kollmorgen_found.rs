@@ -91,7 +91,11 @@ fn a_drive_that_runs_in_another_mode_is_halted_in_that() {
         }
         turned = now;
     }
-    assert!(turned.abs() < 3.0 && !machine.feedback(0).state.is_powered(), "{:?}", machine.feedback(0));
+    assert!(
+        turned.abs() < 3.0 && !machine.feedback(0).status.state.is_powered(),
+        "{:?}",
+        machine.feedback(0)
+    );
     machine.recover(0);
     assert_eq!(mode(&machine), Mode::PROFILE_VELOCITY);
 }

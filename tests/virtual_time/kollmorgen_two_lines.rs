@@ -105,7 +105,7 @@ fn both_come_up_and_stay(drift_ppm: [f64; 2]) {
     let status = pair.sim.status().reference.unwrap();
     assert!(status.locked && status.losses == 0 && status.error_ns.abs() <= 5 * US as i64, "{status:?}");
     let operational: Vec<_> = (0..2 * DRIVES).map(|index| pair.sim.feedback(index)).collect();
-    assert!(operational.iter().all(|one| one.is_operational() && one.fault == 0), "{operational:#?}");
+    assert!(operational.iter().all(|one| one.is_operational() && one.status.fault == 0), "{operational:#?}");
 
     // Each line tells how far the grid is from where its drives want it.
     let told = pair.sim.finish();

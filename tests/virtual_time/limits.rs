@@ -81,7 +81,7 @@ fn a_relative_move_beyond_the_limits_is_refused_in_the_loop() {
     }
     b.done(0, by(50.0));
     b.done(0, by(-200.0));
-    assert_eq!(b.feedback(0).demand, 0.0);
+    assert_eq!(b.feedback(0).status.demand, 0.0);
 }
 
 #[test]
@@ -115,8 +115,8 @@ fn a_jog_reaches_its_speed_and_never_runs_further_ahead_than_its_leash() {
         b.run(100);
         for _ in 0..20 {
             b.run(100);
-            assert_near(b.feedback(0).velocity, velocity, velocity.abs() * 0.02 + 0.2);
-            assert!(b.feedback(0).moving);
+            assert_near(b.feedback(0).status.velocity, velocity, velocity.abs() * 0.02 + 0.2);
+            assert!(b.feedback(0).status.moving);
         }
         assert_eq!(b.outcome(0, id), None);
         for heard in b.tape(0).heard.iter() {
@@ -127,12 +127,12 @@ fn a_jog_reaches_its_speed_and_never_runs_further_ahead_than_its_leash() {
             assert!((target - demand).abs() <= LEASH, "{target} is more than a leash from {demand}");
         }
         // The master dies: the drive hears nothing any more.
-        let demand = b.feedback(0).demand;
+        let demand = b.feedback(0).status.demand;
         b.world().unplug(address(0));
         b.run(3_000);
         b.world().plug(address(0));
         b.until("seen", 500, |b| b.feedback(0).age == 0);
-        assert!((b.feedback(0).demand - demand).abs() <= LEASH + velocity.abs() * 0.005);
+        assert!((b.feedback(0).status.demand - demand).abs() <= LEASH + velocity.abs() * 0.005);
     }
 }
 
@@ -149,7 +149,7 @@ fn a_stop_ends_a_jog_and_a_jog_of_zero_stands() {
     b.run(500);
     let zero = b.post(0, jog(0.0));
     assert_eq!(b.aborted(0, id), Abort::Replaced(zero));
-    b.until("standstill", 100, |b| !b.feedback(0).moving);
+    b.until("standstill", 100, |b| !b.feedback(0).status.moving);
     assert_eq!(b.outcome(0, zero), None, "it waits for a velocity");
     b.done(0, STOP);
 }
@@ -160,11 +160,11 @@ fn a_jog_stops_at_the_limit_and_says_so() {
     b.ready();
     for (velocity, end) in [(150.0, 200.0), (-150.0, 0.0)] {
         assert!(matches!(b.failed(0, jog(velocity)), Failure::Limit { .. }));
-        assert_eq!(b.feedback(0).demand, end);
+        assert_eq!(b.feedback(0).status.demand, end);
         assert_eq!(b.feedback(0).stopped, None);
         // There already: it does not move at all.
         assert!(matches!(b.failed(0, jog(velocity)), Failure::Limit { .. }));
-        assert_eq!(b.feedback(0).demand, end);
+        assert_eq!(b.feedback(0).status.demand, end);
     }
     let (low, high) = b.tape(0).demand.unwrap();
     assert!(low >= RANGE.0 && high <= RANGE.1, "{low} ... {high}");
@@ -179,11 +179,11 @@ fn a_jog_from_outside_the_limits_only_goes_in() {
     b.ready();
     // Home is at 0, outside.
     assert!(matches!(b.failed(0, jog(-10.0)), Failure::Limit { .. }));
-    assert_eq!(b.feedback(0).demand, 0.0);
+    assert_eq!(b.feedback(0).status.demand, 0.0);
     let id = b.post(0, jog(100.0));
     b.run(600);
     assert_eq!(b.outcome(0, id), None);
-    assert_near(b.feedback(0).velocity, 100.0, 3.0);
+    assert_near(b.feedback(0).status.velocity, 100.0, 3.0);
 }
 
 #[test]
@@ -196,7 +196,7 @@ fn jogs_are_refused_without_a_leash_and_beyond_what_it_can_hold() {
     let id = b.post(1, jog(99.0));
     b.run(300);
     assert_eq!(b.outcome(1, id), None);
-    assert_near(b.feedback(1).velocity, 99.0, 3.0);
+    assert_near(b.feedback(1).status.velocity, 99.0, 3.0);
 }
 
 #[test]
@@ -214,8 +214,8 @@ fn an_axis_in_motion_brakes_before_its_limit_whatever_replaces_its_motion() {
         let mut b = Rig::new(1).start();
         b.ready();
         b.post(0, with(Target::Absolute(199.9), 500.0, 10_000.0));
-        b.until("near the end", 1_000, |b| b.feedback(0).demand > 180.0);
-        assert!(b.feedback(0).velocity > 400.0);
+        b.until("near the end", 1_000, |b| b.feedback(0).status.demand > 180.0);
+        assert!(b.feedback(0).status.velocity > 400.0);
         b.post(0, replacement);
         b.run(1_500);
         let (_, high) = b.tape(0).demand.unwrap();
@@ -232,14 +232,14 @@ fn a_motion_that_cannot_start_leaves_no_other_running_behind_its_back() {
     let id = b.post(0, slowly_to(100.0));
     b.run(100);
     assert!(matches!(b.failed(0, by(500.0)), Failure::Limit { .. }));
-    assert!(b.feedback(0).moving && b.outcome(0, id).is_none());
+    assert!(b.feedback(0).status.moving && b.outcome(0, id).is_none());
     // Refused by the station, when the move before it has ended as replaced: the axis stops.
     let beyond = b.post(0, Command::Jog(Jog { velocity: 900.0, acceleration: 100.0 }));
     assert_eq!(b.aborted(0, id), Abort::Replaced(beyond));
     assert!(matches!(b.ended(0, beyond), Outcome::Failed(Failure::Limit { .. })));
-    b.until("standstill", 100, |b| !b.feedback(0).moving);
+    b.until("standstill", 100, |b| !b.feedback(0).status.moving);
     b.run(10);
-    assert!(b.feedback(0).demand < 10.0 && b.feedback(0).stopped.is_none());
+    assert!(b.feedback(0).status.demand < 10.0 && b.feedback(0).stopped.is_none());
     b.done(0, to(20.0));
 }
 
@@ -258,7 +258,7 @@ fn a_rotary_axis_turns_on_over_its_modulo() {
         b.done(0, by(15.0));
         assert_near(wire(&b), 15.0 * f64::from(turns), 1e-3);
     }
-    assert_near(b.feedback(0).demand, 0.0, 1e-3);
+    assert_near(b.feedback(0).status.demand, 0.0, 1e-3);
     // The nearest way: from turn 3 at 0 forwards to 4, and backwards to 17.
     b.done(0, to(4.0));
     assert_near(wire(&b), 64.0, 1e-3);
@@ -269,7 +269,7 @@ fn a_rotary_axis_turns_on_over_its_modulo() {
     let id = b.post(0, jog(100.0));
     b.run(1_000);
     assert_eq!(b.outcome(0, id), None);
-    assert_near(b.feedback(0).velocity, 100.0, 3.0);
+    assert_near(b.feedback(0).status.velocity, 100.0, 3.0);
     assert!(wire(&b) > 120.0);
 }
 
@@ -288,25 +288,25 @@ fn a_rotary_axis_turns_on_over_the_end_of_its_counts() {
         .start();
     b.ready();
     let wire = |b: &Bench| b.tape(0).last().demand.unwrap();
-    let home = b.feedback(0).demand;
+    let home = b.feedback(0).status.demand;
     assert_eq!(wire(&b), i32::MAX - 50_000);
     for (distance, count) in [(8.0, i32::MIN + 29_999), (-8.0, i32::MAX - 50_000), (8.0, i32::MIN + 29_999)] {
         b.done(0, by(distance));
         assert_eq!(wire(&b), count, "over the end by {distance} mm");
     }
-    assert_near(b.feedback(0).demand, (home + 8.0).rem_euclid(20.0), 1e-3);
+    assert_near(b.feedback(0).status.demand, (home + 8.0).rem_euclid(20.0), 1e-3);
     // Back by the shorter way.
     b.done(0, to(home));
     assert_eq!(wire(&b), i32::MAX - 50_000);
     let id = b.post(0, jog(100.0));
     b.run(200);
     assert_eq!(b.outcome(0, id), None);
-    assert_near(b.feedback(0).velocity, 100.0, 3.0);
+    assert_near(b.feedback(0).status.velocity, 100.0, 3.0);
     assert!(wire(&b) < 0, "past the end");
     b.done(0, Command::Stop { deceleration: None });
     b.done(0, to(home));
     // In a stream, too; here it is a whole number of turns from the home position.
-    let from = b.feedback(0).demand;
+    let from = b.feedback(0).status.demand;
     let before = wire(&b);
     for n in 0..=600 {
         let position = (from + f64::from(n) * 0.08).rem_euclid(20.0);
@@ -328,14 +328,14 @@ fn an_inverted_axis_moves_the_other_way() {
         })
         .start();
     b.ready();
-    assert_near(b.feedback(0).position, 100.0, 0.01);
+    assert_near(b.feedback(0).status.position, 100.0, 0.01);
     b.done(0, to(70.0));
     assert_eq!(b.tape(0).last().demand, Some(300_000));
     b.done(0, by(-10.0));
     assert_eq!(b.tape(0).last().demand, Some(400_000));
     let id = b.post(0, jog(-20.0));
     b.run(1_000);
-    assert_near(b.feedback(0).velocity, -20.0, 0.5);
+    assert_near(b.feedback(0).status.velocity, -20.0, 0.5);
     let stop = b.post(0, STOP);
     assert_eq!(b.aborted(0, id), Abort::Replaced(stop));
 }
@@ -348,7 +348,7 @@ fn an_axis_with_position_limits_moves_only_when_it_is_homed() {
     for verb in [to(10.0), jog(5.0), Command::Follow] {
         assert_eq!(b.failed(0, verb), Failure::NotHomed);
     }
-    assert_eq!(b.feedback(0).fault, 0, "nothing of it reached the drive");
+    assert_eq!(b.feedback(0).status.fault, 0, "nothing of it reached the drive");
     b.done(0, Command::Home);
     b.done(0, to(10.0));
 }

@@ -44,15 +44,15 @@ fn a_load_that_only_the_drive_holds_is_never_powered_off_by_the_master() {
             b.run(300);
             b.world().plug(address(0));
             b.online();
-            b.until("standstill", 1_000, |b| !b.feedback(0).moving);
+            b.until("standstill", 1_000, |b| !b.feedback(0).status.moving);
         }
         (1..asked).for_each(|_| b.sim.stop());
         b.shut_down(10_000);
         let off =
             |heard: &Heard| heard.request.control.is_some_and(|control| !control.has(ControlWord::SWITCH_ON));
         assert!(!b.tape(0).heard[from..].iter().any(off), "lost {lose}, asked {asked} times");
-        assert_eq!(b.feedback(0).state, State::OperationEnabled);
-        assert!(b.feedback(0).velocity.abs() < 1.0);
+        assert_eq!(b.feedback(0).status.state, State::OperationEnabled);
+        assert!(b.feedback(0).status.velocity.abs() < 1.0);
     }
 }
 
@@ -63,7 +63,7 @@ fn a_load_with_a_brake_is_powered_off_at_standstill() {
     b.post(0, slowly_to(150.0));
     b.run(200);
     b.shut_down(10_000);
-    assert!(!b.feedback(0).state.is_powered());
+    assert!(!b.feedback(0).status.state.is_powered());
     assert_never_dropped(&b);
 }
 
@@ -75,7 +75,7 @@ fn the_application_cannot_drop_a_load_in_motion() {
         b.post(0, slowly_to(150.0));
         b.run(200);
         assert_eq!(b.failed(0, Command::Disable), Failure::LoadInMotion);
-        assert!(b.feedback(0).moving, "refused, it has replaced nothing");
+        assert!(b.feedback(0).status.moving, "refused, it has replaced nothing");
         b.done(0, Command::Stop { deceleration: None });
         // At standstill it is the application's to decide: the load may be on its block.
         b.done(0, Command::Disable);
@@ -89,18 +89,18 @@ fn the_hardware_enable_is_seen_as_a_state_and_a_stop_of_its_own_name() {
     b.ready();
     let id = b.post(0, slowly_to(150.0));
     b.run(200);
-    assert!(!b.feedback(0).inhibited);
+    assert!(!b.feedback(0).status.inhibited);
     b.world().inhibit(address(0), 300 * MS);
     assert_eq!(b.stopped(0, 10), StopCause::HardwareEnable);
     assert_eq!(b.feedback(1).stopped, Some(StopCause::Group));
-    assert!(b.feedback(0).inhibited && !b.feedback(0).state.is_powered());
+    assert!(b.feedback(0).status.inhibited && !b.feedback(0).status.state.is_powered());
     assert_eq!(b.outcome(0, id), Some(Outcome::Aborted(Abort::Stopped(StopCause::HardwareEnable))));
     b.run(50);
     b.done(0, Command::Reset);
     assert_eq!(b.failed(0, Command::Enable), Failure::Inhibited, "named before anything is tried");
-    b.until("the hardware enable is back", 400, |b| !b.feedback(0).inhibited);
+    b.until("the hardware enable is back", 400, |b| !b.feedback(0).status.inhibited);
     b.run(100);
-    assert!(!b.feedback(0).state.is_powered(), "and nothing comes on by itself");
+    assert!(!b.feedback(0).status.state.is_powered(), "and nothing comes on by itself");
     let told: Vec<EventKind> =
         b.kinds(0).into_iter().filter(|kind| matches!(kind, EventKind::HardwareEnable(_))).collect();
     assert_eq!(told, [EventKind::HardwareEnable(false), EventKind::HardwareEnable(true)]);
@@ -115,12 +115,12 @@ fn an_enable_without_the_hardware_enable_fails_at_once_and_powers_nothing_on_lat
     b.online();
     b.run(50);
     // The drive shows the control word of whoever wrote last: before anything is written, its bit says nothing.
-    assert!(!b.feedback(0).inhibited);
+    assert!(!b.feedback(0).status.inhibited);
     let id = b.post(0, Command::Enable);
     b.until("the end of the enable", 20, |b| b.outcome(0, id).is_some());
     assert_eq!(b.outcome(0, id), Some(Outcome::Failed(Failure::Inhibited)));
     b.run(3_000);
-    assert!(!b.feedback(0).inhibited && !b.feedback(0).state.is_powered());
+    assert!(!b.feedback(0).status.inhibited && !b.feedback(0).status.state.is_powered());
     b.done(0, Command::Enable);
 }
 

@@ -142,7 +142,7 @@ fn a_motion_command_of_another_master_stops_a_linmot_by_its_third_reply() {
     inject(&b, Request { motion: Some(go_to(500_000).block(9)), ..Request::default() });
     assert_eq!(b.stopped(0, 5), StopCause::OtherMaster);
     assert_eq!(b.feedback(1).stopped, None, "its neighbour is alone");
-    b.until("power off", 1_000, |b| !b.feedback(0).state.is_powered());
+    b.until("power off", 1_000, |b| !b.feedback(0).status.state.is_powered());
     b.recover(0);
     b.done(0, to(5.0));
 }
@@ -157,6 +157,6 @@ fn a_linmot_that_a_living_master_moves_is_not_taken_over() {
     assert_eq!((b.feedback(0).link, b.feedback(0).stopped), (Link::Online, Some(StopCause::OtherMaster)));
     let written = |heard: &Heard| heard.request.control.is_some();
     assert!(!b.tape(0).heard.iter().any(written), "nothing was written");
-    assert!(b.feedback(0).moving);
+    assert!(b.feedback(0).status.moving);
     assert!(b.world().now() > Time(200 * MS));
 }

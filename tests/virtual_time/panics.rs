@@ -127,7 +127,7 @@ impl Machine {
         for axis in &mut machine.axes {
             axis.post(jog(100.0)).unwrap();
         }
-        machine.until("moving", |axes| axes.iter().all(|axis| axis.feedback().velocity > 95.0));
+        machine.until("moving", |axes| axes.iter().all(|axis| axis.feedback().status.velocity > 95.0));
         machine
     }
 
@@ -139,7 +139,7 @@ impl Machine {
         loop {
             let flow = self.engine.step();
             for axis in stopped {
-                let seen = self.axes[*axis].feedback();
+                let seen = self.axes[*axis].feedback().status;
                 // 100 mm/s at 5000 mm/s² take 20 ms.
                 ramp[*axis] += u32::from(seen.velocity > 5.0 && seen.velocity < 95.0);
                 assert!(
@@ -156,7 +156,7 @@ impl Machine {
         for axis in stopped {
             let seen = self.axes[*axis].feedback();
             assert_eq!(seen.stopped, Some(StopCause::Panic), "{what}: axis {axis}");
-            assert!(!seen.state.is_powered() && seen.velocity.abs() < 1.0, "{what}: {seen:?}");
+            assert!(!seen.status.state.is_powered() && seen.status.velocity.abs() < 1.0, "{what}: {seen:?}");
             assert!(ramp[*axis] > 10, "{what}: {} cycles of a ramp", ramp[*axis]);
         }
         assert!(self.control.is_stopping(), "{what}");
@@ -224,7 +224,7 @@ fn a_bus_that_panics_in_its_own_end_holds_up_no_end() {
     machine.control.stop();
     let Machine { mut engine, axes, .. } = machine;
     assert!((0..20_000).any(|_| engine.step() == Flow::End));
-    assert!(axes.iter().all(|axis| !axis.feedback().state.is_powered()));
+    assert!(axes.iter().all(|axis| !axis.feedback().status.state.is_powered()));
     let panic = engine.finish().panic.unwrap();
     assert_eq!(panic.left_out, ["bus bus0"]);
 }
@@ -255,8 +255,8 @@ fn the_end_of_its_helper_stops_the_axes_of_a_bus_and_no_other() {
     *machine.buses[1].helper_ended.lock().unwrap() = true;
     machine.until("a stop", |axes| axes[1].feedback().stopped.is_some());
     assert_eq!(machine.axes[1].feedback().stopped, Some(StopCause::LinkThread));
-    machine.until("off", |axes| !axes[1].feedback().state.is_powered());
+    machine.until("off", |axes| !axes[1].feedback().status.state.is_powered());
     let other = machine.axes[0].feedback();
-    assert!(other.stopped.is_none() && other.velocity > 95.0, "{other:?}");
+    assert!(other.stopped.is_none() && other.status.velocity > 95.0, "{other:?}");
     assert!(machine.engine.finish().panic.is_none());
 }

@@ -43,12 +43,12 @@ fn a_motion_that_an_old_request_starts_after_a_stop_is_stopped() {
     let old = last_motion(&b);
     b.done(0, Command::Stop { deceleration: None });
     b.run(100);
-    let stood = b.feedback(0).demand;
+    let stood = b.feedback(0).status.demand;
     assert!(stood < 20.0 && stops(&b).is_empty(), "{stood}");
     repeat(&b, &old);
     b.until("a stop", NOTICED_WITHIN, |b| b.feedback(0).stopped == Some(StopCause::Uncommanded));
-    b.until("power off", 500, |b| !b.feedback(0).state.is_powered());
-    assert_near(b.feedback(0).demand, stood, 1.0);
+    b.until("power off", 500, |b| !b.feedback(0).status.state.is_powered());
+    assert_near(b.feedback(0).status.demand, stood, 1.0);
     b.recover(0);
     b.done(0, to(10.0));
 }
@@ -66,14 +66,14 @@ fn an_axis_that_holds_after_a_stop_is_watched_and_stopped_again_as_often_as_it_m
     b.world().suspend(2 * MS);
     assert_eq!(b.stopped(0, 2), StopCause::Suspended);
     b.run(500);
-    let stood = b.feedback(0).demand;
+    let stood = b.feedback(0).status.demand;
     for again in 1..4 {
-        assert!(b.feedback(0).state.is_powered() && !b.feedback(0).moving);
+        assert!(b.feedback(0).status.state.is_powered() && !b.feedback(0).status.moving);
         repeat(&b, &old[again % 2]);
         b.until("a further stop", NOTICED_WITHIN, |b| stops(b).len() == 1 + again);
         b.run(300);
         assert_eq!(b.feedback(0).stopped, Some(StopCause::Suspended), "the first cause stays");
-        assert_near(b.feedback(0).demand, stood, f64::from(again as u32));
+        assert_near(b.feedback(0).status.demand, stood, f64::from(again as u32));
     }
     assert_eq!(stops(&b)[1..], [StopCause::Uncommanded; 3]);
 }
@@ -114,7 +114,7 @@ fn a_stop_ends_within_its_time_out_however_weak_it_was_requested() {
     let id = b.post(0, Command::Stop { deceleration: Some(1e-9) });
     b.run(2_000);
     assert_eq!((b.outcome(0, id), stops(&b)), (Some(Outcome::Done), vec![]));
-    assert!(!b.feedback(0).moving);
+    assert!(!b.feedback(0).status.moving);
 }
 
 /// The drive answers, and goes on as if it had not received the stop.
@@ -147,7 +147,7 @@ fn a_stop_that_the_drive_does_not_follow_escalates_to_quick_stop_and_power_off()
         let quick = |request: &Request| request.control.is_some_and(|word| !word.has(ControlWord::NO_ABORT));
         assert!(b.tape(0).heard.iter().any(|heard| quick(&heard.request)));
         b.run(400);
-        assert_eq!(b.feedback(0).state.is_powered(), powered);
+        assert_eq!(b.feedback(0).status.state.is_powered(), powered);
     }
 }
 
@@ -207,5 +207,5 @@ fn a_computer_that_was_suspended_stops_its_axes_with_the_first_send() {
     assert_eq!([0, 1].map(|index| b.feedback(index).stopped), [Some(StopCause::Suspended); 2]);
     let first = b.tape(0).wire.as_ref().unwrap()[before];
     assert!(first.request.motion.is_some_and(|block| block.header & 0xFFF0 != 0), "{first:?}");
-    b.until("power off", 500, |b| !b.feedback(0).state.is_powered());
+    b.until("power off", 500, |b| !b.feedback(0).status.state.is_powered());
 }

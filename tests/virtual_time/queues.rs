@@ -52,7 +52,7 @@ fn a_thousand_setpoints_between_two_cycles_come_to_the_last_one() {
             b.sim.axis(0).set_velocity(last).unwrap();
             b.step();
         }
-        assert_near(b.feedback(0).velocity, last, 0.5);
+        assert_near(b.feedback(0).status.velocity, last, 0.5);
     }
 }
 

@@ -46,7 +46,7 @@ fn a_clean_wire_answers_everything() {
     let mut b = moving(Rig::new(1));
     for _ in 0..100 {
         b.step();
-        assert_eq!((b.feedback(0).age, b.feedback(0).suspect), (0, false));
+        assert_eq!((b.feedback(0).age, b.feedback(0).status.suspect), (0, false));
         b.assert_honest(0);
         // Twice the latency, and a few readings of the clock.
         assert_near(f64::from(b.feedback(0).rtt_ns.unwrap()), 40e3, 500.0);
@@ -61,20 +61,20 @@ fn a_clean_wire_answers_everything() {
 fn without_a_tag_a_missed_exchange_holds_the_values_and_the_next_reply_is_suspect_once() {
     let mut b = moving(Rig::new(1).each(|_, drive| drive.reply_tag = ReplyTag::Off));
     let samples = b.sim.measured().histograms.drives[0].rtt.len();
-    let held = b.feedback(0).demand;
+    let held = b.feedback(0).status.demand;
     b.tape(0).mute = true;
     for age in 1..=3 {
         b.step();
-        assert_eq!((b.feedback(0).age, b.feedback(0).demand), (age, held));
+        assert_eq!((b.feedback(0).age, b.feedback(0).status.demand), (age, held));
         b.assert_honest(0);
     }
     b.tape(0).mute = false;
     b.step();
     // It could be a late one: older by one, and no sample of the round trip.
-    assert_eq!((b.feedback(0).age, b.feedback(0).suspect), (1, true));
+    assert_eq!((b.feedback(0).age, b.feedback(0).status.suspect), (1, true));
     assert_eq!(b.sim.measured().histograms.drives[0].rtt.len(), samples);
     b.step();
-    assert_eq!((b.feedback(0).age, b.feedback(0).suspect), (0, false));
+    assert_eq!((b.feedback(0).age, b.feedback(0).status.suspect), (0, false));
     assert_eq!(b.sim.measured().histograms.drives[0].rtt.len(), samples + 1);
     b.run(10);
     let c = counters(b);
@@ -94,11 +94,19 @@ fn with_definitions_in_turn_a_reply_is_suspect_only_after_as_many_misses() {
             b.tape(0).mute = false;
             let suspect = misses >= turns;
             b.step();
-            assert_eq!((b.feedback(0).age, b.feedback(0).suspect), (u32::from(suspect), suspect), "{misses}");
+            assert_eq!(
+                (b.feedback(0).age, b.feedback(0).status.suspect),
+                (u32::from(suspect), suspect),
+                "{misses}"
+            );
             b.assert_honest(0);
             for _ in 0..20 {
                 b.step();
-                assert_eq!((b.feedback(0).age, b.feedback(0).suspect), (0, false), "once, {misses} misses");
+                assert_eq!(
+                    (b.feedback(0).age, b.feedback(0).status.suspect),
+                    (0, false),
+                    "once, {misses} misses"
+                );
                 b.assert_honest(0);
             }
             let c = counters(b);
@@ -126,7 +134,7 @@ fn a_burst_of_all_late_replies_at_once_is_never_taken_for_the_newest() {
         }
         for _ in 0..20 {
             b.step();
-            if !b.feedback(0).suspect {
+            if !b.feedback(0).status.suspect {
                 b.assert_honest(0);
             }
         }
@@ -147,7 +155,7 @@ fn a_reply_behind_its_deadline_is_late_and_a_miss() {
     answer_after(&b, 0);
     b.step();
     // All the late ones came before this send, so this reply is its own.
-    assert_eq!((b.feedback(0).age, b.feedback(0).suspect), (0, false));
+    assert_eq!((b.feedback(0).age, b.feedback(0).status.suspect), (0, false));
     assert_eq!(b.sim.measured().histograms.drives[0].rtt.len(), samples + 1);
     b.run(10);
     let c = counters(b);
@@ -241,7 +249,7 @@ fn doubled_replies_are_duplicates_and_answer_once() {
     b.world().set_faults(address(0), FaultPlan { duplicate: 1.0, ..FaultPlan::default() });
     for _ in 0..100 {
         b.step();
-        assert_eq!((b.feedback(0).age, b.feedback(0).suspect), (0, false));
+        assert_eq!((b.feedback(0).age, b.feedback(0).status.suspect), (0, false));
     }
     b.world().set_faults(address(0), FaultPlan::default());
     b.run(10);
@@ -284,8 +292,8 @@ fn what_is_not_the_answer_is_counted_by_its_kind_and_never_matched() {
         let at = b.grid() + MS + 10 * US;
         world.inject(MASTER, from, bytes, at);
         b.step();
-        assert_ne!(b.feedback(0).demand, 12.3456);
-        assert_eq!((b.feedback(0).age, b.feedback(0).suspect), (0, false));
+        assert_ne!(b.feedback(0).status.demand, 12.3456);
+        assert_eq!((b.feedback(0).age, b.feedback(0).status.suspect), (0, false));
         b.assert_honest(0);
     };
     // Foreign: the echo of something that was not asked, or a wrong port.
@@ -334,7 +342,7 @@ fn what_the_system_refuses_to_send_is_charged_to_its_drive_alone() {
     b.tape(1).jammed = false;
     b.step();
     // Nothing was under way: this reply is its own.
-    assert_eq!((b.feedback(1).age, b.feedback(1).suspect), (0, false));
+    assert_eq!((b.feedback(1).age, b.feedback(1).status.suspect), (0, false));
     b.assert_honest(1);
     b.tape(1).jammed = true;
     b.step();

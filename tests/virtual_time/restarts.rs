@@ -187,7 +187,7 @@ const CASES: [Case; 23] = [
         lead: |b| {
             stop(b, 100.0);
             b.run(100);
-            assert_eq!(b.feedback(0).state, State::OperationEnabled);
+            assert_eq!(b.feedback(0).status.state, State::OperationEnabled);
             None
         },
         ..STOPPED
@@ -197,7 +197,7 @@ const CASES: [Case; 23] = [
         lead: |b| {
             stop(b, 100.0);
             b.run(100);
-            assert!(!b.feedback(0).state.is_powered());
+            assert!(!b.feedback(0).status.state.is_powered());
             None
         },
         ..STOPPED
@@ -346,7 +346,10 @@ fn assert_lies_still(b: &Bench, what: &str) {
     assert_eq!(go.count(), 0, "{what}");
     drop(tape);
     let feedback = b.feedback(0);
-    assert!(!feedback.homed && !feedback.moving && !feedback.state.is_powered(), "{what}: {feedback:?}");
+    assert!(
+        !feedback.status.homed && !feedback.status.moving && !feedback.status.state.is_powered(),
+        "{what}: {feedback:?}"
+    );
 }
 
 fn try_case(case: &Case, divisor: u32, after: u64, blow: Blow) {
@@ -394,7 +397,7 @@ fn try_case(case: &Case, divisor: u32, after: u64, blow: Blow) {
     assert_eq!(b.failed(0, to(10.0)), Failure::NotHomed, "{what}");
     b.done(0, Command::Home);
     b.done(0, to(10.0));
-    assert!(b.feedback(0).homed && b.feedback(0).stopped.is_none(), "{what}");
+    assert!(b.feedback(0).status.homed && b.feedback(0).stopped.is_none(), "{what}");
     let last = b.post(0, Command::Reset);
     b.ended(0, last);
     let ends = b.ends.keys().filter(|(axis, _)| *axis == 0).count() as u64;
@@ -429,7 +432,7 @@ fn a_restart_while_the_master_ends_does_not_delay_the_end() {
         assert_lies_still(&b, &format!("restarted after {after}"));
         for (index, id) in ids.into_iter().enumerate() {
             assert_eq!(b.aborted(index, id), Abort::Stopped(StopCause::Shutdown));
-            assert!(!b.feedback(index).state.is_powered());
+            assert!(!b.feedback(index).status.state.is_powered());
         }
     }
 }

@@ -102,7 +102,7 @@ fn the_error_log_comes_with_times_and_texts() {
     let mut b = Rig::new(1).start();
     b.ready();
     b.tape(0).provoke = Some(ErrorCode::MIN_POSITION);
-    b.until("it is in fault", 2_000, |b| b.feedback(0).state == State::Fault);
+    b.until("it is in fault", 2_000, |b| b.feedback(0).status.state == State::Fault);
     let turning = Turning::new(&mut b, 0);
     let log = services(&turning).error_log().unwrap();
     assert_eq!((log.logged, log.occurred, log.entries.len()), (1, 1, 1));
@@ -124,7 +124,7 @@ fn a_restart_forgets_what_was_in_ram_only() {
     drop(turning);
     b.run(20);
     b.until("it has booted", 2_000, |b| {
-        b.feedback(0).link == Link::Online && b.feedback(0).state == State::SwitchOnDisabled
+        b.feedback(0).link == Link::Online && b.feedback(0).status.state == State::SwitchOnDisabled
     });
     assert_ne!(b.read(0, "predefined-velocity"), Ok(777));
     assert_eq!(b.read(0, "predefined-acceleration"), Ok(888));
@@ -143,7 +143,7 @@ fn a_part_is_reset_to_its_defaults_with_the_software_stopped() {
     assert_eq!(b.read(0, "predefined-velocity.rom"), default);
     assert_eq!(b.read(0, "monitor-source-1.rom"), Ok(0x1E0E), "another part");
     b.run(100);
-    assert_eq!(b.feedback(0).state, State::SwitchOnDisabled, "the software runs again");
+    assert_eq!(b.feedback(0).status.state, State::SwitchOnDisabled, "the software runs again");
 }
 
 #[test]
@@ -327,7 +327,7 @@ fn flash_is_saved_through_a_silence_that_loses_the_link_and_what_was_saved_outli
         assert_eq!(lost, flash != FlashMode::Busy);
         b.world().restart(address(0));
         b.run(20);
-        b.until("it is back", 2_000, |b| b.feedback(0).state == State::SwitchOnDisabled);
+        b.until("it is back", 2_000, |b| b.feedback(0).status.state == State::SwitchOnDisabled);
         let turning = Turning::new(&mut b, 0);
         assert_eq!(services(&turning).curve(3, &mut go_on), Ok(Some(curve(3, 100))));
         assert_eq!(services(&turning).table(&mut go_on), Ok(table(0)));
@@ -346,7 +346,7 @@ fn the_silence_that_a_drive_was_asked_for_stops_nobody_else() {
     drop(turning);
     assert_eq!(b.feedback(0).stopped, Some(StopCause::LinkLost), "it was silent, and says so");
     assert_eq!((b.feedback(1).stopped, b.outcome(1, motion)), (None, None));
-    assert!(b.feedback(1).moving);
+    assert!(b.feedback(1).status.moving);
     // One that nobody asked for takes its group along, as ever.
     b.world().unplug(address(0));
     b.run(50);
@@ -392,7 +392,7 @@ fn an_axis_moves_on_while_a_transfer_runs() {
     let turning = Turning::new(&mut b, 0);
     services(&turning).put_curve(&curve(8, 300), &mut go_on).unwrap();
     drop(turning);
-    assert!(b.feedback(0).moving && b.feedback(0).stopped.is_none());
+    assert!(b.feedback(0).status.moving && b.feedback(0).stopped.is_none());
     assert_eq!(b.outcome(0, motion), None);
     b.done(0, Command::Stop { deceleration: None });
 }
@@ -489,7 +489,7 @@ fn is(call: &Call, command: RtcCommand) -> bool {
 /// The software of the drive runs: a save is refused as long as it does.
 fn runs(b: &mut Bench) -> bool {
     b.run(100);
-    b.feedback(0).state == State::SwitchOnDisabled
+    b.feedback(0).status.state == State::SwitchOnDisabled
 }
 
 #[test]

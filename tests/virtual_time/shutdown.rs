@@ -148,7 +148,7 @@ fn an_axis_that_a_stop_left_holding_is_powered_off_at_the_end() {
     b.stopped(0, 10);
     b.tape(0).mute = false;
     b.online().run(100);
-    assert_eq!(b.feedback(0).state, State::OperationEnabled);
+    assert_eq!(b.feedback(0).status.state, State::OperationEnabled);
     assert!(b.shut_down(100) <= 30);
     assert!(is_off(&b, 0));
 }
@@ -184,7 +184,7 @@ fn the_last_word_is_power_off_even_to_a_drive_that_is_off_already() {
         assert_eq!(last(&b), Some(ControlWord::ON), "{found:?}");
         b.tape(0).provoke = Some(ErrorCode(0x0B));
         b.run(10);
-        assert_eq!(b.feedback(0).state, State::Fault);
+        assert_eq!(b.feedback(0).status.state, State::Fault);
         assert!(b.shut_down(100) <= 5);
         assert_eq!(last(&b), Some(ControlWord::BASE), "{found:?}");
     }

@@ -59,16 +59,20 @@ fn velocities_are_taken_and_positions_are_refused_by_name() {
     let jogging = machine.axis(0).post(jog(80.0)).unwrap();
     machine.run(200);
     let feedback = machine.feedback(0);
-    assert_near(feedback.velocity, 80.0, 1.0);
-    assert!([feedback.position, feedback.demand, feedback.current].into_iter().all(f64::is_nan));
+    assert_near(feedback.status.velocity, 80.0, 1.0);
+    assert!(
+        [feedback.status.position, feedback.status.demand, feedback.status.current]
+            .into_iter()
+            .all(f64::is_nan)
+    );
     assert_eq!(feedback.stopped, None);
     // A move that is refused leaves the jog alone.
     assert_eq!(machine.run_verb(0, to(10.0), 100), Ok(Some(refused)));
-    assert_near(machine.feedback(0).velocity, 80.0, 1.0);
+    assert_near(machine.feedback(0).status.velocity, 80.0, 1.0);
     assert_eq!(machine.run_command(0, jogging, 10), None);
     assert_eq!(machine.run_verb(0, Command::Stop { deceleration: None }, 1_000), Ok(Some(Outcome::Done)));
     machine.run(200);
-    assert_near(machine.feedback(0).velocity, 0.0, 0.1);
+    assert_near(machine.feedback(0).status.velocity, 0.0, 0.1);
 }
 
 #[test]
@@ -120,8 +124,8 @@ fn what_a_protocol_counts_of_its_own_is_exact_without_any_telemetry() {
     }
     assert!(engine.status().lost_records > 5_000);
     let replies = speeds.replies.lock().unwrap().clone();
-    for (gauge, replies) in gauges.drives.iter().zip(&replies) {
-        let read = gauge.read().counters.own;
+    for (gauge, replies) in gauges.axes.iter().zip(&replies) {
+        let read = gauge.numbers.read().counters.own;
         assert!(read[0] <= *replies && read[0] + 64 >= *replies && read[2] == u64::MAX, "{read:?} {replies}");
     }
     let end = engine.finish();
@@ -140,8 +144,8 @@ fn the_summary_tells_what_there_is_and_makes_nothing_of_what_there_is_not() {
     let replies = speeds.replies.lock().unwrap().clone();
     let plan = plan(&speeds);
     let mut end = machine.finish();
-    end.drives[0].feedback.fault = 0x0B;
-    end.drives[1].feedback.fault = 0xABC;
+    end.drives[0].feedback.status.fault = 0x0B;
+    end.drives[1].feedback.status.fault = 0xABC;
     let granted =
         Granted { policy: "SCHED_OTHER", priority: 0, core: None, memory_locked: false, missing: Vec::new() };
     let summary = Summary::of(&plan, &end, &Measured::new(2, &plan.cycle, false), &granted, None);

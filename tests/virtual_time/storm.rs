@@ -153,10 +153,10 @@ fn any_verb(random: &mut fastrand::Rng) -> Command {
 fn way_back(b: &Bench, index: usize) -> Command {
     let feedback = b.feedback(index);
     match feedback.stopped {
-        Some(_) if feedback.fault != 0 => Command::ResetFault,
+        Some(_) if feedback.status.fault != 0 => Command::ResetFault,
         Some(_) => Command::Reset,
         None if !feedback.is_operational() => Command::Enable,
-        None if !feedback.homed => Command::Home,
+        None if !feedback.status.homed => Command::Home,
         None => to(100.0),
     }
 }
@@ -213,7 +213,7 @@ fn whatever_is_asked_in_whatever_weather_every_command_ends_once() {
                     }
                 }
                 if random.u8(..40) == 0 {
-                    let begin = b.feedback(index).demand;
+                    let begin = b.feedback(index).status.demand;
                     for n in 0..random.u32(..60) {
                         let last = random.u8(..80) == 0;
                         let row = Row { velocity: 20.0, last, ..row(begin + f64::from(n) * 0.02) };

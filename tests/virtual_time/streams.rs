@@ -55,7 +55,7 @@ fn every_streaming_command_carries_its_axis_to_the_last_row() {
         b.done(0, Command::Follow);
         let what = format!("{command:?} every {period_ns} ns x {divisor}");
         assert_eq!(b.tape(0).last().demand, Some(1_200_000), "{what}");
-        assert!(!b.feedback(0).moving && b.feedback(0).is_operational());
+        assert!(!b.feedback(0).status.moving && b.feedback(0).is_operational());
         // No overshoot on the way, whatever the command leaves out.
         let (low, high) = b.tape(0).demand.unwrap();
         assert!(low >= 19.999 && high <= 120.001, "{what}: {low} ... {high}");
@@ -72,7 +72,7 @@ fn a_stream_without_a_command_that_fits_is_refused() {
     let follow = b.post(0, Command::Follow);
     assert_eq!(b.aborted(0, id), Abort::Replaced(follow));
     assert!(matches!(b.ended(0, follow), Outcome::Failed(Failure::Unsupported(_))));
-    b.until("standstill", 100, |b| !b.feedback(0).moving);
+    b.until("standstill", 100, |b| !b.feedback(0).status.moving);
 }
 
 #[test]
@@ -82,12 +82,12 @@ fn rows_may_come_after_the_order() {
     b.done(0, to(20.0));
     let id = b.post(0, Command::Follow);
     b.run(100);
-    assert_eq!((b.outcome(0, id), b.feedback(0).moving), (None, false));
+    assert_eq!((b.outcome(0, id), b.feedback(0).status.moving), (None, false));
     for row in smooth(20.0, 10.0, 200, 0.001) {
         b.sim.axis(0).push_row(row).unwrap();
     }
     assert_eq!(b.ended(0, id), Outcome::Done);
-    assert_eq!(b.feedback(0).demand, 30.0);
+    assert_eq!(b.feedback(0).status.demand, 30.0);
 }
 
 /// A stream at a constant 50 mm/s that runs empty after 100 rows.
@@ -110,15 +110,15 @@ fn an_empty_stream_holds() {
     let (mut b, id) = runs_empty(Underrun::Hold);
     b.run(500);
     assert_eq!((b.outcome(0, id), b.feedback(0).stopped), (None, None));
-    assert_near(b.feedback(0).demand, 24.95, 1e-3);
-    assert_near(b.feedback(0).velocity, 0.0, 0.5);
+    assert_near(b.feedback(0).status.demand, 24.95, 1e-3);
+    assert_near(b.feedback(0).status.velocity, 0.0, 0.5);
     assert_eq!(b.kinds(0).iter().filter(|kind| **kind == EventKind::Underrun).count(), 1, "told once");
     // And goes on from there when rows come again.
     for n in 0..=50 {
         b.sim.axis(0).push_row(Row { last: n == 50, ..row(24.95 + f64::from(n) * 0.01) }).unwrap();
     }
     assert_eq!(b.ended(0, id), Outcome::Done);
-    assert_near(b.feedback(0).demand, 25.45, 1e-4);
+    assert_near(b.feedback(0).status.demand, 25.45, 1e-4);
 }
 
 #[test]
@@ -126,10 +126,10 @@ fn an_empty_stream_is_extrapolated_for_a_while_and_then_stops() {
     let (mut b, id) = runs_empty(Underrun::Extrapolate(20));
     b.run(15);
     assert_eq!(b.outcome(0, id), None);
-    assert_near(b.feedback(0).velocity, 50.0, 3.0);
+    assert_near(b.feedback(0).status.velocity, 50.0, 3.0);
     assert_eq!(b.stopped(0, 20), StopCause::Underrun);
     assert_eq!(b.outcome(0, id), Some(Outcome::Failed(Failure::Underrun)));
-    b.until("off", 200, |b| !b.feedback(0).state.is_powered());
+    b.until("off", 200, |b| !b.feedback(0).status.state.is_powered());
     // 20 rows of 0.05 mm further, and the ramp.
     let (_, high) = b.tape(0).demand.unwrap();
     assert!((25.9..=26.4).contains(&high), "{high}");
@@ -140,7 +140,7 @@ fn rows_that_come_in_time_end_the_extrapolation() {
     let (mut b, id) = runs_empty(Underrun::Extrapolate(20));
     b.run(10);
     for n in 1..=300 {
-        let at = b.feedback(0).demand;
+        let at = b.feedback(0).status.demand;
         assert!(at < 60.0);
         let row = Row { velocity: 50.0, last: n == 300, ..row(25.45 + f64::from(n) * 0.05) };
         b.sim.axis(0).push_row(row).unwrap();
@@ -174,8 +174,8 @@ fn an_empty_stream_stops() {
     assert_eq!(b.stopped(0, 10), StopCause::Underrun);
     assert_eq!(b.outcome(0, id), Some(Outcome::Failed(Failure::Underrun)));
     assert!(b.kinds(0).contains(&EventKind::Underrun));
-    b.until("off", 200, |b| !b.feedback(0).state.is_powered());
-    assert_eq!(b.feedback(0).fault, 0, "the master's stop came before the drive's own underflow");
+    b.until("off", 200, |b| !b.feedback(0).status.state.is_powered());
+    assert_eq!(b.feedback(0).status.fault, 0, "the master's stop came before the drive's own underflow");
     b.recover(0);
     b.done(0, to(5.0));
 }
@@ -293,7 +293,7 @@ fn a_stream_replaces_a_move_and_a_move_a_stream() {
     let away = b.post(0, to(50.0));
     assert_eq!(b.aborted(0, follow), Abort::Replaced(away));
     assert_eq!(b.ended(0, away), Outcome::Done);
-    assert_eq!(b.feedback(0).demand, 50.0);
+    assert_eq!(b.feedback(0).status.demand, 50.0);
     assert_eq!(b.sim.axis(0).stream_room(), 1024, "what was left of the stream is gone");
     let stop = b.post(0, Command::Stop { deceleration: None });
     assert_eq!(b.ended(0, stop), Outcome::Done);
@@ -312,9 +312,9 @@ fn streams_run_one_after_the_other() {
     (100..200).for_each(|n| b.sim.axis(0).push_row(Row { last: n == 199, ..at(n) }).unwrap());
     let second = b.post(0, Command::Follow);
     assert_eq!(b.ended(0, first), Outcome::Done);
-    assert_near(b.feedback(0).demand, at(99).position, 1e-4);
+    assert_near(b.feedback(0).status.demand, at(99).position, 1e-4);
     assert_eq!(b.ended(0, second), Outcome::Done);
-    assert_near(b.feedback(0).demand, at(199).position, 1e-4);
+    assert_near(b.feedback(0).status.demand, at(199).position, 1e-4);
     assert!(!b.kinds(0).contains(&EventKind::Underrun));
 }
 
@@ -335,12 +335,12 @@ fn rows_pushed_for_a_stream_that_has_ended_are_never_run() {
     b.world().plug(address(0));
     b.recover(0);
     b.done(0, to(20.0));
-    let before = b.feedback(0).demand;
+    let before = b.feedback(0).status.demand;
     for n in 0..10 {
         b.sim.axis(0).push_row(Row { last: n == 9, ..row(before) }).unwrap();
     }
     b.done(0, Command::Follow);
-    assert_near(b.feedback(0).demand, before, 1e-4);
+    assert_near(b.feedback(0).status.demand, before, 1e-4);
 }
 
 #[test]
@@ -360,7 +360,7 @@ fn a_rotary_axis_streams_over_its_modulo() {
     }
     b.done(0, Command::Follow);
     assert_eq!(b.tape(0).last().demand, Some(480_000));
-    assert_near(b.feedback(0).demand, 8.0, 1e-3);
+    assert_near(b.feedback(0).status.demand, 8.0, 1e-3);
 }
 
 #[test]
@@ -401,5 +401,5 @@ fn rows_of_a_stream_that_was_stopped_do_not_wait_for_the_next_one() {
     b.recover(0);
     let id = b.post(0, Command::Follow);
     b.run(50);
-    assert_eq!((b.outcome(0, id), b.feedback(0).moving), (None, false));
+    assert_eq!((b.outcome(0, id), b.feedback(0).status.moving), (None, false));
 }

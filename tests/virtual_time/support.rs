@@ -552,7 +552,7 @@ impl Bench {
         self.done(index, Command::ResetFault);
         self.done(index, Command::Reset);
         self.done(index, Command::Enable);
-        if !self.feedback(index).homed {
+        if !self.feedback(index).status.homed {
             self.done(index, Command::Home);
         }
     }
@@ -580,7 +580,7 @@ impl Bench {
         let given = |heard: &Heard| {
             let reply = heard.reply?;
             let demand = f64::from(reply.demand?) / PER_MM;
-            (demand == feedback.demand).then_some(heard.at)
+            (demand == feedback.status.demand).then_some(heard.at)
         };
         let at = tape.heard.iter().rev().find_map(given).expect("no value that the drive did not give");
         assert!(at >= since, "age {} in {}, but given {} ns before", feedback.age, since, since.since(at));

@@ -78,13 +78,13 @@ fn torques_are_followed_along_their_slope_in_both_directions() {
             expected += torque * ACCELERATION * 1e-3;
         }
         // A few cycles late.
-        assert_near(machine.feedback(0).velocity, expected, 3.0);
+        assert_near(machine.feedback(0).status.velocity, expected, 3.0);
     }
     assert!(expected < -20.0, "it has turned round: {expected}");
     assert_eq!((machine.run_command(0, id, 1), machine.feedback(0).stopped), (None, None));
     assert_eq!(machine.run_verb(0, STOP, 1_000), Ok(Some(Outcome::Done)));
     machine.run(100);
-    assert_near(machine.feedback(0).velocity, 0.0, 0.5);
+    assert_near(machine.feedback(0).status.velocity, 0.0, 0.5);
     assert_eq!(machine.feedback(0).stopped, None);
 }
 
@@ -103,7 +103,7 @@ fn a_torque_that_is_too_old_stops_the_axis_in_the_cycle_that_was_said() {
         let ended = Some(Outcome::Aborted(Abort::Stopped(StopCause::StaleSetpoint)));
         assert_eq!(machine.run_command(0, id, 10), ended);
         machine.run(300);
-        assert!(!machine.feedback(0).state.is_powered());
+        assert!(!machine.feedback(0).status.state.is_powered());
         // Latched, like after any other stop.
         let latched = Outcome::Failed(Failure::Latched(StopCause::StaleSetpoint));
         assert_eq!(machine.run_verb(0, TORQUE, 100), Ok(Some(latched)));
@@ -112,7 +112,7 @@ fn a_torque_that_is_too_old_stops_the_axis_in_the_cycle_that_was_said() {
         }
         machine.axis(0).post(TORQUE).unwrap();
         hold(&mut machine, 20.0, 100);
-        assert!(machine.feedback(0).velocity > 5.0);
+        assert!(machine.feedback(0).status.velocity > 5.0);
     }
 }
 
@@ -129,7 +129,7 @@ fn a_torque_that_was_queued_behind_a_homing_is_watched_like_any_other() {
     let stopped = (0..30_000).any(|_| {
         machine.axis(0).set_torque(100.0).unwrap();
         machine.step();
-        fastest = fastest.max(machine.feedback(0).velocity.abs());
+        fastest = fastest.max(machine.feedback(0).status.velocity.abs());
         machine.feedback(0).stopped == Some(StopCause::Limit)
     });
     assert!(stopped && fastest < 20.0, "{fastest} mm/s");
@@ -144,7 +144,7 @@ fn a_torque_mode_without_a_first_setpoint_gives_none_and_is_stopped() {
     for _ in 0..11 {
         machine.axis(0).set_velocity(100.0).unwrap();
         machine.step();
-        assert_near(machine.feedback(0).velocity, 0.0, 0.5);
+        assert_near(machine.feedback(0).status.velocity, 0.0, 0.5);
         assert_eq!(machine.feedback(0).stopped, None);
     }
     machine.axis(0).set_velocity(100.0).unwrap();
@@ -159,7 +159,7 @@ fn a_jog_is_deaf_to_torques() {
     let mut machine = machine(&speeds);
     machine.axis(0).post(jog(50.0)).unwrap();
     hold(&mut machine, 100.0, 90);
-    assert_near(machine.feedback(0).velocity, 50.0, 1.0);
+    assert_near(machine.feedback(0).status.velocity, 50.0, 1.0);
     hold(&mut machine, 100.0, 20);
     assert_eq!(machine.feedback(0).stopped, Some(StopCause::DeadMan), "a torque does not hold the button");
 }
@@ -205,17 +205,23 @@ fn a_runaway_under_torque_is_stopped_by_the_limit_of_the_velocity() {
             let mut fastest = 0.0_f64;
             for _ in 0..1_000 {
                 if machine.feedback(0).stopped.is_none() {
-                    assert!(machine.feedback(0).velocity.abs() < 245.0, "200 and a fifth, and the reports");
+                    assert!(
+                        machine.feedback(0).status.velocity.abs() < 245.0,
+                        "200 and a fifth, and the reports"
+                    );
                     machine.axis(0).set_torque(torque).unwrap();
                 }
                 machine.step();
-                fastest = fastest.max(machine.feedback(0).velocity.abs());
+                fastest = fastest.max(machine.feedback(0).status.velocity.abs());
             }
             assert!(fastest > 235.0, "it was let go up to the limit: {fastest}");
             assert_eq!(machine.feedback(0).stopped, Some(StopCause::Limit));
             let ended = Some(Outcome::Aborted(Abort::Stopped(StopCause::Limit)));
             assert_eq!(machine.run_command(0, id, 1), ended);
-            assert!(machine.feedback(0).velocity.abs() < 1.0 && !machine.feedback(0).state.is_powered());
+            assert!(
+                machine.feedback(0).status.velocity.abs() < 1.0
+                    && !machine.feedback(0).status.state.is_powered()
+            );
         }
     }
 }
@@ -240,7 +246,7 @@ fn under_torque_an_axis_stops_inside_its_position_limits() {
                 machine.axis(0).set_torque(torque).unwrap();
             }
             machine.step();
-            let position = machine.feedback(0).position;
+            let position = machine.feedback(0).status.position;
             (low, high) = (low.min(position), high.max(position));
         }
         assert_eq!(machine.feedback(0).stopped, Some(StopCause::Limit), "{torque}");
@@ -279,7 +285,7 @@ fn the_task_may_set_torques_and_is_watched_like_anybody() {
     assert!(machine.run_until(9_000, |machine| machine.status().planned >= 8_000));
     machine.axis(0).post(TORQUE).unwrap();
     machine.run(900);
-    assert_near(machine.feedback(0).velocity, 5.0 * ACCELERATION * 0.9, 3.0);
+    assert_near(machine.feedback(0).status.velocity, 5.0 * ACCELERATION * 0.9, 3.0);
     machine.run(200);
     assert_eq!(machine.feedback(0).stopped, Some(StopCause::StaleSetpoint));
 }
@@ -293,7 +299,7 @@ fn torques_of_all_members_are_set_together_and_refused_together() {
         group.set_torques(&[10.0, -20.0]).unwrap();
         machine.step();
     }
-    let [a, b] = [0, 1].map(|index| machine.feedback(index).velocity);
+    let [a, b] = [0, 1].map(|index| machine.feedback(index).status.velocity);
     assert!(a > 20.0 && b < -40.0, "{a} {b}");
     assert!(group.set_torques(&[1.0, 151.0]).is_err());
     assert!(group.set_torques(&[1.0]).is_err());
@@ -315,6 +321,6 @@ fn a_drive_that_takes_no_torques_refuses_them_by_name_and_does_not_run_on() {
     let told = b.failed(0, TORQUE);
     assert!(matches!(told, Failure::Unsupported(why) if why.contains("torque")), "{told}");
     assert!(matches!(b.outcome(0, moving), Some(Outcome::Aborted(Abort::Replaced(_)))));
-    b.until("standstill", 100, |b| !b.feedback(0).moving);
+    b.until("standstill", 100, |b| !b.feedback(0).status.moving);
     assert_eq!(b.feedback(0).stopped, None);
 }

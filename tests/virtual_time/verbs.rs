@@ -29,7 +29,7 @@ fn enable_goes_low_then_high_and_home_holds_its_bit() {
     b.online();
     b.done(0, Command::Enable);
     assert_eq!(controls(&b, 0), [0x3E, 0x3F]);
-    assert!(b.feedback(0).is_operational() && !b.feedback(0).homed);
+    assert!(b.feedback(0).is_operational() && !b.feedback(0).status.homed);
     let states: Vec<_> = (b.kinds(0).into_iter())
         .filter_map(|kind| if let EventKind::State(state) = kind { Some(state) } else { None })
         .collect();
@@ -38,15 +38,15 @@ fn enable_goes_low_then_high_and_home_holds_its_bit() {
     assert_eq!(states[states.len() - 4..], expected);
     b.done(0, Command::Home);
     assert_eq!(controls(&b, 0), [0x3E, 0x3F, 0x83F, 0x3F]);
-    assert!(b.feedback(0).homed);
-    assert_near(b.feedback(0).position, 0.0, 0.01);
+    assert!(b.feedback(0).status.homed);
+    assert_near(b.feedback(0).status.position, 0.0, 0.01);
     // Enabled already: nothing is switched off on the way.
     b.done(0, Command::Enable);
     b.done(0, Command::Disable);
     assert_eq!(controls(&b, 0), [0x3E, 0x3F, 0x83F, 0x3F, 0x3E]);
     assert_eq!(b.failed(0, to(10.0)), Failure::WrongState(State::ReadyToSwitchOn));
     b.done(0, Command::Enable);
-    assert!(b.feedback(0).homed, "homed survives power off");
+    assert!(b.feedback(0).status.homed, "homed survives power off");
 }
 
 #[test]
@@ -58,20 +58,20 @@ fn positions_that_get_another_origin_are_no_motion() {
         for _ in 0..turns {
             b.step();
             // The drive homes with 100 mm/s.
-            assert!(b.feedback(0).velocity.abs() < 110.0, "{:?}", b.feedback(0));
+            assert!(b.feedback(0).status.velocity.abs() < 110.0, "{:?}", b.feedback(0));
         }
     };
     slow(&mut b, 20);
     // It restarts, believes that it is at 10 mm, and finds out at its home switch.
     b.world().restart(address(0));
     slow(&mut b, 300);
-    assert_near(b.feedback(0).position, 10.0, 0.1);
+    assert_near(b.feedback(0).status.position, 10.0, 0.1);
     for verb in [Command::Reset, Command::Enable, Command::Home] {
         let id = b.post(0, verb);
         slow(&mut b, 1_200);
         assert_eq!(b.outcome(0, id), Some(Outcome::Done), "{verb:?}");
     }
-    assert_near(b.feedback(0).position, 0.0, 0.1);
+    assert_near(b.feedback(0).status.position, 0.0, 0.1);
 }
 
 #[test]
@@ -105,12 +105,12 @@ fn moves_end_where_they_should_and_take_the_time_they_take() {
     let begin = b.world().now();
     b.done(0, with(Target::Absolute(100.0), 100.0, 1_000.0));
     assert_near(b.world().now().since(begin) as f64 / MS as f64, 1_100.0, 6.0);
-    assert_eq!(b.feedback(0).demand, 100.0);
+    assert_eq!(b.feedback(0).status.demand, 100.0);
     b.done(0, by(-33.5));
     b.done(0, by(0.25));
-    assert_eq!(b.feedback(0).demand, 66.75);
+    assert_eq!(b.feedback(0).status.demand, 66.75);
     b.run(100);
-    assert_near(b.feedback(0).position, 66.75, 0.01);
+    assert_near(b.feedback(0).status.position, 66.75, 0.01);
     // No distance is a motion that is done.
     b.done(0, by(0.0));
     b.done(0, to(66.75));
@@ -129,19 +129,19 @@ fn stop_and_quick_stop_stay_enabled() {
         b.done(0, to(10.0));
         let id = b.post(0, with(Target::Absolute(190.0), 200.0, 2_000.0));
         b.run(200);
-        assert_near(b.feedback(0).velocity, 200.0, 10.0);
+        assert_near(b.feedback(0).status.velocity, 200.0, 10.0);
         let begin = b.feedback(0).cycle;
         let stop = b.post(0, verb);
         assert_eq!(b.aborted(0, id), Abort::Replaced(stop));
         assert_eq!(b.ended(0, stop), Outcome::Done);
         let took = b.feedback(0).cycle - begin;
         assert!((least..=most).contains(&took), "{verb:?} took {took} ms");
-        assert!(!b.feedback(0).moving && b.feedback(0).is_operational());
+        assert!(!b.feedback(0).status.moving && b.feedback(0).is_operational());
         b.run(20);
         assert!(b.feedback(0).is_operational());
-        let before = b.feedback(0).demand;
+        let before = b.feedback(0).status.demand;
         b.run(100);
-        assert_eq!(b.feedback(0).demand, before, "it does not run on");
+        assert_eq!(b.feedback(0).status.demand, before, "it does not run on");
     }
     // Standing already.
     b.done(0, STOP);
@@ -158,7 +158,7 @@ fn disable_cuts_the_power_and_is_no_stop_of_the_master() {
     let off = b.post(0, Command::Disable);
     assert_eq!(b.aborted(0, id), Abort::Replaced(off));
     assert_eq!(b.ended(0, off), Outcome::Done);
-    assert_eq!((b.feedback(0).state.is_powered(), b.feedback(0).stopped), (false, None));
+    assert_eq!((b.feedback(0).status.state.is_powered(), b.feedback(0).stopped), (false, None));
     b.run(50);
     assert_eq!(b.feedback(0).stopped, None);
     b.done(0, Command::Disable);
@@ -186,7 +186,7 @@ fn a_command_waits_for_the_one_before_it() {
         .filter_map(|kind| if let EventKind::Ended { id, .. } = kind { Some(id) } else { None })
         .collect();
     assert!(ended.windows(2).all(|pair| pair[0] < pair[1]), "in order: {ended:?}");
-    assert_eq!(b.feedback(0).demand, 20.0);
+    assert_eq!(b.feedback(0).status.demand, 20.0);
 }
 
 #[test]
@@ -213,7 +213,7 @@ fn a_motion_replaces_a_motion_at_once_and_nothing_else() {
     assert_eq!(b.ended(0, ids[0]), Outcome::Done);
     assert_eq!(b.aborted(0, ids[1]), Abort::Replaced(ids[2]));
     assert_eq!(b.ended(0, ids[2]), Outcome::Done);
-    assert_eq!(b.feedback(0).demand, 7.0);
+    assert_eq!(b.feedback(0).status.demand, 7.0);
 }
 
 #[test]
@@ -226,7 +226,7 @@ fn the_last_of_several_urgent_commands_wins() {
         assert_eq!(b.aborted(0, *id), Abort::Replaced(ids[3]));
     }
     assert_eq!(b.ended(0, ids[3]), Outcome::Done);
-    assert_eq!(b.feedback(0).demand, 4.0);
+    assert_eq!(b.feedback(0).status.demand, 4.0);
 }
 
 #[test]
@@ -260,7 +260,7 @@ fn reset_waits_for_the_way_down_and_opens_the_latch() {
     b.run(30);
     assert_eq!(b.outcome(0, reset), None, "the stop sequence is not over yet");
     assert_eq!(b.ended(0, reset), Outcome::Done);
-    assert_eq!((b.feedback(0).stopped, b.feedback(0).state.is_powered()), (None, false));
+    assert_eq!((b.feedback(0).stopped, b.feedback(0).status.state.is_powered()), (None, false));
     b.done(0, Command::Enable);
     b.done(0, to(5.0));
 }
@@ -272,17 +272,17 @@ fn reset_fault_acknowledges_with_an_edge_and_ends_powered_off() {
     b.done(0, Command::ResetFault);
     b.tape(0).provoke = Some(ErrorCode(0x0003));
     assert_eq!(b.stopped(0, 10), StopCause::DriveFault);
-    assert_eq!((b.feedback(0).state, b.feedback(0).fault), (State::Fault, 3));
+    assert_eq!((b.feedback(0).status.state, b.feedback(0).status.fault), (State::Fault, 3));
     b.run(50);
     b.tape(0).heard.clear();
     b.done(0, Command::ResetFault);
     assert_eq!(controls(&b, 0), [0x3E, 0xBE, 0x3E]);
-    assert_eq!(b.feedback(0).fault, 0);
-    assert!(!b.feedback(0).state.is_powered());
+    assert_eq!(b.feedback(0).status.fault, 0);
+    assert!(!b.feedback(0).status.state.is_powered());
     assert_eq!(b.failed(0, Command::Enable), Failure::Latched(StopCause::DriveFault));
     b.done(0, Command::Reset);
     b.done(0, Command::Enable);
-    assert!(b.feedback(0).homed);
+    assert!(b.feedback(0).status.homed);
     b.done(0, to(5.0));
 }
 
@@ -314,14 +314,14 @@ fn verbs_that_do_not_get_there_time_out() {
     b.online();
     // The hardware tests alone take 300 ms.
     assert_eq!(b.failed(0, Command::Enable), Failure::TimedOut(State::SwitchedOn));
-    b.until("off again", 10, |b| !b.feedback(0).state.is_powered());
+    b.until("off again", 10, |b| !b.feedback(0).status.state.is_powered());
     assert_eq!(controls(&b, 0).last(), Some(&0x3E));
     let mut b =
         Rig::new(1).each(|_, drive| drive.axis.home_timeout = std::time::Duration::from_millis(50)).start();
     b.online();
     b.done(0, Command::Enable);
     assert_eq!(b.failed(0, Command::Home), Failure::TimedOut(State::OperationEnabled));
-    b.until("standstill", 50, |b| !b.feedback(0).moving && b.feedback(0).is_operational());
+    b.until("standstill", 50, |b| !b.feedback(0).status.moving && b.feedback(0).is_operational());
     assert_eq!(controls(&b, 0).last(), Some(&0x3F));
 }
 
@@ -333,12 +333,14 @@ fn a_stop_during_homing_aborts_it() {
         b.done(0, Command::Enable);
         let home = b.post(0, Command::Home);
         b.run(300);
-        assert!(b.feedback(0).moving);
+        assert!(b.feedback(0).status.moving);
         b.tape(0).heard.clear();
         let stop = b.post(0, verb);
         assert_eq!(b.aborted(0, home), Abort::Replaced(stop));
         assert_eq!(b.ended(0, stop), Outcome::Done);
-        assert!(b.feedback(0).is_operational() && !b.feedback(0).moving && !b.feedback(0).homed);
+        assert!(
+            b.feedback(0).is_operational() && !b.feedback(0).status.moving && !b.feedback(0).status.homed
+        );
         // /Abort and never a word that cuts the power.
         assert!(controls(&b, 0).iter().all(|word| word & 0xF == 0xF), "{:x?}", controls(&b, 0));
         b.done(0, Command::Home);
@@ -407,7 +409,7 @@ fn native_mode_hands_the_motion_channel_over_and_keeps_the_drive_enabled() {
     b.run(10);
     b.post(0, Command::Native(NativeOwner::Master));
     b.run(100);
-    assert_eq!(b.feedback(0).demand, 10.0);
+    assert_eq!(b.feedback(0).status.demand, 10.0);
     assert_eq!(b.feedback(0).link, Link::Online);
 }
 
@@ -467,7 +469,7 @@ fn the_application_may_own_the_control_word() {
     assert_eq!(native.inputs().response.state.unwrap().main(), MainState::OPERATION_ENABLED);
     assert_eq!(b.outcome(0, id), None);
     b.done(0, Command::Disable);
-    assert!(!b.feedback(0).state.is_powered());
+    assert!(!b.feedback(0).status.state.is_powered());
 }
 
 #[test]
@@ -492,8 +494,8 @@ fn the_stop_plan_chooses_the_way_down() {
         b.tape(0).heard.clear();
         assert_eq!(b.stopped(0, 10), StopCause::Group);
         b.run(400);
-        assert_eq!(b.feedback(0).state.is_powered(), !off, "{how:?} {then:?}");
-        assert!(!b.feedback(0).moving);
+        assert_eq!(b.feedback(0).status.state.is_powered(), !off, "{how:?} {then:?}");
+        assert!(!b.feedback(0).status.moving);
         let words = controls(&b, 0);
         let expected: &[u16] = match (how, off) {
             (StopHow::Coast, _) => &[0x3F, 0x3E],
@@ -531,11 +533,11 @@ fn a_motion_that_is_refused_replaces_nothing() {
     assert_eq!(b.failed(0, to(1.0)), Failure::NotHomed);
     b.run(100);
     // The jog goes on, so it is not told as ended.
-    assert_eq!((b.outcome(0, running), b.feedback(0).moving), (None, true));
+    assert_eq!((b.outcome(0, running), b.feedback(0).status.moving), (None, true));
     b.done(0, STOP);
     assert!(matches!(b.outcome(0, running), Some(Outcome::Aborted(Abort::Replaced(_)))));
     b.run(100);
-    assert!(!b.feedback(0).moving);
+    assert!(!b.feedback(0).status.moving);
 }
 
 #[test]

@@ -26,9 +26,9 @@ fn cyclic_velocities_are_followed_in_both_directions() {
         set(&mut b, velocity);
         b.step();
         if turn == 280 {
-            assert_near(b.feedback(0).velocity, 80.0, 1.0);
+            assert_near(b.feedback(0).status.velocity, 80.0, 1.0);
         }
-        low = low.min(b.feedback(0).velocity);
+        low = low.min(b.feedback(0).status.velocity);
     }
     assert_near(low, -60.0, 2.0);
     assert_eq!(b.outcome(0, id), None);
@@ -37,12 +37,12 @@ fn cyclic_velocities_are_followed_in_both_directions() {
         set(&mut b, 0.0);
         b.step();
     }
-    assert!(!b.feedback(0).moving);
+    assert!(!b.feedback(0).status.moving);
     for _ in 0..200 {
         set(&mut b, 30.0);
         b.step();
     }
-    assert_near(b.feedback(0).velocity, 30.0, 1.0);
+    assert_near(b.feedback(0).status.velocity, 30.0, 1.0);
     b.done(0, Command::Stop { deceleration: None });
     assert!(matches!(b.outcome(0, id), Some(Outcome::Aborted(Abort::Replaced(_)))));
 }
@@ -64,7 +64,7 @@ fn a_velocity_that_is_too_old_stops_the_axis_in_the_cycle_that_was_said() {
         assert_eq!(b.feedback(0).stopped, Some(StopCause::StaleSetpoint), "age {age}");
         assert_eq!(b.outcome(0, id), Some(Outcome::Aborted(Abort::Stopped(StopCause::StaleSetpoint))));
         b.run(200);
-        assert!(!b.feedback(0).state.is_powered());
+        assert!(!b.feedback(0).status.state.is_powered());
     }
 }
 
@@ -74,17 +74,17 @@ fn a_velocity_mode_without_a_first_setpoint_stands_and_is_stopped() {
     b.ready();
     b.post(0, VELOCITY);
     b.run(11);
-    assert!(!b.feedback(0).moving && b.feedback(0).stopped.is_none());
+    assert!(!b.feedback(0).status.moving && b.feedback(0).stopped.is_none());
     assert_eq!(b.stopped(0, 2), StopCause::StaleSetpoint);
     // One that was left from long before is none.
     b.run(300);
     b.recover(0);
     set(&mut b, 100.0);
     b.run(50);
-    let demand = b.feedback(0).demand;
+    let demand = b.feedback(0).status.demand;
     b.post(0, VELOCITY);
     b.run(10);
-    assert_eq!(b.feedback(0).demand, demand);
+    assert_eq!(b.feedback(0).status.demand, demand);
 }
 
 #[test]
@@ -151,7 +151,7 @@ fn the_task_may_set_velocities_and_is_watched_like_anybody() {
     b.done(0, to(50.0));
     b.post(0, VELOCITY);
     b.until("cycle 3000", 3_000, |b| b.status().planned >= 3_000);
-    assert_near(b.feedback(0).velocity, 25.0, 1.0);
+    assert_near(b.feedback(0).status.velocity, 25.0, 1.0);
     assert_eq!(b.stopped(0, 15), StopCause::StaleSetpoint);
 }
 
@@ -188,7 +188,7 @@ fn a_silent_application_stops_what_is_enabled_and_nothing_else() {
     assert_eq!(b.feedback(0).stopped, Some(StopCause::Heartbeat));
     assert_eq!(b.feedback(1).stopped, None, "it was not enabled");
     b.run(300);
-    assert!(!b.feedback(0).state.is_powered());
+    assert!(!b.feedback(0).status.state.is_powered());
 }
 
 #[test]
@@ -222,7 +222,7 @@ fn limits_hold_for_native_process_data_too() {
     b.run(10);
     go(&mut raw, 190.0, 1_500.0);
     assert_eq!(b.stopped(0, 400), StopCause::Limit);
-    assert!(b.feedback(0).velocity < 1_200.0, "{}", b.feedback(0).velocity);
+    assert!(b.feedback(0).status.velocity < 1_200.0, "{}", b.feedback(0).status.velocity);
     // Beyond the range, with room to brake.
     let mut b = Rig::new(1).start();
     b.ready();
@@ -243,7 +243,7 @@ fn limits_hold_for_native_process_data_too() {
     go(&mut raw, 150.0, 400.0);
     b.run(2_000);
     assert_eq!(b.feedback(0).stopped, None);
-    assert_near(b.feedback(0).demand, 150.0, 0.01);
+    assert_near(b.feedback(0).status.demand, 150.0, 0.01);
 }
 
 #[test]
@@ -271,7 +271,7 @@ fn a_velocity_that_is_newer_than_its_jog_counts() {
     b.post(0, jog(40.0));
     set(&mut b, 0.0);
     b.run(300);
-    assert!(!b.feedback(0).moving);
+    assert!(!b.feedback(0).status.moving);
     // While it waits for its turn, too.
     b.done(0, Command::Stop { deceleration: None });
     let homing = b.post(0, Command::Home);
@@ -279,7 +279,7 @@ fn a_velocity_that_is_newer_than_its_jog_counts() {
     set(&mut b, 25.0);
     b.ended(0, homing);
     b.run(300);
-    assert_near(b.feedback(0).velocity, 25.0, 1.0);
+    assert_near(b.feedback(0).status.velocity, 25.0, 1.0);
 }
 
 #[test]
@@ -292,7 +292,7 @@ fn an_application_that_dies_while_it_enables_moves_nothing() {
     assert_eq!(b.stopped(0, beat + 3), StopCause::Heartbeat);
     assert_eq!(b.outcome(0, home), Some(Outcome::Aborted(Abort::Stopped(StopCause::Heartbeat))));
     b.run(1_000);
-    assert!(!b.feedback(0).state.is_powered());
+    assert!(!b.feedback(0).status.state.is_powered());
     assert!(b.tape(0).heard.iter().all(|heard| {
         heard.reply.is_none_or(|reply| reply.status.is_none_or(|status| !status.operation_enabled()))
     }));

@@ -305,7 +305,7 @@ impl Carrier for Acyclic {
             return Err(CallError::Gone);
         }
         let feedback = self.shared.observer.feedback();
-        Ok(Condition::of(feedback.link, feedback.state))
+        Ok(Condition::of(feedback.link, feedback.status.state))
     }
 
     fn claim(&self) -> Result<Box<dyn Any + Send>, CallError> {

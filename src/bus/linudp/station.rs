@@ -197,7 +197,7 @@ impl Station {
         let outputs = self.profile.encode(&slot.desired, &self.inputs, &mut self.native);
         self.grid = cycle.grid;
         let Outputs { control, motion, config } = outputs;
-        let powered = slot.report.state.is_powered();
+        let powered = slot.status.state.is_powered();
         let called = self.rtc.advance(cycle.grid, slot.link, powered, slot.guarded);
         slot.commanded = self.rtc.commands();
         slot.expected_silence = self.rtc.excuses_silence() && !powered;
@@ -367,9 +367,9 @@ impl Station {
         let (status, state) = (view.status().unwrap_or_default(), view.state().unwrap_or_default());
         let fault = view.error().unwrap_or_default();
         let booting = status == StatusWord::default() && state == StateVar::default();
-        let report = &mut slot.report;
+        let Slot { status: report, notices, evidence, .. } = slot;
         if booting && self.inputs.seen && !self.inputs.booting {
-            report.restarted = true;
+            notices.restarted = true;
             self.profile.drive_restarted();
             self.rtc.drive_restarted();
         }
@@ -380,7 +380,7 @@ impl Station {
             // Earlier positions, and those reported while booting, are no base for differences.
             self.actual.reset();
             self.demand.reset();
-            (report.velocity, slot.evidence.demand_velocity, self.last) = (0.0, 0.0, None);
+            (report.velocity, evidence.demand_velocity, self.last) = (0.0, 0.0, None);
         }
         // Only a modulo axis wraps around; on any other a corrupted value must not shift all later ones.
         let endless = self.units.modulo.is_some();
@@ -395,16 +395,16 @@ impl Station {
         {
             let rate = self.units.distance(1e9 / at.since(last.at) as f64);
             report.velocity = (actual - last.actual) as f64 * rate;
-            slot.evidence.demand_velocity = (demand - last.demand) as f64 * rate;
+            evidence.demand_velocity = (demand - last.demand) as f64 * rate;
         }
         if !suspect {
             self.last = Some(Seen { at, actual, demand });
-            report.other_master |= self.other.take(state.count());
+            notices.other_master |= self.other.take(state.count());
         }
         let foreign = self.other.is_in_doubt();
         self.inputs = Inputs { seen: true, foreign, booting, status, state, demand, fault };
-        self.profile.take(&self.inputs, !suspect, &mut slot.evidence);
-        report.fresh = true;
+        self.profile.take(&self.inputs, !suspect, evidence);
+        notices.fresh = true;
         report.at = at;
         report.suspect = suspect;
         report.state = drive_state(status, state, booting);
@@ -418,7 +418,7 @@ impl Station {
         report.position = self.units.position(actual);
         report.demand = self.units.position(demand);
         let place = |count: i64| self.units.distance(count as f64) + self.units.offset;
-        (slot.evidence.position, slot.evidence.demand) = (place(actual), place(demand));
+        (evidence.position, evidence.demand) = (place(actual), place(demand));
         // Blocks that this reply does not have are as in the last one that had them.
         report.current = view.current().map_or(report.current, |current| f64::from(current) * 1e-3);
         report.warning = view.warn().map_or(report.warning, |warning| u32::from(warning.0));
@@ -442,15 +442,15 @@ impl Station {
                     Some(source.known().map_or(f64::from(raw[channel]), |known| known.value(raw[channel])))
                 }
             };
-            slot.report.monitor = std::array::from_fn(value);
-            slot.report.monitor_fresh = true;
+            slot.status.monitor = std::array::from_fn(value);
+            slot.notices.monitor_fresh = true;
         }
         match view.config() {
             Some(block) => self.rtc.take(block),
             None => self.rtc.take_none(),
         }
         if let Some(refused) = self.rtc.take_monitor_refusal() {
-            slot.report.monitor_refused = Some(refused);
+            slot.notices.monitor_refused = Some(refused);
         }
     }
 }
@@ -515,7 +515,7 @@ mod tests {
             self.cycle =
                 Cycle { grid: self.cycle.grid + MS, deadline: self.cycle.deadline + MS, ..self.cycle };
             self.machine.observe(self.cycle.grid, false, &self.slot);
-            self.slot.report.fresh = false;
+            self.slot.notices.fresh = false;
             self.machine.propose(self.cycle.grid, &mut self.slot);
             let length = self.station.prepare(&self.cycle, &mut self.slot, &mut out);
             self.request = Request::parse(&out[..length]).unwrap();

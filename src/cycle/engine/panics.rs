@@ -147,11 +147,11 @@ impl<C: Clock> Engine<C> {
             Ok(flow) => return flow,
             Err(payload) => payload,
         };
-        let bus = self.buses.iter().position(|controller| controller.is_at_work);
+        let bus = self.buses.iter().position(|open| open.is_at_work);
         let stage = self.panics.stage;
         self.panics.note(slot, stage, bus.map_or(Part::Loop, Part::Bus), payload);
-        if self.control.asked() == RUN {
-            self.control.stop();
+        if self.channels.control.asked() == RUN {
+            self.channels.control.stop();
         }
         let cycle = self.cycle_at(self.grid.index(), self.grid.at());
         let now = self.now_or(&cycle, cycle.grid);
@@ -192,17 +192,17 @@ impl<C: Clock> Engine<C> {
             let late_ns = given_up_ns.max(late.saturating_mul(self.plan.period_ns));
             let skipped =
                 SkippedRecord { first, grid, count: late, late_ns, given_up_ns, ..SkippedRecord::default() };
-            self.outlets.record(Record::Skipped(skipped), &mut self.status.lost_records);
+            self.channels.record(Record::Skipped(skipped), &mut self.status.lost_records);
             self.grid.advance(late);
             cycle = self.cycle_at(self.grid.index(), self.grid.at());
             self.prepare_stop(&cycle);
             return self.flow(false);
         }
         for bus in 0..self.buses.len() {
-            self.bus(&cycle, Stage::Send, bus, |controller, slots| controller.bus.send(&cycle, slots));
+            self.bus(&cycle, Stage::Send, bus, |open, slots| open.bus.send(&cycle, slots));
             if self.panics.is_left_out(Part::Bus(bus)) {
-                let controller = &self.buses[bus];
-                let due = self.slots[controller.first..controller.end].iter_mut().filter(|slot| slot.due);
+                let open = &self.buses[bus];
+                let due = self.slots[open.first..open.end].iter_mut().filter(|slot| slot.due);
                 due.for_each(|slot| slot.exchange = Exchange::Unsent);
             }
         }
@@ -217,9 +217,9 @@ impl<C: Clock> Engine<C> {
         // All that comes by the deadline is in the sockets then.
         self.sleep(&cycle, cycle.deadline);
         for bus in 0..self.buses.len() {
-            self.bus(&cycle, Stage::Receive, bus, |controller, slots| {
+            self.bus(&cycle, Stage::Receive, bus, |open, slots| {
                 for _ in 0..MOST_LOOKS {
-                    if controller.bus.receive(&cycle, slots) {
+                    if open.bus.receive(&cycle, slots) {
                         break;
                     }
                 }
@@ -268,9 +268,9 @@ impl<C: Clock> Engine<C> {
         bus: usize,
         work: impl FnOnce(&mut OpenBus, &mut [crate::bus::Slot]) -> R,
     ) -> Option<R> {
-        let controller = &mut self.buses[bus];
-        let slots = &mut self.slots[controller.first..controller.end];
-        self.panics.guard(cycle.index, Some(stage), Part::Bus(bus), || work(controller, slots))
+        let open = &mut self.buses[bus];
+        let slots = &mut self.slots[open.first..open.end];
+        self.panics.guard(cycle.index, Some(stage), Part::Bus(bus), || work(open, slots))
     }
 
     /// Evaluates all exchanges; returns how many drives that were online have not answered.
@@ -289,7 +289,7 @@ impl<C: Clock> Engine<C> {
 
     /// The orderly end; true once it is complete.
     fn end_stop(&mut self, cycle: &Cycle, now: Time) -> bool {
-        let asked = self.control.asked();
+        let asked = self.channels.control.asked();
         let (since, before) = *self.ending.get_or_insert((now, STOP));
         let hurry = asked == HURRY && before == STOP;
         self.ending = Some((since, asked));
@@ -304,8 +304,8 @@ impl<C: Clock> Engine<C> {
         }
         let mut buses_down = true;
         for bus in 0..self.buses.len() {
-            let shut_down = self
-                .bus(cycle, Stage::Commands, bus, |controller, slots| controller.bus.shut_down(cycle, slots));
+            let shut_down =
+                self.bus(cycle, Stage::Commands, bus, |open, slots| open.bus.shut_down(cycle, slots));
             buses_down &= shut_down.unwrap_or(true);
         }
         buses_down || passed_ns > self.longest_end_ns.saturating_mul(2)
@@ -319,35 +319,36 @@ impl<C: Clock> Engine<C> {
             self.panics.guard(next.index, None, Part::Axis(axis), || controller.propose(next, slot));
         }
         for bus in 0..self.buses.len() {
-            self.bus(next, Stage::Prepare, bus, |controller, slots| controller.bus.prepare(next, slots));
+            self.bus(next, Stage::Prepare, bus, |open, slots| open.bus.prepare(next, slots));
         }
     }
 
     fn publish_stop(&mut self, cycle: &Cycle, record: CycleRecord) {
-        let (outlets, status) = (&mut self.outlets, &mut self.status);
+        let (channels, status) = (&mut self.channels, &mut self.status);
         (status.operational, status.online) = (0, 0);
-        for (axis, (controller, slot)) in self.controllers.iter_mut().zip(&self.slots).enumerate() {
+        let axes = self.axes.iter_mut().zip(self.controllers.iter_mut().zip(&self.slots));
+        for (axis, (outlet, (controller, slot))) in axes.enumerate() {
             self.panics.guard(cycle.index, Some(Stage::Publish), Part::Axis(axis), || {
-                outlets.record(Record::Drive(controller.publish(axis as u16)), &mut status.lost_records);
-                outlets.drives[axis].write(&controller.numbers(slot));
+                channels.record(Record::Drive(controller.publish(axis as u16)), &mut status.lost_records);
+                outlet.numbers.write(&controller.numbers(slot));
                 status.operational += u32::from(controller.feedback().is_operational());
                 status.online += u32::from(controller.feedback().link == Link::Online);
             });
         }
         let planned = self.grid.planned();
         self.panics.guard(cycle.index, Some(Stage::Publish), Part::Outlets, || {
-            outlets.record(Record::Cycle(record), &mut status.lost_records);
+            channels.record(Record::Cycle(record), &mut status.lost_records);
             // A cycle that a panic cut off counts as executed once its requests had left, else as skipped.
             (status.planned, status.skipped) = (planned, planned.saturating_sub(status.executed));
-            outlets.status.write(status);
+            channels.status.write(status);
         });
     }
 
     /// The panics of the run in words.
     pub(super) fn loop_panic(&mut self) -> Option<LoopPanic> {
         let (cycle, stage, part) = self.panics.first?;
-        let bus = |bus: usize| format!("bus {}", self.buses[bus].bus.name());
-        let axis = |axis: usize| format!("axis {}", self.names[axis].0);
+        let bus = |bus: usize| format!("bus {}", self.buses[bus].info.name);
+        let axis = |axis: usize| format!("axis {}", self.axes[axis].info.name);
         let during =
             stage.map_or("between two cycles".to_owned(), |stage| format!("in stage {}", stage.name()));
         let place = match part {

@@ -205,17 +205,17 @@ impl DriveController {
             (Command::QuickStop, Latch::Down(_, sequence)) if sequence.is_braking() => {}
             (_, Latch::Kept(cause) | Latch::Down(cause, _)) => return Err(Failure::Latched(*cause)),
         }
-        let state = self.feedback.state;
+        let state = self.feedback.status.state;
         let motion = command.verb.is_motion() || command.verb == Command::Home;
         let native = |owner| command.verb == Command::Native(owner);
         match command.verb {
             Command::Reset if !self.latch.is_settled() && !self.is_heard() => Err(Failure::NotOnline),
             Command::Reset => Ok(()),
             _ if self.feedback.link != Link::Online => Err(Failure::NotOnline),
-            Command::Enable if self.feedback.inhibited => Err(Failure::Inhibited),
+            Command::Enable if self.feedback.status.inhibited => Err(Failure::Inhibited),
             Command::Enable if self.commanded => Err(Failure::BeingWritten),
             // Neither its way nor its limits could be evaluated.
-            Command::Move(_) | Command::Follow if self.feedback.demand.is_nan() => {
+            Command::Move(_) | Command::Follow if self.feedback.status.demand.is_nan() => {
                 Err(Failure::Unsupported("it reports no position, so it takes neither moves nor rows"))
             }
             Command::Disable if self.plan.load != Load::Level && state.is_powered() && !self.stands() => {
@@ -227,9 +227,9 @@ impl DriveController {
             }
             _ if self.claim != Claim::Armed => Err(Failure::NotEnabled),
             Command::Home | Command::Native(_) => Ok(()),
-            _ if self.plan.limits.position.is_some() && !self.feedback.homed => Err(Failure::NotHomed),
+            _ if self.plan.limits.position.is_some() && !self.feedback.status.homed => Err(Failure::NotHomed),
             Command::Move(Move { target: Target::Relative(distance), .. }) => {
-                check_position(&self.plan.limits, self.feedback.demand + distance)
+                check_position(&self.plan.limits, self.feedback.status.demand + distance)
             }
             _ => Ok(()),
         }
@@ -238,8 +238,8 @@ impl DriveController {
     /// The axis stands still, as far as it is known: nothing moves it, and the drive's report is current.
     fn stands(&self) -> bool {
         let moved = self.active.is_some_and(|active| active.verb.is_motion() || active.verb == Command::Home);
-        let slow = self.feedback.velocity.abs() <= self.plan.stop.standstill;
-        !moved && !self.feedback.moving && slow && self.feedback.age < self.plan.divisor
+        let slow = self.feedback.status.velocity.abs() <= self.plan.stop.standstill;
+        !moved && !self.feedback.status.moving && slow && self.feedback.age < self.plan.divisor
     }
 
     /// The latch opens once the stop sequence is complete.
@@ -252,7 +252,7 @@ impl DriveController {
             return;
         }
         let found = matches!(self.latch, Latch::Kept(_));
-        if found && self.feedback.link == Link::Online && self.feedback.state.is_powered() {
+        if found && self.feedback.link == Link::Online && self.feedback.status.state.is_powered() {
             // A drive that was only read until now: from here on it is ours, in its present state. It moves only
             // after an Enable, which changes nothing of a drive in operation.
             self.order(slot, None);

@@ -169,7 +169,7 @@ impl DriveController {
     /// The first row starts near the axis' position; later ones near the row before, and so that the axis can still
     /// stop inside its range.
     fn check_row(&self, cycle: &Cycle, row: &Row, last: Option<Row>) -> Result<(), Failure> {
-        let from = last.map_or(self.feedback.demand, |last| last.position);
+        let from = last.map_or(self.feedback.status.demand, |last| last.position);
         let seconds = self.row_seconds(cycle);
         check_row(&self.plan, row, Some(from))?;
         match last {

@@ -54,7 +54,7 @@ impl Alone {
 
     /// One cycle up to the commands. The drive answers with the report in the slot.
     pub fn turn(&mut self) {
-        self.slot.report.fresh = true;
+        self.slot.notices.fresh = true;
         self.miss();
     }
 
@@ -64,11 +64,11 @@ impl Alone {
         let cycle = cycle(self.index);
         let now = cycle.grid;
         let (controller, slot) = (&mut self.controller, &mut self.slot);
-        slot.exchange = match slot.report.fresh {
-            true => Exchange::Answered { sent_at: now, at: now, suspect: slot.report.suspect },
+        slot.exchange = match slot.notices.fresh {
+            true => Exchange::Answered { sent_at: now, at: now, suspect: slot.status.suspect },
             false => Exchange::Absent,
         };
-        slot.report.at = now;
+        slot.status.at = now;
         controller.judge(&cycle, now, slot);
         assert!(matches!(slot.exchange, Exchange::Idle | Exchange::Missed), "taken once");
         controller.watch(&cycle, now, slot);
@@ -95,7 +95,7 @@ impl Alone {
     pub fn done(&mut self, verb: Command, state: State) {
         let id = self.post(verb);
         self.turn();
-        self.slot.report.state = state;
+        self.slot.status.state = state;
         self.ends(Ok(()));
         assert_eq!(self.ended(), [(id, Outcome::Done)]);
     }
@@ -110,7 +110,7 @@ impl Alone {
 
     /// Online, and homed as it says.
     pub fn online(mut self) -> Alone {
-        (self.slot.report.state, self.slot.report.homed) = (State::ReadyToSwitchOn, true);
+        (self.slot.status.state, self.slot.status.homed) = (State::ReadyToSwitchOn, true);
         self.turns(10);
         assert_eq!(self.controller.feedback().link, Link::Online);
         self
@@ -150,28 +150,28 @@ fn an_enable_that_failed_may_bring_power_on_until_four_clean_reports_without_it(
     // The report of the cycle in which it failed came while it ran.
     x.turns(3);
     assert!(x.controller.is_guarded());
-    x.slot.report.suspect = true;
+    x.slot.status.suspect = true;
     x.turns(9);
     assert!(x.controller.is_guarded(), "a report that may be an old one shows nothing");
-    (x.slot.report.suspect, x.slot.report.state) = (false, State::SwitchedOn);
+    (x.slot.status.suspect, x.slot.status.state) = (false, State::SwitchedOn);
     x.turns(9);
-    x.slot.report.state = State::ReadyToSwitchOn;
-    x.slot.report.suspect = true;
+    x.slot.status.state = State::ReadyToSwitchOn;
+    x.slot.status.suspect = true;
     x.turn();
     assert!(x.controller.is_guarded(), "nor does one with power");
-    x.slot.report.suspect = false;
+    x.slot.status.suspect = false;
     x.turn();
     assert!(!x.controller.is_guarded());
     // Nor does the end of another command.
     x.post(Command::Enable);
     x.turn();
     x.ends(Err(Failure::TimedOut(State::ReadyToSwitchOn)));
-    x.slot.report.suspect = true;
+    x.slot.status.suspect = true;
     x.post(Command::ResetFault);
     x.turn();
     x.ends(Ok(()));
     assert!(x.controller.is_guarded());
-    x.slot.report.suspect = false;
+    x.slot.status.suspect = false;
     // With a fault there was no power, and no other command brings it.
     x.post(Command::Enable);
     x.turn();
@@ -187,7 +187,7 @@ fn the_age_of_a_suspect_report_counts_from_the_exchange_before() {
     let mut x = Alone::new(plan()).online();
     x.miss();
     assert_eq!(x.controller.feedback().age, 1);
-    x.slot.report.suspect = true;
+    x.slot.status.suspect = true;
     x.turn();
     assert_eq!(x.controller.feedback().age, 1);
     x.miss();
@@ -207,10 +207,10 @@ fn a_restart_an_emergency_and_a_refused_variable_in_one_report_are_all_told() {
     ] {
         let mut x = Alone::new(plan()).online();
         x.told();
-        let report = &mut x.slot.report;
-        report.restarted = restarted;
-        report.monitor_refused = refused.then_some((2, 7));
-        report.emergency = emergency.then_some(Emergency { code: 1, register: 0 });
+        let notices = &mut x.slot.notices;
+        notices.restarted = restarted;
+        notices.monitor_refused = refused.then_some((2, 7));
+        notices.emergency = emergency.then_some(Emergency { code: 1, register: 0 });
         x.turn();
         let told = x.told();
         let holds = |kind| told.contains(&kind);
@@ -235,15 +235,15 @@ fn a_vertical_load_that_homes_or_moves_or_whose_report_is_old_keeps_its_power() 
     x.miss();
     assert_eq!(x.ended(), [(off, Outcome::Failed(Failure::LoadInMotion))]);
     // A push is not yet a motion of its own.
-    x.slot.report.velocity = 50.0;
+    x.slot.status.velocity = 50.0;
     let off = x.post(Command::Disable);
     x.turn();
     assert_eq!(x.ended(), [(off, Outcome::Failed(Failure::LoadInMotion))]);
-    (x.slot.report.velocity, x.slot.report.moving) = (0.0, true);
+    (x.slot.status.velocity, x.slot.status.moving) = (0.0, true);
     let off = x.post(Command::Disable);
     x.turn();
     assert_eq!(x.ended(), [(off, Outcome::Failed(Failure::LoadInMotion))]);
-    x.slot.report.moving = false;
+    x.slot.status.moving = false;
     let off = x.post(Command::Disable);
     x.turn();
     x.ends(Ok(()));
@@ -255,7 +255,7 @@ fn a_drive_that_was_found_running_is_braked_at_the_end_once_a_reset_has_taken_it
     let plan = AxisPlan { on_found_running: FoundRunning::Refuse, ..plan() };
     for reset in [false, true] {
         let mut x = Alone::new(plan.clone());
-        x.slot.report.state = State::OperationEnabled;
+        x.slot.status.state = State::OperationEnabled;
         x.turns(10);
         assert_eq!(x.controller.feedback().stopped, Some(StopCause::FoundRunning));
         assert!(x.controller.is_guarded());
@@ -313,13 +313,13 @@ fn ranged() -> Alone {
 /// The position in mm at which it is stopped when its demand goes on by `step` a cycle, and by what.
 fn stopped_at(x: &mut Alone, step: f64) -> (f64, StopCause) {
     for _ in 0..400 {
-        let report = &mut x.slot.report;
-        (report.moving, report.velocity) = (true, step * 1e3);
-        report.demand += step;
-        report.position = report.demand;
+        let status = &mut x.slot.status;
+        (status.moving, status.velocity) = (true, step * 1e3);
+        status.demand += step;
+        status.position = status.demand;
         x.turn();
         if let Some(cause) = x.controller.feedback().stopped {
-            return (x.controller.feedback().demand, cause);
+            return (x.controller.feedback().status.demand, cause);
         }
     }
     panic!("not stopped");
@@ -369,7 +369,7 @@ fn what_follows_no_setpoint_is_stopped_by_its_drive_and_all_else_by_a_ramp() {
     }
     // It has left operation.
     let mut x = ranged();
-    x.slot.report.state = State::SwitchedOn;
+    x.slot.status.state = State::SwitchedOn;
     x.turn();
     assert_eq!(x.controller.feedback().stopped, Some(StopCause::DriveDropped));
     assert!(!by_drive(&x));
@@ -384,8 +384,8 @@ fn a_stop_is_as_steep_as_the_faster_of_demand_and_motor_requires() {
         let mut x = Alone::new(plan).enabled();
         x.post(Command::Follow);
         for _ in 0..3 {
-            x.slot.report.demand += step;
-            x.slot.report.velocity = velocity;
+            x.slot.status.demand += step;
+            x.slot.status.velocity = velocity;
             x.turn();
         }
         x.controller.stop(&cycle(99), Time(99 * MS), StopCause::Overrun, &mut x.slot);
@@ -398,16 +398,16 @@ fn a_stop_is_as_steep_as_the_faster_of_demand_and_motor_requires() {
 fn the_motor_may_settle_after_each_motion_and_not_at_any_other_time() {
     let mut x = Alone::new(plan()).enabled();
     for settles in [true, true, false] {
-        x.slot.report.velocity = 0.0;
+        x.slot.status.velocity = 0.0;
         x.turns(100);
         if settles {
             x.post(Command::Home);
             x.turn();
-            x.slot.report.velocity = 100.0;
+            x.slot.status.velocity = 100.0;
             x.turns(9);
             x.ends(Ok(()));
         }
-        x.slot.report.velocity = 40.0;
+        x.slot.status.velocity = 40.0;
         x.turns(9);
         assert_eq!(x.controller.feedback().stopped.is_none(), settles);
     }
@@ -417,7 +417,7 @@ fn the_motor_may_settle_after_each_motion_and_not_at_any_other_time() {
 fn only_a_quick_stop_is_taken_while_an_axis_is_stopped() {
     for verb in [Command::Disable, Command::Stop { deceleration: None }, Command::ResetFault] {
         let mut x = Alone::new(plan()).enabled();
-        (x.slot.report.moving, x.slot.report.velocity) = (true, 50.0);
+        (x.slot.status.moving, x.slot.status.velocity) = (true, 50.0);
         x.controller.stop(&cycle(50), Time(20 * MS), StopCause::Overrun, &mut x.slot);
         let order = x.slot.order;
         let id = x.post(verb);
@@ -447,11 +447,11 @@ fn a_reset_leaves_the_order_by_which_a_stopped_axis_holds() {
 fn an_axis_that_was_found_running_and_then_stopped_is_braked_when_it_moves_again() {
     let plan = AxisPlan { on_found_running: FoundRunning::Refuse, ..plan() };
     let mut x = Alone::new(plan);
-    x.slot.report.state = State::OperationEnabled;
+    x.slot.status.state = State::OperationEnabled;
     x.turns(10);
     x.done(Command::Stop { deceleration: None }, State::OperationEnabled);
     x.turns(100);
-    x.slot.report.velocity = 50.0;
+    x.slot.status.velocity = 50.0;
     x.turns(3);
     assert_eq!(x.controller.feedback().stopped, Some(StopCause::FoundRunning));
     assert_eq!(x.slot.order.verb, Some(Command::QuickStop));
@@ -464,12 +464,12 @@ fn a_link_is_counted_as_lost_when_it_was_up_and_its_silence_was_not_requested() 
     for (expected_silence, expected) in [(false, 1), (true, 1), (false, 2)] {
         x.turns(10);
         x.slot.expected_silence = expected_silence;
-        x.slot.report.fresh = false;
+        x.slot.notices.fresh = false;
         (0..9).for_each(|_| x.miss());
         assert_eq!((x.controller.feedback().link, losses(&x)), (Link::Lost, expected), "{expected_silence}");
         // A first answer, and silence again.
         x.turn();
-        x.slot.report.fresh = false;
+        x.slot.notices.fresh = false;
         (0..9).for_each(|_| x.miss());
         assert_eq!((x.controller.feedback().link, losses(&x)), (Link::Lost, expected), "{expected_silence}");
     }
@@ -584,10 +584,10 @@ fn a_motion_that_failed_may_brake_as_slowly_as_its_stop_and_not_speed_up() {
         let mut x = Alone::new(plan()).enabled();
         x.post(Command::Home);
         x.turn();
-        x.slot.report.velocity = 200.0;
+        x.slot.status.velocity = 200.0;
         x.ends(end);
         let tripped = (1..180).find(|n| {
-            x.slot.report.velocity = 200.0 - f64::from(*n);
+            x.slot.status.velocity = 200.0 - f64::from(*n);
             x.turn();
             x.controller.feedback().stopped.is_some()
         });
@@ -598,7 +598,7 @@ fn a_motion_that_failed_may_brake_as_slowly_as_its_stop_and_not_speed_up() {
 #[test]
 fn an_enable_without_the_hardware_enable_is_refused_before_the_bus_has_it() {
     let mut x = Alone::new(plan()).online();
-    x.slot.report.inhibited = true;
+    x.slot.status.inhibited = true;
     x.turn();
     let order = x.slot.order;
     let id = x.post(Command::Enable);
@@ -610,7 +610,7 @@ fn an_enable_without_the_hardware_enable_is_refused_before_the_bus_has_it() {
 #[test]
 fn a_reset_that_waits_for_a_stop_ends_when_the_link_is_lost() {
     let mut x = Alone::new(plan()).enabled();
-    x.slot.report.velocity = 50.0;
+    x.slot.status.velocity = 50.0;
     x.controller.stop(&cycle(50), Time(20 * MS), StopCause::Overrun, &mut x.slot);
     let id = x.post(Command::Reset);
     x.turns(3);
@@ -641,10 +641,10 @@ fn an_application_with_the_control_word_loses_it_by_a_restart_or_its_own_silence
         x
     };
     let mut x = native();
-    x.slot.report.state = State::SwitchOnDisabled;
+    x.slot.status.state = State::SwitchOnDisabled;
     x.turns(9);
     assert_eq!(x.controller.feedback().stopped, None, "the state is its own concern");
-    x.slot.report.restarted = true;
+    x.slot.notices.restarted = true;
     x.turn();
     assert_eq!(x.controller.feedback().stopped, Some(StopCause::DriveDropped));
     let mut x = native();
@@ -661,14 +661,14 @@ fn a_stop_of_the_application_has_its_time_and_then_the_drive_stops() {
     let mut plan = plan();
     plan.stop.timeout = Duration::from_millis(100);
     let mut x = Alone::new(plan).enabled();
-    x.slot.report.velocity = 50.0;
+    x.slot.status.velocity = 50.0;
     x.post(Command::Stop { deceleration: None });
     x.turns(101);
     assert_eq!(x.controller.feedback().stopped, None);
     x.turn();
     assert_eq!(x.controller.feedback().stopped, Some(StopCause::StopTimeout));
     assert_eq!(x.slot.order.verb, Some(Command::QuickStop));
-    x.slot.report.velocity = 0.0;
+    x.slot.status.velocity = 0.0;
     let standstill = x.controller.plan().stop.standstill_for;
     x.turns(standstill);
     assert_eq!(x.slot.order.verb, Some(Command::Disable));
@@ -677,7 +677,7 @@ fn a_stop_of_the_application_has_its_time_and_then_the_drive_stops() {
 #[test]
 fn a_ramp_that_the_drive_refuses_becomes_its_quick_stop_and_an_older_refusal_changes_nothing() {
     let mut x = Alone::new(plan()).enabled();
-    x.slot.report.velocity = 50.0;
+    x.slot.status.velocity = 50.0;
     x.slot.progress = Progress { serial: x.slot.order.serial, end: Some(Err(Failure::NotTaken)) };
     x.controller.stop(&cycle(50), Time(20 * MS), StopCause::Overrun, &mut x.slot);
     x.turn();
@@ -737,8 +737,8 @@ fn a_report_has_an_age_while_the_link_is_up() {
 fn each_change_of_the_drive_is_told_once() {
     let mut x = Alone::new(plan()).online();
     x.told();
-    let report = &mut x.slot.report;
-    (report.state, report.fault, report.warning, report.inhibited) = (State::Fault, 5, 6, true);
+    let status = &mut x.slot.status;
+    (status.state, status.fault, status.warning, status.inhibited) = (State::Fault, 5, 6, true);
     x.turns(3);
     let told = [EventKind::State(State::Fault), EventKind::Fault(5), EventKind::Warning(6)];
     let inhibited = EventKind::HardwareEnable(false);
@@ -749,9 +749,9 @@ fn each_change_of_the_drive_is_told_once() {
 fn a_drive_that_was_found_running_and_went_off_by_itself_is_still_only_read_after_a_reset() {
     let plan = AxisPlan { on_found_running: FoundRunning::Refuse, ..plan() };
     let mut x = Alone::new(plan);
-    x.slot.report.state = State::OperationEnabled;
+    x.slot.status.state = State::OperationEnabled;
     x.turns(10);
-    x.slot.report.state = State::ReadyToSwitchOn;
+    x.slot.status.state = State::ReadyToSwitchOn;
     x.turn();
     let order = x.slot.order;
     x.done_at_once(Command::Reset);
@@ -761,7 +761,7 @@ fn a_drive_that_was_found_running_and_went_off_by_itself_is_still_only_read_afte
 #[test]
 fn native_motion_data_may_lead_out_of_a_quick_stop_and_no_move_does() {
     let mut x = Alone::new(plan()).enabled();
-    x.slot.report.state = State::QuickStopActive;
+    x.slot.status.state = State::QuickStopActive;
     let home = x.post(Command::Home);
     x.turn();
     let refused = Failure::WrongState(State::QuickStopActive);
@@ -805,14 +805,14 @@ fn a_row_of_the_task_ends_with_the_motion_that_it_was_for() {
 fn power_that_no_command_has_switched_on_is_watched_from_its_first_report() {
     let mut x = Alone::new(plan()).enabled();
     x.done(Command::Disable, State::ReadyToSwitchOn);
-    x.slot.report.velocity = 50.0;
+    x.slot.status.velocity = 50.0;
     x.turns(9);
     assert_eq!(x.controller.feedback().stopped, None, "pushed by hand");
-    x.slot.report.state = State::OperationEnabled;
-    x.slot.report.suspect = true;
+    x.slot.status.state = State::OperationEnabled;
+    x.slot.status.suspect = true;
     x.turns(9);
     assert_eq!(x.controller.feedback().stopped, None, "it may be an old report");
-    x.slot.report.suspect = false;
+    x.slot.status.suspect = false;
     x.turns(2);
     assert_eq!(x.controller.feedback().stopped, None);
     x.turn();
@@ -840,7 +840,7 @@ fn a_command_to_a_member_alone_stops_its_group_only_if_it_may_begin() {
 fn a_reset_takes_no_drive_over_that_does_not_answer() {
     let plan = AxisPlan { on_found_running: FoundRunning::Refuse, ..plan() };
     let mut x = Alone::new(plan);
-    x.slot.report.state = State::OperationEnabled;
+    x.slot.status.state = State::OperationEnabled;
     x.turns(10);
     (0..5).for_each(|_| x.miss());
     assert_eq!(x.controller.feedback().link, Link::Lost);

@@ -25,7 +25,7 @@ impl State {
             if let Some(failure) = view.rules.can.refuses(&command) {
                 return self.refuse(failure, view);
             }
-            if view.report.state == Cia402::Unknown {
+            if view.status.state == Cia402::Unknown {
                 // What is to be taken over is not known yet.
                 return None;
             }
@@ -38,7 +38,7 @@ impl State {
         match command {
             Command::Reset => self.done(),
             Command::Disable | Command::Stop { .. } | Command::QuickStop
-                if view.report.state.is_powered()
+                if view.status.state.is_powered()
                     && let Follows::Never(why) = view.evidence.follows =>
             {
                 self.fail(why)
@@ -53,7 +53,7 @@ impl State {
             Command::ResetFault if !view.evidence.fault.active => self.done(),
             Command::ResetFault => self.begin_reset(since, view),
             Command::Native(owner) => self.begin_native(owner, view),
-            _ if !self.runs(view) => self.fail(Failure::WrongState(view.report.state)),
+            _ if !self.runs(view) => self.fail(Failure::WrongState(view.status.state)),
             _ if view.evidence.mode != ModeIs::Own => self.refuse(OTHER_MODE, view),
             Command::Move(motion) => self.begin_move(&motion, view),
             Command::Jog(jog) => self.begin_velocity(jog.acceleration, view),
@@ -65,7 +65,7 @@ impl State {
 
     /// Takes the drive over as it is, at its present velocity.
     fn claim(&mut self, view: &View) {
-        let power = if view.evidence.outputs_count { as_found(view.report.state) } else { Power::Off };
+        let power = if view.evidence.outputs_count { as_found(view.status.state) } else { Power::Off };
         self.set(power);
         if power == Power::EnableOperation {
             self.run_from(self.found(view));
@@ -78,8 +78,8 @@ impl State {
 
     /// The begin of the setpoint for a drive that moves by itself.
     pub(super) fn found(&self, view: &View) -> Point {
-        let turns = view.report.velocity.abs() > view.rules.standstill;
-        let velocity = if turns { view.report.velocity } else { 0.0 };
+        let turns = view.status.velocity.abs() > view.rules.standstill;
+        let velocity = if turns { view.status.velocity } else { 0.0 };
         // Its report is one exchange old.
         let position = view.evidence.position + velocity * view.rules.interval_ns as f64 * 1e-9;
         // Its present torque is not the master's.
@@ -110,7 +110,7 @@ impl State {
     }
 
     fn begin_enable(&mut self, since: Time, view: &View) -> End {
-        let (evidence, state) = (view.evidence, view.report.state);
+        let (evidence, state) = (view.evidence, view.status.state);
         if evidence.fault.active && evidence.fault.named {
             return self.fail(view.failed());
         }
@@ -184,7 +184,7 @@ impl State {
             _ if self.power.value != Power::EnableOperation || !self.can_brake(view) => {
                 // There is nothing to brake with: power stays as it is, and does not come on any more.
                 let on = self.power.value == Power::EnableOperation;
-                self.set(if on { as_found(view.report.state) } else { self.power.value });
+                self.set(if on { as_found(view.status.state) } else { self.power.value });
                 return self.fall(now);
             }
             // Only while it is halted does it stand.
@@ -211,7 +211,7 @@ impl State {
 
     /// The drive may be in motion with its power on.
     fn can_brake(&self, view: &View) -> bool {
-        view.report.state == Cia402::OperationEnabled || !view.evidence.outputs_count
+        view.status.state == Cia402::OperationEnabled || !view.evidence.outputs_count
     }
 
     /// As fast as the drive is configured for it, with its power on.
@@ -226,7 +226,7 @@ impl State {
 
     fn begin_reset(&mut self, since: Time, view: &View) -> End {
         // A drive that reacts to its fault brakes with its power on.
-        if view.report.state == Cia402::Fault {
+        if view.status.state == Cia402::Fault {
             self.set(Power::Off);
         }
         self.begin_step(since, Step::ResetWaiting);
@@ -306,7 +306,7 @@ impl State {
             self.want_motion(Motion::Halt);
         }
         if view.drive_makes_setpoints() {
-            if self.runs(view) && view.report.moving {
+            if self.runs(view) && view.status.moving {
                 self.brake(view.rules.profile.deceleration, view);
             } else if self.motion.value != Motion::Hold {
                 self.want_motion(Motion::Hold);

@@ -26,11 +26,11 @@ use self::motion::Rolling;
 use self::setpoint::{Course, Turning};
 use super::planner::Point;
 use crate::axis::command::NativeOwner;
-use crate::axis::{AxisPlan, Command, Failure, Limits, Profile, Row, State as Cia402, Units};
+use crate::axis::{AxisPlan, Command, DriveStatus, Failure, Limits, Profile, Row, State as Cia402, Units};
 use crate::bus::desired::{
     Capabilities, Desired, Evidence, Generator, Intent, Mode, Motion, Power, Quantity, Setpoint,
 };
-use crate::bus::{NumberedRow, Progress, Report, Slot};
+use crate::bus::{NumberedRow, Progress, Slot};
 use crate::time::{Time, nanos};
 
 /// The machine of one drive.
@@ -155,7 +155,9 @@ struct View<'a> {
     rules: &'a Rules,
     /// The slot of the grid: of the next send, or of the one whose answer came.
     now: Time,
-    report: &'a Report,
+    status: &'a DriveStatus,
+    /// It is new.
+    fresh: bool,
     evidence: &'a Evidence,
     /// The velocity and the torque that the application wants, and its next row.
     velocity: f64,
@@ -168,7 +170,8 @@ impl<'a> View<'a> {
         View {
             rules,
             now,
-            report: &slot.report,
+            status: &slot.status,
+            fresh: slot.notices.fresh,
             evidence: &slot.evidence,
             velocity: slot.velocity,
             torque: slot.torque,
@@ -189,11 +192,11 @@ impl<'a> View<'a> {
 
     /// It reports that it is in operation, and what is written counts there.
     fn operates(&self) -> bool {
-        self.evidence.outputs_count && self.report.state == Cia402::OperationEnabled
+        self.evidence.outputs_count && self.status.state == Cia402::OperationEnabled
     }
 
     fn failed(&self) -> Failure {
-        Failure::DriveFault(self.report.fault)
+        Failure::DriveFault(self.status.fault)
     }
 
     /// On a rotary axis, the place of `position` that is nearest to `from`.
@@ -283,7 +286,7 @@ impl Machine {
             // What it replaces has ended for the application.
             Some(Waiting { command: Some(start), since }) => {
                 let late = now.since(*since) > self.rules.enable_timeout_ns && start.has_a_time_limit();
-                late.then_some(Err(Failure::TimedOut(slot.report.state)))
+                late.then_some(Err(Failure::TimedOut(slot.status.state)))
             }
             Some(Waiting { command: None, .. }) => None,
             None => self.state.go_on(&view),
@@ -384,12 +387,12 @@ impl State {
     }
 
     fn has_power(&self, view: &View) -> bool {
-        view.report.fresh && !view.report.suspect && view.evidence.accepted.power >= self.power.serial
+        view.fresh && !view.status.suspect && view.evidence.accepted.power >= self.power.serial
     }
 
     /// So many reports in a row show it, this one included.
     fn agrees(&mut self, shown: bool, reports: u8, view: &View) -> bool {
-        if !view.report.fresh || view.report.suspect {
+        if !view.fresh || view.status.suspect {
             return false;
         }
         self.agree = if shown { self.agree.saturating_add(1) } else { 0 };
@@ -406,7 +409,7 @@ impl State {
 
     /// The drive has left operation, or is to: it stops, if it still moves, and does not come back by itself.
     fn let_go(&mut self, view: &View) {
-        let off = !view.report.state.is_powered() && view.evidence.outputs_count;
+        let off = !view.status.state.is_powered() && view.evidence.outputs_count;
         self.set(if off { Power::Off } else { Power::QuickStop });
     }
 
@@ -434,7 +437,7 @@ impl State {
             | Step::ResetLow
             | Step::Resetting
             | Step::ResetDone => None,
-            _ => self.fail(Failure::Dropped(view.report.state)),
+            _ => self.fail(Failure::Dropped(view.status.state)),
         }
     }
 }

@@ -60,13 +60,13 @@ impl State {
         let velocity = view.evidence.demand_velocity;
         let Some((low, high)) = view.rules.limits.position else { return requested };
         // Standstill at the very end is no reason to brake, and before homing positions mean nothing.
-        if velocity == 0.0 || !view.report.homed {
+        if velocity == 0.0 || !view.status.homed {
             return requested;
         }
         let demand = view.evidence.demand;
         let room = if velocity > 0.0 { high - demand } else { demand - low };
         // Twice the way until then: the telegram may have to be repeated.
-        let left = room - 2.0 * velocity.abs() * view.now.since(view.report.at) as f64 * 1e-9;
+        let left = room - 2.0 * velocity.abs() * view.now.since(view.status.at) as f64 * 1e-9;
         let most = view.rules.limits.acceleration.unwrap_or(view.rules.profile.deceleration);
         let needed = if left > 0.0 { velocity * velocity / (2.0 * left) } else { most };
         requested.max(needed.min(most))
@@ -90,7 +90,7 @@ impl State {
             return self.roll_on(Rolling { velocity: view.velocity, ..rolling }, view);
         }
         if rolling.at_limit {
-            if self.agrees(!view.report.moving, view.rules.can.still_reports, view) {
+            if self.agrees(!view.status.moving, view.rules.can.still_reports, view) {
                 let (low, high) = view.rules.limits.position.unwrap_or((rolling.target, rolling.target));
                 return self.fail(Failure::Limit { what: "position", value: rolling.target, low, high });
             }

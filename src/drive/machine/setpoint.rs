@@ -281,7 +281,7 @@ impl State {
 
     /// The same where only velocities are commanded: by the position of the axis, once it is known.
     fn watch_velocity(&mut self, turning: Turning, view: &View) -> End {
-        let (low, high) = view.rules.limits.position.filter(|_| view.report.homed)?;
+        let (low, high) = view.rules.limits.position.filter(|_| view.status.homed)?;
         let from = self.course.demand;
         let velocity = if from.velocity == 0.0 { turning.velocity } else { from.velocity };
         if velocity == 0.0 {

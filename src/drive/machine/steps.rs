@@ -25,9 +25,9 @@ impl State {
     /// Goes on with the command by the present report; how it has ended.
     pub(super) fn go_on(&mut self, view: &View) -> End {
         let waits = matches!(self.step, Step::Idle | Step::Falling | Step::ResetWaiting);
-        if view.report.fresh && !view.evidence.outputs_count && !waits {
+        if view.fresh && !view.evidence.outputs_count && !waits {
             // It came to this step by an output.
-            return self.give_up(Failure::Dropped(view.report.state), view);
+            return self.give_up(Failure::Dropped(view.status.state), view);
         }
         match self.step {
             Step::Idle => {
@@ -57,7 +57,7 @@ impl State {
     /// It follows its motion, or its own quick stop.
     fn is_in_operation(&self, view: &View) -> bool {
         view.evidence.outputs_count
-            && matches!(view.report.state, Cia402::OperationEnabled | Cia402::QuickStopActive)
+            && matches!(view.status.state, Cia402::OperationEnabled | Cia402::QuickStopActive)
     }
 
     fn is_late(&self, view: &View, limit_ns: u64) -> bool {
@@ -71,12 +71,12 @@ impl State {
     }
 
     fn enabling(&mut self, rest: Power, view: &View) -> End {
-        let (state, evidence) = (view.report.state, view.evidence);
+        let (state, evidence) = (view.status.state, view.evidence);
         if self.has_power(view) && evidence.outputs_count {
             if evidence.fault.active {
                 return if evidence.fault.named { self.give_up(view.failed(), view) } else { None };
             }
-            if view.report.inhibited {
+            if view.status.inhibited {
                 self.set(rest);
                 return self.fail(Failure::Inhibited);
             }
@@ -93,7 +93,7 @@ impl State {
             // No power in a mode that somebody else has left.
             match towards_operation(state, self.power.value, &view.rules.can).filter(|_| own) {
                 Some(Power::EnableOperation) if state == Cia402::QuickStopActive => {
-                    if view.report.velocity.abs() <= view.rules.standstill {
+                    if view.status.velocity.abs() <= view.rules.standstill {
                         self.hold(evidence.position);
                     }
                 }
@@ -110,10 +110,10 @@ impl State {
     }
 
     fn falling(&mut self, view: &View) -> End {
-        let state = view.report.state;
+        let state = view.status.state;
         let there = match self.power.value {
             Power::SwitchOn => !state.is_powered() || state == Cia402::SwitchedOn,
-            Power::QuickStop => !view.report.moving,
+            Power::QuickStop => !view.status.moving,
             _ => !state.is_powered(),
         };
         if self.has_power(view) && self.agrees(there, view.rules.can.power_reports, view) {
@@ -134,7 +134,7 @@ impl State {
         Some(match fault.active {
             true if !fault.named => None,
             true => self.give_up(view.failed(), view),
-            false => self.give_up(Failure::Dropped(view.report.state), view),
+            false => self.give_up(Failure::Dropped(view.status.state), view),
         })
     }
 
@@ -155,10 +155,10 @@ impl State {
         if follows && view.evidence.mode != ModeIs::Own {
             return self.refuse(OTHER_MODE, view);
         }
-        if !view.report.fresh || view.report.suspect {
+        if !view.fresh || view.status.suspect {
             return None;
         }
-        let still = self.is_accepted(view) && !view.report.moving && self.course.stands();
+        let still = self.is_accepted(view) && !view.status.moving && self.course.stands();
         let settled = self.agrees(still, view.rules.can.still_reports, view);
         if let Some(failure) = view.evidence.refused {
             return self.refuse(failure, view);
@@ -195,7 +195,7 @@ impl State {
             self.step = Step::FollowEnding { taken: taken + u32::from(has_it), last };
             return None;
         }
-        if self.agrees(has_it && !view.report.moving, view.rules.can.still_reports, view) {
+        if self.agrees(has_it && !view.status.moving, view.rules.can.still_reports, view) {
             self.hold(self.course.demand_position());
             return self.done();
         }
@@ -210,7 +210,7 @@ impl State {
     /// It runs on at the speed at which it was found, until it follows.
     fn taking_over(&mut self, command: Command, view: &View) -> End {
         match view.evidence.follows {
-            _ if !view.report.fresh => None,
+            _ if !view.fresh => None,
             _ if !view.operates() || view.evidence.fault.active => {
                 self.set(Power::Off);
                 self.begin_step(view.now, Step::Falling);
@@ -229,7 +229,7 @@ impl State {
         if !self.is_accepted(view) {
             return None;
         }
-        let (report, can) = (view.report, &view.rules.can);
+        let (report, can) = (view.status, &view.rules.can);
         let still = !report.moving && self.course.stands();
         let settled = self.agrees(still, can.still_reports, view);
         match self.step {
@@ -292,10 +292,10 @@ impl State {
         let (accepted, evidence) = (self.is_accepted(view), view.evidence);
         match self.step {
             Step::HomeWaiting if accepted && !self.course.leads() => {
-                return self.fail(Failure::WrongState(view.report.state));
+                return self.fail(Failure::WrongState(view.status.state));
             }
             Step::HomeWaiting if accepted && self.course.stands() => {
-                if !view.report.moving {
+                if !view.status.moving {
                     self.end_halt(view);
                     self.want_mode(Mode::Homing);
                     self.enter(Step::HomeMode);
@@ -318,12 +318,12 @@ impl State {
                 Homing::Attained => self.leave_home(Ok(()), view),
                 Homing::Failed => self.leave_home(Err(HOME_FAILED), view),
             },
-            Step::HomeStopping(end) if accepted && !view.report.moving => {
+            Step::HomeStopping(end) if accepted && !view.status.moving => {
                 self.want_mode(Mode::Own);
                 self.enter(Step::HomeLeaving(end));
             }
             Step::HomeLeaving(end) => {
-                let own = evidence.mode == ModeIs::Own && evidence.ready && !view.report.moving;
+                let own = evidence.mode == ModeIs::Own && evidence.ready && !view.status.moving;
                 let there = accepted && own && view.operates();
                 if self.agrees(there, view.rules.can.power_reports, view)
                     && let Some(reference) = evidence.reference
@@ -339,7 +339,7 @@ impl State {
         if self.is_late(view, view.rules.home_timeout_ns) {
             self.want_mode(Mode::Own);
             self.hold(evidence.position);
-            return self.fail(Failure::TimedOut(view.report.state));
+            return self.fail(Failure::TimedOut(view.status.state));
         }
         None
     }
@@ -391,7 +391,7 @@ impl State {
                 }
                 (Step::ResetDone, true) if fault.named => return self.fail(view.failed()),
                 (Step::ResetDone, false) => {
-                    let off = !view.report.state.is_powered();
+                    let off = !view.status.state.is_powered();
                     if self.agrees(off, view.rules.can.power_reports, view) {
                         return self.done();
                     }
@@ -404,7 +404,7 @@ impl State {
             let end = if fault.active && fault.named {
                 view.failed()
             } else {
-                Failure::TimedOut(view.report.state)
+                Failure::TimedOut(view.status.state)
             };
             return self.fail(end);
         }

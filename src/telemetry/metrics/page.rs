@@ -258,9 +258,9 @@ impl Sheet<'_> {
                 u64::from(drive.feedback.stopped.is_some())
             }),
             ("drive_inhibited", "1 while the hardware enable (STO) is missing.", |drive| {
-                u64::from(drive.feedback.inhibited)
+                u64::from(drive.feedback.status.inhibited)
             }),
-            ("drive_fault", "Fault code, 0 = none.", |drive| u64::from(drive.feedback.fault)),
+            ("drive_fault", "Fault code, 0 = none.", |drive| u64::from(drive.feedback.status.fault)),
         ];
         const MAXIMA_NS: [Field; 3] = [
             ("drive_round_trip_max", "The longest round trip.", |drive| drive.peaks.rtt.ns),
@@ -308,7 +308,7 @@ impl Sheet<'_> {
                 "A monitored variable of the drive, while the drive reports it.",
                 |drive, channel| {
                     let DriveEnd { feedback, monitor, .. } = drive;
-                    let shows = feedback.link == Link::Online && feedback.monitor[channel].is_some();
+                    let shows = feedback.link == Link::Online && feedback.status.monitor[channel].is_some();
                     monitor[channel].filter(|_| shows).map(|extent| extent.value)
                 },
             ),

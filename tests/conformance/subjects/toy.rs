@@ -619,9 +619,9 @@ impl Station {
     }
 
     fn read(&mut self, at: Time, answer: &Answer, slot: &mut Slot) {
-        let report = &mut slot.report;
+        let Slot { status: report, notices, .. } = slot;
         if self.seen && answer.boot != self.answer.boot {
-            report.restarted = !self.is(Defect::ForgetsRestarts);
+            notices.restarted = !self.is(Defect::ForgetsRestarts);
             // What it was told before is over.
             (self.taken, self.end) =
                 (true, self.end.or(Some(Err(Failure::Dropped(State::SwitchOnDisabled)))));
@@ -635,7 +635,7 @@ impl Station {
         if restarted && self.is(Defect::SwitchesOnAgain) {
             self.tell(ENABLE, [0.0; 4]);
         }
-        report.fresh = true;
+        notices.fresh = true;
         report.at = at;
         report.state = match answer.state {
             ON => State::OperationEnabled,
@@ -730,7 +730,7 @@ impl Station {
         if !self.taken {
             if limited && late && !self.is(Defect::NeverTimesOut) {
                 self.tell(DISABLE, [0.0; 4]);
-                return Some(Err(Failure::TimedOut(slot.report.state)));
+                return Some(Err(Failure::TimedOut(slot.status.state)));
             }
             return None;
         }
@@ -739,7 +739,7 @@ impl Station {
         }
         match (state, moving) {
             (FAULT, _) => Some(Err(Failure::DriveFault(1))),
-            (OFF, _) if matches!(verb, Command::Move(_)) => Some(Err(Failure::Dropped(slot.report.state))),
+            (OFF, _) if matches!(verb, Command::Move(_)) => Some(Err(Failure::Dropped(slot.status.state))),
             (_, moving) => (!moving).then_some(Ok(())),
         }
     }

@@ -196,7 +196,7 @@ impl Rig {
         self.bus.send(&self.cycle, &mut self.slots);
         for (slot, before) in self.slots.iter().zip(&before) {
             // What comes too late says nothing of the drive.
-            assert_eq!(slot.report.at, before.report.at);
+            assert_eq!(slot.status.at, before.status.at);
             assert!(!matches!(slot.exchange, Exchange::Answered { .. }));
             let counted = slot.counters.sent + slot.counters.unsent;
             assert_eq!(counted, before.counters.sent + before.counters.unsent + 1);
@@ -230,8 +230,8 @@ impl Rig {
             let said = cable.taken.iter().find_map(|frame| said(&cable.sent, frame, index));
             let (al, position) = said.unwrap_or_else(|| panic!("drive {index} has not answered: {slot:?}"));
             assert_ne!(al & 0x0F, 0, "drive {index} took no part");
-            if slot.report.position.is_finite() {
-                let told = (slot.report.position * INCREMENTS).round() as i64 as u32;
+            if slot.status.position.is_finite() {
+                let told = (slot.status.position * INCREMENTS).round() as i64 as u32;
                 assert_eq!(told, position, "that is another drive's, or another frame's: drive {index}");
             }
         }

@@ -378,7 +378,7 @@ impl Rig {
             }
             _ => slot.exchange = Exchange::Idle,
         }
-        slot.report.fresh = false;
+        slot.notices.fresh = false;
         self.index += 1;
     }
 
@@ -407,7 +407,7 @@ impl Rig {
                 Request::WriteOne { .. } => panic!("single writes are not used"),
             }
         }
-        let (state, report) = (slot.report.state, &slot.report);
+        let (state, report) = (slot.status.state, &slot.status);
         assert!(report.velocity.is_finite(), "{state:?}: {report:?}");
     }
 

@@ -6,7 +6,7 @@
 
 use std::net::Ipv4Addr;
 
-use fieldbeat::axis::{Command, Limits, Link, Row, State, Units};
+use fieldbeat::axis::{Command, DriveStatus, Limits, Link, Row, State, Units};
 use fieldbeat::bus::linudp::motion::Decoded;
 use fieldbeat::bus::linudp::native::Native;
 use fieldbeat::bus::linudp::station::Station;
@@ -15,7 +15,7 @@ use fieldbeat::bus::linudp::wire::{
     StateVar, StatusWord, WarnWord,
 };
 use fieldbeat::bus::linudp::{COUNTS_PER_MM, LinUdpDrive, MonitorPlan, ReplyTag, StreamCommand};
-use fieldbeat::bus::{Cycle, Exchange, NumberedRow, Order, Progress, Report, Slot};
+use fieldbeat::bus::{Cycle, Exchange, NumberedRow, Order, Progress, Slot};
 use fieldbeat::time::{MS, Time};
 
 use super::input::Input;
@@ -231,8 +231,8 @@ impl Rig {
             Exchange::Answered { .. } | Exchange::Unsent => self.slot.exchange = Exchange::Idle,
             Exchange::Idle | Exchange::Missed | Exchange::Absent => {}
         }
-        self.slot.report.fresh = false;
-        self.slot.report.restarted = false;
+        self.slot.notices.fresh = false;
+        self.slot.notices.restarted = false;
     }
 
     /// A reply that is somehow wrong, or comes to something else, or is right.
@@ -305,7 +305,8 @@ impl Rig {
 
         let Ok(response) = Response::parse(bytes) else {
             assert_eq!(c.malformed, b.malformed + 1);
-            assert_eq!((self.slot.exchange, self.slot.report), (before.exchange, before.report));
+            let taken = |slot: &Slot| (slot.exchange, slot.status, slot.notices);
+            assert_eq!(taken(&self.slot), taken(&before));
             return;
         };
         let tag = |config: Option<RtcBlock>| config.filter(|_| self.counted()).map(|block| block.count());
@@ -321,11 +322,11 @@ impl Rig {
             "{response:?} to {:?}",
             self.asked.first()
         );
-        if self.slot.report == before.report {
-            assert!(c.answered == b.answered || !self.slot.report.fresh);
+        if (self.slot.status, self.slot.notices) == (before.status, before.notices) {
+            assert!(c.answered == b.answered || !self.slot.notices.fresh);
         } else {
             assert!(echoes && in_window, "only what was asked for is read: {response:?}");
-            self.check_report(&response, &before.report);
+            self.check_report(&response, &before.status);
         }
         if c.answered == b.answered && self.slot.exchange != before.exchange {
             // The second of two replies in one window.
@@ -334,9 +335,9 @@ impl Rig {
     }
 
     /// The report is what this telegram says.
-    fn check_report(&self, response: &Response, before: &Report) {
-        let report = &self.slot.report;
-        assert_eq!((report.fresh, report.at), (true, self.now));
+    fn check_report(&self, response: &Response, before: &DriveStatus) {
+        let report = &self.slot.status;
+        assert_eq!((self.slot.notices.fresh, report.at), (true, self.now));
         let units = &self.drive.axis.units;
         for (value, raw) in [(report.position, response.actual), (report.demand, response.demand)] {
             let raw = raw.unwrap_or_default();

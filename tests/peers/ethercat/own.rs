@@ -163,7 +163,7 @@ fn work(plan: EthercatPlan, leads: bool) -> u64 {
     }
     sleep(Duration::from_secs(1));
     for axis in &mut axes {
-        let turned = axis.feedback().position;
+        let turned = axis.feedback().status.position;
         assert!(turned > 1.0, "{:?}", axis.feedback());
         axis.stop().unwrap();
         axis.disable().unwrap();

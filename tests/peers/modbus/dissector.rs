@@ -158,7 +158,7 @@ fn tshark_finds_nothing_wrong_with_modbus() {
         parameter.write("20.021", 12_345).unwrap();
         axis.enable().unwrap();
         axis.post(Command::Jog(Jog { velocity: -2.5, acceleration: 100.0 })).unwrap();
-        assert!(until(LONG, || (axis.feedback().velocity + 2.5).abs() < 0.1), "{:?}", axis.feedback());
+        assert!(until(LONG, || (axis.feedback().status.velocity + 2.5).abs() < 0.1), "{:?}", axis.feedback());
         assert_eq!(parameter.read::<i32>("20.021").unwrap(), 12_345);
         parameter.read::<i32>("17.099").unwrap_err();
         axis.stop().unwrap();

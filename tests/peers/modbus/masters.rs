@@ -101,11 +101,11 @@ fn reads(peer: &mut Peer, axis: &Axis, native: &Native) {
     peer.set(LOAD, &[123]);
     peer.set(FIRST, &long(-70_000));
     peer.set(THIRD, &long(i32::MAX));
-    await_feedback(axis, "speed", |feedback| (feedback.velocity + 2.5).abs() < 1e-9);
+    await_feedback(axis, "speed", |feedback| (feedback.status.velocity + 2.5).abs() < 1e-9);
     await_feedback(axis, "load", |feedback| {
-        feedback.monitor[0].is_some_and(|load| (load - 12.3).abs() < 1e-9)
+        feedback.status.monitor[0].is_some_and(|load| (load - 12.3).abs() < 1e-9)
     });
-    await_feedback(axis, "state", |feedback| feedback.state == State::ReadyToSwitchOn);
+    await_feedback(axis, "state", |feedback| feedback.status.state == State::ReadyToSwitchOn);
     assert!(until(LONG, || (native.also(0), native.also(1)) == (Some(-70_000), Some(i32::MAX))));
     let status = native.inputs().status().unwrap();
     assert_eq!(
@@ -166,10 +166,12 @@ fn exchange(test: u8, library: Library, options: &[&str], read_write: bool) {
         counters(&master).sent >= begun + EXCHANGES
     });
     assert!(done, "{:?}", counters(&master));
-    assert_eq!(axis.feedback().state, State::OperationEnabled);
+    assert_eq!(axis.feedback().status.state, State::OperationEnabled);
     peer.set(TRIP, &[3]);
     peer.set(STATUS, &[STANDSTILL]);
-    await_feedback(&axis, "trip", |feedback| (feedback.state, feedback.fault) == (State::Fault, 3));
+    await_feedback(&axis, "trip", |feedback| {
+        (feedback.status.state, feedback.status.fault) == (State::Fault, 3)
+    });
     let end = master.finish().end.drives[0].counters;
     // Nobody watches a master that has ended in order.
     assert_eq!(peer.registers(MODBUS_TIMEOUT, 1), [0]);

@@ -84,14 +84,14 @@ fn velocities_are_followed_whoever_has_the_clock() {
         machine.assert_turns(1, 5.0);
         let turned = machine.drive(2, |drive| drive.rpm());
         assert!((turned + 300.0).abs() < 20.0, "it is inverted: {turned}");
-        assert!((machine.feedback(2).velocity - 5.0).abs() < 0.3);
+        assert!((machine.feedback(2).status.velocity - 5.0).abs() < 0.3);
         for index in 0..3 {
             machine.done(index, STOP);
             machine.post(index, jog(-2.0));
             machine.run(100);
             machine.done(index, Command::QuickStop);
             machine.done(index, Command::Disable);
-            assert!(machine.feedback(index).velocity.abs() < 0.05);
+            assert!(machine.feedback(index).status.velocity.abs() < 0.05);
         }
         let missed: u64 = machine.end().iter().map(|counters| counters.missed).sum();
         assert_eq!(missed, 0);
@@ -102,7 +102,7 @@ fn velocities_are_followed_whoever_has_the_clock() {
 fn positions_are_moved_to_and_streams_followed() {
     let mut machine = Machine::enabled(line(positions()));
     for index in 0..3 {
-        let at = machine.feedback(index).demand;
+        let at = machine.feedback(index).status.demand;
         for (target, place) in [
             (Target::Absolute(at + 2.5), at + 2.5),
             (Target::Relative(-4.0), at - 1.5),
@@ -111,14 +111,14 @@ fn positions_are_moved_to_and_streams_followed() {
             machine.done(index, go(target));
             machine.run(100);
             let feedback = machine.feedback(index);
-            assert!((feedback.position - place).abs() < 1e-3, "{index}: not at {place}: {feedback:?}");
-            assert!(feedback.in_target && !feedback.moving, "{feedback:?}");
+            assert!((feedback.status.position - place).abs() < 1e-3, "{index}: not at {place}: {feedback:?}");
+            assert!(feedback.status.in_target && !feedback.status.moving, "{feedback:?}");
         }
         machine.post(index, jog(-3.0));
         machine.run(300);
-        assert!((machine.feedback(index).velocity + 3.0).abs() < 0.1);
+        assert!((machine.feedback(index).status.velocity + 3.0).abs() < 0.1);
         machine.done(index, STOP);
-        let from = machine.feedback(index).demand;
+        let from = machine.feedback(index).status.demand;
         let id = machine.sim.axis(index).follow().unwrap();
         for n in 1..=400_u32 {
             let phase = f64::from(n) / 400.0;
@@ -130,7 +130,7 @@ fn positions_are_moved_to_and_streams_followed() {
         assert_eq!(machine.sim.run_command(index, id, 500), Some(Outcome::Done));
         machine.run(100);
         let feedback = machine.feedback(index);
-        assert!((feedback.position - from - 1.0).abs() < 1e-3, "{feedback:?}");
+        assert!((feedback.status.position - from - 1.0).abs() < 1e-3, "{feedback:?}");
         assert_eq!(machine.drive(index, |drive| drive.fault()), None);
     }
 }
@@ -143,7 +143,7 @@ fn a_position_stays_inside_of_its_limits() {
     let refused = machine.ended(0, go(Target::Absolute(1.0)));
     assert_eq!(refused, Outcome::Failed(Failure::NotHomed));
     machine.done(0, Command::Home);
-    assert!(machine.feedback(0).homed);
+    assert!(machine.feedback(0).status.homed);
     machine.done(0, go(Target::Absolute(1.5)));
     let refused = machine.ended(0, go(Target::Relative(1.0)));
     assert!(matches!(refused, Outcome::Failed(Failure::Limit { .. })), "{refused:?}");
@@ -151,7 +151,7 @@ fn a_position_stays_inside_of_its_limits() {
         let end = machine.ended(0, jog(5.0 * direction));
         assert!(matches!(end, Outcome::Failed(Failure::Limit { .. })), "{end:?}");
         machine.run(100);
-        let place = machine.feedback(0).position * direction;
+        let place = machine.feedback(0).status.position * direction;
         assert!((1.9..2.001).contains(&place), "{place}");
         assert_eq!(machine.feedback(0).stopped, None);
     }
@@ -163,19 +163,22 @@ fn torques_are_given_along_their_slope_and_a_stop_halts_the_drive() {
     machine.post(0, Command::Torque { slope: 20.0 });
     press(&mut machine, 0, 4.0, 400);
     // 4 % of 5 N m less 0.1 N m of friction, on 0.002 kg m^2: 8 rev/s^2, later by the slope and friction at its begin.
-    let velocity = machine.feedback(0).velocity;
+    let velocity = machine.feedback(0).status.velocity;
     assert!((1.8..2.6).contains(&velocity), "{velocity}");
-    assert!(machine.feedback(1).velocity.abs() < 0.05);
+    assert!(machine.feedback(1).status.velocity.abs() < 0.05);
     machine.done(0, STOP);
     let feedback = machine.feedback(0);
-    assert!(!feedback.moving && feedback.velocity.abs() < 0.05 && feedback.stopped.is_none(), "{feedback:?}");
-    assert_eq!(feedback.state, State::OperationEnabled);
+    assert!(
+        !feedback.status.moving && feedback.status.velocity.abs() < 0.05 && feedback.stopped.is_none(),
+        "{feedback:?}"
+    );
+    assert_eq!(feedback.status.state, State::OperationEnabled);
     // One that comes no more stops the axis.
     machine.post(0, Command::Torque { slope: 100.0 });
     press(&mut machine, 0, -4.0, 300);
-    assert!(machine.feedback(0).velocity < -1.0);
+    assert!(machine.feedback(0).status.velocity < -1.0);
     machine.until("stopped", 20, |machine| machine.feedback(0).stopped == Some(StopCause::StaleSetpoint));
-    machine.until("off", 500, |machine| !machine.feedback(0).state.is_powered());
+    machine.until("off", 500, |machine| !machine.feedback(0).status.state.is_powered());
     assert!(machine.drive(0, |drive| drive.rpm()).abs() < 3.0, "power goes off at standstill");
     machine.recover(0);
     // And the limit of its velocity ends a runaway.
@@ -215,10 +218,10 @@ fn pdos_are_mapped_freely_and_an_akd_takes_torques_by_one() {
     press(&mut machine, 1, -5.0, 300);
     machine.assert_turns(0, 3.0);
     let feedback = machine.feedback(1);
-    assert!(feedback.velocity < -1.0 && (feedback.current + 0.3).abs() < 0.02, "{feedback:?}");
+    assert!(feedback.status.velocity < -1.0 && (feedback.status.current + 0.3).abs() < 0.02, "{feedback:?}");
     machine.drive(1, |drive| drive.provoke(Fault::AMBIENT));
     machine.run(20);
-    assert_eq!(machine.feedback(1).fault, 0x4110, "by 603Fh");
+    assert_eq!(machine.feedback(1).status.fault, 0x4110, "by 603Fh");
 }
 
 #[test]
@@ -228,19 +231,19 @@ fn home_is_found_by_the_drive_and_forgotten_when_it_is_switched_off() {
     drives[1].home_method = Some(35);
     let mut machine = Machine::enabled(line(drives));
     for index in 0..2 {
-        assert!(!machine.feedback(index).homed);
+        assert!(!machine.feedback(index).status.homed);
         machine.done(index, Command::Home);
         machine.run(50);
         let feedback = machine.feedback(index);
-        assert!(feedback.homed && feedback.position.abs() < 1e-3, "{index}: {feedback:?}");
-        assert_eq!((feedback.state, feedback.stopped), (State::OperationEnabled, None));
+        assert!(feedback.status.homed && feedback.status.position.abs() < 1e-3, "{index}: {feedback:?}");
+        assert_eq!((feedback.status.state, feedback.stopped), (State::OperationEnabled, None));
         machine.done(index, go(Target::Absolute(1.0)));
     }
     machine.sim.world().restart_slave(LINE, 0);
     machine.until("lost", 100, |machine| machine.feedback(0).link == Link::Lost);
     machine.online();
     machine.run(500);
-    assert!(!machine.feedback(0).homed && machine.feedback(1).homed);
+    assert!(!machine.feedback(0).status.homed && machine.feedback(1).status.homed);
     let mut restarts = 0;
     while let Some(event) = machine.sim.axis(0).event() {
         restarts += u32::from(matches!(event.kind, EventKind::Restarted));
@@ -248,7 +251,7 @@ fn home_is_found_by_the_drive_and_forgotten_when_it_is_switched_off() {
     assert_eq!(restarts, 1, "told once");
     machine.recover(0);
     machine.done(0, Command::Home);
-    assert!(machine.feedback(0).homed);
+    assert!(machine.feedback(0).status.homed);
 }
 
 #[test]
@@ -264,7 +267,7 @@ fn a_restart_in_motion_is_latched_and_the_others_go_on() {
         press(&mut machine, 1, 2.05, 500);
         machine.sim.world().restart_slave(LINE, restarted);
         for _ in 0..6_000 {
-            let torque = if machine.feedback(1).velocity > 2.0 { 1.5 } else { 2.5 };
+            let torque = if machine.feedback(1).status.velocity > 2.0 { 1.5 } else { 2.5 };
             press(&mut machine, 1, torque, 1);
             for index in (0..4).filter(|index| *index != restarted) {
                 let feedback = machine.feedback(index);
@@ -272,7 +275,7 @@ fn a_restart_in_motion_is_latched_and_the_others_go_on() {
             }
             let feedback = machine.feedback(restarted);
             if feedback.link == Link::Online && feedback.stopped.is_some() && feedback.age == 0 {
-                assert!(!feedback.state.is_powered(), "{feedback:?}");
+                assert!(!feedback.status.state.is_powered(), "{feedback:?}");
             }
         }
         let feedback = machine.feedback(restarted);
@@ -283,7 +286,7 @@ fn a_restart_in_motion_is_latched_and_the_others_go_on() {
         assert_eq!(machine.ended(restarted, verb), latched);
         machine.recover(restarted);
         machine.run(300);
-        assert!(machine.feedback(restarted).velocity.abs() < 0.05, "nothing of before is taken up");
+        assert!(machine.feedback(restarted).status.velocity.abs() < 0.05, "nothing of before is taken up");
     }
 }
 
@@ -302,14 +305,17 @@ fn a_fault_stops_the_axis_by_its_name_and_is_reset() {
         assert!(ended == Some(stopped) || ended == Some(failed), "{ended:?}");
         machine.run(500);
         let feedback = machine.feedback(0);
-        assert_eq!((feedback.state, feedback.stopped), (State::Fault, Some(StopCause::DriveFault)));
-        assert_eq!(feedback.fault, u32::from(fault.code));
-        assert_eq!(machine.sim.axis(0).fault(feedback.fault).name, Some(fault.name));
+        assert_eq!((feedback.status.state, feedback.stopped), (State::Fault, Some(StopCause::DriveFault)));
+        assert_eq!(feedback.status.fault, u32::from(fault.code));
+        assert_eq!(machine.sim.axis(0).fault(feedback.status.fault).name, Some(fault.name));
         machine.assert_turns(1, -5.0);
         let reset = machine.ended(0, Command::ResetFault);
         if heals {
             assert_eq!(reset, Outcome::Done);
-            assert_eq!((machine.feedback(0).state, machine.feedback(0).fault), (State::SwitchOnDisabled, 0));
+            assert_eq!(
+                (machine.feedback(0).status.state, machine.feedback(0).status.fault),
+                (State::SwitchOnDisabled, 0)
+            );
             machine.recover(0);
             machine.post(0, jog(1.0));
             machine.run(300);
@@ -402,7 +408,7 @@ fn a_missing_hardware_enable_is_named_and_power_comes_back_only_when_asked() {
     machine.sim.world().inhibit_slave(LINE, 0, 3 * S);
     machine.until("stopped", 50, |machine| machine.feedback(0).stopped.is_some());
     assert_eq!(machine.feedback(0).stopped, Some(StopCause::HardwareEnable));
-    assert!(machine.feedback(0).inhibited);
+    assert!(machine.feedback(0).status.inhibited);
     machine.run(100);
     machine.assert_turns(1, 5.0);
     machine.done(0, Command::Reset);
@@ -484,7 +490,7 @@ fn drives_found_running_without_a_watchdog_are_stopped_along_a_ramp_or_left_alon
     let mut machine = running(&plan, FoundRunning::Stop);
     let mut before = 60.0;
     let mut ramp = 0;
-    while machine.feedback(0).stopped.is_none() || machine.feedback(0).state.is_powered() {
+    while machine.feedback(0).stopped.is_none() || machine.feedback(0).status.state.is_powered() {
         machine.run(1);
         let [now, ..] = rpm::<3>(&machine);
         assert!((now - before).abs() < 1.0, "{now} behind {before}");
@@ -499,7 +505,7 @@ fn drives_found_running_without_a_watchdog_are_stopped_along_a_ramp_or_left_alon
     for index in 0..3 {
         let feedback = machine.feedback(index);
         assert_eq!(feedback.stopped, Some(StopCause::FoundRunning), "{index}: {feedback:?}");
-        assert!(!feedback.state.is_powered(), "{feedback:?}");
+        assert!(!feedback.status.state.is_powered(), "{feedback:?}");
         machine.recover(index);
         machine.post(index, jog(2.0));
         machine.run(500);
@@ -591,7 +597,7 @@ fn terminals_between_drives_exchange_in_the_same_cycle() {
         assert_eq!(inputs.bytes(), outputs);
     }
     for (index, place) in [(0, 0), (1, 2)] {
-        assert!((machine.feedback(index).velocity - 1.0).abs() < 0.1);
+        assert!((machine.feedback(index).status.velocity - 1.0).abs() < 0.1);
         assert!((machine.drive(place, |drive| drive.rpm()) - 60.0).abs() < 3.0);
     }
 }
@@ -661,9 +667,12 @@ fn objects_are_shown_beside_the_process_data() {
     machine.post(0, jog(1.0));
     machine.run(500);
     let feedback = machine.feedback(0);
-    assert_eq!((feedback.monitor[0], feedback.monitor[1], feedback.monitor[3]), (Some(-128.0), None, None));
-    let place = feedback.monitor[2].expect("it is shown") / INCREMENTS;
-    assert!((place - feedback.position).abs() < 0.1, "plain counts, of not long ago: {place}");
+    assert_eq!(
+        (feedback.status.monitor[0], feedback.status.monitor[1], feedback.status.monitor[3]),
+        (Some(-128.0), None, None)
+    );
+    let place = feedback.status.monitor[2].expect("it is shown") / INCREMENTS;
+    assert!((place - feedback.status.position).abs() < 0.1, "plain counts, of not long ago: {place}");
     let mut events = std::mem::take(&mut machine.sim.events);
     events.extend(std::iter::from_fn(|| machine.sim.axis(0).event()).map(|event| (0, event)));
     let is_refusal =
@@ -755,7 +764,7 @@ fn clocks_of_32_bits_that_go_round_are_noticed_by_nobody() {
             machine.run(1);
             for index in 0..2 {
                 let feedback = machine.feedback(index);
-                assert!(feedback.age == 0 && (feedback.velocity - 2.0).abs() < 0.1, "{feedback:?}");
+                assert!(feedback.age == 0 && (feedback.status.velocity - 2.0).abs() < 0.1, "{feedback:?}");
             }
         }
         assert!((0..2).all(|place| machine.drive(place, |drive| drive.is_synchronous())));

@@ -164,8 +164,8 @@ impl Machine {
     /// It turns, in operation, by fresh inputs.
     pub fn assert_turns(&self, index: usize, velocity: f64) {
         let feedback = self.feedback(index);
-        assert!((feedback.velocity - velocity).abs() < 0.3, "not {velocity}: {feedback:?}");
-        assert_eq!((feedback.state, feedback.age), (State::OperationEnabled, 0));
+        assert!((feedback.status.velocity - velocity).abs() < 0.3, "not {velocity}: {feedback:?}");
+        assert_eq!((feedback.status.state, feedback.age), (State::OperationEnabled, 0));
         let rpm = self.drive(index, |drive| drive.rpm());
         assert!((rpm - 60.0 * velocity).abs() < 20.0, "{rpm} rpm");
     }

@@ -44,7 +44,7 @@ fn works(plan: EthercatPlan) {
     }
     for (index, place) in [(0, 0), (1, 2)] {
         let feedback = machine.feedback(index);
-        assert!(feedback.age == 0 && (feedback.velocity - 2.0).abs() < 0.1, "{feedback:?}");
+        assert!(feedback.age == 0 && (feedback.status.velocity - 2.0).abs() < 0.1, "{feedback:?}");
         assert!((machine.drive(place, |drive| drive.rpm()) - 120.0).abs() < 3.0);
     }
     for counters in machine.end() {

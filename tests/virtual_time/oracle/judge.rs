@@ -314,7 +314,7 @@ impl Watch {
         }
 
         self.settling = self.settling.filter(|_| moving && !commanded).map(|left| left.saturating_sub(1));
-        let awaits_stop = self.enabled && feedback.state == State::OperationEnabled;
+        let awaits_stop = self.enabled && feedback.status.state == State::OperationEnabled;
         self.pushed = self.pushed.saturating_sub(1);
         self.slept = self.slept.filter(|_| awaits_stop).map(|left| left.saturating_sub(1));
         let fast = moving && speed > FAST * self.scale.velocity && !homing;

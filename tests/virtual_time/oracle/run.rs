@@ -313,7 +313,7 @@ impl Run {
             Op::Rows { count, percent, last } => {
                 // A parabola up and down: at most twice the mean speed.
                 let scale = self.machine.scales[axis];
-                let from = self.machine.sim.feedback(axis).demand;
+                let from = self.machine.sim.feedback(axis).status.demand;
                 let count = u32::from(*count);
                 let way = f64::from(*percent) / 250.0 * scale.velocity * f64::from(count) * 1e-3;
                 for n in 1..=count {
@@ -469,10 +469,10 @@ impl Run {
         let feedback = self.machine.sim.feedback(axis);
         let homes = self.machine.plans[axis].limits.position.is_some();
         match feedback.stopped {
-            _ if feedback.fault != 0 => Some(Choice::ResetFault),
+            _ if feedback.status.fault != 0 => Some(Choice::ResetFault),
             Some(_) => Some(Choice::Reset),
             None if !feedback.is_operational() => Some(Choice::Enable),
-            None if homes && !feedback.homed => Some(Choice::Home),
+            None if homes && !feedback.status.homed => Some(Choice::Home),
             None => None,
         }
     }

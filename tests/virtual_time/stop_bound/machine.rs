@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use fastrand::Rng;
 use fieldbeat::axis::{
-    AxisPlan, Command, EventKind, Feedback, Health, Link, Outcome, Row, StopCause, StopHow, StopPlan,
+    AxisPlan, Command, DriveStatus, EventKind, Health, Link, Outcome, Row, StopCause, StopHow, StopPlan,
     StopThen, Target,
 };
 use fieldbeat::bus::Cycle;
@@ -222,8 +222,8 @@ impl Machine {
                     stopped.off |= says(&heard.request).off;
                 }
             }
-            if feedback.at != watch.good.0 {
-                watch.good = (feedback.at, feedback.cycle);
+            if feedback.status.at != watch.good.0 {
+                watch.good = (feedback.status.at, feedback.cycle);
             }
         }
         for (axis, event) in std::mem::take(&mut self.b.events) {
@@ -310,10 +310,13 @@ impl Machine {
             let verb = match feedback.stopped {
                 _ if feedback.link != Link::Online || self.watches[axis].pending => None,
                 Some(_) => Some(Command::Reset),
-                None if feedback.fault != 0 => Some(Command::ResetFault),
+                None if feedback.status.fault != 0 => Some(Command::ResetFault),
                 None => {
-                    assert!(!feedback.moving, "axis {axis} moves, and its latch is open: {feedback:?}");
-                    if feedback.velocity.abs() <= self.b.drives[axis].axis.stop.standstill {
+                    assert!(
+                        !feedback.status.moving,
+                        "axis {axis} moves, and its latch is open: {feedback:?}"
+                    );
+                    if feedback.status.velocity.abs() <= self.b.drives[axis].axis.stop.standstill {
                         continue;
                     }
                     // It runs out without power, and out of its range: with power on it would be stopped for that.
@@ -341,12 +344,12 @@ impl Machine {
         let mut up = true;
         for &axis in axes {
             let (watch, feedback) = (&self.watches[axis], self.b.feedback(axis));
-            let verb = match feedback.homed {
+            let verb = match feedback.status.homed {
                 _ if watch.pending => None,
                 _ if !watch.enabled => Some(Command::Enable),
                 false => Some(Command::Home),
                 // Where it ran out without power.
-                true if feedback.demand < 0.0 => Some(to(5.0)),
+                true if feedback.status.demand < 0.0 => Some(to(5.0)),
                 true => continue,
             };
             up = false;
@@ -371,7 +374,7 @@ impl Machine {
 
     /// Any motion, to and fro in the first centimetres.
     fn set_off(&mut self, axis: usize, stream: bool) {
-        let Feedback { demand, moving, .. } = self.b.feedback(axis);
+        let DriveStatus { demand, moving, .. } = self.b.feedback(axis).status;
         let Watch { enabled, pending, .. } = self.watches[axis];
         let can_stream =
             self.b.drives[axis].stream.is_some() && enabled && !pending && !moving && demand >= 0.0;
@@ -439,7 +442,7 @@ impl Machine {
                 Restarted => drop(world.restart(address(axis))),
                 Starved => self.watches[axis].stream.as_mut().unwrap().starving = true,
                 BadRow => {
-                    let far = self.b.feedback(axis).demand + 150.0;
+                    let far = self.b.feedback(axis).status.demand + 150.0;
                     let row = row(pick(&mut self.random, &[f64::NAN, -1.0, 1e9, far]));
                     self.task.lock().unwrap().rows.push((axis, row));
                 }
@@ -583,7 +586,7 @@ impl Machine {
         let ends = (0..20_000).any(|_| self.turn() == Flow::End);
         assert!(ends, "the shutdown does not end");
         for axis in self.axes() {
-            assert!(!self.b.feedback(axis).state.is_powered(), "axis {axis} has power at the end");
+            assert!(!self.b.feedback(axis).status.state.is_powered(), "axis {axis} has power at the end");
         }
         self.b.assert_grid();
     }

@@ -36,9 +36,9 @@ fn neither_a_connection_nor_an_enable_runs_what_was_left_in_the_control_word() {
         b.sim.axis(0).post(Command::Enable).unwrap();
         for _ in 0..1_000 {
             b.run(1);
-            assert_eq!(b.feedback(0).velocity, 0.0, "{via:?}");
+            assert_eq!(b.feedback(0).status.velocity, 0.0, "{via:?}");
         }
-        assert_eq!(b.feedback(0).state, State::OperationEnabled);
+        assert_eq!(b.feedback(0).status.state, State::OperationEnabled);
     }
 }
 
@@ -51,14 +51,14 @@ fn what_runs_by_its_terminals_is_taken_over_at_its_speed_and_ramps_down() {
         let mut before = 5.0;
         for _ in 0..5_000 {
             b.run(1);
-            let velocity = b.feedback(0).velocity;
+            let velocity = b.feedback(0).status.velocity;
             assert!(
                 velocity < before + 0.1 && velocity > before - 0.5,
                 "{via:?}: {before} -> {velocity} rev/s"
             );
             before = velocity;
         }
-        assert!(before.abs() < 0.05 && !b.feedback(0).state.is_powered(), "{via:?}: {before}");
+        assert!(before.abs() < 0.05 && !b.feedback(0).status.state.is_powered(), "{via:?}: {before}");
     }
 }
 
@@ -75,16 +75,19 @@ fn a_stop_out_of_native_mode_goes_along_its_ramp_with_power_on() {
         b.sim.axis(0).post(Command::Native(owner)).unwrap();
         b.until("native mode", 100, |_| native.inputs().running);
         native.write(NativeOutput { control: ControlWord::FORWARD, reference: 3_000 }).unwrap();
-        b.until("its speed", 2_000, |b| (b.feedback(0).velocity - 5.0).abs() < 0.1);
+        b.until("its speed", 2_000, |b| (b.feedback(0).status.velocity - 5.0).abs() < 0.1);
         assert!(native.inputs().control().is_some_and(|word| word.has(ControlWord::RUN_FORWARD)));
         b.sim.axis(0).post(Command::Stop { deceleration: Some(5.0) }).unwrap();
         b.run(500);
         let feedback = b.feedback(0);
-        assert!((2.0..3.0).contains(&feedback.velocity), "{owner:?} {via:?}: halfway down: {feedback:?}");
+        assert!(
+            (2.0..3.0).contains(&feedback.status.velocity),
+            "{owner:?} {via:?}: halfway down: {feedback:?}"
+        );
         b.run(1_000);
         let feedback = b.feedback(0);
         assert!(
-            !feedback.moving && feedback.state == State::OperationEnabled,
+            !feedback.status.moving && feedback.status.state == State::OperationEnabled,
             "{owner:?} {via:?}: {feedback:?}"
         );
     }
@@ -126,7 +129,7 @@ fn a_drive_without_function_23_is_read_as_ever_after_it_was_watched_for_long() {
         b.run(1);
         assert!(b.feedback(0).age < 20, "{:?}", b.feedback(0));
     }
-    assert_eq!(b.feedback(0).state, State::OperationEnabled);
+    assert_eq!(b.feedback(0).status.state, State::OperationEnabled);
 }
 
 #[test]
@@ -138,7 +141,7 @@ fn nothing_that_was_told_before_a_restart_is_told_after_it() {
         b.sim.axis(0).post(Command::Native(NativeOwner::Application)).unwrap();
         b.until("native mode", 100, |_| native.inputs().running);
         native.write(NativeOutput { control: ControlWord::FORWARD, reference: 3_000 }).unwrap();
-        b.until("its speed", 2_000, |b| (b.feedback(0).velocity - 5.0).abs() < 0.1);
+        b.until("its speed", 2_000, |b| (b.feedback(0).status.velocity - 5.0).abs() < 0.1);
         assert!(b.sim.world().restart(address(0)));
         // It boots for half a second, and hears nobody.
         b.run(501);
@@ -208,7 +211,7 @@ fn a_drive_that_refuses_function_23_from_now_on_is_asked_in_turns_and_goes_on_tu
         assert!((1..=2).contains(&refused), "{via:?}: {refused}, one may be on its way");
         let with = |function| heard.iter().any(|request| request[7] == function);
         assert!(with(function::READ) && with(function::WRITE), "{via:?}");
-        assert!((b.feedback(0).velocity - 4.0).abs() < 0.1, "{via:?}: {:?}", b.feedback(0));
+        assert!((b.feedback(0).status.velocity - 4.0).abs() < 0.1, "{via:?}: {:?}", b.feedback(0));
         b.turning(0, -3.0);
         b.done(0, STOP);
         b.done(0, Command::Disable);
@@ -229,7 +232,7 @@ fn a_second_trip_is_never_called_by_the_name_of_the_first() {
             let mut named = 0;
             while named == 0 {
                 b.run(1);
-                named = b.feedback(0).fault;
+                named = b.feedback(0).status.fault;
             }
             assert_eq!(named, u32::from(trip.0), "{via:?}");
             b.run(20);

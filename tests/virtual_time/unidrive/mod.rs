@@ -285,7 +285,7 @@ impl Bench {
     /// Turning at this speed.
     fn turning(&mut self, index: usize, velocity: f64) {
         self.sim.axis(index).post(Command::Jog(Jog { velocity, acceleration: 80.0 })).unwrap();
-        self.until("its speed", 2_000, |b| (b.feedback(index).velocity - velocity).abs() < 0.1);
+        self.until("its speed", 2_000, |b| (b.feedback(index).status.velocity - velocity).abs() < 0.1);
     }
 
     fn stopped(&mut self, index: usize, most: u64) -> StopCause {
@@ -433,13 +433,13 @@ fn a_trip_latches_by_its_number_and_is_reset_by_the_application() {
             b.turning(0, 4.0);
             b.tap(0).drive.provoke(trip);
             assert_eq!(b.stopped(0, 100), StopCause::DriveFault);
-            b.until("its number", 100, |b| b.feedback(0).fault == u32::from(trip.0));
+            b.until("its number", 100, |b| b.feedback(0).status.fault == u32::from(trip.0));
             assert_eq!((b.plan.fault_names())(trip.0.into()), trip.name());
             assert_eq!(b.failed(0, Command::Enable), Failure::Latched(StopCause::DriveFault));
             b.run(500);
             assert!(!b.tap(0).status(b.now()).healthy(), "nobody resets it by himself");
             b.recover(0);
-            assert_eq!(b.feedback(0).fault, 0);
+            assert_eq!(b.feedback(0).status.fault, 0);
         }
     }
 }
@@ -487,7 +487,9 @@ fn a_missing_hardware_enable_is_told_when_the_drive_does_not_come_up() {
         let mut b = Bench::new(1, via, |_, drive| drive.simulate.hardware_enable = false);
         b.online();
         assert_eq!(b.failed(0, Command::Enable), Failure::Inhibited);
-        b.until("that it is shown", 50, |b| b.feedback(0).inhibited && !b.feedback(0).state.is_powered());
+        b.until("that it is shown", 50, |b| {
+            b.feedback(0).status.inhibited && !b.feedback(0).status.state.is_powered()
+        });
         // It leaves with the next request.
         b.run(2);
         let control = ControlWord(b.tap(0).read(b.now(), Parameter::CONTROL_WORD));
@@ -560,7 +562,7 @@ fn what_is_found_running_by_a_dead_masters_control_word_is_stopped_by_a_ramp() {
             let mut b = Bench::new(1, via, |_, drive| drive.simulate.start = Start::Running(rpm));
             b.online();
             assert_eq!(b.feedback(0).stopped, Some(StopCause::FoundRunning));
-            b.until("power off", 5_000, |b| !b.feedback(0).state.is_powered());
+            b.until("power off", 5_000, |b| !b.feedback(0).status.state.is_powered());
             assert!(b.tap(0).status(b.now()).zero_speed(), "{via:?}, {rpm} rpm: off before it stood");
             b.recover(0);
         }
@@ -890,7 +892,7 @@ fn fleet(seed: u64) -> (u64, String, Numbers) {
     b.run(2_000);
     for index in 0..32 {
         let turns = 1.0 + index as f64 / 8.0;
-        assert!((b.feedback(index).velocity - turns).abs() < 0.1, "{index}: {:?}", b.feedback(index));
+        assert!((b.feedback(index).status.velocity - turns).abs() < 0.1, "{index}: {:?}", b.feedback(index));
     }
     b.sim.world().delay_next_wake(3 * MS + 100 * US);
     b.run(1_000);

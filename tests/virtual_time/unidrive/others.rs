@@ -28,9 +28,9 @@ fn another_master_that_switches_the_drive_off_is_named_and_no_hardware_enable_is
         });
         let took = b.sim.status().executed - begun;
         assert_eq!(b.feedback(0).stopped, Some(StopCause::OtherMaster), "{via:?}");
-        assert!(!b.feedback(0).inhibited && took > 2, "{via:?}: {took} cycles");
+        assert!(!b.feedback(0).status.inhibited && took > 2, "{via:?}: {took} cycles");
         // It is gone.
-        b.until("power off", 5_000, |b| !b.feedback(0).state.is_powered());
+        b.until("power off", 5_000, |b| !b.feedback(0).status.state.is_powered());
         b.run(3_000);
         assert!(!b.tap(0).status(b.now()).active(), "it stays off");
         b.recover(0);

@@ -26,7 +26,7 @@ fn ages(b: &mut Bench, cycles: usize) -> Vec<u64> {
     let age = |_| {
         b.sim.step();
         assert_eq!(b.feedback(1).age, 0, "an exchange in every cycle");
-        b.now().since(b.feedback(1).at)
+        b.now().since(b.feedback(1).status.at)
     };
     (0..cycles).map(age).collect()
 }

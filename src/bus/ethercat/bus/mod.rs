@@ -421,7 +421,7 @@ fn own_number(received: &[u8], source: &[u8; 6], master: u32) -> Result<u32, Str
 /// Another master has frames on the segment of these drives.
 #[cold]
 fn other_master(slots: &mut [Slot]) {
-    slots.iter_mut().for_each(|slot| slot.report.other_master = true);
+    slots.iter_mut().for_each(|slot| slot.notices.other_master = true);
 }
 
 /// The interface of `plan`, with its lock; no other master has frames there.

@@ -457,7 +457,7 @@ impl Line {
 
     fn around<'a>(&self, index: usize, sent: &'a Sent, wants_outputs: bool, slots: &[Slot]) -> Around<'a> {
         let report = match self.members[index].member.owner {
-            Owner::Drive(drive) => slots.get(drive).map(|slot| &slot.report),
+            Owner::Drive(drive) => slots.get(drive).map(|slot| &slot.status),
             Owner::Device(_) => None,
         };
         Around {

@@ -318,7 +318,7 @@ impl Station {
     /// Its mailbox was read: takes the next emergency, if the previous one was reported. A warning, a fault, or the
     /// end of one.
     pub fn mailbox_heard(&mut self, slot: &mut Slot) {
-        if slot.report.emergency.is_some() {
+        if slot.notices.emergency.is_some() {
             return;
         }
         let Some(emergency) = self.service.take_emergency() else { return };
@@ -326,7 +326,7 @@ impl Station {
             Some(Clearing::Warning) => self.warning = emergency.code,
             _ => (self.emergency, self.emergency_at) = (emergency, self.grid),
         }
-        slot.report.emergency = Some(axis::Emergency { code: emergency.code, register: emergency.register });
+        slot.notices.emergency = Some(axis::Emergency { code: emergency.code, register: emergency.register });
     }
 
     /// The drive's report, in user units.
@@ -341,17 +341,16 @@ impl Station {
         self.take_fault(at, said);
         let inputs = &mut self.inputs;
         (inputs.seen, inputs.position) = (true, position.unwrap_or(0.0));
-        let report = &mut slot.report;
-        report.fresh = true;
+        let Slot { status: report, notices, evidence, .. } = slot;
+        notices.fresh = true;
         report.at = at;
         report.suspect = false;
-        report.restarted |= std::mem::take(&mut self.was_restarted);
+        notices.restarted |= std::mem::take(&mut self.was_restarted);
         report.state = if inputs.operational { inputs.state } else { below_op(inputs.state) };
         let powered = report.state.is_powered();
         self.profile.look(inputs);
-        self.profile.prove(inputs, self.asking.mode(), &mut slot.evidence);
-        slot.evidence.reference = self.asking.reference();
-        let report = &mut slot.report;
+        self.profile.prove(inputs, self.asking.mode(), evidence);
+        evidence.reference = self.asking.reference();
         report.inhibited = !powered && self.profile.is_inhibited(self.grid);
         report.moving = powered && (self.profile.is_moving() || inputs.velocity.abs() > self.standstill);
         let homing = self.profile.is_homing();
@@ -371,9 +370,9 @@ impl Station {
         report.warning = if status.has(StatusWord::WARNING) { u32::from(self.warning.max(1)) } else { 0 };
         report.fault = u32::from(inputs.fault);
         if let Some(shown) = self.asking.take_shown() {
-            (report.monitor, report.monitor_fresh) = (*shown, true);
+            (report.monitor, notices.monitor_fresh) = (*shown, true);
             if let Some(refusal) = self.asking.take_refusal() {
-                report.monitor_refused = Some(refusal);
+                notices.monitor_refused = Some(refusal);
             }
         }
     }

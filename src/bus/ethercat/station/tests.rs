@@ -207,11 +207,11 @@ impl Rig {
             self.station.take(at, &inputs, self.al, &mut self.slot);
             assert!(matches!(self.slot.exchange, Exchange::Answered { suspect: false, .. }));
         }
-        self.machine.observe(self.now, self.slot.report.restarted, &self.slot);
+        self.machine.observe(self.now, self.slot.notices.restarted, &self.slot);
         self.slot.progress = self.machine.progress();
-        self.fresh = std::mem::take(&mut self.slot.report.fresh);
-        self.restarted |= std::mem::take(&mut self.slot.report.restarted);
-        self.slot.report.emergency = None;
+        self.fresh = std::mem::take(&mut self.slot.notices.fresh);
+        self.restarted |= std::mem::take(&mut self.slot.notices.restarted);
+        self.slot.notices.emergency = None;
         self.now = self.now + PERIOD;
         let (none, outputs) = (Vec::new(), self.outputs.clone());
         let driven = self.al == AlState::Op;
@@ -318,7 +318,7 @@ impl Rig {
     }
 
     fn state(&self) -> State {
-        self.slot.report.state
+        self.slot.status.state
     }
 
     fn by(way: f64) -> Command {
@@ -338,7 +338,7 @@ impl Rig {
         self.turns(100);
         for _ in 0..100 {
             self.turn();
-            let report = self.slot.report;
+            let report = self.slot.status;
             assert!(!report.moving && report.velocity.abs() < 0.01, "{report:?}");
             assert_eq!(self.drive.axis_state(), State::OperationEnabled);
             assert!(self.drive.rpm().abs() < 1.0);
@@ -353,7 +353,7 @@ fn nothing_is_written_but_neutral_outputs_before_the_first_order() {
     rig.turns(100);
     assert_eq!((rig.control(), rig.setpoint()), (0, 123_456));
     assert_eq!(rig.state(), State::SwitchOnDisabled);
-    let report = rig.slot.report;
+    let report = rig.slot.status;
     let place = 123_456.0 / f64::from(1 << 20);
     assert!((report.position - place).abs() < 1e-9 && !report.moving && report.velocity == 0.0);
     assert!(report.current.is_nan(), "its rated current is not known");
@@ -397,9 +397,9 @@ fn a_jog_turns_the_motor_at_its_velocity_and_a_stop_ramps_it_down() {
             rig.order(Rig::jog(jogged));
             rig.turns(600);
             assert_eq!(rig.end(), None);
-            assert!((rig.slot.report.velocity - jogged).abs() < 0.02, "{:?}", rig.slot.report);
+            assert!((rig.slot.status.velocity - jogged).abs() < 0.02, "{:?}", rig.slot.status);
             assert!((rig.drive.rpm() - 60.0 * jogged).abs() < 1.0, "{}", rig.drive.rpm());
-            assert!(rig.slot.report.moving);
+            assert!(rig.slot.status.moving);
         }
         rig.order(STOP);
         let took = rig.until("standstill", 1_000, |rig| rig.end().is_some());
@@ -412,7 +412,7 @@ fn a_jog_turns_the_motor_at_its_velocity_and_a_stop_ramps_it_down() {
         rig.assert_standing();
         rig.order(Rig::jog(1.0));
         rig.turns(300);
-        assert!((rig.slot.report.velocity - 1.0).abs() < 0.02, "it goes on as if nothing had been");
+        assert!((rig.slot.status.velocity - 1.0).abs() < 0.02, "it goes on as if nothing had been");
     }
 }
 
@@ -420,15 +420,15 @@ fn a_jog_turns_the_motor_at_its_velocity_and_a_stop_ramps_it_down() {
 fn moves_end_exactly_where_they_should_without_a_leap() {
     let mut rig = Rig::enabled(position());
     rig.steepest = 0;
-    let at = rig.slot.report.demand;
+    let at = rig.slot.status.demand;
     for (verb, should) in
         [(Rig::by(1.5), at + 1.5), (Rig::by(-3.0), at - 1.5), (Rig::to(5.0), 5.0), (Rig::by(0.0), 5.0)]
     {
         rig.done(verb);
-        assert!((rig.slot.report.demand - should).abs() < 1e-6, "{verb:?}: {}", rig.slot.report.demand);
-        assert!(rig.slot.report.in_target || rig.slot.report.velocity.abs() > 0.0);
+        assert!((rig.slot.status.demand - should).abs() < 1e-6, "{verb:?}: {}", rig.slot.status.demand);
+        assert!(rig.slot.status.in_target || rig.slot.status.velocity.abs() > 0.0);
         rig.turns(100);
-        assert!((rig.slot.report.position - should).abs() < 1e-4 && rig.slot.report.in_target);
+        assert!((rig.slot.status.position - should).abs() < 1e-4 && rig.slot.status.in_target);
     }
     let most = (1.0 / 1000.0 * f64::from(1 << 20)) as i32 + 2;
     assert!(rig.steepest <= most, "a step of {}", rig.steepest);
@@ -437,7 +437,7 @@ fn moves_end_exactly_where_they_should_without_a_leap() {
 #[test]
 fn a_move_that_is_replaced_before_it_goes_out_never_was() {
     let mut rig = Rig::enabled(position());
-    let at = rig.slot.report.demand;
+    let at = rig.slot.status.demand;
     rig.order(Rig::by(10.0));
     rig.prepare();
     rig.order(Rig::by(0.5));
@@ -447,7 +447,7 @@ fn a_move_that_is_replaced_before_it_goes_out_never_was() {
     rig.send();
     rig.hear();
     rig.turns(300);
-    assert_eq!((rig.slot.report.demand, rig.end()), (at, Some(Ok(()))));
+    assert_eq!((rig.slot.status.demand, rig.end()), (at, Some(Ok(()))));
     // Nor does power go off for a disable that another order replaces in time.
     rig.order(Rig::by(10.0));
     rig.turns(300);
@@ -461,13 +461,13 @@ fn a_move_that_is_replaced_before_it_goes_out_never_was() {
     rig.order(Rig::by(10.0));
     rig.turns(300);
     rig.done(Rig::to(at));
-    assert!((rig.slot.report.demand - at).abs() < 1e-6);
+    assert!((rig.slot.status.demand - at).abs() < 1e-6);
 }
 
 #[test]
 fn rows_are_followed_to_the_last_one_an_exchange() {
     let mut rig = Rig::enabled(position());
-    let at = rig.slot.report.demand;
+    let at = rig.slot.status.demand;
     for n in 1..=300_u32 {
         let phase = f64::from(n) / 300.0;
         let place = at + 0.2 * phase * phase * (3.0 - 2.0 * phase);
@@ -477,7 +477,7 @@ fn rows_are_followed_to_the_last_one_an_exchange() {
     rig.until("the end", 1_000, |rig| rig.end().is_some());
     assert_eq!(rig.end(), Some(Ok(())));
     assert!(rig.rows.is_empty());
-    assert!((rig.slot.report.demand - at - 0.2).abs() < 1e-6);
+    assert!((rig.slot.status.demand - at - 0.2).abs() < 1e-6);
     rig.assert_standing();
     // In the middle of rows a stop ramps down.
     for n in 1..=300_u32 {
@@ -516,7 +516,7 @@ fn what_it_cannot_do_is_refused_at_once_by_name() {
         let mut rig = Rig::enabled(plan);
         rig.order(Rig::jog(1.0));
         rig.turns(300);
-        assert!((rig.slot.report.velocity - 1.0).abs() < 0.02);
+        assert!((rig.slot.status.velocity - 1.0).abs() < 0.02);
     }
     let mut plan = velocity();
     plan.outputs.entries.retain(|entry| entry.object != CONTROL_WORD);
@@ -540,7 +540,7 @@ fn a_torque_follows_its_slope_and_its_side() {
         assert_eq!(rig.setpoint(), side * 10, "a count is half a per mille");
         rig.turns(100);
         assert_eq!((rig.setpoint(), rig.end()), (side * 40, None));
-        assert!(rig.slot.report.moving);
+        assert!(rig.slot.status.moving);
         rig.slot.torque = -30.0;
         rig.turns(500);
         assert_eq!((rig.setpoint(), rig.steepest), (side * -160, 1), "its limit");
@@ -557,7 +557,7 @@ fn a_stop_takes_the_torque_away_and_halts_what_turns() {
         rig.slot.torque = 5.0;
         rig.order(Command::Torque { slope });
         rig.turns((5_000.0 / slope) as u64 + 200);
-        assert!(rig.slot.report.velocity > 1.0 && rig.setpoint() == 50, "{:?}", rig.slot.report);
+        assert!(rig.slot.status.velocity > 1.0 && rig.setpoint() == 50, "{:?}", rig.slot.status);
         rig
     };
     // Along its slope, but not for longer than 100 ms.
@@ -570,7 +570,7 @@ fn a_stop_takes_the_torque_away_and_halts_what_turns() {
         assert_eq!((rig.steepest, rig.end()), (1, None));
         rig.until("a halt", 5, |rig| rig.control() == 0x10F);
         rig.until("the end", 500, |rig| rig.end().is_some());
-        assert_eq!((rig.end(), rig.slot.report.moving), (Some(Ok(())), false));
+        assert_eq!((rig.end(), rig.slot.status.moving), (Some(Ok(())), false));
         rig.turn();
         assert_eq!((rig.setpoint(), rig.control()), (0, 0x0F), "then it is free");
         rig.assert_standing();
@@ -585,10 +585,10 @@ fn a_stop_takes_the_torque_away_and_halts_what_turns() {
     let mut rig = turning(100.0);
     assert!(matches!(rig.run(Rig::jog(1.0)), Err(Failure::Unsupported(_))));
     rig.turns(500);
-    assert!(!rig.slot.report.moving && rig.drive.rpm().abs() < 1.0);
+    assert!(!rig.slot.status.moving && rig.drive.rpm().abs() < 1.0);
     rig.order(Command::Torque { slope: 100.0 });
     rig.turns(300);
-    assert!(rig.slot.report.velocity > 1.0 && rig.control() == 0x0F);
+    assert!(rig.slot.status.velocity > 1.0 && rig.control() == 0x0F);
     rig.done(Command::Home);
     assert!(rig.drive.is_homed());
     rig.assert_standing();
@@ -611,7 +611,7 @@ fn a_halt_that_is_not_over_ends_with_the_next_motion() {
             rig.turn();
             assert!(rig.drive.rpm().abs() < 3.1 * 60.0, "it does not make up for what it was held up");
         }
-        assert!((rig.slot.report.velocity - 2.0).abs() < 0.02 && rig.control() == 0x0F);
+        assert!((rig.slot.status.velocity - 2.0).abs() < 0.02 && rig.control() == 0x0F);
     }
 }
 
@@ -634,16 +634,16 @@ fn a_drive_found_running_goes_on_until_it_is_stopped_along_a_ramp() {
         }
         second.service().open(true);
         (rig.station, rig.native, rig.slot) = (second, native, slot);
-        assert!(rig.slot.report.moving && (rig.slot.report.velocity - 1.0).abs() < 0.02);
+        assert!(rig.slot.status.moving && (rig.slot.status.velocity - 1.0).abs() < 0.02);
         rig.order(None);
         rig.turns(100);
         assert_eq!((rig.end(), rig.control()), (Some(Ok(())), 0x0F));
-        assert!((rig.slot.report.velocity - 1.0).abs() < 0.02, "{:?}", rig.slot.report);
-        let mut before = rig.slot.report.velocity;
+        assert!((rig.slot.status.velocity - 1.0).abs() < 0.02, "{:?}", rig.slot.status);
+        let mut before = rig.slot.status.velocity;
         rig.order(STOP);
         while rig.end().is_none() {
             rig.turn();
-            let velocity = rig.slot.report.velocity;
+            let velocity = rig.slot.status.velocity;
             assert!((velocity - before).abs() < 0.2, "{velocity} behind {before}");
             before = velocity;
             assert_eq!(rig.drive.axis_state(), State::OperationEnabled, "its power stays on");
@@ -657,21 +657,21 @@ fn a_drive_found_running_goes_on_until_it_is_stopped_along_a_ramp() {
 fn homing_is_done_by_the_drive_in_its_own_mode_and_without_a_leap_of_the_velocity() {
     for plan in [position(), velocity()] {
         let mut rig = Rig::enabled(plan);
-        assert!(!rig.slot.report.homed);
+        assert!(!rig.slot.status.homed);
         rig.order(Command::Home);
         rig.until("home", 20_000, |rig| {
-            assert!(rig.slot.report.velocity.abs() < 2.0, "{:?}", rig.slot.report);
+            assert!(rig.slot.status.velocity.abs() < 2.0, "{:?}", rig.slot.status);
             assert!(rig.drive.rpm().abs() < 90.0, "the motor leaps: {}", rig.drive.rpm());
             rig.end().is_some()
         });
         assert_eq!(rig.end(), Some(Ok(())));
         rig.turns(50);
-        assert!(rig.slot.report.homed && rig.drive.is_homed());
-        assert!(rig.slot.report.position.abs() < 1e-2, "{:?}", rig.slot.report);
+        assert!(rig.slot.status.homed && rig.drive.is_homed());
+        assert!(rig.slot.status.position.abs() < 1e-2, "{:?}", rig.slot.status);
         rig.assert_standing();
         rig.order(Rig::jog(1.0));
         rig.turns(500);
-        assert!((rig.slot.report.velocity - 1.0).abs() < 0.02, "{:?}", rig.slot.report);
+        assert!((rig.slot.status.velocity - 1.0).abs() < 0.02, "{:?}", rig.slot.status);
         rig.done(STOP);
     }
 }
@@ -688,10 +688,10 @@ fn an_akd_interpolates_with_its_bit_and_homes_by_an_edge_of_it() {
     rig.done(Rig::by(0.5));
     rig.done(Command::Home);
     rig.turns(50);
-    assert!(rig.slot.report.homed && rig.slot.report.position.abs() < 1e-2);
+    assert!(rig.slot.status.homed && rig.slot.status.position.abs() < 1e-2);
     rig.done(Rig::to(1.0));
     rig.assert_standing();
-    assert!((rig.slot.report.position - 1.0).abs() < 1e-4);
+    assert!((rig.slot.status.position - 1.0).abs() < 1e-4);
 }
 
 #[test]
@@ -700,10 +700,10 @@ fn a_homing_that_is_stopped_or_fails_leads_back_to_its_own_mode() {
         let mut rig = Rig::enabled(position());
         rig.order(Command::Home);
         rig.turns(200);
-        assert!(rig.slot.report.moving, "{:?}", rig.machine);
+        assert!(rig.slot.status.moving, "{:?}", rig.machine);
         rig.done(stop);
         rig.assert_standing();
-        assert!(!rig.slot.report.homed);
+        assert!(!rig.slot.status.homed);
         rig.done(Rig::by(0.1));
     }
     let mut plan = position();
@@ -724,11 +724,11 @@ fn a_fault_ends_the_motion_by_its_number_and_is_reset_to_power_off() {
         rig.drive.provoke(Fault::OVERVOLTAGE);
         rig.until("its end", 300, |rig| rig.end().is_some());
         assert_eq!(rig.end(), Some(Err(Failure::DriveFault(0x3110))));
-        assert_eq!(rig.slot.report.fault, 0x3110);
+        assert_eq!(rig.slot.status.fault, 0x3110);
         rig.until("standstill", 500, |rig| rig.state() == State::Fault);
         assert_eq!(rig.run(Command::Enable), Err(Failure::DriveFault(0x3110)));
         rig.done(Command::ResetFault);
-        assert_eq!((rig.state(), rig.slot.report.fault), (State::SwitchOnDisabled, 0));
+        assert_eq!((rig.state(), rig.slot.status.fault), (State::SwitchOnDisabled, 0));
         rig.turns(300);
         assert_eq!(rig.drive.axis_state(), State::SwitchOnDisabled, "a reset never switches on");
         rig.done(Command::Enable);
@@ -747,15 +747,15 @@ fn a_missing_hardware_enable_is_named() {
     let mut rig = Rig::new(velocity());
     rig.drive.inhibit(rig.now + 2 * S);
     assert_eq!(rig.run(Command::Enable), Err(Failure::Inhibited));
-    assert!(rig.slot.report.inhibited);
+    assert!(rig.slot.status.inhibited);
     rig.turns(2_500);
-    assert!(!rig.slot.report.inhibited, "only telling it again will show whether it is back");
+    assert!(!rig.slot.status.inhibited, "only telling it again will show whether it is back");
     rig.done(Command::Enable);
     rig.order(Rig::jog(1.0));
     rig.turns(200);
     rig.drive.inhibit(rig.now + S);
     rig.until("its end", 100, |rig| rig.end().is_some());
-    assert!(matches!(rig.end(), Some(Err(Failure::Dropped(_)))) && rig.slot.report.inhibited);
+    assert!(matches!(rig.end(), Some(Err(Failure::Dropped(_)))) && rig.slot.status.inhibited);
     rig.turns(2_000);
     assert!(!rig.state().is_powered(), "it does not come back by itself");
 }
@@ -794,8 +794,8 @@ fn a_restart_is_told_and_what_ran_has_ended() {
     rig.bring_up();
     rig.turns(100);
     assert!(rig.restarted && matches!(rig.end(), Some(Err(Failure::Dropped(_)))));
-    assert_eq!((rig.control(), rig.slot.report.homed), (0, false));
-    assert!(rig.slot.report.velocity.abs() < 2.0);
+    assert_eq!((rig.control(), rig.slot.status.homed), (0, false));
+    assert!(rig.slot.status.velocity.abs() < 2.0);
     rig.done(Command::Enable);
     rig.done(Rig::by(0.1));
 }
@@ -811,7 +811,7 @@ fn a_jog_ends_at_the_position_limit() {
         for direction in [1.0, -1.0] {
             let end = rig.run(Rig::jog(direction));
             assert!(matches!(end, Err(Failure::Limit { what: "position", .. })), "{end:?}");
-            let place = rig.slot.report.demand * direction;
+            let place = rig.slot.status.demand * direction;
             assert!(place <= 1.0 + near && place > 1.0 - near, "{place}");
             rig.assert_standing();
             rig.order(Rig::jog(direction));
@@ -883,11 +883,11 @@ fn objects_are_shown_in_turns_and_a_refusal_is_told_once() {
     for _ in 0..1_000 {
         rig.turn();
         refusals +=
-            u32::from(rig.slot.report.monitor_refused.take().is_some_and(|(channel, _)| channel == 2));
-        shown += u32::from(std::mem::take(&mut rig.slot.report.monitor_fresh));
+            u32::from(rig.slot.notices.monitor_refused.take().is_some_and(|(channel, _)| channel == 2));
+        shown += u32::from(std::mem::take(&mut rig.slot.notices.monitor_fresh));
     }
     let mode = f64::from(Mode::DIGITAL_VELOCITY.0);
-    assert_eq!(rig.slot.report.monitor, [Some(mode), None, None, Some(106.0)]);
+    assert_eq!(rig.slot.status.monitor, [Some(mode), None, None, Some(106.0)]);
     assert_eq!(refusals, 1);
     assert!((20..=100).contains(&shown), "{shown}");
 }

@@ -41,8 +41,8 @@ fn the_keypad_watchdog_is_served_on_a_long_ramp_too() {
     machine.axis(0).post(Command::Jog(Jog { velocity: 40.0, acceleration: 10.0 })).unwrap();
     machine.run(5_000);
     let feedback = machine.feedback(0);
-    assert_eq!((feedback.fault, feedback.stopped), (0, None), "{feedback:?}");
-    assert!((feedback.velocity - 40.0).abs() < 1.0, "{feedback:?}");
+    assert_eq!((feedback.status.fault, feedback.stopped), (0, None), "{feedback:?}");
+    assert!((feedback.status.velocity - 40.0).abs() < 1.0, "{feedback:?}");
 }
 
 #[test]

@@ -319,7 +319,7 @@ impl Station {
         } else {
             self.other.read(at, values)
         };
-        slot.report.other_master |= proved;
+        slot.notices.other_master |= proved;
     }
 
     /// The values that the drive has accepted by now.
@@ -375,8 +375,8 @@ impl Station {
         let status = self.inputs.status;
         let was_dark = self.dark_at.is_some_and(|dark_at| at.since(dark_at) < DARK_NS);
         self.profile.prove(&self.inputs, &mut slot.evidence);
-        let report = &mut slot.report;
-        report.fresh = true;
+        let Slot { status: report, notices, .. } = slot;
+        notices.fresh = true;
         report.at = at;
         report.suspect = false;
         report.inhibited = was_dark && !status.active();
@@ -387,7 +387,7 @@ impl Station {
         (report.position, report.demand, report.current) = (f64::NAN, f64::NAN, f64::NAN);
         report.warning = u32::from(status.0 & StatusWord::WARNINGS);
         report.fault = if status.healthy() { 0 } else { u32::from(self.inputs.trip) };
-        report.monitor_fresh |= !self.shown.is_empty();
+        notices.monitor_fresh |= !self.shown.is_empty();
         for &(channel, counts) in &self.shown {
             let count = self.image.get(Role::FIRST_SHOWN + channel);
             report.monitor[channel] = count.map(|count| f64::from(count) / counts);

@@ -303,7 +303,7 @@ impl Station {
         let known = [self.control_taken, self.control_sent];
         if self.control_sent.is_some() && !finding.status.active() && !known.contains(&Some(finding.control))
         {
-            slot.report.restarted = true;
+            slot.notices.restarted = true;
             (self.control_taken, self.control_sent) = (None, None);
             self.profile.drive_restarted();
         }

@@ -275,10 +275,10 @@ impl Machine {
         for _ in 0..4 {
             let feedback = self.sim.feedback(axis);
             let verb = match feedback.stopped {
-                Some(_) if feedback.fault != 0 => Command::ResetFault,
+                Some(_) if feedback.status.fault != 0 => Command::ResetFault,
                 Some(_) => Command::Reset,
                 None if !feedback.is_operational() => Command::Enable,
-                None if !feedback.homed => Command::Home,
+                None if !feedback.status.homed => Command::Home,
                 None => return,
             };
             let ended = self.watches[axis].ended;
@@ -292,7 +292,7 @@ impl Machine {
 
     /// Rows as an application makes them: from where the axis is, straight on.
     fn stream(&mut self, axis: usize, input: &mut Input<'_>) {
-        let begin = self.sim.feedback(axis).demand;
+        let begin = self.sim.feedback(axis).status.demand;
         let velocity = f64::from(input.byte() as i8);
         let seconds = self.period_ns as f64 * f64::from(self.drives[axis].axis.divisor) * 1e-9;
         let count = input.below(33);

@@ -258,10 +258,11 @@ impl Watch {
         }
         assert!(feedback.stopped == self.latched || !whole, "events tell {:?}, {feedback:?}", self.latched);
         assert!(feedback.cycle > before.cycle || before.cycle == 0);
-        if feedback.at == before.at {
+        if feedback.status.at == before.status.at {
             let values = |f: &Feedback| {
-                let numbers = [f.position, f.demand, f.velocity, f.current].map(f64::to_bits);
-                (numbers, f.state, f.homed, f.moving, f.in_target, f.warning, f.fault)
+                let s = &f.status;
+                let numbers = [s.position, s.demand, s.velocity, s.current].map(f64::to_bits);
+                (numbers, s.state, s.homed, s.moving, s.in_target, s.warning, s.fault)
             };
             assert_eq!(values(&feedback), values(&before), "no reply, no news");
             let cycles = feedback.cycle - before.cycle;
@@ -270,7 +271,7 @@ impl Watch {
         }
         let said = |came: &Came| {
             let reply = Response::parse(&came.bytes).ok()?;
-            (came.at == feedback.at && came.in_window && !came.truncated && self.is_echo(&reply))
+            (came.at == feedback.status.at && came.in_window && !came.truncated && self.is_echo(&reply))
                 .then_some(reply)
         };
         let replies: Vec<Response> = came.iter().filter_map(said).collect();
@@ -281,7 +282,9 @@ impl Watch {
             self.asked
         );
         assert!(
-            [feedback.position, feedback.demand, feedback.velocity].iter().all(|value| value.is_finite())
+            [feedback.status.position, feedback.status.demand, feedback.status.velocity]
+                .iter()
+                .all(|value| value.is_finite())
         );
     }
 
@@ -307,13 +310,13 @@ impl Watch {
         let (status, state) = (reply.status.unwrap_or_default(), reply.state.unwrap_or_default());
         let moving = state.motion_active().unwrap_or(status.motion_active());
         let fault = if status.error() { u32::from(reply.error.unwrap_or_default().0) } else { 0 };
-        position(reply.actual, feedback.position)
-            && position(reply.demand, feedback.demand)
-            && reply.current.is_none_or(|raw| feedback.current == f64::from(raw) * 1e-3)
-            && reply.warn.is_none_or(|raw| feedback.warning == u32::from(raw.0))
-            && (feedback.fault, feedback.homed) == (fault, status.homed())
-            && (feedback.moving, feedback.in_target) == (moving, status.in_target())
-            && feedback.state.is_powered() == matches!(state.main().0, 3 | 5..)
+        position(reply.actual, feedback.status.position)
+            && position(reply.demand, feedback.status.demand)
+            && reply.current.is_none_or(|raw| feedback.status.current == f64::from(raw) * 1e-3)
+            && reply.warn.is_none_or(|raw| feedback.status.warning == u32::from(raw.0))
+            && (feedback.status.fault, feedback.status.homed) == (fault, status.homed())
+            && (feedback.status.moving, feedback.status.in_target) == (moving, status.in_target())
+            && feedback.status.state.is_powered() == matches!(state.main().0, 3 | 5..)
     }
 
     /// The machine has ended.
