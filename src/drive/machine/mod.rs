@@ -9,9 +9,9 @@
 //! | `motion` | moves, velocities and rows of drives that make their own setpoints |
 //! | `setpoint` | the setpoint of the next send, where the master makes it |
 //!
-//! [`propose`](Machine::propose) changes nothing but what it proposes: it may be called again, for the same send or for a
-//! later one. What it proposes becomes the state with [`commit`](Machine::commit), once the request has gone out. So a
-//! command that is replaced before it left has no effect. Reports of the drive change the state in
+//! [`propose`](Machine::propose) may be called again, for the same send or for a later one. What a command does becomes
+//! the state with [`commit`](Machine::commit), once its first request has gone out. So a command that is replaced before
+//! it left has no effect. Reports of the drive change the state in
 //! [`observe`](Machine::observe): they are facts.
 //!
 //! Each end needs two things: the drive has accepted the request, as far as its wire can prove, and reports after that
@@ -39,7 +39,7 @@ pub struct Machine {
     rules: Rules,
     /// What the requests that went out have led to.
     state: State,
-    /// The same with the request that is prepared.
+    /// The same with the first request of the command that waits.
     proposed: State,
     /// The command of which nothing has left yet.
     waiting: Option<Waiting>,
@@ -65,6 +65,8 @@ struct Waiting {
     /// `None`: it has failed, and what it has replaced ends.
     command: Option<Start>,
     since: Time,
+    /// The prepared request is built for it.
+    is_proposed: bool,
 }
 
 /// What a command asks of the machine.
@@ -240,7 +242,7 @@ impl Machine {
     /// A new command, in place of the one before; `None`: to take the drive over as it is.
     pub fn start(&mut self, now: Time, serial: u64, command: Option<Command>) {
         let start = command.map_or(Start::TakeOver, Start::Command);
-        self.waiting = Some(Waiting { command: Some(start), since: now });
+        self.waiting = Some(Waiting { command: Some(start), since: now, is_proposed: false });
         self.progress = Progress { serial, end: None };
     }
 
@@ -251,13 +253,17 @@ impl Machine {
 
     /// Writes what is desired of the drive with the send in slot `grid`.
     pub fn propose(&mut self, grid: Time, slot: &mut Slot) {
-        self.proposed.clone_from(&self.state);
         let view = View::of(&self.rules, grid, slot);
+        // A setpoint is planned from the last one that was sent: what was not sent leaves nothing behind.
+        let mut state = &mut self.state;
         if let Some(waiting) = &mut self.waiting {
+            self.proposed.clone_from(state);
+            state = &mut self.proposed;
+            waiting.is_proposed = true;
             let end = match waiting.command {
-                Some(start) => self.proposed.begin(start, waiting.since, &view),
+                Some(start) => state.begin(start, waiting.since, &view),
                 None => {
-                    self.proposed.wind_down(&view);
+                    state.wind_down(&view);
                     None
                 }
             };
@@ -266,15 +272,16 @@ impl Machine {
             }
             self.progress.end = self.progress.end.or(end);
         }
-        let end = self.proposed.lead(&view);
+        let end = state.lead(&view);
         self.progress.end = self.progress.end.or(end);
-        slot.desired = self.proposed.desired();
+        slot.desired = state.desired();
     }
 
     /// The proposed request has gone out in this slot of the grid.
     pub fn commit(&mut self, grid: Time) {
-        self.waiting = None;
-        std::mem::swap(&mut self.state, &mut self.proposed);
+        if self.waiting.take_if(|waiting| waiting.is_proposed).is_some() {
+            std::mem::swap(&mut self.state, &mut self.proposed);
+        }
         self.state.sent(grid);
     }
 
@@ -284,7 +291,7 @@ impl Machine {
         let end = match &self.waiting {
             _ if restarted => self.state.drive_restarted(&view),
             // What it replaces has ended for the application.
-            Some(Waiting { command: Some(start), since }) => {
+            Some(Waiting { command: Some(start), since, .. }) => {
                 let late = now.since(*since) > self.rules.enable_timeout_ns && start.has_a_time_limit();
                 late.then_some(Err(Failure::TimedOut(slot.status.state)))
             }
