@@ -122,7 +122,7 @@ pub struct Gone {
 }
 
 /// What shows that a drive has its desired state, written by the bus with each report.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Evidence {
     /// The newest serials that the drive has accepted, as far as its wire can prove.
     pub accepted: Accepted,
@@ -143,15 +143,55 @@ pub struct Evidence {
     /// What is known of its fault.
     pub fault: FaultIs,
     /// Why it cannot be enabled or moved at present.
-    pub obstacle: Option<Failure>,
+    pub obstacle: Cannot,
     /// It has refused the newest motion.
-    pub refused: Option<Failure>,
+    pub refused: Option<Refused>,
     /// The actual position, not folded into one turn.
     pub position: f64,
     /// The demand position, not folded into one turn.
     pub demand: f64,
     /// The velocity of the demand, user units/s.
     pub demand_velocity: f64,
+}
+
+/// Why a drive has refused a motion.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Refused {
+    /// It has not taken it.
+    NotTaken,
+    /// It must not have it, for this reason.
+    Because(&'static str),
+}
+
+impl From<Refused> for Failure {
+    fn from(refused: Refused) -> Failure {
+        match refused {
+            Refused::NotTaken => Failure::NotTaken,
+            Refused::Because(why) => Failure::Unsupported(why),
+        }
+    }
+}
+
+/// A drive of which nothing is known, whose protocol proves nothing of these.
+impl Default for Evidence {
+    fn default() -> Evidence {
+        Evidence {
+            accepted: Accepted::default(),
+            outputs_count: true,
+            ready: true,
+            follows: Follows::Yes,
+            is_set_up: true,
+            mode: ModeIs::Own,
+            homing: Homing::Open,
+            reference: Some(Reference::Silent),
+            fault: FaultIs::default(),
+            obstacle: None,
+            refused: None,
+            position: 0.0,
+            demand: 0.0,
+            demand_velocity: 0.0,
+        }
+    }
 }
 
 /// The newest serial of each part that a drive has accepted.
@@ -166,7 +206,7 @@ pub struct Accepted {
 }
 
 /// Whether a drive follows what is written to it.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Follows {
     /// It does.
     #[default]
@@ -174,7 +214,7 @@ pub enum Follows {
     /// It will: a setting is being written.
     NotYet,
     /// It does not, for this reason.
-    Never(Failure),
+    Never(&'static str),
 }
 
 /// The mode of operation that a drive is in.
@@ -213,7 +253,7 @@ pub enum Reference {
 }
 
 /// What is known of a fault, besides its code.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FaultIs {
     /// There is one.
     pub active: bool,
@@ -224,15 +264,15 @@ pub struct FaultIs {
 }
 
 /// When a fault can be acknowledged.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Resettable {
     /// Now.
     #[default]
     Now,
     /// From this instant on; `Time(u64::MAX)`: its reaction is not over.
     At(Time),
-    /// Never, for this reason.
-    Never(Failure),
+    /// Never, for this reason; `None`: its code says it.
+    Never(Cannot),
 }
 
 /// What a drive can do, and what proves it: fixed by its plan.

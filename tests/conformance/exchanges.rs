@@ -189,6 +189,7 @@ pub fn what_is_still_owed_is_not_asked_again(subject: &'static dyn Subject) {
     assert!(matches!(exchange, Exchange::Owed { .. }));
     let cycle = line.cycle();
     line.slots[0].due = true;
+    line.propose(&cycle);
     line.build(&cycle);
     line.world.clock().sleep_until(cycle.grid);
     line.send();

@@ -157,13 +157,14 @@ impl Line {
                 slot.row = Some(NumberedRow { number: self.row_number, row });
             }
         }
+        self.propose(&cycle);
         for _ in 0..self.builds {
             self.build(&cycle);
         }
     }
 
-    /// Has the requests built, for `cycle`.
-    pub fn build(&mut self, cycle: &Cycle) {
+    /// What the drive machines want with the send of `cycle`.
+    pub fn propose(&mut self, cycle: &Cycle) {
         for (machine, slot) in self.machines.iter_mut().zip(&mut self.slots) {
             let Some((machine, serial)) = machine else { continue };
             if slot.order.serial != *serial {
@@ -177,6 +178,10 @@ impl Line {
                 slot.progress = machine.progress();
             }
         }
+    }
+
+    /// Has the requests built, for `cycle`.
+    pub fn build(&mut self, cycle: &Cycle) {
         let (sends, before) = (self.wire.log().sends, self.slots.clone());
         let begin = self.world.now();
         self.bus.prepare(cycle, &mut self.slots);

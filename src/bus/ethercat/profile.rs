@@ -9,9 +9,9 @@ use super::cia402::{ControlCommand, ControlWord, Mode, StatusWord};
 use super::native::{NativeOutput, NativePort};
 use super::plan::{KollmorgenDrive, Setpoint};
 use crate::axis::command::NativeOwner;
-use crate::axis::{Failure, State, Units};
+use crate::axis::{State, Units};
 use crate::bus::desired::{
-    self, Capabilities, Desired, Evidence, FaultIs, Generator, Homing, Intent, Lacks, ModeIs, Motion, Power,
+    self, Capabilities, Desired, Evidence, FaultIs, Generator, Homing, Lacks, ModeIs, Motion, Power,
     Quantity, Ranges, Resettable,
 };
 use crate::time::{MS, S, Time};
@@ -38,15 +38,11 @@ const NO_VELOCITY: &str =
 const NO_TORQUE: &str = "its setpoint is no torque: take outputs with one (PDO 1703h)";
 const NOT_WATCHED: &str = "its SyncManager watchdog is off, nothing would stop it if the master dies: set watchdog, or \
     no_drive_watchdog = \"accept\"";
-const FOUND_UNWATCHED: Failure = Failure::Unsupported(
-    "it was found in operation with another watchdog than configured: disable it first, so that it can be set up again",
-);
-const MODE_REFUSED: Failure = Failure::Unsupported(
-    "the drive refuses the homing mode or its method: look at 6060h and 6098h, and at home_method",
-);
-const COLD_START: Failure = Failure::Unsupported(
-    "its fault needs a cold start: remove its cause, then switch the drive's auxiliary power off and on",
-);
+const FOUND_UNWATCHED: &str = "it was found in operation with another watchdog than configured: disable it first, so that it can be set up again";
+const MODE_REFUSED: &str =
+    "the drive refuses the homing mode or its method: look at 6060h and 6098h, and at home_method";
+const COLD_START: &str =
+    "its fault needs a cold start: remove its cause, then switch the drive's auxiliary power off and on";
 
 /// The drive's last report.
 #[derive(Clone, Copy, Debug, Default)]
@@ -120,9 +116,18 @@ pub(super) struct Profile {
     watched: bool,
     found_otherwise: bool,
     mode_refused: bool,
-    /// What the prepared exchange is built for, and what the last one that went out was.
-    desired: Desired,
-    sent: Desired,
+    /// What the prepared exchange is built for: serials of power, mode and motion, and what follows from them.
+    serials: (u64, u64, u64),
+    power_wanted: Power,
+    mode_wanted: desired::Mode,
+    is_native: bool,
+    native_owner: Option<NativeOwner>,
+    starts_home: bool,
+    control: ControlWord,
+    row_built: u64,
+    /// The last exchange that went out had a drive follow setpoints, or home.
+    follows: bool,
+    home_sent: bool,
     power: Carried,
     motion: Carried,
     row: Carried,
@@ -138,7 +143,6 @@ pub(super) struct Profile {
     homes: bool,
     native: Option<NativeOutput>,
     native_gone: bool,
-    native_motion: Intent<Motion>,
     /// It was powered while it was commanded to be; commanded since; off although it was commanded on.
     was_powered: bool,
     on_since: Option<Time>,
@@ -207,8 +211,16 @@ impl Profile {
             watched: drive.slave.watchdog_ns.is_some(),
             found_otherwise: false,
             mode_refused: false,
-            desired: Desired::default(),
-            sent: Desired::default(),
+            serials: (0, 0, 0),
+            power_wanted: Power::Untouched,
+            mode_wanted: desired::Mode::AsIs,
+            is_native: false,
+            native_owner: None,
+            starts_home: false,
+            control: ControlWord(0),
+            row_built: 0,
+            follows: false,
+            home_sent: false,
             power: Carried::default(),
             motion: Carried::default(),
             row: Carried::default(),
@@ -220,7 +232,6 @@ impl Profile {
             homes: false,
             native: None,
             native_gone: true,
-            native_motion: Intent::default(),
             was_powered: false,
             on_since: None,
             dark: false,
@@ -237,23 +248,46 @@ impl Profile {
     /// The outputs of the exchange in slot `grid`.
     #[inline]
     pub(super) fn encode(&mut self, grid: Time, desired: &Desired, native: &mut NativePort) -> Outputs {
-        (self.grid, self.desired) = (grid, *desired);
-        let Desired { power, motion, mode, setpoint } = desired;
-        if motion.value == Motion::Home {
-            self.homes = true;
+        self.grid = grid;
+        let Desired { power, mode, motion, setpoint } = desired;
+        if (power.serial, mode.serial, motion.serial) != self.serials {
+            self.change(desired, native);
         }
-        if *motion != self.native_motion {
-            self.native_motion = *motion;
-            (self.native, self.native_gone) = (None, true);
-            native.flush();
-        }
-        if self.is_native()
+        if self.is_native
             && self.native_gone
             && let Some(output) = native.next()
         {
             // Each one is sent, even if a request fails.
             (self.native, self.native_gone) = (Some(output), false);
         }
+        self.row_built = setpoint.row;
+        let raw = match self.quantity {
+            Quantity::Position => {
+                // The lowest 32 bits of a count: the drive's own count wraps around as well.
+                rounded((setpoint.position - self.units.offset) * self.units.counts_per_unit) as i64 as i32
+            }
+            Quantity::Velocity => rounded(setpoint.velocity * self.scale) as i32,
+            Quantity::Torque => rounded(setpoint.torque * self.scale) as i32,
+            Quantity::Unknown => 0,
+        };
+        self.built = Outputs { control: self.control, setpoint: raw };
+        self.built
+    }
+
+    /// Something else is desired.
+    #[cold]
+    fn change(&mut self, desired: &Desired, native: &mut NativePort) {
+        let Desired { power, mode, motion, .. } = *desired;
+        if motion.serial != self.serials.2 {
+            (self.native, self.native_gone) = (None, true);
+            native.flush();
+        }
+        self.serials = (power.serial, mode.serial, motion.serial);
+        (self.power_wanted, self.mode_wanted) = (power.value, mode.value);
+        self.is_native = matches!(motion.value, Motion::Native(_));
+        self.native_owner = if let Motion::Native(owner) = motion.value { Some(owner) } else { None };
+        self.starts_home = motion.value == Motion::Home;
+        self.homes |= self.starts_home;
         let word = match power.value {
             Power::Untouched | Power::Off => ControlWord(0),
             Power::Shutdown => ControlCommand::Shutdown.word(),
@@ -270,31 +304,18 @@ impl Profile {
             _ => self.mode_bits,
         };
         let halt = if motion.value == Motion::Halt { ControlWord::HALT } else { 0 };
-        let raw = match self.quantity {
-            Quantity::Position => {
-                // The lowest 32 bits of a count: the drive's own count wraps around as well.
-                rounded((setpoint.position - self.units.offset) * self.units.counts_per_unit) as i64 as i32
-            }
-            Quantity::Velocity => rounded(setpoint.velocity * self.scale) as i32,
-            Quantity::Torque => rounded(setpoint.torque * self.scale) as i32,
-            Quantity::Unknown => 0,
-        };
-        self.built = Outputs { control: word.with(bits | halt), setpoint: raw };
-        self.built
+        self.control = word.with(bits | halt);
     }
 
     /// The native output of the application, if that is sent, and who owns the control word.
     #[inline]
     pub(super) fn native(&self) -> Option<(&NativeOutput, NativeOwner)> {
-        match (&self.native, self.desired.motion.value) {
-            (Some(output), Motion::Native(owner)) => Some((output, owner)),
-            _ => None,
-        }
+        Some((self.native.as_ref()?, self.native_owner?))
     }
 
     /// Native mode runs.
     pub(super) fn is_native(&self) -> bool {
-        matches!(self.desired.motion.value, Motion::Native(_))
+        self.is_native
     }
 
     /// Its watchdog is set as configured, or was found otherwise.
@@ -304,26 +325,26 @@ impl Profile {
 
     /// Something is desired of it.
     pub(super) fn writes(&self) -> bool {
-        self.desired.power.serial > 0
+        self.serials.0 > 0
     }
 
     /// The mode of operation that the drive shall have.
     pub(super) fn mode_wanted(&self) -> desired::Mode {
-        self.desired.mode.value
+        self.mode_wanted
     }
 
     /// The drive refuses the mode of homing, or its homing cannot be configured.
     pub(super) fn mode_refused(&mut self) {
-        self.mode_refused = self.desired.mode.value == desired::Mode::Homing;
+        self.mode_refused = self.mode_wanted == desired::Mode::Homing;
     }
 
     /// The last built exchange was sent, and its outputs count.
     #[inline]
     pub(super) fn sent(&mut self) {
-        self.sent = self.desired;
-        self.power.sent(self.sent.power.serial);
-        self.motion.sent(self.sent.motion.serial);
-        self.row.sent(self.sent.setpoint.row);
+        self.power.sent(self.serials.0);
+        self.motion.sent(self.serials.2);
+        self.row.sent(self.row_built);
+        (self.follows, self.home_sent) = (self.power_wanted == Power::EnableOperation, self.starts_home);
         self.setpoints = (self.built.setpoint, self.setpoints.0);
         self.native_gone = true;
         let control = self.built.control;
@@ -365,10 +386,9 @@ impl Profile {
     /// Something moves the drive: the setpoint of the last sent exchange.
     #[inline]
     pub(super) fn is_moving(&self) -> bool {
-        let follows = self.sent.power.value == Power::EnableOperation;
-        self.sent.motion.value == Motion::Home
+        self.home_sent
             || match self.quantity {
-                Quantity::Position => follows && self.setpoints.0 != self.setpoints.1,
+                Quantity::Position => self.follows && self.setpoints.0 != self.setpoints.1,
                 Quantity::Velocity | Quantity::Torque => self.setpoints.0 != 0,
                 Quantity::Unknown => false,
             }
@@ -383,7 +403,7 @@ impl Profile {
     /// Its reference may change any time.
     #[inline]
     pub(super) fn is_finding_home(&self) -> bool {
-        self.homes && self.desired.mode.value == desired::Mode::Homing
+        self.homes && self.mode_wanted == desired::Mode::Homing
     }
 
     /// Its hardware enable was missing when it was last commanded to switch on, not long ago.
@@ -413,21 +433,21 @@ impl Profile {
     /// What a report proves, of a drive in this mode.
     #[inline]
     pub(super) fn prove(&mut self, inputs: &Inputs, mode: ModeIs, evidence: &mut Evidence) {
-        if self.homes && mode == ModeIs::Own && self.desired.mode.value != desired::Mode::Homing {
+        if self.homes && mode == ModeIs::Own && self.mode_wanted != desired::Mode::Homing {
             self.homes = false;
+            // The bits of its mode are back.
+            self.serials.1 = 0;
         }
-        if self.desired.mode.value != desired::Mode::Homing {
+        if self.mode_wanted != desired::Mode::Homing {
             self.mode_refused = false;
         }
         let accepted = &mut evidence.accepted;
         accepted.power = self.power.accepted(accepted.power);
         accepted.motion = self.motion.accepted(accepted.motion);
         accepted.row = self.row.accepted(accepted.row);
-        evidence.is_set_up = true;
         evidence.outputs_count = inputs.operational;
-        evidence.ready = true;
         evidence.mode = mode;
-        let refers = self.sent.motion.value == Motion::Home && self.motion.answers > HOME_ANSWERS;
+        let refers = self.home_sent && self.motion.answers > HOME_ANSWERS;
         evidence.homing = match () {
             () if !refers => Homing::Open,
             () if inputs.status.has(StatusWord::MODE_13) => Homing::Failed,
@@ -435,7 +455,7 @@ impl Profile {
             () => Homing::Open,
         };
         let resettable = match () {
-            () if inputs.cold => Resettable::Never(COLD_START),
+            () if inputs.cold => Resettable::Never(Some(COLD_START)),
             () if inputs.state == State::FaultReactionActive => Resettable::At(Time(u64::MAX)),
             () => Resettable::Now,
         };

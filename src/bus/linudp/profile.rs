@@ -9,13 +9,12 @@ use super::channel::MotionChannel;
 use super::motion::{Acceleration, MotionCommand, Position, SignedAcceleration, SignedVelocity, Velocity};
 use super::native::{NativeOutput, NativePort};
 use super::plan::{LinUdpDrive, StreamCommand};
-use super::wire::{ControlWord, ErrorCode, MainState, MotionBlock, RtcBlock, StateVar, StatusWord};
-use crate::axis::Failure;
+use super::wire::{ControlWord, MainState, MotionBlock, RtcBlock, StateVar, StatusWord};
 use crate::axis::command::NativeOwner;
 use crate::axis::units::Units;
 use crate::bus::desired::{
-    Capabilities, Desired, Evidence, FaultIs, Generator, Homing, Intent, Lacks, Motion, Power, Ranges,
-    Reference, Resettable, Setpoint,
+    Capabilities, Desired, Evidence, FaultIs, Generator, Homing, Lacks, Motion, Power, Ranges, Refused,
+    Resettable, Setpoint,
 };
 use crate::time::{Time, nanos};
 
@@ -42,7 +41,6 @@ pub(super) struct Inputs {
     pub state: StateVar,
     /// Unwrapped, 0.1 um.
     pub demand: i64,
-    pub fault: ErrorCode,
 }
 
 impl Inputs {
@@ -87,8 +85,8 @@ pub(super) struct Profile {
     inhibit_after_ns: u64,
     voltage: Voltage,
     /// What the prepared request is built for.
-    motion: Intent<Motion>,
-    setpoint: Setpoint,
+    motion: u64,
+    row: u64,
     /// What the prepared request carries, and the last one that went out.
     prepared: Serials,
     sent: Serials,
@@ -100,7 +98,7 @@ pub(super) struct Profile {
     /// The motion is a command of the channel: its echo proves it.
     is_command: bool,
     /// None of the counts was taken, or the drive must not have this command.
-    refused: Option<Failure>,
+    refused: Option<Refused>,
     /// The control word of the application, in native mode.
     native_control: Option<ControlWord>,
     /// The native output of the next request. It stays until that has gone out: a request may be built more than
@@ -158,8 +156,8 @@ impl Profile {
             stream: drive.stream,
             inhibit_after_ns: nanos(drive.inhibit_after),
             voltage: Voltage::Unknown,
-            motion: Intent::default(),
-            setpoint: Setpoint::default(),
+            motion: 0,
+            row: 0,
             prepared: Serials::default(),
             sent: Serials::default(),
             control: None,
@@ -176,13 +174,12 @@ impl Profile {
     /// The blocks of the next request.
     pub(super) fn encode(&mut self, desired: &Desired, inputs: &Inputs, native: &mut NativePort) -> Outputs {
         let Desired { power, motion, setpoint, .. } = desired;
-        // What was never sent may be replaced by something else of the same serial.
-        if *motion != self.motion {
-            self.motion = *motion;
+        if motion.serial != self.motion {
+            self.motion = motion.serial;
             self.begin(motion.value, inputs, native);
         }
-        if motion.value == Motion::Follow && *setpoint != self.setpoint {
-            self.setpoint = *setpoint;
+        if setpoint.row != self.row {
+            self.row = setpoint.row;
             self.stream_row(setpoint, inputs);
         }
         self.prepared = Serials { power: power.serial, motion: motion.serial, row: setpoint.row };
@@ -245,8 +242,8 @@ impl Profile {
             if clean && self.sent.row != 0 && self.channel.count == Some(echo) {
                 evidence.accepted.row = self.sent.row;
             }
-            if let Err(failure) = self.channel.take(echo, clean, inputs.foreign) {
-                self.refused = Some(failure);
+            if self.channel.take(echo, clean, inputs.foreign).is_err() {
+                self.refused = Some(Refused::NotTaken);
             }
         }
         if clean {
@@ -259,14 +256,11 @@ impl Profile {
             // Somebody else's command has run since.
             evidence.accepted.motion = evidence.accepted.motion.min(self.sent.motion.saturating_sub(1));
         }
-        evidence.is_set_up = true;
-        evidence.outputs_count = true;
         evidence.ready = !matches!(inputs.state.main(), MainState(9..=20));
         evidence.homing = match inputs.state.main() == MainState::HOMING && inputs.state.finished() {
             true => Homing::Attained,
             false => Homing::Open,
         };
-        evidence.reference = Some(Reference::Silent);
         evidence.refused = self.refused;
         evidence.fault =
             FaultIs { active: inputs.failed(), named: true, resettable: Self::resettable(inputs) };
@@ -275,7 +269,7 @@ impl Profile {
     fn resettable(inputs: &Inputs) -> Resettable {
         match () {
             () if !inputs.settled_error() => Resettable::At(Time(u64::MAX)),
-            () if inputs.status.fatal() => Resettable::Never(Failure::DriveFault(u32::from(inputs.fault.0))),
+            () if inputs.status.fatal() => Resettable::Never(None),
             () => Resettable::Now,
         }
     }
@@ -291,7 +285,7 @@ impl Profile {
             // With any count but 0 the drive restarts again and again (sheet, 4.3), and with 0 it does nothing if that
             // is what it has stored.
             let why = "00Fx needs a count that this master does not send; restart the drive by its parameter channel";
-            self.refused = Some(Failure::Unsupported(why));
+            self.refused = Some(Refused::Because(why));
             return;
         }
         if owner == NativeOwner::Application && output.control.is_some() {

@@ -402,7 +402,7 @@ impl Station {
             notices.other_master |= self.other.take(state.count());
         }
         let foreign = self.other.is_in_doubt();
-        self.inputs = Inputs { seen: true, foreign, booting, status, state, demand, fault };
+        self.inputs = Inputs { seen: true, foreign, booting, status, state, demand };
         self.profile.take(&self.inputs, !suspect, evidence);
         notices.fresh = true;
         report.at = at;

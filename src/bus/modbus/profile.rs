@@ -9,11 +9,11 @@ use super::native::NativePort;
 use super::plan::UnidriveDrive;
 use super::trips::Trip;
 use super::words::{ControlWord, StatusWord};
+use crate::axis::State;
 use crate::axis::command::NativeOwner;
-use crate::axis::{Failure, State};
 use crate::bus::desired::{
-    Capabilities, Desired, Evidence, FaultIs, Follows, Generator, Intent, Lacks, Motion, Power, Quantity,
-    Ranges, Resettable,
+    Capabilities, Desired, Evidence, FaultIs, Follows, Generator, Lacks, Motion, Power, Quantity, Ranges,
+    Refused, Resettable,
 };
 use crate::time::{MS, Time};
 
@@ -26,15 +26,11 @@ const STANDS_NS: u64 = 10 * MS;
 const NO_POSITION: &str = "it takes speeds, not positions: jog, or give it velocities";
 const NO_TORQUE: &str = "it takes speeds, not torques: jog, or give it velocities";
 /// Why a drive that does not follow the control word cannot be commanded.
-const NOT_OBEYING: Failure = Failure::Unsupported(
-    "it does not follow the control word: Pr 06.043 has to be 1, 01.014 and 01.015 0; set them, or let the master \
-    (set_up)",
-);
+const NOT_OBEYING: &str = "it does not follow the control word: Pr 06.043 has to be 1, 01.014 and 01.015 0; set them, or let the master \
+    (set_up)";
 /// Why a drive that nothing would stop is not enabled.
-const NOT_WATCHED: Failure = Failure::Unsupported(
-    "its watchdog is not set, nothing would stop it if the master dies: look at Pr S.15.009 and watchdog, or \
-    no_drive_watchdog = \"accept\"",
-);
+const NOT_WATCHED: &str = "its watchdog is not set, nothing would stop it if the master dies: look at Pr S.15.009 and watchdog, or \
+    no_drive_watchdog = \"accept\"";
 
 /// The drive's last report, and the values that it has acknowledged.
 #[derive(Clone, Copy, Debug, Default)]
@@ -83,7 +79,10 @@ pub(super) struct Profile {
     /// The bits of the control word while the drive is to be on.
     on: u16,
     /// What the prepared request is built for, and what something was last sent of.
-    desired: Desired,
+    serials: (u64, u64),
+    power: Power,
+    motion: Motion,
+    velocity: f64,
     sent: (u64, u64),
     /// The same when the newest status was read: a speed may come later.
     at_status: (u64, u64),
@@ -96,13 +95,12 @@ pub(super) struct Profile {
     releasing: bool,
     /// RUN was off for a halt, and the power stage has not come back since.
     halted: bool,
-    refused: Option<Failure>,
+    refused: Option<Refused>,
     /// It has accepted all that is desired.
     taken: bool,
     /// The native values, and whether each went out.
     native: Option<Outputs>,
     native_gone: (bool, bool),
-    native_motion: Intent<Motion>,
 }
 
 /// What a drive can do.
@@ -135,7 +133,10 @@ impl Profile {
             obeys: false,
             settable: false,
             on: ControlWord::ENABLE | if drive.watchdog.keypad { ControlWord::KEYPAD_WATCHDOG } else { 0 },
-            desired: Desired::default(),
+            serials: (0, 0),
+            power: Power::Untouched,
+            motion: Motion::Hold,
+            velocity: 0.0,
             sent: (0, 0),
             at_status: (0, 0),
             outputs: Outputs::default(),
@@ -147,7 +148,6 @@ impl Profile {
             taken: false,
             native: None,
             native_gone: (true, true),
-            native_motion: Intent::default(),
         }
     }
 
@@ -158,27 +158,29 @@ impl Profile {
         inputs: &Inputs,
         native: &mut NativePort,
     ) -> Option<Outputs> {
-        let before = std::mem::replace(&mut self.desired, *desired);
-        if (before.power, before.motion) != (desired.power, desired.motion) {
+        let Desired { power, motion, setpoint, .. } = desired;
+        if (power.serial, motion.serial) != self.serials {
+            if motion.serial != self.serials.1 {
+                (self.native, self.native_gone) = (None, (true, true));
+                native.flush();
+            }
+            self.serials = (power.serial, motion.serial);
+            (self.power, self.motion) = (power.value, motion.value);
             (self.refused, self.taken) = (None, false);
         }
-        if desired.motion != self.native_motion {
-            self.native_motion = desired.motion;
-            (self.native, self.native_gone) = (None, (true, true));
-            native.flush();
-        }
-        if desired.power.value == Power::Untouched {
+        if self.power == Power::Untouched {
             return None;
         }
+        self.velocity = setpoint.velocity;
         // A drive at standstill holds its motor until RUN is off, and drops it with ENABLE.
-        let off = desired.power.value == Power::Off;
+        let off = self.power == Power::Off;
         self.releasing = off
             && inputs.status.active()
             && (self.releasing
                 || inputs.status.zero_speed() && self.outputs.control.has_any(ControlWord::ANY_RUN));
         self.halted |= self.is_halted();
         self.outputs = self.built();
-        if let Motion::Native(owner) = desired.motion.value {
+        if let Motion::Native(owner) = self.motion {
             self.take_native(owner, native);
         }
         Some(self.values())
@@ -189,9 +191,8 @@ impl Profile {
     }
 
     fn built(&mut self) -> Outputs {
-        let Desired { power, setpoint, .. } = self.desired;
         let runs = self.runs();
-        let raw = if runs { setpoint.velocity * self.raw_per_velocity } else { 0.0 };
+        let raw = if runs { self.velocity * self.raw_per_velocity } else { 0.0 };
         let mut reference = raw.abs();
         let reverse = if raw == 0.0 { self.reverse } else { raw < 0.0 };
         if self.turning == Some(!reverse) {
@@ -204,7 +205,7 @@ impl Profile {
         let control = ControlWord::IDLE
             .with(if self.is_on() || self.releasing { self.on } else { 0 })
             .with(if runs { run } else { 0 })
-            .with(if power.value == Power::FaultReset { ControlWord::RESET } else { 0 });
+            .with(if self.power == Power::FaultReset { ControlWord::RESET } else { 0 });
         // Rounded by hand: without SSE4.1 `round` is a call. A plan whose velocities do not fit is refused; the rest
         // saturates.
         Outputs { control, reference: (reference + 0.5) as i32 }
@@ -228,7 +229,7 @@ impl Profile {
 
     /// Native mode runs.
     pub(super) fn is_native(&self) -> bool {
-        matches!(self.desired.motion.value, Motion::Native(_))
+        matches!(self.motion, Motion::Native(_))
     }
 
     /// Whether something stops the drive if the master dies, whether it follows the control word, and whether it
@@ -240,7 +241,7 @@ impl Profile {
     /// The drive has to be configured to follow the control word, or to be watched: once it has accepted the
     /// present values.
     pub(super) fn wants_set_up(&self, inputs: &Inputs) -> bool {
-        let power = self.desired.power.value;
+        let power = self.power;
         let enabling = power == Power::Shutdown && !(self.obeys && self.watched);
         let obeying = power != Power::Untouched && !self.obeys && inputs.status.active();
         self.settable && (enabling || obeying) && self.has_taken(inputs)
@@ -248,22 +249,22 @@ impl Profile {
 
     /// Something is desired of it.
     pub(super) fn writes(&self) -> bool {
-        self.desired.power.serial > 0
+        self.serials.0 > 0
     }
 
     /// Written values are waited for, to be read back.
     pub(super) fn waits(&self) -> bool {
-        self.desired.setpoint.velocity == 0.0 && !self.is_native() && !self.taken
+        self.velocity == 0.0 && !self.is_native() && !self.taken
     }
 
     /// The next request has to carry this: nothing of it was sent yet.
     pub(super) fn is_new(&self) -> bool {
-        self.writes() && self.sent != (self.desired.power.serial, self.desired.motion.serial)
+        self.writes() && self.sent != self.serials
     }
 
     /// Something was written.
     pub(super) fn sent(&mut self) {
-        self.sent = (self.desired.power.serial, self.desired.motion.serial);
+        self.sent = self.serials;
     }
 
     /// The control word went out.
@@ -289,16 +290,16 @@ impl Profile {
 
     /// The drive is commanded to be on.
     pub(super) fn is_on(&self) -> bool {
-        matches!(self.desired.power.value, Power::EnableOperation | Power::QuickStop)
+        matches!(self.power, Power::EnableOperation | Power::QuickStop)
     }
 
     fn is_halted(&self) -> bool {
-        self.desired.power.value == Power::QuickStop || self.desired.motion.value == Motion::Halt
+        self.power == Power::QuickStop || self.motion == Motion::Halt
     }
 
     /// RUN is on.
     pub(super) fn runs(&self) -> bool {
-        self.desired.power.value == Power::EnableOperation && !self.is_halted()
+        self.power == Power::EnableOperation && !self.is_halted()
     }
 
     /// Maps the drive's state onto those of CiA 402.
@@ -339,7 +340,7 @@ impl Profile {
 
     /// The drive did not accept a written value, as its read-back shows.
     pub(super) fn not_taken(&mut self) {
-        self.refused = Some(Failure::NotTaken);
+        self.refused = Some(Refused::NotTaken);
     }
 
     /// The drive has accepted the written values.
@@ -355,8 +356,6 @@ impl Profile {
         let taken = self.taken;
         let since = |serial: u64| if taken { serial } else { serial.saturating_sub(1) };
         (evidence.accepted.power, evidence.accepted.motion) = (since(power), since(motion));
-        evidence.outputs_count = true;
-        evidence.ready = true;
         evidence.follows = match (self.obeys, self.settable) {
             (true, _) => Follows::Yes,
             (false, true) => Follows::NotYet,

@@ -41,7 +41,7 @@ impl State {
                 if view.status.state.is_powered()
                     && let Follows::Never(why) = view.evidence.follows =>
             {
-                self.fail(why)
+                self.fail(Failure::Unsupported(why))
             }
             Command::Enable => self.begin_enable(since, view),
             Command::Disable => {
@@ -115,7 +115,7 @@ impl State {
             return self.fail(view.failed());
         }
         if let Some(obstacle) = evidence.obstacle {
-            return self.fail(obstacle);
+            return self.fail(Failure::Unsupported(obstacle));
         }
         let on = evidence.outputs_count && !self.was_switched_off();
         let can = &view.rules.can;

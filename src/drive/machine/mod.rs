@@ -95,6 +95,8 @@ struct State {
     course: Course,
     /// Sends since the step began.
     sent: u32,
+    /// Its intents are not in the slot yet.
+    is_new: bool,
 }
 
 /// The step of a command.
@@ -235,6 +237,7 @@ impl Machine {
             setpoint: Setpoint::default(),
             course: Course::new(&rules.can),
             sent: 0,
+            is_new: true,
         };
         Machine { rules, proposed: state.clone(), state, waiting: None, progress: Progress::default() }
     }
@@ -257,8 +260,11 @@ impl Machine {
         // A setpoint is planned from the last one that was sent: what was not sent leaves nothing behind.
         let mut state = &mut self.state;
         if let Some(waiting) = &mut self.waiting {
+            // No serial is used twice: what is replaced before it left is another intent.
+            let serial = self.proposed.serial.max(state.serial);
             self.proposed.clone_from(state);
             state = &mut self.proposed;
+            (state.serial, state.is_new) = (serial, true);
             waiting.is_proposed = true;
             let end = match waiting.command {
                 Some(start) => state.begin(start, waiting.since, &view),
@@ -274,13 +280,20 @@ impl Machine {
         }
         let end = state.lead(&view);
         self.progress.end = self.progress.end.or(end);
-        slot.desired = state.desired();
+        if state.is_new {
+            slot.desired = state.desired();
+        } else {
+            slot.desired.setpoint = state.setpoint;
+        }
     }
 
     /// The proposed request has gone out in this slot of the grid.
     pub fn commit(&mut self, grid: Time) {
         if self.waiting.take_if(|waiting| waiting.is_proposed).is_some() {
             std::mem::swap(&mut self.state, &mut self.proposed);
+        } else {
+            // Those that were proposed and never sent are not used again.
+            self.state.serial = self.state.serial.max(self.proposed.serial);
         }
         self.state.sent(grid);
     }
@@ -331,10 +344,12 @@ impl State {
 
     fn sent(&mut self, grid: Time) {
         self.sent = self.sent.saturating_add(1);
+        self.is_new = false;
         self.course.sent(grid);
     }
 
     fn next_serial(&mut self) -> u64 {
+        self.is_new = true;
         self.serial += 1;
         self.serial
     }

@@ -80,9 +80,10 @@ impl State {
                 self.set(rest);
                 return self.fail(Failure::Inhibited);
             }
-            if let Some(obstacle) = evidence.obstacle.or(evidence.refused) {
+            let obstacle = evidence.obstacle.map(Failure::Unsupported);
+            if let Some(failure) = obstacle.or(evidence.refused.map(Failure::from)) {
                 self.set(rest);
-                return self.fail(obstacle);
+                return self.fail(failure);
             }
             let own = evidence.mode == ModeIs::Own && evidence.ready && evidence.is_set_up;
             let there =
@@ -160,8 +161,8 @@ impl State {
         }
         let still = self.is_accepted(view) && !view.status.moving && self.course.stands();
         let settled = self.agrees(still, view.rules.can.still_reports, view);
-        if let Some(failure) = view.evidence.refused {
-            return self.refuse(failure, view);
+        if let Some(refused) = view.evidence.refused {
+            return self.refuse(refused.into(), view);
         }
         match self.step {
             Step::Moving(target) if settled => {
@@ -218,7 +219,7 @@ impl State {
             }
             Follows::Yes => self.begin_stop(command, view),
             Follows::NotYet => None,
-            Follows::Never(why) => self.fail(why),
+            Follows::Never(why) => self.fail(Failure::Unsupported(why)),
         }
     }
 
@@ -306,7 +307,7 @@ impl State {
             Step::HomeMode => {
                 if let Some(obstacle) = evidence.obstacle {
                     self.want_mode(Mode::Own);
-                    return self.fail(obstacle);
+                    return self.fail(Failure::Unsupported(obstacle));
                 }
                 if evidence.mode == ModeIs::Homing {
                     self.want_motion(Motion::Home);
@@ -367,7 +368,9 @@ impl State {
                     self.agree = 0;
                     match fault.resettable {
                         _ if !fault.named => {}
-                        Resettable::Never(why) => return self.fail(why),
+                        Resettable::Never(why) => {
+                            return self.fail(why.map_or(view.failed(), Failure::Unsupported));
+                        }
                         Resettable::At(Time(u64::MAX)) => {}
                         // The drive takes none before, however long that is.
                         Resettable::At(at) if view.now < at => self.since = view.now,
