@@ -42,8 +42,6 @@ mod program;
 mod report;
 mod rights;
 mod signals;
-#[path = "../support/speeds.rs"]
-mod speed_drives;
 #[path = "../support/mod.rs"]
 mod support;
 mod telling;

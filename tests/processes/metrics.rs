@@ -9,6 +9,8 @@ use fieldbeat::Master;
 use fieldbeat::axis::Link;
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::linudp::{LinUdpDrive, LinUdpPlan};
+use fieldbeat::bus::modbus::counters::OWN;
+use fieldbeat::bus::modbus::{ModbusPlan, UnidriveDrive};
 use fieldbeat::cycle::status::Status;
 use fieldbeat::cycle::{CyclePlan, Overrun, Plan};
 use fieldbeat::rt::Realtime;
@@ -16,7 +18,6 @@ use fieldbeat::sim::server::{ServerOptions, SimServer};
 use fieldbeat::telemetry::metrics::Endpoint;
 use libc::SIGINT;
 
-use super::speed_drives::Speeds;
 use super::support::{LONG, Machine, Program, assert_sums, carried, patient, until};
 use super::{assert_silent, master, serve, socket};
 
@@ -334,12 +335,13 @@ fn a_program_of_its_own_watches_its_machine_and_closes_the_endpoint() {
 #[test]
 fn what_only_a_protocol_counts_and_why_a_drive_is_not_connected_is_told_under_its_name() {
     let machine = Machine::new(77);
-    let mut bus = LinUdpPlan::new(machine.ip(1), Vec::new());
-    bus.drives.extend([0, 1].map(|index| LinUdpDrive::new(format!("d{index}"), *machine.drive(index).ip())));
-    for drive in &mut bus.drives {
-        (drive.axis.limits.position, drive.axis.health) = (None, patient());
-    }
-    let speeds = Speeds::new(bus.clone());
+    let drives = [0, 1].map(|index| {
+        let mut drive = UnidriveDrive::new(format!("d{index}"), *machine.drive(index).ip());
+        drive.address.set_port(1502);
+        drive.axis.health = patient();
+        drive
+    });
+    let bus = ModbusPlan::new(drives.to_vec());
     let plan = |bus: Box<dyn BusPlan>| Plan {
         source: None,
         cycle: CyclePlan {
@@ -352,45 +354,50 @@ fn what_only_a_protocol_counts_and_why_a_drive_is_not_connected_is_told_under_it
         buses: vec![bus],
         groups: Vec::new(),
     };
+    let simulate = |count| {
+        let mut there = bus.simulate();
+        there.truncate(count);
+        SimServer::start(there, ServerOptions::default()).unwrap()
+    };
     // Only the first one is there.
-    let mut there = bus.simulate();
-    there.pop();
-    let _sim = SimServer::start(there, ServerOptions::default()).unwrap();
-    let why = "refused: nobody listens there";
-    speeds.notes.set(1, Some(why.to_owned()));
-    let master = Master::from_plan(plan(Box::new(speeds.clone()))).start().unwrap();
-    assert!(until(LONG, || master.observers()[0].1.feedback().link == Link::Online));
+    let sim = simulate(1);
+    let master = Master::from_plan(plan(Box::new(bus.clone()))).start().unwrap();
+    let online = |index: usize| master.observers()[index].1.feedback().link == Link::Online;
+    assert!(until(LONG, || online(0) && master.not_connected(1).is_some()));
+    let why = master.not_connected(1).unwrap();
+    assert!(why.starts_with("refused: nobody listens at "), "{why}");
     let error = master.wait_online(Duration::ZERO).unwrap_err().to_string();
     assert!(error.contains(&format!(": d1 (not connected: {why}); look at")), "{error}");
 
     let endpoint = Endpoint::bind((machine.ip(1), 0).into()).unwrap();
     let address = endpoint.address();
     let _server = endpoint.serve(master.monitor()).unwrap();
-    assert!(until(LONG, || master.numbers().drives[0].counters.own[0] > 10));
-    let text = scrape(address);
-    let page = Page::parse(&text);
-    let count = |drive, what: &str| {
-        page.value(&format!("fieldbeat_drive_protocol_events_total{{drive=\"{drive}\",what=\"{what}\"}}"))
+    let sample = |metric: &str, labels: &str| {
+        let text = scrape(address);
+        assert!(!text.contains("NaN"), "{text}");
+        Page::parse(&text).value(&format!("fieldbeat_drive_{metric}{{{labels}}}"))
     };
-    assert!(count("d0", "replies") > 10.0 && count("d1", "replies") == 0.0, "{text}");
-    assert_eq!([count("d0", "none"), count("d0", "most")], [0.0, u64::MAX as f64]);
-    let not_connected =
-        |page: &Page, drive| page.value(&format!("fieldbeat_drive_not_connected{{drive=\"{drive}\"}}"));
-    assert_eq!(["d0", "d1"].map(|drive| not_connected(&page, drive)), [0.0, 1.0]);
-    assert!(!text.contains("NaN"), "{text}");
+    let not_connected = || ["d0", "d1"].map(|drive| sample("not_connected", &format!("drive=\"{drive}\"")));
+    assert_eq!(not_connected(), [0.0, 1.0]);
     let summary = master.summary();
     assert_eq!(
         (&summary.drives[0].not_connected, summary.drives[1].not_connected.as_deref()),
-        (&None, Some(why))
+        (&None, Some(why.as_str()))
     );
-    assert_eq!((summary.drives[0].position, summary.drives[0].protocol_counters.0.len()), (None, 3));
-    // It tells it as long as it is so.
-    speeds.notes.set(1, None);
-    assert_eq!(not_connected(&Page::parse(&scrape(address)), "d1"), 0.0);
+    assert_eq!((summary.drives[0].position, summary.drives[0].protocol_counters.0.len()), (None, OWN.len()));
+    // It is reported as long as it is so.
+    drop(sim);
+    let _sim = simulate(2);
+    assert!(until(LONG, || online(1) && not_connected() == [0.0, 0.0]));
+    let reopened =
+        |drive: &str| sample("protocol_events_total", &format!("drive=\"{drive}\",what=\"reopened\""));
+    assert!(until(LONG, || reopened("d0") > 0.0));
+    assert_eq!(reopened("d1"), 0.0);
     assert_eq!(master.finish().end.drives[1].not_connected, None);
 
     // Drives without connections and counters of their own have no samples of them.
-    let master = Master::from_plan(plan(Box::new(bus))).start().unwrap();
+    let linmots = vec![LinUdpDrive::new("x", *machine.drive(2).ip())];
+    let master = Master::from_plan(plan(Box::new(LinUdpPlan::new(machine.ip(1), linmots)))).start().unwrap();
     let endpoint = Endpoint::bind((machine.ip(1), 0).into()).unwrap();
     let address = endpoint.address();
     let _server = endpoint.serve(master.monitor()).unwrap();

@@ -31,9 +31,6 @@ mod replies;
 mod restarts;
 mod services;
 mod shutdown;
-#[path = "../support/speeds.rs"]
-mod speed_drives;
-mod speeds;
 mod stop_bound;
 mod storm;
 mod streams;

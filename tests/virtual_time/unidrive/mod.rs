@@ -6,6 +6,7 @@ mod functions;
 mod loss;
 mod others;
 mod pace;
+mod speeds;
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::sync::{Arc, Mutex, MutexGuard};

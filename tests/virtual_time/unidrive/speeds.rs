@@ -1,0 +1,169 @@
+//! Drives that report their speed and no position: what holds for them all the same, and what is reported of them.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use fieldbeat::axis::{EventKind, Group, Move, Target};
+use fieldbeat::cycle::engine::Control;
+use fieldbeat::master::{Assembly, assemble};
+use fieldbeat::rt::Granted;
+use fieldbeat::sim::world::World;
+use fieldbeat::telemetry::{Measured, Summary};
+use serde_json::{Value, json};
+
+use super::*;
+use crate::virtual_time::support::{assert_near, row};
+
+fn bench(count: usize) -> Bench {
+    Bench::new(count, VIAS[1], |_, drive| {
+        drive.axis.limits.velocity = Some(10.0);
+        drive.axis.stop.group = Some(0);
+    })
+}
+
+fn go(target: Target) -> Command {
+    Command::Move(Move { target, profile: drive(0, VIAS[1]).axis.profile })
+}
+
+fn jog(velocity: f64) -> Command {
+    Command::Jog(Jog { velocity, acceleration: 80.0 })
+}
+
+#[test]
+fn velocities_are_taken_and_positions_are_refused_by_name() {
+    let mut b = bench(1);
+    b.ready();
+    let refused = Failure::Unsupported("it reports no position, so it takes neither moves nor rows");
+    b.sim.axis(0).push_row(row(0.0)).unwrap();
+    for command in [go(Target::Absolute(10.0)), go(Target::Relative(1.0)), Command::Follow] {
+        assert_eq!(b.failed(0, command), refused, "{command:?}");
+    }
+    let jogging = b.sim.axis(0).post(jog(8.0)).unwrap();
+    b.run(300);
+    let status = b.feedback(0).status;
+    assert_near(status.velocity, 8.0, 0.1);
+    assert!([status.position, status.demand, status.current].into_iter().all(f64::is_nan));
+    // A move that is refused leaves the jog alone.
+    assert_eq!(b.failed(0, go(Target::Absolute(10.0))), refused);
+    assert_near(b.feedback(0).status.velocity, 8.0, 0.1);
+    assert_eq!((b.sim.run_command(0, jogging, 10), b.feedback(0).stopped), (None, None));
+}
+
+#[test]
+fn a_group_refuses_positions_to_all_its_members() {
+    let mut b = bench(2);
+    b.ready();
+    let mut group = Group::new(vec![b.sim.take_axis(0), b.sim.take_axis(1)]).unwrap();
+    let command = group.post(&[go(Target::Absolute(5.0)), go(Target::Relative(5.0))]).unwrap();
+    b.run(20);
+    for (place, id) in command.ids().iter().enumerate() {
+        let ended = std::iter::from_fn(|| group.event(place)).find_map(|event| match event.kind {
+            EventKind::Ended { id: ended, outcome, .. } => (ended == *id).then_some(outcome),
+            _ => None,
+        });
+        assert!(matches!(ended, Some(Outcome::Failed(Failure::Unsupported(_)))), "{place}: {ended:?}");
+    }
+}
+
+#[test]
+fn the_limit_of_the_velocity_holds_by_the_reported_speed() {
+    for (percent, stops) in [(100, false), (140, false), (160, true)] {
+        let mut b = bench(1);
+        b.ready();
+        b.turning(0, 8.5);
+        // It reports another speed than the commanded one: 8.5, 11.9 and 13.6 rev/s where 10 are allowed, and 12 pass.
+        b.tap(0).reply = Some(Box::new(move |reply| {
+            // The fourth value of its block.
+            if reply[7] == function::READ_WRITE {
+                let speed = i32::from_be_bytes(reply[21..25].try_into().unwrap()) * percent / 100;
+                reply[21..25].copy_from_slice(&speed.to_be_bytes());
+            }
+        }));
+        b.run(2);
+        assert_eq!(b.feedback(0).stopped, None, "one report or two make no speed");
+        b.run(100);
+        assert_eq!(b.feedback(0).stopped, stops.then_some(StopCause::Limit), "{percent} %");
+    }
+}
+
+/// Each fifth reply is a refusal, once the drive is connected; how many there were.
+fn refuse_some(tap: &Tap) -> Arc<AtomicU64> {
+    let refusals = Arc::new(AtomicU64::new(0));
+    let (mut replies, counted) = (0, refusals.clone());
+    tap.lock().reply = Some(Box::new(move |reply| {
+        replies += 1;
+        if replies > 200 && replies % 5 == 0 {
+            // It is busy.
+            *reply = [&reply[..5], &[3, reply[6], reply[7] | function::EXCEPTION, 6]].concat();
+            counted.fetch_add(1, Ordering::Relaxed);
+        }
+    }));
+    refusals
+}
+
+fn plan(b: &Bench) -> Plan {
+    let bus = TappedBus { plan: b.plan.clone(), taps: b.taps.clone() };
+    Plan { source: None, cycle: CyclePlan::default(), buses: vec![Box::new(bus)], groups: Vec::new() }
+}
+
+#[test]
+fn what_a_protocol_counts_of_its_own_is_exact_without_any_telemetry() {
+    let b = bench(3);
+    let plan = plan(&b);
+    let refusals: Vec<_> = b.taps[..2].iter().map(refuse_some).collect();
+    let world = World::new(plan.simulate(), WorldOptions { seed: 3, ..WorldOptions::default() }).unwrap();
+    let Assembly { mut engine, gauges, .. } =
+        assemble(&plan, world.clock(), &world, None, Control::default()).unwrap();
+    engine.begin();
+    // Nobody takes the records: the ring is full after a second.
+    while engine.status().planned < 3_000 {
+        engine.step();
+    }
+    assert!(engine.status().lost_records > 5_000);
+    let read: Vec<u64> = gauges.axes.iter().map(|gauge| gauge.numbers.read().counters.own[0]).collect();
+    let end = engine.finish();
+    for (index, drive) in end.drives.iter().enumerate() {
+        let counted = drive.counters.own[Own::Exceptions as usize];
+        let expected = refusals.get(index).map_or(0, |refusals| refusals.load(Ordering::Relaxed));
+        // The last one may be on its way.
+        assert!(expected >= counted && expected <= counted + 1, "{counted} of {expected}");
+        assert!(read[index] <= counted && read[index] + 64 >= counted, "{read:?} {counted}");
+        assert_eq!(expected > 500, index < 2);
+    }
+}
+
+#[test]
+fn the_summary_holds_what_there_is_and_makes_nothing_of_what_there_is_not() {
+    let mut b = bench(2);
+    assert!(b.sim.world().unplug(address(1)));
+    b.until("online", 2_000, |b| b.feedback(0).link == Link::Online);
+    refuse_some(&b.taps[0]);
+    b.run(1_000);
+    b.tap(0).drive.provoke(Trip::OVER_VOLTS);
+    b.run(100);
+    let plan = plan(&b);
+    let mut end = b.finish();
+    end.drives[1].feedback.status.fault = 0xABC;
+    let granted =
+        Granted { policy: "SCHED_OTHER", priority: 0, core: None, memory_locked: false, missing: Vec::new() };
+    let summary = Summary::of(&plan, &end, &Measured::new(2, &plan.cycle, false), &granted, None);
+    let object = serde_json::to_value(&summary).unwrap();
+    let of = |key: &str| [0, 1].map(|index: usize| object["drives"][index][key].clone());
+    assert_eq!(of("position"), [Value::Null, Value::Null]);
+    let refusals = end.drives[0].counters.own[Own::Exceptions as usize];
+    assert!(refusals > 10);
+    assert_eq!(of("protocol_counters").map(|own| own["exceptions"].clone()), [json!(refusals), json!(0)]);
+    let why = end.drives[1].not_connected.clone().expect("nobody is there");
+    assert_eq!(of("not_connected"), [Value::Null, json!(why)]);
+    let (trip, name) = (Trip::OVER_VOLTS.0, Trip::OVER_VOLTS.name().unwrap());
+    assert_eq!(of("fault"), [json!(trip), json!(2748)]);
+    assert_eq!(of("fault_name"), [json!(name), Value::Null]);
+    let text = summary.to_string();
+    for part in [
+        format!("\nu0    requests refused by an exception: {refusals}\n"),
+        format!("  fault 0x{trip:04x} ({trip}, {name})\n"),
+        format!("\n  fault 0x0abc (2748)\n  not connected: {why}\n"),
+    ] {
+        assert!(text.contains(&part), "no {part:?}: {text}");
+    }
+    assert!(!text.contains("NaN") && !object.to_string().contains("NaN"), "{text}");
+}
