@@ -118,6 +118,7 @@ mod tests {
     use std::time::{Duration, Instant};
 
     use super::*;
+    use crate::net::frames::Unsent;
     use crate::net::{Carriers, Os};
     use crate::sim::server::{ServerOptions, SimServer};
     use crate::sim::testing::Tally;
@@ -184,7 +185,12 @@ mod tests {
         let mut master = Os::default().frames(&name, Tally::TYPE).unwrap();
         let mut come = 0;
         for number in 0..200 {
-            master.send(&[number, 0]).unwrap();
+            // The line takes few frames at a time, and none while the server's thread is held up.
+            let begin = Instant::now();
+            while let Err(error) = master.send(&[number, 0]) {
+                assert!(error == Unsent::Full && begin.elapsed() < LONG, "{error:?}");
+                come += u64::from(receive(&mut *master, SHORT).is_some());
+            }
             while receive(&mut *master, Duration::from_micros(200)).is_some() {
                 come += 1;
             }
