@@ -9,7 +9,7 @@ use thiserror::Error;
 
 use crate::axis::acyclic::{self, Acyclic, Commanding, Parameters};
 use crate::axis::cell;
-use crate::axis::handle::{URGENT_ROOM, room_for_ends};
+use crate::axis::handle::{URGENT_ROOM, most_unended, room_for_ends};
 use crate::axis::newest;
 use crate::axis::{Axis, AxisEnds, Feedback, Group, GroupError, Link, Observer, Pulse, StopCause};
 use crate::bus::{BusClock, Cycle, OpenError, Unmatched};
@@ -205,13 +205,24 @@ pub fn assemble<C: Clock>(
     let (mut acyclics, mut links, mut devices) = (Vec::new(), Vec::new(), Devices::default());
     let (mut of_devices, mut named, mut all_notes) = (Vec::new(), Vec::new(), Vec::new());
     let paced = bound::paced(plan);
+    let machine = plan.axes();
     for bus_plan in &plan.buses {
         let mut bus = bus_plan.open(period_ns, carriers)?;
         let (first, notes) = (controllers.len(), bus.notes());
         for (index, axis) in bus_plan.axes().into_iter().enumerate() {
-            let (command_in, command_out) = rt::ring(axis.command_queue + URGENT_ROOM, &mut regions);
+            // The queues of the first member hold the parts of all. A group of the plan has the full room for each
+            // of them; what any group of its stop group posts at least once, and its stops, find room with all.
+            let others = machine
+                .iter()
+                .filter(|other| other.stop.group.is_some_and(|group| axis.stop.group == Some(group)));
+            let most = others.count().max(1);
+            let led = plan.groups.iter().filter(|group| group.axes.first() == Some(&axis.name));
+            let members = led.map(|group| group.axes.len()).max().unwrap_or(1);
+            let room = |queue: usize| queue.saturating_mul(members).max(most);
+            let (posted_in, posted) = rt::ring(room(axis.command_queue) + URGENT_ROOM * most, &mut regions);
+            let (command_in, command_out) = rt::ring(most_unended(axis), &mut regions);
             let (setpoint_in, setpoint_out) = newest::newest();
-            let (row_in, row_out) = rt::ring(axis.stream_queue, &mut regions);
+            let (row_in, row_out) = rt::ring(room(axis.stream_queue), &mut regions);
             let (event_in, event_out) = rt::ring(axis.event_queue + room_for_ends(axis), &mut regions);
             let (writer, reader) = cell::cell(Feedback::default());
             let (sample_in, sample_out) = match axis.sample_queue {
@@ -222,6 +233,8 @@ pub fn assemble<C: Clock>(
                 }
             };
             let queues = Queues {
+                posted,
+                commands_in: command_in,
                 commands: command_out,
                 rows: row_out,
                 setpoints: setpoint_out,
@@ -248,7 +261,7 @@ pub fn assemble<C: Clock>(
                 pulse.clone(),
                 acyclic.clone(),
                 AxisEnds {
-                    commands: command_in,
+                    commands: posted_in,
                     rows: row_in,
                     setpoints: setpoint_in,
                     events: event_out,

@@ -358,6 +358,7 @@ impl<C: Clock> Engine<C> {
         let ended = self.end(cycle, received);
         if self.ending.is_none() {
             self.run_task(cycle, received);
+            GroupSync::take_commands(&mut self.controllers);
             for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
                 controller.exchange(cycle, received, slot);
             }
@@ -424,6 +425,8 @@ impl<C: Clock> Engine<C> {
 
     /// Evaluates all exchanges. Returns how many drives that were online have not answered.
     fn evaluate(&mut self, cycle: &Cycle, now: Time) -> u16 {
+        // What was posted before a stop ends with it.
+        GroupSync::take_commands(&mut self.controllers);
         let mut missed = 0_u16;
         for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
             let online = controller.feedback().link == Link::Online;
@@ -447,7 +450,7 @@ impl<C: Clock> Engine<C> {
         self.groups.judge(&mut self.controllers);
         while let Some(lead) = self.groups.take_full() {
             for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
-                if controller.moves_in_group().is_some_and(|ticket| ticket.lead as usize == lead) {
+                if controller.moves_in_group().is_some_and(|part| part.lead as usize == lead) {
                     controller.stop(cycle, now, StopCause::GroupLink, slot);
                 }
             }
@@ -474,6 +477,8 @@ impl<C: Clock> Engine<C> {
         cause: StopCause,
         chosen: impl Fn(Option<u16>) -> bool,
     ) {
+        // What was posted before the stop ends with it.
+        GroupSync::take_commands(&mut self.controllers);
         for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
             if chosen(controller.plan().stop.group) {
                 controller.stop(cycle, now, cause, slot);
@@ -532,9 +537,9 @@ impl<C: Clock> Engine<C> {
             slot.due = controller.is_due(next.index);
             slot.guarded = controller.is_guarded();
         }
-        self.groups.count_rows(&mut self.controllers, &self.slots);
+        self.groups.hand_rows(&mut self.controllers, &self.slots);
         for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
-            controller.feed(next, now, slot, &self.groups);
+            controller.feed(next, now, slot);
         }
         // What stopped since the evaluation leaves with the same send.
         self.take_groups_along(next, now);

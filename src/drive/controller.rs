@@ -18,8 +18,8 @@ use crate::axis::cell::Writer;
 use crate::axis::command::NativeOwner;
 use crate::axis::newest::NewestOut;
 use crate::axis::{
-    Abort, AxisPlan, Command, CommandId, Event, EventKind, Feedback, FoundRunning, Link, MONITOR_CHANNELS,
-    Outcome, QueuedCommand, Row, Shown, State, StopCause, StreamRow, Ticket,
+    Abort, AxisPlan, Command, CommandId, Event, EventKind, Feedback, FoundRunning, GroupPart, Link,
+    MONITOR_CHANNELS, Outcome, QueuedCommand, Row, Shown, State, StopCause, StreamRow,
 };
 use crate::bus::{Cycle, Exchange, Order, Report, Slot};
 use crate::rt::Regions;
@@ -28,9 +28,13 @@ use crate::time::{Time, nanos};
 /// The ends of the queues that the loop holds for one axis.
 #[derive(Debug)]
 pub struct Queues {
-    /// Commands of the application.
+    /// Commands that the application has posted, to the axis or to the group that it leads.
+    pub posted: Consumer<QueuedCommand>,
+    /// Commands to the axis, out of its own queue and those of its groups: the end that they are put in ...
+    pub commands_in: Producer<QueuedCommand>,
+    /// ... and the other one.
     pub commands: Consumer<QueuedCommand>,
-    /// Rows of the application's stream.
+    /// Rows of the application's stream, or of the stream of the group that it leads.
     pub rows: Consumer<StreamRow>,
     /// The newest velocity or torque setpoint of the application.
     pub setpoints: NewestOut,
@@ -63,10 +67,8 @@ pub struct DriveController {
     task_row: Option<Row>,
     /// The group command at the head of the queue that could begin.
     waiting: Option<QueuedCommand>,
-    /// The group command that waits for the other members, and since which slot.
-    at_gate: Option<(CommandId, u64)>,
-    /// The last group command that ended before it began: no other member shall wait for it.
-    dropped: Option<Ticket>,
+    /// The id of the next command of the application.
+    next_id: u64,
     follow: Follow,
     /// The velocity or torque of the running command, and the newest one for a command to come.
     level: Level,
@@ -183,8 +185,7 @@ impl DriveController {
             task_command: None,
             task_row: None,
             waiting: None,
-            at_gate: None,
-            dropped: None,
+            next_id: 1,
             follow: Follow::default(),
             level: Level::default(),
             ahead: Level::default(),
@@ -337,9 +338,9 @@ impl DriveController {
     }
 
     /// The group of its running motion.
-    pub fn moves_in_group(&self) -> Option<Ticket> {
+    pub fn moves_in_group(&self) -> Option<GroupPart> {
         let moves = |active: &QueuedCommand| active.verb.is_motion() || active.verb == Command::Home;
-        self.active.filter(moves).and_then(|active| active.ticket)
+        self.active.filter(moves).and_then(|active| active.part)
     }
 
     /// How the exchange of this cycle was closed, once.
@@ -775,8 +776,6 @@ impl DriveController {
                 // The drive may still be braking.
                 self.rest.fail();
             }
-        } else {
-            self.dropped = command.ticket.or(self.dropped);
         }
         self.tell(cycle, now, EventKind::Ended { id: command.id, verb: command.verb.name(), outcome });
     }

@@ -1,11 +1,10 @@
-//! Group synchronisation: a command of all members waits until each member has it and may begin, and rows are taken
-//! by all members or by none.
+//! Group synchronisation: a command of all members begins at each of them in one cycle, or at none, and so are rows
+//! taken.
 //!
-//! The application pushes one command into each member's queue. The loop may look between two pushes, so an
-//! incomplete command is held back until it is complete.
+//! The parts of all members are one entry in the queue of the first, so that the loop never sees some of them only.
 
 use super::controller::{Closed, DriveController};
-use crate::axis::{Failure, Outcome, Ticket};
+use crate::axis::QueuedCommand;
 use crate::bus::{Cycle, Slot};
 use crate::time::Time;
 
@@ -20,18 +19,6 @@ pub struct GroupSync {
 /// One group in this cycle, and its misses.
 #[derive(Clone, Copy, Debug, Default)]
 struct GroupState {
-    /// The call whose commands are counted.
-    number: u64,
-    /// Commands up to this call have ended at some member before they began.
-    dropped: u64,
-    /// Members that have the command and may begin.
-    waiting: u32,
-    /// The call whose rows the members follow ...
-    following: u64,
-    /// ... the highest number among their next rows ...
-    front: u64,
-    /// ... and how many members have that row next.
-    rows: u32,
     /// Members in motion.
     moving: u32,
     /// Their exchanges that were answered or missed in this cycle ...
@@ -58,7 +45,36 @@ impl GroupSync {
         regions.add(&*self.groups);
     }
 
-    /// Starts the commands that all members have. One member that cannot begin keeps all others from it.
+    /// Takes what the application has posted into the queues of the axes, the parts of one call all at once.
+    ///
+    /// The calls to groups that an axis was in stand in the queues of their first members: the ids of its commands are
+    /// their sequence. Bounded by the room in the queues of the axes: the application may go on posting.
+    pub fn take_commands(controllers: &mut [DriveController]) {
+        let mut again = true;
+        while std::mem::take(&mut again) {
+            for index in 0..controllers.len() {
+                while let Some(first) = controllers[index].posted(0) {
+                    let parts = 0..first.part.map_or(1, |part| part.parts as usize);
+                    let member =
+                        |command: &QueuedCommand| command.part.map_or(index, |part| part.member as usize);
+                    let next = parts.clone().all(|place| {
+                        let Some(command) = controllers[index].posted(place) else { return false };
+                        controllers.get(member(&command)).is_some_and(|axis| axis.takes(&command))
+                    });
+                    if !next {
+                        break;
+                    }
+                    for _ in parts {
+                        let Some(command) = controllers[index].pop_posted() else { break };
+                        controllers[member(&command)].take(command);
+                    }
+                    again = true;
+                }
+            }
+        }
+    }
+
+    /// Begins the commands that may begin at all members. One member that cannot keeps all others from it.
     pub fn open(
         &mut self,
         cycle: &Cycle,
@@ -66,97 +82,57 @@ impl GroupSync {
         controllers: &mut [DriveController],
         slots: &mut [Slot],
     ) {
-        let mut complete = false;
-        for controller in controllers.iter_mut() {
-            if let Some(ticket) = controller.take_dropped()
-                && let Some(group) = self.groups.get_mut(ticket.lead as usize)
-            {
-                (self.used, group.dropped) = (true, group.dropped.max(ticket.number));
-            }
-        }
-        for controller in controllers.iter_mut() {
-            let Some(ticket) = controller.waiting() else { continue };
+        for index in 0..controllers.len() {
+            let Some(part) = controllers[index].waiting() else { continue };
             self.used = true;
-            let Some(group) = self.groups.get_mut(ticket.lead as usize) else { continue };
-            if ticket.number <= group.dropped {
-                // A stop, or a later command, came while it was pushed to one member after the other.
-                controller.end_waiting(cycle, now, Outcome::Failed(Failure::GroupRefused));
+            let lead = part.lead as usize;
+            if lead != index && controllers.get_mut(lead).is_some_and(|lead| lead.holds(&part)) {
+                // It begins with its lead.
                 continue;
             }
-            if group.number != ticket.number {
-                (group.number, group.waiting) = (ticket.number, 0);
-            }
-            group.waiting += 1;
-            complete |= group.waiting == ticket.members;
-        }
-        for lead in 0..self.groups.len() {
-            if complete && self.groups[lead].waiting > 0 {
-                self.pass(lead, cycle, now, controllers, slots);
-            }
-        }
-        if self.used {
-            self.groups.iter_mut().for_each(|group| group.waiting = 0);
-        }
-    }
-
-    fn pass(
-        &mut self,
-        lead: usize,
-        cycle: &Cycle,
-        now: Time,
-        controllers: &mut [DriveController],
-        slots: &mut [Slot],
-    ) {
-        let group = self.groups[lead];
-        let of_gate = |ticket: Ticket| {
-            ticket.lead as usize == lead && ticket.number == group.number && ticket.members == group.waiting
-        };
-        let members = |controller: &DriveController| controller.waiting().is_some_and(of_gate);
-        let refused = controllers.iter().any(|controller| {
-            members(controller) && controller.waits_for_all() && controller.admits_waiting().is_err()
-        });
-        for (controller, slot) in controllers.iter_mut().zip(slots) {
-            if !members(controller) {
+            let held: u32 = controllers.iter_mut().map(|axis| u32::from(axis.holds(&part))).sum();
+            let waits = |axis: &DriveController| axis.waiting().is_some_and(|own| own.is_of_call(&part));
+            let waiting = controllers.iter().filter(|axis| waits(axis));
+            // A stop has ended it at some member before it began.
+            let lost = held < part.together;
+            if !lost && (waiting.clone().count() as u32) < held {
                 continue;
             }
-            match controller.admits_waiting() {
-                Ok(()) if !refused => controller.begin_waiting(cycle, now, slot),
-                Ok(()) => controller.end_waiting(cycle, now, Outcome::Failed(Failure::GroupRefused)),
-                Err(failure) => controller.end_waiting(cycle, now, Outcome::Failed(failure)),
-            }
-        }
-    }
-
-    /// Finds the row that all members have next, and counts the members that have it.
-    pub fn count_rows(&mut self, controllers: &mut [DriveController], slots: &[Slot]) {
-        if !self.used {
-            return;
-        }
-        for group in &mut self.groups {
-            (group.following, group.front, group.rows) = (0, 0, 0);
-        }
-        // The row that the foremost member has next is the least that can be next: earlier rows of the others
-        // belong to no common point.
-        for find in [true, false] {
-            for (controller, _) in controllers.iter_mut().zip(slots).filter(|(_, slot)| slot.due) {
-                let lead = controller.moves_in_group().map(|ticket| ticket.lead as usize);
-                let Some(group) = lead.and_then(|lead| self.groups.get_mut(lead)) else { continue };
-                let from = if find { 0 } else { group.front };
-                let Some((ticket, number)) = controller.offers_row(from) else { continue };
-                if find {
-                    group.following = group.following.max(ticket.number);
-                    group.front = group.front.max(number);
-                } else if ticket.number == group.following && number == group.front {
-                    group.rows += 1;
+            let refused = lost || waiting.clone().any(|axis| axis.admits_waiting().is_err());
+            for (axis, slot) in controllers.iter_mut().zip(&mut *slots) {
+                if waits(axis) {
+                    axis.take_waiting(cycle, now, slot, refused);
                 }
             }
         }
     }
 
-    /// Whether each member of the group of `ticket` has the same row next, as counted last.
-    pub fn have_rows(&self, ticket: Ticket) -> bool {
-        let group = self.groups.get(ticket.lead as usize);
-        group.is_some_and(|group| group.following == ticket.number && group.rows == ticket.members)
+    /// Hands the next row of each group to its members, if all of them take one.
+    pub fn hand_rows(&self, controllers: &mut [DriveController], slots: &[Slot]) {
+        if !self.used {
+            return;
+        }
+        for lead in 0..controllers.len() {
+            // Bounded by the room for rows: the application may go on pushing.
+            while let Some(part) = controllers[lead].offers_row(&slots[lead]) {
+                let parts = 0..part.parts as usize;
+                let all = parts.clone().all(|place| {
+                    let Some(row) = controllers[lead].row(place) else { return false };
+                    let member = row.member as usize;
+                    let member = controllers.get(member).zip(slots.get(member));
+                    member.is_some_and(|(axis, slot)| axis.takes_part(&part, &row, slot))
+                });
+                for place in parts.filter(|_| all) {
+                    if let Some(row) = controllers[lead].row(place) {
+                        controllers[row.member as usize].take_part(row.row);
+                    }
+                }
+                controllers[lead].drop_row();
+                if all {
+                    break;
+                }
+            }
+        }
     }
 
     /// Fills the buckets of the groups in motion with the misses of their members.
@@ -169,8 +145,8 @@ impl GroupSync {
         }
         for controller in controllers {
             let closed = controller.take_closed();
-            let Some(ticket) = controller.moves_in_group() else { continue };
-            let Some(group) = self.groups.get_mut(ticket.lead as usize) else { continue };
+            let Some(part) = controller.moves_in_group() else { continue };
+            let Some(group) = self.groups.get_mut(part.lead as usize) else { continue };
             let health = controller.plan().health;
             let first = group.moving == 0;
             group.bucket = if first { health.bucket } else { group.bucket.min(health.bucket) };

@@ -15,6 +15,7 @@ use crate::axis::{Link, StopCause};
 use crate::bus::{Cycle, Exchange};
 use crate::cycle::record::{CycleRecord, Record, Reply, SkippedRecord, Stage, short};
 use crate::cycle::window::OpenBus;
+use crate::drive::groups::GroupSync;
 use crate::rt::Clock;
 use crate::time::Time;
 
@@ -66,8 +67,8 @@ enum Part {
     Bus(usize),
     Axis(usize),
     Clock,
-    /// What goes out to other threads.
-    Outlets,
+    /// What goes out to other threads, and what they have posted.
+    Queues,
 }
 
 /// The panics so far.
@@ -80,7 +81,7 @@ pub(super) struct Panics {
     buses: Vec<u8>,
     axes: Vec<u8>,
     clock: u8,
-    outlets: u8,
+    queues: u8,
     cut_short: bool,
 }
 
@@ -110,7 +111,7 @@ impl Panics {
             Part::Bus(bus) => self.buses.get_mut(bus),
             Part::Axis(axis) => self.axes.get_mut(axis),
             Part::Clock => Some(&mut self.clock),
-            Part::Outlets => Some(&mut self.outlets),
+            Part::Queues => Some(&mut self.queues),
         }
     }
 
@@ -293,6 +294,8 @@ impl<C: Clock> Engine<C> {
         let (since, before) = *self.ending.get_or_insert((now, STOP));
         let hurry = asked == HURRY && before == STOP;
         self.ending = Some((since, asked));
+        let controllers = &mut self.controllers;
+        self.panics.guard(cycle.index, None, Part::Queues, || GroupSync::take_commands(controllers));
         let mut down = true;
         for (axis, (controller, slot)) in self.controllers.iter_mut().zip(&mut self.slots).enumerate() {
             let work = || controller.shut_down(cycle, now, slot, hurry);
@@ -334,7 +337,7 @@ impl<C: Clock> Engine<C> {
             });
         }
         let planned = self.grid.planned();
-        self.panics.guard(cycle.index, Some(Stage::Publish), Part::Outlets, || {
+        self.panics.guard(cycle.index, Some(Stage::Publish), Part::Queues, || {
             outlets.record(Record::Cycle(record), &mut status.lost_records);
             // A cycle that a panic cut off counts as executed once its requests had left, else as skipped.
             (status.planned, status.skipped) = (planned, planned.saturating_sub(status.executed));
@@ -352,7 +355,7 @@ impl<C: Clock> Engine<C> {
         let place = match part {
             Part::Bus(index) => format!("{during}, {}", bus(index)),
             Part::Axis(index) => format!("{during}, {}", axis(index)),
-            Part::Loop | Part::Clock | Part::Outlets => during,
+            Part::Loop | Part::Clock | Part::Queues => during,
         };
         let of = |counts: &[u8]| -> Vec<usize> {
             (0..counts.len()).filter(|index| counts[*index] >= MOST).collect()
@@ -371,7 +374,7 @@ mod tests {
     fn a_part_that_panics_twice_is_left_out_and_no_other() {
         let mut panics = Panics::new(2, 2);
         let fails = || std::panic::resume_unwind(Box::new("on purpose"));
-        for part in [Part::Axis(1), Part::Bus(0), Part::Clock, Part::Outlets] {
+        for part in [Part::Axis(1), Part::Bus(0), Part::Clock, Part::Queues] {
             for left_out in [false, false, true] {
                 assert_eq!(panics.is_left_out(part), left_out);
                 assert_eq!(panics.guard::<()>(7, Some(Stage::Send), part, fails), None);

@@ -1,11 +1,13 @@
 //! The application's commands in their order, and what each of them waits for or replaces.
 
 use super::{Claim, DriveController, Latch};
+use rtrb::Consumer;
+
 use crate::axis::command::NativeOwner;
 use crate::axis::limits::{check_position, check_torque, check_velocity, check_verb};
 use crate::axis::{
-    Abort, Command, CommandId, Failure, Link, Load, Move, Outcome, QueuedCommand, Row, Setpoint, State,
-    StopCause, Target, Ticket,
+    Abort, Command, CommandId, Failure, GroupPart, Link, Load, Move, Outcome, QueuedCommand, Row, Setpoint,
+    State, StopCause, Target,
 };
 use crate::bus::{Cycle, Slot};
 use crate::drive::bounds::Bounds;
@@ -13,6 +15,28 @@ use crate::drive::stop::deceleration_of;
 use crate::time::{Time, nanos};
 
 impl DriveController {
+    /// Entry `place` of the queue of the application.
+    pub fn posted(&mut self, place: usize) -> Option<QueuedCommand> {
+        entry(&mut self.queues.posted, place)
+    }
+
+    /// Takes the first entry out of it.
+    pub fn pop_posted(&mut self) -> Option<QueuedCommand> {
+        self.queues.posted.pop().ok()
+    }
+
+    /// Whether `command` is the one that the application has posted to the axis after the last one that it took.
+    pub fn takes(&self, command: &QueuedCommand) -> bool {
+        command.id.0 == self.next_id && !self.queues.commands_in.is_full()
+    }
+
+    /// Takes a command of the application.
+    pub fn take(&mut self, command: QueuedCommand) {
+        self.next_id += 1;
+        // There was room for it.
+        let _ = self.queues.commands_in.push(command);
+    }
+
     /// Drains the application's commands: ends the finished one, aborts those that an urgent one overtakes, starts
     /// the next. The command of a group is left to the group synchronisation.
     pub fn exchange(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
@@ -37,10 +61,11 @@ impl DriveController {
                     break;
                 }
             }
-            if next.ticket.is_some() && self.waits_at_gate(cycle, &next) {
+            if next.part.is_some() && !next.verb.is_urgent() {
+                self.waiting = Some(next);
                 break;
             }
-            if next.ticket.is_none() && self.moves_in_group().is_some() && self.admit(&next).is_ok() {
+            if next.part.is_none() && self.moves_in_group().is_some() && self.admit(&next).is_ok() {
                 // A command that takes a member out of a motion of its group stops the group: the others would go
                 // on without it.
                 self.stop(cycle, now, StopCause::GroupFailed, slot);
@@ -58,31 +83,16 @@ impl DriveController {
         self.age_setpoint(cycle, now, slot);
     }
 
-    /// Whether the command has to be left to the group synchronisation. A stop is not delayed for long: the
-    /// application itself may be delayed between one member and the next.
-    fn waits_at_gate(&mut self, cycle: &Cycle, next: &QueuedCommand) -> bool {
-        if self.at_gate.is_none_or(|(id, _)| id != next.id) {
-            self.at_gate = Some((next.id, cycle.index));
-        }
-        let since = self.at_gate.map_or(cycle.index, |(_, since)| since);
-        let waits = !next.verb.is_urgent() || cycle.index - since < URGENT_WAIT;
-        self.waiting = waits.then_some(*next);
-        waits
-    }
-
     /// The group command that waits until all other members are ready for it.
-    pub fn waiting(&self) -> Option<Ticket> {
-        self.waiting.and_then(|command| command.ticket)
+    pub fn waiting(&self) -> Option<GroupPart> {
+        self.waiting.and_then(|command| command.part)
     }
 
-    /// The last group command that ended here before it began, once.
-    pub fn take_dropped(&mut self) -> Option<Ticket> {
-        self.dropped.take()
-    }
-
-    /// Whether the waiting command is refused to all members if one of them cannot begin.
-    pub fn waits_for_all(&self) -> bool {
-        self.waiting.is_some_and(|command| !command.verb.is_urgent())
+    /// Whether it has a part of the call that waits for others, now or once those before it have ended.
+    pub fn holds(&mut self, part: &GroupPart) -> bool {
+        let held = |command: QueuedCommand| command.part.is_some_and(|held| held.is_of_call(part));
+        let queued = self.queues.commands.slots();
+        (0..queued).any(|place| entry(&mut self.queues.commands, place).is_some_and(held))
     }
 
     /// Whether the waiting command may begin.
@@ -90,18 +100,15 @@ impl DriveController {
         self.waiting.map_or(Ok(()), |command| self.admit(&command))
     }
 
-    /// Begins the waiting command, which was admitted.
-    pub fn begin_waiting(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
+    /// Begins the waiting command, unless it is refused to all members or may not begin at this one.
+    pub fn take_waiting(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot, refused: bool) {
         let Some(command) = self.waiting.take() else { return };
         let _ = self.queues.commands.pop();
-        self.begin(cycle, now, command, slot);
-    }
-
-    /// Ends the waiting command before it began.
-    pub fn end_waiting(&mut self, cycle: &Cycle, now: Time, outcome: Outcome) {
-        let Some(command) = self.waiting.take() else { return };
-        let _ = self.queues.commands.pop();
-        self.end(cycle, now, command, outcome);
+        match self.admit(&command) {
+            Ok(()) if !refused => self.begin(cycle, now, command, slot),
+            Ok(()) => self.end(cycle, now, command, Outcome::Failed(Failure::GroupRefused)),
+            Err(failure) => self.end(cycle, now, command, Outcome::Failed(failure)),
+        }
     }
 
     /// Ends the running command by the station's progress.
@@ -325,8 +332,12 @@ impl DriveController {
 /// effect: reports may be two exchanges older than the word.
 const FALLEN_REPORTS: u8 = 4;
 
-/// Cycles that a stop of a group waits for the stops of the other members.
-const URGENT_WAIT: u64 = 2;
+/// Entry `place` of a queue, left there.
+pub(super) fn entry<T: Copy>(queue: &mut Consumer<T>, place: usize) -> Option<T> {
+    let chunk = queue.read_chunk(place + 1).ok()?;
+    let (first, second) = chunk.as_slices();
+    first.iter().chain(second).nth(place).copied()
+}
 
 /// Whether `next` replaces the running `active` at once. Streams run one after the other.
 fn replaces(next: &QueuedCommand, active: &QueuedCommand) -> bool {

@@ -2,13 +2,13 @@
 //! none.
 
 use super::DriveController;
+use super::commands::entry;
 use crate::axis::limits::{check_braking, check_reach, check_row, check_speed};
 use crate::axis::{
-    Command, CommandId, EventKind, Failure, Outcome, QueuedCommand, Row, Setpoint, StopCause, Ticket,
-    Underrun,
+    Command, CommandId, EventKind, Failure, GroupPart, Outcome, QueuedCommand, Row, Setpoint, StopCause,
+    StreamRow, Underrun,
 };
 use crate::bus::{Cycle, NumberedRow, Slot};
-use crate::drive::groups::GroupSync;
 use crate::time::{Time, nanos};
 
 /// The first row may be so many rows' ways ahead of the demand: the reply is one exchange old, and a drive's output
@@ -26,6 +26,8 @@ pub(super) struct Follow {
     empty: u32,
     /// The given row has not been sent yet (its slot was passed over): it must not be replaced.
     pub(super) held: bool,
+    /// Its part of the next row of its group.
+    part: Option<Row>,
 }
 
 /// The last requested velocity or torque.
@@ -84,44 +86,54 @@ impl DriveController {
         }
     }
 
-    /// The group that it follows rows with, and the number of its next one. Rows before `from` are dropped: a
-    /// member that has reached that one is done with them, or never had them.
-    pub fn offers_row(&mut self, from: u64) -> Option<(Ticket, u64)> {
-        let active = self.active.filter(|active| active.verb == Command::Follow)?;
-        let ticket = active.ticket?;
-        for _ in 0..self.queues.rows.slots() {
-            self.next_row(active.stream)?;
-            let number = self.queues.rows.peek().ok()?.number;
-            if number >= from.max(1) {
-                return Some((ticket, number));
-            }
-            let _ = self.queues.rows.pop();
-        }
-        None
+    /// The follow that takes a row for the next send.
+    fn takes_row(&self, slot: &Slot) -> Option<QueuedCommand> {
+        let due = slot.due && slot.order.verb == Some(Command::Follow);
+        let done = self.follow.held || self.follow.last.is_some_and(|row| row.last);
+        self.active.filter(|active| active.verb == Command::Follow && due && !done)
     }
 
-    /// Chooses the setpoint of the next send, if one is due. In a group a row is taken only if `groups` says that
-    /// each member has one.
-    pub fn feed(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot, groups: &GroupSync) {
+    /// The group that takes a row for the next send, if it leads one and has rows of its stream; earlier ones are
+    /// dropped.
+    pub fn offers_row(&mut self, slot: &Slot) -> Option<GroupPart> {
+        let follow = self.takes_row(slot)?;
+        let part = follow.part.filter(|part| part.member == part.lead)?;
+        self.next_row(follow.stream).map(|_| part)
+    }
+
+    /// Part `place` of the first row in its queue.
+    pub fn row(&mut self, place: usize) -> Option<StreamRow> {
+        entry(&mut self.queues.rows, place)
+    }
+
+    /// Whether it takes `row` for the next send, for the call of `part`.
+    pub fn takes_part(&self, part: &GroupPart, row: &StreamRow, slot: &Slot) -> bool {
+        self.takes_row(slot).is_some_and(|follow| {
+            let same = (follow.stream, part.parts) == (row.stream, row.parts);
+            same && follow.part.is_some_and(|own| own.is_of_call(part))
+        })
+    }
+
+    /// Gives it its part of a row for the next send.
+    pub fn take_part(&mut self, row: Row) {
+        self.follow.part = Some(row);
+    }
+
+    /// Chooses the setpoint of the next send, if one is due.
+    pub fn feed(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
         (slot.velocity, slot.torque) = match slot.order.verb {
             Some(Command::Torque { .. }) => (0.0, self.level.value),
             _ => (self.level.value, 0.0),
         };
-        let follows = self.active.is_some_and(|active| active.verb == Command::Follow);
-        let Some(active) = self.active.filter(|_| slot.due && slot.order.verb == Some(Command::Follow))
-        else {
+        let Some(active) = self.takes_row(slot) else {
             // A row of the task is for the send that it was given for, and begins no later stream.
-            if !follows {
+            if self.active.is_none_or(|active| active.verb != Command::Follow) {
                 self.task_row = None;
             }
             return;
         };
-        if self.follow.held || self.follow.last.is_some_and(|row| row.last) {
-            return;
-        }
-        let row = match active.ticket {
-            Some(ticket) if !groups.have_rows(ticket) => None,
-            Some(_) => self.take_row(active.stream),
+        let row = match active.part {
+            Some(_) => self.follow.part.take(),
             None => self.task_row.take().or_else(|| self.take_row(active.stream)),
         };
         let chosen = match (row, self.follow.last) {
@@ -199,20 +211,33 @@ impl DriveController {
     }
 
     /// The first row of `stream`, left in the queue; rows of earlier streams before it are dropped.
-    fn next_row(&mut self, stream: u32) -> Option<Row> {
+    fn next_row(&mut self, stream: u32) -> Option<StreamRow> {
         for _ in 0..self.queues.rows.slots() {
-            match self.queues.rows.peek() {
-                Ok(row) if row.stream < stream => drop(self.queues.rows.pop()),
-                Ok(row) if row.stream == stream => return Some(row.row),
-                _ => break,
+            match self.row(0) {
+                Some(row) if row.stream < stream => self.drop_row(),
+                row => return row.filter(|row| row.stream == stream),
             }
         }
         None
     }
 
-    /// The next row of `stream`, out of the queue.
+    /// Drops the first row, with the parts of all members.
+    pub fn drop_row(&mut self) {
+        let parts = self.row(0).map_or(0, |row| row.parts as usize);
+        if let Ok(chunk) = self.queues.rows.read_chunk(parts) {
+            chunk.commit_all();
+        }
+    }
+
+    /// The next row of `stream`, out of the queue; those of a group before it are dropped.
     fn take_row(&mut self, stream: u32) -> Option<Row> {
-        let row = self.next_row(stream)?;
-        self.queues.rows.pop().ok().map(|_| row)
+        for _ in 0..self.queues.rows.slots() {
+            let row = self.next_row(stream)?;
+            self.drop_row();
+            if row.parts == 1 {
+                return Some(row.row);
+            }
+        }
+        None
     }
 }

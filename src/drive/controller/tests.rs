@@ -6,6 +6,7 @@ use super::*;
 use crate::axis::newest::{NewestIn, newest};
 use crate::axis::{Emergency, Failure, HeldBy, Load, Move, StopThen, Target, Underrun, Units, cell};
 use crate::bus::Progress;
+use crate::drive::groups::GroupSync;
 use crate::rt::ring;
 use crate::time::MS;
 
@@ -33,12 +34,15 @@ pub(in crate::drive) fn plan() -> AxisPlan {
 impl Alone {
     pub fn new(plan: AxisPlan) -> Alone {
         let mut regions = Regions::default();
-        let (commands, command_out) = ring(8, &mut regions);
+        let (commands, posted) = ring(8, &mut regions);
+        let (commands_in, command_out) = ring(8, &mut regions);
         let (rows, row_out) = ring(8, &mut regions);
         let (setpoints, setpoint_out) = newest();
         let (event_in, events) = ring(64, &mut regions);
         let (feedback, _) = cell::cell(Feedback::default());
         let queues = Queues {
+            posted,
+            commands_in,
             commands: command_out,
             rows: row_out,
             setpoints: setpoint_out,
@@ -72,6 +76,7 @@ impl Alone {
         controller.judge(&cycle, now, slot);
         assert!(matches!(slot.exchange, Exchange::Idle | Exchange::Missed), "taken once");
         controller.watch(&cycle, now, slot);
+        GroupSync::take_commands(std::slice::from_mut(controller));
         controller.exchange(&cycle, now, slot);
     }
 
@@ -81,7 +86,7 @@ impl Alone {
 
     pub fn post(&mut self, verb: Command) -> u64 {
         self.id += 1;
-        self.commands.push(QueuedCommand { id: CommandId(self.id), verb, stream: 0, ticket: None }).unwrap();
+        self.commands.push(QueuedCommand { id: CommandId(self.id), verb, stream: 0, part: None }).unwrap();
         self.id
     }
 
@@ -276,7 +281,7 @@ fn a_task_command_needs_room_for_its_end_unless_it_is_a_stop() {
         x.controller.tell(&cycle(50), Time(50 * MS), EventKind::Restarted);
     }
     let mut takes = |verb| {
-        let command = QueuedCommand { id: CommandId::of_task(1), verb, stream: 0, ticket: None };
+        let command = QueuedCommand { id: CommandId::of_task(1), verb, stream: 0, part: None };
         x.controller.command_from_task(&cycle(50), Time(50 * MS), command).is_ok()
     };
     assert!(!takes(Command::Home));
@@ -481,7 +486,7 @@ fn following(plan: AxisPlan, rows: &[(u32, f64, f64)]) -> Alone {
     x.post(Command::Follow);
     for &(stream, position, velocity) in rows {
         let row = Row { position, velocity, acceleration: 7.0, last: false };
-        x.rows.push(StreamRow { stream, number: 0, row }).unwrap();
+        x.rows.push(StreamRow { stream, member: 0, parts: 1, row }).unwrap();
     }
     x.turn();
     x.slot.due = true;
@@ -493,7 +498,7 @@ impl Alone {
     fn fed_unsent(&mut self) -> Option<Row> {
         self.slot.row = None;
         let cycle = cycle(self.index);
-        self.controller.feed(&cycle, cycle.grid, &mut self.slot, &crate::drive::groups::GroupSync::new(1));
+        self.controller.feed(&cycle, cycle.grid, &mut self.slot);
         self.slot.row.map(|row| row.row)
     }
 
@@ -544,7 +549,7 @@ fn a_row_that_the_task_gave_for_no_stream_begins_none_later() {
     // The order of the stream that has ended stands until there is another one.
     x.controller.row_from_task(Row { position: 0.03, ..Row::default() });
     assert_eq!(x.fed(), None);
-    x.rows.push(StreamRow { stream: 0, number: 0, row: Row::default() }).unwrap();
+    x.rows.push(StreamRow { stream: 0, member: 0, parts: 1, row: Row::default() }).unwrap();
     x.post(Command::Follow);
     x.turn();
     assert_eq!(x.fed(), Some(Row::default()));
@@ -564,7 +569,7 @@ fn a_row_is_for_a_send_that_is_due_and_its_number_is_never_given_again() {
     let number = x.slot.row.unwrap().number;
     x.ends(Ok(()));
     x.ended();
-    x.rows.push(StreamRow { stream: 0, number: 0, row: Row::default() }).unwrap();
+    x.rows.push(StreamRow { stream: 0, member: 0, parts: 1, row: Row::default() }).unwrap();
     x.post(Command::Home);
     x.turn();
     assert_eq!((x.fed(), x.controller.queues.rows.slots()), (None, 1), "no row is for another motion");
@@ -776,7 +781,7 @@ impl Alone {
     fn task(&mut self, id: u64, verb: Command) -> CommandId {
         let id = CommandId::of_task(id);
         let cycle = cycle(self.index);
-        let command = QueuedCommand { id, verb, stream: 0, ticket: None };
+        let command = QueuedCommand { id, verb, stream: 0, part: None };
         self.controller.command_from_task(&cycle, cycle.grid, command).unwrap();
         id
     }
