@@ -17,7 +17,7 @@ pub(in crate::drive) struct Alone {
     pub commands: Producer<QueuedCommand>,
     pub rows: Producer<StreamRow>,
     _setpoints: NewestIn,
-    events: Consumer<Event>,
+    pub events: Consumer<Event>,
     index: u64,
     id: u64,
 }
@@ -828,12 +828,13 @@ fn power_that_no_command_has_switched_on_is_watched_from_its_first_report() {
 fn a_command_to_a_member_alone_stops_its_group_only_if_it_may_begin() {
     for (distance, stop) in [(200.0, None), (20.0, Some(StopCause::GroupFailed))] {
         let mut x = ranged();
-        let ticket = Some(Ticket { lead: 0, members: 2, number: 1 });
-        let command = QueuedCommand { id: CommandId(90), verb: Command::Home, stream: 0, ticket };
+        x.id += 1;
+        let call = CommandId(x.id);
+        let part = Some(GroupPart { member: 0, parts: 1, together: 2, lead: 0, call });
         let native = Command::Native(NativeOwner::Master);
-        x.commands.push(QueuedCommand { verb: native, ..command }).unwrap();
+        x.commands.push(QueuedCommand { id: call, verb: native, stream: 0, part }).unwrap();
         x.turn();
-        x.controller.begin_waiting(&cycle(x.index), Time(x.index * MS), &mut x.slot);
+        x.controller.take_waiting(&cycle(x.index), Time(x.index * MS), &mut x.slot, false);
         let target = Target::Relative(distance);
         x.post(Command::Move(Move { target, profile: x.controller.plan().profile }));
         x.turn();
