@@ -211,11 +211,10 @@ pub fn assemble<C: Clock>(
         let (first, notes) = (controllers.len(), bus.notes());
         for (index, axis) in bus_plan.axes().into_iter().enumerate() {
             // The queues of the first member hold the parts of all. A group of the plan has the full room for each
-            // of them; what any group of its stop group posts at least once, and its stops, find room with all.
-            let others = machine
-                .iter()
-                .filter(|other| other.stop.group.is_some_and(|group| axis.stop.group == Some(group)));
-            let most = others.count().max(1);
+            // of them; any other one at least has room for one call, and for its stops.
+            let group = axis.stop.group;
+            let most =
+                machine.iter().filter(|other| group.is_some() && other.stop.group == group).count().max(1);
             let led = plan.groups.iter().filter(|group| group.axes.first() == Some(&axis.name));
             let members = led.map(|group| group.axes.len()).max().unwrap_or(1);
             let room = |queue: usize| queue.saturating_mul(members).max(most);

@@ -37,34 +37,27 @@ impl CommandId {
 pub struct QueuedCommand {
     /// Its id, assigned on submission.
     pub id: CommandId,
+    /// The place of its axis in the machine.
+    pub member: u32,
     /// What to do.
     pub verb: Command,
     /// For [`Command::Follow`]: which stream.
     pub stream: u32,
-    /// For a command to a [`Group`](crate::axis::Group): it takes effect together with those of the other members.
-    pub part: Option<GroupPart>,
+    /// Of a command to a [`Group`](crate::axis::Group): what it has in common with those of the other members.
+    pub call: Option<GroupCall>,
 }
 
-/// One member's part in a call to a group. The parts of a call are one entry in the queue of the first member.
+/// A call to a group: one command to each member, one after the other in the queue of the first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct GroupPart {
-    /// The place of the member in the machine.
-    pub member: u32,
-    /// How many parts the call has.
+pub struct GroupCall {
+    /// How many commands there are.
     pub parts: u32,
-    /// How many of them begin together: all but its stops, which wait for no other member.
+    /// How many of them begin together: all but the stops, which wait for no other member.
     pub together: u32,
-    /// The place of the first of these, which stands for the group ...
+    /// The place of the first of these members, which stands for the group ...
     pub lead: u32,
     /// ... and the id of its command, which stands for the call.
-    pub call: CommandId,
-}
-
-impl GroupPart {
-    /// Whether both belong to one call.
-    pub fn is_of_call(&self, other: &GroupPart) -> bool {
-        (self.lead, self.call) == (other.lead, other.call)
-    }
+    pub id: CommandId,
 }
 
 /// A row on its way to the loop, and its stream: a follow runs the rows of its own stream only, and ignores

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use thiserror::Error;
 
-use super::command::{Command, CommandId, GroupPart, Move, Profile, QueuedCommand, Row, StreamRow, Target};
+use super::command::{Command, CommandId, GroupCall, Move, Profile, QueuedCommand, Row, StreamRow, Target};
 use super::event::Event;
 use super::feedback::Feedback;
 use super::handle::{Axis, AxisError, GRACE, longest};
@@ -140,16 +140,14 @@ impl Group {
         }
         let together = || self.axes.iter().zip(verbs).filter(|(_, verb)| !verb.is_urgent());
         let lead = together().next().map_or(&self.axes[0], |(axis, _)| axis);
-        let part = GroupPart {
-            member: 0,
+        let call = GroupCall {
             parts: verbs.len() as u32,
             together: together().count() as u32,
             lead: lead.index() as u32,
-            call: lead.next_id(),
+            id: lead.next_id,
         };
-        let parts: Vec<QueuedCommand> = (self.axes.iter().zip(verbs))
-            .map(|(axis, verb)| axis.command(*verb, Some(GroupPart { member: axis.index() as u32, ..part })))
-            .collect();
+        let parts: Vec<QueuedCommand> =
+            self.axes.iter().zip(verbs).map(|(axis, verb)| axis.command(*verb, Some(call))).collect();
         self.axes[0].send(&parts)?;
         let ids = self.axes.iter_mut().zip(&parts).map(|(axis, part)| axis.sent(part)).collect();
         Ok(GroupCommand { verb: verbs.first().map_or("", Command::name), ids })

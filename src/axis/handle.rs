@@ -14,7 +14,7 @@ use thiserror::Error;
 use super::acyclic::{Acyclic, Parameters};
 use super::cell::Reader;
 use super::command::{
-    Abort, Command, CommandId, Failure, GroupPart, Jog, Move, Outcome, Profile, QueuedCommand, Row, Setpoint,
+    Abort, Command, CommandId, Failure, GroupCall, Jog, Move, Outcome, Profile, QueuedCommand, Row, Setpoint,
     StreamRow, Target,
 };
 use super::event::{Event, EventKind};
@@ -57,7 +57,7 @@ pub struct Axis {
     pulse: Pulse,
     acyclic: Acyclic,
     ends: AxisEnds,
-    next_id: u64,
+    pub(super) next_id: CommandId,
     /// The last jog or cyclic velocity.
     rolling: CommandId,
     /// The last torque.
@@ -169,7 +169,7 @@ impl Axis {
             acyclic: acyclic.of_application(&pulse),
             pulse,
             ends,
-            next_id: 1,
+            next_id: CommandId(1),
             rolling: CommandId(0),
             pressing: CommandId(0),
             unended: 0,
@@ -285,14 +285,10 @@ impl Axis {
         }
     }
 
-    /// The id of its next command.
-    pub(super) fn next_id(&self) -> CommandId {
-        CommandId(self.next_id)
-    }
-
     /// A command of this axis for a queue.
-    pub(super) fn command(&self, verb: Command, part: Option<GroupPart>) -> QueuedCommand {
-        QueuedCommand { id: self.next_id(), verb, stream: self.streams.to_follow(), part }
+    pub(super) fn command(&self, verb: Command, call: Option<GroupCall>) -> QueuedCommand {
+        let stream = self.streams.to_follow();
+        QueuedCommand { id: self.next_id, member: self.index as u32, verb, stream, call }
     }
 
     /// Queues the parts of one call, all or none. The last places are reserved for calls that only stop.
@@ -315,7 +311,7 @@ impl Axis {
         let QueuedCommand { id, verb, .. } = *command;
         self.pulse.beat();
         self.unended += 1;
-        self.next_id += 1;
+        self.next_id.0 += 1;
         if verb.takes_velocities() {
             self.rolling = id;
         }

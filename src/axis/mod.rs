@@ -33,7 +33,7 @@ mod streams;
 pub mod units;
 
 pub use command::{
-    Abort, Command, CommandId, Failure, GroupPart, Jog, Move, NativeOwner, Outcome, Profile, QueuedCommand,
+    Abort, Command, CommandId, Failure, GroupCall, Jog, Move, NativeOwner, Outcome, Profile, QueuedCommand,
     Row, Setpoint, StreamRow, Target,
 };
 pub use event::{Emergency, Event, EventKind};

@@ -26,7 +26,7 @@ use super::window::{OpenBus, Window};
 use crate::axis::cell::Writer;
 use crate::axis::{Link, Pulse, StopCause};
 use crate::bus::{BusClock, Cycle, Slot, Unmatched};
-use crate::drive::controller::DriveController;
+use crate::drive::controller::{DriveController, take_commands, take_rows};
 use crate::drive::groups::GroupSync;
 use crate::rt::{Clock, GuardTuner, Regions};
 use crate::time::{MS, Time, nanos};
@@ -358,7 +358,7 @@ impl<C: Clock> Engine<C> {
         let ended = self.end(cycle, received);
         if self.ending.is_none() {
             self.run_task(cycle, received);
-            GroupSync::take_commands(&mut self.controllers);
+            take_commands(&mut self.controllers);
             for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
                 controller.exchange(cycle, received, slot);
             }
@@ -426,7 +426,7 @@ impl<C: Clock> Engine<C> {
     /// Evaluates all exchanges. Returns how many drives that were online have not answered.
     fn evaluate(&mut self, cycle: &Cycle, now: Time) -> u16 {
         // What was posted before a stop ends with it.
-        GroupSync::take_commands(&mut self.controllers);
+        take_commands(&mut self.controllers);
         let mut missed = 0_u16;
         for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
             let online = controller.feedback().link == Link::Online;
@@ -450,7 +450,7 @@ impl<C: Clock> Engine<C> {
         self.groups.judge(&mut self.controllers);
         while let Some(lead) = self.groups.take_full() {
             for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
-                if controller.moves_in_group().is_some_and(|part| part.lead as usize == lead) {
+                if controller.moves_in_group().is_some_and(|call| call.lead as usize == lead) {
                     controller.stop(cycle, now, StopCause::GroupLink, slot);
                 }
             }
@@ -478,7 +478,7 @@ impl<C: Clock> Engine<C> {
         chosen: impl Fn(Option<u16>) -> bool,
     ) {
         // What was posted before the stop ends with it.
-        GroupSync::take_commands(&mut self.controllers);
+        take_commands(&mut self.controllers);
         for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
             if chosen(controller.plan().stop.group) {
                 controller.stop(cycle, now, cause, slot);
@@ -537,7 +537,7 @@ impl<C: Clock> Engine<C> {
             slot.due = controller.is_due(next.index);
             slot.guarded = controller.is_guarded();
         }
-        self.groups.hand_rows(&mut self.controllers, &self.slots);
+        take_rows(&mut self.controllers, &self.slots);
         for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
             controller.feed(next, now, slot);
         }

@@ -5,6 +5,9 @@
 mod commands;
 mod setpoints;
 
+pub use self::commands::take_commands;
+pub use self::setpoints::take_rows;
+
 use rtrb::{Consumer, Producer};
 
 use self::setpoints::{Follow, Level};
@@ -18,7 +21,7 @@ use crate::axis::cell::Writer;
 use crate::axis::command::NativeOwner;
 use crate::axis::newest::NewestOut;
 use crate::axis::{
-    Abort, AxisPlan, Command, CommandId, Event, EventKind, Feedback, FoundRunning, GroupPart, Link,
+    Abort, AxisPlan, Command, CommandId, Event, EventKind, Feedback, FoundRunning, GroupCall, Link,
     MONITOR_CHANNELS, Outcome, QueuedCommand, Row, Shown, State, StopCause, StreamRow,
 };
 use crate::bus::{Cycle, Exchange, Order, Report, Slot};
@@ -338,9 +341,9 @@ impl DriveController {
     }
 
     /// The group of its running motion.
-    pub fn moves_in_group(&self) -> Option<GroupPart> {
+    pub fn moves_in_group(&self) -> Option<GroupCall> {
         let moves = |active: &QueuedCommand| active.verb.is_motion() || active.verb == Command::Home;
-        self.active.filter(moves).and_then(|active| active.part)
+        self.active.filter(moves).and_then(|active| active.call)
     }
 
     /// How the exchange of this cycle was closed, once.

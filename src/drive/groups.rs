@@ -4,7 +4,6 @@
 //! The parts of all members are one entry in the queue of the first, so that the loop never sees some of them only.
 
 use super::controller::{Closed, DriveController};
-use crate::axis::QueuedCommand;
 use crate::bus::{Cycle, Slot};
 use crate::time::Time;
 
@@ -45,35 +44,6 @@ impl GroupSync {
         regions.add(&*self.groups);
     }
 
-    /// Takes what the application has posted into the queues of the axes, the parts of one call all at once.
-    ///
-    /// The calls to groups that an axis was in stand in the queues of their first members: the ids of its commands are
-    /// their sequence. Bounded by the room in the queues of the axes: the application may go on posting.
-    pub fn take_commands(controllers: &mut [DriveController]) {
-        let mut again = true;
-        while std::mem::take(&mut again) {
-            for index in 0..controllers.len() {
-                while let Some(first) = controllers[index].posted(0) {
-                    let parts = 0..first.part.map_or(1, |part| part.parts as usize);
-                    let member =
-                        |command: &QueuedCommand| command.part.map_or(index, |part| part.member as usize);
-                    let next = parts.clone().all(|place| {
-                        let Some(command) = controllers[index].posted(place) else { return false };
-                        controllers.get(member(&command)).is_some_and(|axis| axis.takes(&command))
-                    });
-                    if !next {
-                        break;
-                    }
-                    for _ in parts {
-                        let Some(command) = controllers[index].pop_posted() else { break };
-                        controllers[member(&command)].take(command);
-                    }
-                    again = true;
-                }
-            }
-        }
-    }
-
     /// Begins the commands that may begin at all members. One member that cannot keeps all others from it.
     pub fn open(
         &mut self,
@@ -83,53 +53,24 @@ impl GroupSync {
         slots: &mut [Slot],
     ) {
         for index in 0..controllers.len() {
-            let Some(part) = controllers[index].waiting() else { continue };
+            let Some(call) = controllers[index].waiting() else { continue };
             self.used = true;
-            let lead = part.lead as usize;
-            if lead != index && controllers.get_mut(lead).is_some_and(|lead| lead.holds(&part)) {
+            let lead = call.lead as usize;
+            if lead != index && controllers.get_mut(lead).is_some_and(|lead| lead.holds(call)) {
                 // It begins with its lead.
                 continue;
             }
-            let held: u32 = controllers.iter_mut().map(|axis| u32::from(axis.holds(&part))).sum();
-            let waits = |axis: &DriveController| axis.waiting().is_some_and(|own| own.is_of_call(&part));
-            let waiting = controllers.iter().filter(|axis| waits(axis));
+            let held: u32 = controllers.iter_mut().map(|axis| u32::from(axis.holds(call))).sum();
+            let waiting = controllers.iter().filter(|axis| axis.waiting() == Some(call));
             // A stop has ended it at some member before it began.
-            let lost = held < part.together;
+            let lost = held < call.together;
             if !lost && (waiting.clone().count() as u32) < held {
                 continue;
             }
             let refused = lost || waiting.clone().any(|axis| axis.admits_waiting().is_err());
             for (axis, slot) in controllers.iter_mut().zip(&mut *slots) {
-                if waits(axis) {
+                if axis.waiting() == Some(call) {
                     axis.take_waiting(cycle, now, slot, refused);
-                }
-            }
-        }
-    }
-
-    /// Hands the next row of each group to its members, if all of them take one.
-    pub fn hand_rows(&self, controllers: &mut [DriveController], slots: &[Slot]) {
-        if !self.used {
-            return;
-        }
-        for lead in 0..controllers.len() {
-            // Bounded by the room for rows: the application may go on pushing.
-            while let Some(part) = controllers[lead].offers_row(&slots[lead]) {
-                let parts = 0..part.parts as usize;
-                let all = parts.clone().all(|place| {
-                    let Some(row) = controllers[lead].row(place) else { return false };
-                    let member = row.member as usize;
-                    let member = controllers.get(member).zip(slots.get(member));
-                    member.is_some_and(|(axis, slot)| axis.takes_part(&part, &row, slot))
-                });
-                for place in parts.filter(|_| all) {
-                    if let Some(row) = controllers[lead].row(place) {
-                        controllers[row.member as usize].take_part(row.row);
-                    }
-                }
-                controllers[lead].drop_row();
-                if all {
-                    break;
                 }
             }
         }
@@ -145,8 +86,8 @@ impl GroupSync {
         }
         for controller in controllers {
             let closed = controller.take_closed();
-            let Some(part) = controller.moves_in_group() else { continue };
-            let Some(group) = self.groups.get_mut(part.lead as usize) else { continue };
+            let Some(call) = controller.moves_in_group() else { continue };
+            let Some(group) = self.groups.get_mut(call.lead as usize) else { continue };
             let health = controller.plan().health;
             let first = group.moving == 0;
             group.bucket = if first { health.bucket } else { group.bucket.min(health.bucket) };
@@ -191,74 +132,67 @@ impl GroupState {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::axis::{Abort, Command, CommandId, Event, EventKind, Failure, GroupPart, Outcome, StopCause};
+    use crate::axis::{
+        Abort, Command, CommandId, Event, Failure, GroupCall, Outcome, QueuedCommand, StopCause,
+    };
     use crate::axis::{Row, StreamRow};
     use crate::bus::Progress;
-    use crate::drive::controller::tests::{Alone, cycle, plan};
+    use crate::drive::controller::tests::{Alone, cycle, ended, plan};
+    use crate::drive::controller::{take_commands, take_rows};
 
     /// Axes in operation, with the application's ends of their queues.
     struct Machine {
         controllers: Vec<DriveController>,
         slots: Vec<Slot>,
-        commands: Vec<rtrb::Producer<QueuedCommand>>,
-        rows: Vec<rtrb::Producer<StreamRow>>,
-        events: Vec<rtrb::Consumer<Event>>,
+        ends: Vec<Ends>,
         groups: GroupSync,
         ids: Vec<u64>,
         index: u64,
     }
 
+    type Ends = (rtrb::Producer<QueuedCommand>, rtrb::Producer<StreamRow>, rtrb::Consumer<Event>);
+
     impl Machine {
         fn new(axes: usize) -> Machine {
-            let mut machine = Machine {
-                controllers: Vec::new(),
-                slots: Vec::new(),
-                commands: Vec::new(),
-                rows: Vec::new(),
-                events: Vec::new(),
-                groups: GroupSync::new(axes),
-                // The first was the enable.
-                ids: vec![2; axes],
-                index: 50,
-            };
-            for Alone { controller, slot, commands, rows, events, .. } in
-                (0..axes).map(|_| Alone::new(plan()).enabled())
-            {
-                machine.controllers.push(controller);
-                machine.slots.push(Slot { due: true, ..slot });
-                machine.commands.push(commands);
-                machine.rows.push(rows);
-                machine.events.push(events);
-            }
-            machine
+            let (controllers, (slots, ends)) = (0..axes)
+                .map(|_| Alone::new(plan()).enabled())
+                .map(|x| (x.controller, (Slot { due: true, ..x.slot }, (x.commands, x.rows, x.events))))
+                .unzip();
+            // The first command was the enable.
+            Machine { controllers, slots, ends, groups: GroupSync::new(axes), ids: vec![2; axes], index: 50 }
         }
 
         /// Posts a command to a group, or to one axis alone.
         fn post(&mut self, parts: &[(usize, Command)]) {
             let together = || parts.iter().filter(|(_, verb)| !verb.is_urgent());
             let lead = together().next().map_or(parts[0].0, |(axis, _)| *axis);
-            let part = GroupPart {
-                member: 0,
+            let call = GroupCall {
                 parts: parts.len() as u32,
                 together: together().count() as u32,
                 lead: lead as u32,
-                call: CommandId(self.ids[lead]),
+                id: CommandId(self.ids[lead]),
             };
             let entry: Vec<QueuedCommand> = (parts.iter())
                 .map(|&(axis, verb)| {
-                    let part = (parts.len() > 1).then_some(GroupPart { member: axis as u32, ..part });
+                    let call = (parts.len() > 1).then_some(call);
                     self.ids[axis] += 1;
-                    QueuedCommand { id: CommandId(self.ids[axis] - 1), verb, stream: 1, part }
+                    QueuedCommand {
+                        id: CommandId(self.ids[axis] - 1),
+                        member: axis as u32,
+                        verb,
+                        stream: 1,
+                        call,
+                    }
                 })
                 .collect();
-            self.commands[parts[0].0].push_entire_slice(&entry).unwrap();
+            self.ends[parts[0].0].0.push_entire_slice(&entry).unwrap();
         }
 
         /// One cycle of the commands.
         fn turn(&mut self) {
             let cycle = cycle(self.index);
             self.index += 1;
-            GroupSync::take_commands(&mut self.controllers);
+            take_commands(&mut self.controllers);
             for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
                 controller.exchange(&cycle, cycle.grid, slot);
             }
@@ -277,12 +211,7 @@ mod tests {
         }
 
         fn ended(&mut self, axis: usize) -> Vec<(u64, Outcome)> {
-            std::iter::from_fn(|| self.events[axis].pop().ok())
-                .filter_map(|event| match event.kind {
-                    EventKind::Ended { id, outcome, .. } => Some((id.0, outcome)),
-                    _ => None,
-                })
-                .collect()
+            ended(&mut self.ends[axis].2)
         }
     }
 
@@ -364,16 +293,16 @@ mod tests {
         for parts in rows {
             for &(member, stream) in *parts {
                 let row = StreamRow { stream, member, parts: parts.len() as u32, row: Row::default() };
-                m.rows[0].push(row).unwrap();
+                m.ends[0].1.push(row).unwrap();
             }
         }
         m.turn();
         m.slots[1].due = due;
-        m.groups.hand_rows(&mut m.controllers, &m.slots);
+        take_rows(&mut m.controllers, &m.slots);
         for (controller, slot) in m.controllers.iter_mut().zip(&mut m.slots) {
             controller.feed(&cycle(51), cycle(51).grid, slot);
         }
-        let left = 8 - m.rows[0].slots();
+        let left = 8 - m.ends[0].1.slots();
         (std::array::from_fn(|axis| m.slots[axis].row.is_some()), left)
     }
 

@@ -15,7 +15,7 @@ use crate::axis::{Link, StopCause};
 use crate::bus::{Cycle, Exchange};
 use crate::cycle::record::{CycleRecord, Record, Reply, SkippedRecord, Stage, short};
 use crate::cycle::window::OpenBus;
-use crate::drive::groups::GroupSync;
+use crate::drive::controller::take_commands;
 use crate::rt::Clock;
 use crate::time::Time;
 
@@ -68,7 +68,7 @@ enum Part {
     Axis(usize),
     Clock,
     /// What goes out to other threads, and what they have posted.
-    Queues,
+    Outlets,
 }
 
 /// The panics so far.
@@ -81,7 +81,7 @@ pub(super) struct Panics {
     buses: Vec<u8>,
     axes: Vec<u8>,
     clock: u8,
-    queues: u8,
+    outlets: u8,
     cut_short: bool,
 }
 
@@ -111,7 +111,7 @@ impl Panics {
             Part::Bus(bus) => self.buses.get_mut(bus),
             Part::Axis(axis) => self.axes.get_mut(axis),
             Part::Clock => Some(&mut self.clock),
-            Part::Queues => Some(&mut self.queues),
+            Part::Outlets => Some(&mut self.outlets),
         }
     }
 
@@ -295,7 +295,7 @@ impl<C: Clock> Engine<C> {
         let hurry = asked == HURRY && before == STOP;
         self.ending = Some((since, asked));
         let controllers = &mut self.controllers;
-        self.panics.guard(cycle.index, None, Part::Queues, || GroupSync::take_commands(controllers));
+        self.panics.guard(cycle.index, None, Part::Outlets, || take_commands(controllers));
         let mut down = true;
         for (axis, (controller, slot)) in self.controllers.iter_mut().zip(&mut self.slots).enumerate() {
             let work = || controller.shut_down(cycle, now, slot, hurry);
@@ -337,7 +337,7 @@ impl<C: Clock> Engine<C> {
             });
         }
         let planned = self.grid.planned();
-        self.panics.guard(cycle.index, Some(Stage::Publish), Part::Queues, || {
+        self.panics.guard(cycle.index, Some(Stage::Publish), Part::Outlets, || {
             outlets.record(Record::Cycle(record), &mut status.lost_records);
             // A cycle that a panic cut off counts as executed once its requests had left, else as skipped.
             (status.planned, status.skipped) = (planned, planned.saturating_sub(status.executed));
@@ -355,7 +355,7 @@ impl<C: Clock> Engine<C> {
         let place = match part {
             Part::Bus(index) => format!("{during}, {}", bus(index)),
             Part::Axis(index) => format!("{during}, {}", axis(index)),
-            Part::Loop | Part::Clock | Part::Queues => during,
+            Part::Loop | Part::Clock | Part::Outlets => during,
         };
         let of = |counts: &[u8]| -> Vec<usize> {
             (0..counts.len()).filter(|index| counts[*index] >= MOST).collect()
@@ -374,7 +374,7 @@ mod tests {
     fn a_part_that_panics_twice_is_left_out_and_no_other() {
         let mut panics = Panics::new(2, 2);
         let fails = || std::panic::resume_unwind(Box::new("on purpose"));
-        for part in [Part::Axis(1), Part::Bus(0), Part::Clock, Part::Queues] {
+        for part in [Part::Axis(1), Part::Bus(0), Part::Clock, Part::Outlets] {
             for left_out in [false, false, true] {
                 assert_eq!(panics.is_left_out(part), left_out);
                 assert_eq!(panics.guard::<()>(7, Some(Stage::Send), part, fails), None);

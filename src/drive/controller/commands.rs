@@ -1,40 +1,53 @@
 //! The application's commands in their order, and what each of them waits for or replaces.
 
-use super::{Claim, DriveController, Latch};
 use rtrb::Consumer;
 
+use super::{Claim, DriveController, Latch};
 use crate::axis::command::NativeOwner;
 use crate::axis::limits::{check_position, check_torque, check_velocity, check_verb};
 use crate::axis::{
-    Abort, Command, CommandId, Failure, GroupPart, Link, Load, Move, Outcome, QueuedCommand, Row, Setpoint,
-    State, StopCause, Target,
+    Abort, Command, Failure, GroupCall, Link, Load, Move, Outcome, QueuedCommand, Row, Setpoint, State,
+    StopCause, Target,
 };
 use crate::bus::{Cycle, Slot};
 use crate::drive::bounds::Bounds;
 use crate::drive::stop::deceleration_of;
 use crate::time::{Time, nanos};
 
+/// Takes what the application has posted into the queues of the axes, the parts of one call all at once.
+///
+/// The calls to groups that an axis was in stand in the queues of their first members: the ids of its commands are
+/// their sequence. Bounded by the room in the queues of the axes: the application may go on posting.
+pub fn take_commands(controllers: &mut [DriveController]) {
+    let mut again = true;
+    while std::mem::take(&mut again) {
+        for index in 0..controllers.len() {
+            while let Some(first) = entry(&mut controllers[index].queues.posted, 0) {
+                let parts = first.call.map_or(1, |call| call.parts as usize);
+                let next = (0..parts).all(|place| {
+                    let command = entry(&mut controllers[index].queues.posted, place);
+                    command.is_some_and(|command| controllers[command.member as usize].takes(&command))
+                });
+                if !next {
+                    break;
+                }
+                for _ in 0..parts {
+                    if let Ok(command) = controllers[index].queues.posted.pop() {
+                        let axis = &mut controllers[command.member as usize];
+                        axis.next_id += 1;
+                        let _ = axis.queues.commands_in.push(command);
+                    }
+                }
+                again = true;
+            }
+        }
+    }
+}
+
 impl DriveController {
-    /// Entry `place` of the queue of the application.
-    pub fn posted(&mut self, place: usize) -> Option<QueuedCommand> {
-        entry(&mut self.queues.posted, place)
-    }
-
-    /// Takes the first entry out of it.
-    pub fn pop_posted(&mut self) -> Option<QueuedCommand> {
-        self.queues.posted.pop().ok()
-    }
-
     /// Whether `command` is the one that the application has posted to the axis after the last one that it took.
-    pub fn takes(&self, command: &QueuedCommand) -> bool {
+    fn takes(&self, command: &QueuedCommand) -> bool {
         command.id.0 == self.next_id && !self.queues.commands_in.is_full()
-    }
-
-    /// Takes a command of the application.
-    pub fn take(&mut self, command: QueuedCommand) {
-        self.next_id += 1;
-        // There was room for it.
-        let _ = self.queues.commands_in.push(command);
     }
 
     /// Drains the application's commands: ends the finished one, aborts those that an urgent one overtakes, starts
@@ -61,11 +74,11 @@ impl DriveController {
                     break;
                 }
             }
-            if next.part.is_some() && !next.verb.is_urgent() {
+            if next.call.is_some() && !next.verb.is_urgent() {
                 self.waiting = Some(next);
                 break;
             }
-            if next.part.is_none() && self.moves_in_group().is_some() && self.admit(&next).is_ok() {
+            if next.call.is_none() && self.moves_in_group().is_some() && self.admit(&next).is_ok() {
                 // A command that takes a member out of a motion of its group stops the group: the others would go
                 // on without it.
                 self.stop(cycle, now, StopCause::GroupFailed, slot);
@@ -74,25 +87,22 @@ impl DriveController {
             if self.task_command.take().is_none() {
                 let _ = self.queues.commands.pop();
             }
-            match self.admit(&next) {
-                Ok(()) => self.begin(cycle, now, next, slot),
-                // A refused command replaces nothing: the running one goes on, and its end is still reported.
-                Err(failure) => self.end(cycle, now, next, Outcome::Failed(failure)),
-            }
+            // A refused command replaces nothing: the running one goes on, and its end is still reported.
+            self.start(cycle, now, next, false, slot);
         }
         self.age_setpoint(cycle, now, slot);
     }
 
     /// The group command that waits until all other members are ready for it.
-    pub fn waiting(&self) -> Option<GroupPart> {
-        self.waiting.and_then(|command| command.part)
+    pub fn waiting(&self) -> Option<GroupCall> {
+        self.waiting.and_then(|command| command.call)
     }
 
-    /// Whether it has a part of the call that waits for others, now or once those before it have ended.
-    pub fn holds(&mut self, part: &GroupPart) -> bool {
-        let held = |command: QueuedCommand| command.part.is_some_and(|held| held.is_of_call(part));
-        let queued = self.queues.commands.slots();
-        (0..queued).any(|place| entry(&mut self.queues.commands, place).is_some_and(held))
+    /// Whether its part of `call` is still to begin.
+    pub fn holds(&mut self, call: GroupCall) -> bool {
+        let queued = 0..self.queues.commands.slots();
+        let mut calls = queued.filter_map(|place| entry(&mut self.queues.commands, place)?.call);
+        calls.any(|held| held == call)
     }
 
     /// Whether the waiting command may begin.
@@ -104,11 +114,7 @@ impl DriveController {
     pub fn take_waiting(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot, refused: bool) {
         let Some(command) = self.waiting.take() else { return };
         let _ = self.queues.commands.pop();
-        match self.admit(&command) {
-            Ok(()) if !refused => self.begin(cycle, now, command, slot),
-            Ok(()) => self.end(cycle, now, command, Outcome::Failed(Failure::GroupRefused)),
-            Err(failure) => self.end(cycle, now, command, Outcome::Failed(failure)),
-        }
+        self.start(cycle, now, command, refused, slot);
     }
 
     /// Ends the running command by the station's progress.
@@ -157,18 +163,26 @@ impl DriveController {
 
     /// An urgent command aborts everything before it in the queue.
     fn overtake(&mut self, cycle: &Cycle, now: Time) {
-        let waiting = self.queues.commands.slots();
-        let Ok(chunk) = self.queues.commands.read_chunk(waiting) else { return };
-        let (first, second) = chunk.as_slices();
-        let last = last_urgent(first.iter().chain(second));
-        let Some((ahead, urgent)) = last else { return };
+        let queue = &mut self.queues.commands;
+        let mut queued = (0..queue.slots()).rev().filter_map(|place| Some((place, entry(queue, place)?)));
+        let Some((ahead, urgent)) = queued.find(|(_, command)| command.verb.is_urgent()) else { return };
+        let replaced = Outcome::Aborted(Abort::Replaced(urgent.id));
         if let Some(command) = self.task_command.take() {
-            self.end(cycle, now, command, Outcome::Aborted(Abort::Replaced(urgent)));
+            self.end(cycle, now, command, replaced);
         }
         for _ in 0..ahead {
             if let Ok(command) = self.queues.commands.pop() {
-                self.end(cycle, now, command, Outcome::Aborted(Abort::Replaced(urgent)));
+                self.end(cycle, now, command, replaced);
             }
+        }
+    }
+
+    /// Begins the command if it may begin here, and at all other members of its group.
+    fn start(&mut self, cycle: &Cycle, now: Time, command: QueuedCommand, refused: bool, slot: &mut Slot) {
+        match self.admit(&command) {
+            Ok(()) if refused => self.end(cycle, now, command, Outcome::Failed(Failure::GroupRefused)),
+            Ok(()) => self.begin(cycle, now, command, slot),
+            Err(failure) => self.end(cycle, now, command, Outcome::Failed(failure)),
         }
     }
 
@@ -334,6 +348,9 @@ const FALLEN_REPORTS: u8 = 4;
 
 /// Entry `place` of a queue, left there.
 pub(super) fn entry<T: Copy>(queue: &mut Consumer<T>, place: usize) -> Option<T> {
+    if place == 0 {
+        return queue.peek().ok().copied();
+    }
     let chunk = queue.read_chunk(place + 1).ok()?;
     let (first, second) = chunk.as_slices();
     first.iter().chain(second).nth(place).copied()
@@ -343,13 +360,4 @@ pub(super) fn entry<T: Copy>(queue: &mut Consumer<T>, place: usize) -> Option<T>
 fn replaces(next: &QueuedCommand, active: &QueuedCommand) -> bool {
     let streams = active.verb == Command::Follow && next.verb == Command::Follow;
     next.verb.is_urgent() || active.verb.is_motion() && next.verb.is_motion() && !streams
-}
-
-/// The last urgent command of a queue: how many commands are before it, and its id.
-fn last_urgent<'a>(queue: impl Iterator<Item = &'a QueuedCommand>) -> Option<(usize, CommandId)> {
-    queue
-        .enumerate()
-        .filter(|(_, command)| command.verb.is_urgent())
-        .last()
-        .map(|(at, command)| (at, command.id))
 }

@@ -5,8 +5,7 @@ use super::DriveController;
 use super::commands::entry;
 use crate::axis::limits::{check_braking, check_reach, check_row, check_speed};
 use crate::axis::{
-    Command, CommandId, EventKind, Failure, GroupPart, Outcome, QueuedCommand, Row, Setpoint, StopCause,
-    StreamRow, Underrun,
+    Command, CommandId, EventKind, Failure, Outcome, QueuedCommand, Row, Setpoint, StopCause, Underrun,
 };
 use crate::bus::{Cycle, NumberedRow, Slot};
 use crate::time::{Time, nanos};
@@ -26,8 +25,8 @@ pub(super) struct Follow {
     empty: u32,
     /// The given row has not been sent yet (its slot was passed over): it must not be replaced.
     pub(super) held: bool,
-    /// Its part of the next row of its group.
-    part: Option<Row>,
+    /// The row of the next send, out of the queue.
+    next: Option<Row>,
 }
 
 /// The last requested velocity or torque.
@@ -39,6 +38,42 @@ pub(super) struct Level {
     pub(super) value: f64,
     /// The slot in which it came.
     pub(super) at: u64,
+}
+
+/// Takes the next row of each stream out of its queue, for all members of a group or for none.
+pub fn take_rows(controllers: &mut [DriveController], slots: &[Slot]) {
+    for lead in 0..controllers.len() {
+        let Some(follow) = controllers[lead].takes_row(&slots[lead]) else { continue };
+        let parts = follow.call.map_or(1, |call| call.parts);
+        let leads =
+            follow.call.map_or(controllers[lead].task_row.is_none(), |call| call.lead as usize == lead);
+        // Bounded by what is queued now: the application may go on pushing.
+        for _ in 0..if leads { controllers[lead].queues.rows.slots() } else { 0 } {
+            if !controllers[lead].has_row(follow.stream) {
+                break;
+            }
+            let row =
+                |controllers: &mut [DriveController], part| entry(&mut controllers[lead].queues.rows, part);
+            let all = (0..parts as usize).all(|part| {
+                row(controllers, part).is_some_and(|row| {
+                    let member = row.member as usize;
+                    controllers[member].takes_row(&slots[member]).is_some_and(|own| {
+                        (own.call, own.stream, parts) == (follow.call, row.stream, row.parts)
+                    })
+                })
+            });
+            for part in 0..if all { parts as usize } else { 0 } {
+                if let Some(row) = row(controllers, part) {
+                    controllers[row.member as usize].follow.next = Some(row.row);
+                }
+            }
+            // One that was pushed for other axes is for none of these.
+            controllers[lead].drop_row();
+            if all {
+                break;
+            }
+        }
+    }
 }
 
 impl DriveController {
@@ -93,32 +128,6 @@ impl DriveController {
         self.active.filter(|active| active.verb == Command::Follow && due && !done)
     }
 
-    /// The group that takes a row for the next send, if it leads one and has rows of its stream; earlier ones are
-    /// dropped.
-    pub fn offers_row(&mut self, slot: &Slot) -> Option<GroupPart> {
-        let follow = self.takes_row(slot)?;
-        let part = follow.part.filter(|part| part.member == part.lead)?;
-        self.next_row(follow.stream).map(|_| part)
-    }
-
-    /// Part `place` of the first row in its queue.
-    pub fn row(&mut self, place: usize) -> Option<StreamRow> {
-        entry(&mut self.queues.rows, place)
-    }
-
-    /// Whether it takes `row` for the next send, for the call of `part`.
-    pub fn takes_part(&self, part: &GroupPart, row: &StreamRow, slot: &Slot) -> bool {
-        self.takes_row(slot).is_some_and(|follow| {
-            let same = (follow.stream, part.parts) == (row.stream, row.parts);
-            same && follow.part.is_some_and(|own| own.is_of_call(part))
-        })
-    }
-
-    /// Gives it its part of a row for the next send.
-    pub fn take_part(&mut self, row: Row) {
-        self.follow.part = Some(row);
-    }
-
     /// Chooses the setpoint of the next send, if one is due.
     pub fn feed(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
         (slot.velocity, slot.torque) = match slot.order.verb {
@@ -132,10 +141,8 @@ impl DriveController {
             }
             return;
         };
-        let row = match active.part {
-            Some(_) => self.follow.part.take(),
-            None => self.task_row.take().or_else(|| self.take_row(active.stream)),
-        };
+        let task_row = self.task_row.take().filter(|_| active.call.is_none());
+        let row = task_row.or_else(|| self.follow.next.take());
         let chosen = match (row, self.follow.last) {
             (None, None) => return,
             (Some(row), last) => {
@@ -207,37 +214,25 @@ impl DriveController {
     pub(super) fn drop_rows(&mut self, stream: u32) {
         self.task_row = None;
         self.follow = Follow { number: self.follow.number, ..Follow::default() };
-        self.next_row(stream + 1);
+        self.has_row(stream + 1);
     }
 
-    /// The first row of `stream`, left in the queue; rows of earlier streams before it are dropped.
-    fn next_row(&mut self, stream: u32) -> Option<StreamRow> {
+    /// Whether the first row is of `stream`; rows of earlier streams before it are dropped.
+    fn has_row(&mut self, stream: u32) -> bool {
         for _ in 0..self.queues.rows.slots() {
-            match self.row(0) {
+            match entry(&mut self.queues.rows, 0) {
                 Some(row) if row.stream < stream => self.drop_row(),
-                row => return row.filter(|row| row.stream == stream),
+                row => return row.is_some_and(|row| row.stream == stream),
             }
         }
-        None
+        false
     }
 
     /// Drops the first row, with the parts of all members.
-    pub fn drop_row(&mut self) {
-        let parts = self.row(0).map_or(0, |row| row.parts as usize);
+    fn drop_row(&mut self) {
+        let parts = entry(&mut self.queues.rows, 0).map_or(0, |row| row.parts as usize);
         if let Ok(chunk) = self.queues.rows.read_chunk(parts) {
             chunk.commit_all();
         }
-    }
-
-    /// The next row of `stream`, out of the queue; those of a group before it are dropped.
-    fn take_row(&mut self, stream: u32) -> Option<Row> {
-        for _ in 0..self.queues.rows.slots() {
-            let row = self.next_row(stream)?;
-            self.drop_row();
-            if row.parts == 1 {
-                return Some(row.row);
-            }
-        }
-        None
     }
 }

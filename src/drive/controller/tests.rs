@@ -1,12 +1,12 @@
 //! One axis without a bus: the tests write what its drive reports, and when an order is done.
 
+use std::slice::{from_mut, from_ref};
 use std::time::Duration;
 
 use super::*;
 use crate::axis::newest::{NewestIn, newest};
 use crate::axis::{Emergency, Failure, HeldBy, Load, Move, StopThen, Target, Underrun, Units, cell};
 use crate::bus::Progress;
-use crate::drive::groups::GroupSync;
 use crate::rt::ring;
 use crate::time::MS;
 
@@ -29,6 +29,16 @@ pub(in crate::drive) fn cycle(index: u64) -> Cycle {
 
 pub(in crate::drive) fn plan() -> AxisPlan {
     AxisPlan::new("x", Units::millimetres(1_000.0))
+}
+
+/// The commands whose ends are among these events.
+pub(in crate::drive) fn ended(events: &mut Consumer<Event>) -> Vec<(u64, Outcome)> {
+    std::iter::from_fn(|| events.pop().ok())
+        .filter_map(|event| match event.kind {
+            EventKind::Ended { id, outcome, .. } => Some((id.0, outcome)),
+            _ => None,
+        })
+        .collect()
 }
 
 impl Alone {
@@ -76,7 +86,7 @@ impl Alone {
         controller.judge(&cycle, now, slot);
         assert!(matches!(slot.exchange, Exchange::Idle | Exchange::Missed), "taken once");
         controller.watch(&cycle, now, slot);
-        GroupSync::take_commands(std::slice::from_mut(controller));
+        take_commands(from_mut(controller));
         controller.exchange(&cycle, now, slot);
     }
 
@@ -86,7 +96,9 @@ impl Alone {
 
     pub fn post(&mut self, verb: Command) -> u64 {
         self.id += 1;
-        self.commands.push(QueuedCommand { id: CommandId(self.id), verb, stream: 0, part: None }).unwrap();
+        self.commands
+            .push(QueuedCommand { id: CommandId(self.id), member: 0, verb, stream: 0, call: None })
+            .unwrap();
         self.id
     }
 
@@ -130,12 +142,7 @@ impl Alone {
 
     /// The commands that have ended since the last look.
     pub fn ended(&mut self) -> Vec<(u64, Outcome)> {
-        (self.told().into_iter())
-            .filter_map(|kind| match kind {
-                EventKind::Ended { id, outcome, .. } => Some((id.0, outcome)),
-                _ => None,
-            })
-            .collect()
+        ended(&mut self.events)
     }
 
     /// All events since the last look.
@@ -281,7 +288,7 @@ fn a_task_command_needs_room_for_its_end_unless_it_is_a_stop() {
         x.controller.tell(&cycle(50), Time(50 * MS), EventKind::Restarted);
     }
     let mut takes = |verb| {
-        let command = QueuedCommand { id: CommandId::of_task(1), verb, stream: 0, part: None };
+        let command = QueuedCommand { id: CommandId::of_task(1), member: 0, verb, stream: 0, call: None };
         x.controller.command_from_task(&cycle(50), Time(50 * MS), command).is_ok()
     };
     assert!(!takes(Command::Home));
@@ -498,6 +505,7 @@ impl Alone {
     fn fed_unsent(&mut self) -> Option<Row> {
         self.slot.row = None;
         let cycle = cycle(self.index);
+        take_rows(from_mut(&mut self.controller), from_ref(&self.slot));
         self.controller.feed(&cycle, cycle.grid, &mut self.slot);
         self.slot.row.map(|row| row.row)
     }
@@ -781,7 +789,7 @@ impl Alone {
     fn task(&mut self, id: u64, verb: Command) -> CommandId {
         let id = CommandId::of_task(id);
         let cycle = cycle(self.index);
-        let command = QueuedCommand { id, verb, stream: 0, part: None };
+        let command = QueuedCommand { id, member: 0, verb, stream: 0, call: None };
         self.controller.command_from_task(&cycle, cycle.grid, command).unwrap();
         id
     }
@@ -829,10 +837,10 @@ fn a_command_to_a_member_alone_stops_its_group_only_if_it_may_begin() {
     for (distance, stop) in [(200.0, None), (20.0, Some(StopCause::GroupFailed))] {
         let mut x = ranged();
         x.id += 1;
-        let call = CommandId(x.id);
-        let part = Some(GroupPart { member: 0, parts: 1, together: 2, lead: 0, call });
+        let id = CommandId(x.id);
+        let call = Some(GroupCall { parts: 1, together: 2, lead: 0, id });
         let native = Command::Native(NativeOwner::Master);
-        x.commands.push(QueuedCommand { id: call, verb: native, stream: 0, part }).unwrap();
+        x.commands.push(QueuedCommand { id, member: 0, verb: native, stream: 0, call }).unwrap();
         x.turn();
         x.controller.take_waiting(&cycle(x.index), Time(x.index * MS), &mut x.slot, false);
         let target = Target::Relative(distance);
