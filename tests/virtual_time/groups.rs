@@ -1,5 +1,6 @@
 //! Groups: what takes effect for all members in one cycle's send, or for none; and what takes the whole group along.
 
+use fieldbeat::Master;
 use fieldbeat::axis::{
     Abort, Command, EventKind, Failure, Group, GroupError, Health, Outcome, Row, StopCause, Target, Underrun,
 };
@@ -7,6 +8,7 @@ use fieldbeat::bus::linudp::LinUdpDrive;
 use fieldbeat::bus::linudp::wire::{ControlWord, MotionBlock};
 use fieldbeat::cycle::Overrun;
 use fieldbeat::sim::FaultPlan;
+use fieldbeat::sim::world::WorldOptions;
 use fieldbeat::time::Time;
 
 use crate::virtual_time::support::*;
@@ -186,6 +188,17 @@ fn a_full_queue_takes_the_parts_of_all_members_or_none_and_has_room_for_their_st
 }
 
 #[test]
+fn a_group_of_the_plan_has_the_full_room_of_a_stream_and_any_other_shares_it() {
+    for (members, room) in [([0, 1], 1_024), ([1, 2], 512)] {
+        let setup = Master::from_file("rt-config/gantry.toml").unwrap();
+        let mut sim = setup.simulate(WorldOptions::default()).unwrap();
+        let group = Group::new(members.map(|index| sim.take_axis(index))).unwrap();
+        assert_eq!(group.stream_room(), room);
+        assert_eq!(group.into_axes()[0].stream_room(), 1_024, "alone");
+    }
+}
+
+#[test]
 fn what_was_posted_before_a_stop_ends_with_it_at_all_members() {
     let stops: [(StopCause, fn(&mut Bench)); 2] = [
         (StopCause::LinkLost, |b| {
@@ -358,7 +371,7 @@ fn a_member_that_is_stopped_takes_the_group_along_and_it_comes_back_together() {
 }
 
 #[test]
-fn an_urgent_command_overtakes_what_waits_at_the_gate() {
+fn an_urgent_command_overtakes_what_waits_for_other_members() {
     let mut b = joined(2, &[0, 1]);
     let moving = b.group().post(&[slowly_to(150.0), slowly_to(150.0)]).unwrap();
     let homing = b.group().post_all(Command::Home).unwrap();
