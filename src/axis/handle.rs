@@ -359,12 +359,14 @@ impl Axis {
 
     /// How many rows the stream has room for.
     pub fn stream_room(&self) -> usize {
-        self.row_room(1).min(self.plan.stream_queue)
+        // What its queue has beyond that is for a group.
+        let rows = &self.ends.rows;
+        self.plan.stream_queue.saturating_sub(rows.buffer().capacity() - rows.slots())
     }
 
-    /// For how many rows of so many members its queue has room.
-    pub(super) fn row_room(&self, parts: usize) -> usize {
-        self.ends.rows.slots() / parts
+    /// How many parts of rows its queue has room for.
+    pub(super) fn row_room(&self) -> usize {
+        self.ends.rows.slots()
     }
 
     /// Queues a row for [`Command::Follow`], one per exchange. Each row is checked against the limits.

@@ -59,7 +59,6 @@ impl DriveController {
         self.take_setpoints(cycle);
         self.end_active(cycle, now, slot);
         self.overtake(cycle, now);
-        // Bounded by what is queued now: the application may go on filling the queue.
         for _ in 0..=self.queues.commands.slots() {
             let next = self.task_command.or_else(|| self.queues.commands.peek().ok().copied());
             let Some(next) = next else { break };
