@@ -358,7 +358,6 @@ impl<C: Clock> Engine<C> {
         let ended = self.end(cycle, received);
         if self.ending.is_none() {
             self.run_task(cycle, received);
-            take_commands(&mut self.controllers);
             for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
                 controller.exchange(cycle, received, slot);
             }
@@ -529,6 +528,8 @@ impl<C: Clock> Engine<C> {
         if panicked || over {
             self.stop_axes(cycle, before, StopCause::Task, |_| true);
         }
+        // The task may have run for long.
+        take_commands(&mut self.controllers);
     }
 
     /// Prepares the send of `next`: which drives are due, their rows, and their bytes.

@@ -8,6 +8,8 @@ mod setpoints;
 pub use self::commands::take_commands;
 pub use self::setpoints::take_rows;
 
+use std::collections::VecDeque;
+
 use rtrb::{Consumer, Producer};
 
 use self::setpoints::{Follow, Level};
@@ -33,10 +35,8 @@ use crate::time::{Time, nanos};
 pub struct Queues {
     /// Commands that the application has posted, to the axis or to the group that it leads.
     pub posted: Consumer<QueuedCommand>,
-    /// Commands to the axis, out of its own queue and those of its groups: the end that they are put in ...
-    pub commands_in: Producer<QueuedCommand>,
-    /// ... and the other one.
-    pub commands: Consumer<QueuedCommand>,
+    /// Commands to the axis, taken out of its own queue and out of those of its groups.
+    pub commands: VecDeque<QueuedCommand>,
     /// Rows of the application's stream, or of the stream of the group that it leads.
     pub rows: Consumer<StreamRow>,
     /// The newest velocity or torque setpoint of the application.
@@ -749,11 +749,8 @@ impl DriveController {
             self.end(cycle, now, command, Outcome::Aborted(why));
         }
         self.waiting = None;
-        for _ in 0..self.queues.commands.slots() {
-            match self.queues.commands.pop() {
-                Ok(command) => self.end(cycle, now, command, Outcome::Aborted(why)),
-                Err(_) => break,
-            }
+        while let Some(command) = self.queues.commands.pop_front() {
+            self.end(cycle, now, command, Outcome::Aborted(why));
         }
         // Of every stream: the application counts on from the stop.
         self.drop_rows(u32::MAX - 1);

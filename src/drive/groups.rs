@@ -56,15 +56,15 @@ impl GroupSync {
             let Some(call) = controllers[index].waiting() else { continue };
             self.used = true;
             let lead = call.lead as usize;
-            if lead != index && controllers.get_mut(lead).is_some_and(|lead| lead.holds(call)) {
+            if lead != index && controllers.get(lead).is_some_and(|lead| lead.holds(call)) {
                 // It begins with its lead.
                 continue;
             }
-            let held: u32 = controllers.iter_mut().map(|axis| u32::from(axis.holds(call))).sum();
+            let held = controllers.iter().filter(|axis| axis.holds(call)).count();
             let waiting = controllers.iter().filter(|axis| axis.waiting() == Some(call));
             // A stop has ended it at some member before it began.
-            let lost = held < call.together;
-            if !lost && (waiting.clone().count() as u32) < held {
+            let lost = held < call.together as usize;
+            if !lost && waiting.clone().count() < held {
                 continue;
             }
             let refused = lost || waiting.clone().any(|axis| axis.admits_waiting().is_err());

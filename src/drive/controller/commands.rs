@@ -35,7 +35,7 @@ pub fn take_commands(controllers: &mut [DriveController]) {
                     if let Ok(command) = controllers[index].queues.posted.pop() {
                         let axis = &mut controllers[command.member as usize];
                         axis.next_id += 1;
-                        let _ = axis.queues.commands_in.push(command);
+                        axis.queues.commands.push_back(command);
                     }
                 }
                 again = true;
@@ -47,7 +47,7 @@ pub fn take_commands(controllers: &mut [DriveController]) {
 impl DriveController {
     /// Whether `command` is the one that the application has posted to the axis after the last one that it took.
     fn takes(&self, command: &QueuedCommand) -> bool {
-        command.id.0 == self.next_id && !self.queues.commands_in.is_full()
+        command.id.0 == self.next_id && self.queues.commands.len() < self.queues.commands.capacity()
     }
 
     /// Drains the application's commands: ends the finished one, aborts those that an urgent one overtakes, starts
@@ -59,8 +59,8 @@ impl DriveController {
         self.take_setpoints(cycle);
         self.end_active(cycle, now, slot);
         self.overtake(cycle, now);
-        for _ in 0..=self.queues.commands.slots() {
-            let next = self.task_command.or_else(|| self.queues.commands.peek().ok().copied());
+        for _ in 0..=self.queues.commands.len() {
+            let next = self.task_command.or_else(|| self.queues.commands.front().copied());
             let Some(next) = next else { break };
             if self.active.is_some_and(|active| !replaces(&next, &active)) {
                 break;
@@ -84,7 +84,7 @@ impl DriveController {
                 break;
             }
             if self.task_command.take().is_none() {
-                let _ = self.queues.commands.pop();
+                self.queues.commands.pop_front();
             }
             // A refused command replaces nothing: the running one goes on, and its end is still reported.
             self.start(cycle, now, next, false, slot);
@@ -98,10 +98,8 @@ impl DriveController {
     }
 
     /// Whether its part of `call` is still to begin.
-    pub fn holds(&mut self, call: GroupCall) -> bool {
-        let queued = 0..self.queues.commands.slots();
-        let mut calls = queued.filter_map(|place| entry(&mut self.queues.commands, place)?.call);
-        calls.any(|held| held == call)
+    pub fn holds(&self, call: GroupCall) -> bool {
+        self.queues.commands.iter().any(|command| command.call == Some(call))
     }
 
     /// Whether the waiting command may begin.
@@ -112,7 +110,7 @@ impl DriveController {
     /// Begins the waiting command, unless it is refused to all members or may not begin at this one.
     pub fn take_waiting(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot, refused: bool) {
         let Some(command) = self.waiting.take() else { return };
-        let _ = self.queues.commands.pop();
+        self.queues.commands.pop_front();
         self.start(cycle, now, command, refused, slot);
     }
 
@@ -162,17 +160,17 @@ impl DriveController {
 
     /// An urgent command aborts everything before it in the queue.
     fn overtake(&mut self, cycle: &Cycle, now: Time) {
-        let queue = &mut self.queues.commands;
-        let mut queued = (0..queue.slots()).rev().filter_map(|place| Some((place, entry(queue, place)?)));
-        let Some((ahead, urgent)) = queued.find(|(_, command)| command.verb.is_urgent()) else { return };
-        let replaced = Outcome::Aborted(Abort::Replaced(urgent.id));
+        let urgent = self.queues.commands.iter().rposition(|command| command.verb.is_urgent());
+        let Some(urgent) = urgent.map(|place| self.queues.commands[place].id) else { return };
+        let replaced = Outcome::Aborted(Abort::Replaced(urgent));
         if let Some(command) = self.task_command.take() {
             self.end(cycle, now, command, replaced);
         }
-        for _ in 0..ahead {
-            if let Ok(command) = self.queues.commands.pop() {
-                self.end(cycle, now, command, replaced);
-            }
+        while let Some(command) = self.queues.commands.front().copied()
+            && command.id != urgent
+        {
+            self.queues.commands.pop_front();
+            self.end(cycle, now, command, replaced);
         }
     }
 

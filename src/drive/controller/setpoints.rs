@@ -123,9 +123,10 @@ impl DriveController {
 
     /// The follow that takes a row for the next send.
     fn takes_row(&self, slot: &Slot) -> Option<QueuedCommand> {
+        let follow = self.active.filter(|active| active.verb == Command::Follow)?;
         let due = slot.due && slot.order.verb == Some(Command::Follow);
         let done = self.follow.held || self.follow.last.is_some_and(|row| row.last);
-        self.active.filter(|active| active.verb == Command::Follow && due && !done)
+        (due && !done).then_some(follow)
     }
 
     /// Chooses the setpoint of the next send, if one is due.

@@ -45,15 +45,13 @@ impl Alone {
     pub fn new(plan: AxisPlan) -> Alone {
         let mut regions = Regions::default();
         let (commands, posted) = ring(8, &mut regions);
-        let (commands_in, command_out) = ring(8, &mut regions);
         let (rows, row_out) = ring(8, &mut regions);
         let (setpoints, setpoint_out) = newest();
         let (event_in, events) = ring(64, &mut regions);
         let (feedback, _) = cell::cell(Feedback::default());
         let queues = Queues {
             posted,
-            commands_in,
-            commands: command_out,
+            commands: VecDeque::with_capacity(8),
             rows: row_out,
             setpoints: setpoint_out,
             events: event_in,
