@@ -202,7 +202,8 @@ fn a_group_of_the_plan_has_the_full_room_of_a_stream_and_any_other_shares_it() {
 
 #[test]
 fn what_was_posted_before_a_stop_ends_with_it_at_all_members() {
-    let stops: [(StopCause, fn(&mut Bench)); 2] = [
+    type Begin = fn(&mut Bench);
+    let stops: [(StopCause, Begin); 2] = [
         (StopCause::LinkLost, |b| {
             b.tape(1).mute = true;
             b.run(2);
