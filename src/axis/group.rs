@@ -184,7 +184,7 @@ impl Group {
 
     /// How many rows the streams have room for.
     pub fn stream_room(&self) -> usize {
-        self.axes[0].row_room() / self.axes.len()
+        self.axes[0].ends.rows.slots() / self.axes.len()
     }
 
     /// Queues one row for each member, all or none of them. The loop takes them together.

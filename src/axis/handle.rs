@@ -56,7 +56,7 @@ pub struct Axis {
     index: usize,
     pulse: Pulse,
     acyclic: Acyclic,
-    ends: AxisEnds,
+    pub(super) ends: AxisEnds,
     pub(super) next_id: CommandId,
     /// The last jog or cyclic velocity.
     rolling: CommandId,
@@ -362,11 +362,6 @@ impl Axis {
         // What its queue has beyond that is for a group.
         let rows = &self.ends.rows;
         self.plan.stream_queue.saturating_sub(rows.buffer().capacity() - rows.slots())
-    }
-
-    /// How many parts of rows its queue has room for.
-    pub(super) fn row_room(&self) -> usize {
-        self.ends.rows.slots()
     }
 
     /// Queues a row for [`Command::Follow`], one per exchange. Each row is checked against the limits.

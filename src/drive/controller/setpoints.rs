@@ -45,10 +45,11 @@ pub fn take_rows(controllers: &mut [DriveController], slots: &[Slot]) {
     for lead in 0..controllers.len() {
         let Some(follow) = controllers[lead].takes_row(&slots[lead]) else { continue };
         let parts = follow.call.map_or(1, |call| call.parts);
-        let leads =
-            follow.call.map_or(controllers[lead].task_row.is_none(), |call| call.lead as usize == lead);
+        if !follow.call.map_or(controllers[lead].task_row.is_none(), |call| call.lead as usize == lead) {
+            continue;
+        }
         // Bounded by what is queued now: the application may go on pushing.
-        for _ in 0..if leads { controllers[lead].queues.rows.slots() } else { 0 } {
+        for _ in 0..controllers[lead].queues.rows.slots() {
             if !controllers[lead].has_row(follow.stream) {
                 break;
             }
