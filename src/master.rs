@@ -9,7 +9,7 @@ use thiserror::Error;
 
 use crate::axis::acyclic::{self, Acyclic, Commanding, Parameters};
 use crate::axis::cell;
-use crate::axis::handle::{URGENT_ROOM, room_for_ends};
+use crate::axis::handle::{URGENT_ROOM, most_unended, room_for_ends};
 use crate::axis::newest;
 use crate::axis::{Axis, AxisEnds, Feedback, Group, GroupError, Link, Observer, Pulse, StopCause};
 use crate::bus::{BusClock, Cycle, OpenError, Unmatched};
@@ -208,13 +208,22 @@ pub fn assemble<C: Clock>(
     let (mut devices, mut of_devices) = (Devices::default(), Vec::new());
     let (status_in, status) = cell::cell(Status::default());
     let mut gauges = Gauges { status, axes: Vec::new(), buses: Vec::new() };
+    let machine = plan.axes();
     for bus_plan in &plan.buses {
         let mut bus = bus_plan.open(period_ns, carriers)?;
         let (first, notes) = (entries.len(), bus.notes());
         for (index, axis) in bus_plan.axes().into_iter().enumerate() {
-            let (command_in, command_out) = rt::ring(axis.command_queue + URGENT_ROOM, &mut regions);
+            // The queues of the first member hold the parts of all. A group of the plan has the full room for each
+            // of them; any other one at least has room for one call, and for its stops.
+            let group = axis.stop.group;
+            let most =
+                machine.iter().filter(|other| group.is_some() && other.stop.group == group).count().max(1);
+            let led = plan.groups.iter().filter(|group| group.axes.first() == Some(&axis.name));
+            let members = led.map(|group| group.axes.len()).max().unwrap_or(1);
+            let room = |queue: usize| queue.saturating_mul(members).max(most);
+            let (posted_in, posted) = rt::ring(room(axis.command_queue) + URGENT_ROOM * most, &mut regions);
             let (setpoint_in, setpoint_out) = newest::newest();
-            let (row_in, row_out) = rt::ring(axis.stream_queue, &mut regions);
+            let (row_in, row_out) = rt::ring(room(axis.stream_queue), &mut regions);
             let (event_in, event_out) = rt::ring(axis.event_queue + room_for_ends(axis), &mut regions);
             let (writer, reader) = cell::cell(Feedback::default());
             let (sample_in, sample_out) = match axis.sample_queue {
@@ -225,7 +234,8 @@ pub fn assemble<C: Clock>(
                 }
             };
             let queues = Queues {
-                commands: command_out,
+                posted,
+                commands: rt::deque(most_unended(axis), &mut regions),
                 rows: row_out,
                 setpoints: setpoint_out,
                 events: event_in,
@@ -262,7 +272,7 @@ pub fn assemble<C: Clock>(
                 pulse.clone(),
                 acyclic.clone(),
                 AxisEnds {
-                    commands: command_in,
+                    commands: posted_in,
                     rows: row_in,
                     setpoints: setpoint_in,
                     events: event_out,

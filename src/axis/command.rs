@@ -37,23 +37,27 @@ impl CommandId {
 pub struct QueuedCommand {
     /// Its id, assigned on submission.
     pub id: CommandId,
+    /// The place of its axis in the machine.
+    pub member: u32,
     /// What to do.
     pub verb: Command,
     /// For [`Command::Follow`]: which stream.
     pub stream: u32,
-    /// For a command to a [`Group`](crate::axis::Group): it takes effect together with those of the other members.
-    pub ticket: Option<Ticket>,
+    /// Of a command to a [`Group`](crate::axis::Group): what it has in common with those of the other members.
+    pub call: Option<GroupCall>,
 }
 
-/// What the commands of one call to a group have in common.
+/// A call to a group: one command to each member, one after the other in the queue of the first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Ticket {
-    /// The first member's place in the machine: it stands for the group.
+pub struct GroupCall {
+    /// How many commands there are.
+    pub parts: u32,
+    /// How many of them begin together: all but the stops, which wait for no other member.
+    pub together: u32,
+    /// The place of the first of these members, which stands for the group ...
     pub lead: u32,
-    /// How many members there are.
-    pub members: u32,
-    /// Grows by one a call.
-    pub number: u64,
+    /// ... and the id of its command, which stands for the call.
+    pub id: CommandId,
 }
 
 /// A row on its way to the loop, and its stream: a follow runs the rows of its own stream only, and ignores
@@ -62,8 +66,10 @@ pub struct Ticket {
 pub struct StreamRow {
     /// Streams are counted up.
     pub stream: u32,
-    /// Rows that were pushed to a group together have one number, which grows; 0 = pushed to the axis alone.
-    pub number: u64,
+    /// The place of the axis in the machine.
+    pub member: u32,
+    /// How many members have a part in the row, one after the other in the queue of the first; 1 = the axis alone.
+    pub parts: u32,
     /// The row.
     pub row: Row,
 }

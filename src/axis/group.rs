@@ -4,14 +4,13 @@
 //! its own end. What one member refuses is refused to all. A failed motion or homing of one member stops the others
 //! by their stop group, and so does a member that is stopped or taken out of a motion of the group. After a failed
 //! enable the members that came up stay up. A stop is never refused to one member because of another, and waits for
-//! the others no longer than two cycles.
+//! none.
 
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use thiserror::Error;
 
-use super::command::{Command, CommandId, Move, Profile, Row, Target, Ticket};
+use super::command::{Command, CommandId, GroupCall, Move, Profile, QueuedCommand, Row, StreamRow, Target};
 use super::event::Event;
 use super::feedback::Feedback;
 use super::handle::{Axis, AxisError, GRACE, longest};
@@ -34,10 +33,6 @@ use super::plan::AxisPlan;
 pub struct Group {
     axes: Vec<Axis>,
 }
-
-/// Counts the calls to all groups of this process, rows included. Axes may move from one group to another, and no
-/// two calls may have the same number.
-static CALLS: AtomicU64 = AtomicU64::new(1);
 
 /// One command to each member, in the order of the group.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -118,7 +113,7 @@ impl Group {
         &self.axes
     }
 
-    /// Ends the group and gives its axes back. Running commands continue.
+    /// Ends the group and gives its axes back. Its commands continue; its rows are for no other follow than its own.
     pub fn into_axes(self) -> Vec<Axis> {
         self.axes
     }
@@ -143,15 +138,18 @@ impl Group {
         for (axis, verb) in self.axes.iter_mut().zip(verbs) {
             axis.accepts(verb)?;
         }
-        let ticket = Ticket {
-            lead: self.axes.first().map_or(0, |axis| axis.index() as u32),
-            members: self.axes.len() as u32,
-            number: CALLS.fetch_add(1, Ordering::Relaxed),
+        let together = || self.axes.iter().zip(verbs).filter(|(_, verb)| !verb.is_urgent());
+        let lead = together().next().map_or(&self.axes[0], |(axis, _)| axis);
+        let call = GroupCall {
+            parts: verbs.len() as u32,
+            together: together().count() as u32,
+            lead: lead.index() as u32,
+            id: lead.next_id,
         };
-        let mut ids = Vec::with_capacity(verbs.len());
-        for (axis, verb) in self.axes.iter_mut().zip(verbs) {
-            ids.push(axis.enqueue(*verb, Some(ticket))?);
-        }
+        let parts: Vec<QueuedCommand> =
+            self.axes.iter().zip(verbs).map(|(axis, verb)| axis.command(*verb, Some(call))).collect();
+        self.axes[0].send(&parts)?;
+        let ids = self.axes.iter_mut().zip(&parts).map(|(axis, part)| axis.sent(part)).collect();
         Ok(GroupCommand { verb: verbs.first().map_or("", Command::name), ids })
     }
 
@@ -186,7 +184,7 @@ impl Group {
 
     /// How many rows the streams have room for.
     pub fn stream_room(&self) -> usize {
-        self.axes.iter().map(Axis::stream_room).min().unwrap_or(0)
+        self.axes[0].ends.rows.slots() / self.axes.len()
     }
 
     /// Queues one row for each member, all or none of them. The loop takes them together.
@@ -195,13 +193,11 @@ impl Group {
         if rows.iter().any(|row| row.last) && rows.iter().any(|row| !row.last) {
             return Err(GroupError::MixedEnd);
         }
-        for (axis, row) in self.axes.iter().zip(rows) {
-            axis.accepts_row(row)?;
-        }
-        let number = CALLS.fetch_add(1, Ordering::Relaxed);
-        for (axis, row) in self.axes.iter_mut().zip(rows) {
-            axis.enqueue_row(*row, number);
-        }
+        let parts: Vec<StreamRow> = (self.axes.iter().zip(rows))
+            .map(|(axis, row)| axis.row(*row, rows.len()))
+            .collect::<Result<_, _>>()?;
+        self.axes[0].send_row(&parts)?;
+        self.axes.iter_mut().zip(&parts).for_each(|(axis, part)| axis.sent_row(part));
         Ok(())
     }
 

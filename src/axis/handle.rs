@@ -14,8 +14,8 @@ use thiserror::Error;
 use super::acyclic::{Acyclic, Parameters};
 use super::cell::Reader;
 use super::command::{
-    Abort, Command, CommandId, Failure, Jog, Move, Outcome, Profile, QueuedCommand, Row, Setpoint, StreamRow,
-    Target, Ticket,
+    Abort, Command, CommandId, Failure, GroupCall, Jog, Move, Outcome, Profile, QueuedCommand, Row, Setpoint,
+    StreamRow, Target,
 };
 use super::event::{Event, EventKind};
 use super::feedback::{Fault, FaultNames, Feedback, Link, StopCause};
@@ -28,7 +28,7 @@ use super::streams::Streams;
 /// How often the blocking calls look for events.
 pub(super) const LOOK_EVERY: Duration = Duration::from_micros(500);
 
-/// Places in each command queue that only a stop, quick stop or power off takes.
+/// Places for commands that only a stop, quick stop or power off takes.
 pub(crate) const URGENT_ROOM: usize = 4;
 
 /// Places in the event queue for the ends of commands of the in-loop task: one runs, one waits.
@@ -43,7 +43,8 @@ pub(crate) fn room_for_ends(plan: &AxisPlan) -> usize {
     most_unended(plan) + TASK_ROOM
 }
 
-fn most_unended(plan: &AxisPlan) -> usize {
+/// The most commands of the application that may be under way.
+pub(crate) fn most_unended(plan: &AxisPlan) -> usize {
     plan.command_queue + URGENT_ROOM + 2
 }
 
@@ -55,8 +56,8 @@ pub struct Axis {
     index: usize,
     pulse: Pulse,
     acyclic: Acyclic,
-    ends: AxisEnds,
-    next_id: u64,
+    pub(super) ends: AxisEnds,
+    pub(super) next_id: CommandId,
     /// The last jog or cyclic velocity.
     rolling: CommandId,
     /// The last torque.
@@ -168,7 +169,7 @@ impl Axis {
             acyclic: acyclic.of_application(&pulse),
             pulse,
             ends,
-            next_id: 1,
+            next_id: CommandId(1),
             rolling: CommandId(0),
             pressing: CommandId(0),
             unended: 0,
@@ -261,46 +262,57 @@ impl Axis {
     /// Submits a command and returns at once. Its end is an [`EventKind::Ended`] with this id.
     pub fn post(&mut self, verb: Command) -> Result<CommandId, AxisError> {
         self.accepts(&verb)?;
-        self.enqueue(verb, None)
+        let command = self.command(verb, None);
+        self.send(&[command])?;
+        Ok(self.sent(&command))
     }
 
-    /// Whether `verb` would be accepted now: its numbers, and room in the queue. The last places are reserved for
+    /// Whether `verb` would be accepted now: its numbers, and room for its end. The last places are reserved for
     /// commands that stop the axis.
     pub(super) fn accepts(&mut self, verb: &Command) -> Result<(), AxisError> {
         check_verb(&self.plan, verb).map_err(|failure| self.refused(verb.name(), failure))?;
-        let kept = if verb.is_urgent() { 0 } else { URGENT_ROOM };
+        let most = most_unended(&self.plan) - if verb.is_urgent() { 0 } else { URGENT_ROOM };
+        if self.unended >= most {
+            // The application takes no events: their places are needed.
+            while let Some(event) = self.take_event() {
+                self.keep(event);
+            }
+        }
         let unread = self.kept_ends >= KEPT_ENDS && !verb.is_urgent();
-        if unread || self.ends.commands.slots() <= kept || !self.has_room_for_its_end() {
+        if unread || self.unended >= most {
             Err(self.full(verb.name(), self.plan.command_queue))
         } else {
             Ok(())
         }
     }
 
-    /// Whether there is a place for the end of one more command.
-    fn has_room_for_its_end(&mut self) -> bool {
-        if self.unended >= most_unended(&self.plan) {
-            // The application takes no events: their places are needed.
-            while let Some(event) = self.take_event() {
-                self.keep(event);
-            }
-        }
-        self.unended < most_unended(&self.plan)
+    /// A command of this axis for a queue.
+    pub(super) fn command(&self, verb: Command, call: Option<GroupCall>) -> QueuedCommand {
+        let stream = self.streams.to_follow();
+        QueuedCommand { id: self.next_id, member: self.index as u32, verb, stream, call }
     }
 
-    /// Queues a command that was accepted.
-    pub(super) fn enqueue(&mut self, verb: Command, ticket: Option<Ticket>) -> Result<CommandId, AxisError> {
+    /// Queues the parts of one call, all or none. The last places are reserved for calls that only stop.
+    pub(super) fn send(&mut self, parts: &[QueuedCommand]) -> Result<(), AxisError> {
         if self.ends.commands.is_abandoned() {
             return Err(self.gone());
         }
-        let id = CommandId(self.next_id);
-        let command = QueuedCommand { id, verb, stream: self.streams.to_follow(), ticket };
-        if self.ends.commands.push(command).is_err() {
-            return Err(self.full(verb.name(), self.plan.command_queue));
+        let urgent = parts.iter().all(|part| part.verb.is_urgent());
+        let kept = if urgent { 0 } else { URGENT_ROOM * parts.len() };
+        let room = self.ends.commands.slots() >= parts.len() + kept;
+        if !room || self.ends.commands.push_entire_slice(parts).is_err() {
+            let verb = parts.first().map_or("", |part| part.verb.name());
+            return Err(self.full(verb, self.plan.command_queue));
         }
+        Ok(())
+    }
+
+    /// Accounts for a command of this axis that was queued.
+    pub(super) fn sent(&mut self, command: &QueuedCommand) -> CommandId {
+        let QueuedCommand { id, verb, .. } = *command;
         self.pulse.beat();
         self.unended += 1;
-        self.next_id += 1;
+        self.next_id.0 += 1;
         if verb.takes_velocities() {
             self.rolling = id;
         }
@@ -310,7 +322,7 @@ impl Axis {
         if verb == Command::Follow {
             self.streams.followed(id);
         }
-        Ok(id)
+        id
     }
 
     /// The velocity setpoint of a running [`Command::Velocity`] or [`Command::Jog`], user units/s. The newest counts.
@@ -348,7 +360,9 @@ impl Axis {
 
     /// How many rows the stream has room for.
     pub fn stream_room(&self) -> usize {
-        self.ends.rows.slots()
+        // What its queue has beyond that is for a group.
+        let rows = &self.ends.rows;
+        self.plan.stream_queue.saturating_sub(rows.buffer().capacity() - rows.slots())
     }
 
     /// Queues a row for [`Command::Follow`], one per exchange. Each row is checked against the limits.
@@ -356,26 +370,31 @@ impl Axis {
     /// After a row marked `last`, and after the application has seen (by [`event`](Self::event) or during a wait)
     /// that the stream ended or the axis was stopped, rows belong to the next stream.
     pub fn push_row(&mut self, row: Row) -> Result<(), AxisError> {
-        self.accepts_row(&row)?;
-        self.enqueue_row(row, 0);
+        let row = self.row(row, 1)?;
+        self.send_row(&[row])?;
+        self.sent_row(&row);
         Ok(())
     }
 
-    /// Whether `row` would be accepted now: its numbers, and room in the queue.
-    pub(super) fn accepts_row(&self, row: &Row) -> Result<(), AxisError> {
-        check_row(&self.plan, row, self.streams.before()).map_err(|failure| self.refused("row", failure))?;
+    /// Its part of a row of so many members for a queue, if its numbers are within the limits.
+    pub(super) fn row(&self, row: Row, parts: usize) -> Result<StreamRow, AxisError> {
+        check_row(&self.plan, &row, self.streams.before()).map_err(|failure| self.refused("row", failure))?;
+        let (member, parts) = (self.index as u32, parts as u32);
+        Ok(StreamRow { stream: self.streams.pushing(), member, parts, row })
+    }
+
+    /// Queues the parts of one row, all or none.
+    pub(super) fn send_row(&mut self, parts: &[StreamRow]) -> Result<(), AxisError> {
         if self.ends.rows.is_abandoned() {
             return Err(self.gone());
         }
-        if self.ends.rows.slots() == 0 { Err(self.full("row", self.plan.stream_queue)) } else { Ok(()) }
+        self.ends.rows.push_entire_slice(parts).map_err(|_| self.full("row", self.plan.stream_queue))
     }
 
-    /// Queues a row that was accepted. This is the only producer, so that the room is still there.
-    pub(super) fn enqueue_row(&mut self, row: Row, number: u64) {
-        if self.ends.rows.push(StreamRow { stream: self.streams.pushing(), number, row }).is_ok() {
-            self.pulse.beat();
-            self.streams.pushed(row);
-        }
+    /// Accounts for a row of this axis that was queued.
+    pub(super) fn sent_row(&mut self, row: &StreamRow) {
+        self.pulse.beat();
+        self.streams.pushed(row.row);
     }
 
     /// Starts to follow the stream, whose first rows should be queued already. Ends with the row marked `last`.

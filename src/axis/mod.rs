@@ -33,8 +33,8 @@ mod streams;
 pub mod units;
 
 pub use command::{
-    Abort, Command, CommandId, Failure, Jog, Move, NativeOwner, Outcome, Profile, QueuedCommand, Row,
-    Setpoint, StreamRow, Target, Ticket,
+    Abort, Command, CommandId, Failure, GroupCall, Jog, Move, NativeOwner, Outcome, Profile, QueuedCommand,
+    Row, Setpoint, StreamRow, Target,
 };
 pub use event::{Emergency, Event, EventKind};
 pub use feedback::{

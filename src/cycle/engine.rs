@@ -26,7 +26,7 @@ use super::window::{OpenBus, Window};
 use crate::axis::cell::Writer;
 use crate::axis::{Link, Pulse, StopCause};
 use crate::bus::{Cycle, Slot};
-use crate::drive::controller::DriveController;
+use crate::drive::controller::{DriveController, take_commands, take_rows};
 use crate::drive::groups::GroupSync;
 use crate::rt::{Clock, GuardTuner, Regions};
 use crate::time::{MS, Time, nanos};
@@ -426,6 +426,8 @@ impl<C: Clock> Engine<C> {
 
     /// Evaluates all exchanges. Returns how many drives that were online have not answered.
     fn evaluate(&mut self, cycle: &Cycle, now: Time) -> u16 {
+        // What was posted before a stop ends with it.
+        take_commands(&mut self.controllers);
         let mut missed = 0_u16;
         for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
             let online = controller.feedback().link == Link::Online;
@@ -449,7 +451,7 @@ impl<C: Clock> Engine<C> {
         self.groups.judge(&mut self.controllers);
         while let Some(lead) = self.groups.take_full() {
             for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
-                if controller.moves_in_group().is_some_and(|ticket| ticket.lead as usize == lead) {
+                if controller.moves_in_group().is_some_and(|call| call.lead as usize == lead) {
                     controller.stop(cycle, now, StopCause::GroupLink, slot);
                 }
             }
@@ -476,6 +478,8 @@ impl<C: Clock> Engine<C> {
         cause: StopCause,
         chosen: impl Fn(Option<u16>) -> bool,
     ) {
+        // What was posted before the stop ends with it.
+        take_commands(&mut self.controllers);
         for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
             if chosen(controller.plan().stop.group) {
                 controller.stop(cycle, now, cause, slot);
@@ -526,6 +530,8 @@ impl<C: Clock> Engine<C> {
         if panicked || over {
             self.stop_axes(cycle, before, StopCause::Task, |_| true);
         }
+        // The task may have run for long.
+        take_commands(&mut self.controllers);
     }
 
     /// Prepares the send of `next`: which drives are due, their rows, and their bytes.
@@ -534,9 +540,9 @@ impl<C: Clock> Engine<C> {
             slot.due = controller.is_due(next.index);
             slot.guarded = controller.is_guarded();
         }
-        self.groups.count_rows(&mut self.controllers, &self.slots);
+        take_rows(&mut self.controllers, &self.slots);
         for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
-            controller.feed(next, now, slot, &self.groups);
+            controller.feed(next, now, slot);
         }
         // What stopped since the evaluation leaves with the same send.
         self.take_groups_along(next, now);

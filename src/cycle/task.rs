@@ -57,7 +57,7 @@ impl<'a> Axes<'a> {
         controller.command_from_task(
             self.cycle,
             self.now,
-            QueuedCommand { id, verb, stream: 0, ticket: None },
+            QueuedCommand { id, member: index as u32, verb, stream: 0, call: None },
         )?;
         *self.next_id += 1;
         Ok(id)

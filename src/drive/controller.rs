@@ -5,6 +5,11 @@
 mod commands;
 mod setpoints;
 
+pub use self::commands::take_commands;
+pub use self::setpoints::take_rows;
+
+use std::collections::VecDeque;
+
 use rtrb::{Consumer, Producer};
 
 use self::setpoints::{Follow, Level};
@@ -20,7 +25,7 @@ use crate::axis::command::NativeOwner;
 use crate::axis::newest::NewestOut;
 use crate::axis::{
     Abort, AxisPlan, Command, CommandId, DriveStatus, Event, EventKind, Failure, Feedback, FoundRunning,
-    Link, MONITOR_CHANNELS, Outcome, QueuedCommand, Row, Shown, State, StopCause, StreamRow, Ticket,
+    GroupCall, Link, MONITOR_CHANNELS, Outcome, QueuedCommand, Row, Shown, State, StopCause, StreamRow,
 };
 use crate::bus::desired::Capabilities;
 use crate::bus::{Cycle, Exchange, Order, Slot};
@@ -30,9 +35,11 @@ use crate::time::{Time, nanos};
 /// The ends of the queues that the loop holds for one axis.
 #[derive(Debug)]
 pub struct Queues {
-    /// Commands of the application.
-    pub commands: Consumer<QueuedCommand>,
-    /// Rows of the application's stream.
+    /// Commands that the application has posted, to the axis or to the group that it leads.
+    pub posted: Consumer<QueuedCommand>,
+    /// Commands to the axis, taken out of its own queue and out of those of its groups.
+    pub commands: VecDeque<QueuedCommand>,
+    /// Rows of the application's stream, or of the stream of the group that it leads.
     pub rows: Consumer<StreamRow>,
     /// The newest velocity or torque setpoint of the application.
     pub setpoints: NewestOut,
@@ -66,10 +73,8 @@ pub struct DriveController {
     task_row: Option<Row>,
     /// The group command at the head of the queue that could begin.
     waiting: Option<QueuedCommand>,
-    /// The group command that waits for the other members, and since which slot.
-    at_gate: Option<(CommandId, u64)>,
-    /// The last group command that ended before it began: no other member shall wait for it.
-    dropped: Option<Ticket>,
+    /// The id of the next command of the application.
+    next_id: u64,
     follow: Follow,
     /// The velocity or torque of the running command, and the newest one for a command to come.
     level: Level,
@@ -191,8 +196,7 @@ impl DriveController {
             task_command: None,
             task_row: None,
             waiting: None,
-            at_gate: None,
-            dropped: None,
+            next_id: 1,
             follow: Follow::default(),
             level: Level::default(),
             ahead: Level::default(),
@@ -349,9 +353,9 @@ impl DriveController {
     }
 
     /// The group of its running motion.
-    pub fn moves_in_group(&self) -> Option<Ticket> {
+    pub fn moves_in_group(&self) -> Option<GroupCall> {
         let moves = |active: &QueuedCommand| active.verb.is_motion() || active.verb == Command::Home;
-        self.active.filter(moves).and_then(|active| active.ticket)
+        self.active.filter(moves).and_then(|active| active.call)
     }
 
     /// Writes what is desired of the drive with the send of `next`, if one is due then.
@@ -749,11 +753,8 @@ impl DriveController {
             self.end(cycle, now, command, Outcome::Aborted(why));
         }
         self.waiting = None;
-        for _ in 0..self.queues.commands.slots() {
-            match self.queues.commands.pop() {
-                Ok(command) => self.end(cycle, now, command, Outcome::Aborted(why)),
-                Err(_) => break,
-            }
+        while let Some(command) = self.queues.commands.pop_front() {
+            self.end(cycle, now, command, Outcome::Aborted(why));
         }
         // Of every stream: the application counts on from the stop.
         self.drop_rows(u32::MAX - 1);
@@ -782,8 +783,6 @@ impl DriveController {
                 // The drive may still be braking.
                 self.rest.fail();
             }
-        } else {
-            self.dropped = command.ticket.or(self.dropped);
         }
         self.tell(cycle, now, EventKind::Ended { id: command.id, verb: command.verb.name(), outcome });
     }

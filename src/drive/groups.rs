@@ -1,11 +1,9 @@
-//! Group synchronisation: a command of all members waits until each member has it and may begin, and rows are taken
-//! by all members or by none.
+//! Group synchronisation: a command of all members begins at each of them in one cycle, or at none, and so are rows
+//! taken.
 //!
-//! The application pushes one command into each member's queue. The loop may look between two pushes, so an
-//! incomplete command is held back until it is complete.
+//! The parts of all members are one entry in the queue of the first, so that the loop never sees some of them only.
 
 use super::controller::{Closed, DriveController};
-use crate::axis::{Failure, Outcome, Ticket};
 use crate::bus::{Cycle, Slot};
 use crate::time::Time;
 
@@ -20,18 +18,6 @@ pub struct GroupSync {
 /// One group in this cycle, and its misses.
 #[derive(Clone, Copy, Debug, Default)]
 struct GroupState {
-    /// The call whose commands are counted.
-    number: u64,
-    /// Commands up to this call have ended at some member before they began.
-    dropped: u64,
-    /// Members that have the command and may begin.
-    waiting: u32,
-    /// The call whose rows the members follow ...
-    following: u64,
-    /// ... the highest number among their next rows ...
-    front: u64,
-    /// ... and how many members have that row next.
-    rows: u32,
     /// Members in motion.
     moving: u32,
     /// Their exchanges that were answered or missed in this cycle ...
@@ -58,7 +44,7 @@ impl GroupSync {
         regions.add(&*self.groups);
     }
 
-    /// Starts the commands that all members have. One member that cannot begin keeps all others from it.
+    /// Begins the commands that may begin at all members. One member that cannot keeps all others from it.
     pub fn open(
         &mut self,
         cycle: &Cycle,
@@ -66,97 +52,28 @@ impl GroupSync {
         controllers: &mut [DriveController],
         slots: &mut [Slot],
     ) {
-        let mut complete = false;
-        for controller in controllers.iter_mut() {
-            if let Some(ticket) = controller.take_dropped()
-                && let Some(group) = self.groups.get_mut(ticket.lead as usize)
-            {
-                (self.used, group.dropped) = (true, group.dropped.max(ticket.number));
-            }
-        }
-        for controller in controllers.iter_mut() {
-            let Some(ticket) = controller.waiting() else { continue };
+        for index in 0..controllers.len() {
+            let Some(call) = controllers[index].waiting() else { continue };
             self.used = true;
-            let Some(group) = self.groups.get_mut(ticket.lead as usize) else { continue };
-            if ticket.number <= group.dropped {
-                // A stop, or a later command, came while it was pushed to one member after the other.
-                controller.end_waiting(cycle, now, Outcome::Failed(Failure::GroupRefused));
+            let lead = call.lead as usize;
+            if lead != index && controllers.get(lead).is_some_and(|lead| lead.holds(call)) {
+                // It begins with its lead.
                 continue;
             }
-            if group.number != ticket.number {
-                (group.number, group.waiting) = (ticket.number, 0);
-            }
-            group.waiting += 1;
-            complete |= group.waiting == ticket.members;
-        }
-        for lead in 0..self.groups.len() {
-            if complete && self.groups[lead].waiting > 0 {
-                self.pass(lead, cycle, now, controllers, slots);
-            }
-        }
-        if self.used {
-            self.groups.iter_mut().for_each(|group| group.waiting = 0);
-        }
-    }
-
-    fn pass(
-        &mut self,
-        lead: usize,
-        cycle: &Cycle,
-        now: Time,
-        controllers: &mut [DriveController],
-        slots: &mut [Slot],
-    ) {
-        let group = self.groups[lead];
-        let of_gate = |ticket: Ticket| {
-            ticket.lead as usize == lead && ticket.number == group.number && ticket.members == group.waiting
-        };
-        let members = |controller: &DriveController| controller.waiting().is_some_and(of_gate);
-        let refused = controllers.iter().any(|controller| {
-            members(controller) && controller.waits_for_all() && controller.admits_waiting().is_err()
-        });
-        for (controller, slot) in controllers.iter_mut().zip(slots) {
-            if !members(controller) {
+            let held = controllers.iter().filter(|axis| axis.holds(call)).count();
+            let waiting = controllers.iter().filter(|axis| axis.waiting() == Some(call));
+            // A stop has ended it at some member before it began.
+            let lost = held < call.together as usize;
+            if !lost && waiting.clone().count() < held {
                 continue;
             }
-            match controller.admits_waiting() {
-                Ok(()) if !refused => controller.begin_waiting(cycle, now, slot),
-                Ok(()) => controller.end_waiting(cycle, now, Outcome::Failed(Failure::GroupRefused)),
-                Err(failure) => controller.end_waiting(cycle, now, Outcome::Failed(failure)),
-            }
-        }
-    }
-
-    /// Finds the row that all members have next, and counts the members that have it.
-    pub fn count_rows(&mut self, controllers: &mut [DriveController], slots: &[Slot]) {
-        if !self.used {
-            return;
-        }
-        for group in &mut self.groups {
-            (group.following, group.front, group.rows) = (0, 0, 0);
-        }
-        // The row that the foremost member has next is the least that can be next: earlier rows of the others
-        // belong to no common point.
-        for find in [true, false] {
-            for (controller, _) in controllers.iter_mut().zip(slots).filter(|(_, slot)| slot.due) {
-                let lead = controller.moves_in_group().map(|ticket| ticket.lead as usize);
-                let Some(group) = lead.and_then(|lead| self.groups.get_mut(lead)) else { continue };
-                let from = if find { 0 } else { group.front };
-                let Some((ticket, number)) = controller.offers_row(from) else { continue };
-                if find {
-                    group.following = group.following.max(ticket.number);
-                    group.front = group.front.max(number);
-                } else if ticket.number == group.following && number == group.front {
-                    group.rows += 1;
+            let refused = lost || waiting.clone().any(|axis| axis.admits_waiting().is_err());
+            for (axis, slot) in controllers.iter_mut().zip(&mut *slots) {
+                if axis.waiting() == Some(call) {
+                    axis.take_waiting(cycle, now, slot, refused);
                 }
             }
         }
-    }
-
-    /// Whether each member of the group of `ticket` has the same row next, as counted last.
-    pub fn have_rows(&self, ticket: Ticket) -> bool {
-        let group = self.groups.get(ticket.lead as usize);
-        group.is_some_and(|group| group.following == ticket.number && group.rows == ticket.members)
     }
 
     /// Fills the buckets of the groups in motion with the misses of their members.
@@ -169,8 +86,8 @@ impl GroupSync {
         }
         for controller in controllers {
             let closed = controller.take_closed();
-            let Some(ticket) = controller.moves_in_group() else { continue };
-            let Some(group) = self.groups.get_mut(ticket.lead as usize) else { continue };
+            let Some(call) = controller.moves_in_group() else { continue };
+            let Some(group) = self.groups.get_mut(call.lead as usize) else { continue };
             let health = controller.plan().health;
             let first = group.moving == 0;
             group.bucket = if first { health.bucket } else { group.bucket.min(health.bucket) };
@@ -215,185 +132,198 @@ impl GroupState {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::axis::cell;
     use crate::axis::{
-        AxisPlan, Command, CommandId, Event, EventKind, Feedback, QueuedCommand, StopCause, Units,
+        Abort, Command, CommandId, Event, Failure, GroupCall, Outcome, QueuedCommand, StopCause,
     };
     use crate::axis::{Row, StreamRow};
-    use crate::drive::controller::Queues;
-    use crate::drive::controller::tests::{Alone, cycle, plan};
-    use crate::rt::{Regions, ring};
-    use crate::time::MS;
+    use crate::bus::Progress;
+    use crate::drive::controller::tests::{Alone, cycle, ended, plan};
+    use crate::drive::controller::{take_commands, take_rows};
 
-    /// A member, and the application's ends of its queues.
-    fn member(name: &str) -> (DriveController, rtrb::Producer<QueuedCommand>, rtrb::Consumer<Event>) {
-        let mut regions = Regions::default();
-        let (commands, command_out) = ring(8, &mut regions);
-        let (_, rows) = ring(8, &mut regions);
-        let (_, setpoints) = crate::axis::newest::newest();
-        let (event_in, events) = ring(32, &mut regions);
-        let (feedback, _) = cell::cell(Feedback::default());
-        let queues = Queues {
-            commands: command_out,
-            rows,
-            setpoints,
-            events: event_in,
-            room_for_ends: 0,
-            feedback,
-            samples: None,
-        };
-        (
-            DriveController::new(AxisPlan::new(name, Units::millimetres(1.0)), None, queues, MS, 0, 100),
-            commands,
-            events,
-        )
+    /// Axes in operation, with the application's ends of their queues.
+    struct Machine {
+        controllers: Vec<DriveController>,
+        slots: Vec<Slot>,
+        ends: Vec<Ends>,
+        groups: GroupSync,
+        ids: Vec<u64>,
+        index: u64,
     }
 
-    /// A reset: it may begin at any time and is done at once.
-    fn call(number: u64) -> QueuedCommand {
-        let ticket = Some(Ticket { lead: 0, members: 2, number });
-        QueuedCommand { id: CommandId(number), verb: Command::Reset, stream: 0, ticket }
-    }
+    type Ends = (rtrb::Producer<QueuedCommand>, rtrb::Producer<StreamRow>, rtrb::Consumer<Event>);
 
-    fn outcomes(events: &mut rtrb::Consumer<Event>) -> Vec<(u64, Outcome)> {
-        std::iter::from_fn(|| events.pop().ok())
-            .filter_map(|event| match event.kind {
-                EventKind::Ended { id, outcome, .. } => Some((id.0, outcome)),
-                _ => None,
-            })
-            .collect()
-    }
+    impl Machine {
+        fn new(axes: usize) -> Machine {
+            let (controllers, (slots, ends)) = (0..axes)
+                .map(|_| Alone::new(plan()).enabled())
+                .map(|x| (x.controller, (Slot { due: true, ..x.slot }, (x.commands, x.rows, x.events))))
+                .unzip();
+            // The first command was the enable.
+            Machine { controllers, slots, ends, groups: GroupSync::new(axes), ids: vec![2; axes], index: 50 }
+        }
 
-    #[test]
-    fn a_call_that_is_half_pushed_waits_and_one_that_was_flushed_at_a_member_is_waited_for_by_none() {
-        let ((x, mut to_x, mut of_x), (y, mut to_y, mut of_y)) = (member("x"), member("y"));
-        let (mut controllers, mut slots) = ([x, y], [Slot::default(), Slot::default()]);
-        let mut groups = GroupSync::new(2);
-        let cycle = Cycle { index: 0, grid: Time(0), period_ns: MS, deadline: Time(0) };
-        let mut turn = |controllers: &mut [DriveController; 2]| {
-            for (controller, slot) in controllers.iter_mut().zip(&mut slots) {
-                controller.exchange(&cycle, Time(0), slot);
+        /// Posts a command to a group, or to one axis alone.
+        fn post(&mut self, parts: &[(usize, Command)]) {
+            let together = || parts.iter().filter(|(_, verb)| !verb.is_urgent());
+            let lead = together().next().map_or(parts[0].0, |(axis, _)| *axis);
+            let call = GroupCall {
+                parts: parts.len() as u32,
+                together: together().count() as u32,
+                lead: lead as u32,
+                id: CommandId(self.ids[lead]),
+            };
+            let entry: Vec<QueuedCommand> = (parts.iter())
+                .map(|&(axis, verb)| {
+                    let call = (parts.len() > 1).then_some(call);
+                    self.ids[axis] += 1;
+                    QueuedCommand {
+                        id: CommandId(self.ids[axis] - 1),
+                        member: axis as u32,
+                        verb,
+                        stream: 1,
+                        call,
+                    }
+                })
+                .collect();
+            self.ends[parts[0].0].0.push_entire_slice(&entry).unwrap();
+        }
+
+        /// One cycle of the commands.
+        fn turn(&mut self) {
+            let cycle = cycle(self.index);
+            self.index += 1;
+            take_commands(&mut self.controllers);
+            for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
+                controller.exchange(&cycle, cycle.grid, slot);
             }
-            groups.open(&cycle, Time(0), controllers, &mut slots);
-        };
-        to_x.push(call(1)).unwrap();
-        (0..5).for_each(|_| turn(&mut controllers));
-        assert_eq!(outcomes(&mut of_x), []);
-        to_y.push(call(1)).unwrap();
-        turn(&mut controllers);
-        assert_eq!([outcomes(&mut of_x), outcomes(&mut of_y)], [[(1, Outcome::Done)], [(1, Outcome::Done)]]);
-
-        // The loop stops both between two pushes: the command that reaches y later has no other member to wait for.
-        to_x.push(call(2)).unwrap();
-        turn(&mut controllers);
-        for controller in &mut controllers {
-            controller.stop(&cycle, Time(0), StopCause::Overrun, &mut Slot::default());
+            self.groups.open(&cycle, cycle.grid, &mut self.controllers, &mut self.slots);
         }
-        to_y.push(call(2)).unwrap();
-        (0..2).for_each(|_| turn(&mut controllers));
-        assert!(matches!(outcomes(&mut of_x)[..], [(2, Outcome::Aborted(_))]));
-        assert_eq!(outcomes(&mut of_y), [(2, Outcome::Failed(Failure::GroupRefused))]);
-        // The next call finds no leftovers.
-        to_x.push(call(3)).unwrap();
-        to_y.push(call(3)).unwrap();
-        turn(&mut controllers);
-        assert_eq!([outcomes(&mut of_x), outcomes(&mut of_y)], [[(3, Outcome::Done)], [(3, Outcome::Done)]]);
+
+        /// The drive carries out what `axis` runs, and a cycle passes.
+        fn done(&mut self, axis: usize) {
+            let slot = &mut self.slots[axis];
+            slot.progress = Progress { serial: slot.order.serial, end: Some(Ok(())) };
+            self.turn();
+        }
+
+        fn runs(&self, verb: Command) -> Vec<bool> {
+            self.slots.iter().map(|slot| slot.order.verb == Some(verb)).collect()
+        }
+
+        fn ended(&mut self, axis: usize) -> Vec<(u64, Outcome)> {
+            ended(&mut self.ends[axis].2)
+        }
     }
 
-    /// One cycle of the commands of all.
-    fn turn(groups: &mut GroupSync, index: u64, controllers: &mut [DriveController], slots: &mut [Slot]) {
-        let cycle = cycle(index);
-        for (controller, slot) in controllers.iter_mut().zip(&mut *slots) {
-            controller.exchange(&cycle, cycle.grid, slot);
+    /// May begin at any time, and is done at once.
+    const RESET: Command = Command::Reset;
+    const DONE: Outcome = Outcome::Done;
+
+    #[test]
+    fn a_command_that_ended_at_a_member_before_it_began_is_refused_to_the_others() {
+        for (stopped, other) in [(0, 1), (1, 0)] {
+            let mut m = Machine::new(2);
+            m.post(&[(other, Command::Home)]);
+            m.post(&[(0, RESET), (1, RESET)]);
+            m.turn();
+            assert_eq!([m.ended(0), m.ended(1)], [[], []], "one of them homes");
+            m.controllers[stopped].stop(
+                &cycle(51),
+                cycle(51).grid,
+                StopCause::Overrun,
+                &mut m.slots[stopped],
+            );
+            let aborted = Outcome::Aborted(Abort::Stopped(StopCause::Overrun));
+            assert_eq!(m.ended(stopped), [(2, aborted)]);
+            m.done(other);
+            assert_eq!(m.ended(other), [(2, DONE), (3, Outcome::Failed(Failure::GroupRefused))]);
+            // The next call finds no leftovers.
+            m.post(&[(0, RESET), (1, RESET)]);
+            m.turn();
+            assert_eq!(m.ended(other), [(4, DONE)]);
         }
-        groups.open(&cycle, cycle.grid, controllers, slots);
     }
 
     #[test]
-    fn a_stop_waits_two_cycles_for_the_other_members_and_no_longer() {
-        let [mut x, mut y] = [plan(), plan()].map(|plan| Alone::new(plan).enabled());
-        let (mut controllers, mut slots) = ([x.controller, y.controller], [x.slot, y.slot]);
-        let mut groups = GroupSync::new(2);
-        let all = |verb, slots: &[Slot; 2]| slots.each_ref().map(|slot| slot.order.verb == Some(verb));
-        let stop = QueuedCommand { verb: Command::QuickStop, ..call(101) };
-        x.commands.push(stop).unwrap();
-        turn(&mut groups, 50, &mut controllers, &mut slots);
-        assert_eq!(all(stop.verb, &slots), [false; 2]);
-        y.commands.push(stop).unwrap();
-        turn(&mut groups, 51, &mut controllers, &mut slots);
-        assert_eq!(all(stop.verb, &slots), [true; 2]);
-        let off = QueuedCommand { verb: Command::Disable, ..call(102) };
-        x.commands.push(off).unwrap();
-        for (index, begins) in [(60, false), (61, false), (62, true)] {
-            turn(&mut groups, index, &mut controllers, &mut slots);
-            assert_eq!(all(off.verb, &slots), [begins, false], "{index}");
-        }
+    fn a_stop_waits_for_no_other_member_and_none_for_a_stop() {
+        let mut m = Machine::new(3);
+        m.post(&[(1, Command::Home)]);
+        m.post(&[(0, Command::QuickStop), (1, RESET), (2, RESET)]);
+        m.turn();
+        assert_eq!(m.runs(Command::QuickStop), [true, false, false]);
+        assert_eq!((m.ended(1), m.ended(2)), (vec![], vec![]));
+        m.done(1);
+        assert_eq!((m.ended(1), m.ended(2)), (vec![(2, DONE), (3, DONE)], vec![(2, DONE)]));
     }
 
     #[test]
     fn a_complete_call_starts_no_other_group() {
-        let mut alone = [(); 4].map(|()| Alone::new(plan()).enabled());
-        let ticket = |lead| Some(Ticket { lead, members: 2, number: 7 });
-        for (index, lead) in [(0, 0), (1, 0), (3, 2)] {
-            let command = QueuedCommand { verb: Command::Home, ticket: ticket(lead), ..call(107) };
-            alone[index].commands.push(command).unwrap();
-        }
-        let (mut controllers, mut slots): (Vec<_>, Vec<_>) =
-            alone.into_iter().map(|alone| (alone.controller, alone.slot)).unzip();
-        turn(&mut GroupSync::new(4), 50, &mut controllers, &mut slots);
-        let homes: Vec<_> = slots.iter().map(|slot| slot.order.verb == Some(Command::Home)).collect();
-        assert_eq!(homes, [true, true, false, false]);
+        let mut m = Machine::new(4);
+        m.post(&[(2, Command::Enable)]);
+        m.post(&[(0, Command::Home), (1, Command::Home)]);
+        m.post(&[(3, Command::Home), (2, Command::Home)]);
+        m.turn();
+        assert_eq!(m.runs(Command::Home), [true, true, false, false]);
+        m.done(2);
+        assert_eq!(m.runs(Command::Home), [true; 4]);
     }
 
     #[test]
-    fn rows_of_a_group_are_there_once_each_member_has_the_same_one_next() {
-        let row = |number| StreamRow { stream: 0, number, row: Row::default() };
-        for (of_x, of_y, there) in [
-            (&[][..], &[][..], false),
-            (&[1], &[], false),
-            (&[], &[1], false),
-            (&[1], &[1], true),
-            (&[1, 2], &[2], true),
-            (&[2], &[1], false),
-            (&[2], &[1, 3], false),
-        ] {
-            let [mut x, mut y] = [plan(), plan()].map(|plan| Alone::new(plan).enabled());
-            let follow = QueuedCommand { verb: Command::Follow, ..call(101) };
-            for (one, rows) in [(&mut x, of_x), (&mut y, of_y)] {
-                one.commands.push(follow).unwrap();
-                rows.iter().for_each(|number| one.rows.push(row(*number)).unwrap());
-                one.slot.due = true;
-            }
-            let (mut controllers, mut slots) = ([x.controller, y.controller], [x.slot, y.slot]);
-            let mut groups = GroupSync::new(2);
-            turn(&mut groups, 50, &mut controllers, &mut slots);
-            groups.count_rows(&mut controllers, &slots);
-            assert_eq!(groups.have_rows(follow.ticket.unwrap()), there, "{of_x:?} {of_y:?}");
-            for (controller, slot) in controllers.iter_mut().zip(&mut slots) {
-                controller.feed(&cycle(51), Time(51 * MS), slot, &groups);
-            }
-            assert_eq!(slots.each_ref().map(|slot| slot.row.is_some()), [there; 2], "{of_x:?} {of_y:?}");
+    fn the_commands_of_an_axis_keep_their_sequence_whatever_groups_it_was_in() {
+        // Alone, in three groups, and alone again; each queue holds what another one has to wait for.
+        let mut m = Machine::new(3);
+        m.post(&[(2, Command::Home)]);
+        for members in [&[2, 1][..], &[1, 0], &[0, 2], &[2], &[0]] {
+            m.post(&members.iter().map(|axis| (*axis, RESET)).collect::<Vec<_>>());
+        }
+        m.turn();
+        assert_eq!([m.ended(0), m.ended(1), m.ended(2)], [[], [], []]);
+        m.done(2);
+        (0..4).for_each(|_| m.turn());
+        for (axis, last) in [(0, 4), (1, 3), (2, 5)] {
+            assert_eq!(m.ended(axis), (2..=last).map(|id| (id, DONE)).collect::<Vec<_>>(), "axis {axis}");
         }
     }
 
-    #[test]
-    fn rows_of_an_earlier_stream_are_dropped_and_those_of_a_later_one_are_left() {
-        let row = |stream, number| StreamRow { stream, number, row: Row::default() };
-        for (rows, offered) in [
-            ([row(0, 5), row(1, 6)], Some(6)),
-            ([row(1, 6), row(2, 7)], Some(6)),
-            ([row(2, 6), row(2, 7)], None),
-        ] {
-            let mut x = Alone::new(plan()).enabled();
-            let follow = QueuedCommand { verb: Command::Follow, stream: 1, ..call(101) };
-            x.commands.push(follow).unwrap();
-            rows.into_iter().for_each(|row| x.rows.push(row).unwrap());
-            let mut other = Alone::new(plan()).enabled();
-            other.commands.push(follow).unwrap();
-            let (mut controllers, mut slots) = ([x.controller, other.controller], [x.slot, other.slot]);
-            turn(&mut GroupSync::new(2), 50, &mut controllers, &mut slots);
-            assert_eq!(controllers[0].offers_row(0).map(|(_, number)| number), offered);
+    /// Two axes of three follow stream 1 together; the first one's queue holds these rows, each with its parts by
+    /// axis and stream. Returns which axes have a row for the next send, and how many parts are left.
+    fn handed(due: bool, rows: &[&[(u32, u32)]]) -> ([bool; 3], usize) {
+        let mut m = Machine::new(3);
+        m.post(&[(0, Command::Follow), (1, Command::Follow)]);
+        for parts in rows {
+            for &(member, stream) in *parts {
+                let row = StreamRow { stream, member, parts: parts.len() as u32, row: Row::default() };
+                m.ends[0].1.push(row).unwrap();
+            }
         }
+        m.turn();
+        m.slots[1].due = due;
+        take_rows(&mut m.controllers, &m.slots);
+        for (controller, slot) in m.controllers.iter_mut().zip(&mut m.slots) {
+            controller.feed(&cycle(51), cycle(51).grid, slot);
+        }
+        let left = 8 - m.ends[0].1.slots();
+        (std::array::from_fn(|axis| m.slots[axis].row.is_some()), left)
+    }
+
+    #[test]
+    fn a_row_is_for_the_members_that_it_was_pushed_for_in_the_stream_that_they_follow_or_for_none() {
+        let (both, none) = ([true, true, false], [false; 3]);
+        let row: &[(u32, u32)] = &[(0, 1), (1, 1)];
+        assert_eq!(handed(true, &[]), (none, 0));
+        assert_eq!(handed(true, &[row, row]), (both, 2), "one a send");
+        for other in [
+            &[(0, 1)][..],
+            &[(0, 1), (2, 1)],
+            &[(0, 1), (1, 1), (2, 1)],
+            &[(0, 0), (1, 1)],
+            &[(0, 1), (1, 0)],
+        ] {
+            assert_eq!(handed(true, &[other]), (none, 0), "{other:?}");
+            assert_eq!(handed(true, &[other, row]), (both, 0), "{other:?}");
+        }
+        assert_eq!(handed(true, &[&[(0, 2), (1, 2)], row]), (none, 4), "of a later stream");
+        assert_eq!(handed(false, &[row]).0, none, "one of them sends nothing");
     }
 
     #[test]

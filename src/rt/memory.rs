@@ -8,6 +8,7 @@
 //! (mlock(2), notes). A process with a loop starts children by posix_spawn, which `std::process::Command` does unless
 //! `pre_exec` is used.
 
+use std::collections::VecDeque;
 use std::ffi::{c_int, c_void};
 use std::io;
 use std::mem::MaybeUninit;
@@ -94,6 +95,15 @@ pub fn ring<T>(capacity: usize, regions: &mut Regions) -> (Producer<T>, Consumer
         regions.add(rest);
     }
     (producer, consumer)
+}
+
+/// A queue of one thread for `capacity` elements, with every page present, added to `regions`.
+pub fn deque<T>(capacity: usize, regions: &mut Regions) -> VecDeque<T> {
+    let mut elements = Vec::with_capacity(capacity);
+    prefault(elements.spare_capacity_mut());
+    regions.add(elements.spare_capacity_mut());
+    // Keeps the memory of the vector.
+    elements.into()
 }
 
 /// Locks all memory of the process, now and in future (`mlockall(MCL_CURRENT | MCL_FUTURE)`, mlock(2)).
@@ -312,6 +322,14 @@ mod tests {
         // 1024 pages: none faults, but the kernel may move one at any time, as nothing is locked here.
         let faults = Usage::of_thread().since(before).page_faults();
         assert!(faults < 32, "{faults}");
+    }
+
+    #[test]
+    fn the_memory_of_a_queue_is_added_and_kept() {
+        let mut regions = Regions::new();
+        let mut queue = deque::<u64>(100, &mut regions);
+        (0..100).for_each(|n| queue.push_back(n));
+        assert!(regions.covers(queue.as_slices().0) && queue.as_slices().0.len() == 100);
     }
 
     #[test]

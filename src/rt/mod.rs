@@ -24,7 +24,7 @@ pub mod watch;
 
 pub use clock::{Clock, MonotonicClock, PollSet};
 pub use guard::GuardTuner;
-pub use memory::{Regions, ring};
+pub use memory::{Regions, deque, ring};
 pub use rights::Denied;
 pub use thread::{Granted, RealtimeError, RealtimePlan};
 pub use usage::Usage;

@@ -1,18 +1,22 @@
 //! Groups: what takes effect for all members in one cycle's send, or for none; and what takes the whole group along.
 
+use fieldbeat::Master;
 use fieldbeat::axis::{
     Abort, Command, EventKind, Failure, Group, GroupError, Health, Outcome, Row, StopCause, Target, Underrun,
 };
 use fieldbeat::bus::linudp::LinUdpDrive;
 use fieldbeat::bus::linudp::wire::{ControlWord, MotionBlock};
+use fieldbeat::cycle::Overrun;
 use fieldbeat::sim::FaultPlan;
+use fieldbeat::sim::world::WorldOptions;
 use fieldbeat::time::Time;
 
 use crate::virtual_time::support::*;
 
-/// Machines of so many axes that stop together; those of `members` have joined and are in operation.
+/// Machines of so many axes that stop together; those of `members` have joined and are in operation. Two of them have
+/// room for 1024 rows.
 fn rig(count: usize) -> Rig {
-    Rig::new(count).each(|_, drive| drive.axis.stop.group = Some(1))
+    Rig::new(count).each(|_, drive| (drive.axis.stop.group, drive.axis.stream_queue) = (Some(1), 2 * 1_024))
 }
 
 fn joined(count: usize, members: &[usize]) -> Bench {
@@ -63,14 +67,9 @@ fn a_verb_reaches_all_members_in_one_send_whatever_each_was_doing() {
 }
 
 #[test]
-fn a_command_that_the_loop_finds_half_pushed_waits_for_the_rest() {
-    // The same as the group does it, one member after the other with cycles in between.
-    let mut b = rig(2).start();
-    b.ready();
-    let group = b.join(&[0, 1]);
-    let command = group.post(&[to(10.0), to(10.0)]).unwrap();
-    assert_eq!(b.group_ended(&command), [Outcome::Done; 2]);
-    // Member 1 goes lost and comes back: its command fails alone, and so does that of member 0, in the same cycle.
+fn a_command_to_a_group_that_is_stopped_moves_no_member() {
+    let mut b = joined(2, &[0, 1]);
+    b.group_done(&[to(10.0), to(10.0)]);
     let before = b.tape(0).heard.len();
     b.world().unplug(address(1));
     b.stopped(1, 20);
@@ -150,6 +149,86 @@ fn axes_that_cannot_act_together_make_no_group_and_are_given_back() {
     let two = Group::new([b.sim.take_axis(1), other.sim.take_axis(0)]).unwrap_err();
     assert!(matches!(*two.reason, GroupError::TwoMachines(..)), "{two}");
     assert!(Group::new([]).is_err());
+}
+
+#[test]
+fn a_full_queue_takes_the_parts_of_all_members_or_none_and_has_room_for_their_stop() {
+    let mut b = rig(2).each(|_, drive| drive.axis.command_queue = 6).start();
+    b.ready();
+    // Member 1 has commands of its own already.
+    let own = [b.post(1, Command::Home), b.post(1, Command::Home)];
+    b.step();
+    b.join(&[0, 1]);
+    for stepping in [false, true] {
+        let mut posted = Vec::new();
+        let full = loop {
+            match b.group().post_all(Command::Home) {
+                Ok(command) => posted.push(command),
+                Err(full) => break full.to_string(),
+            }
+            assert!(posted.len() < 100);
+            b.run(u64::from(stepping));
+        };
+        assert!(full.contains("home refused: its queue of 6 is full"), "{full}");
+        assert!(posted.len() >= 3, "{}", posted.len());
+        let stop = b.group().post_all(Command::QuickStop).unwrap();
+        assert_eq!(b.group_ended(&stop), [Outcome::Done; 2]);
+        for (index, id) in posted.iter().flat_map(|command| command.ids().iter().enumerate()) {
+            let outcome = b.outcome(index, *id).unwrap();
+            let replaced = Outcome::Aborted(Abort::Replaced(stop.ids()[index]));
+            assert!(outcome == replaced || stepping && outcome == Outcome::Done, "{outcome}");
+        }
+        assert!(own.iter().all(|id| b.outcome(1, *id).is_some()));
+    }
+    while b.group().stream_room() > 0 {
+        b.group().push_rows(&[row(1.0), row(1.0)]).unwrap();
+    }
+    let full = b.group().push_rows(&[row(1.0), row(1.0)]).unwrap_err().to_string();
+    assert!(full.contains("row refused") && full.contains("is full"), "{full}");
+}
+
+#[test]
+fn a_group_of_the_plan_has_the_full_room_of_a_stream_and_any_other_shares_it() {
+    for (members, room) in [([0, 1], 1_024), ([1, 2], 512)] {
+        let setup = Master::from_file("rt-config/gantry.toml").unwrap();
+        let mut sim = setup.simulate(WorldOptions::default()).unwrap();
+        let group = Group::new(members.map(|index| sim.take_axis(index))).unwrap();
+        assert_eq!(group.stream_room(), room);
+        let mut first = group.into_axes().swap_remove(0);
+        first.push_row(Row::default()).unwrap();
+        assert_eq!(first.stream_room(), 1_023, "alone");
+    }
+}
+
+#[test]
+fn what_was_posted_before_a_stop_ends_with_it_at_all_members() {
+    type Begin = fn(&mut Bench);
+    let stops: [(StopCause, Begin); 2] = [
+        (StopCause::LinkLost, |b| {
+            b.tape(1).mute = true;
+            b.run(2);
+            assert_eq!(b.feedback(1).stopped, None);
+        }),
+        (StopCause::Overrun, |b| b.world().delay_next_wake(2_000_000)),
+    ];
+    for (cause, begin) in stops {
+        let mut b = rig(2)
+            .each(|_, drive| drive.axis.health.bucket = 3)
+            .cycle(|cycle| cycle.overrun = Overrun::Stop)
+            .start();
+        b.ready();
+        b.join(&[1, 0]);
+        begin(&mut b);
+        let again = [Command::Reset, Command::Enable].map(|verb| b.group().post_all(verb).unwrap());
+        b.run(2);
+        assert_eq!(b.feedback(1).stopped, Some(cause));
+        for command in &again {
+            let ended = [1, 0].map(|index| b.outcome(index, command.ids()[1 - index]));
+            let other = if cause == StopCause::LinkLost { StopCause::Group } else { cause };
+            let aborted = [cause, other].map(|cause| Some(Outcome::Aborted(Abort::Stopped(cause))));
+            assert_eq!(ended, aborted);
+        }
+    }
 }
 
 /// An arc around 100 mm, in both axes at once; no position of either comes twice.
@@ -295,7 +374,7 @@ fn a_member_that_is_stopped_takes_the_group_along_and_it_comes_back_together() {
 }
 
 #[test]
-fn an_urgent_command_overtakes_what_waits_at_the_gate() {
+fn an_urgent_command_overtakes_what_waits_for_other_members() {
     let mut b = joined(2, &[0, 1]);
     let moving = b.group().post(&[slowly_to(150.0), slowly_to(150.0)]).unwrap();
     let homing = b.group().post_all(Command::Home).unwrap();

@@ -4,7 +4,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
 
-use fieldbeat::axis::{Axis, Command, EventKind, Link, Outcome, StopCause};
+use fieldbeat::axis::{Abort, Axis, Command, EventKind, Link, Outcome, StopCause};
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::linudp::LinUdpPlan;
 use fieldbeat::cycle::engine::{Control, Engine, Flow};
@@ -214,6 +214,19 @@ fn a_bus_that_panics_for_ever_is_left_out_and_the_other_one_stops_in_order() {
             assert!(!panic.cut_short && panic.to_string().contains("without a stop by the master: bus bus"));
         }
     }
+}
+
+#[test]
+fn what_is_posted_after_a_panic_has_its_end() {
+    let mut machine = Machine::moving();
+    machine.clock.panics.store(1, Ordering::Relaxed);
+    machine.engine.step();
+    let id = machine.axes[0].post(Command::Reset).unwrap();
+    machine.engine.step();
+    let events = std::iter::from_fn(|| machine.axes[0].event());
+    let aborted = Outcome::Aborted(Abort::Stopped(StopCause::Shutdown));
+    let end = EventKind::Ended { id, verb: "reset", outcome: aborted };
+    assert!(events.map(|event| event.kind).any(|kind| kind == end));
 }
 
 /// The end that an application requested panics: it is completed all the same.

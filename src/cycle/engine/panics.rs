@@ -15,6 +15,7 @@ use crate::axis::{Link, StopCause};
 use crate::bus::{Cycle, Exchange};
 use crate::cycle::record::{CycleRecord, Record, Reply, SkippedRecord, Stage, short};
 use crate::cycle::window::OpenBus;
+use crate::drive::controller::take_commands;
 use crate::rt::Clock;
 use crate::time::Time;
 
@@ -66,7 +67,7 @@ enum Part {
     Bus(usize),
     Axis(usize),
     Clock,
-    /// What goes out to other threads.
+    /// What goes out to other threads, and what they have posted.
     Outlets,
 }
 
@@ -293,6 +294,8 @@ impl<C: Clock> Engine<C> {
         let (since, before) = *self.ending.get_or_insert((now, STOP));
         let hurry = asked == HURRY && before == STOP;
         self.ending = Some((since, asked));
+        let controllers = &mut self.controllers;
+        self.panics.guard(cycle.index, None, Part::Outlets, || take_commands(controllers));
         let mut down = true;
         for (axis, (controller, slot)) in self.controllers.iter_mut().zip(&mut self.slots).enumerate() {
             let work = || controller.shut_down(cycle, now, slot, hurry);

@@ -1,18 +1,55 @@
 //! The application's commands in their order, and what each of them waits for or replaces.
 
+use rtrb::Consumer;
+
 use super::{Claim, DriveController, Latch};
 use crate::axis::command::NativeOwner;
 use crate::axis::limits::{check_position, check_torque, check_velocity, check_verb};
 use crate::axis::{
-    Abort, Command, CommandId, Failure, Link, Load, Move, Outcome, QueuedCommand, Row, Setpoint, State,
-    StopCause, Target, Ticket,
+    Abort, Command, Failure, GroupCall, Link, Load, Move, Outcome, QueuedCommand, Row, Setpoint, State,
+    StopCause, Target,
 };
 use crate::bus::{Cycle, Slot};
 use crate::drive::bounds::Bounds;
 use crate::drive::stop::deceleration_of;
 use crate::time::{Time, nanos};
 
+/// Takes what the application has posted into the queues of the axes, the parts of one call all at once.
+///
+/// The calls to groups that an axis was in stand in the queues of their first members: the ids of its commands are
+/// their sequence. Bounded by the room in the queues of the axes: the application may go on posting.
+pub fn take_commands(controllers: &mut [DriveController]) {
+    let mut again = true;
+    while std::mem::take(&mut again) {
+        for index in 0..controllers.len() {
+            while let Some(first) = entry(&mut controllers[index].queues.posted, 0) {
+                let parts = first.call.map_or(1, |call| call.parts as usize);
+                let next = (0..parts).all(|place| {
+                    let command = entry(&mut controllers[index].queues.posted, place);
+                    command.is_some_and(|command| controllers[command.member as usize].takes(&command))
+                });
+                if !next {
+                    break;
+                }
+                for _ in 0..parts {
+                    if let Ok(command) = controllers[index].queues.posted.pop() {
+                        let axis = &mut controllers[command.member as usize];
+                        axis.next_id += 1;
+                        axis.queues.commands.push_back(command);
+                    }
+                }
+                again = true;
+            }
+        }
+    }
+}
+
 impl DriveController {
+    /// Whether `command` is the one that the application has posted to the axis after the last one that it took.
+    fn takes(&self, command: &QueuedCommand) -> bool {
+        command.id.0 == self.next_id && self.queues.commands.len() < self.queues.commands.capacity()
+    }
+
     /// Drains the application's commands: ends the finished one, aborts those that an urgent one overtakes, starts
     /// the next. The command of a group is left to the group synchronisation.
     pub fn exchange(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
@@ -22,9 +59,8 @@ impl DriveController {
         self.take_setpoints(cycle);
         self.end_active(cycle, now, slot);
         self.overtake(cycle, now);
-        // Bounded by what is queued now: the application may go on filling the queue.
-        for _ in 0..=self.queues.commands.slots() {
-            let next = self.task_command.or_else(|| self.queues.commands.peek().ok().copied());
+        for _ in 0..=self.queues.commands.len() {
+            let next = self.task_command.or_else(|| self.queues.commands.front().copied());
             let Some(next) = next else { break };
             if self.active.is_some_and(|active| !replaces(&next, &active)) {
                 break;
@@ -37,52 +73,33 @@ impl DriveController {
                     break;
                 }
             }
-            if next.ticket.is_some() && self.waits_at_gate(cycle, &next) {
+            if next.call.is_some() && !next.verb.is_urgent() {
+                self.waiting = Some(next);
                 break;
             }
-            if next.ticket.is_none() && self.moves_in_group().is_some() && self.admit(&next).is_ok() {
+            if next.call.is_none() && self.moves_in_group().is_some() && self.admit(&next).is_ok() {
                 // A command that takes a member out of a motion of its group stops the group: the others would go
                 // on without it.
                 self.stop(cycle, now, StopCause::GroupFailed, slot);
                 break;
             }
             if self.task_command.take().is_none() {
-                let _ = self.queues.commands.pop();
+                self.queues.commands.pop_front();
             }
-            match self.admit(&next) {
-                Ok(()) => self.begin(cycle, now, next, slot),
-                // A refused command replaces nothing: the running one goes on, and its end is still reported.
-                Err(failure) => self.end(cycle, now, next, Outcome::Failed(failure)),
-            }
+            // A refused command replaces nothing: the running one goes on, and its end is still reported.
+            self.start(cycle, now, next, false, slot);
         }
         self.age_setpoint(cycle, now, slot);
     }
 
-    /// Whether the command has to be left to the group synchronisation. A stop is not delayed for long: the
-    /// application itself may be delayed between one member and the next.
-    fn waits_at_gate(&mut self, cycle: &Cycle, next: &QueuedCommand) -> bool {
-        if self.at_gate.is_none_or(|(id, _)| id != next.id) {
-            self.at_gate = Some((next.id, cycle.index));
-        }
-        let since = self.at_gate.map_or(cycle.index, |(_, since)| since);
-        let waits = !next.verb.is_urgent() || cycle.index - since < URGENT_WAIT;
-        self.waiting = waits.then_some(*next);
-        waits
-    }
-
     /// The group command that waits until all other members are ready for it.
-    pub fn waiting(&self) -> Option<Ticket> {
-        self.waiting.and_then(|command| command.ticket)
+    pub fn waiting(&self) -> Option<GroupCall> {
+        self.waiting.and_then(|command| command.call)
     }
 
-    /// The last group command that ended here before it began, once.
-    pub fn take_dropped(&mut self) -> Option<Ticket> {
-        self.dropped.take()
-    }
-
-    /// Whether the waiting command is refused to all members if one of them cannot begin.
-    pub fn waits_for_all(&self) -> bool {
-        self.waiting.is_some_and(|command| !command.verb.is_urgent())
+    /// Whether its part of `call` is still to begin.
+    pub fn holds(&self, call: GroupCall) -> bool {
+        self.queues.commands.iter().any(|command| command.call == Some(call))
     }
 
     /// Whether the waiting command may begin.
@@ -90,18 +107,11 @@ impl DriveController {
         self.waiting.map_or(Ok(()), |command| self.admit(&command))
     }
 
-    /// Begins the waiting command, which was admitted.
-    pub fn begin_waiting(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
+    /// Begins the waiting command, unless it is refused to all members or may not begin at this one.
+    pub fn take_waiting(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot, refused: bool) {
         let Some(command) = self.waiting.take() else { return };
-        let _ = self.queues.commands.pop();
-        self.begin(cycle, now, command, slot);
-    }
-
-    /// Ends the waiting command before it began.
-    pub fn end_waiting(&mut self, cycle: &Cycle, now: Time, outcome: Outcome) {
-        let Some(command) = self.waiting.take() else { return };
-        let _ = self.queues.commands.pop();
-        self.end(cycle, now, command, outcome);
+        self.queues.commands.pop_front();
+        self.start(cycle, now, command, refused, slot);
     }
 
     /// Ends the running command by the station's progress.
@@ -147,18 +157,26 @@ impl DriveController {
 
     /// An urgent command aborts everything before it in the queue.
     fn overtake(&mut self, cycle: &Cycle, now: Time) {
-        let waiting = self.queues.commands.slots();
-        let Ok(chunk) = self.queues.commands.read_chunk(waiting) else { return };
-        let (first, second) = chunk.as_slices();
-        let last = last_urgent(first.iter().chain(second));
-        let Some((ahead, urgent)) = last else { return };
+        let urgent = self.queues.commands.iter().rposition(|command| command.verb.is_urgent());
+        let Some(urgent) = urgent.map(|place| self.queues.commands[place].id) else { return };
+        let replaced = Outcome::Aborted(Abort::Replaced(urgent));
         if let Some(command) = self.task_command.take() {
-            self.end(cycle, now, command, Outcome::Aborted(Abort::Replaced(urgent)));
+            self.end(cycle, now, command, replaced);
         }
-        for _ in 0..ahead {
-            if let Ok(command) = self.queues.commands.pop() {
-                self.end(cycle, now, command, Outcome::Aborted(Abort::Replaced(urgent)));
-            }
+        while let Some(command) = self.queues.commands.front().copied()
+            && command.id != urgent
+        {
+            self.queues.commands.pop_front();
+            self.end(cycle, now, command, replaced);
+        }
+    }
+
+    /// Begins the command if it may begin here, and at all other members of its group.
+    fn start(&mut self, cycle: &Cycle, now: Time, command: QueuedCommand, refused: bool, slot: &mut Slot) {
+        match self.admit(&command) {
+            Ok(()) if refused => self.end(cycle, now, command, Outcome::Failed(Failure::GroupRefused)),
+            Ok(()) => self.begin(cycle, now, command, slot),
+            Err(failure) => self.end(cycle, now, command, Outcome::Failed(failure)),
         }
     }
 
@@ -322,20 +340,18 @@ impl DriveController {
 /// effect: reports may be two exchanges older than the word.
 const FALLEN_REPORTS: u8 = 4;
 
-/// Cycles that a stop of a group waits for the stops of the other members.
-const URGENT_WAIT: u64 = 2;
+/// Entry `place` of a queue, left there.
+pub(super) fn entry<T: Copy>(queue: &mut Consumer<T>, place: usize) -> Option<T> {
+    if place == 0 {
+        return queue.peek().ok().copied();
+    }
+    let chunk = queue.read_chunk(place + 1).ok()?;
+    let (first, second) = chunk.as_slices();
+    first.iter().chain(second).nth(place).copied()
+}
 
 /// Whether `next` replaces the running `active` at once. Streams run one after the other.
 fn replaces(next: &QueuedCommand, active: &QueuedCommand) -> bool {
     let streams = active.verb == Command::Follow && next.verb == Command::Follow;
     next.verb.is_urgent() || active.verb.is_motion() && next.verb.is_motion() && !streams
-}
-
-/// The last urgent command of a queue: how many commands are before it, and its id.
-fn last_urgent<'a>(queue: impl Iterator<Item = &'a QueuedCommand>) -> Option<(usize, CommandId)> {
-    queue
-        .enumerate()
-        .filter(|(_, command)| command.verb.is_urgent())
-        .last()
-        .map(|(at, command)| (at, command.id))
 }

@@ -2,13 +2,12 @@
 //! none.
 
 use super::DriveController;
+use super::commands::entry;
 use crate::axis::limits::{check_braking, check_reach, check_row, check_speed};
 use crate::axis::{
-    Command, CommandId, EventKind, Failure, Outcome, QueuedCommand, Row, Setpoint, StopCause, Ticket,
-    Underrun,
+    Command, CommandId, EventKind, Failure, Outcome, QueuedCommand, Row, Setpoint, StopCause, Underrun,
 };
 use crate::bus::{Cycle, NumberedRow, Slot};
-use crate::drive::groups::GroupSync;
 use crate::time::{Time, nanos};
 
 /// The first row may be so many rows' ways ahead of the demand: the reply is one exchange old, and a drive's output
@@ -26,6 +25,8 @@ pub(super) struct Follow {
     empty: u32,
     /// The given row has not been sent yet (its slot was passed over): it must not be replaced.
     pub(super) held: bool,
+    /// The row of the next send, out of the queue.
+    next: Option<Row>,
 }
 
 /// The last requested velocity or torque.
@@ -37,6 +38,43 @@ pub(super) struct Level {
     pub(super) value: f64,
     /// The slot in which it came.
     pub(super) at: u64,
+}
+
+/// Takes the next row of each stream out of its queue, for all members of a group or for none.
+pub fn take_rows(controllers: &mut [DriveController], slots: &[Slot]) {
+    for lead in 0..controllers.len() {
+        let Some(follow) = controllers[lead].takes_row(&slots[lead]) else { continue };
+        let parts = follow.call.map_or(1, |call| call.parts);
+        if !follow.call.map_or(controllers[lead].task_row.is_none(), |call| call.lead as usize == lead) {
+            continue;
+        }
+        // Bounded by what is queued now: the application may go on pushing.
+        for _ in 0..controllers[lead].queues.rows.slots() {
+            if !controllers[lead].has_row(follow.stream) {
+                break;
+            }
+            let row =
+                |controllers: &mut [DriveController], part| entry(&mut controllers[lead].queues.rows, part);
+            let all = (0..parts as usize).all(|part| {
+                row(controllers, part).is_some_and(|row| {
+                    let member = row.member as usize;
+                    controllers[member].takes_row(&slots[member]).is_some_and(|own| {
+                        (own.call, own.stream, parts) == (follow.call, row.stream, row.parts)
+                    })
+                })
+            });
+            for part in 0..if all { parts as usize } else { 0 } {
+                if let Some(row) = row(controllers, part) {
+                    controllers[row.member as usize].follow.next = Some(row.row);
+                }
+            }
+            // One that was pushed for other axes is for none of these.
+            controllers[lead].drop_row();
+            if all {
+                break;
+            }
+        }
+    }
 }
 
 impl DriveController {
@@ -84,46 +122,29 @@ impl DriveController {
         }
     }
 
-    /// The group that it follows rows with, and the number of its next one. Rows before `from` are dropped: a
-    /// member that has reached that one is done with them, or never had them.
-    pub fn offers_row(&mut self, from: u64) -> Option<(Ticket, u64)> {
-        let active = self.active.filter(|active| active.verb == Command::Follow)?;
-        let ticket = active.ticket?;
-        for _ in 0..self.queues.rows.slots() {
-            self.next_row(active.stream)?;
-            let number = self.queues.rows.peek().ok()?.number;
-            if number >= from.max(1) {
-                return Some((ticket, number));
-            }
-            let _ = self.queues.rows.pop();
-        }
-        None
+    /// The follow that takes a row for the next send.
+    fn takes_row(&self, slot: &Slot) -> Option<QueuedCommand> {
+        let follow = self.active.filter(|active| active.verb == Command::Follow)?;
+        let due = slot.due && slot.order.verb == Some(Command::Follow);
+        let done = self.follow.held || self.follow.last.is_some_and(|row| row.last);
+        (due && !done).then_some(follow)
     }
 
-    /// Chooses the setpoint of the next send, if one is due. In a group a row is taken only if `groups` says that
-    /// each member has one.
-    pub fn feed(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot, groups: &GroupSync) {
+    /// Chooses the setpoint of the next send, if one is due.
+    pub fn feed(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
         (slot.velocity, slot.torque) = match slot.order.verb {
             Some(Command::Torque { .. }) => (0.0, self.level.value),
             _ => (self.level.value, 0.0),
         };
-        let follows = self.active.is_some_and(|active| active.verb == Command::Follow);
-        let Some(active) = self.active.filter(|_| slot.due && slot.order.verb == Some(Command::Follow))
-        else {
+        let Some(active) = self.takes_row(slot) else {
             // A row of the task is for the send that it was given for, and begins no later stream.
-            if !follows {
+            if self.active.is_none_or(|active| active.verb != Command::Follow) {
                 self.task_row = None;
             }
             return;
         };
-        if self.follow.held || self.follow.last.is_some_and(|row| row.last) {
-            return;
-        }
-        let row = match active.ticket {
-            Some(ticket) if !groups.have_rows(ticket) => None,
-            Some(_) => self.take_row(active.stream),
-            None => self.task_row.take().or_else(|| self.take_row(active.stream)),
-        };
+        let task_row = self.task_row.take().filter(|_| active.call.is_none());
+        let row = task_row.or_else(|| self.follow.next.take());
         let chosen = match (row, self.follow.last) {
             (None, None) => return,
             (Some(row), last) => {
@@ -195,24 +216,25 @@ impl DriveController {
     pub(super) fn drop_rows(&mut self, stream: u32) {
         self.task_row = None;
         self.follow = Follow { number: self.follow.number, ..Follow::default() };
-        self.next_row(stream + 1);
+        self.has_row(stream + 1);
     }
 
-    /// The first row of `stream`, left in the queue; rows of earlier streams before it are dropped.
-    fn next_row(&mut self, stream: u32) -> Option<Row> {
+    /// Whether the first row is of `stream`; rows of earlier streams before it are dropped.
+    fn has_row(&mut self, stream: u32) -> bool {
         for _ in 0..self.queues.rows.slots() {
-            match self.queues.rows.peek() {
-                Ok(row) if row.stream < stream => drop(self.queues.rows.pop()),
-                Ok(row) if row.stream == stream => return Some(row.row),
-                _ => break,
+            match entry(&mut self.queues.rows, 0) {
+                Some(row) if row.stream < stream => self.drop_row(),
+                row => return row.is_some_and(|row| row.stream == stream),
             }
         }
-        None
+        false
     }
 
-    /// The next row of `stream`, out of the queue.
-    fn take_row(&mut self, stream: u32) -> Option<Row> {
-        let row = self.next_row(stream)?;
-        self.queues.rows.pop().ok().map(|_| row)
+    /// Drops the first row, with the parts of all members.
+    fn drop_row(&mut self) {
+        let parts = entry(&mut self.queues.rows, 0).map_or(0, |row| row.parts as usize);
+        if let Ok(chunk) = self.queues.rows.read_chunk(parts) {
+            chunk.commit_all();
+        }
     }
 }

@@ -1,5 +1,6 @@
 //! One axis without a bus: the tests write what its drive reports, and when an order is done.
 
+use std::slice::{from_mut, from_ref};
 use std::time::Duration;
 
 use super::*;
@@ -16,7 +17,7 @@ pub(in crate::drive) struct Alone {
     pub commands: Producer<QueuedCommand>,
     pub rows: Producer<StreamRow>,
     _setpoints: NewestIn,
-    events: Consumer<Event>,
+    pub events: Consumer<Event>,
     index: u64,
     id: u64,
 }
@@ -30,16 +31,27 @@ pub(in crate::drive) fn plan() -> AxisPlan {
     AxisPlan::new("x", Units::millimetres(1_000.0))
 }
 
+/// The commands whose ends are among these events.
+pub(in crate::drive) fn ended(events: &mut Consumer<Event>) -> Vec<(u64, Outcome)> {
+    std::iter::from_fn(|| events.pop().ok())
+        .filter_map(|event| match event.kind {
+            EventKind::Ended { id, outcome, .. } => Some((id.0, outcome)),
+            _ => None,
+        })
+        .collect()
+}
+
 impl Alone {
     pub fn new(plan: AxisPlan) -> Alone {
         let mut regions = Regions::default();
-        let (commands, command_out) = ring(8, &mut regions);
+        let (commands, posted) = ring(8, &mut regions);
         let (rows, row_out) = ring(8, &mut regions);
         let (setpoints, setpoint_out) = newest();
         let (event_in, events) = ring(64, &mut regions);
         let (feedback, _) = cell::cell(Feedback::default());
         let queues = Queues {
-            commands: command_out,
+            posted,
+            commands: VecDeque::with_capacity(8),
             rows: row_out,
             setpoints: setpoint_out,
             events: event_in,
@@ -72,6 +84,7 @@ impl Alone {
         controller.judge(&cycle, now, slot);
         assert!(matches!(slot.exchange, Exchange::Idle | Exchange::Missed), "taken once");
         controller.watch(&cycle, now, slot);
+        take_commands(from_mut(controller));
         controller.exchange(&cycle, now, slot);
     }
 
@@ -81,7 +94,9 @@ impl Alone {
 
     pub fn post(&mut self, verb: Command) -> u64 {
         self.id += 1;
-        self.commands.push(QueuedCommand { id: CommandId(self.id), verb, stream: 0, ticket: None }).unwrap();
+        self.commands
+            .push(QueuedCommand { id: CommandId(self.id), member: 0, verb, stream: 0, call: None })
+            .unwrap();
         self.id
     }
 
@@ -125,12 +140,7 @@ impl Alone {
 
     /// The commands that have ended since the last look.
     pub fn ended(&mut self) -> Vec<(u64, Outcome)> {
-        (self.told().into_iter())
-            .filter_map(|kind| match kind {
-                EventKind::Ended { id, outcome, .. } => Some((id.0, outcome)),
-                _ => None,
-            })
-            .collect()
+        ended(&mut self.events)
     }
 
     /// All events since the last look.
@@ -276,7 +286,7 @@ fn a_task_command_needs_room_for_its_end_unless_it_is_a_stop() {
         x.controller.tell(&cycle(50), Time(50 * MS), EventKind::Restarted);
     }
     let mut takes = |verb| {
-        let command = QueuedCommand { id: CommandId::of_task(1), verb, stream: 0, ticket: None };
+        let command = QueuedCommand { id: CommandId::of_task(1), member: 0, verb, stream: 0, call: None };
         x.controller.command_from_task(&cycle(50), Time(50 * MS), command).is_ok()
     };
     assert!(!takes(Command::Home));
@@ -481,7 +491,7 @@ fn following(plan: AxisPlan, rows: &[(u32, f64, f64)]) -> Alone {
     x.post(Command::Follow);
     for &(stream, position, velocity) in rows {
         let row = Row { position, velocity, acceleration: 7.0, last: false };
-        x.rows.push(StreamRow { stream, number: 0, row }).unwrap();
+        x.rows.push(StreamRow { stream, member: 0, parts: 1, row }).unwrap();
     }
     x.turn();
     x.slot.due = true;
@@ -493,7 +503,8 @@ impl Alone {
     fn fed_unsent(&mut self) -> Option<Row> {
         self.slot.row = None;
         let cycle = cycle(self.index);
-        self.controller.feed(&cycle, cycle.grid, &mut self.slot, &crate::drive::groups::GroupSync::new(1));
+        take_rows(from_mut(&mut self.controller), from_ref(&self.slot));
+        self.controller.feed(&cycle, cycle.grid, &mut self.slot);
         self.slot.row.map(|row| row.row)
     }
 
@@ -544,7 +555,7 @@ fn a_row_that_the_task_gave_for_no_stream_begins_none_later() {
     // The order of the stream that has ended stands until there is another one.
     x.controller.row_from_task(Row { position: 0.03, ..Row::default() });
     assert_eq!(x.fed(), None);
-    x.rows.push(StreamRow { stream: 0, number: 0, row: Row::default() }).unwrap();
+    x.rows.push(StreamRow { stream: 0, member: 0, parts: 1, row: Row::default() }).unwrap();
     x.post(Command::Follow);
     x.turn();
     assert_eq!(x.fed(), Some(Row::default()));
@@ -564,7 +575,7 @@ fn a_row_is_for_a_send_that_is_due_and_its_number_is_never_given_again() {
     let number = x.slot.row.unwrap().number;
     x.ends(Ok(()));
     x.ended();
-    x.rows.push(StreamRow { stream: 0, number: 0, row: Row::default() }).unwrap();
+    x.rows.push(StreamRow { stream: 0, member: 0, parts: 1, row: Row::default() }).unwrap();
     x.post(Command::Home);
     x.turn();
     assert_eq!((x.fed(), x.controller.queues.rows.slots()), (None, 1), "no row is for another motion");
@@ -776,7 +787,7 @@ impl Alone {
     fn task(&mut self, id: u64, verb: Command) -> CommandId {
         let id = CommandId::of_task(id);
         let cycle = cycle(self.index);
-        let command = QueuedCommand { id, verb, stream: 0, ticket: None };
+        let command = QueuedCommand { id, member: 0, verb, stream: 0, call: None };
         self.controller.command_from_task(&cycle, cycle.grid, command).unwrap();
         id
     }
@@ -823,12 +834,13 @@ fn power_that_no_command_has_switched_on_is_watched_from_its_first_report() {
 fn a_command_to_a_member_alone_stops_its_group_only_if_it_may_begin() {
     for (distance, stop) in [(200.0, None), (20.0, Some(StopCause::GroupFailed))] {
         let mut x = ranged();
-        let ticket = Some(Ticket { lead: 0, members: 2, number: 1 });
-        let command = QueuedCommand { id: CommandId(90), verb: Command::Home, stream: 0, ticket };
+        x.id += 1;
+        let id = CommandId(x.id);
+        let call = Some(GroupCall { parts: 1, together: 2, lead: 0, id });
         let native = Command::Native(NativeOwner::Master);
-        x.commands.push(QueuedCommand { verb: native, ..command }).unwrap();
+        x.commands.push(QueuedCommand { id, member: 0, verb: native, stream: 0, call }).unwrap();
         x.turn();
-        x.controller.begin_waiting(&cycle(x.index), Time(x.index * MS), &mut x.slot);
+        x.controller.take_waiting(&cycle(x.index), Time(x.index * MS), &mut x.slot, false);
         let target = Target::Relative(distance);
         x.post(Command::Move(Move { target, profile: x.controller.plan().profile }));
         x.turn();
