@@ -239,7 +239,15 @@ pub fn assemble<C: Clock>(
             let observer = Observer(reader.clone());
             let acyclic = Acyclic::new(&axis.name, ends, bus_plan.notation(), observer, asked_every);
             let silence = bound::silence(&paced[controllers.len()], plan.cycle.overrun);
-            controllers.push(DriveController::new(axis.clone(), queues, period_ns, first_probe, silence));
+            let own_clock = bus_plan.fresh_within_ns(index).is_some();
+            controllers.push(DriveController::new(
+                axis.clone(),
+                queues,
+                period_ns,
+                first_probe,
+                silence,
+                own_clock,
+            ));
             names.push((axis.name.clone(), bus_plan.protocol()));
             links.push(notes.clone().map(|notes| (notes, index)));
             axes.push(Axis::new(

@@ -2,7 +2,7 @@
 
 use crate::axis::{AxisPlan, HeldBy, Load, StopHow, StopThen, StopTimeout};
 use crate::bus::BusPlan;
-use crate::cycle::bound::{Paced, bound, group, paced, silence};
+use crate::cycle::bound::{Pace, Paced, bound, group, paced, silence};
 use crate::cycle::record::Record;
 use crate::cycle::{CyclePlan, Guard, Overrun, Plan, Wait};
 
@@ -154,17 +154,32 @@ fn frequency(period_ns: u64) -> String {
 /// What every protocol's axis has: schedule, link, stop, limits.
 fn axis(drive: &Paced<'_>, all: &[Paced<'_>], cycle: &CyclePlan) -> Vec<String> {
     let (axis, period_ns) = (drive.axis, cycle.period_ns);
-    let mut lines = vec![schedule(axis, period_ns), link(drive, all, cycle), stop(axis)];
+    let mut lines = vec![schedule(drive, period_ns), link(drive, all, cycle), stop(axis)];
     lines.extend(load(axis));
     lines.extend([setpoints(axis, period_ns), limits(axis)]);
     lines
 }
 
-fn schedule(axis: &AxisPlan, period_ns: u64) -> String {
+fn schedule(drive: &Paced<'_>, period_ns: u64) -> String {
+    let axis = drive.axis;
     let period = Ns(period_ns.saturating_mul(axis.divisor.into()));
-    match axis.divisor {
+    let every = match axis.divisor {
         1 => format!("an exchange every cycle ({period})"),
         divisor => format!("an exchange every {divisor} cycles ({period}), phase {}", axis.phase),
+    };
+    let cycles =
+        |cycles| format!("{} ({})", count(cycles, "cycle"), Ns(period_ns.saturating_mul(cycles as u64)));
+    match drive.pace {
+        Pace::Cycle | Pace::Connection(_) => every,
+        Pace::HalfDuplex(late) => {
+            format!("{every}, over {} later at most: its turn on the wire", cycles(late as usize))
+        }
+        Pace::OwnClock(fresh) => {
+            format!(
+                "{every}, whatever its link; a packet of its own clock counts for {}",
+                cycles(fresh as usize)
+            )
+        }
     }
 }
 
@@ -176,7 +191,7 @@ fn link(drive: &Paced<'_>, all: &[Paced<'_>], cycle: &CyclePlan) -> String {
         0 | 1 => String::new(),
         _ => format!("; stop together: {}", names.join(", ")),
     };
-    let taken = if drive.owed.is_some() { ", if it still answers" } else { "" };
+    let taken = if let Pace::Connection(_) = drive.pace { ", if it still answers" } else { "" };
     format!(
         "link up after {} good exchanges in a row, lost after {} misses in a row: the stop request is on the \
          wire within {cycles} cycles ({}) of the last good one{taken}; with slots skipped lost after {} at the \

@@ -1,4 +1,5 @@
-//! The receive window: takes replies in until every owed exchange is closed or the deadline has passed.
+//! The receive window: takes replies in until no exchange is waited for any more, and no bus wants to be polled, or the
+//! deadline has passed.
 //!
 //! Waiting by poll costs two system calls a look. With 64 drives a look for every reply would be far too many, so
 //! after the first replies came in, the window sleeps once for as long as the rest usually takes, and then looks
@@ -7,7 +8,7 @@
 use super::plan::Wait;
 use crate::bus::{Bus, Cycle, Slot};
 use crate::rt::{Clock, PollSet, Regions};
-use crate::time::US;
+use crate::time::{Time, US};
 
 /// The shortest nap, ns; a shorter one is not worth its system call.
 const SHORTEST_NAP_NS: u64 = 5 * US;
@@ -71,17 +72,23 @@ impl Window {
     /// Runs the window of `cycle`.
     pub fn run<C: Clock>(&mut self, clock: &mut C, cycle: &Cycle, buses: &mut [OpenBus], slots: &mut [Slot]) {
         let owed = missing(cycle, slots);
-        if owed == 0 {
-            return;
-        }
+        let (mut left, mut poll_at) = (owed, poll_at(cycle, buses));
         let mut napped = false;
         // Bounded by the deadline: each turn waits towards it.
-        loop {
+        while left > 0 || poll_at.is_some() {
             let now = clock.now();
             let over = now >= cycle.deadline;
-            let left = missing(cycle, slots);
-            // One nap a window, once the first replies are in and more than one is missing.
-            let nap = !over && self.wait == Wait::Poll && !napped && left < owed && left > 1;
+            if !over && poll_at.is_some_and(|at| at <= now) {
+                for open in buses.iter_mut().filter(|open| open.bus.poll_at().is_some_and(|at| at <= now)) {
+                    open.work(slots, |bus, slots| bus.poll(cycle, now, slots));
+                }
+                (left, poll_at) = (missing(cycle, slots), self::poll_at(cycle, buses));
+                continue;
+            }
+            // One nap a window, once the first replies are in and more than one is missing. It would hold up a wire on
+            // which each reply lets the next request leave.
+            let nap =
+                !over && self.wait == Wait::Poll && !napped && left < owed && left > 1 && poll_at.is_none();
             match self.wait {
                 _ if over => {}
                 Wait::Spin => clock.spin(),
@@ -91,18 +98,18 @@ impl Window {
                 }
                 Wait::Poll => {
                     self.poll_set.fill(buses.iter().filter_map(|open| open.bus.fd()));
-                    clock.wait(&mut self.poll_set, cycle.deadline);
+                    clock.wait(&mut self.poll_set, poll_at.unwrap_or(cycle.deadline));
                 }
             }
             // Replies that are in the sockets at the deadline still count.
-            let mut closed = true;
             for open in buses.iter_mut() {
-                closed &= open.work(slots, |bus, slots| bus.receive(cycle, slots));
+                open.work(slots, |bus, slots| bus.receive(cycle, slots));
             }
+            (left, poll_at) = (missing(cycle, slots), self::poll_at(cycle, buses));
             if nap {
-                self.learn(closed, cycle);
+                self.learn(left == 0, cycle);
             }
-            if closed || over {
+            if over {
                 return;
             }
         }
@@ -120,10 +127,15 @@ fn missing(cycle: &Cycle, slots: &[Slot]) -> usize {
     slots.iter().filter(|slot| slot.exchange.is_waited_for(cycle)).count()
 }
 
+/// When the first of the buses wants to be polled, if that is inside this window.
+fn poll_at(cycle: &Cycle, buses: &[OpenBus]) -> Option<Time> {
+    buses.iter().filter_map(|open| open.bus.poll_at()).filter(|at| *at < cycle.deadline).min()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::time::{MS, Time};
+    use crate::time::MS;
 
     #[test]
     fn a_nap_gets_a_sixteenth_shorter_or_a_quarter_longer_within_its_bounds() {

@@ -83,6 +83,8 @@ pub struct DriveController {
     held: Option<(CommandId, Time)>,
     /// How the exchange of this cycle was closed.
     closed: Option<Closed>,
+    /// Its exchange waits for its turn on a half-duplex wire.
+    queued: bool,
     /// The slot of the values in the feedback.
     fresh_at: u64,
     /// The drive was online at least once.
@@ -168,8 +170,10 @@ impl DriveController {
         period_ns: u64,
         first_probe: u64,
         silence: u64,
+        own_clock: bool,
     ) -> DriveController {
-        let health = LinkHealth::new(plan.health, plan.divisor, plan.phase, period_ns, first_probe, silence);
+        let (divisor, phase) = (plan.divisor, plan.phase);
+        let health = LinkHealth::new(plan.health, divisor, phase, period_ns, first_probe, silence, own_clock);
         DriveController {
             plan,
             queues,
@@ -195,6 +199,7 @@ impl DriveController {
             commanded: false,
             held: None,
             closed: None,
+            queued: false,
             fresh_at: 0,
             seen: false,
             just_stopped: false,
@@ -244,12 +249,16 @@ impl DriveController {
         self.health.is_due(index)
     }
 
-    /// After the send stage: the request of `cycle` was sent, or attempted.
+    /// The request that was due was sent in `cycle`, or attempted: in the send stage, or, if it was queued then, in the
+    /// receive stage. While it is queued, or passed over because the one before it is owed, nothing has changed.
     pub fn sent(&mut self, cycle: &Cycle, slot: &Slot) {
-        self.health.asked(cycle.index);
-        if let Exchange::Owed { sent_at, .. } = slot.exchange
-            && sent_at >= cycle.grid
-        {
+        self.queued = slot.exchange == Exchange::Queued;
+        let sent_at = slot.exchange.sent_at();
+        if self.queued || sent_at.is_some_and(|sent_at| sent_at < cycle.grid) {
+            return;
+        }
+        self.health.asked(cycle.index, sent_at.is_some());
+        if let Some(sent_at) = sent_at {
             let phase_ns = sent_at.since(cycle.grid);
             self.record.phase_ns = measured(phase_ns);
             if let Some(before) = self.phase_ns.replace(phase_ns) {
@@ -266,14 +275,30 @@ impl DriveController {
     /// Evaluates this cycle's exchange, updates the feedback, and notices changes. Returns the result of the
     /// exchange.
     pub fn judge(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) -> Reply {
+        if self.queued && slot.exchange != Exchange::Queued {
+            self.sent(cycle, slot);
+        }
         let mut rtt = None;
         let mut sent = None;
         self.closed = None;
         self.record.was_online = self.feedback.link == Link::Online;
         let reply = match slot.exchange {
-            Exchange::Idle | Exchange::Missed => Reply::None,
+            Exchange::Idle | Exchange::Missed => {
+                // What is fresh all the same is a packet of a drive with its own clock, and has a stamp of its own.
+                sent = Some(slot.report.at);
+                Reply::None
+            }
+            Exchange::Queued => Reply::Queued,
             Exchange::Owed { reply_by, .. } if !cycle.closes(reply_by) => Reply::Owed,
-            Exchange::Owed { .. } | Exchange::Absent => {
+            Exchange::OwnClock { fresh_until, .. } if cycle.grid < fresh_until => {
+                slot.counters.answered += 1;
+                slot.exchange = Exchange::Idle;
+                self.closed = Some(Closed::Answered);
+                self.health.answered(cycle.index);
+                sent = Some(slot.report.at);
+                Reply::Current
+            }
+            Exchange::Owed { .. } | Exchange::OwnClock { .. } | Exchange::Absent { .. } => {
                 slot.counters.missed += 1;
                 slot.exchange = Exchange::Missed;
                 self.missed(cycle, now);

@@ -243,7 +243,7 @@ mod tests {
             samples: None,
         };
         (
-            DriveController::new(AxisPlan::new(name, Units::millimetres(1.0)), queues, MS, 0, 100),
+            DriveController::new(AxisPlan::new(name, Units::millimetres(1.0)), queues, MS, 0, 100, false),
             commands,
             events,
         )

@@ -203,8 +203,8 @@ impl Bus for SpeedBus {
         self.blind(slots, |bus, slots| bus.send(cycle, slots));
     }
 
-    fn receive(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool {
-        self.blind(slots, |bus, slots| bus.receive(cycle, slots))
+    fn receive(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
+        self.blind(slots, |bus, slots| bus.receive(cycle, slots));
     }
 
     fn prepare(&mut self, cycle: &Cycle, slots: &mut [Slot]) {

@@ -202,7 +202,8 @@ impl<C: Clock> Engine<C> {
             self.bus(&cycle, Stage::Send, bus, |controller, slots| controller.bus.send(&cycle, slots));
             if self.panics.is_left_out(Part::Bus(bus)) {
                 let controller = &self.buses[bus];
-                let due = self.slots[controller.first..controller.end].iter_mut().filter(|slot| slot.due);
+                let slots = self.slots[controller.first..controller.end].iter_mut();
+                let due = slots.filter(|slot| slot.due || slot.exchange == Exchange::Queued);
                 due.for_each(|slot| slot.exchange = Exchange::Unsent);
             }
         }
@@ -219,7 +220,8 @@ impl<C: Clock> Engine<C> {
         for bus in 0..self.buses.len() {
             self.bus(&cycle, Stage::Receive, bus, |controller, slots| {
                 for _ in 0..MOST_LOOKS {
-                    if controller.bus.receive(&cycle, slots) {
+                    controller.bus.receive(&cycle, slots);
+                    if !slots.iter().any(|slot| slot.exchange.is_waited_for(&cycle)) {
                         break;
                     }
                 }

@@ -47,7 +47,7 @@ impl Alone {
             feedback,
             samples: None,
         };
-        let controller = DriveController::new(plan, queues, MS, 0, 100);
+        let controller = DriveController::new(plan, queues, MS, 0, 100, false);
         let slot = Slot::default();
         Alone { controller, slot, commands, rows, _setpoints: setpoints, events, index: 0, id: 0 }
     }
@@ -66,7 +66,7 @@ impl Alone {
         let (controller, slot) = (&mut self.controller, &mut self.slot);
         slot.exchange = match slot.report.fresh {
             true => Exchange::Answered { sent_at: now, at: now, suspect: slot.report.suspect },
-            false => Exchange::Absent,
+            false => Exchange::Absent { sent_at: now },
         };
         slot.report.at = now;
         controller.judge(&cycle, now, slot);
