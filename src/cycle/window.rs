@@ -72,17 +72,17 @@ impl Window {
     /// Runs the window of `cycle`.
     pub fn run<C: Clock>(&mut self, clock: &mut C, cycle: &Cycle, buses: &mut [OpenBus], slots: &mut [Slot]) {
         let owed = missing(cycle, slots);
-        let (mut left, mut poll_at) = (owed, poll_at(cycle, buses));
+        let (mut left, mut poll_at) = (owed, poll_at(buses));
         let mut napped = false;
         // Bounded by the deadline: each turn waits towards it.
-        while left > 0 || poll_at.is_some() {
+        while left > 0 || poll_at.is_some_and(|at| at < cycle.deadline) {
             let now = clock.now();
             let over = now >= cycle.deadline;
             if !over && poll_at.is_some_and(|at| at <= now) {
                 for open in buses.iter_mut().filter(|open| open.bus.poll_at().is_some_and(|at| at <= now)) {
                     open.work(slots, |bus, slots| bus.poll(cycle, now, slots));
                 }
-                (left, poll_at) = (missing(cycle, slots), self::poll_at(cycle, buses));
+                (left, poll_at) = (missing(cycle, slots), self::poll_at(buses));
                 continue;
             }
             // One nap a window, once the first replies are in and more than one is missing. It would hold up a wire on
@@ -98,14 +98,15 @@ impl Window {
                 }
                 Wait::Poll => {
                     self.poll_set.fill(buses.iter().filter_map(|open| open.bus.fd()));
-                    clock.wait(&mut self.poll_set, poll_at.unwrap_or(cycle.deadline));
+                    let until = poll_at.map_or(cycle.deadline, |at| at.min(cycle.deadline));
+                    clock.wait(&mut self.poll_set, until);
                 }
             }
             // Replies that are in the sockets at the deadline still count.
             for open in buses.iter_mut() {
                 open.work(slots, |bus, slots| bus.receive(cycle, slots));
             }
-            (left, poll_at) = (missing(cycle, slots), self::poll_at(cycle, buses));
+            (left, poll_at) = (missing(cycle, slots), self::poll_at(buses));
             if nap {
                 self.learn(left == 0, cycle);
             }
@@ -127,15 +128,138 @@ fn missing(cycle: &Cycle, slots: &[Slot]) -> usize {
     slots.iter().filter(|slot| slot.exchange.is_waited_for(cycle)).count()
 }
 
-/// When the first of the buses wants to be polled, if that is inside this window.
-fn poll_at(cycle: &Cycle, buses: &[OpenBus]) -> Option<Time> {
-    buses.iter().filter_map(|open| open.bus.poll_at()).filter(|at| *at < cycle.deadline).min()
+/// When the first of the buses wants to be polled.
+fn poll_at(buses: &[OpenBus]) -> Option<Time> {
+    buses.iter().filter_map(|open| open.bus.poll_at()).min()
 }
 
 #[cfg(test)]
 mod tests {
+    use std::any::Any;
+    use std::os::fd::RawFd;
+
     use super::*;
+    use crate::axis::acyclic::AcyclicEnds;
+    use crate::bus::{Exchange, Unmatched};
     use crate::time::MS;
+
+    /// A clock on which only sleeps and waits take time. Something arrives at `arrives`.
+    struct Steps {
+        steps: Vec<(&'static str, Time)>,
+        arrives: Time,
+    }
+
+    impl Steps {
+        fn go(&mut self, what: &'static str, at: Time) {
+            let at = at.max(self.now());
+            self.steps.push((what, at));
+        }
+    }
+
+    impl Clock for Steps {
+        fn now(&mut self) -> Time {
+            self.steps.last().map_or(Time(0), |(_, at)| *at)
+        }
+
+        fn sleep_until(&mut self, at: Time) {
+            self.go("nap", at);
+        }
+
+        fn wait(&mut self, _: &mut PollSet, until: Time) -> bool {
+            let arrives = self.now() < self.arrives && self.arrives < until;
+            self.go("wait", if arrives { self.arrives } else { until });
+            arrives
+        }
+
+        fn spin(&mut self) {
+            let at = self.now() + 10 * US;
+            self.go("spin", at);
+        }
+    }
+
+    /// The first of its replies is there, and it wants to be polled again and again.
+    struct Turns {
+        poll_at: Option<Time>,
+    }
+
+    impl Bus for Turns {
+        fn name(&self) -> &str {
+            "turns"
+        }
+
+        fn memory(&self, _: &mut Regions) {}
+
+        fn fd(&self) -> Option<RawFd> {
+            None
+        }
+
+        fn send(&mut self, _: &Cycle, _: &mut [Slot]) {}
+
+        fn receive(&mut self, _: &Cycle, slots: &mut [Slot]) {
+            slots[0].exchange = Exchange::Idle;
+        }
+
+        fn prepare(&mut self, _: &Cycle, _: &mut [Slot]) {}
+
+        fn poll_at(&self) -> Option<Time> {
+            self.poll_at
+        }
+
+        fn poll(&mut self, cycle: &Cycle, now: Time, _: &mut [Slot]) {
+            assert!(self.poll_at.is_some_and(|at| at <= now) && now < cycle.deadline);
+            self.poll_at = Some(now + 200 * US);
+        }
+
+        fn shut_down(&mut self, _: &Cycle, _: &mut [Slot]) -> bool {
+            true
+        }
+
+        fn unmatched(&self) -> Unmatched {
+            Unmatched::default()
+        }
+
+        fn native(&mut self, _: usize) -> Option<Box<dyn Any + Send>> {
+            None
+        }
+
+        fn acyclic(&mut self, _: usize) -> Option<AcyclicEnds> {
+            None
+        }
+    }
+
+    /// What a window until 500 us does, until when in us, with so many replies owed, the first of which comes at
+    /// `arrives_us`.
+    fn steps(wait: Wait, owed: usize, arrives_us: u64, poll_at_us: Option<u64>) -> Vec<(&'static str, u64)> {
+        let cycle = Cycle { index: 0, grid: Time(0), period_ns: MS, deadline: Time(500 * US) };
+        let bus = Turns { poll_at: poll_at_us.map(|us| Time(us * US)) };
+        let exchange = Exchange::Owed { sent_at: Time(0), reply_by: cycle.deadline, awaited: false };
+        let mut slots = vec![Slot { exchange, ..Slot::default() }; owed];
+        let mut buses = [OpenBus { bus: Box::new(bus), first: 0, end: owed, is_at_work: false }];
+        let mut clock = Steps { steps: Vec::new(), arrives: Time(arrives_us * US) };
+        slots.resize(owed.max(1), Slot::default());
+        buses[0].end = slots.len();
+        Window::new(wait, 1).run(&mut clock, &cycle, &mut buses, &mut slots);
+        clock.steps.into_iter().map(|(what, at)| (what, at.0 / US)).collect()
+    }
+
+    #[test]
+    fn a_window_wakes_when_a_bus_wants_to_be_polled_and_is_open_for_that_until_its_deadline() {
+        assert_eq!(steps(Wait::Poll, 0, 0, None), [], "nothing to wait for");
+        assert_eq!(steps(Wait::Poll, 1, 0, None), [("wait", 500)], "until the deadline");
+        assert_eq!(steps(Wait::Poll, 1, 50, None), [("wait", 50)], "or until a reply");
+        assert_eq!(steps(Wait::Poll, 1, 50, Some(100)), [("wait", 50), ("wait", 100), ("wait", 300)]);
+        // Without any reply that is owed.
+        assert_eq!(steps(Wait::Poll, 0, 0, Some(100)), [("wait", 100), ("wait", 300)]);
+        assert_eq!(steps(Wait::Poll, 0, 0, Some(0)), [("wait", 200), ("wait", 400)]);
+        assert_eq!(steps(Wait::Poll, 0, 0, Some(500)), [], "that is for the next window");
+        assert_eq!(steps(Wait::Spin, 0, 0, Some(490)).last(), Some(&("spin", 490)));
+    }
+
+    #[test]
+    fn no_nap_holds_up_a_bus_that_wants_to_be_polled() {
+        let naps = |poll_at| steps(Wait::Poll, 3, 50, poll_at).iter().any(|(what, _)| *what == "nap");
+        assert!(naps(None) && !naps(Some(100)));
+    }
 
     #[test]
     fn a_nap_gets_a_sixteenth_shorter_or_a_quarter_longer_within_its_bounds() {

@@ -1,5 +1,7 @@
 //! One axis without a bus: the tests write what its drive reports, and when an order is done.
 
+mod exchanges;
+
 use std::time::Duration;
 
 use super::*;
