@@ -171,6 +171,7 @@ fn schedule(drive: &Paced<'_>, period_ns: u64) -> String {
         |cycles| format!("{} ({})", count(cycles, "cycle"), Ns(period_ns.saturating_mul(cycles as u64)));
     match drive.pace {
         Pace::Cycle | Pace::Connection(_) => every,
+        Pace::HalfDuplex(0) => format!("{every}, over in the cycle in which it is due"),
         Pace::HalfDuplex(late) => {
             format!("{every}, over {} later at most: its turn on the wire", cycles(late as usize))
         }
@@ -278,5 +279,27 @@ fn limits(axis: &AxisPlan) -> String {
     match set.is_empty() {
         true => "limits: only the drive's own".into(),
         false => format!("limits: {}", set.join(", ")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::axis::Units;
+    use crate::time::MS;
+
+    #[test]
+    fn the_schedule_of_a_drive_says_when_its_exchanges_end_where_no_reply_ends_them_at_once() {
+        let mut axis = AxisPlan::new("x", Units::millimetres(1.0));
+        (axis.divisor, axis.phase) = (10, 3);
+        let says = |pace| schedule(&Paced { axis: &axis, pace }, MS);
+        let every = "an exchange every 10 cycles (10 ms), phase 3";
+        assert_eq!(says(Pace::Cycle), every);
+        assert_eq!(says(Pace::Connection(20)), every);
+        let own_clock = ", whatever its link; a packet of its own clock counts for 30 cycles (30 ms)";
+        assert_eq!(says(Pace::OwnClock(30)), format!("{every}{own_clock}"));
+        let turn = ", over 1 cycle (1 ms) later at most: its turn on the wire";
+        assert_eq!(says(Pace::HalfDuplex(1)), format!("{every}{turn}"));
+        assert_eq!(says(Pace::HalfDuplex(0)), format!("{every}, over in the cycle in which it is due"));
     }
 }

@@ -252,7 +252,7 @@ impl DriveController {
     /// The request that was due was sent in `cycle`, or attempted: in the send stage, or, if it was queued then, in the
     /// receive stage. While it is queued, or passed over because the one before it is owed, nothing has changed.
     pub fn sent(&mut self, cycle: &Cycle, slot: &Slot) {
-        self.queued = slot.exchange == Exchange::Queued;
+        self.queued = matches!(slot.exchange, Exchange::Queued);
         let sent_at = slot.exchange.sent_at();
         if self.queued || sent_at.is_some_and(|sent_at| sent_at < cycle.grid) {
             return;
@@ -275,7 +275,7 @@ impl DriveController {
     /// Evaluates this cycle's exchange, updates the feedback, and notices changes. Returns the result of the
     /// exchange.
     pub fn judge(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) -> Reply {
-        if self.queued && slot.exchange != Exchange::Queued {
+        if self.queued && !matches!(slot.exchange, Exchange::Queued) {
             self.sent(cycle, slot);
         }
         let mut rtt = None;

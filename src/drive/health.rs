@@ -220,14 +220,14 @@ mod tests {
     fn a_drive_with_its_own_clock_is_sent_its_requests_in_all_its_slots_as_long_as_they_leave() {
         let mut health = LinkHealth::new(Health::default(), 4, 3, MS, 1, 40, true);
         let mut due = |slots: std::ops::Range<u64>, sent: bool| {
-            let mut asked = Vec::new();
+            let mut all = Vec::new();
             for index in slots {
                 if health.is_due(index) {
-                    asked.push(index);
+                    all.push(index);
                     health.asked(index, sent);
                 }
             }
-            asked
+            all
         };
         // The first at once, and none of them is a probe.
         assert_eq!(due(0..20, true), [1, 3, 7, 11, 15, 19]);

@@ -2,11 +2,11 @@
 
 use fieldbeat::axis::Command;
 use fieldbeat::bus::Exchange;
+use fieldbeat::time::US;
 
 use crate::conformance::line::{LATENCY, Line, PERIOD};
 use crate::conformance::machine::Machine;
 use crate::conformance::subject::{Subject, not_applicable};
-use fieldbeat::time::US;
 
 /// More than the wire takes in one window.
 const MANY: usize = 4;
@@ -32,12 +32,12 @@ pub fn one_request_is_on_the_wire_at_a_time(subject: &'static dyn Subject) {
     for mute in [false, true] {
         line.online();
         line.settle();
-        let heard: Vec<_> = (0..MANY).map(|index| line.heard(index)).collect();
+        let before: Vec<_> = (0..MANY).map(|index| line.heard(index)).collect();
         line.mute(0, mute);
         line.turns(20);
         let mut all: Vec<_> = (0..MANY)
-            .flat_map(|index| line.wire.log().drives[index].heard.split_off(heard[index]))
-            .map(|heard| heard.at)
+            .flat_map(|index| line.wire.log().drives[index].heard.split_off(before[index]))
+            .map(|request| request.at)
             .collect();
         all.sort_unstable();
         assert!(all.len() >= 9 * MANY, "{} requests", all.len());
@@ -98,12 +98,13 @@ pub fn a_request_that_waits_is_built_anew_until_it_leaves(subject: &'static dyn 
         }
         line.turns(200);
         let waits = one_waits(&mut line);
-        let heard = line.heard(waits);
+        let before = line.heard(waits);
         line.order(waits, stop);
         line.turn_and_hear();
         let requests = line.requests(waits);
-        let asks = requests.len() == heard + 1 && subject.asks_to_stop(&requests[..heard], &requests[heard]);
-        assert!(asks, "{stop:?}: {:02x?}", &requests[heard..]);
+        let stops =
+            requests.len() == before + 1 && subject.asks_to_stop(&requests[..before], &requests[before]);
+        assert!(stops, "{stop:?}: {:02x?}", &requests[before..]);
         assert_eq!(line.ended(waits), Ok(()));
     }
 }
@@ -120,15 +121,15 @@ pub fn a_reply_that_is_overdue_lets_the_next_request_go_in_the_same_window(subje
         line.turn();
         assert!(line.seen[0].missed() && line.seen[1].answered(), "{:?}", line.seen);
     }
-    // The window of the loop does the same: the second drive is asked in its own slots.
+    // The window of the loop does the same: the second drive has its turn in its own slots.
     let mut m = Machine::new(subject, 2, |_, drive| drive.axis.health.bucket = 1_000);
     m.online();
     m.mute(0, true);
-    let heard = m.heard(1);
+    let before = m.heard(1);
     m.run(200);
     let every = u64::from(m.drives[1].axis.divisor);
-    let asked = m.asked_in(1, heard);
-    assert!(asked.len() as u64 >= 190 / every && asked.iter().all(|slot| slot % every == 0), "{asked:?}");
+    let slots = m.asked_in(1, before);
+    assert!(slots.len() as u64 >= 190 / every && slots.iter().all(|slot| slot % every == 0), "{slots:?}");
 }
 
 pub fn a_request_has_its_own_stamp_whenever_it_leaves(subject: &'static dyn Subject) {
@@ -151,11 +152,11 @@ pub fn a_request_has_its_own_stamp_whenever_it_leaves(subject: &'static dyn Subj
     let sent = |m: &Machine, index: usize| m.sim.measured().histograms.drives[index].send_jitter.len();
     let before: Vec<_> = (0..MANY).map(|index| (m.heard(index) as u64, sent(&m, index))).collect();
     m.run(200);
-    for (index, (heard, stamps)) in before.into_iter().enumerate() {
-        let (heard, stamps) = (m.heard(index) as u64 - heard, sent(&m, index) - stamps);
+    for (index, (requests, stamps)) in before.into_iter().enumerate() {
+        let (requests, stamps) = (m.heard(index) as u64 - requests, sent(&m, index) - stamps);
         assert!(
-            heard >= 99 && heard.abs_diff(stamps) <= 1,
-            "drive {index}: {stamps} stamps of {heard} requests"
+            requests >= 99 && requests.abs_diff(stamps) <= 1,
+            "drive {index}: {stamps} stamps of {requests} requests"
         );
     }
     assert!(m.sim.finish().drives.iter().all(|drive| drive.peaks.send_jitter.ns < PERIOD));

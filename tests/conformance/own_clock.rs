@@ -3,7 +3,7 @@
 use fieldbeat::axis::Link;
 use fieldbeat::bus::{BusPlan, Counters, Exchange};
 
-use crate::conformance::line::{LATENCY, Line, PERIOD};
+use crate::conformance::line::{LATENCY, Line};
 use crate::conformance::machine::Machine;
 use crate::conformance::rules;
 use crate::conformance::subject::{Subject, not_applicable};
@@ -75,8 +75,8 @@ pub fn only_the_newest_of_several_packets_counts(subject: &'static dyn Subject) 
     let (report, units) = (&line.slots[0].report, line.drives[0].axis.units);
     assert!(rules::is_as_told(report, said, &units), "{report:?}, {said:?}");
     let c = line.slots[0].counters;
-    let told = Counters { late: before.late + 1, duplicate: before.duplicate + 1, ..before };
-    assert_eq!(Counters { sent: before.sent, answered: before.answered, ..c }, told);
+    let expected = Counters { late: before.late + 1, duplicate: before.duplicate + 1, ..before };
+    assert_eq!(Counters { sent: before.sent, answered: before.answered, ..c }, expected);
     line.mute(0, false);
     line.turns(20);
     line.honest = true;
@@ -118,12 +118,12 @@ pub fn requests_go_at_the_agreed_rate_whatever_the_link(subject: &'static dyn Su
     let mut m = Machine::new(subject, 3, |index, drive| {
         (drive.axis.divisor, drive.axis.phase) = schedule[index];
     });
-    let at_its_rate = |m: &Machine, index: usize, heard: usize| {
+    let at_its_rate = |m: &Machine, index: usize, before: usize| {
         let (divisor, phase) = schedule[index];
-        let asked = m.asked_in(index, heard);
-        let every = asked.windows(2).all(|pair| pair[1] - pair[0] == u64::from(divisor));
-        assert!(every && asked[0] % u64::from(divisor) == u64::from(phase), "drive {index}: {asked:?}");
-        assert!(asked.len() as u32 >= 290 / divisor, "drive {index}: {asked:?}");
+        let slots = m.asked_in(index, before);
+        let every = slots.windows(2).all(|pair| pair[1] - pair[0] == u64::from(divisor));
+        assert!(every && slots[0] % u64::from(divisor) == u64::from(phase), "drive {index}: {slots:?}");
+        assert!(slots.len() as u32 >= 290 / divisor, "drive {index}: {slots:?}");
     };
     // Never seen.
     m.mute(1, true);
@@ -137,11 +137,11 @@ pub fn requests_go_at_the_agreed_rate_whatever_the_link(subject: &'static dyn Su
     }
     m.ready();
     // Lost: the stop goes on it as well.
-    let heard = [0, 1, 2].map(|index| m.heard(index));
+    let before = [0, 1, 2].map(|index| m.heard(index));
     m.mute(1, true);
     m.mute(2, true);
     m.run(300);
-    (0..3).for_each(|index| at_its_rate(&m, index, heard[index]));
+    (0..3).for_each(|index| at_its_rate(&m, index, before[index]));
     for index in [1, 2] {
         assert_eq!(m.feedback(index).link, Link::Lost);
         m.mute(index, false);
@@ -153,9 +153,5 @@ pub fn requests_go_at_the_agreed_rate_whatever_the_link(subject: &'static dyn Su
     m.run(1_000);
     let c = m.sim.finish().drives[1].counters;
     assert!((10..30).contains(&c.unsent), "{c:?}");
-    assert_eq!(c.sent, c.answered + c.missed + (c.sent - c.answered - c.missed).min(1), "{c:?}");
-    assert_eq!(
-        PERIOD * 100,
-        u64::try_from(fieldbeat::axis::Health::default().probe_interval.as_nanos()).unwrap()
-    );
+    assert_eq!(c.sent, c.answered + c.missed, "{c:?}");
 }

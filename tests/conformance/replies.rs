@@ -171,15 +171,11 @@ pub fn a_late_reply_that_comes_first_in_the_next_window_is_not_taken_for_the_new
 }
 
 pub fn a_late_reply_that_comes_with_the_one_asked_for_leaves_the_newer_values(subject: &'static dyn Subject) {
-    if nothing_replies(subject, "a late reply with the one asked for") {
+    if nothing_replies(subject, "a late reply with the expected one") {
         return;
     }
     if subject.can().half_duplex {
-        return not_applicable(
-            subject,
-            "a late reply with the one asked for",
-            "one is on the wire at a time",
-        );
+        return not_applicable(subject, "a late reply with the expected one", "one is on the wire at a time");
     }
     // Another drive keeps the window open for both. Where one frame is for all, the late one comes behind the one asked
     // for, whose values stand.

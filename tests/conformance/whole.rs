@@ -106,7 +106,12 @@ pub fn the_stop_request_is_on_the_wire_within_its_bound(subject: &'static dyn Su
     ] {
         let every = divisor * (1 + subject.can().answers_after);
         // On a line nobody is silent alone and hears.
-        let count = if subject.can().shared { 1 } else { 2 };
+        // More than a half-duplex wire takes in one window.
+        let count = match subject.can() {
+            Can { shared: true, .. } => 1,
+            Can { half_duplex: true, .. } => 4,
+            _ => 2,
+        };
         let mut m = Machine::new(subject, count, |index, drive| {
             drive.axis.health.bucket = bucket;
             drive.axis.stop.how = how;

@@ -25,8 +25,8 @@ pub(super) fn turn_within_ns(drives: usize) -> u64 {
 /// Whose turn it is.
 #[derive(Default)]
 pub(super) struct Turns {
-    /// The drive that was asked, and when its reply is overdue.
-    asked: Option<(usize, Time)>,
+    /// The drive whose request is on the wire, and when its reply is overdue.
+    on_wire: Option<(usize, Time)>,
     /// The wire is free from then on.
     free_at: Time,
     /// The drive whose turn is next.
@@ -37,16 +37,16 @@ pub(super) struct Turns {
 
 impl Turns {
     pub(super) fn poll_at(&self) -> Option<Time> {
-        let overdue = self.asked.map(|(_, overdue)| overdue);
+        let overdue = self.on_wire.map(|(_, overdue)| overdue);
         overdue.or(self.queued.then_some(self.free_at))
     }
 
     /// What was taken in may have ended the exchange on the wire.
     pub(super) fn look(&mut self, slots: &[Slot]) {
-        if let Some((index, _)) = self.asked
+        if let Some((index, _)) = self.on_wire
             && let Exchange::Answered { at, .. } = slots[index].exchange
         {
-            (self.asked, self.free_at) = (None, at + IDLE);
+            (self.on_wire, self.free_at) = (None, at + IDLE);
         }
     }
 }
@@ -71,28 +71,28 @@ impl ToyBus {
 
     /// At `now`, what is overdue ends, and the next in the queue goes if the wire is free.
     pub(super) fn go_on(&mut self, cycle: &Cycle, now: Time, slots: &mut [Slot]) {
-        let overdue = self.turns.asked.filter(|(_, overdue)| now >= *overdue);
+        let overdue = self.turns.on_wire.filter(|(_, overdue)| now >= *overdue);
         if let Some((index, overdue)) = overdue.filter(|_| self.defect != Some(Defect::WaitsForEver)) {
             if let Exchange::Owed { sent_at, .. } = slots[index].exchange {
                 slots[index].exchange = Exchange::Absent { sent_at };
             }
-            (self.turns.asked, self.turns.free_at) = (None, overdue);
+            (self.turns.on_wire, self.turns.free_at) = (None, overdue);
         }
         let out_of_turn = self.defect == Some(Defect::SendsOutOfTurn);
         for _ in 0..slots.len() {
-            if !out_of_turn && (self.turns.asked.is_some() || now < self.turns.free_at) {
+            if !out_of_turn && (self.turns.on_wire.is_some() || now < self.turns.free_at) {
                 break;
             }
             let mut turns = (0..slots.len()).map(|n| (self.turns.next + n) % slots.len());
             let Some(index) = turns.find(|index| slots[*index].exchange == Exchange::Queued) else { break };
             self.turns.next = index + 1;
-            self.ask(index, cycle, &mut slots[index]);
+            self.send_to(index, cycle, &mut slots[index]);
         }
         self.turns.queued = slots.iter().any(|slot| slot.exchange == Exchange::Queued);
     }
 
     /// Sends the request of one drive.
-    fn ask(&mut self, index: usize, cycle: &Cycle, slot: &mut Slot) {
+    fn send_to(&mut self, index: usize, cycle: &Cycle, slot: &mut Slot) {
         (0..self.outbox.len()).for_each(|other| self.outbox.post(other, other == index));
         self.net.send(&mut self.outbox);
         let Sent::At(sent_at) = self.outbox.sent(index) else {
@@ -105,6 +105,6 @@ impl ToyBus {
         let overdue = sent_at + REPLY;
         let later = u64::from(overdue > cycle.deadline) * cycle.period_ns;
         slot.exchange = Exchange::Owed { sent_at, reply_by: cycle.deadline + later, awaited: false };
-        self.turns.asked = Some((index, overdue));
+        self.turns.on_wire = Some((index, overdue));
     }
 }
