@@ -277,7 +277,8 @@ pub fn assemble<C: Clock>(
             }
         }
         all_notes.push(notes);
-        buses.push(OpenBus { bus, first, end: controllers.len(), is_at_work: false });
+        let is_polled = (0..controllers.len() - first).any(|index| bus_plan.turn_within_ns(index).is_some());
+        buses.push(OpenBus { bus, first, end: controllers.len(), is_at_work: false, is_polled });
     }
     acyclics.extend(of_devices);
     let (record_in, records) = rt::ring(Recorder::ring_size(plan.records_a_cycle(), period_ns), &mut regions);

@@ -272,7 +272,7 @@ pub trait Bus: Send {
 
     /// When [`poll`](Bus::poll) is to be called, whatever the descriptor shows: when the reply on a half-duplex wire is
     /// overdue, or its idle time is over. The window stays open for it, up to its deadline. `None`: the descriptor
-    /// shows all that has to be waited for.
+    /// shows all that has to be waited for. Queried only of a bus that has [`BusPlan::turn_within_ns`].
     fn poll_at(&self) -> Option<Time> {
         None
     }

@@ -33,6 +33,8 @@ pub struct OpenBus {
     pub end: usize,
     /// A call of it is under way, or has panicked.
     pub is_at_work: bool,
+    /// It is on a half-duplex wire, and wants to be polled.
+    pub is_polled: bool,
 }
 
 impl OpenBus {
@@ -79,7 +81,9 @@ impl Window {
             let now = clock.now();
             let over = now >= cycle.deadline;
             if !over && poll_at.is_some_and(|at| at <= now) {
-                for open in buses.iter_mut().filter(|open| open.bus.poll_at().is_some_and(|at| at <= now)) {
+                let due =
+                    |open: &&mut OpenBus| open.is_polled && open.bus.poll_at().is_some_and(|at| at <= now);
+                for open in buses.iter_mut().filter(due) {
                     open.work(slots, |bus, slots| bus.poll(cycle, now, slots));
                 }
                 (left, poll_at) = (missing(cycle, slots), self::poll_at(buses));
@@ -130,7 +134,7 @@ fn missing(cycle: &Cycle, slots: &[Slot]) -> usize {
 
 /// When the first of the buses wants to be polled.
 fn poll_at(buses: &[OpenBus]) -> Option<Time> {
-    buses.iter().filter_map(|open| open.bus.poll_at()).min()
+    buses.iter().filter(|open| open.is_polled).filter_map(|open| open.bus.poll_at()).min()
 }
 
 #[cfg(test)]
@@ -234,7 +238,8 @@ mod tests {
         let bus = Turns { poll_at: poll_at_us.map(|us| Time(us * US)) };
         let exchange = Exchange::Owed { sent_at: Time(0), reply_by: cycle.deadline, awaited: false };
         let mut slots = vec![Slot { exchange, ..Slot::default() }; owed];
-        let mut buses = [OpenBus { bus: Box::new(bus), first: 0, end: owed, is_at_work: false }];
+        let is_polled = poll_at_us.is_some();
+        let mut buses = [OpenBus { bus: Box::new(bus), first: 0, end: owed, is_at_work: false, is_polled }];
         let mut clock = Steps { steps: Vec::new(), arrives: Time(arrives_us * US) };
         slots.resize(owed.max(1), Slot::default());
         buses[0].end = slots.len();

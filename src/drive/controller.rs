@@ -252,30 +252,46 @@ impl DriveController {
     /// The request that was due was sent in `cycle`, or attempted: in the send stage, or, if it was queued then, in the
     /// receive stage. While it is queued, or passed over because the one before it is owed, nothing has changed.
     pub fn sent(&mut self, cycle: &Cycle, slot: &Slot) {
-        self.queued = matches!(slot.exchange, Exchange::Queued);
-        let sent_at = slot.exchange.sent_at();
-        if self.queued || sent_at.is_some_and(|sent_at| sent_at < cycle.grid) {
-            return;
+        self.queued = false;
+        match slot.exchange {
+            // The usual one.
+            Exchange::Owed { sent_at, .. } if sent_at >= cycle.grid => self.left(cycle, sent_at),
+            _ => self.sent_otherwise(cycle, slot),
         }
-        self.health.asked(cycle.index, sent_at.is_some());
-        if let Some(sent_at) = sent_at {
-            let phase_ns = sent_at.since(cycle.grid);
-            self.record.phase_ns = measured(phase_ns);
-            if let Some(before) = self.phase_ns.replace(phase_ns) {
-                let jitter_ns = phase_ns.abs_diff(before);
-                self.record.jitter_ns = measured(jitter_ns);
-                self.peaks.send_jitter.see(jitter_ns, cycle.index);
+    }
+
+    /// Its request left at this instant.
+    #[inline]
+    fn left(&mut self, cycle: &Cycle, sent_at: Time) {
+        self.health.asked(cycle.index, true);
+        self.follow.held = false;
+        let phase_ns = sent_at.since(cycle.grid);
+        self.record.phase_ns = measured(phase_ns);
+        if let Some(before) = self.phase_ns.replace(phase_ns) {
+            let jitter_ns = phase_ns.abs_diff(before);
+            self.record.jitter_ns = measured(jitter_ns);
+            self.peaks.send_jitter.see(jitter_ns, cycle.index);
+        }
+    }
+
+    fn sent_otherwise(&mut self, cycle: &Cycle, slot: &Slot) {
+        match slot.exchange.sent_at() {
+            Some(sent_at) if sent_at >= cycle.grid => self.left(cycle, sent_at),
+            Some(_) => {}
+            None if slot.exchange == Exchange::Queued => self.queued = true,
+            None => {
+                self.health.asked(cycle.index, false);
+                // A row that the operating system refused is sent with the next request; in a group it is lost like any
+                // telegram, or this axis would be one row behind from then on.
+                self.follow.held &= slot.exchange == Exchange::Unsent && self.moves_in_group().is_none();
             }
         }
-        // A row that the operating system refused is sent with the next request; in a group it is lost like any
-        // telegram, or this axis would be one row behind from then on.
-        self.follow.held &= slot.exchange == Exchange::Unsent && self.moves_in_group().is_none();
     }
 
     /// Evaluates this cycle's exchange, updates the feedback, and notices changes. Returns the result of the
     /// exchange.
     pub fn judge(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) -> Reply {
-        if self.queued && !matches!(slot.exchange, Exchange::Queued) {
+        if self.queued {
             self.sent(cycle, slot);
         }
         let mut rtt = None;
@@ -284,8 +300,9 @@ impl DriveController {
         self.record.was_online = self.feedback.link == Link::Online;
         let reply = match slot.exchange {
             Exchange::Idle | Exchange::Missed => {
-                // What is fresh all the same is a packet of a drive with its own clock, and has a stamp of its own.
-                sent = Some(slot.report.at);
+                if slot.report.fresh {
+                    self.take_packet(slot);
+                }
                 Reply::None
             }
             Exchange::Queued => Reply::Queued,
@@ -295,7 +312,9 @@ impl DriveController {
                 slot.exchange = Exchange::Idle;
                 self.closed = Some(Closed::Answered);
                 self.health.answered(cycle.index);
-                sent = Some(slot.report.at);
+                if slot.report.fresh {
+                    self.take_packet(slot);
+                }
                 Reply::Current
             }
             Exchange::Owed { .. } | Exchange::OwnClock { .. } | Exchange::Absent { .. } => {
@@ -336,11 +355,7 @@ impl DriveController {
         if slot.report.restarted {
             self.bounds = Bounds::default();
         } else if let Some(sent_at) = sent.filter(|_| slot.report.fresh) {
-            let report = &slot.report;
-            let Report { at, homed, position, demand, velocity, .. } = *report;
-            let led = !under_torque(slot);
-            let position = if led { demand } else { position };
-            self.bounds.take(Sample { sent_at, at, homed, led, position, velocity }, &self.plan);
+            self.take_sample(sent_at, slot);
         }
         self.take_report(cycle, now, slot, rtt);
         self.take_link(cycle, now, slot);
@@ -351,6 +366,21 @@ impl DriveController {
             self.peaks.age.see(age_ns, cycle.index);
         }
         reply
+    }
+
+    /// A packet of a drive with its own clock, with an exchange or without: it has a stamp of its own.
+    #[inline(never)]
+    fn take_packet(&mut self, slot: &Slot) {
+        self.take_sample(slot.report.at, slot);
+    }
+
+    /// The report to a request that left at `sent_at` counts for the limits.
+    #[inline]
+    fn take_sample(&mut self, sent_at: Time, slot: &Slot) {
+        let Report { at, homed, position, demand, velocity, .. } = slot.report;
+        let led = !under_torque(slot);
+        let position = if led { demand } else { position };
+        self.bounds.take(Sample { sent_at, at, homed, led, position, velocity }, &self.plan);
     }
 
     fn missed(&mut self, cycle: &Cycle, now: Time) {
