@@ -174,7 +174,7 @@ impl<C: Clock> Engine<C> {
         control: Control,
         outlets: Outlets,
     ) -> Engine<C> {
-        let window = Window::new(plan.wait, buses.len());
+        let window = Window::new(plan.wait, &buses);
         // The ramp, the quick stop and power off have a time-out each, and a hold may have to be left first.
         let stops =
             controllers.iter().map(|controller| nanos(controller.plan().stop.timeout)).max().unwrap_or(0);

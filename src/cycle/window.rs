@@ -17,6 +17,8 @@ const SHORTEST_NAP_NS: u64 = 5 * US;
 #[derive(Debug)]
 pub struct Window {
     wait: Wait,
+    /// One of the buses wants to be polled.
+    polls: bool,
     poll_set: PollSet,
     /// The learned time from the first look that found replies to the last reply, ns: a sufficient nap makes it a
     /// sixteenth shorter, one that was too short a quarter longer.
@@ -61,9 +63,14 @@ impl std::fmt::Debug for OpenBus {
 }
 
 impl Window {
-    /// A window over so many buses.
-    pub fn new(wait: Wait, buses: usize) -> Window {
-        Window { wait, poll_set: PollSet::with_room(buses), nap_ns: 4 * SHORTEST_NAP_NS }
+    /// A window over these buses.
+    pub fn new(wait: Wait, buses: &[OpenBus]) -> Window {
+        Window {
+            wait,
+            polls: buses.iter().any(|open| open.is_polled),
+            poll_set: PollSet::with_room(buses.len()),
+            nap_ns: 4 * SHORTEST_NAP_NS,
+        }
     }
 
     /// Adds the memory that it touches besides itself, to be locked.
@@ -72,9 +79,25 @@ impl Window {
     }
 
     /// Runs the window of `cycle`.
+    #[inline]
     pub fn run<C: Clock>(&mut self, clock: &mut C, cycle: &Cycle, buses: &mut [OpenBus], slots: &mut [Slot]) {
+        match self.polls {
+            false => self.turns::<C, false>(clock, cycle, buses, slots),
+            true => self.turns::<C, true>(clock, cycle, buses, slots),
+        }
+    }
+
+    /// The same, with or without buses that want to be polled.
+    #[inline]
+    fn turns<C: Clock, const POLLS: bool>(
+        &mut self,
+        clock: &mut C,
+        cycle: &Cycle,
+        buses: &mut [OpenBus],
+        slots: &mut [Slot],
+    ) {
         let owed = missing(cycle, slots);
-        let (mut left, mut poll_at) = (owed, poll_at(buses));
+        let (mut left, mut poll_at) = (owed, poll_at::<POLLS>(buses));
         let mut napped = false;
         // Bounded by the deadline: each turn waits towards it.
         while left > 0 || poll_at.is_some_and(|at| at < cycle.deadline) {
@@ -86,7 +109,7 @@ impl Window {
                 for open in buses.iter_mut().filter(due) {
                     open.work(slots, |bus, slots| bus.poll(cycle, now, slots));
                 }
-                (left, poll_at) = (missing(cycle, slots), self::poll_at(buses));
+                (left, poll_at) = (missing(cycle, slots), self::poll_at::<POLLS>(buses));
                 continue;
             }
             // One nap a window, once the first replies are in and more than one is missing. It would hold up a wire on
@@ -110,7 +133,7 @@ impl Window {
             for open in buses.iter_mut() {
                 open.work(slots, |bus, slots| bus.receive(cycle, slots));
             }
-            (left, poll_at) = (missing(cycle, slots), self::poll_at(buses));
+            (left, poll_at) = (missing(cycle, slots), self::poll_at::<POLLS>(buses));
             if nap {
                 self.learn(left == 0, cycle);
             }
@@ -133,7 +156,11 @@ fn missing(cycle: &Cycle, slots: &[Slot]) -> usize {
 }
 
 /// When the first of the buses wants to be polled.
-fn poll_at(buses: &[OpenBus]) -> Option<Time> {
+#[inline]
+fn poll_at<const POLLS: bool>(buses: &[OpenBus]) -> Option<Time> {
+    if !POLLS {
+        return None;
+    }
     buses.iter().filter(|open| open.is_polled).filter_map(|open| open.bus.poll_at()).min()
 }
 
@@ -243,7 +270,7 @@ mod tests {
         let mut clock = Steps { steps: Vec::new(), arrives: Time(arrives_us * US) };
         slots.resize(owed.max(1), Slot::default());
         buses[0].end = slots.len();
-        Window::new(wait, 1).run(&mut clock, &cycle, &mut buses, &mut slots);
+        Window::new(wait, &buses).run(&mut clock, &cycle, &mut buses, &mut slots);
         clock.steps.into_iter().map(|(what, at)| (what, at.0 / US)).collect()
     }
 
@@ -268,7 +295,7 @@ mod tests {
 
     #[test]
     fn a_nap_gets_a_sixteenth_shorter_or_a_quarter_longer_within_its_bounds() {
-        let mut window = Window::new(Wait::Poll, 1);
+        let mut window = Window::new(Wait::Poll, &[]);
         let cycle = Cycle { index: 9, grid: Time(MS), period_ns: MS, deadline: Time(MS + 400 * US) };
         let mut naps = |enough, times| {
             (0..times).for_each(|_| window.learn(enough, &cycle));
