@@ -233,11 +233,11 @@ fn lock_drives<'a>(
 ///
 /// - **A reply to each request** (LinUDP): [`Owed`](Exchange::Owed) by the deadline of its cycle, then
 ///   [`Answered`](Exchange::Answered) with a round trip.
-/// - **One request outstanding on a connection** (Modbus TCP): owed by a later deadline, and `awaited` in its own window
-///   if the drive usually answers there. [`Slot::reachable`], [`helper_ended`](Bus::helper_ended),
+/// - **One request outstanding on a connection** (Modbus TCP): owed by a later deadline, and `awaited` in its own
+///   window if the drive usually answers there. [`Slot::reachable`], [`helper_ended`](Bus::helper_ended),
 ///   [`BusPlan::reply_within_ns`].
-/// - **One frame for all drives** (EtherCAT): owed, and [`Absent`](Exchange::Absent) if the frame came back without this
-///   one. [`lead`](Bus::lead), [`phase_error`](Bus::phase_error), [`clock`](Bus::clock), devices.
+/// - **One frame for all drives** (EtherCAT): owed, and [`Absent`](Exchange::Absent) if the frame came back without
+///   this one. [`lead`](Bus::lead), [`phase_error`](Bus::phase_error), [`clock`](Bus::clock), devices.
 /// - **The drive's own clock** (EtherNet/IP class 1): [`OwnClock`](Exchange::OwnClock), which no packet answers; no
 ///   round trip, and not suspect. [`BusPlan::fresh_within_ns`].
 /// - **Half duplex** (PROFIBUS DP): [`Queued`](Exchange::Queued) until its turn, then owed, and absent if its reply is
@@ -264,8 +264,8 @@ pub trait Bus: Send {
     /// its request whatever its link, and its packets are taken in whether it is due or not.
     fn send(&mut self, cycle: &Cycle, slots: &mut [Slot]);
 
-    /// Takes in what has arrived, up to a bounded amount. Never waits, sends nothing. Not called in a cycle whose window
-    /// waits for nothing: it is open while an exchange [is waited for](Exchange::is_waited_for), and for
+    /// Takes in what has arrived, up to a bounded amount. Never waits, sends nothing. Not called in a cycle whose
+    /// window waits for nothing: it is open while an exchange [is waited for](Exchange::is_waited_for), and for
     /// [`poll_at`](Bus::poll_at). What it does not wait for, as the reply of a slow drive, is taken in by the next
     /// `receive` or `send`.
     fn receive(&mut self, cycle: &Cycle, slots: &mut [Slot]);
@@ -277,8 +277,8 @@ pub trait Bus: Send {
         None
     }
 
-    /// The time of [`poll_at`](Bus::poll_at) has come: it is `now`, before the deadline, and `receive` has taken in what
-    /// arrived. On a half-duplex wire an exchange whose reply is overdue ends as absent, and once the wire is free the
+    /// The time of [`poll_at`](Bus::poll_at) has come: it is `now`, before the deadline, and `receive` has taken in
+    /// what arrived. On a half-duplex wire an exchange whose reply is overdue ends as absent, and once the wire is free the
     /// next queued request leaves, with its own stamp. Afterwards `poll_at` is later than `now`, or none.
     fn poll(&mut self, _cycle: &Cycle, _now: Time, _slots: &mut [Slot]) {}
 

@@ -1,5 +1,5 @@
-//! The toy that sends by its own clock, as a drive on EtherNet/IP does: its packets have numbers of their own and answer
-//! nothing.
+//! The toy that sends by its own clock, as a drive on EtherNet/IP does: its packets have numbers of their own and
+//! answer nothing.
 //!
 //! A simulated drive speaks here only when it is sent something, so that several packets between two requests are the
 //! suite's to inject.
