@@ -278,8 +278,8 @@ pub trait Bus: Send {
     }
 
     /// The time of [`poll_at`](Bus::poll_at) has come: it is `now`, before the deadline, and `receive` has taken in
-    /// what arrived. On a half-duplex wire an exchange whose reply is overdue ends as absent, and once the wire is free the
-    /// next queued request leaves, with its own stamp. Afterwards `poll_at` is later than `now`, or none.
+    /// what arrived. On a half-duplex wire an exchange whose reply is overdue ends as absent, and once the wire is
+    /// free the next queued request leaves, with its own stamp. Afterwards `poll_at` is later than `now`, or none.
     fn poll(&mut self, _cycle: &Cycle, _now: Time, _slots: &mut [Slot]) {}
 
     /// Builds the requests of the slots that are due at the next send, and of those that are queued, in place, from
