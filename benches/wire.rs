@@ -297,7 +297,7 @@ impl Linked {
         LINE_NOW.store(sent_at.0, Ordering::Relaxed);
         self.bus.send(&self.cycle, &mut self.slots);
         LINE_NOW.store(sent_at.0 + 40 * US, Ordering::Relaxed);
-        black_box(self.bus.receive(&self.cycle, &mut self.slots));
+        self.bus.receive(&self.cycle, &mut self.slots);
         let velocity = 10.0 + (self.cycle.index % 4) as f64 * 0.25;
         for slot in &mut self.slots {
             slot.exchange = Exchange::Idle;

@@ -255,6 +255,7 @@ pub fn assemble<C: Clock>(
                 period_ns,
                 first_probe,
                 silence,
+                bus_plan.fresh_within_ns(index).is_some(),
             );
             let asked_every = Duration::from_nanos(period_ns.saturating_mul(axis.divisor.into()));
             // A bus without acyclic access leaves its end of the queue unused.
@@ -292,6 +293,7 @@ pub fn assemble<C: Clock>(
                 of_devices.push(Acyclic::new(name, ends, bus_plan.notation(), observer, period));
             }
         }
+        let is_polled = (0..entries.len() - first).any(|index| bus_plan.turn_within_ns(index).is_some());
         let (unmatched_in, unmatched) = cell::cell(Unmatched::default());
         let (clock_in, clock) = cell::cell(None::<BusClock>);
         let devices = names.into_iter().map(str::to_owned).collect();
@@ -303,6 +305,7 @@ pub fn assemble<C: Clock>(
             first,
             end: entries.len(),
             is_at_work: false,
+            is_polled,
             unmatched: unmatched_in,
             clock: clock_in,
         });

@@ -59,6 +59,18 @@ pub trait BusPlan: Debug + Send + Sync {
         None
     }
 
+    /// On a half-duplex wire: the longest time from the slot in which an exchange of drive `index` is due to its end,
+    /// all turns before its own included, ns. `None`: a request leaves in the slot in which it is due.
+    fn turn_within_ns(&self, _index: usize) -> Option<u64> {
+        None
+    }
+
+    /// How long a packet of drive `index` counts, which sends by its own clock, ns. Requests to it are due by divisor
+    /// and phase whatever its link, since its watchdog needs them. `None`: it answers requests.
+    fn fresh_within_ns(&self, _index: usize) -> Option<u64> {
+        None
+    }
+
     /// What `check` prints of each drive in addition to its [`AxisPlan`]: address, modes, what happens if the
     /// master dies. One paragraph per drive, in slot order, one sentence per line; the address is the first line.
     fn describe(&self, period_ns: u64) -> Vec<String>;
@@ -222,6 +234,20 @@ fn lock_drives<'a>(
 }
 
 /// One open bus on the real-time thread. `slots` are those of its own drives, in the order of its plan.
+///
+/// It carries five kinds of wire. What each of them makes of the exchange of a due slot, and the clauses for it alone:
+///
+/// - **A reply to each request** (LinUDP): [`Owed`](Exchange::Owed) by the deadline of its cycle, then
+///   [`Answered`](Exchange::Answered) with a round trip.
+/// - **One request outstanding on a connection** (Modbus TCP): owed by a later deadline, and `awaited` in its own
+///   window if the drive usually answers there. [`Slot::reachable`], [`helper_ended`](Bus::helper_ended),
+///   [`BusPlan::reply_within_ns`].
+/// - **One frame for all drives** (EtherCAT): owed, and [`Absent`](Exchange::Absent) if the frame came back without
+///   this one. [`lead`](Bus::lead), [`phase_error`](Bus::phase_error), [`clock`](Bus::clock), devices.
+/// - **The drive's own clock** (EtherNet/IP class 1): [`OwnClock`](Exchange::OwnClock), which no packet answers; no
+///   round trip, and not suspect. [`BusPlan::fresh_within_ns`].
+/// - **Half duplex** (PROFIBUS DP): [`Queued`](Exchange::Queued) until its turn, then owed, and absent if its reply is
+///   overdue. [`poll_at`](Bus::poll_at), [`poll`](Bus::poll), [`BusPlan::turn_within_ns`].
 pub trait Bus: Send {
     /// Its name in messages.
     fn name(&self) -> &str;
@@ -235,20 +261,37 @@ pub trait Bus: Send {
     fn fd(&self) -> Option<RawFd>;
 
     /// Empties the sockets of replies that came too late, then hands the prepared requests of the due slots to the
-    /// kernel and opens their exchanges, one each. Where replies may come cycles later, a reply that came since the
-    /// last window still closes an owed exchange here, and a due slot whose exchange is still owed is passed over.
-    /// A due slot whose drive has no connection ends as unsent.
+    /// kernel and opens their exchanges, one each, with the stamp of its own sending. Where replies may come cycles
+    /// later, a reply that came since the last window still closes an owed exchange here, and a due slot whose
+    /// exchange is still owed is passed over. A due slot whose drive has no connection ends as unsent.
+    ///
+    /// On a half-duplex wire a due slot is queued, or stays so if it was, and the first in the queue is sent if the
+    /// wire is free: those that are not sent in this cycle wait for the next one. A drive with its own clock is sent
+    /// its request whatever its link, and its packets are taken in whether it is due or not.
     fn send(&mut self, cycle: &Cycle, slots: &mut [Slot]);
 
-    /// Takes in what has arrived, up to a bounded amount. Never waits, sends nothing. True once every exchange that
-    /// this window waits for is closed: those owed by its deadline, and those sent in it and awaited. Not called in
-    /// a cycle that waits for none.
-    fn receive(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool;
+    /// Takes in what has arrived, up to a bounded amount. Never waits, sends nothing. Not called in a cycle whose
+    /// window waits for nothing: it is open while an exchange [is waited for](Exchange::is_waited_for), and for
+    /// [`poll_at`](Bus::poll_at). What it does not wait for, as the reply of a slow drive, is taken in by the next
+    /// `receive` or `send`.
+    fn receive(&mut self, cycle: &Cycle, slots: &mut [Slot]);
 
-    /// Builds the requests of the slots that are due at the next send, in place, from the orders that now stand in
-    /// them. May be called more than once for the same send, with the same bytes as the result, and again for a
-    /// later slot if the first was passed over. An order that was replaced before its request left is never carried
-    /// out.
+    /// When [`poll`](Bus::poll) is to be called, whatever the descriptor shows: when the reply on a half-duplex wire is
+    /// overdue, or its idle time is over. The window stays open for it, up to its deadline. `None`: the descriptor
+    /// shows all that has to be waited for. Queried only of a bus that has [`BusPlan::turn_within_ns`].
+    fn poll_at(&self) -> Option<Time> {
+        None
+    }
+
+    /// The time of [`poll_at`](Bus::poll_at) has come: it is `now`, before the deadline, and `receive` has taken in
+    /// what arrived. On a half-duplex wire an exchange whose reply is overdue ends as absent, and once the wire is
+    /// free the next queued request leaves, with its own stamp. Afterwards `poll_at` is later than `now`, or none.
+    fn poll(&mut self, _cycle: &Cycle, _now: Time, _slots: &mut [Slot]) {}
+
+    /// Builds the requests of the slots that are due at the next send, and of those that are queued, in place, from
+    /// the orders that now stand in them. May be called more than once for the same send, with the same bytes as the
+    /// result, and again for a later slot if the first was passed over. An order that was replaced before its request
+    /// left is never carried out.
     fn prepare(&mut self, cycle: &Cycle, slots: &mut [Slot]);
 
     /// Starts or continues the orderly end; true once nothing more has to be sent. Called after the window of a
@@ -437,14 +480,26 @@ pub enum Exchange {
     /// None.
     #[default]
     Idle,
+    /// Due on a half-duplex wire, and not sent yet: it waits for its turn. Its request is built anew until it leaves.
+    Queued,
     /// Sent, and owed.
     Owed {
         /// When it was sent.
         sent_at: Time,
         /// Until when the reply counts: the deadline of this cycle, or of a later one.
         reply_by: Time,
-        /// The window in which it was sent stays open for the reply, although the reply may come later.
+        /// The window in which it was sent stays open for the reply, although the reply may come later: for a drive
+        /// that usually answers inside its window. The reply of a slow drive is taken in when it comes.
         awaited: bool,
+    },
+    /// Sent to a drive that sends by its own clock: nothing answers it. It is answered, without a round trip, if its
+    /// slot is before `fresh_until`, and else missed. The loop decides that, and counts it.
+    OwnClock {
+        /// When it was sent.
+        sent_at: Time,
+        /// Until when the newest accepted packet counts: its stamp and [`BusPlan::fresh_within_ns`]. `receive` updates
+        /// it. 0 = none was accepted yet.
+        fresh_until: Time,
     },
     /// Answered.
     Answered {
@@ -456,8 +511,12 @@ pub enum Exchange {
         /// measure one.
         suspect: bool,
     },
-    /// It was sent, and the reply shows that this drive did not take part in it. The loop counts it as missed.
-    Absent,
+    /// It was sent, and has no reply: that of all drives shows that this one did not take part in it, or it is overdue
+    /// on a half-duplex wire. The loop counts it as missed.
+    Absent {
+        /// When it was sent.
+        sent_at: Time,
+    },
     /// `reply_by` passed. Set by the loop.
     Missed,
     /// The operating system refused to send.
@@ -474,12 +533,23 @@ impl Exchange {
             _ => false,
         }
     }
+
+    /// When its request was sent, as long as that is known.
+    pub fn sent_at(&self) -> Option<Time> {
+        match *self {
+            Exchange::Owed { sent_at, .. }
+            | Exchange::OwnClock { sent_at, .. }
+            | Exchange::Answered { sent_at, .. }
+            | Exchange::Absent { sent_at } => Some(sent_at),
+            Exchange::Idle | Exchange::Queued | Exchange::Missed | Exchange::Unsent => None,
+        }
+    }
 }
 
 /// What a bus reports of a drive in addition to its status. The loop clears each of them when it has taken it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Notices {
-    /// The status is new.
+    /// The status is new. It comes with an answered exchange, and of a drive with its own clock with each accepted packet.
     pub fresh: bool,
     /// The drive was found restarted.
     pub restarted: bool,
@@ -495,7 +565,7 @@ pub struct Notices {
     pub emergency: Option<Emergency>,
 }
 
-/// Exact counts of one drive's exchanges. `sent = answered + missed + owed`.
+/// Exact counts of one drive's exchanges. `sent = answered + missed + owed`; what is queued is not sent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counters {
     /// Requests handed to the wire.

@@ -2,7 +2,7 @@
 
 use crate::axis::{AxisPlan, HeldBy, Load, StopHow, StopThen, StopTimeout};
 use crate::bus::BusPlan;
-use crate::cycle::bound::{Paced, bound, group, paced, silence};
+use crate::cycle::bound::{Pace, Paced, bound, group, paced, silence};
 use crate::cycle::record::Record;
 use crate::cycle::{CyclePlan, Guard, Overrun, Plan, Wait};
 
@@ -154,17 +154,33 @@ fn frequency(period_ns: u64) -> String {
 /// What every protocol's axis has: schedule, link, stop, limits.
 fn axis(drive: &Paced<'_>, all: &[Paced<'_>], cycle: &CyclePlan) -> Vec<String> {
     let (axis, period_ns) = (drive.axis, cycle.period_ns);
-    let mut lines = vec![schedule(axis, period_ns), link(drive, all, cycle), stop(axis)];
+    let mut lines = vec![schedule(drive, period_ns), link(drive, all, cycle), stop(axis)];
     lines.extend(load(axis));
     lines.extend([setpoints(axis, period_ns), limits(axis)]);
     lines
 }
 
-fn schedule(axis: &AxisPlan, period_ns: u64) -> String {
+fn schedule(drive: &Paced<'_>, period_ns: u64) -> String {
+    let axis = drive.axis;
     let period = Ns(period_ns.saturating_mul(axis.divisor.into()));
-    match axis.divisor {
+    let every = match axis.divisor {
         1 => format!("an exchange every cycle ({period})"),
         divisor => format!("an exchange every {divisor} cycles ({period}), phase {}", axis.phase),
+    };
+    let cycles =
+        |cycles| format!("{} ({})", count(cycles, "cycle"), Ns(period_ns.saturating_mul(cycles as u64)));
+    match drive.pace {
+        Pace::Cycle | Pace::Connection(_) => every,
+        Pace::HalfDuplex(0) => format!("{every}, over in the cycle in which it is due"),
+        Pace::HalfDuplex(late) => {
+            format!("{every}, over {} later at most: its turn on the wire", cycles(late as usize))
+        }
+        Pace::OwnClock(fresh) => {
+            format!(
+                "{every}, whatever its link; a packet of its own clock counts for {}",
+                cycles(fresh as usize)
+            )
+        }
     }
 }
 
@@ -176,7 +192,7 @@ fn link(drive: &Paced<'_>, all: &[Paced<'_>], cycle: &CyclePlan) -> String {
         0 | 1 => String::new(),
         _ => format!("; stop together: {}", names.join(", ")),
     };
-    let taken = if drive.owed.is_some() { ", if it still answers" } else { "" };
+    let taken = if let Pace::Connection(_) = drive.pace { ", if it still answers" } else { "" };
     format!(
         "link up after {} good exchanges in a row, lost after {} misses in a row: the stop request is on the \
          wire within {cycles} cycles ({}) of the last good one{taken}; with slots skipped lost after {} at the \
@@ -263,5 +279,27 @@ fn limits(axis: &AxisPlan) -> String {
     match set.is_empty() {
         true => "limits: only the drive's own".into(),
         false => format!("limits: {}", set.join(", ")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::axis::Units;
+    use crate::time::MS;
+
+    #[test]
+    fn the_schedule_of_a_drive_says_when_its_exchanges_end_where_no_reply_ends_them_at_once() {
+        let mut axis = AxisPlan::new("x", Units::millimetres(1.0));
+        (axis.divisor, axis.phase) = (10, 3);
+        let says = |pace| schedule(&Paced { axis: &axis, pace }, MS);
+        let every = "an exchange every 10 cycles (10 ms), phase 3";
+        assert_eq!(says(Pace::Cycle), every);
+        assert_eq!(says(Pace::Connection(20)), every);
+        let own_clock = ", whatever its link; a packet of its own clock counts for 30 cycles (30 ms)";
+        assert_eq!(says(Pace::OwnClock(30)), format!("{every}{own_clock}"));
+        let turn = ", over 1 cycle (1 ms) later at most: its turn on the wire";
+        assert_eq!(says(Pace::HalfDuplex(1)), format!("{every}{turn}"));
+        assert_eq!(says(Pace::HalfDuplex(0)), format!("{every}, over in the cycle in which it is due"));
     }
 }

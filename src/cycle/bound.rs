@@ -5,28 +5,79 @@ use super::plan::{CyclePlan, Overrun, Plan};
 use crate::axis::AxisPlan;
 use crate::bus::BusPlan;
 
+/// When the exchanges of a drive end, and when the next one can begin.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Pace {
+    /// A reply comes in the cycle that requests it.
+    Cycle,
+    /// On a connection: a reply counts for so many cycles after the one that requested it, and the next request waits
+    /// for it.
+    Connection(u64),
+    /// On a half-duplex wire: an exchange ends so many cycles after the one in which it was due, at the latest. Its
+    /// request leaves by then, and the next one waits for it.
+    HalfDuplex(u64),
+    /// The drive sends by its own clock: a packet counts for so many cycles. Requests leave at the agreed rate only.
+    OwnClock(u64),
+}
+
 /// An axis and how its exchanges follow each other.
 #[derive(Clone, Copy, Debug)]
 pub struct Paced<'a> {
     /// The axis.
     pub axis: &'a AxisPlan,
-    /// For so many cycles behind the one that asked a reply counts, on a connection. `None`: there is none, and replies
-    /// come in the cycle that asks.
-    pub owed: Option<u64>,
+    /// When its exchanges end.
+    pub pace: Pace,
 }
 
 impl<'a> Paced<'a> {
     /// Axis `index` of `bus`.
     pub fn of(cycle: &CyclePlan, bus: &dyn BusPlan, index: usize, axis: &'a AxisPlan) -> Paced<'a> {
-        let owed =
-            |within_ns: u64| within_ns.saturating_sub(cycle.deadline_ns()).div_ceil(cycle.period_ns.max(1));
-        Paced { axis, owed: bus.reply_within_ns(index).map(owed) }
+        let (period_ns, deadline_ns) = (cycle.period_ns.max(1), cycle.deadline_ns());
+        let behind = |within_ns: u64| within_ns.saturating_sub(deadline_ns).div_ceil(period_ns);
+        let connection = bus.reply_within_ns(index).map(|ns| Pace::Connection(behind(ns)));
+        let half_duplex = bus.turn_within_ns(index).map(|ns| Pace::HalfDuplex(behind(ns)));
+        // Its age counts from a packet that may have come in the window, to a later grid point.
+        let own_clock = bus.fresh_within_ns(index).map(|ns| Pace::OwnClock(ns.div_ceil(period_ns)));
+        Paced { axis, pace: connection.or(half_duplex).or(own_clock).unwrap_or(Pace::Cycle) }
     }
 
-    /// The most cycles between two requests: one whose reply is owed is waited for, and the next one has its turn then.
+    fn divisor(&self) -> u64 {
+        self.axis.divisor.max(1).into()
+    }
+
+    /// The most cycles between two exchanges: one that has not ended is waited for, and the next one has its turn then.
     fn turn(&self) -> u64 {
-        let divisor = u64::from(self.axis.divisor.max(1));
-        (self.owed.unwrap_or(0) / divisor).saturating_add(1).saturating_mul(divisor)
+        let open = match self.pace {
+            Pace::Connection(cycles) | Pace::HalfDuplex(cycles) => cycles,
+            Pace::Cycle | Pace::OwnClock(_) => 0,
+        };
+        (open / self.divisor()).saturating_add(1).saturating_mul(self.divisor())
+    }
+
+    /// The most cycles from the slot of an exchange until it is known to be missed. Of a drive with its own clock: from
+    /// the first slot after its last packet.
+    fn late(&self) -> u64 {
+        match self.pace {
+            Pace::Cycle => 0,
+            Pace::Connection(cycles) | Pace::HalfDuplex(cycles) | Pace::OwnClock(cycles) => cycles,
+        }
+    }
+
+    /// The most cycles from the slot of an exchange until its request is on the wire.
+    fn queued(&self) -> u64 {
+        if let Pace::HalfDuplex(cycles) = self.pace { cycles } else { 0 }
+    }
+
+    /// The most cycles from the last good exchange to the one that is known to fill the bucket.
+    fn filled(&self) -> u64 {
+        let misses = u64::from(self.axis.health.bucket.saturating_sub(1)).saturating_mul(self.turn());
+        self.divisor().saturating_add(misses).saturating_add(self.late())
+    }
+
+    /// The most cycles from the loss to the stop request on the wire.
+    fn stops(&self) -> u64 {
+        let next = if let Pace::OwnClock(_) = self.pace { self.divisor() } else { 1 };
+        next.saturating_add(self.queued())
     }
 }
 
@@ -53,7 +104,9 @@ pub fn group<'a>(drive: &'a Paced<'a>, all: &'a [Paced<'a>]) -> impl Iterator<It
 /// its last good reply and the one that has sent every stop request, as far as connections take them.
 ///
 /// `bucket` exchanges are missed first. Each is judged when its reply no longer counts, and the next one follows in its
-/// turn. The lost drive is then asked in the very next cycle, and each other member of the group in its own next turn.
+/// turn. The lost drive is then requested to stop in the very next cycle, or in its own next turn if it is sent its
+/// requests at an agreed rate, and each other member of the group in its own next turn. On a half-duplex wire the
+/// request waits for the turns of the others.
 pub fn stop_bound(plan: &Plan, index: usize) -> u64 {
     let all = paced(plan);
     all.get(index).map_or(0, |drive| bound(drive, &all))
@@ -61,8 +114,9 @@ pub fn stop_bound(plan: &Plan, index: usize) -> u64 {
 
 /// The same for `axis` among `all`, whose replies come in the cycle that asks.
 pub fn stop_bound_cycles(axis: &AxisPlan, all: &[&AxisPlan]) -> u64 {
-    let all: Vec<Paced<'_>> = all.iter().map(|axis| Paced { axis, owed: None }).collect();
-    bound(&Paced { axis, owed: None }, &all)
+    let in_cycle = |axis| Paced { axis, pace: Pace::Cycle };
+    let all: Vec<Paced<'_>> = all.iter().map(|axis| in_cycle(*axis)).collect();
+    bound(&in_cycle(axis), &all)
 }
 
 /// The names of the drives that stop when that of slot `index` does, itself included.
@@ -74,22 +128,49 @@ pub fn stopping_with(plan: &Plan, index: usize) -> Vec<String> {
 
 /// The same, for one drive among all.
 pub fn bound(drive: &Paced<'_>, all: &[Paced<'_>]) -> u64 {
-    let Paced { axis, owed } = drive;
-    let others = group(drive, all).filter(|one| one.axis.name != axis.name);
-    let slowest = others.map(Paced::turn).max().unwrap_or(1);
-    let misses = u64::from(axis.health.bucket.saturating_sub(1)).saturating_mul(drive.turn());
-    u64::from(axis.divisor).saturating_add(misses).saturating_add(owed.unwrap_or(0)).saturating_add(slowest)
+    let others = group(drive, all).filter(|one| one.axis.name != drive.axis.name);
+    let others = others.map(|one| one.turn().saturating_add(one.queued())).max().unwrap_or(0);
+    drive.filled().saturating_add(others.max(drive.stops()))
 }
 
 /// A link is lost so many slots after the last good exchange at the latest, however few of them were executed: twice
 /// the time in which its misses fill the bucket, and one hold-up of the loop that is allowed.
 pub fn silence(drive: &Paced<'_>, overrun: Overrun) -> u64 {
-    let Paced { axis, owed } = drive;
-    let misses = u64::from(axis.health.bucket.saturating_sub(1)).saturating_mul(drive.turn());
-    let filled = u64::from(axis.divisor).saturating_add(misses).saturating_add(owed.unwrap_or(0));
     let held_up = match overrun {
         Overrun::Skip { max_skip } => max_skip,
         Overrun::Stop => 0,
     };
-    filled.saturating_mul(2).saturating_add(held_up)
+    drive.filled().saturating_mul(2).saturating_add(held_up)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::axis::Units;
+
+    #[test]
+    fn a_loss_ends_in_a_stop_request_after_the_misses_and_the_turns_of_each_wire() {
+        let axis = |name: &str, divisor, group| {
+            let mut axis = AxisPlan::new(name, Units::millimetres(1.0));
+            (axis.divisor, axis.health.bucket, axis.stop.group) = (divisor, 3, group);
+            axis
+        };
+        let (x, y) = (axis("x", 4, Some(1)), axis("y", 2, Some(1)));
+        let alone = axis("alone", 4, None);
+        let bound_of = |pace, of_y| {
+            let (x, alone) = (Paced { axis: &x, pace }, Paced { axis: &alone, pace });
+            let all = [x, Paced { axis: &y, pace: of_y }, alone];
+            [bound(&x, &all), bound(&alone, &all)]
+        };
+        // Three misses, each known in its own cycle; the stop of y leaves in its next turn, that of x in the next
+        // cycle.
+        assert_eq!(bound_of(Pace::Cycle, Pace::Cycle), [4 + 2 * 4 + 2, 4 + 2 * 4 + 1]);
+        // Each miss is known 5 cycles later, and the next request waits for that.
+        assert_eq!(bound_of(Pace::Connection(5), Pace::Cycle), [4 + 2 * 8 + 5 + 2, 4 + 2 * 8 + 5 + 1]);
+        // The stop waits for its turn as well.
+        assert_eq!(bound_of(Pace::HalfDuplex(5), Pace::Cycle), [4 + 2 * 8 + 5 + 6, 4 + 2 * 8 + 5 + 6]);
+        assert_eq!(bound_of(Pace::Cycle, Pace::HalfDuplex(5)), [4 + 2 * 4 + 6 + 5, 4 + 2 * 4 + 1]);
+        // The last packet counts for 7 cycles, and the stop leaves in the next own slot.
+        assert_eq!(bound_of(Pace::OwnClock(7), Pace::Cycle), [4 + 2 * 4 + 7 + 4, 4 + 2 * 4 + 7 + 4]);
+    }
 }

@@ -183,7 +183,7 @@ impl<C: Clock> Engine<C> {
     ) -> Engine<C> {
         let (controllers, axes): (Vec<_>, Vec<_>) =
             axes.into_iter().map(|AxisEntry { controller, outlet }| (controller, outlet)).unzip();
-        let window = Window::new(plan.wait, buses.len());
+        let window = Window::new(plan.wait, &buses);
         // The ramp, the quick stop and power off have a time-out each, and a hold may have to be left first.
         let stops = controllers
             .iter()

@@ -1,4 +1,5 @@
-//! The receive window: takes replies in until every owed exchange is closed or the deadline has passed.
+//! The receive window: takes replies in until no exchange is waited for any more, and no bus wants to be polled, or the
+//! deadline has passed.
 //!
 //! Waiting by poll costs two system calls a look. With 64 drives a look for every reply would be far too many, so
 //! after the first replies came in, the window sleeps once for as long as the rest usually takes, and then looks
@@ -9,7 +10,7 @@ use super::status::BusInfo;
 use crate::axis::cell::Writer;
 use crate::bus::{Bus, BusClock, Cycle, Slot, Unmatched};
 use crate::rt::{Clock, PollSet, Regions};
-use crate::time::US;
+use crate::time::{Time, US};
 
 /// The shortest nap, ns; a shorter one is not worth its system call.
 const SHORTEST_NAP_NS: u64 = 5 * US;
@@ -18,6 +19,8 @@ const SHORTEST_NAP_NS: u64 = 5 * US;
 #[derive(Debug)]
 pub struct Window {
     wait: Wait,
+    /// One of the buses wants to be polled.
+    polls: bool,
     poll_set: PollSet,
     /// The learned time from the first look that found replies to the last reply, ns: a sufficient nap makes it a
     /// sixteenth shorter, one that was too short a quarter longer.
@@ -40,6 +43,8 @@ pub struct OpenBus {
     pub unmatched: Writer<Unmatched>,
     /// Its clock.
     pub clock: Writer<Option<BusClock>>,
+    /// It is on a half-duplex wire, and wants to be polled.
+    pub is_polled: bool,
 }
 
 impl OpenBus {
@@ -72,9 +77,14 @@ impl std::fmt::Debug for OpenBus {
 }
 
 impl Window {
-    /// A window over so many buses.
-    pub fn new(wait: Wait, buses: usize) -> Window {
-        Window { wait, poll_set: PollSet::with_room(buses), nap_ns: 4 * SHORTEST_NAP_NS }
+    /// A window over these buses.
+    pub fn new(wait: Wait, buses: &[OpenBus]) -> Window {
+        Window {
+            wait,
+            polls: buses.iter().any(|open| open.is_polled),
+            poll_set: PollSet::with_room(buses.len()),
+            nap_ns: 4 * SHORTEST_NAP_NS,
+        }
     }
 
     /// Adds the memory that it touches besides itself, to be locked.
@@ -83,19 +93,43 @@ impl Window {
     }
 
     /// Runs the window of `cycle`.
+    #[inline]
     pub fn run<C: Clock>(&mut self, clock: &mut C, cycle: &Cycle, buses: &mut [OpenBus], slots: &mut [Slot]) {
-        let owed = missing(cycle, slots);
-        if owed == 0 {
-            return;
+        match self.polls {
+            false => self.turns::<C, false>(clock, cycle, buses, slots),
+            true => self.turns::<C, true>(clock, cycle, buses, slots),
         }
+    }
+
+    /// The same, with or without buses that want to be polled.
+    #[inline]
+    fn turns<C: Clock, const POLLS: bool>(
+        &mut self,
+        clock: &mut C,
+        cycle: &Cycle,
+        buses: &mut [OpenBus],
+        slots: &mut [Slot],
+    ) {
+        let owed = missing(cycle, slots);
+        let (mut left, mut poll_at) = (owed, poll_at::<POLLS>(buses));
         let mut napped = false;
         // Bounded by the deadline: each turn waits towards it.
-        loop {
+        while left > 0 || poll_at.is_some_and(|at| at < cycle.deadline) {
             let now = clock.now();
             let over = now >= cycle.deadline;
-            let left = missing(cycle, slots);
-            // One nap a window, once the first replies are in and more than one is missing.
-            let nap = !over && self.wait == Wait::Poll && !napped && left < owed && left > 1;
+            if !over && poll_at.is_some_and(|at| at <= now) {
+                let due =
+                    |open: &&mut OpenBus| open.is_polled && open.bus.poll_at().is_some_and(|at| at <= now);
+                for open in buses.iter_mut().filter(due) {
+                    open.work(slots, |bus, slots| bus.poll(cycle, now, slots));
+                }
+                (left, poll_at) = (missing(cycle, slots), self::poll_at::<POLLS>(buses));
+                continue;
+            }
+            // One nap a window, once the first replies are in and more than one is missing. It would hold up a wire on
+            // which each reply lets the next request leave.
+            let nap =
+                !over && self.wait == Wait::Poll && !napped && left < owed && left > 1 && poll_at.is_none();
             match self.wait {
                 _ if over => {}
                 Wait::Spin => clock.spin(),
@@ -105,18 +139,19 @@ impl Window {
                 }
                 Wait::Poll => {
                     self.poll_set.fill(buses.iter().filter_map(|open| open.bus.fd()));
-                    clock.wait(&mut self.poll_set, cycle.deadline);
+                    let until = poll_at.map_or(cycle.deadline, |at| at.min(cycle.deadline));
+                    clock.wait(&mut self.poll_set, until);
                 }
             }
             // Replies that are in the sockets at the deadline still count.
-            let mut closed = true;
             for open in buses.iter_mut() {
-                closed &= open.work(slots, |bus, slots| bus.receive(cycle, slots));
+                open.work(slots, |bus, slots| bus.receive(cycle, slots));
             }
+            (left, poll_at) = (missing(cycle, slots), self::poll_at::<POLLS>(buses));
             if nap {
-                self.learn(closed, cycle);
+                self.learn(left == 0, cycle);
             }
-            if closed || over {
+            if over {
                 return;
             }
         }
@@ -134,14 +169,157 @@ fn missing(cycle: &Cycle, slots: &[Slot]) -> usize {
     slots.iter().filter(|slot| slot.exchange.is_waited_for(cycle)).count()
 }
 
+/// When the first of the buses wants to be polled.
+#[inline]
+fn poll_at<const POLLS: bool>(buses: &[OpenBus]) -> Option<Time> {
+    if !POLLS {
+        return None;
+    }
+    buses.iter().filter(|open| open.is_polled).filter_map(|open| open.bus.poll_at()).min()
+}
+
 #[cfg(test)]
 mod tests {
+    use std::any::Any;
+    use std::os::fd::RawFd;
+
     use super::*;
-    use crate::time::{MS, Time};
+    use crate::axis::acyclic::AcyclicEnds;
+    use crate::axis::cell::cell;
+    use crate::bus::{Exchange, Unmatched};
+    use crate::time::MS;
+
+    /// A clock on which only sleeps and waits take time. Something arrives at `arrives`.
+    struct Steps {
+        steps: Vec<(&'static str, Time)>,
+        arrives: Time,
+    }
+
+    impl Steps {
+        fn go(&mut self, what: &'static str, at: Time) {
+            let at = at.max(self.now());
+            self.steps.push((what, at));
+        }
+    }
+
+    impl Clock for Steps {
+        fn now(&mut self) -> Time {
+            self.steps.last().map_or(Time(0), |(_, at)| *at)
+        }
+
+        fn sleep_until(&mut self, at: Time) {
+            self.go("nap", at);
+        }
+
+        fn wait(&mut self, _: &mut PollSet, until: Time) -> bool {
+            let arrives = self.now() < self.arrives && self.arrives < until;
+            self.go("wait", if arrives { self.arrives } else { until });
+            arrives
+        }
+
+        fn spin(&mut self) {
+            let at = self.now() + 10 * US;
+            self.go("spin", at);
+        }
+    }
+
+    /// The first of its replies is there, and it wants to be polled again and again.
+    struct Turns {
+        poll_at: Option<Time>,
+    }
+
+    impl Bus for Turns {
+        fn name(&self) -> &str {
+            "turns"
+        }
+
+        fn memory(&self, _: &mut Regions) {}
+
+        fn fd(&self) -> Option<RawFd> {
+            None
+        }
+
+        fn send(&mut self, _: &Cycle, _: &mut [Slot]) {}
+
+        fn receive(&mut self, _: &Cycle, slots: &mut [Slot]) {
+            slots[0].exchange = Exchange::Idle;
+        }
+
+        fn prepare(&mut self, _: &Cycle, _: &mut [Slot]) {}
+
+        fn poll_at(&self) -> Option<Time> {
+            self.poll_at
+        }
+
+        fn poll(&mut self, cycle: &Cycle, now: Time, _: &mut [Slot]) {
+            assert!(self.poll_at.is_some_and(|at| at <= now) && now < cycle.deadline);
+            self.poll_at = Some(now + 200 * US);
+        }
+
+        fn shut_down(&mut self, _: &Cycle, _: &mut [Slot]) -> bool {
+            true
+        }
+
+        fn unmatched(&self) -> Unmatched {
+            Unmatched::default()
+        }
+
+        fn native(&mut self, _: usize) -> Option<Box<dyn Any + Send>> {
+            None
+        }
+
+        fn acyclic(&mut self, _: usize) -> Option<AcyclicEnds> {
+            None
+        }
+    }
+
+    /// What a window until 500 us does, until when in us, with so many replies owed, the first of which comes at
+    /// `arrives_us`.
+    fn steps(wait: Wait, owed: usize, arrives_us: u64, poll_at_us: Option<u64>) -> Vec<(&'static str, u64)> {
+        let cycle = Cycle { index: 0, grid: Time(0), period_ns: MS, deadline: Time(500 * US) };
+        let bus = Turns { poll_at: poll_at_us.map(|us| Time(us * US)) };
+        let exchange = Exchange::Owed { sent_at: Time(0), reply_by: cycle.deadline, awaited: false };
+        let mut slots = vec![Slot { exchange, ..Slot::default() }; owed];
+        let is_polled = poll_at_us.is_some();
+        let mut buses = [OpenBus {
+            bus: Box::new(bus),
+            info: BusInfo { name: String::new(), devices: Vec::new(), notes: None },
+            first: 0,
+            end: owed,
+            is_at_work: false,
+            is_polled,
+            unmatched: cell(Unmatched::default()).0,
+            clock: cell(None).0,
+        }];
+        let mut clock = Steps { steps: Vec::new(), arrives: Time(arrives_us * US) };
+        slots.resize(owed.max(1), Slot::default());
+        buses[0].end = slots.len();
+        Window::new(wait, &buses).run(&mut clock, &cycle, &mut buses, &mut slots);
+        clock.steps.into_iter().map(|(what, at)| (what, at.0 / US)).collect()
+    }
+
+    #[test]
+    fn a_window_wakes_when_a_bus_wants_to_be_polled_and_is_open_for_that_until_its_deadline() {
+        assert_eq!(steps(Wait::Poll, 0, 0, None), [], "nothing to wait for");
+        assert_eq!(steps(Wait::Poll, 1, 0, None), [("wait", 500)], "until the deadline");
+        assert_eq!(steps(Wait::Poll, 1, 50, None), [("wait", 50)], "or until a reply");
+        assert_eq!(steps(Wait::Poll, 1, 50, Some(100)), [("wait", 50), ("wait", 100), ("wait", 300)]);
+        // Without any reply that is owed.
+        assert_eq!(steps(Wait::Poll, 0, 0, Some(100)), [("wait", 100), ("wait", 300)]);
+        assert_eq!(steps(Wait::Poll, 0, 0, Some(0)), [("wait", 200), ("wait", 400)]);
+        assert_eq!(steps(Wait::Poll, 0, 0, Some(500)), [], "that is for the next window");
+        assert_eq!(steps(Wait::Spin, 0, 0, Some(490)).last(), Some(&("spin", 490)));
+    }
+
+    #[test]
+    fn no_nap_holds_up_a_bus_that_wants_to_be_polled() {
+        let naps = |poll_at| steps(Wait::Poll, 3, 50, poll_at).iter().any(|(what, _)| *what == "nap");
+        assert!(naps(None) && !naps(Some(100)));
+    }
 
     #[test]
     fn a_nap_gets_a_sixteenth_shorter_or_a_quarter_longer_within_its_bounds() {
-        let mut window = Window::new(Wait::Poll, 1);
+        let mut window = Window::new(Wait::Poll, &[]);
         let cycle = Cycle { index: 9, grid: Time(MS), period_ns: MS, deadline: Time(MS + 400 * US) };
         let mut naps = |enough, times| {
             (0..times).for_each(|_| window.learn(enough, &cycle));

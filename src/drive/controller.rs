@@ -93,6 +93,8 @@ pub struct DriveController {
     closed: Option<Closed>,
     /// The slot of the grid that was evaluated last.
     grid: Time,
+    /// Its exchange waits for its turn on a half-duplex wire.
+    queued: bool,
     /// The slot of the values in the feedback.
     fresh_at: u64,
     /// The drive was online at least once.
@@ -179,9 +181,11 @@ impl DriveController {
         period_ns: u64,
         first_probe: u64,
         silence: u64,
+        own_clock: bool,
     ) -> DriveController {
         let machine = can.map(|can| Machine::new(&plan, can, period_ns));
-        let health = LinkHealth::new(plan.health, plan.divisor, plan.phase, period_ns, first_probe, silence);
+        let (divisor, phase) = (plan.divisor, plan.phase);
+        let health = LinkHealth::new(plan.health, divisor, phase, period_ns, first_probe, silence, own_clock);
         DriveController {
             machine,
             plan,
@@ -208,6 +212,7 @@ impl DriveController {
             held: None,
             closed: None,
             grid: Time(0),
+            queued: false,
             fresh_at: 0,
             seen: false,
             just_stopped: false,
@@ -257,39 +262,78 @@ impl DriveController {
         self.health.is_due(index)
     }
 
-    /// After the send stage: the request of `cycle` was sent, or attempted.
+    /// The request that was due was sent in `cycle`, or attempted: in the send stage, or, if it was queued then, in the
+    /// receive stage. While it is queued, or passed over because the one before it is owed, nothing has changed.
     pub fn sent(&mut self, cycle: &Cycle, slot: &mut Slot) {
+        self.queued = false;
         if let (Some(machine), Some(grid)) = (&mut self.machine, slot.gone.grid.take()) {
             machine.commit(grid);
         }
-        self.health.asked(cycle.index);
-        if let Exchange::Owed { sent_at, .. } = slot.exchange
-            && sent_at >= cycle.grid
-        {
-            let phase_ns = sent_at.since(cycle.grid);
-            self.record.phase_ns = measured(phase_ns);
-            if let Some(before) = self.phase_ns.replace(phase_ns) {
-                let jitter_ns = phase_ns.abs_diff(before);
-                self.record.jitter_ns = measured(jitter_ns);
-                self.peaks.send_jitter.see(jitter_ns, cycle.index);
+        match slot.exchange {
+            // The usual one.
+            Exchange::Owed { sent_at, .. } if sent_at >= cycle.grid => self.left(cycle, sent_at),
+            _ => self.sent_otherwise(cycle, slot),
+        }
+    }
+
+    /// Its request left at this instant.
+    #[inline]
+    fn left(&mut self, cycle: &Cycle, sent_at: Time) {
+        self.health.asked(cycle.index, true);
+        self.follow.held = false;
+        let phase_ns = sent_at.since(cycle.grid);
+        self.record.phase_ns = measured(phase_ns);
+        if let Some(before) = self.phase_ns.replace(phase_ns) {
+            let jitter_ns = phase_ns.abs_diff(before);
+            self.record.jitter_ns = measured(jitter_ns);
+            self.peaks.send_jitter.see(jitter_ns, cycle.index);
+        }
+    }
+
+    fn sent_otherwise(&mut self, cycle: &Cycle, slot: &Slot) {
+        match slot.exchange.sent_at() {
+            Some(sent_at) if sent_at >= cycle.grid => self.left(cycle, sent_at),
+            Some(_) => {}
+            None if slot.exchange == Exchange::Queued => self.queued = true,
+            None => {
+                self.health.asked(cycle.index, false);
+                // A row that the operating system refused is sent with the next request; in a group it is lost like any
+                // telegram, or this axis would be one row behind from then on.
+                self.follow.held &= slot.exchange == Exchange::Unsent && self.moves_in_group().is_none();
             }
         }
-        // A row that the operating system refused is sent with the next request; in a group it is lost like any
-        // telegram, or this axis would be one row behind from then on.
-        self.follow.held &= slot.exchange == Exchange::Unsent && self.moves_in_group().is_none();
     }
 
     /// Evaluates this cycle's exchange, updates the feedback, and notices changes. Returns the result of the
     /// exchange.
     pub fn judge(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) -> Reply {
+        if self.queued {
+            self.sent(cycle, slot);
+        }
         let mut rtt = None;
         let mut sent = None;
         (self.closed, self.grid) = (None, cycle.grid);
         self.record.was_online = self.feedback.link == Link::Online;
         let reply = match slot.exchange {
-            Exchange::Idle | Exchange::Missed => Reply::None,
+            Exchange::Idle | Exchange::Missed => {
+                if slot.notices.fresh {
+                    self.take_packet(slot);
+                }
+                Reply::None
+            }
+            Exchange::Queued => Reply::Queued,
             Exchange::Owed { reply_by, .. } if !cycle.closes(reply_by) => Reply::Owed,
-            Exchange::Owed { .. } | Exchange::Absent => {
+            Exchange::OwnClock { fresh_until, .. } if cycle.grid < fresh_until => {
+                slot.counters.answered += 1;
+                slot.exchange = Exchange::Idle;
+                self.closed = Some(Closed::Answered);
+                self.health.answered(cycle.index);
+                if slot.notices.fresh {
+                    self.take_packet(slot);
+                }
+                Reply::Current
+            }
+            Exchange::Owed { .. } | Exchange::OwnClock { .. } | Exchange::Absent { .. } => {
                 slot.counters.missed += 1;
                 slot.exchange = Exchange::Missed;
                 self.missed(cycle, now);
@@ -327,10 +371,7 @@ impl DriveController {
         if slot.notices.restarted {
             self.bounds = Bounds::default();
         } else if let Some(sent_at) = sent.filter(|_| slot.notices.fresh) {
-            let DriveStatus { at, homed, position, demand, velocity, .. } = slot.status;
-            let led = !under_torque(slot);
-            let position = if led { demand } else { position };
-            self.bounds.take(Sample { sent_at, at, homed, led, position, velocity }, &self.plan);
+            self.take_sample(sent_at, slot);
         }
         self.take_status(cycle, now, slot, rtt);
         self.take_link(cycle, now, slot);
@@ -342,6 +383,21 @@ impl DriveController {
             self.peaks.age.see(age_ns, cycle.index);
         }
         reply
+    }
+
+    /// A packet of a drive with its own clock, with an exchange or without: it has a stamp of its own.
+    #[inline(never)]
+    fn take_packet(&mut self, slot: &Slot) {
+        self.take_sample(slot.status.at, slot);
+    }
+
+    /// The report to a request that left at `sent_at` counts for the limits.
+    #[inline]
+    fn take_sample(&mut self, sent_at: Time, slot: &Slot) {
+        let DriveStatus { at, homed, position, demand, velocity, .. } = slot.status;
+        let led = !under_torque(slot);
+        let position = if led { demand } else { position };
+        self.bounds.take(Sample { sent_at, at, homed, led, position, velocity }, &self.plan);
     }
 
     fn missed(&mut self, cycle: &Cycle, now: Time) {

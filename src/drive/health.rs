@@ -21,11 +21,14 @@ pub struct LinkHealth {
     good_at: u64,
     /// The most slots since then, executed or not.
     silence: u64,
+    /// The drive sends by its own clock, and its watchdog needs the requests whatever the link.
+    own_clock: bool,
 }
 
 impl LinkHealth {
     /// A drive not seen yet. Its first probe goes out in slot `first_probe`. `silence` slots without a good exchange
-    /// are a loss, however many of them were executed.
+    /// are a loss, however many of them were executed. A drive with its `own_clock` is sent its requests in each of its
+    /// own slots, as long as they leave.
     pub fn new(
         rules: Health,
         divisor: u32,
@@ -33,6 +36,7 @@ impl LinkHealth {
         period_ns: u64,
         first_probe: u64,
         silence: u64,
+        own_clock: bool,
     ) -> LinkHealth {
         let probe_every = nanos(rules.probe_interval).div_ceil(period_ns).max(1);
         LinkHealth {
@@ -46,6 +50,7 @@ impl LinkHealth {
             good: 0,
             good_at: 0,
             silence,
+            own_clock,
         }
     }
 
@@ -64,11 +69,22 @@ impl LinkHealth {
         }
     }
 
-    /// Notes that an exchange was sent (or attempted) in slot `index`.
-    pub fn asked(&mut self, index: u64) {
+    /// Notes that an exchange was sent in slot `index`, or that the attempt failed.
+    pub fn asked(&mut self, index: u64, sent: bool) {
         if matches!(self.link, Link::Unseen | Link::Lost) {
-            self.next_probe = index + self.probe_every;
+            self.next_probe = if sent { self.again(index) } else { index + self.probe_every };
         }
+    }
+
+    /// When a drive that does not answer has its turn again, after slot `index`.
+    fn again(&self, index: u64) -> u64 {
+        if self.own_clock { self.next_own(index) } else { index + self.probe_every }
+    }
+
+    /// Its next own slot after `index`.
+    fn next_own(&self, index: u64) -> u64 {
+        let next = index + 1;
+        next + (self.phase + self.divisor - next % self.divisor) % self.divisor
     }
 
     /// It can be reached from slot `index` on, without waiting for a probe interval.
@@ -104,7 +120,7 @@ impl LinkHealth {
             Link::Unseen | Link::Lost => {}
             Link::Qualifying => {
                 self.link = if seen_before { Link::Lost } else { Link::Unseen };
-                self.next_probe = index + self.probe_every;
+                self.next_probe = self.again(index);
             }
             Link::Online => {
                 self.level += 1;
@@ -124,8 +140,8 @@ impl LinkHealth {
 
     fn lose(&mut self, index: u64) {
         self.link = Link::Lost;
-        // The stop request leaves with the very next slot, as the first probe.
-        self.next_probe = index + 1;
+        // The stop request leaves with the very next slot, as the first probe; at an agreed rate with the next own one.
+        self.next_probe = if self.own_clock { self.next_own(index) } else { index + 1 };
     }
 }
 
@@ -135,7 +151,7 @@ mod tests {
     use crate::time::MS;
 
     fn online() -> LinkHealth {
-        let mut health = LinkHealth::new(Health::default(), 1, 0, MS, 0, 20);
+        let mut health = LinkHealth::new(Health::default(), 1, 0, MS, 0, 20, false);
         for _ in 0..10 {
             health.answered(0);
         }
@@ -145,9 +161,9 @@ mod tests {
 
     #[test]
     fn ten_good_exchanges_bring_it_up_and_one_miss_starts_over() {
-        let mut health = LinkHealth::new(Health::default(), 1, 0, MS, 3, 20);
+        let mut health = LinkHealth::new(Health::default(), 1, 0, MS, 3, 20, false);
         assert!(!health.is_due(2) && health.is_due(3));
-        health.asked(3);
+        health.asked(3, true);
         assert!(!health.is_due(4) && !health.is_due(102) && health.is_due(103));
         for _ in 0..9 {
             health.answered(0);
@@ -171,7 +187,7 @@ mod tests {
         health.missed(31, true);
         assert_eq!(health.link(), Link::Lost);
         assert!(health.is_due(32), "the stop request leaves with the next slot");
-        health.asked(32);
+        health.asked(32, true);
         assert!(!health.is_due(33) && health.is_due(132));
     }
 
@@ -191,18 +207,51 @@ mod tests {
 
     #[test]
     fn a_drive_that_can_be_asked_again_is_asked_at_once() {
-        let mut health = LinkHealth::new(Health::default(), 4, 3, MS, 0, 40);
-        health.asked(0);
+        let mut health = LinkHealth::new(Health::default(), 4, 3, MS, 0, 40, false);
+        health.asked(0, true);
         assert!(!health.is_due(10));
         health.reachable(10);
         assert!(health.is_due(10));
-        health.asked(10);
+        health.asked(10, true);
         assert!(!health.is_due(11) && health.is_due(110));
     }
 
     #[test]
+    fn a_drive_with_its_own_clock_is_sent_its_requests_in_all_its_slots_as_long_as_they_leave() {
+        let mut health = LinkHealth::new(Health::default(), 4, 3, MS, 1, 40, true);
+        let mut due = |slots: std::ops::Range<u64>, sent: bool| {
+            let mut all = Vec::new();
+            for index in slots {
+                if health.is_due(index) {
+                    all.push(index);
+                    health.asked(index, sent);
+                }
+            }
+            all
+        };
+        // The first at once, and none of them is a probe.
+        assert_eq!(due(0..20, true), [1, 3, 7, 11, 15, 19]);
+        // Without a connection nothing leaves: then one attempt an interval.
+        assert_eq!(due(20..230, false), [23, 123, 223]);
+        health.reachable(230);
+        (0..10).for_each(|_| health.answered(230));
+        assert_eq!(health.link(), Link::Online);
+        (0..5).for_each(|_| health.missed(232, true));
+        assert_eq!(health.link(), Link::Lost);
+        // The stop goes at the agreed rate, too.
+        let due: Vec<u64> = (233..244).filter(|index| health.is_due(*index)).collect();
+        assert_eq!(
+            due,
+            (235..244).collect::<Vec<_>>(),
+            "in its own slot, or the first one behind it that is executed"
+        );
+        health.asked(235, true);
+        assert!(!health.is_due(238) && health.is_due(239));
+    }
+
+    #[test]
     fn divisor_and_phase_choose_the_slots() {
-        let mut health = LinkHealth::new(Health::default(), 4, 3, MS, 0, 40);
+        let mut health = LinkHealth::new(Health::default(), 4, 3, MS, 0, 40, false);
         (0..10).for_each(|_| health.answered(0));
         let due: Vec<u64> = (0..12).filter(|index| health.is_due(*index)).collect();
         assert_eq!(due, [3, 7, 11]);

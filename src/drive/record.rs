@@ -22,12 +22,24 @@ pub enum Reply {
     Missed = 4,
     /// Refused by the operating system.
     Unsent = 5,
+    /// Answered by the newest packet of a drive that sends by its own clock, without a round trip.
+    Current = 6,
+    /// Due, and waiting for its turn on a half-duplex wire.
+    Queued = 7,
 }
 
 impl Reply {
     /// All of them, in the order of their numbers.
-    pub const ALL: [Reply; 6] =
-        [Reply::None, Reply::Owed, Reply::Answered, Reply::Suspect, Reply::Missed, Reply::Unsent];
+    pub const ALL: [Reply; 8] = [
+        Reply::None,
+        Reply::Owed,
+        Reply::Answered,
+        Reply::Suspect,
+        Reply::Missed,
+        Reply::Unsent,
+        Reply::Current,
+        Reply::Queued,
+    ];
 }
 
 /// One drive in an executed cycle, as it was published.
@@ -57,7 +69,7 @@ pub struct DriveRecord {
     pub phase_ns: Option<NonZeroU32>,
     /// Difference between the distance to its request before and that of their grid points, ns.
     pub jitter_ns: Option<NonZeroU32>,
-    /// From the send stamp until the reply was taken in, ns; `None` for a suspect reply.
+    /// From the send stamp until the reply was taken in, ns; `None` for a suspect reply, and where nothing replies.
     pub rtt_ns: Option<NonZeroU32>,
     /// How old the values were when the window closed, ns; `None` before the first, and while the link is down.
     pub age_ns: Option<NonZeroU32>,

@@ -6,8 +6,10 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use crate::conformance::subject::Subject;
 use crate::conformance::subjects::ethercat::{Defect as LineDefect, EtherCat};
 use crate::conformance::subjects::modbus::{Defect as StreamDefect, Modbus};
-use crate::conformance::subjects::toy::{Defect, Toy};
-use crate::conformance::{acyclic, exchanges, neighbours, orders, replies, reports, whole};
+use crate::conformance::subjects::toy::{Defect, Toy, ToyWire};
+use crate::conformance::{
+    acyclic, exchanges, half_duplex, neighbours, orders, own_clock, replies, reports, whole,
+};
 
 type Clause = fn(&'static dyn Subject);
 
@@ -30,6 +32,21 @@ const CAUGHT: [(Defect, Clause); 15] = [
     (Defect::SwitchesOnAgain, orders::a_motion_whose_drive_restarts_fails_and_is_not_taken_up_again),
     (Defect::BuildsAnewEachTime, exchanges::a_request_that_is_built_again_is_the_same_to_the_byte),
     (Defect::ForgetsItsCalls, acyclic::a_drive_that_is_not_there_is_told_of_at_once),
+];
+
+const CAUGHT_BY_ITS_OWN_CLOCK: [(Defect, Clause); 4] = [
+    (Defect::IsFreshWithEachExchange, reports::each_answer_is_fresh_once_and_silence_is_not),
+    (Defect::IsNeverTooOld, own_clock::exchanges_are_missed_once_the_newest_packet_is_too_old),
+    (Defect::TakesOlderPackets, own_clock::only_the_newest_of_several_packets_counts),
+    (Defect::IsProbed, own_clock::requests_go_at_the_agreed_rate_whatever_the_link),
+];
+
+const CAUGHT_ON_A_HALF_DUPLEX_WIRE: [(Defect, Clause); 5] = [
+    (Defect::SendsOutOfTurn, half_duplex::one_request_is_on_the_wire_at_a_time),
+    (Defect::GivesUpItsTurn, half_duplex::what_waits_for_its_turn_is_neither_unsent_nor_missed),
+    (Defect::KeepsTheOldRequest, half_duplex::a_request_that_waits_is_built_anew_until_it_leaves),
+    (Defect::IsNotPolled, half_duplex::a_reply_that_is_overdue_lets_the_next_request_go_in_the_same_window),
+    (Defect::WaitsForEver, neighbours::the_silence_of_one_troubles_no_other),
 ];
 
 const CAUGHT_ON_STREAMS: [(StreamDefect, Clause); 5] = [
@@ -58,8 +75,15 @@ fn is_caught(subject: Box<dyn Subject>, clause: Clause) -> bool {
 
 #[test]
 fn each_defect_of_the_toy_is_caught_by_the_clause_that_is_about_it() {
-    for (defect, clause) in CAUGHT {
-        assert!(is_caught(Box::new(Toy(Some(defect))), clause), "{defect:?} went unnoticed");
+    let wires = [
+        (ToyWire::Later, &CAUGHT[..]),
+        (ToyWire::OwnClock, &CAUGHT_BY_ITS_OWN_CLOCK),
+        (ToyWire::HalfDuplex, &CAUGHT_ON_A_HALF_DUPLEX_WIRE),
+    ];
+    for (wire, caught) in wires {
+        for (defect, clause) in caught {
+            assert!(is_caught(Box::new(Toy(wire, Some(*defect))), *clause), "{defect:?} went unnoticed");
+        }
     }
 }
 

@@ -44,7 +44,7 @@ pub struct Seen {
 
 impl Seen {
     pub fn answered(&self) -> bool {
-        matches!(self.exchange, Exchange::Answered { .. })
+        matches!(self.exchange, Exchange::Answered { .. } | Exchange::OwnClock { .. })
     }
 
     pub fn missed(&self) -> bool {
@@ -84,8 +84,8 @@ pub struct Line {
     clock: WorldClock,
     poll_set: PollSet,
     origin: Time,
-    /// When each drive's last request left.
-    sent_at: Vec<Time>,
+    /// When the last two requests of each drive left.
+    sent_at: Vec<[Time; 2]>,
     row_number: u64,
     /// The row given has not gone out yet: it must not be replaced.
     held: Vec<bool>,
@@ -127,7 +127,7 @@ impl Line {
             honest: true,
             builds: 1,
             poll_set: PollSet::default(),
-            sent_at: vec![Time(0); count],
+            sent_at: vec![[Time(0); 2]; count],
             row_number: 0,
             held: vec![false; count],
             in_a_row: vec![(0, 0); count],
@@ -205,32 +205,63 @@ impl Line {
             }
         }
         assert!(span.1.since(span.0) <= self.readings(), "sending does not wait");
-        for (index, (before, after)) in before.iter().zip(&self.slots).enumerate() {
+        for (before, after) in before.iter().zip(&self.slots) {
             Around { before, after, span }.send(&cycle, &self.can);
-            if let Exchange::Owed { sent_at, .. } = after.exchange
-                && before.due
-            {
-                self.sent_at[index] = sent_at;
-                self.held[index] = false;
-            }
         }
+        self.note_sent(&before);
         self.accounts();
     }
 
-    /// Takes in what has come.
+    /// What has left since the slots were as `before`.
+    fn note_sent(&mut self, before: &[Slot]) {
+        for (index, (before, after)) in before.iter().zip(&self.slots).enumerate() {
+            if let Some(sent_at) = after.exchange.sent_at()
+                && before.exchange.sent_at() != Some(sent_at)
+            {
+                self.sent_at[index] = [self.sent_at[index][1], sent_at];
+                self.held[index] = false;
+            }
+        }
+    }
+
+    /// The time has come at which the bus wants to be polled.
+    fn poll(&mut self, now: Time) {
+        let (cycle, before) = (self.cycle(), self.slots.clone());
+        let (begin, sends) = (self.world.now(), self.wire.log().sends);
+        self.bus.poll(&cycle, now, &mut self.slots);
+        let span = (begin, self.world.now());
+        assert!(span.1.since(span.0) <= self.readings(), "polling does not wait");
+        for (before, after) in before.iter().zip(&self.slots) {
+            Around { before, after, span }.poll(&cycle, &self.can);
+        }
+        let left =
+            self.slots.iter().zip(&before).filter(|(slot, b)| slot.counters.sent > b.counters.sent).count();
+        assert!(left <= 1 && (left == 0 || self.wire.log().sends > sends), "one request at a time");
+        assert!(self.bus.poll_at().is_none_or(|at| at > now), "polled at {now}");
+        self.note_sent(&before);
+        self.accounts();
+    }
+
+    /// When the bus wants to be polled in this window.
+    fn poll_at(&self) -> Option<Time> {
+        let at = self.bus.poll_at();
+        assert!(at.is_none() || self.can.half_duplex, "nothing but a reply ends what it waits for");
+        at.filter(|at| *at < self.cycle().deadline)
+    }
+
+    /// Takes in what has come. True if the window has nothing more to wait for.
     pub fn receive(&mut self) -> bool {
         let (cycle, before) = (self.cycle(), self.slots.clone());
         let (begin, sends) = (self.world.now(), self.wire.log().sends);
-        let closed = self.bus.receive(&cycle, &mut self.slots);
+        self.bus.receive(&cycle, &mut self.slots);
         let span = (begin, self.world.now());
         assert!(span.1.since(span.0) <= self.readings(), "receiving does not wait");
         assert_eq!(self.wire.log().sends, sends, "nothing is sent while receiving");
         for (before, after) in before.iter().zip(&self.slots) {
             Around { before, after, span }.receive(&self.can);
         }
-        assert_eq!(closed, !self.owes(), "true once all that this window owes is closed, and only then");
         self.accounts();
-        closed
+        !self.owes()
     }
 
     fn readings(&self) -> u64 {
@@ -241,7 +272,7 @@ impl Line {
     /// Whether the window of the present cycle is to stay open.
     pub fn owes(&self) -> bool {
         let cycle = self.cycle();
-        self.slots.iter().any(|slot| slot.exchange.is_waited_for(&cycle))
+        self.poll_at().is_some() || self.slots.iter().any(|slot| slot.exchange.is_waited_for(&cycle))
     }
 
     fn accounts(&self) {
@@ -269,10 +300,16 @@ impl Line {
         let deadline = self.cycle().deadline;
         let mut open = self.owes();
         while open {
-            let over = self.clock.now() >= deadline;
+            let (now, poll_at) = (self.clock.now(), self.poll_at());
+            let over = now >= deadline;
+            if !over && poll_at.is_some_and(|at| at <= now) {
+                self.poll(now);
+                open = self.owes();
+                continue;
+            }
             if !over {
                 self.poll_set.fill(self.bus.fd());
-                self.clock.wait(&mut self.poll_set, deadline);
+                self.clock.wait(&mut self.poll_set, poll_at.unwrap_or(deadline));
             }
             open = !self.receive() && !over;
         }
@@ -280,8 +317,7 @@ impl Line {
 
     /// What the loop makes of the cycle; then the next one is next.
     pub fn judge(&mut self) {
-        let deadline = self.cycle().deadline;
-        let grid = self.cycle().grid;
+        let Cycle { grid, deadline, .. } = self.cycle();
         for index in 0..self.slots.len() {
             let slot = &mut self.slots[index];
             if let Some((machine, serial)) = &mut self.machines[index] {
@@ -292,13 +328,24 @@ impl Line {
             }
             if self.honest && slot.notices.fresh && !slot.status.suspect {
                 let tape = &self.wire.log().drives[index];
-                rules::honest(slot, tape, &self.drives[index], &self.can, self.sent_at[index]);
+                // A packet of a drive with its own clock came since the request before the last one, and was a cycle
+                // longer on its way at most, as what led to it was.
+                let [before, last] = self.sent_at[index];
+                let since = if self.can.own_clock { before - 2 * PERIOD } else { last };
+                rules::honest(slot, tape, &self.drives[index], &self.can, since);
             }
             let (good, missed) = &mut self.in_a_row[index];
             let exchange = match slot.exchange {
                 Exchange::Idle | Exchange::Missed => Exchange::Idle,
                 Exchange::Owed { reply_by, .. } if reply_by > deadline => slot.exchange,
-                Exchange::Owed { .. } | Exchange::Absent => {
+                Exchange::Queued => slot.exchange,
+                closed @ Exchange::OwnClock { fresh_until, .. } if grid < fresh_until => {
+                    slot.counters.answered += 1;
+                    slot.exchange = Exchange::Idle;
+                    (*good, *missed) = (*good + 1, 0);
+                    closed
+                }
+                Exchange::Owed { .. } | Exchange::OwnClock { .. } | Exchange::Absent { .. } => {
                     slot.counters.missed += 1;
                     slot.exchange = Exchange::Missed;
                     (*good, *missed) = (0, *missed + 1);
@@ -350,11 +397,15 @@ impl Line {
     /// Turns until nothing is owed and all drives are due next, where they share a schedule.
     pub fn settle(&mut self) {
         self.until("a cycle to begin with", 1_000, |line| {
-            let owed = |slot: &Slot| matches!(slot.exchange, Exchange::Owed { .. });
+            let owed = |slot: &Slot| matches!(slot.exchange, Exchange::Owed { .. } | Exchange::Queued);
             let due =
                 |drive: &Drive| line.index % u64::from(drive.axis.divisor) == u64::from(drive.axis.phase);
             line.drives.iter().all(due) && !line.slots.iter().any(owed)
         });
+        if self.can.own_clock {
+            // No window was open for what has left.
+            self.world.advance(2 * LATENCY);
+        }
     }
 
     /// One cycle, and long enough after it for what was sent to be heard.
@@ -622,7 +673,7 @@ impl Line {
     /// Turns until the drive answers again. A datagram does with the next exchange; a connection may have to be opened
     /// anew, after a pause and a greeting, and its first reply may not say all.
     pub fn heal(&mut self, index: usize) -> Seen {
-        if !self.can.stream {
+        if !self.can.stream && !self.can.own_clock {
             return self.exchange(index);
         }
         for _ in 0..20_000 {
@@ -630,7 +681,7 @@ impl Line {
             if seen.answered() && seen.fresh {
                 return seen;
             }
-            if !self.wire.log().drives[index].open {
+            if self.can.stream && !self.wire.log().drives[index].open {
                 self.skip();
             }
             self.turn();
@@ -647,10 +698,11 @@ impl Line {
 
     /// Turns until the next exchange of this drive is closed.
     pub fn exchange(&mut self, index: usize) -> Seen {
-        let closed = |seen: &Seen| !matches!(seen.exchange, Exchange::Idle | Exchange::Owed { .. });
+        let open =
+            |seen: &Seen| matches!(seen.exchange, Exchange::Idle | Exchange::Owed { .. } | Exchange::Queued);
         for _ in 0..1_000 {
             self.turn();
-            if closed(&self.seen[index]) {
+            if !open(&self.seen[index]) {
                 return self.seen[index];
             }
         }

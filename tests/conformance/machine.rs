@@ -245,10 +245,11 @@ impl Machine {
         self.tape(index, |tape| tape.heard.len())
     }
 
-    /// The stop bound that `check` states for an axis, and the cycles that a late answer of this protocol adds.
+    /// The stop bound that `check` states for an axis.
     pub fn stop_bound(&self, index: usize) -> u64 {
-        let axes = self.wire.axes();
-        fieldbeat::cycle::bound::stop_bound_cycles(axes[index], &axes) + u64::from(self.can.answers_after)
+        let buses: Vec<Box<dyn BusPlan>> = vec![Box::new(self.wire.clone())];
+        let plan = Plan { source: None, cycle: CyclePlan::default(), buses, groups: Vec::new() };
+        fieldbeat::cycle::bound::stop_bound(&plan, index)
     }
 
     /// Turns until the loop has ended.

@@ -8,6 +8,7 @@
 //! | `machine` | the whole loop over the same bus |
 //! | `wire` | what goes over the wire, written down |
 //! | `opening`, `exchanges`, `replies`, `neighbours`, `orders`, `reports` | clauses of a bus alone |
+//! | `own_clock`, `half_duplex` | clauses of these two wires alone |
 //! | `acyclic` | clauses of acyclic access, under the loop |
 //! | `whole` | clauses of a bus under the loop |
 //! | `broken` | the clauses can fail |
@@ -19,11 +20,13 @@
 mod acyclic;
 mod broken;
 mod exchanges;
+mod half_duplex;
 mod line;
 mod machine;
 mod neighbours;
 mod opening;
 mod orders;
+mod own_clock;
 mod replies;
 mod reports;
 mod rules;
@@ -125,6 +128,19 @@ macro_rules! clauses {
                 a_restart_is_noticed_once_and_what_was_known_is_forgotten,
                 homed_is_what_the_drive_says_after_a_restart_too,
             },
+            own_clock::{
+                exchanges_are_missed_once_the_newest_packet_is_too_old,
+                only_the_newest_of_several_packets_counts,
+                a_packet_between_two_exchanges_is_reported_at_once,
+                requests_go_at_the_agreed_rate_whatever_the_link,
+            },
+            half_duplex::{
+                one_request_is_on_the_wire_at_a_time,
+                what_waits_for_its_turn_is_neither_unsent_nor_missed,
+                a_request_that_waits_is_built_anew_until_it_leaves,
+                a_reply_that_is_overdue_lets_the_next_request_go_in_the_same_window,
+                a_request_has_its_own_stamp_whenever_it_leaves,
+            },
             acyclic::{
                 a_value_that_was_written_is_read_back,
                 what_the_drive_refuses_ends_with_its_status,
@@ -179,5 +195,9 @@ subjects! {
     modbus_direct: crate::conformance::subjects::modbus::Modbus { direct: true, defect: None },
     ethercat_velocity: crate::conformance::subjects::ethercat::EtherCat { positions: false, defect: None },
     ethercat_position: crate::conformance::subjects::ethercat::EtherCat { positions: true, defect: None },
-    toy: crate::conformance::subjects::toy::Toy(None),
+    toy: crate::conformance::subjects::toy::Toy(crate::conformance::subjects::toy::ToyWire::Later, None),
+    toy_with_its_own_clock:
+        crate::conformance::subjects::toy::Toy(crate::conformance::subjects::toy::ToyWire::OwnClock, None),
+    toy_on_a_half_duplex_wire:
+        crate::conformance::subjects::toy::Toy(crate::conformance::subjects::toy::ToyWire::HalfDuplex, None),
 }

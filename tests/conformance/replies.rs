@@ -2,6 +2,7 @@
 
 use std::net::SocketAddrV4;
 
+use fieldbeat::axis::Link;
 use fieldbeat::bus::{Counters, Exchange, OWN_COUNTERS};
 use fieldbeat::sim::FaultPlan;
 use fieldbeat::time::US;
@@ -29,13 +30,23 @@ fn moving(subject: &'static dyn Subject, count: usize) -> Line {
 
 /// A reply that can be no other's, as clean as the protocol knows.
 fn is_clean(line: &Line, seen: &Seen) -> bool {
-    let told = seen.fresh || !line.can.whole;
+    // A packet is new once, however many exchanges it answers.
+    let told = seen.fresh || !line.can.whole || line.can.own_clock;
     seen.answered() && told && !seen.suspect && seen.round_trip().is_some() == line.can.round_trip
 }
 
 fn expect_clean(line: &mut Line, index: usize) {
     let seen = line.exchange(index);
     assert!(is_clean(line, &seen), "{seen:?}");
+}
+
+/// Whether a clause about replies means nothing, since no packet answers a request.
+fn nothing_replies(subject: &'static dyn Subject, clause: &str) -> bool {
+    let nothing = subject.can().own_clock;
+    if nothing {
+        not_applicable(subject, clause, "no packet answers a request");
+    }
+    nothing
 }
 
 /// What changed in the counts.
@@ -68,13 +79,16 @@ pub fn a_clean_wire_answers_everything(subject: &'static dyn Subject) {
     for (index, before) in before.iter().enumerate() {
         let c = since(before, &line.slots[index].counters);
         let owed = c.sent - c.answered;
-        assert!(owed <= 1);
+        assert!(owed <= 1, "drive {index}: {c:?}");
         let only = Counters { sent: c.sent, answered: c.answered, ..Counters::default() };
         assert_eq!(c, only, "drive {index}");
     }
 }
 
 pub fn the_reply_after_a_miss_is_suspect_unless_it_names_its_request(subject: &'static dyn Subject) {
+    if nothing_replies(subject, "the reply after a miss") {
+        return;
+    }
     let mut line = moving(subject, 1);
     let before = line.slots[0].counters;
     let misses = if line.can.stream { 1 } else { 3 };
@@ -100,6 +114,9 @@ pub fn the_reply_after_a_miss_is_suspect_unless_it_names_its_request(subject: &'
 }
 
 pub fn a_reply_between_two_windows_is_late_and_its_exchange_a_miss(subject: &'static dyn Subject) {
+    if nothing_replies(subject, "a reply between two windows") {
+        return;
+    }
     let mut line = moving(subject, 1);
     let before = line.slots[0].counters;
     line.answer_at(0, BETWEEN);
@@ -118,6 +135,9 @@ pub fn a_reply_between_two_windows_is_late_and_its_exchange_a_miss(subject: &'st
 pub fn a_late_reply_that_comes_first_in_the_next_window_is_not_taken_for_the_newest(
     subject: &'static dyn Subject,
 ) {
+    if nothing_replies(subject, "a late reply") {
+        return;
+    }
     let mut line = moving(subject, 1);
     let before = line.slots[0].counters;
     line.answer_at(0, FIRST);
@@ -151,6 +171,12 @@ pub fn a_late_reply_that_comes_first_in_the_next_window_is_not_taken_for_the_new
 }
 
 pub fn a_late_reply_that_comes_with_the_one_asked_for_leaves_the_newer_values(subject: &'static dyn Subject) {
+    if nothing_replies(subject, "a late reply with the expected one") {
+        return;
+    }
+    if subject.can().half_duplex {
+        return not_applicable(subject, "a late reply with the expected one", "one is on the wire at a time");
+    }
     // Another drive keeps the window open for both. Where one frame is for all, the late one comes behind the one asked
     // for, whose values stand.
     let mut line = moving(subject, 2);
@@ -174,6 +200,9 @@ pub fn a_late_reply_that_comes_with_the_one_asked_for_leaves_the_newer_values(su
 pub fn replies_that_are_always_one_exchange_behind_are_never_taken_for_fresh_ones(
     subject: &'static dyn Subject,
 ) {
+    if nothing_replies(subject, "replies that are one exchange behind") {
+        return;
+    }
     for ns in [FIRST, PERIOD + 5 * LATENCY, PERIOD + WINDOW - LATENCY] {
         let mut line = moving(subject, 1);
         let before = line.slots[0].counters;
@@ -207,6 +236,9 @@ pub fn replies_that_are_always_one_exchange_behind_are_never_taken_for_fresh_one
 }
 
 pub fn a_duplicate_is_counted_and_answers_nothing(subject: &'static dyn Subject) {
+    if nothing_replies(subject, "a duplicate of each reply") {
+        return;
+    }
     let mut line = moving(subject, 1);
     let before = line.slots[0].counters;
     line.faults(0, FaultPlan { duplicate: 1.0, ..FaultPlan::default() });
@@ -224,12 +256,15 @@ pub fn a_duplicate_is_counted_and_answers_nothing(subject: &'static dyn Subject)
 }
 
 pub fn a_reply_of_before_that_comes_again_moves_nothing(subject: &'static dyn Subject) {
+    if nothing_replies(subject, "a reply that comes again") {
+        return;
+    }
     let mut line = moving(subject, 2);
     if subject.malformed(&line.reply(0)).is_empty() {
         return not_applicable(subject, "a reply that comes again", "it names none");
     }
     // Another drive keeps the window open. Before the true reply, only what names its request can be told from it.
-    if !line.can.shared {
+    if !line.can.shared && !line.can.half_duplex {
         line.answer_at(1, 200 * US);
     }
     let window = u64::from(line.can.answers_after) * PERIOD;
@@ -253,6 +288,9 @@ pub fn a_reply_of_before_that_comes_again_moves_nothing(subject: &'static dyn Su
 }
 
 pub fn a_reply_that_was_overtaken_is_late(subject: &'static dyn Subject) {
+    if nothing_replies(subject, "a reply that was overtaken") {
+        return;
+    }
     if subject.can().stream {
         return not_applicable(subject, "a reply that was overtaken", "nothing overtakes on a connection");
     }
@@ -357,6 +395,9 @@ pub fn what_went_round_without_passing_the_master_answers_nothing(subject: &'sta
 }
 
 pub fn a_true_answer_from_a_wrong_port_is_foreign(subject: &'static dyn Subject) {
+    if nothing_replies(subject, "a true answer from a wrong port") {
+        return;
+    }
     let mut line = moving(subject, 1);
     let before = line.slots[0].counters;
     line.faults(0, FaultPlan { wrong_id: 1.0, ..FaultPlan::default() });
@@ -473,7 +514,9 @@ pub fn the_accounts_hold_in_any_weather(subject: &'static dyn Subject) {
             line.wire.log().drives[index].jammed = false;
         }
         line.until("all up again", if line.can.stream { 20_000 } else { 2_000 }, |line| {
-            (0..3).all(|index| is_clean(line, &line.seen[index]))
+            // Where they take turns, not all of them have one in the same cycle.
+            let up = |index: usize| line.can.half_duplex && line.slots[index].link == Link::Online;
+            (0..3).all(|index| up(index) || is_clean(line, &line.seen[index]))
         });
         let c = line.slots[0].counters;
         assert!(!line.can.identified || subject.names_repeat() || c.suspect == 0, "{c:?}");
@@ -482,7 +525,10 @@ pub fn the_accounts_hold_in_any_weather(subject: &'static dyn Subject) {
             assert!(c.missed > 0 && c.unsent > 0, "{c:?}");
             odd += line.slots.iter().map(|slot| slot.counters.late + slot.counters.duplicate).sum::<u64>();
         } else {
-            assert!(c.missed > 50 && c.late + c.duplicate > 50 && c.unsent > 0, "{c:?}");
+            // Several packets in a row are lost now and then only.
+            let misses = if line.can.own_clock { 4 } else { 50 };
+            let others = if line.can.own_clock { 20 } else { 50 };
+            assert!(c.missed > misses && c.late + c.duplicate > others && c.unsent > 0, "{c:?}");
             assert!(c.foreign > 0, "{c:?}");
         }
     }

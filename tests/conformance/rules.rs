@@ -48,9 +48,11 @@ impl Around<'_> {
         let (before, after) = (self.before, self.after);
         let answered = after.counters.answered - before.counters.answered;
         match (before.exchange, after.exchange) {
-            // The frame of all came back without it.
-            (Exchange::Owed { .. }, Exchange::Absent) if can.shared => {
-                assert_eq!(answered, 0, "it did not answer");
+            // The frame of all came back without it, or its reply is overdue.
+            (Exchange::Owed { sent_at, .. }, Exchange::Absent { sent_at: same })
+                if can.shared || can.half_duplex =>
+            {
+                assert_eq!((sent_at, answered), (same, 0), "it did not answer");
                 self.keeps_the_report_but(can);
                 false
             }
@@ -84,19 +86,55 @@ impl Around<'_> {
     pub fn send(&self, cycle: &Cycle, can: &Can) {
         self.keeps_the_loops();
         self.counts_on();
-        let (before, after) = (self.before, self.after);
-        let sent = after.counters.sent - before.counters.sent;
-        let unsent = after.counters.unsent - before.counters.unsent;
-        if !before.due || matches!(before.exchange, Exchange::Owed { .. }) {
-            assert_eq!((sent, unsent), (0, 0), "no exchange was due, or one was still owed");
-            // Where answers may come cycles later, one between two windows counts, until the loop calls it missed.
-            let closed = self.answers_or_keeps(can) && before.exchange != after.exchange;
-            assert!(!closed || can.answers_after > 0, "answered after {:?}", before.exchange);
-            return;
+        let before = self.before;
+        let is_open = before.due && !matches!(before.exchange, Exchange::Owed { .. });
+        if is_open || before.exchange == Exchange::Queued {
+            return self.opens(cycle, can);
         }
+        assert_eq!(self.sends(), (0, 0), "no exchange was due, or one was still owed");
+        if can.own_clock {
+            assert_eq!(before.exchange, self.after.exchange, "no exchange was due");
+            return self.takes_packets();
+        }
+        // Where answers may come cycles later, one between two windows counts, until the loop calls it missed.
+        let closed = self.answers_or_keeps(can) && before.exchange != self.after.exchange;
+        assert!(!closed || can.answers_after > 0, "answered after {:?}", before.exchange);
+    }
+
+    /// How often it was sent something, and how often that was refused.
+    fn sends(&self) -> (u64, u64) {
+        let (before, after) = (&self.before.counters, &self.after.counters);
+        (after.sent - before.sent, after.unsent - before.unsent)
+    }
+
+    /// What is reported as new is of a packet that was taken in now.
+    fn takes_packets(&self) {
+        let (before, after) = (&self.before.status, &self.after.status);
+        match self.after.notices.fresh && after.at != before.at {
+            true => assert!(self.span.0 <= after.at && after.at <= self.span.1, "taken in at {}", after.at),
+            false => self.keeps_the_report(),
+        }
+    }
+
+    /// An exchange that was due, or queued, is opened, if it has its turn.
+    fn opens(&self, cycle: &Cycle, can: &Can) {
+        let (before, after) = (self.before, self.after);
+        let (sent, unsent) = self.sends();
         assert_eq!(after.counters.answered, before.counters.answered, "what came before the send is late");
-        self.keeps_the_report_but(can);
+        if can.own_clock {
+            self.takes_packets();
+        } else {
+            self.keeps_the_report_but(can);
+        }
         match after.exchange {
+            Exchange::Queued if can.half_duplex => {
+                assert_eq!((sent, unsent), (0, 0), "it waits for its turn")
+            }
+            Exchange::OwnClock { sent_at, fresh_until } if can.own_clock => {
+                assert_eq!((sent, unsent), (1, 0), "one due slot, one exchange");
+                assert!(self.span.0 <= sent_at && sent_at <= self.span.1, "{sent_at} in {:?}", self.span);
+                assert!(fresh_until >= after.status.at, "a packet counts until {fresh_until}");
+            }
             Exchange::Owed { sent_at, reply_by, .. } => {
                 assert_eq!((sent, unsent), (1, 0), "one due slot, one exchange");
                 assert!(self.span.0 <= sent_at && sent_at <= self.span.1, "{sent_at} in {:?}", self.span);
@@ -108,12 +146,28 @@ impl Around<'_> {
         }
     }
 
+    /// After `poll`.
+    pub fn poll(&self, cycle: &Cycle, can: &Can) {
+        self.keeps_the_loops();
+        self.counts_on();
+        if self.before.exchange == Exchange::Queued {
+            return self.opens(cycle, can);
+        }
+        assert_eq!(self.sends(), (0, 0), "nothing waited for its turn");
+        assert_eq!(self.before.counters.answered, self.after.counters.answered, "nothing was taken in");
+        self.answers_or_keeps(can);
+    }
+
     /// After `receive`.
     pub fn receive(&self, can: &Can) {
         self.keeps_the_loops();
         self.counts_on();
-        let sent = |slot: &Slot| (slot.counters.sent, slot.counters.unsent);
-        assert_eq!(sent(self.before), sent(self.after), "nothing is sent while receiving");
+        assert_eq!(self.sends(), (0, 0), "nothing is sent while receiving");
+        if can.own_clock {
+            let sent_at = |slot: &Slot| slot.exchange.sent_at();
+            assert_eq!(sent_at(self.before), sent_at(self.after), "nothing is answered");
+            return self.takes_packets();
+        }
         let was_fresh = self.before.notices.fresh;
         let closed = self.answers_or_keeps(can);
         let Slot { status, notices, .. } = self.after;
@@ -146,12 +200,15 @@ fn kept(notices: Notices, before: &Slot, after: &Slot) {
 /// Every request is answered, missed or owed, and each telegram that was taken in is counted in one place.
 pub fn accounts(slot: &Slot, tape: &Tape, can: &Can) {
     let c = &slot.counters;
-    // What is absent is a miss that the loop has not counted yet.
-    let owed = u64::from(matches!(slot.exchange, Exchange::Owed { .. } | Exchange::Absent));
+    // What is absent is a miss that the loop has not counted yet, and of what nothing answers it has counted nothing.
+    let open =
+        matches!(slot.exchange, Exchange::Owed { .. } | Exchange::Absent { .. } | Exchange::OwnClock { .. });
+    let owed = u64::from(open);
     assert_eq!(c.sent, c.answered + c.missed + owed, "sent = answered + missed + owed: {c:?}");
-    let told = c.answered + c.late + c.duplicate + c.malformed + c.foreign;
-    match can.shared {
-        // Nobody counts a frame in which he was not asked.
+    let answers = if can.own_clock { 0 } else { c.answered };
+    let told = answers + c.late + c.duplicate + c.malformed + c.foreign;
+    match can.shared || can.own_clock {
+        // A frame without an exchange is not counted, nor is a packet that answers nothing.
         true => assert!(told <= tape.taken, "of {} frames each is counted once at most: {c:?}", tape.taken),
         false => assert_eq!(tape.taken, told, "telegrams from the drive = all they are counted as: {c:?}"),
     }

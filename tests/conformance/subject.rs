@@ -84,6 +84,11 @@ pub trait Subject: Sync {
     /// Telegrams that are no answer of this protocol. On a stream, none that hides where the next one begins.
     fn malformed(&self, reply: &[u8]) -> Vec<Vec<u8>>;
 
+    /// The packet that comes so many after this one, of a drive with its own clock.
+    fn later(&self, _packet: &[u8], _by: u8) -> Option<Vec<u8>> {
+        None
+    }
+
     /// Well-formed answers to something that was not asked, made from a true one.
     fn foreign(&self, reply: &[u8]) -> Vec<Vec<u8>>;
 }
@@ -116,6 +121,11 @@ pub struct Can {
     /// Each drive has a connection. One request is open on it: before its reply nothing else is asked, and one that
     /// never comes costs the connection, which is opened anew after a pause.
     pub stream: bool,
+    /// Each drive sends by its own clock, and is sent requests at the agreed rate: a packet answers nothing. One may be
+    /// the newest for several exchanges, and several may come between two.
+    pub own_clock: bool,
+    /// One request is on the wire at a time: the others wait for their turns.
+    pub half_duplex: bool,
     /// One frame goes through all drives in every cycle, whoever is due in it, and comes back in its window: each drive
     /// has a piece of it. What befalls it befalls all of them. Before a drive is in operation on its line it is not
     /// asked.

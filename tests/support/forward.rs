@@ -25,6 +25,14 @@ macro_rules! forward_bus_plan {
             self.$field.reply_within_ns(index)
         }
 
+        fn turn_within_ns(&self, index: usize) -> Option<u64> {
+            self.$field.turn_within_ns(index)
+        }
+
+        fn fresh_within_ns(&self, index: usize) -> Option<u64> {
+            self.$field.fresh_within_ns(index)
+        }
+
         fn drive_watchdog_ns(&self, index: usize) -> Option<u64> {
             self.$field.drive_watchdog_ns(index)
         }

@@ -98,9 +98,9 @@ impl Bus for FusedBus {
         self.bus.send(cycle, slots);
     }
 
-    fn receive(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool {
+    fn receive(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
         self.burn(Call::Receive);
-        self.bus.receive(cycle, slots)
+        self.bus.receive(cycle, slots);
     }
 
     fn prepare(&mut self, cycle: &Cycle, slots: &mut [Slot]) {

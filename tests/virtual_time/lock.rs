@@ -173,9 +173,7 @@ impl Bus for ClockBus {
         self.told.push_back(seen.then_some(error));
     }
 
-    fn receive(&mut self, _: &Cycle, _: &mut [Slot]) -> bool {
-        true
-    }
+    fn receive(&mut self, _: &Cycle, _: &mut [Slot]) {}
 
     fn prepare(&mut self, _: &Cycle, _: &mut [Slot]) {}
 

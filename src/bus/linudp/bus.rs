@@ -16,7 +16,7 @@ use crate::axis::acyclic::{AcyclicEnds, Notation};
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, FaultNames, FoundRunning, MonitorChannel, PlanFault};
 use crate::bus::desired::Capabilities;
-use crate::bus::{Bus, BusPlan, Cycle, Exchange, OpenError, Slot, Unmatched, lock_drives};
+use crate::bus::{Bus, BusPlan, Cycle, OpenError, Slot, Unmatched, lock_drives};
 use crate::errors::no_descriptor;
 use crate::net::{Carriers, Datagrams, Lock, Outbox, Sent, UdpOptions};
 use crate::rt::Regions;
@@ -170,9 +170,8 @@ impl Bus for LinUdpBus {
         }
     }
 
-    fn receive(&mut self, _cycle: &Cycle, slots: &mut [Slot]) -> bool {
+    fn receive(&mut self, _cycle: &Cycle, slots: &mut [Slot]) {
         self.take_in(true, slots);
-        !slots.iter().any(|slot| matches!(slot.exchange, Exchange::Owed { .. }))
     }
 
     fn prepare(&mut self, cycle: &Cycle, slots: &mut [Slot]) {

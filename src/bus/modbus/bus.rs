@@ -192,11 +192,10 @@ impl Bus for ModbusBus {
         self.give_up(cycle.grid, slots);
     }
 
-    fn receive(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool {
+    fn receive(&mut self, _cycle: &Cycle, slots: &mut [Slot]) {
         // One piece of each: a drive that sends byte by byte is read again with the next look, and never delays the
         // cycle.
         self.take_in(slots);
-        !slots.iter().any(|slot| slot.exchange.is_waited_for(cycle))
     }
 
     fn prepare(&mut self, cycle: &Cycle, slots: &mut [Slot]) {

@@ -203,7 +203,8 @@ impl<C: Clock> Engine<C> {
             self.bus(&cycle, Stage::Send, bus, |open, slots| open.bus.send(&cycle, slots));
             if self.panics.is_left_out(Part::Bus(bus)) {
                 let open = &self.buses[bus];
-                let due = self.slots[open.first..open.end].iter_mut().filter(|slot| slot.due);
+                let slots = self.slots[open.first..open.end].iter_mut();
+                let due = slots.filter(|slot| slot.due || slot.exchange == Exchange::Queued);
                 due.for_each(|slot| slot.exchange = Exchange::Unsent);
             }
         }
@@ -220,7 +221,8 @@ impl<C: Clock> Engine<C> {
         for bus in 0..self.buses.len() {
             self.bus(&cycle, Stage::Receive, bus, |open, slots| {
                 for _ in 0..MOST_LOOKS {
-                    if open.bus.receive(&cycle, slots) {
+                    open.bus.receive(&cycle, slots);
+                    if !slots.iter().any(|slot| slot.exchange.is_waited_for(&cycle)) {
                         break;
                     }
                 }

@@ -1,5 +1,7 @@
 //! One axis without a bus: the tests write what its drive reports, and when an order is done.
 
+mod exchanges;
+
 use std::slice::{from_mut, from_ref};
 use std::time::Duration;
 
@@ -59,7 +61,7 @@ impl Alone {
             feedback,
             samples: None,
         };
-        let controller = DriveController::new(plan, None, queues, MS, 0, 100);
+        let controller = DriveController::new(plan, None, queues, MS, 0, 100, false);
         let slot = Slot::default();
         Alone { controller, slot, commands, rows, _setpoints: setpoints, events, index: 0, id: 0 }
     }
@@ -78,7 +80,7 @@ impl Alone {
         let (controller, slot) = (&mut self.controller, &mut self.slot);
         slot.exchange = match slot.notices.fresh {
             true => Exchange::Answered { sent_at: now, at: now, suspect: slot.status.suspect },
-            false => Exchange::Absent,
+            false => Exchange::Absent { sent_at: now },
         };
         slot.status.at = now;
         controller.judge(&cycle, now, slot);

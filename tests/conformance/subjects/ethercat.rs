@@ -148,6 +148,8 @@ impl Subject for EtherCat {
             whole: true,
             awaits: false,
             stream: false,
+            own_clock: false,
+            half_duplex: false,
             shared: true,
         }
     }

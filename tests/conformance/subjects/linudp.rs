@@ -46,6 +46,8 @@ impl Subject for LinUdp {
             whole: true,
             awaits: false,
             stream: false,
+            own_clock: false,
+            half_duplex: false,
             shared: false,
         }
     }

@@ -106,6 +106,8 @@ impl Subject for Modbus {
             whole: !self.direct,
             awaits: true,
             stream: true,
+            own_clock: false,
+            half_duplex: false,
             shared: false,
         }
     }

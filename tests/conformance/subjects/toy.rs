@@ -1,6 +1,10 @@
 //! A protocol that nobody sells, and everything that LinUDP is not: revolutions, a number in each request, answers that
 //! come a cycle later and make no round trip, no homing, no jogs, no rows. It keeps the contract's other branches alive
-//! until a real protocol needs them, and with one [`Defect`] at a time it shows that the clauses can fail.
+//! until a real protocol needs them, and with one [`Defect`] at a time it shows that the clauses can fail. The same toy
+//! on two more wires: `own_clock` and `half_duplex`.
+
+mod half_duplex;
+mod own_clock;
 
 use std::any::Any;
 use std::net::{Ipv4Addr, SocketAddrV4};
@@ -21,11 +25,25 @@ use fieldbeat::sim::physics::Generator;
 use fieldbeat::sim::{FaultPlan, SimDrive};
 use fieldbeat::time::{Time, US, nanos};
 
-use crate::conformance::line::PERIOD;
+use crate::conformance::line::{PERIOD, WINDOW};
 use crate::conformance::subject::{Calls, Can, Drive, Said, Subject};
 
-/// The toy, sound or with one thing wrong.
-pub struct Toy(pub Option<Defect>);
+use self::half_duplex::Turns;
+use self::own_clock::Packets;
+
+/// The toy on its wire, sound or with one thing wrong.
+pub struct Toy(pub ToyWire, pub Option<Defect>);
+
+/// How requests and answers go.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ToyWire {
+    /// An answer comes a cycle later.
+    Later,
+    /// The drive sends by its own clock.
+    OwnClock,
+    /// One request is on the wire at a time.
+    HalfDuplex,
+}
 
 /// What a bus can get wrong, one of each kind.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -45,6 +63,17 @@ pub enum Defect {
     SwitchesOnAgain,
     BuildsAnewEachTime,
     ForgetsItsCalls,
+    // With its own clock.
+    IsFreshWithEachExchange,
+    IsNeverTooOld,
+    TakesOlderPackets,
+    IsProbed,
+    // Half duplex.
+    SendsOutOfTurn,
+    GivesUpItsTurn,
+    KeepsTheOldRequest,
+    IsNotPolled,
+    WaitsForEver,
 }
 
 const REQUEST: usize = 36;
@@ -120,7 +149,11 @@ impl Answer {
 
 impl Subject for Toy {
     fn name(&self) -> &'static str {
-        "the toy protocol"
+        match self.0 {
+            ToyWire::Later => "the toy protocol",
+            ToyWire::OwnClock => "the toy with its own clock",
+            ToyWire::HalfDuplex => "the toy on a half-duplex wire",
+        }
     }
 
     fn can(&self) -> Can {
@@ -132,11 +165,13 @@ impl Subject for Toy {
             torque: false,
             picks: true,
             identified: true,
-            round_trip: false,
-            answers_after: 1,
+            round_trip: self.0 == ToyWire::HalfDuplex,
+            answers_after: if self.0 == ToyWire::OwnClock { 0 } else { 1 },
             whole: true,
-            awaits: false,
+            awaits: self.0 == ToyWire::HalfDuplex,
             stream: false,
+            own_clock: self.0 == ToyWire::OwnClock,
+            half_duplex: self.0 == ToyWire::HalfDuplex,
             shared: false,
         }
     }
@@ -147,7 +182,7 @@ impl Subject for Toy {
     }
 
     fn plan(&self, drives: &[Drive]) -> Box<dyn BusPlan> {
-        Box::new(ToyPlan { drives: drives.to_vec(), defect: self.0 })
+        Box::new(ToyPlan { drives: drives.to_vec(), wire: self.0, defect: self.1 })
     }
 
     fn said(&self, _before: Option<Said>, _request: &[u8], reply: &[u8]) -> Option<Said> {
@@ -187,7 +222,17 @@ impl Subject for Toy {
         vec![Vec::new(), reply[1..].to_vec(), reply[..REPLY - 1].to_vec(), vec![b'!'; 600]]
     }
 
+    fn later(&self, packet: &[u8], by: u8) -> Option<Vec<u8>> {
+        let mut packet = packet.to_vec();
+        let number = packet.get_mut(1).filter(|_| self.0 == ToyWire::OwnClock)?;
+        *number = number.wrapping_add(by);
+        Some(packet)
+    }
+
     fn foreign(&self, reply: &[u8]) -> Vec<Vec<u8>> {
+        if self.0 == ToyWire::OwnClock {
+            return Vec::new();
+        }
         // The number of a request that is a hundred exchanges away.
         vec![[&[reply[0], reply[1].wrapping_add(100)], &reply[2..]].concat()]
     }
@@ -196,6 +241,7 @@ impl Subject for Toy {
 #[derive(Debug)]
 struct ToyPlan {
     drives: Vec<Drive>,
+    wire: ToyWire,
     defect: Option<Defect>,
 }
 
@@ -223,6 +269,19 @@ impl BusPlan for ToyPlan {
         self.drives.iter().enumerate().flat_map(of).collect()
     }
 
+    fn reply_within_ns(&self, _index: usize) -> Option<u64> {
+        (self.wire == ToyWire::Later).then_some(WINDOW + PERIOD)
+    }
+
+    fn turn_within_ns(&self, _index: usize) -> Option<u64> {
+        (self.wire == ToyWire::HalfDuplex).then(|| half_duplex::turn_within_ns(self.drives.len()))
+    }
+
+    fn fresh_within_ns(&self, _index: usize) -> Option<u64> {
+        let known = self.wire == ToyWire::OwnClock && self.defect != Some(Defect::IsProbed);
+        known.then_some(own_clock::FRESH_WITHIN)
+    }
+
     fn describe(&self, _period_ns: u64) -> Vec<String> {
         (0..self.drives.len()).map(|index| address(index).to_string()).collect()
     }
@@ -237,12 +296,14 @@ impl BusPlan for ToyPlan {
             remedy: "put the other toy away",
         })?;
         let peers: Vec<_> = (0..self.drives.len()).map(address).collect();
-        let station = |drive: &Drive| Station::new(drive.axis.clone(), self.defect);
+        let station = |drive: &Drive| Station::new(drive.axis.clone(), self.wire, self.defect);
         Ok(Box::new(ToyBus {
             net,
             outbox: Outbox::new(&peers, REQUEST),
             stations: self.drives.iter().map(station).collect(),
             unmatched: Unmatched::default(),
+            wire: self.wire,
+            turns: Turns::default(),
             defect: self.defect,
         }))
     }
@@ -257,7 +318,7 @@ impl BusPlan for ToyPlan {
 
     fn reaching(&self, index: usize) -> Option<Box<dyn BusPlan>> {
         let drives = vec![self.drives.get(index)?.clone()];
-        Some(Box::new(ToyPlan { drives, defect: self.defect }))
+        Some(Box::new(ToyPlan { drives, ..*self }))
     }
 
     fn notation(&self) -> Arc<dyn Notation> {
@@ -272,6 +333,12 @@ impl BusPlan for ToyPlan {
                 generator: Generator::at((drive.start * counts).round()),
                 lived: None,
                 answer: Answer::default(),
+                answer_ns: match self.wire {
+                    ToyWire::Later => PERIOD + 100 * US,
+                    ToyWire::OwnClock => 10 * US,
+                    ToyWire::HalfDuplex => half_duplex::ANSWER,
+                },
+                packets: (self.wire == ToyWire::OwnClock).then(Packets::default),
             };
             if drive.running {
                 toy.answer.state = ON;
@@ -336,6 +403,10 @@ struct ToyDrive {
     generator: Generator,
     lived: Option<Time>,
     answer: Answer,
+    /// From its arrival to the answer of a request, ns.
+    answer_ns: u64,
+    /// With its own clock.
+    packets: Option<Packets>,
 }
 
 impl SimDrive for ToyDrive {
@@ -344,7 +415,7 @@ impl SimDrive for ToyDrive {
     }
 
     fn faults(&self) -> FaultPlan {
-        FaultPlan { answer_ns: PERIOD + 100 * US, ..FaultPlan::default() }
+        FaultPlan { answer_ns: self.answer_ns, ..FaultPlan::default() }
     }
 
     fn receive(
@@ -378,6 +449,9 @@ impl SimDrive for ToyDrive {
         self.answer.moving = self.generator.is_moving();
         self.answer.position = self.generator.position().round() as i64;
         self.answer.velocity = self.generator.velocity();
+        if let Some(packets) = &mut self.packets {
+            self.answer.sequence = packets.due(now)?;
+        }
         self.answer.emit(reply);
         Some(from)
     }
@@ -397,6 +471,8 @@ struct ToyBus {
     outbox: Outbox,
     stations: Vec<Station>,
     unmatched: Unmatched,
+    wire: ToyWire,
+    turns: Turns,
     defect: Option<Defect>,
 }
 
@@ -443,6 +519,9 @@ impl Bus for ToyBus {
     fn send(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
         // The answers of the cycle before may come between two windows, and count.
         self.take_in(slots);
+        if self.wire == ToyWire::HalfDuplex {
+            return self.send_in_turn(cycle, slots);
+        }
         for (index, slot) in slots.iter().enumerate() {
             let open = matches!(slot.exchange, Exchange::Owed { .. });
             let always = self.defect == Some(Defect::SendsWhatIsNotDue);
@@ -454,10 +533,13 @@ impl Bus for ToyBus {
                 Sent::At(sent_at) => {
                     station.sent();
                     slot.counters.sent += 1;
-                    slot.exchange = Exchange::Owed {
-                        sent_at,
-                        reply_by: cycle.deadline + cycle.period_ns,
-                        awaited: false,
+                    slot.exchange = match self.wire {
+                        ToyWire::OwnClock => station.exchange(sent_at, &mut slot.notices),
+                        _ => Exchange::Owed {
+                            sent_at,
+                            reply_by: cycle.deadline + cycle.period_ns,
+                            awaited: self.defect == Some(Defect::OpensTheWindowForEver),
+                        },
                     };
                 }
                 Sent::Idle => {}
@@ -472,21 +554,24 @@ impl Bus for ToyBus {
         }
     }
 
-    fn receive(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool {
+    fn receive(&mut self, _cycle: &Cycle, slots: &mut [Slot]) {
         self.take_in(slots);
-        let open = |slot: &Slot| match slot.exchange {
-            Exchange::Owed { reply_by, .. } => {
-                reply_by <= cycle.deadline || self.defect == Some(Defect::OpensTheWindowForEver)
-            }
-            _ => false,
-        };
-        !slots.iter().any(open)
+        self.turns.look(slots);
+    }
+
+    fn poll_at(&self) -> Option<Time> {
+        self.turns.poll_at().filter(|_| self.defect != Some(Defect::IsNotPolled))
+    }
+
+    fn poll(&mut self, cycle: &Cycle, now: Time, slots: &mut [Slot]) {
+        self.go_on(cycle, now, slots);
     }
 
     fn prepare(&mut self, cycle: &Cycle, slots: &mut [Slot]) {
         let missed = slots.iter().any(|slot| slot.exchange == Exchange::Missed);
         for (index, (station, slot)) in self.stations.iter_mut().zip(slots).enumerate() {
-            if slot.due && !(missed && station.is(Defect::SharesItsMisses)) {
+            let queued = slot.exchange == Exchange::Queued && !station.is(Defect::KeepsTheOldRequest);
+            if (slot.due || queued) && !(missed && station.is(Defect::SharesItsMisses)) {
                 station.told.number += u8::from(station.is(Defect::BuildsAnewEachTime));
                 station.advance(cycle.grid, slot);
                 self.outbox
@@ -498,7 +583,7 @@ impl Bus for ToyBus {
     }
 
     fn shut_down(&mut self, _cycle: &Cycle, slots: &mut [Slot]) -> bool {
-        !slots.iter().any(|slot| matches!(slot.exchange, Exchange::Owed { .. }))
+        !slots.iter().any(|slot| matches!(slot.exchange, Exchange::Owed { .. } | Exchange::Queued))
     }
 
     fn unmatched(&self) -> Unmatched {
@@ -518,16 +603,21 @@ impl Bus for ToyBus {
 /// The master's view of one toy.
 struct Station {
     axis: AxisPlan,
+    wire: ToyWire,
     defect: Option<Defect>,
     native: bool,
     ends: Option<AcyclicEnds>,
     port: Port,
     registers: [u64; 8],
+    /// The answer that the last call came with.
+    called_at: Time,
     /// Of the last request.
     sequence: u8,
     /// Bit n: the n-th request before the last one is not answered.
     unanswered: u64,
     sent: u64,
+    /// With its own clock: until when its newest packet counts.
+    fresh_until: Time,
     seen: bool,
     answer: Answer,
     told: Told,
@@ -539,18 +629,21 @@ struct Station {
 }
 
 impl Station {
-    fn new(axis: AxisPlan, defect: Option<Defect>) -> Station {
+    fn new(axis: AxisPlan, wire: ToyWire, defect: Option<Defect>) -> Station {
         let (ends, port) = acyclic::queue(axis.parameter_queue, Commanding::none());
         Station {
             axis,
+            wire,
             defect,
             native: true,
             ends: Some(ends),
             port,
             registers: [0; 8],
+            called_at: Time(0),
             sequence: 0,
             unanswered: 0,
             sent: 0,
+            fresh_until: Time(0),
             seen: false,
             answer: Answer::default(),
             told: Told::default(),
@@ -572,6 +665,9 @@ impl Station {
     }
 
     fn take(&mut self, at: Time, answer: &Answer, slot: &mut Slot) {
+        if self.wire == ToyWire::OwnClock {
+            return self.accept(at, answer, slot);
+        }
         let ago = u64::from(self.sequence.wrapping_sub(answer.sequence));
         if ago >= self.sent.min(64) {
             slot.counters.foreign += 1;
@@ -581,8 +677,8 @@ impl Station {
         self.unanswered &= !(1 << ago);
         match slot.exchange {
             Exchange::Owed { sent_at, .. } if ago == 0 || self.is(Defect::MatchesAnyReply) => {
-                // Whatever the wire takes, no round trip is to be made of it.
-                slot.exchange = Exchange::Answered { sent_at, at, suspect: true };
+                // Where it takes a cycle whatever the drive does, no round trip is to be made of it.
+                slot.exchange = Exchange::Answered { sent_at, at, suspect: self.wire == ToyWire::Later };
                 slot.counters.answered += 1;
                 self.read(at, answer, slot);
             }
@@ -597,9 +693,9 @@ impl Station {
     }
 
     /// One call an answer, if the drive is there.
-    fn call(&mut self, link: Link) {
+    fn call(&mut self, link: Link, answered_at: Time) {
         match link {
-            Link::Online => {}
+            Link::Online if answered_at > self.called_at => self.called_at = answered_at,
             Link::Unseen | Link::Lost if !self.is(Defect::ForgetsItsCalls) => {
                 return self.port.refuse_all(CallError::NotOnline);
             }
@@ -662,7 +758,7 @@ impl Station {
 
     /// Works on the order in the slot.
     fn advance(&mut self, now: Time, slot: &mut Slot) {
-        self.call(slot.link);
+        self.call(slot.link, slot.status.at);
         if self.serial != slot.order.serial {
             (self.serial, self.begun, self.end) = (slot.order.serial, now, None);
             self.begin(slot.order.verb);

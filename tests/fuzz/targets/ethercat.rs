@@ -208,7 +208,7 @@ impl Rig {
         self.check();
         for slot in &mut self.slots {
             slot.counters.missed +=
-                u64::from(matches!(slot.exchange, Exchange::Owed { .. } | Exchange::Absent));
+                u64::from(matches!(slot.exchange, Exchange::Owed { .. } | Exchange::Absent { .. }));
             slot.exchange = Exchange::Idle;
             let counters = slot.counters;
             assert_eq!(counters.sent, counters.answered + counters.missed, "{counters:?}");

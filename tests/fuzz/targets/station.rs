@@ -229,7 +229,8 @@ impl Rig {
                 self.slot.exchange = Exchange::Missed;
             }
             Exchange::Answered { .. } | Exchange::Unsent => self.slot.exchange = Exchange::Idle,
-            Exchange::Idle | Exchange::Missed | Exchange::Absent => {}
+            Exchange::Idle | Exchange::Missed | Exchange::Absent { .. } => {}
+            Exchange::Queued | Exchange::OwnClock { .. } => panic!("not of this wire: {:?}", self.slot),
         }
         self.slot.notices.fresh = false;
         self.slot.notices.restarted = false;

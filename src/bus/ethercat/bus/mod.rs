@@ -514,9 +514,8 @@ impl Bus for EthercatBus {
         self.crew.devices.iter_mut().for_each(|device| device.port.sent());
     }
 
-    fn receive(&mut self, cycle: &Cycle, slots: &mut [Slot]) -> bool {
+    fn receive(&mut self, _cycle: &Cycle, slots: &mut [Slot]) {
         self.take_in(true, slots);
-        !slots.iter().any(|slot| slot.exchange.is_waited_for(cycle))
     }
 
     fn prepare(&mut self, cycle: &Cycle, slots: &mut [Slot]) {

@@ -180,8 +180,8 @@ impl Crew for Seats {
         let Owner::Drive(index) = owner else { return };
         let Some(slot) = slots.get_mut(index) else { return };
         Own::PassedBy.count(&mut slot.counters);
-        if matches!(slot.exchange, Exchange::Owed { .. }) {
-            slot.exchange = Exchange::Absent;
+        if let Exchange::Owed { sent_at, .. } = slot.exchange {
+            slot.exchange = Exchange::Absent { sent_at };
         }
     }
 

@@ -293,7 +293,7 @@ impl Station {
         if said.is_some_and(|said| said.status == 0) && inputs.iter().all(|byte| *byte == 0) {
             // As the master has sent them: the slave has counted for its AL status alone.
             Own::PassedBy.count(&mut slot.counters);
-            slot.exchange = Exchange::Absent;
+            slot.exchange = Exchange::Absent { sent_at };
             return;
         }
         slot.exchange = Exchange::Answered { sent_at, at, suspect: false };

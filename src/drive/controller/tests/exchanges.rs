@@ -1,0 +1,101 @@
+//! Exchanges without a reply of their own, and those that wait for their turn.
+
+use super::*;
+use crate::time::US;
+
+/// One cycle with this exchange as the bus leaves it, and with a new report or not; the record of it.
+fn turn(x: &mut Alone, fresh: bool, exchange: impl Fn(Time) -> Exchange) -> DriveRecord {
+    x.index += 1;
+    let cycle = cycle(x.index);
+    let now = cycle.grid;
+    (x.slot.exchange, x.slot.notices.fresh) = (exchange(now), fresh);
+    if fresh {
+        x.slot.status.at = now;
+    }
+    x.controller.judge(&cycle, now, &mut x.slot);
+    x.controller.watch(&cycle, now, &mut x.slot);
+    x.controller.publish(0)
+}
+
+#[test]
+fn a_drive_with_its_own_clock_is_answered_while_its_newest_packet_counts() {
+    let mut x = Alone::new(plan()).online();
+    x.controller.publish(0);
+    let before = x.slot.counters;
+    let newest = Time((x.index + 1) * MS);
+    for (age, fresh) in [(0, true), (1, false), (2, false)] {
+        let counts = |now| Exchange::OwnClock { sent_at: now, fresh_until: newest + 3 * MS };
+        let record = turn(&mut x, fresh, counts);
+        assert_eq!((record.reply, record.rtt_ns), (Reply::Current, None));
+        assert_eq!(x.controller.feedback().age, age);
+        assert_eq!(record.age_ns, measured(u64::from(age) * MS));
+    }
+    let record = turn(&mut x, false, |now| Exchange::OwnClock { sent_at: now, fresh_until: now });
+    assert_eq!((record.reply, record.rtt_ns), (Reply::Missed, None));
+    let c = x.slot.counters;
+    assert_eq!((c.answered - before.answered, c.missed - before.missed, c.suspect), (3, 1, 0));
+    assert_eq!(x.slot.exchange, Exchange::Missed);
+}
+
+#[test]
+fn a_packet_counts_for_the_limits_whether_an_exchange_was_due_or_not() {
+    for due in [false, true] {
+        let mut x = ranged();
+        x.post(Command::Follow);
+        x.turn();
+        let mut cycles = 0;
+        while x.controller.feedback().stopped.is_none() {
+            let status = &mut x.slot.status;
+            (status.moving, status.velocity) = (true, 600.0);
+            status.demand += 0.6;
+            status.position = status.demand;
+            turn(&mut x, true, |now| match due {
+                true => Exchange::OwnClock { sent_at: now, fresh_until: now + MS },
+                false => Exchange::Idle,
+            });
+            cycles += 1;
+            assert!(cycles < 20, "faster than its limit");
+        }
+        assert_eq!(x.controller.feedback().stopped, Some(StopCause::Limit));
+    }
+}
+
+#[test]
+fn a_request_that_waits_for_its_turn_keeps_its_row_and_is_stamped_when_it_leaves() {
+    let mut x = following(plan(), &[(0, 0.01, 0.0), (0, 0.02, 0.0), (0, 0.03, 0.0)]);
+    let position = |row: Option<Row>| row.map(|row| row.position);
+    assert_eq!(position(x.fed_unsent()), Some(0.01));
+    let queued = |x: &mut Alone| {
+        x.slot.exchange = Exchange::Queued;
+        x.controller.sent(&cycle(x.index + 1), &mut x.slot);
+        let record = turn(x, false, |_| Exchange::Queued);
+        assert_eq!((record.reply, record.phase_ns), (Reply::Queued, None));
+        assert_eq!(x.slot.exchange, Exchange::Queued, "neither unsent nor missed");
+    };
+    let unsent = x.slot.counters;
+    for _ in 0..3 {
+        queued(&mut x);
+        assert_eq!(position(x.fed_unsent()), None, "the row has not left");
+    }
+    // In the send stage of a cycle in which it is not due, or in a window.
+    let record = turn(&mut x, false, |now| Exchange::Owed {
+        sent_at: now + 300 * US,
+        reply_by: now + 2 * MS,
+        awaited: false,
+    });
+    assert_eq!((record.reply, record.phase_ns), (Reply::Owed, measured(300 * US)));
+    assert_eq!(position(x.fed_unsent()), Some(0.02));
+    // Passed over, since the one before it is owed.
+    let sent_at = Time(x.index * MS) + 300 * US;
+    x.slot.exchange = Exchange::Owed { sent_at, reply_by: sent_at + 2 * MS, awaited: false };
+    x.controller.sent(&cycle(x.index + 1), &mut x.slot);
+    assert_eq!(position(x.fed_unsent()), None, "nor has this one");
+    // Sent and overdue in one window.
+    x.slot.exchange = Exchange::Idle;
+    queued(&mut x);
+    let record = turn(&mut x, false, |now| Exchange::Absent { sent_at: now + 100 * US });
+    assert_eq!((record.reply, record.phase_ns), (Reply::Missed, measured(100 * US)));
+    assert_eq!(record.jitter_ns, measured(200 * US));
+    assert_eq!(position(x.fed_unsent()), Some(0.03));
+    assert_eq!(x.slot.counters.unsent, unsent.unsent);
+}
