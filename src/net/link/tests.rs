@@ -411,7 +411,7 @@ fn the_thread_keeps_off_the_core_of_the_loop() {
     });
 }
 
-fn descriptors() -> usize {
+pub(in crate::net) fn descriptors() -> usize {
     std::fs::read_dir("/proc/self/fd").unwrap().count()
 }
 
