@@ -1,5 +1,5 @@
-//! Preallocated requests, one per peer, patched in place and posted when they are due. A peer may change from one posting
-//! to the next.
+//! Preallocated requests, one per peer, patched in place and posted when they are due. A peer may change from one
+//! posting to the next.
 
 use std::net::SocketAddrV4;
 

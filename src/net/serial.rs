@@ -84,8 +84,8 @@ impl SerialLine {
         bits.saturating_mul(S).div_ceil(u64::from(self.rate.max(1)))
     }
 
-    /// The time of so many bytes in a row on the wire, ns, rounded up: each has a start bit, 8 data bits, maybe a parity
-    /// bit, and a stop bit.
+    /// The time of so many bytes in a row on the wire, ns, rounded up: each has a start bit, 8 data bits, maybe a
+    /// parity bit, and a stop bit.
     pub fn span_ns(&self, bytes: usize) -> u64 {
         let bits = 10 + u64::from(self.parity == Parity::Even);
         self.bits_ns(bits.saturating_mul(bytes as u64))

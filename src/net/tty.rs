@@ -13,8 +13,8 @@ use std::os::unix::fs::{FileTypeExt, MetadataExt, OpenOptionsExt};
 use super::serial::{Parity, SerialLine};
 use crate::errors::no_descriptor;
 
-/// The rate of a driver may differ from the requested one by this fraction: a receiver samples the last of 11 bits in its
-/// middle, so that both ends together may be 4 % apart.
+/// The rate of a driver may differ from the requested one by this fraction: a receiver samples the last of 11 bits in
+/// its middle, so that both ends together may be 4 % apart.
 const RATE_TOLERANCE: f64 = 0.02;
 
 /// In `serial_struct.flags`: the driver hands on each byte at once (linux/tty_flags.h). An FTDI adapter waits for up to
@@ -56,8 +56,8 @@ pub(crate) fn open(path: &str, line: &SerialLine) -> io::Result<OwnedFd> {
     let port = OpenOptions::new()
         .read(true)
         .write(true)
-        // Without waiting for a carrier, without becoming the controlling terminal, and in no child process (the standard
-        // library opens with O_CLOEXEC).
+        // Without waiting for a carrier, without becoming the controlling terminal, and in no child process (the
+        // standard library opens with O_CLOEXEC).
         .custom_flags(libc::O_NOCTTY | libc::O_NONBLOCK)
         .open(path)
         .map_err(refused)?;

@@ -14,7 +14,8 @@ use crate::time::{MS, Time};
 /// The shortest pause, ns: a setting of 0 shall not turn into a storm of connections.
 const SHORTEST_PAUSE_NS: u64 = MS;
 
-/// The shortest time between two runs of a session by its own clock, ns: a mistake of ours shall not keep the thread busy.
+/// The shortest time between two runs of a session by its own clock, ns: a mistake of ours shall not keep the thread
+/// busy.
 const SHORTEST_RUN_NS: u64 = MS;
 
 /// The most bytes of a session that wait for the wire; then its peer reads nothing any more.

@@ -1,5 +1,5 @@
-//! The connections of one carrier on the link thread: their sockets, each opened, initialised, handed to the loop, taken
-//! back and closed; or kept, for a session. [`Connection`] says when to do what.
+//! The connections of one carrier on the link thread: their sockets, each opened, initialised, handed to the loop,
+//! taken back and closed; or kept, for a session. [`Connection`] says when to do what.
 
 use std::mem::take;
 use std::net::SocketAddrV4;

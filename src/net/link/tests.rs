@@ -514,3 +514,5 @@ fn the_loop_sees_that_the_link_thread_has_ended_and_keeps_what_is_open() {
     assert_eq!(healthy.send(0, b"stop").unwrap().1, 4);
     expect(&mut drive, b"stop");
 }
+
+mod sessions;

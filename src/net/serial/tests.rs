@@ -23,8 +23,8 @@ struct Pty {
 impl Pty {
     fn new() -> Pty {
         let mut name = [0; 64];
-        // SAFETY: plain numbers; the descriptor is new and nobody else's; the kernel writes at most 64 bytes, with a zero
-        // at their end.
+        // SAFETY: plain numbers; the descriptor is new and nobody else's; the kernel writes at most 64 bytes, with a
+        // zero at their end.
         unsafe {
             let end = libc::posix_openpt(libc::O_RDWR | libc::O_NOCTTY | libc::O_CLOEXEC);
             assert!(end >= 0, "{}", io::Error::last_os_error());

@@ -187,3 +187,33 @@ fn a_second_master_is_refused() {
     let second = Udp::bind(address(9, 1), &options(1, SendMode::Batch));
     assert_eq!(second.map(|_| ()).unwrap_err().kind(), io::ErrorKind::AddrInUse);
 }
+
+#[test]
+fn a_peer_may_change_from_one_send_to_the_next() {
+    for (x, mode) in [(11, SendMode::Batch), (12, SendMode::Each)] {
+        let mut udp = Udp::bind(address(x, 1), &options(2, mode)).unwrap();
+        let peers = [2, 3].map(|host| peer(x, host));
+        let mut outbox = outbox(&[address(x, 2), address(x, 2)]);
+        let mut bytes = [0; 8];
+        udp.send(&mut outbox);
+        assert_eq!((peers[0].recv(&mut bytes).unwrap(), peers[0].recv(&mut bytes).unwrap()), (1, 1));
+        outbox.set_peer(1, address(x, 3));
+        assert_eq!((outbox.peer(0), outbox.peer(1)), (address(x, 2), address(x, 3)));
+        (0..2).for_each(|index| outbox.post(index, true));
+        udp.send(&mut outbox);
+        for (index, peer) in peers.iter().enumerate() {
+            peer.recv(&mut bytes).unwrap();
+            assert_eq!(bytes[0], index as u8);
+        }
+    }
+}
+
+#[test]
+fn requests_carry_their_mark() {
+    for (x, dscp, tos) in [(13, 0, 0), (14, 47, 0xBC), (15, 63, 0xFC)] {
+        let udp = Udp::bind(address(x, 1), &UdpOptions { dscp, ..options(1, SendMode::Batch) }).unwrap();
+        assert_eq!(nix::sys::socket::getsockopt(&udp.socket, sockopt::Ipv4Tos).unwrap(), tos);
+    }
+}
+
+mod groups;

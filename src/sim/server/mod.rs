@@ -111,8 +111,8 @@ pub struct SimServer {
 }
 
 impl SimServer {
-    /// Binds the sockets of each drive and segment and the port of each serial wire, and serves them on one thread. Start
-    /// a second server for a second thread.
+    /// Binds the sockets of each drive and segment and the port of each serial wire, and serves them on one thread.
+    /// Start a second server for a second thread.
     ///
     /// A core or priority that is not available is no error: see [`realtime`](Self::realtime).
     ///

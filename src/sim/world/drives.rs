@@ -200,3 +200,6 @@ impl Inner {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

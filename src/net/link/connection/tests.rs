@@ -5,6 +5,7 @@ use std::net::SocketAddrV4;
 
 use crate::net::stream::{Greeting, StreamPeer};
 use crate::time::{Ns, S};
+
 use proptest::prelude::*;
 
 /// Sends `hello` and expects `welcome`; with nothing to send it is complete at once.
@@ -350,3 +351,5 @@ proptest! {
         }
     }
 }
+
+mod sessions;
