@@ -4,7 +4,6 @@
 //! A socket that is bound to a group's address receives nothing else, and the carrier's own socket receives nothing of
 //! the group. Sockets change owners by two wait-free rings, and the loop closes none.
 
-use std::collections::VecDeque;
 use std::fmt::Debug;
 use std::io;
 use std::net::{Ipv4Addr, SocketAddrV4};
@@ -19,7 +18,7 @@ use rtrb::{Consumer, Producer};
 
 use crate::rt::{self, Regions};
 
-/// Changes that wait for the loop, for each group. More are kept until it has taken some.
+/// Changes that may wait for the loop, for each group. Room for its leave is reserved with each join.
 const CHANGES: usize = 4;
 
 /// Joins and leaves multicast groups for a carrier: for normal threads, a session's for example.
@@ -28,7 +27,9 @@ pub trait Groups: Debug + Send + Sync {
     ///
     /// # Errors
     ///
-    /// [`InvalidInput`](io::ErrorKind::InvalidInput): it is no group, or one too many; others of the operating system.
+    /// [`InvalidInput`](io::ErrorKind::InvalidInput): it is no group, or one too many.
+    /// [`WouldBlock`](io::ErrorKind::WouldBlock): the loop has not taken earlier changes yet. Others of the operating
+    /// system.
     fn join(&self, group: SocketAddrV4) -> io::Result<()>;
 
     /// One of those who joined `group` needs it no longer. Whoever never joined it leaves nothing.
@@ -132,13 +133,9 @@ impl GroupSockets {
         epoll.add(own, EpollEvent::new(EpollFlags::EPOLLIN, OWN))?;
         let mut regions = Regions::new();
         let (changes_in, changes) = rt::memory::ring(CHANGES * most, &mut regions);
-        let (left, left_out) = rt::memory::ring(most, &mut regions);
-        let state = State {
-            members: Members::new(most),
-            backlog: VecDeque::new(),
-            changes: changes_in,
-            left: left_out,
-        };
+        // A socket that leaves comes with a change: there is always room.
+        let (left, left_out) = rt::memory::ring(CHANGES * most, &mut regions);
+        let state = State { members: Members::new(most), changes: changes_in, left: left_out };
         Ok(GroupSockets {
             epoll,
             sockets: (0..most).map(|_| None).collect(),
@@ -164,10 +161,9 @@ impl GroupSockets {
 
     /// Takes over new sockets, returns those of groups that were left, and looks which have something to receive.
     pub fn look(&mut self) -> usize {
-        // As many turns as there is room for changes, and only while a socket could be returned.
-        while self.left.slots() > 0
-            && let Ok(change) = self.changes.pop()
-        {
+        // No more turns than the ring has places: a normal thread may go on meanwhile.
+        for _ in 0..self.changes.slots() {
+            let Ok(change) = self.changes.pop() else { break };
             match change {
                 Change::Take(socket) => self.take(socket),
                 Change::Drop(fd) => self.drop(fd),
@@ -207,7 +203,7 @@ impl GroupSockets {
         let Some(socket) = self.sockets.iter_mut().find(is_it).and_then(Option::take) else { return };
         // It was added: this cannot fail.
         let _ = self.epoll.delete(&*socket.socket);
-        // There is room: see `look`.
+        // There is room: see `new`.
         let _ = self.left.push(socket.socket);
     }
 
@@ -232,26 +228,26 @@ struct Joiner {
 #[derive(Debug)]
 struct State {
     members: Members<Arc<OwnedFd>>,
-    /// Changes for which the ring had no room.
-    backlog: VecDeque<Change>,
     changes: Producer<Change>,
     left: Consumer<Arc<OwnedFd>>,
 }
 
 impl State {
-    fn post(&mut self, change: Change) {
-        self.backlog.push_back(change);
-        while self.changes.slots() > 0
-            && let Some(change) = self.backlog.pop_front()
-        {
-            // There is room.
-            let _ = self.changes.push(change);
-        }
-        if self.changes.is_abandoned() {
-            self.backlog.clear();
-        }
-        // Closes what the loop returned.
+    /// Closes what the loop returned.
+    fn close_left(&mut self) {
         while self.left.pop().is_ok() {}
+    }
+
+    /// Whether one more group can be joined now, and left later, like all others.
+    fn room(&self) -> io::Result<()> {
+        if self.changes.is_abandoned() {
+            return Err(io::Error::new(io::ErrorKind::BrokenPipe, "its bus is closed"));
+        }
+        if self.changes.slots() < self.members.groups.len() + 2 {
+            let message = "the loop has not taken earlier changes of groups yet: try again";
+            return Err(io::Error::new(io::ErrorKind::WouldBlock, message));
+        }
+        Ok(())
     }
 }
 
@@ -283,14 +279,18 @@ impl Joiner {
 impl Groups for Joiner {
     fn join(&self, group: SocketAddrV4) -> io::Result<()> {
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        state.close_left();
+        let room = state.room();
         let mut opened = None;
         state.members.join(group, || {
+            room?;
             let socket = Arc::new(self.open(group)?);
             opened = Some(Arc::clone(&socket));
             Ok(socket)
         })?;
         if let Some(socket) = opened {
-            state.post(Change::Take(socket));
+            // There is room.
+            let _ = state.changes.push(Change::Take(socket));
         }
         Ok(())
     }
@@ -304,6 +304,8 @@ impl Groups for Joiner {
             sockopt::IpDropMembership,
             &IpMembershipRequest::new(*group.ip(), Some(self.ip)),
         );
-        state.post(Change::Drop(socket.as_raw_fd()));
+        // Room for it was reserved with the join.
+        let _ = state.changes.push(Change::Drop(socket.as_raw_fd()));
+        state.close_left();
     }
 }

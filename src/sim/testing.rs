@@ -147,9 +147,9 @@ impl SimLine for Tally {
 /// datagram socket to the peer's host or to a group, as long as that host feeds it; anything else stops that. At its
 /// identity socket, which has the address of its stream, it answers with what it got.
 pub struct Producer {
-    pub ip: Ipv4Addr,
-    pub group: Option<SocketAddrV4>,
-    pub faults: FaultPlan,
+    ip: Ipv4Addr,
+    group: Option<SocketAddrV4>,
+    faults: FaultPlan,
     owner: Option<SocketAddrV4>,
     next: Time,
     dies: Time,
@@ -174,6 +174,11 @@ impl Producer {
             count: 0,
             hang: None,
         }
+    }
+
+    /// Its packets go to a group.
+    pub fn to(self, group: SocketAddrV4) -> Producer {
+        Producer { group: Some(group), ..self }
     }
 
     /// Where packets go to and come from.

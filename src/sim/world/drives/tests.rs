@@ -181,7 +181,7 @@ fn a_stranger_feeds_nobody_and_each_socket_knows_its_own() {
 
 #[test]
 fn packets_to_a_group_come_to_those_who_joined_it() {
-    let mut rig = Rig::new(Producer { group: Some(GROUP), ..Producer::new(DRIVE) });
+    let mut rig = Rig::new(Producer::new(DRIVE).to(GROUP));
     let groups = rig.net.groups().unwrap();
     rig.post(b'O');
     rig.world.advance(10 * MS);
