@@ -224,4 +224,6 @@ fn last_errno() -> i32 {
 }
 
 #[cfg(test)]
+pub(crate) mod testing;
+#[cfg(test)]
 mod tests;

@@ -1,11 +1,9 @@
 //! A port against a pseudo-terminal: every byte as it comes, nothing waits, and what goes away comes back.
 
-use std::fs::File;
 use std::io::{Read, Write};
-use std::os::fd::{AsRawFd, FromRawFd};
-use std::os::unix::fs::symlink;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
+use super::testing::Pty;
 use super::*;
 use crate::net::link::tests::{descriptors, until};
 use crate::net::{Carriers, Os};
@@ -13,51 +11,6 @@ use crate::rt::testing::in_own_process;
 use crate::rt::{Clock, PollSet};
 
 const LINE: SerialLine = SerialLine { rate: 1_500_000, parity: Parity::Even };
-
-/// A pseudo-terminal: our end, and the path of the port.
-struct Pty {
-    end: File,
-    path: String,
-}
-
-impl Pty {
-    fn new() -> Pty {
-        let mut name = [0; 64];
-        // SAFETY: plain numbers; the descriptor is new and nobody else's; the kernel writes at most 64 bytes, with a
-        // zero at their end.
-        unsafe {
-            let end = libc::posix_openpt(libc::O_RDWR | libc::O_NOCTTY | libc::O_CLOEXEC);
-            assert!(end >= 0, "{}", io::Error::last_os_error());
-            let end = File::from_raw_fd(end);
-            assert_eq!((libc::grantpt(end.as_raw_fd()), libc::unlockpt(end.as_raw_fd())), (0, 0));
-            assert_eq!(libc::ptsname_r(end.as_raw_fd(), name.as_mut_ptr(), name.len()), 0);
-            let path = std::ffi::CStr::from_ptr(name.as_ptr()).to_str().unwrap().to_owned();
-            Pty { end, path }
-        }
-    }
-
-    /// At `link`, in place of what was there.
-    fn at(self, link: &Path) -> Pty {
-        let _ = std::fs::remove_file(link);
-        symlink(&self.path, link).unwrap();
-        self
-    }
-
-    fn expect(&mut self, bytes: &[u8]) {
-        let mut got = vec![0; bytes.len()];
-        self.end.read_exact(&mut got).unwrap();
-        assert_eq!(got, bytes);
-    }
-
-    fn settings(&self) -> libc::termios2 {
-        // SAFETY: the kernel writes the settings of a live value, for which all bytes zero are valid.
-        unsafe {
-            let mut settings = std::mem::zeroed();
-            assert_eq!(libc::ioctl(self.end.as_raw_fd(), libc::TCGETS2, &raw mut settings), 0);
-            settings
-        }
-    }
-}
 
 fn open(path: &str) -> Box<dyn Serial> {
     let mut port = Os::default().serial(path, &LINE).unwrap();
