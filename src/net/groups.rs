@@ -99,7 +99,7 @@ enum Change {
 pub(super) struct GroupSocket {
     socket: Arc<OwnedFd>,
     /// The kernel's count of dropped datagrams, as last reported.
-    pub told: u32,
+    pub reported: u32,
 }
 
 impl AsFd for GroupSocket {
@@ -190,7 +190,7 @@ impl GroupSockets {
         };
         let event = EpollEvent::new(EpollFlags::EPOLLIN, OWN + 1 + place as u64);
         match self.epoll.add(&*socket, event) {
-            Ok(()) => self.sockets[place] = Some(GroupSocket { socket, told: 0 }),
+            Ok(()) => self.sockets[place] = Some(GroupSocket { socket, reported: 0 }),
             // The kernel cannot watch one more: what comes there is missing, and its drives are lost.
             Err(_) => drop(self.left.push(socket)),
         }

@@ -48,7 +48,7 @@ pub use groups::Groups;
 pub use lock::{Lock, Place};
 pub use outbox::{Outbox, Sent};
 pub use serial::{Parity, Serial, SerialLine};
-pub use session::{Session, SessionPeer, Sessions, Talk};
+pub use session::{Next, Session, SessionPeer, Sessions};
 pub use stream::{Broken, Greeted, Greeting, LinkNotes, StreamPeer, Streams};
 
 use crate::rt::Regions;

@@ -23,26 +23,26 @@ pub trait Session: Debug + Send {
     }
 
     /// A connection was opened at `now`: nothing of an earlier one is left. Appends the bytes to send to `out`.
-    fn opened(&mut self, now: Time, out: &mut Vec<u8>) -> Talk;
+    fn opened(&mut self, now: Time, out: &mut Vec<u8>) -> Next;
 
     /// Takes in what arrived, split anywhere, and appends the bytes to send to `out`.
-    fn received(&mut self, now: Time, bytes: &[u8], out: &mut Vec<u8>) -> Talk;
+    fn received(&mut self, now: Time, bytes: &[u8], out: &mut Vec<u8>) -> Next;
 
     /// When it wants to run by itself: a timeout, a request that is due. It runs once a millisecond at most.
     fn next_due(&self) -> Option<Time>;
 
     /// It is due, or somebody has woken it. Without a connection nothing that it appends to `out` is sent, and what it
     /// returns has no effect.
-    fn run(&mut self, now: Time, out: &mut Vec<u8>) -> Talk;
+    fn run(&mut self, now: Time, out: &mut Vec<u8>) -> Next;
 
     /// The connection has ended, for this reason: once for each that was opened. When the carrier is dropped, the
     /// session is dropped instead.
     fn closed(&mut self, now: Time, why: &str);
 }
 
-/// How a dialogue goes on.
+/// What becomes of the connection.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Talk {
+pub enum Next {
     /// The connection stays open.
     On,
     /// It ends in order after everything that was to be sent.

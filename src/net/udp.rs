@@ -300,9 +300,9 @@ impl Datagrams for Udp {
             }
             count += match groups.ready(k) {
                 Some(group) => {
-                    let mut told = group.told;
+                    let mut told = group.reported;
                     let received = inbox.receive(&*group, &mut told, most, take);
-                    group.told = told;
+                    group.reported = told;
                     received?
                 }
                 None => inbox.receive(&*socket, told, most, take)?,

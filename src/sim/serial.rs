@@ -1,4 +1,4 @@
-//! Drives on one serial wire: half duplex, each hears everybody, and what is sent at the same time collides.
+//! Drives on one serial wire: half duplex, each receives what everybody sends, and what is sent at the same time collides.
 //!
 //! A wire is a machine of state and time, the same behind a real port and in virtual time. Bytes take the time of their
 //! bits. What the master sends meets the faults when it has arrived, what a drive sends before it begins.
@@ -26,7 +26,7 @@ const MASTER: usize = 0;
 pub trait SimSerial: Any + Send {
     /// Bytes that the master or another drive has sent in a row; the last one ended at `now`. Those that collided with
     /// others are 0.
-    fn hear(&mut self, now: Time, bytes: &[u8]);
+    fn receive(&mut self, now: Time, bytes: &[u8]);
 
     /// When it wants to run by its own clock, to answer for example; queried after every other call.
     fn next_due(&self) -> Option<Time>;
@@ -50,9 +50,9 @@ pub struct SerialWire {
     pub port: String,
     /// The port at this end of the cable, where the master's is a real one.
     pub own_port: Option<String>,
-    /// How bytes are sent on it. A master with other settings hears and says nothing but zeros.
+    /// How bytes are sent on it. A master with other settings receives and sends nothing but zeros.
     pub line: SerialLine,
-    /// The master hears what it sends itself, as with a two-wire adapter.
+    /// The master receives what it sends itself, as with a two-wire adapter.
     pub echo: bool,
     /// The faults of its telegrams, each like a datagram. A fault of a drive itself hits the drives in turn.
     pub faults: FaultPlan,
@@ -81,7 +81,7 @@ pub(super) struct Medium {
     injector: Injector,
     /// What is on the wire, or follows at once.
     sending: Vec<Sending>,
-    /// By [`Way`]: requests to be heard, and replies that are to begin.
+    /// By [`Way`]: requests to be received, and replies that are to begin.
     under_way: [Queue; 2],
     /// Until when each drive rests.
     rests: Vec<Time>,
@@ -163,7 +163,7 @@ impl Medium {
 
     /// Drops what the master has not taken in, and what it has not begun to send.
     pub(super) fn discard(&mut self, now: Time) {
-        self.hear_master(now);
+        self.deliver(now);
         self.inbox.clear();
         for k in 0..self.sending.len() {
             if self.sending[k].by == MASTER {
@@ -201,19 +201,19 @@ impl Medium {
         let arrived = |sending: &Sending| {
             sending.taken < sending.bytes.len() && sending.from + line.span_ns(sending.taken + 1) <= now
         };
-        let heard = |sending: &&Sending| sending.by != MASTER || self.wire.echo;
-        !self.inbox.is_empty() || self.sending.iter().filter(heard).any(arrived)
+        let received = |sending: &&Sending| sending.by != MASTER || self.wire.echo;
+        !self.inbox.is_empty() || self.sending.iter().filter(received).any(arrived)
     }
 
     /// The master takes in what has arrived; how much of `room` is filled.
     pub(super) fn read(&mut self, now: Time, room: &mut [u8]) -> usize {
-        self.hear_master(now);
+        self.deliver(now);
         // Reading from this queue of bytes cannot fail, nor wait.
         std::io::Read::read(&mut self.inbox, room).unwrap_or(0)
     }
 
     /// Whole bytes come to the master, as they end.
-    fn hear_master(&mut self, now: Time) {
+    fn deliver(&mut self, now: Time) {
         let Medium { sending, inbox, wire, garbled, .. } = self;
         for sending in sending.iter_mut().filter(|sending| sending.by != MASTER || wire.echo) {
             while sending.taken < sending.bytes.len()
@@ -228,17 +228,17 @@ impl Medium {
         }
     }
 
-    /// The next thing that is due by `now` happens: the telegram that was heard or has begun, and when. False: there is
+    /// The next thing that is due by `now` happens: the telegram that was received or has begun, and when. False: there is
     /// nothing.
     pub(super) fn step(&mut self, now: Time, passed: &mut dyn FnMut(Time, &Parcel)) -> bool {
         let Some(due) = self.next_due().filter(|due| *due <= now) else { return false };
         if let Some(k) = self.sending.iter().position(|sending| self.end(sending) <= due) {
-            self.hear_master(due);
+            self.deliver(due);
             let sending = self.sending.swap_remove(k);
             self.ended(due, &sending);
         } else if let Some((_, parcel)) = self.under_way[Way::Request as usize].pop(due) {
             passed(due, &parcel);
-            self.wire.drives.iter_mut().for_each(|drive| drive.hear(due, &parcel.bytes));
+            self.wire.drives.iter_mut().for_each(|drive| drive.receive(due, &parcel.bytes));
             self.under_way[Way::Request as usize].recycle(parcel);
         } else if let Some((_, mut parcel)) = self.under_way[Way::Reply as usize].pop(due) {
             let by = usize::from(parcel.from.port() / 2);
@@ -256,14 +256,14 @@ impl Medium {
         true
     }
 
-    /// The last byte of `sending` has ended: everybody else has heard it.
+    /// The last byte of `sending` has ended: everybody else has received it.
     fn ended(&mut self, now: Time, sending: &Sending) {
         if sending.by == MASTER {
             self.pass(Way::Request, now, MASTER, &sending.bytes);
         } else {
             for (k, drive) in self.wire.drives.iter_mut().enumerate() {
                 if k + 1 != sending.by {
-                    drive.hear(now, &sending.bytes);
+                    drive.receive(now, &sending.bytes);
                 }
             }
         }

@@ -279,10 +279,10 @@ impl SimDrive for Producer {
 }
 
 /// A drive on a serial wire. It answers the telegram `[its number, value, !value]` after 11 bits with `[its number + 128,
-/// value, its count of answers]`, and has all that it has heard.
+/// value, its count of answers]`, and keeps everything that it received.
 pub struct Slave {
     pub number: u8,
-    pub heard: Vec<u8>,
+    pub received: Vec<u8>,
     pub restarts: usize,
     pub inhibited: Time,
     answers: u8,
@@ -296,7 +296,7 @@ impl Slave {
     pub fn new(number: u8) -> Slave {
         Slave {
             number,
-            heard: Vec::new(),
+            received: Vec::new(),
             restarts: 0,
             inhibited: Time::default(),
             answers: 0,
@@ -312,8 +312,8 @@ impl Slave {
 }
 
 impl SimSerial for Slave {
-    fn hear(&mut self, now: Time, bytes: &[u8]) {
-        self.heard.extend_from_slice(bytes);
+    fn receive(&mut self, now: Time, bytes: &[u8]) {
+        self.received.extend_from_slice(bytes);
         if let [number, value, complement] = bytes
             && (*number, *value) == (self.number, !complement)
         {

@@ -183,7 +183,7 @@ fn what_ended_before_the_master_did_is_not_lost() {
 #[test]
 fn the_link_thread_sees_everything_that_was_posted_however_few_wake_ups_there_were() {
     bounded(3, || {
-        // A post orders nothing by itself. The notification stands for the eventfd.
+        // A post synchronises nothing by itself. The notification stands for the eventfd.
         let posts = Arc::new([AtomicU64::new(0), AtomicU64::new(0)]);
         let (pending, event) = (Arc::new(Pending::new()), Arc::new(Notify::new()));
         let poster = |k: usize| {

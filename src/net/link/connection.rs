@@ -5,9 +5,9 @@
 //! [`poll`](Connection::poll) at [`next_due`](Connection::next_due) no wait is longer than the peer's [`Target`]
 //! allows.
 
-use super::peer::{Peer, Talker, Target};
+use super::peer::{Handler, Peer, Target};
 use super::words::{During, broken, no_answer, no_end, no_greeting};
-use crate::net::session::Talk;
+use crate::net::session::Next;
 use crate::net::stream::{Broken, Greeted, LinkNotes};
 use crate::time::{MS, Time};
 
@@ -61,7 +61,7 @@ enum Phase {
     /// The session wants no connection.
     Idle,
     /// The session has it.
-    Talking {
+    InSession {
         since: Time,
     },
     /// Only bytes to be sent are left of it.
@@ -74,7 +74,7 @@ enum Phase {
 #[derive(Debug)]
 pub struct Connection {
     target: Target,
-    talker: Talker,
+    handler: Handler,
     notes: LinkNotes,
     /// Its index in the notes.
     index: usize,
@@ -92,7 +92,7 @@ impl Connection {
     /// A connection that begins to open about `now`: peers created together start within an eighth of their least
     /// pause. The reason why it is not open goes to `notes` at `index`.
     pub fn new(now: Time, peer: impl Into<Peer>, notes: LinkNotes, index: usize) -> Connection {
-        let Peer { target, talker } = peer.into();
+        let Peer { target, handler } = peer.into();
         let mut connection = Connection {
             phase: Phase::Pausing { until: now },
             pause_ns: 0,
@@ -100,7 +100,7 @@ impl Connection {
             sent: 0,
             rests_until: now,
             target,
-            talker,
+            handler,
             notes,
             index,
         };
@@ -132,14 +132,14 @@ impl Connection {
             | Phase::Connecting { until }
             | Phase::Greeting { until, .. }
             | Phase::Ending { until } => Some(until),
-            Phase::HandedOver { .. } | Phase::Idle | Phase::Talking { .. } => None,
+            Phase::HandedOver { .. } | Phase::Idle | Phase::InSession { .. } => None,
         }
     }
 
     fn session_due(&self) -> Option<Time> {
-        match (&self.talker, self.phase) {
-            (Talker::Handshake(_), _) | (_, Phase::Ending { .. }) => None,
-            (Talker::Session(session), _) => session.next_due().map(|due| due.max(self.rests_until)),
+        match (&self.handler, self.phase) {
+            (Handler::Handshake(_), _) | (_, Phase::Ending { .. }) => None,
+            (Handler::Session(session), _) => session.next_due().map(|due| due.max(self.rests_until)),
         }
     }
 
@@ -159,7 +159,7 @@ impl Connection {
                 self.fail(now, no_greeting(self.target.address, self.target.greeting_ns))
             }
             Phase::Ending { .. } => self.fail(now, no_end(self.target.address, self.target.connect_ns)),
-            Phase::HandedOver { .. } | Phase::Idle | Phase::Talking { .. } => Action::Wait,
+            Phase::HandedOver { .. } | Phase::Idle | Phase::InSession { .. } => Action::Wait,
         }
     }
 
@@ -170,7 +170,7 @@ impl Connection {
 
     /// Opens a connection, unless a session wants none.
     fn connect(&mut self, now: Time) -> Action {
-        if let Talker::Session(session) = &self.talker
+        if let Handler::Session(session) = &self.handler
             && !session.wants()
         {
             self.phase = Phase::Idle;
@@ -181,11 +181,11 @@ impl Connection {
     }
 
     fn run(&mut self, now: Time) -> Action {
-        let Talker::Session(session) = &mut self.talker else { return Action::Wait };
+        let Handler::Session(session) = &mut self.handler else { return Action::Wait };
         self.rests_until = now + SHORTEST_RUN_NS;
-        let talk = session.run(now, &mut self.out);
-        if let Phase::Talking { .. } = self.phase {
-            return self.talked(now, talk);
+        let next = session.run(now, &mut self.out);
+        if let Phase::InSession { .. } = self.phase {
+            return self.proceed(now, next);
         }
         self.out.clear();
         if let Phase::Idle = self.phase { self.connect(now) } else { Action::Wait }
@@ -196,17 +196,17 @@ impl Connection {
         let Phase::Connecting { .. } = self.phase else { return Action::Wait };
         self.out.clear();
         self.sent = 0;
-        match &mut self.talker {
-            Talker::Handshake(greeting) => {
+        match &mut self.handler {
+            Handler::Handshake(greeting) => {
                 self.phase = Phase::Greeting { until: now + self.target.greeting_ns, done: false };
                 let greeted = greeting.begin(now, &mut self.out);
                 self.greeted(now, greeted)
             }
-            Talker::Session(session) => {
-                self.phase = Phase::Talking { since: now };
+            Handler::Session(session) => {
+                self.phase = Phase::InSession { since: now };
                 self.notes.set(self.index, None);
-                let talk = session.opened(now, &mut self.out);
-                self.talked(now, talk)
+                let next = session.opened(now, &mut self.out);
+                self.proceed(now, next)
             }
         }
     }
@@ -216,7 +216,7 @@ impl Connection {
         let when = match self.phase {
             Phase::Connecting { .. } => During::Opening,
             Phase::Greeting { .. } => During::Handshake,
-            Phase::Talking { .. } | Phase::Ending { .. } => During::Session,
+            Phase::InSession { .. } | Phase::Ending { .. } => During::Session,
             Phase::Pausing { .. } | Phase::HandedOver { .. } | Phase::Idle => return Action::Wait,
         };
         self.fail(now, broken(&self.target, why, when))
@@ -224,17 +224,17 @@ impl Connection {
 
     /// Bytes arrived, split anywhere.
     pub fn received(&mut self, now: Time, bytes: &[u8]) -> Action {
-        match (&mut self.talker, self.phase) {
-            (Talker::Handshake(greeting), Phase::Greeting { done: false, .. }) => {
+        match (&mut self.handler, self.phase) {
+            (Handler::Handshake(greeting), Phase::Greeting { done: false, .. }) => {
                 let greeted = greeting.take(now, bytes, &mut self.out);
                 self.greeted(now, greeted)
             }
             (_, Phase::Greeting { done: true, .. }) if !bytes.is_empty() => {
                 self.fail(now, format!("{} sends something that nobody requested", self.target.address))
             }
-            (Talker::Session(session), Phase::Talking { .. }) => {
-                let talk = session.received(now, bytes, &mut self.out);
-                self.talked(now, talk)
+            (Handler::Session(session), Phase::InSession { .. }) => {
+                let next = session.received(now, bytes, &mut self.out);
+                self.proceed(now, next)
             }
             _ => Action::Wait,
         }
@@ -265,11 +265,11 @@ impl Connection {
         }
     }
 
-    fn talked(&mut self, now: Time, talk: Talk) -> Action {
-        match talk {
-            Talk::On => {}
-            Talk::Over => self.phase = Phase::Ending { until: now + self.target.connect_ns },
-            Talk::Failed(why) => return self.fail(now, format!("{}: {why}", self.target.address)),
+    fn proceed(&mut self, now: Time, next: Next) -> Action {
+        match next {
+            Next::On => {}
+            Next::Over => self.phase = Phase::Ending { until: now + self.target.connect_ns },
+            Next::Failed(why) => return self.fail(now, format!("{}: {why}", self.target.address)),
         }
         self.go_on(now)
     }
@@ -290,10 +290,10 @@ impl Connection {
     fn go_on(&mut self, now: Time) -> Action {
         let left = self.to_send().len();
         match self.phase {
-            Phase::Talking { .. } | Phase::Ending { .. } if left > MOST_UNSENT => {
+            Phase::InSession { .. } | Phase::Ending { .. } if left > MOST_UNSENT => {
                 self.fail(now, format!("{} takes nothing of what it is sent", self.target.address))
             }
-            Phase::Talking { .. } if left == 0 => {
+            Phase::InSession { .. } if left == 0 => {
                 self.out.clear();
                 self.sent = 0;
                 Action::Wait
@@ -304,7 +304,9 @@ impl Connection {
                 self.pause(now);
                 Action::End
             }
-            Phase::Greeting { .. } | Phase::Talking { .. } | Phase::Ending { .. } if left > 0 => Action::Send,
+            Phase::Greeting { .. } | Phase::InSession { .. } | Phase::Ending { .. } if left > 0 => {
+                Action::Send
+            }
             Phase::Greeting { done: true, .. } => {
                 self.phase = Phase::HandedOver { since: now };
                 self.notes.set(self.index, None);
@@ -330,11 +332,11 @@ impl Connection {
 
     /// Reports the end of its connection to a session, if it had one.
     fn end(&mut self, now: Time, why: &str) {
-        if let Phase::Talking { since } = self.phase {
+        if let Phase::InSession { since } = self.phase {
             self.was_in_use(now, since);
         }
-        if let (Phase::Talking { .. } | Phase::Ending { .. }, Talker::Session(session)) =
-            (self.phase, &mut self.talker)
+        if let (Phase::InSession { .. } | Phase::Ending { .. }, Handler::Session(session)) =
+            (self.phase, &mut self.handler)
         {
             session.closed(now, why);
         }

@@ -2,7 +2,7 @@
 //!
 //! | file | what |
 //! |---|---|
-//! | `peer` | where a connection leads, and who talks on it |
+//! | `peer` | where a connection leads, and whose handshake or session it has |
 //! | `connection` | one connection's life, without a socket or a clock |
 //! | `words` | why a connection is not open |
 //! | `thread` | the thread that runs this life for all connections and ports of a master |

@@ -1,4 +1,4 @@
-//! Where a connection leads, and who talks on it.
+//! Where a connection leads, and whose handshake or session it has.
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 
@@ -24,9 +24,9 @@ pub struct Target {
     pub unacknowledged_ns: u64,
 }
 
-/// Who talks on a connection outside the loop.
+/// Whose bytes a connection has outside the loop.
 #[derive(Debug)]
-pub enum Talker {
+pub enum Handler {
     /// A handshake, before the loop gets it.
     Handshake(Box<dyn Greeting>),
     /// A session, which keeps it.
@@ -37,7 +37,7 @@ pub enum Talker {
 #[derive(Debug)]
 pub struct Peer {
     pub(super) target: Target,
-    pub(super) talker: Talker,
+    pub(super) handler: Handler,
 }
 
 impl From<StreamPeer> for Peer {
@@ -51,7 +51,7 @@ impl From<StreamPeer> for Peer {
             most_pause_ns: peer.most_pause_ns,
             unacknowledged_ns: peer.unacknowledged_ns,
         };
-        Peer { target, talker: Talker::Handshake(peer.greeting) }
+        Peer { target, handler: Handler::Handshake(peer.greeting) }
     }
 }
 
@@ -67,7 +67,7 @@ impl From<SessionPeer> for Peer {
             most_pause_ns: peer.most_pause_ns,
             unacknowledged_ns: peer.unacknowledged_ns,
         };
-        Peer { target, talker: Talker::Session(peer.session) }
+        Peer { target, handler: Handler::Session(peer.session) }
     }
 }
 

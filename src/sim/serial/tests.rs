@@ -40,7 +40,7 @@ fn slave(medium: &mut Medium, k: usize) -> &mut Slave {
 }
 
 #[test]
-fn bytes_take_their_time_and_everybody_hears_everybody() {
+fn bytes_take_their_time_and_everybody_receives_everything() {
     let mut medium = Medium::new(wire(&[7, 9]));
     assert_eq!((medium.next_due(), medium.is_readable(START)), (None, false));
     assert_eq!(medium.write(START, &Slave::request(7, 5)), 3);
@@ -49,7 +49,7 @@ fn bytes_take_their_time_and_everybody_hears_everybody() {
     assert_eq!(medium.unsent(START + BYTE), 1);
     assert_eq!(medium.unsent(START + 2 * BYTE), 0);
     run(&mut medium, START + (3 * BYTE - 1));
-    assert!(slave(&mut medium, 0).heard.is_empty());
+    assert!(slave(&mut medium, 0).received.is_empty());
     run(&mut medium, START + 3 * BYTE);
     let begin = START + (3 * BYTE + TURN);
     assert_eq!(medium.next_due(), Some(begin));
@@ -60,8 +60,8 @@ fn bytes_take_their_time_and_everybody_hears_everybody() {
     assert_eq!(read(&mut medium, begin + (3 * BYTE - 1)), [5]);
     assert_eq!(read(&mut medium, begin + 3 * BYTE), [1]);
     let request = Slave::request(7, 5);
-    assert_eq!(slave(&mut medium, 0).heard, request, "not itself");
-    assert_eq!(slave(&mut medium, 1).heard, [&request[..], &[135, 5, 1]].concat());
+    assert_eq!(slave(&mut medium, 0).received, request, "not itself");
+    assert_eq!(slave(&mut medium, 1).received, [&request[..], &[135, 5, 1]].concat());
     assert_eq!(medium.next_due(), None);
 }
 
@@ -72,9 +72,9 @@ fn what_follows_at_once_follows_without_a_gap_and_only_a_driver_full_is_taken() 
     medium.write(START, &[3]);
     assert_eq!(medium.next_due(), Some(START + 2 * BYTE));
     run(&mut medium, START + (3 * BYTE - 1));
-    assert_eq!(slave(&mut medium, 0).heard, [1, 2]);
+    assert_eq!(slave(&mut medium, 0).received, [1, 2]);
     run(&mut medium, START + 3 * BYTE);
-    assert_eq!(slave(&mut medium, 0).heard, [1, 2, 3]);
+    assert_eq!(slave(&mut medium, 0).received, [1, 2, 3]);
     let now = START + 10 * BYTE;
     assert_eq!(medium.write(now, &[0; 2 * DRIVER]), DRIVER);
     // One of them is on the wire.
@@ -100,8 +100,8 @@ fn what_overlaps_is_lost_at_both_and_nothing_else_is() {
     assert_eq!(got, [136, 6, 0]);
     run(&mut medium, begin + 9 * BYTE);
     // The first byte of it overlapped: no slave knows it.
-    let heard = &slave(&mut medium, 2).heard;
-    assert_eq!(heard[heard.len() - 3..], [0, 7, !7]);
+    let received = &slave(&mut medium, 2).received;
+    assert_eq!(received[received.len() - 3..], [0, 7, !7]);
     assert_eq!(read(&mut medium, begin + 99 * BYTE), [0; 0]);
 }
 
@@ -115,23 +115,23 @@ fn a_two_wire_adapter_echoes_and_other_settings_garble() {
     medium.set_master(&SerialLine { rate: 9_600, ..Slave::LINE });
     medium.write(START, &Slave::request(7, 5));
     run(&mut medium, end);
-    assert_eq!(slave(&mut medium, 0).heard, [0; 3]);
+    assert_eq!(slave(&mut medium, 0).received, [0; 3]);
     medium.set_master(&Slave::LINE);
     medium.write(end, &Slave::request(7, 5));
     medium.set_master(&SerialLine { parity: crate::net::Parity::None, ..Slave::LINE });
     assert_eq!(read(&mut medium, end + 10 * BYTE), [0; 3]);
 }
 
-/// What the master hears of so many requests, one a millisecond, with these faults.
+/// What the master receives for so many requests, one a millisecond, with these faults.
 fn exchange(faults: FaultPlan, count: u8) -> (Vec<Vec<u8>>, Medium) {
     let mut medium = Medium::new(SerialWire { faults, ..wire(&[7, 9]) });
-    let heard = (0..count).map(|number| {
+    let received = (0..count).map(|number| {
         let now = START + u64::from(number) * 1_000 * US;
         run(&mut medium, now);
         medium.write(now, &Slave::request(7, number));
         read(&mut medium, now + 999 * US)
     });
-    (heard.collect(), medium)
+    (received.collect(), medium)
 }
 
 #[test]
@@ -141,20 +141,20 @@ fn each_fault_does_to_telegrams_what_its_name_says() {
         change(&mut plan);
         exchange(plan, 4)
     };
-    let (heard, medium) = only(|_| ());
-    assert_eq!((&heard[1][..], medium.injected()), (&[135, 1, 2][..], Injected::default()));
-    let (heard, medium) = only(|plan| plan.drop = 1.0);
-    assert_eq!((heard.concat().len(), medium.injected().dropped), (0, 4));
-    let (heard, medium) = only(|plan| plan.wrong_id = 1.0);
-    assert_eq!((&heard[1][..], medium.injected().wrong_id), (&[135 ^ 0x40, 1, 2][..], 4));
-    let (heard, medium) = only(|plan| plan.corrupt = 1.0);
-    assert_eq!((heard.concat().len(), medium.injected().corrupted), (0, 4), "no slave knows its request");
-    let (heard, medium) = only(|plan| plan.delay = 1.0);
-    assert_eq!((&heard[1][..], medium.injected().delayed), (&[135, 1, 2][..], 8));
-    let (heard, medium) = only(|plan| plan.duplicate = 1.0);
-    assert_eq!((heard[1].len(), medium.injected().duplicated), (6, 8));
-    let (heard, mut medium) = only(|plan| plan.restart = 1.0);
-    assert_eq!((heard.concat().len(), medium.injected().restarts), (0, 4));
+    let (received, medium) = only(|_| ());
+    assert_eq!((&received[1][..], medium.injected()), (&[135, 1, 2][..], Injected::default()));
+    let (received, medium) = only(|plan| plan.drop = 1.0);
+    assert_eq!((received.concat().len(), medium.injected().dropped), (0, 4));
+    let (received, medium) = only(|plan| plan.wrong_id = 1.0);
+    assert_eq!((&received[1][..], medium.injected().wrong_id), (&[135 ^ 0x40, 1, 2][..], 4));
+    let (received, medium) = only(|plan| plan.corrupt = 1.0);
+    assert_eq!((received.concat().len(), medium.injected().corrupted), (0, 4), "no slave knows its request");
+    let (received, medium) = only(|plan| plan.delay = 1.0);
+    assert_eq!((&received[1][..], medium.injected().delayed), (&[135, 1, 2][..], 8));
+    let (received, medium) = only(|plan| plan.duplicate = 1.0);
+    assert_eq!((received[1].len(), medium.injected().duplicated), (6, 8));
+    let (received, mut medium) = only(|plan| plan.restart = 1.0);
+    assert_eq!((received.concat().len(), medium.injected().restarts), (0, 4));
     assert_eq!((slave(&mut medium, 0).restarts, slave(&mut medium, 1).restarts), (2, 2), "in turn");
     let (_, mut medium) = only(|plan| (plan.inhibit, plan.inhibit_ns) = (1.0, 7));
     assert!(slave(&mut medium, 1).inhibited > START);
@@ -172,7 +172,7 @@ fn the_same_seed_makes_the_same_wire() {
         reorder: 0.1,
         ..FaultPlan::default()
     };
-    let heard = |faults: &FaultPlan| exchange(faults.clone(), 250).0;
-    assert_eq!(heard(&stormy), heard(&stormy));
-    assert_ne!(heard(&stormy), heard(&FaultPlan { seed: 4, ..stormy.clone() }));
+    let received = |faults: &FaultPlan| exchange(faults.clone(), 250).0;
+    assert_eq!(received(&stormy), received(&stormy));
+    assert_ne!(received(&stormy), received(&FaultPlan { seed: 4, ..stormy.clone() }));
 }

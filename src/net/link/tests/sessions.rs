@@ -7,7 +7,7 @@ use super::*;
 use crate::axis::acyclic::{Acyclic, Answer, Call, CallError, Carrier, Commanding, Port, Posted, queue};
 use crate::axis::{Feedback, Observer, cell};
 use crate::bus::linudp::upid::Upids;
-use crate::net::{Session, SessionPeer, Sessions, Talk};
+use crate::net::{Next, Session, SessionPeer, Sessions};
 
 /// Registers with one byte, and answers calls: the low byte of a value out, and the peer's one back. It ends in order
 /// at the value 255.
@@ -16,12 +16,12 @@ struct Toy {
     calls: Port,
     under_way: Option<Posted>,
     registered: bool,
-    told: Arc<Told>,
+    log: Arc<Log>,
 }
 
-/// What a session was told.
+/// What happened to a session.
 #[derive(Debug, Default)]
-struct Told {
+struct Log {
     opened: AtomicU64,
     closed: AtomicU64,
     dropped: AtomicU64,
@@ -30,7 +30,7 @@ struct Told {
 const BYE: u64 = 255;
 
 impl Toy {
-    fn serve(&mut self, out: &mut Vec<u8>) -> Talk {
+    fn serve(&mut self, out: &mut Vec<u8>) -> Next {
         while self.under_way.is_none()
             && let Some(posted) = self.calls.take()
         {
@@ -39,7 +39,7 @@ impl Toy {
                 BYE => {
                     self.calls.end(&posted, Ok(Answer::default()));
                     out.push(b'.');
-                    return Talk::Over;
+                    return Next::Over;
                 }
                 value => {
                     out.extend([b'?', value as u8]);
@@ -47,18 +47,18 @@ impl Toy {
                 }
             }
         }
-        Talk::On
+        Next::On
     }
 }
 
 impl Session for Toy {
-    fn opened(&mut self, _now: Time, out: &mut Vec<u8>) -> Talk {
-        self.told.opened.fetch_add(1, Ordering::Relaxed);
+    fn opened(&mut self, _now: Time, out: &mut Vec<u8>) -> Next {
+        self.log.opened.fetch_add(1, Ordering::Relaxed);
         out.push(b'R');
-        Talk::On
+        Next::On
     }
 
-    fn received(&mut self, _now: Time, bytes: &[u8], out: &mut Vec<u8>) -> Talk {
+    fn received(&mut self, _now: Time, bytes: &[u8], out: &mut Vec<u8>) -> Next {
         for byte in bytes {
             match (self.registered, self.under_way.take()) {
                 (false, _) if *byte == b'r' => self.registered = true,
@@ -66,7 +66,7 @@ impl Session for Toy {
                     let answer = Answer { value: u64::from(*byte), ..Answer::default() };
                     self.calls.end(&posted, Ok(answer));
                 }
-                _ => return Talk::Failed(format!("sends {byte}")),
+                _ => return Next::Failed(format!("sends {byte}")),
             }
         }
         self.serve(out)
@@ -76,12 +76,12 @@ impl Session for Toy {
         None
     }
 
-    fn run(&mut self, _now: Time, out: &mut Vec<u8>) -> Talk {
+    fn run(&mut self, _now: Time, out: &mut Vec<u8>) -> Next {
         self.serve(out)
     }
 
     fn closed(&mut self, _now: Time, _why: &str) {
-        self.told.closed.fetch_add(1, Ordering::Relaxed);
+        self.log.closed.fetch_add(1, Ordering::Relaxed);
         self.registered = false;
         if let Some(posted) = self.under_way.take() {
             self.calls.end(&posted, Err(CallError::Lost));
@@ -91,14 +91,14 @@ impl Session for Toy {
 
 impl Drop for Toy {
     fn drop(&mut self) {
-        self.told.dropped.fetch_add(1, Ordering::Relaxed);
+        self.log.dropped.fetch_add(1, Ordering::Relaxed);
     }
 }
 
-fn toy() -> (Toy, crate::axis::acyclic::AcyclicEnds, Arc<Told>) {
+fn toy() -> (Toy, crate::axis::acyclic::AcyclicEnds, Arc<Log>) {
     let (ends, calls) = queue(8, Commanding::none());
-    let told = Arc::new(Told::default());
-    (Toy { calls, under_way: None, registered: false, told: Arc::clone(&told) }, ends, told)
+    let log = Arc::new(Log::default());
+    (Toy { calls, under_way: None, registered: false, log: Arc::clone(&log) }, ends, log)
 }
 
 fn peer(address: SocketAddrV4, session: impl Session + 'static) -> SessionPeer {
@@ -111,12 +111,12 @@ fn peer(address: SocketAddrV4, session: impl Session + 'static) -> SessionPeer {
 }
 
 /// A session with `address`, and the application's end of its calls.
-fn session(os: &Os, address: SocketAddrV4) -> (Sessions, Acyclic, Arc<Told>) {
-    let (toy, ends, told) = toy();
+fn session(os: &Os, address: SocketAddrV4) -> (Sessions, Acyclic, Arc<Log>) {
+    let (toy, ends, log) = toy();
     let sessions = os.sessions(vec![peer(address, toy)]).unwrap();
     let ends = ends.waking(sessions.waker(0).unwrap().clone());
     let (_, reader) = cell::cell(Feedback::default());
-    (sessions, Acyclic::new("x", ends, Arc::new(Upids), Observer(reader), Duration::ZERO), told)
+    (sessions, Acyclic::new("x", ends, Arc::new(Upids), Observer(reader), Duration::ZERO), log)
 }
 
 fn call(value: u64) -> Call {
@@ -125,17 +125,17 @@ fn call(value: u64) -> Call {
 
 /// Answers each request with its value and one more, until the peer ends the connection.
 fn serve(mut drive: TcpStream) -> Vec<u8> {
-    let (mut said, mut asked) = (Vec::new(), false);
+    let (mut said, mut begun) = (Vec::new(), false);
     let mut room = [0; 64];
     while let Ok(count @ 1..) = drive.read(&mut room) {
         for byte in &room[..count] {
             said.push(*byte);
-            match (asked, byte) {
+            match (begun, byte) {
                 (true, value) => drive.write_all(&[value + 1]).unwrap(),
                 (false, b'R') => drive.write_all(b"r").unwrap(),
                 _ => {}
             }
-            asked = !asked && *byte == b'?';
+            begun = !begun && *byte == b'?';
         }
     }
     said
@@ -149,7 +149,7 @@ fn until_online(acyclic: &Acyclic) {
 #[test]
 fn calls_are_served_on_the_thread_and_a_post_wakes_it() {
     let listener = listener(address(20, 10));
-    let (sessions, acyclic, told) = session(&Os::default(), address(20, 10));
+    let (sessions, acyclic, log) = session(&Os::default(), address(20, 10));
     assert_eq!(acyclic.run(&[call(1)], LONG).failed, Some(CallError::NotOnline));
     let drive = accept(&listener);
     let served = std::thread::spawn(|| serve(drive));
@@ -172,7 +172,7 @@ fn calls_are_served_on_the_thread_and_a_post_wakes_it() {
         || serve(drive)
     });
     until_online(&acyclic);
-    assert_eq!((told.opened.load(Ordering::Relaxed), told.closed.load(Ordering::Relaxed)), (2, 1));
+    assert_eq!((log.opened.load(Ordering::Relaxed), log.closed.load(Ordering::Relaxed)), (2, 1));
     drop(sessions);
     served.join().unwrap();
     assert_eq!(acyclic.run(&[call(1)], LONG).failed, Some(CallError::Gone));
@@ -181,7 +181,7 @@ fn calls_are_served_on_the_thread_and_a_post_wakes_it() {
 #[test]
 fn a_session_survives_every_end_of_its_connection_and_each_call_has_one_end() {
     let listener = listener(address(21, 10));
-    let (_sessions, acyclic, told) = session(&Os::default(), address(21, 10));
+    let (_sessions, acyclic, log) = session(&Os::default(), address(21, 10));
     let poster = std::thread::spawn(move || {
         let (mut done, mut failed) = (0, 0);
         while done < 60 || failed < 20 {
@@ -231,7 +231,7 @@ fn a_session_survives_every_end_of_its_connection_and_each_call_has_one_end() {
     poster.join().unwrap();
     assert!(rounds >= 10, "{rounds}");
     until("the last end", || {
-        let (opened, closed) = (told.opened.load(Ordering::Relaxed), told.closed.load(Ordering::Relaxed));
+        let (opened, closed) = (log.opened.load(Ordering::Relaxed), log.closed.load(Ordering::Relaxed));
         opened <= closed + 1 && opened >= rounds
     });
 }
@@ -244,7 +244,7 @@ fn thousands_of_sessions_end_at_any_moment_without_a_hang_and_leave_nothing() {
             let before = descriptors();
             let listener = listener(address(22, 10));
             for round in 0..3_000 {
-                let (sessions, acyclic, told) = session(&Os::default(), address(22, 10));
+                let (sessions, acyclic, log) = session(&Os::default(), address(22, 10));
                 let waker = sessions.waker(0).unwrap().clone();
                 match round % 5 {
                     0 => drop(acyclic.post(call(1), LONG)),
@@ -255,7 +255,7 @@ fn thousands_of_sessions_end_at_any_moment_without_a_hang_and_leave_nothing() {
                 }
                 drop(sessions);
                 // The thread has ended with its last carrier, and the session with it.
-                assert_eq!(told.dropped.load(Ordering::Relaxed), 1);
+                assert_eq!(log.dropped.load(Ordering::Relaxed), 1);
                 assert_eq!(acyclic.run(&[call(1)], LONG).failed, Some(CallError::Gone));
                 while listener.accept().is_ok() {}
             }
@@ -270,19 +270,19 @@ fn thousands_of_sessions_end_at_any_moment_without_a_hang_and_leave_nothing() {
 struct Panicking;
 
 impl Session for Panicking {
-    fn opened(&mut self, _now: Time, _out: &mut Vec<u8>) -> Talk {
-        Talk::On
+    fn opened(&mut self, _now: Time, _out: &mut Vec<u8>) -> Next {
+        Next::On
     }
 
-    fn received(&mut self, _now: Time, _bytes: &[u8], _out: &mut Vec<u8>) -> Talk {
-        Talk::On
+    fn received(&mut self, _now: Time, _bytes: &[u8], _out: &mut Vec<u8>) -> Next {
+        Next::On
     }
 
     fn next_due(&self) -> Option<Time> {
         None
     }
 
-    fn run(&mut self, _now: Time, _out: &mut Vec<u8>) -> Talk {
+    fn run(&mut self, _now: Time, _out: &mut Vec<u8>) -> Next {
         panic!("a session that panics, on purpose");
     }
 

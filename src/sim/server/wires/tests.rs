@@ -58,7 +58,7 @@ fn answer(master: &mut dyn Serial) -> Result<Vec<u8>, Broken> {
     end.map_or(Ok(got), Err)
 }
 
-fn ask(master: &mut dyn Serial, number: u8, value: u8) -> Result<Vec<u8>, Broken> {
+fn exchange(master: &mut dyn Serial, number: u8, value: u8) -> Result<Vec<u8>, Broken> {
     assert_eq!(master.send(&Slave::request(number, value))?.1, 3);
     answer(master)
 }
@@ -69,9 +69,9 @@ fn a_local_wire_answers_and_counts() {
     let mut server = start(&port, None, FaultPlan::default()).unwrap();
     let mut master = open(&port);
     for value in 0..50 {
-        assert_eq!(ask(&mut *master, 7, value).unwrap(), [135, value, value + 1]);
+        assert_eq!(exchange(&mut *master, 7, value).unwrap(), [135, value, value + 1]);
     }
-    assert_eq!((ask(&mut *master, 9, 1).unwrap(), master.unsent()), (vec![137, 1, 1], Ok(0)));
+    assert_eq!((exchange(&mut *master, 9, 1).unwrap(), master.unsent()), (vec![137, 1, 1], Ok(0)));
     server.end();
     assert_eq!(answer(&mut *master), Err(Broken::Closed));
     assert_eq!(master.send(b"x"), Err(Broken::Failed(libc::EPIPE)));
@@ -91,7 +91,7 @@ fn a_local_wire_comes_and_goes_and_has_one_master() {
         let server = start(&port, None, FaultPlan::default()).unwrap();
         assert!(start(&port, None, FaultPlan::default()).unwrap_err().to_string().contains("is taken"));
         until("opened", || master.opened());
-        assert_eq!(ask(&mut *master, 7, 3).unwrap(), [135, 3, 1]);
+        assert_eq!(exchange(&mut *master, 7, 3).unwrap(), [135, 3, 1]);
         // A second master is sent away, and the first one goes on.
         let mut second = open(&port);
         let sent_away = answer(&mut *second).or_else(|why| match why {
@@ -99,7 +99,7 @@ fn a_local_wire_comes_and_goes_and_has_one_master() {
             other => Err(other),
         });
         assert_eq!(sent_away, Ok(vec![]));
-        assert_eq!(ask(&mut *master, 7, 4).unwrap(), [135, 4, 2]);
+        assert_eq!(exchange(&mut *master, 7, 4).unwrap(), [135, 4, 2]);
         drop(server);
         assert!(answer(&mut *master).is_err());
         master.abandon("it ended");
@@ -114,12 +114,12 @@ fn a_master_that_leaves_makes_room_for_the_next_one() {
         let mut master = open(&port);
         if round % 2 == 0 {
             // Sent away if the server has not seen the end of the one before.
-            let _ = ask(&mut *master, 7, 1);
+            let _ = exchange(&mut *master, 7, 1);
         }
         drop(master);
     }
     let mut master = open(&port);
-    until("served", || match ask(&mut *master, 9, 5) {
+    until("served", || match exchange(&mut *master, 9, 5) {
         Ok(answer) => answer[..2] == [137, 5],
         Err(_) => {
             master.abandon("sent away");
@@ -138,7 +138,7 @@ fn faults_on_a_wire_are_injected_counted_and_accounted_for() {
     let mut master = open(&port);
     let mut wrong = 0;
     for value in 0..100 {
-        let answer = ask(&mut *master, 7, value).unwrap();
+        let answer = exchange(&mut *master, 7, value).unwrap();
         wrong += u64::from(answer[0] != 135);
         assert_eq!(answer[1], value);
     }
@@ -190,7 +190,7 @@ fn a_wire_at_the_other_end_of_a_cable_answers_the_same_way() {
     let server = start(&near, Some(far), FaultPlan::default()).unwrap();
     let mut master = open(&near);
     for value in 0..50 {
-        assert_eq!(ask(&mut *master, 9, value).unwrap(), [137, value, value + 1]);
+        assert_eq!(exchange(&mut *master, 9, value).unwrap(), [137, value, value + 1]);
     }
     drop(cable);
     assert!(answer(&mut *master).is_err());

@@ -5,7 +5,7 @@ use std::net::Ipv4Addr;
 use std::sync::{Arc, Mutex};
 
 use super::*;
-use crate::net::{Carriers, Datagrams, Outbox, SendMode, Session, SessionPeer, Sessions, Talk, UdpOptions};
+use crate::net::{Carriers, Datagrams, Next, Outbox, SendMode, Session, SessionPeer, Sessions, UdpOptions};
 use crate::rt::{Clock, PollSet};
 use crate::sim::FaultPlan;
 use crate::sim::testing::Producer;
@@ -17,7 +17,7 @@ const MASTER: Ipv4Addr = Ipv4Addr::new(10, 0, 3, 1);
 const DRIVE: Ipv4Addr = Ipv4Addr::new(10, 0, 3, 7);
 const GROUP: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::new(239, 192, 1, 64), 2_222);
 
-/// What a session was told, and what it is to do.
+/// What happened to a session, and what it is to do.
 #[derive(Debug, Default)]
 struct Log {
     opened: usize,
@@ -27,37 +27,37 @@ struct Log {
 }
 
 #[derive(Debug, Default, Clone)]
-struct Ask(Arc<Mutex<Log>>);
+struct Requests(Arc<Mutex<Log>>);
 
-impl Ask {
+impl Requests {
     fn with<R>(&self, f: impl FnOnce(&mut Log) -> R) -> R {
         f(&mut self.0.lock().unwrap())
     }
 }
 
-impl Session for Ask {
-    fn opened(&mut self, now: Time, out: &mut Vec<u8>) -> Talk {
+impl Session for Requests {
+    fn opened(&mut self, now: Time, out: &mut Vec<u8>) -> Next {
         self.with(|log| log.opened += 1);
         self.run(now, out)
     }
 
-    fn received(&mut self, _now: Time, bytes: &[u8], _out: &mut Vec<u8>) -> Talk {
+    fn received(&mut self, _now: Time, bytes: &[u8], _out: &mut Vec<u8>) -> Next {
         self.with(|log| log.got.extend_from_slice(bytes));
-        Talk::On
+        Next::On
     }
 
     fn next_due(&self) -> Option<Time> {
         None
     }
 
-    fn run(&mut self, _now: Time, out: &mut Vec<u8>) -> Talk {
+    fn run(&mut self, _now: Time, out: &mut Vec<u8>) -> Next {
         match self.with(|log| log.say.pop_front()) {
-            Some(b'.') => Talk::Over,
+            Some(b'.') => Next::Over,
             Some(byte) => {
                 out.push(byte);
-                Talk::On
+                Next::On
             }
-            None => Talk::On,
+            None => Next::On,
         }
     }
 
@@ -70,7 +70,7 @@ struct Rig {
     world: World,
     net: Box<dyn Datagrams>,
     outbox: Outbox,
-    ask: Ask,
+    session: Requests,
     sessions: Sessions,
 }
 
@@ -81,21 +81,21 @@ impl Rig {
         let options =
             UdpOptions { peers: 1, waiting: 0, room: 16, send: SendMode::Batch, dscp: 0, groups: 1 };
         let net = world.datagrams(Producer::packets(MASTER), &options).unwrap();
-        let ask = Ask::default();
+        let session = Requests::default();
         let peer = SessionPeer {
             bind: Some(MASTER),
-            ..SessionPeer::new(Producer::stream(DRIVE), Box::new(ask.clone()))
+            ..SessionPeer::new(Producer::stream(DRIVE), Box::new(session.clone()))
         };
         let sessions = world.sessions(vec![peer]).unwrap();
         let outbox = Outbox::new(&[Producer::stream(DRIVE)], 16);
         world.advance(200 * MS);
-        assert_eq!(ask.with(|log| log.opened), 1);
-        Rig { world, net, outbox, ask, sessions }
+        assert_eq!(session.with(|log| log.opened), 1);
+        Rig { world, net, outbox, session, sessions }
     }
 
     /// Posts a request to the session.
     fn post(&self, byte: u8) {
-        self.ask.with(|log| log.say.push_back(byte));
+        self.session.with(|log| log.say.push_back(byte));
         self.sessions.waker(0).unwrap().wake_by_ref();
     }
 
@@ -127,7 +127,7 @@ fn a_drive_speaks_by_its_own_clock_from_its_own_socket() {
     }
     let first = 2 * LATENCY;
     assert_eq!(instants, [0, 1, 2, 3, 4].map(|k| first + k * Producer::EVERY_NS));
-    assert_eq!(rig.ask.with(|log| log.got.clone()), b"o");
+    assert_eq!(rig.session.with(|log| log.got.clone()), b"o");
     // Fed, it goes on; nothing is answered.
     for _ in 0..100 {
         rig.feed();
@@ -140,7 +140,7 @@ fn a_drive_speaks_by_its_own_clock_from_its_own_socket() {
     rig.take();
     rig.world.advance(S);
     assert_eq!(
-        (rig.take(), rig.ask.with(|log| (log.got.clone(), log.closed.len()))),
+        (rig.take(), rig.session.with(|log| (log.got.clone(), log.closed.len()))),
         (vec![], (b"oc".to_vec(), 0))
     );
 }
@@ -150,24 +150,24 @@ fn a_drive_whose_owner_is_silent_stops_and_ends_its_connection_by_itself() {
     let rig = Rig::new(Producer::new(DRIVE));
     rig.post(b'O');
     rig.world.advance(Producer::WATCHDOG_NS + 3 * LATENCY);
-    let log = rig.ask.with(|log| (log.opened, log.closed.clone()));
+    let log = rig.session.with(|log| (log.opened, log.closed.clone()));
     assert_eq!(log, (1, vec!["10.0.3.7:44818 has ended the connection".to_owned()]));
     assert!(rig.sessions.notes().get(0).is_some());
     rig.world.advance(S);
-    assert_eq!((rig.ask.with(|log| log.opened), rig.sessions.notes().get(0)), (2, None));
+    assert_eq!((rig.session.with(|log| log.opened), rig.sessions.notes().get(0)), (2, None));
 }
 
 #[test]
-fn a_stranger_feeds_nobody_and_each_socket_knows_its_own() {
+fn an_unknown_sender_feeds_nobody_and_each_socket_knows_its_own() {
     let mut rig = Rig::new(Producer::new(DRIVE));
     rig.post(b'O');
     rig.world.advance(10 * MS);
-    let stranger = Producer::packets(Ipv4Addr::new(10, 0, 3, 99));
+    let unknown = Producer::packets(Ipv4Addr::new(10, 0, 3, 99));
     for k in 0..100 {
-        rig.world.inject(Producer::packets(DRIVE), stranger, &[1], rig.world.now() + k * MS);
+        rig.world.inject(Producer::packets(DRIVE), unknown, &[1], rig.world.now() + k * MS);
     }
     rig.world.advance(100 * MS);
-    assert_eq!(rig.ask.with(|log| log.closed.len()), 1);
+    assert_eq!(rig.session.with(|log| log.closed.len()), 1);
     rig.take();
     // Datagrams to the address of the stream come to the socket of that kind.
     rig.outbox.set_peer(0, Producer::stream(DRIVE));
@@ -216,11 +216,11 @@ fn faults_and_the_plug_hit_every_socket_of_a_drive() {
     assert_eq!(rig.take().len(), 5);
     assert!(rig.world.restart(Producer::packets(DRIVE)));
     rig.world.advance(5 * MS);
-    assert_eq!((rig.take(), rig.ask.with(|log| log.closed.len())), (vec![], 1));
+    assert_eq!((rig.take(), rig.session.with(|log| log.closed.len())), (vec![], 1));
 }
 
 #[test]
-fn thousands_of_orders_and_ends_leave_neither_alarm_nor_hang() {
+fn thousands_of_requests_and_ends_leave_neither_alarm_nor_hang() {
     let mut rig = Rig::new(Producer::new(DRIVE));
     for round in 0..4_000_u64 {
         match round % 8 {
@@ -237,13 +237,13 @@ fn thousands_of_orders_and_ends_leave_neither_alarm_nor_hang() {
     }
     rig.world.plug(Producer::stream(DRIVE));
     rig.world.advance(10 * S);
-    let (opened, closed) = rig.ask.with(|log| (log.opened, log.closed.len()));
+    let (opened, closed) = rig.session.with(|log| (log.opened, log.closed.len()));
     assert!(opened == closed + 1 && opened > 500, "{opened} {closed}");
-    let Rig { world, sessions, ask, .. } = rig;
+    let Rig { world, sessions, session, .. } = rig;
     let waker = sessions.waker(0).unwrap().clone();
     drop(sessions);
     waker.wake();
     world.advance(S);
     assert_eq!(world.lock().next_due(), None);
-    assert_eq!(ask.with(|log| log.opened), opened);
+    assert_eq!(session.with(|log| log.opened), opened);
 }

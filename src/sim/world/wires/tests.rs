@@ -65,8 +65,8 @@ fn an_exchange_takes_its_bits_and_wakes_the_waiting_at_its_end() {
     assert!(world.clock().wait(&mut set, begin + S));
     assert_eq!((world.now(), read(&mut *port)), (end, vec![5, 1]));
     assert_eq!((port.unsent(), world.delivered()), (Ok(0), 2));
-    assert_eq!(world.look_on(PORT, 1, |slave: &mut Slave, _| slave.heard.len()), Some(6));
-    assert_eq!(world.look_on("/dev/ttyUSB1", 1, |slave: &mut Slave, _| slave.heard.len()), Some(0));
+    assert_eq!(world.look_on(PORT, 1, |slave: &mut Slave, _| slave.received.len()), Some(6));
+    assert_eq!(world.look_on("/dev/ttyUSB1", 1, |slave: &mut Slave, _| slave.received.len()), Some(0));
     assert_eq!(world.look_on(PORT, 2, |slave: &mut Slave, _| slave.number), None);
 }
 
@@ -118,16 +118,16 @@ fn an_adapter_that_is_unplugged_breaks_the_port_and_is_opened_again_with_pauses(
 fn faults_and_settings_of_a_wire_can_be_changed_in_between() {
     let world = world(&FaultPlan::default());
     let mut port = open(&world);
-    let mut ask = |value| {
+    let mut exchange = |value| {
         port.send(&Slave::request(7, value)).unwrap();
         world.advance(MS);
         read(&mut *port)
     };
-    assert_eq!(ask(1), [135, 1, 1]);
+    assert_eq!(exchange(1), [135, 1, 1]);
     assert!(world.set_wire_faults(PORT, FaultPlan { drop: 1.0, ..FaultPlan::default() }));
-    assert_eq!((ask(2), world.wire_injected(PORT).unwrap().dropped), (vec![], 1));
+    assert_eq!((exchange(2), world.wire_injected(PORT).unwrap().dropped), (vec![], 1));
     assert!(world.set_wire_faults(PORT, FaultPlan::default()) && world.restart_on(PORT, 0));
-    assert_eq!(ask(3), [135, 3, 1]);
+    assert_eq!(exchange(3), [135, 3, 1]);
     assert!(world.inhibit_on(PORT, 1, MS));
     let until = world.now() + MS;
     assert_eq!(world.look_on(PORT, 1, |slave: &mut Slave, _| slave.inhibited), Some(until));

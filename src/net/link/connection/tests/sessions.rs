@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex};
 use super::*;
 use crate::net::session::{Session, SessionPeer};
 
-/// What a session was told.
+/// What happened to a session.
 #[derive(Debug, Default)]
 struct Log {
     opened: usize,
@@ -15,7 +15,7 @@ struct Log {
     /// What it does next.
     wants: bool,
     due: Option<Time>,
-    talk: Option<Talk>,
+    next: Option<Next>,
     say: Vec<u8>,
 }
 
@@ -27,10 +27,10 @@ impl Toy {
         f(&mut self.0.lock().unwrap())
     }
 
-    fn talk(&self, out: &mut Vec<u8>) -> Talk {
+    fn next(&self, out: &mut Vec<u8>) -> Next {
         self.with(|log| {
             out.append(&mut log.say);
-            log.talk.take().unwrap_or(Talk::On)
+            log.next.take().unwrap_or(Next::On)
         })
     }
 }
@@ -40,23 +40,23 @@ impl Session for Toy {
         self.with(|log| log.wants)
     }
 
-    fn opened(&mut self, _now: Time, out: &mut Vec<u8>) -> Talk {
+    fn opened(&mut self, _now: Time, out: &mut Vec<u8>) -> Next {
         self.with(|log| log.opened += 1);
-        self.talk(out)
+        self.next(out)
     }
 
-    fn received(&mut self, _now: Time, bytes: &[u8], out: &mut Vec<u8>) -> Talk {
+    fn received(&mut self, _now: Time, bytes: &[u8], out: &mut Vec<u8>) -> Next {
         self.with(|log| log.got.extend_from_slice(bytes));
-        self.talk(out)
+        self.next(out)
     }
 
     fn next_due(&self) -> Option<Time> {
         self.with(|log| log.due)
     }
 
-    fn run(&mut self, now: Time, out: &mut Vec<u8>) -> Talk {
+    fn run(&mut self, now: Time, out: &mut Vec<u8>) -> Next {
         self.with(|log| log.runs.push(now));
-        self.talk(out)
+        self.next(out)
     }
 
     fn closed(&mut self, _now: Time, why: &str) {
@@ -132,7 +132,8 @@ fn a_session_that_wants_no_connection_has_none_until_it_is_woken_and_wants_one()
 #[test]
 fn each_end_is_reported_once_with_its_reason_and_opened_again_after_a_pause() {
     let (mut connection, toy, notes) = session();
-    let ends: [(&dyn Fn(&mut Connection, Time) -> Action, &str); 5] = [
+    type End<'a> = (&'a dyn Fn(&mut Connection, Time) -> Action, &'a str);
+    let ends: [End; 5] = [
         (&|one, now| one.failed(now, Broken::Closed), "192.168.1.20:502 has ended the connection"),
         (
             &|one, now| one.failed(now, Broken::Failed(libc::ETIMEDOUT)),
@@ -151,7 +152,7 @@ fn each_end_is_reported_once_with_its_reason_and_opened_again_after_a_pause() {
     for (round, (end, why)) in ends.into_iter().enumerate() {
         let now = open(&mut connection);
         if (2..4).contains(&round) {
-            toy.with(|log| log.talk = Some(Talk::Failed("session refused".into())));
+            toy.with(|log| log.next = Some(Next::Failed("session refused".into())));
         }
         assert_eq!(end(&mut connection, now), Action::Close);
         assert_about(pause(&connection, now), [100, 200, 400, 800, 1_600][round] * MS);
@@ -172,10 +173,10 @@ fn each_end_is_reported_once_with_its_reason_and_opened_again_after_a_pause() {
 fn an_orderly_end_sends_everything_first_and_takes_its_time_at_most() {
     let (mut connection, toy, _) = session();
     let now = open(&mut connection);
-    toy.with(|log| (log.say, log.talk) = (b"unregister".to_vec(), Some(Talk::Over)));
+    toy.with(|log| (log.say, log.next) = (b"unregister".to_vec(), Some(Next::Over)));
     assert_eq!(connection.woken(now), Action::Send);
     toy.with(|log| log.due = Some(now));
-    // It hears nothing more.
+    // It receives nothing more.
     assert_eq!((connection.received(now, b"late"), connection.woken(now)), (Action::Wait, Action::Wait));
     assert_eq!(send(&mut connection, now, 4), (b"unregister".to_vec(), Action::End));
     assert_eq!(toy.with(|log| (log.got.len(), log.closed.len(), log.runs.len())), (0, 1, 1));
@@ -189,7 +190,7 @@ fn an_orderly_end_sends_everything_first_and_takes_its_time_at_most() {
         }
     };
     connection.connected(now);
-    toy.with(|log| (log.due, log.say, log.talk) = (None, b"unregister".to_vec(), Some(Talk::Over)));
+    toy.with(|log| (log.due, log.say, log.next) = (None, b"unregister".to_vec(), Some(Next::Over)));
     assert_eq!(connection.woken(now), Action::Send);
     assert_eq!(connection.next_due(), Some(now + S));
     assert_eq!(connection.poll(now + S), Action::Close);
@@ -222,7 +223,7 @@ proptest! {
                 log.wants = will != 1 || step % 2 == 0;
                 log.due = (will == 2).then_some(now);
                 log.say = vec![7; usize::from(step)];
-                log.talk = [None, Some(Talk::Over), Some(Talk::Failed("no".into()))][usize::from(will)].clone();
+                log.next = [None, Some(Next::Over), Some(Next::Failed("no".into()))][usize::from(will)].clone();
             });
             let action = match step {
                 0 | 1 => connection.poll(now),
