@@ -1,4 +1,5 @@
-//! Drives on one serial wire: half duplex, each receives what everybody sends, and what is sent at the same time collides.
+//! Drives on one serial wire: half duplex, each receives what everybody sends, and what is sent at the same time
+//! collides.
 //!
 //! A wire is a machine of state and time, the same behind a real port and in virtual time. Bytes take the time of their
 //! bits. What the master sends meets the faults when it has arrived, what a drive sends before it begins.
@@ -228,8 +229,8 @@ impl Medium {
         }
     }
 
-    /// The next thing that is due by `now` happens: the telegram that was received or has begun, and when. False: there is
-    /// nothing.
+    /// The next thing that is due by `now` happens: the telegram that was received or has begun, and when. False: there
+    /// is nothing.
     pub(super) fn step(&mut self, now: Time, passed: &mut dyn FnMut(Time, &Parcel)) -> bool {
         let Some(due) = self.next_due().filter(|due| *due <= now) else { return false };
         if let Some(k) = self.sending.iter().position(|sending| self.end(sending) <= due) {

@@ -278,8 +278,8 @@ impl SimDrive for Producer {
     fn inhibit(&mut self, _until: Time) {}
 }
 
-/// A drive on a serial wire. It answers the telegram `[its number, value, !value]` after 11 bits with `[its number + 128,
-/// value, its count of answers]`, and keeps everything that it received.
+/// A drive on a serial wire. It answers the telegram `[its number, value, !value]` after 11 bits with `[its number +
+/// 128, value, its count of answers]`, and keeps everything that it received.
 pub struct Slave {
     pub number: u8,
     pub received: Vec<u8>,
