@@ -138,6 +138,7 @@ impl Fleet {
         Simulated {
             drives: buses.iter().flat_map(|bus| bus.simulate()).collect(),
             lines: buses.iter().filter_map(|bus| bus.simulate_line()).collect(),
+            ..Simulated::default()
         }
     }
 }

@@ -7,7 +7,7 @@ use super::drive::{Counts, axis};
 use super::faults::faults;
 use super::reader::{POSITIVE, Table, integer};
 use super::value::{closest, station};
-use super::{Claim, Machine, NOWHERE, drives};
+use super::{Claim, Machine, NOWHERE, drives, reachable};
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::axis::{AxisPlan, Unit, Units};
 use crate::bus::BusPlan;
@@ -49,15 +49,7 @@ fn address(table: &mut Table<'_>, machine: &mut Machine, bind: Option<SocketAddr
         station(text, DRIVE_PORT).filter(|address| !address.ip().is_unspecified())
     })?;
     machine.claim_address(table, address, Claim::Host);
-    // The kernel sends nothing between a loopback address and the world, and says so only when it is too late.
-    if let Some(bind) = bind.filter(|bind| !bind.ip().is_unspecified()) {
-        let (near, far) = (bind.ip().is_loopback(), address.ip().is_loopback());
-        if near != far {
-            let adapter =
-                if near { "bind to the adapter of the drive's network" } else { "bind to 127.0.0.1" };
-            table.fault("address", format!("cannot be reached from bind = \"{}\"; {adapter}", bind.ip()));
-        }
-    }
+    reachable(table, bind.map(|bind| *bind.ip()).filter(|ip| !ip.is_unspecified()), address);
     Some(address)
 }
 

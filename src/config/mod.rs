@@ -299,6 +299,16 @@ fn machine(mut root: Table<'_>) -> Plan {
     plan
 }
 
+/// The kernel sends nothing between a loopback address and the world, and says so only when it is too late.
+fn reachable(table: &mut Table<'_>, bind: Option<Ipv4Addr>, address: SocketAddrV4) {
+    let Some(bind) = bind else { return };
+    let (near, far) = (bind.is_loopback(), address.ip().is_loopback());
+    if near != far {
+        let adapter = if near { "bind to the adapter of the drive's network" } else { "bind to 127.0.0.1" };
+        table.fault("address", format!("cannot be reached from bind = \"{bind}\"; {adapter}"));
+    }
+}
+
 /// The drives of a bus, each over its `[bus.defaults]`; `read` is told its place, too.
 fn drives<D>(bus: &mut Table<'_>, mut read: impl FnMut(&mut Table<'_>, usize) -> D) -> Vec<D> {
     let mut drives = Vec::new();

@@ -1,6 +1,6 @@
 //! `protocol = "modbus-tcp"`.
 
-use std::net::SocketAddrV4;
+use std::net::{Ipv4Addr, SocketAddrV4};
 
 use toml::de::DeValue;
 
@@ -8,7 +8,7 @@ use super::drive::{Counts, axis};
 use super::faults::faults;
 use super::reader::{Table, integer, time};
 use super::value::{closest, station};
-use super::{Claim, Machine, NOWHERE, drives};
+use super::{Claim, Machine, NOWHERE, drives, reachable};
 use crate::axis::Unit;
 use crate::axis::feedback::MONITOR_CHANNELS;
 use crate::bus::BusPlan;
@@ -27,13 +27,28 @@ const COUNTS: Counts =
 /// Reads a `[[bus]]`.
 pub(super) fn bus(table: &mut Table<'_>, machine: &mut Machine, cycle: &CyclePlan) -> Box<dyn BusPlan> {
     let name = machine.bus_name(table, PROTOCOL);
-    let drives = drives(table, |table, index| drive(table, machine, cycle, index));
-    Box::new(ModbusPlan { name, drives })
+    let bind = bind(table);
+    let drives = drives(table, |table, index| drive(table, machine, cycle, bind, index));
+    Box::new(ModbusPlan { name, bind, drives })
 }
 
-fn drive(table: &mut Table<'_>, machine: &mut Machine, cycle: &CyclePlan, index: usize) -> UnidriveDrive {
+fn bind(table: &mut Table<'_>) -> Option<Ipv4Addr> {
+    let hint = "the IPv4 address of an adapter, like \"192.168.1.1\", without a port; leave it out for whichever leads \
+        to the drives";
+    // The port is the kernel's choice.
+    let own = |text: &str| text.parse().ok().filter(|ip: &Ipv4Addr| !ip.is_unspecified());
+    table.text("bind", hint, |text| own(text).filter(|ip| !ip.is_multicast() && !ip.is_broadcast()))
+}
+
+fn drive(
+    table: &mut Table<'_>,
+    machine: &mut Machine,
+    cycle: &CyclePlan,
+    bind: Option<Ipv4Addr>,
+    index: usize,
+) -> UnidriveDrive {
     let axis = axis(table, machine, COUNTS);
-    let address = address(table, machine).unwrap_or(NOWHERE);
+    let address = address(table, machine, bind).unwrap_or(NOWHERE);
     let period_ns = cycle.period_ns.saturating_mul(u64::from(axis.divisor));
     let default = UnidriveDrive::new("", *address.ip());
     let mut drive = UnidriveDrive {
@@ -79,12 +94,13 @@ fn drive(table: &mut Table<'_>, machine: &mut Machine, cycle: &CyclePlan, index:
     drive
 }
 
-fn address(table: &mut Table<'_>, machine: &mut Machine) -> Option<SocketAddrV4> {
+fn address(table: &mut Table<'_>, machine: &mut Machine, bind: Option<Ipv4Addr>) -> Option<SocketAddrV4> {
     table.require("address", "the address of the drive, like \"192.168.1.20\"");
     let hint = "the IPv4 address of a drive, like \"192.168.1.20\", or with a port other than 502";
     let address = table
         .text("address", hint, |text| station(text, PORT).filter(|address| !address.ip().is_unspecified()))?;
     machine.claim_address(table, address, Claim::Port);
+    reachable(table, bind, address);
     Some(address)
 }
 

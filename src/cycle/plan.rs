@@ -243,6 +243,7 @@ impl Plan {
         Simulated {
             drives: self.buses.iter().flat_map(|bus| bus.simulate()).collect(),
             lines: self.buses.iter().filter_map(|bus| bus.simulate_line()).collect(),
+            ..Simulated::default()
         }
     }
 }

@@ -262,7 +262,14 @@ pub(super) mod tests {
         Wire {
             bus: "linmot".into(),
             local: "192.168.1.1:41136".parse().unwrap(),
-            options: UdpOptions { peers: 2, waiting: 5, room: 128, send: SendMode::Batch },
+            options: UdpOptions {
+                peers: 2,
+                waiting: 5,
+                room: 128,
+                send: SendMode::Batch,
+                dscp: 0,
+                groups: 0,
+            },
             drives: vec!["192.168.1.11:49360".parse().unwrap(), "192.168.1.12:49360".parse().unwrap()],
         }
     }

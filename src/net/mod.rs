@@ -1,18 +1,22 @@
 //! Sockets and file descriptors, and nothing of any protocol.
 //!
-//! A bus uses a carrier through [`Datagrams`], [`Streams`] or [`Frames`]; the carrier stamps what it sends and
-//! takes in, so that the same bus runs over real sockets and in virtual time.
+//! A bus uses a carrier through [`Datagrams`], [`Streams`], [`Frames`] or [`Serial`]; the carrier stamps what it sends
+//! and takes in, so that the same bus runs over real sockets and in virtual time. [`Sessions`] stay outside the loop.
 //!
 //! | file | what |
 //! |---|---|
 //! | `outbox` | preallocated requests, patched in place |
 //! | `udp` | batched UDP: `sendmmsg`, `recvmmsg` |
+//! | `groups` | multicast groups of a UDP carrier, joined and left outside the loop |
 //! | `stream` | connections as the loop and a protocol see them |
-//! | `link` | opens, initialises and re-opens connections, outside the loop |
+//! | `session` | connections that stay outside the loop |
+//! | `link` | opens, initialises and re-opens connections and ports, outside the loop |
 //! | `tcp` | TCP connections on the real-time thread |
 //! | `frames` | Ethernet frames as a protocol sees them |
 //! | `packet` | frames of a network interface |
 //! | `local` | frames of a segment on this host, without an interface |
+//! | `serial` | a serial port |
+//! | `tty` | a serial port of the operating system: its settings |
 //! | `clients` | clients of a small server: bounded in number, bytes and time |
 //! | `stamp` | when a frame arrived at the end of a segment |
 //! | `lock` | one master for each interface and each drive of this host |
@@ -25,24 +29,31 @@ use std::sync::{Arc, Mutex, PoisonError, Weak};
 #[cfg(any(feature = "control", feature = "metrics"))]
 pub(crate) mod clients;
 pub mod frames;
+pub(crate) mod groups;
 pub mod link;
 pub mod local;
 pub mod lock;
 mod outbox;
 pub(crate) mod packet;
+pub mod serial;
+pub mod session;
 mod stamp;
 pub mod stream;
 mod tcp;
+pub(crate) mod tty;
 pub mod udp;
 
 pub use frames::Frames;
+pub use groups::Groups;
 pub use lock::{Lock, Place};
 pub use outbox::{Outbox, Sent};
+pub use serial::{Parity, Serial, SerialLine};
+pub use session::{Next, Session, SessionPeer, Sessions};
 pub use stream::{Broken, Greeted, Greeting, LinkNotes, StreamPeer, Streams};
 
 use crate::rt::Regions;
 use crate::time::Time;
-use link::LinkThread;
+use link::{LinkThread, Peer};
 use local::Local;
 use packet::Packet;
 use tcp::Tcp;
@@ -64,6 +75,12 @@ pub trait Datagrams: Send {
     /// The most datagrams that one `receive` takes.
     fn batch(&self) -> usize;
 
+    /// By which normal threads join and leave multicast groups; `None`: none were wanted by its
+    /// [options](UdpOptions::groups).
+    fn groups(&self) -> Option<Arc<dyn Groups>> {
+        None
+    }
+
     /// How many datagrams arrived and were dropped because earlier ones had not been taken in. Those after the last
     /// datagram taken in may be reported with the next one. By default a carrier drops none.
     fn dropped(&self) -> u64 {
@@ -82,6 +99,18 @@ pub trait Carriers {
     /// A carrier of connections to `peers`, in this order. Their opening begins at once and goes on outside the
     /// loop. The default implementation has none.
     fn streams(&self, _peers: Vec<StreamPeer>) -> io::Result<Box<dyn Streams>> {
+        Err(io::ErrorKind::Unsupported.into())
+    }
+
+    /// Sessions with `peers`, in this order, on the thread that opens connections. They begin at once. The default
+    /// implementation has none.
+    fn sessions(&self, _peers: Vec<SessionPeer>) -> io::Result<Sessions> {
+        Err(io::ErrorKind::Unsupported.into())
+    }
+
+    /// A carrier of the bytes of serial port `port`, set to `line`. Its opening begins at once and goes on outside the
+    /// loop. The default implementation has none.
+    fn serial(&self, _port: &str, _line: &SerialLine) -> io::Result<Box<dyn Serial>> {
         Err(io::ErrorKind::Unsupported.into())
     }
 
@@ -114,6 +143,10 @@ pub struct UdpOptions {
     pub room: usize,
     /// One system call for all requests, or one per request with its own stamp.
     pub send: SendMode,
+    /// Its requests are marked with this for switches and routers (DSCP, RFC 2474: 0 ... 63). 0: no mark.
+    pub dscp: u8,
+    /// The most multicast groups that it receives from at a time.
+    pub groups: usize,
 }
 
 /// How requests are handed to the kernel.
@@ -161,6 +194,14 @@ impl Carriers for Os {
 
     fn streams(&self, peers: Vec<StreamPeer>) -> io::Result<Box<dyn Streams>> {
         Ok(Box::new(Tcp::open(&self.link_thread()?, peers)?))
+    }
+
+    fn sessions(&self, peers: Vec<SessionPeer>) -> io::Result<Sessions> {
+        Ok(self.link_thread()?.carry(peers.into_iter().map(Peer::from).collect()).sessions())
+    }
+
+    fn serial(&self, port: &str, line: &SerialLine) -> io::Result<Box<dyn Serial>> {
+        Ok(Box::new(serial::Port::open(&self.link_thread()?, port, line)))
     }
 
     fn frames(&self, interface: &str, ethertype: u16) -> io::Result<Box<dyn Frames>> {

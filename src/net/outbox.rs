@@ -1,4 +1,5 @@
-//! Preallocated requests, one per peer, patched in place and posted when they are due.
+//! Preallocated requests, one per peer, patched in place and posted when they are due. A peer may change from one
+//! posting to the next.
 
 use std::net::SocketAddrV4;
 
@@ -19,7 +20,7 @@ pub enum Sent {
     Failed(i32),
 }
 
-/// One message per index, each with its own room and its fixed peer.
+/// One message per index, each with its own room and its peer.
 #[derive(Debug)]
 pub struct Outbox {
     room: usize,
@@ -78,6 +79,11 @@ impl Outbox {
     /// The peer of message `index`.
     pub fn peer(&self, index: usize) -> SocketAddrV4 {
         self.messages[index].peer
+    }
+
+    /// From the next `send` on, message `index` goes to `peer`.
+    pub fn set_peer(&mut self, index: usize, peer: SocketAddrV4) {
+        self.messages[index].peer = peer;
     }
 
     /// Posts message `index` for the next `send`, or removes it.

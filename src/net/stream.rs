@@ -5,7 +5,7 @@
 //! changes owners by wait-free queues.
 
 use std::fmt::Debug;
-use std::net::SocketAddrV4;
+use std::net::{Ipv4Addr, SocketAddrV4};
 use std::os::fd::RawFd;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -67,6 +67,8 @@ pub enum Broken {
 pub struct StreamPeer {
     /// The address that it listens at.
     pub address: SocketAddrV4,
+    /// The address of this host that the connection leaves from; `None`: whichever leads there.
+    pub bind: Option<Ipv4Addr>,
     /// The longest opening of a connection, ns.
     pub connect_ns: u64,
     /// The longest handshake, ns.
@@ -87,6 +89,7 @@ impl StreamPeer {
     pub fn new(address: SocketAddrV4, greeting: Box<dyn Greeting>) -> StreamPeer {
         StreamPeer {
             address,
+            bind: None,
             connect_ns: S,
             greeting_ns: 2 * S,
             least_pause_ns: 100 * MS,

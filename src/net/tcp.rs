@@ -16,7 +16,7 @@ use nix::errno::Errno;
 use nix::sys::epoll::{Epoll, EpollCreateFlags, EpollEvent, EpollFlags, EpollTimeout};
 use nix::sys::socket::{MsgFlags, recv, send};
 
-use super::link::{Ends, GivenBack, LinkThread, Opened};
+use super::link::{Ends, GivenBack, LinkThread, Opened, Peer};
 use super::stream::{Broken, LinkNotes, StreamPeer, Streams};
 use crate::rt::{MonotonicClock, Regions};
 use crate::time::Time;
@@ -48,7 +48,7 @@ impl Tcp {
             events: vec![EpollEvent::empty(); count].into(),
             found: 0,
             next: 0,
-            link: thread.carry(peers),
+            link: thread.carry(peers.into_iter().map(Peer::from).collect()),
         })
     }
 

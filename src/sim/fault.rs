@@ -322,7 +322,7 @@ impl Injector {
             let due = lane.gap(peer).max(due);
             self.injected.segments += lane.lose(self.plan.segment_loss, due, peer);
         }
-        let mut parcel = queue.parcel(datagram);
+        let mut parcel = Parcel { carrier: self.carrier, ..queue.parcel(datagram) };
         if lot.wrong_id {
             self.injected.wrong_id += 1;
             if stream {
@@ -385,7 +385,7 @@ impl Injector {
         }
         if lot.duplicate {
             injected.duplicated += 1;
-            let twin = queue.parcel(parcel.datagram());
+            let twin = Parcel { carrier: parcel.carrier, ..queue.parcel(parcel.datagram()) };
             lane.send(*carrier, due, twin, queue);
         }
         if lot.cut {
@@ -418,6 +418,8 @@ pub struct Parcel {
     pub to: SocketAddrV4,
     /// Its payload.
     pub bytes: Vec<u8>,
+    /// Its kind of transport: a drive may have sockets of both kinds at one address.
+    pub(super) carrier: Carrier,
     /// Its signal.
     pub(super) signal: Signal,
     /// It comes one byte at a time.
@@ -486,12 +488,19 @@ impl Queue {
         let mut bytes = self.spare.pop().unwrap_or_else(|| Vec::with_capacity(LEAST_ROOM));
         bytes.clear();
         bytes.extend_from_slice(datagram.bytes);
-        Parcel { from: datagram.from, to: datagram.to, bytes, signal: Signal::Bytes, dribbles: false }
+        Parcel {
+            from: datagram.from,
+            to: datagram.to,
+            bytes,
+            carrier: Carrier::Datagrams,
+            signal: Signal::Bytes,
+            dribbles: false,
+        }
     }
 
     /// A parcel that is a signal of a stream, without bytes.
     pub(super) fn signal(&mut self, from: SocketAddrV4, to: SocketAddrV4, signal: Signal) -> Parcel {
-        Parcel { signal, ..self.parcel(Datagram { from, to, bytes: &[] }) }
+        Parcel { carrier: Carrier::Stream, signal, ..self.parcel(Datagram { from, to, bytes: &[] }) }
     }
 
     /// Returns a parcel's buffer for reuse.
@@ -544,6 +553,7 @@ impl Queue {
     /// The first byte of a parcel that arrives from `due` on one byte at a time. The others follow.
     fn first_byte(&mut self, due: Time, mut parcel: Parcel) -> Parcel {
         let first = self.parcel(Datagram { bytes: &parcel.bytes[..1], ..parcel.datagram() });
+        let first = Parcel { carrier: parcel.carrier, ..first };
         parcel.bytes.remove(0);
         self.push(due + BYTE_NS, parcel);
         first

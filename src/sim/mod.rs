@@ -5,11 +5,15 @@
 //! | `physics` | an axis: setpoint generator, mass, limits, following error |
 //! | `fault` | seeded fault injection |
 //! | `wire` | a segment and the faults of its wire |
+//! | `serial` | drives on one serial wire, and the faults of that |
+//! | `said` | what a drive sends unasked |
 //! | `server` | the threads that serve simulated drives and segments on real sockets |
 //! | `world` | virtual time, and an in-memory network with the same drives |
 
 pub mod fault;
 pub mod physics;
+mod said;
+pub mod serial;
 pub mod server;
 #[cfg(test)]
 mod testing;
@@ -18,6 +22,8 @@ pub mod world;
 
 use std::any::Any;
 use std::net::SocketAddrV4;
+
+pub use serial::{SerialWire, SimSerial};
 
 use crate::time::Time;
 
@@ -44,6 +50,33 @@ pub trait SimDrive: Send {
         Carrier::Datagrams
     }
 
+    /// Its sockets in addition to the one at [`address`](Self::address), which has the number 0: these have 1, 2 ... in
+    /// this order. At most one of all is a stream's.
+    fn more_sockets(&self) -> Vec<(Carrier, SocketAddrV4)> {
+        Vec::new()
+    }
+
+    /// As [`receive`](Self::receive), at the socket of this number.
+    fn receive_at(
+        &mut self,
+        _socket: usize,
+        now: Time,
+        from: SocketAddrV4,
+        bytes: &[u8],
+        reply: &mut Vec<u8>,
+    ) -> Option<SocketAddrV4> {
+        self.receive(now, from, bytes, reply)
+    }
+
+    /// When it wants to run by its own clock; queried after every other call. It runs once a microsecond at most.
+    fn next_due(&self) -> Option<Time> {
+        None
+    }
+
+    /// Its own clock has come to that. What it sends unasked goes out by `send`: from the socket of this number, to
+    /// this destination. On a stream that is the peer of a connection.
+    fn run(&mut self, _now: Time, _send: &mut dyn FnMut(usize, SocketAddrV4, &[u8])) {}
+
     /// Takes one datagram, or bytes that came on the connection of `from`, split anywhere. Writes the answer into
     /// `reply` (cleared by the caller) and returns its destination, or `None` for no answer.
     fn receive(
@@ -60,7 +93,8 @@ pub trait SimDrive: Send {
         true
     }
 
-    /// Whether the drive itself ends the connection of `from` after its answer; called after each `receive`.
+    /// Whether the drive itself ends the connection of `from` after its answer; called after each `receive`, and for
+    /// each connection after each `run`.
     fn hangs_up(&mut self, _from: SocketAddrV4) -> bool {
         false
     }
@@ -77,6 +111,23 @@ pub trait SimDrive: Send {
 
     /// Its hardware enable (STO) is open until then: power goes off, and does not come on.
     fn inhibit(&mut self, until: Time);
+}
+
+/// All sockets of a drive, by their numbers.
+fn sockets(drive: &dyn SimDrive) -> std::io::Result<Vec<(Carrier, SocketAddrV4)>> {
+    let mut sockets = vec![(drive.carrier(), drive.address())];
+    sockets.extend(drive.more_sockets());
+    if sockets.iter().filter(|(carrier, _)| *carrier == Carrier::Stream).count() > 1 {
+        let message = format!("the simulated drive at {} has more than one stream", drive.address());
+        return Err(std::io::Error::new(std::io::ErrorKind::InvalidInput, message));
+    }
+    Ok(sockets)
+}
+
+/// The faults of a socket: those of each have a seed of their own.
+fn faults(drive: &dyn SimDrive, socket: usize) -> FaultPlan {
+    let faults = drive.faults();
+    FaultPlan { seed: faults.seed.wrapping_add(socket as u64), ..faults }
 }
 
 /// The true state of a simulated drive, whatever it reports and whatever its master knows.
@@ -144,6 +195,8 @@ pub struct Simulated {
     pub drives: Vec<Box<dyn SimDrive>>,
     /// Segments.
     pub lines: Vec<Box<dyn SimLine>>,
+    /// Serial wires.
+    pub wires: Vec<SerialWire>,
 }
 
 impl std::fmt::Debug for Simulated {
@@ -151,13 +204,14 @@ impl std::fmt::Debug for Simulated {
         f.debug_struct("Simulated")
             .field("drives", &self.drives.len())
             .field("lines", &self.lines.len())
+            .field("wires", &self.wires.len())
             .finish()
     }
 }
 
 impl From<Vec<Box<dyn SimDrive>>> for Simulated {
     fn from(drives: Vec<Box<dyn SimDrive>>) -> Simulated {
-        Simulated { drives, lines: Vec::new() }
+        Simulated { drives, ..Simulated::default() }
     }
 }
 

@@ -1,10 +1,11 @@
 //! Common parts of the tests of this folder.
 
-use std::net::SocketAddrV4;
+use std::net::{Ipv4Addr, SocketAddrV4};
 use std::sync::{Arc, Mutex};
 
-use super::{FaultPlan, SimLine};
-use crate::time::Time;
+use super::{Carrier, FaultPlan, SimDrive, SimLine, SimSerial};
+use crate::net::{Parity, SerialLine};
+use crate::time::{MS, Time};
 
 /// The peers connected to the drive of a test, each with the begin of a request. It never waits for a peer.
 #[derive(Clone, Default)]
@@ -139,5 +140,207 @@ impl SimLine for Tally {
 
     fn inhibit(&mut self, place: usize, until: Time) {
         self.inhibited[place] = until;
+    }
+}
+
+/// A drive with three sockets that speaks unasked. `O` on its connection starts a packet every millisecond, from its
+/// datagram socket to the peer's host or to a group, as long as that host feeds it; anything else stops that. At its
+/// identity socket, which has the address of its stream, it answers with what it got.
+pub struct Producer {
+    ip: Ipv4Addr,
+    group: Option<SocketAddrV4>,
+    faults: FaultPlan,
+    owner: Option<SocketAddrV4>,
+    next: Time,
+    dies: Time,
+    count: u8,
+    hang: Option<SocketAddrV4>,
+}
+
+impl Producer {
+    /// Without a packet of its owner for so long it stops, and ends the connection, ns.
+    pub const WATCHDOG_NS: u64 = 50 * MS;
+    /// Between two packets, ns.
+    pub const EVERY_NS: u64 = MS;
+
+    pub fn new(ip: Ipv4Addr) -> Producer {
+        Producer {
+            ip,
+            group: None,
+            faults: FaultPlan::default(),
+            owner: None,
+            next: Time::default(),
+            dies: Time::default(),
+            count: 0,
+            hang: None,
+        }
+    }
+
+    /// Its packets go to a group.
+    pub fn to(self, group: SocketAddrV4) -> Producer {
+        Producer { group: Some(group), ..self }
+    }
+
+    /// Where packets go to and come from.
+    pub fn packets(ip: Ipv4Addr) -> SocketAddrV4 {
+        SocketAddrV4::new(ip, 2_222)
+    }
+
+    /// Where it listens.
+    pub fn stream(ip: Ipv4Addr) -> SocketAddrV4 {
+        SocketAddrV4::new(ip, 44_818)
+    }
+}
+
+impl SimDrive for Producer {
+    fn address(&self) -> SocketAddrV4 {
+        Self::stream(self.ip)
+    }
+
+    fn faults(&self) -> FaultPlan {
+        self.faults.clone()
+    }
+
+    fn carrier(&self) -> Carrier {
+        Carrier::Stream
+    }
+
+    fn more_sockets(&self) -> Vec<(Carrier, SocketAddrV4)> {
+        vec![(Carrier::Datagrams, Self::packets(self.ip)), (Carrier::Datagrams, Self::stream(self.ip))]
+    }
+
+    fn receive_at(
+        &mut self,
+        socket: usize,
+        now: Time,
+        from: SocketAddrV4,
+        bytes: &[u8],
+        reply: &mut Vec<u8>,
+    ) -> Option<SocketAddrV4> {
+        match socket {
+            0 => return self.receive(now, from, bytes, reply),
+            1 if self.owner.is_some_and(|owner| owner.ip() == from.ip()) => {
+                self.dies = now + Self::WATCHDOG_NS;
+            }
+            2 => {
+                reply.extend_from_slice(bytes);
+                return Some(from);
+            }
+            _ => {}
+        }
+        None
+    }
+
+    fn receive(
+        &mut self,
+        now: Time,
+        from: SocketAddrV4,
+        bytes: &[u8],
+        reply: &mut Vec<u8>,
+    ) -> Option<SocketAddrV4> {
+        match bytes {
+            b"O" => {
+                (self.owner, self.next, self.dies, self.count) =
+                    (Some(from), now, now + Self::WATCHDOG_NS, 0);
+            }
+            _ => self.owner = None,
+        }
+        reply.push(bytes[0].to_ascii_lowercase());
+        Some(from)
+    }
+
+    fn next_due(&self) -> Option<Time> {
+        self.owner.map(|_| self.next.min(self.dies))
+    }
+
+    fn run(&mut self, now: Time, send: &mut dyn FnMut(usize, SocketAddrV4, &[u8])) {
+        let Some(owner) = self.owner else { return };
+        if self.dies <= now {
+            self.hang = self.owner.take();
+        } else if self.next <= now {
+            self.count = self.count.wrapping_add(1);
+            send(1, self.group.unwrap_or(Self::packets(*owner.ip())), &[self.count]);
+            // From a socket that it does not have, and on a connection that nobody has.
+            send(7, owner, &[0]);
+            send(0, Self::packets(*owner.ip()), &[0]);
+            self.next = self.next + Self::EVERY_NS;
+        }
+    }
+
+    fn hangs_up(&mut self, from: SocketAddrV4) -> bool {
+        self.hang.take_if(|peer| *peer == from).is_some()
+    }
+
+    fn restart(&mut self, _now: Time) {
+        self.owner = None;
+    }
+
+    fn inhibit(&mut self, _until: Time) {}
+}
+
+/// A drive on a serial wire. It answers the telegram `[its number, value, !value]` after 11 bits with `[its number +
+/// 128, value, its count of answers]`, and keeps everything that it received.
+pub struct Slave {
+    pub number: u8,
+    pub received: Vec<u8>,
+    pub restarts: usize,
+    pub inhibited: Time,
+    answers: u8,
+    due: Option<Time>,
+    value: u8,
+}
+
+impl Slave {
+    pub const LINE: SerialLine = SerialLine { rate: 500_000, parity: Parity::Even };
+
+    pub fn new(number: u8) -> Slave {
+        Slave {
+            number,
+            received: Vec::new(),
+            restarts: 0,
+            inhibited: Time::default(),
+            answers: 0,
+            due: None,
+            value: 0,
+        }
+    }
+
+    /// A request to drive `number`.
+    pub fn request(number: u8, value: u8) -> [u8; 3] {
+        [number, value, !value]
+    }
+}
+
+impl SimSerial for Slave {
+    fn receive(&mut self, now: Time, bytes: &[u8]) {
+        self.received.extend_from_slice(bytes);
+        if let [number, value, complement] = bytes
+            && (*number, *value) == (self.number, !complement)
+        {
+            (self.due, self.value) = (Some(now + Self::LINE.bits_ns(11)), *value);
+        }
+    }
+
+    fn next_due(&self) -> Option<Time> {
+        self.due
+    }
+
+    fn run(&mut self, _now: Time, out: &mut Vec<u8>) {
+        self.due = None;
+        self.answers = self.answers.wrapping_add(1);
+        out.extend([self.number + 128, self.value, self.answers]);
+    }
+
+    fn mislabel(&self, telegram: &mut [u8]) {
+        telegram[0] ^= 0x40;
+    }
+
+    fn restart(&mut self, _now: Time) {
+        (self.answers, self.due) = (0, None);
+        self.restarts += 1;
+    }
+
+    fn inhibit(&mut self, until: Time) {
+        self.inhibited = until;
     }
 }

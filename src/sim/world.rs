@@ -8,16 +8,22 @@
 //! | file | what |
 //! |---|---|
 //! | `clock` | its clock |
+//! | `drives` | the drives and their sockets |
 //! | `datagrams` | datagrams from carrier to drive and back |
 //! | `streams` | connections |
+//! | `sessions` | connections that stay outside the loop |
 //! | `lines` | segments, and their frames |
+//! | `wires` | serial wires, and their bytes |
 
 mod clock;
 mod datagrams;
+mod drives;
 mod lines;
+mod sessions;
 mod streams;
 #[cfg(test)]
 mod tests;
+mod wires;
 
 use std::collections::VecDeque;
 use std::io;
@@ -28,12 +34,15 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 pub use self::clock::WorldClock;
 
 use self::datagrams::{Port, Socket};
-use self::lines::Wires;
+use self::drives::Drives;
+use self::lines::Lines;
 use self::streams::Links;
-use super::fault::{Blow, Datagram, Injected, Injector, Parcel, Queue, Signal, Way};
-use super::{Carrier, FaultPlan, SimDrive, Simulated};
+use self::wires::Wires;
+use super::fault::{Blow, Datagram, Injected, Parcel, Queue, Signal};
+use super::{Carrier, FaultPlan, Simulated};
 use crate::net::{
-    Carriers, Datagrams, Frames, Outbox, Received, SendMode, Sent, StreamPeer, Streams, UdpOptions,
+    Carriers, Datagrams, Frames, Groups, Outbox, Received, SendMode, Sent, Serial, SerialLine, SessionPeer,
+    Sessions, StreamPeer, Streams, UdpOptions,
 };
 use crate::rt::{Clock, PollSet, Regions};
 use crate::time::Time;
@@ -44,8 +53,6 @@ const UNDER_WAY: usize = 16_384;
 const INBOX: usize = 4_096;
 /// The most datagrams of one `receive`, as on real sockets.
 const BATCH: usize = 64;
-/// Connections of a drive without a further allocation.
-const PEERS: usize = 16;
 /// The time of one turn of a spinning wait, ns.
 const SPIN_NS: u64 = 50;
 
@@ -85,25 +92,20 @@ impl World {
     ///
     /// # Errors
     ///
-    /// Two drives with one address, or two segments on one interface.
+    /// Two drives with one address, two segments on one interface, or two serial wires at one port.
     pub fn new(simulated: impl Into<Simulated>, options: WorldOptions) -> io::Result<World> {
-        let Simulated { drives, lines } = simulated.into();
-        let mut stations: Vec<_> = drives.into_iter().map(Station::new).collect();
-        stations.sort_by_key(|station| station.address);
-        if let Some(pair) = stations.windows(2).find(|pair| pair[0].address == pair[1].address) {
-            return Err(taken(pair[0].address));
-        }
+        let Simulated { drives, lines, wires } = simulated.into();
         Ok(World(Arc::new(Mutex::new(Inner {
             now: options.start,
             random: fastrand::Rng::with_seed(options.seed),
             hold_up_ns: 0,
             suspended_ns: 0,
             options,
-            stations,
-            next_station: 0,
+            drives: Drives::new(drives)?,
             ports: Vec::new(),
             links: Links::default(),
-            wires: Wires::new(lines)?,
+            lines: Lines::new(lines)?,
+            wires: Wires::new(wires)?,
             under_way: Queue::new(UNDER_WAY),
             reply: Vec::new(),
             digest: 0,
@@ -151,38 +153,42 @@ impl World {
     /// sent on a connection wait until the cable is back or the connection is given up. False if there is no such
     /// drive.
     pub fn unplug(&self, address: SocketAddrV4) -> bool {
-        self.with(address, |station, _| station.plugged = false).is_some()
+        self.lock().drives.unplug(address)
     }
 
     /// Plugs the network cable in again. False if there is no such drive.
     pub fn plug(&self, address: SocketAddrV4) -> bool {
         let mut inner = self.lock();
-        let index = inner.station(address);
-        index.map(|index| inner.plug(index)).is_some()
+        let drive = inner.drives.at(address);
+        drive.map(|drive| inner.plug(drive)).is_some()
     }
 
     /// Switches the drive at `address` off and on again; its connections are reset. False if there is no such
     /// drive.
     pub fn restart(&self, address: SocketAddrV4) -> bool {
         let mut inner = self.lock();
-        let index = inner.station(address);
-        index.map(|index| inner.strike(index, Some(Blow::Restart))).is_some()
+        let drive = inner.drives.at(address);
+        drive.map(|drive| inner.strike(drive, Some(Blow::Restart))).is_some()
     }
 
     /// Opens the hardware enable (STO) of the drive at `address` for `ns`. False if there is no such drive.
     pub fn inhibit(&self, address: SocketAddrV4, ns: u64) -> bool {
-        self.with(address, |station, now| station.drive.inhibit(now + ns)).is_some()
+        let mut inner = self.lock();
+        let (until, drive) = (inner.now + ns, inner.drives.at(address));
+        drive.map(|drive| inner.strike(drive, Some(Blow::Inhibit(until)))).is_some()
     }
 
-    /// The wire of the drive at `address` has the faults of `plan` from now on; its counters restart. False if
-    /// there is no such drive.
+    /// What passes the drive's socket at `address` has the faults of `plan` from now on; its counters restart. False if
+    /// there is no such socket.
     pub fn set_faults(&self, address: SocketAddrV4, plan: FaultPlan) -> bool {
-        self.with(address, |station, _| station.injector.change(plan)).is_some()
+        let mut inner = self.lock();
+        let station = inner.drives.station_at(address);
+        station.map(|station| station.injector.change(plan)).is_some()
     }
 
-    /// The faults of the wire of the drive at `address` so far.
+    /// The faults of the drive's socket at `address` so far.
     pub fn injected(&self, address: SocketAddrV4) -> Option<Injected> {
-        self.with(address, |station, _| station.injector.injected())
+        self.lock().drives.station_at(address).map(|station| station.injector.injected())
     }
 
     /// A hash over everything delivered so far, datagrams and frames: instants, addresses and bytes, in order.
@@ -195,13 +201,6 @@ impl World {
         self.lock().delivered
     }
 
-    fn with<R>(&self, address: SocketAddrV4, f: impl FnOnce(&mut Station, Time) -> R) -> Option<R> {
-        let mut inner = self.lock();
-        let now = inner.now;
-        let index = inner.station(address)?;
-        Some(f(&mut inner.stations[index], now))
-    }
-
     fn lock(&self) -> MutexGuard<'_, Inner> {
         // A test that panicked elsewhere shall fail there, not here.
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
@@ -211,21 +210,32 @@ impl World {
 impl Carriers for World {
     fn datagrams(&self, bind: SocketAddrV4, options: &UdpOptions) -> io::Result<Box<dyn Datagrams>> {
         let mut inner = self.lock();
-        if inner.station(bind).is_some() || inner.ports.iter().any(|port| port.address == bind) {
+        if inner.drives.at(bind).is_some() || inner.ports.iter().any(|port| port.address == bind) {
             return Err(taken(bind));
         }
-        inner.ports.push(Port { address: bind, inbox: VecDeque::new(), dropped: 0 });
+        let port = Port::new(bind, options.groups);
+        let groups = port.groups();
+        inner.ports.push(port);
         drop(inner);
         Ok(Box::new(Socket {
             world: self.clone(),
             address: bind,
             options: *options,
+            groups,
             taken: Vec::with_capacity(BATCH),
         }))
     }
 
     fn streams(&self, peers: Vec<StreamPeer>) -> io::Result<Box<dyn Streams>> {
         Ok(Box::new(self.open_streams(peers)))
+    }
+
+    fn sessions(&self, peers: Vec<SessionPeer>) -> io::Result<Sessions> {
+        Ok(self.open_sessions(peers))
+    }
+
+    fn serial(&self, port: &str, line: &SerialLine) -> io::Result<Box<dyn Serial>> {
+        Ok(Box::new(self.open_serial(port, line)?))
     }
 
     fn frames(&self, interface: &str, ethertype: u16) -> io::Result<Box<dyn Frames>> {
@@ -244,12 +254,10 @@ struct Inner {
     hold_up_ns: u64,
     suspended_ns: u64,
     options: WorldOptions,
-    /// By address.
-    stations: Vec<Station>,
-    /// The index after the one found last.
-    next_station: usize,
+    drives: Drives,
     ports: Vec<Port>,
     links: Links,
+    lines: Lines,
     wires: Wires,
     under_way: Queue,
     reply: Vec<u8>,
@@ -261,53 +269,14 @@ impl std::fmt::Debug for Inner {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Inner")
             .field("now", &self.now)
-            .field("drives", &self.stations.len())
+            .field("drives", &self.drives.count())
             .field("delivered", &self.delivered)
             .field("digest", &self.digest)
             .finish_non_exhaustive()
     }
 }
 
-struct Station {
-    address: SocketAddrV4,
-    drive: Box<dyn SimDrive>,
-    injector: Injector,
-    plugged: bool,
-    carrier: Carrier,
-    /// The peers that have a connection with it.
-    peers: Vec<SocketAddrV4>,
-}
-
-impl Station {
-    fn new(drive: Box<dyn SimDrive>) -> Station {
-        let (address, carrier) = (drive.address(), drive.carrier());
-        let injector = Injector::new(drive.faults(), carrier);
-        Station { address, drive, injector, plugged: true, carrier, peers: Vec::with_capacity(PEERS) }
-    }
-
-    /// Puts a request to it under way, to arrive at `due` without a fault.
-    fn pass_request(
-        &mut self,
-        now: Time,
-        due: Time,
-        request: Datagram<'_>,
-        queue: &mut Queue,
-    ) -> Option<Blow> {
-        self.injector.pass(Way::Request, now, due, request, |bytes| self.drive.mislabel(bytes), queue)
-    }
-}
-
 impl Inner {
-    /// A master addresses its drives in order, so that the next one is the usual match.
-    fn station(&mut self, address: SocketAddrV4) -> Option<usize> {
-        let index = match self.stations.get(self.next_station) {
-            Some(station) if station.address == address => self.next_station,
-            _ => self.stations.binary_search_by_key(&address, |station| station.address).ok()?,
-        };
-        self.next_station = index + 1;
-        Some(index)
-    }
-
     /// One reading of the clock.
     fn read(&mut self) -> Time {
         let at = self.now + self.options.read_ns;
@@ -323,13 +292,13 @@ impl Inner {
     }
 
     /// Lets everything happen that is due by `at`; then it is `at`. Of what is due at one instant datagrams come
-    /// first, then frames.
+    /// first, then frames, then the bytes of serial wires, then the drives' own clocks.
     fn run(&mut self, at: Time) {
         while let Some(due) = self.next_due().filter(|due| *due <= at) {
             self.now = self.now.max(due);
             if let Some((_, parcel)) = self.under_way.pop(due) {
                 self.deliver(parcel);
-            } else if !self.deliver_frame(due) {
+            } else if !self.deliver_frame(due) && !self.pass_wires(due) && !self.run_drives() {
                 self.ring();
             }
         }
@@ -338,14 +307,18 @@ impl Inner {
 
     /// When the next thing happens.
     fn next_due(&self) -> Option<Time> {
-        [self.under_way.next_due(), self.wires.next_due(), self.links.alarm()].into_iter().flatten().min()
+        let moving = [self.under_way.next_due(), self.lines.next_due(), self.wires.next_due()];
+        moving.into_iter().chain([self.drives.next_due(), self.links.alarm()]).flatten().min()
     }
 
     fn deliver(&mut self, parcel: Parcel) {
-        let used_up = if let Some(index) = self.port(parcel.to) {
+        let port = if parcel.carrier == Carrier::Datagrams { self.port(parcel.to) } else { None };
+        let used_up = if let Some(index) = port {
             self.take_in_datagram(index, parcel)
-        } else if let Some(index) = self.station(parcel.to) {
-            if self.stations[index].carrier == Carrier::Datagrams && parcel.signal == Signal::Bytes {
+        } else if parcel.to.ip().is_multicast() {
+            self.take_in_group(parcel)
+        } else if let Some(index) = self.drives.station(parcel.carrier, parcel.to) {
+            if self.drives.stations[index].carrier == Carrier::Datagrams && parcel.signal == Signal::Bytes {
                 self.serve(index, &parcel);
                 Some(parcel)
             } else {

@@ -131,7 +131,11 @@ impl Wire {
 
     /// All that is simulated of it.
     pub fn simulated(&self) -> Simulated {
-        Simulated { drives: self.simulate(), lines: self.simulate_line().into_iter().collect() }
+        Simulated {
+            drives: self.simulate(),
+            lines: self.simulate_line().into_iter().collect(),
+            ..Simulated::default()
+        }
     }
 
     /// Of a line, the place of drive `index`.

@@ -25,7 +25,7 @@ impl Line {
         plan.devices.push(Device { name: "io".into(), slave, simulate: Default::default() });
         plan.simulate.faults = faults;
         let line: Box<dyn SimLine> = Box::new(EthercatSim::new(&plan));
-        let simulated = Simulated { drives: Vec::new(), lines: vec![line] };
+        let simulated = Simulated { lines: vec![line], ..Simulated::default() };
         Line { interface, server: SimServer::start(simulated, ServerOptions::default()).unwrap() }
     }
 

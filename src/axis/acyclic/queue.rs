@@ -6,6 +6,7 @@ use std::any::Any;
 use std::collections::HashMap;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, PoisonError};
+use std::task::Waker;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
@@ -30,6 +31,14 @@ pub struct AcyclicEnds {
     cancelled: Cancelled,
     guard: Guard,
     capacity: usize,
+    waker: Option<Waker>,
+}
+
+impl AcyclicEnds {
+    /// Each post and each cancel wakes its executor, which is a thread outside the loop.
+    pub fn waking(self, waker: Waker) -> AcyclicEnds {
+        AcyclicEnds { waker: Some(waker), ..self }
+    }
 }
 
 /// A queue of `capacity` calls, some of them `commanding`: the application's end, and that of the executor.
@@ -40,7 +49,7 @@ pub fn queue(capacity: usize, commanding: Commanding) -> (AcyclicEnds, Port) {
     let (ends, end_out) = rt::ring(capacity, &mut regions);
     let (cancelled, guard) = (Cancelled::new(capacity), Guard::new(commanding));
     let port = Port::new(calls, ends, cancelled.clone(), guard.clone(), regions);
-    (AcyclicEnds { calls: call_in, ends: end_out, cancelled, guard, capacity }, port)
+    (AcyclicEnds { calls: call_in, ends: end_out, cancelled, guard, capacity, waker: None }, port)
 }
 
 /// Acyclic access to one drive, for any number of threads.
@@ -61,6 +70,8 @@ struct Shared {
     capacity: usize,
     cancelled: Cancelled,
     guard: Guard,
+    /// Wakes the executor, if that is not the loop.
+    waker: Option<Waker>,
     ends: Mutex<Ends>,
     claimed: AtomicBool,
 }
@@ -133,7 +144,7 @@ impl Acyclic {
         observer: Observer,
         period: Duration,
     ) -> Acyclic {
-        let AcyclicEnds { calls, ends, cancelled, guard, capacity } = ends;
+        let AcyclicEnds { calls, ends, cancelled, guard, capacity, waker } = ends;
         let ends = Ends {
             calls,
             ends,
@@ -151,6 +162,7 @@ impl Acyclic {
             capacity,
             cancelled,
             guard,
+            waker,
             ends: Mutex::new(ends),
             claimed: AtomicBool::new(false),
         });
@@ -189,7 +201,10 @@ impl Acyclic {
     pub fn post(&self, call: Call, limit: Duration) -> Result<CallTicket, PostError> {
         let mut ends = self.ends();
         self.room(&mut ends, &[call])?;
-        Ok(self.enqueue(&mut ends, 0, call, limit))
+        let ticket = self.enqueue(&mut ends, 0, call, limit);
+        drop(ends);
+        self.wake();
+        Ok(ticket)
     }
 
     /// Posts calls that belong together, all or none: the first failure ends the later ones.
@@ -198,7 +213,16 @@ impl Acyclic {
         self.room(&mut ends, calls)?;
         let series = ends.next_series;
         ends.next_series += 1;
-        Ok(calls.iter().map(|call| self.enqueue(&mut ends, series, *call, limit)).collect())
+        let tickets = calls.iter().map(|call| self.enqueue(&mut ends, series, *call, limit)).collect();
+        drop(ends);
+        self.wake();
+        Ok(tickets)
+    }
+
+    fn wake(&self) {
+        if let Some(waker) = &self.shared.waker {
+            waker.wake_by_ref();
+        }
     }
 
     /// As [`Carrier::run`], for a caller that has other work meanwhile: `rest` is called between two looks, and
@@ -397,6 +421,7 @@ impl CallTicket {
     /// still carry it out.
     pub fn cancel(&self) {
         self.acyclic.shared.cancelled.set(self.number);
+        self.acyclic.wake();
     }
 }
 

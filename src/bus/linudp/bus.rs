@@ -58,7 +58,8 @@ impl LinUdpBus {
         let locks = lock_drives(&plan.name, drives, carriers)?;
         // Until its bucket is full, an absent drive gets its requests like any other.
         let waiting = plan.drives.iter().map(|drive| drive.axis.health.bucket as usize).max().unwrap_or(0);
-        let options = UdpOptions { peers: plan.drives.len(), waiting, room: ROOM, send: plan.send };
+        let options =
+            UdpOptions { peers: plan.drives.len(), waiting, room: ROOM, send: plan.send, dscp: 0, groups: 0 };
         let net = carriers.datagrams(plan.bind, &options).map_err(|source| OpenError::Bind {
             bus: plan.name.clone(),
             address: plan.bind,

@@ -68,6 +68,7 @@ impl ModbusBus {
             let (direct, menu_0) = mappings.clone();
             let greeting = UnidriveGreeting::new(drive, direct, menu_0, Arc::clone(&found));
             peers.push(StreamPeer {
+                bind: plan.bind,
                 greeting_ns: greeting.longest_ns(),
                 unacknowledged_ns: 2 * drive.reply_within_ns,
                 ..StreamPeer::new(drive.address, Box::new(greeting))
@@ -273,7 +274,7 @@ impl BusPlan for ModbusPlan {
     }
 
     fn describe(&self, period_ns: u64) -> Vec<String> {
-        self.drives.iter().map(|drive| drive.describe(period_ns)).collect()
+        self.drives.iter().map(|drive| drive.describe(self.bind, period_ns)).collect()
     }
 
     fn open(&self, _period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
@@ -310,7 +311,7 @@ impl BusPlan for ModbusPlan {
         drive.set_up = false;
         drive.map.show = [None; MONITOR_CHANNELS];
         drive.map.also.clear();
-        Some(Box::new(ModbusPlan { name: self.name.clone(), drives: vec![drive] }))
+        Some(Box::new(ModbusPlan { name: self.name.clone(), bind: self.bind, drives: vec![drive] }))
     }
 
     fn simulate(&self) -> Vec<Box<dyn SimDrive>> {

@@ -18,6 +18,8 @@ pub const PORT: u16 = 502;
 pub struct ModbusPlan {
     /// Its name in messages.
     pub name: String,
+    /// The address of this host that its connections leave from; `None`: whichever leads to a drive.
+    pub bind: Option<Ipv4Addr>,
     /// The drives; one address and port each.
     pub drives: Vec<UnidriveDrive>,
 }
@@ -193,7 +195,7 @@ impl Watchdog {
 impl ModbusPlan {
     /// A bus of these drives.
     pub fn new(drives: Vec<UnidriveDrive>) -> ModbusPlan {
-        ModbusPlan { name: super::PROTOCOL.into(), drives }
+        ModbusPlan { name: super::PROTOCOL.into(), bind: None, drives }
     }
 }
 
@@ -385,9 +387,12 @@ impl UnidriveDrive {
     }
 
     /// What `check` says of it beyond its axis; the first line is its address.
-    pub fn describe(&self, period_ns: u64) -> String {
+    pub fn describe(&self, bind: Option<Ipv4Addr>, period_ns: u64) -> String {
         let every = Ns(period_ns.saturating_mul(self.axis.divisor.into()));
-        let mut lines = vec![self.address.to_string()];
+        let mut lines = vec![match bind {
+            Some(bind) => format!("{bind} -> {}", self.address),
+            None => self.address.to_string(),
+        }];
         lines.extend(self.describe_exchange(every));
         lines.push(
             match self.functions {

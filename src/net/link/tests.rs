@@ -411,7 +411,7 @@ fn the_thread_keeps_off_the_core_of_the_loop() {
     });
 }
 
-fn descriptors() -> usize {
+pub(in crate::net) fn descriptors() -> usize {
     std::fs::read_dir("/proc/self/fd").unwrap().count()
 }
 
@@ -514,3 +514,5 @@ fn the_loop_sees_that_the_link_thread_has_ended_and_keeps_what_is_open() {
     assert_eq!(healthy.send(0, b"stop").unwrap().1, 4);
     expect(&mut drive, b"stop");
 }
+
+mod sessions;

@@ -1,13 +1,14 @@
 //! Simulated drives and segments on real sockets: one thread waits for the requests of all of them.
 //!
-//! Each drive has a socket bound to its own address, so that the master reaches it as it would reach the real one:
-//! a datagram socket, or a listening one and its connections. Each segment has a socket for its frames. Nothing
-//! here knows a protocol.
+//! Each drive has sockets bound to its own addresses, so that the master reaches it as it would reach the real one:
+//! datagram sockets, or a listening one and its connections. Each segment has a socket for its frames, and each serial
+//! wire a port. Nothing here knows a protocol.
 //!
 //! | file | what |
 //! |---|---|
 //! | `sockets` | a drive, its sockets and connections |
 //! | `lines` | a segment and its socket |
+//! | `wires` | a serial wire and its port |
 //! | `service` | the work of the thread |
 
 mod lines;
@@ -15,6 +16,7 @@ mod service;
 mod sockets;
 #[cfg(test)]
 mod tests;
+mod wires;
 
 use std::io;
 use std::net::SocketAddrV4;
@@ -23,7 +25,7 @@ use std::thread::{self, JoinHandle};
 
 use nix::sys::eventfd::{EfdFlags, EventFd};
 
-use self::service::Service;
+use self::service::{Service, Stats};
 use super::Simulated;
 use super::fault::Injected;
 use crate::rt;
@@ -37,10 +39,10 @@ pub struct ServerOptions {
     pub priority: Option<u8>,
 }
 
-/// Exact counts of one drive on a real socket.
+/// Exact counts of one socket of a drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DriveStats {
-    /// The drive.
+    /// The address of the socket.
     pub address: SocketAddrV4,
     /// Datagrams that came to its socket, before any fault; on connections, reads.
     pub received: u64,
@@ -48,7 +50,7 @@ pub struct DriveStats {
     pub answered: u64,
     /// Replies that the kernel refused, or whose connection had ended.
     pub unsent: u64,
-    /// Its connections; all zero for a drive on datagrams.
+    /// Its connections; all zero for one of datagrams.
     pub connections: ConnectionStats,
     /// The faults that were injected.
     pub injected: Injected,
@@ -82,29 +84,45 @@ pub struct LineStats {
     pub injected: Injected,
 }
 
+/// Exact counts of one serial wire behind a real port.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct WireStats {
+    /// The master's port.
+    pub port: String,
+    /// Reads from it, before any fault.
+    pub received: u64,
+    /// Bytes handed to the kernel.
+    pub sent: u64,
+    /// Bytes that the kernel did not take, or that no master was there for.
+    pub unsent: u64,
+    /// The faults that were injected.
+    pub injected: Injected,
+}
+
 /// Simulated drives, served until this is stopped or dropped.
 #[derive(Debug)]
 pub struct SimServer {
     stats: Arc<[Mutex<DriveStats>]>,
     lines: Arc<[Mutex<LineStats>]>,
+    wires: Arc<[Mutex<WireStats>]>,
     stop: Arc<EventFd>,
     thread: Option<JoinHandle<()>>,
     realtime: bool,
 }
 
 impl SimServer {
-    /// Binds a socket for each drive and each segment, and serves them on one thread. Start a second server for a
-    /// second thread.
+    /// Binds the sockets of each drive and segment and the port of each serial wire, and serves them on one thread.
+    /// Start a second server for a second thread.
     ///
     /// A core or priority that is not available is no error: see [`realtime`](Self::realtime).
     ///
     /// # Errors
     ///
-    /// A socket that cannot be bound, with its address or interface in the message; no descriptors or threads left.
+    /// A socket or port that cannot be opened, with its name in the message; no descriptors or threads left.
     pub fn start(simulated: impl Into<Simulated>, options: ServerOptions) -> io::Result<SimServer> {
         let stop = Arc::new(EventFd::from_flags(EfdFlags::EFD_CLOEXEC | EfdFlags::EFD_NONBLOCK)?);
         let mut service = Service::open(simulated.into(), &stop)?;
-        let (stats, lines) = service.stats();
+        let Stats { drives: stats, lines, wires } = service.stats();
         let (granted, answer) = crossbeam_channel::bounded(1);
         let thread = thread::Builder::new().name("fieldbeat-sim".into()).spawn(move || {
             // Nobody receives the answer only if the start itself was given up.
@@ -112,7 +130,7 @@ impl SimServer {
             service.run();
         })?;
         let realtime = answer.recv().unwrap_or(false);
-        Ok(SimServer { stats, lines, stop, thread: Some(thread), realtime })
+        Ok(SimServer { stats, lines, wires, stop, thread: Some(thread), realtime })
     }
 
     /// Whether the thread runs under SCHED_FIFO on the core, as requested. Also false if no priority was requested.
@@ -120,7 +138,7 @@ impl SimServer {
         self.realtime
     }
 
-    /// The counts of each drive so far, by rising address.
+    /// The counts of each socket so far, by rising address. Most drives have one.
     pub fn stats(&self) -> Vec<DriveStats> {
         self.stats.iter().map(|stats| *lock(stats)).collect()
     }
@@ -128,6 +146,11 @@ impl SimServer {
     /// The counts of each segment so far.
     pub fn lines(&self) -> Vec<LineStats> {
         self.lines.iter().map(|stats| lock(stats).clone()).collect()
+    }
+
+    /// The counts of each serial wire so far.
+    pub fn wires(&self) -> Vec<WireStats> {
+        self.wires.iter().map(|stats| lock(stats).clone()).collect()
     }
 
     /// Ends the thread, waits for it and closes the sockets. Returns the final counts of the drives.

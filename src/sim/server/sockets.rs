@@ -1,7 +1,8 @@
-//! A drive behind real sockets: a datagram socket, or a listening one and its connections.
+//! The sockets of a drive: datagram sockets, and a listening one with its connections.
 
 use std::io::{self, Write};
 use std::net::{SocketAddrV4, TcpListener, TcpStream, UdpSocket};
+use std::os::fd::AsRawFd;
 
 use nix::sys::epoll::{Epoll, EpollEvent, EpollFlags};
 use nix::sys::socket::{setsockopt, sockopt};
@@ -9,9 +10,8 @@ use nix::sys::socket::{setsockopt, sockopt};
 use super::{ConnectionStats, DriveStats};
 use crate::errors::no_descriptor;
 use crate::rt::MonotonicClock;
-use crate::sim::fault::{Blow, Injector, wrong_port};
-use crate::sim::{Carrier, SimDrive};
-use crate::time::Time;
+use crate::sim::fault::{Injector, wrong_port};
+use crate::sim::{Carrier, SimDrive, faults, sockets};
 
 /// The most that the peer of a connection leaves unread beyond what the kernel holds, bytes; then the connection ends.
 pub(super) const UNREAD: usize = 65_536;
@@ -23,10 +23,13 @@ const KEEP_IDLE: u32 = 10;
 /// ... so many of them, each after so many seconds; then its connection ends, as with real drives.
 const KEEP_PROBES: u32 = 3;
 
-/// One drive and its sockets.
+/// One socket of a drive.
 pub(super) struct Station {
     pub(super) address: SocketAddrV4,
-    pub(super) drive: Box<dyn SimDrive>,
+    /// The index of the drive.
+    pub(super) drive: usize,
+    /// The number of this socket at its drive.
+    pub(super) socket: usize,
     pub(super) injector: Injector,
     pub(super) door: Door,
 }
@@ -195,10 +198,21 @@ pub(super) fn prepare(socket: &TcpStream) -> io::Result<()> {
 }
 
 impl Station {
-    pub(super) fn open(drive: Box<dyn SimDrive>) -> io::Result<Station> {
-        let (address, carrier, faults) = (drive.address(), drive.carrier(), drive.faults());
-        let door = Door::open(address, carrier, faults.wrong_id > 0.0)?;
-        Ok(Station { address, injector: Injector::new(faults, carrier), door, drive })
+    /// All sockets of a drive, by their numbers.
+    pub(super) fn open(index: usize, drive: &dyn SimDrive) -> io::Result<Vec<Station>> {
+        let open = |(socket, (carrier, address)): (usize, (Carrier, SocketAddrV4))| {
+            let faults = faults(drive, socket);
+            let door = Door::open(address, carrier, faults.wrong_id > 0.0)?;
+            Ok(Station { address, drive: index, socket, injector: Injector::new(faults, carrier), door })
+        };
+        sockets(drive)?.into_iter().enumerate().map(open).collect()
+    }
+
+    pub(super) fn carrier(&self) -> Carrier {
+        match self.door {
+            Door::Datagrams { .. } => Carrier::Datagrams,
+            Door::Stream { .. } => Carrier::Stream,
+        }
     }
 
     pub(super) fn stats(&self) -> DriveStats {
@@ -217,27 +231,25 @@ impl Station {
         matches!(self.door, Door::Datagrams { .. }) || self.door.by_peer(peer).is_some()
     }
 
-    pub(super) fn end(&mut self, number: u32, farewell: Farewell) {
+    pub(super) fn end(&mut self, drive: &mut dyn SimDrive, number: u32, farewell: Farewell) {
         if let Some(connection) = self.door.take(number) {
             let peer = connection.peer;
             connection.end(farewell);
-            self.drive.disconnected(MonotonicClock::read(), peer);
+            drive.disconnected(MonotonicClock::read(), peer);
         }
     }
 
-    /// Injects a fault of the drive itself; a restart ends its connections.
-    pub(super) fn strike(&mut self, now: Time, blow: Blow) {
-        if blow == Blow::Restart {
-            while let Some(number) = self.door.connections().first().map(|connection| connection.number) {
-                self.end(number, Farewell::Reset);
-            }
+    /// Its drive restarts: its connections end.
+    pub(super) fn end_all(&mut self, drive: &mut dyn SimDrive) {
+        while let Some(number) = self.door.connections().first().map(|connection| connection.number) {
+            self.end(drive, number, Farewell::Reset);
         }
-        blow.strike(now, &mut *self.drive);
     }
 
     /// Accepts one connection, if the drive accepts it.
     pub(super) fn welcome(
         &mut self,
+        drive: &mut dyn SimDrive,
         index: usize,
         epoll: &Epoll,
         socket: TcpStream,
@@ -245,7 +257,7 @@ impl Station {
     ) -> bool {
         // The kernel has dropped it, and its event has not come yet.
         while let Some(number) = self.door.by_peer(peer).map(|old| old.number) {
-            self.end(number, Farewell::Close);
+            self.end(drive, number, Farewell::Close);
         }
         let Door::Stream { connections, newest, .. } = &mut self.door else { return false };
         let number = newest.wrapping_add(1).max(1);
@@ -253,7 +265,7 @@ impl Station {
         let welcome = connections.len() < CONNECTIONS
             && prepare(&socket).is_ok()
             && epoll.add(&socket, event).is_ok()
-            && self.drive.connect(MonotonicClock::read(), peer);
+            && drive.connect(MonotonicClock::read(), peer);
         if welcome {
             *newest = number;
             connections.push(Connection { number, peer, socket, unsent: Vec::new() });
@@ -267,7 +279,24 @@ impl Station {
 fn bind(address: SocketAddrV4) -> io::Result<UdpSocket> {
     UdpSocket::bind(address)
         .and_then(|socket| socket.set_nonblocking(true).map(|()| socket))
+        .and_then(|socket| leaves_from(&socket, address).map(|()| socket))
         .map_err(|error| unbound(address, Carrier::Datagrams, error))
+}
+
+/// What it sends to a multicast group leaves by the interface of its own address (ip(7)).
+fn leaves_from(socket: &UdpSocket, address: SocketAddrV4) -> io::Result<()> {
+    let interface = libc::in_addr { s_addr: address.ip().to_bits().to_be() };
+    // SAFETY: the kernel reads one address.
+    let refused = unsafe {
+        libc::setsockopt(
+            socket.as_raw_fd(),
+            libc::IPPROTO_IP,
+            libc::IP_MULTICAST_IF,
+            (&raw const interface).cast(),
+            size_of_val(&interface) as libc::socklen_t,
+        )
+    };
+    if refused < 0 { Err(io::Error::last_os_error()) } else { Ok(()) }
 }
 
 fn listen(address: SocketAddrV4) -> io::Result<TcpListener> {

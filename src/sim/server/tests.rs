@@ -454,3 +454,5 @@ fn a_port_without_rights_is_told_as_such() {
     assert!(text(502, Carrier::Stream).contains("run as root or give the drive a port like 1502"));
     assert!(!text(1_502, Carrier::Stream).contains("root"));
 }
+
+mod producers;

@@ -24,7 +24,8 @@ impl Clock for WorldClock {
         let begin = inner.now;
         let arrived = loop {
             let datagram = inner.ports.iter().any(|port| !port.inbox.is_empty());
-            if datagram || inner.links.readable() || inner.wires.readable() {
+            if datagram || inner.links.readable() || inner.lines.readable() || inner.wires.readable(inner.now)
+            {
                 break true;
             }
             match inner.next_due() {

@@ -1,6 +1,9 @@
 //! Datagrams in a world: from carrier to drive and back.
 
+use std::sync::{Arc, Mutex, PoisonError};
+
 use super::*;
+use crate::net::groups::Members;
 
 /// One carrier's end of the wire.
 pub(super) struct Port {
@@ -8,6 +11,37 @@ pub(super) struct Port {
     pub(super) inbox: VecDeque<Parcel>,
     /// Datagrams for which there was no room.
     pub(super) dropped: u64,
+    groups: Arc<PortGroups>,
+}
+
+/// The multicast groups of a carrier. A lock of its own: a session may join one while the world is at work.
+#[derive(Debug)]
+pub(super) struct PortGroups(Mutex<Members<()>>);
+
+impl Groups for PortGroups {
+    fn join(&self, group: SocketAddrV4) -> io::Result<()> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).join(group, || Ok(()))
+    }
+
+    fn leave(&self, group: SocketAddrV4) {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).leave(group);
+    }
+}
+
+impl Port {
+    pub(super) fn new(address: SocketAddrV4, groups: usize) -> Port {
+        let groups = Arc::new(PortGroups(Mutex::new(Members::new(groups))));
+        Port { address, inbox: VecDeque::new(), dropped: 0, groups }
+    }
+
+    /// Its groups, where there is room for any.
+    pub(super) fn groups(&self) -> Arc<PortGroups> {
+        Arc::clone(&self.groups)
+    }
+
+    fn is_member(&self, group: SocketAddrV4) -> bool {
+        self.groups.0.lock().unwrap_or_else(PoisonError::into_inner).has(group)
+    }
 }
 
 impl Inner {
@@ -26,37 +60,43 @@ impl Inner {
         None
     }
 
+    /// A datagram comes to a group: each member gets a copy.
+    pub(super) fn take_in_group(&mut self, parcel: Parcel) -> Option<Parcel> {
+        for port in 0..self.ports.len() {
+            if self.ports[port].is_member(parcel.to) {
+                let copy = self.under_way.parcel(parcel.datagram());
+                if let Some(copy) = self.take_in_datagram(port, copy) {
+                    self.under_way.recycle(copy);
+                }
+            }
+        }
+        Some(parcel)
+    }
+
     /// A datagram comes to a drive.
     pub(super) fn serve(&mut self, index: usize, parcel: &Parcel) {
         let now = self.now;
-        let station = &mut self.stations[index];
-        if !station.plugged {
+        let (station, unit) = self.drives.both(index);
+        if !unit.plugged {
             return;
         }
         record(&mut self.digest, now, parcel);
         self.delivered += 1;
         self.reply.clear();
-        let to = station.drive.receive(now, parcel.from, &parcel.bytes, &mut self.reply);
+        let to = unit.drive.receive_at(station.socket, now, parcel.from, &parcel.bytes, &mut self.reply);
+        let unit = station.unit;
+        self.drives.called(unit);
         // No drive answers a drive: with a forged source two of them would go on for ever.
-        if let Some(to) = to.filter(|to| self.port(*to).is_some() || self.station(*to).is_none()) {
-            let station = &mut self.stations[index];
-            let reply = Datagram { from: station.address, to, bytes: &self.reply };
+        if let Some(to) = to.filter(|to| self.port(*to).is_some() || self.drives.at(*to).is_none()) {
             let due = now + self.options.latency_ns;
-            station.injector.pass(
-                Way::Reply,
-                now,
-                due,
-                reply,
-                |bytes| station.drive.mislabel(bytes),
-                &mut self.under_way,
-            );
+            self.drives.pass_reply(index, now, due, to, &self.reply, &mut self.under_way);
         }
     }
 
     /// A carrier's datagram leaves now.
     pub(super) fn depart(&mut self, datagram: Datagram<'_>) {
-        if let Some(index) = self.station(datagram.to) {
-            if self.stations[index].plugged {
+        if let Some(index) = self.drives.station(Carrier::Datagrams, datagram.to) {
+            if self.drives.both(index).1.plugged {
                 self.depart_to(index, datagram);
             }
         } else {
@@ -65,11 +105,11 @@ impl Inner {
         }
     }
 
-    /// A request leaves for drive `index` now.
+    /// A request leaves for the drive's socket `index` now.
     pub(super) fn depart_to(&mut self, index: usize, request: Datagram<'_>) {
         let due = self.now + self.options.latency_ns;
-        let blow = self.stations[index].pass_request(self.now, due, request, &mut self.under_way);
-        self.strike(index, blow);
+        let blow = self.drives.pass_request(index, self.now, due, request, &mut self.under_way);
+        self.strike(self.drives.stations[index].unit, blow);
     }
 }
 
@@ -79,6 +119,7 @@ pub(super) struct Socket {
     pub(super) world: World,
     pub(super) address: SocketAddrV4,
     pub(super) options: UdpOptions,
+    pub(super) groups: Arc<PortGroups>,
     /// The datagrams of the present `receive`.
     pub(super) taken: Vec<Parcel>,
 }
@@ -130,6 +171,10 @@ impl Datagrams for Socket {
 
     fn batch(&self) -> usize {
         BATCH
+    }
+
+    fn groups(&self) -> Option<Arc<dyn Groups>> {
+        (self.options.groups > 0).then(|| Arc::clone(&self.groups) as Arc<dyn Groups>)
     }
 
     fn dropped(&self) -> u64 {

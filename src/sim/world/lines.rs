@@ -35,14 +35,14 @@ impl Rail {
     }
 }
 
-/// All wires.
+/// All segments.
 #[derive(Default)]
-pub(super) struct Wires(Vec<Rail>);
+pub(super) struct Lines(Vec<Rail>);
 
-impl Wires {
+impl Lines {
     /// Wires to these segments.
-    pub(super) fn new(lines: Vec<Box<dyn SimLine>>) -> io::Result<Wires> {
-        let mut wires = Wires::default();
+    pub(super) fn new(lines: Vec<Box<dyn SimLine>>) -> io::Result<Lines> {
+        let mut wires = Lines::default();
         for line in lines {
             if wires.of(line.interface()).is_some() {
                 return Err(taken(line.interface()));
@@ -70,7 +70,7 @@ impl Wires {
 impl Inner {
     /// A frame that is due arrives; false: there is none.
     pub(super) fn deliver_frame(&mut self, due: Time) -> bool {
-        let rails = self.wires.0.iter_mut();
+        let rails = self.lines.0.iter_mut();
         let arrived =
             rails.filter_map(|rail| rail.wire.take(due).map(|(_, way, parcel)| (rail, way, parcel))).next();
         let Some((rail, way, mut parcel)) = arrived else { return false };
@@ -137,19 +137,19 @@ impl World {
     fn with_wire<R>(&self, interface: &str, f: impl FnOnce(&mut Wire, Time) -> R) -> Option<R> {
         let mut inner = self.lock();
         let now = inner.now;
-        inner.wires.of(interface).map(|wire| f(wire, now))
+        inner.lines.of(interface).map(|wire| f(wire, now))
     }
 
     pub(super) fn open_frames(&self, interface: &str, ethertype: u16) -> io::Result<Carriage> {
         let mut inner = self.lock();
-        let mut lines = inner.wires.0.iter().map(|rail| rail.wire.line());
+        let mut lines = inner.lines.0.iter().map(|rail| rail.wire.line());
         let is_it = |line: &dyn SimLine| line.interface() == interface && line.ethertype() == ethertype;
         let Some(index) = lines.position(is_it) else {
-            let names: Vec<&str> = inner.wires.0.iter().map(|rail| rail.wire.line().interface()).collect();
+            let names: Vec<&str> = inner.lines.0.iter().map(|rail| rail.wire.line().interface()).collect();
             let message = format!("no segment on {interface} in this world; there are: {}", names.join(", "));
             return Err(io::Error::new(io::ErrorKind::NotFound, message));
         };
-        if std::mem::replace(&mut inner.wires.0[index].open, true) {
+        if std::mem::replace(&mut inner.lines.0[index].open, true) {
             return Err(taken(interface));
         }
         Ok(Carriage { world: self.clone(), index })
@@ -172,14 +172,14 @@ impl Frames for Carriage {
         let mut inner = self.world.lock();
         let begin = inner.read();
         let (now, due) = (inner.now, inner.now + inner.options.latency_ns);
-        inner.wires.0[self.index].wire.depart(Way::Request, now, due, frame);
+        inner.lines.0[self.index].wire.depart(Way::Request, now, due, frame);
         Ok(begin)
     }
 
     fn receive(&mut self, room: &mut [u8]) -> Option<(Time, usize)> {
         let mut inner = self.world.lock();
         let at = inner.read();
-        let rail = &mut inner.wires.0[self.index];
+        let rail = &mut inner.lines.0[self.index];
         let parcel = rail.inbox.pop_front()?;
         let length = parcel.bytes.len();
         let fits = length.min(room.len());
@@ -204,7 +204,7 @@ impl Frames for Carriage {
 impl Drop for Carriage {
     fn drop(&mut self) {
         let mut inner = self.world.lock();
-        let rail = &mut inner.wires.0[self.index];
+        let rail = &mut inner.lines.0[self.index];
         rail.open = false;
         rail.inbox.clear();
     }

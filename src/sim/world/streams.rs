@@ -10,8 +10,12 @@ use std::io;
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::os::fd::RawFd;
 
-use super::{Inner, Station, World, record};
-use crate::net::link::{Action, Connection};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use super::sessions::Post;
+use super::{Inner, World, record};
+use crate::net::link::{Action, Connection, Peer};
 use crate::net::{Broken, LinkNotes, StreamPeer, Streams};
 use crate::rt::Regions;
 use crate::sim::Carrier;
@@ -37,6 +41,8 @@ pub(super) struct Links {
     opened: u32,
     /// When time alone makes something happen next.
     alarm: Option<Time>,
+    /// Something was posted to a session.
+    pub(super) posted: Arc<AtomicBool>,
     /// Called around the work of a normal thread.
     beside: fn(&mut dyn FnMut()),
 }
@@ -65,6 +71,8 @@ struct Link {
     stalled: VecDeque<Parcel>,
     /// Since when bytes to the drive wait there.
     unheard: Option<Time>,
+    /// Wakes its session.
+    post: Option<Arc<Post>>,
 }
 
 /// The owner of a connection.
@@ -83,9 +91,10 @@ enum Hold {
 struct Place(usize, usize);
 
 impl Link {
-    fn new(machine: Connection, station: Option<usize>) -> Link {
+    fn new(machine: Connection, station: Option<usize>, post: Option<Arc<Post>>) -> Link {
         Link {
             machine,
+            post,
             station,
             local: None,
             hold: Hold::Beside,
@@ -102,7 +111,7 @@ impl Link {
 
     /// When its peer's host has not acknowledged for too long.
     fn given_up_at(&self) -> Option<Time> {
-        self.unheard.map(|since| since + self.machine.peer().unacknowledged_ns)
+        self.unheard.map(|since| since + self.machine.target().unacknowledged_ns)
     }
 
     /// When time alone makes something happen next.
@@ -117,14 +126,21 @@ impl Link {
 
 impl Default for Links {
     fn default() -> Links {
-        Links { sets: Vec::new(), sets_made: 0, opened: 0, alarm: None, beside: |work| work() }
+        Links {
+            sets: Vec::new(),
+            sets_made: 0,
+            opened: 0,
+            alarm: None,
+            posted: Arc::default(),
+            beside: |work| work(),
+        }
     }
 }
 
 impl Links {
     /// When time alone makes something happen next.
     pub(super) fn alarm(&self) -> Option<Time> {
-        self.alarm
+        if self.posted.load(Ordering::Relaxed) { Some(Time::default()) } else { self.alarm }
     }
 
     /// Whether something waits that the loop can take.
@@ -155,12 +171,12 @@ impl Links {
         self.places().find(|(_, link)| link.local == Some(local)).map(|(place, _)| place)
     }
 
-    fn next_local(&mut self) -> SocketAddrV4 {
-        let (ip, port) = FIRST_LOCAL;
+    fn next_local(&mut self, bind: Option<Ipv4Addr>) -> SocketAddrV4 {
+        let (first, port) = FIRST_LOCAL;
         let number = self.opened;
         self.opened = self.opened.wrapping_add(1);
-        let ip = ip.to_bits() + (number / PORTS) % (1 << 17);
-        SocketAddrV4::new(ip.into(), port + (number % PORTS) as u16)
+        let ip = bind.unwrap_or_else(|| (first.to_bits() + (number / PORTS) % (1 << 17)).into());
+        SocketAddrV4::new(ip, port + (number % PORTS) as u16)
     }
 }
 
@@ -172,32 +188,51 @@ impl World {
     }
 
     pub(super) fn open_streams(&self, peers: Vec<StreamPeer>) -> StreamCarrier {
-        let mut inner = self.lock();
-        let (now, notes, count) = (inner.now, LinkNotes::new(peers.len()), peers.len());
-        let id = inner.links.sets_made;
-        let links = peers.into_iter().enumerate().map(|(index, peer)| {
-            let station = inner.station(peer.address);
-            Link::new(Connection::new(now, peer, notes.clone(), index), station)
-        });
-        let set = Set { id, links: links.collect(), opened: VecDeque::with_capacity(count) };
-        inner.links.sets_made += 1;
-        inner.links.sets.push(set);
-        inner.links.set_alarm();
-        drop(inner);
-        StreamCarrier { world: self.clone(), id, notes, ready: VecDeque::with_capacity(count) }
+        let notes = LinkNotes::new(peers.len());
+        let peers: Vec<_> = peers.into_iter().map(|peer| (Peer::from(peer), None)).collect();
+        let ready = VecDeque::with_capacity(peers.len());
+        StreamCarrier { id: self.lock().open(peers, &notes), world: self.clone(), notes, ready }
     }
 }
 
 /// The master's ends.
 impl Inner {
-    /// Everything that time alone makes happen now.
+    /// Begins to open connections to `peers`, each with the post of its session; the id of the set.
+    pub(super) fn open(&mut self, peers: Vec<(Peer, Option<Arc<Post>>)>, notes: &LinkNotes) -> u64 {
+        let (now, id, opened) = (self.now, self.links.sets_made, VecDeque::with_capacity(peers.len()));
+        let links = peers.into_iter().enumerate().map(|(index, (peer, post))| {
+            let station = self.drives.station(Carrier::Stream, peer.target().address);
+            Link::new(Connection::new(now, peer, notes.clone(), index), station, post)
+        });
+        let set = Set { id, links: links.collect(), opened };
+        self.links.sets_made += 1;
+        self.links.sets.push(set);
+        self.links.set_alarm();
+        id
+    }
+
+    /// Closes the connections of a set, as when their sockets are.
+    pub(super) fn close(&mut self, id: u64) {
+        let Some(set) = self.links.sets.iter().position(|set| set.id == id) else { return };
+        for link in 0..self.links.sets[set].links.len() {
+            self.hang_up(Place(set, link));
+        }
+        self.links.sets.remove(set);
+        self.links.set_alarm();
+    }
+
+    /// Everything that time alone makes happen now, and what was posted to sessions.
     pub(super) fn ring(&mut self) {
+        let posted = self.links.posted.swap(false, Ordering::AcqRel);
         for set in 0..self.links.sets.len() {
             for link in 0..self.links.sets[set].links.len() {
                 let place = Place(set, link);
                 if self.links.at(place).given_up_at().is_some_and(|due| due <= self.now) {
                     self.links.at(place).unheard = None;
                     self.break_off(place, Broken::Failed(libc::ETIMEDOUT));
+                }
+                if posted && self.links.at(place).post.as_ref().is_some_and(|post| post.take()) {
+                    self.work(place, Connection::woken);
                 }
                 if self.links.at(place).machine.next_due().is_some_and(|due| due <= self.now) {
                     self.work(place, Connection::poll);
@@ -214,7 +249,8 @@ impl Inner {
             match action {
                 Action::Wait => break,
                 Action::Connect => {
-                    let local = self.links.next_local();
+                    let bind = self.links.at(place).machine.target().bind;
+                    let local = self.links.next_local(bind);
                     self.links.at(place).local = Some(local);
                     self.signal_drive(place, local, Signal::Open);
                     break;
@@ -228,7 +264,7 @@ impl Inner {
                     self.links.sets[place.0].opened.push_back(place.1);
                     break;
                 }
-                Action::Close => {
+                Action::Close | Action::End => {
                     self.hang_up(place);
                     break;
                 }
@@ -249,14 +285,15 @@ impl Inner {
         action
     }
 
-    /// Sends the bytes of the handshake.
+    /// Sends the bytes of the handshake or session.
     fn greet(&mut self, place: Place) -> usize {
         let link = &self.links.sets[place.0].links[place.1];
         let (Some(station), Some(from)) = (link.station, link.local) else { return 0 };
-        let request = Datagram { from, to: self.stations[station].address, bytes: link.machine.to_send() };
+        let to = self.drives.stations[station].address;
+        let request = Datagram { from, to, bytes: link.machine.to_send() };
         let (count, due) = (request.bytes.len(), self.now + self.options.latency_ns);
-        let blow = self.stations[station].pass_request(self.now, due, request, &mut self.under_way);
-        self.strike(station, blow);
+        let blow = self.drives.pass_request(station, self.now, due, request, &mut self.under_way);
+        self.strike(self.drives.stations[station].unit, blow);
         count
     }
 
@@ -270,7 +307,7 @@ impl Inner {
             self.under_way.recycle(parcel);
         }
         if let Some(station) = self.links.at(place).station {
-            self.stations[station].injector.closed(local);
+            self.drives.stations[station].injector.closed(local);
         }
         self.signal_drive(place, local, Signal::End);
     }
@@ -287,7 +324,7 @@ impl Inner {
     /// A parcel comes to an address that may be the master's end of a connection. Returns a used buffer.
     pub(super) fn arrive(&mut self, parcel: Parcel) -> Option<Parcel> {
         let Some(place) = self.links.by_local(parcel.to) else { return Some(parcel) };
-        if self.links.at(place).station.is_some_and(|station| !self.stations[station].plugged) {
+        if self.links.at(place).station.is_some_and(|station| !self.drives.both(station).1.plugged) {
             return self.stall(place, parcel);
         }
         record(&mut self.digest, self.now, &parcel);
@@ -348,7 +385,7 @@ impl Inner {
     fn signal_drive(&mut self, place: Place, from: SocketAddrV4, signal: Signal) {
         let (due, link) = (self.now + self.options.latency_ns, self.links.at(place));
         let Some(station) = link.station else { return };
-        let station = &mut self.stations[station];
+        let station = &mut self.drives.stations[station];
         let parcel = self.under_way.signal(from, station.address, signal);
         station.injector.signal(Way::Request, due, parcel, &mut self.under_way);
     }
@@ -359,8 +396,8 @@ impl Inner {
     /// A parcel of a stream comes to a drive. Returns a used buffer.
     pub(super) fn hear(&mut self, index: usize, parcel: Parcel) -> Option<Parcel> {
         let (now, of) = (self.now, self.links.by_local(parcel.from));
-        let station = &mut self.stations[index];
-        if !station.plugged {
+        let (station, unit) = self.drives.both(index);
+        if !unit.plugged {
             return match of {
                 Some(place) => self.stall(place, parcel),
                 None => Some(parcel),
@@ -371,10 +408,12 @@ impl Inner {
         match parcel.signal {
             // Given up while it was under way: as if it had been closed at once.
             Signal::Open if of.is_some() => {
-                let welcome = station.carrier == Carrier::Stream && station.drive.connect(now, parcel.from);
+                let welcome = station.carrier == Carrier::Stream && unit.drive.connect(now, parcel.from);
                 if welcome {
                     station.peers.push(parcel.from);
                 }
+                let unit = station.unit;
+                self.drives.called(unit);
                 self.signal_master(index, parcel.from, if welcome { Signal::Accept } else { Signal::Reset });
             }
             Signal::Bytes if station.peers.contains(&parcel.from) => self.serve_stream(index, &parcel),
@@ -387,73 +426,77 @@ impl Inner {
 
     fn serve_stream(&mut self, index: usize, parcel: &Parcel) {
         let (now, due) = (self.now, self.now + self.options.latency_ns);
-        let station = &mut self.stations[index];
+        let (station, unit) = self.drives.both(index);
         self.reply.clear();
-        if let Some(to) = station.drive.receive(now, parcel.from, &parcel.bytes, &mut self.reply) {
-            let reply = Datagram { from: station.address, to, bytes: &self.reply };
-            station.injector.pass(
-                Way::Reply,
-                now,
-                due,
-                reply,
-                |bytes| station.drive.mislabel(bytes),
-                &mut self.under_way,
-            );
+        let to = unit.drive.receive_at(station.socket, now, parcel.from, &parcel.bytes, &mut self.reply);
+        let (hangs_up, unit) = (unit.drive.hangs_up(parcel.from), station.unit);
+        self.drives.called(unit);
+        if let Some(to) = to {
+            self.drives.pass_reply(index, now, due, to, &self.reply, &mut self.under_way);
         }
-        if station.drive.hangs_up(parcel.from) {
+        if hangs_up {
             self.signal_master(index, parcel.from, Signal::End);
         }
     }
 
-    fn signal_master(&mut self, index: usize, to: SocketAddrV4, signal: Signal) {
-        let (due, station) = (self.now + self.options.latency_ns, &mut self.stations[index]);
+    pub(super) fn signal_master(&mut self, index: usize, to: SocketAddrV4, signal: Signal) {
+        let (due, station) = (self.now + self.options.latency_ns, &mut self.drives.stations[index]);
         let parcel = self.under_way.signal(station.address, to, signal);
         station.injector.signal(Way::Reply, due, parcel, &mut self.under_way);
     }
 
     /// The drive at `address` learns that its connection with `peer` has ended, if it had one.
     fn forget(&mut self, address: SocketAddrV4, peer: SocketAddrV4) {
-        let (Some(index), now) = (self.station(address), self.now) else { return };
-        let station = &mut self.stations[index];
+        let Some(index) = self.drives.station(Carrier::Stream, address) else { return };
+        let (station, unit) = self.drives.both(index);
         if let Some(place) = station.peers.iter().position(|other| *other == peer) {
             station.peers.remove(place);
-            station.drive.disconnected(now, peer);
+            unit.drive.disconnected(self.now, peer);
+            let unit = station.unit;
+            self.drives.called(unit);
         }
     }
 
     /// Injects a fault into drive `index`. A restart resets its connections.
     pub(super) fn strike(&mut self, index: usize, blow: Option<Blow>) {
         let (Some(blow), now) = (blow, self.now) else { return };
-        while blow == Blow::Restart
-            && let Some(peer) = self.stations[index].peers.pop()
-        {
-            self.stations[index].drive.disconnected(now, peer);
-            self.signal_master(index, peer, Signal::Reset);
+        for k in 0..self.drives.units[index].sockets.len() {
+            let station = self.drives.units[index].sockets[k];
+            while blow == Blow::Restart
+                && let Some(peer) = self.drives.stations[station].peers.pop()
+            {
+                self.drives.units[index].drive.disconnected(now, peer);
+                self.signal_master(station, peer, Signal::Reset);
+            }
         }
-        blow.strike(now, &mut *self.stations[index].drive);
+        blow.strike(now, &mut *self.drives.units[index].drive);
+        self.drives.called(index);
     }
 
     /// Plugs the cable of drive `index` in again: waiting parcels arrive, and the drive learns which connections
     /// have ended.
     pub(super) fn plug(&mut self, index: usize) {
         let now = self.now;
-        self.stations[index].plugged = true;
-        let Inner { links, stations, .. } = self;
-        let Station { peers, drive, .. } = &mut stations[index];
-        peers.retain(|peer| {
-            let lives = links.by_local(*peer).is_some();
-            if !lives {
-                drive.disconnected(now, *peer);
-            }
-            lives
-        });
+        let Inner { links, drives, .. } = self;
+        let unit = &mut drives.units[index];
+        unit.plugged = true;
+        for station in &unit.sockets {
+            drives.stations[*station].peers.retain(|peer| {
+                let lives = links.by_local(*peer).is_some();
+                if !lives {
+                    unit.drive.disconnected(now, *peer);
+                }
+                lives
+            });
+        }
         for link in links.sets.iter_mut().flat_map(|set| &mut set.links) {
-            if link.station == Some(index) {
+            if link.station.is_some_and(|station| drives.stations[station].unit == index) {
                 link.unheard = None;
                 link.stalled.drain(..).for_each(|parcel| self.under_way.push(now, parcel));
             }
         }
         self.links.set_alarm();
+        self.drives.called(index);
     }
 }
 
@@ -530,7 +573,7 @@ impl Streams for StreamCarrier {
             return Ok((at, 0));
         }
         let (Some(from), Some(station)) = (link.local, link.station) else { return Err(Broken::Absent) };
-        let request = Datagram { from, to: inner.stations[station].address, bytes };
+        let request = Datagram { from, to: inner.drives.stations[station].address, bytes };
         inner.depart_to(station, request);
         Ok((at, bytes.len()))
     }
@@ -553,13 +596,7 @@ impl Streams for StreamCarrier {
 /// Its connections are closed, as when their sockets are.
 impl Drop for StreamCarrier {
     fn drop(&mut self) {
-        let mut inner = self.world.lock();
-        let Some(set) = inner.links.sets.iter().position(|set| set.id == self.id) else { return };
-        for link in 0..inner.links.sets[set].links.len() {
-            inner.hang_up(Place(set, link));
-        }
-        inner.links.sets.remove(set);
-        inner.links.set_alarm();
+        self.world.lock().close(self.id);
     }
 }
 

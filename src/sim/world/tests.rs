@@ -1,6 +1,7 @@
 //! Time in a world, and datagrams.
 
 use super::*;
+use crate::sim::SimDrive;
 use crate::time::{MS, S, US};
 use std::net::Ipv4Addr;
 
@@ -64,7 +65,8 @@ struct Master {
 
 impl Master {
     fn new(world: &World, count: u8, send: SendMode) -> Master {
-        let options = UdpOptions { peers: usize::from(count), waiting: 0, room: 16, send };
+        let options =
+            UdpOptions { peers: usize::from(count), waiting: 0, room: 16, send, dscp: 0, groups: 0 };
         let carrier = world.datagrams(MASTER, &options).unwrap();
         let outbox = Outbox::new(&(0..count).map(drive).collect::<Vec<_>>(), 16);
         Master { world: world.clone(), carrier, outbox }
@@ -252,7 +254,7 @@ fn the_plug_the_switch_and_the_faults_can_be_pulled_in_between() {
 #[test]
 fn an_address_has_one_owner_until_it_is_dropped() {
     let world = world(1, FaultPlan::default(), WorldOptions::default());
-    let options = UdpOptions { peers: 1, waiting: 0, room: 16, send: SendMode::Batch };
+    let options = UdpOptions { peers: 1, waiting: 0, room: 16, send: SendMode::Batch, dscp: 0, groups: 0 };
     let refused = |at| world.datagrams(at, &options).map(|_| ()).unwrap_err().kind();
     let first = world.datagrams(MASTER, &options).unwrap();
     assert_eq!(refused(MASTER), io::ErrorKind::AddrInUse);

@@ -288,7 +288,14 @@ impl BusPlan for ToyPlan {
 
     fn open(&self, _period_ns: u64, carriers: &dyn Carriers) -> Result<Box<dyn Bus>, OpenError> {
         let bind = SocketAddrV4::new(Ipv4Addr::new(10, 7, 0, 1), 7);
-        let options = UdpOptions { peers: self.drives.len(), waiting: 0, room: 64, send: SendMode::Batch };
+        let options = UdpOptions {
+            peers: self.drives.len(),
+            waiting: 0,
+            room: 64,
+            send: SendMode::Batch,
+            dscp: 0,
+            groups: 0,
+        };
         let net = carriers.datagrams(bind, &options).map_err(|source| OpenError::Bind {
             bus: self.name().into(),
             address: bind,

@@ -68,7 +68,7 @@ fn cable(test: u8) -> Cable {
 /// The line of `plan`, served at the drives' end of a cable. It ends with this.
 fn serve(cable: &Cable, plan: &EthercatPlan) -> SimServer {
     let line: Box<dyn SimLine> = Box::new(EthercatSim::new(plan));
-    let simulated = Simulated { drives: Vec::new(), lines: vec![line] };
+    let simulated = Simulated { lines: vec![line], ..Simulated::default() };
     // A line is hardware: it does not wait for whatever else this computer does.
     let options = ServerOptions { priority: Some(70), ..ServerOptions::default() };
     cable.among_drives(|| SimServer::start(simulated, options).unwrap())

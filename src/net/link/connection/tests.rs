@@ -1,0 +1,355 @@
+//! The life of a connection, in plain time.
+
+use super::*;
+use std::net::SocketAddrV4;
+
+use crate::net::stream::{Greeting, StreamPeer};
+use crate::time::{Ns, S};
+
+use proptest::prelude::*;
+
+/// Sends `hello` and expects `welcome`; with nothing to send it is complete at once.
+#[derive(Debug)]
+struct Hello {
+    say: &'static [u8],
+    expect: &'static [u8],
+    got: Vec<u8>,
+}
+
+impl Greeting for Hello {
+    fn begin(&mut self, _now: Time, out: &mut Vec<u8>) -> Greeted {
+        self.got.clear();
+        out.extend_from_slice(self.say);
+        if self.expect.is_empty() { Greeted::Done } else { Greeted::More }
+    }
+
+    fn take(&mut self, _now: Time, bytes: &[u8], out: &mut Vec<u8>) -> Greeted {
+        self.got.extend_from_slice(bytes);
+        if !self.expect.starts_with(&self.got) {
+            return Greeted::Failed("speaks another language".into());
+        }
+        if self.got.len() < self.expect.len() {
+            return Greeted::More;
+        }
+        out.extend_from_slice(b"bye");
+        Greeted::Done
+    }
+}
+
+const START: Time = Time(1_000 * S);
+
+fn address(host: u8) -> SocketAddrV4 {
+    SocketAddrV4::new([192, 168, 1, host].into(), 502)
+}
+
+fn connection(say: &'static [u8], expect: &'static [u8]) -> (Connection, LinkNotes) {
+    let notes = LinkNotes::new(1);
+    let peer = StreamPeer::new(address(20), Box::new(Hello { say, expect, got: Vec::new() }));
+    (Connection::new(START, peer, notes.clone(), 0), notes)
+}
+
+/// Goes on to the end of the pause, and begins to connect.
+fn connect(connection: &mut Connection) -> Time {
+    let now = connection.next_due().unwrap();
+    assert_eq!(connection.poll(now), Action::Connect);
+    now
+}
+
+/// Sends everything in pieces of `piece` bytes; returns the action that followed.
+fn send(connection: &mut Connection, now: Time, piece: usize) -> (Vec<u8>, Action) {
+    let mut said = Vec::new();
+    loop {
+        let count = connection.to_send().len().min(piece);
+        said.extend_from_slice(&connection.to_send()[..count]);
+        match connection.sent(now, count) {
+            Action::Send => {}
+            action => return (said, action),
+        }
+    }
+}
+
+/// All the way to the loop.
+fn hand_over(connection: &mut Connection) -> Time {
+    let now = connect(connection);
+    assert_eq!(connection.connected(now), Action::HandOver);
+    now
+}
+
+/// The pause that a failure at `now` has led to.
+fn pause(connection: &Connection, now: Time) -> u64 {
+    connection.next_due().unwrap().since(now)
+}
+
+/// Shortened by an eighth at most.
+fn assert_about(ns: u64, nominal: u64) {
+    assert!(ns <= nominal && ns >= nominal - nominal / 8, "{ns} of {nominal}");
+}
+
+#[test]
+fn a_greeting_passes_in_any_split_and_hands_over_when_all_is_sent() {
+    for piece in 1..=7 {
+        let (mut connection, notes) = connection(b"hello", b"welcome");
+        let now = connect(&mut connection);
+        assert_eq!(connection.connected(now), Action::Send);
+        assert_eq!(send(&mut connection, now, piece), (b"hello".to_vec(), Action::Wait));
+        let mut last = Action::Wait;
+        for bytes in b"welcome".chunks(piece) {
+            assert_eq!(last, Action::Wait);
+            last = connection.received(now, bytes);
+        }
+        assert_eq!(last, Action::Send);
+        assert_eq!(send(&mut connection, now, piece), (b"bye".to_vec(), Action::HandOver));
+        assert_eq!((connection.next_due(), notes.get(0)), (None, None));
+    }
+}
+
+#[test]
+fn a_greeting_of_nothing_hands_over_at_once() {
+    let (mut connection, _) = connection(b"", b"");
+    hand_over(&mut connection);
+}
+
+#[test]
+fn each_phase_ends_at_its_own_time_and_says_why() {
+    let (mut connection, notes) = connection(b"hello", b"welcome");
+    let now = connect(&mut connection);
+    assert_eq!(connection.next_due(), Some(now + S));
+    assert_eq!(connection.poll(now + (S - 1)), Action::Wait);
+    assert_eq!(connection.poll(now + S), Action::Close);
+    assert_eq!(
+        notes.get(0).as_deref(),
+        Some(
+            "no answer from 192.168.1.20:502 within 1 s: look at the address, the cable and the drive's power"
+        )
+    );
+
+    let now = connect(&mut connection);
+    assert_eq!(connection.connected(now), Action::Send);
+    assert_eq!(connection.next_due(), Some(now + 2 * S));
+    // One that sends byte by byte gains no time.
+    for (k, byte) in b"welcom".iter().enumerate() {
+        assert_eq!(connection.received(now + k as u64 * S / 4, &[*byte]), Action::Send);
+    }
+    assert_eq!(connection.poll(now + 2 * S), Action::Close);
+    let note = notes.get(0).unwrap();
+    assert!(
+        note.starts_with("192.168.1.20:502 accepts connections, but does not answer within 2 s"),
+        "{note}"
+    );
+}
+
+#[test]
+fn each_failure_has_its_words() {
+    let cases = [
+        (libc::ECONNREFUSED, "refused: nobody listens at 192.168.1.20:502"),
+        (libc::ETIMEDOUT, "no answer from 192.168.1.20:502 within 1 s"),
+        (libc::EHOSTUNREACH, "no device has the address"),
+        (libc::ENETUNREACH, "no network leads to"),
+        (libc::ECONNRESET, "ends the connection at once"),
+        (libc::EMFILE, "Too many open files"),
+    ];
+    let (mut connection, notes) = connection(b"hello", b"welcome");
+    for (errno, words) in cases {
+        let now = connect(&mut connection);
+        assert_eq!(connection.failed(now, Broken::Failed(errno)), Action::Close);
+        let note = notes.get(0).unwrap();
+        assert!(note.contains(words) && note.contains("192.168.1.20:502"), "{note}");
+    }
+    for (broken, words) in [
+        (Broken::Closed, "ends the connection at once"),
+        (Broken::Failed(libc::ETIMEDOUT), "was lost during the handshake"),
+    ] {
+        let now = connect(&mut connection);
+        connection.connected(now);
+        assert_eq!(connection.failed(now, broken), Action::Close);
+        assert!(notes.get(0).unwrap().contains(words), "{:?}", notes.get(0));
+    }
+}
+
+#[test]
+fn what_the_protocol_finds_is_told_with_the_address() {
+    let (mut connection, notes) = connection(b"hello", b"welcome");
+    let now = connect(&mut connection);
+    connection.connected(now);
+    assert_eq!(connection.received(now, b"weird"), Action::Close);
+    assert_eq!(notes.get(0).as_deref(), Some("192.168.1.20:502: speaks another language"));
+}
+
+#[test]
+fn a_peer_that_goes_on_talking_after_the_greeting_is_not_handed_over() {
+    let (mut connection, notes) = connection(b"hello", b"welcome");
+    let now = connect(&mut connection);
+    connection.connected(now);
+    send(&mut connection, now, 99);
+    assert_eq!(connection.received(now, b"welcome"), Action::Send);
+    assert_eq!(connection.received(now, b"again"), Action::Close);
+    assert!(notes.get(0).unwrap().contains("nobody requested"));
+    // And the next one begins from the start.
+    let now = connect(&mut connection);
+    assert_eq!(connection.connected(now), Action::Send);
+    assert_eq!(connection.to_send(), b"hello");
+}
+
+#[test]
+fn pauses_double_up_to_the_most_and_no_further() {
+    let (mut connection, _) = connection(b"hello", b"welcome");
+    for nominal in [100, 200, 400, 800, 1_600, 2_000, 2_000, 2_000] {
+        let now = connect(&mut connection);
+        connection.failed(now, Broken::Failed(libc::ECONNREFUSED));
+        assert_about(pause(&connection, now), nominal * MS);
+    }
+}
+
+#[test]
+fn only_a_connection_that_was_in_use_long_enough_begins_with_the_least_pause_again() {
+    let (mut connection, notes) = connection(b"", b"");
+    for nominal in [100, 200, 400] {
+        let now = hand_over(&mut connection) + (2 * S - 1);
+        assert_eq!(connection.given_back(now, "it was silent"), Action::Close);
+        assert_about(pause(&connection, now), nominal * MS);
+        assert_eq!(notes.get(0).as_deref(), Some("connection to 192.168.1.20:502 given up: it was silent"));
+    }
+    let now = hand_over(&mut connection) + 2 * S;
+    assert_eq!(notes.get(0), None);
+    assert_eq!(connection.given_back(now, "it was silent"), Action::Close);
+    assert_about(pause(&connection, now), 100 * MS);
+}
+
+#[test]
+fn a_greeted_peer_that_never_gets_into_use_is_asked_more_and_more_seldom() {
+    let (mut connection, _) = connection(b"hello", b"welcome");
+    for nominal in [100, 200, 400] {
+        let now = connect(&mut connection);
+        connection.connected(now);
+        assert_eq!(connection.failed(now, Broken::Closed), Action::Close);
+        assert_about(pause(&connection, now), nominal * MS);
+    }
+}
+
+#[test]
+fn thirty_two_peers_in_a_row_never_knock_at_the_same_instant() {
+    let mut connections: Vec<_> = (0..32)
+        .map(|host| {
+            let peer = StreamPeer::new(
+                address(20 + host),
+                Box::new(Hello { say: b"", expect: b"", got: Vec::new() }),
+            );
+            Connection::new(START, peer, LinkNotes::new(1), 0)
+        })
+        .collect();
+    for round in 0..8 {
+        let mut dues: Vec<_> = connections.iter().map(|one| one.next_due().unwrap()).collect();
+        dues.sort();
+        // 32 golden steps leave no gap below 1/89 of the whole, here 12.5 ms, and none outside of it.
+        let gaps: Vec<_> = dues.windows(2).map(|pair| pair[1].since(pair[0])).collect();
+        assert!(gaps.iter().all(|gap| *gap >= 100 * MS / SPREAD / 89), "round {round}: {gaps:?}");
+        if round == 0 {
+            assert!(dues[0] >= START && dues[31] <= START + 100 * MS / SPREAD);
+        }
+        for connection in &mut connections {
+            let now = connect(connection);
+            connection.failed(now, Broken::Failed(libc::ECONNREFUSED));
+        }
+    }
+}
+
+#[test]
+fn pauses_of_nothing_are_still_pauses() {
+    let peer = StreamPeer {
+        least_pause_ns: 0,
+        most_pause_ns: 0,
+        ..StreamPeer::new(address(20), Box::new(Hello { say: b"", expect: b"", got: Vec::new() }))
+    };
+    let mut connection = Connection::new(START, peer, LinkNotes::new(1), 0);
+    for _ in 0..3 {
+        let now = connect(&mut connection);
+        connection.failed(now, Broken::Failed(libc::ECONNREFUSED));
+        assert_about(pause(&connection, now), SHORTEST_PAUSE_NS);
+    }
+}
+
+#[test]
+fn events_that_come_too_late_change_nothing() {
+    let (mut connection, notes) = connection(b"hello", b"welcome");
+    let due = connection.next_due();
+    for now in [START, START + S] {
+        assert_eq!(connection.connected(now), Action::Wait);
+        assert_eq!(connection.failed(now, Broken::Closed), Action::Wait);
+        assert_eq!(connection.received(now, b"welcome"), Action::Wait);
+        assert_eq!(connection.sent(now, 5), Action::Wait);
+        assert_eq!(connection.given_back(now, "late"), Action::Wait);
+    }
+    assert_eq!((connection.next_due(), notes.get(0)), (due, None));
+}
+
+/// Something that happens to a connection, likely or not.
+#[derive(Clone, Debug)]
+enum Event {
+    Poll,
+    Connected,
+    Failed,
+    Received(Vec<u8>),
+    Sent(usize),
+    GivenBack,
+}
+
+fn events() -> impl Strategy<Value = Vec<(Event, u64)>> {
+    let event = prop_oneof![
+        4 => Just(Event::Poll),
+        4 => Just(Event::Connected),
+        1 => Just(Event::Failed),
+        4 => (0..8_usize).prop_map(|count| Event::Received(b"welcome"[..count.min(7)].to_vec())),
+        4 => (0..6_usize).prop_map(Event::Sent),
+        2 => Just(Event::GivenBack),
+    ];
+    // In all orders of magnitude.
+    let pass = (0..35_u32).prop_flat_map(|bits| 0..1_u64 << bits);
+    prop::collection::vec((event, pass), 0..200)
+}
+
+proptest! {
+    #[test]
+    fn whatever_happens_there_is_one_socket_one_owner_and_an_end_to_every_wait(events in events()) {
+        let (mut connection, _) = connection(b"hello", b"welcome");
+        let mut now = START;
+        // Whether there is a socket, and whether the loop has it.
+        let (mut socket, mut out) = (false, false);
+        for (event, pass) in events {
+            now = now + pass;
+            let action = match event {
+                Event::Poll => connection.poll(now),
+                Event::Connected => connection.connected(now),
+                Event::Failed => connection.failed(now, Broken::Closed),
+                Event::Received(bytes) => connection.received(now, &bytes),
+                Event::Sent(count) => connection.sent(now, count),
+                Event::GivenBack => connection.given_back(now, "it is tried"),
+            };
+            match action {
+                Action::Wait => {}
+                Action::Connect => {
+                    prop_assert!(!socket);
+                    socket = true;
+                }
+                Action::Send => prop_assert!(socket && !out && !connection.to_send().is_empty()),
+                Action::HandOver => {
+                    prop_assert!(socket && !out && connection.to_send().is_empty());
+                    out = true;
+                }
+                Action::End => prop_assert!(false, "a handshake has no orderly end"),
+                Action::Close => {
+                    prop_assert!(socket);
+                    (socket, out) = (false, false);
+                }
+            }
+            match connection.next_due() {
+                None => prop_assert!(out),
+                Some(due) => {
+                    prop_assert!(!out);
+                    prop_assert!(due <= now + 2 * S, "due in {}", Ns(due.since(now)));
+                }
+            }
+        }
+    }
+}
+
+mod sessions;

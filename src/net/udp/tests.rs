@@ -1,0 +1,219 @@
+//! Datagrams on loopback.
+
+use super::*;
+use std::time::Duration;
+
+/// The tests of this file own 127.71.x.0/24, one x each.
+fn address(x: u8, host: u8) -> SocketAddrV4 {
+    SocketAddrV4::new(Ipv4Addr::new(127, 71, x, host), 41136)
+}
+
+fn options(peers: usize, send: SendMode) -> UdpOptions {
+    UdpOptions { peers, waiting: 0, room: 64, send, dscp: 0, groups: 0 }
+}
+
+fn peer(x: u8, host: u8) -> UdpSocket {
+    let socket = UdpSocket::bind(address(x, host)).unwrap();
+    socket.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
+    socket
+}
+
+/// A message of one byte, its index, posted to each peer.
+fn outbox(peers: &[SocketAddrV4]) -> Outbox {
+    let mut outbox = Outbox::new(peers, 64);
+    for index in 0..peers.len() {
+        outbox.room(index)[0] = index as u8;
+        outbox.set_length(index, 1);
+        outbox.post(index, true);
+    }
+    outbox
+}
+
+/// The next `count` datagrams, or what comes of them within a minute, as (sender, bytes, truncated).
+fn receive(udp: &mut Udp, count: usize) -> Vec<(SocketAddrV4, Vec<u8>, bool)> {
+    let mut got = Vec::new();
+    let give_up = MonotonicClock::read() + 60 * crate::time::S;
+    while got.len() < count && MonotonicClock::read() < give_up {
+        let before = got.len();
+        let n = udp.receive(&mut |r| got.push((r.from, r.bytes.to_vec(), r.truncated))).unwrap();
+        assert!(n == got.len() - before && n <= udp.batch());
+    }
+    got
+}
+
+#[test]
+fn more_than_two_batches_go_and_come() {
+    for (x, mode) in [(1, SendMode::Batch), (2, SendMode::Each)] {
+        let mut udp = Udp::bind(address(x, 1), &options(150, mode)).unwrap();
+        let peers: Vec<_> = (0..150).map(|host| peer(x, 100 + host)).collect();
+        let mut outbox = outbox(&(0..150).map(|host| address(x, 100 + host)).collect::<Vec<_>>());
+        outbox.post(77, false);
+        let before = MonotonicClock::read();
+        udp.send(&mut outbox);
+        let after = MonotonicClock::read();
+        let mut bytes = [0; 8];
+        for (index, peer) in peers.iter().enumerate() {
+            if index == 77 {
+                assert_eq!(outbox.sent(index), Sent::Idle);
+                continue;
+            }
+            assert!(matches!(outbox.sent(index), Sent::At(at) if before <= at && at <= after));
+            let (length, from) = peer.recv_from(&mut bytes).unwrap();
+            assert_eq!((length, bytes[0]), (1, index as u8));
+            peer.send_to(&bytes[..1], from).unwrap();
+        }
+        let mut got = receive(&mut udp, 149);
+        got.sort();
+        let expected: Vec<_> =
+            (0..150).filter(|k| *k != 77).map(|k| (address(x, 100 + k), vec![k], false)).collect();
+        assert_eq!(got, expected);
+    }
+}
+
+#[test]
+fn a_failing_message_hurts_no_other() {
+    // Broadcast without SO_BROADCAST: EACCES. First, in the middle, twice in a row, at a batch's end, last.
+    let forbidden = SocketAddrV4::new(Ipv4Addr::BROADCAST, 41136);
+    let failing = [0, 5, 6, 63, 64, 99];
+    for (x, mode) in [(3, SendMode::Batch), (4, SendMode::Each)] {
+        let mut udp = Udp::bind(address(x, 1), &options(100, mode)).unwrap();
+        let living = peer(x, 2);
+        let peers: Vec<_> =
+            (0..100).map(|k| if failing.contains(&k) { forbidden } else { address(x, 2) }).collect();
+        let mut outbox = outbox(&peers);
+        udp.send(&mut outbox);
+        let mut bytes = [0; 8];
+        for index in 0..100 {
+            if failing.contains(&index) {
+                assert_eq!(outbox.sent(index), Sent::Failed(libc::EACCES), "{index}");
+            } else {
+                assert!(matches!(outbox.sent(index), Sent::At(_)), "{index}");
+                living.recv_from(&mut bytes).unwrap();
+                assert_eq!(bytes[0], index as u8);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_message_too_long_for_udp_is_charged_alone() {
+    let mut udp = Udp::bind(address(5, 1), &options(3, SendMode::Batch)).unwrap();
+    let mut outbox = Outbox::new(&[address(5, 2), address(5, 3), address(5, 4)], 70_000);
+    for (index, length) in [(0, 10), (1, 70_000), (2, 10)] {
+        outbox.set_length(index, length);
+        outbox.post(index, true);
+    }
+    udp.send(&mut outbox);
+    assert!(matches!(outbox.sent(0), Sent::At(_)));
+    assert_eq!(outbox.sent(1), Sent::Failed(libc::EMSGSIZE));
+    assert!(matches!(outbox.sent(2), Sent::At(_)));
+}
+
+#[test]
+fn a_dead_peer_on_a_living_host_is_no_error() {
+    // Its ICMP answer would be a pending error on a connected socket.
+    let mut udp = Udp::bind(address(6, 1), &options(2, SendMode::Batch)).unwrap();
+    let living = peer(6, 2);
+    let mut outbox = outbox(&[address(6, 99), address(6, 2)]);
+    for _ in 0..3 {
+        outbox.post(0, true);
+        outbox.post(1, true);
+        udp.send(&mut outbox);
+        assert!(matches!((outbox.sent(0), outbox.sent(1)), (Sent::At(_), Sent::At(_))));
+        assert_eq!(living.recv(&mut [0; 8]).unwrap(), 1);
+    }
+    assert_eq!(udp.receive(&mut |_| ()).unwrap(), 0);
+}
+
+#[test]
+fn too_long_is_cut_and_marked_and_strangers_are_named() {
+    let mut udp = Udp::bind(address(7, 1), &options(1, SendMode::Batch)).unwrap();
+    let stranger = peer(7, 200);
+    stranger.send_to(&[7; 64], address(7, 1)).unwrap();
+    stranger.send_to(&[8; 65], address(7, 1)).unwrap();
+    stranger.send_to(&[], address(7, 1)).unwrap();
+    let from = address(7, 200);
+    assert_eq!(
+        receive(&mut udp, 3),
+        [(from, vec![7; 64], false), (from, vec![8; 64], true), (from, vec![], false)]
+    );
+}
+
+#[test]
+fn what_the_kernel_dropped_is_counted_to_the_last_datagram() {
+    let mut udp = Udp::bind(address(10, 1), &options(1, SendMode::Batch)).unwrap();
+    let stranger = peer(10, 200);
+    let (mut sent, mut taken) = (0, 0);
+    let mut burst = |udp: &mut Udp, count: usize, taken: &mut u64| {
+        // On loopback each is in the buffer, or dropped, before the next one is sent.
+        for _ in 0..count {
+            stranger.send_to(&[9; 40], address(10, 1)).unwrap();
+        }
+        while let Ok(more @ 1..) = udp.receive(&mut |_| *taken += 1) {
+            assert!(more <= udp.batch());
+        }
+        sent += count as u64;
+        sent
+    };
+    burst(&mut udp, 5, &mut taken);
+    assert_eq!((taken, udp.dropped()), (5, 0));
+    for round in 1..4 {
+        let before = udp.dropped();
+        burst(&mut udp, 2_000, &mut taken);
+        // Datagrams after the last one that had room are reported with the next one.
+        let sent = burst(&mut udp, 1, &mut taken);
+        assert_eq!(taken + udp.dropped(), sent, "round {round}");
+        assert!(udp.dropped() > before + 500, "{}", udp.dropped());
+    }
+}
+
+#[test]
+fn each_request_has_its_own_stamp() {
+    let mut udp = Udp::bind(address(8, 1), &options(8, SendMode::Each)).unwrap();
+    let mut outbox = outbox(&[address(8, 2); 8]);
+    udp.send(&mut outbox);
+    let stamps: Vec<_> = (0..8)
+        .map(|k| match outbox.sent(k) {
+            Sent::At(at) => at,
+            other => panic!("{other:?}"),
+        })
+        .collect();
+    assert!(stamps.windows(2).all(|pair| pair[0] < pair[1]), "{stamps:?}");
+}
+
+#[test]
+fn a_second_master_is_refused() {
+    let _first = Udp::bind(address(9, 1), &options(1, SendMode::Batch)).unwrap();
+    let second = Udp::bind(address(9, 1), &options(1, SendMode::Batch));
+    assert_eq!(second.map(|_| ()).unwrap_err().kind(), io::ErrorKind::AddrInUse);
+}
+
+#[test]
+fn a_peer_may_change_from_one_send_to_the_next() {
+    for (x, mode) in [(11, SendMode::Batch), (12, SendMode::Each)] {
+        let mut udp = Udp::bind(address(x, 1), &options(2, mode)).unwrap();
+        let peers = [2, 3].map(|host| peer(x, host));
+        let mut outbox = outbox(&[address(x, 2), address(x, 2)]);
+        let mut bytes = [0; 8];
+        udp.send(&mut outbox);
+        assert_eq!((peers[0].recv(&mut bytes).unwrap(), peers[0].recv(&mut bytes).unwrap()), (1, 1));
+        outbox.set_peer(1, address(x, 3));
+        assert_eq!((outbox.peer(0), outbox.peer(1)), (address(x, 2), address(x, 3)));
+        (0..2).for_each(|index| outbox.post(index, true));
+        udp.send(&mut outbox);
+        for (index, peer) in peers.iter().enumerate() {
+            peer.recv(&mut bytes).unwrap();
+            assert_eq!(bytes[0], index as u8);
+        }
+    }
+}
+
+#[test]
+fn requests_carry_their_mark() {
+    for (x, dscp, tos) in [(13, 0, 0), (14, 47, 0xBC), (15, 63, 0xFC)] {
+        let udp = Udp::bind(address(x, 1), &UdpOptions { dscp, ..options(1, SendMode::Batch) }).unwrap();
+        assert_eq!(nix::sys::socket::getsockopt(&udp.socket, sockopt::Ipv4Tos).unwrap(), tos);
+    }
+}
+
+mod groups;

@@ -1,0 +1,157 @@
+//! Multicast groups on loopback.
+
+use super::*;
+use crate::net::link::tests::descriptors;
+use crate::rt::testing::in_own_process;
+use crate::rt::{Clock, PollSet};
+
+/// A group that no other test has.
+fn group(x: u8, number: u8) -> SocketAddrV4 {
+    SocketAddrV4::new(Ipv4Addr::new(239, 71, x, number), 41136)
+}
+
+fn carrier(x: u8, groups: usize) -> (Udp, Arc<dyn Groups>) {
+    let udp = Udp::bind(address(x, 1), &UdpOptions { groups, ..options(4, SendMode::Batch) }).unwrap();
+    let groups = udp.groups().unwrap();
+    (udp, groups)
+}
+
+/// Its datagrams to groups leave by the loopback interface.
+fn sender(x: u8, host: u8) -> UdpSocket {
+    let socket = peer(x, host);
+    let interface = libc::in_addr { s_addr: address(x, host).ip().to_bits().to_be() };
+    // SAFETY: the kernel reads one address.
+    let refused = unsafe {
+        let length = size_of_val(&interface) as libc::socklen_t;
+        let value = (&raw const interface).cast();
+        libc::setsockopt(socket.as_raw_fd(), libc::IPPROTO_IP, libc::IP_MULTICAST_IF, value, length)
+    };
+    assert_eq!(refused, 0, "{}", io::Error::last_os_error());
+    socket
+}
+
+#[test]
+fn what_is_sent_to_a_group_is_received_from_the_join_to_the_leave() {
+    let (mut udp, groups) = carrier(20, 2);
+    let drive = sender(20, 9);
+    let from = address(20, 9);
+    let (first, second) = (group(20, 1), group(20, 2));
+    drive.send_to(&[0], first).unwrap();
+    groups.join(first).unwrap();
+    drive.send_to(&[1], first).unwrap();
+    // The loop finds the socket and what has come there meanwhile.
+    assert_eq!(receive(&mut udp, 1), [(from, vec![1], false)]);
+    drive.send_to(&[2], first).unwrap();
+    let mut set = PollSet::default();
+    set.fill(udp.fd());
+    assert!(MonotonicClock.wait(&mut set, MonotonicClock::read() + 60 * crate::time::S));
+    drive.send_to(&[3], address(20, 1)).unwrap();
+    drive.send_to(&[4], second).unwrap();
+    let mut got = receive(&mut udp, 2);
+    got.sort();
+    assert_eq!(got, [(from, vec![2], false), (from, vec![3], false)]);
+    // Joined twice, left twice.
+    groups.join(first).unwrap();
+    groups.join(second).unwrap();
+    groups.leave(first);
+    drive.send_to(&[5], first).unwrap();
+    drive.send_to(&[6], second).unwrap();
+    let mut got = receive(&mut udp, 2);
+    got.sort();
+    assert_eq!(got, [(from, vec![5], false), (from, vec![6], false)]);
+    groups.leave(first);
+    groups.leave(first);
+    drive.send_to(&[7], first).unwrap();
+    drive.send_to(&[8], second).unwrap();
+    assert_eq!(receive(&mut udp, 1), [(from, vec![8], false)]);
+    assert_eq!(udp.dropped(), 0);
+}
+
+#[test]
+fn two_masters_of_a_host_each_get_a_copy() {
+    let (mut first, its_groups) = carrier(21, 1);
+    let (mut second, other_groups) = carrier(22, 1);
+    its_groups.join(group(21, 1)).unwrap();
+    other_groups.join(group(21, 1)).unwrap();
+    sender(21, 9).send_to(&[7], group(21, 1)).unwrap();
+    for udp in [&mut first, &mut second] {
+        assert_eq!(receive(udp, 1), [(address(21, 9), vec![7], false)]);
+    }
+}
+
+#[test]
+fn what_is_no_group_or_one_too_many_is_refused_with_the_reason() {
+    let (_udp, groups) = carrier(23, 1);
+    let text = |address| groups.join(address).unwrap_err().to_string();
+    assert_eq!(
+        text(address(23, 5)),
+        "127.71.23.5:41136 is no multicast group (224.0.0.0 ... 239.255.255.255)"
+    );
+    groups.join(group(23, 1)).unwrap();
+    groups.join(group(23, 1)).unwrap();
+    assert!(text(group(23, 2)).contains("one group more than the 1"), "{}", text(group(23, 2)));
+    assert!(Udp::bind(address(24, 1), &options(1, SendMode::Batch)).unwrap().groups().is_none());
+}
+
+#[test]
+fn thousands_of_joins_and_leaves_leave_nothing_behind() {
+    in_own_process("net::udp::tests::groups::thousands_of_joins_and_leaves_leave_nothing_behind", || {
+        let before = descriptors();
+        let (mut udp, groups) = carrier(25, 3);
+        let drive = sender(25, 9);
+        // The loop takes them now and then, or not at all.
+        let mut refused = 0;
+        for round in 0..3_000_u32 {
+            if let Err(error) = groups.join(group(25, (round % 3) as u8)) {
+                assert_eq!(error.kind(), io::ErrorKind::WouldBlock);
+                refused += 1;
+                udp.receive(&mut |_| ()).unwrap();
+                groups.join(group(25, (round % 3) as u8)).unwrap();
+            }
+            groups.leave(group(25, (round % 3) as u8));
+        }
+        assert!(refused > 100, "{refused}");
+        udp.receive(&mut |_| ()).unwrap();
+        groups.join(group(25, 9)).unwrap();
+        drive.send_to(&[9], group(25, 9)).unwrap();
+        assert_eq!(receive(&mut udp, 1), [(address(25, 9), vec![9], false)]);
+        // The carrier goes first.
+        drop(udp);
+        groups.join(group(25, 9)).unwrap();
+        for _ in 0..1_000 {
+            assert_eq!(groups.join(group(25, 1)).unwrap_err().kind(), io::ErrorKind::BrokenPipe);
+            groups.leave(group(25, 1));
+            groups.leave(group(25, 9));
+        }
+        drop((groups, drive));
+        assert_eq!(descriptors(), before);
+    });
+}
+
+#[test]
+fn a_busy_group_holds_up_neither_the_others_nor_the_own_socket() {
+    let (mut udp, groups) = carrier(26, 2);
+    let drive = sender(26, 9);
+    groups.join(group(26, 1)).unwrap();
+    groups.join(group(26, 2)).unwrap();
+    udp.receive(&mut |_| ()).unwrap();
+    let batch = udp.batch();
+    for _ in 0..10 * batch {
+        drive.send_to(&[1], group(26, 1)).unwrap();
+    }
+    drive.send_to(&[2], group(26, 2)).unwrap();
+    drive.send_to(&[3], address(26, 1)).unwrap();
+    let (mut seen, mut calls) = ([false; 2], 0);
+    while seen != [true; 2] {
+        let count = udp
+            .receive(&mut |received| match received.bytes {
+                [2] => seen[0] = true,
+                [3] => seen[1] = true,
+                _ => {}
+            })
+            .unwrap();
+        assert!(count <= batch);
+        calls += 1;
+        assert!(calls <= 4, "each of three sockets comes first in turn");
+    }
+}

@@ -1,0 +1,167 @@
+//! A serial wire behind a real port: a local one of this host, to which a master connects, or a port of the operating
+//! system at the other end of the master's cable.
+
+use std::fs::File;
+use std::io::{self, Read, Write};
+use std::os::unix::net::{UnixListener, UnixStream};
+use std::sync::Mutex;
+
+use nix::sys::epoll::{Epoll, EpollEvent, EpollFlags};
+
+use super::sockets::not_now;
+use super::{WireStats, lock};
+use crate::net::link::local_address;
+use crate::net::{local, tty};
+use crate::rt::MonotonicClock;
+use crate::sim::SerialWire;
+use crate::sim::fault::Injected;
+use crate::sim::serial::Medium;
+use crate::time::Time;
+
+/// A wire and its port.
+pub(super) struct Wire {
+    medium: Medium,
+    port: Port,
+}
+
+enum Port {
+    /// One master at a time connects.
+    Local { listener: UnixListener, master: Option<UnixStream> },
+    /// The other end of its cable.
+    Cable(File),
+}
+
+impl Wire {
+    pub(super) fn open(mut wire: SerialWire) -> io::Result<Wire> {
+        let port = match (local::name(&wire.port), &wire.own_port) {
+            (Some(name), _) => listen(name)?,
+            (None, Some(own)) => {
+                let port = Port::Cable(File::from(tty::open(own, &wire.line)?));
+                // Bytes take their time on the cable already.
+                wire.line.rate = u32::MAX;
+                port
+            }
+            (None, None) => {
+                let message = format!(
+                    "cannot simulate the wire at {}: name the port at the other end of its cable, or use one like \
+                     {}wire",
+                    wire.port,
+                    local::PREFIX
+                );
+                return Err(io::Error::new(io::ErrorKind::InvalidInput, message));
+            }
+        };
+        Ok(Wire { medium: Medium::new(wire), port })
+    }
+
+    pub(super) fn stats(&self) -> WireStats {
+        WireStats {
+            port: self.medium.wire.port.clone(),
+            received: 0,
+            sent: 0,
+            unsent: 0,
+            injected: Injected::default(),
+        }
+    }
+
+    pub(super) fn watch(&self, epoll: &Epoll, token: u64) -> nix::Result<()> {
+        let event = EpollEvent::new(EpollFlags::EPOLLIN, token);
+        match &self.port {
+            Port::Local { listener, .. } => epoll.add(listener, event),
+            Port::Cable(port) => epoll.add(port, event),
+        }
+    }
+
+    /// When the next thing happens.
+    pub(super) fn next_due(&self) -> Option<Time> {
+        self.medium.next_due()
+    }
+
+    /// A master connects, or something can be read.
+    pub(super) fn ready(
+        &mut self,
+        first: bool,
+        bytes: &mut [u8],
+        epoll: &Epoll,
+        token: u64,
+        stats: &Mutex<WireStats>,
+    ) {
+        let read = match &mut self.port {
+            Port::Local { listener, master } if first => {
+                let Ok((stream, _)) = listener.accept() else { return };
+                // A second master is refused: its connection is closed.
+                let watched = master.is_none()
+                    && stream.set_nonblocking(true).is_ok()
+                    && epoll.add(&stream, EpollEvent::new(EpollFlags::EPOLLIN, token)).is_ok();
+                if watched {
+                    *master = Some(stream);
+                }
+                return;
+            }
+            Port::Local { master, .. } => {
+                let Some(stream) = master else { return };
+                let read = stream.read(bytes);
+                if !matches!(&read, Ok(1..)) && !read.as_ref().is_err_and(not_now) {
+                    *master = None;
+                }
+                read
+            }
+            Port::Cable(port) => {
+                let read = port.read(bytes);
+                if !matches!(&read, Ok(1..)) && !read.as_ref().is_err_and(not_now) {
+                    // It is gone: level-triggered, it would be reported for ever.
+                    let _ = epoll.delete(&*port);
+                }
+                read
+            }
+        };
+        if let Ok(count @ 1..) = read {
+            self.medium.write(MonotonicClock::read(), &bytes[..count]);
+            lock(stats).received += 1;
+        }
+    }
+
+    /// Everything that is due by now.
+    pub(super) fn run_due(&mut self, stats: &Mutex<WireStats>) {
+        if self.medium.next_due().is_none() {
+            return;
+        }
+        let now = MonotonicClock::read();
+        while self.medium.step(now, &mut |_, _| {}) {}
+        let mut room = [0; 512];
+        loop {
+            let count = self.medium.read(now, &mut room);
+            if count == 0 {
+                break;
+            }
+            let sent = match &mut self.port {
+                Port::Local { master: Some(stream), .. } => stream.write(&room[..count]),
+                Port::Local { master: None, .. } => Ok(0),
+                Port::Cable(port) => port.write(&room[..count]),
+            };
+            let sent = sent.unwrap_or(0);
+            let mut stats = lock(stats);
+            stats.sent += sent as u64;
+            stats.unsent += (count - sent) as u64;
+        }
+        lock(stats).injected = self.medium.injected();
+    }
+}
+
+fn listen(name: &str) -> io::Result<Port> {
+    let listener = UnixListener::bind_addr(&local_address(name)?).map_err(|error| match error.kind() {
+        io::ErrorKind::AddrInUse => {
+            let message = format!(
+                "{}{name} is taken: another simulation serves it; end it, or give the wire another name",
+                local::PREFIX
+            );
+            io::Error::new(error.kind(), message)
+        }
+        _ => error,
+    })?;
+    listener.set_nonblocking(true)?;
+    Ok(Port::Local { listener, master: None })
+}
+
+#[cfg(test)]
+mod tests;
