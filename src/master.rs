@@ -250,7 +250,7 @@ pub fn assemble<C: Clock>(
             let silence = bound::silence(&paced, plan.cycle.overrun);
             let controller = DriveController::new(
                 axis.clone(),
-                bus_plan.capabilities(index, period_ns),
+                bus_plan.capabilities(index),
                 queues,
                 period_ns,
                 first_probe,

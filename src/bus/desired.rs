@@ -367,6 +367,21 @@ impl Ranges {
 }
 
 impl Capabilities {
+    /// A drive that can do all, in all ranges, and that says the truth in each report.
+    pub fn of(generator: Generator) -> Capabilities {
+        Capabilities {
+            generator,
+            lacks: Lacks::default(),
+            switches_on_at_once: true,
+            leaves_quick_stop: true,
+            power_reports: 1,
+            still_reports: 1,
+            stands_ns: 0,
+            arrival: f64::INFINITY,
+            ranges: Ranges::UNLIMITED,
+        }
+    }
+
     /// Why this drive cannot do that, in any state.
     pub fn refuses(&self, command: &Command) -> Option<Failure> {
         let lacks = &self.lacks;

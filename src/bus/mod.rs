@@ -28,10 +28,7 @@ use thiserror::Error;
 use self::desired::{Capabilities, Desired, Evidence, Gone};
 use crate::axis::acyclic::{AcyclicEnds, Notation};
 use crate::axis::feedback::MONITOR_CHANNELS;
-use crate::axis::{
-    AxisPlan, Command, DriveStatus, Emergency, Failure, FaultNames, Link, MonitorChannel, Observer,
-    PlanFault, Row,
-};
+use crate::axis::{AxisPlan, DriveStatus, Emergency, FaultNames, Link, MonitorChannel, Observer, PlanFault};
 use crate::errors::no_descriptor;
 use crate::net::lock::Refused;
 use crate::net::{Carriers, LinkNotes, Lock, Place};
@@ -118,7 +115,7 @@ pub trait BusPlan: Debug + Send + Sync {
     }
 
     /// What drive `index` can do, in a cycle of `period_ns`.
-    fn capabilities(&self, index: usize, period_ns: u64) -> Option<Capabilities>;
+    fn capabilities(&self, index: usize) -> Capabilities;
 
     /// Drive `index` makes moves and follows streams; otherwise it has velocity modes only.
     fn takes_positions(&self, _index: usize) -> bool {
@@ -406,24 +403,12 @@ pub struct Slot {
     /// The link as evaluated by the loop. A drive without an order is only read, whatever its link; an order goes
     /// out with every request, including the probes of a lost link, since it may be the stop.
     pub link: Link,
-    /// What the drive shall do.
-    pub order: Order,
-    /// The same in the words of the drive machine.
+    /// What the drive shall do from its next request on.
     pub desired: Desired,
-    /// The row to follow at the next send, while the order is to follow.
-    pub row: Option<NumberedRow>,
-    /// The velocity to go at from the next send on, user units/s, while the order is a jog or cyclic velocity. A jog
-    /// begins with its own.
-    pub velocity: f64,
-    /// The torque to give from the next send on, per cent of the rated torque, while the order is cyclic torque. Above
-    /// 0 it accelerates towards higher user positions, whichever way the drive counts.
-    pub torque: f64,
 
     // Written by the bus.
     /// The exchange of this drive.
     pub exchange: Exchange,
-    /// Progress of the order.
-    pub progress: Progress,
     /// What the drive reported last.
     pub status: DriveStatus,
     /// What else is new of it.
@@ -442,36 +427,6 @@ pub struct Slot {
     /// A call of the application that commands the drive is under way, or its end is not known: the loop begins no
     /// enable until it is over.
     pub commanded: bool,
-}
-
-/// What a drive shall do. A new serial is a new order and replaces the one before it; the same serial is carried
-/// out once. An order outlives missed exchanges and refused sends. What the drive cannot do ends as unsupported in
-/// the first `prepare`. A relative move and a jog keep to the position limits of the axis; only the bus knows where
-/// they lead.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Order {
-    /// 0 = none yet.
-    pub serial: u64,
-    /// The command; `None` = keep the state the drive is in.
-    pub verb: Option<Command>,
-}
-
-/// A row and its number: the same number is the same row, not to be run twice.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct NumberedRow {
-    /// Grows by one a row.
-    pub number: u64,
-    /// The row.
-    pub row: Row,
-}
-
-/// How far the station is with the order of this serial.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Progress {
-    /// The serial of the order.
-    pub serial: u64,
-    /// `None` = still under way.
-    pub end: Option<Result<(), Failure>>,
 }
 
 /// The state of a drive's exchange.

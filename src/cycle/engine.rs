@@ -363,7 +363,7 @@ impl<C: Clock> Engine<C> {
             for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
                 controller.exchange(cycle, received, slot);
             }
-            self.groups.open(cycle, received, &mut self.controllers, &mut self.slots);
+            self.groups.open(cycle, received, &mut self.controllers);
         }
 
         let commanded = self.clock.now();
@@ -437,22 +437,21 @@ impl<C: Clock> Engine<C> {
         }
         for bus in &self.buses {
             if bus.bus.helper_ended() {
-                let controllers = self.controllers[bus.first..bus.end].iter_mut();
-                for (controller, slot) in controllers.zip(&mut self.slots[bus.first..bus.end]) {
-                    controller.stop(cycle, now, StopCause::LinkThread, slot);
+                for controller in &mut self.controllers[bus.first..bus.end] {
+                    controller.stop(cycle, now, StopCause::LinkThread);
                 }
             }
         }
         if self.heartbeat.is_silent(cycle) {
-            for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
-                controller.stop_if_armed(cycle, now, StopCause::Heartbeat, slot);
+            for controller in &mut self.controllers {
+                controller.stop_if_armed(cycle, now, StopCause::Heartbeat);
             }
         }
         self.groups.judge(&mut self.controllers);
         while let Some(lead) = self.groups.take_full() {
-            for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
+            for controller in &mut self.controllers {
                 if controller.moves_in_group().is_some_and(|call| call.lead as usize == lead) {
-                    controller.stop(cycle, now, StopCause::GroupLink, slot);
+                    controller.stop(cycle, now, StopCause::GroupLink);
                 }
             }
         }
@@ -480,9 +479,9 @@ impl<C: Clock> Engine<C> {
     ) {
         // What was posted before the stop ends with it.
         take_commands(&mut self.controllers);
-        for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
+        for controller in &mut self.controllers {
             if chosen(controller.plan().stop.group) {
-                controller.stop(cycle, now, cause, slot);
+                controller.stop(cycle, now, cause);
                 controller.take_group_stop();
             }
         }
@@ -498,8 +497,8 @@ impl<C: Clock> Engine<C> {
         let hurry = asked == HURRY && before == STOP;
         self.ending = Some((since, asked));
         let mut down = true;
-        for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
-            down &= controller.shut_down(cycle, now, slot, hurry);
+        for controller in &mut self.controllers {
+            down &= controller.shut_down(cycle, now, hurry);
         }
         if down || now.since(since) > self.longest_end_ns {
             let begun = *self.buses_ending.get_or_insert(now);
@@ -541,7 +540,7 @@ impl<C: Clock> Engine<C> {
             slot.guarded = controller.is_guarded();
         }
         take_rows(&mut self.controllers, &self.slots);
-        for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
+        for (controller, slot) in self.controllers.iter_mut().zip(&self.slots) {
             controller.feed(next, now, slot);
         }
         // What stopped since the evaluation leaves with the same send.

@@ -24,11 +24,11 @@ use crate::axis::cell::Writer;
 use crate::axis::command::NativeOwner;
 use crate::axis::newest::NewestOut;
 use crate::axis::{
-    Abort, AxisPlan, Command, CommandId, DriveStatus, Event, EventKind, Failure, Feedback, FoundRunning,
-    GroupCall, Link, MONITOR_CHANNELS, Outcome, QueuedCommand, Row, Shown, State, StopCause, StreamRow,
+    Abort, AxisPlan, Command, CommandId, DriveStatus, Event, EventKind, Feedback, FoundRunning, GroupCall,
+    Link, MONITOR_CHANNELS, Outcome, QueuedCommand, Row, Shown, State, StopCause, StreamRow,
 };
 use crate::bus::desired::Capabilities;
-use crate::bus::{Cycle, Exchange, Order, Slot};
+use crate::bus::{Cycle, Exchange, Slot};
 use crate::rt::Regions;
 use crate::time::{Time, nanos};
 
@@ -56,7 +56,7 @@ pub struct Queues {
 /// What the loop keeps of one axis.
 #[derive(Debug)]
 pub struct DriveController {
-    machine: Option<Machine>,
+    machine: Machine,
     plan: AxisPlan,
     queues: Queues,
     health: LinkHealth,
@@ -66,7 +66,6 @@ pub struct DriveController {
     /// The running command, and when it began.
     active: Option<QueuedCommand>,
     began: Time,
-    serial: u64,
     /// A command of the in-loop task, to be taken before the queue.
     task_command: Option<QueuedCommand>,
     /// A row of the in-loop task, to be taken before the stream.
@@ -176,14 +175,14 @@ impl DriveController {
     /// A controller for the axis of `plan`.
     pub fn new(
         plan: AxisPlan,
-        can: Option<Capabilities>,
+        can: Capabilities,
         queues: Queues,
         period_ns: u64,
         first_probe: u64,
         silence: u64,
         own_clock: bool,
     ) -> DriveController {
-        let machine = can.map(|can| Machine::new(&plan, can, period_ns));
+        let machine = Machine::new(&plan, can, period_ns);
         let (divisor, phase) = (plan.divisor, plan.phase);
         let health = LinkHealth::new(plan.health, divisor, phase, period_ns, first_probe, silence, own_clock);
         DriveController {
@@ -196,7 +195,6 @@ impl DriveController {
             latch: Latch::Open,
             active: None,
             began: Time(0),
-            serial: 0,
             task_command: None,
             task_row: None,
             waiting: None,
@@ -266,8 +264,8 @@ impl DriveController {
     /// receive stage. While it is queued, or passed over because the one before it is owed, nothing has changed.
     pub fn sent(&mut self, cycle: &Cycle, slot: &mut Slot) {
         self.queued = false;
-        if let (Some(machine), Some(grid)) = (&mut self.machine, slot.gone.grid.take()) {
-            machine.commit(grid);
+        if let Some(grid) = slot.gone.grid.take() {
+            self.machine.commit(grid);
         }
         match slot.exchange {
             // The usual one.
@@ -395,7 +393,7 @@ impl DriveController {
     #[inline]
     fn take_sample(&mut self, sent_at: Time, slot: &Slot) {
         let DriveStatus { at, homed, position, demand, velocity, .. } = slot.status;
-        let led = !under_torque(slot);
+        let led = !self.is_under_torque();
         let position = if led { demand } else { position };
         self.bounds.take(Sample { sent_at, at, homed, led, position, velocity }, &self.plan);
     }
@@ -416,17 +414,9 @@ impl DriveController {
 
     /// Writes what is desired of the drive with the send of `next`, if one is due then.
     pub fn propose(&mut self, next: &Cycle, slot: &mut Slot) {
-        if let Some(machine) = &mut self.machine
-            && slot.due
-        {
-            machine.propose(next.grid, slot);
+        if slot.due || slot.exchange == Exchange::Queued {
+            self.machine.propose(next.grid, slot);
         }
-    }
-
-    /// How the newest request has ended: `Some(None)`: it is under way.
-    fn progress(&self, slot: &Slot) -> Option<Option<Result<(), Failure>>> {
-        let progress = self.machine.as_ref().map_or(slot.progress, Machine::progress);
-        (progress.serial == self.serial).then_some(progress.end)
     }
 
     /// How the exchange of this cycle was closed, once.
@@ -505,7 +495,7 @@ impl DriveController {
         self.losses += u64::from(link == Link::Lost && before == Link::Online && !slot.expected_silence);
         match link {
             Link::Lost if before == Link::Online => {
-                self.stop(cycle, now, StopCause::LinkLost, slot);
+                self.stop(cycle, now, StopCause::LinkLost);
                 // Its stop group goes on: this silence was requested, and the drive holds or moves nothing.
                 self.just_stopped &= !slot.expected_silence;
             }
@@ -513,7 +503,7 @@ impl DriveController {
                 self.seen = true;
                 let running = self.feedback.status.state.is_powered() || self.feedback.status.moving;
                 if running && self.claim != Claim::Armed && !slot.notices.other_master {
-                    self.find_running(cycle, now, Braked::BySetpoints, slot);
+                    self.find_running(cycle, now, Braked::BySetpoints);
                 }
             }
             _ => {}
@@ -521,7 +511,7 @@ impl DriveController {
     }
 
     /// A drive runs that this master has not enabled: it was found so, or began later.
-    fn find_running(&mut self, cycle: &Cycle, now: Time, braked: Braked, slot: &mut Slot) {
+    fn find_running(&mut self, cycle: &Cycle, now: Time, braked: Braked) {
         match self.latch {
             // What a living master runs is not taken over.
             Latch::Down(..) | Latch::Kept(StopCause::OtherMaster) => return,
@@ -530,34 +520,32 @@ impl DriveController {
         }
         // A drive that this master has commanded is never only read again.
         if self.plan.on_found_running == FoundRunning::Stop || self.claim != Claim::Found {
-            self.brake(now, braked, slot);
+            self.brake(now, braked);
         }
     }
 
     /// Watches an axis that has power, and runs one cycle of its stop sequence.
     pub fn watch(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
         let restarted = std::mem::take(&mut self.restarted);
-        if let Some(machine) = &mut self.machine {
-            machine.observe(cycle.grid, restarted, slot);
-        }
+        self.machine.observe(cycle.grid, restarted, slot);
         // First: what follows from another master must not be named in its place.
         if std::mem::take(&mut slot.notices.other_master) {
-            self.stop(cycle, now, StopCause::OtherMaster, slot);
+            self.stop(cycle, now, StopCause::OtherMaster);
         }
         if slot.notices.fresh {
             let cause = self.left_operation(restarted).or_else(|| self.watch_motion(cycle, now, slot));
             match cause {
                 Some(_) if self.claim == Claim::Found => {
-                    self.find_running(cycle, now, Braked::ByTheDrive, slot);
+                    self.find_running(cycle, now, Braked::ByTheDrive);
                 }
                 Some(cause) if self.latch.is_open() => {
                     // What no command has begun follows no setpoint, nor does what goes on under a stop.
                     let follows = self.active.is_some_and(|active| !stops(active));
                     let own = !follows && matches!(cause, StopCause::Uncommanded | StopCause::Limit);
                     let braked = if own { Braked::ByTheDrive } else { Braked::BySetpoints };
-                    self.stop_by(braked, cycle, now, cause, slot);
+                    self.stop_by(braked, cycle, now, cause);
                 }
-                Some(cause) => self.stop_again(cycle, now, cause, slot),
+                Some(cause) => self.stop_again(cycle, now, cause),
                 None => {}
             }
         }
@@ -566,12 +554,12 @@ impl DriveController {
             let (stop, load) = (self.plan.stop, self.plan.load);
             let (sequence, verb) = StopSequence::start_escalated(stop, load, now, self.speed());
             self.latch = Latch::Down(StopCause::StopTimeout, sequence);
-            self.order(slot, Some(verb));
+            self.issue(Some(verb));
         }
         let sight = Sight {
             fresh: slot.notices.fresh,
             heard: self.is_heard(),
-            failed: matches!(self.progress(slot), Some(Some(Err(_)))),
+            failed: matches!(self.machine.end(), Some(Err(_))),
             powered: self.feedback.status.state.is_powered(),
             moving: self.feedback.status.moving,
             velocity: self.feedback.status.velocity,
@@ -584,7 +572,7 @@ impl DriveController {
             if let Some(active) = self.active.filter(|active| active.verb != Command::Reset) {
                 self.end(cycle, now, active, Outcome::Aborted(why));
             }
-            self.order(slot, Some(verb));
+            self.issue(Some(verb));
         }
     }
 
@@ -628,7 +616,7 @@ impl DriveController {
         let native = self.active.is_some_and(|active| matches!(active.verb, Command::Native(_)));
         let watched = Watched {
             homing: self.active.is_some_and(|active| active.verb == Command::Home),
-            braking: native || self.active.is_none() || under_torque(slot),
+            braking: native || self.active.is_none() || self.is_under_torque(),
         };
         let broken = self.bounds.are_broken(&self.plan, watched, seconds);
         if braking {
@@ -667,26 +655,31 @@ impl DriveController {
     /// Stops the axis: latches the cause, flushes queue and stream, starts the stop sequence. The first cause
     /// stays. A drive that was only read until now is not ours to brake: its axis is latched, and nothing is
     /// written.
-    pub fn stop(&mut self, cycle: &Cycle, now: Time, cause: StopCause, slot: &mut Slot) {
-        self.stop_by(Braked::BySetpoints, cycle, now, cause, slot);
+    pub fn stop(&mut self, cycle: &Cycle, now: Time, cause: StopCause) {
+        self.stop_by(Braked::BySetpoints, cycle, now, cause);
     }
 
-    fn stop_by(&mut self, braked: Braked, cycle: &Cycle, now: Time, cause: StopCause, slot: &mut Slot) {
+    fn stop_by(&mut self, braked: Braked, cycle: &Cycle, now: Time, cause: StopCause) {
         if !self.latch.is_open() {
             return;
         }
         self.latch(cycle, now, cause);
         if self.claim != Claim::Found {
-            self.brake(now, braked, slot);
+            self.brake(now, braked);
         }
     }
 
     /// Stops the axis if it is enabled, or about to be; any other axis can do no harm.
-    pub fn stop_if_armed(&mut self, cycle: &Cycle, now: Time, cause: StopCause, slot: &mut Slot) {
+    pub fn stop_if_armed(&mut self, cycle: &Cycle, now: Time, cause: StopCause) {
         let rising = self.active.is_some_and(|active| active.verb == Command::Enable);
         if self.claim == Claim::Armed || rising || self.is_native(NativeOwner::Application) {
-            self.stop(cycle, now, cause, slot);
+            self.stop(cycle, now, cause);
         }
+    }
+
+    /// Whether no position leads the drive, and its reported demand is meaningless.
+    fn is_under_torque(&self) -> bool {
+        self.machine.command().is_some_and(|command| command.takes_torques())
     }
 
     fn is_native(&self, owner: NativeOwner) -> bool {
@@ -694,29 +687,29 @@ impl DriveController {
     }
 
     /// Starts the stop sequence of an axis that is latched.
-    fn brake(&mut self, now: Time, braked: Braked, slot: &mut Slot) {
+    fn brake(&mut self, now: Time, braked: Braked) {
         let Some(cause) = self.latch.cause() else { return };
         // No ramp of velocities brakes a drive that follows torques: it would only lose its torque along the slope.
-        let by_the_drive = braked == Braked::ByTheDrive || under_torque(slot);
+        let by_the_drive = braked == Braked::ByTheDrive || self.is_under_torque();
         let start = if by_the_drive { StopSequence::start_escalated } else { StopSequence::start };
         let (sequence, verb) = start(self.plan.stop, self.plan.load, now, self.speed());
         self.latch = Latch::Down(cause, sequence);
-        self.order(slot, Some(verb));
+        self.issue(Some(verb));
     }
 
     /// Stops an axis that is latched and moves all the same. The first cause stays; the new one is reported.
-    fn stop_again(&mut self, cycle: &Cycle, now: Time, cause: StopCause, slot: &mut Slot) {
+    fn stop_again(&mut self, cycle: &Cycle, now: Time, cause: StopCause) {
         let speed = self.speed();
         let verb = match &mut self.latch {
             Latch::Down(_, sequence) if sequence.is_down() => sequence.again(now, speed),
-            Latch::Kept(_) => return self.brake(now, Braked::ByTheDrive, slot),
+            Latch::Kept(_) => return self.brake(now, Braked::ByTheDrive),
             _ => return,
         };
         self.rest.interrupt();
         self.just_stopped = true;
         self.tell(cycle, now, EventKind::Stopped(cause));
         self.flush(cycle, now, Abort::Stopped(cause));
-        self.order(slot, Some(verb));
+        self.issue(Some(verb));
     }
 
     /// Latches without touching the drive.
@@ -748,12 +741,12 @@ impl DriveController {
 
     /// The orderly end of the master: every axis is stopped and powered off, and nothing new begins. True once it
     /// is complete.
-    pub fn shut_down(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot, hurry: bool) -> bool {
+    pub fn shut_down(&mut self, cycle: &Cycle, now: Time, hurry: bool) -> bool {
         self.ends = true;
-        self.stop(cycle, now, StopCause::Shutdown, slot);
+        self.stop(cycle, now, StopCause::Shutdown);
         self.flush(cycle, now, Abort::Stopped(StopCause::Shutdown));
         if matches!(self.latch, Latch::Kept(_)) && self.claim != Claim::Found {
-            self.brake(now, Braked::BySetpoints, slot);
+            self.brake(now, Braked::BySetpoints);
         }
         // Only ever read: not ours to power off.
         let Latch::Down(_, sequence) = &mut self.latch else { return true };
@@ -761,7 +754,7 @@ impl DriveController {
         let verb = if hurry { sequence.hurry(now) } else { None };
         let down = sequence.is_down();
         if verb.is_some() {
-            self.order(slot, verb);
+            self.issue(verb);
         }
         down
     }
@@ -816,16 +809,12 @@ impl DriveController {
         self.drop_rows(u32::MAX - 1);
     }
 
-    fn order(&mut self, slot: &mut Slot, verb: Option<Command>) {
-        self.serial += 1;
+    /// Gives the drive machine a command, in place of the one before; `None`: to take the drive over as it is.
+    fn issue(&mut self, verb: Option<Command>) {
         if self.claim == Claim::Found {
             self.claim = Claim::Ours;
         }
-        slot.order = Order { serial: self.serial, verb };
-        if let Some(machine) = &mut self.machine {
-            machine.start(self.grid, self.serial, verb);
-        }
-        slot.row = None;
+        self.machine.start(self.grid, verb);
         self.follow.held = false;
     }
 
@@ -865,11 +854,6 @@ enum Braked {
 /// Whether the application's command is a stop.
 fn stops(active: QueuedCommand) -> bool {
     matches!(active.verb, Command::Stop { .. } | Command::QuickStop)
-}
-
-/// Whether no position leads the drive, and its reported demand is meaningless.
-fn under_torque(slot: &Slot) -> bool {
-    slot.order.verb.is_some_and(|verb| verb.takes_torques())
 }
 
 #[cfg(test)]

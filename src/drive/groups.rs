@@ -4,7 +4,7 @@
 //! The parts of all members are one entry in the queue of the first, so that the loop never sees some of them only.
 
 use super::controller::{Closed, DriveController};
-use crate::bus::{Cycle, Slot};
+use crate::bus::Cycle;
 use crate::time::Time;
 
 /// The synchronisation of all groups, each at the index of its first member.
@@ -45,13 +45,7 @@ impl GroupSync {
     }
 
     /// Begins the commands that may begin at all members. One member that cannot keeps all others from it.
-    pub fn open(
-        &mut self,
-        cycle: &Cycle,
-        now: Time,
-        controllers: &mut [DriveController],
-        slots: &mut [Slot],
-    ) {
+    pub fn open(&mut self, cycle: &Cycle, now: Time, controllers: &mut [DriveController]) {
         for index in 0..controllers.len() {
             let Some(call) = controllers[index].waiting() else { continue };
             self.used = true;
@@ -68,9 +62,9 @@ impl GroupSync {
                 continue;
             }
             let refused = lost || waiting.clone().any(|axis| axis.admits_waiting().is_err());
-            for (axis, slot) in controllers.iter_mut().zip(&mut *slots) {
+            for axis in controllers.iter_mut() {
                 if axis.waiting() == Some(call) {
-                    axis.take_waiting(cycle, now, slot, refused);
+                    axis.take_waiting(cycle, now, refused);
                 }
             }
         }
@@ -136,7 +130,7 @@ mod tests {
         Abort, Command, CommandId, Event, Failure, GroupCall, Outcome, QueuedCommand, StopCause,
     };
     use crate::axis::{Row, StreamRow};
-    use crate::bus::Progress;
+    use crate::bus::Slot;
     use crate::drive::controller::tests::{Alone, cycle, ended, plan};
     use crate::drive::controller::{take_commands, take_rows};
 
@@ -196,18 +190,17 @@ mod tests {
             for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
                 controller.exchange(&cycle, cycle.grid, slot);
             }
-            self.groups.open(&cycle, cycle.grid, &mut self.controllers, &mut self.slots);
+            self.groups.open(&cycle, cycle.grid, &mut self.controllers);
         }
 
         /// The drive carries out what `axis` runs, and a cycle passes.
         fn done(&mut self, axis: usize) {
-            let slot = &mut self.slots[axis];
-            slot.progress = Progress { serial: slot.order.serial, end: Some(Ok(())) };
+            self.controllers[axis].end_with(Ok(()));
             self.turn();
         }
 
         fn runs(&self, verb: Command) -> Vec<bool> {
-            self.slots.iter().map(|slot| slot.order.verb == Some(verb)).collect()
+            self.controllers.iter().map(|axis| axis.newest() == Some(verb)).collect()
         }
 
         fn ended(&mut self, axis: usize) -> Vec<(u64, Outcome)> {
@@ -227,12 +220,7 @@ mod tests {
             m.post(&[(0, RESET), (1, RESET)]);
             m.turn();
             assert_eq!([m.ended(0), m.ended(1)], [[], []], "one of them homes");
-            m.controllers[stopped].stop(
-                &cycle(51),
-                cycle(51).grid,
-                StopCause::Overrun,
-                &mut m.slots[stopped],
-            );
+            m.controllers[stopped].stop(&cycle(51), cycle(51).grid, StopCause::Overrun);
             let aborted = Outcome::Aborted(Abort::Stopped(StopCause::Overrun));
             assert_eq!(m.ended(stopped), [(2, aborted)]);
             m.done(other);

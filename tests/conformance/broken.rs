@@ -26,7 +26,7 @@ const CAUGHT: [(Defect, Clause); 15] = [
     (Defect::SharesItsMisses, neighbours::the_silence_of_one_troubles_no_other),
     (Defect::WritesBeforeTheFirstOrder, orders::a_drive_found_running_runs_on_until_the_first_order),
     (Defect::IgnoresStops, whole::the_stop_request_is_on_the_wire_within_its_bound),
-    (Defect::NeverTimesOut, orders::orders_with_a_time_limit_end_even_if_nobody_answers),
+    (Defect::ClaimsWhatItDidNotSend, orders::an_order_is_carried_out_once_and_its_end_stays_told),
     (Defect::ForgetsRestarts, reports::a_restart_is_noticed_once_and_what_was_known_is_forgotten),
     (Defect::ScalesWrongly, reports::velocity_is_the_way_made_in_user_units_a_second),
     (Defect::SwitchesOnAgain, orders::a_motion_whose_drive_restarts_fails_and_is_not_taken_up_again),

@@ -6,8 +6,8 @@ use std::net::SocketAddrV4;
 
 use fieldbeat::axis::command::NativeOwner;
 use fieldbeat::axis::{Command, Failure, Jog, Link, Move, Profile, Row, State, Target};
-use fieldbeat::bus::{Bus, BusPlan, Cycle, Exchange, NumberedRow, Order, Slot, Unmatched};
-use fieldbeat::drive::machine::Machine;
+use fieldbeat::bus::{Bus, BusPlan, Cycle, Exchange, Slot, Unmatched};
+use fieldbeat::drive::machine::{Machine, NumberedRow};
 use fieldbeat::rt::{Clock, PollSet};
 use fieldbeat::sim::FaultPlan;
 use fieldbeat::sim::world::{World, WorldClock, WorldOptions};
@@ -67,8 +67,8 @@ pub struct Line {
     pub world: World,
     pub bus: Box<dyn Bus>,
     pub slots: Vec<Slot>,
-    /// What commands each drive, where its protocol leaves that to the drive machine; and the serial of its order.
-    machines: Vec<Option<(Machine, u64)>>,
+    /// What commands each drive.
+    pub machines: Vec<Machine>,
     /// What the last cycle brought to each drive.
     pub seen: Vec<Seen>,
     /// Drives that are never due, whatever their schedule says.
@@ -105,10 +105,7 @@ impl Line {
         let options = WorldOptions { latency_ns: LATENCY, ..WorldOptions::default() };
         let world = World::new(wire.simulated(), options).expect("each drive has its own address");
         let bus = wire.open(PERIOD, &world).expect("the bus can be opened");
-        let machine = |index: usize| {
-            let can = wire.capabilities(index, PERIOD)?;
-            Some((Machine::new(&drives[index].axis, can, PERIOD), 0))
-        };
+        let machine = |index: usize| Machine::new(&drives[index].axis, wire.capabilities(index), PERIOD);
         let machines = (0..count).map(machine).collect();
         let idle = Seen { exchange: Exchange::Idle, fresh: false, suspect: false, restarted: false };
         Line {
@@ -150,11 +147,12 @@ impl Line {
             let (axis, slot) = (&self.drives[index].axis, &mut self.slots[index]);
             let scheduled = cycle.index % u64::from(axis.divisor) == u64::from(axis.phase);
             slot.due = scheduled && !self.asleep[index] && !matches!(slot.exchange, Exchange::Owed { .. });
-            let following = slot.due && slot.order.verb == Some(Command::Follow) && !self.held[index];
+            let machine = &mut self.machines[index];
+            let following = slot.due && machine.command() == Some(Command::Follow) && !self.held[index];
             if following && let Some(row) = self.rows[index].pop_front() {
                 self.row_number += 1;
                 self.held[index] = true;
-                slot.row = Some(NumberedRow { number: self.row_number, row });
+                machine.input.row = Some(NumberedRow { number: self.row_number, row });
             }
         }
         self.propose(&cycle);
@@ -166,16 +164,8 @@ impl Line {
     /// What the drive machines want with the send of `cycle`.
     pub fn propose(&mut self, cycle: &Cycle) {
         for (machine, slot) in self.machines.iter_mut().zip(&mut self.slots) {
-            let Some((machine, serial)) = machine else { continue };
-            if slot.order.serial != *serial {
-                *serial = slot.order.serial;
-                machine.start(cycle.grid, *serial, slot.order.verb);
-            }
-            if slot.due {
+            if slot.due || slot.exchange == Exchange::Queued {
                 machine.propose(cycle.grid, slot);
-            }
-            if *serial != 0 {
-                slot.progress = machine.progress();
             }
         }
     }
@@ -199,11 +189,6 @@ impl Line {
         let begin = self.world.now();
         self.bus.send(&cycle, &mut self.slots);
         let span = (begin, self.world.now());
-        for (machine, slot) in self.machines.iter_mut().zip(&mut self.slots) {
-            if let (Some((machine, _)), Some(grid)) = (machine, slot.gone.grid.take()) {
-                machine.commit(grid);
-            }
-        }
         assert!(span.1.since(span.0) <= self.readings(), "sending does not wait");
         for (before, after) in before.iter().zip(&self.slots) {
             Around { before, after, span }.send(&cycle, &self.can);
@@ -220,6 +205,11 @@ impl Line {
             {
                 self.sent_at[index] = [self.sent_at[index][1], sent_at];
                 self.held[index] = false;
+            }
+        }
+        for (machine, slot) in self.machines.iter_mut().zip(&mut self.slots) {
+            if let Some(grid) = slot.gone.grid.take() {
+                machine.commit(grid);
             }
         }
     }
@@ -320,12 +310,7 @@ impl Line {
         let Cycle { grid, deadline, .. } = self.cycle();
         for index in 0..self.slots.len() {
             let slot = &mut self.slots[index];
-            if let Some((machine, serial)) = &mut self.machines[index] {
-                machine.observe(grid, slot.notices.restarted, slot);
-                if *serial != 0 {
-                    slot.progress = machine.progress();
-                }
-            }
+            self.machines[index].observe(grid, slot.notices.restarted, slot);
             if self.honest && slot.notices.fresh && !slot.status.suspect {
                 let tape = &self.wire.log().drives[index];
                 // A packet of a drive with its own clock came since the request before the last one, and was a cycle
@@ -454,24 +439,22 @@ impl Line {
 
     /// Gives an order.
     pub fn order(&mut self, index: usize, verb: impl Into<Option<Command>>) {
-        let (slot, verb) = (&mut self.slots[index], verb.into());
+        let (machine, verb) = (&mut self.machines[index], verb.into());
         if let Some(Command::Jog(jog)) = verb {
-            slot.velocity = jog.velocity;
+            machine.input.velocity = jog.velocity;
         }
-        slot.order = Order { serial: slot.order.serial + 1, verb };
-        slot.row = None;
+        machine.start(self.world.now(), verb);
         self.held[index] = false;
     }
 
     /// How the order that stands has ended.
     pub fn end(&self, index: usize) -> Option<Result<(), Failure>> {
-        let slot = &self.slots[index];
-        slot.progress.end.filter(|_| slot.progress.serial == slot.order.serial)
+        self.machines[index].end()
     }
 
     /// Turns until the order that stands has ended.
     pub fn ended(&mut self, index: usize) -> Result<(), Failure> {
-        let what = format!("the end of {:?}", self.slots[index].order);
+        let what = format!("the end of {:?}", self.machines[index].command());
         self.until(&what, LONG, |line| line.end(index).is_some());
         self.end(index).expect("it has ended")
     }

@@ -57,12 +57,8 @@ macro_rules! forward_bus_plan {
             self.$field.own_counters()
         }
 
-        fn capabilities(
-            &self,
-            index: usize,
-            period_ns: u64,
-        ) -> Option<fieldbeat::bus::desired::Capabilities> {
-            self.$field.capabilities(index, period_ns)
+        fn capabilities(&self, index: usize) -> fieldbeat::bus::desired::Capabilities {
+            self.$field.capabilities(index)
         }
 
         fn fault_names(&self) -> fieldbeat::axis::FaultNames {

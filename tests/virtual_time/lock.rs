@@ -8,6 +8,7 @@ use std::sync::{Arc, Mutex};
 
 use fieldbeat::axis::acyclic::{AcyclicEnds, Notation};
 use fieldbeat::axis::{AxisPlan, Link, MonitorChannel, PlanFault};
+use fieldbeat::bus::desired::Capabilities;
 use fieldbeat::bus::linudp::LinUdpPlan;
 use fieldbeat::bus::{Bus, BusPlan, Cycle, OpenError, Slot, Unmatched};
 use fieldbeat::cycle::status::ReferenceStatus;
@@ -116,8 +117,8 @@ impl BusPlan for ClockPlan {
         Ok(Box::new(ClockBus { plan: self.clone(), period_ns, told: VecDeque::with_capacity(4) }))
     }
 
-    fn capabilities(&self, _: usize, _: u64) -> Option<fieldbeat::bus::desired::Capabilities> {
-        None
+    fn capabilities(&self, _: usize) -> Capabilities {
+        unreachable!("it has no drives")
     }
 
     fn monitored(&self, _: usize) -> [Option<MonitorChannel>; 4] {

@@ -12,7 +12,7 @@ use crate::axis::command::NativeOwner;
 use crate::axis::{State, Units};
 use crate::bus::desired::{
     self, Capabilities, Desired, Evidence, FaultIs, Generator, Homing, Lacks, ModeIs, Motion, Power,
-    Quantity, Ranges, Resettable,
+    Quantity, Resettable,
 };
 use crate::time::{MS, S, Time};
 
@@ -179,7 +179,6 @@ pub(super) fn capabilities(drive: &KollmorgenDrive) -> Capabilities {
     let speeds = matches!(quantity, Quantity::Torque | Quantity::Unknown).then_some(NO_VELOCITY);
     let torques = (quantity != Quantity::Torque).then_some(NO_TORQUE);
     Capabilities {
-        generator: Generator::Master(quantity),
         lacks: Lacks {
             control: (!is_controlled).then_some(NO_CONTROL),
             enable: is_blind.then_some(BLIND),
@@ -190,12 +189,8 @@ pub(super) fn capabilities(drive: &KollmorgenDrive) -> Capabilities {
             homing: None,
         },
         switches_on_at_once: false,
-        leaves_quick_stop: true,
-        power_reports: 1,
         still_reports: SETTLED,
-        stands_ns: 0,
-        arrival: f64::INFINITY,
-        ranges: Ranges::UNLIMITED,
+        ..Capabilities::of(Generator::Master(quantity))
     }
 }
 

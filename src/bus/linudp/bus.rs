@@ -242,8 +242,8 @@ impl BusPlan for LinUdpPlan {
         self.drives.get(index).map_or([const { None }; MONITOR_CHANNELS], |drive| drive.monitor.channels())
     }
 
-    fn capabilities(&self, index: usize, _period_ns: u64) -> Option<Capabilities> {
-        self.drives.get(index).map(profile::capabilities)
+    fn capabilities(&self, index: usize) -> Capabilities {
+        profile::capabilities(&self.drives[index])
     }
 
     fn fault_names(&self) -> FaultNames {

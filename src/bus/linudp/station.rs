@@ -539,7 +539,7 @@ mod tests {
         }
 
         fn order(&mut self, verb: Command) {
-            self.machine.start(self.cycle.grid, 1, Some(verb));
+            self.machine.start(self.cycle.grid, Some(verb));
         }
     }
 
@@ -592,7 +592,7 @@ mod tests {
             b.reply(&request, sub);
             request = b.send();
             assert_eq!(request.motion.map(|motion| motion.header as u8 & 0xF), count, "after {sub:02X}h");
-            assert_eq!(b.machine.progress().end, end, "after {sub:02X}h");
+            assert_eq!(b.machine.end(), end, "after {sub:02X}h");
         }
     }
 

@@ -289,8 +289,8 @@ impl BusPlan for ModbusPlan {
         &OWN
     }
 
-    fn capabilities(&self, index: usize, _period_ns: u64) -> Option<Capabilities> {
-        self.drives.get(index).map(profile::capabilities)
+    fn capabilities(&self, index: usize) -> Capabilities {
+        profile::capabilities(&self.drives[index])
     }
 
     fn fault_names(&self) -> FaultNames {

@@ -12,8 +12,8 @@ use super::words::{ControlWord, StatusWord};
 use crate::axis::State;
 use crate::axis::command::NativeOwner;
 use crate::bus::desired::{
-    Capabilities, Desired, Evidence, FaultIs, Follows, Generator, Lacks, Motion, Power, Quantity, Ranges,
-    Refused, Resettable,
+    Capabilities, Desired, Evidence, FaultIs, Follows, Generator, Lacks, Motion, Power, Quantity, Refused,
+    Resettable,
 };
 use crate::time::{MS, Time};
 
@@ -106,7 +106,6 @@ pub(super) struct Profile {
 /// What a drive can do.
 pub(super) fn capabilities(_drive: &UnidriveDrive) -> Capabilities {
     Capabilities {
-        generator: Generator::Master(Quantity::Velocity),
         lacks: Lacks {
             moves: Some(NO_POSITION),
             rows: Some(NO_POSITION),
@@ -114,13 +113,8 @@ pub(super) fn capabilities(_drive: &UnidriveDrive) -> Capabilities {
             torques: Some(NO_TORQUE),
             ..Lacks::default()
         },
-        switches_on_at_once: true,
-        leaves_quick_stop: true,
-        power_reports: 1,
-        still_reports: 1,
         stands_ns: STANDS_NS,
-        arrival: f64::INFINITY,
-        ranges: Ranges::UNLIMITED,
+        ..Capabilities::of(Generator::Master(Quantity::Velocity))
     }
 }
 

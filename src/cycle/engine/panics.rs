@@ -167,9 +167,9 @@ impl<C: Clock> Engine<C> {
             self.grid.advance(1);
         }
         let next = self.cycle_at(self.grid.index(), self.grid.at());
-        for (axis, (controller, slot)) in self.controllers.iter_mut().zip(&mut self.slots).enumerate() {
+        for (axis, controller) in self.controllers.iter_mut().enumerate() {
             self.panics.guard(next.index, stage, Part::Axis(axis), || {
-                controller.stop(&next, now, StopCause::Panic, slot);
+                controller.stop(&next, now, StopCause::Panic);
                 controller.take_group_stop();
             });
         }
@@ -299,8 +299,8 @@ impl<C: Clock> Engine<C> {
         let controllers = &mut self.controllers;
         self.panics.guard(cycle.index, None, Part::Outlets, || take_commands(controllers));
         let mut down = true;
-        for (axis, (controller, slot)) in self.controllers.iter_mut().zip(&mut self.slots).enumerate() {
-            let work = || controller.shut_down(cycle, now, slot, hurry);
+        for (axis, controller) in self.controllers.iter_mut().enumerate() {
+            let work = || controller.shut_down(cycle, now, hurry);
             down &= self.panics.guard(cycle.index, None, Part::Axis(axis), work).unwrap_or(true);
         }
         let passed_ns = now.since(since);

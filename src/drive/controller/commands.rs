@@ -52,12 +52,12 @@ impl DriveController {
 
     /// Drains the application's commands: ends the finished one, aborts those that an urgent one overtakes, starts
     /// the next. The command of a group is left to the group synchronisation.
-    pub fn exchange(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
+    pub fn exchange(&mut self, cycle: &Cycle, now: Time, slot: &Slot) {
         self.waiting = None;
         self.commanded = slot.commanded;
         let held = self.held.take();
         self.take_setpoints(cycle);
-        self.end_active(cycle, now, slot);
+        self.end_active(cycle, now);
         self.overtake(cycle, now);
         for _ in 0..=self.queues.commands.len() {
             let next = self.task_command.or_else(|| self.queues.commands.front().copied());
@@ -80,16 +80,16 @@ impl DriveController {
             if next.call.is_none() && self.moves_in_group().is_some() && self.admit(&next).is_ok() {
                 // A command that takes a member out of a motion of its group stops the group: the others would go
                 // on without it.
-                self.stop(cycle, now, StopCause::GroupFailed, slot);
+                self.stop(cycle, now, StopCause::GroupFailed);
                 break;
             }
             if self.task_command.take().is_none() {
                 self.queues.commands.pop_front();
             }
             // A refused command replaces nothing: the running one goes on, and its end is still reported.
-            self.start(cycle, now, next, false, slot);
+            self.start(cycle, now, next, false);
         }
-        self.age_setpoint(cycle, now, slot);
+        self.age_setpoint(cycle, now);
     }
 
     /// The group command that waits until all other members are ready for it.
@@ -108,22 +108,22 @@ impl DriveController {
     }
 
     /// Begins the waiting command, unless it is refused to all members or may not begin at this one.
-    pub fn take_waiting(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot, refused: bool) {
+    pub fn take_waiting(&mut self, cycle: &Cycle, now: Time, refused: bool) {
         let Some(command) = self.waiting.take() else { return };
         self.queues.commands.pop_front();
-        self.start(cycle, now, command, refused, slot);
+        self.start(cycle, now, command, refused);
     }
 
     /// Ends the running command by the station's progress.
-    fn end_active(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
+    fn end_active(&mut self, cycle: &Cycle, now: Time) {
         let Some(active) = self.active else { return };
         if active.verb == Command::Reset {
-            self.try_reset(cycle, now, active, slot);
+            self.try_reset(cycle, now, active);
             return;
         }
-        match self.progress(slot) {
-            None | Some(None) => {}
-            Some(Some(Ok(()))) => {
+        match self.machine.end() {
+            None => {}
+            Some(Ok(())) => {
                 if active.verb == Command::Enable {
                     self.claim = Claim::Armed;
                     self.bounds = Bounds::default();
@@ -134,7 +134,7 @@ impl DriveController {
                 }
                 self.end(cycle, now, active, Outcome::Done);
             }
-            Some(Some(Err(failure))) => {
+            Some(Err(failure)) => {
                 let grouped = self.moves_in_group().is_some();
                 if matches!(failure, Failure::Unsupported(_) | Failure::DriveFault(_)) {
                     // Nothing was commanded, or a fault holds the power off.
@@ -143,13 +143,13 @@ impl DriveController {
                 self.end(cycle, now, active, Outcome::Failed(failure));
                 if matches!(active.verb, Command::Stop { .. }) && self.latch.is_open() {
                     // A ramp that the drive refuses becomes its quick stop, as in the stop sequence.
-                    self.order(slot, Some(Command::QuickStop));
+                    self.issue(Some(Command::QuickStop));
                 }
                 if matches!(failure, Failure::DriveFault(_)) {
-                    self.stop_if_armed(cycle, now, StopCause::DriveFault, slot);
+                    self.stop_if_armed(cycle, now, StopCause::DriveFault);
                 } else if grouped {
                     // The others would go on without it.
-                    self.stop(cycle, now, StopCause::GroupFailed, slot);
+                    self.stop(cycle, now, StopCause::GroupFailed);
                 }
             }
         }
@@ -172,25 +172,25 @@ impl DriveController {
     }
 
     /// Begins the command if it may begin here, and at all other members of its group.
-    fn start(&mut self, cycle: &Cycle, now: Time, command: QueuedCommand, refused: bool, slot: &mut Slot) {
+    fn start(&mut self, cycle: &Cycle, now: Time, command: QueuedCommand, refused: bool) {
         match self.admit(&command) {
             Ok(()) if refused => self.end(cycle, now, command, Outcome::Failed(Failure::GroupRefused)),
-            Ok(()) => self.begin(cycle, now, command, slot),
+            Ok(()) => self.begin(cycle, now, command),
             Err(failure) => self.end(cycle, now, command, Outcome::Failed(failure)),
         }
     }
 
-    fn begin(&mut self, cycle: &Cycle, now: Time, command: QueuedCommand, slot: &mut Slot) {
+    fn begin(&mut self, cycle: &Cycle, now: Time, command: QueuedCommand) {
         if let Some(active) = self.active {
             self.end(cycle, now, active, Outcome::Aborted(Abort::Replaced(command.id)));
         }
         self.active = Some(command);
         self.began = now;
         match command.verb {
-            Command::Reset => self.try_reset(cycle, now, command, slot),
+            Command::Reset => self.try_reset(cycle, now, command),
             Command::Disable => {
                 self.disarm();
-                self.order(slot, Some(Command::Disable));
+                self.issue(Some(Command::Disable));
             }
             verb => {
                 if let (Command::QuickStop, Latch::Down(_, sequence)) = (verb, &mut self.latch) {
@@ -200,7 +200,7 @@ impl DriveController {
                 if verb == Command::Enable {
                     self.rising = FALLEN_REPORTS;
                 }
-                self.order(slot, Some(self.bounded(verb)));
+                self.issue(Some(self.bounded(verb)));
             }
         }
     }
@@ -261,7 +261,7 @@ impl DriveController {
     }
 
     /// The latch opens once the stop sequence is complete.
-    fn try_reset(&mut self, cycle: &Cycle, now: Time, command: QueuedCommand, slot: &mut Slot) {
+    fn try_reset(&mut self, cycle: &Cycle, now: Time, command: QueuedCommand) {
         if !self.latch.is_settled() {
             if !self.is_heard() {
                 // The sequence waits for the drive; so would the reset.
@@ -273,7 +273,7 @@ impl DriveController {
         if found && self.feedback.link == Link::Online && self.feedback.status.state.is_powered() {
             // A drive that was only read until now: from here on it is ours, in its present state. It moves only
             // after an Enable, which changes nothing of a drive in operation.
-            self.order(slot, None);
+            self.issue(None);
         }
         self.latch = Latch::Open;
         self.feedback.stopped = None;

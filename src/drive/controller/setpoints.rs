@@ -7,7 +7,8 @@ use crate::axis::limits::{check_braking, check_reach, check_row, check_speed};
 use crate::axis::{
     Command, CommandId, EventKind, Failure, Outcome, QueuedCommand, Row, Setpoint, StopCause, Underrun,
 };
-use crate::bus::{Cycle, NumberedRow, Slot};
+use crate::bus::{Cycle, Slot};
+use crate::drive::machine::NumberedRow;
 use crate::time::{Time, nanos};
 
 /// The first row may be so many rows' ways ahead of the demand: the reply is one exchange old, and a drive's output
@@ -106,7 +107,7 @@ impl DriveController {
     }
 
     /// Stops an axis whose velocity or torque is older than it may be.
-    pub(super) fn age_setpoint(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
+    pub(super) fn age_setpoint(&mut self, cycle: &Cycle, now: Time) {
         let (most, cause) = match self.active.map(|active| active.verb) {
             Some(Command::Velocity { .. } | Command::Torque { .. }) => {
                 (u64::from(self.plan.setpoint_age), StopCause::StaleSetpoint)
@@ -118,24 +119,24 @@ impl DriveController {
             _ => return,
         };
         if cycle.index - self.level.at > most {
-            self.stop(cycle, now, cause, slot);
+            self.stop(cycle, now, cause);
         }
     }
 
     /// The follow that takes a row for the next send.
     fn takes_row(&self, slot: &Slot) -> Option<QueuedCommand> {
         let follow = self.active.filter(|active| active.verb == Command::Follow)?;
-        let due = slot.due && slot.order.verb == Some(Command::Follow);
+        let due = slot.due && self.machine.command() == Some(Command::Follow);
         let done = self.follow.held || self.follow.last.is_some_and(|row| row.last);
         (due && !done).then_some(follow)
     }
 
     /// Chooses the setpoint of the next send, if one is due.
-    pub fn feed(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
-        (slot.velocity, slot.torque) = match slot.order.verb {
-            Some(Command::Torque { .. }) => (0.0, self.level.value),
-            _ => (self.level.value, 0.0),
-        };
+    pub fn feed(&mut self, cycle: &Cycle, now: Time, slot: &Slot) {
+        let torque = self.is_under_torque();
+        let input = &mut self.machine.input;
+        (input.velocity, input.torque) =
+            if torque { (0.0, self.level.value) } else { (self.level.value, 0.0) };
         let Some(active) = self.takes_row(slot) else {
             // A row of the task is for the send that it was given for, and begins no later stream.
             if self.active.is_none_or(|active| active.verb != Command::Follow) {
@@ -150,7 +151,7 @@ impl DriveController {
             (Some(row), last) => {
                 self.follow.empty = 0;
                 if let Err(failure) = self.check_row(cycle, &row, last) {
-                    self.fail_follow(cycle, now, failure, StopCause::Limit, slot);
+                    self.fail_follow(cycle, now, failure, StopCause::Limit);
                     return;
                 }
                 row
@@ -170,7 +171,7 @@ impl DriveController {
                         ahead
                     }
                     Underrun::Extrapolate(_) | Underrun::Stop => {
-                        self.fail_follow(cycle, now, Failure::Underrun, StopCause::Underrun, slot);
+                        self.fail_follow(cycle, now, Failure::Underrun, StopCause::Underrun);
                         return;
                     }
                 }
@@ -179,7 +180,7 @@ impl DriveController {
         self.follow.number += 1;
         self.follow.last = Some(chosen);
         self.follow.held = true;
-        slot.row = Some(NumberedRow { number: self.follow.number, row: chosen });
+        self.machine.input.row = Some(NumberedRow { number: self.follow.number, row: chosen });
     }
 
     /// The time from one row to the next.
@@ -205,11 +206,11 @@ impl DriveController {
         }
     }
 
-    fn fail_follow(&mut self, cycle: &Cycle, now: Time, failure: Failure, cause: StopCause, slot: &mut Slot) {
+    fn fail_follow(&mut self, cycle: &Cycle, now: Time, failure: Failure, cause: StopCause) {
         if let Some(active) = self.active {
             self.end(cycle, now, active, Outcome::Failed(failure));
         }
-        self.stop(cycle, now, cause, slot);
+        self.stop(cycle, now, cause);
     }
 
     /// Drops the rest of the streams up to `stream`.

@@ -8,7 +8,7 @@ use std::time::Duration;
 use super::*;
 use crate::axis::newest::{NewestIn, newest};
 use crate::axis::{Emergency, Failure, HeldBy, Load, Move, StopThen, Target, Underrun, Units, cell};
-use crate::bus::Progress;
+use crate::bus::desired::Generator;
 use crate::rt::ring;
 use crate::time::MS;
 
@@ -31,6 +31,23 @@ pub(in crate::drive) fn cycle(index: u64) -> Cycle {
 
 pub(in crate::drive) fn plan() -> AxisPlan {
     AxisPlan::new("x", Units::millimetres(1_000.0))
+}
+
+/// What a drive can do that makes its own setpoints.
+fn can() -> Capabilities {
+    Capabilities::of(Generator::Drive { leash: Some(1.0) })
+}
+
+impl DriveController {
+    /// The newest command of its drive machine.
+    pub(in crate::drive) fn newest(&self) -> Option<Command> {
+        self.machine.command()
+    }
+
+    /// It ends like this.
+    pub(in crate::drive) fn end_with(&mut self, end: Result<(), Failure>) {
+        self.machine.end_with(end);
+    }
 }
 
 /// The commands whose ends are among these events.
@@ -61,7 +78,7 @@ impl Alone {
             feedback,
             samples: None,
         };
-        let controller = DriveController::new(plan, None, queues, MS, 0, 100, false);
+        let controller = DriveController::new(plan, can(), queues, MS, 0, 100, false);
         let slot = Slot::default();
         Alone { controller, slot, commands, rows, _setpoints: setpoints, events, index: 0, id: 0 }
     }
@@ -104,7 +121,7 @@ impl Alone {
 
     /// The bus ends the order; the loop looks at it in the same cycle.
     pub fn ends(&mut self, end: Result<(), Failure>) {
-        self.slot.progress = Progress { serial: self.slot.order.serial, end: Some(end) };
+        self.controller.end_with(end);
         self.turn();
     }
 
@@ -276,8 +293,8 @@ fn a_drive_that_was_found_running_is_braked_at_the_end_once_a_reset_has_taken_it
             x.turn();
             assert_eq!(x.ended(), [(id, Outcome::Done)]);
         }
-        let left = x.controller.shut_down(&cycle(99), Time(99 * MS), &mut x.slot, false);
-        assert_eq!((left, x.slot.order.verb.is_some()), (!reset, reset));
+        let left = x.controller.shut_down(&cycle(99), Time(99 * MS), false);
+        assert_eq!((left, x.controller.newest().is_some()), (!reset, reset));
     }
 }
 
@@ -298,19 +315,19 @@ fn a_task_command_needs_room_for_its_end_unless_it_is_a_stop() {
 #[test]
 fn a_quick_stop_takes_the_place_of_a_ramp_and_not_of_the_power_off_after_it() {
     let mut x = Alone::new(plan()).enabled();
-    x.controller.stop(&cycle(50), Time(20 * MS), StopCause::Overrun, &mut x.slot);
+    x.controller.stop(&cycle(50), Time(20 * MS), StopCause::Overrun);
     let ramp = x.post(Command::QuickStop);
     x.turn();
-    assert_eq!(x.slot.order.verb, Some(Command::QuickStop));
+    assert_eq!(x.controller.newest(), Some(Command::QuickStop));
     // At standstill; the drive reports its power later.
     let standstill = x.controller.plan().stop.standstill_for;
     x.turns(standstill);
-    assert_eq!(x.slot.order.verb, Some(Command::Disable));
+    assert_eq!(x.controller.newest(), Some(Command::Disable));
     assert_eq!(x.ended(), [(ramp, Outcome::Aborted(Abort::Stopped(StopCause::Overrun)))]);
     let late = x.post(Command::QuickStop);
     x.turn();
     assert_eq!(x.ended(), [(late, Outcome::Failed(Failure::Latched(StopCause::Overrun)))]);
-    assert_eq!(x.slot.order.verb, Some(Command::Disable));
+    assert_eq!(x.controller.newest(), Some(Command::Disable));
 }
 
 /// Enabled, homed, between 0 and 100 mm; it brakes with 1000 mm/s².
@@ -361,7 +378,7 @@ fn native_data_are_stopped_where_the_axis_can_still_brake_and_a_move_at_its_limi
 
 #[test]
 fn what_follows_no_setpoint_is_stopped_by_its_drive_and_all_else_by_a_ramp() {
-    let by_drive = |x: &Alone| x.slot.order.verb == Some(Command::QuickStop);
+    let by_drive = |x: &Alone| x.controller.newest() == Some(Command::QuickStop);
     // By itself.
     let mut x = ranged();
     x.turns(100);
@@ -400,8 +417,8 @@ fn a_stop_is_as_steep_as_the_faster_of_demand_and_motor_requires() {
             x.slot.status.velocity = velocity;
             x.turn();
         }
-        x.controller.stop(&cycle(99), Time(99 * MS), StopCause::Overrun, &mut x.slot);
-        let Some(Command::Stop { deceleration: Some(ordered) }) = x.slot.order.verb else { panic!() };
+        x.controller.stop(&cycle(99), Time(99 * MS), StopCause::Overrun);
+        let Some(Command::Stop { deceleration: Some(ordered) }) = x.controller.newest() else { panic!() };
         assert!((ordered / deceleration - 1.0).abs() < 0.01, "{ordered} at {step} and {velocity}");
     }
 }
@@ -430,12 +447,12 @@ fn only_a_quick_stop_is_taken_while_an_axis_is_stopped() {
     for verb in [Command::Disable, Command::Stop { deceleration: None }, Command::ResetFault] {
         let mut x = Alone::new(plan()).enabled();
         (x.slot.status.moving, x.slot.status.velocity) = (true, 50.0);
-        x.controller.stop(&cycle(50), Time(20 * MS), StopCause::Overrun, &mut x.slot);
-        let order = x.slot.order;
+        x.controller.stop(&cycle(50), Time(20 * MS), StopCause::Overrun);
+        let order = x.controller.machine.newest();
         let id = x.post(verb);
         x.turn();
         assert_eq!(x.ended(), [(id, Outcome::Failed(Failure::Latched(StopCause::Overrun)))]);
-        assert_eq!(x.slot.order, order, "{verb:?}");
+        assert_eq!(x.controller.machine.newest(), order, "{verb:?}");
     }
 }
 
@@ -445,14 +462,14 @@ fn a_reset_leaves_the_order_by_which_a_stopped_axis_holds() {
     plan.stop.then = StopThen::Hold;
     let standstill = plan.stop.standstill_for;
     let mut x = Alone::new(plan).enabled();
-    x.controller.stop(&cycle(50), Time(20 * MS), StopCause::Overrun, &mut x.slot);
+    x.controller.stop(&cycle(50), Time(20 * MS), StopCause::Overrun);
     x.turns(standstill);
-    let order = x.slot.order;
+    let order = x.controller.machine.newest();
     assert!(matches!(order.verb, Some(Command::Stop { .. })));
     let id = x.post(Command::Reset);
     x.turn();
     assert_eq!(x.ended(), [(id, Outcome::Done)]);
-    assert_eq!(x.slot.order, order);
+    assert_eq!(x.controller.machine.newest(), order);
 }
 
 #[test]
@@ -466,7 +483,7 @@ fn an_axis_that_was_found_running_and_then_stopped_is_braked_when_it_moves_again
     x.slot.status.velocity = 50.0;
     x.turns(3);
     assert_eq!(x.controller.feedback().stopped, Some(StopCause::FoundRunning));
-    assert_eq!(x.slot.order.verb, Some(Command::QuickStop));
+    assert_eq!(x.controller.newest(), Some(Command::QuickStop));
 }
 
 #[test]
@@ -503,11 +520,11 @@ fn following(plan: AxisPlan, rows: &[(u32, f64, f64)]) -> Alone {
 impl Alone {
     /// The row of the next send.
     fn fed_unsent(&mut self) -> Option<Row> {
-        self.slot.row = None;
+        self.controller.machine.input.row = None;
         let cycle = cycle(self.index);
         take_rows(from_mut(&mut self.controller), from_ref(&self.slot));
         self.controller.feed(&cycle, cycle.grid, &mut self.slot);
-        self.slot.row.map(|row| row.row)
+        self.controller.machine.input.row.map(|row| row.row)
     }
 
     /// The row of the next send, which goes out.
@@ -574,7 +591,7 @@ fn a_row_is_for_a_send_that_is_due_and_its_number_is_never_given_again() {
     x.slot.due = true;
     assert_eq!(x.fed().map(|row| row.position), Some(-0.01), "that of the task first, when one is due");
     assert_eq!(x.fed().map(|row| row.position), Some(0.01));
-    let number = x.slot.row.unwrap().number;
+    let number = x.controller.machine.input.row.unwrap().number;
     x.ends(Ok(()));
     x.ended();
     x.rows.push(StreamRow { stream: 0, member: 0, parts: 1, row: Row::default() }).unwrap();
@@ -588,7 +605,7 @@ fn a_row_is_for_a_send_that_is_due_and_its_number_is_never_given_again() {
     x.post(Command::Follow);
     x.turn();
     assert_eq!(x.fed(), Some(Row::default()), "not the one that the task gave for an earlier send");
-    assert_eq!(x.slot.row.unwrap().number, number + 1);
+    assert_eq!(x.controller.machine.input.row.unwrap().number, number + 1);
 }
 
 #[test]
@@ -613,18 +630,18 @@ fn an_enable_without_the_hardware_enable_is_refused_before_the_bus_has_it() {
     let mut x = Alone::new(plan()).online();
     x.slot.status.inhibited = true;
     x.turn();
-    let order = x.slot.order;
+    let order = x.controller.machine.newest();
     let id = x.post(Command::Enable);
     x.turn();
     assert_eq!(x.ended(), [(id, Outcome::Failed(Failure::Inhibited))]);
-    assert_eq!(x.slot.order, order);
+    assert_eq!(x.controller.machine.newest(), order);
 }
 
 #[test]
 fn a_reset_that_waits_for_a_stop_ends_when_the_link_is_lost() {
     let mut x = Alone::new(plan()).enabled();
     x.slot.status.velocity = 50.0;
-    x.controller.stop(&cycle(50), Time(20 * MS), StopCause::Overrun, &mut x.slot);
+    x.controller.stop(&cycle(50), Time(20 * MS), StopCause::Overrun);
     let id = x.post(Command::Reset);
     x.turns(3);
     assert_eq!(x.ended(), []);
@@ -661,11 +678,11 @@ fn an_application_with_the_control_word_loses_it_by_a_restart_or_its_own_silence
     x.turn();
     assert_eq!(x.controller.feedback().stopped, Some(StopCause::DriveDropped));
     let mut x = native();
-    x.controller.stop_if_armed(&cycle(50), Time(50 * MS), StopCause::Heartbeat, &mut x.slot);
+    x.controller.stop_if_armed(&cycle(50), Time(50 * MS), StopCause::Heartbeat);
     assert_eq!(x.controller.feedback().stopped, Some(StopCause::Heartbeat));
     // Without power and without a command there is nothing to stop.
     let mut x = Alone::new(plan()).online();
-    x.controller.stop_if_armed(&cycle(50), Time(50 * MS), StopCause::Heartbeat, &mut x.slot);
+    x.controller.stop_if_armed(&cycle(50), Time(50 * MS), StopCause::Heartbeat);
     assert_eq!(x.controller.feedback().stopped, None);
 }
 
@@ -680,23 +697,23 @@ fn a_stop_of_the_application_has_its_time_and_then_the_drive_stops() {
     assert_eq!(x.controller.feedback().stopped, None);
     x.turn();
     assert_eq!(x.controller.feedback().stopped, Some(StopCause::StopTimeout));
-    assert_eq!(x.slot.order.verb, Some(Command::QuickStop));
+    assert_eq!(x.controller.newest(), Some(Command::QuickStop));
     x.slot.status.velocity = 0.0;
     let standstill = x.controller.plan().stop.standstill_for;
     x.turns(standstill);
-    assert_eq!(x.slot.order.verb, Some(Command::Disable));
+    assert_eq!(x.controller.newest(), Some(Command::Disable));
 }
 
 #[test]
 fn a_ramp_that_the_drive_refuses_becomes_its_quick_stop_and_an_older_refusal_changes_nothing() {
     let mut x = Alone::new(plan()).enabled();
     x.slot.status.velocity = 50.0;
-    x.slot.progress = Progress { serial: x.slot.order.serial, end: Some(Err(Failure::NotTaken)) };
-    x.controller.stop(&cycle(50), Time(20 * MS), StopCause::Overrun, &mut x.slot);
+    x.controller.end_with(Err(Failure::NotTaken));
+    x.controller.stop(&cycle(50), Time(20 * MS), StopCause::Overrun);
     x.turn();
-    assert!(matches!(x.slot.order.verb, Some(Command::Stop { .. })));
+    assert!(matches!(x.controller.newest(), Some(Command::Stop { .. })));
     x.ends(Err(Failure::NotTaken));
-    assert_eq!(x.slot.order.verb, Some(Command::QuickStop));
+    assert_eq!(x.controller.newest(), Some(Command::QuickStop));
 }
 
 #[test]
@@ -722,7 +739,7 @@ fn a_request_that_could_not_be_sent_is_no_miss_only_once_the_bus_ends_the_link()
         let mut x = Alone::new(plan()).online();
         x.slot.expected_silence = expected_silence;
         if ends {
-            x.controller.shut_down(&cycle(x.index), Time(x.index * MS), &mut x.slot, false);
+            x.controller.shut_down(&cycle(x.index), Time(x.index * MS), false);
         }
         for index in x.index + 1..x.index + 10 {
             x.slot.exchange = Exchange::Unsent;
@@ -766,9 +783,9 @@ fn a_drive_that_was_found_running_and_went_off_by_itself_is_still_only_read_afte
     x.turns(10);
     x.slot.status.state = State::ReadyToSwitchOn;
     x.turn();
-    let order = x.slot.order;
+    let order = x.controller.machine.newest();
     x.done_at_once(Command::Reset);
-    assert_eq!(x.slot.order, order);
+    assert_eq!(x.controller.machine.newest(), order);
 }
 
 #[test]
@@ -781,7 +798,7 @@ fn native_motion_data_may_lead_out_of_a_quick_stop_and_no_move_does() {
     assert_eq!(x.ended(), [(home, Outcome::Failed(refused))]);
     x.post(Command::Native(NativeOwner::Master));
     x.turn();
-    assert_eq!((x.ended(), x.slot.order.verb), (vec![], Some(Command::Native(NativeOwner::Master))));
+    assert_eq!((x.ended(), x.controller.newest()), (vec![], Some(Command::Native(NativeOwner::Master))));
 }
 
 impl Alone {
@@ -800,7 +817,7 @@ fn a_command_of_the_task_that_a_stop_overtakes_has_its_end() {
     let mut x = Alone::new(plan()).enabled();
     let (home, stop) = (x.task(1, Command::Home), x.task(2, Command::QuickStop));
     assert_eq!(x.ended(), [(home.0, Outcome::Aborted(Abort::Replaced(stop)))]);
-    x.controller.stop(&cycle(50), Time(50 * MS), StopCause::Overrun, &mut x.slot);
+    x.controller.stop(&cycle(50), Time(50 * MS), StopCause::Overrun);
     assert_eq!(x.ended(), [(stop.0, Outcome::Aborted(Abort::Stopped(StopCause::Overrun)))]);
 }
 
@@ -842,7 +859,7 @@ fn a_command_to_a_member_alone_stops_its_group_only_if_it_may_begin() {
         let native = Command::Native(NativeOwner::Master);
         x.commands.push(QueuedCommand { id, member: 0, verb: native, stream: 0, call }).unwrap();
         x.turn();
-        x.controller.take_waiting(&cycle(x.index), Time(x.index * MS), &mut x.slot, false);
+        x.controller.take_waiting(&cycle(x.index), Time(x.index * MS), false);
         let target = Target::Relative(distance);
         x.post(Command::Move(Move { target, profile: x.controller.plan().profile }));
         x.turn();
@@ -858,9 +875,9 @@ fn a_reset_takes_no_drive_over_that_does_not_answer() {
     x.turns(10);
     (0..5).for_each(|_| x.miss());
     assert_eq!(x.controller.feedback().link, Link::Lost);
-    let order = x.slot.order;
+    let order = x.controller.machine.newest();
     x.done_at_once(Command::Reset);
-    assert_eq!(x.slot.order, order);
+    assert_eq!(x.controller.machine.newest(), order);
 }
 
 #[test]

@@ -27,10 +27,10 @@ use self::setpoint::{Course, Turning};
 use super::planner::Point;
 use crate::axis::command::NativeOwner;
 use crate::axis::{AxisPlan, Command, DriveStatus, Failure, Limits, Profile, Row, State as Cia402, Units};
+use crate::bus::Slot;
 use crate::bus::desired::{
     Capabilities, Desired, Evidence, Generator, Intent, Mode, Motion, Power, Quantity, Setpoint,
 };
-use crate::bus::{NumberedRow, Progress, Slot};
 use crate::time::{Time, nanos};
 
 /// The machine of one drive.
@@ -43,7 +43,32 @@ pub struct Machine {
     proposed: State,
     /// The command of which nothing has left yet.
     waiting: Option<Waiting>,
-    progress: Progress,
+    /// The newest command, and how it has ended.
+    command: Option<Command>,
+    end: Option<Result<(), Failure>>,
+    /// What the command follows.
+    pub input: Input,
+}
+
+/// What the loop has chosen for the command to follow with its next send.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Input {
+    /// Of a jog or a cyclic velocity, user units/s. A jog begins with its own.
+    pub velocity: f64,
+    /// Of a cyclic torque, per cent of the rated torque. Above 0 it accelerates towards higher user positions, whichever
+    /// way the drive counts.
+    pub torque: f64,
+    /// The row of a stream.
+    pub row: Option<NumberedRow>,
+}
+
+/// A row and its number: the same number is the same row, not to be run twice.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct NumberedRow {
+    /// Grows by one a row.
+    pub number: u64,
+    /// The row.
+    pub row: Row,
 }
 
 /// What does not change.
@@ -163,24 +188,12 @@ struct View<'a> {
     /// It is new.
     fresh: bool,
     evidence: &'a Evidence,
-    /// The velocity and the torque that the application wants, and its next row.
-    velocity: f64,
-    torque: f64,
-    row: Option<NumberedRow>,
+    input: &'a Input,
 }
 
 impl<'a> View<'a> {
-    fn of(rules: &'a Rules, now: Time, slot: &'a Slot) -> View<'a> {
-        View {
-            rules,
-            now,
-            status: &slot.status,
-            fresh: slot.notices.fresh,
-            evidence: &slot.evidence,
-            velocity: slot.velocity,
-            torque: slot.torque,
-            row: slot.row,
-        }
+    fn of(rules: &'a Rules, input: &'a Input, now: Time, slot: &'a Slot) -> View<'a> {
+        View { rules, now, status: &slot.status, fresh: slot.notices.fresh, evidence: &slot.evidence, input }
     }
 
     fn drive_makes_setpoints(&self) -> bool {
@@ -239,24 +252,50 @@ impl Machine {
             sent: 0,
             is_new: true,
         };
-        Machine { rules, proposed: state.clone(), state, waiting: None, progress: Progress::default() }
+        Machine {
+            rules,
+            proposed: state.clone(),
+            state,
+            waiting: None,
+            command: None,
+            end: None,
+            input: Input::default(),
+        }
     }
 
     /// A new command, in place of the one before; `None`: to take the drive over as it is.
-    pub fn start(&mut self, now: Time, serial: u64, command: Option<Command>) {
+    pub fn start(&mut self, now: Time, command: Option<Command>) {
         let start = command.map_or(Start::TakeOver, Start::Command);
         self.waiting = Some(Waiting { command: Some(start), since: now, is_proposed: false });
-        self.progress = Progress { serial, end: None };
+        (self.command, self.end) = (command, None);
+        self.input.row = None;
     }
 
-    /// How far the newest command is.
-    pub fn progress(&self) -> Progress {
-        self.progress
+    /// The newest command; `None`: the drive is left as it is.
+    pub fn command(&self) -> Option<Command> {
+        self.command
+    }
+
+    /// How the newest command has ended; `None`: it is under way, or there is none.
+    pub fn end(&self) -> Option<Result<(), Failure>> {
+        self.end
+    }
+
+    /// The newest command ends like this, whatever its drive does.
+    #[cfg(test)]
+    pub fn end_with(&mut self, end: Result<(), Failure>) {
+        self.end = Some(end);
+    }
+
+    /// The newest command, and since when it waits for its first request.
+    #[cfg(test)]
+    pub fn newest(&self) -> (Option<Command>, Option<Time>) {
+        (self.command, self.waiting.map(|waiting| waiting.since))
     }
 
     /// Writes what is desired of the drive with the send in slot `grid`.
     pub fn propose(&mut self, grid: Time, slot: &mut Slot) {
-        let view = View::of(&self.rules, grid, slot);
+        let view = View::of(&self.rules, &self.input, grid, slot);
         // A setpoint is planned from the last one that was sent: what was not sent leaves nothing behind.
         let mut state = &mut self.state;
         if let Some(waiting) = &mut self.waiting {
@@ -276,10 +315,10 @@ impl Machine {
             if matches!(end, Some(Err(_))) {
                 waiting.command = None;
             }
-            self.progress.end = self.progress.end.or(end);
+            self.end = self.end.or(end);
         }
         let end = state.lead(&view);
-        self.progress.end = self.progress.end.or(end);
+        self.end = self.end.or(end);
         if state.is_new {
             slot.desired = state.desired();
         } else {
@@ -300,7 +339,7 @@ impl Machine {
 
     /// The reports of a cycle.
     pub fn observe(&mut self, now: Time, restarted: bool, slot: &Slot) {
-        let view = View::of(&self.rules, now, slot);
+        let view = View::of(&self.rules, &self.input, now, slot);
         let end = match &self.waiting {
             _ if restarted => self.state.drive_restarted(&view),
             // What it replaces has ended for the application.
@@ -312,9 +351,9 @@ impl Machine {
             None => self.state.go_on(&view),
         };
         if let Some(end) = end
-            && self.progress.end.is_none()
+            && self.end.is_none()
         {
-            self.progress.end = Some(end);
+            self.end = Some(end);
             if let Some(waiting) = &mut self.waiting {
                 waiting.command = None;
             }

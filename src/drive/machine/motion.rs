@@ -76,7 +76,7 @@ impl State {
         let Generator::Drive { leash } = view.rules.can.generator else { return None };
         let leash = leash.unwrap_or_default();
         self.roll_on(
-            Rolling { velocity: view.velocity, acceleration, leash, target: 0.0, at_limit: false },
+            Rolling { velocity: view.input.velocity, acceleration, leash, target: 0.0, at_limit: false },
             view,
         )
     }
@@ -86,8 +86,8 @@ impl State {
             return None;
         }
         let left = (rolling.target - view.evidence.demand).abs();
-        if view.velocity != rolling.velocity {
-            return self.roll_on(Rolling { velocity: view.velocity, ..rolling }, view);
+        if view.input.velocity != rolling.velocity {
+            return self.roll_on(Rolling { velocity: view.input.velocity, ..rolling }, view);
         }
         if rolling.at_limit {
             if self.agrees(!view.status.moving, view.rules.can.still_reports, view) {
@@ -136,7 +136,7 @@ impl State {
 
     /// One row a send. A row that came before, in a slot that was passed over, is not counted twice.
     pub(super) fn follow_by_drive(&mut self, view: &View) -> End {
-        let next = view.row?;
+        let next = view.input.row?;
         if next.number == self.row {
             return None;
         }

@@ -236,8 +236,8 @@ impl State {
     fn turn_on(&mut self, turning: Turning, view: &View) -> End {
         let quantity = view.quantity();
         let (wanted, most) = match quantity {
-            Some(Quantity::Torque) => (view.torque, view.rules.limits.torque),
-            _ => (view.velocity, view.rules.limits.velocity),
+            Some(Quantity::Torque) => (view.input.torque, view.rules.limits.torque),
+            _ => (view.input.velocity, view.rules.limits.velocity),
         };
         let most = most.unwrap_or(f64::INFINITY);
         let velocity = wanted.clamp(-most, most);
@@ -307,7 +307,7 @@ impl State {
         if view.drive_makes_setpoints() {
             return self.follow_by_drive(view);
         }
-        let next = view.row?;
+        let next = view.input.row?;
         if next.number == self.row {
             if self.sent > 0 {
                 self.course.next.velocity = 0.0;

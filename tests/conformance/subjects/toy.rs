@@ -14,16 +14,16 @@ use std::sync::Arc;
 use fieldbeat::axis::acyclic::{
     self, AcyclicEnds, Call, CallError, Commanding, Notation, NotationError, Port,
 };
-use fieldbeat::axis::limits::check_position;
-use fieldbeat::axis::{
-    AxisPlan, Command, Failure, Link, MonitorChannel, Move, PlanFault, State, Target, Unit, Units,
+use fieldbeat::axis::{AxisPlan, Link, MonitorChannel, PlanFault, State, Unit, Units};
+use fieldbeat::bus::desired::{
+    Accepted, Capabilities, Desired, FaultIs, Generator as SetpointsBy, Lacks, Motion, Power,
 };
-use fieldbeat::bus::{Bus, BusPlan, Cycle, Exchange, OpenError, Progress, Slot, Unmatched};
+use fieldbeat::bus::{Bus, BusPlan, Cycle, Exchange, OpenError, Slot, Unmatched};
 use fieldbeat::net::{Carriers, Datagrams, Outbox, SendMode, Sent, UdpOptions};
 use fieldbeat::rt::Regions;
 use fieldbeat::sim::physics::Generator;
 use fieldbeat::sim::{FaultPlan, SimDrive};
-use fieldbeat::time::{Time, US, nanos};
+use fieldbeat::time::{Time, US};
 
 use crate::conformance::line::{PERIOD, WINDOW};
 use crate::conformance::subject::{Calls, Can, Drive, Said, Subject};
@@ -57,7 +57,7 @@ pub enum Defect {
     SharesItsMisses,
     WritesBeforeTheFirstOrder,
     IgnoresStops,
-    NeverTimesOut,
+    ClaimsWhatItDidNotSend,
     ForgetsRestarts,
     ScalesWrongly,
     SwitchesOnAgain,
@@ -315,8 +315,16 @@ impl BusPlan for ToyPlan {
         }))
     }
 
-    fn capabilities(&self, _: usize, _: u64) -> Option<fieldbeat::bus::desired::Capabilities> {
-        None
+    fn capabilities(&self, index: usize) -> Capabilities {
+        let no_more = Some("a toy can move and stop, no more");
+        let none = Lacks::default();
+        Capabilities {
+            lacks: Lacks { rows: no_more, velocities: no_more, torques: no_more, homing: no_more, ..none },
+            leaves_quick_stop: false,
+            // Its answers are whole counts.
+            arrival: 1.0 / self.drives[index].axis.units.counts_per_unit,
+            ..Capabilities::of(SetpointsBy::Drive { leash: None })
+        }
     }
 
     fn monitored(&self, _index: usize) -> [Option<MonitorChannel>; 4] {
@@ -538,7 +546,7 @@ impl Bus for ToyBus {
         for (index, (station, slot)) in self.stations.iter_mut().zip(slots).enumerate() {
             match self.outbox.sent(index) {
                 Sent::At(sent_at) => {
-                    station.sent();
+                    station.sent(slot);
                     slot.counters.sent += 1;
                     slot.exchange = match self.wire {
                         ToyWire::OwnClock => station.exchange(sent_at, &mut slot.notices),
@@ -630,9 +638,10 @@ struct Station {
     told: Told,
     /// The drive has what it was told.
     taken: bool,
-    serial: u64,
-    begun: Time,
-    end: Option<Result<(), Failure>>,
+    /// What it is told stands for these serials, of its power and of its motion.
+    carried: (u64, u64),
+    /// The slot for which the request was built.
+    built_for: Time,
 }
 
 impl Station {
@@ -655,9 +664,8 @@ impl Station {
             answer: Answer::default(),
             told: Told::default(),
             taken: true,
-            serial: 0,
-            begun: Time(0),
-            end: None,
+            carried: (0, 0),
+            built_for: Time(0),
         }
     }
 
@@ -665,7 +673,8 @@ impl Station {
         self.defect == Some(defect)
     }
 
-    fn sent(&mut self) {
+    fn sent(&mut self, slot: &mut Slot) {
+        slot.gone.grid = Some(self.built_for);
         self.sequence = self.sequence.wrapping_add(1);
         self.unanswered = self.unanswered << 1 | 1;
         self.sent += 1;
@@ -722,12 +731,11 @@ impl Station {
     }
 
     fn read(&mut self, at: Time, answer: &Answer, slot: &mut Slot) {
-        let Slot { status: report, notices, .. } = slot;
+        let Slot { status: report, notices, evidence, .. } = slot;
         if self.seen && answer.boot != self.answer.boot {
             notices.restarted = !self.is(Defect::ForgetsRestarts);
             // What it was told before is over.
-            (self.taken, self.end) =
-                (true, self.end.or(Some(Err(Failure::Dropped(State::SwitchOnDisabled)))));
+            self.taken = true;
         }
         let restarted = answer.boot != self.answer.boot;
         (self.seen, self.answer) = (true, *answer);
@@ -754,6 +762,13 @@ impl Station {
             false => units.distance(answer.velocity),
             true => units.distance(answer.velocity).abs(),
         };
+        (evidence.position, evidence.demand) = (report.position, report.position);
+        evidence.demand_velocity = report.velocity;
+        evidence.fault = FaultIs { active: answer.state == FAULT, named: true, ..FaultIs::default() };
+        if self.taken || self.is(Defect::ClaimsWhatItDidNotSend) {
+            let (power, motion) = self.carried;
+            evidence.accepted = Accepted { power, motion, row: 0 };
+        }
     }
 
     /// From here on the drive is told this.
@@ -763,87 +778,39 @@ impl Station {
         self.taken = false;
     }
 
-    /// Works on the order in the slot.
-    fn advance(&mut self, now: Time, slot: &mut Slot) {
+    /// What is desired, as what the drive is told.
+    fn advance(&mut self, grid: Time, slot: &Slot) {
         self.call(slot.link, slot.status.at);
-        if self.serial != slot.order.serial {
-            (self.serial, self.begun, self.end) = (slot.order.serial, now, None);
-            self.begin(slot.order.verb);
-        } else if self.end.is_none() {
-            self.end = slot.order.verb.and_then(|verb| self.go_on(now, verb, slot));
+        self.built_for = grid;
+        let Desired { power, motion, .. } = &slot.desired;
+        if power.serial == 0 {
+            if self.is(Defect::WritesBeforeTheFirstOrder) && self.seen && self.taken {
+                self.tell(DISABLE, [0.0; 4]);
+            }
+            return;
         }
-        if self.serial != 0 {
-            slot.progress = Progress { serial: self.serial, end: self.end };
-        } else if self.is(Defect::WritesBeforeTheFirstOrder) && self.seen && self.taken {
-            self.tell(DISABLE, [0.0; 4]);
+        let before = std::mem::replace(&mut self.carried, (power.serial, motion.serial));
+        if before == self.carried {
+            return;
         }
-    }
-
-    fn begin(&mut self, verb: Option<Command>) {
         let counts = self.axis.units.counts_per_unit;
         let scale = |value: f64| (value * counts).abs();
         let usual = self.axis.profile.deceleration;
-        let standing = self.answer.state != ON && self.taken;
-        // Of the order before only what is under way goes on.
-        self.told.what = READ;
-        match verb {
-            Some(Command::Stop { .. } | Command::QuickStop) if standing || self.is(Defect::IgnoresStops) => {
-                self.end = Some(Ok(()));
+        let stop = |deceleration: f64| (STOP, [scale(deceleration), 0.0, 0.0, 0.0]);
+        let is_on = self.answer.state == ON;
+        let (what, values) = match (power.value, motion.value) {
+            (Power::EnableOperation, _) if before.0 != power.serial && !is_on => (ENABLE, [0.0; 4]),
+            (Power::EnableOperation, Motion::Move { position, profile: p }) => {
+                let [v, a, d] = [p.velocity, p.acceleration, p.deceleration].map(scale);
+                (MOVE, [self.axis.units.counts(position), v, a, d])
             }
-            Some(Command::Enable) if self.answer.state == FAULT => {
-                self.end = Some(Err(Failure::DriveFault(1)));
-            }
-            Some(Command::Enable) => self.tell(ENABLE, [0.0; 4]),
-            Some(Command::Disable) => self.tell(DISABLE, [0.0; 4]),
-            Some(Command::ResetFault) => self.tell(RESET, [0.0; 4]),
-            Some(Command::Move(Move { target, profile })) => {
-                let units = self.axis.units;
-                let target = match target {
-                    Target::Absolute(position) => position,
-                    Target::Relative(way) => units.position(self.answer.position) + way,
-                };
-                let [v, a, d] = [profile.velocity, profile.acceleration, profile.deceleration].map(scale);
-                match check_position(&self.axis.limits, target) {
-                    Ok(()) => self.tell(MOVE, [units.counts(target), v, a, d]),
-                    Err(failure) => self.end = Some(Err(failure)),
-                }
-            }
-            Some(Command::Stop { deceleration }) => {
-                self.tell(STOP, [scale(deceleration.unwrap_or(usual)), 0.0, 0.0, 0.0]);
-            }
-            Some(Command::QuickStop) => self.tell(STOP, [scale(4.0 * usual), 0.0, 0.0, 0.0]),
-            Some(
-                Command::Home
-                | Command::Jog(_)
-                | Command::Velocity { .. }
-                | Command::Torque { .. }
-                | Command::Follow
-                | Command::Native(_),
-            ) => {
-                self.end = Some(Err(Failure::Unsupported("a toy can move and stop, no more")));
-            }
-            None | Some(Command::Reset) => self.end = Some(Ok(())),
-        }
-    }
-
-    fn go_on(&mut self, now: Time, verb: Command, slot: &Slot) -> Option<Result<(), Failure>> {
-        let Answer { state, moving, .. } = self.answer;
-        let limited = matches!(verb, Command::Enable | Command::Disable | Command::ResetFault);
-        let late = now.since(self.begun) > nanos(self.axis.enable_timeout);
-        if !self.taken {
-            if limited && late && !self.is(Defect::NeverTimesOut) {
-                self.tell(DISABLE, [0.0; 4]);
-                return Some(Err(Failure::TimedOut(slot.status.state)));
-            }
-            return None;
-        }
-        if limited {
-            return Some(Ok(()));
-        }
-        match (state, moving) {
-            (FAULT, _) => Some(Err(Failure::DriveFault(1))),
-            (OFF, _) if matches!(verb, Command::Move(_)) => Some(Err(Failure::Dropped(slot.status.state))),
-            (_, moving) => (!moving).then_some(Ok(())),
-        }
+            (Power::EnableOperation, Motion::Ramp { deceleration }) => stop(deceleration),
+            (Power::QuickStop, _) | (Power::EnableOperation, Motion::Halt) => stop(4.0 * usual),
+            (Power::FaultReset, _) => (RESET, [0.0; 4]),
+            (Power::Off | Power::Shutdown | Power::SwitchOn, _) => (DISABLE, [0.0; 4]),
+            (Power::Untouched | Power::EnableOperation, _) => (READ, [0.0; 4]),
+        };
+        let ignored = what == STOP && self.is(Defect::IgnoresStops);
+        self.tell(if ignored { READ } else { what }, values);
     }
 }

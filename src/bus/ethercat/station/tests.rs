@@ -15,8 +15,7 @@ use crate::bus::ethercat::start_up::start_up;
 use crate::bus::ethercat::wire::frame::Command as DatagramCommand;
 use crate::bus::ethercat::wire::mailbox::{Counter, SDO_SIZE, emit};
 use crate::bus::ethercat::wire::sdo::Request;
-use crate::bus::{NumberedRow, Order};
-use crate::drive::machine::Machine;
+use crate::drive::machine::{Machine, NumberedRow};
 use crate::time::S;
 
 const PERIOD: u64 = MS;
@@ -143,17 +142,13 @@ impl Rig {
     /// Builds the outputs, twice as often as not.
     fn prepare(&mut self) {
         let cycle = self.cycle();
-        if self.slot.order.verb == Some(Command::Follow)
+        if self.machine.command() == Some(Command::Follow)
             && let Some(row) = self.rows.front()
         {
-            self.slot.row = Some(NumberedRow { number: self.row + 1, row: *row });
+            self.machine.input.row = Some(NumberedRow { number: self.row + 1, row: *row });
         }
         let before = self.setpoint();
-        if self.machine.progress().serial != self.slot.order.serial {
-            self.machine.start(self.now, self.slot.order.serial, self.slot.order.verb);
-        }
         self.machine.propose(self.now, &mut self.slot);
-        self.slot.progress = self.machine.progress();
         self.station.prepare(&cycle, &mut self.slot, &mut self.outputs);
         let built = self.outputs.clone();
         self.station.prepare(&cycle, &mut self.slot, &mut self.outputs);
@@ -184,7 +179,7 @@ impl Rig {
         let deadline = self.now + PERIOD / 2;
         self.station.sent(self.now, deadline, &mut self.slot);
         self.commit();
-        if !self.rows.is_empty() && self.slot.row.is_some() {
+        if !self.rows.is_empty() && self.machine.input.row.is_some() {
             self.rows.pop_front();
             self.row += 1;
         }
@@ -208,7 +203,6 @@ impl Rig {
             assert!(matches!(self.slot.exchange, Exchange::Answered { suspect: false, .. }));
         }
         self.machine.observe(self.now, self.slot.notices.restarted, &self.slot);
-        self.slot.progress = self.machine.progress();
         self.fresh = std::mem::take(&mut self.slot.notices.fresh);
         self.restarted |= std::mem::take(&mut self.slot.notices.restarted);
         self.slot.notices.emergency = None;
@@ -281,14 +275,13 @@ impl Rig {
     fn order(&mut self, verb: impl Into<Option<Command>>) {
         let verb = verb.into();
         if let Some(Command::Jog(jog)) = verb {
-            self.slot.velocity = jog.velocity;
+            self.machine.input.velocity = jog.velocity;
         }
-        self.slot.order = Order { serial: self.slot.order.serial + 1, verb };
-        self.slot.row = None;
+        self.machine.start(self.now, verb);
     }
 
     fn end(&self) -> Option<Result<(), Failure>> {
-        self.slot.progress.end.filter(|_| self.slot.progress.serial == self.slot.order.serial)
+        self.machine.end()
     }
 
     fn until(&mut self, what: &str, most: u64, done: impl Fn(&Rig) -> bool) -> u64 {
@@ -533,7 +526,7 @@ fn a_torque_follows_its_slope_and_its_side() {
         plan.scaling.permille_per_count = 0.5;
         let mut rig = Rig::enabled(plan);
         assert_eq!((rig.setpoint(), rig.control()), (0, 0x0F), "it is enabled without a torque");
-        rig.slot.torque = 2.0;
+        rig.machine.input.torque = 2.0;
         rig.steepest = 0;
         rig.order(Command::Torque { slope: 50.0 });
         rig.turns(10);
@@ -541,10 +534,10 @@ fn a_torque_follows_its_slope_and_its_side() {
         rig.turns(100);
         assert_eq!((rig.setpoint(), rig.end()), (side * 40, None));
         assert!(rig.slot.status.moving);
-        rig.slot.torque = -30.0;
+        rig.machine.input.torque = -30.0;
         rig.turns(500);
         assert_eq!((rig.setpoint(), rig.steepest), (side * -160, 1), "its limit");
-        rig.slot.torque = f64::NAN;
+        rig.machine.input.torque = f64::NAN;
         rig.turn();
         assert_eq!(rig.end(), Some(Err(Failure::NotFinite)));
     }
@@ -554,7 +547,7 @@ fn a_torque_follows_its_slope_and_its_side() {
 fn a_stop_takes_the_torque_away_and_halts_what_turns() {
     let turning = |slope: f64| {
         let mut rig = Rig::enabled(planned(0x1703, 0x1B03));
-        rig.slot.torque = 5.0;
+        rig.machine.input.torque = 5.0;
         rig.order(Command::Torque { slope });
         rig.turns((5_000.0 / slope) as u64 + 200);
         assert!(rig.slot.status.velocity > 1.0 && rig.setpoint() == 50, "{:?}", rig.slot.status);

@@ -100,7 +100,7 @@ impl ToyBus {
             slot.exchange = Exchange::Unsent;
             return;
         };
-        self.stations[index].sent();
+        self.stations[index].sent(slot);
         slot.counters.sent += 1;
         let overdue = sent_at + REPLY;
         let later = u64::from(overdue > cycle.deadline) * cycle.period_ns;
