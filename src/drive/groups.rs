@@ -291,7 +291,7 @@ mod tests {
             controller.feed(&cycle(51), cycle(51).grid, slot);
         }
         let left = 8 - m.ends[0].1.slots();
-        (std::array::from_fn(|axis| m.slots[axis].row.is_some()), left)
+        (std::array::from_fn(|axis| m.controllers[axis].has_next_row()), left)
     }
 
     #[test]

@@ -44,6 +44,11 @@ impl DriveController {
         self.machine.command()
     }
 
+    /// It has a row for the next send.
+    pub(in crate::drive) fn has_next_row(&self) -> bool {
+        self.machine.input.row.is_some()
+    }
+
     /// It ends like this.
     pub(in crate::drive) fn end_with(&mut self, end: Result<(), Failure>) {
         self.machine.end_with(end);
@@ -465,7 +470,7 @@ fn a_reset_leaves_the_order_by_which_a_stopped_axis_holds() {
     x.controller.stop(&cycle(50), Time(20 * MS), StopCause::Overrun);
     x.turns(standstill);
     let order = x.controller.machine.newest();
-    assert!(matches!(order.verb, Some(Command::Stop { .. })));
+    assert!(matches!(order.0, Some(Command::Stop { .. })));
     let id = x.post(Command::Reset);
     x.turn();
     assert_eq!(x.ended(), [(id, Outcome::Done)]);

@@ -57,13 +57,12 @@ pub enum Defect {
     SharesItsMisses,
     WritesBeforeTheFirstOrder,
     IgnoresStops,
-    ClaimsWhatItDidNotSend,
     ForgetsRestarts,
     ScalesWrongly,
-    SwitchesOnAgain,
     BuildsAnewEachTime,
     ForgetsItsCalls,
     // With its own clock.
+    ClaimsWhatItDidNotSend,
     IsFreshWithEachExchange,
     IsNeverTooOld,
     TakesOlderPackets,
@@ -322,7 +321,7 @@ impl BusPlan for ToyPlan {
             lacks: Lacks { rows: no_more, velocities: no_more, torques: no_more, homing: no_more, ..none },
             leaves_quick_stop: false,
             // Its answers are whole counts.
-            arrival: 1.0 / self.drives[index].axis.units.counts_per_unit,
+            arrival: 1.0 / self.drives[index].axis.units.counts_per_unit.abs(),
             ..Capabilities::of(SetpointsBy::Drive { leash: None })
         }
     }
@@ -563,6 +562,7 @@ impl Bus for ToyBus {
                     slot.exchange = Exchange::Unsent;
                     if self.defect == Some(Defect::ForgetsARefusedSend) {
                         station.told.what = READ;
+                        slot.gone.grid = Some(station.built_for);
                     }
                 }
             }
@@ -737,21 +737,17 @@ impl Station {
             // What it was told before is over.
             self.taken = true;
         }
-        let restarted = answer.boot != self.answer.boot;
         (self.seen, self.answer) = (true, *answer);
         self.taken |= answer.number == self.told.number;
         if self.taken {
             self.told = Told { number: answer.number, ..Told::default() };
-        }
-        if restarted && self.is(Defect::SwitchesOnAgain) {
-            self.tell(ENABLE, [0.0; 4]);
         }
         notices.fresh = true;
         report.at = at;
         report.state = match answer.state {
             ON => State::OperationEnabled,
             FAULT => State::Fault,
-            _ => State::SwitchOnDisabled,
+            _ => State::ReadyToSwitchOn,
         };
         report.fault = u32::from(answer.state == FAULT);
         (report.homed, report.moving, report.in_target) = (true, answer.moving, !answer.moving);
