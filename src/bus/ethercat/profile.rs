@@ -8,11 +8,12 @@
 use super::cia402::{ControlCommand, ControlWord, Mode, StatusWord};
 use super::native::{NativeOutput, NativePort};
 use super::plan::{KollmorgenDrive, Setpoint};
+use crate::axis::Lacks;
 use crate::axis::command::NativeOwner;
 use crate::axis::{State, Units};
 use crate::bus::desired::{
-    self, Capabilities, Desired, Evidence, FaultIs, Generator, Homing, Lacks, ModeIs, Motion, Power,
-    Quantity, Resettable,
+    self, Capabilities, Desired, Evidence, FaultIs, Generator, Homing, ModeIs, Motion, Power, Quantity,
+    Resettable,
 };
 use crate::time::{MS, S, Time};
 

@@ -10,11 +10,12 @@ use super::motion::{Acceleration, MotionCommand, Position, SignedAcceleration, S
 use super::native::{NativeOutput, NativePort};
 use super::plan::{LinUdpDrive, StreamCommand};
 use super::wire::{ControlWord, MainState, MotionBlock, RtcBlock, StateVar, StatusWord};
+use crate::axis::Lacks;
 use crate::axis::command::NativeOwner;
 use crate::axis::units::Units;
 use crate::bus::desired::{
-    Capabilities, Desired, Evidence, FaultIs, Generator, Homing, Lacks, Motion, Power, Ranges, Refused,
-    Resettable, Setpoint,
+    Capabilities, Desired, Evidence, FaultIs, Generator, Homing, Motion, Power, Ranges, Refused, Resettable,
+    Setpoint,
 };
 use crate::time::{Time, nanos};
 

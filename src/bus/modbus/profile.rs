@@ -9,10 +9,11 @@ use super::native::NativePort;
 use super::plan::UnidriveDrive;
 use super::trips::Trip;
 use super::words::{ControlWord, StatusWord};
+use crate::axis::Lacks;
 use crate::axis::State;
 use crate::axis::command::NativeOwner;
 use crate::bus::desired::{
-    Capabilities, Desired, Evidence, FaultIs, Follows, Generator, Lacks, Motion, Power, Quantity, Refused,
+    Capabilities, Desired, Evidence, FaultIs, Follows, Generator, Motion, Power, Quantity, Refused,
     Resettable,
 };
 use crate::time::{MS, Time};

@@ -4,7 +4,7 @@ use rtrb::Consumer;
 
 use super::{Claim, DriveController, Latch};
 use crate::axis::command::NativeOwner;
-use crate::axis::limits::{check_position, check_torque, check_velocity, check_verb};
+use crate::axis::limits::{check_command, check_position, check_torque, check_velocity};
 use crate::axis::{
     Abort, Command, Failure, GroupCall, Link, Load, Move, Outcome, QueuedCommand, Row, Setpoint, State,
     StopCause, Target,
@@ -214,7 +214,7 @@ impl DriveController {
 
     /// Whether the command may start now. Its numbers were checked on submission; here the axis decides.
     fn admit(&self, command: &QueuedCommand) -> Result<(), Failure> {
-        check_verb(&self.plan, &command.verb)?;
+        check_command(&self.plan, self.machine.lacks(), &command.verb)?;
         match (command.verb, &self.latch) {
             (Command::Reset, _) | (_, Latch::Open) => {}
             (Command::ResetFault | Command::Disable | Command::Stop { .. } | Command::QuickStop, latch)
@@ -232,10 +232,6 @@ impl DriveController {
             _ if self.feedback.link != Link::Online => Err(Failure::NotOnline),
             Command::Enable if self.feedback.status.inhibited => Err(Failure::Inhibited),
             Command::Enable if self.commanded => Err(Failure::BeingWritten),
-            // Neither its way nor its limits could be evaluated.
-            Command::Move(_) | Command::Follow if self.feedback.status.demand.is_nan() => {
-                Err(Failure::Unsupported("it reports no position, so it takes neither moves nor rows"))
-            }
             Command::Disable if self.plan.load != Load::Level && state.is_powered() && !self.stands() => {
                 Err(Failure::LoadInMotion)
             }
@@ -290,7 +286,7 @@ impl DriveController {
         if self.task_command.is_some_and(|waiting| !command.verb.is_urgent() || waiting.verb.is_urgent()) {
             return Err(Failure::Unsupported("the in-loop task may give one command per axis and cycle"));
         }
-        check_verb(&self.plan, &command.verb)?;
+        check_command(&self.plan, self.machine.lacks(), &command.verb)?;
         if self.queues.events.slots() <= self.queues.room_for_ends && !command.verb.is_urgent() {
             return Err(Failure::Unsupported(
                 "the application takes no events: there is no room for its end",

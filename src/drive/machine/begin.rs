@@ -22,7 +22,7 @@ impl State {
         if let Start::Command(command) = start
             && command.needs_outputs()
         {
-            if let Some(failure) = view.rules.can.refuses(&command) {
+            if let Some(failure) = view.rules.can.lacks.refuses(&command) {
                 return self.refuse(failure, view);
             }
             if view.status.state == Cia402::Unknown {

@@ -26,7 +26,9 @@ use self::motion::Rolling;
 use self::setpoint::{Course, Turning};
 use super::planner::Point;
 use crate::axis::command::NativeOwner;
-use crate::axis::{AxisPlan, Command, DriveStatus, Failure, Limits, Profile, Row, State as Cia402, Units};
+use crate::axis::{
+    AxisPlan, Command, DriveStatus, Failure, Lacks, Limits, Profile, Row, State as Cia402, Units,
+};
 use crate::bus::Slot;
 use crate::bus::desired::{
     Capabilities, Desired, Evidence, Generator, Intent, Mode, Motion, Power, Quantity, Setpoint,
@@ -269,6 +271,11 @@ impl Machine {
         self.waiting = Some(Waiting { command: Some(start), since: now, is_proposed: false });
         (self.command, self.end) = (command, None);
         self.input.row = None;
+    }
+
+    /// What its drive does not do.
+    pub fn lacks(&self) -> &Lacks {
+        &self.rules.can.lacks
     }
 
     /// The newest command; `None`: the drive is left as it is.
