@@ -9,13 +9,12 @@
 //! Then it is free: without a torque, as after it was enabled. A drive that the halt does not brake coasts, until the
 //! axis' stop reaches its time-out.
 
-use super::{State, Step, View};
+use super::view::View;
+use super::{End, State, Step};
 use crate::axis::{Failure, Profile, Row};
 use crate::bus::desired::{Capabilities, Generator, ModeIs, Quantity, Setpoint};
 use crate::drive::planner::{Point, Trajectory};
 use crate::time::Time;
-
-type End = Option<Result<(), Failure>>;
 
 /// The most that a setpoint catches up, in intervals between two exchanges: a position must not jump.
 const MOST_STEP: u64 = 2;

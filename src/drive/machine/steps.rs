@@ -1,14 +1,13 @@
 //! A command that is under way: what each report of the drive means for it.
 
 use super::begin::OTHER_MODE;
-use super::{State, Step, View};
+use super::view::View;
+use super::{End, State, Step};
 use crate::axis::command::NativeOwner;
 use crate::axis::{Command, Failure, Row, State as Cia402};
 use crate::bus::desired::{Follows, Homing, Mode, ModeIs, Motion, Power, Quantity, Reference, Resettable};
 use crate::drive::power::towards_operation;
 use crate::time::{MS, Time};
-
-type End = Option<Result<(), Failure>>;
 
 /// A drive that fails again so soon after a reset, ns, looks like one whose reset has failed.
 const RESET_WITHIN_NS: u64 = 500 * MS;
