@@ -412,13 +412,6 @@ impl DriveController {
         self.active.filter(moves).and_then(|active| active.call)
     }
 
-    /// Writes what is desired of the drive with the send of `next`, if one is due then.
-    pub fn propose(&mut self, next: &Cycle, slot: &mut Slot) {
-        if slot.due || slot.exchange == Exchange::Queued {
-            self.machine.propose(next.grid, slot);
-        }
-    }
-
     /// How the exchange of this cycle was closed, once.
     pub fn take_closed(&mut self) -> Option<Closed> {
         self.closed.take()
@@ -807,15 +800,6 @@ impl DriveController {
         }
         // Of every stream: the application counts on from the stop.
         self.drop_rows(u32::MAX - 1);
-    }
-
-    /// Gives the drive machine a command, in place of the one before; `None`: to take the drive over as it is.
-    fn issue(&mut self, verb: Option<Command>) {
-        if self.claim == Claim::Found {
-            self.claim = Claim::Ours;
-        }
-        self.machine.start(self.grid, verb);
-        self.follow.held = false;
     }
 
     fn end(&mut self, cycle: &Cycle, now: Time, command: QueuedCommand, outcome: Outcome) {

@@ -9,7 +9,7 @@ use crate::axis::{
     Abort, Command, Failure, GroupCall, Link, Load, Move, Outcome, QueuedCommand, Row, Setpoint, State,
     StopCause, Target,
 };
-use crate::bus::{Cycle, Slot};
+use crate::bus::{Cycle, Exchange, Slot};
 use crate::drive::bounds::Bounds;
 use crate::drive::stop::deceleration_of;
 use crate::time::{Time, nanos};
@@ -274,6 +274,22 @@ impl DriveController {
         self.latch = Latch::Open;
         self.feedback.stopped = None;
         self.end(cycle, now, command, Outcome::Done);
+    }
+
+    /// Gives the drive machine a command, in place of the one before; `None`: to take the drive over as it is.
+    pub(super) fn issue(&mut self, verb: Option<Command>) {
+        if self.claim == Claim::Found {
+            self.claim = Claim::Ours;
+        }
+        self.machine.start(self.grid, verb);
+        self.follow.held = false;
+    }
+
+    /// Writes what is desired of the drive with the send of `next`, if one is due then.
+    pub fn propose(&mut self, next: &Cycle, slot: &mut Slot) {
+        if slot.due || slot.exchange == Exchange::Queued {
+            self.machine.propose(next.grid, slot);
+        }
     }
 
     /// For the in-loop task: a command to be taken in this cycle, before the queue.
