@@ -262,14 +262,24 @@ impl Profile {
             // Somebody else's command has run since.
             evidence.accepted.motion = evidence.accepted.motion.min(self.sent.motion.saturating_sub(1));
         }
-        evidence.ready = !matches!(inputs.state.main(), MainState(9..=20));
-        evidence.homing = match inputs.state.main() == MainState::HOMING && inputs.state.finished() {
-            true => Homing::Attained,
-            false => Homing::Open,
-        };
         evidence.refused = self.refused;
-        evidence.fault =
-            FaultIs { active: inputs.failed(), named: true, resettable: Self::resettable(inputs) };
+        let operates = inputs.state.main() == MainState::OPERATION_ENABLED;
+        (evidence.ready, evidence.homing) = (true, Homing::Open);
+        evidence.fault = FaultIs { active: false, named: true, resettable: Resettable::Now };
+        if !operates {
+            Self::prove_state(inputs, evidence);
+        }
+    }
+
+    /// In any other state than operation.
+    #[cold]
+    fn prove_state(inputs: &Inputs, evidence: &mut Evidence) {
+        evidence.ready = !matches!(inputs.state.main(), MainState(9..=20));
+        if inputs.state.main() == MainState::HOMING && inputs.state.finished() {
+            evidence.homing = Homing::Attained;
+        }
+        evidence.fault.active = inputs.failed();
+        evidence.fault.resettable = Self::resettable(inputs);
     }
 
     fn resettable(inputs: &Inputs) -> Resettable {

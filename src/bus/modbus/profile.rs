@@ -147,6 +147,7 @@ impl Profile {
     }
 
     /// The values of the next request; `None`: nothing is written.
+    #[inline]
     pub(super) fn encode(
         &mut self,
         desired: &Desired,
@@ -155,13 +156,7 @@ impl Profile {
     ) -> Option<Outputs> {
         let Desired { power, motion, setpoint, .. } = desired;
         if (power.serial, motion.serial) != self.serials {
-            if motion.serial != self.serials.1 {
-                (self.native, self.native_gone) = (None, (true, true));
-                native.flush();
-            }
-            self.serials = (power.serial, motion.serial);
-            (self.power, self.motion) = (power.value, motion.value);
-            (self.refused, self.taken) = (None, false);
+            self.change(desired, native);
         }
         if self.power == Power::Untouched {
             return None;
@@ -179,6 +174,19 @@ impl Profile {
             self.take_native(owner, native);
         }
         Some(self.values())
+    }
+
+    /// Something else is desired.
+    #[cold]
+    fn change(&mut self, desired: &Desired, native: &mut NativePort) {
+        let Desired { power, motion, .. } = desired;
+        if motion.serial != self.serials.1 {
+            (self.native, self.native_gone) = (None, (true, true));
+            native.flush();
+        }
+        self.serials = (power.serial, motion.serial);
+        (self.power, self.motion) = (power.value, motion.value);
+        (self.refused, self.taken) = (None, false);
     }
 
     fn values(&self) -> Outputs {
@@ -298,6 +306,7 @@ impl Profile {
     }
 
     /// Maps the drive's state onto those of CiA 402.
+    #[inline]
     pub(super) fn state(&mut self, status: StatusWord, inhibited: bool) -> State {
         if status.active() && self.runs() {
             self.halted = false;
@@ -345,29 +354,38 @@ impl Profile {
     }
 
     /// What a report proves.
+    #[inline]
     pub(super) fn prove(&mut self, inputs: &Inputs, evidence: &mut Evidence) {
         let (power, motion) = self.sent;
         self.taken = !self.is_new() && self.at_status == self.sent && self.has_taken(inputs);
         let taken = self.taken;
         let since = |serial: u64| if taken { serial } else { serial.saturating_sub(1) };
         (evidence.accepted.power, evidence.accepted.motion) = (since(power), since(motion));
+        evidence.is_set_up = self.obeys && self.watched;
+        (evidence.follows, evidence.obstacle) = (Follows::Yes, None);
+        if !evidence.is_set_up {
+            self.prove_set_up(evidence);
+        }
+        evidence.refused = self.refused;
+        let reset_at = |at| Resettable::At(at + Trip(inputs.trip).reset_after_ns());
+        evidence.fault = FaultIs {
+            active: inputs.seen && !inputs.status.healthy(),
+            named: inputs.named,
+            resettable: inputs.tripped_at.map_or(Resettable::Now, reset_at),
+        };
+    }
+
+    #[cold]
+    fn prove_set_up(&self, evidence: &mut Evidence) {
         evidence.follows = match (self.obeys, self.settable) {
             (true, _) => Follows::Yes,
             (false, true) => Follows::NotYet,
             (false, false) => Follows::Never(NOT_OBEYING),
         };
-        evidence.is_set_up = self.obeys && self.watched;
         evidence.obstacle = match () {
             () if !self.obeys && !self.settable => Some(NOT_OBEYING),
             () if self.watched || self.settable && self.watchable => None,
             () => Some(NOT_WATCHED),
-        };
-        evidence.refused = self.refused;
-        let wait_ns = Trip(inputs.trip).reset_after_ns();
-        evidence.fault = FaultIs {
-            active: inputs.seen && !inputs.status.healthy(),
-            named: inputs.named,
-            resettable: inputs.tripped_at.map_or(Resettable::Now, |at| Resettable::At(at + wait_ns)),
         };
     }
 }

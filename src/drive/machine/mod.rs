@@ -237,10 +237,14 @@ impl Machine {
             if matches!(end, Some(Err(_))) {
                 waiting.command = None;
             }
-            self.end = self.end.or(end);
+            if end.is_some() {
+                self.end = self.end.or(end);
+            }
         }
         let end = state.lead(&view);
-        self.end = self.end.or(end);
+        if end.is_some() {
+            self.end = self.end.or(end);
+        }
         if state.is_new {
             slot.desired = state.desired();
         } else {
@@ -250,13 +254,17 @@ impl Machine {
 
     /// The proposed request has gone out in this slot of the grid.
     pub fn commit(&mut self, grid: Time) {
-        if self.waiting.take_if(|waiting| waiting.is_proposed).is_some() {
-            std::mem::swap(&mut self.state, &mut self.proposed);
-        } else {
-            // Those that were proposed and never sent are not used again.
-            self.state.serial = self.state.serial.max(self.proposed.serial);
+        if self.waiting.is_some() {
+            self.commit_command();
         }
         self.state.sent(grid);
+    }
+
+    #[cold]
+    fn commit_command(&mut self) {
+        if self.waiting.take_if(|waiting| waiting.is_proposed).is_some() {
+            std::mem::swap(&mut self.state, &mut self.proposed);
+        }
     }
 
     /// The reports of a cycle.

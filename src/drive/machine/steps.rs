@@ -92,11 +92,10 @@ impl State {
             }
             // No power in a mode that somebody else has left.
             match towards_operation(state, self.power.value, &view.rules.can).filter(|_| own) {
-                Some(Power::EnableOperation) if state == Cia402::QuickStopActive => {
-                    if view.status.velocity.abs() <= view.rules.standstill {
-                        self.hold(evidence.position);
-                    }
-                }
+                // From its quick stop it comes back at standstill only.
+                Some(Power::EnableOperation)
+                    if state == Cia402::QuickStopActive
+                        && view.status.velocity.abs() > view.rules.standstill => {}
                 Some(Power::EnableOperation) => self.hold(evidence.position),
                 Some(next) => self.set(next),
                 None => {}
@@ -158,11 +157,15 @@ impl State {
         if !view.fresh || view.status.suspect {
             return None;
         }
-        let still = self.is_accepted(view) && !view.status.moving && self.course.stands();
-        let settled = self.agrees(still, view.rules.can.still_reports, view);
         if let Some(refused) = view.evidence.refused {
             return self.refuse(refused.into(), view);
         }
+        // They have no end of their own.
+        if matches!(self.step, Step::Turning(_) | Step::FollowWaiting | Step::Following) {
+            return None;
+        }
+        let still = self.is_accepted(view) && !view.status.moving && self.course.stands();
+        let settled = self.agrees(still, view.rules.can.still_reports, view);
         match self.step {
             Step::Moving(target) if settled => {
                 let demand = view.evidence.demand;
@@ -357,11 +360,9 @@ impl State {
         let fault = view.evidence.fault;
         if self.has_power(view) {
             match (self.step, fault.active) {
-                (Step::ResetWaiting, false) => {
-                    if self.agrees(true, view.rules.can.power_reports, view) {
-                        self.set(Power::Off);
-                        return self.done();
-                    }
+                (Step::ResetWaiting, false) if self.agrees(true, view.rules.can.power_reports, view) => {
+                    self.set(Power::Off);
+                    return self.done();
                 }
                 (Step::ResetWaiting, true) => {
                     self.agree = 0;

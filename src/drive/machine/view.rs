@@ -9,6 +9,8 @@ use crate::time::{Time, nanos};
 #[derive(Debug)]
 pub(super) struct Rules {
     pub can: Capabilities,
+    /// The quantity of the setpoints that the master makes; `None`: the drive makes them.
+    pub quantity: Option<Quantity>,
     pub units: Units,
     pub limits: Limits,
     pub profile: Profile,
@@ -20,8 +22,13 @@ pub(super) struct Rules {
 
 impl Rules {
     pub fn new(axis: &AxisPlan, can: Capabilities, period_ns: u64) -> Rules {
+        let quantity = match can.generator {
+            Generator::Master(quantity) => Some(quantity),
+            Generator::Drive { .. } => None,
+        };
         Rules {
             can,
+            quantity,
             units: axis.units,
             limits: axis.limits,
             profile: axis.profile,
@@ -73,14 +80,11 @@ impl<'a> View<'a> {
     }
 
     pub fn drive_makes_setpoints(&self) -> bool {
-        matches!(self.rules.can.generator, Generator::Drive { .. })
+        self.rules.quantity.is_none()
     }
 
     pub fn quantity(&self) -> Option<Quantity> {
-        match self.rules.can.generator {
-            Generator::Master(quantity) => Some(quantity),
-            Generator::Drive { .. } => None,
-        }
+        self.rules.quantity
     }
 
     /// It reports that it is in operation, and what is written counts there.
