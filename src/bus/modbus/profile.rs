@@ -83,6 +83,10 @@ pub(super) struct Profile {
     serials: (u64, u64),
     power: Power,
     motion: Motion,
+    /// What they come to: the drive is to be on, it is halted, it runs.
+    is_on: bool,
+    is_halted: bool,
+    runs: bool,
     velocity: f64,
     sent: (u64, u64),
     /// The same when the newest status was read: a speed may come later.
@@ -131,6 +135,9 @@ impl Profile {
             serials: (0, 0),
             power: Power::Untouched,
             motion: Motion::Hold,
+            is_on: false,
+            is_halted: false,
+            runs: false,
             velocity: 0.0,
             sent: (0, 0),
             at_status: (0, 0),
@@ -168,7 +175,7 @@ impl Profile {
             && inputs.status.active()
             && (self.releasing
                 || inputs.status.zero_speed() && self.outputs.control.has_any(ControlWord::ANY_RUN));
-        self.halted |= self.is_halted();
+        self.halted |= self.is_halted;
         self.outputs = self.built();
         if let Motion::Native(owner) = self.motion {
             self.take_native(owner, native);
@@ -186,6 +193,9 @@ impl Profile {
         }
         self.serials = (power.serial, motion.serial);
         (self.power, self.motion) = (power.value, motion.value);
+        self.is_on = matches!(self.power, Power::EnableOperation | Power::QuickStop);
+        self.is_halted = self.power == Power::QuickStop || self.motion == Motion::Halt;
+        self.runs = self.power == Power::EnableOperation && !self.is_halted;
         (self.refused, self.taken) = (None, false);
     }
 
@@ -293,16 +303,12 @@ impl Profile {
 
     /// The drive is commanded to be on.
     pub(super) fn is_on(&self) -> bool {
-        matches!(self.power, Power::EnableOperation | Power::QuickStop)
-    }
-
-    fn is_halted(&self) -> bool {
-        self.power == Power::QuickStop || self.motion == Motion::Halt
+        self.is_on
     }
 
     /// RUN is on.
     pub(super) fn runs(&self) -> bool {
-        self.power == Power::EnableOperation && !self.is_halted()
+        self.runs
     }
 
     /// Maps the drive's state onto those of CiA 402.
@@ -314,7 +320,7 @@ impl Profile {
         match (status.healthy(), status.active()) {
             (false, _) => State::Fault,
             // It follows no setpoint.
-            (true, true) if self.is_on() && self.is_halted() => State::QuickStopActive,
+            (true, true) if self.is_on() && self.is_halted => State::QuickStopActive,
             (true, true) => State::OperationEnabled,
             (true, false) if inhibited => State::SwitchOnDisabled,
             // Its power stage comes and goes with RUN.

@@ -269,6 +269,9 @@ impl Machine {
 
     /// The reports of a cycle.
     pub fn observe(&mut self, now: Time, restarted: bool, slot: &Slot) {
+        if self.waiting.is_none() && !restarted && self.state.is_undisturbed(slot) {
+            return;
+        }
         let view = View::of(&self.rules, &self.input, now, slot);
         let end = match &self.waiting {
             _ if restarted => self.state.drive_restarted(&view),
@@ -303,6 +306,7 @@ impl Start {
 
 impl State {
     /// Begins a command that waits since `since`.
+    #[inline(never)]
     fn begin(&mut self, start: Start, since: Time, view: &View) -> End {
         if let Start::Command(command) = start
             && command.needs_outputs()

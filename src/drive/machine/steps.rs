@@ -5,6 +5,7 @@ use super::view::View;
 use super::{End, State, Step};
 use crate::axis::command::NativeOwner;
 use crate::axis::{Command, Failure, Row, State as Cia402};
+use crate::bus::Slot;
 use crate::bus::desired::{Follows, Homing, Mode, ModeIs, Motion, Power, Quantity, Reference, Resettable};
 use crate::drive::power::towards_operation;
 use crate::time::{MS, Time};
@@ -51,6 +52,17 @@ impl State {
             Step::TakingOver(command) => self.taking_over(command, view),
             _ => self.moving(view),
         }
+    }
+
+    /// Nothing has an end here, and the drive is in operation as it is commanded: nothing is to be done.
+    #[inline]
+    pub(super) fn is_undisturbed(&self, slot: &Slot) -> bool {
+        let Slot { status, evidence, .. } = slot;
+        matches!(self.step, Step::Idle | Step::Turning(_) | Step::FollowWaiting | Step::Following)
+            && status.state == Cia402::OperationEnabled
+            && evidence.outputs_count
+            && evidence.mode == ModeIs::Own
+            && evidence.refused.is_none()
     }
 
     /// It follows its motion, or its own quick stop.
@@ -125,6 +137,7 @@ impl State {
     }
 
     /// The drive leaves operation during a motion: the command ends with the reason, once that is known.
+    #[inline]
     fn falls(&mut self, view: &View) -> Option<End> {
         if !self.has_power(view) || self.is_in_operation(view) {
             return None;

@@ -87,6 +87,17 @@ impl<'a> View<'a> {
         self.rules.quantity
     }
 
+    /// The velocity or torque that is wanted, within its limit.
+    pub fn wanted(&self) -> f64 {
+        let limits = &self.rules.limits;
+        let (wanted, most) = match self.rules.quantity {
+            Some(Quantity::Torque) => (self.input.torque, limits.torque),
+            _ => (self.input.velocity, limits.velocity),
+        };
+        let most = most.unwrap_or(f64::INFINITY);
+        wanted.clamp(-most, most)
+    }
+
     /// It reports that it is in operation, and what is written counts there.
     pub fn operates(&self) -> bool {
         self.evidence.outputs_count && self.status.state == Cia402::OperationEnabled
