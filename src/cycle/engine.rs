@@ -431,9 +431,8 @@ impl<C: Clock> Engine<C> {
         let mut missed = 0_u16;
         for (controller, slot) in self.controllers.iter_mut().zip(&mut self.slots) {
             let online = controller.feedback().link == Link::Online;
-            let reply = controller.judge(cycle, now, slot);
+            let reply = controller.evaluate(cycle, now, slot);
             missed += u16::from(online && reply == Reply::Missed);
-            controller.watch(cycle, now, slot);
         }
         for bus in &self.buses {
             if bus.bus.helper_ended() {

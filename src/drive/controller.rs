@@ -306,9 +306,17 @@ impl DriveController {
         }
     }
 
+    /// Evaluates this cycle, and watches the axis. Returns the result of the exchange.
+    pub fn evaluate(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) -> Reply {
+        let reply = self.judge(cycle, now, slot);
+        self.watch(cycle, now, slot);
+        reply
+    }
+
     /// Evaluates this cycle's exchange, updates the feedback, and notices changes. Returns the result of the
     /// exchange.
-    pub fn judge(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) -> Reply {
+    #[inline]
+    fn judge(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) -> Reply {
         if self.queued {
             self.sent(cycle, slot);
         }
@@ -522,7 +530,8 @@ impl DriveController {
     }
 
     /// Watches an axis that has power, and runs one cycle of its stop sequence.
-    pub fn watch(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
+    #[inline]
+    fn watch(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
         let restarted = std::mem::take(&mut self.restarted);
         self.machine.observe(cycle.grid, restarted, slot);
         // First: what follows from another master must not be named in its place.

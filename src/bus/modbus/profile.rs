@@ -360,7 +360,7 @@ impl Profile {
     }
 
     /// What a report proves.
-    #[inline]
+    #[inline(always)]
     pub(super) fn prove(&mut self, inputs: &Inputs, evidence: &mut Evidence) {
         let (power, motion) = self.sent;
         self.taken = !self.is_new() && self.at_status == self.sent && self.has_taken(inputs);

@@ -282,9 +282,8 @@ impl<C: Clock> Engine<C> {
         for (axis, (controller, slot)) in self.controllers.iter_mut().zip(&mut self.slots).enumerate() {
             self.panics.guard(cycle.index, Some(Stage::Evaluate), Part::Axis(axis), || {
                 let online = controller.feedback().link == Link::Online;
-                let reply = controller.judge(cycle, now, slot);
+                let reply = controller.evaluate(cycle, now, slot);
                 missed += u16::from(online && reply == Reply::Missed);
-                controller.watch(cycle, now, slot);
             });
         }
         missed

@@ -217,6 +217,9 @@ impl Machine {
 
     /// Writes what is desired of the drive with the send in slot `grid`.
     pub fn propose(&mut self, grid: Time, slot: &mut Slot) {
+        if self.waiting.is_none() && self.state.keeps_setpoint(&self.rules, &self.input, slot) {
+            return;
+        }
         let view = View::of(&self.rules, &self.input, grid, slot);
         // A setpoint is planned from the last one that was sent: what was not sent leaves nothing behind.
         let mut state = &mut self.state;
@@ -268,10 +271,15 @@ impl Machine {
     }
 
     /// The reports of a cycle.
+    #[inline]
     pub fn observe(&mut self, now: Time, restarted: bool, slot: &Slot) {
-        if self.waiting.is_none() && !restarted && self.state.is_undisturbed(slot) {
+        if self.waiting.is_none() && !restarted && self.state.is_undisturbed(&self.input, slot) {
             return;
         }
+        self.go_on(now, restarted, slot);
+    }
+
+    fn go_on(&mut self, now: Time, restarted: bool, slot: &Slot) {
         let view = View::of(&self.rules, &self.input, now, slot);
         let end = match &self.waiting {
             _ if restarted => self.state.drive_restarted(&view),

@@ -26,6 +26,14 @@ pub(super) struct Rolling {
     at_limit: bool,
 }
 
+impl Rolling {
+    /// At `demand` its target is still far enough ahead, and no other velocity is `wanted`.
+    pub(super) fn goes_on(&self, wanted: f64, demand: f64) -> bool {
+        let far = (self.target - demand).abs() > self.leash * LEASH_LEFT;
+        far && wanted == self.velocity && !self.at_limit && self.velocity != 0.0
+    }
+}
+
 impl State {
     pub(super) fn move_by_drive(&mut self, position: f64, profile: &Profile, step: Step, view: &View) -> End {
         let deceleration = self.braking_by_drive(profile.deceleration, view);
@@ -84,7 +92,6 @@ impl State {
         if !self.is_accepted(view) {
             return None;
         }
-        let left = (rolling.target - view.evidence.demand).abs();
         if view.input.velocity != rolling.velocity {
             return self.roll_on(Rolling { velocity: view.input.velocity, ..rolling }, view);
         }
@@ -93,7 +100,7 @@ impl State {
                 let (low, high) = view.rules.limits.position.unwrap_or((rolling.target, rolling.target));
                 return self.fail(Failure::Limit { what: "position", value: rolling.target, low, high });
             }
-        } else if rolling.velocity != 0.0 && left <= rolling.leash * LEASH_LEFT {
+        } else if rolling.velocity != 0.0 && !rolling.goes_on(view.input.velocity, view.evidence.demand) {
             return self.roll_on(rolling, view);
         }
         None

@@ -9,9 +9,10 @@
 //! Then it is free: without a torque, as after it was enabled. A drive that the halt does not brake coasts, until the
 //! axis' stop reaches its time-out.
 
-use super::view::View;
+use super::view::{Input, Rules, View};
 use super::{End, State, Step};
 use crate::axis::{Failure, Profile, Row};
+use crate::bus::Slot;
 use crate::bus::desired::{Capabilities, Generator, ModeIs, Quantity, Setpoint};
 use crate::drive::planner::{Point, Trajectory};
 use crate::time::Time;
@@ -162,17 +163,19 @@ impl State {
         if view.drive_makes_setpoints() { view.evidence.demand } else { self.course.demand.position }
     }
 
+    /// The setpoint in the slot is that of the next send, too.
+    #[inline]
+    pub(super) fn keeps_setpoint(&self, rules: &Rules, input: &Input, slot: &Slot) -> bool {
+        self.course.is_constant
+            && !self.is_new
+            && matches!(&self.step, Step::Turning(turning) if turning.velocity == rules.wanted(input))
+            && slot.evidence.mode == ModeIs::Own
+    }
+
     /// Chooses the setpoint of the next send.
     #[inline]
     pub(super) fn lead(&mut self, view: &View) -> End {
         let Some(quantity) = view.quantity() else { return self.lead_rows(view) };
-        if self.course.is_constant
-            && let Step::Turning(turning) = self.step
-            && view.wanted() == turning.velocity
-            && view.evidence.mode == ModeIs::Own
-        {
-            return None;
-        }
         let end = self.advance(view);
         let Point { position, velocity } = self.course.next;
         let torque = quantity == Quantity::Torque;
@@ -249,7 +252,7 @@ impl State {
     #[inline]
     fn turn_on(&mut self, turning: Turning, view: &View) -> End {
         let quantity = view.quantity();
-        let velocity = view.wanted();
+        let velocity = view.rules.wanted(view.input);
         if velocity == turning.velocity {
             return self.watch_limit(turning, view);
         }

@@ -1,7 +1,7 @@
 //! A command that is under way: what each report of the drive means for it.
 
 use super::begin::OTHER_MODE;
-use super::view::View;
+use super::view::{Input, View};
 use super::{End, State, Step};
 use crate::axis::command::NativeOwner;
 use crate::axis::{Command, Failure, Row, State as Cia402};
@@ -54,11 +54,17 @@ impl State {
         }
     }
 
-    /// Nothing has an end here, and the drive is in operation as it is commanded: nothing is to be done.
+    /// Nothing has come to its end, and the drive is in operation as it is commanded: nothing is to be done.
     #[inline]
-    pub(super) fn is_undisturbed(&self, slot: &Slot) -> bool {
+    pub(super) fn is_undisturbed(&self, input: &Input, slot: &Slot) -> bool {
         let Slot { status, evidence, .. } = slot;
-        matches!(self.step, Step::Idle | Step::Turning(_) | Step::FollowWaiting | Step::Following)
+        let goes_on = match &self.step {
+            Step::Idle | Step::Turning(_) | Step::FollowWaiting | Step::Following => true,
+            Step::Moving(_) => status.moving && self.agree == 0,
+            Step::Rolling(rolling) => rolling.goes_on(input.velocity, evidence.demand),
+            _ => false,
+        };
+        goes_on
             && status.state == Cia402::OperationEnabled
             && evidence.outputs_count
             && evidence.mode == ModeIs::Own

@@ -38,6 +38,16 @@ impl Rules {
             home_timeout_ns: nanos(axis.home_timeout),
         }
     }
+
+    /// The velocity or torque that is wanted, within its limit.
+    pub fn wanted(&self, input: &Input) -> f64 {
+        let (wanted, most) = match self.quantity {
+            Some(Quantity::Torque) => (input.torque, self.limits.torque),
+            _ => (input.velocity, self.limits.velocity),
+        };
+        let most = most.unwrap_or(f64::INFINITY);
+        wanted.clamp(-most, most)
+    }
 }
 
 /// What the loop has chosen for the command to follow with its next send.
@@ -85,17 +95,6 @@ impl<'a> View<'a> {
 
     pub fn quantity(&self) -> Option<Quantity> {
         self.rules.quantity
-    }
-
-    /// The velocity or torque that is wanted, within its limit.
-    pub fn wanted(&self) -> f64 {
-        let limits = &self.rules.limits;
-        let (wanted, most) = match self.rules.quantity {
-            Some(Quantity::Torque) => (self.input.torque, limits.torque),
-            _ => (self.input.velocity, limits.velocity),
-        };
-        let most = most.unwrap_or(f64::INFINITY);
-        wanted.clamp(-most, most)
     }
 
     /// It reports that it is in operation, and what is written counts there.
