@@ -162,11 +162,18 @@ impl Profile {
         native: &mut NativePort,
     ) -> Option<Outputs> {
         let Desired { power, motion, setpoint, .. } = desired;
-        if (power.serial, motion.serial) != self.serials {
+        let changed = (power.serial, motion.serial) != self.serials;
+        if changed {
             self.change(desired, native);
         }
         if self.power == Power::Untouched {
             return None;
+        }
+        // Of a drive that keeps its speed nothing is computed anew.
+        let keeps =
+            !changed && self.runs && self.velocity == setpoint.velocity && self.turning == Some(self.reverse);
+        if keeps && self.native.is_none() && !self.is_native() && !self.releasing {
+            return Some(self.outputs);
         }
         self.velocity = setpoint.velocity;
         // A drive at standstill holds its motor until RUN is off, and drops it with ENABLE.

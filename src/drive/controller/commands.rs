@@ -57,7 +57,10 @@ impl DriveController {
         self.commanded = slot.commanded;
         let held = self.held.take();
         self.take_setpoints(cycle);
-        self.end_active(cycle, now);
+        let resets = |active: &QueuedCommand| matches!(active.verb, Command::Reset);
+        if self.machine.end().is_some() || self.active.as_ref().is_some_and(resets) {
+            self.end_active(cycle, now);
+        }
         if self.task_command.is_some() || !self.queues.commands.is_empty() {
             self.begin_next(cycle, now, held);
         }
@@ -65,6 +68,7 @@ impl DriveController {
     }
 
     /// Begins those that may begin.
+    #[inline(never)]
     fn begin_next(&mut self, cycle: &Cycle, now: Time, held: Option<(CommandId, Time)>) {
         self.overtake(cycle, now);
         for _ in 0..=self.queues.commands.len() {
@@ -121,14 +125,11 @@ impl DriveController {
         self.start(cycle, now, command, refused);
     }
 
-    /// Ends the running command by the station's progress.
+    /// Ends the running command as its drive machine has ended it.
+    #[inline(never)]
     fn end_active(&mut self, cycle: &Cycle, now: Time) {
-        let resets = |active: &QueuedCommand| matches!(active.verb, Command::Reset);
-        if self.machine.end().is_none() && !self.active.as_ref().is_some_and(resets) {
-            return;
-        }
         let Some(active) = self.active else { return };
-        if resets(&active) {
+        if matches!(active.verb, Command::Reset) {
             self.try_reset(cycle, now, active);
             return;
         }

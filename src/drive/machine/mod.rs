@@ -216,10 +216,16 @@ impl Machine {
     }
 
     /// Writes what is desired of the drive with the send in slot `grid`.
+    #[inline]
     pub fn propose(&mut self, grid: Time, slot: &mut Slot) {
         if self.waiting.is_none() && self.state.keeps_setpoint(&self.rules, &self.input, slot) {
             return;
         }
+        self.plan(grid, slot);
+    }
+
+    #[inline(never)]
+    fn plan(&mut self, grid: Time, slot: &mut Slot) {
         let view = View::of(&self.rules, &self.input, grid, slot);
         // A setpoint is planned from the last one that was sent: what was not sent leaves nothing behind.
         let mut state = &mut self.state;
@@ -279,6 +285,7 @@ impl Machine {
         self.go_on(now, restarted, slot);
     }
 
+    #[inline(never)]
     fn go_on(&mut self, now: Time, restarted: bool, slot: &Slot) {
         let view = View::of(&self.rules, &self.input, now, slot);
         let end = match &self.waiting {
