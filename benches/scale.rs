@@ -173,6 +173,7 @@ fn counted(Scenario { protocol, drives, .. }: Scenario) -> Ran {
     while !memory.0.iter().all(|line| line.2.get().is_some()) {
         rig.turn(|_| {});
     }
+    rig.jog();
     count::instrument();
     // The simulated caches are warmed up.
     for _ in 0..COUNTED_CYCLES {
@@ -181,6 +182,7 @@ fn counted(Scenario { protocol, drives, .. }: Scenario) -> Ran {
     let (before, executed) = (calls.load(Ordering::Relaxed), rig.status().executed);
     let ran = count::run(COUNTED_CYCLES, || rig.counted_turn());
     assert_eq!(rig.status().executed, executed + COUNTED_CYCLES, "no slot is passed over in virtual time");
+    assert!(!rig.is_any_stopped(), "all of them move as commanded");
     Ran { calls: Some(calls.load(Ordering::Relaxed) - before), ..ran }
 }
 

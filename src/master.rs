@@ -248,9 +248,11 @@ pub fn assemble<C: Clock>(
             let first_probe = (entries.len() / PROBES_A_CYCLE) as u64;
             let paced = Paced::of(&plan.cycle, &**bus_plan, index, axis);
             let silence = bound::silence(&paced, plan.cycle.overrun);
+            let can = bus_plan.capabilities(index);
+            let lacks = can.lacks;
             let controller = DriveController::new(
                 axis.clone(),
-                bus_plan.capabilities(index),
+                can,
                 queues,
                 period_ns,
                 first_probe,
@@ -281,6 +283,7 @@ pub fn assemble<C: Clock>(
                     samples: sample_out,
                     native: bus.native(index),
                     faults: bus_plan.fault_names(),
+                    lacks,
                 },
             ));
             acyclics.push(acyclic);

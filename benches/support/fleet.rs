@@ -51,6 +51,7 @@ pub fn linmot(address: Ipv4Addr) -> LinUdpDrive {
     let mut drive = LinUdpDrive::new(address.to_string(), address);
     drive.axis.limits =
         Limits { position: Some((-200.0, 200.0)), velocity: Some(2_000.0), ..Limits::default() };
+    drive.leash = Some(20.0);
     drive.axis.health.bucket = 1_000_000;
     drive.axis.enable_timeout = Duration::from_secs(60);
     drive

@@ -125,13 +125,27 @@ impl Streams for NullStreams {
 
 /// Answers each request from memory: ready to switch on, and in operation once it is switched on; always moving.
 pub struct NullCarrier {
-    /// Sender, definitions, whether it is switched on, and a read of a parameter: requests not yet answered.
-    asked: Vec<(SocketAddrV4, [u8; 8], bool, Option<RtcBlock>)>,
+    /// Requests not yet answered.
+    asked: Vec<Asked>,
+    /// The count of the last motion command of each drive.
+    counts: Vec<u8>,
     next: usize,
     batch: usize,
     /// Ready and in operation, each with and without warn word and monitoring channels; and their lengths.
     replies: [[([u8; RESPONSE_MAX], usize); 4]; 2],
     position: i32,
+}
+
+/// What a request asked.
+struct Asked {
+    from: SocketAddrV4,
+    definitions: [u8; 8],
+    /// It is switched on.
+    on: bool,
+    /// The count of its last motion command.
+    count: u8,
+    /// A read of a parameter.
+    read: Option<RtcBlock>,
 }
 
 /// Which of four replies has the blocks that are asked for.
@@ -142,6 +156,8 @@ fn variant(asked: ResponseDef) -> usize {
 impl NullCarrier {
     /// Where the actual position is in a cyclic reply: behind definitions, status and state.
     const POSITION: std::ops::Range<usize> = 12..16;
+    /// And the low byte of the state, with the count of the motion command.
+    const COUNT: usize = 10;
 
     pub fn new(peers: usize) -> NullCarrier {
         let least = ResponseDef(ResponseDef::CYCLIC.0 & !ResponseDef::WARN.0);
@@ -173,8 +189,8 @@ impl NullCarrier {
         let replies = [ready, reply(on | StatusWord::MOTION_ACTIVE, moving)];
         // As real ones have it, so that as many calls of `receive` are made.
         let batch = (peers * 2).clamp(8, 128);
-        let asked = Vec::with_capacity(peers);
-        NullCarrier { asked, next: 0, batch, replies, position: 0 }
+        let (asked, counts) = (Vec::with_capacity(peers), vec![0; peers]);
+        NullCarrier { asked, counts, next: 0, batch, replies, position: 0 }
     }
 }
 
@@ -193,11 +209,17 @@ impl Datagrams for NullCarrier {
                 let bytes = outbox.bytes(index);
                 if let Some((definitions, blocks)) = bytes.split_first_chunk() {
                     let on = blocks.first().is_some_and(|low| u16::from(*low) & ControlWord::SWITCH_ON != 0);
-                    let read = match definitions[0] & RequestDef::CONFIG.0 as u8 {
+                    let rare = (RequestDef::CONFIG.0 | RequestDef::MOTION.0) as u8;
+                    let request = match definitions[0] & rare {
                         0 => None,
-                        _ => Request::parse(bytes).ok().and_then(|request| request.config),
+                        _ => Request::parse(bytes).ok(),
                     };
-                    self.asked.push((outbox.peer(index), *definitions, on, read));
+                    if let Some(motion) = request.and_then(|request| request.motion) {
+                        self.counts[index] = motion.header as u8 & 0xF;
+                    }
+                    let read = request.and_then(|request| request.config);
+                    let (from, count) = (outbox.peer(index), self.counts[index]);
+                    self.asked.push(Asked { from, definitions: *definitions, on, count, read });
                 }
             }
         }
@@ -208,12 +230,13 @@ impl Datagrams for NullCarrier {
         let at = rig::now();
         let end = self.asked.len().min(self.next + self.batch);
         let count = end - self.next;
-        for (from, definitions, on, read) in &self.asked[self.next..end] {
+        for Asked { from, definitions, on, count, read } in &self.asked[self.next..end] {
             let [.., low, middle, high, highest] = *definitions;
             let asked = ResponseDef(u32::from_le_bytes([low, middle, high, highest]));
             let (reply, length) = &mut self.replies[usize::from(*on)][variant(asked)];
             reply[..8].copy_from_slice(definitions);
             reply[Self::POSITION].copy_from_slice(&self.position.to_le_bytes());
+            reply[Self::COUNT] = reply[Self::COUNT] & 0xF0 | if *on { *count } else { 0 };
             let mut length = *length;
             if let Some(read) = read {
                 // Done: its count, status 0, the index, and a value.

@@ -4,8 +4,8 @@ use std::fmt::Display;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
-use fieldbeat::axis::Command;
 use fieldbeat::axis::acyclic::Acyclic;
+use fieldbeat::axis::{Command, Jog};
 use fieldbeat::bus::BusPlan;
 use fieldbeat::cycle::engine::Control;
 use fieldbeat::cycle::record::{Record, Reply};
@@ -309,6 +309,23 @@ impl Rig {
             }
         }
         self.turn_until("in operation", |status| status.operational == drives, &mut beside);
+    }
+
+    /// Has all drives turn, slowly, until they are told otherwise: an axis that moves by itself would be stopped.
+    pub fn jog(&mut self) {
+        for axis in &mut self.assembly.axes {
+            if let Err(error) = axis.post(Command::Jog(Jog { velocity: 1.0, acceleration: 100.0 })) {
+                give_up(error)
+            }
+        }
+        for _ in 0..50 {
+            self.turn(|_| {});
+        }
+    }
+
+    /// Whether an axis was stopped.
+    pub fn is_any_stopped(&self) -> bool {
+        self.assembly.axes.iter().any(|axis| axis.feedback().stopped.is_some())
     }
 
     /// Turns until nothing is owed: all that was sent is judged.

@@ -325,6 +325,7 @@ impl Feedback {
 impl Packed for Feedback {
     type Words = [u64; 13];
 
+    #[inline]
     fn pack(&self) -> [u64; 13] {
         let status = &self.status;
         let flags = u64::from(status.homed)

@@ -19,7 +19,8 @@ use super::command::{
 };
 use super::event::{Event, EventKind};
 use super::feedback::{Fault, FaultNames, Feedback, Link, StopCause};
-use super::limits::{check_row, check_torque, check_velocity, check_verb};
+use super::lacks::Lacks;
+use super::limits::{check_command, check_row, check_torque, check_velocity};
 use super::newest::NewestIn;
 use super::plan::AxisPlan;
 use super::pulse::Pulse;
@@ -91,6 +92,8 @@ pub struct AxisEnds {
     pub native: Option<Box<dyn Any + Send>>,
     /// The protocol's names for the fault codes of its drives.
     pub faults: FaultNames,
+    /// What the drive does not do.
+    pub lacks: Lacks,
 }
 
 /// Why a request to an axis failed.
@@ -270,7 +273,8 @@ impl Axis {
     /// Whether `verb` would be accepted now: its numbers, and room for its end. The last places are reserved for
     /// commands that stop the axis.
     pub(super) fn accepts(&mut self, verb: &Command) -> Result<(), AxisError> {
-        check_verb(&self.plan, verb).map_err(|failure| self.refused(verb.name(), failure))?;
+        check_command(&self.plan, &self.ends.lacks, verb)
+            .map_err(|failure| self.refused(verb.name(), failure))?;
         let most = most_unended(&self.plan) - if verb.is_urgent() { 0 } else { URGENT_ROOM };
         if self.unended >= most {
             // The application takes no events: their places are needed.

@@ -2,11 +2,16 @@
 //! be checked there.
 
 use super::command::{Command, Failure, Jog, Move, Profile, Row, Target};
+use super::lacks::Lacks;
 use super::plan::{AxisPlan, Limits, Load};
 
-/// `Ok` if `verb` keeps to what the plan allows, as far as it can be checked without the position of the axis.
-pub fn check_verb(plan: &AxisPlan, verb: &Command) -> Result<(), Failure> {
-    match verb {
+/// `Ok` if the drive can do `command`, and the command keeps to what the plan allows, as far as it can be checked without
+/// the position of the axis.
+pub fn check_command(plan: &AxisPlan, lacks: &Lacks, command: &Command) -> Result<(), Failure> {
+    if let Some(failure) = lacks.refuses(command) {
+        return Err(failure);
+    }
+    match command {
         Command::Move(Move { target, profile }) => {
             check_profile(plan, profile)?;
             match *target {
@@ -140,21 +145,21 @@ mod tests {
         let mut plan = AxisPlan::new("x", Units::millimetres(1_000.0));
         let torque = |slope| Command::Torque { slope };
         assert!(
-            matches!(check_verb(&plan, &torque(100.0)), Err(Failure::Unsupported(why)) if why.contains("velocity"))
+            matches!(check_command(&plan, &Lacks::default(), &torque(100.0)), Err(Failure::Unsupported(why)) if why.contains("velocity"))
         );
         plan.limits.velocity = Some(10.0);
-        assert_eq!(check_verb(&plan, &torque(100.0)), Ok(()));
+        assert_eq!(check_command(&plan, &Lacks::default(), &torque(100.0)), Ok(()));
         for (slope, refused) in [
             (0.0, Failure::NotPositive { what: "torque slope", value: 0.0 }),
             (-1.0, Failure::NotPositive { what: "torque slope", value: -1.0 }),
             (f64::INFINITY, Failure::NotFinite),
         ] {
-            assert_eq!(check_verb(&plan, &torque(slope)), Err(refused));
+            assert_eq!(check_command(&plan, &Lacks::default(), &torque(slope)), Err(refused));
         }
         for held_by in [HeldBy::Brake, HeldBy::Drive] {
             plan.load = Load::Vertical(held_by);
             assert!(
-                matches!(check_verb(&plan, &torque(100.0)), Err(Failure::Unsupported(why)) if why.contains("drops"))
+                matches!(check_command(&plan, &Lacks::default(), &torque(100.0)), Err(Failure::Unsupported(why)) if why.contains("drops"))
             );
         }
     }

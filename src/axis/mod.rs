@@ -25,6 +25,7 @@ pub mod event;
 pub mod feedback;
 pub mod group;
 pub mod handle;
+mod lacks;
 pub mod limits;
 pub mod newest;
 pub mod plan;
@@ -42,6 +43,7 @@ pub use feedback::{
 };
 pub use group::{Group, GroupCommand, GroupError, GroupRefused};
 pub use handle::{Axis, AxisEnds, AxisError, Observer};
+pub use lacks::{Cannot, Lacks};
 pub use plan::{
     AxisPlan, FoundRunning, Health, HeldBy, Limits, Load, MonitorChannel, PlanFault, StopHow, StopPlan,
     StopThen, StopTimeout, Underrun,

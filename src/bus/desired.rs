@@ -4,7 +4,7 @@
 //! Positions are user units, not folded into one turn.
 
 use crate::axis::command::NativeOwner;
-use crate::axis::{Command, Failure, Profile};
+use crate::axis::{Cannot, Failure, Lacks, Profile};
 use crate::time::Time;
 
 /// What a drive shall do from its next request on. It holds until it is replaced.
@@ -324,28 +324,6 @@ pub enum Quantity {
     Unknown,
 }
 
-/// Why a drive does not do something, with the remedy; `None`: it does.
-pub type Cannot = Option<&'static str>;
-
-/// What a drive does not do.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Lacks {
-    /// Be commanded at all.
-    pub control: Cannot,
-    /// Be enabled.
-    pub enable: Cannot,
-    /// Moves.
-    pub moves: Cannot,
-    /// Rows of a stream.
-    pub rows: Cannot,
-    /// Velocities and jogs.
-    pub velocities: Cannot,
-    /// Torques.
-    pub torques: Cannot,
-    /// Homing.
-    pub homing: Cannot,
-}
-
 /// The largest values that the wire carries, user units; the smallest step, where a smaller value would be nothing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ranges {
@@ -380,22 +358,5 @@ impl Capabilities {
             arrival: f64::INFINITY,
             ranges: Ranges::UNLIMITED,
         }
-    }
-
-    /// Why this drive cannot do that, in any state.
-    pub fn refuses(&self, command: &Command) -> Option<Failure> {
-        let lacks = &self.lacks;
-        let why = match command {
-            Command::Reset => None,
-            _ if lacks.control.is_some() => lacks.control,
-            Command::Enable => lacks.enable,
-            Command::Move(_) => lacks.moves,
-            Command::Follow => lacks.rows,
-            Command::Jog(_) | Command::Velocity { .. } => lacks.velocities,
-            Command::Torque { .. } => lacks.torques,
-            Command::Home => lacks.homing,
-            _ => None,
-        };
-        why.map(Failure::Unsupported)
     }
 }

@@ -117,11 +117,6 @@ pub trait BusPlan: Debug + Send + Sync {
     /// What drive `index` can do, in a cycle of `period_ns`.
     fn capabilities(&self, index: usize) -> Capabilities;
 
-    /// Drive `index` makes moves and follows streams; otherwise it has velocity modes only.
-    fn takes_positions(&self, _index: usize) -> bool {
-        true
-    }
-
     /// Its drives have a common clock that can lead the grid.
     fn has_clock(&self) -> bool {
         false

@@ -72,6 +72,8 @@ pub struct DriveController {
     task_row: Option<Row>,
     /// The group command at the head of the queue that could begin.
     waiting: Option<QueuedCommand>,
+    /// From one row to the next, s.
+    row_seconds: f64,
     /// The id of the next command of the application.
     next_id: u64,
     follow: Follow,
@@ -183,6 +185,7 @@ impl DriveController {
         own_clock: bool,
     ) -> DriveController {
         let machine = Machine::new(&plan, can, period_ns);
+        let row_seconds = period_ns as f64 * f64::from(plan.divisor) * 1e-9;
         let (divisor, phase) = (plan.divisor, plan.phase);
         let health = LinkHealth::new(plan.health, divisor, phase, period_ns, first_probe, silence, own_clock);
         DriveController {
@@ -198,6 +201,7 @@ impl DriveController {
             task_command: None,
             task_row: None,
             waiting: None,
+            row_seconds,
             next_id: 1,
             follow: Follow::default(),
             level: Level::default(),
@@ -408,15 +412,8 @@ impl DriveController {
 
     /// The group of its running motion.
     pub fn moves_in_group(&self) -> Option<GroupCall> {
-        let moves = |active: &QueuedCommand| active.verb.is_motion() || active.verb == Command::Home;
+        let moves = |active: &QueuedCommand| active.verb.is_motion() || matches!(active.verb, Command::Home);
         self.active.filter(moves).and_then(|active| active.call)
-    }
-
-    /// Writes what is desired of the drive with the send of `next`, if one is due then.
-    pub fn propose(&mut self, next: &Cycle, slot: &mut Slot) {
-        if slot.due || slot.exchange == Exchange::Queued {
-            self.machine.propose(next.grid, slot);
-        }
     }
 
     /// How the exchange of this cycle was closed, once.
@@ -533,7 +530,7 @@ impl DriveController {
             self.stop(cycle, now, StopCause::OtherMaster);
         }
         if slot.notices.fresh {
-            let cause = self.left_operation(restarted).or_else(|| self.watch_motion(cycle, now, slot));
+            let cause = self.left_operation(restarted).or_else(|| self.watch_motion(now, slot));
             match cause {
                 Some(_) if self.claim == Claim::Found => {
                     self.find_running(cycle, now, Braked::ByTheDrive);
@@ -569,7 +566,7 @@ impl DriveController {
             && let Some(verb) = sequence.step(now, sight)
         {
             let why = Abort::Stopped(*cause);
-            if let Some(active) = self.active.filter(|active| active.verb != Command::Reset) {
+            if let Some(active) = self.active.filter(|active| !matches!(active.verb, Command::Reset)) {
                 self.end(cycle, now, active, Outcome::Aborted(why));
             }
             self.issue(Some(verb));
@@ -593,7 +590,7 @@ impl DriveController {
     }
 
     /// What an axis with power must not do, in whatever state it is: leave its limits, or move without a command.
-    fn watch_motion(&mut self, cycle: &Cycle, now: Time, slot: &Slot) -> Option<StopCause> {
+    fn watch_motion(&mut self, now: Time, slot: &Slot) -> Option<StopCause> {
         let state = self.feedback.status.state;
         // A drive in its fault reaction brakes by itself, and takes no request.
         if !state.is_powered() {
@@ -604,10 +601,10 @@ impl DriveController {
             self.rest.interrupt();
             return None;
         }
-        let seconds = self.row_seconds(cycle);
+        let seconds = self.row_seconds;
         let braking = matches!(&self.latch, Latch::Down(_, sequence) if !sequence.is_down());
         // What is on already is not moved by being enabled.
-        let commanded = self.active.is_some_and(|active| match active.verb {
+        let commanded = self.active.as_ref().is_some_and(|active| match active.verb {
             Command::Reset | Command::ResetFault => false,
             Command::Enable => state != State::OperationEnabled,
             _ => true,
@@ -615,7 +612,7 @@ impl DriveController {
         // Only the drive knows how it will brake if this loop does not command it; under torque nothing brakes it.
         let native = self.active.is_some_and(|active| matches!(active.verb, Command::Native(_)));
         let watched = Watched {
-            homing: self.active.is_some_and(|active| active.verb == Command::Home),
+            homing: self.active.is_some_and(|active| matches!(active.verb, Command::Home)),
             braking: native || self.active.is_none() || self.is_under_torque(),
         };
         let broken = self.bounds.are_broken(&self.plan, watched, seconds);
@@ -671,7 +668,7 @@ impl DriveController {
 
     /// Stops the axis if it is enabled, or about to be; any other axis can do no harm.
     pub fn stop_if_armed(&mut self, cycle: &Cycle, now: Time, cause: StopCause) {
-        let rising = self.active.is_some_and(|active| active.verb == Command::Enable);
+        let rising = self.active.is_some_and(|active| matches!(active.verb, Command::Enable));
         if self.claim == Claim::Armed || rising || self.is_native(NativeOwner::Application) {
             self.stop(cycle, now, cause);
         }
@@ -683,7 +680,7 @@ impl DriveController {
     }
 
     fn is_native(&self, owner: NativeOwner) -> bool {
-        self.active.is_some_and(|active| active.verb == Command::Native(owner))
+        matches!(self.active, Some(QueuedCommand { verb: Command::Native(own), .. }) if own == owner)
     }
 
     /// Starts the stop sequence of an axis that is latched.
@@ -772,7 +769,7 @@ impl DriveController {
             axis,
             link: self.feedback.link,
             stopped: self.feedback.stopped,
-            verb: self.active.map_or(0, |active| active.verb.code()),
+            verb: self.active.as_ref().map_or(0, |active| active.verb.code()),
             // What send and evaluation found.
             ..std::mem::take(&mut self.record).showing(&self.feedback.status)
         }
@@ -809,17 +806,8 @@ impl DriveController {
         self.drop_rows(u32::MAX - 1);
     }
 
-    /// Gives the drive machine a command, in place of the one before; `None`: to take the drive over as it is.
-    fn issue(&mut self, verb: Option<Command>) {
-        if self.claim == Claim::Found {
-            self.claim = Claim::Ours;
-        }
-        self.machine.start(self.grid, verb);
-        self.follow.held = false;
-    }
-
     fn end(&mut self, cycle: &Cycle, now: Time, command: QueuedCommand, outcome: Outcome) {
-        if command.verb == Command::Follow {
+        if matches!(command.verb, Command::Follow) {
             self.drop_rows(command.stream);
         }
         if self.active.is_some_and(|active| active.id == command.id) {

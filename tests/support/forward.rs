@@ -65,10 +65,6 @@ macro_rules! forward_bus_plan {
             self.$field.fault_names()
         }
 
-        fn takes_positions(&self, index: usize) -> bool {
-            self.$field.takes_positions(index)
-        }
-
         fn has_clock(&self) -> bool {
             self.$field.has_clock()
         }

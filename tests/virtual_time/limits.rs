@@ -190,7 +190,7 @@ fn a_jog_from_outside_the_limits_only_goes_in() {
 fn jogs_are_refused_without_a_leash_and_beyond_what_it_can_hold() {
     let mut b = Rig::new(2).each(|index, drive| drive.leash = (index == 1).then_some(2.0)).start();
     b.ready();
-    assert!(matches!(b.failed(0, jog(10.0)), Failure::Unsupported(why) if why.contains("leash")));
+    assert!(matches!(b.refused(0, jog(10.0)), Failure::Unsupported(why) if why.contains("leash")));
     // Half of the leash must be enough to brake: v² <= 2 a leash / 2.
     assert!(matches!(b.failed(1, jog(101.0)), Failure::Limit { .. }));
     let id = b.post(1, jog(99.0));

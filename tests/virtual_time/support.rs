@@ -8,9 +8,9 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
 use fieldbeat::axis::{
-    Abort, AxisPlan, Command, CommandId, Event, EventKind, Failure, Feedback, Group, GroupCommand, Jog,
-    Limits, Link, Move, Outcome, Profile, Row, StopCause, StopHow, StopPlan, StopThen, StopTimeout, Target,
-    Units,
+    Abort, Axis, AxisError, AxisPlan, Command, CommandId, Event, EventKind, Failure, Feedback, Group,
+    GroupCommand, Jog, Limits, Link, Move, Outcome, Profile, Row, StopCause, StopHow, StopPlan, StopThen,
+    StopTimeout, Target, Units,
 };
 use fieldbeat::bus::linudp::sim::LinMotSim;
 use fieldbeat::bus::linudp::wire::{ErrorCode, Request, Response};
@@ -504,6 +504,11 @@ impl Bench {
         self.sim.axis(index).post(verb).unwrap_or_else(|error| panic!("{error}"))
     }
 
+    /// Why it is refused on submission.
+    pub fn refused(&mut self, index: usize, verb: Command) -> Failure {
+        refused(self.sim.axis(index), verb)
+    }
+
     pub fn outcome(&self, index: usize, id: CommandId) -> Option<Outcome> {
         self.ends.get(&(index, id.0)).copied()
     }
@@ -640,4 +645,12 @@ pub fn row(position: f64) -> Row {
 
 pub fn assert_near(value: f64, expected: f64, within: f64) {
     assert!((value - expected).abs() <= within, "{value} is not within {within} of {expected}");
+}
+
+/// Why `axis` refuses this on submission.
+pub fn refused(axis: &mut Axis, verb: Command) -> Failure {
+    match axis.post(verb) {
+        Err(AxisError::Refused { failure, .. }) => failure,
+        taken => panic!("{verb:?}: {taken:?}"),
+    }
 }

@@ -8,11 +8,12 @@
 use super::cia402::{ControlCommand, ControlWord, Mode, StatusWord};
 use super::native::{NativeOutput, NativePort};
 use super::plan::{KollmorgenDrive, Setpoint};
+use crate::axis::Lacks;
 use crate::axis::command::NativeOwner;
 use crate::axis::{State, Units};
 use crate::bus::desired::{
-    self, Capabilities, Desired, Evidence, FaultIs, Generator, Homing, Lacks, ModeIs, Motion, Power,
-    Quantity, Resettable,
+    self, Capabilities, Desired, Evidence, FaultIs, Generator, Homing, ModeIs, Motion, Power, Quantity,
+    Resettable,
 };
 use crate::time::{MS, S, Time};
 
@@ -443,24 +444,34 @@ impl Profile {
         evidence.outputs_count = inputs.operational;
         evidence.mode = mode;
         let refers = self.home_sent && self.motion.answers > HOME_ANSWERS;
-        evidence.homing = match () {
-            () if !refers => Homing::Open,
-            () if inputs.status.has(StatusWord::MODE_13) => Homing::Failed,
-            () if inputs.status.has(StatusWord::MODE_12) => Homing::Attained,
-            () => Homing::Open,
-        };
-        let resettable = match () {
-            () if inputs.cold => Resettable::Never(Some(COLD_START)),
-            () if inputs.state == State::FaultReactionActive => Resettable::At(Time(u64::MAX)),
-            () => Resettable::Now,
-        };
-        evidence.fault = FaultIs { active: inputs.faulted(), named: inputs.named, resettable };
-        evidence.obstacle = match () {
-            () if self.mode_refused => Some(MODE_REFUSED),
-            () if self.found_otherwise && self.watched => Some(FOUND_UNWATCHED),
-            () => None,
-        };
+        evidence.homing = if refers { homing(inputs.status) } else { Homing::Open };
+        let faulted = inputs.faulted();
+        let resettable = if faulted { resettable(inputs) } else { Resettable::Now };
+        evidence.fault = FaultIs { active: faulted, named: inputs.named, resettable };
+        evidence.obstacle = None;
+        if self.mode_refused {
+            evidence.obstacle = Some(MODE_REFUSED);
+        } else if self.found_otherwise && self.watched {
+            evidence.obstacle = Some(FOUND_UNWATCHED);
+        }
         evidence.position = inputs.position;
+    }
+}
+
+fn homing(status: StatusWord) -> Homing {
+    match () {
+        () if status.has(StatusWord::MODE_13) => Homing::Failed,
+        () if status.has(StatusWord::MODE_12) => Homing::Attained,
+        () => Homing::Open,
+    }
+}
+
+#[cold]
+fn resettable(inputs: &Inputs) -> Resettable {
+    match () {
+        () if inputs.cold => Resettable::Never(Some(COLD_START)),
+        () if inputs.state == State::FaultReactionActive => Resettable::At(Time(u64::MAX)),
+        () => Resettable::Now,
     }
 }
 

@@ -7,8 +7,7 @@
 //! | `curve` | time curves and encoder cams |
 //! | `table` | the drive's command table |
 //! | `station` | the master's view of one drive: identity of replies, feedback |
-//! | `profile` | what is desired as blocks of a request, and what replies prove |
-//! | `channel` | motion command counts and their echo |
+//! | `profile` | what is desired as blocks of a request, counts and their echo, and what replies prove |
 //! | `other` | another master's commands, by their counts |
 //! | `rtc` | the real-time-config channel: one acyclic call after the other, in the requests that go out anyway |
 //! | `service` | what a drive offers besides its parameters: curves, command table, error log, software, flash |
@@ -24,7 +23,6 @@
 pub const PROTOCOL: &str = "linudp-v2";
 
 pub mod bus;
-mod channel;
 pub mod curve;
 pub mod motion;
 pub mod native;

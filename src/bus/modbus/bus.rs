@@ -297,10 +297,6 @@ impl BusPlan for ModbusPlan {
         |code| u16::try_from(code).ok().and_then(|code| Trip(code).name())
     }
 
-    fn takes_positions(&self, _index: usize) -> bool {
-        false
-    }
-
     fn notation(&self) -> Arc<dyn Notation> {
         Arc::new(Parameters)
     }

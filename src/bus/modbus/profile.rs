@@ -9,10 +9,11 @@ use super::native::NativePort;
 use super::plan::UnidriveDrive;
 use super::trips::Trip;
 use super::words::{ControlWord, StatusWord};
+use crate::axis::Lacks;
 use crate::axis::State;
 use crate::axis::command::NativeOwner;
 use crate::bus::desired::{
-    Capabilities, Desired, Evidence, FaultIs, Follows, Generator, Lacks, Motion, Power, Quantity, Refused,
+    Capabilities, Desired, Evidence, FaultIs, Follows, Generator, Motion, Power, Quantity, Refused,
     Resettable,
 };
 use crate::time::{MS, Time};
@@ -82,6 +83,10 @@ pub(super) struct Profile {
     serials: (u64, u64),
     power: Power,
     motion: Motion,
+    /// What they come to: the drive is to be on, it is halted, it runs.
+    is_on: bool,
+    is_halted: bool,
+    runs: bool,
     velocity: f64,
     sent: (u64, u64),
     /// The same when the newest status was read: a speed may come later.
@@ -130,6 +135,9 @@ impl Profile {
             serials: (0, 0),
             power: Power::Untouched,
             motion: Motion::Hold,
+            is_on: false,
+            is_halted: false,
+            runs: false,
             velocity: 0.0,
             sent: (0, 0),
             at_status: (0, 0),
@@ -146,6 +154,7 @@ impl Profile {
     }
 
     /// The values of the next request; `None`: nothing is written.
+    #[inline]
     pub(super) fn encode(
         &mut self,
         desired: &Desired,
@@ -154,13 +163,7 @@ impl Profile {
     ) -> Option<Outputs> {
         let Desired { power, motion, setpoint, .. } = desired;
         if (power.serial, motion.serial) != self.serials {
-            if motion.serial != self.serials.1 {
-                (self.native, self.native_gone) = (None, (true, true));
-                native.flush();
-            }
-            self.serials = (power.serial, motion.serial);
-            (self.power, self.motion) = (power.value, motion.value);
-            (self.refused, self.taken) = (None, false);
+            self.change(desired, native);
         }
         if self.power == Power::Untouched {
             return None;
@@ -172,12 +175,28 @@ impl Profile {
             && inputs.status.active()
             && (self.releasing
                 || inputs.status.zero_speed() && self.outputs.control.has_any(ControlWord::ANY_RUN));
-        self.halted |= self.is_halted();
+        self.halted |= self.is_halted;
         self.outputs = self.built();
         if let Motion::Native(owner) = self.motion {
             self.take_native(owner, native);
         }
         Some(self.values())
+    }
+
+    /// Something else is desired.
+    #[cold]
+    fn change(&mut self, desired: &Desired, native: &mut NativePort) {
+        let Desired { power, motion, .. } = desired;
+        if motion.serial != self.serials.1 {
+            (self.native, self.native_gone) = (None, (true, true));
+            native.flush();
+        }
+        self.serials = (power.serial, motion.serial);
+        (self.power, self.motion) = (power.value, motion.value);
+        self.is_on = matches!(self.power, Power::EnableOperation | Power::QuickStop);
+        self.is_halted = self.power == Power::QuickStop || self.motion == Motion::Halt;
+        self.runs = self.power == Power::EnableOperation && !self.is_halted;
+        (self.refused, self.taken) = (None, false);
     }
 
     fn values(&self) -> Outputs {
@@ -284,19 +303,16 @@ impl Profile {
 
     /// The drive is commanded to be on.
     pub(super) fn is_on(&self) -> bool {
-        matches!(self.power, Power::EnableOperation | Power::QuickStop)
-    }
-
-    fn is_halted(&self) -> bool {
-        self.power == Power::QuickStop || self.motion == Motion::Halt
+        self.is_on
     }
 
     /// RUN is on.
     pub(super) fn runs(&self) -> bool {
-        self.power == Power::EnableOperation && !self.is_halted()
+        self.runs
     }
 
     /// Maps the drive's state onto those of CiA 402.
+    #[inline]
     pub(super) fn state(&mut self, status: StatusWord, inhibited: bool) -> State {
         if status.active() && self.runs() {
             self.halted = false;
@@ -304,7 +320,7 @@ impl Profile {
         match (status.healthy(), status.active()) {
             (false, _) => State::Fault,
             // It follows no setpoint.
-            (true, true) if self.is_on() && self.is_halted() => State::QuickStopActive,
+            (true, true) if self.is_on() && self.is_halted => State::QuickStopActive,
             (true, true) => State::OperationEnabled,
             (true, false) if inhibited => State::SwitchOnDisabled,
             // Its power stage comes and goes with RUN.
@@ -344,29 +360,38 @@ impl Profile {
     }
 
     /// What a report proves.
+    #[inline]
     pub(super) fn prove(&mut self, inputs: &Inputs, evidence: &mut Evidence) {
         let (power, motion) = self.sent;
         self.taken = !self.is_new() && self.at_status == self.sent && self.has_taken(inputs);
         let taken = self.taken;
         let since = |serial: u64| if taken { serial } else { serial.saturating_sub(1) };
         (evidence.accepted.power, evidence.accepted.motion) = (since(power), since(motion));
+        evidence.is_set_up = self.obeys && self.watched;
+        (evidence.follows, evidence.obstacle) = (Follows::Yes, None);
+        if !evidence.is_set_up {
+            self.prove_set_up(evidence);
+        }
+        evidence.refused = self.refused;
+        let reset_at = |at| Resettable::At(at + Trip(inputs.trip).reset_after_ns());
+        evidence.fault = FaultIs {
+            active: inputs.seen && !inputs.status.healthy(),
+            named: inputs.named,
+            resettable: inputs.tripped_at.map_or(Resettable::Now, reset_at),
+        };
+    }
+
+    #[cold]
+    fn prove_set_up(&self, evidence: &mut Evidence) {
         evidence.follows = match (self.obeys, self.settable) {
             (true, _) => Follows::Yes,
             (false, true) => Follows::NotYet,
             (false, false) => Follows::Never(NOT_OBEYING),
         };
-        evidence.is_set_up = self.obeys && self.watched;
         evidence.obstacle = match () {
             () if !self.obeys && !self.settable => Some(NOT_OBEYING),
             () if self.watched || self.settable && self.watchable => None,
             () => Some(NOT_WATCHED),
-        };
-        evidence.refused = self.refused;
-        let wait_ns = Trip(inputs.trip).reset_after_ns();
-        evidence.fault = FaultIs {
-            active: inputs.seen && !inputs.status.healthy(),
-            named: inputs.named,
-            resettable: inputs.tripped_at.map_or(Resettable::Now, |at| Resettable::At(at + wait_ns)),
         };
     }
 }

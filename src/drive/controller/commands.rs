@@ -4,12 +4,12 @@ use rtrb::Consumer;
 
 use super::{Claim, DriveController, Latch};
 use crate::axis::command::NativeOwner;
-use crate::axis::limits::{check_position, check_torque, check_velocity, check_verb};
+use crate::axis::limits::{check_command, check_position, check_torque, check_velocity};
 use crate::axis::{
-    Abort, Command, Failure, GroupCall, Link, Load, Move, Outcome, QueuedCommand, Row, Setpoint, State,
-    StopCause, Target,
+    Abort, Command, CommandId, Failure, GroupCall, Link, Load, Move, Outcome, QueuedCommand, Row, Setpoint,
+    State, StopCause, Target,
 };
-use crate::bus::{Cycle, Slot};
+use crate::bus::{Cycle, Exchange, Slot};
 use crate::drive::bounds::Bounds;
 use crate::drive::stop::deceleration_of;
 use crate::time::{Time, nanos};
@@ -58,6 +58,14 @@ impl DriveController {
         let held = self.held.take();
         self.take_setpoints(cycle);
         self.end_active(cycle, now);
+        if self.task_command.is_some() || !self.queues.commands.is_empty() {
+            self.begin_next(cycle, now, held);
+        }
+        self.age_setpoint(cycle, now);
+    }
+
+    /// Begins those that may begin.
+    fn begin_next(&mut self, cycle: &Cycle, now: Time, held: Option<(CommandId, Time)>) {
         self.overtake(cycle, now);
         for _ in 0..=self.queues.commands.len() {
             let next = self.task_command.or_else(|| self.queues.commands.front().copied());
@@ -89,7 +97,6 @@ impl DriveController {
             // A refused command replaces nothing: the running one goes on, and its end is still reported.
             self.start(cycle, now, next, false);
         }
-        self.age_setpoint(cycle, now);
     }
 
     /// The group command that waits until all other members are ready for it.
@@ -116,15 +123,19 @@ impl DriveController {
 
     /// Ends the running command by the station's progress.
     fn end_active(&mut self, cycle: &Cycle, now: Time) {
+        let resets = |active: &QueuedCommand| matches!(active.verb, Command::Reset);
+        if self.machine.end().is_none() && !self.active.as_ref().is_some_and(resets) {
+            return;
+        }
         let Some(active) = self.active else { return };
-        if active.verb == Command::Reset {
+        if resets(&active) {
             self.try_reset(cycle, now, active);
             return;
         }
         match self.machine.end() {
             None => {}
             Some(Ok(())) => {
-                if active.verb == Command::Enable {
+                if matches!(active.verb, Command::Enable) {
                     self.claim = Claim::Armed;
                     self.bounds = Bounds::default();
                 }
@@ -214,7 +225,7 @@ impl DriveController {
 
     /// Whether the command may start now. Its numbers were checked on submission; here the axis decides.
     fn admit(&self, command: &QueuedCommand) -> Result<(), Failure> {
-        check_verb(&self.plan, &command.verb)?;
+        check_command(&self.plan, self.machine.lacks(), &command.verb)?;
         match (command.verb, &self.latch) {
             (Command::Reset, _) | (_, Latch::Open) => {}
             (Command::ResetFault | Command::Disable | Command::Stop { .. } | Command::QuickStop, latch)
@@ -224,7 +235,7 @@ impl DriveController {
             (_, Latch::Kept(cause) | Latch::Down(cause, _)) => return Err(Failure::Latched(*cause)),
         }
         let state = self.feedback.status.state;
-        let motion = command.verb.is_motion() || command.verb == Command::Home;
+        let motion = command.verb.is_motion() || matches!(command.verb, Command::Home);
         let native = |owner| command.verb == Command::Native(owner);
         match command.verb {
             Command::Reset if !self.latch.is_settled() && !self.is_heard() => Err(Failure::NotOnline),
@@ -232,10 +243,6 @@ impl DriveController {
             _ if self.feedback.link != Link::Online => Err(Failure::NotOnline),
             Command::Enable if self.feedback.status.inhibited => Err(Failure::Inhibited),
             Command::Enable if self.commanded => Err(Failure::BeingWritten),
-            // Neither its way nor its limits could be evaluated.
-            Command::Move(_) | Command::Follow if self.feedback.status.demand.is_nan() => {
-                Err(Failure::Unsupported("it reports no position, so it takes neither moves nor rows"))
-            }
             Command::Disable if self.plan.load != Load::Level && state.is_powered() && !self.stands() => {
                 Err(Failure::LoadInMotion)
             }
@@ -255,7 +262,8 @@ impl DriveController {
 
     /// The axis stands still, as far as it is known: nothing moves it, and the drive's report is current.
     fn stands(&self) -> bool {
-        let moved = self.active.is_some_and(|active| active.verb.is_motion() || active.verb == Command::Home);
+        let moved =
+            self.active.is_some_and(|active| active.verb.is_motion() || matches!(active.verb, Command::Home));
         let slow = self.feedback.status.velocity.abs() <= self.plan.stop.standstill;
         !moved && !self.feedback.status.moving && slow && self.feedback.age < self.plan.divisor
     }
@@ -280,6 +288,22 @@ impl DriveController {
         self.end(cycle, now, command, Outcome::Done);
     }
 
+    /// Gives the drive machine a command, in place of the one before; `None`: to take the drive over as it is.
+    pub(super) fn issue(&mut self, verb: Option<Command>) {
+        if self.claim == Claim::Found {
+            self.claim = Claim::Ours;
+        }
+        self.machine.start(self.grid, verb);
+        self.follow.held = false;
+    }
+
+    /// Writes what is desired of the drive with the send of `next`, if one is due then.
+    pub fn propose(&mut self, next: &Cycle, slot: &mut Slot) {
+        if slot.due || slot.exchange == Exchange::Queued {
+            self.machine.propose(next.grid, slot);
+        }
+    }
+
     /// For the in-loop task: a command to be taken in this cycle, before the queue.
     pub fn command_from_task(
         &mut self,
@@ -290,7 +314,7 @@ impl DriveController {
         if self.task_command.is_some_and(|waiting| !command.verb.is_urgent() || waiting.verb.is_urgent()) {
             return Err(Failure::Unsupported("the in-loop task may give one command per axis and cycle"));
         }
-        check_verb(&self.plan, &command.verb)?;
+        check_command(&self.plan, self.machine.lacks(), &command.verb)?;
         if self.queues.events.slots() <= self.queues.room_for_ends && !command.verb.is_urgent() {
             return Err(Failure::Unsupported(
                 "the application takes no events: there is no room for its end",
@@ -352,6 +376,6 @@ pub(super) fn entry<T: Copy>(queue: &mut Consumer<T>, place: usize) -> Option<T>
 
 /// Whether `next` replaces the running `active` at once. Streams run one after the other.
 fn replaces(next: &QueuedCommand, active: &QueuedCommand) -> bool {
-    let streams = active.verb == Command::Follow && next.verb == Command::Follow;
+    let streams = matches!(active.verb, Command::Follow) && matches!(next.verb, Command::Follow);
     next.verb.is_urgent() || active.verb.is_motion() && next.verb.is_motion() && !streams
 }

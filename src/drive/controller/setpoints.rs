@@ -108,7 +108,7 @@ impl DriveController {
 
     /// Stops an axis whose velocity or torque is older than it may be.
     pub(super) fn age_setpoint(&mut self, cycle: &Cycle, now: Time) {
-        let (most, cause) = match self.active.map(|active| active.verb) {
+        let (most, cause) = match self.active.as_ref().map(|active| &active.verb) {
             Some(Command::Velocity { .. } | Command::Torque { .. }) => {
                 (u64::from(self.plan.setpoint_age), StopCause::StaleSetpoint)
             }
@@ -125,8 +125,8 @@ impl DriveController {
 
     /// The follow that takes a row for the next send.
     fn takes_row(&self, slot: &Slot) -> Option<QueuedCommand> {
-        let follow = self.active.filter(|active| active.verb == Command::Follow)?;
-        let due = slot.due && self.machine.command() == Some(Command::Follow);
+        let follow = self.active.filter(|active| matches!(active.verb, Command::Follow))?;
+        let due = slot.due && matches!(self.machine.command(), Some(Command::Follow));
         let done = self.follow.held || self.follow.last.is_some_and(|row| row.last);
         (due && !done).then_some(follow)
     }
@@ -139,7 +139,7 @@ impl DriveController {
             if torque { (0.0, self.level.value) } else { (self.level.value, 0.0) };
         let Some(active) = self.takes_row(slot) else {
             // A row of the task is for the send that it was given for, and begins no later stream.
-            if self.active.is_none_or(|active| active.verb != Command::Follow) {
+            if self.active.is_none_or(|active| !matches!(active.verb, Command::Follow)) {
                 self.task_row = None;
             }
             return;
@@ -150,7 +150,7 @@ impl DriveController {
             (None, None) => return,
             (Some(row), last) => {
                 self.follow.empty = 0;
-                if let Err(failure) = self.check_row(cycle, &row, last) {
+                if let Err(failure) = self.check_row(&row, last) {
                     self.fail_follow(cycle, now, failure, StopCause::Limit);
                     return;
                 }
@@ -161,12 +161,12 @@ impl DriveController {
                 if self.follow.empty == 1 {
                     self.tell(cycle, now, EventKind::Underrun);
                 }
-                let position = last.position + last.velocity * self.row_seconds(cycle);
+                let position = last.position + last.velocity * self.row_seconds;
                 let ahead = Row { position, acceleration: 0.0, ..last };
                 match self.plan.underrun {
                     Underrun::Hold => Row { velocity: 0.0, acceleration: 0.0, ..last },
                     Underrun::Extrapolate(most)
-                        if self.follow.empty <= most && self.check_row(cycle, &ahead, Some(last)).is_ok() =>
+                        if self.follow.empty <= most && self.check_row(&ahead, Some(last)).is_ok() =>
                     {
                         ahead
                     }
@@ -183,16 +183,11 @@ impl DriveController {
         self.machine.input.row = Some(NumberedRow { number: self.follow.number, row: chosen });
     }
 
-    /// The time from one row to the next.
-    pub(super) fn row_seconds(&self, cycle: &Cycle) -> f64 {
-        cycle.period_ns as f64 * f64::from(self.plan.divisor) * 1e-9
-    }
-
     /// The first row starts near the axis' position; later ones near the row before, and so that the axis can still
     /// stop inside its range.
-    fn check_row(&self, cycle: &Cycle, row: &Row, last: Option<Row>) -> Result<(), Failure> {
+    fn check_row(&self, row: &Row, last: Option<Row>) -> Result<(), Failure> {
         let from = last.map_or(self.feedback.status.demand, |last| last.position);
-        let seconds = self.row_seconds(cycle);
+        let seconds = self.row_seconds;
         check_row(&self.plan, row, Some(from))?;
         match last {
             None => {

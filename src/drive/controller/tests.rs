@@ -528,7 +528,7 @@ impl Alone {
         self.controller.machine.input.row = None;
         let cycle = cycle(self.index);
         take_rows(from_mut(&mut self.controller), from_ref(&self.slot));
-        self.controller.feed(&cycle, cycle.grid, &mut self.slot);
+        self.controller.feed(&cycle, cycle.grid, &self.slot);
         self.controller.machine.input.row.map(|row| row.row)
     }
 

@@ -1,9 +1,9 @@
 //! A new command: what it asks of the drive as it is now.
 
-use super::{Start, State, Step, View};
+use super::view::View;
+use super::{End, State, Step};
 use crate::axis::command::NativeOwner;
-use crate::axis::limits::check_position;
-use crate::axis::{Command, Failure, Move, State as Cia402, Target};
+use crate::axis::{Command, Failure, State as Cia402};
 use crate::bus::desired::{Follows, Mode, ModeIs, Motion, Power, Quantity};
 use crate::drive::planner::Point;
 use crate::drive::power::as_found;
@@ -13,58 +13,9 @@ pub(super) const OTHER_MODE: Failure = Failure::Unsupported(
     "it is not in the mode of its setpoint: look at 6061h, or wait for the end of a homing",
 );
 
-/// How a command has ended at once; `None`: it is under way.
-type End = Option<Result<(), Failure>>;
-
 impl State {
-    /// Begins a command that waits since `since`.
-    pub(super) fn begin(&mut self, start: Start, since: Time, view: &View) -> End {
-        if let Start::Command(command) = start
-            && command.needs_outputs()
-        {
-            if let Some(failure) = view.rules.can.refuses(&command) {
-                return self.refuse(failure, view);
-            }
-            if view.status.state == Cia402::Unknown {
-                // What is to be taken over is not known yet.
-                return None;
-            }
-        }
-        if !self.writes() || matches!(self.step, Step::Native(_)) {
-            // The state that the application left the drive in is the present state.
-            self.claim(view);
-        }
-        let Start::Command(command) = start else { return self.done() };
-        match command {
-            Command::Reset => self.done(),
-            Command::Disable | Command::Stop { .. } | Command::QuickStop
-                if view.status.state.is_powered()
-                    && let Follows::Never(why) = view.evidence.follows =>
-            {
-                self.fail(Failure::Unsupported(why))
-            }
-            Command::Enable => self.begin_enable(since, view),
-            Command::Disable => {
-                self.set(Power::Off);
-                self.fall(since)
-            }
-            Command::Home => self.begin_home(since, view),
-            Command::Stop { .. } | Command::QuickStop => self.begin_stop(command, view),
-            Command::ResetFault if !view.evidence.fault.active => self.done(),
-            Command::ResetFault => self.begin_reset(since, view),
-            Command::Native(owner) => self.begin_native(owner, view),
-            _ if !self.runs(view) => self.fail(Failure::WrongState(view.status.state)),
-            _ if view.evidence.mode != ModeIs::Own => self.refuse(OTHER_MODE, view),
-            Command::Move(motion) => self.begin_move(&motion, view),
-            Command::Jog(jog) => self.begin_velocity(jog.acceleration, view),
-            Command::Velocity { acceleration } => self.begin_velocity(acceleration, view),
-            Command::Torque { slope } => self.begin_velocity(slope, view),
-            Command::Follow => self.begin_follow(view),
-        }
-    }
-
     /// Takes the drive over as it is, at its present velocity.
-    fn claim(&mut self, view: &View) {
+    pub(super) fn claim(&mut self, view: &View) {
         let power = if view.evidence.outputs_count { as_found(view.status.state) } else { Power::Off };
         self.set(power);
         if power == Power::EnableOperation {
@@ -104,12 +55,12 @@ impl State {
         Some(Err(failure))
     }
 
-    fn fall(&mut self, since: Time) -> End {
+    pub(super) fn fall(&mut self, since: Time) -> End {
         self.begin_step(since, Step::Falling);
         None
     }
 
-    fn begin_enable(&mut self, since: Time, view: &View) -> End {
+    pub(super) fn begin_enable(&mut self, since: Time, view: &View) -> End {
         let (evidence, state) = (view.evidence, view.status.state);
         if evidence.fault.active && evidence.fault.named {
             return self.fail(view.failed());
@@ -148,7 +99,7 @@ impl State {
         }
     }
 
-    fn begin_home(&mut self, since: Time, view: &View) -> End {
+    pub(super) fn begin_home(&mut self, since: Time, view: &View) -> End {
         self.wind_down(view);
         if view.drive_makes_setpoints() {
             self.want_motion(Motion::Home);
@@ -224,7 +175,7 @@ impl State {
         self.begin_step(view.now, Step::Halting);
     }
 
-    fn begin_reset(&mut self, since: Time, view: &View) -> End {
+    pub(super) fn begin_reset(&mut self, since: Time, view: &View) -> End {
         // A drive that reacts to its fault brakes with its power on.
         if view.status.state == Cia402::Fault {
             self.set(Power::Off);
@@ -233,7 +184,7 @@ impl State {
         None
     }
 
-    fn begin_native(&mut self, owner: NativeOwner, view: &View) -> End {
+    pub(super) fn begin_native(&mut self, owner: NativeOwner, view: &View) -> End {
         // It stands still, or has no torque, until the application gives a setpoint.
         self.end_halt(view);
         self.wind_down(view);
@@ -254,35 +205,7 @@ impl State {
         }
     }
 
-    fn begin_move(&mut self, motion: &Move, view: &View) -> End {
-        self.end_halt(view);
-        let from = self.demand(view);
-        let target = match motion.target {
-            Target::Absolute(position) => view.near(from, position),
-            Target::Relative(distance) => from + distance,
-        };
-        if let Err(failure) = check_position(&view.rules.limits, target) {
-            return self.refuse(failure, view);
-        }
-        if view.drive_makes_setpoints() {
-            return self.move_by_drive(target, &motion.profile, Step::Moving(Some(target)), view);
-        }
-        self.course.go_to(target, &motion.profile, view);
-        self.follow_course();
-        self.begin_step(view.now, Step::Moving(Some(target)));
-        None
-    }
-
-    fn begin_velocity(&mut self, acceleration: f64, view: &View) -> End {
-        self.end_halt(view);
-        if view.drive_makes_setpoints() {
-            self.begin_rolling(acceleration, view)
-        } else {
-            self.begin_turning(acceleration, view)
-        }
-    }
-
-    fn begin_follow(&mut self, view: &View) -> End {
+    pub(super) fn begin_follow(&mut self, view: &View) -> End {
         self.end_halt(view);
         self.begin_step(view.now, Step::FollowWaiting);
         if !view.drive_makes_setpoints() {

@@ -4,7 +4,8 @@
 //! | file | what |
 //! |---|---|
 //! | `mod` | the machine: a command waits, its first request leaves, its end is seen |
-//! | `begin` | a new command |
+//! | `view` | what it works with |
+//! | `begin` | a new command, but for moves and velocities |
 //! | `steps` | a command that is under way, with each report of the drive |
 //! | `motion` | moves, velocities and rows of drives that make their own setpoints |
 //! | `setpoint` | the setpoint of the next send, where the master makes it |
@@ -21,17 +22,23 @@ mod begin;
 mod motion;
 mod setpoint;
 mod steps;
+mod view;
 
+use self::begin::OTHER_MODE;
 use self::motion::Rolling;
 use self::setpoint::{Course, Turning};
+pub use self::view::{Input, NumberedRow};
+use self::view::{Rules, View};
 use super::planner::Point;
 use crate::axis::command::NativeOwner;
-use crate::axis::{AxisPlan, Command, DriveStatus, Failure, Limits, Profile, Row, State as Cia402, Units};
+use crate::axis::limits::check_position;
+use crate::axis::{AxisPlan, Command, Failure, Lacks, Move, Row, State as Cia402, Target};
 use crate::bus::Slot;
-use crate::bus::desired::{
-    Capabilities, Desired, Evidence, Generator, Intent, Mode, Motion, Power, Quantity, Setpoint,
-};
-use crate::time::{Time, nanos};
+use crate::bus::desired::{Capabilities, Desired, Follows, Intent, Mode, ModeIs, Motion, Power, Setpoint};
+use crate::time::Time;
+
+/// How a command has ended; `None`: it is under way.
+type End = Option<Result<(), Failure>>;
 
 /// The machine of one drive.
 #[derive(Debug)]
@@ -45,43 +52,9 @@ pub struct Machine {
     waiting: Option<Waiting>,
     /// The newest command, and how it has ended.
     command: Option<Command>,
-    end: Option<Result<(), Failure>>,
+    end: End,
     /// What the command follows.
     pub input: Input,
-}
-
-/// What the loop has chosen for the command to follow with its next send.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Input {
-    /// Of a jog or a cyclic velocity, user units/s. A jog begins with its own.
-    pub velocity: f64,
-    /// Of a cyclic torque, per cent of the rated torque. Above 0 it accelerates towards higher user positions, whichever
-    /// way the drive counts.
-    pub torque: f64,
-    /// The row of a stream.
-    pub row: Option<NumberedRow>,
-}
-
-/// A row and its number: the same number is the same row, not to be run twice.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct NumberedRow {
-    /// Grows by one a row.
-    pub number: u64,
-    /// The row.
-    pub row: Row,
-}
-
-/// What does not change.
-#[derive(Debug)]
-struct Rules {
-    can: Capabilities,
-    units: Units,
-    limits: Limits,
-    profile: Profile,
-    standstill: f64,
-    interval_ns: u64,
-    enable_timeout_ns: u64,
-    home_timeout_ns: u64,
 }
 
 /// A command before its first request.
@@ -178,66 +151,10 @@ enum Step {
     Native(NativeOwner),
 }
 
-/// What the machine works with.
-#[derive(Clone, Copy)]
-struct View<'a> {
-    rules: &'a Rules,
-    /// The slot of the grid: of the next send, or of the one whose answer came.
-    now: Time,
-    status: &'a DriveStatus,
-    /// It is new.
-    fresh: bool,
-    evidence: &'a Evidence,
-    input: &'a Input,
-}
-
-impl<'a> View<'a> {
-    fn of(rules: &'a Rules, input: &'a Input, now: Time, slot: &'a Slot) -> View<'a> {
-        View { rules, now, status: &slot.status, fresh: slot.notices.fresh, evidence: &slot.evidence, input }
-    }
-
-    fn drive_makes_setpoints(&self) -> bool {
-        matches!(self.rules.can.generator, Generator::Drive { .. })
-    }
-
-    fn quantity(&self) -> Option<Quantity> {
-        match self.rules.can.generator {
-            Generator::Master(quantity) => Some(quantity),
-            Generator::Drive { .. } => None,
-        }
-    }
-
-    /// It reports that it is in operation, and what is written counts there.
-    fn operates(&self) -> bool {
-        self.evidence.outputs_count && self.status.state == Cia402::OperationEnabled
-    }
-
-    fn failed(&self) -> Failure {
-        Failure::DriveFault(self.status.fault)
-    }
-
-    /// On a rotary axis, the place of `position` that is nearest to `from`.
-    fn near(&self, from: f64, position: f64) -> f64 {
-        match self.rules.units.modulo {
-            Some(_) => from + self.rules.units.way(from, position),
-            None => position,
-        }
-    }
-}
-
 impl Machine {
     /// A machine for the drive of `axis`, in a cycle of `period_ns`.
     pub fn new(axis: &AxisPlan, can: Capabilities, period_ns: u64) -> Machine {
-        let rules = Rules {
-            can,
-            units: axis.units,
-            limits: axis.limits,
-            profile: axis.profile,
-            standstill: axis.stop.standstill,
-            interval_ns: period_ns.saturating_mul(axis.divisor.into()),
-            enable_timeout_ns: nanos(axis.enable_timeout),
-            home_timeout_ns: nanos(axis.home_timeout),
-        };
+        let rules = Rules::new(axis, can, period_ns);
         let state = State {
             step: Step::Idle,
             since: Time(0),
@@ -271,13 +188,18 @@ impl Machine {
         self.input.row = None;
     }
 
+    /// What its drive does not do.
+    pub fn lacks(&self) -> &Lacks {
+        &self.rules.can.lacks
+    }
+
     /// The newest command; `None`: the drive is left as it is.
     pub fn command(&self) -> Option<Command> {
         self.command
     }
 
     /// How the newest command has ended; `None`: it is under way, or there is none.
-    pub fn end(&self) -> Option<Result<(), Failure>> {
+    pub fn end(&self) -> End {
         self.end
     }
 
@@ -315,10 +237,14 @@ impl Machine {
             if matches!(end, Some(Err(_))) {
                 waiting.command = None;
             }
-            self.end = self.end.or(end);
+            if end.is_some() {
+                self.end = self.end.or(end);
+            }
         }
         let end = state.lead(&view);
-        self.end = self.end.or(end);
+        if end.is_some() {
+            self.end = self.end.or(end);
+        }
         if state.is_new {
             slot.desired = state.desired();
         } else {
@@ -328,17 +254,24 @@ impl Machine {
 
     /// The proposed request has gone out in this slot of the grid.
     pub fn commit(&mut self, grid: Time) {
-        if self.waiting.take_if(|waiting| waiting.is_proposed).is_some() {
-            std::mem::swap(&mut self.state, &mut self.proposed);
-        } else {
-            // Those that were proposed and never sent are not used again.
-            self.state.serial = self.state.serial.max(self.proposed.serial);
+        if self.waiting.is_some() {
+            self.commit_command();
         }
         self.state.sent(grid);
     }
 
+    #[cold]
+    fn commit_command(&mut self) {
+        if self.waiting.take_if(|waiting| waiting.is_proposed).is_some() {
+            std::mem::swap(&mut self.state, &mut self.proposed);
+        }
+    }
+
     /// The reports of a cycle.
     pub fn observe(&mut self, now: Time, restarted: bool, slot: &Slot) {
+        if self.waiting.is_none() && !restarted && self.state.is_undisturbed(slot) {
+            return;
+        }
         let view = View::of(&self.rules, &self.input, now, slot);
         let end = match &self.waiting {
             _ if restarted => self.state.drive_restarted(&view),
@@ -372,6 +305,81 @@ impl Start {
 }
 
 impl State {
+    /// Begins a command that waits since `since`.
+    #[inline(never)]
+    fn begin(&mut self, start: Start, since: Time, view: &View) -> End {
+        if let Start::Command(command) = start
+            && command.needs_outputs()
+        {
+            if let Some(failure) = view.rules.can.lacks.refuses(&command) {
+                return self.refuse(failure, view);
+            }
+            if view.status.state == Cia402::Unknown {
+                // What is to be taken over is not known yet.
+                return None;
+            }
+        }
+        if !self.writes() || matches!(self.step, Step::Native(_)) {
+            // The state that the application left the drive in is the present state.
+            self.claim(view);
+        }
+        let Start::Command(command) = start else { return self.done() };
+        match command {
+            Command::Reset => self.done(),
+            Command::Disable | Command::Stop { .. } | Command::QuickStop
+                if view.status.state.is_powered()
+                    && let Follows::Never(why) = view.evidence.follows =>
+            {
+                self.fail(Failure::Unsupported(why))
+            }
+            Command::Enable => self.begin_enable(since, view),
+            Command::Disable => {
+                self.set(Power::Off);
+                self.fall(since)
+            }
+            Command::Home => self.begin_home(since, view),
+            Command::Stop { .. } | Command::QuickStop => self.begin_stop(command, view),
+            Command::ResetFault if !view.evidence.fault.active => self.done(),
+            Command::ResetFault => self.begin_reset(since, view),
+            Command::Native(owner) => self.begin_native(owner, view),
+            _ if !self.runs(view) => self.fail(Failure::WrongState(view.status.state)),
+            _ if view.evidence.mode != ModeIs::Own => self.refuse(OTHER_MODE, view),
+            Command::Move(motion) => self.begin_move(&motion, view),
+            Command::Jog(jog) => self.begin_velocity(jog.acceleration, view),
+            Command::Velocity { acceleration } => self.begin_velocity(acceleration, view),
+            Command::Torque { slope } => self.begin_velocity(slope, view),
+            Command::Follow => self.begin_follow(view),
+        }
+    }
+
+    fn begin_move(&mut self, motion: &Move, view: &View) -> End {
+        self.end_halt(view);
+        let from = self.demand(view);
+        let target = match motion.target {
+            Target::Absolute(position) => view.near(from, position),
+            Target::Relative(distance) => from + distance,
+        };
+        if let Err(failure) = check_position(&view.rules.limits, target) {
+            return self.refuse(failure, view);
+        }
+        if view.drive_makes_setpoints() {
+            return self.move_by_drive(target, &motion.profile, Step::Moving(Some(target)), view);
+        }
+        self.course.go_to(target, &motion.profile, view);
+        self.follow_course();
+        self.begin_step(view.now, Step::Moving(Some(target)));
+        None
+    }
+
+    fn begin_velocity(&mut self, acceleration: f64, view: &View) -> End {
+        self.end_halt(view);
+        if view.drive_makes_setpoints() {
+            self.begin_rolling(acceleration, view)
+        } else {
+            self.begin_turning(acceleration, view)
+        }
+    }
+
     fn desired(&self) -> Desired {
         Desired { power: self.power, mode: self.mode, motion: self.motion, setpoint: self.setpoint }
     }
@@ -429,14 +437,14 @@ impl State {
     }
 
     /// The command is over, and so is its motion: what the drive does from now on is no part of it.
-    fn done(&mut self) -> Option<Result<(), Failure>> {
+    fn done(&mut self) -> End {
         self.want_motion(Motion::Hold);
         self.enter(Step::Idle);
         Some(Ok(()))
     }
 
     /// The command is over. A motion that has failed for the application must not run once the drive can accept it.
-    fn fail(&mut self, failure: Failure) -> Option<Result<(), Failure>> {
+    fn fail(&mut self, failure: Failure) -> End {
         self.want_motion(Motion::Hold);
         self.enter(Step::Idle);
         Some(Err(failure))
@@ -486,7 +494,7 @@ impl State {
     }
 
     /// The drive has lost its commands: no earlier value is written again.
-    fn drive_restarted(&mut self, view: &View) -> Option<Result<(), Failure>> {
+    fn drive_restarted(&mut self, view: &View) -> End {
         if self.writes() {
             self.set(Power::Off);
         }

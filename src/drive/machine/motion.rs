@@ -1,10 +1,9 @@
 //! Drives that make their own setpoints: moves, a velocity as a target that rolls ahead, and rows that are streamed.
 
-use super::{State, Step, View};
+use super::view::View;
+use super::{End, State, Step};
 use crate::axis::{Failure, Profile, RangeError, Row};
 use crate::bus::desired::{Generator, Motion, Ranges, Setpoint};
-
-type End = Option<Result<(), Failure>>;
 
 /// A stream ends with at least so many rows at standstill that the drive has accepted: its output runs 1.5 of its
 /// periods behind, and a position that it has not reached when it leaves streaming is never reached ...

@@ -9,13 +9,12 @@
 //! Then it is free: without a torque, as after it was enabled. A drive that the halt does not brake coasts, until the
 //! axis' stop reaches its time-out.
 
-use super::{State, Step, View};
+use super::view::View;
+use super::{End, State, Step};
 use crate::axis::{Failure, Profile, Row};
 use crate::bus::desired::{Capabilities, Generator, ModeIs, Quantity, Setpoint};
 use crate::drive::planner::{Point, Trajectory};
 use crate::time::Time;
-
-type End = Option<Result<(), Failure>>;
 
 /// The most that a setpoint catches up, in intervals between two exchanges: a position must not jump.
 const MOST_STEP: u64 = 2;
@@ -41,6 +40,8 @@ pub(super) struct Course {
     next_ns: u64,
     next: Point,
     sent_at: Option<Time>,
+    /// A velocity or a torque that the motion has come to, and keeps: the next setpoint is the last one.
+    is_constant: bool,
 }
 
 /// At a velocity or a torque.
@@ -66,6 +67,7 @@ impl Course {
             next_ns: 0,
             next: Point::default(),
             sent_at: None,
+            is_constant: false,
         }
     }
 
@@ -84,7 +86,7 @@ impl Course {
     }
 
     pub(super) fn end(&mut self) {
-        (self.leads, self.away) = (false, false);
+        (self.leads, self.away, self.is_constant) = (false, false, false);
     }
 
     /// From this point on at its velocity.
@@ -99,13 +101,13 @@ impl Course {
 
     /// Starts a motion after the setpoints that were sent.
     fn plan(&mut self, motion: Trajectory) {
-        (self.motion, self.passed_ns) = (motion, 0);
+        (self.motion, self.passed_ns, self.is_constant) = (motion, 0, false);
     }
 
     /// Starts a motion to this velocity, then constant.
     fn run(&mut self, velocity: f64, acceleration: f64) {
         self.motion.become_run(self.demand, velocity, acceleration);
-        self.passed_ns = 0;
+        (self.passed_ns, self.is_constant) = (0, false);
     }
 
     pub(super) fn go_to(&mut self, target: f64, profile: &Profile, view: &View) {
@@ -161,8 +163,16 @@ impl State {
     }
 
     /// Chooses the setpoint of the next send.
+    #[inline]
     pub(super) fn lead(&mut self, view: &View) -> End {
         let Some(quantity) = view.quantity() else { return self.lead_rows(view) };
+        if self.course.is_constant
+            && let Step::Turning(turning) = self.step
+            && view.wanted() == turning.velocity
+            && view.evidence.mode == ModeIs::Own
+        {
+            return None;
+        }
         let end = self.advance(view);
         let Point { position, velocity } = self.course.next;
         let torque = quantity == Quantity::Torque;
@@ -176,6 +186,7 @@ impl State {
     }
 
     /// Advances the setpoint by the time since the last send.
+    #[inline]
     fn advance(&mut self, view: &View) -> End {
         if self.course.leads {
             self.course.watch_mode(view);
@@ -203,6 +214,8 @@ impl State {
         };
         course.next_ns = course.passed_ns.saturating_add(waited.min(most));
         course.next = course.motion.at(course.next_ns);
+        let is_place = view.quantity() == Some(Quantity::Position) || view.rules.limits.position.is_some();
+        course.is_constant = !is_place && course.motion.is_over(course.next_ns);
         end
     }
 
@@ -233,14 +246,10 @@ impl State {
     }
 
     /// Plans the requested velocity or torque, if it changed, up to a position limit.
+    #[inline]
     fn turn_on(&mut self, turning: Turning, view: &View) -> End {
         let quantity = view.quantity();
-        let (wanted, most) = match quantity {
-            Some(Quantity::Torque) => (view.input.torque, view.rules.limits.torque),
-            _ => (view.input.velocity, view.rules.limits.velocity),
-        };
-        let most = most.unwrap_or(f64::INFINITY);
-        let velocity = wanted.clamp(-most, most);
+        let velocity = view.wanted();
         if velocity == turning.velocity {
             return self.watch_limit(turning, view);
         }
@@ -268,6 +277,7 @@ impl State {
     }
 
     /// A jog that comes to its limit ends there.
+    #[inline]
     fn watch_limit(&mut self, turning: Turning, view: &View) -> End {
         match (view.quantity(), turning.limit) {
             (Some(Quantity::Position), Some(limit)) if self.course.stands() => {

@@ -1,14 +1,14 @@
 //! A command that is under way: what each report of the drive means for it.
 
 use super::begin::OTHER_MODE;
-use super::{State, Step, View};
+use super::view::View;
+use super::{End, State, Step};
 use crate::axis::command::NativeOwner;
 use crate::axis::{Command, Failure, Row, State as Cia402};
+use crate::bus::Slot;
 use crate::bus::desired::{Follows, Homing, Mode, ModeIs, Motion, Power, Quantity, Reference, Resettable};
 use crate::drive::power::towards_operation;
 use crate::time::{MS, Time};
-
-type End = Option<Result<(), Failure>>;
 
 /// A drive that fails again so soon after a reset, ns, looks like one whose reset has failed.
 const RESET_WITHIN_NS: u64 = 500 * MS;
@@ -54,6 +54,17 @@ impl State {
         }
     }
 
+    /// Nothing has an end here, and the drive is in operation as it is commanded: nothing is to be done.
+    #[inline]
+    pub(super) fn is_undisturbed(&self, slot: &Slot) -> bool {
+        let Slot { status, evidence, .. } = slot;
+        matches!(self.step, Step::Idle | Step::Turning(_) | Step::FollowWaiting | Step::Following)
+            && status.state == Cia402::OperationEnabled
+            && evidence.outputs_count
+            && evidence.mode == ModeIs::Own
+            && evidence.refused.is_none()
+    }
+
     /// It follows its motion, or its own quick stop.
     fn is_in_operation(&self, view: &View) -> bool {
         view.evidence.outputs_count
@@ -93,11 +104,10 @@ impl State {
             }
             // No power in a mode that somebody else has left.
             match towards_operation(state, self.power.value, &view.rules.can).filter(|_| own) {
-                Some(Power::EnableOperation) if state == Cia402::QuickStopActive => {
-                    if view.status.velocity.abs() <= view.rules.standstill {
-                        self.hold(evidence.position);
-                    }
-                }
+                // From its quick stop it comes back at standstill only.
+                Some(Power::EnableOperation)
+                    if state == Cia402::QuickStopActive
+                        && view.status.velocity.abs() > view.rules.standstill => {}
                 Some(Power::EnableOperation) => self.hold(evidence.position),
                 Some(next) => self.set(next),
                 None => {}
@@ -127,6 +137,7 @@ impl State {
     }
 
     /// The drive leaves operation during a motion: the command ends with the reason, once that is known.
+    #[inline]
     fn falls(&mut self, view: &View) -> Option<End> {
         if !self.has_power(view) || self.is_in_operation(view) {
             return None;
@@ -159,11 +170,15 @@ impl State {
         if !view.fresh || view.status.suspect {
             return None;
         }
-        let still = self.is_accepted(view) && !view.status.moving && self.course.stands();
-        let settled = self.agrees(still, view.rules.can.still_reports, view);
         if let Some(refused) = view.evidence.refused {
             return self.refuse(refused.into(), view);
         }
+        // They have no end of their own.
+        if matches!(self.step, Step::Turning(_) | Step::FollowWaiting | Step::Following) {
+            return None;
+        }
+        let still = self.is_accepted(view) && !view.status.moving && self.course.stands();
+        let settled = self.agrees(still, view.rules.can.still_reports, view);
         match self.step {
             Step::Moving(target) if settled => {
                 let demand = view.evidence.demand;
@@ -358,11 +373,9 @@ impl State {
         let fault = view.evidence.fault;
         if self.has_power(view) {
             match (self.step, fault.active) {
-                (Step::ResetWaiting, false) => {
-                    if self.agrees(true, view.rules.can.power_reports, view) {
-                        self.set(Power::Off);
-                        return self.done();
-                    }
+                (Step::ResetWaiting, false) if self.agrees(true, view.rules.can.power_reports, view) => {
+                    self.set(Power::Off);
+                    return self.done();
                 }
                 (Step::ResetWaiting, true) => {
                     self.agree = 0;

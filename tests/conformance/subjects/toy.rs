@@ -14,9 +14,9 @@ use std::sync::Arc;
 use fieldbeat::axis::acyclic::{
     self, AcyclicEnds, Call, CallError, Commanding, Notation, NotationError, Port,
 };
-use fieldbeat::axis::{AxisPlan, Link, MonitorChannel, PlanFault, State, Unit, Units};
+use fieldbeat::axis::{AxisPlan, Lacks, Link, MonitorChannel, PlanFault, State, Unit, Units};
 use fieldbeat::bus::desired::{
-    Accepted, Capabilities, Desired, FaultIs, Generator as SetpointsBy, Lacks, Motion, Power,
+    Accepted, Capabilities, Desired, FaultIs, Generator as SetpointsBy, Motion, Power,
 };
 use fieldbeat::bus::{Bus, BusPlan, Cycle, Exchange, OpenError, Slot, Unmatched};
 use fieldbeat::net::{Carriers, Datagrams, Outbox, SendMode, Sent, UdpOptions};

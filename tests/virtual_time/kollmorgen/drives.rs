@@ -171,7 +171,10 @@ fn a_stop_under_torque_halts_the_drive_and_its_neighbour_has_none_of_it() {
         "{feedback:?}"
     );
     assert_eq!(feedback.status.state, State::OperationEnabled);
-    assert!(matches!(machine.ended(1, jog(1.0)), Outcome::Failed(Failure::Unsupported(_))));
+    assert!(matches!(
+        crate::virtual_time::support::refused(machine.sim.axis(1), jog(1.0)),
+        Failure::Unsupported(_)
+    ));
 }
 
 #[test]

@@ -24,7 +24,7 @@ use super::line::{Back, Line, Sent};
 use super::native::{Native, Terminals, terminals};
 use super::object::Objects;
 use super::other::{OtherMaster, listen};
-use super::plan::{EthercatPlan, KollmorgenDrive, Owner, Setpoint};
+use super::plan::{EthercatPlan, KollmorgenDrive, Owner};
 use super::profile;
 use super::scan::{Busy, Shown, require_idle};
 use super::service::Service;
@@ -675,10 +675,6 @@ impl BusPlan for EthercatPlan {
 
     fn simulate_line(&self) -> Option<Box<dyn SimLine>> {
         Some(Box::new(EthercatSim::new(self)))
-    }
-
-    fn takes_positions(&self, index: usize) -> bool {
-        matches!(self.drives.get(index).and_then(KollmorgenDrive::setpoint), Some(Setpoint::Position(_)))
     }
 
     fn has_clock(&self) -> bool {

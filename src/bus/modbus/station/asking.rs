@@ -306,6 +306,7 @@ impl Station {
     }
 
     /// These blocks went out.
+    #[inline]
     fn blocks_sent(&mut self, blocks: Blocks, slot: &mut Slot) {
         // Where there is nothing to choose, turns have no effect.
         if self.template.as_ref().is_none_or(|template| !template.only) {

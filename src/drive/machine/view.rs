@@ -1,0 +1,117 @@
+//! What the machine works with: what never changes of its axis, and what it sees of its drive now.
+
+use crate::axis::{AxisPlan, DriveStatus, Failure, Limits, Profile, Row, State as Cia402, Units};
+use crate::bus::Slot;
+use crate::bus::desired::{Capabilities, Evidence, Generator, Quantity};
+use crate::time::{Time, nanos};
+
+/// What does not change.
+#[derive(Debug)]
+pub(super) struct Rules {
+    pub can: Capabilities,
+    /// The quantity of the setpoints that the master makes; `None`: the drive makes them.
+    pub quantity: Option<Quantity>,
+    pub units: Units,
+    pub limits: Limits,
+    pub profile: Profile,
+    pub standstill: f64,
+    pub interval_ns: u64,
+    pub enable_timeout_ns: u64,
+    pub home_timeout_ns: u64,
+}
+
+impl Rules {
+    pub fn new(axis: &AxisPlan, can: Capabilities, period_ns: u64) -> Rules {
+        let quantity = match can.generator {
+            Generator::Master(quantity) => Some(quantity),
+            Generator::Drive { .. } => None,
+        };
+        Rules {
+            can,
+            quantity,
+            units: axis.units,
+            limits: axis.limits,
+            profile: axis.profile,
+            standstill: axis.stop.standstill,
+            interval_ns: period_ns.saturating_mul(axis.divisor.into()),
+            enable_timeout_ns: nanos(axis.enable_timeout),
+            home_timeout_ns: nanos(axis.home_timeout),
+        }
+    }
+}
+
+/// What the loop has chosen for the command to follow with its next send.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Input {
+    /// Of a jog or a cyclic velocity, user units/s. A jog begins with its own.
+    pub velocity: f64,
+    /// Of a cyclic torque, per cent of the rated torque. Above 0 it accelerates towards higher user positions, whichever
+    /// way the drive counts.
+    pub torque: f64,
+    /// The row of a stream.
+    pub row: Option<NumberedRow>,
+}
+
+/// A row and its number: the same number is the same row, not to be run twice.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct NumberedRow {
+    /// Grows by one a row.
+    pub number: u64,
+    /// The row.
+    pub row: Row,
+}
+
+/// What the machine works with.
+#[derive(Clone, Copy)]
+pub(super) struct View<'a> {
+    pub rules: &'a Rules,
+    /// The slot of the grid: of the next send, or of the one whose answer came.
+    pub now: Time,
+    pub status: &'a DriveStatus,
+    /// It is new.
+    pub fresh: bool,
+    pub evidence: &'a Evidence,
+    pub input: &'a Input,
+}
+
+impl<'a> View<'a> {
+    pub fn of(rules: &'a Rules, input: &'a Input, now: Time, slot: &'a Slot) -> View<'a> {
+        View { rules, now, status: &slot.status, fresh: slot.notices.fresh, evidence: &slot.evidence, input }
+    }
+
+    pub fn drive_makes_setpoints(&self) -> bool {
+        self.rules.quantity.is_none()
+    }
+
+    pub fn quantity(&self) -> Option<Quantity> {
+        self.rules.quantity
+    }
+
+    /// The velocity or torque that is wanted, within its limit.
+    pub fn wanted(&self) -> f64 {
+        let limits = &self.rules.limits;
+        let (wanted, most) = match self.rules.quantity {
+            Some(Quantity::Torque) => (self.input.torque, limits.torque),
+            _ => (self.input.velocity, limits.velocity),
+        };
+        let most = most.unwrap_or(f64::INFINITY);
+        wanted.clamp(-most, most)
+    }
+
+    /// It reports that it is in operation, and what is written counts there.
+    pub fn operates(&self) -> bool {
+        self.evidence.outputs_count && self.status.state == Cia402::OperationEnabled
+    }
+
+    pub fn failed(&self) -> Failure {
+        Failure::DriveFault(self.status.fault)
+    }
+
+    /// On a rotary axis, the place of `position` that is nearest to `from`.
+    pub fn near(&self, from: f64, position: f64) -> f64 {
+        match self.rules.units.modulo {
+            Some(_) => from + self.rules.units.way(from, position),
+            None => position,
+        }
+    }
+}
