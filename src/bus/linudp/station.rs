@@ -605,10 +605,11 @@ mod tests {
     #[test]
     fn a_stop_in_place_of_a_stream_that_never_left_is_a_stop() {
         let mut b = Bench::new(&LinUdpDrive::new("x", Ipv4Addr::LOCALHOST));
-        b.order(Command::Reset);
         for _ in 0..4 {
             let request = b.send();
             b.reply(&request, StateVar::MOTION_ACTIVE | 5);
+            // It is in operation, and left so.
+            b.order(Command::Reset);
         }
         b.order(Command::Follow);
         b.machine.input.row = Some(NumberedRow { number: 1, row: Row { position: 1.0, ..Row::default() } });
