@@ -186,7 +186,10 @@ impl Profile {
         }
         if setpoint.row != self.row {
             self.row = setpoint.row;
-            self.stream_row(setpoint, inputs);
+            // Otherwise a stream was replaced before its row left, and this is the setpoint before that.
+            if setpoint.row > self.sent.row {
+                self.stream_row(setpoint, inputs);
+            }
         }
         self.prepared = Serials { power: power.serial, motion: motion.serial, row: setpoint.row };
         let owner = match motion.value {

@@ -485,10 +485,11 @@ mod tests {
     use std::net::Ipv4Addr;
 
     use super::*;
-    use crate::axis::Command;
+    use crate::axis::{Command, Row};
+    use crate::bus::linudp::motion::Decoded;
     use crate::bus::linudp::profile::capabilities;
     use crate::bus::linudp::wire::Response;
-    use crate::drive::machine::Machine;
+    use crate::drive::machine::{Machine, NumberedRow};
     use crate::time::MS;
 
     /// A station, and a drive of a few lines that says what it is made to say.
@@ -509,8 +510,8 @@ mod tests {
             Bench { station, machine, slot, cycle, request: Request::default() }
         }
 
-        /// The next request goes out.
-        fn send(&mut self) -> Request {
+        /// The next request is built.
+        fn build(&mut self) -> Request {
             let mut out = [0; 64];
             self.cycle =
                 Cycle { grid: self.cycle.grid + MS, deadline: self.cycle.deadline + MS, ..self.cycle };
@@ -518,7 +519,12 @@ mod tests {
             self.slot.notices.fresh = false;
             self.machine.propose(self.cycle.grid, &mut self.slot);
             let length = self.station.prepare(&self.cycle, &mut self.slot, &mut out);
-            self.request = Request::parse(&out[..length]).unwrap();
+            Request::parse(&out[..length]).unwrap()
+        }
+
+        /// The next request goes out.
+        fn send(&mut self) -> Request {
+            self.request = self.build();
             self.station.sent(self.cycle.grid, self.cycle.deadline, &mut self.slot);
             self.machine.commit(self.cycle.grid);
             self.request
@@ -593,6 +599,27 @@ mod tests {
             request = b.send();
             assert_eq!(request.motion.map(|motion| motion.header as u8 & 0xF), count, "after {sub:02X}h");
             assert_eq!(b.machine.end(), end, "after {sub:02X}h");
+        }
+    }
+
+    #[test]
+    fn a_stop_in_place_of_a_stream_that_never_left_is_a_stop() {
+        let mut b = Bench::new(&LinUdpDrive::new("x", Ipv4Addr::LOCALHOST));
+        for _ in 0..4 {
+            let request = b.send();
+            b.reply(&request, StateVar::MOTION_ACTIVE | 5);
+            // It is in operation, and left so.
+            b.order(Command::Reset);
+        }
+        b.order(Command::Follow);
+        b.machine.input.row = Some(NumberedRow { number: 1, row: Row { position: 1.0, ..Row::default() } });
+        let sent = |request: Request| request.motion.map(|motion| Decoded::of(&motion));
+        assert!(matches!(sent(b.build()), Some(Decoded::Stream { .. })));
+        b.order(Command::Stop { deceleration: None });
+        for _ in 0..3 {
+            let request = b.send();
+            assert!(matches!(sent(request), Some(Decoded::Stop(Some(_)))), "{request:?}");
+            b.reply(&request, StateVar::MOTION_ACTIVE | 5);
         }
     }
 

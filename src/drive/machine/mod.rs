@@ -230,11 +230,9 @@ impl Machine {
         // A setpoint is planned from the last one that was sent: what was not sent leaves nothing behind.
         let mut state = &mut self.state;
         if let Some(waiting) = &mut self.waiting {
-            // No serial is used twice: what is replaced before it left is another intent.
-            let serial = self.proposed.serial.max(state.serial);
             self.proposed.clone_from(state);
             state = &mut self.proposed;
-            (state.serial, state.is_new) = (serial, true);
+            state.is_new = true;
             waiting.is_proposed = true;
             let end = match waiting.command {
                 Some(start) => state.begin(start, waiting.since, &view),
@@ -259,6 +257,8 @@ impl Machine {
         } else {
             slot.desired.setpoint = state.setpoint;
         }
+        // No serial is used twice: what is replaced before it left is another intent.
+        self.state.serial = state.serial;
     }
 
     /// The proposed request has gone out in this slot of the grid.

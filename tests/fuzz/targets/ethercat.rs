@@ -1,10 +1,10 @@
 //! A line whose frames come back as they like.
 //!
 //! The rig does what the loop does: it prepares, sends, takes in, judges. Behind the carrier is a simulated line of two
-//! drives; the bytes choose orders, and what becomes of the frames: lost, late, twice, cut off, with other bytes here
+//! drives; the bytes choose commands, and what becomes of the frames: lost, late, twice, cut off, with other bytes here
 //! and there, circulated, or somebody else's. What has to hold stands in the checks behind each step; they know the
-//! frames, and nothing of how the bus keeps its books: a drive has answered only if a frame came that is the one that
-//! was sent, and its own part of it says what is told of it.
+//! frames and what is desired, and nothing of how the bus keeps its books: what is written is what is desired, and a
+//! drive has answered only if a frame came that is the one that was sent, and its own part of it says what is reported.
 
 use std::collections::VecDeque;
 use std::io;
@@ -12,18 +12,24 @@ use std::net::SocketAddrV4;
 use std::os::fd::RawFd;
 use std::sync::{Arc, Mutex, MutexGuard};
 
+use fieldbeat::axis::command::NativeOwner;
 use fieldbeat::axis::{Command, Link};
+use fieldbeat::bus::desired::{Desired, Motion, Power};
+use fieldbeat::bus::ethercat::cia402::ControlWord;
 use fieldbeat::bus::ethercat::object::Family;
 use fieldbeat::bus::ethercat::sim::EthercatSim;
-use fieldbeat::bus::ethercat::wire::frame::{Command as DatagramCommand, Returned, datagrams, returned};
+use fieldbeat::bus::ethercat::wire::frame::{
+    Command as DatagramCommand, Datagram, Returned, datagrams, returned,
+};
 use fieldbeat::bus::ethercat::{EthercatPlan, KollmorgenDrive};
-use fieldbeat::bus::{Bus, BusPlan, Cycle, Exchange, Order, Slot};
+use fieldbeat::bus::{Bus, BusPlan, Cycle, Exchange, Slot};
 use fieldbeat::net::frames::{MAC, Unsent};
 use fieldbeat::net::{Carriers, Datagrams, Frames, UdpOptions};
 use fieldbeat::rt::Regions;
 use fieldbeat::sim::SimLine;
 use fieldbeat::time::{MS, Time, US};
 
+use super::commanded::Commanded;
 use super::input::Input;
 use super::verbs::verb;
 
@@ -125,6 +131,7 @@ impl Frames for Shared {
 struct Rig {
     bus: Box<dyn Bus>,
     cable: Shared,
+    machines: [Commanded; DRIVES],
     slots: [Slot; DRIVES],
     cycle: Cycle,
 }
@@ -147,6 +154,7 @@ impl Rig {
         Rig {
             bus: BusPlan::open(&plan, PERIOD_NS, &cable).expect("there is a cable"),
             cable,
+            machines: std::array::from_fn(|index| Commanded::new(&plan, index, PERIOD_NS)),
             slots: std::array::from_fn(|_| slot()),
             cycle: Cycle { index: 0, grid, period_ns: PERIOD_NS, deadline: grid + PERIOD_NS / 2 },
         }
@@ -162,18 +170,12 @@ impl Rig {
         assert!(self.slots.iter().all(|slot| slot.counters.answered > 0), "{:?}", self.slots);
     }
 
-    /// One order or none, and one cycle.
+    /// One command or none, and one cycle.
     fn step(&mut self, input: &mut Input<'_>) {
         match input.below(8) {
-            0 => {
-                let slot = &mut self.slots[input.below(DRIVES)];
-                slot.order = Order { serial: slot.order.serial + 1, verb: Some(verb(input)) };
-            }
-            1 => self.slots[input.below(DRIVES)].velocity = input.number(),
-            2 => {
-                let slot = &mut self.slots[0];
-                slot.order = Order { serial: slot.order.serial + 1, verb: Some(Command::Enable) };
-            }
+            0 => self.machines[input.below(DRIVES)].start(self.cycle.grid, Some(verb(input))),
+            1 => self.machines[input.below(DRIVES)].velocity(input.number()),
+            2 => self.machines[0].start(self.cycle.grid, Some(Command::Enable)),
             3 => self.slots[input.below(DRIVES)].link = input.of(&[Link::Online, Link::Lost]),
             4 => self.cable.get().down = input.below(4) == 0,
             5 => {
@@ -190,10 +192,18 @@ impl Rig {
         self.cycle.index += 1;
         self.cycle.grid = self.cycle.grid + PERIOD_NS;
         self.cycle.deadline = self.cycle.grid + PERIOD_NS / 2;
+        for (machine, slot) in self.machines.iter_mut().zip(&mut self.slots) {
+            machine.propose(self.cycle.grid, slot);
+        }
         self.bus.prepare(&self.cycle, &mut self.slots);
         self.at(5 * US);
         let before = self.slots.clone();
+        self.cable.get().sent.clear();
         self.bus.send(&self.cycle, &mut self.slots);
+        self.check_outputs();
+        for (machine, slot) in self.machines.iter_mut().zip(&mut self.slots) {
+            machine.commit(slot);
+        }
         for (slot, before) in self.slots.iter().zip(&before) {
             // What comes too late says nothing of the drive.
             assert_eq!(slot.status.at, before.status.at);
@@ -206,7 +216,8 @@ impl Rig {
         self.at(100 * US);
         self.bus.receive(&self.cycle, &mut self.slots);
         self.check();
-        for slot in &mut self.slots {
+        for (machine, slot) in self.machines.iter_mut().zip(&mut self.slots) {
+            machine.observe(self.cycle.grid, slot);
             slot.counters.missed +=
                 u64::from(matches!(slot.exchange, Exchange::Owed { .. } | Exchange::Absent { .. }));
             slot.exchange = Exchange::Idle;
@@ -217,6 +228,28 @@ impl Rig {
 
     fn at(&mut self, ns: u64) {
         self.cable.get().now = self.cycle.grid + ns;
+    }
+
+    /// What is written to a drive is what is desired of it.
+    fn check_outputs(&self) {
+        let cable = self.cable.get();
+        for (index, slot) in self.slots.iter().enumerate() {
+            let Some((control, setpoint)) = written(&cable.sent, index) else { continue };
+            let Desired { power, motion, setpoint: wanted, .. } = slot.desired;
+            if motion.value == Motion::Native(NativeOwner::Application) {
+                continue;
+            }
+            let (runs, desired) = (power.value == Power::EnableOperation, &slot.desired);
+            let may =
+                |bits: u16, may: bool| assert!(may || !control.has(bits), "{control:?} for {desired:?}");
+            may(ControlWord::SWITCH_ON, runs || power.value == Power::SwitchOn);
+            may(ControlWord::ENABLE_OPERATION, runs);
+            may(ControlWord::START, runs && motion.value == Motion::Home);
+            may(ControlWord::FAULT_RESET, power.value == Power::FaultReset);
+            let native = matches!(motion.value, Motion::Native(_));
+            let moves = runs && wanted.velocity != 0.0;
+            assert!(setpoint == 0 || moves || native, "{setpoint} for {desired:?}");
+        }
     }
 
     /// Who has answered is in a frame that is the one that was sent; and what it is told to have said, it has said
@@ -236,6 +269,18 @@ impl Rig {
             }
         }
     }
+}
+
+/// The control word and the setpoint for drive `index` in a frame that was sent; `None`: it has none.
+fn written(sent: &[u8], index: usize) -> Option<(ControlWord, i32)> {
+    let outputs = |datagram: Datagram<'_>| {
+        let DatagramCommand::Lrw(_) = datagram.command()? else { return None };
+        let at = datagram.place.data().start + index * OUTPUTS;
+        let bytes = sent.get(at..at + OUTPUTS)?;
+        let setpoint = i32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]);
+        Some((ControlWord(u16::from_le_bytes([bytes[4], bytes[5]])), setpoint))
+    };
+    datagrams(sent).ok()?.map_while(Result::ok).find_map(outputs)
 }
 
 /// The AL status of drive `index` and its position in a frame that is the reply to `sent`; `None`: it is none.

@@ -4,10 +4,10 @@
 //! |---|---|
 //! | `telegram` | a datagram, for every parser of what comes from a wire |
 //! | `modbus_wire` | a stream of Modbus TCP, for every parser of it; as text, an address and a value of a parameter |
-//! | `modbus` | a program for a Modbus bus on one connection: orders, replies good and bad, a connection that ends |
+//! | `modbus` | a program for a Modbus bus on one connection: commands, replies good and bad, a connection that ends |
 //! | `ethercat_wire` | a frame of EtherCAT, a mailbox message, words of an EEPROM |
-//! | `ethercat` | a program for an EtherCAT bus on one line: orders, and frames that come back as they like |
-//! | `station` | a program for one station: orders, sends, replies good and bad |
+//! | `ethercat` | a program for an EtherCAT bus on one line: commands, and frames that come back as they like |
+//! | `station` | a program for one station: commands, sends, replies good and bad |
 //! | `channel` | a program for the parameter channel: calls posted, cancelled and forgotten, on a bad wire |
 //! | `drive` | a program of a master that knows no rules, for the simulated drive |
 //! | `files` | the text of a curve or of a command table |
@@ -22,6 +22,7 @@
 mod forward;
 
 mod channel;
+mod commanded;
 mod config;
 mod drive;
 mod ethercat;

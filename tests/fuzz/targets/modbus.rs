@@ -1,9 +1,9 @@
 //! A Modbus bus on a connection that brings whatever it likes.
 //!
 //! The rig does what the loop does: it prepares, sends, takes in, judges. Behind the connection is a simulated drive;
-//! the bytes choose orders, how much of each request the wire takes, what becomes of the replies, and when the
-//! connection ends. What has to hold stands in the checks behind each step; they know the messages, and nothing of how
-//! the station keeps its books.
+//! the bytes choose commands, how much of each request the wire takes, what becomes of the replies, and when the
+//! connection ends. What has to hold stands in the checks behind each step; they know the messages and what is desired,
+//! and nothing of how the station keeps its books.
 
 use std::collections::VecDeque;
 use std::io;
@@ -11,18 +11,22 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use std::os::fd::RawFd;
 use std::sync::{Arc, Mutex, MutexGuard};
 
-use fieldbeat::axis::{Command, Link};
+use fieldbeat::axis::Link;
+use fieldbeat::axis::command::NativeOwner;
+use fieldbeat::bus::desired::{Desired, Motion, Power};
 use fieldbeat::bus::modbus::counters::Own;
 use fieldbeat::bus::modbus::sim::ReadWrite;
 use fieldbeat::bus::modbus::wire::function::READ_WRITE;
 use fieldbeat::bus::modbus::wire::{REGISTERS_MAX, Request, frame};
+use fieldbeat::bus::modbus::words::ControlWord;
 use fieldbeat::bus::modbus::{ModbusPlan, UnidriveDrive, Via};
-use fieldbeat::bus::{Bus, BusPlan, Cycle, Exchange, Order, Slot};
+use fieldbeat::bus::{Bus, BusPlan, Cycle, Exchange, Slot};
 use fieldbeat::net::{Broken, Carriers, Datagrams, Greeted, LinkNotes, StreamPeer, Streams, UdpOptions};
 use fieldbeat::rt::Regions;
 use fieldbeat::sim::SimDrive;
 use fieldbeat::time::{MS, Time, US};
 
+use super::commanded::Commanded;
 use super::input::Input;
 use super::verbs::verb;
 
@@ -53,8 +57,9 @@ struct Pipe {
     half: Vec<u8>,
     /// On the way to the master.
     inbox: VecDeque<u8>,
-    /// Whole requests since the connection was opened, and those that were answered in any way by the drive itself.
+    /// Whole requests since the connection was opened, and how many of them were checked.
     requests: Vec<Vec<u8>>,
+    checked: usize,
     /// Answers of the drive, not delivered yet.
     replies: VecDeque<Vec<u8>>,
     /// Whole messages that the master has taken in, if nothing but such was delivered.
@@ -70,7 +75,7 @@ impl Pipe {
         self.drive.connect(self.now, MASTER);
         self.half.clear();
         self.inbox.clear();
-        self.requests.clear();
+        (self.requests, self.checked) = (Vec::new(), 0);
         self.replies.clear();
         let Some(mut peer) = self.peer.take() else { return };
         let mut out = Vec::new();
@@ -198,8 +203,13 @@ impl Streams for Wire {
 struct Rig {
     pipe: Shared,
     bus: Box<dyn Bus>,
+    machine: Commanded,
     slots: [Slot; 1],
     before: Slot,
+    /// What was desired when the first byte of the last request left.
+    asked: Desired,
+    /// The last control word that the drive has.
+    control: ControlWord,
     index: u64,
     /// The addresses that the cyclic exchange may write.
     writable: Vec<u16>,
@@ -235,6 +245,7 @@ impl Rig {
             half: Vec::new(),
             inbox: VecDeque::new(),
             requests: Vec::new(),
+            checked: 0,
             replies: VecDeque::new(),
             delivered: 0,
             clean: true,
@@ -244,7 +255,17 @@ impl Rig {
         let slot = Slot { due: true, link: Link::Online, ..Slot::default() };
         // Reference, control word, both in menu 0; what makes the drive follow them, and its time-out.
         let writable = [0x4078, 0x0281, 0x4000, 0x0282, 0x0071, 0x0072, 0x05E4].into();
-        Rig { pipe, bus, before: slot.clone(), slots: [slot], index: 1_001, writable }
+        Rig {
+            pipe,
+            bus,
+            machine: Commanded::new(&plan, 0, PERIOD_NS),
+            before: slot.clone(),
+            slots: [slot],
+            asked: Desired::default(),
+            control: ControlWord::default(),
+            index: 1_001,
+            writable,
+        }
     }
 
     fn cycle(&self) -> Cycle {
@@ -333,15 +354,10 @@ impl Rig {
                     _ => self.index += u64::from(input.byte()),
                 }
             }
-            14 => self.slots[0].velocity = input.number(),
+            14 => self.machine.velocity(input.number()),
             _ => {
-                let serial = self.slots[0].order.serial + 1;
                 let verb = (input.below(8) != 0).then(|| verb(input));
-                self.slots[0].velocity = match verb {
-                    Some(Command::Jog(jog)) => jog.velocity,
-                    _ => self.slots[0].velocity,
-                };
-                self.slots[0].order = Order { serial, verb };
+                self.machine.start(self.cycle().grid, verb);
             }
         }
     }
@@ -351,9 +367,15 @@ impl Rig {
         let cycle = self.cycle();
         self.pipe.get().now = cycle.grid;
         self.slots[0].due = true;
+        self.machine.propose(cycle.grid, &mut self.slots[0]);
         self.bus.prepare(&cycle, &mut self.slots);
         self.bus.prepare(&cycle, &mut self.slots);
+        let sent = self.slots[0].counters.sent;
         self.bus.send(&cycle, &mut self.slots);
+        if self.slots[0].counters.sent > sent {
+            self.asked = self.slots[0].desired;
+        }
+        self.machine.commit(&mut self.slots[0]);
         {
             let mut pipe = self.pipe.get();
             meddle(&mut pipe);
@@ -378,7 +400,7 @@ impl Rig {
             }
             _ => slot.exchange = Exchange::Idle,
         }
-        slot.notices.fresh = false;
+        self.machine.observe(cycle.grid, slot);
         self.index += 1;
     }
 
@@ -393,26 +415,66 @@ impl Rig {
         assert!(own(Own::Exceptions) <= c.answered + c.late, "{c:?}");
         assert!(c.own.iter().zip(before.own).all(|(after, before)| *after >= before));
         let taken = c.answered + c.late + c.duplicate + c.foreign + c.malformed;
-        let pipe = self.pipe.get();
-        assert!(!pipe.clean || taken <= pipe.delivered, "{taken} of {} messages: {c:?}", pipe.delivered);
-        for request in &pipe.requests {
+        let requests: Vec<Vec<u8>> = {
+            let mut pipe = self.pipe.get();
+            assert!(!pipe.clean || taken <= pipe.delivered, "{taken} of {} messages: {c:?}", pipe.delivered);
+            let whole = pipe.requests.len();
+            let checked = std::mem::replace(&mut pipe.checked, whole);
+            pipe.requests[checked..].to_vec()
+        };
+        assert!(requests.len() <= 1, "one request a step");
+        for request in &requests {
             let (_, request) = Request::parse(request).expect("what the master says is whole and right");
             match request {
                 Request::Read { count, .. } => assert!((1..=REGISTERS_MAX).contains(&count)),
-                Request::Write { address, data } => self.may_write(address, data.len()),
+                Request::Write { address, data } => self.check_write(address, data.bytes()),
                 Request::ReadWrite { count, write, data, .. } => {
                     assert!((1..=REGISTERS_MAX).contains(&count));
-                    self.may_write(write, data.len());
+                    self.check_write(write, data.bytes());
                 }
                 Request::WriteOne { .. } => panic!("single writes are not used"),
             }
         }
+        let slot = &self.slots[0];
         let (state, report) = (slot.status.state, &slot.status);
         assert!(report.velocity.is_finite(), "{state:?}: {report:?}");
     }
 
-    fn may_write(&self, address: u16, count: usize) {
-        assert!(self.slots[0].order.serial != 0, "nothing is written before the first order");
-        assert!(self.writable.contains(&address) && count <= 4, "{address:#06x}, {count}");
+    fn check_write(&mut self, address: u16, data: &[u8]) {
+        let Desired { power, motion, setpoint, .. } = self.asked;
+        assert!(power.serial != 0, "nothing is written before something is desired");
+        assert!(self.writable.contains(&address) && data.len() <= 8, "{address:#06x}, {data:?}");
+        let word = |at: usize| u16::from_be_bytes([data[at], data[at + 1]]);
+        let long = |at: usize| i32::from(word(at)) << 16 | i32::from(word(at + 2));
+        let (control, reference) = match address {
+            // Menu 0: both, or the control word first.
+            0x4000 => (Some(word(2)), (data.len() == 8).then(|| long(4))),
+            0x0281 => (Some(word(0)), None),
+            0x4078 => (None, Some(long(0))),
+            _ => return,
+        };
+        if motion.value == Motion::Native(NativeOwner::Application) {
+            self.control = control.map_or(self.control, ControlWord);
+            return;
+        }
+        let runs = power.value == Power::EnableOperation && motion.value != Motion::Halt;
+        if let Some(control) = control.map(ControlWord) {
+            let before = std::mem::replace(&mut self.control, control);
+            assert!(runs || !control.has_any(ControlWord::ANY_RUN), "{control:?} for {:?}", self.asked);
+            // RUN goes off before ENABLE does.
+            let releases = power.value == Power::Off && before.has(ControlWord::ENABLE);
+            let on = matches!(power.value, Power::EnableOperation | Power::QuickStop) || releases;
+            assert!(
+                on || !control.has(ControlWord::ENABLE),
+                "{control:?} after {before:?} for {:?}",
+                self.asked
+            );
+            let resets = power.value == Power::FaultReset;
+            assert_eq!(control.has(ControlWord::RESET), resets, "{control:?} for {:?}", self.asked);
+        }
+        if reference.is_some_and(|reference| reference != 0) {
+            let native = matches!(motion.value, Motion::Native(_));
+            assert!(native || runs && setpoint.velocity != 0.0, "{reference:?} for {:?}", self.asked);
+        }
     }
 }

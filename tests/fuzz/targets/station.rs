@@ -1,12 +1,14 @@
 //! One station, and a wire that brings whatever it likes.
 //!
-//! The rig does what the loop does: it prepares, sends, takes in, judges. The bytes choose orders and rows, what the
+//! The rig does what the loop does: it prepares, sends, takes in, judges. The bytes choose commands and rows, what the
 //! drive says, and which replies come to which request. What has to hold stands in the checks behind each step; they
-//! know the telegram, and nothing of how the station keeps its books.
+//! know the telegram and what is desired, and nothing of how the station keeps its books.
 
 use std::net::Ipv4Addr;
 
-use fieldbeat::axis::{Command, DriveStatus, Limits, Link, Row, State, Units};
+use fieldbeat::axis::command::NativeOwner;
+use fieldbeat::axis::{Command, DriveStatus, Limits, Link, State, Units};
+use fieldbeat::bus::desired::{Desired, Motion, Power};
 use fieldbeat::bus::linudp::motion::Decoded;
 use fieldbeat::bus::linudp::native::Native;
 use fieldbeat::bus::linudp::station::Station;
@@ -14,10 +16,11 @@ use fieldbeat::bus::linudp::wire::{
     ControlWord, ErrorCode, REQUEST_MAX, RESPONSE_MAX, Request, RequestDef, Response, ResponseDef, RtcBlock,
     StateVar, StatusWord, WarnWord,
 };
-use fieldbeat::bus::linudp::{COUNTS_PER_MM, LinUdpDrive, MonitorPlan, ReplyTag, StreamCommand};
-use fieldbeat::bus::{Cycle, Exchange, NumberedRow, Order, Progress, Slot};
+use fieldbeat::bus::linudp::{COUNTS_PER_MM, LinUdpDrive, LinUdpPlan, MonitorPlan, ReplyTag, StreamCommand};
+use fieldbeat::bus::{Cycle, Exchange, Slot};
 use fieldbeat::time::{MS, Time};
 
+use super::commanded::Commanded;
 use super::input::Input;
 use super::verbs::{output, row, verb};
 
@@ -40,6 +43,7 @@ struct Rig {
     drive: LinUdpDrive,
     station: Station,
     native: Native,
+    machine: Commanded,
     slot: Slot,
     before: Slot,
     now: Time,
@@ -54,10 +58,8 @@ struct Rig {
     count: u8,
     /// Its state has the count that it heard.
     counts: bool,
-    /// The verb of the present order.
-    verb: Option<Command>,
-    /// The control word may be the application's own.
-    wild: bool,
+    /// There was a command.
+    ordered: bool,
 }
 
 impl Rig {
@@ -91,11 +93,15 @@ impl Rig {
             };
         }
         let (station, native, _) = Station::new(&drive);
+        let plan = LinUdpPlan::new(Ipv4Addr::LOCALHOST, vec![drive]);
+        let machine = Commanded::new(&plan, 0, PERIOD_NS);
+        let drive = plan.drives.into_iter().next().unwrap();
         let slot = Slot { due: true, ..Slot::default() };
         Rig {
             drive,
             station,
             native,
+            machine,
             before: slot.clone(),
             slot,
             now: Time(1_000 * PERIOD_NS),
@@ -110,8 +116,7 @@ impl Rig {
             },
             count: 0,
             counts: true,
-            verb: None,
-            wild: false,
+            ordered: false,
         }
     }
 
@@ -126,12 +131,13 @@ impl Rig {
             6 => {
                 self.prepare();
                 self.station.unsent(&mut self.slot);
-                self.judge();
+                self.judge(self.now);
             }
             // What lay in the socket before the send, or what comes in a cycle in which nothing was asked.
             7 => {
                 let in_window = input.flag();
                 self.reply(input, in_window);
+                self.machine.observe(self.now, &mut self.slot);
             }
             8 => {
                 self.says.state = Some(StateVar(input.word()));
@@ -154,7 +160,7 @@ impl Rig {
                 self.says.error = Some(ErrorCode(input.word()));
             }
             13 => self.order(Some(verb(input))),
-            14 => self.row(row(input)),
+            14 => self.machine.row(row(input)),
             _ => match input.byte() % 8 {
                 link @ 0..4 => {
                     self.slot.link =
@@ -175,6 +181,7 @@ impl Rig {
         self.prepare();
         let sent_at = self.now;
         self.station.sent(sent_at, sent_at + PERIOD_NS / 2, &mut self.slot);
+        self.machine.commit(&mut self.slot);
         self.before.counters.sent += 1;
         let request = Request::parse(&self.request[..self.length]).unwrap();
         if let Some(motion) = &request.motion {
@@ -189,7 +196,7 @@ impl Rig {
         self.asked.truncate(REMEMBERED);
         self.now = self.now + PERIOD_NS / 4;
         replies(self);
-        self.judge();
+        self.judge(sent_at);
         self.now = self.now + PERIOD_NS / 4 * 3;
         self.index += 1;
     }
@@ -206,23 +213,16 @@ impl Rig {
             period_ns: PERIOD_NS,
             deadline: self.now + PERIOD_NS / 2,
         };
-        let progress = self.slot.progress;
+        self.machine.propose(self.now, &mut self.slot);
         let length = self.station.prepare(&cycle, &mut self.slot, &mut self.request);
-        let (first, begun) = (self.request, self.slot.progress.end);
+        let first = self.request;
         self.length = self.station.prepare(&cycle, &mut self.slot, &mut self.request);
-        // An answer may have come together with the end of its time: the first of both is told, then the other.
-        if begun == self.slot.progress.end {
-            assert_eq!(first[..length], self.request[..self.length], "built again, it is the same");
-        }
+        assert_eq!(first[..length], self.request[..self.length], "built again, it is the same");
         self.check_request();
-        let Progress { serial, end } = self.slot.progress;
-        assert_eq!(serial, self.slot.order.serial, "the station works on the newest order");
-        if progress.serial == serial && progress.end.is_some() {
-            assert!(end.is_some(), "what has ended has ended: {progress:?}, {end:?}");
-        }
     }
 
-    fn judge(&mut self) {
+    /// What the loop makes of the cycle of this slot.
+    fn judge(&mut self, grid: Time) {
         match self.slot.exchange {
             Exchange::Owed { .. } => {
                 self.slot.counters.missed += 1;
@@ -232,8 +232,7 @@ impl Rig {
             Exchange::Idle | Exchange::Missed | Exchange::Absent { .. } => {}
             Exchange::Queued | Exchange::OwnClock { .. } => panic!("not of this wire: {:?}", self.slot),
         }
-        self.slot.notices.fresh = false;
-        self.slot.notices.restarted = false;
+        self.machine.observe(grid, &mut self.slot);
     }
 
     /// A reply that is somehow wrong, or comes to something else, or is right.
@@ -280,14 +279,8 @@ impl Rig {
     }
 
     fn order(&mut self, verb: Option<Command>) {
-        self.slot.order = Order { serial: self.slot.order.serial + 1, verb };
-        self.slot.row = None;
-        self.verb = verb;
-    }
-
-    fn row(&mut self, row: Row) {
-        let number = self.slot.row.map_or(0, |row| row.number) + 1;
-        self.slot.row = Some(NumberedRow { number, row });
+        self.machine.start(self.now, verb);
+        self.ordered = true;
     }
 
     /// Hands a datagram over, and looks at what became of it.
@@ -374,52 +367,78 @@ impl Rig {
         assert_eq!(request.config.is_some(), request.response_def.contains(ResponseDef::CONFIG));
         assert!(request.config.is_some() || !self.counted());
         let decoded = request.motion.as_ref().map(Decoded::of);
-        if self.slot.order.serial == 0 {
-            assert_eq!(request.control, None, "nothing is written before the first order");
+        let Desired { power, motion, setpoint, .. } = self.slot.desired;
+        assert!(self.ordered || power.serial == 0, "nothing is desired before the first command");
+        if power.serial == 0 {
+            assert_eq!(request.control, None, "nothing is written before something is desired");
             assert!(matches!(decoded, None | Some(Decoded::NoOperation)), "{decoded:?}");
             return;
         }
-        if let Some(Command::Native(_)) = self.verb {
-            self.wild = true;
+        if motion.value == Motion::Native(NativeOwner::Application) {
             return;
         }
         use ControlWord as C;
         let abort = |word: C| C(word.0 & !C::NO_ABORT);
         // Powered, and kept out of operation.
         let held = C(C::ON.0 & !C::ENABLE_OPERATION);
-        let usual = [C::BASE, C::ON, C::HOME, C::ACKNOWLEDGE, abort(C::ON), abort(C::BASE), held];
-        // What the application wrote in native mode stays until an order writes another.
-        self.wild &= request.control.is_some_and(|word| !usual.contains(&word));
-        assert!(self.wild || request.control.is_none_or(|word| usual.contains(&word)), "{request:?}");
-        let limits = self.drive.axis.limits.position;
-        match decoded {
-            None | Some(Decoded::NoOperation | Decoded::Stop(Some(_)) | Decoded::EndStream) => {}
-            Some(Decoded::Stream { command, .. }) => {
-                assert_eq!((Some(command), self.verb), (self.drive.stream, Some(Command::Follow)));
+        let usual: &[C] = match power.value {
+            Power::Untouched | Power::Off | Power::Shutdown => &[C::BASE],
+            Power::FaultReset => &[C::ACKNOWLEDGE],
+            Power::SwitchOn => &[held],
+            Power::QuickStop => &[abort(C::ON)],
+            Power::EnableOperation => match motion.value {
+                Motion::Home => &[C::HOME],
+                Motion::Halt => &[abort(C::ON)],
+                _ => &[C::ON],
+            },
+        };
+        assert!(
+            request.control.is_none_or(|word| usual.contains(&word)),
+            "{request:?} for {power:?}, {motion:?}"
+        );
+        let units = &self.drive.axis.units;
+        let near = |value: i32, wanted: f64| {
+            let position = f64::from(value) / units.counts_per_unit + units.offset;
+            // Rounded to a count. On a rotary axis the count is another one in each turn of the wire.
+            units.modulo.is_some() || (position - wanted).abs() <= 1e-4
+        };
+        match (motion.value, decoded) {
+            (_, None | Some(Decoded::NoOperation)) | (Motion::Native(_), _) => {}
+            (Motion::Ramp { .. }, Some(Decoded::Stop(Some(_))))
+            | (Motion::EndStream, Some(Decoded::EndStream)) => {}
+            (Motion::Follow, Some(Decoded::Stream { command, .. })) => {
+                assert_eq!(Some(command), self.drive.stream);
+                assert_ne!(setpoint.row, 0);
             }
-            Some(Decoded::Move(to)) => {
-                let position = self.drive.axis.units.position(to.value.into());
-                let (low, high) = match (limits, self.verb) {
-                    (Some((low, high)), Some(Command::Move(_))) => (low, high),
-                    // From outside the range a jog leads back in.
-                    (Some((low, _)), Some(Command::Jog(jog))) if jog.velocity < 0.0 => (low, f64::INFINITY),
-                    (Some((_, high)), Some(Command::Jog(_))) => (f64::NEG_INFINITY, high),
-                    (None, Some(Command::Move(_) | Command::Jog(_) | Command::Velocity { .. })) => {
-                        (f64::NEG_INFINITY, f64::INFINITY)
-                    }
-                    (_, other) => panic!("{to:?} in {other:?}"),
-                };
-                // Rounded to a count.
-                assert!(
-                    (low - 1e-4..=high + 1e-4).contains(&position),
-                    "a move to {position} in {:?}",
-                    self.verb
-                );
+            (Motion::Move { position, .. }, Some(Decoded::Move(to))) => {
+                assert!(near(to.value, position), "{to:?} for {position}");
+                self.check_move(to.value);
                 let vad = [to.velocity, to.acceleration, to.deceleration];
                 assert!(vad.iter().all(|value| value.is_some_and(|value| value > 0)), "{to:?} never arrives");
             }
-            other => panic!("a master does not send {other:?}"),
+            (_, other) => panic!("a master does not send {other:?} for {motion:?}"),
         }
+    }
+
+    /// A target that the newest command may have.
+    fn check_move(&self, target: i32) {
+        let (limits, command) = (self.drive.axis.limits.position, self.machine.command());
+        let backwards = self.machine.wanted_velocity() < 0.0;
+        let (low, high) = match (limits, command) {
+            (Some((low, high)), Some(Command::Move(_))) => (low, high),
+            // From outside the range a jog leads back in.
+            (Some((low, _)), Some(Command::Jog(_) | Command::Velocity { .. })) if backwards => {
+                (low, f64::INFINITY)
+            }
+            (Some((_, high)), Some(Command::Jog(_) | Command::Velocity { .. })) => (f64::NEG_INFINITY, high),
+            (None, Some(Command::Move(_) | Command::Jog(_) | Command::Velocity { .. })) => {
+                (f64::NEG_INFINITY, f64::INFINITY)
+            }
+            (_, other) => panic!("a move to {target} in {other:?}"),
+        };
+        let position = self.drive.axis.units.position(target.into());
+        // Rounded to a count.
+        assert!((low - 1e-4..=high + 1e-4).contains(&position), "a move to {position} in {command:?}");
     }
 
     fn check(&mut self) {

@@ -1,0 +1,135 @@
+//! A drive machine under watch, as the loop runs it.
+//!
+//! What it desires is the same when it is proposed again, no intent changes under its serial, what leaves is what was
+//! proposed last, and what has ended stays ended.
+
+use std::fmt::Debug;
+use std::mem::{discriminant, replace};
+
+use fieldbeat::axis::{Command, Failure};
+use fieldbeat::bus::desired::{Desired, Intent, Motion, Power};
+use fieldbeat::bus::{BusPlan, Slot};
+use fieldbeat::drive::machine::{Machine, NumberedRow};
+use fieldbeat::time::Time;
+
+pub struct Commanded {
+    machine: Machine,
+    /// What was proposed last, and for which slot.
+    proposed: Desired,
+    grid: Time,
+    /// What was desired when a request last left.
+    gone: Desired,
+    /// The newest serial that was proposed.
+    newest: u64,
+    end: Option<Result<(), Failure>>,
+    rows: u64,
+}
+
+impl Commanded {
+    /// The machine of drive `index`.
+    pub fn new(plan: &dyn BusPlan, index: usize, period_ns: u64) -> Commanded {
+        Commanded {
+            machine: Machine::new(plan.axes()[index], plan.capabilities(index), period_ns),
+            proposed: Desired::default(),
+            grid: Time(0),
+            gone: Desired::default(),
+            newest: 0,
+            end: None,
+            rows: 0,
+        }
+    }
+
+    /// A new command; `None`: to take the drive over as it is.
+    pub fn start(&mut self, now: Time, command: Option<Command>) {
+        if let Some(Command::Jog(jog)) = command {
+            self.machine.input.velocity = jog.velocity;
+        }
+        self.machine.start(now, command);
+        self.end = None;
+        assert_eq!(self.machine.end(), None, "it works on the newest command");
+    }
+
+    pub fn command(&self) -> Option<Command> {
+        self.machine.command()
+    }
+
+    pub fn velocity(&mut self, velocity: f64) {
+        self.machine.input.velocity = velocity;
+    }
+
+    /// The velocity that is wanted of it.
+    pub fn wanted_velocity(&self) -> f64 {
+        self.machine.input.velocity
+    }
+
+    pub fn row(&mut self, row: fieldbeat::axis::Row) {
+        self.rows += 1;
+        self.machine.input.row = Some(NumberedRow { number: self.rows, row });
+    }
+
+    /// Writes what is desired with the send in slot `grid`.
+    pub fn propose(&mut self, grid: Time, slot: &mut Slot) {
+        let end = self.machine.end().is_some();
+        self.machine.propose(grid, slot);
+        self.check_proposal(slot);
+        // A command that fails as it begins does so once.
+        if self.machine.end().is_some() == end {
+            let first = slot.desired;
+            self.machine.propose(grid, slot);
+            self.check_proposal(slot);
+            assert_eq!(values(&first), values(&slot.desired), "proposed again, it is the same");
+        }
+        self.grid = grid;
+        self.check_end();
+    }
+
+    fn check_proposal(&mut self, slot: &Slot) {
+        let Desired { power, mode, motion, setpoint } = slot.desired;
+        let (gone, before) = (self.gone, self.proposed);
+        self.check_intent(power, [gone.power, before.power]);
+        self.check_intent(mode, [gone.mode, before.mode]);
+        self.check_intent(motion, [gone.motion, before.motion]);
+        self.newest = self.newest.max(power.serial).max(mode.serial).max(motion.serial).max(setpoint.row);
+        self.proposed = slot.desired;
+        assert_eq!(power.serial == 0, power.value == Power::Untouched, "{power:?}");
+        assert!(power.serial != 0 || motion.serial == 0 && motion.value == Motion::Hold, "{motion:?}");
+    }
+
+    /// It is one of those before, or has a serial that none had.
+    fn check_intent<T: PartialEq + Debug>(&self, intent: Intent<T>, before: [Intent<T>; 2]) {
+        let known = before.contains(&intent);
+        assert!(known || intent.serial > self.newest, "{intent:?} after {before:?} and {}", self.newest);
+    }
+
+    /// Takes over what has left.
+    pub fn commit(&mut self, slot: &mut Slot) {
+        let Some(grid) = slot.gone.grid.take() else { return };
+        assert_eq!(grid, self.grid, "it is what was proposed last");
+        self.machine.commit(grid);
+        self.gone = self.proposed;
+    }
+
+    /// The reports of a cycle, which are cleared as the loop does.
+    pub fn observe(&mut self, now: Time, slot: &mut Slot) {
+        self.machine.observe(now, slot.notices.restarted, slot);
+        (slot.notices.fresh, slot.notices.restarted, slot.notices.emergency) = (false, false, None);
+        self.check_end();
+    }
+
+    fn check_end(&mut self) {
+        let end = self.machine.end();
+        if let Some(before) = replace(&mut self.end, end) {
+            // A value in it may be no number, which equals nothing.
+            let kind = |end: Result<(), Failure>| end.map_err(|failure| discriminant(&failure));
+            assert_eq!(Some(kind(before)), end.map(kind), "what has ended has ended: {before:?}, {end:?}");
+        }
+    }
+}
+
+/// All but the serials, which count on while nothing leaves. A position that is not known is no number.
+fn values(desired: &Desired) -> String {
+    let Desired { power, mode, motion, setpoint } = desired;
+    let row = setpoint.row != 0;
+    let setpoint = fieldbeat::bus::desired::Setpoint { row: 0, ..*setpoint };
+    format!("{:?} {:?} {:?} {setpoint:?} {row}", power.value, mode.value, motion.value)
+}
