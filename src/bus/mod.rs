@@ -1,12 +1,14 @@
 //! The contract between the loop and a protocol, and one folder for each protocol.
 //!
 //! All of [`Bus`] runs on the real-time thread: bounded work, no allocation, no lock, no wait, and no panic on any
-//! bytes. No protocol knows another. Each protocol has these modules:
+//! bytes. No protocol knows another. [`desired`] is what the loop wants of a drive, and what shows that the drive has
+//! it. Each protocol has these modules:
 //!
 //! | file | what | must not know |
 //! |---|---|---|
 //! | `wire` | bytes <-> values | state, clock, socket, allocation |
-//! | `station` | the master's view of one drive: a machine of state and time | sockets |
+//! | `profile` | what is desired as process data, and what the replies prove | commands, sockets |
+//! | `station` | the master's view of one drive: identity of replies, its reports, the next request | sockets |
 //! | `bus` | stations + sockets = one [`Bus`] | the loop |
 //! | `sim` | the simulated drive: the same wire from the other end | the master's station |
 //!
@@ -281,9 +283,9 @@ pub trait Bus: Send {
     fn poll(&mut self, _cycle: &Cycle, _now: Time, _slots: &mut [Slot]) {}
 
     /// Builds the requests of the slots that are due at the next send, and of those that are queued, in place, from
-    /// the orders that now stand in them. May be called more than once for the same send, with the same bytes as the
-    /// result, and again for a later slot if the first was passed over. An order that was replaced before its request
-    /// left is never carried out.
+    /// what is now desired in them. May be called more than once for the same send, with the same bytes as the result,
+    /// and again for a later slot if the first was passed over. What was replaced before its request left is never
+    /// carried out.
     fn prepare(&mut self, cycle: &Cycle, slots: &mut [Slot]);
 
     /// Starts or continues the orderly end; true once nothing more has to be sent. Called after the window of a
@@ -391,12 +393,12 @@ pub struct Slot {
     // Written by the loop.
     /// An exchange is due at the next send.
     pub due: bool,
-    /// The drive's power is on, or may come on by an order of the loop: a call of the application that commands the
+    /// The drive's power is on, or may come on by a request of the loop: a call of the application that commands the
     /// drive is refused, and checked for the last time when the first telegram with it is built. False where the
     /// application owns the control word (native mode).
     pub guarded: bool,
-    /// The link as evaluated by the loop. A drive without an order is only read, whatever its link; an order goes
-    /// out with every request, including the probes of a lost link, since it may be the stop.
+    /// The link as evaluated by the loop. A drive of which nothing is desired is only read, whatever its link. What is
+    /// desired goes out with every request, including the probes of a lost link, since it may be the stop.
     pub link: Link,
     /// What the drive shall do from its next request on.
     pub desired: Desired,
