@@ -358,12 +358,11 @@ impl Station {
         report.in_target = status.has(StatusWord::TARGET_REACHED) && !(led && self.profile.is_moving());
         report.homed = !homing && self.asking.homed() == Some(true);
         let units = &self.units;
-        let folded = |position: f64| units.modulo.map_or(position, |turn| position.rem_euclid(turn));
-        report.position = position.map_or(f64::NAN, folded);
+        report.position = position.map_or(f64::NAN, |position| units.folded(position));
         report.demand = report.position;
         if led {
             let count = self.demand.next(self.profile.setpoint_sent());
-            report.demand = folded(count as f64 * self.unit_per_count + units.offset);
+            report.demand = units.folded(count as f64 * self.unit_per_count + units.offset);
         }
         report.velocity = inputs.velocity;
         report.current = said.torque.map_or(f64::NAN, |torque| f64::from(torque) * self.current_per_permille);
