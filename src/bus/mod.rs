@@ -501,7 +501,8 @@ impl Exchange {
 /// What a bus reports of a drive in addition to its status. The loop clears each of them when it has taken it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Notices {
-    /// The status is new. It comes with an answered exchange, and of a drive with its own clock with each accepted packet.
+    /// The status is new. It comes with an answered exchange, and of a drive with its own clock with each accepted
+    /// packet.
     pub fresh: bool,
     /// The drive was found restarted.
     pub restarted: bool,
