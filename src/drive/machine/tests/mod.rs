@@ -209,9 +209,9 @@ impl Rig {
         self.gone.push(*desired);
     }
 
-    /// One exchange of which the newest report comes, and says that the drive moves or not.
-    fn see(&mut self, moving: bool) {
-        self.exchange(Fate::ReplyLost);
+    /// One exchange of which the newest report comes all the same, and says that the drive moves or not.
+    fn see(&mut self, fate: Fate, moving: bool) {
+        self.exchange(fate);
         self.drive.reports[0].status.moving = moving;
         (self.slot.status, self.slot.evidence) =
             (self.drive.reports[0].status, self.drive.reports[0].evidence);

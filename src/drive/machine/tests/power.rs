@@ -139,23 +139,6 @@ fn what_does_not_come_up_goes_back_to_where_it_was_and_says_why() {
 }
 
 #[test]
-fn disable_ends_with_power_off_in_every_state_and_only_by_clean_reports() {
-    for can in kinds() {
-        let mut rig = Rig::enabled(can);
-        rig.moving();
-        rig.start(Command::Disable);
-        for _ in 0..10 {
-            rig.exchange(Fate::Suspect(3));
-            assert_eq!(rig.end(), None);
-        }
-        assert_eq!((rig.finish(), rig.state(), rig.power()), (Ok(()), Cia402::SwitchOnDisabled, Power::Off));
-        rig.set(50.0);
-        rig.turns(200);
-        assert_eq!((rig.state(), rig.power()), (Cia402::SwitchOnDisabled, Power::Off));
-    }
-}
-
-#[test]
 fn a_command_that_never_leaves_fails_in_time_and_never_leaves_after_that() {
     for can in kinds() {
         let mut rig = Rig::enabled(can);

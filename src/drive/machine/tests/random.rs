@@ -204,6 +204,9 @@ impl Judge {
         let shown = match command {
             Command::Enable => report.state == Cia402::OperationEnabled,
             Command::Disable => !report.state.is_powered(),
+            Command::Move(Move { target: Target::Absolute(place), .. }) => {
+                !report.moving && (report.position - place).abs() < NEAR
+            }
             Command::Move(_) | Command::Follow => !report.moving,
             Command::Home => rig.slot.evidence.mode == ModeIs::Own && report.homed,
             Command::ResetFault => !rig.slot.evidence.fault.active && !report.state.is_powered(),
