@@ -137,13 +137,12 @@ impl Rig {
         self.propose();
     }
 
-    /// For the next send: as often as somebody likes, for later ones too.
+    /// For the next send, as often as somebody likes.
     fn propose(&mut self) {
         let next = self.now + T;
         self.machine.propose(next, &mut self.slot);
         let ended = |rig: &Rig| rig.end().map(|end| end.is_ok());
         let (first, end) = (self.slot.desired, ended(self));
-        self.machine.propose(next + 7 * T, &mut self.slot);
         self.machine.propose(next, &mut self.slot);
         // An intent that has not left has another serial each time.
         let values = |desired: Desired| {
