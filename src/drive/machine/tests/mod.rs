@@ -88,6 +88,11 @@ fn jog(velocity: f64) -> Command {
     Command::Jog(Jog { velocity, acceleration: 1_000.0 })
 }
 
+/// A command that the drive cannot do.
+fn refused(can: &Capabilities) -> Command {
+    if can.lacks.torques.is_some() { Command::Torque { slope: 1.0 } } else { to(0.0) }
+}
+
 impl Rig {
     fn new(can: Capabilities) -> Rig {
         Rig::with(can, |_| ())

@@ -35,6 +35,10 @@ fn a_command_that_is_replaced_before_it_left_never_was() {
         assert!((rig.drive.point.position - 5.0).abs() < 1e-9, "{can:?}: {:?}", rig.drive.point);
         let furthest = rig.gone.iter().map(|gone| gone.setpoint.position).fold(0.0, f64::max);
         assert!(furthest <= 10.0, "{can:?}: {furthest}");
+        // What goes out next was built before this one.
+        rig.machine.start(rig.now, Some(by(-1.0)));
+        assert_eq!(rig.finish(), Ok(()));
+        assert!((rig.drive.point.position - 4.0).abs() < 1e-9, "{can:?}: {:?}", rig.drive.point);
     }
 }
 

@@ -56,7 +56,7 @@ fn a_quick_stop_is_released_at_standstill_and_not_before() {
 #[test]
 fn a_stop_that_is_under_way_is_not_made_softer() {
     for can in kinds() {
-        let refused = if can.lacks.torques.is_some() { Command::Torque { slope: 1.0 } } else { to(0.0) };
+        let refused = refused(&can);
         for next in [Command::Stop { deceleration: Some(1.0) }, refused] {
             let mut rig = Rig::with(can, |plan| plan.limits.acceleration = Some(5_000.0));
             assert_eq!(rig.run(Command::Enable), Ok(()));
@@ -176,9 +176,11 @@ fn a_stop_out_of_native_mode_is_the_masters_again() {
             rig.start(Command::Native(owner));
             rig.turns(20);
             assert_eq!((rig.end(), rig.motion()), (None, Motion::Native(owner)));
-            // It is in whatever state the application has left it in.
-            rig.start(STOP);
-            assert!(!matches!(rig.motion(), Motion::Native(_)));
+            // It is in whatever state the application has left it in; and what is refused replaces it, too.
+            for command in [refused(&can), STOP] {
+                rig.start(command);
+                assert!(!matches!(rig.motion(), Motion::Native(_)), "{command:?} {can:?}");
+            }
             assert_eq!((rig.finish(), rig.power()), (Ok(()), Power::EnableOperation), "{can:?}");
         }
     }
