@@ -50,9 +50,17 @@ impl State {
 
     /// Ends a command that cannot be carried out, and stops a running drive: nothing commands it any more.
     pub(super) fn refuse(&mut self, failure: Failure, view: &View) -> End {
+        self.quit(view);
+        Some(Err(failure))
+    }
+
+    /// Ends what is under way.
+    pub(super) fn quit(&mut self, view: &View) {
+        if matches!(self.step, Step::Native(_)) {
+            self.claim(view);
+        }
         self.wind_down(view);
         self.enter(Step::Idle);
-        Some(Err(failure))
     }
 
     pub(super) fn fall(&mut self, since: Time) -> End {
@@ -222,20 +230,27 @@ impl State {
         matches!(self.step, Step::HomeMode | Step::Homing | Step::HomeStopping(_) | Step::HomeLeaving(_))
     }
 
-    /// Brings a running motion to its end.
+    /// Brings a running motion to its end. A halt that is under way is not made softer.
     pub(super) fn wind_down(&mut self, view: &View) {
-        let free = view.quantity() == Some(Quantity::Torque) && self.course.leads();
-        if free && !self.course.stands() {
-            self.want_motion(Motion::Halt);
+        if self.motion.value == Motion::Halt {
+            return;
         }
+        let deceleration = view.rules.profile.deceleration;
         if view.drive_makes_setpoints() {
-            if self.runs(view) && view.status.moving {
-                self.brake(view.rules.profile.deceleration, view);
+            // What has only just left may begin after this report.
+            let runs = matches!(
+                self.motion.value,
+                Motion::Move { .. } | Motion::Follow | Motion::EndStream | Motion::Home
+            );
+            if self.runs(view) && (runs || view.status.moving) {
+                self.brake(deceleration, view);
             } else if self.motion.value != Motion::Hold {
                 self.want_motion(Motion::Hold);
             }
+        } else if self.is_free(view) && (view.status.moving || !self.course.stands()) {
+            self.halt(view);
         } else if self.course.leads() && !self.course.stands() {
-            self.brake(view.rules.profile.deceleration, view);
+            self.brake(deceleration, view);
         }
     }
 }

@@ -22,6 +22,8 @@ mod begin;
 mod motion;
 mod setpoint;
 mod steps;
+#[cfg(test)]
+mod tests;
 mod view;
 
 use self::begin::OTHER_MODE;
@@ -133,9 +135,11 @@ enum Step {
     Limited(f64),
     FollowWaiting,
     Following,
-    /// The last row has been sent, and rows at standstill follow it; so many of all these were accepted.
+    /// The last row has been sent, and rows at standstill follow it; so many reports have shown that another one of
+    /// all these was accepted, the last of them this one.
     FollowEnding {
         taken: u32,
+        newest: u64,
         last: Row,
     },
     /// It moves, and does not follow what is written yet: what is to be done then.
@@ -234,15 +238,15 @@ impl Machine {
             state = &mut self.proposed;
             state.is_new = true;
             waiting.is_proposed = true;
-            let end = match waiting.command {
-                Some(start) => state.begin(start, waiting.since, &view),
-                None => {
-                    state.wind_down(&view);
-                    None
-                }
-            };
+            let end = waiting.command.and_then(|start| state.begin(start, waiting.since, &view));
             if matches!(end, Some(Err(_))) {
+                // Nothing of it is written, however often this is proposed.
                 waiting.command = None;
+                state.clone_from(&self.state);
+                (state.serial, state.is_new) = (serial, true);
+            }
+            if waiting.command.is_none() {
+                state.quit(&view);
             }
             if end.is_some() {
                 self.end = self.end.or(end);

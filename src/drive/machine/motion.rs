@@ -153,7 +153,7 @@ impl State {
         self.row = next.number;
         self.stream(row);
         if next.row.last {
-            self.enter(Step::FollowEnding { taken: 0, last: row });
+            self.enter(Step::FollowEnding { taken: 0, newest: self.setpoint.row - 1, last: row });
         } else if self.step != Step::Following {
             self.enter(Step::Following);
         }
@@ -169,7 +169,7 @@ impl State {
     pub(super) fn lead_rows(&mut self, view: &View) -> End {
         match self.step {
             Step::FollowWaiting | Step::Following => self.follow_by_drive(view),
-            Step::FollowEnding { taken, last } if self.sent > 0 => {
+            Step::FollowEnding { taken, newest, last } if self.sent > 0 => {
                 let arrived = (view.evidence.demand - last.position).abs() <= view.rules.can.arrival;
                 if taken > LAST_ROWS && arrived || taken > MOST_LAST_ROWS {
                     self.want_motion(Motion::EndStream);
@@ -178,7 +178,7 @@ impl State {
                 }
                 // The last row was in range, so is this one.
                 self.stream(Row { velocity: 0.0, acceleration: 0.0, ..last });
-                self.enter(Step::FollowEnding { taken, last });
+                self.enter(Step::FollowEnding { taken, newest, last });
                 None
             }
             _ => None,

@@ -322,7 +322,8 @@ impl State {
         }
         let next = view.input.row?;
         if next.number == self.row {
-            if self.sent > 0 {
+            // It was sent; the drive stays there until the next one comes.
+            if self.course.next.position == self.course.demand.position {
                 self.course.next.velocity = 0.0;
             }
             return None;
@@ -337,7 +338,7 @@ impl State {
         (self.row, self.setpoint.row) = (next.number, self.next_serial());
         if next.row.last {
             let last = Row { position, ..next.row };
-            self.enter(Step::FollowEnding { taken: 0, last });
+            self.enter(Step::FollowEnding { taken: 0, newest: 0, last });
         } else if self.step != Step::Following {
             self.enter(Step::Following);
         }

@@ -4,7 +4,7 @@ use super::begin::OTHER_MODE;
 use super::view::{Input, View};
 use super::{End, State, Step};
 use crate::axis::command::NativeOwner;
-use crate::axis::{Command, Failure, Row, State as Cia402};
+use crate::axis::{Command, Failure, State as Cia402};
 use crate::bus::Slot;
 use crate::bus::desired::{Follows, Homing, Mode, ModeIs, Motion, Power, Quantity, Reference, Resettable};
 use crate::drive::power::towards_operation;
@@ -204,19 +204,24 @@ impl State {
                 self.fail(Failure::Limit { what: "position", value: limit, low, high })
             }
             Step::Rolling(rolling) => self.roll(rolling, view),
-            Step::FollowEnding { taken, last } => self.end_rows(taken, last, view),
+            Step::FollowEnding { .. } => self.end_rows(view),
             _ => None,
         }
     }
 
     /// The last row has gone out.
-    fn end_rows(&mut self, taken: u32, last: Row, view: &View) -> End {
-        let has_it = self.sent > 0 && view.evidence.accepted.row >= self.setpoint.row;
+    fn end_rows(&mut self, view: &View) -> End {
+        let accepted = view.evidence.accepted.row;
         if view.drive_makes_setpoints() {
             // Rows at standstill follow, until it has taken enough of them.
-            self.step = Step::FollowEnding { taken: taken + u32::from(has_it), last };
+            if let Step::FollowEnding { taken, newest, .. } = &mut self.step
+                && accepted > *newest
+            {
+                (*taken, *newest) = (*taken + 1, accepted);
+            }
             return None;
         }
+        let has_it = self.sent > 0 && accepted >= self.setpoint.row;
         if self.agrees(has_it && !view.status.moving, view.rules.can.still_reports, view) {
             self.hold(self.course.demand_position());
             return self.done();
@@ -285,7 +290,11 @@ impl State {
                 None
             }
             Step::Released if settled && !self.stands_too_short(view) => self.done(),
-            Step::Halted if still || !report.state.is_powered() => self.done(),
+            Step::Halted if still || !report.state.is_powered() => {
+                // It stands only while it is halted.
+                self.enter(Step::Idle);
+                Some(Ok(()))
+            }
             _ => None,
         }
     }

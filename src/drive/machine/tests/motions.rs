@@ -1,0 +1,357 @@
+//! Moves, velocities, rows, torques, homing, and commands that are refused.
+
+use super::*;
+use crate::axis::Lacks;
+use crate::bus::desired::{ModeIs, Ranges};
+
+#[test]
+fn a_move_ends_at_its_target_once_that_was_seen() {
+    for can in movers() {
+        let mut rig = Rig::enabled(can);
+        for (command, place) in [(to(25.0), 25.0), (by(-10.0), 15.0), (to(15.0), 15.0)] {
+            assert_eq!(rig.run(command), Ok(()), "{can:?}");
+            assert!((rig.drive.point.position - place).abs() < 1e-9, "{can:?}: {:?}", rig.drive.point);
+            assert!(!rig.drive.is_moving());
+        }
+        // As fast as it may be, and no faster.
+        let fastest =
+            |rig: &Rig| rig.gone.iter().map(|gone| gone.setpoint.velocity.abs()).fold(0.0, f64::max);
+        assert!(fastest(&rig) < 100.1, "{}", fastest(&rig));
+    }
+}
+
+#[test]
+fn a_command_that_is_replaced_before_it_left_never_was() {
+    for can in movers() {
+        let mut rig = Rig::enabled(can);
+        let before = rig.slot.desired;
+        rig.start(by(50.0));
+        rig.exchange(Fate::Unsent);
+        rig.start(Command::Disable);
+        rig.exchange(Fate::Unsent);
+        rig.start(by(-5.0));
+        assert_eq!(rig.slot.desired.power, before.power, "{can:?}");
+        assert_eq!(rig.finish(), Ok(()));
+        assert!((rig.drive.point.position - 5.0).abs() < 1e-9, "{can:?}: {:?}", rig.drive.point);
+        let furthest = rig.gone.iter().map(|gone| gone.setpoint.position).fold(0.0, f64::max);
+        assert!(furthest <= 10.0, "{can:?}: {furthest}");
+        // What goes out next was built before this one.
+        rig.machine.start(rig.now, Some(by(-1.0)));
+        assert_eq!(rig.finish(), Ok(()));
+        assert!((rig.drive.point.position - 4.0).abs() < 1e-9, "{can:?}: {:?}", rig.drive.point);
+    }
+}
+
+#[test]
+fn reports_that_are_old_or_suspect_or_of_before_end_nothing() {
+    for can in movers() {
+        let mut rig = Rig::enabled(can);
+        // It comes back to where it begins: its old reports look like its end.
+        rig.start(to(10.0));
+        for _ in 0..50 {
+            rig.exchange(Fate::ReplyLost);
+            rig.exchange(Fate::Suspect(1));
+            assert_eq!(rig.end(), None, "{can:?}");
+        }
+        // One after the other, not with others between them.
+        for _ in 0..20 {
+            (1..can.still_reports).for_each(|_| rig.see(Fate::ReplyLost, false));
+            rig.see(Fate::ReplyLost, true);
+            assert_eq!(rig.end(), None, "{can:?}");
+        }
+        (0..can.still_reports).for_each(|_| rig.see(Fate::ReplyLost, false));
+        assert_eq!(rig.end(), Some(Ok(())), "{can:?}");
+        // By the serial of its own motion only.
+        rig.moving();
+        rig.start(STOP);
+        (0..100).for_each(|_| rig.see(Fate::RequestLost, false));
+        assert_eq!((rig.end(), rig.finish()), (None, Ok(())), "{can:?}");
+    }
+}
+
+#[test]
+fn a_move_that_ends_elsewhere_has_failed() {
+    let can = movers().next().unwrap();
+    let mut rig = Rig::enabled(can);
+    rig.start(to(50.0));
+    rig.turns(100);
+    rig.drive.point.velocity = 0.0;
+    rig.drive.stay();
+    assert_eq!(rig.finish(), Err(Failure::NotArrived));
+}
+
+#[test]
+fn a_command_that_is_refused_brakes_what_it_replaces_and_does_nothing_else() {
+    let why = "it has none";
+    let lacks = Lacks { torques: Some(why), homing: Some(why), rows: Some(why), ..Lacks::default() };
+    for can in kinds() {
+        if quantity(&can) == Some(Quantity::Torque) {
+            continue;
+        }
+        for command in [Command::Torque { slope: 1.0 }, Command::Home, Command::Follow] {
+            for unsent in [0, 3] {
+                let mut rig = Rig::enabled(Capabilities { lacks, ..can });
+                rig.moving();
+                let power = rig.slot.desired.power;
+                rig.start(command);
+                assert_eq!(rig.end(), Some(Err(Failure::Unsupported(why))), "at once");
+                (0..unsent).for_each(|_| rig.exchange(Fate::Unsent));
+                rig.set(-100.0);
+                rig.row(1, 100.0, false);
+                rig.until("standstill", |rig| !rig.drive.is_moving());
+                rig.turns(50);
+                assert!(!rig.drive.is_moving() && rig.slot.desired.power == power, "{command:?} {can:?}");
+            }
+        }
+        // Of a drive that was only read it writes nothing.
+        let mut rig = Rig::new(Capabilities { lacks, ..can });
+        assert_eq!(rig.run(Command::Home), Err(Failure::Unsupported(why)));
+        rig.turns(5);
+        assert_eq!(rig.power(), Power::Untouched);
+        assert_eq!(rig.run(jog(1.0)), Err(Failure::WrongState(Cia402::SwitchOnDisabled)));
+    }
+}
+
+#[test]
+fn a_target_or_a_profile_that_does_not_fit_is_refused() {
+    let can = movers().next().unwrap();
+    let ranges = Ranges { position: (-100.0, 100.0), velocity: (0.5, 500.0), acceleration: (1.0, 5_000.0) };
+    let mut rig = Rig::enabled(Capabilities { ranges, ..can });
+    let slow = Profile { velocity: 0.1, ..PROFILE };
+    let wrong = [
+        to(100.1),
+        to(f64::NAN),
+        Command::Move(Move { target: Target::Absolute(20.0), profile: slow }),
+        by(f64::INFINITY),
+    ];
+    for command in wrong {
+        assert!(matches!(rig.run(command), Err(Failure::Range(_) | Failure::NotFinite)), "{command:?}");
+        assert!(!matches!(rig.motion(), Motion::Move { .. }));
+    }
+    for can in movers() {
+        let mut rig = Rig::with(can, |plan| plan.limits.position = Some((0.0, 50.0)));
+        assert_eq!(rig.run(Command::Enable), Ok(()));
+        for command in [to(50.1), by(-10.1)] {
+            assert!(matches!(rig.run(command), Err(Failure::Limit { .. })), "{command:?} {can:?}");
+        }
+        assert_eq!(rig.run(to(50.0)), Ok(()));
+    }
+}
+
+#[test]
+fn a_jog_ends_before_the_position_limit_ahead_and_leads_back_from_there() {
+    for can in kinds() {
+        if quantity(&can) == Some(Quantity::Torque) {
+            // The loop stops it.
+            continue;
+        }
+        for direction in [1.0, -1.0] {
+            let mut rig = Rig::with(can, |plan| plan.limits.position = Some((-40.0, 60.0)));
+            assert_eq!(rig.run(Command::Enable), Ok(()));
+            rig.drive.homed = true;
+            rig.turns(3);
+            rig.start(jog(80.0 * direction));
+            rig.until("its end", |rig| rig.end().is_some());
+            assert!(
+                matches!(rig.end(), Some(Err(Failure::Limit { what: "position", .. }))),
+                "{:?}",
+                rig.end()
+            );
+            let position = rig.drive.point.position;
+            let room = if direction > 0.0 { 60.0 - position } else { position + 40.0 };
+            assert!((-1e-6..2.0).contains(&room), "{can:?}: {position}");
+            // No further.
+            assert!(matches!(rig.run(jog(1.0 * direction)), Err(Failure::Limit { .. })), "{can:?}");
+            rig.start(jog(-10.0 * direction));
+            rig.turns(200);
+            assert_eq!(rig.end(), None);
+            assert!((rig.drive.point.position - position) * direction < -1.0);
+        }
+    }
+}
+
+#[test]
+fn a_velocity_is_followed_whatever_it_changes_to() {
+    for can in kinds() {
+        let torque = quantity(&can) == Some(Quantity::Torque);
+        let mut rig = Rig::enabled(can);
+        rig.set(0.0);
+        let follow = Command::Velocity { acceleration: 1_000.0 };
+        rig.start(if torque { Command::Torque { slope: 1_000.0 } } else { follow });
+        for wanted in [60.0, -30.0, 5.0, 0.0] {
+            rig.set(wanted);
+            let from = rig.gone.len();
+            rig.turns(400);
+            let reached = if torque { rig.slot.desired.setpoint.torque } else { rig.drive.point.velocity };
+            assert!((reached - wanted).abs() < 1e-6, "{can:?}: {reached} instead of {wanted}");
+            let steps = rig.gone[from..].windows(2).map(|pair| match torque {
+                true => pair[1].setpoint.torque - pair[0].setpoint.torque,
+                false => pair[1].setpoint.velocity - pair[0].setpoint.velocity,
+            });
+            assert!(steps.fold(0.0, |most: f64, step| most.max(step.abs())) < 1.001, "1000 a second");
+        }
+        rig.set(f64::NAN);
+        rig.turns(100);
+        assert!(!rig.drive.is_moving() && rig.slot.desired.setpoint.velocity == 0.0, "{can:?}");
+    }
+}
+
+/// The numbers of the rows that went out, each once.
+fn rows(rig: &Rig, from: usize) -> Vec<u64> {
+    let mut rows: Vec<_> =
+        rig.gone[from..].iter().map(|gone| gone.setpoint.row).filter(|row| *row > 0).collect();
+    rows.dedup();
+    rows
+}
+
+#[test]
+fn each_row_goes_out_once_and_the_last_one_ends_the_stream() {
+    for can in movers() {
+        let mut rig = Rig::enabled(can);
+        let from = rig.gone.len();
+        // The first one comes with the command.
+        rig.start(Command::Follow);
+        rig.row(1, 10.0, false);
+        rig.propose();
+        let mut position = 10.0;
+        for number in 2..=50 {
+            // Sent late, or its reply is lost, or it comes again in a later slot.
+            let fate = [Fate::Good, Fate::ReplyLost, Fate::Good][number as usize % 3];
+            rig.exchange(if number % 7 == 0 { Fate::Unsent } else { fate });
+            if number % 7 == 0 {
+                rig.exchange(Fate::Good);
+            }
+            assert_eq!(rig.end(), None);
+            position += 0.05;
+            rig.row(number, position, number == 50);
+            rig.propose();
+        }
+        assert_eq!(rig.finish(), Ok(()), "{can:?}");
+        assert!((rig.drive.point.position - position).abs() < 1e-9, "{can:?}: {:?}", rig.drive.point);
+        let sent = rows(&rig, from);
+        assert!(sent.windows(2).all(|pair| pair[0] < pair[1]) && sent.len() >= 50, "{can:?}: {}", sent.len());
+        rig.turns(50);
+        assert!(!rig.drive.is_moving());
+        if quantity(&can).is_none() {
+            let end = rig.gone.iter().position(|gone| gone.motion.value == Motion::EndStream).unwrap();
+            let last = &rig.gone[end - 4..end];
+            assert!(
+                last.iter().all(|gone| gone.setpoint.velocity == 0.0 && gone.setpoint.position == position)
+            );
+        }
+    }
+}
+
+#[test]
+fn a_row_that_is_no_number_or_does_not_fit_ends_the_stream_at_standstill() {
+    let ranges = Ranges { position: (-100.0, 100.0), ..Ranges::UNLIMITED };
+    for can in movers() {
+        let profiles = quantity(&can).is_none();
+        for bad in [f64::NAN, f64::INFINITY, 200.0] {
+            if bad == 200.0 && !profiles {
+                continue;
+            }
+            let mut rig = Rig::enabled(Capabilities { ranges, ..can });
+            rig.start(Command::Follow);
+            rig.row(1, 10.01, false);
+            rig.turns(3);
+            rig.row(2, bad, false);
+            rig.turns(100);
+            assert!(
+                matches!(rig.end(), Some(Err(Failure::Range(_) | Failure::NotFinite))),
+                "{:?}",
+                rig.end()
+            );
+            assert!(!rig.drive.is_moving() && rig.drive.point.position.is_finite(), "{can:?} {bad}");
+        }
+    }
+}
+
+/// All but those that only know velocities.
+fn homers() -> impl Iterator<Item = Capabilities> {
+    kinds().into_iter().filter(|can| quantity(can) != Some(Quantity::Velocity))
+}
+
+#[test]
+fn homing_is_done_in_its_mode_and_ends_in_the_own_one_with_the_reference_read() {
+    for can in homers() {
+        for moves in [false, true] {
+            let mut rig = Rig::enabled(can);
+            if moves {
+                rig.moving();
+            }
+            assert_eq!(rig.run(Command::Home), Ok(()), "{can:?}");
+            assert!(rig.drive.homed && rig.drive.point.position == 0.0 && rig.drive.mode == ModeIs::Own);
+            rig.turns(100);
+            assert!(
+                (rig.drive.point.position, rig.drive.is_moving()) == (0.0, false),
+                "{:?}",
+                rig.drive.point
+            );
+            assert_eq!(rig.state(), Cia402::OperationEnabled);
+        }
+    }
+}
+
+#[test]
+fn a_homing_that_fails_or_lasts_too_long_ends_in_the_own_mode_at_standstill() {
+    for can in homers() {
+        // Only a drive with modes reports an error.
+        if quantity(&can).is_some() {
+            let mut rig = Rig::enabled(can);
+            rig.drive.home_fails = true;
+            assert!(matches!(rig.run(Command::Home), Err(Failure::Unsupported(_))), "{can:?}");
+            assert!((rig.drive.mode, rig.drive.is_moving()) == (ModeIs::Own, false), "{:?}", rig.drive);
+        }
+        let mut rig = Rig::with(can, |plan| plan.home_timeout = Duration::from_millis(100));
+        assert_eq!(rig.run(Command::Enable), Ok(()));
+        assert_eq!(rig.run(Command::Home), Err(Failure::TimedOut(Cia402::OperationEnabled)), "{can:?}");
+        rig.turns(1_000);
+        assert_eq!(rig.drive.mode, ModeIs::Own, "{can:?}");
+        assert!(!matches!(rig.motion(), Motion::Home));
+    }
+}
+
+#[test]
+fn a_homing_is_stopped_in_each_of_its_steps() {
+    for can in homers() {
+        for command in [STOP, Command::QuickStop] {
+            let mut steps = 0;
+            for after in 0..700 {
+                let mut rig = Rig::enabled(can);
+                rig.start(Command::Home);
+                rig.turns(after);
+                if rig.end().is_some() {
+                    break;
+                }
+                steps += 1;
+                assert_eq!(rig.run(command), Ok(()), "{after} {can:?}");
+                assert!(
+                    (rig.drive.mode, rig.drive.is_moving()) == (ModeIs::Own, false),
+                    "{after}: {:?}",
+                    rig.drive
+                );
+                let position = rig.drive.point.position;
+                rig.turns(30);
+                assert!((rig.drive.point.position - position).abs() < 1e-6, "{after} {can:?}");
+            }
+            assert!(steps > 100, "{steps}");
+        }
+    }
+}
+
+#[test]
+fn a_drive_in_another_mode_takes_no_motion() {
+    for can in homers() {
+        let mut rig = Rig::enabled(can);
+        rig.drive.mode = ModeIs::Other;
+        for report in &mut rig.drive.reports {
+            report.evidence.mode = ModeIs::Other;
+        }
+        rig.exchange(Fate::RequestLost);
+        rig.exchange(Fate::RequestLost);
+        rig.slot.evidence.mode = ModeIs::Other;
+        rig.start(Command::Follow);
+        assert!(matches!(rig.end(), Some(Err(Failure::Unsupported(_)))), "{can:?}: {:?}", rig.end());
+    }
+}

@@ -1,0 +1,267 @@
+//! Enabling, disabling, faults, restarts, and outputs that stop counting.
+
+use super::*;
+use crate::bus::desired::Resettable;
+
+/// A drive that is found in this state.
+fn found(can: Capabilities, state: Cia402) -> Rig {
+    let mut rig = Rig::new(can);
+    rig.drive.state = state;
+    rig.turns(3);
+    rig
+}
+
+#[test]
+fn a_take_over_writes_what_keeps_the_state_and_motion_that_was_found() {
+    use Cia402::{Fault, OperationEnabled, QuickStopActive, ReadyToSwitchOn, SwitchOnDisabled, SwitchedOn};
+    for can in kinds() {
+        for (state, power) in [
+            (SwitchOnDisabled, Power::Off),
+            (ReadyToSwitchOn, Power::Shutdown),
+            (SwitchedOn, Power::SwitchOn),
+            (OperationEnabled, Power::EnableOperation),
+            (QuickStopActive, Power::QuickStop),
+            (Fault, Power::Off),
+        ] {
+            let mut rig = found(can, state);
+            rig.start(None);
+            rig.turns(20);
+            assert_eq!((rig.end(), rig.power(), rig.state()), (Some(Ok(())), power, state), "{can:?}");
+        }
+        let mut rig = found(can, OperationEnabled);
+        rig.drive.point.velocity = 30.0;
+        rig.turns(3);
+        rig.start(None);
+        rig.turns(50);
+        assert!((rig.drive.point.velocity - 30.0).abs() < 1e-6, "{can:?}: {:?}", rig.drive.point);
+        assert_eq!(rig.run(STOP), Ok(()), "{can:?}");
+        assert_eq!((rig.drive.point.velocity, rig.state()), (0.0, OperationEnabled), "{can:?}");
+    }
+}
+
+#[test]
+fn enable_leads_into_operation_from_every_state_and_moves_nothing() {
+    use Cia402::{OperationEnabled, QuickStopActive, ReadyToSwitchOn, SwitchOnDisabled, SwitchedOn};
+    for can in kinds() {
+        for state in [SwitchOnDisabled, ReadyToSwitchOn, SwitchedOn, OperationEnabled, QuickStopActive] {
+            let mut rig = found(can, state);
+            rig.set(100.0);
+            // A quick stop that is not the master's ends when it ends.
+            let stays = state == QuickStopActive && !can.leaves_quick_stop;
+            let expected = if stays { Err(Failure::TimedOut(state)) } else { Ok(()) };
+            assert_eq!(rig.run(Command::Enable), expected, "{state:?} {can:?}");
+            assert_eq!(rig.state(), if stays { state } else { OperationEnabled }, "{state:?} {can:?}");
+            rig.turns(50);
+            assert_eq!((rig.drive.point.position, rig.drive.is_moving()), (10.0, false), "{can:?}");
+            let on = matches!(state, OperationEnabled | SwitchedOn | QuickStopActive) && !stays;
+            assert_eq!(
+                on && rig.drive.powers.contains(&Power::Off),
+                false,
+                "{state:?}: {:?}",
+                rig.drive.powers
+            );
+        }
+    }
+}
+
+#[test]
+fn an_enable_in_operation_is_done_by_a_report_from_after_it() {
+    for can in kinds() {
+        let mut rig = Rig::enabled(can);
+        let before = rig.slot.desired.power;
+        rig.start(Command::Enable);
+        assert!(rig.slot.desired.power.serial > before.serial);
+        for _ in 0..20 {
+            rig.exchange(Fate::ReplyLost);
+            assert_eq!(rig.end(), None);
+        }
+        rig.drive.delay = 5;
+        (0..4).for_each(|_| rig.exchange(Fate::Suspect(1)));
+        assert_eq!(rig.end(), None);
+        assert_eq!((rig.finish(), rig.drive.powers.contains(&Power::Off)), (Ok(()), false));
+    }
+}
+
+#[test]
+fn what_does_not_come_up_goes_back_to_where_it_was_and_says_why() {
+    let named = Failure::DriveFault(5);
+    for can in kinds() {
+        let mut rig = found(can, Cia402::SwitchedOn);
+        rig.drive.state = Cia402::SwitchedOn;
+        rig.drive.inhibited = true;
+        // It has power, and is found so; then it loses that, and none comes back.
+        rig.start(Command::Enable);
+        rig.drive.state = Cia402::ReadyToSwitchOn;
+        assert_eq!(rig.finish(), Err(Failure::Inhibited), "{can:?}");
+        assert_eq!(rig.power(), Power::SwitchOn, "{can:?}: where it was found");
+
+        let mut rig = Rig::new(can);
+        rig.drive.inhibited = true;
+        assert_eq!(rig.run(Command::Enable), Err(Failure::Inhibited), "{can:?}");
+        assert_eq!(rig.power(), Power::Off);
+
+        // What is known, before it and on the way.
+        let mut rig = Rig::new(can);
+        rig.drive.trip(5);
+        rig.turns(3);
+        assert_eq!((rig.run(Command::Enable), rig.power()), (Err(named), Power::Untouched));
+        let mut rig = Rig::new(can);
+        rig.start(Command::Enable);
+        rig.turn();
+        rig.drive.fault.named = false;
+        rig.drive.trip(5);
+        rig.turns(10);
+        assert_eq!(rig.end(), None, "its code will be known");
+        rig.drive.fault.named = true;
+        assert_eq!(rig.finish(), Err(named));
+        assert!(rig.power().is_off(), "{:?}", rig.power());
+
+        let mut rig = Rig::new(can);
+        rig.drive.obstacle = Some("a setting");
+        rig.turns(3);
+        assert_eq!(rig.run(Command::Enable), Err(Failure::Unsupported("a setting")));
+        assert!(
+            rig.gone.iter().all(|gone| gone.power.value == Power::Untouched || gone.power.value.is_off())
+        );
+
+        // It never answers.
+        let mut rig = Rig::new(can);
+        rig.start(Command::Enable);
+        let since = rig.now;
+        while rig.end().is_none() {
+            rig.exchange(Fate::RequestLost);
+        }
+        assert_eq!(rig.end(), Some(Err(Failure::TimedOut(Cia402::SwitchOnDisabled))));
+        assert!((300..310).contains(&(rig.now.since(since) / MS)));
+        rig.turns(20);
+        assert!((rig.power(), rig.state()) == (Power::Off, Cia402::SwitchOnDisabled), "{:?}", rig.state());
+    }
+}
+
+#[test]
+fn a_command_that_never_leaves_fails_in_time_and_never_leaves_after_that() {
+    for can in kinds() {
+        let mut rig = Rig::enabled(can);
+        rig.start(Command::Disable);
+        while rig.end().is_none() {
+            rig.exchange(Fate::Unsent);
+        }
+        assert!(matches!(rig.end(), Some(Err(Failure::TimedOut(_)))), "{:?}", rig.end());
+        rig.turns(50);
+        assert_eq!(rig.state(), Cia402::OperationEnabled);
+        // A stop waits.
+        rig.start(STOP);
+        (0..1_000).for_each(|_| rig.exchange(Fate::Unsent));
+        assert_eq!((rig.end(), rig.finish()), (None, Ok(())));
+    }
+}
+
+#[test]
+fn a_fault_is_reset_by_an_edge_when_the_drive_takes_one() {
+    for can in kinds() {
+        let mut rig = Rig::enabled(can);
+        rig.moving();
+        rig.drive.trip(5);
+        rig.until("its fault", |rig| rig.end().is_some());
+        assert_eq!(rig.end(), Some(Err(Failure::DriveFault(5))), "{can:?}");
+        // None was ever requested with its reaction still running.
+        rig.drive.fault.resettable = Resettable::At(Time(u64::MAX));
+        rig.start(Command::ResetFault);
+        rig.turns(50);
+        assert!(!rig.drive.powers.contains(&Power::FaultReset));
+        // However long that is.
+        let at = rig.now + 5_000 * MS;
+        rig.drive.fault.resettable = Resettable::At(at);
+        assert_eq!(rig.finish(), Ok(()), "{can:?}");
+        assert!(rig.now > at && rig.drive.powers.ends_with(&[Power::Off, Power::FaultReset, Power::Off]));
+        assert_eq!(rig.state(), Cia402::SwitchOnDisabled);
+        assert_eq!(rig.run(Command::ResetFault), Ok(()), "there is none");
+        assert_eq!(rig.run(Command::Enable), Ok(()));
+    }
+}
+
+#[test]
+fn a_fault_that_stays_or_comes_back_fails_its_reset_by_its_code() {
+    for can in kinds() {
+        let mut rig = Rig::new(can);
+        rig.drive.trip(5);
+        rig.drive.persists = true;
+        rig.turns(3);
+        assert_eq!(rig.run(Command::ResetFault), Err(Failure::DriveFault(7)), "{can:?}");
+        rig.drive.fault.resettable = Resettable::Never(Some("switch it off"));
+        let resets = rig.drive.powers.len();
+        assert_eq!(rig.run(Command::ResetFault), Err(Failure::Unsupported("switch it off")));
+        assert!(!rig.drive.powers[resets..].contains(&Power::FaultReset));
+    }
+}
+
+#[test]
+fn a_drive_that_falls_out_of_operation_does_not_come_back_by_itself() {
+    for can in kinds() {
+        for moves in [false, true] {
+            let mut rig = Rig::enabled(can);
+            if moves {
+                rig.moving();
+            }
+            rig.drive.state = Cia402::SwitchOnDisabled;
+            let powers = rig.drive.powers.len();
+            rig.turns(20);
+            let end = if moves { Err(Failure::Dropped(Cia402::SwitchOnDisabled)) } else { Ok(()) };
+            assert_eq!(rig.end(), Some(end), "{can:?}");
+            // Somebody switches it on again.
+            rig.drive.state = Cia402::SwitchedOn;
+            rig.turns(200);
+            assert_ne!(rig.state(), Cia402::OperationEnabled, "{can:?}");
+            assert!(!rig.drive.powers[powers..].contains(&Power::EnableOperation), "{:?}", rig.drive.powers);
+        }
+    }
+}
+
+#[test]
+fn a_restart_ends_what_runs_and_nothing_of_it_is_written_again() {
+    for can in kinds() {
+        for enabling in [false, true] {
+            let mut rig = if enabling { Rig::new(can) } else { Rig::enabled(can) };
+            if enabling {
+                rig.start(Command::Enable);
+                rig.turns(3);
+            } else {
+                rig.moving();
+            }
+            rig.drive.restart();
+            rig.turns(2);
+            assert!(matches!(rig.end(), Some(Err(Failure::Dropped(_)))), "{:?}", rig.end());
+            let gone = rig.gone.len();
+            rig.turns(300);
+            assert!(rig.gone[gone..].iter().all(|gone| gone.power.value == Power::Off));
+            assert_eq!(rig.state(), Cia402::SwitchOnDisabled);
+            assert_eq!(rig.run(Command::Enable), Ok(()));
+            rig.turns(50);
+            assert!(!rig.drive.is_moving());
+        }
+        // What waits for power to be off gets it.
+        let mut rig = Rig::enabled(can);
+        rig.start(Command::Disable);
+        rig.drive.restart();
+        assert_eq!(rig.finish(), Ok(()), "{can:?}");
+    }
+}
+
+#[test]
+fn outputs_that_count_no_more_end_the_command_and_the_drive_stays_out_of_operation() {
+    for can in kinds() {
+        let mut rig = Rig::enabled(can);
+        rig.moving();
+        rig.drive.outputs_count = false;
+        rig.until("its end", |rig| rig.end().is_some());
+        assert_eq!(rig.end(), Some(Err(Failure::Dropped(Cia402::OperationEnabled))), "{can:?}");
+        rig.turns(20);
+        rig.drive.outputs_count = true;
+        let powers = rig.drive.powers.len();
+        rig.turns(300);
+        assert!(
+            !rig.drive.is_moving() && !rig.drive.powers[powers..].contains(&Power::EnableOperation),
+            "{can:?}"
+        );
+    }
+}
