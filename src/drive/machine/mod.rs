@@ -237,11 +237,15 @@ impl Machine {
             self.proposed.clone_from(state);
             state = &mut self.proposed;
             state.is_new = true;
-            waiting.is_proposed = true;
             let end = waiting.command.and_then(|start| state.begin(start, waiting.since, &view));
+            // What is to be taken over may not be known yet: then it waits on.
+            let unknown = view.status.state == Cia402::Unknown;
+            waiting.is_proposed =
+                end.is_some() || !(unknown && waiting.command.is_some_and(Start::needs_outputs));
             if matches!(end, Some(Err(_))) {
                 // Nothing of it is written, however often this is proposed.
                 waiting.command = None;
+                let serial = state.serial;
                 state.clone_from(&self.state);
                 (state.serial, state.is_new) = (serial, true);
             }
@@ -314,6 +318,11 @@ impl Machine {
 }
 
 impl Start {
+    /// It begins from the state that the drive is in.
+    fn needs_outputs(self) -> bool {
+        matches!(self, Start::Command(command) if command != Command::Reset)
+    }
+
     /// It fails if no request with it leaves in time. A stop waits for as long as it takes.
     fn has_a_time_limit(self) -> bool {
         matches!(
@@ -327,8 +336,8 @@ impl State {
     /// Begins a command that waits since `since`.
     #[inline(never)]
     fn begin(&mut self, start: Start, since: Time, view: &View) -> End {
-        if let Start::Command(command) = start
-            && command.needs_outputs()
+        if start.needs_outputs()
+            && let Start::Command(command) = start
         {
             if let Some(failure) = view.rules.can.lacks.refuses(&command) {
                 return self.refuse(failure, view);

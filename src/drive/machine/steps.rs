@@ -442,10 +442,3 @@ impl State {
         None
     }
 }
-
-/// It needs nothing of the drive to begin.
-impl Command {
-    pub(super) fn needs_outputs(&self) -> bool {
-        !matches!(self, Command::Reset)
-    }
-}

@@ -265,3 +265,22 @@ fn outputs_that_count_no_more_end_the_command_and_the_drive_stays_out_of_operati
         );
     }
 }
+
+#[test]
+fn a_command_waits_until_the_state_of_its_drive_is_known_whatever_leaves_meanwhile() {
+    for can in kinds() {
+        let mut machine = Machine::new(&plan(), can, T);
+        let mut slot = Slot { due: true, ..Slot::default() };
+        assert_eq!(slot.status.state, Cia402::Unknown);
+        machine.start(Time(T), Some(STOP));
+        for cycle in 2..10 {
+            machine.propose(Time(cycle * T), &mut slot);
+            machine.commit(Time(cycle * T));
+            machine.observe(Time(cycle * T), false, &slot);
+        }
+        assert_eq!((machine.end(), slot.desired.power.value), (None, Power::Untouched), "{can:?}");
+        slot.status.state = Cia402::OperationEnabled;
+        machine.propose(Time(10 * T), &mut slot);
+        assert_eq!(slot.desired.power.value, Power::EnableOperation, "it is taken over, and stopped: {can:?}");
+    }
+}
