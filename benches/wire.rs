@@ -1,7 +1,8 @@
-//! The nanoseconds of one exchange without a socket: encode, station and decode, for an axis in operation.
+//! The nanoseconds of one exchange without a socket: drive machine, encode, station and decode, for an axis in
+//! operation.
 //!
-//! - `exchange`: what the loop does for a drive and cycle: build the request in place, note that it was sent, take the
-//!   reply in (identity, states, units, feedback, native process data).
+//! - `exchange`: what the loop does for a drive and cycle: choose what is desired, build the request in place, note that
+//!   it was sent, take the reply in (identity, states, units, feedback, native process data), follow the command.
 //! - `encode`, `encode motion`, `decode`: the telegram alone.
 //!
 //! A Unidrive's exchange is one request with function 23: everything cyclic is in menu 0.
@@ -38,8 +39,9 @@ use fieldbeat::bus::modbus::wire::{
 };
 use fieldbeat::bus::modbus::words::ControlWord as UnidriveControl;
 use fieldbeat::bus::modbus::{self, Finding, Found};
-use fieldbeat::bus::{Bus, BusPlan, Counters, Cycle, Exchange, Order, Slot};
+use fieldbeat::bus::{Bus, BusPlan, Counters, Cycle, Exchange, Slot};
 use fieldbeat::bus::{ethercat, linudp};
+use fieldbeat::drive::machine::Machine;
 use fieldbeat::net::Frames;
 use fieldbeat::time::{MS, Time, US};
 use serde_json::{Value, json};
@@ -70,10 +72,29 @@ fn advance(cycle: &mut Cycle) -> Time {
     cycle.grid + 5 * US
 }
 
+/// The machine of drive `index`.
+fn machine(plan: &dyn BusPlan, index: usize) -> Machine {
+    Machine::new(plan.axes()[index], plan.capabilities(index), PERIOD_NS)
+}
+
+/// A request has gone out.
+fn commit(machine: &mut Machine, slot: &mut Slot) {
+    if let Some(grid) = slot.gone.grid.take() {
+        machine.commit(grid);
+    }
+}
+
+/// The reports of a cycle, which are cleared as the loop does.
+fn observe(machine: &mut Machine, grid: Time, slot: &mut Slot) {
+    machine.observe(grid, false, slot);
+    slot.notices.fresh = false;
+}
+
 const BEGIN: Cycle = Cycle { index: 0, grid: Time(0), period_ns: PERIOD_NS, deadline: Time(PERIOD_NS / 2) };
 
 /// A station, and a drive that answers it from memory.
 struct Exchanged {
+    machine: Machine,
     station: Station,
     /// Kept, as an application would.
     _native: Native,
@@ -88,8 +109,11 @@ struct Exchanged {
 impl Exchanged {
     /// An axis in operation and moving.
     fn operational() -> Exchanged {
-        let (station, native, _acyclic) = Station::new(&fleet::linmot(Ipv4Addr::new(127, 90, 1, 10)));
+        let address = Ipv4Addr::new(127, 90, 1, 10);
+        let plan = linudp::LinUdpPlan::new(Ipv4Addr::LOCALHOST, vec![fleet::linmot(address)]);
+        let (station, native, _acyclic) = Station::new(&plan.drives[0]);
         let mut exchanged = Exchanged {
+            machine: machine(&plan, 0),
             station,
             _native: native,
             slot: Slot { due: true, link: Link::Online, ..Slot::default() },
@@ -99,21 +123,23 @@ impl Exchanged {
             cycle: BEGIN,
         };
         exchanged.turn();
-        exchanged.slot.order = Order { serial: 1, verb: Some(Command::Enable) };
+        exchanged.machine.start(exchanged.cycle.grid, Some(Command::Enable));
         (0..3).for_each(|_| exchanged.turn());
         exchanged.state = MainState::OPERATION_ENABLED;
         (0..3).for_each(|_| exchanged.turn());
         assert_eq!(exchanged.slot.status.state, State::OperationEnabled);
-        assert_eq!(exchanged.slot.progress.end, Some(Ok(())));
+        assert_eq!(exchanged.machine.end(), Some(Ok(())));
         exchanged
     }
 
     /// One exchange.
     fn turn(&mut self) {
         let sent_at = advance(&mut self.cycle);
+        self.machine.propose(self.cycle.grid, &mut self.slot);
         let length = self.station.prepare(&self.cycle, &mut self.slot, &mut self.request);
         let request = black_box(&self.request[..length]);
         self.station.sent(sent_at, self.cycle.deadline, &mut self.slot);
+        commit(&mut self.machine, &mut self.slot);
         let length = paused(|| {
             let request = Request::parse(request).expect("a request");
             let position = (self.cycle.index as i32).wrapping_mul(100);
@@ -122,6 +148,7 @@ impl Exchanged {
         });
         let reply = black_box(&self.reply[..length]);
         self.station.take(sent_at + 40 * US, reply, true, &mut self.slot);
+        observe(&mut self.machine, self.cycle.grid, &mut self.slot);
         black_box(&self.slot);
     }
 }
@@ -150,6 +177,7 @@ fn reply(request_def: RequestDef, response_def: ResponseDef, state: MainState) -
 
 /// The station of a Unidrive, and a drive that answers it from memory.
 struct Asked {
+    machine: Machine,
     station: modbus::Station,
     /// Kept, as an application would.
     _native: modbus::Native,
@@ -174,16 +202,17 @@ impl Asked {
         let mappings = unidrive::mappings(&drive);
         let (station, native, _acyclic) = modbus::Station::new(&drive, mappings, found);
         let slot = Slot { due: true, link: Link::Online, ..Slot::default() };
-        let mut asked = Asked { station, _native: native, slot, drive: Canned::new(), cycle: BEGIN };
+        let machine = machine(&modbus::ModbusPlan::new(vec![drive]), 0);
+        let mut asked = Asked { machine, station, _native: native, slot, drive: Canned::new(), cycle: BEGIN };
         asked.station.connected(&mut asked.slot);
         asked.turn();
-        asked.slot.order = Order { serial: 1, verb: Some(Command::Enable) };
+        asked.machine.start(asked.cycle.grid, Some(Command::Enable));
         (0..5).for_each(|_| asked.turn());
         assert_eq!(asked.slot.status.state, State::OperationEnabled);
-        assert_eq!(asked.slot.progress.end, Some(Ok(())));
-        asked.slot.order = Order { serial: 2, verb: Some(Command::Velocity { acceleration: 1_000.0 }) };
+        assert_eq!(asked.machine.end(), Some(Ok(())));
+        asked.machine.start(asked.cycle.grid, Some(Command::Velocity { acceleration: 1_000.0 }));
         (0..5).for_each(|_| asked.turn());
-        assert_eq!(asked.slot.progress.end, None, "it goes on following");
+        assert_eq!(asked.machine.end(), None, "it goes on following");
         asked
     }
 
@@ -197,22 +226,25 @@ impl Asked {
     fn exchange(&mut self, answer: impl FnOnce(&mut Canned, &mut [u8]) -> usize) {
         let sent_at = advance(&mut self.cycle);
         // Another reference each time, as far as the ramp allows.
-        self.slot.velocity = 10.0 + (self.cycle.index % 4) as f64 * 0.25;
+        self.machine.input.velocity = 10.0 + (self.cycle.index % 4) as f64 * 0.25;
+        self.machine.propose(self.cycle.grid, &mut self.slot);
         self.station.prepare(&self.cycle, &mut self.slot);
         let request = black_box(self.station.to_send());
         let count = request.len();
         assert!(paused(|| self.drive.hear(request)), "it is a request to all of it");
         self.station.sent(sent_at, count, &self.cycle, &mut self.slot);
+        commit(&mut self.machine, &mut self.slot);
         let count = paused(|| answer(&mut self.drive, black_box(self.station.room())));
         let taken = self.station.take(sent_at + 40 * US, count, &mut self.slot);
         assert!(taken.is_ok() && matches!(self.slot.exchange, Exchange::Answered { .. }));
+        observe(&mut self.machine, self.cycle.grid, &mut self.slot);
         black_box(&self.slot);
     }
 }
 
 /// The same exchange without its station.
 struct Around {
-    slot: Slot,
+    velocity: f64,
     drive: Canned,
     request: Vec<u8>,
     room: [u8; ADU_MAX],
@@ -221,24 +253,30 @@ struct Around {
 
 impl Around {
     fn new(request: &[u8]) -> Around {
-        let slot = Slot { due: true, link: Link::Online, ..Slot::default() };
-        Around { slot, drive: Canned::new(), request: request.to_vec(), room: [0; ADU_MAX], cycle: BEGIN }
+        Around {
+            velocity: 0.0,
+            drive: Canned::new(),
+            request: request.to_vec(),
+            room: [0; ADU_MAX],
+            cycle: BEGIN,
+        }
     }
 
     #[inline]
     fn exchange(&mut self) {
         let sent_at = advance(&mut self.cycle);
-        self.slot.velocity = 10.0 + (self.cycle.index % 4) as f64 * 0.25;
+        self.velocity = 10.0 + (self.cycle.index % 4) as f64 * 0.25;
         let request = black_box(&self.request);
         assert!(self.drive.hear(request), "it is a request to all of it");
         black_box((sent_at, self.drive.answer_again(black_box(&mut self.room))));
-        black_box(&self.slot);
+        black_box(&self.velocity);
     }
 }
 
 /// A line whose drives all follow a velocity, answered from memory.
 struct Linked {
     bus: Box<dyn Bus>,
+    machines: Vec<Machine>,
     slots: Vec<Slot>,
     cycle: Cycle,
     settled: Settled,
@@ -260,30 +298,32 @@ impl Linked {
         let lines = CountedNet::over(lines, &Calls::default());
         let bus = BusPlan::open(&plan, PERIOD_NS, &lines).expect("a line in memory");
         let slot = Slot { due: true, link: Link::Online, ..Slot::default() };
-        let mut linked = Linked { bus, slots: vec![slot; drives], cycle: BEGIN, settled };
+        let machines = (0..drives).map(|index| machine(&plan, index)).collect();
+        let mut linked = Linked { bus, machines, slots: vec![slot; drives], cycle: BEGIN, settled };
         linked.cycle.grid = Time(1_000 * PERIOD_NS);
         linked.bus.prepare(&linked.cycle, &mut linked.slots);
-        linked.until("in operation", |slot| slot.notices.fresh);
-        linked.order(Order { serial: 1, verb: Some(Command::Enable) });
-        linked.until("enabled", |slot| slot.progress.end == Some(Ok(())));
-        linked.order(Order { serial: 2, verb: Some(Command::Velocity { acceleration: 100.0 }) });
+        linked.until("in operation", |slot, _| slot.status.at > Time(0));
+        linked.start(Command::Enable);
+        linked.until("enabled", |_, machine| machine.end() == Some(Ok(())));
+        linked.start(Command::Velocity { acceleration: 100.0 });
         (0..5_000).for_each(|_| linked.turn());
-        for slot in &linked.slots {
+        for (slot, machine) in linked.slots.iter().zip(&linked.machines) {
             assert_eq!(slot.status.state, State::OperationEnabled);
-            assert_eq!(slot.progress.end, None, "it goes on following");
+            assert_eq!(machine.end(), None, "it goes on following");
         }
         linked.slots.iter_mut().for_each(|slot| slot.counters = Counters::default());
         linked
     }
 
-    fn order(&mut self, order: Order) {
-        self.slots.iter_mut().for_each(|slot| slot.order = order);
+    fn start(&mut self, command: Command) {
+        let now = self.cycle.grid;
+        self.machines.iter_mut().for_each(|machine| machine.start(now, Some(command)));
     }
 
-    fn until(&mut self, what: &str, done: impl Fn(&Slot) -> bool) {
+    fn until(&mut self, what: &str, done: impl Fn(&Slot, &Machine) -> bool) {
         for _ in 0..100_000 {
             self.turn();
-            if self.slots.iter().all(&done) {
+            if self.slots.iter().zip(&self.machines).all(|(slot, machine)| done(slot, machine)) {
                 return;
             }
         }
@@ -296,16 +336,21 @@ impl Linked {
         let sent_at = advance(&mut self.cycle);
         LINE_NOW.store(sent_at.0, Ordering::Relaxed);
         self.bus.send(&self.cycle, &mut self.slots);
+        for (machine, slot) in self.machines.iter_mut().zip(&mut self.slots) {
+            commit(machine, slot);
+        }
         LINE_NOW.store(sent_at.0 + 40 * US, Ordering::Relaxed);
         self.bus.receive(&self.cycle, &mut self.slots);
         let velocity = 10.0 + (self.cycle.index % 4) as f64 * 0.25;
-        for slot in &mut self.slots {
-            slot.exchange = Exchange::Idle;
-            // Another velocity each time, as far as the ramp allows.
-            slot.velocity = velocity;
-        }
         let mut next = self.cycle;
         advance(&mut next);
+        for (machine, slot) in self.machines.iter_mut().zip(&mut self.slots) {
+            slot.exchange = Exchange::Idle;
+            observe(machine, self.cycle.grid, slot);
+            // Another velocity each time, as far as the ramp allows.
+            machine.input.velocity = velocity;
+            machine.propose(next.grid, slot);
+        }
         self.bus.prepare(&next, &mut self.slots);
         black_box(&self.slots);
     }
@@ -342,7 +387,7 @@ impl Unlinked {
         let velocity = 10.0 + (self.cycle.index % 4) as f64 * 0.25;
         for slot in &mut self.slots {
             slot.exchange = Exchange::Idle;
-            slot.velocity = velocity;
+            black_box(velocity);
         }
         black_box(&self.slots);
     }

@@ -128,6 +128,8 @@ pub struct Evidence {
     pub accepted: Accepted,
     /// What is written reaches the drive and counts there.
     pub outputs_count: bool,
+    /// Its power stays on, if it is on: the drive reports that it is commanded to be on.
+    pub stays_on: bool,
     /// It can take the next motion.
     pub ready: bool,
     /// It follows what is written.
@@ -178,6 +180,7 @@ impl Default for Evidence {
         Evidence {
             accepted: Accepted::default(),
             outputs_count: true,
+            stays_on: true,
             ready: true,
             follows: Follows::Yes,
             is_set_up: true,

@@ -266,6 +266,7 @@ impl Profile {
             evidence.accepted.motion = evidence.accepted.motion.min(self.sent.motion.saturating_sub(1));
         }
         evidence.refused = self.refused;
+        evidence.stays_on = inputs.status.has(StatusWord::SWITCH_ON_ACTIVE);
         let operates = inputs.state.main() == MainState::OPERATION_ENABLED;
         (evidence.ready, evidence.homing) = (true, Homing::Open);
         evidence.fault = FaultIs { active: false, named: true, resettable: Resettable::Now };

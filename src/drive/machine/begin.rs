@@ -16,7 +16,8 @@ pub(super) const OTHER_MODE: Failure = Failure::Unsupported(
 impl State {
     /// Takes the drive over as it is, at its present velocity.
     pub(super) fn claim(&mut self, view: &View) {
-        let power = if view.evidence.outputs_count { as_found(view.status.state) } else { Power::Off };
+        let stays = view.evidence.outputs_count && view.evidence.stays_on;
+        let power = if stays { as_found(view.status.state) } else { Power::Off };
         self.set(power);
         if power == Power::EnableOperation {
             self.run_from(self.found(view));
