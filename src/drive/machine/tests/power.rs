@@ -54,12 +54,8 @@ fn enable_leads_into_operation_from_every_state_and_moves_nothing() {
             rig.turns(50);
             assert_eq!((rig.drive.point.position, rig.drive.is_moving()), (10.0, false), "{can:?}");
             let on = matches!(state, OperationEnabled | SwitchedOn | QuickStopActive) && !stays;
-            assert_eq!(
-                on && rig.drive.powers.contains(&Power::Off),
-                false,
-                "{state:?}: {:?}",
-                rig.drive.powers
-            );
+            let off = on && rig.drive.powers.contains(&Power::Off);
+            assert!(!off, "{state:?}: {:?}", rig.drive.powers);
         }
     }
 }
@@ -281,6 +277,10 @@ fn a_command_waits_until_the_state_of_its_drive_is_known_whatever_leaves_meanwhi
         assert_eq!((machine.end(), slot.desired.power.value), (None, Power::Untouched), "{can:?}");
         slot.status.state = Cia402::OperationEnabled;
         machine.propose(Time(10 * T), &mut slot);
-        assert_eq!(slot.desired.power.value, Power::EnableOperation, "it is taken over, and stopped: {can:?}");
+        assert_eq!(
+            slot.desired.power.value,
+            Power::EnableOperation,
+            "it is taken over, and stopped: {can:?}"
+        );
     }
 }
