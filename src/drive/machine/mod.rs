@@ -247,7 +247,7 @@ impl Machine {
                 waiting.command = None;
                 let serial = state.serial;
                 state.clone_from(&self.state);
-                (state.serial, state.is_new) = (serial, true);
+                state.is_new = true;
             }
             if waiting.command.is_none() {
                 state.quit(&view);
