@@ -19,8 +19,7 @@ use super::command::{
 };
 use super::event::{Event, EventKind};
 use super::feedback::{Fault, FaultNames, Feedback, Link, StopCause};
-use super::lacks::Lacks;
-use super::limits::{check_command, check_row, check_torque, check_velocity};
+use super::limits::{Lacks, check_command, check_row, check_torque, check_velocity};
 use super::newest::NewestIn;
 use super::plan::AxisPlan;
 use super::pulse::Pulse;

@@ -1,12 +1,51 @@
-//! The limits of an axis: a command, setpoint or row that breaks one is refused, on submission where the limit can
-//! be checked there.
+//! What an axis does not do, and its limits: a command, setpoint or row that breaks one is refused, on submission where
+//! that can be checked there.
 
 use super::command::{Command, Failure, Jog, Move, Profile, Row, Target};
-use super::lacks::Lacks;
 use super::plan::{AxisPlan, Limits, Load};
 
-/// `Ok` if the drive can do `command`, and the command keeps to what the plan allows, as far as it can be checked without
-/// the position of the axis.
+/// Why a drive does not do something, with the remedy; `None`: it does.
+pub type Cannot = Option<&'static str>;
+
+/// What a drive does not do.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Lacks {
+    /// Be commanded at all.
+    pub control: Cannot,
+    /// Be enabled.
+    pub enable: Cannot,
+    /// Moves.
+    pub moves: Cannot,
+    /// Rows of a stream.
+    pub rows: Cannot,
+    /// Velocities and jogs.
+    pub velocities: Cannot,
+    /// Torques.
+    pub torques: Cannot,
+    /// Homing.
+    pub homing: Cannot,
+}
+
+impl Lacks {
+    /// Why this drive cannot do that, in any state.
+    pub fn refuses(&self, command: &Command) -> Option<Failure> {
+        let why = match command {
+            Command::Reset => None,
+            _ if self.control.is_some() => self.control,
+            Command::Enable => self.enable,
+            Command::Move(_) => self.moves,
+            Command::Follow => self.rows,
+            Command::Jog(_) | Command::Velocity { .. } => self.velocities,
+            Command::Torque { .. } => self.torques,
+            Command::Home => self.homing,
+            _ => None,
+        };
+        why.map(Failure::Unsupported)
+    }
+}
+
+/// `Ok` if the drive can do `command`, and the command keeps to what the plan allows, as far as it can be checked
+/// without the position of the axis.
 pub fn check_command(plan: &AxisPlan, lacks: &Lacks, command: &Command) -> Result<(), Failure> {
     if let Some(failure) = lacks.refuses(command) {
         return Err(failure);
@@ -143,24 +182,21 @@ mod tests {
     #[test]
     fn a_torque_needs_a_limit_of_the_velocity_and_a_load_that_does_not_drop() {
         let mut plan = AxisPlan::new("x", Units::millimetres(1_000.0));
-        let torque = |slope| Command::Torque { slope };
-        assert!(
-            matches!(check_command(&plan, &Lacks::default(), &torque(100.0)), Err(Failure::Unsupported(why)) if why.contains("velocity"))
-        );
+        let check =
+            |plan: &AxisPlan, slope| check_command(plan, &Lacks::default(), &Command::Torque { slope });
+        assert!(matches!(check(&plan, 100.0), Err(Failure::Unsupported(why)) if why.contains("velocity")));
         plan.limits.velocity = Some(10.0);
-        assert_eq!(check_command(&plan, &Lacks::default(), &torque(100.0)), Ok(()));
+        assert_eq!(check(&plan, 100.0), Ok(()));
         for (slope, refused) in [
             (0.0, Failure::NotPositive { what: "torque slope", value: 0.0 }),
             (-1.0, Failure::NotPositive { what: "torque slope", value: -1.0 }),
             (f64::INFINITY, Failure::NotFinite),
         ] {
-            assert_eq!(check_command(&plan, &Lacks::default(), &torque(slope)), Err(refused));
+            assert_eq!(check(&plan, slope), Err(refused));
         }
         for held_by in [HeldBy::Brake, HeldBy::Drive] {
             plan.load = Load::Vertical(held_by);
-            assert!(
-                matches!(check_command(&plan, &Lacks::default(), &torque(100.0)), Err(Failure::Unsupported(why)) if why.contains("drops"))
-            );
+            assert!(matches!(check(&plan, 100.0), Err(Failure::Unsupported(why)) if why.contains("drops")));
         }
     }
 

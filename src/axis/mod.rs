@@ -25,7 +25,6 @@ pub mod event;
 pub mod feedback;
 pub mod group;
 pub mod handle;
-mod lacks;
 pub mod limits;
 pub mod newest;
 pub mod plan;
@@ -43,7 +42,7 @@ pub use feedback::{
 };
 pub use group::{Group, GroupCommand, GroupError, GroupRefused};
 pub use handle::{Axis, AxisEnds, AxisError, Observer};
-pub use lacks::{Cannot, Lacks};
+pub use limits::{Cannot, Lacks};
 pub use plan::{
     AxisPlan, FoundRunning, Health, HeldBy, Limits, Load, MonitorChannel, PlanFault, StopHow, StopPlan,
     StopThen, StopTimeout, Underrun,

@@ -8,9 +8,6 @@
 //! | `skips` | the share of the slots that were skipped |
 //! | `bound` | from the loss of a drive to its stop request |
 //! | `window` | waiting for replies until the deadline |
-//! | `controller` | the loop's side of one axis |
-//! | `sequence` | the stop sequence |
-//! | `groups` | group synchronisation |
 //! | `reference`, `phase_lock` | a bus clock that leads the grid |
 //! | `heartbeat` | watches the application's sign of life |
 //! | `task` | the application's code inside the cycle |

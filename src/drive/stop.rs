@@ -1,6 +1,6 @@
 //! The stop sequence: what the loop requests of a drive after it stopped the axis, phase by phase.
 //!
-//! Ramp (or the drive's quick stop) -> standstill -> hold or power off. Each phase is an order to the station and
+//! Ramp (or the drive's quick stop) -> standstill -> hold or power off. Each phase is a command to the drive machine and
 //! has an end; the sequence never goes back by itself.
 
 use std::time::Duration;
@@ -46,7 +46,7 @@ pub struct StopSequence {
     unheard: Option<Time>,
     /// It was received again in the shutdown: the rest of its time runs from then on.
     returned: bool,
-    /// The ramp failed, and the quick stop was ordered in its place.
+    /// The ramp failed, and the quick stop was commanded in its place.
     escalated: bool,
     /// The speed at which the phase began, user units/s; NaN if it is not known.
     from: f64,
@@ -88,7 +88,7 @@ pub fn deceleration_of(plan: &StopPlan, requested: f64, velocity: f64) -> f64 {
 }
 
 impl StopSequence {
-    /// Starts the sequence for an axis at `velocity`; the second value is the first order for the drive.
+    /// Starts the sequence for an axis at `velocity`; the second value is the first command to the drive.
     pub fn start(plan: StopPlan, load: Load, now: Time, velocity: f64) -> (StopSequence, Command) {
         let mut sequence = StopSequence {
             plan,
@@ -135,7 +135,7 @@ impl StopSequence {
         self.brake(velocity)
     }
 
-    /// The order of the first phase.
+    /// The command of the first phase.
     fn brake(&self, velocity: f64) -> Command {
         if self.escalated {
             Command::QuickStop
@@ -178,7 +178,7 @@ impl StopSequence {
         matches!(self.phase, Phase::Braking { .. })
     }
 
-    /// One cycle of the sequence; returns the order to give when a new phase is reached.
+    /// One cycle of the sequence; returns the command to give when a new phase is reached.
     ///
     /// While nothing is received from the drive, its time does not run: the probes carry the stop, and power off in
     /// mid-motion must not be the first request that reaches it. Only a shutdown does not wait for ever.
@@ -420,7 +420,7 @@ mod tests {
         let (mut sequence, verb) =
             StopSequence::start(plan(StopHow::Coast, StopThen::Disable), Load::Level, Time(5), 0.0);
         assert_eq!((verb, sequence.step(Time(5), OFF)), (Command::Disable, None));
-        assert!(!sequence.is_down(), "its reply is older than the order");
+        assert!(!sequence.is_down(), "its reply is older than the command");
         assert_eq!(sequence.step(Time(6), Sight { fresh: false, ..OFF }), None);
         assert!(!sequence.is_down(), "and a held one says nothing");
         assert_eq!(sequence.step(Time(6), OFF), None);

@@ -27,8 +27,8 @@ const ON_WITHIN_NS: u64 = 500 * MS;
 /// A missing hardware enable is reported for so long, ns, after the drive was last commanded to switch on: only the
 /// next such command shows whether it is back.
 const DARK_NS: u64 = S;
-/// A motion is over with so many answers at standstill in a row: between two directions of an overshoot the motor stands
-/// for a moment.
+/// A motion is over with so many answers at standstill in a row: between two directions of an overshoot the motor
+/// stands for a moment.
 const SETTLED: u8 = 3;
 
 const NO_CONTROL: &str = "its outputs have no control word: map 6040h";

@@ -8,9 +8,9 @@
 //! | `plan`, `mapping` | the bus as configured; its cyclic parameters as blocks |
 //! | `greeting` | the handshake on a new connection before the loop gets it |
 //! | `station` | the master's view of one drive |
-//! | `identity`, `pace`, `orders`, `calls`, `native`, `counters` | its parts: matching of replies, whether they come inside the window, steps of an order, acyclic calls, native process data, counts |
+//! | `identity`, `pace`, `calls`, `native`, `counters` | matching of replies, whether they come in the window, calls, native data, counts |
 //! | `read_write` | whether the drive has FC23 |
-//! | `setup`, `echo`, `template` | settings before the first order, values that the drive has accepted, what stays the same between exchanges |
+//! | `setup`, `echo`, `template` | settings before the first request to move, values that the drive has accepted, what stays the same between exchanges |
 //! | `other` | another master's values |
 //! | `bus` | stations and connections as one bus |
 //! | `sim` | the simulated drive |

@@ -11,8 +11,8 @@
 //! | `setpoint` | the setpoint of the next send, where the master makes it |
 //!
 //! [`propose`](Machine::propose) may be called again, for the same send or for a later one. What a command does becomes
-//! the state with [`commit`](Machine::commit), once its first request has gone out. So a command that is replaced before
-//! it left has no effect. Reports of the drive change the state in
+//! the state with [`commit`](Machine::commit), once its first request has gone out. So a command that is replaced
+//! before it left has no effect. Reports of the drive change the state in
 //! [`observe`](Machine::observe): they are facts.
 //!
 //! Each end needs two things: the drive has accepted the request, as far as its wire can prove, and reports after that

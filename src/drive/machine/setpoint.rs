@@ -1,8 +1,8 @@
 //! The setpoint of the next send, where the master makes it: a position, a velocity on its ramp, or a torque on its
 //! slope.
 //!
-//! A motion is planned from the last setpoint that was sent. While the drive does not follow setpoints they are neutral:
-//! no velocity, no torque, the actual position.
+//! A motion is planned from the last setpoint that was sent. While the drive does not follow setpoints they are
+//! neutral: no velocity, no torque, the actual position.
 //!
 //! No ramp of velocities brakes a drive that follows torques. A stop removes the torque along its slope, within 100 ms
 //! at most, and then halts the drive until standstill; a quick stop, and a command that is refused, halt it at once.

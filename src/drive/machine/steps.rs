@@ -303,8 +303,8 @@ impl State {
         view.now.since(self.since) < view.rules.can.stands_ns
     }
 
-    /// A drive that makes its own setpoints and does not halt: its settings keep it from that. The ramp is a motion, and
-    /// needs no such bit.
+    /// A drive that makes its own setpoints and does not halt: its settings keep it from that. The ramp is a motion,
+    /// and needs no such bit.
     fn disobeys(&mut self, view: &View) -> End {
         let there = view.drive_makes_setpoints() && view.operates() && view.evidence.ready;
         if there && self.sent > HALT_WITHIN && self.is_late(view, HALT_WITHIN_NS) {

@@ -55,8 +55,8 @@ impl Rules {
 pub struct Input {
     /// Of a jog or a cyclic velocity, user units/s. A jog begins with its own.
     pub velocity: f64,
-    /// Of a cyclic torque, per cent of the rated torque. Above 0 it accelerates towards higher user positions, whichever
-    /// way the drive counts.
+    /// Of a cyclic torque, per cent of the rated torque. Above 0 it accelerates towards higher user positions,
+    /// whichever way the drive counts.
     pub torque: f64,
     /// The row of a stream.
     pub row: Option<NumberedRow>,

@@ -6,8 +6,8 @@
 //! | `places` | the PDO offsets |
 //! | `asking` | the station's own SDOs: mode, reference, monitored objects |
 //!
-//! It takes instants and slices, and knows no frame. What is desired of it becomes outputs in `profile`. The segment reports the
-//! state of the slave, and whether inputs are of this exchange: an answer is never suspect.
+//! It takes instants and slices, and knows no frame. What is desired of it becomes outputs in `profile`. The segment
+//! reports the state of the slave, and whether inputs are of this exchange: an answer is never suspect.
 //!
 //! Where the setpoint is not a position, the actual position is reported as the demand: there is no demand
 //! position.
