@@ -1,7 +1,7 @@
 //! The stop sequence: what the loop requests of a drive after it stopped the axis, phase by phase.
 //!
-//! Ramp (or the drive's quick stop) -> standstill -> hold or power off. Each phase is a command to the drive machine and
-//! has an end; the sequence never goes back by itself.
+//! Ramp (or the drive's quick stop) -> standstill -> hold or power off. Each phase is a command to the drive machine,
+//! and has an end; the sequence never goes back by itself.
 
 use std::time::Duration;
 
