@@ -39,7 +39,8 @@ const NO_VELOCITY: &str =
 const NO_TORQUE: &str = "its setpoint is no torque: take outputs with one (PDO 1703h)";
 const NOT_WATCHED: &str = "its SyncManager watchdog is off, nothing would stop it if the master dies: set watchdog, or \
     no_drive_watchdog = \"accept\"";
-const FOUND_UNWATCHED: &str = "it was found in operation with another watchdog than configured: disable it first, to have it set up again";
+const FOUND_UNWATCHED: &str = "it was found in operation with another watchdog than configured: disable it first, \
+    so that it can be set up again";
 const MODE_REFUSED: &str =
     "the drive refuses the homing mode or its method: look at 6060h and 6098h, and at home_method";
 const COLD_START: &str =
