@@ -42,8 +42,9 @@ const HURRY: u8 = 2;
 impl Control {
     /// Requests the orderly end: all axes ramp down and are powered off. A second request shortens the waits.
     pub fn stop(&self) {
-        let _ =
-            self.0.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |asked| Some((asked + 1).min(HURRY)));
+        let _ = self
+            .0
+            .fetch_update(Ordering::Relaxed, Ordering::Relaxed, |requested| Some((requested + 1).min(HURRY)));
     }
 
     /// Whether the end was requested.
@@ -51,7 +52,7 @@ impl Control {
         self.0.load(Ordering::Relaxed) != RUN
     }
 
-    fn asked(&self) -> u8 {
+    fn requested(&self) -> u8 {
         self.0.load(Ordering::Relaxed)
     }
 }
@@ -488,13 +489,13 @@ impl<C: Clock> Engine<C> {
 
     /// The orderly end, once requested. True when it is complete.
     fn end(&mut self, cycle: &Cycle, now: Time) -> bool {
-        let asked = self.channels.control.asked();
-        if asked == RUN {
+        let requested = self.channels.control.requested();
+        if requested == RUN {
             return false;
         }
         let (since, before) = *self.ending.get_or_insert((now, STOP));
-        let hurry = asked == HURRY && before == STOP;
-        self.ending = Some((since, asked));
+        let hurry = requested == HURRY && before == STOP;
+        self.ending = Some((since, requested));
         let mut down = true;
         for controller in &mut self.controllers {
             down &= controller.shut_down(cycle, now, hurry);

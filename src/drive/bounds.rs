@@ -135,18 +135,24 @@ mod tests {
     /// Demands at 1 kHz of a drive that reports no speed; returns the report in which the watch trips.
     fn strikes(plan: &AxisPlan, braking: bool, homed: bool, demands: &[f64]) -> Option<usize> {
         let demands: Vec<_> = demands.iter().map(|demand| (*demand, f64::NAN)).collect();
-        strikes_at(plan, braking, homed, &demands)
+        broken_by(plan, braking, homed, &demands)
     }
 
     /// Demands and velocities at 1 kHz.
-    fn strikes_at(plan: &AxisPlan, braking: bool, homed: bool, told: &[(f64, f64)]) -> Option<usize> {
-        told_at(plan, true, braking, homed, told)
+    fn broken_by(plan: &AxisPlan, braking: bool, homed: bool, reported: &[(f64, f64)]) -> Option<usize> {
+        broken_at_report(plan, true, braking, homed, reported)
     }
 
     /// Positions, of the demand if it is `led`, and velocities at 1 kHz.
-    fn told_at(plan: &AxisPlan, led: bool, braking: bool, homed: bool, told: &[(f64, f64)]) -> Option<usize> {
+    fn broken_at_report(
+        plan: &AxisPlan,
+        led: bool,
+        braking: bool,
+        homed: bool,
+        reported: &[(f64, f64)],
+    ) -> Option<usize> {
         let mut bounds = Bounds::default();
-        told.iter().enumerate().position(|(index, (demand, velocity))| {
+        reported.iter().enumerate().position(|(index, (demand, velocity))| {
             let at = Time(MS * index as u64);
             let (position, velocity) = (*demand, *velocity);
             bounds.take(Sample { sent_at: at, at, homed, led, position, velocity }, plan);
@@ -159,19 +165,19 @@ mod tests {
         let mut free = plan();
         free.limits.position = None;
         // 500 mm/s, with the margin of a measured speed; its position need not change for that.
-        let at = |velocity: f64| told_at(&free, false, true, true, &[(50.0, velocity); 20]);
+        let at = |velocity: f64| broken_at_report(&free, false, true, true, &[(50.0, velocity); 20]);
         assert_eq!((at(590.0), at(610.0), at(-610.0)), (None, Some(2), Some(2)));
         let noise = [(10.0, 0.0), (20.0, 0.0), (30.0, 0.0), (40.0, 0.0)];
-        assert_eq!(told_at(&free, false, true, true, &noise), None, "noise is no speed");
-        let struck = |told: &[(f64, f64)]| told_at(&plan(), false, true, true, told);
+        assert_eq!(broken_at_report(&free, false, true, true, &noise), None, "noise is no speed");
+        let broken = |reported: &[(f64, f64)]| broken_at_report(&plan(), false, true, true, reported);
         // 400 mm/s needs 80 mm at 1000 mm/s²: it trips while there is room.
-        let told: Vec<_> = (0..250).map(|index| (f64::from(index) * 0.4, 400.0)).collect();
-        let (place, velocity) = told[struck(&told).unwrap()];
+        let reported: Vec<_> = (0..250).map(|index| (f64::from(index) * 0.4, 400.0)).collect();
+        let (place, velocity) = reported[broken(&reported).unwrap()];
         let end = place + velocity * 0.002 + velocity * velocity / 2_000.0;
         assert!((98.0..=100.001).contains(&end), "{end}");
         // From the outside in is allowed.
-        assert_eq!(struck(&[(105.0, -10.0); 9]), None);
-        assert_eq!(struck(&[(105.0, 1.0); 9]), Some(2));
+        assert_eq!(broken(&[(105.0, -10.0); 9]), None);
+        assert_eq!(broken(&[(105.0, 1.0); 9]), Some(2));
     }
 
     #[test]
@@ -192,8 +198,8 @@ mod tests {
         let mut plan = plan();
         plan.limits.position = None;
         let at = |velocities: &[f64]| {
-            let told: Vec<_> = velocities.iter().map(|velocity| (f64::NAN, *velocity)).collect();
-            strikes_at(&plan, true, false, &told)
+            let reported: Vec<_> = velocities.iter().map(|velocity| (f64::NAN, *velocity)).collect();
+            broken_by(&plan, true, false, &reported)
         };
         assert_eq!(at(&[500.0, -500.0, 590.0, 590.0, -590.0, 590.0]), None);
         assert_eq!(at(&[500.0, 610.0, 610.0, 610.0]), Some(3));
@@ -209,18 +215,18 @@ mod tests {
     fn a_speed_or_a_position_that_is_not_told_is_not_inside_its_limits() {
         let (mut plan, none) = (plan(), f64::NAN);
         // Homed, as it reports, but where?
-        assert_eq!(strikes_at(&plan, true, true, &[(none, 100.0); 4]), Some(2));
-        assert_eq!(strikes_at(&plan, true, true, &[(none, 0.0); 4]), None, "it stands");
+        assert_eq!(broken_by(&plan, true, true, &[(none, 100.0); 4]), Some(2));
+        assert_eq!(broken_by(&plan, true, true, &[(none, 0.0); 4]), None, "it stands");
         assert_eq!(
-            strikes_at(&plan, true, false, &[(none, 100.0); 4]),
+            broken_by(&plan, true, false, &[(none, 100.0); 4]),
             None,
             "not homed: nothing may move it"
         );
         plan.limits.position = None;
-        assert_eq!(strikes_at(&plan, true, false, &[(none, none); 4]), Some(2));
+        assert_eq!(broken_by(&plan, true, false, &[(none, none); 4]), Some(2));
         plan.limits.velocity = None;
         assert_eq!(
-            strikes_at(&plan, true, false, &[(none, none); 4]),
+            broken_by(&plan, true, false, &[(none, none); 4]),
             None,
             "without limits there is nothing to watch"
         );
@@ -228,8 +234,8 @@ mod tests {
 
     #[test]
     fn a_position_that_is_told_again_makes_no_speed_at_first() {
-        let told = [(f64::NAN, 0.0), (90.0, 0.0), (90.1, 0.0), (f64::NAN, 0.0), (10.0, 0.0), (10.1, 0.0)];
-        assert_eq!(strikes_at(&plan(), false, false, &told), None);
+        let reported = [(f64::NAN, 0.0), (90.0, 0.0), (90.1, 0.0), (f64::NAN, 0.0), (10.0, 0.0), (10.1, 0.0)];
+        assert_eq!(broken_by(&plan(), false, false, &reported), None);
     }
 
     #[test]
@@ -263,10 +269,10 @@ mod tests {
     fn with_braking_it_strikes_while_there_is_still_room() {
         // 400 mm/s needs 80 mm at 1000 mm/s².
         let demands: Vec<f64> = (0..250).map(|index| f64::from(index) * 0.4).collect();
-        let struck = strikes(&plan(), true, true, &demands).unwrap();
+        let broken = strikes(&plan(), true, true, &demands).unwrap();
         // Of the reports from 18.4 mm on the third one; 80 mm to brake, and 5 reports until a stop reaches it.
-        assert_eq!(struck, 48);
-        let end = demands[struck] + 400.0 * 0.002 + 400.0 * 400.0 / 2_000.0;
+        assert_eq!(broken, 48);
+        let end = demands[broken] + 400.0 * 0.002 + 400.0 * 400.0 / 2_000.0;
         assert!((98.0..=100.0).contains(&end), "{end}");
         assert_eq!(strikes(&plan(), false, true, &demands), None);
     }

@@ -281,7 +281,7 @@ impl DriveController {
     /// Its request left at this instant.
     #[inline]
     fn left(&mut self, cycle: &Cycle, sent_at: Time) {
-        self.health.asked(cycle.index, true);
+        self.health.requested(cycle.index, true);
         self.follow.held = false;
         let phase_ns = sent_at.since(cycle.grid);
         self.record.phase_ns = measured(phase_ns);
@@ -298,7 +298,7 @@ impl DriveController {
             Some(_) => {}
             None if slot.exchange == Exchange::Queued => self.queued = true,
             None => {
-                self.health.asked(cycle.index, false);
+                self.health.requested(cycle.index, false);
                 // A row that the operating system refused is sent with the next request; in a group it is lost like any
                 // telegram, or this axis would be one row behind from then on.
                 self.follow.held &= slot.exchange == Exchange::Unsent && self.moves_in_group().is_none();
@@ -414,7 +414,7 @@ impl DriveController {
         self.closed = Some(Closed::Missed);
         self.health.missed(cycle.index, self.seen);
         if self.moves_in_group().is_some() {
-            self.tell(cycle, now, EventKind::MissedInGroup);
+            self.emit(cycle, now, EventKind::MissedInGroup);
         }
     }
 
@@ -457,26 +457,26 @@ impl DriveController {
         // Rarely any of them.
         if notices.restarted | notices.monitor_refused.is_some() | notices.emergency.is_some() {
             if let Some((channel, status)) = notices.monitor_refused.take() {
-                self.tell(cycle, now, EventKind::MonitorRefused { channel, status });
+                self.emit(cycle, now, EventKind::MonitorRefused { channel, status });
             }
             if std::mem::take(&mut notices.restarted) {
                 self.restarted = true;
-                self.tell(cycle, now, EventKind::Restarted);
+                self.emit(cycle, now, EventKind::Restarted);
             }
             self.take_emergency(cycle, now, slot);
         }
         let reported = self.feedback.status;
         if inhibited != reported.inhibited {
-            self.tell(cycle, now, EventKind::HardwareEnable(!reported.inhibited));
+            self.emit(cycle, now, EventKind::HardwareEnable(!reported.inhibited));
         }
         if state != reported.state {
-            self.tell(cycle, now, EventKind::State(reported.state));
+            self.emit(cycle, now, EventKind::State(reported.state));
         }
         if fault != reported.fault {
-            self.tell(cycle, now, EventKind::Fault(reported.fault));
+            self.emit(cycle, now, EventKind::Fault(reported.fault));
         }
         if warning != reported.warning {
-            self.tell(cycle, now, EventKind::Warning(reported.warning));
+            self.emit(cycle, now, EventKind::Warning(reported.warning));
         }
     }
 
@@ -484,7 +484,7 @@ impl DriveController {
     fn take_emergency(&mut self, cycle: &Cycle, now: Time, slot: &mut Slot) {
         if let Some(emergency) = slot.notices.emergency.take() {
             self.record.emergency = Some(emergency.into());
-            self.tell(cycle, now, EventKind::Emergency(emergency));
+            self.emit(cycle, now, EventKind::Emergency(emergency));
         }
     }
 
@@ -496,7 +496,7 @@ impl DriveController {
         }
         self.feedback.link = link;
         slot.link = link;
-        self.tell(cycle, now, EventKind::Link(link));
+        self.emit(cycle, now, EventKind::Link(link));
         self.losses += u64::from(link == Link::Lost && before == Link::Online && !slot.expected_silence);
         match link {
             Link::Lost if before == Link::Online => {
@@ -564,7 +564,7 @@ impl DriveController {
         }
         let sight = Sight {
             fresh: slot.notices.fresh,
-            heard: self.is_heard(),
+            answers: self.answers(),
             failed: matches!(self.machine.end(), Some(Err(_))),
             powered: self.feedback.status.state.is_powered(),
             moving: self.feedback.status.moving,
@@ -644,7 +644,7 @@ impl DriveController {
     fn is_stopping_too_long(&self, now: Time) -> bool {
         self.active.is_some_and(stops)
             && self.latch.is_open()
-            && self.is_heard()
+            && self.answers()
             && now.since(self.began) > nanos(self.plan.stop.timeout)
     }
 
@@ -654,7 +654,7 @@ impl DriveController {
     }
 
     /// The drive answers, so that requests reach it.
-    fn is_heard(&self) -> bool {
+    fn answers(&self) -> bool {
         matches!(self.feedback.link, Link::Qualifying | Link::Online)
     }
 
@@ -713,7 +713,7 @@ impl DriveController {
         };
         self.rest.interrupt();
         self.just_stopped = true;
-        self.tell(cycle, now, EventKind::Stopped(cause));
+        self.emit(cycle, now, EventKind::Stopped(cause));
         self.flush(cycle, now, Abort::Stopped(cause));
         self.issue(Some(verb));
     }
@@ -724,7 +724,7 @@ impl DriveController {
         self.disarm();
         self.just_stopped = true;
         self.feedback.stopped = Some(cause);
-        self.tell(cycle, now, EventKind::Stopped(cause));
+        self.emit(cycle, now, EventKind::Stopped(cause));
         self.flush(cycle, now, Abort::Stopped(cause));
     }
 
@@ -826,10 +826,10 @@ impl DriveController {
                 self.rest.fail();
             }
         }
-        self.tell(cycle, now, EventKind::Ended { id: command.id, verb: command.verb.name(), outcome });
+        self.emit(cycle, now, EventKind::Ended { id: command.id, verb: command.verb.name(), outcome });
     }
 
-    fn tell(&mut self, cycle: &Cycle, now: Time, kind: EventKind) {
+    fn emit(&mut self, cycle: &Cycle, now: Time, kind: EventKind) {
         // Every accepted command ends exactly once: the place for that is kept from all else.
         let kept = if matches!(kind, EventKind::Ended { .. }) { 0 } else { self.queues.room_for_ends };
         let room = self.queues.events.slots() > kept;

@@ -70,7 +70,7 @@ impl LinkHealth {
     }
 
     /// Notes that an exchange was sent in slot `index`, or that the attempt failed.
-    pub fn asked(&mut self, index: u64, sent: bool) {
+    pub fn requested(&mut self, index: u64, sent: bool) {
         if matches!(self.link, Link::Unseen | Link::Lost) {
             self.next_probe = if sent { self.again(index) } else { index + self.probe_every };
         }
@@ -163,7 +163,7 @@ mod tests {
     fn ten_good_exchanges_bring_it_up_and_one_miss_starts_over() {
         let mut health = LinkHealth::new(Health::default(), 1, 0, MS, 3, 20, false);
         assert!(!health.is_due(2) && health.is_due(3));
-        health.asked(3, true);
+        health.requested(3, true);
         assert!(!health.is_due(4) && !health.is_due(102) && health.is_due(103));
         for _ in 0..9 {
             health.answered(0);
@@ -187,7 +187,7 @@ mod tests {
         health.missed(31, true);
         assert_eq!(health.link(), Link::Lost);
         assert!(health.is_due(32), "the stop request leaves with the next slot");
-        health.asked(32, true);
+        health.requested(32, true);
         assert!(!health.is_due(33) && health.is_due(132));
     }
 
@@ -208,11 +208,11 @@ mod tests {
     #[test]
     fn a_drive_that_can_be_asked_again_is_asked_at_once() {
         let mut health = LinkHealth::new(Health::default(), 4, 3, MS, 0, 40, false);
-        health.asked(0, true);
+        health.requested(0, true);
         assert!(!health.is_due(10));
         health.reachable(10);
         assert!(health.is_due(10));
-        health.asked(10, true);
+        health.requested(10, true);
         assert!(!health.is_due(11) && health.is_due(110));
     }
 
@@ -224,7 +224,7 @@ mod tests {
             for index in slots {
                 if health.is_due(index) {
                     all.push(index);
-                    health.asked(index, sent);
+                    health.requested(index, sent);
                 }
             }
             all
@@ -245,7 +245,7 @@ mod tests {
             (235..244).collect::<Vec<_>>(),
             "in its own slot, or the first one behind it that is executed"
         );
-        health.asked(235, true);
+        health.requested(235, true);
         assert!(!health.is_due(238) && health.is_due(239));
     }
 

@@ -43,7 +43,7 @@ pub struct StopSequence {
     /// The master is shutting down.
     ending: bool,
     /// Since when nothing was received from the drive.
-    unheard: Option<Time>,
+    silent_since: Option<Time>,
     /// It was received again in the shutdown: the rest of its time runs from then on.
     returned: bool,
     /// The ramp failed, and the quick stop was commanded in its place.
@@ -60,7 +60,7 @@ pub struct Sight {
     /// New values came in.
     pub fresh: bool,
     /// The link carries replies, so that requests reach the drive.
-    pub heard: bool,
+    pub answers: bool,
     /// The drive could not do the last request of the sequence.
     pub failed: bool,
     /// The power stage may be on.
@@ -95,7 +95,7 @@ impl StopSequence {
             keeps_power: load == Load::Vertical(HeldBy::Drive),
             phase: Phase::Holding,
             ending: false,
-            unheard: None,
+            silent_since: None,
             returned: false,
             escalated: plan.how != StopHow::Ramp,
             from: velocity,
@@ -183,12 +183,12 @@ impl StopSequence {
     /// While nothing is received from the drive, its time does not run: the probes carry the stop, and power off in
     /// mid-motion must not be the first request that reaches it. Only a shutdown does not wait for ever.
     pub fn step(&mut self, now: Time, sight: Sight) -> Option<Command> {
-        let back = self.unheard.is_some() && sight.heard;
-        self.unheard = if sight.heard { None } else { self.unheard.or(Some(now)) };
+        let back = self.silent_since.is_some() && sight.answers;
+        self.silent_since = if sight.answers { None } else { self.silent_since.or(Some(now)) };
         let late = |since: Time| now.since(since) >= nanos(self.plan.timeout);
         // Both phases had their time while the drive was absent.
-        let gone =
-            self.ending && self.unheard.is_some_and(|since| now.since(since) >= 2 * nanos(self.plan.timeout));
+        let gone = self.ending
+            && self.silent_since.is_some_and(|since| now.since(since) >= 2 * nanos(self.plan.timeout));
         match self.phase {
             Phase::Holding | Phase::Off => None,
             Phase::Braking { since, still } => {
@@ -220,8 +220,8 @@ impl StopSequence {
                     true
                 } else if still >= self.plan.standstill_for {
                     self.plan.then == StopThen::Disable
-                } else if late(since) && (sight.heard || self.ending) {
-                    if !std::mem::replace(&mut self.escalated, true) && sight.heard {
+                } else if late(since) && (sight.answers || self.ending) {
+                    if !std::mem::replace(&mut self.escalated, true) && sight.answers {
                         // The ramp had its time; the quick stop has as much.
                         self.phase = Phase::Braking { since: now, still: 0 };
                         return Some(Command::QuickStop);
@@ -284,7 +284,7 @@ mod tests {
     }
 
     const MOVING: Sight =
-        Sight { fresh: true, heard: true, failed: false, powered: true, moving: true, velocity: 50.0 };
+        Sight { fresh: true, answers: true, failed: false, powered: true, moving: true, velocity: 50.0 };
     const STANDING: Sight = Sight { moving: false, velocity: 0.5, ..MOVING };
     const OFF: Sight = Sight { powered: false, moving: false, velocity: 0.0, ..MOVING };
 
@@ -355,7 +355,7 @@ mod tests {
     fn nothing_is_switched_off_blindly() {
         let (mut sequence, _) =
             StopSequence::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0), 100.0);
-        let lost = Sight { fresh: false, heard: false, ..MOVING };
+        let lost = Sight { fresh: false, answers: false, ..MOVING };
         assert_eq!(sequence.step(Time(5_000), lost), None, "its time does not run");
         assert_eq!(
             sequence.step(Time(5_001), Sight { powered: false, ..lost }),
@@ -389,7 +389,7 @@ mod tests {
             if quickened {
                 sequence.quicken();
             }
-            assert_eq!(sequence.step(Time(100), Sight { fresh: false, heard: false, ..MOVING }), None);
+            assert_eq!(sequence.step(Time(100), Sight { fresh: false, answers: false, ..MOVING }), None);
             let again = sequence.step(Time(200), Sight { velocity: 10.0, ..MOVING });
             assert_eq!(again, Some(if quickened { Command::QuickStop } else { ramp }));
         }
@@ -400,7 +400,7 @@ mod tests {
         let (mut sequence, _) =
             StopSequence::start(plan(StopHow::Ramp, StopThen::Disable), Load::Level, Time(0), 100.0);
         sequence.shut_down(Time(0), true);
-        let lost = Sight { fresh: false, heard: false, ..MOVING };
+        let lost = Sight { fresh: false, answers: false, ..MOVING };
         let off = (1..).find(|n| {
             let sight = if n % 2 == 0 { MOVING } else { lost };
             sequence.step(Time(300 * n), sight) == Some(Command::Disable)

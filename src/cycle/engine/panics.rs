@@ -151,7 +151,7 @@ impl<C: Clock> Engine<C> {
         let bus = self.buses.iter().position(|open| open.is_at_work);
         let stage = self.panics.stage;
         self.panics.note(slot, stage, bus.map_or(Part::Loop, Part::Bus), payload);
-        if self.channels.control.asked() == RUN {
+        if self.channels.control.requested() == RUN {
             self.channels.control.stop();
         }
         let cycle = self.cycle_at(self.grid.index(), self.grid.at());
@@ -291,10 +291,10 @@ impl<C: Clock> Engine<C> {
 
     /// The orderly end; true once it is complete.
     fn end_stop(&mut self, cycle: &Cycle, now: Time) -> bool {
-        let asked = self.channels.control.asked();
+        let requested = self.channels.control.requested();
         let (since, before) = *self.ending.get_or_insert((now, STOP));
-        let hurry = asked == HURRY && before == STOP;
-        self.ending = Some((since, asked));
+        let hurry = requested == HURRY && before == STOP;
+        self.ending = Some((since, requested));
         let controllers = &mut self.controllers;
         self.panics.guard(cycle.index, None, Part::Outlets, || take_commands(controllers));
         let mut down = true;

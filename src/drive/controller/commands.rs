@@ -239,7 +239,7 @@ impl DriveController {
         let motion = command.verb.is_motion() || matches!(command.verb, Command::Home);
         let native = |owner| command.verb == Command::Native(owner);
         match command.verb {
-            Command::Reset if !self.latch.is_settled() && !self.is_heard() => Err(Failure::NotOnline),
+            Command::Reset if !self.latch.is_settled() && !self.answers() => Err(Failure::NotOnline),
             Command::Reset => Ok(()),
             _ if self.feedback.link != Link::Online => Err(Failure::NotOnline),
             Command::Enable if self.feedback.status.inhibited => Err(Failure::Inhibited),
@@ -272,7 +272,7 @@ impl DriveController {
     /// The latch opens once the stop sequence is complete.
     fn try_reset(&mut self, cycle: &Cycle, now: Time, command: QueuedCommand) {
         if !self.latch.is_settled() {
-            if !self.is_heard() {
+            if !self.answers() {
                 // The sequence waits for the drive; so would the reset.
                 self.end(cycle, now, command, Outcome::Failed(Failure::NotOnline));
             }

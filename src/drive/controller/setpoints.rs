@@ -159,7 +159,7 @@ impl DriveController {
             (None, Some(last)) => {
                 self.follow.empty = self.follow.empty.saturating_add(1);
                 if self.follow.empty == 1 {
-                    self.tell(cycle, now, EventKind::Underrun);
+                    self.emit(cycle, now, EventKind::Underrun);
                 }
                 let position = last.position + last.velocity * self.row_seconds;
                 let ahead = Row { position, acceleration: 0.0, ..last };

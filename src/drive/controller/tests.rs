@@ -307,7 +307,7 @@ fn a_drive_that_was_found_running_is_braked_at_the_end_once_a_reset_has_taken_it
 fn a_task_command_needs_room_for_its_end_unless_it_is_a_stop() {
     let mut x = Alone::new(plan()).enabled();
     while x.controller.queues.events.slots() > x.controller.queues.room_for_ends {
-        x.controller.tell(&cycle(50), Time(50 * MS), EventKind::Restarted);
+        x.controller.emit(&cycle(50), Time(50 * MS), EventKind::Restarted);
     }
     let mut takes = |verb| {
         let command = QueuedCommand { id: CommandId::of_task(1), member: 0, verb, stream: 0, call: None };
