@@ -128,6 +128,7 @@ enum Voltage {
 /// What a drive can do, and what its wire carries.
 pub(super) fn capabilities(drive: &LinUdpDrive) -> Capabilities {
     let scale = drive.axis.units.counts_per_unit.abs();
+    let ends = [i32::MIN, i32::MAX].map(|count| f64::from(count) / drive.axis.units.counts_per_unit);
     let least = |count: f64| (1.0 / (scale * count), f64::from(u32::MAX) / (scale * count));
     Capabilities {
         generator: Generator::Drive { leash: drive.leash },
@@ -148,7 +149,7 @@ pub(super) fn capabilities(drive: &LinUdpDrive) -> Capabilities {
         stands_ns: 0,
         arrival: ARRIVAL / scale,
         ranges: Ranges {
-            position: (f64::from(i32::MIN) / scale, f64::from(i32::MAX) / scale),
+            position: (ends[0].min(ends[1]), ends[0].max(ends[1])),
             velocity: least(VELOCITY),
             acceleration: least(ACCELERATION),
         },

@@ -3,11 +3,12 @@
 //! What it desires is the same when it is proposed again, no intent changes under its serial, what leaves is what was
 //! proposed last, and what has ended stays ended.
 
+use std::collections::BTreeMap;
 use std::fmt::Debug;
 use std::mem::{discriminant, replace};
 
-use fieldbeat::axis::{Command, Failure};
-use fieldbeat::bus::desired::{Desired, Intent, Motion, Power};
+use fieldbeat::axis::{Command, Failure, Row};
+use fieldbeat::bus::desired::{Desired, Intent, Motion, Power, Setpoint};
 use fieldbeat::bus::{BusPlan, Slot};
 use fieldbeat::drive::machine::{Machine, NumberedRow};
 use fieldbeat::time::Time;
@@ -19,8 +20,8 @@ pub struct Commanded {
     grid: Time,
     /// What was desired when a request last left.
     gone: Desired,
-    /// The newest serial that was proposed.
-    newest: u64,
+    /// What each serial was used for.
+    used: BTreeMap<u64, String>,
     end: Option<Result<(), Failure>>,
     rows: u64,
 }
@@ -33,7 +34,7 @@ impl Commanded {
             proposed: Desired::default(),
             grid: Time(0),
             gone: Desired::default(),
-            newest: 0,
+            used: BTreeMap::new(),
             end: None,
             rows: 0,
         }
@@ -62,7 +63,7 @@ impl Commanded {
         self.machine.input.velocity
     }
 
-    pub fn row(&mut self, row: fieldbeat::axis::Row) {
+    pub fn row(&mut self, row: Row) {
         self.rows += 1;
         self.machine.input.row = Some(NumberedRow { number: self.rows, row });
     }
@@ -77,28 +78,30 @@ impl Commanded {
             let first = slot.desired;
             self.machine.propose(grid, slot);
             self.check_proposal(slot);
-            assert_eq!(values(&first), values(&slot.desired), "proposed again, it is the same");
+            assert!(is_same(&first, &slot.desired), "proposed again: {first:?}, {:?}", slot.desired);
         }
         self.grid = grid;
         self.check_end();
     }
 
     fn check_proposal(&mut self, slot: &Slot) {
-        let Desired { power, mode, motion, setpoint } = slot.desired;
+        let Desired { power, mode, motion, .. } = slot.desired;
         let (gone, before) = (self.gone, self.proposed);
         self.check_intent(power, [gone.power, before.power]);
         self.check_intent(mode, [gone.mode, before.mode]);
         self.check_intent(motion, [gone.motion, before.motion]);
-        self.newest = self.newest.max(power.serial).max(mode.serial).max(motion.serial).max(setpoint.row);
         self.proposed = slot.desired;
         assert_eq!(power.serial == 0, power.value == Power::Untouched, "{power:?}");
         assert!(power.serial != 0 || motion.serial == 0 && motion.value == Motion::Hold, "{motion:?}");
     }
 
-    /// It is one of those before, or has a serial that none had.
-    fn check_intent<T: PartialEq + Debug>(&self, intent: Intent<T>, before: [Intent<T>; 2]) {
-        let known = before.contains(&intent);
-        assert!(known || intent.serial > self.newest, "{intent:?} after {before:?} and {}", self.newest);
+    /// A serial is that of one intent, sent or not.
+    fn check_intent<T: PartialEq + Debug>(&mut self, intent: Intent<T>, before: [Intent<T>; 2]) {
+        if !before.contains(&intent) {
+            let what = format!("{:?}", intent.value);
+            let used = self.used.entry(intent.serial).or_insert_with(|| what.clone());
+            assert_eq!(*used, what, "serial {} is used again", intent.serial);
+        }
     }
 
     /// Takes over what has left.
@@ -126,10 +129,11 @@ impl Commanded {
     }
 }
 
-/// All but the serials, which count on while nothing leaves. A position that is not known is no number.
-fn values(desired: &Desired) -> String {
-    let Desired { power, mode, motion, setpoint } = desired;
-    let row = setpoint.row != 0;
-    let setpoint = fieldbeat::bus::desired::Setpoint { row: 0, ..*setpoint };
-    format!("{:?} {:?} {:?} {setpoint:?} {row}", power.value, mode.value, motion.value)
+/// All is the same but the serials, which count on while nothing leaves.
+fn is_same(a: &Desired, b: &Desired) -> bool {
+    let row = |desired: &Desired| Setpoint { row: u64::from(desired.setpoint.row != 0), ..desired.setpoint };
+    // A position that is not known is no number.
+    let setpoints = row(a) == row(b) || format!("{:?}", row(a)) == format!("{:?}", row(b));
+    setpoints
+        && (a.power.value, a.mode.value, a.motion.value) == (b.power.value, b.mode.value, b.motion.value)
 }
