@@ -55,13 +55,16 @@ impl State {
         Some(Err(failure))
     }
 
-    /// Ends what is under way.
+    /// Ends what is under way. A halt goes on to its end, where the drive is released.
     pub(super) fn quit(&mut self, view: &View) {
         if matches!(self.step, Step::Native(_)) {
             self.claim(view);
         }
         self.wind_down(view);
-        self.enter(Step::Idle);
+        let halts = matches!(self.step, Step::Halting | Step::Released | Step::Halted);
+        if !(halts && self.motion.value == Motion::Halt) {
+            self.enter(Step::Idle);
+        }
     }
 
     pub(super) fn fall(&mut self, since: Time) -> End {

@@ -549,7 +549,14 @@ impl Machine {
         while !self.lanes.iter().all(|lane| matches!(lane.state, State::Moving(..))) {
             self.go_on();
             turns += 1;
-            assert!(turns < 40_000, "not all axes came into motion");
+            let stuck = || -> Vec<String> {
+                let stuck = self.lanes.iter().filter(|lane| !matches!(lane.state, State::Moving(..)));
+                stuck
+                    .flat_map(|lane| &lane.axes)
+                    .map(|axis| format!("{axis}: {:?}", self.b.feedback(*axis)))
+                    .collect()
+            };
+            assert!(turns < 40_000, "not all axes came into motion: {:#?}", stuck());
         }
         self.axes().for_each(|axis| self.set_off(axis, false));
         for _ in 0..self.random.u64(2..60) {

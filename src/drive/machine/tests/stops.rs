@@ -228,3 +228,19 @@ fn a_drive_found_in_another_mode_is_halted_in_it_before_it_changes() {
         assert_eq!((rig.end(), rig.drive.mode), (Some(Ok(())), ModeIs::Own), "{can:?}");
     }
 }
+
+#[test]
+fn a_halt_goes_on_to_its_end_if_what_replaces_it_fails_as_it_begins() {
+    for can in kinds() {
+        let mut rig = Rig::enabled(can);
+        rig.moving();
+        rig.start(Command::QuickStop);
+        rig.turns(3);
+        assert_eq!(rig.slot.desired.motion.value, Motion::Halt, "{can:?}");
+        assert!(rig.run(refused(&can)).is_err());
+        rig.until("its release", |rig| rig.slot.desired.motion.value == Motion::Hold);
+        rig.turns(20);
+        assert!(!rig.drive.is_moving(), "{can:?}");
+        assert_eq!((rig.run(Command::Enable), rig.power()), (Ok(()), Power::EnableOperation), "{can:?}");
+    }
+}
