@@ -1,8 +1,8 @@
 //! The nanoseconds of one exchange without a socket: drive machine, encode, station and decode, for an axis in
 //! operation.
 //!
-//! - `exchange`: what the loop does for a drive and cycle: choose what is desired, build the request in place, note that
-//!   it was sent, take the reply in (identity, states, units, feedback, native process data), follow the command.
+//! - `exchange`: what the loop does for a drive and cycle: choose what is desired, build the request in place, note
+//!   that it was sent, take the reply in (identity, states, units, feedback, native process data), follow the command.
 //! - `encode`, `encode motion`, `decode`: the telegram alone.
 //!
 //! A Unidrive's exchange is one request with function 23: everything cyclic is in menu 0.
