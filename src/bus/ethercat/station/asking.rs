@@ -240,6 +240,10 @@ impl Asking {
         if end == Err(SdoFailure::Silent) {
             self.outdated = false;
             self.not_before = now + AGAIN_NS;
+            if matches!(asked, Asked::Mode(_)) {
+                // The write may have reached the drive.
+                self.doubt_mode();
+            }
             return;
         }
         match (asked, end) {
@@ -279,5 +283,28 @@ impl Asking {
             _ => {}
         }
         self.show_again(now + SHOW_EVERY_NS);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bus::ethercat::object::Family;
+
+    #[test]
+    fn a_mode_whose_write_was_not_answered_is_read_before_it_counts() {
+        let mut asking = Asking::new(&KollmorgenDrive::new("x", 0, Family::S700));
+        let own = asking.own.unwrap();
+        asking.found_in(own);
+        assert_eq!(asking.mode(), ModeIs::Own);
+        let write = Asked::Mode(Mode::HOMING);
+        asking.take(Time(0), write, Err(SdoFailure::Silent));
+        assert_eq!(asking.mode(), ModeIs::Other, "the drive may have taken it");
+        let next = asking.next(Time(u64::MAX), ModeWanted::Own).map(|(asked, _)| asked);
+        assert_eq!(next, Some(Asked::Display));
+        asking.take(Time(0), Asked::Display, Ok(Mode::HOMING.0 as u8 as u32));
+        assert_eq!(asking.mode(), ModeIs::Homing);
+        let next = asking.next(Time(u64::MAX), ModeWanted::Own).map(|(asked, _)| asked);
+        assert_eq!(next, Some(Asked::Mode(own)));
     }
 }
