@@ -542,7 +542,10 @@ impl DriveController {
             let cause = self.left_operation(restarted).or_else(|| self.watch_motion(now, slot));
             match cause {
                 Some(_) if self.claim == Claim::Found => {
-                    self.find_running(cycle, now, Braked::ByTheDrive);
+                    // Before it is online it is found, as it will be then; later, something else has begun to move it.
+                    let online = self.feedback.link == Link::Online;
+                    let braked = if online { Braked::ByTheDrive } else { Braked::BySetpoints };
+                    self.find_running(cycle, now, braked);
                 }
                 Some(cause) if self.latch.is_open() => {
                     // What no command has begun follows no setpoint, nor does what goes on under a stop.

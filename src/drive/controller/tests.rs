@@ -781,6 +781,29 @@ fn each_change_of_the_drive_is_told_once() {
 }
 
 #[test]
+fn a_drive_that_is_found_running_is_stopped_by_its_ramp_however_long_its_link_takes() {
+    let running = |x: &mut Alone| {
+        let status = &mut x.slot.status;
+        (status.state, status.moving, status.velocity) = (State::OperationEnabled, true, 50.0);
+    };
+    // It runs for longer than a drive has to settle, and is not online in all that time.
+    let mut x = Alone::new(plan());
+    running(&mut x);
+    x.turns(2);
+    (0..80).for_each(|_| x.miss());
+    x.turns(4);
+    let feedback = *x.controller.feedback();
+    assert_eq!((feedback.link, feedback.stopped), (Link::Qualifying, Some(StopCause::FoundRunning)));
+    assert!(matches!(x.controller.newest(), Some(Command::Stop { .. })), "{:?}", x.controller.newest());
+    // One that stood when it came online follows something else.
+    let mut x = Alone::new(plan()).online();
+    running(&mut x);
+    x.turns(80);
+    assert_eq!(x.controller.feedback().stopped, Some(StopCause::FoundRunning));
+    assert_eq!(x.controller.newest(), Some(Command::QuickStop));
+}
+
+#[test]
 fn a_drive_that_was_found_running_and_went_off_by_itself_is_still_only_read_after_a_reset() {
     let plan = AxisPlan { on_found_running: FoundRunning::Refuse, ..plan() };
     let mut x = Alone::new(plan);
