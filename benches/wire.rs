@@ -226,7 +226,7 @@ impl Asked {
     fn exchange(&mut self, answer: impl FnOnce(&mut Canned, &mut [u8]) -> usize) {
         let sent_at = advance(&mut self.cycle);
         // Another reference each time, as far as the ramp allows.
-        self.machine.input.velocity = 10.0 + (self.cycle.index % 4) as f64 * 0.25;
+        self.machine.input.level = 10.0 + (self.cycle.index % 4) as f64 * 0.25;
         self.machine.propose(self.cycle.grid, &mut self.slot);
         self.station.prepare(&self.cycle, &mut self.slot);
         let request = black_box(self.station.to_send());
@@ -348,7 +348,7 @@ impl Linked {
             slot.exchange = Exchange::Idle;
             observe(machine, self.cycle.grid, slot);
             // Another velocity each time, as far as the ramp allows.
-            machine.input.velocity = velocity;
+            machine.input.level = velocity;
             machine.propose(next.grid, slot);
         }
         self.bus.prepare(&next, &mut self.slots);

@@ -75,7 +75,7 @@ pub struct StreamRow {
 }
 
 /// One velocity or torque on its way to the loop.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Setpoint {
     /// The [`Command::Jog`], [`Command::Velocity`] or [`Command::Torque`] that it belongs to.
     pub of: CommandId,

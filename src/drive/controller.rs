@@ -12,7 +12,7 @@ use std::collections::VecDeque;
 
 use rtrb::{Consumer, Producer};
 
-use self::setpoints::{Follow, Level};
+use self::setpoints::Follow;
 use super::bounds::{Bounds, Sample, Watched};
 use super::health::LinkHealth;
 use super::machine::Machine;
@@ -25,7 +25,7 @@ use crate::axis::command::NativeOwner;
 use crate::axis::newest::NewestOut;
 use crate::axis::{
     Abort, AxisPlan, Command, CommandId, DriveStatus, Event, EventKind, Feedback, FoundRunning, GroupCall,
-    Link, MONITOR_CHANNELS, Outcome, QueuedCommand, Row, Shown, State, StopCause, StreamRow,
+    Link, MONITOR_CHANNELS, Outcome, QueuedCommand, Row, Setpoint, Shown, State, StopCause, StreamRow,
 };
 use crate::bus::desired::Capabilities;
 use crate::bus::{Cycle, Exchange, Slot};
@@ -77,9 +77,9 @@ pub struct DriveController {
     /// The id of the next command of the application.
     next_id: u64,
     follow: Follow,
-    /// The velocity or torque of the running command, and the newest one for a command to come.
-    level: Level,
-    ahead: Level,
+    /// The slot in which the velocity or torque of the running command came, and the newest one for a command to come.
+    level_at: u64,
+    ahead: Setpoint,
     bounds: Bounds,
     rest: Rest,
     /// The drive was found restarted in this cycle.
@@ -204,8 +204,8 @@ impl DriveController {
             row_seconds,
             next_id: 1,
             follow: Follow::default(),
-            level: Level::default(),
-            ahead: Level::default(),
+            level_at: 0,
+            ahead: Setpoint::default(),
             bounds: Bounds::default(),
             rest: Rest::default(),
             restarted: false,

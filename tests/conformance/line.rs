@@ -439,11 +439,7 @@ impl Line {
 
     /// Gives an order.
     pub fn order(&mut self, index: usize, verb: impl Into<Option<Command>>) {
-        let (machine, verb) = (&mut self.machines[index], verb.into());
-        if let Some(Command::Jog(jog)) = verb {
-            machine.input.velocity = jog.velocity;
-        }
-        machine.start(self.world.now(), verb);
+        self.machines[index].start(self.world.now(), verb.into());
         self.held[index] = false;
     }
 

@@ -528,7 +528,7 @@ pub fn a_velocity_is_followed_wherever_it_goes(subject: &'static dyn Subject) {
     line.order(0, Command::Velocity { acceleration });
     for seconds in [0.4, 0.2, -0.3, 0.0, 0.3] {
         let velocity = line.way(0, seconds);
-        line.machines[0].input.velocity = velocity;
+        line.machines[0].input.level = velocity;
         line.turns(400);
         let at = line.slots[0].status.demand;
         line.turns(1_000);

@@ -208,11 +208,15 @@ impl DriveController {
                 if let (Command::QuickStop, Latch::Down(_, sequence)) = (verb, &mut self.latch) {
                     sequence.quicken();
                 }
-                self.begin_setpoints(cycle, &command);
                 if verb == Command::Enable {
                     self.rising = FALLEN_REPORTS;
                 }
                 self.issue(Some(self.bounded(verb)));
+                // The first setpoint may come later: it has the whole age for that.
+                self.level_at = cycle.index;
+                if self.ahead.of == command.id {
+                    self.set_level(cycle.index, self.ahead.value);
+                }
             }
         }
     }

@@ -4,9 +4,7 @@
 use super::DriveController;
 use super::commands::entry;
 use crate::axis::limits::{check_braking, check_reach, check_row, check_speed};
-use crate::axis::{
-    Command, CommandId, EventKind, Failure, Outcome, QueuedCommand, Row, Setpoint, StopCause, Underrun,
-};
+use crate::axis::{Command, EventKind, Failure, Outcome, QueuedCommand, Row, Setpoint, StopCause, Underrun};
 use crate::bus::{Cycle, Slot};
 use crate::drive::machine::NumberedRow;
 use crate::time::{Time, nanos};
@@ -28,17 +26,6 @@ pub(super) struct Follow {
     pub(super) held: bool,
     /// The row of the next send, out of the queue.
     next: Option<Row>,
-}
-
-/// The last requested velocity or torque.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Level {
-    /// Its command.
-    pub(super) of: CommandId,
-    /// User units/s, or per cent of the rated torque.
-    pub(super) value: f64,
-    /// The slot in which it came.
-    pub(super) at: u64,
 }
 
 /// Takes the next row of each stream out of its queue, for all members of a group or for none.
@@ -88,22 +75,15 @@ impl DriveController {
 
     /// A setpoint that is not for the running command waits for its own.
     pub(super) fn take_setpoint(&mut self, cycle: u64, setpoint: Setpoint) {
-        let level = Level { of: setpoint.of, value: setpoint.value, at: cycle };
         match self.active {
-            Some(active) if active.id == setpoint.of => self.level = level,
-            _ => self.ahead = level,
+            Some(active) if active.id == setpoint.of => self.set_level(cycle, setpoint.value),
+            _ => self.ahead = setpoint,
         }
     }
 
-    /// Sets the velocity or torque that a new command begins with.
-    pub(super) fn begin_setpoints(&mut self, cycle: &Cycle, command: &QueuedCommand) {
-        let value = match command.verb {
-            _ if self.ahead.of == command.id => self.ahead.value,
-            Command::Jog(jog) => jog.velocity,
-            // It stands still, or gives no torque, until the first setpoint comes, and has the whole age for that.
-            _ => 0.0,
-        };
-        self.level = Level { of: command.id, value, at: cycle.index };
+    /// Sets the velocity or torque of the running command.
+    pub(super) fn set_level(&mut self, cycle: u64, value: f64) {
+        (self.machine.input.level, self.level_at) = (value, cycle);
     }
 
     /// Stops an axis whose velocity or torque is older than it may be.
@@ -118,7 +98,7 @@ impl DriveController {
             },
             _ => return,
         };
-        if cycle.index - self.level.at > most {
+        if cycle.index - self.level_at > most {
             self.stop(cycle, now, cause);
         }
     }
@@ -131,12 +111,8 @@ impl DriveController {
         (due && !done).then_some(follow)
     }
 
-    /// Chooses the setpoint of the next send, if one is due.
+    /// Chooses the row of the next send, if one is due.
     pub fn feed(&mut self, cycle: &Cycle, now: Time, slot: &Slot) {
-        let torque = self.is_under_torque();
-        let input = &mut self.machine.input;
-        (input.velocity, input.torque) =
-            if torque { (0.0, self.level.value) } else { (self.level.value, 0.0) };
         let Some(active) = self.takes_row(slot) else {
             // A row of the task is for the send that it was given for, and begins no later stream.
             if self.active.is_none_or(|active| !matches!(active.verb, Command::Follow)) {

@@ -34,7 +34,7 @@ use self::view::{Rules, View};
 use super::planner::Point;
 use crate::axis::command::NativeOwner;
 use crate::axis::limits::check_position;
-use crate::axis::{AxisPlan, Command, Failure, Lacks, Move, Row, State as Cia402, Target};
+use crate::axis::{AxisPlan, Command, Failure, Lacks, Move, Row, State as Cia402, Target, Units};
 use crate::bus::Slot;
 use crate::bus::desired::{Capabilities, Desired, Follows, Intent, Mode, ModeIs, Motion, Power, Setpoint};
 use crate::time::Time;
@@ -189,7 +189,9 @@ impl Machine {
         let start = command.map_or(Start::TakeOver, Start::Command);
         self.waiting = Some(Waiting { command: Some(start), since: now, is_proposed: false });
         (self.command, self.end) = (command, None);
-        self.input.row = None;
+        // The others begin without a velocity or torque, until they are given one.
+        let level = if let Some(Command::Jog(jog)) = command { jog.velocity } else { 0.0 };
+        self.input = Input { level, row: None };
     }
 
     /// What its drive does not do.
@@ -317,6 +319,14 @@ impl Machine {
     }
 }
 
+/// On a rotary axis, the place of `position` that is nearest to `from`.
+fn near(units: &Units, from: f64, position: f64) -> f64 {
+    match units.modulo {
+        Some(_) => from + units.way(from, position),
+        None => position,
+    }
+}
+
 impl Start {
     /// It begins from the state that the drive is in.
     fn needs_outputs(self) -> bool {
@@ -384,7 +394,7 @@ impl State {
         self.end_halt(view);
         let from = self.demand(view);
         let target = match motion.target {
-            Target::Absolute(position) => view.near(from, position),
+            Target::Absolute(position) => near(&view.rules.units, from, position),
             Target::Relative(distance) => from + distance,
         };
         if let Err(failure) = check_position(&view.rules.limits, target) {

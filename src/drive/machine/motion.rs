@@ -1,9 +1,10 @@
 //! Drives that make their own setpoints: moves, a velocity as a target that rolls ahead, and rows that are streamed.
 
 use super::view::View;
-use super::{End, State, Step};
+use super::{End, State, Step, near};
 use crate::axis::{Failure, Profile, RangeError, Row};
 use crate::bus::desired::{Generator, Motion, Ranges, Setpoint};
+use crate::drive::planner::Point;
 
 /// A stream ends with at least so many rows at standstill that the drive has accepted: its output runs 1.5 of its
 /// periods behind, and a position that it has not reached when it leaves streaming is never reached ...
@@ -60,30 +61,23 @@ impl State {
         });
     }
 
-    /// The requested deceleration, or the one needed to brake within the limits from where the axis will be at the next
-    /// send: the deceleration of a motion that replaces a fast one may be too weak for the remaining way. Never more
-    /// than the limit of acceleration, or than the axis' own profile if there is no limit.
+    /// The deceleration that is requested, or needed from where the axis will be at the next send.
     fn braking_by_drive(&self, requested: f64, view: &View) -> f64 {
-        let velocity = view.evidence.demand_velocity;
-        let Some((low, high)) = view.rules.limits.position else { return requested };
-        // Standstill at the very end is no reason to brake, and before homing positions mean nothing.
-        if velocity == 0.0 || !view.status.homed {
+        // Before homing positions mean nothing.
+        if !view.status.homed {
             return requested;
         }
-        let demand = view.evidence.demand;
-        let room = if velocity > 0.0 { high - demand } else { demand - low };
+        let from = Point { position: view.evidence.demand, velocity: view.evidence.demand_velocity };
         // Twice the way until then: the telegram may have to be repeated.
-        let left = room - 2.0 * velocity.abs() * view.now.since(view.status.at) as f64 * 1e-9;
-        let most = view.rules.limits.acceleration.unwrap_or(view.rules.profile.deceleration);
-        let needed = if left > 0.0 { velocity * velocity / (2.0 * left) } else { most };
-        requested.max(needed.min(most))
+        let lost = 2.0 * from.velocity.abs() * view.now.since(view.status.at) as f64 * 1e-9;
+        view.rules.braking(requested, from, lost)
     }
 
     pub(super) fn begin_rolling(&mut self, acceleration: f64, view: &View) -> End {
         let Generator::Drive { leash } = view.rules.can.generator else { return None };
         let leash = leash.unwrap_or_default();
         self.roll_on(
-            Rolling { velocity: view.input.velocity, acceleration, leash, target: 0.0, at_limit: false },
+            Rolling { velocity: view.input.level, acceleration, leash, target: 0.0, at_limit: false },
             view,
         )
     }
@@ -92,15 +86,15 @@ impl State {
         if !self.is_accepted(view) {
             return None;
         }
-        if view.input.velocity != rolling.velocity {
-            return self.roll_on(Rolling { velocity: view.input.velocity, ..rolling }, view);
+        if view.input.level != rolling.velocity {
+            return self.roll_on(Rolling { velocity: view.input.level, ..rolling }, view);
         }
         if rolling.at_limit {
             if self.agrees(!view.status.moving, view.rules.can.still_reports, view) {
                 let (low, high) = view.rules.limits.position.unwrap_or((rolling.target, rolling.target));
                 return self.fail(Failure::Limit { what: "position", value: rolling.target, low, high });
             }
-        } else if rolling.velocity != 0.0 && !rolling.goes_on(view.input.velocity, view.evidence.demand) {
+        } else if rolling.velocity != 0.0 && !rolling.goes_on(view.input.level, view.evidence.demand) {
             return self.roll_on(rolling, view);
         }
         None
@@ -146,7 +140,8 @@ impl State {
         if next.number == self.row {
             return None;
         }
-        let row = Row { position: view.near(view.evidence.demand, next.row.position), ..next.row };
+        let row =
+            Row { position: near(&view.rules.units, view.evidence.demand, next.row.position), ..next.row };
         if let Err(range) = view.rules.can.ranges.check_row(row.position - self.origin(view), &row) {
             return self.refuse(range.into(), view);
         }

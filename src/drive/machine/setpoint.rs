@@ -10,7 +10,7 @@
 //! axis' stop reaches its time-out.
 
 use super::view::{Input, Rules, View};
-use super::{End, State, Step};
+use super::{End, State, Step, near};
 use crate::axis::{Failure, Profile, Row};
 use crate::bus::Slot;
 use crate::bus::desired::{Capabilities, Generator, ModeIs, Quantity, Setpoint};
@@ -127,23 +127,12 @@ impl Course {
         }
     }
 
-    /// The requested deceleration, or the one needed to stop within the limits: the deceleration of a motion that
-    /// replaces a fast one may be too weak for the remaining way. Never more than the limit of acceleration, or than
-    /// the axis' own profile if there is no limit.
+    /// The deceleration that is requested, or needed from the last setpoint.
     fn braking(&self, requested: f64, view: &View) -> f64 {
-        let Some((low, high)) =
-            view.rules.limits.position.filter(|_| view.quantity() == Some(Quantity::Position))
-        else {
-            return requested;
-        };
-        let Point { position, velocity } = self.demand;
-        if velocity == 0.0 {
-            return requested;
+        match view.quantity() {
+            Some(Quantity::Position) => view.rules.braking(requested, self.demand, 0.0),
+            _ => requested,
         }
-        let room = if velocity > 0.0 { high - position } else { position - low };
-        let most = view.rules.limits.acceleration.unwrap_or(view.rules.profile.deceleration);
-        let needed = if room > 0.0 { velocity * velocity / (2.0 * room) } else { most };
-        requested.max(needed.min(most))
     }
 
     /// In another mode no setpoint counts: it is neutral there, and so is the first one after it.
@@ -154,6 +143,15 @@ impl Course {
             self.away = false;
             self.begin_at(Point { position: view.evidence.position, velocity: 0.0 });
         }
+    }
+}
+
+impl Rules {
+    /// A velocity or torque within its limit.
+    fn within_limit(&self, level: f64) -> f64 {
+        let torque = self.quantity == Some(Quantity::Torque);
+        let most = if torque { self.limits.torque } else { self.limits.velocity }.unwrap_or(f64::INFINITY);
+        level.clamp(-most, most)
     }
 }
 
@@ -168,7 +166,7 @@ impl State {
     pub(super) fn keeps_setpoint(&self, rules: &Rules, input: &Input, slot: &Slot) -> bool {
         self.course.is_constant
             && !self.is_new
-            && matches!(&self.step, Step::Turning(turning) if turning.velocity == rules.wanted(input))
+            && matches!(&self.step, Step::Turning(turning) if turning.velocity == rules.within_limit(input.level))
             && slot.evidence.mode == ModeIs::Own
     }
 
@@ -252,7 +250,7 @@ impl State {
     #[inline]
     fn turn_on(&mut self, turning: Turning, view: &View) -> End {
         let quantity = view.quantity();
-        let velocity = view.rules.wanted(view.input);
+        let velocity = view.rules.within_limit(view.input.level);
         if velocity == turning.velocity {
             return self.watch_limit(turning, view);
         }
@@ -329,7 +327,7 @@ impl State {
             return None;
         }
         let from = self.course.demand.position;
-        let position = view.near(from, next.row.position);
+        let position = near(&view.rules.units, from, next.row.position);
         if !position.is_finite() {
             return self.refuse(Failure::NotFinite, view);
         }

@@ -61,7 +61,7 @@ impl State {
         let goes_on = match &self.step {
             Step::Idle | Step::Turning(_) | Step::FollowWaiting | Step::Following => true,
             Step::Moving(_) => status.moving && self.agree == 0,
-            Step::Rolling(rolling) => rolling.goes_on(input.velocity, evidence.demand),
+            Step::Rolling(rolling) => rolling.goes_on(input.level, evidence.demand),
             _ => false,
         };
         goes_on

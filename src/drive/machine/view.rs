@@ -3,6 +3,7 @@
 use crate::axis::{AxisPlan, DriveStatus, Failure, Limits, Profile, Row, State as Cia402, Units};
 use crate::bus::Slot;
 use crate::bus::desired::{Capabilities, Evidence, Generator, Quantity};
+use crate::drive::planner::Point;
 use crate::time::{Time, nanos};
 
 /// What does not change.
@@ -39,25 +40,25 @@ impl Rules {
         }
     }
 
-    /// The velocity or torque that is wanted, within its limit.
-    pub fn wanted(&self, input: &Input) -> f64 {
-        let (wanted, most) = match self.quantity {
-            Some(Quantity::Torque) => (input.torque, self.limits.torque),
-            _ => (input.velocity, self.limits.velocity),
-        };
-        let most = most.unwrap_or(f64::INFINITY);
-        wanted.clamp(-most, most)
+    /// The requested deceleration, or the one needed to stop within the limits `lost` units behind this point: the
+    /// deceleration of a motion that replaces a fast one may be too weak for the remaining way. Never more than the
+    /// limit of acceleration, or than the axis' own profile if there is no limit.
+    pub fn braking(&self, requested: f64, from: Point, lost: f64) -> f64 {
+        let Point { position, velocity } = from;
+        let Some((low, high)) = self.limits.position.filter(|_| velocity != 0.0) else { return requested };
+        let room = if velocity > 0.0 { high - position } else { position - low } - lost;
+        let most = self.limits.acceleration.unwrap_or(self.profile.deceleration);
+        let needed = if room > 0.0 { velocity * velocity / (2.0 * room) } else { most };
+        requested.max(needed.min(most))
     }
 }
 
 /// What the loop has chosen for the command to follow with its next send.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Input {
-    /// Of a jog or a cyclic velocity, user units/s. A jog begins with its own.
-    pub velocity: f64,
-    /// Of a cyclic torque, per cent of the rated torque. Above 0 it accelerates towards higher user positions,
-    /// whichever way the drive counts.
-    pub torque: f64,
+    /// Of a jog or a cyclic velocity, user units/s; of a cyclic torque, per cent of the rated torque: above 0 it
+    /// accelerates towards higher user positions, whichever way the drive counts.
+    pub level: f64,
     /// The row of a stream.
     pub row: Option<NumberedRow>,
 }
@@ -104,13 +105,5 @@ impl<'a> View<'a> {
 
     pub fn failed(&self) -> Failure {
         Failure::DriveFault(self.status.fault)
-    }
-
-    /// On a rotary axis, the place of `position` that is nearest to `from`.
-    pub fn near(&self, from: f64, position: f64) -> f64 {
-        match self.rules.units.modulo {
-            Some(_) => from + self.rules.units.way(from, position),
-            None => position,
-        }
     }
 }

@@ -42,9 +42,6 @@ impl Commanded {
 
     /// A new command; `None`: to take the drive over as it is.
     pub fn start(&mut self, now: Time, command: Option<Command>) {
-        if let Some(Command::Jog(jog)) = command {
-            self.machine.input.velocity = jog.velocity;
-        }
         self.machine.start(now, command);
         self.end = None;
         assert_eq!(self.machine.end(), None, "it works on the newest command");
@@ -55,12 +52,12 @@ impl Commanded {
     }
 
     pub fn velocity(&mut self, velocity: f64) {
-        self.machine.input.velocity = velocity;
+        self.machine.input.level = velocity;
     }
 
     /// The velocity that is wanted of it.
     pub fn wanted_velocity(&self) -> f64 {
-        self.machine.input.velocity
+        self.machine.input.level
     }
 
     pub fn row(&mut self, row: Row) {

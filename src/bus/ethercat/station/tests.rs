@@ -274,9 +274,6 @@ impl Rig {
 
     fn order(&mut self, verb: impl Into<Option<Command>>) {
         let verb = verb.into();
-        if let Some(Command::Jog(jog)) = verb {
-            self.machine.input.velocity = jog.velocity;
-        }
         self.machine.start(self.now, verb);
     }
 
@@ -526,18 +523,18 @@ fn a_torque_follows_its_slope_and_its_side() {
         plan.scaling.permille_per_count = 0.5;
         let mut rig = Rig::enabled(plan);
         assert_eq!((rig.setpoint(), rig.control()), (0, 0x0F), "it is enabled without a torque");
-        rig.machine.input.torque = 2.0;
         rig.steepest = 0;
         rig.order(Command::Torque { slope: 50.0 });
+        rig.machine.input.level = 2.0;
         rig.turns(10);
         assert_eq!(rig.setpoint(), side * 10, "a count is half a per mille");
         rig.turns(100);
         assert_eq!((rig.setpoint(), rig.end()), (side * 40, None));
         assert!(rig.slot.status.moving);
-        rig.machine.input.torque = -30.0;
+        rig.machine.input.level = -30.0;
         rig.turns(500);
         assert_eq!((rig.setpoint(), rig.steepest), (side * -160, 1), "its limit");
-        rig.machine.input.torque = f64::NAN;
+        rig.machine.input.level = f64::NAN;
         rig.turn();
         assert_eq!(rig.end(), Some(Err(Failure::NotFinite)));
     }
@@ -547,8 +544,8 @@ fn a_torque_follows_its_slope_and_its_side() {
 fn a_stop_takes_the_torque_away_and_halts_what_turns() {
     let turning = |slope: f64| {
         let mut rig = Rig::enabled(planned(0x1703, 0x1B03));
-        rig.machine.input.torque = 5.0;
         rig.order(Command::Torque { slope });
+        rig.machine.input.level = 5.0;
         rig.turns((5_000.0 / slope) as u64 + 200);
         assert!(rig.slot.status.velocity > 1.0 && rig.setpoint() == 50, "{:?}", rig.slot.status);
         rig
@@ -580,6 +577,7 @@ fn a_stop_takes_the_torque_away_and_halts_what_turns() {
     rig.turns(500);
     assert!(!rig.slot.status.moving && rig.drive.rpm().abs() < 1.0);
     rig.order(Command::Torque { slope: 100.0 });
+    rig.machine.input.level = 5.0;
     rig.turns(300);
     assert!(rig.slot.status.velocity > 1.0 && rig.control() == 0x0F);
     rig.done(Command::Home);

@@ -125,7 +125,7 @@ impl Rig {
 
     /// The velocity, or torque, of the application; it begins a motion with it.
     fn set(&mut self, value: f64) {
-        (self.machine.input.velocity, self.machine.input.torque) = (value, value);
+        self.machine.input.level = value;
     }
 
     fn row(&mut self, number: u64, position: f64, last: bool) {
@@ -134,11 +134,7 @@ impl Rig {
     }
 
     fn start(&mut self, command: impl Into<Option<Command>>) {
-        let command = command.into();
-        if let Some(Command::Jog(jog)) = command {
-            self.set(jog.velocity);
-        }
-        self.machine.start(self.now, command);
+        self.machine.start(self.now, command.into());
         self.propose();
     }
 
