@@ -230,7 +230,6 @@ impl DriveController {
 
     /// Whether the command may start now. Its numbers were checked on submission; here the axis decides.
     fn admit(&self, command: &QueuedCommand) -> Result<(), Failure> {
-        check_command(&self.plan, self.machine.lacks(), &command.verb)?;
         match (command.verb, &self.latch) {
             (Command::Reset, _) | (_, Latch::Open) => {}
             (Command::ResetFault | Command::Disable | Command::Stop { .. } | Command::QuickStop, latch)
