@@ -3,7 +3,6 @@
 use crate::axis::{AxisPlan, DriveStatus, Failure, Limits, Profile, Row, State as Cia402, Units};
 use crate::bus::Slot;
 use crate::bus::desired::{Capabilities, Evidence, Generator, Quantity};
-use crate::drive::planner::Point;
 use crate::time::{Time, nanos};
 
 /// What does not change.
@@ -38,18 +37,6 @@ impl Rules {
             enable_timeout_ns: nanos(axis.enable_timeout),
             home_timeout_ns: nanos(axis.home_timeout),
         }
-    }
-
-    /// The requested deceleration, or the one needed to stop within the limits `lost` units behind this point: the
-    /// deceleration of a motion that replaces a fast one may be too weak for the remaining way. Never more than the
-    /// limit of acceleration, or than the axis' own profile if there is no limit.
-    pub fn braking(&self, requested: f64, from: Point, lost: f64) -> f64 {
-        let Point { position, velocity } = from;
-        let Some((low, high)) = self.limits.position.filter(|_| velocity != 0.0) else { return requested };
-        let room = if velocity > 0.0 { high - position } else { position - low } - lost;
-        let most = self.limits.acceleration.unwrap_or(self.profile.deceleration);
-        let needed = if room > 0.0 { velocity * velocity / (2.0 * room) } else { most };
-        requested.max(needed.min(most))
     }
 }
 
