@@ -5,11 +5,9 @@
 //! The fields of a command follow each other without a gap, the first one after the header, so that their order is
 //! their layout. No command has more than [`FIELDS`].
 
-use super::MotionCommand;
 use super::values::Kind;
+use super::{CATALOGUE, MotionCommand};
 use crate::axis::RangeError;
-
-pub use super::commands::CATALOGUE;
 
 /// The most fields that a command has.
 pub const FIELDS: usize = 5;
@@ -125,31 +123,6 @@ impl Field {
     }
 }
 
-/// A command while its fields are filled in, one after the other.
-pub(super) struct Filling {
-    pub(super) command: MotionCommand,
-    filled: usize,
-}
-
-impl Filling {
-    #[inline]
-    pub(super) const fn of(id: u16) -> Filling {
-        Filling { command: MotionCommand::new(id), filled: 0 }
-    }
-
-    #[inline]
-    pub(super) const fn field(mut self, wire: u32, size: usize) -> Filling {
-        let bytes = wire.to_le_bytes();
-        let mut index = 0;
-        while index < size {
-            self.command.parameters[self.filled + index] = bytes[index];
-            index += 1;
-        }
-        self.filled += size;
-        self
-    }
-}
-
 /// The fields of these names and kinds, one after the other.
 pub(super) const fn lay_out<const N: usize>(fields: [(&'static str, Kind); N]) -> [Field; N] {
     assert!(N <= FIELDS);
@@ -187,36 +160,3 @@ pub(super) const fn rises(catalogue: &[CommandInfo]) -> bool {
     }
     true
 }
-
-/// `name = id [marks] (field: Kind, ...);`: a constructor and an entry of the catalogue each.
-macro_rules! commands {
-    ($($(#[doc = $doc:literal])+
-       $name:ident = $id:literal [$($mark:ident),*] ($($field:ident: $kind:ident),*);)*) => {
-        /// Every motion command that is known, by rising ids.
-        pub static CATALOGUE: &[CommandInfo] = &[$(CommandInfo {
-            id: $id,
-            name: {
-                const NAME: &str = stringify!($name);
-                const KEBAB: [u8; NAME.len()] = kebab(NAME);
-                match std::str::from_utf8(&KEBAB) {
-                    Ok(name) => name,
-                    Err(_) => NAME,
-                }
-            },
-            marks: &[$(Mark::$mark),*],
-            fields: &const { lay_out([$((stringify!($field), Kind::$kind)),*]) },
-        }),*];
-
-        const _: () = assert!(rises(CATALOGUE), "the list of commands is in the order of their ids");
-
-        impl MotionCommand {
-            $($(#[doc = $doc])+
-            #[doc = concat!("\n\nId `", stringify!($id), "`" $(, ", [`Mark::", stringify!($mark), "`]")*, ".")]
-            #[inline]
-            pub const fn $name($($field: $kind),*) -> MotionCommand {
-                Filling::of($id)$(.field($field.wire() as u32, $kind::SIZE))*.command
-            })*
-        }
-    };
-}
-pub(super) use commands;

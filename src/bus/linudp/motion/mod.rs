@@ -6,8 +6,8 @@
 //! | file | what |
 //! |---|---|
 //! | `values` | positions, velocities, ids ...: a type each, over its wire integer; units and ranges |
+//! | `commands` | a command, and the list of all of them, from which constructors and catalogue are made |
 //! | `catalogue` | what is known of a command, as data: name, marks, layout |
-//! | `commands` | the list of all commands, from which constructors and catalogue are made |
 //! | `decoded`, `meaning` | a command as a drive reads it, and how it comes to that |
 //!
 //! A command is a header word, `id << 4 | count`, and up to 30 parameter bytes, unused ones 0. The drive runs a command
@@ -31,67 +31,12 @@ mod decoded;
 mod meaning;
 mod values;
 
-pub use catalogue::{CATALOGUE, CommandInfo, FIELDS, Field, Mark};
+pub use catalogue::{CommandInfo, FIELDS, Field, Mark};
+pub use commands::{CATALOGUE, MotionCommand};
 pub use decoded::*;
 pub use values::*;
 
 use super::plan::StreamCommand;
-use super::wire::MotionBlock;
-
-/// A motion command without its count: 12 bits of master and sub id, and the parameters. A constructor each for all
-/// that are in the [`CATALOGUE`]; what is newer than that is written as it stands.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct MotionCommand {
-    /// Master id (bits 11-4) and sub id (3-0): `0x010` is "VAI go to position".
-    pub id: u16,
-    /// The parameters, little-endian, unused bytes 0.
-    pub parameters: [u8; 30],
-}
-
-impl MotionCommand {
-    /// The command `id`, all parameters 0.
-    pub const fn new(id: u16) -> MotionCommand {
-        MotionCommand { id, parameters: [0; 30] }
-    }
-
-    /// It is "VAI stop", whatever its deceleration.
-    #[inline]
-    pub const fn is_stop(&self) -> bool {
-        self.id == MotionCommand::vai_stop(Acceleration(0)).id
-    }
-
-    /// The header word with this command count, 0 ... 15.
-    #[inline]
-    pub const fn header(&self, count: u8) -> u16 {
-        self.id << 4 | (count & 0xF) as u16
-    }
-
-    /// The block to send with this command count, 0 ... 15.
-    #[inline]
-    pub const fn block(&self, count: u8) -> MotionBlock {
-        MotionBlock { header: self.header(count), parameters: self.parameters }
-    }
-
-    /// 030x ... 035x: one streamed setpoint. What `command` does not carry is left out.
-    #[inline]
-    pub const fn stream(
-        command: StreamCommand,
-        position: Position,
-        velocity: SignedVelocity,
-        acceleration: SignedAcceleration,
-    ) -> MotionCommand {
-        match command {
-            StreamCommand::P => MotionCommand::stream_p(position),
-            StreamCommand::Pv => MotionCommand::stream_pv(position, velocity),
-            StreamCommand::PConfigured => MotionCommand::stream_p_configured(position),
-            StreamCommand::PvConfigured => MotionCommand::stream_pv_configured(position, velocity),
-            StreamCommand::Pva => MotionCommand::stream_pva(position, velocity, acceleration),
-            StreamCommand::PvaConfigured => {
-                MotionCommand::stream_pva_configured(position, velocity, acceleration)
-            }
-        }
-    }
-}
 
 impl StreamCommand {
     /// Master and sub id.
