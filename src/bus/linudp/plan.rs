@@ -150,17 +150,17 @@ impl MonitorPlan {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StreamCommand {
     /// 030x: position; the drive's receive time is the time base. 2 ... 5 ms.
-    P,
+    P = 0x030,
     /// 031x: position, velocity; receive time. 2 ... 5 ms.
-    Pv,
+    Pv = 0x031,
     /// 032x: position; the period configured in the drive (UPID 14E6h). 2 ... 5 ms.
-    PConfigured,
+    PConfigured = 0x032,
     /// 033x: position, velocity; configured period. 0.4 ... 10 ms.
-    PvConfigured,
+    PvConfigured = 0x033,
     /// 034x: position, velocity, acceleration; receive time. 0.4 ... 10 ms.
-    Pva,
+    Pva = 0x034,
     /// 035x: position, velocity, acceleration; configured period. 0.4 ... 10 ms.
-    PvaConfigured,
+    PvaConfigured = 0x035,
 }
 
 impl StreamCommand {

@@ -80,20 +80,81 @@ impl MotionCommand {
 
 /// The quantity of a field: the one that the list names, or the usual one of its name.
 macro_rules! kind {
-    ($field:ident $kind:ident) => { $kind };
-    (distance) => { Position }; (position) => { Position }; (target) => { Position }; (limit) => { Position };
-    (velocity) => { Velocity };
-    (acceleration) => { Acceleration }; (deceleration) => { Acceleration };
-    (jerk) => { Jerk };
-    (curve) => { CurveId };
-    (time) => { CurveTime };
-    (amplitude) => { AmplitudeScale };
-    (entry) => { EntryId }; (if_false) => { EntryId }; (if_true) => { EntryId };
-    (upid) => { Upid };
-    (delay) => { Counts }; (length) => { Counts }; (start) => { Counts };
-    (offset) => { Offset };
-    (mask) => { Bits }; (value) => { Bits };
-    (first) => { Long }; (second) => { Long }; (third) => { Long };
+    ($field:ident $kind:ident) => {
+        $kind
+    };
+    (distance) => {
+        Position
+    };
+    (position) => {
+        Position
+    };
+    (target) => {
+        Position
+    };
+    (limit) => {
+        Position
+    };
+    (velocity) => {
+        Velocity
+    };
+    (acceleration) => {
+        Acceleration
+    };
+    (deceleration) => {
+        Acceleration
+    };
+    (jerk) => {
+        Jerk
+    };
+    (curve) => {
+        CurveId
+    };
+    (time) => {
+        CurveTime
+    };
+    (amplitude) => {
+        AmplitudeScale
+    };
+    (entry) => {
+        EntryId
+    };
+    (if_false) => {
+        EntryId
+    };
+    (if_true) => {
+        EntryId
+    };
+    (upid) => {
+        Upid
+    };
+    (delay) => {
+        Counts
+    };
+    (length) => {
+        Counts
+    };
+    (start) => {
+        Counts
+    };
+    (offset) => {
+        Offset
+    };
+    (mask) => {
+        Bits
+    };
+    (value) => {
+        Bits
+    };
+    (first) => {
+        Long
+    };
+    (second) => {
+        Long
+    };
+    (third) => {
+        Long
+    };
 }
 
 /// `name = id [marks] (field, field: Kind, ...);`: a constructor and an entry of the catalogue each.

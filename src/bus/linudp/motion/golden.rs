@@ -445,7 +445,6 @@ fn every_command_of_the_catalogue_has_its_bytes() {
         let info = CommandInfo::of(command.id).unwrap();
         assert_eq!(info.size() + 2, golden.split(' ').count(), "{}", info.name);
         assert_eq!(info.command(&info.values(&command.parameters)), Ok(*command), "{}", info.name);
-        assert_ne!(Decoded::of(&command.block(5)), Decoded::Unknown, "{}", info.name);
     }
     let covered: Vec<u16> = vectors.iter().map(|(command, _)| command.id).collect();
     let known: Vec<u16> = CATALOGUE.iter().map(|info| info.id).collect();

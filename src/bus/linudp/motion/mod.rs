@@ -1,5 +1,4 @@
-//! Motion commands: what a [`MotionBlock`] says. Both directions: the master builds them, the simulated drive reads
-//! them.
+//! Motion commands: what a motion block says.
 //!
 //! Knows no state: whether a drive takes a command, and what its count should be, is the business of station and sim.
 //!
@@ -8,7 +7,6 @@
 //! | `values` | positions, velocities, ids ...: a type each, over its wire integer; units and ranges |
 //! | `commands` | a command, and the list of all of them, from which constructors and catalogue are made |
 //! | `catalogue` | what is known of a command, as data: name, marks, layout |
-//! | `decoded`, `meaning` | a command as a drive reads it, and how it comes to that |
 //!
 //! A command is a header word, `id << 4 | count`, and up to 30 parameter bytes, unused ones 0. The drive runs a command
 //! only if its count differs from the last one it stored (SG5 manual, motion command interface). Values are in wire
@@ -27,13 +25,10 @@
 
 mod catalogue;
 mod commands;
-mod decoded;
-mod meaning;
 mod values;
 
 pub use catalogue::{CommandInfo, FIELDS, Field, Mark};
 pub use commands::{CATALOGUE, MotionCommand};
-pub use decoded::*;
 pub use values::*;
 
 use super::plan::StreamCommand;
@@ -41,27 +36,12 @@ use super::plan::StreamCommand;
 impl StreamCommand {
     /// Master and sub id.
     pub const fn id(self) -> u16 {
-        match self {
-            StreamCommand::P => 0x030,
-            StreamCommand::Pv => 0x031,
-            StreamCommand::PConfigured => 0x032,
-            StreamCommand::PvConfigured => 0x033,
-            StreamCommand::Pva => 0x034,
-            StreamCommand::PvaConfigured => 0x035,
-        }
+        self as u16
     }
 
     /// The command of this id.
-    pub const fn from_id(id: u16) -> Option<StreamCommand> {
-        Some(match id {
-            0x030 => StreamCommand::P,
-            0x031 => StreamCommand::Pv,
-            0x032 => StreamCommand::PConfigured,
-            0x033 => StreamCommand::PvConfigured,
-            0x034 => StreamCommand::Pva,
-            0x035 => StreamCommand::PvaConfigured,
-            _ => return None,
-        })
+    pub fn from_id(id: u16) -> Option<StreamCommand> {
+        StreamCommand::ALL.into_iter().find(|command| command.id() == id)
     }
 
     /// Setpoints carry a velocity.

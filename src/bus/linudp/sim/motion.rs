@@ -4,7 +4,6 @@
 
 use super::stream::Stream;
 use super::time_curve::TimeCurve;
-use crate::bus::linudp::motion::{Origin, Start, Vad, When};
 use crate::bus::linudp::plan::{SimPlan, StreamCommand};
 use crate::bus::linudp::wire::ErrorCode;
 use crate::sim::physics::Generator;
@@ -26,6 +25,45 @@ pub(super) struct Demand {
     pub position: f64,
     pub velocity: f64,
     pub acceleration: f64,
+}
+
+/// Velocity, acceleration and deceleration of a profile: 1 um/s, and twice 1e-5 m/s2.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Vad {
+    pub velocity: u32,
+    pub acceleration: u32,
+    pub deceleration: u32,
+}
+
+/// What the value of a move is counted from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Origin {
+    Zero,
+    Demand,
+    /// The last target.
+    Target,
+    Actual,
+}
+
+/// Where demand position and velocity of a move start.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Start {
+    /// Demand position, demand velocity.
+    Demand,
+    /// Actual position, actual velocity.
+    Actual,
+    /// Actual position, velocity 0.
+    Standstill,
+}
+
+/// When something starts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum When {
+    Now,
+    /// After the running command.
+    AfterActual,
+    /// On an edge of the trigger input.
+    Trigger,
 }
 
 /// The setpoint generator of the drive and its inputs.
@@ -65,7 +103,6 @@ impl From<Vad> for Limits {
 pub(super) struct Order {
     /// A position or a distance, m.
     pub value: f64,
-    /// What it is counted from: zero, demand, target or actual position.
     pub origin: Origin,
     pub start: Start,
     pub limits: Vad,
@@ -235,7 +272,7 @@ impl Setpoints {
     /// moves.
     pub(super) fn take_move(&mut self, order: Order, when: When, from_rest: bool, actual: Demand) {
         match when {
-            When::Trigger { .. } => self.arm_trigger(),
+            When::Trigger => self.arm_trigger(),
             When::AfterActual if self.is_moving() => self.armed = Some(Armed::After(order)),
             When::AfterActual | When::Now if from_rest && self.is_moving() => self.refused += 1,
             When::AfterActual | When::Now => self.start(order, actual),
@@ -248,7 +285,7 @@ impl Setpoints {
             Origin::Demand => self.generator.position(),
             Origin::Target => self.target,
             Origin::Actual => actual.position,
-            Origin::Zero | Origin::Captured | Origin::Analog | Origin::Variable(_) => 0.0,
+            Origin::Zero => 0.0,
         };
         self.drop_motion();
         match order.start {

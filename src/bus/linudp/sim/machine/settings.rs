@@ -1,9 +1,8 @@
 //! The values that the software takes from the parameters: read once after each change, not in every step.
 
-use super::super::motion::{METRE, Order};
+use super::super::motion::{METRE, Order, Origin, Start, Vad};
 use super::super::parameters::Parameters;
 use super::super::upids;
-use crate::bus::linudp::motion::{Origin, Start, Vad};
 use crate::time::US;
 
 /// How the drive is run (UPID 1450h).
