@@ -5,14 +5,13 @@ use std::os::fd::RawFd;
 use std::sync::Arc;
 
 use super::counters::OWN;
-use super::greeting::{Found, UnidriveGreeting};
+use super::handshake::{Found, UnidriveHandshake};
 use super::mapping::Mapping;
 use super::native::Native;
 use super::notation::Parameters;
 use super::plan::{ModbusPlan, UnidriveDrive, Via};
 use super::profile;
 use super::sim::UnidriveSim;
-
 use super::station::Station;
 use super::trips::Trip;
 use crate::axis::acyclic::{AcyclicEnds, Notation};
@@ -66,12 +65,12 @@ impl ModbusBus {
             let mappings = mappings(drive).ok_or_else(broken)?;
             let found = Arc::new(Found::default());
             let (direct, menu_0) = mappings.clone();
-            let greeting = UnidriveGreeting::new(drive, direct, menu_0, Arc::clone(&found));
+            let handshake = UnidriveHandshake::new(drive, direct, menu_0, Arc::clone(&found));
             peers.push(StreamPeer {
                 bind: plan.bind,
-                greeting_ns: greeting.longest_ns(),
+                greeting_ns: handshake.longest_ns(),
                 unacknowledged_ns: 2 * drive.reply_within_ns,
-                ..StreamPeer::new(drive.address, Box::new(greeting))
+                ..StreamPeer::new(drive.address, Box::new(handshake))
             });
             let (station, native, acyclic) = Station::new(drive, mappings, found);
             stations.push(station);
@@ -105,7 +104,7 @@ impl ModbusBus {
     }
 
     /// Hands the request of drive `index` to its connection.
-    fn ask(&mut self, index: usize, cycle: &Cycle, slot: &mut Slot) {
+    fn request(&mut self, index: usize, cycle: &Cycle, slot: &mut Slot) {
         let Some(station) = self.stations.get_mut(index) else { return };
         let bytes = station.to_send();
         if bytes.is_empty() {
@@ -187,7 +186,7 @@ impl Bus for ModbusBus {
                 .get(index)
                 .is_some_and(|station| slot.due && !station.passed && !station.has_ended())
             {
-                self.ask(index, cycle, slot);
+                self.request(index, cycle, slot);
             }
         }
         self.give_up(cycle.grid, slots);

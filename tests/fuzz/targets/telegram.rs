@@ -6,8 +6,7 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use fieldbeat::bus::linudp::motion::CommandInfo;
 use fieldbeat::bus::linudp::sim::LinMotSim;
 use fieldbeat::bus::linudp::wire::{
-    REQUEST_MAX, RESPONSE_MAX, Request, RequestDef, RequestView, Response, ResponseView, RtcBlock, StateVar,
-    WarnWord,
+    REQUEST_MAX, RESPONSE_MAX, Request, RequestDef, Response, ResponseView, RtcBlock, StateVar, WarnWord,
 };
 use fieldbeat::bus::linudp::{LinUdpDrive, MASTER_PORT, StreamCommand};
 use fieldbeat::sim::SimDrive;
@@ -30,15 +29,7 @@ fn padded<const N: usize>(data: &[u8]) -> [u8; N] {
 }
 
 fn request(data: &[u8]) {
-    let Ok(request) = Request::parse(data) else {
-        assert!(RequestView::new(data).is_err());
-        return;
-    };
-    let view = RequestView::new(data).unwrap();
-    assert_eq!((view.request_def(), view.response_def()), (request.definition(), request.response_def));
-    assert_eq!((view.control(), view.motion()), (request.control, request.motion));
-    assert_eq!(view.config(), request.config);
-
+    let Ok(request) = Request::parse(data) else { return };
     // Nothing is lost: what was cut short is filled up with zeros.
     let mut bytes = [0xEE; REQUEST_MAX];
     let size = request.emit(&mut bytes);

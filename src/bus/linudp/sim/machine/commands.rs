@@ -289,3 +289,59 @@ impl Machine {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bus::linudp::plan::SimPlan;
+
+    #[test]
+    fn the_families_of_moves_differ_as_the_manual_says() {
+        use {Origin as O, Start as S, When as W};
+        let machine = Machine::new(&SimPlan::default());
+        let mut parameters = [0; 30];
+        for (at, value) in [(0, 5_i32), (4, 1_000), (8, 2_000), (12, 3_000)] {
+            parameters[at..at + 4].copy_from_slice(&value.to_le_bytes());
+        }
+        let (own, given) = (machine.settings.predefined, (1_000, 2_000, 3_000));
+        let own = (own.velocity, own.acceleration, own.deceleration);
+        for (id, origin, start, when, limits) in [
+            (0x010, O::Zero, S::Demand, W::Now, given),
+            (0x011, O::Demand, S::Demand, W::Now, given),
+            (0x012, O::Target, S::Demand, W::Now, given),
+            (0x013, O::Zero, S::Actual, W::Now, given),
+            (0x014, O::Zero, S::Standstill, W::Now, given),
+            (0x015, O::Actual, S::Actual, W::Now, given),
+            (0x016, O::Actual, S::Standstill, W::Now, given),
+            (0x018, O::Zero, S::Demand, W::AfterActual, given),
+            (0x01C, O::Zero, S::Demand, W::Trigger, given),
+            (0x01D, O::Target, S::Demand, W::Trigger, given),
+            (0x020, O::Zero, S::Demand, W::Now, own),
+            (0x0B0, O::Zero, S::Demand, W::Now, (1_000, own.1, own.2)),
+            (0x0C0, O::Zero, S::Demand, W::Now, (1_000, 2_000, 2_000)),
+            (0x0C5, O::Zero, S::Demand, W::Now, (1_000, 2_000, 2_000)),
+            (0x0C6, O::Zero, S::Actual, W::Now, (1_000, 2_000, 2_000)),
+            (0x0C7, O::Zero, S::Standstill, W::Now, (1_000, 2_000, 2_000)),
+            (0x0D0, O::Zero, S::Demand, W::Now, given),
+            (0x0D9, O::Actual, S::Actual, W::Now, given),
+            (0x0E6, O::Actual, S::Standstill, W::Now, (1_000, 2_000, 2_000)),
+            (0x0EB, O::Demand, S::Demand, W::Trigger, (1_000, 2_000, 2_000)),
+            (0x0F0, O::Zero, S::Demand, W::Now, (1_000, 2_000, 2_000)),
+            (0x3A1, O::Demand, S::Demand, W::Now, given),
+        ] {
+            let command = Command::of(MotionCommand { id, parameters });
+            let order = machine.order(&command).unwrap();
+            let Vad { velocity, acceleration, deceleration } = order.limits;
+            assert_eq!((order.origin, order.start, command.moves()), (origin, start, Some(when)), "{id:03X}");
+            assert_eq!((velocity, acceleration, deceleration), limits, "{id:03X}");
+            assert!((order.value - 5.0 * METRE).abs() < 1e-12, "{id:03X}");
+        }
+        for analog in [0x019, 0x0E9, 0x0F9] {
+            let command = Command::of(MotionCommand { id: analog, parameters });
+            assert_eq!(machine.order(&command).err(), Some(ErrorCode::UNKNOWN_COMMAND));
+        }
+        for other in [0x017, 0x01E, 0x03F, 0x07E, 0x390, 0x025, 0xFFF] {
+            assert_eq!(Command::of(MotionCommand { id: other, parameters }).moves(), None, "{other:03X}");
+        }
+    }
+}
