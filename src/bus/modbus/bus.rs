@@ -90,22 +90,31 @@ impl ModbusBus {
             let (Some(station), Some(slot)) = (self.stations.get_mut(index), slots.get_mut(index)) else {
                 continue;
             };
-            let why = match self.net.receive(index, station.room()) {
-                Ok(None) => continue,
-                Ok(Some((at, count))) => match station.take(at, count, slot) {
-                    Ok(()) => continue,
-                    Err(why) => why,
-                },
-                Err(Broken::Absent) => continue,
-                Err(broken) => station.ended(broken, slot),
-            };
-            self.net.abandon(index, why);
+            match self.net.receive(index, station.room()) {
+                Ok(None) => {}
+                Ok(Some((at, count))) => {
+                    if let Err(why) = station.take(at, count, slot) {
+                        self.net.abandon(index, why);
+                    }
+                }
+                Err(broken) => self.give_up_broken(index, broken, slot),
+            }
         }
     }
 
-    /// Hands the request of drive `index` to its connection.
+    /// The connection has ended at the other end, or broken.
+    fn give_up_broken(&mut self, index: usize, broken: Broken, slot: &mut Slot) {
+        if let Some(station) = self.stations.get_mut(index).filter(|_| broken != Broken::Absent) {
+            self.net.abandon(index, station.ended(broken, slot));
+        }
+    }
+
+    /// Hands the request of drive `index` to its connection, if one is due.
     fn request(&mut self, index: usize, cycle: &Cycle, slot: &mut Slot) {
         let Some(station) = self.stations.get_mut(index) else { return };
+        if !slot.due || station.passed || station.has_ended() {
+            return;
+        }
         let bytes = station.to_send();
         if bytes.is_empty() {
             return station.unsent(slot);
@@ -115,10 +124,7 @@ impl ModbusBus {
             Ok((at, count)) => station.sent(at, count, cycle, slot),
             Err(broken) => {
                 station.unsent(slot);
-                if broken != Broken::Absent {
-                    let why = station.ended(broken, slot);
-                    self.net.abandon(index, why);
-                }
+                self.give_up_broken(index, broken, slot);
             }
         }
     }
@@ -131,11 +137,7 @@ impl ModbusBus {
         }
         match self.net.send(index, station.rest()) {
             Ok((_, count)) => station.rest_sent(count),
-            Err(Broken::Absent) => {}
-            Err(broken) => {
-                let why = station.ended(broken, slot);
-                self.net.abandon(index, why);
-            }
+            Err(broken) => self.give_up_broken(index, broken, slot),
         }
     }
 
@@ -181,13 +183,7 @@ impl Bus for ModbusBus {
         self.take_in(slots);
         for (index, slot) in slots.iter_mut().enumerate() {
             self.go_on(index, slot);
-            if self
-                .stations
-                .get(index)
-                .is_some_and(|station| slot.due && !station.passed && !station.has_ended())
-            {
-                self.request(index, cycle, slot);
-            }
+            self.request(index, cycle, slot);
         }
         self.give_up(cycle.grid, slots);
     }

@@ -77,11 +77,7 @@ impl CommandInfo {
     /// The wire integers of its fields in `parameters`, the bytes after a header; 0 where it has no field. Some may
     /// be out of their range, since a drive stores what it was given.
     pub fn values(&self, parameters: &[u8]) -> [i64; FIELDS] {
-        let mut values = [0; FIELDS];
-        for (value, field) in values.iter_mut().zip(self.fields) {
-            *value = field.read(parameters);
-        }
-        values
+        std::array::from_fn(|index| self.fields.get(index).map_or(0, |field| field.read(parameters)))
     }
 
     /// The command with these wire integers in its fields, missing ones 0; refused with the field that is out of
@@ -100,12 +96,8 @@ impl CommandInfo {
 impl Field {
     /// Its wire integer in `parameters`, the bytes after a header; missing bytes are 0.
     pub fn read(&self, parameters: &[u8]) -> i64 {
-        let place = parameters.get(self.at - HEADER..).unwrap_or_default();
-        let mut bytes = [0; 4];
-        for (byte, found) in bytes.iter_mut().zip(place).take(self.kind.size()) {
-            *byte = *found;
-        }
-        let value = u32::from_le_bytes(bytes);
+        let place = parameters.iter().skip(self.at - HEADER).take(self.kind.size());
+        let value = place.rev().fold(0_u32, |value, byte| value << 8 | u32::from(*byte));
         match (self.kind.is_signed(), self.kind.size()) {
             (false, _) => i64::from(value),
             (true, 2) => i64::from(value as u16 as i16),

@@ -360,7 +360,7 @@ commands! {
     /// Like 06Bx, with another amplitude, over `length` counts.
     cam_scaled_on_falling_trigger = 0x06E [] (curve, delay, amplitude, length);
 
-    // 07: indexing. The layouts are known, what tells them apart is not, so they are called by their numbers.
+    // 07: indexing. The layouts are known, how they differ is not, so they are called by their numbers.
 
     /// Indexing with a profile.
     indexing_070 = 0x070 [] (position, velocity, acceleration, deceleration);
@@ -757,7 +757,7 @@ commands! {
     /// Winding with a number of revolutions.
     winding_311 = 0x311 [] (number: Number, revolutions: Counts);
 
-    // 38: force control. What tells commands of one layout apart is not known, so these are called by their numbers.
+    // 38: force control. How commands of one layout differ is not known, so these are called by their numbers.
 
     /// Force control with a limit.
     force_380 = 0x380 [SoftwareKey] (position, velocity, acceleration, limit: Force);

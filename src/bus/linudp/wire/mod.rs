@@ -75,6 +75,30 @@ pub const REQUEST_MAX: usize = field::HEADER + field::CONTROL + field::MOTION + 
 /// The longest response that the definitions can describe, bytes, without padding.
 pub const RESPONSE_MAX: usize = field::HEADER + field::RESPONSE_SUM[0xFF] as usize + field::CONFIG;
 
+/// What both definitions have, the set of the blocks of a telegram.
+macro_rules! definitions {
+    ($($name:ident),*) => {
+        $(impl $name {
+            /// All blocks of `other` are in `self`.
+            pub const fn contains(self, other: $name) -> bool {
+                self.0 & other.0 == other.0
+            }
+
+            /// The blocks of both.
+            pub const fn with(self, other: $name) -> $name {
+                $name(self.0 | other.0)
+            }
+        }
+
+        impl fmt::Debug for $name {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                write!(f, concat!(stringify!($name), "({:#x})"), self.0)
+            }
+        })*
+    };
+}
+definitions!(RequestDef, ResponseDef);
+
 /// The blocks of a request (LinUDP V2 manual, 4.4.1). The reserved bits 3 ... 31 are kept as they come.
 #[derive(Clone, Copy, Default, PartialEq, Eq, Hash)]
 pub struct RequestDef(pub u32);
@@ -91,16 +115,6 @@ impl RequestDef {
     /// Bits without a known block; a master sends 0.
     pub const RESERVED: RequestDef = RequestDef(!0b111);
 
-    /// All blocks of `other` are in `self`.
-    pub const fn contains(self, other: RequestDef) -> bool {
-        self.0 & other.0 == other.0
-    }
-
-    /// The blocks of both.
-    pub const fn with(self, other: RequestDef) -> RequestDef {
-        RequestDef(self.0 | other.0)
-    }
-
     /// Bytes of a whole request, both definitions included. Reserved bits add nothing.
     pub const fn size(self) -> usize {
         self.config_at() + if self.contains(RequestDef::CONFIG) { field::CONFIG } else { 0 }
@@ -112,12 +126,6 @@ impl RequestDef {
 
     const fn config_at(self) -> usize {
         self.motion_at() + if self.contains(RequestDef::MOTION) { field::MOTION } else { 0 }
-    }
-}
-
-impl fmt::Debug for RequestDef {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "RequestDef({:#x})", self.0)
     }
 }
 
@@ -149,16 +157,6 @@ impl ResponseDef {
     /// Status, state, positions, current, warnings and error: everything that a cycle needs.
     pub const CYCLIC: ResponseDef = ResponseDef(0x7F);
 
-    /// All blocks of `other` are in `self`.
-    pub const fn contains(self, other: ResponseDef) -> bool {
-        self.0 & other.0 == other.0
-    }
-
-    /// The blocks of both.
-    pub const fn with(self, other: ResponseDef) -> ResponseDef {
-        ResponseDef(self.0 | other.0)
-    }
-
     /// Bytes of a whole response to `request`, both definitions included, without padding.
     pub const fn size(self, request: RequestDef) -> usize {
         self.config_at() + if request.contains(RequestDef::CONFIG) { field::CONFIG } else { 0 }
@@ -171,12 +169,6 @@ impl ResponseDef {
 
     const fn config_at(self) -> usize {
         field::HEADER + field::RESPONSE_SUM[(self.0 & 0xFF) as usize] as usize
-    }
-}
-
-impl fmt::Debug for ResponseDef {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "ResponseDef({:#x})", self.0)
     }
 }
 
@@ -222,6 +214,12 @@ impl Fill<'_> {
         if let Some((head, rest)) = std::mem::take(&mut self.0).split_first_chunk_mut() {
             *head = bytes;
             self.0 = rest;
+        }
+    }
+
+    fn put_if<const N: usize>(&mut self, has: bool, bytes: [u8; N]) {
+        if has {
+            self.put(bytes);
         }
     }
 }
@@ -425,35 +423,18 @@ impl Response {
         out.put(self.request_def.0.to_le_bytes());
         out.put(self.response_def.0.to_le_bytes());
         let has = |block| self.response_def.contains(block);
-        if has(ResponseDef::STATUS) {
-            out.put(self.status.unwrap_or_default().0.to_le_bytes());
+        out.put_if(has(ResponseDef::STATUS), self.status.unwrap_or_default().0.to_le_bytes());
+        out.put_if(has(ResponseDef::STATE), self.state.unwrap_or_default().0.to_le_bytes());
+        out.put_if(has(ResponseDef::ACTUAL), self.actual.unwrap_or_default().to_le_bytes());
+        out.put_if(has(ResponseDef::DEMAND), self.demand.unwrap_or_default().to_le_bytes());
+        out.put_if(has(ResponseDef::CURRENT), self.current.unwrap_or_default().to_le_bytes());
+        out.put_if(has(ResponseDef::WARN), self.warn.unwrap_or_default().0.to_le_bytes());
+        out.put_if(has(ResponseDef::ERROR), self.error.unwrap_or_default().0.to_le_bytes());
+        for channel in self.monitor.unwrap_or_default() {
+            out.put_if(has(ResponseDef::MONITOR), channel.to_le_bytes());
         }
-        if has(ResponseDef::STATE) {
-            out.put(self.state.unwrap_or_default().0.to_le_bytes());
-        }
-        if has(ResponseDef::ACTUAL) {
-            out.put(self.actual.unwrap_or_default().to_le_bytes());
-        }
-        if has(ResponseDef::DEMAND) {
-            out.put(self.demand.unwrap_or_default().to_le_bytes());
-        }
-        if has(ResponseDef::CURRENT) {
-            out.put(self.current.unwrap_or_default().to_le_bytes());
-        }
-        if has(ResponseDef::WARN) {
-            out.put(self.warn.unwrap_or_default().0.to_le_bytes());
-        }
-        if has(ResponseDef::ERROR) {
-            out.put(self.error.unwrap_or_default().0.to_le_bytes());
-        }
-        if has(ResponseDef::MONITOR) {
-            for channel in self.monitor.unwrap_or_default() {
-                out.put(channel.to_le_bytes());
-            }
-        }
-        if self.request_def.contains(RequestDef::CONFIG) {
-            out.put(self.config.unwrap_or_default().to_bytes());
-        }
+        let config = self.request_def.contains(RequestDef::CONFIG);
+        out.put_if(config, self.config.unwrap_or_default().to_bytes());
         size
     }
 }

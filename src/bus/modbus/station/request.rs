@@ -136,7 +136,7 @@ impl Station {
     /// The blocks of the next cyclic request.
     fn choose(&self, outputs: Option<Outputs>) -> Blocks {
         let urgent = self.control_changes(outputs) || self.profile.is_new();
-        // It delays no step of an order, a stop above all, and does not come between the two halves of a report.
+        // It delays no step of a command, a stop above all, and does not come between the two halves of a report.
         let may_check =
             self.conn.seen == (false, false) && !self.profile.waits() || self.conn.other.is_in_doubt();
         if may_check

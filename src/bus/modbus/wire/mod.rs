@@ -458,9 +458,6 @@ impl fmt::Display for ExceptionCode {
 pub struct Registers<'a>(&'a [u8]);
 
 impl<'a> Registers<'a> {
-    /// No registers.
-    pub const EMPTY: Registers<'static> = Registers(&[]);
-
     /// Of these bytes; `None` if their number is odd.
     #[inline]
     pub const fn new(bytes: &'a [u8]) -> Option<Registers<'a>> {

@@ -3,11 +3,11 @@
 //! Commands for which the drive has no hardware, no software key or no known meaning are error 0081h, or nothing if the
 //! plan says so: encoder cams, indexing, winding, force control, analog positions, streams with time stamps.
 
-use super::super::motion::{METRE, METRE_PER_S, METRE_PER_S2, Order, Origin, Start, Vad, When};
+use super::super::motion::{METRE, METRE_PER_S, METRE_PER_S2, Move, Origin, Start, Vad, When};
 use super::super::time_curve::TimeCurve;
 use super::super::upids;
 use super::{Demand, Machine, Mode, NEWTON_PER_AMPERE, RunMode, Task};
-use crate::bus::linudp::motion::{CommandInfo, FIELDS, Field, Kind, MotionCommand};
+use crate::bus::linudp::motion::{CommandInfo, FIELDS, Kind, MotionCommand};
 use crate::bus::linudp::plan::{StreamCommand, UnknownCommands};
 use crate::bus::linudp::wire::{ControlWord, ErrorCode, MotionBlock};
 use crate::time::Time;
@@ -41,37 +41,31 @@ pub(super) struct Command {
     /// No family has this number if the manual does not list the command.
     pub family: u16,
     pub sub: u16,
-    fields: &'static [Field],
+    info: Option<&'static CommandInfo>,
     parameters: [u8; 30],
 }
 
 impl Command {
     pub(super) fn of(MotionCommand { id, parameters }: MotionCommand) -> Command {
         let info = CommandInfo::of(id);
-        let family = info.map_or(u16::MAX, |_| id >> 4);
-        Command { family, sub: id & 0xF, fields: info.map_or(&[], |info| info.fields), parameters }
+        Command { family: info.map_or(u16::MAX, |_| id >> 4), sub: id & 0xF, info, parameters }
     }
 
     /// The wire integers of its fields. Each is inside the integer type of its field; some may be out of their range,
     /// since a drive has to take what comes.
     pub(super) fn values(&self) -> [i64; FIELDS] {
-        let mut values = [0; FIELDS];
-        for (value, field) in values.iter_mut().zip(self.fields) {
-            *value = field.read(&self.parameters);
-        }
-        values
+        self.info.map_or([0; FIELDS], |info| info.values(&self.parameters))
     }
 
     /// The fields of one of these kinds.
     fn fields_of(&self, kinds: [Kind; 2]) -> impl Iterator<Item = i64> {
-        let fields = self.fields.iter().filter(move |field| kinds.contains(&field.kind));
-        fields.map(|field| field.read(&self.parameters))
+        let fields = self.info.map_or(&[][..], |info| info.fields).iter();
+        fields.filter(move |field| kinds.contains(&field.kind)).map(|field| field.read(&self.parameters))
     }
 
     /// The bytes that it writes into a curve or an entry: those behind its id and the offset.
     fn written(&self) -> &[u8] {
-        let size: usize = self.fields.iter().map(|field| field.kind.size()).sum();
-        self.parameters.get(4..size).unwrap_or_default()
+        self.info.and_then(|info| self.parameters.get(4..info.size())).unwrap_or_default()
     }
 
     /// When it begins to move to a position, if it does. Positions mean nothing before homing.
@@ -160,8 +154,8 @@ impl Machine {
             // The outputs of 003x and 004x have no target.
             (0x00, 0x0 | 0x3 | 0x4) => {}
             (0x00, 0x1) => self.set_control(ControlWord(a as u16), now),
-            (0x00, 0x2) => self.write_unheard(a as u16, b as u32),
-            (0x00, 0x5) => self.write_unheard(upids::CONTROLLER_SET, a as u32),
+            (0x00, 0x2) => self.write_unanswered(a as u16, b as u32),
+            (0x00, 0x5) => self.write_unanswered(upids::CONTROLLER_SET, a as u32),
             (0x00, 0x8) => self.setpoints.clear_events(),
             (0x00, 0x9) => {
                 let position = a as f64 * METRE;
@@ -182,14 +176,14 @@ impl Machine {
                 self.setpoints.run(v, f64::from(acceleration) * METRE_PER_S2);
             }
             (0x0D, 0xE | 0xF) => {
-                let order = if command.sub == 0xE { self.settings.on_rise } else { self.settings.on_fall };
-                self.setpoints.take_move(order, When::Now, false, actual);
+                let motion = if command.sub == 0xE { self.settings.on_rise } else { self.settings.on_fall };
+                self.setpoints.take_move(motion, When::Now, false, actual);
             }
             (0x01 | 0x02 | 0x09..=0x0F | 0x3A, _) => {
-                let order = self.order(command)?;
+                let motion = self.motion(command)?;
                 // Sine and Bestehorn moves.
                 let from_rest = matches!(command.family, 0x0E | 0x0F);
-                self.setpoints.take_move(order, command.moves().unwrap_or(When::Now), from_rest, actual);
+                self.setpoints.take_move(motion, command.moves().unwrap_or(When::Now), from_rest, actual);
             }
 
             (0x03, 0xF) => self.setpoints.end_stream(),
@@ -225,12 +219,12 @@ impl Machine {
     }
 
     /// A write that is not allowed is dropped without notice: such a command has no answer.
-    pub(super) fn write_unheard(&mut self, upid: u16, value: u32) {
+    pub(super) fn write_unanswered(&mut self, upid: u16, value: u32) {
         let _ = self.write(upid, value);
     }
 
     /// A move in the drive's own terms.
-    fn order(&self, command: &Command) -> Result<Order, ErrorCode> {
+    fn motion(&self, command: &Command) -> Result<Move, ErrorCode> {
         let (origin, start) = match (command.family, command.sub) {
             // Pressing. Captured positions, which are 0 since nothing has ever been captured, and variables.
             (0x0C, 0x5) | (0x0D, 0x0..=0x5) => (Origin::Zero, Start::Demand),
@@ -254,7 +248,7 @@ impl Machine {
         let (step, limits) = self.profile(command);
         let value = value as f64 * step;
         let value = if origin == Origin::Zero { self.place(value) } else { value };
-        Ok(Order { value, origin, start, limits })
+        Ok(Move { value, origin, start, limits })
     }
 
     /// What a step of its position is, m, and its limits. It may have a velocity, and none, one or two accelerations; a
@@ -330,15 +324,19 @@ mod tests {
             (0x3A1, O::Demand, S::Demand, W::Now, given),
         ] {
             let command = Command::of(MotionCommand { id, parameters });
-            let order = machine.order(&command).unwrap();
-            let Vad { velocity, acceleration, deceleration } = order.limits;
-            assert_eq!((order.origin, order.start, command.moves()), (origin, start, Some(when)), "{id:03X}");
+            let motion = machine.motion(&command).unwrap();
+            let Vad { velocity, acceleration, deceleration } = motion.limits;
+            assert_eq!(
+                (motion.origin, motion.start, command.moves()),
+                (origin, start, Some(when)),
+                "{id:03X}"
+            );
             assert_eq!((velocity, acceleration, deceleration), limits, "{id:03X}");
-            assert!((order.value - 5.0 * METRE).abs() < 1e-12, "{id:03X}");
+            assert!((motion.value - 5.0 * METRE).abs() < 1e-12, "{id:03X}");
         }
         for analog in [0x019, 0x0E9, 0x0F9] {
             let command = Command::of(MotionCommand { id: analog, parameters });
-            assert_eq!(machine.order(&command).err(), Some(ErrorCode::UNKNOWN_COMMAND));
+            assert_eq!(machine.motion(&command).err(), Some(ErrorCode::UNKNOWN_COMMAND));
         }
         for other in [0x017, 0x01E, 0x03F, 0x07E, 0x390, 0x025, 0xFFF] {
             assert_eq!(Command::of(MotionCommand { id: other, parameters }).moves(), None, "{other:03X}");

@@ -127,7 +127,7 @@ impl Machine {
                 let before = if sub % 2 == 1 { self.variable(variable) } else { 0 };
                 self.set_variable(variable, before.wrapping_add(value as i32));
             }
-            (0x24, sub @ (0x8 | 0x9)) => self.write_unheard(upid, self.variable(1 + sub % 2) as u32),
+            (0x24, sub @ (0x8 | 0x9)) => self.write_unanswered(upid, self.variable(1 + sub % 2) as u32),
             (0x24, sub @ (0xC | 0xD)) => {
                 if let Ok(index) = allowed(upid, Usage::RAM_READ) {
                     // The number itself, with its sign: a variable has 32 bits. The upper half of u32 wraps.
@@ -148,11 +148,11 @@ impl Machine {
 
     /// Variable 1 or 2.
     pub(super) fn variable(&self, variable: u16) -> i32 {
-        self.memory.parameters.used(variable_upid(variable)) as i32
+        self.memory.parameters.used(upids::VARIABLE_1 + variable - 1) as i32
     }
 
     fn set_variable(&mut self, variable: u16, value: i32) {
-        self.write_unheard(variable_upid(variable), value as u32);
+        self.write_unanswered(upids::VARIABLE_1 + variable - 1, value as u32);
     }
 
     fn is_over(&self, wait: &Command, until: Time, now: Time) -> Result<bool, ErrorCode> {
@@ -188,8 +188,4 @@ impl Machine {
         let is_greater = (command.sub % 2 == 1) == (command.family == 0x25);
         Ok(if is_greater { value > limit } else { value < limit })
     }
-}
-
-fn variable_upid(variable: u16) -> u16 {
-    if variable == 1 { upids::VARIABLE_1 } else { upids::VARIABLE_2 }
 }
