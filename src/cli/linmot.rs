@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
 use fieldbeat::bus::linudp::curve::Curve;
-use fieldbeat::bus::linudp::service::{CurvePut, LoggedError, Part, Saved, Services};
+use fieldbeat::bus::linudp::service::{CurvePut, LoggedError, Part, Saved, ServiceError, Services};
 use fieldbeat::config::{ConfigErrors, linmot_curve, linmot_table};
 use fieldbeat::telemetry::file::save;
 use serde_json::json;
@@ -135,6 +135,12 @@ fn part(word: &str) -> Result<Part, String> {
     known.map(|(_, part)| *part).ok_or_else(|| "must be os, mc, interface or application".to_owned())
 }
 
+impl From<ServiceError> for Stop {
+    fn from(error: ServiceError) -> Stop {
+        Stop::failed(error)
+    }
+}
+
 impl LinMot {
     /// Does it.
     pub fn run(self) -> Result<(), Stop> {
@@ -146,19 +152,19 @@ impl LinMot {
             What::Table(does) => does.run(&interrupt),
             What::Errors(shown) => with(&shown.drive, &interrupt, |services| errors(services, shown.json)),
             What::Restart(drive) => with(&drive, &interrupt, |services| {
-                services.restart().map_err(Stop::failed)?;
+                services.restart()?;
                 done(services, "restarts")
             }),
             What::Software(SoftwareDoes::Stop(drive)) => with(&drive, &interrupt, |services| {
-                services.stop_software().map_err(Stop::failed)?;
+                services.stop_software()?;
                 done(services, "its software is stopped")
             }),
             What::Software(SoftwareDoes::Start(drive)) => with(&drive, &interrupt, |services| {
-                services.start_software().map_err(Stop::failed)?;
+                services.start_software()?;
                 done(services, "its software runs; home it")
             }),
             What::Defaults(defaults) => with(&defaults.drive, &interrupt, |services| {
-                services.reset_to_default(defaults.part).map_err(Stop::failed)?;
+                services.reset_to_default(defaults.part)?;
                 done(services, "the defaults take effect after a restart; home it")
             }),
         }
@@ -169,7 +175,7 @@ impl CurveDoes {
     fn run(self, interrupt: &Interrupt) -> Result<(), Stop> {
         match self {
             CurveDoes::List(shown) => with(&shown.drive, interrupt, |services| {
-                let ids = services.curves().map_err(Stop::failed)?;
+                let ids = services.curves()?;
                 list(shown.json, ids, "no curve")
             }),
             CurveDoes::Get(CurveGet { get, id }) => {
@@ -179,8 +185,7 @@ impl CurveDoes {
                         Some(id) => id,
                         None => only(services)?,
                     };
-                    let curve =
-                        services.curve(id, &mut Meter::new(interrupt).watch()).map_err(Stop::failed)?;
+                    let curve = services.curve(id, &mut Meter::new(interrupt).watch())?;
                     let Some(curve) = curve else {
                         let drive = services.drive();
                         return Err(Stop::failed(format!("drive {drive} has no curve {id}")));
@@ -196,8 +201,8 @@ impl CurveDoes {
                 with(&put.drive, interrupt, |services| put_curve(services, &curve, &put, interrupt))
             }
             CurveDoes::Delete(drive) => with(&drive, interrupt, |services| {
-                services.require_off("deleting its curves").map_err(Stop::failed)?;
-                services.delete_curves().map_err(Stop::failed)?;
+                services.require_off("deleting its curves")?;
+                services.delete_curves()?;
                 done(services, "has no curves in RAM; a restart loads those in flash again")
             }),
             CurveDoes::Save(drive) => with(&drive, interrupt, save_curves),
@@ -209,13 +214,13 @@ impl TableDoes {
     fn run(self, interrupt: &Interrupt) -> Result<(), Stop> {
         match self {
             TableDoes::List(shown) => with(&shown.drive, interrupt, |services| {
-                let ids = services.entries().map_err(Stop::failed)?;
+                let ids = services.entries()?;
                 list(shown.json, ids.iter().map(|id| id.wire()).collect(), "no entry")
             }),
             TableDoes::Get(get) => {
                 get.check()?;
                 with(&get.drive, interrupt, |services| {
-                    let table = services.table(&mut Meter::new(interrupt).watch()).map_err(Stop::failed)?;
+                    let table = services.table(&mut Meter::new(interrupt).watch())?;
                     get.write(&linmot_table::to_text(&table))?;
                     print(format_args!("{} entries: {}", table.len(), get.file.display()))
                 })
@@ -223,15 +228,15 @@ impl TableDoes {
             TableDoes::Put(put) => {
                 let table = put.read(linmot_table::load)?;
                 with(&put.drive, interrupt, |services| {
-                    services.require_off("writing its command table").map_err(Stop::failed)?;
-                    services.put_table(&table, &mut Meter::new(interrupt).watch()).map_err(Stop::failed)?;
+                    services.require_off("writing its command table")?;
+                    services.put_table(&table, &mut Meter::new(interrupt).watch())?;
                     print(format_args!("{} entries are in RAM, read back and compared", table.len()))?;
                     if put.save { save_table(services) } else { Ok(()) }
                 })
             }
             TableDoes::Delete(drive) => with(&drive, interrupt, |services| {
-                services.require_off("deleting its command table").map_err(Stop::failed)?;
-                services.delete_table().map_err(Stop::failed)?;
+                services.require_off("deleting its command table")?;
+                services.delete_table()?;
                 done(services, "has no entries in RAM; a restart loads those in flash again")
             }),
             TableDoes::Save(drive) => with(&drive, interrupt, save_table),
@@ -267,7 +272,7 @@ fn list(as_json: bool, ids: Vec<u16>, none: &str) -> Result<(), Stop> {
 
 /// The number of the one curve that the drive has.
 fn only(services: &Services<'_>) -> Result<u16, Stop> {
-    let (ids, drive) = (services.curves().map_err(Stop::failed)?, services.drive());
+    let (ids, drive) = (services.curves()?, services.drive());
     match ids.as_slice() {
         [id] => Ok(*id),
         [] => Err(Stop::failed(format!("drive {drive} has no curve"))),
@@ -279,8 +284,8 @@ fn only(services: &Services<'_>) -> Result<u16, Stop> {
 }
 
 fn put_curve(services: &Services<'_>, curve: &Curve, put: &Put, interrupt: &Interrupt) -> Result<(), Stop> {
-    services.require_off("writing a curve").map_err(Stop::failed)?;
-    if services.plan_curve(curve).map_err(Stop::failed)? == CurvePut::Rebuild {
+    services.require_off("writing a curve")?;
+    if services.plan_curve(curve)? == CurvePut::Rebuild {
         complain(&format!(
             "drive {} has a curve {} of another size, and can only delete all curves at once: the others are \
              read first and written again afterwards. If this computer fails meanwhile, restart the drive: it \
@@ -289,47 +294,42 @@ fn put_curve(services: &Services<'_>, curve: &Curve, put: &Put, interrupt: &Inte
             curve.id
         ));
     }
-    services.put_curve(curve, &mut Meter::new(interrupt).watch()).map_err(Stop::failed)?;
+    services.put_curve(curve, &mut Meter::new(interrupt).watch())?;
     let setpoints = curve.setpoints.len();
     print(format_args!("curve {}, {setpoints} setpoints, is in RAM, read back and compared", curve.id))?;
     if put.save { save_curves(services) } else { Ok(()) }
 }
 
 fn save_curves(services: &Services<'_>) -> Result<(), Stop> {
-    announce_save(services)?;
-    let saved = services.save_curves().map_err(Stop::failed)?;
-    done(services, &kept(saved, "its curves are in flash"))
+    save_to_flash(services, Services::save_curves, "its curves are in flash")
 }
 
 fn save_table(services: &Services<'_>) -> Result<(), Stop> {
-    announce_save(services)?;
-    let saved = services.save_table().map_err(Stop::failed)?;
-    done(services, &kept(saved, "its command table is in flash"))
+    save_to_flash(services, Services::save_table, "its command table is in flash")
 }
 
-fn kept(saved: Saved, what: &str) -> String {
-    match saved {
-        Saved::Acknowledged => format!("{what}; home it"),
-        Saved::Silently => {
-            format!(
-                "{what} as far as can be seen: it fell silent and came back without an error code; restart it and check"
-            )
-        }
-    }
-}
-
-/// Of a drive that will be asked to, so that nobody waits for nothing.
-fn announce_save(services: &Services<'_>) -> Result<(), Stop> {
-    services.require_off("saving to flash").map_err(Stop::failed)?;
+/// Of a drive that may be saved, so that nobody is announced a save that is refused.
+fn save_to_flash<'a>(
+    services: &Services<'a>,
+    save: fn(&Services<'a>) -> Result<Saved, ServiceError>,
+    what: &str,
+) -> Result<(), Stop> {
+    services.require_off("saving to flash")?;
     complain(&format!(
         "drive {} saves to flash: it may be silent for minutes; leave its power on, the save cannot be interrupted",
         services.drive()
     ));
-    Ok(())
+    let then = match save(services)? {
+        Saved::Acknowledged => "; home it",
+        Saved::Silently => {
+            " as far as can be seen: it fell silent and came back without an error code; restart it and check"
+        }
+    };
+    done(services, &format!("{what}{then}"))
 }
 
 fn errors(services: &Services<'_>, as_json: bool) -> Result<(), Stop> {
-    let log = services.error_log().map_err(Stop::failed)?;
+    let log = services.error_log()?;
     if as_json {
         let mut entries = Vec::new();
         for LoggedError { code, text, hours, ms } in &log.entries {

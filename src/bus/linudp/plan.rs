@@ -39,9 +39,9 @@ pub struct LinUdpDrive {
     pub address: SocketAddrV4,
     /// The streaming command that Follow uses; `None`: Follow is refused.
     pub stream: Option<StreamCommand>,
-    /// What the four monitoring channels show, if they are asked for.
+    /// What the four monitoring channels show, if they are requested.
     pub monitor: MonitorPlan,
-    /// What tells which request a reply answers.
+    /// By what a reply shows which request it answers.
     pub reply_tag: ReplyTag,
     /// How long the drive has to report that its power stage may not come on, although the master allows it, until its
     /// hardware enable (STO) counts as missing: its status may be some milliseconds older than the control word.
@@ -80,7 +80,7 @@ impl LinUdpDrive {
     }
 }
 
-/// What tells which request a reply answers: LinUDP has no sequence number.
+/// By what a reply shows which request it answers: LinUDP has no sequence number.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ReplyTag {
     /// Each request names other blocks than the one before it, and the reply echoes its definition: warn word and
@@ -104,7 +104,7 @@ impl ReplyTag {
 /// What the four monitoring channels of a drive show (LinUDP V2 manual, 4.4.9).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum MonitorPlan {
-    /// They are not asked for.
+    /// They are not requested.
     #[default]
     Off,
     /// Whatever is set in the drive, as raw numbers.
@@ -150,17 +150,17 @@ impl MonitorPlan {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StreamCommand {
     /// 030x: position; the drive's receive time is the time base. 2 ... 5 ms.
-    P,
+    P = 0x030,
     /// 031x: position, velocity; receive time. 2 ... 5 ms.
-    Pv,
+    Pv = 0x031,
     /// 032x: position; the period configured in the drive (UPID 14E6h). 2 ... 5 ms.
-    PConfigured,
+    PConfigured = 0x032,
     /// 033x: position, velocity; configured period. 0.4 ... 10 ms.
-    PvConfigured,
+    PvConfigured = 0x033,
     /// 034x: position, velocity, acceleration; receive time. 0.4 ... 10 ms.
-    Pva,
+    Pva = 0x034,
     /// 035x: position, velocity, acceleration; configured period. 0.4 ... 10 ms.
-    PvaConfigured,
+    PvaConfigured = 0x035,
 }
 
 impl StreamCommand {

@@ -281,9 +281,9 @@ impl RtcChannel {
     }
 
     fn block(&mut self, now: Time) -> Option<RtcBlock> {
-        let unheard = now.since(self.counted) > TAKEN_WITHIN_NS && self.unechoed >= TAKEN_WITHIN;
+        let overdue = now.since(self.counted) > TAKEN_WITHIN_NS && self.unechoed >= TAKEN_WITHIN;
         if self.stored.is_none() {
-            if self.learning.is_none() || unheard {
+            if self.learning.is_none() || overdue {
                 self.learning = Some(next(self.sent));
                 (self.counted, self.unechoed) = (now, 0);
             }
@@ -301,7 +301,7 @@ impl RtcChannel {
             }
         }
         let once = active.gone_out && may_be_silent(active.command);
-        if active.count == 0 || unheard && !once {
+        if active.count == 0 || overdue && !once {
             // Not 0, not the count that went out before, and not the one stored in the drive: that may be a native
             // block's.
             let count = next(self.sent);
@@ -317,11 +317,11 @@ impl RtcChannel {
     }
 
     /// A request to the drive makes it silent, and its power is off: no other axis has to stop because of that.
-    pub(super) fn excuses_silence(&self) -> bool {
+    pub(super) fn expects_silence(&self) -> bool {
         self.active.is_some_and(|active| active.gone_out && may_be_silent(active.command))
     }
 
-    /// A block that does nothing, with a count of its own, to tell replies apart.
+    /// A block that does nothing, with a count of its own, to distinguish replies.
     pub(super) fn tag(&mut self) -> RtcBlock {
         let block = RtcBlock::command(next(self.sent), RtcCommand::NO_OPERATION);
         self.prepared = Some(block);
@@ -387,8 +387,8 @@ impl RtcChannel {
             }
             RtcStatus::Refused(refusal) => self.end(Err(CallError::Refused(refusal.code().into()))),
             RtcStatus::Done | RtcStatus::BlockNotFinished | RtcStatus::Other(_) => {
-                let asked = active.posted.call.address as u16;
-                if !repeats_index(active.command) || block.index() == asked {
+                let requested = active.posted.call.address as u16;
+                if !repeats_index(active.command) || block.index() == requested {
                     self.end(Ok(answer));
                 }
             }

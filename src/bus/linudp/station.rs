@@ -79,10 +79,10 @@ struct Identity {
     /// What the reply to the prepared request will echo.
     prepared: Echo,
     /// What the reply to the last request sent echoes.
-    asked: Echo,
+    requested: Echo,
     /// The kinds of the requests before it, newest first, without repetitions in a row: as far back as late
     /// replies come from while the link is still online.
-    asked_before: [Echo; 3],
+    requested_before: [Echo; 3],
     /// An exchange was opened and no reply closed it.
     open: bool,
     /// Replies to earlier requests that may still come: such a one is late and no duplicate.
@@ -118,7 +118,7 @@ impl Identity {
     /// The echo is that of a request of the last kinds that were sent.
     fn knows(&self, echo: Echo) -> bool {
         let kind = self.kind(echo);
-        kind == self.kind(self.asked) || self.asked_before.contains(&kind)
+        kind == self.kind(self.requested) || self.requested_before.contains(&kind)
     }
 }
 
@@ -127,15 +127,15 @@ impl Identity {
 struct Echo {
     request: RequestDef,
     response: ResponseDef,
-    /// The count of the real-time-config block; of a request, if it was chosen to tell its reply from others.
+    /// The count of the real-time-config block; of a request, if it was chosen to distinguish its reply from others.
     tag: Option<u8>,
 }
 
 impl Echo {
-    /// Whether this echo of a reply can be that of the request that echoes `asked`.
-    fn answers(&self, asked: &Echo) -> bool {
-        (self.request, self.response) == (asked.request, asked.response)
-            && (asked.tag.is_none() || self.tag == asked.tag)
+    /// Whether this echo of a reply can be that of the request that echoes `requested`.
+    fn answers(&self, requested: &Echo) -> bool {
+        (self.request, self.response) == (requested.request, requested.response)
+            && (requested.tag.is_none() || self.tag == requested.tag)
     }
 }
 
@@ -200,7 +200,7 @@ impl Station {
         let powered = slot.status.state.is_powered();
         let called = self.rtc.advance(cycle.grid, slot.link, powered, slot.guarded);
         slot.commanded = self.rtc.commands();
-        slot.expected_silence = self.rtc.excuses_silence() && !powered;
+        slot.expected_silence = self.rtc.expects_silence() && !powered;
         let mut request = Request {
             response_def: self.identity.in_turn(self.response_def),
             control,
@@ -212,7 +212,7 @@ impl Station {
             self.rtc.give_way();
         }
         if self.identity.suspect {
-            // Its definition differs from the earlier ones, so that the echo tells its reply from all late ones: if
+            // Its definition differs from the earlier ones, so that the echo distinguishes its reply from all late ones: if
             // they were always one cycle behind, each would pass for the newest for ever.
             request.response_def.0 ^= self.odd.0;
         }
@@ -261,10 +261,10 @@ impl Station {
         }
         (identity.open, identity.suspect) = (true, false);
         identity.turn = (identity.turn + 1) % identity.turns;
-        let asked = std::mem::replace(&mut identity.asked, identity.prepared);
-        if identity.kind(asked) != identity.kind(identity.asked) {
-            identity.asked_before.rotate_right(1);
-            identity.asked_before[0] = identity.kind(asked);
+        let requested = std::mem::replace(&mut identity.requested, identity.prepared);
+        if identity.kind(requested) != identity.kind(identity.requested) {
+            identity.requested_before.rotate_right(1);
+            identity.requested_before[0] = identity.kind(requested);
         }
         if self.probing {
             self.probes = (self.probes + 1) % FULL_PROBE_EVERY;
@@ -299,11 +299,11 @@ impl Station {
             Exchange::Owed { sent_at, .. } if in_window => Some(sent_at),
             _ => None,
         };
-        let answers = echo.answers(&self.identity.asked);
+        let answers = echo.answers(&self.identity.requested);
         match owed {
             Some(sent_at) if answers => {
                 let identity = &mut self.identity;
-                let named = identity.asked.tag.is_some();
+                let named = identity.requested.tag.is_some();
                 let suspect = !named && identity.mistakable >= identity.turns;
                 (identity.open, identity.suspect) = (false, suspect);
                 if !named && !suspect {
@@ -315,12 +315,12 @@ impl Station {
                 slot.counters.suspect += u64::from(suspect);
                 self.read(at, &view, suspect, slot);
             }
-            _ => self.unasked(at, &view, answers, echo, in_window, slot),
+            _ => self.unrequested(at, &view, answers, echo, in_window, slot),
         }
     }
 
     /// A well-formed telegram that closes no exchange in its window: late, a duplicate, or never requested.
-    fn unasked(
+    fn unrequested(
         &mut self,
         at: Time,
         view: &ResponseView<'_>,
@@ -344,7 +344,7 @@ impl Station {
             self.read(at, view, suspect, slot);
             return;
         }
-        let named = identity.asked.tag.is_some() || (identity.turns > 1 && !identity.suspect);
+        let named = identity.requested.tag.is_some() || (identity.turns > 1 && !identity.suspect);
         if !identity.knows(echo) {
             slot.counters.foreign += 1;
         } else if answers && identity.open {
@@ -486,7 +486,7 @@ mod tests {
 
     use super::*;
     use crate::axis::{Command, Row};
-    use crate::bus::linudp::motion::Decoded;
+    use crate::bus::linudp::StreamCommand;
     use crate::bus::linudp::profile::capabilities;
     use crate::bus::linudp::wire::Response;
     use crate::drive::machine::{Machine, NumberedRow};
@@ -544,8 +544,8 @@ mod tests {
             self.station.take(self.cycle.grid + MS / 10, &bytes[..size], true, &mut self.slot);
         }
 
-        fn order(&mut self, verb: Command) {
-            self.machine.start(self.cycle.grid, Some(verb));
+        fn start(&mut self, command: Command) {
+            self.machine.start(self.cycle.grid, Some(command));
         }
     }
 
@@ -576,7 +576,7 @@ mod tests {
             let request = b.send();
             b.reply(&request, StateVar::MOTION_ACTIVE | 5);
         }
-        b.order(Command::Stop { deceleration: None });
+        b.start(Command::Stop { deceleration: None });
         let mut request = b.send();
         let stop = request.motion.unwrap().header as u8 & 0xF;
         assert_eq!(stop, 6);
@@ -609,16 +609,16 @@ mod tests {
             let request = b.send();
             b.reply(&request, StateVar::MOTION_ACTIVE | 5);
             // It is in operation, and left so.
-            b.order(Command::Reset);
+            b.start(Command::Reset);
         }
-        b.order(Command::Follow);
+        b.start(Command::Follow);
         b.machine.input.row = Some(NumberedRow { number: 1, row: Row { position: 1.0, ..Row::default() } });
-        let sent = |request: Request| request.motion.map(|motion| Decoded::of(&motion));
-        assert!(matches!(sent(b.build()), Some(Decoded::Stream { .. })));
-        b.order(Command::Stop { deceleration: None });
+        let sent = |request: Request| request.motion.map(|motion| motion.header >> 4);
+        assert_eq!(sent(b.build()), Some(StreamCommand::Pva.id()));
+        b.start(Command::Stop { deceleration: None });
         for _ in 0..3 {
             let request = b.send();
-            assert!(matches!(sent(request), Some(Decoded::Stop(Some(_)))), "{request:?}");
+            assert_eq!(sent(request), Some(0x017), "{request:?}");
             b.reply(&request, StateVar::MOTION_ACTIVE | 5);
         }
     }

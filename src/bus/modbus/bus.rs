@@ -5,14 +5,13 @@ use std::os::fd::RawFd;
 use std::sync::Arc;
 
 use super::counters::OWN;
-use super::greeting::{Found, UnidriveGreeting};
+use super::handshake::{Found, UnidriveHandshake};
 use super::mapping::Mapping;
 use super::native::Native;
 use super::notation::Parameters;
 use super::plan::{ModbusPlan, UnidriveDrive, Via};
 use super::profile;
 use super::sim::UnidriveSim;
-
 use super::station::Station;
 use super::trips::Trip;
 use crate::axis::acyclic::{AcyclicEnds, Notation};
@@ -66,12 +65,12 @@ impl ModbusBus {
             let mappings = mappings(drive).ok_or_else(broken)?;
             let found = Arc::new(Found::default());
             let (direct, menu_0) = mappings.clone();
-            let greeting = UnidriveGreeting::new(drive, direct, menu_0, Arc::clone(&found));
+            let handshake = UnidriveHandshake::new(drive, direct, menu_0, Arc::clone(&found));
             peers.push(StreamPeer {
                 bind: plan.bind,
-                greeting_ns: greeting.longest_ns(),
+                greeting_ns: handshake.longest_ns(),
                 unacknowledged_ns: 2 * drive.reply_within_ns,
-                ..StreamPeer::new(drive.address, Box::new(greeting))
+                ..StreamPeer::new(drive.address, Box::new(handshake))
             });
             let (station, native, acyclic) = Station::new(drive, mappings, found);
             stations.push(station);
@@ -91,22 +90,31 @@ impl ModbusBus {
             let (Some(station), Some(slot)) = (self.stations.get_mut(index), slots.get_mut(index)) else {
                 continue;
             };
-            let why = match self.net.receive(index, station.room()) {
-                Ok(None) => continue,
-                Ok(Some((at, count))) => match station.take(at, count, slot) {
-                    Ok(()) => continue,
-                    Err(why) => why,
-                },
-                Err(Broken::Absent) => continue,
-                Err(broken) => station.ended(broken, slot),
-            };
-            self.net.abandon(index, why);
+            match self.net.receive(index, station.room()) {
+                Ok(None) => {}
+                Ok(Some((at, count))) => {
+                    if let Err(why) = station.take(at, count, slot) {
+                        self.net.abandon(index, why);
+                    }
+                }
+                Err(broken) => self.give_up_broken(index, broken, slot),
+            }
         }
     }
 
-    /// Hands the request of drive `index` to its connection.
-    fn ask(&mut self, index: usize, cycle: &Cycle, slot: &mut Slot) {
+    /// The connection has ended at the other end, or broken.
+    fn give_up_broken(&mut self, index: usize, broken: Broken, slot: &mut Slot) {
+        if let Some(station) = self.stations.get_mut(index).filter(|_| broken != Broken::Absent) {
+            self.net.abandon(index, station.ended(broken, slot));
+        }
+    }
+
+    /// Hands the request of drive `index` to its connection, if one is due.
+    fn request(&mut self, index: usize, cycle: &Cycle, slot: &mut Slot) {
         let Some(station) = self.stations.get_mut(index) else { return };
+        if !slot.due || station.passed || station.has_ended() {
+            return;
+        }
         let bytes = station.to_send();
         if bytes.is_empty() {
             return station.unsent(slot);
@@ -116,10 +124,7 @@ impl ModbusBus {
             Ok((at, count)) => station.sent(at, count, cycle, slot),
             Err(broken) => {
                 station.unsent(slot);
-                if broken != Broken::Absent {
-                    let why = station.ended(broken, slot);
-                    self.net.abandon(index, why);
-                }
+                self.give_up_broken(index, broken, slot);
             }
         }
     }
@@ -132,11 +137,7 @@ impl ModbusBus {
         }
         match self.net.send(index, station.rest()) {
             Ok((_, count)) => station.rest_sent(count),
-            Err(Broken::Absent) => {}
-            Err(broken) => {
-                let why = station.ended(broken, slot);
-                self.net.abandon(index, why);
-            }
+            Err(broken) => self.give_up_broken(index, broken, slot),
         }
     }
 
@@ -182,13 +183,7 @@ impl Bus for ModbusBus {
         self.take_in(slots);
         for (index, slot) in slots.iter_mut().enumerate() {
             self.go_on(index, slot);
-            if self
-                .stations
-                .get(index)
-                .is_some_and(|station| slot.due && !station.passed && !station.has_ended())
-            {
-                self.ask(index, cycle, slot);
-            }
+            self.request(index, cycle, slot);
         }
         self.give_up(cycle.grid, slots);
     }

@@ -6,11 +6,11 @@
 //! | `parameter`, `notation` | parameters of a drive: addresses, what is known of them, how people write them |
 //! | `words`, `trips` | control word and status word, trip numbers |
 //! | `plan`, `mapping` | the bus as configured; its cyclic parameters as blocks |
-//! | `greeting` | the handshake on a new connection before the loop gets it |
+//! | `handshake` | the handshake on a new connection before the loop gets it |
 //! | `station` | the master's view of one drive |
 //! | `identity`, `pace`, `calls`, `native`, `counters` | matching of replies, whether they come in the window, calls, native data, counts |
 //! | `read_write` | whether the drive has FC23 |
-//! | `setup`, `echo`, `template` | settings before the first request to move, values that the drive has accepted, what stays the same between exchanges |
+//! | `setup`, `echo` | settings before the first request to move, values that the drive has accepted |
 //! | `other` | another master's values |
 //! | `bus` | stations and connections as one bus |
 //! | `sim` | the simulated drive |
@@ -28,7 +28,7 @@ pub mod words;
 mod bus;
 mod calls;
 mod echo;
-mod greeting;
+mod handshake;
 mod identity;
 mod other;
 mod pace;
@@ -37,10 +37,9 @@ mod profile;
 mod read_write;
 mod setup;
 mod station;
-mod template;
 
 pub use bus::ModbusBus;
-pub use greeting::{Finding, Found};
+pub use handshake::{Finding, Found};
 pub use native::{Native, NativeInputs, NativeOutput};
 pub use plan::{Functions, Map, Mapped, ModbusPlan, PORT, UnidriveDrive, Via, WATCHDOG_MAX_NS, Watchdog};
 pub use station::{Station, Why};

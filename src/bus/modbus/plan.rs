@@ -47,7 +47,7 @@ pub struct UnidriveDrive {
     pub reply_within_ns: u64,
     /// What stops the drive if the master dies.
     pub watchdog: Watchdog,
-    /// The drive is set to what the master needs: menu 0 when a connection begins, the rest with the first order that
+    /// The drive is set to what the master needs: menu 0 when a connection begins, the rest with the first command that
     /// needs it. Without that it is only looked whether it is so.
     pub set_up: bool,
     /// The drive when it is simulated. Address, addressing and slot are those above.
@@ -98,7 +98,7 @@ impl Mapped {
         f64::from(raw) / 10_f64.powi(self.decimals as i32)
     }
 
-    /// What the drive would be told for `value`, not rounded.
+    /// The count for `value`, not rounded.
     pub fn raw(&self, value: f64) -> f64 {
         value * 10_f64.powi(self.decimals as i32)
     }
@@ -180,11 +180,6 @@ pub const KEYPAD_WATCHDOG_NS: u64 = S;
 pub const WATCHDOG_MAX_NS: u64 = u16::MAX as u64 * MS;
 
 impl Watchdog {
-    /// Whether the drive stops by itself.
-    pub fn is_any(&self) -> bool {
-        self.timeout_ns.is_some() || self.keypad
-    }
-
     /// After how long at the latest.
     pub fn within_ns(&self) -> Option<u64> {
         let keypad = self.keypad.then_some(KEYPAD_WATCHDOG_NS);
@@ -221,7 +216,7 @@ impl UnidriveDrive {
         }
     }
 
-    /// How long a reply counts by default with this watchdog and an exchange every `period_ns`. The drive hears of
+    /// How long a reply counts by default with this watchdog and an exchange every `period_ns`. The drive receives
     /// nobody while a reply is waited for, and the next request follows in its turn: by then its watchdog must not
     /// have run out.
     pub fn usual_reply_within(watchdog: &Watchdog, period_ns: u64) -> u64 {

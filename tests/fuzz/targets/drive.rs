@@ -8,8 +8,8 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use fieldbeat::bus::linudp::motion::CATALOGUE;
 use fieldbeat::bus::linudp::sim::LinMotSim;
 use fieldbeat::bus::linudp::wire::{
-    ControlWord, ErrorCode, MotionBlock, REQUEST_MAX, Request, RequestDef, Response, ResponseDef, RtcBlock,
-    RtcCommand, RtcStatus,
+    ControlWord, ErrorCode, MainState, MotionBlock, REQUEST_MAX, Request, RequestDef, Response, ResponseDef,
+    RtcBlock, RtcCommand, RtcStatus, StatusWord,
 };
 use fieldbeat::bus::linudp::{FlashMode, LinUdpDrive, MASTER_PORT, SimPlan, UnknownCommands};
 use fieldbeat::sim::SimDrive;
@@ -212,6 +212,7 @@ impl Bench {
             (request.definition(), request.response_def)
         );
         assert_eq!(response.config.is_some(), request.config.is_some(), "{request:?}");
+        check_states(&response);
         if let (Some(asked), Some(answer)) = (request.config, response.config) {
             self.heard(asked, answer);
         }
@@ -265,4 +266,25 @@ impl Bench {
 /// A question that changes nothing.
 fn status() -> Request {
     Request { reserved: RequestDef::NONE, response_def: ResponseDef::CYCLIC, ..Request::default() }
+}
+
+/// Status word, state variable, error code and warn word say the same. All are 0 while its software does not run.
+fn check_states(response: &Response) {
+    let Response { status: Some(status), state: Some(state), error, warn, .. } = *response else { return };
+    if status.0 == 0 {
+        return assert_eq!(state.0, 0);
+    }
+    let operates = state.main() == MainState::OPERATION_ENABLED;
+    assert_eq!(status.operation_enabled(), state.main() >= MainState::OPERATION_ENABLED, "{response:?}");
+    let shown = [status.motion_active(), status.in_target(), status.homed()];
+    let sampled = [state.motion_active(), state.in_target(), state.homed()];
+    assert_eq!(sampled, shown.map(|shown| operates.then_some(shown)), "{response:?}");
+    assert_eq!(
+        state.main() == MainState::ERROR,
+        status.error() && !status.operation_enabled(),
+        "{response:?}"
+    );
+    assert!(!(status.in_target() && status.motion_active() || operates && status.error()), "{response:?}");
+    assert!(error.is_none_or(|error| status.error() == (error != ErrorCode::NONE)), "{response:?}");
+    assert!(warn.is_none_or(|warn| status.has(StatusWord::WARNING) == (warn.0 != 0)), "{response:?}");
 }

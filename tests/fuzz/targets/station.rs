@@ -9,7 +9,7 @@ use std::net::Ipv4Addr;
 use fieldbeat::axis::command::NativeOwner;
 use fieldbeat::axis::{Command, DriveStatus, Limits, Link, State, Units};
 use fieldbeat::bus::desired::{Desired, Motion, Power};
-use fieldbeat::bus::linudp::motion::Decoded;
+use fieldbeat::bus::linudp::motion::CommandInfo;
 use fieldbeat::bus::linudp::native::Native;
 use fieldbeat::bus::linudp::station::Station;
 use fieldbeat::bus::linudp::wire::{
@@ -366,12 +366,17 @@ impl Rig {
         assert!(request.response_def.contains(needed));
         assert_eq!(request.config.is_some(), request.response_def.contains(ResponseDef::CONFIG));
         assert!(request.config.is_some() || !self.counted());
-        let decoded = request.motion.as_ref().map(Decoded::of);
+        // The id of its motion command, but for "no operation", and the fields.
+        let command = request.motion.map(|block| (block.header >> 4, block.parameters));
+        let command = command.filter(|(id, _)| *id != 0).map(|(id, parameters)| {
+            let info = CommandInfo::of(id).expect("a command of the manual");
+            (id, info.values(&parameters))
+        });
         let Desired { power, motion, setpoint, .. } = self.slot.desired;
         assert!(self.ordered || power.serial == 0, "nothing is desired before the first command");
         if power.serial == 0 {
             assert_eq!(request.control, None, "nothing is written before something is desired");
-            assert!(matches!(decoded, None | Some(Decoded::NoOperation)), "{decoded:?}");
+            assert_eq!(command, None);
             return;
         }
         if motion.value == Motion::Native(NativeOwner::Application) {
@@ -397,31 +402,29 @@ impl Rig {
             "{request:?} for {power:?}, {motion:?}"
         );
         let units = &self.drive.axis.units;
-        let near = |value: i32, wanted: f64| {
-            let position = f64::from(value) / units.counts_per_unit + units.offset;
+        let near = |value: i64, wanted: f64| {
+            let position = value as f64 / units.counts_per_unit + units.offset;
             // Rounded to a count. On a rotary axis the count is another one in each turn of the wire.
             units.modulo.is_some() || (position - wanted).abs() <= 1e-4
         };
-        match (motion.value, decoded) {
-            (_, None | Some(Decoded::NoOperation)) | (Motion::Native(_), _) => {}
-            (Motion::Ramp { .. }, Some(Decoded::Stop(Some(_))))
-            | (Motion::EndStream, Some(Decoded::EndStream)) => {}
-            (Motion::Follow, Some(Decoded::Stream { command, .. })) => {
-                assert_eq!(Some(command), self.drive.stream);
+        match (motion.value, command) {
+            (_, None) | (Motion::Native(_), _) => {}
+            (Motion::Ramp { .. }, Some((0x017, _))) | (Motion::EndStream, Some((0x03F, _))) => {}
+            (Motion::Follow, Some((id, _))) if StreamCommand::from_id(id).is_some() => {
+                assert_eq!(StreamCommand::from_id(id), self.drive.stream);
                 assert_ne!(setpoint.row, 0);
             }
-            (Motion::Move { position, .. }, Some(Decoded::Move(to))) => {
-                assert!(near(to.value, position), "{to:?} for {position}");
-                self.check_move(to.value);
-                let vad = [to.velocity, to.acceleration, to.deceleration];
-                assert!(vad.iter().all(|value| value.is_some_and(|value| value > 0)), "{to:?} never arrives");
+            (Motion::Move { position, .. }, Some((0x010, [target, vad @ .., _]))) => {
+                assert!(near(target, position), "{target} for {position}");
+                self.check_move(target);
+                assert!(vad.iter().all(|value| *value > 0), "{vad:?} never arrives");
             }
             (_, other) => panic!("a master does not send {other:?} for {motion:?}"),
         }
     }
 
     /// A target that the newest command may have.
-    fn check_move(&self, target: i32) {
+    fn check_move(&self, target: i64) {
         let (limits, command) = (self.drive.axis.limits.position, self.machine.command());
         let backwards = self.machine.wanted_velocity() < 0.0;
         let (low, high) = match (limits, command) {

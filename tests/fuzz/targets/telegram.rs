@@ -3,21 +3,17 @@
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 
-use fieldbeat::bus::linudp::motion::{CommandInfo, Decoded};
 use fieldbeat::bus::linudp::sim::LinMotSim;
 use fieldbeat::bus::linudp::wire::{
-    MotionBlock, REQUEST_MAX, RESPONSE_MAX, Request, RequestDef, RequestView, Response, ResponseView,
-    RtcBlock, StateVar, WarnWord,
+    REQUEST_MAX, RESPONSE_MAX, Request, RequestDef, Response, ResponseView, RtcBlock, StateVar, WarnWord,
 };
-use fieldbeat::bus::linudp::{LinUdpDrive, MASTER_PORT, StreamCommand};
+use fieldbeat::bus::linudp::{LinUdpDrive, MASTER_PORT};
 use fieldbeat::sim::SimDrive;
 use fieldbeat::time::Time;
 
 pub fn telegram(data: &[u8]) {
     request(data);
     response(data);
-    motion(data);
-    config(data);
     drive(data);
 }
 
@@ -30,15 +26,7 @@ fn padded<const N: usize>(data: &[u8]) -> [u8; N] {
 }
 
 fn request(data: &[u8]) {
-    let Ok(request) = Request::parse(data) else {
-        assert!(RequestView::new(data).is_err());
-        return;
-    };
-    let view = RequestView::new(data).unwrap();
-    assert_eq!((view.request_def(), view.response_def()), (request.definition(), request.response_def));
-    assert_eq!((view.control(), view.motion()), (request.control, request.motion));
-    assert_eq!(view.config(), request.config);
-
+    let Ok(request) = Request::parse(data) else { return };
     // Nothing is lost: what was cut short is filled up with zeros.
     let mut bytes = [0xEE; REQUEST_MAX];
     let size = request.emit(&mut bytes);
@@ -53,27 +41,8 @@ fn request(data: &[u8]) {
 }
 
 fn response(data: &[u8]) {
-    let Ok(response) = Response::parse(data) else {
-        assert!(ResponseView::new(data).is_err());
-        return;
-    };
-    let view = ResponseView::new(data).unwrap();
-    assert_eq!(view.bytes(), data);
-    let viewed = Response {
-        request_def: view.request_def(),
-        response_def: view.response_def(),
-        status: view.status(),
-        state: view.state(),
-        actual: view.actual(),
-        demand: view.demand(),
-        current: view.current(),
-        warn: view.warn(),
-        error: view.error(),
-        monitor: view.monitor(),
-        config: view.config(),
-    };
-    assert_eq!(viewed, response);
-
+    assert_eq!(Response::parse(data).is_ok(), ResponseView::new(data).is_ok());
+    let Ok(response) = Response::parse(data) else { return };
     let mut bytes = [0xEE; RESPONSE_MAX];
     let size = response.emit(&mut bytes);
     assert_eq!(size, response.size());
@@ -102,52 +71,6 @@ fn response(data: &[u8]) {
         assert!(error.to_string().starts_with(&format!("{:04X}h ", error.0)));
         assert!(!error.is_fatal() || error.name().is_some());
     }
-}
-
-fn motion(data: &[u8]) {
-    let bytes = padded::<32>(data);
-    let mut block = MotionBlock { header: u16::from_le_bytes([bytes[0], bytes[1]]), parameters: [0; 30] };
-    block.parameters.copy_from_slice(&bytes[2..]);
-    let decoded = Decoded::of(&block);
-    let counted = MotionBlock { header: block.header ^ 0xF, ..block };
-    assert_eq!(Decoded::of(&counted), decoded, "a count says nothing of what to do");
-    assert_eq!(
-        StreamCommand::from_id(block.header >> 4).map(StreamCommand::id),
-        matches!(decoded, Decoded::Stream { .. }).then_some(block.header >> 4)
-    );
-    if let Decoded::Stream { command, position, velocity, acceleration } = decoded {
-        let long = |at: usize| i32::from_le_bytes(padded(&bytes[2 + at..]));
-        // SG5 manual, 030x ... 035x: what the setpoints of each carry.
-        let (speed, ramp) =
-            [(0, 0), (1, 0), (0, 0), (1, 0), (1, 1), (1, 1)][usize::from(command.id() - 0x030)];
-        assert_eq!([position, velocity, acceleration], [long(0), long(4) * speed, long(8) * ramp]);
-    }
-    let Some(info) = CommandInfo::of(block.header >> 4) else {
-        assert_eq!(decoded, Decoded::Unknown);
-        return;
-    };
-    // What lies behind its fields says nothing, and what they say can be said again.
-    let values = info.values(&block.parameters);
-    match info.command(&values) {
-        Ok(command) => {
-            assert_eq!(command.parameters[..info.size()], block.parameters[..info.size()]);
-            assert_eq!(Decoded::of(&command.block(bytes[1])), decoded, "{command:?}");
-            assert_eq!(command.header(bytes[1]) & 0xF, u16::from(bytes[1] & 0xF));
-        }
-        Err((field, _)) => assert!(field.kind.check(field.read(&block.parameters)).is_err()),
-    }
-}
-
-fn config(data: &[u8]) {
-    let bytes = padded::<8>(data);
-    let command = RtcBlock::answer(bytes[0], bytes[1]);
-    assert_eq!((command.count(), command.code), (bytes[0] & 0xF, bytes[1]));
-    let mut telegram = [0; REQUEST_MAX];
-    telegram[..4].copy_from_slice(&RequestDef::CONFIG.0.to_le_bytes());
-    telegram[8..16].copy_from_slice(&bytes);
-    let block = Request::parse(&telegram[..16]).unwrap().config.unwrap();
-    assert_eq!((block.tag, block.code), (bytes[0], bytes[1]));
-    assert_eq!(block.value(), u32::from_le_bytes([bytes[4], bytes[5], bytes[6], bytes[7]]));
 }
 
 /// A drive answers what it can read, with the echo of both definitions, and nothing else.

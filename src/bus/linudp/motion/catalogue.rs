@@ -5,11 +5,9 @@
 //! The fields of a command follow each other without a gap, the first one after the header, so that their order is
 //! their layout. No command has more than [`FIELDS`].
 
-use super::MotionCommand;
 use super::values::Kind;
+use super::{CATALOGUE, MotionCommand};
 use crate::axis::RangeError;
-
-pub use super::commands::CATALOGUE;
 
 /// The most fields that a command has.
 pub const FIELDS: usize = 5;
@@ -79,11 +77,7 @@ impl CommandInfo {
     /// The wire integers of its fields in `parameters`, the bytes after a header; 0 where it has no field. Some may
     /// be out of their range, since a drive stores what it was given.
     pub fn values(&self, parameters: &[u8]) -> [i64; FIELDS] {
-        let mut values = [0; FIELDS];
-        for (value, field) in values.iter_mut().zip(self.fields) {
-            *value = field.read(parameters);
-        }
-        values
+        std::array::from_fn(|index| self.fields.get(index).map_or(0, |field| field.read(parameters)))
     }
 
     /// The command with these wire integers in its fields, missing ones 0; refused with the field that is out of
@@ -102,12 +96,8 @@ impl CommandInfo {
 impl Field {
     /// Its wire integer in `parameters`, the bytes after a header; missing bytes are 0.
     pub fn read(&self, parameters: &[u8]) -> i64 {
-        let place = parameters.get(self.at - HEADER..).unwrap_or_default();
-        let mut bytes = [0; 4];
-        for (byte, found) in bytes.iter_mut().zip(place).take(self.kind.size()) {
-            *byte = *found;
-        }
-        let value = u32::from_le_bytes(bytes);
+        let place = parameters.iter().skip(self.at - HEADER).take(self.kind.size());
+        let value = place.rev().fold(0_u32, |value, byte| value << 8 | u32::from(*byte));
         match (self.kind.is_signed(), self.kind.size()) {
             (false, _) => i64::from(value),
             (true, 2) => i64::from(value as u16 as i16),
@@ -122,31 +112,6 @@ impl Field {
         for (byte, written) in place.iter_mut().zip(value.to_le_bytes()).take(self.kind.size()) {
             *byte = written;
         }
-    }
-}
-
-/// A command while its fields are filled in, one after the other.
-pub(super) struct Filling {
-    pub(super) command: MotionCommand,
-    filled: usize,
-}
-
-impl Filling {
-    #[inline]
-    pub(super) const fn of(id: u16) -> Filling {
-        Filling { command: MotionCommand::new(id), filled: 0 }
-    }
-
-    #[inline]
-    pub(super) const fn field(mut self, wire: u32, size: usize) -> Filling {
-        let bytes = wire.to_le_bytes();
-        let mut index = 0;
-        while index < size {
-            self.command.parameters[self.filled + index] = bytes[index];
-            index += 1;
-        }
-        self.filled += size;
-        self
     }
 }
 
@@ -187,36 +152,3 @@ pub(super) const fn rises(catalogue: &[CommandInfo]) -> bool {
     }
     true
 }
-
-/// `name = id [marks] (field: Kind, ...);`: a constructor and an entry of the catalogue each.
-macro_rules! commands {
-    ($($(#[doc = $doc:literal])+
-       $name:ident = $id:literal [$($mark:ident),*] ($($field:ident: $kind:ident),*);)*) => {
-        /// Every motion command that is known, by rising ids.
-        pub static CATALOGUE: &[CommandInfo] = &[$(CommandInfo {
-            id: $id,
-            name: {
-                const NAME: &str = stringify!($name);
-                const KEBAB: [u8; NAME.len()] = kebab(NAME);
-                match std::str::from_utf8(&KEBAB) {
-                    Ok(name) => name,
-                    Err(_) => NAME,
-                }
-            },
-            marks: &[$(Mark::$mark),*],
-            fields: &const { lay_out([$((stringify!($field), Kind::$kind)),*]) },
-        }),*];
-
-        const _: () = assert!(rises(CATALOGUE), "the list of commands is in the order of their ids");
-
-        impl MotionCommand {
-            $($(#[doc = $doc])+
-            #[doc = concat!("\n\nId `", stringify!($id), "`" $(, ", [`Mark::", stringify!($mark), "`]")*, ".")]
-            #[inline]
-            pub const fn $name($($field: $kind),*) -> MotionCommand {
-                Filling::of($id)$(.field($field.wire() as u32, $kind::SIZE))*.command
-            })*
-        }
-    };
-}
-pub(super) use commands;

@@ -1,14 +1,12 @@
-//! Motion commands: what a [`MotionBlock`] says. Both directions: the master builds them, the simulated drive reads
-//! them.
+//! Motion commands: what a motion block says.
 //!
 //! Knows no state: whether a drive takes a command, and what its count should be, is the business of station and sim.
 //!
 //! | file | what |
 //! |---|---|
 //! | `values` | positions, velocities, ids ...: a type each, over its wire integer; units and ranges |
+//! | `commands` | a command, and the list of all of them, from which constructors and catalogue are made |
 //! | `catalogue` | what is known of a command, as data: name, marks, layout |
-//! | `commands` | the list of all commands, from which constructors and catalogue are made |
-//! | `decoded`, `meaning` | a command as a drive reads it, and how it comes to that |
 //!
 //! A command is a header word, `id << 4 | count`, and up to 30 parameter bytes, unused ones 0. The drive runs a command
 //! only if its count differs from the last one it stored (SG5 manual, motion command interface). Values are in wire
@@ -27,96 +25,23 @@
 
 mod catalogue;
 mod commands;
-mod decoded;
-mod meaning;
 mod values;
 
-pub use catalogue::{CATALOGUE, CommandInfo, FIELDS, Field, Mark};
-pub use decoded::*;
+pub use catalogue::{CommandInfo, FIELDS, Field, Mark};
+pub use commands::{CATALOGUE, MotionCommand};
 pub use values::*;
 
 use super::plan::StreamCommand;
-use super::wire::MotionBlock;
-
-/// A motion command without its count: 12 bits of master and sub id, and the parameters. A constructor each for all
-/// that are in the [`CATALOGUE`]; what is newer than that is written as it stands.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct MotionCommand {
-    /// Master id (bits 11-4) and sub id (3-0): `0x010` is "VAI go to position".
-    pub id: u16,
-    /// The parameters, little-endian, unused bytes 0.
-    pub parameters: [u8; 30],
-}
-
-impl MotionCommand {
-    /// The command `id`, all parameters 0.
-    pub const fn new(id: u16) -> MotionCommand {
-        MotionCommand { id, parameters: [0; 30] }
-    }
-
-    /// It is "VAI stop", whatever its deceleration.
-    #[inline]
-    pub const fn is_stop(&self) -> bool {
-        self.id == MotionCommand::vai_stop(Acceleration(0)).id
-    }
-
-    /// The header word with this command count, 0 ... 15.
-    #[inline]
-    pub const fn header(&self, count: u8) -> u16 {
-        self.id << 4 | (count & 0xF) as u16
-    }
-
-    /// The block to send with this command count, 0 ... 15.
-    #[inline]
-    pub const fn block(&self, count: u8) -> MotionBlock {
-        MotionBlock { header: self.header(count), parameters: self.parameters }
-    }
-
-    /// 030x ... 035x: one streamed setpoint. What `command` does not carry is left out.
-    #[inline]
-    pub const fn stream(
-        command: StreamCommand,
-        position: Position,
-        velocity: SignedVelocity,
-        acceleration: SignedAcceleration,
-    ) -> MotionCommand {
-        match command {
-            StreamCommand::P => MotionCommand::stream_p(position),
-            StreamCommand::Pv => MotionCommand::stream_pv(position, velocity),
-            StreamCommand::PConfigured => MotionCommand::stream_p_configured(position),
-            StreamCommand::PvConfigured => MotionCommand::stream_pv_configured(position, velocity),
-            StreamCommand::Pva => MotionCommand::stream_pva(position, velocity, acceleration),
-            StreamCommand::PvaConfigured => {
-                MotionCommand::stream_pva_configured(position, velocity, acceleration)
-            }
-        }
-    }
-}
 
 impl StreamCommand {
     /// Master and sub id.
     pub const fn id(self) -> u16 {
-        match self {
-            StreamCommand::P => 0x030,
-            StreamCommand::Pv => 0x031,
-            StreamCommand::PConfigured => 0x032,
-            StreamCommand::PvConfigured => 0x033,
-            StreamCommand::Pva => 0x034,
-            StreamCommand::PvaConfigured => 0x035,
-        }
+        self as u16
     }
 
     /// The command of this id.
-    pub const fn from_id(id: u16) -> Option<StreamCommand> {
-        Some(match id {
-            0x030 => StreamCommand::P,
-            0x031 => StreamCommand::Pv,
-            0x032 => StreamCommand::PConfigured,
-            0x033 => StreamCommand::PvConfigured,
-            0x034 => StreamCommand::Pva,
-            0x035 => StreamCommand::PvaConfigured,
-            _ => return None,
-        })
+    pub fn from_id(id: u16) -> Option<StreamCommand> {
+        StreamCommand::ALL.into_iter().find(|command| command.id() == id)
     }
 
     /// Setpoints carry a velocity.

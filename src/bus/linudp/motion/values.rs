@@ -57,8 +57,8 @@ macro_rules! kinds {
         $(kinds!(@type [$($doc)+] $name $int $($low $high)?);
 
         impl $name {
-            /// Bytes on the wire.
-            pub const SIZE: usize = size_of::<$int>();
+            /// The same quantity as data.
+            pub const KIND: Kind = Kind::$name;
 
             /// The wire integer.
             pub const fn wire(self) -> $int {

@@ -1,4 +1,4 @@
-//! The channel alone, against a drive of a few lines that answers as it is told.
+//! The channel alone, against a drive of a few lines that answers as it is set up.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -246,18 +246,18 @@ fn a_save_goes_out_once_into_a_silence_and_is_asked_for_by_its_count_after_it() 
         assert_eq!(b.turn(|_| None), None, "nothing is said into a silence");
     }
     b.link = Link::Lost;
-    let asked = RtcBlock::call(sent.count(), RtcCommand::READ_RAM, 0x20A8, 0);
+    let requested = RtcBlock::call(sent.count(), RtcCommand::READ_RAM, 0x20A8, 0);
     for _ in 0..100 {
-        assert_eq!(b.turn(|_| None), Some(asked));
+        assert_eq!(b.turn(|_| None), Some(requested));
     }
     b.link = Link::Qualifying;
     b.turn(|block| Some(RtcBlock::answer(block.count(), RtcStatus::BUSY)));
     assert_eq!(ticket.poll(), None);
     b.turn(|block| Some(RtcBlock::answer(block.count(), RtcStatus::DONE)));
     assert_eq!(ticket.poll().unwrap().unwrap().status, 0);
-    assert!(!b.channel.excuses_silence());
+    assert!(!b.channel.expects_silence());
 
-    // One that does not store it, does what it is asked now.
+    // One that does not store it, does what is requested now.
     let mut b = Bench::new();
     b.learn();
     let mut ticket = post(&b);
@@ -337,7 +337,7 @@ fn a_drive_that_does_not_answer_about_its_monitor_holds_up_nobody_else() {
         ended += tickets.iter_mut().filter_map(CallTicket::poll).count();
     }
     assert_eq!(ended, 6, "each in its own time");
-    assert_eq!(b.channel.take_monitor_refusal(), Some((0, 0)), "given up, and told of");
+    assert_eq!(b.channel.take_monitor_refusal(), Some((0, 0)), "given up, and reported");
 }
 
 #[test]

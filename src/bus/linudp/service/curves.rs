@@ -156,12 +156,12 @@ impl Services<'_> {
         let Some((info, data)) = self.curve_sizes(id)? else { return Ok(None) };
         let of = info.div_ceil(4) + data.div_ceil(4);
         let broken_off = || self.broken_off(&format!("reading curve {id}"));
-        let mut told = |done| watch(Progress { what: "read", done, of });
+        let mut report = |done| watch(Progress { what: "read", done, of });
         let info =
-            self.take_block(RtcCommand::GET_CURVE_INFO, id, info, &mut told)?.ok_or_else(broken_off)?;
+            self.take_block(RtcCommand::GET_CURVE_INFO, id, info, &mut report)?.ok_or_else(broken_off)?;
         let before = info.len().div_ceil(4);
         let data = self
-            .take_block(RtcCommand::GET_CURVE_DATA, id, data, |done| told(before + done))?
+            .take_block(RtcCommand::GET_CURVE_DATA, id, data, |done| report(before + done))?
             .ok_or_else(broken_off)?;
         Ok(Some(Raw { info, data }))
     }
@@ -169,14 +169,14 @@ impl Services<'_> {
     fn write_raw(&self, steps: Steps, id: u16, raw: &Raw, watch: Watcher<'_>) -> Result<(), ServiceError> {
         let [start, info, data] = steps;
         let of = raw.pieces();
-        let mut told = |done| watch(Progress { what: "write", done, of });
+        let mut report = |done| watch(Progress { what: "write", done, of });
         // Both fit: an info block has 70 bytes, and the data was checked.
         let sizes = raw.info.len() as u32 | (raw.data.len() as u32) << 16;
         self.command(start, id, sizes, USUAL)?;
         let before = raw.info.len().div_ceil(4);
-        let mut flow = self.send_block(info, id, &raw.info, &mut told)?;
+        let mut flow = self.send_block(info, id, &raw.info, &mut report)?;
         if flow.is_continue() {
-            flow = self.send_block(data, id, &raw.data, |done| told(before + done))?;
+            flow = self.send_block(data, id, &raw.data, |done| report(before + done))?;
         }
         match flow {
             ControlFlow::Continue(()) => Ok(()),
@@ -210,9 +210,9 @@ impl Services<'_> {
         self.delete_curves()?;
         let (mut before, of) = (0, curves.iter().map(|(_, raw)| raw.pieces()).sum());
         for (id, raw) in curves {
-            let told =
+            let report =
                 &mut |progress: Progress| watch(Progress { what: "write", done: before + progress.done, of });
-            self.write_raw(ADD, *id, raw, told)?;
+            self.write_raw(ADD, *id, raw, report)?;
             before += raw.pieces();
         }
         for (id, raw) in curves {

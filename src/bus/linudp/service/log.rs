@@ -42,8 +42,8 @@ impl Services<'_> {
         let mut entries = Vec::new();
         for entry in 0..logged.min(ENTRIES) {
             let of = |command| call(command, entry, 0);
-            let asked = [RtcCommand::ERROR_CODE, RtcCommand::ERROR_TIME_LOW, RtcCommand::ERROR_TIME_HIGH];
-            let answers = self.series(&asked.map(of), USUAL)?;
+            let commands = [RtcCommand::ERROR_CODE, RtcCommand::ERROR_TIME_LOW, RtcCommand::ERROR_TIME_HIGH];
+            let answers = self.series(&commands.map(of), USUAL)?;
             let [code, low, high] =
                 [0, 1, 2].map(|at| answers.get(at).map_or(0, |answer| answer.value as u32));
             // Low word first; the halves are milliseconds and hours, not one number.

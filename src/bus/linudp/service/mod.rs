@@ -244,7 +244,7 @@ impl<'a> Services<'a> {
         command: RtcCommand,
         index: u16,
         block: &[u8],
-        mut told: impl FnMut(usize) -> ControlFlow<()>,
+        mut report: impl FnMut(usize) -> ControlFlow<()>,
     ) -> Result<ControlFlow<()>, ServiceError> {
         let calls: Vec<Call> =
             block.chunks(4).map(|piece| call(command, index, u32::from_le_bytes(padded(piece)))).collect();
@@ -254,7 +254,7 @@ impl<'a> Services<'a> {
                 sent += 1;
                 self.check_step(command, index, answer, sent == last)?;
             }
-            if told(sent).is_break() {
+            if report(sent).is_break() {
                 return Ok(ControlFlow::Break(()));
             }
         }
@@ -267,7 +267,7 @@ impl<'a> Services<'a> {
         command: RtcCommand,
         index: u16,
         size: usize,
-        mut told: impl FnMut(usize) -> ControlFlow<()>,
+        mut report: impl FnMut(usize) -> ControlFlow<()>,
     ) -> Result<Option<Vec<u8>>, ServiceError> {
         let last = size.div_ceil(4);
         let (calls, mut block) = (vec![call(command, index, 0); last], Vec::with_capacity(size + 3));
@@ -276,7 +276,7 @@ impl<'a> Services<'a> {
                 block.extend((answer.value as u32).to_le_bytes());
                 self.check_step(command, index, answer, block.len() >= size)?;
             }
-            if told(block.len() / 4).is_break() {
+            if report(block.len() / 4).is_break() {
                 return Ok(None);
             }
         }

@@ -57,12 +57,12 @@ impl Services<'_> {
         let new: Image = table.iter().map(|(id, entry)| (*id, entry.encode().to_vec())).collect();
         let old = self.image(&mut quiet)?;
         let mut begun = false;
-        let told = &mut |progress| {
+        let report = &mut |progress| {
             let flow = watch(progress);
             begun |= flow.is_continue();
             flow
         };
-        let written = self.change(&old, &new, told).and_then(|()| self.verify_table(&new, told));
+        let written = self.change(&old, &new, report).and_then(|()| self.verify_table(&new, report));
         match written {
             Ok(()) => Ok(()),
             Err(failed) if begun => Err(after(failed, self.restore(&old), REMEDY)),

@@ -50,7 +50,7 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 
 use self::machine::{Machine, Taken};
 use self::rtc::{After, Channel};
-use super::plan::{LinUdpDrive, MASTER_PORT, MasterFilter};
+use super::plan::{LinUdpDrive, MASTER_PORT, MasterFilter, SimPlan};
 use super::wire::{ErrorCode, RESPONSE_MAX, Request, Response, StateVar, StatusWord};
 use crate::sim::{FaultPlan, SimDrive, Truth};
 use crate::time::{MS, S, Time, US};
@@ -87,9 +87,7 @@ pub struct Ignored {
 #[derive(Debug)]
 pub struct LinMotSim {
     address: SocketAddrV4,
-    faults: FaultPlan,
-    filter: MasterFilter,
-    padding: usize,
+    plan: SimPlan,
     /// The one master of the filter that latches.
     master: Option<Ipv4Addr>,
     machine: Machine,
@@ -99,7 +97,6 @@ pub struct LinMotSim {
     /// Receives nothing until then.
     deaf_until: Time,
     channel: Channel,
-    config_time_ns: u64,
     /// The last answer. The padding of the next one is its remainder, as seen on real drives.
     image: [u8; IMAGE],
     ignored: Ignored,
@@ -112,16 +109,13 @@ impl LinMotSim {
         let plan = &drive.simulate;
         LinMotSim {
             address: drive.address,
-            faults: plan.faults.clone(),
-            filter: plan.filter,
-            padding: plan.padding.min(IMAGE),
+            plan: plan.clone(),
             master: None,
             machine: Machine::new(plan),
             lived: None,
             booted_at: Time(0),
             deaf_until: Time(0),
             channel: Channel::new(plan.config_time_ns),
-            config_time_ns: plan.config_time_ns,
             image: [0; IMAGE],
             ignored: Ignored::default(),
         }
@@ -166,7 +160,7 @@ impl LinMotSim {
     }
 
     fn lets_through(&mut self, master: Ipv4Addr) -> bool {
-        match self.filter {
+        match self.plan.filter {
             MasterFilter::None => true,
             MasterFilter::Single => *self.master.get_or_insert(master) == master,
             MasterFilter::Fixed(only) => only == master,
@@ -213,7 +207,7 @@ impl LinMotSim {
             monitor: Some(machine.monitor()),
             config,
         };
-        let size = response.emit(&mut self.image).max(self.padding);
+        let size = response.emit(&mut self.image).max(self.plan.padding.min(IMAGE));
         &self.image[..size]
     }
 }
@@ -224,7 +218,7 @@ impl SimDrive for LinMotSim {
     }
 
     fn faults(&self) -> FaultPlan {
-        self.faults.clone()
+        self.plan.faults.clone()
     }
 
     fn receive(
@@ -272,7 +266,7 @@ impl SimDrive for LinMotSim {
         self.booted_at = now + BOOT_NS;
         self.deaf_until = Time(0);
         self.master = None;
-        self.channel = Channel::new(self.config_time_ns);
+        self.channel = Channel::new(self.plan.config_time_ns);
         self.image = [0; IMAGE];
     }
 }

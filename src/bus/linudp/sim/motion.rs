@@ -4,7 +4,6 @@
 
 use super::stream::Stream;
 use super::time_curve::TimeCurve;
-use crate::bus::linudp::motion::{Origin, Start, Vad, When};
 use crate::bus::linudp::plan::{SimPlan, StreamCommand};
 use crate::bus::linudp::wire::ErrorCode;
 use crate::sim::physics::Generator;
@@ -26,6 +25,45 @@ pub(super) struct Demand {
     pub position: f64,
     pub velocity: f64,
     pub acceleration: f64,
+}
+
+/// Velocity, acceleration and deceleration of a profile: 1 um/s, and twice 1e-5 m/s2.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Vad {
+    pub velocity: u32,
+    pub acceleration: u32,
+    pub deceleration: u32,
+}
+
+/// What the value of a move is counted from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Origin {
+    Zero,
+    Demand,
+    /// The last target.
+    Target,
+    Actual,
+}
+
+/// Where demand position and velocity of a move start.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Start {
+    /// Demand position, demand velocity.
+    Demand,
+    /// Actual position, actual velocity.
+    Actual,
+    /// Actual position, velocity 0.
+    Standstill,
+}
+
+/// When something starts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum When {
+    Now,
+    /// After the running command.
+    AfterActual,
+    /// On an edge of the trigger input.
+    Trigger,
 }
 
 /// The setpoint generator of the drive and its inputs.
@@ -62,10 +100,9 @@ impl From<Vad> for Limits {
 
 /// A move to a target, all in SI units but the limits.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Order {
+pub(super) struct Move {
     /// A position or a distance, m.
     pub value: f64,
-    /// What it is counted from: zero, demand, target or actual position.
     pub origin: Origin,
     pub start: Start,
     pub limits: Vad,
@@ -82,7 +119,7 @@ enum Feed {
 #[derive(Clone, Copy, Debug)]
 enum Armed {
     /// The end of the running motion.
-    After(Order),
+    After(Move),
     /// A trigger input. This drive has none wired, so it stays armed until it is cleared.
     Trigger,
     /// The demand passing a position.
@@ -233,32 +270,32 @@ impl Setpoints {
 
     /// A move, now or when its time has come. A move that can only start from standstill is not run while something
     /// moves.
-    pub(super) fn take_move(&mut self, order: Order, when: When, from_rest: bool, actual: Demand) {
+    pub(super) fn take_move(&mut self, motion: Move, when: When, from_rest: bool, actual: Demand) {
         match when {
-            When::Trigger { .. } => self.arm_trigger(),
-            When::AfterActual if self.is_moving() => self.armed = Some(Armed::After(order)),
+            When::Trigger => self.arm_trigger(),
+            When::AfterActual if self.is_moving() => self.armed = Some(Armed::After(motion)),
             When::AfterActual | When::Now if from_rest && self.is_moving() => self.refused += 1,
-            When::AfterActual | When::Now => self.start(order, actual),
+            When::AfterActual | When::Now => self.start(motion, actual),
         }
     }
 
     /// Every shape runs as a trapezoid within its limits: a master sees of a shape only when it ends.
-    fn start(&mut self, order: Order, actual: Demand) {
-        let base = match order.origin {
+    fn start(&mut self, motion: Move, actual: Demand) {
+        let base = match motion.origin {
             Origin::Demand => self.generator.position(),
             Origin::Target => self.target,
             Origin::Actual => actual.position,
-            Origin::Zero | Origin::Captured | Origin::Analog | Origin::Variable(_) => 0.0,
+            Origin::Zero => 0.0,
         };
         self.drop_motion();
-        match order.start {
+        match motion.start {
             Start::Demand => {}
             Start::Actual => self.generator.set(actual.position, actual.velocity, 0.0),
             Start::Standstill => self.generator.set(actual.position, 0.0, 0.0),
         }
-        self.target = base + order.value;
-        self.limits = order.limits;
-        let limits @ Limits(v, a, d) = Limits::from(order.limits);
+        self.target = base + motion.value;
+        self.limits = motion.limits;
+        let limits @ Limits(v, a, d) = Limits::from(motion.limits);
         self.resume = Some(limits);
         self.generator.go_to(self.target, v, a, d);
     }
@@ -306,7 +343,7 @@ impl Setpoints {
             self.generator.halt();
         }
         match self.armed {
-            Some(Armed::After(order)) if !self.is_moving() => self.start(order, actual),
+            Some(Armed::After(motion)) if !self.is_moving() => self.start(motion, actual),
             Some(Armed::Passing { positive, position, limits }) => {
                 let after = self.generator.position();
                 let passed = if positive {

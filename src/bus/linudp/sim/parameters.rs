@@ -207,31 +207,6 @@ pub(super) fn check(upid: u16, raw: u32, usage: u16) -> Result<i64, Refusal> {
 mod tests {
     use super::*;
 
-    fn parameters() -> Parameters {
-        Parameters::new(&SimPlan::default())
-    }
-
-    #[test]
-    fn ram_rom_and_what_is_in_use_are_three_things() {
-        let mut p = parameters();
-        // Live: at once. ROM: after a restart.
-        p.write_ram(upids::PREDEFINED_VELOCITY, 7).unwrap();
-        p.write_rom(upids::PREDEFINED_VELOCITY, 9).unwrap();
-        assert_eq!((p.used(upids::PREDEFINED_VELOCITY), p.rom(upids::PREDEFINED_VELOCITY)), (7, Ok(9)));
-        p.start();
-        assert_eq!(p.used(upids::PREDEFINED_VELOCITY), 7);
-        p.load();
-        assert_eq!(p.used(upids::PREDEFINED_VELOCITY), 9);
-        // Not live: when the software starts.
-        p.write_ram(upids::HOME_POSITION, 5).unwrap();
-        let index = upids::find(upids::HOME_POSITION).unwrap();
-        assert_eq!((p.used(upids::HOME_POSITION), p.ram(index)), (0, 5));
-        p.start();
-        assert_eq!(p.used(upids::HOME_POSITION), 5);
-        p.load();
-        assert_eq!((p.used(upids::HOME_POSITION), p.ram(index)), (0, 0));
-    }
-
     #[test]
     fn the_plan_is_what_was_commissioned() {
         let plan =
@@ -253,26 +228,12 @@ mod tests {
             at = upid + 1;
         }
         assert_eq!(modified, [0x13C7, 0x13CA, 0x146E, 0x146F, 0x14E6]);
-        assert_eq!(parameters().modified_from(0), None);
-    }
-
-    #[test]
-    fn defaults_are_restored_in_one_part_and_in_rom() {
-        let mut p = parameters();
-        p.write_rom(upids::MONITOR_SOURCE, 0).unwrap();
-        p.write_rom(upids::PREDEFINED_VELOCITY, 9).unwrap();
-        p.load();
-        p.restore(Part::MC);
-        assert_eq!(p.used(upids::PREDEFINED_VELOCITY), 9);
-        p.load();
-        assert_eq!((p.used(upids::PREDEFINED_VELOCITY), p.used(upids::MONITOR_SOURCE)), (1_000_000, 0));
-        p.restore(Part::INTERFACE);
-        assert_eq!(p.modified_from(0), None);
+        assert_eq!(Parameters::new(&SimPlan::default()).modified_from(0), None);
     }
 
     #[test]
     fn usage_type_and_range_are_refused_in_this_order() {
-        let mut p = parameters();
+        let mut p = Parameters::new(&SimPlan::default());
         for (upid, raw, ram, rom) in [
             (0x9999, 0, Err(Refusal::NoSuchUpid), Err(Refusal::NoSuchUpid)),
             (0x1D51, 0x1_0000, Err(Refusal::AddressUsage), Err(Refusal::AddressUsage)),

@@ -1,6 +1,6 @@
 //! A time curve while it runs.
 //!
-//! Knows the curve and how a command stretches it; no store and no state.
+//! Knows the curve and how the commands 040x ... 04Fx stretch it; no store and no state.
 //!
 //! Chosen where the manuals are silent: a curve's setpoints are positions of the axis, so that a curve that does
 //! not begin at the motor's position makes it jump; the commands "to target" and "from actual position" shift and
@@ -12,7 +12,6 @@ use std::sync::Arc;
 use super::machine::CURVE_SCALE;
 use super::motion::{Demand, METRE};
 use crate::bus::linudp::curve::Curve;
-use crate::bus::linudp::motion::{CurveFit, CurveStart};
 use crate::bus::linudp::wire::ErrorCode;
 use crate::time::{S, US};
 
@@ -35,37 +34,36 @@ pub(super) struct TimeCurve {
 }
 
 impl TimeCurve {
-    /// `curve` with the settings of the command, for a motor at `position`.
-    pub(super) fn new(curve: Arc<Curve>, start: &CurveStart, position: f64) -> Result<TimeCurve, ErrorCode> {
+    /// `curve` as command 04`sub`x stretches it with its fields, for a motor at `position`.
+    pub(super) fn new(
+        curve: Arc<Curve>,
+        sub: u16,
+        [a, b, c, _]: [i64; 4],
+        position: f64,
+    ) -> Result<TimeCurve, ErrorCode> {
         let own_ns = u64::from(curve.x_length) * TIME_NS;
-        let time_ns = |time: i32| u64::try_from(time).unwrap_or(0) * TIME_NS;
+        let time_ns = |time: i64| u64::try_from(time).unwrap_or(0) * TIME_NS;
         let (first, last) = (curve.position_at(0.0), curve.position_at(f64::INFINITY));
         // Through the position now, and through the target at the end.
-        let through = |target: i32| {
-            let amplitude = (f64::from(target) - position / METRE) / (last - first);
+        let through = |target: i64| {
+            let amplitude = (target as f64 - position / METRE) / (last - first);
             (position / METRE - amplitude * first, amplitude)
         };
-        let (offset, amplitude, duration_ns) = match start.fit {
-            CurveFit::Plain if start.from_actual => (position / METRE - first, 1.0, own_ns),
-            CurveFit::Plain => (0.0, 1.0, own_ns),
-            CurveFit::Target(target) => {
-                let (offset, amplitude) = through(target);
-                (offset, amplitude, own_ns)
-            }
-            CurveFit::TargetInTime { target, time } => {
-                let (offset, amplitude) = through(target);
-                (offset, amplitude, time_ns(time))
-            }
-            CurveFit::Scaled { offset, time_scale, amplitude } => {
-                let scale = f64::from(time_scale) / 1e4;
+        let ((offset, amplitude), duration_ns) = match sub {
+            0x0 => ((0.0, 1.0), own_ns),
+            0x1 => ((position / METRE - first, 1.0), own_ns),
+            // To a target, in its own time or in another one.
+            0x2 | 0xA | 0xC => (through(a), own_ns),
+            0x3 | 0xE | 0xF => (through(a), time_ns(b)),
+            // With an offset and an amplitude, by a scale of its time or in another time.
+            0x4 => {
+                let scale = b as f64 / 1e4;
                 if scale > TIME_SCALE {
                     return Err(CURVE_SCALE);
                 }
-                (offset.into(), f64::from(amplitude) / 1e3, (own_ns as f64 * scale).round() as u64)
+                ((a as f64, c as f64 / 1e3), (own_ns as f64 * scale).round() as u64)
             }
-            CurveFit::InTime { offset, time, amplitude } => {
-                (offset.into(), f64::from(amplitude) / 1e3, time_ns(time))
-            }
+            _ => ((a as f64, c as f64 / 1e3), time_ns(b)),
         };
         // Including NaN: a curve that ends where it begins leads to no other target.
         let possible = amplitude.abs() <= AMPLITUDE;

@@ -22,8 +22,8 @@
 //! One exception: the real-time-config block of a response is present if the *request* carried one, whatever bit 8
 //! says (seen by two independent masters on real drives).
 //!
-//! [`RequestView`] and [`ResponseView`] check a datagram's length once and read single blocks; [`Request`] and
-//! [`Response`] are the plain values.
+//! [`Request`] and [`Response`] are the plain values; [`ResponseView`], the master's, checks a datagram's length once
+//! and reads single blocks.
 
 mod rtc;
 mod words;
@@ -75,6 +75,30 @@ pub const REQUEST_MAX: usize = field::HEADER + field::CONTROL + field::MOTION + 
 /// The longest response that the definitions can describe, bytes, without padding.
 pub const RESPONSE_MAX: usize = field::HEADER + field::RESPONSE_SUM[0xFF] as usize + field::CONFIG;
 
+/// What both definitions have, the set of the blocks of a telegram.
+macro_rules! definitions {
+    ($($name:ident),*) => {
+        $(impl $name {
+            /// All blocks of `other` are in `self`.
+            pub const fn contains(self, other: $name) -> bool {
+                self.0 & other.0 == other.0
+            }
+
+            /// The blocks of both.
+            pub const fn with(self, other: $name) -> $name {
+                $name(self.0 | other.0)
+            }
+        }
+
+        impl fmt::Debug for $name {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                write!(f, concat!(stringify!($name), "({:#x})"), self.0)
+            }
+        })*
+    };
+}
+definitions!(RequestDef, ResponseDef);
+
 /// The blocks of a request (LinUDP V2 manual, 4.4.1). The reserved bits 3 ... 31 are kept as they come.
 #[derive(Clone, Copy, Default, PartialEq, Eq, Hash)]
 pub struct RequestDef(pub u32);
@@ -91,16 +115,6 @@ impl RequestDef {
     /// Bits without a known block; a master sends 0.
     pub const RESERVED: RequestDef = RequestDef(!0b111);
 
-    /// All blocks of `other` are in `self`.
-    pub const fn contains(self, other: RequestDef) -> bool {
-        self.0 & other.0 == other.0
-    }
-
-    /// The blocks of both.
-    pub const fn with(self, other: RequestDef) -> RequestDef {
-        RequestDef(self.0 | other.0)
-    }
-
     /// Bytes of a whole request, both definitions included. Reserved bits add nothing.
     pub const fn size(self) -> usize {
         self.config_at() + if self.contains(RequestDef::CONFIG) { field::CONFIG } else { 0 }
@@ -112,12 +126,6 @@ impl RequestDef {
 
     const fn config_at(self) -> usize {
         self.motion_at() + if self.contains(RequestDef::MOTION) { field::MOTION } else { 0 }
-    }
-}
-
-impl fmt::Debug for RequestDef {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "RequestDef({:#x})", self.0)
     }
 }
 
@@ -149,16 +157,6 @@ impl ResponseDef {
     /// Status, state, positions, current, warnings and error: everything that a cycle needs.
     pub const CYCLIC: ResponseDef = ResponseDef(0x7F);
 
-    /// All blocks of `other` are in `self`.
-    pub const fn contains(self, other: ResponseDef) -> bool {
-        self.0 & other.0 == other.0
-    }
-
-    /// The blocks of both.
-    pub const fn with(self, other: ResponseDef) -> ResponseDef {
-        ResponseDef(self.0 | other.0)
-    }
-
     /// Bytes of a whole response to `request`, both definitions included, without padding.
     pub const fn size(self, request: RequestDef) -> usize {
         self.config_at() + if request.contains(RequestDef::CONFIG) { field::CONFIG } else { 0 }
@@ -171,12 +169,6 @@ impl ResponseDef {
 
     const fn config_at(self) -> usize {
         field::HEADER + field::RESPONSE_SUM[(self.0 & 0xFF) as usize] as usize
-    }
-}
-
-impl fmt::Debug for ResponseDef {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "ResponseDef({:#x})", self.0)
     }
 }
 
@@ -224,12 +216,26 @@ impl Fill<'_> {
             self.0 = rest;
         }
     }
+
+    fn put_if<const N: usize>(&mut self, has: bool, bytes: [u8; N]) {
+        if has {
+            self.put(bytes);
+        }
+    }
 }
 
 /// `N` bytes from `at` on.
 #[inline]
 fn chunk<const N: usize>(bytes: &[u8], at: usize) -> Option<[u8; N]> {
     bytes.get(at..)?.first_chunk().copied()
+}
+
+/// `N` bytes from `at` on, those that the datagram does not have as 0.
+fn padded<const N: usize>(bytes: &[u8], at: usize) -> [u8; N] {
+    let mut block = [0; N];
+    let tail = bytes.get(at..).unwrap_or_default();
+    block.iter_mut().zip(tail).for_each(|(byte, sent)| *byte = *sent);
+    block
 }
 
 /// Both definitions, raw.
@@ -416,107 +422,20 @@ impl Response {
         let mut out = Fill(out);
         out.put(self.request_def.0.to_le_bytes());
         out.put(self.response_def.0.to_le_bytes());
-        let asked = |block| self.response_def.contains(block);
-        if asked(ResponseDef::STATUS) {
-            out.put(self.status.unwrap_or_default().0.to_le_bytes());
+        let has = |block| self.response_def.contains(block);
+        out.put_if(has(ResponseDef::STATUS), self.status.unwrap_or_default().0.to_le_bytes());
+        out.put_if(has(ResponseDef::STATE), self.state.unwrap_or_default().0.to_le_bytes());
+        out.put_if(has(ResponseDef::ACTUAL), self.actual.unwrap_or_default().to_le_bytes());
+        out.put_if(has(ResponseDef::DEMAND), self.demand.unwrap_or_default().to_le_bytes());
+        out.put_if(has(ResponseDef::CURRENT), self.current.unwrap_or_default().to_le_bytes());
+        out.put_if(has(ResponseDef::WARN), self.warn.unwrap_or_default().0.to_le_bytes());
+        out.put_if(has(ResponseDef::ERROR), self.error.unwrap_or_default().0.to_le_bytes());
+        for channel in self.monitor.unwrap_or_default() {
+            out.put_if(has(ResponseDef::MONITOR), channel.to_le_bytes());
         }
-        if asked(ResponseDef::STATE) {
-            out.put(self.state.unwrap_or_default().0.to_le_bytes());
-        }
-        if asked(ResponseDef::ACTUAL) {
-            out.put(self.actual.unwrap_or_default().to_le_bytes());
-        }
-        if asked(ResponseDef::DEMAND) {
-            out.put(self.demand.unwrap_or_default().to_le_bytes());
-        }
-        if asked(ResponseDef::CURRENT) {
-            out.put(self.current.unwrap_or_default().to_le_bytes());
-        }
-        if asked(ResponseDef::WARN) {
-            out.put(self.warn.unwrap_or_default().0.to_le_bytes());
-        }
-        if asked(ResponseDef::ERROR) {
-            out.put(self.error.unwrap_or_default().0.to_le_bytes());
-        }
-        if asked(ResponseDef::MONITOR) {
-            for channel in self.monitor.unwrap_or_default() {
-                out.put(channel.to_le_bytes());
-            }
-        }
-        if self.request_def.contains(RequestDef::CONFIG) {
-            out.put(self.config.unwrap_or_default().to_bytes());
-        }
+        let config = self.request_def.contains(RequestDef::CONFIG);
+        out.put_if(config, self.config.unwrap_or_default().to_bytes());
         size
-    }
-}
-
-/// A request in a datagram, as the drive sees it.
-///
-/// The drive is more lenient than the manual says, and masters in the field rely on it: the last block may be cut
-/// short (a motion command down to its header, a config block down to its first word), the missing bytes are 0, and
-/// bytes after the last block are ignored.
-#[derive(Clone, Copy, Debug)]
-pub struct RequestView<'a> {
-    bytes: &'a [u8],
-    request: RequestDef,
-    response: ResponseDef,
-}
-
-impl<'a> RequestView<'a> {
-    /// Checks the length of `bytes` against its own definitions.
-    pub fn new(bytes: &'a [u8]) -> Result<RequestView<'a>, ParseError> {
-        let (request, response) = definitions(bytes)?;
-        let request = RequestDef(request);
-        // Both kinds of block that may be cut short need their first word.
-        let need = if request.contains(RequestDef::CONFIG) {
-            request.config_at() + 2
-        } else if request.contains(RequestDef::MOTION) {
-            request.motion_at() + 2
-        } else {
-            request.size()
-        };
-        if bytes.len() < need {
-            return Err(ParseError::TooShort { need, have: bytes.len() });
-        }
-        Ok(RequestView { bytes, request, response: ResponseDef(response) })
-    }
-
-    /// The request definition.
-    pub fn request_def(&self) -> RequestDef {
-        self.request
-    }
-
-    /// The response definition.
-    pub fn response_def(&self) -> ResponseDef {
-        self.response
-    }
-
-    /// `N` bytes from `at` on, those that the datagram does not have as 0.
-    fn padded<const N: usize>(&self, at: usize) -> [u8; N] {
-        let mut block = [0; N];
-        let tail = self.bytes.get(at..).unwrap_or_default();
-        for (byte, sent) in block.iter_mut().zip(tail) {
-            *byte = *sent;
-        }
-        block
-    }
-
-    /// Control word.
-    pub fn control(&self) -> Option<ControlWord> {
-        let asked = self.request.contains(RequestDef::CONTROL);
-        asked.then(|| ControlWord(u16::from_le_bytes(self.padded(field::HEADER))))
-    }
-
-    /// Motion command.
-    pub fn motion(&self) -> Option<MotionBlock> {
-        let asked = self.request.contains(RequestDef::MOTION);
-        asked.then(|| MotionBlock::from_bytes(self.padded(self.request.motion_at())))
-    }
-
-    /// Real-time config.
-    pub fn config(&self) -> Option<RtcBlock> {
-        let asked = self.request.contains(RequestDef::CONFIG);
-        asked.then(|| RtcBlock::from_bytes(self.padded(self.request.config_at())))
     }
 }
 
@@ -545,15 +464,29 @@ impl Request {
         RequestDef(self.reserved.0 & RequestDef::RESERVED.0).with(control).with(motion).with(config)
     }
 
-    /// Reads a request as leniently as a drive does; see [`RequestView`].
+    /// Reads a request, as leniently as a drive does: masters in the field rely on it. The last block may be cut short (a
+    /// motion command down to its header, a config block down to its first word), the missing bytes are 0, and bytes
+    /// after the last block are ignored.
     pub fn parse(bytes: &[u8]) -> Result<Request, ParseError> {
-        let view = RequestView::new(bytes)?;
+        let (request, response) = definitions(bytes)?;
+        let request = RequestDef(request);
+        let has = |block| request.contains(block);
+        // Both kinds of block that may be cut short need their first word.
+        let need = match () {
+            () if has(RequestDef::CONFIG) => request.config_at() + 2,
+            () if has(RequestDef::MOTION) => request.motion_at() + 2,
+            () => request.size(),
+        };
+        if bytes.len() < need {
+            return Err(ParseError::TooShort { need, have: bytes.len() });
+        }
+        let (control, motion) = (padded(bytes, field::HEADER), padded(bytes, request.motion_at()));
         Ok(Request {
-            reserved: RequestDef(view.request.0 & RequestDef::RESERVED.0),
-            response_def: view.response,
-            control: view.control(),
-            motion: view.motion(),
-            config: view.config(),
+            reserved: RequestDef(request.0 & RequestDef::RESERVED.0),
+            response_def: ResponseDef(response),
+            control: has(RequestDef::CONTROL).then(|| ControlWord(u16::from_le_bytes(control))),
+            motion: has(RequestDef::MOTION).then(|| MotionBlock::from_bytes(motion)),
+            config: has(RequestDef::CONFIG).then(|| RtcBlock::from_bytes(padded(bytes, request.config_at()))),
         })
     }
 

@@ -53,7 +53,7 @@ impl RtcBlock {
     }
 
     /// The drive's status, if the block comes from a drive.
-    pub const fn status(&self) -> RtcStatus {
+    pub fn status(&self) -> RtcStatus {
         RtcStatus::of(self.code)
     }
 
@@ -240,7 +240,7 @@ impl RtcStatus {
     pub const BUSY: u8 = 0x05;
 
     /// The meaning of `code`.
-    pub const fn of(code: u8) -> RtcStatus {
+    pub fn of(code: u8) -> RtcStatus {
         match code {
             RtcStatus::DONE => RtcStatus::Done,
             RtcStatus::RUNNING => RtcStatus::Running,
@@ -307,20 +307,8 @@ impl Refusal {
     ];
 
     /// The meaning of `code`, C0h or above.
-    pub const fn of(code: u8) -> Refusal {
-        match code {
-            0xC0 => Refusal::NoSuchUpid,
-            0xC1 => Refusal::WrongType,
-            0xC2 => Refusal::OutOfRange,
-            0xC3 => Refusal::AddressUsage,
-            0xC5 => Refusal::ListNotStarted,
-            0xC6 => Refusal::EndOfList,
-            0xD0 => Refusal::OddAddress,
-            0xD1 => Refusal::WrongSize,
-            0xD4 => Refusal::CurveDefinition,
-            0xD7 => Refusal::SoftwareRuns,
-            other => Refusal::Unlisted(other),
-        }
+    pub fn of(code: u8) -> Refusal {
+        Refusal::ALL.into_iter().find(|known| known.code() == code).unwrap_or(Refusal::Unlisted(code))
     }
 
     /// Its code.

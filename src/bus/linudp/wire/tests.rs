@@ -1,6 +1,5 @@
-//! Golden telegrams, every combination of blocks, and properties on arbitrary bytes.
-
-use proptest::prelude::*;
+//! Golden telegrams and every combination of blocks. Any bytes, and what is understood of them, are those of the fuzz
+//! target `telegram`.
 
 use super::*;
 
@@ -255,58 +254,4 @@ fn a_buffer_that_is_too_short_is_left_alone() {
     assert_eq!(full_request().emit(&mut short), 0);
     assert_eq!(full_response().emit(&mut short), 0);
     assert_eq!(short, [0xEE; 49]);
-}
-
-fn rtc() -> impl Strategy<Value = RtcBlock> {
-    any::<(u8, u8, [u16; 3])>().prop_map(|(tag, code, words)| RtcBlock { tag, code, words })
-}
-
-fn motion() -> impl Strategy<Value = MotionBlock> {
-    any::<(u16, [u8; 30])>().prop_map(|(header, parameters)| MotionBlock { header, parameters })
-}
-
-proptest! {
-    #[test]
-    fn any_request_round_trips(
-        reserved in any::<u32>(),
-        response_def in any::<u32>(),
-        control in any::<Option<u16>>(),
-        motion in proptest::option::of(motion()),
-        config in proptest::option::of(rtc()),
-    ) {
-        let request = Request {
-            reserved: RequestDef(reserved & RequestDef::RESERVED.0),
-            response_def: ResponseDef(response_def),
-            control: control.map(ControlWord),
-            motion,
-            config,
-        };
-        prop_assert_eq!(Request::parse(&emitted(&request)), Ok(request));
-    }
-
-    #[test]
-    fn no_bytes_make_a_parser_panic(bytes in proptest::collection::vec(any::<u8>(), 0..80)) {
-        if let Ok(request) = Request::parse(&bytes) {
-            prop_assert!(request.size() <= REQUEST_MAX);
-            prop_assert_eq!(Request::parse(&emitted(&request)), Ok(request));
-        }
-        if let Ok(response) = Response::parse(&bytes) {
-            // Whole telegrams come back as they came.
-            if bytes.len() >= response.size() {
-                prop_assert_eq!(&answered(&response)[..], &bytes[..response.size()]);
-            }
-        }
-    }
-
-    #[test]
-    fn few_definition_bits_make_no_parser_panic(
-        request in 0_u8..8,
-        response in 0_u16..512,
-        tail in proptest::collection::vec(any::<u8>(), 0..60),
-    ) {
-        let mut bytes = vec![request, 0, 0, 0, response as u8, (response >> 8) as u8, 0, 0];
-        bytes.extend(tail);
-        let _ = Request::parse(&bytes);
-        let _ = Response::parse(&bytes);
-    }
 }

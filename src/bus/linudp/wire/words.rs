@@ -5,6 +5,18 @@
 
 use std::fmt;
 
+/// Words are shown in hexadecimal, like in the manual.
+macro_rules! debug_as_hex {
+    ($($word:ident),*) => {
+        $(impl fmt::Debug for $word {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                write!(f, concat!(stringify!($word), "({:#06x})"), self.0)
+            }
+        })*
+    };
+}
+debug_as_hex!(ControlWord, StatusWord, StateVar, WarnWord);
+
 /// The control word (SG5 manual).
 #[derive(Clone, Copy, Default, PartialEq, Eq, Hash)]
 pub struct ControlWord(pub u16);
@@ -61,12 +73,6 @@ impl ControlWord {
     }
 }
 
-impl fmt::Debug for ControlWord {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "ControlWord({:#06x})", self.0)
-    }
-}
-
 /// The status word (SG5 manual).
 #[derive(Clone, Copy, Default, PartialEq, Eq, Hash)]
 pub struct StatusWord(pub u16);
@@ -118,16 +124,6 @@ impl StatusWord {
         self.has(Self::ERROR)
     }
 
-    /// Switching on is locked until control word bit 0 was 0.
-    pub const fn switch_on_locked(self) -> bool {
-        self.has(Self::SWITCH_ON_LOCKED)
-    }
-
-    /// The warn word is not 0.
-    pub const fn warning(self) -> bool {
-        self.has(Self::WARNING)
-    }
-
     /// Setpoint done and actual position inside the window.
     pub const fn in_target(self) -> bool {
         self.has(Self::IN_TARGET)
@@ -146,12 +142,6 @@ impl StatusWord {
     /// The setpoint generator is running.
     pub const fn motion_active(self) -> bool {
         self.has(Self::MOTION_ACTIVE)
-    }
-}
-
-impl fmt::Debug for StatusWord {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "StatusWord({:#06x})", self.0)
     }
 }
 
@@ -220,12 +210,6 @@ impl StateVar {
 
     const fn bit(self, bit: u8) -> Option<bool> {
         if self.operating() { Some(self.sub() & bit != 0) } else { None }
-    }
-}
-
-impl fmt::Debug for StateVar {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "StateVar({:#06x})", self.0)
     }
 }
 
@@ -347,12 +331,6 @@ impl WarnWord {
     /// The names of the warnings that stand. Reserved bits have none.
     pub fn names(self) -> impl Iterator<Item = &'static str> {
         (0..16).filter(move |bit| self.0 >> bit & 1 == 1).filter_map(WarnWord::name)
-    }
-}
-
-impl fmt::Debug for WarnWord {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "WarnWord({:#06x})", self.0)
     }
 }
 

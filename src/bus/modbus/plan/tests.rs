@@ -80,9 +80,9 @@ fn the_usual_time_of_a_reply_follows_the_watchdog() {
     for (timeout_ms, period_ms, within_ms) in
         [(None, 8, 250), (Some(500), 8, 250), (Some(266), 8, 250), (Some(265), 8, 249), (Some(226), 8, 210)]
     {
-        let (ms, told) = usual(timeout_ms, period_ms);
+        let (ms, line) = usual(timeout_ms, period_ms);
         assert_eq!(ms, within_ms, "{timeout_ms:?}");
-        assert!(told.contains("the link stays up") && told.contains("leaves 218 ms later"), "{told}");
+        assert!(line.contains("the link stays up") && line.contains("leaves 218 ms later"), "{line}");
     }
     for (timeout_ms, period_ms, within_ms, costs) in [
         (
@@ -96,8 +96,8 @@ fn the_usual_time_of_a_reply_follows_the_watchdog() {
         (100, 50, 50, "one lost frame costs the link"),
         (40, 1, 38, "one lost frame costs the link"),
     ] {
-        let (ms, told) = usual(Some(timeout_ms), period_ms);
+        let (ms, line) = usual(Some(timeout_ms), period_ms);
         assert_eq!(ms, within_ms, "{timeout_ms}");
-        assert!(told.contains(costs), "{told}");
+        assert!(line.contains(costs), "{line}");
     }
 }

@@ -76,13 +76,13 @@ impl Database {
 
     /// The drive was reset: commands in any xx.000 are carried out.
     pub(super) fn reset(&mut self) {
-        let mut orders = [0; 2];
+        let mut commands = [0; 2];
         for (row, value) in self.rows.iter().zip(&mut self.used).filter(|(row, _)| row.number == 0) {
-            orders[0] |= i32::from(SAVE.contains(value));
-            orders[1] |= i32::from(RESTORE.contains(value));
+            commands[0] |= i32::from(SAVE.contains(value));
+            commands[1] |= i32::from(RESTORE.contains(value));
             *value = row.default;
         }
-        match orders {
+        match commands {
             [_, 1] => {
                 self.saved.copy_from_slice(&self.delivered);
                 for (place, _) in self.rows.iter().enumerate().filter(|(_, row)| row.saved) {

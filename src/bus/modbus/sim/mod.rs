@@ -55,13 +55,11 @@ const COARSE_STEPS: u64 = 1_000;
 /// One simulated Unidrive.
 #[derive(Debug)]
 pub struct UnidriveSim {
-    address: SocketAddrV4,
-    faults: FaultPlan,
+    settings: SimSettings,
     drive: Drive,
     server: Server,
     /// The instant up to which the drive has advanced.
     lived: Option<Time>,
-    boot_ns: u64,
     /// Does not receive until then.
     booted_at: Time,
 }
@@ -70,12 +68,10 @@ impl UnidriveSim {
     /// The drive as set up, listening. Its time begins with the first message.
     pub fn new(settings: SimSettings) -> UnidriveSim {
         UnidriveSim {
-            address: settings.address,
             drive: Drive::new(&settings),
             server: Server::new(&settings.interface),
-            faults: settings.faults,
+            settings,
             lived: None,
-            boot_ns: settings.boot_ns,
             booted_at: Time(0),
         }
     }
@@ -115,11 +111,11 @@ impl UnidriveSim {
 
 impl SimDrive for UnidriveSim {
     fn address(&self) -> SocketAddrV4 {
-        self.address
+        self.settings.address
     }
 
     fn faults(&self) -> FaultPlan {
-        self.faults.clone()
+        self.settings.faults.clone()
     }
 
     fn carrier(&self) -> Carrier {
@@ -163,7 +159,7 @@ impl SimDrive for UnidriveSim {
         self.live(now);
         self.drive.restart();
         self.server.disconnect_all();
-        self.booted_at = now + self.boot_ns;
+        self.booted_at = now + self.settings.boot_ns;
     }
 
     fn inhibit(&mut self, until: Time) {

@@ -67,7 +67,7 @@ pub(super) struct Sequencer {
     /// Until the control word has to be written again, ns.
     served_ns: Option<u64>,
     /// Until something has to be received again, ns.
-    heard_ns: Option<u64>,
+    received_ns: Option<u64>,
     latched: Option<Run>,
     running: Option<Run>,
     /// The power stage is on.
@@ -85,7 +85,7 @@ impl Sequencer {
             wait_ns: 0,
             log: VecDeque::with_capacity(LOG),
             served_ns: None,
-            heard_ns: None,
+            received_ns: None,
             latched: None,
             running: None,
             active: false,
@@ -97,7 +97,7 @@ impl Sequencer {
     /// Power came back: the log survives it.
     pub(super) fn restart(&mut self) {
         (self.trip, self.wait_ns) = (None, 0);
-        (self.served_ns, self.heard_ns) = (None, None);
+        (self.served_ns, self.received_ns) = (None, None);
         (self.latched, self.running, self.active) = (None, None, false);
         if let Some(trip) = self.persistent {
             self.trip(trip);
@@ -157,8 +157,8 @@ impl Sequencer {
     }
 
     /// The Ethernet interface took in a request.
-    pub(super) fn hear(&mut self, timeout_ms: i32) {
-        self.heard_ns = u64::try_from(timeout_ms).ok().filter(|ms| *ms > 0).map(|ms| ms * MS);
+    pub(super) fn received(&mut self, timeout_ms: i32) {
+        self.received_ns = u64::try_from(timeout_ms).ok().filter(|ms| *ms > 0).map(|ms| ms * MS);
     }
 
     /// Lets `dt_ns` pass: watchdogs, then the commands.
@@ -167,7 +167,7 @@ impl Sequencer {
         if runs_out(&mut self.served_ns, dt_ns) {
             self.trip(Trip::WATCHDOG);
         }
-        if runs_out(&mut self.heard_ns, dt_ns) {
+        if runs_out(&mut self.received_ns, dt_ns) {
             self.trip(self.link_trip);
         }
         let by_word = obeyed(parameters);

@@ -148,7 +148,7 @@ impl Service {
         match (self.interface.read_write, function) {
             (ReadWrite::Closes, function::READ_WRITE) => return Err(NoModbus),
             (ReadWrite::Ignored, function::READ_WRITE) => {
-                drive.sequencer.hear(drive.parameters.get(table::MODBUS_TIMEOUT));
+                drive.sequencer.received(drive.parameters.get(table::MODBUS_TIMEOUT));
                 return Ok(());
             }
             _ => {}
@@ -161,7 +161,7 @@ impl Service {
             (Some(unit), Some(request)) => self.carry_out(unit, request, drive),
         };
         let response = response.unwrap_or_else(|code| Response::Exception { function, code });
-        drive.sequencer.hear(drive.parameters.get(table::MODBUS_TIMEOUT));
+        drive.sequencer.received(drive.parameters.get(table::MODBUS_TIMEOUT));
         append(response, Header { unit: answering, ..header }, reply);
         Ok(())
     }

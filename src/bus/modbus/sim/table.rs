@@ -103,39 +103,14 @@ const SPECIAL: &[Special] = &[
     saved(6, 8, 1),       // hold zero speed
     saved(6, 15, 1),      // drive enable
     shows(6, 29, Variable::HardwareEnable),
-    volatile(6, 30), // run forward
-    volatile(6, 31), // jog forward
-    volatile(6, 32), // run reverse
-    volatile(6, 33), // forward/reverse
-    volatile(6, 34), // run
-    volatile(6, 39), // not stop
-    volatile(6, 42), // control word
-    saved(6, 43, 0), // control word enable
-    shows(10, 1, Variable::StatusBit(0)),
-    shows(10, 2, Variable::StatusBit(1)),
-    shows(10, 3, Variable::StatusBit(2)),
-    shows(10, 4, Variable::StatusBit(3)),
-    shows(10, 5, Variable::StatusBit(4)),
-    shows(10, 6, Variable::StatusBit(5)),
-    shows(10, 7, Variable::StatusBit(6)),
-    shows(10, 8, Variable::StatusBit(7)),
-    shows(10, 9, Variable::StatusBit(8)),
-    shows(10, 10, Variable::StatusBit(9)),
-    shows(10, 11, Variable::StatusBit(10)),
-    shows(10, 12, Variable::StatusBit(11)),
-    shows(10, 13, Variable::StatusBit(12)),
-    shows(10, 14, Variable::StatusBit(13)),
-    shows(10, 15, Variable::StatusBit(14)),
-    shows(10, 20, Variable::Trip(0)),
-    shows(10, 21, Variable::Trip(1)),
-    shows(10, 22, Variable::Trip(2)),
-    shows(10, 23, Variable::Trip(3)),
-    shows(10, 24, Variable::Trip(4)),
-    shows(10, 25, Variable::Trip(5)),
-    shows(10, 26, Variable::Trip(6)),
-    shows(10, 27, Variable::Trip(7)),
-    shows(10, 28, Variable::Trip(8)),
-    shows(10, 29, Variable::Trip(9)),
+    volatile(6, 30),  // run forward
+    volatile(6, 31),  // jog forward
+    volatile(6, 32),  // run reverse
+    volatile(6, 33),  // forward/reverse
+    volatile(6, 34),  // run
+    volatile(6, 39),  // not stop
+    volatile(6, 42),  // control word
+    saved(6, 43, 0),  // control word enable
     volatile(10, 33), // drive reset
     volatile(10, 38), // user trip
     shows(10, 40, Variable::Status),
@@ -226,6 +201,11 @@ impl Row {
     fn of(known: &Known) -> Row {
         let Parameter { slot, menu, number } = known.parameter;
         let bound = |limit: i64| limit.clamp(i32::MIN.into(), i32::MAX.into()) as i32;
+        let variable = match (slot, menu, number) {
+            (0, 10, 1..=15) => Some(Variable::StatusBit(number - 1)),
+            (0, 10, 20..=29) => Some(Variable::Trip(number - 20)),
+            _ => None,
+        };
         Row {
             menu: if slot == 0 { menu } else { menu + INTERFACE },
             number,
@@ -234,13 +214,13 @@ impl Row {
             high: bound(known.max),
             default: bound(0_i64.clamp(known.min, known.max)),
             writable: known.access == parameter::Access::ReadWrite,
-            saved: true,
-            variable: None,
+            saved: variable.is_none(),
+            variable,
         }
     }
 
     /// Parameter 000 of a menu: the command of the next reset.
-    fn order(menu: u8) -> Row {
+    fn command(menu: u8) -> Row {
         let (number, low, high) = (0, 0, u16::MAX.into());
         let (signed, writable, saved, variable) = (false, true, false, None);
         Row { menu, number, signed, low, high, default: 0, writable, saved, variable }
@@ -288,7 +268,7 @@ impl Table {
         let find =
             |special: &Special| known.iter().find(|row| row.key() == key(special.menu, special.number));
         // A test checks that the catalogue has them all.
-        let blank = |special: &Special| Row { number: special.number, ..Row::order(special.menu) };
+        let blank = |special: &Special| Row { number: special.number, ..Row::command(special.menu) };
         let mut rows: Vec<Row> = SPECIAL
             .iter()
             .map(|special| find(special).copied().unwrap_or_else(|| blank(special)).with(special))
@@ -297,7 +277,7 @@ impl Table {
             |row: &Row| SPECIAL.iter().any(|special| key(special.menu, special.number) == row.key());
         rows.extend(known.iter().filter(|row| !is_special(row)));
         let menus: BTreeSet<u8> = known.iter().map(|row| row.menu).filter(|menu| *menu < INTERFACE).collect();
-        rows.extend(menus.into_iter().map(Row::order));
+        rows.extend(menus.into_iter().map(Row::command));
         let mut index: Vec<_> = rows.iter().enumerate().map(|(at, row)| (row.key(), at)).collect();
         index.sort_unstable();
         Table { rows, index }

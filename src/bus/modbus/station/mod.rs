@@ -3,18 +3,20 @@
 //! | file | what |
 //! |---|---|
 //! | `mod` | the station, and the life of its connection |
-//! | `asking` | the next request |
-//! | `hearing` | received bytes |
+//! | `request` | the next request |
+//! | `receive` | received bytes |
 
-mod asking;
-mod hearing;
+mod receive;
+mod request;
 
 use std::sync::Arc;
 
+use self::receive::Expected;
+use self::request::Template;
 use super::calls::{Calls, commanding};
 use super::counters::Own;
 use super::echo::Echo;
-use super::greeting::{Finding, Found};
+use super::handshake::{Finding, Found};
 use super::identity::Identity;
 use super::mapping::{Image, Mapping};
 use super::native::{Native, NativePort, native};
@@ -24,8 +26,7 @@ use super::plan::UnidriveDrive;
 use super::profile::{Inputs, Outputs, Profile};
 use super::read_write::ReadWrite;
 use super::setup::{Purpose, Setting, settings};
-use super::template::{Expected, Template};
-use super::wire::{ADU_MAX, RegistersBuffer};
+use super::wire::ADU_MAX;
 use super::words::ControlWord;
 use crate::axis::acyclic::{self, AcyclicEnds};
 use crate::bus::desired::Accepted;
@@ -34,7 +35,7 @@ use crate::net::Broken;
 use crate::rt::Regions;
 use crate::time::Time;
 
-pub(super) use asking::REFERENCES_IN_A_ROW;
+pub(super) use request::REFERENCES_IN_A_ROW;
 
 /// The end waits so many reply times for the drive's time-out to be disarmed.
 const DISARM_WITHIN: u64 = 3;
@@ -51,16 +52,15 @@ pub struct Station {
     /// User units/s of one count of the speed feedback.
     velocity_per_count: f64,
     /// It reports the numbers of its trips.
-    tells_trips: bool,
+    reports_trips: bool,
     /// The blocks at their own addresses, and those of menu 0.
     direct: Mapping,
     menu_0: Option<Mapping>,
     found: Arc<Found>,
-    finding: Finding,
     functions: ReadWrite,
     /// No time-out has to be set in the drive before it is enabled.
     unwatched: bool,
-    /// The settings that make the drive follow the control word and watch it: written with the first order that
+    /// The settings that make the drive follow the control word and watch it: written with the first command that
     /// needs them, so many so far.
     settings: Box<[Setting]>,
     set: usize,
@@ -81,17 +81,31 @@ pub struct Station {
     pub(super) passed: bool,
     identity: Identity,
     /// The open request, and when it was sent.
-    asked: What,
-    asked_at: Time,
+    requested: What,
+    requested_at: Time,
+    /// Its unit id.
+    requested_unit: u8,
     written: Outputs,
     prepared: What,
     /// The values that the prepared request writes.
     outputs: Outputs,
     grid: Time,
-    /// What it writes, as registers.
-    data: RegistersBuffer,
     out: [u8; ADU_MAX],
-    /// Its constant parts, if it is cyclic.
+    inbox: Vec<u8>,
+    conn: Connection,
+    /// The last read was to check whether a value was accepted.
+    confirmed: bool,
+    /// The control word that the drive accepted last, or had at first, and the one sent last, on whatever connection.
+    control_taken: Option<ControlWord>,
+    control_sent: Option<ControlWord>,
+}
+
+/// What begins anew with each connection: the drive's values are not known until they are read back, nor its state
+/// until it reports again.
+#[derive(Debug, Default)]
+struct Connection {
+    finding: Finding,
+    /// The constant parts of the request in its room, if it is cyclic.
     template: Option<Template>,
     /// The reply to the open request, if only one is right.
     expected: Expected,
@@ -101,9 +115,7 @@ pub struct Station {
     /// taken.
     open: usize,
     gone: usize,
-    /// The unit id of the open request.
-    asked_unit: u8,
-    inbox: Vec<u8>,
+    /// Received bytes that are not a whole message yet.
     filled: usize,
     /// Exchanges that read, and that wrote; those that wrote only, in a row.
     reads: u32,
@@ -117,16 +129,11 @@ pub struct Station {
     control: Echo,
     reference: Echo,
     other: OtherMaster,
-    /// The control word that the drive accepted last, or had at first, and the one sent last, on whatever connection.
-    control_taken: Option<ControlWord>,
-    control_sent: Option<ControlWord>,
     /// The trip number in the image is that of the present trip; without one, it was read since the last healthy
     /// status.
     trip_read: bool,
     /// A status, a speed was read since the last report.
     seen: (bool, bool),
-    /// The last read was to check whether a value was accepted.
-    confirmed: bool,
     was_active: bool,
     /// When the power stage was last off although the drive was commanded to run.
     dark_at: Option<Time>,
@@ -201,12 +208,11 @@ impl Station {
         let shown = drive.map.show.iter().enumerate();
         let station = Station {
             velocity_per_count: drive.velocity(drive.map.speed.value(1)),
-            tells_trips: drive.map.trip.is_some(),
+            reports_trips: drive.map.trip.is_some(),
             shown: shown.filter_map(|(channel, mapped)| Some((channel, (*mapped)?.raw(1.0)))).collect(),
             direct: mappings.0,
             menu_0: mappings.1,
             found,
-            finding: Finding::default(),
             functions: ReadWrite::new(drive.functions),
             unwatched: drive.watchdog.timeout_ns.is_none()
                 && (drive.watchdog.keypad || drive.watchdog.accept_none),
@@ -225,39 +231,19 @@ impl Station {
             opened_before: false,
             passed: false,
             identity: Identity::default(),
-            asked: What::default(),
-            asked_at: Time(0),
+            requested: What::default(),
+            requested_at: Time(0),
             written: Outputs::default(),
             prepared: What::default(),
             outputs: Outputs::default(),
             grid: Time(0),
-            data: RegistersBuffer::new(),
             out: [0; ADU_MAX],
-            template: None,
-            expected: Expected::default(),
-            length: 0,
-            open: 0,
-            gone: 0,
-            asked_unit: 0,
+            requested_unit: 0,
             inbox: vec![0; ROOM],
-            filled: 0,
-            reads: 0,
-            writes: 0,
-            written_in_a_row: 0,
-            refused: (0, 0),
-            busy_since: None,
-            image: Image::default(),
-            inputs: Inputs::default(),
-            control: Echo::default(),
-            reference: Echo::default(),
-            other: OtherMaster::default(),
+            conn: Connection::default(),
             control_taken: None,
             control_sent: None,
-            trip_read: false,
-            seen: (false, false),
             confirmed: false,
-            was_active: false,
-            dark_at: None,
         };
         (station, application, ends)
     }
@@ -276,8 +262,10 @@ impl Station {
     /// A new connection is there, with its handshake complete.
     pub fn connected(&mut self, slot: &mut Slot) {
         self.connected = true;
-        self.finding = self.found.get();
-        let finding = &self.finding;
+        let finding = self.found.get();
+        let velocity = f64::from(finding.speed) * self.velocity_per_count;
+        let inputs = Inputs { seen: true, status: finding.status, velocity, ..Inputs::default() };
+        self.conn = Connection { finding, inputs, ..Connection::default() };
         // A setting that is right already is not written again.
         let is_met = |setting: &&Setting| match setting.purpose {
             Purpose::Obey => finding.obeys,
@@ -289,16 +277,6 @@ impl Station {
         self.profile.found(finding.watched || self.unwatched, finding.obeys, self.settable);
         self.identity.reconnected();
         self.functions.reconnected();
-        (self.template, self.expected) = (None, Expected::default());
-        (self.filled, self.length, self.open, self.gone) = (0, 0, 0, 0);
-        (self.refused, self.busy_since, self.written_in_a_row) = ((0, 0), None, 0);
-        // The drive's values are not known until they are read back, nor its state until it reports again.
-        (self.control, self.reference) = (Echo::default(), Echo::default());
-        self.other = OtherMaster::default();
-        let velocity = f64::from(finding.speed) * self.velocity_per_count;
-        self.inputs = Inputs { seen: true, status: finding.status, velocity, ..Inputs::default() };
-        (self.was_active, self.dark_at, self.trip_read) = (false, None, false);
-        (self.image, self.reads, self.writes, self.seen) = (Image::default(), 0, 0, (false, false));
         // It stands still, and has neither the last accepted control word nor the last one sent.
         let known = [self.control_taken, self.control_sent];
         if self.control_sent.is_some() && !finding.status.active() && !known.contains(&Some(finding.control))
@@ -310,7 +288,7 @@ impl Station {
         // Until it has accepted another one, this is no sign of a restart.
         self.control_taken = self.control_taken.or(Some(finding.control));
         slot.evidence.accepted = Accepted::default();
-        self.profile.prove(&self.inputs, &mut slot.evidence);
+        self.profile.prove(&self.conn.inputs, &mut slot.evidence);
         slot.reachable = true;
         if std::mem::replace(&mut self.opened_before, true) {
             Own::Reopened.count(&mut slot.counters);
@@ -327,16 +305,16 @@ impl Station {
     }
 
     /// The open request writes and reads: FC23.
-    fn asks_both(&self) -> bool {
-        self.identity.is_open() && matches!(self.asked, What::Cyclic(blocks) if blocks.is_both())
+    fn reads_and_writes(&self) -> bool {
+        self.identity.is_open() && matches!(self.requested, What::Cyclic(blocks) if blocks.is_both())
     }
 
     /// The connection has ended at the other end, or broken: in words.
     pub(super) fn ended(&mut self, broken: Broken, slot: &mut Slot) -> Why {
-        let counter = if self.filled > 0 { Own::CutOff } else { Own::Closed };
+        let counter = if self.conn.filled > 0 { Own::CutOff } else { Own::Closed };
         counter.count(&mut slot.counters);
         let closed = matches!(broken, Broken::Closed | Broken::Failed(libc::ECONNRESET | libc::EPIPE));
-        let on_both = closed && self.asks_both() && self.functions.closed();
+        let on_both = closed && self.reads_and_writes() && self.functions.closed();
         self.disconnected();
         match broken {
             _ if on_both => "the drive closes it on FC23; FC16 and FC03 are used from now on",
@@ -347,13 +325,14 @@ impl Station {
 
     /// Why the connection has to be given up, if it has.
     pub(super) fn gives_up(&mut self, now: Time, slot: &mut Slot) -> Option<Why> {
-        let silent = self.identity.is_open() && now.since(self.asked_at) > 2 * self.reply_within_ns;
-        let busy = self.busy_since.is_some_and(|since| now.since(since) > BUSY_WITHIN * self.reply_within_ns);
+        let silent = self.identity.is_open() && now.since(self.requested_at) > 2 * self.reply_within_ns;
+        let busy =
+            self.conn.busy_since.is_some_and(|since| now.since(since) > BUSY_WITHIN * self.reply_within_ns);
         let why = match () {
             () if !self.connected => return None,
             () if silent => "a request was not answered within twice its time",
             () if busy => "the drive is busy all the time",
-            () if self.refused.0.max(self.refused.1) < MOST_REFUSALS => return None,
+            () if self.conn.refused.0.max(self.conn.refused.1) < MOST_REFUSALS => return None,
             () if self.functions.is_only() => {
                 "the drive refuses its requests by FC23: use function = \"auto\" if it does not have it"
             }
@@ -367,8 +346,8 @@ impl Station {
     /// Starts or continues the orderly end: true once nothing more has to be sent to this drive.
     pub(super) fn shut_down(&mut self, cycle: &Cycle) -> bool {
         let armed =
-            self.connected && self.finding.watched && self.time_out().is_some() && self.profile.writes();
-        let off = self.inputs.control == Some(ControlWord::IDLE) && !self.inputs.status.active();
+            self.connected && self.conn.finding.watched && self.time_out().is_some() && self.profile.writes();
+        let off = self.conn.inputs.control == Some(ControlWord::IDLE) && !self.conn.inputs.status.active();
         self.end = match self.end {
             // A drive that is still on keeps its watchdog.
             End::NotYet if !armed || self.profile.is_on() => End::Done,
@@ -391,7 +370,7 @@ impl Station {
     }
 
     fn mapping(&self) -> &Mapping {
-        used(&self.direct, &self.menu_0, self.finding.menu_0)
+        used(&self.direct, &self.menu_0, self.conn.finding.menu_0)
     }
 }
 

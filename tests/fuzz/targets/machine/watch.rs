@@ -8,8 +8,9 @@ use std::collections::BTreeMap;
 use fieldbeat::axis::{
     Abort, Command, Event, EventKind, Feedback, FoundRunning, NativeOwner, Outcome, StopCause,
 };
-use fieldbeat::bus::linudp::motion::Decoded;
-use fieldbeat::bus::linudp::wire::{ControlWord, Request, Response, RtcBlock, StatusWord};
+use fieldbeat::bus::linudp::StreamCommand;
+use fieldbeat::bus::linudp::motion::CommandInfo;
+use fieldbeat::bus::linudp::wire::{ControlWord, MotionBlock, Request, Response, RtcBlock, StatusWord};
 use fieldbeat::bus::linudp::{LinUdpDrive, ReplyTag};
 use fieldbeat::cycle::status::DriveEnd;
 use fieldbeat::time::Time;
@@ -110,7 +111,7 @@ impl Watch {
             self.check_control(word, native);
         }
         if let Some(motion) = &request.motion {
-            self.check_motion(Decoded::of(motion), native);
+            self.check_motion(motion, native);
         }
     }
 
@@ -150,49 +151,45 @@ impl Watch {
         }
     }
 
-    fn check_motion(&self, motion: Decoded, native: bool) {
-        match motion {
-            Decoded::NoOperation | Decoded::Stop(Some(1..)) => return,
-            _ => assert_eq!(self.latched, None, "{motion:?} to a stopped axis"),
+    fn check_motion(&self, block: &MotionBlock, native: bool) {
+        let id = block.header >> 4;
+        let values = CommandInfo::of(id).map_or([0; 5], |info| info.values(&block.parameters));
+        match (id, values) {
+            (0x000, _) => return,
+            (0x017, [deceleration, ..]) if deceleration > 0 => return,
+            _ => assert_eq!(self.latched, None, "{block:?} to a stopped axis"),
         }
         if native {
             return;
         }
-        assert!(self.armed, "{motion:?} to an axis that is not enabled");
-        let limits = self.drive.axis.limits.position;
-        let inside = |low: f64, high: f64, count: i32| {
-            let position = self.drive.axis.units.position(count.into());
-            // Rounded to a count.
-            assert!((low - 1e-4..=high + 1e-4).contains(&position), "{position} is not in {low} ... {high}");
+        assert!(self.armed, "{block:?} to an axis that is not enabled");
+        let position = self.drive.axis.units.position(values[0]);
+        let check_inside = || {
+            if let Some((low, high)) = self.drive.axis.limits.position {
+                // Rounded to a count.
+                assert!(
+                    (low - 1e-4..=high + 1e-4).contains(&position),
+                    "{position} is not in {low} ... {high}"
+                );
+            }
         };
-        match motion {
-            Decoded::Move(to) => {
+        let follows = self.runs(|command| *command == Command::Follow);
+        match id {
+            0x010 => {
                 // From outside the range a jog leads back in.
-                let jogs = self.runs(|verb| matches!(verb, Command::Jog(_) | Command::Velocity { .. }));
-                let moves = self.runs(|verb| matches!(verb, Command::Move(_)));
-                assert!(moves || jogs, "{to:?} belongs to none of {:?}", self.alive);
-                if let (Some((low, high)), false) = (limits, jogs) {
-                    inside(low, high, to.value);
+                let jogs = self.runs(|command| matches!(command, Command::Jog(_) | Command::Velocity { .. }));
+                let moves = self.runs(|command| matches!(command, Command::Move(_)));
+                assert!(moves || jogs, "{block:?} belongs to none of {:?}", self.alive);
+                if !jogs {
+                    check_inside();
                 }
             }
-            Decoded::Stream { position, .. } => {
-                assert!(
-                    self.runs(|verb| *verb == Command::Follow),
-                    "{motion:?} belongs to none of {:?}",
-                    self.alive
-                );
-                if let Some((low, high)) = limits {
-                    inside(low, high, position);
-                }
+            0x03F => assert!(follows, "{block:?} belongs to none of {:?}", self.alive),
+            _ if StreamCommand::from_id(id).is_some() => {
+                assert!(follows, "{block:?} belongs to none of {:?}", self.alive);
+                check_inside();
             }
-            Decoded::EndStream => {
-                assert!(
-                    self.runs(|verb| *verb == Command::Follow),
-                    "{motion:?} belongs to none of {:?}",
-                    self.alive
-                );
-            }
-            other => panic!("a master does not send {other:?}"),
+            _ => panic!("a master does not send {block:?}"),
         }
     }
 

@@ -1,15 +1,14 @@
 //! The effect of each motion command: which state accepts it, its meaning in SI units, and its destination.
 //!
-//! Knows no bytes. Commands for which the drive has no hardware, no software key or no known meaning are error
-//! 0081h, or nothing if the plan says so: encoder cams, indexing, winding, force control, analog positions, streams
-//! with time stamps.
+//! Commands for which the drive has no hardware, no software key or no known meaning are error 0081h, or nothing if the
+//! plan says so: encoder cams, indexing, winding, force control, analog positions, streams with time stamps.
 
-use super::super::motion::{METRE, METRE_PER_S, METRE_PER_S2, Order};
+use super::super::motion::{METRE, METRE_PER_S, METRE_PER_S2, Move, Origin, Start, Vad, When};
 use super::super::time_curve::TimeCurve;
 use super::super::upids;
 use super::{Demand, Machine, Mode, NEWTON_PER_AMPERE, RunMode, Task};
-use crate::bus::linudp::motion::{CurveStart, Decoded, Move, Origin, Shape, Vad, When, Written};
-use crate::bus::linudp::plan::UnknownCommands;
+use crate::bus::linudp::motion::{CommandInfo, FIELDS, Kind, MotionCommand};
+use crate::bus::linudp::plan::{StreamCommand, UnknownCommands};
 use crate::bus::linudp::wire::{ControlWord, ErrorCode, MotionBlock};
 use crate::time::Time;
 
@@ -36,6 +35,64 @@ pub(super) enum Effort {
     Current(f64),
 }
 
+/// A command as the drive reads it: its family, its number in that, and its fields.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Command {
+    /// No family has this number if the manual does not list the command.
+    pub family: u16,
+    pub sub: u16,
+    info: Option<&'static CommandInfo>,
+    parameters: [u8; 30],
+}
+
+impl Command {
+    pub(super) fn of(MotionCommand { id, parameters }: MotionCommand) -> Command {
+        let info = CommandInfo::of(id);
+        Command { family: info.map_or(u16::MAX, |_| id >> 4), sub: id & 0xF, info, parameters }
+    }
+
+    /// The wire integers of its fields. Each is inside the integer type of its field; some may be out of their range,
+    /// since a drive has to take what comes.
+    pub(super) fn values(&self) -> [i64; FIELDS] {
+        self.info.map_or([0; FIELDS], |info| info.values(&self.parameters))
+    }
+
+    /// The fields of one of these kinds.
+    fn fields_of(&self, kinds: [Kind; 2]) -> impl Iterator<Item = i64> {
+        let fields = self.info.map_or(&[][..], |info| info.fields).iter();
+        fields.filter(move |field| kinds.contains(&field.kind)).map(|field| field.read(&self.parameters))
+    }
+
+    /// The bytes that it writes into a curve or an entry: those behind its id and the offset.
+    fn written(&self) -> &[u8] {
+        self.info.and_then(|info| self.parameters.get(4..info.size())).unwrap_or_default()
+    }
+
+    /// When it begins to move to a position, if it does. Positions mean nothing before homing.
+    fn moves(&self) -> Option<When> {
+        Some(match (self.family, self.sub) {
+            // Stops, and another profile for the motion that runs.
+            (0x01 | 0x02 | 0x09 | 0x0A, 0x7) | (0x01 | 0x09, 0xE | 0xF) => return None,
+            (0x01 | 0x02 | 0x09..=0x0F, 0xA..=0xD) => When::Trigger,
+            (0x04, 0x6 | 0x7 | 0xA | 0xC | 0xE | 0xF) => When::Trigger,
+            (0x01 | 0x02 | 0x09..=0x0F, 0x8) => When::AfterActual,
+            (0x01 | 0x02 | 0x04 | 0x09..=0x0F | 0x3A, _) | (0x03, 0x0..=0x5) => When::Now,
+            _ => return None,
+        })
+    }
+
+    /// What the controller holds from now on, if it starts another motion at once.
+    fn effort(&self) -> Option<Effort> {
+        let force = |milliamperes: i64| milliamperes as f64 / 1e3 * NEWTON_PER_AMPERE;
+        match (self.family, self.sub) {
+            (0x0C, 0x5..=0x7) => Some(Effort::Pressing(force(self.values()[3]))),
+            (0x39, 0x0) => Some(Effort::Current(force(self.values()[0]))),
+            (0x00, 0x9) | (0x01 | 0x02 | 0x09 | 0x0A, 0x7) | (0x39, 0xF) => Some(Effort::Position),
+            _ => self.moves().filter(|when| *when == When::Now).map(|_| Effort::Position),
+        }
+    }
+}
+
 impl Machine {
     /// Takes in a motion command block.
     pub(in super::super) fn command(&mut self, block: &MotionBlock, now: Time) -> Taken {
@@ -45,12 +102,12 @@ impl Machine {
         }
         // Stored even if the command is refused below.
         self.count = count;
-        let command = Decoded::of(block);
-        match command {
-            Decoded::NoOperation => return Taken::Done,
-            Decoded::ResetFirmware => return Taken::Restart,
-            Decoded::ControlWord(word) => {
-                self.set_control(ControlWord(word), now);
+        let command = Command::of(MotionCommand { id: block.header >> 4, parameters: block.parameters });
+        match (command.family, command.sub) {
+            (0x00, 0x0) => return Taken::Done,
+            (0x00, 0xF) => return Taken::Restart,
+            (0x00, 0x1) => {
+                self.set_control(ControlWord(command.values()[0] as u16), now);
                 return Taken::Done;
             }
             _ => {}
@@ -59,7 +116,7 @@ impl Machine {
             Mode::NotReady | Mode::SwitchOnDisabled | Mode::ReadyToSwitchOn | Mode::Error => {}
             Mode::Operating(Task::Commands) if self.settings.run_mode != RunMode::Other => {
                 self.shuttle = None;
-                if self.effort_of(&command).is_some() {
+                if command.effort().is_some() {
                     self.sequence = None;
                 }
                 if let Err(code) = self.execute(&command, now) {
@@ -72,11 +129,11 @@ impl Machine {
     }
 
     /// Runs a command in state 8, from the bus or from the command table.
-    pub(super) fn execute(&mut self, command: &Decoded, now: Time) -> Result<(), ErrorCode> {
-        if needs_home(command) && !self.homed {
+    pub(super) fn execute(&mut self, command: &Command, now: Time) -> Result<(), ErrorCode> {
+        if command.moves().is_some() && !self.homed {
             return Err(ErrorCode::NOT_HOMED);
         }
-        let effort = self.effort_of(command);
+        let effort = command.effort();
         if matches!((self.effort, effort), (Effort::Current(_), Some(Effort::Position | Effort::Pressing(_))))
         {
             // Position control takes over in mid-motion.
@@ -90,201 +147,199 @@ impl Machine {
         Ok(())
     }
 
-    fn dispatch(&mut self, command: &Decoded, now: Time) -> Result<(), ErrorCode> {
+    fn dispatch(&mut self, command: &Command, now: Time) -> Result<(), ErrorCode> {
         let actual = self.actual();
-        match *command {
-            Decoded::NoOperation => {}
-            Decoded::ControlWord(word) => self.set_control(ControlWord(word), now),
-            Decoded::LiveParameter { upid, value } => self.write_unheard(upid, value),
-            Decoded::ControllerSet(set) => self.write_unheard(upids::CONTROLLER_SET, set.into()),
-            // They have no target.
-            Decoded::Outputs { .. } => {}
-            Decoded::ClearEvents => self.setpoints.clear_events(),
-            Decoded::MasterHoming(position) => {
-                let position = f64::from(position) * METRE;
+        let [a, b, c, ..] = command.values();
+        match (command.family, command.sub) {
+            // The outputs of 003x and 004x have no target.
+            (0x00, 0x0 | 0x3 | 0x4) => {}
+            (0x00, 0x1) => self.set_control(ControlWord(a as u16), now),
+            (0x00, 0x2) => self.write_unanswered(a as u16, b as u32),
+            (0x00, 0x5) => self.write_unanswered(upids::CONTROLLER_SET, a as u32),
+            (0x00, 0x8) => self.setpoints.clear_events(),
+            (0x00, 0x9) => {
+                let position = a as f64 * METRE;
                 self.reference(position, position - self.plant.position());
             }
 
-            Decoded::Move(motion)
-            | Decoded::Press { motion, .. }
-            // There is no integrator to reset.
-            | Decoded::ResetIntegratorAndMove(motion) => {
-                let mut order = self.order(&motion)?;
-                if order.origin == Origin::Zero {
-                    order.value = self.place(order.value);
-                }
-                let from_rest = matches!(motion.shape, Shape::Sine | Shape::Bestehorn(_));
-                self.setpoints.take_move(order, motion.when, from_rest, actual);
+            (0x01, 0x7) => self.setpoints.stop(Some(a as u32)),
+            (0x02 | 0x0A, 0x7) => self.setpoints.stop(None),
+            (0x09, 0x7) => self.setpoints.stop(Some((a as u32).saturating_mul(self.settings.scale.3))),
+            (0x01 | 0x09, 0xE | 0xF) => {
+                let (step, limits) = self.profile(command);
+                self.setpoints.change_profile(command.sub == 0xE, a as f64 * step, limits);
             }
-            Decoded::StartTriggered { rising } => {
-                let order = if rising { self.settings.on_rise } else { self.settings.on_fall };
-                self.setpoints.take_move(order, When::Now, false, actual);
+            (0x02 | 0x0C, 0xE | 0xF) => {
+                let (_, Vad { velocity, acceleration, .. }) = self.profile(command);
+                let v = f64::from(velocity) * METRE_PER_S;
+                let v = if command.sub == 0xE { v } else { -v };
+                self.setpoints.run(v, f64::from(acceleration) * METRE_PER_S2);
             }
-            Decoded::Stop(deceleration) => self.setpoints.stop(deceleration),
-            Decoded::StopScaled(deceleration) => {
-                self.setpoints.stop(Some(u32::from(deceleration).saturating_mul(self.settings.scale.3)));
+            (0x0D, 0xE | 0xF) => {
+                let motion = if command.sub == 0xE { self.settings.on_rise } else { self.settings.on_fall };
+                self.setpoints.take_move(motion, When::Now, false, actual);
             }
-            Decoded::Run { positive, velocity, acceleration } => {
-                let Vad { velocity: v, acceleration: a, .. } = self.settings.predefined;
-                let v = f64::from(velocity.unwrap_or(v)) * METRE_PER_S;
-                let a = f64::from(acceleration.unwrap_or(a)) * METRE_PER_S2;
-                self.setpoints.run(if positive { v } else { -v }, a);
-            }
-            Decoded::ChangeProfile { positive, position, profile, scaled } => {
-                let (step, v, a, d) = self.scale(scaled);
-                let position = f64::from(position) * f64::from(step) * METRE;
-                let profile = Vad {
-                    velocity: profile.velocity.saturating_mul(v),
-                    acceleration: profile.acceleration.saturating_mul(a),
-                    deceleration: profile.deceleration.saturating_mul(d),
-                };
-                self.setpoints.change_profile(positive, position, profile);
+            (0x01 | 0x02 | 0x09..=0x0F | 0x3A, _) => {
+                let motion = self.motion(command)?;
+                // Sine and Bestehorn moves.
+                let from_rest = matches!(command.family, 0x0E | 0x0F);
+                self.setpoints.take_move(motion, command.moves().unwrap_or(When::Now), from_rest, actual);
             }
 
-            Decoded::Stream { command, position, velocity, acceleration } => {
+            (0x03, 0xF) => self.setpoints.end_stream(),
+            (0x03, _) => {
+                let id = command.family << 4 | command.sub;
+                let stream = StreamCommand::from_id(id).ok_or(ErrorCode::UNKNOWN_COMMAND)?;
                 let setpoint = Demand {
-                    position: self.place(f64::from(position) * METRE),
-                    velocity: f64::from(velocity) * METRE_PER_S,
-                    acceleration: f64::from(acceleration) * METRE_PER_S2,
+                    position: self.place(a as f64 * METRE),
+                    velocity: b as f64 * METRE_PER_S,
+                    acceleration: c as f64 * METRE_PER_S2,
                 };
-                self.setpoints.take_setpoint(command, now, setpoint, self.settings.stream_period_ns)?;
+                self.setpoints.take_setpoint(stream, now, setpoint, self.settings.stream_period_ns)?;
             }
-            Decoded::EndStream => self.setpoints.end_stream(),
 
-            Decoded::Curve(start) => self.start_curve(&start)?,
-            Decoded::ModifyCurve { curve, info, offset, values } => {
-                let (bytes, size) = bytes(values);
-                self.memory.curves.modify(curve, info, offset.into(), &bytes[..size])?;
+            (0x04, _) => self.start_curve(command)?,
+            (0x05, 0x1..) => {
+                self.memory.curves.modify(a as u16, command.sub < 4, b as usize, command.written())?;
             }
-            Decoded::TableEntry { entry, when: When::Trigger { .. } } => {
-                self.memory.table.get(entry).ok_or(ErrorCode::ENTRY_MISSING)?;
+            (0x20, 0x0) => self.start_table(a as u16)?,
+            (0x20, 0x1 | 0x2) => {
+                self.memory.table.get(a as u16).ok_or(ErrorCode::ENTRY_MISSING)?;
                 self.setpoints.arm_trigger();
             }
-            Decoded::TableEntry { entry, .. } => self.start_table(entry)?,
-            Decoded::ModifyEntry { entry, offset, value } => {
-                let (bytes, size) = bytes(value);
-                self.memory.table.modify(entry, offset.into(), &bytes[..size])?;
-            }
+            (0x20, _) => self.memory.table.modify(a as u16, b as usize, command.written())?,
+            (0x39, 0x0) => self.setpoints.follow(actual),
+            (0x39, _) => self.setpoints.stop(None),
 
-            Decoded::CurrentMode(_) => self.setpoints.follow(actual),
-            Decoded::PositionMode => self.setpoints.stop(None),
-
-            // Effective in the command table only, which takes these before they come here.
-            Decoded::Wait(_)
-            | Decoded::If { .. }
-            | Decoded::Variable { .. }
-            | Decoded::VariableToUpid { .. }
-            | Decoded::UpidToVariable { .. }
-            | Decoded::UpidToRom(_)
-            // A table that restarts the firmware would never end.
-            | Decoded::ResetFirmware
-            | Decoded::Indexing { .. }
-            | Decoded::StreamStamped { .. }
-            | Decoded::CurveAddress { .. }
-            | Decoded::DelayedCam { .. }
-            | Decoded::EnableCams(_)
-            | Decoded::GoToSync
-            | Decoded::EncoderCounts(_)
-            | Decoded::Cam { .. }
-            | Decoded::EnableCam { .. }
-            | Decoded::ScaleCam { .. }
-            | Decoded::Winding { .. }
-            | Decoded::Force { .. }
-            | Decoded::ForceTarget(_)
-            | Decoded::Unknown => return Err(ErrorCode::UNKNOWN_COMMAND),
+            // Waits, branches and variables have an effect in the command table only, which takes them before they
+            // come here; and a table that restarts the firmware would never end.
+            _ => return Err(ErrorCode::UNKNOWN_COMMAND),
         }
         Ok(())
     }
 
     /// A write that is not allowed is dropped without notice: such a command has no answer.
-    pub(super) fn write_unheard(&mut self, upid: u16, value: u32) {
+    pub(super) fn write_unanswered(&mut self, upid: u16, value: u32) {
         let _ = self.write(upid, value);
     }
 
-    /// What the controller holds from now on, if the command starts another motion at once.
-    fn effort_of(&self, command: &Decoded) -> Option<Effort> {
-        let force = |milliamperes: f64| milliamperes / 1e3 * NEWTON_PER_AMPERE;
-        Some(match *command {
-            Decoded::Press { current, .. } => Effort::Pressing(force(current.into())),
-            Decoded::CurrentMode(current) => Effort::Current(force(current.into())),
-            Decoded::Move(Move { when: When::Now, .. })
-            | Decoded::Curve(CurveStart { when: When::Now, .. })
-            | Decoded::ResetIntegratorAndMove(_)
-            | Decoded::StartTriggered { .. }
-            | Decoded::Stop(_)
-            | Decoded::StopScaled(_)
-            | Decoded::Run { .. }
-            | Decoded::Stream { .. }
-            | Decoded::PositionMode
-            | Decoded::MasterHoming(_) => Effort::Position,
-            _ => return None,
-        })
-    }
-
     /// A move in the drive's own terms.
-    fn order(&self, motion: &Move) -> Result<Order, ErrorCode> {
-        let (value, origin) = match motion.origin {
-            Origin::Analog => return Err(ErrorCode::UNKNOWN_COMMAND),
-            Origin::Variable(variable) => (self.variable(variable), Origin::Zero),
-            // Nothing has ever been captured: the captured position is 0.
-            Origin::Captured => (motion.value, Origin::Zero),
-            origin => (motion.value, origin),
+    fn motion(&self, command: &Command) -> Result<Move, ErrorCode> {
+        let (origin, start) = match (command.family, command.sub) {
+            // Pressing. Captured positions, which are 0 since nothing has ever been captured, and variables.
+            (0x0C, 0x5) | (0x0D, 0x0..=0x5) => (Origin::Zero, Start::Demand),
+            (0x0C, 0x6) | (0x0D, 0x6 | 0x7) => (Origin::Zero, Start::Actual),
+            (0x0C, 0x7) => (Origin::Zero, Start::Standstill),
+            (0x0D, _) => (Origin::Actual, Start::Actual),
+            // It has no analog input.
+            (_, 0x9) => return Err(ErrorCode::UNKNOWN_COMMAND),
+            (_, 0x1) | (0x0E | 0x0F, 0xB | 0xD) => (Origin::Demand, Start::Demand),
+            (_, 0x2 | 0xB | 0xD) => (Origin::Target, Start::Demand),
+            (_, 0x3) => (Origin::Zero, Start::Actual),
+            (_, 0x4) => (Origin::Zero, Start::Standstill),
+            (_, 0x5) => (Origin::Actual, Start::Actual),
+            (_, 0x6) => (Origin::Actual, Start::Standstill),
+            _ => (Origin::Zero, Start::Demand),
         };
-        let (step, v, a, d) = self.scale(motion.scaled);
+        let value = match (command.family, command.sub) {
+            (0x0D, 0x4..=0x7) => self.variable(1 + command.sub % 2).into(),
+            _ => command.fields_of([Kind::Position, Kind::ScaledPosition]).next().unwrap_or(0),
+        };
+        let (step, limits) = self.profile(command);
+        let value = value as f64 * step;
+        let value = if origin == Origin::Zero { self.place(value) } else { value };
+        Ok(Move { value, origin, start, limits })
+    }
+
+    /// What a step of its position is, m, and its limits. It may have a velocity, and none, one or two accelerations; a
+    /// single one is the deceleration too. What it does not have is the drive's own.
+    fn profile(&self, command: &Command) -> (f64, Vad) {
+        let is_scaled = command.fields_of([Kind::ScaledPosition; 2]).next().is_some();
+        let (step, v, a, d) = if is_scaled { self.settings.scale } else { (1, 1, 1, 1) };
         let own = self.settings.predefined;
-        let limits = Vad {
-            velocity: motion.velocity.map_or(own.velocity, |velocity| velocity.saturating_mul(v)),
-            acceleration: motion.acceleration.map_or(own.acceleration, |given| given.saturating_mul(a)),
-            deceleration: motion.deceleration.map_or(own.deceleration, |given| given.saturating_mul(d)),
+        let given = |value: Option<i64>, scale: u32, own: u32| {
+            value.map_or(own, |value| (value as u32).saturating_mul(scale))
         };
-        let value = f64::from(value) * f64::from(step) * METRE;
-        Ok(Order { value, origin, start: motion.start, limits })
+        let velocity = command.fields_of([Kind::Velocity, Kind::ScaledVelocity]).next();
+        let mut ramps = command.fields_of([Kind::Acceleration, Kind::ScaledAcceleration]);
+        let acceleration = ramps.next();
+        let limits = Vad {
+            velocity: given(velocity, v, own.velocity),
+            acceleration: given(acceleration, a, own.acceleration),
+            deceleration: given(ramps.next().or(acceleration), d, own.deceleration),
+        };
+        (f64::from(step) * METRE, limits)
     }
 
-    /// What a step of position, velocity, acceleration and deceleration is in wire counts.
-    fn scale(&self, scaled: bool) -> (u32, u32, u32, u32) {
-        if scaled { self.settings.scale } else { (1, 1, 1, 1) }
-    }
-
-    fn start_curve(&mut self, start: &CurveStart) -> Result<(), ErrorCode> {
-        let curve = self.memory.curves.time_curve(start.curve).ok_or(ErrorCode::CURVE_NOT_DEFINED)?;
-        let from = if start.from_actual { self.actual() } else { self.setpoints.demand() };
-        let course = TimeCurve::new(curve, start, from.position)?;
-        match start.when {
-            When::Trigger { .. } => self.setpoints.arm_trigger(),
-            When::Now | When::AfterActual => self.setpoints.play(course),
+    fn start_curve(&mut self, command: &Command) -> Result<(), ErrorCode> {
+        let [id, settings @ ..] = command.values();
+        let curve = self.memory.curves.time_curve(id as u16).ok_or(ErrorCode::CURVE_NOT_DEFINED)?;
+        let from = if command.sub == 0x1 { self.actual() } else { self.setpoints.demand() };
+        let course = TimeCurve::new(curve, command.sub, settings, from.position)?;
+        match command.moves() {
+            Some(When::Trigger) => self.setpoints.arm_trigger(),
+            _ => self.setpoints.play(course),
         }
         Ok(())
     }
 }
 
-/// Positions mean nothing before homing.
-fn needs_home(command: &Decoded) -> bool {
-    matches!(
-        command,
-        Decoded::Move(_)
-            | Decoded::Press { .. }
-            | Decoded::ResetIntegratorAndMove(_)
-            | Decoded::StartTriggered { .. }
-            | Decoded::Run { .. }
-            | Decoded::Stream { .. }
-            | Decoded::Curve(_)
-    )
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bus::linudp::plan::SimPlan;
 
-/// The data written into a curve or an entry, and their length in bytes.
-fn bytes(written: Written) -> ([u8; 12], usize) {
-    let mut bytes = [0; 12];
-    let mut size = 0;
-    let mut put = |value: &[u8]| {
-        bytes[size..size + value.len()].copy_from_slice(value);
-        size += value.len();
-    };
-    match written {
-        Written::Short(value) => put(&value.to_le_bytes()),
-        Written::One(value) => put(&value.to_le_bytes()),
-        Written::Two(values) => values.iter().for_each(|value| put(&value.to_le_bytes())),
-        Written::Three(values) => values.iter().for_each(|value| put(&value.to_le_bytes())),
+    #[test]
+    fn the_families_of_moves_differ_as_the_manual_says() {
+        use {Origin as O, Start as S, When as W};
+        let machine = Machine::new(&SimPlan::default());
+        let mut parameters = [0; 30];
+        for (at, value) in [(0, 5_i32), (4, 1_000), (8, 2_000), (12, 3_000)] {
+            parameters[at..at + 4].copy_from_slice(&value.to_le_bytes());
+        }
+        let (own, given) = (machine.settings.predefined, (1_000, 2_000, 3_000));
+        let own = (own.velocity, own.acceleration, own.deceleration);
+        for (id, origin, start, when, limits) in [
+            (0x010, O::Zero, S::Demand, W::Now, given),
+            (0x011, O::Demand, S::Demand, W::Now, given),
+            (0x012, O::Target, S::Demand, W::Now, given),
+            (0x013, O::Zero, S::Actual, W::Now, given),
+            (0x014, O::Zero, S::Standstill, W::Now, given),
+            (0x015, O::Actual, S::Actual, W::Now, given),
+            (0x016, O::Actual, S::Standstill, W::Now, given),
+            (0x018, O::Zero, S::Demand, W::AfterActual, given),
+            (0x01C, O::Zero, S::Demand, W::Trigger, given),
+            (0x01D, O::Target, S::Demand, W::Trigger, given),
+            (0x020, O::Zero, S::Demand, W::Now, own),
+            (0x0B0, O::Zero, S::Demand, W::Now, (1_000, own.1, own.2)),
+            (0x0C0, O::Zero, S::Demand, W::Now, (1_000, 2_000, 2_000)),
+            (0x0C5, O::Zero, S::Demand, W::Now, (1_000, 2_000, 2_000)),
+            (0x0C6, O::Zero, S::Actual, W::Now, (1_000, 2_000, 2_000)),
+            (0x0C7, O::Zero, S::Standstill, W::Now, (1_000, 2_000, 2_000)),
+            (0x0D0, O::Zero, S::Demand, W::Now, given),
+            (0x0D9, O::Actual, S::Actual, W::Now, given),
+            (0x0E6, O::Actual, S::Standstill, W::Now, (1_000, 2_000, 2_000)),
+            (0x0EB, O::Demand, S::Demand, W::Trigger, (1_000, 2_000, 2_000)),
+            (0x0F0, O::Zero, S::Demand, W::Now, (1_000, 2_000, 2_000)),
+            (0x3A1, O::Demand, S::Demand, W::Now, given),
+        ] {
+            let command = Command::of(MotionCommand { id, parameters });
+            let motion = machine.motion(&command).unwrap();
+            let Vad { velocity, acceleration, deceleration } = motion.limits;
+            assert_eq!(
+                (motion.origin, motion.start, command.moves()),
+                (origin, start, Some(when)),
+                "{id:03X}"
+            );
+            assert_eq!((velocity, acceleration, deceleration), limits, "{id:03X}");
+            assert!((motion.value - 5.0 * METRE).abs() < 1e-12, "{id:03X}");
+        }
+        for analog in [0x019, 0x0E9, 0x0F9] {
+            let command = Command::of(MotionCommand { id: analog, parameters });
+            assert_eq!(machine.motion(&command).err(), Some(ErrorCode::UNKNOWN_COMMAND));
+        }
+        for other in [0x017, 0x01E, 0x03F, 0x07E, 0x390, 0x025, 0xFFF] {
+            assert_eq!(Command::of(MotionCommand { id: other, parameters }).moves(), None, "{other:03X}");
+        }
     }
-    (bytes, size)
 }

@@ -13,8 +13,8 @@
 use super::super::motion::{METRE, METRE_PER_S};
 use super::super::parameters::allowed;
 use super::super::upids;
+use super::commands::Command;
 use super::{Machine, Mode, RunMode, Task, counts};
-use crate::bus::linudp::motion::{Comparison, Condition, Decoded, Quantity, Wait, When, Word};
 use crate::bus::linudp::upid::Usage;
 use crate::bus::linudp::wire::ErrorCode;
 use crate::time::{Time, US};
@@ -32,18 +32,8 @@ const WAIT_NS: u64 = 100 * US;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Sequence {
     entry: u16,
-    /// For what its command waits; `None`: it is still to run.
-    waiting: Option<Waiting>,
-}
-
-#[derive(Clone, Copy, Debug)]
-enum Waiting {
-    Until(Time),
-    MotionFinished,
-    InTarget,
-    /// An input that never changes.
-    Trigger,
-    Comparison(Comparison),
+    /// The command that waits, and until when if it waits for a time; `None`: it is still to run.
+    waiting: Option<(Command, Time)>,
 }
 
 impl Machine {
@@ -83,23 +73,35 @@ impl Machine {
     fn run_entry(&mut self, sequence: Sequence, now: Time) -> Result<bool, ErrorCode> {
         // It may have been deleted meanwhile.
         let entry = *self.memory.table.get(sequence.entry).ok_or(ErrorCode::ENTRY_MISSING)?;
-        let next = if let Some(waiting) = sequence.waiting {
-            if !self.is_over(waiting, now)? {
+        let command = Command::of(entry.command());
+        let [a, b, c, d, _] = command.values();
+        let next = if let Some((wait, until)) = sequence.waiting {
+            if !self.is_over(&wait, until, now)? {
                 return Ok(false);
             }
             entry.next
         } else {
-            match Decoded::of(&entry.command().block(0)) {
-                Decoded::Wait(wait) => {
-                    let waiting = Some(self.waiting(wait, now));
+            match (command.family, command.sub) {
+                (0x21 | 0x22, sub) => {
+                    let is_variable = matches!(sub, 0x8 | 0x9);
+                    let time = if is_variable { self.variable(1 + sub % 2).into() } else { a };
+                    let waiting = Some((command, now + u64::try_from(time).unwrap_or(0) * WAIT_NS));
                     self.sequence = Some(Sequence { waiting, ..sequence });
                     return Ok(true);
                 }
-                Decoded::If { condition, if_true, if_false } => {
-                    Some(if self.holds(condition)? { if_true } else { if_false })
+                (0x26, 0x2..=0x5) => {
+                    // The inputs X4 and X6 are low.
+                    let word = match command.sub {
+                        0x4 => self.status().0,
+                        0x5 => self.warn().0,
+                        _ => 0,
+                    };
+                    let holds = (i64::from(word) ^ b) & a == 0;
+                    Some(if holds { c } else { d } as u16)
                 }
-                Decoded::TableEntry { entry, when: When::Now } => Some(entry),
-                command => {
+                (0x25 | 0x26, _) => Some(if self.compares(&command)? { b } else { c } as u16),
+                (0x20, 0x0) => Some(a as u16),
+                _ => {
                     if !self.compute(&command) {
                         self.execute(&command, now)?;
                     }
@@ -116,23 +118,24 @@ impl Machine {
     }
 
     /// The commands that work with variables; false if it is another one.
-    fn compute(&mut self, command: &Decoded) -> bool {
-        match *command {
-            Decoded::Variable { variable, add, value } => {
-                let before = if add { self.variable(variable) } else { 0 };
-                self.set_variable(variable, before.wrapping_add(value));
+    fn compute(&mut self, command: &Command) -> bool {
+        let [value, ..] = command.values();
+        let upid = value as u16;
+        match (command.family, command.sub) {
+            (0x24, sub @ 0x0..=0x3) => {
+                let variable = 1 + sub / 2;
+                let before = if sub % 2 == 1 { self.variable(variable) } else { 0 };
+                self.set_variable(variable, before.wrapping_add(value as i32));
             }
-            Decoded::VariableToUpid { variable, upid } => {
-                self.write_unheard(upid, self.variable(variable) as u32);
-            }
-            Decoded::UpidToVariable { variable, upid } => {
+            (0x24, sub @ (0x8 | 0x9)) => self.write_unanswered(upid, self.variable(1 + sub % 2) as u32),
+            (0x24, sub @ (0xC | 0xD)) => {
                 if let Ok(index) = allowed(upid, Usage::RAM_READ) {
                     // The number itself, with its sign: a variable has 32 bits. The upper half of u32 wraps.
-                    self.set_variable(variable, self.number(index) as i32);
+                    self.set_variable(1 + sub % 2, self.number(index) as i32);
                 }
             }
             // Listed and not described: its name is taken as its meaning. It takes no time here.
-            Decoded::UpidToRom(upid) => {
+            (0x24, _) => {
                 if let Ok(index) = allowed(upid, Usage::RAM_READ) {
                     let value = self.read(index);
                     let _ = self.memory.parameters.write_rom(upid, value);
@@ -144,75 +147,45 @@ impl Machine {
     }
 
     /// Variable 1 or 2.
-    pub(super) fn variable(&self, variable: u8) -> i32 {
-        self.memory.parameters.used(variable_upid(variable)) as i32
+    pub(super) fn variable(&self, variable: u16) -> i32 {
+        self.memory.parameters.used(upids::VARIABLE_1 + variable - 1) as i32
     }
 
-    fn set_variable(&mut self, variable: u8, value: i32) {
-        self.write_unheard(variable_upid(variable), value as u32);
+    fn set_variable(&mut self, variable: u16, value: i32) {
+        self.write_unanswered(upids::VARIABLE_1 + variable - 1, value as u32);
     }
 
-    fn waiting(&self, wait: Wait, now: Time) -> Waiting {
-        match wait {
-            Wait::Time(time) => Waiting::Until(now + u64::from(time) * WAIT_NS),
-            Wait::Variable(variable) => {
-                let time = u64::try_from(self.variable(variable)).unwrap_or(0);
-                Waiting::Until(now + time * WAIT_NS)
-            }
-            Wait::MotionFinished => Waiting::MotionFinished,
-            Wait::InTarget => Waiting::InTarget,
-            Wait::Trigger { .. } => Waiting::Trigger,
-            Wait::Until(comparison) => Waiting::Comparison(comparison),
-        }
-    }
-
-    fn is_over(&self, waiting: Waiting, now: Time) -> Result<bool, ErrorCode> {
-        Ok(match waiting {
-            Waiting::Until(time) => now >= time,
-            Waiting::MotionFinished => !self.setpoints.is_moving(),
-            Waiting::InTarget => self.in_target(),
-            Waiting::Trigger => false,
-            Waiting::Comparison(comparison) => self.compares(comparison)?,
+    fn is_over(&self, wait: &Command, until: Time, now: Time) -> Result<bool, ErrorCode> {
+        Ok(match (wait.family, wait.sub) {
+            (0x21, 0x1) => !self.setpoints.is_moving(),
+            (0x21, 0x2) => self.in_target(),
+            // An input that never changes.
+            (0x21, 0x3 | 0x4) => false,
+            (0x21, _) => now >= until,
+            _ => self.compares(wait)?,
         })
     }
 
-    fn holds(&self, condition: Condition) -> Result<bool, ErrorCode> {
-        match condition {
-            Condition::Compare(comparison) => self.compares(comparison),
-            Condition::Masked { word, mask, value } => {
-                let word = match word {
-                    Word::X4Inputs | Word::X6Inputs => 0,
-                    Word::Status => self.status().0,
-                    Word::Warn => self.warn().0,
-                };
-                Ok(word & mask == value & mask)
-            }
-            Condition::Unknown(_) => Err(ErrorCode::UNKNOWN_COMMAND),
-        }
-    }
-
-    fn compares(&self, comparison: Comparison) -> Result<bool, ErrorCode> {
+    /// Whether a quantity of the drive is above or below the limit of a wait, 22xx, or of a branch, 25xx and 26xx.
+    fn compares(&self, command: &Command) -> Result<bool, ErrorCode> {
         let demand = self.setpoints.demand();
         let actual = self.actual();
         let position = |value: f64| i64::from(counts(value, METRE));
         let velocity = |value: f64| i64::from(counts(value, METRE_PER_S));
-        let value = match comparison.quantity {
-            Quantity::DemandPosition => position(demand.position),
-            Quantity::ActualPosition => position(actual.position),
-            Quantity::Difference => position(demand.position - actual.position),
-            Quantity::UnsignedDifference => position(demand.position - actual.position).abs(),
-            Quantity::DemandVelocity => velocity(demand.velocity),
-            Quantity::ActualVelocity => velocity(actual.velocity),
-            Quantity::Current => self.current().into(),
-            Quantity::Variable(variable) => self.variable(variable).into(),
-            // None is wired.
-            Quantity::AnalogInput => return Err(ErrorCode::UNKNOWN_COMMAND),
+        let value = match (command.family, command.sub / 2) {
+            (0x25, variable @ (0 | 1)) => self.variable(1 + variable).into(),
+            (0x22, 0) | (0x25, 4) => position(demand.position),
+            (0x22, 1) | (0x25, 5) => position(actual.position),
+            (0x22, 2) | (0x25, 6) => position(demand.position - actual.position),
+            (0x22, 3) => position(demand.position - actual.position).abs(),
+            (0x22, 4) => velocity(demand.velocity),
+            (0x22, 5) => velocity(actual.velocity),
+            (0x22 | 0x25, _) => self.current().into(),
+            // The analog input, of which none is wired, and 266x, of which the sources do not say what it compares.
+            _ => return Err(ErrorCode::UNKNOWN_COMMAND),
         };
-        let limit = i64::from(comparison.limit);
-        Ok(if comparison.greater { value > limit } else { value < limit })
+        let [limit, ..] = command.values();
+        let is_greater = (command.sub % 2 == 1) == (command.family == 0x25);
+        Ok(if is_greater { value > limit } else { value < limit })
     }
-}
-
-fn variable_upid(variable: u8) -> u16 {
-    if variable == 1 { upids::VARIABLE_1 } else { upids::VARIABLE_2 }
 }

@@ -1,9 +1,8 @@
 //! The values that the software takes from the parameters: read once after each change, not in every step.
 
-use super::super::motion::{METRE, Order};
+use super::super::motion::{METRE, Move, Origin, Start, Vad};
 use super::super::parameters::Parameters;
 use super::super::upids;
-use crate::bus::linudp::motion::{Origin, Start, Vad};
 use crate::time::US;
 
 /// How the drive is run (UPID 1450h).
@@ -33,8 +32,8 @@ pub(in super::super) struct Settings {
     /// Steps of the 16-bit commands: position, velocity, acceleration, deceleration, in wire counts.
     pub scale: (u32, u32, u32, u32),
     /// The moves that belong to the edges of the trigger.
-    pub on_rise: Order,
-    pub on_fall: Order,
+    pub on_rise: Move,
+    pub on_fall: Move,
     pub stream_period_ns: u64,
     /// The indices of the parameters that the monitoring channels report.
     pub monitored: [Option<usize>; 4],
@@ -53,7 +52,7 @@ impl Settings {
             deceleration: unsigned(first + 2),
         };
         // And behind a position.
-        let triggered = |first: u16| Order {
+        let triggered = |first: u16| Move {
             value: metres(first),
             origin: Origin::Zero,
             start: Start::Demand,

@@ -9,9 +9,10 @@ mod states;
 mod stream;
 mod telegram;
 
+use super::motion::Vad;
 use super::*;
 use crate::axis::{AxisPlan, Units};
-use crate::bus::linudp::motion::{Acceleration, Bits, MotionCommand, Position, Raw, Upid, Vad, Velocity};
+use crate::bus::linudp::motion::{Acceleration, Bits, MotionCommand, Position, Raw, Upid, Velocity};
 use crate::bus::linudp::plan::{DRIVE_PORT, MonitorPlan, ReplyTag, SimPlan, StreamCommand};
 use crate::bus::linudp::wire::{
     ControlWord, MainState, MotionBlock, Refusal, ResponseDef, RtcBlock, RtcCommand, RtcStatus,

@@ -355,7 +355,7 @@ fn stopped_software_shows_zeros_takes_nothing_and_forgets_home() {
     // Bit 0 is still set from the master's side: locked until it was low.
     let response = bench.exchange(None);
     assert_eq!(response.state, Some(StateVar(0)));
-    assert!(response.status.unwrap().switch_on_locked() && !response.status.unwrap().homed());
+    assert!(response.status.unwrap().has(StatusWord::SWITCH_ON_LOCKED) && !response.status.unwrap().homed());
     bench.enable();
     assert_eq!(bench.count, 0);
     assert_eq!(bench.exchange(None).actual, Some(stood));

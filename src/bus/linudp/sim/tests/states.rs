@@ -29,9 +29,9 @@ fn switching_on_is_locked_until_bit_0_was_low() {
     for _ in 0..10 {
         assert_eq!(bench.state(ControlWord::ON).main(), MainState::NOT_READY);
     }
-    assert!(bench.exchange(None).status.unwrap().switch_on_locked());
+    assert!(bench.exchange(None).status.unwrap().has(StatusWord::SWITCH_ON_LOCKED));
     assert_eq!(bench.state(ControlWord::BASE).main(), MainState::SWITCH_ON_DISABLED);
-    assert!(!bench.exchange(None).status.unwrap().switch_on_locked());
+    assert!(!bench.exchange(None).status.unwrap().has(StatusWord::SWITCH_ON_LOCKED));
 }
 
 #[test]
@@ -45,7 +45,7 @@ fn an_error_is_acknowledged_by_an_edge_and_ends_in_state_0() {
     bench.now = bench.now + S;
     let response = bench.exchange(None);
     assert_eq!(response.state.unwrap().main(), MainState::NOT_READY);
-    assert!(response.status.unwrap().switch_on_locked() && !response.status.unwrap().error());
+    assert!(response.status.unwrap().has(StatusWord::SWITCH_ON_LOCKED) && !response.status.unwrap().error());
     assert_eq!(response.error, Some(ErrorCode::NONE));
     bench.enable();
     // A level is no edge: bit 7 set before the error does nothing.

@@ -1,6 +1,5 @@
-//! Telegrams as they should not be, filters, padding, real-time config, restarts, and arbitrary bytes.
-
-use proptest::prelude::*;
+//! Telegrams as they should not be, filters, padding, real-time config, restarts. Arbitrary bytes and what a careless
+//! master sends are those of the fuzz target `drive`.
 
 use super::*;
 use crate::bus::linudp::wire::{RequestDef, RtcBlock, RtcCommand, RtcStatus};
@@ -229,78 +228,4 @@ fn a_long_silence_costs_a_bounded_number_of_steps() {
     // Time that goes backwards is no time.
     bench.now = Time(0);
     assert!(bench.raw(MASTER, &STATUS).is_some());
-}
-
-/// What a careless master does in one exchange.
-fn exchange() -> impl Strategy<Value = (u64, Option<u16>, Option<MotionBlock>, Option<RtcBlock>)> {
-    let wait = prop_oneof![4 => 0..5 * MS, 1 => 0..2 * S];
-    let control = prop_oneof![
-        4 => Just(ControlWord::ON.0),
-        2 => Just(ControlWord::BASE.0),
-        1 => Just(ControlWord::HOME.0),
-        1 => Just(ControlWord::ACKNOWLEDGE.0),
-        1 => any::<u16>(),
-    ];
-    let id = prop_oneof![Just(0x01_u16), Just(0x02), Just(0x03), Just(0x0C), Just(0x0E), 0..0x40_u16];
-    let motion = (id, 0..256_u16, any::<[u8; 30]>())
-        .prop_map(|(id, sub, parameters)| MotionBlock { header: id << 8 | sub, parameters });
-    let code = prop_oneof![3 => prop::sample::select(RtcCommand::ALL).prop_map(|c| c.0), 1 => any::<u8>()];
-    let index = prop_oneof![Just(1_u16), Just(0x1450), Just(0x20A8), any::<u16>()];
-    let word = || prop_oneof![Just(64_u16), Just(70), Just(8), any::<u16>()];
-    let config = (any::<u8>(), code, index, word(), word())
-        .prop_map(|(tag, code, index, low, high)| RtcBlock { tag, code, words: [index, low, high] });
-    (wait, proptest::option::of(control), proptest::option::of(motion), proptest::option::of(config))
-}
-
-proptest! {
-    #[test]
-    fn no_bytes_make_the_drive_panic(datagrams in proptest::collection::vec(
-        proptest::collection::vec(any::<u8>(), 0..70), 0..20,
-    )) {
-        let mut bench = Bench::new(|plan| plan.start_running = true);
-        for bytes in datagrams {
-            bench.now = bench.now + MS;
-            bench.raw(MASTER, &bytes);
-        }
-    }
-
-    #[test]
-    fn no_careless_master_gets_an_inconsistent_answer(exchanges in proptest::collection::vec(exchange(), 1..120)) {
-        let mut bench = Bench::homed();
-        for (wait_ns, control, motion, config) in exchanges {
-            bench.now = bench.now + wait_ns;
-            let request = Request {
-                response_def: ResponseDef(0x1FF),
-                control: control.map(ControlWord),
-                motion,
-                config,
-                ..Request::default()
-            };
-            let mut bytes = [0; 64];
-            let size = request.emit(&mut bytes);
-            // Silent while it starts anew or writes into its flash.
-            let Some(reply) = bench.raw(MASTER, &bytes[..size]) else { continue };
-            let response = Response::parse(&reply).unwrap();
-            let (status, state) = (response.status.unwrap(), response.state.unwrap());
-            if status.0 == 0 {
-                prop_assert_eq!(state.0, 0);
-                continue;
-            }
-            prop_assert_eq!(status.operation_enabled(), state.main() >= MainState::OPERATION_ENABLED);
-            // The handshake of the state variable says what the status word says.
-            if state.main() == MainState::OPERATION_ENABLED {
-                prop_assert_eq!(state.motion_active(), Some(status.motion_active()));
-                prop_assert_eq!(state.in_target(), Some(status.in_target()));
-                prop_assert_eq!(state.homed(), Some(status.homed()));
-                prop_assert!(!status.error());
-            }
-            prop_assert_eq!(state.main() == MainState::ERROR, status.error() && !status.operation_enabled());
-            prop_assert_eq!(status.error(), response.error.unwrap() != ErrorCode::NONE);
-            prop_assert_eq!(status.warning(), response.warn.unwrap().0 != 0);
-            prop_assert!(!(status.in_target() && status.motion_active()));
-            if let Some(config) = config {
-                prop_assert_eq!(response.config.unwrap().count(), config.count());
-            }
-        }
-    }
 }

@@ -111,7 +111,7 @@ fn no_registers_and_half_a_parameter_are_exception_02() {
     }
     let data = words(&[1, 2, 3]);
     assert_eq!(bench.exception(&Request::Write { address: 0x47E4, data: data.registers() }), ADDRESS);
-    assert_eq!(bench.exception(&Request::Write { address: 0x47E4, data: Registers::EMPTY }), ADDRESS);
+    assert_eq!(bench.exception(&Request::Write { address: 0x47E4, data: Registers::default() }), ADDRESS);
     assert_eq!(bench.read(APPLICATION), 0);
 }
 

@@ -197,7 +197,7 @@ fn the_modbus_timeout_trips_when_nothing_is_heard() {
     }
     bench.wait(100 * MS);
     assert_eq!(bench.trip(), (252, true));
-    // The request that told it armed it again.
+    // The request that showed it armed it again.
     bench.write(TIMEOUT, 0);
     reset(&mut bench);
     bench.wait(60 * S);

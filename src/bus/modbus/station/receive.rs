@@ -1,4 +1,6 @@
 //! Received bytes: which request they belong to, their faults, and the drive's report in them.
+//!
+//! A reply that is exactly the expected one is recognised at once. All others take the long way.
 
 use super::{Blocks, End, ROOM, Station, What, Why, used};
 use crate::bus::modbus::counters::Own;
@@ -9,7 +11,7 @@ use crate::bus::modbus::native::NativePort;
 use crate::bus::modbus::pace::Pace;
 use crate::bus::modbus::parameter::{DRIVE_UNIT, Parameter, Width};
 use crate::bus::modbus::setup::Purpose;
-use crate::bus::modbus::wire::{ExceptionCode, Header, Registers, Response, ResponseError, frame};
+use crate::bus::modbus::wire::{ExceptionCode, Header, Registers, Response, ResponseError, frame, function};
 use crate::bus::modbus::words::{ControlWord, StatusWord};
 use crate::bus::{Exchange, Slot};
 use crate::time::{S, Time};
@@ -20,26 +22,78 @@ const DARK_NS: u64 = S;
 
 const GARBAGE: Why = "the received bytes are not Modbus";
 
+/// The reply to a request with function 23 when nothing is wrong: all of it but its values, which are copied to an
+/// image.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Expected {
+    /// The length of the whole message; 0: none is expected.
+    size: usize,
+    /// Its first eight bytes, the first one highest.
+    header: u64,
+    /// Its count of value bytes.
+    bytes: u8,
+    /// The indices of the values.
+    pub places: Places,
+}
+
+impl Expected {
+    /// The bytes before the values: header, function, number of bytes.
+    const FRONT: usize = 9;
+
+    /// The reply to a request that reads `block`, whatever its id. There is none for a block longer than a message,
+    /// nor for one that has to be sorted.
+    pub(super) fn new(block: &Block, unit: u8) -> Expected {
+        let bytes = block.registers.checked_mul(2).and_then(|bytes| u8::try_from(bytes).ok());
+        let Some(bytes) = bytes.filter(|_| block.in_order) else {
+            return Expected::default();
+        };
+        // Unit, function and number of bytes are counted, too.
+        let [high, low] = (u16::from(bytes) + 3).to_be_bytes();
+        let header = u64::from_be_bytes([0, 0, 0, 0, high, low, unit, function::READ_WRITE]);
+        Expected { size: Self::FRONT + usize::from(bytes), header, bytes, places: block.places }
+    }
+
+    /// The reply to the request with this id.
+    #[inline]
+    pub(super) fn to(self, transaction: u16) -> Expected {
+        Expected { header: self.header | u64::from(transaction) << 48, ..self }
+    }
+
+    /// Its values, if `bytes` are all of it and nothing else.
+    #[inline]
+    pub(super) fn values(self, bytes: &[u8]) -> Option<Registers<'_>> {
+        if bytes.len() != self.size {
+            return None;
+        }
+        let (front, values) = bytes.split_first_chunk::<{ Self::FRONT }>()?;
+        let [header @ .., count] = *front;
+        if u64::from_be_bytes(header) != self.header || count != self.bytes {
+            return None;
+        }
+        Registers::new(values)
+    }
+}
+
 impl Station {
     /// The room for what arrives.
     pub fn room(&mut self) -> &mut [u8] {
-        &mut self.inbox[self.filled..]
+        &mut self.inbox[self.conn.filled..]
     }
 
     /// So many bytes have arrived in it. An error: the connection has to be given up.
     pub fn take(&mut self, at: Time, count: usize, slot: &mut Slot) -> Result<(), Why> {
-        self.filled = (self.filled + count).min(ROOM);
-        if let What::Cyclic(blocks) = self.asked
+        self.conn.filled = (self.conn.filled + count).min(ROOM);
+        if let What::Cyclic(blocks) = self.requested
             && self.identity.is_open()
-            && let Some(data) = self.expected.values(&self.inbox[..self.filled])
+            && let Some(data) = self.conn.expected.values(&self.inbox[..self.conn.filled])
         {
             self.identity.answer_open();
             self.functions.answered(blocks.registers);
             if close(&mut self.pace, at, slot) {
-                self.image.set_front(data);
-                self.cyclic_read(at, blocks, self.expected.places, slot);
+                self.conn.image.set_front(data);
+                self.cyclic_read(at, blocks, self.conn.expected.places, slot);
             }
-            self.filled = 0;
+            self.conn.filled = 0;
             return Ok(());
         }
         self.take_messages(at, slot)
@@ -50,7 +104,7 @@ impl Station {
     fn take_messages(&mut self, at: Time, slot: &mut Slot) -> Result<(), Why> {
         // Taken out of the station while it takes the messages in.
         let mut inbox = std::mem::take(&mut self.inbox);
-        let mut rest = &inbox[..self.filled];
+        let mut rest = &inbox[..self.conn.filled];
         // Each turn takes a message of eight bytes at least out of the room.
         let result = loop {
             match frame(rest) {
@@ -65,9 +119,9 @@ impl Station {
         };
         let left = rest.len();
         if left > 0 {
-            inbox.copy_within(self.filled - left..self.filled, 0);
+            inbox.copy_within(self.conn.filled - left..self.conn.filled, 0);
         }
-        (self.inbox, self.filled) = (inbox, left);
+        (self.inbox, self.conn.filled) = (inbox, left);
         if result.is_err() {
             slot.counters.malformed += 1;
             Own::Garbage.count(&mut slot.counters);
@@ -123,7 +177,7 @@ impl Station {
         if matches!(response, Response::Exception { .. }) {
             Own::Exceptions.count(&mut slot.counters);
         }
-        match self.asked {
+        match self.requested {
             What::Cyclic(blocks) if blocks.is_both() => {
                 if matches!(response, Response::ReadWritten { .. }) {
                     self.functions.answered(blocks.registers);
@@ -138,7 +192,7 @@ impl Station {
         if !close(&mut self.pace, at, slot) {
             return;
         }
-        match self.asked {
+        match self.requested {
             What::Call => {}
             What::Set { index, .. } => self.set_answered(usize::from(index), response),
             What::Cyclic(blocks) => self.cyclic(at, blocks, response, slot),
@@ -159,26 +213,30 @@ impl Station {
             self.settable = false;
         } else if setting.parameter == Parameter::CONTROL_WORD_ENABLE {
             // From here on the control word counts, once it is written again.
-            (self.control, self.inputs.control) = (Echo::default(), None);
+            (self.conn.control, self.conn.inputs.control) = (Echo::default(), None);
         }
         if taken {
             self.set = index + 1;
             let rest = &self.settings[self.set..];
             let is_met = |purpose| !rest.iter().any(|setting| setting.purpose == purpose);
-            self.finding.obeys = is_met(Purpose::Obey);
-            self.finding.watched = is_met(Purpose::Watch) && self.time_out().is_some();
+            self.conn.finding.obeys = is_met(Purpose::Obey);
+            self.conn.finding.watched = is_met(Purpose::Watch) && self.time_out().is_some();
         }
-        self.profile.found(self.finding.watched || self.unwatched, self.finding.obeys, self.settable);
+        self.profile.found(
+            self.conn.finding.watched || self.unwatched,
+            self.conn.finding.obeys,
+            self.settable,
+        );
     }
 
     /// What does not fit the open request in a response that names it.
     fn misfits(&self, header: Header, response: &Response<'_>) -> Option<Own> {
-        let unit = self.asked_unit;
+        let unit = self.requested_unit;
         // A drive may answer 255 to 0 (field reports).
         if header.unit != unit && !(unit == 0 && header.unit == DRIVE_UNIT) {
             return Some(Own::WrongUnit);
         }
-        let blocks = match self.asked {
+        let blocks = match self.requested {
             What::Call => return (!self.calls.fits(response)).then_some(Own::WrongFunction),
             What::Set { .. } => {
                 let fits = matches!(response, Response::Exception { .. } | Response::Written { .. });
@@ -206,9 +264,9 @@ impl Station {
             Response::Read { data } | Response::ReadWritten { data } => data,
             Response::WriteOne { .. } => return,
         };
-        let mapping = used(&self.direct, &self.menu_0, self.finding.menu_0);
+        let mapping = used(&self.direct, &self.menu_0, self.conn.finding.menu_0);
         if let Some(block) = blocks.read.and_then(|index| mapping.reads().get(usize::from(index))) {
-            read(block, data, &mut self.image, &mut self.native);
+            read(block, data, &mut self.conn.image, &mut self.native);
             let places = block.places;
             self.cyclic_read(at, blocks, places, slot);
         }
@@ -218,20 +276,20 @@ impl Station {
     /// most of an exchange.
     #[inline(always)]
     fn cyclic_read(&mut self, at: Time, blocks: Blocks, places: Places, slot: &mut Slot) {
-        (self.refused.1, self.busy_since) = (0, None);
+        (self.conn.refused.1, self.conn.busy_since) = (0, None);
         if blocks.write.is_some() {
-            self.refused.0 = 0;
+            self.conn.refused.0 = 0;
         }
         if blocks.control {
-            self.control.replied(i32::from(self.written.control.0));
+            self.conn.control.replied(i32::from(self.written.control.0));
         }
         if blocks.reference {
-            self.reference.replied(self.written.reference);
+            self.conn.reference.replied(self.written.reference);
         }
         let (control, reference) = (places.has(Role::Control), places.has(Role::Reference));
         let (status, speed) = (places.has(Role::Status), places.has(Role::Speed));
         let with_trip = places.has(Role::Trip);
-        self.native.publish(at, self.profile.is_native(), &self.image);
+        self.native.publish(at, self.profile.is_native(), &self.conn.image);
         if control || reference {
             // What this exchange has not written itself shows who did.
             let unwritten = control && !blocks.control || reference && !blocks.reference;
@@ -239,13 +297,13 @@ impl Station {
         } else if blocks.control || blocks.reference {
             self.note_taken(at);
         }
-        self.seen = (self.seen.0 || status, self.seen.1 || speed);
-        self.trip_read |= with_trip;
+        self.conn.seen = (self.conn.seen.0 || status, self.conn.seen.1 || speed);
+        self.conn.trip_read |= with_trip;
         if status {
             self.take_status(at, with_trip);
         }
-        if self.seen == (true, true) && !self.other.is_in_doubt() {
-            self.seen = (false, false);
+        if self.conn.seen == (true, true) && !self.conn.other.is_in_doubt() {
+            self.conn.seen = (false, false);
             self.report(at, slot);
         }
     }
@@ -254,32 +312,32 @@ impl Station {
     fn refuse(&mut self, at: Time, blocks: Blocks, code: ExceptionCode) {
         match code {
             ExceptionCode::ACKNOWLEDGE | ExceptionCode::BUSY => {
-                self.busy_since.get_or_insert(at);
+                self.conn.busy_since.get_or_insert(at);
             }
             _ if blocks.is_both() && self.functions.refused(code, blocks.registers) => {
-                self.template = None;
+                self.conn.template = None;
                 self.profile.refused(blocks.control, blocks.reference);
             }
             _ => {
-                self.refused.0 += u32::from(blocks.write.is_some());
-                self.refused.1 += u32::from(blocks.read.is_some());
+                self.conn.refused.0 += u32::from(blocks.write.is_some());
+                self.conn.refused.1 += u32::from(blocks.read.is_some());
             }
         }
     }
 
     /// The drive has written so many registers.
     fn written(&mut self, at: Time, blocks: Blocks, count: u16, slot: &mut Slot) {
-        (self.refused.0, self.busy_since) = (0, None);
+        (self.conn.refused.0, self.conn.busy_since) = (0, None);
         let block = blocks.write.and_then(|index| self.mapping().writes().get(usize::from(index)));
         if block.is_some_and(|block| count < block.registers) {
             Own::WrittenShort.count(&mut slot.counters);
             return self.profile.not_taken();
         }
         if blocks.control {
-            self.control.confirm(i32::from(self.written.control.0));
+            self.conn.control.confirm(i32::from(self.written.control.0));
         }
         if blocks.reference {
-            self.reference.confirm(self.written.reference);
+            self.conn.reference.confirm(self.written.reference);
         }
         self.note_taken(at);
     }
@@ -287,10 +345,10 @@ impl Station {
     /// Compares read-back values with the written ones.
     #[inline(always)]
     fn compare(&mut self, at: Time, control: bool, reference: bool, unwritten: bool, slot: &mut Slot) {
-        let word = self.image.of(Role::Control).filter(|_| control).map(|count| i32::from(count as u16));
-        let speed = self.image.of(Role::Reference).filter(|_| reference);
-        let control = word.map(|word| self.control.read(word));
-        let reference = speed.map(|speed| self.reference.read(speed));
+        let word = self.conn.image.of(Role::Control).filter(|_| control).map(|count| i32::from(count as u16));
+        let speed = self.conn.image.of(Role::Reference).filter(|_| reference);
+        let control = word.map(|word| self.conn.control.read(word));
+        let reference = speed.map(|speed| self.conn.reference.read(speed));
         self.note_taken(at);
         let shown = [control, reference];
         if shown.contains(&Some(Shown::Refused)) {
@@ -314,67 +372,67 @@ impl Station {
         let [control, reference] = shown.map(|shown| shown == Some(Shown::Changed));
         let [same_control, same_reference] = shown.map(|shown| shown == Some(Shown::Same));
         let proved = if self.profile.writes() {
-            self.other.same(same_control, same_reference);
-            (control || reference) && self.other.changed(at, control, reference)
+            self.conn.other.same(same_control, same_reference);
+            (control || reference) && self.conn.other.changed(at, control, reference)
         } else {
-            self.other.read(at, values)
+            self.conn.other.read(at, values)
         };
         slot.notices.other_master |= proved;
     }
 
     /// The values that the drive has accepted by now.
     fn note_taken(&mut self, at: Time) {
-        let control = self.control.taken().map(|count| ControlWord(count as u16));
-        if control.is_some() && control != self.inputs.control {
+        let control = self.conn.control.taken().map(|count| ControlWord(count as u16));
+        if control.is_some() && control != self.conn.inputs.control {
             self.control_taken = control;
-            self.inputs.control_since = at;
+            self.conn.inputs.control_since = at;
         }
-        self.inputs.control = control;
-        self.inputs.reference = self.reference.taken();
+        self.conn.inputs.control = control;
+        self.conn.inputs.reference = self.conn.reference.taken();
     }
 
     /// A new status; `named`: the number of a trip came with it.
     #[inline(always)]
     fn take_status(&mut self, at: Time, named: bool) {
-        let Some(status) = self.image.of(Role::Status).map(|raw| StatusWord(raw as u16)) else { return };
+        let Some(status) = self.conn.image.of(Role::Status).map(|raw| StatusWord(raw as u16)) else { return };
         // It has accepted the command to run; its earlier state is no answer to that.
-        let running =
-            self.profile.runs() && self.inputs.control.is_some_and(|word| word.has_any(ControlWord::ANY_RUN));
-        let was_active = running && (self.was_active || status.active());
+        let running = self.profile.runs()
+            && self.conn.inputs.control.is_some_and(|word| word.has_any(ControlWord::ANY_RUN));
+        let was_active = running && (self.conn.was_active || status.active());
         let off = status.healthy() && !status.active();
-        let dark = running && off && (was_active || self.profile.should_be_active(at, &self.inputs));
-        if self.other.doubts(off && self.profile.runs(), dark) {
+        let dark = running && off && (was_active || self.profile.should_be_active(at, &self.conn.inputs));
+        if self.conn.other.doubts(off && self.profile.runs(), dark) {
             return;
         }
-        let inputs = &mut self.inputs;
+        let inputs = &mut self.conn.inputs;
         (inputs.seen, inputs.status) = (true, status);
         self.profile.status_read();
         if status.healthy() {
             // The present name is that of the last trip.
-            (inputs.trip, inputs.tripped_at, self.trip_read) = (0, None, false);
+            (inputs.trip, inputs.tripped_at, self.conn.trip_read) = (0, None, false);
         } else {
             // A number that was read before this trip is that of another one.
-            self.trip_read &= named || inputs.tripped_at.is_some();
+            self.conn.trip_read &= named || inputs.tripped_at.is_some();
             inputs.tripped_at.get_or_insert(at);
-            let number = self.image.of(Role::Trip).filter(|_| self.trip_read);
+            let number = self.conn.image.of(Role::Trip).filter(|_| self.conn.trip_read);
             inputs.trip = number.unwrap_or(0) as u16;
         }
-        inputs.named = self.trip_read || !self.tells_trips;
+        inputs.named = self.conn.trip_read || !self.reports_trips;
         inputs.dark = dark;
-        self.was_active = was_active;
+        self.conn.was_active = was_active;
         if dark {
-            self.dark_at = Some(at);
+            self.conn.dark_at = Some(at);
         }
     }
 
     /// The drive's report, in user units: a status and a speed that were both read since the last report.
     #[inline(always)]
     fn report(&mut self, at: Time, slot: &mut Slot) {
-        let velocity = f64::from(self.image.of(Role::Speed).unwrap_or(0)) * self.velocity_per_count;
-        self.inputs.velocity = velocity;
-        let status = self.inputs.status;
-        let was_dark = self.dark_at.is_some_and(|dark_at| at.since(dark_at) < DARK_NS);
-        self.profile.prove(&self.inputs, &mut slot.evidence);
+        let velocity = f64::from(self.conn.image.of(Role::Speed).unwrap_or(0)) * self.velocity_per_count;
+        self.conn.inputs.velocity = velocity;
+        let status = self.conn.inputs.status;
+        let was_dark = self.conn.dark_at.is_some_and(|dark_at| at.since(dark_at) < DARK_NS);
+        self.profile.prove(&self.conn.inputs, &mut slot.evidence);
         let Slot { status: report, notices, .. } = slot;
         notices.fresh = true;
         report.at = at;
@@ -386,10 +444,10 @@ impl Station {
         report.velocity = velocity;
         (report.position, report.demand, report.current) = (f64::NAN, f64::NAN, f64::NAN);
         report.warning = u32::from(status.0 & StatusWord::WARNINGS);
-        report.fault = if status.healthy() { 0 } else { u32::from(self.inputs.trip) };
+        report.fault = if status.healthy() { 0 } else { u32::from(self.conn.inputs.trip) };
         notices.monitor_fresh |= !self.shown.is_empty();
         for &(channel, counts) in &self.shown {
-            let count = self.image.get(Role::FIRST_SHOWN + channel);
+            let count = self.conn.image.get(Role::FIRST_SHOWN + channel);
             report.monitor[channel] = count.map(|count| f64::from(count) / counts);
         }
     }
@@ -423,5 +481,61 @@ fn read(block: &Block, data: Registers<'_>, image: &mut Image, native: &mut Nati
             block.roles.iter().zip(data.words()).for_each(|(role, word)| take(role, (word as i16).into()))
         }
         Width::Long => block.roles.iter().zip(data.longs()).for_each(|(role, long)| take(role, long)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bus::modbus::wire::{ADU_MAX, RegistersBuffer};
+
+    const HEADER: Header = Header { transaction: 0x1234, unit: 255 };
+
+    fn data(values: &[i32]) -> RegistersBuffer {
+        let mut data = RegistersBuffer::new();
+        values.iter().for_each(|value| assert!(data.push_long(*value)));
+        data
+    }
+
+    /// A block of so many registers whose order is that of the image.
+    fn block(registers: u16) -> Block {
+        Block {
+            address: 0x4000,
+            registers,
+            width: Width::Long,
+            roles: Box::default(),
+            places: Places::default(),
+            in_order: true,
+            first: Parameter::CONTROL_WORD,
+        }
+    }
+
+    #[test]
+    fn only_the_whole_reply_to_this_request_is_expected() {
+        let data = data(&[1, 2, 3]);
+        let mut bytes = [0; ADU_MAX];
+        let size = Response::ReadWritten { data: data.registers() }.emit(HEADER, &mut bytes);
+        let expected = Expected::new(&block(6), 255).to(0x1234);
+        assert_eq!(expected.values(&bytes[..size]), Some(data.registers()));
+        assert_eq!(expected.values(&bytes[..size - 1]), None, "not all of it");
+        assert_eq!(expected.values(&bytes[..size + 1]), None, "more than it");
+        // Id, protocol, length, unit, function, number of bytes.
+        for at in 0..Expected::FRONT {
+            for bit in 0..8 {
+                let mut bytes = bytes;
+                bytes[at] ^= 1 << bit;
+                assert_eq!(expected.values(&bytes[..size]), None, "byte {at}, bit {bit}");
+            }
+        }
+    }
+
+    #[test]
+    fn nothing_is_expected_by_default_nor_of_what_no_message_holds() {
+        assert_eq!(Expected::default().values(&[]), None);
+        assert_eq!(Expected::new(&block(128), 255), Expected::default());
+        assert_eq!(Expected::new(&block(u16::MAX), 255), Expected::default());
+        assert_ne!(Expected::new(&block(6), 255), Expected::default());
+        let mixed = Block { in_order: false, ..block(6) };
+        assert_eq!(Expected::new(&mixed, 255), Expected::default(), "a block that has to be sorted");
     }
 }

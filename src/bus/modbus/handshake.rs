@@ -4,7 +4,7 @@
 //! It reads the unit id, every cyclic parameter, and the drive's control source and watchdog, all by FC03. Whether
 //! the drive has FC23 is shown by the first exchange that writes: a server may ignore a request that is only made
 //! to find out, or close on it. It writes only the set-up of menu 0, and that only to a drive that does not run.
-//! The settings that make the drive follow the control word are written by the station, with the first order that
+//! The settings that make the drive follow the control word are written by the station, with the first command that
 //! needs them.
 
 use std::sync::Arc;
@@ -92,7 +92,7 @@ enum Step {
 
 /// The handshake of one drive.
 #[derive(Debug)]
-pub(super) struct UnidriveGreeting {
+pub(super) struct UnidriveHandshake {
     drive: UnidriveDrive,
     /// The parameters at their own addresses: one that is missing there does not exist.
     direct: Mapping,
@@ -112,14 +112,14 @@ pub(super) struct UnidriveGreeting {
     inbox: Vec<u8>,
 }
 
-impl UnidriveGreeting {
+impl UnidriveHandshake {
     pub(super) fn new(
         drive: &UnidriveDrive,
         direct: Mapping,
         menu_0: Option<Mapping>,
         found: Arc<Found>,
-    ) -> UnidriveGreeting {
-        UnidriveGreeting {
+    ) -> UnidriveHandshake {
+        UnidriveHandshake {
             units: drive.unit.map_or(vec![DRIVE_UNIT, 0], |unit| vec![unit]),
             unit: 0,
             settings: settings(drive, menu_0.as_ref()),
@@ -149,7 +149,7 @@ impl UnidriveGreeting {
     }
 
     /// The request of the present step.
-    fn ask(&mut self, out: &mut Vec<u8>) -> Greeted {
+    fn request(&mut self, out: &mut Vec<u8>) -> Greeted {
         self.transaction = self.transaction.wrapping_add(1);
         let mut data = RegistersBuffer::new();
         let read = |parameter: Parameter, width: Width| {
@@ -157,7 +157,7 @@ impl UnidriveGreeting {
             Some((parameter, Request::Read { address, count: width.registers() }))
         };
         let drive_unit = self.units[self.unit.min(self.units.len() - 1)];
-        let asked = match self.step {
+        let request = match self.step {
             Step::Unit => read(self.drive.map.status.parameter, self.drive.map.status.width),
             Step::Look(index) => self.direct.reads().get(index).map(|block| (block.first, look(block))),
             Step::Menu0 => self
@@ -173,7 +173,7 @@ impl UnidriveGreeting {
                 .get(index)
                 .map(|setting| (setting.parameter, setting.write(setting.value, &mut data))),
         };
-        let Some((parameter, request)) = asked else {
+        let Some((parameter, request)) = request else {
             return Greeted::Failed("a parameter of its configuration has no address".into());
         };
         let header = Header { transaction: self.transaction, unit: parameter.unit(drive_unit) };
@@ -265,7 +265,7 @@ impl UnidriveGreeting {
         match next {
             Some(step) => {
                 self.step = step;
-                self.ask(out)
+                self.request(out)
             }
             None => self.end(),
         }
@@ -329,7 +329,7 @@ fn surprised() -> Greeted {
     Greeted::Failed("the peer does not answer the request: is it a Unidrive's Modbus port?".into())
 }
 
-impl Greeting for UnidriveGreeting {
+impl Greeting for UnidriveHandshake {
     fn begin(&mut self, _now: Time, out: &mut Vec<u8>) -> Greeted {
         self.inbox.clear();
         self.finding = Finding::default();
@@ -340,7 +340,7 @@ impl Greeting for UnidriveGreeting {
             self.unit = (self.unit + 1) % self.units.len();
         }
         self.step = Step::Unit;
-        self.ask(out)
+        self.request(out)
     }
 
     fn take(&mut self, _now: Time, bytes: &[u8], out: &mut Vec<u8>) -> Greeted {
