@@ -2,7 +2,7 @@
 
 use fieldbeat::Master;
 use fieldbeat::axis::{
-    Abort, Command, EventKind, Failure, Group, GroupError, Health, Outcome, Row, StopCause, Target, Underrun,
+    Abort, Command, EventKind, Failure, Group, GroupError, Health, Outcome, Row, StopCause, Underrun,
 };
 use fieldbeat::bus::linudp::LinUdpDrive;
 use fieldbeat::bus::linudp::wire::{ControlWord, MotionBlock};
@@ -20,8 +20,7 @@ fn rig(count: usize) -> Rig {
 }
 
 fn joined(count: usize, members: &[usize]) -> Bench {
-    let mut b = rig(count).start();
-    b.ready();
+    let mut b = rig(count).ready();
     b.join(members);
     b
 }
@@ -64,21 +63,6 @@ fn a_verb_reaches_all_members_in_one_send_whatever_each_was_doing() {
         })
         .to_vec();
     assert!(begun.iter().all(|at| *at == begun[0]), "{begun:?}");
-}
-
-#[test]
-fn a_command_to_a_group_that_is_stopped_moves_no_member() {
-    let mut b = joined(2, &[0, 1]);
-    b.group_done(&[to(10.0), to(10.0)]);
-    let before = b.tape(0).heard.len();
-    b.world().unplug(address(1));
-    b.stopped(1, 20);
-    assert_eq!(b.stopped(0, 1), StopCause::Group);
-    let command = b.group().post(&[to(20.0), to(20.0)]).unwrap();
-    let outcomes = b.group_ended(&command);
-    assert!(outcomes.iter().all(|outcome| matches!(outcome, Outcome::Failed(_))), "{outcomes:?}");
-    let went = motions(&b, 0, before).iter().filter(|(_, header)| *header == 0x0100).count();
-    assert_eq!(went, 0, "nothing of a refused move was sent");
 }
 
 #[test]
@@ -153,8 +137,7 @@ fn axes_that_cannot_act_together_make_no_group_and_are_given_back() {
 
 #[test]
 fn a_full_queue_takes_the_parts_of_all_members_or_none_and_has_room_for_their_stop() {
-    let mut b = rig(2).each(|_, drive| drive.axis.command_queue = 6).start();
-    b.ready();
+    let mut b = rig(2).each(|_, drive| drive.axis.command_queue = 6).ready();
     // Member 1 has commands of its own already.
     let own = [b.post(1, Command::Home), b.post(1, Command::Home)];
     b.step();
@@ -215,8 +198,7 @@ fn what_was_posted_before_a_stop_ends_with_it_at_all_members() {
         let mut b = rig(2)
             .each(|_, drive| drive.axis.health.bucket = 3)
             .cycle(|cycle| cycle.overrun = Overrun::Stop)
-            .start();
-        b.ready();
+            .ready();
         b.join(&[1, 0]);
         begin(&mut b);
         let again = [Command::Reset, Command::Enable].map(|verb| b.group().post_all(verb).unwrap());
@@ -293,8 +275,7 @@ fn rows_are_taken_by_all_members_or_by_none() {
 #[test]
 fn a_stream_that_runs_empty_at_one_member_is_empty_for_all() {
     for (underrun, held) in [(Underrun::Hold, true), (Underrun::Stop, false)] {
-        let mut b = rig(2).each(|_, drive| drive.axis.underrun = underrun).start();
-        b.ready();
+        let mut b = rig(2).each(|_, drive| drive.axis.underrun = underrun).ready();
         let start = circle(0);
         for (index, row) in start.iter().enumerate() {
             b.done(index, to(row.position));
@@ -355,25 +336,6 @@ fn a_row_that_one_member_may_not_take_is_sent_to_none() {
 }
 
 #[test]
-fn a_member_that_is_stopped_takes_the_group_along_and_it_comes_back_together() {
-    let mut b = joined(3, &[0, 1]);
-    let command = b.group().post(&[slowly_to(150.0), slowly_to(160.0)]).unwrap();
-    b.run(200);
-    b.tape(0).provoke = Some(fieldbeat::bus::linudp::wire::ErrorCode(0x0B));
-    assert_eq!(b.stopped(0, 10), StopCause::DriveFault);
-    assert_eq!(b.feedback(1).stopped, Some(StopCause::Group), "in the same cycle");
-    assert_eq!(b.feedback(2).stopped, Some(StopCause::Group), "by their stop group, a member or not");
-    for (index, cause) in [(0, StopCause::DriveFault), (1, StopCause::Group)] {
-        assert_eq!(b.outcome(index, command.ids()[index]), Some(Outcome::Aborted(Abort::Stopped(cause))));
-    }
-    b.run(1_000);
-    for verb in [Command::ResetFault, Command::Reset, Command::Enable] {
-        b.group_done(&[verb; 2]);
-    }
-    b.group_done(&[to(10.0), to(20.0)]);
-}
-
-#[test]
 fn an_urgent_command_overtakes_what_waits_for_other_members() {
     let mut b = joined(2, &[0, 1]);
     let moving = b.group().post(&[slowly_to(150.0), slowly_to(150.0)]).unwrap();
@@ -395,8 +357,7 @@ fn an_urgent_command_overtakes_what_waits_for_other_members() {
 fn misses_of_all_members_together_stop_the_group() {
     // No member alone loses its link: a bucket holds 8, and three lose 3 each.
     let health = Health { bucket: 8, leak: 1_000, ..Health::default() };
-    let mut b = rig(3).each(|_, drive| drive.axis.health = health).start();
-    b.ready();
+    let mut b = rig(3).each(|_, drive| drive.axis.health = health).ready();
     b.join(&[0, 1, 2]);
     let command = b.group().post(&[slowly_to(150.0); 3]).unwrap();
     b.run(50);
@@ -416,8 +377,7 @@ fn misses_of_all_members_together_stop_the_group() {
         assert_eq!(outcome, Some(Outcome::Aborted(Abort::Stopped(StopCause::GroupLink))));
     }
     // Standing, or each for itself, nothing is counted together.
-    let mut b = rig(3).each(|_, drive| drive.axis.health = health).start();
-    b.ready();
+    let mut b = rig(3).each(|_, drive| drive.axis.health = health).ready();
     b.join(&[0, 1, 2]);
     for index in 0..3 {
         b.tape(index).mute = true;
@@ -435,8 +395,7 @@ fn struck(divisor: u32, leaks: [u32; 3], buckets: [u32; 3], strikes: &[(usize, u
             drive.axis.divisor = divisor;
             drive.axis.health = Health { bucket: buckets[index], leak: leaks[index], ..Health::default() };
         })
-        .start();
-    b.ready();
+        .ready();
     b.join(&[0, 1, 2]);
     b.group().post(&[slowly_to(150.0); 3]).unwrap();
     b.run(100);
@@ -527,8 +486,7 @@ fn patient() -> Rig {
 
 #[test]
 fn slots_that_are_passed_over_keep_the_members_in_step() {
-    let mut b = patient().start();
-    b.ready();
+    let mut b = patient().ready();
     b.join(&[0, 1]);
     streaming(&mut b, 600);
     let from: Vec<usize> = (0..2).map(|index| b.tape(index).heard.len()).collect();
@@ -552,8 +510,7 @@ fn slots_that_are_passed_over_keep_the_members_in_step() {
 fn in_bad_weather_members_never_take_rows_of_two_steps_in_one_send() {
     for seed in 0..10 {
         let weather = FaultPlan { drop: 0.05, duplicate: 0.05, ..FaultPlan::default() };
-        let mut b = patient().start();
-        b.ready();
+        let mut b = patient().ready();
         b.join(&[0, 1]);
         streaming(&mut b, 900);
         for index in 0..2 {
@@ -585,29 +542,6 @@ fn in_bad_weather_members_never_take_rows_of_two_steps_in_one_send() {
 }
 
 #[test]
-fn a_move_of_a_group_ends_where_each_member_was_told() {
-    let mut b = joined(2, &[1, 0]);
-    let command = b.group().post(&[by(5.0), with(Target::Absolute(77.0), 300.0, 5_000.0)]).unwrap();
-    assert_eq!(b.group_ended(&command), [Outcome::Done; 2]);
-    assert_near(b.feedback(0).status.demand, 77.0, 0.001);
-    let axes = b.group().axes().iter().map(|axis| axis.name().to_owned()).collect::<Vec<_>>();
-    assert_eq!(axes, ["x1", "x0"]);
-}
-
-#[test]
-fn a_motion_that_fails_at_one_member_stops_all() {
-    // Member 0 jogs into its limit; the protocol ends its command there.
-    let mut b = joined(2, &[0, 1]);
-    b.group_done(&[to(190.0), to(50.0)]);
-    let command = b.group().post(&[jog(30.0), jog(30.0)]).unwrap();
-    assert_eq!(b.stopped(0, 2_000), StopCause::GroupFailed);
-    assert_eq!(b.feedback(1).stopped, Some(StopCause::Group), "in the same cycle");
-    let outcomes = b.group_ended(&command);
-    assert!(matches!(outcomes[0], Outcome::Failed(Failure::Limit { .. })), "{outcomes:?}");
-    assert_eq!(outcomes[1], Outcome::Aborted(Abort::Stopped(StopCause::Group)));
-}
-
-#[test]
 fn the_task_reaches_a_member_in_motion_with_a_stop_only() {
     let mut b = rig(2)
         .task(|cycle, axes| match cycle.index {
@@ -615,8 +549,7 @@ fn the_task_reaches_a_member_in_motion_with_a_stop_only() {
             6_100 => drop(axes.command(0, Command::Stop { deceleration: None }).unwrap()),
             _ => {}
         })
-        .start();
-    b.ready();
+        .ready();
     b.join(&[0, 1]);
     b.until("cycle 5900", 5_900, |b| b.status().planned >= 5_900);
     let command = b.group().post(&[slowly_to(150.0), slowly_to(150.0)]).unwrap();
@@ -640,8 +573,7 @@ fn a_stop_is_refused_to_no_member_because_of_another() {
             9_600 => drop(axes.command(0, slowly_to(150.0))),
             _ => {}
         })
-        .start();
-    b.ready();
+        .ready();
     b.join(&[0, 1]);
     b.world().unplug(address(1));
     b.stopped(1, 50);
