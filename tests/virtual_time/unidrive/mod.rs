@@ -12,9 +12,7 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
-use fieldbeat::axis::{
-    Command, Failure, Feedback, FoundRunning, Jog, Link, Outcome, Profile, StopCause, Unit, Units,
-};
+use fieldbeat::axis::{Command, Failure, Feedback, Jog, Link, Outcome, Profile, StopCause, Unit, Units};
 use fieldbeat::bus::linudp::LinUdpPlan;
 use fieldbeat::bus::modbus::counters::{OWN, Own};
 use fieldbeat::bus::modbus::parameter::{Addressing, Parameter, Width};
@@ -426,26 +424,6 @@ fn a_value_that_the_drive_refuses_is_found_out_and_ends_the_order() {
 }
 
 #[test]
-fn a_trip_latches_by_its_number_and_is_reset_by_the_application() {
-    for via in VIAS {
-        for trip in [Trip::OVER_VOLTS, Trip::MOTOR_TOO_HOT] {
-            let mut b = Bench::new(1, via, |_, _| {});
-            b.ready();
-            b.turning(0, 4.0);
-            b.tap(0).drive.provoke(trip);
-            assert_eq!(b.stopped(0, 100), StopCause::DriveFault);
-            b.until("its number", 100, |b| b.feedback(0).status.fault == u32::from(trip.0));
-            assert_eq!((b.plan.fault_names())(trip.0.into()), trip.name());
-            assert_eq!(b.failed(0, Command::Enable), Failure::Latched(StopCause::DriveFault));
-            b.run(500);
-            assert!(!b.tap(0).status(b.now()).healthy(), "nobody resets it by himself");
-            b.recover(0);
-            assert_eq!(b.feedback(0).status.fault, 0);
-        }
-    }
-}
-
-#[test]
 fn an_over_current_trip_is_reset_as_soon_as_the_drive_takes_it_and_not_before() {
     let mut b = Bench::new(1, Via::Direct, |_, _| {});
     b.ready();
@@ -473,16 +451,6 @@ fn an_over_current_trip_is_reset_as_soon_as_the_drive_takes_it_and_not_before() 
 }
 
 #[test]
-fn a_trip_that_comes_back_at_once_fails_its_reset_by_its_number() {
-    for via in VIAS {
-        let mut b = Bench::new(1, via, |_, drive| drive.simulate.persistent_trip = Some(20));
-        b.online();
-        assert_eq!(b.failed(0, Command::ResetFault), Failure::DriveFault(20));
-        assert!(!b.tap(0).status(b.now()).active());
-    }
-}
-
-#[test]
 fn a_missing_hardware_enable_is_told_when_the_drive_does_not_come_up() {
     for via in VIAS {
         let mut b = Bench::new(1, via, |_, drive| drive.simulate.hardware_enable = false);
@@ -498,24 +466,6 @@ fn a_missing_hardware_enable_is_told_when_the_drive_does_not_come_up() {
     }
 }
 
-#[test]
-fn a_hardware_enable_that_goes_away_in_motion_latches_and_nothing_starts_when_it_comes_back() {
-    for via in VIAS {
-        let mut b = Bench::new(1, via, |_, _| {});
-        b.ready();
-        b.turning(0, 4.0);
-        assert!(b.sim.world().inhibit(address(0), 300 * MS));
-        let cause = b.stopped(0, 100);
-        assert_eq!(cause, StopCause::HardwareEnable);
-        for _ in 0..1_500 {
-            b.sim.step();
-            assert!(b.feedback(0).stopped.is_some());
-        }
-        assert!(!b.tap(0).status(b.now()).active(), "it stays off");
-        b.recover(0);
-    }
-}
-
 /// Runs by its terminals, at 300 rpm, for two seconds.
 fn by_terminals(shared: &mut Shared, now: Time) {
     shared.write(now, Parameter::REFERENCE_SELECTOR, 3);
@@ -527,65 +477,6 @@ fn by_terminals(shared: &mut Shared, now: Time) {
     let status = shared.status(now + 2 * S);
     assert!(status.active() && !status.zero_speed(), "{status:?}");
     shared.heard.clear();
-}
-
-#[test]
-fn what_is_found_running_by_its_terminals_is_taken_over_and_stopped_or_left_alone() {
-    for via in VIAS {
-        for found in [FoundRunning::Stop, FoundRunning::Refuse] {
-            let what = format!("{via:?}, {found:?}");
-            let change = |_, drive: &mut UnidriveDrive| drive.axis.on_found_running = found;
-            let mut b = Bench::beside(1, via, change, by_terminals, Vec::new());
-            b.online();
-            assert_eq!(b.feedback(0).stopped, Some(StopCause::FoundRunning), "{what}");
-            b.run(3_000);
-            let status = b.tap(0).status(b.now());
-            if found == FoundRunning::Refuse {
-                assert!(status.active() && !status.zero_speed(), "{what}: {status:?}");
-                let wrote = b.tap(0).heard.iter().any(|request| request[7] == function::WRITE);
-                assert!(!wrote, "{what}: nothing was written");
-                // It is the application that decides.
-                b.done(0, STOP);
-                let status = b.tap(0).status(b.now());
-                assert!(status.zero_speed(), "{what}: {status:?}");
-            } else {
-                assert!(!status.active() && status.zero_speed(), "{what}: {status:?}");
-                b.recover(0);
-            }
-        }
-    }
-}
-
-#[test]
-fn what_is_found_running_by_a_dead_masters_control_word_is_stopped_by_a_ramp() {
-    for via in VIAS {
-        for rpm in [300.0, -300.0] {
-            let mut b = Bench::new(1, via, |_, drive| drive.simulate.start = Start::Running(rpm));
-            b.online();
-            assert_eq!(b.feedback(0).stopped, Some(StopCause::FoundRunning));
-            b.until("power off", 5_000, |b| !b.feedback(0).status.state.is_powered());
-            assert!(b.tap(0).status(b.now()).zero_speed(), "{via:?}, {rpm} rpm: off before it stood");
-            b.recover(0);
-        }
-    }
-}
-
-#[test]
-fn a_restart_in_operation_latches_and_counts_one_lost_connection() {
-    for via in VIAS {
-        let mut b = Bench::new(1, via, |_, _| {});
-        b.ready();
-        b.turning(0, 4.0);
-        assert!(b.sim.world().restart(address(0)));
-        b.stopped(0, 1_000);
-        b.online();
-        b.run(1_000);
-        let status = b.tap(0).status(b.now());
-        assert!(!status.active(), "nothing switches it on: {status:?}");
-        b.recover(0);
-        let counters = b.finish().drives[0].counters;
-        assert_eq!(own(&counters), [(key(Own::Closed), 1), (key(Own::Reopened), 1)]);
-    }
 }
 
 #[test]
@@ -829,45 +720,6 @@ fn a_drive_whose_master_dies_trips_and_leaves_its_motor_without_power() {
             assert!(now > last && !status.healthy() && !status.active(), "{via:?}, {watchdog:?}: {status:?}");
             assert_eq!(tap.read(now, Parameter::TRIP), trip, "{via:?}");
         }
-    }
-}
-
-#[test]
-fn without_a_watchdog_nothing_turns_unless_that_is_accepted() {
-    for accept_none in [false, true] {
-        let watchdog = Watchdog { timeout_ns: None, keypad: false, accept_none };
-        let mut b = Bench::new(1, Via::Direct, |_, drive| drive.watchdog = watchdog);
-        b.online();
-        if accept_none {
-            b.done(0, Command::Enable);
-        } else {
-            let refused = b.failed(0, Command::Enable);
-            assert!(matches!(refused, Failure::Unsupported(why) if why.contains("watchdog")), "{refused}");
-        }
-    }
-}
-
-#[test]
-fn the_stop_of_a_drive_that_is_out_of_reach_is_latched_within_its_bound_and_made_by_its_watchdog() {
-    for via in VIAS {
-        let mut b = Bench::new(2, via, |_, _| {});
-        b.ready();
-        b.turning(0, 4.0);
-        b.turning(1, 4.0);
-        let axes = b.plan.axes();
-        let reply_by = b.plan.drives[0].reply_within_ns.div_ceil(MS);
-        let bound = fieldbeat::cycle::bound::stop_bound_cycles(axes[0], &axes) + 2 * reply_by;
-        assert!(b.sim.world().unplug(address(0)));
-        assert_eq!(b.stopped(0, bound), StopCause::LinkLost);
-        b.run(600);
-        let status = b.tap(0).status(b.now());
-        assert!(!status.healthy() && !status.active(), "{via:?}: its own watchdog: {status:?}");
-        assert!(b.sim.world().plug(address(0)));
-        b.online();
-        b.run(500);
-        assert!(b.feedback(0).stopped.is_some() && !b.tap(0).status(b.now()).active());
-        b.recover(0);
-        assert_eq!(b.feedback(1).stopped, None, "its neighbour goes on");
     }
 }
 
