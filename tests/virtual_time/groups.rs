@@ -25,6 +25,11 @@ fn joined(count: usize, members: &[usize]) -> Bench {
     b
 }
 
+/// How many requests each of the first drives has received.
+fn heard(b: &Bench, count: usize) -> Vec<usize> {
+    (0..count).map(|index| b.tape(index).heard.len()).collect()
+}
+
 /// When the drive heard each new motion command, by its header without the count.
 fn motions(b: &Bench, index: usize, from: usize) -> Vec<(Time, u16)> {
     let mut last: Option<MotionBlock> = None;
@@ -43,7 +48,7 @@ fn motions(b: &Bench, index: usize, from: usize) -> Vec<(Time, u16)> {
 #[test]
 fn a_verb_reaches_all_members_in_one_send_whatever_each_was_doing() {
     let mut b = joined(4, &[2, 0, 3]);
-    let from: Vec<usize> = (0..4).map(|index| b.tape(index).heard.len()).collect();
+    let from = heard(&b, 4);
     b.group_done(&[to(10.0), to(20.0), to(30.0)]);
     let sent: Vec<Time> = [2, 0, 3].map(|index| motions(&b, index, from[index])[0].0).to_vec();
     assert!(sent.iter().all(|at| *at == sent[0]), "{sent:?}");
@@ -69,7 +74,7 @@ fn a_verb_reaches_all_members_in_one_send_whatever_each_was_doing() {
 fn one_member_that_cannot_keeps_all_others_from_it() {
     let mut b = joined(3, &[0, 1, 2]);
     b.group_done(&[to(100.0), to(100.0), to(100.0)]);
-    let heard: Vec<usize> = (0..3).map(|index| b.tape(index).heard.len()).collect();
+    let from = heard(&b, 3);
     // Refused in the loop: member 1 would leave its range. The others are told why they stay.
     let command = b.group().post(&[Command::Disable, Command::Disable, Command::Disable]).unwrap();
     assert_eq!(b.group_ended(&command), [Outcome::Done; 3]);
@@ -88,7 +93,7 @@ fn one_member_that_cannot_keeps_all_others_from_it() {
     assert!(matches!(outcomes[1], Outcome::Failed(Failure::WrongState(_))), "{outcomes:?}");
     assert_eq!(outcomes[2], Outcome::Failed(Failure::GroupRefused));
     b.run(5);
-    for (index, from) in heard.into_iter().enumerate() {
+    for (index, from) in from.into_iter().enumerate() {
         let moved = motions(&b, index, from).iter().any(|(_, header)| *header == 0x0100);
         assert!(!moved, "axis {index}");
     }
@@ -224,6 +229,16 @@ fn circle(step: u32) -> [Row; 2] {
     ]
 }
 
+/// The same as the drive has it, in counts.
+fn counts(step: u32, axis: usize) -> i32 {
+    (circle(step)[axis].position * PER_MM).round() as i32
+}
+
+/// The step of the first so many at which an axis has this place.
+fn step_of(position: i32, axis: usize, steps: u32) -> u32 {
+    (0..steps).find(|step| counts(*step, axis) == position).expect("a row of the circle")
+}
+
 fn streaming(b: &mut Bench, steps: u32) -> fieldbeat::axis::GroupCommand {
     let start = circle(0).map(|row| to(row.position));
     b.group_done(&start);
@@ -252,7 +267,7 @@ fn rows(b: &Bench, index: usize, from: usize) -> Vec<(Time, i32)> {
 fn rows_are_taken_by_all_members_or_by_none() {
     let mut b = joined(2, &[0, 1]);
     let command = streaming(&mut b, 50);
-    let from: Vec<usize> = (0..2).map(|index| b.tape(index).heard.len()).collect();
+    let from = heard(&b, 2);
     b.run(30);
     for step in 50..200 {
         // Rows come in bursts with gaps, but never run out.
@@ -263,12 +278,10 @@ fn rows_are_taken_by_all_members_or_by_none() {
     b.group().push_rows(&last).unwrap();
     assert_eq!(b.group_ended(&command), [Outcome::Done; 2]);
     let (x, y) = (rows(&b, 0, from[0]), rows(&b, 1, from[1]));
-    let positions = |rows: &[(Time, i32)]| rows.iter().map(|(_, position)| *position).collect::<Vec<_>>();
     for step in 0..200 {
         let at = step as usize;
         assert_eq!(x[at].0, y[at].0, "row {step} of both left in one send");
-        let expected = circle(step).map(|row| (row.position * PER_MM).round() as i32);
-        assert_eq!([positions(&x)[at], positions(&y)[at]], expected, "row {step}");
+        assert_eq!([x[at].1, y[at].1], [0, 1].map(|axis| counts(step, axis)), "row {step}");
     }
 }
 
@@ -284,7 +297,7 @@ fn a_stream_that_runs_empty_at_one_member_is_empty_for_all() {
         for _ in 0..3 {
             b.sim.axis(0).push_row(start[0]).unwrap();
         }
-        let from: Vec<usize> = (0..2).map(|index| b.tape(index).heard.len()).collect();
+        let from = heard(&b, 2);
         b.join(&[0, 1]);
         for step in 0..40 {
             b.group().push_rows(&circle(step)).unwrap();
@@ -300,8 +313,7 @@ fn a_stream_that_runs_empty_at_one_member_is_empty_for_all() {
             rows
         };
         for index in 0..2 {
-            let path: Vec<i32> =
-                (0..40).map(|step| (circle(step)[index].position * PER_MM).round() as i32).collect();
+            let path: Vec<i32> = (0..40).map(|step| counts(step, index)).collect();
             assert_eq!(heard(&b, index), path, "axis {index}");
         }
         if held {
@@ -322,7 +334,7 @@ fn a_row_that_one_member_may_not_take_is_sent_to_none() {
     // The first row is far from the demand of member 1: only the loop can know.
     let mut b = joined(2, &[0, 1]);
     b.group_done(&[to(120.0), to(50.0)]);
-    let from: Vec<usize> = (0..2).map(|index| b.tape(index).heard.len()).collect();
+    let from = heard(&b, 2);
     for step in 0..10 {
         b.group().push_rows(&circle(step)).unwrap();
     }
@@ -341,7 +353,7 @@ fn an_urgent_command_overtakes_what_waits_for_other_members() {
     let moving = b.group().post(&[slowly_to(150.0), slowly_to(150.0)]).unwrap();
     let homing = b.group().post_all(Command::Home).unwrap();
     b.run(100);
-    let from: Vec<usize> = (0..2).map(|index| b.tape(index).heard.len()).collect();
+    let from = heard(&b, 2);
     let stop = b.group().post_all(Command::Stop { deceleration: None }).unwrap();
     assert_eq!(b.group_ended(&stop), [Outcome::Done; 2]);
     for (command, index) in [(&moving, 0), (&moving, 1), (&homing, 0), (&homing, 1)] {
@@ -454,7 +466,7 @@ fn a_row_that_could_not_be_sent_to_one_member_leaves_the_others_in_step() {
     let mut b = joined(2, &[0, 1]);
     let command = streaming(&mut b, 400);
     b.run(20);
-    let from: Vec<usize> = (0..2).map(|index| b.tape(index).heard.len()).collect();
+    let from = heard(&b, 2);
     b.tape(1).jammed = true;
     b.run(1);
     b.tape(1).jammed = false;
@@ -466,9 +478,7 @@ fn a_row_that_could_not_be_sent_to_one_member_leaves_the_others_in_step() {
     let mut together = 0;
     for (at, position) in &x {
         if let Some((_, other)) = y.iter().find(|(time, _)| time == at) {
-            let step = (0..400).find(|step| (circle(*step)[0].position * PER_MM).round() as i32 == *position);
-            let expected = (circle(step.unwrap())[1].position * PER_MM).round() as i32;
-            assert_eq!(*other, expected, "at {at:?}");
+            assert_eq!(*other, counts(step_of(*position, 0, 400), 1), "at {at:?}");
             together += 1;
         }
     }
@@ -489,7 +499,7 @@ fn slots_that_are_passed_over_keep_the_members_in_step() {
     let mut b = patient().ready();
     b.join(&[0, 1]);
     streaming(&mut b, 600);
-    let from: Vec<usize> = (0..2).map(|index| b.tape(index).heard.len()).collect();
+    let from = heard(&b, 2);
     for turn in 0..200 {
         if turn % 20 == 5 {
             b.world().delay_next_wake(1_000_000 + turn * 10_000);
@@ -500,9 +510,7 @@ fn slots_that_are_passed_over_keep_the_members_in_step() {
     assert!(x.len() > 150 && b.status().skipped > 5);
     for ((at, position), (time, other)) in x.iter().zip(&y) {
         assert_eq!(at, time);
-        let step =
-            (0..600).find(|step| (circle(*step)[0].position * PER_MM).round() as i32 == *position).unwrap();
-        assert_eq!(*other, (circle(step)[1].position * PER_MM).round() as i32);
+        assert_eq!(*other, counts(step_of(*position, 0, 600), 1));
     }
 }
 
@@ -522,9 +530,7 @@ fn in_bad_weather_members_never_take_rows_of_two_steps_in_one_send() {
         let slot_of = |rows: Vec<(Time, i32)>, axis: usize| {
             let mut slots = std::collections::BTreeMap::new();
             for (at, position) in rows {
-                let found =
-                    (0..900).find(|step| (circle(*step)[axis].position * PER_MM).round() as i32 == position);
-                slots.entry(found.unwrap()).or_insert(at);
+                slots.entry(step_of(position, axis, 900)).or_insert(at);
             }
             slots
         };

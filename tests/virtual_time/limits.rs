@@ -5,7 +5,6 @@ use fieldbeat::bus::linudp::SimPlan;
 
 use crate::virtual_time::support::*;
 
-
 #[test]
 fn numbers_that_are_none_and_those_beyond_the_limits_are_refused_at_the_door() {
     let mut b = Rig::new(1).ready();
