@@ -65,8 +65,7 @@ fn keep_busy(
 
 #[test]
 fn reads_run_back_to_back_one_a_cycle_and_their_counts_wrap() {
-    let mut b = Rig::new(1).start();
-    b.online();
+    let mut b = Rig::new(1).online();
     b.write(0, "variable-1", 1234).unwrap();
     b.tape(0).wire = Some(Vec::new());
     let mut ends = 0;
@@ -91,8 +90,7 @@ fn every_value_is_that_of_its_own_drive_and_parameter_in_any_weather() {
             reorder: 0.02,
             ..FaultPlan::default()
         };
-        let mut b = patient(Rig::new(4).faults(weather)).start();
-        b.online();
+        let mut b = patient(Rig::new(4).faults(weather)).online();
         let value = |index: usize, upid: u16| (index as u64 + 1) << 16 | u64::from(upid);
         for index in 0..4 {
             for upid in SCRATCH {
@@ -125,8 +123,7 @@ fn every_value_is_that_of_its_own_drive_and_parameter_in_any_weather() {
 fn what_was_written_and_answered_stands_in_the_drive() {
     for seed in 0..8 {
         let mut b =
-            patient(Rig::new(2).faults(FaultPlan { seed, drop: 0.05, ..FaultPlan::default() })).start();
-        b.online();
+            patient(Rig::new(2).faults(FaultPlan { seed, drop: 0.05, ..FaultPlan::default() })).online();
         let (mut number, mut last) = (0, [0; 2]);
         keep_busy(
             &mut b,
@@ -166,8 +163,7 @@ fn a_busy_drive_is_waited_for_and_no_longer_than_its_time() {
 
 #[test]
 fn a_refusal_comes_with_the_drives_own_status() {
-    let mut b = Rig::new(1).start();
-    b.online();
+    let mut b = Rig::new(1).online();
     let refused = |refusal: Refusal| Err(CallError::Refused(refusal.code().into()));
     assert_eq!(b.read(0, "0x9999"), refused(Refusal::NoSuchUpid));
     assert_eq!(b.write(0, "status-word", 1).map(|()| 0), refused(Refusal::AddressUsage));
@@ -178,8 +174,7 @@ fn a_refusal_comes_with_the_drives_own_status() {
 #[test]
 fn a_restart_ends_the_call_under_way_and_what_follows_is_of_the_new_life() {
     for at in 0..40 {
-        let mut b = Rig::new(1).each(|_, drive| drive.simulate.config_time_ns = 10 * MS).start();
-        b.online();
+        let mut b = Rig::new(1).each(|_, drive| drive.simulate.config_time_ns = 10 * MS).online();
         b.write(0, "variable-1", 77).unwrap();
         let mut tickets: Vec<_> = (0..3).map(|_| b.call(0, read(0x1E72))).collect();
         b.run(at);
@@ -197,8 +192,7 @@ fn a_restart_ends_the_call_under_way_and_what_follows_is_of_the_new_life() {
 fn a_tag_in_each_request_and_calls_share_the_channel() {
     let weather = FaultPlan { seed: 3, drop: 0.05, delay: 0.05, delay_ns: MS, ..FaultPlan::default() };
     let mut b =
-        patient(Rig::new(1).each(|_, drive| drive.reply_tag = ReplyTag::Count).faults(weather)).start();
-    b.online();
+        patient(Rig::new(1).each(|_, drive| drive.reply_tag = ReplyTag::Count).faults(weather)).online();
     b.write(0, "variable-1", 5).unwrap();
     let mut good = 0;
     keep_busy(
@@ -222,8 +216,7 @@ fn a_tag_in_each_request_and_calls_share_the_channel() {
 
 #[test]
 fn an_application_that_uses_the_channel_natively_ends_the_call_under_way() {
-    let mut b = Rig::new(1).each(|_, drive| drive.simulate.config_time_ns = 50 * MS).start();
-    b.ready();
+    let mut b = Rig::new(1).each(|_, drive| drive.simulate.config_time_ns = 50 * MS).ready();
     let mut native: Box<Native> = b.sim.axis(0).native().unwrap();
     b.post(0, Command::Native(NativeOwner::Master));
     b.run(5);
@@ -244,8 +237,7 @@ fn monitored_variables_are_in_the_feedback_in_their_units() {
                 drive.monitor = MonitorPlan::Sources(sources);
             }
         })
-        .start();
-    b.ready();
+        .ready();
     b.done(0, to(10.0));
     b.post(0, slowly_to(190.0));
     b.run(200);
@@ -271,8 +263,7 @@ fn a_variable_of_unknown_meaning_is_shown_raw_and_the_motor_temperature_in_degre
         .each(|_, drive| {
             drive.monitor = MonitorPlan::Sources([Some(Upid(0x1B8D)), Some(Upid(0x1BF3)), None, None]);
         })
-        .start();
-    b.online();
+        .online();
     b.until("both are shown", 100, |b| b.feedback(0).status.monitor[1].is_some());
     b.run(2);
     assert_eq!(b.feedback(0).status.monitor, [Some(f64::from(0x8000_1B8D_u32)), Some(30.39), None, None]);
@@ -284,8 +275,7 @@ fn a_variable_that_the_drive_will_not_show_is_told_of_once() {
         .each(|_, drive| {
             drive.monitor = MonitorPlan::Sources([Some(Upid(0x9999)), Some(Upid(0x1BCD)), None, None]);
         })
-        .start();
-    b.online();
+        .online();
     b.until("the other is shown", 100, |b| b.feedback(0).status.monitor[1].is_some());
     b.run(200);
     assert_eq!(b.feedback(0).status.monitor[0], None);
@@ -299,8 +289,7 @@ fn a_variable_that_the_drive_will_not_show_is_told_of_once() {
 
 #[test]
 fn whatever_is_set_in_the_drive_is_shown_raw_and_not_touched() {
-    let mut b = Rig::new(1).each(|_, drive| drive.monitor = MonitorPlan::AsSet).start();
-    b.online();
+    let mut b = Rig::new(1).each(|_, drive| drive.monitor = MonitorPlan::AsSet).online();
     b.run(10);
     // The status word of a drive that is switched off, on its fourth channel by default.
     assert!(b.feedback(0).status.monitor[3].is_some_and(|word| word == word.trunc()));

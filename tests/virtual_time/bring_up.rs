@@ -1,10 +1,8 @@
 //! From silence to online: reads before it writes, asks the dead rarely, and knows a drive that is found running.
 
-use std::time::Duration;
-
 use fieldbeat::axis::Failure;
-use fieldbeat::axis::{Command, EventKind, FoundRunning, Health, Link, Outcome, State, StopCause, StopThen};
-use fieldbeat::bus::linudp::wire::{ControlWord, MotionBlock, StatusWord};
+use fieldbeat::axis::{Command, Link, Outcome, State, StopCause, StopThen};
+use fieldbeat::bus::linudp::wire::{ControlWord, MotionBlock};
 use fieldbeat::cycle::Overrun;
 use fieldbeat::time::MS;
 
@@ -80,32 +78,6 @@ fn a_drive_found_running_is_stopped_even_if_its_axis_was_latched_before() {
 }
 
 #[test]
-fn the_gate_wants_good_exchanges_in_a_row() {
-    let health = Health { gate: 10, ..Health::default() };
-    let mut b = Rig::new(1).each(|_, drive| drive.axis.health = health).start();
-    b.step();
-    assert_eq!(b.feedback(0).link, Link::Qualifying);
-    b.run(8);
-    assert_eq!(b.feedback(0).link, Link::Qualifying);
-    // The tenth is lost: back to the slow questions.
-    b.tape(0).mute = true;
-    b.step();
-    assert_eq!(b.feedback(0).link, Link::Unseen);
-    b.tape(0).mute = false;
-    let heard = b.tape(0).heard.len();
-    b.run(99);
-    assert_eq!((b.feedback(0).link, b.tape(0).heard.len()), (Link::Unseen, heard));
-    b.run(9);
-    assert_eq!(b.feedback(0).link, Link::Qualifying);
-    b.step();
-    assert_eq!(b.feedback(0).link, Link::Online);
-    let links: Vec<_> = b.kinds(0).into_iter().filter(|kind| matches!(kind, EventKind::Link(_))).collect();
-    let expected = [Link::Qualifying, Link::Unseen, Link::Qualifying, Link::Online].map(EventKind::Link);
-    assert_eq!(links, expected);
-    assert_eq!(b.status().online, 1);
-}
-
-#[test]
 fn orders_wait_at_the_door_until_the_link_is_up() {
     let mut b = Rig::new(1).start();
     b.run(5);
@@ -127,121 +99,6 @@ fn sixty_four_drives_are_online_within_a_hundred_cycles_of_the_first() {
 }
 
 #[test]
-fn a_dead_drive_is_asked_rarely_and_its_neighbours_lose_nothing() {
-    let mut b = Rig::new(8).start();
-    let world = b.world();
-    for index in [0, 3, 7] {
-        world.unplug(address(index));
-    }
-    b.run(10_000);
-    let end = b.finish();
-    for (index, drive) in end.drives.iter().enumerate() {
-        let counters = drive.counters;
-        assert_eq!(counters.sent, counters.answered + counters.missed, "drive {index}");
-        if [0, 3, 7].contains(&index) {
-            assert_eq!((counters.sent, counters.answered), (100, 0), "drive {index}");
-            assert_eq!((drive.feedback.link, drive.losses), (Link::Unseen, 0));
-        } else {
-            assert_eq!((counters.sent, counters.answered), (10_000, 10_000), "drive {index}");
-        }
-    }
-    assert_eq!(end.status.missed, 300);
-}
-
-#[test]
-fn a_lost_drive_is_asked_rarely_too() {
-    let probe_interval = Duration::from_millis(50);
-    let mut b = Rig::new(2)
-        .each(|_, drive| drive.axis.health = Health { probe_interval, ..Health::default() })
-        .start();
-    b.online();
-    b.tape(0).mute = true;
-    b.run(5);
-    assert_eq!(b.feedback(0).link, Link::Lost);
-    b.tape(0).heard.clear();
-    b.run(1_000);
-    let heard: Vec<_> = b.tape(0).heard.iter().map(|heard| heard.at).collect();
-    assert_eq!(heard.len(), 20);
-    assert!(heard.windows(2).all(|pair| pair[1].since(pair[0]).abs_diff(50 * MS) < MS / 10));
-}
-
-#[test]
-fn some_probes_carry_every_block_since_some_drives_answer_no_others() {
-    let mut b = Rig::new(1).start();
-    b.tape(0).mute = true;
-    b.run(1_000);
-    let tape = b.tape(0);
-    let full = tape.heard.iter().filter(|heard| heard.request.motion.is_some()).count();
-    assert_eq!((tape.heard.len(), full), (10, 2));
-    assert!(tape.heard.iter().all(|h| h.request.motion.is_some() == h.request.config.is_some()));
-}
-
-#[test]
-fn found_running_is_stopped_along_its_ramp_and_powered_off() {
-    let mut b = Rig::new(1)
-        .each(|_, drive| {
-            drive.simulate.start_running = true;
-            drive.simulate.start_position = 1_000_000;
-        })
-        .start();
-    b.online();
-    assert_eq!(b.feedback(0).stopped, Some(StopCause::FoundRunning));
-    b.run(1);
-    // The bits as found, and a ramp: neither power off nor a quick stop.
-    let first = b.tape(0).heard.last().unwrap().request;
-    assert_eq!(first.control, Some(ControlWord::ON));
-    assert_eq!(first.motion.unwrap().header >> 4, 0x017);
-    assert_eq!(first.motion.unwrap().header & 0xF, 6, "the other master left count 5");
-    b.until("power off", 200, |b| b.feedback(0).status.state == State::ReadyToSwitchOn);
-    let standing = |heard: &&Heard| !heard.reply.unwrap().status.unwrap().has(StatusWord::MOTION_ACTIVE);
-    let still = b.tape(0).heard.iter().rev().take_while(standing).count();
-    assert!(still >= 20, "power went off only after standstill");
-    b.done(0, Command::Reset);
-    b.done(0, Command::Enable);
-    b.done(0, to(50.0));
-}
-
-#[test]
-fn found_running_can_be_refused_and_then_nothing_is_written() {
-    let mut b = Rig::new(1)
-        .each(|_, drive| {
-            drive.simulate.start_running = true;
-            drive.simulate.start_position = 1_000_000;
-            drive.axis.on_found_running = FoundRunning::Refuse;
-        })
-        .start();
-    b.online();
-    b.run(500);
-    assert_eq!(b.feedback(0).stopped, Some(StopCause::FoundRunning));
-    assert!(b.feedback(0).status.moving);
-    for verb in [Command::Enable, Command::Home, to(10.0)] {
-        assert_eq!(b.failed(0, verb), Failure::Latched(StopCause::FoundRunning));
-    }
-    assert_only_read(&b, 0);
-    // The application decides: a gentle stop is open to it, and then the drive is the master's, as it is.
-    b.done(0, Command::Stop { deceleration: None });
-    assert!(!b.feedback(0).status.moving && b.feedback(0).stopped.is_some());
-    assert_eq!(b.tape(0).heard.last().unwrap().request.control, Some(ControlWord::ON));
-    b.done(0, Command::Reset);
-    assert_eq!(b.failed(0, to(50.0)), Failure::NotEnabled);
-    b.done(0, Command::Enable);
-    b.done(0, to(50.0));
-}
-
-#[test]
-fn found_running_and_refused_survives_the_end_of_the_master_untouched() {
-    let mut b = Rig::new(1)
-        .each(|_, drive| {
-            drive.simulate.start_running = true;
-            drive.axis.on_found_running = FoundRunning::Refuse;
-        })
-        .start();
-    b.online();
-    b.shut_down(10);
-    assert_only_read(&b, 0);
-}
-
-#[test]
 fn a_restarted_master_goes_on_with_the_count_of_the_drive() {
     // The drive has stored count 5. All sixteen counts are used, so one of them would meet it if the master did not
     // ask.
@@ -250,8 +107,7 @@ fn a_restarted_master_goes_on_with_the_count_of_the_drive() {
             drive.simulate.start_running = true;
             drive.axis.stop.then = StopThen::Hold;
         })
-        .start();
-    b.online();
+        .online();
     b.until("standstill", 400, |b| !b.feedback(0).status.moving);
     b.done(0, Command::Reset);
     b.done(0, Command::Enable);

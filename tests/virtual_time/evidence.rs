@@ -39,61 +39,10 @@ fn rigs() -> Vec<Rig> {
 }
 
 #[test]
-fn a_stop_in_mid_motion_is_not_lost_by_one_repeated_reply() {
-    for rig in rigs() {
-        let mut b = rig.start();
-        b.ready();
-        for cycles in 1..=40 {
-            b.done(0, to(10.0));
-            b.run(40);
-            // The reply of just before the drive received this motion comes with the stop.
-            b.post(0, slowly_to(190.0));
-            b.run(cycles as u64);
-            repeat(&b, cycles);
-            let id = b.post(0, Command::Stop { deceleration: None });
-            let begun = demand(&b);
-            assert_eq!(b.ended(0, id), Outcome::Done);
-            assert!(!moves(&b), "{cycles} cycles late: done in mid-motion");
-            assert!(
-                demand(&b) < begun + 1.0,
-                "{cycles} cycles late: stopped after {} mm",
-                demand(&b) - begun
-            );
-            b.run(3);
-            assert!(!moves(&b), "{cycles} cycles late: it runs on");
-        }
-    }
-}
-
-#[test]
-fn a_move_is_not_done_at_its_start_by_one_repeated_reply() {
-    for rig in rigs() {
-        let mut b = rig.start();
-        b.ready();
-        b.done(0, to(10.0));
-        for late in 0..40 {
-            // The reply of before this motion, which is over, comes with the next one: the count after its own is the
-            // one that the drive has.
-            let target = if late % 2 == 0 { 20.0 } else { 10.0 };
-            b.post(0, to(target));
-            b.until("its end", 200, |b| demand(b) == target);
-            b.run(3);
-            let command = b.tape(0).heard.iter().rev().position(|heard| heard.request.motion.is_some());
-            let cycles = command.unwrap() + 1 + late % 4;
-            repeat(&b, cycles);
-            let id = b.post(0, to(target + 30.0));
-            assert_eq!(b.ended(0, id), Outcome::Done);
-            assert_eq!((demand(&b), moves(&b)), (target + 30.0, false), "{cycles} cycles late");
-        }
-    }
-}
-
-#[test]
 fn no_order_ends_early_or_is_lost_whenever_one_reply_is_repeated() {
     let mut random = fastrand::Rng::with_seed(17);
     for (n, rig) in rigs().into_iter().enumerate() {
-        let mut b = rig.start();
-        b.ready();
+        let mut b = rig.ready();
         for trial in 0..150 {
             let what = format!("rig {n}, trial {trial}");
             let (near, far) = (random.f64() * 50.0, 100.0 + random.f64() * 90.0);
@@ -158,8 +107,7 @@ fn no_order_ends_early_or_is_lost_whenever_one_reply_is_repeated() {
 #[test]
 fn an_error_is_reported_with_its_code_in_whichever_cycle_it_comes() {
     for turn in 0..4 {
-        let mut b = Rig::new(1).start();
-        b.ready();
+        let mut b = Rig::new(1).ready();
         b.run(turn);
         b.tape(0).provoke = Some(ErrorCode(0x0B));
         b.run(3);
@@ -171,8 +119,7 @@ fn an_error_is_reported_with_its_code_in_whichever_cycle_it_comes() {
 
 #[test]
 fn a_quick_stop_of_a_drive_whose_parameters_force_that_bit_stops_it_by_a_ramp() {
-    let mut b = Rig::new(1).each(|_, drive| drive.simulate.force_enable_bits = true).start();
-    b.ready();
+    let mut b = Rig::new(1).each(|_, drive| drive.simulate.force_enable_bits = true).ready();
     b.post(0, slowly_to(190.0));
     b.run(300);
     let begun = demand(&b);
@@ -185,8 +132,7 @@ fn a_quick_stop_of_a_drive_whose_parameters_force_that_bit_stops_it_by_a_ramp() 
 
 #[test]
 fn monitoring_channels_that_are_shown_come_with_every_reply() {
-    let mut b = Rig::new(1).each(|_, drive| drive.monitor = MonitorPlan::AsSet).start();
-    b.ready();
+    let mut b = Rig::new(1).each(|_, drive| drive.monitor = MonitorPlan::AsSet).ready();
     b.tape(0).heard.clear();
     b.run(20);
     assert!(b.tape(0).heard.iter().all(|heard| heard.request.response_def.contains(ResponseDef::MONITOR)));

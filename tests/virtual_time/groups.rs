@@ -2,7 +2,7 @@
 
 use fieldbeat::Master;
 use fieldbeat::axis::{
-    Abort, Command, EventKind, Failure, Group, GroupError, Health, Outcome, Row, StopCause, Target, Underrun,
+    Abort, Command, EventKind, Failure, Group, GroupError, Health, Outcome, Row, StopCause, Underrun,
 };
 use fieldbeat::bus::linudp::LinUdpDrive;
 use fieldbeat::bus::linudp::wire::{ControlWord, MotionBlock};
@@ -20,10 +20,14 @@ fn rig(count: usize) -> Rig {
 }
 
 fn joined(count: usize, members: &[usize]) -> Bench {
-    let mut b = rig(count).start();
-    b.ready();
+    let mut b = rig(count).ready();
     b.join(members);
     b
+}
+
+/// How many requests each of the first drives has received.
+fn heard(b: &Bench, count: usize) -> Vec<usize> {
+    (0..count).map(|index| b.tape(index).heard.len()).collect()
 }
 
 /// When the drive heard each new motion command, by its header without the count.
@@ -44,7 +48,7 @@ fn motions(b: &Bench, index: usize, from: usize) -> Vec<(Time, u16)> {
 #[test]
 fn a_verb_reaches_all_members_in_one_send_whatever_each_was_doing() {
     let mut b = joined(4, &[2, 0, 3]);
-    let from: Vec<usize> = (0..4).map(|index| b.tape(index).heard.len()).collect();
+    let from = heard(&b, 4);
     b.group_done(&[to(10.0), to(20.0), to(30.0)]);
     let sent: Vec<Time> = [2, 0, 3].map(|index| motions(&b, index, from[index])[0].0).to_vec();
     assert!(sent.iter().all(|at| *at == sent[0]), "{sent:?}");
@@ -67,25 +71,10 @@ fn a_verb_reaches_all_members_in_one_send_whatever_each_was_doing() {
 }
 
 #[test]
-fn a_command_to_a_group_that_is_stopped_moves_no_member() {
-    let mut b = joined(2, &[0, 1]);
-    b.group_done(&[to(10.0), to(10.0)]);
-    let before = b.tape(0).heard.len();
-    b.world().unplug(address(1));
-    b.stopped(1, 20);
-    assert_eq!(b.stopped(0, 1), StopCause::Group);
-    let command = b.group().post(&[to(20.0), to(20.0)]).unwrap();
-    let outcomes = b.group_ended(&command);
-    assert!(outcomes.iter().all(|outcome| matches!(outcome, Outcome::Failed(_))), "{outcomes:?}");
-    let went = motions(&b, 0, before).iter().filter(|(_, header)| *header == 0x0100).count();
-    assert_eq!(went, 0, "nothing of a refused move was sent");
-}
-
-#[test]
 fn one_member_that_cannot_keeps_all_others_from_it() {
     let mut b = joined(3, &[0, 1, 2]);
     b.group_done(&[to(100.0), to(100.0), to(100.0)]);
-    let heard: Vec<usize> = (0..3).map(|index| b.tape(index).heard.len()).collect();
+    let from = heard(&b, 3);
     // Refused in the loop: member 1 would leave its range. The others are told why they stay.
     let command = b.group().post(&[Command::Disable, Command::Disable, Command::Disable]).unwrap();
     assert_eq!(b.group_ended(&command), [Outcome::Done; 3]);
@@ -104,7 +93,7 @@ fn one_member_that_cannot_keeps_all_others_from_it() {
     assert!(matches!(outcomes[1], Outcome::Failed(Failure::WrongState(_))), "{outcomes:?}");
     assert_eq!(outcomes[2], Outcome::Failed(Failure::GroupRefused));
     b.run(5);
-    for (index, from) in heard.into_iter().enumerate() {
+    for (index, from) in from.into_iter().enumerate() {
         let moved = motions(&b, index, from).iter().any(|(_, header)| *header == 0x0100);
         assert!(!moved, "axis {index}");
     }
@@ -153,8 +142,7 @@ fn axes_that_cannot_act_together_make_no_group_and_are_given_back() {
 
 #[test]
 fn a_full_queue_takes_the_parts_of_all_members_or_none_and_has_room_for_their_stop() {
-    let mut b = rig(2).each(|_, drive| drive.axis.command_queue = 6).start();
-    b.ready();
+    let mut b = rig(2).each(|_, drive| drive.axis.command_queue = 6).ready();
     // Member 1 has commands of its own already.
     let own = [b.post(1, Command::Home), b.post(1, Command::Home)];
     b.step();
@@ -215,8 +203,7 @@ fn what_was_posted_before_a_stop_ends_with_it_at_all_members() {
         let mut b = rig(2)
             .each(|_, drive| drive.axis.health.bucket = 3)
             .cycle(|cycle| cycle.overrun = Overrun::Stop)
-            .start();
-        b.ready();
+            .ready();
         b.join(&[1, 0]);
         begin(&mut b);
         let again = [Command::Reset, Command::Enable].map(|verb| b.group().post_all(verb).unwrap());
@@ -240,6 +227,16 @@ fn circle(step: u32) -> [Row; 2] {
         row(100.0 + 20.0 * angle.cos(), -speed * angle.sin()),
         row(100.0 + 20.0 * angle.sin(), speed * angle.cos()),
     ]
+}
+
+/// The same as the drive has it, in counts.
+fn counts(step: u32, axis: usize) -> i32 {
+    (circle(step)[axis].position * PER_MM).round() as i32
+}
+
+/// The step of the first so many at which an axis has this place.
+fn step_of(position: i32, axis: usize, steps: u32) -> u32 {
+    (0..steps).find(|step| counts(*step, axis) == position).expect("a row of the circle")
 }
 
 fn streaming(b: &mut Bench, steps: u32) -> fieldbeat::axis::GroupCommand {
@@ -270,7 +267,7 @@ fn rows(b: &Bench, index: usize, from: usize) -> Vec<(Time, i32)> {
 fn rows_are_taken_by_all_members_or_by_none() {
     let mut b = joined(2, &[0, 1]);
     let command = streaming(&mut b, 50);
-    let from: Vec<usize> = (0..2).map(|index| b.tape(index).heard.len()).collect();
+    let from = heard(&b, 2);
     b.run(30);
     for step in 50..200 {
         // Rows come in bursts with gaps, but never run out.
@@ -281,20 +278,17 @@ fn rows_are_taken_by_all_members_or_by_none() {
     b.group().push_rows(&last).unwrap();
     assert_eq!(b.group_ended(&command), [Outcome::Done; 2]);
     let (x, y) = (rows(&b, 0, from[0]), rows(&b, 1, from[1]));
-    let positions = |rows: &[(Time, i32)]| rows.iter().map(|(_, position)| *position).collect::<Vec<_>>();
     for step in 0..200 {
         let at = step as usize;
         assert_eq!(x[at].0, y[at].0, "row {step} of both left in one send");
-        let expected = circle(step).map(|row| (row.position * PER_MM).round() as i32);
-        assert_eq!([positions(&x)[at], positions(&y)[at]], expected, "row {step}");
+        assert_eq!([x[at].1, y[at].1], [0, 1].map(|axis| counts(step, axis)), "row {step}");
     }
 }
 
 #[test]
 fn a_stream_that_runs_empty_at_one_member_is_empty_for_all() {
     for (underrun, held) in [(Underrun::Hold, true), (Underrun::Stop, false)] {
-        let mut b = rig(2).each(|_, drive| drive.axis.underrun = underrun).start();
-        b.ready();
+        let mut b = rig(2).each(|_, drive| drive.axis.underrun = underrun).ready();
         let start = circle(0);
         for (index, row) in start.iter().enumerate() {
             b.done(index, to(row.position));
@@ -303,7 +297,7 @@ fn a_stream_that_runs_empty_at_one_member_is_empty_for_all() {
         for _ in 0..3 {
             b.sim.axis(0).push_row(start[0]).unwrap();
         }
-        let from: Vec<usize> = (0..2).map(|index| b.tape(index).heard.len()).collect();
+        let from = heard(&b, 2);
         b.join(&[0, 1]);
         for step in 0..40 {
             b.group().push_rows(&circle(step)).unwrap();
@@ -319,8 +313,7 @@ fn a_stream_that_runs_empty_at_one_member_is_empty_for_all() {
             rows
         };
         for index in 0..2 {
-            let path: Vec<i32> =
-                (0..40).map(|step| (circle(step)[index].position * PER_MM).round() as i32).collect();
+            let path: Vec<i32> = (0..40).map(|step| counts(step, index)).collect();
             assert_eq!(heard(&b, index), path, "axis {index}");
         }
         if held {
@@ -341,7 +334,7 @@ fn a_row_that_one_member_may_not_take_is_sent_to_none() {
     // The first row is far from the demand of member 1: only the loop can know.
     let mut b = joined(2, &[0, 1]);
     b.group_done(&[to(120.0), to(50.0)]);
-    let from: Vec<usize> = (0..2).map(|index| b.tape(index).heard.len()).collect();
+    let from = heard(&b, 2);
     for step in 0..10 {
         b.group().push_rows(&circle(step)).unwrap();
     }
@@ -355,31 +348,12 @@ fn a_row_that_one_member_may_not_take_is_sent_to_none() {
 }
 
 #[test]
-fn a_member_that_is_stopped_takes_the_group_along_and_it_comes_back_together() {
-    let mut b = joined(3, &[0, 1]);
-    let command = b.group().post(&[slowly_to(150.0), slowly_to(160.0)]).unwrap();
-    b.run(200);
-    b.tape(0).provoke = Some(fieldbeat::bus::linudp::wire::ErrorCode(0x0B));
-    assert_eq!(b.stopped(0, 10), StopCause::DriveFault);
-    assert_eq!(b.feedback(1).stopped, Some(StopCause::Group), "in the same cycle");
-    assert_eq!(b.feedback(2).stopped, Some(StopCause::Group), "by their stop group, a member or not");
-    for (index, cause) in [(0, StopCause::DriveFault), (1, StopCause::Group)] {
-        assert_eq!(b.outcome(index, command.ids()[index]), Some(Outcome::Aborted(Abort::Stopped(cause))));
-    }
-    b.run(1_000);
-    for verb in [Command::ResetFault, Command::Reset, Command::Enable] {
-        b.group_done(&[verb; 2]);
-    }
-    b.group_done(&[to(10.0), to(20.0)]);
-}
-
-#[test]
 fn an_urgent_command_overtakes_what_waits_for_other_members() {
     let mut b = joined(2, &[0, 1]);
     let moving = b.group().post(&[slowly_to(150.0), slowly_to(150.0)]).unwrap();
     let homing = b.group().post_all(Command::Home).unwrap();
     b.run(100);
-    let from: Vec<usize> = (0..2).map(|index| b.tape(index).heard.len()).collect();
+    let from = heard(&b, 2);
     let stop = b.group().post_all(Command::Stop { deceleration: None }).unwrap();
     assert_eq!(b.group_ended(&stop), [Outcome::Done; 2]);
     for (command, index) in [(&moving, 0), (&moving, 1), (&homing, 0), (&homing, 1)] {
@@ -395,8 +369,7 @@ fn an_urgent_command_overtakes_what_waits_for_other_members() {
 fn misses_of_all_members_together_stop_the_group() {
     // No member alone loses its link: a bucket holds 8, and three lose 3 each.
     let health = Health { bucket: 8, leak: 1_000, ..Health::default() };
-    let mut b = rig(3).each(|_, drive| drive.axis.health = health).start();
-    b.ready();
+    let mut b = rig(3).each(|_, drive| drive.axis.health = health).ready();
     b.join(&[0, 1, 2]);
     let command = b.group().post(&[slowly_to(150.0); 3]).unwrap();
     b.run(50);
@@ -416,8 +389,7 @@ fn misses_of_all_members_together_stop_the_group() {
         assert_eq!(outcome, Some(Outcome::Aborted(Abort::Stopped(StopCause::GroupLink))));
     }
     // Standing, or each for itself, nothing is counted together.
-    let mut b = rig(3).each(|_, drive| drive.axis.health = health).start();
-    b.ready();
+    let mut b = rig(3).each(|_, drive| drive.axis.health = health).ready();
     b.join(&[0, 1, 2]);
     for index in 0..3 {
         b.tape(index).mute = true;
@@ -435,8 +407,7 @@ fn struck(divisor: u32, leaks: [u32; 3], buckets: [u32; 3], strikes: &[(usize, u
             drive.axis.divisor = divisor;
             drive.axis.health = Health { bucket: buckets[index], leak: leaks[index], ..Health::default() };
         })
-        .start();
-    b.ready();
+        .ready();
     b.join(&[0, 1, 2]);
     b.group().post(&[slowly_to(150.0); 3]).unwrap();
     b.run(100);
@@ -495,7 +466,7 @@ fn a_row_that_could_not_be_sent_to_one_member_leaves_the_others_in_step() {
     let mut b = joined(2, &[0, 1]);
     let command = streaming(&mut b, 400);
     b.run(20);
-    let from: Vec<usize> = (0..2).map(|index| b.tape(index).heard.len()).collect();
+    let from = heard(&b, 2);
     b.tape(1).jammed = true;
     b.run(1);
     b.tape(1).jammed = false;
@@ -507,9 +478,7 @@ fn a_row_that_could_not_be_sent_to_one_member_leaves_the_others_in_step() {
     let mut together = 0;
     for (at, position) in &x {
         if let Some((_, other)) = y.iter().find(|(time, _)| time == at) {
-            let step = (0..400).find(|step| (circle(*step)[0].position * PER_MM).round() as i32 == *position);
-            let expected = (circle(step.unwrap())[1].position * PER_MM).round() as i32;
-            assert_eq!(*other, expected, "at {at:?}");
+            assert_eq!(*other, counts(step_of(*position, 0, 400), 1), "at {at:?}");
             together += 1;
         }
     }
@@ -527,11 +496,10 @@ fn patient() -> Rig {
 
 #[test]
 fn slots_that_are_passed_over_keep_the_members_in_step() {
-    let mut b = patient().start();
-    b.ready();
+    let mut b = patient().ready();
     b.join(&[0, 1]);
     streaming(&mut b, 600);
-    let from: Vec<usize> = (0..2).map(|index| b.tape(index).heard.len()).collect();
+    let from = heard(&b, 2);
     for turn in 0..200 {
         if turn % 20 == 5 {
             b.world().delay_next_wake(1_000_000 + turn * 10_000);
@@ -542,9 +510,7 @@ fn slots_that_are_passed_over_keep_the_members_in_step() {
     assert!(x.len() > 150 && b.status().skipped > 5);
     for ((at, position), (time, other)) in x.iter().zip(&y) {
         assert_eq!(at, time);
-        let step =
-            (0..600).find(|step| (circle(*step)[0].position * PER_MM).round() as i32 == *position).unwrap();
-        assert_eq!(*other, (circle(step)[1].position * PER_MM).round() as i32);
+        assert_eq!(*other, counts(step_of(*position, 0, 600), 1));
     }
 }
 
@@ -552,8 +518,7 @@ fn slots_that_are_passed_over_keep_the_members_in_step() {
 fn in_bad_weather_members_never_take_rows_of_two_steps_in_one_send() {
     for seed in 0..10 {
         let weather = FaultPlan { drop: 0.05, duplicate: 0.05, ..FaultPlan::default() };
-        let mut b = patient().start();
-        b.ready();
+        let mut b = patient().ready();
         b.join(&[0, 1]);
         streaming(&mut b, 900);
         for index in 0..2 {
@@ -565,9 +530,7 @@ fn in_bad_weather_members_never_take_rows_of_two_steps_in_one_send() {
         let slot_of = |rows: Vec<(Time, i32)>, axis: usize| {
             let mut slots = std::collections::BTreeMap::new();
             for (at, position) in rows {
-                let found =
-                    (0..900).find(|step| (circle(*step)[axis].position * PER_MM).round() as i32 == position);
-                slots.entry(found.unwrap()).or_insert(at);
+                slots.entry(step_of(position, axis, 900)).or_insert(at);
             }
             slots
         };
@@ -585,29 +548,6 @@ fn in_bad_weather_members_never_take_rows_of_two_steps_in_one_send() {
 }
 
 #[test]
-fn a_move_of_a_group_ends_where_each_member_was_told() {
-    let mut b = joined(2, &[1, 0]);
-    let command = b.group().post(&[by(5.0), with(Target::Absolute(77.0), 300.0, 5_000.0)]).unwrap();
-    assert_eq!(b.group_ended(&command), [Outcome::Done; 2]);
-    assert_near(b.feedback(0).status.demand, 77.0, 0.001);
-    let axes = b.group().axes().iter().map(|axis| axis.name().to_owned()).collect::<Vec<_>>();
-    assert_eq!(axes, ["x1", "x0"]);
-}
-
-#[test]
-fn a_motion_that_fails_at_one_member_stops_all() {
-    // Member 0 jogs into its limit; the protocol ends its command there.
-    let mut b = joined(2, &[0, 1]);
-    b.group_done(&[to(190.0), to(50.0)]);
-    let command = b.group().post(&[jog(30.0), jog(30.0)]).unwrap();
-    assert_eq!(b.stopped(0, 2_000), StopCause::GroupFailed);
-    assert_eq!(b.feedback(1).stopped, Some(StopCause::Group), "in the same cycle");
-    let outcomes = b.group_ended(&command);
-    assert!(matches!(outcomes[0], Outcome::Failed(Failure::Limit { .. })), "{outcomes:?}");
-    assert_eq!(outcomes[1], Outcome::Aborted(Abort::Stopped(StopCause::Group)));
-}
-
-#[test]
 fn the_task_reaches_a_member_in_motion_with_a_stop_only() {
     let mut b = rig(2)
         .task(|cycle, axes| match cycle.index {
@@ -615,8 +555,7 @@ fn the_task_reaches_a_member_in_motion_with_a_stop_only() {
             6_100 => drop(axes.command(0, Command::Stop { deceleration: None }).unwrap()),
             _ => {}
         })
-        .start();
-    b.ready();
+        .ready();
     b.join(&[0, 1]);
     b.until("cycle 5900", 5_900, |b| b.status().planned >= 5_900);
     let command = b.group().post(&[slowly_to(150.0), slowly_to(150.0)]).unwrap();
@@ -640,8 +579,7 @@ fn a_stop_is_refused_to_no_member_because_of_another() {
             9_600 => drop(axes.command(0, slowly_to(150.0))),
             _ => {}
         })
-        .start();
-    b.ready();
+        .ready();
     b.join(&[0, 1]);
     b.world().unplug(address(1));
     b.stopped(1, 50);

@@ -5,12 +5,9 @@ use fieldbeat::bus::linudp::SimPlan;
 
 use crate::virtual_time::support::*;
 
-const STOP: Command = Command::Stop { deceleration: None };
-
 #[test]
 fn numbers_that_are_none_and_those_beyond_the_limits_are_refused_at_the_door() {
-    let mut b = Rig::new(1).start();
-    b.ready();
+    let mut b = Rig::new(1).ready();
     let before = b.tape(0).heard.len();
     let refused = |b: &mut Bench, verb: Command| b.sim.axis(0).post(verb).expect_err("refused").to_string();
     for value in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
@@ -67,32 +64,15 @@ fn numbers_that_are_none_and_those_beyond_the_limits_are_refused_at_the_door() {
 }
 
 #[test]
-fn a_relative_move_beyond_the_limits_is_refused_in_the_loop() {
-    let mut b = Rig::new(1).start();
-    b.ready();
-    b.done(0, to(150.0));
-    for distance in [50.1, -150.1, 1e9, -1e9] {
-        match b.failed(0, by(distance)) {
-            Failure::Limit { value, low, high, .. } => {
-                assert_eq!((value, (low, high)), (150.0 + distance, RANGE));
-            }
-            other => panic!("{other}"),
-        }
-    }
-    b.done(0, by(50.0));
-    b.done(0, by(-200.0));
-    assert_eq!(b.feedback(0).status.demand, 0.0);
-}
-
-#[test]
 fn what_the_wire_cannot_carry_is_refused_in_the_loop() {
-    let mut b = Rig::new(1).each(|_, drive| drive.axis.limits = Default::default()).start();
-    b.ready();
+    let mut b = Rig::new(1).each(|_, drive| drive.axis.limits = Default::default()).ready();
     for verb in [
         to(214_749.0),
         by(-214_750.0),
         with(Target::Absolute(1.0), 4_294_968.0, 1.0),
         with(Target::Absolute(1.0), 1.0, 43_000_000.0),
+        // It is rounded to nothing.
+        with(Target::Absolute(10.0), 1e-9, 100.0),
     ] {
         assert!(matches!(b.failed(0, verb), Failure::Range(_)), "{verb:?}");
     }
@@ -108,8 +88,7 @@ fn a_jog_reaches_its_speed_and_never_runs_further_ahead_than_its_leash() {
                 drive.axis.limits.position = Some((-1_000.0, 1_000.0));
                 drive.simulate.range = (-10_100_000, 10_100_000);
             })
-            .start();
-        b.ready();
+            .ready();
         b.tape(0).heard.clear();
         let id = b.post(0, jog(velocity));
         b.run(100);
@@ -137,59 +116,8 @@ fn a_jog_reaches_its_speed_and_never_runs_further_ahead_than_its_leash() {
 }
 
 #[test]
-fn a_stop_ends_a_jog_and_a_jog_of_zero_stands() {
-    let mut b = Rig::new(1).start();
-    b.ready();
-    let id = b.post(0, jog(50.0));
-    b.run(500);
-    let stop = b.post(0, STOP);
-    assert_eq!(b.aborted(0, id), Abort::Replaced(stop));
-    assert_eq!(b.ended(0, stop), Outcome::Done);
-    let id = b.post(0, jog(50.0));
-    b.run(500);
-    let zero = b.post(0, jog(0.0));
-    assert_eq!(b.aborted(0, id), Abort::Replaced(zero));
-    b.until("standstill", 100, |b| !b.feedback(0).status.moving);
-    assert_eq!(b.outcome(0, zero), None, "it waits for a velocity");
-    b.done(0, STOP);
-}
-
-#[test]
-fn a_jog_stops_at_the_limit_and_says_so() {
-    let mut b = Rig::new(1).start();
-    b.ready();
-    for (velocity, end) in [(150.0, 200.0), (-150.0, 0.0)] {
-        assert!(matches!(b.failed(0, jog(velocity)), Failure::Limit { .. }));
-        assert_eq!(b.feedback(0).status.demand, end);
-        assert_eq!(b.feedback(0).stopped, None);
-        // There already: it does not move at all.
-        assert!(matches!(b.failed(0, jog(velocity)), Failure::Limit { .. }));
-        assert_eq!(b.feedback(0).status.demand, end);
-    }
-    let (low, high) = b.tape(0).demand.unwrap();
-    assert!(low >= RANGE.0 && high <= RANGE.1, "{low} ... {high}");
-    let id = b.post(0, jog(50.0));
-    b.run(100);
-    assert_eq!(b.outcome(0, id), None);
-}
-
-#[test]
-fn a_jog_from_outside_the_limits_only_goes_in() {
-    let mut b = Rig::new(1).each(|_, drive| drive.axis.limits.position = Some((20.0, 180.0))).start();
-    b.ready();
-    // Home is at 0, outside.
-    assert!(matches!(b.failed(0, jog(-10.0)), Failure::Limit { .. }));
-    assert_eq!(b.feedback(0).status.demand, 0.0);
-    let id = b.post(0, jog(100.0));
-    b.run(600);
-    assert_eq!(b.outcome(0, id), None);
-    assert_near(b.feedback(0).status.velocity, 100.0, 3.0);
-}
-
-#[test]
 fn jogs_are_refused_without_a_leash_and_beyond_what_it_can_hold() {
-    let mut b = Rig::new(2).each(|index, drive| drive.leash = (index == 1).then_some(2.0)).start();
-    b.ready();
+    let mut b = Rig::new(2).each(|index, drive| drive.leash = (index == 1).then_some(2.0)).ready();
     assert!(matches!(b.refused(0, jog(10.0)), Failure::Unsupported(why) if why.contains("leash")));
     // Half of the leash must be enough to brake: v² <= 2 a leash / 2.
     assert!(matches!(b.failed(1, jog(101.0)), Failure::Limit { .. }));
@@ -211,8 +139,7 @@ fn an_axis_in_motion_brakes_before_its_limit_whatever_replaces_its_motion() {
         Command::Jog(Jog { velocity: -20.0, acceleration: weak }),
         Command::Jog(Jog { velocity: 20.0, acceleration: weak }),
     ] {
-        let mut b = Rig::new(1).start();
-        b.ready();
+        let mut b = Rig::new(1).ready();
         b.post(0, with(Target::Absolute(199.9), 500.0, 10_000.0));
         b.until("near the end", 1_000, |b| b.feedback(0).status.demand > 180.0);
         assert!(b.feedback(0).status.velocity > 400.0);
@@ -226,8 +153,7 @@ fn an_axis_in_motion_brakes_before_its_limit_whatever_replaces_its_motion() {
 
 #[test]
 fn a_motion_that_cannot_start_leaves_no_other_running_behind_its_back() {
-    let mut b = Rig::new(1).start();
-    b.ready();
+    let mut b = Rig::new(1).ready();
     // Refused in the loop, it replaces nothing.
     let id = b.post(0, slowly_to(100.0));
     b.run(100);
@@ -244,36 +170,6 @@ fn a_motion_that_cannot_start_leaves_no_other_running_behind_its_back() {
 }
 
 #[test]
-fn a_rotary_axis_turns_on_over_its_modulo() {
-    let mut b = Rig::new(1)
-        .each(|_, drive| {
-            drive.axis.units =
-                Units { unit: Unit::Millimetre, modulo: Some(20.0), ..Units::millimetres(PER_MM) };
-            drive.axis.limits.position = None;
-        })
-        .start();
-    b.ready();
-    let wire = |b: &Bench| f64::from(b.tape(0).last().demand.unwrap()) / PER_MM;
-    for turns in 1..=4 {
-        b.done(0, by(15.0));
-        assert_near(wire(&b), 15.0 * f64::from(turns), 1e-3);
-    }
-    assert_near(b.feedback(0).status.demand, 0.0, 1e-3);
-    // The nearest way: from turn 3 at 0 forwards to 4, and backwards to 17.
-    b.done(0, to(4.0));
-    assert_near(wire(&b), 64.0, 1e-3);
-    b.done(0, to(17.0));
-    assert_near(wire(&b), 57.0, 1e-3);
-    b.done(0, by(-20.0));
-    assert_near(wire(&b), 37.0, 1e-3);
-    let id = b.post(0, jog(100.0));
-    b.run(1_000);
-    assert_eq!(b.outcome(0, id), None);
-    assert_near(b.feedback(0).status.velocity, 100.0, 3.0);
-    assert!(wire(&b) > 120.0);
-}
-
-#[test]
 fn a_rotary_axis_turns_on_over_the_end_of_its_counts() {
     let mut b = Rig::new(1)
         .each(|_, drive| {
@@ -285,8 +181,7 @@ fn a_rotary_axis_turns_on_over_the_end_of_its_counts() {
             drive.simulate.start_position = i32::MAX - 100_000;
             drive.simulate.home_position = i32::MAX - 50_000;
         })
-        .start();
-    b.ready();
+        .ready();
     let wire = |b: &Bench| b.tape(0).last().demand.unwrap();
     let home = b.feedback(0).status.demand;
     assert_eq!(wire(&b), i32::MAX - 50_000);
@@ -317,45 +212,4 @@ fn a_rotary_axis_turns_on_over_the_end_of_its_counts() {
     // Farther than half of all counts there is no shorter way.
     let far = b.failed(0, by(300_000.0));
     assert!(matches!(far, Failure::Range(_)), "{far}");
-}
-
-#[test]
-fn an_inverted_axis_moves_the_other_way() {
-    let mut b = Rig::new(1)
-        .each(|_, drive| {
-            drive.axis.units = Units { offset: 100.0, ..Units::millimetres(-PER_MM) };
-            drive.axis.limits.position = Some((-100.0, 100.0));
-        })
-        .start();
-    b.ready();
-    assert_near(b.feedback(0).status.position, 100.0, 0.01);
-    b.done(0, to(70.0));
-    assert_eq!(b.tape(0).last().demand, Some(300_000));
-    b.done(0, by(-10.0));
-    assert_eq!(b.tape(0).last().demand, Some(400_000));
-    let id = b.post(0, jog(-20.0));
-    b.run(1_000);
-    assert_near(b.feedback(0).status.velocity, -20.0, 0.5);
-    let stop = b.post(0, STOP);
-    assert_eq!(b.aborted(0, id), Abort::Replaced(stop));
-}
-
-#[test]
-fn an_axis_with_position_limits_moves_only_when_it_is_homed() {
-    let mut b = Rig::new(1).start();
-    b.online();
-    b.done(0, Command::Enable);
-    for verb in [to(10.0), jog(5.0), Command::Follow] {
-        assert_eq!(b.failed(0, verb), Failure::NotHomed);
-    }
-    assert_eq!(b.feedback(0).status.fault, 0, "nothing of it reached the drive");
-    b.done(0, Command::Home);
-    b.done(0, to(10.0));
-}
-
-#[test]
-fn a_velocity_that_the_wire_rounds_to_nothing_is_refused() {
-    let mut b = Rig::new(1).start();
-    b.ready();
-    assert!(matches!(b.failed(0, with(Target::Absolute(10.0), 1e-9, 100.0)), Failure::Range(_)));
 }

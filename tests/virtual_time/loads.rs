@@ -33,8 +33,7 @@ fn assert_never_dropped(b: &Bench) {
 fn a_load_that_only_the_drive_holds_is_never_powered_off_by_the_master() {
     // By the loss of its link, by the end of the master, and by an impatient end.
     for (lose, asked) in [(false, 1), (true, 1), (false, 2), (true, 2)] {
-        let mut b = vertical(HeldBy::Drive).start();
-        b.ready();
+        let mut b = vertical(HeldBy::Drive).ready();
         let from = b.tape(0).heard.len();
         b.post(0, slowly_to(150.0));
         b.run(200);
@@ -58,8 +57,7 @@ fn a_load_that_only_the_drive_holds_is_never_powered_off_by_the_master() {
 
 #[test]
 fn a_load_with_a_brake_is_powered_off_at_standstill() {
-    let mut b = vertical(HeldBy::Brake).start();
-    b.ready();
+    let mut b = vertical(HeldBy::Brake).ready();
     b.post(0, slowly_to(150.0));
     b.run(200);
     b.shut_down(10_000);
@@ -70,8 +68,7 @@ fn a_load_with_a_brake_is_powered_off_at_standstill() {
 #[test]
 fn the_application_cannot_drop_a_load_in_motion() {
     for held_by in [HeldBy::Brake, HeldBy::Drive] {
-        let mut b = vertical(held_by).start();
-        b.ready();
+        let mut b = vertical(held_by).ready();
         b.post(0, slowly_to(150.0));
         b.run(200);
         assert_eq!(b.failed(0, Command::Disable), Failure::LoadInMotion);
@@ -85,8 +82,7 @@ fn the_application_cannot_drop_a_load_in_motion() {
 
 #[test]
 fn the_hardware_enable_is_seen_as_a_state_and_a_stop_of_its_own_name() {
-    let mut b = Rig::new(2).each(|_, drive| drive.axis.stop.group = Some(1)).start();
-    b.ready();
+    let mut b = Rig::new(2).each(|_, drive| drive.axis.stop.group = Some(1)).ready();
     let id = b.post(0, slowly_to(150.0));
     b.run(200);
     assert!(!b.feedback(0).status.inhibited);
@@ -134,8 +130,7 @@ fn a_status_that_lags_behind_the_control_word_is_no_missing_hardware_enable() {
                 drive.simulate.status_lag_ns = lag_ms * MS;
                 drive.inhibit_after = Duration::from_millis(inhibit_after_ms);
             })
-            .start();
-        b.online();
+            .online();
         let what = format!("{lag_ms} ms, {inhibit_after_ms} ms");
         match enabled {
             true => b.done(0, Command::Enable),
@@ -148,8 +143,7 @@ fn a_status_that_lags_behind_the_control_word_is_no_missing_hardware_enable() {
 
 #[test]
 fn a_drive_that_boots_has_not_lost_its_hardware_enable() {
-    let mut b = Rig::new(1).start();
-    b.ready();
+    let mut b = Rig::new(1).ready();
     b.world().restart(address(0));
     b.run(400);
     assert!(b.kinds(0).contains(&EventKind::Restarted));

@@ -136,8 +136,7 @@ fn go_to(position: i32) -> MotionCommand {
 
 #[test]
 fn a_motion_command_of_another_master_stops_a_linmot_by_its_third_reply() {
-    let mut b = Rig::new(2).start();
-    b.ready();
+    let mut b = Rig::new(2).ready();
     b.run(300);
     inject(&b, Request { motion: Some(go_to(500_000).block(9)), ..Request::default() });
     assert_eq!(b.stopped(0, 5), StopCause::OtherMaster);

@@ -2,10 +2,9 @@
 
 use std::time::Duration;
 
-use fieldbeat::axis::{Command, EventKind, Outcome, StopCause, StopThen, StopTimeout};
+use fieldbeat::axis::{Command, EventKind, StopCause, StopThen, StopTimeout};
 use fieldbeat::bus::linudp::wire::{ControlWord, REQUEST_MAX, Request, StateVar};
-use fieldbeat::cycle::Overrun;
-use fieldbeat::time::{MS, US};
+use fieldbeat::time::MS;
 
 use super::support::*;
 
@@ -34,29 +33,8 @@ fn stops(b: &Bench) -> Vec<StopCause> {
 const NOTICED_WITHIN: u64 = 8;
 
 #[test]
-fn a_motion_that_an_old_request_starts_after_a_stop_is_stopped() {
-    let mut b = Rig::new(1).start();
-    b.ready();
-    b.post(0, slowly_to(100.0));
-    b.run(50);
-    // Older than 250 exchanges it would be another master's.
-    let old = last_motion(&b);
-    b.done(0, Command::Stop { deceleration: None });
-    b.run(100);
-    let stood = b.feedback(0).status.demand;
-    assert!(stood < 20.0 && stops(&b).is_empty(), "{stood}");
-    repeat(&b, &old);
-    b.until("a stop", NOTICED_WITHIN, |b| b.feedback(0).stopped == Some(StopCause::Uncommanded));
-    b.until("power off", 500, |b| !b.feedback(0).status.state.is_powered());
-    assert_near(b.feedback(0).status.demand, stood, 1.0);
-    b.recover(0);
-    b.done(0, to(10.0));
-}
-
-#[test]
 fn an_axis_that_holds_after_a_stop_is_watched_and_stopped_again_as_often_as_it_moves() {
-    let mut b = Rig::new(1).each(|_, drive| drive.axis.stop.then = StopThen::Hold).start();
-    b.ready();
+    let mut b = Rig::new(1).each(|_, drive| drive.axis.stop.then = StopThen::Hold).ready();
     // A drive executes no count twice in a row.
     let old = [100.0, 110.0].map(|target| {
         b.post(0, slowly_to(target));
@@ -85,8 +63,7 @@ fn what_was_commanded_is_no_motion_without_a_command() {
         Command::QuickStop,
         Command::Stop { deceleration: Some(3_000.0) },
     ] {
-        let mut b = Rig::new(1).start();
-        b.ready();
+        let mut b = Rig::new(1).ready();
         // Fast, and with all that an end can leave behind.
         for target in [150.0, 20.0, 110.0] {
             b.done(0, to(target));
@@ -104,19 +81,6 @@ fn what_was_commanded_is_no_motion_without_a_command() {
     }
 }
 
-/// What is left of the time-out goes to the reaction.
-#[test]
-fn a_stop_ends_within_its_time_out_however_weak_it_was_requested() {
-    let mut b = Rig::new(1).start();
-    b.ready();
-    b.post(0, jog(80.0));
-    b.run(300);
-    let id = b.post(0, Command::Stop { deceleration: Some(1e-9) });
-    b.run(2_000);
-    assert_eq!((b.outcome(0, id), stops(&b)), (Some(Outcome::Done), vec![]));
-    assert!(!b.feedback(0).status.moving);
-}
-
 /// The drive answers, and goes on as if it had not received the stop.
 #[test]
 fn a_stop_that_the_drive_does_not_follow_escalates_to_quick_stop_and_power_off() {
@@ -127,8 +91,7 @@ fn a_stop_that_the_drive_does_not_follow_escalates_to_quick_stop_and_power_off()
                 (drive.axis.stop.timeout, drive.axis.stop.on_timeout) =
                     (Duration::from_millis(300), on_timeout);
             })
-            .start();
-        b.ready();
+            .ready();
         b.post(0, jog(80.0));
         b.run(100);
         let id = b.post(0, Command::Stop { deceleration: None });
@@ -151,50 +114,9 @@ fn a_stop_that_the_drive_does_not_follow_escalates_to_quick_stop_and_power_off()
     }
 }
 
-/// Each hold-up alone is allowed.
-#[test]
-fn a_loop_that_skips_most_of_its_slots_stops_every_axis() {
-    for (every, most, stopped) in [(2, 0.2, true), (6, 0.2, false), (2, 1.0, false)] {
-        let mut b = Rig::new(2).cycle(|cycle| cycle.max_skip_rate = most).start();
-        b.ready();
-        let _ = [0, 1].map(|index| b.post(index, slowly_to(100.0)));
-        b.run(100);
-        for turn in 0..100 {
-            if turn % every == 0 {
-                b.world().delay_next_wake(900 * US);
-            }
-            b.step();
-        }
-        let cause = stopped.then_some(StopCause::Overrun);
-        assert_eq!([0, 1].map(|index| b.feedback(index).stopped), [cause; 2], "{every} {most}");
-        b.assert_grid();
-    }
-}
-
-/// The link carries good replies now and then, and the loop executes a slot now and then: nothing is certain any more.
-#[test]
-fn a_link_is_lost_by_time_however_few_slots_were_executed() {
-    let mut b = Rig::new(1)
-        .cycle(|cycle| (cycle.overrun, cycle.max_skip_rate) = (Overrun::Skip { max_skip: 10 }, 1.0))
-        .start();
-    b.ready();
-    b.post(0, slowly_to(100.0));
-    b.run(100);
-    b.tape(0).mute = true;
-    // Three misses do not fill the bucket of five.
-    for _ in 0..3 {
-        b.world().delay_next_wake(8 * MS + MS / 2);
-        b.step();
-        assert_eq!(b.feedback(0).stopped, None);
-        b.step();
-    }
-    assert_eq!(b.feedback(0).stopped, Some(StopCause::LinkLost));
-}
-
 #[test]
 fn a_computer_that_was_suspended_stops_its_axes_with_the_first_send() {
-    let mut b = Rig::new(2).start();
-    b.ready();
+    let mut b = Rig::new(2).ready();
     let _ = [0, 1].map(|index| b.post(index, slowly_to(100.0)));
     b.run(100);
     b.tape(0).wire = Some(Vec::new());

@@ -43,8 +43,7 @@ fn samples_that_find_no_room_are_counted() {
 /// The newest always wins, and none is refused: neither loop nor application waits for the other.
 #[test]
 fn a_thousand_setpoints_between_two_cycles_come_to_the_last_one() {
-    let mut b = Rig::new(1).start();
-    b.ready();
+    let mut b = Rig::new(1).ready();
     b.post(0, Command::Velocity { acceleration: 10_000.0 });
     for last in [10.0, 0.0, -5.0, 0.0] {
         for _ in 0..100 {
@@ -59,8 +58,7 @@ fn a_thousand_setpoints_between_two_cycles_come_to_the_last_one() {
 /// An application that posts and takes nothing for long, and then everything.
 #[test]
 fn each_accepted_command_ends_exactly_once_however_late_its_end_is_taken() {
-    let mut b = Rig::new(1).each(|_, drive| drive.axis.event_queue = 8).start();
-    b.ready();
+    let mut b = Rig::new(1).each(|_, drive| drive.axis.event_queue = 8).ready();
     let mut posted = Vec::new();
     for round in 0..300 {
         let verb = if round % 3 == 2 { Command::Stop { deceleration: None } } else { by(0.01) };
@@ -119,8 +117,7 @@ fn events_that_find_no_room_are_counted() {
 
 #[test]
 fn observers_read_what_the_axis_reads() {
-    let mut b = Rig::new(1).start();
-    b.ready();
+    let mut b = Rig::new(1).ready();
     let observer = b.sim.axis(0).observer();
     let other = observer.clone();
     b.post(0, slowly_to(50.0));
@@ -134,8 +131,7 @@ fn observers_read_what_the_axis_reads() {
 
 #[test]
 fn each_end_is_told_in_the_cycle_in_which_it_happened() {
-    let mut b = Rig::new(1).start();
-    b.ready();
+    let mut b = Rig::new(1).ready();
     let id = b.post(0, to(5.0));
     assert_eq!(b.ended(0, id), Outcome::Done);
     let now = b.feedback(0);
@@ -147,8 +143,7 @@ fn each_end_is_told_in_the_cycle_in_which_it_happened() {
 
 #[test]
 fn warnings_come_and_go() {
-    let mut b = Rig::new(1).start();
-    b.ready();
+    let b = Rig::new(1).ready();
     let warnings: Vec<_> =
         b.kinds(0).into_iter().filter(|kind| matches!(kind, EventKind::Warning(_))).collect();
     assert_eq!(warnings, [EventKind::Warning(0x80), EventKind::Warning(0)], "not homed, then homed");

@@ -419,8 +419,7 @@ fn a_restart_in_any_state_ends_what_was_under_way_and_starts_nothing() {
 fn a_restart_while_the_master_ends_does_not_delay_the_end() {
     // The ramp takes 200 ms, then it stands for 20 exchanges.
     for after in [1, 2, 5, 100, 190, 215] {
-        let mut b = Rig::new(2).each(|_, drive| weak_ramp(drive, 500.0)).start();
-        b.ready();
+        let mut b = Rig::new(2).each(|_, drive| weak_ramp(drive, 500.0)).ready();
         let ids = [0, 1].map(|index| b.post(index, with(Target::Absolute(190.0), 100.0, 5_000.0)));
         b.run(200);
         b.sim.stop();

@@ -68,8 +68,7 @@ fn kept(rig: Rig) -> Rig {
 
 #[test]
 fn the_lists_name_all_parameters_and_those_that_were_changed() {
-    let mut b = Rig::new(1).start();
-    b.online();
+    let mut b = Rig::new(1).online();
     let turning = Turning::new(&mut b, 0);
     let services = services(&turning);
     let all = services.upids(Upid(0), &mut go_on).unwrap();
@@ -99,8 +98,7 @@ fn the_lists_name_all_parameters_and_those_that_were_changed() {
 
 #[test]
 fn the_error_log_comes_with_times_and_texts() {
-    let mut b = Rig::new(1).start();
-    b.ready();
+    let mut b = Rig::new(1).ready();
     b.tape(0).provoke = Some(ErrorCode::MIN_POSITION);
     b.until("it is in fault", 2_000, |b| b.feedback(0).status.state == State::Fault);
     let turning = Turning::new(&mut b, 0);
@@ -115,8 +113,7 @@ fn the_error_log_comes_with_times_and_texts() {
 
 #[test]
 fn a_restart_forgets_what_was_in_ram_only() {
-    let mut b = Rig::new(1).start();
-    b.online();
+    let mut b = Rig::new(1).online();
     b.write(0, "predefined-velocity", 777).unwrap();
     b.write(0, "predefined-acceleration.both", 888).unwrap();
     let turning = Turning::new(&mut b, 0);
@@ -132,8 +129,7 @@ fn a_restart_forgets_what_was_in_ram_only() {
 
 #[test]
 fn a_part_is_reset_to_its_defaults_with_the_software_stopped() {
-    let mut b = Rig::new(1).start();
-    b.online();
+    let mut b = Rig::new(1).online();
     b.write(0, "predefined-velocity.rom", 777).unwrap();
     b.write(0, "monitor-source-1.rom", 0x1E0E).unwrap();
     let turning = Turning::new(&mut b, 0);
@@ -148,8 +144,7 @@ fn a_part_is_reset_to_its_defaults_with_the_software_stopped() {
 
 #[test]
 fn what_needs_a_drive_that_is_off_is_refused_while_it_is_on() {
-    let mut b = Rig::new(1).start();
-    b.ready();
+    let mut b = Rig::new(1).ready();
     let turning = Turning::new(&mut b, 0);
     let services = services(&turning);
     for refused in [
@@ -168,8 +163,7 @@ fn what_needs_a_drive_that_is_off_is_refused_while_it_is_on() {
 
 #[test]
 fn a_drive_has_one_transfer_at_a_time() {
-    let mut b = Rig::new(1).start();
-    b.online();
+    let mut b = Rig::new(1).online();
     let turning = Turning::new(&mut b, 0);
     let first = services(&turning);
     let second = Services::over("x0", &turning).unwrap_err();
@@ -182,8 +176,7 @@ fn a_drive_has_one_transfer_at_a_time() {
 fn curves_and_tables_go_there_and_back_to_the_byte_while_replies_are_lost() {
     for seed in 0..4 {
         let weather = FaultPlan { seed, drop: 0.05, ..FaultPlan::default() };
-        let mut b = kept(Rig::new(2).faults(weather)).start();
-        b.online();
+        let mut b = kept(Rig::new(2).faults(weather)).online();
         let turning = Turning::new(&mut b, 0);
         let services = services(&turning);
         for (curve, how) in [
@@ -210,8 +203,7 @@ fn curves_and_tables_go_there_and_back_to_the_byte_while_replies_are_lost() {
 #[test]
 fn a_transfer_sends_no_telegram_more_and_skips_no_slot() {
     let run = |busy: bool| {
-        let mut b = Rig::new(3).start();
-        b.online();
+        let mut b = Rig::new(3).online();
         (0..3).for_each(|index| b.tape(index).wire = Some(Vec::new()));
         let begun = b.status().executed;
         if busy {
@@ -237,8 +229,7 @@ fn a_transfer_sends_no_telegram_more_and_skips_no_slot() {
 #[test]
 fn a_transfer_that_is_broken_off_leaves_what_was_there() {
     for at in [0, 1, 17, 18, 19, 40, 117] {
-        let mut b = Rig::new(1).start();
-        b.online();
+        let mut b = Rig::new(1).online();
         let turning = Turning::new(&mut b, 0);
         let services = services(&turning);
         let (old, other) = (curve(3, 100), curve(4, 30));
@@ -257,8 +248,7 @@ fn a_transfer_that_is_broken_off_leaves_what_was_there() {
         }
     }
     for at in 0..12 {
-        let mut b = Rig::new(1).start();
-        b.online();
+        let mut b = Rig::new(1).online();
         let turning = Turning::new(&mut b, 0);
         let services = services(&turning);
         let old = table(0);
@@ -284,8 +274,7 @@ fn a_transfer_that_is_broken_off_leaves_what_was_there() {
 #[test]
 fn a_restart_in_the_middle_of_a_transfer_leaves_what_flash_holds() {
     for at in [1, 5, 30, 80, 150, 230] {
-        let mut b = Rig::new(1).start();
-        b.online();
+        let mut b = Rig::new(1).online();
         let turning = Turning::new(&mut b, 0);
         let (saved, unsaved) = (curve(3, 100), curve(4, 100));
         services(&turning).put_curve(&saved, &mut go_on).unwrap();
@@ -312,8 +301,7 @@ fn flash_is_saved_through_a_silence_that_loses_the_link_and_what_was_saved_outli
                 drive.simulate.flash_time_ns = 60 * S;
                 drive.simulate.flash = flash;
             })
-            .start();
-        b.online();
+            .online();
         let turning = Turning::new(&mut b, 0);
         services(&turning).put_curve(&curve(3, 100), &mut go_on).unwrap();
         services(&turning).put_table(&table(0), &mut go_on).unwrap();
@@ -336,8 +324,7 @@ fn flash_is_saved_through_a_silence_that_loses_the_link_and_what_was_saved_outli
 
 #[test]
 fn the_silence_that_a_drive_was_asked_for_stops_nobody_else() {
-    let mut b = Rig::new(2).each(|_, drive| drive.axis.stop.group = Some(0)).start();
-    b.ready();
+    let mut b = Rig::new(2).each(|_, drive| drive.axis.stop.group = Some(0)).ready();
     b.done(0, Command::Disable);
     b.done(1, to(10.0));
     let motion = b.post(1, slowly_to(190.0));
@@ -360,8 +347,7 @@ fn the_silence_that_a_drive_was_asked_for_stops_nobody_else() {
 
 #[test]
 fn transfers_run_on_several_drives_at_once_beside_parameters() {
-    let mut b = kept(Rig::new(2).faults(FaultPlan { seed: 5, drop: 0.02, ..FaultPlan::default() })).start();
-    b.online();
+    let mut b = kept(Rig::new(2).faults(FaultPlan { seed: 5, drop: 0.02, ..FaultPlan::default() })).online();
     // The other drive and this one are asked for parameters all the while.
     let mut tickets = Vec::new();
     let turning = Turning::with(&mut b, 0, |b, turn| {
@@ -385,8 +371,7 @@ fn transfers_run_on_several_drives_at_once_beside_parameters() {
 
 #[test]
 fn an_axis_moves_on_while_a_transfer_runs() {
-    let mut b = Rig::new(1).start();
-    b.ready();
+    let mut b = Rig::new(1).ready();
     b.done(0, to(10.0));
     let motion = b.post(0, slowly_to(190.0));
     let turning = Turning::new(&mut b, 0);
@@ -505,8 +490,7 @@ fn the_software_runs_again_whatever_was_lost() {
         },
     ];
     for (at, lost) in lost.into_iter().enumerate() {
-        let mut b = Rig::new(1).start();
-        b.online();
+        let mut b = Rig::new(1).online();
         let turning = Turning::new(&mut b, 0);
         let failing = Failing::new(&turning, lost);
         let error = services(&failing).save_curves().unwrap_err();
@@ -521,8 +505,7 @@ fn the_software_runs_again_whatever_was_lost() {
 #[test]
 fn software_that_stays_stopped_is_told_and_left_to_whoever_comes_behind() {
     for save_too in [false, true] {
-        let mut b = Rig::new(1).start();
-        b.online();
+        let mut b = Rig::new(1).online();
         let turning = Turning::new(&mut b, 0);
         let failing = Failing::new(&turning, |_, call| {
             let lost = is(call, RtcCommand::START_SOFTWARE) || save_too && is(call, RtcCommand::SAVE_TABLE);
@@ -538,8 +521,7 @@ fn software_that_stays_stopped_is_told_and_left_to_whoever_comes_behind() {
 
 #[test]
 fn software_that_was_stopped_on_purpose_stays_stopped() {
-    let mut b = Rig::new(1).start();
-    b.online();
+    let mut b = Rig::new(1).online();
     let turning = Turning::new(&mut b, 0);
     services(&turning).stop_software().unwrap();
     turning.pause(Duration::from_millis(100));
@@ -564,8 +546,7 @@ fn breaking(what: &'static str, mut most: usize) -> impl FnMut(Progress) -> Cont
 
 #[test]
 fn a_table_that_is_broken_off_is_put_back_with_as_few_steps_as_that_takes() {
-    let mut b = Rig::new(1).start();
-    b.online();
+    let mut b = Rig::new(1).online();
     let turning = Turning::new(&mut b, 0);
     let old = table(0);
     services(&turning).put_table(&old, &mut go_on).unwrap();
@@ -583,8 +564,7 @@ fn a_table_that_is_broken_off_is_put_back_with_as_few_steps_as_that_takes() {
 
 #[test]
 fn what_could_not_be_put_back_is_told_with_what_is_lost() {
-    let mut b = Rig::new(1).start();
-    b.online();
+    let mut b = Rig::new(1).online();
     let turning = Turning::new(&mut b, 0);
     services(&turning).put_table(&table(0), &mut go_on).unwrap();
     for id in [3, 4] {
@@ -618,8 +598,7 @@ fn what_could_not_be_put_back_is_told_with_what_is_lost() {
 
 #[test]
 fn a_curve_that_was_not_there_is_gone_again_and_the_others_are_not() {
-    let mut b = Rig::new(1).start();
-    b.online();
+    let mut b = Rig::new(1).online();
     let turning = Turning::new(&mut b, 0);
     services(&turning).put_curve(&curve(4, 20), &mut go_on).unwrap();
     // The first time that it is read back something else comes.
@@ -636,8 +615,7 @@ fn a_curve_that_was_not_there_is_gone_again_and_the_others_are_not() {
 #[test]
 fn an_entry_that_is_none_is_replaced() {
     for refused in [false, true] {
-        let mut b = Rig::new(1).start();
-        b.online();
+        let mut b = Rig::new(1).online();
         let turning = Turning::new(&mut b, 0);
         services(&turning).put_table(&table(0), &mut go_on).unwrap();
         // Until entry 64 is deleted, a part of it is missing.
@@ -665,8 +643,7 @@ fn an_entry_that_is_none_is_replaced() {
 
 #[test]
 fn answers_that_contradict_the_question_are_not_believed() {
-    let mut b = Rig::new(1).start();
-    b.online();
+    let mut b = Rig::new(1).online();
     let turning = Turning::new(&mut b, 0);
     services(&turning).put_curve(&curve(7, 20), &mut go_on).unwrap();
     let wrong = |result: ServiceError, why: &str| {
@@ -689,8 +666,7 @@ fn answers_that_contradict_the_question_are_not_believed() {
 
 #[test]
 fn a_presence_list_is_known_by_its_command_whatever_offset_the_drive_gives() {
-    let mut b = Rig::new(1).start();
-    b.online();
+    let mut b = Rig::new(1).online();
     let turning = Turning::new(&mut b, 0);
     services(&turning).put_table(&table(0), &mut go_on).unwrap();
     let entries = services(&turning).entries().unwrap();

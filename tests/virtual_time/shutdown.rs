@@ -4,9 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use fieldbeat::axis::{
-    Abort, Command, Failure, FoundRunning, Link, Outcome, State, StopCause, StopHow, StopThen, Target,
-};
+use fieldbeat::axis::{Abort, Command, Link, StopCause, StopHow, StopThen, Target};
 use fieldbeat::bus::linudp::LinUdpPlan;
 use fieldbeat::bus::linudp::wire::{ControlWord, ErrorCode, MainState, StatusWord};
 use fieldbeat::cycle::engine::Flow;
@@ -121,8 +119,7 @@ fn from_every_state_each_axis_ends_powered_off() {
             for (name, most, prepare) in &cases {
                 let mut b = Rig::new(1)
                     .each(|_, drive| (drive.axis.stop.how, drive.axis.stop.then) = (how, then))
-                    .start();
-                b.online();
+                    .online();
                 prepare(&mut b);
                 let last = b.post(0, Command::Home).0;
                 let took = b.shut_down(5_000);
@@ -141,72 +138,9 @@ fn from_every_state_each_axis_ends_powered_off() {
 }
 
 #[test]
-fn an_axis_that_a_stop_left_holding_is_powered_off_at_the_end() {
-    let mut b = Rig::new(1).each(|_, drive| drive.axis.stop.then = StopThen::Hold).start();
-    b.ready();
-    b.tape(0).mute = true;
-    b.stopped(0, 10);
-    b.tape(0).mute = false;
-    b.online().run(100);
-    assert_eq!(b.feedback(0).status.state, State::OperationEnabled);
-    assert!(b.shut_down(100) <= 30);
-    assert!(is_off(&b, 0));
-}
-
-#[test]
-fn the_last_word_is_power_off_even_to_a_drive_that_is_off_already() {
-    // An error has powered it off while it held after a stop, or after it was found running and told nothing but to
-    // stop.
-    type Prepare = fn(&mut Bench);
-    let cases: [(FoundRunning, Prepare); 2] = [
-        (FoundRunning::Stop, |b| {
-            b.ready();
-            b.tape(0).mute = true;
-            b.stopped(0, 10);
-            b.tape(0).mute = false;
-            b.online().run(100);
-        }),
-        (FoundRunning::Refuse, |b| {
-            b.online();
-            b.done(0, Command::QuickStop);
-        }),
-    ];
-    for (found, prepare) in cases {
-        let mut b = Rig::new(1)
-            .each(|_, drive| {
-                drive.axis.stop.then = StopThen::Hold;
-                drive.axis.on_found_running = found;
-                drive.simulate.start_running = found == FoundRunning::Refuse;
-            })
-            .start();
-        prepare(&mut b);
-        let last = |b: &Bench| b.tape(0).heard.last().unwrap().request.control;
-        assert_eq!(last(&b), Some(ControlWord::ON), "{found:?}");
-        b.tape(0).provoke = Some(ErrorCode(0x0B));
-        b.run(10);
-        assert_eq!(b.feedback(0).status.state, State::Fault);
-        assert!(b.shut_down(100) <= 5);
-        assert_eq!(last(&b), Some(ControlWord::BASE), "{found:?}");
-    }
-}
-
-#[test]
-fn an_unseen_drive_does_not_delay_the_end() {
-    let mut b = Rig::new(2).start();
-    b.world().unplug(address(0));
-    b.run(100);
-    b.done(1, Command::Enable);
-    let id = b.post(0, Command::Enable);
-    assert!(b.shut_down(100) <= 30);
-    assert_eq!(b.outcome(0, id), Some(Outcome::Aborted(Abort::Stopped(StopCause::Shutdown))));
-    assert!(is_off(&b, 1));
-}
-
-#[test]
 fn a_lost_drive_hears_its_stop_and_its_power_off_before_the_end() {
     // Only its replies are lost, and they are lost just when the end is asked for.
-    let mut b = Rig::new(1).each(|_, drive| drive.axis.stop.timeout = Duration::from_millis(500)).start();
-    b.ready();
+    let mut b = Rig::new(1).each(|_, drive| drive.axis.stop.timeout = Duration::from_millis(500)).ready();
     let id = b.post(0, with(Target::Absolute(190.0), 100.0, 1_000.0));
     b.run(100);
     b.tape(0).mute = true;
@@ -222,8 +156,7 @@ fn a_lost_drive_hears_its_stop_and_its_power_off_before_the_end() {
 
 #[test]
 fn a_drive_that_is_gone_for_long_does_not_delay_the_end() {
-    let mut b = Rig::new(1).each(|_, drive| drive.axis.stop.timeout = Duration::from_millis(300)).start();
-    b.ready();
+    let mut b = Rig::new(1).each(|_, drive| drive.axis.stop.timeout = Duration::from_millis(300)).ready();
     b.world().unplug(address(0));
     b.run(1_000);
     // Power off is said to it once or twice more.
@@ -258,8 +191,7 @@ fn a_second_stop_shortens_the_way_and_still_goes_it() {
 
 #[test]
 fn a_hurry_gives_little_time_to_a_drive_that_does_not_answer() {
-    let mut b = Rig::new(1).each(|_, drive| drive.axis.stop.timeout = Duration::from_secs(20)).start();
-    b.ready();
+    let mut b = Rig::new(1).each(|_, drive| drive.axis.stop.timeout = Duration::from_secs(20)).ready();
     b.post(0, slowly_to(100.0));
     b.run(100);
     b.tape(0).mute = true;
@@ -268,37 +200,6 @@ fn a_hurry_gives_little_time_to_a_drive_that_does_not_answer() {
     let took = b.shut_down(2_000);
     assert!(took <= 520, "{took}");
     assert!(is_off(&b, 0));
-}
-
-#[test]
-fn nothing_new_begins_once_the_end_was_asked_for() {
-    let mut b = Rig::new(1).each(|_, drive| weak_ramp(drive, 100.0)).start();
-    b.ready();
-    let id = b.post(0, with(Target::Absolute(190.0), 100.0, 1_000.0));
-    b.run(200);
-    b.sim.stop();
-    let mut last = id.0;
-    let mut ended = false;
-    for _ in 0..5_000 {
-        // Out of the latch and on: not any more.
-        for verb in [Command::Reset, Command::Enable, to(10.0), Command::ResetFault] {
-            last = b.post(0, verb).0;
-        }
-        if b.step() == Flow::End {
-            ended = true;
-            break;
-        }
-    }
-    assert!(ended);
-    assert!(is_off(&b, 0));
-    assert_all_ended(&b, 0, last);
-    assert_eq!(b.outcome(0, id), Some(Outcome::Aborted(Abort::Stopped(StopCause::Shutdown))));
-    for id in 2..=last {
-        let outcome = b.ends[&(0, id)];
-        let refused =
-            matches!(outcome, Outcome::Aborted(Abort::Stopped(_)) | Outcome::Failed(Failure::Latched(_)));
-        assert!(refused || outcome == Outcome::Done && id <= 2, "{id}: {outcome}");
-    }
 }
 
 #[test]
@@ -311,8 +212,7 @@ fn the_task_is_not_called_once_the_end_was_asked_for() {
             let verb = if cycle.index % 2 == 0 { Command::Reset } else { Command::Enable };
             let _ = axes.command(0, verb);
         })
-        .start();
-    b.online();
+        .online();
     b.until("operation", 1_000, |b| b.feedback(0).is_operational());
     let before = calls.load(Ordering::Relaxed);
     assert!(b.shut_down(1_000) <= 30);
@@ -322,8 +222,7 @@ fn the_task_is_not_called_once_the_end_was_asked_for() {
 
 #[test]
 fn the_status_counts_the_axes_in_operation() {
-    let mut b = Rig::new(3).start();
-    b.online();
+    let mut b = Rig::new(3).online();
     let counts = |b: &Bench| (b.status().online, b.status().operational);
     assert_eq!(counts(&b), (3, 0));
     for index in 0..2 {
@@ -332,22 +231,6 @@ fn the_status_counts_the_axes_in_operation() {
     assert_eq!(counts(&b), (3, 2));
     b.shut_down(1_000);
     assert_eq!(counts(&b), (3, 0));
-}
-
-#[test]
-fn many_axes_end_together() {
-    let mut b = Rig::new(8).start();
-    b.ready();
-    for index in 0..8 {
-        b.post(index, with(Target::Absolute(190.0), 50.0 + 20.0 * index as f64, 2_000.0));
-    }
-    b.run(200);
-    assert!(b.shut_down(1_000) <= 100);
-    for index in 0..8 {
-        assert!(is_off(&b, index));
-        assert_braked_before_power_off(&b, index);
-        assert_eq!(b.feedback(index).stopped, Some(StopCause::Shutdown));
-    }
 }
 
 #[test]

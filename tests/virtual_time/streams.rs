@@ -1,6 +1,6 @@
 //! Follow: rows of a stream, one an exchange, to the last one; and what happens when there are none.
 
-use fieldbeat::axis::{Abort, Command, EventKind, Failure, Outcome, Row, StopCause, Underrun, Unit, Units};
+use fieldbeat::axis::{Abort, Command, EventKind, Failure, Outcome, Row, StopCause, Underrun};
 use fieldbeat::bus::linudp::StreamCommand;
 use fieldbeat::time::{MS, US};
 
@@ -43,8 +43,7 @@ fn every_streaming_command_carries_its_axis_to_the_last_row() {
                 drive.stream = Some(command);
                 drive.simulate.stream_period_ns = period_ns * u64::from(divisor);
             })
-            .start();
-        b.ready();
+            .ready();
         b.done(0, to(20.0));
         let period_s = (period_ns * u64::from(divisor)) as f64 * 1e-9;
         let rows = (1.0 / period_s) as u32;
@@ -64,20 +63,8 @@ fn every_streaming_command_carries_its_axis_to_the_last_row() {
 }
 
 #[test]
-fn a_stream_without_a_command_that_fits_is_refused() {
-    let mut b = Rig::new(1).each(|_, drive| drive.stream = None).start();
-    b.ready();
-    let id = b.post(0, slowly_to(100.0));
-    b.run(50);
-    assert!(matches!(b.refused(0, Command::Follow), Failure::Unsupported(_)));
-    b.run(50);
-    assert!(b.outcome(0, id).is_none() && b.feedback(0).status.moving, "the move goes on");
-}
-
-#[test]
 fn rows_may_come_after_the_order() {
-    let mut b = Rig::new(1).start();
-    b.ready();
+    let mut b = Rig::new(1).ready();
     b.done(0, to(20.0));
     let id = b.post(0, Command::Follow);
     b.run(100);
@@ -91,8 +78,7 @@ fn rows_may_come_after_the_order() {
 
 /// A stream at a constant 50 mm/s that runs empty after 100 rows.
 fn runs_empty(underrun: Underrun) -> (Bench, fieldbeat::axis::CommandId) {
-    let mut b = Rig::new(1).each(|_, drive| drive.axis.underrun = underrun).start();
-    b.ready();
+    let mut b = Rig::new(1).each(|_, drive| drive.axis.underrun = underrun).ready();
     b.done(0, to(20.0));
     for n in 0..100 {
         let velocity = 50.0;
@@ -135,28 +121,13 @@ fn an_empty_stream_is_extrapolated_for_a_while_and_then_stops() {
 }
 
 #[test]
-fn rows_that_come_in_time_end_the_extrapolation() {
-    let (mut b, id) = runs_empty(Underrun::Extrapolate(20));
-    b.run(10);
-    for n in 1..=300 {
-        let at = b.feedback(0).status.demand;
-        assert!(at < 60.0);
-        let row = Row { velocity: 50.0, last: n == 300, ..row(25.45 + f64::from(n) * 0.05) };
-        b.sim.axis(0).push_row(row).unwrap();
-    }
-    assert_eq!(b.ended(0, id), Outcome::Done);
-    assert_eq!(b.feedback(0).stopped, None);
-}
-
-#[test]
 fn an_extrapolation_ends_at_the_limit() {
     let mut b = Rig::new(1)
         .each(|_, drive| {
             drive.axis.underrun = Underrun::Extrapolate(500);
             drive.axis.limits.position = Some((0.0, 25.0));
         })
-        .start();
-    b.ready();
+        .ready();
     b.done(0, to(20.0));
     for n in 0..60 {
         b.sim.axis(0).push_row(Row { velocity: 50.0, ..row(20.0 + f64::from(n) * 0.05) }).unwrap();
@@ -168,25 +139,12 @@ fn an_extrapolation_ends_at_the_limit() {
 }
 
 #[test]
-fn an_empty_stream_stops() {
-    let (mut b, id) = runs_empty(Underrun::Stop);
-    assert_eq!(b.stopped(0, 10), StopCause::Underrun);
-    assert_eq!(b.outcome(0, id), Some(Outcome::Failed(Failure::Underrun)));
-    assert!(b.kinds(0).contains(&EventKind::Underrun));
-    b.until("off", 200, |b| !b.feedback(0).status.state.is_powered());
-    assert_eq!(b.feedback(0).status.fault, 0, "the master's stop came before the drive's own underflow");
-    b.recover(0);
-    b.done(0, to(5.0));
-}
-
-#[test]
 fn the_first_row_is_near_the_axis_and_the_next_ones_near_each_other() {
     // (first, second, accepted) with a largest step of 0.5 mm, from 100 mm.
     for (first, second, accepted) in
         [(100.5, 101.0, true), (99.5, 99.0, true), (100.51, 100.6, false), (99.49, 99.5, false)]
     {
-        let mut b = Rig::new(1).each(|_, drive| drive.axis.limits.step = Some(0.5)).start();
-        b.ready();
+        let mut b = Rig::new(1).each(|_, drive| drive.axis.limits.step = Some(0.5)).ready();
         b.done(0, to(100.0));
         b.sim.axis(0).push_row(row(first)).unwrap();
         b.sim.axis(0).push_row(Row { last: true, ..row(second) }).unwrap();
@@ -210,8 +168,7 @@ fn the_first_row_is_near_the_axis_and_the_next_ones_near_each_other() {
 fn without_a_step_the_limit_of_velocity_holds_between_rows() {
     // 1000 mm/s are 1 mm a row. The row's own velocity says nothing of it.
     for (step, accepted) in [(0.99, true), (1.01, false), (50.0, false)] {
-        let mut b = Rig::new(1).each(|_, drive| drive.axis.underrun = Underrun::Hold).start();
-        b.ready();
+        let mut b = Rig::new(1).each(|_, drive| drive.axis.underrun = Underrun::Hold).ready();
         b.done(0, to(20.0));
         b.sim.axis(0).push_row(row(20.0)).unwrap();
         b.sim.axis(0).push_row(row(20.0 + step)).unwrap();
@@ -225,8 +182,7 @@ fn without_a_step_the_limit_of_velocity_holds_between_rows() {
         }
     }
     // Nor may the first row be where the axis cannot be by then.
-    let mut b = Rig::new(1).start();
-    b.ready();
+    let mut b = Rig::new(1).ready();
     b.done(0, to(20.0));
     b.sim.axis(0).push_row(row(100.0)).unwrap();
     let id = b.post(0, Command::Follow);
@@ -237,8 +193,7 @@ fn without_a_step_the_limit_of_velocity_holds_between_rows() {
 fn a_stream_must_be_able_to_brake_within_the_range() {
     // At 500 mm/s the stop plan's 5000 mm/s² take 25 mm; the stream is cut 10 mm before the end.
     for underrun in [Underrun::Stop, Underrun::Extrapolate(3), Underrun::Hold] {
-        let mut b = Rig::new(1).each(|_, drive| drive.axis.underrun = underrun).start();
-        b.ready();
+        let mut b = Rig::new(1).each(|_, drive| drive.axis.underrun = underrun).ready();
         b.done(0, to(100.0));
         // 2 mm/s faster each row, then constant.
         let (mut position, mut velocity) = (100.0, 0.0_f64);
@@ -259,8 +214,7 @@ fn a_stream_must_be_able_to_brake_within_the_range() {
 #[test]
 fn a_stream_may_brake_right_at_the_limit() {
     // With exactly the deceleration of the stop plan, down to 200 mm.
-    let mut b = Rig::new(1).start();
-    b.ready();
+    let mut b = Rig::new(1).ready();
     b.done(0, to(100.0));
     let (a, t) = (4_999.0_f64, 0.1_f64);
     let way = a * t * t;
@@ -280,28 +234,8 @@ fn a_stream_may_brake_right_at_the_limit() {
 }
 
 #[test]
-fn a_stream_replaces_a_move_and_a_move_a_stream() {
-    let mut b = Rig::new(1).start();
-    b.ready();
-    b.done(0, to(20.0));
-    for n in 0..500 {
-        b.sim.axis(0).push_row(row(20.0 + f64::from(n) * 0.02)).unwrap();
-    }
-    let follow = b.post(0, Command::Follow);
-    b.run(100);
-    let away = b.post(0, to(50.0));
-    assert_eq!(b.aborted(0, follow), Abort::Replaced(away));
-    assert_eq!(b.ended(0, away), Outcome::Done);
-    assert_eq!(b.feedback(0).status.demand, 50.0);
-    assert_eq!(b.sim.axis(0).stream_room(), 1024, "what was left of the stream is gone");
-    let stop = b.post(0, Command::Stop { deceleration: None });
-    assert_eq!(b.ended(0, stop), Outcome::Done);
-}
-
-#[test]
 fn streams_run_one_after_the_other() {
-    let mut b = Rig::new(1).start();
-    b.ready();
+    let mut b = Rig::new(1).ready();
     b.done(0, to(20.0));
     let at = |n: i32| row(20.0 + f64::from(n) * 0.02);
     (0..100).for_each(|n| b.sim.axis(0).push_row(Row { last: n == 99, ..at(n) }).unwrap());
@@ -319,8 +253,7 @@ fn streams_run_one_after_the_other() {
 
 #[test]
 fn rows_pushed_for_a_stream_that_has_ended_are_never_run() {
-    let mut b = Rig::new(1).start();
-    b.ready();
+    let mut b = Rig::new(1).ready();
     b.done(0, to(20.0));
     let at = |n: i32| row(20.0 + f64::from(n) * 0.02);
     (0..100).for_each(|n| b.sim.axis(0).push_row(at(n)).unwrap());
@@ -343,26 +276,6 @@ fn rows_pushed_for_a_stream_that_has_ended_are_never_run() {
 }
 
 #[test]
-fn a_rotary_axis_streams_over_its_modulo() {
-    let mut b = Rig::new(1)
-        .each(|_, drive| {
-            drive.axis.units =
-                Units { unit: Unit::Millimetre, modulo: Some(20.0), ..Units::millimetres(PER_MM) };
-            drive.axis.limits.position = None;
-            drive.axis.limits.step = Some(0.1);
-        })
-        .start();
-    b.ready();
-    for n in 0..=600 {
-        let position = (f64::from(n) * 0.08).rem_euclid(20.0);
-        b.sim.axis(0).push_row(Row { velocity: 80.0, last: n == 600, ..row(position) }).unwrap();
-    }
-    b.done(0, Command::Follow);
-    assert_eq!(b.tape(0).last().demand, Some(480_000));
-    assert_near(b.feedback(0).status.demand, 8.0, 1e-3);
-}
-
-#[test]
 fn lost_telegrams_lose_rows_but_not_the_place() {
     // A drive that is patient enough: what it gets is interpolated, and the end is exact.
     // In seed 1169 the last row and all that stood still behind it were lost.
@@ -372,8 +285,7 @@ fn lost_telegrams_lose_rows_but_not_the_place() {
                 drive.simulate.stream_patience = 30.0;
                 drive.axis.health.bucket = 10_000;
             })
-            .start();
-        b.ready();
+            .ready();
         b.done(0, to(20.0));
         smooth(20.0, 50.0, 500, 0.001).for_each(|row| b.sim.axis(0).push_row(row).unwrap());
         let faults = fieldbeat::sim::FaultPlan { seed, drop: 0.1, ..Default::default() };
@@ -385,8 +297,7 @@ fn lost_telegrams_lose_rows_but_not_the_place() {
 
 #[test]
 fn rows_of_a_stream_that_was_stopped_do_not_wait_for_the_next_one() {
-    let mut b = Rig::new(1).start();
-    b.ready();
+    let mut b = Rig::new(1).ready();
     b.done(0, to(20.0));
     (0..500).for_each(|n| b.sim.axis(0).push_row(row(20.0 + f64::from(n) * 0.02)).unwrap());
     let id = b.post(0, Command::Follow);

@@ -369,6 +369,20 @@ impl Rig {
             period_ns,
         }
     }
+
+    /// Started, and all drives online.
+    pub fn online(self) -> Bench {
+        let mut bench = self.start();
+        bench.online();
+        bench
+    }
+
+    /// Started, and all drives online, enabled and homed.
+    pub fn ready(self) -> Bench {
+        let mut bench = self.start();
+        bench.ready();
+        bench
+    }
 }
 
 /// A machine that runs.

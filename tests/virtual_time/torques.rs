@@ -4,9 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use fieldbeat::axis::{
-    Abort, Command, EventKind, Failure, Group, HeldBy, Load, Outcome, StopCause, StopThen, StopTimeout,
-};
+use fieldbeat::axis::{Abort, Command, EventKind, Failure, Group, Outcome, StopCause};
 use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::ethercat::{EthercatPlan, KollmorgenDrive};
 use fieldbeat::cycle::{CyclePlan, Plan};
@@ -15,7 +13,7 @@ use fieldbeat::sim::world::WorldOptions;
 
 use super::kollmorgen::drives::{press, torque};
 use super::kollmorgen::{LINE, Machine, jog, plan};
-use super::support::{Rig, assert_near, slowly_to};
+use super::support::assert_near;
 
 /// Per cent of the rated torque a second.
 const SLOPE: f64 = 40.0;
@@ -70,30 +68,6 @@ fn torques_are_followed_along_their_slope_in_both_directions() {
         before = wanted;
     }
     assert_eq!((machine.sim.run_command(0, id, 1), machine.feedback(0).stopped), (None, None));
-}
-
-#[test]
-fn a_torque_that_is_too_old_stops_the_axis_in_the_cycle_that_was_said() {
-    for age in [1, 10, 50] {
-        let mut machine = machine(|drive| drive.axis.setpoint_age = age);
-        let id = machine.sim.axis(0).post(TORQUE).unwrap();
-        press(&mut machine, 0, 4.0, 200);
-        machine.run(u64::from(age));
-        assert_eq!(machine.feedback(0).stopped, None, "age {age}");
-        machine.run(1);
-        assert_eq!(machine.feedback(0).stopped, Some(StopCause::StaleSetpoint), "age {age}");
-        let ended = Some(Outcome::Aborted(Abort::Stopped(StopCause::StaleSetpoint)));
-        assert_eq!(machine.sim.run_command(0, id, 10), ended);
-        machine.until("off", 500, |machine| !machine.feedback(0).status.state.is_powered());
-        assert!(machine.drive(0, |drive| drive.rpm()).abs() < 3.0, "power goes off at standstill");
-        // Latched, like after any other stop.
-        let latched = Outcome::Failed(Failure::Latched(StopCause::StaleSetpoint));
-        assert_eq!(machine.ended(0, TORQUE), latched);
-        machine.recover(0);
-        machine.post(0, TORQUE);
-        press(&mut machine, 0, 4.0, 200);
-        assert!(speed(&machine) > 0.5);
-    }
 }
 
 /// The torque begins in the exchange in which the homing ends.
@@ -159,19 +133,6 @@ fn torques_beyond_their_limit_are_refused_on_submission() {
 }
 
 #[test]
-fn without_a_limit_of_the_velocity_and_on_a_vertical_load_torque_is_refused_by_name() {
-    let mut unlimited = machine(|drive| drive.axis.limits.velocity = None);
-    let why = refused(&mut unlimited, TORQUE);
-    assert!(why.contains("set limits.velocity"), "{why}");
-    let mut vertical = machine(|drive| {
-        drive.axis.load = Load::Vertical(HeldBy::Brake);
-        (drive.axis.stop.then, drive.axis.stop.on_timeout) = (StopThen::Hold, StopTimeout::Hold);
-    });
-    let why = refused(&mut vertical, TORQUE);
-    assert!(why.contains("vertical load drops"), "{why}");
-}
-
-#[test]
 fn a_runaway_under_torque_is_stopped_by_the_limit_of_the_velocity() {
     for torque in [20.0, -20.0] {
         let mut machine = machine(|_| ());
@@ -211,17 +172,6 @@ fn under_torque_an_axis_stops_inside_its_position_limits() {
         // But for the speed that it gains until the stop reaches it; and not before there was need.
         assert!((3.0..5.1).contains(&furthest), "{torque}: {furthest}");
     }
-}
-
-#[test]
-fn not_homed_there_is_no_torque_within_position_limits() {
-    let limited = |drive: &mut KollmorgenDrive| drive.axis.limits.position = Some((-5.0, 5.0));
-    let mut machine = Machine::new(line(1, limited));
-    machine.online();
-    let not_enabled = machine.ended(0, TORQUE);
-    assert!(matches!(not_enabled, Outcome::Failed(Failure::WrongState(_))), "{not_enabled:?}");
-    machine.done(0, Command::Enable);
-    assert_eq!(machine.ended(0, TORQUE), Outcome::Failed(Failure::NotHomed));
 }
 
 #[test]
@@ -274,16 +224,4 @@ fn torques_of_all_members_are_set_together_and_refused_together() {
         _ => None,
     });
     assert!(matches!(ended, Some(("torque", Outcome::Aborted(_)))), "{ended:?}");
-}
-
-#[test]
-fn a_drive_that_takes_no_torques_refuses_them_by_name_and_its_motion_goes_on() {
-    let mut b = Rig::new(1).start();
-    b.ready();
-    let moving = b.post(0, slowly_to(100.0));
-    b.run(100);
-    let why = b.refused(0, TORQUE);
-    assert!(matches!(why, Failure::Unsupported(why) if why.contains("torque")), "{why}");
-    b.run(50);
-    assert!(b.outcome(0, moving).is_none() && b.feedback(0).status.moving);
 }

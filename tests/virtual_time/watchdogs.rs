@@ -15,43 +15,9 @@ fn set(b: &mut Bench, velocity: f64) {
 }
 
 #[test]
-fn cyclic_velocities_are_followed_in_both_directions() {
-    let mut b = Rig::new(1).start();
-    b.ready();
-    b.done(0, to(100.0));
-    let id = b.post(0, VELOCITY);
-    let mut low = f64::INFINITY;
-    for turn in 0..600 {
-        let velocity = if turn < 300 { 80.0 } else { -60.0 };
-        set(&mut b, velocity);
-        b.step();
-        if turn == 280 {
-            assert_near(b.feedback(0).status.velocity, 80.0, 1.0);
-        }
-        low = low.min(b.feedback(0).status.velocity);
-    }
-    assert_near(low, -60.0, 2.0);
-    assert_eq!(b.outcome(0, id), None);
-    // Zero stands, and goes on from there.
-    for _ in 0..200 {
-        set(&mut b, 0.0);
-        b.step();
-    }
-    assert!(!b.feedback(0).status.moving);
-    for _ in 0..200 {
-        set(&mut b, 30.0);
-        b.step();
-    }
-    assert_near(b.feedback(0).status.velocity, 30.0, 1.0);
-    b.done(0, Command::Stop { deceleration: None });
-    assert!(matches!(b.outcome(0, id), Some(Outcome::Aborted(Abort::Replaced(_)))));
-}
-
-#[test]
 fn a_velocity_that_is_too_old_stops_the_axis_in_the_cycle_that_was_said() {
     for age in [1, 10, 50] {
-        let mut b = Rig::new(1).each(|_, drive| drive.axis.setpoint_age = age).start();
-        b.ready();
+        let mut b = Rig::new(1).each(|_, drive| drive.axis.setpoint_age = age).ready();
         let id = b.post(0, VELOCITY);
         for _ in 0..100 {
             set(&mut b, 50.0);
@@ -70,8 +36,7 @@ fn a_velocity_that_is_too_old_stops_the_axis_in_the_cycle_that_was_said() {
 
 #[test]
 fn a_velocity_mode_without_a_first_setpoint_stands_and_is_stopped() {
-    let mut b = Rig::new(1).start();
-    b.ready();
+    let mut b = Rig::new(1).ready();
     b.post(0, VELOCITY);
     b.run(11);
     assert!(!b.feedback(0).status.moving && b.feedback(0).stopped.is_none());
@@ -89,8 +54,7 @@ fn a_velocity_mode_without_a_first_setpoint_stands_and_is_stopped() {
 
 #[test]
 fn velocities_beyond_the_limits_are_refused_at_the_door() {
-    let mut b = Rig::new(1).start();
-    b.ready();
+    let mut b = Rig::new(1).ready();
     for value in [f64::NAN, f64::INFINITY, 1_000.1, -1_000.1] {
         assert!(b.sim.axis(0).set_velocity(value).is_err(), "{value}");
     }
@@ -111,8 +75,7 @@ fn velocities_beyond_the_limits_are_refused_at_the_door() {
 fn a_jog_that_nobody_holds_stops() {
     let mut b = Rig::new(1)
         .each(|_, drive| drive.axis.jog_deadman = Some(std::time::Duration::from_millis(50)))
-        .start();
-    b.ready();
+        .ready();
     // Held for as long as it is renewed, at whatever velocity.
     let id = b.post(0, jog(40.0));
     for turn in 0..20 {
@@ -146,8 +109,7 @@ fn the_task_may_set_velocities_and_is_watched_like_anybody() {
                 assert!(axes.set_velocity(0, 5_000.0).is_err());
             }
         })
-        .start();
-    b.ready();
+        .ready();
     b.done(0, to(50.0));
     b.post(0, VELOCITY);
     b.until("cycle 3000", 3_000, |b| b.status().planned >= 3_000);
@@ -158,8 +120,7 @@ fn the_task_may_set_velocities_and_is_watched_like_anybody() {
 #[test]
 fn a_silent_application_stops_what_is_enabled_and_nothing_else() {
     let beat = 30;
-    let mut b = Rig::new(2).cycle(|cycle| cycle.heartbeat_ns = Some(beat * MS)).start();
-    b.online();
+    let mut b = Rig::new(2).cycle(|cycle| cycle.heartbeat_ns = Some(beat * MS)).online();
     b.run(200);
     assert_eq!(b.feedback(0).stopped, None, "nothing is enabled, so that nothing can happen");
     // Blocking calls feed it while they wait; here somebody has to.
@@ -191,14 +152,6 @@ fn a_silent_application_stops_what_is_enabled_and_nothing_else() {
     assert!(!b.feedback(0).status.state.is_powered());
 }
 
-#[test]
-fn without_a_heartbeat_in_the_plan_nobody_watches() {
-    let mut b = Rig::new(1).start();
-    b.ready();
-    b.run(20_000);
-    assert_eq!(b.feedback(0).stopped, None);
-}
-
 fn native(b: &mut Bench) -> Box<Native> {
     let axis: &mut Axis = b.sim.axis(0);
     axis.native::<Native>().expect("a LinUDP drive has its own process data")
@@ -215,8 +168,7 @@ fn go(native: &mut Native, position_mm: f64, velocity_mm_s: f64) {
 fn limits_hold_for_native_process_data_too() {
     use fieldbeat::axis::NativeOwner;
     // Too fast.
-    let mut b = Rig::new(1).start();
-    b.ready();
+    let mut b = Rig::new(1).ready();
     let mut raw = native(&mut b);
     b.post(0, Command::Native(NativeOwner::Master));
     b.run(10);
@@ -224,8 +176,7 @@ fn limits_hold_for_native_process_data_too() {
     assert_eq!(b.stopped(0, 400), StopCause::Limit);
     assert!(b.feedback(0).status.velocity < 1_200.0, "{}", b.feedback(0).status.velocity);
     // Beyond the range, with room to brake.
-    let mut b = Rig::new(1).start();
-    b.ready();
+    let mut b = Rig::new(1).ready();
     let mut raw = native(&mut b);
     b.post(0, Command::Native(NativeOwner::Master));
     b.run(10);
@@ -235,8 +186,7 @@ fn limits_hold_for_native_process_data_too() {
     let (_, high) = b.tape(0).demand.unwrap();
     assert!((185.0..=RANGE.1).contains(&high), "it braked at {high}");
     // Within the limits it is let alone, up to the very end where it brakes early enough.
-    let mut b = Rig::new(1).start();
-    b.ready();
+    let mut b = Rig::new(1).ready();
     let mut raw = native(&mut b);
     b.post(0, Command::Native(NativeOwner::Master));
     b.run(10);
@@ -248,8 +198,7 @@ fn limits_hold_for_native_process_data_too() {
 
 #[test]
 fn room_for_a_stop_is_kept_in_a_full_queue() {
-    let mut b = Rig::new(1).each(|_, drive| drive.axis.command_queue = 4).start();
-    b.ready();
+    let mut b = Rig::new(1).each(|_, drive| drive.axis.command_queue = 4).ready();
     let moving = b.post(0, slowly_to(150.0));
     b.run(50);
     let queued: Vec<_> = (0..4).map(|_| b.post(0, Command::Home)).collect();
@@ -264,8 +213,7 @@ fn room_for_a_stop_is_kept_in_a_full_queue() {
 
 #[test]
 fn a_velocity_that_is_newer_than_its_jog_counts() {
-    let mut b = Rig::new(1).start();
-    b.ready();
+    let mut b = Rig::new(1).ready();
     b.done(0, to(100.0));
     // Pressed and released within one cycle.
     b.post(0, jog(40.0));
@@ -285,8 +233,7 @@ fn a_velocity_that_is_newer_than_its_jog_counts() {
 #[test]
 fn an_application_that_dies_while_it_enables_moves_nothing() {
     let beat = 50;
-    let mut b = Rig::new(1).cycle(|cycle| cycle.heartbeat_ns = Some(beat * MS)).start();
-    b.online();
+    let mut b = Rig::new(1).cycle(|cycle| cycle.heartbeat_ns = Some(beat * MS)).online();
     b.post(0, Command::Enable);
     let home = b.post(0, Command::Home);
     assert_eq!(b.stopped(0, beat + 3), StopCause::Heartbeat);
@@ -302,8 +249,7 @@ fn an_application_that_dies_while_it_enables_moves_nothing() {
 fn limits_hold_where_the_application_owns_the_control_word() {
     use fieldbeat::axis::NativeOwner;
     use fieldbeat::bus::linudp::wire::ControlWord;
-    let mut b = Rig::new(1).start();
-    b.ready();
+    let mut b = Rig::new(1).ready();
     b.done(0, Command::Disable);
     let mut raw = native(&mut b);
     b.post(0, Command::Native(NativeOwner::Application));
@@ -325,8 +271,7 @@ fn a_command_of_the_task_that_waits_holds_up_no_stop() {
                 axes.command(0, to(1.0)).unwrap();
             }
         })
-        .start();
-    b.ready();
+        .ready();
     b.until("cycle 2990", 3_000, |b| b.status().planned >= 2_990);
     // Far away, so that homing takes its time; the move of the task waits for it.
     let homing = b.post(0, Command::Home);

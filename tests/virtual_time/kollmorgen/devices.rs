@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use fieldbeat::axis::acyclic::CallError;
 use fieldbeat::axis::{Emergency, FoundRunning, Link};
+use fieldbeat::bus::BusPlan;
 use fieldbeat::bus::ethercat::faults::Fault;
 use fieldbeat::bus::ethercat::object::{Family, Object, Objects, Target, Type};
 use fieldbeat::bus::ethercat::sim::coupler::Terminals as Simulated;
@@ -11,7 +12,8 @@ use fieldbeat::bus::ethercat::sim::{Coupler, EthercatSim};
 use fieldbeat::bus::ethercat::{
     Area, Device, EthercatPlan, Expected, KollmorgenDrive, SlavePlan, Start, Terminals,
 };
-use fieldbeat::cycle::CyclePlan;
+use fieldbeat::cycle::{CyclePlan, Plan};
+use fieldbeat::master::MasterError;
 use fieldbeat::sim::world::WorldOptions;
 
 use super::drives::{Left, answer};
@@ -149,4 +151,27 @@ fn a_drive_with_another_resolution_is_refused_unless_that_is_not_looked_at() {
         why.contains("its increments per turn (0x608f:1) are 524288") && why.contains("check_prbase = false")
     );
     assert_eq!(refused(19, 1, false), None);
+}
+
+#[test]
+fn a_device_is_taken_once_by_its_name_and_type() {
+    let named = |name: &str, place| Device { name: name.into(), ..io(place) };
+    let plan = |a: &str, b: &str| line(vec![drive(0, Family::S700)], vec![named(a, 1), named(b, 2)]);
+    let mut sim = Machine::new(plan("di", "do")).sim;
+    assert_eq!(sim.device::<u32>("do").err(), Some(MasterError::DeviceType("do".into())));
+    assert!(sim.device::<Terminals>("do").is_ok(), "another type has not taken it");
+    assert_eq!(sim.device::<Terminals>("do").err(), Some(MasterError::DeviceTaken("do".into())));
+    let absent = sim.device::<Terminals>("dx").err().unwrap().to_string();
+    assert_eq!(absent, "there is no device dx; there are: di, do");
+    let taken = "its name is taken; names are unique in the machine";
+    for (other, refused) in [
+        ("di", format!("device di: {taken}")),
+        ("d0", format!("device d0: {taken}")),
+        ("d o", "device \"d o\": its name must be 1 to 32 letters, digits, - _ or .".to_owned()),
+    ] {
+        let buses: Vec<Box<dyn BusPlan>> = vec![Box::new(plan("di", other))];
+        let plan = Plan { source: None, cycle: CyclePlan::default(), buses, groups: Vec::new() };
+        let told = plan.check().unwrap_err().to_string();
+        assert!(told.lines().any(|line| line == refused), "{told}");
+    }
 }

@@ -20,7 +20,6 @@ use fieldbeat::bus::ethercat::{
 };
 use fieldbeat::bus::{Bus, BusPlan, OpenError};
 use fieldbeat::cycle::CyclePlan;
-use fieldbeat::cycle::engine::Flow;
 use fieldbeat::net::Carriers;
 use fieldbeat::sim::world::WorldOptions;
 use fieldbeat::sim::{FaultPlan, SimDrive, SimLine};
@@ -67,38 +66,6 @@ pub fn press(machine: &mut Machine, index: usize, torque: f64, cycles: u64) {
 }
 
 #[test]
-fn velocities_are_followed_whoever_has_the_clock() {
-    for leads in [false, true] {
-        let mut drives = plan(3).drives;
-        drives[1] = drive(1, Family::Akd);
-        drives[2].axis.units.counts_per_unit *= -1.0;
-        let options = WorldOptions { wake_ns: 20_000, ..WorldOptions::default() };
-        let mut machine = Machine::with(line(drives), leads, options);
-        machine.online();
-        machine.each(Command::Enable);
-        for index in 0..3 {
-            machine.post(index, jog(5.0));
-        }
-        machine.run(500);
-        machine.assert_turns(0, 5.0);
-        machine.assert_turns(1, 5.0);
-        let turned = machine.drive(2, |drive| drive.rpm());
-        assert!((turned + 300.0).abs() < 20.0, "it is inverted: {turned}");
-        assert!((machine.feedback(2).status.velocity - 5.0).abs() < 0.3);
-        for index in 0..3 {
-            machine.done(index, STOP);
-            machine.post(index, jog(-2.0));
-            machine.run(100);
-            machine.done(index, Command::QuickStop);
-            machine.done(index, Command::Disable);
-            assert!(machine.feedback(index).status.velocity.abs() < 0.05);
-        }
-        let missed: u64 = machine.end().iter().map(|counters| counters.missed).sum();
-        assert_eq!(missed, 0);
-    }
-}
-
-#[test]
 fn positions_are_moved_to_and_streams_followed() {
     let mut machine = Machine::enabled(line(positions()));
     for index in 0..3 {
@@ -132,28 +99,6 @@ fn positions_are_moved_to_and_streams_followed() {
         let feedback = machine.feedback(index);
         assert!((feedback.status.position - from - 1.0).abs() < 1e-3, "{feedback:?}");
         assert_eq!(machine.drive(index, |drive| drive.fault()), None);
-    }
-}
-
-#[test]
-fn a_position_stays_inside_of_its_limits() {
-    let mut drive = with(0, Family::S700, 0x1701, 0x1B03);
-    drive.axis.limits.position = Some((-2.0, 2.0));
-    let mut machine = Machine::enabled(line(vec![drive]));
-    let refused = machine.ended(0, go(Target::Absolute(1.0)));
-    assert_eq!(refused, Outcome::Failed(Failure::NotHomed));
-    machine.done(0, Command::Home);
-    assert!(machine.feedback(0).status.homed);
-    machine.done(0, go(Target::Absolute(1.5)));
-    let refused = machine.ended(0, go(Target::Relative(1.0)));
-    assert!(matches!(refused, Outcome::Failed(Failure::Limit { .. })), "{refused:?}");
-    for direction in [1.0, -1.0] {
-        let end = machine.ended(0, jog(5.0 * direction));
-        assert!(matches!(end, Outcome::Failed(Failure::Limit { .. })), "{end:?}");
-        machine.run(100);
-        let place = machine.feedback(0).status.position * direction;
-        assert!((1.9..2.001).contains(&place), "{place}");
-        assert_eq!(machine.feedback(0).stopped, None);
     }
 }
 
@@ -235,42 +180,6 @@ fn home_is_found_by_the_drive_and_forgotten_when_it_is_switched_off() {
     machine.recover(0);
     machine.done(0, Command::Home);
     assert!(machine.feedback(0).status.homed);
-}
-
-#[test]
-fn a_restart_in_motion_is_latched_and_the_others_go_on() {
-    let mut drives = vec![drive(0, Family::S700), torque(1), with(2, Family::S700, 0x1701, 0x1B03)];
-    drives.push(drive(3, Family::Akd));
-    for restarted in 0..4 {
-        let mut machine = Machine::enabled(line(drives.clone()));
-        for index in [0, 2, 3] {
-            machine.post(index, jog(2.0));
-        }
-        machine.post(1, Command::Torque { slope: 100.0 });
-        press(&mut machine, 1, 2.05, 500);
-        machine.sim.world().restart_slave(LINE, restarted);
-        for _ in 0..6_000 {
-            let torque = if machine.feedback(1).status.velocity > 2.0 { 1.5 } else { 2.5 };
-            press(&mut machine, 1, torque, 1);
-            for index in (0..4).filter(|index| *index != restarted) {
-                let feedback = machine.feedback(index);
-                assert_eq!((feedback.age, feedback.stopped), (0, None), "{index} beside {restarted}");
-            }
-            let feedback = machine.feedback(restarted);
-            if feedback.link == Link::Online && feedback.stopped.is_some() && feedback.age == 0 {
-                assert!(!feedback.status.state.is_powered(), "{feedback:?}");
-            }
-        }
-        let feedback = machine.feedback(restarted);
-        assert_eq!((feedback.link, feedback.stopped), (Link::Online, Some(StopCause::LinkLost)));
-        assert_eq!(machine.drive(restarted, |drive| drive.axis_state()), State::SwitchOnDisabled);
-        let latched = Outcome::Failed(Failure::Latched(StopCause::LinkLost));
-        let verb = if restarted == 1 { Command::Torque { slope: 1.0 } } else { jog(1.0) };
-        assert_eq!(machine.ended(restarted, verb), latched);
-        machine.recover(restarted);
-        machine.run(300);
-        assert!(machine.feedback(restarted).status.velocity.abs() < 0.05, "nothing of before is taken up");
-    }
 }
 
 #[test]
@@ -693,40 +602,6 @@ fn without_its_master_each_drive_stops_within_its_watchdog() {
     machine.run(3_000);
     assert!(rpm(&machine).iter().all(|rpm| *rpm < 3.0));
     assert!((0..4).all(|index| machine.feedback(index).stopped.is_some()));
-}
-
-#[test]
-fn the_end_leaves_every_drive_standing_without_power_in_init() {
-    for moving in [false, true] {
-        let mut drives = positions();
-        drives.push(drive(3, Family::S700));
-        drives.push(torque(4));
-        drives.push(drive(5, Family::S700));
-        let mut machine = Machine::new(line(drives));
-        machine.online();
-        (0..5).for_each(|index| machine.done(index, Command::Enable));
-        if moving {
-            (0..4).for_each(|index| machine.post(index, jog(4.0)));
-            machine.post(4, Command::Torque { slope: 1_000.0 });
-            press(&mut machine, 4, 4.0, 300);
-        }
-        let world = machine.sim.world().clone();
-        machine.sim.stop();
-        let most = (0..10_000).find(|_| machine.sim.step() == Flow::End).expect("no end");
-        assert!(most > 10, "six drives take more than ten cycles to INIT");
-        for axis in 0..6 {
-            assert_eq!(machine.feedback(axis).link, Link::Online, "{axis} is not lost by being taken down");
-        }
-        let look = |line: &mut EthercatSim, _| {
-            for place in 0..6 {
-                assert_eq!(line.slave(place).unwrap().state(), AlState::Init);
-                let drive = line.drive(place).unwrap();
-                assert!(drive.rpm().abs() < 3.0, "{place}: {}", drive.rpm());
-                assert_eq!((drive.axis_state(), drive.fault()), (State::SwitchOnDisabled, None), "{place}");
-            }
-        };
-        world.look(LINE, look).unwrap();
-    }
 }
 
 #[test]

@@ -69,8 +69,7 @@ fn a_stop_out_of_native_mode_goes_along_its_ramp_with_power_on() {
         (NativeOwner::Application, VIAS[1]),
         (NativeOwner::Master, VIAS[1]),
     ] {
-        let mut b = Bench::new(1, via, |_, _| {});
-        b.ready();
+        let mut b = Bench::enabled(1, via, |_, _| {});
         let mut native = b.sim.axis(0).native::<Native>().unwrap();
         b.sim.axis(0).post(Command::Native(owner)).unwrap();
         b.until("native mode", 100, |_| native.inputs().running);
@@ -95,8 +94,7 @@ fn a_stop_out_of_native_mode_goes_along_its_ramp_with_power_on() {
 
 #[test]
 fn each_native_output_goes_out_however_often_the_wire_takes_none() {
-    let mut b = Bench::new(1, Via::Direct, |_, _| {});
-    b.ready();
+    let mut b = Bench::enabled(1, Via::Direct, |_, _| {});
     let mut native = b.sim.axis(0).native::<Native>().unwrap();
     b.sim.axis(0).post(Command::Native(NativeOwner::Application)).unwrap();
     b.until("native mode", 100, |_| native.inputs().running);
@@ -135,8 +133,7 @@ fn a_drive_without_function_23_is_read_as_ever_after_it_was_watched_for_long() {
 #[test]
 fn nothing_that_was_told_before_a_restart_is_told_after_it() {
     for via in VIAS {
-        let mut b = Bench::new(1, via, |_, _| {});
-        b.ready();
+        let mut b = Bench::enabled(1, via, |_, _| {});
         let mut native = b.sim.axis(0).native::<Native>().unwrap();
         b.sim.axis(0).post(Command::Native(NativeOwner::Application)).unwrap();
         b.until("native mode", 100, |_| native.inputs().running);
@@ -172,13 +169,11 @@ fn the_orderly_end_takes_the_time_out_from_a_drive_that_is_off_and_leaves_it_to_
             drive.axis.stop.timeout = Duration::from_millis(300);
             drive.axis.enable_timeout = Duration::from_millis(300);
         };
-        let mut b = Bench::new(1, via, change);
-        b.ready();
+        let b = Bench::enabled(1, via, change);
         let status = two_seconds_after_the_end(b);
         assert!(status.healthy() && !status.active(), "{via:?}: {status:?}");
 
-        let mut b = Bench::new(1, via, change);
-        b.ready();
+        let mut b = Bench::enabled(1, via, change);
         b.turning(0, 4.0);
         // What would take RUN or ENABLE away arrives as what is there.
         let idle = ControlWord::IDLE.0.to_be_bytes();
@@ -199,8 +194,7 @@ fn the_orderly_end_takes_the_time_out_from_a_drive_that_is_off_and_leaves_it_to_
 #[test]
 fn a_drive_that_refuses_function_23_from_now_on_is_asked_in_turns_and_goes_on_turning() {
     for via in VIAS {
-        let mut b = Bench::new(1, via, |_, _| {});
-        b.ready();
+        let mut b = Bench::enabled(1, via, |_, _| {});
         b.turning(0, 4.0);
         b.tap(0).request = Some(Box::new(|request| without_function_23(request)));
         b.tap(0).reply = Some(Box::new(|reply| as_function_23(reply)));
@@ -224,8 +218,7 @@ fn a_drive_that_refuses_function_23_from_now_on_is_asked_in_turns_and_goes_on_tu
 #[test]
 fn a_second_trip_is_never_called_by_the_name_of_the_first() {
     for via in VIAS {
-        let mut b = Bench::new(1, via, |_, _| {});
-        b.ready();
+        let mut b = Bench::enabled(1, via, |_, _| {});
         for trip in [Trip::OVER_VOLTS, Trip::MOTOR_TOO_HOT, Trip::OVER_VOLTS] {
             b.turning(0, 4.0);
             b.tap(0).drive.provoke(trip);

@@ -17,8 +17,7 @@ const BOUND: u64 = 60;
 #[test]
 fn another_master_that_switches_the_drive_off_is_named_and_no_hardware_enable_is_blamed() {
     for via in VIAS {
-        let mut b = Bench::new(1, via, |_, _| {});
-        b.ready();
+        let mut b = Bench::enabled(1, via, |_, _| {});
         b.turning(0, 4.0);
         let begun = b.sim.status().executed;
         b.until("a stop", BOUND, |b| {
@@ -40,8 +39,7 @@ fn another_master_that_switches_the_drive_off_is_named_and_no_hardware_enable_is
 #[test]
 fn another_master_that_writes_the_reference_only_is_named_too() {
     for via in VIAS {
-        let mut b = Bench::new(1, via, |_, _| {});
-        b.ready();
+        let mut b = Bench::enabled(1, via, |_, _| {});
         b.turning(0, 4.0);
         b.until("a stop", 4 * BOUND, |b| {
             let now = b.now();
@@ -56,8 +54,7 @@ fn another_master_that_writes_the_reference_only_is_named_too() {
 #[test]
 fn a_keypad_and_a_short_loss_of_the_hardware_enable_are_no_other_master() {
     for via in VIAS {
-        let mut b = Bench::new(1, via, |_, _| {});
-        b.ready();
+        let mut b = Bench::enabled(1, via, |_, _| {});
         b.turning(0, 4.0);
         // A key that is held, ten times a second, and once in a while the control word.
         for n in 0..60 {

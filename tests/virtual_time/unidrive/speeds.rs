@@ -11,7 +11,6 @@ use fieldbeat::telemetry::{Measured, Summary};
 use serde_json::{Value, json};
 
 use super::*;
-use crate::virtual_time::support::{assert_near, refused};
 
 fn bench(count: usize) -> Bench {
     Bench::new(count, VIAS[1], |_, drive| {
@@ -26,25 +25,6 @@ fn go(target: Target) -> Command {
 
 fn jog(velocity: f64) -> Command {
     Command::Jog(Jog { velocity, acceleration: 80.0 })
-}
-
-#[test]
-fn velocities_are_taken_and_positions_are_refused_by_name() {
-    let mut b = bench(1);
-    b.ready();
-    for command in [go(Target::Absolute(10.0)), go(Target::Relative(1.0)), Command::Follow] {
-        let why = refused(b.sim.axis(0), command);
-        assert!(matches!(why, Failure::Unsupported(why) if why.contains("speeds")), "{command:?}: {why}");
-    }
-    let jogging = b.sim.axis(0).post(jog(8.0)).unwrap();
-    b.run(300);
-    let status = b.feedback(0).status;
-    assert_near(status.velocity, 8.0, 0.1);
-    assert!([status.position, status.demand, status.current].into_iter().all(f64::is_nan));
-    // A move that is refused leaves the jog alone.
-    refused(b.sim.axis(0), go(Target::Absolute(10.0)));
-    assert_near(b.feedback(0).status.velocity, 8.0, 0.1);
-    assert_eq!((b.sim.run_command(0, jogging, 10), b.feedback(0).stopped), (None, None));
 }
 
 #[test]
