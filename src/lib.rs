@@ -95,6 +95,7 @@ pub mod doctor;
 pub mod drive;
 mod errors;
 pub mod master;
+mod named;
 pub mod net;
 pub mod rt;
 pub mod sim;

@@ -3,46 +3,37 @@
 use std::fmt;
 
 use super::cell::Packed;
+use crate::named::named;
 use crate::time::Time;
 
-/// State of the CiA 402 power drive system, onto which every protocol maps its own state words.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-#[repr(u8)]
-pub enum State {
-    /// Nothing known yet.
-    #[default]
-    Unknown = 0,
-    /// Booting, or the motion software is stopped.
-    NotReadyToSwitchOn = 1,
-    /// Power off; switching on is locked until the control word was low once.
-    SwitchOnDisabled = 2,
-    /// Power off, ready.
-    ReadyToSwitchOn = 3,
-    /// Powered or powering, operation not enabled.
-    SwitchedOn = 4,
-    /// Powered and following commands.
-    OperationEnabled = 5,
-    /// A quick stop is running or holding.
-    QuickStopActive = 6,
-    /// The drive reacts to a fault.
-    FaultReactionActive = 7,
-    /// Stopped by a fault, power off.
-    Fault = 8,
+named! {
+    /// State of the CiA 402 power drive system, onto which every protocol maps its own state words.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+    #[repr(u8)]
+    pub enum State {
+        /// Nothing known yet.
+        #[default]
+        Unknown = 0: "Unknown",
+        /// Booting, or the motion software is stopped.
+        NotReadyToSwitchOn = 1: "NotReadyToSwitchOn",
+        /// Power off; switching on is locked until the control word was low once.
+        SwitchOnDisabled = 2: "SwitchOnDisabled",
+        /// Power off, ready.
+        ReadyToSwitchOn = 3: "ReadyToSwitchOn",
+        /// Powered or powering, operation not enabled.
+        SwitchedOn = 4: "SwitchedOn",
+        /// Powered and following commands.
+        OperationEnabled = 5: "OperationEnabled",
+        /// A quick stop is running or holding.
+        QuickStopActive = 6: "QuickStopActive",
+        /// The drive reacts to a fault.
+        FaultReactionActive = 7: "FaultReactionActive",
+        /// Stopped by a fault, power off.
+        Fault = 8: "Fault",
+    }
 }
 
 impl State {
-    pub(crate) const ALL: [State; 9] = [
-        State::Unknown,
-        State::NotReadyToSwitchOn,
-        State::SwitchOnDisabled,
-        State::ReadyToSwitchOn,
-        State::SwitchedOn,
-        State::OperationEnabled,
-        State::QuickStopActive,
-        State::FaultReactionActive,
-        State::Fault,
-    ];
-
     /// Whether the power stage may be on.
     pub fn is_powered(self) -> bool {
         matches!(
@@ -52,145 +43,72 @@ impl State {
     }
 }
 
-impl fmt::Display for State {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        fmt::Debug::fmt(self, f)
+named! {
+    /// The link to a drive as the loop evaluates it.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+    #[repr(u8)]
+    pub enum Link {
+        /// No answer since the start; probed slowly.
+        #[default]
+        Unseen = 0: "unseen",
+        /// Answers, but not yet often enough in a row (quality gate).
+        Qualifying = 1: "qualifying",
+        /// Up.
+        Online = 2: "online",
+        /// Was up and became silent; probed slowly.
+        Lost = 3: "lost",
     }
 }
 
-/// The link to a drive as the loop evaluates it.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-#[repr(u8)]
-pub enum Link {
-    /// No answer since the start; probed slowly.
-    #[default]
-    Unseen = 0,
-    /// Answers, but not yet often enough in a row (quality gate).
-    Qualifying = 1,
-    /// Up.
-    Online = 2,
-    /// Was up and became silent; probed slowly.
-    Lost = 3,
-}
-
-impl Link {
-    pub(crate) const ALL: [Link; 4] = [Link::Unseen, Link::Qualifying, Link::Online, Link::Lost];
-}
-
-impl fmt::Display for Link {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Link::Unseen => "unseen",
-            Link::Qualifying => "qualifying",
-            Link::Online => "online",
-            Link::Lost => "lost",
-        })
-    }
-}
-
-/// Why an axis was stopped by the master. It stays latched until `reset`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-#[repr(u8)]
-pub enum StopCause {
-    /// The program or the application ended the master.
-    Shutdown = 1,
-    /// The link to the drive was lost.
-    LinkLost = 2,
-    /// The drive reported a fault.
-    DriveFault = 3,
-    /// The loop overran and its policy is to stop.
-    Overrun = 4,
-    /// The stream ran empty and its policy is to stop.
-    Underrun = 5,
-    /// A setpoint was outside the limits.
-    Limit = 6,
-    /// The in-loop task panicked or overran its budget.
-    Task = 7,
-    /// The drive was found enabled or moving when the master started.
-    FoundRunning = 8,
-    /// Another axis of its stop group was stopped.
-    Group = 9,
-    /// The drive left operation by itself (its own panel, a limit switch).
-    DriveDropped = 10,
-    /// The drive's hardware enable (STO) went away.
-    HardwareEnable = 11,
-    /// The application gave no sign of life within the heartbeat time.
-    Heartbeat = 12,
-    /// The application gave no sign of life within the heartbeat time.
-    StaleSetpoint = 13,
-    /// A jog was not renewed within its dead-man time.
-    DeadMan = 14,
-    /// The members of its group missed too many exchanges together.
-    GroupLink = 15,
-    /// A motion of its group failed at this axis.
-    GroupFailed = 16,
-    /// It moved, with power on, although nothing commanded it.
-    Uncommanded = 17,
-    /// A stop of the application took longer than the stop's time-out.
-    StopTimeout = 18,
-    /// The computer was suspended.
-    Suspended = 19,
-    /// The loop panicked: an error of this software.
-    Panic = 20,
-    /// The thread that opens the connections of its bus ended: an error of this software.
-    LinkThread = 21,
-    /// Another master commands the drive, or has frames on its segment.
-    OtherMaster = 22,
-}
-
-impl StopCause {
-    pub(crate) const ALL: [StopCause; 22] = [
-        StopCause::Shutdown,
-        StopCause::LinkLost,
-        StopCause::DriveFault,
-        StopCause::Overrun,
-        StopCause::Underrun,
-        StopCause::Limit,
-        StopCause::Task,
-        StopCause::FoundRunning,
-        StopCause::Group,
-        StopCause::DriveDropped,
-        StopCause::HardwareEnable,
-        StopCause::Heartbeat,
-        StopCause::StaleSetpoint,
-        StopCause::DeadMan,
-        StopCause::GroupLink,
-        StopCause::GroupFailed,
-        StopCause::Uncommanded,
-        StopCause::StopTimeout,
-        StopCause::Suspended,
-        StopCause::Panic,
-        StopCause::LinkThread,
-        StopCause::OtherMaster,
-    ];
-}
-
-impl fmt::Display for StopCause {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            StopCause::Shutdown => "shutdown",
-            StopCause::LinkLost => "link lost",
-            StopCause::DriveFault => "drive fault",
-            StopCause::Overrun => "overrun",
-            StopCause::Underrun => "stream underrun",
-            StopCause::Limit => "limit",
-            StopCause::Task => "in-loop task",
-            StopCause::FoundRunning => "found running",
-            StopCause::Group => "stop group",
-            StopCause::DriveDropped => "drive left operation",
-            StopCause::HardwareEnable => "hardware enable (STO) missing",
-            StopCause::Heartbeat => "application silent",
-            StopCause::StaleSetpoint => "setpoint too old",
-            StopCause::DeadMan => "jog not renewed",
-            StopCause::GroupLink => "too many misses in its group",
-            StopCause::GroupFailed => "motion of its group failed",
-            StopCause::Uncommanded => "motion without a command",
-            StopCause::StopTimeout => "stop not complete in time",
-            StopCause::Suspended => "computer suspended",
-            StopCause::Panic => "internal error (panic)",
-            StopCause::LinkThread => "link thread ended",
-            StopCause::OtherMaster => "another master",
-        })
+named! {
+    /// Why an axis was stopped by the master. It stays latched until `reset`.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+    #[repr(u8)]
+    pub enum StopCause {
+        /// The program or the application ended the master.
+        Shutdown = 1: "shutdown",
+        /// The link to the drive was lost.
+        LinkLost = 2: "link lost",
+        /// The drive reported a fault.
+        DriveFault = 3: "drive fault",
+        /// The loop overran and its policy is to stop.
+        Overrun = 4: "overrun",
+        /// The stream ran empty and its policy is to stop.
+        Underrun = 5: "stream underrun",
+        /// A setpoint was outside the limits.
+        Limit = 6: "limit",
+        /// The in-loop task panicked or overran its budget.
+        Task = 7: "in-loop task",
+        /// The drive was found enabled or moving when the master started.
+        FoundRunning = 8: "found running",
+        /// Another axis of its stop group was stopped.
+        Group = 9: "stop group",
+        /// The drive left operation by itself (its own panel, a limit switch).
+        DriveDropped = 10: "drive left operation",
+        /// The drive's hardware enable (STO) went away.
+        HardwareEnable = 11: "hardware enable (STO) missing",
+        /// The application gave no sign of life within the heartbeat time.
+        Heartbeat = 12: "application silent",
+        /// The application gave no sign of life within the heartbeat time.
+        StaleSetpoint = 13: "setpoint too old",
+        /// A jog was not renewed within its dead-man time.
+        DeadMan = 14: "jog not renewed",
+        /// The members of its group missed too many exchanges together.
+        GroupLink = 15: "too many misses in its group",
+        /// A motion of its group failed at this axis.
+        GroupFailed = 16: "motion of its group failed",
+        /// It moved, with power on, although nothing commanded it.
+        Uncommanded = 17: "motion without a command",
+        /// A stop of the application took longer than the stop's time-out.
+        StopTimeout = 18: "stop not complete in time",
+        /// The computer was suspended.
+        Suspended = 19: "computer suspended",
+        /// The loop panicked: an error of this software.
+        Panic = 20: "internal error (panic)",
+        /// The thread that opens the connections of its bus ended: an error of this software.
+        LinkThread = 21: "link thread ended",
+        /// Another master commands the drive, or has frames on its segment.
+        OtherMaster = 22: "another master",
     }
 }
 

@@ -180,6 +180,45 @@ mod tests {
     use crate::axis::{HeldBy, Limits, Units};
 
     #[test]
+    fn what_a_drive_lacks_refuses_its_own_commands_and_no_others() {
+        use crate::axis::command::NativeOwner;
+        let profile = Profile { velocity: 1.0, acceleration: 1.0, deceleration: 1.0 };
+        let all = [
+            Command::Enable,
+            Command::Move(Move { target: Target::Absolute(0.0), profile }),
+            Command::Follow,
+            Command::Jog(Jog { velocity: 1.0, acceleration: 1.0 }),
+            Command::Velocity { acceleration: 1.0 },
+            Command::Torque { slope: 1.0 },
+            Command::Home,
+            Command::Disable,
+            Command::Stop { deceleration: None },
+            Command::QuickStop,
+            Command::ResetFault,
+            Command::Native(NativeOwner::Master),
+            Command::Reset,
+        ];
+        let why = Some("it has none");
+        let none = Lacks::default();
+        for (lacks, refused) in [
+            (none, 0..0),
+            (Lacks { enable: why, ..none }, 0..1),
+            (Lacks { moves: why, ..none }, 1..2),
+            (Lacks { rows: why, ..none }, 2..3),
+            (Lacks { velocities: why, ..none }, 3..5),
+            (Lacks { torques: why, ..none }, 5..6),
+            (Lacks { homing: why, ..none }, 6..7),
+            // The latch of the axis is the master's own.
+            (Lacks { control: why, ..none }, 0..12),
+        ] {
+            for (place, command) in all.iter().enumerate() {
+                let failure = refused.contains(&place).then_some(Failure::Unsupported("it has none"));
+                assert_eq!(lacks.refuses(command), failure, "{lacks:?} {command:?}");
+            }
+        }
+    }
+
+    #[test]
     fn a_torque_needs_a_limit_of_the_velocity_and_a_load_that_does_not_drop() {
         let mut plan = AxisPlan::new("x", Units::millimetres(1_000.0));
         let check =

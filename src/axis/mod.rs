@@ -27,6 +27,7 @@ pub mod group;
 pub mod handle;
 pub mod limits;
 pub mod newest;
+pub(crate) mod packed;
 pub mod plan;
 mod pulse;
 mod streams;

@@ -4,6 +4,7 @@
 //! is counted.
 
 pub use crate::drive::record::{DriveRecord, MonitorRecord, Reply, ShortEmergency, measured, short};
+use crate::named::named;
 use crate::time::Time;
 
 /// One record. Those of the drives and of the reference come before that of their cycle.
@@ -34,39 +35,23 @@ impl Record {
     }
 }
 
-/// The stages of a cycle, in their order.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-#[repr(u8)]
-pub enum Stage {
-    /// Draining the sockets and handing the requests to the kernel.
-    Send = 0,
-    /// Taking in replies until the window closes.
-    Receive = 1,
-    /// Link health, limits, stop sequences.
-    Evaluate = 2,
-    /// Command queues and the in-loop task.
-    Commands = 3,
-    /// Building the next requests.
-    Prepare = 4,
-    /// Feedback, events, records.
-    Publish = 5,
-}
-
-impl Stage {
-    /// All of them, in their order.
-    pub const ALL: [Stage; 6] =
-        [Stage::Send, Stage::Receive, Stage::Evaluate, Stage::Commands, Stage::Prepare, Stage::Publish];
-
-    /// The name in reports.
-    pub fn name(self) -> &'static str {
-        match self {
-            Stage::Send => "send",
-            Stage::Receive => "receive",
-            Stage::Evaluate => "evaluate",
-            Stage::Commands => "commands",
-            Stage::Prepare => "prepare",
-            Stage::Publish => "publish",
-        }
+named! {
+    /// The stages of a cycle, in their order.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+    #[repr(u8)]
+    pub enum Stage {
+        /// Draining the sockets and handing the requests to the kernel.
+        Send = 0: "send",
+        /// Taking in replies until the window closes.
+        Receive = 1: "receive",
+        /// Link health, limits, stop sequences.
+        Evaluate = 2: "evaluate",
+        /// Command queues and the in-loop task.
+        Commands = 3: "commands",
+        /// Building the next requests.
+        Prepare = 4: "prepare",
+        /// Feedback, events, records.
+        Publish = 5: "publish",
     }
 }
 

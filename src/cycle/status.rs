@@ -3,7 +3,8 @@
 use std::sync::Arc;
 
 use super::engine::LoopPanic;
-use crate::axis::cell::{Packed, Reader};
+use crate::axis::cell::Reader;
+use crate::axis::packed::{packed, parts};
 use crate::axis::{Feedback, MONITOR_CHANNELS, Observer};
 use crate::bus::{BusClock, Counters, Notes, Unmatched};
 pub use crate::drive::numbers::{DriveNumbers, Extent, Peak, Peaks};
@@ -68,130 +69,16 @@ pub struct ReferenceStatus {
     pub step_max: Peak,
 }
 
-impl Packed for Status {
-    type Words = [u64; 38];
-
-    fn pack(&self) -> [u64; 38] {
-        let mut words = [0; 38];
-        words[..12].copy_from_slice(&[
-            self.planned,
-            self.executed,
-            self.skipped,
-            self.overruns,
-            self.longest_skip,
-            self.late,
-            u64::from(self.operational) | u64::from(self.online) << 32 | u64::from(self.cut_off) << 63,
-            self.missed,
-            self.lost_records,
-            self.lost_events,
-            self.wake_max.ns,
-            self.wake_max.index,
-        ]);
-        let peaks = [self.jitter_max].into_iter().chain(self.stage_max);
-        for (pair, peak) in words[12..28].chunks_exact_mut(2).zip(peaks) {
-            pair.copy_from_slice(&[peak.ns, peak.index]);
-        }
-        if let Some(reference) = &self.reference {
-            words[28..].copy_from_slice(&reference.pack());
-        }
-        words
+parts! {
+    Status {
+        planned, executed, skipped, overruns, longest_skip, late, wake_max, jitter_max, stage_max, cut_off, operational,
+        online, missed, lost_records, lost_events, reference
     }
-
-    fn unpack(words: &[u64; 38]) -> Status {
-        let peak = |at: usize| Peak { ns: words[at], index: words[at + 1] };
-        Status {
-            planned: words[0],
-            executed: words[1],
-            skipped: words[2],
-            overruns: words[3],
-            longest_skip: words[4],
-            late: words[5],
-            operational: words[6] as u32,
-            online: (words[6] >> 32) as u32 & (u32::MAX >> 1),
-            cut_off: words[6] >> 63 != 0,
-            missed: words[7],
-            lost_records: words[8],
-            lost_events: words[9],
-            wake_max: peak(10),
-            jitter_max: peak(12),
-            stage_max: std::array::from_fn(|stage| peak(14 + 2 * stage)),
-            reference: ReferenceStatus::unpack(&std::array::from_fn(|word| words[28 + word])),
-        }
-    }
+    ReferenceStatus { locked, losses, samples, silent, error_ns, error_max, step_ns, step_max }
+    BusClock { error_ns, locked, error_max_ns, window_ns }
+    Unmatched { datagrams, dropped, errors }
 }
-
-const LED: u64 = 1;
-const LOCKED: u64 = 2;
-
-impl ReferenceStatus {
-    fn pack(&self) -> [u64; 10] {
-        [
-            LED | if self.locked { LOCKED } else { 0 },
-            self.losses,
-            self.samples,
-            self.silent,
-            self.error_ns.cast_unsigned(),
-            self.error_max.ns,
-            self.error_max.index,
-            self.step_ns.cast_unsigned(),
-            self.step_max.ns,
-            self.step_max.index,
-        ]
-    }
-
-    /// `None` of words that are all zero.
-    fn unpack(words: &[u64; 10]) -> Option<ReferenceStatus> {
-        let &[flags, losses, samples, silent, error, error_max, error_at, step, step_max, step_at] = words;
-        (flags & LED != 0).then_some(ReferenceStatus {
-            locked: flags & LOCKED != 0,
-            losses,
-            samples,
-            silent,
-            error_ns: error.cast_signed(),
-            error_max: Peak { ns: error_max, index: error_at },
-            step_ns: step.cast_signed(),
-            step_max: Peak { ns: step_max, index: step_at },
-        })
-    }
-}
-
-impl Packed for Unmatched {
-    type Words = [u64; 3];
-
-    fn pack(&self) -> [u64; 3] {
-        [self.datagrams, self.dropped, self.errors]
-    }
-
-    fn unpack(words: &[u64; 3]) -> Unmatched {
-        let [datagrams, dropped, errors] = *words;
-        Unmatched { datagrams, dropped, errors }
-    }
-}
-
-const CLOCK: u64 = 1;
-const CLOCK_SEEN: u64 = 2;
-const CLOCK_LOCKED: u64 = 4;
-
-/// `None` is all zero: the bus has no clock.
-impl Packed for Option<BusClock> {
-    type Words = [u64; 4];
-
-    fn pack(&self) -> [u64; 4] {
-        let Some(BusClock { error_ns, locked, error_max_ns, window_ns }) = *self else { return [0; 4] };
-        let flag = |set: bool, bit| if set { bit } else { 0 };
-        let flags = CLOCK | flag(error_ns.is_some(), CLOCK_SEEN) | flag(locked, CLOCK_LOCKED);
-        [flags, error_ns.unwrap_or_default().cast_unsigned(), error_max_ns, window_ns]
-    }
-
-    fn unpack(&[flags, error, error_max_ns, window_ns]: &[u64; 4]) -> Option<BusClock> {
-        (flags & CLOCK != 0).then_some(BusClock {
-            error_ns: (flags & CLOCK_SEEN != 0).then_some(error.cast_signed()),
-            locked: flags & CLOCK_LOCKED != 0,
-            error_max_ns,
-            window_ns,
-        })
-    }
-}
+packed!(Status, Option<BusClock>, Unmatched);
 
 /// What stays the same of an axis for the readers of its numbers.
 #[derive(Clone, Debug)]
@@ -335,6 +222,7 @@ pub struct Numbers {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::axis::cell::Packed;
     use crate::net::LinkNotes;
 
     #[test]
@@ -352,61 +240,30 @@ mod tests {
 
     #[test]
     fn what_is_published_is_what_was_counted() {
-        let peak = |n: u64| Peak { ns: n, index: n + 1 };
-        let status = Status {
-            planned: 1,
-            executed: 2,
-            skipped: 3,
-            overruns: 4,
-            longest_skip: 5,
-            late: 6,
-            wake_max: peak(7),
-            jitter_max: peak(9),
-            stage_max: [11, 13, 15, 17, 19, 21].map(peak),
-            cut_off: true,
-            operational: 23,
-            online: 24,
-            missed: 25,
-            lost_records: 26,
-            lost_events: 27,
-            reference: None,
-        };
-        assert_eq!(Status::unpack(&status.pack()), status);
-        for (locked, sign) in [(true, 1), (false, -1)] {
-            let reference = ReferenceStatus {
-                locked,
-                losses: 28,
-                samples: 29,
-                silent: 30,
-                error_ns: 31 * sign,
-                error_max: peak(32),
-                step_ns: -34 * sign,
-                step_max: peak(35),
+        let reference =
+            ReferenceStatus { locked: true, error_ns: -31, step_ns: 34, ..ReferenceStatus::default() };
+        for reference in [None, Some(reference)] {
+            let peak = Peak { ns: 7, index: 8 };
+            let stage_max = std::array::from_fn(|stage| Peak { ns: stage as u64, ..peak });
+            let counted = Status {
+                executed: 2,
+                wake_max: peak,
+                stage_max,
+                cut_off: true,
+                online: 24,
+                ..Status::default()
             };
-            let led = Status { reference: Some(reference), ..status };
-            assert_eq!(Status::unpack(&led.pack()), led);
+            let status = Status { lost_events: 27, reference, ..counted };
+            assert_eq!(Status::unpack(&status.pack()), status);
         }
-        let counters = Counters {
-            sent: 1,
-            unsent: 2,
-            answered: 3,
-            missed: 4,
-            late: 5,
-            duplicate: 6,
-            suspect: 7,
-            malformed: 8,
-            foreign: 9,
-            own: std::array::from_fn(|count| 100 + count as u64),
-        };
-        let peaks = Peaks { rtt: peak(11), send_jitter: peak(13), age: peak(15) };
         let extent = |value: f64| Some(Extent { value, min: value - 1.0, max: value + 1.0 });
+        let counters =
+            Counters { own: std::array::from_fn(|count| 100 + count as u64), ..Counters::default() };
         let all = [17.5, -20.5, 0.0, 1e300].map(extent);
         for monitor in [[None; MONITOR_CHANNELS], [None, extent(0.0), None, extent(-1.5)], all] {
-            let drive = DriveNumbers { counters, losses: 10, peaks, monitor };
+            let drive = DriveNumbers { counters, losses: 10, monitor, ..DriveNumbers::default() };
             assert_eq!(DriveNumbers::unpack(&drive.pack()), drive);
         }
-        let unmatched = Unmatched { datagrams: 3, dropped: 4, errors: 5 };
-        assert_eq!(Unmatched::unpack(&unmatched.pack()), unmatched);
         let clock = BusClock { error_ns: Some(-7), locked: true, error_max_ns: 8, window_ns: 9 };
         for clock in [None, Some(clock), Some(BusClock { error_ns: None, locked: false, ..clock })] {
             assert_eq!(<Option<BusClock>>::unpack(&clock.pack()), clock);

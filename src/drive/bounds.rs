@@ -263,6 +263,11 @@ mod tests {
         below.limits.position = Some((-50.0, 100.0));
         assert_eq!(strikes(&below, false, true, &[-0.2, -0.4, -0.6, -0.8, -1.0]), None);
         assert_eq!(strikes(&below, false, true, &[-49.9, -50.1, -50.3, -50.5]), Some(3));
+        // Two counts may be due to rounding.
+        for (end, broken) in [(100.0002, None), (100.0003, Some(2)), (-50.0002, None), (-50.0003, Some(2))] {
+            let slowly = [(end, f64::signum(end)); 9];
+            assert_eq!(broken_at_report(&below, false, false, true, &slowly), broken, "{end}");
+        }
     }
 
     #[test]

@@ -1,8 +1,8 @@
 //! What the loop counts of one drive, exactly.
 
 use crate::axis::MONITOR_CHANNELS;
-use crate::axis::cell::{Packed, Words};
-use crate::bus::{Counters, OWN_COUNTERS};
+use crate::axis::packed::{packed, parts};
+use crate::bus::Counters;
 
 /// The largest value seen, and its slot. All zero: none was seen.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -65,81 +65,11 @@ pub struct DriveNumbers {
     pub monitor: [Option<Extent>; MONITOR_CHANNELS],
 }
 
-/// Words of the counts and times of a drive. The protocol's own counts follow, one word that says which channels
-/// are seen, and three of each channel.
-const COUNTS: usize = 16;
-const SEEN: usize = COUNTS + OWN_COUNTERS;
-
-impl Packed for DriveNumbers {
-    type Words = [u64; SEEN + 1 + 3 * MONITOR_CHANNELS];
-
-    fn pack(&self) -> Self::Words {
-        let (c, Peaks { rtt, send_jitter, age }) = (&self.counters, self.peaks);
-        let mut words = Self::Words::ZERO;
-        words[..COUNTS].copy_from_slice(&[
-            c.sent,
-            c.unsent,
-            c.answered,
-            c.missed,
-            c.late,
-            c.duplicate,
-            c.suspect,
-            c.malformed,
-            c.foreign,
-            self.losses,
-            rtt.ns,
-            rtt.index,
-            send_jitter.ns,
-            send_jitter.index,
-            age.ns,
-            age.index,
-        ]);
-        words[COUNTS..SEEN].copy_from_slice(&c.own);
-        let (seen, extents) = words[SEEN..].split_at_mut(1);
-        for (channel, extent) in self.monitor.iter().enumerate() {
-            let Some(Extent { value, min, max }) = extent else { continue };
-            seen[0] |= 1 << channel;
-            extents[3 * channel..][..3].copy_from_slice(&[value, min, max].map(|value| value.to_bits()));
-        }
-        words
-    }
-
-    fn unpack(words: &Self::Words) -> DriveNumbers {
-        let &[
-            sent,
-            unsent,
-            answered,
-            missed,
-            late,
-            duplicate,
-            suspect,
-            malformed,
-            foreign,
-            losses,
-            ref rest @ ..,
-        ] = words;
-        let peak = |at: usize| Peak { ns: rest[at], index: rest[at + 1] };
-        let (seen, extents) = (words[SEEN], &words[SEEN + 1..]);
-        let extent = |channel: usize| {
-            let [value, min, max] = std::array::from_fn(|at| f64::from_bits(extents[3 * channel + at]));
-            (seen >> channel & 1 != 0).then_some(Extent { value, min, max })
-        };
-        DriveNumbers {
-            counters: Counters {
-                sent,
-                unsent,
-                answered,
-                missed,
-                late,
-                duplicate,
-                suspect,
-                malformed,
-                foreign,
-                own: std::array::from_fn(|count| words[COUNTS + count]),
-            },
-            losses,
-            peaks: Peaks { rtt: peak(0), send_jitter: peak(2), age: peak(4) },
-            monitor: std::array::from_fn(extent),
-        }
-    }
+parts! {
+    DriveNumbers { counters, losses, peaks, monitor }
+    Counters { sent, unsent, answered, missed, late, duplicate, suspect, malformed, foreign, own }
+    Peaks { rtt, send_jitter, age }
+    Peak { ns, index }
+    Extent { value, min, max }
 }
+packed!(DriveNumbers);

@@ -643,6 +643,26 @@ fn an_enable_without_the_hardware_enable_is_refused_before_the_bus_has_it() {
 }
 
 #[test]
+fn motion_under_a_command_that_moves_nothing_is_uncommanded() {
+    for (command, state, stopped) in [
+        (Command::ResetFault, State::OperationEnabled, Some(StopCause::Uncommanded)),
+        (Command::Enable, State::OperationEnabled, Some(StopCause::Uncommanded)),
+        // Its power comes on, and the motor may give way.
+        (Command::Enable, State::SwitchedOn, None),
+        (Command::Home, State::OperationEnabled, None),
+    ] {
+        let mut x = Alone::new(plan()).enabled();
+        x.turns(100);
+        x.post(command);
+        x.turn();
+        (x.slot.status.state, x.slot.status.velocity) = (state, 50.0);
+        x.controller.claim = Claim::Ours;
+        x.turns(10);
+        assert_eq!(x.controller.feedback().stopped, stopped, "{command:?} {state}");
+    }
+}
+
+#[test]
 fn a_reset_that_waits_for_a_stop_ends_when_the_link_is_lost() {
     let mut x = Alone::new(plan()).enabled();
     x.slot.status.velocity = 50.0;
